@@ -1,13 +1,13 @@
 //! Follows what a board does and says what was lost: `cargo run -p haptic --example follow_telemetry [PORT]`, by default on a
 //! simulated board. PORT is what `haptic --port` takes.
 
-use haptic::haptic_bridge::board::telemetry::Field;
-use haptic::link::{Board, fields};
+use haptic_host::haptic_bridge::board::telemetry::Field;
+use haptic_host::link::fields;
 use std::time::Duration;
 
 /// Follows the board at a port.
 pub fn follow(port: &str) -> Result<(), Box<dyn std::error::Error>> {
-    let mut board = Board::open(&port.parse()?)?;
+    let mut board = haptic_sim::open(&port.parse()?)?;
     println!("{} {} on {}", board.info().board, board.info().serial, board.port());
     // Every 100th control step; the board drops whole rows where the link is too slow, and counts them.
     board.start_stream(fields("q,tip,state")?, 100)?;

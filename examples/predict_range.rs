@@ -1,13 +1,13 @@
 //! How stiff a wall may be, predicted without and with the feed-forward: `cargo run -p haptic --example predict_range`.
 
-use haptic::analysis::plant::{Drive, Linearised};
-use haptic::analysis::range::predict;
-use haptic::analysis::sampled::{LinearEstimator, Loop};
-use haptic::device_file::DeviceFile;
+use haptic_host::device_file::DeviceFile;
+use haptic_predict::analysis::plant::{Drive, Linearised};
+use haptic_predict::analysis::range::predict;
+use haptic_predict::analysis::sampled::{LinearEstimator, Loop};
 
 /// Runs it.
 pub fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let device = DeviceFile::load(concat!(env!("CARGO_MANIFEST_DIR"), "/../devices/coupled-five-bar.toml"))?;
+    let device = DeviceFile::load(concat!(env!("CARGO_MANIFEST_DIR"), "/../../devices/coupled-five-bar.toml"))?;
     // Joint angles (rad), and the wall's unit normal out of the solid.
     let seen = Linearised::at(&device.description, &[2.6, 1.75], &[0.6, 0.8])?;
     let around = Loop {

@@ -1,17 +1,17 @@
 //! A hand presses into a wall: `cargo run -p haptic --example press_a_wall`. Board, device and hand are simulated; to a real
 //! board a program talks in the same way, opened by `Board::open(&"SERIAL_NUMBER".parse()?)`.
 
-use haptic::device_file::DeviceFile;
-use haptic::haptic_bridge::board::telemetry::Field;
-use haptic::link::{Board, fields};
-use haptic::scene_file::SceneFile;
-use haptic::sim::{BoardOptions, Hand, HandSettings, Intent, SharedBoard, Waypoint, ready_board};
+use haptic_host::device_file::DeviceFile;
+use haptic_host::haptic_bridge::board::telemetry::Field;
+use haptic_host::link::{Board, fields};
+use haptic_host::scene_file::SceneFile;
+use haptic_sim::{BoardOptions, Hand, HandSettings, Intent, SharedBoard, Waypoint, ready_board};
 use std::time::Duration;
 
 /// Runs it.
 pub fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let device = DeviceFile::load(concat!(env!("CARGO_MANIFEST_DIR"), "/../devices/coupled-five-bar.toml"))?;
-    let scene = concat!(env!("CARGO_MANIFEST_DIR"), "/../devices/scenes/coupled-five-bar/wall.toml");
+    let device = DeviceFile::load(concat!(env!("CARGO_MANIFEST_DIR"), "/../../devices/coupled-five-bar.toml"))?;
+    let scene = concat!(env!("CARGO_MANIFEST_DIR"), "/../../devices/scenes/coupled-five-bar/wall.toml");
     let scene = SceneFile::load(scene, device.spec().task)?;
     let simulated = SharedBoard::new(ready_board(&device, BoardOptions::default())?);
     let mut board = Board::over(simulated.wire(), "sim")?;

@@ -2,16 +2,16 @@
 //! the tip and where it was is computed here, and a floor 5 mm below it is handed to the board, which renders it at its
 //! own rate.
 
-use haptic::device_file::DeviceFile;
-use haptic::haptic_bridge::board::protocol::HostContact;
-use haptic::haptic_bridge::render::scene::Scene;
-use haptic::link::Session;
-use haptic::sim::SHIPPED_DEVICE;
+use haptic_host::device_file::DeviceFile;
+use haptic_host::haptic_bridge::board::protocol::HostContact;
+use haptic_host::haptic_bridge::render::scene::Scene;
+use haptic_host::link::Session;
+use haptic_sim::SHIPPED_DEVICE;
 
 /// Pushes the board at a port for half a second of its time; where the tip was, and is.
 pub fn push(port: &str) -> Result<([f32; 3], [f32; 3]), Box<dyn std::error::Error>> {
     let device = DeviceFile::parse(SHIPPED_DEVICE, "coupled-five-bar.toml")?;
-    let mut session = Session::open(&port.parse()?)?;
+    let mut session = Session::of(haptic_sim::open(&port.parse()?)?);
     session.set_device(&device.device()?)?;
     session.set_scene(&Scene { task: 2, ..Scene::default() })?;
     session.arm()?;

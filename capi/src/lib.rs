@@ -5,14 +5,14 @@
 
 #![allow(clippy::missing_safety_doc, reason = "what C is told is the documentation: pointers are NULL or what it says")]
 
-use haptic::device_file::DeviceFile;
-use haptic::link::{BoardError, LinkError, PortSpec, Session};
-use haptic::scene_file::SceneFile;
-use haptic::words::{fault_and_remedy, for_a_program};
 use haptic_bridge::board::protocol::{ForceAnswer, ForceDone, ForceRequest, HostContact};
 use haptic_bridge::render::scene::Scene;
 use haptic_bridge::safety::fault::{Fault, State as BoardState};
 use haptic_bridge::safety::refusal::Refusal;
+use haptic_host::device_file::DeviceFile;
+use haptic_host::link::{BoardError, LinkError, PortSpec, Session};
+use haptic_host::scene_file::SceneFile;
+use haptic_host::words::{fault_and_remedy, for_a_program};
 use std::cell::UnsafeCell;
 use std::ffi::{CStr, CString, c_char};
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -304,7 +304,7 @@ pub unsafe extern "C" fn hb_open(port: *const c_char) -> *mut Board {
             // SAFETY: as the caller promises.
             unsafe { text(port, "the port") }?.parse::<PortSpec>().map_err(|words| Failure(HB_FAILED, words))?
         };
-        Ok(Session::open(&spec)?)
+        Ok(Session::of(haptic_sim::open(&spec)?))
     });
     opened.map_or(std::ptr::null_mut(), Board::of)
 }

@@ -2,9 +2,9 @@
 
 mod header;
 
-use haptic::device_file::DeviceFile;
-use haptic::link::{Board as Linked, Session};
-use haptic::sim::{BoardOptions, SHIPPED_DEVICE, SharedBoard, ready_board};
+use haptic_host::device_file::DeviceFile;
+use haptic_host::link::{Board as Linked, Session};
+use haptic_sim::{BoardOptions, SHIPPED_DEVICE, SharedBoard, ready_board};
 use hapticbridge::{
     Board, HB_ARMED, HB_BAD, HB_BAD_ARGUMENT, HB_DISARMED, HB_FAILED, HB_FAULT, HB_OK, HB_UNANSWERED, HB_VERSION,
     Request, State, hb_arm, hb_check_polarity, hb_clear, hb_close, hb_error, hb_exchange, hb_fault_text, hb_home,

@@ -1,16 +1,16 @@
 //! The one device that CHAI3D gets to see: a board, in CHAI3D's frame, at a tick of a millisecond.
 
-use haptic::analysis::map::Reachable;
-use haptic::analysis::pose::TaskPose;
-use haptic::frame::Axes;
-use haptic::haptic_bridge::board::protocol::{DeviceData, ForceAnswer};
-use haptic::haptic_bridge::model::device::Device as BoardDevice;
-use haptic::haptic_bridge::render::scene::Scene;
-use haptic::haptic_bridge::safety::fault::{Fault, State};
-use haptic::haptic_bridge::servo::host_force::MOST_HELD_FORCE;
-use haptic::link::{LinkError, PortSpec, Session};
-use haptic::vectors::padded;
-use haptic::words::{fault_and_remedy, for_a_program};
+use haptic_host::frame::Axes;
+use haptic_host::haptic_bridge::board::protocol::{DeviceData, ForceAnswer};
+use haptic_host::haptic_bridge::model::device::Device as BoardDevice;
+use haptic_host::haptic_bridge::render::scene::Scene;
+use haptic_host::haptic_bridge::safety::fault::{Fault, State};
+use haptic_host::haptic_bridge::servo::host_force::MOST_HELD_FORCE;
+use haptic_host::link::{LinkError, PortSpec, Session};
+use haptic_host::vectors::padded;
+use haptic_host::words::{fault_and_remedy, for_a_program};
+use haptic_predict::analysis::map::Reachable;
+use haptic_predict::analysis::pose::TaskPose;
 use std::time::{Duration, Instant};
 
 /// From one tick of the servo loop to the next: what CHAI3D's devices have.
@@ -77,7 +77,10 @@ impl HdDevice {
         let port = std::env::var("HAPTIC_PORT").unwrap_or_else(|_| "sim".into());
         let spec = port.parse::<PortSpec>()?;
         let simulated = matches!(spec, PortSpec::Sim(_));
-        Self::with(Box::new(move || Session::open(&spec).map_err(|error| error.to_string())), simulated)
+        Self::with(
+            Box::new(move || haptic_sim::open(&spec).map(Session::of).map_err(|error| error.to_string())),
+            simulated,
+        )
     }
 
     fn with(mut open: Opener, simulated: bool) -> Result<Self, String> {
@@ -156,7 +159,7 @@ impl HdDevice {
     pub fn force(&mut self, force: [f64; 3]) -> bool {
         let usable = force.iter().all(|newtons| newtons.abs() <= f64::from(MOST_HELD_FORCE));
         if !usable && !self.told_absurd {
-            haptic::tell!("haptic-bridge: a force of {force:?} N is none: the motors get 0 N");
+            haptic_host::tell!("haptic-bridge: a force of {force:?} N is none: the motors get 0 N");
             self.told_absurd = true;
         }
         let force = self.axes.to_task(if usable { force } else { [0.0; 3] });
@@ -234,7 +237,7 @@ impl HdDevice {
     /// Says something to a person, once until it has changed.
     fn tell(&mut self, words: String) {
         if !self.told {
-            haptic::tell!("haptic-bridge: {words}");
+            haptic_host::tell!("haptic-bridge: {words}");
             self.told = true;
         }
     }
@@ -262,9 +265,9 @@ fn workspace(device: &BoardDevice<f64>, here: [f64; 3]) -> ([f64; 3], f64) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use haptic::device_file::DeviceFile;
-    use haptic::link::{Board, Wire};
-    use haptic::sim::{BoardOptions, SHIPPED_DEVICE, SharedBoard, ready_board};
+    use haptic_host::device_file::DeviceFile;
+    use haptic_host::link::{Board, Wire};
+    use haptic_sim::{BoardOptions, SHIPPED_DEVICE, SharedBoard, ready_board};
     use std::io;
     use std::sync::Arc;
     use std::sync::atomic::{AtomicBool, Ordering};

@@ -36,7 +36,7 @@ fn with(id: c_int, work: impl FnOnce(&mut HdDevice) -> bool) -> c_int {
             *found = match HdDevice::open() {
                 Ok(device) => Found::Open(Box::new(device)),
                 Err(words) => {
-                    haptic::tell!("haptic-bridge: {words}");
+                    haptic_host::tell!("haptic-bridge: {words}");
                     Found::None
                 }
             };

@@ -1,7 +1,7 @@
 //! How each board is wired, for the virtual hardware around the chip. The pins are those of docs/wiring-odrive-v3.md
 //! and docs/wiring-h-bridge-f405.md, read a second time here, so that a pin swapped in the firmware shows.
 
-pub use haptic::boards::BoardKind;
+pub use haptic_predict::boards::BoardKind;
 
 /// A port pin: the port's letter and the pin's number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

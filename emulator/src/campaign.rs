@@ -3,9 +3,9 @@
 
 use std::collections::BTreeSet;
 
-use haptic::output::csv_line;
-use haptic::sim::Broken;
 use haptic_bridge::safety::fault::{Fault, State};
+use haptic_host::output::csv_line;
+use haptic_sim::Broken;
 use rigless::device::Level;
 
 use crate::boards::BoardKind;

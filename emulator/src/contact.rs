@@ -2,9 +2,9 @@
 
 use std::time::Duration;
 
-use haptic::device_file::DeviceFile;
-use haptic::sim::Support;
 use haptic_bridge::board::telemetry::{Field, Fields};
+use haptic_host::device_file::DeviceFile;
+use haptic_sim::Support;
 
 use crate::boards::Wiring;
 use crate::hands::{hang, hold, push};

@@ -7,10 +7,10 @@
 use std::collections::VecDeque;
 use std::time::Duration;
 
-use haptic::link::{Board, Losses};
 use haptic_bridge::board::protocol::{ForceDone, ForceRequest, HostContact};
 use haptic_bridge::board::telemetry::Fields;
 use haptic_bridge::safety::fault::State;
+use haptic_host::link::{Board, Losses};
 
 use crate::image::CONTROL_INTERRUPT;
 use crate::rig::{Rig, firmware};

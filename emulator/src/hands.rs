@@ -1,6 +1,6 @@
 //! What hands do with a simulated device.
 
-use haptic::sim::{Hand, HandSettings, Intent, SimulatedDevice, Support, Waypoint};
+use haptic_sim::{Hand, HandSettings, Intent, SimulatedDevice, Support, Waypoint};
 
 /// A hand that gives way to nothing.
 #[must_use]

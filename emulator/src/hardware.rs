@@ -8,7 +8,7 @@
 
 use std::num::{NonZeroU32, NonZeroU64};
 
-use haptic::sim::{Broken, MotorInput};
+use haptic_sim::{Broken, MotorInput};
 use rigless::device::Level;
 use rigless::machine::{Board, Target, armv7m};
 use rigless::mcu::{Mcu, Operate};

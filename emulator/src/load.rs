@@ -3,8 +3,6 @@
 
 use std::time::Duration;
 
-use haptic::link::Losses;
-use haptic::sim::TIMER_HZ;
 use haptic_bridge::board::protocol::HostContact;
 use haptic_bridge::board::telemetry::Fields;
 use haptic_bridge::drive::carrier::Carrier;
@@ -12,6 +10,8 @@ use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::render::velocity::Estimator;
 use haptic_bridge::safety::fault::{FaultRecord, State};
+use haptic_host::link::Losses;
+use haptic_sim::TIMER_HZ;
 
 use crate::cases::Case;
 use crate::contact::{WallAt, scene};

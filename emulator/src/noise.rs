@@ -5,12 +5,12 @@ use std::io;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use haptic::link::{Board, Wire};
-use haptic::sim::MotorInput;
 use haptic_bridge::board::telemetry::Fields;
 use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::safety::fault::Fault;
+use haptic_host::link::{Board, Wire};
+use haptic_sim::MotorInput;
 
 use crate::boards::BoardKind;
 use crate::rig::Rig;

@@ -2,7 +2,7 @@
 
 use std::fmt::Debug;
 
-use haptic::sim::{MotorInput, SimulatedDevice};
+use haptic_sim::{MotorInput, SimulatedDevice};
 
 /// A device at the board's connectors, with up to three axes.
 pub trait Plant: Debug + Send {

@@ -1,4 +1,4 @@
-//! The paper's experiment on the emulated chip: which walls stay stable on the unmodified image, by `haptic::measure`
+//! The paper's experiment on the emulated chip: which walls stay stable on the unmodified image, by `haptic_predict::measure`
 //! through the protocol, beside what the sampled-data theory of `haptic range` says with the delay that the board
 //! reports.
 //!
@@ -8,24 +8,24 @@
 
 use std::f64::consts::TAU;
 
-use haptic::analysis::map;
-use haptic::analysis::plant::{Drive, Linearised};
-use haptic::analysis::pose::unit_normal;
-use haptic::analysis::range::{Range, predict};
-use haptic::analysis::sampled::{LinearEstimator, Loop};
-use haptic::analysis::several::Member;
-use haptic::device_file::DeviceFile;
-use haptic::measure::campaign::{self, Plan};
-use haptic::measure::progress::Progress;
-use haptic::measure::{Law, MeasureError, MeasurementSetup, PreparedBoard};
-use haptic::output::csv_line;
-use haptic::plot::Picture;
-use haptic::plot::range::{Contents, MeasuredPoint, draw};
-use haptic::sim::Hand;
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::description::{EncoderAt, Transmission};
 use haptic_bridge::model::motor::Motor;
 use haptic_bridge::render::scene::FeedForward;
+use haptic_host::device_file::DeviceFile;
+use haptic_host::output::csv_line;
+use haptic_predict::analysis::map;
+use haptic_predict::analysis::plant::{Drive, Linearised};
+use haptic_predict::analysis::pose::unit_normal;
+use haptic_predict::analysis::range::{Range, predict};
+use haptic_predict::analysis::sampled::{LinearEstimator, Loop};
+use haptic_predict::analysis::several::Member;
+use haptic_predict::measure::campaign::{self, Plan};
+use haptic_predict::measure::progress::Progress;
+use haptic_predict::measure::{Law, MeasureError, MeasurementSetup, PreparedBoard};
+use haptic_show::plot::Picture;
+use haptic_show::plot::range::{Contents, MeasuredPoint, draw};
+use haptic_sim::Hand;
 
 use crate::boards::BoardKind;
 use crate::hands::hold;
@@ -446,7 +446,7 @@ pub fn section(rate: Rate, progress: &Progress, delay: f64) -> (String, String, 
         range.area_ratio,
     );
     let dots = |mode| -> Vec<MeasuredPoint> {
-        let dot = |point: &haptic::measure::progress::Point| {
+        let dot = |point: &haptic_predict::measure::progress::Point| {
             let (low, high) = point.bounds();
             MeasuredPoint { kd: point.kd, kp: point.median(), low, high }
         };

@@ -1,13 +1,13 @@
 //! A board on a test bench: firmware booted, a simulated device at its connectors, and the tool's client on its port.
 
-use haptic::device_file::DeviceFile;
-use haptic::link::Board;
-use haptic::scene_file::SceneFile;
-use haptic::sim::{Options, PowerStage, SimulatedDevice};
 use haptic_bridge::model::device::Device as DeviceData;
 use haptic_bridge::safety::fault::State;
 use haptic_bridge::safety::limits::{Limits, MOST_TIP_FORCE};
 use haptic_bridge::servo::{HostAction, Rules};
+use haptic_host::device_file::DeviceFile;
+use haptic_host::link::Board;
+use haptic_host::scene_file::SceneFile;
+use haptic_sim::{Options, PowerStage, SimulatedDevice};
 use std::collections::BTreeMap;
 use std::f64::consts::PI;
 use std::path::{Path, PathBuf};

@@ -5,10 +5,10 @@
 use std::fmt::Write as _;
 use std::time::Duration;
 
-use haptic::link::{Losses, columns};
-use haptic::sim::{Hand, HandSettings, Intent, Waypoint};
 use haptic_bridge::board::telemetry::{Field, Fields};
 use haptic_bridge::safety::fault::State;
+use haptic_host::link::{Losses, columns};
+use haptic_sim::{Hand, HandSettings, Intent, Waypoint};
 
 use crate::boards::BoardKind;
 use crate::contact::WallAt;

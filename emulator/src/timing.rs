@@ -6,8 +6,8 @@
 
 use std::collections::BTreeSet;
 
-use haptic::output::csv_line;
 use haptic_bridge::board::telemetry::Fields;
+use haptic_host::output::csv_line;
 
 use crate::cases::{CASES, Case, SCENES};
 use crate::cycles::{Flash, Kind, estimate, kinds};
@@ -64,7 +64,7 @@ impl Case {
         let runs = rig.trace_control(SPAN);
         let rows = rig.tool.rows(std::time::Duration::from_millis(10)).expect("rows come");
         // The last two columns are the state and the number of walls touched.
-        let in_contact = |row: &haptic::link::Row| row.values.ends_with(&[ARMED, self.meets.contacts() as f64]);
+        let in_contact = |row: &haptic_host::link::Row| row.values.ends_with(&[ARMED, self.meets.contacts() as f64]);
         let status = rig.tool.status();
         assert!(!rows.is_empty() && rows.iter().all(in_contact), "{} is not in contact: {status:?}", self.name());
         let image = firmware(self.board);

@@ -1,11 +1,11 @@
-//! The emulated USB port as the tool's own client knows wires: `haptic::link::Board` over it talks to the real
+//! The emulated USB port as the tool's own client knows wires: `haptic_host::link::Board` over it talks to the real
 //! firmware, in lock step and on the board's own clock.
 
 use std::io;
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 
-use haptic::link::Wire;
+use haptic_host::link::Wire;
 
 use crate::run::{MICROSECOND, VirtualBoard};
 

@@ -1,9 +1,9 @@
 //! The tool's end of the link: a board that answers anything. Every call ends with a value or an error.
 
-use haptic::backup::Backup;
-use haptic::link::{Board, Deframer, Wire, encode, fields};
 use haptic_bridge::board::protocol::{ENDPOINTS, GetInfo, Info, PROTOCOL, TOPICS_OUT};
 use haptic_bridge::board::settings::Key;
+use haptic_host::backup::Backup;
+use haptic_host::link::{Board, Deframer, Wire, encode, fields};
 use postcard_rpc::Endpoint as _;
 use postcard_rpc::header::{VarHeader, VarKey, VarSeq};
 use postcard_rpc::standard_icd::ERROR_KEY;

@@ -2,13 +2,13 @@
 //! refused, never a panic.
 
 use crate::cli;
-use haptic::backup::Backup;
-use haptic::device_file::DeviceFile;
-use haptic::measure::progress::Progress;
-use haptic::recorder::Recording;
-use haptic::scene_file::SceneFile;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::render::scene::FeedForward;
+use haptic_host::backup::Backup;
+use haptic_host::device_file::DeviceFile;
+use haptic_host::scene_file::SceneFile;
+use haptic_predict::measure::progress::Progress;
+use haptic_show::recorder::Recording;
 
 /// A device file; what is accepted makes a device.
 pub fn device_file(data: &[u8]) {

@@ -3,7 +3,6 @@
 
 use super::board::{Board, frame};
 use super::shipped::shipped;
-use haptic::link::Deframer;
 use haptic_bridge::board::framing::Decoder;
 use haptic_bridge::board::protocol::*;
 use haptic_bridge::board::settings::{BoardName, Key, Polarity, encode};
@@ -12,6 +11,7 @@ use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::model::precomputed::{Grid, Interpolation, MassModelData, checksum};
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::servo::{HostAction, Rules};
+use haptic_host::link::Deframer;
 use postcard_rpc::Endpoint;
 use serde::Serialize;
 
@@ -37,7 +37,7 @@ pub fn bytes(data: &[u8]) {
     }
     // Whatever came before: after a zero the next request is understood.
     found(&mut decoder, &[0]);
-    let asked = found(&mut decoder, &haptic::link::envelope(&frame(GetStatus::REQ_KEY, &[])));
+    let asked = found(&mut decoder, &haptic_host::link::envelope(&frame(GetStatus::REQ_KEY, &[])));
     assert!(matches!(&asked[..], [frame] if board.answer(frame).is_some()), "the board still answers");
 }
 

@@ -1,9 +1,9 @@
 //! Devices and scenes that ship, read once: what the wild input starts from.
 
-use haptic::device_file::DeviceFile;
-use haptic::scene_file::SceneFile;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::render::scene::Scene;
+use haptic_host::device_file::DeviceFile;
+use haptic_host::scene_file::SceneFile;
 use std::sync::OnceLock;
 
 /// A device, and scenes for it.

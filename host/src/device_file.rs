@@ -282,7 +282,7 @@ fn joint_of(table: &Table<'_>, carries: bool) -> Joint {
 }
 
 /// Whether the body that a joint turns counts in the joint's own inertia, beside its rotor: a paddle's and a turret's.
-pub(crate) fn carries_its_body(spec: &Spec, joint: usize) -> bool {
+pub fn carries_its_body(spec: &Spec, joint: usize) -> bool {
     joint == 0 && (spec.links.is_empty() || spec.task == 3)
 }
 

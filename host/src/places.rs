@@ -8,7 +8,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// A number of places, of which each address has a part.
 #[derive(Clone)]
-pub(crate) struct Places {
+pub struct Places {
     most: usize,
     per_address: usize,
     taken: Arc<Mutex<Vec<Taken>>>,
@@ -22,14 +22,14 @@ struct Taken {
 }
 
 /// A connection's place, given back when it is dropped.
-pub(crate) struct Place {
+pub struct Place {
     number: u64,
     places: Places,
 }
 
 impl Places {
     /// So many places, and at most so many of them for one address.
-    pub(crate) fn new(most: usize, per_address: usize) -> Self {
+    pub fn new(most: usize, per_address: usize) -> Self {
         Self { most, per_address, taken: Arc::default() }
     }
 
@@ -41,7 +41,7 @@ impl Places {
     /// address that has most of them. Those that have said nothing go first, then the oldest.
     ///
     /// `None` for a connection that has gone already.
-    pub(crate) fn enter(&self, stream: &TcpStream) -> Option<Place> {
+    pub fn enter(&self, stream: &TcpStream) -> Option<Place> {
         static NUMBERS: AtomicU64 = AtomicU64::new(0);
         let address = stream.peer_addr().ok()?.ip();
         let stream = stream.try_clone().ok()?;
@@ -69,7 +69,7 @@ fn close_one(taken: &mut Vec<Taken>, address: IpAddr) {
 
 impl Place {
     /// The connection has said something: it goes after those that have not.
-    pub(crate) fn spoke(&self) {
+    pub fn spoke(&self) {
         let mut taken = self.places.lock();
         taken.iter_mut().filter(|other| other.number == self.number).for_each(|own| own.spoke = true);
     }

@@ -47,7 +47,7 @@ pub struct SceneFile {
     pub path: PathBuf,
     /// The scene in double precision.
     pub scene: Scene<f64>,
-    /// How fast a hand moves in it, m/s: what [`crate::plan`] reckons with.
+    /// How fast a hand moves in it, m/s: what a plan reckons with.
     pub hand_speed: Option<f64>,
 }
 

@@ -9,12 +9,12 @@
 //! Numbers are all that can be handed over, so text and bytes lie in one buffer: who calls [`room`] writes it,
 //! everything else leaves its answer there.
 
-use haptic::device_file::DeviceFile;
-use haptic::error::Failure;
-use haptic::scene_file::SceneFile;
-use haptic::view::hub::{Hub, Message, PageId};
-use haptic::view::message::FromPage;
-use haptic::view::{Stage, Turn, World};
+use haptic_host::device_file::DeviceFile;
+use haptic_host::error::Failure;
+use haptic_host::scene_file::SceneFile;
+use haptic_show::view::hub::{Hub, Message, PageId};
+use haptic_show::view::message::FromPage;
+use haptic_show::view::{Stage, Turn, World};
 use std::cell::RefCell;
 use std::collections::VecDeque;
 use std::time::Duration;

@@ -4,15 +4,15 @@ use crate::arrays::{array, list};
 use crate::device::{PyDevice, Scene};
 use crate::errors::{self, LinkError, RequestError};
 use crate::recording::Recording;
-use haptic::haptic_bridge::board::protocol::{BadForce, ForceAnswer, ForceDone, ForceRequest, HostContact};
-use haptic::haptic_bridge::board::telemetry::Fields;
-use haptic::haptic_bridge::render::controller::Gains;
-use haptic::haptic_bridge::render::scene::Scene as BoardScene;
-use haptic::haptic_bridge::safety::fault::FaultRecord;
-use haptic::haptic_bridge::safety::refusal::Refusal;
-use haptic::link::{self, BoardError, PortSpec, Row, Session, columns};
-use haptic::recorder::STATES;
-use haptic::words::fault_and_remedy;
+use haptic_host::haptic_bridge::board::protocol::{BadForce, ForceAnswer, ForceDone, ForceRequest, HostContact};
+use haptic_host::haptic_bridge::board::telemetry::Fields;
+use haptic_host::haptic_bridge::render::controller::Gains;
+use haptic_host::haptic_bridge::render::scene::Scene as BoardScene;
+use haptic_host::haptic_bridge::safety::fault::FaultRecord;
+use haptic_host::haptic_bridge::safety::refusal::Refusal;
+use haptic_host::link::{self, BoardError, PortSpec, Row, Session, columns};
+use haptic_host::words::fault_and_remedy;
+use haptic_show::recorder::STATES;
 use numpy::PyArrayDyn;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -192,7 +192,7 @@ impl Board {
             Some(port) => port.parse::<PortSpec>().map_err(RequestError::new_err)?,
             None => PortSpec::Find,
         };
-        py.detach(|| Session::open(&spec)).map(Self::of).map_err(errors::link)
+        py.detach(|| haptic_sim::open(&spec).map(Session::of)).map(Self::of).map_err(errors::link)
     }
 
     fn __enter__(slf: PyRef<'_, Self>) -> PyRef<'_, Self> {

@@ -2,20 +2,20 @@
 
 use crate::arrays::{Rows, array, list, rows};
 use crate::errors::{ImpossibleError, RequestError, failure};
-use haptic::analysis::flexible::Hand;
-use haptic::analysis::host::Host;
-use haptic::analysis::map::{MapPoint, map_holding};
-use haptic::analysis::plant::{Drive, Linearised};
-use haptic::analysis::pose::{motors, unit_normal};
-use haptic::analysis::range::{BOUNDARY_POINTS, Domain, Range, predict};
-use haptic::analysis::sampled::{LinearEstimator, Loop};
-use haptic::cores;
-use haptic::device_file::DeviceFile;
-use haptic::error::Failure;
-use haptic::haptic_bridge::model::admissible::Admissible;
-use haptic::model::{Precision, Report, WallForce, evaluate_holding};
-use haptic::scene_file::SceneFile;
-use haptic::toml_file::Document;
+use haptic_host::device_file::DeviceFile;
+use haptic_host::error::Failure;
+use haptic_host::haptic_bridge::model::admissible::Admissible;
+use haptic_host::scene_file::SceneFile;
+use haptic_host::toml_file::Document;
+use haptic_predict::analysis::flexible::Hand;
+use haptic_predict::analysis::host::Host;
+use haptic_predict::analysis::map::{MapPoint, map_holding};
+use haptic_predict::analysis::plant::{Drive, Linearised};
+use haptic_predict::analysis::pose::{motors, unit_normal};
+use haptic_predict::analysis::range::{BOUNDARY_POINTS, Domain, Range, predict};
+use haptic_predict::analysis::sampled::{LinearEstimator, Loop};
+use haptic_predict::cores;
+use haptic_predict::model::{Precision, Report, WallForce, evaluate_holding};
 use numpy::PyArrayDyn;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -43,12 +43,12 @@ fn each<T>(found: Vec<Result<T, Failure>>, keep: bool) -> PyResult<Vec<Option<T>
         .enumerate()
         .map(|(index, result)| match result {
             Ok(value) => Ok(Some(value)),
-            Err(error) if keep && error.blame() == haptic::error::Blame::World => Ok(None),
+            Err(error) if keep && error.blame() == haptic_host::error::Blame::World => Ok(None),
             Err(error) if many => {
                 let text = format!("pose {index}: {error}");
                 Err(match error.blame() {
-                    haptic::error::Blame::World => ImpossibleError::new_err(text),
-                    haptic::error::Blame::Request => RequestError::new_err(text),
+                    haptic_host::error::Blame::World => ImpossibleError::new_err(text),
+                    haptic_host::error::Blame::Request => RequestError::new_err(text),
                 })
             }
             Err(error) => Err(failure(error)),
@@ -356,7 +356,7 @@ impl PyDevice {
             let number = |of: fn(&Domain) -> f64| move |range: &Range| vec![pick(range).map_or(f64::NAN, of)];
             inner.add("area", &[], number(|domain| domain.area))?;
             inner.add("kd_max", &[], number(|domain| domain.kd_max))?;
-            let curve = |of: fn(&haptic::analysis::range::BoundaryPoint) -> f64| {
+            let curve = |of: fn(&haptic_predict::analysis::range::BoundaryPoint) -> f64| {
                 move |range: &Range| {
                     pick(range).map_or_else(Vec::new, |domain| domain.boundary.iter().map(of).collect())
                 }

@@ -1,8 +1,8 @@
 //! Exceptions, in the words of the tool.
 
-use haptic::error::{Blame, Failure};
-use haptic::link::{BoardError, LinkError as NoLink};
-use haptic::words::for_a_program;
+use haptic_host::error::{Blame, Failure};
+use haptic_host::link::{BoardError, LinkError as NoLink};
+use haptic_host::words::for_a_program;
 use pyo3::PyErr;
 use pyo3::create_exception;
 use pyo3::exceptions::PyException;

@@ -4,19 +4,19 @@ use crate::arrays::{array, list, rows};
 use crate::board::Board;
 use crate::device::{PyDevice, word};
 use crate::errors::{self, ImpossibleError, RequestError, failure};
-use haptic::analysis::plant::Drive;
-use haptic::analysis::sampled::Loop;
-use haptic::analysis::several::{Member, WallSet};
-use haptic::device_file::DeviceFile;
-use haptic::haptic_bridge::model::admissible::Admissible;
-use haptic::haptic_bridge::model::device::Device as DeviceData;
-use haptic::haptic_bridge::render::scene::FeedForward;
-use haptic::link::Board as Linked;
-use haptic::measure::campaign::Plan;
-use haptic::measure::occasion::{self, Occasion};
-use haptic::measure::progress::{Point, Progress};
-use haptic::measure::simulated::{Friction, World};
-use haptic::measure::{Law, MeasureError, MeasurementSetup, most_tested};
+use haptic_host::device_file::DeviceFile;
+use haptic_host::haptic_bridge::model::admissible::Admissible;
+use haptic_host::haptic_bridge::model::device::Device as DeviceData;
+use haptic_host::haptic_bridge::render::scene::FeedForward;
+use haptic_host::link::Board as Linked;
+use haptic_predict::analysis::plant::Drive;
+use haptic_predict::analysis::sampled::Loop;
+use haptic_predict::analysis::several::{Member, WallSet};
+use haptic_predict::measure::campaign::Plan;
+use haptic_predict::measure::occasion::{self, Occasion};
+use haptic_predict::measure::progress::{Point, Progress};
+use haptic_predict::measure::simulated::{Friction, World};
+use haptic_predict::measure::{Law, MeasureError, MeasurementSetup, most_tested};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::cell::{Cell, OnceCell};
@@ -245,7 +245,7 @@ impl Order {
         let mut seen = None;
         let setup = &self.setup;
         let mut occasion = Occasion { board, file: &self.file, before, progress: &mut progress, path, remembers };
-        let begun = |prepared: &mut haptic::measure::PreparedBoard<'_>, _: &[f64]| {
+        let begun = |prepared: &mut haptic_predict::measure::PreparedBoard<'_>, _: &[f64]| {
             let (info, details) = (prepared.board().info().clone(), prepared.board().details()?);
             seen = Some((occasion::around(setup, &info, &details), prepared.excitation().quantum));
             Ok(())

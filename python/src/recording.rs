@@ -2,7 +2,7 @@
 
 use crate::arrays::array;
 use crate::errors::RequestError;
-use haptic::recorder::Recording as Read;
+use haptic_show::recorder::Recording as Read;
 use numpy::PyArrayDyn;
 use pyo3::exceptions::PyKeyError;
 use pyo3::prelude::*;

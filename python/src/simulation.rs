@@ -4,10 +4,10 @@ use crate::arrays::list;
 use crate::board::Board;
 use crate::device::{PyDevice, Scene};
 use crate::errors::{self, RequestError};
-use haptic::haptic_bridge::render::scene::Scene as BoardScene;
-use haptic::link::{Board as Linked, Session};
-use haptic::sim::{BoardOptions, DriveModel, Hand, HandSettings, Intent, Options, SharedBoard, Waypoint, ready_board};
-use haptic::vectors::padded;
+use haptic_host::haptic_bridge::render::scene::Scene as BoardScene;
+use haptic_host::link::{Board as Linked, Session};
+use haptic_host::vectors::padded;
+use haptic_sim::{BoardOptions, DriveModel, Hand, HandSettings, Intent, Options, SharedBoard, Waypoint, ready_board};
 use numpy::PyArrayDyn;
 use pyo3::prelude::*;
 

@@ -2,7 +2,7 @@
 //! lines that it writes into docs/results/ranges.sh: `cargo xtask figures`. It takes some minutes. With names of cases it
 //! runs these and prints their rows.
 
-use haptic::output::csv_line;
+use haptic_host::output::csv_line;
 use serde_json::Value;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};

@@ -2,11 +2,11 @@
 
 use std::time::Duration;
 
-use haptic::backup::Backup;
-use haptic::link::{Board, BoardError};
 use haptic_bridge::board::settings::{Damage, Key};
 use haptic_bridge::safety::fault::{Fault, FaultRecord, State};
 use haptic_bridge::safety::refusal::Refusal;
+use haptic_host::backup::Backup;
+use haptic_host::link::{Board, BoardError};
 
 use super::{Injection, injection};
 use crate::run::{MICROSECOND, MILLISECOND, SECOND, StoppedBoard};

@@ -1,7 +1,7 @@
 //! What came of every fault, as docs/results/faults.csv has it.
 
-use haptic::output::csv_line;
 use haptic_bridge::safety::fault::Fault;
+use haptic_host::output::csv_line;
 
 use super::{Injection, Outcome, injection};
 

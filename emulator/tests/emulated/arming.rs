@@ -1,9 +1,9 @@
 //! The bridges begin to drive at an extreme of the carrier. Between two extremes a bridge whose ends follow one channel and
 //! its complement would give the motor the rest of one half of the period: most of an ampere for every such microsecond.
 
-use haptic::sim::Support;
 use haptic_bridge::board::telemetry::Fields;
 use haptic_bridge::safety::fault::Fault;
+use haptic_sim::Support;
 use virtual_board::cases::CASES;
 use virtual_board::contact::{WallAt, scene};
 use virtual_board::range::rigid;

@@ -1,6 +1,6 @@
 //! From power-on to a configured serial port.
 
-use haptic::link::{USB_PRODUCT, USB_PRODUCT_NAME, USB_VENDOR};
+use haptic_host::link::{USB_PRODUCT, USB_PRODUCT_NAME, USB_VENDOR};
 use virtual_board::boards::BoardKind;
 use virtual_board::rig::{Rig, firmware};
 use virtual_board::run::{MILLISECOND, SECOND};

@@ -2,9 +2,6 @@
 
 use std::time::Duration;
 
-use haptic::link::Row;
-use haptic::scene_file::SceneFile;
-use haptic::sim::{Hand, HandSettings, Intent, Waypoint};
 use haptic_bridge::board::telemetry::{Field, Fields};
 use haptic_bridge::drive::stage::Bridge;
 use haptic_bridge::model::device::Device;
@@ -14,6 +11,9 @@ use haptic_bridge::servo::joints::{Counts, Currents};
 use haptic_bridge::servo::program::Hardware;
 use haptic_bridge::servo::program::Program;
 use haptic_bridge::servo::{Command, Servo};
+use haptic_host::link::Row;
+use haptic_host::scene_file::SceneFile;
+use haptic_sim::{Hand, HandSettings, Intent, Waypoint};
 use virtual_board::boards::{BoardKind, Wiring};
 use virtual_board::rig::Rig;
 use virtual_board::run::SECOND;
@@ -52,7 +52,7 @@ fn torques_on_the_chip_are_those_of_the_library_bit_for_bit() {
             [Field::Angle, Field::Speed, Field::Tip, Field::Torque, Field::Distance, Field::WallForce, Field::Shaping];
         let traced = [Field::Counts, Field::BusVoltage, Field::Current, Field::State];
         let set = fields.iter().chain(&traced).fold(0, |set, field| set | field.bit());
-        let columns = haptic::link::columns(Fields(set), file.spec().joints);
+        let columns = haptic_host::link::columns(Fields(set), file.spec().joints);
         rig.tool.start_stream(Fields(set), 1).expect("a stream starts");
         rig.tool.arm().expect("armed");
         rig.with_simulated(move |device| {

@@ -1,9 +1,9 @@
 //! Gate drivers that fail: what injection.rs, which brings every fault about, does not look at.
 
-use haptic::link::BoardError;
-use haptic::sim::MotorInput;
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::safety::refusal::Refusal;
+use haptic_host::link::BoardError;
+use haptic_sim::MotorInput;
 use virtual_board::boards::BoardKind;
 use virtual_board::rig::Rig;
 use virtual_board::run::{MILLISECOND, SECOND};

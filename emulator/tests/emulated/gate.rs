@@ -3,12 +3,12 @@
 
 use std::time::Duration;
 
-use haptic::link::{BoardError, Row};
-use haptic::sim::MotorInput;
 use haptic_bridge::board::protocol::PROTOCOL;
 use haptic_bridge::board::telemetry::{Field, Fields};
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::safety::refusal::Refusal;
+use haptic_host::link::{BoardError, Row};
+use haptic_sim::MotorInput;
 use virtual_board::boards::{BoardKind, Wiring};
 use virtual_board::contact::{WallAt, scene};
 use virtual_board::hands::push;

@@ -242,7 +242,7 @@ fn bitten_at(rate: u32, task: &'static str, code: impl FnOnce(u32) -> Vec<u32>, 
     assert!(rig.with(off), "bridges are on after the reset");
     let ready = rig.shared.board().run_until(2 * SECOND, MILLISECOND, |stopped| stopped.usb().ready());
     assert!(ready, "the port is gone");
-    rig.tool = haptic::link::Board::over(rig.shared.wire(), "again").expect("the board answers");
+    rig.tool = haptic_host::link::Board::over(rig.shared.wire(), "again").expect("the board answers");
     let status = rig.tool.status().expect("the board answers");
     assert_eq!((status.state, status.fault.map(|record| record.fault)), (State::Fault, Some(Fault::Watchdog)));
 }
@@ -294,7 +294,7 @@ fn a_board_whose_supply_stays_low_stays_off_and_says_so_once_it_is_back() {
     assert!(resets == steps && !ready, "{resets} resets; the board runs on too little");
     rig.with(|stopped| stopped.supply(3300));
     assert!(rig.shared.board().run_until(2 * SECOND, MILLISECOND, |stopped| stopped.usb().ready()), "the port is gone");
-    rig.tool = haptic::link::Board::over(rig.shared.wire(), "again").expect("the board answers");
+    rig.tool = haptic_host::link::Board::over(rig.shared.wire(), "again").expect("the board answers");
     let status = rig.tool.status().expect("the board answers");
     assert_eq!((status.state, status.fault.map(|record| record.fault)), (State::Fault, Some(Fault::SupplyDip)));
 }

@@ -1,7 +1,6 @@
 //! A refused request changes nothing: every request that a state refuses, made of the firmware itself. Tests of the
 //! library (tests/service.rs) hold the words of each refusal; here the bridges' pins and what the board holds.
 
-use haptic::link::{Board, BoardError};
 use haptic_bridge::board::protocol::TableChunk;
 use haptic_bridge::board::settings::{self, Key};
 use haptic_bridge::model::precomputed::{Grid, Interpolation, MassModelData};
@@ -9,6 +8,7 @@ use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::safety::fault::State;
 use haptic_bridge::servo::Rules;
+use haptic_host::link::{Board, BoardError};
 use virtual_board::boards::BoardKind;
 use virtual_board::inject::off;
 use virtual_board::rig::Rig;

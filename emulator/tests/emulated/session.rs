@@ -3,8 +3,8 @@
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::precomputed::{Interpolation, TableChunk};
 
-use haptic::backup::{Backup, restore};
-use haptic::bench::precompute;
+use haptic_host::backup::{Backup, restore};
+use haptic_predict::bench::precompute;
 use virtual_board::boards::BoardKind;
 use virtual_board::rig::Rig;
 use virtual_board::run::SECOND;

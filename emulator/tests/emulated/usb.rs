@@ -2,10 +2,10 @@
 
 use std::time::Duration;
 
-use haptic::link::Board;
-use haptic::sim::MotorInput;
 use haptic_bridge::board::telemetry::Fields;
 use haptic_bridge::safety::fault::State;
+use haptic_host::link::Board;
+use haptic_sim::MotorInput;
 use virtual_board::boards::BoardKind;
 use virtual_board::noise;
 use virtual_board::rig::Rig;

@@ -2,16 +2,16 @@
 
 use std::time::Duration;
 
-use haptic::analysis::plant::Linearised;
-use haptic::link::Board;
-use haptic::scene_file::SceneFile;
-use haptic::sim::{BoardOptions, Options, SharedBoard, SimulatedBoard};
-use haptic::sim::{Hand, HandSettings, Intent, Waypoint};
 use haptic_bridge::board::telemetry::{Field, Fields};
 use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::safety::limits::Limits;
 use haptic_bridge::servo::Rules;
+use haptic_host::link::Board;
+use haptic_host::scene_file::SceneFile;
+use haptic_predict::analysis::plant::Linearised;
+use haptic_sim::{BoardOptions, Options, SharedBoard, SimulatedBoard};
+use haptic_sim::{Hand, HandSettings, Intent, Waypoint};
 use virtual_board::boards::BoardKind;
 use virtual_board::contact::{WallAt, scene};
 use virtual_board::hands::{firm, hang, hold, push as push_into};

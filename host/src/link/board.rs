@@ -97,7 +97,7 @@ impl Board {
 
     /// Turns the motors of a board behind an open wire off, before anything else is asked of it: of any version of the
     /// protocol, and also where a server lets only this request past the tool that holds the board.
-    pub(crate) fn stop_over(wire: Box<dyn Wire>, port: impl Into<String>) -> Result<Stopped, BoardError> {
+    pub fn stop_over(wire: Box<dyn Wire>, port: impl Into<String>) -> Result<Stopped, BoardError> {
         let (mut client, port) = (Self::reach(wire)?, port.into());
         match client.call::<p::Disarm>(&(), ANSWER + client.slack()) {
             Err(_) if client.was_told_occupied() => return Err(LinkError::HeldByAnother(port).into()),

@@ -120,7 +120,7 @@ fn choose(asked: Option<&str>, boards: &[BoardPort], others: Vec<String>) -> Res
 }
 
 /// Opens a serial port: `asked` by path or serial number, or the only board there is. Returns its path as well.
-pub(crate) fn open_serial(asked: Option<&str>) -> Result<(Box<dyn Wire>, String), LinkError> {
+pub(super) fn open_serial(asked: Option<&str>) -> Result<(Box<dyn Wire>, String), LinkError> {
     let (boards, others) = boards();
     let path = choose(asked, &boards, others)?;
     match SerialWire::open(&path) {
@@ -154,7 +154,7 @@ fn refused(path: String, error: &serialport::Error) -> LinkError {
 }
 
 /// Connects to `HOST:PORT`.
-pub(crate) fn open_tcp(address: &str) -> Result<Box<dyn Wire>, LinkError> {
+pub(super) fn open_tcp(address: &str) -> Result<Box<dyn Wire>, LinkError> {
     let not_listening = |error| LinkError::NotListening { address: address.into(), error };
     let mut last = io::Error::new(io::ErrorKind::NotFound, "the host has no address");
     for candidate in address.to_socket_addrs().map_err(not_listening)? {

@@ -22,11 +22,11 @@ pub const PATIENCE: Duration = Duration::from_secs(1);
 /// A board that this program holds. Everything that a [`Board`] does it does as well; dropping it disarms the board,
 /// also when the program panics. A program that is killed leaves that to the board's watch of its host.
 ///
-/// ```
-/// use haptic::link::Session;
+/// ```no_run
+/// use haptic_host::link::Session;
 ///
 /// # fn main() -> Result<(), Box<dyn std::error::Error>> {
-/// let mut session = Session::open(&"sim".parse()?)?;
+/// let mut session = Session::open(&"tcp:localhost:7710".parse()?)?;
 /// let state = session.look()?;
 /// println!("the tip is at {:?} m, step {}", state.tip, state.step);
 /// # Ok(())

@@ -31,7 +31,7 @@ const SEND_TIMEOUT: Duration = Duration::from_secs(3);
 const SHORTEST: Duration = Duration::from_millis(1);
 
 /// Whether a reader that waits a while has only to wait again; a signal interrupts one that has a timeout, too.
-pub(crate) fn nothing_yet(error: &io::Error) -> bool {
+pub fn nothing_yet(error: &io::Error) -> bool {
     matches!(error.kind(), io::ErrorKind::TimedOut | io::ErrorKind::WouldBlock | io::ErrorKind::Interrupted)
 }
 

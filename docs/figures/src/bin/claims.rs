@@ -1,7 +1,7 @@
 //! Prints the tables of docs/claims.md: `cargo run --package figures --bin claims`.
 
 #[allow(dead_code, reason = "the test asserts more than the page shows")]
-#[path = "../../../../host/tests/deep/claims/page.rs"]
+#[path = "../../../../host/tool/tests/deep/claims/page.rs"]
 mod page;
 
 fn main() {

@@ -1,14 +1,14 @@
 //! What the tip feels of a wall that is pressed beyond its motors: the board's servo, and for comparison the same
 //! torques limited joint by joint. Draws docs/results/saturation.svg: `cargo run --package figures --bin saturation`.
 
-use haptic::device_file::DeviceFile;
-use haptic::plot::axes::{Axis, Mark, PlotArea};
-use haptic::plot::canvas::{Anchor, Canvas, Stroke};
-use haptic::plot::colour::{FAINT, FULL, OFF};
-use haptic::sim::{Felt, Held, Press, WIDE};
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::safety::limits::Limits;
+use haptic_host::device_file::DeviceFile;
+use haptic_show::plot::axes::{Axis, Mark, PlotArea};
+use haptic_show::plot::canvas::{Anchor, Canvas, Stroke};
+use haptic_show::plot::colour::{FAINT, FULL, OFF};
+use haptic_sim::{Felt, Held, Press, WIDE};
 use std::path::Path;
 
 /// The demo's pose, rad, and the angle of its wall's normal, rad.

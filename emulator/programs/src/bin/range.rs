@@ -7,9 +7,9 @@
 
 use std::process::ExitCode;
 
-use haptic::measure::progress::Progress;
-use haptic::output::csv_line;
 use haptic_bridge::render::scene::FeedForward;
+use haptic_host::output::csv_line;
+use haptic_predict::measure::progress::Progress;
 use virtual_board::range::{
     CABLE_HEAD, CABLE_RATES, CABLED, HEAD, POINTS, RATES, REPEATS, Rate, section, whole, with_cables,
 };

@@ -9,7 +9,7 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use haptic::sim::door::turn_away;
+use haptic_sim::door::turn_away;
 
 /// How long a second tool waits for the first to be gone: one command after another is not two at once.
 const GRACE: Duration = Duration::from_millis(500);

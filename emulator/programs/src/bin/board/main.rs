@@ -12,8 +12,8 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
 
-use haptic::device_file::DeviceFile;
-use haptic::sim::{Options, PowerStage, SimulatedDevice};
+use haptic_host::device_file::DeviceFile;
+use haptic_sim::{Options, PowerStage, SimulatedDevice};
 use virtual_board::boards::{BoardKind, Wiring};
 use virtual_board::hardware::Hardware;
 use virtual_board::image::Firmware;

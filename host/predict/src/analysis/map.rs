@@ -1,0 +1,513 @@
+//! Inertia over the workspace: what a wall of one normal meets, the worst normals, and the axes of Λ, pose by pose.
+//!
+//! Poses are those that can be reached from the home pose without crossing a singularity: a grid over the joints'
+//! ranges, flooded from home through regular poses of the same orientation of J. So each tip position appears once, in
+//! the device's own working mode.
+//!
+//! With one full task (J square) both worst normals are closed forms in the eigenvalues of Λ (docs/model.md section 2).
+//! The redundant arm's tip meets two different matrices, Λ's own block and the inverse of the mobility's block; there
+//! the normal is searched, and the axes are those of the tip's inertia (J M⁻¹ Jᵀ)⁻¹.
+
+use haptic_bridge::model::admissible::Admissible;
+use haptic_bridge::model::description::Description;
+use haptic_bridge::model::device::{Device, Joint};
+use haptic_bridge::model::mechanism::AnyMechanism;
+use nalgebra::{DMatrix, DVector, SymmetricEigen};
+use serde::{Deserialize, Serialize};
+
+use super::pose::{PoseError, Stance, TaskPose, unit_normal};
+use crate::model::Condition;
+use crate::sweep::Sweep;
+use haptic_host::error::Failure;
+
+/// Regular enough to walk through when flooding: the sine of the nearest singular angle.
+const WALKABLE_SINE: f64 = 0.08;
+/// Longest step while flooding, rad. A singularity is farther across than that, by [`WALKABLE_SINE`] on either side, so
+/// no step leads over one; not even where two meet and the sign of J's determinant is the same behind both.
+const STEP: f64 = 0.1;
+
+/// A normal and what it makes of the inertia.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Worst {
+    /// Unit normal in the task frame.
+    pub normal: Vec<f64>,
+    /// Wrr/Weff (for the ratio) or Wrr - Weff in kg (for the coupling).
+    pub value: f64,
+}
+
+/// One pose of the map.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct MapPoint {
+    /// Joint angles, rad.
+    pub q: Vec<f64>,
+    /// Tip, m.
+    pub position: Vec<f64>,
+    /// Effective inertia along the normal, kg.
+    pub w_eff: f64,
+    /// Inertia along the normal with the feed-forward, kg.
+    pub w_rr: f64,
+    /// Wrr - Weff, kg.
+    pub coupling: f64,
+    /// Condition numbers of the tip Jacobian and of M.
+    pub condition: Condition,
+    /// Normal of the largest Wrr/Weff here.
+    pub worst_ratio: Worst,
+    /// Normal of the largest Wrr - Weff here.
+    pub worst_coupling: Worst,
+    /// Of the tip's operational-space inertia, ascending, kg.
+    pub eigenvalues: Vec<f64>,
+    /// Unit eigenvectors: entry k belongs to eigenvalue k.
+    pub eigenvectors: Vec<Vec<f64>>,
+}
+
+/// What stays fixed while the other joints sweep a plane.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Held {
+    /// A joint at an angle, rad.
+    Joint(usize, f64),
+    /// The redundant arm's orientation φ, rad: its last joint follows the others, so that each tip appears once.
+    Orientation(f64),
+}
+
+/// A grid over the joints, and which of its poses can be reached.
+#[derive(Clone, Debug)]
+pub struct Reachable {
+    /// Angles of the grid along each joint, rad; one angle where a joint does not sweep.
+    pub axes: Vec<Vec<f64>>,
+    /// The joints whose grid closes on itself.
+    pub wraps: Vec<bool>,
+    /// Reached, by flat index, joint 0 slowest.
+    reached: Vec<bool>,
+    held: Option<Held>,
+    device: Device<f64>,
+    /// On which side of the singularities the reached poses lie.
+    side: Option<bool>,
+}
+
+/// Evaluates one pose of a device that holds `admissible`; `None` where it is singular.
+pub fn at_holding(
+    description: &Description,
+    q: &[f64],
+    normal: &DVector<f64>,
+    admissible: Admissible,
+) -> Result<Option<MapPoint>, PoseError> {
+    Ok(evaluate(&TaskPose::at(description, q)?.holding(admissible), q, normal))
+}
+
+/// Weff and Wrr (kg) along a normal of N entries; `None` where a singularity makes them infinite.
+pub fn along(pose: &TaskPose, normal: &DVector<f64>) -> Option<(f64, f64)> {
+    let force = pose.jacobian.tr_mul(normal);
+    let w_eff = 1.0 / force.dot(&pose.mass.clone().cholesky()?.solve(&force));
+    let w_rr = normal.dot(&(&pose.operational * normal));
+    (w_eff.is_finite() && w_rr.is_finite()).then_some((w_eff, w_rr))
+}
+
+fn evaluate(pose: &TaskPose, q: &[f64], normal: &DVector<f64>) -> Option<MapPoint> {
+    let d = pose.task;
+    let mobility = &pose.jacobian * pose.mass.clone().cholesky()?.solve(&pose.jacobian.transpose());
+    let held = pose.operational.view((0, 0), (d, d)).into_owned();
+    let free = mobility.view((0, 0), (d, d)).into_owned();
+    let quadratic = |m: &DMatrix<f64>, n: &DVector<f64>| n.dot(&(m * n));
+    let (w_eff, w_rr) = along(pose, normal)?;
+
+    let axes = SymmetricEigen::new(free.clone().cholesky()?.inverse());
+    let mut order: Vec<usize> = (0..d).collect();
+    order.sort_by(|&a, &b| axes.eigenvalues[a].total_cmp(&axes.eigenvalues[b]));
+    let eigenvalues: Vec<f64> = order.iter().map(|&k| axes.eigenvalues[k]).collect();
+    let eigenvectors: Vec<DVector<f64>> = order.iter().map(|&k| axes.eigenvectors.column(k).into_owned()).collect();
+
+    let redundant = pose.jacobian.nrows() > d;
+    let (worst_ratio, worst_coupling) = if redundant {
+        let ratio = |n: &DVector<f64>| quadratic(&held, n) * quadratic(&free, n);
+        let coupling = |n: &DVector<f64>| quadratic(&held, n) - 1.0 / quadratic(&free, n);
+        (searched(ratio), searched(coupling))
+    } else {
+        closed_form(&eigenvalues, &eigenvectors)
+    };
+    let condition = |m: &DMatrix<f64>| {
+        let values = m.singular_values();
+        values.max() / values.min()
+    };
+    let point = MapPoint {
+        q: q.to_vec(),
+        position: pose.position.clone(),
+        w_eff,
+        w_rr,
+        // Rounding aside it is not negative.
+        coupling: (w_rr - w_eff).max(0.0),
+        condition: Condition {
+            jacobian: condition(&pose.jacobian.rows(0, d).into_owned()),
+            mass: condition(&pose.mass),
+        },
+        worst_ratio,
+        worst_coupling,
+        eigenvalues,
+        eigenvectors: eigenvectors.iter().map(|v| v.iter().copied().collect()).collect(),
+    };
+    let numbers = [point.w_eff, point.w_rr, point.condition.jacobian, point.condition.mass];
+    numbers.iter().all(|v| v.is_finite()).then_some(point)
+}
+
+/// Both worst normals in the plane of the eigenvectors of the smallest and largest eigenvalue (docs/model.md section
+/// 2).
+fn closed_form(eigenvalues: &[f64], eigenvectors: &[DVector<f64>]) -> (Worst, Worst) {
+    let (low, high) = (eigenvalues[0], eigenvalues[eigenvalues.len() - 1]);
+    let (e_low, e_high) = (&eigenvectors[0], &eigenvectors[eigenvectors.len() - 1]);
+    if eigenvalues.len() == 1 {
+        let only = |value| Worst { normal: e_low.iter().copied().collect(), value };
+        return (only(1.0), only(0.0));
+    }
+    let mixed = |on_low: f64, value: f64| {
+        let n = e_low * on_low.sqrt() + e_high * (1.0 - on_low).sqrt();
+        Worst { normal: n.iter().copied().collect(), value }
+    };
+    let (root_low, root_high) = (low.sqrt(), high.sqrt());
+    (
+        mixed(0.5, (high + low).powi(2) / (4.0 * high * low)),
+        mixed(root_low / (root_high + root_low), (root_high - root_low).powi(2)),
+    )
+}
+
+/// The planar direction in which `value` is largest, by a scan refined with golden sections.
+fn searched(value: impl Fn(&DVector<f64>) -> f64) -> Worst {
+    let along = |angle: f64| DVector::from_vec(vec![angle.cos(), angle.sin()]);
+    let steps = 180;
+    let step = std::f64::consts::PI / f64::from(steps);
+    let best = (0..steps)
+        .map(|i| f64::from(i) * step)
+        .max_by(|a, b| value(&along(*a)).total_cmp(&value(&along(*b))))
+        .unwrap_or(0.0);
+    let (mut low, mut high) = (best - step, best + step);
+    for _ in 0..60 {
+        let golden = 0.618_033_988_749_895 * (high - low);
+        let (left, right) = (high - golden, low + golden);
+        if value(&along(left)) > value(&along(right)) { high = right } else { low = left }
+    }
+    let normal = along((low + high) / 2.0);
+    Worst { value: value(&normal), normal: normal.iter().copied().collect() }
+}
+
+/// The highest `value` that a device gets to from the pose `from` (rad) without crossing a singularity or a limit, by
+/// steps of at most `step` rad: a compass search over all directions of the grid, whose steps halve to 1e-5 rad. It
+/// goes on to within the sine 1e-3 of a singularity, which takes a stretched arm to within a millionth of its length.
+pub fn climb(
+    device: &Device<f64>,
+    from: &[f64],
+    step: f64,
+    value: impl Fn(&TaskPose) -> f64,
+) -> Result<f64, PoseError> {
+    // What is not the same after a turn, as a paddle's arc, ends where the grid does.
+    let periodic = device.mechanism.kind().spec().periodic;
+    let at = |q: &[f64]| -> Result<Option<(bool, f64)>, PoseError> {
+        if !periodic && q.iter().any(|angle| angle.abs() > std::f64::consts::PI) {
+            return Ok(None);
+        }
+        let Some(side) = side(device, q, 1e-3)? else { return Ok(None) };
+        Ok(Some((side, value(&TaskPose::of(&device.mechanism, q)?))))
+    };
+    let mut q = from.to_vec();
+    let Some((start, mut best)) = at(&q)? else { return Ok(value(&TaskPose::of(&device.mechanism, from)?)) };
+    let mut step = step;
+    while step > 1e-5 {
+        let mut better = None;
+        for direction in 0..3_usize.pow(q.len() as u32) {
+            let towards = |joint: usize| ((direction / 3_usize.pow(joint as u32)) % 3) as f64 - 1.0;
+            let next: Vec<f64> = q.iter().enumerate().map(|(joint, angle)| angle + step * towards(joint)).collect();
+            match at(&next)? {
+                Some((side, value)) if side == start && value > best => (best, better) = (value, Some(next)),
+                _ => {}
+            }
+        }
+        match better {
+            Some(next) => q = next,
+            None => step *= 0.5,
+        }
+    }
+    Ok(best)
+}
+
+/// Whether a pose is as far as `sine` from all singularities and within the limits, and on which side it lies.
+fn side(device: &Device<f64>, q: &[f64], sine: f64) -> Result<Option<bool>, PoseError> {
+    // A grid angle that is meant to lie on a limit may be rounded to beyond it.
+    let allowed = |(angle, joint): (&f64, &Joint<f64>)| {
+        joint.limits.is_none_or(|(low, high)| (low - 1e-9..=high + 1e-9).contains(angle))
+    };
+    if !q.iter().zip(&device.joints).all(allowed) {
+        return Ok(None);
+    }
+    let stance = Stance::of(&device.mechanism, q)?;
+    Ok(stance.is_clear(sine).then_some(stance.positive))
+}
+
+impl Reachable {
+    /// Floods a grid of `per_joint` angles per joint from the home pose (or, without one, the most regular pose).
+    /// `held` leaves a plane of them.
+    pub fn from_home(description: &Description, per_joint: usize, held: Option<Held>) -> Result<Self, PoseError> {
+        Self::of(&Device::new("", description)?, per_joint, held)
+    }
+
+    /// As [`Reachable::from_home`], of a device that is lumped already.
+    pub fn of(device: &Device<f64>, per_joint: usize, held: Option<Held>) -> Result<Self, PoseError> {
+        let spec = device.mechanism.kind().spec();
+        let mut axes = Vec::new();
+        let mut wraps = Vec::new();
+        for joint in 0..spec.joints {
+            match (held, device.joints[joint].limits) {
+                (Some(Held::Joint(at, angle)), _) if at == joint => {
+                    axes.push(vec![angle]);
+                    wraps.push(false);
+                }
+                (Some(Held::Orientation(_)), _) if joint + 1 == spec.joints => {
+                    axes.push(vec![0.0]);
+                    wraps.push(false);
+                }
+                (_, Some((low, high))) if spec.periodic && high - low > std::f64::consts::TAU => {
+                    // More than a turn says nothing new, and would take the grid's fineness. Where there are two, no
+                    // end of one is an end of the way.
+                    let (pi, turn) = (std::f64::consts::PI, std::f64::consts::TAU);
+                    let first = 0.0_f64.clamp(low + pi, high - pi) - pi;
+                    let step = turn / per_joint as f64;
+                    axes.push((0..per_joint).map(|i| first + (i as f64 + 0.5) * step).collect());
+                    wraps.push(high - low >= 2.0 * turn && per_joint > 2);
+                }
+                (_, Some((low, high))) => {
+                    let last = per_joint.max(2) - 1;
+                    axes.push((0..=last).map(|i| low + (high - low) * i as f64 / last as f64).collect());
+                    wraps.push(false);
+                }
+                (_, None) => {
+                    // A whole turn, cell by cell, so that -π is not there twice.
+                    let step = std::f64::consts::TAU / per_joint as f64;
+                    axes.push((0..per_joint).map(|i| -std::f64::consts::PI + (i as f64 + 0.5) * step).collect());
+                    wraps.push(spec.periodic && per_joint > 2);
+                }
+            }
+        }
+        let mut grid = Self { axes, wraps, reached: Vec::new(), held, device: device.clone(), side: None };
+        grid.flood(device)?;
+        Ok(grid)
+    }
+
+    fn flood(&mut self, device: &Device<f64>) -> Result<(), PoseError> {
+        let count: usize = self.axes.iter().map(Vec::len).product();
+        let sides: Vec<Option<bool>> =
+            (0..count).map(|i| side(device, &self.angles(i), WALKABLE_SINE)).collect::<Result<_, _>>()?;
+        self.reached = vec![false; count];
+        let home = device.home.unwrap_or_default();
+        let far = |index: usize| -> f64 {
+            self.angles(index)
+                .iter()
+                .zip(home)
+                .map(|(q, h)| (q - h - std::f64::consts::TAU * ((q - h) / std::f64::consts::TAU).round()).powi(2))
+                .sum()
+        };
+        let Some(start) = (0..count).filter(|&i| sides[i].is_some()).min_by(|&a, &b| far(a).total_cmp(&far(b))) else {
+            return Ok(());
+        };
+        self.side = sides[start];
+        let mut waiting = vec![start];
+        self.reached[start] = true;
+        while let Some(index) = waiting.pop() {
+            for neighbour in self.neighbours(index) {
+                if !self.reached[neighbour] && sides[neighbour] == sides[start] && self.clear(index, neighbour) {
+                    self.reached[neighbour] = true;
+                    waiting.push(neighbour);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Joint angles of a flat index.
+    pub fn angles(&self, mut index: usize) -> Vec<f64> {
+        let mut q = vec![0.0; self.axes.len()];
+        for joint in (0..self.axes.len()).rev() {
+            q[joint] = self.axes[joint][index % self.axes[joint].len()];
+            index /= self.axes[joint].len();
+        }
+        self.complete(&mut q);
+        q
+    }
+
+    /// Fills in the joint that follows the others, within its limits where a whole turn brings it there.
+    pub fn complete(&self, q: &mut [f64]) {
+        let Some(Held::Orientation(phi)) = self.held else { return };
+        let Some((last, others)) = q.split_last_mut() else { return };
+        let turn = std::f64::consts::TAU;
+        let angle = phi - others.iter().sum::<f64>();
+        let low = self.device.joints[others.len()].limits.map_or(-std::f64::consts::PI, |limits| limits.0);
+        *last = low + (angle - low).rem_euclid(turn);
+    }
+
+    /// Whether `q` (rad) is a pose on the reached side of the singularities, and within the limits.
+    pub fn walkable(&self, q: &[f64]) -> bool {
+        self.side.is_some() && side(&self.device, q, WALKABLE_SINE).is_ok_and(|found| found == self.side)
+    }
+
+    /// Whether no singularity lies between two neighbours of the grid.
+    fn clear(&self, from: usize, to: usize) -> bool {
+        let (from, to) = (self.angles(from), self.angles(to));
+        let turn = std::f64::consts::TAU;
+        let way = |joint: usize| {
+            let way = to[joint] - from[joint];
+            if self.wraps[joint] { way - turn * (way / turn).round() } else { way }
+        };
+        let ways: Vec<f64> = (0..from.len()).map(way).collect();
+        let swept = ways.iter().zip(&self.axes).filter(|(_, axis)| axis.len() > 1);
+        let steps = (swept.map(|(way, _)| way.abs()).fold(0.0, f64::max) / STEP).ceil() as usize;
+        (1..steps).all(|i| {
+            let mut q: Vec<f64> =
+                from.iter().zip(&ways).map(|(from, way)| from + way * i as f64 / steps as f64).collect();
+            self.complete(&mut q);
+            self.walkable(&q)
+        })
+    }
+
+    /// Whether the pose of a flat index was reached.
+    pub fn is_reached(&self, index: usize) -> bool {
+        self.reached.get(index) == Some(&true)
+    }
+
+    /// Flat indices of the reached poses.
+    pub fn indices(&self) -> impl Iterator<Item = usize> + '_ {
+        (0..self.reached.len()).filter(|&i| self.reached[i])
+    }
+
+    fn neighbours(&self, index: usize) -> Vec<usize> {
+        let mut found = Vec::new();
+        let mut stride = 1;
+        for joint in (0..self.axes.len()).rev() {
+            let length = self.axes[joint].len();
+            let place = (index / stride) % length;
+            let base = index - place * stride;
+            if place + 1 < length {
+                found.push(base + (place + 1) * stride);
+            } else if self.wraps[joint] {
+                found.push(base);
+            }
+            if place > 0 {
+                found.push(base + (place - 1) * stride);
+            } else if self.wraps[joint] {
+                found.push(base + (length - 1) * stride);
+            }
+            stride *= length;
+        }
+        found
+    }
+}
+
+/// The map of a device for one normal (d entries, any length but zero), over about `points` grid poses.
+pub fn map(description: &Description, normal: &[f64], points: usize) -> Result<Vec<MapPoint>, PoseError> {
+    map_holding(description, normal, points, Admissible::default())
+}
+
+/// As [`map`], a redundant device holding `admissible` instead of φ.
+pub fn map_holding(
+    description: &Description,
+    normal: &[f64],
+    points: usize,
+    admissible: Admissible,
+) -> Result<Vec<MapPoint>, PoseError> {
+    swept(description, normal, points, admissible, |pieces, work| {
+        Ok(crate::cores::map(pieces, &|_, _| {}, work).into_iter().flatten().collect())
+    })
+}
+
+/// Poses that a sweep does at a time.
+const PIECE: usize = 256;
+
+/// As [`map_holding`], as a sweep that can be interrupted and continued.
+pub fn map_swept(
+    description: &Description,
+    normal: &[f64],
+    points: usize,
+    admissible: Admissible,
+    sweep: &Sweep,
+) -> Result<Vec<MapPoint>, Failure> {
+    swept(description, normal, points, admissible, |pieces, work| {
+        Ok(sweep.map("poses, in pieces", pieces, |piece| Ok(work(piece)))?.into_iter().flatten().collect())
+    })
+}
+
+/// What is done with one piece of the poses.
+type Piece<'a> = &'a (dyn Fn(&Vec<Vec<f64>>) -> Vec<MapPoint> + Sync);
+
+fn swept<E: From<PoseError>>(
+    description: &Description,
+    normal: &[f64],
+    points: usize,
+    admissible: Admissible,
+    sweep: impl FnOnce(&[Vec<Vec<f64>>], Piece<'_>) -> Result<Vec<MapPoint>, E>,
+) -> Result<Vec<MapPoint>, E> {
+    let spec = description.kind.spec();
+    let normal = unit_normal(normal, spec.task, spec.joints)?;
+    let per_joint = (points as f64).powf(1.0 / spec.joints as f64).round().max(2.0) as usize;
+    let reachable = Reachable::from_home(description, per_joint, None)?;
+    let device = AnyMechanism::new(description).map_err(PoseError::from)?;
+    let poses: Vec<Vec<f64>> = reachable.indices().map(|index| reachable.angles(index)).collect();
+    let pieces: Vec<Vec<Vec<f64>>> = poses.chunks(PIECE).map(<[Vec<f64>]>::to_vec).collect();
+    sweep(&pieces, &|piece| {
+        // Each was a pose of this device when it was reached.
+        let at = |q: &Vec<f64>| evaluate(&TaskPose::of(&device, q).ok()?.holding(admissible), q, &normal);
+        piece.iter().filter_map(at).collect()
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use haptic_host::device_file::DeviceFile;
+
+    fn device(name: &str) -> Description {
+        let path = format!("{}/../../devices/{name}.toml", env!("CARGO_MANIFEST_DIR"));
+        DeviceFile::load(path).unwrap().description
+    }
+
+    /// Wrr/Weff and Wrr - Weff along any normal, from M and J alone.
+    fn meets(description: &Description, q: &[f64], normal: &[f64]) -> (f64, f64) {
+        let device = super::super::plant::Linearised::at(description, q, normal).unwrap();
+        let (held, free) = (device.w_rr(), device.w_eff().unwrap());
+        (held / free, held - free)
+    }
+
+    #[test]
+    fn no_normal_is_worse_than_the_worst() {
+        for (name, q) in [
+            ("coupled-five-bar", vec![2.6, 1.75]),
+            ("phantom-premium-1.5", vec![0.3, 0.9, -0.3]),
+            ("fictive-five-bar-turret", vec![0.3, 2.4, 1.1]),
+            ("serial-3r", vec![0.6, 0.9, -0.7]),
+        ] {
+            let description = device(name);
+            let task = description.kind.spec().task;
+            let n = unit_normal(&vec![1.0; task], task, q.len()).unwrap();
+            let point = at_holding(&description, &q, &n, Admissible::default()).unwrap().unwrap();
+            let (ratio, _) = meets(&description, &q, &point.worst_ratio.normal);
+            let (_, coupling) = meets(&description, &q, &point.worst_coupling.normal);
+            assert!((ratio / point.worst_ratio.value - 1.0).abs() < 1e-9, "{name}");
+            assert!((coupling / point.worst_coupling.value - 1.0).abs() < 1e-7, "{name}");
+            for i in 0..40 {
+                for j in 0..if task == 3 { 40 } else { 1 } {
+                    let (a, b) = (f64::from(i) * 0.0785, f64::from(j) * 0.157);
+                    let normal = [a.cos(), a.sin() * b.cos(), a.sin() * b.sin()];
+                    let (other_ratio, other_coupling) = meets(&description, &q, &normal[..task]);
+                    assert!(other_ratio <= ratio * (1.0 + 1e-9), "{name}");
+                    assert!(other_coupling <= coupling * (1.0 + 1e-9), "{name}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn the_map_stays_in_the_working_mode_of_home() {
+        for name in ["haply-2diy", "phantom-premium-1.5", "serial-3r", "hapkit-paddle"] {
+            let description = device(name);
+            let home = &description.home.unwrap()[..description.kind.spec().joints];
+            let sign = |q: &[f64]| TaskPose::at(&description, q).unwrap().jacobian.determinant() > 0.0;
+            let task = description.kind.spec().task;
+            let points = map(&description, &vec![1.0; task], 800).unwrap();
+            assert!(points.len() > 30, "{name}: {}", points.len());
+            assert!(points.iter().all(|p| sign(&p.q) == sign(home) && p.w_eff <= p.w_rr * (1.0 + 1e-9)), "{name}");
+        }
+    }
+}

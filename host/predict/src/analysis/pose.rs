@@ -1,0 +1,276 @@
+//! From a device description and joint angles to the matrices the analysis works on.
+
+use haptic_bridge::math::FineTable;
+use haptic_bridge::model::admissible::Admissible;
+use haptic_bridge::model::catalogue::MAX_JOINTS;
+use haptic_bridge::model::description::{Description, DescriptionError};
+use haptic_bridge::model::device::Device;
+use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism, Regularity, Shaping};
+use haptic_bridge::with_mechanism;
+use nalgebra::{DMatrix, DVector, SMatrix, SVector};
+use thiserror::Error;
+
+use super::flexible::{Flexible, Hand};
+use super::plant::{Linearised, MotorElectrics};
+use super::subject::Subject;
+use haptic_host::vectors::{padded_to, unit};
+
+/// Poses closer to a singularity than this sine are refused.
+pub const LEAST_ANALYSED_SINE: f64 = 1e-6;
+
+/// Why a pose cannot be analysed.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum PoseError {
+    /// Wrong number of joint angles.
+    #[error("this device has {joints} joints, so a pose has {joints} angles, not {found}")]
+    Joints {
+        /// N of the device.
+        joints: usize,
+        /// Given.
+        found: usize,
+    },
+    /// Wrong number of entries of a normal.
+    #[error("this device's task has {task} dimensions, so a normal has {task} entries, not {found}")]
+    Normal {
+        /// d of the device.
+        task: usize,
+        /// Given.
+        found: usize,
+    },
+    /// Zero, infinite or NaN.
+    #[error("a normal must be finite and not zero")]
+    NoDirection,
+    /// An angle is not a number.
+    #[error("joint angles must be finite numbers of radians")]
+    Angle,
+    /// The arm is stretched or folded.
+    #[error("this pose is singular: the arm is in line with itself, so the tip cannot move in every direction")]
+    Serial,
+    /// The closed loop is stretched, or cannot close at all.
+    #[error("this pose is singular or cannot be reached: the closed linkage is stretched to a line or does not close")]
+    Parallel,
+    /// The description is not a device.
+    #[error(transparent)]
+    Description(#[from] DescriptionError),
+}
+
+impl From<PoseError> for haptic_host::error::Failure {
+    fn from(error: PoseError) -> Self {
+        match error {
+            PoseError::Serial | PoseError::Parallel => {
+                Self::impossible(error).remedy("choose joint angles away from it")
+            }
+            _ => Self::wrong(error),
+        }
+    }
+}
+
+/// The device at one pose, in task coordinates: what both the range and the map start from.
+#[derive(Clone, Debug)]
+pub struct TaskPose {
+    /// Task position: tip in metres (d entries).
+    pub position: Vec<f64>,
+    /// J, N x N.
+    pub jacobian: DMatrix<f64>,
+    /// J⁻¹, N x N.
+    pub inverse: DMatrix<f64>,
+    /// M, N x N, kg m².
+    pub mass: DMatrix<f64>,
+    /// Λ = J⁻ᵀ M J⁻¹, N x N.
+    pub operational: DMatrix<f64>,
+    /// Distance from singularities.
+    pub regularity: Regularity<f64>,
+    /// d.
+    pub task: usize,
+}
+
+impl TaskPose {
+    /// Computes it; errors on wrong lengths, not on singular poses (see [`TaskPose::regular`]).
+    pub fn at(description: &Description, q: &[f64]) -> Result<Self, PoseError> {
+        Self::of(&AnyMechanism::new(description)?, q)
+    }
+
+    /// As [`TaskPose::at`], of a mechanism that is lumped already.
+    pub fn of(mechanism: &AnyMechanism<f64>, q: &[f64]) -> Result<Self, PoseError> {
+        with_mechanism!(mechanism, m => evaluate(m, q))
+    }
+
+    /// The pose with another coordinate than φ as the last of a redundant device's task: its row of J, and with it J⁻¹
+    /// and Λ.
+    pub fn holding(mut self, admissible: Admissible) -> Self {
+        let joints = self.mass.nrows();
+        if self.task == joints || admissible == Admissible::Orientation {
+            return self;
+        }
+        let shaping = |e: SVector<f64, MAX_JOINTS>| Shaping::of(&SMatrix::from_fn(|i, j| self.mass[(i, j)]), e);
+        let column = |i: usize| SVector::<f64, MAX_JOINTS>::from_fn(|j, _| self.inverse[(j, i)]);
+        let null = shaping(column(joints - 1));
+        let mut inverse = self.inverse.clone();
+        for i in 0..self.task {
+            let held = admissible.hold(&shaping(column(i)), &null);
+            inverse.column_mut(i).copy_from(&held.e);
+        }
+        // The row that goes with these columns, in the scale of a joint's angle or of the null motion's own.
+        if let Some(joint) = admissible.joint() {
+            let scaled = inverse.column(joints - 1) / inverse[(joint, joints - 1)];
+            inverse.set_column(joints - 1, &scaled);
+        }
+        if let Some(jacobian) = inverse.clone().try_inverse() {
+            self.operational = inverse.tr_mul(&(&self.mass * &inverse));
+            (self.jacobian, self.inverse) = (jacobian, inverse);
+        }
+        self
+    }
+
+    /// The pose, unless it is singular.
+    pub fn regular(self) -> Result<Self, PoseError> {
+        regular(&self.regularity)?;
+        Ok(self)
+    }
+}
+
+/// How a device stands at one pose: what a walk over many poses asks of each, without a matrix that outlives it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Stance {
+    /// Distance from singularities.
+    pub regularity: Regularity<f64>,
+    /// On which side of the singularities it is: the sign of J's determinant.
+    pub positive: bool,
+}
+
+impl Stance {
+    /// That at joint angles `q` (rad); errors on wrong lengths, not on singular poses.
+    pub fn of(mechanism: &AnyMechanism<f64>, q: &[f64]) -> Result<Self, PoseError> {
+        angles(q, mechanism.kind().spec().joints)?;
+        Ok(with_mechanism!(mechanism, m => {
+            let pose = m.pose::<FineTable>(&SVector::from_column_slice(q));
+            Self { regularity: m.regularity(&pose), positive: m.jacobian(&pose).determinant() > 0.0 }
+        }))
+    }
+
+    /// Whether it is as far as `sine` from all singularities.
+    pub fn is_clear(&self, sine: f64) -> bool {
+        self.regularity.serial >= sine && self.regularity.parallel >= sine
+    }
+}
+
+/// An error where these are not the angles of so many joints.
+pub(crate) fn angles(q: &[f64], joints: usize) -> Result<(), PoseError> {
+    if q.len() != joints {
+        return Err(PoseError::Joints { joints, found: q.len() });
+    }
+    if q.iter().any(|angle| !angle.is_finite()) {
+        return Err(PoseError::Angle);
+    }
+    Ok(())
+}
+
+/// An error where a pose is singular.
+pub(crate) fn regular(regularity: &Regularity<f64>) -> Result<(), PoseError> {
+    if regularity.parallel.is_nan() || regularity.parallel < LEAST_ANALYSED_SINE {
+        Err(PoseError::Parallel)
+    } else if regularity.serial.is_nan() || regularity.serial < LEAST_ANALYSED_SINE {
+        Err(PoseError::Serial)
+    } else {
+        Ok(())
+    }
+}
+
+fn evaluate<const N: usize, M: Mechanism<f64, N>>(mechanism: &M, q: &[f64]) -> Result<TaskPose, PoseError> {
+    angles(q, N)?;
+    let pose = mechanism.pose::<FineTable>(&SVector::from_column_slice(q));
+    let dense = |m: nalgebra::SMatrix<f64, N, N>| DMatrix::from_iterator(N, N, m.iter().copied());
+    Ok(TaskPose {
+        position: mechanism.tip(&pose).iter().copied().take(M::SPEC.task).collect(),
+        jacobian: dense(mechanism.jacobian(&pose)),
+        inverse: dense(mechanism.jacobian_inverse(&pose)),
+        mass: dense(mechanism.mass(&pose)),
+        operational: dense(mechanism.operational_inertia(&pose)),
+        regularity: mechanism.regularity(&pose),
+        task: M::SPEC.task,
+    })
+}
+
+/// `normal` with unit length, filled up with zeros to N entries.
+pub fn unit_normal(normal: &[f64], task: usize, joints: usize) -> Result<DVector<f64>, PoseError> {
+    if normal.len() != task {
+        return Err(PoseError::Normal { task, found: normal.len() });
+    }
+    Ok(padded_to(joints, &unit(normal).ok_or(PoseError::NoDirection)?))
+}
+
+impl Linearised {
+    /// The device at rest at `q` (rad), seen along `normal` (d entries, any length but zero), with its joint damping,
+    /// its transmissions and its structural modes.
+    pub fn at(description: &Description, q: &[f64], normal: &[f64]) -> Result<Self, PoseError> {
+        Self::holding(description, q, normal, Admissible::default())
+    }
+
+    /// As [`Linearised::at`], a redundant device holding `admissible`.
+    pub fn holding(
+        description: &Description,
+        q: &[f64],
+        normal: &[f64],
+        admissible: Admissible,
+    ) -> Result<Self, PoseError> {
+        Subject::new(description)?.along(q, normal, admissible)
+    }
+
+    /// As [`Linearised::holding`], of a device that is lumped already, without what gives in it: what a wall stands on
+    /// is predicted by [`super::prediction`].
+    pub fn of(device: &Device<f64>, q: &[f64], normal: &[f64], admissible: Admissible) -> Result<Self, PoseError> {
+        let pose = TaskPose::of(&device.mechanism, q)?.regular()?.holding(admissible);
+        let joints = q.len();
+        let n = unit_normal(normal, pose.task, joints)?;
+        Ok(Linearised {
+            gain: 1.0,
+            row: pose.jacobian.tr_mul(&n),
+            unit_motion: &pose.inverse * &n,
+            viscous: DVector::from_fn(joints, |j, _| device.joints[j].viscous),
+            mass: pose.mass,
+            flexible: Flexible {
+                tip: pose.jacobian.rows(0, pose.task).into_owned(),
+                normal: n.rows(0, pose.task).into_owned(),
+                ..Flexible::default()
+            },
+        })
+    }
+
+    /// The same in a hand.
+    pub fn held(mut self, hand: Hand) -> Self {
+        self.flexible.hand = hand;
+        self
+    }
+
+    /// The same without joint damping.
+    pub fn undamped(mut self) -> Self {
+        self.viscous.fill(0.0);
+        self
+    }
+}
+
+impl Subject {
+    /// The device at rest at `q` (rad), seen along `normal` (d entries, any length but zero).
+    pub fn along(&self, q: &[f64], normal: &[f64], admissible: Admissible) -> Result<Linearised, PoseError> {
+        let mut seen = Linearised::of(&self.device, q, normal, admissible)?;
+        let Flexible { transmissions, modes, .. } = self.gives();
+        (seen.flexible.transmissions, seen.flexible.modes) = (transmissions, modes);
+        Ok(seen)
+    }
+}
+
+/// The motors of all joints, when every joint has one.
+pub fn motors(description: &Description) -> Option<Vec<MotorElectrics>> {
+    let joints = description.kind.spec().joints;
+    description.joints[..joints]
+        .iter()
+        .map(|joint| {
+            joint.motor.map(|motor| MotorElectrics {
+                torque_constant: motor.torque_constant,
+                back_emf: motor.back_emf,
+                resistance: motor.resistance,
+                inductance: motor.inductance,
+            })
+        })
+        .collect()
+}

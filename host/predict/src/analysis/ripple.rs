@@ -1,0 +1,368 @@
+//! What encoder steps make of a wall that is pressed: by simulation, because a quantiser is not linear.
+//!
+//! A hand presses the wall with a steady force, in the one simulation of such contacts ([`super::contact`]). The wall is
+//! rendered by the loop of the prediction: its delay, drive, estimator and feed-forward, linearised at the pose, with
+//! one thing more: each joint's angle comes in steps of its encoder. A prediction has drives, delays and filters that no
+//! board has; the board's own step, with estimators that are not linear, renders the walls of [`crate::bench::wall`]. A
+//! static wall is unilateral. Without friction there is no equilibrium between two counts, so there always is a limit
+//! cycle; where friction holds more than a count's force there is none (Abbott and Okamura 2005). Its size depends on
+//! where in a count the pose lies, so each wall is tried with several offsets of the counts, and the largest ripple is
+//! taken.
+
+use haptic_bridge::model::catalogue::MAX_JOINTS;
+use haptic_bridge::model::description::Description;
+use nalgebra::{DMatrix, DVector};
+use serde::{Deserialize, Serialize};
+
+use super::contact::{Answer, Contact, Grip, Law, about_its_line};
+use super::flexible::Hand;
+use super::plant::Linearised;
+use super::sampled::{Loop, Mode};
+use super::several::open_loop;
+use crate::sweep::Sweep;
+use haptic_host::error::Failure;
+use haptic_host::vectors::padded;
+use haptic_sim::Plant;
+
+/// A light hand that is there where none is asked for; it presses with [`PUSH_N`].
+pub const LIGHT_HAND: Hand = Hand { mass: 0.05, damping: 3.0, stiffness: 200.0 };
+/// What the hand presses with, N.
+pub const PUSH_N: f64 = 3.0;
+/// The hand presses ever harder, N/s: what friction holds only where nothing moves is no wall at rest.
+pub(crate) const RISE: f64 = 1.0;
+/// Time in which the motion settles, and in which it is looked at, s.
+pub(crate) const SETTLE_S: f64 = 0.5;
+pub(crate) const LOOK_S: f64 = 0.3;
+/// How many offsets of the counts are tried.
+pub(crate) const OFFSETS: usize = 4;
+/// Walls along a line: how far below the stiffest, and how many in a decade.
+const DECADES: usize = 4;
+const PER_DECADE: usize = 5;
+/// Ratio to which the stiffness is found from which the ripple exceeds a bound.
+const CLOSE: f64 = 1.05;
+
+/// What a pressed wall does.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Ripple {
+    /// N/m
+    pub kp: f64,
+    /// N s/m
+    pub kd: f64,
+    /// Root mean square of the wall's force about its mean, N; none where the tip flies off.
+    pub rms_n: Option<f64>,
+    /// Half of what lies between its largest and its smallest value, N.
+    pub peak_n: Option<f64>,
+    /// How far the tip moves along the normal, from one side to the other, m.
+    pub motion_m: Option<f64>,
+}
+
+impl Ripple {
+    /// Whether the root mean square stays within a bound, N.
+    pub fn within(&self, bound_n: f64) -> bool {
+        self.rms_n.is_some_and(|rms| rms <= bound_n)
+    }
+}
+
+/// Which damping goes with a stiffness.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum DampingRule {
+    /// This share of the critical damping of what the wall meets, kd = 2 ζ √(kp m).
+    Ratio(f64),
+    /// This damping, N s/m.
+    Damping(f64),
+}
+
+/// Where the ripple of walls along a line exceeds a bound.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Along {
+    /// The largest stiffness up to which every wall on the line is stable by linear theory, N/m.
+    pub kp_stable: f64,
+    /// The stiffness from which the ripple exceeds the bound, N/m; none where no wall tried does.
+    pub kp_from: Option<f64>,
+    /// What was tried, by stiffness.
+    pub points: Vec<Ripple>,
+}
+
+/// What is pressed, and by whom.
+#[derive(Clone, Debug)]
+pub struct Pressed<'a> {
+    /// The device as the wall sees it.
+    pub device: &'a Linearised,
+    /// The same with all that is not linear about it.
+    pub description: Description,
+    /// Pose, rad.
+    pub q: Vec<f64>,
+    /// Unit normal, d entries.
+    pub normal: Vec<f64>,
+    /// The loop.
+    pub around: &'a Loop,
+    /// Who presses.
+    pub hand: Hand,
+    /// How hard, N.
+    pub push_n: f64,
+}
+
+impl Pressed<'_> {
+    /// What one count of the coarsest joint moves along the normal, m; none where a joint has no encoder.
+    pub fn count_m(&self) -> Option<f64> {
+        let steps = self.resolutions()?;
+        Some(steps.iter().zip(self.device.row.iter()).map(|(step, lever)| (step * lever).abs()).fold(0.0, f64::max))
+    }
+
+    /// The largest force that one count alone makes: what the wall's spring and its damper, through the estimator,
+    /// answer to a step of the position, N.
+    pub fn step_n(&self, kp: f64, kd: f64) -> Option<f64> {
+        Some(self.count_m()? * (kp + kd * self.around.estimator.quickest(self.around.rate_hz)))
+    }
+
+    fn resolutions(&self) -> Option<Vec<f64>> {
+        let joints = self.device.row.len();
+        let counts =
+            self.description.joints[..joints].iter().map(|joint| joint.encoder.map(|e| e.counts_per_turn.abs()));
+        counts.map(|counts| counts.map(|counts| std::f64::consts::TAU / counts)).collect()
+    }
+
+    /// What a wall does under the hand; `None` where a joint has no encoder.
+    pub fn ripple(&self, mode: Mode, kp: f64, kd: f64) -> Option<Ripple> {
+        let steps = self.resolutions()?;
+        let lost = Ripple { kp, kd, rms_n: None, peak_n: None, motion_m: None };
+        let mut worst = Ripple { rms_n: Some(0.0), peak_n: Some(0.0), motion_m: Some(0.0), ..lost };
+        for offset in 0..OFFSETS {
+            let Some(found) = self.run(&steps, mode, kp, kd, offset as f64 / OFFSETS as f64) else { return Some(lost) };
+            let most = |a: Option<f64>, b: f64| a.map(|a| a.max(b));
+            worst = Ripple {
+                rms_n: most(worst.rms_n, found[0]),
+                peak_n: most(worst.peak_n, found[1]),
+                motion_m: most(worst.motion_m, found[2]),
+                ..lost
+            };
+        }
+        Some(worst)
+    }
+
+    /// The walls along `line` and where their ripple exceeds `bound_n`. `None`
+    /// where a joint has no encoder.
+    pub fn along(&self, mode: Mode, line: DampingRule, bound_n: f64, sweep: &Sweep) -> Result<Option<Along>, Failure> {
+        if self.resolutions().is_none() {
+            return Ok(None);
+        }
+        let open = open_loop(self.device, self.device, self.around, mode)?;
+        let mass = open.mass;
+        let damping = |kp: f64| match line {
+            DampingRule::Ratio(ratio) => 2.0 * ratio * (kp * mass).sqrt(),
+            DampingRule::Damping(kd) => kd,
+        };
+        let t = open.sample_s;
+        let stable = |kp: f64| open.is_stable(kp * t * t / mass, damping(kp) * t / mass);
+        // The largest that any loop of this rate can hold is of the order of m/T².
+        let (mut low, mut high) = (0.0, 4.0 * mass / (t * t));
+        let fine = 64;
+        for i in 0..=8 * fine {
+            let kp = 4.0 * mass / (t * t) * 10_f64.powf(f64::from(i) / f64::from(fine) - 8.0);
+            if !stable(kp) {
+                high = kp;
+                break;
+            }
+            low = kp;
+        }
+        while low > 0.0 && high / low > 1.0 + 1e-6 {
+            let middle = (low * high).sqrt();
+            if stable(middle) { low = middle } else { high = middle }
+        }
+        let tried: Vec<f64> = (0..=DECADES * PER_DECADE)
+            .map(|i| low * 10_f64.powf(i as f64 / PER_DECADE as f64 - DECADES as f64))
+            .filter(|kp| *kp > 0.0)
+            .collect();
+        let wall = |kp: &f64| self.ripple(mode, *kp, damping(*kp));
+        let stage = format!("ripple of walls, {mode:?}, {line:?}");
+        let mut points: Vec<Ripple> = sweep.map(&stage, &tried, |kp| Ok(wall(kp)))?.into_iter().flatten().collect();
+        let over = points.iter().position(|point| !point.within(bound_n));
+        let kp_from = over.map(|at| {
+            let mut high = points[at].kp;
+            let Some(before) = at.checked_sub(1) else { return high };
+            let mut low = points[before].kp;
+            while high / low > CLOSE {
+                let middle = (low * high).sqrt();
+                let Some(point) = wall(&middle) else { break };
+                if point.within(bound_n) {
+                    low = middle
+                } else {
+                    high = middle
+                }
+                points.push(point);
+            }
+            high
+        });
+        points.sort_by(|a, b| a.kp.total_cmp(&b.kp));
+        Ok(Some(Along { kp_stable: low, kp_from, points }))
+    }
+
+    /// Simulates a wall: root mean square and peak of its force, N, and how far the tip moves, m. `None` where it flies
+    /// off.
+    fn run(&self, steps: &[f64], mode: Mode, kp: f64, kd: f64, offset: f64) -> Option<[f64; 3]> {
+        let mut held = self.description;
+        held.handle_mass += self.hand.mass;
+        let q0: [f64; MAX_JOINTS] = padded(&self.q);
+        let plant = Plant::new(&held, q0, true, [(f64::NEG_INFINITY, f64::INFINITY); 3]).ok()?;
+        let (tip, weight) = (plant.tip(), plant.gravity());
+        let mobility = self.device.mass.clone().cholesky()?.inverse();
+        let shaped = self.device.shaped_torque();
+        let against: [f64; MAX_JOINTS] = padded(self.against(mode, &mobility, &shaped)?.as_slice());
+        let mut law = Linear::new(self, steps, mode, (kp, kd), offset, &mobility, &shaped);
+        let before = padded((&self.device.row * self.push_n).as_slice());
+        let contact =
+            Contact { carried: weight, before, ..Contact::new(plant, padded(&self.normal), self.around, self.hand) };
+        let settle = (SETTLE_S * self.around.rate_hz).round() as usize;
+        let (mut forces, mut tips, mut n) = (Vec::new(), Vec::new(), 0);
+        let kept = contact.run(
+            &mut law,
+            SETTLE_S + LOOK_S,
+            |time| Some(Grip { goal: tip, push: against.map(|share| -(share * (self.push_n + RISE * time))) }),
+            |force, along| {
+                if n >= settle {
+                    forces.push(force);
+                    tips.push(along);
+                }
+                n += 1;
+                true
+            },
+        );
+        let (rms, force) = about_its_line(&forces);
+        kept.then(|| [rms, 0.5 * force, about_its_line(&tips).1])
+    }
+
+    /// What a hand presses with that keeps the tip where it is, per newton of wall, d entries: along the normal, and
+    /// against the feed-forward's steady push sideways, Λ J M⁻¹ of its torques. If the hand let the tip be pushed
+    /// aside, it would press another wall: its spring would give way by millimetres, too far for the linearised loop.
+    fn against(&self, mode: Mode, mobility: &DMatrix<f64>, shaped: &DVector<f64>) -> Option<DVector<f64>> {
+        let normal = DVector::from_column_slice(&self.normal);
+        // A washout has no steady push.
+        if mode != Mode::Full {
+            return Some(normal);
+        }
+        let tip = &self.device.flexible.tip;
+        Some((tip * mobility * tip.transpose()).cholesky()?.solve(&(tip * mobility * shaped)))
+    }
+}
+
+/// The loop of a prediction: its estimator and feed-forward, linearised at the pose, behind encoders that step.
+struct Linear<'a> {
+    steps: &'a [f64],
+    q0: [f64; MAX_JOINTS],
+    offset: f64,
+    row: &'a DVector<f64>,
+    shaped: &'a DVector<f64>,
+    /// What a newton of wall gives the rendered velocity, through plain and through shaped torques, 1/kg.
+    gives: [f64; 2],
+    estimator: DMatrix<f64>,
+    /// States of the estimator, then how far the tip moved in the last period and what the last command gives.
+    memory: DVector<f64>,
+    mode: Mode,
+    /// The slow part of the force, of a washout.
+    slow: f64,
+    kp: f64,
+    kd: f64,
+    /// Where the wall's surface is, m along the normal.
+    surface: f64,
+    period: f64,
+    before: f64,
+    /// Newtons that were commanded through plain and through shaped torques.
+    asked: [f64; 2],
+}
+
+impl<'a> Linear<'a> {
+    fn new(
+        pressed: &'a Pressed<'_>,
+        steps: &'a [f64],
+        mode: Mode,
+        (kp, kd): (f64, f64),
+        offset: f64,
+        mobility: &DMatrix<f64>,
+        shaped: &'a DVector<f64>,
+    ) -> Self {
+        let (row, period) = (&pressed.device.row, 1.0 / pressed.around.rate_hz);
+        let estimator = pressed.around.estimator.matrix(pressed.around.rate_hz);
+        let mut law = Self {
+            steps,
+            q0: padded(&pressed.q),
+            offset,
+            row,
+            shaped,
+            gives: [row.dot(&(mobility * row)), row.dot(&(mobility * shaped))],
+            memory: DVector::zeros(estimator.nrows() + 1),
+            estimator,
+            mode,
+            slow: pressed.push_n,
+            kp,
+            kd,
+            // At the start the wall holds the hand.
+            surface: if kp > 0.0 { -pressed.push_n / kp } else { 0.0 },
+            period,
+            before: 0.0,
+            asked: [0.0; 2],
+        };
+        law.before = law.position(&law.q0);
+        law
+    }
+
+    /// How far the tip is along the normal, by the encoders, m.
+    fn position(&self, q: &[f64; MAX_JOINTS]) -> f64 {
+        let angle = |j: usize| {
+            // Half a turn of each joint's count by itself, so that joints do not step together.
+            let origin = (self.offset + 0.37 * j as f64).fract();
+            (((q[j] - self.q0[j]) / self.steps[j] - origin).round() + origin) * self.steps[j]
+        };
+        (0..self.steps.len()).map(|j| self.row[j] * angle(j)).sum()
+    }
+}
+
+impl Law for Linear<'_> {
+    fn answer(&mut self, measured: &[f64; MAX_JOINTS]) -> Answer {
+        let x = self.position(measured);
+        let (states, period) = (self.estimator.nrows() - 1, self.period);
+        self.memory[states] = x - self.before;
+        // The velocity per sample that the last command gave.
+        self.memory[states + 1] = period * period * (self.gives[0] * self.asked[0] + self.gives[1] * self.asked[1]);
+        self.before = x;
+        let change = &self.estimator * &self.memory;
+        for state in 0..states {
+            self.memory[state] += change[state];
+        }
+        let force = (-self.kp * (self.surface + x) - self.kd * change[states] / period).max(0.0);
+        self.asked = match self.mode {
+            Mode::Off => [force, 0.0],
+            Mode::Full => [0.0, force],
+            Mode::Washout(hz) => {
+                let g = (std::f64::consts::PI * hz * period).tan();
+                let step = (force - self.slow) * g / (1.0 + g);
+                let washed = force - (self.slow + step);
+                self.slow += 2.0 * step;
+                [force - washed, washed]
+            }
+        };
+        let torque = self.row * self.asked[0] + self.shaped * self.asked[1];
+        Answer { force, torque: padded(torque.as_slice()) }
+    }
+}
+
+impl super::sampled::LinearEstimator {
+    /// The largest velocity that it says of a step of the position, for each metre of the step, 1/s.
+    pub fn quickest(self, rate_hz: f64) -> f64 {
+        let matrix: DMatrix<f64> = self.matrix(rate_hz);
+        let states = matrix.nrows() - 1;
+        let mut memory = DVector::zeros(states + 2);
+        let mut most: f64 = 0.0;
+        // The answer of a low-pass to a step ends before ten of its periods have passed.
+        let cutoff = self.cutoff_hz().unwrap_or(rate_hz);
+        let samples = (10.0 * rate_hz / cutoff).ceil() as usize + self.samples();
+        for n in 0..samples {
+            memory[states] = if n == 0 { 1.0 } else { 0.0 };
+            let change = &matrix * &memory;
+            for state in 0..states {
+                memory[state] += change[state];
+            }
+            most = most.max(change[states].abs());
+        }
+        most * rate_hz
+    }
+}

@@ -1,0 +1,393 @@
+//! The torque a variant renders, by the board's own code in the board's precision, against f64 and the closed form.
+//!
+//! The reference is the scene's law with all of its velocity terms (docs/model.md section 2), so what a variant leaves
+//! out counts, and so does what the board lets fade because its estimates of velocities lag. Torques are told as forces
+//! at the tip, J⁻ᵀ Δτ: what a hand there would have to hold.
+
+use crate::bench::precompute::Precomputed;
+use crate::bench::probe::{Probe, strongest};
+use haptic_bridge::math::{Angle, BinaryAngle, Libm, Math, Real};
+use haptic_bridge::model::catalogue::MAX_JOINTS;
+use haptic_bridge::model::device::Device;
+use haptic_bridge::model::inertia::frame_rate;
+use haptic_bridge::model::mechanism::Mechanism;
+use haptic_bridge::model::precomputed::MassModel;
+use haptic_bridge::model::solve::solve_symmetric;
+use haptic_bridge::render::controller::{beyond, known_share};
+use haptic_bridge::render::scene::{Scene, VelocityTerms};
+use haptic_bridge::render::velocity::Coefficients;
+use haptic_bridge::with_mechanism;
+use haptic_host::error::Failure;
+use nalgebra::SVector;
+use serde::Serialize;
+
+/// Bus voltage that duty steps are reckoned with, V.
+pub const BUS_VOLTAGE: f64 = 24.0;
+/// Steps of the duty: a centre-aligned carrier of 20 kHz from 168 MHz counts to 4200.
+pub const DUTY_STEPS: f64 = 4200.0;
+
+/// Which terms of equation (4) a variant computes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Terms {
+    /// Jᵀ f alone.
+    None,
+    /// The feed-forward without velocity terms.
+    FeedForward,
+    /// All of it.
+    FeedForwardZ,
+}
+
+impl Terms {
+    /// All, from the cheapest.
+    pub const ALL: [Terms; 3] = [Terms::None, Terms::FeedForward, Terms::FeedForwardZ];
+
+    /// The name in reports and counts.
+    pub fn name(self) -> &'static str {
+        match self {
+            Terms::None => "none",
+            Terms::FeedForward => "feed-forward",
+            Terms::FeedForwardZ => "feed-forward+z",
+        }
+    }
+}
+
+/// The law of the velocity terms, and what the estimated velocities are like from which they are computed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Law {
+    /// Which; `Off` is judged as `Rendered`, by what it leaves out.
+    pub terms: VelocityTerms,
+    /// How far behind they are, s.
+    pub lag: f64,
+    /// What one encoder count makes of each at most, rad/s.
+    pub one_count: [f64; MAX_JOINTS],
+}
+
+impl Law {
+    /// Of a scene on a device. Fails where its cutoff does not go with its rate.
+    pub fn of(scene: &Scene<f64>, device: &Device<f64>) -> Result<Self, Failure> {
+        let estimator = Coefficients::of_device::<Libm>((scene.estimator, scene.rate_hz, scene.cutoff_hz), device)
+            .map_err(|_| Failure::wrong("the cutoff must lie between 0 and half the control rate"))?;
+        Ok(Self { terms: scene.velocity_terms, lag: estimator.lag(), one_count: *estimator.one_count() })
+    }
+
+    /// The same from velocities that are known at once and exactly, where nothing fades.
+    fn whole(self) -> Self {
+        Self { lag: 0.0, one_count: [0.0; MAX_JOINTS], ..self }
+    }
+
+    /// The joint velocities of `probe` from which the velocity terms are computed, rad/s.
+    fn velocities<T: Real, const N: usize>(self, probe: &Probe) -> SVector<T, N> {
+        SVector::from_fn(|i, _| beyond(T::from_f64(probe.qd[i]), T::from_f64(self.one_count[i])))
+    }
+
+    /// The shares of `probes` in which the velocity terms act with less than their whole, and not at all.
+    pub fn fading(self, device: &Device<f64>, probes: &[Probe]) -> [f64; 2] {
+        let shares: Vec<f64> =
+            with_mechanism!(&device.mechanism, m => probes.iter().map(|probe| self.share(m, probe)).collect());
+        [1.0, f64::MIN_POSITIVE].map(|below| {
+            let count = shares.iter().filter(|share| **share < below).count();
+            count as f64 / shares.len().max(1) as f64
+        })
+    }
+
+    /// The share of the velocity terms that acts in a situation.
+    fn share<M: Mechanism<f64, N>, const N: usize>(self, mechanism: &M, probe: &Probe) -> f64 {
+        let pose = mechanism.pose::<Libm>(&SVector::from_fn(|i, _| probe.q[i]));
+        known_share(&mechanism.regularity(&pose), &self.velocities::<f64, N>(probe), self.lag)
+    }
+}
+
+/// Sines, cosines and square roots as the variant computes them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Trigonometry {
+    /// A table and two terms of a series, and the FPU's square root: what ships.
+    Tabulated,
+    /// Minimax polynomials.
+    Minimax,
+    /// The micromath crate.
+    Micromath,
+    /// libm.
+    Libm,
+}
+
+/// How a variant computes its torques.
+#[derive(Clone, Copy, Debug)]
+pub struct Way<'a> {
+    /// With which mass matrix.
+    pub model: &'a Precomputed,
+    /// With which terms of equation (4).
+    pub terms: Terms,
+    /// With which sines, cosines and square roots.
+    pub trigonometry: Trigonometry,
+    /// By which law of the velocity terms.
+    pub law: Law,
+}
+
+/// Size of a set of errors.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Size {
+    /// The largest.
+    pub max: f64,
+    /// What 99 % of them stay below.
+    pub most: f64,
+    /// Root of their mean square.
+    pub rms: f64,
+}
+
+impl Size {
+    fn of(mut errors: Vec<f64>) -> Self {
+        errors.sort_by(f64::total_cmp);
+        let count = errors.len().max(1);
+        let at = (0.99 * count as f64).ceil() as usize;
+        Self {
+            max: errors.last().copied().unwrap_or(0.0),
+            most: errors.get(at.saturating_sub(1)).copied().unwrap_or(0.0),
+            rms: (errors.iter().map(|e| e * e).sum::<f64>() / count as f64).sqrt(),
+        }
+    }
+}
+
+/// The error of a variant over a set of situations; of each the worst joint counts.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Errors {
+    /// N m
+    pub torque: Size,
+    /// At the tip, N.
+    pub force: Size,
+    /// In shares of the torque that the motor of the worst joint gives: the same share as of the largest force that
+    /// the motors give at the tip in the direction of the error.
+    pub share: Size,
+    /// In steps of the duty: torque / torque constant · resistance, on a 24 V bus.
+    pub duty: Size,
+}
+
+/// A variant's errors, by what they are held against.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Found {
+    /// Against the whole law: what is wrong with the force.
+    pub whole: Errors,
+    /// Against what a board gives of it that computes without error and lets its velocity terms fade: what the choice
+    /// of a variant can change.
+    pub given: Errors,
+}
+
+/// The joint torques (N m) of `probe` under a mass model and terms, in the precision `T`.
+pub fn torque<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
+    mechanism: &M,
+    mass: &MassModel<T, N>,
+    terms: Terms,
+    law: Law,
+    probe: &Probe,
+) -> [f64; MAX_JOINTS] {
+    let vector = |values: &[f64; MAX_JOINTS]| SVector::<T, N>::from_fn(|i, _| T::from_f64(values[i]));
+    let (q, n, force) = (vector(&probe.q), vector(&probe.normal), T::from_f64(probe.force));
+    // As an encoder has them: the board knows angles as parts of a turn.
+    let angles = std::array::from_fn(|i| Angle { radians: q[i], binary: Some(BinaryAngle::of_radians(probe.q[i])) });
+    let pose = mechanism.pose_at::<K>(&angles);
+    let torque = if terms == Terms::None {
+        mechanism.transpose(&pose, &(n * force))
+    } else {
+        let shaping = mass.shaping(mechanism, &q, &pose, &n);
+        let mut b = SVector::zeros();
+        if terms == Terms::FeedForwardZ {
+            let qd = law.velocities(probe);
+            let mut tip = mechanism.velocity(&pose, &qd);
+            (M::SPEC.task..N).for_each(|i| tip[i] = T::zero());
+            let turning = -frame_rate(&n, &vector(&probe.normal_rate), &tip);
+            b = mechanism.velocity_torque(&pose, &qd) + mechanism.shaping(&pose, &turning).me;
+            b *= known_share(&mechanism.regularity(&pose), &qd, T::from_f64(law.lag));
+        }
+        // The paper leaves the rendered part of b for the wall to meet; the rendered law none of it.
+        let met = if law.terms == VelocityTerms::Paper { b } else { SVector::zeros() };
+        shaping.torque(force, &b, &met)
+    };
+    std::array::from_fn(|i| if i < N { torque[i].to_f64() } else { 0.0 })
+}
+
+/// Runs this with the functions that the trigonometry stands for as the type `K`.
+macro_rules! with_trigonometry {
+    ($trigonometry:expr, $K:ident => $run:expr) => {{
+        use $crate::bench::error::Trigonometry;
+        match $trigonometry {
+            Trigonometry::Tabulated => {
+                type $K = haptic_bridge::math::Tabulated;
+                $run
+            }
+            Trigonometry::Minimax => {
+                type $K = haptic_bridge::math::Minimax;
+                $run
+            }
+            Trigonometry::Micromath => {
+                type $K = haptic_bridge::math::Micromath;
+                $run
+            }
+            Trigonometry::Libm => {
+                type $K = haptic_bridge::math::Libm;
+                $run
+            }
+        }
+    }};
+}
+pub(super) use with_trigonometry;
+
+/// The error of a variant over `probes`.
+pub fn errors(device: &Device<f64>, probes: &[Probe], way: &Way<'_>) -> Found {
+    with_mechanism!(&device.mechanism, exact => {
+        with_trigonometry!(way.trigonometry, K => compare::<K, _, _, _>(device, exact, &exact.cast(), probes, way))
+    })
+}
+
+/// Where the error of a variant over `probes` comes from.
+pub fn parts(device: &Device<f64>, probes: &[Probe], way: &Way<'_>) -> Parts {
+    with_mechanism!(&device.mechanism, exact => {
+        with_trigonometry!(way.trigonometry, K => parts_of::<K, _, _, _>(exact, &exact.cast(), probes, way))
+    })
+}
+
+fn compare<K: Math<f32>, E: Mechanism<f64, N>, B: Mechanism<f32, N>, const N: usize>(
+    device: &Device<f64>,
+    exact: &E,
+    board: &B,
+    probes: &[Probe],
+    &Way { model, terms, law, .. }: &Way<'_>,
+) -> Found {
+    let Some(mass) = MassModel::<f32, N>::new::<B>(&model.data, &model.values) else { return Found::default() };
+    let torques: Vec<_> = probes.iter().map(|probe| torque::<f32, K, B, N>(board, &mass, terms, law, probe)).collect();
+    let against = |law: Law| errors_of::<E, N>(device, exact, probes, &torques, law);
+    Found { whole: against(law.whole()), given: against(law) }
+}
+
+/// The errors of `torques` against a law.
+fn errors_of<E: Mechanism<f64, N>, const N: usize>(
+    device: &Device<f64>,
+    exact: &E,
+    probes: &[Probe],
+    found: &[[f64; MAX_JOINTS]],
+    law: Law,
+) -> Errors {
+    let steps = duty_steps(device);
+    let (mut torques, mut forces, mut shares, mut duties) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+    for (probe, found) in probes.iter().zip(found) {
+        let off = difference(*found, reference::<E, N>(exact, Terms::FeedForwardZ, law, probe));
+        let whole = largest(reference::<E, N>(exact, Terms::None, law, probe));
+        let share = |i: usize| off[i].abs() / device.joints[i].motor.map_or(whole, |motor| strongest(&motor));
+        torques.push(largest(off));
+        forces.push(at_the_tip::<E, N>(exact, probe, off));
+        shares.push((0..N).map(share).fold(0.0, f64::max));
+        duties.push(largest(std::array::from_fn(|i| off[i] * steps[i])));
+    }
+    Errors { torque: Size::of(torques), force: Size::of(forces), share: Size::of(shares), duty: Size::of(duties) }
+}
+
+fn reference<E: Mechanism<f64, N>, const N: usize>(
+    exact: &E,
+    terms: Terms,
+    law: Law,
+    probe: &Probe,
+) -> [f64; MAX_JOINTS] {
+    torque::<f64, Libm, E, N>(exact, &MassModel::Exact, terms, law, probe)
+}
+
+/// By how much each torque is off, N m; infinite where one is not finite.
+fn difference(found: [f64; MAX_JOINTS], right: [f64; MAX_JOINTS]) -> [f64; MAX_JOINTS] {
+    std::array::from_fn(|i| {
+        let off = found[i] - right[i];
+        if off.is_finite() { off } else { f64::INFINITY }
+    })
+}
+
+fn largest(values: [f64; MAX_JOINTS]) -> f64 {
+    values.into_iter().fold(0.0, |most, value| most.max(value.abs()))
+}
+
+/// The force at the tip that these joint torques make, N.
+fn at_the_tip<E: Mechanism<f64, N>, const N: usize>(exact: &E, probe: &Probe, torque: [f64; MAX_JOINTS]) -> f64 {
+    let pose = exact.pose::<Libm>(&SVector::from_fn(|i, _| probe.q[i]));
+    let force = exact.jacobian_inverse(&pose).tr_mul(&SVector::from_fn(|i, _| torque[i]));
+    force.iter().take(E::SPEC.task).map(|entry| entry * entry).sum::<f64>().sqrt()
+}
+
+/// Stiffness by which an error of the tip's position becomes one of force, N/m.
+pub const STIFFNESS: f64 = 20_000.0;
+
+/// Where a variant's error comes from, each the largest over the situations and by itself.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Parts {
+    /// Terms left out or faded, computed exactly: N at the tip.
+    pub dropped: f64,
+    /// What nine of ten situations stay below of it.
+    pub dropped_mostly: f64,
+    /// The mass model instead of the closed form: N at the tip.
+    pub model: f64,
+    /// Rounding in f32 and the trigonometry, of the torque of a given force: N at the tip.
+    pub rounding: f64,
+    /// The same, of the tip's position, times [`STIFFNESS`]: N.
+    pub tip: f64,
+    /// Least share of the stable area of the exact feed-forward that is left: (inertia met / Wrr)².
+    pub area: f64,
+}
+
+fn parts_of<K: Math<f32>, E: Mechanism<f64, N>, B: Mechanism<f32, N>, const N: usize>(
+    exact: &E,
+    board: &B,
+    probes: &[Probe],
+    &Way { model, terms, law, .. }: &Way<'_>,
+) -> Parts {
+    let Some(mass) = MassModel::<f32, N>::new::<B>(&model.data, &model.values) else { return Parts::default() };
+    let mut parts = Parts { area: f64::INFINITY, ..Parts::default() };
+    let more = |most: &mut f64, value: f64| *most = most.max(value);
+    let mut dropped = Vec::new();
+    for probe in probes {
+        let felt = |a, b| at_the_tip::<E, N>(exact, probe, difference(a, b));
+        let closed = torque::<f32, K, B, N>(board, &MassModel::Exact, terms, law, probe);
+        let same = reference::<E, N>(exact, terms, law, probe);
+        dropped.push(felt(same, reference::<E, N>(exact, Terms::FeedForwardZ, law.whole(), probe)));
+        more(&mut parts.rounding, felt(closed, same));
+        let prepared = torque::<f32, K, B, N>(board, &mass, terms, law, probe);
+        more(&mut parts.model, felt(prepared, closed));
+
+        let (q, q32) = (SVector::<f64, N>::from_fn(|i, _| probe.q[i]), SVector::from_fn(|i, _| probe.q[i] as f32));
+        let pose = exact.pose::<Libm>(&q);
+        let seen = board.tip(&board.pose::<K>(&q32));
+        // The angles as f32 has them are what both are told.
+        let told = exact.tip(&exact.pose::<Libm>(&q32.map(f64::from)));
+        let off = (0..E::SPEC.task).map(|i| (f64::from(seen[i]) - told[i]).powi(2)).sum::<f64>().sqrt();
+        more(&mut parts.tip, STIFFNESS * off);
+
+        // The inertia met at rest: a newton's torque on the real mobility.
+        let resting = Probe { qd: [0.0; MAX_JOINTS], force: 1.0, ..*probe };
+        let without = if terms == Terms::None { Terms::None } else { Terms::FeedForward };
+        let newton = torque::<f32, K, B, N>(board, &mass, without, law, &resting);
+        let n = SVector::<f64, N>::from_fn(|i, _| probe.normal[i]);
+        let moved = solve_symmetric(&exact.mass(&pose), &SVector::from_fn(|i, _| newton[i]));
+        let met = 1.0 / exact.transpose(&pose, &n).dot(&moved);
+        let ratio = met / exact.shaping(&pose, &n).w_rr;
+        parts.area = parts.area.min(if ratio > 0.0 { ratio * ratio } else { 0.0 });
+    }
+    dropped.sort_by(f64::total_cmp);
+    parts.dropped = dropped.last().copied().unwrap_or(0.0);
+    parts.dropped_mostly = dropped.get(dropped.len() * 9 / 10).copied().unwrap_or(parts.dropped);
+    parts
+}
+
+/// The farthest that one encoder step moves the tip over `probes`, m; 0 without encoders.
+pub fn encoder_step(device: &Device<f64>, probes: &[Probe]) -> f64 {
+    fn farthest<M: Mechanism<f64, N>, const N: usize>(m: &M, device: &Device<f64>, probes: &[Probe]) -> f64 {
+        let moves = |probe: &Probe| {
+            let jacobian = m.jacobian(&m.pose::<Libm>(&SVector::from_fn(|i, _| probe.q[i])));
+            (0..N).map(move |joint| {
+                let column = (0..M::SPEC.task).map(|i| jacobian[(i, joint)].powi(2)).sum::<f64>().sqrt();
+                column * device.joints[joint].radians_per_count.abs()
+            })
+        };
+        probes.iter().flat_map(moves).fold(0.0, f64::max)
+    }
+    with_mechanism!(&device.mechanism, m => farthest(m, device, probes))
+}
+
+/// Duty steps per N m at each joint; 0 where the device file names no motor.
+pub fn duty_steps(device: &Device<f64>) -> [f64; MAX_JOINTS] {
+    device.joints.map(|joint| {
+        joint.motor.map_or(0.0, |motor| motor.resistance / motor.torque_constant.abs() / BUS_VOLTAGE * DUTY_STEPS)
+    })
+}

@@ -1,0 +1,329 @@
+//! Velocity estimators compared on a device, in simulation with the steps of its encoders: how large a range of walls
+//! stays quiet, how much a pressed wall's force ripples, how late and how noisy the velocity is.
+//!
+//! Every wall is that of [`super::wall`]: the board's own step around the device's full equations.
+
+use super::wall::{Rendered, Trial, WallSimulation};
+use crate::analysis::contact::about_its_line;
+use crate::analysis::control_loop::TorquePath;
+use crate::analysis::plant::{Drive, Linearised};
+use crate::analysis::prediction::{Prediction, Subject};
+use crate::analysis::range::stiffness_at;
+use crate::analysis::ripple::{self, PUSH_N};
+use crate::analysis::sampled::{LinearEstimator, Loop, Mode};
+use crate::sweep::Sweep;
+use haptic_bridge::model::admissible::Admissible;
+use haptic_bridge::render::scene::FeedForward;
+use haptic_bridge::render::velocity::{Chosen, Coefficients, CutoffMeans, Estimator};
+use haptic_host::device_file::DeviceFile;
+use haptic_host::error::{Choice, Failure};
+use serde::{Deserialize, Serialize};
+
+/// Time to settle before the ripple is looked at, and time in which it is, s.
+const SETTLE_S: f64 = 0.3;
+const LOOK_S: f64 = 0.3;
+/// Speed of the motion whose velocity estimate is judged, m/s, and for how long, s.
+const SLOW: f64 = 0.01;
+const SLOW_S: f64 = 0.2;
+/// Dampings at which the largest quiet stiffness is sought.
+const DAMPINGS: usize = 8;
+/// Ratio to which a largest stiffness is found.
+const CLOSE: f64 = 1.05;
+/// How many counts the tip moves along the normal when a wall is tried, and how many it may keep moving for the wall to
+/// count as quiet.
+const STRUCK: f64 = 40.0;
+const QUIET: f64 = 6.0;
+/// Time in which a struck wall must come to rest, s.
+const REST_S: f64 = 0.25;
+
+/// What is compared.
+pub struct Comparison<'a> {
+    /// The device.
+    pub file: &'a DeviceFile,
+    /// Pose, rad.
+    pub q: &'a [f64],
+    /// Unit normal of the wall.
+    pub normal: &'a [f64],
+    /// Control rate, Hz.
+    pub rate_hz: f64,
+    /// Cutoff, Hz.
+    pub cutoff_hz: f64,
+    /// Stiffness (N/m) and damping (N s/m) of the wall that is pressed for the ripple.
+    pub wall: (f64, f64),
+}
+
+impl Comparison<'_> {
+    /// Its wall with another estimator, without a feed-forward.
+    fn rendered(&self, kind: Estimator, cutoff_hz: f64) -> Rendered {
+        Rendered {
+            kind,
+            cutoff_hz,
+            feed_forward: FeedForward::Off,
+            washout_hz: 2.0,
+            damping_compensation: false,
+            admissible: Admissible::default(),
+            stiffness: self.wall.0,
+            damping: self.wall.1,
+        }
+    }
+}
+
+/// What one estimator makes of the device.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Row {
+    /// Its word in scene files.
+    pub estimator: String,
+    /// Its own value, where it takes one.
+    pub value: Option<u32>,
+    /// Its cutoff, Hz, where it has one.
+    pub cutoff_hz: Option<f64>,
+    /// ∫ largest quiet stiffness over damping, N²s/m²: simulated, with encoder steps and friction. Sought up to 1e7 N/m
+    /// and to five times the damping that is predicted stable with the Butterworth; beyond, the area is at least this.
+    pub area: f64,
+    /// Root mean square of the force of the wall under a hand that presses ever harder, about its straight line, N:
+    /// without the feed-forward, and with all of it; none where the tip flies off.
+    pub press_n: [Option<f64>; 2],
+    /// The same under a hand at rest, about its mean, without the feed-forward: friction may hold the tip between two
+    /// counts.
+    pub ripple_n: Option<f64>,
+    /// Whether the pressed wall pushed on average as hard as the hand, within a tenth.
+    pub holds: bool,
+    /// How late the velocity is, s.
+    pub delay_s: f64,
+    /// Root mean square of its error at a slow steady motion, m/s.
+    pub noise_m_s: f64,
+}
+
+/// A press below this is zero beside what a board's arithmetic and a hand are, N: such rows are equal.
+pub const RESOLUTION_N: f64 = 1e-3;
+
+/// Every estimator with its usual value and its longest window; where the cutoff is its bandwidth also at a quarter, a
+/// sixteenth and a thirty-second of it, and without a low-pass where that is a choice.
+fn candidates(comparison: &Comparison<'_>) -> Vec<Rendered> {
+    let mut found = Vec::new();
+    let mut add = |kind, share| found.push(comparison.rendered(kind, share * comparison.cutoff_hz));
+    for (_, kind) in Estimator::ALL {
+        let (Some(spec), Some(usual)) = (kind.spec(), kind.chosen()) else {
+            add(*kind, 1.0);
+            continue;
+        };
+        let mut values = vec![usual.value];
+        values.extend(spec.key.filter(|key| key.unit == "samples").map(|key| key.range.1));
+        for value in values {
+            let kind = kind.choosing(Chosen { value, filtered: false });
+            let own = spec.cutoff == CutoffMeans::Bandwidth;
+            let shares: &[f64] = if own { &[1.0, 0.25, 0.0625, 0.03125] } else { &[1.0] };
+            shares.iter().for_each(|share| add(kind, *share));
+        }
+    }
+    found
+}
+
+/// A wall on which estimators differ, N/m and N s/m: half of the damping and a quarter of the stiffness that
+/// `haptic range --board` predicts stable with the Butterworth.
+pub fn telling_wall(
+    file: &DeviceFile,
+    q: &[f64],
+    normal: &[f64],
+    rate_hz: f64,
+    cutoff_hz: f64,
+) -> Result<(f64, f64), Failure> {
+    let around = Loop::through(&TorquePath::usual(rate_hz), rate_hz, LinearEstimator::Butterworth(cutoff_hz));
+    let prediction = Prediction::new(Subject::new(&file.description).map_err(Failure::wrong)?, around);
+    let damping = 0.5 * prediction.stiffness_at(q, normal, Mode::Off, 0.0)?.1;
+    let (stiffness, _) = prediction.stiffness_at(q, normal, Mode::Off, damping)?;
+    if stiffness > 0.0 {
+        return Ok((0.25 * stiffness, damping));
+    }
+    Err(Failure::impossible(format!(
+        "{}: no wall here is predicted stable with the Butterworth at {cutoff_hz} Hz and {rate_hz} Hz",
+        file.name
+    ))
+    .remedy("name the wall that is to be pressed, or choose another rate and cutoff")
+    .choose(Choice::Wall))
+}
+
+/// Compares every estimator. Those with at least the Butterworth's area come first, by their ripple under a hand that
+/// presses ever harder; the others follow by area. The same in any order of work: nothing is random.
+pub fn compare(comparison: &Comparison<'_>, sweep: &Sweep) -> Result<Vec<Row>, Failure> {
+    let tried = Tried::new(comparison, sweep)?;
+    let (rate_hz, butterworth) = (comparison.rate_hz, LinearEstimator::Butterworth(comparison.cutoff_hz));
+    let path = TorquePath { drive: Drive::Ideal, ..TorquePath::usual(rate_hz) };
+    let around = Loop::through(&path, rate_hz, butterworth);
+    let (_, damping) = stiffness_at(&tried.linearised, &around, Mode::Off, 0.0)?;
+    let mut rows = sweep.map("estimators", &candidates(comparison), |candidate| tried.row(candidate, damping))?;
+    let enough = rows.iter().find(|row| row.estimator == "butterworth").map_or(0.0, |row| row.area);
+    rows.sort_by(|a, b| {
+        let first = |row: &Row| row.area >= enough && row.holds;
+        let ripple = |row: &Row| row.press_n[0].unwrap_or(f64::INFINITY);
+        let within = |a: &Row, b: &Row| {
+            if first(a) { ripple(a).total_cmp(&ripple(b)) } else { b.area.total_cmp(&a.area) }
+        };
+        first(b)
+            .cmp(&first(a))
+            .then_with(|| within(a, b))
+            .then_with(|| a.estimator.cmp(&b.estimator))
+            .then_with(|| a.value.cmp(&b.value))
+            .then_with(|| b.delay_s.total_cmp(&a.delay_s))
+    });
+    Ok(rows)
+}
+
+/// Root mean square of the force of the pressed wall with one estimator, as [`Row::ripple_n`], N.
+pub fn ripple_of(comparison: &Comparison<'_>, kind: Estimator) -> Result<Option<f64>, Failure> {
+    let sweep = Sweep::quiet();
+    Ok(Tried::new(comparison, &sweep)?.ripple(&comparison.rendered(kind, comparison.cutoff_hz))?.0)
+}
+
+/// The device with its walls.
+struct Tried<'a> {
+    rate_hz: f64,
+    simulation: WallSimulation,
+    linearised: Linearised,
+    sweep: &'a Sweep,
+}
+
+impl<'a> Tried<'a> {
+    fn new(comparison: &Comparison<'_>, sweep: &'a Sweep) -> Result<Self, Failure> {
+        let Comparison { file, q, normal, rate_hz, .. } = *comparison;
+        let description = &file.description;
+        Ok(Self {
+            rate_hz,
+            simulation: WallSimulation::new(description, description, q, normal, rate_hz)?,
+            linearised: Linearised::at(description, q, normal)?,
+            sweep,
+        })
+    }
+
+    fn row(&self, wall: &Rendered, damping: f64) -> Result<Row, Failure> {
+        let (ripple_n, holds) = self.ripple(wall)?;
+        let spec = wall.kind.spec();
+        let plain = matches!(wall.kind, Estimator::BackwardDifference);
+        let has_cutoff = spec.map_or(!plain, |spec| spec.cutoff == CutoffMeans::Bandwidth);
+        let coefficients = Coefficients::<f64>::new(wall.kind, self.rate_hz, wall.cutoff_hz).map_err(Failure::wrong)?;
+        Ok(Row {
+            estimator: wall.kind.name().into(),
+            value: spec.and_then(|spec| spec.key).and(wall.kind.chosen()).map(|chosen| chosen.value),
+            cutoff_hz: has_cutoff.then_some(wall.cutoff_hz),
+            area: self.area(wall, damping)?,
+            press_n: [self.press(wall, FeedForward::Off)?, self.press(wall, FeedForward::Full)?],
+            ripple_n,
+            holds,
+            delay_s: coefficients.lag(),
+            noise_m_s: self.noise(wall)?,
+        })
+    }
+
+    /// ∫ largest quiet stiffness over damping: the trapezoidal rule on even dampings from the first up, until nothing
+    /// is quiet any more. `damping` (N s/m) is the most that is predicted stable with the Butterworth.
+    fn area(&self, wall: &Rendered, damping: f64) -> Result<f64, Failure> {
+        let step = damping * 1.25 / DAMPINGS as f64;
+        let (mut area, mut last) = (0.0, 0.0);
+        let mut i = 1.0;
+        // An estimator without lag is stable to more damping; four times as far is far enough.
+        while step > 0.0 && i <= 4.0 * DAMPINGS as f64 {
+            let most = self.stiffest(&Rendered { damping: i * step, ..*wall })?;
+            area += step * 0.5 * (last + most);
+            if most == 0.0 {
+                break;
+            }
+            last = most;
+            i += 1.0;
+        }
+        Ok(area)
+    }
+
+    /// The largest stiffness (N/m) up to which every tried wall with this damping comes to rest; 0 where none does.
+    fn stiffest(&self, wall: &Rendered) -> Result<f64, Failure> {
+        // The least that is looked at swings back in the time a wall has.
+        let quiet = |stiffness: f64| self.comes_to_rest(&Rendered { stiffness, ..*wall });
+        let (mut low, mut high) = (100.0, 100.0);
+        if !quiet(low)? {
+            return Ok(0.0);
+        }
+        while quiet(high * 2.0)? {
+            high *= 2.0;
+            if high > 1.0e7 {
+                return Ok(high);
+            }
+        }
+        low = high.max(low);
+        high *= 2.0;
+        while high / low > CLOSE {
+            let middle = (low * high).sqrt();
+            if quiet(middle)? { low = middle } else { high = middle }
+        }
+        Ok(low)
+    }
+
+    /// Whether the tip, struck along the normal in the wall, is quiet in the end.
+    fn comes_to_rest(&self, wall: &Rendered) -> Result<bool, Failure> {
+        self.sweep.go_on()?;
+        let mass = self.linearised.w_eff().ok_or_else(|| Failure::impossible("the device has no inertia here"))?;
+        let count = self.simulation.count;
+        // As fast as the wall's own swing of so many counts, but no faster than a hand strikes.
+        let speed = (STRUCK * count * (wall.stiffness / mass).sqrt()).min(0.5);
+        let late = (REST_S * self.rate_hz) as usize * 3 / 4;
+        let (mut n, mut low, mut high) = (0, f64::INFINITY, f64::NEG_INFINITY);
+        let kept = self.simulation.run(wall, Trial::Struck(speed), REST_S, |_, along| {
+            if n >= late {
+                (low, high) = (along.min(low), along.max(high));
+            }
+            n += 1;
+            high - low < QUIET * count
+        })?;
+        Ok(kept && high - low < QUIET * count)
+    }
+
+    /// The wall's force in the last `look` of `seconds` s of a trial, N; none where the tip flies off.
+    fn late(
+        &self,
+        simulation: &WallSimulation,
+        wall: &Rendered,
+        trial: Trial,
+        seconds: f64,
+        look: f64,
+    ) -> Result<Option<Vec<f64>>, Failure> {
+        self.sweep.go_on()?;
+        let mut forces = Vec::new();
+        let kept = simulation.run(wall, trial, seconds, |force, _| {
+            forces.push(force);
+            true
+        })?;
+        let begin = (forces.len() as f64 * (seconds - look) / seconds) as usize;
+        Ok(kept.then(|| forces.split_off(begin)))
+    }
+
+    /// Ripple of the force under a hand that presses, and whether the wall holds it.
+    fn ripple(&self, wall: &Rendered) -> Result<(Option<f64>, bool), Failure> {
+        let late = self.late(&self.simulation, wall, Trial::Pressed, SETTLE_S + LOOK_S, LOOK_S)?;
+        let Some(late) = late else { return Ok((None, false)) };
+        let mean = late.iter().sum::<f64>() / late.len() as f64;
+        let square = late.iter().map(|force| (force - mean).powi(2)).sum::<f64>() / late.len() as f64;
+        // What the hand's own spring gives back, and friction, are part of what the wall need not hold.
+        let friction = self.simulation.friction();
+        Ok((Some(square.sqrt()), (mean / PUSH_N - 1.0).abs() < 0.1 + friction / PUSH_N))
+    }
+
+    /// Ripple of the force under a hand that presses ever harder, N: the largest of several offsets of the encoders.
+    fn press(&self, wall: &Rendered, feed_forward: FeedForward) -> Result<Option<f64>, Failure> {
+        let wall = Rendered { feed_forward, ..*wall };
+        let mut most: f64 = 0.0;
+        for offset in 0..ripple::OFFSETS {
+            let moved = self.simulation.moved(|j| (offset as f64 / ripple::OFFSETS as f64 + 0.37 * j as f64).fract());
+            let seconds = ripple::SETTLE_S + ripple::LOOK_S;
+            let late = self.late(&moved, &wall, Trial::PressedHarder, seconds, ripple::LOOK_S)?;
+            let Some(late) = late else { return Ok(None) };
+            most = most.max(about_its_line(&late).0);
+        }
+        Ok(Some(most))
+    }
+
+    /// Root mean square of the velocity's error where the joints turn slowly and steadily, m/s.
+    fn noise(&self, wall: &Rendered) -> Result<f64, Failure> {
+        let still = Rendered { stiffness: 0.0, damping: 0.0, ..*wall };
+        let found = self.simulation.velocities(&still, SLOW, SLOW_S)?;
+        let late = &found[found.len() / 2 + 1..];
+        Ok((late.iter().map(|found| (found - SLOW).powi(2)).sum::<f64>() / late.len() as f64).sqrt())
+    }
+}

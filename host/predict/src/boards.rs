@@ -1,0 +1,60 @@
+//! The boards there is firmware for, as a program that plans for one needs to know them.
+
+use crate::analysis::control_loop::{CARRIER_HZ, CURRENT_LOOP_HZ, TorquePath};
+use crate::analysis::plant::Drive;
+use haptic_bridge::board::protocol::{Details, Info};
+
+/// What the board that says this puts between its encoders and the torque that answers, at the rate that it runs at.
+#[must_use]
+pub fn torque_path(info: &Info, details: &Details) -> TorquePath {
+    let bandwidth_hz = (CURRENT_LOOP_HZ * f64::from(details.carrier_hz) / CARRIER_HZ).round();
+    let ideal = info.board.as_str() == haptic_sim::IDEAL_BOARD;
+    TorquePath {
+        delay_samples: (f64::from(details.delay_samples) * 1e6).round() / 1e6,
+        drive: if ideal { Drive::Ideal } else { Drive::Current { bandwidth_hz } },
+    }
+}
+
+/// A board there is firmware for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum BoardKind {
+    /// ODrive v3.6 and its clones.
+    OdriveV3,
+    /// Any STM32F405 module with three H-bridges.
+    HBridgeF405,
+}
+
+impl BoardKind {
+    /// All of them, the one with the fewest axes first.
+    pub const ALL: [Self; 2] = [Self::OdriveV3, Self::HBridgeF405];
+
+    /// What it calls itself, and what its image is built as.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::OdriveV3 => "odrive-v3",
+            Self::HBridgeF405 => "h-bridge-f405",
+        }
+    }
+
+    /// How many motors it drives.
+    #[must_use]
+    pub fn axes(self) -> usize {
+        match self {
+            Self::OdriveV3 => 2,
+            Self::HBridgeF405 => 3,
+        }
+    }
+
+    /// The board called `name`.
+    #[must_use]
+    pub fn named(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|kind| kind.name() == name)
+    }
+
+    /// The smallest that drives a device of so many joints.
+    #[must_use]
+    pub fn with_axes(joints: usize) -> Option<Self> {
+        Self::ALL.into_iter().find(|kind| kind.axes() >= joints)
+    }
+}

@@ -1,0 +1,97 @@
+//! Where and how a device renders walls best: directions at a pose, places in the workspace, what each link, rotor and
+//! gear is worth, and the posture of a redundant arm.
+//!
+//! Everything here rests on one law of docs/model.md: without joint damping the stable boundary of a loop is that of a
+//! single mass, so the stiffest wall is in proportion to the inertia that it meets, Weff without the feed-forward and
+//! Wrr with it. What it leaves out (joint damping, friction, transmissions, the force that the motors have) is for
+//! `haptic range` and `haptic tune` at the pose that was chosen.
+//!
+//! Inertia grows without bound towards a singular pose along the direction that is lost there. So the best place lies
+//! at the edge of what is allowed, which is said: poses nearer to a singularity than a given sine are left out.
+
+pub mod place;
+pub mod posture;
+pub mod sensitivity;
+
+use crate::analysis::control_loop::TorquePath;
+use crate::analysis::plant::Linearised;
+use crate::analysis::pose::{TaskPose, angles, regular};
+use crate::analysis::range::domain;
+use crate::analysis::sampled::{LinearEstimator, Loop, Mode};
+use haptic_bridge::math::FineTable;
+use haptic_bridge::model::description::Description;
+use haptic_bridge::model::device::Device;
+use haptic_bridge::model::mechanism::Mechanism;
+use haptic_bridge::with_mechanism;
+use haptic_host::error::{Choice, Failure};
+use nalgebra::{DMatrix, DVector, SVector};
+
+/// The largest stiffness (N/m) of an undamped kilogram in the loop of a board at this rate and cutoff, of all dampings.
+pub fn stiffness_per_kilogram(rate_hz: f64, cutoff_hz: f64) -> Result<f64, Failure> {
+    let kilogram = Linearised {
+        mass: DMatrix::identity(1, 1),
+        viscous: DVector::zeros(1),
+        row: DVector::from_element(1, 1.0),
+        unit_motion: DVector::from_element(1, 1.0),
+        gain: 1.0,
+        flexible: Default::default(),
+    };
+    let around = Loop::through(&TorquePath::usual(rate_hz), rate_hz, LinearEstimator::Butterworth(cutoff_hz));
+    let found = domain(&kilogram, &around, Mode::Off, None)?;
+    Ok(found.boundary.iter().map(|point| point.kp).fold(0.0, f64::max))
+}
+
+/// How far a pose is from the nearest singularity: the lesser sine.
+#[must_use]
+pub fn clearance(pose: &TaskPose) -> f64 {
+    pose.regularity.serial.min(pose.regularity.parallel)
+}
+
+/// Whether joint angles lie within the limits.
+#[must_use]
+pub fn within_limits(device: &Device<f64>, q: &[f64]) -> bool {
+    let inside = |(angle, low, high): (f64, f64, f64)| (low - 1e-9..=high + 1e-9).contains(&angle);
+    let joints = q.iter().zip(&device.joints);
+    joints.filter_map(|(q, joint)| joint.limits.map(|(low, high)| (*q, low, high))).all(inside)
+}
+
+/// The whole task position of a pose: the tip, and on a redundant arm its orientation.
+fn task_position(pose: &TaskPose, q: &[f64]) -> DVector<f64> {
+    DVector::from_fn(q.len(), |i, _| pose.position.get(i).copied().unwrap_or_else(|| q.iter().sum()))
+}
+
+/// Joint angles near `from` (rad) that bring a device to a task position (tip in m, then φ): Newton's method. `None`
+/// where that is out of reach.
+#[must_use]
+pub fn reaching(device: &Device<f64>, from: &[f64], place: &DVector<f64>) -> Option<Vec<f64>> {
+    with_mechanism!(&device.mechanism, m => newton(m, from, place))
+}
+
+fn newton<M: Mechanism<f64, N>, const N: usize>(m: &M, from: &[f64], place: &DVector<f64>) -> Option<Vec<f64>> {
+    angles(from, N).ok()?;
+    let place = SVector::<f64, N>::from_fn(|i, _| place[i]);
+    let mut q = SVector::<f64, N>::from_column_slice(from);
+    for _ in 0..40 {
+        let pose = m.pose::<FineTable>(&q);
+        regular(&m.regularity(&pose)).ok()?;
+        let off = place - m.tip(&pose);
+        if off.norm() < 1e-12 {
+            return Some(q.as_slice().to_vec());
+        }
+        let step = m.inverse(&pose, &off);
+        // Long steps overshoot near the edge of the reach.
+        q += step * (0.2 / step.amax().max(1e-300)).min(1.0);
+    }
+    let there = m.tip(&m.pose::<FineTable>(&q));
+    ((place - there).norm() < 1e-9).then(|| q.as_slice().to_vec())
+}
+
+/// Of a pose where a question about a direction has no answer.
+pub fn singular() -> Failure {
+    Failure::impossible("this pose is singular").remedy("choose another").choose(Choice::Pose)
+}
+
+/// A device that is analysed, not sent.
+fn lumped(description: &Description) -> Result<Device<f64>, Failure> {
+    Device::new("", description).map_err(Failure::wrong)
+}

@@ -1,0 +1,104 @@
+//! The posture of a redundant arm at one tip position: what its null motion makes of the inertia.
+//!
+//! The arm is moved along its null motion, a joint motion that leaves the tip where it is, both ways from where it
+//! stands until a joint limit or a singularity is near, or it is back. Weff depends on the posture. Wrr depends on the
+//! held coordinate ([`Admissible`]) as well, and grows without bound towards postures in which that cannot be held;
+//! `clear` says how near they may come.
+
+use super::{clearance, lumped, reaching, singular, task_position, within_limits};
+use crate::analysis::map::along;
+use crate::analysis::pose::{TaskPose, unit_normal};
+use haptic_bridge::model::admissible::Admissible;
+use haptic_bridge::model::description::Description;
+use haptic_bridge::model::device::Device;
+use haptic_host::error::Failure;
+use nalgebra::DVector;
+use serde::Serialize;
+
+/// Orientation from one posture to the next, rad.
+const STEP: f64 = 0.001;
+
+/// A posture.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Posture {
+    /// Joint angles, rad.
+    pub q: Vec<f64>,
+    /// φ, the sum of them: what tells postures of one tip position apart.
+    pub orientation: f64,
+    /// Met without the feed-forward, kg.
+    pub w_eff: f64,
+    /// Met with it, kg.
+    pub w_rr: f64,
+    /// Sine of the nearest singular angle.
+    pub clearance: f64,
+}
+
+/// The postures that stand out.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Postures {
+    /// Where the arm stands.
+    pub here: Posture,
+    /// The largest Weff, and the smallest.
+    pub heaviest: Posture,
+    /// See `heaviest`.
+    pub lightest: Posture,
+    /// The largest Wrr, and the smallest.
+    pub most_held: Posture,
+    /// See `most_held`.
+    pub least_held: Posture,
+    /// How many were looked at.
+    pub postures: usize,
+}
+
+fn posture(device: &Device<f64>, q: &[f64], normal: &DVector<f64>, admissible: Admissible) -> Option<Posture> {
+    let pose = TaskPose::of(&device.mechanism, q).ok()?.regular().ok()?.holding(admissible);
+    let (w_eff, w_rr) = along(&pose, normal)?;
+    Some(Posture { q: q.to_vec(), orientation: q.iter().sum(), w_eff, w_rr, clearance: clearance(&pose) })
+}
+
+/// The postures of a redundant device whose tip is where it is at `q` (rad), for a wall along `normal`; `None` for a
+/// device that is not redundant.
+pub fn postures(
+    description: &Description,
+    q: &[f64],
+    normal: &[f64],
+    clear: f64,
+    admissible: Admissible,
+) -> Result<Option<Postures>, Failure> {
+    let spec = description.kind.spec();
+    if spec.joints == spec.task {
+        return Ok(None);
+    }
+    let device = lumped(description)?;
+    let n = unit_normal(normal, spec.task, spec.joints)?;
+    let start = TaskPose::of(&device.mechanism, q)?.regular()?;
+    let here = posture(&device, q, &n, admissible).ok_or_else(singular)?;
+    let mut all = vec![here.clone()];
+    for way in [STEP, -STEP] {
+        let mut at = q.to_vec();
+        let mut place = task_position(&start, q);
+        // A whole turn of φ at most.
+        for _ in 0..(std::f64::consts::TAU / STEP) as usize {
+            place[spec.task] += way;
+            let Some(next) = reaching(&device, &at, &place) else { break };
+            let far = next.iter().zip(&at).any(|(next, at)| (next - at).abs() > 0.3);
+            let Some(found) = posture(&device, &next, &n, admissible) else { break };
+            if far || found.clearance < clear || !within_limits(&device, &next) {
+                break;
+            }
+            all.push(found);
+            at = next;
+        }
+    }
+    let best = |value: &dyn Fn(&Posture) -> f64| {
+        all.iter().reduce(|a, b| if value(b) > value(a) { b } else { a }).cloned().unwrap_or_else(|| here.clone())
+    };
+    Ok(Some(Postures {
+        heaviest: best(&|p| p.w_eff),
+        lightest: best(&|p| -p.w_eff),
+        most_held: best(&|p| p.w_rr),
+        least_held: best(&|p| -p.w_rr),
+        postures: all.len(),
+        here,
+    }))
+}

@@ -1,0 +1,241 @@
+//! What each number of a device is worth to one wall: the same tip position, with one of them a tenth larger or
+//! smaller.
+
+use super::{lumped, reaching, singular, task_position};
+use crate::analysis::map::along;
+use crate::analysis::pose::{TaskPose, unit_normal};
+use haptic_bridge::model::admissible::Admissible;
+use haptic_bridge::model::catalogue::Kind;
+use haptic_bridge::model::description::Description;
+use haptic_bridge::model::device::Device;
+use haptic_host::error::Failure;
+use serde::Serialize;
+
+/// How much larger and smaller.
+pub const CHANGE: f64 = 0.1;
+
+/// What a changed device is to the wall, over what it was.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Effect {
+    /// Weff: the stiffest wall without the feed-forward, and what is felt in free motion.
+    pub w_eff: f64,
+    /// Wrr: the stiffest wall with it.
+    pub w_rr: f64,
+    /// The force of the motors along the normal; none without motors.
+    pub force: Option<f64>,
+    /// How far the tip moves in one encoder count; none without encoders.
+    pub count: Option<f64>,
+    /// The largest joint torque that holds the device's weight, N m.
+    pub weight: f64,
+}
+
+/// One number of the device.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Sensitivity {
+    /// Which, in words.
+    pub part: String,
+    /// With a tenth more of it (of a counterweight: with one); none where the tip does not get to the same place.
+    pub more: Option<Effect>,
+    /// With a tenth less of it; `None` also for a counterweight, which the device does not have yet.
+    pub less: Option<Effect>,
+}
+
+/// A change of a device.
+type Change = Box<dyn Fn(&mut Description, f64)>;
+
+/// The links that a length of a mechanism's geometry belongs to, by its place there.
+fn links_of(kind: Kind, entry: usize) -> &'static [usize] {
+    let of_each: &[&[usize]] = match kind {
+        Kind::Paddle => &[],
+        Kind::FiveBar | Kind::FiveBarTurret => &[&[], &[0], &[1], &[2], &[3]],
+        // The coupler is as long as the upper arm.
+        Kind::Parallelogram => &[&[0, 3], &[1], &[2]],
+        Kind::Serial3r => &[&[0], &[1], &[2]],
+    };
+    of_each.get(entry).copied().unwrap_or_default()
+}
+
+/// A counterweight of a tenth of the link's mass, as far behind its joint as the centre of mass is before it.
+fn counterweight(description: &mut Description, link: usize) {
+    let link = &mut description.links[link];
+    let (added, place) = (CHANGE * link.mass, -link.com);
+    let mass = link.mass + added;
+    let com = (link.mass * link.com + added * place) / mass;
+    let moved = link.mass * (link.com - com).powi(2) + added * (place - com).powi(2);
+    link.inertia += moved;
+    link.inertia_transverse += moved;
+    (link.mass, link.com) = (mass, com);
+}
+
+/// Everything that is changed, one after the other.
+fn changes(description: &Description) -> Vec<(String, Change, bool)> {
+    let spec = description.kind.spec();
+    let mut all: Vec<(String, Change, bool)> = Vec::new();
+    let mut entry = 0;
+    for (key, count) in spec.geometry {
+        for i in 0..*count {
+            let at = entry + i;
+            if *key != "assembly" {
+                let name = if *count > 1 { format!("{key}[{i}]") } else { (*key).to_string() };
+                let kind = description.kind;
+                let stretched = links_of(kind, at);
+                let what = if stretched.is_empty() { String::new() } else { ", its link stretched with it".into() };
+                all.push((
+                    format!("length {name}{what}"),
+                    Box::new(move |d, factor| {
+                        d.geometry[at] *= factor;
+                        for link in links_of(kind, at) {
+                            d.links[*link].com *= factor;
+                            d.links[*link].inertia *= factor * factor;
+                            d.links[*link].inertia_transverse *= factor * factor;
+                        }
+                    }),
+                    true,
+                ));
+            }
+        }
+        entry += count;
+    }
+    for (i, name) in spec.links.iter().enumerate() {
+        let link = description.links[i];
+        let mut add = |what: &str, there: bool, change: Change| {
+            if there {
+                all.push((format!("{what} of {name}"), change, true));
+            }
+        };
+        add("mass", link.mass > 0.0, Box::new(move |d, factor| d.links[i].mass *= factor));
+        add("centre of mass", link.mass > 0.0 && link.com != 0.0, Box::new(move |d, factor| d.links[i].com *= factor));
+        add(
+            "inertia",
+            link.inertia > 0.0,
+            Box::new(move |d, factor| {
+                d.links[i].inertia *= factor;
+                d.links[i].inertia_axial *= factor;
+                d.links[i].inertia_transverse *= factor;
+            }),
+        );
+        if link.mass > 0.0 && link.com != 0.0 {
+            all.push((format!("counterweight on {name}"), Box::new(move |d, _| counterweight(d, i)), false));
+        }
+    }
+    for joint in 0..spec.joints {
+        if description.joints[joint].inertia > 0.0 {
+            all.push((
+                format!("rotor of joint {joint}"),
+                Box::new(move |d, factor| d.joints[joint].inertia *= factor),
+                true,
+            ));
+        }
+        all.push((
+            format!("gear ratio of joint {joint}"),
+            Box::new(move |d, factor| {
+                let joint = &mut d.joints[joint];
+                joint.inertia *= factor * factor;
+                joint.viscous *= factor * factor;
+                joint.coulomb *= factor;
+                if let Some(motor) = &mut joint.motor {
+                    motor.torque_constant *= factor;
+                    motor.back_emf *= factor;
+                }
+                if let Some(encoder) = &mut joint.encoder {
+                    encoder.counts_per_turn *= factor;
+                }
+            }),
+            true,
+        ));
+    }
+    if description.handle_mass > 0.0 {
+        all.push(("mass of the handle".into(), Box::new(|d, factor| d.handle_mass *= factor), true));
+    }
+    all
+}
+
+/// The quantities that matter at a pose of a device.
+fn worth(device: &Device<f64>, q: &[f64], normal: &[f64], admissible: Admissible) -> Option<Effect> {
+    let pose = TaskPose::of(&device.mechanism, q).ok()?.regular().ok()?.holding(admissible);
+    let n = unit_normal(normal, pose.task, q.len()).ok()?;
+    let (w_eff, w_rr) = along(&pose, &n)?;
+    let steps = pose.jacobian.tr_mul(&n);
+    let count = steps.iter().zip(&device.joints).map(|(lever, joint)| (lever * joint.radians_per_count).abs());
+    let count = count.fold(0.0, f64::max);
+    let weight =
+        crate::plausible::device::weight(device, q).iter().fold(0.0_f64, |most, torque| most.max(torque.abs()));
+    Some(Effect {
+        w_eff,
+        w_rr,
+        force: crate::plausible::device::force_along(device, &pose, normal),
+        count: (count > 0.0).then_some(count),
+        weight,
+    })
+}
+
+fn over(found: Effect, before: Effect) -> Effect {
+    let ratio = |a: Option<f64>, b: Option<f64>| a.zip(b).map(|(a, b)| a / b);
+    Effect {
+        w_eff: found.w_eff / before.w_eff,
+        w_rr: found.w_rr / before.w_rr,
+        force: ratio(found.force, before.force),
+        count: ratio(found.count, before.count),
+        weight: found.weight,
+    }
+}
+
+/// What every number is worth to a wall along `normal` where the tip is at `q` (rad); those of most effect on Wrr
+/// first.
+pub fn sensitivities(
+    description: &Description,
+    q: &[f64],
+    normal: &[f64],
+    admissible: Admissible,
+) -> Result<Vec<Sensitivity>, Failure> {
+    let device = lumped(description)?;
+    let before = worth(&device, q, normal, admissible).ok_or_else(singular)?;
+    let place = task_position(&TaskPose::of(&device.mechanism, q)?, q);
+    let changed = |change: &Change, factor: f64| -> Option<Effect> {
+        let mut other = *description;
+        change(&mut other, factor);
+        let device = lumped(&other).ok()?;
+        let there = reaching(&device, q, &place)?;
+        Some(over(worth(&device, &there, normal, admissible)?, before))
+    };
+    let mut found: Vec<Sensitivity> = changes(description)
+        .into_iter()
+        .map(|(part, change, both)| Sensitivity {
+            part,
+            more: changed(&change, 1.0 + CHANGE),
+            less: if both { changed(&change, 1.0 - CHANGE) } else { None },
+        })
+        .collect();
+    let most = |one: &Sensitivity| {
+        let sides = [one.more, one.less].into_iter().flatten();
+        sides.map(|effect| effect.w_rr.ln().abs().max(effect.w_eff.ln().abs())).fold(0.0, f64::max)
+    };
+    found.sort_by(|a, b| most(b).total_cmp(&most(a)));
+    Ok(found)
+}
+
+/// A change that buys something.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Buys {
+    /// Which number.
+    pub part: String,
+    /// Whether there is more of it, or less.
+    pub more: bool,
+    /// What it does.
+    pub effect: Effect,
+}
+
+/// What a change must buy to be worth telling.
+const WORTHWHILE_RATIO: f64 = 1.01;
+
+/// The change that buys most of something, and a hundredth of it at least.
+#[must_use]
+pub fn buys_most(all: &[Sensitivity], of: impl Fn(&Effect) -> f64) -> Option<Buys> {
+    let sides = all.iter().flat_map(|one| {
+        let side =
+            |more: bool, effect: Option<Effect>| effect.map(|effect| Buys { part: one.part.clone(), more, effect });
+        [side(true, one.more), side(false, one.less)].into_iter().flatten()
+    });
+    let most = sides.reduce(|best, other| if of(&other.effect) > of(&best.effect) { other } else { best });
+    most.filter(|most| of(&most.effect) >= WORTHWHILE_RATIO)
+}

@@ -1,0 +1,190 @@
+//! A measurement from what a board held before it to what it holds afterwards, kept in a file on the way: what
+//! `haptic measure-range` and the package for Python do with a board.
+
+use std::path::Path;
+
+use super::before::Before;
+use super::campaign::{self, Plan};
+use super::progress::{Progress, ProgressError};
+use super::simulated::{Friction, World};
+use super::{MeasureError, MeasurementSetup, PreparedBoard, rules_for};
+use crate::analysis::sampled::{LinearEstimator, Loop};
+use crate::boards::torque_path;
+use haptic_bridge::board::protocol::{Details, Info};
+use haptic_bridge::model::device::Device;
+use haptic_host::device_file::DeviceFile;
+use haptic_host::link::{Board, BoardError, LinkError};
+
+/// Poses closer than this are the same, rad.
+const SAME_POSE: f64 = 0.02;
+
+/// A board that is measured.
+pub struct Occasion<'a> {
+    /// The board, with the device loaded.
+    pub board: &'a mut Board,
+    /// Its device.
+    pub file: &'a DeviceFile,
+    /// What the board is to hold afterwards.
+    pub before: Before,
+    /// The results so far, which grow as the measurement goes on.
+    pub progress: &'a mut Progress,
+    /// The file that keeps them.
+    pub path: Option<&'a Path>,
+    /// Whether what the board held before is kept there as well: should this be killed, the next measurement still
+    /// knows.
+    pub remembers: bool,
+}
+
+impl Occasion<'_> {
+    /// Measures what `progress` lacks of `plan`. `stop` is asked often whether to end; `begun` hears of the prepared
+    /// board before anything is measured, `done` how many repeats are.
+    pub fn measure(
+        &mut self,
+        setup: MeasurementSetup,
+        plan: &Plan,
+        stop: &dyn Fn() -> bool,
+        begun: impl FnOnce(&mut PreparedBoard<'_>, &[f64]) -> Result<(), MeasureError>,
+        mut done: impl FnMut(usize),
+    ) -> Result<(), MeasureError> {
+        if self.remembers {
+            let rules = rules_for(self.before.rules(), setup.torque_limit);
+            self.progress.before = self.before.keep(&self.board.info().serial, &rules);
+            save(self.progress, self.path)?;
+        }
+        let mut prepared = PreparedBoard::new(self.board, self.file, setup, stop)?;
+        // To a millionth of a radian, as it is printed: theory and printed pose then agree in every digit.
+        let q: Vec<f64> = prepared.pose().iter().map(|angle| (angle * 1e6).round() / 1e6).collect();
+        if self.progress.q.is_empty() {
+            self.progress.q.clone_from(&q);
+        } else if self.progress.q.iter().zip(&q).any(|(then, now)| (then - now).abs() > SAME_POSE) {
+            return Err(MeasureError::Moved);
+        }
+        begun(&mut prepared, &q)?;
+        let path = self.path;
+        campaign::run(&mut prepared, plan, self.progress, |progress, repeats| {
+            done(repeats);
+            Ok(save(progress, path)?)
+        })?;
+        prepared.finish()
+    }
+
+    /// Puts back what the board held, and says on standard error what could not be.
+    pub fn put_back(self) -> Result<(), ProgressError> {
+        let back = self.before.put_back(self.board);
+        let missing = self.before.missing(self.board).unwrap_or_else(|_| vec!["device", "scene", "rules"]);
+        if back.is_err() || !missing.is_empty() {
+            haptic_host::tell!("not put back on the board: {}; load it again", missing.join(", "));
+            return Ok(());
+        }
+        match (self.progress.before.take(), self.path) {
+            (None, _) | (_, None) => Ok(()),
+            (Some(_), Some(path)) if !self.progress.is_empty() => self.progress.save(path),
+            // Nothing was measured: the file goes.
+            (Some(_), Some(path)) => std::fs::remove_file(path)
+                .map_err(|error| ProgressError::Unwritten(haptic_host::output::refused(path, &error))),
+        }
+    }
+}
+
+fn save(progress: &Progress, path: Option<&Path>) -> Result<(), ProgressError> {
+    path.map_or(Ok(()), |path| progress.save(path))
+}
+
+/// What to put back on the board afterwards: what it holds now or, if a measurement was killed on it, what it held
+/// before that one. Where both are possible, standard error says which was taken.
+pub fn before(board: &mut Board, progress: &Progress) -> Result<Before, BoardError> {
+    let now = Before::of(board)?;
+    let serial = board.info().serial.clone();
+    let kept = progress.before.as_ref().filter(|kept| kept.serial == serial.as_str());
+    if !now.is_left_over() {
+        // Cut short before it had set its scene, it has left its rules.
+        let Some(Ok(Some(before))) = kept.map(|kept| now.without_its_rules(kept)) else { return Ok(now) };
+        haptic_host::tell!(
+            "the rules on the board were left by a measurement that was cut short: those before it are put back"
+        );
+        board.disarm()?;
+        board.set_rules(before.rules())?;
+        return Ok(before);
+    }
+    let Some(Ok((before, as_before))) = kept.map(|kept| now.from_kept(kept)) else {
+        haptic_host::tell!(
+            "the scene on the board was left by a measurement that was cut short: load yours again with `haptic scene`, \
+             and look at `haptic rules`"
+        );
+        return Ok(now);
+    };
+    haptic_host::tell!(
+        "the scene on the board was left by a measurement that was cut short: the one before it is put back"
+    );
+    if !as_before {
+        haptic_host::tell!(
+            "the rules are neither that measurement's nor those before it, and stay: look at `haptic rules`"
+        );
+    } else if before.rules() != now.rules() {
+        board.disarm()?;
+        board.set_rules(before.rules())?;
+    }
+    Ok(before)
+}
+
+/// Which device the board holds where it is not `device`.
+pub fn another(board: &mut Board, device: &Device<f32>) -> Result<Option<String>, LinkError> {
+    let held = board.device()?;
+    Ok((held.as_ref() != Some(device)).then(|| match held {
+        None => "no device".into(),
+        Some(held) if held.name == device.name => format!("another version of {}", held.name),
+        Some(held) => held.name.to_string(),
+    }))
+}
+
+/// The loop of a board that is measured with `setup`, as the theory knows it: its own delay, and its own drive.
+#[must_use]
+pub fn around(setup: &MeasurementSetup, info: &Info, details: &Details) -> Loop {
+    Loop::through(&torque_path(info, details), setup.rate_hz, LinearEstimator::Butterworth(setup.cutoff_hz))
+}
+
+/// What is measured, in words: a file of progress goes on only with the same.
+#[must_use]
+pub fn what(name: &str, setup: &MeasurementSetup, world: &World) -> String {
+    let listed = |values: &[f64]| {
+        // Without the noise of making it a unit.
+        let rounded = values.iter().map(|value| ((value * 1e9).round() / 1e9 + 0.0).to_string());
+        format!("({})", rounded.collect::<Vec<_>>().join(", "))
+    };
+    let each: Vec<String> = setup
+        .walls
+        .iter()
+        .map(|wall| match setup.walls.len() {
+            1 => listed(&wall.normal),
+            _ => format!("{} with share {}", listed(&wall.normal), wall.share),
+        })
+        .collect();
+    let along = each.join(" and ");
+    // Without the noise of a multiplication.
+    let pull_mm = (setup.largest_pull * 1e9).round() / 1e6;
+    let mut what = format!(
+        "{name} along {along} at {} Hz, cutoff {} Hz, washout {} Hz, pull {pull_mm} mm, {} N m",
+        setup.rate_hz, setup.cutoff_hz, setup.washout_hz, setup.torque_limit
+    );
+    let without: Vec<usize> = (0..setup.walls.len()).filter(|wall| !setup.walls[*wall].feed_forward).collect();
+    if !without.is_empty() {
+        what.push_str(&format!(", without the feed-forward of {without:?}"));
+    }
+    let World { q, friction, ideal_drive, counts, grip } = *world;
+    if let Some(q) = q {
+        what.push_str(&format!(", at q = {} rad", listed(&q)));
+    }
+    if friction != Friction::All {
+        what.push_str(&format!(", friction: {}", format!("{friction:?}").to_lowercase()));
+    }
+    if ideal_drive {
+        what.push_str(", ideal drive");
+    }
+    if let Some(counts) = counts {
+        what.push_str(&format!(", {counts} counts a turn"));
+    }
+    if grip {
+        what.push_str(", held by a hand");
+    }
+    what
+}

@@ -1,0 +1,308 @@
+//! Only what a scene needs: the cheapest way to compute the control step that stays inside an error budget.
+//!
+//! The planner looks at where the scene's walls can be touched, with which normals, how hard the motors can push there
+//! and how fast a hand can move; it tries every mass model with and without velocity terms from the cheapest on, in the
+//! board's own precision, and takes the first whose error stays inside [`MARGIN`] of the budget. Where the board lets
+//! its velocity terms fade no choice brings them back: what stays there is told, and not held against the budget. What
+//! it decides is a scene (with `velocity_terms` and `feed_forward` set) and a mass model, and the board runs exactly
+//! that.
+
+use crate::bench::counts;
+use crate::bench::error::{Errors, Found, Law, Terms, Trigonometry, Way, errors};
+use crate::bench::precompute::{Precomputed, frozen, most_points, range, table};
+use crate::bench::probe::{Probe, on_surface};
+use haptic_bridge::model::device::Device;
+use haptic_bridge::model::precomputed::Interpolation;
+use haptic_bridge::render::scene::{FeedForward, Scene, VelocityTerms};
+use haptic_host::error::Failure;
+use haptic_host::link::{Board, BoardError};
+use serde::Serialize;
+
+/// Share of the budget that the poses looked at may use up: between them the error may be larger.
+pub const MARGIN: f64 = 0.6;
+/// The budget when nothing is said, percent.
+pub const DEFAULT_PERCENT: f64 = 1.0;
+/// Trigonometry of the firmware.
+const SHIPPED: &str = "table";
+
+/// How much error a plan may leave.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Budget {
+    /// Percent of what the motors give at the same pose: of the worst joint's torque, and so of the largest force at
+    /// the tip in the direction of the error.
+    Percent(f64),
+    /// What the duty's resolution hides anyway.
+    OneDutyStep,
+}
+
+impl Budget {
+    /// The error of a variant as a share of this budget.
+    pub fn used(self, errors: &Errors) -> f64 {
+        match self {
+            Budget::Percent(percent) => 100.0 * errors.share.max / percent,
+            Budget::OneDutyStep => errors.duty.max,
+        }
+    }
+}
+
+/// One way that was looked at.
+#[derive(Clone, Debug, Serialize)]
+pub struct Candidate {
+    /// Mass model.
+    pub model: &'static str,
+    /// Terms.
+    pub terms: &'static str,
+    /// Instructions of the slowest control step on the Cortex-M4F.
+    pub instructions: u32,
+    /// Its error, with what fades whatever is chosen.
+    pub errors: Errors,
+    /// The part of the error that another choice could take away.
+    #[serde(skip)]
+    pub given: Errors,
+    /// That as a share of the budget.
+    pub used: f64,
+}
+
+/// What the board shall run.
+#[derive(Clone, Debug)]
+pub struct Plan {
+    /// The scene with its feed-forward and velocity terms as decided.
+    pub scene: Scene<f64>,
+    /// Where the mass matrix comes from.
+    pub mass: Precomputed,
+    /// The terms of the walls' feed-forward.
+    pub terms: Terms,
+    /// Instructions of the slowest control step on the Cortex-M4F.
+    pub instructions: u32,
+    /// Error left, at the poses looked at.
+    pub errors: Errors,
+    /// Everything that was looked at, from the cheapest.
+    pub candidates: Vec<Candidate>,
+    /// Why, in sentences.
+    pub reasons: Vec<String>,
+}
+
+impl Plan {
+    /// Loads the planned scene and its mass matrix onto a board whose motors are off; returns the scene as it was sent.
+    pub fn load(&self, board: &mut Board) -> Result<Scene<f32>, BoardError> {
+        let scene = self.scene.cast();
+        board.set_scene(&scene)?;
+        board.send_mass(&self.mass.data, &self.mass.values)?;
+        Ok(scene)
+    }
+}
+
+/// Angles per joint of the grid that is looked at.
+fn density(joints: usize) -> usize {
+    match joints {
+        1 => 41,
+        2 => 161,
+        _ => 25,
+    }
+}
+
+/// Plans `scene` on `device` for hands of up to `speed` m/s.
+///
+/// Errors: a device that cannot be analysed; or no way stays inside the budget, which names the best there is.
+pub fn plan(device: &Device<f64>, scene: &Scene<f64>, budget: Budget, speed: f64) -> Result<Plan, Failure> {
+    plan_on(device, scene, budget, speed, density(device.mechanism.kind().spec().joints))
+}
+
+/// As [`plan`], looking at `per_joint` angles per joint.
+fn plan_on(
+    device: &Device<f64>,
+    scene: &Scene<f64>,
+    budget: Budget,
+    speed: f64,
+    per_joint: usize,
+) -> Result<Plan, Failure> {
+    let spec = device.mechanism.kind().spec();
+    let mut scene = scene.clone();
+    let mut reasons = Vec::new();
+    let shaped = scene.walls.iter().filter(|wall| wall.feed_forward != FeedForward::Off).count();
+    if shaped == 0 {
+        reasons.push("no wall asks for the feed-forward, so no mass matrix and no velocity terms".into());
+    } else if spec.joints == 1 {
+        reasons.push(
+            "with one joint nothing is left to move freely, so the feed-forward changes nothing and is left out".into(),
+        );
+    }
+    let probes = if shaped == 0 || spec.joints == 1 { Vec::new() } else { touched(device, &scene, per_joint, speed)? };
+    if probes.is_empty() && shaped > 0 && spec.joints > 1 {
+        reasons.push("no wall with feed-forward can be reached, so none is computed".into());
+    }
+    if probes.is_empty() {
+        scene.walls.iter_mut().for_each(|wall| wall.feed_forward = FeedForward::Off);
+        scene.velocity_terms = VelocityTerms::Off;
+        let instructions = cost(device, &scene, "exact");
+        let (mass, errors) = (Precomputed::default(), Errors::default());
+        return Ok(Plan { scene, mass, terms: Terms::None, instructions, errors, candidates: Vec::new(), reasons });
+    }
+
+    let (wanted, law) = (scene.velocity_terms, Law::of(&scene, device)?);
+    let used_of = |terms| if terms == Terms::FeedForwardZ { wanted } else { VelocityTerms::Off };
+    let mut ways = Vec::new();
+    for mass in models(device, &probes) {
+        for terms in [Terms::FeedForward, Terms::FeedForwardZ] {
+            if terms == Terms::FeedForwardZ && wanted == VelocityTerms::Off {
+                continue;
+            }
+            let with = Scene { velocity_terms: used_of(terms), ..scene.clone() };
+            ways.push((cost(device, &with, mass.name()), terms, mass.clone()));
+        }
+    }
+    ways.sort_by_key(|(instructions, _, mass)| (*instructions, mass.bytes()));
+
+    let mut candidates: Vec<Candidate> = Vec::new();
+    let mut chosen = None;
+    for (instructions, terms, mass) in ways {
+        let way = Way { model: &mass, terms, trigonometry: Trigonometry::Tabulated, law };
+        let Found { whole: errors, given } = errors(device, &probes, &way);
+        let used = budget.used(&given);
+        candidates.push(Candidate { model: mass.name(), terms: terms.name(), instructions, errors, given, used });
+        if chosen.is_none() && used <= MARGIN {
+            chosen = Some((instructions, terms, mass, errors));
+        }
+    }
+    let Some((instructions, terms, mass, errors)) = chosen else {
+        let best = candidates.iter().min_by(|a, b| a.used.total_cmp(&b.used));
+        let least = best.map_or(f64::NAN, |best| match budget {
+            Budget::Percent(_) => 100.0 * best.given.share.max / MARGIN,
+            Budget::OneDutyStep => best.given.duty.max / MARGIN,
+        });
+        let (wanted, unit) = match budget {
+            Budget::Percent(percent) => (percent, "percent"),
+            Budget::OneDutyStep => (1.0, "duty steps"),
+        };
+        return Err(Failure::impossible(format!(
+            "no model stays below {wanted} {unit} over the reachable walls; the best leaves {least:.3} {unit}"
+        ))
+        .remedy(format!("allow an error of {:.2}", least * 1.1)));
+    };
+    scene.velocity_terms = used_of(terms);
+    let [faded, _] = law.fading(device, &probes);
+    let fading = (wanted != VelocityTerms::Off && faded > 0.0).then_some((faded, law.lag));
+    reasons.extend(explain(&candidates, terms, &mass, budget, speed, fading));
+    Ok(Plan { scene, mass, terms, instructions, errors, candidates, reasons })
+}
+
+/// Situations at every wall with feed-forward.
+pub fn touched(device: &Device<f64>, scene: &Scene<f64>, per_joint: usize, speed: f64) -> Result<Vec<Probe>, Failure> {
+    let mut probes = Vec::new();
+    for wall in scene.walls.iter().filter(|wall| wall.feed_forward != FeedForward::Off) {
+        probes.extend(on_surface(device, &wall.surface, per_joint, speed)?);
+    }
+    Ok(probes)
+}
+
+fn models(device: &Device<f64>, probes: &[Probe]) -> Vec<Precomputed> {
+    let (points, range) = (most_points(device), range(device, probes));
+    let mut models = vec![Precomputed::default(), frozen(device, probes)];
+    models.extend(table(device, Interpolation::Bilinear, [points; 2], range));
+    models.extend(table(device, Interpolation::Bicubic, [points; 2], range));
+    models
+}
+
+/// Instructions of the slowest control step of a scene: counted for one wall, a pair of walls, a ball and nothing.
+/// Each further wall adds what one of its kind adds.
+pub fn cost(device: &Device<f64>, scene: &Scene<f64>, model: &str) -> u32 {
+    let name = device.mechanism.kind().spec().name;
+    let counted = |model: &str, terms: &str| counts::instructions(name, SHIPPED, model, terms).unwrap_or(0);
+    let free = counted("exact", "free");
+    let z = if scene.velocity_terms == VelocityTerms::Off { "" } else { "+z" };
+    let per_wall = counted("exact", "none").saturating_sub(free);
+    let walls = scene.walls.len() as u32;
+    let shaped: Vec<_> = scene.walls.iter().filter(|wall| wall.feed_forward != FeedForward::Off).collect();
+    let curved = scene.walls.iter().any(|wall| wall.surface.curved());
+    let Some(first) = shaped.first() else { return free + walls * per_wall };
+    let one = match first.feed_forward {
+        _ if curved => counted(model, &format!("ball, washout{z}")),
+        FeedForward::Full if shaped.len() == 1 => counted(model, &format!("feed-forward{z}")),
+        _ => counted(model, &format!("washout{z}")),
+    };
+    let plain = walls - shaped.len() as u32;
+    let more = match shaped.len() as u32 {
+        1 => 0,
+        count => {
+            let pair = counted("exact", &format!("edge, washout{z}"));
+            pair.saturating_sub(counted("exact", &format!("washout{z}"))) + (count - 2) * per_wall
+        }
+    };
+    one + more + plain * per_wall
+}
+
+/// `fading`: the share of the situations in which velocity terms fade, and by how much the estimate lags, s.
+fn explain(
+    candidates: &[Candidate],
+    terms: Terms,
+    mass: &Precomputed,
+    budget: Budget,
+    speed: f64,
+    fading: Option<(f64, f64)>,
+) -> Vec<String> {
+    let find = |model: &str, terms: Terms| candidates.iter().find(|c| c.model == model && c.terms == terms.name());
+    // As a person feels it; 99 of 100 situations, because the last of them are those next to singularities.
+    let size = |errors: &Errors| {
+        let Errors { force, share, duty, .. } = errors;
+        let most = match budget {
+            Budget::Percent(_) => format!("{} of what the motors give", percent(share.max)),
+            Budget::OneDutyStep => format!("{:.1} steps of the duty", duty.max),
+        };
+        format!("up to {} at the tip nearly everywhere, at worst {most}", newtons(force.most))
+    };
+    let mut reasons = Vec::new();
+    if let Some(without) = find("exact", Terms::FeedForward) {
+        let verdict = match terms {
+            Terms::FeedForward if budget.used(&without.errors) <= MARGIN => "too little to compute",
+            Terms::FeedForward => "where they do not fade anyway, too little to compute",
+            _ if fading.is_some() => "they are compensated but for what fades",
+            _ => "they are compensated",
+        };
+        reasons.push(format!("at {speed} m/s the forces of motion are {}: {verdict}", size(&without.errors)));
+    }
+    if let (Some((share, lag)), Some(whole)) = (fading, find("exact", Terms::FeedForwardZ)) {
+        reasons.push(format!(
+            "estimated velocities lag by {:.2} ms, so the velocity terms fade where the joints turn fast near a singular pose, in {} of the \
+             situations: up to {} of the forces of motion stay there, whatever computes them; a higher rate and cutoff leave less",
+            1.0e3 * lag,
+            percent(share),
+            newtons(whole.errors.force.max)
+        ));
+    }
+    if let Some(one) = find("frozen", terms) {
+        let verdict = match mass.name() {
+            "frozen" => "so one matrix does",
+            _ => "so the matrix has to follow the pose",
+        };
+        reasons.push(format!("one mass matrix for all of the walls is wrong by {}, {verdict}", size(&one.given)));
+    }
+    if let (Some(exact), Some(table), false) = (find("exact", terms), find("bilinear", terms), mass.name() == "frozen")
+    {
+        let verdict = if mass.name() == "exact" { "so the closed form is used" } else { "so the table is used" };
+        reasons.push(format!(
+            "the closed form takes {} instructions, a table {}, {verdict}",
+            exact.instructions, table.instructions
+        ));
+    }
+    reasons
+}
+
+/// A force in the digits that count.
+pub fn newtons(force: f64) -> String {
+    match force {
+        f if f >= 10.0 => format!("{f:.0} N"),
+        f if f >= 0.1 => format!("{f:.1} N"),
+        f if f >= 1.0e-4 => format!("{:.1} mN", 1.0e3 * f),
+        _ => "less than 0.1 mN".into(),
+    }
+}
+
+/// A share in percent; beyond the whole it has no meaning of its own.
+pub fn percent(share: f64) -> String {
+    match 100.0 * share {
+        p if p > 100.0 => "more than all".into(),
+        p if p >= 10.0 => format!("{p:.0} %"),
+        p if p >= 0.01 => format!("{p:.2} %"),
+        _ => "less than 0.01 %".into(),
+    }
+}

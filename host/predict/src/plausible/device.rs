@@ -1,0 +1,362 @@
+//! Doubts about a device file.
+
+use super::{Doubt, Key, turns};
+use crate::analysis::pose::TaskPose;
+use core::f64::consts::{PI, TAU};
+use haptic_bridge::math::Libm;
+use haptic_bridge::model::description::{Description, Joint, Link};
+use haptic_bridge::model::device::Device;
+use haptic_bridge::model::mechanism::Mechanism;
+use haptic_bridge::with_mechanism;
+use haptic_host::device_file::carries_its_body;
+use haptic_host::vectors::padded_to;
+use haptic_host::words::{digits, listed, with_unit};
+use nalgebra::{DMatrix, DVector, SVector};
+
+/// kg/m³
+const STEEL_DENSITY: f64 = 7850.0;
+/// Links outside these lengths (m) are no desktop device's, and no exoskeleton's.
+const LINK_LENGTHS_M: (f64, f64) = (1e-3, 3.0);
+/// A rotor and gear of more than this are those of a machine tool: 20 kg at 10 cm, kg m².
+const JOINT_INERTIA: f64 = 0.2;
+/// Fewer counts per turn than this are lines, before x4 decoding and the ratio: the encoders of devices that render a
+/// wall have 700 and more at the joint.
+const LEAST_COUNTS: f64 = 600.0;
+/// Resistance times inertia over the torque constant's square is the same before and behind a ratio, s: 2 to 30 ms in
+/// motors, and times the ratio's square where the torque constant alone was left without it.
+const MOTOR_SECONDS: f64 = 0.25;
+/// How far a motor may wind its transmission up, rad: cables and belts give by hundredths.
+const WOUND_UP: f64 = 0.1;
+/// The voltage that resistance and largest current ask of a supply, V; the boards take up to 56 V.
+const LARGEST_SUPPLY_V: f64 = 120.0;
+/// Windings of desktop motors have 0.01 to 10 mH.
+const INDUCTANCE: f64 = 0.1;
+/// More force than a hand can hold, N.
+const LARGEST_FORCE_N: f64 = 500.0;
+/// Nearer to a singularity than this sine a device cannot do much at home.
+const HOME_SINE: f64 = 0.02;
+
+fn key(table: &'static str, index: Option<usize>, part: &'static str, name: &'static str) -> Key {
+    Key { table, index, part, name }
+}
+
+/// Everything that is doubtful about a device.
+pub fn doubts(description: &Description) -> Vec<Doubt> {
+    let spec = description.kind.spec();
+    let mut doubts = lengths(description);
+    let longest = longest(description);
+    let heaviest = STEEL_DENSITY * (longest / 2.0).powi(3);
+    for (index, link) in description.links.iter().enumerate().take(spec.links.len()) {
+        let place = format!("[[link]] {index} ({})", spec.links[index]);
+        doubts.extend(of_link(link, index, &place, longest, heaviest));
+    }
+    if description.handle_mass > heaviest {
+        doubts.push(too_heavy(key("handle", None, "", "mass"), "[handle]", description.handle_mass, heaviest));
+    }
+    for (index, joint) in description.joints.iter().enumerate().take(spec.joints) {
+        doubts.extend(of_joint(joint, index));
+        doubts.extend(of_motor(joint, index, carries_its_body(&spec, index)));
+    }
+    doubts.extend(forgotten(description));
+    let gravity = description.gravity.iter().take(spec.task).map(|g| g * g).sum::<f64>().sqrt();
+    if gravity != 0.0 && !(1.0..12.0).contains(&gravity) {
+        let text = format!("gravity is {gravity:.3} m/s² in all: 9.81 on earth");
+        doubts.push(Doubt::new(key("", None, "", "gravity"), text));
+    }
+    doubts.extend(at_home(description));
+    doubts
+}
+
+/// What a file leaves out that decides how stiff a wall can be: what lies between motor and link.
+fn forgotten(description: &Description) -> Option<Doubt> {
+    let joints = &description.joints[..description.kind.spec().joints];
+    let silent = |joint: &Joint| joint.motor.is_some() && joint.transmission.is_none() && !joint.rigid;
+    let first = joints.iter().position(silent)?;
+    let silent: Vec<String> =
+        joints.iter().enumerate().filter(|(_, joint)| silent(joint)).map(|(index, _)| index.to_string()).collect();
+    let text = format!(
+        "nothing says what lies between motor and link of joint {}: predictions take it for rigid, and a cable or a belt \
+         decides how stiff a wall can be; write [joint.transmission], or transmission = \"rigid\" where the motor sits on \
+         the joint",
+        listed(&silent)
+    );
+    Some(Doubt::new(key("joint", Some(first), "", "transmission"), text))
+}
+
+/// The mechanism's longest link, m.
+fn longest(description: &Description) -> f64 {
+    named_lengths(description).map(|(_, length)| length).fold(0.0, f64::max)
+}
+
+/// The lengths of the geometry with their keys, without signs such as `assembly`.
+fn named_lengths(description: &Description) -> impl Iterator<Item = (&'static str, f64)> + '_ {
+    let keys = description.kind.spec().geometry.iter().flat_map(|(key, count)| (0..*count).map(move |_| *key));
+    keys.zip(description.geometry).filter(|(key, _)| *key != "assembly")
+}
+
+fn lengths(description: &Description) -> Vec<Doubt> {
+    let mut doubts: Vec<Doubt> = Vec::new();
+    for (name, length) in named_lengths(description) {
+        // Two motors may share an axis.
+        let short = length < LINK_LENGTHS_M.0 && name != "base";
+        let at = key("geometry", None, "", name);
+        if (short || length > LINK_LENGTHS_M.1) && doubts.iter().all(|doubt| doubt.key != Some(at)) {
+            let meant = if short {
+                format!("{} mm?", digits(length * 1e3))
+            } else {
+                format!("{length} mm are {} m", digits(length / 1e3))
+            };
+            doubts
+                .push(Doubt::new(at, format!("`{name}` in [geometry] is {length} m: lengths are in metres ({meant})")));
+        }
+    }
+    doubts
+}
+
+fn too_heavy(at: Key, place: &str, mass: f64, heaviest: f64) -> Doubt {
+    let text = format!(
+        "{place} weighs {mass} kg, more than a steel cube half as wide as the longest link ({}): masses are in kg \
+         ({mass} g are {} kg)",
+        with_unit(heaviest, "kg"),
+        digits(mass / 1e3)
+    );
+    Doubt::new(at, text)
+}
+
+/// Doubts about values that no body of this mass and length can have.
+fn of_link(link: &Link, index: usize, place: &str, longest: f64, heaviest: f64) -> Vec<Doubt> {
+    let at = |name| key("link", Some(index), "", name);
+    let mut doubts = Vec::new();
+    if link.mass > heaviest {
+        doubts.push(too_heavy(at("mass"), place, link.mass, heaviest));
+    }
+    if link.com.abs() > 2.0 * longest {
+        let text = format!(
+            "the centre of mass of {place} lies {} m from its joint, and the longest link has {longest} m: lengths are \
+             in metres",
+            link.com
+        );
+        doubts.push(Doubt::new(at("com"), text));
+    }
+    // Zero means a point mass.
+    if link.mass == 0.0 || link.inertia == 0.0 {
+        return doubts;
+    }
+    let gyration = (link.inertia / link.mass).sqrt();
+    // A solid ball is the most compact body of its mass.
+    let ball = (3.0 * link.mass / (4.0 * PI * STEEL_DENSITY)).cbrt() * 0.4_f64.sqrt();
+    if gyration > longest || gyration < ball {
+        let bound = if gyration > longest {
+            format!("more than if all of it were {longest} m away, the longest link's length")
+        } else {
+            let least = link.mass * ball * ball;
+            let least = if least < 1e-3 { format!("{least:.2e}") } else { digits(least) };
+            format!("less than a steel ball of that mass ({least} kg m²)")
+        };
+        let text = format!(
+            "`inertia` of {place} is {} kg m² for {}: {bound}; it is taken about the centre of mass, in kg m² \
+             (1 g cm² is 1e-7)",
+            digits(link.inertia),
+            with_unit(link.mass, "kg")
+        );
+        doubts.push(Doubt::new(at("inertia"), text));
+    }
+    // The perpendicular axes of any body: none of the three is more than the other two together.
+    let three = [link.inertia, link.inertia_axial, link.inertia_transverse];
+    let sum: f64 = three.iter().sum();
+    if three.iter().any(|one| *one > 1.01 * (sum - one)) {
+        let text = format!(
+            "the three inertias of {place} ({}, axial {}, transverse {}) belong to no body: one is more than the other \
+             two together",
+            link.inertia, link.inertia_axial, link.inertia_transverse
+        );
+        doubts.push(Doubt::new(at("inertia_axial"), text));
+    }
+    doubts
+}
+
+fn of_joint(joint: &Joint, index: usize) -> Vec<Doubt> {
+    let mut doubts = Vec::new();
+    let mut doubt = |part, name, text: String| doubts.push(Doubt::new(key("joint", Some(index), part, name), text));
+    if joint.inertia > JOINT_INERTIA {
+        let text = format!(
+            "`inertia` of joint {index} is {} kg m², as much as {:.0} kg at 10 cm: 1 g cm² is 1e-7 kg m²",
+            digits(joint.inertia),
+            100.0 * joint.inertia
+        );
+        doubt("", "inertia", text);
+    }
+    if let Some((low, high)) = joint.limits
+        && let Some(angle) = [low, high].into_iter().find(|angle| angle.abs() > TAU)
+    {
+        doubt("", "limits", turns(&format!("a limit of joint {index}"), angle));
+    }
+    if let Some(encoder) = joint.encoder {
+        if encoder.counts_per_turn < LEAST_COUNTS {
+            let text = format!(
+                "the encoder of joint {index} has {} counts per turn, {:.1} degrees each: count after x4 decoding, times \
+                 the gear ratio, at the joint ({} lines are {} counts without a gear)",
+                encoder.counts_per_turn,
+                360.0 / encoder.counts_per_turn,
+                encoder.counts_per_turn,
+                4.0 * encoder.counts_per_turn
+            );
+            doubt("encoder", "counts_per_turn", text);
+        }
+        if encoder.offset.abs() > TAU {
+            doubt("encoder", "offset", turns(&format!("the encoder offset of joint {index}"), encoder.offset));
+        }
+    }
+    doubts
+}
+
+/// `carries_body`: the joint's inertia is not the motor's alone.
+fn of_motor(joint: &Joint, index: usize, carries_body: bool) -> Vec<Doubt> {
+    let mut doubts = Vec::new();
+    let mut doubt = |part, name, text: String| doubts.push(Doubt::new(key("joint", Some(index), part, name), text));
+    let Some(motor) = joint.motor else { return doubts };
+    let torque = motor.torque_constant * motor.max_current;
+    let volts = motor.resistance * motor.max_current;
+    if volts > LARGEST_SUPPLY_V {
+        let text = format!(
+            "the motor of joint {index} would need {} for its max_current: resistance is in ohm, current in A",
+            with_unit(volts, "V")
+        );
+        doubt("motor", "max_current", text);
+    }
+    if motor.back_emf > 0.0 && !(0.5..2.0).contains(&(motor.back_emf / motor.torque_constant)) {
+        let text = format!(
+            "back_emf of joint {index} is {} V s/rad and torque_constant {} N m/A: in SI both are the same number",
+            motor.back_emf, motor.torque_constant
+        );
+        doubt("motor", "back_emf", text);
+    }
+    if motor.inductance >= INDUCTANCE {
+        let text = format!("`inductance` of joint {index} is {} H: 1 mH is 0.001", motor.inductance);
+        doubt("motor", "inductance", text);
+    }
+    let seconds = motor.resistance * joint.inertia / motor.torque_constant.powi(2);
+    if seconds > MOTOR_SECONDS && !carries_body {
+        let text = format!(
+            "`torque_constant` of joint {index}, {} N m/A, takes {seconds:.1} s to speed up its own rotor (resistance times \
+             inertia over its square), and motors take hundredths: at the joint it is the motor's times the ratio, as the \
+             inertia is the rotor's times the ratio squared",
+            motor.torque_constant
+        );
+        doubt("motor", "torque_constant", text);
+    }
+    if let Some(wound) = joint.transmission.map(|between| torque / between.stiffness).filter(|wound| *wound > WOUND_UP)
+    {
+        let text = format!(
+            "the transmission of joint {index} gives by {:.0} degrees where its motor pushes with all that it has ({}): \
+             stiffness is in N m/rad at the joint, and a cable of c N/m on a sector of radius r has c r²",
+            wound.to_degrees(),
+            with_unit(torque, "N m")
+        );
+        doubt("transmission", "stiffness", text);
+    }
+    if joint.coulomb > torque {
+        let text = format!(
+            "the friction of joint {index} ({} N m) holds against its motor ({}): it cannot move itself",
+            joint.coulomb,
+            with_unit(torque, "N m")
+        );
+        doubt("", "coulomb", text);
+    } else if joint.viscous * TAU > torque {
+        let text = format!(
+            "viscous friction of joint {index} takes {} at one turn a second, more than its motor has ({})",
+            with_unit(joint.viscous * TAU, "N m"),
+            with_unit(torque, "N m")
+        );
+        doubt("", "viscous", text);
+    }
+    doubts
+}
+
+/// The pose of home: angles in degrees, a singular pose, motors that cannot hold the device up, far too much force.
+fn at_home(description: &Description) -> Vec<Doubt> {
+    let joints = description.kind.spec().joints;
+    let at = key("home", None, "", "q");
+    let Some(home) = description.home else { return Vec::new() };
+    let home = &home[..joints];
+    let degrees = home.iter().enumerate().filter(|(_, angle)| angle.abs() > TAU);
+    let mut doubts: Vec<Doubt> =
+        degrees.map(|(joint, angle)| Doubt::new(at, turns(&format!("home of joint {joint}"), *angle))).collect();
+    let Ok(device) = Device::<f64>::new("", description) else { return doubts };
+    let Ok(pose) = TaskPose::of(&device.mechanism, home) else { return doubts };
+    if doubts.is_empty() && pose.regularity.serial.min(pose.regularity.parallel) < HOME_SINE {
+        let text = "home is a singular pose: the device can hardly push there; home it elsewhere".into();
+        doubts.push(Doubt::new(at, text));
+    }
+    for (joint, weight) in weight(&device, home).iter().enumerate().take(joints) {
+        let Some(motor) = device.joints[joint].motor else { continue };
+        let torque = motor.torque_constant * motor.max_current;
+        if weight.abs() > torque {
+            let text = format!(
+                "the device's weight takes {} at joint {joint} at home, and its motor has {}: it falls when armed",
+                with_unit(weight.abs(), "N m"),
+                with_unit(torque, "N m")
+            );
+            doubts.push(Doubt::new(key("joint", Some(joint), "motor", "torque_constant"), text));
+        }
+    }
+    if let Some((weakest, _)) = force_at(&device, &pose).filter(|(weakest, _)| *weakest > LARGEST_FORCE_N) {
+        let text = format!(
+            "the motors push {} at the tip at home, more than a hand holds: torque constants are in N m/A (a data sheet's \
+             mN m/A are thousandths), currents in A",
+            with_unit(weakest, "N")
+        );
+        doubts.push(Doubt::new(key("joint", Some(0), "motor", "torque_constant"), text));
+    }
+    doubts
+}
+
+/// The joint torques that hold the device up, N m.
+pub(crate) fn weight(device: &Device<f64>, q: &[f64]) -> Vec<f64> {
+    fn of<const N: usize, M: Mechanism<f64, N>>(m: &M, q: &[f64]) -> Vec<f64> {
+        m.gravity(&m.pose::<Libm>(&SVector::<f64, N>::from_column_slice(q))).iter().copied().collect()
+    }
+    with_mechanism!(&device.mechanism, m => of(m, q))
+}
+
+/// The most that the motors give along a direction of d entries, N; infinite when no motor is felt there.
+pub fn force_along(device: &Device<f64>, pose: &TaskPose, direction: &[f64]) -> Option<f64> {
+    let task = padded_to(pose.jacobian.nrows(), direction);
+    let per_newton = pose.jacobian.tr_mul(&task);
+    let mut least = f64::INFINITY;
+    for (joint, torque) in per_newton.iter().enumerate() {
+        let motor = device.joints[joint].motor?;
+        least = least.min(motor.torque_constant * motor.max_current / torque.abs().max(1e-12));
+    }
+    Some(least)
+}
+
+/// The most that the motors give at a pose along their weakest and strongest direction, N. Along a direction alone: on
+/// a redundant device without a moment on the tip.
+///
+/// Forces f with |Jᵀ f| within the motors' torques fill a polytope. Its nearest boundary is the nearest of its faces,
+/// one pair a joint, and its farthest is a corner, where as many joints as there are directions give all that they
+/// have.
+pub fn force_at(device: &Device<f64>, pose: &TaskPose) -> Option<(f64, f64)> {
+    let jacobian = pose.jacobian.rows(0, pose.task);
+    let motors = device.joints.iter().take(jacobian.ncols()).map(|joint| joint.motor);
+    let most: Vec<f64> =
+        motors.map(|motor| motor.map(|m| (m.torque_constant * m.max_current).abs())).collect::<Option<_>>()?;
+    let faces = most.iter().zip(jacobian.column_iter()).map(|(torque, column)| torque / column.norm());
+    let weakest = faces.fold(f64::INFINITY, f64::min);
+    let mut strongest = 0.0_f64;
+    for chosen in (0..1_usize << most.len()).filter(|chosen| chosen.count_ones() as usize == pose.task) {
+        let joints: Vec<usize> = (0..most.len()).filter(|joint| chosen >> joint & 1 == 1).collect();
+        let rows = DMatrix::from_fn(pose.task, pose.task, |row, axis| jacobian[(axis, joints[row])]);
+        let Some(inverse) = rows.try_inverse() else { continue };
+        for signs in 0..1_usize << pose.task {
+            let sign = |row: usize| if signs >> row & 1 == 1 { -1.0 } else { 1.0 };
+            let force = &inverse * DVector::from_fn(pose.task, |row, _| sign(row) * most[joints[row]]);
+            let torques = jacobian.tr_mul(&force);
+            if torques.iter().zip(&most).all(|(torque, most)| torque.abs() <= most * (1.0 + 1e-9)) {
+                strongest = strongest.max(force.norm());
+            }
+        }
+    }
+    (weakest.is_finite() && strongest > 0.0).then_some((weakest, strongest))
+}

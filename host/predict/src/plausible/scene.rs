@@ -1,0 +1,458 @@
+//! Doubts about a scene on a device: walls out of reach, beyond what is stable there or beyond the motors, springs and
+//! fields beyond what is stable at home.
+
+use super::device::force_along;
+use super::{Doubt, Key};
+use crate::analysis::control_loop::TorquePath;
+use crate::analysis::flexible::{Flexible, felt};
+use crate::analysis::map::Reachable;
+use crate::analysis::plant::Linearised;
+use crate::analysis::pose::TaskPose;
+use crate::analysis::prediction::{Prediction, Subject, printed};
+use crate::analysis::range::{COSTLY_RATIO, lower_corner, stiffness_at};
+use crate::analysis::sampled::{AnalysisError, Mode};
+use crate::analysis::several::Member;
+use crate::bench::probe::on_surface;
+use haptic_bridge::math::Libm;
+use haptic_bridge::model::device::Device;
+use haptic_bridge::render::scene::shape::Meaning;
+use haptic_bridge::render::scene::{FeedForward, Scene, Surface, Wall};
+use haptic_bridge::safety::limits::{GENTLE_FORCE, Limits};
+use haptic_host::scene_file::place_of;
+use haptic_host::vectors::{padded, padded_to};
+use haptic_host::words::{digits, with_unit};
+use nalgebra::{DVector, SVector};
+use serde::Serialize;
+use std::convert::Infallible;
+
+/// Hand speed (m/s) at which a wall's damping alone should not take all of the motors.
+const SLOW_HAND: f64 = 0.1;
+/// A wall whose force one encoder count changes by more than this is felt to buzz, N: its ripple is about half of it,
+/// root mean square (docs/encoder-steps.md).
+const BUZZ_N: f64 = 1.0;
+/// A stiffness that nobody feels, N/m.
+const NO_WALL: f64 = 1.0;
+/// Poses of each joint in which a device with so many joints is looked at.
+const PER_JOINT: [usize; 3] = [400, 60, 16];
+/// What a wall meets where the tip touches it.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Contact {
+    /// The wall, from 0.
+    pub wall: usize,
+    /// A pose of the device on the wall, rad.
+    pub q: Vec<f64>,
+    /// The wall's normal there.
+    pub normal: Vec<f64>,
+    /// Largest stiffness that is stable with this wall's damping and feed-forward by prediction, N/m.
+    pub stable_to: f64,
+    /// What a hand at the tip would feel of that, N/m; none where no transmission gives.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub felt_to: Option<f64>,
+    /// Largest damping with which anything is stable, N s/m.
+    pub damping_to: f64,
+    /// The most that the motors give along the normal, N; none where a joint has no motor.
+    pub force: Option<f64>,
+    /// How far the tip moves along the normal in one encoder count, m.
+    pub count: f64,
+    /// The largest force that one count alone makes with this wall's gains and this scene's estimator, N.
+    pub step_n: f64,
+    /// What `haptic range DEVICE` takes to predict the same.
+    pub options: String,
+    /// Whether the device is a board's, which does not know what gives in it.
+    #[serde(skip)]
+    pub taken_for_rigid: bool,
+}
+
+/// Everything doubtful about a scene, and what each wall meets where the device touches it, on a board of which nothing
+/// else is known.
+pub fn doubts(subject: &Subject, scene: &Scene<f64>) -> (Vec<Doubt>, Vec<Contact>) {
+    let (mut doubts, mut contacts) = (Vec::new(), Vec::new());
+    let (device, path) = (&subject.device, TorquePath::usual(scene.rate_hz));
+    for (index, wall) in scene.walls.iter().enumerate() {
+        match touched(device, &wall.surface) {
+            Touched::At(q, normal) => {
+                let Some(contact) = meets(subject, scene, index, &q, &normal, &path) else {
+                    doubts.extend(unpredicted(subject, index, wall));
+                    continue;
+                };
+                doubts.extend(beyond(wall, &contact, true));
+                doubts.extend(too_soft(device, wall, &contact));
+                doubts.extend(buzzing(scene, &contact));
+                doubts.extend(washed_away(subject, scene, &path, &contact));
+                contacts.push(contact);
+            }
+            Touched::Never(nearest) => doubts.push(out_of_reach(index, &wall.surface, nearest)),
+            Touched::Unknown => {}
+        }
+    }
+    doubts.extend(held(subject, scene, &path));
+    doubts.extend(at_home(subject, scene, &path).into_iter().flatten());
+    (doubts, contacts)
+}
+
+/// A wall whose feed-forward compensates a damping that is not the links'.
+fn unpredicted(subject: &Subject, index: usize, wall: &Wall<f64>) -> Option<Doubt> {
+    let shaped = wall.damping_compensation && wall.feed_forward != FeedForward::Off;
+    let text = format!("whether wall {index} is stable is not predicted: {}", AnalysisError::CompensatedFlexible);
+    let key = Key { table: "wall", index: Some(index), part: "", name: "damping_compensation" };
+    (shaped && subject.is_flexible()).then(|| Doubt::new(key, text))
+}
+
+/// Springs and fields beyond what is stable at home in the direction in which the device is lightest.
+fn at_home(subject: &Subject, scene: &Scene<f64>, path: &TorquePath) -> Option<Vec<Doubt>> {
+    let device = &subject.device;
+    let spec = device.mechanism.kind().spec();
+    let q = &device.home?[..spec.joints];
+    let pose = TaskPose::of(&device.mechanism, q).ok()?.regular().ok()?;
+    let jacobian = pose.jacobian.rows(0, spec.task).into_owned();
+    let mobility = &jacobian * pose.mass.clone().cholesky()?.solve(&jacobian.transpose());
+    let motions = mobility.symmetric_eigen();
+    let lightest = motions.eigenvectors.column(motions.eigenvalues.imax());
+    let prediction = Prediction::in_scene(subject, scene, None, path)?;
+    let stable = |damping| prediction.stiffness_at(q, lightest.as_slice(), Mode::Off, damping).ok();
+    let mut doubts = Vec::new();
+    let mut doubt = |table, index: usize, name, what: &str, has: f64, most: f64, unit| {
+        let text = format!(
+            "the {name} of {what}, {}, is beyond what is predicted stable at home: up to {}; it will vibrate unless \
+             friction or a hand damps it",
+            with_unit(has, unit),
+            with_unit(most, unit)
+        );
+        doubts.push(Doubt::new(Key { table, index: Some(index), part: "", name }, text));
+    };
+    for (index, spring) in scene.springs.iter().enumerate() {
+        let (stable_to, damping_to) = stable(spring.damping)?;
+        let what = format!("spring {index}");
+        if spring.damping > damping_to {
+            doubt("spring", index, "damping", &what, spring.damping, damping_to, "N s/m");
+        } else if spring.stiffness > stable_to {
+            doubt("spring", index, "stiffness", &what, spring.stiffness, stable_to, "N/m");
+        }
+    }
+    let (_, damping_to) = stable(0.0)?;
+    if scene.field_damping > damping_to {
+        doubt("field", 0, "damping", "the fields", scene.field_damping, damping_to, "N s/m");
+    }
+    Some(doubts)
+}
+
+/// A posture that the device cannot be held in, or whose spring sampling makes unstable.
+fn held(subject: &Subject, scene: &Scene<f64>, path: &TorquePath) -> Option<Doubt> {
+    let (device, posture) = (&subject.device, scene.posture?);
+    let key = |name| Key { table: "posture", index: None, part: "", name };
+    let spec = device.mechanism.kind().spec();
+    if spec.joints == spec.task {
+        let text = format!(
+            "a {} has one posture at each place of its tip: a board refuses this scene; leave [posture] out",
+            spec.name
+        );
+        return Some(Doubt::new(key("orientation"), text));
+    }
+    let q = &device.home?[..spec.joints];
+    let pose = TaskPose::of(&device.mechanism, q).ok()?.regular().ok()?;
+    let unit_motion = pose.inverse.column(spec.joints - 1).into_owned();
+    let row = pose.jacobian.row(spec.joints - 1).transpose();
+    let viscous = DVector::from_fn(spec.joints, |i, _| device.joints[i].viscous);
+    let flexible = Flexible { normal: DVector::zeros(spec.task), ..subject.gives() };
+    let turning = Linearised { mass: pose.mass, viscous, row, unit_motion, gain: 1.0, flexible };
+    let around = Prediction::in_scene(subject, scene, None, path)?.around;
+    let (stable_to, damping_to) = stiffness_at(&turning, &around, Mode::Off, posture.damping).ok()?;
+    let (name, has, most, unit) = if posture.damping > damping_to {
+        ("damping", posture.damping, damping_to, "N m s/rad")
+    } else if posture.stiffness > stable_to {
+        ("stiffness", posture.stiffness, stable_to, "N m/rad")
+    } else {
+        return None;
+    };
+    let text = format!(
+        "the {name} of the posture, {}, is beyond what is predicted stable at home: up to {}; the arm will swing about \
+         its tip",
+        with_unit(has, unit),
+        with_unit(most, unit)
+    );
+    Some(Doubt::new(key(name), text))
+}
+
+/// What wall `index` of a scene meets at a pose, through this torque path; `None` at a singularity, with an estimator
+/// that has no linear analysis, and where damping is compensated through a transmission that gives.
+pub fn meets(
+    subject: &Subject,
+    scene: &Scene<f64>,
+    index: usize,
+    q: &[f64],
+    normal: &[f64],
+    path: &TorquePath,
+) -> Option<Contact> {
+    let (device, wall) = (&subject.device, scene.walls.get(index)?);
+    // As the options print them.
+    let rounded = |values: &[f64]| values.iter().map(|value| printed(*value)).collect::<Vec<_>>();
+    let (q, normal) = (rounded(q), rounded(normal));
+    let pose = TaskPose::of(&device.mechanism, &q).ok()?.regular().ok()?;
+    let prediction = Prediction::in_scene(subject, scene, Some(wall), path)?;
+    let mode = Mode::of(wall.feed_forward, wall.washout_hz);
+    let seen = prediction.seen(&q, &normal).ok()?;
+    let (stable_to, damping_to) = stiffness_at(&seen, &prediction.around, mode, wall.damping).ok()?;
+    let count = count_along(device, &pose, &normal);
+    let estimator = prediction.around.estimator;
+    let mut options = prediction.options(&q, &[Member::new(normal.clone(), 1.0)]);
+    if let Mode::Washout(hz) = mode {
+        options += &format!(" --washout {hz}");
+    }
+    Some(Contact {
+        wall: index,
+        stable_to,
+        felt_to: seen.flexible.stiffness_at_tip(&seen.row).map(|at_tip| felt(stable_to, at_tip)),
+        damping_to,
+        force: force_along(device, &pose, &normal),
+        count,
+        step_n: count * (wall.stiffness + wall.damping * estimator.quickest(scene.rate_hz)),
+        options: format!("{options} --kd {}", wall.damping),
+        taken_for_rigid: subject.joints.is_none(),
+        q,
+        normal,
+    })
+}
+
+/// How far the tip moves along a normal in one encoder count, at most, m.
+fn count_along(device: &Device<f64>, pose: &TaskPose, normal: &[f64]) -> f64 {
+    let per_radian = pose.jacobian.tr_mul(&padded_to(pose.jacobian.nrows(), normal));
+    let moved = per_radian.iter().zip(&device.joints).map(|(move_, joint)| (move_ * joint.radians_per_count).abs());
+    moved.fold(0.0, f64::max)
+}
+
+/// Gains beyond which a wall is only on or off, at a pose and within a board's limits.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MostGains {
+    /// N/m: one encoder count asks for all of the force.
+    pub stiffness: f64,
+    /// N s/m: a hand that creeps at 1 cm/s does.
+    pub damping: f64,
+    /// The most that motors and limits give along the normal, N.
+    pub force: f64,
+}
+
+/// A hand that hardly moves, m/s.
+const CREEPING: f64 = 0.01;
+
+/// The most that a wall's gains can mean where it is touched at joint angles `q` (rad); `None` at a singularity, or where
+/// a joint has no motor.
+pub fn most_gains(device: &Device<f64>, surface: &Surface<f64>, q: &[f64], limits: &Limits) -> Option<MostGains> {
+    let pose = TaskPose::of(&device.mechanism, q).ok()?.regular().ok()?;
+    let tip = SVector::from(padded::<3>(&pose.position));
+    let normal = surface.contact::<Libm, 3>(&tip).normal;
+    let normal = &normal.as_slice()[..pose.task];
+    let mut limited = device.clone();
+    let most = limits.torque.iter().zip(&limits.current);
+    for (motor, (torque, current)) in limited.joints.iter_mut().filter_map(|joint| joint.motor.as_mut()).zip(most) {
+        let allowed = f64::from(*current).min(f64::from(*torque) / motor.torque_constant.abs());
+        motor.max_current = motor.max_current.min(allowed);
+    }
+    let force = force_along(&limited, &pose, normal)?.min(limits.tip_force.into());
+    let stiffness = force / count_along(device, &pose, normal).max(f64::MIN_POSITIVE);
+    Some(MostGains { stiffness, damping: force / CREEPING, force })
+}
+
+/// What wall `index` of a scene meets if it is touched at a pose, wherever the wall is.
+pub fn at(subject: &Subject, scene: &Scene<f64>, index: usize, q: &[f64], path: &TorquePath) -> Option<Contact> {
+    let pose = TaskPose::of(&subject.device.mechanism, q).ok()?;
+    let tip = SVector::from(padded::<3>(&pose.position));
+    let normal = scene.walls.get(index)?.surface.contact::<Libm, 3>(&tip).normal;
+    meets(subject, scene, index, q, &normal.as_slice()[..pose.task], path)
+}
+
+/// Doubts about a wall's gains: more than the loop or the motors can render. `in_file`: the doubts have a place in a
+/// scene file.
+pub fn beyond(wall: &Wall<f64>, contact: &Contact, in_file: bool) -> Vec<Doubt> {
+    let index = contact.wall;
+    let rigid = if contact.taken_for_rigid { ", if nothing in the device gives" } else { "" };
+    let doubt = |name: &'static str, text: String| Doubt {
+        key: in_file.then_some(Key { table: "wall", index: Some(index), part: "", name }),
+        text,
+    };
+    let mut doubts = Vec::new();
+    if wall.damping > contact.damping_to {
+        let text = format!(
+            "the damping of wall {index}, {} N s/m, is beyond what is predicted stable{rigid}: up to {} here; it will vibrate \
+             unless friction or a hand damps it (`haptic range DEVICE {}`)",
+            digits(wall.damping),
+            with_unit(contact.damping_to, "N s/m"),
+            contact.options
+        );
+        doubts.push(doubt("damping", text));
+    } else if wall.stiffness > contact.stable_to && contact.stable_to < NO_WALL {
+        let text = format!(
+            "no stiffness of wall {index} is predicted stable with {} of damping, nor is its {}; write a damping of up to \
+             {} (`haptic range DEVICE {}`)",
+            with_unit(wall.damping, "N s/m"),
+            with_unit(wall.stiffness, "N/m"),
+            with_unit(0.5 * contact.damping_to, "N s/m"),
+            contact.options
+        );
+        doubts.push(doubt("damping", text));
+    } else if wall.stiffness > contact.stable_to {
+        let text = format!(
+            "the stiffness of wall {index}, {}, is beyond what is predicted stable{rigid}: up to {} here; this is {} times \
+             that, and it will vibrate unless friction or a hand damps it (`haptic range DEVICE {}`)",
+            with_unit(wall.stiffness, "N/m"),
+            with_unit(contact.stable_to, "N/m"),
+            times(wall.stiffness / contact.stable_to),
+            contact.options
+        );
+        doubts.push(doubt("stiffness", text));
+    }
+    let Some(force) = contact.force else { return doubts };
+    let per_count = wall.stiffness * contact.count;
+    if per_count > force {
+        let text = format!(
+            "one encoder count into wall {index} ({}) asks for {}, and the motors have {} there: it can only be on or off",
+            with_unit(contact.count, "m"),
+            with_unit(per_count, "N"),
+            with_unit(force, "N")
+        );
+        doubts.push(doubt("stiffness", text));
+    }
+    if wall.damping * SLOW_HAND > force {
+        let text = format!(
+            "the damping of wall {index} asks for {} at {SLOW_HAND} m/s, and the motors have {} there",
+            with_unit(wall.damping * SLOW_HAND, "N"),
+            with_unit(force, "N")
+        );
+        doubts.push(doubt("damping", text));
+    }
+    doubts
+}
+
+/// A doubt about a wall that encoder steps make buzz at this rate.
+fn buzzing(scene: &Scene<f64>, contact: &Contact) -> Option<Doubt> {
+    let wall = scene.walls.get(contact.wall)?;
+    // The wall that cannot be had anyway has its own doubt.
+    if contact.step_n <= BUZZ_N || wall.stiffness > contact.stable_to || wall.damping > contact.damping_to {
+        return None;
+    }
+    let text = format!(
+        "one encoder count ({}) changes the force of wall {} by up to {} at {} Hz: it will buzz unless friction holds it \
+         (`haptic range` with --wall {},{} simulates that); less damping, a lower cutoff, a slower velocity or more counts help",
+        with_unit(contact.count, "m"),
+        contact.wall,
+        with_unit(contact.step_n, "N"),
+        scene.rate_hz,
+        wall.stiffness,
+        wall.damping
+    );
+    Some(Doubt::new(Key { table: "wall", index: Some(contact.wall), part: "", name: "damping" }, text))
+}
+
+/// A wall is near its limit from this share of the stable stiffness on.
+const NEAR_SHARE: f64 = 0.25;
+
+/// A washout with which less stiffness is stable than without any feed-forward, at the wall's own damping: one whose
+/// corner is not far below what the loop does.
+fn washed_away(subject: &Subject, scene: &Scene<f64>, path: &TorquePath, contact: &Contact) -> Option<Doubt> {
+    let wall = scene.walls.get(contact.wall)?;
+    if wall.feed_forward != FeedForward::Washout || wall.stiffness <= NEAR_SHARE * contact.stable_to {
+        return None;
+    }
+    let prediction = Prediction::in_scene(subject, scene, Some(wall), path)?;
+    let stable_to = |mode| Some(prediction.stiffness_at(&contact.q, &contact.normal, mode, wall.damping).ok()?.0);
+    let without = stable_to(Mode::Off)?;
+    if contact.stable_to >= COSTLY_RATIO * without {
+        return None;
+    }
+    let is_free = |hz| Ok::<_, Infallible>(stable_to(Mode::Washout(hz)).is_some_and(|kp| kp >= COSTLY_RATIO * without));
+    let Ok(free) = lower_corner(wall.washout_hz, is_free);
+    let instead = free.map_or(String::new(), |hz| format!("a corner of {hz} Hz costs nothing; or "));
+    let text = format!(
+        "the washout of wall {}, {} Hz, costs more than it brings: {} is predicted stable with it and {} without the \
+         feed-forward; {instead}set feed_forward = \"off\"",
+        contact.wall,
+        wall.washout_hz,
+        with_unit(contact.stable_to, "N/m"),
+        with_unit(without, "N/m")
+    );
+    Some(Doubt::new(Key { table: "wall", index: Some(contact.wall), part: "", name: "washout_hz" }, text))
+}
+
+/// A ratio with two significant digits.
+fn times(ratio: f64) -> String {
+    if ratio < 10.0 {
+        return format!("{ratio:.1}");
+    }
+    let last = 10.0_f64.powi(ratio.log10() as i32 - 1);
+    format!("{:.0}", (ratio / last).round() * last)
+}
+
+enum Touched {
+    /// At these joint angles, with this normal.
+    At(Vec<f64>, Vec<f64>),
+    /// Nowhere; the nearest distance of a tip outside, m, or none when the tip is always inside.
+    Never(Option<f64>),
+    /// The workspace could not be walked.
+    Unknown,
+}
+
+/// The pose on a surface that is nearest to home.
+fn touched(device: &Device<f64>, surface: &Surface<f64>) -> Touched {
+    let spec = device.mechanism.kind().spec();
+    let per_joint = PER_JOINT[spec.joints - 1];
+    let home = device.home.unwrap_or_default();
+    let far = |q: &[f64]| q.iter().zip(home).map(|(q, home)| (q - home).powi(2)).sum::<f64>();
+    let Ok(found) = on_surface(device, surface, per_joint, 0.0) else { return Touched::Unknown };
+    if let Some(nearest) = found.iter().min_by(|a, b| far(&a.q[..spec.joints]).total_cmp(&far(&b.q[..spec.joints]))) {
+        return Touched::At(nearest.q[..spec.joints].to_vec(), nearest.normal[..spec.task].to_vec());
+    }
+    let Some((low, high)) = distances(device, surface) else { return Touched::Unknown };
+    match (low, high) {
+        (low, _) if low > 0.0 && low.is_finite() => Touched::Never(Some(low)),
+        (_, high) if high < 0.0 && high.is_finite() => Touched::Never(None),
+        _ => Touched::Unknown,
+    }
+}
+
+/// How near a surface the tip comes, negative inside it, and how far off, m; none where the workspace could not be
+/// walked.
+fn distances(device: &Device<f64>, surface: &Surface<f64>) -> Option<(f64, f64)> {
+    let grid = Reachable::of(device, PER_JOINT[device.mechanism.kind().spec().joints - 1], None).ok()?;
+    let distances = grid.indices().filter_map(|index| {
+        let pose = TaskPose::of(&device.mechanism, &grid.angles(index)).ok()?;
+        let tip = SVector::from(padded::<3>(&pose.position));
+        Some(surface.contact::<Libm, 3>(&tip).distance)
+    });
+    Some(distances.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), d| (l.min(d), h.max(d))))
+}
+
+/// A wall that gives a gentle force, or what the motors have, only at a depth beyond all that the tip moves towards and
+/// away from it. One without stiffness is meant to damp.
+fn too_soft(device: &Device<f64>, wall: &Wall<f64>, contact: &Contact) -> Option<Doubt> {
+    let force = contact.force.unwrap_or(f64::INFINITY).min(GENTLE_FORCE.into());
+    let depth = force / wall.stiffness;
+    // Reach is not looked for where any device has it.
+    if !(wall.stiffness > 0.0 && depth > 0.01) {
+        return None;
+    }
+    let (low, high) = distances(device, &wall.surface).filter(|(low, high)| low < high)?;
+    let text = format!(
+        "wall {} is so soft that it pushes with {} only {} deep, and the tip moves {} towards it at most: stiffness is \
+         in N/m, and {} N/mm are {} N/m",
+        contact.wall,
+        with_unit(force, "N"),
+        with_unit(depth, "m"),
+        with_unit(high - low, "m"),
+        digits(wall.stiffness),
+        digits(1e3 * wall.stiffness),
+    );
+    let key = Key { table: "wall", index: Some(contact.wall), part: "", name: "stiffness" };
+    (depth > high - low).then(|| Doubt::new(key, text))
+}
+
+fn out_of_reach(index: usize, surface: &Surface<f64>, nearest: Option<f64>) -> Doubt {
+    let (name, at) = place_of(&surface.spec(), Meaning::Point).unwrap_or(("shape", 0));
+    let far = surface.values().iter().skip(at).take(Meaning::Point.width()).any(|p| p.abs() > 3.0);
+    let metres = if far { ": points are in metres" } else { "" };
+    let text = match nearest {
+        Some(nearest) => {
+            format!("wall {index} is out of reach: the tip comes no nearer than {}{metres}", with_unit(nearest, "m"))
+        }
+        None => format!("the whole workspace is inside wall {index}{metres}; does its normal point out of the solid?"),
+    };
+    Doubt::new(Key { table: "wall", index: Some(index), part: "", name }, text)
+}

@@ -1,0 +1,448 @@
+//! Files to start from: a device file for each mechanism, with every key, what it is, and numbers of a device that exists
+//! only to be replaced; and a scene file for a device.
+
+use crate::analysis::prediction::Subject;
+use crate::plausible::scene::doubts;
+use crate::wall_ahead::wall_ahead;
+use haptic_bridge::model::catalogue::Kind;
+use haptic_bridge::render::scene::{FeedForward, Scene, Surface};
+use haptic_host::device_file::DeviceFile;
+use haptic_host::error::Failure;
+
+/// What a template knows of a mechanism beyond its [`Spec`](haptic_bridge::model::catalogue::Spec).
+struct Example {
+    /// What it is, and where its angles are zero.
+    about: &'static str,
+    gravity: &'static str,
+    /// Lines of `[geometry]`: key, value, comment.
+    geometry: &'static [(&'static str, &'static str, &'static str)],
+    /// Mass (kg), centre of mass (m) and inertia (kg m²) of each link, and what the centre of mass counts from.
+    links: &'static [(f64, f64, f64, &'static str)],
+    /// Inertia of each joint, kg m², and its limits, rad.
+    joints: &'static [(f64, [f64; 2], &'static str)],
+    home: &'static str,
+}
+
+fn example(kind: Kind) -> Example {
+    const ARM: &str = "from the motor towards the elbow";
+    const ROD: &str = "from the elbow towards the tip";
+    match kind {
+        Kind::Paddle => Example {
+            about: "One handle on one pivot. Its task coordinate is the arc, length times angle.",
+            gravity: "[0.0]                  # a paddle carries no weight: balance it, or lay it flat",
+            geometry: &[("length", "0.07", "pivot to handle")],
+            links: &[],
+            joints: &[(8.0e-4, [-0.6, 0.6], "the whole paddle about its pivot, and the rotor times the ratio squared")],
+            home: "[0.0]",
+        },
+        Kind::FiveBar => Example {
+            about: "Two motors side by side, two arms, one tip. Joint 0 is the motor at -base/2 (left), joint 1 the one at\n\
+                    # +base/2; both angles are zero along +x and grow counter-clockwise.",
+            gravity: "[0.0, 0.0]             # x, y; zero for a device that lies flat",
+            geometry: &[
+                ("base", "0.05", "between the motors' axes"),
+                ("proximal", "[0.07, 0.07]", "motor to elbow, arm 0 then arm 1"),
+                ("distal", "[0.09, 0.09]", "elbow to tip"),
+                ("assembly", "1", "1: the tip lies left of the way from C to D (above, seen as drawn); -1: right"),
+            ],
+            links: &[
+                (0.02, 0.03, 1.0e-5, ARM),
+                (0.02, 0.03, 1.0e-5, ARM),
+                (0.012, 0.045, 1.0e-5, ROD),
+                (0.012, 0.045, 1.0e-5, ROD),
+            ],
+            joints: &[(2.0e-6, [1.2, 3.3], "rotor times the ratio squared"), (2.0e-6, [-0.2, 1.9], "")],
+            home: "[2.3, 0.8415926]",
+        },
+        Kind::FiveBarTurret => Example {
+            about: "A five-bar whose plane turns about its own x axis. Joint 0 is the turret, joints 1 and 2 the five-bar's\n\
+                    # motors at -base/2 and +base/2; their angles are zero along +x and grow counter-clockwise.",
+            gravity: "[0.0, 0.0, -9.81]      # x, y, z at joint 0 = 0",
+            geometry: &[
+                ("base", "0.04", "between the motors' axes"),
+                ("proximal", "[0.09, 0.09]", "motor to elbow"),
+                ("distal", "[0.12, 0.12]", "elbow to tip"),
+                ("assembly", "1", "1: the tip lies left of the way from elbow to elbow; -1: right"),
+            ],
+            links: &[
+                (0.04, 0.035, 3.0e-5, ARM),
+                (0.04, 0.035, 3.0e-5, ARM),
+                (0.03, 0.06, 4.0e-5, ROD),
+                (0.03, 0.06, 4.0e-5, ROD),
+            ],
+            joints: &[
+                (4.0e-4, [-0.8, 0.8], "turret: rotor times the ratio squared, and what turns with it beside the links"),
+                (8.0e-5, [1.2, 3.3], "rotor times the ratio squared"),
+                (8.0e-5, [-0.2, 1.9], ""),
+            ],
+            home: "[0.0, 2.2, 0.9415926]",
+        },
+        Kind::Parallelogram => Example {
+            about: "Phantom-like: a turret (joint 0, about the vertical y axis) and an arm in its plane. The angles of\n\
+                    # joints 1 (upper arm) and 2 (forearm) are absolute: both zero along the horizontal +x.",
+            gravity: "[0.0, -9.81, 0.0]      # x, y, z; y is up",
+            geometry: &[
+                ("upper", "0.21", "upper arm: shoulder to elbow"),
+                ("fore", "0.17", "forearm: elbow to tip"),
+                ("crank", "0.03", "drive crank: shoulder to coupler, and elbow to the forearm's rear end"),
+            ],
+            links: &[
+                (0.17, 0.05, 8.0e-4, "from the shoulder towards the elbow"),
+                (0.05, 0.06, 2.0e-4, "from the elbow towards the tip"),
+                (0.06, 0.015, 4.0e-5, "from the shoulder towards the crank's tip; a counterweight counts here"),
+                (0.04, 0.105, 1.4e-4, "from the crank's tip, along the upper arm"),
+            ],
+            joints: &[
+                (2.0e-3, [-0.8, 0.8], "turret: rotor times the ratio squared, and what turns with it beside the links"),
+                (3.0e-4, [0.2, 2.0], "rotor times the ratio squared"),
+                (3.0e-4, [-1.2, 0.8], ""),
+            ],
+            home: "[0.0, 1.2, -0.2]",
+        },
+        Kind::Serial3r => Example {
+            about: "A planar arm of three links, of which the tip needs two. Each angle counts from the link before, joint 0\n\
+                    # from +x; all grow counter-clockwise.",
+            gravity: "[0.0, 0.0]             # x, y; zero for an arm that lies flat",
+            geometry: &[("lengths", "[0.15, 0.12, 0.08]", "of link 1, 2 and 3, joint to joint and joint to tip")],
+            links: &[
+                (0.1, 0.07, 2.0e-4, "from joint 0 towards joint 1"),
+                (0.07, 0.06, 9.0e-5, "from joint 1 towards joint 2"),
+                (0.04, 0.04, 2.5e-5, "from joint 2 towards the tip"),
+            ],
+            joints: &[
+                (5.0e-5, [-1.5, 2.0], "rotor times the ratio squared"),
+                (2.0e-5, [0.3, 2.6], ""),
+                (1.0e-5, [-1.5, 2.0], ""),
+            ],
+            home: "[0.3, 1.2, 0.8]",
+        },
+    }
+}
+
+/// The text of a device file of this mechanism that passes every check and lacks only a person's word for its motors.
+pub fn device_file(kind: Kind, name: &str) -> String {
+    let spec = kind.spec();
+    let example = example(kind);
+    let turret = spec.task == 3;
+    let mut text = format!(
+        "# {about}\n\
+         # Every number here is an example: replace it by your device's. SI units throughout (m, kg, s, N, rad).\n\
+         # docs/devices.md has a drawing and says where each number comes from; `haptic check FILE` says what it describes.\n\n\
+         name = {name:?}\n\
+         mechanism = \"{}\"\n\
+         gravity = {}\n\n\
+         [geometry]                           # m, between axes\n",
+        spec.name,
+        example.gravity,
+        about = example.about,
+    );
+    let mut line = |key: &str, value: String, comment: &str| text.push_str(&line(key, &value, comment));
+    for (key, value, comment) in example.geometry {
+        line(key, (*value).into(), comment);
+    }
+    for (index, ((mass, com, inertia, from), name)) in example.links.iter().zip(spec.links).enumerate() {
+        let first = index == 0;
+        line(&format!("\n[[link]]  # {index}: {name}\nmass"), number(*mass), if first { "kg" } else { "" });
+        line("com", number(*com), &format!("m, centre of mass {from}"));
+        line(
+            "inertia",
+            number(*inertia),
+            if first { "kg m², about the centre of mass, normal to the linkage's plane" } else { "" },
+        );
+        if turret {
+            line(
+                "inertia_axial",
+                number(0.05 * inertia),
+                if first { "kg m², about the link's own axis; default 0" } else { "" },
+            );
+            let across = "kg m², in the plane across the link; default `inertia`";
+            line("inertia_transverse", number(0.97 * inertia), if first { across } else { "" });
+        }
+    }
+    for (index, (inertia, limits, comment)) in example.joints.iter().enumerate() {
+        let first = index == 0;
+        let note = |comment: &'static str| if first { comment } else { "" };
+        line(&format!("\n[[joint]]  # {index}\ninertia"), number(*inertia), &prefixed("kg m²", comment));
+        line("viscous", "3.0e-4".into(), note("N m s/rad, friction that grows with speed; default 0"));
+        line("coulomb", "2.0e-3".into(), note("N m, friction that does not; default 0"));
+        line(
+            "limits",
+            format!("[{:?}, {:?}]", limits[0], limits[1]),
+            note("rad, lowest and highest angle, inside the stops"),
+        );
+        line(
+            "# transmission",
+            "\"rigid\"".into(),
+            note("write this where the motor sits on the joint; else [joint.transmission]"),
+        );
+        line(
+            "\n[joint.encoder]\ncounts_per_turn",
+            "20000".into(),
+            note("lines x 4 x ratio, at the joint; any positive number"),
+        );
+        line("offset", "0.0".into(), note("rad, the angle at count 0; homing overrules it; default 0"));
+        line("inverted", "false".into(), note("true when the counts fall as the angle grows; default false"));
+        line("\n[joint.motor]\ntorque_constant", "0.2".into(), note("N m/A at the joint: motor's x ratio"));
+        line("resistance", "2.0".into(), note("ohm, between the terminals"));
+        line("inductance", "0.001".into(), note("H; default 0: not known, and the current loop is slow"));
+        line("back_emf", "0.2".into(), note("V s/rad at the joint; default torque_constant, the same in SI"));
+        line("max_current", "3.0".into(), note("A, what motor and supply stand continuously"));
+        line(
+            "verified",
+            "false".into(),
+            note("true once you vouch for these numbers: a real board does not arm before"),
+        );
+        if first {
+            line(
+                "\n# [joint.transmission]              # a belt or cable that gives; without this table it is rigid\n# stiffness",
+                "50.0".into(),
+                "N m/rad at the joint, between motor and link",
+            );
+            line("# damping", "0.01".into(), "N m s/rad at the joint; default 0");
+            line(
+                "# motor_inertia",
+                number(0.2 * inertia),
+                "kg m², the part of `inertia` on the motor's side; default all",
+            );
+            line("# encoder_at", "\"motor\"".into(), "or \"joint\": the side that the encoder is on");
+            line(
+                "\n# [joint.friction]                  # dry friction that is more at rest than in motion\n# static",
+                "0.003".into(),
+                "N m, what holds the joint at rest; at least `coulomb`",
+            );
+            line("# stribeck_speed", "0.1".into(), "rad/s, where most of the difference is gone");
+            line(
+                "\n# [joint.cogging]                   # what the motor's magnets do\n# amplitude",
+                "0.001".into(),
+                "N m",
+            );
+            line("# per_turn", "24".into(), "periods in a turn of the joint");
+            line(
+                "\n# [[joint.mode]]                    # a part of the link that swings on it, up to two\n# frequency",
+                "150.0".into(),
+                "Hz, with the joint held still",
+            );
+            line("# damping", "0.01".into(), "of critical damping; default 0");
+            line("# inertia", number(0.05 * inertia), "kg m², the part of the inertia about the joint that swings");
+        }
+    }
+    line("\n[handle]\nmass", "0.02".into(), "kg, a point at the tip; default none");
+    line("\n[home]\nq", example.home.into(), "rad, the pose you hold the device in when you type `haptic home`");
+    text
+}
+
+/// How often gains are halved before a wall is taken as it is.
+const MOST_HALVINGS: usize = 12;
+
+/// The scene with walls so soft that `haptic check` doubts none of them: half of what is stable by itself may be more than
+/// motors and encoders can render, and on a redundant arm a washout may let next to nothing be stable.
+fn undoubted(device: &Subject, scene: Scene<f32>) -> Scene<f32> {
+    for feed_forward in [FeedForward::Washout, FeedForward::Off] {
+        let mut softer = scene.clone();
+        softer.walls.iter_mut().for_each(|wall| wall.feed_forward = feed_forward);
+        for _ in 0..MOST_HALVINGS {
+            if doubts(device, &softer.cast()).0.is_empty() {
+                return softer;
+            }
+            for wall in &mut softer.walls {
+                (wall.stiffness, wall.damping) = (0.5 * wall.stiffness, 0.5 * wall.damping);
+            }
+        }
+    }
+    scene
+}
+
+/// The text of a scene file for a device, with one wall in front of its home pose and every other key as a comment.
+pub fn scene_file(device: &DeviceFile) -> Result<String, Failure> {
+    let scene = undoubted(&Subject::new(&device.description).map_err(Failure::wrong)?, wall_ahead(device)?);
+    let task = device.spec().task;
+    let list = |values: &[f32]| {
+        // Tenths of a millimetre, and no zero with a sign.
+        let tenths = values.iter().take(task).map(|value| (1e4 * f64::from(*value)).round() / 1e4 + 0.0);
+        let values: Vec<String> = tenths.map(|value| format!("{value:?}")).collect();
+        format!("[{}]", values.join(", "))
+    };
+    let axes = ["along the arc", "x, y", "x, y, z"][task - 1];
+    let mut text = format!(
+        "# A scene for {}: a wall in front of its home pose. SI units throughout (m, kg, s, N, rad).\n\
+         # Lines that begin with `# ` and a key show what else there is. `haptic check DEVICE FILE` says what each wall meets,\n\
+         # `haptic tune` finds the stiffest one.\n\n",
+        device.name
+    );
+    let mut line = |key: &str, value: &str, comment: &str| text.push_str(&line(key, value, comment));
+    line("rate_hz", &number(scene.rate_hz.into()), "control steps a second, 200 to 50000");
+    line("cutoff_hz", &number(scene.cutoff_hz.into()), "Hz, of the velocity's low-pass, below half the rate");
+    line("# estimator", "\"butterworth\"", "of the velocity; docs/model.md section 3 lists them");
+    line("# gravity_compensation", "true", "the motors carry the device's weight");
+    line("# hand_speed", "0.5", "m/s, how fast a hand moves here");
+    for wall in &scene.walls {
+        let Surface::Plane(plane) = &wall.surface else { continue };
+        line("\n[[wall]]  # 0; up to eight\nshape", "\"plane\"", "default; docs/model.md section 4 has the round ones");
+        line("point", &list(&plane.point), &format!("m, {axes}: a point of the surface"));
+        line("normal", &list(&plane.normal), &format!("{axes}, out of the solid towards the hand; any length"));
+        line("stiffness", &number(short(wall.stiffness.into())), "N/m; here well within what is predicted stable");
+        line("damping", &number(short(wall.damping.into())), "N s/m; default 0");
+        let law = format!("{:?}", wall.feed_forward.name());
+        line(
+            "feed_forward",
+            &law,
+            "default \"washout\"; \"full\": the paper's, which pushes sideways at rest; \"off\"",
+        );
+        line("# washout_hz", "2.0", "Hz, below which a washed-out feed-forward fades");
+        line("# bilateral", "false", "true: it acts on both sides and may pull");
+    }
+    line("\n# [[spring]]                        # up to four; a pull to a point\n# point", &list(&[0.0; 3]), "m");
+    line("# stiffness", "200.0", "N/m");
+    line("# damping", "1.0", "N s/m; default 0");
+    line("\n# [[field]]                         # drag everywhere\n# damping", "0.5", "N s/m");
+    Ok(text)
+}
+
+/// A line of a file: a key, its value, and what it is.
+fn line(key: &str, value: &str, comment: &str) -> String {
+    // A key may bring the lines before it along.
+    let begins = key.rfind('\n').map_or(0, |newline| newline + 1);
+    let (before, key) = key.split_at(begins);
+    let pair = format!("{key} = {value}");
+    let comment = if comment.is_empty() { String::new() } else { format!("# {comment}") };
+    format!("{before}{}\n", format!("{pair:<36} {comment}").trim_end())
+}
+
+/// To three significant digits, which is all that a prediction means.
+fn short(value: f64) -> f64 {
+    format!("{value:.2e}").parse().unwrap_or(value)
+}
+
+fn prefixed(unit: &str, comment: &str) -> String {
+    if comment.is_empty() { String::new() } else { format!("{unit}: {comment}") }
+}
+
+/// As TOML wants it: a float, in powers of ten where that is shorter.
+fn number(value: f64) -> String {
+    if value.abs() < 1e-2 && value != 0.0 { format!("{value:.3e}") } else { format!("{value:?}") }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Kind, device_file, scene_file};
+    use crate::analysis::prediction::Subject;
+    use crate::plausible::device::doubts;
+    use haptic_host::device_file::DeviceFile;
+    use haptic_host::scene_file::SceneFile;
+
+    #[test]
+    fn every_template_is_sound_plausible_and_lacks_only_a_persons_word() {
+        for kind in Kind::ALL {
+            let text = device_file(*kind, "mine");
+            let file = DeviceFile::parse(&text, "mine.toml").unwrap_or_else(|error| panic!("{error}\n{text}"));
+            assert_eq!(file.description.kind, *kind);
+            // Only its maker knows what lies between motor and link.
+            let [silent] = &doubts(&file.description)[..] else { panic!("{:?}", doubts(&file.description)) };
+            assert!(silent.text.contains("transmission = \"rigid\""), "{}", silent.text);
+            let said = text.replace("# transmission = \"rigid\"", "transmission = \"rigid\"");
+            assert_eq!(doubts(&DeviceFile::parse(&said, "mine.toml").unwrap().description), []);
+            let lacks = file.lacks_for_a_board();
+            assert!(lacks.iter().all(|lack| lack.contains("verified")), "{lacks:?}");
+            assert_eq!(lacks.len(), kind.spec().joints);
+        }
+    }
+
+    #[test]
+    fn every_key_that_a_device_file_knows_is_in_a_template() {
+        let text = device_file(Kind::Parallelogram, "mine");
+        for key in [
+            "name",
+            "mechanism",
+            "gravity",
+            "upper",
+            "fore",
+            "crank",
+            "mass",
+            "com",
+            "inertia",
+            "inertia_axial",
+            "inertia_transverse",
+            "viscous",
+            "coulomb",
+            "limits",
+            "counts_per_turn",
+            "offset",
+            "inverted",
+            "torque_constant",
+            "resistance",
+            "inductance",
+            "back_emf",
+            "max_current",
+            "verified",
+            "q",
+        ] {
+            assert!(text.lines().any(|line| line.starts_with(&format!("{key} = "))), "{key}");
+        }
+        for key in [
+            "stiffness",
+            "damping",
+            "motor_inertia",
+            "encoder_at",
+            "static",
+            "stribeck_speed",
+            "amplitude",
+            "per_turn",
+            "frequency",
+            "inertia",
+        ] {
+            assert!(text.lines().any(|line| line.starts_with(&format!("# {key} = "))), "{key}");
+        }
+    }
+
+    #[test]
+    fn a_scene_is_sound_and_not_doubted_with_all_that_it_offers() {
+        for kind in Kind::ALL {
+            let file = DeviceFile::parse(&device_file(*kind, "mine"), "mine.toml").unwrap();
+            let task = file.spec().task;
+            let text = scene_file(&file).unwrap();
+            let keys = [
+                "[[",
+                "estimator",
+                "gravity",
+                "hand_speed",
+                "washout_hz",
+                "bilateral",
+                "point",
+                "stiffness",
+                "damping",
+            ];
+            let every =
+                keys.iter().fold(text.clone(), |text, key| text.replace(&format!("\n# {key}"), &format!("\n{key}")));
+            assert!(!every.lines().skip(4).any(|line| line.starts_with('#')), "{every}");
+            for text in [&text, &every] {
+                let scene =
+                    SceneFile::parse(text, "scene.toml", task).unwrap_or_else(|error| panic!("{error}\n{text}"));
+                assert!(scene.walls_entered(&file, &file.description.home.unwrap()).is_empty(), "{text}");
+                assert_eq!(
+                    (scene.scene.springs.is_empty(), scene.hand_speed.is_none()),
+                    (text != &every, text != &every)
+                );
+            }
+            let scene = SceneFile::parse(&text, "scene.toml", task).unwrap().scene;
+            let (doubted, contacts) =
+                crate::plausible::scene::doubts(&Subject::new(&file.description).unwrap(), &scene);
+            assert_eq!((doubted.as_slice(), contacts.len()), (&[][..], 1), "{text}");
+        }
+    }
+
+    #[test]
+    fn a_template_is_sound_with_all_that_it_offers() {
+        for kind in Kind::ALL {
+            let keys = ["[joint.", "[[joint.", "stiffness", "damping", "motor_inertia", "encoder_at", "static"];
+            let more = ["stribeck_speed", "amplitude", "per_turn", "frequency", "inertia"];
+            let mut text = device_file(*kind, "mine");
+            for key in keys.into_iter().chain(more) {
+                text = text.replace(&format!("\n# {key}"), &format!("\n{key}"));
+            }
+            let file = DeviceFile::parse(&text, "mine.toml").unwrap_or_else(|error| panic!("{error}\n{text}"));
+            let first = file.description.joints[0];
+            assert!(first.transmission.is_some() && first.friction.is_some() && first.cogging.is_some());
+            assert!(first.modes[0].is_some());
+        }
+    }
+}

@@ -1,0 +1,160 @@
+//! What a person at the tip can meet: the largest force and the energy of motion that limits leave a device.
+
+use crate::analysis::pose::{PoseError, TaskPose};
+use crate::plausible::device::weight;
+use haptic_bridge::model::description::Description;
+use haptic_bridge::model::device::Device;
+use haptic_bridge::model::motor::Motor;
+use nalgebra::DVector;
+
+/// A device at one pose, to ask what its limits leave.
+#[derive(Clone, Debug)]
+pub struct Tip {
+    pose: TaskPose,
+    /// Joint torques that hold the device up there, N m.
+    weight: Vec<f64>,
+}
+
+impl Tip {
+    /// Of a device at a pose (rad), by default its home pose; `None` without one. Errors where the pose is singular.
+    pub fn at_home(description: &Description) -> Option<Result<Self, PoseError>> {
+        let home = description.home.as_ref()?;
+        let joints = description.kind.spec().joints;
+        let pose = TaskPose::at(description, &home[..joints]).and_then(TaskPose::regular);
+        let weight = Device::<f64>::new("", description).map_or(Vec::new(), |device| weight(&device, &home[..joints]));
+        Some(pose.map(|pose| Self { pose, weight }))
+    }
+
+    /// The largest force (N) at the tip that joint torques within ±`torque` (N m) make, whatever their signs.
+    pub fn force(&self, torque: &[f64]) -> f64 {
+        self.worst(torque, |torque| self.pose.inverse.tr_mul(&torque).rows(0, self.pose.task).norm())
+    }
+
+    /// The largest energy (J) of motion with joint speeds within ±`speed` (rad/s).
+    pub fn energy(&self, speed: &[f64]) -> f64 {
+        self.worst(speed, |speed| 0.5 * speed.dot(&(&self.pose.mass * &speed)))
+    }
+
+    /// Torque limits (N m), one a joint, under which no torque makes more than `newtons` at the tip: in proportion to
+    /// what each joint needs for that force in its own direction.
+    pub fn torques_for(&self, newtons: f64) -> Vec<f64> {
+        let jacobian = self.pose.jacobian.rows(0, self.pose.task);
+        let shares: Vec<f64> = jacobian.column_iter().map(|column| column.norm()).collect();
+        let force = self.force(&shares);
+        shares.iter().map(|share| share * newtons / force).collect()
+    }
+
+    /// The same, with what holds the device up on top.
+    pub fn limits_for(&self, newtons: f64) -> Vec<f64> {
+        self.torques_for(newtons).iter().zip(&self.weight).map(|(torque, weight)| torque + weight.abs()).collect()
+    }
+
+    /// The largest `value` over the corners of a box.
+    fn worst(&self, half: &[f64], value: impl Fn(DVector<f64>) -> f64) -> f64 {
+        let joints = self.pose.mass.nrows();
+        let corner = |signs: usize| {
+            DVector::from_fn(joints, |i, _| {
+                let half = half.get(i).copied().unwrap_or(0.0);
+                if signs >> i & 1 == 1 { -half } else { half }
+            })
+        };
+        (0..1 << joints).map(|signs| value(corner(signs))).fold(0.0, f64::max)
+    }
+}
+
+/// Joint speed, rad/s, that the boards' firmware allows until it is told otherwise.
+pub const BOARD_SPEED: f64 = 100.0;
+
+/// The most that each motor itself can give, N m at the joint; 0 without one.
+pub fn motor_torques(description: &Description) -> Vec<f64> {
+    torques_of(description, |motor| motor.max_current)
+}
+
+/// The torque that a current (A) in each motor makes, N m at the joint; 0 without a motor.
+fn torques_of(description: &Description, current: fn(&Motor<f64>) -> f64) -> Vec<f64> {
+    let motors = description.joints.iter().map(|joint| joint.motor);
+    motors.map(|motor| motor.map_or(0.0, |motor| (motor.torque_constant * current(&motor)).abs())).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use haptic_bridge::model::catalogue::MAX_JOINTS;
+    use haptic_host::device_file::DeviceFile;
+
+    /// The devices that ship, with a home pose, by their file's name.
+    fn shipped() -> Vec<(String, DeviceFile, Tip)> {
+        let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../devices");
+        let files = std::fs::read_dir(folder).expect("devices ship").map(|entry| entry.expect("a file").path());
+        let mut paths: Vec<_> = files.filter(|path| path.extension().is_some_and(|ending| ending == "toml")).collect();
+        paths.sort();
+        let devices = paths.into_iter().filter_map(|path| {
+            let file = DeviceFile::load(&path).expect("shipped files are sound");
+            let tip = Tip::at_home(&file.description)?.expect("home is no singular pose");
+            Some((path.file_stem()?.to_string_lossy().into_owned(), file, tip))
+        });
+        devices.collect()
+    }
+
+    #[test]
+    fn the_table_in_the_documentation_is_what_is_computed() {
+        use std::fmt::Write as _;
+        const BEGIN: &str = "<!-- tips: written by host/src/tip.rs -->\n";
+        const END: &str = "<!-- end of tips -->\n";
+        let gentle = f64::from(haptic_bridge::safety::limits::GENTLE_FORCE);
+        let mut table = String::from(
+            "| device | rendered, N | torque limits, N m | any torque within them, N | motors alone, N | an ampere in every motor, N | energy, J |\n\
+             |---|--:|---|--:|--:|--:|--:|\n",
+        );
+        for (name, file, tip) in shipped() {
+            let limits = tip.torques_for(gentle);
+            let listed: Vec<String> = limits.iter().map(|torque| format!("{torque:.3}")).collect();
+            let motors = match motor_torques(&file.description) {
+                motors if motors.iter().any(|torque| *torque > 0.0) => format!("{:.1}", tip.force(&motors)),
+                _ => "no motors in the file".into(),
+            };
+            let most = tip.force(&limits);
+            let energy = tip.energy(&[BOARD_SPEED; MAX_JOINTS]);
+            let limits = listed.join(", ");
+            let ampere = tip.force(&torques_of(&file.description, |_| 1.0));
+            writeln!(table, "| {name} | {gentle} | {limits} | {most:.1} | {motors} | {ampere:.1} | {energy:.2} |")
+                .expect("it fits");
+        }
+        for board in [
+            include_str!("../../../firmware/src/board/odrive_v3.rs"),
+            include_str!("../../../firmware/src/board/h_bridge_f405.rs"),
+        ] {
+            assert!(board.contains(&format!("    speed: [{BOARD_SPEED:.1}; 3],")), "boards start with another speed");
+        }
+        let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/safety.md");
+        let text = std::fs::read_to_string(&path).expect("docs/safety.md is there");
+        let (head, rest) = text.split_once(BEGIN).expect("the table's begin");
+        let (committed, tail) = rest.split_once(END).expect("the table's end");
+        if std::env::var_os("UPDATE_DOCS").is_some() {
+            std::fs::write(&path, format!("{head}{BEGIN}{table}{END}{tail}")).expect("docs/safety.md can be written");
+        } else {
+            assert_eq!(committed, table, "run UPDATE_DOCS=1 cargo test -p haptic --lib tip::");
+        }
+    }
+
+    #[test]
+    fn no_torque_within_the_limits_for_a_force_makes_more_of_it() {
+        let mut tried = 0;
+        for (name, file, tip) in shipped() {
+            let limits = tip.torques_for(5.0);
+            let inverse = &tip.pose.inverse;
+            assert_eq!(limits.len(), file.spec().joints);
+            let mut most = 0.0_f64;
+            // Torques all over the box, not only where the largest is looked for.
+            for nth in 0..1000_u32 {
+                let share = |i: u32| f64::from((nth / 10_u32.pow(i)) % 10) / 4.5 - 1.0;
+                let torque = DVector::from_fn(limits.len(), |i, _| share(i as u32) * limits[i]);
+                let force: f64 = (0..tip.pose.task).map(|i| inverse.column(i).dot(&torque).powi(2)).sum::<f64>();
+                most = most.max(force.sqrt());
+            }
+            assert!((4.999..5.001).contains(&most), "{name}: {most} N");
+            tried += 1;
+        }
+        assert!(tried >= 3, "{tried} devices with a home pose");
+    }
+}

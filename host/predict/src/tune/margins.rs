@@ -1,0 +1,222 @@
+//! How far a device may be from its file, as loops that must be stable as well, and as devices on which a wall must not
+//! ripple more.
+//!
+//! A torque constant that is larger than the file says is a device that is lighter by the same factor, which the
+//! controller does not know; so is a device whose every mass is smaller. An error of its distribution, some links and
+//! rotors too heavy and others too light in the file, changes Weff and spoils the feed-forward, which is computed from
+//! the file's: each of them is taken on the side on which the wall meets less. All margins act together, at both ends:
+//! light and strong, heavy and weak.
+//!
+//! A hand makes a wall calmer where the controller knows nothing of the device's inertia; one that predicts takes the
+//! hand's mass for an error of its model. So the device of the file must be stable in hands, too ([`HANDS`]).
+
+use crate::analysis::flexible::Hand;
+use crate::analysis::plant::Linearised;
+use crate::analysis::pose::PoseError;
+use crate::analysis::sampled::Loop;
+use haptic_bridge::model::admissible::Admissible;
+use haptic_bridge::model::description::Description;
+use haptic_host::error::Failure;
+use serde::Serialize;
+
+/// Hands in which a wall must be stable: two fingers, and a whole hand that holds firmly.
+pub const HANDS: [Hand; 2] =
+    [Hand { mass: 0.05, damping: 3.0, stiffness: 200.0 }, Hand { mass: 0.3, damping: 10.0, stiffness: 1000.0 }];
+
+/// How far the device may be from its file.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Margins {
+    /// Factor by which the motors may be stronger or weaker; 1 for none.
+    pub gain: f64,
+    /// Delay beyond the board's own, s.
+    pub delay_s: f64,
+    /// Share by which the whole device may be lighter or heavier.
+    pub mass: f64,
+    /// Share by which every link and rotor may be, on its own, on the worse side.
+    pub inertia: f64,
+    /// Share by which friction, viscous and dry, may be less or more.
+    pub friction: f64,
+    /// Share by which a count may be coarser or finer.
+    pub counts: f64,
+    /// Whether it must be stable in `HANDS` as well.
+    pub hand: bool,
+}
+
+impl Default for Margins {
+    /// A torque constant from a data sheet (±10 %) that a magnet's warmth changes (another ±10 %), half a carrier
+    /// period, masses that were computed and not weighed, friction that comes and goes with warmth and grease, and a
+    /// cable's radius that was taken for the pulley's.
+    fn default() -> Self {
+        Self { gain: 1.25, delay_s: 25.0e-6, mass: 0.1, inertia: 0.1, friction: 0.25, counts: 0.03, hand: true }
+    }
+}
+
+/// A device, what the controller takes it for, and how much later its torque comes.
+#[derive(Clone, Debug)]
+pub(super) struct Corner {
+    pub device: Linearised,
+    pub believed: Linearised,
+    delay_s: f64,
+}
+
+impl Corner {
+    /// The loop around it. Compensated damping is analysed where nobody holds the device; in a hand it is small beside
+    /// the hand's.
+    pub fn around(&self, around: &Loop) -> Loop {
+        Loop {
+            delay_samples: around.delay_samples + self.delay_s * around.rate_hz,
+            damping_compensation: around.damping_compensation && !self.device.flexible.hand.is_there(),
+            ..around.clone()
+        }
+    }
+}
+
+/// The inertia that a wall meets with torque in proportion to `torque` (m), kg.
+fn met(device: &Linearised, torque: &nalgebra::DVector<f64>) -> f64 {
+    let per_newton = device.mass.clone().cholesky().map(|mass| device.row.dot(&mass.solve(torque)));
+    per_newton.map_or(f64::INFINITY, |per_newton| 1.0 / per_newton)
+}
+
+/// Scales what a description weighs, one part after the other: each link, each rotor, the handle.
+fn scaled(description: &Description, part: usize, factor: f64) -> Description {
+    let spec = description.kind.spec();
+    let mut other = *description;
+    let links = spec.links.len();
+    if part < links {
+        let link = &mut other.links[part];
+        link.mass *= factor;
+        link.inertia *= factor;
+        link.inertia_axial *= factor;
+        link.inertia_transverse *= factor;
+    } else if part < links + spec.joints {
+        let joint = &mut other.joints[part - links];
+        joint.inertia *= factor;
+        if let Some(transmission) = &mut joint.transmission {
+            transmission.motor_inertia *= factor;
+        }
+    } else {
+        other.handle_mass *= factor;
+    }
+    other
+}
+
+/// The description with every link, rotor and the handle off by `share`, each on the side on which a wall along
+/// `normal` meets less (or, `heavier`, more) with a controller that believes the file.
+pub fn vertex(
+    description: &Description,
+    q: &[f64],
+    normal: &[f64],
+    admissible: Admissible,
+    shaped: bool,
+    share: f64,
+    heavier: bool,
+) -> Result<Description, PoseError> {
+    let believed = Linearised::holding(description, q, normal, admissible)?;
+    let torque = if shaped { believed.shaped_torque() } else { believed.row.clone() };
+    let nominal = met(&believed, &torque);
+    let spec = description.kind.spec();
+    let mut found = *description;
+    for part in 0..spec.links.len() + spec.joints + 1 {
+        let more = met(&Linearised::holding(&scaled(description, part, 1.0 + 1e-4), q, normal, admissible)?, &torque);
+        let grows = (more > nominal) == heavier;
+        found = scaled(&found, part, if grows { 1.0 + share } else { 1.0 - share });
+    }
+    Ok(found)
+}
+
+impl Margins {
+    /// None.
+    pub const NONE: Self =
+        Self { gain: 1.0, delay_s: 0.0, mass: 0.0, inertia: 0.0, friction: 0.0, counts: 0.0, hand: false };
+
+    /// Refuses values that are not margins.
+    pub(super) fn check(&self) -> Result<(), Failure> {
+        let share = |share: f64| (0.0..0.9).contains(&share);
+        let fine = (1.0..=10.0).contains(&self.gain) && (0.0..=0.01).contains(&self.delay_s);
+        if fine && [self.mass, self.inertia, self.friction, self.counts].into_iter().all(share) {
+            return Ok(());
+        }
+        Err(Failure::wrong(format!("these are no margins: {self:?}"))
+            .remedy("write a gain from 1 to 10, a delay up to 0.01 s, and errors from 0 to 0.9"))
+    }
+
+    /// The devices on which a wall must not ripple more than it may, each as the board believes it and as it moves: a
+    /// light one that little friction holds behind coarse counts, where most walls ripple most, that of the file, and
+    /// the opposite. The board knows its counts, but neither weight nor friction.
+    pub(super) fn deviations(self, description: &Description) -> Vec<(Description, Description)> {
+        let Self { mass, friction, counts, .. } = self;
+        let off = |sign: f64| {
+            let mut believed = *description;
+            for encoder in believed.joints.iter_mut().filter_map(|joint| joint.encoder.as_mut()) {
+                encoder.counts_per_turn *= 1.0 + sign * counts;
+            }
+            let parts = description.kind.spec().links.len() + description.kind.spec().joints + 1;
+            let mut moving = (0..parts).fold(believed, |moving, part| scaled(&moving, part, 1.0 + sign * mass));
+            for joint in &mut moving.joints {
+                joint.viscous *= 1.0 + sign * friction;
+                joint.coulomb *= 1.0 + sign * friction;
+                if let Some(rest) = joint.friction.as_mut() {
+                    rest.rest *= 1.0 + sign * friction;
+                }
+            }
+            (believed, moving)
+        };
+        let signs: &[f64] = if [mass, friction, counts] == [0.0; 3] { &[0.0] } else { &[-1.0, 0.0, 1.0] };
+        signs.iter().map(|sign| off(*sign)).collect()
+    }
+
+    /// Each margin without the others, by name, beside none and all.
+    pub(super) fn alone(self) -> [(&'static str, Self); 7] {
+        let Self { gain, delay_s, mass, inertia, hand, .. } = self;
+        [
+            ("stability, no margin", Self::NONE),
+            ("gain margin", Self { gain, ..Self::NONE }),
+            ("delay margin", Self { delay_s, ..Self::NONE }),
+            ("mass error", Self { mass, ..Self::NONE }),
+            ("inertia errors", Self { inertia, ..Self::NONE }),
+            ("in a hand", Self { hand, ..Self::NONE }),
+            ("all margins together", self),
+        ]
+    }
+
+    /// The loops that must be stable: light and strong first, heavy and weak after it.
+    pub(super) fn corners(
+        self,
+        description: &Description,
+        q: &[f64],
+        normal: &[f64],
+        admissible: Admissible,
+        shaped: bool,
+    ) -> Result<Vec<Corner>, Failure> {
+        let believed = Linearised::holding(description, q, normal, admissible)?;
+        let corner = |heavier: bool| -> Result<Corner, Failure> {
+            let other = vertex(description, q, normal, admissible, shaped, self.inertia, heavier)?;
+            let mut device = Linearised::holding(&other, q, normal, admissible)?;
+            let gain = if heavier { self.gain } else { 1.0 / self.gain };
+            let mass = if heavier { 1.0 + self.mass } else { 1.0 - self.mass };
+            device.mass *= gain * mass;
+            device.viscous *= gain;
+            for transmission in device.flexible.transmissions.iter_mut().flatten() {
+                transmission.stiffness *= gain;
+                transmission.damping *= gain;
+                transmission.motor_inertia *= gain * mass;
+            }
+            let mut believed = believed.clone();
+            // Damping that is compensated by more than there is drives the device: no margin on that is kept by any
+            // wall.
+            believed.viscous.clone_from(&device.viscous);
+            Ok(Corner { device, believed, delay_s: self.delay_s })
+        };
+        let mut corners = vec![corner(false)?];
+        if (Self { delay_s: 0.0, friction: 0.0, counts: 0.0, hand: false, ..self }) != Self::NONE {
+            corners.push(corner(true)?);
+        }
+        let hands = if self.hand { HANDS.as_slice() } else { &[] };
+        corners.extend(hands.iter().map(|hand| Corner {
+            device: believed.clone().held(*hand),
+            believed: believed.clone(),
+            delay_s: self.delay_s,
+        }));
+        Ok(corners)
+    }
+}

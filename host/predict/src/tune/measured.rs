@@ -1,0 +1,163 @@
+//! Settings tried on the simulated board, with everything switched on: the firmware's own step behind the protocol,
+//! bridges and windings, friction, encoder steps.
+
+use super::{Question, Settings};
+use crate::analysis::contact::Fast;
+use crate::analysis::several::Member;
+use crate::measure::simulated::World;
+use crate::measure::{Law, MeasureError, MeasurementSetup, PreparedBoard, complement};
+use crate::sweep::Sweep;
+use haptic_bridge::board::telemetry::Field;
+use haptic_bridge::model::catalogue::MAX_JOINTS;
+use haptic_bridge::render::scene::{Plane, Scene, Surface, Wall};
+use haptic_host::error::Failure;
+use haptic_host::link::{Board, fields};
+use haptic_host::vectors::padded;
+use haptic_sim::{BoardOptions, Hand, HandSettings, Intent, Options, SharedBoard, Waypoint, ready_board};
+use serde::Serialize;
+use std::time::Duration;
+
+/// How deep the hand aims (m), which its arm of 250 N/m makes 3 N, how far it slides (m), and when: how long it is
+/// waited for and watched, s.
+const DEPTH: f64 = 0.012;
+const SLIDE: f64 = 0.02;
+const SETTLE: f64 = 1.5;
+const WATCH: f64 = 1.0;
+/// A hand that is pushed back with less than this on average is not held, N.
+const HELD: f64 = 1.0;
+/// The measurement's own limits, N m and m: as `haptic measure-range` has them.
+const TORQUE: f64 = 1.0;
+const PULL: f64 = 0.5e-3;
+/// How fast the tip is held between trials, Hz: softly, whatever the encoders.
+const HOLD_HZ: f64 = 40.0;
+
+/// The measurements of the board.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Measured {
+    /// Largest stiffness that came to rest at this damping when the tip was pulled aside and let go, N/m.
+    pub stiffness: f64,
+    /// Why it may be more, where no end could be seen.
+    pub open: Option<String>,
+    /// Root mean square of what the force has above 20 Hz under a hand that presses with about 3 N and slides, at the
+    /// stiffness of the settings, N; none where the hand is not held.
+    pub ripple_n: Option<f64>,
+}
+
+/// Raises the stiffness on a simulated board until the wall oscillates, and presses the wall of the settings.
+pub fn measure(question: &Question<'_>, settings: &Settings, sweep: &Sweep) -> Result<Measured, Failure> {
+    let found = boundary(question, settings, &|| sweep.go_on().is_err());
+    sweep.go_on()?;
+    let (stiffness, open) = match found {
+        Ok(stiffness) => (stiffness, None),
+        Err(MeasureError::Open { stable, why }) => (stable, Some(why.to_string())),
+        Err(error) if error.is_local() => (0.0, Some(error.to_string())),
+        Err(error) => return Err(Failure::impossible(error)),
+    };
+    Ok(Measured { stiffness, open, ripple_n: ripple(question, settings, sweep)? })
+}
+
+fn boundary(question: &Question<'_>, settings: &Settings, stop: &dyn Fn() -> bool) -> Result<f64, MeasureError> {
+    let world = World { q: Some(padded(&question.q)), ..World::default() };
+    let shared =
+        world.board(question.file, settings.rate_hz).map_err(|error| MeasureError::Scene(error.to_string()))?;
+    let mut board = Board::over(shared.wire(), "sim")?;
+    let setup = MeasurementSetup {
+        walls: vec![Member::new(question.normal.clone(), 1.0)],
+        rate_hz: settings.rate_hz,
+        cutoff_hz: settings.cutoff_hz,
+        washout_hz: settings.washout_hz,
+        law: Law {
+            estimator: settings.kind,
+            damping_compensation: settings.damping_compensation,
+            admissible: question.admissible,
+            hold_hz: HOLD_HZ,
+        },
+        torque_limit: TORQUE,
+        largest_pull: PULL,
+    };
+    let mut prepared = PreparedBoard::new(&mut board, question.file, setup, stop)?;
+    let found = prepared.boundary(settings.feed_forward, settings.damping, 0, None)?.gain;
+    prepared.finish()?;
+    Ok(found)
+}
+
+/// The scene of one wall with these settings, its surface through `point` (m).
+#[must_use]
+pub fn scene(question: &Question<'_>, settings: &Settings, point: &[f64]) -> Scene<f64> {
+    let wall = Wall {
+        surface: Surface::Plane(Plane { point: padded(point), normal: padded(&question.normal) }),
+        stiffness: settings.stiffness,
+        damping: settings.damping,
+        feed_forward: settings.feed_forward,
+        washout_hz: settings.washout_hz,
+        damping_compensation: settings.damping_compensation,
+        bilateral: false,
+    };
+    Scene {
+        task: question.normal.len() as u8,
+        rate_hz: settings.rate_hz,
+        cutoff_hz: settings.cutoff_hz,
+        estimator: settings.kind,
+        admissible: question.admissible,
+        walls: [wall].into_iter().collect(),
+        ..Scene::default()
+    }
+}
+
+/// Ripple of the wall's force on the board, N; none where the hand is not held.
+pub fn ripple(question: &Question<'_>, settings: &Settings, sweep: &Sweep) -> Result<Option<f64>, Failure> {
+    let device = Options { start: Some(padded(&question.q)), ..Options::default() };
+    let mut simulated = ready_board(question.file, BoardOptions { device, ..BoardOptions::default() })
+        .map_err(|error| Failure::wrong(format!("{}: {error}", question.file.path.display())))?;
+    let tip = simulated.device().tip();
+    let task = question.normal.len();
+    // A board does not arm inside a wall: the surface is a little beyond the tip, and the hand goes there.
+    let point: Vec<f64> = (0..task).map(|i| tip[i] - 2e-4 * question.normal[i]).collect();
+    let normal = nalgebra::DVector::from_column_slice(&question.normal);
+    let across = complement(&normal).first().map_or([0.0; MAX_JOINTS], |across| padded(across.as_slice()));
+    let n: [f64; MAX_JOINTS] = padded(&question.normal);
+    let aim = |depth: f64, along: f64| core::array::from_fn(|i| tip[i] - depth * n[i] + along * across[i]);
+    let intent = Intent::Follow(vec![
+        Waypoint { time: 0.0, value: tip },
+        Waypoint { time: 0.7, value: tip },
+        Waypoint { time: 1.0, value: aim(DEPTH, 0.0) },
+        Waypoint { time: SETTLE, value: aim(DEPTH, 0.0) },
+        Waypoint { time: SETTLE + WATCH, value: aim(DEPTH, SLIDE) },
+    ]);
+    simulated.device_mut().set_hand(Hand::new(HandSettings::default(), intent, tip, 0.0));
+    let shared = SharedBoard::new(simulated);
+    let mut board = Board::over(shared.wire(), "sim")?;
+    board.set_scene(&scene(question, settings, &point).cast())?;
+    board.keep_alive();
+    board.arm()?;
+    let wanted = fields("force").map_err(Failure::impossible)?;
+    let divider = (settings.rate_hz / 10_000.0).ceil().max(1.0) as u32;
+    let begun = board.now();
+    let settled = begun + Duration::from_secs_f64(SETTLE);
+    while board.now() < settled {
+        sweep.go_on()?;
+        board.rows(Duration::from_millis(20))?;
+    }
+    board.start_stream(wanted, divider)?;
+    let mut forces = Vec::new();
+    let end = board.now() + Duration::from_secs_f64(WATCH);
+    while board.now() < end {
+        sweep.go_on()?;
+        for row in board.rows(Duration::from_millis(20))? {
+            forces.extend(row.get(Field::WallForce));
+        }
+    }
+    board.stop_stream()?;
+    let faulted = board.status()?.fault.is_some();
+    board.disarm()?;
+    if forces.is_empty() || faulted {
+        return Ok(None);
+    }
+    let row_hz = settings.rate_hz / f64::from(divider);
+    // The trend needs a tenth of a second to be one.
+    let from = (0.1 * row_hz) as usize;
+    let mean = forces.iter().sum::<f64>() / forces.len() as f64;
+    let mut fast = Fast::new(row_hz);
+    let square = forces.iter().map(|force| fast.of(*force).powi(2)).skip(from).sum::<f64>();
+    Ok((mean > HELD && forces.len() > from).then(|| (square / (forces.len() - from) as f64).sqrt()))
+}

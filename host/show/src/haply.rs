@@ -1,0 +1,288 @@
+//! A board as a device of Haply's: the JSON over WebSocket that programs speak with Haply's inverse service
+//! (`haptic serve --haply`, docs/haply.md).
+//!
+//! Lock-step, as the service does it: the first frame tells everything, and then each message of the program is
+//! answered with one frame of how the device is.
+//!
+//! The frame is Haply's: x to the operator's right, y away from the operator, z up, the origin at the device's base.
+
+mod inverse3;
+mod wish;
+
+pub use inverse3::Inverse3;
+pub use wish::{Basis, Wish};
+
+use haptic_host::link::{BoardError, nothing_yet};
+use haptic_host::places::{Place, Places};
+use serde_json::{Value, json};
+use std::io::{self, Write};
+use std::net::{IpAddr, SocketAddr, TcpListener, TcpStream};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread;
+use std::time::Duration;
+use tungstenite::handshake::server::{Request, create_response, write_response};
+use tungstenite::protocol::{Role, WebSocketConfig};
+use tungstenite::{Message, WebSocket};
+
+/// Where programs look for the service.
+pub const USUAL_PORT: u16 = 10_001;
+
+/// Longest message of a program, bytes.
+const MESSAGE: usize = 256 * 1024;
+/// Connections at once that have not yet said what they want.
+const HANDSHAKES: usize = 32;
+/// How long a connection is listened to before it is looked whether to stop.
+const LISTEN: Duration = Duration::from_millis(20);
+/// How long an answer may be left unread.
+const SEND: Duration = Duration::from_secs(2);
+/// A port at which programs find a board.
+pub struct HaplyListener {
+    listener: TcpListener,
+    /// What a page in a browser shows to be let in.
+    token: String,
+}
+
+impl HaplyListener {
+    /// Listens at a port of this computer; nobody else is let in.
+    pub fn open(port: u16) -> io::Result<Self> {
+        let listener = TcpListener::bind(SocketAddr::from(([127, 0, 0, 1], port)))?;
+        listener.set_nonblocking(true)?;
+        Ok(Self { listener, token: crate::view::door::token()? })
+    }
+
+    /// Where programs find it.
+    pub fn url(&self) -> io::Result<String> {
+        Ok(format!("ws://localhost:{}", self.listener.local_addr()?.port()))
+    }
+
+    /// Where a page in a browser on this computer finds it. Whatever else listens on this computer could send its pages
+    /// here, so they show a token, drawn anew each time.
+    pub fn url_for_pages(&self) -> io::Result<String> {
+        Ok(format!("{}/?token={}", self.url()?, self.token))
+    }
+
+    /// Serves a device until `stop`, or until its board is gone, which is the error. One program at a time uses the
+    /// device; anybody on this computer may ask what it is.
+    pub fn serve(&self, device: Inverse3, stop: &AtomicBool) -> Result<(), BoardError> {
+        let shared = Arc::new(Shared {
+            device: Mutex::new(device),
+            lost: Mutex::new(None),
+            taken: AtomicBool::new(false),
+            over: AtomicBool::new(false),
+            token: self.token.clone(),
+        });
+        let handshakes = Places::new(HANDSHAKES, HANDSHAKES);
+        let mut threads = Vec::new();
+        let ended = loop {
+            if let Some(lost) = shared.lost.lock().unwrap_or_else(PoisonError::into_inner).take() {
+                break Err(lost);
+            }
+            if stop.load(Ordering::Relaxed) {
+                break Ok(());
+            }
+            match self.listener.accept() {
+                Ok((stream, _)) => {
+                    let Some(place) = handshakes.enter(&stream) else { continue };
+                    let shared = Arc::clone(&shared);
+                    threads.push(thread::spawn(move || {
+                        // A connection that fails is its program's business.
+                        let _ = greet(stream, place, &shared);
+                    }));
+                }
+                Err(_) => thread::sleep(LISTEN / 4),
+            }
+            threads.retain(|thread| !thread.is_finished());
+        };
+        shared.over.store(true, Ordering::Relaxed);
+        for thread in threads {
+            let _ = thread.join();
+        }
+        shared.device().let_go();
+        ended
+    }
+}
+
+/// What the connections share.
+struct Shared {
+    device: Mutex<Inverse3>,
+    lost: Mutex<Option<BoardError>>,
+    /// A program uses the device.
+    taken: AtomicBool,
+    over: AtomicBool,
+    token: String,
+}
+
+impl Shared {
+    fn device(&self) -> MutexGuard<'_, Inverse3> {
+        self.device.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// How the device is after `work`; none where its board is gone, which ends the server.
+    fn frame(&self, full: bool, work: impl FnOnce(&mut Inverse3) -> Result<(), BoardError>) -> Option<Value> {
+        let mut device = self.device();
+        match work(&mut device) {
+            Ok(()) => Some(device.frame(full)),
+            Err(lost) => {
+                *self.lost.lock().unwrap_or_else(PoisonError::into_inner) = Some(lost);
+                None
+            }
+        }
+    }
+}
+
+/// The device is a program's from its handshake until this is dropped, however the two end; the motors are off then.
+struct Used<'s>(&'s Shared);
+
+impl<'s> Used<'s> {
+    fn take(shared: &'s Shared) -> Option<Self> {
+        let free = !shared.taken.swap(true, Ordering::SeqCst);
+        free.then(|| {
+            shared.device().begin();
+            Self(shared)
+        })
+    }
+}
+
+impl Drop for Used<'_> {
+    fn drop(&mut self) {
+        self.0.device().let_go();
+        self.0.taken.store(false, Ordering::SeqCst);
+    }
+}
+
+fn greet(mut stream: TcpStream, place: Place, shared: &Shared) -> tungstenite::Result<()> {
+    stream.set_nonblocking(false)?;
+    stream.set_nodelay(true)?;
+    stream.set_write_timeout(Some(SEND))?;
+    let Some(request) = crate::view::door::head(&mut stream) else {
+        return answer(&mut stream, "400 Bad Request", &json!({"ok": false, "error": "not a request of this service"}));
+    };
+    if !from_here(&request, &shared.token) {
+        let error = "only for programs on this computer; a page needs the token that `haptic serve` printed";
+        return answer(&mut stream, "403 Forbidden", &json!({"ok": false, "error": error}));
+    }
+    drop(place);
+    if let Ok(response) = create_response(&request) {
+        let Some(_used) = Used::take(shared) else {
+            let taken = json!({"ok": false, "error": "another program uses the device"});
+            return answer(&mut stream, "503 Service Unavailable", &taken);
+        };
+        write_response(&mut stream, &response)?;
+        return converse(stream, shared);
+    }
+    match request.uri().path() {
+        "/devices" => {
+            let Some(frame) = shared.frame(true, Inverse3::glance) else {
+                let gone = json!({"ok": false, "error": "the board is gone"});
+                return answer(&mut stream, "503 Service Unavailable", &gone);
+            };
+            answer(&mut stream, "200 OK", &frame)
+        }
+        "/version" => {
+            let version = concat!("haptic-bridge ", env!("CARGO_PKG_VERSION"));
+            answer(&mut stream, "200 OK", &json!({"version": version, "service_version": version}))
+        }
+        _ => answer(&mut stream, "404 Not Found", &json!({"ok": false, "error": "not served by haptic-bridge"})),
+    }
+}
+
+/// Whether a request names this computer and comes from a program, which names no origin or this very port, or from a
+/// page of this computer that shows the token. Any page that some program serves on this computer is one of it.
+fn from_here(request: &Request, token: &str) -> bool {
+    let header = |name: &str| request.headers().get(name).and_then(|value| value.to_str().ok());
+    let local = |authority: &str| {
+        let name = authority.rsplit_once(':').map_or(authority, |(name, _)| name);
+        name == "localhost" || name.trim_matches(['[', ']']).parse().is_ok_and(|ip: IpAddr| ip.is_loopback())
+    };
+    let host = header("host").unwrap_or_default();
+    let shown = crate::view::door::shown_token(request) == Some(token);
+    let may = |origin: &str| origin == host || shown && local(origin);
+    let origin = header("origin").is_none_or(|origin| origin.strip_prefix("http://").is_some_and(may));
+    local(host) && origin
+}
+
+fn answer(stream: &mut TcpStream, status: &str, document: &Value) -> tungstenite::Result<()> {
+    let text = document.to_string();
+    write!(
+        stream,
+        "HTTP/1.1 {status}\r\nContent-Type: application/json\r\nContent-Length: {}\r\nConnection: close\r\n\r\n{text}",
+        text.len()
+    )?;
+    Ok(())
+}
+
+fn converse(stream: TcpStream, shared: &Shared) -> tungstenite::Result<()> {
+    stream.set_read_timeout(Some(LISTEN))?;
+    let config = WebSocketConfig::default().max_message_size(Some(MESSAGE)).max_frame_size(Some(MESSAGE));
+    let mut socket = WebSocket::from_raw_socket(stream, Role::Server, Some(config));
+    let mut next = Some(Wish { full: true, ..Wish::default() });
+    while !shared.over.load(Ordering::Relaxed) {
+        if let Some(wish) = next.take() {
+            let Some(frame) = shared.frame(wish.full, |device| device.obey(&wish)) else { return Ok(()) };
+            socket.send(Message::text(frame.to_string()))?;
+        }
+        match socket.read() {
+            // Python's orjson makes bytes, which become binary frames; the service answers either with text.
+            Ok(message @ (Message::Text(_) | Message::Binary(_))) => {
+                let mut device = shared.device();
+                next = Some(Wish::parse(&message.into_data(), device.id()).unwrap_or_else(|error| {
+                    device.tell(format!("a message that makes no sense: {error}"));
+                    Wish::default()
+                }));
+            }
+            Ok(Message::Close(_)) => return Ok(()),
+            Ok(_) => {}
+            Err(tungstenite::Error::Io(error)) if nothing_yet(&error) => {}
+            Err(error) => return Err(error),
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use haptic_host::link::{PortSpec, Session};
+    use tungstenite::handshake::machine::TryParse;
+
+    #[test]
+    fn a_handshake_that_fails_leaves_the_device_to_the_next_program() {
+        let session = Session::of(haptic_sim::open(&PortSpec::Sim(None)).unwrap());
+        let shared = Shared {
+            device: Mutex::new(Inverse3::new(session, None, true).unwrap()),
+            lost: Mutex::new(None),
+            taken: AtomicBool::new(false),
+            over: AtomicBool::new(false),
+            token: "abc".into(),
+        };
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let mut program = TcpStream::connect(listener.local_addr().unwrap()).unwrap();
+        let head = "GET / HTTP/1.1\r\nHost: localhost\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n\
+                    Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n";
+        program.write_all(head.as_bytes()).unwrap();
+        let (stream, _) = listener.accept().unwrap();
+        // What a program that resets its connection leaves: nothing can be written to it.
+        stream.shutdown(std::net::Shutdown::Write).unwrap();
+        let place = Places::new(1, 1).enter(&stream).unwrap();
+        assert!(greet(stream, place, &shared).is_err());
+        assert!(!shared.taken.load(Ordering::SeqCst));
+    }
+
+    #[test]
+    fn a_page_shows_the_token_wherever_on_this_computer_it_comes_from_and_a_program_does_not() {
+        let let_in = |query: &str, origin: &str| {
+            let origin = if origin.is_empty() { String::new() } else { format!("Origin: {origin}\r\n") };
+            let head = format!("GET /{query} HTTP/1.1\r\nHost: localhost:10001\r\n{origin}\r\n");
+            from_here(&Request::try_parse(head.as_bytes()).unwrap().unwrap().1, "abc")
+        };
+        // Some libraries name the port that they connect to; no page is served there.
+        assert!(let_in("", "") && let_in("", "http://localhost:10001"));
+        for page in ["http://localhost:3000", "http://localhost", "http://127.0.0.1:10001", "http://[::1]:80"] {
+            assert!(let_in("?token=abc", page) && !let_in("", page) && !let_in("?token=abd", page), "{page}");
+        }
+        for elsewhere in ["http://evil.example", "null", "https://localhost:3000", "file://"] {
+            assert!(!let_in("?token=abc", elsewhere) && !let_in("", elsewhere), "{elsewhere}");
+        }
+    }
+}

@@ -1,0 +1,113 @@
+//! Pictures for papers and bench notes: SVG by hand, PNG from the same SVG.
+//!
+//! - [`canvas`]: an SVG document and its few shapes
+//! - [`axes`]: a framed coordinate system with round ticks, curves, dots with error bars, and a legend
+//! - [`colour`]: the palette, and a colour scale that reads the same in print
+//! - [`coupling`]: a device moved along a normal, and its coupling over all directions (the paper's Fig. 1)
+//! - [`device`]: a device at home, with its joints
+//! - [`linkage`]: a device's links and joints
+//! - [`map`]: inertia over the workspace (the paper's Fig. 1)
+//! - [`paddle`]: what a map is to a device with one joint
+//! - [`range`]: the stable domain of a device (the paper's Fig. 3)
+//! - [`signals`]: a recording over time, over penetration, as a spectrum, as a phase portrait
+//! - [`speed`]: what each way of computing the control step costs, over its error
+//! - [`why`]: what each effect takes from it
+//!
+//! PNG is rendered by resvg with the DejaVu fonts compiled in, so a picture looks the same on every machine.
+
+pub mod axes;
+pub mod canvas;
+pub mod colour;
+pub mod coupling;
+pub mod device;
+pub mod linkage;
+pub mod map;
+pub mod paddle;
+pub mod range;
+pub mod signals;
+pub mod speed;
+pub mod why;
+
+use std::path::Path;
+
+use haptic_host::error::Failure;
+use haptic_host::output::{self, Overwrite};
+use thiserror::Error;
+
+/// Pixels of a PNG per unit of its SVG.
+#[cfg(feature = "png")]
+const PNG_SCALE: f32 = 2.0;
+/// The same where the SVG has a size on paper, whose units are 96 to the inch: 600 pixels to the inch.
+#[cfg(feature = "png")]
+const PRINTED_SCALE: f32 = 600.0 / 96.0;
+
+/// Why a picture could not be written.
+#[derive(Debug, Error)]
+pub enum PictureError {
+    /// The file could not be written.
+    #[error(transparent)]
+    File(#[from] Failure),
+    /// The drawing could not be turned into pixels.
+    #[error("the picture could not be drawn: {0}")]
+    Drawing(String),
+}
+
+impl From<PictureError> for Failure {
+    fn from(error: PictureError) -> Self {
+        match error {
+            PictureError::File(failure) => failure,
+            PictureError::Drawing(_) => Self::impossible(error),
+        }
+    }
+}
+
+/// A finished drawing.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Picture {
+    svg: String,
+    /// It has a size on paper, which says how many pixels it takes.
+    #[cfg_attr(not(feature = "png"), allow(dead_code, reason = "pixels are PNG's"))]
+    printed: bool,
+}
+
+impl Picture {
+    /// The SVG document.
+    pub fn svg(&self) -> &str {
+        &self.svg
+    }
+
+    /// Writes it as SVG, in the place of what is there: whether it may be is asked before the work is done
+    /// ([`output::check`]).
+    pub fn save_svg(&self, path: &Path) -> Result<(), PictureError> {
+        Ok(output::write(path, self.svg.as_bytes(), Overwrite::Replace)?)
+    }
+
+    #[cfg(feature = "png")]
+    /// Writes it as PNG, two pixels per unit, or 600 to the inch of one with a size on paper; as [`Picture::save_svg`].
+    pub fn save_png(&self, path: &Path) -> Result<(), PictureError> {
+        Ok(output::write(path, &self.png()?, Overwrite::Replace)?)
+    }
+
+    #[cfg(feature = "png")]
+    /// The PNG's bytes.
+    pub fn png(&self) -> Result<Vec<u8>, PictureError> {
+        use resvg::{tiny_skia, usvg};
+        let drawing = |reason: String| PictureError::Drawing(reason);
+        let mut fonts = usvg::fontdb::Database::new();
+        fonts.load_font_data(dejavu::sans::regular().to_vec());
+        fonts.load_font_data(dejavu::sans::bold().to_vec());
+        fonts.load_font_data(dejavu::sans::oblique().to_vec());
+        let options = usvg::Options {
+            fontdb: std::sync::Arc::new(fonts),
+            font_family: canvas::FONT.into(),
+            ..usvg::Options::default()
+        };
+        let tree = usvg::Tree::from_str(&self.svg, &options).map_err(|e| drawing(e.to_string()))?;
+        let scale = if self.printed { PRINTED_SCALE } else { PNG_SCALE };
+        let size = tree.size().to_int_size().scale_by(scale).ok_or_else(|| drawing("it has no size".into()))?;
+        let mut pixels =
+            tiny_skia::Pixmap::new(size.width(), size.height()).ok_or_else(|| drawing("it is too large".into()))?;
+        resvg::render(&tree, tiny_skia::Transform::from_scale(scale, scale), &mut pixels.as_mut());
+        pixels.encode_png().map_err(|e| drawing(e.to_string()))
+    }
+}

@@ -1,0 +1,245 @@
+//! The paper's Fig. 1 for any device and pose: the linkage with its motion along a normal, and how much the inertia
+//! couples in every direction, with the axes of the tip's inertia.
+//!
+//! In the plane the directions make a curve, in space a surface. With as many joints as task directions the coupling
+//! vanishes along the axes and is largest between the first and the last of them.
+
+use super::axes::{Axis, Mark, PlotArea};
+use super::canvas::{Anchor, Canvas, Stroke};
+use super::colour::{BOUND, FAINT, FULL, INK, OFF, WASHOUT, scale};
+use super::{Picture, linkage};
+use haptic_bridge::model::admissible::Admissible;
+use haptic_bridge::model::description::Description;
+use haptic_host::vectors::padded_to;
+use haptic_predict::analysis::map::{MapPoint, along, at_holding};
+use haptic_predict::analysis::plant::Linearised;
+use haptic_predict::analysis::pose::{PoseError, TaskPose, unit_normal};
+use haptic_predict::skeleton::{Point, Skeleton, skeleton};
+use nalgebra::{DVector, Vector3};
+
+/// Side of each drawing, pixels.
+const SIDE: f64 = 380.0;
+/// How far the drawn motion takes the tip, as a share of the drawing.
+const MOTION: f64 = 0.1;
+/// Directions around a half turn, and around a whole one, of a surface.
+const AROUND: (usize, usize) = (24, 48);
+/// From where a surface is seen: turned about its vertical and then tilted, rad.
+const SEEN: (f64, f64) = (-0.6, 0.45);
+
+/// The linkage where the motion takes it.
+const GHOST: Stroke<'static> = Stroke { colour: FAINT, width: 1.2, dash: "4 3" };
+
+/// Draws a device at `q` (rad) with its motion along `normal`; `None` where its linkage does not close or the pose is
+/// singular.
+pub fn draw(
+    description: &Description,
+    name: &str,
+    q: &[f64],
+    normal: &[f64],
+    admissible: Admissible,
+) -> Result<Option<Picture>, PoseError> {
+    let spec = description.kind.spec();
+    let Some(here) = skeleton(description, q) else { return Ok(None) };
+    let pose = TaskPose::at(description, q)?.regular()?.holding(admissible);
+    let n = unit_normal(normal, spec.task, spec.joints)?;
+    let Some(point) = at_holding(description, q, &n, admissible)? else { return Ok(None) };
+    let device = Linearised::holding(description, q, normal, admissible)?;
+    let mut canvas = Canvas::new(2.0 * SIDE + 190.0, SIDE + 275.0);
+    let title = format!("{name}: motion along n, and coupling over all directions");
+    canvas.text((30.0, 28.0), 15.0, Anchor::Start, false, &title);
+    let list = |values: &[f64]| values.iter().map(|v| format!("{v:.3}")).collect::<Vec<_>>().join(", ");
+    let at = format!("q = ({}) rad, n = ({})", list(q), list(&n.as_slice()[..spec.task]));
+    canvas.text((30.0, 48.0), 12.0, Anchor::Start, false, &at);
+    motion(&mut canvas, description, q, &here, &device);
+    let right = (SIDE + 140.0, 70.0);
+    match spec.task {
+        1 => canvas.text((right.0, 110.0), 12.0, Anchor::Start, false, "One direction: nothing couples."),
+        2 => curve(&mut canvas, right, &pose, &point, &n),
+        _ => surface(&mut canvas, right, &pose, &point, &n),
+    }
+    let bottom = SIDE + 235.0;
+    let lines = [
+        format!(
+            "Along n a wall meets Weff = {:.4} kg without the feed-forward and Wrr = {:.4} kg with it: {:.3} times as much.",
+            point.w_eff,
+            point.w_rr,
+            point.w_rr / point.w_eff
+        ),
+        match spec.task {
+            1 => String::new(),
+            _ => format!(
+                "Most at n = ({}): {:.3} times. Axes of the tip's inertia: {} kg.",
+                list(&point.worst_ratio.normal),
+                point.worst_ratio.value,
+                point.eigenvalues.iter().map(|v| format!("{v:.4}")).collect::<Vec<_>>().join(", ")
+            ),
+        },
+    ];
+    for (i, line) in lines.iter().enumerate() {
+        canvas.text((30.0, bottom + 18.0 * i as f64), 12.0, Anchor::Start, false, line);
+    }
+    Ok(Some(canvas.finish(&title, "The linkage moved along the normal, and the coupling Wrr - Weff by direction.")))
+}
+
+/// Tip of the linkage after a small joint motion, per unit of it.
+fn direction(description: &Description, q: &[f64], here: &Skeleton, motion: &DVector<f64>) -> Option<Point> {
+    let size = 1e-5 / motion.amax().max(1e-12);
+    let moved: Vec<f64> = q.iter().zip(motion.iter()).map(|(q, m)| q + size * m).collect();
+    let there = skeleton(description, &moved)?;
+    Some(((there.tip.0 - here.tip.0) / size, (there.tip.1 - here.tip.1) / size))
+}
+
+/// The device, and where a push along n moves it: with the feed-forward, and by itself.
+fn motion(canvas: &mut Canvas, description: &Description, q: &[f64], here: &Skeleton, device: &Linearised) {
+    let points = here.bars.iter().flat_map(|bar| [bar.from, bar.to]).chain(here.base.iter().copied());
+    let (low, high) = super::linkage::bounds(points);
+    let middle = ((low.0 + high.0) / 2.0, (low.1 + high.1) / 2.0);
+    let half = 0.68 * (high.0 - low.0).max(high.1 - low.1);
+    let axis =
+        |name: &str, middle: f64| Axis { name: name.into(), unit: "m".into(), low: middle - half, high: middle + half };
+    let frame = PlotArea { at: (75.0, 70.0), size: (SIDE, SIDE), x: axis("x", middle.0), y: axis("y", middle.1) };
+    // Joint motion per metre of the tip along n: held, and free, which is what Jᵀ pushes.
+    let held = device.unit_motion.clone();
+    let free = device.mass.clone().cholesky().map(|mass| mass.solve(&device.row));
+    let free = free.and_then(|push| Some(push * device.w_eff()?)).unwrap_or_else(|| held.clone());
+    let far = 2.0 * half * MOTION;
+    frame.clipped(canvas, |canvas| {
+        for share in [-1.0, 1.0] {
+            let moved: Vec<f64> = q.iter().zip(held.iter()).map(|(q, m)| q + share * far * m).collect();
+            let Some(ghost) = skeleton(description, &moved) else { continue };
+            for bar in &ghost.bars {
+                let ends = [bar.from, bar.to].map(|p| frame.pixel(p.0, p.1));
+                canvas.polyline(&ends, GHOST);
+            }
+        }
+        linkage::outline(canvas, &frame, here);
+        for (motion, colour) in [(&free, OFF), (&held, FULL)] {
+            let Some(along) = direction(description, q, here, motion) else { continue };
+            let end = (here.tip.0 + 2.0 * far * along.0, here.tip.1 + 2.0 * far * along.1);
+            arrow(canvas, frame.pixel(here.tip.0, here.tip.1), frame.pixel(end.0, end.1), colour);
+        }
+    });
+    frame.draw(canvas, "");
+    let entries = [
+        (Mark::Line(Stroke::solid(FULL, 2.0)), "along n, with the feed-forward".to_string()),
+        (Mark::Line(Stroke::solid(OFF, 2.0)), "what a push along n does without".to_string()),
+        (Mark::Line(GHOST), "the linkage moved that way and back, with it".to_string()),
+    ];
+    PlotArea::legend(canvas, 75.0 + SIDE, SIDE + 122.0, &entries);
+}
+
+fn arrow(canvas: &mut Canvas, from: Point, to: Point, colour: &str) {
+    canvas.line(from, to, Stroke::solid(colour, 2.0));
+    let (x, y) = (to.0 - from.0, to.1 - from.1);
+    let length = x.hypot(y).max(1e-9);
+    let (x, y) = (x / length, y / length);
+    let side = |turn: f64| (to.0 - 9.0 * x + turn * 4.0 * y, to.1 - 9.0 * y - turn * 4.0 * x);
+    canvas.polygon(&[to, side(1.0), side(-1.0)], colour, 1.0);
+}
+
+/// Weff, Wrr and their difference around a turn.
+fn curve(canvas: &mut Canvas, at: Point, pose: &TaskPose, point: &MapPoint, n: &DVector<f64>) {
+    let joints = pose.jacobian.nrows();
+    let around: Vec<(f64, f64, f64)> = (0..=180)
+        .filter_map(|i| {
+            let angle = std::f64::consts::TAU * f64::from(i) / 180.0;
+            let mut direction = DVector::zeros(joints);
+            (direction[0], direction[1]) = (angle.cos(), angle.sin());
+            along(pose, &direction).map(|(w_eff, w_rr)| (angle, w_eff, w_rr))
+        })
+        .collect();
+    let largest = around.iter().map(|(_, _, w_rr)| *w_rr).fold(0.0, f64::max) * 1.12;
+    let axis = |name: &str| Axis { name: name.into(), unit: "kg".into(), low: -largest, high: largest };
+    let frame = PlotArea { at, size: (SIDE, SIDE), x: axis("along x"), y: axis("along y") };
+    let polar = |value: fn(&(f64, f64, f64)) -> f64| -> Vec<(f64, f64)> {
+        around.iter().map(|all| (value(all) * all.0.cos(), value(all) * all.0.sin())).collect()
+    };
+    frame.clipped(canvas, |canvas| {
+        let (pixel, length) = (|v: &[f64]| frame.pixel(v[0], v[1]), 0.98 * largest);
+        axes_of(canvas, &pixel, point, length);
+        names_of_axes(canvas, &pixel, point, length);
+        let coupling = polar(|(_, w_eff, w_rr)| (w_rr - w_eff).max(0.0));
+        let area: Vec<Point> = coupling.iter().map(|p| frame.pixel(p.0, p.1)).collect();
+        canvas.polygon(&area, WASHOUT, 0.35);
+        frame.curve(canvas, &coupling, Stroke::solid(WASHOUT, 1.6));
+        frame.curve(canvas, &polar(|all| all.1), Stroke::solid(OFF, 1.8));
+        frame.curve(canvas, &polar(|all| all.2), Stroke::solid(FULL, 1.8));
+        arrow(canvas, frame.pixel(0.0, 0.0), frame.pixel(largest * n[0], largest * n[1]), BOUND);
+    });
+    frame.draw(canvas, "");
+    let entries = [
+        (Mark::Line(Stroke::solid(OFF, 1.8)), "Weff".to_string()),
+        (Mark::Line(Stroke::solid(FULL, 1.8)), "Wrr".to_string()),
+        (Mark::Area(WASHOUT), "coupling Wrr - Weff".to_string()),
+        (Mark::Line(Stroke::solid(BOUND, 2.0)), "n".to_string()),
+    ];
+    PlotArea::legend(canvas, at.0 + SIDE, at.1 + SIDE + 52.0, &entries);
+}
+
+/// The axes of the tip's inertia, as lines through the middle.
+fn axes_of(canvas: &mut Canvas, pixel: &dyn Fn(&[f64]) -> Point, point: &MapPoint, length: f64) {
+    for axis in &point.eigenvectors {
+        let ends = [-length, length].map(|reach| pixel(&axis.iter().map(|v| reach * v).collect::<Vec<_>>()));
+        canvas.line(ends[0], ends[1], Stroke { colour: FAINT, width: 1.0, dash: "5 4" });
+    }
+}
+
+/// Their names, beside their ends.
+fn names_of_axes(canvas: &mut Canvas, pixel: &dyn Fn(&[f64]) -> Point, point: &MapPoint, length: f64) {
+    for (k, axis) in point.eigenvectors.iter().enumerate() {
+        let end = pixel(&axis.iter().map(|v| length * v).collect::<Vec<_>>());
+        canvas.coloured_text((end.0 + 3.0, end.1 - 3.0), 12.5, Anchor::Start, INK, &format!("e{}", k + 1));
+    }
+}
+
+/// The coupling as a surface over all directions of space: its distance from the middle.
+fn surface(canvas: &mut Canvas, at: Point, pose: &TaskPose, point: &MapPoint, n: &DVector<f64>) {
+    let joints = pose.jacobian.nrows();
+    let (halves, wholes) = AROUND;
+    let reach = |i: usize, j: usize| -> (Vector3<f64>, f64) {
+        let down = std::f64::consts::PI * i as f64 / halves as f64;
+        let turn = std::f64::consts::TAU * j as f64 / wholes as f64;
+        let direction = Vector3::new(down.sin() * turn.cos(), down.cos(), down.sin() * turn.sin());
+        let padded = padded_to(joints, direction.as_slice());
+        let coupling = along(pose, &padded).map_or(0.0, |(w_eff, w_rr)| (w_rr - w_eff).max(0.0));
+        (direction * coupling, coupling)
+    };
+    let grid: Vec<Vec<(Vector3<f64>, f64)>> =
+        (0..=halves).map(|i| (0..=wholes).map(|j| reach(i, j)).collect()).collect();
+    let most = grid.iter().flatten().map(|(_, coupling)| *coupling).fold(1e-12, f64::max);
+    let ((turn_sine, turn_cosine), (tilt_sine, tilt_cosine)) = (SEEN.0.sin_cos(), SEEN.1.sin_cos());
+    // To the right, up, and towards the reader.
+    let seen = |v: &Vector3<f64>| {
+        let (x, z) = (turn_cosine * v.x + turn_sine * v.z, turn_cosine * v.z - turn_sine * v.x);
+        Vector3::new(x, tilt_cosine * v.y - tilt_sine * z, tilt_sine * v.y + tilt_cosine * z)
+    };
+    let middle = (at.0 + SIDE / 2.0, at.1 + SIDE / 2.0);
+    let pixels = 0.42 * SIDE / most;
+    let pixel = |v: &Vector3<f64>| {
+        let v = seen(v);
+        (middle.0 + pixels * v.x, middle.1 - pixels * v.y)
+    };
+    let end = |v: &[f64]| pixel(&Vector3::new(v[0], v[1], v[2]));
+    axes_of(canvas, &end, point, 1.12 * most);
+    let mut tiles = Vec::new();
+    for i in 0..halves {
+        for j in 0..wholes {
+            let corners = [&grid[i][j], &grid[i + 1][j], &grid[i + 1][j + 1], &grid[i][j + 1]];
+            let depth: f64 = corners.iter().map(|(v, _)| seen(v).z).sum();
+            let coupling = corners.iter().map(|(_, coupling)| coupling).sum::<f64>() / 4.0;
+            tiles.push((depth, corners.map(|(v, _)| pixel(v)), coupling / most));
+        }
+    }
+    // Painted from the back.
+    tiles.sort_by(|a, b| a.0.total_cmp(&b.0));
+    for (_, corners, share) in &tiles {
+        canvas.polygon(corners, &scale(*share), 0.92);
+        canvas.polyline(&[corners[0], corners[1], corners[2]], Stroke::solid("white", 0.3));
+    }
+    // The surface may hide where an axis ends, and not what it is called.
+    names_of_axes(canvas, &end, point, 1.12 * most);
+    let n = Vector3::new(n[0], n[1], n[2]);
+    arrow(canvas, pixel(&Vector3::zeros()), pixel(&(n * (1.1 * most))), BOUND);
+    let label = format!("coupling Wrr - Weff, up to {most:.4} kg; n in purple");
+    canvas.text((middle.0, at.1 + SIDE + 20.0), 12.0, Anchor::Middle, false, &label);
+}

@@ -1,0 +1,396 @@
+//! The drawing of a device: its linkage at home, where each joint's angle is zero and which way it grows, how far the
+//! tip reaches. What a mirrored assembly or swapped motors would look wrong in.
+
+use haptic_bridge::model::admissible::Admissible;
+use haptic_bridge::model::catalogue::Kind;
+use haptic_bridge::model::description::Description;
+
+use super::axes::{Axis, PlotArea, passes};
+use super::canvas::{Anchor, Canvas, Stroke};
+use super::colour::{FAINT, FULL, INK, OFF, WASHOUT};
+use super::linkage::bounds;
+use super::{Picture, linkage};
+use haptic_predict::analysis::cut::{Cut, Fineness};
+use haptic_predict::analysis::pose::PoseError;
+use haptic_predict::skeleton::{Angle, Point, Skeleton, Turret, skeleton};
+
+/// Longest side of the plane, pixels: of a linkage by itself, and of a reach that no limits keep near it.
+const SIDE: f64 = 460.0;
+const WIDE: f64 = 760.0;
+/// Ground of the workspace.
+const REACH: &str = "#e6edf5";
+/// Links.
+const LINK: &str = "#b9bec6";
+/// Half of a link's width, pixels.
+const HALF_LINK: f64 = 4.5;
+/// Largest radius of an angle's arc, pixels.
+const ARC: f64 = 46.0;
+
+/// Draws a device at joint angles `q` (rad); `None` where its linkage does not close. `lines` are written below it.
+pub fn draw(description: &Description, name: &str, q: &[f64], lines: &[String]) -> Result<Option<Picture>, PoseError> {
+    let Some(skeleton) = skeleton(description, q) else { return Ok(None) };
+    let spec = description.kind.spec();
+    let reach = reach(description)?;
+    let bars = skeleton.bars.iter().flat_map(|bar| [bar.from, bar.to]);
+    let limited = description.joints[..spec.joints].iter().all(|joint| joint.limits.is_some());
+    let (low, high) = bounds(bars.chain(reach.iter().flatten().copied()));
+    // Room for arcs and labels, which a linkage drawn by itself needs most.
+    let (room, side) = match (reach.is_empty(), limited) {
+        (true, _) => (0.22, SIDE),
+        (false, true) => (0.08, SIDE),
+        (false, false) => (0.02, WIDE),
+    };
+    let room = room * (high.0 - low.0).max(high.1 - low.1);
+    let (low, high) = ((low.0 - room, low.1 - room), (high.0 + room, high.1 + room));
+    let pixels = side / (high.0 - low.0).max(high.1 - low.1);
+    let frame = PlotArea {
+        at: (86.0, 62.0),
+        size: ((high.0 - low.0) * pixels, (high.1 - low.1) * pixels),
+        x: Axis { name: "x".into(), unit: "m".into(), low: low.0, high: high.0 },
+        y: Axis { name: "y".into(), unit: "m".into(), low: low.1, high: high.1 },
+    };
+    let notes: Vec<String> = notes(description).into_iter().chain(lines.iter().cloned()).collect();
+    let bottom = frame.at.1 + frame.size.1 + 68.0;
+    let mut canvas = Canvas::new((frame.at.0 + frame.size.0 + 30.0).max(640.0), bottom + 17.0 * notes.len() as f64);
+    frame.clipped(&mut canvas, |canvas| {
+        let tiles: Vec<Vec<Point>> =
+            reach.iter().map(|tile| tile.iter().map(|&(x, y)| frame.pixel(x, y)).collect()).collect();
+        canvas.tiles(&tiles, REACH);
+        turret_axis(canvas, &frame, description.kind);
+        let mut taken: Vec<Area> = skeleton.angles.iter().map(|angle| label(&frame, angle, &skeleton).area()).collect();
+        taken.extend(turret_label(&frame, description.kind));
+        let tip = frame.pixel(skeleton.tip.0, skeleton.tip.1);
+        taken.push([tip.0 - 18.0, tip.1 - 24.0, tip.0 + 18.0, tip.1 + 6.0]);
+        links(canvas, &frame, &skeleton, taken);
+        for (angle, colour) in skeleton.angles.iter().zip([OFF, FULL, WASHOUT]) {
+            arc(canvas, &frame, angle, pixels, description, colour, &skeleton);
+        }
+        for base in &skeleton.base {
+            linkage::base_pivot(canvas, frame.pixel(base.0, base.1));
+        }
+        linkage::tip(canvas, tip);
+        let name = if skeleton.letters.is_empty() { "tip" } else { "tip P" };
+        canvas.text((tip.0, tip.1 - 12.0), 12.5, Anchor::Middle, false, name);
+    });
+    frame.draw(&mut canvas, "");
+    let title = if name == spec.name { name.to_string() } else { format!("{name}: a {}", spec.name) };
+    canvas.text((frame.at.0, 28.0), 15.0, Anchor::Start, false, &title);
+    let what =
+        if description.home.is_some_and(|home| home[..spec.joints] == *q) { "at home" } else { "at the pose given" };
+    let ground = if reach.is_empty() { "" } else { "; pale ground: where the tip gets, clear of singular poses" };
+    canvas.text((frame.at.0, 47.0), 12.0, Anchor::Start, false, &format!("{what}{ground}"));
+    for (i, line) in notes.iter().enumerate() {
+        canvas.text((40.0, bottom + 17.0 * i as f64), 12.0, Anchor::Start, false, line);
+    }
+    Ok(Some(canvas.finish(&title, "The linkage, its joints with their zero angles and directions, and its reach.")))
+}
+
+/// Where the tip can be, as outlines; nothing for a paddle, whose reach is a line.
+fn reach(description: &Description) -> Result<Vec<Vec<Point>>, PoseError> {
+    let spec = description.kind.spec();
+    if spec.joints == 1 {
+        return Ok(Vec::new());
+    }
+    let cut = Cut::new(description, &[1.0, 0.0, 0.0][..spec.task], Admissible::default())?;
+    let coarse = Fineness { side: f64::INFINITY, least: f64::INFINITY, step: f64::INFINITY, top: 1.0 };
+    Ok(cut.tiles(coarse).into_iter().map(|tile| tile.outline).collect())
+}
+
+/// What the drawing of a mechanism cannot say by itself.
+fn notes(description: &Description) -> Vec<String> {
+    let side = if description.geometry[5] < 0.0 { "right" } else { "left" };
+    let assembly =
+        format!("assembly = {}: the tip P lies to the {side} of the way from C to D", description.geometry[5]);
+    let beside_axis = "no ground beside joint 0's axis: joint 0 does not move a tip that is on it, a singular pose";
+    let limited = description.joints[..description.kind.spec().joints].iter().any(|joint| joint.limits.is_some());
+    let dotted = if limited { "; dotted arcs: limits" } else { "" };
+    let angles = format!("angles count from the dashed line (zero) and grow counter-clockwise{dotted}");
+    match description.kind {
+        Kind::Paddle => vec![angles, "the task coordinate is length × angle, along the arc".into()],
+        Kind::FiveBar => vec![angles, assembly],
+        Kind::FiveBarTurret => vec![
+            angles,
+            assembly,
+            "joint 0 turns this plane about the x axis: (X, Y, Z) = (x, y cos q0, y sin q0)".into(),
+            beside_axis.into(),
+        ],
+        Kind::Parallelogram => vec![
+            angles,
+            "joints 1 and 2 both count from the horizontal".into(),
+            "joint 2 turns the crank; its angle is the forearm's".into(),
+            "joint 0 turns this plane about the y axis: (X, Y, Z) = (x cos q0, y, -x sin q0)".into(),
+            beside_axis.into(),
+        ],
+        Kind::Serial3r => vec![
+            angles,
+            "each joint counts from the link before".into(),
+            "the ground is that of the last link's direction at home".into(),
+        ],
+    }
+}
+
+/// A rectangle of the drawing: its left, top, right and bottom, pixels.
+type Area = [f64; 4];
+
+fn overlap(a: &Area, b: &Area) -> bool {
+    a[0] < b[2] && b[0] < a[2] && a[1] < b[3] && b[1] < a[3]
+}
+
+/// The links, with labels where nothing is `taken` yet.
+fn links(canvas: &mut Canvas, frame: &PlotArea, skeleton: &Skeleton, mut taken: Vec<Area>) {
+    for bar in &skeleton.bars {
+        let ends = [bar.from, bar.to].map(|p| frame.pixel(p.0, p.1));
+        canvas.polyline(&ends, Stroke::solid(INK, 2.0 * HALF_LINK));
+        canvas.polyline(&ends, Stroke::solid(LINK, 2.0 * HALF_LINK - 2.0));
+    }
+    let middles = skeleton.bars.iter().map(|bar| ((bar.from.0 + bar.to.0) / 2.0, (bar.from.1 + bar.to.1) / 2.0));
+    let sum = middles.fold((0.0, 0.0), |sum, p| (sum.0 + p.0, sum.1 + p.1));
+    let count = skeleton.bars.len() as f64;
+    let centre = frame.pixel(sum.0 / count, sum.1 / count);
+    for bar in &skeleton.bars {
+        let (from, to) = (frame.pixel(bar.from.0, bar.from.1), frame.pixel(bar.to.0, bar.to.1));
+        for end in [from, to] {
+            canvas.circle(end, 3.4, "white", Stroke::solid(INK, 1.4));
+        }
+        // Along the link, on the side that looks away from the rest.
+        let (dx, dy) = (to.0 - from.0, to.1 - from.1);
+        let (mut slope, length) = (dy.atan2(dx).to_degrees(), dx.hypot(dy).max(1e-9));
+        if !(-90.0..=90.0).contains(&slope) {
+            slope -= 180.0 * slope.signum();
+        }
+        let middle = ((from.0 + to.0) / 2.0, (from.1 + to.1) / 2.0);
+        let (nx, ny) = (dy / length, -dx / length);
+        let outward = if (middle.0 - centre.0) * nx + (middle.1 - centre.1) * ny < 0.0 { -1.0 } else { 1.0 };
+        let text = format!("{}, {} mm", bar.name, (bar.length * 1e5).round() / 100.0);
+        // Off the arcs at the base; a label longer than its link begins where the link does.
+        let past = (3.1 * text.chars().count() as f64 + 6.0 - length / 2.0).max(0.06 * length);
+        let half = (3.1 * text.chars().count() as f64, 6.0);
+        let (sin, cos) = slope.to_radians().sin_cos();
+        let (wide, tall) = ((half.0 * cos).abs() + (half.1 * sin).abs(), (half.0 * sin).abs() + (half.1 * cos).abs());
+        let place = |past: f64, side: f64| {
+            let (nx, ny) = (side * nx, side * ny);
+            // The baseline lies below the letters.
+            let away = if ny > 0.0 { 18.0 } else { 9.0 };
+            let at = (middle.0 + past * dx / length + away * nx, middle.1 + past * dy / length + away * ny);
+            let [left, top] = [frame.at.0 + 2.0, frame.at.1 + 2.0];
+            let [right, bottom] = [left + frame.size.0 - 4.0, top + frame.size.1 - 4.0];
+            (
+                at.0.clamp((left + wide).min(right - wide), right - wide),
+                at.1.clamp((top + tall).min(bottom - tall), bottom - tall),
+            )
+        };
+        let area = |at: (f64, f64)| [at.0 - wide, at.1 - tall, at.0 + wide, at.1 + tall];
+        // The first place that is free: outside, inside, towards the other end of the link; and of those without other
+        // labels one that no other link crosses, where there is one.
+        let places = [(past, outward), (past, -outward), (-past, outward), (-past, -outward)].map(|(p, s)| place(p, s));
+        let labelled = |at: (f64, f64)| taken.iter().any(|other| overlap(&area(at), other));
+        let crossed = |at: (f64, f64)| {
+            // Seen along the label: its letters stand on its baseline.
+            let along = |p: Point| {
+                let p = frame.pixel(p.0, p.1);
+                let (x, y) = (p.0 - at.0, p.1 - at.1);
+                (x * cos + y * sin, y * cos - x * sin)
+            };
+            let others = skeleton.bars.iter().filter(|other| *other != bar);
+            let mut lines = others.map(|other| [other.from, other.to].map(along));
+            lines.any(|line| passes(&line, (-half.0, -9.0 - HALF_LINK), (half.0, 3.0 + HALF_LINK)))
+        };
+        let free = places.iter().find(|at| !labelled(**at) && !crossed(**at));
+        let at = *free.or_else(|| places.iter().find(|at| !labelled(**at))).unwrap_or(&places[0]);
+        taken.push(area(at));
+        canvas.slanted_text(at, slope, &text);
+    }
+    for (letter, at) in &skeleton.letters {
+        let (x, y) = frame.pixel(at.0, at.1);
+        let (dx, dy) = (x - centre.0, y - centre.1);
+        let away = 17.0 / dx.hypot(dy).max(1e-9);
+        let outside = (x + away * dx, y + away * dy + 4.0);
+        // A pivot's stands below it, or where a label is there beside it.
+        let places = if skeleton.base.contains(at) { [(x, y + 19.0), (x + 12.0, y - 7.0)] } else { [outside; 2] };
+        let area = |(x, y): Point| [x - 5.0, y - 10.0, x + 5.0, y + 1.0];
+        let free = places.iter().find(|at| !taken.iter().any(|other| overlap(&area(**at), other)));
+        canvas.text(*free.unwrap_or(&places[0]), 12.5, Anchor::Middle, false, letter);
+    }
+}
+
+/// A joint's angle: its zero, its arc with an arrow, its limits.
+fn arc(
+    canvas: &mut Canvas,
+    frame: &PlotArea,
+    angle: &Angle,
+    pixels: f64,
+    description: &Description,
+    colour: &str,
+    skeleton: &Skeleton,
+) {
+    let centre = frame.pixel(angle.at.0, angle.at.1);
+    let apart = match skeleton.base.as_slice() {
+        [a, b] if a != b => 0.46 * pixels * (a.0 - b.0).hypot(a.1 - b.1),
+        _ => ARC,
+    };
+    let radius = (0.42 * pixels * angle.arm).min(ARC).min(apart.max(24.0));
+    let on = |radius: f64, direction: f64| (centre.0 + radius * direction.cos(), centre.1 - radius * direction.sin());
+    canvas.line(centre, on(radius + 16.0, angle.zero), Stroke { colour, width: 1.2, dash: "4 3" });
+    let drawn =
+        angle.angle.rem_euclid(std::f64::consts::TAU) - if angle.angle < 0.0 { std::f64::consts::TAU } else { 0.0 };
+    let steps = 40;
+    let along = |from: f64, to: f64, radius: f64| -> Vec<(f64, f64)> {
+        (0..=steps).map(|i| on(radius, angle.zero + from + (to - from) * f64::from(i) / f64::from(steps))).collect()
+    };
+    canvas.polyline(&along(0.0, drawn, radius), Stroke::solid(colour, 1.8));
+    if drawn.abs() > 0.05 {
+        // The head lies on the arc's tangent at its end.
+        let end = on(radius, angle.zero + drawn);
+        let head = (0.6 * radius * drawn.abs()).min(9.0);
+        let back = drawn - drawn.signum() * head / radius;
+        for side in [-0.45 * head, 0.45 * head] {
+            canvas.line(end, on(radius + side, angle.zero + back), Stroke::solid(colour, 1.8));
+        }
+    }
+    if let Some((low, high)) = description.joints[angle.joint].limits
+        && high - low < std::f64::consts::TAU
+    {
+        canvas.polyline(&along(low, high, radius + 7.0), Stroke { colour, width: 1.2, dash: "1.5 2.5" });
+    }
+    let label = label(frame, angle, skeleton);
+    let [left, top, right, bottom] = label.area();
+    canvas.rectangle((left, top), (right - left, bottom - top), "#ffffffdd", Stroke::solid(FAINT, 0.0));
+    canvas.coloured_text(label.at, 12.0, label.anchor, colour, &label.text);
+}
+
+/// What stands beside a joint.
+struct Label {
+    text: String,
+    at: (f64, f64),
+    anchor: Anchor,
+}
+
+impl Label {
+    /// Where it covers the drawing.
+    fn area(&self) -> Area {
+        let width = 6.1 * self.text.chars().count() as f64;
+        let start = if self.anchor == Anchor::End { self.at.0 - width } else { self.at.0 };
+        [start - 3.0, self.at.1 - 11.0, start + width + 3.0, self.at.1 + 4.0]
+    }
+}
+
+fn label(frame: &PlotArea, angle: &Angle, skeleton: &Skeleton) -> Label {
+    let centre = frame.pixel(angle.at.0, angle.at.1);
+    let text = format!("joint {}: {:.1}°", angle.joint, angle.angle.to_degrees());
+    // Below the pivot, where links of usual poses are not, or where they are above it; two base pivots keep apart.
+    let left = skeleton.base.first().is_some_and(|first| skeleton.base.len() > 1 && *first == angle.at);
+    let right = skeleton.base.len() > 1 && !left;
+    let (shift, anchor) = if left {
+        (-2.0, Anchor::End)
+    } else if right {
+        (2.0, Anchor::Start)
+    } else {
+        (8.0, Anchor::Start)
+    };
+    let below = if skeleton.base.contains(&angle.at) { 38.0 } else { 22.0 };
+    let right = frame.at.0 + frame.size.0;
+    let at = |shift: f64, below: f64, anchor: Anchor| {
+        let mut label = Label { text: text.clone(), at: (centre.0 + shift, centre.1 + below), anchor };
+        label.at.0 -= (label.area()[2] - right).max(0.0);
+        label
+    };
+    let crossed = |label: &Label| {
+        let [left, top, right, bottom] = label.area();
+        let mut links = skeleton.bars.iter().map(|bar| [bar.from, bar.to].map(|end| frame.pixel(end.0, end.1)));
+        links.any(|link| passes(&link, (left, top - HALF_LINK), (right, bottom + HALF_LINK)))
+    };
+    let other = if anchor == Anchor::End { Anchor::Start } else { Anchor::End };
+    let places =
+        [at(shift, below, anchor), at(-shift, below, other), at(shift, -26.0, anchor), at(-shift, -26.0, other)];
+    let free = places.iter().position(|label| !crossed(label)).unwrap_or(0);
+    places.into_iter().nth(free).unwrap_or_else(|| at(shift, below, anchor))
+}
+
+/// Where the turret's axis is named.
+fn turret_label(frame: &PlotArea, kind: Kind) -> Option<Area> {
+    const LONG: f64 = 100.0;
+    let origin = frame.pixel(0.0, 0.0);
+    let right = frame.at.0 + frame.size.0 - 8.0;
+    Some(match Turret::of(kind)? {
+        Turret::AboutX => [right - LONG, origin.1 + 3.0, right, origin.1 + 18.0],
+        Turret::AboutY => [origin.0 - 16.0, frame.at.1 + 8.0, origin.0 - 2.0, frame.at.1 + 8.0 + LONG],
+    })
+}
+
+fn turret_axis(canvas: &mut Canvas, frame: &PlotArea, kind: Kind) {
+    let axis = Stroke { colour: INK, width: 1.2, dash: "14 4 3 4" };
+    let (left, top) = frame.at;
+    let (right, bottom) = (left + frame.size.0, top + frame.size.1);
+    let origin = frame.pixel(0.0, 0.0);
+    match Turret::of(kind) {
+        Some(Turret::AboutX) => {
+            canvas.line((left, origin.1), (right, origin.1), axis);
+            canvas.text((right - 8.0, origin.1 + 14.0), 11.5, Anchor::End, false, "axis of joint 0");
+        }
+        Some(Turret::AboutY) => {
+            canvas.line((origin.0, top), (origin.0, bottom), axis);
+            canvas.text((origin.0 - 6.0, top + 8.0), 11.5, Anchor::End, true, "axis of joint 0");
+        }
+        None => {}
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use haptic_host::device_file::DeviceFile;
+
+    /// The number behind `key` in a line of SVG.
+    fn number(line: &str, key: &str) -> f64 {
+        let value = line.split_once(key).unwrap_or_else(|| panic!("{key} in {line}")).1;
+        value.split(['"', ' ', ')']).next().unwrap().parse().unwrap()
+    }
+
+    /// A link's name and a joint's angle lie on no link, where there is room for them.
+    #[test]
+    fn labels_lie_on_no_link() {
+        let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../../devices");
+        let files = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+        let mut seen = 0;
+        for path in files.filter(|path| path.is_file()) {
+            let DeviceFile { name, description, .. } = DeviceFile::load(&path).unwrap();
+            let home = description.home.unwrap();
+            let svg = draw(&description, &name, &home[..description.kind.spec().joints], &[]).unwrap().unwrap();
+            let links: Vec<[Point; 2]> = (svg.svg().lines().filter(|line| line.contains("stroke-width=\"9\"")))
+                .map(|line| {
+                    let points = line.split('"').nth(1).unwrap();
+                    let ends: Vec<f64> = points.split([' ', ',']).map(|number| number.parse().unwrap()).collect();
+                    [(ends[0], ends[1]), (ends[2], ends[3])]
+                })
+                .collect();
+            for line in svg.svg().lines() {
+                let (low, high, turn) = if line.contains("#ffffffdd") {
+                    let (x, y) = (number(line, " x=\""), number(line, " y=\""));
+                    let high = (x + number(line, " width=\""), y + number(line, " height=\""));
+                    ((x, y), high, ((0.0, 0.0), 0.0_f64))
+                } else if line.starts_with("<text transform=\"translate(") {
+                    let at = line.split_once("translate(").unwrap().1.split_once(')').unwrap().0;
+                    let (x, y) = at.split_once(' ').unwrap();
+                    let words = line.split_once('>').unwrap().1.split('<').next().unwrap();
+                    let half = 3.0 * words.chars().count() as f64;
+                    let at = (x.parse().unwrap(), y.parse().unwrap());
+                    ((-half, -8.0), (half, 2.0), (at, number(line, "rotate(").to_radians()))
+                } else {
+                    continue;
+                };
+                seen += 1;
+                let ((x, y), angle) = turn;
+                let (sin, cos) = angle.sin_cos();
+                for link in &links {
+                    let along = link.map(|p| {
+                        let (dx, dy) = (p.0 - x, p.1 - y);
+                        (dx * cos + dy * sin, dy * cos - dx * sin)
+                    });
+                    let apart = HALF_LINK - 0.1;
+                    assert!(!passes(&along, (low.0, low.1 - apart), (high.0, high.1 + apart)), "{name}: {line}");
+                }
+            }
+        }
+        assert!(seen > 40, "{seen}");
+    }
+}

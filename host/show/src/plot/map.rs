@@ -1,0 +1,272 @@
+//! The picture of a map, after the paper's Fig. 1: coupling as colour over the plane of the linkage, with the ellipses
+//! of the operational-space inertia Λ, and the linkage itself at home.
+//!
+//! The colour is the coupling's share of the rendered inertia, (Wrr - Weff)/Wrr: it lies between 0 and 1 everywhere,
+//! where the coupling itself grows without bound towards singularities. The scale ends where 95 % of the area lie
+//! below, so that the rim next to the singularities does not take all colours for itself; what is above has a colour
+//! of its own. Ellipse axes are square roots of Λ's eigenvalues.
+
+use haptic_bridge::model::admissible::Admissible;
+use haptic_bridge::model::description::Description;
+
+use super::axes::{Axis, PlotArea};
+use super::canvas::{Anchor, Canvas, Stroke};
+use super::colour::{ABOVE, FAINT, INK, scale};
+use super::{Picture, linkage, paddle};
+use haptic_host::vectors::unit;
+use haptic_predict::analysis::cut::{Cut, Fineness, Tile};
+use haptic_predict::analysis::map::MapPoint;
+use haptic_predict::analysis::pose::PoseError;
+use haptic_predict::skeleton::{Point, Skeleton, Turret, skeleton};
+
+/// Share of the area that the colour scale covers at least.
+const COVERED: f64 = 0.95;
+/// Colours of the scale: tiles of the same one are one shape, and half a step is below what an eye tells apart.
+const LEVELS: f64 = 50.0;
+/// Longest side of the plane, pixels.
+const SIDE: f64 = 500.0;
+/// Distance of ellipse centres, pixels, and the radius of one of typical size.
+const SPACING: f64 = 56.0;
+const RADIUS: f64 = 0.36 * SPACING;
+
+/// A map as it was drawn: the picture, and what is needed to read numbers off it again.
+#[derive(Clone, Debug)]
+pub struct Chart {
+    /// The picture.
+    pub picture: Picture,
+    /// Where places lie in it.
+    pub frame: PlotArea,
+    /// The share at the top of the colour scale; what is above is [`ABOVE`].
+    pub top: f64,
+}
+
+/// Draws the map of a device for one normal; a redundant device's feed-forward holds `admissible`.
+pub fn draw(
+    description: &Description,
+    name: &str,
+    normal: &[f64],
+    admissible: Admissible,
+) -> Result<Picture, PoseError> {
+    if description.kind.spec().joints == 1 {
+        return paddle::draw(description, name);
+    }
+    chart(description, name, normal, admissible).map(|chart| chart.picture)
+}
+
+/// The colour of a share on a scale that ends at `top`.
+pub fn colour(share: f64, top: f64) -> String {
+    if share > top { ABOVE.into() } else { scale((share / top * LEVELS).round() / LEVELS) }
+}
+
+/// Draws the map of a device with at least two joints.
+pub fn chart(
+    description: &Description,
+    name: &str,
+    normal: &[f64],
+    admissible: Admissible,
+) -> Result<Chart, PoseError> {
+    let cut = Cut::new(description, normal, admissible)?;
+    let spec = description.kind.spec();
+    let home = description.home.and_then(|home| skeleton(description, &home[..spec.joints]));
+    let coarse = cut.tiles(Fineness { side: f64::INFINITY, least: f64::INFINITY, step: f64::INFINITY, top: 1.0 });
+    let (step, top, highest) = scale_of(&coarse);
+
+    let tips = coarse.iter().flat_map(|tile| tile.outline.iter().copied());
+    let (low, high) = linkage::bounds(tips.chain(home.iter().flat_map(corners)));
+    let pixels = SIDE / (high.0 - low.0).max(high.1 - low.1);
+    let mut frame = PlotArea {
+        at: (86.0, 92.0),
+        size: ((high.0 - low.0) * pixels, (high.1 - low.1) * pixels),
+        x: Axis { name: "x".into(), unit: "m".into(), low: low.0, high: high.0 },
+        y: Axis { name: "y".into(), unit: "m".into(), low: low.1, high: high.1 },
+    };
+    if Turret::of(description.kind).is_some() {
+        frame.x.name = "x in the linkage's plane".into();
+        frame.y.name = "y in the linkage's plane".into();
+    }
+    let bottom = frame.at.1 + frame.size.1;
+    let mut canvas = Canvas::new((frame.at.0 + frame.size.0 + 130.0).max(620.0), bottom + 138.0);
+
+    let fine = cut.tiles(Fineness { side: 12.0 / pixels, least: 3.0 / pixels, step: 2.0 * top / LEVELS, top });
+    frame.clipped(&mut canvas, |canvas| paint(canvas, &frame, &fine, top));
+    let typical = ellipses(&mut canvas, &frame, &cut, pixels)?;
+    if let Some(home) = &home {
+        linkage::outline(&mut canvas, &frame, home);
+    }
+    frame.draw(&mut canvas, "");
+
+    let title = format!("{name}: coupling of a wall's normal with free motion");
+    canvas.text((frame.at.0, 28.0), 15.0, Anchor::Start, false, &title);
+    let n = unit(normal).unwrap_or_default().iter().map(|v| format!("{v:.3}")).collect::<Vec<_>>().join(", ");
+    canvas.text((frame.at.0, 48.0), 12.0, Anchor::Start, false, &format!("normal n = ({n})"));
+    let limits =
+        if description.joints[..spec.joints].iter().all(|j| j.limits.is_none()) { "no joint limits" } else { "" };
+    let notes: Vec<&str> = [cut.caption.as_str(), limits].into_iter().filter(|note| !note.is_empty()).collect();
+    canvas.text((frame.at.0, 65.0), 12.0, Anchor::Start, false, &notes.join("; "));
+    arrow(&mut canvas, &frame, cut.seen(normal));
+    colour_bar(&mut canvas, &frame, step, top, highest);
+    key(&mut canvas, bottom + 74.0, typical, home.is_some());
+    let beside = if Turret::of(description.kind).is_some() { " (joint 0's axis is one)" } else { "" };
+    let coloured = [
+        format!("coloured: where the tip gets from home, clear of singular poses{beside}"),
+        "in home's arm pose: others with the tip in the same place are not drawn".into(),
+    ];
+    for (i, line) in coloured.iter().enumerate() {
+        canvas.text((frame.at.0, bottom + 112.0 + 16.0 * i as f64), 11.5, Anchor::Start, false, line);
+    }
+    let picture =
+        canvas.finish(&title, "Coupling between rendered and admissible motion over the reachable workspace.");
+    Ok(Chart { picture, frame, top })
+}
+
+fn corners(skeleton: &Skeleton) -> impl Iterator<Item = Point> + '_ {
+    skeleton.bars.iter().flat_map(|bar| [bar.from, bar.to])
+}
+
+/// Step between ticks and top of the colour scale, and the highest share there is.
+fn scale_of(tiles: &[Tile]) -> (f64, f64, f64) {
+    let mut shares: Vec<(f64, f64)> = tiles.iter().map(|tile| (tile.share, tile.area())).collect();
+    shares.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let whole: f64 = shares.iter().map(|(_, area)| area).sum();
+    let mut below = 0.0;
+    let covering = shares.iter().find(|(_, area)| {
+        below += area;
+        below >= COVERED * whole
+    });
+    let wanted = covering.map_or(0.0, |(share, _)| *share).max(1e-3);
+    let step = round_step(wanted / 5.0);
+    let top = step * (wanted / step - 1e-9).ceil();
+    (step, top, shares.last().map_or(0.0, |(share, _)| *share))
+}
+
+/// The smallest of 1, 2, 5 times a power of ten that is at least `least`.
+fn round_step(least: f64) -> f64 {
+    let power = 10f64.powf(least.log10().floor());
+    [1.0, 2.0, 5.0, 10.0].map(|s| s * power).into_iter().find(|s| *s >= least * (1.0 - 1e-9)).unwrap_or(least)
+}
+
+/// The tiles, those of one colour as one shape.
+fn paint(canvas: &mut Canvas, frame: &PlotArea, tiles: &[Tile], top: f64) {
+    let mut shapes = std::collections::BTreeMap::<String, Vec<Vec<Point>>>::new();
+    for tile in tiles {
+        let outline = tile.outline.iter().map(|&(x, y)| frame.pixel(x, y)).collect();
+        shapes.entry(colour(tile.share, top)).or_default().push(outline);
+    }
+    for (fill, outlines) in shapes {
+        canvas.tiles(&outlines, &fill);
+    }
+}
+
+/// Ellipses on an even lattice, all to one scale; returns the mass (kg) that has [`RADIUS`].
+fn ellipses(canvas: &mut Canvas, frame: &PlotArea, cut: &Cut, pixels: f64) -> Result<Option<f64>, PoseError> {
+    let spacing = SPACING / pixels;
+    let off = |(x, y): Point| {
+        let cell = ((x / spacing).round(), (y / spacing).round());
+        ((cell.0 as i64, cell.1 as i64), (x - cell.0 * spacing).hypot(y - cell.1 * spacing))
+    };
+    let points = cut.points(|place| off(place).1 < 0.3 * spacing)?;
+    let mut sizes: Vec<f64> = points.iter().filter_map(|p| p.eigenvalues.last().copied()).collect();
+    sizes.sort_by(f64::total_cmp);
+    let Some(&typical) = sizes.get(sizes.len() / 2) else { return Ok(None) };
+    let mut chosen = std::collections::BTreeMap::<(i64, i64), (f64, &MapPoint)>::new();
+    // Towards a singularity an ellipse is a needle that hides its neighbours.
+    for point in points.iter().filter(|p| p.eigenvalues.last().is_some_and(|&l| l < 3.0 * typical)) {
+        let (cell, off) = off(cut.seen(&point.position));
+        let best = chosen.entry(cell).or_insert((off, point));
+        if off < best.0 {
+            *best = (off, point);
+        }
+    }
+    for (_, point) in chosen.values() {
+        let centre = cut.seen(&point.position);
+        let outline: Vec<(f64, f64)> = (0..=48)
+            .map(|i| {
+                let (sin, cos) = (f64::from(i) * std::f64::consts::TAU / 48.0).sin_cos();
+                let mut at = frame.pixel(centre.0, centre.1);
+                for (value, vector) in point.eigenvalues.iter().zip(&point.eigenvectors) {
+                    let axis = cut.seen(vector);
+                    let reach = RADIUS * (value / typical).sqrt() * (cos * axis.0 + sin * axis.1);
+                    at = (at.0 + reach * axis.0, at.1 - reach * axis.1);
+                }
+                at
+            })
+            .collect();
+        let inside = |&(x, y): &(f64, f64)| {
+            (frame.at.0..=frame.at.0 + frame.size.0).contains(&x)
+                && (frame.at.1..=frame.at.1 + frame.size.1).contains(&y)
+        };
+        if outline.iter().all(inside) {
+            canvas.polyline(&outline, Stroke::solid("white", 2.4));
+            canvas.polyline(&outline, Stroke::solid(INK, 1.0));
+        }
+    }
+    Ok(Some(typical))
+}
+
+/// The wall's normal as seen in the plane, right of the heading.
+fn arrow(canvas: &mut Canvas, frame: &PlotArea, (nx, ny): Point) {
+    let length = nx.hypot(ny);
+    if length < 1e-9 {
+        return;
+    }
+    let (ux, uy) = (nx / length, -ny / length);
+    let middle = (frame.at.0 + frame.size.0 - 24.0, 56.0);
+    let from = (middle.0 - 16.0 * ux, middle.1 - 16.0 * uy);
+    let to = (middle.0 + 16.0 * ux, middle.1 + 16.0 * uy);
+    canvas.line(from, to, Stroke::solid(INK, 1.8));
+    for side in [-1.0, 1.0] {
+        let back = (to.0 - 8.0 * ux + side * 4.5 * uy, to.1 - 8.0 * uy - side * 4.5 * ux);
+        canvas.line(to, back, Stroke::solid(INK, 1.8));
+    }
+    canvas.text((middle.0 + 12.0 * uy.abs() + 6.0, middle.1 + 14.0 * ux.abs() + 2.0), 13.0, Anchor::Start, false, "n");
+}
+
+fn colour_bar(canvas: &mut Canvas, frame: &PlotArea, step: f64, top: f64, highest: f64) {
+    let left = frame.at.0 + frame.size.0 + 22.0;
+    let above = if highest > top { 26.0 } else { 0.0 };
+    let (start, height) = (frame.at.1 + above, frame.size.1 - above);
+    let steps = 120;
+    for i in 0..steps {
+        let y = start + height * (1.0 - f64::from(i + 1) / f64::from(steps));
+        let fill = scale(f64::from(i) / f64::from(steps - 1));
+        canvas.rectangle((left, y), (16.0, height / f64::from(steps) + 0.6), &fill, Stroke::solid(&fill, 0.0));
+    }
+    canvas.rectangle((left, start), (16.0, height), "none", Stroke::solid(INK, 1.0));
+    let percent = 100.0 * step;
+    let decimals = (-(percent.log10() + 1e-9).floor()).clamp(0.0, 6.0) as usize;
+    let text = |share: f64| format!("{:.decimals$} %", 100.0 * share);
+    if above > 0.0 {
+        canvas.rectangle((left, frame.at.1), (16.0, 18.0), ABOVE, Stroke::solid(INK, 1.0));
+        canvas.text((left + 24.0, frame.at.1 + 13.0), 11.5, Anchor::Start, false, &format!("> {}", text(top)));
+    }
+    let ticks = (top / step).round() as i32;
+    for i in 0..=ticks {
+        let share = f64::from(i) * step;
+        let y = start + height * (1.0 - share / top);
+        canvas.line((left + 16.0, y), (left + 20.0, y), Stroke::solid(INK, 1.0));
+        canvas.text((left + 24.0, y + 4.0), 11.5, Anchor::Start, false, &text(share));
+    }
+    let middle = frame.at.1 + frame.size.1 / 2.0;
+    canvas.text((left + 88.0, middle), 12.5, Anchor::Middle, true, "coupling (Wrr - Weff)/Wrr");
+}
+
+/// What the marks mean: an ellipse of a round mass, and the linkage.
+fn key(canvas: &mut Canvas, y: f64, typical: Option<f64>, home: bool) {
+    let mut x = 86.0;
+    if let Some(typical) = typical {
+        let mass = round_step(typical / 2.5);
+        let radius = RADIUS * (mass / typical).sqrt();
+        canvas.circle((x + RADIUS, y), radius, "none", Stroke::solid(INK, 1.0));
+        let kg = if mass < 1.0 { format!("{} g", (mass * 1e6).round() / 1e3) } else { format!("{mass} kg") };
+        x += 2.0 * RADIUS + 8.0;
+        canvas.text((x, y - 2.0), 11.5, Anchor::Start, false, &format!("circle: {kg} in every direction"));
+        canvas.text((x, y + 13.0), 11.5, Anchor::Start, false, "(ellipse axes ∝ √eigenvalues of Λ)");
+        x += 240.0;
+    }
+    if home {
+        canvas.line((x, y + 3.0), (x + 26.0, y - 5.0), Stroke::solid(FAINT, 1.8));
+        linkage::base_pivot(canvas, (x, y + 3.0));
+        linkage::tip(canvas, (x + 26.0, y - 5.0));
+        canvas.text((x + 38.0, y + 4.0), 11.5, Anchor::Start, false, "base, and tip at home");
+    }
+}

@@ -1,0 +1,210 @@
+//! The picture of a stable domain: stiffness over damping, without and with the feed-forward, with the passivity bounds
+//! and, when there are any, measured dots.
+
+use super::Picture;
+use super::axes::{Axis, Mark, PlotArea};
+use super::canvas::{Anchor, Canvas, Stroke};
+use super::colour::{BOUND, FAINT, FULL, HOST, OFF, WASHOUT};
+use haptic_host::words::with_unit;
+use haptic_predict::analysis::passivity::Passivity;
+use haptic_predict::analysis::range::{Domain, Range};
+
+/// Distance of the lines below the axes, pixels.
+const LINE: f64 = 17.0;
+
+/// A measured point of the boundary.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MeasuredPoint {
+    /// Damping, N s/m.
+    pub kd: f64,
+    /// Median of the measured boundary, N/m.
+    pub kp: f64,
+    /// Lowest repeat, N/m.
+    pub low: f64,
+    /// Highest repeat, N/m.
+    pub high: f64,
+}
+
+/// What goes into the picture.
+#[derive(Clone, Debug)]
+pub struct Contents<'a> {
+    /// Heading, such as the device and the loop.
+    pub title: String,
+    /// Smaller lines under the heading: the pose, the loop.
+    pub subtitle: [String; 2],
+    /// The predicted domain.
+    pub range: &'a Range,
+    /// Bounds drawn beside it.
+    pub passivity: Option<&'a Passivity>,
+    /// Frequency of the feed-forward's washout, Hz.
+    pub washout_hz: Option<f64>,
+    /// Measured dots without feed-forward.
+    pub measured_off: &'a [MeasuredPoint],
+    /// Measured dots with feed-forward.
+    pub measured_full: &'a [MeasuredPoint],
+}
+
+/// Draws it.
+pub fn draw(contents: &Contents<'_>) -> Picture {
+    let range = contents.range;
+    let domains = || [Some(&range.off), Some(&range.full), range.washout.as_ref()].into_iter().flatten();
+    let measured = || contents.measured_off.iter().chain(contents.measured_full);
+    let islands = || domains().flat_map(|d| &d.islands);
+    let ends = domains().map(|d| d.kd_max).chain(measured().map(|m| m.kd));
+    let widest = match ends.fold(0.0_f64, f64::max) {
+        0.0 => islands().map(|i| i.kd).fold(0.0, f64::max),
+        widest => widest,
+    };
+    let tallest = domains()
+        .flat_map(|d| d.boundary.iter().map(|p| p.kp))
+        .chain(measured().map(|m| m.high))
+        .chain(islands().map(|i| i.kp_high))
+        .fold(0.0_f64, f64::max);
+    let above = |value: f64| if value > 0.0 { value * 1.08 } else { 1.0 };
+
+    let frame = PlotArea {
+        at: (86.0, 82.0),
+        size: (610.0, 340.0),
+        x: Axis { name: "wall damping kd".into(), unit: "N s/m".into(), low: 0.0, high: above(widest) },
+        y: Axis { name: "wall stiffness kp".into(), unit: "N/m".into(), low: 0.0, high: above(tallest) },
+    };
+    let bounds = contents.passivity.map(|passivity| bounds(passivity, &frame)).unwrap_or_default();
+    let symbols = contents.passivity.map(|passivity| symbols(passivity, &bounds)).unwrap_or_default();
+    let mut canvas = Canvas::new(720.0, 486.0 + LINE * symbols.len() as f64);
+    let points = |d: &Domain| d.boundary.iter().map(|p| (p.kd, p.kp)).collect::<Vec<_>>();
+    let (off, full) = (points(&range.off), points(&range.full));
+    let mut drawn = vec![off.clone(), full.clone()];
+    let mut entries = Vec::new();
+    frame.clipped(&mut canvas, |canvas| {
+        frame.area_under(canvas, &full, FULL, 0.10);
+        frame.area_under(canvas, &off, OFF, 0.16);
+        for (domain, colour) in [(Some(&range.off), OFF), (Some(&range.full), FULL), (range.washout.as_ref(), WASHOUT)]
+        {
+            for island in domain.map_or(&[][..], |d| &d.islands) {
+                let ends = [(island.kd, island.kp_low), (island.kd, island.kp_high)];
+                frame.curve(canvas, &ends, Stroke { colour, width: 1.0, dash: "2 2" });
+                drawn.push(ends.to_vec());
+            }
+        }
+        let line = |colour, dash| Stroke { colour, width: 2.0, dash };
+        frame.curve(canvas, &full, line(FULL, ""));
+        entries.push((Mark::Line(line(FULL, "")), format!("feed-forward (4), Wrr = {}", mass(range.w_rr))));
+        if let Some(washout) = &range.washout {
+            frame.curve(canvas, &points(washout), line(WASHOUT, "7 3"));
+            drawn.push(points(washout));
+            let washed = match contents.washout_hz {
+                Some(hz) => format!("feed-forward, washout {hz} Hz"),
+                None => "feed-forward with washout".into(),
+            };
+            entries.push((Mark::Line(line(WASHOUT, "7 3")), washed));
+        }
+        frame.curve(canvas, &off, line(OFF, ""));
+        entries.push((Mark::Line(line(OFF, "")), format!("no feed-forward, Weff = {}", mass(range.w_eff))));
+        if let Some(host) = &range.host {
+            frame.area_under(canvas, &points(&host.domain), HOST, 0.5);
+            frame.curve(canvas, &points(&host.domain), line(HOST, ""));
+            drawn.push(points(&host.domain));
+            let late = format!("{:.1}", 1e3 * host.delay_s);
+            let name = format!("rendered by a computer at {:.0} Hz, {late} ms late", host.rate_hz);
+            entries.push((Mark::Line(line(HOST, "")), name));
+        }
+        for bound in bounds.iter().filter(|bound| bound.elsewhere.is_none()) {
+            let stroke = Stroke { colour: BOUND, width: 1.6, dash: bound.dash };
+            frame.curve(canvas, &bound.line, stroke);
+            drawn.push(bound.line.clone());
+            entries.push((Mark::Line(stroke), format!("passive: {}", bound.name)));
+        }
+        for (dots, colour) in [(contents.measured_full, FULL), (contents.measured_off, OFF)] {
+            for dot in dots {
+                frame.dot(canvas, dot.kd, dot.kp, dot.low, dot.high, colour);
+                drawn.push(vec![(dot.kd, dot.low), (dot.kd, dot.high)]);
+            }
+        }
+    });
+    if measured().next().is_some() {
+        entries.push((Mark::Dot(FAINT), "measured: median, all repeats".into()));
+    }
+    frame.draw(&mut canvas, "");
+    canvas.text((frame.at.0, 28.0), 15.0, Anchor::Start, false, &contents.title);
+    for (line, text) in contents.subtitle.iter().enumerate() {
+        canvas.text((frame.at.0, 48.0 + 18.0 * line as f64), 12.0, Anchor::Start, false, text);
+    }
+    for (line, text) in symbols.iter().enumerate() {
+        canvas.text((frame.at.0, 486.0 + LINE * line as f64), 11.5, Anchor::Start, false, text);
+    }
+    frame.clear_legend(&mut canvas, &drawn, &entries);
+    canvas
+        .finish(&contents.title, "Stable stiffness over damping of a virtual wall, without and with the feed-forward.")
+}
+
+/// A bound of passivity, as a line.
+struct Bound {
+    name: &'static str,
+    dash: &'static str,
+    line: Vec<(f64, f64)>,
+    /// Where it lies, in words, if not where it can be seen.
+    elsewhere: Option<String>,
+}
+
+/// The bounds in a frame, and which of them a reader would look for in vain.
+fn bounds(passivity: &Passivity, frame: &PlotArea) -> Vec<Bound> {
+    // Pixels: what is closer to an axis is taken for the axis.
+    const SEEN: f64 = 2.0;
+    /// Pieces of the curve of the first.
+    const PIECES: usize = 40;
+    let (most, end) = (passivity.sampled(0.0), passivity.most_damping());
+    let (right, top) = frame.pixel(end, most);
+    let bottom = frame.at.1 + frame.size.1;
+    let small = right - frame.at.0 < SEEN || bottom - top < SEEN;
+    let at = |i: usize| end * i as f64 / PIECES as f64;
+    let mut bounds = vec![Bound {
+        name: "Colgate and Schenkel, of this loop",
+        dash: "5 3",
+        line: (0..=PIECES).map(|i| (at(i), passivity.sampled(at(i)))).collect(),
+        elsewhere: small.then(|| {
+            format!("ends at {} and {}: not to be seen here", with_unit(most, "N/m"), with_unit(end, "N s/m"))
+        }),
+    }];
+    if let Some(limit) = passivity.quantised() {
+        let (_, y) = frame.pixel(0.0, limit);
+        let hidden = bottom - y < SEEN || y < frame.at.1;
+        bounds.push(Bound {
+            name: "kp ≤ 2 fc/Δ as well, at kd = 0",
+            dash: "1.5 2.5",
+            line: vec![(0.0, limit), (0.04 * frame.x.high, limit)],
+            elsewhere: hidden.then(|| format!("kp ≤ {}: not to be seen here", with_unit(limit, "N/m"))),
+        });
+    }
+    bounds
+}
+
+/// What the legend's symbols stand for, with the values that they have here, and what lies where it cannot be seen.
+fn symbols(passivity: &Passivity, bounds: &[Bound]) -> Vec<String> {
+    let mut lines = vec![
+        "Weff, Wrr: the inertia that the wall meets; passive: no hand makes it oscillate, without feed-forward".into(),
+        format!(
+            "b = {:.3} N s/m: smallest viscous damping along n, of which delay, drive and filter leave kd < {:.3} N s/m",
+            passivity.damping,
+            passivity.most_damping()
+        ),
+    ];
+    if let Some(quantum) = passivity.quantum {
+        let friction = passivity.coulomb;
+        lines.push(format!(
+            "fc = {friction:.3} N: smallest Coulomb friction along n; Δ = {:.3} µm: step of the encoders along n",
+            1e6 * quantum
+        ));
+    }
+    let hidden = bounds.iter().filter_map(|bound| Some((bound.name, bound.elsewhere.as_ref()?)));
+    lines.extend(hidden.map(|(name, elsewhere)| format!("passive, {name}: {elsewhere}")));
+    lines
+}
+
+/// A mass with three to four significant digits.
+fn mass(kg: f64) -> String {
+    match kg {
+        kg if kg < 0.01 => format!("{:.3} g", kg * 1e3),
+        kg if kg < 1.0 => format!("{:.1} g", kg * 1e3),
+        kg => format!("{kg:.3} kg"),
+    }
+}

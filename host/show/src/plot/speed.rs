@@ -1,0 +1,85 @@
+//! What each way of computing the control step costs on the chip, over what error it leaves.
+
+use super::Picture;
+use super::axes::{Axis, Mark, PlotArea};
+use super::canvas::{Anchor, Canvas, Stroke};
+use haptic_bridge::model::catalogue::Kind;
+use haptic_bridge::model::device::Device;
+use haptic_predict::bench::report::Variant;
+
+/// The colour of each mechanism.
+fn colour_of(kind: Kind) -> &'static str {
+    match kind {
+        Kind::Paddle => "#7f7f7f",
+        Kind::FiveBar => "#0072b2",
+        Kind::FiveBarTurret => "#d55e00",
+        Kind::Parallelogram => "#009e73",
+        Kind::Serial3r => "#cc79a7",
+    }
+}
+
+/// Instructions over what is wrong with the force at the tip, each mechanism's Pareto front as a line.
+pub fn draw(every: &[(Device<f64>, Vec<Variant>)]) -> Picture {
+    // Beyond these lies libm alone, whose thousands of instructions would press the rest together.
+    const MOST: u32 = 1800;
+    let shown = |variant: &&Variant| variant.instructions.is_some_and(|count| count <= MOST);
+    let (low, high) = (-6.0, 4.0);
+    let decades = |variant: &Variant| variant.felt().max(1.0e-12).log10().clamp(low, high);
+    let mut canvas = Canvas::new(760.0, 540.0);
+    let frame = PlotArea {
+        at: (80.0, 110.0),
+        size: (660.0, 370.0),
+        x: Axis {
+            name: "largest error of the force at the tip beside the fade, 10ˣ".into(),
+            unit: "N".into(),
+            low,
+            high,
+        },
+        y: Axis { name: "instructions".into(), unit: String::new(), low: 0.0, high: f64::from(MOST) },
+    };
+    let (mut entries, mut drawn) = (Vec::new(), Vec::new());
+    frame.clipped(&mut canvas, |canvas| {
+        for (device, variants) in every {
+            let colour = colour_of(device.mechanism.kind());
+            let all: Vec<&Variant> = variants.iter().filter(shown).collect();
+            let mut front: Vec<(f64, f64)> = all
+                .iter()
+                .filter(|variant| variant.pareto)
+                .map(|variant| (decades(variant), f64::from(variant.instructions.unwrap_or(0))))
+                .collect();
+            front.sort_by(|a, b| a.0.total_cmp(&b.0));
+            let stroke = Stroke { colour, width: 1.8, dash: "" };
+            frame.curve(canvas, &front, stroke);
+            drawn.push(front);
+            // A mechanism without a point in the frame has no place in its legend.
+            if !all.is_empty() {
+                entries.push((Mark::Line(stroke), device.mechanism.kind().spec().name.to_string()));
+            }
+            for variant in all {
+                let y = f64::from(variant.instructions.unwrap_or(0));
+                frame.dot(canvas, decades(variant), y, y, y, colour);
+                drawn.push(vec![(decades(variant), y)]);
+            }
+        }
+    });
+    frame.draw(&mut canvas, "");
+    let title = "Speed against error: every variant of the control step, fronts as lines";
+    canvas.text((frame.at.0, 28.0), 15.0, Anchor::Start, false, title);
+    let counts = every.iter().flat_map(|(_, variants)| variants).filter_map(|variant| variant.instructions);
+    let beyond = counts.filter(|count| *count > MOST).min();
+    let beyond = beyond.map_or(String::new(), |least| {
+        format!(" What takes more instructions than fit here, {least} and up, is not drawn.")
+    });
+    for (line, text) in [
+        "Instructions on the Cortex-M4F. Error: torque as a force at the tip, plus the tip's error times 20 kN/m;",
+        "below 10⁻⁶ N drawn there. What the velocity terms lack where they fade is the same in all, and left out here.",
+        beyond.trim_start(),
+    ]
+    .into_iter()
+    .enumerate()
+    {
+        canvas.text((frame.at.0, 48.0 + 16.0 * line as f64), 12.0, Anchor::Start, false, text);
+    }
+    frame.clear_legend(&mut canvas, &drawn, &entries);
+    canvas.finish(title, "Instructions of each variant over its largest error of the force at the tip.")
+}

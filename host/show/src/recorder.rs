@@ -1,0 +1,455 @@
+//! Recordings: telemetry rows in a file that is whole at every moment, CSV or MCAP ([`mcap`]) by its ending.
+//!
+//! Rows of a CSV file reach the file in blocks of whole lines. What does not fit onto a disk that is full is taken back
+//! to the last whole line, and the rows that are there are counted. A file whose writer was killed in the middle of a
+//! block is still read up to its last whole line.
+
+pub mod about;
+pub mod mcap;
+pub mod protobuf;
+
+use about::About;
+use haptic_bridge::board::telemetry::Field;
+use haptic_host::error::Failure;
+use haptic_host::link::{Column, Losses};
+use haptic_host::output::{self, Overwrite};
+use haptic_host::words::counted;
+use mcap::McapRecorder;
+use std::fmt::Write as _;
+use std::fs::File;
+use std::io::{self, Seek, SeekFrom, Write};
+use std::path::{Path, PathBuf};
+
+/// Bytes gathered before they are written; `flush` writes them earlier.
+const BLOCK: usize = 64 * 1024;
+
+/// The states' words in a recording, by their numbers.
+pub const STATES: [&str; 4] = ["Disarmed", "Armed", "CheckingPolarity", "Fault"];
+
+/// A number, or what it is called.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Value {
+    /// As it is.
+    Number(f64),
+    /// As the board has it, in the fewest digits that mean it.
+    Single(f32),
+    /// One of a few.
+    Word(&'static str),
+}
+
+impl Value {
+    /// A column's number: a state by its name, what the board measured in its own precision.
+    pub fn of(column: &Column, value: f64) -> Self {
+        let state = (column.field == Field::State && column.axis == 0).then(|| STATES.get(value as usize)).flatten();
+        match (state, column.field) {
+            (Some(state), _) => Self::Word(state),
+            (None, Field::Counts | Field::State) => Self::Number(value),
+            (None, _) => Self::Single(value as f32),
+        }
+    }
+}
+
+impl std::fmt::Display for Value {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Number(number) => write!(f, "{number}"),
+            Self::Single(small) if *small != 0.0 && small.abs() < 1e-4 => write!(f, "{small:e}"),
+            Self::Single(number) => write!(f, "{number}"),
+            Self::Word(word) => f.write_str(word),
+        }
+    }
+}
+
+/// Where the lines go.
+#[derive(Debug)]
+enum Sink {
+    /// `whole`: bytes of the file in whole lines; none where it cannot be cut (a pipe).
+    File {
+        file: File,
+        whole: Option<u64>,
+    },
+    StandardOutput,
+}
+
+/// A CSV file being written.
+#[derive(Debug)]
+pub struct Recorder {
+    sink: Sink,
+    path: PathBuf,
+    block: String,
+    columns: usize,
+    /// Rows in the file, and in the block.
+    rows: u64,
+    gathered: u64,
+    /// Bytes that were written.
+    bytes: u64,
+}
+
+/// Why rows could not be written.
+#[derive(Debug)]
+pub enum RecordError {
+    /// Nobody reads the pipe any more: no error of anybody's.
+    ReaderGone,
+    /// Anything else.
+    Failed(Failure),
+}
+
+impl Recorder {
+    /// Creates the file (`-`: standard output) and writes `about` as comment lines (`# …`) and the names of the
+    /// columns.
+    pub fn create(path: &Path, about: &str, columns: &[String], overwrite: Overwrite) -> Result<Self, Failure> {
+        let sink = if path == Path::new("-") {
+            Sink::StandardOutput
+        } else {
+            let (file, cut) = output::open(path, overwrite)?;
+            Sink::File { file, whole: cut.then_some(0) }
+        };
+        let mut recorder = Self {
+            sink,
+            path: path.into(),
+            block: String::new(),
+            columns: columns.len(),
+            rows: 0,
+            gathered: 0,
+            bytes: 0,
+        };
+        recorder.comment(about);
+        recorder.block.push_str(&columns.join(","));
+        recorder.block.push('\n');
+        match recorder.flush() {
+            Err(RecordError::Failed(failure)) => {
+                // Without its head it is of no use to anybody.
+                if let (Sink::File { whole: Some(_), .. }, Ok(file)) = (&recorder.sink, std::fs::canonicalize(path)) {
+                    let _ = std::fs::remove_file(file);
+                }
+                Err(failure)
+            }
+            // Said again, and then acted on, at the first row.
+            Ok(()) | Err(RecordError::ReaderGone) => Ok(recorder),
+        }
+    }
+
+    /// Adds lines that are no rows.
+    pub fn comment(&mut self, text: &str) {
+        for line in text.lines() {
+            self.block.push_str("# ");
+            self.block.push_str(line);
+            self.block.push('\n');
+        }
+    }
+
+    /// Adds a row of as many values as there are columns; missing ones are left empty, further ones left out.
+    pub fn row(&mut self, values: &[Value]) -> Result<(), RecordError> {
+        for column in 0..self.columns {
+            if column > 0 {
+                self.block.push(',');
+            }
+            if let Some(value) = values.get(column) {
+                // Writing to a string cannot fail.
+                let _ = write!(self.block, "{value}");
+            }
+        }
+        self.block.push('\n');
+        self.gathered += 1;
+        if self.block.len() >= BLOCK { self.flush() } else { Ok(()) }
+    }
+
+    /// Writes what was gathered. Where not all of it fits, what does fit of it in whole lines is kept.
+    pub fn flush(&mut self) -> Result<(), RecordError> {
+        let block = std::mem::take(&mut self.block);
+        let gathered = std::mem::take(&mut self.gathered);
+        let failed = |path: &Path, error: io::Error| match error.kind() {
+            io::ErrorKind::BrokenPipe => RecordError::ReaderGone,
+            _ => RecordError::Failed(output::refused(path, &error)),
+        };
+        match &mut self.sink {
+            Sink::StandardOutput => {
+                let mut out = io::stdout().lock();
+                out.write_all(block.as_bytes())
+                    .and_then(|()| out.flush())
+                    .map_err(|error| failed(&self.path, error))?;
+                self.rows += gathered;
+                self.bytes += block.len() as u64;
+                Ok(())
+            }
+            Sink::File { file, whole } => {
+                let Err(error) = file.write_all(block.as_bytes()) else {
+                    self.rows += gathered;
+                    self.bytes += block.len() as u64;
+                    whole.iter_mut().for_each(|whole| *whole += block.len() as u64);
+                    return Ok(());
+                };
+                if let Some(whole) = whole {
+                    let mut at = *whole;
+                    let cut = |file: &mut File, at: u64| file.set_len(at).and_then(|()| file.seek(SeekFrom::Start(at)));
+                    let _ = cut(file, at);
+                    for line in block.split_inclusive('\n') {
+                        if file.write_all(line.as_bytes()).is_err() {
+                            let _ = cut(file, at);
+                            break;
+                        }
+                        at += line.len() as u64;
+                        self.rows += u64::from(line.starts_with(|c: char| c.is_ascii_digit()));
+                    }
+                    *whole = at;
+                    self.bytes = at;
+                }
+                Err(failed(&self.path, error))
+            }
+        }
+    }
+
+    /// Rows that are in the file.
+    pub fn rows(&self) -> u64 {
+        self.rows
+    }
+
+    /// Bytes that are in the file.
+    pub fn bytes(&self) -> u64 {
+        self.bytes
+    }
+
+    /// Where they are, in words.
+    pub fn place(&self) -> String {
+        match self.sink {
+            Sink::StandardOutput => "standard output".into(),
+            Sink::File { .. } => self.path.display().to_string(),
+        }
+    }
+}
+
+impl Drop for Recorder {
+    fn drop(&mut self) {
+        let _ = self.flush();
+    }
+}
+
+/// Telemetry on its way into a file.
+#[derive(Debug)]
+pub enum RowWriter {
+    /// CSV, and what its columns are.
+    Csv(Box<Recorder>, Vec<Column>),
+    /// MCAP.
+    Mcap(Box<McapRecorder>),
+}
+
+/// Whether a file of this name is to be MCAP.
+pub fn is_mcap(path: &Path) -> bool {
+    path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("mcap"))
+}
+
+impl RowWriter {
+    /// Creates the file, of the format that its ending says (`-`: CSV to standard output).
+    pub fn create(path: &Path, about: &About, columns: &[Column], overwrite: Overwrite) -> Result<Self, Failure> {
+        if is_mcap(path) {
+            return Ok(Self::Mcap(Box::new(McapRecorder::create(path, about, columns, overwrite)?)));
+        }
+        let labels = columns.iter().map(|column| column.label.clone());
+        let names: Vec<String> = ["step".to_string(), "time_s".into()].into_iter().chain(labels).collect();
+        Ok(Self::Csv(Box::new(Recorder::create(path, about.text(), &names, overwrite)?), columns.to_vec()))
+    }
+
+    /// Adds a row: its step, its time since the first (s), and a number for each column.
+    pub fn row(&mut self, step: u32, time: f64, row: &[f64]) -> Result<(), RecordError> {
+        match self {
+            Self::Mcap(recorder) => recorder.row(step, time, row),
+            Self::Csv(recorder, columns) => {
+                let values = columns.iter().zip(row).map(|(column, value)| Value::of(column, *value));
+                let row: Vec<Value> =
+                    [Value::Number(f64::from(step)), Value::Number(time)].into_iter().chain(values).collect();
+                recorder.row(&row)
+            }
+        }
+    }
+
+    /// Adds what happened at a time since the first row (s), in words.
+    pub fn event(&mut self, time: f64, words: &str) -> Result<(), RecordError> {
+        match self {
+            Self::Mcap(recorder) => recorder.event(time, words),
+            Self::Csv(recorder, _) => {
+                recorder.comment(&format!("{time} s: {words}"));
+                Ok(())
+            }
+        }
+    }
+
+    /// Writes what was gathered.
+    pub fn flush(&mut self) -> Result<(), RecordError> {
+        match self {
+            Self::Mcap(recorder) => recorder.flush(),
+            Self::Csv(recorder, _) => recorder.flush(),
+        }
+    }
+
+    /// Says what came of it; nothing more is written then.
+    pub fn end(&mut self, words: &str, losses: &Losses) -> Result<(), RecordError> {
+        match self {
+            Self::Mcap(recorder) => recorder.end(words, losses),
+            Self::Csv(recorder, _) => {
+                recorder.comment(words);
+                recorder.flush()
+            }
+        }
+    }
+
+    /// Rows that are in the file.
+    pub fn rows(&self) -> u64 {
+        match self {
+            Self::Mcap(recorder) => recorder.rows(),
+            Self::Csv(recorder, _) => recorder.rows(),
+        }
+    }
+
+    /// Bytes that are in the file.
+    pub fn bytes(&self) -> u64 {
+        match self {
+            Self::Mcap(recorder) => recorder.bytes(),
+            Self::Csv(recorder, _) => recorder.bytes(),
+        }
+    }
+
+    /// Where they are, in words.
+    pub fn place(&self) -> String {
+        match self {
+            Self::Mcap(recorder) => recorder.path().display().to_string(),
+            Self::Csv(recorder, _) => recorder.place(),
+        }
+    }
+}
+
+/// A recording that was read.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Recording {
+    /// The comment lines, without their `# `.
+    pub about: Vec<String>,
+    /// Names of the columns.
+    pub columns: Vec<String>,
+    /// The rows; a state's word is its number.
+    pub rows: Vec<Vec<f64>>,
+    /// The file ended within a line, which was left out.
+    pub torn: bool,
+}
+
+impl Recording {
+    /// Reads a file of either format. Errors name it.
+    pub fn load(path: &Path) -> Result<Self, Failure> {
+        let shown = path.display();
+        let bytes = haptic_host::input::read_recording(path).map_err(|error| {
+            Failure::wrong(format!("{shown} cannot be read: {error}")).remedy("name a recording: a .mcap or .csv file")
+        })?;
+        let read = if bytes.starts_with(mcap::MAGIC) {
+            mcap::parse(&bytes)
+        } else {
+            String::from_utf8(bytes).map_err(|_| "neither MCAP nor text".into()).and_then(|text| Self::parse(&text))
+        };
+        let recording = read.map_err(|why| {
+            Failure::wrong(format!("{shown}: {why}"))
+                .remedy("name a file that `haptic record` or `haptic stream` wrote")
+        })?;
+        if recording.columns.is_empty() {
+            return Err(Failure::wrong(format!("{shown} holds no recording")).remedy("name a file of `haptic record`"));
+        }
+        Ok(recording)
+    }
+
+    /// What follows this word at the beginning of a line about the recording.
+    pub fn told(&self, word: &str) -> Option<&str> {
+        self.about.iter().find_map(|line| line.strip_prefix(word)?.strip_prefix(' '))
+    }
+
+    /// The control rate of the board, Hz.
+    pub fn rate_hz(&self) -> Option<f64> {
+        self.told("control rate")?.split(' ').next()?.parse().ok()
+    }
+
+    /// The place of a column.
+    pub fn column(&self, name: &str) -> Option<usize> {
+        self.columns.iter().position(|column| column == name)
+    }
+
+    /// Reads the text of a recording up to its last whole line. Errors name the line.
+    pub fn parse(text: &str) -> Result<Self, String> {
+        let mut recording = Self::default();
+        let whole = text.rfind('\n').map_or(0, |end| end + 1);
+        recording.torn = whole < text.len();
+        let number = |field: &str| {
+            let state = STATES.iter().position(|state| *state == field);
+            state.map_or_else(|| field.parse().ok(), |state| Some(state as f64))
+        };
+        for (line_number, line) in text[..whole].lines().enumerate() {
+            if let Some(comment) = line.strip_prefix('#') {
+                recording.about.push(comment.trim().into());
+            } else if recording.columns.is_empty() {
+                recording.columns = line.split(',').map(Into::into).collect();
+                if recording.columns.iter().any(String::is_empty) {
+                    return Err(format!("line {} does not name the columns of a recording", line_number + 1));
+                }
+            } else {
+                let row: Option<Vec<f64>> = line.split(',').map(number).collect();
+                match row {
+                    Some(row) if row.len() == recording.columns.len() => recording.rows.push(row),
+                    _ => {
+                        let values = counted(recording.columns.len(), "value");
+                        return Err(format!("line {}: not {values}", line_number + 1));
+                    }
+                }
+            }
+        }
+        Ok(recording)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn columns() -> Vec<String> {
+        vec!["step".into(), "force_n".into(), "state".into()]
+    }
+
+    #[test]
+    fn what_is_recorded_is_read_back_exactly() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("a.csv");
+        let mut recorder = Recorder::create(&path, "a device\n20 kHz", &columns(), Overwrite::Never).unwrap();
+        for step in 0..10_000 {
+            let force = 0.1 * f64::from(step) / 3.0;
+            recorder.row(&[Value::Number(f64::from(step)), Value::Number(force), Value::Word("Fault")]).unwrap();
+        }
+        recorder.comment("10000 rows");
+        drop(recorder);
+        let text = std::fs::read_to_string(&path).unwrap();
+        assert!(text.contains("\n1,0.03333333333333333,Fault\n"), "{}", &text[..200]);
+        let recording = Recording::parse(&text).unwrap();
+        assert_eq!(recording.about, ["a device", "20 kHz", "10000 rows"]);
+        assert_eq!(recording.columns, columns());
+        assert_eq!(recording.rows.len(), 10_000);
+        assert_eq!(recording.rows[9_999], [9999.0, 0.1 * 9999.0 / 3.0, 3.0]);
+        assert!(!recording.torn);
+        assert!(Recorder::create(&path, "", &columns(), Overwrite::Never).is_err(), "a recording is not overwritten");
+    }
+
+    #[test]
+    fn what_a_board_measured_is_written_in_the_digits_that_it_has() {
+        for (value, text) in [(0.1, "0.1"), (-1.862_645_1e-9, "-1.8626451e-9"), (0.0, "0"), (2.5e7, "25000000")] {
+            assert_eq!(Value::Single(value).to_string(), text);
+            assert_eq!(text.parse::<f32>().unwrap(), value);
+        }
+    }
+
+    #[test]
+    fn a_torn_recording_is_read_up_to_its_last_whole_line() {
+        let recording = Recording::parse("# x\nstep,force_n\n1,2\n3,4\n5,6.1").unwrap();
+        assert_eq!(recording.rows, [[1.0, 2.0], [3.0, 4.0]]);
+        assert!(recording.torn);
+        assert!(Recording::parse("step,force_n\n1\n").is_err());
+    }
+
+    #[test]
+    #[cfg(target_os = "linux")]
+    fn a_full_disk_is_an_error_with_a_remedy() {
+        let refused = Recorder::create(Path::new("/dev/full"), "", &columns(), Overwrite::Never).unwrap_err();
+        assert!(refused.to_string().contains("/dev/full cannot be written"), "{refused}");
+        assert!(refused.to_string().contains("free space"), "{refused}");
+    }
+}

@@ -1,0 +1,307 @@
+//! MCAP: a recording that Foxglove, PlotJuggler and the format's own libraries open as it is.
+//!
+//! Rows are protocol buffers with their description beside them, on the channel `/rows`; what happened meanwhile is on
+//! `/events`. What the recording is of stands in a metadata record. Rows are gathered into chunks, and a chunk reaches
+//! the file whole: what a killed tool or a full disk leaves is read to the last of them.
+
+use super::about::About;
+use super::protobuf::{Field as Packed, Type, describe};
+use super::{RecordError, Recording, STATES, protobuf};
+use haptic_bridge::board::telemetry::Field;
+use haptic_host::error::Failure;
+use haptic_host::link::{Column, Losses};
+use haptic_host::output::{self, Overwrite};
+use mcap::records::{MessageHeader, Metadata, Record};
+use mcap::write::NoSeek;
+use mcap::{McapError, WriteOptions, Writer};
+use prost_reflect::MessageDescriptor;
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{self, Seek, SeekFrom, Write};
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{SystemTime, UNIX_EPOCH};
+
+/// The bytes that an MCAP file begins with.
+pub const MAGIC: &[u8] = b"\x89MCAP0\r\n";
+/// Bytes of messages that make a chunk; `flush` ends one earlier.
+const CHUNK: usize = 512 * 1024;
+/// The metadata record at the head, and the one at the end.
+const HEAD: &str = "haptic-bridge";
+const END: &str = "haptic-bridge end";
+
+/// Bytes on their way from the format to the file.
+#[derive(Clone, Debug, Default)]
+struct Pending(Arc<Mutex<Vec<u8>>>);
+
+impl Pending {
+    fn take(&self) -> Vec<u8> {
+        std::mem::take(&mut *self.0.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+}
+
+impl Write for Pending {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).extend_from_slice(bytes);
+        Ok(bytes.len())
+    }
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+/// An MCAP file being written.
+pub struct McapRecorder {
+    writer: Writer<NoSeek<Pending>>,
+    pending: Pending,
+    file: File,
+    path: PathBuf,
+    /// Bytes of the file in whole chunks, and whether it can be cut back to them.
+    whole: u64,
+    cut: bool,
+    row: MessageDescriptor,
+    event: MessageDescriptor,
+    channels: [u16; 2],
+    /// This computer's clock at the first row, ns since 1970.
+    began: u64,
+    sequence: u32,
+    gathered: usize,
+    /// Rows in the file, and in the chunk.
+    rows: u64,
+    waiting: u64,
+    ended: bool,
+}
+
+impl std::fmt::Debug for McapRecorder {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("McapRecorder").field("path", &self.path).field("rows", &self.rows).finish_non_exhaustive()
+    }
+}
+
+fn kind(column: &Column) -> Type {
+    match (column.field, column.axis) {
+        (Field::State, 0) => Type::Enum,
+        (Field::State | Field::Saturated, _) => Type::Uint32,
+        (Field::Counts, _) => Type::Sfixed32,
+        _ => Type::Float,
+    }
+}
+
+/// Writing into memory fails only where the format is used in a way that it forbids.
+fn misused(error: McapError) -> RecordError {
+    RecordError::Failed(Failure::impossible(error))
+}
+
+impl McapRecorder {
+    /// Creates the file and writes what the recording is of.
+    pub fn create(path: &Path, about: &About, columns: &[Column], overwrite: Overwrite) -> Result<Self, Failure> {
+        let fields: Vec<Packed> = [("step".to_string(), Type::Uint32), ("time_s".into(), Type::Double)]
+            .into_iter()
+            .chain(columns.iter().map(|column| (column.label.clone(), kind(column))))
+            .collect();
+        let states = if fields.iter().any(|(_, kind)| *kind == Type::Enum) { &STATES[..] } else { &[] };
+        let row = describe("Row", &fields, states).map_err(Failure::impossible)?;
+        let event = describe("Event", &[("text".into(), Type::String)], &[]).map_err(Failure::impossible)?;
+        let pending = Pending::default();
+        let begin = || -> Result<_, McapError> {
+            let mut writer = WriteOptions::new()
+                .library(format!("haptic {}", env!("CARGO_PKG_VERSION")))
+                .chunk_size(None)
+                .disable_seeking(true)
+                .create(NoSeek::new(pending.clone()))?;
+            writer.write_metadata(&Metadata { name: HEAD.into(), metadata: about.map() })?;
+            let mut channel = |topic, message: &MessageDescriptor| -> Result<u16, McapError> {
+                let set = message.parent_pool().encode_to_vec();
+                let schema = writer.add_schema(message.full_name(), "protobuf", &set)?;
+                writer.add_channel(schema, topic, "protobuf", &BTreeMap::new())
+            };
+            let channels = [channel("/rows", &row)?, channel("/events", &event)?];
+            writer.flush()?;
+            Ok((writer, channels))
+        };
+        let (writer, channels) = begin().map_err(Failure::impossible)?;
+        let (file, cut) = output::open(path, overwrite)?;
+        let mut recorder = Self {
+            writer,
+            pending,
+            file,
+            path: path.into(),
+            whole: 0,
+            cut,
+            row,
+            event,
+            channels,
+            began: 0,
+            sequence: 0,
+            gathered: 0,
+            rows: 0,
+            waiting: 0,
+            ended: false,
+        };
+        recorder.put().map_err(|error| {
+            if let (true, Ok(file)) = (cut, std::fs::canonicalize(path)) {
+                // Without its head it is of no use to anybody.
+                let _ = std::fs::remove_file(file);
+            }
+            output::refused(path, &error)
+        })?;
+        Ok(recorder)
+    }
+
+    fn say(&mut self, channel: usize, time: f64, message: &[u8]) -> Result<(), RecordError> {
+        if self.began == 0 {
+            let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+            self.began = u64::try_from(now.as_nanos()).unwrap_or(1).max(1);
+        }
+        let log_time = self.began + (1e9 * time.max(0.0)).round() as u64;
+        self.sequence = self.sequence.wrapping_add(1);
+        let header = MessageHeader {
+            channel_id: self.channels[channel],
+            sequence: self.sequence,
+            log_time,
+            publish_time: log_time,
+        };
+        self.writer.write_to_known_channel(&header, message).map_err(misused)?;
+        self.gathered += message.len();
+        Ok(())
+    }
+
+    /// Adds a row: its step, its time since the first (s), and a number for each column.
+    pub fn row(&mut self, step: u32, time: f64, row: &[f64]) -> Result<(), RecordError> {
+        let message = protobuf::pack(&self.row, [f64::from(step), time].into_iter().chain(row.iter().copied()));
+        self.say(0, time, &message)?;
+        self.waiting += 1;
+        if self.gathered >= CHUNK { self.flush() } else { Ok(()) }
+    }
+
+    /// Adds what happened at a time since the first row, s.
+    pub fn event(&mut self, time: f64, words: &str) -> Result<(), RecordError> {
+        let message = protobuf::pack_text(&self.event, words);
+        self.say(1, time, &message)
+    }
+
+    /// Ends the chunk and writes it; where there is no room for it, the file keeps the chunks before it.
+    pub fn flush(&mut self) -> Result<(), RecordError> {
+        self.gathered = 0;
+        self.writer.flush().map_err(misused)?;
+        let waiting = std::mem::take(&mut self.waiting);
+        match self.put() {
+            Ok(()) => {
+                self.rows += waiting;
+                Ok(())
+            }
+            Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Err(RecordError::ReaderGone),
+            Err(error) => Err(RecordError::Failed(output::refused(&self.path, &error))),
+        }
+    }
+
+    fn put(&mut self) -> io::Result<()> {
+        let bytes = self.pending.take();
+        if let Err(error) = self.file.write_all(&bytes) {
+            if self.cut {
+                let _ = self.file.set_len(self.whole).and_then(|()| self.file.seek(SeekFrom::Start(self.whole)));
+            }
+            // The part that was cut off is missing in all that would follow.
+            self.ended = true;
+            return Err(error);
+        }
+        self.whole += bytes.len() as u64;
+        Ok(())
+    }
+
+    /// Writes what came of it, and the index; nothing more is written then.
+    pub fn end(&mut self, words: &str, losses: &Losses) -> Result<(), RecordError> {
+        if self.ended {
+            return Ok(());
+        }
+        self.flush()?;
+        let told = [
+            ("about", words.to_string()),
+            ("rows", self.rows.to_string()),
+            ("missing", losses.missing.to_string()),
+            ("dropped_by_board", losses.dropped_by_board.to_string()),
+            ("batches_lost", losses.batches_lost.to_string()),
+            ("frames_garbled", losses.garbled.to_string()),
+        ];
+        let metadata = told.map(|(name, value)| (name.to_string(), value)).into();
+        self.writer.write_metadata(&Metadata { name: END.into(), metadata }).map_err(misused)?;
+        self.writer.finish().map_err(misused)?;
+        let put = self.put().map_err(|error| RecordError::Failed(output::refused(&self.path, &error)));
+        self.ended = true;
+        put
+    }
+
+    /// Rows that are in the file.
+    pub fn rows(&self) -> u64 {
+        self.rows
+    }
+
+    /// Bytes that are in the file.
+    pub fn bytes(&self) -> u64 {
+        self.whole
+    }
+
+    /// Where they are.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+}
+
+impl Drop for McapRecorder {
+    fn drop(&mut self) {
+        if !self.ended {
+            let _ = self.flush();
+            // The format would write its index into memory that nobody reads.
+            let _ = self.writer.finish();
+        }
+    }
+}
+
+/// Reads a recording up to its last whole chunk.
+pub fn parse(bytes: &[u8]) -> Result<Recording, String> {
+    let options = mcap::read::Options::IgnoreEndMagic | mcap::read::Options::ValidateChunkCrcs;
+    let records = mcap::read::ChunkFlattener::new_with_options(bytes, options).map_err(|error| error.to_string())?;
+    let mut recording = Recording { torn: true, ..Recording::default() };
+    let mut schemas: BTreeMap<u16, (String, Vec<u8>)> = BTreeMap::new();
+    let mut rows: Option<(u16, MessageDescriptor)> = None;
+    let mut events = None;
+    for record in records {
+        // Whatever is behind the last whole record belongs to none.
+        let Ok(record) = record else { break };
+        match record {
+            Record::Metadata(Metadata { name, metadata }) if name == HEAD || name == END => {
+                let about = metadata.get("about").map(String::as_str).unwrap_or_default();
+                recording.about.extend(about.lines().map(Into::into));
+            }
+            Record::Schema { header, data } if header.encoding == "protobuf" => {
+                schemas.insert(header.id, (header.name, data.into_owned()));
+            }
+            Record::Channel(channel) => {
+                let message = schemas.get(&channel.schema_id).and_then(|(name, set)| protobuf::described(set, name));
+                match (channel.topic.as_str(), message) {
+                    ("/rows", Some(message)) => {
+                        recording.columns = protobuf::names(&message);
+                        rows = Some((channel.id, message));
+                    }
+                    ("/events", Some(message)) => events = Some((channel.id, message)),
+                    _ => {}
+                }
+            }
+            Record::Message { header, data } => match (&rows, &events) {
+                (Some((id, message)), _) if *id == header.channel_id => {
+                    recording.rows.push(protobuf::values(message, &data));
+                }
+                (_, Some((id, message))) if *id == header.channel_id => {
+                    recording.about.extend(protobuf::first_text(message, &data));
+                }
+                _ => {}
+            },
+            Record::Footer(_) => recording.torn = false,
+            _ => {}
+        }
+    }
+    match rows {
+        Some(_) => Ok(recording),
+        None => Err("it has no channel /rows of protocol buffers: no recording of `haptic record`".into()),
+    }
+}

@@ -1,0 +1,333 @@
+//! The door: HTTP and WebSocket on one port of this computer.
+//!
+//! Who has not yet shown that he may come in has one of a few places for a short time, and gives it to whoever comes after
+//! him; who may has another. No page costs more than a bounded memory, or is listened to more often than it is its turn.
+//!
+//! `GET /` is the page, `GET /live` the WebSocket behind it. Only this computer is let in unless the address says more,
+//! and then only who knows the token. A page of another site that runs in the same browser is kept out as well: the
+//! request must name this server by its address (or `localhost`), and come from a page of this server.
+
+use super::hub::{self, Hub, PageId};
+use super::message::FromPage;
+use haptic_host::link::nothing_yet;
+use haptic_host::places::{Place, Places};
+use std::io::{self, Read, Write};
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, TcpListener, TcpStream, UdpSocket};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::thread;
+use std::time::{Duration, Instant};
+use tungstenite::handshake::machine::TryParse;
+use tungstenite::handshake::server::{Request, create_response, write_response};
+use tungstenite::protocol::{Role, WebSocketConfig};
+use tungstenite::{Message, WebSocket};
+
+/// The page.
+const PAGE: &str = include_str!("page.html");
+/// What the page may do: run what is in it, and talk to where it came from. Nothing else of the network is for it.
+const POLICY: &str = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:; \
+                      connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
+/// Longest head of a request, bytes.
+const HEAD: usize = 8192;
+/// How long a head may take to come: browsers open connections before they use them. Who is silent goes first where places
+/// are short, so the time costs nobody anything.
+const HEAD_TIME: Duration = Duration::from_secs(10);
+/// Connections at once whose head has not been read, and of these from one address: a browser opens six.
+const HANDSHAKES: (usize, usize) = (32, 8);
+/// Longest message of a page, bytes.
+const MESSAGE: usize = 16 * 1024;
+/// How long a page's thread listens before it looks for what waits for the page: 8 ms, half a picture.
+const LISTEN: Duration = Duration::from_millis(8);
+/// How many messages of a page it hears in that time; a page that says more waits.
+const MESSAGES: usize = 32;
+/// Most bytes that wait on their way to a page: some pictures with sweeps and sound.
+const UNREAD: usize = 4 * 1024 * 1024;
+/// How long a page may leave what it was sent unread.
+const SEND: Duration = Duration::from_secs(2);
+/// Connections at once of those who may come in, pages and others.
+const CONNECTIONS: usize = 64;
+
+/// For whom an address that is printed is of use.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Reach {
+    /// Whoever reaches the address that was asked for.
+    Address,
+    /// All addresses were asked for; the one that is printed is known to others.
+    Others,
+    /// All addresses were asked for, and which of them others know is not known.
+    Unknown,
+}
+
+/// A port that browsers open.
+#[derive(Debug)]
+pub struct PageListener {
+    listener: TcpListener,
+    token: Option<String>,
+}
+
+impl PageListener {
+    /// Listens. Beyond this computer a token is asked for, drawn anew.
+    pub fn open(address: SocketAddr) -> io::Result<Self> {
+        let listener = TcpListener::bind(address)?;
+        let token = if address.ip().is_loopback() { None } else { Some(token()?) };
+        Ok(Self { listener, token })
+    }
+
+    /// What to open in a browser.
+    pub fn url(&self) -> io::Result<String> {
+        let mut address = self.listener.local_addr()?;
+        if address.ip().is_unspecified() {
+            // Every address of this computer, and none that a browser could open.
+            address.set_ip(outward(address.ip()).unwrap_or(local(address.ip())));
+        }
+        let token = self.token.as_ref().map_or(String::new(), |token| format!("?token={token}"));
+        Ok(format!("http://{address}/{token}"))
+    }
+
+    /// Who can use [`Self::url`].
+    pub fn reach(&self) -> io::Result<Reach> {
+        let ip = self.listener.local_addr()?.ip();
+        Ok(match ip.is_unspecified() {
+            false => Reach::Address,
+            true if outward(ip).is_some() => Reach::Others,
+            true => Reach::Unknown,
+        })
+    }
+
+    /// Lets pages in from now on, on threads of their own.
+    pub fn serve(self, hub: Hub) {
+        let token = Arc::new(self.token);
+        let open = Arc::new(AtomicUsize::new(0));
+        let handshakes = Places::new(HANDSHAKES.0, HANDSHAKES.1);
+        thread::spawn(move || {
+            for stream in self.listener.incoming() {
+                let Ok(stream) = stream else { continue };
+                let Some(place) = handshakes.enter(&stream) else { continue };
+                let (hub, token, open) = (hub.clone(), Arc::clone(&token), Arc::clone(&open));
+                thread::spawn(move || {
+                    // A connection that fails is the browser's business: it says so and comes again.
+                    let _ = greet(stream, place, &hub, token.as_deref(), &open);
+                });
+            }
+        });
+    }
+}
+
+/// This computer's address as others know it: the one that it would send from. Nothing is sent.
+fn outward(all: IpAddr) -> Option<IpAddr> {
+    let somewhere: IpAddr = match all {
+        IpAddr::V4(_) => Ipv4Addr::new(192, 0, 2, 1).into(),
+        IpAddr::V6(_) => Ipv6Addr::new(0x2001, 0xdb8, 0, 0, 0, 0, 0, 1).into(),
+    };
+    let socket = UdpSocket::bind((all, 0)).ok()?;
+    socket.connect((somewhere, 9)).ok()?;
+    let from = socket.local_addr().ok()?.ip();
+    (!from.is_unspecified() && !from.is_loopback()).then_some(from)
+}
+
+fn local(all: IpAddr) -> IpAddr {
+    if all.is_ipv4() { Ipv4Addr::LOCALHOST.into() } else { Ipv6Addr::LOCALHOST.into() }
+}
+
+/// 128 bits that nobody guesses.
+pub(crate) fn token() -> io::Result<String> {
+    let mut bytes = [0_u8; 16];
+    getrandom::fill(&mut bytes).map_err(io::Error::other)?;
+    Ok(bytes.iter().map(|byte| format!("{byte:02x}")).collect())
+}
+
+/// Reads the head of a GET request; `None` for any other request, a head that is too long, and one that comes too late.
+pub(crate) fn head(stream: &mut TcpStream) -> Option<Request> {
+    let began = Instant::now();
+    let mut bytes = Vec::new();
+    while bytes.len() < HEAD {
+        let left = HEAD_TIME.checked_sub(began.elapsed()).filter(|left| !left.is_zero())?;
+        stream.set_read_timeout(Some(left)).ok()?;
+        let mut buffer = [0; 1024];
+        let count = stream.read(&mut buffer).ok().filter(|count| *count > 0)?;
+        bytes.extend(&buffer[..count]);
+        match Request::try_parse(&bytes) {
+            // What follows the head of a WebSocket's request before it is answered is nobody's.
+            Ok(Some(_)) if bytes.ends_with(b"\r\n\r\n") => {
+                return Request::try_parse(&bytes).ok()?.map(|(_, read)| read);
+            }
+            Ok(None) => {}
+            Ok(Some(_)) | Err(_) => return None,
+        }
+    }
+    None
+}
+
+/// Why a request is not served: status and words.
+type Refused = (&'static str, &'static str);
+
+/// The token that a request shows.
+pub(crate) fn shown_token(request: &Request) -> Option<&str> {
+    request.uri().query().unwrap_or_default().split('&').find_map(|part| part.strip_prefix("token="))
+}
+
+/// Whether a request comes from a page of this server, and from somebody who may.
+fn admit(request: &Request, token: Option<&str>) -> Result<(), Refused> {
+    let header = |name: &str| request.headers().get(name).and_then(|value| value.to_str().ok());
+    let host = header("host").unwrap_or_default();
+    let name = host.rsplit_once(':').map_or(host, |(name, _)| name).trim_start_matches('[').trim_end_matches(']');
+    if name != "localhost" && name.parse::<IpAddr>().is_err() {
+        return Err(("403 Forbidden", "open this page by the address that `haptic view` printed"));
+    }
+    if header("origin").is_some_and(|origin| origin != format!("http://{host}")) {
+        return Err(("403 Forbidden", "this page belongs to another site"));
+    }
+    if token.is_some_and(|token| shown_token(request) != Some(token)) {
+        return Err(("403 Forbidden", "the token is missing or wrong: open the address that `haptic view` printed"));
+    }
+    Ok(())
+}
+
+fn greet(
+    mut stream: TcpStream,
+    place: Place,
+    hub: &Hub,
+    token: Option<&str>,
+    open: &AtomicUsize,
+) -> tungstenite::Result<()> {
+    stream.set_nodelay(true)?;
+    stream.set_write_timeout(Some(SEND))?;
+    let Some(request) = head(&mut stream) else {
+        return answer(&mut stream, ("400 Bad Request", "not a request that this server understands"));
+    };
+    if let Err(refused) = admit(&request, token) {
+        return answer(&mut stream, refused);
+    }
+    drop(place);
+    let ended = match (open.fetch_add(1, Ordering::SeqCst) < CONNECTIONS, request.uri().path()) {
+        (false, _) => answer(&mut stream, ("503 Service Unavailable", "too many connections are open")),
+        (true, "/") => page(&mut stream),
+        (true, "/live") => live(stream, &request, hub),
+        (true, _) => answer(&mut stream, ("404 Not Found", "nothing is here; the page is at /")),
+    };
+    open.fetch_sub(1, Ordering::SeqCst);
+    ended
+}
+
+fn page(stream: &mut TcpStream) -> tungstenite::Result<()> {
+    write!(
+        stream,
+        "HTTP/1.1 200 OK\r\nContent-Type: text/html; charset=utf-8\r\nContent-Length: {}\r\n\
+         Content-Security-Policy: {POLICY}\r\nX-Content-Type-Options: nosniff\r\nReferrer-Policy: no-referrer\r\n\
+         Cache-Control: no-store\r\nConnection: close\r\n\r\n{}",
+        PAGE.len(),
+        PAGE
+    )?;
+    Ok(())
+}
+
+fn answer(stream: &mut TcpStream, (status, words): Refused) -> tungstenite::Result<()> {
+    write!(
+        stream,
+        "HTTP/1.1 {status}\r\nContent-Type: text/plain; charset=utf-8\r\nContent-Length: {}\r\nConnection: close\r\n\r\n\
+         {words}\n",
+        words.len() + 1
+    )?;
+    Ok(())
+}
+
+fn live(mut stream: TcpStream, request: &Request, hub: &Hub) -> tungstenite::Result<()> {
+    let Ok(response) = create_response(request) else {
+        return answer(&mut stream, ("400 Bad Request", "this address is a WebSocket; the page is at /"));
+    };
+    let Some(id) = hub.come() else {
+        return answer(&mut stream, ("503 Service Unavailable", "too many pages are open"));
+    };
+    let ended = converse(stream, &response, hub, id);
+    hub.go(id);
+    ended
+}
+
+fn converse(
+    mut stream: TcpStream,
+    response: &tungstenite::handshake::server::Response,
+    hub: &Hub,
+    id: PageId,
+) -> tungstenite::Result<()> {
+    write_response(&mut stream, response)?;
+    stream.set_read_timeout(Some(LISTEN))?;
+    let config = WebSocketConfig::default()
+        .max_message_size(Some(MESSAGE))
+        .max_frame_size(Some(MESSAGE))
+        .max_write_buffer_size(UNREAD);
+    let mut socket = WebSocket::from_raw_socket(stream, Role::Server, Some(config));
+    loop {
+        let began = Instant::now();
+        for heard in 1..=MESSAGES {
+            match socket.read() {
+                Ok(Message::Text(text)) => hub.said(id, FromPage::parse(&text)),
+                Ok(Message::Binary(_)) => hub.said(id, Err("not a message of this page: it is binary".into())),
+                Ok(Message::Close(_)) => return Ok(()),
+                Ok(_) => {}
+                Err(tungstenite::Error::Io(error)) if nothing_yet(&error) => break,
+                Err(error) => return Err(error),
+            }
+            match LISTEN.checked_sub(began.elapsed()) {
+                // A page that has said so much says the rest when it is its turn again.
+                Some(left) if heard == MESSAGES => thread::sleep(left),
+                Some(_) => {}
+                None => break,
+            }
+        }
+        for message in hub.take(id).messages() {
+            socket.write(match message {
+                hub::Message::Text(text) => Message::text(text),
+                hub::Message::Bytes(bytes) => Message::binary(bytes),
+            })?;
+        }
+        socket.flush()?;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn request(head: &str) -> Request {
+        Request::try_parse(head.as_bytes()).unwrap().unwrap().1
+    }
+
+    #[test]
+    fn only_pages_of_this_server_by_its_address_are_let_in() {
+        let from = |host: &str, origin: &str| {
+            let origin = if origin.is_empty() { String::new() } else { format!("Origin: {origin}\r\n") };
+            admit(&request(&format!("GET /live HTTP/1.1\r\nHost: {host}\r\n{origin}\r\n")), None).is_ok()
+        };
+        assert!(from("127.0.0.1:7720", "") && from("localhost:7720", "http://localhost:7720"));
+        assert!(from("[::1]:7720", "http://[::1]:7720"));
+        // A name that somebody else's server resolves to this computer, and a page of another site.
+        assert!(!from("evil.example:7720", "") && !from("", ""));
+        assert!(!from("127.0.0.1:7720", "http://evil.example") && !from("127.0.0.1:7720", "null"));
+        assert!(!from("127.0.0.1:7720", "http://127.0.0.1:7721"));
+    }
+
+    #[test]
+    fn a_token_is_asked_for_where_there_is_one() {
+        let with = |query: &str| {
+            admit(&request(&format!("GET /{query} HTTP/1.1\r\nHost: 10.0.0.1\r\n\r\n")), Some("abc")).is_ok()
+        };
+        assert!(with("?token=abc") && with("?a=b&token=abc"));
+        assert!(!with("") && !with("?token=") && !with("?token=abcd") && !with("?nottoken=abc"));
+        assert_eq!(token().unwrap().len(), 32);
+        assert_ne!(token().unwrap(), token().unwrap());
+    }
+
+    #[test]
+    fn the_page_names_no_other_place() {
+        assert!(!PAGE.contains("https://") && !PAGE.contains("http://www") && !PAGE.contains("src="));
+    }
+
+    #[test]
+    fn feed_forward_has_the_colours_that_it_has_in_every_picture() {
+        use crate::plot::colour::{FULL, OFF, WASHOUT};
+        // On a dark ground the same hues, lighter.
+        for [off, full, washout] in [[OFF, FULL, WASHOUT], ["#56B4E9", "#FF9155", "#3ECDA3"]] {
+            assert!(PAGE.contains(&format!("--off: {off}; --full: {full}; --washout: {washout};")), "{off}");
+        }
+    }
+}

@@ -1,0 +1,281 @@
+//! One moment as a page draws it: where everything is, and the numbers beside it.
+//!
+//! What lies in a plane is drawn as it is. Of a device in space the x-y plane is drawn, which is that of the linkage at
+//! joint 0 = 0.
+
+use super::scope::Ring;
+use haptic_bridge::board::telemetry::{Field, Fields};
+use haptic_bridge::math::Libm;
+use haptic_bridge::model::description::Description;
+use haptic_bridge::model::device::Device;
+use haptic_bridge::render::scene::{Scene, Spring};
+use haptic_host::link::Column;
+use haptic_host::vectors::padded;
+use haptic_predict::analysis::plant::Linearised;
+use haptic_predict::analysis::pose::TaskPose;
+use haptic_predict::skeleton::skeleton;
+use nalgebra::{DVector, Vector3};
+use serde::Serialize;
+
+/// What is streamed for the page, and recorded: all that `haptic replay` needs is among it.
+pub const FIELDS: Fields = Fields(
+    Field::Angle.bit()
+        | Field::Tip.bit()
+        | Field::Torque.bit()
+        | Field::Distance.bit()
+        | Field::NormalVelocity.bit()
+        | Field::WallForce.bit()
+        | Field::RenderedForce.bit()
+        | Field::Saturated.bit()
+        | Field::Energy.bit()
+        | Field::Counts.bit()
+        | Field::State.bit(),
+);
+
+/// Over how long ripple and saturation are taken, s.
+const RECENT: f64 = 0.1;
+
+/// A point or a vector of the plane that is drawn.
+type Flat = [f64; 2];
+
+/// The ellipse of effective inertia: Λ's, whose half axes are what is met along them.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Ellipse {
+    /// Largest and smallest effective inertia, kg.
+    pub axes: Flat,
+    /// Direction of the largest, rad from +x.
+    pub angle: f64,
+}
+
+/// The geometry of a moment.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Geometry {
+    /// Tip, m.
+    pub tip: Flat,
+    /// Links, from end to end, m.
+    pub bars: Vec<[Flat; 2]>,
+    /// Pivots on the base, m.
+    pub base: Vec<Flat>,
+    /// Effective inertia.
+    pub ellipse: Option<Ellipse>,
+    /// Force of the motors at the tip, N.
+    pub force: Flat,
+    /// Where each of the scene's springs holds the tip from: its point, or its line's nearest one, m.
+    pub springs: Vec<Flat>,
+}
+
+/// The numbers of a moment.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Numbers {
+    /// Force rendered along the nearest wall's normal, N.
+    pub force: f64,
+    /// Depth in it, m; negative outside.
+    pub depth: f64,
+    /// Force of the motors across that normal, N: what pushes a hand along the wall.
+    pub sideways: f64,
+    /// Deviation of the force from its mean over the last tenth of a second, N rms.
+    pub ripple: f64,
+    /// Energy that the walls have taken up since contact began, J; negative: given out.
+    pub energy: f64,
+    /// Share of the last tenth of a second in which a motor could not do what was asked.
+    pub saturated: f64,
+    /// Weff and Wrr along that normal, kg; none at a singular pose.
+    pub inertia: Option<Flat>,
+    /// The nearest wall, from 0.
+    pub wall: Option<usize>,
+}
+
+/// The wall that the tip is deepest in or nearest to, and its normal.
+pub fn nearest_wall(scene: &Scene<f64>, tip: &[f64]) -> Option<(usize, Vector3<f64>)> {
+    let tip = Vector3::from(padded(tip));
+    let contacts = scene.walls.iter().enumerate().map(|(index, wall)| (index, wall.surface.contact::<Libm, 3>(&tip)));
+    contacts.min_by(|a, b| a.1.distance.total_cmp(&b.1.distance)).map(|(index, contact)| (index, contact.normal))
+}
+
+/// The newest row of a stream, by field.
+pub struct Newest<'a> {
+    ring: &'a Ring,
+    columns: &'a [Column],
+}
+
+impl<'a> Newest<'a> {
+    /// Of a ring with these columns.
+    pub fn of(ring: &'a Ring, columns: &'a [Column]) -> Self {
+        Self { ring, columns }
+    }
+
+    /// The number of one field's column; 0 where there is none yet.
+    pub fn get(&self, field: Field, axis: usize) -> f64 {
+        let column = self.columns.iter().position(|column| column.field == field && column.axis == axis);
+        let value = column.and_then(|column| self.ring.at(self.ring.end().checked_sub(1)?, column));
+        value.filter(|value| value.is_finite()).map_or(0.0, f64::from)
+    }
+
+    fn vector(&self, field: Field, count: usize) -> Vec<f64> {
+        (0..count).map(|axis| self.get(field, axis)).collect()
+    }
+
+    fn recent(&self, field: Field, axis: usize, rows: u64) -> impl Iterator<Item = f64> {
+        let column = self.columns.iter().position(|column| column.field == field && column.axis == axis);
+        column.into_iter().flat_map(move |column| self.ring.last(column, rows)).map(f64::from)
+    }
+
+    /// Joint angles, rad.
+    pub fn q(&self, joints: usize) -> Vec<f64> {
+        self.vector(Field::Angle, joints)
+    }
+
+    /// Geometry and numbers of the newest row. `rows_hz`: rows a second.
+    pub fn moment(
+        &self,
+        device: &Device<f64>,
+        links: Option<&Description>,
+        scene: &Scene<f64>,
+        rows_hz: f64,
+    ) -> (Geometry, Numbers) {
+        let joints = device.axes();
+        let q = self.q(joints);
+        let tip = self.vector(Field::Tip, joints);
+        let pose = TaskPose::of(&device.mechanism, &q).and_then(TaskPose::regular).ok();
+        let task = device.mechanism.kind().spec().task;
+        let place = if task == 1 { paddle_tip(links, &q, &tip) } else { padded(&tip) };
+        let mut geometry = Geometry { tip: place, ..Geometry::default() };
+        if let Some(drawn) = links.and_then(|links| skeleton(links, &q)) {
+            geometry.bars = drawn.bars.iter().map(|bar| [bar.from.into(), bar.to.into()]).collect();
+            geometry.base = drawn.base.iter().map(|base| (*base).into()).collect();
+        }
+        geometry.springs = scene.springs.iter().map(|spring| padded(&held_from(spring, &tip[..task]))).collect();
+        let recent = (RECENT * rows_hz).ceil() as u64;
+        let wall = nearest_wall(scene, &tip[..task]);
+        let mut numbers = Numbers {
+            force: self.get(Field::RenderedForce, 0),
+            depth: -self.get(Field::Distance, 0),
+            energy: self.get(Field::Energy, 0),
+            ripple: ripple(self.recent(Field::RenderedForce, 0, recent)),
+            saturated: (0..joints)
+                .map(|axis| share(self.recent(Field::Saturated, axis, recent), |value| value > 0.0))
+                .fold(0.0, f64::max),
+            wall: wall.map(|(index, _)| index),
+            ..Numbers::default()
+        };
+        let Some(pose) = pose else { return (geometry, numbers) };
+        let torque = DVector::from_vec(self.vector(Field::Torque, joints));
+        let force = pose.inverse.tr_mul(&torque).rows(0, task).into_owned();
+        if task > 1 {
+            geometry.force = padded(force.as_slice());
+            let l = &pose.operational;
+            geometry.ellipse = Some(ellipse(l[(0, 0)], l[(0, 1)], l[(1, 1)]));
+        }
+        if let Some((_, normal)) = wall {
+            let n = DVector::from_fn(task, |i, _| normal[i]);
+            numbers.sideways = (&force - &n * n.dot(&force)).norm();
+            let seen = Linearised::of(device, &q, n.as_slice(), scene.admissible).ok();
+            numbers.inertia = seen.and_then(|seen| Some([seen.w_eff()?, seen.w_rr()]));
+        }
+        (geometry, numbers)
+    }
+}
+
+/// The place that a spring pulls the tip to.
+fn held_from(spring: &Spring<f64>, tip: &[f64]) -> [f64; 3] {
+    let Spring { point, direction, .. } = spring;
+    let along: f64 = tip.iter().enumerate().map(|(i, tip)| (tip - point[i]) * direction[i]).sum();
+    core::array::from_fn(|i| point[i] + along * direction[i])
+}
+
+/// A paddle's task is an arc's length; its tip is drawn where its skeleton has it.
+fn paddle_tip(links: Option<&Description>, q: &[f64], tip: &[f64]) -> Flat {
+    let drawn = links.and_then(|links| skeleton(links, q));
+    drawn.map_or([tip.first().copied().unwrap_or(0.0), 0.0], |drawn| drawn.tip.into())
+}
+
+/// The half axes of a symmetric 2 x 2 matrix, and the direction of the larger.
+fn ellipse(xx: f64, xy: f64, yy: f64) -> Ellipse {
+    let (mean, half) = (0.5 * (xx + yy), 0.5 * (xx - yy).hypot(2.0 * xy));
+    Ellipse { axes: [mean + half, mean - half], angle: 0.5 * (2.0 * xy).atan2(xx - yy) }
+}
+
+/// Deviation from the mean, rms.
+fn ripple(values: impl Iterator<Item = f64>) -> f64 {
+    let values: Vec<f64> = values.collect();
+    if values.is_empty() {
+        return 0.0;
+    }
+    let count = values.len() as f64;
+    let mean = values.iter().sum::<f64>() / count;
+    (values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / count).sqrt()
+}
+
+fn share(values: impl Iterator<Item = f64>, wanted: impl Fn(f64) -> bool) -> f64 {
+    let (mut count, mut found) = (0_u32, 0_u32);
+    for value in values {
+        count += 1;
+        found += u32::from(wanted(value));
+    }
+    if count == 0 { 0.0 } else { f64::from(found) / f64::from(count) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::demo::Demo;
+    use haptic_bridge::render::scene::FeedForward;
+    use haptic_host::link::columns;
+
+    #[test]
+    fn the_ellipse_of_a_turned_matrix_is_turned() {
+        // R(0.3) diag(3, 1) R(0.3)ᵀ.
+        let (s, c) = 0.3_f64.sin_cos();
+        let found = ellipse(3.0 * c * c + s * s, 2.0 * s * c, 3.0 * s * s + c * c);
+        assert!((found.axes[0] - 3.0).abs() < 1e-12 && (found.axes[1] - 1.0).abs() < 1e-12);
+        assert!((found.angle - 0.3).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_spring_holds_from_its_point_or_from_the_nearest_of_its_line() {
+        let mut spring = Spring { point: [0.1, 0.2, 0.0], direction: [0.0; 3], stiffness: 1.0, damping: 0.0 };
+        assert_eq!(held_from(&spring, &[0.5, 0.9]), [0.1, 0.2, 0.0]);
+        spring.direction = [0.6, 0.8, 0.0];
+        // Along the line by 0.6 · 0.4 + 0.8 · 0.7 = 0.8.
+        let [x, y, z] = held_from(&spring, &[0.5, 0.9]);
+        assert!((x - 0.58).abs() < 1e-12 && (y - 0.84).abs() < 1e-12 && z == 0.0, "{x}, {y}, {z}");
+    }
+
+    #[test]
+    fn the_ripple_of_a_sine_is_its_amplitude_over_the_root_of_two() {
+        let sine = (0..1000).map(|i| 5.0 + 3.0 * (f64::from(i) * std::f64::consts::TAU / 100.0).sin());
+        assert!((ripple(sine) - 3.0 / 2.0_f64.sqrt()).abs() < 1e-9);
+        assert_eq!(ripple(std::iter::empty()), 0.0);
+    }
+
+    /// The torques Jᵀ n f of a force along the wall's normal push with f along it, and not sideways.
+    #[test]
+    fn a_force_along_the_normal_is_drawn_along_it() {
+        let demo = Demo::shipped(1).unwrap();
+        let device: Device<f64> = demo.file.device().unwrap();
+        let pose = TaskPose::of(&device.mechanism, demo.q()).unwrap();
+        let n = DVector::from_column_slice(&demo.normal);
+        let torque = pose.jacobian.tr_mul(&n) * 4.0;
+        let columns = columns(FIELDS, 2);
+        let mut ring = Ring::new(columns.len(), 10);
+        ring.push(columns.iter().map(|column| match column.field {
+            Field::Angle => demo.pose[column.axis] as f32,
+            Field::Tip => pose.position[column.axis] as f32,
+            Field::Torque => torque[column.axis] as f32,
+            _ => 0.0,
+        }));
+        let scene = demo.scene([pose.position[0], pose.position[1]], FeedForward::Off).cast::<f64>();
+        let newest = Newest::of(&ring, &columns);
+        let (geometry, numbers) = newest.moment(&device, Some(&demo.file.description), &scene, 1000.0);
+        for axis in 0..2 {
+            assert!((geometry.force[axis] - 4.0 * n[axis]).abs() < 1e-5, "{:?}", geometry.force);
+            assert!((geometry.bars[3][1][axis] - geometry.tip[axis]).abs() < 1e-6, "the links end at the tip");
+        }
+        assert!(numbers.sideways < 1e-5, "{}", numbers.sideways);
+        let inertia = demo.inertia().unwrap();
+        let [effective, rendered] = numbers.inertia.unwrap();
+        // Angles were rounded to f32.
+        assert!((effective / inertia.effective - 1.0).abs() < 1e-5 && (rendered / inertia.rendered - 1.0).abs() < 1e-5);
+        assert_eq!(numbers.wall, Some(0));
+    }
+}

@@ -1,0 +1,117 @@
+//! The recording that a page starts and ends.
+
+use super::Stage;
+use crate::recorder::about::About;
+use crate::recorder::{RecordError, RowWriter};
+use crate::view::hub::PageId;
+use haptic_host::link::{BoardError, Losses, Row};
+use haptic_host::output::{self, Overwrite};
+use serde::Serialize;
+use serde_json::json;
+
+/// A recording under way.
+pub(super) struct ActiveRecording {
+    writer: RowWriter,
+    rate_hz: f64,
+    /// Steps of its first and its newest row.
+    steps: Option<(u32, u32)>,
+    rows: u64,
+    /// What had been lost before it began.
+    before: Losses,
+}
+
+impl ActiveRecording {
+    /// Time of its newest row, s.
+    fn time(&self) -> f64 {
+        self.steps.map_or(0.0, |(first, newest)| f64::from(newest.wrapping_sub(first)) / self.rate_hz)
+    }
+
+    pub(super) fn take(&mut self, row: &Row) -> Result<(), RecordError> {
+        let first = self.steps.map_or(row.step, |(first, _)| first);
+        self.steps = Some((first, row.step));
+        self.rows += 1;
+        self.writer.row(row.step, self.time(), &row.values)
+    }
+
+    /// Writes what happened beside its newest row.
+    pub(super) fn note(&mut self, words: &str) -> Result<(), RecordError> {
+        self.writer.event(self.time(), words)
+    }
+
+    /// Brings to the file what waits for it.
+    pub(super) fn flush(&mut self) -> Result<(), RecordError> {
+        self.writer.flush()
+    }
+
+    /// As a page sees it.
+    pub(super) fn told(&self) -> Recorded {
+        Recorded { file: self.writer.place(), rows: self.rows, bytes: self.writer.bytes() }
+    }
+
+    /// Ends it; in words what came of it.
+    pub(super) fn end(mut self, now: Losses, cut: bool) -> Result<String, RecordError> {
+        let losses = Losses {
+            received: self.rows,
+            missing: now.missing.saturating_sub(self.before.missing),
+            dropped_by_board: now.dropped_by_board.saturating_sub(self.before.dropped_by_board),
+            batches_lost: now.batches_lost.saturating_sub(self.before.batches_lost),
+            garbled: now.garbled.saturating_sub(self.before.garbled),
+        };
+        let cut = if cut { "cut short: the board was lost; " } else { "" };
+        self.writer.end(&format!("{cut}{losses}"), &losses)?;
+        Ok(format!("recorded {}: {losses}", self.writer.place()))
+    }
+}
+
+/// The recording under way, as a page sees it.
+#[derive(Serialize)]
+pub(super) struct Recorded {
+    file: String,
+    rows: u64,
+    bytes: u64,
+}
+
+impl Stage {
+    pub(super) fn start_recording(&mut self, id: PageId) -> Result<(), BoardError> {
+        if self.recording.is_some() {
+            self.refuse(id, "a recording is under way");
+            return Ok(());
+        }
+        let Some(folder) = &self.folder else {
+            self.refuse(id, "nothing can be recorded here");
+            return Ok(());
+        };
+        let name = format!("haptic-{}.mcap", output::date().replace(':', ""));
+        let path = output::unused(&folder.join(name));
+        let divider = self.divider;
+        let writer = About::read(self.board(), divider).and_then(|about| {
+            let writer = RowWriter::create(&path, &about, &self.columns, Overwrite::Never)?;
+            Ok((writer, about.rate_hz))
+        });
+        match writer {
+            Ok((writer, rate_hz)) => {
+                let before = self.board().losses();
+                self.recording = Some(ActiveRecording { writer, rate_hz, steps: None, rows: 0, before });
+            }
+            Err(failure) => self.refuse(id, &failure.to_string()),
+        }
+        Ok(())
+    }
+
+    pub(super) fn stop_recording(&mut self, cut: bool) {
+        let losses = self.board().losses();
+        match self.recording.take().map(|recording| recording.end(losses, cut)) {
+            Some(Ok(words)) => self.say_to_all(&json!({"is": "recorded", "words": words})),
+            Some(Err(error)) => self.recording_failed(error),
+            None => {}
+        }
+    }
+
+    /// What is in its file stays there.
+    pub(super) fn recording_failed(&mut self, error: RecordError) {
+        self.recording = None;
+        if let RecordError::Failed(failure) = error {
+            self.refuse_all(&format!("the recording has ended: {failure}"));
+        }
+    }
+}

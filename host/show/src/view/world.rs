@@ -1,0 +1,119 @@
+//! What is looked at: a board, its links to draw, and where it is simulated the hand on it.
+
+use crate::demo::Demo;
+use haptic_bridge::render::scene::{FeedForward, Scene};
+use haptic_bridge::safety::refusal::Refusal;
+use haptic_host::device_file::DeviceFile;
+use haptic_host::error::Failure;
+use haptic_host::link::{Board, LinkError};
+use haptic_predict::wall_ahead::wall_ahead;
+use haptic_sim::{BoardOptions, Hand, HandSettings, Intent, Options, SharedBoard, ready_board};
+
+/// How far in front of the tip the wall of [`World::demo`] stands, m.
+const NEAR: f64 = 0.002;
+/// Share of the joints' dry friction that it has, and how much finer its encoders are.
+const LITTLE_FRICTION: f64 = 0.1;
+const FINER: f64 = 5.0;
+/// Tremor of the simulated hand, m: what sets a wall swinging that is about to.
+const TREMOR: f64 = 2e-4;
+
+/// A board and what is known of its surroundings.
+pub struct World {
+    /// The board.
+    pub board: Board,
+    /// The same board from the inside, where it is simulated in this process.
+    pub simulated: Option<SharedBoard>,
+    /// The device, for its links.
+    pub file: Option<DeviceFile>,
+    /// The device's weight was left out.
+    pub weightless: bool,
+    /// The device has less dry friction and finer encoders than its file says.
+    pub smooth: bool,
+}
+
+impl World {
+    /// A board that is there.
+    pub fn of(board: Board, file: Option<DeviceFile>) -> Self {
+        Self { board, simulated: None, file, weightless: false, smooth: false }
+    }
+
+    /// What a board that is there still needs before it can be looked at: a device, a scene.
+    pub fn lacks(&mut self) -> Result<Option<Refusal>, LinkError> {
+        Ok(match (self.board.device()?, self.board.scene()?) {
+            (None, _) => Some(Refusal::NoDevice),
+            (_, None) => Some(Refusal::NoScene),
+            _ => None,
+        })
+    }
+
+    /// The device of `haptic demo` in a pose and before a wall of its own: wherever the hand presses it, up to the
+    /// motors' limit, the wall buzzes without the feed-forward and is quiet with it, by prediction as well as when it
+    /// is tried.
+    ///
+    /// Friction of the joints can hold a wall that is unstable, and lets one swing on that is stable but near its
+    /// boundary; encoder steps make a stiff wall tremble. Both would decide in the feed-forward's place, so this device
+    /// has little of them, and pages are told.
+    pub fn demo() -> Result<Self, Failure> {
+        let mut demo = Demo::shipped(1)?;
+        let (sine, cosine) = 45.0_f64.to_radians().sin_cos();
+        (demo.pose, demo.normal) = ([2.2, 1.2, 0.0], [cosine, sine]);
+        (demo.stiffness, demo.damping) = (8_700.0, 80.0);
+        for joint in &mut demo.file.description.joints {
+            joint.coulomb *= LITTLE_FRICTION;
+            if let Some(encoder) = &mut joint.encoder {
+                encoder.counts_per_turn *= FINER;
+            }
+        }
+        let mut world = Self::start(demo.file.clone(), Some(demo.pose))?;
+        world.smooth = true;
+        let tip = world.simulated.as_ref().map_or([0.0; 3], |board| board.lock().device().tip());
+        let surface = core::array::from_fn(|i| tip[i] - NEAR * demo.normal[i]);
+        world.board.set_scene(&demo.scene(surface, FeedForward::Washout))?;
+        Ok(world)
+    }
+
+    /// A simulated device in a scene, or before a wall of half the stiffness that is predicted to be stable.
+    pub fn simulate(file: DeviceFile, scene: Option<Scene<f32>>) -> Result<Self, Failure> {
+        let scene = match scene {
+            Some(scene) => scene,
+            None => wall_ahead(&file)?,
+        };
+        let mut world = Self::start(file, None)?;
+        world.board.set_scene(&scene)?;
+        Ok(world)
+    }
+
+    /// The device without its weight: with the motors off nobody would hold it, and with them on the board does.
+    fn start(mut file: DeviceFile, start: Option<[f64; 3]>) -> Result<Self, Failure> {
+        let weightless = file.description.gravity.iter().any(|g| *g != 0.0);
+        file.description.gravity = [0.0; 3];
+        let options = BoardOptions { device: Options { start, ..Options::default() }, ..BoardOptions::default() };
+        let board = ready_board(&file, options)
+            .map_err(|error| LinkError::CannotSimulate(format!("{}: {error}", file.path.display())))?;
+        let simulated = SharedBoard::new(board);
+        let board = Board::over(simulated.wire(), "sim")?;
+        Ok(Self { board, simulated: Some(simulated), file: Some(file), weightless, smooth: false })
+    }
+}
+
+/// The hand that a page leads.
+pub fn hand_settings() -> HandSettings {
+    HandSettings { tremor: TREMOR, ..HandSettings::default() }
+}
+
+/// Leads the simulated hand to `goal` (m) in the plane that is drawn, or lets go of the tip.
+pub fn lead(board: &SharedBoard, goal: Option<[f64; 2]>) {
+    let mut board = board.lock();
+    let now = board.time();
+    let device = board.device_mut();
+    let tip = device.tip();
+    match goal {
+        None => device.set_hand(Hand::none()),
+        Some([x, y]) => {
+            if device.hand().position().is_none() {
+                device.set_hand(Hand::new(hand_settings(), Intent::Lead(tip), tip, now));
+            }
+            device.hand_mut().lead([x, y, 0.0]);
+        }
+    }
+}

@@ -1,0 +1,175 @@
+//! Where the hand of `haptic sim --hand loop` goes: around on a wall that it can reach, else around where it is.
+
+use super::{Intent, Waypoint};
+use haptic_bridge::math::Libm;
+use haptic_bridge::model::mechanism::Mechanism;
+use haptic_bridge::render::scene::{Scene, Surface};
+use haptic_bridge::with_mechanism;
+use haptic_host::device_file::DeviceFile;
+use nalgebra::{DMatrix, DVector, SVector, Vector3};
+
+/// Half the length and half the width of the loop, m.
+const REACH: f64 = 0.015;
+/// Worst conditioned Jacobian that the hand goes through: nearer to a singular pose a board may trip.
+const CONDITION: f64 = 30.0;
+/// Farthest that a path may miss its goal, m.
+const MISSED: f64 = 1e-5;
+
+/// A loop that never ends, three centimetres across and four seconds around.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Around {
+    /// Where the tip is at home, m: the hand waits there while the motors are off.
+    rest: [f64; 3],
+    /// Its middle, m.
+    pub centre: Vector3<f64>,
+    /// Unit vectors across and along the wall.
+    across: Vector3<f64>,
+    along: Vector3<f64>,
+    /// Whether it goes through the surface of a wall.
+    pub on_a_wall: bool,
+}
+
+impl Around {
+    /// The loop in this scene, for a tip that starts at the device's home.
+    pub fn find(file: &DeviceFile, scene: Option<&Scene<f64>>, tip: [f64; 3]) -> Self {
+        let rest = tip;
+        let tip = Vector3::from(tip);
+        let walls = scene.into_iter().flat_map(|scene| &scene.walls);
+        let mut places = walls.flat_map(|wall| {
+            let contact = wall.surface.contact::<Libm, 3>(&tip);
+            let nearest = tip - contact.normal * contact.distance;
+            let named = match &wall.surface {
+                Surface::Plane(plane) => Vector3::from(plane.point),
+                _ => nearest,
+            };
+            [nearest, named].map(|centre| Self {
+                rest,
+                centre,
+                across: contact.normal,
+                along: Vector3::new(-contact.normal.y, contact.normal.x, 0.0),
+                on_a_wall: true,
+            })
+        });
+        places.find(|place| place.is_within_reach(file)).unwrap_or(Self {
+            rest,
+            centre: tip + Vector3::y() * REACH,
+            across: Vector3::y(),
+            along: Vector3::x(),
+            on_a_wall: false,
+        })
+    }
+
+    fn corners(&self) -> [Vector3<f64>; 4] {
+        [self.along, -self.across, -self.along, self.across].map(|way| self.centre + way * REACH)
+    }
+
+    fn is_within_reach(&self, file: &DeviceFile) -> bool {
+        self.corners().iter().all(|corner| is_within_reach(file, corner))
+    }
+
+    /// Where the hand of a board with its motors off stays or goes back to: home, out of the walls.
+    pub fn wait(&self) -> Intent {
+        Intent::Lead(self.rest)
+    }
+
+    /// The path that the hand follows from home on, for an hour.
+    pub fn intent(&self) -> Intent {
+        let corners = self.corners().map(Into::into);
+        let places = std::iter::once(self.rest).chain(corners.into_iter().cycle());
+        let points = (0..3600).zip(places).map(|(second, value)| Waypoint { time: f64::from(second), value });
+        Intent::Follow(points.collect())
+    }
+}
+
+/// Whether the tip gets from home straight to `goal` without coming near a singular pose or a joint limit.
+fn is_within_reach(file: &DeviceFile, goal: &Vector3<f64>) -> bool {
+    const STEPS: u32 = 20;
+    let Some(home) = file.description.home else { return false };
+    let count = file.spec().joints;
+    let mut q = DVector::from_column_slice(&home[..count]);
+    let at = |q: &DVector<f64>| with_mechanism!(&file.mechanism, m => tip_and_jacobian(m, q));
+    let (start, _) = at(&q);
+    let goal = DVector::from_column_slice(&goal.as_slice()[..start.len()]);
+    (1..=STEPS).all(|step| {
+        let aim = &start + (&goal - &start) * (f64::from(step) / f64::from(STEPS));
+        // Newton's method, which a twentieth of the way brings close enough to converge within a few rounds.
+        (0..8).any(|_| {
+            let (tip, jacobian) = at(&q);
+            let stretch = jacobian.singular_values();
+            // Also refuses what is no number: links that cannot close.
+            let regular = stretch.max() <= CONDITION * stretch.min();
+            if !regular {
+                return false;
+            }
+            let missing = &aim - tip;
+            if missing.norm() < MISSED {
+                let limits = file.description.joints.iter().map(|joint| joint.limits);
+                return q
+                    .iter()
+                    .zip(limits)
+                    .all(|(q, limits)| limits.is_none_or(|(low, high)| (low..=high).contains(q)));
+            }
+            match jacobian.pseudo_inverse(1e-9) {
+                Ok(inverse) => q += inverse * missing,
+                Err(_) => return false,
+            }
+            false
+        })
+    })
+}
+
+/// The tip, m, and its motion by each joint, m/rad.
+fn tip_and_jacobian<M: Mechanism<f64, N>, const N: usize>(m: &M, q: &DVector<f64>) -> (DVector<f64>, DMatrix<f64>) {
+    let task = M::SPEC.task;
+    let pose = m.pose::<Libm>(&SVector::from_fn(|i, _| q[i]));
+    let (tip, jacobian) = (m.tip(&pose), m.jacobian(&pose));
+    (DVector::from_fn(task, |i, _| tip[i]), DMatrix::from_fn(task, N, |i, j| jacobian[(i, j)]))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use haptic_host::scene_file::SceneFile;
+    use std::fs;
+    use std::path::Path;
+
+    /// Every scene that ships is felt by the hand on the device that it ships for.
+    #[test]
+    fn the_hand_reaches_a_wall_of_every_shipped_scene() {
+        let devices = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../devices");
+        let mut tried = 0;
+        for folder in fs::read_dir(devices.join("scenes")).unwrap().map(|entry| entry.unwrap().path()) {
+            let name = folder.file_name().unwrap().to_string_lossy().into_owned();
+            let file = DeviceFile::load(devices.join(name + ".toml")).unwrap();
+            let home = file.description.home.unwrap();
+            let count = file.spec().joints;
+            let q = DVector::from_column_slice(&home[..count]);
+            let (place, _) = with_mechanism!(&file.mechanism, m => tip_and_jacobian(m, &q));
+            let mut tip = [0.0; 3];
+            tip[..place.len()].copy_from_slice(place.as_slice());
+            for path in fs::read_dir(&folder).unwrap().map(|entry| entry.unwrap().path()) {
+                let scene = SceneFile::load(&path, file.spec().task).unwrap().scene::<f64>().unwrap();
+                if scene.walls.is_empty() {
+                    continue;
+                }
+                let around = Around::find(&file, Some(&scene), tip);
+                assert!(around.on_a_wall, "{}", path.display());
+                let corners = around.corners();
+                let inside = |surface: &Surface<f64>| {
+                    corners.iter().any(|corner| surface.contact::<Libm, 3>(corner).distance < -0.01)
+                };
+                assert!(scene.walls.iter().any(|wall| inside(&wall.surface)), "{}", path.display());
+                tried += 1;
+            }
+        }
+        assert!(tried > 10, "{tried}");
+    }
+
+    #[test]
+    fn what_lies_outside_of_the_workspace_is_not_reached() {
+        let file = DeviceFile::parse(super::super::SHIPPED_DEVICE, "coupled-five-bar.toml").unwrap();
+        assert!(is_within_reach(&file, &Vector3::new(-0.1, 0.18, 0.0)));
+        // The arms are 23 cm long.
+        assert!(!is_within_reach(&file, &Vector3::new(-0.0962, 0.2144, 0.0)));
+    }
+}

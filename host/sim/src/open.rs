@@ -1,0 +1,37 @@
+//! What `--port` means, opened: a simulated board in this process, or one on a wire.
+
+use crate::{BoardOptions, SHIPPED_DEVICE, SharedBoard, ready_board};
+use haptic_host::device_file::DeviceFile;
+use haptic_host::link::{Board, BoardError, LinkError, PortSpec, Stopped, Wire};
+use std::path::Path;
+
+/// Finds and opens the board that `port` means, simulated ones too, and checks its protocol version.
+pub fn open(port: &PortSpec) -> Result<Board, LinkError> {
+    match port {
+        PortSpec::Sim(device) => Board::over(simulated(device.as_deref())?, NAME),
+        _ => Board::open(port),
+    }
+}
+
+/// Turns the motors of the board that `port` means off, see [`Board::stop`].
+pub fn stop(port: &PortSpec) -> Result<Stopped, BoardError> {
+    match port {
+        PortSpec::Sim(device) => Board::stop_over(simulated(device.as_deref())?, NAME),
+        _ => Board::stop(port),
+    }
+}
+
+/// What messages call a simulated board.
+const NAME: &str = "sim";
+
+/// Opens `--port sim` (the shipped device) or `--port sim:FILE`: a board with that device on it and loaded.
+fn simulated(device: Option<&Path>) -> Result<Box<dyn Wire>, LinkError> {
+    let file = match device {
+        Some(path) => DeviceFile::load(path),
+        None => DeviceFile::parse(SHIPPED_DEVICE, "coupled-five-bar.toml"),
+    };
+    let file = file.map_err(|error| LinkError::CannotSimulate(error.to_string()))?;
+    let board = ready_board(&file, BoardOptions::default())
+        .map_err(|error| LinkError::CannotSimulate(format!("{}: {error}", file.path.display())))?;
+    Ok(SharedBoard::new(board).wire())
+}

@@ -1,0 +1,64 @@
+//! A simulated board in this process, in lock step with its caller: time passes for it only while the caller waits.
+
+use super::board::{BoardOptions, SimulatedBoard};
+use super::device::DeviceError;
+use haptic_host::device_file::DeviceFile;
+use haptic_host::link::Wire;
+use std::io;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+/// The device behind `--port sim`.
+pub const SHIPPED_DEVICE: &str = include_str!("../../../devices/coupled-five-bar.toml");
+
+/// A simulated board that its wire and its owner share.
+#[derive(Clone, Debug)]
+pub struct SharedBoard(Arc<Mutex<SimulatedBoard>>);
+
+impl SharedBoard {
+    /// Shares a board.
+    pub fn new(board: SimulatedBoard) -> Self {
+        Self(Arc::new(Mutex::new(board)))
+    }
+
+    /// The board, until the guard is dropped.
+    pub fn lock(&self) -> MutexGuard<'_, SimulatedBoard> {
+        // A panic elsewhere leaves a board that is still only numbers.
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// A wire to it.
+    pub fn wire(&self) -> Box<dyn Wire> {
+        Box::new(SimulatedWire(self.clone()))
+    }
+}
+
+struct SimulatedWire(SharedBoard);
+
+impl Wire for SimulatedWire {
+    fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
+        self.0.lock().receive(bytes);
+        Ok(())
+    }
+
+    fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> io::Result<usize> {
+        let mut board = self.0.lock();
+        let until = board.time() + timeout.as_secs_f64();
+        while !board.has_bytes() && board.time() < until {
+            board.control_period();
+        }
+        Ok(board.take_bytes(buffer))
+    }
+
+    fn now(&self) -> Duration {
+        Duration::from_secs_f64(self.0.lock().time())
+    }
+}
+
+/// A simulated board with the device of `file` wired to it and, when it takes it, loaded.
+pub fn ready_board(file: &DeviceFile, options: BoardOptions) -> Result<SimulatedBoard, DeviceError> {
+    let mut board = SimulatedBoard::new(&file.description, options)?;
+    // A device that the board refuses is refused again, in words, when the tool loads it.
+    let _ = board.load(&file.name, &file.description, None);
+    Ok(board)
+}

@@ -1,0 +1,283 @@
+//! How numbers, directions and words are read from the command line.
+
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use haptic_bridge::model::admissible::Admissible;
+use haptic_bridge::render::scene::{FeedForward, MAX_RATE_HZ, MIN_RATE_HZ};
+use haptic_bridge::render::velocity::Estimator;
+use haptic_host::device_file::DeviceFile;
+use haptic_host::error::Failure;
+use haptic_host::toml_file::Document;
+use haptic_host::vectors::unit;
+use haptic_host::words::counted;
+use haptic_predict::analysis::estimator::LinearEstimator;
+use haptic_predict::analysis::several::Member;
+use haptic_predict::boards::BoardKind;
+use haptic_predict::model::Precision;
+use haptic_predict::plausible::{self, Doubt, Warning};
+use std::path::Path;
+
+/// A list of numbers separated by commas, such as `-0.3,1.2`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Numbers(pub Vec<f64>);
+
+impl std::str::FromStr for Numbers {
+    type Err = String;
+    fn from_str(text: &str) -> Result<Self, String> {
+        let number = |part: &str| match part.trim().parse::<f64>() {
+            Ok(number) if number.is_finite() => Ok(number),
+            Ok(_) => Err(format!("`{}` is not a finite number", part.trim())),
+            Err(_) => {
+                Err(format!("`{}` is not a number; write numbers separated by commas, such as 0.3,-1.2", part.trim()))
+            }
+        };
+        text.split(',').map(number).collect::<Result<Vec<f64>, String>>().map(Numbers)
+    }
+}
+
+impl std::fmt::Display for Numbers {
+    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(out, "{}", self.0.iter().map(f64::to_string).collect::<Vec<_>>().join(","))
+    }
+}
+
+impl Numbers {
+    /// The numbers, if there are exactly `count`; `option` and `meaning` are for the message.
+    pub fn exactly(&self, count: usize, option: &str, meaning: &str) -> Result<Vec<f64>, Failure> {
+        if self.0.len() == count {
+            return Ok(self.0.clone());
+        }
+        let numbers = counted(self.0.len(), "number");
+        let reason = format!("{option} has {numbers}, but this device takes {count} ({meaning})");
+        Err(Failure::wrong(reason).remedy("separate them with commas, without spaces"))
+    }
+
+    /// One positive number for each of `walls` walls.
+    pub fn per_wall(&self, walls: usize, option: &str) -> Result<Vec<f64>, Failure> {
+        if self.0.len() != walls {
+            let numbers = counted(self.0.len(), "number");
+            let reason = format!("{option} has {numbers} for {} (--normal)", counted(walls, "wall"));
+            return Err(Failure::wrong(reason).remedy("give one number per --normal, separated by commas"));
+        }
+        if let Some(wrong) = self.0.iter().find(|value| **value <= 0.0) {
+            return Err(Failure::wrong(format!("{option} holds {wrong}")).remedy("every wall needs a positive number"));
+        }
+        Ok(self.0.clone())
+    }
+
+    /// Which of `walls` walls have the feed-forward: all but those that `without` counts, from 0, and some.
+    pub fn with_feed_forward(without: Option<&Self>, walls: usize, option: &str) -> Result<Vec<bool>, Failure> {
+        let mut with = vec![true; walls];
+        for index in without.iter().flat_map(|without| &without.0) {
+            let wall = with.iter_mut().enumerate().find(|(wall, _)| *wall as f64 == *index);
+            let Some((_, wall)) = wall else {
+                let reason = format!("{option} names wall {index}, and there are {walls} (--normal)");
+                return Err(Failure::wrong(reason).remedy("count the walls from 0, in the order of --normal"));
+            };
+            *wall = false;
+        }
+        if walls > 0 && !with.contains(&true) {
+            let reason = format!("{option} leaves no wall with a feed-forward");
+            return Err(Failure::wrong(reason).remedy("leave one out: results without any stand beside those with it"));
+        }
+        Ok(with)
+    }
+
+    /// A direction of `task` entries, made a unit vector.
+    pub fn unit(&self, task: usize, option: &str) -> Result<Vec<f64>, Failure> {
+        let values = self.exactly(task, option, "task directions")?;
+        unit(&values).ok_or_else(|| {
+            Failure::wrong(format!("{option} is zero, which points nowhere")).remedy("write a direction")
+        })
+    }
+}
+
+/// Walls that act together.
+#[derive(clap::Args)]
+pub struct WallArgs {
+    /// Normal of a wall at the tip, any length; once per wall that acts
+    #[arg(long, value_name = "X,Y,..", required = true, allow_hyphen_values = true)]
+    normal: Vec<Numbers>,
+    /// Each wall's part of stiffness and damping, with several --normal; results are the totals [default: equal parts]
+    #[arg(long, value_name = "A,B,..", allow_hyphen_values = true)]
+    share: Option<Numbers>,
+    /// Walls whose feed-forward is off beside others that have it, counted from 0 in the order of --normal
+    #[arg(long, value_name = "I,J,..")]
+    no_feed_forward: Option<Numbers>,
+}
+
+impl WallArgs {
+    /// How many.
+    pub fn count(&self) -> usize {
+        self.normal.len()
+    }
+
+    /// The normals as they were typed.
+    pub fn normals(&self) -> impl Iterator<Item = &Numbers> {
+        self.normal.iter()
+    }
+
+    /// Each wall's part, as it was typed, where several share.
+    pub fn parts(&self) -> Option<&Numbers> {
+        self.share.as_ref().filter(|_| self.normal.len() > 1)
+    }
+
+    /// Each wall with its part, at a tip of `task` dimensions.
+    pub fn members(&self, task: usize) -> Result<Vec<Member>, Failure> {
+        let shares = match &self.share {
+            Some(share) => share.per_wall(self.count(), "--share")?,
+            None => vec![1.0; self.count()],
+        };
+        let with = Numbers::with_feed_forward(self.no_feed_forward.as_ref(), self.count(), "--no-feed-forward")?;
+        let parts = shares.into_iter().zip(with);
+        let member = |(normal, (share, feed_forward)): (&Numbers, _)| {
+            Ok(Member { normal: normal.unit(task, "--normal")?, share, feed_forward })
+        };
+        self.normal.iter().zip(parts).map(member).collect()
+    }
+
+    /// The options that ask for the same walls.
+    pub fn line(&self) -> String {
+        let mut line: String = self.normal.iter().map(|normal| format!(" --normal={normal}")).collect();
+        if let Some(parts) = self.parts() {
+            line += &format!(" --share {parts}");
+        }
+        if let Some(without) = &self.no_feed_forward {
+            line += &format!(" --no-feed-forward {without}");
+        }
+        line
+    }
+}
+
+/// The joint angles that were typed after --q, or else those of the file's home.
+pub fn pose(q: Option<&Numbers>, file: &DeviceFile) -> Result<Vec<f64>, Failure> {
+    let joints = file.spec().joints;
+    match (q, file.description.home) {
+        (Some(q), _) => q.exactly(joints, "--q", "joint angles"),
+        (None, Some(home)) => Ok(home[..joints].to_vec()),
+        (None, None) => Err(Failure::wrong(format!("{} has no [home], so there is no pose", file.path.display()))
+            .remedy("say which with --q")),
+    }
+}
+
+/// A device file, with what is doubtful about it. What lies between motor and link is left out where `for_a_loop` is
+/// false: inertia does not depend on it.
+pub fn device(path: &Path, for_a_loop: bool) -> Result<(DeviceFile, Vec<Warning>), Failure> {
+    let document = Document::load(path)?;
+    let file = DeviceFile::read(&document)?;
+    let mut doubts = plausible::device::doubts(&file.description);
+    doubts.retain(|doubt| for_a_loop || doubt.key.is_none_or(|key| key.name != "transmission"));
+    let warnings = doubts.into_iter().map(|doubt| doubt.about(&document)).collect();
+    Ok((file, warnings))
+}
+
+/// What is doubtful about joint angles: in degrees, mostly, or beyond the joints' limits.
+pub fn pose_doubts(q: &[f64], file: &DeviceFile) -> Vec<Warning> {
+    let mut doubts = plausible::angles(q, "--q");
+    if doubts.is_empty() {
+        doubts = plausible::beyond_limits(q, &file.description);
+    }
+    doubts.into_iter().map(Doubt::typed).collect()
+}
+
+/// Refuses a control rate that no board has.
+pub fn check_rate(rate_hz: f64) -> Result<(), Failure> {
+    if (MIN_RATE_HZ..=MAX_RATE_HZ).contains(&rate_hz) {
+        return Ok(());
+    }
+    let reason = format!("no board runs at --rate {rate_hz} Hz");
+    Err(Failure::wrong(reason).remedy(format!("write {MIN_RATE_HZ} to {MAX_RATE_HZ} Hz")))
+}
+
+/// Reads one of these words as what it stands for; each comes with what it is, for the help page.
+pub fn one_of<T: Copy + Send + Sync + 'static>(
+    words: impl IntoIterator<Item = (&'static str, &'static str, T)>,
+) -> impl TypedValueParser<Value = T> {
+    let words: Vec<_> = words.into_iter().collect();
+    let listed = words.iter().map(|(word, about, _)| PossibleValue::new(word).help(*about)).collect();
+    meant(listed, words.into_iter().map(|(word, _, meaning)| (word, meaning)).collect())
+}
+
+/// Reads one of these words as what it stands for, where the words say enough.
+fn named<T: Copy + Send + Sync + 'static>(
+    words: impl IntoIterator<Item = (&'static str, T)>,
+) -> impl TypedValueParser<Value = T> {
+    let words: Vec<_> = words.into_iter().collect();
+    meant(words.iter().map(|(word, _)| PossibleValue::new(word)).collect(), words)
+}
+
+fn meant<T: Copy + Send + Sync + 'static>(
+    listed: Vec<PossibleValue>,
+    words: Vec<(&'static str, T)>,
+) -> impl TypedValueParser<Value = T> {
+    PossibleValuesParser::new(listed).try_map(move |word| {
+        let known = words.iter().find(|(other, _)| *other == word);
+        known.map(|(_, meaning)| *meaning).ok_or("this word stands for nothing")
+    })
+}
+
+/// A feed-forward, by its name.
+pub fn feed_forward() -> impl TypedValueParser<Value = FeedForward> {
+    one_of(FeedForward::ALL.map(|(name, kind)| (name, what(kind), kind)))
+}
+
+/// What a feed-forward is.
+pub fn what(kind: FeedForward) -> &'static str {
+    match kind {
+        FeedForward::Off => "None",
+        FeedForward::Full => "The paper's equation (4)",
+        FeedForward::Washout => "The same, gone at rest, so that a resting hand is not pushed sideways",
+    }
+}
+
+/// A velocity estimator that has a linear analysis, by its name in scene files.
+pub fn linear_estimator() -> impl TypedValueParser<Value = Estimator> {
+    let what = |kind| match kind {
+        Estimator::Butterworth => "Backward difference and a 2nd-order Butterworth low-pass",
+        Estimator::FirstOrder => "Backward difference and a 1st-order low-pass",
+        Estimator::BackwardDifference => "Backward difference alone",
+        Estimator::AlphaBeta(_) => "α-β filter with its poles at the cutoff",
+        Estimator::Predicted(_) => "Observer that knows the motors' torques, with its poles at the cutoff",
+        _ => "As in scene files",
+    };
+    one_of(LinearEstimator::named().map(move |(name, kind)| (name, what(kind), kind)))
+}
+
+/// One of those with which walls are tuned, by its name in scene files.
+pub fn tuned_estimator() -> impl TypedValueParser<Value = Estimator> {
+    named(haptic_predict::tune::estimators().into_iter().map(|kind| (kind.name(), kind)))
+}
+
+/// The arithmetic to compute in, by its name.
+pub fn precision() -> impl TypedValueParser<Value = Precision> {
+    named(Precision::ALL)
+}
+
+/// A board there is firmware for, by its name.
+pub fn board() -> impl TypedValueParser<Value = BoardKind> {
+    named(BoardKind::ALL.map(|kind| (kind.name(), kind)))
+}
+
+/// What a redundant device holds, by its name.
+pub fn admissible() -> impl TypedValueParser<Value = Admissible> {
+    named(Admissible::ALL)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_linear_estimators_are_those_without_a_window_of_their_own() {
+        let names: Vec<&str> = LinearEstimator::named().map(|(name, _)| name).collect();
+        assert_eq!(names, ["butterworth", "first-order", "backward-difference", "alpha-beta", "predicted"]);
+    }
+
+    #[test]
+    fn numbers_parse_with_signs_and_spaces_but_not_with_gaps() {
+        assert_eq!("-0.3,1.2".parse(), Ok(Numbers(vec![-0.3, 1.2])));
+        assert_eq!(" 1e-3, -2 ".parse(), Ok(Numbers(vec![1.0e-3, -2.0])));
+        for wrong in ["", ",", "1,,2", "1;2", "nan", "1,inf"] {
+            assert!(wrong.parse::<Numbers>().is_err(), "{wrong}");
+        }
+    }
+}

@@ -1,0 +1,94 @@
+//! `haptic bench`: every variant of the control step with its cost and its error.
+
+use super::answer::Json;
+use super::force::Force;
+use haptic_host::device_file::DeviceFile;
+use haptic_host::digits::print_json;
+use haptic_host::error::{Failure, print};
+use haptic_host::output;
+use haptic_predict::bench::error::Parts;
+use haptic_predict::bench::report::{Variant, by_mechanism, by_variant, devices, variants};
+use haptic_show::plot::speed;
+use serde_json::json;
+use std::path::PathBuf;
+
+/// Show what each way of computing the control step costs and what error it leaves
+///
+/// Instructions on the chip were counted on the emulated chip (benches/counts.json); errors are computed here and now;
+/// what this computer takes is measured now and is no result to quote.
+#[derive(clap::Args)]
+pub struct Args {
+    /// Device files (TOML) instead of one shipped device per mechanism
+    device: Vec<PathBuf>,
+    /// Write the tables (CSV) and the picture into this directory instead
+    #[arg(long, value_name = "DIRECTORY")]
+    report: Option<PathBuf>,
+    #[command(flatten)]
+    force: Force,
+    #[command(flatten)]
+    json: Json,
+}
+
+/// What the columns and the words of a variant's name mean.
+const LEGEND: &str = "
+variant: mechanism/trigonometry/mass matrix/terms
+  trigonometry: table (and two terms of a series, what the firmware runs), minimax (polynomials), micromath, libm
+  mass matrix: exact (closed form), frozen (one for the workspace), bilinear and bicubic (tables)
+  terms: none (Jᵀ f alone), feed-forward, feed-forward+z (with the forces of motion)
+errors, N at the tip at the worst of the poses and speeds that the motors can make, each by itself:
+  left out: terms that are not computed, or fade near singular poses (20 kHz, 500 Hz); matrix: the mass matrix instead of the closed form;
+  rounding: f32 and trigonometry in the torque; tip: the same in the tip's position, times 20 kN/m
+area: stable area of stiffness and damping that is left of the exact feed-forward's, at the worst of the poses
+front: nothing of the same mechanism is both cheaper and nearer to the force that should be felt, beside the fade
+";
+
+/// Computes and prints, or writes the report.
+pub fn run(args: Args) -> Result<(), Failure> {
+    let names = ["speed-by-mechanism.csv", "speed-against-error.csv", "speed-against-error.svg"];
+    let files = args.report.as_ref().map(|folder| names.map(|name| folder.join(name)));
+    args.force.check(files.iter().flatten())?;
+    let devices = match args.device.as_slice() {
+        [] => devices()?,
+        paths => paths
+            .iter()
+            .map(|path| DeviceFile::load(path)?.device().map_err(Failure::wrong))
+            .collect::<Result<_, Failure>>()?,
+    };
+    let timed = args.report.is_none();
+    let every = devices
+        .into_iter()
+        .map(|device| variants(&device, timed).map(|variants| (device, variants)))
+        .collect::<Result<Vec<_>, Failure>>()?;
+    if let (Some(folder), Some([table, variants, drawing])) = (&args.report, &files) {
+        std::fs::create_dir_all(folder).map_err(|error| output::refused(folder, &error))?;
+        let (mechanisms, each, picture) = (by_mechanism(&every)?, by_variant(&every), speed::draw(&every));
+        let all = [
+            (table.as_path(), mechanisms.as_bytes()),
+            (variants.as_path(), each.as_bytes()),
+            (drawing.as_path(), picture.svg().as_bytes()),
+        ];
+        return output::write_together(&all, args.force.overwrite());
+    }
+    if args.json.asked() {
+        let variants: Vec<&Variant> = every.iter().flat_map(|(_, variants)| variants).collect();
+        return print_json(json!({ "variants": variants }));
+    }
+    let mut text = format!(
+        "{:<52}{:>11}{:>14}{:>10}{:>12}{:>12}{:>12}{:>12}{:>9}\n",
+        "variant", "target", "instructions", "ns", "left out", "matrix", "rounding", "tip", "area"
+    );
+    for variant in every.iter().flat_map(|(_, variants)| variants) {
+        let Parts { dropped, model, rounding, tip, area, .. } = variant.parts;
+        text.push_str(&format!(
+            "{:<52}{:>11}{:>14}{:>10}{dropped:>12.1e}{model:>12.1e}{rounding:>12.1e}{tip:>12.1e}{:>7.1} %{}\n",
+            variant.name,
+            variant.target,
+            variant.instructions.map_or("-".into(), |count| count.to_string()),
+            variant.nanoseconds.map_or("-".into(), |time| format!("{time:.0}")),
+            100.0 * area,
+            if variant.pareto { "  front" } else { "" }
+        ));
+    }
+    text.push_str(LEGEND);
+    print(&text)
+}

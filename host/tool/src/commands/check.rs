@@ -1,0 +1,196 @@
+//! `haptic check`: checks a device file and scene files for it without a board: whether they are sound, what they
+//! describe, what looks like a mistake.
+
+use super::answer::{Json, Pictures};
+use super::port::counted;
+use haptic_bridge::model::catalogue::MAX_JOINTS;
+use haptic_bridge::model::description::Description;
+use haptic_bridge::safety::limits::GENTLE_FORCE;
+use haptic_host::device_file::DeviceFile;
+use haptic_host::error::Failure;
+use haptic_host::scene_file::SceneFile;
+use haptic_host::toml_file::Document;
+use haptic_host::words::with_unit;
+use haptic_predict::analysis::prediction::Subject;
+use haptic_predict::plausible::scene::Contact;
+use haptic_predict::plausible::{Warning, device, scene, warn};
+use haptic_predict::summary::Summary;
+use haptic_predict::tip::{BOARD_SPEED, Tip, motor_torques};
+use haptic_show::plot::Picture;
+use haptic_show::plot::device::draw;
+use std::path::{Path, PathBuf};
+
+/// Check a device file, and scene files for that device
+///
+/// Stops at the first file that is wrong and names the line and the remedy. Of a sound file it also says what it
+/// describes (reach, force and inertia at the tip), what looks like a mistake (on standard error; the exit code stays
+/// 0), and what is missing before a real board arms. --svg draws the device at home: links, joints with their zero
+/// angles and directions, reach.
+#[derive(clap::Args)]
+pub struct Args {
+    /// Device file (TOML)
+    device: PathBuf,
+    /// Scene files (TOML) to check against the device
+    #[arg(value_name = "SCENE")]
+    scenes: Vec<PathBuf>,
+    #[command(flatten)]
+    pictures: Pictures,
+    #[command(flatten)]
+    json: Json,
+}
+
+/// The document of `--json`.
+#[derive(serde::Serialize)]
+struct Report {
+    path: String,
+    name: String,
+    mechanism: &'static str,
+    joints: usize,
+    task: usize,
+    summary: Summary,
+    lacks: Vec<String>,
+    scenes: Vec<SceneReport>,
+    warnings: Vec<Warning>,
+}
+
+/// One scene of it.
+#[derive(serde::Serialize)]
+struct SceneReport {
+    path: String,
+    walls: usize,
+    springs: usize,
+    /// N s/m, of all fields together.
+    field_damping: f64,
+    rate_hz: f64,
+    entered_at_home: Vec<usize>,
+    contacts: Vec<Contact>,
+}
+
+/// Checks every file.
+pub fn run(args: Args) -> Result<(), Failure> {
+    args.pictures.check()?;
+    let document = Document::load(&args.device)?;
+    let file = DeviceFile::read(&document)?;
+    let spec = file.spec();
+    let mut warnings: Vec<Warning> =
+        device::doubts(&file.description).into_iter().map(|doubt| doubt.about(&document)).collect();
+    let mut scenes = Vec::new();
+    for path in &args.scenes {
+        let (scene, doubts) = scene_report(path, &file)?;
+        scenes.push(scene);
+        warnings.extend(doubts);
+    }
+    let summary = Summary::of(&file)?;
+    if args.pictures.asked() {
+        args.pictures.save(&picture(&file, &summary)?)?;
+    }
+    warn(&warnings);
+    let report = Report {
+        path: args.device.display().to_string(),
+        name: file.name.clone(),
+        mechanism: spec.name,
+        joints: spec.joints,
+        task: spec.task,
+        summary,
+        lacks: file.lacks_for_a_board(),
+        scenes,
+        warnings,
+    };
+    args.json.answer(&report, &readable(&report, &tip_in_words(&file.description)))
+}
+
+fn scene_report(path: &Path, device: &DeviceFile) -> Result<(SceneReport, Vec<Warning>), Failure> {
+    let document = Document::load(path)?;
+    let file = SceneFile::read(&document, device.spec().task)?;
+    file.scene::<f32>().map_err(|error| Failure::wrong(format!("{}: {error}", path.display())))?;
+    let subject = Subject::new(&device.description).map_err(Failure::wrong)?;
+    let (doubts, contacts) = scene::doubts(&subject, &file.scene);
+    let report = SceneReport {
+        path: path.display().to_string(),
+        walls: file.scene.walls.len(),
+        springs: file.scene.springs.len(),
+        field_damping: file.scene.field_damping,
+        rate_hz: file.scene.rate_hz,
+        entered_at_home: device.description.home.map(|home| file.walls_entered(device, &home)).unwrap_or_default(),
+        contacts,
+    };
+    Ok((report, doubts.into_iter().map(|doubt| doubt.about(&document)).collect()))
+}
+
+/// The device at home.
+fn picture(file: &DeviceFile, summary: &Summary) -> Result<Picture, Failure> {
+    let no_pose = || Failure::wrong(format!("{} has no [home], so there is no pose to draw", file.path.display()));
+    let home = file.description.home.ok_or_else(|| no_pose().remedy("add [home] q"))?;
+    let drawn = draw(&file.description, &file.name, &home[..file.spec().joints], &summary.lines())?;
+    drawn.ok_or_else(|| Failure::impossible("the linkage does not close at home"))
+}
+
+fn readable(report: &Report, tip: &str) -> String {
+    let mut text = format!(
+        "{}: sound: {}, a {} of {} and {}\n",
+        report.path,
+        report.name,
+        report.mechanism,
+        counted(report.joints, "joint"),
+        counted(report.task, "task direction"),
+    );
+    for line in report.summary.lines() {
+        text.push_str(&format!("  {line}\n"));
+    }
+    text.push_str(tip);
+    for lack in &report.lacks {
+        text.push_str(&format!("  before a real board arms: {lack}\n"));
+    }
+    for scene in &report.scenes {
+        let field = match scene.field_damping {
+            0.0 => String::new(),
+            damping => format!(", fields of {}", with_unit(damping, "N s/m")),
+        };
+        text.push_str(&format!(
+            "{}: sound: {}, {}{field} at {} Hz\n",
+            scene.path,
+            counted(scene.walls, "wall"),
+            counted(scene.springs, "spring"),
+            scene.rate_hz,
+        ));
+        for contact in &scene.contacts {
+            let force =
+                contact.force.map_or(String::new(), |force| format!("; the motors have {}", with_unit(force, "N")));
+            let felt =
+                contact.felt_to.map_or(String::new(), |felt| format!(" (felt at the tip: {})", with_unit(felt, "N/m")));
+            text.push_str(&format!(
+                "  wall {}: predicted stable up to {}{felt} with its damping, up to {} damping{force}\n",
+                contact.wall,
+                with_unit(contact.stable_to, "N/m"),
+                with_unit(contact.damping_to, "N s/m"),
+            ));
+        }
+        for wall in &scene.entered_at_home {
+            text.push_str(&format!("  the home pose is inside wall {wall}: a board will not arm there\n"));
+        }
+    }
+    text
+}
+
+/// What a person at the tip can meet.
+fn tip_in_words(description: &Description) -> String {
+    let motors = motor_torques(description);
+    match Tip::at_home(description) {
+        Some(Ok(tip)) if motors.iter().any(|torque| *torque > 0.0) => {
+            let speed = [BOARD_SPEED; MAX_JOINTS];
+            let spec = description.kind.spec();
+            let moment = if spec.joints > spec.task { ", with a moment on it beside" } else { "" };
+            let joints: Vec<String> =
+                tip.limits_for(GENTLE_FORCE.into()).iter().map(|torque| format!("{torque:.3}")).collect();
+            format!(
+                "  at the home pose its motors make up to {:.1} N at the tip{moment}; a real board lets walls push with \
+                 {GENTLE_FORCE} N until told otherwise, and `haptic device` sets its torque limits for as much and the device's weight ({} N m); at {} rad/s its links carry {:.2} J\n",
+                tip.force(&motors),
+                joints.join(", "),
+                BOARD_SPEED,
+                tip.energy(&speed)
+            )
+        }
+        _ => String::new(),
+    }
+}

@@ -1,0 +1,81 @@
+//! `haptic completions`: shell completions, and the manual.
+
+use super::help;
+use clap::builder::{Resettable, StyledStr};
+use clap_complete::Shell;
+use clap_mangen::Man;
+use clap_mangen::roff::{Roff, roman};
+use haptic_host::error::{Failure, print};
+use haptic_host::output::{self, Overwrite};
+use std::path::PathBuf;
+
+/// Print shell completions, or the manual
+///
+/// --man alone prints the page of `haptic`; with a directory it writes that page and one for every command there, and
+/// replaces those of another version.
+#[derive(clap::Args)]
+pub struct Args {
+    /// For which shell
+    #[arg(required_unless_present = "man")]
+    shell: Option<Shell>,
+    /// The manual instead: to standard output, or all of its pages into this directory
+    #[arg(long, value_name = "DIRECTORY", num_args = 0..=1, conflicts_with = "shell")]
+    man: Option<Option<PathBuf>>,
+}
+
+/// Writes the script or the pages.
+pub fn run(args: Args) -> Result<(), Failure> {
+    if let Some(shell) = args.shell {
+        let mut document = Vec::new();
+        clap_complete::generate(shell, &mut help::command(), "haptic", &mut document);
+        return print(&String::from_utf8_lossy(&document));
+    }
+    let mut whole = help::command();
+    whole.build();
+    let Some(folder) = args.man.flatten() else {
+        return print(&page(&whole, "haptic")?);
+    };
+    std::fs::create_dir_all(&folder).map_err(|error| output::refused(&folder, &error))?;
+    let write = |name: &str, command: &clap::Command| {
+        let text = page(command, name)?;
+        output::write(&folder.join(format!("{name}.1")), text.as_bytes(), Overwrite::Replace)
+    };
+    write("haptic", &whole)?;
+    for command in whole.get_subcommands().filter(|command| command.get_name() != "help") {
+        write(&format!("haptic-{}", command.get_name()), command)?;
+    }
+    Ok(())
+}
+
+/// A page of the manual, with what clap does not know: exit codes, examples, files.
+fn page(command: &clap::Command, name: &str) -> Result<String, Failure> {
+    let examples = help::examples(command.get_name());
+    // Examples have a section of their own here.
+    let man = Man::new(command.clone().after_help(Resettable::<StyledStr>::Reset).display_name(name));
+    let mut text = Vec::new();
+    man.render(&mut text).map_err(|error| Failure::impossible(format!("the manual page cannot be made: {error}")))?;
+    let mut roff = Roff::new();
+    let mut section = |heading: &str, lines: &[&str]| {
+        roff.control("SH", [heading]);
+        for line in lines {
+            roff.text([roman(*line)]);
+            roff.control("br", []);
+        }
+    };
+    section("EXIT STATUS", &["0: done", "1: it could not be done", "2: the command or a file is wrong"]);
+    if !examples.is_empty() {
+        section("EXAMPLES", examples);
+    }
+    if name == "haptic" {
+        section("EXAMPLES", &["haptic demo", "haptic sim", "haptic info --port PORT"]);
+    }
+    section(
+        "FILES",
+        &[
+            "DEVICE.toml: a device; docs/model.md has every key, devices/ examples",
+            "SCENE.toml: walls, springs and fields; devices/scenes/ has examples",
+            "FILE.csv: a recording; docs/telemetry.md has every field",
+        ],
+    );
+    Ok(String::from_utf8_lossy(&text).into_owned() + &roff.to_roff())
+}

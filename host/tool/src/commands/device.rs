@@ -1,0 +1,145 @@
+//! `haptic device`: loads a device file onto a board.
+
+use super::answer::Json;
+use super::port::{Port, warn_of_weaker};
+use haptic_bridge::model::device::Device;
+use haptic_bridge::safety::limits::{GENTLE_FORCE, Limit};
+use haptic_bridge::safety::refusal::Refusal;
+use haptic_host::device_file::DeviceFile;
+use haptic_host::error::Failure;
+use haptic_host::link::{Board, BoardError};
+use haptic_host::toml_file::Document;
+use haptic_predict::plausible::{device::doubts, warn};
+use haptic_predict::tip::Tip;
+use serde_json::json;
+use std::path::PathBuf;
+
+/// Load a device onto a board
+///
+/// The board forgets homing and the polarity check, because they belong to the device before. `haptic save` keeps the
+/// device over a power cycle.
+#[derive(clap::Args)]
+pub struct Args {
+    /// Device file (TOML)
+    file: PathBuf,
+    /// Largest force that walls, springs and fields render at the tip, N [default: what the board has, at most 5
+    /// with real motors].
+    /// Lowers the board's torque limits as well, so that no torque makes more in the home pose
+    #[arg(long, value_name = "N", value_parser = newtons)]
+    tip_force: Option<f32>,
+    #[command(flatten)]
+    port: Port,
+    #[command(flatten)]
+    json: Json,
+}
+
+fn newtons(text: &str) -> Result<f32, String> {
+    match text.parse::<f32>() {
+        Ok(value) if value.is_finite() && value > 0.0 => Ok(value),
+        Ok(_) => Err("must be finite and greater than zero".into()),
+        Err(_) => Err("not a number".into()),
+    }
+}
+
+/// Checks the file, then the board, then loads.
+pub fn run(args: Args) -> Result<(), Failure> {
+    let document = Document::load(&args.file)?;
+    let file = DeviceFile::read(&document)?;
+    let device = Device::new(&file.name, &file.description)
+        .map_err(|error| Failure::wrong(format!("{}: {error}", args.file.display())))?;
+    let warnings: Vec<_> = doubts(&file.description).into_iter().map(|doubt| doubt.about(&document)).collect();
+    warn(&warnings);
+    let mut board = args.port.open()?;
+    let details = board.details()?;
+    let joints = file.spec().joints;
+    if joints > usize::from(details.axes) {
+        let line = document.find("joint", Some(usize::from(details.axes)), "", "").map_or(1, |at| at.0);
+        let reason = format!(
+            "{}:{line}: the device has {joints} joints and the board {} axes",
+            args.file.display(),
+            details.axes
+        );
+        return Err(Failure::wrong(reason).remedy("use a board with more axes"));
+    }
+    board.set_device(&device)?;
+    let mut report = format!("{} is loaded on {}; it is not homed\n", file.name, board.port());
+    if details.real || args.tip_force.is_some() {
+        report.push_str(&soften(&mut board, &file, args.tip_force)?);
+    }
+    if details.real {
+        for lack in file.lacks_for_a_board() {
+            report.push_str(&format!("  before the board arms: {lack}\n"));
+        }
+        let mut motors = file.description.joints.iter().take(joints).filter_map(|joint| joint.motor);
+        if motors.any(|motor| motor.inductance == 0.0) {
+            report.push_str("  worth measuring: `inductance`; without it the current loop of a motor is slow\n");
+        }
+    }
+    if board.scene()?.is_none() {
+        report.push_str("next: `haptic scene FILE`, then `haptic home`\n");
+    }
+    let lacks = if details.real { file.lacks_for_a_board() } else { Vec::new() };
+    let document = json!({ "device": file.name, "port": board.port(), "lacks": lacks, "warnings": warnings });
+    args.json.answer(document, &report)
+}
+
+/// The torque (N m) above which the board lets nobody raise its limit, found by asking for a limit that every board
+/// refuses.
+fn most_torque(board: &mut Board) -> Option<f32> {
+    let mut rules = board.rules().ok()?;
+    rules.limits.torque[0] = f32::INFINITY;
+    match board.set_rules(&rules) {
+        Err(BoardError::Refused(Refusal::BadLimit(bad))) if bad.limit == Limit::Torque => Some(bad.most),
+        _ => None,
+    }
+}
+
+/// Limits the force at the tip, lowers the torque limits to what it takes in the home pose, and says so.
+fn soften(board: &mut Board, file: &DeviceFile, newtons: Option<f32>) -> Result<String, Failure> {
+    let before = board.rules()?;
+    let newtons = newtons.unwrap_or(before.limits.tip_force.min(GENTLE_FORCE));
+    let mut rules = before;
+    rules.limits.tip_force = newtons;
+    // What makes so many newtons, and what carries the device beside.
+    let needs: Vec<f32> = match Tip::at_home(&file.description) {
+        Some(Ok(tip)) => tip.limits_for(newtons.into()).into_iter().map(|torque| torque as f32).collect(),
+        _ => Vec::new(),
+    };
+    for (limit, needed) in rules.limits.torque.iter_mut().zip(&needs) {
+        *limit = limit.min(*needed);
+    }
+    if rules != before {
+        board.set_rules(&rules)?;
+        warn_of_weaker(&before, &rules);
+    }
+    let tip =
+        format!("  tip force: walls, springs and fields push with at most {newtons} N; `--tip-force` says how much\n");
+    let joints = file.spec().joints;
+    let three = |torques: &[f32]| {
+        let each: Vec<String> = torques.iter().take(joints).map(|torque| format!("{torque:.3}")).collect();
+        each.join(", ")
+    };
+    let limits = three(&rules.limits.torque);
+    // What was lower before stays: somebody may have meant it.
+    if rules.limits.torque.iter().zip(&needs).any(|(limit, needed)| *limit < 0.99 * needed) {
+        let needs_in_words =
+            format!("{newtons} N at the tip in the home pose, and what carries the device, take {}", three(&needs));
+        return Ok(match most_torque(board) {
+            Some(most) if needs.iter().any(|needed| *needed > most) => format!(
+                "{tip}  torque limits: {limits} N m; {needs_in_words}, and the board allows no more than {most}: are lengths in \
+                 the file in m and masses in kg? `--tip-force` asks for less\n"
+            ),
+            _ => format!(
+                "{tip}  torque limits: {limits} N m, of which some were lower before; {needs_in_words}: \
+                 `haptic rules --torque` raises them\n"
+            ),
+        });
+    }
+    if rules.limits.torque == before.limits.torque {
+        return Ok(tip);
+    }
+    Ok(format!(
+        "{tip}  torque limits: {limits} N m, for at most {newtons} N at the tip in the home pose beside what carries the device; \
+         `haptic rules --torque` raises them\n"
+    ))
+}

@@ -1,0 +1,32 @@
+//! `haptic dfu`: restarts a board into its boot loader, to be flashed over USB.
+
+use super::answer::Json;
+use super::port::{GOES_OFF, Port, confirm};
+use haptic_host::error::Failure;
+use serde_json::json;
+
+/// Restart a board into its boot loader, to be flashed over USB
+///
+/// The motors go off. The board is gone from `haptic list` until it is flashed (docs/flashing.md) or switched off and
+/// on.
+#[derive(clap::Args)]
+pub struct Args {
+    #[command(flatten)]
+    port: Port,
+    /// Do not ask before motors that are on go off
+    #[arg(long)]
+    yes: bool,
+    #[command(flatten)]
+    json: Json,
+}
+
+/// Asks for the restart.
+pub fn run(args: Args) -> Result<(), Failure> {
+    let mut board = args.port.open()?;
+    if board.status()?.state.drives() {
+        confirm(args.yes, GOES_OFF)?;
+    }
+    board.enter_dfu()?;
+    let said = "the board restarts into its boot loader: flash it with dfu-util, or switch it off and on\n";
+    args.json.answer(json!({ "restarts": "boot-loader" }), said)
+}

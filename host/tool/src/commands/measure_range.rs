@@ -1,0 +1,364 @@
+//! `haptic measure-range`: the stable range as a board has it, by raising the stiffness until the loop oscillates.
+
+mod meter;
+mod report;
+
+use super::answer::{Json, Pictures};
+use super::interrupt;
+use super::port::{Port, confirm};
+use crate::commands::arguments::{self, Numbers, WallArgs};
+use clap::ValueEnum;
+use clap::builder::TypedValueParser;
+use haptic_bridge::model::admissible::Admissible;
+use haptic_bridge::model::device::Device;
+use haptic_bridge::render::scene::FeedForward;
+use haptic_host::device_file::DeviceFile;
+use haptic_host::error::Failure;
+use haptic_host::link::{Board, PortSpec};
+use haptic_host::output::{self, Overwrite};
+use haptic_host::vectors::padded;
+use haptic_predict::analysis::several::{Member, WallSet};
+use haptic_predict::measure::campaign::Plan;
+use haptic_predict::measure::occasion::{self, Occasion};
+use haptic_predict::measure::progress::{Progress, ProgressError};
+use haptic_predict::measure::simulated::{Friction, World};
+use haptic_predict::measure::{Law, MeasureError, MeasurementSetup, PreparedBoard, most_tested};
+use meter::Meter;
+use report::{Report, Theory};
+use std::path::PathBuf;
+
+/// Measure on a board which walls stay stable; moves the motors
+///
+/// Several --normal measure walls that act together, in the totals of stiffness and damping, as `haptic range` predicts
+/// them. For every damping the stiffness is raised until the telemetry shows a motion that builds up, or that goes on
+/// as a vibration larger than encoder steps explain; it is taken back at once, and the boundary bisected. The median of
+/// the repeats and their bounds are reported. The theory is not consulted, only printed beside it, with the
+/// `haptic range` line that gives it. Take the hand off the device. Ctrl-C at any moment turns the motors off; the same
+/// command then goes on where it stopped. What the board held before (scene, rate, rules) is put back, also by the next
+/// run with the same --progress after one that was killed. --svg draws the measured dots over the predicted range.
+///
+/// On --port sim the device of the file is simulated in this process, as fast as the computer can.
+#[derive(clap::Args)]
+pub struct Args {
+    /// Device file (TOML) of the device on the board
+    device: PathBuf,
+    #[command(flatten)]
+    port: Port,
+    #[command(flatten)]
+    walls: WallArgs,
+    /// Control rate in Hz
+    #[arg(long, value_name = "HZ", default_value_t = 1_000.0)]
+    rate: f64,
+    /// Cutoff of the velocity filter in Hz
+    #[arg(long, value_name = "HZ", default_value_t = 20.0)]
+    cutoff: f64,
+    /// Measure at exactly these dampings, in N s/m [default: --points even ones up to where the range ends]
+    #[arg(long, value_name = "A,B,..", allow_hyphen_values = true)]
+    kd: Option<Numbers>,
+    /// How many dampings
+    #[arg(long, value_name = "N", default_value_t = 12, value_parser = clap::value_parser!(u16).range(1..=200))]
+    points: u16,
+    /// Repeats at each damping
+    #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u16).range(1..=100))]
+    repeats: u16,
+    /// Feed-forward to measure with
+    #[arg(long, value_name = "KIND", default_value = "both", value_parser = kinds())]
+    feed_forward: &'static [FeedForward],
+    /// Corner of the washout in Hz, for --feed-forward washout
+    #[arg(long, value_name = "HZ", default_value_t = 2.0)]
+    washout: f64,
+    /// Largest joint torque the measurement may ask for, in N m
+    #[arg(long, value_name = "NM", default_value_t = 1.0)]
+    torque_limit: f64,
+    /// Farthest the tip is pulled aside to set it swinging: in millimetres, the one option that is not in SI units
+    #[arg(long, value_name = "MM", default_value_t = 0.5)]
+    pull: f64,
+    /// On --port sim: joint angles in rad where it is measured [default: the device file's home]
+    #[arg(long, value_name = "A,B,..", allow_hyphen_values = true)]
+    q: Option<Numbers>,
+    /// On --port sim: leave all friction out
+    #[arg(long, conflicts_with = "friction")]
+    frictionless: bool,
+    /// On --port sim: which friction of the device file acts
+    #[arg(long, value_name = "KIND")]
+    friction: Option<FrictionKind>,
+    /// On --port sim: let commanded torques act at once, without bridges, windings and current loops
+    #[arg(long)]
+    ideal_drive: bool,
+    /// On --port sim: counts per turn of every encoder [default: the device file's]
+    #[arg(long, value_name = "N")]
+    counts: Option<f64>,
+    /// On --port sim: a relaxed grip holds the tip (0.12 kg behind 1200 N/m)
+    #[arg(long)]
+    grip: bool,
+    /// Load the device file onto a simulated board that holds another device, and put that one back afterwards
+    #[arg(long)]
+    load: bool,
+    /// Keep what was measured in this file, and go on from it
+    #[arg(long, value_name = "FILE", default_value = "measured-range.json")]
+    progress: PathBuf,
+    /// Measure from the beginning, whatever is in that file, and replace it
+    #[arg(long)]
+    anew: bool,
+    /// Do not ask before a real motor moves
+    #[arg(long)]
+    yes: bool,
+    #[command(flatten)]
+    json: Json,
+    #[command(flatten)]
+    pictures: Pictures,
+}
+
+/// Which friction is simulated.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum FrictionKind {
+    All,
+    Viscous,
+    Coulomb,
+    None,
+}
+
+/// Which feed-forwards are measured, one after the other.
+fn kinds() -> impl TypedValueParser<Value = &'static [FeedForward]> {
+    let one = |alone: &'static [FeedForward; 1]| (alone[0].name(), arguments::what(alone[0]), &alone[..]);
+    let all = &[FeedForward::Off, FeedForward::Full, FeedForward::Washout];
+    arguments::one_of([
+        ("both", "Without, then with equation (4)", &all[..2]),
+        ("all", "Without, with equation (4), and with it behind a washout", &all[..]),
+        one(&[FeedForward::Off]),
+        one(&[FeedForward::Full]),
+        one(&[FeedForward::Washout]),
+    ])
+}
+
+/// Measures, prints and draws.
+pub fn run(args: Args) -> Result<(), Failure> {
+    args.pictures.check()?;
+    let mut file = DeviceFile::load(&args.device)?;
+    let spec = file.spec();
+    let walls = walls(&args, spec.task)?;
+    let plan = plan(&args)?;
+    let world = world(&args, &file, &walls)?;
+    let simulated = matches!(args.port.spec(), PortSpec::Sim(_));
+    if simulated {
+        world.apply(&mut file);
+    } else if world != World::default() {
+        return Err(Failure::wrong(
+            "--q, --friction, --frictionless, --ideal-drive, --counts and --grip change a simulation",
+        )
+        .remedy("use them with --port sim; a board is measured where and as it is"));
+    }
+    let setup = MeasurementSetup {
+        walls,
+        rate_hz: args.rate,
+        cutoff_hz: args.cutoff,
+        washout_hz: args.washout,
+        law: Law::default(),
+        torque_limit: args.torque_limit,
+        largest_pull: args.pull * 1e-3,
+    };
+    let what = occasion::what(&file.name, &setup, &world);
+    // Before anything moves: the results need a file that can be written.
+    output::check(&args.progress, Overwrite::Replace)?;
+    let mut progress = match args.anew {
+        true => {
+            Progress::read(&args.progress).map(|found| found.map_or(Progress::new(&what), |found| found.anew(&what)))
+        }
+        false => Progress::open(&args.progress, &what),
+    }
+    .map_err(progress_failure)?;
+
+    let interrupt = interrupt::watch();
+    let mut board = match args.port.spec() {
+        PortSpec::Sim(other) => {
+            if let Some(other) = other {
+                holds(&DeviceFile::load(other)?.name, &file)?;
+            }
+            let shared = world
+                .board(&file, args.rate)
+                .map_err(|error| Failure::wrong(format!("{}: {error}", args.device.display())))?;
+            Board::over(shared.wire(), "sim")?
+        }
+        _ => args.port.open()?,
+    };
+    let before = occasion::before(&mut board, &progress)?;
+    ready(&mut board, &file, &args)?;
+    let earlier = progress.measured(&plan);
+    if earlier > 0 {
+        let (total, place) = (plan.total(), args.progress.display());
+        let date = progress.date.as_ref().map_or(String::new(), |date| format!(", the last of {date}"));
+        let none = if earlier == total { ": none is measured now (--anew measures them again)" } else { "" };
+        haptic_host::tell!("{earlier} of {total} repeats are in {place} already{date}{none}");
+    }
+    let meter = Meter::new(plan.total(), plan.repeats, earlier);
+    let stop = || {
+        meter.tick();
+        interrupt.is_set()
+    };
+    let mut theory = None;
+    let path = args.progress.as_path();
+    let mut occasion = Occasion {
+        board: &mut board,
+        file: &file,
+        before,
+        progress: &mut progress,
+        path: Some(path),
+        remembers: !simulated,
+    };
+    let begun = |prepared: &mut PreparedBoard<'_>, q: &[f64]| {
+        let (info, details) = (prepared.board().info().clone(), prepared.board().details()?);
+        let around = occasion::around(&setup, &info, &details);
+        theory = Some(Theory::new(&args, &file, setup.walls.clone(), q, around, *prepared.excitation())?);
+        Ok(())
+    };
+    let measured = occasion.measure(setup.clone(), &plan, &stop, begun, |done| meter.done(done));
+    meter.finish();
+    // A device that was loaded for this goes, too.
+    occasion.put_back().map_err(progress_failure)?;
+    let report =
+        theory.map(|theory| Report { name: &file.name, args: &args, plan: &plan, progress: &progress, theory });
+    match (measured, report) {
+        (Ok(()), Some(report)) if report.measured() => report.out(),
+        (measured, report) => {
+            // What there is, and then why it is no more.
+            if let Some(report) = report.filter(Report::any) {
+                report.out()?;
+            }
+            Err(match (measured, progress.points.iter().find_map(|point| point.open.as_ref())) {
+                (Err(error), _) => failure(error, &args),
+                (Ok(()), open) => {
+                    let reason = open.map_or_else(String::new, |open| open.reason.clone());
+                    Failure::impossible(format!("no boundary was found: {reason}")).remedy(REMEDY)
+                }
+            })
+        }
+    }
+}
+
+/// What to do where the encoders are too coarse or friction hides everything.
+const REMEDY: &str = "use finer encoders (--counts on --port sim), a lower --rate and --cutoff, a larger --pull or \
+                      --torque-limit, another pose or normal";
+
+fn plan(args: &Args) -> Result<Plan, Failure> {
+    if !(args.torque_limit > 0.0 && args.torque_limit.is_finite()) {
+        return Err(Failure::wrong(format!("--torque-limit is {} N m, and must be positive", args.torque_limit)));
+    }
+    if !(args.pull > 0.0 && args.pull <= 5.0) {
+        return Err(Failure::wrong(format!("--pull is {} mm, and must be more than 0 and at most 5", args.pull)));
+    }
+    let kd = match args.kd.clone() {
+        Some(Numbers(kd)) if kd.iter().any(|kd| *kd < 0.0) => {
+            return Err(Failure::wrong("--kd takes dampings that are not negative"));
+        }
+        kd => kd.map(|kd| kd.0),
+    };
+    Ok(Plan { modes: args.feed_forward.to_vec(), kd, points: args.points.into(), repeats: args.repeats.into() })
+}
+
+/// The walls that are measured together, each with its part.
+fn walls(args: &Args, task: usize) -> Result<Vec<Member>, Failure> {
+    let (count, most) = (args.walls.count(), most_tested(task));
+    if count > most {
+        let reason = format!("{count} walls at once, but a board holds the tip with walls, too");
+        return Err(Failure::wrong(reason).remedy(format!("measure at most {most} on this device")));
+    }
+    args.walls.members(task)
+}
+
+fn world(args: &Args, file: &DeviceFile, walls: &[Member]) -> Result<World, Failure> {
+    if args.counts.is_some_and(|counts| !(counts >= 1.0 && counts.is_finite())) {
+        return Err(Failure::wrong("--counts must be at least 1"));
+    }
+    let q = match &args.q {
+        Some(q) => {
+            let q = q.exactly(file.spec().joints, "--q", "joint angles")?;
+            WallSet::at(&file.description, &q, walls, Admissible::default())?;
+            Some(padded(&q))
+        }
+        None => None,
+    };
+    let friction = match args.friction {
+        _ if args.frictionless => Friction::None,
+        None | Some(FrictionKind::All) => Friction::All,
+        Some(FrictionKind::Viscous) => Friction::Viscous,
+        Some(FrictionKind::Coulomb) => Friction::Coulomb,
+        Some(FrictionKind::None) => Friction::None,
+    };
+    Ok(World { q, friction, ideal_drive: args.ideal_drive, counts: args.counts, grip: args.grip })
+}
+
+/// Refuses a board that holds something else.
+fn holds(found: &str, file: &DeviceFile) -> Result<(), Failure> {
+    if found == file.name {
+        return Ok(());
+    }
+    Err(Failure::impossible(format!("the board holds {found}, the file is {}", file.name))
+        .remedy("name the file of the device that is on the board"))
+}
+
+/// Sees that the board holds the device, and that the user wants its motors to move.
+fn ready(board: &mut Board, file: &DeviceFile, args: &Args) -> Result<(), Failure> {
+    let details = board.details()?;
+    let device = Device::new(&file.name, &file.description).map_err(Failure::wrong)?;
+    if let Some(found) = occasion::another(board, &device)? {
+        if args.load && !details.real {
+            board.set_device(&device)?;
+        } else {
+            let remedy = match details.real {
+                true => "load it with `haptic device`, home it and check its polarity first",
+                false => "name the other file, load this one with `haptic device`, or measure it with --load",
+            };
+            return Err(
+                Failure::impossible(format!("the board holds {found}, the file is {}", file.name)).remedy(remedy)
+            );
+        }
+    }
+    if !details.real || args.yes {
+        return Ok(());
+    }
+    haptic_host::tell!(
+        "This moves the motors by themselves: the tip swings by up to {} mm with at most {} N m, and will oscillate briefly, \
+         many times.\nKeep the hand off the device and clear of it. Ctrl-C turns the motors off.",
+        args.pull * 12.0,
+        args.torque_limit
+    );
+    confirm(false, "the device will move")
+}
+
+fn progress_failure(error: ProgressError) -> Failure {
+    let failure = Failure::wrong(&error);
+    match error {
+        ProgressError::Another { .. } => {
+            failure.remedy("keep it and name another file with --progress, or replace it with --anew")
+        }
+        ProgressError::File { .. } => failure.remedy("name another file with --progress"),
+        ProgressError::Unwritten(failure) => failure,
+    }
+}
+
+/// Why a measurement ended, and what to do.
+fn failure(error: MeasureError, args: &Args) -> Failure {
+    let again = match args.progress.exists() {
+        true => format!("run the same command again to go on where it stopped ({})", args.progress.display()),
+        false => "nothing was measured yet; run the same command again".into(),
+    };
+    match error {
+        MeasureError::Board(error) => error.into(),
+        MeasureError::Link(error) => error.into(),
+        MeasureError::Pose(error) => error.into(),
+        MeasureError::Progress(error) => progress_failure(error),
+        MeasureError::Interrupted | MeasureError::Disarmed => Failure::impossible(error).remedy(again),
+        MeasureError::Fault(_) => {
+            Failure::impossible(error).remedy(format!("see `haptic faults`, put the device back and {again}"))
+        }
+        MeasureError::Moved => {
+            Failure::impossible(error).remedy("put it back there, or choose another file with --progress")
+        }
+        MeasureError::Restless => Failure::impossible(error)
+            .remedy("measure away from stops and singularities, at a lower --rate and --cutoff, and check the inertia in the device file"),
+        MeasureError::Stuck | MeasureError::Unbounded | MeasureError::Saturates { .. } | MeasureError::Open { .. } => {
+            Failure::impossible(error).remedy(REMEDY)
+        }
+        MeasureError::Scene(_) => Failure::wrong(error),
+    }
+}

@@ -1,0 +1,126 @@
+//! How far a measurement is and how long it still takes: a bar on a terminal, a line every few seconds elsewhere.
+
+use indicatif::{ProgressBar, ProgressStyle};
+use std::cell::{Cell, RefCell};
+use std::io::IsTerminal;
+use std::time::{Duration, Instant};
+
+/// Time between two lines where there is no terminal.
+const EVERY: Duration = Duration::from_secs(5);
+
+/// The state of a measurement, told on standard error.
+pub struct Meter {
+    total: usize,
+    /// Repeats at each damping.
+    repeats: usize,
+    /// Repeats from an earlier run that have not come by yet.
+    earlier: Cell<usize>,
+    done: Cell<usize>,
+    began: Instant,
+    last_done: Cell<Instant>,
+    last_line: Cell<Instant>,
+    /// Searches without and with a guess from an earlier repeat: how many, and their time together in s. The first of a
+    /// damping takes about twice as long.
+    took: RefCell<[(f64, f64); 2]>,
+    bar: Option<ProgressBar>,
+}
+
+impl Meter {
+    /// Of `total` repeats, `repeats` at each damping, `earlier` of which are there already.
+    pub fn new(total: usize, repeats: usize, earlier: usize) -> Self {
+        let bar = std::io::stderr().is_terminal().then(|| ProgressBar::new(total as u64));
+        if let (Some(bar), Ok(style)) = (&bar, ProgressStyle::with_template("{bar:32} {pos} of {len} repeats{msg}")) {
+            bar.set_style(style);
+            bar.enable_steady_tick(Duration::from_secs(1));
+        }
+        let now = Instant::now();
+        Self {
+            total,
+            repeats,
+            earlier: Cell::new(earlier),
+            done: Cell::new(0),
+            began: now,
+            last_done: Cell::new(now),
+            last_line: Cell::new(now),
+            took: RefCell::default(),
+            bar,
+        }
+    }
+
+    /// So many repeats of the plan are done.
+    pub fn done(&self, done: usize) {
+        let now = Instant::now();
+        let seconds = (now - self.last_done.replace(now)).as_secs_f64();
+        if done > self.done.replace(done) {
+            match self.earlier.get().checked_sub(1) {
+                Some(left) if seconds < 0.05 => self.earlier.set(left),
+                _ => {
+                    let took = &mut self.took.borrow_mut()[usize::from(!(done - 1).is_multiple_of(self.repeats))];
+                    *took = (took.0 + 1.0, took.1 + seconds);
+                }
+            }
+        }
+        if let Some(bar) = &self.bar {
+            bar.set_position(done as u64);
+            bar.set_message(self.left().map_or(String::new(), |left| format!(", about {} left", in_words(left))));
+        }
+        self.tick();
+    }
+
+    /// Called often; says something when it is time to.
+    pub fn tick(&self) {
+        if self.bar.is_some() || self.last_line.get().elapsed() < EVERY {
+            return;
+        }
+        self.last_line.set(Instant::now());
+        let left = self.left().map_or(String::new(), |left| format!(", about {} left", in_words(left)));
+        let (done, total) = (self.done.get(), self.total);
+        haptic_host::tell!("{done} of {total} repeats after {}{left}", in_words(self.began.elapsed().as_secs_f64()));
+    }
+
+    /// Seconds that are left, once the first search is over.
+    fn left(&self) -> Option<f64> {
+        let [first, later] = *self.took.borrow();
+        let mean = |(count, seconds): (f64, f64)| (count > 0.0).then(|| seconds / count);
+        let first_mean = mean(first).or_else(|| mean(later).map(|seconds| 2.0 * seconds))?;
+        let later_mean = mean(later).unwrap_or(0.5 * first_mean);
+        let done = self.done.get();
+        let firsts = (done..self.total).filter(|repeat| repeat.is_multiple_of(self.repeats)).count();
+        Some(firsts as f64 * first_mean + (self.total - done - firsts) as f64 * later_mean)
+    }
+
+    /// Takes the bar away.
+    pub fn finish(&self) {
+        if let Some(bar) = &self.bar {
+            bar.finish_and_clear();
+        }
+    }
+}
+
+/// A time in seconds or minutes.
+fn in_words(seconds: f64) -> String {
+    match seconds {
+        seconds if seconds < 99.5 => format!("{seconds:.0} s"),
+        seconds if seconds < 5940.0 => format!("{:.0} min", seconds / 60.0),
+        seconds => format!("{:.1} h", seconds / 3600.0),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_estimate_counts_first_and_later_searches_apart() {
+        let meter = Meter::new(6, 3, 0);
+        assert_eq!(meter.left(), None);
+        *meter.took.borrow_mut() = [(1.0, 10.0), (0.0, 0.0)];
+        meter.done.set(1);
+        // Two later ones at half the time, then 10 + 5 + 5.
+        assert_eq!(meter.left(), Some(30.0));
+        *meter.took.borrow_mut() = [(1.0, 10.0), (2.0, 6.0)];
+        meter.done.set(3);
+        assert_eq!(meter.left(), Some(16.0));
+        assert_eq!([in_words(42.4), in_words(130.0), in_words(7200.0)], ["42 s", "2 min", "2.0 h"]);
+    }
+}

@@ -1,0 +1,388 @@
+//! What a measurement says: its points beside the theory of the same loop, as a table, a document or a picture.
+
+use super::Args;
+use crate::commands::port::counted;
+use haptic_bridge::render::scene::FeedForward;
+use haptic_host::device_file::DeviceFile;
+use haptic_host::error::Failure;
+use haptic_host::words::listed;
+use haptic_predict::analysis::flexible::felt;
+use haptic_predict::analysis::plant::Drive;
+use haptic_predict::analysis::pose::PoseError;
+use haptic_predict::analysis::prediction::{Prediction, Subject, Walls, printed};
+use haptic_predict::analysis::range::{BoundaryPoint, Range};
+use haptic_predict::analysis::sampled::Loop;
+use haptic_predict::analysis::several::Member;
+use haptic_predict::measure::campaign::Plan;
+use haptic_predict::measure::excitation::{Excitation, millimetres};
+use haptic_predict::measure::progress::{Point, Progress};
+use haptic_predict::plausible::{Doubt, Warning, warn};
+use haptic_show::plot::range::{Contents, MeasuredPoint, draw};
+use serde_json::json;
+use std::fmt::Write;
+
+/// The linear theory of the board that was measured.
+pub struct Theory {
+    device: Walls,
+    walls: Vec<Member>,
+    around: Loop,
+    excitation: Excitation,
+    /// The command that predicts the same, but for its dampings.
+    line: String,
+    q: Vec<f64>,
+}
+
+/// Numbers as an option takes them.
+fn list(values: &[f64]) -> String {
+    values.iter().map(f64::to_string).collect::<Vec<_>>().join(",")
+}
+
+impl Theory {
+    /// Of `walls` at `q` behind this loop.
+    pub fn new(
+        args: &Args,
+        file: &DeviceFile,
+        walls: Vec<Member>,
+        q: &[f64],
+        around: Loop,
+        excitation: Excitation,
+    ) -> Result<Self, PoseError> {
+        let prediction = Prediction::new(Subject::new(&file.description)?, around);
+        let device = prediction.walls(q, &walls)?;
+        let mut line = format!("haptic range {} --q={}", args.device.display(), list(q));
+        line += &args.walls.line();
+        line += &prediction.loop_options(prediction.gain);
+        if file.description.joints.iter().all(|joint| joint.viscous == 0.0) {
+            line.push_str(" --undamped");
+        }
+        if args.feed_forward.contains(&FeedForward::Washout) {
+            let _ = write!(line, " --washout {}", args.washout);
+        }
+        Ok(Self { device, walls, around: prediction.around, excitation, line, q: q.to_vec() })
+    }
+
+    /// What a hand at the tip feels of a stiffness (N/m), where transmissions give.
+    fn felt(&self, kp: f64) -> Option<f64> {
+        let Walls::One(device) = &self.device else { return None };
+        device.flexible.stiffness_at_tip(&device.row).map(|at_tip| felt(kp, at_tip))
+    }
+
+    fn predict(&self, kd: Option<&[f64]>, washout: Option<f64>) -> Result<Range, Failure> {
+        Ok(self.device.range(&self.around, kd, washout)?)
+    }
+}
+
+/// A whole range of one mode.
+#[derive(serde::Serialize)]
+struct Area {
+    mode: FeedForward,
+    /// ∫ kp dkd of the medians, and of the theory, N² s/m².
+    measured: f64,
+    theory: f64,
+    /// Largest distance of a median from the theory, as a share of the theory's highest stiffness.
+    furthest: f64,
+    /// The widest bar of a damping over its median.
+    spread: f64,
+}
+
+/// From the lowest to the highest repeat, over the median.
+fn spread(point: &Point) -> f64 {
+    let (low, high) = point.bounds();
+    if point.median() > 0.0 { (high - low) / point.median() } else { 0.0 }
+}
+
+/// Less than this part of theory's stiffness has another cause than what theory leaves out: that takes at most a fifth
+/// on the simulated board (docs/results/complete.md).
+const FAR_BELOW: f64 = 0.5;
+
+/// Everything that is told.
+pub struct Report<'a> {
+    pub name: &'a str,
+    pub args: &'a Args,
+    pub plan: &'a Plan,
+    pub progress: &'a Progress,
+    pub theory: Theory,
+}
+
+impl Report<'_> {
+    /// Whether there is anything to tell.
+    pub fn any(&self) -> bool {
+        self.plan.modes.iter().any(|mode| !self.points(*mode).is_empty())
+    }
+
+    /// Whether a boundary was found.
+    pub fn measured(&self) -> bool {
+        self.plan.modes.iter().any(|mode| self.points(*mode).iter().any(|point| !point.repeats.is_empty()))
+    }
+
+    /// What was measured of what is asked: a file of progress may hold other dampings as well.
+    fn points(&self, mode: FeedForward) -> Vec<&Point> {
+        self.plan.asked(self.progress.all(mode))
+    }
+
+    /// Writes the pictures and prints the table or the document.
+    pub fn out(&self) -> Result<(), Failure> {
+        let args = self.args;
+        let warnings = self.far_below()?;
+        warn(&warnings);
+        if args.pictures.asked() {
+            args.pictures.save(&self.picture()?)?;
+        }
+        args.json.answer(self.document(&warnings)?, &self.table()?)
+    }
+
+    /// A doubt about boundaries that are far below those of theory.
+    fn far_below(&self) -> Result<Vec<Warning>, Failure> {
+        let mut rows = Vec::new();
+        for &mode in &self.plan.modes {
+            let points = self.beside(mode)?.into_iter().filter(|(point, _)| !point.repeats.is_empty());
+            let far = points.filter(|(point, theory)| point.median() < FAR_BELOW * theory.kp);
+            rows.extend(far.map(|(point, _)| format!("{} at kd {:.4}", mode.name(), point.kd)));
+        }
+        let text = format!(
+            "less than half of theory's stiffness was stable ({}): a hand on the device, a tip that something else moves, \
+             or friction that holds a joint; let go of it and measure again with --anew",
+            listed(&rows)
+        );
+        Ok(if rows.is_empty() { Vec::new() } else { vec![Doubt { key: None, text }.typed()] })
+    }
+
+    fn washout(&self) -> Option<f64> {
+        self.plan.modes.contains(&FeedForward::Washout).then_some(self.args.washout)
+    }
+
+    /// The points of a mode with the theory's at the same dampings.
+    fn beside(&self, mode: FeedForward) -> Result<Vec<(&Point, BoundaryPoint)>, Failure> {
+        let points = self.points(mode);
+        let kd: Vec<f64> = points.iter().map(|point| printed(point.kd)).collect();
+        let range = self.theory.predict(Some(&kd), self.washout())?;
+        Ok(points.into_iter().zip(range.of(mode).boundary.iter().copied()).collect())
+    }
+
+    /// The command that predicts the theory's figures.
+    fn line(&self) -> String {
+        let points = self.plan.modes.iter().flat_map(|mode| self.points(*mode));
+        let mut kd: Vec<f64> = points.map(|point| printed(point.kd)).collect();
+        kd.sort_by(f64::total_cmp);
+        kd.dedup();
+        format!("{} --kd {}", self.theory.line, list(&kd))
+    }
+
+    fn drive(&self) -> String {
+        match self.theory.around.drive {
+            Drive::Current { bandwidth_hz } => format!("current loop of {bandwidth_hz} Hz"),
+            _ => "ideal drive".into(),
+        }
+    }
+
+    /// Where and how, in two lines.
+    fn setting(&self) -> [String; 2] {
+        let joined = |values: &[f64]| list(values).replace(',', ", ");
+        let (args, around) = (self.args, &self.theory.around);
+        let normals: Vec<String> = args.walls.normals().map(|normal| format!("({})", joined(&normal.0))).collect();
+        let mut place = format!("q = ({}) rad, n = {}", joined(&self.theory.q), normals.join(" + "));
+        if let Some(parts) = args.walls.parts() {
+            let _ = write!(place, ", parts {}", joined(&parts.0));
+        }
+        [
+            place,
+            format!(
+                "{} Hz, cutoff {} Hz, delay {}, {}",
+                args.rate,
+                args.cutoff,
+                counted(around.delay_samples, "sample"),
+                self.drive()
+            ),
+        ]
+    }
+
+    fn table(&self) -> Result<String, Failure> {
+        let [place, around] = self.setting();
+        let mut text =
+            format!("{}: largest stable stiffness, measured (median of {} repeats)\n", self.name, self.plan.repeats);
+        if let Some(date) = &self.progress.date {
+            let _ = writeln!(text, "  the last of it on {date}");
+        }
+        let _ = writeln!(text, "  {place}\n  {around}\n");
+        let _ = writeln!(
+            text,
+            "{:>9}{:>11}{:>13}{:>12}{:>12}{:>12}  beyond it",
+            "", "kd N s/m", "kp N/m", "lowest", "highest", "theory"
+        );
+        let mut open = Vec::new();
+        for &mode in &self.plan.modes {
+            for (point, theory) in self.beside(mode)? {
+                let label = format!("{mode:?}").to_lowercase();
+                let _ = write!(text, "{label:>9}{:>11.4}", point.kd);
+                let (low, high) = point.bounds();
+                let _ = match (&point.open, point.repeats.is_empty()) {
+                    (Some(why), true) => {
+                        write!(text, "{:>13}{:>12}{:>12}", format!("> {:.0}", why.stable_up_to), "", "")
+                    }
+                    _ => write!(text, "{:>13.2}{low:>12.2}{high:>12.2}", point.median()),
+                };
+                let beyond = match (&point.open, point.vibration_m) {
+                    (Some(_), _) if point.repeats.is_empty() => "not told".into(),
+                    (_, Some(size)) => format!("vibrates by {} mm", millimetres(size)),
+                    (_, None) => "grows".into(),
+                };
+                let median = (!point.repeats.is_empty()).then(|| point.median());
+                let felt = median.and_then(|median| self.theory.felt(median));
+                let felt = felt.map_or(String::new(), |felt| format!("; felt at the tip: {felt:.0} N/m"));
+                let _ = writeln!(text, "{:>12.2}  {beyond}{felt}", theory.kp);
+                if let Some(why) = &point.open {
+                    open.push((label, point, why, theory.kp));
+                }
+            }
+        }
+        text.push('\n');
+        for (label, point, why, theory) in open {
+            let _ = writeln!(
+                text,
+                "{label} at kd {:.4}, repeat {}: stable up to {:.0} N/m, then: {}{}",
+                point.kd,
+                point.repeats.len() + 1,
+                why.stable_up_to,
+                why.reason,
+                self.finer(theory.max(why.stable_up_to))
+            );
+        }
+        for (mode, why) in &self.progress.open_ends {
+            let _ = writeln!(text, "{mode:?}: the damping where the range ends was not found: {why}");
+        }
+        for area in self.areas()? {
+            let _ = writeln!(
+                text,
+                "{:?}: area {:.0} N²s/m², theory {:.0}; furthest from theory by {:.2} % of its highest stiffness",
+                area.mode,
+                area.measured,
+                area.theory,
+                100.0 * area.furthest
+            );
+        }
+        let Excitation { quantum, friction, .. } = self.theory.excitation;
+        let _ = writeln!(
+            text,
+            "An encoder step is {} mm here. What goes on by more than 6 steps from peak to peak counts as vibrating.",
+            millimetres(quantum)
+        );
+        if friction > 0.0 {
+            let _ = writeln!(
+                text,
+                "Coulomb friction of {friction:.3} N at the tip stops small swings: the boundary found is that of the pulls \
+                 made, as a rule higher than theory's, and may not repeat."
+            );
+        }
+        let _ = writeln!(
+            text,
+            "The theory knows no Coulomb friction, hand, encoder steps or saturation. It is that of:\n  {}",
+            self.line()
+        );
+        Ok(text)
+    }
+
+    /// Encoders that could tell up to `stiffness` (N/m), where these cannot.
+    fn finer(&self, stiffness: f64) -> String {
+        let Excitation { force, .. } = self.theory.excitation;
+        let factor = 2.0 * self.theory.excitation.smallest() * stiffness / force;
+        if factor <= 1.0 {
+            return String::new();
+        }
+        format!("; encoders with {:.0} times the counts could tell", factor.ceil())
+    }
+
+    /// The areas under the boundaries, where whole ranges were measured.
+    fn areas(&self) -> Result<Vec<Area>, Failure> {
+        let mut areas = Vec::new();
+        if self.plan.kd.is_some() {
+            return Ok(areas);
+        }
+        let range = self.theory.predict(None, self.washout())?;
+        for &mode in &self.plan.modes {
+            let points = self.beside(mode)?;
+            let (Some(end), true) = (self.progress.end(mode), points.len() == self.plan.points) else { continue };
+            if points.iter().any(|(point, _)| point.repeats.is_empty()) {
+                continue;
+            }
+            let domain = range.of(mode);
+            let top = domain.boundary.iter().map(|point| point.kp).fold(0.0, f64::max);
+            let apart = points.iter().map(|(point, theory)| (point.median() - theory.kp).abs() / top);
+            // The dampings lie at the middles of even cells.
+            let cell = end / self.plan.points as f64;
+            areas.push(Area {
+                mode,
+                measured: points.iter().map(|(point, _)| point.median() * cell).sum(),
+                theory: domain.area,
+                furthest: apart.fold(0.0, f64::max),
+                spread: points.iter().map(|(point, _)| spread(point)).fold(0.0, f64::max),
+            });
+        }
+        Ok(areas)
+    }
+
+    fn document(&self, warnings: &[Warning]) -> Result<serde_json::Value, Failure> {
+        let mut points = Vec::new();
+        for &mode in &self.plan.modes {
+            for (point, theory) in self.beside(mode)? {
+                let (low, high) = point.bounds();
+                let found = (!point.repeats.is_empty()).then(|| (point.median(), low, high));
+                let mut told = json!({
+                    "mode": mode,
+                    "kd": point.kd,
+                    "kp": found.map(|found| found.0),
+                    "low": found.map(|found| found.1),
+                    "high": found.map(|found| found.2),
+                    "repeats": point.repeats,
+                    "vibration_m": point.vibration_m,
+                    "open": point.open,
+                    "theory_kp": theory.kp,
+                });
+                if let Some(felt) = found.and_then(|found| self.theory.felt(found.0)) {
+                    told["felt"] = felt.into();
+                }
+                points.push(told);
+            }
+        }
+        let walls: Vec<_> = self
+            .theory
+            .walls
+            .iter()
+            .map(|wall| json!({ "normal": wall.normal, "share": wall.share, "feed_forward": wall.feed_forward }))
+            .collect();
+        Ok(json!({
+            "date": self.progress.date,
+            "q": self.theory.q,
+            "walls": walls,
+            "rate_hz": self.args.rate,
+            "cutoff_hz": self.args.cutoff,
+            "delay_samples": self.theory.around.delay_samples,
+            "drive": self.drive(),
+            "theory": self.line(),
+            "encoder_step_m": self.theory.excitation.quantum,
+            "areas": self.areas()?,
+            "points": points,
+            "warnings": warnings,
+        }))
+    }
+
+    fn picture(&self) -> Result<haptic_show::plot::Picture, Failure> {
+        let range = self.theory.predict(None, self.washout())?;
+        let dots = |mode| -> Vec<MeasuredPoint> {
+            let dot = |point: &Point| {
+                let (low, high) = point.bounds();
+                MeasuredPoint { kd: point.kd, kp: point.median(), low, high }
+            };
+            self.points(mode).into_iter().filter(|point| !point.repeats.is_empty()).map(dot).collect()
+        };
+        let (off, full, washed) = (dots(FeedForward::Off), dots(FeedForward::Full), dots(FeedForward::Washout));
+        Ok(draw(&Contents {
+            title: format!("{}: stable walls, measured and predicted", self.name),
+            subtitle: self.setting(),
+            range: &range,
+            passivity: None,
+            washout_hz: self.washout(),
+            measured_off: &off,
+            measured_full: if full.is_empty() { &washed } else { &full },
+        }))
+    }
+}

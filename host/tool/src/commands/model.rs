@@ -1,0 +1,262 @@
+//! `haptic model`: the inertia a wall meets at one configuration, and the feed-forward that changes it.
+
+use super::answer::Json;
+use super::arguments::{self, Numbers};
+use haptic_bridge::model::admissible::Admissible;
+use haptic_host::device_file::DeviceFile;
+use haptic_host::digits::print_json;
+use haptic_host::error::{Failure, print};
+use haptic_predict::model::{Precision, Report, Rows, WallForce, evaluate_holding};
+use haptic_predict::plausible::{Warned, warn};
+use std::fmt::Write;
+use std::path::PathBuf;
+
+/// Show what a wall meets at one pose: inertia, coupling, feed-forward torque
+///
+/// Prints the mass matrix, the effective inertia Weff that a wall meets without the feed-forward, the inertia Wrr that
+/// it meets with it, and the joint torques of both. Give --normal and --force once per wall, and --stiffness once with
+/// one number per wall: several walls share the feed-forward by their stiffness. --json then has "directions", the
+/// stiffest first: along (the unit vector e_j), stiffness along it over that of the stiffest wall, and share (s_R of
+/// the level that renders it and the stiffer ones; null where nothing is left to shape).
+#[derive(clap::Args)]
+pub struct Args {
+    /// Device file (TOML)
+    device: PathBuf,
+    /// Joint angles in rad, such as 2.4,0.7 [default: the device file's home]
+    #[arg(long, value_name = "A,B,..", allow_hyphen_values = true)]
+    q: Option<Numbers>,
+    /// Joint velocities in rad/s [default: 0]
+    #[arg(long, value_name = "A,B,..", allow_hyphen_values = true)]
+    qd: Option<Numbers>,
+    /// Normal of a wall, pointing out of the solid; any length
+    #[arg(long, value_name = "X,Y,..", allow_hyphen_values = true)]
+    normal: Vec<Numbers>,
+    /// Force of the wall along its normal, in N [default: 0]
+    #[arg(long, value_name = "N", allow_hyphen_values = true)]
+    force: Vec<Numbers>,
+    /// Stiffness of each wall, in N/m or any other unit [default: all alike]
+    #[arg(long, value_name = "A,B,..", allow_hyphen_values = true)]
+    stiffness: Option<Numbers>,
+    /// Walls whose feed-forward is off beside others that have it, counted from 0 in the order of --normal
+    #[arg(long, value_name = "I,J,..")]
+    no_feed_forward: Option<Numbers>,
+    /// What a redundant device holds
+    #[arg(long, value_name = "COORDINATE", default_value = "orientation", value_parser = arguments::admissible())]
+    admissible: Admissible,
+    /// Arithmetic: f64, or f32 with the mechanism and the sines that the board runs
+    #[arg(long, value_name = "PRECISION", default_value = "f64", value_parser = arguments::precision())]
+    precision: Precision,
+    #[command(flatten)]
+    json: Json,
+}
+
+/// Computes and prints.
+pub fn run(args: Args) -> Result<(), Failure> {
+    let (device, mut warnings) = arguments::device(&args.device, false)?;
+    let spec = device.spec();
+    let q = arguments::pose(args.q.as_ref(), &device)?;
+    let qd = match args.qd {
+        Some(qd) => qd.exactly(spec.joints, "--qd", "joint velocities")?,
+        None => vec![0.0; spec.joints],
+    };
+    warnings.extend(arguments::pose_doubts(&q, &device));
+    warn(&warnings);
+    let walls = walls(&args.normal, &args.force, args.stiffness.as_ref(), args.no_feed_forward.as_ref(), spec.task)?;
+    let report = evaluate_holding(&device, &q, &qd, &walls, args.precision, args.admissible)?;
+    if args.json.asked() {
+        let forces = walls.iter().map(|wall| wall.force).collect();
+        let normals = walls.iter().map(|wall| wall.normal.clone()).collect();
+        let (precision, admissible) = (args.precision, args.admissible.name());
+        let precision = Precision::ALL.iter().find(|(_, other)| *other == precision).map_or("", |(name, _)| name);
+        let result = &Asked { q, qd, normals, forces, precision, admissible, report: &report };
+        return print_json(Warned { result, warnings: &warnings });
+    }
+    let board = if args.precision == Precision::F32 { ", f32 as on the board" } else { "" };
+    let heading = format!("{} ({}){board}\n", device.name, spec.name);
+    let mut text = heading + &readable(&report, &q, &qd, &walls);
+    if let ([only], true) = (walls.as_slice(), spec.joints > spec.task) {
+        text.push_str(&held(&device, &q, only, args.admissible)?);
+    }
+    print(&text)
+}
+
+/// The document of `--json`: what was asked, so that the figures can be had again, and the answer.
+#[derive(serde::Serialize)]
+struct Asked<'a> {
+    /// rad
+    q: Vec<f64>,
+    /// rad/s
+    qd: Vec<f64>,
+    /// Unit normals of the walls, d entries each.
+    normals: Vec<Vec<f64>>,
+    /// N
+    forces: Vec<f64>,
+    precision: &'static str,
+    admissible: &'static str,
+    #[serde(flatten)]
+    report: &'a Report,
+}
+
+/// Wrr/Weff of a redundant device for every coordinate that it may hold: it belongs to the choice.
+fn held(device: &DeviceFile, q: &[f64], wall: &WallForce, chosen: Admissible) -> Result<String, Failure> {
+    let mut text =
+        format!("This device is redundant: Wrr is that with {} held. Wrr/Weff here, by what is held:", chosen.name());
+    for (name, admissible) in Admissible::ALL {
+        let still = vec![0.0; q.len()];
+        let report = evaluate_holding(device, q, &still, std::slice::from_ref(wall), Precision::F64, admissible)?;
+        let _ = write!(text, " {name} {:.2}", report.gain() + 1.0);
+    }
+    Ok(text + ".\n")
+}
+
+/// Joins normals, made unit vectors, with forces and stiffness.
+fn walls(
+    normals: &[Numbers],
+    forces: &[Numbers],
+    stiffness: Option<&Numbers>,
+    without: Option<&Numbers>,
+    task: usize,
+) -> Result<Vec<WallForce>, Failure> {
+    if !forces.is_empty() && forces.len() != normals.len() {
+        let reason = format!("--normal is given {} times and --force {} times", normals.len(), forces.len());
+        return Err(Failure::wrong(reason).remedy("give them in pairs, one pair per wall"));
+    }
+    let stiffness = match stiffness {
+        Some(stiffness) => stiffness.per_wall(normals.len(), "--stiffness")?,
+        None => vec![1.0; normals.len()],
+    };
+    let with = Numbers::with_feed_forward(without, normals.len(), "--no-feed-forward")?;
+    normals
+        .iter()
+        .zip(stiffness.into_iter().zip(with))
+        .enumerate()
+        .map(|(index, (normal, (stiffness, feed_forward)))| {
+            let normal = normal.unit(task, "--normal")?;
+            let force = match forces.get(index) {
+                Some(force) => force.exactly(1, "--force", "force")?[0],
+                None => 0.0,
+            };
+            Ok(WallForce { normal, force, stiffness, feed_forward })
+        })
+        .collect()
+}
+
+fn readable(report: &Report, q: &[f64], qd: &[f64], walls: &[WallForce]) -> String {
+    let mut text = String::new();
+    let mut line = |name: &str, unit: &str, value: String| {
+        let mut lines = value.lines();
+        let _ = writeln!(text, "  {name:<30}{:<8}{}", unit, lines.next().unwrap_or("none"));
+        for more in lines {
+            let _ = writeln!(text, "  {:<38}{more}", "");
+        }
+    };
+    line("joint angles q", "rad", row(q));
+    if qd.iter().any(|value| *value != 0.0) {
+        line("joint velocities", "rad/s", row(qd));
+    }
+    line("tip", "m", row(&report.position));
+    line("Jacobian J", "m/rad", matrix(&report.jacobian));
+    line("mass matrix M", "kg m²", matrix(&report.mass));
+    line("bias c + g", "N m", row(&report.bias));
+    line("condition of J, of M", "", row(&[report.condition.jacobian, report.condition.mass]));
+    line("a hand feels at the tip", "kg", row(&report.perception.tip));
+    line("the most over the least of it", "", row(&[report.perception.ratio]));
+    for (index, wall) in walls.iter().enumerate() {
+        line(&format!("wall {index}: normal"), "", row(&wall.normal));
+        line(&format!("wall {index}: force"), "N", row(&[wall.force]));
+    }
+    if walls.is_empty() {
+        text.push_str("\nNo wall: give --normal (and --force) to see what one meets here.\n");
+        return text;
+    }
+    for (index, direction) in report.directions.iter().enumerate() {
+        let number = index + 1;
+        line(&format!("direction {number} of the stiffness"), "", row(&direction.along));
+        line("stiffness along it, relative", "", row(&[direction.stiffness]));
+        if let Some(share) = direction.share {
+            line(&format!("share of level {number}"), "", row(&[share]));
+        }
+    }
+    line("Weff, without feed-forward", "kg", matrix(&report.w_eff));
+    line("Wrr, with feed-forward", "kg", matrix(&report.w_rr));
+    line("coupling Wrr - Weff", "kg", matrix(&report.coupling));
+    if let Some(along) = &report.perception.along_wall {
+        line("felt along the wall, off", "kg", row(&along.off));
+        line("felt along the wall, full", "kg", row(&along.full));
+    }
+    line("Wra", "", matrix(&report.w_ra));
+    line("Waa", "", matrix(&report.w_aa));
+    line("z rendered", "N", row(&report.z_r));
+    line("z admissible", "", row(&report.z_a));
+    line("feed-forward force fa", "", row(&report.f_a));
+    line("torque without feed-forward", "N m", row(&report.torque_without_feed_forward));
+    line("torque by (4), g in z", "N m", row(&report.torque));
+    text.push('\n');
+    text.push_str(&verdict(report));
+    if let Some(push) = sideways(report) {
+        let _ = writeln!(
+            text,
+            "At rest equation (4) pushes a hand along the wall by {push:.3} N per newton (feed_forward = \"full\"); \
+             \"washout\" lets go of a resting hand."
+        );
+    }
+    text
+}
+
+/// The force along one wall that the feed-forward adds to each newton across it while nothing moves, where it is felt.
+fn sideways(report: &Report) -> Option<f64> {
+    let [coupled] = report.w_ra.as_slice() else { return None };
+    let tip = coupled.iter().take(report.position.len() - 1);
+    let push = tip.map(|entry| entry * entry).sum::<f64>().sqrt() / report.w_rr[0][0];
+    (push >= 0.005).then_some(push)
+}
+
+/// What the feed-forward buys here, in a sentence. The stable area of an undamped device grows by (Wrr/Weff)².
+fn verdict(report: &Report) -> String {
+    let gain = report.gain();
+    if !report.directions.is_empty() {
+        "Several walls share the feed-forward by their stiffness: level 1 shapes what acts along direction 1, and so on; \
+         the less, the nearer the next direction comes in stiffness. `haptic range` with the same --normal and --share \
+         tells what it buys.\n"
+            .into()
+    } else if report.w_aa.is_empty() {
+        "No direction is left free: nothing couples, and the feed-forward adds only the compensation of z.\n".into()
+    } else if gain < 0.03 {
+        format!(
+            "With the feed-forward this wall meets {:.1} % more inertia here: it buys next to nothing at this pose and \
+             normal; leave it off.\n",
+            100.0 * gain.max(0.0)
+        )
+    } else {
+        format!(
+            "With the feed-forward this wall meets {:.1} % more inertia here: the stable range of stiffness and damping \
+             grows to about {:.2} times the area.\n",
+            100.0 * gain,
+            (1.0 + gain) * (1.0 + gain)
+        )
+    }
+}
+
+fn row(values: &[f64]) -> String {
+    // Beside the others, what rounding left of a zero is one.
+    let least = 1e-12 * values.iter().fold(0.0_f64, |largest, value| largest.max(value.abs()));
+    let clean = values.iter().map(|value| if value.abs() < least { 0.0 } else { *value });
+    clean.map(|value| format!("{:>13}", number(value))).collect::<String>()
+}
+
+fn matrix(rows: &Rows) -> String {
+    rows.iter().map(|values| row(values)).collect::<Vec<_>>().join("\n")
+}
+
+/// Six significant digits, in powers of ten where that is shorter.
+fn number(value: f64) -> String {
+    let size = value.abs();
+    if value == 0.0 {
+        "0".into()
+    } else if (1.0e-3..1.0e5).contains(&size) {
+        let digits = (5 - size.log10().floor() as i32).clamp(0, 8) as usize;
+        format!("{value:.digits$}")
+    } else {
+        format!("{value:.5e}")
+    }
+}

@@ -1,0 +1,101 @@
+//! `haptic new`: a device or scene file to start from.
+
+use super::force::Force;
+use clap::ValueEnum;
+use clap::builder::PossibleValue;
+use haptic_bridge::model::catalogue::Kind;
+use haptic_host::device_file::DeviceFile;
+use haptic_host::error::{Failure, print};
+use haptic_host::output;
+use haptic_predict::template::{device_file, scene_file};
+use std::path::PathBuf;
+
+/// Write a device or scene file with every key and a comment on each, to fill in
+///
+/// The numbers of a device are examples that run on the simulated board. docs/devices.md says where your own come from.
+/// A scene has one wall, in front of the home pose of --device, that is well within what is predicted stable there.
+#[derive(clap::Args)]
+pub struct Args {
+    /// Mechanism of the device, or `scene`
+    kind: What,
+    /// File to write [default: standard output]
+    #[arg(short, long, value_name = "FILE")]
+    output: Option<PathBuf>,
+    /// Name of the device [default: the file's, or "my-device"]
+    #[arg(long, value_name = "NAME")]
+    name: Option<String>,
+    /// Of a scene: the device file that it is for [default: what `haptic new five-bar` writes]
+    #[arg(long, value_name = "FILE")]
+    device: Option<PathBuf>,
+    #[command(flatten)]
+    force: Force,
+}
+
+/// What is written: a device by its mechanism's name, or a scene.
+#[derive(Clone, Copy)]
+enum What {
+    Device(Kind),
+    Scene,
+}
+
+/// Every mechanism, in the order of the catalogue, and a scene.
+const ALL: [What; Kind::ALL.len() + 1] = {
+    let mut all = [What::Scene; Kind::ALL.len() + 1];
+    let mut i = 0;
+    while i < Kind::ALL.len() {
+        all[i] = What::Device(Kind::ALL[i]);
+        i += 1;
+    }
+    all
+};
+
+impl ValueEnum for What {
+    fn value_variants<'a>() -> &'a [Self] {
+        &ALL
+    }
+    fn to_possible_value(&self) -> Option<PossibleValue> {
+        Some(PossibleValue::new(match self {
+            Self::Device(kind) => kind.spec().name,
+            Self::Scene => "scene",
+        }))
+    }
+}
+
+/// Writes the file.
+pub fn run(args: Args) -> Result<(), Failure> {
+    let (text, what) = match args.kind {
+        What::Device(_) if args.device.is_some() => {
+            return Err(Failure::wrong("--device is for a scene").remedy("write: haptic new scene --device FILE"));
+        }
+        What::Scene if args.name.is_some() => {
+            return Err(Failure::wrong("a scene has no name").remedy("leave --name out"));
+        }
+        What::Device(kind) => (named(kind, &args)?, format!("an example {} to fill in", kind.spec().name)),
+        What::Scene => {
+            let file = match &args.device {
+                Some(path) => DeviceFile::load(path)?,
+                None => DeviceFile::parse(&device_file(Kind::FiveBar, "my-device"), "the example five-bar")?,
+            };
+            (scene_file(&file)?, format!("a wall in front of {} at home", file.name))
+        }
+    };
+    let Some(path) = args.output else { return print(&text) };
+    output::write(&path, text.as_bytes(), args.force.overwrite())?;
+    let path = path.display();
+    let check = match (args.kind, &args.device) {
+        (What::Device(_), _) => format!("haptic check {path}"),
+        (What::Scene, Some(device)) => format!("haptic check {} {path}", device.display()),
+        (What::Scene, None) => format!("haptic check DEVICE {path}"),
+    };
+    print(&format!("{path}: {what}; then `{check}`\n"))
+}
+
+/// The device file, under the name that was asked for.
+fn named(kind: Kind, args: &Args) -> Result<String, Failure> {
+    let stem = args.output.as_deref().and_then(|path| path.file_stem()).and_then(|stem| stem.to_str());
+    let name = args.name.as_deref().or(stem).unwrap_or("my-device");
+    if name.trim().is_empty() || name.chars().any(char::is_control) {
+        return Err(Failure::wrong("a device's name must be printable text on one line").remedy("give another --name"));
+    }
+    Ok(device_file(kind, name))
+}

@@ -1,0 +1,32 @@
+//! `haptic polarity`: lets the board move each joint a little, to see that motors and encoders agree.
+
+use super::answer::Json;
+use super::port::{Port, confirm};
+use haptic_host::error::Failure;
+use serde_json::json;
+
+/// Check that every motor turns its joint the way its encoder counts (moves the device)
+///
+/// Each joint in turn gets a small, slowly growing torque until it moves, and is then swung about where it stood, by
+/// some degrees. A real board arms only after this check has passed with its device, homed where it is.
+#[derive(clap::Args)]
+pub struct Args {
+    #[command(flatten)]
+    port: Port,
+    #[command(flatten)]
+    json: Json,
+    /// Do not ask before the device moves
+    #[arg(long)]
+    yes: bool,
+}
+
+/// Asks, starts the check and waits for its end.
+pub fn run(args: Args) -> Result<(), Failure> {
+    let mut board = args.port.open()?;
+    if board.details()?.real {
+        confirm(args.yes, "each joint is moved by a small torque: the device must be free to move, and hands off it")?;
+    }
+    board.check_polarity()?;
+    board.wait_for_polarity()?.passed()?;
+    args.json.answer(json!({ "polarity_checked": true }), "every motor turns its joint the right way\n")
+}

@@ -1,0 +1,404 @@
+//! `haptic range`: which walls stay stable on a device, predicted, without and with the feed-forward.
+
+mod ripple;
+mod words;
+
+use super::answer::{Json, Pictures};
+use super::arguments::{self, Numbers, WallArgs};
+use super::continued::Continue;
+use super::port::counted;
+use clap::{Args as ClapArgs, ValueEnum};
+use haptic_bridge::model::admissible::Admissible;
+use haptic_bridge::render::velocity::Estimator;
+use haptic_host::device_file::DeviceFile;
+use haptic_host::digits::print_json;
+use haptic_host::error::{Failure, print};
+use haptic_predict::analysis::control_loop::{CURRENT_LOOP_HZ, TorquePath, usual_delay};
+use haptic_predict::analysis::flexible::{Hand, Posture};
+use haptic_predict::analysis::host::Host;
+use haptic_predict::analysis::passivity::Passivity;
+use haptic_predict::analysis::plant::Drive;
+use haptic_predict::analysis::pose::motors;
+use haptic_predict::analysis::prediction::{Prediction, Subject, Walls};
+use haptic_predict::analysis::range::Range;
+use haptic_predict::analysis::sampled::{AnalysisError, LinearEstimator, Loop};
+use haptic_predict::analysis::several::Member;
+use haptic_predict::analysis::why::{Why, why};
+use haptic_predict::boards::BoardKind;
+use haptic_predict::plausible::{Doubt, Warned, warn};
+use haptic_predict::sweep::Sweep;
+use haptic_show::plot::range::{Contents, draw};
+use ripple::{Steps, stepped};
+use std::path::PathBuf;
+use words::{costly, in_words, readable, subtitle};
+
+/// Predict which stiffness and damping a wall can have before it oscillates
+///
+/// Exact sampled-data analysis (zero-order hold, delay, velocity filter, joint damping) of walls at one pose,
+/// without and with the feed-forward. Friction and a hand make the measured range larger; `haptic measure-range`
+/// measures it.
+#[derive(ClapArgs)]
+pub struct Args {
+    /// Device file (TOML)
+    device: PathBuf,
+    /// Joint angles in rad, such as 2.4,0.7 [default: the device file's home]
+    #[arg(long, value_name = "A,B,..", allow_hyphen_values = true)]
+    q: Option<Numbers>,
+    #[command(flatten)]
+    walls: WallArgs,
+    /// Control rate in Hz
+    #[arg(long, value_name = "HZ", default_value_t = 1_000.0)]
+    rate: f64,
+    /// Cutoff of the velocity filter in Hz
+    #[arg(long, value_name = "HZ", default_value_t = 20.0)]
+    cutoff: f64,
+    /// Delay from reading the encoders to applying the torque, in control samples [default: 0]
+    #[arg(long, value_name = "SAMPLES", allow_hyphen_values = true, conflicts_with = "board")]
+    delay: Option<f64>,
+    /// Velocity estimator
+    #[arg(long, value_name = "KIND", default_value = "butterworth", value_parser = arguments::linear_estimator())]
+    estimator: Estimator,
+    /// Take the velocity from the difference over so many samples, before the estimator's filter
+    #[arg(long, value_name = "SAMPLES", default_value_t = 1)]
+    difference_over: usize,
+    /// A hand on the tip: its mass (kg), damping (N s/m) and stiffness (N/m), the same in every direction
+    #[arg(long, value_name = "M,B,K", allow_hyphen_values = true)]
+    hand: Option<Numbers>,
+    /// The posture that a redundant device is held in, as a scene's [posture]: its stiffness (N m/rad) and damping
+    /// (N m s/rad)
+    #[arg(long, value_name = "K,D", allow_hyphen_values = true)]
+    posture: Option<Numbers>,
+    /// Leave the joints' own viscous damping out
+    #[arg(long)]
+    undamped: bool,
+    /// Evaluate the boundary at exactly these dampings, in N s/m [default: 200 even ones]
+    #[arg(long, value_name = "A,B,..", allow_hyphen_values = true)]
+    kd: Option<Numbers>,
+    /// Also analyse the feed-forward behind a washout at this frequency, in Hz
+    #[arg(long, value_name = "HZ")]
+    washout: Option<f64>,
+    /// Let the feed-forward compensate the joints' own damping too
+    #[arg(long)]
+    damping_compensation: bool,
+    /// Gain of (4)'s feed-forward; it must stay below the pole of the inertia, which the board enforces
+    #[arg(long, value_name = "ALPHA", default_value_t = 1.0)]
+    feed_forward_gain: f64,
+    /// What a redundant device holds
+    #[arg(long, value_name = "COORDINATE", default_value = "orientation", value_parser = arguments::admissible())]
+    admissible: Admissible,
+    /// How the motors are driven: ideal (torque at once), voltage (resistance, inductance and back-EMF of the device
+    /// file's motors), current (a current loop of --current-bandwidth) [default: ideal]
+    #[arg(long, value_name = "KIND", conflicts_with = "board")]
+    drive: Option<DriveKind>,
+    /// The drive and the delay of this board, instead of an ideal drive without delay
+    #[arg(long, value_name = "BOARD", value_parser = arguments::board())]
+    board: Option<BoardKind>,
+    /// Bandwidth of the current loop in Hz, for --drive current; the default lags by half a carrier period at 20 kHz,
+    /// as the boards' loops do, which make a current within one
+    #[arg(long, value_name = "HZ", default_value_t = CURRENT_LOOP_HZ)]
+    current_bandwidth: f64,
+    /// Also analyse the wall as rendered over this board by a program on a computer, with so many exchanges a second
+    #[arg(long, value_name = "HZ")]
+    host_rate: Option<f64>,
+    /// Age of that program's forces when they begin to act, in seconds, as `haptic latency` measures it
+    /// [default: from one request to the next]
+    #[arg(long, value_name = "S", requires = "host_rate", allow_hyphen_values = true)]
+    host_delay: Option<f64>,
+    /// Say what limits the boundary: how much sampling, delay, drive, filter, transmissions, hand and joint damping
+    /// each take from it, by comparison with the same loop without it; --svg and --png then draw that
+    #[arg(long)]
+    why: bool,
+    /// Also simulate the ripple that encoder steps cause in a wall pressed with 3 N, and say from which stiffness on
+    /// its root mean square exceeds this bound, in N. Damping is that of --damping-ratio, or each of --kd; the hand is
+    /// that of --hand, or a light one (0.05 kg, 3 N s/m, 200 N/m)
+    #[arg(long, value_name = "N")]
+    ripple: Option<f64>,
+    /// Simulate the ripple of one wall of this stiffness (N/m) and damping (N s/m)
+    #[arg(long, value_name = "KP,KD", allow_hyphen_values = true)]
+    wall: Option<Numbers>,
+    /// Damping of the walls of --ripple, as a share of the critical damping of the inertia they meet
+    #[arg(long, value_name = "RATIO", default_value_t = 0.7)]
+    damping_ratio: f64,
+    #[command(flatten)]
+    continued: Continue,
+    #[command(flatten)]
+    json: Json,
+    #[command(flatten)]
+    pictures: Pictures,
+}
+
+/// Drives of the analysis.
+#[derive(Clone, Copy, Debug, PartialEq, ValueEnum)]
+enum DriveKind {
+    Ideal,
+    Voltage,
+    Current,
+}
+
+impl Args {
+    /// Control samples.
+    fn delay(&self) -> f64 {
+        match self.board {
+            // Both boards sample at the middle of a carrier period and apply the duty at its end.
+            Some(_) => usual_delay(self.rate),
+            None => self.delay.unwrap_or(0.0),
+        }
+    }
+
+    fn drive(&self) -> DriveKind {
+        match self.board {
+            Some(_) => DriveKind::Current,
+            None => self.drive.unwrap_or(DriveKind::Ideal),
+        }
+    }
+
+    fn host(&self) -> Option<Host> {
+        self.host_rate.map(|rate_hz| Host { rate_hz, delay_s: self.host_delay.unwrap_or(1.0 / rate_hz) })
+    }
+
+    fn hand(&self) -> Result<Hand, Failure> {
+        let Some(Numbers(numbers)) = &self.hand else { return Ok(Hand::default()) };
+        let remedy = "write mass (kg), damping (N s/m) and stiffness (N/m), such as 0.2,5,500";
+        match numbers[..] {
+            [mass, damping, stiffness] if numbers.iter().all(|number| *number >= 0.0) => {
+                Ok(Hand { mass, damping, stiffness })
+            }
+            [_, _, _] => Err(Failure::wrong("--hand holds a negative number").remedy(remedy)),
+            _ => {
+                let numbers = counted(numbers.len(), "number");
+                Err(Failure::wrong(format!("--hand has {numbers}, and a hand has 3")).remedy(remedy))
+            }
+        }
+    }
+
+    fn posture(&self, file: &DeviceFile) -> Result<Option<Posture>, Failure> {
+        let Some(numbers) = &self.posture else { return Ok(None) };
+        let remedy = "write stiffness (N m/rad) and damping (N m s/rad), such as 0.5,0.03";
+        let spec = file.spec();
+        match numbers.0[..] {
+            _ if spec.joints == spec.task => {
+                let reason = format!("--posture, and a {} has one posture at each place of its tip", spec.name);
+                Err(Failure::wrong(reason).remedy("leave it out"))
+            }
+            [stiffness, damping] if stiffness >= 0.0 && damping >= 0.0 => Ok(Some(Posture { stiffness, damping })),
+            [_, _] => Err(Failure::wrong("--posture holds a negative number").remedy(remedy)),
+            _ => {
+                let numbers = counted(numbers.0.len(), "number");
+                Err(Failure::wrong(format!("--posture has {numbers}, and a posture has 2")).remedy(remedy))
+            }
+        }
+    }
+
+    /// The device in the loop that was asked for.
+    fn prediction(&self, file: &DeviceFile) -> Result<Prediction, Failure> {
+        let drive = match self.drive() {
+            DriveKind::Ideal => Drive::Ideal,
+            DriveKind::Current => Drive::Current { bandwidth_hz: self.current_bandwidth },
+            DriveKind::Voltage => Drive::Voltage(motors(&file.description).ok_or_else(|| {
+                Failure::wrong(format!("{} has joints without [joint.motor]", self.device.display()))
+                    .remedy("a voltage drive is analysed with the motors' resistance and back-EMF: add them")
+            })?),
+        };
+        let path = TorquePath { delay_samples: self.delay(), drive };
+        let mut around = Loop::through(&path, self.rate, estimator(self)?);
+        around.damping_compensation = self.damping_compensation;
+        let subject = Subject::new(&file.description).map_err(Failure::wrong)?;
+        let subject = if self.undamped { subject.undamped() } else { subject };
+        Ok(Prediction {
+            admissible: self.admissible,
+            gain: self.feed_forward_gain,
+            posture: self.posture(file)?,
+            hand: self.hand()?,
+            ..Prediction::new(subject, around)
+        })
+    }
+}
+
+/// Analyses, prints and draws.
+pub fn run(args: Args) -> Result<(), Failure> {
+    args.pictures.check()?;
+    let (file, mut warnings) = arguments::device(&args.device, true)?;
+    let spec = file.spec();
+    arguments::check_rate(args.rate)?;
+    let q = arguments::pose(args.q.as_ref(), &file)?;
+    warnings.extend(arguments::pose_doubts(&q, &file));
+    let members = args.walls.members(spec.task)?;
+    let normals: Vec<Vec<f64>> = members.iter().map(|member| member.normal.clone()).collect();
+    if let Some(board) = args.board.filter(|board| board.axes() < spec.joints) {
+        let reason = format!("{} has {} joints, and this board drives {}", file.name, spec.joints, board.axes());
+        let remedy = match BoardKind::with_axes(spec.joints) {
+            Some(larger) => format!("{} drives {}", larger.name(), larger.axes()),
+            None => "no board drives as many".to_string(),
+        };
+        return Err(Failure::wrong(reason).remedy(remedy));
+    }
+    let prediction = args.prediction(&file)?;
+    let (analyse, passivity) = walls(&args, &file, &q, &members, &prediction)?;
+    let asked_kd = args.kd.as_ref().map(|kd| kd.0.as_slice());
+    let range = analyse(asked_kd, args.washout)?;
+    let doubts = costly(&range, args.washout, |corner| analyse(asked_kd, Some(corner)))?;
+    warnings.extend(doubts.into_iter().map(|text| Doubt { key: None, text }.typed()));
+    warn(&warnings);
+    let asked = (&args.ripple, &args.kd, args.washout, args.damping_ratio, &args.hand);
+    let device = (file.description, args.undamped, args.feed_forward_gain, args.admissible);
+    let question = format!("{device:?} {q:?} {normals:?} {:?} {:?} {asked:?}", prediction.around, prediction.posture);
+    let sweep = args.continued.sweep("range", &question)?;
+    let why = if args.why { Some(explained(&prediction, &q, &normals, &sweep)?) } else { None };
+    let steps = stepped(&args, &file, &q, &normals, &prediction, &sweep)?;
+    let pictures = args.pictures.asked();
+    if let Some(why) = why.as_ref().filter(|_| pictures) {
+        let title = format!("{}: what each effect takes from the stiffest wall", file.name);
+        let picture = haptic_show::plot::why::draw(&title, &subtitle(&args, &q, &normals, range.area_ratio), why);
+        args.pictures.save(&picture)?;
+    } else if pictures {
+        // A picture always shows the whole boundary, whatever points were asked for.
+        let whole = if args.kd.is_some() { analyse(None, args.washout)? } else { range.clone() };
+        let picture = draw(&Contents {
+            title: format!("{}: stable walls, predicted", file.name),
+            subtitle: subtitle(&args, &q, &normals, range.area_ratio),
+            range: &whole,
+            passivity: passivity.as_ref(),
+            washout_hz: args.washout,
+            measured_off: &[],
+            measured_full: &[],
+        });
+        args.pictures.save(&picture)?;
+    }
+    if args.json.asked() {
+        let asked = Asked::of(&args, &prediction, &q, &members);
+        let result = Explained { asked, range: &range, why: why.as_ref(), ripple: steps.as_ref() };
+        print_json(Warned { result: &result, warnings: &warnings })?;
+    } else {
+        print(&readable(&file.name, &args, &q, &normals, &range, passivity.as_ref(), &file.description))?;
+        why.map_or(Ok(()), |why| print(&in_words(&why)))?;
+        steps.map_or(Ok(()), |steps| print(&steps.in_words()))?;
+    }
+    sweep.finish();
+    Ok(())
+}
+
+/// The document of `--json`.
+#[derive(serde::Serialize)]
+struct Explained<'a> {
+    #[serde(flatten)]
+    asked: Asked,
+    #[serde(flatten)]
+    range: &'a Range,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    why: Option<&'a Why>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    ripple: Option<&'a Steps>,
+}
+
+/// What was asked, so that the figures can be had again.
+#[derive(serde::Serialize)]
+struct Asked {
+    /// rad
+    q: Vec<f64>,
+    /// Unit normals, d entries each.
+    normals: Vec<Vec<f64>>,
+    rate_hz: f64,
+    /// None with an estimator that has none.
+    cutoff_hz: Option<f64>,
+    delay_samples: f64,
+    drive: String,
+    /// What `haptic range DEVICE` takes to predict the same.
+    options: String,
+}
+
+impl Asked {
+    fn of(args: &Args, prediction: &Prediction, q: &[f64], members: &[Member]) -> Self {
+        let mut options = prediction.options(q, members);
+        let mut more = |option: &str, value: Option<String>| {
+            if let Some(value) = value {
+                options += &format!(" --{option} {value}");
+            }
+        };
+        more("washout", args.washout.map(|hz| hz.to_string()));
+        more("kd", args.kd.as_ref().map(Numbers::to_string));
+        more("host-rate", args.host_rate.map(|hz| hz.to_string()));
+        more("host-delay", args.host_delay.map(|s| s.to_string()));
+        if args.undamped {
+            options += " --undamped";
+        }
+        let around = &prediction.around;
+        Self {
+            q: q.to_vec(),
+            normals: members.iter().map(|wall| wall.normal.clone()).collect(),
+            rate_hz: around.rate_hz,
+            cutoff_hz: around.estimator.cutoff_hz(),
+            delay_samples: around.delay_samples,
+            drive: format!("{:?}", args.drive()).to_lowercase(),
+            options,
+        }
+    }
+}
+
+/// What each effect takes, of the one wall that there is.
+fn explained(prediction: &Prediction, q: &[f64], normals: &[Vec<f64>], sweep: &Sweep) -> Result<Why, Failure> {
+    let [normal] = normals else {
+        let reason = "--why with several --normal";
+        return Err(Failure::wrong(reason).remedy("ask why of one wall at a time"));
+    };
+    why(&prediction.seen(q, normal)?, &prediction.around, sweep)
+}
+
+/// The estimator that was asked for.
+fn estimator(args: &Args) -> Result<LinearEstimator, Failure> {
+    let over = args.difference_over;
+    let alone = LinearEstimator::of(args.estimator, args.cutoff).ok_or_else(|| {
+        Failure::wrong(format!("{} has no linear analysis", args.estimator.name())).remedy("choose another --estimator")
+    })?;
+    match over {
+        1 => Ok(alone),
+        _ if alone.takes_difference() => Ok(alone.over(over)),
+        _ => {
+            let reason = format!("--difference-over {over} with an estimator that takes no difference");
+            Err(Failure::wrong(reason).remedy("leave it out, or choose a low-pass with --estimator"))
+        }
+    }
+}
+
+/// What predicts the range at given dampings, washed out at a given corner, Hz.
+type Analysis<'a> = Box<dyn Fn(Option<&[f64]>, Option<f64>) -> Result<Range, AnalysisError> + 'a>;
+
+/// The analysis of one wall, with its passive limits, or of several.
+fn walls<'a>(
+    args: &'a Args,
+    file: &DeviceFile,
+    q: &[f64],
+    members: &[Member],
+    prediction: &'a Prediction,
+) -> Result<(Analysis<'a>, Option<Passivity>), Failure> {
+    let (gain, around) = (args.feed_forward_gain, &prediction.around);
+    let found = prediction.walls(q, members)?;
+    let passivity = match &found {
+        Walls::One(device) => {
+            let most = device.most_gain().unwrap_or(1.0);
+            if !(0.0..=most).contains(&gain) {
+                let reason = format!("--feed-forward-gain {gain} is not from 0 to {most:.3}");
+                return Err(
+                    Failure::wrong(reason).remedy("a board gives no more here: beyond lies the pole of the inertia")
+                );
+            }
+            Passivity::new(device, &file.description, around)
+        }
+        Walls::Several(_) if args.host_rate.is_some() => {
+            let reason = "--host-rate with several --normal";
+            return Err(Failure::wrong(reason).remedy("a wall that a computer renders is analysed one at a time"));
+        }
+        Walls::Several(_) if gain != 1.0 => {
+            let reason = format!("--feed-forward-gain {gain} with several --normal");
+            return Err(Failure::wrong(reason).remedy("several walls are analysed with a gain of 1; leave it out"));
+        }
+        Walls::Several(_) => None,
+    };
+    let analyse = move |kd: Option<&[f64]>, washout: Option<f64>| {
+        let host = match (args.host(), &found) {
+            (Some(host), Walls::One(device)) => Some(host.domain(device, around, kd)?),
+            _ => None,
+        };
+        Ok(Range { host, ..found.range(around, kd, washout)? })
+    };
+    Ok((Box::new(analyse), passivity))
+}

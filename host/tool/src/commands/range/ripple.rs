@@ -1,0 +1,193 @@
+//! What encoder steps make of walls that are pressed: `haptic range --ripple` and `--wall`.
+
+use super::Args;
+use crate::commands::arguments::Numbers;
+use haptic_host::device_file::DeviceFile;
+use haptic_host::error::Failure;
+use haptic_predict::analysis::prediction::Prediction;
+use haptic_predict::analysis::ripple::{Along, DampingRule, LIGHT_HAND, PUSH_N, Pressed, Ripple};
+use haptic_predict::analysis::sampled::Mode;
+use haptic_predict::sweep::Sweep;
+use std::fmt::Write;
+
+/// What encoder steps make of pressed walls.
+#[derive(serde::Serialize)]
+pub struct Steps {
+    /// What one count of the coarsest joint moves along the normal, m.
+    count_m: f64,
+    push_n: f64,
+    /// Mass (kg), damping (N s/m), stiffness (N/m).
+    hand: [f64; 3],
+    /// One entry for each way of damping.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    lines: Vec<StepsAlong>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    wall: Option<StepsOfWall>,
+}
+
+#[derive(serde::Serialize)]
+struct StepsAlong {
+    bound_n: f64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    damping_ratio: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    kd: Option<f64>,
+    off: Along,
+    full: Along,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    washout: Option<Along>,
+}
+
+#[derive(serde::Serialize)]
+struct StepsOfWall {
+    /// The largest force that one count alone makes, N.
+    step_n: f64,
+    off: Ripple,
+    full: Ripple,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    washout: Option<Ripple>,
+}
+
+/// What encoder steps make of the walls that were asked for.
+pub fn stepped(
+    args: &Args,
+    file: &DeviceFile,
+    q: &[f64],
+    normals: &[Vec<f64>],
+    prediction: &Prediction,
+    sweep: &Sweep,
+) -> Result<Option<Steps>, Failure> {
+    if args.ripple.is_none() && args.wall.is_none() {
+        return Ok(None);
+    }
+    let [normal] = normals else {
+        let reason = "--ripple or --wall with several --normal";
+        return Err(Failure::wrong(reason).remedy("ask for the ripple of one wall at a time"));
+    };
+    if args.damping_compensation {
+        let reason = "--ripple or --wall with --damping-compensation";
+        return Err(Failure::wrong(reason).remedy("the ripple is simulated without it: leave it out"));
+    }
+    if args.posture.is_some() {
+        let reason = "--ripple or --wall with --posture";
+        return Err(Failure::wrong(reason).remedy("the ripple is simulated without it: leave it out"));
+    }
+    let positive = |value: f64, what: &str| match value.is_finite() && value > 0.0 {
+        true => Ok(value),
+        false => Err(Failure::wrong(format!("{what} {value} is not more than zero")).remedy("write a positive number")),
+    };
+    let device = prediction.seen(q, normal)?;
+    let mut description = file.description;
+    if args.undamped {
+        description.joints.iter_mut().for_each(|joint| joint.viscous = 0.0);
+    }
+    let hand = if args.hand.is_some() { args.hand()? } else { LIGHT_HAND };
+    let (q, normal) = (q.to_vec(), normal.clone());
+    let pressed = Pressed { device: &device, description, q, normal, around: &prediction.around, hand, push_n: PUSH_N };
+    let unseen = || {
+        Failure::wrong(format!("{} has joints without [joint.encoder]", args.device.display()))
+            .remedy("ripple is what encoder steps make: add them")
+    };
+    let count_m = pressed.count_m().ok_or_else(unseen)?;
+    let washout = args.washout.map(Mode::Washout);
+    let mut lines = Vec::new();
+    if let Some(bound) = args.ripple {
+        let bound_n = positive(bound, "--ripple")?;
+        let ratio = positive(args.damping_ratio, "--damping-ratio")?;
+        let dampings: Vec<DampingRule> = match &args.kd {
+            Some(Numbers(dampings)) => dampings.iter().map(|kd| DampingRule::Damping(*kd)).collect(),
+            None => vec![DampingRule::Ratio(ratio)],
+        };
+        for line in dampings {
+            let along = |mode| pressed.along(mode, line, bound_n, sweep)?.ok_or_else(unseen);
+            let (damping_ratio, kd) = match line {
+                DampingRule::Ratio(ratio) => (Some(ratio), None),
+                DampingRule::Damping(kd) => (None, Some(kd)),
+            };
+            lines.push(StepsAlong {
+                bound_n,
+                damping_ratio,
+                kd,
+                off: along(Mode::Off)?,
+                full: along(Mode::Full)?,
+                washout: washout.map(along).transpose()?,
+            });
+        }
+    }
+    let wall = match args.wall.clone() {
+        None => None,
+        Some(wall) => {
+            let wall = wall.exactly(2, "--wall", "numbers, stiffness and damping")?;
+            if wall[0].is_nan() || wall[0] <= 0.0 || wall[1].is_nan() || wall[1] < 0.0 {
+                return Err(Failure::wrong("--wall needs a stiffness above zero and a damping that is not negative")
+                    .remedy("write N/m and N s/m, such as 5000,150"));
+            }
+            let of = |mode| pressed.ripple(mode, wall[0], wall[1]).ok_or_else(unseen);
+            Some(StepsOfWall {
+                step_n: pressed.step_n(wall[0], wall[1]).ok_or_else(unseen)?,
+                off: of(Mode::Off)?,
+                full: of(Mode::Full)?,
+                washout: washout.map(of).transpose()?,
+            })
+        }
+    };
+    Ok(Some(Steps { count_m, push_n: PUSH_N, hand: [hand.mass, hand.damping, hand.stiffness], lines, wall }))
+}
+
+impl Steps {
+    /// As people read them.
+    pub fn in_words(&self) -> String {
+        let mut text = String::new();
+        let [mass, damping, stiffness] = self.hand;
+        let _ = writeln!(
+            text,
+            "\n  encoder steps, simulated: one count is {:.4} mm here; a hand of {mass} kg, {damping} N s/m, {stiffness} \
+             N/m presses with {} N",
+            1e3 * self.count_m,
+            self.push_n
+        );
+        for line in &self.lines {
+            let damping = match (line.damping_ratio, line.kd) {
+                (Some(ratio), _) => format!("{ratio} of critical damping"),
+                (_, kd) => format!("kd = {} N s/m", kd.unwrap_or_default()),
+            };
+            let mut row = |label: &str, along: &Along| {
+                let from = match along.kp_from {
+                    Some(kp) => format!("from {kp:.1} N/m on"),
+                    None => "at no wall tried".into(),
+                };
+                let _ = writeln!(
+                    text,
+                    "  {label:<18} force ripple above {} N rms {from}; stable to {:.1} N/m ({damping})",
+                    line.bound_n, along.kp_stable
+                );
+            };
+            row("no feed-forward", &line.off);
+            row("feed-forward (4)", &line.full);
+            if let Some(washout) = &line.washout {
+                row("washout", washout);
+            }
+        }
+        if let Some(wall) = &self.wall {
+            let mut row = |label: &str, ripple: &Ripple| {
+                let _ = match (ripple.rms_n, ripple.peak_n, ripple.motion_m) {
+                    (Some(rms), Some(peak), Some(motion)) => writeln!(
+                        text,
+                        "  {label:<18} {} N/m, {} N s/m: ripple {rms:.3} N rms, {peak:.3} N peak; the tip moves {:.4} mm",
+                        ripple.kp,
+                        ripple.kd,
+                        1e3 * motion
+                    ),
+                    _ => writeln!(text, "  {label:<18} {} N/m, {} N s/m: the tip flies off", ripple.kp, ripple.kd),
+                };
+            };
+            row("no feed-forward", &wall.off);
+            row("feed-forward (4)", &wall.full);
+            if let Some(washout) = &wall.washout {
+                row("washout", washout);
+            }
+            let _ = writeln!(text, "  one count alone changes that wall's force by up to {:.3} N", wall.step_n);
+        }
+        text
+    }
+}

@@ -1,0 +1,40 @@
+//! `haptic save`: keeps device, scene, gains and rules over a power cycle.
+
+use super::answer::Json;
+use super::port::Port;
+use haptic_bridge::safety::refusal::Refusal;
+use haptic_host::error::Failure;
+use haptic_host::link::BoardError;
+use serde_json::json;
+
+/// Keep device, scene, gains and rules in the board's flash
+///
+/// The motors must be off: the processor stands still for up to a second while flash is erased.
+#[derive(clap::Args)]
+pub struct Args {
+    #[command(flatten)]
+    port: Port,
+    #[command(flatten)]
+    json: Json,
+}
+
+/// Saves.
+pub fn run(args: Args) -> Result<(), Failure> {
+    let mut board = args.port.open_to_stay()?;
+    if board.status()?.state.drives() {
+        return Err(BoardError::Refused(Refusal::Armed).into());
+    }
+    haptic_host::tell!("writing flash: the board pauses for up to a second");
+    board.save()?;
+    let (device, scene) = (board.device()?.is_some(), board.scene()?.is_some());
+    let said = match (device, scene) {
+        (true, true) => "saved: the board starts with this device and scene from now on\n",
+        (true, false) => "saved: the board starts with this device from now on; it holds no scene\n",
+        (false, _) => {
+            "saved: rules and name; the board holds no device or scene, and what was saved of those before stays as it is\n"
+        }
+    };
+    let (info, mut saved) = (board.info(), vec!["rules", "name"]);
+    saved.extend([("device", device), ("scene", scene)].into_iter().filter(|(_, held)| *held).map(|(name, _)| name));
+    args.json.answer(json!({ "saved": true, "settings": saved, "board": info.board, "serial": info.serial }), said)
+}

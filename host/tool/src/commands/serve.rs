@@ -1,0 +1,47 @@
+//! `haptic serve`: a board for programs that were made for other devices.
+
+use super::interrupt;
+use super::port::Port;
+use haptic_host::error::{Failure, print};
+use haptic_host::frame::Axes;
+use haptic_host::link::{PortSpec, Session};
+use haptic_show::haply::{HaplyListener, Inverse3, USUAL_PORT};
+
+/// Let programs that were made for other devices use a board
+///
+/// --haply speaks as Haply's inverse service does, until Ctrl-C: a WebSocket with JSON on this computer, and on this
+/// one alone. The first force of a program arms the board; the motors go off when it leaves, and its forces fade when
+/// it says nothing.
+#[derive(clap::Args)]
+pub struct Args {
+    /// As Haply's inverse service: an Inverse3 and a grip that does not move
+    #[arg(long, required = true)]
+    haply: bool,
+    /// Port of this computer to listen at; 0 takes a free one
+    #[arg(long, value_name = "PORT", default_value_t = USUAL_PORT)]
+    listen: u16,
+    /// What is towards the operator, to the right and up on the device [default: by the mechanism, docs/chai3d.md]
+    #[arg(long, value_name = "AXES", allow_hyphen_values = true)]
+    axes: Option<Axes>,
+    #[command(flatten)]
+    port: Port,
+}
+
+/// Serves.
+pub fn run(args: Args) -> Result<(), Failure> {
+    let stop = interrupt::watch();
+    let simulated = matches!(args.port.spec(), PortSpec::Sim(_));
+    let session = Session::of(args.port.open()?);
+    let device = Inverse3::new(session, args.axes, simulated)?;
+    let listening = HaplyListener::open(args.listen).map_err(|error| {
+        Failure::impossible(format!("cannot listen on port {}: {error}", args.listen))
+            .remedy("end what listens there, such as Haply's own service, or choose another --listen PORT")
+    })?;
+    let url = listening.url().map_err(Failure::impossible)?;
+    let page = listening.url_for_pages().map_err(Failure::impossible)?;
+    print(&format!(
+        "{} is an Inverse3 for programs, at {url}\na page in a browser here uses {page}\nCtrl-C ends it\n",
+        device.id()
+    ))?;
+    Ok(listening.serve(device, stop.flag())?)
+}

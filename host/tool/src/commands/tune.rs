@@ -1,0 +1,459 @@
+//! `haptic tune`: the settings of the stiffest wall on a device, and what limits it.
+
+use super::answer::Json;
+use super::arguments::{self, Numbers};
+use super::continued::Continue;
+use super::force::Force;
+use haptic_bridge::model::admissible::Admissible;
+use haptic_bridge::render::scene::{FeedForward, Scene, Surface};
+use haptic_bridge::render::velocity::Estimator;
+use haptic_host::device_file::DeviceFile;
+use haptic_host::digits::print_json;
+use haptic_host::error::{Failure, print};
+use haptic_host::link::{Board, PortSpec};
+use haptic_host::output;
+use haptic_host::scene_file::SceneFile;
+use haptic_host::words::digits;
+use haptic_predict::analysis::prediction::Subject;
+use haptic_predict::measure::occasion;
+use haptic_predict::plausible::scene::doubts;
+use haptic_predict::tune::measured::{self, Measured};
+use haptic_predict::tune::{
+    Answer, Baseline, Found, Margins, Otherwise, Question, RATES_HZ, Settings, USUAL_RIPPLE_N, baseline, estimators,
+    ripple_like, to_toml, tune,
+};
+use serde::Serialize;
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+
+/// Find the settings that render the stiffest wall on a device
+///
+/// Searches control rate, velocity estimator, cutoff, damping, stiffness, washout and feed-forward for the stiffest
+/// wall that stays stable and ripples little under a hand that slides along it, on the device of the file and on others
+/// a little off it, that a tap leaves once at most, and that asks no more of the motors than they have; says what limits
+/// it. Stability is predicted,
+/// ripple is simulated with the steps of the encoders, and once more on a simulated board, under another hand. Takes
+/// some minutes; Ctrl-C ends it, and with --continue the same command goes on from there. With --scene the pose, the
+/// normal and the ripple are those of a wall in that file, which the result is compared with.
+#[derive(clap::Args)]
+pub struct Args {
+    /// Device file (TOML)
+    device: PathBuf,
+    /// Joint angles in rad, such as 2.4,0.7 [default: where the wall of --scene is touched, or the device file's home]
+    #[arg(long, value_name = "A,B,..", allow_hyphen_values = true)]
+    q: Option<Numbers>,
+    /// Normal of the wall, any length [default: that of the wall of --scene]
+    #[arg(long, value_name = "X,Y,..", required_unless_present = "scene", allow_hyphen_values = true)]
+    normal: Option<Numbers>,
+    /// A scene file whose wall is to be made stiffer: it is held to the same margins, and compared
+    #[arg(long, value_name = "FILE")]
+    scene: Option<PathBuf>,
+    /// Which wall of --scene, from 0
+    #[arg(long, value_name = "INDEX", default_value_t = 0, requires = "scene")]
+    wall: usize,
+    /// Largest ripple in N: root mean square of the wall's force above 20 Hz, under a hand that presses with 1.5 to 4.5
+    /// N and slides along at 30 mm/s, and under the one that presses the simulated board [default: 0.1, or that of the
+    /// wall of --scene as it is written, and 0.002 at least]
+    #[arg(long, value_name = "N")]
+    ripple: Option<f64>,
+    /// Control rates to look at, in Hz
+    #[arg(long, value_name = "A,B,..", default_value = "1000,5000,10000,20000")]
+    rates: Numbers,
+    /// Velocity estimators to look at [default: all that have a linear analysis]
+    #[arg(long, value_name = "KIND", value_delimiter = ',', value_parser = arguments::tuned_estimator())]
+    estimators: Vec<Estimator>,
+    /// Feed-forwards to look at; full pushes a resting hand along the wall
+    #[arg(long, value_name = "KIND", value_delimiter = ',', default_value = "off,washout", value_parser = arguments::feed_forward())]
+    feed_forward: Vec<FeedForward>,
+    /// Factor by which the motors may be stronger or weaker than the file says
+    #[arg(long, value_name = "FACTOR", default_value_t = Margins::default().gain)]
+    gain_margin: f64,
+    /// Delay beyond the board's own, in s
+    #[arg(long, value_name = "S", default_value_t = Margins::default().delay_s)]
+    delay_margin: f64,
+    /// Share by which the whole device may be lighter or heavier
+    #[arg(long, value_name = "SHARE", default_value_t = Margins::default().mass)]
+    mass_error: f64,
+    /// Share by which each link and rotor may be lighter or heavier on its own
+    #[arg(long, value_name = "SHARE", default_value_t = Margins::default().inertia)]
+    inertia_error: f64,
+    /// Share by which friction may be less or more, for the ripple
+    #[arg(long, value_name = "SHARE", default_value_t = Margins::default().friction)]
+    friction_error: f64,
+    /// Share by which an encoder's counts may be coarser or finer, for the ripple
+    #[arg(long, value_name = "SHARE", default_value_t = Margins::default().counts)]
+    counts_error: f64,
+    /// Encoder counts into the wall at which the motors may give all that they have
+    #[arg(long, value_name = "N", default_value_t = 1.0)]
+    counts: f64,
+    /// Speed in m/s at which the damping alone may take all that the motors have
+    #[arg(long, value_name = "M/S", default_value_t = 0.1)]
+    speed: f64,
+    /// What a redundant device holds [default: what the scene says, or orientation]
+    #[arg(long, value_name = "COORDINATE", value_parser = arguments::admissible())]
+    admissible: Option<Admissible>,
+    /// Measure both on the simulated board as well, with everything switched on: some minutes
+    #[arg(long)]
+    measure: bool,
+    #[command(flatten)]
+    continued: Continue,
+    /// Write a scene file with the wall
+    #[arg(long, value_name = "FILE")]
+    out: Option<PathBuf>,
+    /// Load the scene onto this board: a serial port or a board's serial number, or tcp:HOST:PORT (never HAPTIC_PORT's)
+    #[arg(long, value_name = "PORT")]
+    port: Option<PortSpec>,
+    #[command(flatten)]
+    json: Json,
+    #[command(flatten)]
+    force: Force,
+}
+
+/// The document of `--json`.
+#[derive(Serialize)]
+struct Document<'a> {
+    device: &'a str,
+    q: &'a [f64],
+    normal: &'a [f64],
+    ripple_limit_n: f64,
+    board_ripple_limit_n: Option<f64>,
+    margins: Margins,
+    #[serde(flatten)]
+    answer: &'a Answer,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    scene: Option<&'a Baseline>,
+    /// The stiffness that was found over the scene's at the same margins and no more ripple.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    times: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    measured: Option<&'a Measured>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    scene_measured: Option<&'a Measured>,
+}
+
+/// Where the wall is.
+struct Place {
+    q: Vec<f64>,
+    normal: Vec<f64>,
+    point: Option<Vec<f64>>,
+    written: Option<Settings>,
+    admissible: Admissible,
+}
+
+/// Searches, prints, writes and loads.
+pub fn run(args: Args) -> Result<(), Failure> {
+    let overwrite = args.force.overwrite();
+    if let Some(out) = &args.out {
+        output::check(out, overwrite)?;
+    }
+    if let Some(PortSpec::Sim(_)) = args.port {
+        return Err(Failure::wrong("a board on --port sim ends with this command, and nothing of it is left")
+            .remedy("run `haptic sim` in another terminal and use the port that it prints"));
+    }
+    let file = DeviceFile::load(&args.device)?;
+    let place = place(&args, &file)?;
+    let mut board = args.port.as_ref().map(|port| opened(port, &file)).transpose()?;
+    let mut question = Question {
+        file: &file,
+        q: place.q.clone(),
+        normal: place.normal.clone(),
+        admissible: place.admissible,
+        margins: Margins {
+            gain: args.gain_margin,
+            delay_s: args.delay_margin,
+            mass: args.mass_error,
+            inertia: args.inertia_error,
+            friction: args.friction_error,
+            counts: args.counts_error,
+            hand: true,
+        },
+        ripple_n: args.ripple.unwrap_or(USUAL_RIPPLE_N),
+        board_ripple_n: Some(args.ripple.unwrap_or(USUAL_RIPPLE_N)),
+        counts: args.counts,
+        speed: args.speed,
+        rates_hz: if args.rates.0.is_empty() { RATES_HZ.to_vec() } else { args.rates.0.clone() },
+        estimators: if args.estimators.is_empty() { estimators() } else { args.estimators.clone() },
+        feed_forwards: args.feed_forward.clone(),
+        known: None,
+    };
+    let asked = format!("{question:?} {:?} {:?}", place.written, args.ripple);
+    let sweep = args.continued.sweep("tune", &asked)?.in_lines();
+    if let (None, Some(written)) = (args.ripple, &place.written) {
+        let (ripple_n, board_ripple_n) = ripple_like(&question, written, &sweep)?;
+        (question.ripple_n, question.board_ripple_n) = (ripple_n, Some(board_ripple_n));
+    }
+    let before =
+        place.written.map(|written| sweep.during("the wall of the scene", || baseline(&question, &written, &sweep)));
+    let before = before.transpose()?;
+    question.known = before.map(|before| before.settings);
+    let answer = tune(&question, &sweep)?;
+    let (mut here, mut there) = (None, None);
+    if args.measure {
+        let stages: Vec<Option<Settings>> = vec![before.map(|before| before.settings), Some(answer.best.settings)];
+        let measure = |settings: &Option<Settings>| settings.map(|s| measured::measure(&question, &s, &sweep));
+        let mut found = sweep
+            .during("measured on the simulated board", || haptic_predict::cores::map(&stages, &|_, _| {}, measure));
+        here = found.pop().flatten().transpose()?;
+        there = found.pop().flatten().transpose()?;
+    }
+    let times = before
+        .filter(|before| before.settings.stiffness > 0.0)
+        .map(|before| answer.best.settings.stiffness / before.settings.stiffness);
+    let point = match &place.point {
+        Some(point) => point.clone(),
+        // Beyond the tip, which a board does not find inside the wall when it is armed.
+        None => tip(&file, &question.q)?.iter().zip(&question.normal).map(|(p, n)| p - 5e-3 * n).collect(),
+    };
+    let about = about(&args, &file, &answer, question.ripple_n);
+    let text = to_toml(&answer.best.settings, question.admissible, &point, &question.normal, &about);
+    let scene: Scene<f32> = SceneFile::parse(&text, "tuned.toml", file.spec().task)?
+        .scene()
+        .map_err(|error| Failure::impossible(format!("the scene that was found cannot be used: {error}")))?;
+    if let Some(out) = &args.out {
+        output::write(out, text.as_bytes(), overwrite)?;
+    }
+    if let Some(board) = &mut board {
+        board.set_scene(&scene)?;
+    }
+    let document = Document {
+        device: &file.name,
+        q: &question.q,
+        normal: &question.normal,
+        ripple_limit_n: question.ripple_n,
+        board_ripple_limit_n: question.board_ripple_n,
+        margins: question.margins,
+        answer: &answer,
+        scene: before.as_ref(),
+        times,
+        measured: here.as_ref(),
+        scene_measured: there.as_ref(),
+    };
+    if args.json.asked() {
+        print_json(&document)?;
+        sweep.finish();
+        return Ok(());
+    }
+    let mut said = readable(&document);
+    if let Some(out) = &args.out {
+        let _ = writeln!(said, "written to {}", out.display());
+    }
+    if let Some(board) = &board {
+        let _ = writeln!(said, "loaded on {}", board.port());
+    }
+    print(&said)?;
+    sweep.finish();
+    Ok(())
+}
+
+/// The board, if it holds the device.
+fn opened(port: &PortSpec, file: &DeviceFile) -> Result<Board, Failure> {
+    let mut board = haptic_sim::open(port)?;
+    let device = haptic_bridge::model::device::Device::new(&file.name, &file.description).map_err(Failure::wrong)?;
+    match occasion::another(&mut board, &device)? {
+        None => Ok(board),
+        Some(found) => Err(Failure::impossible(format!("the board holds {found}, the file is {}", file.name))
+            .remedy("load it with `haptic device` first")),
+    }
+}
+
+fn tip(file: &DeviceFile, q: &[f64]) -> Result<Vec<f64>, Failure> {
+    Ok(haptic_predict::analysis::pose::TaskPose::at(&file.description, q)?.regular()?.position)
+}
+
+/// Pose and normal: as typed, of the scene's wall, or home.
+fn place(args: &Args, file: &DeviceFile) -> Result<Place, Failure> {
+    let spec = file.spec();
+    let q = args.q.as_ref().map(|q| q.exactly(spec.joints, "--q", "joint angles")).transpose()?;
+    let normal = args.normal.as_ref().map(|normal| normal.unit(spec.task, "--normal")).transpose()?;
+    let home = || arguments::pose(None, file);
+    let Some(path) = &args.scene else {
+        let normal = normal.ok_or_else(|| Failure::wrong("no --normal"))?;
+        let admissible = args.admissible.unwrap_or_default();
+        return Ok(Place { q: q.map_or_else(home, Ok)?, normal, point: None, written: None, admissible });
+    };
+    let scene = SceneFile::load(path, spec.task)?.scene;
+    let Some(wall) = scene.walls.get(args.wall) else {
+        return Err(Failure::wrong(format!("{} has no wall {}", path.display(), args.wall)).remedy("count from 0"));
+    };
+    let touched = touched(file, &scene, args.wall);
+    let found = |what: &str| {
+        Failure::impossible(format!("wall {} of {} cannot be touched", args.wall, path.display()))
+            .remedy(format!("say {what}"))
+    };
+    let q = match (q, &touched) {
+        (Some(q), _) => q,
+        (None, Some((q, _))) => q.clone(),
+        (None, None) => return Err(found("--q and --normal")),
+    };
+    let normal = match (normal, &wall.surface, touched) {
+        (Some(normal), ..) => normal,
+        (None, Surface::Plane(plane), _) => plane.normal[..spec.task].to_vec(),
+        (None, _, Some((_, normal))) => normal,
+        (None, _, None) => return Err(found("--normal")),
+    };
+    let point = match wall.surface {
+        Surface::Plane(plane) if args.normal.is_none() => plane.point[..spec.task].to_vec(),
+        _ => tip(file, &q)?,
+    };
+    Ok(Place {
+        q,
+        normal,
+        point: Some(point),
+        written: Settings::of(&scene, args.wall),
+        admissible: args.admissible.unwrap_or(scene.admissible),
+    })
+}
+
+/// Where the device touches a wall of a scene, nearest to home.
+fn touched(file: &DeviceFile, scene: &Scene<f64>, wall: usize) -> Option<(Vec<f64>, Vec<f64>)> {
+    let (_, contacts) = doubts(&Subject::new(&file.description).ok()?, scene);
+    contacts.into_iter().find(|contact| contact.wall == wall).map(|contact| (contact.q, contact.normal))
+}
+
+fn about(args: &Args, file: &DeviceFile, answer: &Answer, ripple: f64) -> Vec<String> {
+    let scene = args.scene.as_deref().map_or(String::new(), |scene: &Path| format!(", after {}", scene.display()));
+    vec![
+        format!("The stiffest wall that `haptic tune` found on {}{scene}.", file.name),
+        format!(
+            "Ripple {:.3} N of {ripple:.3} N that were allowed; limited by: {}.",
+            answer.best.ripple_n, answer.active
+        ),
+    ]
+}
+
+/// What the two hands feel.
+fn ripples(found: &Found) -> String {
+    let board = found.board_ripple_n.map_or(String::new(), |ripple| format!(", {ripple:.4} N on the simulated board"));
+    format!("ripple {:.4} N{board}", found.ripple_n)
+}
+
+/// Settings in a line.
+fn in_words(settings: &Settings) -> String {
+    let mut text = format!("{} Hz, {}", settings.rate_hz, settings.estimator);
+    if settings.value != 0 {
+        let _ = write!(text, " {}", settings.value);
+    }
+    if settings.has_cutoff() {
+        let _ = write!(text, " at {} Hz", settings.cutoff_hz);
+    }
+    let _ = write!(text, ", damping {} N s/m, feed-forward {}", settings.damping, settings.feed_forward.name());
+    if settings.feed_forward == FeedForward::Washout {
+        let _ = write!(text, " at {} Hz", settings.washout_hz);
+    }
+    if settings.damping_compensation {
+        text.push_str(", damping compensated");
+    }
+    text
+}
+
+fn readable(document: &Document<'_>) -> String {
+    let Document { answer, margins, .. } = document;
+    let best: &Found = &answer.best;
+    let mut text = String::new();
+    let mut line = |content: String| {
+        let _ = writeln!(text, "{content}");
+    };
+    let joined = |values: &[f64]| values.iter().map(|v| format!("{v:.3}")).collect::<Vec<_>>().join(", ");
+    line(format!("{}: q = ({}) rad, n = ({})", document.device, joined(document.q), joined(document.normal)));
+    line(format!("  the stiffest wall        {:>10} N/m   {}", best.settings.stiffness, ripples(best)));
+    line(format!("    {}", in_words(&best.settings)));
+    if let Some(scene) = document.scene {
+        let ripple = scene
+            .ripple_n
+            .map_or("none keeps margins, ripple and rebounds".into(), |ripple| format!("ripple {ripple:.4} N"));
+        line(format!("  the scene's settings     {:>10} N/m   {ripple}", scene.settings.stiffness));
+        line(format!(
+            "    {}; {} N/m as written, {} N/m within margins and motors whatever it ripples",
+            in_words(&scene.settings),
+            scene.as_written,
+            scene.within_margins
+        ));
+    }
+    if let Some(times) = document.times {
+        line(format!(
+            "  {times:.2} times as stiff within the same margins and {} N of ripple, {} N on the simulated board",
+            digits(document.ripple_limit_n),
+            document.board_ripple_limit_n.map_or("any".into(), digits)
+        ));
+    }
+    line(format!(
+        "\n  limited by: {}, which comes first when it is made stiffer; within a gain margin of {}, {:.1} us more delay, {:.0} % of mass, {:.0} % of each inertia, {:.0} % of friction, {:.0} % of counts, and in hands",
+        answer.active,
+        margins.gain,
+        1e6 * margins.delay_s,
+        100.0 * margins.mass,
+        100.0 * margins.inertia,
+        100.0 * margins.friction,
+        100.0 * margins.counts
+    ));
+    line(format!("  {:<30}{:>14}", "at this damping, alone", "up to N/m"));
+    for limit in &answer.limits {
+        let up_to = limit.stiffness.map_or("no bound".into(), |stiffness| format!("{stiffness:.0}"));
+        line(format!("    {:<28}{up_to:>14}", limit.limit));
+    }
+    line("  beside it".into());
+    for beside in &answer.beside {
+        let ripple = beside.ripple_n.map_or("flies off".into(), |ripple| format!("ripple {ripple:.4} N"));
+        let beyond = if beside.allowed { "" } else { ", beyond margins or motors" };
+        let rebounds = if beside.rebounds { ", rebounds" } else { "" };
+        line(format!("    {:>10} N/m with {} N s/m: {ripple}{beyond}{rebounds}", beside.stiffness, beside.damping));
+    }
+    for other in &answer.feed_forwards {
+        line(otherwise(other, best, answer.passed_over.as_ref()));
+    }
+    line("\n  the best of each estimator".into());
+    for found in &answer.others {
+        line(format!("    {:>10} N/m  {}  {}", found.settings.stiffness, ripples(found), in_words(&found.settings)));
+    }
+    line(format!("  {} combinations, {} of them simulated", answer.looked_at.0, answer.looked_at.1));
+    let told = |name: &str, measured: &Measured| {
+        let ripple = measured.ripple_n.map_or("the hand is not held".into(), |ripple| format!("ripple {ripple:.4} N"));
+        let open = measured.open.as_ref().map_or(String::new(), |why| format!(" and no end was seen: {why}"));
+        format!("  {name}: {ripple}; struck, it comes to rest up to {:.0} N/m{open}", measured.stiffness)
+    };
+    if let Some(found) = document.scene_measured {
+        line(told("on the simulated board, the scene's settings", found));
+    }
+    if let Some(found) = document.measured {
+        line(told("on the simulated board, these", found));
+    }
+    if let (Some(before), Some(found)) = (document.scene_measured, document.measured) {
+        line(price(before, found));
+    }
+    text
+}
+
+/// What another feed-forward would bring and cost.
+fn otherwise(other: &Otherwise, best: &Found, passed_over: Option<&Found>) -> String {
+    let mut text = format!("  feed-forward {}: ", other.feed_forward.name());
+    match &other.best {
+        Some(found) => {
+            let _ = write!(
+                text,
+                "{} N/m at most, {:.2} times, with a ripple of {:.4} N",
+                found.settings.stiffness,
+                found.settings.stiffness / best.settings.stiffness,
+                found.ripple_n
+            );
+            if passed_over == Some(found) {
+                text.push_str("; passed over, as it makes less than 3 % of difference");
+            }
+        }
+        None => text.push_str("no wall with it comes near"),
+    }
+    let ripple = other.ripple_n.map_or("flies off".into(), |ripple| format!("ripples {ripple:.4} N"));
+    let _ = write!(text, ". The wall above with it {ripple}, and up to {:.0} N/m keep the margins", other.allowed);
+    text
+}
+
+/// What a stiffer wall costs of the range in which a struck tip comes to rest.
+fn price(before: &Measured, found: &Measured) -> String {
+    let at_least = |measured: &Measured| if measured.open.is_some() { "at least " } else { "" };
+    format!(
+        "  price: at these dampings a struck tip came to rest up to {}{:.0} N/m, and now up to {}{:.0} N/m",
+        at_least(before),
+        before.stiffness,
+        at_least(found),
+        found.stiffness
+    )
+}

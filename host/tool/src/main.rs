@@ -1,0 +1,39 @@
+//! The `haptic` command: parses the command line, runs one command, and turns what went wrong into one line on
+//! standard error and an exit code (0 done, 1 it could not be done, 2 the command or a file is wrong).
+#![forbid(unsafe_code)]
+#![deny(clippy::print_stderr, clippy::print_stdout)]
+
+mod cli;
+mod commands;
+
+use haptic_host::error::Choice;
+use std::process::ExitCode;
+
+/// The option by which a choice is made.
+fn option(choice: Choice) -> &'static str {
+    match choice {
+        Choice::Pose => "--q",
+        Choice::Clearance => "--clear",
+        Choice::Patch => "--patch",
+        Choice::Ripple => "--ripple",
+        Choice::Wall => "--wall",
+        Choice::Overwriting => "--force",
+        Choice::Board => "--port or HAPTIC_PORT",
+        Choice::Kept => "--continue",
+        Choice::Shown => "--show",
+        Choice::Fields => "--fields",
+    }
+}
+
+fn main() -> ExitCode {
+    match commands::run(cli::parse()) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => {
+            match failure.choice().map(option) {
+                Some(option) => haptic_host::tell!("error: {failure} ({option})"),
+                None => haptic_host::tell!("error: {failure}"),
+            }
+            failure.exit_code()
+        }
+    }
+}

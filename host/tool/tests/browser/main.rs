@@ -1,0 +1,429 @@
+//! `haptic view` in a real browser, without a screen. A computer without Chromium fails here, with the line that
+//! installs it. With HAPTIC_PICTURES set to a folder, pictures of the page are left there for a person to look at.
+
+#[path = "../common/mod.rs"]
+mod common;
+
+mod as_a_file;
+mod devtools;
+
+use common::page::View;
+use common::sim::Sim;
+use devtools::{Browser, Tab};
+use serde_json::Value;
+
+const LAPTOP: (u32, u32) = (1366, 768);
+const PHONE: (u32, u32) = (390, 844);
+const PROJECTOR: (u32, u32) = (1920, 1080);
+
+fn opened() -> (View, Browser, Tab) {
+    let view = View::start(&["--port", "sim"]);
+    let mut browser = Browser::start();
+    let tab = browser.open(&view.url, LAPTOP, 1.0);
+    browser.until(
+        &tab,
+        "window.view && view.pictures > 3 && view.plane !== null && document.body.dataset.role === 'command'",
+    );
+    browser.front(&tab);
+    // A page draws only while it is in front, and a busy computer takes its time: places are known once it has.
+    browser.until(&tab, "Boolean(view.frame && view.planeFrame)");
+    (view, browser, tab)
+}
+
+/// A place on a canvas, in pixels of the page; `x` and `y` are expressions in its own pixels.
+fn on(browser: &mut Browser, tab: &Tab, canvas: &str, x: &str, y: &str) -> (f64, f64) {
+    let place =
+        format!("(() => {{ const r = $('{canvas}').getBoundingClientRect(); return [r.left + {x}, r.top + {y}]; }})()");
+    let place = browser.evaluate(tab, &place);
+    (place[0].as_f64().unwrap(), place[1].as_f64().unwrap())
+}
+
+fn on_plane(browser: &mut Browser, tab: &Tab, damping: f64, stiffness: f64) -> (f64, f64) {
+    on(browser, tab, "plane", &format!("view.planeFrame.X({damping})"), &format!("view.planeFrame.Y({stiffness})"))
+}
+
+/// Drags the first wall down by its handle, which it follows.
+fn drag_the_wall(browser: &mut Browser, tab: &Tab) {
+    let handle = on(
+        browser,
+        tab,
+        "stage",
+        "view.frame.toX(wallHandle(view.walls[0])[0])",
+        "view.frame.toY(wallHandle(view.walls[0])[1])",
+    );
+    let before = browser.evaluate(tab, "view.walls[0].values[1]").as_f64().unwrap();
+    browser.drag(tab, handle, (handle.0, handle.1 + 60.0));
+    browser.until(tab, &format!("view.walls[0].values[1] < {before} - 0.01"));
+}
+
+/// A place in front of the wall by so many metres.
+fn by_the_wall(browser: &mut Browser, tab: &Tab, before: f64) -> (f64, f64) {
+    let along = |i: u8| format!("(view.walls[0].values[{i}] + {before} * view.walls[0].values[{}])", i + 3);
+    on(browser, tab, "stage", &format!("view.frame.toX({})", along(0)), &format!("view.frame.toY({})", along(1)))
+}
+
+/// Leads the hand by the mouse to 2 cm behind the wall's surface, and notes the place in `view.goal`.
+fn lead_into_the_wall(browser: &mut Browser, tab: &Tab) {
+    let tip = on(
+        browser,
+        tab,
+        "stage",
+        "view.frame.toX(view.last.geometry.tip[0])",
+        "view.frame.toY(view.last.geometry.tip[1])",
+    );
+    let tip = (tip.0, tip.1 - 25.0);
+    let goal = by_the_wall(browser, tab, -0.02);
+    browser.drag(tab, tip, goal);
+    browser.evaluate(tab, "(v => view.goal = [v[0] - 0.02 * v[3], v[1] - 0.02 * v[4]])(view.walls[0].values)");
+    // All of the way: the hand is there with the mouse's first step.
+    let there = "view.last.hand && Math.hypot(view.last.hand.goal[0] - view.goal[0], view.last.hand.goal[1] - view.goal[1]) < 2e-3";
+    browser.hold_until(tab, there);
+}
+
+#[test]
+fn the_page_loads_is_alive_and_asks_nobody_else() {
+    let (view, mut browser, tab) = opened();
+    let count = |browser: &mut Browser, what: &str| browser.evaluate(&tab, what).as_u64().unwrap();
+    let (pictures, sweeps) = (count(&mut browser, "view.pictures"), count(&mut browser, "view.sweeps"));
+    browser.until(&tab, &format!("view.pictures > {} && view.sweeps > {}", pictures + 20, sweeps + 10));
+    browser.evaluate(&tab, "$('sound').click()");
+    browser.until(&tab, "view.sounds > 5");
+    assert_eq!(browser.evaluate(&tab, "document.title"), "coupled-five-bar: haptic view");
+    // Everything is drawn: no canvas is of one colour.
+    for canvas in ["stage", "plane", "scope"] {
+        let colours = browser.evaluate(
+            &tab,
+            &format!(
+                "(() => {{ const c = $('{canvas}'); const d = new Uint32Array(c.getContext('2d').getImageData(0, 0, c.width, \
+                 c.height).data.buffer); return new Set(d).size; }})()"
+            ),
+        );
+        assert!(colours.as_u64().unwrap() > 20, "{canvas}: {colours} colours");
+    }
+    let own = [view.url.clone(), format!("ws://{}/live", view.address())];
+    let elsewhere: Vec<String> = browser.requested().into_iter().filter(|url| !own.contains(url)).collect();
+    assert!(elsewhere.iter().all(|url| url == "about:blank" || url.starts_with("data:")), "{elsewhere:?}");
+    assert_eq!(browser.complaints(), [""; 0]);
+}
+
+#[test]
+fn a_key_that_is_held_arms_and_letting_go_disarms() {
+    let (_view, mut browser, tab) = opened();
+    let armed = "document.body.dataset.state === 'Armed'";
+    let off = "document.body.dataset.state === 'Disarmed'";
+    browser.hold_until(&tab, armed);
+    browser.space(&tab, "keyUp");
+    browser.until(&tab, off);
+    // Whatever has the focus, and it stays as it is; but not where a number is typed.
+    for control in ["ff-off", "beyond", "channel-a", "before", "trigger"] {
+        browser.evaluate(
+            &tab,
+            &format!("$('{control}').focus(); window.was = [$('{control}').value, $('{control}').checked]"),
+        );
+        browser.hold_until(&tab, armed);
+        browser.space(&tab, "keyUp");
+        browser.until(&tab, off);
+        let same = format!("$('{control}').value === was[0] && $('{control}').checked === was[1]");
+        assert_eq!(browser.evaluate(&tab, &same), true, "{control}");
+    }
+    browser.evaluate(&tab, "$('stiffness').focus()");
+    browser.space(&tab, "keyDown");
+    browser.space(&tab, "keyUp");
+    browser.evaluate(&tab, "window.then = view.pictures");
+    browser.until(&tab, "view.pictures > then + 10");
+    assert_eq!(browser.evaluate(&tab, "view.down || view.last.state === 'Armed'"), false);
+    browser.evaluate(&tab, "document.activeElement.blur()");
+    // The button, by the mouse.
+    let key = on(&mut browser, &tab, "key", "60", "30");
+    browser.press_until(&tab, key, "view.last.held");
+    browser.mouse(&tab, "mouseReleased", key);
+    browser.until(&tab, off);
+    // Focus that goes elsewhere is a hand that may be elsewhere.
+    browser.hold_until(&tab, armed);
+    browser.evaluate(&tab, "window.dispatchEvent(new Event('blur'))");
+    browser.until(&tab, off);
+    assert_eq!(browser.complaints(), [""; 0]);
+}
+
+#[test]
+fn a_page_that_is_closed_disarms_and_the_other_one_may_command_then() {
+    let (view, mut browser, first) = opened();
+    let second = browser.open(&view.url, PHONE, 2.0);
+    browser.until(&second, "window.view && view.pictures > 3");
+    assert_eq!(browser.evaluate(&second, "document.body.dataset.role"), "watch");
+    assert_eq!(browser.evaluate(&second, "$('key').disabled && $('take').disabled"), true);
+    browser.front(&first);
+    browser.hold_until(&first, "document.body.dataset.state === 'Armed'");
+    browser.close(&first);
+    browser.until(&second, "document.body.dataset.state === 'Disarmed' && view.last.command === null");
+    browser.front(&second);
+    browser.evaluate(&second, "$('take').click()");
+    browser.until(&second, "document.body.dataset.role === 'command'");
+    browser.hold_until(&second, "document.body.dataset.state === 'Armed'");
+}
+
+#[test]
+fn the_dot_is_dragged_and_stops_at_the_boundary_until_one_goes_on() {
+    let (_view, mut browser, tab) = opened();
+    let (from, to) = (on_plane(&mut browser, &tab, 80.0, 8700.0), on_plane(&mut browser, &tab, 40.0, 10e3));
+    browser.drag(&tab, from, to);
+    // A pixel of the picture is some tens of newtons a metre.
+    browser.until(&tab, "Math.abs(view.walls[0].damping - 40) < 1 && Math.abs(view.walls[0].stiffness - 10e3) < 200");
+    assert_eq!(
+        browser.evaluate(&tab, "$('stiffness').value === String(+view.walls[0].stiffness.toPrecision(4))"),
+        true
+    );
+    let top = browser.evaluate(&tab, "$('plane').getBoundingClientRect().top");
+    let beyond = on_plane(&mut browser, &tab, 40.0, 23e3);
+    browser.drag(&tab, to, beyond);
+    browser.until(
+        &tab,
+        "$('notice').classList.contains('shown') && $('why').textContent.includes('predicted to be unstable')",
+    );
+    assert_eq!(
+        browser.evaluate(&tab, "$('plane').getBoundingClientRect().top"),
+        top,
+        "the plane stays under the finger"
+    );
+    let in_sight = "['ff-full', 'close', 'let-go', 'off', 'key'].every(id => { const r = $(id).getBoundingClientRect(); \
+                    return $(id).contains(document.elementFromPoint(r.left + r.width / 2, r.top + r.height / 2)); })";
+    assert_eq!(browser.evaluate(&tab, in_sight), true, "what one needs then is not covered");
+    assert_eq!(browser.evaluate(&tab, "view.walls[0].stiffness < 21e3"), true, "it stays on the stable side");
+    browser.until(&tab, "view.again?.stiffness > 22e3");
+    // The button names what it sets, and the bar goes with what it was about.
+    assert_eq!(browser.evaluate(&tab, "/^Set 2[23]\\.\\d kN\\/m, .* anyway$/.test($('anyway').textContent)"), true);
+    browser.evaluate(&tab, "$('anyway').click()");
+    browser.until(&tab, "view.walls[0].stiffness > 21e3 && document.body.dataset.stable === 'false'");
+    browser.evaluate(&tab, "$('stiffness').focus(); $('stiffness').value = '1000000000'; $('stiffness').onchange()");
+    browser.until(&tab, "$('why').textContent.includes('motors and rules allow') && $('anyway').hidden");
+    assert_eq!(
+        browser.evaluate(&tab, "$('stiffness').valueAsNumber < 1e6"),
+        true,
+        "what was refused is not left there"
+    );
+    browser.evaluate(&tab, "$('stiffness').value = '3000'; $('stiffness').onchange()");
+    browser.until(&tab, "view.walls[0].stiffness === 3000 && !$('notice').classList.contains('shown')");
+}
+
+#[test]
+fn a_click_beside_the_dot_changes_no_gains() {
+    let (_view, mut browser, tab) = opened();
+    browser.hold_until(&tab, "document.body.dataset.state === 'Armed'");
+    let beside = on_plane(&mut browser, &tab, 40.0, 15e3);
+    browser.evaluate(&tab, "window.before = JSON.stringify([view.walls[0].damping, view.walls[0].stiffness])");
+    browser.mouse(&tab, "mousePressed", beside);
+    browser.mouse(&tab, "mouseReleased", beside);
+    browser.evaluate(&tab, "window.then = view.pictures");
+    browser.until(&tab, "view.pictures > then + 10");
+    assert_eq!(
+        browser.evaluate(&tab, "JSON.stringify([view.walls[0].damping, view.walls[0].stiffness]) === before"),
+        true,
+        "only who takes hold of the dot moves it"
+    );
+    browser.space(&tab, "keyUp");
+}
+
+#[test]
+fn the_wall_is_pressed_by_the_mouse_and_its_feed_forward_changed_under_it() {
+    let (_view, mut browser, tab) = opened();
+    browser.hold_until(&tab, "document.body.dataset.state === 'Armed'");
+    lead_into_the_wall(&mut browser, &tab);
+    browser.hold_until(&tab, "view.last.numbers.force > 2 && view.last.numbers.depth > 0");
+    browser.evaluate(&tab, "$('ff-off').click()");
+    browser.until(&tab, "!$('anyway').hidden");
+    browser.evaluate(&tab, "$('anyway').click()");
+    browser.until(&tab, "view.walls[0].feed_forward === 'off'");
+    browser.evaluate(&tab, "$('ff-washout').click()");
+    browser.until(&tab, "view.walls[0].feed_forward === 'washout'");
+    browser.space(&tab, "keyUp");
+    browser.until(&tab, "document.body.dataset.state === 'Disarmed'");
+    // A wall is dragged by its handle.
+    browser.evaluate(&tab, "view.goal = null; $('let-go').click()");
+    browser.until(&tab, "view.last.hand === null");
+    drag_the_wall(&mut browser, &tab);
+    assert_eq!(browser.complaints(), [""; 0]);
+}
+
+#[test]
+fn a_single_sweep_says_that_it_waits_and_its_letters_keep_their_shape() {
+    let (_view, mut browser, tab) = opened();
+    browser.until(&tab, "view.sweep && $('phase').textContent === 'rolling'");
+    browser.evaluate(&tab, "window.rolled = view.sweep");
+    browser.evaluate(
+        &tab,
+        "$('channel-a').value = 'distance_m'; $('edge').value = 'down'; $('level').value = '0'; \
+         $('trigger').value = 'once'; $('trigger').onchange()",
+    );
+    // One that was under way comes in late.
+    browser.evaluate(&tab, "numbers(window.rolled)");
+    assert_eq!(browser.evaluate(&tab, "$('phase').textContent"), "waiting for the trigger");
+    lead_into_the_wall(&mut browser, &tab);
+    browser.until(&tab, "view.sweep && view.sweep[1] === 3 && $('phase').textContent === 'one sweep'");
+    browser.evaluate(&tab, "$('scope').style.maxHeight = '80px'");
+    browser.until(&tab, "$('scope').clientHeight === 80 && $('scope').height === Math.round(80 * devicePixelRatio)");
+    browser.space(&tab, "keyUp");
+    assert_eq!(browser.complaints(), [""; 0]);
+}
+
+/// How many pixels of a canvas are of a colour of the palette, in a square around a place of the drawn plane (m).
+fn coloured(browser: &mut Browser, tab: &Tab, place: &str, colour: &str, half: u32) -> u64 {
+    let count = format!(
+        "(() => {{ const c = $('stage'), r = devicePixelRatio, p = {place}, k = c.getContext('2d'); k.save(); \
+         const one = document.createElement('canvas').getContext('2d'); one.fillStyle = palette['{colour}'] || '#0d8a8a'; \
+         one.fillRect(0, 0, 1, 1); const w = one.getImageData(0, 0, 1, 1).data; k.restore(); \
+         const x = Math.round(view.frame.toX(p[0]) * r), y = Math.round(view.frame.toY(p[1]) * r); \
+         const d = k.getImageData(x - {half}, y - {half}, 2 * {half}, 2 * {half}).data; let n = 0; \
+         for (let i = 0; i < d.length; i += 4) if (d[i + 3] > 200 && Math.abs(d[i] - w[0]) + Math.abs(d[i + 1] - w[1]) + Math.abs(d[i + 2] - w[2]) < 24) n++; \
+         return n; }})()"
+    );
+    browser.evaluate(tab, &count).as_u64().unwrap()
+}
+
+/// No picture lies: a spring that pulls the tip is seen, from where it holds to the tip, and its line.
+#[test]
+fn springs_of_the_scene_are_drawn_where_they_hold() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = folder.path().join("springs.toml");
+    // The line y = 0.15 above the tip, and a point to its right.
+    let springs = "[[spring]]\npoint = [0.0, 0.15]\ndirection = [1.0, 0.0]\nstiffness = 250.0\ndamping = 1.0\n\n\
+                   [[spring]]\npoint = [0.06, 0.10]\nstiffness = 100.0\ndamping = 1.0\n";
+    std::fs::write(&scene, springs).unwrap();
+    let device = concat!(env!("CARGO_MANIFEST_DIR"), "/../../devices/haply-2diy.toml");
+    let view = View::start(&[device, "--port", "sim", "--scene", scene.to_str().unwrap()]);
+    let mut browser = Browser::start();
+    let tab = browser.open(&view.url, LAPTOP, 1.0);
+    browser.until(&tab, "window.view && view.pictures > 10");
+    browser.evaluate(&tab, "theme(false)");
+    browser.until(&tab, "view.frame && view.pictures > 20");
+    let tip = browser.evaluate(&tab, "view.last.geometry.tip").clone();
+    let (x, y) = (tip[0].as_f64().unwrap(), tip[1].as_f64().unwrap());
+    let mut seen =
+        |at: (f64, f64), half| coloured(&mut browser, &tab, &format!("[{}, {}]", at.0, at.1), "spring", half);
+    assert!(seen((x, 0.5 * (y + 0.15)), 8) > 10, "no spring between the line and the tip");
+    assert!(seen((x - 0.04, 0.15), 12) > 5, "its line is not drawn");
+    assert!(seen((0.5 * (x + 0.06), 0.5 * (y + 0.10)), 8) > 10, "no spring between the point and the tip");
+    assert!(seen((0.06, 0.10), 5) > 30, "the point is not drawn");
+    assert_eq!(seen((x - 0.04, 0.14), 6), 0, "nothing is where no spring is");
+    assert_eq!(browser.complaints(), [""; 0]);
+    if let Ok(folder) = std::env::var("HAPTIC_PICTURES") {
+        let png = browser.picture(&tab, false);
+        std::fs::write(format!("{folder}/view-spring.png"), png).unwrap();
+    }
+}
+
+/// At every size nothing sticks out and the key is in sight; pictures for a person to look at.
+#[test]
+fn the_page_fits_a_phone_a_laptop_and_a_projector() {
+    let (_view, mut browser, tab) = opened();
+    browser.hold_until(&tab, "document.body.dataset.state === 'Armed'");
+    lead_into_the_wall(&mut browser, &tab);
+    browser.hold_until(&tab, "view.last.numbers.force > 2");
+    for (name, size, scale, dark) in [
+        ("laptop", LAPTOP, 1.0, false),
+        ("laptop-dark", LAPTOP, 1.0, true),
+        ("phone", PHONE, 2.0, false),
+        ("phone-dark", PHONE, 2.0, true),
+        ("phone-turned", (PHONE.1, PHONE.0), 2.0, false),
+        ("projector", PROJECTOR, 1.0, false),
+    ] {
+        browser.size(&tab, size, scale);
+        browser.evaluate(&tab, &format!("theme({dark})"));
+        let pictures = browser.evaluate(&tab, "view.pictures").as_u64().unwrap();
+        browser.until(&tab, &format!("view.pictures > {}", pictures + 20));
+        let fits = browser.evaluate(
+            &tab,
+            "(() => { const k = $('key').getBoundingClientRect(); return {wide: document.documentElement.scrollWidth, \
+             key: k.bottom <= innerHeight && k.top > 0, canvases: ['stage', 'plane', 'scope'].map(i => $(i).clientHeight)}; })()",
+        );
+        assert!(fits["wide"].as_u64().unwrap() <= u64::from(size.0), "{name}: {fits}");
+        assert_eq!(fits["key"], true, "{name}");
+        let heights: Vec<Value> = fits["canvases"].as_array().unwrap().clone();
+        assert!(heights.iter().all(|height| height.as_u64().unwrap() >= 110), "{name}: {fits}");
+        if let Ok(folder) = std::env::var("HAPTIC_PICTURES") {
+            let png = browser.picture(&tab, size == PHONE);
+            std::fs::write(format!("{folder}/view-{name}.png"), png).unwrap();
+        }
+    }
+}
+
+/// Seconds of processor time that a process has had.
+fn processor_seconds(process: u32) -> f64 {
+    let stat = std::fs::read_to_string(format!("/proc/{process}/stat")).unwrap();
+    let fields: Vec<&str> = stat.rsplit(')').next().unwrap().split_whitespace().collect();
+    // User and system time, in ticks of 10 ms on every Linux that this runs on.
+    0.01 * (fields[11].parse::<f64>().unwrap() + fields[12].parse::<f64>().unwrap())
+}
+
+fn middle(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values[values.len() / 2]
+}
+
+#[test]
+#[ignore = "a measurement, no test: docs/view.md names its command line"]
+fn how_fast_the_page_is() {
+    let root = concat!(env!("CARGO_MANIFEST_DIR"), "/../../devices/");
+    let (device, scene) = (format!("{root}coupled-five-bar.toml"), format!("{root}scenes/coupled-five-bar/wall.toml"));
+    // Watching alone: the board is another process, and every one of its 20,000 steps a second is a row.
+    let sim = Sim::start(&[&device, "--scene", &scene]);
+    let view = View::start(&[&device, "--port", &sim.port, "--rate", "20000"]);
+    let mut browser = Browser::start();
+    let watch = |browser: &mut Browser, view: &View, what: &str| {
+        let tab = browser.open(&view.url, LAPTOP, 1.0);
+        browser.until(&tab, "window.view && view.pictures > 30 && view.hello.rows_hz === 20000");
+        browser.front(&tab);
+        browser.evaluate(
+            &tab,
+            "view.m = { frames: 0, inside: true, base: Infinity, contacts: [], prev: 0, due: null, lost: view.last.lost }; \
+             { const drawn = drawStage, seen = picture; \
+               drawStage = () => { drawn(); view.m.frames++; const due = view.m.due; view.m.due = null; \
+                 if (due) requestAnimationFrame(() => { const t = performance.now() - view.m.base; view.m.contacts.push([t - due[0], t - due[1]]); }); }; \
+               picture = p => { const m = view.m, now = performance.now(), inside = p.numbers.depth > 0; m.base = Math.min(m.base, now - 1e3 * p.time); \
+                 if (inside && !m.inside) m.due = [1e3 * m.prev, 1e3 * p.time]; m.inside = inside; m.prev = p.time; seen(p); }; }",
+        );
+        let (began, used) = (std::time::Instant::now(), processor_seconds(view.process()));
+        let pictures = browser.evaluate(&tab, "view.pictures").as_f64().unwrap();
+        if what.contains("in its own process") {
+            for _ in 0..20 {
+                for place in ["[v[0] - 0.01 * v[3], v[1] - 0.01 * v[4]]", "[v[0] + 0.01 * v[3], v[1] + 0.01 * v[4]]"] {
+                    browser.evaluate(&tab, &format!("(v => say({{do: 'hand', at: {place}}}))(view.walls[0].values)"));
+                    std::thread::sleep(std::time::Duration::from_millis(700));
+                }
+            }
+        } else {
+            std::thread::sleep(std::time::Duration::from_secs(20));
+        }
+        let seconds = began.elapsed().as_secs_f64();
+        let share = 100.0 * (processor_seconds(view.process()) - used) / seconds;
+        let found = browser.evaluate(
+            &tab,
+            "({ m: view.m, pictures: view.pictures, lost: view.last.lost - view.m.lost, speed: view.last.speed })",
+        );
+        let of = |value: &Value| value.as_f64().unwrap();
+        println!(
+            "{what}: {:.0} pictures and {:.0} frames a second, {} rows lost, {share:.0} % of one core",
+            (of(&found["pictures"]) - pictures) / seconds,
+            of(&found["m"]["frames"]) / seconds,
+            found["lost"]
+        );
+        if let Some(speed) = found["speed"].as_f64() {
+            println!("  the simulation ran at {:.0} % of its time", 100.0 * speed);
+        }
+        let contacts: Vec<(f64, f64)> =
+            found["m"]["contacts"].as_array().unwrap().iter().map(|pair| (of(&pair[0]), of(&pair[1]))).collect();
+        if !contacts.is_empty() {
+            let (most, least) = contacts.iter().copied().unzip::<f64, f64, Vec<_>, Vec<_>>();
+            println!(
+                "  contact to pixel: {:.0} to {:.0} ms in the middle of {} contacts (between the last picture without and the first with it)",
+                middle(least),
+                middle(most),
+                contacts.len()
+            );
+        }
+        browser.close(&tab);
+    };
+    watch(&mut browser, &view, "watching a board");
+    drop((view, sim));
+    let view = View::start(&[&device, "--port", "sim", "--scene", &scene]);
+    watch(&mut browser, &view, "simulating the board in its own process as well");
+}

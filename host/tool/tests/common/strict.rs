@@ -1,0 +1,55 @@
+//! A simulated board in this process that asks its user for what a real one asks, and a wire that loses some.
+
+use haptic_bridge::render::scene::Scene;
+use haptic_host::device_file::DeviceFile;
+use haptic_host::link::{Board, Session, Wire};
+use haptic_sim::{BoardOptions, SHIPPED_DEVICE, SharedBoard, Support, ready_board};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::time::Duration;
+
+/// A board at 1 kHz with a five-bar in free space that somebody vouches for, homed, its polarity checked: it arms.
+pub fn strict() -> (SharedBoard, Session) {
+    let mut file = DeviceFile::parse(SHIPPED_DEVICE, "coupled-five-bar.toml").unwrap();
+    for joint in &mut file.description.joints[..2] {
+        joint.motor.as_mut().unwrap().verified = true;
+        joint.limits = Some((-4.0, 4.0));
+    }
+    let options = BoardOptions { strict: true, support: Support::Held, ..BoardOptions::default() };
+    let shared = SharedBoard::new(ready_board(&file, options).unwrap());
+    let mut session = Session::of(Board::over(shared.wire(), "sim").unwrap());
+    session.set_scene(&Scene { task: 2, rate_hz: 1_000.0, cutoff_hz: 50.0, ..Scene::default() }).unwrap();
+    session.home().unwrap();
+    session.check_polarity().unwrap();
+    session.wait_for_polarity().unwrap().passed().unwrap();
+    session.home_at_rest().unwrap();
+    (shared, session)
+}
+
+/// A wire that loses so many of the next messages.
+pub struct Lossy {
+    wire: Box<dyn Wire>,
+    loses: Arc<AtomicU32>,
+}
+
+impl Lossy {
+    /// A session over one, and how many it loses yet.
+    pub fn session(board: &SharedBoard) -> (Session, Arc<AtomicU32>) {
+        let loses = Arc::new(AtomicU32::new(0));
+        let wire = Self { wire: board.wire(), loses: loses.clone() };
+        (Session::of(Board::over(Box::new(wire), "sim").unwrap()), loses)
+    }
+}
+
+impl Wire for Lossy {
+    fn send(&mut self, bytes: &[u8]) -> std::io::Result<()> {
+        let lost = self.loses.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |left| left.checked_sub(1));
+        if lost.is_ok() { Ok(()) } else { self.wire.send(bytes) }
+    }
+    fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> std::io::Result<usize> {
+        self.wire.receive(buffer, timeout)
+    }
+    fn now(&self) -> Duration {
+        self.wire.now()
+    }
+}

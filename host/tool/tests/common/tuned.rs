@@ -1,0 +1,93 @@
+//! Devices that nobody chose, and a plain grid of walls that is held against what `haptic tune` finds on them.
+
+use super::shipped;
+use haptic_bridge::model::admissible::Admissible;
+use haptic_bridge::model::description::{EncoderAt, Transmission};
+use haptic_bridge::render::scene::FeedForward;
+use haptic_bridge::render::velocity::{Chosen, CutoffMeans, Estimator};
+use haptic_host::device_file::DeviceFile;
+use haptic_predict::sweep::Sweep;
+use haptic_predict::tune::{Found, Margins, Question, Settings, estimators, keeps, tune};
+use haptic_sim::Random;
+use std::f64::consts::TAU;
+
+/// The device of a number, those of odd ones with cables: one that ships, with other inertias, friction, counts.
+pub fn drawn(number: u64) -> DeviceFile {
+    let mut random = Random::new(36 + number);
+    let kinds = ["hapkit-paddle", "coupled-five-bar", "haply-2diy", "capstan-pantograph", "phantom-premium-1.5"];
+    let mut file = shipped(kinds[number as usize % kinds.len()]);
+    let mut about = |low: f64, high: f64| low * (high / low).powf(random.between(0.0, 1.0));
+    let (joints, paddle) = (file.spec().joints, file.spec().links.is_empty());
+    for link in &mut file.description.links {
+        let factor = about(0.7, 1.5);
+        (link.mass, link.inertia) = (factor * link.mass, factor * link.inertia);
+    }
+    for joint in &mut file.description.joints[..joints] {
+        joint.inertia *= about(0.6, 1.8);
+        joint.viscous *= about(0.3, 3.0);
+        joint.coulomb *= about(0.3, 2.0);
+        if let Some(encoder) = &mut joint.encoder {
+            encoder.counts_per_turn = (encoder.counts_per_turn * about(0.5, 2.5)).round();
+        }
+        if number % 2 == 1 {
+            let motor_inertia = if paddle { 0.3 } else { 1.0 } * joint.inertia;
+            let stiffness = motor_inertia * (TAU * about(80.0, 300.0)).powi(2);
+            let damping = 2.0 * about(0.01, 0.05) * (stiffness * motor_inertia).sqrt();
+            joint.transmission = Some(Transmission { stiffness, damping, motor_inertia, encoder_at: EncoderAt::Motor });
+        }
+    }
+    file
+}
+
+/// The stiffest wall at home, at one rate, in a direction of no particular kind.
+pub fn question(file: &DeviceFile, rate_hz: f64) -> Question<'_> {
+    let spec = file.spec();
+    Question {
+        file,
+        q: file.description.home.unwrap()[..spec.joints].to_vec(),
+        normal: [&[1.0][..], &[0.6, 0.8], &[0.6, 0.8, 0.0]][spec.task - 1].to_vec(),
+        admissible: Admissible::default(),
+        margins: Margins::default(),
+        ripple_n: 0.1,
+        board_ripple_n: None,
+        counts: 1.0,
+        speed: 0.1,
+        rates_hz: vec![rate_hz],
+        estimators: estimators(),
+        feed_forwards: vec![FeedForward::Off],
+        known: None,
+    }
+}
+
+/// Tunes, and tries walls that are so many times as stiff with other estimators, cutoffs and dampings: none of them keeps
+/// what the answer keeps. Returns the answer, and how many were tried.
+pub fn none_is_stiffer(question: &Question<'_>, dampings: &[f64], stiffer: &[f64]) -> (Found, usize) {
+    let found = tune(question, &Sweep::quiet()).unwrap();
+    let best = found.best.settings;
+    assert_eq!(keeps(question, &best).unwrap(), Some(found.best), "the answer does not keep what it says");
+    let mut candidates: Vec<Settings> = Vec::new();
+    let mut add = |kind: Estimator, cutoff_hz: f64| {
+        let value = kind.chosen().map_or(0, |chosen| chosen.value);
+        candidates.push(Settings { kind, estimator: kind.name(), value, cutoff_hz, ..best });
+    };
+    for &kind in &question.estimators {
+        let cutoffs = [15.0, 35.0, 70.0, 140.0, 300.0, 700.0, 1500.0];
+        let below = cutoffs.iter().filter(|hz| **hz <= 0.4 * best.rate_hz);
+        match kind.spec() {
+            Some(spec) if spec.cutoff == CutoffMeans::LowPassBehind => [6, 12, 24]
+                .iter()
+                .for_each(|value| add(kind.choosing(Chosen { value: *value, filtered: false }), best.cutoff_hz)),
+            None if kind == Estimator::BackwardDifference => add(kind, best.cutoff_hz),
+            _ => below.for_each(|hz| add(kind, *hz)),
+        }
+    }
+    let walls: Vec<Settings> = candidates
+        .iter()
+        .flat_map(|settings| dampings.iter().map(|share| Settings { damping: share * best.damping, ..*settings }))
+        .flat_map(|wall| stiffer.iter().map(move |share| Settings { stiffness: share * best.stiffness, ..wall }))
+        .collect();
+    let kept = Sweep::quiet().map("grid", &walls, |wall| Ok(keeps(question, wall)?.map(|_| format!("{wall:?}"))));
+    let kept: Vec<String> = kept.unwrap().into_iter().flatten().collect();
+    assert!(kept.is_empty(), "{}: {best:?} is softer than {}", question.file.name, kept.join("\n"));
+    (found.best, walls.len())
+}

@@ -1,0 +1,262 @@
+//! What a map shows is what `haptic model` computes: pixels against numbers, for every shipped device, with and without
+//! joint limits.
+
+use crate::common::all_shipped;
+use haptic_bridge::model::admissible::Admissible;
+use haptic_bridge::model::catalogue::Kind;
+use haptic_bridge::model::description::Description;
+use haptic_host::device_file::DeviceFile;
+use haptic_predict::analysis::map::map;
+use haptic_predict::model::{Precision, WallForce, evaluate_holding};
+use haptic_show::plot::colour::ABOVE;
+use haptic_show::plot::map::{Chart, chart, colour};
+use resvg::tiny_skia::Pixmap;
+
+/// Pixels of the PNG per unit of the drawing.
+const SCALE: f64 = 2.0;
+/// How far the shown share may be from the computed one, as a share of the scale: one level of rounding to a colour
+/// and two of difference within a tile, then as much again for what changes within the pixels searched.
+const TOLERANCE: f64 = 0.06;
+/// Pixels around the pose's own in which its colour must be found: half the width of an ellipse's or a link's line.
+const AROUND: i32 = 6;
+
+/// A generator of numbers in [0, 1): reproducible, and good enough to scatter poses.
+struct Scatter(u64);
+
+impl Scatter {
+    fn next(&mut self) -> f64 {
+        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (self.0 >> 11) as f64 / (1_u64 << 53) as f64
+    }
+}
+
+fn at(image: &Pixmap, x: i32, y: i32) -> Option<[u8; 3]> {
+    let pixel = image.pixel(u32::try_from(x).ok()?, u32::try_from(y).ok()?)?.demultiply();
+    Some([pixel.red(), pixel.green(), pixel.blue()])
+}
+
+fn rgb(hex: &str) -> [u8; 3] {
+    std::array::from_fn(|i| u8::from_str_radix(&hex[1 + 2 * i..3 + 2 * i], 16).unwrap())
+}
+
+fn distance(a: [u8; 3], b: [u8; 3]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| (f64::from(*a) - f64::from(b)).powi(2)).sum::<f64>().sqrt()
+}
+
+/// Whether a colour that stands for `share`, give or take the tolerance, is at this place of the picture.
+fn shows(chart: &Chart, image: &Pixmap, place: &[f64], share: f64) -> bool {
+    let (x, y) = chart.frame.pixel(place[0], place[1]);
+    let (x, y) = ((SCALE * x) as i32, (SCALE * y) as i32);
+    let wanted: Vec<[u8; 3]> = (-6..=6)
+        .map(|i| share + f64::from(i) / 6.0 * TOLERANCE * chart.top)
+        .map(|share| rgb(&colour(share.max(0.0), chart.top)))
+        .collect();
+    (-AROUND..=AROUND).any(|dy| {
+        (-AROUND..=AROUND).any(|dx| {
+            at(image, x + dx, y + dy).is_some_and(|found| wanted.iter().any(|wanted| distance(found, *wanted) < 6.0))
+        })
+    })
+}
+
+/// Bytes of a picture that a page can hold; an outline for every tile took twice as many.
+const SMALL: usize = 800_000;
+
+/// The description with joint limits that cut its workspace around home, unlike on either side.
+fn limited(mut description: Description) -> Description {
+    let home = description.home.unwrap();
+    for (i, joint) in description.joints.iter_mut().enumerate().take(description.kind.spec().joints) {
+        let below = [0.9, 0.8, 0.7][i];
+        joint.limits = Some((home[i] - below, home[i] + 0.6));
+    }
+    description
+}
+
+/// A random pose of the drawn plane, within the limits.
+fn pose(description: &Description, scatter: &mut Scatter) -> Vec<f64> {
+    let home = description.home.unwrap();
+    let joints = description.kind.spec().joints;
+    let mut q: Vec<f64> = (0..joints)
+        .map(|i| {
+            let (low, high) = description.joints[i].limits.unwrap_or((home[i] - 1.2, home[i] + 1.2));
+            low + (high - low) * scatter.next()
+        })
+        .collect();
+    match description.kind {
+        Kind::FiveBarTurret | Kind::Parallelogram => q[0] = 0.0,
+        Kind::Serial3r => q[2] = home[..3].iter().sum::<f64>() - q[0] - q[1],
+        Kind::Paddle | Kind::FiveBar => {}
+    }
+    q
+}
+
+fn allowed(description: &Description, q: &[f64]) -> bool {
+    q.iter().zip(&description.joints).all(|(q, j)| j.limits.is_none_or(|(low, high)| (low..=high).contains(q)))
+}
+
+/// Shipped devices with a picture, and what a redundant one may hold.
+fn pictured() -> Vec<(DeviceFile, Admissible)> {
+    let devices = all_shipped().into_iter().filter(|file| file.spec().joints > 1);
+    devices
+        .flat_map(|file| {
+            let redundant = file.spec().joints > file.spec().task;
+            let held = [Admissible::Orientation, Admissible::Joint2, Admissible::Consistent];
+            held[..if redundant { 3 } else { 1 }].iter().map(|held| (file.clone(), *held)).collect::<Vec<_>>()
+        })
+        .collect()
+}
+
+#[test]
+fn every_picture_shows_what_the_model_computes_and_nothing_elsewhere() {
+    for (file, held) in pictured() {
+        for (which, description) in [("as shipped", file.description), ("with limits", limited(file.description))] {
+            let file = DeviceFile { description, name: format!("{} {which}", file.name), ..file.clone() };
+            let normal = &[0.6, 0.8, 0.0][..file.spec().task];
+            let chart = chart(&file.description, &file.name, normal, held).unwrap();
+            let image = Pixmap::decode_png(&chart.picture.png().unwrap()).unwrap();
+            colours_are_numbers(&file, normal, held, &chart, &image);
+            if file.spec().joints == 2 {
+                nothing_outside(&file, normal, &chart, &image);
+            }
+            scale_is_round(&file.name, &chart);
+        }
+    }
+}
+
+/// At random poses that are reached from home.
+fn colours_are_numbers(file: &DeviceFile, normal: &[f64], held: Admissible, chart: &Chart, image: &Pixmap) {
+    let mut scatter = Scatter(7);
+    let (mut compared, mut wrong) = (0, Vec::new());
+    let home = evaluate_share(file, &file.description.home.unwrap()[..file.spec().joints], normal, held).unwrap();
+    for _ in 0..800 {
+        let q = pose(&file.description, &mut scatter);
+        if compared == 50 || !allowed(&file.description, &q) {
+            continue;
+        }
+        let Some(found) = evaluate_share(file, &q, normal, held) else { continue };
+        if found.regular < 0.2 || !straight_from_home(file, &q, normal, home.side) {
+            continue;
+        }
+        compared += 1;
+        if !shows(chart, image, &found.place, found.share) {
+            wrong.push((q, found.place, found.share));
+        }
+    }
+    assert!(compared >= 20, "{}: only {compared} poses", file.name);
+    assert!(wrong.is_empty(), "{}: {} of {compared} wrong: {:?}", file.name, wrong.len(), wrong.first());
+}
+
+/// Where no pose of the JSON is.
+fn nothing_outside(file: &DeviceFile, normal: &[f64], chart: &Chart, image: &Pixmap) {
+    let points = map(&file.description, normal, 20_000).unwrap();
+    let places: Vec<(f64, f64)> = points.iter().map(|p| chart.frame.pixel(p.position[0], p.position[1])).collect();
+    let mut scatter = Scatter(11);
+    let (mut outside, mut coloured) = (0, Vec::new());
+    for _ in 0..400 {
+        let x = chart.frame.at.0 + chart.frame.size.0 * scatter.next();
+        let y = chart.frame.at.1 + chart.frame.size.1 * scatter.next();
+        // Grid poses are at most a dozen units apart; what is farther than that from all of them is outside.
+        if places.iter().any(|p| (p.0 - x).hypot(p.1 - y) < 20.0) {
+            continue;
+        }
+        outside += 1;
+        let found = at(image, (SCALE * x) as i32, (SCALE * y) as i32).unwrap();
+        // White ground, or the grey of a line of the linkage.
+        let grey = found.iter().max().unwrap() - found.iter().min().unwrap() < 12;
+        if !grey {
+            coloured.push((x, y));
+        }
+    }
+    assert!(outside > 20, "{}: only {outside} places are outside", file.name);
+    assert!(coloured.is_empty(), "{}: {} of {outside} at {coloured:?}", file.name, coloured.len());
+}
+
+/// It ends on a round number, and what is above it is said.
+fn scale_is_round(name: &str, chart: &Chart) {
+    let svg = chart.picture.svg();
+    let percent = (100.0 * chart.top * 1e6).round() / 1e6;
+    assert_eq!(svg.contains(ABOVE), svg.contains(&format!("&gt; {percent}")), "{name}: {percent}");
+    assert!(colour(1.001 * chart.top, chart.top) == ABOVE && colour(0.999 * chart.top, chart.top) != ABOVE, "{name}");
+    assert!(svg.contains(&format!(">{percent} %<")), "{name}: no tick at the top, {percent} %");
+    assert!(svg.contains("g in every direction"), "{name}");
+    assert!(svg.len() < SMALL, "{name}: {} bytes", svg.len());
+}
+
+struct Found {
+    place: Vec<f64>,
+    share: f64,
+    side: bool,
+    regular: f64,
+}
+
+/// What `haptic model` says at a pose.
+fn evaluate_share(file: &DeviceFile, q: &[f64], normal: &[f64], held: Admissible) -> Option<Found> {
+    let walls = [WallForce { normal: normal.to_vec(), force: 0.0, stiffness: 1.0, feed_forward: true }];
+    let report = evaluate_holding(file, q, &vec![0.0; q.len()], &walls, Precision::F64, held).ok()?;
+    let pose = haptic_predict::analysis::pose::TaskPose::at(&file.description, q).ok()?;
+    Some(Found {
+        share: report.coupling[0][0] / report.w_rr[0][0],
+        place: report.position,
+        side: pose.jacobian.determinant() > 0.0,
+        regular: pose.regularity.serial.min(pose.regularity.parallel),
+    })
+}
+
+/// Whether the straight way from home in joint angles stays regular, so that the pose is reached for certain.
+fn straight_from_home(file: &DeviceFile, q: &[f64], normal: &[f64], side: bool) -> bool {
+    let mut home = file.description.home.unwrap()[..q.len()].to_vec();
+    if matches!(file.description.kind, Kind::FiveBarTurret | Kind::Parallelogram) {
+        home[0] = 0.0;
+    }
+    (0..=20).all(|i| {
+        let way: Vec<f64> = home.iter().zip(q).map(|(h, q)| h + (q - h) * f64::from(i) / 20.0).collect();
+        evaluate_share(file, &way, normal, Admissible::default())
+            .is_some_and(|found| found.side == side && found.regular > 0.1)
+    })
+}
+
+#[test]
+fn a_paddle_shows_its_arc_and_its_inertia() {
+    let paddle = all_shipped().into_iter().find(|file| file.name == "hapkit-paddle").unwrap();
+    let picture =
+        haptic_show::plot::map::draw(&paddle.description, &paddle.name, &[1.0], Admissible::default()).unwrap();
+    // 0.0008 kg m² at 70 mm.
+    assert!(picture.svg().contains("163.3 g"), "{}", picture.svg());
+}
+
+/// Asserts that no line of text that begins at the left ends beyond the picture, and that there are so many.
+fn nothing_is_cut_off(svg: &str, least: usize) {
+    let attribute = |text: &str, name: &str| -> f64 {
+        text.split_once(&format!(" {name}=\"")).unwrap().1.split('"').next().unwrap().parse().unwrap()
+    };
+    let width = attribute(svg, "width");
+    let mut seen = 0;
+    for line in svg.lines().filter(|line| line.starts_with("<text") && line.contains("\"start\"")) {
+        let words = line.split_once('>').unwrap().1.trim_end_matches("</text>");
+        // Measured in the PNG: this font's letters are on average half as wide as they are high.
+        let end = attribute(line, "x") + 0.508 * attribute(line, "font-size") * words.chars().count() as f64;
+        assert!(end < width, "{words}: ends at {end:.0} of {width}");
+        seen += 1;
+    }
+    assert!(seen >= least, "{seen}");
+}
+
+#[test]
+fn no_caption_of_a_map_is_cut_off() {
+    for file in all_shipped().into_iter().filter(|file| file.name != "hapkit-paddle") {
+        let normal: Vec<f64> = (0..file.spec().task).map(|axis| f64::from(u8::from(axis == 0))).collect();
+        let picture =
+            haptic_show::plot::map::draw(&file.description, &file.name, &normal, Admissible::default()).unwrap();
+        nothing_is_cut_off(picture.svg(), 4);
+    }
+}
+
+#[test]
+fn no_caption_of_a_paddle_is_cut_off_with_limits_or_without() {
+    let mut paddle = all_shipped().into_iter().find(|file| file.name == "hapkit-paddle").unwrap();
+    for limits in [None, Some((-1.04, 1.04))] {
+        paddle.description.joints[0].limits = limits;
+        let picture =
+            haptic_show::plot::map::draw(&paddle.description, &paddle.name, &[1.0], Admissible::default()).unwrap();
+        nothing_is_cut_off(picture.svg(), 4);
+    }
+}

@@ -1,0 +1,136 @@
+//! Whatever works for long can be interrupted at any place, goes on from its file, and comes to the same answer to the
+//! bit.
+
+use crate::common::sim::until;
+use crate::common::{file, haptic, shipped, signal};
+use haptic_bridge::model::admissible::Admissible;
+use haptic_host::error::Failure;
+use haptic_predict::analysis::flexible::Hand;
+use haptic_predict::analysis::map::map_swept;
+use haptic_predict::analysis::plant::{Drive, Linearised};
+use haptic_predict::analysis::ripple::{DampingRule, LIGHT_HAND, PUSH_N, Pressed};
+use haptic_predict::analysis::sampled::{LinearEstimator, Loop, Mode};
+use haptic_predict::analysis::why::why;
+use haptic_predict::bench::estimators::{Comparison, compare};
+use haptic_predict::design::place::places;
+use haptic_predict::sweep::Sweep;
+use haptic_predict::tune::{Margins, Question, estimators, tune};
+use std::fmt::Debug;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+/// Asks at once, and interrupted again and again: `at_least` so often that it tells something.
+fn comes_to_the_same<R: Debug>(at_least: usize, step: usize, ask: impl Fn(&Sweep) -> Result<R, Failure>) {
+    // What `Debug` prints of a number tells it from all others.
+    let whole = format!("{:?}", ask(&Sweep::quiet()).unwrap());
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("kept.json");
+    for run in 0.. {
+        assert!(run < 1_000, "it does not come on");
+        let looked = Arc::new(AtomicUsize::new(0));
+        let stop = move || looked.fetch_add(1, Ordering::SeqCst) >= step;
+        let sweep = Sweep::new("test", "question", Some(&path), stop).unwrap();
+        match ask(&sweep) {
+            Ok(answer) => {
+                assert!(run >= at_least, "interrupted {run} times");
+                return assert_eq!(format!("{answer:?}"), whole);
+            }
+            Err(failure) => assert!(failure.to_string().contains("interrupted"), "{failure}"),
+        }
+    }
+}
+
+#[test]
+fn a_map() {
+    let arm = shipped("serial-3r");
+    comes_to_the_same(3, 20, |sweep| map_swept(&arm.description, &[0.6, 0.8], 20_000, Admissible::default(), sweep));
+}
+
+#[test]
+fn a_comparison_of_estimators() {
+    let file = shipped("hapkit-paddle");
+    let comparison =
+        Comparison { file: &file, q: &[0.1], normal: &[1.0], rate_hz: 1_000.0, cutoff_hz: 50.0, wall: (100.0, 1.0) };
+    comes_to_the_same(2, 1_800, |sweep| compare(&comparison, sweep));
+}
+
+#[test]
+fn a_search_for_the_best_places() {
+    let file = shipped("haply-2diy");
+    comes_to_the_same(2, 6, |sweep| {
+        places(&file.description, Some(&[0.6, 0.8]), 0.0, 0.4, 300, Admissible::default(), sweep)
+    });
+}
+
+#[test]
+fn a_search_for_the_best_settings() {
+    let file = shipped("hapkit-paddle");
+    let question = Question {
+        file: &file,
+        q: vec![0.1],
+        normal: vec![1.0],
+        admissible: Admissible::default(),
+        margins: Margins::default(),
+        ripple_n: 0.1,
+        board_ripple_n: Some(0.1),
+        counts: 1.0,
+        speed: 0.1,
+        rates_hz: vec![1_000.0],
+        estimators: estimators(),
+        feed_forwards: vec![haptic_bridge::render::scene::FeedForward::Off],
+        known: None,
+    };
+    comes_to_the_same(1, 1_000, |sweep| tune(&question, sweep));
+}
+
+#[test]
+fn a_range_with_its_ripple_and_its_reasons() {
+    let file = shipped("coupled-five-bar");
+    let (q, normal) = (vec![2.6, 1.75], vec![0.6, 0.8]);
+    let hand = Hand { mass: 0.1, damping: 3.0, stiffness: 200.0 };
+    let device = Linearised::at(&file.description, &q, &normal).unwrap().held(hand);
+    let around = Loop {
+        rate_hz: 1_000.0,
+        delay_samples: 0.5,
+        estimator: LinearEstimator::Butterworth(100.0),
+        drive: Drive::Current { bandwidth_hz: 500.0 },
+        damping_compensation: false,
+    };
+    comes_to_the_same(2, 12, |sweep| why(&device, &around, sweep));
+    let description = file.description;
+    let pressed =
+        Pressed { device: &device, description, q, normal, around: &around, hand: LIGHT_HAND, push_n: PUSH_N };
+    comes_to_the_same(2, 12, |sweep| pressed.along(Mode::Full, DampingRule::Ratio(0.7), 0.1, sweep));
+}
+
+#[cfg(unix)]
+#[test]
+fn ctrl_c_ends_a_command_in_order_and_the_same_line_goes_on() {
+    use std::process::Stdio;
+    let folder = tempfile::tempdir().unwrap();
+    let kept = folder.path().join("map.json");
+    let device = file("coupled-five-bar.toml");
+    let line = ["map", &device, "--normal", "0.6,0.8", "--points", "400000", "--json"];
+    let whole = haptic(&line).output().unwrap().stdout;
+    let line = [&line[..], &["--continue", kept.to_str().unwrap()]].concat();
+    let mut child = std::process::Command::new(assert_cmd::cargo::cargo_bin("haptic"))
+        .args(&line)
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    until("the file", || kept.exists());
+    signal(&child, "INT");
+    let mut text = String::new();
+    std::io::Read::read_to_string(&mut child.stderr.take().unwrap(), &mut text).unwrap();
+    assert_eq!(child.wait().unwrap().code(), Some(1), "{text}");
+    assert!(text.contains("interrupted with") && text.contains("--continue"), "{text}");
+    let other = [&line[..4], &["--points", "400001"], &line[6..]].concat();
+    let refused = String::from_utf8(haptic(&other).assert().get_output().stderr.clone()).unwrap();
+    if !text.contains("interrupted with 0 of") {
+        assert!(refused.contains("holds results of `haptic map`"), "{refused}");
+    }
+    let again = haptic(&line).output().unwrap();
+    assert!(again.status.success() && again.stdout == whole, "{}", String::from_utf8_lossy(&again.stderr));
+    assert!(!kept.exists());
+}

@@ -1,0 +1,118 @@
+//! `haptic demo` says what its own runs show, and they are the same on every machine.
+
+use crate::common::{haptic, json};
+use haptic_bridge::render::scene::FeedForward;
+use haptic_show::demo::{Demo, crossing, stiffness};
+
+#[test]
+fn the_feed_forward_buys_stiffness_as_predicted() {
+    let demo = Demo::shipped(1).unwrap();
+    let inertia = demo.inertia().unwrap();
+    assert!(inertia.rendered > 1.2 * inertia.effective, "a device where the feed-forward matters: {inertia:?}");
+    let limits = [FeedForward::Off, FeedForward::Washout].map(|mode| stiffness::limit(&demo, mode).unwrap());
+    for limit in limits {
+        assert!((limit.measured / limit.predicted - 1.0).abs() < 0.01, "{limit:?}");
+    }
+    // The washout keeps most of what (4) gains: stiffness grows almost as the inertia does.
+    let gained = limits[1].measured / limits[0].measured - 1.0;
+    let most = inertia.rendered / inertia.effective - 1.0;
+    assert!(gained > 0.9 * most && gained < 1.05 * most, "{gained} of {most}");
+    assert!(limits[0].measured < demo.stiffness && demo.stiffness < limits[1].measured);
+}
+
+#[test]
+fn the_hand_feels_less_vibration_with_the_feed_forward_whatever_the_tremor() {
+    for seed in [1, 2, 3] {
+        let demo = Demo::shipped(seed).unwrap();
+        let run = |mode| crossing::run(&demo, mode, &mut |_| {}).unwrap();
+        let (without, with) = (run(FeedForward::Off), run(FeedForward::Washout));
+        // The wall is stable with the feed-forward and not without: the hand feels that, not a nuance.
+        assert!(with.ripple < 0.5 * without.ripple, "seed {seed}: {} {}", with.ripple, without.ripple);
+        for crossing in [&without, &with] {
+            assert_eq!((crossing.lost, &crossing.fault), (0, &None));
+            // About 5 N on 22 kN/m, three times over at the landing.
+            assert!((1e-4..1e-3).contains(&crossing.penetration), "{}", crossing.penetration);
+            // What is counted is what the picture shows: its force drops to zero so often, and once more at lift-off.
+            let drops = crossing.moments.windows(2).filter(|pair| pair[0].force > 0.0 && pair[1].force == 0.0).count();
+            assert!(drops > crossing.bounces, "{drops}, {}", crossing.bounces);
+        }
+        assert_eq!(run(FeedForward::Off), without, "the same seed is the same run");
+    }
+}
+
+#[test]
+fn the_command_prints_its_table_and_draws_its_picture() {
+    let directory = tempfile::tempdir().unwrap();
+    let svg = directory.path().join("demo.svg");
+    let output = haptic(&["demo", "--svg"]).arg(&svg).assert().success().get_output().clone();
+    let said = String::from_utf8(output.stdout).unwrap();
+    for line in ["penetration, mm", "peak force, N", "highest stable stiffness", "predicted", "coupling", "bought"] {
+        assert!(said.contains(line), "{line} is missing in\n{said}");
+    }
+    assert!(said.contains(&format!("picture: {}", svg.display())));
+    let picture = std::fs::read_to_string(&svg).unwrap();
+    assert!(picture.starts_with("<svg") && picture.trim_end().ends_with("</svg>"));
+    assert_eq!(picture.matches("<polyline").count(), 6, "three panels of two runs");
+
+    let again = |more: &[&str]| haptic(&["demo", "--svg"]).arg(&svg).args(more).assert();
+    again(&[]).code(1);
+    let json = again(&["--force", "--json"]).success().get_output().stdout.clone();
+    let json: serde_json::Value = serde_json::from_slice(&json).unwrap();
+    for (side, column) in [("without", 0), ("with", 1)] {
+        let value = |pointer: &str| json[side].pointer(pointer).unwrap().as_f64().unwrap();
+        // The table's own numbers, to its digits.
+        for (row, number) in [
+            ("penetration, mm", format!("{:.3}", 1e3 * value("/penetration_m"))),
+            ("peak force, N", format!("{:.2}", value("/peak_force_n"))),
+            ("inertia that the wall meets, g", format!("{:.1}", 1e3 * value("/inertia_kg"))),
+            ("measured", format!("{:.2}", 1e-3 * value("/highest_stable_stiffness_n_per_m/measured"))),
+        ] {
+            let line = said.lines().find(|line| line.contains(row)).unwrap();
+            assert_eq!(line.split_whitespace().rev().nth(1 - column), Some(number.as_str()), "{line}");
+        }
+    }
+    for letter in 'a'..='f' {
+        assert!(picture.contains(&format!(">({letter}) ")), "panel {letter}");
+    }
+    // What got worse stands beside what got better, in both.
+    for sentence in ["Better with it: ", "Worse with it: "] {
+        let line = said.lines().find(|line| line.starts_with(sentence)).unwrap_or_else(|| panic!("{sentence}\n{said}"));
+        assert!(picture.contains(line), "{line}");
+    }
+    for (what, worse) in [("penetration, mm", "deeper penetration"), ("peak force, N", "higher peak force")] {
+        let [without, with] = *numbers(&said, what) else { panic!("{what}") };
+        assert_eq!(said.contains(worse), with > without * 1.005, "{worse}: {without}, {with}");
+    }
+}
+
+/// The numbers of the table's row that begins so.
+fn numbers(said: &str, row: &str) -> Vec<f64> {
+    let line = said.lines().find_map(|line| line.trim_start().strip_prefix(row)).unwrap();
+    line.split_whitespace().filter_map(|word| word.parse().ok()).collect()
+}
+
+#[test]
+fn the_lines_that_it_prints_give_its_numbers() {
+    let directory = tempfile::tempdir().unwrap();
+    let svg = directory.path().join("demo.svg");
+    let output = haptic(&["demo", "--svg"]).arg(&svg).output().unwrap();
+    let said = String::from_utf8(output.stdout).unwrap();
+    let run = |subcommand: &str| {
+        let line = said.lines().find_map(|line| line.strip_prefix(&format!("    haptic {subcommand} "))).unwrap();
+        json(&[subcommand].into_iter().chain(line.split_whitespace()).collect::<Vec<_>>())
+    };
+    // To the last digit that is printed.
+    let agree = |row: &str, lines: [f64; 2], digits: f64| {
+        let printed = numbers(&said, row);
+        for (printed, line) in printed.iter().zip(lines) {
+            assert!((printed - line).abs() < 0.6 * digits, "{row}: {printed} is printed, the line gives {line}");
+        }
+        assert_eq!(printed.len(), 2, "{row}");
+    };
+    let model = run("model");
+    let grams = |name: &str| 1e3 * model[name][0][0].as_f64().unwrap();
+    agree("inertia that the wall meets, g", [grams("w_eff"), grams("w_rr")], 0.1);
+    let range = run("range");
+    let stiffness = |mode: &str| range[mode]["boundary"][0]["kp"].as_f64().unwrap() / 1000.0;
+    agree("predicted", [stiffness("off"), stiffness("washout")], 0.01);
+}

@@ -1,0 +1,341 @@
+//! What is cut short: tools that are killed, stopped or interrupted, disks that are full. What was recorded is whole,
+//! what was lost is counted, and motors that a tool turned on do not stay on without it.
+#![cfg(unix)]
+
+use crate::common::sim::{Sim, until};
+use crate::common::{file, haptic, signal};
+use assert_cmd::cargo::cargo_bin;
+use haptic_host::link::Board;
+use haptic_predict::measure::before::Before;
+use haptic_predict::measure::progress::Progress;
+use haptic_predict::measure::rules_for;
+use haptic_show::recorder::Recording;
+use predicates::prelude::*;
+use predicates::str::contains;
+use std::io::{BufRead, BufReader, Read};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::thread::sleep;
+use std::time::Duration;
+use tempfile::tempdir;
+
+/// Waits until a file holds so many bytes.
+fn grown(path: &Path, bytes: u64) {
+    until(&path.display().to_string(), || std::fs::metadata(path).is_ok_and(|about| about.len() >= bytes));
+}
+
+/// Waits for the end of a tool: its exit code, and what it said on standard error.
+fn ended(mut child: Child) -> (Option<i32>, String) {
+    let mut text = String::new();
+    child.stderr.take().unwrap().read_to_string(&mut text).unwrap();
+    (child.wait().unwrap().code(), text)
+}
+
+fn killed(mut child: Child) {
+    child.kill().unwrap();
+    child.wait().unwrap();
+}
+
+fn recording(path: &Path) -> Recording {
+    Recording::parse(&std::fs::read_to_string(path).unwrap()).unwrap()
+}
+
+/// Rows that are missing between the first and the last of a recording of every step.
+fn gaps(recording: &Recording) -> u64 {
+    recording.rows.windows(2).map(|pair| (pair[1][0] - pair[0][0]) as u64 - 1).sum()
+}
+
+/// The number before this word.
+fn number_before(text: &str, word: &str) -> u64 {
+    let before = text.split(word).next().unwrap().trim_end();
+    before.rsplit(|c: char| !c.is_ascii_digit()).next().unwrap().parse().unwrap_or_else(|_| panic!("{word} in {text}"))
+}
+
+/// What a command prints.
+fn printed(sim: &Sim, arguments: &[&str]) -> String {
+    String::from_utf8(sim.run(arguments).success().get_output().stdout.clone()).unwrap()
+}
+
+/// Waits until the board has noticed that its last tool is gone.
+fn free(sim: &Sim) {
+    until("a free board", || haptic(&["info", "--port", &sim.port]).output().unwrap().status.success());
+}
+
+/// A scene to arm, and whether and for how many seconds the board minds a silent host.
+fn rules(sim: &Sim, host: &str, seconds: &str) {
+    sim.run(&["scene", &file("scenes/coupled-five-bar/wall.toml")]).success();
+    sim.run(&["rules", "--host", host, "--host-seconds", seconds]).success();
+}
+
+#[test]
+fn a_recording_whose_tool_is_killed_is_whole_and_the_next_one_has_none_of_its_rows() {
+    let folder = tempdir().unwrap();
+    for sim in [Sim::start(&["--fast"]), Sim::on_pseudo_terminal(&["--fast"])] {
+        for bytes in [10_000, 300_000, 700_000] {
+            let csv = folder.path().join("killed.csv");
+            let to = csv.to_str().unwrap();
+            let tool = sim.spawn(&["stream", "--rate", "20000", "--fields", "counts", "--csv", to]);
+            grown(&csv, bytes);
+            killed(tool);
+            let before = recording(&csv);
+            assert!(before.rows.len() > 50, "{}", before.rows.len());
+            assert_eq!(gaps(&before), 0);
+            std::fs::remove_file(&csv).unwrap();
+            free(&sim);
+            let said = sim.run(&["stream", "--seconds", "0.2", "--rate", "200", "--fields", "q,tip", "--csv", to]);
+            let said = String::from_utf8_lossy(&said.success().get_output().stderr).into_owned();
+            assert!(said.contains("none lost"), "{said}");
+            let next = recording(&csv);
+            assert_eq!(next.columns.len(), 6, "{:?}", next.columns);
+            assert!(next.rows.len() >= 30, "{} rows", next.rows.len());
+            for row in &next.rows {
+                assert!((0.0..0.2).contains(&row[1]), "a row of another time: {row:?}");
+                assert!(row[2..].iter().all(|value| value.abs() < 7.0), "counts are no angles: {row:?}");
+            }
+            std::fs::remove_file(&csv).unwrap();
+        }
+    }
+}
+
+/// Runs the tool where files hold no more than so many blocks of 512 bytes: a disk that is full, once the limit's
+/// signal is ignored. What it says; it fails.
+fn limited(blocks: u64, arguments: &[&str]) -> String {
+    let line = format!("trap '' XFSZ; ulimit -f {blocks}; exec \"$0\" \"$@\"");
+    let output = Command::new("sh").args(["-c", &line]).arg(cargo_bin("haptic")).args(arguments).output().unwrap();
+    let text = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(1), "{text}");
+    assert!(text.contains("cannot be written"), "{text}");
+    text
+}
+
+#[test]
+fn a_disk_that_fills_up_ends_the_recording_with_whole_rows_and_says_how_many() {
+    let sim = Sim::start(&["--fast"]);
+    let folder = tempdir().unwrap();
+    let csv = folder.path().join("full.csv");
+    let text = limited(600, &["stream", "--rate", "20000", "--csv", csv.to_str().unwrap(), "--port", &sim.port]);
+    assert!(text.contains("full.csv cannot be written"), "{text}");
+    let recording = recording(&csv);
+    assert!(!recording.torn && recording.rows.len() > 500);
+    assert_eq!(number_before(&text, "rows are in"), recording.rows.len() as u64);
+    assert!(number_before(&text, "that came could not be written and are lost") > 0 && !text.contains("none lost"));
+    assert_eq!(gaps(&recording), 0);
+    sim.run(&["info"]).success();
+}
+
+#[test]
+fn where_not_even_the_beginning_fits_no_file_is_left() {
+    let sim = Sim::start(&["--fast"]);
+    let (folder, roomy) = (tempdir().unwrap(), tempdir().unwrap());
+    let nothing_is_left = |text: String| {
+        assert!(text.contains("free space"), "{text}");
+        assert!(!text.contains(".partial"), "a name that nobody knows: {text}");
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+    };
+    let csv = folder.path().join("a.csv");
+    nothing_is_left(limited(0, &["stream", "--csv", csv.to_str().unwrap(), "--port", &sim.port]));
+    // The tables of a report fit, and its picture, which is larger, does not.
+    let (one, two) = (file("hapkit-paddle.toml"), file("haply-2diy.toml"));
+    haptic(&["bench", &one, &two, "--report", roomy.path().to_str().unwrap()]).assert().success();
+    let blocks = |name: &str| std::fs::metadata(roomy.path().join(name)).unwrap().len().div_ceil(512);
+    let (table, picture) = (blocks("speed-against-error.csv"), blocks("speed-against-error.svg"));
+    assert!(table < picture, "{table} and {picture} blocks: choose the limit otherwise");
+    nothing_is_left(limited(table, &["bench", &one, &two, "--report", folder.path().to_str().unwrap()]));
+}
+
+#[test]
+fn rows_that_a_stopped_tool_did_not_take_are_counted_exactly() {
+    let sim = Sim::on_pseudo_terminal(&[]);
+    let folder = tempdir().unwrap();
+    let csv = folder.path().join("gaps.csv");
+    let tool = sim.spawn(&["stream", "--rate", "20000", "--fields", "all", "--csv", csv.to_str().unwrap()]);
+    grown(&csv, 100_000);
+    // However much the buffers hold, at some time it was stopped for longer.
+    until("a gap", || {
+        signal(&tool, "STOP");
+        sleep(Duration::from_secs(1));
+        let before = std::fs::metadata(&csv).unwrap().len();
+        signal(&tool, "CONT");
+        grown(&csv, before + 1_000_000);
+        gaps(&recording(&csv)) > 0
+    });
+    signal(&tool, "INT");
+    let (code, text) = ended(tool);
+    assert_eq!(code, Some(0), "{text}");
+    let recording = recording(&csv);
+    assert_eq!(number_before(&text, "lost ("), gaps(&recording), "{text}");
+    assert_eq!(number_before(&text, "rows are in"), recording.rows.len() as u64, "{text}");
+    let dropped = number_before(&text, "dropped by the board");
+    assert_eq!(dropped, gaps(&recording), "the board says that it was the board: {text}");
+}
+
+#[test]
+fn an_interrupted_stream_ends_in_order_and_its_motors_go_off_where_the_rules_say_so() {
+    let sim = Sim::start(&[]);
+    let folder = tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    for (rule, seconds, how, state) in
+        [("ignore", "0.5", "INT", "Armed"), ("disarm", "60", "INT", "Disarmed"), ("disarm", "0.5", "KILL", "Fault")]
+    {
+        sim.run(&["disarm"]).success();
+        rules(&sim, rule, seconds);
+        let csv = path(&format!("{rule}-{how}.csv"));
+        let mut stream = vec!["stream", "--csv", csv.to_str().unwrap()];
+        if rule == "ignore" {
+            sim.run(&["arm"]).success().stdout(contains("nobody is watched"));
+        } else {
+            stream.push("--arm");
+        }
+        let tool = sim.spawn(&stream);
+        grown(&csv, 5_000);
+        signal(&tool, how);
+        let (code, text) = ended(tool);
+        if how == "INT" {
+            assert_eq!(code, Some(0), "{text}");
+            assert!(!recording(&csv).torn && text.contains("rows are in"), "{text}");
+        }
+        if rule == "ignore" {
+            // Also after a second of the board's time.
+            sim.run(&["stream", "--seconds", "1", "--csv", path("later.csv").to_str().unwrap()]).success();
+        }
+        free(&sim);
+        sim.until(|now| now == state);
+    }
+    sim.run(&["faults"]).success().stdout(contains("host"));
+}
+
+#[test]
+fn arming_a_board_that_watches_its_host_lasts_until_ctrl_c() {
+    let sim = Sim::start(&[]);
+    for (how, seconds, state) in [("INT", "60", "Disarmed"), ("KILL", "0.3", "Fault")] {
+        rules(&sim, "disarm", seconds);
+        let mut tool = Command::new(cargo_bin("haptic"));
+        let tool = tool.args(["arm", "--port", &sim.port]).stdout(Stdio::piped()).stderr(Stdio::piped());
+        let mut tool = tool.spawn().unwrap();
+        let mut armed = String::new();
+        BufReader::new(tool.stdout.as_mut().unwrap()).read_line(&mut armed).unwrap();
+        assert!(armed.contains("Ctrl-C turns the motors off"), "{armed}");
+        sim.run(&["info"]).code(1).stderr(contains("another tool"));
+        assert_eq!(tool.try_wait().unwrap(), None, "it stays for as long as the motors are on");
+        signal(&tool, how);
+        let (code, text) = ended(tool);
+        assert!(how == "KILL" || code == Some(0), "{text}");
+        free(&sim);
+        sim.until(|now| now == state);
+        sim.run(&["clear"]).success();
+    }
+}
+
+#[test]
+fn a_fault_while_armed_is_told_with_its_remedy_once() {
+    let sim = Sim::start(&["--hand", "loop"]);
+    rules(&sim, "disarm", "60");
+    sim.run(&["rules", "--speed", "0.05,0.05"]).success();
+    let ended = sim.run(&["arm"]).code(1);
+    let text = String::from_utf8_lossy(&ended.get_output().stderr).into_owned();
+    assert!(text.contains("SpeedLimit"), "{text}");
+    let faults: serde_json::Value = serde_json::from_str(&printed(&sim, &["faults", "--json"])).unwrap();
+    let remedy = faults["faults"][0]["remedy"].as_str().unwrap();
+    assert_eq!(text.matches(remedy).count(), 1, "{text}");
+}
+
+/// The line of a measurement at these dampings.
+fn measurement<'a>(device: &'a str, kd: &'a str, progress: &'a Path) -> Vec<&'a str> {
+    let to = progress.to_str().unwrap();
+    let fixed = ["--normal=0.6,0.8", "--repeats=1", "--pull=2", "--feed-forward=off"];
+    [&["measure-range", device, kd, "--progress", to][..], &fixed].concat()
+}
+
+/// Begins a measurement, and waits until it has a result; begun anew where a busy computer silenced the tool for so long
+/// that the board turned the motors off.
+fn in_the_middle(sim: &Sim, line: &[&str], progress: &Path) -> Child {
+    let measured = || Progress::read(progress).is_ok_and(|found| found.is_some_and(|found| !found.is_empty()));
+    loop {
+        let _ = std::fs::remove_file(progress);
+        let mut tool = sim.spawn(line);
+        until("a result", || measured() || tool.try_wait().unwrap().is_some());
+        if measured() && tool.try_wait().unwrap().is_none() {
+            return tool;
+        }
+        let said = ended(tool).1;
+        free(sim);
+        assert!(printed(sim, &["faults"]).contains("latched  HostLost"), "{said}");
+        sim.run(&["clear"]).success();
+    }
+}
+
+#[test]
+fn an_interrupted_measurement_says_that_motors_are_off_and_they_are() {
+    let sim = Sim::start(&["--fast"]);
+    let before = printed(&sim, &["rules"]);
+    let folder = tempdir().unwrap();
+    let (device, progress) = (file("coupled-five-bar.toml"), folder.path().join("progress.json"));
+    let tool = in_the_middle(&sim, &measurement(&device, "--kd=5,10,15,20,25", &progress), &progress);
+    signal(&tool, "INT");
+    let (code, text) = ended(tool);
+    assert_eq!(code, Some(1), "{text}");
+    assert!(text.contains("motors are off") && text.contains("to go on where it stopped"), "{text}");
+    sim.run(&["info", "--json"]).success().stdout(contains("\"Disarmed\""));
+    assert_eq!(printed(&sim, &["rules"]), before, "and the rules are as they were");
+}
+
+#[test]
+fn after_a_measurement_that_was_killed_the_next_one_puts_the_scene_back_or_says_that_it_is_gone() {
+    let sim = Sim::start(&["--fast", "--scene", &file("scenes/coupled-five-bar/tracing.toml")]);
+    let held = || {
+        let info: serde_json::Value = serde_json::from_str(&printed(&sim, &["info", "--json"])).unwrap();
+        (["walls", "rate_hz", "device"].map(|key| info[key].clone()), printed(&sim, &["rules"]))
+    };
+    let before = held();
+    let folder = tempdir().unwrap();
+    let (one, other) = (folder.path().join("one.json"), folder.path().join("other.json"));
+    let device = file("coupled-five-bar.toml");
+    let first = measurement(&device, "--kd=5,15,25", &one);
+    killed(in_the_middle(&sim, &first, &one));
+    free(&sim);
+    sim.until(|state| state != "Armed");
+    let now = held();
+    assert_ne!(now.0, before.0, "it was in the middle of it");
+    assert_ne!(now.1, before.1, "its rules are in force");
+    sim.run(&["clear"]).success();
+    // Another file knows nothing of what was there, however its measurement ends.
+    let (_, said) = ended(sim.spawn(&measurement(&device, "--kd=15", &other)));
+    assert!(said.contains("left by a measurement") && said.contains("load yours again"), "{said}");
+    free(&sim);
+    assert_ne!(held().0, before.0);
+    // The same line goes on, if the device still stands where it stood, and puts it back.
+    let (_, said) = ended(sim.spawn(&first));
+    assert!(said.contains("the one before it is put back") && !said.contains("the rules are neither"), "{said}");
+    assert!(said.contains("of 3 repeats are in"), "{said}");
+    free(&sim);
+    assert_eq!(held(), before);
+    assert!(!std::fs::read_to_string(&one).unwrap().contains("before"));
+}
+
+#[test]
+fn a_measurement_that_was_killed_between_its_rules_and_its_scene_gives_way_to_the_rules_before_it() {
+    let sim = Sim::start(&["--fast", "--scene", &file("scenes/coupled-five-bar/wall.toml")]);
+    let before = printed(&sim, &["rules"]);
+    let folder = tempdir().unwrap();
+    let note = folder.path().join("note.json");
+    {
+        let mut board = Board::open(&sim.port.parse().unwrap()).unwrap();
+        let held = Before::of(&mut board).unwrap();
+        let measuring = rules_for(held.rules(), 1.0);
+        let mut progress = Progress::new("any");
+        progress.before = held.keep(&board.info().serial, &measuring);
+        progress.save(&note).unwrap();
+        board.set_rules(&measuring).unwrap();
+    }
+    assert_ne!(printed(&sim, &["rules"]), before);
+    // Whatever becomes of the next one; this board holds another device.
+    let (device, note) = (file("haply-2diy.toml"), note.display().to_string());
+    let next = ["measure-range", &device, "--normal=0.6,0.8", "--anew", "--progress", &note];
+    sim.run(&next).code(1).stderr(contains("the rules on the board were left by a measurement that was cut short"));
+    assert_eq!(printed(&sim, &["rules"]), before);
+    sim.run(&next).code(1).stderr(contains("were left").not());
+    // Rules that somebody has chosen since stay.
+    sim.run(&["rules", "--torque", "0.5,0.5"]).success();
+    sim.run(&next).code(1).stderr(contains("were left").not());
+    sim.run(&["rules"]).success().stdout(contains("0.5, 0.5 N m"));
+}

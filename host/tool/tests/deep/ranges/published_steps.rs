@@ -1,0 +1,93 @@
+//! What others measured and rigid theory with perfect sensors misses: how little a higher rate brings, and what it
+//! costs (docs/published.md). Orders and trends are held, not the factors: nobody has published the devices' friction
+//! and cables.
+
+use crate::common::shipped;
+use haptic_predict::analysis::flexible::Hand;
+use haptic_predict::analysis::plant::{Drive, Linearised};
+use haptic_predict::analysis::range::domain;
+use haptic_predict::analysis::ripple::{DampingRule, LIGHT_HAND, PUSH_N, Pressed};
+use haptic_predict::analysis::sampled::{LinearEstimator, Loop, Mode};
+use haptic_predict::sweep::Sweep;
+
+/// What a finger feels of a steady force of some newtons, N rms.
+const BOUND: f64 = 0.1;
+
+fn pressed<T>(
+    device: &str,
+    normal: &[f64],
+    hand: Option<Hand>,
+    (rate_hz, estimator): (f64, LinearEstimator),
+    work: impl FnOnce(&Pressed<'_>) -> T,
+) -> T {
+    let description = shipped(device).description;
+    let q = description.home.unwrap()[..description.kind.spec().joints].to_vec();
+    let device = Linearised::at(&description, &q, normal).unwrap().held(hand.unwrap_or_default());
+    let around = Loop { rate_hz, delay_samples: 0.0, estimator, drive: Drive::Ideal, damping_compensation: false };
+    let (normal, hand) = (normal.to_vec(), hand.unwrap_or(LIGHT_HAND));
+    work(&Pressed { device: &device, description, q, normal, around: &around, hand, push_n: PUSH_N })
+}
+
+/// The largest of dampings 10 % apart from `least` up to which a wall's ripple stays within the bound, N s/m.
+fn clean_damping(pressed: &Pressed<'_>, kp: f64, least: f64) -> f64 {
+    let dampings = (0..100).map(|i| least * 1.1_f64.powi(i));
+    let clean = |kd: &f64| pressed.ripple(Mode::Off, kp, *kd).unwrap().within(BOUND);
+    dampings.take_while(clean).last().unwrap_or(0.0)
+}
+
+/// The stiffest spring without damping that a relaxed hand finds quiet, N/m, and the stiffest that is stable.
+fn clean_spring(rate_hz: f64) -> (f64, f64) {
+    let hand = Hand { mass: 0.12, damping: 6.0, stiffness: 250.0 };
+    pressed(
+        "phantom-premium-1.5",
+        &[0.0, 1.0, 0.0],
+        Some(hand),
+        (rate_hz, LinearEstimator::BackwardDifference),
+        |pressed| {
+            let along = pressed.along(Mode::Off, DampingRule::Damping(0.0), BOUND, &Sweep::quiet()).unwrap().unwrap();
+            (along.kp_from.unwrap_or(along.kp_stable), along.kp_stable)
+        },
+    )
+}
+
+#[test]
+fn twenty_times_the_rate_gives_far_less_than_twenty_times_the_stiffness() {
+    let [slow, usual] = [250.0, 1_000.0].map(|rate| (rate, clean_spring(rate)));
+    for ((from, slow), rate, least, most) in
+        [(slow, 1_000.0, 2.0, 4.5), (slow, 40_000.0, 2.5, 6.0), (usual, 20_000.0, 1.0, 1.1)]
+    {
+        let found = clean_spring(rate);
+        let (gained, rigid) = (found.0 / slow.0, found.1 / slow.1);
+        assert!((rigid / (rate / from) - 1.0).abs() < 0.1, "rigid theory is proportional to the rate: {rate}: {rigid}");
+        assert!((least..most).contains(&gained), "{rate}: {gained}");
+    }
+}
+
+#[test]
+fn a_higher_rate_is_stiffer_and_leaves_less_virtual_damping() {
+    let of = |rate| {
+        let estimator = LinearEstimator::BackwardDifference;
+        pressed("coupled-five-bar", &[0.0, 1.0], None, (rate, estimator), |pressed| {
+            let theory = domain(pressed.device, pressed.around, Mode::Off, Some(&[])).unwrap().kd_max;
+            (clean_damping(pressed, 1_000.0, 0.5), theory)
+        })
+    };
+    let (slow, fast) = (of(1_000.0), of(10_000.0));
+    assert!(fast.1 > 5.0 * slow.1, "theory says more damping");
+    assert!(fast.0 < 0.5 * slow.0, "and counts leave less: {slow:?} {fast:?}");
+}
+
+#[test]
+fn a_slower_velocity_keeps_what_a_fast_position_loop_loses() {
+    let of = |rate, estimator| {
+        pressed("pantograph-mk2", &[0.0, 1.0], None, (rate, estimator), |pressed| {
+            let area = domain(pressed.device, pressed.around, Mode::Off, Some(&[])).unwrap().area;
+            (clean_damping(pressed, 1_000.0, 0.05), area)
+        })
+    };
+    let bare = LinearEstimator::BackwardDifference;
+    let (slow, uniform, dual) = (of(2_000.0, bare), of(20_000.0, bare), of(20_000.0, bare.over(10)));
+    assert!(uniform.0 < 0.5 * slow.0, "{slow:?} {uniform:?}");
+    assert!(dual.0 > 0.8 * slow.0, "{slow:?} {dual:?}");
+    assert!(dual.1 > slow.1, "and its position is fast: {slow:?} {dual:?}");
+}

@@ -1,0 +1,81 @@
+//! The simulated board against numbers that are known from elsewhere: undamped, a loop's boundary depends only on
+//! kp T²/m and kd T/m, and docs/model.md section 3 gives its largest values at delay 0.
+//!
+//! The board is raised until it oscillates, through the protocol; friction, hand and encoder steps are off.
+
+use haptic_bridge::render::scene::FeedForward;
+use haptic_host::device_file::DeviceFile;
+use haptic_host::link::Board;
+use haptic_predict::analysis::several::Member;
+use haptic_predict::measure::{Law, MeasurementSetup, PreparedBoard};
+use haptic_sim::{BoardOptions, DriveModel, Options, SharedBoard, ready_board};
+
+/// 0.16 kg at 0.1 m, without friction, behind an encoder whose steps do not show.
+const PADDLE: &str = r#"
+name = "mass"
+mechanism = "paddle"
+gravity = [0.0]
+[geometry]
+length = 0.1
+[[joint]]
+inertia = 0.0016
+[joint.encoder]
+counts_per_turn = 8388608
+offset = 0.0
+inverted = false
+[joint.motor]
+torque_constant = 0.5
+resistance = 2.0
+max_current = 10.0
+[home]
+q = [0.0]
+"#;
+const MASS: f64 = 0.16;
+
+/// kp T²/m on the boundary at `share` of its length, where its flat summit lies, and the kd T/m at which it ends.
+fn measure(rate_hz: f64, cutoff_hz: f64, share: f64) -> (f64, f64) {
+    let file = DeviceFile::parse(PADDLE, "mass.toml").unwrap();
+    // One integration step per sample is exact for a constant inertia under a constant torque.
+    let device = Options { friction: false, substep: 1.0 / rate_hz, ..Options::default() };
+    let options = BoardOptions { device, drive: DriveModel::Ideal, delay: 0.0, ..BoardOptions::default() };
+    let shared = SharedBoard::new(ready_board(&file, options).unwrap());
+    let mut board = Board::over(shared.wire(), "sim").unwrap();
+    let setup = MeasurementSetup {
+        walls: vec![Member::new(vec![1.0], 1.0)],
+        rate_hz,
+        cutoff_hz,
+        washout_hz: 2.0,
+        law: Law::default(),
+        torque_limit: 5.0,
+        largest_pull: 1e-3,
+    };
+    let mut prepared = PreparedBoard::new(&mut board, &file, setup, &|| false).unwrap();
+    let end = prepared.damping_end(FeedForward::Off).unwrap().gain;
+    let summit = prepared.boundary(FeedForward::Off, share * end, 0, None).unwrap().gain;
+    prepared.finish().unwrap();
+    (summit / MASS / rate_hz.powi(2), end / MASS / rate_hz)
+}
+
+/// The search ends in a bracket of half a percent and says its middle, a quarter off at most; a growth too slow to be
+/// told within a trial takes the rest. The constants themselves have four digits.
+const APART: f64 = 0.004;
+
+fn agree(measured: (f64, f64), known: (f64, f64)) {
+    assert!((measured.0 / known.0 - 1.0).abs() < APART, "largest kp T²/m: {} is not {}", measured.0, known.0);
+    assert!((measured.1 / known.1 - 1.0).abs() < APART, "kd_max T/m: {} is not {}", measured.1, known.1);
+}
+
+#[test]
+fn at_the_papers_setting() {
+    agree(measure(200.0, 20.0, 0.29), (0.08921, 0.5190));
+}
+
+#[test]
+fn at_a_slow_filter() {
+    agree(measure(1000.0, 20.0, 0.18), (0.008215, 0.1520));
+}
+
+#[test]
+fn at_the_boards_own_rate() {
+    agree(measure(20_000.0, 500.0, 0.2), (0.01184, 0.1838));
+}

@@ -1,0 +1,210 @@
+//! `haptic design` against formulas and brute force.
+
+use crate::common::shipped;
+use haptic_bridge::model::admissible::Admissible;
+use haptic_predict::analysis::control_loop::TorquePath;
+use haptic_predict::analysis::map::along;
+use haptic_predict::analysis::plant::Linearised;
+use haptic_predict::analysis::pose::{TaskPose, unit_normal};
+use haptic_predict::analysis::range::domain;
+use haptic_predict::analysis::sampled::{LinearEstimator, Loop, Mode};
+use haptic_predict::design::place::places;
+use haptic_predict::design::posture::postures;
+use haptic_predict::design::sensitivity::{CHANGE, buys_most, sensitivities};
+use haptic_predict::design::{clearance, stiffness_per_kilogram, within_limits};
+use haptic_predict::sweep::Sweep;
+use haptic_sim::Random;
+
+const PHI: Admissible = Admissible::Orientation;
+
+#[test]
+fn the_stiffest_wall_is_in_proportion_to_the_inertia_that_it_meets() {
+    let per_kilogram = stiffness_per_kilogram(20_000.0, 500.0).unwrap();
+    for (name, q, n) in [
+        ("coupled-five-bar", vec![2.6, 1.75], vec![0.94, -0.34]),
+        ("phantom-premium-1.5", vec![0.3, 0.9, -0.3], vec![0.6, 0.8, 0.0]),
+    ] {
+        let device = Linearised::at(&shipped(name).description, &q, &n).unwrap().undamped();
+        let estimator = LinearEstimator::Butterworth(500.0);
+        let around = Loop::through(&TorquePath::usual(20_000.0), 20_000.0, estimator);
+        for (mode, met) in [(Mode::Off, device.w_eff().unwrap()), (Mode::Full, device.w_rr())] {
+            let range = domain(&device, &around, mode, None).unwrap();
+            let top = range.boundary.iter().map(|point| point.kp).fold(0.0, f64::max);
+            assert!((top / (per_kilogram * met) - 1.0).abs() < 1e-6, "{name}, {mode:?}: {top}");
+        }
+    }
+}
+
+/// Wrr = Eᵀ M E grows by δ Eⱼ² with δ more on joint j; Weff = 1/(Jr M⁻¹ Jrᵀ) by Sherman and Morrison's formula.
+#[test]
+fn a_rotor_is_worth_what_its_formula_says() {
+    for (name, q, n) in [
+        ("coupled-five-bar", vec![2.6, 1.75], vec![0.94, -0.34]),
+        ("phantom-premium-1.5", vec![0.3, 0.9, -0.3], vec![0.6, 0.5, 0.62]),
+        ("serial-3r", vec![0.5, 0.8, 0.7], vec![0.6, 0.8]),
+    ] {
+        let description = shipped(name).description;
+        let device = Linearised::at(&description, &q, &n).unwrap();
+        let mobility = device.mass.clone().try_inverse().unwrap();
+        let found = sensitivities(&description, &q, &n, PHI).unwrap();
+        for j in 0..q.len() {
+            let change = CHANGE * description.joints[j].inertia;
+            let pull = (&mobility * &device.row)[j];
+            let mobile = 1.0 / device.w_eff().unwrap();
+            let w_eff = mobile / (mobile - change * pull * pull / (1.0 + change * mobility[(j, j)]));
+            let w_rr = 1.0 + change * device.unit_motion[j].powi(2) / device.w_rr();
+            let rotor = found.iter().find(|one| one.part == format!("rotor of joint {j}")).unwrap().more.unwrap();
+            assert!((rotor.w_eff / w_eff - 1.0).abs() < 1e-9, "{name}, joint {j}: {rotor:?}, {w_eff}");
+            assert!((rotor.w_rr / w_rr - 1.0).abs() < 1e-9, "{name}, joint {j}: {rotor:?}, {w_rr}");
+            // A gear reflects its rotor by its square, gives its torque and shows counts in proportion.
+            let gear = found.iter().find(|one| one.part == format!("gear ratio of joint {j}")).unwrap().more.unwrap();
+            let squared = 1.0 + 2.1 * (w_rr - 1.0);
+            assert!((gear.w_rr / squared - 1.0).abs() < 1e-9, "{name}, joint {j}: {gear:?}");
+        }
+        let most = buys_most(&found, |effect| effect.w_rr).unwrap();
+        assert_eq!(buys_most(&found, |effect| 1.0 + 0.005 * effect.w_rr.signum()), None);
+        let sides = found.iter().flat_map(|one| [one.more, one.less]).flatten();
+        assert!(sides.into_iter().all(|effect| effect.w_rr <= most.effect.w_rr));
+    }
+}
+
+#[test]
+fn a_longer_link_leaves_the_tip_where_it_is() {
+    let description = shipped("haply-2diy").description;
+    let (q, n) = ([2.3, 0.84159265358979], [0.6, 0.8]);
+    let found = sensitivities(&description, &q, &n, PHI).unwrap();
+    let base = found.iter().find(|one| one.part == "length base").unwrap().more.unwrap();
+    // The same by hand: the tip's place of before, with inverse kinematics of this test's own.
+    let mut wider = description;
+    wider.geometry[0] *= 1.0 + CHANGE;
+    let before = TaskPose::at(&description, &q).unwrap();
+    let (x, y) = (before.position[0], before.position[1]);
+    let elbow = |side: f64| {
+        let [base, l1, l2, r1, r2, _] = wider.geometry;
+        let (proximal, distal) = if side < 0.0 { (l1, r1) } else { (l2, r2) };
+        let (dx, dy) = (x - side * base / 2.0, y);
+        let far = dx.hypot(dy);
+        let inside = ((proximal * proximal + far * far - distal * distal) / (2.0 * proximal * far)).acos();
+        // The elbows point outwards.
+        dy.atan2(dx) - side * inside
+    };
+    let moved = TaskPose::at(&wider, &[elbow(-1.0), elbow(1.0)]).unwrap();
+    assert!((moved.position[0] - x).abs() < 1e-12 && (moved.position[1] - y).abs() < 1e-12);
+    let normal = unit_normal(&n, 2, 2).unwrap();
+    let ((a, b), (c, d)) = (along(&before, &normal).unwrap(), along(&moved, &normal).unwrap());
+    assert!((base.w_eff / (c / a) - 1.0).abs() < 1e-9 && (base.w_rr / (d / b) - 1.0).abs() < 1e-9, "{base:?}");
+}
+
+#[test]
+fn no_pose_of_a_blind_search_is_better_than_the_best() {
+    let normal = [0.6, 0.8];
+    for name in ["haply-2diy", "coupled-five-bar"] {
+        let file = shipped(name);
+        let clear = 0.4;
+        let found = places(&file.description, Some(&normal), 0.0, clear, 700, PHI, &Sweep::quiet()).unwrap();
+        let device = file.device::<f64>().unwrap();
+        let n = unit_normal(&normal, 2, file.spec().joints).unwrap();
+        let along_n = found.along.clone().unwrap();
+        // On the side of the singularities on which the device works.
+        let side = |q: &[f64]| TaskPose::at(&file.description, q).unwrap().jacobian.determinant() > 0.0;
+        let home = file.description.home.unwrap();
+        let home = side(&home[..file.spec().joints]);
+        let mut random = Random::new(7);
+        let mut tried = 0;
+        for _ in 0..10_000 {
+            let q: Vec<f64> = (0..file.spec().joints).map(|_| random.between(-3.1, 3.1)).collect();
+            let Ok(pose) = TaskPose::at(&file.description, &q).unwrap().regular() else { continue };
+            if clearance(&pose) < clear || !within_limits(&device, &q) || side(&q) != home {
+                continue;
+            }
+            tried += 1;
+            let (w_eff, w_rr) = along(&pose, &n).unwrap();
+            assert!(w_eff <= along_n.off.w_eff * 1.01, "{name}: {w_eff} kg at {q:?}, {:?}", along_n.off);
+            assert!(w_rr <= along_n.full.w_rr * 1.01, "{name}: {w_rr} kg at {q:?}, {:?}", along_n.full);
+            assert!(w_eff >= along_n.worst.w_eff * 0.99, "{name}: {w_eff} kg at {q:?}, {:?}", along_n.worst);
+            for angle in [0.0_f64, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0] {
+                let other = unit_normal(&[angle.cos(), angle.sin()], 2, q.len()).unwrap();
+                let (w_eff, w_rr) = along(&pose, &other).unwrap();
+                assert!(w_eff <= found.stiffest.w_eff * 1.01, "{name}: {w_eff} kg at {q:?}");
+                let ratio = found.feed_forward_buys_most.w_rr / found.feed_forward_buys_most.w_eff;
+                assert!(w_rr / w_eff <= ratio * 1.01, "{name}: {} at {q:?}, {ratio}", w_rr / w_eff);
+            }
+        }
+        assert!(tried > 300, "{name}: {tried}");
+    }
+}
+
+#[test]
+fn a_coarse_grid_finds_what_a_fine_one_does() {
+    for (name, coarse, fine) in [("coupled-five-bar", 300, 4000), ("haply-2diy", 300, 1000), ("serial-3r", 700, 1000)] {
+        let description = shipped(name).description;
+        let found = |points| places(&description, None, 0.0, 0.3, points, PHI, &Sweep::quiet()).unwrap();
+        let (coarse, fine) = (found(coarse), found(fine));
+        for found in [&coarse, &fine] {
+            let others = [&found.every_direction, &found.feed_forward_buys_most];
+            let stiffer = others.into_iter().find(|other| other.w_rr > 1.01 * found.stiffest.w_eff);
+            assert_eq!(stiffer, None, "{name}: stiffer with the feed-forward than the stiffest");
+        }
+        let ratio = |placed: &haptic_predict::design::place::Placed| placed.w_rr / placed.w_eff;
+        for (what, one, other) in [
+            ("stiffest", coarse.stiffest.w_eff, fine.stiffest.w_eff),
+            ("every direction", coarse.every_direction.w_eff, fine.every_direction.w_eff),
+            ("buys most", ratio(&coarse.feed_forward_buys_most), ratio(&fine.feed_forward_buys_most)),
+        ] {
+            assert!((one / other - 1.0).abs() < 0.01, "{name}, {what}: {one} on a coarse grid, {other} on a fine one");
+        }
+    }
+}
+
+#[test]
+fn a_wall_as_wide_as_its_patch_is_placed_by_its_worst_point() {
+    let file = shipped("haply-2diy");
+    let placed = |patch: f64| {
+        places(&file.description, Some(&[0.6, 0.8]), patch, 0.4, 700, PHI, &Sweep::quiet()).unwrap().along.unwrap()
+    };
+    let (point, wide) = (placed(0.0), placed(0.02));
+    assert!(wide.off.w_eff < 0.99 * point.off.w_eff && wide.full.w_rr < point.full.w_rr, "{point:?} {wide:?}");
+}
+
+/// Postures by this test's own inverse kinematics: for every orientation the wrist, and the elbow on the arm's side.
+#[test]
+fn the_best_posture_is_that_of_a_scan_over_all_orientations() {
+    let file = shipped("serial-3r");
+    let (q, n, clear) = ([0.5_f64, 0.8, 0.7], [0.6, 0.8], 0.38);
+    let found = postures(&file.description, &q, &n, clear, PHI).unwrap().unwrap();
+    let [l1, l2, l3, ..] = file.description.geometry;
+    let tip = TaskPose::at(&file.description, &q).unwrap().position;
+    let normal = unit_normal(&n, 2, 3).unwrap();
+    let (mut heavy, mut light, mut held, mut loose) = (0.0_f64, f64::INFINITY, 0.0_f64, f64::INFINITY);
+    for i in 0..20_000 {
+        let phi = std::f64::consts::TAU * f64::from(i) / 20_000.0;
+        let (x, y) = (tip[0] - l3 * phi.cos(), tip[1] - l3 * phi.sin());
+        let cosine = (x * x + y * y - l1 * l1 - l2 * l2) / (2.0 * l1 * l2);
+        if cosine.abs() > 1.0 {
+            continue;
+        }
+        let elbow = cosine.acos();
+        let shoulder = y.atan2(x) - (l2 * elbow.sin()).atan2(l1 + l2 * elbow.cos());
+        let pose = TaskPose::at(&file.description, &[shoulder, elbow, phi - shoulder - elbow]).unwrap();
+        assert!((pose.position[0] - tip[0]).abs() < 1e-9);
+        if clearance(&pose) < clear {
+            continue;
+        }
+        let (w_eff, w_rr) = along(&pose, &normal).unwrap();
+        (heavy, light) = (heavy.max(w_eff), light.min(w_eff));
+        (held, loose) = (held.max(w_rr), loose.min(w_rr));
+    }
+    for (one, other) in [
+        (found.heaviest.w_eff, heavy),
+        (found.lightest.w_eff, light),
+        (found.most_held.w_rr, held),
+        (found.least_held.w_rr, loose),
+    ] {
+        assert!((one / other - 1.0).abs() < 0.02, "{one} kg, and the scan has {other} kg");
+    }
+    // Another's sweep at this tip, in coarser steps: 0.0487 to 0.1139 kg, and 0.117 to 0.506 kg up to a sine of its
+    // own.
+    assert!((heavy / 0.1139 - 1.0).abs() < 0.01 && (light / 0.0487 - 1.0).abs() < 0.04, "{heavy} {light}");
+    assert!((loose / 0.117 - 1.0).abs() < 0.01 && (held / 0.506 - 1.0).abs() < 0.06, "{held} {loose}");
+    assert_eq!(postures(&shipped("haply-2diy").description, &[2.3, 0.84], &n, clear, PHI), Ok(None));
+}

@@ -1,0 +1,265 @@
+//! `haptic tune` against what can be derived, and against a plain scan of all settings.
+
+use crate::common::{haptic, json, root, shipped, tuned};
+use haptic_bridge::model::admissible::Admissible;
+use haptic_bridge::model::description::Description;
+use haptic_bridge::render::scene::FeedForward;
+use haptic_bridge::render::velocity::{Chosen, Estimator};
+use haptic_host::device_file::DeviceFile;
+use haptic_host::scene_file::SceneFile;
+use haptic_predict::analysis::control_loop::CURRENT_LOOP_HZ;
+use haptic_predict::analysis::flexible::Flexible;
+use haptic_predict::analysis::plant::{Drive, Linearised};
+use haptic_predict::analysis::range::{domain, stiffnesses};
+use haptic_predict::analysis::sampled::{LinearEstimator, Loop, Mode};
+use haptic_predict::sweep::Sweep;
+use haptic_predict::tune::{Margins, Question, Settings, estimators, keeps, to_toml, tune, vertex};
+use nalgebra::{DMatrix, DVector};
+
+fn around(rate_hz: f64) -> Loop {
+    Loop {
+        rate_hz,
+        delay_samples: 0.5,
+        estimator: LinearEstimator::Butterworth(0.025 * rate_hz),
+        drive: Drive::Ideal,
+        damping_compensation: false,
+    }
+}
+
+/// With torque t f on an undamped device, t what a controller with another mass matrix makes of (4), the tip's
+/// acceleration along n is Jr M⁻¹ t f: the loop is that of a mass 1/(Jr M⁻¹ t).
+#[test]
+fn a_controller_that_is_wrong_about_the_inertia_meets_the_mass_that_its_torque_makes() {
+    let file = shipped("coupled-five-bar");
+    let (q, n) = ([2.6, 1.75], [0.94, -0.34]);
+    let believed = Linearised::at(&file.description, &q, &n).unwrap().undamped();
+    let mut device = believed.clone();
+    device.mass += DMatrix::from_row_slice(2, 2, &[8e-4, 2e-4, 2e-4, 0.0]);
+    let torque = believed.shaped_torque();
+    let met = 1.0 / device.row.dot(&device.mass.clone().cholesky().unwrap().solve(&torque));
+    assert!(
+        (met / device.w_rr() - 1.0).abs() > 0.003 && (met / believed.w_rr() - 1.0).abs() > 0.01,
+        "it tells nothing"
+    );
+    let kilogram = Linearised {
+        gain: 1.0,
+        flexible: Flexible::default(),
+        mass: DMatrix::identity(1, 1),
+        viscous: DVector::zeros(1),
+        row: DVector::from_element(1, 1.0),
+        unit_motion: DVector::from_element(1, 1.0),
+    };
+    let around = around(5_000.0);
+    for damping in [20.0, 80.0, 200.0] {
+        let of_one = domain(&kilogram, &around, Mode::Off, Some(&[damping])).unwrap().boundary[0].kp;
+        let found = stiffnesses(&device, &believed, &around, Mode::Full, &[met * damping]).unwrap()[0];
+        assert!((found / (met * of_one) - 1.0).abs() < 1e-6, "{damping}: {found}, {}", met * of_one);
+    }
+}
+
+#[test]
+fn no_other_signs_of_the_inertias_errors_are_worse() {
+    let file = shipped("coupled-five-bar");
+    let (q, n) = ([2.6, 1.75], [0.94, -0.34]);
+    let at = |description: &Description| Linearised::at(description, &q, &n).unwrap();
+    let believed = at(&file.description);
+    for shaped in [false, true] {
+        let torque = if shaped { believed.shaped_torque() } else { believed.row.clone() };
+        let met = |description: &Description| {
+            let device = at(description);
+            1.0 / device.row.dot(&device.mass.cholesky().unwrap().solve(&torque))
+        };
+        let found = met(&vertex(&file.description, &q, &n, Admissible::Orientation, shaped, 0.1, false).unwrap());
+        let mut least = f64::INFINITY;
+        for signs in 0..1 << 7 {
+            let factor = |part: usize| if signs >> part & 1 == 1 { 1.1 } else { 0.9 };
+            let mut other = file.description;
+            for (part, link) in other.links.iter_mut().enumerate() {
+                link.mass *= factor(part);
+                link.inertia *= factor(part);
+            }
+            for (part, joint) in other.joints[..2].iter_mut().enumerate() {
+                joint.inertia *= factor(4 + part);
+            }
+            other.handle_mass *= factor(6);
+            least = least.min(met(&other));
+        }
+        assert!((found / least - 1.0).abs() < 1e-3, "shaped {shaped}: {found} kg, and {least} kg there is");
+        assert!(found < 0.95 * met(&file.description), "shaped {shaped}");
+    }
+}
+
+fn question(file: &DeviceFile, margins: Margins) -> Question<'_> {
+    Question {
+        file,
+        q: vec![2.3, 0.84159265358979],
+        normal: vec![0.0, -1.0],
+        admissible: Admissible::Orientation,
+        margins,
+        ripple_n: 0.1,
+        board_ripple_n: Some(0.1),
+        counts: 1.0,
+        speed: 0.1,
+        rates_hz: vec![5_000.0],
+        estimators: estimators(),
+        feed_forwards: vec![FeedForward::Off],
+        known: None,
+    }
+}
+
+/// Without margins the stability of a wall is that of `haptic range`, asked here for every wall by itself.
+#[test]
+fn no_wall_of_a_plain_scan_is_much_stiffer() {
+    let file = shipped("haply-2diy");
+    let question = question(&file, Margins::NONE);
+    let found = tune(&question, &Sweep::quiet()).unwrap();
+    let best = found.best.settings;
+    assert!(found.best.ripple_n <= question.ripple_n);
+    assert_eq!(tune(&question, &Sweep::quiet()).unwrap(), found, "another answer the second time");
+    let device = Linearised::at(&file.description, &question.q, &question.normal).unwrap();
+    let over = |value| Chosen { value, filtered: false };
+    let usual = |name: &str| Estimator::ALL.iter().find(|(other, _)| *other == name).unwrap().1;
+    let mut tried = 0;
+    for (kind, cutoff_hz) in [
+        (usual("butterworth"), 200.0),
+        (usual("butterworth"), 500.0),
+        (usual("first-order"), 200.0),
+        (usual("predicted"), 30.0),
+        (usual("alpha-beta"), 300.0),
+        (usual("difference").choosing(over(8)), 500.0),
+    ] {
+        for damping in [0.5, 1.0, 2.0, 4.0, 8.0, 16.0] {
+            let settings =
+                Settings { kind, estimator: kind.name(), cutoff_hz, stiffness: 1.12 * best.stiffness, damping, ..best };
+            let around = Loop {
+                estimator: LinearEstimator::of(kind, cutoff_hz).unwrap(),
+                drive: Drive::Current { bandwidth_hz: CURRENT_LOOP_HZ },
+                ..around(5_000.0)
+            };
+            let around = Loop { delay_samples: 0.125, ..around };
+            let most = domain(&device, &around, Mode::Off, Some(&[damping])).unwrap().boundary[0].kp;
+            if most < settings.stiffness {
+                continue;
+            }
+            let keeps = keeps(&question, &settings).unwrap();
+            assert!(keeps.is_none(), "{keeps:?}; found was {best:?}");
+            tried += 1;
+        }
+    }
+    assert!(tried > 10, "{tried}");
+}
+
+/// Rigid ones and ones with cables: no wall with other estimators, cutoffs and dampings is stiffer by more than a
+/// twentieth and keeps the same.
+#[test]
+fn no_wall_of_a_grid_is_much_stiffer_on_ten_devices_that_nobody_chose() {
+    for number in 0..10 {
+        let file = tuned::drawn(number);
+        let dampings = [0.2, 0.35, 0.6, 0.8, 1.0, 1.25, 1.7, 2.8, 5.0];
+        let (best, tried) = tuned::none_is_stiffer(&tuned::question(&file, 5_000.0), &dampings, &[1.06, 1.25]);
+        println!("{number} {}: {best:?}, {tried} walls", file.name);
+    }
+}
+
+/// What encoder steps alone make of the force of a tip that moves evenly through them, kp √(Σ step²/12), is a rule of
+/// thumb; what binds is what the hands feel, and no wall is missed that the rule lets through.
+#[test]
+fn the_answer_is_the_stiffest_of_all_and_names_what_ends_it() {
+    let file = shipped("haply-2diy");
+    let question = question(&file, Margins::default());
+    let found = tune(&question, &Sweep::quiet()).unwrap();
+    let top = found.others.iter().map(|other| other.settings.stiffness).fold(0.0, f64::max);
+    assert!(found.best.settings.stiffness * 1.03 >= top, "{found:?}");
+    assert!(found.best.ripple_n <= 0.1 && found.best.board_ripple_n.unwrap() <= 0.1, "{found:?}");
+    let device = Linearised::at(&file.description, &[2.3, 0.84159265358979], &[0.0, -1.0]).unwrap();
+    let steps: f64 = (0..2).map(|i| (device.row[i] * std::f64::consts::TAU / 10_752.0).powi(2) / 12.0).sum();
+    let limit = |name: &str| found.limits.iter().find(|limit| limit.limit == name).unwrap().stiffness;
+    assert!((limit("rule of thumb, encoder steps").unwrap() * steps.sqrt() / 0.1 - 1.0).abs() < 1e-9);
+    // The limit that is named is the one that ends it: at the stiffness that was found, within the step of the last
+    // search.
+    let active = limit(found.active).unwrap() / found.best.settings.stiffness;
+    assert!((1.0..1.15).contains(&active), "{} at {active} times", found.active);
+    for limit in &found.limits {
+        let binds = limit.limit != "rule of thumb, encoder steps"
+            && limit.stiffness.is_some_and(|most| most < found.best.settings.stiffness);
+        assert!(!binds, "{limit:?} is exceeded by {:?}", found.best);
+    }
+}
+
+/// Half a millimetre a count: the scene's settings are as good as any, and no answer is worse than they are.
+#[test]
+fn settings_that_are_there_are_never_beaten_by_worse_ones() {
+    let (device, scene) = ("devices/capstan-pantograph.toml", "devices/scenes/capstan-pantograph/wall.toml");
+    let said = json(&["tune", device, "--scene", scene, "--rates", "20000"]);
+    assert!(said["times"].as_f64().unwrap() >= 1.0, "{said}");
+}
+
+#[test]
+fn margins_cost_stiffness_where_stability_limits_it() {
+    let file = shipped("haply-2diy");
+    let most = |margins: Margins| {
+        // So much ripple that it limits nothing.
+        let question =
+            Question { ripple_n: 50.0, board_ripple_n: None, counts: 1e-6, speed: 1e-6, ..question(&file, margins) };
+        tune(&question, &Sweep::quiet()).unwrap()
+    };
+    let (with, without) = (most(Margins::default()), most(Margins::NONE));
+    assert!(with.best.settings.stiffness < 0.9 * without.best.settings.stiffness, "{with:?} {without:?}");
+}
+
+#[test]
+fn the_scene_that_is_written_is_the_one_that_was_found() {
+    let kind = Estimator::ALL.iter().find(|(name, _)| *name == "difference").unwrap().1;
+    for (kind, cutoff_hz) in
+        [(kind.choosing(Chosen { value: 8, filtered: false }), 500.0), (Estimator::FirstOrder, 225.0)]
+    {
+        let settings = Settings {
+            rate_hz: 5_000.0,
+            kind,
+            estimator: kind.name(),
+            value: kind.chosen().map_or(0, |chosen| chosen.value),
+            cutoff_hz,
+            feed_forward: FeedForward::Washout,
+            washout_hz: 5.0,
+            damping_compensation: true,
+            stiffness: 12_300.0,
+            damping: 4.56,
+        };
+        let text = to_toml(&settings, Admissible::Consistent, &[0.0, 0.125], &[0.6, -0.8], &["A wall.".into()]);
+        let scene = SceneFile::parse(&text, "tuned.toml", 2).unwrap_or_else(|error| panic!("{text}\n{error}")).scene;
+        assert_eq!(Settings::of(&scene, 0), Some(settings), "{text}");
+        assert_eq!(scene.admissible, Admissible::Consistent);
+    }
+}
+
+#[test]
+fn a_shipped_wall_becomes_more_than_twice_as_stiff_at_the_same_ripple() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("tuned.toml");
+    let (device, scene) = ("devices/haply-2diy.toml", "devices/scenes/haply-2diy/wall-stiff.toml");
+    let words = ["tune", device, "--scene", scene, "--rates", "5000", "--out", out.to_str().unwrap()];
+    let said = json(&words);
+    assert!(said["times"].as_f64().unwrap() > 2.0, "{said}");
+    assert!(said["best"]["ripple_n"].as_f64() <= said["ripple_limit_n"].as_f64(), "{said}");
+    // Loaded and drawn like any other scene, it has its place still.
+    haptic(&["check", device, out.to_str().unwrap()]).assert().success();
+    let tuned = SceneFile::load(&out, 2).unwrap().scene;
+    let plane = |scene: &haptic_bridge::render::scene::Scene<f64>| scene.walls[0].surface;
+    assert_eq!(plane(&tuned), plane(&SceneFile::load(root().join(scene), 2).unwrap().scene));
+    assert_eq!(Some(tuned.walls[0].stiffness), said["best"]["stiffness"].as_f64());
+}
+
+#[test]
+fn what_no_board_does_is_refused() {
+    let tune = |more: &[&str]| haptic(&[&["tune", "devices/haply-2diy.toml", "--normal=0,1"], more].concat()).assert();
+    for (more, says) in [
+        (&["--rates", "45000"][..], "no board was seen to hold"),
+        (&["--gain-margin", "0.5"], "no margins"),
+        (&["--ripple", "0"], "must be positive"),
+        (&["--port", "sim"], "ends with this command"),
+    ] {
+        let failed = tune(more).code(2).get_output().stderr.clone();
+        let failed = String::from_utf8(failed).unwrap();
+        assert!(failed.contains(says), "{more:?}: {failed}");
+    }
+}

@@ -1,0 +1,453 @@
+//! A wrong file is refused by name, line and remedy, on one line for each mistake, with exit code 2.
+//!
+//! Two ways: a table of mistakes people make, each through the command itself, and every shipped file mutilated line by
+//! line, which no list of mistakes would cover.
+
+use crate::common::{file, files, haptic};
+use haptic_host::device_file::DeviceFile;
+use haptic_host::scene_file::SceneFile;
+use haptic_host::toml_file::FileError;
+use predicates::str::contains;
+
+const DEVICE: &str = r#"name = "example"
+mechanism = "five-bar"
+gravity = [0.0, 0.0]
+
+[geometry]
+base = 0.05
+proximal = [0.07, 0.07]
+distal = [0.09, 0.09]
+assembly = 1
+
+[[link]]
+mass = 0.02
+com = 0.03
+inertia = 1.0e-5
+
+[[link]]
+mass = 0.02
+com = 0.03
+inertia = 1.0e-5
+
+[[link]]
+mass = 0.01
+com = 0.04
+inertia = 1.0e-5
+
+[[link]]
+mass = 0.01
+com = 0.04
+inertia = 1.0e-5
+
+[[joint]]
+inertia = 2.0e-6
+limits = [-1.0, 3.0]
+
+[joint.encoder]
+counts_per_turn = 16384
+offset = 0.0
+inverted = false
+
+[joint.motor]
+torque_constant = 0.05
+resistance = 2.0
+max_current = 3.0
+
+[[joint]]
+inertia = 2.0e-6
+
+[home]
+q = [2.4, 0.7]
+"#;
+
+const SCENE: &str = r#"rate_hz = 20000
+cutoff_hz = 500
+
+[[wall]]
+point = [0.0, 0.13]
+normal = [0.0, -1.0]
+stiffness = 1000.0
+damping = 1.0
+
+[[wall]]
+shape = "sphere"
+point = [0.0, 0.1]
+radius = 0.05
+inside = true
+stiffness = 1000.0
+
+[[spring]]
+point = [0.0, 0.1]
+direction = [1.0, 0.0]
+stiffness = 100.0
+
+[[field]]
+damping = 1.0
+"#;
+
+/// What `haptic check` says on standard error about this device and scene; insists on exit code 2 and one line.
+fn refusal(device: &str, scene: &str) -> String {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let (device_path, scene_path) = (folder.path().join("device.toml"), folder.path().join("scene.toml"));
+    std::fs::write(&device_path, device).expect("writable");
+    std::fs::write(&scene_path, scene).expect("writable");
+    let output = haptic(&["check"]).arg(device_path).arg(scene_path).output().expect("it runs");
+    let said = String::from_utf8(output.stderr).expect("text");
+    assert_eq!(output.status.code(), Some(2), "{said}");
+    assert!(output.stdout.is_empty(), "it prints nothing on standard output");
+    assert_eq!(said.trim_end().lines().count(), 1, "one line: {said}");
+    said
+}
+
+fn replaced(text: &str, from: &str, to: &str) -> String {
+    assert!(text.contains(from), "`{from}` is not in the example");
+    text.replacen(from, to, 1)
+}
+
+#[test]
+fn the_examples_themselves_are_sound() {
+    DeviceFile::parse(DEVICE, "example").expect("a sound device");
+    SceneFile::parse(SCENE, "example", 2).expect("a sound scene");
+}
+
+#[test]
+fn a_wrong_device_is_refused_by_line_and_remedy() {
+    // What is written, what is written instead, the line and column named, words that must be said.
+    let mistakes: &[(&str, &str, &str, &[&str])] = &[
+        ("mass = 0.02", "mas = 0.02", ":12:1:", &["`mas`", "[[link]] 0 (proximal-1)", "did you mean `mass`?"]),
+        ("mass = 0.02\n", "", ":11:1:", &["`mass`", "[[link]] 0", "missing", "add `mass = 0.02`"]),
+        ("mass = 0.02", "mass = -0.02", ":12:8:", &["`mass`", "-0.02", "zero or more"]),
+        ("mass = 0.02", "mass = nan", ":12:8:", &["`mass`", "not a finite number"]),
+        ("mass = 0.02", "mass = -inf", ":12:8:", &["`mass`", "not a finite number"]),
+        ("mass = 0.02", "mass = 1e39", ":12:8:", &["`mass`", "not a finite number", "ordinary number"]),
+        ("mass = 0.02", "mass = \"0.02\"", ":12:8:", &["`mass`", "a string, not a number"]),
+        ("mass = 0.02", "mass = [0.02]", ":12:8:", &["`mass`", "a list, not a number"]),
+        ("inertia = 1.0e-5", "inertia = -1.0e-5", ":14:11:", &["`inertia`", "zero or more"]),
+        ("proximal = [0.07, 0.07]", "proximal = [0.07]", ":7:12:", &["`proximal`", "1 number instead of 2"]),
+        ("proximal = [0.07, 0.07]", "proximal = [0.07, 0.07, 0.07]", ":7:12:", &["3 numbers instead of 2"]),
+        ("proximal = [0.07, 0.07]", "proximal = 0.07", ":7:12:", &["a number, not a list of 2 numbers"]),
+        ("proximal = [0.07, 0.07]", "proximal = [0.07, 0]", ":7:19:", &["`proximal`", "greater than zero"]),
+        ("proximal = [0.07, 0.07]", "proximal = [0.07, nan]", ":7:19:", &["`proximal`", "not a finite number"]),
+        (
+            "max_current = 3.0\n",
+            "max_current = 3.0\n[joint.transmission]\nstiffness = 0\n",
+            ":45:13:",
+            &["`stiffness`", "[joint.transmission] of [[joint]] 0", "more than zero"],
+        ),
+        (
+            "max_current = 3.0\n",
+            "max_current = 3.0\n[joint.transmission]\ndamping = 0.1\n",
+            ":44:1:",
+            &["`stiffness`", "missing", "add `stiffness = 50.0`"],
+        ),
+        (
+            "max_current = 3.0\n",
+            "max_current = 3.0\n[joint.transmission]\nstiffness = 5.0\nmotor_inertia = 3.0e-6\n",
+            ":46:17:",
+            &["motor_inertia is 0.000003", "more than all of the joint's inertia (0.000002)"],
+        ),
+        (
+            "max_current = 3.0\n",
+            "max_current = 3.0\n[joint.transmission]\nstiffness = 5.0\nencoder_at = \"link\"\n",
+            ":46:14:",
+            &["`encoder_at`", "motor", "joint"],
+        ),
+        (
+            "max_current = 3.0\n",
+            "max_current = 3.0\n[joint.transmission]\nstiffness = 5.0\nstifness = 5.0\n",
+            ":46:1:",
+            &["`stifness`", "did you mean `stiffness`?"],
+        ),
+        (
+            "max_current = 3.0\n",
+            "max_current = 3.0\n[joint.friction]\nstatic = 0.1\n",
+            ":44:1:",
+            &["`stribeck_speed`", "[joint.friction] of [[joint]] 0", "missing", "add `stribeck_speed = 0.1`"],
+        ),
+        (
+            "limits = [-1.0, 3.0]\n",
+            "limits = [-1.0, 3.0]\ncoulomb = 0.02\n[joint.friction]\nstatic = 0.01\nstribeck_speed = 0.1\n",
+            ":36:10:",
+            &["static is 0.01 N m, less than the joint's coulomb (0.02)", "at least as much"],
+        ),
+        (
+            "max_current = 3.0\n",
+            "max_current = 3.0\n[joint.cogging]\namplitude = -0.1\nper_turn = 24\n",
+            ":45:13:",
+            &["`amplitude`", "[joint.cogging] of [[joint]] 0", "zero or more"],
+        ),
+        (
+            "max_current = 3.0\n",
+            "max_current = 3.0\n[[joint.mode]]\nfrequency = 100\n",
+            ":44:1:",
+            &["`inertia`", "[[joint.mode]] 0 of [[joint]] 0", "missing", "add `inertia = 1.0e-5`"],
+        ),
+        (
+            "max_current = 3.0\n",
+            "max_current = 3.0\n[[joint.mode]]\nfrequency = 100\ninertia = 1.0\n",
+            ":44:1:",
+            &["the modes of joint 0 swing with more inertia than the links have about it at home"],
+        ),
+        (
+            "max_current = 3.0\n",
+            "max_current = 3.0\n[[joint.mode]]\nfrequency = 0\ninertia = 1.0e-9\n",
+            ":45:13:",
+            &["`frequency`", "more than zero"],
+        ),
+        (
+            "limits = [-1.0, 3.0]\n",
+            "limits = [-1.0, 3.0]\ntransmission = \"stiff\"\n",
+            ":34:16:",
+            &["`transmission`", "rigid"],
+        ),
+        ("base = 0.05", "base = 0.5", ":5:1:", &["cannot close", "check the lengths"]),
+        ("base = 0.05", "base = -0.05", ":6:8:", &["`base`"]),
+        ("com = 0.03", "com = 1e25", ":1:1:", &["overflows the board's 32-bit floats"]),
+        ("assembly = 1", "assembly = 2", ":9:12:", &["assembly must be 1 or -1"]),
+        ("mechanism = \"five-bar\"", "mechanism = \"fivebar\"", ":2:13:", &["did you mean \"five-bar\"?", "paddle"]),
+        ("mechanism = \"five-bar\"", "mechanism = 5", ":2:13:", &["a string in quotes"]),
+        ("mechanism = \"five-bar\"\n", "", ":1:1:", &["`mechanism` is missing"]),
+        ("gravity = [0.0, 0.0]", "gravity = [0.0, 0.0, -9.81]", ":3:11:", &["3 numbers instead of 2", "m/s²"]),
+        ("name = \"example\"", "name = \"\"", ":1:8:", &["name"]),
+        ("name = \"example\"", "name = \"a\\nb\"", ":1:8:", &["one line"]),
+        ("name = \"example\"", "name = \"a\"\nname = \"b\"", ":2:1:", &["duplicate key"]),
+        ("name = \"example\"", "name \"example\"", ":1:", &["not valid TOML"]),
+        ("[geometry]", "[geometri]", ":5:2:", &["unknown key `geometri`", "did you mean `geometry`?"]),
+        ("[geometry]", "[[geometry]]", ":5:1:", &["one [geometry] table"]),
+        ("[home]", "[[link]]\n[home]", ":48:1:", &["5 [[link]] tables instead of 4", "proximal-1"]),
+        ("[[joint]]\ninertia = 2.0e-6\n\n[home]", "[home]", ":31:1:", &["1 [[joint]] tables instead of 2"]),
+        ("counts_per_turn = 16384", "counts_per_turn = 0", ":36:19:", &["`counts_per_turn`", "more than zero"]),
+        ("counts_per_turn = 16384", "counts_per_turn = -4", ":36:19:", &["`counts_per_turn`", "more than zero"]),
+        ("inverted = false", "inverted = 0", ":38:12:", &["`inverted`", "not true or false"]),
+        ("limits = [-1.0, 3.0]", "limits = [3.0, -1.0]", ":33:10:", &["the wrong way round"]),
+        ("limits = [-1.0, 3.0]", "limits = [1.0, 1.0]", ":33:10:", &["the wrong way round"]),
+        ("limits = [-1.0, 3.0]", "limits = [-1.0, 2.0]", ":49:6:", &["home", "outside its limits"]),
+        (
+            "q = [2.4, 0.7]",
+            "q = [137, 40]",
+            ":49:6:",
+            &["outside its limits", "angles are in radians: 137 degrees are 2.3911 rad"],
+        ),
+        ("resistance = 2.0", "resistance = 0.0", ":42:14:", &["`resistance`", "more than zero"]),
+        ("resistance = 2.0", "resistance = 2.0\ninductance = -1", ":43:14:", &["`inductance`", "zero or more"]),
+        ("max_current = 3.0\n", "", ":40:1:", &["`max_current`", "[joint.motor] of [[joint]] 0"]),
+        ("q = [2.4, 0.7]", "q = [2.4]", ":49:5:", &["1 number instead of 2", "one angle per joint"]),
+        ("distal = [0.09, 0.09]", "distal = [0.09, 0.04]", ":49:5:", &["home", "cannot close"]),
+        ("inertia = 2.0e-6\nlimits", "limits", ":31:1:", &["`inertia`", "missing"]),
+    ];
+    for (from, to, place, words) in mistakes {
+        let said = refusal(&replaced(DEVICE, from, to), SCENE);
+        let place = format!("device.toml{place}");
+        assert!(said.contains(&place), "`{to}` should be refused at {place}: {said}");
+        for word in *words {
+            assert!(said.contains(word), "`{to}` should be refused with \"{word}\": {said}");
+        }
+    }
+}
+
+#[test]
+fn a_wrong_scene_is_refused_by_line_and_remedy() {
+    let wall = "[[wall]]\npoint = [0.0, 0.13]\nnormal = [0.0, -1.0]\nstiffness = 1000.0\n";
+    let nine_walls = format!("{SCENE}{}", wall.repeat(7));
+    let mistakes: &[(&str, &str, &str, &[&str])] = &[
+        ("normal = [0.0, -1.0]", "normal = [0.0, 0.0]", ":6:10:", &["`normal`", "points nowhere"]),
+        ("normal = [0.0, -1.0]", "normal = [0.0, -1.0, 0.0]", ":6:10:", &["3 numbers instead of 2"]),
+        ("normal = [0.0, -1.0]", "normal = [0.0, inf]", ":6:16:", &["not a finite number"]),
+        ("normal = [0.0, -1.0]\n", "", ":4:1:", &["`normal`", "missing", "add `normal = [0.0, 1.0]`"]),
+        ("damping = 1.0", "rate_hz = 1000", ":8:1:", &["`rate_hz`", "belongs at the top of the file"]),
+        ("point = [0.0, 0.13]", "point = [0.13]", ":5:9:", &["1 number instead of 2"]),
+        ("stiffness = 1000.0", "stiffness = -1000.0", ":7:13:", &["`stiffness`", "zero or more"]),
+        ("stiffness = 1000.0", "stiffness = nan", ":7:13:", &["`stiffness`", "not a finite number"]),
+        ("damping = 1.0", "damping = -1.0", ":8:11:", &["`damping`", "zero or more"]),
+        ("damping = 1.0", "radius = 1.0", ":8:1:", &["unknown key `radius`", "[[wall]] 0 (plane)"]),
+        ("damping = 1.0", "feed_forward = \"on\"", ":8:16:", &["off, full, washout"]),
+        ("damping = 1.0", "feed_forward = true", ":8:16:", &["a string in quotes"]),
+        ("damping = 1.0", "washout_hz = 0", ":8:14:", &["`washout_hz`", "more than zero"]),
+        ("damping = 1.0", "washout_hz = 10000", ":8:14:", &["below half the rate of 20000 Hz"]),
+        ("damping = 1.0", "bilateral = 1", ":8:13:", &["not true or false"]),
+        ("damping = 1.0", "stifness = 1.0", ":8:1:", &["did you mean `stiffness`?"]),
+        ("shape = \"sphere\"", "shape = \"cube\"", ":11:9:", &["plane, sphere, cylinder"]),
+        ("shape = \"sphere\"", "shape = \"cylinder\"", ":11:9:", &["moves in space", "shape = \"sphere\""]),
+        ("radius = 0.05", "radius = 0", ":13:10:", &["`radius`", "more than zero"]),
+        ("radius = 0.05", "radius = 1e-60", ":13:10:", &["`radius`", "more than zero"]),
+        ("radius = 0.05\n", "", ":10:1:", &["`radius`", "missing"]),
+        ("direction = [1.0, 0.0]", "direction = [0, 0]", ":19:13:", &["points nowhere"]),
+        ("stiffness = 100.0", "stiffness = -1", ":20:13:", &["zero or more"]),
+        ("[[field]]\ndamping = 1.0", "[[field]]\ndamping = -1.0", ":23:11:", &["zero or more"]),
+        ("[[field]]\ndamping = 1.0", "[[field]]", ":22:1:", &["`damping`", "missing"]),
+        ("rate_hz = 20000", "rate_hz = 199", ":1:11:", &["from 200 to 50000 Hz"]),
+        ("rate_hz = 20000", "rate_hz = 50001", ":1:11:", &["from 200 to 50000 Hz"]),
+        ("cutoff_hz = 500", "cutoff_hz = 10000", ":2:13:", &["below half the rate of 20000 Hz"]),
+        ("cutoff_hz = 500", "cutoff_hz = 0", ":2:13:", &["more than zero"]),
+        ("cutoff_hz = 500", "estimator = \"kalman\"", ":2:13:", &["butterworth, first-order, backward-difference"]),
+        ("cutoff_hz = 500", "cutof_hz = 500", ":2:1:", &["did you mean `cutoff_hz`?"]),
+        ("[[spring]]", "[spring]", ":17:1:", &["[[spring]] tables"]),
+    ];
+    for (from, to, place, words) in mistakes {
+        let said = refusal(DEVICE, &replaced(SCENE, from, to));
+        let place = format!("scene.toml{place}");
+        assert!(said.contains(&place), "`{to}` should be refused at {place}: {said}");
+        for word in *words {
+            assert!(said.contains(word), "`{to}` should be refused with \"{word}\": {said}");
+        }
+    }
+    let said = refusal(DEVICE, &nine_walls);
+    assert!(said.contains("at most 8 [[wall]] tables"), "{said}");
+}
+
+/// Whoever writes a first file is told of all its mistakes at once, each with its place, in the order of the file.
+#[test]
+fn a_file_with_several_mistakes_is_told_all_of_them() {
+    let mistakes = [
+        ("gravity = [0.0, 0.0]\n", "", "`gravity` is missing"),
+        ("proximal = [0.07, 0.07]", "proximal = [0.07]", "`proximal` in [geometry] has 1 number"),
+        ("mass = 0.02", "mas = 0.02", "did you mean `mass`?"),
+        ("com = 0.04", "com = \"4 cm\"", "`com` in [[link]] 2 (distal-1) is a string"),
+        ("counts_per_turn = 16384", "counts_per_turn = -1", "`counts_per_turn` in [joint.encoder] of [[joint]] 0"),
+        ("resistance = 2.0\n", "", "`resistance` in [joint.motor] of [[joint]] 0 is missing"),
+        ("q = [2.4, 0.7]", "q = [2.4]", "`q` in [home] has 1 number"),
+    ];
+    let text = mistakes.iter().fold(DEVICE.to_string(), |text, (from, to, _)| replaced(&text, from, to));
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("device.toml");
+    std::fs::write(&path, text).unwrap();
+    let output = haptic(&["check"]).arg(&path).output().unwrap();
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert_eq!((output.status.code(), said.lines().count()), (Some(2), mistakes.len()), "{said}");
+    for (line, (_, _, words)) in said.lines().zip(mistakes) {
+        assert!(line.contains("device.toml:") && line.contains(words), "{words}: {line}");
+    }
+    let scene = SCENE.replace("rate_hz = 20000", "rate_hz = 1").replace("stiffness = 1000.0", "stiffness = -1.0");
+    let error = SceneFile::parse(&scene.replace("[[field]]\ndamping = 1.0", "[[field]]"), "scene", 2).unwrap_err();
+    assert_eq!(error.to_string().lines().count(), 4, "{error}");
+}
+
+/// Where an encoder is not told otherwise its counts rise with the angle, and count 0 is angle 0.
+#[test]
+fn an_encoder_needs_its_counts_alone() {
+    let short = replaced(DEVICE, "offset = 0.0\ninverted = false\n", "");
+    let of = |text: &str| DeviceFile::parse(text, "device").map(|file| file.description);
+    assert_eq!(of(&short), of(DEVICE));
+}
+
+#[test]
+fn a_file_that_is_not_there_or_not_text_is_refused_by_name() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let binary = folder.path().join("binary.toml");
+    std::fs::write(&binary, b"name = \"\xff\"").expect("writable");
+    for (path, word) in [
+        (folder.path().join("none.toml"), "none.toml: cannot be read"),
+        (folder.path().to_path_buf(), "cannot be read"),
+        (binary, "binary.toml:1:9: not UTF-8 text"),
+    ] {
+        let output = haptic(&["check"]).arg(path).output().expect("it runs");
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(2), "{said}");
+        assert!(said.contains(word) && said.trim_end().lines().count() == 1, "{said}");
+    }
+}
+
+/// Every shipped file with its parser.
+type Parser = fn(&str) -> Result<(), FileError>;
+fn shipped_files() -> Vec<(String, Parser)> {
+    let mut all: Vec<(String, Parser)> = Vec::new();
+    for path in files("") {
+        let text = std::fs::read_to_string(&path).expect("readable");
+        let task = DeviceFile::parse(&text, &path).expect("sound").spec().task;
+        all.push((text, |text| DeviceFile::parse(text, "device").map(drop)));
+        for scene in files(&format!("scenes/{}", path.file_stem().expect("a name").to_string_lossy())) {
+            let parser: Parser = match task {
+                1 => |text| SceneFile::parse(text, "scene", 1).map(drop),
+                2 => |text| SceneFile::parse(text, "scene", 2).map(drop),
+                _ => |text| SceneFile::parse(text, "scene", 3).map(drop),
+            };
+            all.push((std::fs::read_to_string(scene).expect("readable"), parser));
+        }
+    }
+    all
+}
+
+/// The file with one line replaced.
+fn with_line(text: &str, line: usize, replacement: &str) -> String {
+    let lines = text.lines().enumerate().map(|(index, old)| if index == line { replacement } else { old });
+    lines.collect::<Vec<_>>().join("\n")
+}
+
+#[test]
+fn no_key_can_be_misspelt_or_mistyped_unnoticed() {
+    let mut tried = 0;
+    for (text, parse) in shipped_files() {
+        parse(&text).expect("sound as shipped");
+        for (index, line) in text.lines().enumerate() {
+            let Some((key, value)) = line.split_once(" = ") else { continue };
+            if line.starts_with('#') {
+                continue;
+            }
+            tried += 1;
+            let misspelt = parse(&with_line(&text, index, &format!("{key}x = {value}")));
+            let error = misspelt.expect_err(&format!("`{key}x` must be refused"));
+            assert_eq!(error.position, Some((index + 1, 1)), "{error}");
+            assert!(error.to_string().contains(&format!("`{key}x`")), "{error}");
+            // No value is a date, and none may be.
+            let mistyped = parse(&with_line(&text, index, &format!("{key} = 1979-05-27")));
+            let error = mistyped.expect_err(&format!("`{key}` must not be a date"));
+            assert_eq!(error.position, Some((index + 1, key.len() + 4)), "{error}");
+            assert!(error.to_string().contains("a date"), "{error}");
+            // Numbers must be finite.
+            let number = |value: &str| value.split('#').next().is_some_and(|value| value.trim().parse::<f64>().is_ok());
+            if number(value) {
+                for wrong in ["nan", "inf", "-inf", "1e99"] {
+                    let error = parse(&with_line(&text, index, &format!("{key} = {wrong}"))).expect_err(wrong);
+                    assert_eq!(error.position, Some((index + 1, key.len() + 4)), "{error}");
+                }
+            }
+        }
+    }
+    assert!(tried > 300, "{tried} keys tried");
+}
+
+#[test]
+fn a_file_cut_short_anywhere_is_refused_or_sound_but_never_a_crash() {
+    for (text, parse) in shipped_files() {
+        for end in (0..text.len()).filter(|end| text.is_char_boundary(*end)) {
+            if let Err(error) = parse(&text[..end]) {
+                let (line, _) = error.position.expect("a place in the file");
+                assert!(line <= text[..end].lines().count().max(1) + 1, "{error}");
+            }
+        }
+    }
+}
+
+/// ESC begins what a terminal obeys: what a file or its name holds shall not move the cursor, nor rename the window.
+#[test]
+fn control_characters_of_a_file_do_not_reach_the_terminal() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a\u{1b}[31m\u{9b}2J.toml");
+    let shipped = std::fs::read_to_string(file("coupled-five-bar.toml")).unwrap();
+    let wild = shipped.replace("mechanism =", "\"\\u001b]0;x\\u0007\" = 1\nmechanism =");
+    std::fs::write(&path, wild).unwrap();
+    let path = path.to_str().unwrap();
+    for arguments in [
+        &["check", path][..],
+        &["model", path, "--q", "2.4,0.7"],
+        &["info", "--port", &format!("sim:{path}")],
+        &["device", path, "--port", "sim"],
+    ] {
+        let output = haptic(arguments).output().unwrap();
+        let said = [output.stdout, output.stderr].map(|bytes| String::from_utf8(bytes).unwrap()).concat();
+        assert!(!output.status.success() && !said.is_empty(), "{arguments:?}");
+        let wild = said.chars().find(|c| c.is_control() && *c != '\n');
+        assert_eq!(wild, None, "{arguments:?}: {said:?}");
+    }
+}
+
+#[test]
+fn a_recording_that_no_memory_holds_is_refused_before_it_is_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("days.csv");
+    // It takes no room on the disk.
+    std::fs::File::create(&path).unwrap().set_len(16 << 30).unwrap();
+    for command in ["plot", "replay"] {
+        haptic(&[command, path.to_str().unwrap()]).assert().code(2).stderr(contains("more than 2 GiB"));
+    }
+}

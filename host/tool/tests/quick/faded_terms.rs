@@ -1,0 +1,250 @@
+//! What the board leaves out where its velocity terms fade is told as an error.
+
+use crate::common::{file, shipped};
+use haptic_bridge::math::Libm;
+use haptic_bridge::model::description::Description;
+use haptic_bridge::model::device::Device;
+use haptic_bridge::model::mechanism::AnyMechanism;
+use haptic_bridge::render::controller::Controller;
+use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, VelocityTerms, Wall};
+use haptic_host::device_file::DeviceFile;
+use haptic_host::scene_file::SceneFile;
+use haptic_predict::bench::error::{Law, Terms, Trigonometry, Way, errors, parts};
+use haptic_predict::bench::precompute::Precomputed;
+use haptic_predict::bench::probe::Probe;
+use haptic_predict::plan::{Budget, plan};
+use nalgebra::{Matrix2, Vector2};
+use std::f64::consts::TAU;
+
+/// Control rates and cutoffs, Hz.
+const RATES: [(f64, f64); 2] = [(1_000.0, 100.0), (20_000.0, 500.0)];
+
+/// A pose near a singular one and the direction of a wall's normal there, degrees.
+struct Situation {
+    device: &'static str,
+    q: [f64; 2],
+    normal: f64,
+    /// The forces of motion at the tip, N, of a slide at 0.5 m/s, as an outside plant has them.
+    known: f64,
+}
+
+/// An encoder whose steps do not show.
+const FINE: f64 = 16_777_216.0;
+
+fn fine(file: &DeviceFile) -> Description {
+    let mut known = file.description;
+    for joint in &mut known.joints[..2] {
+        joint.encoder.as_mut().unwrap().counts_per_turn = FINE;
+    }
+    known
+}
+
+fn unit(degrees: f64) -> Vector2<f64> {
+    Vector2::new(degrees.to_radians().cos(), degrees.to_radians().sin())
+}
+
+/// A five-bar from its links' places alone: what moves where, by the circles' meeting point and differences.
+struct Links {
+    base: f64,
+    proximal: f64,
+    distal: f64,
+    /// Mass, its share of the way along the link, inertia about it: of a proximal and a distal link.
+    arm: [f64; 3],
+    rod: [f64; 3],
+    rotor: [f64; 2],
+    handle: f64,
+}
+
+impl Links {
+    fn of(file: &DeviceFile) -> Self {
+        let d = &file.description;
+        let [base, proximal, _, distal, ..] = d.geometry;
+        let of = |i: usize, length: f64| [d.links[i].mass, d.links[i].com / length, d.links[i].inertia];
+        let rotor = [d.joints[0].inertia, d.joints[1].inertia];
+        Self { base, proximal, distal, arm: of(0, proximal), rod: of(2, distal), rotor, handle: d.handle_mass }
+    }
+
+    /// Motors, elbows, tip.
+    fn points(&self, q: &Vector2<f64>) -> [Vector2<f64>; 5] {
+        let motors = [-0.5, 0.5].map(|side| Vector2::new(side * self.base, 0.0));
+        let elbow = |i: usize| motors[i] + Vector2::new(q[i].cos(), q[i].sin()) * self.proximal;
+        let (c, d) = (elbow(0), elbow(1));
+        let across = d - c;
+        let height = (self.distal.powi(2) - across.norm_squared() / 4.0).sqrt();
+        let tip = (c + d) / 2.0 + Vector2::new(-across.y, across.x) * (height / across.norm());
+        [motors[0], motors[1], c, d, tip]
+    }
+
+    fn tip(&self, q: &Vector2<f64>) -> Vector2<f64> {
+        self.points(q)[4]
+    }
+
+    /// The change of a point per angle, by differences.
+    fn slope(&self, q: &Vector2<f64>, point: impl Fn(&[Vector2<f64>; 5]) -> Vector2<f64>) -> Matrix2<f64> {
+        const H: f64 = 1.0e-5;
+        let column = |h: Vector2<f64>| (point(&self.points(&(q + h))) - point(&self.points(&(q - h)))) / (2.0 * H);
+        Matrix2::from_columns(&[column(Vector2::new(H, 0.0)), column(Vector2::new(0.0, H))])
+    }
+
+    fn jacobian(&self, q: &Vector2<f64>) -> Matrix2<f64> {
+        self.slope(q, |points| points[4])
+    }
+
+    fn mass(&self, q: &Vector2<f64>) -> Matrix2<f64> {
+        let mut mass = Matrix2::from_diagonal(&Vector2::from(self.rotor));
+        let tip = self.jacobian(q);
+        mass += tip.transpose() * tip * self.handle;
+        for (from, to, [weight, along, inertia], length) in [
+            (0, 2, self.arm, self.proximal),
+            (1, 3, self.arm, self.proximal),
+            (2, 4, self.rod, self.distal),
+            (3, 4, self.rod, self.distal),
+        ] {
+            let centre = self.slope(q, |points| points[from] + (points[to] - points[from]) * along);
+            // A link's direction turns across itself, so its change is its angle's.
+            let turned = self.slope(q, |points| (points[to] - points[from]) / length);
+            mass += centre.transpose() * centre * weight + turned.transpose() * turned * inertia;
+        }
+        mass
+    }
+
+    /// The forces of motion b = c - M J⁻¹ J̇ q̇ of a tip that moves steadily, with c by Christoffel's symbols, N m.
+    fn forces_of_motion(&self, q: &Vector2<f64>, velocity: &Vector2<f64>) -> Vector2<f64> {
+        const H: f64 = 1.0e-4;
+        let inverse = self.jacobian(q).try_inverse().unwrap();
+        let qd = inverse * velocity;
+        let [by0, by1] = [Vector2::new(H, 0.0), Vector2::new(0.0, H)]
+            .map(|h| (self.mass(&(q + h)) - self.mass(&(q - h))) / (2.0 * H));
+        let energy = Vector2::new(qd.dot(&(by0 * qd)), qd.dot(&(by1 * qd))) / 2.0;
+        let c = (by0 * qd.x + by1 * qd.y) * qd - energy;
+        let t = H / qd.norm();
+        let bent = (self.tip(&(q + qd * t)) - self.tip(q) * 2.0 + self.tip(&(q - qd * t))) / (t * t);
+        c - self.mass(q) * inverse * bent
+    }
+
+    fn at_the_tip(&self, q: &Vector2<f64>, torque: &Vector2<f64>) -> Vector2<f64> {
+        self.jacobian(q).transpose().try_inverse().unwrap() * torque
+    }
+}
+
+const SITUATIONS: [Situation; 2] = [
+    Situation { device: "haply-2diy", q: [3.4709, 0.2329], normal: 34.28, known: 17.6 },
+    Situation { device: "coupled-five-bar", q: [1.3788, 1.8792], normal: 223.02, known: 256.0 },
+];
+
+/// A tip that slides along a wall at 0.5 m/s.
+fn probe(links: &Links, q: [f64; 2], normal: f64) -> Probe {
+    let (q, n, velocity) = (Vector2::from(q), unit(normal), unit(normal + 90.0) * 0.5);
+    let qd = links.jacobian(&q).try_inverse().unwrap() * velocity;
+    let padded = |v: Vector2<f64>| [v.x, v.y, 0.0];
+    let [q, qd, normal, velocity] = [q, qd, n, velocity].map(padded);
+    Probe { q, qd, normal, normal_rate: [0.0; 3], velocity, force: 1.0 }
+}
+
+fn law(device: &Device<f64>, terms: VelocityTerms, (rate_hz, cutoff_hz): (f64, f64)) -> Law {
+    Law::of(&Scene { velocity_terms: terms, rate_hz, cutoff_hz, ..Scene::default() }, device).unwrap()
+}
+
+#[test]
+fn what_fades_is_an_error() {
+    for Situation { device: name, q, normal, known } in SITUATIONS {
+        let (file, device) = (shipped(name), shipped(name).device().unwrap());
+        let links = Links::of(&file);
+        let probes = [probe(&links, q, normal)];
+        let b = links.forces_of_motion(&Vector2::from(q), &(unit(normal + 90.0) * 0.5));
+        let left = links.at_the_tip(&Vector2::from(q), &b).norm();
+        assert!((left / known - 1.0).abs() < 2e-3, "{name}: {left} N");
+        let motor = |i: usize| device.joints[i].motor.unwrap();
+        assert!((0..2).all(|i| b[i].abs() < motor(i).torque_constant * motor(i).max_current), "{name}: {b}");
+        for rate in RATES {
+            let law = law(&device, VelocityTerms::Rendered, rate);
+            let model = &Precomputed::default();
+            let way = Way { model, terms: Terms::FeedForwardZ, trigonometry: Trigonometry::Tabulated, law };
+            let found = errors(&device, &probes, &way);
+            assert!((found.whole.force.max / left - 1.0).abs() < 1e-3, "{name} {rate:?}: {found:?}, left {left} N");
+            assert!(found.given.force.max < 1e-3, "no choice brings it back: {name} {rate:?}: {found:?}");
+            let parts = parts(&device, &probes, &way);
+            assert!((parts.dropped / left - 1.0).abs() < 1e-3, "{name} {rate:?}: {parts:?}, left {left} N");
+        }
+    }
+}
+
+/// The torque of the board's step at the end of a slide.
+fn at_the_end(name: &str, q: [f64; 2], normal: f64, terms: VelocityTerms) -> Vector2<f64> {
+    let file = shipped(name);
+    let (links, device) = (Links::of(&file), Device::<f64>::new("fine", &fine(&file)).unwrap());
+    let AnyMechanism::FiveBar(mechanism) = device.mechanism else { panic!("a five-bar") };
+    let (n, along) = (unit(normal), unit(normal + 90.0));
+    let end = links.tip(&Vector2::from(q));
+    let mut scene = Scene { task: 2, rate_hz: 1_000.0, cutoff_hz: 100.0, velocity_terms: terms, ..Scene::default() };
+    let surface =
+        Surface::Plane(Plane { point: [end.x + 0.001 * n.x, end.y + 0.001 * n.y, 0.0], normal: [n.x, n.y, 0.0] });
+    let (feed_forward, washout_hz) = (FeedForward::Full, 2.0);
+    let (damping_compensation, bilateral) = (false, true);
+    let wall =
+        Wall { surface, stiffness: 1_000.0, damping: 0.0, feed_forward, washout_hz, damping_compensation, bilateral };
+    scene.walls.push(wall).unwrap();
+    let mut controller = Controller::<f64, _, Libm, 2>::new(mechanism, &device, &scene).unwrap();
+    // Backwards from the end, each millisecond from the next.
+    let mut angles = vec![Vector2::from(q)];
+    for k in 1..=12 {
+        let place = end - along * (0.5e-3 * f64::from(k));
+        let mut q = angles[angles.len() - 1];
+        for _ in 0..8 {
+            q += links.jacobian(&q).try_inverse().unwrap() * (place - links.tip(&q));
+        }
+        angles.push(q);
+    }
+    let counts = |q: &Vector2<f64>| [q.x, q.y].map(|angle| (angle / TAU * FINE).round() as i32);
+    angles.iter().rev().map(|q| controller.step(&counts(q)).torque).last().unwrap()
+}
+
+#[test]
+fn the_board_adds_nothing_where_its_estimates_lag_too_far_behind() {
+    for Situation { device, q, normal, .. } in SITUATIONS {
+        let torque = |terms| at_the_end(device, q, normal, terms);
+        let off = torque(VelocityTerms::Off);
+        assert!(off.norm() > 1e-3, "the wall is touched");
+        assert_eq!(torque(VelocityTerms::Rendered), off, "{device}");
+        assert_eq!(torque(VelocityTerms::Paper), off, "{device}");
+    }
+    // It does where they do not.
+    let torque = |terms| at_the_end("coupled-five-bar", [2.6, 1.75], 75.0, terms);
+    assert!((torque(VelocityTerms::Rendered) - torque(VelocityTerms::Off)).norm() > 0.01);
+}
+
+#[test]
+fn the_papers_law_is_held_against_itself() {
+    let file = shipped("coupled-five-bar");
+    let (links, device) = (Links::of(&file), file.device().unwrap());
+    let (q, normal) = ([2.6, 1.75], 75.0);
+    let probes = [probe(&links, q, normal)];
+    let q = Vector2::from(q);
+    let b = links.forces_of_motion(&q, &(unit(normal + 90.0) * 0.5));
+    let e = links.jacobian(&q).try_inverse().unwrap() * unit(normal);
+    let me = links.mass(&q) * e;
+    for (terms, added) in [(VelocityTerms::Rendered, b), (VelocityTerms::Paper, b - me * (e.dot(&b) / e.dot(&me)))] {
+        // Without what single counts cost.
+        let law = Law { one_count: [0.0; 3], ..law(&device, terms, RATES[1]) };
+        let found = |terms| {
+            let way = Way { model: &Precomputed::default(), terms, trigonometry: Trigonometry::Tabulated, law };
+            errors(&device, &probes, &way).whole.force.max
+        };
+        let left = links.at_the_tip(&q, &added).norm();
+        assert!((found(Terms::FeedForward) / left - 1.0).abs() < 1e-3, "{terms:?}: {left} N");
+        assert!(found(Terms::FeedForwardZ) < 1e-3 * left, "{terms:?}: {left} N");
+    }
+}
+
+#[test]
+fn a_plan_says_what_stays_of_the_forces_of_motion() {
+    let device = shipped("coupled-five-bar").device().unwrap();
+    let mut scene = SceneFile::load(file("scenes/coupled-five-bar/wall.toml"), 2).unwrap().scene;
+    (scene.rate_hz, scene.cutoff_hz) = RATES[0];
+    let rendered = plan(&device, &scene, Budget::Percent(1.0), 0.5).unwrap();
+    assert!(rendered.errors.force.max > 1.0, "{:?}", rendered.errors);
+    assert!(rendered.reasons.iter().any(|reason| reason.contains("the velocity terms fade")), "{:?}", rendered.reasons);
+    scene.velocity_terms = VelocityTerms::Paper;
+    let paper = plan(&device, &scene, Budget::Percent(1.0), 0.5).unwrap();
+    assert_ne!(paper.reasons, rendered.reasons);
+}

@@ -1,0 +1,428 @@
+//! `haptic serve --haply` as programs made for Haply's service see it: frames with the keys that its official client
+//! needs, in lock-step, forces in both spellings.
+
+use crate::common::haptic;
+use crate::common::sim::{Sim, until};
+use crate::common::strict::{Lossy, strict};
+use haptic_bridge::safety::fault::{Fault, State};
+use haptic_show::haply::{HaplyListener, Inverse3};
+use haptic_sim::SharedBoard;
+use serde_json::{Value, json};
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::TcpStream;
+use std::process::{Child, Stdio};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use std::thread::JoinHandle;
+use tungstenite::stream::MaybeTlsStream;
+use tungstenite::{Message, WebSocket};
+
+/// The server, on a board in its own process or at a port.
+struct Server {
+    child: Child,
+    address: String,
+}
+
+impl Server {
+    fn start(port: &str) -> Self {
+        use assert_cmd::cargo::CommandCargoExt;
+        let mut command = std::process::Command::cargo_bin("haptic").unwrap();
+        let arguments = ["serve", "--haply", "--listen", "0", "--port", port];
+        let mut child = command.args(arguments).stdout(Stdio::piped()).spawn().unwrap();
+        let mut line = String::new();
+        BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
+        let address = line.trim().rsplit("ws://localhost:").next().unwrap();
+        Self { address: format!("127.0.0.1:{address}"), child }
+    }
+
+    fn connect(&self) -> Result<Program, tungstenite::Error> {
+        Ok(Program::connect(&self.address)?.0)
+    }
+
+    /// The next program, let in once the one before has left.
+    fn next(&self) -> Program {
+        let mut next = None;
+        until("the next program", || {
+            next = self.connect().ok();
+            next.is_some()
+        });
+        next.unwrap()
+    }
+
+    fn get(&self, path: &str, origin: &str) -> (String, Value) {
+        get(&self.address, path, origin)
+    }
+}
+
+/// What a plain request is answered with: status line and document.
+fn get(address: &str, path: &str, origin: &str) -> (String, Value) {
+    let mut stream = TcpStream::connect(address).unwrap();
+    write!(stream, "GET {path} HTTP/1.1\r\nHost: {address}\r\n{origin}\r\n").unwrap();
+    let mut text = String::new();
+    stream.read_to_string(&mut text).unwrap();
+    let (head, body) = text.split_once("\r\n\r\n").unwrap();
+    (head.lines().next().unwrap().into(), serde_json::from_str(body).unwrap())
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// A server in this process, whose board asks for what a real one asks and is ready to arm. Its time passes only while
+/// it is asked for something.
+struct Served {
+    address: String,
+    board: SharedBoard,
+    /// How many of the next messages to the board are lost.
+    loses: Arc<AtomicU32>,
+    stop: Arc<AtomicBool>,
+    server: Option<JoinHandle<()>>,
+}
+
+impl Served {
+    fn start() -> Self {
+        let (board, session) = strict();
+        drop(session);
+        let (session, loses) = Lossy::session(&board);
+        let listener = HaplyListener::open(0).unwrap();
+        let address = listener.url().unwrap().replace("ws://localhost", "127.0.0.1");
+        let device = Inverse3::new(session, None, false).unwrap();
+        let stop = Arc::new(AtomicBool::new(false));
+        let over = Arc::clone(&stop);
+        let server = std::thread::spawn(move || listener.serve(device, &over).unwrap());
+        Self { address, board, loses, stop, server: Some(server) }
+    }
+
+    /// A program that is let in once the one before has left, its device's id and its first frame.
+    fn connect(&self) -> (Program, Value, Value) {
+        let mut come = None;
+        until("a program", || {
+            come = Program::connect(&self.address).ok();
+            come.is_some()
+        });
+        let (program, first) = come.unwrap();
+        (program, first["inverse3"][0]["device_id"].clone(), first)
+    }
+}
+
+impl Drop for Served {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+        let ended = self.server.take().unwrap().join();
+        assert!(ended.is_ok() || std::thread::panicking());
+    }
+}
+
+struct Program(WebSocket<MaybeTlsStream<TcpStream>>);
+
+impl Program {
+    /// It, and the frame that it is told first.
+    fn connect(address: &str) -> Result<(Self, Value), tungstenite::Error> {
+        let (socket, _) = tungstenite::connect(format!("ws://{address}/"))?;
+        let mut program = Self(socket);
+        let first = program.frame();
+        Ok((program, first))
+    }
+
+    fn frame(&mut self) -> Value {
+        match self.0.read().unwrap() {
+            Message::Text(text) => serde_json::from_str(&text).unwrap(),
+            other => panic!("{other:?}"),
+        }
+    }
+
+    fn ask(&mut self, message: &Value) -> Value {
+        self.0.send(Message::text(message.to_string())).unwrap();
+        self.frame()
+    }
+}
+
+fn force(id: &Value, spelling: &str, [x, y, z]: [f64; 3]) -> Value {
+    let command = json!({spelling: {"x": x, "y": y, "z": z}});
+    json!({"session": {}, "inverse3": [{"device_id": id, "commands": {"set_cursor_force": command}}]})
+}
+
+fn number(frame: &Value, pointer: &str) -> f64 {
+    frame.pointer(pointer).and_then(Value::as_f64).unwrap_or_else(|| panic!("{pointer} in {frame}"))
+}
+
+/// What the structures of the official client (crate `haply` 1.3.1, src/device_model/devices.rs) cannot do without, and
+/// what else the service's documentation has in its first frame (3.5, WebSocket Protocol).
+const NEEDED: [&str; 33] = [
+    "device_id",
+    "state/cursor_position/x",
+    "state/cursor_velocity/z",
+    "state/angular_position/a0",
+    "state/angular_velocity/a2",
+    "state/body_orientation/w",
+    "state/mode",
+    "state/transform/rotation/w",
+    "status/calibrated",
+    "status/in_use",
+    "status/power_supply",
+    "status/ready",
+    "status/started",
+    "config/type",
+    "config/device_info/id",
+    "config/device_info/major_version",
+    "config/device_info/minor_version",
+    "config/device_info/device_type",
+    "config/device_info/uuid",
+    "config/port",
+    "config/extended_device_id",
+    "config/extended_firmware_version",
+    "config/gravity_compensation/scaling_factor",
+    "config/handedness",
+    "config/torque_scaling/enabled",
+    "config/basis/permutation",
+    "config/home_return/enabled",
+    "config/preset",
+    "config/mount/rotation/w",
+    "config/filters/damping/scalar",
+    "state/current_cursor_position/x",
+    "state/current_angular_torques/a0",
+    "state/current_angular_position/a2",
+];
+
+#[test]
+fn a_program_gets_everything_first_and_then_a_frame_for_each_message() {
+    let server = Server::start("sim");
+    let (mut program, first) = Program::connect(&server.address).unwrap();
+    for key in NEEDED {
+        assert!(first.pointer(&format!("/inverse3/0/{key}")).is_some(), "{key} in {first}");
+    }
+    for key in
+        ["device_id", "state/orientation/w", "state/buttons/a", "state/buttons/b", "state/buttons/c", "config/type"]
+    {
+        assert!(first.pointer(&format!("/wireless_verse_grip/0/{key}")).is_some(), "{key} in {first}");
+    }
+    let id = &first["inverse3"][0]["device_id"];
+    assert_eq!((number(&first, "/session_id"), first["inverse3"][0]["status"]["started"] == true), (1.0, false));
+    // A five-bar lies on the table, its base away from the operator: its y is towards them.
+    let (x, y) =
+        (number(&first, "/inverse3/0/state/cursor_position/x"), number(&first, "/inverse3/0/state/cursor_position/y"));
+    assert!(x.abs() < 0.1 && y < -0.05, "{first}");
+
+    for (spelling, push, along) in
+        [("values", [0.6, 0.0, 0.0], "x"), ("vector", [0.0, 0.6, 0.0], "y"), ("vector", [0.0, -0.6, 5.0], "y")]
+    {
+        // Out of the ramp and the friction, and stopped before the arm is stretched.
+        let place = format!("/inverse3/0/state/cursor_position/{along}");
+        let begin = number(&program.ask(&json!({})), &place);
+        let sign = push[0] + push[1];
+        let mut frame = Value::Null;
+        for _ in 0..20_000 {
+            frame = program.ask(&force(id, spelling, push));
+            if (number(&frame, &place) - begin) * sign > 0.003 * sign.abs() {
+                break;
+            }
+        }
+        assert!((number(&frame, &place) - begin) * sign > 0.003 * sign.abs(), "{spelling}: {frame}");
+        assert_eq!(frame["inverse3"][0]["status"]["started"], true);
+        assert!(frame["inverse3"][0]["config"].is_null(), "only the first frame tells all");
+        // Against the motion, until it turns.
+        for _ in 0..20_000 {
+            let v = |axis: &str| number(&frame, &format!("/inverse3/0/state/cursor_velocity/{axis}"));
+            if v("x").hypot(v("y")) < 0.01 {
+                break;
+            }
+            let brake = [-8.0 * v("x"), -8.0 * v("y"), 0.0];
+            frame = program.ask(&force(id, "values", brake));
+        }
+    }
+    let full = program.ask(&json!({"session": {"force_render_full_state": {}}}));
+    assert_eq!(full["inverse3"][0]["config"]["device_info"]["id"], *id);
+    // Nonsense is answered as if it asked for nothing, and the connection stays.
+    for nonsense in [json!(3), json!({"inverse3": [{"device_id": id, "commands": {"set_cursor_force": {}}}]})] {
+        assert_eq!(program.ask(&nonsense)["inverse3"][0]["device_id"], *id);
+    }
+}
+
+#[test]
+fn a_message_in_a_binary_frame_is_one() {
+    let server = Served::start();
+    let (mut program, id, first) = server.connect();
+    assert_eq!(first["inverse3"][0]["config"]["device_info"]["device_type"], 4);
+    let push = force(&id, "vector", [0.3, 0.0, 0.0]).to_string();
+    program.0.send(Message::binary(push.into_bytes())).unwrap();
+    assert_eq!(program.frame()["inverse3"][0]["status"]["started"], true);
+    assert_eq!(server.board.lock().status().state, State::Armed);
+}
+
+#[test]
+fn an_answer_that_does_not_come_is_an_error_of_that_message_and_of_nothing_else() {
+    let server = Served::start();
+    let (mut program, id, _) = server.connect();
+    let push = force(&id, "vector", [0.0; 3]);
+    program.ask(&push);
+    server.loses.store(u32::MAX, Ordering::Relaxed);
+    assert_eq!(program.ask(&json!({}))["inverse3"][0]["status"]["ready"], false);
+    server.loses.store(0, Ordering::Relaxed);
+    assert_eq!(program.ask(&json!({}))["inverse3"][0]["device_id"], id, "it is still served");
+}
+
+#[test]
+fn a_fault_is_named_to_the_program_that_has_the_board_and_cleared_by_it() {
+    let server = Served::start();
+    let (mut program, id, _) = server.connect();
+    let push = force(&id, "vector", [0.0; 3]);
+    let clear = json!({"inverse3": [{"device_id": id, "commands": {"clear_fault": {}}}]});
+    let probe = json!({"inverse3": [{"device_id": id, "commands": {"probe_position": {}}}]});
+    let started = |frame: &Value| frame["inverse3"][0]["status"]["started"] == true;
+    assert!(started(&program.ask(&push)));
+    // The program says nothing for too long.
+    let fall_silent = || server.board.lock().run(0.6);
+    fall_silent();
+    let frame = program.ask(&push);
+    assert_eq!(frame["inverse3"][0]["fault"]["name"], "HostLost", "{frame}");
+    assert!(!frame["inverse3"][0]["fault"]["remedy"].as_str().unwrap().is_empty());
+    assert_eq!(frame["inverse3"][0]["status"]["ready"], false);
+    assert!(!started(&program.ask(&push)), "armed again behind the back of a fault");
+    let cleared = program.ask(&clear);
+    assert!(cleared["inverse3"][0]["fault"].is_null() && cleared["inverse3"][0]["status"]["ready"] == true);
+    // Not with the message that clears, and not at once: a program cannot run through a fault.
+    let both = json!({"inverse3": [{"device_id": id, "commands": {"clear_fault": {}, "set_cursor_force": {"vector": {"x": 0.0, "y": 0.0, "z": 0.0}}}}]});
+    for _ in 0..3 {
+        assert!(!started(&program.ask(&both)) && !started(&program.ask(&push)));
+    }
+    let a_second = || server.board.lock().run(1.0);
+    a_second();
+    program.ask(&probe);
+    assert!(started(&program.ask(&push)));
+    // A program that knows nothing of faults connects anew, and both are told which one it was.
+    fall_silent();
+    program.ask(&push);
+    drop(program);
+    let (mut anew, _, first) = server.connect();
+    assert_eq!((&first["inverse3"][0]["fault"]["code"], &first["session_id"]), (&json!(16), &json!(2)));
+    assert!(started(&anew.ask(&push)));
+    drop(anew);
+    // What came while nobody used the device is not its program's to clear unasked.
+    server.board.lock().inject(Fault::GateDriver, None, 0.0);
+    server.board.lock().run(0.01);
+    let (mut last, _, first) = server.connect();
+    assert_eq!(first["inverse3"][0]["fault"]["name"], "GateDriver");
+    assert!(!started(&last.ask(&push)));
+    last.ask(&clear);
+    a_second();
+    last.ask(&probe);
+    assert!(started(&last.ask(&push)));
+    // Nor is a fault of the board's that came while one did, to the next that connects.
+    server.board.lock().inject(Fault::GateDriver, None, 0.0);
+    server.board.lock().run(0.01);
+    last.ask(&push);
+    drop(last);
+    assert!(!started(&server.connect().0.ask(&push)));
+}
+
+#[test]
+fn a_program_that_only_reads_is_there_and_whoever_asks_beside_it_is_not() {
+    let server = Served::start();
+    let (mut program, id, _) = server.connect();
+    program.ask(&force(&id, "vector", [0.0; 3]));
+    let probe = json!({"inverse3": [{"device_id": id, "commands": {"probe_position": {}}}]});
+    for _ in 0..8 {
+        server.board.lock().run(0.2);
+        assert_eq!(program.ask(&probe)["inverse3"][0]["status"]["started"], true);
+    }
+    for _ in 0..8 {
+        server.board.lock().run(0.2);
+        get(&server.address, "/devices", "");
+    }
+    assert_eq!(server.board.lock().status().fault.unwrap().fault, Fault::HostLost);
+}
+
+#[test]
+fn devices_are_told_as_they_are_and_not_as_they_were() {
+    let server = Served::start();
+    let (mut program, id, _) = server.connect();
+    let acts = |address: &str| number(&get(address, "/devices", "").1, "/inverse3/0/state/current_cursor_force/x");
+    program.ask(&force(&id, "vector", [0.3, 0.0, 0.0]));
+    server.board.lock().run(0.45);
+    // A force that is computed from what was told half a second ago is too late.
+    program.ask(&json!({}));
+    let pushed = program.ask(&force(&id, "vector", [0.3, 0.0, 0.0]));
+    let before = number(&pushed, "/inverse3/0/state/cursor_position/x");
+    server.board.lock().run(0.01);
+    assert!(acts(&server.address) > 0.2);
+    server.board.lock().run(0.4);
+    assert_eq!(acts(&server.address), 0.0);
+    let after = number(&get(&server.address, "/devices", "").1, "/inverse3/0/state/cursor_position/x");
+    assert_ne!(before, after);
+}
+
+#[test]
+fn a_program_speaks_in_the_axes_that_it_configures() {
+    let server = Served::start();
+    let (mut program, id, first) = server.connect();
+    let place = |frame: &Value, axis: &str| number(frame, &format!("/inverse3/0/state/cursor_position/{axis}"));
+    let configure =
+        json!({"session": {"force_render_full_state": {}, "configure": {"basis": {"permutation": "ZX-Y"}}}});
+    let turned = program.ask(&configure);
+    assert_eq!(turned["inverse3"][0]["config"]["basis"]["permutation"], "ZX-Y");
+    for (own, haply, sign) in [("x", "z", 1.0), ("y", "x", 1.0), ("z", "y", -1.0)] {
+        assert!((place(&turned, own) - sign * place(&first, haply)).abs() < 1e-4, "{turned}");
+    }
+    // 0.6 N along the program's y are along Haply's x.
+    let push = force(&id, "vector", [0.0, 0.6, 0.0]);
+    program.ask(&push);
+    // Until nobody holds it any more.
+    for _ in 0..2 {
+        server.board.lock().run(0.3);
+        program.ask(&json!({}));
+    }
+    program.ask(&push);
+    server.board.lock().run(0.01);
+    let pushed = program.ask(&json!({}));
+    assert!(number(&pushed, "/inverse3/0/state/current_cursor_force/y") > 0.5, "{pushed}");
+    let turning = ["a0", "a1"].map(|joint| number(&pushed, &format!("/inverse3/0/state/angular_velocity/{joint}")));
+    assert!(turning[0].hypot(turning[1]) > 1.0, "{pushed}");
+    drop(program);
+    assert_eq!(server.connect().2["inverse3"][0]["config"]["basis"]["permutation"], "XYZ", "the next one's is its own");
+}
+
+#[test]
+fn one_program_at_a_time_of_this_computer_and_the_motors_go_off_with_it() {
+    let board = Sim::start(&[]);
+    let server = Server::start(&board.port);
+    let (status, devices) = server.get("/devices", "");
+    let id = devices["inverse3"][0]["device_id"].clone();
+    assert!(status.contains("200") && !devices["inverse3"][0]["config"].is_null(), "{status}");
+    assert!(server.get("/version", "").0.contains("200") && server.get("/else", "").0.contains("404"));
+    // Pages in a browser, of another site or of whatever else listens on this computer.
+    for page in ["http://evil.example", "null", "http://localhost:3000", "http://127.0.0.1:3000"] {
+        assert!(server.get("/devices", &format!("Origin: {page}\r\n")).0.contains("403"), "{page}");
+    }
+    let started = || server.get("/devices", "").1["inverse3"][0]["status"]["started"].clone();
+    let mut program = server.connect().unwrap();
+    assert!(server.connect().is_err(), "another program");
+    program.ask(&force(&id, "vector", [0.0; 3]));
+    assert_eq!(started(), true);
+    drop(program);
+    // The server's own end: the next program finds the motors off.
+    let mut again = server.next();
+    assert_eq!(again.ask(&json!({}))["inverse3"][0]["status"]["started"], false);
+    // Who disarms the board meanwhile is not overruled by the program's next force.
+    let forces = |program: &mut Program| {
+        (0..50).map(|_| program.ask(&force(&id, "vector", [0.0; 3]))["inverse3"][0]["status"]["started"] == true).last()
+    };
+    assert_eq!(forces(&mut again), Some(true));
+    board.run(&["disarm"]).success();
+    assert_eq!(forces(&mut again), Some(false), "armed again behind the back of whoever disarmed");
+    drop(again);
+    let mut anew = server.next();
+    assert_eq!(forces(&mut anew), Some(true));
+}
+
+#[test]
+fn what_cannot_be_served_says_so() {
+    haptic(&["serve", "--port", "sim"]).assert().code(2);
+    haptic(&["serve", "--haply", "--port", "sim", "--axes", "x,x,0"]).assert().code(2);
+    let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let port = taken.local_addr().unwrap().port().to_string();
+    let said = haptic(&["serve", "--haply", "--port", "sim", "--listen", &port]).assert().code(1);
+    assert!(String::from_utf8_lossy(&said.get_output().stderr).contains("cannot listen on port"));
+}

@@ -1,0 +1,382 @@
+//! `haptic plot`: what is drawn is what was recorded. A recording of known functions is drawn, and the picture is read
+//! back by its own ticks and labels, without the code that drew it.
+
+use crate::common::{haptic, json};
+use haptic_show::plot::axes::{Axis, Mark, PlotArea};
+use haptic_show::plot::canvas::Canvas;
+use predicates::str::contains;
+use std::f64::consts::TAU;
+use std::path::Path;
+
+/// Rows a second, and how many.
+const RATE: f64 = 1000.0;
+const ROWS: usize = 2000;
+/// Lost on the way.
+const GAP: std::ops::Range<usize> = 600..700;
+
+fn depth(t: f64) -> f64 {
+    2e-3 * (TAU * 2.0 * t).sin()
+}
+
+fn force(t: f64) -> f64 {
+    (3000.0 * depth(t)).max(0.0)
+}
+
+fn torque(t: f64) -> f64 {
+    0.25 + 0.5 * (TAU * 125.0 * t).sin()
+}
+
+fn recording(path: &Path) {
+    let mut text =
+        "# haptic-bridge recording\n# date 2026-01-01\n# device a-device\n# control rate 1000 Hz, every step\n\
+                    # wall 0: plane, 3000 N/m\nstep,time_s,torque0_n_m,distance_m,velocity_m_s,rendered_n\n"
+            .to_string();
+    for row in (0..ROWS).filter(|row| !GAP.contains(row)) {
+        let t = row as f64 / RATE;
+        let speed = -2e-3 * TAU * 2.0 * (TAU * 2.0 * t).cos();
+        text.push_str(&format!("{},{t},{},{},{speed},{}\n", row + 77, torque(t), -depth(t), force(t)));
+    }
+    std::fs::write(path, text).unwrap();
+}
+
+/// A coordinate system read from an SVG: what each axis is called, and its lines in SI units.
+#[derive(Debug, Default)]
+struct SvgPanel {
+    labels: Vec<String>,
+    lines: Vec<Vec<(f64, f64)>>,
+}
+
+fn attribute(line: &str, name: &str) -> Option<f64> {
+    line.split_once(&format!(" {name}=\""))?.1.split_once('"')?.0.parse().ok()
+}
+
+fn words(line: &str) -> &str {
+    line.split_once('>').and_then(|(_, rest)| rest.split_once('<')).map_or("", |(words, _)| words)
+}
+
+/// The unit's prefix in "time (ms)" as a factor.
+fn factor(label: &str) -> f64 {
+    let unit = label.rsplit_once('(').map_or("", |(_, unit)| unit.trim_end_matches(')'));
+    match unit {
+        "m" | "s" | "N" | "Hz" | "N m" | "m/s" | "dB" | "" => 1.0,
+        unit if unit.starts_with('m') => 1e-3,
+        unit if unit.starts_with('µ') => 1e-6,
+        unit if unit.starts_with('k') => 1e3,
+        other => panic!("{other}"),
+    }
+}
+
+fn read(svg: &str) -> Vec<SvgPanel> {
+    let mut panels = Vec::new();
+    let (mut drawn, mut ticks, mut labels) = (Vec::new(), [Vec::new(), Vec::new()], Vec::new());
+    let lines: Vec<&str> = svg.lines().collect();
+    for (index, line) in lines.iter().enumerate() {
+        if let Some((_, rest)) = line.split_once("<polyline points=\"") {
+            let pairs = rest.split_once('"').unwrap().0.split(' ').filter_map(|pair| pair.split_once(','));
+            // A dashed line is the axis through zero.
+            if !line.contains("stroke-dasharray") {
+                drawn.push(pairs.map(|(x, y)| (x.parse().unwrap(), y.parse().unwrap())).collect::<Vec<(f64, f64)>>());
+            }
+        } else if line.starts_with("<line") {
+            let at = |name| attribute(line, name).unwrap();
+            let value: Option<f64> = words(lines[index + 1]).parse().ok();
+            match value {
+                Some(value) if at("x1") == at("x2") => ticks[0].push((at("x1"), value)),
+                Some(value) if at("y1") == at("y2") => ticks[1].push((at("y1"), value)),
+                _ => {}
+            }
+        } else if line.starts_with("<text") && line.contains("font-size=\"13\"") {
+            labels.push(words(line).to_string());
+            if labels.len() == 2 {
+                let scale = |axis: usize, pixel: f64| {
+                    let ((p0, v0), (p1, v1)) = (ticks[axis][0], *ticks[axis].last().unwrap());
+                    (v0 + (pixel - p0) / (p1 - p0) * (v1 - v0)) * factor(&labels[axis])
+                };
+                let lines = drawn.iter().map(|line| line.iter().map(|(x, y)| (scale(0, *x), scale(1, *y))).collect());
+                panels.push(SvgPanel { lines: lines.collect(), labels: std::mem::take(&mut labels) });
+                (drawn, ticks) = (Vec::new(), [Vec::new(), Vec::new()]);
+            }
+        }
+    }
+    panels
+}
+
+#[test]
+fn the_picture_says_what_was_recorded() {
+    let folder = tempfile::tempdir().unwrap();
+    let (csv, svg, png) = (folder.path().join("a.csv"), folder.path().join("a.svg"), folder.path().join("a.png"));
+    recording(&csv);
+    let plot = |more: &[&str]| haptic(&["plot"]).arg(&csv).args(more).assert();
+    let files = ["--svg", svg.to_str().unwrap(), "--png", png.to_str().unwrap()];
+    plot(&files)
+        .success()
+        .stdout(contains("1900 rows over 1.999 s, 100 rows missing between them"))
+        .stdout(contains("stiffness that was there: 3000 N/m"));
+    plot(&files).code(1).stderr(contains("--force"));
+
+    let text = std::fs::read_to_string(&svg).unwrap();
+    assert!(text.contains("a-device, 2026-01-01") && text.contains("wall 0: plane, 3000 N/m"));
+    let panels = read(&text);
+    let names: Vec<&str> = panels.iter().flat_map(|panel| &panel.labels).map(String::as_str).collect();
+    let expected = [
+        "time (s)",
+        "rendered (N)",
+        "penetration (mm)",
+        "rendered (N)",
+        "frequency (Hz)",
+        "amplitude re 1 N (dB)",
+        "distance to the wall (mm)",
+        "velocity (mm/s)",
+    ];
+    assert_eq!(names, expected);
+
+    // Over time: every point lies on the function, and no line leads over what was lost.
+    let time = &panels[0];
+    assert_eq!(time.lines.len(), 2, "{}", time.lines.len());
+    assert!(time.lines[0].len() > 300);
+    for (t, f) in time.lines.iter().flatten() {
+        assert!((f - force(*t)).abs() < 0.06, "{f} N at {t} s, and it was {}", force(*t));
+    }
+    assert!((time.lines[0].last().unwrap().0 - 0.599).abs() < 2e-3 && (time.lines[1][0].0 - 0.7).abs() < 2e-3);
+    let highest = time.lines.iter().flatten().fold(0.0_f64, |most, (_, f)| most.max(*f));
+    assert!((highest - 6.0).abs() < 0.02, "{highest}");
+    // Over penetration: the wall's stiffness, from outside to 2 mm.
+    let wall = panels[1].lines.iter().flatten();
+    assert!(wall.clone().any(|(x, _)| *x > 1.99e-3) && wall.clone().all(|(x, _)| *x > -0.3e-3));
+    for (x, f) in wall {
+        assert!((f - 3000.0 * x.max(0.0)).abs() < 0.06, "{f} N in a depth of {x} m");
+    }
+    // Phase: (x/2 mm)² + (v/25.1 mm/s)² = 1.
+    for (x, v) in panels[3].lines.iter().flatten() {
+        let radius = (x / 2e-3).hypot(v / (2e-3 * TAU * 2.0));
+        assert!((radius - 1.0).abs() < 0.02, "{x} m, {v} m/s");
+    }
+    let picture = std::fs::read(&png).unwrap();
+    assert_eq!(&picture[1..4], b"PNG");
+    let size = |at: usize| u32::from_be_bytes(picture[at..at + 4].try_into().unwrap());
+    let height: f64 = attribute(text.lines().next().unwrap(), "height").unwrap();
+    assert_eq!((size(16), size(20)), (1440, (2.0 * height) as u32), "two pixels per unit");
+
+    // A sine shows its amplitude at its frequency, and its mean not at all.
+    plot(&["--signals", "torque0_n_m", "--show", "spectrum", "--most-hz", "400", "--force", "--svg", files[1]])
+        .success()
+        .stdout(contains("at 125.0 Hz"));
+    let panels = read(&std::fs::read_to_string(&svg).unwrap());
+    assert_eq!(panels[0].labels, ["frequency (Hz)", "amplitude re 1 N m (dB)"].map(str::to_string));
+    let line: Vec<(f64, f64)> = panels[0].lines[0].iter().map(|(hz, db)| (*hz, 10f64.powf(db / 20.0))).collect();
+    let top = line.iter().max_by(|a, b| a.1.total_cmp(&b.1)).unwrap();
+    assert!((top.0 - 125.0).abs() < 1.0 && (top.1 - 0.5).abs() < 0.005, "{top:?}");
+    assert!(line.iter().all(|(hz, a)| (hz - 125.0).abs() < 5.0 || *a < 0.01) && line.last().unwrap().0 < 401.0);
+
+    // The points of --json are the recording's own.
+    let json = plot(&["--json", "--show", "time", "--from", "0.1", "--to", "0.2"]).success();
+    let json: serde_json::Value = serde_json::from_slice(&json.get_output().stdout).unwrap();
+    let points = json["panels"][0]["curves"][0]["pieces"][0].as_array().unwrap();
+    assert_eq!((points.len(), json["rows"].as_u64(), json["missing"].as_u64()), (101, Some(101), Some(0)));
+    let (t, f) = (points[50][0].as_f64().unwrap(), points[50][1].as_f64().unwrap());
+    assert!((t - 0.15).abs() < 1e-9 && (f - force(0.15)).abs() < 1e-9);
+}
+
+#[test]
+fn a_legend_lies_where_nothing_is_drawn() {
+    let axis = |high: f64| Axis { name: "x".into(), unit: "m".into(), low: 0.0, high };
+    let frame = PlotArea { at: (100.0, 50.0), size: (600.0, 300.0), x: axis(600.0), y: axis(300.0) };
+    // The top of the box that is drawn, and the height of the page.
+    let legend = |drawn: &[Vec<(f64, f64)>]| {
+        let mut canvas = Canvas::new(800.0, 400.0);
+        frame.clear_legend(&mut canvas, drawn, &[(Mark::Dot("red"), "a dot".into())]);
+        let svg = canvas.finish("", "").svg().to_string();
+        let of = |line: &str, key: &str| -> f64 {
+            line.split_once(&format!(" {key}=\"")).unwrap().1.split('"').next().unwrap().parse().unwrap()
+        };
+        let shown = svg.lines().find(|line| line.contains("#ffffffee")).unwrap();
+        (of(shown, "x"), of(shown, "y"), of(&svg, "height"))
+    };
+    let width = 48.0 + 6.5 * 5.0;
+    let right = 690.0 - width;
+    assert_eq!(legend(&[]), (right, 60.0, 400.0));
+    // A line far from its ends, a dot, and one that passes by.
+    let falling = vec![(400.0, 300.0), (600.0, 270.0)];
+    assert_eq!(legend(std::slice::from_ref(&falling)), (110.0, 60.0, 400.0));
+    assert_eq!(legend(&[falling.clone(), vec![(50.0, 280.0)]]), (right, 312.0, 400.0));
+    assert_eq!(legend(&[vec![(0.0, 240.0), (600.0, 240.0)]]), (right, 60.0, 400.0));
+    // Nowhere: below the page.
+    let cross = [vec![(0.0, 0.0), (600.0, 300.0)], vec![(0.0, 300.0), (600.0, 0.0)]];
+    assert_eq!(legend(&cross), (100.0, 400.0, 400.0 + 28.0 + 20.0));
+}
+
+/// At 20 kHz a velocity that jumps from row to row is a line in the picture and no area, and untouched in --json.
+#[test]
+fn the_phase_of_fast_rows_is_drawn_of_means() {
+    let folder = tempfile::tempdir().unwrap();
+    let (csv, svg) = (folder.path().join("a.csv"), folder.path().join("a.svg"));
+    let mut text = "# haptic-bridge recording\n# date 2026-01-01\n# device a-device\n\
+                    # control rate 20000 Hz, every step\nstep,time_s,distance_m,velocity_m_s\n"
+        .to_string();
+    for row in 0..10_000 {
+        let jump = if row % 2 == 0 { 0.1 } else { -0.1 };
+        text.push_str(&format!("{row},{},{},{}\n", row as f64 / 20e3, 1e-6 * row as f64, 0.02 + jump));
+    }
+    std::fs::write(&csv, text).unwrap();
+    let plot = |more: &[&str]| haptic(&["plot", "--show", "phase"]).arg(&csv).args(more).assert().success();
+    plot(&["--svg", svg.to_str().unwrap()]);
+    let text = std::fs::read_to_string(&svg).unwrap();
+    assert!(text.contains("means over 20 rows"), "{text}");
+    let line = &read(&text)[0].lines[0];
+    assert!((400..=500).contains(&line.len()), "{}", line.len());
+    assert!(line.iter().all(|(_, v)| (v - 0.02).abs() < 6e-3), "{line:?}");
+    let json: serde_json::Value = serde_json::from_slice(&plot(&["--json"]).get_output().stdout).unwrap();
+    assert_eq!(json["panels"][0]["curves"][0]["pieces"][0].as_array().unwrap().len(), 10_000);
+}
+
+#[test]
+fn what_never_moved_has_a_spectrum_at_the_floor() {
+    let folder = tempfile::tempdir().unwrap();
+    let csv = folder.path().join("a.csv");
+    let mut text = "# haptic-bridge recording\n# date 2026-01-01\n# device a-device\n\
+                    # control rate 1000 Hz, every step\nstep,time_s,distance_m\n"
+        .to_string();
+    (0..3000).for_each(|row| text.push_str(&format!("{row},{},0\n", f64::from(row) / 1e3)));
+    std::fs::write(&csv, text).unwrap();
+    let json = json(&["plot", csv.to_str().unwrap(), "--signals", "distance_m", "--show", "spectrum"]);
+    let points = json["panels"][0]["curves"][0]["pieces"][0].as_array().unwrap();
+    assert!(points.len() > 100 && points.iter().all(|point| (point[1].as_f64().unwrap() + 120.0).abs() < 1e-9));
+}
+
+#[test]
+fn what_cannot_be_drawn_is_refused_in_words() {
+    let folder = tempfile::tempdir().unwrap();
+    let csv = folder.path().join("a.csv");
+    recording(&csv);
+    let refused = |more: &[&str], said: &str| {
+        haptic(&["plot"]).arg(&csv).args(more).assert().code(2).stderr(contains(said));
+    };
+    refused(&["--signals", "nothing_n"], "no column nothing_n; it has step, time_s, torque0_n_m");
+    refused(&["--from", "5"], "0 rows to draw; the recording has rows from 0 to 1.999 s");
+    refused(&["--show", "colour"], "time, force, spectrum, phase");
+    refused(&["--svg", "-"], "/dev/stdout for the standard output");
+    std::fs::write(&csv, "not, a recording\n1,2\n").unwrap();
+    refused(&[], "no column step");
+    std::fs::write(&csv, b"\x89MCAP0\r\nrubbish").unwrap();
+    refused(&[], "no channel /rows");
+    std::fs::write(&csv, [0xff, 0xfe, 0x00]).unwrap();
+    refused(&[], "neither MCAP nor text");
+}
+
+/// A recording at 1000 Hz of these columns.
+fn write_rows(path: &Path, columns: &str, rows: usize, row: impl Fn(f64) -> String) {
+    let mut text = format!("# haptic-bridge recording\n# control rate 1000 Hz, every step\nstep,time_s,{columns}\n");
+    (0..rows).for_each(|i| text += &format!("{i},{},{}\n", i as f64 / RATE, row(i as f64 / RATE)));
+    std::fs::write(path, text).unwrap();
+}
+
+#[test]
+fn a_vibration_at_the_end_of_a_recording_is_in_its_spectrum() {
+    let folder = tempfile::tempdir().unwrap();
+    let csv = folder.path().join("a.csv");
+    write_rows(&csv, "rendered_n", 1000, |t| (if t < 0.77 { 0.0 } else { (TAU * 50.0 * t).sin() }).to_string());
+    let strongest = json(&["plot", csv.to_str().unwrap()])["strongest"].clone();
+    let (hz, amplitude) = (strongest["frequency"].as_f64().unwrap(), strongest["amplitude"].as_f64().unwrap());
+    assert!((hz - 50.0).abs() < 2.0 && (0.2..1.0).contains(&amplitude), "{strongest}");
+}
+
+/// A wall of 60 kN/m, pressed 0.5 mm deep by a device whose limit is at `most` newtons.
+#[test]
+fn the_stiffness_is_that_of_rows_that_no_limit_cut() {
+    let folder = tempfile::tempdir().unwrap();
+    let (csv, svg) = (folder.path().join("a.csv"), folder.path().join("a.svg"));
+    let pressed = |most: f64| {
+        write_rows(&csv, "distance_m,rendered_n,saturated0,saturated1,state", 1000, |t| {
+            let depth = 0.5e-3 * (TAU * t).sin();
+            let asked = (60e3 * depth).max(0.0);
+            // The motors went off at last, in the wall.
+            let (force, state) = if t < 0.4 { (asked.min(most), "Armed") } else { (0.0, "Disarmed") };
+            format!("{},{force},0,{},{state}", -depth, u8::from(asked > most && t < 0.4))
+        });
+        let printed = haptic(&["plot", "--svg", svg.to_str().unwrap(), "--force"]).arg(&csv).assert().success();
+        let printed = String::from_utf8(printed.get_output().stdout.clone()).unwrap();
+        (printed, json(&["plot", csv.to_str().unwrap()]), std::fs::read_to_string(&svg).unwrap())
+    };
+    let (printed, found, drawn) = pressed(5.0);
+    let (rows, cut) = (found["contact_rows"].as_u64().unwrap(), found["saturated_rows"].as_u64().unwrap());
+    assert!((395..=400).contains(&rows) && cut > 300 && rows - cut > 20, "{rows}, {cut}");
+    assert!((found["stiffness"].as_f64().unwrap() - 60e3).abs() < 1.0, "{}", found["stiffness"]);
+    assert!(printed.contains(&format!("{} rows in contact, without {cut} that a limit cut", rows - cut)), "{printed}");
+    assert!(printed.contains("stiffness that was there: 60000 N/m"), "{printed}");
+    // The line is drawn where it is spoken of, from the first row to the last of which it is.
+    let ends: [[f64; 2]; 2] = serde_json::from_value(found["panels"][1]["line"].clone()).unwrap();
+    assert!(ends.iter().all(|[x, y]| (y - 60e3 * x).abs() < 1e-6) && ends[1][1] < 5.0 && ends[1][1] > 4.5, "{ends:?}");
+    assert_eq!(drawn.matches("stroke-dasharray=\"7 4\"").count(), 1);
+
+    let (printed, found, drawn) = pressed(0.5);
+    assert!(found["stiffness"].is_null() && found["panels"][1]["line"].is_null(), "{found}");
+    assert!(printed.contains("no stiffness, too few for a line: ") && printed.contains("there: none"), "{printed}");
+    assert!(!drawn.contains("stroke-dasharray=\"7 4\""));
+}
+
+#[test]
+fn a_force_that_does_not_follow_the_depth_has_no_stiffness() {
+    let folder = tempfile::tempdir().unwrap();
+    let csv = folder.path().join("a.csv");
+    write_rows(&csv, "distance_m,rendered_n", 1000, |t| {
+        let depth = 1e-3 + 1e-5 * (TAU * 3.0 * t).sin();
+        format!("{},{}", -depth, 2.0 + (TAU * 71.0 * t).sin())
+    });
+    let found = json(&["plot", csv.to_str().unwrap()]);
+    assert!(found["stiffness"].is_null(), "{}", found["stiffness"]);
+    assert!(found["panels"][1]["note"].as_str().unwrap().contains("the force does not follow the depth"), "{found}");
+}
+
+/// Encoder steps make a brush of a phase portrait: it is drawn only where the velocity goes somewhere, or is asked for.
+#[test]
+fn a_velocity_that_is_noise_is_not_drawn_unasked() {
+    let folder = tempfile::tempdir().unwrap();
+    let csv = folder.path().join("a.csv");
+    let views = |speed: fn(f64) -> f64, more: &[&str]| {
+        write_rows(&csv, "distance_m,velocity_m_s,rendered_n", 1000, |t| format!("{t},{},0", speed(t)));
+        let found = json(&[&["plot", csv.to_str().unwrap()], more].concat());
+        let panels = found["panels"].as_array().unwrap().iter();
+        let drawn = panels.filter(|panel| panel["view"] == "phase").count();
+        (drawn, found["said"].to_string().contains("velocity over distance is left out"))
+    };
+    let noise = |t: f64| (1e3 * t * t * 7919.0).sin() * f64::from(u8::from(((1e3 * t) as u64).is_multiple_of(2)));
+    assert_eq!(views(|t| (TAU * 70.0 * t).sin(), &[]), (1, false));
+    assert_eq!(views(noise, &[]), (0, true));
+    assert_eq!(views(noise, &["--show", "phase"]), (1, false));
+}
+
+/// The column of a journal is 85 mm wide, its page 170 mm, and 8 pt is the smallest text that many of them print.
+#[test]
+fn a_picture_for_a_paper_has_its_width_and_letters_of_eight_points_inside_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let (csv, svg, png) = (folder.path().join("a.csv"), folder.path().join("a.svg"), folder.path().join("a.png"));
+    recording(&csv);
+    for width in ["85", "170"] {
+        let files = ["--svg", svg.to_str().unwrap(), "--png", png.to_str().unwrap(), "--force", "--width", width];
+        let signals = ["--signals", "torque0_n_m,rendered_n,velocity_m_s"];
+        haptic(&["plot"]).arg(&csv).args(files).args(signals).assert().success();
+        let text = std::fs::read_to_string(&svg).unwrap();
+        let head = text.lines().next().unwrap();
+        assert!(head.contains(&format!(" width=\"{width}.00mm\"")), "{head}");
+        let units: f64 = head.split("viewBox=\"0 0 ").nth(1).unwrap().split(' ').next().unwrap().parse().unwrap();
+        let points_a_unit = width.parse::<f64>().unwrap() / 25.4 * 72.0 / units;
+        let texts: Vec<&str> = text.lines().filter(|line| line.starts_with("<text")).collect();
+        assert!(texts.len() > 30);
+        for line in texts {
+            let size = attribute(line, "font-size").unwrap();
+            assert!(size * points_a_unit > 7.99, "{line}");
+            if line.contains("rotate") {
+                continue;
+            }
+            let (x, long) = (attribute(line, "x").unwrap(), 0.56 * size * words(line).chars().count() as f64);
+            let begins = [("start", 0.0), ("middle", 0.5), ("end", 1.0)];
+            let before = begins.iter().find(|(anchor, _)| line.contains(anchor)).unwrap().1 * long;
+            assert!(x - before > 0.0 && x - before + long < units, "{line} sticks out of {units}");
+        }
+        // 600 dots to the inch.
+        let picture = std::fs::read(&png).unwrap();
+        let wide = u32::from_be_bytes(picture[16..20].try_into().unwrap());
+        assert!((f64::from(wide) / (width.parse::<f64>().unwrap() / 25.4) - 600.0).abs() < 3.0, "{wide}");
+    }
+    haptic(&["plot", "--width", "20"]).arg(&csv).assert().code(2).stderr(contains("write 60 to 400 mm"));
+}

@@ -1,0 +1,120 @@
+//! What the analysis makes of each velocity estimator around a pure mass, against closed forms.
+
+use haptic_predict::analysis::flexible::Flexible;
+use haptic_predict::analysis::plant::{Drive, Linearised};
+use haptic_predict::analysis::range::domain;
+use haptic_predict::analysis::sampled::{AnalysisError, LinearEstimator, Loop, Mode};
+use nalgebra::{Complex, DMatrix, DVector};
+
+const RATE: f64 = 1000.0;
+/// kg
+const MASS: f64 = 0.3;
+
+fn mass() -> Linearised {
+    Linearised {
+        gain: 1.0,
+        flexible: Flexible::default(),
+        mass: DMatrix::from_element(1, 1, MASS),
+        row: DVector::from_element(1, 1.0),
+        unit_motion: DVector::from_element(1, 1.0),
+        viscous: DVector::zeros(1),
+    }
+}
+
+/// kp_max T²/m at kd T/m, without delay.
+fn boundary(estimator: LinearEstimator, damping: &[f64]) -> Result<Vec<f64>, AnalysisError> {
+    let around =
+        Loop { rate_hz: RATE, delay_samples: 0.0, estimator, drive: Drive::Ideal, damping_compensation: false };
+    let kd: Vec<f64> = damping.iter().map(|b| b * MASS * RATE).collect();
+    let found = domain(&mass(), &around, Mode::Off, Some(&kd))?;
+    Ok(found.boundary.iter().map(|point| point.kp / (MASS * RATE * RATE)).collect())
+}
+
+#[test]
+fn with_a_predicted_velocity_the_loop_is_that_of_an_exact_one_at_every_cutoff() {
+    // x' = x + v + u/2, v' = v + u, u = -a x - b v: z² - (2 - a/2 - b) z + 1 - b + a/2, stable for a < 2b, b < 2. By
+    // the separation principle the observer's poles come on top.
+    let damping = [0.05, 0.4, 1.0, 1.9];
+    for cutoff in [1.0, 20.0, 200.0] {
+        let found = boundary(LinearEstimator::Predicted(cutoff), &damping).unwrap();
+        for (b, a) in damping.iter().zip(&found) {
+            assert!((a / (2.0 * b) - 1.0).abs() < 1e-6, "cutoff {cutoff}, damping {b}: {a}");
+        }
+    }
+}
+
+#[test]
+fn a_difference_over_k_samples_crosses_where_its_transfer_function_says() {
+    // 1 + (a + b (1 - z^-k)/k) (z + 1)/(2 (z - 1)²) = 0 on the unit circle, the smallest real a > 0.
+    let crossing = |k: i32, b: f64| {
+        let at = |angle: f64| {
+            let z = Complex::from_polar(1.0, angle);
+            -(z - 1.0) * (z - 1.0) * 2.0 / (z + 1.0) - (Complex::new(1.0, 0.0) - z.powi(-k)) * b / f64::from(k)
+        };
+        let angles: Vec<f64> = (1..200_000).map(|i| std::f64::consts::PI * f64::from(i) / 200_000.0).collect();
+        let mut least = f64::INFINITY;
+        for pair in angles.windows(2) {
+            let (low, high) = (at(pair[0]), at(pair[1]));
+            if (low.im > 0.0) != (high.im > 0.0) {
+                let share = low.im / (low.im - high.im);
+                let a = low.re + share * (high.re - low.re);
+                least = if a > 0.0 { least.min(a) } else { least };
+            }
+        }
+        least
+    };
+    for k in [2, 5, 10, 32] {
+        for b in [0.01, 0.02, 0.04] {
+            let found = boundary(LinearEstimator::BackwardDifference.over(k as usize), &[b]).unwrap()[0];
+            assert!((found / crossing(k, b) - 1.0).abs() < 1e-4, "over {k}, damping {b}: {found}, {}", crossing(k, b));
+        }
+    }
+}
+
+#[test]
+fn what_is_another_estimator_by_its_numbers_has_that_ones_boundary() {
+    let damping = [0.1, 0.5, 1.5];
+    // Both poles of the α-β filter are at 0 for a cutoff of a quarter of the rate: α = β = 1.
+    let plain: Vec<f64> = damping.iter().map(|b| 2.0 * b * (2.0 - b) / (2.0 + b)).collect();
+    for estimator in [
+        LinearEstimator::BackwardDifference,
+        LinearEstimator::BackwardDifference.over(1),
+        LinearEstimator::AlphaBeta(RATE / 4.0),
+    ] {
+        for (a, expected) in boundary(estimator, &damping).unwrap().iter().zip(&plain) {
+            assert!((a / expected - 1.0).abs() < 1e-6, "{estimator:?}: {a} is not {expected}");
+        }
+    }
+    let slow = [0.02, 0.05];
+    let two = boundary(LinearEstimator::Butterworth(50.0).over(1), &slow).unwrap();
+    for (a, expected) in two.iter().zip(boundary(LinearEstimator::Butterworth(50.0), &slow).unwrap()) {
+        assert!((a / expected - 1.0).abs() < 1e-9);
+    }
+}
+
+#[test]
+fn with_little_damping_every_estimator_is_as_good_as_another() {
+    // The boundary leaves the origin with kp/kd = 1/(T/2), whatever the filter.
+    for estimator in [
+        LinearEstimator::Butterworth(100.0),
+        LinearEstimator::Butterworth(100.0).over(10),
+        LinearEstimator::FirstOrder(100.0).over(4),
+        LinearEstimator::AlphaBeta(100.0),
+    ] {
+        let a = boundary(estimator, &[1e-5]).unwrap()[0];
+        assert!((a / 2e-5 - 1.0).abs() < 1e-2, "{estimator:?}: {}", a / 1e-5);
+    }
+}
+
+#[test]
+fn windows_and_cutoffs_that_no_board_has_are_refused() {
+    assert_eq!(boundary(LinearEstimator::BackwardDifference.over(0), &[]), Err(AnalysisError::Difference(0)));
+    assert_eq!(boundary(LinearEstimator::BackwardDifference.over(65), &[]), Err(AnalysisError::Difference(65)));
+    for estimator in [
+        LinearEstimator::AlphaBeta(500.0),
+        LinearEstimator::Predicted(0.0),
+        LinearEstimator::Butterworth(500.0).over(2),
+    ] {
+        assert!(matches!(boundary(estimator, &[]), Err(AnalysisError::Cutoff { .. })), "{estimator:?}");
+    }
+}

@@ -1,0 +1,172 @@
+//! `haptic record`: what it writes is opened by the format's own library, whole or cut short by whatever cuts it short.
+
+use crate::common::file;
+use crate::common::sim::{Sim, until};
+use haptic_show::recorder::{Recording, protobuf};
+use mcap::MessageStream;
+use mcap::read::Options;
+use predicates::prelude::*;
+use predicates::str::contains;
+use std::path::Path;
+use std::process::Command;
+
+/// A board with a wall and a hand that goes around on it while the motors are on.
+fn pressed() -> Sim {
+    Sim::start(&["--fast", "--hand", "loop", "--scene", &file("scenes/coupled-five-bar/wall.toml")])
+}
+
+/// The rows as the format's own library reads them, to the last record that is whole: log times, and numbers by the
+/// schema.
+fn rows(bytes: &[u8]) -> Vec<(u64, Vec<f64>)> {
+    let messages =
+        MessageStream::new_with_options(bytes, Options::IgnoreEndMagic | Options::ValidateChunkCrcs).unwrap();
+    let mut found = Vec::new();
+    for message in messages.map_while(Result::ok) {
+        let schema = message.channel.schema.as_ref().unwrap();
+        assert_eq!((schema.encoding.as_str(), message.channel.message_encoding.as_str()), ("protobuf", "protobuf"));
+        if message.channel.topic == "/rows" {
+            assert_eq!(schema.name, "haptic.Row");
+            let row = protobuf::described(&schema.data, &schema.name).unwrap();
+            found.push((message.log_time, protobuf::values(&row, &message.data)));
+        }
+    }
+    found
+}
+
+fn gaps(steps: impl Iterator<Item = f64>) -> u64 {
+    let steps: Vec<f64> = steps.collect();
+    steps.windows(2).map(|pair| (pair[1] - pair[0]) as u64 - 1).sum()
+}
+
+#[test]
+fn both_formats_hold_every_step_and_what_the_recording_is_of() {
+    let folder = tempfile::tempdir().unwrap();
+    for name in ["run.csv", "run.mcap"] {
+        let sim = pressed();
+        let path = folder.path().join(name);
+        let path = path.to_str().unwrap();
+        let recorded = ["record", path, "--seconds", "0.5"];
+        sim.run(&[&recorded[..], &["--arm"]].concat())
+            .success()
+            .stderr(contains(format!("10000 rows are in {path}, ")).and(contains("none lost")));
+        let recording = Recording::load(Path::new(path)).unwrap();
+        assert_eq!((recording.rows.len(), recording.torn, recording.rate_hz()), (10_000, false, Some(20_000.0)));
+        assert_eq!(gaps(recording.rows.iter().map(|row| row[0])), 0);
+        let column = |name: &str| recording.column(name).unwrap_or_else(|| panic!("{name}: {:?}", recording.columns));
+        let last = recording.rows.last().unwrap();
+        assert!((last[column("time_s")] - 9_999.0 / 20e3).abs() < 1e-9);
+        assert_eq!(last[column("state")], 1.0, "armed");
+        assert!(last[column("counts0")] != 0.0 && last[column("counts0")].fract() == 0.0);
+        // The shipped five-bar's home is at 2.3 rad.
+        assert!((last[column("q0_rad")] - 2.3).abs() < 0.3, "{}", last[column("q0_rad")]);
+        let about = recording.about.join("\n");
+        for said in ["date 20", "board simulated", "device coupled-five-bar", "wall 0: plane", "scene {", "rules {"] {
+            assert!(about.contains(said), "{said} in {about}");
+        }
+        let rules = recording.about.iter().find_map(|line| line.strip_prefix("rules ")).unwrap();
+        let rules: serde_json::Value = serde_json::from_str(rules).unwrap();
+        for list in [&rules["limits"]["torque"], &rules["limits"]["speed"], &rules["index_period"]] {
+            assert_eq!(list.as_array().unwrap().len(), 2, "as many as there are joints: {rules}");
+        }
+        assert_eq!(recording.about.last().unwrap(), "10000 rows, none lost");
+        sim.run(&recorded).code(1).stderr(contains("exists").and(contains("--force")));
+        let json = sim.run(&[&recorded[..], &["--force", "--json", "--rate", "100"]].concat()).success();
+        let json: serde_json::Value = serde_json::from_slice(&json.get_output().stdout).unwrap();
+        assert_eq!((&json["rows"], json["missing"].as_u64()), (&serde_json::json!(50), Some(0)));
+        assert_eq!(json["bytes"].as_u64(), Some(std::fs::metadata(path).unwrap().len()));
+    }
+    let sim = pressed();
+    let path = folder.path().join("run.txt");
+    sim.run(&["record", path.to_str().unwrap()]).code(2).stderr(contains(".mcap"));
+    sim.run(&["stream", "--csv", folder.path().join("run.mcap").to_str().unwrap()])
+        .code(2)
+        .stderr(contains("haptic record"));
+    // What another program finds without knowing this tool: channels, counts, times, metadata.
+    let bytes = std::fs::read(folder.path().join("run.mcap")).unwrap();
+    let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
+    let statistics = summary.stats.unwrap();
+    assert_eq!((statistics.message_count, statistics.metadata_count, statistics.channel_count), (50, 2, 2));
+    let head = mcap::read::metadata(&bytes, &summary.metadata_indexes[0]).unwrap().metadata;
+    assert_eq!(
+        (head["device"].as_str(), head["rate_hz"].as_str(), head["divider"].as_str()),
+        ("coupled-five-bar", "20000", "200")
+    );
+    for (name, value) in [("firmware", env!("CARGO_PKG_VERSION")), ("delay_samples", "0.5")] {
+        assert_eq!(head[name], value, "{name}");
+    }
+    let end = mcap::read::metadata(&bytes, &summary.metadata_indexes[1]).unwrap().metadata;
+    assert_eq!((end["rows"].as_str(), end["missing"].as_str()), ("50", "0"));
+    let rows = rows(&bytes);
+    assert!(rows.windows(2).all(|pair| pair[1].0 - pair[0].0 == 10_000_000), "10 ms between rows");
+    assert!(rows[0].0 > 1_700_000_000_000_000_000, "since 1970");
+}
+
+#[test]
+#[cfg(unix)]
+fn a_recording_whose_tool_is_killed_is_readable_to_its_last_full_chunk() {
+    let sim = pressed();
+    let folder = tempfile::tempdir().unwrap();
+    for (round, least) in [10_000, 2_000_000].into_iter().enumerate() {
+        let path = folder.path().join(format!("{round}.mcap"));
+        let mut tool = sim.spawn(&["record", path.to_str().unwrap()]);
+        until("bytes on disk", || std::fs::metadata(&path).is_ok_and(|about| about.len() >= least));
+        tool.kill().unwrap();
+        tool.wait().unwrap();
+        let bytes = std::fs::read(&path).unwrap();
+        // The very end may be torn; and wherever else a file is cut, what is before it is read.
+        for end in [bytes.len(), bytes.len() - 7, bytes.len() * 2 / 3] {
+            let found = rows(&bytes[..end]);
+            assert_eq!(gaps(found.iter().map(|(_, row)| row[0])), 0);
+            let cut = folder.path().join("cut.mcap");
+            std::fs::write(&cut, &bytes[..end]).unwrap();
+            let recording = Recording::load(&cut).unwrap();
+            assert!(recording.torn);
+            assert_eq!(recording.rows, found.into_iter().map(|(_, row)| row).collect::<Vec<_>>());
+            assert!(recording.rows.len() > 1_000 || least < 1_000_000, "{}", recording.rows.len());
+            assert!(recording.told("device").is_some());
+        }
+        // The board has noticed, and takes the next tool.
+        sim.until(|state| state == "Disarmed");
+    }
+}
+
+#[test]
+#[cfg(unix)]
+fn a_disk_that_fills_up_ends_the_recording_with_whole_chunks_and_says_how_many_rows() {
+    let sim = pressed();
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("full.mcap");
+    // A limit on the size of files is a disk that is full, once its signal is ignored. Blocks of 512 bytes: 3 MB.
+    let line = "trap '' XFSZ; ulimit -f 6000; exec \"$0\" \"$@\"";
+    let program = assert_cmd::cargo::cargo_bin("haptic");
+    let output = Command::new("sh")
+        .args(["-c", line, program.to_str().unwrap(), "record", path.to_str().unwrap(), "--port", &sim.port])
+        .output()
+        .unwrap();
+    let text = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(1), "{text}");
+    assert!(
+        text.contains("full.mcap cannot be written") && text.contains("could not be written and are lost"),
+        "{text}"
+    );
+    let found = rows(&std::fs::read(&path).unwrap());
+    assert!(found.len() > 1_000 && text.contains(&format!("{} rows are in", found.len())), "{}: {text}", found.len());
+    assert_eq!(gaps(found.iter().map(|(_, row)| row[0])), 0);
+    let recording = Recording::load(&path).unwrap();
+    assert!(recording.torn && recording.rows.len() == found.len());
+}
+
+#[test]
+fn a_board_that_dies_leaves_a_whole_recording_that_says_so() {
+    let mut sim = Sim::start(&[]);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("cut.mcap");
+    let mut tool = sim.spawn(&["record", path.to_str().unwrap(), "--fields", "q,state"]);
+    until("bytes on disk", || std::fs::metadata(&path).is_ok_and(|about| about.len() >= 100_000));
+    sim.child.kill().unwrap();
+    assert_eq!(tool.wait().unwrap().code(), Some(1));
+    let recording = Recording::load(&path).unwrap();
+    assert!(!recording.torn && recording.rows.len() > 100);
+    let last = recording.about.last().unwrap();
+    assert!(last.starts_with("cut short: the board was lost") && last.contains(" rows"), "{last}");
+}

@@ -1,0 +1,103 @@
+//! `haptic replay`: the control code does from a recording's counts what it did, to the bit, and says where it does
+//! not.
+
+use crate::common::sim::Sim;
+use crate::common::{file, haptic};
+use haptic_show::recorder::Recording;
+use predicates::prelude::*;
+use predicates::str::contains;
+use std::path::Path;
+
+fn recorded(path: &Path, arguments: &[&str], wall: &str, more: &[&str]) -> Recording {
+    let scene = file(wall);
+    let sim = Sim::start(&[arguments, &["--fast", "--hand", "loop", "--scene", &scene]].concat());
+    sim.run(&[&["record", path.to_str().unwrap()], more].concat()).success();
+    Recording::load(path).unwrap()
+}
+
+fn replay(path: &Path) -> assert_cmd::assert::Assert {
+    haptic(&["replay", path.to_str().unwrap()]).assert()
+}
+
+#[test]
+fn every_device_gives_the_same_torques_to_the_bit_from_the_same_counts() {
+    let folder = tempfile::tempdir().unwrap();
+    for (device, wall, name) in [
+        ("coupled-five-bar.toml", "scenes/coupled-five-bar/wall.toml", "a.mcap"),
+        ("haply-2diy.toml", "scenes/haply-2diy/disc.toml", "a.csv"),
+        ("phantom-premium-1.5.toml", "scenes/phantom-premium-1.5/table.toml", "b.mcap"),
+    ] {
+        let path = folder.path().join(name);
+        let recording = recorded(&path, &[&file(device)], wall, &["--arm", "--seconds", "2.5"]);
+        let force = recording.column("force_n").unwrap();
+        let pressed = recording.rows.iter().filter(|row| row[force] > 0.1).count();
+        assert!(pressed > 1_000, "{device}: a wall was pressed in {pressed} rows");
+        replay(&path).success().stdout(contains("the same torques, to the bit"));
+    }
+}
+
+#[test]
+fn what_differs_is_named_with_its_step_and_its_size() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.csv");
+    let more = ["--arm", "--seconds", "1", "--fields", "q,torque,counts,state"];
+    let recording = recorded(&path, &[], "scenes/coupled-five-bar/wall.toml", &more);
+    let text = std::fs::read_to_string(&path).unwrap();
+    replay(&path).success();
+    let (torque, counts, step) = (
+        recording.column("torque0_n_m").unwrap(),
+        recording.column("counts1").unwrap(),
+        recording.column("step").unwrap(),
+    );
+    // The row of the largest torque; the wall is pressed in it.
+    let row = (0..recording.rows.len())
+        .max_by(|a, b| recording.rows[*a][torque].abs().total_cmp(&recording.rows[*b][torque].abs()))
+        .unwrap();
+    let head = text.lines().position(|line| line.starts_with("step,")).unwrap();
+    let changed = |row: usize, column: usize, change: &dyn Fn(&str) -> String| {
+        let lines = text.lines().enumerate().map(|(index, line)| {
+            let mut fields: Vec<String> = line.split(',').map(Into::into).collect();
+            if index == head + 1 + row {
+                fields[column] = change(&fields[column]);
+                return fields.join(",");
+            }
+            line.to_string()
+        });
+        std::fs::write(&path, lines.collect::<Vec<_>>().join("\n") + "\n").unwrap();
+    };
+    let number = recording.rows[row][step] as u64;
+    let bit = |torque: &str| f32::from_bits(torque.parse::<f32>().unwrap().to_bits() ^ 1).to_string();
+    changed(row, torque, &bit);
+    let text_of_step = format!("first difference: step {number}, ");
+    replay(&path)
+        .code(1)
+        .stdout(contains(&text_of_step).and(contains("joint 0")).and(contains("(1 step of single precision)")))
+        .stderr(contains("the torques differ in 1 of "));
+    // A count that was not there is felt from its step on.
+    changed(row, counts, &|count| (count.parse::<i64>().unwrap() + 40).to_string());
+    replay(&path).code(1).stdout(contains(&text_of_step)).stderr(contains("the torques differ in "));
+    // Rows that are missing end it.
+    let lines: Vec<&str> =
+        text.lines().enumerate().filter(|(i, _)| *i != head + 1 + row).map(|(_, line)| line).collect();
+    std::fs::write(&path, lines.join("\n") + "\n").unwrap();
+    replay(&path).code(1).stderr(contains(format!("1 row missing before step {}; played up to there", number + 1)));
+}
+
+#[test]
+fn what_cannot_be_played_is_refused_in_words() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.mcap");
+    let sim = Sim::start(&["--fast", "--scene", &file("scenes/coupled-five-bar/wall.toml")]);
+    let record = |more: &[&str]| {
+        sim.run(&[&["record", path.to_str().unwrap(), "--force", "--seconds", "0.1"], more].concat()).success();
+    };
+    record(&["--rate", "1000"]);
+    replay(&path).code(2).stderr(contains("one control step in 20"));
+    record(&["--fields", "usual"]);
+    replay(&path).code(2).stderr(contains("no column counts0"));
+    sim.run(&["arm"]).success();
+    record(&[]);
+    replay(&path).code(2).stderr(contains("the motors are on in the first row"));
+    std::fs::write(&path, "step,time_s\n1,2\n").unwrap();
+    replay(&path).code(2).stderr(contains("does not hold the board's settings"));
+}

@@ -1,0 +1,143 @@
+//! What encoder steps make of a pressed wall: against what was computed apart from this project's code, against the
+//! board's own control step, and by its limits.
+
+use crate::common::{self, shipped};
+use haptic_bridge::render::velocity::{Chosen, Estimator as Kind};
+use haptic_predict::analysis::plant::{Drive, Linearised};
+use haptic_predict::analysis::ripple::{DampingRule, LIGHT_HAND, PUSH_N, Pressed};
+use haptic_predict::analysis::sampled::{LinearEstimator, Loop, Mode};
+use haptic_predict::bench::estimators::{Comparison, ripple_of};
+use haptic_predict::sweep::Sweep;
+use serde_json::Value;
+
+const Q: [f64; 2] = [2.6, 1.75];
+const NORMAL: [f64; 2] = [0.25881904510252074, 0.9659258262890683];
+
+fn around(rate_hz: f64, estimator: LinearEstimator, delay_samples: f64) -> Loop {
+    Loop { rate_hz, delay_samples, estimator, drive: Drive::Ideal, damping_compensation: false }
+}
+
+/// Runs `work` on the shipped device with so many counts per turn.
+fn pressed<T>(around: &Loop, counts: Option<f64>, work: impl FnOnce(&Pressed<'_>) -> T) -> T {
+    let mut file = shipped("coupled-five-bar");
+    for encoder in file.description.joints.iter_mut().flat_map(|joint| &mut joint.encoder) {
+        encoder.counts_per_turn = counts.unwrap_or(encoder.counts_per_turn);
+    }
+    let device = Linearised::at(&file.description, &Q, &NORMAL).unwrap();
+    work(&Pressed {
+        device: &device,
+        description: file.description,
+        q: Q.to_vec(),
+        normal: NORMAL.to_vec(),
+        around,
+        hand: LIGHT_HAND,
+        push_n: PUSH_N,
+    })
+}
+
+/// Rate, cutoff, stiffness, damping; root mean square without and with the feed-forward, N, by a program that shares no
+/// code with this one: the linearised five-bar with dry friction in steps of 20 us, the largest of four offsets of the
+/// counts, and a hand that presses against the tip force of the wall, M E Wrr⁻¹ brought to the tip by J⁻ᵀ.
+const APART: [(f64, f64, f64, f64, f64, f64); 4] = [
+    (1_000.0, 100.0, 15_000.0, 40.0, 0.419, 0.292),
+    (5_000.0, 200.0, 20_000.0, 60.0, 1.011, 0.684),
+    (20_000.0, 500.0, 5_000.0, 150.0, 3.728, 3.708),
+    (20_000.0, 500.0, 50_000.0, 150.0, 4.143, 4.071),
+];
+
+#[test]
+fn the_ripple_is_that_of_a_program_of_its_own() {
+    for (rate, cutoff, kp, kd, off, full) in APART {
+        let around = around(rate, LinearEstimator::Butterworth(cutoff), 0.0);
+        for (mode, known) in [(Mode::Off, off), (Mode::Full, full)] {
+            let found = pressed(&around, None, |pressed| pressed.ripple(mode, kp, kd).unwrap().rms_n.unwrap());
+            // The motion is chaotic: how it begins decides which of its ways it goes in a third of a second.
+            assert!((0.93..1.07).contains(&(found / known)), "{rate} Hz, {kp} N/m, {mode:?}: {found} is not {known}");
+        }
+    }
+}
+
+#[test]
+fn a_fast_loop_buzzes_far_below_its_linear_limit_with_coarse_encoders_only() {
+    let around = around(20_000.0, LinearEstimator::Butterworth(500.0), 0.0);
+    let rms =
+        |counts| pressed(&around, counts, |pressed| pressed.ripple(Mode::Off, 5_000.0, 150.0).unwrap().rms_n.unwrap());
+    let limit = pressed(&around, None, |pressed| {
+        pressed.along(Mode::Off, DampingRule::Damping(150.0), 0.1, &Sweep::quiet()).unwrap().unwrap().kp_stable
+    });
+    assert!(limit > 50.0 * 5_000.0, "{limit}");
+    assert!(rms(None) > 2.0);
+    // A position step of the loop's own arithmetic is all that is left.
+    assert!(rms(Some(2.0_f64.powi(30))) < 1e-3, "{}", rms(Some(2.0_f64.powi(30))));
+    assert!(rms(Some(2.0_f64.powi(17))) < 0.5 * rms(None));
+}
+
+#[test]
+fn the_boards_own_step_ripples_alike() {
+    let mut file = shipped("coupled-five-bar");
+    // There the hand presses with the same force all the time, and dry friction may hold the tip between two counts.
+    file.description.joints.iter_mut().for_each(|joint| joint.coulomb = 0.0);
+    for (rate_hz, cutoff_hz, wall) in [(1_000.0, 100.0, (15_000.0, 40.0)), (20_000.0, 500.0, (50_000.0, 150.0))] {
+        let comparison = Comparison { file: &file, q: &Q, normal: &NORMAL, rate_hz, cutoff_hz, wall };
+        // Half a carrier period late, as there.
+        let delay = 0.5 * rate_hz / 20_000.0;
+        for (kind, linear) in [
+            (Kind::Butterworth, LinearEstimator::Butterworth(cutoff_hz)),
+            (Kind::Difference(Chosen { value: 8, filtered: false }), LinearEstimator::BackwardDifference.over(8)),
+        ] {
+            let board = ripple_of(&comparison, kind).unwrap().unwrap();
+            let around = around(rate_hz, linear, delay);
+            let found = pressed(&around, None, |pressed| {
+                let free = Pressed { description: file.description, ..pressed.clone() };
+                free.ripple(Mode::Off, wall.0, wall.1).unwrap().rms_n.unwrap()
+            });
+            assert!((0.6..1.7).contains(&(found / board)), "{rate_hz} Hz, {kind:?}: {found} is not {board}");
+        }
+    }
+}
+
+fn json(arguments: &[&str]) -> Value {
+    common::json(
+        &[&["range", "devices/coupled-five-bar.toml", "--q=2.6,1.75", "--normal=0.2588,0.9659"], arguments].concat(),
+    )
+}
+
+#[test]
+fn the_stiffness_from_which_it_exceeds_a_bound_is_where_it_does() {
+    let document = json(&["--rate", "1000", "--cutoff", "100", "--ripple", "0.1", "--wall", "15000,40"]);
+    let ripple = &document["ripple"];
+    assert!((ripple["count_m"].as_f64().unwrap() - 3.25e-5).abs() < 1e-7);
+    assert!(ripple["wall"]["off"]["rms_n"].as_f64().unwrap() > 0.2);
+    let off = &ripple["lines"][0]["off"];
+    let (from, stable) = (off["kp_from"].as_f64().unwrap(), off["kp_stable"].as_f64().unwrap());
+    assert!(from < 0.5 * stable, "{from} {stable}");
+    let points = off["points"].as_array().unwrap();
+    assert!(points.len() > 20);
+    let number = |point: &Value, key: &str| point[key].as_f64().unwrap();
+    for pair in points.windows(2) {
+        assert!(number(&pair[0], "kp") < number(&pair[1], "kp"));
+    }
+    for point in points {
+        let ratio = number(point, "kd") / number(point, "kp").sqrt();
+        assert!((ratio / (number(&points[0], "kd") / number(&points[0], "kp").sqrt()) - 1.0).abs() < 1e-9);
+        if number(point, "kp") < 0.999 * from {
+            assert!(number(point, "rms_n") <= 0.1, "{point}");
+        }
+    }
+    assert_eq!(document, json(&["--rate", "1000", "--cutoff", "100", "--ripple", "0.1", "--wall", "15000,40"]));
+}
+
+#[test]
+fn what_cannot_be_simulated_is_refused() {
+    for (arguments, said) in [
+        (&["--ripple", "0"][..], "--ripple 0 is not more than zero"),
+        (&["--wall", "0,1"][..], "--wall needs a stiffness above zero"),
+        (&["--ripple", "1", "--normal", "1,0"][..], "--ripple or --wall with several --normal"),
+        (&["--ripple", "1", "--damping-compensation"][..], "--damping-compensation"),
+    ] {
+        let pose = ["range", "devices/coupled-five-bar.toml", "--q=2.6,1.75", "--normal=0.2588,0.9659"];
+        let done = common::haptic(&pose).args(arguments).assert().code(2);
+        let told = String::from_utf8(done.get_output().stderr.clone()).unwrap();
+        assert!(told.contains(said), "{told}");
+    }
+}

@@ -1,0 +1,184 @@
+//! Motors that cannot make all that a wall asks for: the force keeps its direction and never falls as depth grows,
+//! gravity stays compensated, and nothing jumps where a limit is reached.
+
+use haptic_bridge::model::catalogue::MAX_JOINTS;
+use haptic_bridge::render::scene::FeedForward;
+use haptic_bridge::safety::fault::State;
+use haptic_bridge::safety::limits::Limits;
+use haptic_host::device_file::DeviceFile;
+use haptic_sim::{Felt, Held, Press, WIDE};
+
+/// A wall through the pose `q` of a shipped device, and its limits: of the joints' torques in N m, of the tip's force
+/// in N.
+struct Case {
+    device: &'static str,
+    q: [f64; 3],
+    normal: [f64; 3],
+    stiffness: f64,
+    feed_forward: FeedForward,
+    torque: f32,
+    tip_force: f32,
+    /// How many times as strong the motors are as the file says.
+    strength: f64,
+    /// Control steps at each depth: a washout lets go in seconds.
+    steps: u32,
+}
+
+impl Case {
+    /// What is felt ever deeper in the wall.
+    fn felt(&self, depths: impl Iterator<Item = f64>) -> Vec<Felt> {
+        let path = format!("{}/../../devices/{}.toml", env!("CARGO_MANIFEST_DIR"), self.device);
+        let mut device = DeviceFile::load(path).expect("a shipped device").description;
+        for motor in device.joints.iter_mut().filter_map(|joint| joint.motor.as_mut()) {
+            motor.max_current *= self.strength;
+        }
+        let press = Press {
+            device: &device,
+            q: self.q,
+            normal: self.normal,
+            stiffness: self.stiffness,
+            feed_forward: self.feed_forward,
+            limits: Limits { torque: [self.torque; MAX_JOINTS], tip_force: self.tip_force, ..WIDE },
+        };
+        let mut held = Held::new(&press).expect("nothing is in the way");
+        depths
+            .map(|depth| {
+                let felt = held.felt(depth, self.steps);
+                assert_eq!(felt.state, State::Armed, "{felt:?}");
+                felt
+            })
+            .collect()
+    }
+}
+
+/// The demo's pose and normal with motors of 2 N m.
+fn demo(feed_forward: FeedForward) -> Case {
+    let angle = 75_f64.to_radians();
+    Case {
+        device: "coupled-five-bar",
+        q: [2.6, 1.75, 0.0],
+        normal: [angle.cos(), angle.sin(), 0.0],
+        stiffness: 20_000.0,
+        feed_forward,
+        torque: 2.0,
+        tip_force: 1.0e9,
+        strength: 1.0,
+        steps: 200,
+    }
+}
+
+/// Depths to 2 mm, 40 N in the demo's wall.
+fn depths() -> impl Iterator<Item = f64> {
+    (0..=200).map(|i| 1.0e-5 * f64::from(i))
+}
+
+#[test]
+fn the_demo_holds_what_its_motors_can_along_the_normal_and_nothing_sideways() {
+    // Motors' own limit (3 A at 0.667 N m/A) and a torque limit of 2 N m say the same.
+    for case in [demo(FeedForward::Off), Case { torque: 100.0, ..demo(FeedForward::Off) }] {
+        for point in case.felt([1.0e-3, 1.5e-3, 2.0e-3].into_iter()) {
+            // The way in is straight in joint angles: 0.3 % off at 2 mm.
+            assert!((point.asked / (20_000.0 * point.depth) - 1.0).abs() < 0.005, "{point:?}");
+            // The pose moves by up to 2 mm, and with it what 2 N m make: 19.4 N at the surface.
+            assert!((point.along - 19.4).abs() < 0.4, "{point:?}");
+            assert!(point.across < 1.0e-3, "{point:?}");
+            assert!((point.share() - point.along / point.asked).abs() < 1.0e-3, "{point:?}");
+            assert!(point.torque.iter().any(|torque| (torque.abs() - 2.0).abs() < 1.0e-5), "{point:?}");
+        }
+    }
+}
+
+#[test]
+fn the_force_along_the_normal_never_falls_and_nothing_jumps() {
+    for feed_forward in [FeedForward::Off, FeedForward::Full, FeedForward::Washout] {
+        let points = demo(feed_forward).felt(depths());
+        let mut cut = 0;
+        for pair in points.windows(2) {
+            let (a, b) = (pair[0], pair[1]);
+            // What 2 N m make at the tip changes with the pose by 0.2 N per mm: 2 mN in a hundredth.
+            assert!(b.along >= a.along - 5.0e-3, "{feed_forward:?}: {a:?} {b:?}");
+            assert!((b.along - a.along).abs() < 0.21, "0.2 N more are asked for: {a:?} {b:?}");
+            assert!((b.across - a.across).abs() < 0.25, "{feed_forward:?}: {a:?} {b:?}");
+            assert!(b.share() <= a.share() + 1.0e-4 && b.share() > 0.0, "{feed_forward:?}: {a:?} {b:?}");
+            cut += u32::from(b.share() < 0.999);
+        }
+        assert!(cut > 50, "the motors are at their limit: {cut}");
+        let last = points[points.len() - 1];
+        match feed_forward {
+            FeedForward::Off => assert!(last.across < 1.0e-3, "{last:?}"),
+            // The feed-forward's own sideways force belongs to what is rendered: it grows with it and no further.
+            _ => {
+                let before = points.iter().rev().find(|p| p.share() > 0.9999).expect("small forces are not cut");
+                let per_newton = before.across / before.along;
+                assert!(last.across <= per_newton * last.along * 1.02 + 1.0e-3, "{before:?} {last:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_hand_that_rests_on_a_wall_beyond_the_motors_feels_no_sideways_force_with_the_washout() {
+    let points = Case { steps: 3_000, ..demo(FeedForward::Washout) }.felt([2.0e-3].into_iter());
+    assert!(points[0].across < 1.0e-3 && (points[0].along - 19.4).abs() < 0.4, "{points:?}");
+}
+
+#[test]
+fn gravity_stays_compensated_however_deep_the_wall_is_pressed() {
+    for device in ["phantom-premium-1.5", "woodenhaptics"] {
+        let case = Case {
+            device,
+            q: [0.3, 0.9, -0.3],
+            normal: [0.6, 0.0, 0.8],
+            stiffness: 5_000.0,
+            feed_forward: FeedForward::Off,
+            torque: 0.6,
+            tip_force: 1.0e9,
+            strength: 1.0,
+            steps: 50,
+        };
+        let points = case.felt((0..=40).map(|i| 1.0e-4 * f64::from(i)));
+        let last = points[points.len() - 1];
+        assert!(last.share() < 0.9, "{device} is at its limit: {last:?}");
+        for pair in points.windows(2) {
+            assert!(pair[1].along >= pair[0].along - 2.0e-2, "{device}: {pair:?}");
+            // Nothing sideways: along and across are what is left without gravity's torque.
+            assert!(pair[1].across < 5.0e-3, "{device}: {pair:?}");
+        }
+    }
+}
+
+#[test]
+fn walls_push_with_the_tips_limit_and_no_more_in_every_pose() {
+    let pressed = |device, q, normal, feed_forward| {
+        // A limit of 5 N is what acts.
+        let strong = Case { torque: 1.0e3, strength: 100.0, ..demo(feed_forward) };
+        let case = Case { device, q, normal, tip_force: 5.0, steps: 300, ..strong };
+        let points = case.felt((0..=20).map(|i| 5.0e-5 * f64::from(i)));
+        for point in &points {
+            assert!(point.along <= 5.005, "{device} at {q:?}: {point:?}");
+            assert!(
+                (point.share() - point.along / point.asked.max(1.0e-9)).abs() < 2.0e-3 || point.asked < 0.1,
+                "{point:?}"
+            );
+        }
+        let last = points[points.len() - 1];
+        assert!(last.asked > 19.0 && (last.along - 5.0).abs() < 5.0e-3, "{device} at {q:?}: {last:?}");
+        last.across
+    };
+    for angle in [0.3_f64, 1.3, 2.9] {
+        let (sin, cos) = angle.sin_cos();
+        for feed_forward in [FeedForward::Off, FeedForward::Full, FeedForward::Washout] {
+            for q in [[2.6, 1.75, 0.0], [2.4, 1.6, 0.0], [2.8, 1.9, 0.0]] {
+                let across = pressed("coupled-five-bar", q, [cos, sin, 0.0], feed_forward);
+                // The feed-forward's sideways push is not what was asked for, and is cut with it.
+                assert!(feed_forward != FeedForward::Off || across < 1.0e-3, "{across} N sideways");
+            }
+        }
+        for device in ["phantom-premium-1.5", "woodenhaptics"] {
+            for q in [[0.3, 0.9, -0.3], [-0.2, 0.7, -0.5]] {
+                let across = pressed(device, q, [cos * 0.6, sin * 0.6, 0.8], FeedForward::Off);
+                assert!(across < 5.0e-3, "{device}: {across} N sideways");
+            }
+        }
+    }
+}

@@ -1,0 +1,265 @@
+//! A program that holds a board: what it reads, what its forces do, and that the motors go off with it.
+
+use crate::common::sim;
+use crate::common::strict::{Lossy, strict};
+
+use haptic_bridge::board::protocol::{ForceDone, ForceRequest, HostContact};
+use haptic_bridge::render::scene::Scene;
+use haptic_bridge::safety::fault::{Fault, State};
+use haptic_host::device_file::DeviceFile;
+use haptic_host::latency::measure;
+use haptic_host::link::{Board, FADE, FORCE_PATIENCE, HOLD, LinkError, PATIENCE, Session, fields};
+use haptic_sim::{BoardOptions, Hand, HandSettings, Intent, SHIPPED_DEVICE, SharedBoard, Waypoint, ready_board};
+use predicates::str::contains;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::time::Duration;
+
+/// A simulated board with a five-bar in free space, and a session on it.
+fn session() -> (SharedBoard, Session) {
+    let file = DeviceFile::parse(SHIPPED_DEVICE, "coupled-five-bar.toml").unwrap();
+    let shared = SharedBoard::new(ready_board(&file, BoardOptions::default()).unwrap());
+    let mut session = Session::of(Board::over(shared.wire(), "sim").unwrap());
+    session.set_scene(&Scene { task: 2, ..Scene::default() }).unwrap();
+    (shared, session)
+}
+
+/// A session over a wire that loses so many of the next messages.
+fn lossy() -> (Session, Arc<AtomicU32>) {
+    let file = DeviceFile::parse(SHIPPED_DEVICE, "coupled-five-bar.toml").unwrap();
+    Lossy::session(&SharedBoard::new(ready_board(&file, BoardOptions::default()).unwrap()))
+}
+
+#[test]
+fn a_lost_frame_costs_a_force_its_patience_and_the_next_one_nothing() {
+    let (mut session, loses) = lossy();
+    for patience in [FORCE_PATIENCE, Duration::from_millis(5)] {
+        session.wait_for_forces(patience);
+        loses.store(u32::MAX, Ordering::Relaxed);
+        let began = session.now();
+        let error = session.look().unwrap_err();
+        assert!(matches!(error, LinkError::Unanswered { waited } if waited == patience), "{error}");
+        let waited = session.now() - began;
+        assert!(waited >= patience && waited < patience + Duration::from_millis(2), "{waited:?} of {patience:?}");
+        loses.store(0, Ordering::Relaxed);
+        assert_eq!(session.look().unwrap().done, ForceDone::Looked);
+    }
+}
+
+#[test]
+fn without_a_word_on_its_time_a_request_outlasts_a_stall_and_not_a_board_that_is_silent() {
+    let (mut session, loses) = lossy();
+    loses.store(u32::MAX, Ordering::Relaxed);
+    let began = session.now();
+    assert!(matches!(session.look(), Err(LinkError::Unanswered { waited }) if waited == PATIENCE));
+    assert!(session.now() - began < PATIENCE + FORCE_PATIENCE);
+    loses.store(0, Ordering::Relaxed);
+    // A board that comes to itself after 0.2 s.
+    loses.store(2, Ordering::Relaxed);
+    assert_eq!(session.look().unwrap().done, ForceDone::Looked);
+}
+
+#[test]
+fn a_polarity_check_a_program_that_only_looks_and_a_named_fault_on_a_board_that_watches_its_host() {
+    // Its polarity was checked with the watch on.
+    let (shared, mut session) = strict();
+    session.arm().unwrap();
+    for _ in 0..8 {
+        shared.lock().run(0.4);
+        session.look().unwrap();
+    }
+    assert_eq!((session.look().unwrap().state, session.fault()), (State::Armed, None));
+    shared.lock().run(0.6);
+    assert_eq!(session.look().unwrap().state, State::Fault);
+    assert_eq!(session.fault().unwrap().fault, Fault::HostLost);
+    session.clear().unwrap();
+    session.arm().unwrap();
+    assert_eq!((session.look().unwrap().state, session.fault()), (State::Armed, None));
+}
+
+#[test]
+fn forces_that_do_not_wait_for_each_other_are_answered_in_their_order() {
+    let (_shared, mut session) = armed();
+    let request = |sequence| ForceRequest { sequence, hold: 0.02, force: [0.1, 0.0, 0.0], ..ForceRequest::default() };
+    let mut under_way = std::collections::VecDeque::new();
+    for sequence in 1..=50 {
+        under_way.push_back((sequence, session.send_force(&request(sequence)).unwrap()));
+        if under_way.len() == 2 {
+            let (sequence, sent) = under_way.pop_front().unwrap();
+            let answer = session.force_answer(sent).unwrap();
+            assert_eq!((answer.sequence, answer.done), (sequence, ForceDone::Taken));
+        }
+    }
+    // So they are where they are asked for the other way round, and those that nobody waits for are in nobody's way.
+    let sent: Vec<_> = (51..=70).map(|sequence| session.send_force(&request(sequence)).unwrap()).collect();
+    assert_eq!(session.force_answer(sent[19]).unwrap().sequence, 70);
+    assert_eq!(session.force_answer(sent[18]).unwrap().sequence, 69);
+}
+
+#[test]
+fn telemetry_that_is_read_while_forces_are_under_way_takes_none_of_their_answers() {
+    let (_shared, mut session) = armed();
+    session.start_stream(fields("tip").unwrap(), 4).unwrap();
+    for sequence in 1..=20 {
+        let request = ForceRequest { sequence, hold: 0.02, force: [0.1, 0.0, 0.0], ..ForceRequest::default() };
+        let sent = session.send_force(&request).unwrap();
+        assert!(!session.rows(Duration::from_millis(40)).unwrap().is_empty());
+        assert_eq!(session.force_answer(sent).unwrap().sequence, sequence);
+    }
+    assert_eq!(session.losses().missing, 0);
+}
+
+#[test]
+fn one_lost_among_forces_that_overtake_each_other_costs_no_wait() {
+    let (mut session, loses) = lossy();
+    let request = |sequence| ForceRequest { sequence, ..ForceRequest::default() };
+    loses.store(u32::MAX, Ordering::Relaxed);
+    let lost = session.send_force(&request(1)).unwrap();
+    loses.store(0, Ordering::Relaxed);
+    let next = session.send_force(&request(2)).unwrap();
+    let began = session.now();
+    assert!(matches!(session.force_answer(lost), Err(LinkError::Unanswered { .. })));
+    assert_eq!(session.force_answer(next).unwrap().sequence, 2);
+    assert!(session.now() - began < Duration::from_millis(2), "{:?}", session.now() - began);
+}
+
+/// Lets the ramp after arming pass.
+fn armed() -> (SharedBoard, Session) {
+    let (shared, mut session) = session();
+    session.arm().unwrap();
+    shared.lock().run(0.6);
+    (shared, session)
+}
+
+#[test]
+fn a_session_that_is_dropped_leaves_the_motors_off() {
+    let (shared, mut session) = armed();
+    assert_eq!(session.force([0.1, 0.0, 0.0]).unwrap().done, ForceDone::Taken);
+    assert_eq!(shared.lock().status().state, State::Armed);
+    drop(session);
+    assert_eq!(shared.lock().status().state, State::Disarmed);
+}
+
+#[test]
+fn a_key_is_held_by_the_board_that_armed_with_it_alone_and_a_late_press_arms_nothing() {
+    let (shared, mut session) = session();
+    session.set_scene(&Scene { task: 2, rate_hz: 1_000.0, cutoff_hz: 50.0, ..Scene::default() }).unwrap();
+    let mut other = Board::over(shared.wire(), "sim").unwrap();
+    let hold = |board: &mut Board| {
+        for _ in 0..6 {
+            board.rows(Duration::from_millis(100)).unwrap();
+            board.hold_key(board.step()).unwrap();
+        }
+        shared.lock().status().state
+    };
+    session.keep_alive();
+    other.keep_alive();
+    session.rows(Duration::from_millis(60)).unwrap();
+    let seen = session.step();
+    session.arm_held(seen).unwrap();
+    assert_eq!(hold(&mut session), State::Armed);
+    assert_eq!(hold(&mut other), State::Fault);
+    session.clear().unwrap();
+    let seen = session.step();
+    shared.lock().run(0.6);
+    let refused = session.arm_held(seen).unwrap_err();
+    assert!(refused.to_string().contains("press it anew"), "{refused}");
+    assert!(!shared.lock().status().state.drives());
+}
+
+#[test]
+fn a_force_accelerates_the_tip_its_own_way_and_ends_with_its_lease() {
+    for (x, y) in [(0.5, 0.0), (0.0, 0.5), (-0.4, -0.3)] {
+        let (shared, mut session) = armed();
+        let from = session.look().unwrap().tip;
+        session.force([x, y, 0.0]).unwrap();
+        shared.lock().run(f64::from(HOLD) / 2.0);
+        let now = session.look().unwrap();
+        assert_eq!((now.done, now.share, now.force), (ForceDone::Looked, 1.0, [x, y, 0.0]));
+        let along = (now.tip[0] - from[0]) * x + (now.tip[1] - from[1]) * y;
+        assert!(along > 0.0, "{now:?}, from {from:?}");
+        let held = f64::from(HOLD + FADE) * 1.1;
+        shared.lock().run(held);
+        let after = session.look().unwrap();
+        assert_eq!((after.age, after.torque), (None, [0.0; 3]));
+    }
+}
+
+#[test]
+fn an_age_counts_from_the_state_that_was_told() {
+    let (shared, mut session) = armed();
+    session.look().unwrap();
+    shared.lock().run(0.01);
+    let answer = session.force([0.1, 0.0, 0.0]).unwrap();
+    // And the two control periods that a request takes on its way.
+    let age = f64::from(answer.age.unwrap());
+    assert!((age - 0.0101).abs() < 1.0e-4, "{age}");
+}
+
+#[test]
+fn a_contact_sent_once_a_millisecond_holds_a_push_as_a_wall_does() {
+    let (shared, mut session) = armed();
+    let tip = session.look().unwrap().tip;
+    let floor =
+        HostContact { point: [tip[0], tip[1] - 0.005, 0.0], normal: [0.0, 1.0, 0.0], stiffness: 1000.0, damping: 5.0 };
+    let push =
+        Intent::Push(vec![Waypoint { time: 0.0, value: [0.0; 3] }, Waypoint { time: 0.3, value: [0.0, -4.0, 0.0] }]);
+    {
+        let mut board = shared.lock();
+        let (at, now) = (board.device().tip(), board.time());
+        board.device_mut().set_hand(Hand::new(HandSettings::default(), push, at, now));
+    }
+    let mut last = None;
+    for _ in 0..1_500 {
+        last = Some(session.push([0.0; 3], Some(floor)).unwrap());
+        shared.lock().run(0.001);
+    }
+    let answer = last.unwrap();
+    // 4 N on 1000 N/m; joint friction (0.005 N m on 0.1 m arms) may hold a part of it.
+    let depth = floor.point[1] - answer.tip[1];
+    assert!((depth - 0.004).abs() < 0.000_3, "{depth} m");
+    assert!((answer.force[1] - 4.0).abs() < 0.3, "{answer:?}");
+    assert_eq!(session.board_state(), State::Armed);
+}
+
+/// What a session knows of the board without asking for force.
+trait BoardState {
+    fn board_state(&mut self) -> State;
+}
+
+impl BoardState for Session {
+    fn board_state(&mut self) -> State {
+        self.status().unwrap().state
+    }
+}
+
+#[test]
+fn on_a_simulated_board_every_exchange_takes_two_control_periods() {
+    let (_, mut session) = session();
+    let latency = measure(&mut session, 100, || false).unwrap();
+    // 20 kHz; the board answers after two periods, and its clock counts them.
+    for spread in [&latency.round_trip, &latency.age] {
+        for time in [spread.min, spread.median, spread.p99, spread.max] {
+            assert!((time - 1.0e-4).abs() < 1.0e-9, "{spread:?}");
+        }
+        assert_eq!(spread.histogram.iter().map(|bin| bin.count).sum::<usize>(), spread.count);
+    }
+    assert_eq!((latency.round_trip.count, latency.age.count), (100, 99));
+    assert!((latency.per_second - 1.0e4).abs() < 1.0, "{}", latency.per_second);
+    assert_eq!(measure(&mut session, 100, || true).unwrap().round_trip.count, 2, "stopped as soon as it may");
+    session.start_stream(haptic_host::link::fields("q").unwrap(), 1).unwrap();
+    assert_eq!(measure(&mut session, 10, || false).unwrap().round_trip.count, 10, "also beside telemetry");
+    assert!(!session.rows(Duration::from_millis(10)).unwrap().is_empty());
+}
+
+#[test]
+fn the_command_prints_histograms_or_json() {
+    let told = sim::haptic(&["latency", "--port", "sim", "--exchanges", "50"]).assert();
+    told.success()
+        .stdout(contains("50 exchanges, 10000 a second, on sim"))
+        .stdout(contains("round trip: median 0.100 ms"));
+    let json = sim::haptic(&["latency", "--port", "sim", "--exchanges", "50", "--json"]).assert().success();
+    let json: serde_json::Value = serde_json::from_slice(&json.get_output().stdout).unwrap();
+    assert_eq!((&json["round_trip"]["count"], &json["age"]["count"]), (&50.into(), &49.into()));
+    sim::haptic(&["latency", "--port", "sim", "--exchanges", "1"]).assert().code(2).stderr(contains("--exchanges"));
+}

@@ -1,0 +1,94 @@
+//! Every scene that ships is sound for its device, can be felt there, and leaves the device's home pose free.
+//!
+//! Scenes live in devices/scenes/DEVICE/.
+
+use crate::common::files;
+use haptic_bridge::math::Libm;
+use haptic_bridge::model::mechanism::Mechanism;
+use haptic_bridge::render::scene::Scene;
+use haptic_bridge::with_mechanism;
+use haptic_host::device_file::DeviceFile;
+use haptic_host::scene_file::SceneFile;
+use nalgebra::SVector;
+
+/// Every shipped device with its scenes.
+fn shipped() -> Vec<(DeviceFile, Vec<SceneFile>)> {
+    files("")
+        .into_iter()
+        .map(|path| {
+            let device = DeviceFile::load(&path).unwrap_or_else(|error| panic!("{error}"));
+            let scenes = files(&format!("scenes/{}", device.name))
+                .iter()
+                .map(|scene| SceneFile::load(scene, device.spec().task).unwrap_or_else(|error| panic!("{error}")))
+                .collect();
+            (device, scenes)
+        })
+        .collect()
+}
+
+/// The distance of each wall at joint angles `q`, unless the linkage cannot close there.
+fn distances(device: &DeviceFile, scene: &Scene<f64>, q: &[f64; 3]) -> Option<Vec<f64>> {
+    fn of<const N: usize, M: Mechanism<f64, N>>(m: &M, scene: &Scene<f64>, q: &[f64; 3]) -> Option<Vec<f64>> {
+        let pose = m.pose::<Libm>(&SVector::<f64, N>::from_fn(|i, _| q[i]));
+        let mut tip = m.tip(&pose);
+        (M::SPEC.task..N).for_each(|i| tip[i] = 0.0);
+        let distance = |wall: &haptic_bridge::render::scene::Wall<f64>| wall.surface.contact::<Libm, N>(&tip).distance;
+        (m.regularity(&pose).parallel > 0.0).then(|| scene.walls.iter().map(distance).collect())
+    }
+    with_mechanism!(&device.mechanism, m => of(m, scene, q))
+}
+
+#[test]
+fn every_shipped_device_has_a_sound_scene() {
+    let shipped = shipped();
+    assert!(shipped.len() >= 8, "{} devices", shipped.len());
+    for (device, scenes) in shipped {
+        assert!(!scenes.is_empty(), "{} has no scene", device.name);
+        for scene in scenes {
+            scene.scene::<f32>().unwrap_or_else(|error| panic!("{}: {error}", scene.path.display()));
+        }
+    }
+}
+
+#[test]
+fn home_is_outside_every_wall() {
+    for (device, scenes) in shipped() {
+        let home = device.description.home.expect("shipped devices have a home");
+        for file in scenes {
+            assert_eq!(file.walls_entered(&device, &home), Vec::<usize>::new(), "{}", file.path.display());
+        }
+    }
+}
+
+#[test]
+fn a_home_inside_a_wall_is_noticed() {
+    let device = crate::common::shipped("haply-2diy");
+    let home = device.description.home.expect("shipped devices have a home");
+    // The home pose has its tip 0.114 m in front of the motors.
+    let text = "[[wall]]\npoint = [0.0, 0.13]\nnormal = [0.0, -1.0]\nstiffness = 1\n\
+                [[wall]]\npoint = [0.0, 0.11]\nnormal = [0.0, -1.0]\nstiffness = 1\n";
+    let scene = SceneFile::parse(text, "scene", 2).expect("sound");
+    assert_eq!(scene.walls_entered(&device, &home), vec![1]);
+}
+
+#[test]
+fn every_wall_can_be_reached_from_both_sides() {
+    for (device, scenes) in shipped() {
+        let home = device.description.home.expect("shipped devices have a home");
+        for file in scenes {
+            let mut touched = vec![false; file.scene.walls.len()];
+            // A grid of ±1 rad around home: where a hand would go.
+            let steps = || (-10..=10).map(|step| f64::from(step) * 0.1);
+            let all = steps().flat_map(|a| steps().flat_map(move |b| steps().map(move |c| [a, b, c])));
+            for offset in all {
+                let q = core::array::from_fn(|i| home[i] + offset[i]);
+                for (touched, distance) in
+                    touched.iter_mut().zip(distances(&device, &file.scene, &q).unwrap_or_default())
+                {
+                    *touched |= distance < -0.002;
+                }
+            }
+            assert!(touched.iter().all(|touched| *touched), "{}: out of reach: {touched:?}", file.path.display());
+        }
+    }
+}

@@ -1,0 +1,206 @@
+//! `haptic tune` and `haptic estimators`: on devices that nobody chose (ten of them: host/tests/deep/tune/settings.rs), on
+//! joints that give, and when they are to end.
+
+use crate::common::tuned::{drawn, none_is_stiffer, question};
+use crate::common::{haptic, json, root, shipped};
+use haptic_bridge::model::admissible::Admissible;
+use haptic_bridge::model::description::EncoderAt;
+use haptic_bridge::render::scene::FeedForward;
+use haptic_bridge::render::velocity::Estimator;
+use haptic_host::device_file::DeviceFile;
+use haptic_host::error::Failure;
+use haptic_predict::bench::estimators::{Comparison, compare, telling_wall};
+use haptic_predict::bench::wall::{Rendered, WallSimulation};
+use haptic_predict::sweep::Sweep;
+use haptic_predict::tune::{MOST_REBOUNDS, Margins, Question, Settings, keeps, ripple, tune};
+use std::collections::BTreeSet;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+fn usual(name: &str) -> Estimator {
+    Estimator::ALL.iter().find(|(other, _)| *other == name).unwrap().1
+}
+
+/// coupled-five-bar with cables, and the encoders on this side of them.
+fn with_cables(encoder_at: &str) -> String {
+    let text = std::fs::read_to_string(root().join("devices/coupled-five-bar.toml")).unwrap();
+    let cable = format!("[joint.transmission]\nstiffness = 250.0\ndamping = 0.01\nencoder_at = \"{encoder_at}\"\n");
+    text.replace("transmission = \"rigid\"\n", "").replace("[joint.encoder]", &format!("{cable}\n[joint.encoder]"))
+}
+
+fn wall(kind: Estimator, cutoff_hz: f64, (stiffness, damping): (f64, f64)) -> Settings {
+    Settings {
+        rate_hz: 5_000.0,
+        kind,
+        estimator: kind.name(),
+        value: kind.chosen().map_or(0, |chosen| chosen.value),
+        cutoff_hz,
+        feed_forward: FeedForward::Off,
+        washout_hz: 2.0,
+        damping_compensation: false,
+        stiffness,
+        damping,
+    }
+}
+
+#[test]
+fn a_wall_behind_cables_is_seen_where_its_encoders_are() {
+    let of = |side: &str| {
+        let file = DeviceFile::parse(&with_cables(side), side).unwrap();
+        ripple(&question(&file, 5_000.0), &wall(usual("butterworth"), 200.0, (5_000.0, 20.0))).unwrap().ripple_n
+    };
+    let (motor, joint) = (of("motor"), of("joint"));
+    assert!(motor.is_some_and(|ripple| ripple < 0.5), "{motor:?}");
+    assert!(joint.is_none_or(|ripple| ripple > 2.0), "linear theory says that nothing is stable there: {joint:?}");
+}
+
+#[test]
+fn estimators_are_compared_on_a_wall_that_range_finds_stable() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("cables.toml");
+    std::fs::write(&path, with_cables("motor")).unwrap();
+    let file = DeviceFile::load(&path).unwrap();
+    assert!(file.description.joints[0].transmission.is_some_and(|cable| cable.encoder_at == EncoderAt::Motor));
+    let (stiffness, damping) = telling_wall(&file, &[2.6, 1.75], &[0.6, 0.8], 5_000.0, 200.0).unwrap();
+    let words = ["--q", "2.6,1.75", "--normal", "0.6,0.8", "--rate", "5000", "--cutoff", "200", "--board", "odrive-v3"];
+    let kd = damping.to_string();
+    let said = json(&[&["range", path.to_str().unwrap(), "--kd", &kd], &words[..]].concat());
+    let most = said["off"]["boundary"][0]["kp"].as_f64().unwrap();
+    assert!((4.0 * stiffness / most - 1.0).abs() < 1e-9, "{stiffness} of {most} N/m");
+    assert!((2.0 * damping / said["off"]["kd_max"].as_f64().unwrap() - 1.0).abs() < 1e-9, "{damping} N s/m");
+
+    let soft = "stiffness = 40.0\ndamping = 0.0";
+    let text = with_cables("joint").replace("stiffness = 250.0\ndamping = 0.01", soft);
+    std::fs::write(&path, text.replace("viscous = 0.001", "viscous = 0.0")).unwrap();
+    let words = ["estimators", path.to_str().unwrap(), "--normal", "0.6,0.8", "--rate", "5000", "--cutoff", "200"];
+    let failed = haptic(&words).assert().code(1).get_output().stderr.clone();
+    let failed = String::from_utf8(failed).unwrap();
+    assert!(failed.contains("no wall here is predicted stable") && failed.contains("(--wall)"), "{failed}");
+}
+
+fn small(number: u64, estimator: &str, dampings: &[f64]) {
+    let file = drawn(number);
+    let question = Question { estimators: vec![usual(estimator)], ..question(&file, 5_000.0) };
+    let (found, tried) = none_is_stiffer(&question, dampings, &[1.06]);
+    assert!(tried >= 5, "{tried}");
+    // On devices that are off their file as far as the margins say it ripples no more, whoever writes them down.
+    for (share, loose) in [(0.9, 0.97), (1.1, 1.03)] {
+        let mut other = file.clone();
+        for joint in &mut other.description.joints {
+            joint.inertia *= share;
+            joint.viscous *= 1.0 + 2.5 * (share - 1.0);
+            joint.coulomb *= 1.0 + 2.5 * (share - 1.0);
+            if let Some(encoder) = &mut joint.encoder {
+                encoder.counts_per_turn *= loose;
+            }
+            if let Some(transmission) = &mut joint.transmission {
+                transmission.motor_inertia *= share;
+            }
+        }
+        let off = Question { file: &other, margins: Margins::NONE, ..question.clone() };
+        let ripple_n = ripple(&off, &found.settings).unwrap().ripple_n;
+        assert!(
+            ripple_n.is_some_and(|ripple| ripple <= 1.0001 * found.ripple_n && ripple <= 0.1),
+            "{ripple_n:?} {found:?}"
+        );
+    }
+}
+
+#[test]
+fn no_wall_on_a_rigid_device_is_stiffer_than_the_one_that_is_found() {
+    small(0, "first-order", &[0.6, 1.0, 1.7]);
+}
+
+#[test]
+fn no_wall_on_a_device_with_a_cable_is_stiffer_than_the_one_that_is_found() {
+    small(5, "backward-difference", &[0.5, 0.7, 1.0, 1.4, 2.0]);
+}
+
+/// A mass that a hand pushes against a spring and a damper which cannot pull: how often it leaves them again.
+fn rebounds(mass: f64, stiffness: f64, damping: f64) -> usize {
+    let (mut x, mut v, mut inside, mut left) = (0.0, -0.2, false, 0);
+    let h = 1e-6;
+    for _ in 0..300_000 {
+        let wall = if x < 0.0 { (-stiffness * x - damping * v).max(0.0) } else { 0.0 };
+        v += h / mass * (wall - 3.0 - 200.0 * x - 3.0 * v);
+        x += h * v;
+        left += usize::from(inside && x > 0.0);
+        inside = x < 0.0;
+    }
+    left
+}
+
+#[test]
+fn a_tap_leaves_a_wall_as_often_as_a_mass_leaves_a_spring_and_more_than_once_is_too_often() {
+    let mut file = shipped("hapkit-paddle");
+    for joint in &mut file.description.joints {
+        (joint.viscous, joint.coulomb) = (0.0, 0.0);
+        joint.encoder.iter_mut().for_each(|encoder| encoder.counts_per_turn = 1e7);
+    }
+    let mass = 0.0008 / (0.07 * 0.07) + 0.05;
+    // Motors that limit nothing.
+    let question = Question { speed: 0.01, ..question(&file, 20_000.0) };
+    let simulation = WallSimulation::new(&file.description, &file.description, &[0.0], &[1.0], 20_000.0).unwrap();
+    let mut seen = BTreeSet::new();
+    for stiffness in [2_000.0_f64, 10_000.0] {
+        for ratio in [0.02, 0.06, 0.13, 0.3, 0.8] {
+            let damping = 2.0 * ratio * (stiffness * mass).sqrt();
+            let wall =
+                Settings { rate_hz: 20_000.0, ..wall(usual("backward-difference"), 500.0, (stiffness, damping)) };
+            let (found, known) =
+                (simulation.rebounds(&rendered(&wall)).unwrap().unwrap(), rebounds(mass, stiffness, damping));
+            // Half a carrier period of delay takes from a small damping.
+            let near = found.abs_diff(known) <= usize::from(known > 2);
+            assert!(near, "{stiffness} N/m at {ratio} of critical damping: {found}, not {known}");
+            assert_eq!(
+                keeps(&question, &wall).unwrap().is_some(),
+                known <= MOST_REBOUNDS,
+                "{known} rebounds: {wall:?}"
+            );
+            seen.insert(known);
+        }
+    }
+    assert!(seen.contains(&0) && seen.contains(&1) && seen.len() > 3, "{seen:?}");
+}
+
+fn rendered(wall: &Settings) -> Rendered {
+    Rendered {
+        kind: wall.kind,
+        cutoff_hz: wall.cutoff_hz,
+        feed_forward: wall.feed_forward,
+        washout_hz: wall.washout_hz,
+        damping_compensation: wall.damping_compensation,
+        admissible: Admissible::default(),
+        stiffness: wall.stiffness,
+        damping: wall.damping,
+    }
+}
+
+/// Between two looks at whether it is to end lies one press, or one loop's curve: so it ends in the middle of the first
+/// candidates.
+#[test]
+fn long_searches_end_at_the_next_press_after_ctrl_c() {
+    let file = drawn(0);
+    let question = Question { estimators: vec![usual("first-order")], ..question(&file, 5_000.0) };
+    let comparison =
+        Comparison { file: &file, q: &[0.0], normal: &[1.0], rate_hz: 1_000.0, cutoff_hz: 50.0, wall: (100.0, 1.0) };
+    let ended = |work: &dyn Fn(&Sweep) -> Option<Failure>| {
+        let looked = AtomicUsize::new(0);
+        let stop = move || looked.fetch_add(1, Ordering::SeqCst) >= 75;
+        work(&Sweep::new("test", "question", None, stop).unwrap()).unwrap().to_string()
+    };
+    let failure = ended(&|sweep| tune(&question, sweep).err());
+    assert!(failure.contains("interrupted with 0 of 7 done (ripple, feed-forward off, round 1)"), "{failure}");
+    let failure = ended(&|sweep| compare(&comparison, sweep).err());
+    assert!(failure.contains("interrupted with 0 of"), "{failure}");
+}
+
+#[test]
+fn every_stage_is_told_where_nobody_watches_a_terminal() {
+    let words = ["tune", "devices/hapkit-paddle.toml", "--normal", "1", "--rates", "1000", "--feed-forward", "off"];
+    let done = haptic(&[&words[..], &["--estimators", "backward-difference", "--json"]].concat()).assert().success();
+    let told = String::from_utf8(done.get_output().stderr.clone()).unwrap();
+    for stage in ["walls, feed-forward off: 1 of 1", "ripple, feed-forward off, round 1: 1 of 1", "stiffer, round 1: "]
+    {
+        assert!(told.lines().any(|line| line.starts_with(stage)), "{stage}\n{told}");
+    }
+}

@@ -1,0 +1,702 @@
+//! What `haptic view` says and hears, without a browser: who commands, the dead man's key, gains, walls, the
+//! oscilloscope, and whom it lets in.
+
+use crate::common::page::Heard;
+use crate::common::{file, shipped};
+use haptic_bridge::board::protocol::{Arm, Disarm};
+use haptic_bridge::render::scene::FeedForward;
+use haptic_bridge::safety::fault::{Fault, State};
+use haptic_host::link::{Board, encode};
+use haptic_host::scene_file::SceneFile;
+use haptic_show::recorder::Recording;
+use haptic_show::view::hub::{Hub, Message as Sent, PageId};
+use haptic_show::view::message::FromPage;
+use haptic_show::view::stability::Plane;
+use haptic_show::view::{PageListener, Stage, Turn, World};
+use postcard_rpc::Endpoint as _;
+use postcard_rpc::header::{VarHeader, VarKey, VarSeq};
+use serde_json::{Value, json};
+use std::io::{ErrorKind, Read, Write};
+use std::net::TcpStream;
+use std::path::Path;
+use std::time::Duration;
+use tungstenite::{Message, WebSocket};
+
+/// A stage and its pages in this process: what time it is the test says, however busy the computer is.
+struct Played {
+    stage: Stage,
+    hub: Hub,
+    simulated: bool,
+    now: Duration,
+    pages: Vec<Page>,
+}
+
+struct Page {
+    id: PageId,
+    heard: Heard,
+    /// What it says all the time: that its key is down, that it is there, or nothing.
+    says: Option<FromPage>,
+}
+
+impl Played {
+    fn of(world: World, folder: Option<&Path>) -> Self {
+        let hub = Hub::default();
+        let simulated = world.simulated.is_some();
+        let stage = Stage::open(world, hub.clone(), None, folder.map(Into::into)).unwrap();
+        Self { stage, hub, simulated, now: Duration::ZERO, pages: Vec::new() }
+    }
+
+    /// With a page in command.
+    fn demo() -> Self {
+        Self::in_command(World::demo().unwrap(), None)
+    }
+
+    fn in_command(world: World, folder: Option<&Path>) -> Self {
+        let mut view = Self::of(world, folder);
+        let page = view.come();
+        view.say(page, json!({"do": "take"}));
+        assert_eq!(view.pages[page].heard.picture["command"], view.pages[page].id);
+        view
+    }
+
+    /// A page comes; its number.
+    fn come(&mut self) -> usize {
+        let (id, heard) = (self.hub.come().unwrap(), Heard::default());
+        self.pages.push(Page { id, heard, says: Some(FromPage::Here {}) });
+        self.play(0.02);
+        self.pages.len() - 1
+    }
+
+    /// It says this, which is heard at once.
+    fn say(&mut self, page: usize, message: Value) {
+        self.hub.said(self.pages[page].id, FromPage::parse(&message.to_string()));
+        self.play(0.02);
+    }
+
+    /// It presses the key and keeps it down.
+    fn arm(&mut self, page: usize) {
+        let seen = self.heard(page).step();
+        self.pages[page].says = Some(FromPage::Hold { seen });
+        self.say(page, json!({"do": "arm", "seen": seen}));
+        // Rows come several at once: the first that says so is in the next picture or the one after it.
+        for _ in 0..2 {
+            if self.state() != "Armed" {
+                self.play(0.02);
+            }
+        }
+        assert_eq!(self.state(), "Armed", "{:?}", self.pages[page].heard.refused);
+    }
+
+    /// What it has heard.
+    fn heard(&self, page: usize) -> &Heard {
+        &self.pages[page].heard
+    }
+
+    /// The state as the last page sees it.
+    fn state(&self) -> &str {
+        self.pages.last().unwrap().heard.state()
+    }
+
+    fn play(&mut self, seconds: f64) {
+        let end = self.now + Duration::from_secs_f64(seconds);
+        while self.now < end {
+            self.step();
+        }
+    }
+
+    /// Lets 6 ms pass.
+    fn step(&mut self) {
+        self.now += Duration::from_millis(6);
+        for page in &mut self.pages {
+            if let Some(FromPage::Hold { seen }) = &mut page.says {
+                *seen = page.heard.step();
+            }
+            page.says.iter().for_each(|says| self.hub.said(page.id, Ok(says.clone())));
+        }
+        while self.stage.turn(self.now).unwrap() == Turn::Played && self.simulated {}
+        for Page { id, heard, .. } in &mut self.pages {
+            for message in self.hub.take(*id).messages() {
+                match message {
+                    Sent::Text(text) => heard.text(&text),
+                    Sent::Bytes(bytes) => heard.bytes(&bytes),
+                }
+            }
+        }
+    }
+
+    /// The newest boundary, which is worked out beside the stage.
+    fn boundary(&mut self) -> Plane {
+        while self.heard(0).plane.is_null() {
+            self.play(0.02);
+        }
+        serde_json::from_value(self.heard(0).plane.clone()).unwrap()
+    }
+
+    /// The tip, and a place that lies so far (m) from it along the first wall's normal and across it.
+    fn beside(&self, along: f64, across: f64) -> Value {
+        let (tip, wall) = (&self.heard(0).picture["geometry"]["tip"], &self.heard(0).walls[0]["values"]);
+        let [x, y, nx, ny] = [&tip[0], &tip[1], &wall[3], &wall[4]].map(|value| value.as_f64().unwrap());
+        json!([x + along * nx - across * ny, y + along * ny + across * nx])
+    }
+}
+
+#[test]
+fn one_page_commands_and_the_others_watch() {
+    let mut view = Played::demo();
+    let (first, second) = (0, view.come());
+    for message in [
+        json!({"do": "arm", "seen": 1}),
+        json!({"do": "take"}),
+        json!({"do": "clear"}),
+        json!({"do": "give"}),
+        json!({"do": "record", "on": true}),
+        json!({"do": "hand", "at": [0.0, 0.1]}),
+        json!({"do": "wall", "wall": 0, "point": [0.0, 0.1]}),
+        json!({"do": "gains", "wall": 0, "stiffness": 1.0, "damping": 1.0, "feed_forward": "off"}),
+    ] {
+        let before = view.heard(second).refused.len();
+        view.say(second, message);
+        assert_eq!(view.heard(second).refused.len(), before + 1);
+        assert!(view.heard(second).why().contains("another page is in command"), "{}", view.heard(second).why());
+    }
+    let seen = &view.heard(second).picture;
+    assert_eq!((&seen["command"], &seen["pages"]), (&json!(view.pages[first].id), &json!(2)));
+    assert_eq!(view.state(), "Disarmed");
+    assert_eq!(view.heard(second).walls, view.heard(first).walls);
+    view.say(first, json!({"do": "give"}));
+    assert!(view.heard(second).picture["command"].is_null());
+    view.say(first, json!({"do": "arm", "seen": 1}));
+    assert_eq!(view.heard(first).why(), "nobody is in command: take it first");
+    view.say(second, json!({"do": "take"}));
+    assert_eq!(view.heard(first).picture["command"], view.pages[second].id);
+}
+
+#[test]
+fn the_motors_are_on_only_while_the_key_is_down() {
+    let mut view = Played::demo();
+    view.arm(0);
+    view.play(2.0);
+    assert_eq!(view.state(), "Armed", "{:?}", view.heard(0).refused);
+    view.pages[0].says = Some(FromPage::Here {});
+    view.say(0, json!({"do": "release"}));
+    assert_eq!(view.state(), "Disarmed");
+
+    // Nearly half a second of silence is letting go, and a key that is still down then does not arm.
+    view.arm(0);
+    view.pages[0].says = None;
+    view.play(0.3);
+    assert_eq!(view.state(), "Armed");
+    view.play(0.18);
+    assert_eq!(view.state(), "Disarmed");
+    assert!(view.heard(0).why().contains("was not heard"), "{}", view.heard(0).why());
+    view.pages[0].says = Some(FromPage::Hold { seen: 0 });
+    view.play(0.5);
+    assert_eq!(view.state(), "Disarmed");
+    // And after five seconds others may command.
+    view.pages[0].says = None;
+    view.play(4.9);
+    assert!(!view.heard(0).picture["command"].is_null());
+    view.play(0.2);
+    assert!(view.heard(0).picture["command"].is_null());
+}
+
+/// What still says that the key is down and no longer sees it: a script that hangs in its sending, a queue.
+#[test]
+fn a_key_that_is_not_seen_down_again_is_let_go() {
+    let mut view = Played::demo();
+    view.arm(0);
+    view.pages[0].says = None;
+    let seen = view.heard(0).step();
+    for _ in 0..100 {
+        view.hub.said(view.pages[0].id, Ok(FromPage::Hold { seen }));
+        view.step();
+    }
+    assert_eq!(view.state(), "Disarmed");
+    assert!(view.heard(0).why().contains("was not heard"), "{}", view.heard(0).why());
+}
+
+/// The board itself turns the motors off where the stage no longer does: its thread is starved, or the process stopped.
+/// This board ignores a silent host.
+#[test]
+fn a_board_lets_go_of_a_key_that_the_stage_no_longer_tells_of() {
+    let simulated = World::demo().unwrap().simulated.unwrap();
+    let board = Board::over(simulated.wire(), "a board").unwrap();
+    let mut view = Played::in_command(World::of(board, None), None);
+    view.arm(0);
+    view.play(1.0);
+    assert_eq!(simulated.lock().status().state, State::Armed);
+    simulated.lock().run(0.4);
+    assert_eq!(simulated.lock().status().state, State::Armed);
+    simulated.lock().run(0.11);
+    let status = simulated.lock().status();
+    assert_eq!((status.state, status.fault.map(|record| record.fault)), (State::Fault, Some(Fault::KeyReleased)));
+    // And only a new press arms again, once it is cleared.
+    view.play(0.1);
+    view.say(0, json!({"do": "clear"}));
+    view.play(0.5);
+    assert_eq!(view.state(), "Disarmed");
+}
+
+/// Behind a network that is slow both ways a page sees, and says, what has long passed; and so does one that hung.
+#[test]
+fn a_page_that_is_late_by_half_a_second_does_not_arm() {
+    let mut view = Played::demo();
+    for (late, armed) in [(0.2, "Armed"), (0.5, "Disarmed"), (2.0, "Disarmed")] {
+        let seen = view.heard(0).step();
+        view.play(late);
+        let before = view.heard(0).refused.len();
+        view.say(0, json!({"do": "arm", "seen": seen}));
+        assert_eq!((view.state(), view.heard(0).refused.len() - before), (armed, usize::from(armed != "Armed")));
+        view.say(0, json!({"do": "release"}));
+    }
+    assert!(view.heard(0).why().contains("press it anew"), "{}", view.heard(0).why());
+}
+
+#[test]
+fn a_press_that_is_said_twice_is_one_and_its_key_is_held_on() {
+    let mut view = Played::demo();
+    view.arm(0);
+    view.say(0, json!({"do": "arm", "seen": view.heard(0).step()}));
+    view.play(1.0);
+    assert_eq!((view.state(), view.heard(0).refused.len()), ("Armed", 0));
+    view.pages[0].says = None;
+    view.play(0.5);
+    assert_eq!(view.state(), "Disarmed");
+}
+
+/// However much pages that only watch say, the key is heard when it is let go, and little of the rest.
+#[test]
+fn pages_that_flood_delay_nobody_who_lets_go_and_cost_little() {
+    let world = World::demo().unwrap();
+    let simulated = world.simulated.clone().unwrap();
+    let mut view = Played::in_command(world, None);
+    let watching = [view.come(), view.come(), view.come()];
+    view.arm(0);
+    let flood = |view: &mut Played| {
+        for page in watching {
+            for _ in 0..5_000 {
+                view.hub.said(view.pages[page].id, Err("noise".into()));
+                view.hub.said(view.pages[page].id, Ok(FromPage::Take {}));
+            }
+        }
+    };
+    for _ in 0..20 {
+        flood(&mut view);
+        view.step();
+    }
+    assert_eq!(view.state(), "Armed", "{:?}", view.heard(0).refused);
+    let before: Vec<usize> = watching.iter().map(|page| view.heard(*page).refused.len()).collect();
+    flood(&mut view);
+    view.pages[0].says = None;
+    view.hub.said(view.pages[0].id, Ok(FromPage::Release {}));
+    view.step();
+    assert_eq!(simulated.lock().status().state, State::Disarmed, "in the turn after it was said");
+    for (page, before) in watching.into_iter().zip(before) {
+        let heard = view.heard(page).refused.len() - before;
+        assert!(heard <= 64, "{heard} of 10,000 messages were heard in that turn");
+    }
+}
+
+#[test]
+fn any_page_turns_the_motors_off() {
+    let mut view = Played::demo();
+    let second = view.come();
+    view.arm(0);
+    view.say(second, json!({"do": "disarm"}));
+    assert_eq!(view.state(), "Disarmed");
+    // The first one's key is still down.
+    view.play(0.5);
+    assert_eq!(view.state(), "Disarmed");
+}
+
+#[test]
+fn a_page_that_is_gone_has_let_go() {
+    let mut view = Played::demo();
+    let second = view.come();
+    view.say(0, json!({"do": "hand", "at": view.beside(0.0, 0.0)}));
+    view.arm(0);
+    assert!(!view.heard(second).picture["hand"].is_null());
+    let first = view.pages.remove(0);
+    view.hub.go(first.id);
+    view.play(0.02);
+    assert_eq!(view.state(), "Disarmed");
+    let seen = &view.heard(0).picture;
+    assert!(seen["command"].is_null() && seen["hand"].is_null() && seen["pages"] == 1, "{seen}");
+}
+
+/// Whoever holds the key learns why the motors went off under it; and a device in somebody's own hand gets no other.
+#[test]
+fn motors_that_another_tool_turned_off_are_told() {
+    let simulated = World::demo().unwrap().simulated.unwrap();
+    let board = Board::over(simulated.wire(), "a board").unwrap();
+    let mut view = Played::in_command(World::of(board, None), None);
+    view.say(0, json!({"do": "hand", "at": [0.0, 0.1]}));
+    assert!(view.heard(0).why().contains("not simulated"), "{}", view.heard(0).why());
+    view.arm(0);
+    let header = VarHeader { key: VarKey::Key8(Disarm::REQ_KEY), seq_no: VarSeq::Seq2(7) };
+    simulated.lock().receive(&encode(&header, &[]));
+    view.play(0.5);
+    assert!(view.heard(0).why().contains("another tool turned the motors off"), "{}", view.heard(0).why());
+    assert_eq!(view.state(), "Disarmed");
+}
+
+#[test]
+fn gains_beyond_the_boundary_are_asked_about_first() {
+    let mut view = Played::demo();
+    view.boundary();
+    let gains = |stiffness: f64, feed_forward: &str| json!({"do": "gains", "wall": 0, "stiffness": stiffness, "damping": 80.0, "feed_forward": feed_forward});
+    // Outside already, as when the tip slides to where less is stable: without the feed-forward even less would be.
+    let mut stiffer = gains(40e3, "washout");
+    stiffer["beyond"] = json!(true);
+    for (asked, refused) in [(8_700.0, 1), (39_000.0, 2)] {
+        view.say(0, gains(asked, "off"));
+        assert_eq!(view.heard(0).refused.len(), refused);
+        assert!(view.heard(0).why().contains("predicted to be unstable"), "{}", view.heard(0).why());
+        assert_eq!(view.heard(0).walls[0]["feed_forward"], "washout", "nothing was changed");
+        if refused == 1 {
+            view.say(0, stiffer.clone());
+            assert_eq!(view.heard(0).walls[0]["stiffness"], 40_000.0);
+        }
+    }
+    let again = view.heard(0).refused[1]["again"].clone();
+    view.say(0, again);
+    assert_eq!(view.heard(0).walls[0]["feed_forward"], "off");
+    // Who is outside already is not asked again, and the way back is free.
+    for softer in [7_500.0, 5_000.0] {
+        view.say(0, gains(softer, "off"));
+        assert_eq!(view.heard(0).walls[0]["stiffness"], softer);
+    }
+    assert_eq!(view.heard(0).refused.len(), 2);
+    view.say(0, gains(-1.0, "off"));
+    assert_eq!(view.heard(0).refused.len(), 3);
+}
+
+/// What is refused names what was asked for; and what no board can render is refused for good.
+#[test]
+fn gains_are_refused_by_name_and_have_an_upper_limit() {
+    let mut view = Played::demo();
+    view.boundary();
+    let before = view.heard(0).walls[0].clone();
+    let gains = |stiffness: f64, damping: f64| json!({"do": "gains", "wall": 0, "stiffness": stiffness, "damping": damping, "feed_forward": "off", "beyond": false});
+    view.say(0, gains(8_700.0, 80.0));
+    let refused = view.heard(0).refused.last().unwrap().clone();
+    assert_eq!((&refused["of"], &refused["again"]["stiffness"]), (&json!("gains"), &json!(8700.0)));
+    assert!(view.heard(0).why().starts_with("8.70 kN/m with 80.0 N s/m and feed-forward off"), "{refused}");
+    for (stiffness, damping) in [(1e9, 80.0), (8_700.0, 1e9)] {
+        let mut meant = gains(stiffness, damping);
+        meant["beyond"] = json!(true);
+        view.say(0, meant);
+        let refused = view.heard(0).refused.last().unwrap();
+        assert!(refused["again"].is_null() && refused["of"] == "gains", "{refused}");
+        assert!(view.heard(0).why().contains("that motors and rules allow here"), "{}", view.heard(0).why());
+    }
+    assert_eq!(view.heard(0).walls[0], before);
+    // Rules that allow half of the force allow half of the stiffness.
+    let [all, half] = [18.0, 9.0].map(|tip_force| {
+        let mut world = World::demo().unwrap();
+        let mut rules = world.board.rules().unwrap();
+        rules.limits.tip_force = tip_force;
+        world.board.set_rules(&rules).unwrap();
+        let mut view = Played::in_command(world, None);
+        view.say(0, gains(1e9, 80.0));
+        let limit = view.heard(0).why().split("beyond ").nth(1).and_then(|rest| rest.split(" MN/m").next());
+        limit.unwrap_or_else(|| panic!("{}", view.heard(0).why())).parse::<f64>().unwrap()
+    });
+    assert!((all / half - 2.0).abs() < 0.02, "{all}, {half}");
+}
+
+/// A page that hears nothing any more says what is known of the motors, and no more.
+#[test]
+fn what_is_known_of_the_motors_without_a_connection_is_told_beforehand() {
+    let if_lost = |view: &Played| view.heard(0).picture["if_lost"].as_str().unwrap_or_default().to_string();
+    assert!(if_lost(&Played::demo()).contains("simulated board is gone"));
+    let simulated = World::demo().unwrap().simulated.unwrap();
+    let board = Board::over(simulated.wire(), "a board").unwrap();
+    let mut view = Played::in_command(World::of(board, None), None);
+    assert_eq!(if_lost(&view), "the motors were off when this page last heard of them");
+    view.arm(0);
+    view.play(0.1);
+    assert!(if_lost(&view).contains("half a second after it last heard of the key"), "{}", if_lost(&view));
+    view.pages[0].says = Some(FromPage::Here {});
+    view.say(0, json!({"do": "release"}));
+    view.play(0.1);
+    assert!(if_lost(&view).contains("were off"), "{}", if_lost(&view));
+    // Another tool, on a board that does not watch its host.
+    let header = VarHeader { key: VarKey::Key8(Arm::REQ_KEY), seq_no: VarSeq::Seq2(7) };
+    simulated.lock().receive(&encode(&header, &[]));
+    view.play(0.5);
+    assert_eq!(view.state(), "Armed");
+    assert!(if_lost(&view).contains("MAY BE ON"), "{}", if_lost(&view));
+}
+
+/// The wall of a paddle is a line across the arc of its tip, with a solid side, like that of any device.
+#[test]
+fn the_wall_of_a_paddle_is_told_where_it_is_drawn() {
+    let view = Played::in_command(World::simulate(shipped("hapkit-paddle"), None).unwrap(), None);
+    let wall = &view.heard(0).walls[0];
+    let [at, normal] = ["at", "normal"].map(|key| [0, 1].map(|axis| wall["outline"][key][axis].as_f64().unwrap()));
+    let (arc, length) = (wall["values"][0].as_f64().unwrap(), 0.07);
+    assert!(
+        (at[0] - length * (arc / length).cos()).abs() < 1e-6 && (at[1] - length * (arc / length).sin()).abs() < 1e-6
+    );
+    assert!((normal[0] * at[0] + normal[1] * at[1]).abs() < 1e-6 && normal[1] > 0.9, "out of the solid, along the arc");
+}
+
+/// A page reddens a ripple above this, N.
+const RED: f64 = 0.5;
+
+/// What the page is for: a hand presses the wall, one click takes the feed-forward away and the wall buzzes, another
+/// brings it back and the wall is quiet; however deep the hand presses, and also to the side of where it began.
+#[test]
+fn one_click_makes_the_wall_buzz_and_another_quiets_it_while_it_is_pressed() {
+    let mut view = Played::demo();
+    view.arm(0);
+    view.play(0.8);
+    let number = |view: &Played, name: &str| view.heard(0).picture["numbers"][name].as_f64().unwrap();
+    let [stiffness, damping] = ["stiffness", "damping"].map(|gain| view.heard(0).walls[0][gain].as_f64().unwrap());
+    let out = view.beside(0.0, 0.0);
+    let pressed = [(8, 0), (14, 0), (20, 0), (26, 0), (34, 0), (46, 0), (20, 6), (20, -6)];
+    let pressed =
+        pressed.map(|(depth, aside)| (view.beside(-1e-3 * f64::from(depth), 1e-3 * f64::from(aside)), depth, aside));
+    // Clicks a kind of feed-forward, and means it.
+    let click = |view: &mut Played, kind: FeedForward| {
+        view.say(0, json!({"do": "gains", "wall": 0, "stiffness": stiffness, "damping": damping, "feed_forward": kind, "beyond": true}));
+    };
+    let mut said = String::new();
+    let mut as_it_should = true;
+    for (place, depth, aside) in pressed {
+        view.say(0, json!({"do": "hand", "at": out}));
+        view.play(0.8);
+        view.say(0, json!({"do": "hand", "at": place}));
+        // The share of the pictures of the second half that are red.
+        let shares = [FeedForward::Washout, FeedForward::Off, FeedForward::Washout].map(|kind| {
+            click(&mut view, kind);
+            view.play(0.8);
+            let ripples = [(); 48].map(|()| {
+                view.play(0.0166);
+                number(&view, "ripple")
+            });
+            ripples.iter().filter(|ripple| **ripple > RED).count() as f64 / 48.0
+        });
+        let plane = view.boundary();
+        let [off, washout] = [FeedForward::Off, FeedForward::Washout].map(|kind| plane.stiffness_to(kind, damping));
+        said += &format!(
+            "{depth} mm, {aside} mm aside: red {shares:.2?}, stable to {off:.0} off, {washout:.0} washed out\n"
+        );
+        as_it_should &= shares[0] < 0.05 && shares[1] > 0.7 && shares[2] < 0.05;
+        as_it_should &= 1.1 * off < stiffness && stiffness < 0.95 * washout;
+    }
+    assert!(as_it_should, "a wall of {stiffness} N/m, {damping} N s/m:\n{said}");
+    // Equation (4) pushes a resting hand sideways; behind the washout it does not.
+    click(&mut view, FeedForward::Full);
+    view.play(1.6);
+    assert!(number(&view, "sideways") > 0.5, "{}", number(&view, "sideways"));
+    assert_eq!((view.state(), view.heard(0).refused.len()), ("Armed", 0));
+}
+
+#[test]
+fn walls_are_moved_and_turned_while_the_motors_are_off() {
+    let mut view = Played::demo();
+    let value = |view: &Played, place: usize| view.heard(0).walls[0]["values"][place].as_f64().unwrap();
+    view.say(0, json!({"do": "wall", "wall": 0, "point": [0.01, 0.125]}));
+    assert!((value(&view, 1) - 0.125).abs() < 1e-6);
+    view.say(0, json!({"do": "wall", "wall": 0, "point": [0.01, 0.125], "normal": [3.0, 4.0]}));
+    assert!((value(&view, 3) - 0.6).abs() < 1e-6);
+    for (message, words) in [
+        (json!({"do": "wall", "wall": 7, "point": [0.0, 0.0]}), "no wall 7"),
+        (json!({"do": "wall", "wall": 0, "point": [0.0, 0.0], "normal": [0.0, 0.0]}), "points somewhere"),
+        (json!({"do": "gains", "wall": 7, "stiffness": 1.0, "damping": 1.0, "feed_forward": "off"}), "no wall 7"),
+    ] {
+        view.say(0, message);
+        assert!(view.heard(0).why().contains(words), "{}", view.heard(0).why());
+    }
+}
+
+#[test]
+fn the_oscilloscope_catches_the_touch_with_what_came_before() {
+    let mut view = Played::demo();
+    let trigger = json!({"channel": "force_n", "level": 0.5, "rising": true, "before": 0.5, "once": true});
+    view.say(0, json!({"do": "scope", "channels": ["force_n", "distance_m"], "seconds": 0.1, "trigger": trigger}));
+    view.arm(0);
+    view.play(0.6);
+    assert!(view.heard(0).sweep.is_empty(), "nothing was touched yet");
+    view.say(0, json!({"do": "hand", "at": view.beside(-0.02, 0.0)}));
+    view.play(1.0);
+    let (head, values) = view.heard(0).sweep.split_at(6);
+    // 0.1 s at 1 kHz: every row; the crossing stands in the middle.
+    assert_eq!([head[1], head[4], head[5]], [3.0, 2.0, 100.0]);
+    let force = |row: usize| values[2 * row];
+    let crossing = (head[3] / head[2] * 99.0).round() as usize;
+    assert!(force(crossing - 1) < 0.5 && force(crossing) >= 0.5, "{:?}", &values[..200]);
+    assert!((0..40).all(|row| force(row) == 0.0), "the time before the touch is there");
+    view.say(0, json!({"do": "scope", "channels": ["no"], "seconds": 0.1}));
+    assert_eq!(view.heard(0).refused.len(), 1);
+    view.say(0, json!({"do": "sound", "on": true}));
+    view.play(0.02);
+    let sound = &view.heard(0).sound;
+    assert!(sound.len() > 2 && sound[1] == 1000.0, "rows a second: {sound:?}");
+}
+
+#[test]
+fn a_page_records_what_it_sees_and_it_plays_once_more() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut view = Played::in_command(World::demo().unwrap(), Some(folder.path()));
+    view.say(0, json!({"do": "record", "on": true}));
+    view.play(0.1);
+    assert!(view.heard(0).picture["recording"]["rows"].as_u64().unwrap() > 50);
+    view.say(0, json!({"do": "record", "on": true}));
+    assert!(view.heard(0).why().contains("under way"), "{}", view.heard(0).why());
+    view.arm(0);
+    view.play(0.5);
+    view.say(0, json!({"do": "record", "on": false}));
+    let file = std::fs::read_dir(folder.path()).unwrap().next().unwrap().unwrap().path();
+    let recording = Recording::load(&file).unwrap();
+    let (words, rows) = (view.heard(0).recorded.clone().unwrap(), recording.rows.len());
+    assert!(!recording.torn && words.contains(&format!("{rows} rows, none lost")), "{words}");
+    let armed = recording.rows.iter().filter(|row| row[recording.column("state").unwrap()] == 1.0).count();
+    assert!(armed > 300, "{armed} of {rows}");
+    assert!(haptic_show::replay::replay(&recording).unwrap().is_same());
+}
+
+#[test]
+fn the_page_is_told_of_springs_and_of_where_they_hold() {
+    let path = file("scenes/haply-2diy/groove.toml");
+    let scene = SceneFile::load(Path::new(&path), 2).unwrap().scene().unwrap();
+    let view = Played::in_command(World::simulate(shipped("haply-2diy"), Some(scene)).unwrap(), None);
+    let page = view.heard(0);
+    assert_eq!(page.springs[0]["stiffness"], 250.0, "{}", page.springs);
+    // The line y = 0.115: straight above or below the tip.
+    let (tip, held) = (&page.picture["geometry"]["tip"], &page.picture["geometry"]["springs"][0]);
+    let apart = (tip[0].as_f64().unwrap() - held[0].as_f64().unwrap()).abs();
+    assert!(apart < 1e-6 && (held[1].as_f64().unwrap() - 0.115).abs() < 1e-6, "{tip}: {held}");
+}
+
+#[test]
+fn every_shipped_device_can_be_looked_at() {
+    for name in ["hapkit-paddle", "haply-2diy", "phantom-premium-1.5", "serial-3r", "fictive-five-bar-turret"] {
+        let mut view = Played::in_command(World::simulate(shipped(name), None).unwrap(), None);
+        view.boundary();
+        assert!(!view.heard(0).picture["geometry"]["bars"].as_array().unwrap().is_empty(), "{name}");
+        assert_eq!(view.heard(0).hello["device"], name);
+        view.arm(0);
+    }
+}
+
+/// Lets pages in to a hub; what the tool says to open.
+fn listen(address: &str, hub: &Hub) -> String {
+    let door = PageListener::open(address.parse().unwrap()).unwrap();
+    let url = door.url().unwrap();
+    door.serve(hub.clone());
+    url
+}
+
+/// Address and port, and what follows them: a token.
+fn parts(url: &str) -> (&str, &str) {
+    url.trim_start_matches("http://").split_once('/').unwrap()
+}
+
+fn ask(host: &str, request: &str) -> String {
+    let mut stream = TcpStream::connect(host).unwrap();
+    stream.write_all(request.as_bytes()).unwrap();
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer).unwrap();
+    answer
+}
+
+fn connect(url: &str) -> WebSocket<TcpStream> {
+    let (host, query) = parts(url);
+    let (socket, _) =
+        tungstenite::client(format!("ws://{host}/live{query}"), TcpStream::connect(host).unwrap()).unwrap();
+    socket.get_ref().set_read_timeout(Some(Duration::from_millis(10))).unwrap();
+    socket
+}
+
+#[test]
+fn the_page_is_served_to_whom_it_is_for() {
+    let url = listen("127.0.0.1:0", &Hub::default());
+    let (host, _) = parts(&url);
+    let get = |path: &str, more: &str| ask(host, &format!("GET {path} HTTP/1.1\r\nHost: {host}\r\n{more}\r\n"));
+    let page = get("/", "");
+    assert!(page.starts_with("HTTP/1.1 200 ") && page.contains("<title>haptic view</title>"), "{}", &page[..200]);
+    assert!(page.contains("Content-Security-Policy: default-src 'none'"));
+    assert!(get("/other", "").starts_with("HTTP/1.1 404 "));
+    assert!(get("/live", "").starts_with("HTTP/1.1 400 "), "no WebSocket was asked for");
+    assert!(get("/", "Origin: http://evil.example\r\n").starts_with("HTTP/1.1 403 "));
+    assert!(ask(host, "GET / HTTP/1.1\r\nHost: evil.example\r\n\r\n").starts_with("HTTP/1.1 403 "));
+    assert!(ask(host, &format!("POST / HTTP/1.1\r\nHost: {host}\r\n\r\n")).starts_with("HTTP/1.1 400 "));
+    assert!(ask(host, "\0\x01\x02 what\r\n\r\n").starts_with("HTTP/1.1 400 "));
+}
+
+#[test]
+fn other_computers_need_the_token() {
+    let hub = Hub::default();
+    let url = listen("0.0.0.0:0", &hub);
+    let (host, query) = parts(&url);
+    assert_eq!(query.len(), "?token=".len() + 32, "{url}");
+    assert!(!host.starts_with("0.0.0.0"), "no browser of another computer opens {url}");
+    let get = |path: &str| ask(host, &format!("GET {path} HTTP/1.1\r\nHost: {host}\r\n\r\n"));
+    assert!(get("/").starts_with("HTTP/1.1 403 ") && get("/live").starts_with("HTTP/1.1 403 "));
+    assert!(get(&format!("/{query}")).starts_with("HTTP/1.1 200 "));
+    let (mut page, mut heard) = (connect(&url), Heard::default());
+    while heard.you == 0 {
+        assert!(read(&mut page, &mut heard));
+    }
+}
+
+/// Who does not know the token takes no place of those who do.
+#[test]
+fn strangers_keep_no_page_out() {
+    let url = listen("0.0.0.0:0", &Hub::default());
+    let (host, query) = parts(&url);
+    // A letter each, and then nothing.
+    let stranger = |_| {
+        let mut stream = TcpStream::connect(host).unwrap();
+        let _ = stream.write_all(b"G");
+        stream
+    };
+    let _crowd: Vec<_> = (0..200).map(stranger).collect();
+    let page = ask(host, &format!("GET /{query} HTTP/1.1\r\nHost: {host}\r\n\r\n"));
+    assert!(page.starts_with("HTTP/1.1 200 "), "{page:?}");
+}
+
+/// Reads one message, if there is one; false when the connection has ended.
+fn read(socket: &mut WebSocket<TcpStream>, heard: &mut Heard) -> bool {
+    match socket.read() {
+        Ok(Message::Text(text)) => heard.text(&text),
+        Ok(Message::Binary(bytes)) => heard.bytes(&bytes),
+        Ok(_) => {}
+        Err(tungstenite::Error::Io(error)) => {
+            return matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut | ErrorKind::Interrupted);
+        }
+        Err(_) => return false,
+    }
+    true
+}
+
+#[test]
+fn what_is_no_message_is_refused_and_nothing_ends() {
+    let mut view = Played::of(World::demo().unwrap(), None);
+    let url = listen("127.0.0.1:0", &view.hub);
+    let (mut socket, mut heard) = (connect(&url), Heard::default());
+    let texts = ["", "{", "null", "[1]", r#"{"do":"fly"}"#, r#"{"do":"hold","seen":1,"x":1}"#].map(Message::text);
+    for (count, message) in (1..).zip(texts.into_iter().chain([Message::binary(vec![1, 2, 3])])) {
+        socket.send(message).unwrap();
+        while heard.refused.len() < count {
+            view.step();
+            assert!(read(&mut socket, &mut heard));
+        }
+        assert!(heard.why().starts_with("not a message of this page"), "{}", heard.why());
+    }
+    assert!(heard.why().contains("binary"), "{}", heard.why());
+    // One that is far too long ends its own connection, and no other.
+    let mut other = connect(&url);
+    let _ = other.send(Message::text("x".repeat(100_000)));
+    while read(&mut other, &mut Heard::default()) {
+        view.step();
+    }
+    socket.send(Message::text(r#"{"do":"take"}"#)).unwrap();
+    while heard.picture["command"] != heard.you || heard.you == 0 {
+        view.step();
+        assert!(read(&mut socket, &mut heard));
+    }
+}

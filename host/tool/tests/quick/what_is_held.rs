@@ -1,0 +1,143 @@
+//! A redundant device meets its wall by what it holds, and every command says the same of it; a gain of the
+//! feed-forward does what it costs.
+
+use crate::common::{file, haptic, shipped};
+use haptic_bridge::model::admissible::Admissible;
+use haptic_host::device_file::DeviceFile;
+use haptic_predict::analysis::map::map_holding;
+use haptic_predict::analysis::plant::{Drive, Linearised};
+use haptic_predict::analysis::range::predict;
+use haptic_predict::analysis::sampled::{LinearEstimator, Loop};
+use haptic_predict::model::{Precision, WallForce, evaluate_holding};
+
+const NORMAL: [f64; 2] = [0.6, 0.8];
+
+fn arm() -> DeviceFile {
+    shipped("serial-3r")
+}
+
+fn around(rate_hz: f64, cutoff_hz: f64) -> Loop {
+    Loop {
+        rate_hz,
+        delay_samples: 0.025,
+        estimator: LinearEstimator::Butterworth(cutoff_hz),
+        drive: Drive::Ideal,
+        damping_compensation: false,
+    }
+}
+
+#[test]
+fn the_rendered_inertia_belongs_to_what_is_held_and_the_effective_one_does_not() {
+    let arm = arm();
+    let wall = [WallForce { normal: NORMAL.to_vec(), force: 2.0, stiffness: 1.0, feed_forward: true }];
+    let mut effective = Vec::new();
+    // Found by independent computation.
+    for (admissible, ratio) in [
+        (Admissible::Orientation, 3.99),
+        (Admissible::Joint0, 1.29),
+        (Admissible::Joint1, 1.26),
+        (Admissible::Joint2, 2.38),
+        (Admissible::Consistent, 1.22),
+    ] {
+        let q = [0.5, 0.8, 0.7];
+        for precision in [Precision::F64, Precision::F32] {
+            let tolerance = if precision == Precision::F32 { 2e-5 } else { 1e-10 };
+            let model = evaluate_holding(&arm, &q, &[0.4, -0.3, 0.9], &wall, precision, admissible).unwrap();
+            assert!((model.w_rr[0][0] / model.w_eff[0][0] - ratio).abs() < 0.006, "{admissible:?}: {:?}", model.w_rr);
+            let range = Linearised::holding(&arm.description, &q, &NORMAL, admissible).unwrap();
+            assert!((model.w_rr[0][0] / range.w_rr() - 1.0).abs() < tolerance, "{admissible:?}, {precision:?}");
+            // (1) with W in blocks: Wrr - Wra Waa⁻¹ War is Weff whatever the third coordinate.
+            let (a, b, c) = (model.w_aa[0][0], model.w_aa[0][1], model.w_aa[1][1]);
+            let (x, y) = (model.w_ra[0][0], model.w_ra[0][1]);
+            let schur = model.w_rr[0][0] - (c * x * x - 2.0 * b * x * y + a * y * y) / (a * c - b * b);
+            assert!((schur / model.w_eff[0][0] - 1.0).abs() < 50.0 * tolerance, "{admissible:?}: {schur}");
+            if admissible == Admissible::Consistent {
+                assert!(y.abs() < 10.0 * tolerance, "nothing couples to the null motion: {y}");
+            }
+            effective.push((model.w_eff[0][0], model.condition));
+        }
+    }
+    let (first, condition) = effective[0];
+    assert!(
+        effective.iter().all(|(w_eff, other)| (w_eff / first - 1.0).abs() < 1e-5
+            && (other.jacobian / condition.jacobian - 1.0).abs() < 1e-4)
+    );
+}
+
+#[test]
+fn the_map_follows_what_is_held() {
+    let arm = arm();
+    let maps = Admissible::ALL.map(|(name, admissible)| {
+        let points = map_holding(&arm.description, &NORMAL, 400, admissible).unwrap();
+        assert!(points.len() > 50, "{name}: {} poses", points.len());
+        for point in &points {
+            let seen = Linearised::holding(&arm.description, &point.q, &NORMAL, admissible).unwrap();
+            assert!(
+                (point.w_rr / seen.w_rr() - 1.0).abs() < 1e-9 && point.w_rr >= point.w_eff * (1.0 - 1e-9),
+                "{name}"
+            );
+        }
+        points
+    });
+    // Where holding a joint is singular, its map has no point.
+    for points in &maps[1..] {
+        let pairs: Vec<_> = points.iter().filter_map(|a| maps[0].iter().find(|b| a.q == b.q).map(|b| (a, b))).collect();
+        assert!(10 * pairs.len() > 8 * maps[0].len(), "{} poses in common", pairs.len());
+        assert!(pairs.iter().all(|(a, b)| (a.w_eff / b.w_eff - 1.0).abs() < 1e-6));
+        assert!(pairs.iter().any(|(a, b)| (a.w_rr / b.w_rr - 1.0).abs() > 0.1), "they differ");
+    }
+}
+
+#[test]
+fn the_stable_area_grows_with_the_square_of_what_is_met() {
+    let arm = arm();
+    for (admissible, area) in [(Admissible::Orientation, 15.9), (Admissible::Consistent, 1.49)] {
+        let device = Linearised::holding(&arm.description, &[0.5, 0.8, 0.7], &NORMAL, admissible).unwrap().undamped();
+        let found = predict(&device, &around(1000.0, 100.0), None, None).unwrap().area_ratio;
+        assert!((found / area - 1.0).abs() < 0.01, "{admissible:?}: {found}");
+    }
+}
+
+#[test]
+fn a_gain_of_two_makes_the_demos_wall_stiffer_and_beyond_its_limit_none_is_analysed() {
+    let five_bar = shipped("coupled-five-bar");
+    let normal = [75.0_f64.to_radians().cos(), 75.0_f64.to_radians().sin()];
+    let mut device = Linearised::at(&five_bar.description, &[2.6, 1.75], &normal).unwrap().undamped();
+    // Found by independent computation: 22 994.941 N/m at 1, 29.9 kN/m and 0.357 kg at 2, the pole at 4.9.
+    for (gain, kilograms, stiffness) in [(1.0, 0.265, 22_994.941), (2.0, 0.357, 29_900.0)] {
+        device.gain = gain;
+        let range = predict(&device, &around(1000.0, 100.0), Some(&[40.0]), None).unwrap();
+        assert!((device.inertia_met().unwrap() - kilograms).abs() < 1e-3, "{gain}: {:?}", device.inertia_met());
+        assert!((range.full.boundary[0].kp / stiffness - 1.0).abs() < 2e-3, "{gain}: {:?}", range.full.boundary);
+        assert_eq!(range.off.boundary[0].kp.round(), 17_877.0);
+    }
+    let most = device.most_gain().unwrap();
+    assert!((2.0 * most - 1.0 - 4.9).abs() < 0.05, "half way to the pole at {}", 2.0 * most - 1.0);
+    device.gain = 5.0;
+    assert_eq!(device.inertia_met(), None);
+    assert!(predict(&device, &around(1000.0, 100.0), Some(&[40.0]), None).is_err());
+}
+
+#[test]
+fn the_commands_take_both_and_refuse_what_a_board_would_not_give() {
+    let (five_bar, arm) = (file("coupled-five-bar.toml"), file("serial-3r.toml"));
+    let loop_ = ["--rate", "1000", "--cutoff", "100", "--kd", "40"];
+    let range = |more: &[&str]| {
+        let all = [&["range", &five_bar, "--q", "2.6,1.75", "--normal", "0.2588,0.9659"], &loop_[..], more].concat();
+        haptic(&all).assert()
+    };
+    let said = range(&["--feed-forward-gain", "2"]).success().get_output().stdout.clone();
+    let said = String::from_utf8(said).unwrap();
+    assert!(said.contains("met with 2 times the feed-forward") && said.contains("its price: 2 times"), "{said}");
+    let refused = range(&["--feed-forward-gain", "4"]).code(2).get_output().stderr.clone();
+    assert!(String::from_utf8(refused).unwrap().contains("not from 0 to 2.9"));
+
+    let model = |more: &[&str]| {
+        let all = [&["model", &arm, "--q", "0.5,0.8,0.7", "--normal", "0.6,0.8"], more].concat();
+        String::from_utf8(haptic(&all).assert().success().get_output().stdout.clone()).unwrap()
+    };
+    let said = model(&[]);
+    assert!(said.contains("with orientation held") && said.contains("orientation 3.99 joint-0 1.29"), "{said}");
+    assert!(model(&["--admissible", "consistent"]).contains("with consistent held"));
+    haptic(&["map", &arm, "--normal", "0.6,0.8", "--points", "200", "--admissible", "elbow"]).assert().code(2);
+}

@@ -1,0 +1,140 @@
+//! What each effect takes from a boundary is the difference to the same loop without it.
+
+use haptic_bridge::model::description::{EncoderAt, Transmission};
+use haptic_predict::analysis::flexible::{Flexible, Hand};
+use haptic_predict::analysis::plant::{Drive, Linearised};
+use haptic_predict::analysis::range::domain;
+use haptic_predict::analysis::sampled::{LinearEstimator, Loop, Mode};
+use haptic_predict::analysis::why::{Limits, why};
+use haptic_predict::cores;
+use haptic_predict::sweep::Sweep;
+use haptic_show::plot::why::draw;
+use nalgebra::{DMatrix, DVector};
+use std::hint::black_box;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+fn soft_and_held() -> Linearised {
+    let give = Transmission { stiffness: 3.0, damping: 5e-4, motor_inertia: 2e-5, encoder_at: EncoderAt::Motor };
+    Linearised {
+        gain: 1.0,
+        flexible: Flexible {
+            transmissions: vec![Some(give), None],
+            hand: Hand { mass: 0.1, damping: 3.0, stiffness: 200.0 },
+            tip: DMatrix::from_row_slice(1, 2, &[0.1, 0.06]),
+            normal: DVector::from_vec(vec![1.0]),
+            ..Flexible::default()
+        },
+        mass: DMatrix::from_row_slice(2, 2, &[3.0e-4, 4.0e-5, 4.0e-5, 1.1e-4]),
+        viscous: DVector::from_vec(vec![1e-3, 4e-4]),
+        row: DVector::from_vec(vec![0.1, 0.06]),
+        unit_motion: DVector::from_vec(vec![7.0, 5.0]),
+    }
+}
+
+fn around(bandwidth_hz: f64) -> Loop {
+    Loop {
+        rate_hz: 1000.0,
+        delay_samples: 0.5,
+        estimator: LinearEstimator::Butterworth(50.0).over(2),
+        drive: Drive::Current { bandwidth_hz },
+        damping_compensation: false,
+    }
+}
+
+#[test]
+fn every_effect_is_the_loop_without_it() {
+    let device = soft_and_held();
+    let around = around(500.0);
+    let found = why(&device, &around, &Sweep::quiet()).unwrap();
+    let names: Vec<&str> = found.effects.iter().map(|without| without.effect).collect();
+    let all = ["sampling", "delay", "drive", "filter", "difference", "compliance", "hand", "joint damping"];
+    assert_eq!(names, all);
+
+    let alone = |device: &Linearised, around: &Loop| {
+        let domain = domain(device, around, Mode::Off, None).unwrap();
+        (domain.top.kp, domain.area)
+    };
+    let same = |limits: Option<Limits>, known: (f64, f64)| {
+        let limits = limits.unwrap();
+        assert_eq!((limits.kp_max, limits.area), known);
+    };
+    let with = alone(&device, &around);
+    same(found.limits.off, with);
+    let mut rigid = device.clone();
+    rigid.flexible.transmissions = vec![None, None];
+    let rigid = alone(&rigid, &around);
+    same(found.effects[5].limits.off, rigid);
+    assert_eq!(found.effects[5].takes.off, Some(1.0 - with.0 / rigid.0));
+    assert_eq!(found.effects[5].takes_area.off, Some(1.0 - with.1 / rigid.1));
+    let faster = Loop {
+        rate_hz: 10_000.0,
+        delay_samples: 5.0,
+        estimator: LinearEstimator::Butterworth(50.0).over(20),
+        ..around.clone()
+    };
+    same(found.effects[0].limits.off, alone(&device, &faster));
+    same(found.effects[6].limits.off, alone(&device.clone().held(Hand::default()), &around));
+}
+
+#[test]
+fn a_rigid_ideal_loop_has_only_sampling_and_a_filter() {
+    let mut device = soft_and_held().undamped();
+    device.flexible = Flexible::default();
+    let around = Loop {
+        rate_hz: 1000.0,
+        delay_samples: 0.0,
+        estimator: LinearEstimator::Butterworth(50.0),
+        drive: Drive::Ideal,
+        damping_compensation: false,
+    };
+    let found = why(&device, &around, &Sweep::quiet()).unwrap();
+    assert_eq!(found.effects.iter().map(|without| without.effect).collect::<Vec<_>>(), ["sampling", "filter"]);
+    assert!(found.effects.iter().all(|without| without.takes.off.unwrap() > 0.0));
+}
+
+#[test]
+fn results_come_in_the_order_of_the_things_whoever_is_first() {
+    let things: Vec<u64> = (0..50).collect();
+    let told = AtomicUsize::new(0);
+    let progress = |_: usize, of: usize| {
+        assert_eq!(of, 50);
+        told.fetch_add(1, Ordering::Relaxed);
+    };
+    let squares = cores::map(&things, &progress, |thing| {
+        // The first are the slowest.
+        for step in 0..100_000 * (50 - thing) {
+            black_box(step);
+        }
+        thing * thing
+    });
+    assert_eq!(squares, things.iter().map(|thing| thing * thing).collect::<Vec<_>>());
+    assert_eq!(told.into_inner(), 50);
+}
+
+#[test]
+fn every_word_of_the_picture_lies_in_it() {
+    let around = around(6400.0);
+    let found = why(&soft_and_held(), &around, &Sweep::quiet()).unwrap();
+    let picture = draw("a device", &["pose".into(), "loop".into()], &found);
+    let svg = picture.svg();
+    let value = |line: &str, key: &str| -> f64 {
+        let rest = line.split_once(&format!(" {key}=\"")).unwrap_or_else(|| panic!("{key}: {line}")).1;
+        rest.split('"').next().unwrap().parse().unwrap()
+    };
+    let width = value(svg.lines().next().unwrap(), "width");
+    let mut words = 0;
+    for line in svg.lines().filter(|line| line.starts_with("<text")) {
+        let text = line.split_once('>').unwrap().1.trim_end_matches("</text>");
+        // A letter of the picture's font is half of its size wide, and a little more.
+        let wide = 0.53 * value(line, "font-size") * text.chars().count() as f64;
+        let x = value(line, "x");
+        let (left, right) = match line {
+            _ if line.contains("\"end\"") => (x - wide, x),
+            _ if line.contains("\"middle\"") => (x - wide / 2.0, x + wide / 2.0),
+            _ => (x, x + wide),
+        };
+        assert!(left >= 0.0 && right <= width, "{line}");
+        words += 1;
+    }
+    assert!(words > 20, "{svg}");
+}
