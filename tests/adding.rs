@@ -5,9 +5,13 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 /// What the product is made of.
-const PRODUCT: [&str; 13] = [
+const PRODUCT: [&str; 17] = [
     "src",
     "host/src",
+    "host/sim/src",
+    "host/predict/src",
+    "host/show/src",
+    "host/tool/src",
     "firmware/src",
     "firmware/Cargo.toml",
     "emulator/src",
@@ -61,7 +65,7 @@ const ROWS: [Row; 11] = [
         name: "telemetry signal",
         words: &["RenderedForce", "rendered_force"],
         stems: &[],
-        users: &["host/src/sim/held.rs", "host/src/view/picture.rs"],
+        users: &["host/sim/src/held.rs", "host/show/src/view/picture.rs"],
         toy: Some(("src/board/telemetry.rs", "a_toy_signal_is_one_line")),
     },
     Row {
@@ -90,7 +94,7 @@ const ROWS: [Row; 11] = [
         name: "request",
         words: &["SetName", "set_name"],
         stems: &[],
-        users: &["host/src/commands/name.rs", "emulator/src/inject.rs"],
+        users: &["host/tool/src/commands/name.rs", "emulator/src/inject.rs"],
         toy: Some(("src/board/dispatch.rs", "a_toy_request_is_a_line_and_an_arm")),
     },
     Row {
@@ -98,7 +102,7 @@ const ROWS: [Row; 11] = [
         words: &["Completions", "completions"],
         stems: &["completions"],
         users: &[],
-        toy: Some(("host/src/commands/mod.rs", "a_toy_command_is_a_file_and_a_line")),
+        toy: Some(("host/tool/src/commands/mod.rs", "a_toy_command_is_a_file_and_a_line")),
     },
     Row {
         name: "board",
@@ -129,7 +133,7 @@ const ROWS: [Row; 11] = [
         name: "motor stage",
         words: &["brushed"],
         stems: &["brushed"],
-        users: &["host/src/sim/board.rs"],
+        users: &["host/sim/src/board.rs"],
         toy: Some((
             "tests/stages.rs",
             "an_amplifier_gets_the_current_of_the_walls_torque_and_nothing_once_the_motors_are_off",

@@ -207,7 +207,7 @@ fn circles(sources: &[Source], name: impl Fn(&Source) -> String) -> BTreeMap<Str
         }
     }
     let links: usize = uses.values().map(BTreeSet::len).sum();
-    assert!(links > 20, "only {links} uses found");
+    assert!(links > 0, "no use found");
     while let Some(free) = uses.iter().find(|(_, others)| others.is_empty()).map(|(module, _)| module.clone()) {
         uses.remove(&free);
         for others in uses.values_mut() {
@@ -236,11 +236,11 @@ fn no_module_is_in_a_circle() {
         let circles = circles(&library, name);
         assert!(circles.is_empty(), "circles among {circles:#?}");
     }
-    for folder in ["firmware/src", "emulator/src", "xtask/src", "host/src"] {
+    for folder in ["firmware/src", "emulator/src", "xtask/src"].into_iter().chain(HOST) {
         let sources = sources_of(folder);
         let mut names: Vec<fn(&Source) -> String> = vec![|source| source.floor().to_string()];
-        if folder == "host/src" {
-            // The host's modules have files in them; those are in no circle either.
+        if HOST.contains(&folder) {
+            // Modules here have files in them; those are in no circle either.
             names.extend([Source::module as fn(&Source) -> String, Source::file]);
         }
         for name in names {
@@ -281,6 +281,9 @@ fn an_import_that_runs_up_or_across_is_found() {
     assert_eq!(wrong("model/device.rs", "// see crate::servo::Servo"), 0);
 }
 
+/// The crates of this computer's side, the tool last. Cargo sees to it that none imports one above it.
+const HOST: [&str; 5] = ["host/src", "host/sim/src", "host/predict/src", "host/show/src", "host/tool/src"];
+
 /// What the library, which boards share, must not know by name.
 const FOREIGN: [&str; 6] = ["odrive", "h-bridge", "stm32", "f405", "cortex", "embassy"];
 
@@ -307,8 +310,9 @@ fn the_library_names_no_board_and_no_chip() {
     );
 }
 
-/// The files below host/src that write whole command lines for people.
-const WRITERS: [&str; 3] = ["analysis/prediction.rs", "demo.rs", "plausible/scene.rs"];
+/// The files below the tool that write whole command lines for people.
+const WRITERS: [&str; 3] =
+    ["host/predict/src/analysis/prediction.rs", "host/predict/src/plausible/scene.rs", "host/show/src/demo.rs"];
 
 /// The texts in a source that name an option of a command line; comments and tests aside.
 fn options(tokens: TokenStream) -> Vec<String> {
@@ -328,14 +332,16 @@ fn product(text: &str) -> TokenStream {
 }
 
 #[test]
-fn the_tools_library_names_no_option_of_the_tool() {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("host/src");
+fn nothing_below_the_tool_names_an_option_of_it() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let mut found = Vec::new();
-    sources(&root, &mut found);
+    for folder in HOST.iter().filter(|folder| **folder != "host/tool/src") {
+        sources(&root.join(folder), &mut found);
+    }
     let (mut read, mut wrong) = (0, Vec::new());
     for path in &found {
-        let inside = path.strip_prefix(&root).expect("below the folder").to_str().expect("a plain name");
-        if inside.starts_with("commands/") || ["main.rs", "cli.rs"].contains(&inside) || WRITERS.contains(&inside) {
+        let inside = path.strip_prefix(root).expect("below the root").to_str().expect("a plain name");
+        if WRITERS.contains(&inside) {
             continue;
         }
         read += 1;

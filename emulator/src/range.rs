@@ -1,6 +1,6 @@
-//! The paper's experiment on the emulated chip: which walls stay stable on the unmodified image, by `haptic_predict::measure`
-//! through the protocol, beside what the sampled-data theory of `haptic range` says with the delay that the board
-//! reports.
+//! The paper's experiment on the emulated chip: which walls stay stable on the unmodified image, by
+//! `haptic_predict::measure` through the protocol, beside what the sampled-data theory of `haptic range` says with the
+//! delay that the board reports.
 //!
 //! The rigid device is the shipped coupled-five-bar without friction and with fine encoders, at a pose and along the
 //! normal where its coupling is worst, no hand on it. Other shipped devices stand at their homes with a cable at every

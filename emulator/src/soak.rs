@@ -1,6 +1,6 @@
 //! Hours of contact with telemetry on the unmodified image: no control period is missed, no row is lost, no touch of
-//! the wall is unlike the first ones. `cargo xtask soak --chip` runs it; host/tests/deep/soak.rs is the same on the
-//! simulated board.
+//! the wall is unlike the first ones. `cargo xtask soak --chip` runs it; host/tool/tests/deep/soak.rs is the same on
+//! the simulated board.
 
 use std::fmt::Write as _;
 use std::time::Duration;

@@ -1,7 +1,7 @@
-//! Talks to a haptic-bridge board: finds its port, asks and tells it what its protocol allows, follows its telemetry, and
-//! reads and writes the files that describe devices and scenes. Programs build on it, in C, Python and CHAI3D too, so it
-//! brings nothing that draws, predicts or simulates. A board is a [`link::Board`], one method for every request; a
-//! program that holds one while it pushes takes a [`link::Session`].
+//! Talks to a haptic-bridge board: finds its port, asks and tells it what its protocol allows, follows its telemetry,
+//! and reads and writes the files that describe devices and scenes. Programs build on it, in C, Python and CHAI3D too,
+//! so it brings nothing that draws, predicts or simulates. A board is a [`link::Board`], one method for every request;
+//! a program that holds one while it pushes takes a [`link::Session`].
 //!
 //! ```no_run
 //! use haptic_host::{device_file::DeviceFile, link::Board, scene_file::SceneFile};
@@ -29,9 +29,9 @@
 //! | have the axes of another program | [`frame`] |
 //!
 //! On it stand `haptic-sim` (a board without hardware), `haptic-predict` (which walls are stable), `haptic-show`
-//! (recordings, drawings, the page) and the tool `haptic`. The programs in `examples/` press a wall, follow telemetry, push
-//! and predict a range in about twenty lines each. [`haptic_bridge`] is the code that runs on the board itself; its types
-//! (scenes, gains, faults) are those used here.
+//! (recordings, drawings, the page) and the tool `haptic`. The programs in `examples/` press a wall, follow telemetry,
+//! push and predict a range in about twenty lines each. [`haptic_bridge`] is the code that runs on the board itself;
+//! its types (scenes, gains, faults) are those used here.
 #![forbid(unsafe_code)]
 
 pub use haptic_bridge;

@@ -1,6 +1,6 @@
 //! Walls that meet at an angle: what docs/model.md section 2 promises of them, held by loops and bounds that do not use
 //! the code under test. The feed-forward's torques alone come from it. Simulated devices that press such walls are in
-//! host/tests/deep/ranges/sets_of_walls.rs.
+//! host/tool/tests/deep/ranges/sets_of_walls.rs.
 
 mod continuity;
 mod linear;

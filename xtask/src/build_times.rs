@@ -42,9 +42,14 @@ pub fn print() -> Result<()> {
         let spent: f64 = own.iter().filter_map(|name| seconds.get(name)).sum();
         println!("| {part} | {} | {spent:.0} |", own.len());
     }
-    let ours: f64 = ["haptic", "haptic-bridge"].iter().filter_map(|name| seconds.get(*name)).sum();
+    let ours: f64 = seconds.iter().filter(|(name, _)| is_ours(name)).map(|(_, seconds)| seconds).sum();
     println!("| this repository's own code | | {ours:.0} |\n| all of it | {} | {total:.0} |", seconds.len());
     Ok(())
+}
+
+/// Whether a crate is one of this repository's.
+fn is_ours(name: &str) -> bool {
+    name == "haptic" || name.starts_with("haptic-")
 }
 
 /// Seconds by crate, from the list of units in cargo's report.
@@ -97,7 +102,7 @@ impl Graph {
         Ok(Self(graph))
     }
 
-    /// What the tool needs, without its own dependencies `except`.
+    /// What the tool needs, without those dependencies `except` of its own crates.
     fn reached(&self, except: &[&str]) -> BTreeSet<&str> {
         let mut found = BTreeSet::new();
         let mut open = vec!["haptic"];
@@ -106,7 +111,7 @@ impl Graph {
                 continue;
             }
             let needs = self.0.get(name).into_iter().flatten().map(String::as_str);
-            open.extend(needs.filter(|need| name != "haptic" || !except.contains(need)));
+            open.extend(needs.filter(|need| !is_ours(name) || !except.contains(need)));
         }
         found
     }

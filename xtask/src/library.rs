@@ -1,5 +1,4 @@
-//! The library as programs take it, without the command line: it compiles, and nothing comes along which only the tool
-//! needs.
+//! What programs build on: it compiles without the tool, and nothing comes along that only the tool needs.
 
 use std::collections::BTreeSet;
 
@@ -8,35 +7,51 @@ use anyhow::{Result, bail, ensure};
 use crate::paths::root;
 use crate::toolchain::{cargo, run};
 
-/// What only the tool needs.
-const TOOL_ONLY: [&str; 9] =
-    ["clap", "clap_complete", "clap_mangen", "ctrlc", "dejavu", "indicatif", "ratatui", "resvg", "tungstenite"];
+/// The crates below the tool, from the ground up.
+pub const CRATES: [&str; 4] = ["haptic-host", "haptic-sim", "haptic-predict", "haptic-show"];
 
-/// Who takes the library without it.
-const WITHOUT: [&[&str]; 4] =
-    [&["haptic", "--no-default-features"], &["haptic-capi"], &["haptic-chai3d"], &["haptic-python"]];
+/// What only the tool needs.
+const TOOL: &[&str] =
+    &["clap", "clap_complete", "clap_mangen", "ctrlc", "dejavu", "indicatif", "ratatui", "resvg", "tungstenite"];
+/// What recordings, drawings and the page need.
+const SHOWING: &[&str] = &["haptic-show", "mcap", "prost-reflect"];
+/// What computes which walls are stable.
+const PREDICTING: &[&str] = &["haptic-predict"];
+/// What takes the place of a board.
+const SIMULATING: &[&str] = &["haptic-sim"];
+
+/// Who does without what.
+const WITHOUT: [(&str, &[&[&str]]); 5] = [
+    ("haptic-host", &[TOOL, SHOWING, PREDICTING, SIMULATING]),
+    ("haptic-sim", &[TOOL, SHOWING, PREDICTING]),
+    ("haptic-capi", &[TOOL, SHOWING, PREDICTING]),
+    ("haptic-chai3d", &[TOOL, SHOWING]),
+    ("haptic-python", &[TOOL]),
+];
 
 /// Checks both.
 pub fn alone() -> Result<()> {
-    let tool = dependencies(&["haptic"])?;
-    for name in TOOL_ONLY {
+    let tool = dependencies("haptic")?;
+    for name in [TOOL, SHOWING, PREDICTING, SIMULATING].concat() {
         ensure!(tool.contains(name), "the tool does without {name} now: xtask/src/library.rs names it");
     }
-    for package in WITHOUT {
+    for (package, without) in WITHOUT {
         let found = dependencies(package)?;
-        if let Some(name) = TOOL_ONLY.into_iter().find(|name| found.contains(*name)) {
-            bail!("{} brings {name}, which only the tool needs", package.join(" "));
+        if let Some(name) = without.iter().copied().flatten().find(|name| found.contains(**name)) {
+            bail!("{package} brings {name}, which it does not need");
         }
     }
-    let check = ["check", "--locked", "--package", "haptic", "--no-default-features", "--lib"];
-    run(cargo().current_dir(root()).args(check))
+    for name in CRATES {
+        run(cargo().current_dir(root()).args(["check", "--locked", "--lib", "--package", name]))?;
+    }
+    Ok(())
 }
 
 /// Names of everything that is linked or built for a package.
-fn dependencies(package: &[&str]) -> Result<BTreeSet<String>> {
+fn dependencies(package: &str) -> Result<BTreeSet<String>> {
     let mut command = cargo();
     command.current_dir(root()).args(["tree", "--locked", "--edges", "normal,build", "--prefix", "none", "--package"]);
-    let output = command.args(package).output()?;
+    let output = command.arg(package).output()?;
     ensure!(output.status.success(), "cargo tree: {}", String::from_utf8_lossy(&output.stderr).trim());
     let text = String::from_utf8_lossy(&output.stdout);
     Ok(text.lines().filter_map(|line| line.split_whitespace().next()).map(str::to_string).collect())

@@ -23,7 +23,7 @@ pub fn build() -> Result<PathBuf> {
     let library = fs::read(&library).with_context(|| format!("cannot read {}", library.display()))?;
     let read = |path: &str| fs::read_to_string(root().join(path)).with_context(|| format!("cannot read {path}"));
     let page = assemble(
-        &read("host/src/view/page.html")?,
+        &read("host/show/src/view/page.html")?,
         &read("playground/src/page.js")?,
         &read("playground/src/worker.js")?,
         &library,
@@ -49,7 +49,7 @@ fn assemble(page: &str, script: &str, worker: &str, library: &[u8]) -> Result<St
 }
 
 fn put(page: &str, mark: &str, text: &str) -> Result<String> {
-    ensure!(page.matches(mark).count() == 1, "host/src/view/page.html has to have {mark} once");
+    ensure!(page.matches(mark).count() == 1, "host/show/src/view/page.html has to have {mark} once");
     Ok(page.replacen(mark, text, 1))
 }
 
@@ -83,7 +83,7 @@ mod tests {
     fn the_page_has_a_place_for_what_is_put_in_and_ends_no_script_early() {
         let read = |path: &str| fs::read_to_string(root().join(path)).unwrap();
         let [page, script, worker] =
-            ["host/src/view/page.html", "playground/src/page.js", "playground/src/worker.js"].map(read);
+            ["host/show/src/view/page.html", "playground/src/page.js", "playground/src/worker.js"].map(read);
         assert!(!script.contains("</script") && !worker.contains("</script"));
         let whole = assemble(&page, &script, &worker, b"foobar").unwrap();
         assert!(whole.contains("id=\"library\">Zm9vYmFy</script>") && whole.contains("wasm-unsafe-eval"));

@@ -26,7 +26,7 @@ pub struct Part {
     run: fn(&[String]) -> Result<()>,
 }
 
-/// A part that is a module of host/tests/deep.
+/// A part that is a module of host/tool/tests/deep.
 macro_rules! module {
     ($name:literal, $what:literal) => {
         Part { name: $name, what: $what, run: |arguments| tool(concat!($name, "::"), arguments) }
@@ -35,7 +35,7 @@ macro_rules! module {
 
 /// All parts of the deep tests, cheapest first.
 pub const PARTS: [Part; 15] = [
-    Part { name: "clients", what: "The library without the command line, and its examples", run: clients },
+    Part { name: "clients", what: "What programs build on: what it brings along, and its examples", run: clients },
     Part { name: "properties", what: "The library's tests from seeds drawn anew", run: properties },
     module!("hard_cases", "Single precision against 106 bits"),
     module!("claims", "The figures of docs/claims.md"),
@@ -109,15 +109,15 @@ fn stage(name: &str, work: impl FnOnce() -> Result<()>) -> Result<()> {
     outcome
 }
 
-/// A module of host/tests/deep.
+/// A module of host/tool/tests/deep.
 fn tool(module: &str, arguments: &[String]) -> Result<()> {
     run(tests(&["--test", "deep", "--", module]).args(arguments).env("HAPTIC_FRESH_SEEDS", "1"))
 }
 
 fn clients(arguments: &[String]) -> Result<()> {
     library::alone()?;
-    let examples = ["test", "--locked", "--package", "haptic", "--doc"];
-    run(cargo().current_dir(paths::root()).args(examples).args(arguments))
+    let crates = library::CRATES.iter().flat_map(|name| ["--package", *name]);
+    run(cargo().current_dir(paths::root()).args(["test", "--locked", "--doc"]).args(crates).args(arguments))
 }
 
 fn properties(arguments: &[String]) -> Result<()> {
@@ -163,10 +163,10 @@ fn gate_tests() -> Command {
 /// Tests of the tool and of the virtual board. The packages are always the same, and so are then their dependencies'
 /// features: each is compiled once.
 fn tests(targets: &[&str]) -> Command {
-    let packages = ["haptic", "haptic-capi", "haptic-chai3d", "virtual-board", "xtask"];
+    let others = ["haptic", "haptic-capi", "haptic-chai3d", "virtual-board", "xtask"];
+    let packages = library::CRATES.iter().chain(&others).flat_map(|name| ["--package", *name]);
     let mut test = cargo();
-    test.current_dir(paths::root()).args(["test", "--locked", "--ignore-rust-version"]);
-    test.args(packages.map(|name| ["--package", name]).concat()).args(targets);
+    test.current_dir(paths::root()).args(["test", "--locked", "--ignore-rust-version"]).args(packages).args(targets);
     test
 }
 

@@ -1,6 +1,6 @@
-//! Which walls a device renders stably, how they feel, and with which settings and links it renders the stiffest. All of
-//! it is computed from device and scene, in double precision or in the board's own, and draws nothing. [`measure`] asks a
-//! board instead, simulated or real, and knows no theory: what both say is compared.
+//! Which walls a device renders stably, how they feel, and with which settings and links it renders the stiffest. All
+//! of it is computed from device and scene, in double precision or in the board's own, and draws nothing. [`measure`]
+//! asks a board instead, simulated or real, and knows no theory: what both say is compared.
 //!
 //! ```
 //! use haptic_host::device_file::DeviceFile;
@@ -36,7 +36,8 @@
 //! | find the settings of the stiffest wall | [`mod@tune`] |
 //! | find the best place, direction, posture and links for one | [`mod@design`] |
 //!
-//! What takes long goes through a [`sweep`], which uses every core, says how far it is and goes on where it was stopped.
+//! What takes long goes through a [`sweep`], which uses every core, says how far it is and goes on where it was
+//! stopped.
 #![forbid(unsafe_code)]
 
 pub mod analysis;

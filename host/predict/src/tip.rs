@@ -99,7 +99,7 @@ mod tests {
     #[test]
     fn the_table_in_the_documentation_is_what_is_computed() {
         use std::fmt::Write as _;
-        const BEGIN: &str = "<!-- tips: written by host/src/tip.rs -->\n";
+        const BEGIN: &str = "<!-- tips: written by host/predict/src/tip.rs -->\n";
         const END: &str = "<!-- end of tips -->\n";
         let gentle = f64::from(haptic_bridge::safety::limits::GENTLE_FORCE);
         let mut table = String::from(
@@ -133,7 +133,7 @@ mod tests {
         if std::env::var_os("UPDATE_DOCS").is_some() {
             std::fs::write(&path, format!("{head}{BEGIN}{table}{END}{tail}")).expect("docs/safety.md can be written");
         } else {
-            assert_eq!(committed, table, "run UPDATE_DOCS=1 cargo test -p haptic --lib tip::");
+            assert_eq!(committed, table, "run UPDATE_DOCS=1 cargo test -p haptic-predict --lib tip::");
         }
     }
 

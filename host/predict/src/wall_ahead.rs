@@ -12,8 +12,8 @@ use haptic_host::scene_file::{DEFAULT_CUTOFF_HZ, DEFAULT_WASHOUT_HZ};
 /// How far in front of the tip the wall stands, m.
 const AHEAD: f64 = 0.006;
 
-/// A wall in front of the tip at home, below it where the device moves in a plane or in space, of half the stiffness that
-/// is predicted stable.
+/// A wall in front of the tip at home, below it where the device moves in a plane or in space, of half the stiffness
+/// that is predicted stable.
 pub fn wall_ahead(file: &DeviceFile) -> Result<Scene<f32>, Failure> {
     let task = file.spec().task;
     let none = || {

@@ -1,12 +1,13 @@
 //! Shows devices and what was measured on them: drawings, the page of `haptic view`, the monitor in a terminal, and
 //! recordings. Recordings are read and written without any feature; PNG (feature `png`), the doors to browsers and to
-//! programs made for other devices (`serve`) and the monitor (`monitor`) each bring what they need. The demonstration is
-//! here as well: a wall that buzzes without the feed-forward and stands with it, with its picture.
+//! programs made for other devices (`serve`) and the monitor (`monitor`) each bring what they need. The demonstration
+//! is here as well: a wall that buzzes without the feed-forward and stands with it, with its picture.
 //!
 //! ```
 //! use haptic_show::recorder::Recording;
 //!
-//! let recording = Recording::parse("# control rate 20000 Hz\nstep,time_s,force_n\n0,0,1.5\n1,0.00005,1.25\n").unwrap();
+//! let text = "# control rate 20000 Hz\nstep,time_s,force_n\n0,0,1.5\n1,0.00005,1.25\n";
+//! let recording = Recording::parse(text).unwrap();
 //! let force = recording.column("force_n").unwrap();
 //! assert_eq!(recording.rate_hz(), Some(20_000.0));
 //! assert_eq!(recording.rows[1][force], 1.25);

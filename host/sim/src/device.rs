@@ -18,7 +18,7 @@ pub struct Options {
     /// The encoders know their angle at power-on, as if homed; otherwise they start at zero wherever the device stands.
     pub absolute_encoders: bool,
     /// Longest integration step, s. At 5 µs a five-bar's energy drifts by less than 1e-9 in a second
-    /// (host/tests/quick/simulated_device.rs).
+    /// (host/tool/tests/quick/simulated_device.rs).
     pub substep: f64,
     /// How far beyond its limits each joint hits a stop, rad; joints without limits have none.
     pub stop_margin: f64,

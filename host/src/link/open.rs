@@ -1,4 +1,5 @@
-//! What `--port` means, opened. A simulated board is no wire: `haptic-sim` opens that one, and everything else by these.
+//! What `--port` means, opened. A simulated board is no wire: `haptic-sim` opens that one, and everything else by
+//! these.
 
 use super::board::{Board, Stopped};
 use super::error::{BoardError, LinkError};

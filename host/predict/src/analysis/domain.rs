@@ -3,8 +3,8 @@
 //! The area is ∫ kp_max dkd, what lies above the first crossing is an island: reported, not counted. The integral is
 //! taken the way the reference cases take theirs (tests/golden/range.json, reproduced to 1e-8): the trapezoidal rule on
 //! dampings spaced like Chebyshev points. Against the exact integral that is 5e-4 low on a smooth boundary, whatever
-//! its shape, and up to 2e-2 off where kp_max jumps (host/tests/quick/range_golden.rs); ratios of areas of the same shape
-//! have no such error.
+//! its shape, and up to 2e-2 off where kp_max jumps (host/tool/tests/quick/range_golden.rs); ratios of areas of the
+//! same shape have no such error.
 
 use serde::Serialize;
 

@@ -151,7 +151,7 @@ struct Steps {
 }
 
 const COARSE: Steps = Steps { from: 0.1, to: 0.01, besides: 30 };
-/// With so many it comes within a hundredth of the best (host/tests/deep/tune/design.rs).
+/// With so many it comes within a hundredth of the best (host/tool/tests/deep/tune/design.rs).
 const FINE: Steps = Steps { from: 0.05, to: 1e-5, besides: 120 };
 
 /// A compass search whose steps halve.

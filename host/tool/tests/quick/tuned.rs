@@ -1,5 +1,5 @@
-//! `haptic tune` and `haptic estimators`: on devices that nobody chose (ten of them: host/tests/deep/tune/settings.rs), on
-//! joints that give, and when they are to end.
+//! `haptic tune` and `haptic estimators`: on devices that nobody chose (ten of them:
+//! host/tool/tests/deep/tune/settings.rs), on joints that give, and when they are to end.
 
 use crate::common::tuned::{drawn, none_is_stiffer, question};
 use crate::common::{haptic, json, root, shipped};
