@@ -124,6 +124,9 @@ pub(super) struct PolarityCheck {
     left: u32,
     /// The next one waits for a crest without a control step.
     due: bool,
+    /// The current (A) and the voltage (V) of the joint's motor at the last control step.
+    current: f32,
+    voltage: f32,
     told: Torques,
 }
 
@@ -145,6 +148,8 @@ where
 
     /// What the motors are told in a control step of the check, which at high rates is not due in each.
     pub(super) fn check_polarity(&mut self) -> Torques {
+        let (motors, i) = (&self.now.motors, self.polarity.axis.min(MAX_JOINTS - 1));
+        (self.polarity.current, self.polarity.voltage) = (motors.current[i], motors.duty[i] * motors.bus_voltage);
         match self.polarity.left.checked_sub(1) {
             Some(left) => self.polarity.left = left,
             None if self.has_free_crests() => self.polarity.due = true,
@@ -158,6 +163,10 @@ where
     pub(super) fn check_at_free_crest(&mut self) {
         if self.polarity.due && self.state == State::CheckingPolarity {
             self.go_on_checking();
+            if self.state == State::CheckingPolarity {
+                let told = self.polarity.told;
+                self.command_test(&told);
+            }
         }
     }
 
@@ -325,7 +334,7 @@ where
             // Weighed so that what changes slowly drops out.
             let weight = 1.0 - K::sin_cos(core::f32::consts::TAU * summed).1;
             let (now, stage) = (&self.now, &self.joints[i].stage);
-            let current = now.motors.current[i];
+            let (current, voltage) = (self.polarity.current, self.polarity.voltage);
             let add = |sum: &mut Phasor, value: f32| {
                 sum[0] += weight * cosine * value;
                 sum[1] += weight * sine * value;
@@ -335,7 +344,7 @@ where
             }
             add(&mut swing.driven, stage.torque_of(current));
             add(&mut swing.current, current);
-            add(&mut swing.voltage, now.motors.duty[i] * now.motors.bus_voltage);
+            add(&mut swing.voltage, voltage);
         }
         swing.seconds += self.polarity.pace;
         self.polarity.swing = Some(swing);
