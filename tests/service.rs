@@ -674,7 +674,7 @@ fn a_board_with_real_motors_that_nothing_was_said_to_pushes_with_5_newtons_at_th
 fn a_refusal_for_a_fault_says_once_that_it_is_to_be_cleared() {
     for fault in Fault::ALL {
         let said = Refusal::Faulted(*fault).to_string();
-        assert_eq!((said.matches("haptic clear").count(), said.matches("clear").count()), (1, 1), "{said}");
+        assert_eq!((said.matches("haptic faults --clear").count(), said.matches("clear").count()), (1, 1), "{said}");
     }
 }
 

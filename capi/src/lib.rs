@@ -206,7 +206,7 @@ const CALLS: [(&str, &str); 6] = [
     ("home", "hb_home()"),
     ("polarity", "hb_check_polarity()"),
     ("disarm", "hb_disarm()"),
-    ("clear", "hb_clear()"),
+    ("faults --clear", "hb_clear()"),
 ];
 
 /// Longest text that `hb_error` tells, bytes.

@@ -24,7 +24,7 @@ const LEAST_RADIUS: f64 = 0.01;
 /// Ticks between two attempts to open a board that went away: half a second.
 const RETRY: u32 = 500;
 /// What a program does where a person would type a command.
-const CALLS: [(&str, &str); 1] = [("clear", "close and open the device")];
+const CALLS: [(&str, &str); 1] = [("faults --clear", "close and open the device")];
 
 /// How the board is opened, also once more.
 type Opener = Box<dyn FnMut() -> Result<Session, String> + Send>;

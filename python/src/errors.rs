@@ -41,7 +41,7 @@ const CALLS: [(&str, &str); 6] = [
     ("home", "Board.home()"),
     ("polarity", "Board.check_polarity()"),
     ("disarm", "Board.disarm()"),
-    ("clear", "Board.clear()"),
+    ("faults --clear", "Board.clear()"),
 ];
 
 /// Of anything that the tool ends with.

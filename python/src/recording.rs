@@ -63,7 +63,7 @@ impl Recording {
     }
 }
 
-/// Reads what `haptic stream --csv` wrote.
+/// Reads what `haptic record` wrote as CSV.
 ///
 /// A file whose writer was killed is read up to its last whole line (`torn`).
 #[pyfunction]

@@ -87,7 +87,7 @@ faults! {
         "check the encoder's cable, then home again";
     /// A joint left its limits; value: rad.
     JointLimit = 7, "a joint left its limits",
-        "move the device back by hand, then `haptic clear` and arm again";
+        "move the device back by hand, then `haptic faults --clear` and arm again";
     /// A joint exceeded its speed limit; value: rad/s.
     SpeedLimit = 8, "a joint moved faster than its limit",
         "lower the stiffness or raise the damping; if the encoder is noisy, check its cable";
@@ -103,7 +103,7 @@ faults! {
     BusOverVoltage = 12, "the supply voltage is too high",
         "braking motors feed the supply: use one that can sink, or a brake resistor";
     /// The gate driver pulled its fault pin; value: its status register.
-    GateDriver = 13, "the gate driver reports a fault", "check for shorts at the motor terminals, then `haptic clear`";
+    GateDriver = 13, "the gate driver reports a fault", "check for shorts at the motor terminals, then `haptic faults --clear`";
     /// A number in the control step was infinite or not a number.
     NotFinite = 14, "a number in the control step was not finite",
         "reload the device and the scene; report it with both files if it returns";
@@ -120,13 +120,13 @@ faults! {
     StackOverflow = 18, "the stack overflowed", "report it with device and scene files";
     /// Settings in flash were damaged and replaced by defaults; value: how many.
     SettingsDamaged = 19, "some settings in flash were damaged and are at their defaults",
-        "restore a backup with `haptic restore`, or load device and scene again";
+        "restore a backup with `haptic board restore`, or load device and scene again";
     /// The processor took a hard fault; value: the address.
     HardFault = 20, "the processor stopped at a hard fault", "report it with device and scene files";
     /// The firmware panicked; value: the line.
     Panic = 21, "the firmware stopped at a panic", "report it with device and scene files";
     /// The break input cut the bridges in hardware.
-    BreakInput = 22, "the break input cut the bridges", "release the emergency stop, then `haptic clear`";
+    BreakInput = 22, "the break input cut the bridges", "release the emergency stop, then `haptic faults --clear`";
     /// Mean power into the hand exceeded its limit; value: W.
     PowerLimit = 23, "more power went into the hand than its limit allows",
         "lower the stiffness or raise the damping; the wall is unstable or the limit too tight";
@@ -146,7 +146,7 @@ faults! {
         "check the motor's wires, its encoder's direction and coupling, the current sensor, and resistance, inductance and back-EMF in the device file";
     /// A gate driver forgot its settings while the motors were on; value: the register as it was read.
     DriverReset = 29, "a gate driver lost its settings while the motors were on",
-        "check the supply for dips and the driver's soldering, then `haptic clear`";
+        "check the supply for dips and the driver's soldering, then `haptic faults --clear`";
     /// Current flows though the bridges are off; value: A.
     StrayCurrent = 30, "current flows through a motor though the bridges are off",
         "switch the supply off: a switch of the bridge is broken, or a motor wire touches another; or a current sensor is off its zero";
@@ -167,7 +167,7 @@ faults! {
         "let the device stand still by itself, or hold it still for a moment, hands off while a motor pushes; then check again";
     /// A dead man's key that was held is no longer told of; value: seconds since it was seen down.
     KeyReleased = 36, "nobody was heard to hold the dead man's key any more",
-        "`haptic clear`, then press the key anew; if it comes while the key is down, the page, the network or the computer between key and board is too slow";
+        "`haptic faults --clear`, then press the key anew; if it comes while the key is down, the page, the network or the computer between key and board is too slow";
     /// The image is for another board than the chip is on; value: the pin that told, 16 times its port (0 for A) and its number.
     WrongBoard = 37, "the firmware is for another board than this",
         "flash this board's own image; if it is this board's, look at the wire of its bus divider";
@@ -219,7 +219,7 @@ mod tests {
 
     faults! {
         /// The handle was let go of; value: seconds.
-        LetGo = 3, "the handle was let go of", "hold it, then `haptic clear`";
+        LetGo = 3, "the handle was let go of", "hold it, then `haptic faults --clear`";
         /// The handle is hot; value: kelvin.
         HotHandle = 7, "the handle is hot", "let it cool";
     }
@@ -229,7 +229,7 @@ mod tests {
     fn a_toy_fault_is_one_line() {
         let told = |fault: &Fault| (fault.code(), fault.name(), fault.what(), fault.remedy());
         let told_of_all = [
-            (3, "LetGo", "the handle was let go of", "hold it, then `haptic clear`"),
+            (3, "LetGo", "the handle was let go of", "hold it, then `haptic faults --clear`"),
             (7, "HotHandle", "the handle is hot", "let it cool"),
         ];
         assert!(Fault::ALL.iter().map(told).eq(told_of_all));

@@ -14,7 +14,7 @@ use crate::toolchain::{cargo, run};
 const PARTS: &[(&str, &[&str])] = &[
     ("PNG pictures", &["resvg", "dejavu"]),
     ("command line, help, manual", &["clap", "clap_complete", "clap_mangen", "indicatif", "ctrlc"]),
-    ("`haptic monitor`", &["ratatui"]),
+    ("`haptic view --terminal`", &["ratatui"]),
     ("recordings (MCAP)", &["mcap"]),
     ("`haptic view`, `serve --haply`", &["tungstenite", "getrandom"]),
     ("the board's link", &["postcard-rpc", "postcard", "cobs", "serialport"]),

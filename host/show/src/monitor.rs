@@ -1,4 +1,4 @@
-//! The page of `haptic view` in a terminal (`haptic monitor`, docs/monitor.md): what is seen of a board ([`seen`]), put
+//! The page of `haptic view` in a terminal (`haptic view --terminal`, docs/monitor.md): what is seen of a board ([`seen`]), put
 //! on the screen ([`screen`]), and what keys say to it.
 //!
 //! It is one more page of the stage ([`crate::view::stage`]), in this process: everything that moves a board goes

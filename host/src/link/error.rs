@@ -21,7 +21,7 @@ pub enum LinkError {
     SeveralBoards(Vec<String>),
     /// The port's name means nothing.
     #[error(
-        "no port {name}, and no board on USB has that serial number: {reason}; `haptic list` shows the boards that are \
+        "no port {name}, and no board on USB has that serial number: {reason}; `haptic board list` shows the boards that are \
          connected, and a simulated one is on the port that `haptic sim` prints"
     )]
     NoSuchPort {

@@ -19,10 +19,44 @@ pub fn parse() -> Command {
 /// The command that these words, the program's own name first, ask for. Errors are clap's, and so are help and version.
 pub fn read(words: Vec<OsString>) -> Result<Command, clap::Error> {
     let words = port_after_command(words);
+    if let Some(error) = renamed(&words) {
+        return Err(error);
+    }
     let asked = words.get(1).map(|word| word.to_string_lossy().into_owned()).unwrap_or_default();
     let unread = |error| what_to_type(without_wrong_tip(error, &asked));
     let matches = command().try_get_matches_from(words).map_err(unread)?;
     Ok(Cli::from_arg_matches(&matches)?.command)
+}
+
+/// Commands that had another name in the version before, each with what to type now.
+const RENAMED: &[(&str, &str)] = &[
+    ("backup", "haptic board backup"),
+    ("clear", "haptic faults --clear"),
+    ("dfu", "haptic board dfu"),
+    ("estimators", "haptic tune estimators"),
+    ("latency", "haptic board latency"),
+    ("list", "haptic board list"),
+    ("monitor", "haptic view --terminal"),
+    ("name", "haptic board name"),
+    ("plan", "haptic check"),
+    ("restart", "haptic board restart"),
+    ("restore", "haptic board restore"),
+    ("save", "haptic board save"),
+];
+
+/// What to type instead of a spelling of the version before.
+fn renamed(words: &[OsString]) -> Option<clap::Error> {
+    let mut words = words.iter().skip(1).filter_map(|word| word.to_str());
+    let asked = words.next()?;
+    let asked = if asked == "help" { words.next()? } else { asked };
+    let told = |old: &str, now: &str| {
+        let message = format!("`haptic {old}` is now called `{now}`\n");
+        Some(clap::Error::raw(clap::error::ErrorKind::InvalidSubcommand, message).with_cmd(&command()))
+    };
+    if asked == "stream" && words.any(|word| word == "--csv" || word.starts_with("--csv=")) {
+        return told("stream --csv", "haptic record FILE.csv");
+    }
+    RENAMED.iter().find(|(old, _)| *old == asked).and_then(|(old, now)| told(old, now))
 }
 
 /// No tip to pass an option that a command has not got as a value, which it would then take for the name of a file; and
@@ -87,22 +121,56 @@ mod tests {
     #[test]
     fn every_command_stands_under_a_heading_and_says_what_it_is_for() {
         let help = command().render_long_help().to_string();
+        let mut shown = 0;
         for found in command().get_subcommands() {
             let about = found.get_about().map(ToString::to_string).unwrap_or_default();
             assert!(about.len() > 10 && !about.ends_with('.'), "{}: \"{about}\"", found.get_name());
-            assert!(help.contains(&about), "{} is not on the help page", found.get_name());
+            assert_eq!(help.contains(&about), !found.is_hide_set(), "{} on the help page", found.get_name());
+            shown += usize::from(!found.is_hide_set());
         }
+        assert!(shown <= 30, "{shown} commands are more than a person keeps in mind");
+    }
+
+    /// The words of every command, and of those under it.
+    fn every_command() -> Vec<String> {
+        let mut left = vec![(String::new(), command())];
+        let mut all = Vec::new();
+        while let Some((above, command)) = left.pop() {
+            for under in command.get_subcommands() {
+                let words = format!("{above}{}", under.get_name());
+                all.push(words.clone());
+                left.push((words + " ", under.clone()));
+            }
+        }
+        all
     }
 
     #[test]
     fn every_example_is_understood() {
-        for command in command().get_subcommands() {
-            for line in examples(command.get_name()) {
+        for command in every_command() {
+            for line in examples(&command) {
                 // What a shell does with the rest of the line is not ours.
                 let words = line.split(['|', '>']).next().unwrap_or_default().split_whitespace();
                 let read = read(words.map(OsString::from).collect());
                 assert!(read.is_ok(), "{line}: {}", read.err().unwrap());
-                assert_eq!(line.split_whitespace().nth(1), Some(command.get_name()));
+                assert!(line.starts_with(&format!("haptic {command}")), "{line} under {command}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_spelling_of_the_version_before_is_answered_with_todays() {
+        let all = every_command();
+        for (old, now) in RENAMED {
+            assert!(!all.iter().any(|command| command == old), "{old}");
+            let words = now.trim_start_matches("haptic ").split(" --").next().unwrap();
+            assert!(all.iter().any(|command| command == words), "{now}");
+            for line in
+                [format!("haptic {old} --json"), format!("haptic help {old}"), format!("haptic --port sim {old}")]
+            {
+                let error = read(line.split(' ').map(OsString::from).collect()).err().unwrap();
+                assert_eq!(error.exit_code(), 2);
+                assert!(error.to_string().contains(&format!("`haptic {old}` is now called `{now}`")), "{error}");
             }
         }
     }
@@ -110,7 +178,7 @@ mod tests {
     #[test]
     fn tips_say_what_helps() {
         let said = |line: &str| read(line.split_whitespace().map(OsString::from).collect()).err().unwrap().to_string();
-        for line in ["haptic monitor --json", "haptic check a.toml --jsn", "haptic new --json"] {
+        for line in ["haptic view --json", "haptic check a.toml --jsn", "haptic new --json"] {
             assert!(!said(line).contains("'-- "), "{line}: {}", said(line));
         }
         assert!(said("haptic check a.toml --jsn").contains("'--json'"), "{}", said("haptic check a.toml --jsn"));
@@ -121,13 +189,13 @@ mod tests {
     fn negative_numbers_are_values_of_every_numeric_option() {
         let cases = [
             "range devices/a.toml --normal 0,1 --cutoff 20 --rate -5",
-            "plan a.toml b.toml --speed -5",
+            "tune a.toml --normal 0,1 --speed -5",
             "measure-range a.toml --normal 0,1 --kd -5 --washout -1",
             "gains --stiffness -5",
             "gains --wall -1",
             "stream --seconds -5",
             "stream --rate -5",
-            "demo --seed -5",
+            "rules --power -5",
             "rules --torque -1,2",
             "rules --bus-min -3",
         ];

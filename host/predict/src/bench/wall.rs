@@ -2,7 +2,7 @@
 //! by simulation ([`crate::analysis::contact`]).
 //!
 //! Torque follows half a carrier period late, and nothing limits it: motors and their limits are the same for every
-//! estimator. `haptic estimators` compares with it ([`super::estimators`]), and [`mod@crate::tune`] searches.
+//! estimator. `haptic tune estimators` compares with it ([`super::estimators`]), and [`mod@crate::tune`] searches.
 
 use crate::analysis::contact::{Answer, Contact, Fast, Grip, Law};
 use crate::analysis::control_loop::{Loop, TorquePath};

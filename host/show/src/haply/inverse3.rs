@@ -18,7 +18,7 @@ const INVERSE3: u32 = 4;
 /// Most simulated time that passes at once.
 const MOST_AT_ONCE: Duration = Duration::from_millis(100);
 /// What a program sends where a person would type a command.
-const CALLS: [(&str, &str); 1] = [("clear", "`clear_fault`")];
+const CALLS: [(&str, &str); 1] = [("faults --clear", "`clear_fault`")];
 
 /// A board that programs take for a device of Haply's.
 pub struct Inverse3 {

@@ -47,8 +47,6 @@ pub struct Request {
     pub from: Option<f64>,
     /// To when, s.
     pub to: Option<f64>,
-    /// Highest frequency shown, Hz.
-    pub most_hz: Option<f64>,
 }
 
 /// A quantity along an axis.
@@ -259,7 +257,7 @@ pub fn panels(recording: &Recording, request: &Request) -> Result<Found, Failure
         found.panels.push(panel);
     }
     if drawn(View::Spectrum) {
-        let (panel, strongest) = amplitudes(&rows, &signals, request.most_hz)?;
+        let (panel, strongest) = amplitudes(&rows, &signals)?;
         found.strongest = strongest;
         found.panels.push(panel);
     }
@@ -304,13 +302,12 @@ fn over_time(rows: &Rows<'_>, signals: &[String]) -> Result<Vec<Panel>, Failure>
     Ok(panels)
 }
 
-fn amplitudes(
-    rows: &Rows<'_>,
-    signals: &[String],
-    most_hz: Option<f64>,
-) -> Result<(Panel, Option<SpectralLine>), Failure> {
+/// Highest frequency that a spectrum shows, Hz: beyond it a hand feels nothing.
+const MOST_HZ: f64 = 1000.0;
+
+fn amplitudes(rows: &Rows<'_>, signals: &[String]) -> Result<(Panel, Option<SpectralLine>), Failure> {
     let half = 0.5 * rows.rate_hz;
-    let most = most_hz.unwrap_or(1000.0).min(half);
+    let most = half.min(MOST_HZ);
     let mut panel = Panel {
         view: View::Spectrum,
         x: named("frequency", "Hz"),

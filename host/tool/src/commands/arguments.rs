@@ -242,11 +242,6 @@ pub fn linear_estimator() -> impl TypedValueParser<Value = Estimator> {
     one_of(LinearEstimator::named().map(move |(name, kind)| (name, what(kind), kind)))
 }
 
-/// One of those with which walls are tuned, by its name in scene files.
-pub fn tuned_estimator() -> impl TypedValueParser<Value = Estimator> {
-    named(haptic_predict::tune::estimators().into_iter().map(|kind| (kind.name(), kind)))
-}
-
 /// The arithmetic to compute in, by its name.
 pub fn precision() -> impl TypedValueParser<Value = Precision> {
     named(Precision::ALL)

@@ -2,7 +2,7 @@
 
 use super::answer::Json;
 use super::interrupt::{self, Interrupt};
-use super::port::{Port, motors_off};
+use super::port::{OnBoard, motors_off};
 use haptic_bridge::safety::fault::State;
 use haptic_bridge::servo::{ARM_SECONDS, HostAction};
 use haptic_host::error::{Failure, print};
@@ -26,21 +26,19 @@ use std::time::{Duration, Instant};
 #[derive(clap::Args)]
 pub struct Args {
     #[command(flatten)]
-    port: Port,
+    on: OnBoard,
     /// Motors on only while Space is held, until q
     #[arg(long)]
     key: bool,
-    #[command(flatten)]
-    json: Json,
 }
 
 /// Arms, and stays for as long as the board wants somebody there.
 pub fn run(args: Args) -> Result<(), Failure> {
-    let mut board = args.port.open_to_stay()?;
+    let mut board = args.on.open_to_stay()?;
     let watched = board.rules()?.host_action;
     let stop = interrupt::watch();
     if args.key {
-        return hold(&mut board, args.json, stop);
+        return hold(&mut board, args.on.json, stop);
     }
     board.arm()?;
     let document = json!({ "state": "Armed", "ramp_seconds": ARM_SECONDS, "host_action": watched });
@@ -50,9 +48,9 @@ pub fn run(args: Args) -> Result<(), Failure> {
             "{ramp}; nobody is watched (`haptic rules --host disarm` changes that): `haptic disarm` or the supply's \
              switch turns the motors off\n"
         );
-        return args.json.answer(document, &said);
+        return args.on.answer(document, &said);
     }
-    args.json.answer(document, &format!("{ramp}; Ctrl-C turns the motors off\n"))?;
+    args.on.answer(document, &format!("{ramp}; Ctrl-C turns the motors off\n"))?;
     board.keep_alive();
     let rate = board.details()?.rate_hz;
     while !stop.is_set() {
@@ -61,13 +59,13 @@ pub fn run(args: Args) -> Result<(), Failure> {
         match status.fault {
             Some(record) if status.state == State::Fault => return Err(motors_off(&record, rate)),
             _ if status.state != State::Armed => {
-                return told(args.json, "disarmed from elsewhere: the motors are off\n");
+                return told(args.on.json, "disarmed from elsewhere: the motors are off\n");
             }
             _ => {}
         }
     }
     board.disarm()?;
-    told(args.json, "disarmed: the motors are off\n")
+    told(args.on.json, "disarmed: the motors are off\n")
 }
 
 /// Between two looks at the keys.

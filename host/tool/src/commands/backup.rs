@@ -1,8 +1,7 @@
-//! `haptic backup`: writes everything a board keeps in flash into one file.
+//! `haptic board backup`: writes everything a board keeps in flash into one file.
 
-use super::answer::Json;
 use super::force::Force;
-use super::port::Port;
+use super::port::OnBoard;
 use haptic_host::backup::Backup;
 use haptic_host::error::Failure;
 use haptic_host::output;
@@ -11,7 +10,7 @@ use std::path::PathBuf;
 
 /// Write everything the board keeps in flash to a file
 ///
-/// What was loaded and not yet saved (`haptic save`) is not part of it.
+/// What was loaded and not yet saved (`haptic board save`) is not part of it.
 #[derive(clap::Args)]
 pub struct Args {
     /// The file to write (JSON)
@@ -19,18 +18,16 @@ pub struct Args {
     #[command(flatten)]
     force: Force,
     #[command(flatten)]
-    port: Port,
-    #[command(flatten)]
-    json: Json,
+    on: OnBoard,
 }
 
 /// Reads the board, then writes the file.
 pub fn run(args: Args) -> Result<(), Failure> {
     args.force.check([&args.file])?;
-    let mut board = args.port.open_to_stay()?;
+    let mut board = args.on.open_to_stay()?;
     let backup = Backup::read(&mut board)?;
     if backup.settings.is_empty() {
-        return Err(Failure::impossible("the board keeps nothing in flash").remedy("`haptic save` first"));
+        return Err(Failure::impossible("the board keeps nothing in flash").remedy("`haptic board save` first"));
     }
     for (key, _) in board.details()?.damage.iter().filter(|(key, _)| !backup.settings.contains_key(key.name())) {
         haptic_host::tell!("left out: the stored {} is damaged", key.name());
@@ -38,5 +35,5 @@ pub fn run(args: Args) -> Result<(), Failure> {
     output::write(&args.file, backup.to_text().as_bytes(), args.force.overwrite())?;
     let names: Vec<&str> = backup.settings.keys().map(String::as_str).collect();
     let said = format!("{}: {}\n", args.file.display(), names.join(", "));
-    args.json.answer(json!({ "file": args.file, "settings": names }), &said)
+    args.on.answer(json!({ "file": args.file, "settings": names }), &said)
 }

@@ -1,5 +1,5 @@
 //! `haptic check`: checks a device file and scene files for it without a board: whether they are sound, what they
-//! describe, what looks like a mistake.
+//! describe, what looks like a mistake, and how a board will compute them.
 
 use super::answer::{Json, Pictures};
 use super::port::counted;
@@ -12,19 +12,24 @@ use haptic_host::scene_file::SceneFile;
 use haptic_host::toml_file::Document;
 use haptic_host::words::with_unit;
 use haptic_predict::analysis::prediction::Subject;
+use haptic_predict::bench::probe::HAND_SPEED;
+use haptic_predict::plan::{Budget, DEFAULT_PERCENT, Plan, newtons, percent, plan};
 use haptic_predict::plausible::scene::Contact;
 use haptic_predict::plausible::{Warning, device, scene, warn};
 use haptic_predict::summary::Summary;
 use haptic_predict::tip::{BOARD_SPEED, Tip, motor_torques};
 use haptic_show::plot::Picture;
 use haptic_show::plot::device::draw;
+use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
 /// Check a device file, and scene files for that device
 ///
 /// Stops at the first file that is wrong and names the line and the remedy. Of a sound file it also says what it
 /// describes (reach, force and inertia at the tip), what looks like a mistake (on standard error; the exit code stays
-/// 0), and what is missing before a real board arms. --svg draws the device at home: links, joints with their zero
+/// 0), and what is missing before a real board arms. Of a sound scene it says up to where its walls are predicted stable, and how
+/// the board will compute it: the way that takes the fewest instructions and is good enough, where its walls can be
+/// touched and as fast as a hand moves. --svg draws the device at home: links, joints with their zero
 /// angles and directions, reach.
 #[derive(clap::Args)]
 pub struct Args {
@@ -64,6 +69,11 @@ struct SceneReport {
     rate_hz: f64,
     entered_at_home: Vec<usize>,
     contacts: Vec<Contact>,
+    /// How the board will compute it; none where it cannot be planned.
+    plan: Option<Value>,
+    /// The same in words, or why there is none.
+    #[serde(skip)]
+    planned: String,
 }
 
 /// Checks every file.
@@ -105,6 +115,15 @@ fn scene_report(path: &Path, device: &DeviceFile) -> Result<(SceneReport, Vec<Wa
     file.scene::<f32>().map_err(|error| Failure::wrong(format!("{}: {error}", path.display())))?;
     let subject = Subject::new(&device.description).map_err(Failure::wrong)?;
     let (doubts, contacts) = scene::doubts(&subject, &file.scene);
+    let speed = file.hand_speed.unwrap_or(HAND_SPEED);
+    let planned = device
+        .device()
+        .map_err(Failure::wrong)
+        .and_then(|device| plan(&device, &file.scene, Budget::Percent(DEFAULT_PERCENT), speed));
+    let (plan, planned) = match planned {
+        Ok(plan) => (Some(plan_as_json(&plan)), plan_in_words(&plan)),
+        Err(failure) => (None, format!("  a board cannot compute it: {failure}\n")),
+    };
     let report = SceneReport {
         path: path.display().to_string(),
         walls: file.scene.walls.len(),
@@ -113,8 +132,40 @@ fn scene_report(path: &Path, device: &DeviceFile) -> Result<(SceneReport, Vec<Wa
         rate_hz: file.scene.rate_hz,
         entered_at_home: device.description.home.map(|home| file.walls_entered(device, &home)).unwrap_or_default(),
         contacts,
+        plan,
+        planned,
     };
     Ok((report, doubts.into_iter().map(|doubt| doubt.about(&document)).collect()))
+}
+
+fn plan_as_json(plan: &Plan) -> Value {
+    json!({
+        "model": plan.mass.name(), "terms": plan.terms.name(), "instructions": plan.instructions,
+        "table_bytes": plan.mass.bytes(), "errors": plan.errors, "reasons": plan.reasons,
+        "candidates": plan.candidates,
+    })
+}
+
+/// The choice with its cost, its error and the reasons for it.
+fn plan_in_words(plan: &Plan) -> String {
+    let table = match plan.mass.bytes() {
+        0 => String::new(),
+        bytes => format!(", with a table of {bytes} bytes"),
+    };
+    let mut text = format!(
+        "  a board will compute terms {}, mass matrix {}{table}: {} instructions a control step at the slowest pose\n  \
+         error left: {} at the tip nearly everywhere, at worst {} of what the motors give ({:.1} steps of the duty)\n",
+        plan.terms.name(),
+        plan.mass.name(),
+        plan.instructions,
+        newtons(plan.errors.force.most),
+        percent(plan.errors.share.max),
+        plan.errors.duty.max
+    );
+    for reason in &plan.reasons {
+        text.push_str(&format!("  - {reason}\n"));
+    }
+    text
 }
 
 /// The device at home.
@@ -165,6 +216,7 @@ fn readable(report: &Report, tip: &str) -> String {
                 with_unit(contact.damping_to, "N s/m"),
             ));
         }
+        text.push_str(&scene.planned);
         for wall in &scene.entered_at_home {
             text.push_str(&format!("  the home pose is inside wall {wall}: a board will not arm there\n"));
         }

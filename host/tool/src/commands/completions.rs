@@ -40,16 +40,19 @@ pub fn run(args: Args) -> Result<(), Failure> {
         let text = page(command, name)?;
         output::write(&folder.join(format!("{name}.1")), text.as_bytes(), Overwrite::Replace)
     };
-    write("haptic", &whole)?;
-    for command in whole.get_subcommands().filter(|command| command.get_name() != "help") {
-        write(&format!("haptic-{}", command.get_name()), command)?;
+    let mut left = vec![("haptic".to_string(), &whole)];
+    while let Some((name, command)) = left.pop() {
+        write(&name, command)?;
+        let under = command.get_subcommands().filter(|under| under.get_name() != "help" && !under.is_hide_set());
+        left.extend(under.map(|under| (format!("{name}-{}", under.get_name()), under)));
     }
     Ok(())
 }
 
 /// A page of the manual, with what clap does not know: exit codes, examples, files.
 fn page(command: &clap::Command, name: &str) -> Result<String, Failure> {
-    let examples = help::examples(command.get_name());
+    let words = command.get_bin_name().unwrap_or_default();
+    let examples = help::examples(words.strip_prefix("haptic ").unwrap_or_default());
     // Examples have a section of their own here.
     let man = Man::new(command.clone().after_help(Resettable::<StyledStr>::Reset).display_name(name));
     let mut text = Vec::new();

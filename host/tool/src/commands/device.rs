@@ -1,7 +1,6 @@
 //! `haptic device`: loads a device file onto a board.
 
-use super::answer::Json;
-use super::port::{Port, warn_of_weaker};
+use super::port::{OnBoard, warn_of_weaker};
 use haptic_bridge::model::device::Device;
 use haptic_bridge::safety::limits::{GENTLE_FORCE, Limit};
 use haptic_bridge::safety::refusal::Refusal;
@@ -16,7 +15,7 @@ use std::path::PathBuf;
 
 /// Load a device onto a board
 ///
-/// The board forgets homing and the polarity check, because they belong to the device before. `haptic save` keeps the
+/// The board forgets homing and the polarity check, because they belong to the device before. `haptic board save` keeps the
 /// device over a power cycle.
 #[derive(clap::Args)]
 pub struct Args {
@@ -28,9 +27,7 @@ pub struct Args {
     #[arg(long, value_name = "N", value_parser = newtons)]
     tip_force: Option<f32>,
     #[command(flatten)]
-    port: Port,
-    #[command(flatten)]
-    json: Json,
+    on: OnBoard,
 }
 
 fn newtons(text: &str) -> Result<f32, String> {
@@ -49,7 +46,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         .map_err(|error| Failure::wrong(format!("{}: {error}", args.file.display())))?;
     let warnings: Vec<_> = doubts(&file.description).into_iter().map(|doubt| doubt.about(&document)).collect();
     warn(&warnings);
-    let mut board = args.port.open()?;
+    let mut board = args.on.open()?;
     let details = board.details()?;
     let joints = file.spec().joints;
     if joints > usize::from(details.axes) {
@@ -80,7 +77,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     }
     let lacks = if details.real { file.lacks_for_a_board() } else { Vec::new() };
     let document = json!({ "device": file.name, "port": board.port(), "lacks": lacks, "warnings": warnings });
-    args.json.answer(document, &report)
+    args.on.answer(document, &report)
 }
 
 /// The torque (N m) above which the board lets nobody raise its limit, found by asking for a limit that every board

@@ -1,32 +1,29 @@
-//! `haptic dfu`: restarts a board into its boot loader, to be flashed over USB.
+//! `haptic board dfu`: restarts a board into its boot loader, to be flashed over USB.
 
-use super::answer::Json;
-use super::port::{GOES_OFF, Port, confirm};
+use super::port::{GOES_OFF, OnBoard, confirm};
 use haptic_host::error::Failure;
 use serde_json::json;
 
 /// Restart a board into its boot loader, to be flashed over USB
 ///
-/// The motors go off. The board is gone from `haptic list` until it is flashed (docs/flashing.md) or switched off and
+/// The motors go off. The board is gone from `haptic board list` until it is flashed (docs/flashing.md) or switched off and
 /// on.
 #[derive(clap::Args)]
 pub struct Args {
     #[command(flatten)]
-    port: Port,
+    on: OnBoard,
     /// Do not ask before motors that are on go off
     #[arg(long)]
     yes: bool,
-    #[command(flatten)]
-    json: Json,
 }
 
 /// Asks for the restart.
 pub fn run(args: Args) -> Result<(), Failure> {
-    let mut board = args.port.open()?;
+    let mut board = args.on.open()?;
     if board.status()?.state.drives() {
         confirm(args.yes, GOES_OFF)?;
     }
     board.enter_dfu()?;
     let said = "the board restarts into its boot loader: flash it with dfu-util, or switch it off and on\n";
-    args.json.answer(json!({ "restarts": "boot-loader" }), said)
+    args.on.answer(json!({ "restarts": "boot-loader" }), said)
 }

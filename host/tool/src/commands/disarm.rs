@@ -1,9 +1,9 @@
 //! `haptic disarm`: motors off.
 
 use super::answer::Json;
-use super::port::{Port, fault_in_words};
+use super::port::{OnBoard, fault_in_words};
 use haptic_host::error::Failure;
-use haptic_host::link::{BoardError, LinkError, PortSpec, Stopped, disarm_past};
+use haptic_host::link::{Board, BoardError, LinkError, PortSpec, Stopped, disarm_past};
 use serde_json::json;
 
 /// Switch the motors off; the device then moves freely (and falls, if it has weight)
@@ -14,27 +14,25 @@ use serde_json::json;
 #[derive(clap::Args)]
 pub struct Args {
     #[command(flatten)]
-    port: Port,
-    #[command(flatten)]
-    json: Json,
+    on: OnBoard,
 }
 
 /// Disarms, and says so when a fault stays latched.
 pub fn run(args: Args) -> Result<(), Failure> {
-    let port = args.port.spec();
-    let mut board = match haptic_sim::stop(port) {
+    let port = args.on.spec();
+    let mut board = match Board::stop(port) {
         Ok(Stopped::Open(board)) => board,
         Ok(Stopped::Unlike(version)) => {
             let said = format!("disarmed: the motors are off; the board speaks protocol version {version}\n");
-            return args.json.answer(json!({ "state": "Disarmed" }), &said);
+            return args.on.answer(json!({ "state": "Disarmed" }), &said);
         }
         // A tool that was about to leave has left by now, and more can be told.
         Ok(Stopped::Past) => match haptic_sim::open(port) {
             Ok(board) => Box::new(board),
-            Err(_) => return said_past(args.json),
+            Err(_) => return said_past(args.on.json),
         },
         Err(BoardError::Link(held @ (LinkError::HeldByAnother(_) | LinkError::PortBusy(_) | LinkError::Lost(_)))) => {
-            return past(port, args.json, held);
+            return past(port, args.on.json, held);
         }
         Err(other) => return Err(other.into()),
     };
@@ -45,7 +43,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         report.push_str(&format!("a fault is latched: {}\n", fault_in_words(&record, rate)));
     }
     let fault = status.fault.map(|record| record.fault.name());
-    args.json.answer(json!({ "state": format!("{:?}", status.state), "fault": fault }), &report)
+    args.on.answer(json!({ "state": format!("{:?}", status.state), "fault": fault }), &report)
 }
 
 /// Disarms past the tool that holds the board.

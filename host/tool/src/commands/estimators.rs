@@ -1,4 +1,4 @@
-//! `haptic estimators`: which velocity estimator suits a device, by simulation with its encoder steps.
+//! `haptic tune estimators`: which velocity estimator suits a device, by simulation with its encoder steps.
 
 use super::answer::Json;
 use super::arguments::{self, Numbers};

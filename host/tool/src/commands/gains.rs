@@ -1,8 +1,7 @@
 //! `haptic gains`: shows or changes stiffness, damping, feed-forward and cutoff, also while a wall is touched.
 
-use super::answer::Json;
 use super::arguments;
-use super::port::{Port, counted, feed_forward_in_words, short};
+use super::port::{OnBoard, counted, feed_forward_in_words, short};
 use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::{FeedForward, Scene, VelocityTerms};
 use haptic_bridge::render::velocity::Estimator;
@@ -17,13 +16,11 @@ use serde_json::json;
 
 /// Show or change the gains of a wall, also while it is touched
 ///
-/// Gains that are not named stay as they are. `haptic save` keeps the gains over a power cycle.
+/// Gains that are not named stay as they are. `haptic board save` keeps the gains over a power cycle.
 #[derive(clap::Args)]
 pub struct Args {
     #[command(flatten)]
-    port: Port,
-    #[command(flatten)]
-    json: Json,
+    on: OnBoard,
     /// Which wall, from 0, in the order of the scene file
     #[arg(long, value_name = "INDEX", default_value_t = 0)]
     wall: u8,
@@ -73,7 +70,7 @@ fn doubts(board: &mut Board, scene: &Scene<f32>, index: usize) -> Result<Vec<War
 
 /// Reads the gains, changes those that were named, and reports them all.
 pub fn run(args: Args) -> Result<(), Failure> {
-    let mut board = args.port.open()?;
+    let mut board = args.on.open()?;
     let scene = board.scene()?.ok_or(BoardError::Refused(Refusal::NoScene))?;
     let Some(wall) = scene.walls.get(usize::from(args.wall)) else {
         let reason = format!("the scene has {}, so there is no wall {}", counted(scene.walls.len(), "wall"), args.wall);
@@ -125,5 +122,5 @@ pub fn run(args: Args) -> Result<(), Failure> {
         "washout_hz": wall.washout_hz, "estimator": scene.estimator, "cutoff_hz": scene.cutoff_hz,
         "rate_hz": scene.rate_hz, "warnings": warnings,
     });
-    args.json.answer(document, &said)
+    args.on.answer(document, &said)
 }

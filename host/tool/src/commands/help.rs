@@ -1,6 +1,6 @@
 //! The help page: its commands under headings, and lines to type.
 
-use super::{Command, HEADINGS, list_of_fields};
+use super::{Command, DEVELOPERS, HEADINGS, list_of_fields};
 use clap::{CommandFactory, Parser};
 
 /// Configure, watch, simulate and analyse haptic-bridge boards: motor drivers that render hard walls on a device
@@ -19,9 +19,10 @@ pub struct Cli {
 /// The command with its help page laid out.
 pub fn command() -> clap::Command {
     let command = Cli::command();
-    let width = HEADINGS.iter().flat_map(|(_, names)| *names).map(|name| name.len()).max().unwrap_or(0) + 2;
+    let shown = || HEADINGS.iter().filter(|(heading, _)| *heading != DEVELOPERS);
+    let width = shown().flat_map(|(_, names)| *names).map(|name| name.len()).max().unwrap_or(0) + 2;
     let mut listing = String::new();
-    for (heading, names) in HEADINGS {
+    for (heading, names) in shown() {
         listing.push_str(&format!("{heading}:\n"));
         for name in *names {
             // Modules are written with underscores, commands with hyphens.
@@ -36,23 +37,33 @@ pub fn command() -> clap::Command {
          `haptic help COMMAND` explains one command; `haptic --version` prints the version.\n\
          Exit codes: 0 done, 1 it could not be done, 2 the command or a file is wrong."
     );
+    let hidden: Vec<&str> =
+        HEADINGS.iter().filter(|(heading, _)| *heading == DEVELOPERS).flat_map(|(_, names)| *names).copied().collect();
     command.help_template(template).mut_subcommands(|sub| {
-        let examples = examples(sub.get_name());
-        let mut more = String::new();
-        if sub.get_name() == "stream" {
-            more.push_str(&list_of_fields());
-            more.push('\n');
-        }
-        if !examples.is_empty() {
-            more.push_str(&format!("Examples:\n  {}", examples.join("\n  ")));
-        }
-        // A number may be negative: it is then refused for what it is, not taken for an option.
-        let sub = sub.mut_args(|arg| {
-            let valued = arg.get_action().takes_values() && !arg.is_positional();
-            if valued && !arg.is_allow_hyphen_values_set() { arg.allow_negative_numbers(true) } else { arg }
-        });
-        if more.is_empty() { sub } else { sub.after_help(more) }
+        let hide = hidden.contains(&sub.get_name());
+        explained(sub, "").hide(hide)
     })
+}
+
+/// A command with lines to type under its options, and the same of those under it; `above` are the words before it.
+fn explained(command: clap::Command, above: &str) -> clap::Command {
+    let words = format!("{above}{}", command.get_name());
+    let mut more = String::new();
+    if ["stream", "record"].contains(&words.as_str()) {
+        more.push_str(&list_of_fields());
+        more.push('\n');
+    }
+    let examples = examples(&words);
+    if !examples.is_empty() {
+        more.push_str(&format!("Examples:\n  {}", examples.join("\n  ")));
+    }
+    // A number may be negative: it is then refused for what it is, not taken for an option.
+    let command = command.mut_args(|arg| {
+        let valued = arg.get_action().takes_values() && !arg.is_positional();
+        if valued && !arg.is_allow_hyphen_values_set() { arg.allow_negative_numbers(true) } else { arg }
+    });
+    let command = command.mut_subcommands(|sub| explained(sub, &format!("{words} ")));
+    if more.is_empty() { command } else { command.after_help(more) }
 }
 
 /// Where a newcomer begins.
@@ -63,18 +74,17 @@ const START: &str = "Start here, without hardware:
   haptic info --port PORT
 ";
 
-/// Lines to type, for the help of a command and its page of the manual. Tests read
+/// Lines to type, for the help of a command, named by its words, and its page of the manual. Tests read
 /// every one, see that the files they name ship, and type those that need no board and little time.
-pub fn examples(command: &str) -> &'static [&'static str] {
-    match command {
+pub fn examples(words: &str) -> &'static [&'static str] {
+    match words {
         "new" => &["haptic new five-bar -o mine.toml", "haptic new scene --device mine.toml -o wall.toml"],
         "check" => &["haptic check devices/haply-2diy.toml devices/scenes/haply-2diy/wall-soft.toml"],
         "model" => &["haptic model devices/coupled-five-bar.toml --q 2.6,1.75 --normal 0.94,-0.34 --force 1"],
         "map" => &["haptic map devices/coupled-five-bar.toml --normal 0,1 --png map.png"],
-        "plan" => &["haptic plan devices/haply-2diy.toml devices/scenes/haply-2diy/wall-soft.toml"],
         "precompute" => &["haptic precompute devices/haply-2diy.toml --kind frozen --box 1.8,2.2,0.9,1.3"],
         "range" => &["haptic range devices/coupled-five-bar.toml --normal 0.6,0.8 --rate 20000 --cutoff 500"],
-        "estimators" => &["haptic estimators devices/coupled-five-bar.toml --q 2.6,1.75 --normal 0.6,0.8"],
+        "tune estimators" => &["haptic tune estimators devices/coupled-five-bar.toml --q 2.6,1.75 --normal 0.6,0.8"],
         "tune" => &[
             "haptic tune devices/haply-2diy.toml --normal 0,1",
             "haptic tune devices/haply-2diy.toml --scene devices/scenes/haply-2diy/wall-stiff.toml --out tuned.toml",
@@ -89,25 +99,31 @@ pub fn examples(command: &str) -> &'static [&'static str] {
         "scene" => &["haptic scene devices/scenes/haply-2diy/wall-soft.toml"],
         "gains" => &["haptic gains --stiffness 800 --damping 2", "haptic gains --wall 1 --feed-forward off"],
         "rules" => &["haptic rules --torque 0.1,0.1 --host disarm", "haptic rules --json"],
-        "stream" => &[
-            "haptic stream",
-            "haptic stream --csv contact.csv --seconds 10",
-            "haptic stream --csv - --fields q,force,rendered --rate 5000 | head -n 100",
+        "stream" => &["haptic stream", "haptic stream --fields counts --seconds 10"],
+        "record" => &[
+            "haptic record contact.mcap",
+            "haptic record contact.csv --rate 1000 --seconds 10",
+            "haptic record - --fields q,force,rendered --rate 5000 | head -n 100",
         ],
-        "record" => &["haptic record contact.mcap", "haptic record contact.csv --rate 1000 --seconds 10"],
         "plot" => &[
             "haptic plot contact.mcap --svg contact.svg --width 85",
             "haptic plot contact.csv --show force --png force.png",
         ],
         "replay" => &["haptic replay contact.mcap"],
         "serve" => &["haptic serve --haply --port sim"],
-        "view" => &["haptic view --port sim", "haptic view devices/haply-2diy.toml --port sim"],
-        "monitor" => &["haptic monitor --port sim", "haptic monitor devices/haply-2diy.toml"],
+        "view" => &[
+            "haptic view --port sim",
+            "haptic view devices/haply-2diy.toml --port sim",
+            "haptic view --terminal --port sim",
+        ],
         "measure-range" => {
             &["haptic measure-range devices/coupled-five-bar.toml --port sim --normal 0.6,0.8 --rate 1000 --cutoff 20"]
         }
-        "backup" => &["haptic backup board.json"],
-        "restore" => &["haptic restore board.json"],
+        "faults" => &["haptic faults", "haptic faults --clear"],
+        "board" => &["haptic board list", "haptic board save"],
+        "board backup" => &["haptic board backup board.json"],
+        "board restore" => &["haptic board restore board.json"],
+        "board name" => &["haptic board name", "haptic board name left-hand"],
         "completions" => &[
             "haptic completions bash > ~/.local/share/bash-completion/completions/haptic",
             "haptic completions --man ~/.local/share/man/man1",

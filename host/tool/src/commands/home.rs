@@ -1,7 +1,6 @@
 //! `haptic home`: declares the present pose to be the device file's home pose.
 
-use super::answer::Json;
-use super::port::{Port, numbers};
+use super::port::{OnBoard, numbers};
 use haptic_host::error::Failure;
 use serde_json::json;
 
@@ -12,19 +11,17 @@ use serde_json::json;
 #[derive(clap::Args)]
 pub struct Args {
     #[command(flatten)]
-    port: Port,
-    #[command(flatten)]
-    json: Json,
+    on: OnBoard,
 }
 
 /// Homes, and reports where the board believes the device to be.
 pub fn run(args: Args) -> Result<(), Failure> {
-    let mut board = args.port.open()?;
+    let mut board = args.on.open()?;
     board.home_at_rest()?;
     // The next control step computes the new pose.
     let axes = board.device()?.map_or(0, |device| device.axes());
     let status = board.status()?;
     let (q, tip) = (&status.q[..axes], &status.tip[..axes]);
     let said = format!("homed: joints {}, tip {}\n", numbers(q, "rad"), numbers(tip, "m"));
-    args.json.answer(json!({ "homed": status.homed, "q": q, "tip": tip }), &said)
+    args.on.answer(json!({ "homed": status.homed, "q": q, "tip": tip }), &said)
 }

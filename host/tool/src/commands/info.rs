@@ -1,7 +1,6 @@
 //! `haptic info`: what a board is, what it has loaded, and how it is.
 
-use super::answer::Json;
-use super::port::{Port, fault_in_words, numbers, scene_in_words, state_in_words, wall_in_words};
+use super::port::{OnBoard, fault_in_words, numbers, scene_in_words, state_in_words, wall_in_words};
 use haptic_bridge::safety::fault::Fault;
 use haptic_host::digits::print_json;
 use haptic_host::error::{Failure, on_one_line, print};
@@ -11,21 +10,19 @@ use serde_json::json;
 #[derive(clap::Args)]
 pub struct Args {
     #[command(flatten)]
-    port: Port,
-    #[command(flatten)]
-    json: Json,
+    on: OnBoard,
 }
 
 /// Asks and reports.
 pub fn run(args: Args) -> Result<(), Failure> {
-    let mut board = args.port.open()?;
+    let mut board = args.on.open()?;
     let info = board.info().clone();
     let details = board.details()?;
     let status = board.status()?;
     let scene = board.scene()?;
     let tip_force = board.rules()?.limits.tip_force;
     let axes = board.device()?.map_or(0, |device| device.axes());
-    if args.json.asked() {
+    if args.on.json.asked() {
         let fault = status.fault.map(|record| {
             json!({ "code": record.fault.code(), "name": record.fault.name(), "axis": record.axis,
                     "value": record.value, "step": record.step })

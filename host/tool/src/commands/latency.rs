@@ -1,8 +1,7 @@
-//! `haptic latency`: how long the way to a board and back takes.
+//! `haptic board latency`: how long the way to a board and back takes.
 
-use super::answer::Json;
 use super::interrupt;
-use super::port::Port;
+use super::port::OnBoard;
 use haptic_host::digits::print_json;
 use haptic_host::error::{Failure, print};
 use haptic_host::latency::{Spread, measure};
@@ -15,20 +14,18 @@ use haptic_host::latency::{Spread, measure};
 #[derive(clap::Args)]
 pub struct Args {
     #[command(flatten)]
-    port: Port,
+    on: OnBoard,
     /// How many exchanges
     #[arg(long, value_name = "N", default_value_t = 2000, value_parser = clap::value_parser!(u32).range(2..=10_000_000))]
     exchanges: u32,
-    #[command(flatten)]
-    json: Json,
 }
 
 /// Measures and reports.
 pub fn run(args: Args) -> Result<(), Failure> {
-    let mut board = args.port.open()?;
+    let mut board = args.on.open()?;
     let stop = interrupt::watch();
     let latency = measure(&mut board, args.exchanges as usize, || stop.is_set())?;
-    if args.json.asked() {
+    if args.on.json.asked() {
         return print_json(&latency);
     }
     let mut report =

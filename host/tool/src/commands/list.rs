@@ -1,4 +1,4 @@
-//! `haptic list`: the boards that are connected.
+//! `haptic board list`: the boards that are connected.
 
 use super::answer::Json;
 use haptic_host::digits::print_json;

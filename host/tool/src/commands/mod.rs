@@ -5,8 +5,8 @@ pub mod arguments;
 mod arm;
 mod backup;
 mod bench;
+mod board;
 mod check;
-mod clear;
 mod completions;
 mod continued;
 mod demo;
@@ -30,7 +30,6 @@ mod model;
 mod monitor;
 mod name;
 mod new;
-mod plan;
 mod plot;
 mod polarity;
 mod port;
@@ -53,9 +52,12 @@ mod view;
 use haptic_host::error::Failure;
 pub use stream::list_of_fields;
 
+/// The heading of what stands on no help page: commands for those who change the board's control step.
+pub const DEVELOPERS: &str = "";
+
 /// Declares the subcommands: under each heading of `haptic --help`, `(Variant, module)` in the order of that page.
 macro_rules! commands {
-    ($($heading:literal { $(($Variant:ident, $module:ident))* })*) => {
+    ($($heading:tt { $(($Variant:ident, $module:ident))* })*) => {
         /// What was asked for.
         #[derive(clap::Subcommand)]
         pub enum Command {
@@ -82,11 +84,7 @@ commands! {
         (Check, check)
         (Model, model)
         (Map, map)
-        (Plan, plan)
-        (Precompute, precompute)
-        (Bench, bench)
         (Range, range)
-        (Estimators, estimators)
         (Tune, tune)
         (Design, design)
         (Report, report)
@@ -94,9 +92,7 @@ commands! {
         (Replay, replay)
     }
     "With a board" {
-        (List, list)
         (Info, info)
-        (Latency, latency)
         (Device, device)
         (Scene, scene)
         (Gains, gains)
@@ -109,19 +105,16 @@ commands! {
         (Record, record)
         (Serve, serve)
         (View, view)
-        (Monitor, monitor)
         (MeasureRange, measure_range)
         (Faults, faults)
-        (Clear, clear)
-        (Save, save)
-        (Backup, backup)
-        (Restore, restore)
-        (Name, name)
-        (Restart, restart)
-        (Dfu, dfu)
+        (Board, board)
     }
     "Shell" {
         (Completions, completions)
+    }
+    DEVELOPERS {
+        (Bench, bench)
+        (Precompute, precompute)
     }
 }
 

@@ -21,9 +21,6 @@ pub struct Args {
     /// File to write [default: standard output]
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
-    /// Name of the device [default: the file's, or "my-device"]
-    #[arg(long, value_name = "NAME")]
-    name: Option<String>,
     /// Of a scene: the device file that it is for [default: what `haptic new five-bar` writes]
     #[arg(long, value_name = "FILE")]
     device: Option<PathBuf>,
@@ -67,9 +64,6 @@ pub fn run(args: Args) -> Result<(), Failure> {
         What::Device(_) if args.device.is_some() => {
             return Err(Failure::wrong("--device is for a scene").remedy("write: haptic new scene --device FILE"));
         }
-        What::Scene if args.name.is_some() => {
-            return Err(Failure::wrong("a scene has no name").remedy("leave --name out"));
-        }
         What::Device(kind) => (named(kind, &args)?, format!("an example {} to fill in", kind.spec().name)),
         What::Scene => {
             let file = match &args.device {
@@ -90,12 +84,12 @@ pub fn run(args: Args) -> Result<(), Failure> {
     print(&format!("{path}: {what}; then `{check}`\n"))
 }
 
-/// The device file, under the name that was asked for.
+/// The device file, under the name of the file that it goes to.
 fn named(kind: Kind, args: &Args) -> Result<String, Failure> {
     let stem = args.output.as_deref().and_then(|path| path.file_stem()).and_then(|stem| stem.to_str());
-    let name = args.name.as_deref().or(stem).unwrap_or("my-device");
+    let name = stem.unwrap_or("my-device");
     if name.trim().is_empty() || name.chars().any(char::is_control) {
-        return Err(Failure::wrong("a device's name must be printable text on one line").remedy("give another --name"));
+        return Err(Failure::wrong("a device's name must be printable text on one line").remedy("name another file"));
     }
     Ok(device_file(kind, name))
 }

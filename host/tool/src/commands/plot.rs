@@ -30,9 +30,6 @@ pub struct Args {
     /// To this time, s
     #[arg(long, value_name = "SECONDS")]
     to: Option<f64>,
-    /// Highest frequency of the spectrum [default: 1000 Hz, or half of the rate where that is less]
-    #[arg(long, value_name = "HZ", value_parser = super::stream::positive)]
-    most_hz: Option<f64>,
     /// Print one JSON document: the numbers, and every point that is drawn
     #[arg(long)]
     json: bool,
@@ -72,7 +69,6 @@ pub fn run(args: Args) -> Result<(), Failure> {
         signals: args.signals,
         from: args.from,
         to: args.to,
-        most_hz: args.most_hz,
     };
     let found = panels(&recording, &request)?;
     if args.pictures.asked() {

@@ -1,7 +1,6 @@
 //! `haptic polarity`: lets the board move each joint a little, to see that motors and encoders agree.
 
-use super::answer::Json;
-use super::port::{Port, confirm};
+use super::port::{OnBoard, confirm};
 use haptic_host::error::Failure;
 use serde_json::json;
 
@@ -12,9 +11,7 @@ use serde_json::json;
 #[derive(clap::Args)]
 pub struct Args {
     #[command(flatten)]
-    port: Port,
-    #[command(flatten)]
-    json: Json,
+    on: OnBoard,
     /// Do not ask before the device moves
     #[arg(long)]
     yes: bool,
@@ -22,11 +19,11 @@ pub struct Args {
 
 /// Asks, starts the check and waits for its end.
 pub fn run(args: Args) -> Result<(), Failure> {
-    let mut board = args.port.open()?;
+    let mut board = args.on.open()?;
     if board.details()?.real {
         confirm(args.yes, "each joint is moved by a small torque: the device must be free to move, and hands off it")?;
     }
     board.check_polarity()?;
     board.wait_for_polarity()?.passed()?;
-    args.json.answer(json!({ "polarity_checked": true }), "every motor turns its joint the right way\n")
+    args.on.answer(json!({ "polarity_checked": true }), "every motor turns its joint the right way\n")
 }

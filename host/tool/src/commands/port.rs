@@ -1,5 +1,6 @@
 //! `--port`, which every command that talks to a board takes, and how they talk about what they found.
 
+use super::answer::Json;
 use haptic_bridge::render::scene::Scene;
 use haptic_bridge::safety::fault::{FaultRecord, State};
 use haptic_bridge::servo::{HostAction, Rules};
@@ -7,6 +8,7 @@ use haptic_host::error::Failure;
 use haptic_host::link::{Board, PortSpec};
 pub use haptic_host::words::counted;
 pub use haptic_host::words::{feed_forward_in_words, short, wall_in_words};
+use serde::Serialize;
 use std::io::{BufRead, IsTerminal};
 use std::net::{SocketAddr, ToSocketAddrs};
 
@@ -39,6 +41,37 @@ impl Port {
             }
             _ => self.open(),
         }
+    }
+}
+
+/// `--port` and `--json`: what a command takes that asks a board something and answers with it.
+#[derive(clap::Args)]
+pub struct OnBoard {
+    #[command(flatten)]
+    port: Port,
+    #[command(flatten)]
+    pub json: Json,
+}
+
+impl OnBoard {
+    /// Opens the board.
+    pub fn open(&self) -> Result<Board, Failure> {
+        self.port.open()
+    }
+
+    /// Opens the board for a command that leaves something in it: see [`Port::open_to_stay`].
+    pub fn open_to_stay(&self) -> Result<Board, Failure> {
+        self.port.open_to_stay()
+    }
+
+    /// Which board was asked for.
+    pub fn spec(&self) -> &PortSpec {
+        self.port.spec()
+    }
+
+    /// Prints the document where `--json` asks for it, else these words.
+    pub fn answer(&self, document: impl Serialize, words: &str) -> Result<(), Failure> {
+        self.json.answer(document, words)
     }
 }
 

@@ -18,7 +18,7 @@ use std::path::PathBuf;
 /// Make a mass matrix that the board need not compute, and say what error it leaves
 ///
 /// A table covers the two joint angles that the mass matrix depends on; outside it the board uses the closed form. Its
-/// size is checked against the board's memory here. `haptic plan` chooses among these by itself; this command shows one
+/// size is checked against the board's memory here. `haptic scene` chooses among these by itself; this command shows one
 /// of them.
 #[derive(clap::Args)]
 pub struct Args {
@@ -149,7 +149,7 @@ fn readable(
         };
         format!(
             "larger than the torque itself in the worst, beside a singular pose; {elsewhere}\n  \
-             do not use it as it is: keep it to where you work with --box, give the joints limits, or let `haptic plan` choose"
+             do not use it as it is: keep it to where you work with --box, give the joints limits, or let `haptic scene` choose"
         )
     };
     format!(

@@ -100,7 +100,7 @@ pub struct Args {
     /// Also analyse the wall as rendered over this board by a program on a computer, with so many exchanges a second
     #[arg(long, value_name = "HZ")]
     host_rate: Option<f64>,
-    /// Age of that program's forces when they begin to act, in seconds, as `haptic latency` measures it
+    /// Age of that program's forces when they begin to act, in seconds, as `haptic board latency` measures it
     /// [default: from one request to the next]
     #[arg(long, value_name = "S", requires = "host_rate", allow_hyphen_values = true)]
     host_delay: Option<f64>,

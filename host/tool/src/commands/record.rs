@@ -20,7 +20,7 @@ const FIELDS: Fields = Fields(
 /// second (MCAP) or its last line (CSV).
 #[derive(clap::Args)]
 pub struct Args {
-    /// The file to write, .mcap or .csv
+    /// The file to write, .mcap or .csv; - is CSV to standard output
     file: PathBuf,
     #[command(flatten)]
     port: Port,
@@ -47,7 +47,7 @@ pub struct Args {
 /// Records until the time is over, Ctrl-C, or the board goes away.
 pub fn run(args: Args) -> Result<(), Failure> {
     let ending = args.file.extension().map(|ending| ending.to_string_lossy().to_ascii_lowercase());
-    if !matches!(ending.as_deref(), Some("mcap" | "csv")) {
+    if args.file.as_os_str() != "-" && !matches!(ending.as_deref(), Some("mcap" | "csv")) {
         let reason = format!("{} ends neither in .mcap nor in .csv", args.file.display());
         return Err(Failure::wrong(reason).remedy("the ending says which format is written"));
     }
@@ -70,7 +70,6 @@ pub fn run(args: Args) -> Result<(), Failure> {
         arm: args.arm,
         seconds: args.seconds,
         json: args.json,
-        sized: true,
     };
     follow(&mut board, &wanted)
 }

@@ -208,20 +208,12 @@ fn sections(args: &Args, subject: &Subject) -> Vec<Section> {
     );
     range.push("--why");
     add("Why it ends there", "The same loop with one effect taken away, each in turn.", Some("why.svg"), &range);
-    if let Some(scene) = &scene {
-        add(
-            "What the board computes",
-            "The cheapest step that is good enough for the scene.",
-            None,
-            &["plan", &device, scene],
-        );
-    }
     if !args.without.contains(&Part::Estimators) {
         add(
             "Velocity estimators",
             "Simulated with the device's own encoder steps and friction.",
             None,
-            &["estimators", &device, &q, &normal, "--rate", rate, "--cutoff", cutoff],
+            &["tune", "estimators", &device, &q, &normal, "--rate", rate, "--cutoff", cutoff],
         );
     }
     if !args.without.contains(&Part::Design) {

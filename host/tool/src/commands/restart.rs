@@ -1,7 +1,6 @@
-//! `haptic restart`: restarts a board.
+//! `haptic board restart`: restarts a board.
 
-use super::answer::Json;
-use super::port::{GOES_OFF, Port, confirm};
+use super::port::{GOES_OFF, OnBoard, confirm};
 use haptic_host::backup::unsaved;
 use haptic_host::error::Failure;
 use serde_json::json;
@@ -13,29 +12,30 @@ use serde_json::json;
 #[derive(clap::Args)]
 pub struct Args {
     #[command(flatten)]
-    port: Port,
+    on: OnBoard,
     /// Do not ask
     #[arg(long)]
     yes: bool,
-    #[command(flatten)]
-    json: Json,
 }
 
 /// Asks for the restart.
 pub fn run(args: Args) -> Result<(), Failure> {
-    let mut board = args.port.open()?;
+    let mut board = args.on.open()?;
     let mut loses = Vec::new();
     if board.status()?.state.drives() {
         loses.push(GOES_OFF.to_string());
     }
     let unsaved = unsaved(&mut board)?;
     if !unsaved.is_empty() {
-        loses.push(format!("what is not saved will be forgotten: {} (`haptic save` keeps it)", unsaved.join(", ")));
+        loses.push(format!(
+            "what is not saved will be forgotten: {} (`haptic board save` keeps it)",
+            unsaved.join(", ")
+        ));
     }
     if !loses.is_empty() {
         confirm(args.yes, &loses.join("; "))?;
     }
     board.restart()?;
     let said = "the board restarts: it has what was saved, and is not homed\n";
-    args.json.answer(json!({ "restarts": true, "forgotten": unsaved }), said)
+    args.on.answer(json!({ "restarts": true, "forgotten": unsaved }), said)
 }

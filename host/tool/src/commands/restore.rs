@@ -1,7 +1,6 @@
-//! `haptic restore`: puts a backup back into a board.
+//! `haptic board restore`: puts a backup back into a board.
 
-use super::answer::Json;
-use super::port::{Port, warn_of_weaker};
+use super::port::{OnBoard, warn_of_weaker};
 use haptic_host::backup::{Backup, Ready, Restored, restore};
 use haptic_host::error::Failure;
 use haptic_host::toml_file::Document;
@@ -13,12 +12,10 @@ use std::path::PathBuf;
 /// The motors must be off. A polarity check is not restored: run `haptic polarity` again.
 #[derive(clap::Args)]
 pub struct Args {
-    /// A file that `haptic backup` wrote
+    /// A file that `haptic board backup` wrote
     file: PathBuf,
     #[command(flatten)]
-    port: Port,
-    #[command(flatten)]
-    json: Json,
+    on: OnBoard,
 }
 
 /// Understands the whole file, then writes the board.
@@ -29,7 +26,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let backup = Backup::parse(document.text()).map_err(wrong)?;
     // Damage is found before a board is looked for.
     backup.ready().map_err(wrong)?;
-    let mut board = args.port.open()?;
+    let mut board = args.on.open()?;
     let ready = backup.ready().map_err(wrong)?;
     haptic_host::tell!("writing flash: the board pauses for up to a second");
     let before = board.rules()?;
@@ -44,5 +41,5 @@ pub fn run(args: Args) -> Result<(), Failure> {
         };
     }
     let how = |setting: &Ready| json!({ "setting": setting.key.name(), "how": format!("{:?}", setting.how) });
-    args.json.answer(json!({ "restored": ready.iter().map(how).collect::<Vec<_>>() }), &report)
+    args.on.answer(json!({ "restored": ready.iter().map(how).collect::<Vec<_>>() }), &report)
 }

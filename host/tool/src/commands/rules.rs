@@ -1,8 +1,7 @@
 //! `haptic rules`: shows or changes what the board enforces, whatever a tool asks for.
 
-use super::answer::Json;
 use super::arguments::one_of;
-use super::port::{Port, counted, short, warn_of_weaker};
+use super::port::{OnBoard, counted, short, warn_of_weaker};
 use clap::builder::TypedValueParser;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::safety::limits::Limits;
@@ -13,13 +12,11 @@ use serde_json::json;
 /// Show or change the limits and rules that the board enforces
 ///
 /// Rules that are not named stay as they are. They can be made stricter at any time, and looser only with the motors
-/// off, never beyond the board's own limits. `haptic save` keeps them over a power cycle.
+/// off, never beyond the board's own limits. `haptic board save` keeps them over a power cycle.
 #[derive(clap::Args)]
 pub struct Args {
     #[command(flatten)]
-    port: Port,
-    #[command(flatten)]
-    json: Json,
+    on: OnBoard,
     /// Joint torques in N m, one per joint
     #[arg(long, value_name = "N M,..", value_delimiter = ',', value_parser = limit, allow_hyphen_values = true)]
     torque: Vec<f32>,
@@ -89,7 +86,7 @@ fn seconds(text: &str) -> Result<f32, String> {
 
 /// Reads the rules, changes those that were named, and reports them all.
 pub fn run(args: Args) -> Result<(), Failure> {
-    let mut board = args.port.open()?;
+    let mut board = args.on.open()?;
     let before = board.rules()?;
     let device = board.device()?;
     let joints = match &device {
@@ -120,7 +117,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     if !args.torque.is_empty() {
         device.iter().for_each(|device| tell_of_weaker_motors(device, &now.limits));
     }
-    args.json.answer(as_json(&now, joints), &in_words(&now, joints))
+    args.on.answer(as_json(&now, joints), &in_words(&now, joints))
 }
 
 /// Says which torque limits have no effect, because the motor gives less.

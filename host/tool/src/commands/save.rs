@@ -1,7 +1,6 @@
-//! `haptic save`: keeps device, scene, gains and rules over a power cycle.
+//! `haptic board save`: keeps device, scene, gains and rules over a power cycle.
 
-use super::answer::Json;
-use super::port::Port;
+use super::port::OnBoard;
 use haptic_bridge::safety::refusal::Refusal;
 use haptic_host::error::Failure;
 use haptic_host::link::BoardError;
@@ -13,14 +12,12 @@ use serde_json::json;
 #[derive(clap::Args)]
 pub struct Args {
     #[command(flatten)]
-    port: Port,
-    #[command(flatten)]
-    json: Json,
+    on: OnBoard,
 }
 
 /// Saves.
 pub fn run(args: Args) -> Result<(), Failure> {
-    let mut board = args.port.open_to_stay()?;
+    let mut board = args.on.open_to_stay()?;
     if board.status()?.state.drives() {
         return Err(BoardError::Refused(Refusal::Armed).into());
     }
@@ -36,5 +33,5 @@ pub fn run(args: Args) -> Result<(), Failure> {
     };
     let (info, mut saved) = (board.info(), vec!["rules", "name"]);
     saved.extend([("device", device), ("scene", scene)].into_iter().filter(|(_, held)| *held).map(|(name, _)| name));
-    args.json.answer(json!({ "saved": true, "settings": saved, "board": info.board, "serial": info.serial }), said)
+    args.on.answer(json!({ "saved": true, "settings": saved, "board": info.board, "serial": info.serial }), said)
 }

@@ -1,9 +1,6 @@
 //! `haptic scene`: loads a scene file onto a board, computed the cheapest way that is good enough.
 
-use super::answer::Json;
-use super::plan::{budget, readable, speed};
-use super::port::{Port, scene_in_words};
-use clap::builder::NonEmptyStringValueParser;
+use super::port::{OnBoard, scene_in_words};
 use haptic_bridge::render::scene::Scene;
 use haptic_bridge::safety::fault::State;
 use haptic_bridge::safety::refusal::Refusal;
@@ -12,36 +9,23 @@ use haptic_host::link::{Board, BoardError};
 use haptic_host::scene_file::SceneFile;
 use haptic_host::toml_file::Document;
 use haptic_predict::analysis::prediction::Subject;
-use haptic_predict::plan::plan;
+use haptic_predict::bench::probe::HAND_SPEED;
+use haptic_predict::plan::{Budget, DEFAULT_PERCENT, plan};
 use haptic_predict::plausible::{scene::doubts, warn};
 use serde_json::json;
 use std::path::PathBuf;
 
 /// Load a scene (walls, springs, fields) onto a board
 ///
-/// Chooses what the board computes as `haptic plan` does: no mass matrix for a scene without feed-forward, no velocity
+/// Chooses the cheapest way to compute it that is good enough, which `haptic check` shows: no mass matrix for a scene without feed-forward, no velocity
 /// terms where they do not count, a prepared mass matrix where that is cheaper and good enough. While the motors are
 /// armed a scene is taken as the file has it, and only if it has the same control rate and its walls are not touched.
 #[derive(clap::Args)]
 pub struct Args {
     /// Scene file (TOML)
     file: PathBuf,
-    /// Load what the file says, with the closed form of the mass matrix, and plan nothing
-    #[arg(long)]
-    as_written: bool,
-    /// Allowed error: percent of what the motors give, or `one-duty-step` [default: 1]
-    #[arg(long, value_name = "PERCENT|one-duty-step", value_parser = NonEmptyStringValueParser::new())]
-    error: Option<String>,
-    /// Fastest motion of the hand, m/s [default: the scene's hand_speed, or 0.5]
-    #[arg(long, value_name = "M/S")]
-    speed: Option<f64>,
-    /// Show also how the board will compute it, and why: what `haptic plan` shows
-    #[arg(long)]
-    verbose: bool,
     #[command(flatten)]
-    port: Port,
-    #[command(flatten)]
-    json: Json,
+    on: OnBoard,
 }
 
 /// Checks the file against the board's device, plans, loads.
@@ -49,8 +33,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     // What is wrong in any dimension is said without a board.
     let document = Document::load(&args.file)?;
     let text = document.text();
-    let budget = budget(args.error.as_deref())?;
-    let mut board = args.port.open()?;
+    let mut board = args.on.open()?;
     let device = board.device()?.ok_or(BoardError::Refused(Refusal::NoDevice))?;
     let file = SceneFile::parse(text, &args.file, device.mechanism.kind().spec().task)?;
     let written = file.scene::<f32>().map_err(|error| Failure::wrong(format!("{}: {error}", args.file.display())))?;
@@ -59,21 +42,21 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let (doubts, _) = doubts(&Subject::on_board(device.clone(), None), &file.scene);
     let warnings: Vec<_> = doubts.into_iter().map(|doubt| doubt.about(&document)).collect();
     warn(&warnings);
-    if args.as_written || board.status()?.state == State::Armed {
+    if board.status()?.state == State::Armed {
         board.set_scene(&written)?;
-        return args.json.answer(
+        return args.on.answer(
             json!({ "scene": written, "planned": false, "warnings": warnings }),
             &loaded(&name.to_string(), &board, &written),
         );
     }
-    let plan = plan(&device, &file.scene, budget, speed(args.speed, &file)?)?;
+    let speed = file.hand_speed.unwrap_or(HAND_SPEED);
+    let plan = plan(&device, &file.scene, Budget::Percent(DEFAULT_PERCENT), speed)?;
     let scene = plan.load(&mut board)?;
-    let more = if args.verbose { readable(&device, &plan) } else { String::new() };
     let document = json!({
         "scene": scene, "planned": true, "model": plan.mass.name(), "terms": plan.terms.name(),
         "instructions": plan.instructions, "warnings": warnings,
     });
-    args.json.answer(document, &(loaded(&name.to_string(), &board, &scene) + &more))
+    args.on.answer(document, &loaded(&name.to_string(), &board, &scene))
 }
 
 fn loaded(file: &str, board: &Board, scene: &Scene<f32>) -> String {

@@ -46,9 +46,6 @@ pub struct Args {
     /// Motor axes of the board
     #[arg(long, value_name = "COUNT", default_value_t = 3, value_parser = clap::value_parser!(u8).range(1..=3))]
     axes: u8,
-    /// Seed of the hand's tremor
-    #[arg(long, default_value_t = 1)]
-    seed: u64,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -96,7 +93,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     }
     if args.hand == HandKind::Loop {
         let tip = board.device().tip();
-        let settings = HandSettings { tremor: 2e-4, seed: args.seed, ..HandSettings::default() };
+        let settings = HandSettings { tremor: 2e-4, ..HandSettings::default() };
         let around = Around::find(&file, walls.as_ref(), tip);
         if args.scene.is_some() && !around.on_a_wall {
             haptic_host::tell!("the hand gets to none of the scene's walls from home: it moves where it is");

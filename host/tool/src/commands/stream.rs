@@ -1,6 +1,5 @@
-//! `haptic stream`: telemetry to the terminal or to a CSV file, with every loss counted and shown.
+//! `haptic stream`: telemetry to the terminal, with every loss counted and shown; and how `haptic record` follows a board.
 
-use super::force::Force;
 use super::interrupt;
 use super::port::{Port, counted, fault_in_words, motors_off, short};
 use haptic_bridge::board::telemetry::{Field, Fields};
@@ -11,38 +10,32 @@ use haptic_host::link::{Board, Column, LinkError, Losses, Row, columns, fields};
 use haptic_host::output::Overwrite;
 use haptic_host::words::{bytes_in_words, nth_step};
 use haptic_show::recorder::about::About;
-use haptic_show::recorder::{RecordError, RowWriter, Value, is_mcap};
+use haptic_show::recorder::{RecordError, RowWriter, Value};
 use serde_json::json;
 use std::io::{IsTerminal, Write};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::Duration;
 
-/// Show telemetry, or record it to a CSV file
+/// Show telemetry on the terminal
 ///
-/// Losses are counted exactly and shown. A recording that is cut short (unplugged, killed, disk full) is whole up to
-/// its last line.
+/// Losses are counted exactly and shown. `haptic record` writes a file.
 #[derive(clap::Args)]
 pub struct Args {
     #[command(flatten)]
     port: Port,
-    /// Record to this CSV file instead of the terminal; - is standard output
-    #[arg(long, value_name = "FILE")]
-    csv: Option<PathBuf>,
-    #[command(flatten)]
-    force: Force,
     /// Fields, separated by commas: usual, all, or any of the list below
     #[arg(long, value_name = "NAMES", default_value = "usual", value_parser = fields)]
     fields: Fields,
-    /// Rows per second, at most the control rate [default: 10 on the terminal, 1000 to a file]
-    #[arg(long, value_name = "HZ", value_parser = positive)]
-    rate: Option<f64>,
+    /// Rows per second, at most the control rate
+    #[arg(long, value_name = "HZ", default_value_t = 10.0, value_parser = positive)]
+    rate: f64,
     /// Switch the motors on once rows come, and off at the end; an error where a fault turned them off before
     #[arg(long)]
     arm: bool,
     /// Stop after so many seconds of the board's time [default: until Ctrl-C]
     #[arg(long, value_name = "SECONDS", value_parser = positive)]
     seconds: Option<f64>,
-    /// Print one JSON document at the end: the rows, or with --csv where they are, and what was lost
+    /// Print one JSON document at the end: the rows, and what was lost
     #[arg(long)]
     json: bool,
 }
@@ -81,29 +74,19 @@ pub(super) struct Wanted<'a> {
     pub arm: bool,
     pub seconds: Option<f64>,
     pub json: bool,
-    /// The file's size is told as well.
-    pub sized: bool,
 }
 
 /// Streams until the time is over, Ctrl-C, or the board goes away.
 pub fn run(args: Args) -> Result<(), Failure> {
-    if let Some(path) = &args.csv {
-        if is_mcap(path) {
-            return Err(Failure::wrong(format!("--csv {} would hold what its ending does not say", path.display()))
-                .remedy("haptic record writes MCAP, or name another file"));
-        }
-        args.force.check([path])?;
-    }
     let mut board = args.port.open()?;
     let wanted = Wanted {
-        file: args.csv.as_deref(),
-        overwrite: args.force.overwrite(),
+        file: None,
+        overwrite: Overwrite::Never,
         fields: args.fields,
-        rate: args.rate.unwrap_or(if args.csv.is_some() { 1000.0 } else { 10.0 }),
+        rate: args.rate,
         arm: args.arm,
         seconds: args.seconds,
         json: args.json,
-        sized: false,
     };
     follow(&mut board, &wanted)
 }
@@ -151,7 +134,6 @@ pub(super) fn follow(board: &mut Board, wanted: &Wanted<'_>) -> Result<(), Failu
         missing: 0,
         shown: Losses::default(),
         last_note: board.now(),
-        sized: wanted.sized,
     };
     let ended = loop {
         if stop.is_set() {
@@ -215,7 +197,6 @@ struct Follow {
     missing: u64,
     shown: Losses,
     last_note: Duration,
-    sized: bool,
 }
 
 impl Follow {
@@ -278,7 +259,7 @@ impl Follow {
         let first = self.first_step.unwrap_or(self.last_step);
         let time = f64::from(self.last_step.wrapping_sub(first)) / self.rate_hz;
         match &mut self.sink {
-            Sink::File(writer) if self.sized => writer.event(time, words),
+            Sink::File(writer) => writer.event(time, words),
             _ => Ok(()),
         }
     }
@@ -294,8 +275,8 @@ impl Follow {
         if let Sink::File(writer) = &mut self.sink {
             writer.flush()?;
             if std::io::stderr().is_terminal() {
-                let size = if self.sized { format!(", {}", bytes_in_words(writer.bytes())) } else { String::new() };
-                haptic_host::error::say_over(format_args!("{losses}{size}   "), false);
+                let size = bytes_in_words(writer.bytes());
+                haptic_host::error::say_over(format_args!("{losses}, {size}   "), false);
             }
         } else if losses.missing > self.shown.missing || losses.garbled > self.shown.garbled {
             haptic_host::tell!("{losses}");
@@ -351,8 +332,8 @@ fn finish(ended: Ended, board: &mut Board, mut follow: Follow, json: bool) -> Re
             return Ok(stopped?);
         }
         let are = if recorder.rows() == 1 { "is" } else { "are" };
-        let size = if follow.sized { format!(", {}", bytes_in_words(recorder.bytes())) } else { String::new() };
-        let all = format!("{} {are} in {}{size}", counted(recorder.rows(), "row"), recorder.place());
+        let size = bytes_in_words(recorder.bytes());
+        let all = format!("{} {are} in {}, {size}", counted(recorder.rows(), "row"), recorder.place());
         let said = losses.to_string();
         let on_the_way = said.trim_start_matches(|c: char| c != ',');
         kept = match losses.received.saturating_sub(recorder.rows()) {

@@ -3,10 +3,10 @@
 use super::answer::Json;
 use super::arguments::{self, Numbers};
 use super::continued::Continue;
+use super::estimators;
 use super::force::Force;
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::render::scene::{FeedForward, Scene, Surface};
-use haptic_bridge::render::velocity::Estimator;
 use haptic_host::device_file::DeviceFile;
 use haptic_host::digits::print_json;
 use haptic_host::error::{Failure, print};
@@ -19,8 +19,8 @@ use haptic_predict::measure::occasion;
 use haptic_predict::plausible::scene::doubts;
 use haptic_predict::tune::measured::{self, Measured};
 use haptic_predict::tune::{
-    Answer, Baseline, Found, Margins, Otherwise, Question, RATES_HZ, Settings, USUAL_RIPPLE_N, baseline, estimators,
-    ripple_like, to_toml, tune,
+    Answer, Baseline, Found, Margins, Otherwise, Question, RATES_HZ, Settings, USUAL_RIPPLE_N, baseline, ripple_like,
+    to_toml, tune,
 };
 use serde::Serialize;
 use std::fmt::Write;
@@ -36,7 +36,23 @@ use std::path::{Path, PathBuf};
 /// some minutes; Ctrl-C ends it, and with --continue the same command goes on from there. With --scene the pose, the
 /// normal and the ripple are those of a wall in that file, which the result is compared with.
 #[derive(clap::Args)]
+#[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
 pub struct Args {
+    #[command(subcommand)]
+    instead: Option<Instead>,
+    #[command(flatten)]
+    search: Option<Search>,
+}
+
+/// What else belongs to tuning.
+#[derive(clap::Subcommand)]
+enum Instead {
+    Estimators(estimators::Args),
+}
+
+/// What is searched for.
+#[derive(clap::Args)]
+struct Search {
     /// Device file (TOML)
     device: PathBuf,
     /// Joint angles in rad, such as 2.4,0.7 [default: where the wall of --scene is touched, or the device file's home]
@@ -59,30 +75,9 @@ pub struct Args {
     /// Control rates to look at, in Hz
     #[arg(long, value_name = "A,B,..", default_value = "1000,5000,10000,20000")]
     rates: Numbers,
-    /// Velocity estimators to look at [default: all that have a linear analysis]
-    #[arg(long, value_name = "KIND", value_delimiter = ',', value_parser = arguments::tuned_estimator())]
-    estimators: Vec<Estimator>,
     /// Feed-forwards to look at; full pushes a resting hand along the wall
     #[arg(long, value_name = "KIND", value_delimiter = ',', default_value = "off,washout", value_parser = arguments::feed_forward())]
     feed_forward: Vec<FeedForward>,
-    /// Factor by which the motors may be stronger or weaker than the file says
-    #[arg(long, value_name = "FACTOR", default_value_t = Margins::default().gain)]
-    gain_margin: f64,
-    /// Delay beyond the board's own, in s
-    #[arg(long, value_name = "S", default_value_t = Margins::default().delay_s)]
-    delay_margin: f64,
-    /// Share by which the whole device may be lighter or heavier
-    #[arg(long, value_name = "SHARE", default_value_t = Margins::default().mass)]
-    mass_error: f64,
-    /// Share by which each link and rotor may be lighter or heavier on its own
-    #[arg(long, value_name = "SHARE", default_value_t = Margins::default().inertia)]
-    inertia_error: f64,
-    /// Share by which friction may be less or more, for the ripple
-    #[arg(long, value_name = "SHARE", default_value_t = Margins::default().friction)]
-    friction_error: f64,
-    /// Share by which an encoder's counts may be coarser or finer, for the ripple
-    #[arg(long, value_name = "SHARE", default_value_t = Margins::default().counts)]
-    counts_error: f64,
     /// Encoder counts into the wall at which the motors may give all that they have
     #[arg(long, value_name = "N", default_value_t = 1.0)]
     counts: f64,
@@ -140,8 +135,17 @@ struct Place {
     admissible: Admissible,
 }
 
-/// Searches, prints, writes and loads.
+/// Searches, or compares estimators.
 pub fn run(args: Args) -> Result<(), Failure> {
+    match args {
+        Args { instead: Some(Instead::Estimators(args)), .. } => estimators::run(args),
+        Args { search: Some(search), .. } => searched(search),
+        Args { search: None, .. } => Err(Failure::wrong("no device file")),
+    }
+}
+
+/// Searches, prints, writes and loads.
+fn searched(args: Search) -> Result<(), Failure> {
     let overwrite = args.force.overwrite();
     if let Some(out) = &args.out {
         output::check(out, overwrite)?;
@@ -158,21 +162,13 @@ pub fn run(args: Args) -> Result<(), Failure> {
         q: place.q.clone(),
         normal: place.normal.clone(),
         admissible: place.admissible,
-        margins: Margins {
-            gain: args.gain_margin,
-            delay_s: args.delay_margin,
-            mass: args.mass_error,
-            inertia: args.inertia_error,
-            friction: args.friction_error,
-            counts: args.counts_error,
-            hand: true,
-        },
+        margins: Margins::default(),
         ripple_n: args.ripple.unwrap_or(USUAL_RIPPLE_N),
         board_ripple_n: Some(args.ripple.unwrap_or(USUAL_RIPPLE_N)),
         counts: args.counts,
         speed: args.speed,
         rates_hz: if args.rates.0.is_empty() { RATES_HZ.to_vec() } else { args.rates.0.clone() },
-        estimators: if args.estimators.is_empty() { estimators() } else { args.estimators.clone() },
+        estimators: haptic_predict::tune::estimators(),
         feed_forwards: args.feed_forward.clone(),
         known: None,
     };
@@ -261,7 +257,7 @@ fn tip(file: &DeviceFile, q: &[f64]) -> Result<Vec<f64>, Failure> {
 }
 
 /// Pose and normal: as typed, of the scene's wall, or home.
-fn place(args: &Args, file: &DeviceFile) -> Result<Place, Failure> {
+fn place(args: &Search, file: &DeviceFile) -> Result<Place, Failure> {
     let spec = file.spec();
     let q = args.q.as_ref().map(|q| q.exactly(spec.joints, "--q", "joint angles")).transpose()?;
     let normal = args.normal.as_ref().map(|normal| normal.unit(spec.task, "--normal")).transpose()?;
@@ -310,7 +306,7 @@ fn touched(file: &DeviceFile, scene: &Scene<f64>, wall: usize) -> Option<(Vec<f6
     contacts.into_iter().find(|contact| contact.wall == wall).map(|contact| (contact.q, contact.normal))
 }
 
-fn about(args: &Args, file: &DeviceFile, answer: &Answer, ripple: f64) -> Vec<String> {
+fn about(args: &Search, file: &DeviceFile, answer: &Answer, ripple: f64) -> Vec<String> {
     let scene = args.scene.as_deref().map_or(String::new(), |scene: &Path| format!(", after {}", scene.display()));
     vec![
         format!("The stiffest wall that `haptic tune` found on {}{scene}.", file.name),

@@ -1,7 +1,9 @@
-//! `haptic view`: a page in the browser on a board, or on a simulated one with a hand to lead.
+//! `haptic view`: a page in the browser, or in the terminal, on a board or on a simulated one with a hand to lead.
 
 use super::interrupt;
+use super::monitor;
 use super::port::{Port, address};
+use super::stream::positive;
 use haptic_bridge::render::scene::Scene;
 use haptic_host::device_file::DeviceFile;
 use haptic_host::error::{Failure, print};
@@ -23,11 +25,14 @@ const AGAIN: Duration = Duration::from_millis(500);
 /// Where the page is unless asked otherwise.
 const USUAL_PORT: u16 = 7720;
 
-/// Look at a device in the browser: walls to drag, gains to turn, an oscilloscope
+/// Look at a device in the browser or the terminal: walls to drag, gains to turn, signals, recording
 ///
 /// Serves one page until Ctrl-C; what it shows is inside this tool, nothing is loaded from elsewhere. Motors are on
 /// only while somebody holds a key (Space) on the page in command: letting go, closing the page or losing the network
 /// turns them off.
+///
+/// --terminal draws the same with characters, also over ssh, until q; motors are on only while Space is held, and the
+/// last line of the screen lists the keys. A board that is unplugged is waited for.
 ///
 /// With --port sim the mouse is a hand on a simulated device. Without DEVICE it is that of `haptic demo`, with less dry
 /// friction and finer encoders, before a wall that buzzes without the feed-forward and is quiet with it.
@@ -35,6 +40,9 @@ const USUAL_PORT: u16 = 7720;
 pub struct Args {
     /// Device file (TOML), for its links [default: a board's tip is drawn without them]
     device: Option<PathBuf>,
+    /// Draw in this terminal instead
+    #[arg(long, conflicts_with = "listen")]
+    terminal: bool,
     #[command(flatten)]
     port: Port,
     /// On --port sim: scene file (TOML) [default: one wall in front of the tip]
@@ -44,20 +52,12 @@ pub struct Args {
     /// [default: 7720, or a free port where that is taken]
     #[arg(long, value_name = "ADDRESS")]
     listen: Option<String>,
-    /// Where recordings that the page begins go
+    /// Where recordings go
     #[arg(long, value_name = "FOLDER", default_value = ".")]
     record_to: PathBuf,
-    /// Rows a second that the page is told of, at most the control rate [default: as many as the link carries]
-    #[arg(long, value_name = "HZ", value_parser = rate)]
+    /// Rows a second that are looked at, at most the control rate [default: as many as the link carries]
+    #[arg(long, value_name = "HZ", value_parser = positive)]
     rate: Option<f64>,
-}
-
-pub(super) fn rate(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(value) if value.is_finite() && value > 0.0 => Ok(value),
-        Ok(_) => Err("must be greater than zero".into()),
-        Err(_) => Err("not a number".into()),
-    }
 }
 
 /// What is looked at, and how often.
@@ -71,7 +71,7 @@ pub(super) struct Shown {
 
 impl Shown {
     /// Reads the files.
-    pub(super) fn of(
+    fn of(
         port: Port,
         device: Option<&PathBuf>,
         scene: Option<&PathBuf>,
@@ -167,8 +167,14 @@ impl Shown {
 
 /// Serves the page.
 pub fn run(args: Args) -> Result<(), Failure> {
+    if args.terminal {
+        monitor::check()?;
+    }
     let stop = interrupt::watch();
     let shown = Shown::of(args.port, args.device.as_ref(), args.scene.as_ref(), args.rate, args.record_to)?;
+    if args.terminal {
+        return monitor::run(&shown);
+    }
     let hub = Hub::default();
     let opened = || {
         let door = match &args.listen {

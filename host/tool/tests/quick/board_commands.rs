@@ -18,12 +18,12 @@ fn a_session_from_a_bare_board_to_a_recording() {
     sim.run(&["gains", "--stiffness", "300", "--damping", "2"]).success().stdout(contains("stiffness 300 N/m"));
     sim.run(&["gains", "--wall", "4"]).code(2).stderr(contains("there is no wall 4"));
     sim.run(&["arm"]).success();
-    sim.run(&["save"]).code(1).stderr(contains("haptic disarm").and(contains("writing flash").not()));
+    sim.run(&["board", "save"]).code(1).stderr(contains("haptic disarm").and(contains("writing flash").not()));
 
     let directory = tempfile::tempdir().unwrap();
     let csv = directory.path().join("run.csv");
     let csv = csv.to_str().unwrap();
-    sim.run(&["stream", "--csv", csv, "--rate", "5000", "--seconds", "0.5", "--fields", "q,force,state"])
+    sim.run(&["record", csv, "--rate", "5000", "--seconds", "0.5", "--fields", "q,force,state"])
         .success()
         .stderr(contains("2500 rows are in").and(contains("none lost")));
     let recording = Recording::parse(&std::fs::read_to_string(csv).unwrap()).unwrap();
@@ -44,11 +44,11 @@ fn a_session_from_a_bare_board_to_a_recording() {
     }
     let text = std::fs::read_to_string(csv).unwrap();
     assert!(text.contains(",Armed,0\n"), "states are words");
-    let again = ["stream", "--csv", csv, "--seconds", "0.1"];
+    let again = ["record", csv, "--seconds", "0.1", "--rate", "1000"];
     sim.run(&again).code(1).stderr(contains("run.csv exists").and(contains("--force")));
     assert_eq!(std::fs::read_to_string(csv).unwrap(), text, "a recording is not overwritten");
     sim.run(&[&again[..], &["--force"]].concat()).success().stderr(contains("100 rows are in"));
-    let piped = sim.run(&["stream", "--csv", "-", "--seconds", "0.1", "--rate", "100"]).success();
+    let piped = sim.run(&["record", "-", "--seconds", "0.1", "--rate", "100"]).success();
     let piped = Recording::parse(&String::from_utf8_lossy(&piped.get_output().stdout)).unwrap();
     assert_eq!((piped.rows.len(), piped.about.last().unwrap().as_str()), (10, "10 rows, none lost"));
     assert!(!std::path::Path::new("-").exists());
@@ -63,7 +63,7 @@ fn a_session_from_a_bare_board_to_a_recording() {
     assert!(recording.rows.windows(2).all(|pair| pair[1][0] - pair[0][0] == 4.0), "every fourth step");
 
     sim.run(&["disarm"]).success();
-    sim.run(&["save"]).success().stderr(contains("the board pauses"));
+    sim.run(&["board", "save"]).success().stderr(contains("the board pauses"));
     let info = sim.run(&["info", "--json"]).success();
     let info: serde_json::Value = serde_json::from_slice(&info.get_output().stdout).unwrap();
     assert_eq!(info["device"], "coupled-five-bar");
@@ -110,7 +110,7 @@ fn a_board_that_dies_while_streaming_leaves_a_whole_recording() {
     let mut sim = Sim::start(&[]);
     let directory = tempfile::tempdir().unwrap();
     let csv = directory.path().join("cut.csv");
-    let mut stream = sim.spawn(&["stream", "--rate", "20000", "--csv", csv.to_str().unwrap()]);
+    let mut stream = sim.spawn(&["record", csv.to_str().unwrap(), "--rate", "20000"]);
     // Pull the plug once there is something on disk.
     until("rows on disk", || std::fs::metadata(&csv).is_ok_and(|about| about.len() >= 100_000));
     sim.child.kill().unwrap();
@@ -129,7 +129,7 @@ fn a_stream_that_the_board_refuses_makes_no_file_and_replaces_none() {
     let sim = Sim::start(&["--fast"]);
     let directory = tempfile::tempdir().unwrap();
     let csv = directory.path().join("run.csv");
-    let arguments = ["stream", "--arm", "--csv", csv.to_str().unwrap()];
+    let arguments = ["record", csv.to_str().unwrap(), "--arm"];
     sim.run(&arguments).code(1).stderr(contains("no scene is loaded"));
     assert!(!csv.exists());
     std::fs::write(&csv, "an earlier one").unwrap();
@@ -150,28 +150,28 @@ fn a_limit_of_the_tip_force_is_obeyed_on_a_simulated_board_too() {
 fn a_restart_asks_before_it_turns_motors_off_or_forgets() {
     let sim = Sim::start(&["--fast"]);
     sim.run(&["scene", &file("scenes/coupled-five-bar/wall.toml")]).success();
-    sim.run(&["restart"]).code(1).stderr(contains("device, scene").and(contains("--yes")));
-    sim.run(&["save", "--json"]).success().stdout(contains("\"device\",\"scene\""));
+    sim.run(&["board", "restart"]).code(1).stderr(contains("device, scene").and(contains("--yes")));
+    sim.run(&["board", "save", "--json"]).success().stdout(contains("\"device\",\"scene\""));
     sim.run(&["arm"]).success();
-    sim.run(&["restart"]).code(1).stderr(contains("motors are on").and(contains("forgotten").not()));
+    sim.run(&["board", "restart"]).code(1).stderr(contains("motors are on").and(contains("forgotten").not()));
     sim.run(&["info", "--json"]).success().stdout(contains("\"Armed\""));
-    sim.run(&["restart", "--yes", "--json"]).success().stdout(contains("\"forgotten\":[]"));
+    sim.run(&["board", "restart", "--yes", "--json"]).success().stdout(contains("\"forgotten\":[]"));
     // What is saved is kept, so there is nothing to ask; neither is there after a change that was taken back.
-    sim.run(&["restart"]).success();
+    sim.run(&["board", "restart"]).success();
     sim.run(&["gains", "--stiffness", "321"]).success();
-    sim.run(&["restart"]).code(1).stderr(contains("forgotten: scene"));
-    sim.run(&["name", "--json"]).success().stdout(contains("\"name\":\"\""));
+    sim.run(&["board", "restart"]).code(1).stderr(contains("forgotten: scene"));
+    sim.run(&["board", "name", "--json"]).success().stdout(contains("\"name\":\"\""));
 }
 
 #[test]
 fn saving_says_what_there_was_to_save() {
     let sim = Sim::start(&["--fast"]);
-    sim.run(&["save"]).success().stdout(contains("with this device from now on; it holds no scene"));
-    sim.run(&["dfu", "--yes"]).success();
-    sim.run(&["save"]).success().stdout(contains("with this device"));
+    sim.run(&["board", "save"]).success().stdout(contains("with this device from now on; it holds no scene"));
+    sim.run(&["board", "dfu", "--yes"]).success();
+    sim.run(&["board", "save"]).success().stdout(contains("with this device"));
     let bare = Sim::start(&["--fast"]);
-    bare.run(&["restart", "--yes"]).success();
-    bare.run(&["save"]).success().stdout(contains("no device or scene"));
+    bare.run(&["board", "restart", "--yes"]).success();
+    bare.run(&["board", "save"]).success().stdout(contains("no device or scene"));
 }
 
 #[test]
@@ -183,7 +183,7 @@ fn a_simulated_board_needs_no_other_process() {
         .stdout(contains("hapkit-paddle"));
     haptic(&["info", "--port", "sim:no-such.toml"]).assert().code(2).stderr(contains("no-such.toml"));
     // It ends with the command: there is nothing to say "saved" or "armed" of.
-    for lasting in [&["save"][..], &["arm"], &["backup", "folder"]] {
+    for lasting in [&["board", "save"][..], &["arm"], &["board", "backup", "folder"]] {
         haptic(lasting).args(["--port", "sim"]).assert().code(2).stderr(contains("haptic sim"));
     }
 }
@@ -211,7 +211,7 @@ fn wrong_ports_and_gains_are_refused_by_the_command_line() {
     }
     haptic(&["stream", "--port", "sim", "--fields", "forse"]).assert().code(2).stderr(contains("`forse` is no field"));
     haptic(&["info", "--port", "/dev/no-such-port"]).assert().code(1).stderr(contains("/dev/no-such-port"));
-    haptic(&["list", "--json"]).assert().success();
+    haptic(&["board", "list", "--json"]).assert().success();
 }
 
 #[test]
@@ -247,30 +247,32 @@ fn a_file_that_is_none_is_refused_by_name_with_what_to_do() {
     let folder = directory.path().to_str().unwrap();
     let binary = directory.path().join("binary");
     std::fs::write(&binary, b"\xFF\xFE").unwrap();
+    let folder_csv = format!("{folder}/folder.csv");
+    std::fs::create_dir(&folder_csv).unwrap();
     let (binary, absent) = (binary.to_str().unwrap(), directory.path().join("absent"));
     let sim = Sim::start(&["--fast"]);
-    for command in ["device", "scene", "restore"] {
+    for command in [&["device"][..], &["scene"], &["board", "restore"]] {
         for (path, reason, remedy) in [
             (folder, "Is a directory", "check the path"),
             (binary, "not UTF-8 text", "save the file as UTF-8"),
             (absent.to_str().unwrap(), "No such file", "check the path"),
         ] {
-            sim.run(&[command, path])
+            sim.run(&[command, &[path]].concat())
                 .code(2)
                 .stderr(contains(path).and(contains(reason)).and(contains(remedy)).and(contains("error:").count(1)));
         }
     }
-    sim.run(&["save"]).success();
-    for refused in [["backup", folder].as_slice(), &["stream", "--csv", folder]] {
+    sim.run(&["board", "save"]).success();
+    for refused in [["board", "backup", folder].as_slice(), &["record", &folder_csv]] {
         sim.run(refused).code(1).stderr(contains(folder).and(contains("is a directory")));
     }
     let kept = directory.path().join("kept.json");
-    let backup = ["backup", kept.to_str().unwrap()];
+    let backup = ["board", "backup", kept.to_str().unwrap()];
     sim.run(&backup).success();
     sim.run(&backup).code(1).stderr(contains("kept.json exists"));
     sim.run(&[&backup[..], &["--force"]].concat()).success();
     // As root this once replaced the device node.
-    sim.run(&["backup", "/dev/full"]).code(1).stderr(contains("/dev/full cannot be written"));
+    sim.run(&["board", "backup", "/dev/full"]).code(1).stderr(contains("/dev/full cannot be written"));
     assert!(!std::fs::metadata("/dev/full").unwrap().is_file());
     sim.run(&["info"]).success().stdout(contains("none; load one with `haptic scene FILE`"));
 }
@@ -292,34 +294,34 @@ fn a_name_lasts_over_a_restart_once_it_is_saved() {
     let sim = Sim::start(&["--fast", "--scene", &file("scenes/coupled-five-bar/wall.toml")]);
     let said = |words: &[&str]| String::from_utf8(sim.run(words).success().get_output().stdout.clone()).unwrap();
     let device = || serde_json::from_str::<Value>(&said(&["info", "--json"])).unwrap()["device"].clone();
-    assert_eq!(said(&["name"]), "this board has no name\n");
-    sim.run(&["name", &"x".repeat(33)]).code(2).stderr(contains("33 bytes").and(contains("at most 32")));
-    sim.run(&["name", "two\nlines"]).code(2).stderr(contains("one line"));
-    assert_eq!(said(&["name"]), "this board has no name\n");
+    assert_eq!(said(&["board", "name"]), "this board has no name\n");
+    sim.run(&["board", "name", &"x".repeat(33)]).code(2).stderr(contains("33 bytes").and(contains("at most 32")));
+    sim.run(&["board", "name", "two\nlines"]).code(2).stderr(contains("one line"));
+    assert_eq!(said(&["board", "name"]), "this board has no name\n");
 
-    said(&["name", "left hand"]);
-    assert_eq!(said(&["name"]), "left hand\n");
+    said(&["board", "name", "left hand"]);
+    assert_eq!(said(&["board", "name"]), "left hand\n");
     assert_eq!(device(), "coupled-five-bar");
     // Nothing was saved, so nothing is left of it.
-    said(&["restart", "--yes"]);
-    assert_eq!((said(&["name"]).as_str(), device()), ("this board has no name\n", Value::Null));
+    said(&["board", "restart", "--yes"]);
+    assert_eq!((said(&["board", "name"]).as_str(), device()), ("this board has no name\n", Value::Null));
 
     said(&["device", &file("coupled-five-bar.toml")]);
-    said(&["name", "left hand"]);
-    said(&["save"]);
-    said(&["name", "right hand"]);
-    said(&["restart", "--yes"]);
-    assert_eq!((said(&["name"]).as_str(), device()), ("left hand\n", "coupled-five-bar".into()));
+    said(&["board", "name", "left hand"]);
+    said(&["board", "save"]);
+    said(&["board", "name", "right hand"]);
+    said(&["board", "restart", "--yes"]);
+    assert_eq!((said(&["board", "name"]).as_str(), device()), ("left hand\n", "coupled-five-bar".into()));
     // Motors that were on are off.
     sim.run(&["scene", &file("scenes/coupled-five-bar/wall.toml")]).success();
     sim.run(&["rules", "--host", "ignore"]).success();
     said(&["arm"]);
-    said(&["restart", "--yes"]);
+    said(&["board", "restart", "--yes"]);
     sim.run(&["info", "--json"]).success().stdout(contains("\"Disarmed\""));
     // A name that another program gave it begins no line of its own, on the screen or in a recording.
     let name = "hand\nstate       armed";
     Board::open(&sim.port.parse().unwrap()).unwrap().set_name(&name.try_into().unwrap()).unwrap();
-    for words in [&["info"][..], &["name"], &["stream", "--csv", "-", "--seconds", "0.01"]] {
+    for words in [&["info"][..], &["board", "name"], &["record", "-", "--seconds", "0.01"]] {
         let text = said(words);
         let lines = text.lines().filter(|line| line.trim_start_matches("# ").starts_with("state "));
         assert!(text.contains(r"hand\u000astate") && lines.count() == usize::from(words == ["info"]), "{text}");
@@ -388,13 +390,13 @@ fn past_a_limit(folder: &Path) -> Sim {
 fn clearing_tells_which_joint_is_outside_its_limits() {
     let folder = tempfile::tempdir().unwrap();
     let sim = past_a_limit(folder.path());
-    sim.run(&["clear", "--json"]).success().stdout(contains("\"outside_limits\":[]"));
+    sim.run(&["faults", "--clear", "--json"]).success().stdout(contains("\"outside_limits\":[]"));
     sim.run(&["arm"]).success();
     sim.until(|state| state == "Fault");
-    sim.run(&["clear"])
+    sim.run(&["faults", "--clear"])
         .success()
         .stdout(contains("cleared JointLimit").and(contains("joint 0 is outside its limits, at 2.")));
-    sim.run(&["clear", "--json"]).success().stdout(contains("\"outside_limits\":[0]"));
+    sim.run(&["faults", "--clear", "--json"]).success().stdout(contains("\"outside_limits\":[0]"));
     sim.run(&["arm"]).code(1).stderr(contains("joint 0 is outside its limits"));
 }
 
@@ -421,11 +423,11 @@ fn what_weakens_a_protection_is_told_by_whichever_command_does_it() {
     let tighten = || sim.run(&["rules", "--host", "disarm", "--tip-force", "4"]).success().stderr("");
     tighten();
     sim.run(&["rules", "--host", "ignore", "--tip-force", "30"]).success().stderr(contains(host).and(contains(force)));
-    sim.run(&["save"]).success();
-    sim.run(&["backup", &kept]).success();
+    sim.run(&["board", "save"]).success();
+    sim.run(&["board", "backup", &kept]).success();
     tighten();
-    sim.run(&["restore", &kept]).success().stderr(contains(host).and(contains(force)));
-    sim.run(&["restore", &kept]).success().stderr(contains(host).or(contains("may now push")).not());
+    sim.run(&["board", "restore", &kept]).success().stderr(contains(host).and(contains(force)));
+    sim.run(&["board", "restore", &kept]).success().stderr(contains(host).or(contains("may now push")).not());
     tighten();
     let device = file("coupled-five-bar.toml");
     sim.run(&["device", &device, "--tip-force", "30"]).success().stderr(contains(host).not().and(contains(force)));

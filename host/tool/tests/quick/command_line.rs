@@ -24,11 +24,11 @@ fn a_pipe_that_closes_ends_a_command_silently() {
     let device = file("coupled-five-bar.toml");
     for command in [
         "stream --port sim --rate 1000".to_string(),
-        "stream --port sim --rate 1000 --csv -".to_string(),
+        "record - --port sim --rate 1000".to_string(),
         // What is told beside the rows has no reader any more either.
-        "stream --port sim --rate 1e9 --csv - --seconds 0.05 2>&1".to_string(),
+        "record - --port sim --rate 1e9 --seconds 0.05 2>&1".to_string(),
         // Rows that all come after the reader has gone.
-        "stream --port sim --csv - --seconds 0.1".to_string(),
+        "record - --port sim --seconds 0.1".to_string(),
         format!("map {device} --normal 0,1 --json"),
         "help".to_string(),
     ] {
@@ -68,7 +68,7 @@ fn what_cannot_be_read_is_answered_with_what_to_type() {
             "'-3' for '--difference-over <SAMPLES>': write a whole",
         ),
         (["measure-range", &device, "--normal=0,1", "--points=1.5"], "'1.5' for '--points <N>': write a whole number"),
-        (["sim", &device, "--fast", "--seed="], "write a whole number, such as"),
+        (["tune", &device, "--normal=0,1", "--wall="], "write a whole number, such as"),
         (["model", &device, "--normal=0,1", "--q=1"], "--q has 1 number, but"),
         (["range", &device, "--normal=0,1", "--share=1,2"], "--share has 2 numbers for 1 wall ("),
     ] {
@@ -101,13 +101,13 @@ fn every_answer_of_a_board_comes_as_json_as_well() {
     json(&["gains", "--stiffness", "300"]);
     assert_eq!(json(&["rules", "--torque", "0.5,0.4", "--host", "ignore"])["torque"].as_array().unwrap().len(), 2);
     assert_eq!(json(&["polarity"])["polarity_checked"], true);
-    assert_eq!(json(&["save"])["saved"], true);
-    assert!(json(&["backup", backup.to_str().unwrap()])["settings"].as_array().unwrap().len() > 3);
-    assert!(!json(&["restore", backup.to_str().unwrap()])["restored"].as_array().unwrap().is_empty());
+    assert_eq!(json(&["board", "save"])["saved"], true);
+    assert!(json(&["board", "backup", backup.to_str().unwrap()])["settings"].as_array().unwrap().len() > 3);
+    assert!(!json(&["board", "restore", backup.to_str().unwrap()])["restored"].as_array().unwrap().is_empty());
     assert_eq!(json(&["arm"])["state"], "Armed");
     assert_eq!(json(&["disarm"])["state"], "Disarmed");
-    assert_eq!(json(&["clear"])["cleared"], serde_json::Value::Null);
-    sim.run(&["clear"]).success().stdout(contains("no fault was latched"));
+    assert_eq!(json(&["faults", "--clear"])["cleared"], serde_json::Value::Null);
+    sim.run(&["faults", "--clear"]).success().stdout(contains("no fault was latched"));
 }
 
 #[test]
@@ -115,10 +115,10 @@ fn a_boot_loader_is_not_entered_under_motors_that_are_on_unasked() {
     let sim = Sim::start(&["--fast", "--scene", &file("scenes/coupled-five-bar/wall.toml")]);
     sim.run(&["rules", "--host", "ignore"]).success();
     sim.run(&["arm"]).success();
-    sim.run(&["dfu"]).code(1).stderr(contains("the motors are on").and(contains("--yes")));
+    sim.run(&["board", "dfu"]).code(1).stderr(contains("the motors are on").and(contains("--yes")));
     sim.run(&["info"]).success().stdout(contains("armed").and(contains("disarmed").not()));
-    sim.run(&["save"]).code(1).stderr(contains("haptic disarm").and(contains("writing flash").not()));
-    sim.run(&["dfu", "--yes"]).success();
+    sim.run(&["board", "save"]).code(1).stderr(contains("haptic disarm").and(contains("writing flash").not()));
+    sim.run(&["board", "dfu", "--yes"]).success();
 }
 
 #[test]
@@ -165,13 +165,13 @@ fn what_cannot_be_is_refused_before_anything_starts() {
 }
 
 #[test]
-fn a_plan_says_that_the_device_does_not_reach_the_scene() {
+fn a_check_says_that_the_device_does_not_reach_the_scene() {
     let folder = tempfile::tempdir().unwrap();
     let scene = folder.path().join("scene.toml");
     let wall = "[[wall]]\npoint = [0.0, 100.0]\nnormal = [0.0, -1.0]\nstiffness = 300.0\ndamping = 1.0\n";
     std::fs::write(&scene, wall).unwrap();
     let planned =
-        haptic(&["plan", &file("coupled-five-bar.toml"), scene.to_str().unwrap(), "--json"]).assert().success();
+        haptic(&["check", &file("coupled-five-bar.toml"), scene.to_str().unwrap(), "--json"]).assert().success();
     let output = planned.stderr(contains("out of reach")).get_output().stdout.clone();
     let json: serde_json::Value = serde_json::from_slice(&output).unwrap();
     assert!(json["warnings"][0]["text"].as_str().unwrap().contains("out of reach"), "{json}");

@@ -158,7 +158,7 @@ fn the_picture_says_what_was_recorded() {
     assert_eq!((size(16), size(20)), (1440, (2.0 * height) as u32), "two pixels per unit");
 
     // A sine shows its amplitude at its frequency, and its mean not at all.
-    plot(&["--signals", "torque0_n_m", "--show", "spectrum", "--most-hz", "400", "--force", "--svg", files[1]])
+    plot(&["--signals", "torque0_n_m", "--show", "spectrum", "--force", "--svg", files[1]])
         .success()
         .stdout(contains("at 125.0 Hz"));
     let panels = read(&std::fs::read_to_string(&svg).unwrap());
@@ -166,7 +166,7 @@ fn the_picture_says_what_was_recorded() {
     let line: Vec<(f64, f64)> = panels[0].lines[0].iter().map(|(hz, db)| (*hz, 10f64.powf(db / 20.0))).collect();
     let top = line.iter().max_by(|a, b| a.1.total_cmp(&b.1)).unwrap();
     assert!((top.0 - 125.0).abs() < 1.0 && (top.1 - 0.5).abs() < 0.005, "{top:?}");
-    assert!(line.iter().all(|(hz, a)| (hz - 125.0).abs() < 5.0 || *a < 0.01) && line.last().unwrap().0 < 401.0);
+    assert!(line.iter().all(|(hz, a)| (hz - 125.0).abs() < 5.0 || *a < 0.01));
 
     // The points of --json are the recording's own.
     let json = plot(&["--json", "--show", "time", "--from", "0.1", "--to", "0.2"]).success();

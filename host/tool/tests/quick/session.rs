@@ -254,12 +254,15 @@ fn on_a_simulated_board_every_exchange_takes_two_control_periods() {
 
 #[test]
 fn the_command_prints_histograms_or_json() {
-    let told = sim::haptic(&["latency", "--port", "sim", "--exchanges", "50"]).assert();
+    let told = sim::haptic(&["board", "latency", "--port", "sim", "--exchanges", "50"]).assert();
     told.success()
         .stdout(contains("50 exchanges, 10000 a second, on sim"))
         .stdout(contains("round trip: median 0.100 ms"));
-    let json = sim::haptic(&["latency", "--port", "sim", "--exchanges", "50", "--json"]).assert().success();
+    let json = sim::haptic(&["board", "latency", "--port", "sim", "--exchanges", "50", "--json"]).assert().success();
     let json: serde_json::Value = serde_json::from_slice(&json.get_output().stdout).unwrap();
     assert_eq!((&json["round_trip"]["count"], &json["age"]["count"]), (&50.into(), &49.into()));
-    sim::haptic(&["latency", "--port", "sim", "--exchanges", "1"]).assert().code(2).stderr(contains("--exchanges"));
+    sim::haptic(&["board", "latency", "--port", "sim", "--exchanges", "1"])
+        .assert()
+        .code(2)
+        .stderr(contains("--exchanges"));
 }

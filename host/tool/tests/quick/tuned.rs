@@ -1,4 +1,4 @@
-//! `haptic tune` and `haptic estimators`: on devices that nobody chose (ten of them:
+//! `haptic tune` and `haptic tune estimators`: on devices that nobody chose (ten of them:
 //! host/tool/tests/deep/tune/settings.rs), on joints that give, and when they are to end.
 
 use crate::common::tuned::{drawn, none_is_stiffer, question};

@@ -74,7 +74,7 @@ fn a_recording_whose_tool_is_killed_is_whole_and_the_next_one_has_none_of_its_ro
         for bytes in [10_000, 300_000, 700_000] {
             let csv = folder.path().join("killed.csv");
             let to = csv.to_str().unwrap();
-            let tool = sim.spawn(&["stream", "--rate", "20000", "--fields", "counts", "--csv", to]);
+            let tool = sim.spawn(&["record", to, "--rate", "20000", "--fields", "counts"]);
             grown(&csv, bytes);
             killed(tool);
             let before = recording(&csv);
@@ -82,7 +82,7 @@ fn a_recording_whose_tool_is_killed_is_whole_and_the_next_one_has_none_of_its_ro
             assert_eq!(gaps(&before), 0);
             std::fs::remove_file(&csv).unwrap();
             free(&sim);
-            let said = sim.run(&["stream", "--seconds", "0.2", "--rate", "200", "--fields", "q,tip", "--csv", to]);
+            let said = sim.run(&["record", to, "--seconds", "0.2", "--rate", "200", "--fields", "q,tip"]);
             let said = String::from_utf8_lossy(&said.success().get_output().stderr).into_owned();
             assert!(said.contains("none lost"), "{said}");
             let next = recording(&csv);
@@ -113,7 +113,7 @@ fn a_disk_that_fills_up_ends_the_recording_with_whole_rows_and_says_how_many() {
     let sim = Sim::start(&["--fast"]);
     let folder = tempdir().unwrap();
     let csv = folder.path().join("full.csv");
-    let text = limited(600, &["stream", "--rate", "20000", "--csv", csv.to_str().unwrap(), "--port", &sim.port]);
+    let text = limited(600, &["record", csv.to_str().unwrap(), "--port", &sim.port, "--rate", "20000"]);
     assert!(text.contains("full.csv cannot be written"), "{text}");
     let recording = recording(&csv);
     assert!(!recording.torn && recording.rows.len() > 500);
@@ -133,7 +133,7 @@ fn where_not_even_the_beginning_fits_no_file_is_left() {
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
     };
     let csv = folder.path().join("a.csv");
-    nothing_is_left(limited(0, &["stream", "--csv", csv.to_str().unwrap(), "--port", &sim.port]));
+    nothing_is_left(limited(0, &["record", csv.to_str().unwrap(), "--port", &sim.port]));
     // The tables of a report fit, and its picture, which is larger, does not.
     let (one, two) = (file("hapkit-paddle.toml"), file("haply-2diy.toml"));
     haptic(&["bench", &one, &two, "--report", roomy.path().to_str().unwrap()]).assert().success();
@@ -148,7 +148,7 @@ fn rows_that_a_stopped_tool_did_not_take_are_counted_exactly() {
     let sim = Sim::on_pseudo_terminal(&[]);
     let folder = tempdir().unwrap();
     let csv = folder.path().join("gaps.csv");
-    let tool = sim.spawn(&["stream", "--rate", "20000", "--fields", "all", "--csv", csv.to_str().unwrap()]);
+    let tool = sim.spawn(&["record", csv.to_str().unwrap(), "--rate", "20000", "--fields", "all"]);
     grown(&csv, 100_000);
     // However much the buffers hold, at some time it was stopped for longer.
     until("a gap", || {
@@ -180,7 +180,7 @@ fn an_interrupted_stream_ends_in_order_and_its_motors_go_off_where_the_rules_say
         sim.run(&["disarm"]).success();
         rules(&sim, rule, seconds);
         let csv = path(&format!("{rule}-{how}.csv"));
-        let mut stream = vec!["stream", "--csv", csv.to_str().unwrap()];
+        let mut stream = vec!["record", csv.to_str().unwrap(), "--rate", "1000"];
         if rule == "ignore" {
             sim.run(&["arm"]).success().stdout(contains("nobody is watched"));
         } else {
@@ -196,7 +196,7 @@ fn an_interrupted_stream_ends_in_order_and_its_motors_go_off_where_the_rules_say
         }
         if rule == "ignore" {
             // Also after a second of the board's time.
-            sim.run(&["stream", "--seconds", "1", "--csv", path("later.csv").to_str().unwrap()]).success();
+            sim.run(&["record", path("later.csv").to_str().unwrap(), "--seconds", "1"]).success();
         }
         free(&sim);
         sim.until(|now| now == state);
@@ -222,7 +222,7 @@ fn arming_a_board_that_watches_its_host_lasts_until_ctrl_c() {
         assert!(how == "KILL" || code == Some(0), "{text}");
         free(&sim);
         sim.until(|now| now == state);
-        sim.run(&["clear"]).success();
+        sim.run(&["faults", "--clear"]).success();
     }
 }
 
@@ -260,7 +260,7 @@ fn in_the_middle(sim: &Sim, line: &[&str], progress: &Path) -> Child {
         let said = ended(tool).1;
         free(sim);
         assert!(printed(sim, &["faults"]).contains("latched  HostLost"), "{said}");
-        sim.run(&["clear"]).success();
+        sim.run(&["faults", "--clear"]).success();
     }
 }
 
@@ -297,7 +297,7 @@ fn after_a_measurement_that_was_killed_the_next_one_puts_the_scene_back_or_says_
     let now = held();
     assert_ne!(now.0, before.0, "it was in the middle of it");
     assert_ne!(now.1, before.1, "its rules are in force");
-    sim.run(&["clear"]).success();
+    sim.run(&["faults", "--clear"]).success();
     // Another file knows nothing of what was there, however its measurement ends.
     let (_, said) = ended(sim.spawn(&measurement(&device, "--kd=15", &other)));
     assert!(said.contains("left by a measurement") && said.contains("load yours again"), "{said}");

@@ -1,4 +1,4 @@
-//! `haptic monitor` in a real terminal: a pseudo-terminal whose screen is read as a person would.
+//! `haptic view --terminal` in a real terminal: a pseudo-terminal whose screen is read as a person would.
 #![cfg(unix)]
 
 use crate::common::sim::{HANG, Sim, until};
@@ -31,7 +31,7 @@ struct Terminal {
 impl Terminal {
     /// The tool in a session and terminal of its own.
     fn start(arguments: &[&str], rows: u16, columns: u16) -> Self {
-        Self::run(&[&["monitor"], arguments].concat(), rows, columns)
+        Self::run(&[&["view", "--terminal"], arguments].concat(), rows, columns)
     }
 
     fn run(arguments: &[&str], rows: u16, columns: u16) -> Self {
@@ -253,7 +253,7 @@ fn a_board_that_is_unplugged_is_waited_for_also_where_it_comes_back_without_its_
 
 #[test]
 fn where_there_is_no_terminal_it_says_so() {
-    let refused = haptic(&["monitor", "--port", "sim"]).assert().code(2);
+    let refused = haptic(&["view", "--terminal", "--port", "sim"]).assert().code(2);
     assert!(String::from_utf8_lossy(&refused.get_output().stderr).contains("no terminal"));
 }
 

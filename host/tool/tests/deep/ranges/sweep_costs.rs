@@ -44,7 +44,7 @@ fn they_are_printed() {
             words(&["design", device, "--normal", normal, "--points", points])
         });
     }
-    row("`estimators`", &|device, normal| words(&["estimators", device, "--normal", normal]));
+    row("`estimators`", &|device, normal| words(&["tune", "estimators", device, "--normal", normal]));
     for rates in ["5000", "1000,5000,10000,20000"] {
         row(&format!("`tune --rates {rates}`"), &|device, normal| {
             words(&["tune", device, "--normal", normal, "--rates", rates])

@@ -254,7 +254,6 @@ fn what_no_board_does_is_refused() {
     let tune = |more: &[&str]| haptic(&[&["tune", "devices/haply-2diy.toml", "--normal=0,1"], more].concat()).assert();
     for (more, says) in [
         (&["--rates", "45000"][..], "no board was seen to hold"),
-        (&["--gain-margin", "0.5"], "no margins"),
         (&["--ripple", "0"], "must be positive"),
         (&["--port", "sim"], "ends with this command"),
     ] {
