@@ -7,11 +7,12 @@ use haptic_host::error::Failure;
 use haptic_host::haptic_bridge::model::admissible::Admissible;
 use haptic_host::scene_file::SceneFile;
 use haptic_host::toml_file::Document;
-use haptic_predict::analysis::flexible::Hand;
+use haptic_predict::analysis::flexible::{Hand, Posture};
 use haptic_predict::analysis::host::Host;
-use haptic_predict::analysis::map::{MapPoint, map_holding};
-use haptic_predict::analysis::plant::{Drive, Linearised};
+use haptic_predict::analysis::map::{MapPoint, map_until};
+use haptic_predict::analysis::plant::Drive;
 use haptic_predict::analysis::pose::{motors, unit_normal};
+use haptic_predict::analysis::prediction::{Prediction, Subject};
 use haptic_predict::analysis::range::{BOUNDARY_POINTS, Domain, Range, predict};
 use haptic_predict::analysis::sampled::{LinearEstimator, Loop};
 use haptic_predict::cores;
@@ -62,28 +63,35 @@ fn on_all_cores<T: Send>(
     count: usize,
     one: impl Fn(usize) -> Result<T, Failure> + Sync,
 ) -> PyResult<Vec<Result<T, Failure>>> {
-    let (stop, done) = (AtomicBool::new(false), AtomicBool::new(false));
     let all: Vec<usize> = (0..count).collect();
+    until_ctrl_c(py, |stop| {
+        cores::map(&all, &|_, _| {}, |pose| match stop.load(Ordering::Relaxed) {
+            true => Err(Failure::impossible("interrupted")),
+            false => one(*pose),
+        })
+    })
+}
+
+/// What `work` comes to, with the interpreter's lock released; Ctrl-C asks it to stop and ends the call.
+fn until_ctrl_c<T: Send>(py: Python<'_>, work: impl FnOnce(&AtomicBool) -> T + Send) -> PyResult<T> {
+    let (stop, done) = (AtomicBool::new(false), AtomicBool::new(false));
     py.detach(|| {
         let caller = thread::current();
         thread::scope(|scope| {
-            let work = scope.spawn(|| {
-                let found = cores::map(&all, &|_, _| {}, |pose| match stop.load(Ordering::Relaxed) {
-                    true => Err(Failure::impossible("interrupted")),
-                    false => one(*pose),
-                });
+            let worker = scope.spawn(|| {
+                let found = work(&stop);
                 done.store(true, Ordering::Release);
                 caller.unpark();
                 found
             });
-            while !done.load(Ordering::Acquire) && !work.is_finished() {
+            while !done.load(Ordering::Acquire) && !worker.is_finished() {
                 thread::park_timeout(LOOK);
                 if let Err(interrupted) = Python::attach(|py| py.check_signals()) {
                     stop.store(true, Ordering::Relaxed);
                     return Err(interrupted);
                 }
             }
-            work.join().map_err(|_| ImpossibleError::new_err("a defect of haptic_bridge: please report it"))
+            worker.join().map_err(|_| ImpossibleError::new_err("a defect of haptic_bridge: please report it"))
         })
     })
 }
@@ -257,8 +265,9 @@ impl PyDevice {
     ///
     /// q: (..., N) rad; normal: (d,) or (..., d). kd: the dampings (N s/m) at which the boundary is wanted, k of them;
     /// by default k is 200, even ones up to kd_max. estimator: butterworth, first-order, backward-difference,
-    /// alpha-beta or predicted. drive: ideal, voltage or current. hand: (kg, N s/m, N/m). host_rate_hz and host_delay_s
-    /// (s, by default one request's time) analyse the wall rendered by a program on a computer as well.
+    /// alpha-beta or predicted. drive: ideal, voltage or current. hand: (kg, N s/m, N/m). posture: what a
+    /// redundant device is held in, (N m/rad, N m s/rad). host_rate_hz and host_delay_s (s, by default one request's
+    /// time) analyse the wall rendered by a program on a computer as well.
     ///
     /// Returns a dict: w_eff, w_rr (...) kg, area_ratio (...), and for each of "off", "full", "washout" (with
     /// washout_hz) and "host" a dict of area (...) N² s/m², kd_max (...) N s/m, kd and kp (..., k) in N s/m and N/m.
@@ -268,8 +277,8 @@ impl PyDevice {
     #[pyo3(signature = (
         q, normal, *, rate_hz = 1000.0, cutoff_hz = 20.0, delay = 0.0, estimator = "butterworth", difference_over = 1,
         kd = None, washout_hz = None, damping_compensation = false, feed_forward_gain = 1.0, admissible = "orientation",
-        undamped = false, drive = "ideal", current_bandwidth_hz = 6400.0, hand = None, host_rate_hz = None,
-        host_delay_s = None, singular = "raise"
+        undamped = false, drive = "ideal", current_bandwidth_hz = 6400.0, hand = None, posture = None,
+        host_rate_hz = None, host_delay_s = None, singular = "raise"
     ))]
     #[allow(clippy::too_many_arguments, reason = "keywords of Python")]
     fn range<'py>(
@@ -291,6 +300,7 @@ impl PyDevice {
         drive: &str,
         current_bandwidth_hz: f64,
         hand: Option<(f64, f64, f64)>,
+        posture: Option<(f64, f64)>,
         host_rate_hz: Option<f64>,
         host_delay_s: Option<f64>,
         singular: &str,
@@ -325,25 +335,39 @@ impl PyDevice {
                 "a hand is mass (kg), damping (N s/m) and stiffness (N/m), none negative",
             ));
         }
+        let posture = posture.map(|(stiffness, damping)| Posture { stiffness, damping });
+        if let Some(held) = posture {
+            if ![held.stiffness, held.damping].iter().all(|number| number.is_finite() && *number >= 0.0) {
+                return Err(RequestError::new_err(
+                    "a posture is stiffness (N m/rad) and damping (N m s/rad), none negative",
+                ));
+            }
+            if self.joints() == self.task() {
+                let name = self.mechanism();
+                return Err(RequestError::new_err(format!("a {name} has one posture at each place of its tip")));
+            }
+        }
         if host_delay_s.is_some() && host_rate_hz.is_none() {
             return Err(RequestError::new_err("host_delay_s without host_rate_hz"));
         }
         let host = host_rate_hz.map(|hz| Host { rate_hz: hz, delay_s: host_delay_s.unwrap_or(1.0 / hz) });
         let keep = keeps(singular)?;
         let points = kd.as_ref().map_or(BOUNDARY_POINTS, Vec::len);
+        let subject = Subject::new(&self.file.description).map_err(|error| failure(Failure::wrong(error)))?;
+        let subject = if undamped { subject.undamped() } else { subject };
+        let prediction =
+            Prediction { admissible, gain: feed_forward_gain, posture, hand, ..Prediction::new(subject, around) };
         let one = |pose: usize| -> Result<Range, Failure> {
-            let mut device =
-                Linearised::holding(&self.file.description, &poses.rows[pose], &normals[pose], admissible)?.held(hand);
-            device.gain = feed_forward_gain;
+            let device = prediction.seen(&poses.rows[pose], &normals[pose])?;
             let most = device.most_gain().unwrap_or(1.0);
             if !(0.0..=most).contains(&feed_forward_gain) {
                 return Err(Failure::wrong(format!(
                     "a feed-forward gain of {feed_forward_gain} is not from 0 to {most:.3}"
                 )));
             }
-            let device = if undamped { device.undamped() } else { device };
-            let range = predict(&device, &around, kd.as_deref(), washout_hz)?;
-            let host = host.map(|host| host.domain(&device, &around, kd.as_deref())).transpose()?;
+            let around = &prediction.around;
+            let range = predict(&device, around, kd.as_deref(), washout_hz)?;
+            let host = host.map(|host| host.domain(&device, around, kd.as_deref())).transpose()?;
             Ok(Range { host, ..range })
         };
         let found = each(on_all_cores(py, poses.rows.len(), one)?, keep)?;
@@ -392,7 +416,10 @@ impl PyDevice {
     ) -> PyResult<Bound<'py, PyDict>> {
         let (n, d) = (self.joints(), self.task());
         let admissible = word("admissible", admissible, &Admissible::ALL)?;
-        let found = py.detach(|| map_holding(&self.file.description, &normal, points, admissible)).map_err(failure)?;
+        let found = until_ctrl_c(py, |stop| {
+            map_until(&self.file.description, &normal, points, admissible, &|| stop.load(Ordering::Relaxed))
+        })?;
+        let found = found.map_err(failure)?;
         let found: Vec<Option<MapPoint>> = found.into_iter().map(Some).collect();
         let columns = Columns { into: PyDict::new(py), shape: &[found.len()], found: &found };
         columns.add("q", &[n], |point| point.q.clone())?;

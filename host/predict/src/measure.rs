@@ -90,13 +90,15 @@ pub enum MeasureError {
     },
     /// The motors are too weak, or the encoders too coarse, to tell.
     #[error(
-        "the motors saturate before the encoders can tell: at {stiffness:.0} N/m the smallest pull, {} mm, takes {:.3} N of \
-         the {force:.3} N that there are",
+        "the motors saturate before the encoders can tell: at {stiffness:.0} N/m, {of}, the smallest pull, {} mm, takes \
+         {:.3} N of the {force:.3} N that there are",
         crate::measure::excitation::millimetres(*.pull), .stiffness * .pull
     )]
     Saturates {
         /// Stiffness of the wall, or damping times the swing's frequency where that is more, N/m.
         stiffness: f64,
+        /// What is as stiff as that.
+        of: &'static str,
         /// Shortest pull that counts, m.
         pull: f64,
         /// The most that the motors can give at the tip, N.

@@ -408,8 +408,20 @@ pub fn map_holding(
     points: usize,
     admissible: Admissible,
 ) -> Result<Vec<MapPoint>, PoseError> {
+    map_until(description, normal, points, admissible, &|| false)
+}
+
+/// As [`map_holding`], but poses that are left once `stop` says so are left out.
+pub fn map_until(
+    description: &Description,
+    normal: &[f64],
+    points: usize,
+    admissible: Admissible,
+    stop: &(dyn Fn() -> bool + Sync),
+) -> Result<Vec<MapPoint>, PoseError> {
     swept(description, normal, points, admissible, |pieces, work| {
-        Ok(crate::cores::map(pieces, &|_, _| {}, work).into_iter().flatten().collect())
+        let until = |piece: &Vec<Vec<f64>>| if stop() { Vec::new() } else { work(piece) };
+        Ok(crate::cores::map(pieces, &|_, _| {}, until).into_iter().flatten().collect())
     })
 }
 

@@ -68,11 +68,11 @@ impl Excitation {
         ENCODER_STEPS * self.quantum
     }
 
-    /// How far to pull for a wall of `stiffness` (N/m).
-    pub fn pull(&self, stiffness: f64) -> Result<f64, MeasureError> {
+    /// How far to pull against `stiffness` (N/m), which is that `of` something.
+    pub fn pull(&self, stiffness: f64, of: &'static str) -> Result<f64, MeasureError> {
         let smallest = self.smallest();
         if smallest * stiffness > self.force {
-            return Err(MeasureError::Saturates { stiffness, pull: smallest, force: self.force });
+            return Err(MeasureError::Saturates { stiffness, of, pull: smallest, force: self.force });
         }
         let force = (OVER_FRICTION * self.friction).clamp(GENTLE * self.force, HARD * self.force);
         Ok(self.largest.min(force / stiffness).max(smallest))
@@ -95,19 +95,19 @@ mod tests {
 
     #[test]
     fn a_pull_is_as_long_as_the_motors_hold_and_never_what_encoder_steps_explain() {
-        assert_eq!(COARSE.pull(100.0).unwrap(), 5e-4);
-        assert!((COARSE.pull(1200.0).unwrap() - 0.15 * 1.6 / 1200.0).abs() < 1e-15);
-        assert_eq!(COARSE.pull(5_000.0).unwrap(), 6.0 * 30e-6);
+        assert_eq!(COARSE.pull(100.0, "a wall").unwrap(), 5e-4);
+        assert!((COARSE.pull(1200.0, "a wall").unwrap() - 0.15 * 1.6 / 1200.0).abs() < 1e-15);
+        assert_eq!(COARSE.pull(5_000.0, "a wall").unwrap(), 6.0 * 30e-6);
         // 6 x 30 um x 10 kN/m are 1.8 N.
-        assert!(matches!(COARSE.pull(10_000.0), Err(MeasureError::Saturates { .. })));
+        assert!(matches!(COARSE.pull(10_000.0, "a wall"), Err(MeasureError::Saturates { .. })));
     }
 
     #[test]
     fn friction_asks_for_more() {
         let dry = Excitation { friction: 0.01, ..COARSE };
-        assert!((dry.pull(1200.0).unwrap() - 0.4 / 1200.0).abs() < 1e-15);
+        assert!((dry.pull(1200.0, "a wall").unwrap() - 0.4 / 1200.0).abs() < 1e-15);
         let dryer = Excitation { friction: 1.0, ..COARSE };
-        assert!((dryer.pull(4_000.0).unwrap() - 0.6 * 1.6 / 4_000.0).abs() < 1e-15);
+        assert!((dryer.pull(4_000.0, "a wall").unwrap() - 0.6 * 1.6 / 4_000.0).abs() < 1e-15);
     }
 
     #[test]

@@ -96,7 +96,7 @@ impl<'a> PreparedBoard<'a> {
         let torques = [false, true].map(|feed_forward| set.torque(&direction, feed_forward));
         let excitation = Excitation::new(file, &device, &torques, &rules, setup.largest_pull);
         // Not even the soft hold could be told from a loose tip: nothing is touched then.
-        excitation.pull(gains_of(inertia[0], hold_frequency).0)?;
+        excitation.pull(gains_of(inertia[0], hold_frequency).0, "the hold that rate, cutoff and inertia ask for")?;
 
         let request = fields("tip,state").map_err(MeasureError::Scene)?;
         let columns = columns(request, spec.joints);
@@ -211,8 +211,14 @@ impl<'a> PreparedBoard<'a> {
         kd: f64,
         strength: f64,
     ) -> Result<Verdict, MeasureError> {
-        let hardest = kp.max(kd * self.hold_frequency).max(self.gentle_stiffness());
-        let pull = self.excitation.pull(hardest)?;
+        let (damped, gentle) = (kd * self.hold_frequency, self.gentle_stiffness());
+        let hardest = kp.max(damped).max(gentle);
+        let of = match hardest {
+            hardest if hardest == kp => "a wall that is tried",
+            hardest if hardest == damped => "what a wall's damping makes of its swing",
+            _ => "the hold that rate, cutoff and inertia ask for",
+        };
+        let pull = self.excitation.pull(hardest, of)?;
         let pull = strength.signum() * (strength.abs() * pull).max(self.excitation.smallest()).min(0.5 * APART);
         let mut trips = 0;
         loop {

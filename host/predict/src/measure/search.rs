@@ -125,7 +125,7 @@ mod tests {
         assert!(matches!(&unbounded, MeasureError::Open { stable, why } if *stable > 1e6 && why.is_local()));
         let saturates = climb(1.0, None, |gain| match gain {
             gain if gain < 10.0 => Ok(Verdict::Decays),
-            stiffness => Err(MeasureError::Saturates { stiffness, pull: 1e-4, force: 1.0 }),
+            stiffness => Err(MeasureError::Saturates { stiffness, of: "a wall", pull: 1e-4, force: 1.0 }),
         });
         let Err(MeasureError::Open { stable, .. }) = saturates else { panic!("{saturates:?}") };
         assert!(stable < 10.0 && stable * RAISE >= 10.0, "{stable}");

@@ -45,6 +45,9 @@ pub struct Contact {
     pub normal: Vec<f64>,
     /// Largest stiffness that is stable with this wall's damping and feed-forward by prediction, N/m.
     pub stable_to: f64,
+    /// The same without its feed-forward, N/m; none where it has none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub off_to: Option<f64>,
     /// What a hand at the tip would feel of that, N/m; none where no transmission gives.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub felt_to: Option<f64>,
@@ -192,6 +195,10 @@ pub fn meets(
     let mode = Mode::of(wall.feed_forward, wall.washout_hz);
     let seen = prediction.seen(&q, &normal).ok()?;
     let (stable_to, damping_to) = stiffness_at(&seen, &prediction.around, mode, wall.damping).ok()?;
+    let off_to = match mode {
+        Mode::Off => None,
+        _ => stiffness_at(&seen, &prediction.around, Mode::Off, wall.damping).ok().map(|(off_to, _)| off_to),
+    };
     let count = count_along(device, &pose, &normal);
     let estimator = prediction.around.estimator;
     let mut options = prediction.options(&q, &[Member::new(normal.clone(), 1.0)]);
@@ -201,6 +208,7 @@ pub fn meets(
     Some(Contact {
         wall: index,
         stable_to,
+        off_to,
         felt_to: seen.flexible.stiffness_at_tip(&seen.row).map(|at_tip| felt(stable_to, at_tip)),
         damping_to,
         force: force_along(device, &pose, &normal),

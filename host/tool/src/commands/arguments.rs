@@ -14,7 +14,7 @@ use haptic_predict::analysis::several::Member;
 use haptic_predict::boards::BoardKind;
 use haptic_predict::model::Precision;
 use haptic_predict::plausible::{self, Doubt, Warning};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// A list of numbers separated by commas, such as `-0.3,1.2`.
 #[derive(Clone, Debug, PartialEq)]
@@ -89,6 +89,31 @@ impl Numbers {
             Failure::wrong(format!("{option} is zero, which points nowhere")).remedy("write a direction")
         })
     }
+}
+
+/// A device file, and where the device stands.
+#[derive(clap::Args)]
+pub struct DeviceAt {
+    /// Device file (TOML)
+    pub device: PathBuf,
+    /// Joint angles in rad, such as 2.4,0.7 [default: the device file's home]
+    #[arg(long, value_name = "A,B,..", allow_hyphen_values = true)]
+    q: Option<Numbers>,
+}
+
+impl DeviceAt {
+    /// The joint angles that were typed, or else those of the file's home.
+    pub fn pose(&self, file: &DeviceFile) -> Result<Vec<f64>, Failure> {
+        pose(self.q.as_ref(), file)
+    }
+}
+
+/// What a redundant device holds.
+#[derive(clap::Args)]
+pub struct Holding {
+    /// What a redundant device holds
+    #[arg(long, value_name = "COORDINATE", default_value = "orientation", value_parser = admissible())]
+    pub admissible: Admissible,
 }
 
 /// Walls that act together.

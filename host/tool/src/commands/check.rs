@@ -12,6 +12,7 @@ use haptic_host::scene_file::SceneFile;
 use haptic_host::toml_file::Document;
 use haptic_host::words::with_unit;
 use haptic_predict::analysis::prediction::Subject;
+use haptic_predict::analysis::range::COSTLY_RATIO;
 use haptic_predict::bench::probe::HAND_SPEED;
 use haptic_predict::plan::{Budget, DEFAULT_PERCENT, Plan, newtons, percent, plan};
 use haptic_predict::plausible::scene::Contact;
@@ -209,8 +210,14 @@ fn readable(report: &Report, tip: &str) -> String {
                 contact.force.map_or(String::new(), |force| format!("; the motors have {}", with_unit(force, "N")));
             let felt =
                 contact.felt_to.map_or(String::new(), |felt| format!(" (felt at the tip: {})", with_unit(felt, "N/m")));
+            let off = match contact.off_to {
+                Some(off) if contact.stable_to < COSTLY_RATIO * off => {
+                    format!(" ({} without its feed-forward, which costs more than it brings)", with_unit(off, "N/m"))
+                }
+                _ => String::new(),
+            };
             text.push_str(&format!(
-                "  wall {}: predicted stable up to {}{felt} with its damping, up to {} damping{force}\n",
+                "  wall {}: predicted stable up to {}{felt}{off} with its damping, up to {} damping{force}\n",
                 contact.wall,
                 with_unit(contact.stable_to, "N/m"),
                 with_unit(contact.damping_to, "N s/m"),

@@ -1,9 +1,8 @@
 //! `haptic design`: where, in which direction and with which links and posture a device renders walls best.
 
 use super::answer::{Json, Pictures};
-use super::arguments::{self, Numbers};
+use super::arguments::{self, DeviceAt, Holding, Numbers};
 use super::continued::Continue;
-use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::render::scene::DEFAULT_RATE_HZ;
 use haptic_host::error::Failure;
 use haptic_host::words::percent;
@@ -17,7 +16,6 @@ use haptic_predict::plausible::{Warned, warn};
 use haptic_show::plot::coupling::draw;
 use serde::Serialize;
 use std::fmt::Write;
-use std::path::PathBuf;
 
 /// Find where, in which direction and with which links a device renders walls best
 ///
@@ -29,11 +27,8 @@ use std::path::PathBuf;
 /// along the normal, and its coupling over all directions.
 #[derive(clap::Args)]
 pub struct Args {
-    /// Device file (TOML)
-    device: PathBuf,
-    /// Joint angles in rad, such as 2.4,0.7 [default: the device file's home]
-    #[arg(long, value_name = "A,B,..", allow_hyphen_values = true)]
-    q: Option<Numbers>,
+    #[command(flatten)]
+    at: DeviceAt,
     /// Normal of the wall, any length [default: that in which the feed-forward buys most at the pose]
     #[arg(long, value_name = "X,Y,..", allow_hyphen_values = true)]
     normal: Option<Numbers>,
@@ -52,9 +47,8 @@ pub struct Args {
     /// Cutoff in Hz of their velocity filter
     #[arg(long, value_name = "HZ", default_value_t = 500.0)]
     cutoff: f64,
-    /// What a redundant device holds
-    #[arg(long, value_name = "COORDINATE", default_value = "orientation", value_parser = arguments::admissible())]
-    admissible: Admissible,
+    #[command(flatten)]
+    holding: Holding,
     #[command(flatten)]
     continued: Continue,
     #[command(flatten)]
@@ -85,28 +79,35 @@ struct Document {
 /// Searches, prints and draws.
 pub fn run(args: Args) -> Result<(), Failure> {
     args.pictures.check()?;
-    let (file, mut warnings) = arguments::device(&args.device, false)?;
+    let (file, mut warnings) = arguments::device(&args.at.device, false)?;
     let spec = file.spec();
     arguments::check_rate(args.rate)?;
     if !(0.0..1.0).contains(&args.clear) || !(0.0..=1.0).contains(&args.patch) {
         return Err(Failure::wrong("--clear is a sine from 0 to below 1, --patch a length up to 1 m"));
     }
-    let q = arguments::pose(args.q.as_ref(), &file)?;
+    let q = args.at.pose(&file)?;
     warnings.extend(arguments::pose_doubts(&q, &file));
     warn(&warnings);
     let asked = args.normal.clone().map(|normal| normal.unit(spec.task, "--normal")).transpose()?;
     let description = &file.description;
-    let directions = directions(description, &q, args.admissible)?;
+    let directions = directions(description, &q, args.holding.admissible)?;
     let normal = asked.clone().unwrap_or_else(|| directions.feed_forward_buys_most.normal.clone());
     let question = format!(
         "{} {description:?} {asked:?} {} {} {} {:?}",
-        file.name, args.patch, args.clear, args.points, args.admissible
+        file.name, args.patch, args.clear, args.points, args.holding.admissible
     );
     let sweep = args.continued.sweep("design", &question)?;
-    let places =
-        places(description, asked.as_deref(), args.patch, args.clear, args.points as usize, args.admissible, &sweep)?;
-    let sensitivities = sensitivities(description, &q, &normal, args.admissible)?;
-    let pose = TaskPose::at(description, &q)?.regular()?.holding(args.admissible);
+    let places = places(
+        description,
+        asked.as_deref(),
+        args.patch,
+        args.clear,
+        args.points as usize,
+        args.holding.admissible,
+        &sweep,
+    )?;
+    let sensitivities = sensitivities(description, &q, &normal, args.holding.admissible)?;
+    let pose = TaskPose::at(description, &q)?.regular()?.holding(args.holding.admissible);
     let unit = haptic_predict::analysis::pose::unit_normal(&normal, spec.task, spec.joints)?;
     let (w_eff, w_rr) = haptic_predict::analysis::map::along(&pose, &unit).ok_or_else(singular)?;
     let document = Document {
@@ -119,7 +120,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
             clearance: haptic_predict::design::clearance(&pose),
         },
         stiffness_per_kilogram: stiffness_per_kilogram(args.rate, args.cutoff)?,
-        postures: postures(description, &q, &normal, args.clear, args.admissible)?,
+        postures: postures(description, &q, &normal, args.clear, args.holding.admissible)?,
         buys_most: [
             buys_most(&sensitivities, |effect| effect.w_eff),
             buys_most(&sensitivities, |effect| effect.w_rr),
@@ -134,7 +135,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         sensitivities,
     };
     if args.pictures.asked() {
-        let drawn = draw(description, &file.name, &document.q, &document.normal, args.admissible)?;
+        let drawn = draw(description, &file.name, &document.q, &document.normal, args.holding.admissible)?;
         let picture = drawn.ok_or_else(|| Failure::impossible("the linkage does not close at this pose"))?;
         args.pictures.save(&picture)?;
     }

@@ -1,15 +1,18 @@
 //! `haptic tune estimators`: which velocity estimator suits a device, by simulation with its encoder steps.
 
 use super::answer::Json;
-use super::arguments::{self, Numbers};
+use super::arguments::{self, DeviceAt, Numbers};
 use super::continued::Continue;
 use haptic_bridge::render::scene::DEFAULT_RATE_HZ;
 use haptic_host::device_file::DeviceFile;
 use haptic_host::error::Failure;
+use haptic_predict::analysis::control_loop::{Loop, TorquePath};
+use haptic_predict::analysis::estimator::LinearEstimator;
+use haptic_predict::analysis::prediction::{Prediction, Subject};
+use haptic_predict::analysis::several::Member;
 use haptic_predict::bench::estimators::{Comparison, RESOLUTION_N, Row, compare, telling_wall};
 use serde_json::json;
 use std::fmt::Write;
-use std::path::PathBuf;
 
 /// Compare velocity estimators on a device, by simulation with its encoder steps
 ///
@@ -20,11 +23,8 @@ use std::path::PathBuf;
 /// column into a scene file as `estimator`.
 #[derive(clap::Args)]
 pub struct Args {
-    /// Device file (TOML)
-    device: PathBuf,
-    /// Joint angles in rad, such as 2.4,0.7 [default: the device file's home]
-    #[arg(long, value_name = "A,B,..", allow_hyphen_values = true)]
-    q: Option<Numbers>,
+    #[command(flatten)]
+    at: DeviceAt,
     /// Normal of the wall, any length
     #[arg(long, value_name = "X,Y,..", required = true, allow_hyphen_values = true)]
     normal: Numbers,
@@ -46,10 +46,10 @@ pub struct Args {
 
 /// Compares and prints.
 pub fn run(args: Args) -> Result<(), Failure> {
-    let file = DeviceFile::load(&args.device)?;
+    let file = DeviceFile::load(&args.at.device)?;
     let spec = file.spec();
     arguments::check_rate(args.rate)?;
-    let q = arguments::pose(args.q.as_ref(), &file)?;
+    let q = args.at.pose(&file)?;
     let normal = args.normal.unit(spec.task, "--normal")?;
     let cutoff = args.cutoff.unwrap_or((0.1 * args.rate).min(500.0));
     let wall = match args.wall {
@@ -68,8 +68,12 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let question = format!("{:?} {q:?} {normal:?} {} {cutoff} {wall:?}", file.description, args.rate);
     let sweep = args.continued.sweep("estimators", &question)?.in_lines();
     let rows = compare(&comparison, &sweep)?;
+    let path = TorquePath::usual(args.rate);
+    let around = Loop::through(&path, args.rate, LinearEstimator::Butterworth(cutoff));
+    let options = Prediction::new(Subject::new(&file.description).map_err(Failure::wrong)?, around)
+        .options(&q, &[Member::new(normal.clone(), 1.0)]);
     let document = json!({
-        "device": file.name, "q": q, "normal": normal, "rate_hz": args.rate, "cutoff_hz": cutoff,
+        "device": file.name, "options": options, "q": q, "normal": normal, "rate_hz": args.rate, "cutoff_hz": cutoff,
         "wall": { "stiffness": wall.0, "damping": wall.1 }, "estimators": rows,
     });
     args.json.answer(document, &readable(&comparison, &rows))?;

@@ -1,9 +1,8 @@
 //! `haptic map`: how the inertia that a wall meets varies over the workspace, and where the feed-forward pays.
 
 use super::answer::{Json, Pictures};
-use super::arguments::{self, Numbers};
+use super::arguments::{self, Holding, Numbers};
 use super::continued::Continue;
-use haptic_bridge::model::admissible::Admissible;
 use haptic_host::error::Failure;
 use haptic_predict::analysis::map::{MapPoint, map_swept};
 use haptic_predict::plausible::{Warned, warn};
@@ -28,9 +27,8 @@ pub struct Args {
     /// Poses of the joint grid, before those that cannot be reached are left out
     #[arg(long, value_name = "N", default_value_t = 2000, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     points: u32,
-    /// What a redundant device holds
-    #[arg(long, value_name = "COORDINATE", default_value = "orientation", value_parser = arguments::admissible())]
-    admissible: Admissible,
+    #[command(flatten)]
+    holding: Holding,
     #[command(flatten)]
     continued: Continue,
     #[command(flatten)]
@@ -52,14 +50,14 @@ pub fn run(args: Args) -> Result<(), Failure> {
     warn(&warnings);
     let normal = args.normal.unit(file.spec().task, "--normal")?;
     let pictured = args.pictures.asked();
-    let question = format!("{:?} {normal:?} {} {:?}", file.description, args.points, args.admissible);
+    let question = format!("{:?} {normal:?} {} {:?}", file.description, args.points, args.holding.admissible);
     let sweep = args.continued.sweep("map", &question)?;
-    let points = map_swept(&file.description, &normal, args.points as usize, args.admissible, &sweep)?;
+    let points = map_swept(&file.description, &normal, args.points as usize, args.holding.admissible, &sweep)?;
     if points.is_empty() {
         return Err(Failure::impossible("no pose of this grid is regular").remedy("ask for more --points"));
     }
     if pictured {
-        let picture = draw(&file.description, &file.name, &normal, args.admissible)?;
+        let picture = draw(&file.description, &file.name, &normal, args.holding.admissible)?;
         args.pictures.save(&picture)?;
     }
     let said = readable(&file.name, &points);

@@ -1,7 +1,7 @@
 //! `haptic model`: the inertia a wall meets at one configuration, and the feed-forward that changes it.
 
 use super::answer::Json;
-use super::arguments::{self, Numbers};
+use super::arguments::{self, DeviceAt, Holding, Numbers};
 use haptic_bridge::model::admissible::Admissible;
 use haptic_host::device_file::DeviceFile;
 use haptic_host::digits::print_json;
@@ -9,7 +9,6 @@ use haptic_host::error::{Failure, print};
 use haptic_predict::model::{Precision, Report, Rows, WallForce, evaluate_holding};
 use haptic_predict::plausible::{Warned, warn};
 use std::fmt::Write;
-use std::path::PathBuf;
 
 /// Show what a wall meets at one pose: inertia, coupling, feed-forward torque
 ///
@@ -20,11 +19,8 @@ use std::path::PathBuf;
 /// the level that renders it and the stiffer ones; null where nothing is left to shape).
 #[derive(clap::Args)]
 pub struct Args {
-    /// Device file (TOML)
-    device: PathBuf,
-    /// Joint angles in rad, such as 2.4,0.7 [default: the device file's home]
-    #[arg(long, value_name = "A,B,..", allow_hyphen_values = true)]
-    q: Option<Numbers>,
+    #[command(flatten)]
+    at: DeviceAt,
     /// Joint velocities in rad/s [default: 0]
     #[arg(long, value_name = "A,B,..", allow_hyphen_values = true)]
     qd: Option<Numbers>,
@@ -40,9 +36,8 @@ pub struct Args {
     /// Walls whose feed-forward is off beside others that have it, counted from 0 in the order of --normal
     #[arg(long, value_name = "I,J,..")]
     no_feed_forward: Option<Numbers>,
-    /// What a redundant device holds
-    #[arg(long, value_name = "COORDINATE", default_value = "orientation", value_parser = arguments::admissible())]
-    admissible: Admissible,
+    #[command(flatten)]
+    holding: Holding,
     /// Arithmetic: f64, or f32 with the mechanism and the sines that the board runs
     #[arg(long, value_name = "PRECISION", default_value = "f64", value_parser = arguments::precision())]
     precision: Precision,
@@ -52,9 +47,9 @@ pub struct Args {
 
 /// Computes and prints.
 pub fn run(args: Args) -> Result<(), Failure> {
-    let (device, mut warnings) = arguments::device(&args.device, false)?;
+    let (device, mut warnings) = arguments::device(&args.at.device, false)?;
     let spec = device.spec();
-    let q = arguments::pose(args.q.as_ref(), &device)?;
+    let q = args.at.pose(&device)?;
     let qd = match args.qd {
         Some(qd) => qd.exactly(spec.joints, "--qd", "joint velocities")?,
         None => vec![0.0; spec.joints],
@@ -62,11 +57,11 @@ pub fn run(args: Args) -> Result<(), Failure> {
     warnings.extend(arguments::pose_doubts(&q, &device));
     warn(&warnings);
     let walls = walls(&args.normal, &args.force, args.stiffness.as_ref(), args.no_feed_forward.as_ref(), spec.task)?;
-    let report = evaluate_holding(&device, &q, &qd, &walls, args.precision, args.admissible)?;
+    let report = evaluate_holding(&device, &q, &qd, &walls, args.precision, args.holding.admissible)?;
     if args.json.asked() {
         let forces = walls.iter().map(|wall| wall.force).collect();
         let normals = walls.iter().map(|wall| wall.normal.clone()).collect();
-        let (precision, admissible) = (args.precision, args.admissible.name());
+        let (precision, admissible) = (args.precision, args.holding.admissible.name());
         let precision = Precision::ALL.iter().find(|(_, other)| *other == precision).map_or("", |(name, _)| name);
         let result = &Asked { q, qd, normals, forces, precision, admissible, report: &report };
         return print_json(Warned { result, warnings: &warnings });
@@ -75,7 +70,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let heading = format!("{} ({}){board}\n", device.name, spec.name);
     let mut text = heading + &readable(&report, &q, &qd, &walls);
     if let ([only], true) = (walls.as_slice(), spec.joints > spec.task) {
-        text.push_str(&held(&device, &q, only, args.admissible)?);
+        text.push_str(&held(&device, &q, only, args.holding.admissible)?);
     }
     print(&text)
 }

@@ -4,11 +4,10 @@ mod ripple;
 mod words;
 
 use super::answer::{Json, Pictures};
-use super::arguments::{self, Numbers, WallArgs};
+use super::arguments::{self, DeviceAt, Holding, Numbers, WallArgs};
 use super::continued::Continue;
 use super::port::counted;
 use clap::{Args as ClapArgs, ValueEnum};
-use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::render::velocity::Estimator;
 use haptic_host::device_file::DeviceFile;
 use haptic_host::digits::print_json;
@@ -29,7 +28,6 @@ use haptic_predict::plausible::{Doubt, Warned, warn};
 use haptic_predict::sweep::Sweep;
 use haptic_show::plot::range::{Contents, draw};
 use ripple::{Steps, stepped};
-use std::path::PathBuf;
 use words::{costly, in_words, readable, subtitle};
 
 /// Predict which stiffness and damping a wall can have before it oscillates
@@ -39,11 +37,8 @@ use words::{costly, in_words, readable, subtitle};
 /// measures it.
 #[derive(ClapArgs)]
 pub struct Args {
-    /// Device file (TOML)
-    device: PathBuf,
-    /// Joint angles in rad, such as 2.4,0.7 [default: the device file's home]
-    #[arg(long, value_name = "A,B,..", allow_hyphen_values = true)]
-    q: Option<Numbers>,
+    #[command(flatten)]
+    at: DeviceAt,
     #[command(flatten)]
     walls: WallArgs,
     /// Control rate in Hz
@@ -83,9 +78,8 @@ pub struct Args {
     /// Gain of (4)'s feed-forward; it must stay below the pole of the inertia, which the board enforces
     #[arg(long, value_name = "ALPHA", default_value_t = 1.0)]
     feed_forward_gain: f64,
-    /// What a redundant device holds
-    #[arg(long, value_name = "COORDINATE", default_value = "orientation", value_parser = arguments::admissible())]
-    admissible: Admissible,
+    #[command(flatten)]
+    holding: Holding,
     /// How the motors are driven: ideal (torque at once), voltage (resistance, inductance and back-EMF of the device
     /// file's motors), current (a current loop of --current-bandwidth) [default: ideal]
     #[arg(long, value_name = "KIND", conflicts_with = "board")]
@@ -195,7 +189,7 @@ impl Args {
             DriveKind::Ideal => Drive::Ideal,
             DriveKind::Current => Drive::Current { bandwidth_hz: self.current_bandwidth },
             DriveKind::Voltage => Drive::Voltage(motors(&file.description).ok_or_else(|| {
-                Failure::wrong(format!("{} has joints without [joint.motor]", self.device.display()))
+                Failure::wrong(format!("{} has joints without [joint.motor]", self.at.device.display()))
                     .remedy("a voltage drive is analysed with the motors' resistance and back-EMF: add them")
             })?),
         };
@@ -205,7 +199,7 @@ impl Args {
         let subject = Subject::new(&file.description).map_err(Failure::wrong)?;
         let subject = if self.undamped { subject.undamped() } else { subject };
         Ok(Prediction {
-            admissible: self.admissible,
+            admissible: self.holding.admissible,
             gain: self.feed_forward_gain,
             posture: self.posture(file)?,
             hand: self.hand()?,
@@ -217,10 +211,10 @@ impl Args {
 /// Analyses, prints and draws.
 pub fn run(args: Args) -> Result<(), Failure> {
     args.pictures.check()?;
-    let (file, mut warnings) = arguments::device(&args.device, true)?;
+    let (file, mut warnings) = arguments::device(&args.at.device, true)?;
     let spec = file.spec();
     arguments::check_rate(args.rate)?;
-    let q = arguments::pose(args.q.as_ref(), &file)?;
+    let q = args.at.pose(&file)?;
     warnings.extend(arguments::pose_doubts(&q, &file));
     let members = args.walls.members(spec.task)?;
     let normals: Vec<Vec<f64>> = members.iter().map(|member| member.normal.clone()).collect();
@@ -240,7 +234,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     warnings.extend(doubts.into_iter().map(|text| Doubt { key: None, text }.typed()));
     warn(&warnings);
     let asked = (&args.ripple, &args.kd, args.washout, args.damping_ratio, &args.hand);
-    let device = (file.description, args.undamped, args.feed_forward_gain, args.admissible);
+    let device = (file.description, args.undamped, args.feed_forward_gain, args.holding.admissible);
     let question = format!("{device:?} {q:?} {normals:?} {:?} {:?} {asked:?}", prediction.around, prediction.posture);
     let sweep = args.continued.sweep("range", &question)?;
     let why = if args.why { Some(explained(&prediction, &q, &normals, &sweep)?) } else { None };
@@ -266,7 +260,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
     }
     if args.json.asked() {
         let asked = Asked::of(&args, &prediction, &q, &members);
-        let result = Explained { asked, range: &range, why: why.as_ref(), ripple: steps.as_ref() };
+        let passive = passivity.as_ref().map(Passive::of);
+        let result = Explained { asked, range: &range, passive, why: why.as_ref(), ripple: steps.as_ref() };
         print_json(Warned { result: &result, warnings: &warnings })?;
     } else {
         print(&readable(&file.name, &args, &q, &normals, &range, passivity.as_ref(), &file.description))?;
@@ -284,10 +279,31 @@ struct Explained<'a> {
     asked: Asked,
     #[serde(flatten)]
     range: &'a Range,
+    /// None where no bound is known: with several walls, and where [`Passivity::new`] says so.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    passive: Option<Passive>,
     #[serde(skip_serializing_if = "Option::is_none")]
     why: Option<&'a Why>,
     #[serde(skip_serializing_if = "Option::is_none")]
     ripple: Option<&'a Steps>,
+}
+
+/// Bounds below which a wall without feed-forward is passive.
+#[derive(serde::Serialize)]
+struct Passive {
+    /// N/m, without damping.
+    kp: f64,
+    /// N s/m.
+    kd: f64,
+    /// N/m: with quantisation and friction; none without encoders.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    kp_quantised: Option<f64>,
+}
+
+impl Passive {
+    fn of(passivity: &Passivity) -> Self {
+        Self { kp: passivity.sampled(0.0), kd: passivity.most_damping(), kp_quantised: passivity.quantised() }
+    }
 }
 
 /// What was asked, so that the figures can be had again.

@@ -14,9 +14,10 @@ use haptic_host::link::{Board, PortSpec};
 use haptic_host::output;
 use haptic_host::scene_file::SceneFile;
 use haptic_host::words::digits;
+use haptic_predict::analysis::control_loop::TorquePath;
 use haptic_predict::analysis::prediction::Subject;
 use haptic_predict::measure::occasion;
-use haptic_predict::plausible::scene::doubts;
+use haptic_predict::plausible::scene::{at, doubts};
 use haptic_predict::tune::measured::{self, Measured};
 use haptic_predict::tune::{
     Answer, Baseline, Found, Margins, Otherwise, Question, RATES_HZ, Settings, USUAL_RIPPLE_N, baseline, ripple_like,
@@ -113,6 +114,9 @@ struct Document<'a> {
     ripple_limit_n: f64,
     board_ripple_limit_n: Option<f64>,
     margins: Margins,
+    /// What `haptic range DEVICE` takes to predict the wall that was found.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    options: Option<String>,
     #[serde(flatten)]
     answer: &'a Answer,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -202,7 +206,12 @@ fn searched(args: Search) -> Result<(), Failure> {
     };
     let about = about(&args, &file, &answer, question.ripple_n);
     let text = to_toml(&answer.best.settings, question.admissible, &point, &question.normal, &about);
-    let scene: Scene<f32> = SceneFile::parse(&text, "tuned.toml", file.spec().task)?
+    let tuned = SceneFile::parse(&text, "tuned.toml", file.spec().task)?;
+    let options = Subject::new(&file.description)
+        .ok()
+        .and_then(|subject| at(&subject, &tuned.scene, 0, &question.q, &TorquePath::usual(tuned.scene.rate_hz)))
+        .map(|contact| contact.options);
+    let scene: Scene<f32> = tuned
         .scene()
         .map_err(|error| Failure::impossible(format!("the scene that was found cannot be used: {error}")))?;
     if let Some(out) = &args.out {
@@ -218,6 +227,7 @@ fn searched(args: Search) -> Result<(), Failure> {
         ripple_limit_n: question.ripple_n,
         board_ripple_limit_n: question.board_ripple_n,
         margins: question.margins,
+        options,
         answer: &answer,
         scene: before.as_ref(),
         times,
@@ -268,6 +278,13 @@ fn place(args: &Search, file: &DeviceFile) -> Result<Place, Failure> {
         return Ok(Place { q: q.map_or_else(home, Ok)?, normal, point: None, written: None, admissible });
     };
     let scene = SceneFile::load(path, spec.task)?.scene;
+    if scene.posture.is_some() {
+        haptic_host::tell!(
+            "the [posture] of {} is left out of the search and of the scene that is written: put it back and check it \
+             with `haptic check`",
+            path.display()
+        );
+    }
     let Some(wall) = scene.walls.get(args.wall) else {
         return Err(Failure::wrong(format!("{} has no wall {}", path.display(), args.wall)).remedy("count from 0"));
     };

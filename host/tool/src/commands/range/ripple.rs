@@ -85,7 +85,7 @@ pub fn stepped(
     let (q, normal) = (q.to_vec(), normal.clone());
     let pressed = Pressed { device: &device, description, q, normal, around: &prediction.around, hand, push_n: PUSH_N };
     let unseen = || {
-        Failure::wrong(format!("{} has joints without [joint.encoder]", args.device.display()))
+        Failure::wrong(format!("{} has joints without [joint.encoder]", args.at.device.display()))
             .remedy("ripple is what encoder steps make: add them")
     };
     let count_m = pressed.count_m().ok_or_else(unseen)?;

@@ -3,7 +3,7 @@
 use super::Args;
 use crate::commands::arguments::Numbers;
 use crate::commands::port::counted;
-use haptic_bridge::model::description::Description;
+use haptic_bridge::model::description::{Description, EncoderAt, Joint};
 use haptic_host::words::percent;
 use haptic_predict::analysis::host::HostWall;
 use haptic_predict::analysis::passivity::Passivity;
@@ -86,6 +86,10 @@ pub fn readable(
         line(format!(
             "  stiffness of the transmissions at the tip along n {at_tip:>12.0} N/m: a hand feels a wall behind it"
         ));
+    }
+    let sensed = |joint: &Joint| joint.transmission.is_some_and(|gives| gives.encoder_at == EncoderAt::Joint);
+    if range.transmissions.is_none() && description.joints.iter().any(sensed) {
+        line("  a hand feels the wall as stiff as it is rendered: encoders sit behind the transmissions".into());
     }
     line(String::new());
     let felt = if range.transmissions.is_some() { format!("{:>14}", "felt N/m") } else { String::new() };
