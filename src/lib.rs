@@ -48,8 +48,8 @@ pub mod model {
 /// From encoder counts to joint torques: the scene that is rendered, and the step that renders it.
 pub mod render {
     pub mod controller;
-    pub mod found;
     pub mod scene;
+    pub mod step_result;
     pub mod velocity;
 }
 

@@ -25,8 +25,8 @@ use crate::drive::stage::{Stage, Supply};
 use crate::math::{Math, limited};
 use crate::model::catalogue::MAX_JOINTS;
 use crate::model::device::Leverage;
-use crate::render::found::Asked;
 use crate::render::scene::DEFAULT_RATE_HZ;
+use crate::render::step_result::TorqueDemand;
 use crate::safety::fault::{Fault, FaultRecord, State};
 use crate::servo::frame::{Now, Outputs, Samples, StepRecord};
 use crate::servo::joints::{Counts, Currents, Torques};
@@ -435,7 +435,7 @@ where
     }
 
     /// Commands the torques asked for within limits, and records which are not what was `wanted`.
-    fn command(&mut self, asked: &Asked<f32>, wanted: &[f32; MAX_JOINTS]) {
+    fn command(&mut self, asked: &TorqueDemand<f32>, wanted: &[f32; MAX_JOINTS]) {
         match self.count() {
             2 => self.command_of::<2>(asked, wanted),
             3 => self.command_of::<3>(asked, wanted),
@@ -445,19 +445,19 @@ where
 
     /// [`Servo::command`] of J joints.
     #[inline(always)]
-    fn command_of<const J: usize>(&mut self, asked: &Asked<f32>, wanted: &[f32; MAX_JOINTS]) {
-        let left = asked.within::<J>(&self.most_torque, self.most_force, &self.leverage);
-        let rendered = Torques(asked.rendered.map(|r| left.share * r));
-        self.cut = fade::Acted { gravity: left.gravity, rendered, share: left.share };
+    fn command_of<const J: usize>(&mut self, asked: &TorqueDemand<f32>, wanted: &[f32; MAX_JOINTS]) {
+        let granted = asked.within::<J>(&self.most_torque, self.most_force, &self.leverage);
+        let rendered = Torques(asked.rendered.map(|r| granted.share * r));
+        self.cut = fade::Acted { gravity: granted.gravity, rendered, share: granted.share };
         self.cut_at = self.now.step;
         if self.host.acts {
-            self.host.left = left.share * self.fade.share;
+            self.host.granted = granted.share * self.fade.share;
         }
         let motors = &mut self.now.motors;
         motors.limited = 0;
         for (i, joint) in self.joints.iter_mut().enumerate().take(J) {
-            joint.stage.command(left.torque[i]);
-            motors.torque[i] = limited(left.torque[i], joint.stage.max_torque());
+            joint.stage.command(granted.torque[i]);
+            motors.torque[i] = limited(granted.torque[i], joint.stage.max_torque());
             // Another torque than was asked, by more than its way through a current rounds; also where that is no number.
             let kept = (wanted[i] - motors.torque[i]).abs() <= 1.0e-5 * wanted[i].abs();
             motors.limited |= u8::from(!kept) << i;

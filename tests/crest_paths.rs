@@ -184,7 +184,7 @@ impl Pair {
         // A usual step leaves it to the valley to note what it saw.
         self.both(|servo| compiled::note(servo, seen, None));
         self.agree(seen);
-        let [one, other] = self.servos.each_mut().map(|servo| compiled::sum_up(servo, seen));
+        let [one, other] = self.servos.each_mut().map(|servo| compiled::check_slow_faults(servo, seen));
         assert_eq!(one, other, "at the valley after {seen:?}");
         self.agree(seen);
     }

@@ -166,7 +166,7 @@ impl<S: Stage> Pressed<S> {
             // 20 kHz and 2 kHz.
             for _ in 0..10 {
                 self.servo.guard(&self.samples);
-                self.servo.sum_up(&self.samples);
+                self.servo.check_slow_faults(&self.samples);
             }
             self.servo.control(&self.samples);
         }

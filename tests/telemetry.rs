@@ -2,7 +2,7 @@
 
 use crate::common::cases;
 use haptic_bridge::board::telemetry::{BATCH_BYTES, Batch, Field, Fields, Frames, Packer, StreamRequest};
-use haptic_bridge::render::found::{At, AtWalls};
+use haptic_bridge::render::step_result::{AtWalls, DeviceState};
 use haptic_bridge::safety::fault::State;
 use haptic_bridge::servo::frame::StepRecord;
 use haptic_bridge::servo::joints::Counts;
@@ -13,7 +13,11 @@ fn frame(step: u32) -> StepRecord {
     StepRecord {
         step,
         counts: Counts([-7, 16_777_217, 3]),
-        at: At { q: [step as f32, 0.5, -0.5], walls: AtWalls { contacts: 2, ..AtWalls::default() }, ..At::default() },
+        at: DeviceState {
+            q: [step as f32, 0.5, -0.5],
+            walls: AtWalls { contacts: 2, ..AtWalls::default() },
+            ..DeviceState::default()
+        },
         state: State::Armed,
         ..StepRecord::default()
     }

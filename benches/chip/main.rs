@@ -19,8 +19,8 @@ use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::model::precomputed::{Grid, Interpolation, MassModel, TABLE_VALUES, tabulate};
 use haptic_bridge::render::controller::Controller;
-use haptic_bridge::render::found::Found;
 use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Sphere, Spring, Surface, VelocityTerms, Wall};
+use haptic_bridge::render::step_result::StepResult;
 use haptic_bridge::render::velocity::{Chosen, Estimator, LONGEST_WINDOW};
 use haptic_bridge::with_mechanism;
 use heapless::{String, Vec};
@@ -218,7 +218,7 @@ fn step_at<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
         core::array::from_fn(|i| ((home[i] as f32 + offset[i]) / device.joints[i].radians_per_count) as i32);
     let controller = black_box(controller);
     controller.forget();
-    let mut found = Found::default();
+    let mut found = StepResult::default();
     for step in 0..=run_up {
         for (i, count) in counts.iter_mut().enumerate() {
             *count += 1 + i as i32;
@@ -240,7 +240,7 @@ fn step_at<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
 fn control<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
     controller: &mut Controller<f32, M, K, N>,
     counts: &[i32; N],
-    found: &mut Found<f32>,
+    found: &mut StepResult<f32>,
 ) {
     controller.render(counts, &[0.0; MAX_JOINTS], found);
 }

@@ -78,7 +78,7 @@ pub const STAGES: &[(&str, &[&str])] = &[
             "Controller::keep",
             "Controller::total",
             "straight::add_guided",
-            "Controller::begin_anew",
+            "Controller::restart",
             "Controller::weigh",
             "mechanism::shared_pose",
             "::pose_at",
@@ -92,7 +92,7 @@ pub const STAGES: &[(&str, &[&str])] = &[
         &[
             "Controller::render_wall",
             "Controller::render_round",
-            "Controller::render_lone",
+            "Controller::render_single",
             "Controller::render_several",
             "Controller::render_generally",
             "Controller::anywhere",
@@ -176,7 +176,14 @@ pub const STAGES: &[(&str, &[&str])] = &[
     ),
     (
         "valley: models of the motors, heat, stalls",
-        &["compiled::sum_up", "Servo::sum_up_of", "Servo::doubt", "Servo::spent", "::settle", "Servo::outputs"],
+        &[
+            "compiled::check_slow_faults",
+            "Servo::check_slow_faults_of",
+            "Servo::doubt",
+            "Servo::spent",
+            "::settle",
+            "Servo::outputs",
+        ],
     ),
 ];
 

@@ -429,7 +429,7 @@ impl Step {
         } else {
             self.see_whether_between();
         }
-        let drives = compiled::sum_up(&mut self.servo, &self.seen).bridges;
+        let drives = compiled::check_slow_faults(&mut self.servo, &self.seen).bridges;
         if !drives && self.driving {
             self.float();
         }

@@ -337,7 +337,7 @@ impl Packer {
 #[cfg(test)]
 mod tests {
     use super::{Fields, Kind, Number};
-    use crate::render::found::{At, AtWalls};
+    use crate::render::step_result::{AtWalls, DeviceState};
     use crate::servo::frame::{Motors, StepRecord};
     use crate::servo::joints::Torques;
     use heapless::Vec;
@@ -352,7 +352,7 @@ mod tests {
     #[test]
     fn a_toy_signal_is_one_line() {
         let walls = AtWalls { distance: -0.5, ..AtWalls::default() };
-        let at = At { tip: [0.1, 0.2, 0.3], walls, ..At::default() };
+        let at = DeviceState { tip: [0.1, 0.2, 0.3], walls, ..DeviceState::default() };
         let motors = Motors { torque: Torques([1.0, 2.0, 3.0]), ..Motors::default() };
         let frame = StepRecord { at, motors, ..StepRecord::default() };
         let told =

@@ -5,20 +5,20 @@
 
 /// Negative when |`value`| exceeds `bound`, which is not negative, and when it is not a number.
 #[inline(always)]
-pub(crate) fn left(value: f32, bound: f32) -> i32 {
+pub(crate) fn margin_bits(value: f32, bound: f32) -> i32 {
     bound.to_bits().wrapping_sub(value.abs().to_bits()) as i32
 }
 
 /// Negative when `value` is below `least` or above `most`, which both are not negative, and when it is not a number.
 #[inline(always)]
-pub(crate) fn left_between(value: f32, (least, most): (f32, f32)) -> i32 {
+pub(crate) fn margin_bits_between(value: f32, (least, most): (f32, f32)) -> i32 {
     let bits = value.to_bits();
     (bits | bits.wrapping_sub(least.to_bits()) | most.to_bits().wrapping_sub(bits)) as i32
 }
 
 /// Negative when |`moved`| exceeds `bound`, which is not negative: what wraps is as negative.
 #[inline(always)]
-pub(crate) fn left_of(moved: i32, bound: i32) -> i32 {
+pub(crate) fn margin_counts(moved: i32, bound: i32) -> i32 {
     bound.wrapping_sub(moved) | bound.wrapping_add(moved)
 }
 
@@ -29,27 +29,30 @@ mod tests {
     #[test]
     fn what_is_beyond_its_bound_is_negative_and_so_is_what_is_no_number() {
         for within in [0.0, -0.0, 1.0e-40, 0.5, -0.5, 2.0, -2.0] {
-            assert!(left(within, 2.0) >= 0, "{within}");
+            assert!(margin_bits(within, 2.0) >= 0, "{within}");
         }
         for beyond in [2.000_000_5, -2.000_000_5, f32::MAX, f32::INFINITY, f32::NEG_INFINITY, f32::NAN, -f32::NAN] {
-            assert!(left(beyond, 2.0) < 0, "{beyond}");
+            assert!(margin_bits(beyond, 2.0) < 0, "{beyond}");
         }
-        assert!(left(f32::MAX, f32::INFINITY) >= 0 && left(f32::NAN, f32::INFINITY) < 0, "a bound that is none");
+        assert!(
+            margin_bits(f32::MAX, f32::INFINITY) >= 0 && margin_bits(f32::NAN, f32::INFINITY) < 0,
+            "a bound that is none"
+        );
     }
 
     #[test]
     fn what_is_between_its_ends_is_not_negative() {
         for within in [1.0, 1.5, 2.0] {
-            assert!(left_between(within, (1.0, 2.0)) >= 0, "{within}");
+            assert!(margin_bits_between(within, (1.0, 2.0)) >= 0, "{within}");
         }
         for beyond in [0.0, 0.999_999_9, 2.000_000_5, -1.5, f32::INFINITY, f32::NEG_INFINITY, f32::NAN, -f32::NAN] {
-            assert!(left_between(beyond, (1.0, 2.0)) < 0, "{beyond}");
+            assert!(margin_bits_between(beyond, (1.0, 2.0)) < 0, "{beyond}");
         }
     }
 
     #[test]
     fn a_motion_beyond_its_bound_is_negative_however_far_it_is() {
-        assert!([-9, 0, 9].iter().all(|moved| left_of(*moved, 9) >= 0));
-        assert!([-10, 10, i32::MIN, i32::MIN + 8, i32::MAX].iter().all(|moved| left_of(*moved, 9) < 0));
+        assert!([-9, 0, 9].iter().all(|moved| margin_counts(*moved, 9) >= 0));
+        assert!([-10, 10, i32::MIN, i32::MIN + 8, i32::MAX].iter().all(|moved| margin_counts(*moved, 9) < 0));
     }
 }

@@ -12,7 +12,7 @@
 //! multiplications and additions ([`Stage::drive_easily`]); what any other one takes is in `Axis::hardly`, which gives the
 //! same numbers where both may.
 
-use super::bits::left;
+use super::bits::margin_bits;
 use super::stage::{Bridge, Duty, MAX_DUTY, Stage, Supply};
 use crate::math::limited;
 use crate::model::motor::Motor;
@@ -276,8 +276,8 @@ impl Stage for Axis {
         let error = self.expected - current;
         let rise = self.target - begin;
         let duty = self.regained() + supply.inverse * (self.hold(begin, error, speed) + self.surge * rise);
-        let room = left(self.target, self.most) | left(begin, f32::MAX);
-        if if late { room } else { left(rise, self.easy) } | left(duty, USABLE_DUTY) < 0 {
+        let room = margin_bits(self.target, self.most) | margin_bits(begin, f32::MAX);
+        if if late { room } else { margin_bits(rise, self.easy) } | margin_bits(duty, USABLE_DUTY) < 0 {
             return None;
         }
         (self.expected, self.reached) = if late {

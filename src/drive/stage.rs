@@ -4,7 +4,7 @@
 //! field-oriented motor with a sample for each phase and a duty for each leg, is another one: the servo holds its limits,
 //! its watch and its thermal budget to whatever stands here (tests/stages.rs has a toy of each).
 
-use super::bits::left_between;
+use super::bits::margin_bits_between;
 use crate::math::limited;
 use crate::model::motor::Motor;
 use core::fmt::Debug;
@@ -68,7 +68,7 @@ impl Supply {
     /// Whether its voltage can be believed.
     #[inline(always)]
     pub(crate) fn is_usable(&self) -> bool {
-        left_between(self.volts, BUS_VOLTAGE) >= 0
+        margin_bits_between(self.volts, BUS_VOLTAGE) >= 0
     }
 }
 

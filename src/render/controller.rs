@@ -16,8 +16,8 @@ use crate::model::mechanism::{Mechanism, Regularity, Shaping, shared_pose};
 use crate::model::precomputed::MassModel;
 use crate::model::principal::Principal;
 use crate::model::solve::solve_symmetric;
-use crate::render::found::{Asked, AtWalls, Found, clear, put};
 use crate::render::scene::{Admissible, FeedForward, MAX_WALLS, Posture, Scene, SceneError, VelocityTerms};
+use crate::render::step_result::{AtWalls, StepResult, TorqueDemand, clear, put};
 use crate::render::velocity::{Coefficients, Washout};
 use core::marker::PhantomData;
 use encoders::Encoders;
@@ -85,31 +85,31 @@ pub struct Gains<T> {
 /// fields.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Step<T: Real, const N: usize> {
-    /// See [`Found`].
+    /// See [`StepResult`].
     pub q: SVector<T, N>,
-    /// See [`Found`].
+    /// See [`StepResult`].
     pub qd: SVector<T, N>,
-    /// See [`Found`].
+    /// See [`StepResult`].
     pub tip: SVector<T, N>,
-    /// Joint torques, N m: [`Asked::total`].
+    /// Joint torques, N m: [`TorqueDemand::total`].
     pub torque: SVector<T, N>,
-    /// See [`Asked`].
+    /// See [`TorqueDemand`].
     pub gravity: SVector<T, N>,
-    /// See [`Asked`].
+    /// See [`TorqueDemand`].
     pub rendered: SVector<T, N>,
-    /// See [`Asked`].
+    /// See [`TorqueDemand`].
     pub force_squared: T,
-    /// See [`Found`].
+    /// See [`StepResult`].
     pub motion: SVector<T, N>,
-    /// See [`Found`].
+    /// See [`StepResult`].
     pub parallel: T,
     /// What it found at the walls.
     pub walls: AtWalls<T>,
 }
 
 impl<T: Real, const N: usize> Step<T, N> {
-    fn of(found: &Found<T>) -> Self {
-        let Found { at, asked, motion, parallel, .. } = found;
+    fn of(found: &StepResult<T>) -> Self {
+        let StepResult { at, asked, motion, parallel, .. } = found;
         let first = |values: &[T; MAX_JOINTS]| SVector::from_fn(|i, _| values[i]);
         Self {
             q: first(&at.q),
@@ -249,7 +249,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
     /// [`Controller::step`] where the motors gave these torques since the last one (N m), which an estimator that predicts
     /// wants to know.
     pub fn step_after(&mut self, acted: &[T; MAX_JOINTS], counts: &[i32; N]) -> Step<T, N> {
-        let mut found = Found::default();
+        let mut found = StepResult::default();
         self.render(counts, acted, &mut found);
         self.angles(counts, &mut found);
         Step::of(&found)
@@ -257,9 +257,9 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
 
     /// As [`Controller::step`] for any scene, the slow way: what every straight step is held to.
     pub fn step_generally(&mut self, counts: &[i32; N]) -> Step<T, N> {
-        let mut found = Found::default();
+        let mut found = StepResult::default();
         if self.variant == StepVariant::Anew {
-            self.begin_anew(counts, &mut found);
+            self.restart(counts, &mut found);
         }
         self.render_generally(counts, &mut found);
         self.angles(counts, &mut found);
@@ -270,7 +270,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
     /// angles, which are worked out only where somebody looks ([`Controller::angles`]). `acted`: what the motors gave since
     /// the last step (N m), which is what was asked less what limits took.
     #[inline(always)]
-    pub fn render(&mut self, counts: &[i32; N], acted: &[T; MAX_JOINTS], found: &mut Found<T>) {
+    pub fn render(&mut self, counts: &[i32; N], acted: &[T; MAX_JOINTS], found: &mut StepResult<T>) {
         match self.variant {
             StepVariant::Wall => self.render_wall(counts, found),
             StepVariant::Round if N == 2 => self.render_round(counts, found),
@@ -281,13 +281,13 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
 
     /// [`Controller::render`] where no straight step is ready.
     #[inline(never)]
-    fn render_otherwise(&mut self, counts: &[i32; N], acted: &[T; MAX_JOINTS], found: &mut Found<T>) {
+    fn render_otherwise(&mut self, counts: &[i32; N], acted: &[T; MAX_JOINTS], found: &mut StepResult<T>) {
         // Only an estimator that predicts wants to know.
         if self.coefficients.at_joints() {
             self.observers.acting = SVector::from_fn(|i, _| acted[i.min(MAX_JOINTS - 1)]);
         }
         if self.variant == StepVariant::Anew {
-            self.begin_anew(counts, found);
+            self.restart(counts, found);
         }
         match self.variant {
             StepVariant::Wall => self.render_wall(counts, found),
@@ -299,12 +299,12 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
 
     /// Writes the joint angles (rad) of these counts.
     #[inline(always)]
-    pub fn angles(&self, counts: &[i32; N], found: &mut Found<T>) {
+    pub fn angles(&self, counts: &[i32; N], found: &mut StepResult<T>) {
         put(&self.encoders.angles(counts).0, &mut found.at.q);
     }
 
     /// Lets the estimators begin where these counts are.
-    fn begin_anew(&mut self, counts: &[i32; N], found: &mut Found<T>) {
+    fn restart(&mut self, counts: &[i32; N], found: &mut StepResult<T>) {
         clear::<T, N>(&mut found.asked.gravity);
         self.encoders.begin(counts);
         let (_, angles) = self.encoders.angles(counts);
@@ -315,7 +315,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
 
     /// [`Controller::step_generally`] where what it finds is kept.
     #[inline(never)]
-    pub(crate) fn render_generally(&mut self, counts: &[i32; N], found: &mut Found<T>) {
+    pub(crate) fn render_generally(&mut self, counts: &[i32; N], found: &mut StepResult<T>) {
         let (_, angles) = self.encoders.angles(counts);
         let pose = shared_pose::<T, K, M, N>(&self.mechanism, &angles);
         let tip = self.mechanism.tip(&pose);
@@ -340,7 +340,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
 
     /// Keeps joint velocities (rad/s) and the tip.
     #[inline(always)]
-    fn keep(qd: &SVector<T, N>, tip: &SVector<T, N>, found: &mut Found<T>) {
+    fn keep(qd: &SVector<T, N>, tip: &SVector<T, N>, found: &mut StepResult<T>) {
         put(qd, &mut found.at.qd);
         put(tip, &mut found.at.tip);
     }
@@ -352,7 +352,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         &mut self,
         begun: &mut Begun<'_, T, M::Pose, N>,
         counts: &[i32; N],
-        found: &mut Found<T>,
+        found: &mut StepResult<T>,
     ) -> (SVector<T, N>, SVector<T, N>, SVector<T, N>) {
         let observed = self.coefficients.at_joints();
         let mut along = SVector::zeros();
@@ -428,7 +428,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
 
     /// Joint torques (N m) beside those of walls, springs and fields: what holds the device against gravity.
     #[inline(always)]
-    fn weigh(&self, pose: &M::Pose, asked: &mut Asked<T>) -> SVector<T, N> {
+    fn weigh(&self, pose: &M::Pose, asked: &mut TorqueDemand<T>) -> SVector<T, N> {
         let gravity = if self.gravity { self.mechanism.gravity(pose) } else { SVector::zeros() };
         put(&gravity, &mut asked.gravity);
         gravity
@@ -436,7 +436,13 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
 
     /// Adds another force (N) to those whose resultant is `force` (N), and to what renders them; its torques, N m.
     #[inline(never)]
-    fn add(&self, pose: &M::Pose, force: &SVector<T, N>, other: &SVector<T, N>, asked: &mut Asked<T>) -> SVector<T, N> {
+    fn add(
+        &self,
+        pose: &M::Pose,
+        force: &SVector<T, N>,
+        other: &SVector<T, N>,
+        asked: &mut TorqueDemand<T>,
+    ) -> SVector<T, N> {
         let all = force + other;
         asked.force_squared = all.dot(&all);
         let torque = self.mechanism.transpose(pose, other);
@@ -524,7 +530,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             let first = &together.principal.direction(0);
             let gained = |gain| {
                 let most = gain * self.below_the_pole(angles, pose, first, gain);
-                (T::one() + (most - T::one()) * lone(&together.principal)) / gain
+                (T::one() + (most - T::one()) * single_wall_weight(&together.principal)) / gain
             };
             let part = share * self.gain.map_or(T::one(), gained);
             together.principal.shaped(&shapings, force, part, bias)
@@ -685,7 +691,7 @@ pub fn known_share<T: Real, const N: usize>(regularity: &Regularity<T>, qd: &SVe
 /// How much several walls are like one, for which a gain of the feed-forward above 1 is meant: a smooth step from 1,
 /// where they are, to 0 where the second direction has a hundredth of the stiffness of the first (two equal facets 11°
 /// apart). Beyond, the proof that no set of walls is less stable than without the feed-forward needs a gain of 1.
-fn lone<T: Real, const N: usize>(principal: &Principal<T, N>) -> T {
+fn single_wall_weight<T: Real, const N: usize>(principal: &Principal<T, N>) -> T {
     let second = principal.along(1) * T::from_f64(100.0);
     let s = (T::one() - second / principal.along(0).greater(T::EPSILON)).greater(T::zero());
     s * s * (T::from_f64(3.0) - s - s)

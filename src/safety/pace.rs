@@ -49,7 +49,7 @@ impl Pace {
         // The faster of two rates, where one replaced the other meanwhile; and the slower one.
         let rates = (before.min(self.rate), before.max(self.rate));
         let [alone, together] = [(u64::from(steps), elapsed_us), (self.taken, self.elapsed)]
-            .map(|(taken, elapsed)| judge(taken, elapsed, rates, excused));
+            .map(|(taken, elapsed)| verdict(taken, elapsed, rates, excused));
         let now = if alone == Verdict::Kept { together } else { alone };
         if now != Verdict::Kept || excused || before != self.rate || expected(self.elapsed, self.rate, 100) >= ENOUGH {
             self.found = now;
@@ -64,7 +64,7 @@ fn expected(elapsed: u64, rate: u64, percent: u64) -> u64 {
     elapsed.saturating_mul(rate).saturating_mul(percent) / 100_000_000
 }
 
-fn judge(taken: u64, elapsed: u64, (slower, faster): (u64, u64), excused: bool) -> Verdict {
+fn verdict(taken: u64, elapsed: u64, (slower, faster): (u64, u64), excused: bool) -> Verdict {
     if taken > expected(elapsed, faster, TOO_OFTEN_PERCENT).saturating_add(ENDS) {
         Verdict::TooOften
     } else if !excused && taken.saturating_add(ENDS) < expected(elapsed, slower, TOO_SELDOM_PERCENT) {

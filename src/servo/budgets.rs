@@ -3,7 +3,7 @@
 //! up over many carrier periods (heat, stalls, lost encoders), all of which takes milliseconds at least.
 
 use super::Servo;
-use crate::drive::bits::left;
+use crate::drive::bits::margin_bits;
 use crate::drive::stage::Stage;
 use crate::math::{Math, limited, sqrt};
 use crate::model::device::{Leverage, squared};
@@ -36,7 +36,7 @@ pub(super) struct Sums {
 
 impl Sums {
     /// Forgets what was summed up while the motors were on the last time; what heated them stays.
-    pub(super) fn anew(&mut self) {
+    pub(super) fn reset(&mut self) {
         (self.still, self.lost) = (0.0, 0.0);
     }
 
@@ -81,7 +81,7 @@ pub(super) struct Flow {
     /// a tenth, and the joint was half of that nearer all along.
     change: f32,
     /// Valleys until leverage is worked out anew, and after how many it is.
-    left: u32,
+    until_weighed: u32,
     every: u32,
     /// For how long what was allowed before a limit was lowered may still flow, s.
     settling: f32,
@@ -89,7 +89,7 @@ pub(super) struct Flow {
 
 impl Flow {
     /// Forgets what flowed while the motors were on the last time.
-    pub(super) fn anew(&mut self) {
+    pub(super) fn reset(&mut self) {
         *self = Self { gain: self.gain, every: self.every, ..Self::default() };
     }
 
@@ -114,18 +114,18 @@ where
 {
     /// Sums up what the crest before showed (`seen`), and says whether the bridges may go on driving. Call at every
     /// valley, after [`Servo::duties`].
-    pub fn sum_up(&mut self, seen: &Samples) -> Outputs {
+    pub fn check_slow_faults(&mut self, seen: &Samples) -> Outputs {
         let seen = &self.known(seen);
         let supplied = core::mem::take(&mut self.supplied);
         let sensed = self.hardware.bridge.current_sensed && self.hardware.bus_sensed;
-        self.sum_up_of(seen, (supplied > 0.0).then_some(supplied), sensed);
+        self.check_slow_faults_of(seen, (supplied > 0.0).then_some(supplied), sensed);
         self.outputs()
     }
 
-    /// [`Servo::sum_up`], where the drives since the last valley were `supplied` with so many volts, if there were any, and
+    /// [`Servo::check_slow_faults`], where the drives since the last valley were `supplied` with so many volts, if there were any, and
     /// all that is seen is `sensed` or not.
     #[inline(always)]
-    pub(super) fn sum_up_of(&mut self, seen: &Samples, supplied: Option<f32>, sensed: bool) {
+    pub(super) fn check_slow_faults_of(&mut self, seen: &Samples, supplied: Option<f32>, sensed: bool) {
         let active = self.state.drives();
         if active {
             match self.count() {
@@ -133,8 +133,8 @@ where
                 3 => self.doubt::<3>(seen, supplied),
                 _ => self.doubt::<1>(seen, supplied),
             }
-            match self.flow.left.checked_sub(1) {
-                Some(left) => self.flow.left = left,
+            match self.flow.until_weighed.checked_sub(1) {
+                Some(valleys) => self.flow.until_weighed = valleys,
                 None => self.weigh_again(&seen.counts),
             }
         } else {
@@ -165,7 +165,7 @@ where
         let counts = self.now.counts;
         self.weigh_again(&counts);
         let most = STRAY_SHARE * self.rules.limits.tip_force;
-        if left(self.leverage.force_squared(&self.flow.torque), most * most) >= 0 {
+        if margin_bits(self.leverage.force_squared(&self.flow.torque), most * most) >= 0 {
             return Ok(());
         }
         let worth = |i: usize, torque: &f32| self.leverage.most_of(i) * torque.abs();
@@ -187,10 +187,10 @@ where
             *mean += self.flow.gain * (joint.stage.torque_of(*current) - held - *mean);
             if let Some(bus_voltage) = supplied {
                 let (strain, doubt) = joint.settle(bus_voltage);
-                least |= left(strain, doubt);
+                least |= margin_bits(strain, doubt);
             }
         }
-        least |= left(squared(&self.leverage.force::<J>(&self.flow.torque)), self.flow.most_squared);
+        least |= margin_bits(squared(&self.leverage.force::<J>(&self.flow.torque)), self.flow.most_squared);
         if least < 0 {
             self.find_strained();
         }
@@ -240,7 +240,7 @@ where
         self.set_most_force(limit / (1.0 + (self.flow.change - CHANGE_FREE).max(0.0)));
         let most = FLOW_MARGIN * limit + error.min(HIDDEN_SHARE * limit);
         let (flow, most) = (&mut self.flow, most * most);
-        flow.left = flow.every;
+        flow.until_weighed = flow.every;
         if flow.settling > 0.0 {
             flow.settling -= (flow.every + 1) as f32 * self.crests.period;
             flow.most_squared = flow.most_squared.max(most);
@@ -255,13 +255,13 @@ where
     fn find_strained(&mut self) {
         let joints = self.count();
         let flowing = self.leverage.force_squared(&self.flow.torque);
-        if left(flowing, self.flow.most_squared) < 0 {
+        if margin_bits(flowing, self.flow.most_squared) < 0 {
             self.trip(Fault::ForceLimit, None, sqrt(flowing));
             return;
         }
         let strained = self.joints.iter().enumerate().take(joints).find_map(|(i, joint)| {
             let (strain, doubt) = joint.stage.strain();
-            (left(strain, doubt) < 0).then_some((i, joint, strain))
+            (margin_bits(strain, doubt) < 0).then_some((i, joint, strain))
         });
         let Some((i, joint, strain)) = strained else { return };
         // A current as it should be and a voltage that only motion explains: the encoder is what stands still.
@@ -289,7 +289,7 @@ where
             found = Some((Fault::ThermalBudget, current));
         }
         if moved {
-            sums.anew();
+            sums.reset();
         } else if active {
             if motors.torque[i].abs() > sums.stall {
                 sums.still += elapsed;

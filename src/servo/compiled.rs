@@ -69,15 +69,15 @@ pub fn crest_generally(servo: &mut BoardServo, seen: &Samples, due: bool, ticks:
     servo.crest_generally(seen, &seen.currents, due, &|duty| ticks.legs(duty), legs)
 }
 
-/// What is looked at at the valley, see [`Servo::sum_up`].
+/// What is looked at at the valley, see [`Servo::check_slow_faults`].
 #[inline(never)]
-pub fn sum_up(servo: &mut BoardServo, seen: &Samples) -> Outputs {
-    servo.sum_up_of(seen, Some(seen.bus_voltage), true);
+pub fn check_slow_faults(servo: &mut BoardServo, seen: &Samples) -> Outputs {
+    servo.check_slow_faults_of(seen, Some(seen.bus_voltage), true);
     servo.outputs()
 }
 
 /// Notes what the step of the last crest saw, which that did not take the time for, and writes its frame where it is to lie,
-/// if somebody wants it. At the valley after the step, before [`sum_up`] and any command.
+/// if somebody wants it. At the valley after the step, before [`check_slow_faults`] and any command.
 #[inline(never)]
 pub fn note(servo: &mut BoardServo, seen: &Samples, frame: Option<&mut MaybeUninit<StepRecord>>) {
     servo.note_late(seen);

@@ -7,7 +7,7 @@
 
 use super::Servo;
 use super::budgets::Sums;
-use crate::drive::bits::{left, left_between, left_of};
+use crate::drive::bits::{margin_bits, margin_bits_between, margin_counts};
 use crate::drive::stage::{BUS_VOLTAGE, Stage, Supply};
 use crate::math::Math;
 use crate::model::catalogue::MAX_JOINTS;
@@ -79,7 +79,7 @@ struct Bounds {
 impl Bounds {
     /// Negative outside the joint's range.
     #[inline(always)]
-    fn room(&self, count: i32) -> i32 {
+    fn range_margin(&self, count: i32) -> i32 {
         count.wrapping_sub(self.first) | self.last.wrapping_sub(count)
     }
 }
@@ -92,20 +92,20 @@ impl<S: Stage> Joint<S> {
         self.raw = moved as f32;
         self.speed += self.bounds.gain * (self.raw - self.speed);
         self.steady += self.bounds.steady_gain * (self.raw - self.steady);
-        left_of(moved, self.bounds.jump)
+        margin_counts(moved, self.bounds.jump)
     }
 
     /// Negative where speed or current is beyond what it may be.
     #[inline(always)]
-    fn left(&self, current: f32, imbalance: f32) -> i32 {
-        left(self.speed, self.bounds.speed)
-            | left(current, self.bounds.current)
-            | left(imbalance, self.bounds.imbalance)
+    fn margin(&self, current: f32, imbalance: f32) -> i32 {
+        margin_bits(self.speed, self.bounds.speed)
+            | margin_bits(current, self.bounds.current)
+            | margin_bits(imbalance, self.bounds.imbalance)
     }
 
     /// Negative where a count is outside its range, if it has one.
-    fn room(&self, count: i32) -> i32 {
-        if self.bounds.limited { self.bounds.room(count) } else { 0 }
+    fn range_margin(&self, count: i32) -> i32 {
+        if self.bounds.limited { self.bounds.range_margin(count) } else { 0 }
     }
 
     /// Whether it has a range.
@@ -167,7 +167,7 @@ pub(super) struct Crests {
 
 impl Crests {
     /// Forgets what was summed up while the motors were on the last time; what heated them stays.
-    pub(super) fn anew(&mut self) {
+    pub(super) fn reset(&mut self) {
         self.power = 0.0;
     }
 
@@ -360,11 +360,11 @@ where
     /// Whether all that the crest of J joints shows is within its bounds.
     #[inline(always)]
     fn look_of<const J: usize>(&mut self, seen: &Samples) -> bool {
-        let mut least = left_between(seen.bus_voltage, self.crests.bus);
+        let mut least = margin_bits_between(seen.bus_voltage, self.crests.bus);
         let mut power = None;
         for (i, joint) in self.joints.iter_mut().enumerate().take(J) {
             least |= joint.turn(seen.counts[i]);
-            least |= joint.bounds.room(seen.counts[i]) | joint.left(seen.currents[i], seen.imbalance[i]);
+            least |= joint.bounds.range_margin(seen.counts[i]) | joint.margin(seen.currents[i], seen.imbalance[i]);
             let share = self.now.motors.torque[i] * joint.speed();
             power = Some(power.map_or(share, |sum| sum + share));
         }
@@ -407,10 +407,10 @@ where
             self.pass(seen);
         }
         let joints = self.count();
-        let (mut least, mut most, mut power) = (0, left_between(seen.bus_voltage, self.crests.bus), 0.0);
+        let (mut least, mut most, mut power) = (0, margin_bits_between(seen.bus_voltage, self.crests.bus), 0.0);
         for (i, joint) in self.joints.iter_mut().enumerate().take(joints) {
             least |= joint.turn(seen.counts[i]);
-            most |= joint.room(seen.counts[i]) | joint.left(seen.currents[i], seen.imbalance[i]);
+            most |= joint.range_margin(seen.counts[i]) | joint.margin(seen.currents[i], seen.imbalance[i]);
             power += self.now.motors.torque[i] * joint.speed();
         }
         if self.state.drives() {
@@ -450,13 +450,13 @@ where
         for (i, joint) in joints() {
             let (bounds, count, current) = (&joint.bounds, seen.counts[i], seen.currents[i]);
             let moved = count.wrapping_sub(joint.count);
-            note(left_of(moved, bounds.jump) < 0, Fault::EncoderJump, Some(i), moved as f32);
+            note(margin_counts(moved, bounds.jump) < 0, Fault::EncoderJump, Some(i), moved as f32);
             if active {
-                note(left(joint.speed, bounds.speed) < 0, Fault::SpeedLimit, Some(i), joint.speed());
-                note(joint.room(count) < 0, Fault::JointLimit, Some(i), self.angle(i, count));
-                note(left(current, bounds.current) < 0, Fault::OverCurrent, Some(i), current);
+                note(margin_bits(joint.speed, bounds.speed) < 0, Fault::SpeedLimit, Some(i), joint.speed());
+                note(joint.range_margin(count) < 0, Fault::JointLimit, Some(i), self.angle(i, count));
+                note(margin_bits(current, bounds.current) < 0, Fault::OverCurrent, Some(i), current);
                 let imbalance = seen.imbalance[i];
-                note(left(imbalance, bounds.imbalance) < 0, Fault::CurrentSensor, Some(i), imbalance);
+                note(margin_bits(imbalance, bounds.imbalance) < 0, Fault::CurrentSensor, Some(i), imbalance);
             }
         }
         if active {

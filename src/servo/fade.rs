@@ -12,7 +12,7 @@ use crate::drive::stage::Stage;
 use crate::math::Math;
 use crate::model::catalogue::MAX_JOINTS;
 use crate::model::device::Leverage;
-use crate::render::found::Asked;
+use crate::render::step_result::TorqueDemand;
 use crate::servo::joints::Torques;
 use crate::servo::program::Program;
 use crate::servo::saturation::share_within;
@@ -35,13 +35,13 @@ struct Lease {
     /// N m when `life` (s) were left; they fall as `left`, what is left now, does.
     torque: Torques,
     life: f32,
-    left: f32,
+    remaining: f32,
 }
 
 impl Lease {
     /// What is left of it.
     fn acts(&self) -> Torques {
-        let part = if self.left > 0.0 { self.left / self.life } else { 0.0 };
+        let part = if self.remaining > 0.0 { self.remaining / self.life } else { 0.0 };
         Torques(self.torque.map(|torque| part * torque))
     }
 }
@@ -70,8 +70,8 @@ pub(super) struct Fade {
 
 impl Fade {
     /// Begins from nothing. What an earlier fade left besides is not looked at then.
-    pub fn begin_anew(&mut self) {
-        (self.ramp, self.share, self.host.left) = (0.0, 0.0, 0.0);
+    pub fn start_from_nothing(&mut self) {
+        (self.ramp, self.share, self.host.remaining) = (0.0, 0.0, 0.0);
         (self.begun, self.from_something) = (false, false);
     }
 
@@ -106,11 +106,15 @@ where
             Acted { gravity: Torques(asked.gravity), rendered: Torques(asked.rendered), share: 1.0 }
         };
         let (torque, life) = self.host_torque();
-        let mut host = Lease { torque, life, left: life };
-        if self.fade.host.left > 0.0 {
+        let mut host = Lease { torque, life, remaining: life };
+        if self.fade.host.remaining > 0.0 {
             // Of an earlier scene: both end with the one that ends first.
-            host.life = if torque == Torques::default() { self.fade.host.left } else { life.min(self.fade.host.left) };
-            host.left = host.life;
+            host.life = if torque == Torques::default() {
+                self.fade.host.remaining
+            } else {
+                life.min(self.fade.host.remaining)
+            };
+            host.remaining = host.life;
             let part = (1.0 - self.fade.ramp) * share;
             for (host, earlier) in host.torque.iter_mut().zip(self.fade.host.acts().iter()) {
                 *host += part * earlier;
@@ -134,7 +138,7 @@ where
     /// One step of the fade: what is to be commanded instead of what is asked, and what that would be without the limit of
     /// the force at the tip.
     #[inline(never)]
-    pub(super) fn fade_in(&mut self) -> (Asked<f32>, [f32; MAX_JOINTS]) {
+    pub(super) fn fade_in(&mut self) -> (TorqueDemand<f32>, [f32; MAX_JOINTS]) {
         let asked = &{ self.now.found.asked };
         self.fade.begun = true;
         self.fade.ramp = (self.fade.ramp + self.period * (1.0 / ARM_SECONDS)).min(1.0);
@@ -144,10 +148,10 @@ where
         if !self.fade.from_something {
             return self.rise(asked, share);
         }
-        self.fade.host.left -= self.period;
+        self.fade.host.remaining -= self.period;
         self.hold_what_fades();
         let (fade, before, weight) = (&self.fade, self.fade.rendered(), self.weight(asked));
-        let faded = Asked {
+        let faded = TorqueDemand {
             total: self.between(asked, &weight, share),
             gravity: weight,
             rendered: core::array::from_fn(|i| fade.part(before[i], share * asked.rendered[i])),
@@ -163,7 +167,7 @@ where
     }
 
     /// What carries the weight now, N m. A scene that carries none does not say what it is.
-    fn weight(&self, asked: &Asked<f32>) -> [f32; MAX_JOINTS] {
+    fn weight(&self, asked: &TorqueDemand<f32>) -> [f32; MAX_JOINTS] {
         let carries = self.carries();
         let whole = match &self.program {
             Some(program) if !self.weighs && carries > 0.0 => program.mechanism.gravity::<K>(&self.now.found.at.q),
@@ -174,12 +178,12 @@ where
 
     /// [`Servo::fade_in`] from nothing: with a `share` of what is asked beyond what carries the device.
     #[inline(always)]
-    fn rise(&self, asked: &Asked<f32>, share: f32) -> (Asked<f32>, [f32; MAX_JOINTS]) {
+    fn rise(&self, asked: &TorqueDemand<f32>, share: f32) -> (TorqueDemand<f32>, [f32; MAX_JOINTS]) {
         let ramp = self.fade.ramp;
         let between = |share: f32| -> [f32; MAX_JOINTS] {
             core::array::from_fn(|i| (asked.gravity[i] + share * (asked.total[i] - asked.gravity[i])) * ramp)
         };
-        let risen = Asked {
+        let risen = TorqueDemand {
             total: between(share),
             gravity: asked.gravity.map(|gravity| gravity * ramp),
             rendered: asked.rendered.map(|rendered| share * rendered * ramp),
@@ -215,7 +219,7 @@ where
     }
 
     /// All of it: the `weight`, and a `share` of what is asked beyond it.
-    fn between(&self, asked: &Asked<f32>, weight: &[f32; MAX_JOINTS], share: f32) -> [f32; MAX_JOINTS] {
+    fn between(&self, asked: &TorqueDemand<f32>, weight: &[f32; MAX_JOINTS], share: f32) -> [f32; MAX_JOINTS] {
         let (fade, rendered) = (&self.fade, self.fade.rendered());
         core::array::from_fn(|i| {
             let beyond = share * (asked.total[i] - asked.gravity[i]);

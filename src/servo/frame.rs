@@ -1,7 +1,7 @@
 //! What goes into a control period and what it leaves behind for telemetry.
 
 use crate::drive::stage::MAX_DUTY;
-use crate::render::found::{At, Found};
+use crate::render::step_result::{DeviceState, StepResult};
 use crate::safety::fault::State;
 use crate::servo::joints::{Counts, Currents, Duties, Torques};
 
@@ -58,7 +58,7 @@ pub(crate) struct Now {
     pub counts: Counts,
     pub motors: Motors,
     /// What the scene found and asks for.
-    pub found: Found<f32>,
+    pub found: StepResult<f32>,
 }
 
 /// One step as telemetry records it. Vectors are padded with zeros to three entries.
@@ -71,7 +71,7 @@ pub struct StepRecord {
     /// Encoder counts.
     pub counts: Counts,
     /// Where the device is and what touches it.
-    pub at: At<f32>,
+    pub at: DeviceState<f32>,
     /// What the motors do.
     pub motors: Motors,
 }

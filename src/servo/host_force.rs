@@ -14,7 +14,7 @@ use crate::drive::stage::Stage;
 use crate::math::Math;
 use crate::model::catalogue::MAX_JOINTS;
 use crate::render::controller::{Push, PushedPlane};
-use crate::render::found::Found;
+use crate::render::step_result::StepResult;
 use crate::safety::fault::State;
 use crate::servo::Servo;
 use crate::servo::joints::{Counts, Torques};
@@ -208,8 +208,8 @@ impl ForceRequest {
             1.0
         } else {
             // A fade of 0 s ends at once.
-            let left = self.hold + self.fade - age;
-            if left > 0.0 { (left / self.fade).min(1.0) } else { 0.0 }
+            let remaining = self.hold + self.fade - age;
+            if remaining > 0.0 { (remaining / self.fade).min(1.0) } else { 0.0 }
         }
     }
 }
@@ -284,7 +284,7 @@ pub(super) struct HostForce {
     torque: Torques,
     life: f32,
     /// Share of those that ramp and limits left where they left less than all.
-    pub left: f32,
+    pub granted: f32,
     contact: Blend,
     /// Share of the contact that acted in the last step; how far that still is from the lease of this request, which
     /// took the place of another; and how fast the difference shrinks, 1/s.
@@ -359,9 +359,9 @@ where
         if let Some(program) = self.program.as_ref() {
             let (velocity, pushed) = program.controller.pushed(&self.now);
             answer.velocity = velocity;
-            let left = self.host_left();
-            answer.share = self.host.lease * left;
-            answer.force = pushed.map(|force| force * left);
+            let granted = self.host_granted();
+            answer.share = self.host.lease * granted;
+            answer.force = pushed.map(|force| force * granted);
         }
         answer
     }
@@ -369,18 +369,18 @@ where
     /// The joint torques (N m) that acted in the last step because of the host, and how long they might (s).
     #[cold]
     pub(super) fn host_torque(&self) -> (Torques, f32) {
-        let left = self.host_left();
-        let Some(program) = self.program.as_ref().filter(|_| self.host.acts && left > 0.0) else {
+        let granted = self.host_granted();
+        let Some(program) = self.program.as_ref().filter(|_| self.host.acts && granted > 0.0) else {
             return (Torques::default(), 0.0);
         };
         let (_, force) = program.controller.pushed(&self.now);
         let pushed = program.mechanism.torque::<K>(&self.now.found.at.q, &force);
-        (Torques::from_fn(|i| left * (pushed[i] + self.host.torque[i])), self.host.life)
+        (Torques::from_fn(|i| granted * (pushed[i] + self.host.torque[i])), self.host.life)
     }
 
     /// Share of what acts of it that ramp and limits left.
-    fn host_left(&self) -> f32 {
-        if self.was_cut() { self.host.left } else { 1.0 }
+    fn host_granted(&self) -> f32 {
+        if self.was_cut() { self.host.granted } else { 1.0 }
     }
 
     fn take_force(&mut self, request: &ForceRequest) -> ForceDone {
@@ -438,7 +438,7 @@ where
             && let Some(program) = self.program.as_ref()
         {
             program.controller.angles(counts, &mut self.now.found);
-            let Found { at, asked, .. } = &mut self.now.found;
+            let StepResult { at, asked, .. } = &mut self.now.found;
             for (i, torque) in torque.iter().enumerate() {
                 asked.rendered[i] += torque;
                 asked.total[i] += torque;

@@ -10,7 +10,7 @@
 //! current is the winding's resistance, whatever the sensor's scale is.
 
 use super::Servo;
-use crate::drive::bits::left;
+use crate::drive::bits::margin_bits;
 use crate::drive::stage::Stage;
 use crate::math::{Math, limited, sqrt};
 use crate::model::catalogue::MAX_JOINTS;
@@ -319,14 +319,14 @@ where
     fn swing(&mut self, i: usize) -> Torques {
         let Some(mut swing) = self.polarity.swing else { return Torques::default() };
         let strayed = self.now.found.at.q[i] - swing.about[i];
-        if left(strayed, swing.reach) < 0 {
+        if margin_bits(strayed, swing.reach) < 0 {
             self.trip(Fault::TorqueMismatch, Some(i as u8), SWING_TRAVEL * strayed / swing.reach);
             return Torques::default();
         }
         let turn = core::f32::consts::TAU / swing.rate;
         let summed = (swing.seconds - SWINGS_BEFORE * turn) / (SWINGS * turn);
         if summed >= 1.0 {
-            self.judge(i, &swing);
+            self.check_swings(i, &swing);
             return Torques::default();
         }
         let (sine, cosine) = K::sin_cos(swing.rate * (swing.seconds % turn));
@@ -354,7 +354,7 @@ where
     }
 
     /// The swings of joint `i` are over: whether they were what the device file says.
-    fn judge(&mut self, i: usize, swing: &Swing) {
+    fn check_swings(&mut self, i: usize, swing: &Swing) {
         let Some(program) = self.program.as_ref() else { return };
         let inertia = self.polarity.inertia.unwrap_or_default();
         let rate = -swing.rate * swing.rate;
@@ -373,7 +373,7 @@ where
         let found = dot(acted[i], acted[i]) / dot(acted[i], driven).max(f32::MIN_POSITIVE);
         let share = |row: &Phasor| dot(*row, driven) / dot(driven, driven).max(f32::MIN_POSITIVE);
         let mut others = acted.iter().map(share).enumerate().take(self.count()).filter(|(row, _)| *row != i);
-        let astray = others.find(|(_, aside)| left(*aside, CROSS_DOUBT) < 0);
+        let astray = others.find(|(_, aside)| margin_bits(*aside, CROSS_DOUBT) < 0);
         let (bridge, stage) = (&self.hardware.bridge, &self.joints[i].stage);
         let measured = (bridge.current_sensed && self.hardware.bus_sensed)
             .then(|| stage.resistance_of(swing.voltage, swing.current, swing.angles[i], swing.rate))
@@ -388,7 +388,7 @@ where
         } else if let Some((row, aside)) = astray {
             self.trip(Fault::TorqueMismatch, Some(row as u8), aside);
         } else if let Some((found, expected)) = measured
-            && left(found - expected, RESISTANCE_DOUBT * expected + doubt) < 0
+            && margin_bits(found - expected, RESISTANCE_DOUBT * expected + doubt) < 0
         {
             self.trip(Fault::ResistanceMismatch, Some(i as u8), found);
         } else {

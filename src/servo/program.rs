@@ -10,8 +10,8 @@ use crate::model::mechanism::AnyMechanism;
 use crate::model::padding::{first, head, padded};
 use crate::model::precomputed::{MassModel, MassModelData};
 use crate::render::controller::{Controller, Gains, Push};
-use crate::render::found::Found;
 use crate::render::scene::Scene;
+use crate::render::step_result::StepResult;
 use crate::render::velocity::{Coefficients, Washout};
 use crate::safety::limits::Limits;
 use crate::safety::refusal::Refusal;
@@ -72,7 +72,7 @@ macro_rules! define {
 
             /// One control step; writes what it finds but joint angles. `acted`: what the motors gave since the last, N m.
             #[inline(always)]
-            pub(crate) fn step(&mut self, counts: &Counts, acted: &Torques, found: &mut Found<f32>) {
+            pub(crate) fn step(&mut self, counts: &Counts, acted: &Torques, found: &mut StepResult<f32>) {
                 match self {
                     // No device has more joints than there are counts.
                     $(Self::$Variant(controller) => {
@@ -82,7 +82,7 @@ macro_rules! define {
             }
 
             /// See [`Controller::angles`].
-            pub(crate) fn angles(&self, counts: &Counts, found: &mut Found<f32>) {
+            pub(crate) fn angles(&self, counts: &Counts, found: &mut StepResult<f32>) {
                 match self { $(Self::$Variant(controller) => controller.angles(first(counts).unwrap_or(&[0; $n]), found),)* }
             }
 

@@ -5,7 +5,7 @@ use crate::drive::stage::Stage;
 use crate::math::Math;
 use crate::model::catalogue::MAX_JOINTS;
 use crate::render::controller::Gains;
-use crate::render::found::Found;
+use crate::render::step_result::StepResult;
 use crate::render::velocity::{Coefficients, Washout};
 use crate::safety::fault::{FaultRecord, State};
 use crate::safety::refusal::Refusal;
@@ -238,7 +238,7 @@ where
                 self.polarity_known = false;
                 (self.first_index, self.marks) = ([None; MAX_JOINTS], None);
                 // Of what a device with more joints found, nothing would be written over.
-                self.now.found = Found::default();
+                self.now.found = StepResult::default();
                 self.now.found.parallel = 1.0;
             }
         }
@@ -352,7 +352,7 @@ where
     fn arm(&mut self, key: Option<Press>) -> Result<(), Refusal> {
         self.may_arm(key)?;
         self.find_stray()?;
-        self.fade.begin_anew();
+        self.fade.start_from_nothing();
         self.key = key;
         self.watch_anew();
         self.state = State::Armed;
@@ -362,9 +362,9 @@ where
     /// Starts everything that is summed up while the motors are on.
     pub(super) fn watch_anew(&mut self) {
         self.hear_host();
-        self.joints.iter_mut().for_each(|joint| joint.sums.anew());
-        self.crests.anew();
-        self.flow.anew();
+        self.joints.iter_mut().for_each(|joint| joint.sums.reset());
+        self.crests.reset();
+        self.flow.reset();
         self.allow();
     }
 }

@@ -14,12 +14,12 @@
 //! leaves a motor's own part its room up to [`ROOM`] of the limit.
 
 use super::Servo;
-use crate::drive::bits::left;
+use crate::drive::bits::margin_bits;
 use crate::drive::stage::Stage;
 use crate::math::{Math, limited, sqrt};
 use crate::model::catalogue::MAX_JOINTS;
 use crate::model::device::{Leverage, squared};
-use crate::render::found::Asked;
+use crate::render::step_result::TorqueDemand;
 use crate::servo::joints::Torques;
 use crate::servo::program::Program;
 use core::ops::DerefMut;
@@ -29,7 +29,7 @@ const ROOM: f32 = 1.0 / 64.0;
 
 /// What the limits leave of what was asked.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Left {
+pub struct Granted {
     /// All torques together.
     pub torque: Torques,
     /// What of them holds the device against gravity.
@@ -48,42 +48,43 @@ where
     /// order above, and its forces within theirs. Negative where it may not be, and where some of it is no number.
     #[inline(always)]
     pub(super) fn fits<const J: usize>(&self) -> i32 {
-        let Asked { total, gravity, rendered, force_squared } = &self.now.found.asked;
-        let mut least = left(*force_squared, self.most_force_squared);
+        let TorqueDemand { total, gravity, rendered, force_squared } = &self.now.found.asked;
+        let mut least = margin_bits(*force_squared, self.most_force_squared);
         let mut pushing = *total;
         if self.weighs {
             pushing.iter_mut().zip(gravity).take(J).for_each(|(total, gravity)| *total -= gravity);
         }
-        least |= left(squared(&self.leverage.force::<J>(&pushing)), self.most_force_squared);
+        least |= margin_bits(squared(&self.leverage.force::<J>(&pushing)), self.most_force_squared);
         if self.weighs {
             for (i, fitting) in self.fitting.iter().enumerate().take(J) {
                 // Where weight and force together fit whatever their signs, each of them does, and their sum.
                 let both = gravity[i].abs() + rendered[i].abs();
-                least |= left(total[i], *fitting) | left(both, *fitting);
+                least |= margin_bits(total[i], *fitting) | margin_bits(both, *fitting);
             }
         } else {
             for (i, fitting) in self.fitting.iter().enumerate().take(J) {
-                least |= left(total[i], *fitting) | left(rendered[i], *fitting);
+                least |= margin_bits(total[i], *fitting) | margin_bits(rendered[i], *fitting);
             }
         }
         least
     }
 }
 
-impl Asked<f32> {
+impl TorqueDemand<f32> {
     /// What is within ±`limit` (not negative) of each of the J joints, and of forces within `tip_force` (N, not negative),
     /// of which `leverage` tells what a torque is worth.
     #[inline(always)]
-    pub(super) fn within<const J: usize>(&self, limit: &Torques, tip_force: f32, leverage: &Leverage) -> Left {
+    pub(super) fn within<const J: usize>(&self, limit: &Torques, tip_force: f32, leverage: &Leverage) -> Granted {
         let pushing = core::array::from_fn(|i| self.total[i] - self.gravity[i]);
-        let mut least = left(self.force_squared, tip_force * tip_force);
-        least |= left(squared(&leverage.force::<J>(&pushing)), tip_force * tip_force);
+        let mut least = margin_bits(self.force_squared, tip_force * tip_force);
+        least |= margin_bits(squared(&leverage.force::<J>(&pushing)), tip_force * tip_force);
         for (i, limit) in limit.iter().enumerate().take(J) {
             let both = self.gravity[i] + self.rendered[i];
-            least |= left(self.gravity[i], *limit) | left(both, *limit) | left(self.total[i], *limit);
+            least |=
+                margin_bits(self.gravity[i], *limit) | margin_bits(both, *limit) | margin_bits(self.total[i], *limit);
         }
         if least >= 0 {
-            Left { torque: Torques(self.total), gravity: Torques(self.gravity), share: 1.0 }
+            Granted { torque: Torques(self.total), gravity: Torques(self.gravity), share: 1.0 }
         } else {
             self.cut::<J>(limit, tip_force, leverage)
         }
@@ -128,7 +129,7 @@ impl Asked<f32> {
 
     #[allow(clippy::needless_range_loop, reason = "one number for four arrays")]
     #[inline(always)]
-    fn cut<const J: usize>(&self, limit: &Torques, tip_force: f32, leverage: &Leverage) -> Left {
+    fn cut<const J: usize>(&self, limit: &Torques, tip_force: f32, leverage: &Leverage) -> Granted {
         let share = self.share::<J>(limit, tip_force);
         let (mut torque, mut gravity) = (Torques::default(), Torques::default());
         for i in 0..J {
@@ -144,7 +145,7 @@ impl Asked<f32> {
             // Once more each by itself: what is not finite asks for nothing, and rounding is no excuse.
             torque[i] = limited(torque[i] + rest_share * self.rest(i), limit[i]);
         }
-        Left { torque, gravity, share }
+        Granted { torque, gravity, share }
     }
 }
 
@@ -163,13 +164,13 @@ pub(super) fn share_within(squared: f32, most: f32) -> f32 {
 /// The largest share, up to `most`, of `part` that fits on top of `base` within ±`limit`; 0 where `part` is no number.
 #[inline(always)]
 fn room(base: f32, part: f32, limit: f32, most: f32) -> f32 {
-    let left = if part > 0.0 { limit - base } else { limit + base };
+    let space = if part > 0.0 { limit - base } else { limit + base };
     let size = part.abs();
-    if size * most <= left {
+    if size * most <= space {
         most
-    } else if size > 0.0 && left > 0.0 {
-        // At most `most`, because left < size · most.
-        left / size
+    } else if size > 0.0 && space > 0.0 {
+        // At most `most`, because space < size · most.
+        space / size
     } else {
         0.0
     }
@@ -198,7 +199,7 @@ mod tests {
 
     fn cut(gravity: [f32; 3], rendered: [f32; 3], rest: [f32; 3], limit: [f32; 3]) -> [f32; 3] {
         let total = core::array::from_fn(|i| gravity[i] + rendered[i] + rest[i]);
-        *Asked { total, gravity, rendered, force_squared: 0.0 }
+        *TorqueDemand { total, gravity, rendered, force_squared: 0.0 }
             .within::<3>(&Torques(limit), 5.0, &Leverage::default())
             .torque
     }
@@ -206,7 +207,7 @@ mod tests {
     #[test]
     fn a_force_beyond_its_limit_is_cut_to_it_and_the_feed_forward_with_it() {
         // 3-4-5: 10 N where 5 N may be, in torques that all fit.
-        let asked = Asked {
+        let asked = TorqueDemand {
             total: [1.0, 6.0 + 2.0, 8.0 + 1.0],
             gravity: [1.0, 0.0, 0.0],
             rendered: [0.0, 6.0, 8.0],
@@ -226,7 +227,7 @@ mod tests {
         let share = (2.0 - 2.0 / 64.0) / 8.0;
         assert_eq!(less[..2], [1.0, 6.0 * share + 2.0 / 64.0 * 2.0], "a joint may leave less than the force");
         for no_number in [f32::NAN, f32::INFINITY] {
-            let asked = Asked { force_squared: no_number, ..asked };
+            let asked = TorqueDemand { force_squared: no_number, ..asked };
             assert_eq!(
                 *asked.within::<3>(&Torques([50.0; 3]), 5.0, &Leverage::default()).torque,
                 [1.0, 0.0, 0.0],

@@ -2,7 +2,7 @@
 //! Limits are held to once a carrier period, in [`super::crest`]; what builds up is in [`super::budgets`].
 
 use super::{HostAction, Press, Servo};
-use crate::drive::bits::{left, left_between};
+use crate::drive::bits::{margin_bits, margin_bits_between};
 use crate::drive::stage::Stage;
 use crate::math::Math;
 use crate::model::catalogue::MAX_JOINTS;
@@ -64,9 +64,9 @@ where
     /// ones, and then the new ones are no looser.
     #[inline(never)]
     pub fn settle_next(&mut self) -> bool {
-        let Some(left) = self.unsettled.checked_sub(1) else { return false };
-        self.unsettled = left;
-        let (i, limits) = (usize::from(left), &self.rules.limits);
+        let Some(joint) = self.unsettled.checked_sub(1) else { return false };
+        self.unsettled = joint;
+        let (i, limits) = (usize::from(joint), &self.rules.limits);
         if let (Some(joint), Some(heat)) = (self.joints.get_mut(i), self.heat.get_mut(i)) {
             joint.stage.limit(limits.current[i]);
             let (steady, motor) = (limits.continuous_current[i], joint.stage.motor_current());
@@ -79,7 +79,7 @@ where
             self.fitting[i] = fitting(self.most_torque[i]);
         }
         self.set_crest_bounds_of(i);
-        left > 0
+        joint > 0
     }
 
     /// Puts the new rules in force for all joints.
@@ -136,7 +136,7 @@ where
             Some((age, allowed)) => ((allowed - age) / self.period) as u32,
             None => LOOK_AGAIN,
         };
-        let left = match self.rules.host_action {
+        let steps = match self.rules.host_action {
             HostAction::Ignore => LOOK_AGAIN,
             // It is listed.
             HostAction::Hold if self.fault.is_some() => LOOK_AGAIN,
@@ -144,7 +144,7 @@ where
                 (((self.rules.host_seconds - self.host_silent()) / self.period) as u32).min(LOOK_AGAIN)
             }
         };
-        self.host_expected = self.now.step.wrapping_add(left.min(key));
+        self.host_expected = self.now.step.wrapping_add(steps.min(key));
         self.forget_old_rates();
     }
 
@@ -167,7 +167,7 @@ where
             sum += qd;
         }
         // One check for all: a sum of finite numbers this small can only be infinite or NaN if one of them is.
-        left(sum, f32::MAX) | beyond(found.parallel) | self.host_expected.wrapping_sub(self.now.step) as i32
+        margin_bits(sum, f32::MAX) | beyond(found.parallel) | self.host_expected.wrapping_sub(self.now.step) as i32
     }
 
     /// [`Servo::watch`] of all joints, and of the torques as well.
@@ -182,7 +182,7 @@ where
     /// Negative where a torque that is asked of the J joints is no number.
     #[inline(always)]
     pub(super) fn not_finite<const J: usize>(&self) -> i32 {
-        self.now.found.asked.total.iter().take(J).fold(0, |least, torque| least | left(*torque, f32::MAX))
+        self.now.found.asked.total.iter().take(J).fold(0, |least, torque| least | margin_bits(*torque, f32::MAX))
     }
 
     /// Something is to be looked at: finds out what comes first, and turns the motors off where they must not go on.
@@ -254,7 +254,7 @@ fn fitting(most: f32) -> f32 {
 /// Negative where a closed loop is stretched so far that its tip force is not defined, and where that is not known.
 #[inline(always)]
 fn beyond(parallel: f32) -> i32 {
-    left_between(parallel, (TRIPPING_SINE, f32::MAX))
+    margin_bits_between(parallel, (TRIPPING_SINE, f32::MAX))
 }
 
 /// Counts between an index pulse at `count` and the nearest place where it should be: whole turns of `period` from the

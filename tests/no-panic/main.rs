@@ -73,5 +73,5 @@ pub extern "C" fn carrier_notes(servo: &mut OnBoard, seen: &Samples, frame: Opti
 // SAFETY: no other symbol of the image has this name.
 #[unsafe(no_mangle)]
 pub extern "C" fn carrier_sums(servo: &mut OnBoard, seen: &Samples, outputs: &mut Outputs) {
-    *outputs = compiled::sum_up(servo, seen);
+    *outputs = compiled::check_slow_faults(servo, seen);
 }

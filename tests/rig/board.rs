@@ -252,7 +252,7 @@ impl Board {
         assert!(limits.within(&self.most), "limits above the board's own: {limits:?}");
         let seen = self.seen();
         self.duties = self.machine.servo.duties(seen.bus_voltage, &seen.currents, false).map(f32::from);
-        self.bridges &= self.machine.servo.sum_up(&seen).bridges;
+        self.bridges &= self.machine.servo.check_slow_faults(&seen).bridges;
         let duties = self.duties;
         assert!(duties.iter().all(|duty| duty.abs() <= MAX_DUTY), "{duties:?} with {:?}", self.samples);
         if !state.drives() {

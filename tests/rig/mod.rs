@@ -327,7 +327,7 @@ impl Rig {
                 self.outputs = self.servo.control(&self.samples);
             }
             self.duties = self.servo.duties(self.samples.bus_voltage, &measured, false).map(f32::from);
-            self.outputs = self.servo.sum_up(&seen);
+            self.outputs = self.servo.check_slow_faults(&seen);
             for (i, current) in self.currents.iter_mut().enumerate() {
                 let turned = self.samples.counts[i].wrapping_sub(before[i]) as f32 * core::f32::consts::TAU;
                 let voltage = self.duties[i] * 24.0 - 0.1 * turned / COUNTS as f32 * self.rate;

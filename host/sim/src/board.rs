@@ -255,7 +255,7 @@ impl SimulatedBoard {
         self.countdown = self.countdown.saturating_sub(carriers);
         let duties = self.machine.servo.duties(bus_voltage, &currents, false);
         for _ in 0..carriers {
-            self.bridges &= self.machine.servo.sum_up(&samples).bridges;
+            self.bridges &= self.machine.servo.check_slow_faults(&samples).bridges;
         }
         if due {
             self.record();

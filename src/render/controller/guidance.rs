@@ -89,7 +89,7 @@ impl<T: Real> Guidance<T> {
         self.adds = self.any || self.pushed;
         if push.is_none_or(|push| push.plane.is_absent()) {
             let [of_plane, ..] = &mut self.washouts;
-            *of_plane = anew(of_plane);
+            *of_plane = restarted(of_plane);
         }
     }
 
@@ -117,7 +117,7 @@ impl<T: Real> Guidance<T> {
 
     /// Starts the washouts anew.
     pub fn forget(&mut self) {
-        self.washouts.iter_mut().for_each(|washout| *washout = anew(washout));
+        self.washouts.iter_mut().for_each(|washout| *washout = restarted(washout));
     }
 
     /// The force (N) at the tip, without what the host pushes with.
@@ -250,7 +250,7 @@ impl<T: Real> Guidance<T> {
 }
 
 /// The same design without a memory.
-fn anew<T: Real>(washout: &Washout<T>) -> Washout<T> {
+fn restarted<T: Real>(washout: &Washout<T>) -> Washout<T> {
     let mut fresh = Washout::default();
     fresh.retune(washout);
     fresh

@@ -99,7 +99,7 @@ impl<T: Real> Debt<T> {
 
     /// The share of the feed-forward that is left: all where nothing is owed, none from [`MOST_OWED`] on.
     #[inline(always)]
-    pub fn left(&self) -> T {
+    pub fn feed_forward_share(&self) -> T {
         (T::one() - self.owed * T::from_f64(1.0 / MOST_OWED)).greater(T::zero())
     }
 }

@@ -19,8 +19,8 @@ use crate::model::device::weigh_directions;
 use crate::model::mechanism::{Mechanism, Regularity, Shaped};
 use crate::model::precomputed::MassModel;
 use crate::render::controller::walls::{Acting, Active};
-use crate::render::found::{Asked, Found, Guided, put};
 use crate::render::scene::{Admissible, VelocityTerms};
+use crate::render::step_result::{Guided, StepResult, TorqueDemand, put};
 use nalgebra::SVector;
 
 mod round;
@@ -41,7 +41,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
     /// Writes what every step finds. Nothing is done, nor written, where the feed-forward does not act in full: the general
     /// step knows how it fades.
     #[inline(always)]
-    fn start(&mut self, counts: &[i32; N], found: &mut Found<T>) -> Option<Started<T, M::Pose, N>> {
+    fn start(&mut self, counts: &[i32; N], found: &mut StepResult<T>) -> Option<Started<T, M::Pose, N>> {
         let least = Regularity {
             serial: T::from_f64(FULL_REGULARITY),
             parallel: T::from_f64(FULL_REGULARITY * PARALLEL_REGULARITY),
@@ -66,7 +66,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
     /// Writes what is asked for: these torques (N m), what holds the device against gravity, and what there is beside walls,
     /// whose resultant is `force` (N).
     #[inline(always)]
-    fn total(&self, torque: &SVector<T, N>, force: impl FnOnce() -> SVector<T, N>, found: &mut Found<T>) {
+    fn total(&self, torque: &SVector<T, N>, force: impl FnOnce() -> SVector<T, N>, found: &mut StepResult<T>) {
         let mut total = *torque;
         if self.gravity {
             for i in 0..N.min(MAX_JOINTS) {
@@ -158,7 +158,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
 
 /// Adds what springs, fields and the host add to what is asked for the walls, whose resultant is `force` (N).
 #[inline(never)]
-fn add_guided<T: Real, const N: usize>(force: &SVector<T, N>, guided: &Guided<T>, asked: &mut Asked<T>) {
+fn add_guided<T: Real, const N: usize>(force: &SVector<T, N>, guided: &Guided<T>, asked: &mut TorqueDemand<T>) {
     let mut squared = T::zero();
     for i in 0..N.min(MAX_JOINTS) {
         let along = force[i] + guided.force[i];
@@ -201,7 +201,7 @@ impl StepVariant {
         if !usual {
             Self::General
         } else if walls.at_most_one() && !beside {
-            if planar && controller.turning_terms && walls.is_lone_ball() { Self::Round } else { Self::Wall }
+            if planar && controller.turning_terms && walls.is_single_ball() { Self::Round } else { Self::Wall }
         } else if planar && walls.are_stiff() && flat {
             Self::Several
         } else {

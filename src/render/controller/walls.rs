@@ -6,8 +6,8 @@ use super::Gains;
 use super::passivity::Debt;
 use crate::math::{Math, Real};
 use crate::model::inertia::frame_rate;
-use crate::render::found::AtWalls;
 use crate::render::scene::{Contact, FeedForward, MAX_WALLS, Scene, SceneError, Surface, Wall};
+use crate::render::step_result::AtWalls;
 use crate::render::velocity::{Coefficients, Velocity, Washout};
 use heapless::Vec;
 use nalgebra::SVector;
@@ -106,7 +106,7 @@ impl<T: Real> Running<T> {
             FeedForward::Washout => self.washout.step(force) * gain,
         };
         if let Some(debt) = debt {
-            pressed.shaped *= debt.left();
+            pressed.shaped *= debt.feed_forward_share();
         }
         pressed
     }
@@ -415,7 +415,7 @@ impl<T: Real> Walls<T> {
 
     /// The only wall of a scene that has one alone.
     #[inline(always)]
-    pub fn lone(&mut self) -> Option<&mut Running<T>> {
+    pub fn single(&mut self) -> Option<&mut Running<T>> {
         let [only] = self.running.as_mut_slice() else { return None };
         Some(only)
     }
@@ -433,7 +433,7 @@ impl<T: Real> Walls<T> {
     }
 
     /// Whether the scene has one ball alone, and that has the feed-forward.
-    pub fn is_lone_ball(&self) -> bool {
+    pub fn is_single_ball(&self) -> bool {
         let [only] = self.running.as_slice() else { return false };
         only.wall.surface.is_sphere() && only.own
     }

@@ -4,7 +4,7 @@ use super::super::Controller;
 use super::Started;
 use crate::math::{Math, Real};
 use crate::model::mechanism::{Mechanism, Shaped};
-use crate::render::found::Found;
+use crate::render::step_result::StepResult;
 use nalgebra::SVector;
 
 impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K, N> {
@@ -13,8 +13,8 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
     ///
     /// [`VelocityTerms::Rendered`]: crate::render::scene::VelocityTerms::Rendered
     #[inline(never)]
-    pub(in super::super) fn render_round(&mut self, counts: &[i32; N], found: &mut Found<T>) {
-        self.render_lone::<true>(counts, found);
+    pub(in super::super) fn render_round(&mut self, counts: &[i32; N], found: &mut StepResult<T>) {
+        self.render_single::<true>(counts, found);
     }
 
     /// Equation (4) for the force `force` (N) of the only wall, whose normal turns by `curvature` (1/m).

@@ -8,8 +8,8 @@ use super::super::walls::{Pulled, TOUCH_DEPTH, TOUCH_SHARE};
 use super::{Started, task_part};
 use crate::math::{Math, Real};
 use crate::model::mechanism::Mechanism;
-use crate::render::found::{AtWalls, Found, Guided, clear, put};
 use crate::render::scene::MAX_WALLS;
+use crate::render::step_result::{AtWalls, Guided, StepResult, clear, put};
 use heapless::Vec;
 use nalgebra::SVector;
 
@@ -42,7 +42,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
     /// There [`crate::model::principal`] has one level. With the stiffest direction e of the walls, the level's share s, and
     /// the force F, of which the part G is shaped, τ = s (4)(e, e·G) + Jᵀ(F - e s e·G).
     #[inline(never)]
-    pub(in super::super) fn render_several(&mut self, counts: &[i32; N], found: &mut Found<T>) {
+    pub(in super::super) fn render_several(&mut self, counts: &[i32; N], found: &mut StepResult<T>) {
         let Some(started) = self.start(counts, found) else {
             return self.render_generally(counts, found);
         };

@@ -4,8 +4,8 @@ use super::super::Controller;
 use super::Started;
 use crate::math::{Math, Real};
 use crate::model::mechanism::{Mechanism, Shaped};
-use crate::render::found::{AtWalls, Found, clear, put};
 use crate::render::scene::FeedForward;
+use crate::render::step_result::{AtWalls, StepResult, clear, put};
 use nalgebra::SVector;
 
 impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K, N> {
@@ -13,13 +13,13 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
     ///
     /// What is known is written at once, and equation (4) comes last: so few numbers have to be kept on the way.
     #[inline(never)]
-    pub(in super::super) fn render_wall(&mut self, counts: &[i32; N], found: &mut Found<T>) {
-        self.render_lone::<false>(counts, found);
+    pub(in super::super) fn render_wall(&mut self, counts: &[i32; N], found: &mut StepResult<T>) {
+        self.render_single::<false>(counts, found);
     }
 
     /// The same; `ROUND` as [`Controller::render_round`] has it.
     #[inline(always)]
-    pub(super) fn render_lone<const ROUND: bool>(&mut self, counts: &[i32; N], found: &mut Found<T>) {
+    pub(super) fn render_single<const ROUND: bool>(&mut self, counts: &[i32; N], found: &mut StepResult<T>) {
         let Some(started) = self.start(counts, found) else {
             return self.render_generally(counts, found);
         };
@@ -29,7 +29,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         }
         let Started { pose, place, .. } = started;
         let debt = self.passivity.debt(self.coefficients.rate());
-        let Some(running) = self.walls.lone() else {
+        let Some(running) = self.walls.single() else {
             found.at.walls = AtWalls::none();
             return self.untouched(found);
         };
@@ -77,7 +77,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
 
     /// Where no wall is touched.
     #[inline(always)]
-    fn untouched(&mut self, found: &mut Found<T>) {
+    fn untouched(&mut self, found: &mut StepResult<T>) {
         self.passivity.leave();
         clear::<T, N>(&mut found.motion);
         clear::<T, N>(&mut found.asked.rendered);

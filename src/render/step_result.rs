@@ -34,7 +34,7 @@ impl<T: Real> AtWalls<T> {
 
 /// Where the device is and what touches it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct At<T> {
+pub struct DeviceState<T> {
     /// Joint angles, rad.
     pub q: [T; MAX_JOINTS],
     /// Filtered joint velocities, rad/s.
@@ -47,7 +47,7 @@ pub struct At<T> {
 
 /// Joint torques of one control step by what they are for.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Asked<T> {
+pub struct TorqueDemand<T> {
     /// All of them together, N m.
     pub total: [T; MAX_JOINTS],
     /// What holds the device against gravity, N m.
@@ -69,11 +69,11 @@ pub(crate) struct Guided<T> {
 
 /// All of it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Found<T> {
+pub struct StepResult<T> {
     /// Where the device is and what touches it.
-    pub at: At<T>,
+    pub at: DeviceState<T>,
     /// What the scene asks of the joints.
-    pub asked: Asked<T>,
+    pub asked: TorqueDemand<T>,
     /// What of that springs, fields and the host add, where a straight step has worked it out.
     pub(crate) guided: Guided<T>,
     /// J⁻¹ n: joint motion per metre of tip motion along the normal of the deepest wall, rad/m; zero out of contact.
