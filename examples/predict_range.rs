@@ -1,4 +1,4 @@
-//! How stiff a wall may be, predicted without and with the feed-forward: `cargo run -p haptic --example predict_range`.
+//! Predicts how stiff a wall may be without and with the feed-forward: `cargo run -p haptic --example predict_range`.
 
 use haptic_host::device_file::DeviceFile;
 use haptic_predict::analysis::plant::{Drive, Linearised};

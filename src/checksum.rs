@@ -7,7 +7,7 @@ pub fn crc32(bytes: &[u8]) -> u32 {
     crc.sum()
 }
 
-/// What four bits at the end of a checksum become: the polynomial divided out of them.
+/// The contribution of the last four bits of a checksum: the polynomial divided out of them.
 const NIBBLES: [u32; 16] = {
     let mut table = [0; 16];
     let mut nibble = 0;

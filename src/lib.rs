@@ -30,7 +30,7 @@
 pub mod checksum;
 pub mod math;
 
-/// What the device is: the maker's description, one file for each mechanism, and the inertia it feels like.
+/// The device: the maker's description, one file for each mechanism, and the inertia it feels like.
 pub mod model {
     pub mod admissible;
     pub mod catalogue;
@@ -62,7 +62,7 @@ pub mod drive {
     pub mod stage;
 }
 
-/// What keeps the person at the device safe: faults, refusals, limits.
+/// The protection of the person at the device: faults, refusals, limits.
 pub mod safety {
     pub mod fault;
     pub mod limits;
@@ -72,7 +72,7 @@ pub mod safety {
 
 pub mod servo;
 
-/// What a board says and keeps: its protocol, settings and telemetry, and the service behind them.
+/// The board's interface and memory: its protocol, settings and telemetry, and the service behind them.
 pub mod board {
     pub mod configuration;
     pub mod dispatch;

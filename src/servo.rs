@@ -55,7 +55,7 @@ pub struct Servo<P, S = Axis> {
     weighs: bool,
     /// The same while the motors are on and every joint has a range: a crest then takes one pass. Else 0.
     usual: u8,
-    /// Whether the scene has faded in and no pulse is to be looked at.
+    /// True if the scene has faded in and no pulse is to be looked at.
     in_force: bool,
     /// Negative unless it is so and the last step commanded all that was asked.
     steady: i32,
@@ -65,16 +65,17 @@ pub struct Servo<P, S = Axis> {
     supplied: f32,
     /// The step after which the host has been silent for too long.
     host_expected: u32,
-    /// What each joint may be asked for and needs no clamp, N m, and what all of it may be at the tip, N, with its square.
+    /// The torque that each joint may be asked for without a clamp, N m; then the largest force at the tip, N, and its
+    /// square.
     fitting: [f32; MAX_JOINTS],
     most_force: f32,
     most_force_squared: f32,
-    /// What torques are worth at the tip, as of a fraction of a millisecond ago.
+    /// The forces at the tip for joint torques, as of a fraction of a millisecond ago.
     leverage: Leverage,
     flow: budgets::Flow,
     now: Now,
     joints: [Joint<S>; MAX_JOINTS],
-    /// What each joint may be asked for, N m.
+    /// The largest torque that each joint may be asked for, N m.
     most_torque: Torques,
     hardware: Hardware,
     period: f32,
@@ -86,19 +87,19 @@ pub struct Servo<P, S = Axis> {
     key: Option<Press>,
     rules: Rules,
     host: host_force::HostForce,
-    /// What acted before the present scene, while it fades out.
+    /// The torques that acted before the present scene, while they fade out.
     fade: fade::Fade,
-    /// What a step commanded that was not all of what was asked, and which one.
+    /// The torques of the last step that commanded less than all that was asked, and that step.
     cut: fade::Acted,
     cut_at: u32,
     /// The joint whose turn it is at the next valley.
     turn: usize,
-    /// How many joints are not yet held to the rules, see [`Servo::settle_next`].
+    /// Number of joints that are not yet held to the rules, see [`Servo::settle_next`].
     unsettled: u8,
-    /// What heat the motors hold, whatever device is loaded.
+    /// The heat of the motors, whatever device is loaded.
     heat: [Heat; MAX_JOINTS],
     first_index: [Option<i32>; MAX_JOINTS],
-    /// Where index pulses were seen since the last step.
+    /// Index pulses seen since the last step.
     marks: Option<[Option<i32>; MAX_JOINTS]>,
     polarity: polarity::PolarityCheck,
     /// The counts of the home at which the polarity was found, see `polarity_known`.
@@ -166,7 +167,7 @@ where
         &self.heat
     }
 
-    /// What telemetry records of the last step, with the present state.
+    /// The telemetry record of the last step, with the present state.
     #[inline(always)]
     pub fn frame(&self) -> StepRecord {
         StepRecord::of(&self.now, self.state)
@@ -206,7 +207,7 @@ where
         }
     }
 
-    /// What the scene alone asks.
+    /// Renders the scene alone.
     #[inline(always)]
     fn render_scene(&mut self, counts: &Counts) {
         if let Some(program) = self.program.as_mut() {
@@ -231,7 +232,7 @@ where
         self.steady = -1;
     }
 
-    /// What the bridges may do.
+    /// The permission of the bridges to drive.
     #[inline(always)]
     fn outputs(&self) -> Outputs {
         Outputs { bridges: self.state.drives() }
@@ -243,9 +244,10 @@ where
         self.count.into()
     }
 
-    /// What each motor's legs do over the next carrier period, from the bus voltage (V) and what was sampled of each motor:
-    /// for brushed motors currents (A) to duties, signed, ±[`MAX_DUTY`](crate::drive::stage::MAX_DUTY). No voltage unless
-    /// armed. `late` is whether they apply from the next crest on instead of the next valley, see [`Stage::drive`].
+    /// The drive of each motor's legs over the next carrier period, from the bus voltage (V) and each motor's sample:
+    /// for brushed motors currents (A) to duties, signed, ±[`MAX_DUTY`](crate::drive::stage::MAX_DUTY). No voltage
+    /// unless armed. `late` is true if they apply from the next crest on instead of the next valley, see
+    /// [`Stage::drive`].
     pub fn duties(
         &mut self,
         bus_voltage: f32,
@@ -311,7 +313,7 @@ where
         }
     }
 
-    /// What every control step begins with: it is counted.
+    /// Begins every control step by counting it.
     #[inline(always)]
     fn begin_step(&mut self) {
         self.now.step = self.now.step.wrapping_add(1);
@@ -399,7 +401,7 @@ where
         self.steady = if self.in_force && self.now.motors.limited == 0 { 0 } else { -1 };
     }
 
-    /// Whether the last step commanded something else than all that was asked.
+    /// Returns true if the last step commanded something else than all that was asked.
     fn was_cut(&self) -> bool {
         self.cut_at == self.now.step
     }
@@ -458,7 +460,7 @@ where
         for (i, joint) in self.joints.iter_mut().enumerate().take(J) {
             joint.stage.command(granted.torque[i]);
             motors.torque[i] = limited(granted.torque[i], joint.stage.max_torque());
-            // Another torque than was asked, by more than its way through a current rounds; also where that is no number.
+            // True if the torque is the requested one, up to the rounding of its way through a current; false for NaN.
             let kept = (wanted[i] - motors.torque[i]).abs() <= 1.0e-5 * wanted[i].abs();
             motors.limited |= u8::from(!kept) << i;
         }

@@ -1,10 +1,10 @@
-//! What it takes to add something is what docs/architecture.md says: the places where one that is there is named are
-//! the files of its row; where a test can add one, the row names the test that adds a toy.
+//! Measures the work of adding something, as docs/architecture.md tells it: a row's files are the places where an
+//! existing one is named; where a test can add one, the row names the test that adds a toy.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-/// What the product is made of.
+/// The parts of the product.
 const PRODUCT: [&str; 17] = [
     "src",
     "host/src",
@@ -28,7 +28,7 @@ const PRODUCT: [&str; 17] = [
 /// A row of the table, with those of its kind that are there and touch all of its files between them.
 struct Row {
     name: &'static str,
-    /// What names them.
+    /// The words that name them.
     words: &'static [&'static str],
     /// The stems of their own files, where they have one.
     stems: &'static [&'static str],
@@ -118,7 +118,7 @@ const ROWS: [Row; 11] = [
         ],
         stems: &["h_bridge_f405", "odrive_v3"],
         users: &[
-            // What runs on one of them.
+            // This program runs on one of them.
             "emulator/programs/src/bin/board/main.rs",
             "emulator/src/campaign.rs",
             "emulator/src/cases.rs",
@@ -141,7 +141,7 @@ const ROWS: [Row; 11] = [
     },
 ];
 
-/// What its files end with.
+/// The endings of its files.
 const ENDINGS: [&str; 4] = ["rs", "toml", "py", "pyi"];
 
 fn root() -> &'static Path {
@@ -168,7 +168,7 @@ fn code(text: &str) -> String {
     product.lines().map(|line| line.split("//").next().unwrap_or_default()).collect::<Vec<_>>().join("\n")
 }
 
-/// Whether a word stands in a text by itself.
+/// Returns true if a word stands in a text by itself.
 fn names(text: &str, word: &str) -> bool {
     let part = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
     text.match_indices(word).any(|(at, _)| !text[..at].ends_with(part) && !text[at + word.len()..].starts_with(part))

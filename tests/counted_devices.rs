@@ -7,12 +7,12 @@ use haptic_bridge::model::description::{Description, Joint};
 #[path = "../benches/chip/devices.rs"]
 mod devices;
 
-/// What a joint's step is made of: inertia, viscous and dry friction, counts a turn.
+/// The parameters of a joint's step: inertia, viscous and dry friction, counts a turn.
 fn stepped(joint: &Joint) -> [f64; 4] {
     [joint.inertia, joint.viscous, joint.coulomb, joint.encoder.map_or(0.0, |encoder| encoder.counts_per_turn)]
 }
 
-/// Whether two numbers are the same but for the last places of a decimal.
+/// Returns true if two numbers are the same but for the last places of a decimal.
 fn same(counted: &[f64], shipped: &[f64]) -> bool {
     counted.len() == shipped.len()
         && counted.iter().zip(shipped).all(|(a, b)| (a - b).abs() <= 8.0 * f64::EPSILON * a.abs().max(b.abs()))

@@ -1,5 +1,5 @@
-//! What is fast is what is general, number for number: a crest in one pass against the same crest piece by piece, and a
-//! current loop far from its limits against the one for any time.
+//! The fast paths give the same numbers as the general ones: a crest in one pass against the same crest piece by piece,
+//! and a current loop far from its limits against the one for any time.
 
 use crate::rig::{self, device, five_bar, hardware, paddle, scene, wall};
 use haptic_bridge::drive::brushed::Axis;
@@ -191,7 +191,7 @@ impl Pair {
 
     fn agree(&self, seen: &Samples) {
         let [one, other] = self.servos.each_ref().map(|servo| (servo.frame(), servo.status(), *servo.heat()));
-        // Text takes long; it alone tells zeros apart, and finds what is no number the same.
+        // Text takes long; but it tells zeros of either sign apart, and compares NaN as equal.
         if one != other || self.crests.is_multiple_of(ASKED) {
             assert_eq!(told(&one), told(&other), "{seen:?}");
         }
@@ -201,8 +201,8 @@ impl Pair {
         self.servos[0].status().state
     }
 
-    /// Whether the next crest takes one pass, as far as the servo knows beforehand, and whether it does so though the limits
-    /// cut the step before it.
+    /// Returns true if the next crest takes one pass, as far as the servo knows beforehand, and whether it does so
+    /// though the limits cut the step before it.
     fn is_usual(&self) -> [bool; 2] {
         let told = told(&self.servos[0]);
         let usual = !told.contains(" usual: 0,");
@@ -221,7 +221,7 @@ fn devices() -> [Description; 3] {
     [paddle(), heavy, arm]
 }
 
-/// What an episode is disturbed by.
+/// The disturbance of an episode.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Trouble {
     Nothing,
@@ -269,7 +269,7 @@ const TROUBLES: [Trouble; 19] = [
 
 fn drawn_scene(description: &Description, trouble: Trouble, drawn: &mut Drawn) -> Scene<f32> {
     let task = if description.kind == Kind::Paddle { 1 } else { 2 };
-    // Where it stands at home is learned from a scene without walls.
+    // A scene without walls tells its position at home.
     let mut bare = Pair::new(description, &scene(task, &[]), rig::rules());
     bare.home();
     let tip = bare.servos[0].status().tip;

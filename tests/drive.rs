@@ -26,11 +26,11 @@ fn bridge(current_sensed: bool) -> Bridge {
 struct Winding {
     motor: Motor<f32>,
     speed: f32,
-    /// What the drive is told of it, rad/s.
+    /// The speed that the drive is told of it, rad/s.
     seen_speed: f32,
     dead_time: f32,
     current: f32,
-    /// What stands across it.
+    /// The voltage across it, as a duty.
     duty: f32,
 }
 
@@ -214,9 +214,9 @@ fn a_step_beyond_the_bus_takes_longer_and_one_of_another_motor_settles() {
     }
 }
 
-/// How far the current of a winding L/R (s) overshoots a step whose voltage is applied at once while a loop of
-/// `bandwidth` (rad/s) integrates what is missing: with s = L/R d/dt and x = bandwidth L/R the error obeys
-/// e'' + e' + x e = 0, e(0) = 1, e'(0) = -1, and its least value is the overshoot. Found by stepping the equation.
+/// Overshoot of the current of a winding L/R (s) after a step whose voltage is applied at once while a loop of
+/// `bandwidth` (rad/s) integrates the error: with s = L/R d/dt and x = bandwidth L/R the error obeys e'' + e' + x e =
+/// 0, e(0) = 1, e'(0) = -1, and its least value is the overshoot. Found by stepping the equation.
 fn overshoot(winding: f64, bandwidth: f64) -> f64 {
     let (x, h) = (bandwidth * winding, 1.0e-4);
     let (mut error, mut rate, mut least) = (1.0_f64, -1.0_f64, 0.0_f64);
@@ -407,7 +407,7 @@ fn without_supply_there_is_no_duty() {
     }
 }
 
-/// Between two steps nothing commands a torque anew, at 200 Hz for a hundred crests.
+/// Between two steps, at 200 Hz for a hundred crests, the torque is not commanded again.
 #[test]
 fn a_current_limit_that_is_lowered_acts_at_the_next_crest_without_a_step() {
     let motor = Motor { max_current: 20.0, ..motor() };

@@ -1,4 +1,4 @@
-//! What fades, between the steps in which it is held to the tip's limit.
+//! A fade stays within the tip's limit between the steps that check it.
 
 use crate::rig::statics::worth;
 use crate::rig::{Rig, five_bar, hardware, limits, rules, scene};

@@ -1,4 +1,4 @@
-//! What equation (4) promises, asked of the whole control step: with the feed-forward nothing accelerates but the
+//! The promises of equation (4), asked of the whole control step: with the feed-forward nothing accelerates but the
 //! rendered directions, on flat and on curved walls and in corners; with the washout a resting hand feels no sideways
 //! force.
 
@@ -79,7 +79,7 @@ fn solve<const N: usize>(matrix: nalgebra::SMatrix<f64, N, N>, mut right: SVecto
     right
 }
 
-/// What the tip does under the torques of a step that follows a steady motion through `q` at `qd`.
+/// The motion of the tip under the torques of a step that follows a steady motion through `q` at `qd`.
 struct Outcome<const N: usize> {
     place: SVector<f64, N>,
     velocity: SVector<f64, N>,
@@ -110,7 +110,7 @@ fn outcome<M: Mechanism<f64, N>, const N: usize>(
     }
 }
 
-/// Where the centre of a round wall lies from the tip, m.
+/// The centre of a round wall from the tip, m.
 const HERE: [f64; 3] = [0.03, -0.04, 0.02];
 
 /// A sphere or cylinder whose surface passes near `place`, seen from outside or inside.

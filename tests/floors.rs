@@ -43,7 +43,7 @@ impl Source {
         self.path.join("::")
     }
 
-    /// What it uses that is not below it.
+    /// The modules it uses that are not below it.
     fn upward(&self) -> Vec<String> {
         let own = level(self.floor()).unwrap_or_else(|| panic!("{} is on no floor", self.floor()));
         let other = |path: &&Vec<String>| path[0] != self.floor() && level(&path[0]).is_none_or(|other| other >= own);
@@ -80,7 +80,7 @@ impl Reader {
                 name => place.push(name.to_string()),
             }
         }
-        // What the crate's root itself exports (macros, `super` from a floor's own file) is no module.
+        // The exports of the crate's root itself (macros, `super` from a floor's own file) are no module.
         if place.len() > 1 || place.first().is_some_and(|name| level(name).is_some()) {
             self.paths.push(place);
         }
@@ -284,7 +284,7 @@ fn an_import_that_runs_up_or_across_is_found() {
 /// The crates of this computer's side, the tool last. Cargo sees to it that none imports one above it.
 const HOST: [&str; 5] = ["host/src", "host/sim/src", "host/predict/src", "host/show/src", "host/tool/src"];
 
-/// What the library, which boards share, must not know by name.
+/// Names that the library, which boards share, must not know.
 const FOREIGN: [&str; 6] = ["odrive", "h-bridge", "stm32", "f405", "cortex", "embassy"];
 
 /// Which of these words stand in a source, comments aside.

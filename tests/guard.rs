@@ -10,7 +10,7 @@ use haptic_bridge::safety::refusal::Refusal;
 use haptic_bridge::servo::joints::Counts;
 use haptic_bridge::servo::{Beat, Command, HostAction, Press};
 
-/// How a fault is provoked.
+/// The way a fault is provoked.
 enum Origin {
     /// The step sees it; the function arms a board and brings it to the step before.
     Step(fn() -> Rig),
@@ -219,7 +219,7 @@ fn origin(fault: Fault) -> Origin {
     }
 }
 
-/// How soon the bridges are off, in words, for docs/faults.csv.
+/// The time until the bridges are off, in words, for docs/faults.csv.
 fn off(fault: Fault) -> &'static str {
     match fault {
         Fault::ControlOverrun
@@ -299,7 +299,7 @@ fn an_index_may_come_late_by_what_the_joint_moved_and_is_learned_only_at_rest() 
     assert_eq!(shown((0, 1_000), (0, 61_003)), None);
 }
 
-/// What a sensor shows of a bridge that is off, it will be wrong by: no limit of what is measured holds that.
+/// A sensor's reading of a bridge that is off is its later error: no limit on measured currents holds that.
 #[test]
 fn a_sensor_that_is_off_its_zero_by_half_of_the_tips_limit_arms_nothing() {
     let shown = |current: f32, command: fn() -> Command<Held>| {
@@ -342,7 +342,7 @@ fn rules_that_are_sent_again_and_again_put_no_force_limit_off() {
     assert!(settling(&rig) <= 0.0, "{}", settling(&rig));
 }
 
-/// `UPDATE_DOCS=1 cargo test guard` writes it anew.
+/// `UPDATE_DOCS=1 cargo test guard` rewrites it.
 #[test]
 fn the_table_in_the_documentation_is_the_table_of_the_code() {
     let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/faults.csv");
@@ -457,8 +457,8 @@ fn what_loses_counts_loses_homing_too() {
     assert!(provoked(Fault::OverCurrent).servo.status().homed);
 }
 
-/// What brings each about in the image is written by `cargo xtask faults`, where a fault without an injector does not
-/// build (emulator/src/inject.rs).
+/// `cargo xtask faults` writes the injection of each fault in the image; a fault without an injector does not build
+/// there (emulator/src/inject.rs).
 #[test]
 fn every_fault_was_brought_about_in_the_image_or_it_says_why_it_cannot_be() {
     let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/results/faults.csv");

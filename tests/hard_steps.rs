@@ -1,4 +1,4 @@
-//! The control step over long times, far angles, wrapping counters, into singularities, and fed with what is no number.
+//! The control step over long times, far angles, wrapping counters, into singularities, and fed with NaN and infinity.
 
 use crate::common::device_file::shipped;
 use crate::hard_cases::rows::steps::{controller, counts, encoded, scene, three};
@@ -223,7 +223,7 @@ fn every_pose_of_every_shipped_device_gives_finite_torques() {
     }
 }
 
-/// What no sender should send.
+/// Values that a sender should never send.
 const POISON: [f32; 7] =
     [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX, f32::MIN_POSITIVE / 8.0, -1.0e-45, -0.0];
 

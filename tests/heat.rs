@@ -16,7 +16,7 @@ fn motor_of(most: f32, steady: f32) -> Heat {
     heat
 }
 
-/// The same, of which nobody knows how warm it is.
+/// The same motor with unknown heat.
 fn unknown(most: f32, steady: f32) -> Heat {
     let mut heat = Heat::UNKNOWN;
     heat.limit(most, steady);
@@ -134,12 +134,12 @@ fn heat_that_nobody_knows_is_never_more_than_half_of_the_budget_in_force() {
         heat.limit(3.0, 5.0);
         heat.limit(3.0, 1.0);
         assert!((heat.held() - 16.0).abs() < 0.01, "or it trips until it is switched off: {heat:?}");
-        // What it has cooled counts, also where there is more to guess at.
+        // Its cooling counts, also where there is more to guess at.
         assert_eq!(trips(&mut heat, 0.0, 4.0), None);
         assert!((heat.held() - 12.0).abs() < 0.01, "{heat:?}");
         heat.limit(4.0, 1.0);
         assert!((heat.held() - 26.0).abs() < 0.01, "{heat:?}");
-        // What is known stays: 6 A² s more, of which no budget takes any away.
+        // Known heat stays: 6 A² s more, of which no budget takes any away.
         assert_eq!(trips(&mut heat, 2.0, 2.0), None);
         heat.limit(2.0, 1.0);
         assert!((heat.held() - 12.0).abs() < 0.01, "half of 12, and 6: {heat:?}");

@@ -12,7 +12,7 @@ use haptic_bridge::servo::joints::Torques;
 use haptic_bridge::servo::{Command, HostAction, Rules};
 use nalgebra::Vector2;
 
-/// What rounding does to a torque on its way through a current and back.
+/// Rounding of a torque on its way through a current and back.
 const ROUNDING: f32 = 1.0e-5;
 
 /// A five-bar in free space, armed, standing still.
@@ -501,8 +501,8 @@ fn a_host_pushes_on_however_long_the_rate_has_been_the_same() {
     assert_eq!(rig.state(), State::Armed);
 }
 
-/// What is refused steers nothing: a program whose every request comes too late, or is wrong, has lost the device. One that
-/// looks is there where it names the state that it saw before.
+/// A refused request steers nothing: a program whose every request comes too late, or is wrong, has lost the device.
+/// One that only looks is counted as present if it names the state that it saw before.
 #[test]
 fn a_request_that_is_taken_and_a_look_that_follows_another_tell_the_board_that_its_host_is_there() {
     let watched = Rules { host_action: HostAction::Disarm, host_seconds: 0.5, ..rules() };

@@ -53,7 +53,7 @@ impl Rig {
         self.execute(Command::Beat(beat)).expect("never refused");
     }
 
-    /// What a tool says of its key that is down, where it was told this very step.
+    /// A tool's message of its key that is down, told at this very step.
     fn press(&self) -> Press {
         Press { holder: 1, seen: self.servo.steps() }
     }
@@ -82,7 +82,7 @@ fn held(action: HostAction) -> (Rig, Press) {
 #[test]
 fn motors_that_a_key_holds_go_off_when_it_is_not_seen_again_whatever_the_rules_say_of_hosts() {
     type Says = fn(&Rig, Press) -> Option<Beat>;
-    // What a queue or a thread says that has lost sight of the key: the same again, or what was seen before.
+    // The messages of a queue or a thread that has lost sight of the key: the same again, or an earlier sight.
     let same: Says = |_, last| Some(Beat::Held(last));
     let earlier: Says = |_, last| Some(Beat::Held(Press { seen: last.seen - 10, ..last }));
     // One key has one holder, and tools without a key neither feed it nor let it go.
@@ -152,7 +152,7 @@ fn a_press_that_comes_late_does_not_arm_and_one_that_arms_holds_from_when_it_was
     rig.beat(Beat::Held(press));
     assert_eq!(rig.execute(Command::ArmHeld(press)), refused);
     assert_eq!(rig.execute(Command::ArmHeld(Press { seen: rig.press().seen + 1, ..press })), refused, "not yet been");
-    // Nobody counted for how long steps of another rate took.
+    // The duration of steps at another rate is unknown.
     let press = rig.press();
     rig.run(0.1);
     rig.load(&paddle(), &Scene { rate_hz: 2.0 * RATE, ..quiet() }, true).unwrap();

@@ -1,4 +1,4 @@
-//! What the shared control library does: one statement about the device in each module's name.
+//! The behaviour of the shared control library: one statement about the device in each module's name.
 
 mod common;
 mod golden;

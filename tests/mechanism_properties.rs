@@ -1,4 +1,4 @@
-//! What must hold of every mechanism at every regular pose, on devices drawn at random.
+//! Properties of every mechanism at every regular pose, on devices drawn at random.
 //!
 //! Mass matrix, gravity and tip are compared with rigid bodies placed one by one (common/bodies.rs); velocity terms
 //! with derivatives of the mass matrix; each hand-written kernel of the control step with the matrices it stands for.
@@ -189,7 +189,7 @@ fn kernels_are_the_matrices_they_stand_for<M: Mechanism<f64, N>, const N: usize>
     Ok(())
 }
 
-/// What the paper's equations (1) to (4) say of one wall in matrices, against all that [`Inertia`] holds.
+/// The paper's equations (1) to (4) for one wall in matrices, against every field of [`Inertia`].
 fn inertia_is_what_the_paper_says<M: Mechanism<f64, N>, const N: usize>(case: &Case<M, N>) -> Outcome {
     let (m, pose, qd) = (&case.m, case.pose(), &case.qd);
     let (jacobian, mass) = (m.jacobian(&pose), m.mass(&pose));

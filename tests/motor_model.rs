@@ -1,5 +1,5 @@
-//! What the model of a motor shows and what it does not mistake for a fault: sensors that lie or that a board has not,
-//! open and warm windings, encoders that stand still.
+//! The model of a motor finds faults and does not mistake other things for them: sensors that lie or are missing, open
+//! and warm windings, encoders that stand still.
 
 use crate::rig::{RATES, Rig, hardware, paddle, quiet, rules, scene, wall};
 use haptic_bridge::safety::fault::{Fault, State};

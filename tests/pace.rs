@@ -55,7 +55,7 @@ fn a_loop_at_a_wrong_pace_is_not_fed_until_the_watchdog_bites() {
     }
 }
 
-/// What is wrong in single looks is found though it cancels over several.
+/// An error in single looks is found even if it cancels over several.
 #[test]
 fn a_loop_that_runs_in_fits_is_found() {
     let mut pace = Pace::new(1_000);

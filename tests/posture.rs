@@ -47,8 +47,7 @@ fn torque(scene: &Scene<f64>, q: &Vector3<f64>, qd: &Vector3<f64>) -> Vector3<f6
     (-80..=0).map(|k| steps.step(&counts(&(q + qd * (f64::from(k) / RATE)))).torque).last().expect("steps")
 }
 
-/// What it does by virtual work: φ = q₀ + q₁ + q₂, so a moment f on the last link is f at every joint, stretched or
-/// not.
+/// Its effect by virtual work: φ = q₀ + q₁ + q₂, so a moment f on the last link is f at every joint, stretched or not.
 #[test]
 fn it_is_a_moment_on_the_last_link() {
     let held = Posture { orientation: 2.6, stiffness: 0.4, damping: 0.03 };

@@ -255,10 +255,10 @@ fn two_hundred_saves_wear_both_sectors_alike_and_lose_nothing() {
     assert!((14..28).contains(&flash.erases), "{} erases in two hundred saves", flash.erases);
 }
 
-/// What a flash says of a setting.
+/// A flash's answer for a setting.
 type Asked = Result<Option<Vec<u8>>, StorageError>;
 
-/// What a flash with one bit flipped says of each setting, and the flash after it was asked.
+/// The answers of a flash with one bit flipped for each setting, and the flash afterwards.
 fn asked(mut flash: Sectors) -> (Vec<Asked>, Sectors) {
     let mut buffer = [0; LONGEST_STORED];
     let mut storage = Storage::new(&mut flash, RANGE, &mut buffer);
@@ -292,7 +292,7 @@ fn a_flipped_bit_is_reported_and_never_brings_back_what_was_saved_before() {
                 assert_eq!(read(save(after.reboot(), &now).reboot()).0, now, "byte {at}");
             }
         }
-        // Most bytes belong to one setting; the rest to the catalogue, which nobody misses.
+        // Most bytes belong to one setting; the rest to the catalogue, which is not needed.
         assert!(damaged > 1_300 && whole > 5 * damaged, "{damaged} damaged, {whole} whole");
     }
 }
@@ -421,7 +421,7 @@ fn a_flash_that_fails_once_says_which_settings_count_and_reading_writes_nothing(
     assert!(went_on > 100 && kept > 1, "{went_on} went on, {kept} kept what was there");
 }
 
-/// What reading all settings once costs the flash.
+/// The reads of the flash that all settings take once.
 fn reads(storage: &mut Storage<'_, &mut Sectors>) -> (usize, usize) {
     let so_far = |storage: &mut Storage<'_, &mut Sectors>| (storage.flash().operations, storage.flash().bytes_read);
     let before = so_far(storage);
@@ -463,8 +463,8 @@ fn after_the_start_reading_takes_no_search_and_no_write_whatever_the_flash_holds
     }
 }
 
-/// What went bad since the start is not mended by a reader either: neither entries nor sectors that end before they
-/// begin, which a start would erase.
+/// A reader does not mend damage that came after the start: neither entries nor sectors that end before they begin,
+/// which a start would erase.
 #[test]
 fn a_flash_that_goes_bad_while_the_board_runs_is_not_mended_by_reading_it() {
     let mut buffer = [0; LONGEST_STORED];

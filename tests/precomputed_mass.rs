@@ -85,7 +85,7 @@ fn a_bicubic_table_is_better_than_a_bilinear_one_with_as_many_cells() {
 
 #[test]
 fn a_table_within_the_memory_keeps_the_torque_of_every_device_within_a_thousandth() {
-    // What a mechanism with six distinct entries has room for.
+    // A mechanism with six distinct entries has room for this table.
     for error in every(Interpolation::Bicubic, 10) {
         assert!(error < 1.0e-3, "{error}");
     }
@@ -104,7 +104,7 @@ fn outside_its_grid_a_table_is_the_closed_form() {
         let (found, exact) = (table.shaping(&m, &q, &pose, &n).me, m.shaping(&pose, &n).me);
         assert!((found - exact).amax() < 1.0e-12 * exact.amax(), "{found} against {exact}");
     }
-    // For angles that are no numbers there is no panic.
+    // Angles that are NaN cause no panic.
     let pose = m.pose::<Libm>(&SVector::from([2.3, 0.8]));
     for broken in [f64::NAN, f64::INFINITY, -1.0e300] {
         table.shaping(&m, &SVector::from([broken, 0.8]), &pose, &n);
@@ -179,7 +179,7 @@ fn a_table_is_complete_only_when_every_chunk_came_in_order_and_unchanged() {
     assert!(!changed.is_complete(150, crc));
     assert!(!Receiving::default().take(0, &[f32::NAN]));
     assert!(!Receiving::default().take(0, &vec![0.0; TABLE_VALUES + 1]));
-    // A transfer that begins anew forgets the old one.
+    // A transfer that restarts forgets the old one.
     assert!(receiving.take(0, &values[..64]));
     assert!(!receiving.is_complete(150, crc));
 }

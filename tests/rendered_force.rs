@@ -1,4 +1,4 @@
-//! What is recorded as force is what was asked for, what was left of it, and which motor fell short.
+//! The recorded force is the one that was asked for, the part that remained, and the motor that fell short.
 
 use crate::rig::{COUNTS, RATE, Rig, five_bar, hardware, rules, scene, wall};
 use haptic_bridge::render::controller::Gains;

@@ -112,7 +112,7 @@ fn restore_rules(board: &mut Board) -> Result<(), Refusal> {
     board.ask::<CommitEntries>(&commit(&[Key::Rules])).expect("understood")
 }
 
-/// What a tool says of its key that is down now.
+/// A tool's message of its key that is down now.
 fn press(board: &mut Board) -> Press {
     Press { holder: SESSION, seen: board.ask::<Heartbeat>(&Beat::Here).expect("understood") }
 }
@@ -122,7 +122,7 @@ fn arm_held(board: &mut Board) -> Result<(), Refusal> {
     board.ask::<ArmHeld>(&press).expect("understood")
 }
 
-/// What a board says of [`rules`] with a share above 1: the first number of the first limit.
+/// The board's refusal of [`rules`] with a share above 1: the first number of the first limit.
 fn too_high(share: f32) -> Refusal {
     let value = share * Limits::default().torque[0];
     Refusal::BadLimit(BadLimit { limit: Limit::Torque, joint: Some(0), value, least: 0.0, most: 5.0 })
@@ -272,7 +272,7 @@ fn no_limit_beyond_the_boards_own_and_no_wild_number_passes() {
         (Limit::Power, 20.0, |limits, _, to| limits.power = to),
         (Limit::TipForce, 1_000.0, |limits, _, to| limits.tip_force = to),
     ];
-    /// What was refused, when nothing else was.
+    /// The limit that was refused, if nothing else was.
     fn refused(answer: Result<(), Refusal>) -> BadLimit {
         match answer {
             Err(Refusal::BadLimit(bad)) => bad,
@@ -310,7 +310,7 @@ fn no_limit_beyond_the_boards_own_and_no_wild_number_passes() {
     }
 }
 
-/// What no sender should send.
+/// Values that a sender should never send.
 const POISON: [f32; 7] =
     [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX, f32::MIN_POSITIVE / 8.0, -1.0e-45, -0.0];
 
@@ -620,7 +620,7 @@ fn a_restore_is_one_change_or_none() {
     assert_eq!(refused.ask::<CommitEntries>(&both).unwrap(), Err(too_high(1.5)));
     assert_eq!(now(&mut refused), before);
 
-    // All of it.
+    // All settings fit and are taken together.
     let mut done = board(false);
     done.ask::<CommitEntries>(&both).unwrap().unwrap();
     assert_eq!(now(&mut done), (wild, Some(heavier())));
@@ -737,7 +737,7 @@ fn a_frozen_mass_matrix_comes_back_with_its_scene() {
     assert_eq!(board.ask::<Save>(&()).unwrap(), Ok(()));
     let saved = board.ask::<ReadEntry>(&Key::MassModel).unwrap();
     board.ask::<Restart>(&()).unwrap().unwrap();
-    // What is in force is what a save writes.
+    // A save writes the settings in force.
     assert_eq!(board.ask::<Save>(&()).unwrap(), Ok(()));
     assert_eq!(board.ask::<ReadEntry>(&Key::MassModel).unwrap(), saved);
 }

@@ -1,4 +1,4 @@
-//! What the servo refuses, what it keeps, and how it comes on and goes off.
+//! The servo's refusals and memory, and the way it turns on and off.
 
 use crate::rig::{self, RATE, Rig, five_bar, hardware, limits, paddle, rules, scene, wall};
 use core::f64::consts::TAU;
@@ -362,7 +362,7 @@ fn a_lowered_tip_force_holds_what_still_fades_from_the_scene_before() {
         rig.step();
         let force = rig.servo.frame().motors.torque[0].abs() / 0.1;
         assert!(force <= 0.5 * 1.001, "{force} N");
-        // What is left of the 2 N goes on fading over half a second.
+        // The rest of the 2 N goes on fading over half a second.
         assert!(force > 0.4, "{force} N");
     }
     assert_eq!(rig.state(), State::Armed);

@@ -240,8 +240,8 @@ fn a_backup_in_words_of_that_time_reads_too() {
     assert!(serde_json::from_value::<Scene<f32>>(wrong).is_err());
 }
 
-/// What boards in the field hold: these bytes were written once and must decode to the same values for ever, or their
-/// version must change. `UPDATE_GOLDEN=1 cargo test settings` rewrites them after a version was raised.
+/// The bytes that boards in the field hold: they were written once and must decode to the same values for ever, or
+/// their version must change. `UPDATE_GOLDEN=1 cargo test settings` rewrites them after a version was raised.
 #[test]
 fn entries_written_by_earlier_firmware_are_byte_for_byte_what_this_one_writes() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden/settings.txt");

@@ -1,5 +1,5 @@
-//! What stands between a joint's torque and its motor is anything that implements `Stage`: two toys, in the servo that
-//! ships. Limits, watch and thermal budget hold for them as for a brushed motor.
+//! Anything that implements `Stage` can stand between a joint's torque and its motor: two toys run here in the servo
+//! that ships. Limits, watch and thermal budget hold for them as for a brushed motor.
 
 use crate::rig::{COUNTS, device, hardware, limits, paddle, rules, scene, wall};
 use haptic_bridge::drive::stage::{Bridge, Stage, Supply};
@@ -17,7 +17,7 @@ use haptic_bridge::servo::{Command, Servo};
 #[derive(Clone, Copy, Debug, Default)]
 struct SetPoint {
     torque_constant: f32,
-    /// What a set-point of 1 means, A.
+    /// The current of a set-point of 1, A.
     full_scale: f32,
     max_current: f32,
     target: f32,
@@ -65,7 +65,7 @@ impl Stage for SetPoint {
     }
 }
 
-/// What is sampled of a motor with three phases: two currents, A, and the rotor's electrical angle, rad.
+/// The samples of a motor with three phases: two currents, A, and the rotor's electrical angle, rad.
 #[derive(Clone, Copy, Debug, Default)]
 struct Phases {
     currents: [f32; 2],

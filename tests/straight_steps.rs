@@ -19,7 +19,7 @@ const STEPS: usize = 100;
 const COUNTS_PER_TURN: f64 = 20_000.0;
 const RATE: f64 = 20_000.0;
 
-/// What the host pushes with in each direction, N.
+/// The host's force in each direction, N.
 const PUSH: f64 = 0.3;
 
 /// Numbers in [0, 1), the same at every run (Knuth's 64-bit linear congruence, the upper half).
@@ -36,7 +36,7 @@ impl Stream {
     }
 }
 
-/// How often something happened that a straight step does by a way of its own.
+/// Number of events that a straight step handles in a way of its own.
 #[derive(Default, Debug)]
 struct Seen {
     empty: usize,
@@ -132,7 +132,7 @@ fn pushed_plane<T: Real>(draw: &mut Draw<'_>, place: &[f64], task: usize) -> Pus
     PushedPlane { normal: normal.map(T::from_f64), offset, stiffness, damping }
 }
 
-/// How large the forces beside walls are, one by one (N), and how much the normals' turning accelerates the tip, m/s².
+/// The sizes of the forces beside walls, one by one (N), and the tip's acceleration by the normals' turning, m/s².
 fn besides<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize>(
     mechanism: &M,
     scene: &Scene<T>,
@@ -157,11 +157,11 @@ fn besides<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize>(
     (springs.sum::<f64>() + plane + scene.field_damping.to_f64() * speed, bends.sum())
 }
 
-/// How many roundings of the size of a torque's parts it may be off by: some forty operations lie between the parts
-/// and the torque of one wall, and twice as many where several act (at most 6 seen).
+/// Allowed error in roundings of the size of a torque's parts: some forty operations lie between the parts and the
+/// torque of one wall, and twice as many where several act (at most 6 seen).
 const ROUNDINGS: f64 = 16.0;
 
-/// How many roundings torques and forces are apart.
+/// Difference of torques and forces in roundings.
 fn roundings<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize>(
     mechanism: &M,
     fast: &Step<T, N>,
@@ -170,7 +170,7 @@ fn roundings<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize>(
 ) -> f64 {
     let pose = mechanism.pose::<K>(&slow.q);
     let largest = |v: &SVector<T, N>| v.iter().fold(0.0_f64, |most, x| most.max(x.to_f64().abs()));
-    // What goes through Jᵀ in each direction may be much larger than what comes out of it together; and so may what the
+    // The parts that go through Jᵀ in each direction may be much larger than their sum; and so may the parts that the
     // inertia takes in each direction.
     let (mut through, mut shaped, mut weighs) = (0.0, 0.0, 0.0);
     for i in 0..M::SPEC.task {
@@ -252,7 +252,7 @@ fn wander<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize>(
         let apart = roundings::<T, M, K, N>(mechanism, &fast, &slow, beside);
         assert!(apart <= ROUNDINGS, "{}: {apart} roundings at {at:?} of {scene:?}", M::SPEC.name);
         seen.apart = seen.apart.max(apart);
-        // Where several walls' forces add up, the order is another, too.
+        // Where several walls' forces add up, the order of the sum differs, too.
         let fast = Step { torque: slow.torque, rendered: slow.rendered, force_squared: slow.force_squared, ..fast };
         assert_eq!(fast, slow, "{} at {at:?} of {scene:?}", M::SPEC.name);
         seen.straight +=

@@ -51,7 +51,7 @@ fn a_row_holds_its_fields_in_their_order() {
     assert_eq!(batch.rows[16..], [0x21], "armed, two walls");
 }
 
-/// What a reader takes apart one by one is written at once: the bytes are the same.
+/// A batch is written at once, with the same bytes that a reader takes apart one by one.
 #[test]
 fn a_batch_is_what_postcard_says() {
     let mut packer = packer(Fields::USUAL, 1, 2);
@@ -139,7 +139,7 @@ proptest! {
         let received: usize = arrived.iter().map(|batch| batch.rows.len() / width(batch)).sum();
         prop_assert_eq!(received + lost_on_link, sent);
         prop_assert_eq!(sent + dropped as usize, fate.len());
-        // What a reader can tell: rows are where they say they are, and batches that the link lost leave a gap.
+        // A reader can tell that rows are where they say they are, and that batches that the link lost leave a gap.
         for batch in &arrived {
             if Fields(fields).has(Field::Angle) {
                 for (row, step) in (0..).zip(0..batch.rows.len() / width(batch)) {

@@ -56,7 +56,7 @@ fn an_angle_without_parts_of_a_turn_is_taken_in_radians() {
     assert_eq!((known(5) - Angle::of_radians(1.0)).binary, None);
 }
 
-/// How far sine and cosine of the analysis are from the right ones: absolutely, and as a share of them.
+/// Error of the analysis' sine and cosine: absolute, and as a share of them.
 fn fine(angle: f64) -> [f64; 2] {
     let (sine, cosine) = FineTable::sin_cos(angle);
     let (exact_sine, exact_cosine) = angle.sin_cos();

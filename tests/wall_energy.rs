@@ -1,4 +1,5 @@
-//! What a wall gives out while a hand slides along it: derived from Λ, done by the torques, and told as `energy`.
+//! The energy that a wall gives out while a hand slides along it: derived from Λ, done by the torques, and told as
+//! `energy`.
 //!
 //! At rest a wall with the feed-forward in full is the force field f(x) Λn/(nᵀΛn). Its normal part has a potential; the
 //! rest of it is f γ along the wall, γ = tᵀΛn/(nᵀΛn), and so a loop that presses to the depth d, slides, lets go and
@@ -19,7 +20,7 @@ const COUNTS_PER_TURN: f64 = 1.0e9;
 const RATE: f64 = 1_000.0;
 /// Steps of each leg of a loop.
 const STEPS: u32 = 1_000;
-/// What is owed where the passivity controller leaves no feed-forward, J (src/render/controller/passivity.rs).
+/// Debt from which on the passivity controller leaves no feed-forward, J (src/render/controller/passivity.rs).
 const MOST_OWED: f64 = 1.0e-3;
 
 /// A loop at the home of a shipped device.
@@ -30,10 +31,10 @@ struct Case {
     stiffness: f64,
     /// m
     depth: f64,
-    /// Where the slide begins, by its distance from home, and its length, m.
+    /// The beginning of the slide, by its distance from home, and its length, m.
     from: f64,
     slide: f64,
-    /// What an independent simulation gained, whose slide may have begun elsewhere, J.
+    /// The gain in an independent simulation, whose slide may have begun elsewhere, J.
     gained: f64,
 }
 
@@ -60,9 +61,9 @@ const CASES: [Case; 2] = [
 
 /// Energies (J) of loops, one entry for each.
 struct Loops {
-    /// What the torques did, less what they took.
+    /// The work of the torques, less the work they took.
     done: Vec<f64>,
-    /// What the controller tells at the end of contact: taken up, negative where given out.
+    /// The controller's sum at the end of contact: taken up, negative where given out.
     told: Vec<f64>,
     /// f(d) ∫ γ ds of one loop.
     derived: f64,
@@ -171,7 +172,7 @@ fn a_hand_gains_what_the_sideways_push_does_along_its_slide_and_telemetry_tells_
         assert!((derived / case.gained - 1.0).abs() < 0.1, "{}: {derived} J derived", case.device);
         // Torques that are held through each step are behind by half a step.
         assert!(done.iter().all(|done| (done / derived - 1.0).abs() < 0.005), "{}: {done:?} J done", case.device);
-        // What is owed of one loop is not forgotten in the next.
+        // The debt of one loop is not forgotten in the next.
         assert!((told[0] + done[0]).abs() < 1e-2 * done[0], "{}: {told:?} told of {done:?}", case.device);
         assert!((told[1] + done[0] + done[1]).abs() < 1e-2 * done[0], "{}: {told:?} told of {done:?}", case.device);
     }

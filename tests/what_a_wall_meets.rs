@@ -1,4 +1,4 @@
-//! What a wall meets beyond the paper's (4) as it stands: moving linkages, gains other than 1, other coordinates held.
+//! A wall's effects beyond the paper's (4) as it stands: moving linkages, gains other than 1, other coordinates held.
 //!
 //! Expectations are equations of motion solved here: M q̈ + c + g = τ with the controller's torque, and inertias from
 //! J and M by elimination. Nothing of the library's inertia module is asked.
@@ -52,7 +52,7 @@ fn wall(surface: Surface<f64>) -> Wall<f64> {
     }
 }
 
-/// What one step of the controller does to the device.
+/// The effect of one controller step on the device.
 struct Outcome {
     /// n·p̈ + ṅ·ṗ, m/s².
     rendered: f64,
@@ -248,8 +248,8 @@ fn a_redundant_arm_holds_the_coordinate_that_the_scene_names() {
 
 #[test]
 fn a_joint_that_the_null_motion_does_not_move_is_let_go_smoothly() {
-    // Where the third link is in line with the second, or the arm bends the other way, some joint's share of the null
-    // motion passes zero; the torque stays what a bounded one is.
+    // If the third link is in line with the second, or the arm bends the other way, some joint's share of the null
+    // motion passes zero; the torque stays bounded.
     let (name, _, _, normal) = CASES[3];
     for admissible in [Admissible::Joint0, Admissible::Joint1, Admissible::Joint2] {
         let met = |third: f64| {

@@ -57,10 +57,10 @@ fn panic(_: &PanicInfo<'_>) -> ! {
     }
 }
 
-/// Where a pose lies from home, rad; every pose of every device below is regular.
+/// Poses away from home, rad; every pose of every device below is regular.
 const POSES: [[f32; MAX_JOINTS]; 6] =
     [[0.0; 3], [0.15, 0.2, -0.1], [-0.2, -0.15, 0.25], [0.3, 0.1, 0.2], [-0.1, 0.25, -0.2], [0.1, -0.2, -0.15]];
-/// What stands in the scene.
+/// The contents of the scene.
 #[derive(Clone, Copy, PartialEq)]
 enum Walls {
     None,
@@ -158,8 +158,8 @@ fn variants<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
             _ => MassModel::table::<M>(&grid, &values).unwrap_or_default(),
         };
         for (term, walls, feed_forward, velocity_terms) in TERMS {
-            // What else a scene may hold is counted with the board's own functions alone, and all but a ball with the
-            // closed form alone.
+            // Other scenes are counted with the board's own functions alone, and all but a ball with the closed form
+            // alone.
             let shipped = K::NAME == Tabulated::NAME && (kind == "exact" || *walls == Walls::Ball);
             if *walls != Walls::One && !shipped {
                 continue;

@@ -52,7 +52,7 @@ pub fn configure(adc: Adc, channels: &[u8]) {
     });
 }
 
-/// Whether both have finished the sequence that the crest started.
+/// Returns true if both have finished the sequence that the crest started.
 #[inline(always)]
 pub fn finished(one: Adc, other: Adc) -> bool {
     Sr(one.sr().read().0 & other.sr().read().0).jeoc()

@@ -1,4 +1,5 @@
-//! What a board is ([`Board`]), and which one this image is for ([`This`]): one file per board, one Cargo feature each.
+//! The interface of a board ([`Board`]), and the one this image is for ([`This`]): one file per board, one Cargo
+//! feature each.
 
 // Two features name `This` twice, which no image compiles with.
 #[cfg(not(any(feature = "odrive-v3", feature = "h-bridge-f405", feature = "toy-board")))]
@@ -52,8 +53,9 @@ impl Pin {
         Self((port as u8 - b'A') << 4 | number)
     }
 
-    /// Whether nothing holds it, so that it follows the chip's own pulls, down and up and once more: what is held between
-    /// the two levels may look like either, and stays. Call while it is an input; leaves it one without a pull.
+    /// Returns true if nothing outside holds the pin, so that it follows the chip's own pulls: down, up and down again.
+    /// A pin held between the two levels reads as stuck. Call it while the pin is an input; it leaves the pin an input
+    /// without a pull.
     pub fn is_open(self) -> bool {
         let (port, number) = (PORTS[usize::from(self.0 >> 4 & 3)], usize::from(self.0 & 15));
         let pulls = [(Pupdr::PULL_DOWN, Idr::LOW), (Pupdr::PULL_UP, Idr::HIGH)];
@@ -67,11 +69,11 @@ impl Pin {
     }
 }
 
-/// What tells a board from the others before any of its pins is driven: pins that something on the board holds at a
-/// level, and pins that lead nowhere. The chip pulls at each of them with its own 40 kohm, and a pin that leads nowhere
-/// follows. None of them leads to a gate, an enable line or an input of a bridge on any board: on a wrong one such a pin
-/// would be pulled towards on. EN_GATE of an ODrive, for one, would come to stand at 1.8 V between the chip's 40 kohm and
-/// the 50 kohm inside its two drivers.
+/// Pins that tell one board from another before any pin is driven: some are held at a level by the board, others lead
+/// nowhere. The chip pulls at each of them with its own 40 kohm, and a pin that leads nowhere follows. None of them
+/// leads to a gate, an enable line or an input of a bridge on any board: on the wrong board the pull would move such a
+/// pin towards on. EN_GATE of an ODrive, for example, would rest at 1.8 V between the chip's 40 kohm and the 50 kohm
+/// inside its two drivers.
 pub struct Signs {
     /// Held at a level.
     pub held: &'static [Pin],
@@ -83,21 +85,21 @@ pub struct Signs {
 pub trait Board {
     /// Its name, as the host shows it.
     const NAME: &'static str;
-    /// What it is known by.
+    /// The pins that identify it.
     const SIGNS: Signs;
     /// Motors that it can drive, at most [`MAX_JOINTS`].
     const AXES: usize;
-    /// What the drive needs to know of its bridges.
+    /// Data of its bridges that the drive needs.
     const BRIDGE: Bridge;
-    /// What nobody can raise over USB.
+    /// Limits that cannot be raised over USB.
     const LIMITS: Limits;
-    /// What it is when the power stage reports a fault.
+    /// The fault to record when the power stage reports one.
     const POWER_FAULT: Fault;
     /// Faults that it has no means to see.
     const UNSENSED: &'static [Fault];
-    /// What the control interrupt owns.
+    /// The part that the control interrupt owns.
     type Io: Io;
-    /// What tasks own.
+    /// The part that the tasks own.
     type Gate: Gate;
 
     /// Bridges off. Plain register writes: works in any state of the program, even in a fault handler.
@@ -109,12 +111,13 @@ pub trait Board {
     fn split(p: Peripherals, carrier: Carrier, board: bool) -> (Self::Io, Option<Self::Gate>, Common);
 }
 
-/// What the control interrupt owns of a board: encoders, conversions, bridges. Every function is bounded in time.
+/// The part of a board that the control interrupt owns: encoders, conversions, bridges. Every function is bounded in
+/// time.
 pub trait Io {
     /// Brings encoder counts up to date, one per axis; they were 0 at power-on.
     fn follow(&mut self, counts: &mut Counts);
 
-    /// Whether index pulses were seen since [`Io::marks`].
+    /// Returns true if index pulses were seen since [`Io::marks`].
     fn marked(&self) -> bool;
 
     /// The counts of encoders whose index pulse was seen since the last call.
@@ -124,7 +127,8 @@ pub trait Io {
     /// once would make every reading after it a crest old, or torn between two.
     fn forget(&mut self);
 
-    /// Whether the conversions that the crest started have finished, and whether they do when they are waited for.
+    /// Returns true if the conversions that the crest started have finished, and whether they do when they are waited
+    /// for.
     fn sampled(&self) -> bool;
     fn await_samples(&self) -> bool;
 
@@ -140,7 +144,7 @@ pub trait Io {
     /// Connects the bridges to the carrier, or lets them float. Off also drops the gate drivers or the enable line.
     fn drive(&mut self, on: bool);
 
-    /// Whether the power stage reports a fault; only true to be asked while it is up.
+    /// Returns true if the power stage reports a fault; only true to be asked while it is up.
     fn fault(&self) -> bool;
 
     /// The carrier in use.
@@ -153,7 +157,7 @@ pub trait Io {
     fn start(&mut self);
 }
 
-/// What every board hands to its tasks.
+/// Peripherals that every board hands to its tasks.
 pub struct Common {
     /// The USB device and its two pins.
     pub usb: (Peri<'static, USB_OTG_FS>, Peri<'static, PA12>, Peri<'static, PA11>),

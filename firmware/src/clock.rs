@@ -18,8 +18,8 @@ pub const TIMER_HZ: u32 = 168_000_000;
 /// The supply monitor's line of the interrupt controller.
 const SUPPLY_LINE: usize = 16;
 
-/// What the chip calls itself (RM0090 section 38.6.1), but for its first revision, A (errata sheet ES0182, "MCU device
-/// ID is incorrect").
+/// The chip's identity (RM0090 section 38.6.1), except for its first revision, A (errata sheet ES0182, "MCU device ID
+/// is incorrect").
 const NOT_REVISION_A: u16 = 0x413;
 
 /// Highest level of the supply monitor: 2.9 V (STM32F405 datasheet, table 19).
@@ -79,7 +79,7 @@ pub fn start() -> Peripherals {
 }
 
 /// Hides most of the flash's five wait states: 64 lines of instructions, 8 of data, and the next line fetched ahead
-/// (RM0090 section 3.5.2). A reset leaves all of it off, and so does embassy; the control interrupt would then take
+/// (RM0090 section 3.5.2). A reset leaves all three off, and so does embassy; the control interrupt would then take
 /// twice the time. Fetching ahead does not work in revision A.
 fn accelerate() {
     let prefetch = pac::DBGMCU.idcode().read().dev_id() == NOT_REVISION_A;

@@ -27,7 +27,7 @@ const CONTROL_2_VALUE: u16 = 3 << 2;
 /// Inputs of both amplifiers shorted and off the shunts.
 const CALIBRATE: u16 = 0b11 << 4;
 
-/// What the shunt amplifiers see.
+/// The quantity that the shunt amplifiers see.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Inputs {
     /// Nothing: what they show is their offset.
@@ -98,7 +98,7 @@ impl Drv8301 {
         Ok(())
     }
 
-    /// Whether the control registers are as [`Drv8301::configure`] wrote them.
+    /// Returns true if the control registers are as [`Drv8301::configure`] wrote them.
     pub fn read_back(&mut self, bus: &mut Bus, inputs: Inputs) -> Result<(), GateError> {
         let control_1 = self.read(bus, CONTROL_1)?;
         let control_2 = self.read(bus, CONTROL_2)?;

@@ -80,7 +80,7 @@ impl telemetry::Frames for FrameReader {
     fn drop_first(&mut self) {
         let place = self.0.first.load(Ordering::Relaxed);
         if place != self.0.next.load(Ordering::Relaxed) {
-            // What was read of it is over.
+            // The frame has been read; the place is free from here on.
             compiler_fence(Ordering::Release);
             self.0.first.store(after(place), Ordering::Relaxed);
         }

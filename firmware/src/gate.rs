@@ -1,4 +1,5 @@
-//! What tasks do with a board's power stage: ready it before the motors may be armed, and see that it stays so.
+//! The tasks' side of a board's power stage: they ready it before the motors may be armed, and check that it stays
+//! ready.
 
 use haptic_bridge::safety::fault::Fault;
 
@@ -8,11 +9,11 @@ pub trait Gate {
     /// everything is off again.
     fn raise(&mut self) -> Result<(), GateError>;
 
-    /// Whether it still is as [`Gate::raise`] left it.
+    /// Returns true if it still is as [`Gate::raise`] left it.
     fn check(&mut self) -> Result<(), GateError>;
 }
 
-/// What can go wrong while the power stage is readied.
+/// Errors while the power stage is readied.
 #[derive(Clone, Copy, PartialEq, Debug, defmt::Format)]
 #[allow(dead_code, reason = "a board without gate drivers has fewer ways to fail")]
 pub enum GateError {
@@ -29,7 +30,7 @@ pub enum GateError {
 }
 
 impl GateError {
-    /// What a fault record keeps of it.
+    /// The number that a fault record keeps of it.
     pub fn value(self) -> f32 {
         match self {
             Self::Bus | Self::Readback => 0.0,

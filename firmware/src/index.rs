@@ -2,8 +2,8 @@
 //! looks at the latches. A pulse is seen at the step after it, so its count is late by at most what the joint moved in
 //! that step.
 //!
-//! No interrupt is enabled for them: the lines pend in the controller and nobody takes them. Index inputs are pins of
-//! port C, named by a mask of their bits, as they are in every register of the controller.
+//! No interrupt is enabled for them: the lines pend in the controller and are read there. Index inputs are pins of port
+//! C, named by a mask of their bits, as they are in every register of the controller.
 
 use embassy_stm32::pac;
 use embassy_stm32::pac::exti::regs::Lines;

@@ -81,10 +81,10 @@ pub async fn usb(mut device: UsbDevice<'static, UsbDriver>) -> ! {
     device.run().await
 }
 
-/// How often the servo is looked at for new faults.
+/// Interval at which the servo is checked for new faults.
 const WATCH: Duration = Duration::from_millis(20);
 
-/// How often the telemetry queue is emptied: it holds 5 ms of frames at 20 kHz.
+/// Interval at which the telemetry queue is emptied: it holds 5 ms of frames at 20 kHz.
 const DRAIN: Duration = Duration::from_millis(1);
 
 /// Answers the host, sends telemetry and new faults. `previous` is how the last run ended, if that was a fault.

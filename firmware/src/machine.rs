@@ -31,7 +31,7 @@ use crate::watchdog;
 /// Programs that exist at most: the one that runs and the one that replaces it.
 const PROGRAMS: usize = 2;
 
-/// What the tasks own of the board.
+/// The part of the board that the tasks own.
 pub struct BoardMachine {
     requests: Requests,
     /// Frames of the telemetry stream.
@@ -91,7 +91,7 @@ impl BoardMachine {
             return Err(Refusal::Faulted(record.fault));
         }
         let gate = self.gate.as_mut().ok_or(Refusal::NotSupported)?;
-        // An earlier arming may have left the drivers up; nobody has watched them since the motors went off.
+        // An earlier arming may have left the drivers up, and they have not been watched since the motors went off.
         lower_gate();
         let raised = gate.raise();
         servo::shared().gate_ready.store(raised.is_ok(), Ordering::Relaxed);
@@ -111,7 +111,7 @@ impl BoardMachine {
         if !servo::shared().gate_ready.load(Ordering::Relaxed) {
             return;
         }
-        // What ended before the control interrupt had connected the bridges left the drivers up.
+        // An arming that ended before the control interrupt had connected the bridges left the drivers up.
         if !self.status().state.drives() {
             return lower_gate();
         }

@@ -26,7 +26,7 @@ pub fn outputs<const N: usize>(pins: [Flex<'static>; N], alternate_function: u8)
 pub fn lock(port: Gpio, pins: u16) {
     const KEY: u32 = 1 << 16;
     let pins = u32::from(pins);
-    // A write of anything else in between would start the sequence anew; no interrupt writes here.
+    // Any other write in between would restart the sequence; no interrupt writes here.
     for word in [KEY | pins, pins, KEY | pins] {
         port.lckr().write(|w| w.0 = word);
     }
@@ -37,18 +37,18 @@ pub fn lock(port: Gpio, pins: u16) {
     }
 }
 
-/// What a bridge's timer is told once.
+/// Settings that a bridge's timer gets once.
 pub struct PwmConfig {
     /// Which of channels 1..3 drive a bridge; the others stay off.
     pub channels: [bool; 3],
     /// Dead time between the two switches of a half bridge, ticks of 1/168 MHz, at most 127.
     pub dead_time: u8,
-    /// Whether a low level on the break input cuts the outputs in hardware.
+    /// True if a low level on the break input cuts the outputs in hardware.
     pub break_input: bool,
 }
 
-/// Sets a timer up as a stopped carrier with its outputs off. Until its next reset nobody changes dead time, break input,
-/// idle levels, polarity or mode of its outputs; duties, period and the outputs' enable bit stay free.
+/// Sets a timer up as a stopped carrier with its outputs off. Until its next reset, dead time, break input, idle
+/// levels, polarity and mode of its outputs are locked; duties, period and the outputs' enable bit stay free.
 pub fn configure(timer: TimAdv, config: &PwmConfig, carrier: Carrier) {
     timer.cr1().write(|w| {
         w.set_cms(vals::Cms::CENTER_ALIGNED1);

@@ -17,7 +17,7 @@ use crate::board::{Board, This};
 const WRITTEN: u32 = 0x4C41_5354;
 const BOOT_LOADER: u32 = 0x4446_5521;
 
-/// What the program says about its own end. Plain words, so that any bit pattern is a valid value.
+/// The program's record of its own end. Plain words, so that any bit pattern is a valid value.
 #[repr(C)]
 #[derive(Clone, Copy)]
 struct LastWords {
@@ -55,7 +55,7 @@ pub enum ResetCause {
     Pin,
 }
 
-/// How the previous run ended.
+/// The end of the previous run.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, defmt::Format)]
 pub enum Previous {
     /// Nothing is on record.
@@ -66,7 +66,7 @@ pub enum Previous {
     HardFault,
     /// A fault while the stack pointer had left the stack.
     StackOverflow,
-    /// An interrupt that nobody handles.
+    /// An interrupt without a handler.
     UnexpectedInterrupt,
     /// The crystal stopped.
     ClockFailure,
@@ -74,12 +74,12 @@ pub enum Previous {
     SupplyDip,
 }
 
-/// What is known about the start of this run.
+/// Facts about the start of this run.
 #[derive(Clone, Copy)]
 pub struct Start {
     /// The reset's cause.
     pub cause: ResetCause,
-    /// How the previous run ended.
+    /// The end of the previous run.
     pub previous: Previous,
     /// Program counter of a fault, 0 when unknown; the line of a panic.
     pub pc: u32,
@@ -90,7 +90,7 @@ pub struct Start {
 }
 
 impl Start {
-    /// What the end of the previous run means for this one: a fault that stays latched until someone clears it.
+    /// The fault that the end of the previous run leaves for this one; it stays latched until someone clears it.
     pub fn fault(&self) -> Option<FaultRecord> {
         let (fault, value) = match (self.previous, self.cause) {
             (Previous::Panic, _) => (Fault::Panic, self.pc as f32),

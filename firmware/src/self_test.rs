@@ -1,5 +1,5 @@
-//! What is tested before motors may arm: RAM before any of it is used, the image in flash, and, before any pin is driven,
-//! that the board is the one that the image is for.
+//! Tests that run before motors may arm: RAM before any of it is used, the image in flash, and, before any pin is
+//! driven, that the board is the one that the image is for.
 //!
 //! A board that fails goes on as far as it can and says so, but never arms: [`failed`] is asked at every arming and
 //! every check of polarity.
@@ -114,8 +114,8 @@ static STRANGE_PIN: AtomicU8 = AtomicU8::new(UNTOLD);
 const UNTOLD: u8 = 0xFF;
 const NONE: u8 = 0xFE;
 
-/// Whether the chip is on the board that this image is for. Call once, while all pins are as a reset leaves them and the
-/// clock of the tasks runs; takes at most 4 ms.
+/// Returns true if the chip is on the board that this image is for. Call once, while all pins are as a reset leaves
+/// them and the clock of the tasks runs; takes at most 4 ms.
 pub fn board() -> bool {
     let Signs { held, open } = This::SIGNS;
     let strange = held.iter().find(|pin| pin.is_open()).or_else(|| open.iter().find(|pin| !pin.is_open()));
@@ -132,7 +132,7 @@ pub fn board() -> bool {
     strange.is_none()
 }
 
-/// What failed, if anything did.
+/// The test that failed, if any did.
 pub fn failed() -> Option<FaultRecord> {
     let address = RAM_FAILED.load(Ordering::Relaxed);
     let strange = STRANGE_PIN.load(Ordering::Relaxed);

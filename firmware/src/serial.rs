@@ -31,15 +31,15 @@ pub type Serial = CdcAcmClass<'static, UsbDriver>;
 /// Largest packet of a full-speed bulk endpoint.
 pub const PACKET: usize = 64;
 
-/// How long a host may take over the frames on their way until there is room for another. A turn of the link task sends three
-/// at most, and the watchdog wants to hear of it once a second.
+/// Longest time that a host may take over the queued frames before there is room for another. A turn of the link task
+/// sends three at most, and the watchdog must hear of it once a second.
 const PATIENCE: Duration = Duration::from_millis(100);
 
 /// Bytes that are copied by words.
 #[repr(align(4))]
 pub struct Aligned<const N: usize>(pub [u8; N]);
 
-/// What came from the host.
+/// An event on the link from the host.
 pub enum Event<'f> {
     /// A frame, decoded.
     Frame(&'f [u8]),
@@ -116,7 +116,7 @@ impl Outgoing {
         Self { frame, stalled: false }
     }
 
-    /// Where the next frame is to be written, not yet encoded.
+    /// Buffer for the next frame, before it is encoded.
     pub fn place(&mut self) -> &mut [u8] {
         &mut self.frame.bytes[2..][..MAX_FRAME]
     }
@@ -146,7 +146,7 @@ impl Outgoing {
     }
 }
 
-/// What leaves, as the USB core's interrupt sees it.
+/// Outgoing bytes, as the USB core's interrupt sees them.
 struct Leaving {
     sender: Sender<'static, UsbDriver>,
     waiting: Deque<&'static mut Frame, ON_THEIR_WAY>,
@@ -212,7 +212,7 @@ impl Leaving {
     }
 }
 
-/// What the USB core's interrupt does behind the driver's own handler.
+/// The USB core interrupt's work after the driver's own handler.
 pub struct HandOver;
 
 impl typelevel::Handler<typelevel::OTG_FS> for HandOver {

@@ -35,7 +35,7 @@ use crate::critical;
 use crate::frames::{FrameReader, Frames};
 use crate::warmth;
 
-/// What tasks ask of the control interrupt, one at a time.
+/// A request of the tasks to the control interrupt, one at a time.
 pub enum Request {
     /// Something for the servo.
     Command(Command<BoardProgram>),
@@ -51,7 +51,7 @@ pub enum Request {
     None,
 }
 
-/// What came of it.
+/// The outcome of a request.
 pub struct Answer {
     /// Of a command.
     pub reply: Reply<BoardProgram>,
@@ -61,9 +61,9 @@ pub struct Answer {
 
 /// A request and its answer, both with the task that asks: it waits.
 enum Exchange<'t> {
-    /// What tasks ask.
+    /// A request of the tasks.
     Request(Request, &'t mut Option<Answer>),
-    /// What the host asks the motors for, thousands of times a second.
+    /// A force request of the host, thousands of times a second.
     Force(&'t ForceRequest, &'t mut Option<ForceAnswer>),
 }
 
@@ -130,13 +130,13 @@ pub struct Shared {
 #[repr(C)]
 struct Step {
     io: <This as Board>::Io,
-    /// What was sampled at the last crest.
+    /// Samples of the last crest.
     seen: Samples,
     /// Compare values of the legs.
     legs: [[u16; 2]; MAX_JOINTS],
     ticks: Ticks,
-    /// What there is to do at crests before the next control step: how many have none, and what the last step left over,
-    /// see [`OVERRAN`]. And the same right after a step.
+    /// Work at crests before the next control step: the number of crests without a step, and flags that the last step
+    /// left, see [`OVERRAN`]. `after_step` is its value right after a step.
     before_step: u32,
     after_step: u32,
     /// The core's cycle count at the last valley.
@@ -150,13 +150,13 @@ struct Step {
     servo: BoardServo,
 }
 
-/// All of it, at one address.
+/// All state of the control interrupt, at one address.
 #[repr(C)]
 struct Control {
     shared: Shared,
     /// Start-up hands it to the interrupt for good.
     step: UnsafeCell<MaybeUninit<Step>>,
-    /// What a task asks, until it is answered.
+    /// A task's request, until it is answered.
     asked: AtomicPtr<Exchange<'static>>,
     frames: Frames,
 }
@@ -182,7 +182,7 @@ static CONTROL: Control = Control {
     frames: Frames::new(),
 };
 
-/// What the control interrupt shows, and is shown.
+/// The numbers that the control interrupt and the tasks share.
 pub fn shared() -> &'static Shared {
     &CONTROL.shared
 }
@@ -263,7 +263,7 @@ impl Step {
             let drives = compiled::crest(&mut self.servo, &self.seen, &self.ticks, &mut self.legs);
             self.write(drives);
         }
-        // What nobody waits for is left to the valley.
+        // Work that is not urgent is left to the valley.
         self.before_step = self.after_step;
         self.keep_time();
     }
@@ -364,8 +364,8 @@ impl Step {
         self.servo.mark(self.io.marks(&self.seen.counts));
     }
 
-    /// Whether the duties to be worked out now are late: whether the next valley is too near, or has just been, for them to
-    /// apply from it on, or was for one of the crests before this.
+    /// Returns true if the duties to be worked out now are late: whether the next valley is too near, or has just been,
+    /// for them to apply from it on, or was for one of the crests before this.
     #[inline(always)]
     fn is_late(&mut self) -> bool {
         // Core and timer count at the same frequency, and the timer down to its valley and up from it.
@@ -402,7 +402,7 @@ impl Step {
         }
     }
 
-    /// What is a fault while the motors are on.
+    /// Trips a fault that counts only while the motors are on.
     #[cold]
     #[inline(never)]
     fn trip_driving(&mut self, fault: Fault) {
@@ -477,9 +477,9 @@ impl Step {
         }
     }
 
-    /// What a valley has to do first while the bridges float: they begin to drive at an extreme of the carrier, here or, where
-    /// this interrupt is late, at the next crest. Between two extremes a bridge whose ends follow one channel and its
-    /// complement would give its motor the rest of half a period, whole amperes of it.
+    /// The first work of a valley while the bridges float: they begin to drive at an extreme of the carrier, here or,
+    /// where this interrupt is late, at the next crest. Between two extremes, a bridge whose ends follow one channel
+    /// and its complement would drive its motor for the rest of half a period, which is worth whole amperes.
     #[cold]
     #[inline(never)]
     fn valley_at_rest(&mut self) {
@@ -498,7 +498,8 @@ impl Step {
         }
     }
 
-    /// The bridges are to drive, and cannot yet because this interrupt was late. Where it always is, nobody waits forever.
+    /// The bridges should drive but cannot yet, because this interrupt was late. If it always is, this counts as missed
+    /// steps instead of waiting forever.
     fn wait_on(&mut self) {
         self.unconnected = self.unconnected.saturating_add(1);
         if self.unconnected > LATE_CRESTS {
@@ -506,7 +507,7 @@ impl Step {
         }
     }
 
-    /// Whether the bridges are to drive, and can.
+    /// Returns true if the bridges are to drive, and can.
     fn may_connect(&self) -> bool {
         self.servo.status().state.drives() && CONTROL.shared.gate_ready.load(Ordering::Relaxed)
     }
@@ -515,7 +516,7 @@ impl Step {
     fn connect(&mut self) {
         self.io.drive(true);
         self.driving = true;
-        // What a step took while they floated is of no interest.
+        // The duration of steps while they floated does not matter.
         self.before_step &= !OVERRAN;
     }
 
@@ -641,20 +642,20 @@ impl Step {
         DWT::cycle_count().wrapping_sub(self.valley_at)
     }
 
-    /// Whether what is past its valley is past the next crest, too.
+    /// Returns true if what is past its valley is past the next crest, too.
     fn outlasts(&self) -> bool {
         !past_valley() || self.since_valley() > 3 * u32::from(self.io.carrier().top)
     }
 }
 
-/// What is left over from a crest, beside crests: that it had no step, that bridges are to drive and do not yet, that its
-/// step overran, and that nobody knows of it yet.
+/// Flags that a crest leaves, above its count of crests without a step: the last crest had no step; the bridges should
+/// drive and do not yet; its step overran; its step is not recorded yet.
 const BETWEEN: u32 = 1 << 28;
 const UNCONNECTED: u32 = 1 << 29;
 const OVERRAN: u32 = 1 << 30;
 const UNRECORDED: u32 = 1 << 31;
 
-/// What there is to do right after a step.
+/// The work that is due right after a step.
 fn after_step(carrier: &Carrier) -> u32 {
     UNRECORDED | (u32::from(carrier.divider) - 1)
 }
@@ -672,13 +673,13 @@ const LEGS_CYCLES: u32 = 288 * (This::AXES as u32 + 1);
 /// of 0.1 mH at 24 V.
 const EXTREME_CYCLES: u32 = 252;
 
-/// Whether the carrier has passed a crest or a valley since this interrupt began.
+/// Returns true if the carrier has passed a crest or a valley since this interrupt began.
 #[inline(always)]
 fn passed_an_extreme() -> bool {
     pac::TIM1.sr().read().uif()
 }
 
-/// Whether the carrier has passed its valley since the crest.
+/// Returns true if the carrier has passed its valley since the crest.
 #[inline(always)]
 fn past_valley() -> bool {
     pac::TIM1.cr1().read().dir() == Dir::UP

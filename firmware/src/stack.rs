@@ -1,9 +1,9 @@
-//! How much of the stack was never used: start-up paints it (cortex-m-rt's `paint-stack`), and what is still painted
-//! from the bottom up was never touched. An overflow itself is a bus fault, see memory.x.
+//! Measures how much of the stack was never used: start-up paints it (cortex-m-rt's `paint-stack`), and paint that is
+//! left from the bottom up was never touched. An overflow itself is a bus fault, see memory.x.
 
 use core::ptr::addr_of;
 
-/// What the stack is painted with.
+/// The pattern that the stack is painted with.
 const PAINT: u32 = cortex_m_rt::STACK_PAINT_VALUE;
 
 unsafe extern "C" {

@@ -83,9 +83,8 @@ pub async fn supervise(mut watchdog: Watchdog) -> ! {
         let late_before = core::mem::replace(&mut late_steps, servo::shared().late_steps.load(Ordering::Relaxed));
         note_late(late_steps.wrapping_sub(late_before), steps.wrapping_sub(before));
         let elapsed = core::mem::replace(&mut looked, Instant::now()).elapsed().as_micros();
-        // While flash is written no step is taken. With the motors off a scene that the chip cannot keep up with is no
-        // reason to start anew with the same scene; a power stage that has only just come up is judged at the next
-        // look.
+        // While flash is written no step is taken. With the motors off, a scene that the chip cannot keep up with is no
+        // reason to restart with the same scene; a power stage that has only just come up is checked at the next look.
         let stalled = core::mem::replace(&mut stalls, watchdog::stalls()) != stalls;
         let up_before = core::mem::replace(&mut up, servo::shared().gate_ready.load(Ordering::Relaxed));
         let excused = stalled || !(up && up_before);

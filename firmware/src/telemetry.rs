@@ -38,7 +38,7 @@ impl TelemetryStream {
         self.last = None;
     }
 
-    /// Whether one is on.
+    /// Returns true if one is on.
     pub fn runs(&self) -> bool {
         self.last.is_some()
     }

@@ -1,5 +1,5 @@
-//! The motors' heat over a reset, in memory that start-up leaves alone. A motor does not cool because its board starts
-//! anew.
+//! The motors' heat over a reset, in memory that start-up leaves alone. A motor does not cool because its board
+//! restarts.
 
 use core::sync::atomic::AtomicU32;
 
@@ -9,7 +9,7 @@ use haptic_bridge::model::catalogue::MAX_JOINTS;
 #[unsafe(link_section = ".uninit.HEAT")]
 static HEAT: [AtomicU32; KEPT] = [const { AtomicU32::new(0) }; KEPT];
 
-/// What the run before left.
+/// The heat that the previous run left.
 pub fn take() -> [Heat; MAX_JOINTS] {
     heat::kept(&HEAT)
 }

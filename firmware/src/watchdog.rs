@@ -78,7 +78,7 @@ impl Watchdog {
     }
 }
 
-/// How often [`patient`] has been called.
+/// Number of calls of [`patient`].
 static STALLS: AtomicU32 = AtomicU32::new(0);
 
 /// Stretches so far in which the program may have stalled, wrapping.
@@ -100,7 +100,7 @@ fn reload() {
     pac::IWDG.kr().write(|w| w.set_key(Key::RESET));
 }
 
-/// Sets its time, and gives credit anew.
+/// Sets its time, and restarts the credit.
 fn set(ticks: u16) {
     BUSY.store(true, Ordering::Relaxed);
     pac::IWDG.kr().write(|w| w.set_key(Key::ENABLE));

@@ -12,7 +12,7 @@ const ZERO_WEIGHT: f32 = 1.0 / 32.0;
 /// Time for the zeros to settle, ms: at least 200 carrier periods.
 const ZERO_MS: u64 = 12;
 
-/// What the control interrupt does with readings while the bridges are off.
+/// The use of readings while the bridges are off.
 #[derive(Clone, Copy, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Zeroing {

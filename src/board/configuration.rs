@@ -1,4 +1,4 @@
-//! What a board is configured to do: a device, what is rendered on it, with which mass matrix and within which limits.
+//! The configuration of a board: a device, the scene rendered on it, its mass matrix and its limits.
 
 use crate::drive::carrier::RATE_HZ;
 use crate::model::device::Device;
@@ -6,7 +6,7 @@ use crate::model::precomputed::MassModelData;
 use crate::render::scene::{MAX_RATE_HZ, MIN_RATE_HZ, Scene};
 use crate::servo::Rules;
 
-// What a scene may ask for is what the carrier can give.
+// A scene may ask for any rate that the carrier can give.
 const _: () = assert!(RATE_HZ.0 as f64 == MIN_RATE_HZ && RATE_HZ.1 as f64 == MAX_RATE_HZ);
 
 /// A whole configuration. The service makes the next one beside the one in force and swaps them once it is accepted, so
@@ -17,7 +17,7 @@ pub struct Configuration {
     pub device: Option<Device<f32>>,
     /// The loaded scene.
     pub scene: Option<Scene<f32>>,
-    /// Where the step takes its mass matrix from.
+    /// Source of the mass matrix in the step.
     pub mass: MassModelData,
     /// Limits and rules.
     pub rules: Rules,

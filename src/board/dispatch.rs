@@ -16,7 +16,7 @@ use serde::{Serialize, de::DeserializeOwned};
 pub trait Described: Machine {
     /// Who it is.
     fn info(&self) -> Info;
-    /// What it measures of itself.
+    /// Measurements of the machine itself.
     fn measured(&mut self) -> Measured;
 }
 
@@ -103,7 +103,7 @@ impl Request<'_> {
     }
 }
 
-// What is generic is compiled where it is used, on a board for size; these are compiled here, for speed.
+// Generic code is compiled where it is used, on a board for size; these functions are compiled here, for speed.
 
 #[inline(never)]
 fn read_force(body: &[u8]) -> Option<ForceRequest> {
@@ -125,7 +125,7 @@ fn encode(header: &VarHeader, message: &impl Serialize, out: &mut [u8]) -> Optio
     Some(head + body)
 }
 
-/// Answers with the arm of the endpoint that is asked for; goes on where there is none.
+/// Answers with the arm of the requested endpoint; goes on if there is no such arm.
 macro_rules! serve {
     ($request:ident, $out:ident; $($Endpoint:ident: |$message:pat_param| $work:expr;)*) => {
         $(if $request.is::<$Endpoint>() {

@@ -95,9 +95,9 @@ pub struct Decoder {
     completed: usize,
     /// Bytes of the present block that are yet to come.
     left: usize,
-    /// Whether a zero stands between the present block and the next.
+    /// True if a zero stands between the present block and the next.
     zero: bool,
-    /// What is under way is longer than any frame.
+    /// The present frame is longer than any valid frame.
     overlong: bool,
 }
 
@@ -114,7 +114,7 @@ impl Decoder {
         let (mut length, mut left, mut zero) = (self.length, self.left, self.zero);
         let mut rest = bytes;
         loop {
-            // Where nothing special is among four of them, they go together.
+            // Four bytes go together if none of them is special.
             while let Some((&four, after)) = rest.split_first_chunk::<4>()
                 && let Some(place) = self.bytes.get_mut(length..).and_then(<[u8]>::first_chunk_mut)
             {

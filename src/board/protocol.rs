@@ -53,11 +53,11 @@ pub struct Info {
 /// The rest of what a board says of itself.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct Details {
-    /// What its owner calls it.
+    /// The name that its owner gave it.
     pub name: String<32>,
     /// Motor axes.
     pub axes: u8,
-    /// Whether there are real motors.
+    /// True if there are real motors.
     pub real: bool,
     /// Carrier frequency at the present control rate, Hz.
     pub carrier_hz: f32,
@@ -71,7 +71,7 @@ pub struct Details {
     pub walls: u8,
     /// Faults (their codes) that this board cannot sense as it is wired.
     pub unsensed: Vec<u8, 16>,
-    /// What was found wrong with the settings at boot.
+    /// Damage found in the settings at boot.
     pub damage: Vec<(Key, Damage), { Key::ALL.len() }>,
     /// Runs of the control interrupt that reached past the next crest since boot.
     pub overruns: u32,

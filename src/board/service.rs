@@ -1,4 +1,4 @@
-//! What the board answers: every request of the protocol as a plain function, without the link and without hardware.
+//! The board's answers: every request of the protocol is a plain function here, without the link and without hardware.
 //!
 //! Firmware and simulated board wrap the same [`Service`] in their own input and output, described by [`Machine`].
 //! Everything is checked here even though the tool has checked it: whatever comes over the link, nothing that the
@@ -26,7 +26,7 @@ use heapless::Vec;
 pub trait Machine {
     /// The trigonometry it computes with.
     type Math: Math<f32>;
-    /// How it holds a program: a box, or a static buffer.
+    /// The machine's storage for a program: a box, or a static buffer.
     type Held: DerefMut<Target = Program<Self::Math>>;
 
     /// Carries a command out between two control steps and waits for the answer.
@@ -44,7 +44,7 @@ pub trait Machine {
     fn retime(&mut self, rate_hz: f32);
     /// Writes the next entry of a setting aside, where it does not count yet.
     fn stage(&mut self, key: Key, entry: &[u8]) -> Result<(), Refusal>;
-    /// What has been staged for a setting since the start or the last commit.
+    /// The entry staged for a setting since the start or the last commit.
     fn staged(&mut self, key: Key) -> Option<Entry>;
     /// Makes what was staged for these settings count: all of them or, when the power goes, none.
     fn commit(&mut self, keys: &[Key]) -> Result<(), Refusal>;
@@ -52,7 +52,7 @@ pub trait Machine {
     fn load(&mut self, key: Key) -> Option<Entry>;
 }
 
-/// What only the machine itself can measure of what a board tells in [`Details`].
+/// The parts of [`Details`] that only the machine itself can measure.
 #[derive(Clone, Debug, Default)]
 pub struct Measured {
     /// Carrier frequency at the present control rate, Hz.
@@ -77,9 +77,9 @@ pub struct Service {
     configuration: Configuration,
     receiving: Receiving,
     name: Name,
-    /// The device whose polarity was found right since the board started. What flash says of earlier checks does not
-    /// count: wires are changed while a board is without power. All of it is kept: a name can be made up that gives
-    /// another device the same checksum.
+    /// The device whose polarity was found right since the board started. Earlier checks recorded in flash do not
+    /// count: wires are changed while a board is without power. The whole device is kept, because a name can be made up
+    /// that gives another device the same checksum.
     polarity: Option<Device<f32>>,
     damage: Vec<(Key, Damage), { Key::ALL.len() }>,
     faults: FaultList,
@@ -92,7 +92,7 @@ impl Service {
     /// An empty board whose limits can never be raised above those in `most`, which are also its defaults, but for the
     /// force at the tip of real motors: [`GENTLE_FORCE`].
     pub fn new(hardware: Hardware, most: Limits) -> Self {
-        // Where no motor can hurt anyone there is nothing to hold back and nothing to switch off.
+        // Simulated motors cannot hurt anyone: their force keeps the board's limit, and a silent host is ignored.
         let (tip_force, host_action) = match hardware.real {
             true => (GENTLE_FORCE, HostAction::Disarm),
             false => (most.tip_force, HostAction::Ignore),
@@ -119,7 +119,7 @@ impl Service {
     /// Reads the settings and puts them in force. What is damaged stays at its default and is reported in
     /// [`Details::damage`]; the rest is kept.
     pub fn boot(&mut self, machine: &mut impl Machine) {
-        // What is in force until something else is read.
+        // These rules are in force until others are read.
         let _ = self.set_rules(machine, self.configuration.rules);
         if let Some(BoardName(name)) = self.read(machine) {
             self.name = name;
@@ -138,13 +138,13 @@ impl Service {
         if let Some(device) = self.read::<Device<f32>>(machine)
             && self.set_device_and_mass(machine, device.clone(), mass.clone()).is_err()
         {
-            // Where only the mass model does not fit, the device is loaded without it.
+            // If only the mass model does not fit, the device is loaded without it.
             let key = if modelled && self.set_device(machine, device).is_ok() { Key::MassModel } else { Key::Device };
             let _ = self.damage.push((key, Damage::Corrupt));
         }
         let mass = self.configuration.mass.clone();
         let modelled = mass != MassModelData::Exact;
-        // What was saved beside the scene was made for its walls.
+        // Settings saved beside the scene were made for its walls.
         if let (Some(scene), true) = (scene, self.configuration.device.is_some())
             && self.set_scene_and_mass(machine, scene.clone(), mass).is_err()
         {
@@ -167,7 +167,7 @@ impl Service {
         settings::decode(&entry).map_err(|damage| self.damage.push((S::KEY, damage))).ok()
     }
 
-    /// What the board tells of itself.
+    /// The board's description of itself.
     pub fn details(&self, measured: Measured) -> Details {
         let Configuration { device, scene, .. } = &self.configuration;
         let Measured { carrier_hz, delay_samples, unsensed, overruns, longest_cycles, stack_free } = measured;
@@ -454,7 +454,7 @@ impl Service {
     /// Looks at the servo: call a few times a second. Returns a fault that is new.
     pub fn poll(&mut self, machine: &mut impl Machine) -> Option<FaultRecord> {
         let status = machine.status();
-        // What is known already is not copied again.
+        // A device that is already recorded is not copied again.
         if status.polarity && self.polarity != self.configuration.device {
             self.polarity.clone_from(&self.configuration.device);
         }
@@ -476,8 +476,7 @@ impl Service {
         let _ = self.faults.push(fault);
     }
 
-    /// Writes everything to flash, all of it or nothing; motors must be off, because the processor stalls while flash
-    /// is erased.
+    /// Writes every setting to flash, or none; motors must be off, because the processor stalls while flash is erased.
     pub fn save(&mut self, machine: &mut impl Machine) -> Result<(), Refusal> {
         must_be_off(machine)?;
         let mut keys = KeyList::new();
@@ -504,7 +503,7 @@ impl Service {
             Key::Polarity => decoded::<Polarity>(entry).map(drop)?,
             Key::Name => decoded::<BoardName>(entry).map(drop)?,
         }
-        // What a tool that died has put aside is not for another to commit.
+        // Settings staged by a tool that died are not for another tool to commit.
         if self.staged.0 != write.session {
             self.staged = (write.session, KeyList::new());
         }
@@ -590,7 +589,7 @@ pub fn must_be_off(machine: &mut impl Machine) -> Result<(), Refusal> {
     if machine.status().state.drives() { Err(Refusal::Armed) } else { Ok(()) }
 }
 
-/// Whether a scene can be felt on a device.
+/// Returns true if a scene can be felt on a device.
 fn fits(scene: &Scene<f32>, device: &Device<f32>) -> bool {
     usize::from(scene.task) == task(device) && (scene.posture.is_none() || device.axes() > task(device))
 }
@@ -626,14 +625,15 @@ fn stage_all(machine: &mut impl Machine, configuration: &Configuration, keys: &m
         stage(machine, scene, keys)?;
     }
     stage(machine, rules, keys)?;
-    // A table is too long for a setting and not kept: a board that starts anew uses the closed form.
+    // A table is too long for a setting and not kept: after a restart the board uses the closed form.
     match mass {
         MassModelData::Table(..) => stage(machine, &MassModelData::Exact, keys),
         kept => stage(machine, kept, keys),
     }
 }
 
-/// Whether flash holds this value. A function of its own, so that the entry is on the stack only while it is compared.
+/// Returns true if flash holds this value. It is a function of its own, so that the entry is on the stack only while it
+/// is compared.
 #[inline(never)]
 fn is_kept(machine: &mut impl Machine, key: Key, entry: &Entry) -> bool {
     machine.load(key).is_some_and(|old| old == *entry)
@@ -656,7 +656,7 @@ fn decoded<S: Setting>(entry: &[u8]) -> Result<S, Refusal> {
     settings::decode(entry).map_err(|_| Refusal::BadEntry)
 }
 
-/// Whether every number that the step will use is usable.
+/// Returns true if every number that the step will use is usable.
 fn check_device<K: Math<f32>>(device: &Device<f32>) -> Result<(), Refusal> {
     let usable = device.joints.iter().take(device.axes()).all(|joint| {
         let limits = joint.limits.is_none_or(|(low, high)| low < high);

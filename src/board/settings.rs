@@ -1,4 +1,4 @@
-//! What the board keeps in flash: one entry per setting, each with its own version and checksum.
+//! The settings that the board keeps in flash: one entry each, with its own version and checksum.
 //!
 //! An entry that is damaged or of an unknown version is refused by itself; the others are kept. The bytes are the same
 //! in flash, in a backup file and on the link.
@@ -114,7 +114,7 @@ impl Setting for Polarity {
     const VERSION: u8 = 1;
 }
 
-/// What the board is called.
+/// The board's name.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct BoardName(pub String<32>);
 impl Setting for BoardName {

@@ -58,7 +58,7 @@ fn next(generation: Generation) -> Generation {
     generation.wrapping_add(1) | COUNTED
 }
 
-/// Whether `found` is of a generation before `known`.
+/// Returns true if `found` is of a generation before `known`.
 fn older(found: Generation, known: Generation) -> bool {
     known != 0 && (found == 0 || found.wrapping_sub(known) & 0x7F >= 64)
 }
@@ -133,7 +133,7 @@ fn finish<T>(work: impl Future<Output = T>) -> T {
     }
 }
 
-/// Where the newest entries are: looking through a full sector takes the chip milliseconds for every entry.
+/// Caches the places of the newest entries: searching a full sector takes the chip milliseconds for every entry.
 type Known = Cache<Uncached, Uncached, ArrayKeyPointers<u8, KEYS>, u8>;
 
 /// A flash that is written only where somebody means it: what reads would otherwise erase and write to mend what it
@@ -148,7 +148,7 @@ struct Locked<F> {
 enum Failure<E> {
     /// The flash itself failed.
     Flash(E),
-    /// Nobody said that it may be written.
+    /// Writing has not been unlocked.
     Locked,
 }
 
@@ -237,8 +237,8 @@ impl<'b, F: NorFlash> Storage<'b, F> {
         &mut self.map.flash().flash
     }
 
-    /// Does what may write, and then finds everything anew: writing moves entries, and a flash that fails loses track
-    /// of all of them.
+    /// Runs an operation that may write, and then locates every entry again: writing moves entries, and a flash that
+    /// fails loses track of all of them.
     fn while_writable<T>(
         &mut self,
         work: impl FnOnce(&mut Self) -> Result<T, StorageError>,

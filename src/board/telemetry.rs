@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize, Serializer};
 /// 0.6 ms.
 pub const BATCH_BYTES: usize = 728;
 
-/// How a number travels: in so many bytes, the least significant first.
+/// The encoding of a number: so many bytes, the least significant first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
     /// A float, 4.
@@ -28,7 +28,7 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// How many.
+    /// Number of bytes.
     pub const fn bytes(self) -> usize {
         match self {
             Self::Float | Self::Integer => 4,
@@ -76,15 +76,15 @@ macro_rules! fields {
             pub const fn unit(self) -> &'static str {
                 match self { $(Field::$Name => $unit,)* }
             }
-            /// What it is, for people: docs/telemetry.md and `haptic stream --help` hold these sentences.
+            /// Its meaning in plain words: docs/telemetry.md and `haptic stream --help` hold these sentences.
             pub const fn meaning(self) -> &'static str {
                 match self { $(Field::$Name => $meaning,)* }
             }
-            /// Whether there is one number for every axis.
+            /// Returns true if there is one number for every axis.
             pub const fn is_vector(self) -> bool {
                 match self { $(Field::$Name => $vector,)* }
             }
-            /// How its numbers travel.
+            /// The encoding of its numbers.
             pub const fn kind(self) -> Kind {
                 match self { $(Field::$Name => <$Type as Number>::KIND,)* }
             }
@@ -145,7 +145,7 @@ fields! {
 pub struct Fields(pub u32);
 
 impl Fields {
-    /// What a person usually wants to see.
+    /// The fields that people usually want to see.
     pub const USUAL: Fields = Fields(
         Field::Tip.bit()
             | Field::Torque.bit()
@@ -159,7 +159,7 @@ impl Fields {
     /// Everything.
     pub const ALL: Fields = Fields(every_bit());
 
-    /// Whether a field is in the set.
+    /// Returns true if a field is in the set.
     pub const fn has(self, field: Field) -> bool {
         self.0 & field.bit() != 0
     }
@@ -191,7 +191,7 @@ const fn every_bit() -> u32 {
     bits
 }
 
-/// What a tool asks to be sent.
+/// A tool's request for a stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct StreamRequest {
     /// Which fields.
@@ -229,7 +229,7 @@ fn at_once<S: Serializer>(bytes: &Vec<u8, BATCH_BYTES>, serializer: S) -> Result
     serializer.serialize_bytes(bytes)
 }
 
-/// Where frames wait to be packed, the oldest first.
+/// A queue of frames that wait to be packed, the oldest first.
 pub trait Frames {
     /// The oldest.
     fn first(&self) -> Option<&StepRecord>;
@@ -269,7 +269,7 @@ impl Packer {
         self.batches.iter_mut().for_each(|batch| batch.rows.clear());
     }
 
-    /// Whether a stream is on and wants this step.
+    /// Returns true if a stream is on and wants this step.
     #[inline(always)]
     pub fn wants(&self, step: u32) -> bool {
         self.width > 0 && step.checked_rem(self.batches[0].divider) == Some(0)

@@ -1,7 +1,7 @@
 //! Comparisons whose outcomes are signs: negative where something is beyond its bound, so that many are gathered by OR and
 //! looked at once, without a branch for each and without moving the FPU's flags.
 //!
-//! Bit patterns of positive floats are ordered as the floats are, and above them all come infinity and what is no number.
+//! Bit patterns of positive floats are ordered as the floats are; infinity and NaN come above them all.
 
 /// Negative when |`value`| exceeds `bound`, which is not negative, and when it is not a number.
 #[inline(always)]

@@ -26,10 +26,10 @@ const USABLE_DUTY: f32 = MAX_DUTY * (1.0 - 2.0 * f32::EPSILON);
 /// (tests/drive.rs).
 pub const UNKNOWN_WINDING: f32 = 0.05;
 
-/// What a current may overshoot to: a multiple of its limit, and more, A.
+/// Largest overshoot of a current: a multiple of its limit, plus an absolute amount, A.
 const OVERSHOOT: f32 = 1.3;
 const OVERSHOOT_FLOOR: f32 = 0.6;
-/// What rounding may take off the room that a change has.
+/// Share of the available change that rounding leaves.
 const EASILY: f32 = 1.0 - 8.0 * f32::EPSILON;
 
 /// The current below which dead-time compensation fades, A: its sign is noise around zero.
@@ -46,20 +46,20 @@ const EMF_DOUBT: f32 = 0.2;
 /// known, whose current may lag behind what is expected for a millisecond or so.
 const ERROR_WEIGHT: f32 = 1.0 / 4.0;
 const SLOW_ERROR_WEIGHT: f32 = 1.0 / 64.0;
-/// What is left after a carrier period of the largest current of late: the loop has forgotten it faster.
+/// Share of the largest recent current that remains after a carrier period: the loop has forgotten it faster.
 const RECENT: f32 = 15.0 / 16.0;
 /// The same of the largest difference of late between the speed that is fed forward and the one that is seen.
 const SWING: f32 = 255.0 / 256.0;
-/// What such a lag may look like while a current is reversed, as a share of the voltage at the largest.
+/// Largest error that such a lag may show while a current is reversed, as a share of the voltage at the largest.
 const LAG_DOUBT: f32 = 1.3;
 
 /// When a duty acts, as shares of currents: of what it changes the current by within a carrier period, if it acts so long.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct Timing {
-    /// What it makes until the next sample and until the next valley.
+    /// Share of a change that the current makes until the next sample and until the next valley.
     sample: f32,
     valley: f32,
-    /// The part of a change that is asked for so that one half a period longer than it is meant to be makes all of it.
+    /// Share of a change to ask for, so that a drive that acts half a period too long makes the whole change.
     part: f32,
 }
 
@@ -71,7 +71,7 @@ pub struct Axis {
     amps_per_torque: f32,
     back_emf: f32,
     dead_time_share: f32,
-    /// What the controller asked for, A.
+    /// The current that the controller asked for, A.
     target: f32,
     /// The current that the next sample should show, and the one that the duties so far lead to at the next valley, A.
     expected: f32,
@@ -95,10 +95,10 @@ pub struct Axis {
     /// A/V, the inverse of `surge`.
     reach: f32,
     torque_per_amp: f32,
-    /// What the motor itself stands, A; nothing where it has no torque constant.
+    /// The motor's own maximum current, A; 0 if it has no torque constant.
     motor_current: f32,
     max_current: f32,
-    /// What a current may overshoot to, A.
+    /// Largest current including overshoot, A.
     most: f32,
     /// Mean of what samples were below what was expected, A, and the weight of one.
     missing: f32,
@@ -109,12 +109,12 @@ pub struct Axis {
     swing: f32,
     /// The largest current reached of late, A: what the integrator holds for a hot winding outlasts it.
     recent: f32,
-    /// What a sound motor may differ by from its model at rest without current, V.
+    /// Largest voltage by which a sound motor may differ from its model at rest without current, V.
     doubt: f32,
     /// That without any current, V, and what each ampere allowed adds where the inductance is not known, Ω.
     least_doubt: f32,
     lag_resistance: f32,
-    /// What each ampere of the largest current of late adds: a winding that is hot, Ω.
+    /// Voltage that each ampere of the largest recent current adds to that: a hot winding, Ω.
     doubt_resistance: f32,
 }
 
@@ -149,7 +149,7 @@ impl Axis {
     fn hardly(&mut self, supply: &Supply, current: f32, speed: f32, late: bool) -> f32 {
         let timing = self.timing[usize::from(late)];
         let error = self.expected - current;
-        // Where it begins: until a late one acts, the duty before it goes on.
+        // The current at which the drive begins: until a late drive acts, the one before it goes on.
         let begin = if late { self.reached + self.kept * (self.reached - self.expected) } else { self.reached };
         // Should the next duty be late, this one makes more of it: no more than is short of an over-current.
         let (up, down) = ((self.most - begin) * timing.part, (self.most + begin) * -timing.part);
@@ -186,7 +186,7 @@ impl Stage for Axis {
         let usable = kt.abs() > 1.0e-9;
         let carrier_hz = bridge.carrier_hz.max(1.0);
         let inductance = motor.inductance.max(0.0);
-        // Where nothing is sensed there is nothing to correct by.
+        // Without a current sensor there is nothing to correct by.
         let share = match (bridge.current_sensed, inductance > 0.0) {
             (true, true) => 1.0,
             (true, false) => UNKNOWN_WINDING,
@@ -220,7 +220,7 @@ impl Stage for Axis {
 
     fn limit(&mut self, max_current: f32) {
         self.max_current = self.motor_current.min(max_current).max(0.0);
-        // What was commanded acts until the next step.
+        // The last command acts until the next step.
         self.target = limited(self.target, self.max_current);
         self.most = OVERSHOOT * self.max_current + OVERSHOOT_FLOOR;
         // From wherever the limit lets a current be to wherever it lets it go.
@@ -269,7 +269,7 @@ impl Stage for Axis {
         Duty(self.hardly(supply, current, speed, late))
     }
 
-    /// What acts late makes no more of a change than was asked for, so that the voltage alone can be too small for it.
+    /// A late drive makes no more of a change than was asked for, so only the voltage can be insufficient.
     #[inline(always)]
     fn drive_easily(&mut self, supply: &Supply, current: f32, speed: f32, late: bool) -> Option<Duty> {
         let begin = if late { self.reached + self.kept * (self.reached - self.expected) } else { self.reached };
@@ -306,9 +306,10 @@ impl Stage for Axis {
         if self.resistance > 0.0 { self.back_emf * speed / self.resistance } else { 0.0 }
     }
 
-    /// What is in phase with the current: the inductance's part is a quarter of a turn off, and the back-EMF's is taken out.
+    /// The part of the voltage that is in phase with the current: the inductance's part is a quarter of a turn off, and
+    /// the back-EMF's is taken out.
     fn resistance_of(&self, voltage: [f32; 2], current: [f32; 2], angle: [f32; 2], rate: f32) -> Option<(f32, f32)> {
-        // What is a cos + b sin has the derivative rate (b cos - a sin).
+        // The function a cos + b sin has the derivative rate (b cos - a sin).
         let turning = [rate * angle[1], -rate * angle[0]];
         let left = [voltage[0] - self.back_emf * turning[0], voltage[1] - self.back_emf * turning[1]];
         let squared = current[0] * current[0] + current[1] * current[1];
@@ -353,8 +354,8 @@ impl Stage for Axis {
         *self = Self { integrator, reached, expected, error, missing, recent, target, ..*self };
     }
 
-    /// What is left of the voltage without the resistance's part is back-EMF, less what a winding half as resistive again
-    /// (hot, or a poor contact) and the dead time could make of it.
+    /// The voltage less the resistance's part is back-EMF, less the doubt: a winding half as resistive again (hot, or a
+    /// poor contact) and the dead time.
     #[inline(always)]
     fn speed_of(&self, duty: f32, bus_voltage: f32, current: f32) -> f32 {
         let drop = self.resistance * current;

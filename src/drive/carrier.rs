@@ -12,7 +12,7 @@ pub const CARRIER_MIN_HZ: u32 = 20_000;
 /// Lowest and highest control rate, Hz.
 pub const RATE_HZ: (u32, u32) = (200, 50_000);
 
-/// How a control rate is made.
+/// The timer's setting for a control rate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Carrier {
     /// Timer ticks from valley to crest.
@@ -47,7 +47,7 @@ impl Carrier {
         self.carrier_hz() / f32::from(self.divider)
     }
 
-    /// What duties are in its ticks.
+    /// The conversion from duties to its ticks.
     pub fn ticks(&self) -> Ticks {
         Ticks::of(self.top)
     }
@@ -68,7 +68,7 @@ pub struct Ticks {
 }
 
 impl Ticks {
-    /// What is added to the ticks from the middle, so that truncation rounds, below zero as above.
+    /// Added to the ticks from the middle, so that truncation rounds, below zero as above.
     const OFFSET: u32 = 1 << 15;
 
     fn of(top: u16) -> Self {

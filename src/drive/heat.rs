@@ -35,7 +35,8 @@ pub fn keep(heat: &[Heat; MAX_JOINTS], memory: &[AtomicU32; KEPT]) {
     memory[KEPT - 1].store(sum, Ordering::Relaxed);
 }
 
-/// What [`keep`] wrote, if it is whole: a restart in the middle of it, or a time without power, leave nothing that is known.
+/// The heat that [`keep`] wrote, if it is whole: after a restart in the middle of it, or a time without power, nothing
+/// is known.
 pub fn kept(memory: &[AtomicU32; KEPT]) -> [Heat; MAX_JOINTS] {
     let word = |i: usize| memory[i.min(KEPT - 1)].load(Ordering::Relaxed);
     let words: [[u32; WORDS]; MAX_JOINTS] =
@@ -44,13 +45,13 @@ pub fn kept(memory: &[AtomicU32; KEPT]) -> [Heat; MAX_JOINTS] {
     if whole { words.map(Heat::from_words) } else { [Heat::UNKNOWN; MAX_JOINTS] }
 }
 
-/// What heat one motor holds. It belongs to the motor and outlasts devices, rules and restarts. The default is a cold motor
-/// of which nothing is allowed yet.
+/// The heat that one motor holds. It belongs to the motor and outlasts devices, rules and restarts. The default is a
+/// cold motor that is not allowed any current yet.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Heat {
     /// I²t accumulator, A² s above what the motor stands for ever.
     held: f32,
-    /// What rounding has kept out of `held` so far: a step's share can be less than its last digit.
+    /// The part that rounding has kept out of `held` so far: a step's share can be less than its last digit.
     rest: f32,
     /// The part of `held` that is guessed, and the budget that it is half of; an infinite one where the heat is known.
     guess: f32,
@@ -61,7 +62,7 @@ pub struct Heat {
     /// The smaller of both, and what i² beyond it is worth of what `warmed_squared` counts.
     continuous_squared: f32,
     weight: f32,
-    /// How long more that is allowed has yet to wait while the motor is warm, s.
+    /// Time until more may be allowed while the motor is warm, s.
     wait: f32,
     /// i² at the most that is allowed, A²; 0 before the first motor.
     max_squared: f32,
@@ -76,7 +77,7 @@ impl Default for Heat {
 }
 
 impl Heat {
-    /// The heat of a motor of which nobody knows anything: half of its budget, as soon as there is one.
+    /// Unknown heat: assume half of the budget, as soon as there is a budget.
     pub const UNKNOWN: Self = Self {
         held: 0.0,
         rest: 0.0,
@@ -119,7 +120,7 @@ impl Heat {
         self.guess();
     }
 
-    /// Where nothing is known, the guess follows the budget: half of it, less what the motor has cooled since.
+    /// While the heat is unknown, the guess follows the budget: half of it, less the cooling since.
     fn guess(&mut self) {
         if !self.budget.is_finite() || self.guessed_from == f32::INFINITY {
             return;
@@ -164,12 +165,12 @@ impl Heat {
         }
     }
 
-    /// A² s above what the motor stands for ever; NaN where nobody knows.
+    /// A² s above the level that the motor stands for ever; NaN if unknown.
     pub fn held(&self) -> f32 {
         if self.guessed_from == 0.0 { f32::NAN } else { self.held }
     }
 
-    /// All of it in words, to be kept while the board restarts.
+    /// The whole state in words, to be kept while the board restarts.
     pub fn words(&self) -> [u32; WORDS] {
         [
             self.held,
@@ -183,7 +184,7 @@ impl Heat {
         .map(f32::to_bits)
     }
 
-    /// What [`Heat::words`] kept; unknown where they cannot be that.
+    /// The state that [`Heat::words`] kept; unknown if the words cannot be one.
     pub fn from_words(words: [u32; WORDS]) -> Self {
         let values = words.map(f32::from_bits);
         let [held, rest, guess, guessed_from, allowed_squared, warmed_squared, max_squared] = values;

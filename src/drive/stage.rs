@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 /// low-side shunts conducting long enough to be sampled.
 pub const MAX_DUTY: f32 = 0.92;
 
-/// How one board drives its motors.
+/// The way one board drives its motors.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct Bridge {
     /// Carrier frequency, Hz; the current loop runs once a period.
@@ -24,11 +24,11 @@ pub struct Bridge {
     pub dead_time: f32,
     /// Bandwidth of the loop that takes out what the model of the winding leaves, where current is sensed, Hz.
     pub bandwidth_hz: f32,
-    /// Whether the motors' currents are measured.
+    /// True if the motors' currents are measured.
     pub current_sensed: bool,
 }
 
-/// What stands across a motor, as a signed share of the bus voltage: never more than [`MAX_DUTY`], and always a number.
+/// The voltage across a motor, as a signed share of the bus voltage: never more than [`MAX_DUTY`], and never NaN.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Duty(pub(super) f32);
 
@@ -49,12 +49,12 @@ impl From<Duty> for f32 {
 /// Bus voltages that are believed, V.
 pub const BUS_VOLTAGE: (f32, f32) = (1.0, 1.0e3);
 
-/// What feeds all motors in a carrier period.
+/// The supply of all motors in a carrier period.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Supply {
     /// Bus voltage, V.
     pub volts: f32,
-    /// What a volt is of it, 1/V.
+    /// Duty for each volt, 1/V.
     pub inverse: f32,
 }
 
@@ -65,7 +65,7 @@ impl Supply {
         Self { volts, inverse: 1.0 / volts }
     }
 
-    /// Whether its voltage can be believed.
+    /// Returns true if its voltage can be believed.
     #[inline(always)]
     pub(crate) fn is_usable(&self) -> bool {
         margin_bits_between(self.volts, BUS_VOLTAGE) >= 0
@@ -74,9 +74,10 @@ impl Supply {
 
 /// One motor behind its power stage.
 pub trait Stage: Copy + Debug + Default {
-    /// What the board samples of one motor at each crest: a current (A), or one for each phase, with an angle.
+    /// The board's samples of one motor at each crest: a current (A), or one for each phase, with an angle.
     type Sample: Copy + Debug + Default;
-    /// What the legs of one motor do until the next crest: a duty, or one for each leg. The default is no voltage.
+    /// The command to the legs of one motor until the next crest: a duty, or one for each leg. The default is no
+    /// voltage.
     type Drive: Copy + Debug + Default;
 
     /// A motor on a bridge, allowed at most `max_current`, A (the smaller of this and the motor's own counts).
@@ -112,9 +113,10 @@ pub trait Stage: Copy + Debug + Default {
         self.command(torque);
     }
 
-    /// What the legs do over the next carrier period, from the supply, what was sampled and the joint's speed (rad/s),
-    /// filtered so that a count does not push. Call once a carrier period. The period begins at the valley half a period
-    /// after the sample or, where that is too soon (`late`), at the crest after it, and lasts until the next drive applies.
+    /// The drive of the legs over the next carrier period, from the supply, the samples and the joint's speed (rad/s),
+    /// filtered so that a count does not push. Call once a carrier period. The period begins at the valley half a
+    /// period after the sample or, where that is too soon (`late`), at the crest after it, and lasts until the next
+    /// drive applies.
     fn drive(&mut self, supply: &Supply, sample: Self::Sample, speed: f32, late: bool) -> Self::Drive;
 
     /// [`Stage::drive`] with a usable supply, where that is soon done; else `None`, and nothing is changed.
@@ -135,9 +137,9 @@ pub trait Stage: Copy + Debug + Default {
     /// The share of the bus voltage that stands across the motor then, signed: for telemetry.
     fn duty(drive: Self::Drive) -> f32;
 
-    /// The winding's resistance (Ω) that a voltage (V) and a current (A) show which alternate with `rate` (rad/s) while the
-    /// joint's angle (rad) does, each as its parts in phase with something and a quarter of a turn later; and the one that
-    /// was expected. `None` where there is none.
+    /// The winding's resistance (Ω) shown by a voltage (V) and a current (A) that alternate at `rate` (rad/s), as the
+    /// joint's angle (rad) does, each given as its parts in phase with a reference and a quarter of a turn later; and
+    /// the expected resistance. `None` if they show none.
     fn resistance_of(
         &self,
         _voltage: [f32; 2],
@@ -160,7 +162,7 @@ pub trait Stage: Copy + Debug + Default {
         (0.0, f32::INFINITY)
     }
 
-    /// Whether the measured current is about what a sound motor would have.
+    /// Returns true if the measured current is about what a sound motor would have.
     fn flows_as_expected(&self) -> bool {
         false
     }

@@ -1,4 +1,4 @@
-//! What a redundant device holds besides its tip while a wall pushes.
+//! The coordinate that a redundant device holds besides its tip while a wall pushes.
 //!
 //! Its joints are one more than its task has dimensions, so a motion is left that moves no tip: the null motion. (4) holds
 //! *every* admissible coordinate, and which one the third is, decides how much inertia the wall meets: Wrr belongs to
@@ -48,8 +48,8 @@ impl Admissible {
     }
 }
 
-/// How much of the null motion moves the held joint, as a squared share, at and above which the joint is held; below
-/// the lesser one it is not, as no finite null motion would hold it.
+/// Share of the null motion that moves the held joint, squared, at and above which the joint is held; below the lesser
+/// one it is not, as no finite null motion would hold it.
 const HELD: [f64; 2] = [0.02 * 0.02, 0.05 * 0.05];
 
 impl Admissible {

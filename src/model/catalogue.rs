@@ -20,7 +20,7 @@ pub struct Spec {
     pub links: &'static [&'static str],
     /// The keys of `[geometry]` in order, each with its number of values.
     pub geometry: &'static [(&'static str, usize)],
-    /// Whether angles a whole turn apart are the same pose (false for a paddle, whose task is arc length).
+    /// True if angles a whole turn apart are the same pose (false for a paddle, whose task is arc length).
     pub periodic: bool,
 }
 

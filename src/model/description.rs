@@ -37,7 +37,7 @@ impl Description {
         links
     }
 
-    /// Whether any joint has a transmission that gives or a structural mode.
+    /// Returns true if any joint has a transmission that gives or a structural mode.
     pub fn is_flexible(&self) -> bool {
         self.joints.iter().any(|joint| joint.transmission.is_some() || joint.structural_modes().next().is_some())
     }

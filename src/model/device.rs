@@ -23,7 +23,7 @@ pub struct Device<T: Real> {
     pub name: String<NAME_LENGTH>,
     /// Its equations of motion.
     pub mechanism: AnyMechanism<T>,
-    /// Whether it has weight to hold.
+    /// True if it has weight to hold.
     pub weight: bool,
     /// Its joints; the first N count.
     pub joints: [Joint<T>; MAX_JOINTS],
@@ -151,21 +151,22 @@ fn repeats_after(counts_per_turn: f64) -> i32 {
 macro_rules! define {
     ($(($Variant:ident, $module:ident, $n:literal))*) => {
         impl AnyMechanism<f32> {
-            /// Whether everything computed at `q` (rad) is finite: a broken coefficient spoils at least one number.
+            /// Returns true if everything computed at `q` (rad) is finite: a broken coefficient spoils at least one
+            /// number.
             pub fn is_finite_at<K: Math<f32>>(&self, q: &[f32; MAX_JOINTS]) -> bool {
                 match self {
                     $(Self::$Variant(mechanism) => finite_at::<K, _, $n>(mechanism, q),)*
                 }
             }
 
-            /// What joint torques are worth at the tip at `q` (rad).
+            /// The forces at the tip for joint torques at `q` (rad).
             pub fn leverage<K: Math<f32>>(&self, q: &[f32; MAX_JOINTS]) -> Leverage {
                 match self {
                     $(Self::$Variant(mechanism) => leverage_at::<K, _, $n>(mechanism, q),)*
                 }
             }
 
-            /// What carries the device's weight at `q` (rad), N m; zeros beyond the joints.
+            /// The torques that carry the device's weight at `q` (rad), N m; zeros beyond the joints.
             pub fn gravity<K: Math<f32>>(&self, q: &[f32; MAX_JOINTS]) -> [f32; MAX_JOINTS] {
                 match self {
                     $(Self::$Variant(mechanism) => gravity_at::<K, _, $n>(mechanism, q),)*
@@ -230,9 +231,9 @@ fn torque_at<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(
     padded(&torque.data.0[0])
 }
 
-/// What joint torques τ (N m) push with at the tip, N: a row for each task direction, zeros beyond the task, 1/m. It is
-/// the force that a hand feels that holds the tip where it is: J⁻ᵀ τ, and (J M⁻¹ Jᵀ)⁻¹ J M⁻¹ τ of an arm with more joints
-/// than the tip has directions, whose other motion nobody holds.
+/// The forces (N) that joint torques τ (N m) make at the tip: a row for each task direction, zeros beyond the task,
+/// 1/m. It is the force felt by a hand that holds the tip where it is: J⁻ᵀ τ, and for an arm with more joints than the
+/// tip has directions, whose other motion is free, (J M⁻¹ Jᵀ)⁻¹ J M⁻¹ τ.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Leverage([[f32; MAX_JOINTS]; 3]);
 

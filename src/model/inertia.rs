@@ -77,9 +77,9 @@ impl<T: Real, const N: usize> Split<T, N> {
     }
 }
 
-/// How the task frame turns under curved walls: κ (m/s²) such that T⁻¹Ṫ q̇ = J⁻¹(J̇ q̇ + κ), for one rendered
-/// direction `n` with rate `n_rate` and the tip moving at `velocity`: κ = n(ṅ·ṗ) - ṅ(n·ṗ). The admissible directions
-/// do not spin about n. With several directions in space, pass the one admissible direction and its rate instead.
+/// The turning of the task frame under curved walls: κ (m/s²) such that T⁻¹Ṫ q̇ = J⁻¹(J̇ q̇ + κ), for one rendered
+/// direction `n` with rate `n_rate` and the tip moving at `velocity`: κ = n(ṅ·ṗ) - ṅ(n·ṗ). The admissible directions do
+/// not spin about n. With several directions in space, pass the one admissible direction and its rate instead.
 pub fn frame_rate<T: Real, const N: usize>(
     n: &SVector<T, N>,
     n_rate: &SVector<T, N>,
@@ -217,8 +217,8 @@ impl<T: Real, const N: usize> Inertia<T, N> {
     }
 }
 
-/// What the device does without the feed-forward along the first `rank` columns of `tip`: Weff (kg) in its leading
-/// block, and Jrᵀ fr (N m) of the force `in_span` (N) along them.
+/// The device without the feed-forward along the first `rank` columns of `tip`: Weff (kg) in its leading block, and Jrᵀ
+/// fr (N m) of the force `in_span` (N) along them.
 #[inline(always)]
 fn coupled<T: Real, M: Mechanism<T, N>, const N: usize>(
     mechanism: &M,

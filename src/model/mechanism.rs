@@ -21,12 +21,12 @@ use crate::model::description::{Description, DescriptionError};
 use crate::model::solve::quotient;
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 
-/// How far a pose is from the nearest singularity, each a dimensionless sine in [0, 1] (0 = singular).
+/// The distance of a pose from the nearest singularity, each a dimensionless sine in [0, 1] (0 = singular).
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Regularity<T> {
-    /// Where J loses rank (an arm stretched): E and the feed-forward grow without bound, Jᵀ f stays finite.
+    /// Zero if J loses rank (an arm stretched): E and the feed-forward grow without bound, Jᵀ f stays finite.
     pub serial: T,
-    /// Where J⁻¹ loses rank (a closed loop stretched): Jᵀ f grows without bound. 1 on open chains.
+    /// Zero if J⁻¹ loses rank (a closed loop stretched): Jᵀ f grows without bound. 1 on open chains.
     pub parallel: T,
 }
 
@@ -41,8 +41,7 @@ pub struct Shaping<T: Real, const N: usize> {
     pub w_rr: T,
 }
 
-/// What equation (4) is made of for one wall, in N directions of which the first is its normal: the analysis' own
-/// kernel.
+/// The terms of equation (4) for one wall, in N directions of which the first is its normal: the analysis' own kernel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WallTerms<T: Real, const N: usize> {
     /// E = T⁻¹: joint velocities per unit velocity along each direction, a column each, rad/m.
@@ -98,7 +97,7 @@ pub(crate) fn in_basis<T: Real, const N: usize>(
     symmetric(|i, j| basis.column(i).dot(&moved.column(j)))
 }
 
-/// What equation (4) makes of one wall.
+/// The result of equation (4) for one wall.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Shaped<T: Real, const N: usize> {
     /// E = J⁻¹ n, rad/m.
@@ -108,15 +107,15 @@ pub struct Shaped<T: Real, const N: usize> {
 }
 
 impl<T: Real, const N: usize> Shaping<T, N> {
-    /// What the joint velocities `e` (rad/m) weigh with a mass matrix (N x N, kg m²).
+    /// The inertia of the joint velocities `e` (rad/m) with a mass matrix (N x N, kg m²).
     #[inline(always)]
     pub fn of(mass: &SMatrix<T, N, N>, e: SVector<T, N>) -> Self {
         let me = mass * e;
         Self { e, me, w_rr: e.dot(&me) }
     }
 
-    /// The joint torques (N m) that render the force `force` (N) along n by equation (4): τ = M E Wrr⁻¹ (f - Eᵀ met) + b.
-    /// `met` is the part of b (N m) that the wall meets: all of it by the paper, none where the force is rendered
+    /// The joint torques (N m) that render the force `force` (N) along n by equation (4): τ = M E Wrr⁻¹ (f - Eᵀ met) +
+    /// b. `met` is the part of b (N m) that the wall meets: all of b by the paper, zero if the force is rendered
     /// whatever moves.
     #[inline(always)]
     pub fn torque(&self, force: T, b: &SVector<T, N>, met: &SVector<T, N>) -> SVector<T, N> {
@@ -128,11 +127,11 @@ impl<T: Real, const N: usize> Shaping<T, N> {
 ///
 /// All methods accept any finite input; near a singularity results grow but stay finite where a clamp is documented.
 pub trait Mechanism<T: Real, const N: usize>: Copy + core::fmt::Debug {
-    /// What a device file must hold.
+    /// The contents of its device files.
     const SPEC: Spec;
-    /// Where the lower triangle of M holds something (row, column), row by row; every other entry of it is always zero.
+    /// The nonzero entries of the lower triangle of M (row, column), row by row; every other entry is always zero.
     const MASS_ENTRIES: &'static [(usize, usize)];
-    /// What depends on the angles alone, computed once per step.
+    /// The quantities that depend on the angles alone, computed once per step.
     type Pose: Copy + core::fmt::Debug;
 
     /// Lumped coefficients from a description. Errors say what about it cannot be.
@@ -188,7 +187,7 @@ pub trait Mechanism<T: Real, const N: usize>: Copy + core::fmt::Debug {
         }
         inverse
     }
-    /// What a unit task motion along `n` takes and weighs.
+    /// The joint motion and the inertia of a unit task motion along `n`.
     fn shaping(&self, pose: &Self::Pose, n: &SVector<T, N>) -> Shaping<T, N> {
         Shaping::of(&self.mass(pose), self.inverse(pose, n))
     }
@@ -222,8 +221,8 @@ pub trait Mechanism<T: Real, const N: usize>: Copy + core::fmt::Debug {
         let accelerated = self.shaping(pose, &(n * (force / w_rr) + turning)).me;
         Shaped { e, torque: self.velocity_torque(pose, qd) + accelerated }
     }
-    /// What equation (4) is made of for one wall at joint velocities `qd` (rad/s). The columns of `basis` are
-    /// orthonormal: the wall's normal, the directions across it, and on the redundant arm φ, which it holds.
+    /// The terms of equation (4) for one wall at joint velocities `qd` (rad/s). The columns of `basis` are orthonormal:
+    /// the wall's normal, the directions across it, and on the redundant arm φ, which it holds.
     #[inline(always)]
     fn wall_terms(&self, pose: &Self::Pose, basis: &SMatrix<T, N, N>, qd: &SVector<T, N>) -> WallTerms<T, N> {
         let n = basis.column(0).into_owned();
@@ -253,7 +252,7 @@ macro_rules! define {
         )*
 
         impl Kind {
-            /// What a device file of this mechanism holds.
+            /// The contents of this mechanism's device files.
             pub const fn spec(self) -> Spec {
                 match self {
                     $(Kind::$Variant => <$Variant<f64> as Mechanism<f64, $n>>::SPEC,)*

@@ -26,7 +26,7 @@ pub const TABLE_VALUES: usize = 700;
 /// Most distinct entries of any mechanism's M.
 const MOST_ENTRIES: usize = 6;
 
-/// How a table's values are joined.
+/// The interpolation between a table's values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub enum Interpolation {
     /// Linear in both coordinates: continuous, error of second order in the spacing.
@@ -50,7 +50,7 @@ impl Interpolation {
 /// the order of [`Mechanism::MASS_ENTRIES`], kg m².
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct Grid<T> {
-    /// How values are joined.
+    /// The interpolation between values.
     pub interpolation: Interpolation,
     /// Number of points along each coordinate.
     pub points: [u8; 2],
@@ -239,7 +239,7 @@ fn catmull_rom<T: Real>(t: T) -> [T; 4] {
     [before, T::one() - smooth - after, smooth - before, after]
 }
 
-/// Where the step takes the mass matrix from.
+/// Source of the mass matrix in the step.
 #[derive(Clone, Debug, Default, PartialEq)]
 #[allow(clippy::large_enum_variant, reason = "the board has no heap, and a program keeps room for either")]
 pub enum MassModel<T: Real, const N: usize> {
@@ -261,8 +261,8 @@ impl<T: Real, const N: usize> MassModel<T, N> {
         fits.then(|| Self::Table(Table::new(grid, values)))
     }
 
-    /// What a unit tip motion along `n` takes and weighs. Shared by single walls and corners: a call costs little
-    /// beside it, and every copy makes the image larger.
+    /// The joint motion and the inertia of a unit tip motion along `n`. Shared by single walls and corners: a call
+    /// costs little beside it, and every copy makes the image larger.
     #[inline(never)]
     pub fn shaping<M: Mechanism<T, N>>(
         &self,
@@ -331,8 +331,8 @@ pub struct Receiving {
 }
 
 impl Receiving {
-    /// Takes a chunk that begins at value `offset`: 0 starts anew, anything else must continue. False when it does not,
-    /// when the table would be too long, or when a value is not finite.
+    /// Takes a chunk that begins at value `offset`: 0 restarts the transfer, anything else must continue it. Returns
+    /// false if it does not, if the table would be too long, or if a value is not finite.
     pub fn take(&mut self, offset: usize, chunk: &[f32]) -> bool {
         if !self.fits(offset, chunk) {
             return false;
@@ -343,7 +343,7 @@ impl Receiving {
         self.values.extend_from_slice(chunk).is_ok()
     }
 
-    /// Whether a piece may come next: the first of a table, or the one after the last, of numbers.
+    /// Returns true if a piece may come next: the first of a table, or the one after the last, of numbers.
     pub fn fits(&self, offset: usize, chunk: &[f32]) -> bool {
         let next = offset == 0 || offset == self.values.len();
         next && offset + chunk.len() <= TABLE_VALUES && chunk.iter().all(|value| value.is_finite())
@@ -354,7 +354,7 @@ impl Receiving {
         &self.values
     }
 
-    /// Whether what came is all of a table of this many values with this checksum.
+    /// Returns true if what came is all of a table of this many values with this checksum.
     pub fn is_complete(&self, values: usize, crc: u32) -> bool {
         self.values.len() == values && checksum(&self.values) == crc
     }

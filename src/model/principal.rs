@@ -30,12 +30,12 @@ pub struct Pull<T: Real, const N: usize> {
     /// A wall's normal, of unit length or the host's plane's, which may be shorter; a spring's line. Zeros beyond the task
     /// dimension.
     pub normal: SVector<T, N>,
-    /// Whether it is stiff in all directions across `normal` instead of along it; every direction is across a normal of
+    /// True if it is stiff in all directions across `normal` instead of along it; every direction is across a normal of
     /// length zero.
     pub across: bool,
     /// Its stiffness, N/m or in any other common unit; not negative.
     pub stiffness: T,
-    /// Whether it has the feed-forward. One that has not takes its part of the stiffness out of every level's share.
+    /// True if it has the feed-forward. Otherwise it takes its part of the stiffness out of every level's share.
     pub feed_forward: bool,
 }
 
@@ -156,7 +156,7 @@ impl<T: Real, const N: usize> Principal<T, N> {
     ) -> (SVector<T, N>, SVector<T, N>) {
         let mut torque = SVector::zeros();
         let mut plain = *force;
-        // What of the force along each direction no level has taken yet; of b it is what is left of e₁.
+        // The part of the force along each direction that no level has taken yet; for b, the part of e₁.
         let mut left = SVector::<T, N>::repeat(T::one());
         for rendered in 1..N {
             let share = self.share(rendered) * part;
@@ -223,7 +223,7 @@ fn frame<T: Real, K: Math<T>, const N: usize>(
         for pull in walls() {
             let part = pull.normal - axes[0] * axes[0].dot(&pull.normal);
             let size = part.dot(&part);
-            // What is left of the same normal twice is rounding, and shows no direction.
+            // The remainder of the same normal twice is rounding, and shows no direction.
             if size > T::EPSILON && weight(pull) * size > most {
                 (most, second) = (weight(pull) * size, Some(part / K::sqrt(size)));
             }
@@ -286,7 +286,7 @@ fn turn<T: Real, K: Math<T>, const N: usize>(
     let smaller = ab.abs() / (long * larger);
     let (cosine, sine) = if difference >= T::zero() { (larger, smaller) } else { (smaller, larger) };
     let sine = if ab < T::zero() { -sine } else { sine };
-    // What the stiffer gains the softer loses.
+    // The softer direction loses as much as the stiffer gains.
     let gained = ab.abs() * smaller / larger;
     k[(a, a)] = aa.greater(bb) + gained;
     k[(b, b)] = (aa.lesser(bb) - gained).greater(T::zero());

@@ -3,7 +3,8 @@
 use crate::math::Real;
 use nalgebra::{SMatrix, SVector};
 
-/// Whether a symmetric A (N x N) is positive definite: every pivot of its LDLᵀ is, beyond what rounding makes of zero.
+/// Returns true if a symmetric A (N x N) is positive definite: every pivot of its LDLᵀ is, beyond what rounding makes
+/// of zero.
 #[inline(never)]
 pub fn is_positive_definite<T: Real, const N: usize>(a: &SMatrix<T, N, N>) -> bool {
     let mut left = *a;

@@ -56,7 +56,7 @@ pub const NO_REGULARITY: f64 = 0.02;
 /// at 0.06. There it is the numbers: Jᵀ itself loses digits as 1/sin², and 0.15 is where f32 still keeps the torque
 /// of a moving tip within 1e-4 (docs/hard-cases.md).
 pub const PARALLEL_REGULARITY: f64 = 3.0;
-/// How far the fastest joint may turn while its velocity estimate lags (rad), as a share of the sine of the nearest
+/// Angle that the fastest joint may turn while its velocity estimate lags (rad), as a share of the sine of the nearest
 /// singularity, for the velocity terms to act in full.
 ///
 /// b grows as 1/sin³ at a steady speed of the tip, so within the lag it changes by three times this share. Here that
@@ -75,14 +75,13 @@ pub struct Gains<T> {
     pub stiffness: T,
     /// N s/m
     pub damping: T,
-    /// Whether its force is shaped.
+    /// True if its force is shaped.
     pub feed_forward: FeedForward,
     /// Corner of its washout, Hz.
     pub washout_hz: T,
 }
 
-/// What one step found and decided, as vectors of the mechanism's N joints; what it found at the walls is read as its own
-/// fields.
+/// The result of one step, as vectors of the mechanism's N joints; its fields for the walls can be read directly.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Step<T: Real, const N: usize> {
     /// See [`StepResult`].
@@ -103,7 +102,7 @@ pub struct Step<T: Real, const N: usize> {
     pub motion: SVector<T, N>,
     /// See [`StepResult`].
     pub parallel: T,
-    /// What it found at the walls.
+    /// The state at the walls.
     pub walls: AtWalls<T>,
 }
 
@@ -166,7 +165,7 @@ pub struct Controller<T: Real, M, K, const N: usize> {
     math: PhantomData<K>,
 }
 
-/// What every step begins with.
+/// The beginning of every step.
 #[derive(Clone, Copy, Debug)]
 struct Begun<'a, T: Real, P, const N: usize> {
     /// Joint angles, whole turns taken off.
@@ -208,7 +207,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             return Err(SceneError::Posture);
         }
         let biased = scene.velocity_terms != VelocityTerms::Off || walls.damped;
-        // What is rendered whatever moves; along a line no normal turns.
+        // The part that is rendered whatever moves; along a line no normal turns.
         let rendered = scene.velocity_terms == VelocityTerms::Rendered && !walls.damped;
         let turns = walls.curved && M::SPEC.task > 1;
         let moving = biased || guidance.any || scene.posture.is_some();
@@ -537,10 +536,10 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         }
     }
 
-    /// b without gravity: c - M J⁻¹(J̇ q̇ + κ), and B q̇ where a wall asks for it; and what of it the walls shall meet:
-    /// all of it by the paper's (4), B q̇ alone where the force is rendered whatever moves. Zero when the scene has no
-    /// velocity terms, where nothing moves by more than single counts, and where the estimate lags too far behind, see
-    /// [`KNOWN_TURN`].
+    /// b without gravity: c - M J⁻¹(J̇ q̇ + κ), and B q̇ where a wall asks for it; and the part of it that the walls
+    /// meet: the whole by the paper's (4), B q̇ alone where the force is rendered whatever moves. Zero when the scene
+    /// has no velocity terms, where nothing moves by more than single counts, and where the estimate lags too far
+    /// behind, see [`KNOWN_TURN`].
     #[inline(never)]
     fn bias(
         &self,
@@ -576,7 +575,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         known_share(&self.mechanism.regularity(pose), qd, self.coefficients.lag())
     }
 
-    /// Declares the joints to be at `q` (rad) for these counts. Estimators start anew.
+    /// Declares the joints to be at `q` (rad) for these counts, and restarts the estimators.
     pub fn home(&mut self, counts: &[i32; N], q: &[T; N]) {
         self.encoders.home(counts, q);
         self.forget();
@@ -592,7 +591,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         self.encoders.set_zero(zero);
     }
 
-    /// Starts all estimators anew, so that what happened before is not a motion.
+    /// Restarts all estimators, so that earlier counts are not taken for a motion.
     pub fn forget(&mut self) {
         self.variant = StepVariant::Anew;
         self.observers.forget();
@@ -605,14 +604,15 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         self.passivity.set(on);
     }
 
-    /// Whether a one-sided wall of this scene is touched at these counts: arming and scene changes are refused then.
+    /// Returns true if a one-sided wall of this scene is touched at these counts: arming and scene changes are refused
+    /// then.
     pub fn inside_a_wall(&self, counts: &[i32; N]) -> bool {
         let (_, angles) = self.encoders.angles(counts);
         let pose = shared_pose::<T, K, M, N>(&self.mechanism, &angles);
         self.walls.any_touched::<K, N>(&task_part::<T, M, N>(&self.mechanism.tip(&pose)))
     }
 
-    /// What the host adds from the next step on.
+    /// Sets the host's force and plane from the next step on.
     pub fn set_push(&mut self, push: Option<&Push<T>>) {
         self.guidance.set_push(push);
         self.choose();
@@ -647,7 +647,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         self.choose();
     }
 
-    /// Takes the step that fits, unless the next one is still to begin anew.
+    /// Takes the step that fits, unless the estimators must restart at the next one.
     fn choose(&mut self) {
         if self.variant != StepVariant::Anew {
             self.variant = StepVariant::of(self);
@@ -688,16 +688,17 @@ pub fn known_share<T: Real, const N: usize>(regularity: &Regularity<T>, qd: &SVe
     s * s * (T::from_f64(3.0) - s - s)
 }
 
-/// How much several walls are like one, for which a gain of the feed-forward above 1 is meant: a smooth step from 1,
-/// where they are, to 0 where the second direction has a hundredth of the stiffness of the first (two equal facets 11°
-/// apart). Beyond, the proof that no set of walls is less stable than without the feed-forward needs a gain of 1.
+/// Similarity of several walls to a single one, for which a gain of the feed-forward above 1 is meant: a smooth step
+/// from 1, where they coincide, to 0 where the second direction has a hundredth of the stiffness of the first (two
+/// equal facets 11° apart). Beyond, the proof that no set of walls is less stable than without the feed-forward needs a
+/// gain of 1.
 fn single_wall_weight<T: Real, const N: usize>(principal: &Principal<T, N>) -> T {
     let second = principal.along(1) * T::from_f64(100.0);
     let s = (T::one() - second / principal.along(0).greater(T::EPSILON)).greater(T::zero());
     s * s * (T::from_f64(3.0) - s - s)
 }
 
-/// How near a singularity is, as the feed-forward asks: see [`FULL_REGULARITY`] and [`PARALLEL_REGULARITY`].
+/// Distance from singularity, as the feed-forward needs it: see [`FULL_REGULARITY`] and [`PARALLEL_REGULARITY`].
 #[inline(always)]
 fn nearness<T: Real>(regularity: &Regularity<T>) -> T {
     regularity.serial.lesser(regularity.parallel * T::from_f64(1.0 / PARALLEL_REGULARITY))

@@ -1,4 +1,4 @@
-//! What the device renders: walls, springs and damping fields, as the scene file says them and checked once.
+//! The scene that the device renders: walls, springs and damping fields, as the scene file says them and checked once.
 //!
 //! A [`Scene`] is plain data, the same on host and board; the controller builds its run-time form from it. A wall's
 //! shape is one file below this one and one line in the list of [`surface`].
@@ -26,7 +26,7 @@ pub const MAX_WALLS: usize = 8;
 /// Most springs in a scene.
 pub const MAX_SPRINGS: usize = 4;
 
-/// Where a point is against a surface.
+/// The position of a point relative to a surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Contact<T: Real, const N: usize> {
     /// Signed distance along the normal, m; negative inside the solid.
@@ -35,7 +35,7 @@ pub struct Contact<T: Real, const N: usize> {
     pub normal: SVector<T, N>,
 }
 
-/// How much of the paper's feed-forward a wall gets.
+/// The share of the paper's feed-forward that a wall gets.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[serde(rename_all = "kebab-case")]
 pub enum FeedForward {
@@ -58,8 +58,8 @@ impl FeedForward {
     }
 }
 
-/// What the controller does about the forces that a moving linkage needs to go straight on, b of docs/model.md
-/// section 2.
+/// The controller's treatment of the forces that a moving linkage needs to go straight on, b of docs/model.md section
+/// 2.
 ///
 /// The first two are what `false` and `true` were when this was a flag: settings and backups of that time still read.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Schema)]
@@ -94,7 +94,7 @@ impl<'de> Deserialize<'de> for VelocityTerms {
             Paper,
             Rendered,
         }
-        /// What a file in words says: one of the words, or the flag that it was once.
+        /// The value in a text file: one of the words, or the flag that it was once.
         struct FlagOrWord;
         impl<'de> serde::de::Visitor<'de> for FlagOrWord {
             type Value = Word;
@@ -133,7 +133,7 @@ pub struct Wall<T> {
     pub stiffness: T,
     /// N s/m
     pub damping: T,
-    /// Whether its force is shaped.
+    /// True if its force is shaped.
     pub feed_forward: FeedForward,
     /// Corner of the high-pass when it is [`FeedForward::Washout`], Hz.
     pub washout_hz: T,
@@ -180,9 +180,9 @@ pub struct Scene<T> {
     pub cutoff_hz: T,
     /// Kind of velocity estimator.
     pub estimator: Estimator,
-    /// Whether the device's own weight is held at all times.
+    /// True if the device's own weight is held at all times.
     pub gravity_compensation: bool,
-    /// What is done about the forces of motion.
+    /// The treatment of the forces of motion.
     pub velocity_terms: VelocityTerms,
     /// Walls.
     pub walls: Vec<Wall<T>, MAX_WALLS>,
@@ -193,7 +193,7 @@ pub struct Scene<T> {
     /// α: the feed-forward is α times (4)'s, 0 to [`MAX_FEED_FORWARD_GAIN`]; above 1 with one shaped wall alone.
     #[serde(default = "T::one")]
     pub feed_forward_gain: T,
-    /// What a redundant device holds.
+    /// The coordinate that a redundant device holds.
     #[serde(default)]
     pub admissible: Admissible,
     /// The posture that a redundant device is held in.
@@ -208,7 +208,7 @@ pub const MIN_RATE_HZ: f64 = 200.0;
 /// Fastest control rate, Hz.
 pub const MAX_RATE_HZ: f64 = 50_000.0;
 
-/// What is wrong with a scene; the index is the wall's or spring's.
+/// An error in a scene; the index is the wall's or spring's.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub enum SceneError {
     /// The scene is for another task dimension than the device.

@@ -1,10 +1,10 @@
-//! What one control step finds and decides, vectors padded with zeros: written in place once a step, and then read by
-//! the servo and telemetry.
+//! The result of one control step, vectors padded with zeros: written in place once a step, and then read by the servo
+//! and telemetry.
 
 use crate::math::Real;
 use crate::model::catalogue::MAX_JOINTS;
 
-/// What a step found at the walls.
+/// The state at the walls in a step.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct AtWalls<T> {
     /// Number of walls touched.
@@ -25,14 +25,14 @@ pub struct AtWalls<T> {
 }
 
 impl<T: Real> AtWalls<T> {
-    /// Where there is no wall.
+    /// The state without walls.
     #[inline(always)]
     pub(crate) fn none() -> Self {
         Self { shaping: T::one(), ..Self::default() }
     }
 }
 
-/// Where the device is and what touches it.
+/// Position and velocity of the device, and the walls that touch it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct DeviceState<T> {
     /// Joint angles, rad.
@@ -50,15 +50,15 @@ pub struct DeviceState<T> {
 pub struct TorqueDemand<T> {
     /// All of them together, N m.
     pub total: [T; MAX_JOINTS],
-    /// What holds the device against gravity, N m.
+    /// The part that holds the device against gravity, N m.
     pub gravity: [T; MAX_JOINTS],
-    /// What renders the forces that walls, springs and fields ask for, Jᵀ f, N m; the rest is the feed-forward.
+    /// The part that renders the forces of walls, springs and fields, Jᵀ f, N m; the rest is the feed-forward.
     pub rendered: [T; MAX_JOINTS],
     /// |f|², the square of those forces' resultant, N².
     pub force_squared: T,
 }
 
-/// What springs, fields and the host add.
+/// The additions of springs, fields and the host.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Guided<T> {
     /// At the tip, N.
@@ -67,20 +67,20 @@ pub(crate) struct Guided<T> {
     pub torque: [T; MAX_JOINTS],
 }
 
-/// All of it.
+/// The result of one control step.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct StepResult<T> {
-    /// Where the device is and what touches it.
+    /// Position and velocity of the device, and the walls that touch it.
     pub at: DeviceState<T>,
-    /// What the scene asks of the joints.
+    /// The joint torques that the scene asks for.
     pub asked: TorqueDemand<T>,
-    /// What of that springs, fields and the host add, where a straight step has worked it out.
+    /// The part of springs, fields and the host, if a straight step has computed it.
     pub(crate) guided: Guided<T>,
     /// J⁻¹ n: joint motion per metre of tip motion along the normal of the deepest wall, rad/m; zero out of contact.
     pub motion: [T; MAX_JOINTS],
-    /// What torques of the joints are worth at the tip, by task directions, 1/m, where there are as many of both.
+    /// The forces at the tip for joint torques, by task directions, 1/m, if there are as many directions as joints.
     pub(crate) leverage: [[T; MAX_JOINTS]; 3],
-    /// How far from a parallel singularity the pose is, see [`Regularity`](crate::model::mechanism::Regularity).
+    /// The distance of the pose from a parallel singularity, see [`Regularity`](crate::model::mechanism::Regularity).
     pub parallel: T,
 }
 

@@ -34,7 +34,7 @@ pub const LONGEST_WINDOW: usize = 32;
 /// ask for, 1 Hz at 20 kHz, lies at 3536.
 const LONGEST_RISE: usize = 4096;
 
-/// What `cutoff_hz` is to an estimator.
+/// The meaning of `cutoff_hz` for an estimator.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CutoffMeans {
     /// Its own bandwidth.
@@ -48,24 +48,24 @@ pub enum CutoffMeans {
 pub struct EstimatorKey {
     /// Its key in scene files.
     pub name: &'static str,
-    /// What it counts.
+    /// The unit that it counts.
     pub unit: &'static str,
     /// Least and most.
     pub range: (u32, u32),
-    /// What it is where a file does not say.
+    /// Its value if a file does not give one.
     pub usual: u32,
 }
 
-/// What scene files say of an estimator.
+/// The entry of an estimator in scene files.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct EstimatorSpec {
     /// Its word for `estimator`.
     pub name: &'static str,
-    /// What the cutoff is to it.
+    /// The meaning of the cutoff for it.
     pub cutoff: CutoffMeans,
     /// Its own value, if it takes one.
     pub key: Option<EstimatorKey>,
-    /// Whether it wants to know the acceleration that the motors' torques give the joints.
+    /// True if it wants to know the acceleration that the motors' torques give the joints.
     pub predicts: bool,
 }
 
@@ -74,14 +74,14 @@ pub struct EstimatorSpec {
 pub struct Chosen {
     /// The value of the key that its [`EstimatorSpec`] names; 0 where it names none.
     pub value: u32,
-    /// Whether a Butterworth low-pass at the cutoff stands behind it.
+    /// True if a Butterworth low-pass at the cutoff stands behind it.
     pub filtered: bool,
 }
 
-/// What one control period showed of a joint, in encoder counts and control periods.
+/// The samples of one joint in one control period, in encoder counts and control periods.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Seen<T> {
-    /// How far it moved, counts.
+    /// Distance that it moved, counts.
     pub moved: T,
     /// Acceleration that the motors' torques gave it, counts per period²; zero for an estimator that does not predict.
     pub pushed: T,
@@ -94,13 +94,13 @@ pub struct Seen<T> {
 /// Velocities are in counts per control period. [`JointEstimator::step`] runs in the control interrupt: bounded time and
 /// no panic.
 pub trait JointEstimator<T: Real>: Copy {
-    /// What scene files say of it.
+    /// Its entry in scene files.
     const SPEC: EstimatorSpec;
     /// Its coefficients.
     type Design: Copy + core::fmt::Debug + PartialEq;
     /// Coefficients for these choices; `warped` is tan(π cutoff/rate).
     fn design(chosen: &Chosen, warped: T) -> Self::Design;
-    /// How far the velocity lags behind where it grows steadily, control periods.
+    /// The lag of the velocity while it grows steadily, control periods.
     fn lag(design: &Self::Design) -> T;
     /// Its memory of a joint that has been moving at this velocity.
     fn moving_at(velocity: T) -> Self;
@@ -110,7 +110,7 @@ pub trait JointEstimator<T: Real>: Copy {
 
 macro_rules! estimators {
     ($($(#[$doc:meta])* $Name:ident;)*) => {
-        /// How wall velocities are estimated.
+        /// The estimators of wall velocities.
         #[derive(
             Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize, postcard_schema::Schema,
         )]
@@ -127,7 +127,7 @@ macro_rules! estimators {
         }
 
         impl Estimator {
-            /// What scene files say of those that watch joints.
+            /// The entries in scene files of the estimators that watch joints.
             pub const SPECS: &'static [EstimatorSpec] = &[$(<$Name<f32> as JointEstimator<f32>>::SPEC),*];
 
             /// Every estimator, as it is where a file says no more than its name.
@@ -138,7 +138,7 @@ macro_rules! estimators {
                 $((<$Name<f32> as JointEstimator<f32>>::SPEC.name, Self::$Name(usual(&<$Name<f32> as JointEstimator<f32>>::SPEC))),)*
             ];
 
-            /// What scene files say of it, if it watches joints.
+            /// Its entry in scene files, if it watches joints.
             pub fn spec(&self) -> Option<EstimatorSpec> {
                 match self {
                     $(Self::$Name(_) => Some(<$Name<f32> as JointEstimator<f32>>::SPEC),)*
@@ -180,7 +180,7 @@ macro_rules! estimators {
             }
         }
 
-        /// What an estimator remembers of a joint.
+        /// An estimator's memory of a joint.
         #[derive(Clone, Copy, Debug, Default)]
         enum Memory<T: Real> {
             /// Nothing: it does not watch joints.
@@ -221,7 +221,7 @@ estimators! {
     Predicted;
 }
 
-/// What is chosen where a file does not say.
+/// The choice if a file does not give one.
 const fn usual(spec: &EstimatorSpec) -> Chosen {
     let value = match &spec.key {
         Some(key) => key.usual,
@@ -241,7 +241,7 @@ impl Estimator {
         }
     }
 
-    /// Whether its value lies in its range.
+    /// Returns true if its value lies in its range.
     pub fn valid(&self) -> bool {
         let (Some(spec), Some(chosen)) = (self.spec(), self.chosen()) else { return true };
         let (least, most) = spec.key.map_or((0, 0), |key| key.range);
@@ -255,14 +255,14 @@ pub struct Coefficients<T: Real> {
     /// Control rate, Hz.
     rate: T,
     kind: Estimator,
-    /// What the low-pass's band-pass state loses in half a step, 1 - a₁: small where the cutoff is, so it keeps its digits
-    /// there. None in a low-pass of first order.
+    /// Share that the low-pass's band-pass state loses in half a step, 1 - a₁: small if the cutoff is, so it keeps its
+    /// digits there. None in a low-pass of first order.
     loss: T,
     a2: T,
     a3: T,
     /// There is no low-pass: the difference alone.
     none: bool,
-    /// Of a first-order low-pass at the same cutoff (1 where there is none).
+    /// Gain of a first-order low-pass at the same cutoff (1 without one).
     first: T,
     /// s, see [`Coefficients::lag`].
     lag: T,
@@ -270,7 +270,7 @@ pub struct Coefficients<T: Real> {
     one_count: [T; MAX_JOINTS],
     /// Of one that watches joints.
     joints: Option<Design<T>>,
-    /// Whether a low-pass stands behind that.
+    /// True if a low-pass stands behind that.
     filtered: bool,
 }
 
@@ -344,8 +344,8 @@ impl<T: Real> Coefficients<T> {
             let moved = if period == 1 { T::one() } else { T::zero() };
             let velocity = match &self.joints {
                 Some(design) => {
-                    // What forgets the count is not asked thousands of times while a low-pass behind it rises: the board
-                    // does this when a request comes, and its watchdog waits meanwhile.
+                    // An estimator that forgets the count is not asked thousands of times while a low-pass behind it
+                    // rises: the board does this when a request comes, and its watchdog waits meanwhile.
                     let found = if quiet > LONGEST_WINDOW {
                         T::zero()
                     } else {
@@ -370,7 +370,7 @@ impl<T: Real> Coefficients<T> {
         &self.one_count
     }
 
-    /// How far an estimated velocity lags behind, s.
+    /// The lag of an estimated velocity, s.
     pub fn lag(&self) -> T {
         self.lag
     }
@@ -390,18 +390,18 @@ impl<T: Real> Coefficients<T> {
         self.first
     }
 
-    /// Whether a low-pass behind the backward difference is all of it.
+    /// Returns true if a low-pass behind the backward difference is all of it.
     pub fn is_low_pass(&self) -> bool {
         !self.none && self.joints.is_none()
     }
 
-    /// Whether the estimator watches joints.
+    /// Returns true if the estimator watches joints.
     #[inline(always)]
     pub fn at_joints(&self) -> bool {
         self.joints.is_some()
     }
 
-    /// Whether the estimator wants to know what the motors' torques do.
+    /// Returns true if the estimator wants to know what the motors' torques do.
     pub fn predicts(&self) -> bool {
         self.kind.spec().is_some_and(|spec| spec.predicts)
     }

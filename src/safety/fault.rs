@@ -5,7 +5,7 @@
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
-/// Whether the motors may act.
+/// True if the motors may act.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub enum State {
     /// Bridges float; the device moves freely.
@@ -23,7 +23,7 @@ impl State {
     /// Every state, in the order of the numbers that telemetry gives them.
     pub const ALL: [Self; 4] = [Self::Disarmed, Self::Armed, Self::CheckingPolarity, Self::Fault];
 
-    /// Whether the bridges drive the motors.
+    /// Returns true if the bridges drive the motors.
     pub const fn drives(self) -> bool {
         match self {
             Self::Armed | Self::CheckingPolarity => true,
@@ -34,7 +34,7 @@ impl State {
 
 macro_rules! faults {
     ($($(#[$doc:meta])* $Name:ident = $code:literal, $what:literal, $remedy:literal;)*) => {
-        /// What can go wrong, each with a code that never changes.
+        /// The faults, each with a code that never changes.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, Schema)]
         #[repr(u8)]
         pub enum Fault { $($(#[$doc])* $Name = $code,)* }
@@ -48,12 +48,12 @@ macro_rules! faults {
                 self as u8
             }
 
-            /// What happened, in plain words.
+            /// The event, in plain words.
             pub const fn what(self) -> &'static str {
                 match self { $(Fault::$Name => $what,)* }
             }
 
-            /// What a person can do about it.
+            /// The remedy that a person can apply.
             pub const fn remedy(self) -> &'static str {
                 match self { $(Fault::$Name => $remedy,)* }
             }
@@ -184,7 +184,7 @@ faults! {
 }
 
 impl Fault {
-    /// Whether the joint angles can no longer be trusted: the device has to be homed again.
+    /// Returns true if the joint angles can no longer be trusted: the device has to be homed again.
     pub const fn loses_counts(self) -> bool {
         matches!(
             self,
@@ -202,7 +202,7 @@ impl core::fmt::Display for Fault {
 /// A fault as it happened.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct FaultRecord {
-    /// What.
+    /// The fault.
     pub fault: Fault,
     /// Which axis, where one is meant.
     pub axis: Option<u8>,

@@ -30,7 +30,7 @@ pub struct Limits {
 /// and that a hand can hold.
 pub const GENTLE_FORCE: f32 = 5.0;
 
-/// Tip force, N, above which nobody raises the limit of a board with real motors: each board names it.
+/// Tip force, N, above which the limit of a board with real motors cannot be raised: each board names it.
 pub const MOST_TIP_FORCE: f32 = 100.0;
 
 /// The tip force that a backup meant whose limits name none.
@@ -75,7 +75,7 @@ pub enum Limit {
     BusMax,
     /// Force at the tip, N.
     TipForce,
-    /// How long a host may be silent, s.
+    /// The time that a host may be silent, s.
     HostSeconds,
     /// Counts between two index pulses.
     IndexPeriod,
@@ -131,7 +131,7 @@ impl core::fmt::Display for BadLimit {
 }
 
 impl Limits {
-    /// Whether every number is finite, positive and no larger than what `most` allows.
+    /// Returns true if every number is finite, positive and no larger than what `most` allows.
     pub fn within(&self, most: &Self) -> bool {
         self.wrong(most).is_none()
     }
@@ -167,7 +167,7 @@ impl Limits {
         None
     }
 
-    /// Whether no limit is higher than in `other`: such a change is safe at any time.
+    /// Returns true if no limit is higher than in `other`: such a change is safe at any time.
     pub fn no_higher_than(&self, other: &Self) -> bool {
         let mut steady = self.continuous_current.iter().zip(&other.continuous_current);
         // Held against itself alone: it may stand above a current limit that was lowered below it.

@@ -1,4 +1,4 @@
-//! Whether the control loop keeps its pace: as often as its rate says, no more and no less.
+//! True if the control loop keeps its pace: as often as its rate says, no more and no less.
 
 /// A loop that runs more often than this, % of its rate, is as broken as one that stops. Its timer and the clock that
 /// measures it run from one crystal, so a sound loop is off by no more than a step or two at either end.
@@ -10,7 +10,7 @@ const ENDS: u64 = 4;
 /// Looks are added up until this many steps are due, so that [`ENDS`] is a twentieth of them at any rate.
 const ENOUGH: u64 = 80;
 
-/// How the loop runs.
+/// The state of the loop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
     /// As its rate says, as far as can be told yet.

@@ -1,6 +1,6 @@
-//! What is looked at at the carrier's valley, right after the drives of the crest before it: what the measured currents
-//! push with at the tip; whether each motor is as its device file says; and, of one joint at a time in turn, what builds
-//! up over many carrier periods (heat, stalls, lost encoders), all of which takes milliseconds at least.
+//! The checks at the carrier's valley, right after the drives of the crest before it: the force at the tip that the
+//! measured currents make; each motor against its device file; and, of one joint at a time in turn, harm that builds up
+//! over many carrier periods (heat, stalls, lost encoders) and takes milliseconds at least.
 
 use super::Servo;
 use crate::drive::bits::margin_bits;
@@ -14,12 +14,12 @@ use crate::servo::joints::{Counts, Torques};
 use crate::servo::program::Program;
 use core::ops::DerefMut;
 
-/// How long torque near its limit without any encoder motion is believed, s.
+/// Longest time that torque near its limit is believed without any encoder motion, s.
 pub const STALL_SECONDS: f32 = 5.0;
-/// How long an encoder may stand still while the back-EMF says the joint turns, s.
+/// Longest time that an encoder may stand still while the back-EMF says the joint turns, s.
 pub const LOSS_SECONDS: f32 = 0.05;
 
-/// What is summed up of one joint.
+/// The sums kept for one joint.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Sums {
     /// Its encoder's count at its last turn.
@@ -54,22 +54,22 @@ const FLOW_MARGIN: f32 = 1.05;
 /// Largest share of the limit that the sensors' error may hide: near a singular pose a torque too small to be measured is
 /// a large force.
 const HIDDEN_SHARE: f32 = 0.05;
-/// What the mean of a current sensor over that time is known to be wrong by, A: its zero and its noise.
+/// Known error of a current sensor's mean over that time, A: its zero and its noise.
 const SENSOR_ERROR: f32 = 0.05;
 /// Share of the limit that what the sensors show of bridges that are off may be worth.
 const STRAY_SHARE: f32 = 0.5;
-/// How long currents and that mean take to follow a limit that was lowered, s.
+/// Time that currents and that mean take to follow a limit that was lowered, s.
 const SETTLING_SECONDS: f32 = 5.0e-3;
-/// How often it is worked out anew what torques are worth at the tip, Hz: a tip at 1 m/s moves by half a millimetre
+/// Rate at which the forces at the tip for joint torques are recomputed, Hz: a tip at 1 m/s moves by half a millimetre
 /// meanwhile.
 const LEVERAGE_HZ: f32 = 2.0e3;
 
 /// By what share leverage may change at once before less is asked for: what the limit of what flows leaves to it.
 const CHANGE_FREE: f32 = 0.02;
-/// What is left of the largest change of late at the next.
+/// Share of the largest recent change that is kept at the next recomputation.
 const CHANGE_KEPT: f32 = 0.75;
 
-/// What flows, as forces at the tip.
+/// The measured currents as forces at the tip.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Flow {
     /// Means of the torques that the measured currents make beyond the device's weight, N m, and the gain of a sample.
@@ -80,7 +80,7 @@ pub(super) struct Flow {
     /// By what share leverage changed at once of late: with a count of a coarse encoder, where links are nearly in line, by
     /// a tenth, and the joint was half of that nearer all along.
     change: f32,
-    /// Valleys until leverage is worked out anew, and after how many it is.
+    /// Valleys until leverage is recomputed, and the number between two recomputations.
     until_weighed: u32,
     every: u32,
     /// For how long what was allowed before a limit was lowered may still flow, s.
@@ -151,7 +151,7 @@ where
         }
     }
 
-    /// What the sensors show while no bridge drives.
+    /// Averages the sensors' readings while no bridge drives.
     fn drift(&mut self, seen: &Samples, sensed: bool) {
         for ((joint, current), mean) in self.joints.iter().zip(seen.currents.iter()).zip(self.flow.torque.iter_mut()) {
             let shown = if sensed { joint.stage.torque_of(*current) } else { 0.0 };
@@ -159,8 +159,9 @@ where
         }
     }
 
-    /// What the sensors show while no bridge drives flows through a bridge that is broken, or is what they will be wrong
-    /// by, which no limit of what is measured holds: as a force at the tip it must be less than half of the limit.
+    /// Checks the readings while no bridge drives. Such a current flows through a broken bridge, or is the sensors'
+    /// error, which no limit on measured currents can hold: as a force at the tip it must be less than half of the
+    /// limit.
     pub(super) fn find_stray(&mut self) -> Result<(), Refusal> {
         let counts = self.now.counts;
         self.weigh_again(&counts);
@@ -196,11 +197,11 @@ where
         }
     }
 
-    /// What of the torques commanded holds the device against gravity, N m.
+    /// The part of the commanded torques that holds the device against gravity, N m.
     #[inline(always)]
     fn held(&self) -> Torques {
         match self.state {
-            // What carries the weight may fade in a scene that carries none.
+            // The torque that carries the weight may fade in a scene that carries no weight.
             State::Armed if self.was_cut() => self.cut.gravity,
             State::Armed if self.weighs => Torques(self.now.found.asked.gravity),
             _ => Torques::default(),

@@ -15,7 +15,7 @@ use core::mem::MaybeUninit;
 /// The trigonometry that the board computes with.
 pub type BoardMath = Tabulated;
 
-/// How the board holds a program: by the buffer it lies in, so handing it over moves a pointer.
+/// The board's handle to a program: the buffer it lies in, so handing it over moves a pointer.
 pub type BoardProgram = &'static mut Program<BoardMath>;
 
 /// Compare values of each bridge's two legs.
@@ -69,7 +69,7 @@ pub fn crest_generally(servo: &mut BoardServo, seen: &Samples, due: bool, ticks:
     servo.crest_generally(seen, &seen.currents, due, &|duty| ticks.legs(duty), legs)
 }
 
-/// What is looked at at the valley, see [`Servo::check_slow_faults`].
+/// The checks at the valley, see [`Servo::check_slow_faults`].
 #[inline(never)]
 pub fn check_slow_faults(servo: &mut BoardServo, seen: &Samples) -> Outputs {
     servo.check_slow_faults_of(seen, Some(seen.bus_voltage), true);

@@ -29,15 +29,15 @@ const COUNT_SHARE: f32 = 0.25;
 /// Largest share of the torque limit that a single count may push with when back-EMF is fed forward.
 const KICK_SHARE: f32 = 1.0 / 32.0;
 
-/// What two current sensors may differ by: a share of the current limit (gains, settling at the edge of the duty) and
-/// amperes (zeros, noise).
+/// Largest difference of two current sensors: a share of the current limit (gains, settling at the edge of the duty)
+/// and amperes (zeros, noise).
 const IMBALANCE_SHARE: f32 = 0.15;
 const IMBALANCE_FLOOR: f32 = 0.5;
 /// Speed below which an encoder stands still, counts in a carrier period: one count in 1000 periods.
 const STANDSTILL: f32 = 1.0e-3;
 
-/// One joint and its motor as a crest needs them, in the order in which it does: contiguous, so that one address reaches
-/// all of it.
+/// One joint and its motor in the order in which a crest needs them: contiguous, so that one address reaches every
+/// field.
 #[derive(Clone, Copy, Debug, Default)]
 #[repr(C)]
 pub(super) struct Joint<S> {
@@ -52,7 +52,7 @@ pub(super) struct Joint<S> {
     pub(super) sums: Sums,
 }
 
-/// What a joint is held to, made ready whenever device, homing, rules or rate change.
+/// The bounds of a joint, recomputed whenever device, homing, rules or rate change.
 #[derive(Clone, Copy, Debug, Default)]
 #[repr(C)]
 struct Bounds {
@@ -72,7 +72,7 @@ struct Bounds {
     limited: bool,
     /// Measured current that is not the loop's overshoot any more, A.
     current: f32,
-    /// What two current sensors may differ by, A.
+    /// Largest difference of two current sensors, A.
     imbalance: f32,
 }
 
@@ -108,7 +108,7 @@ impl<S: Stage> Joint<S> {
         if self.bounds.limited { self.bounds.range_margin(count) } else { 0 }
     }
 
-    /// Whether it has a range.
+    /// Returns true if it has a range.
     pub(super) fn is_limited(&self) -> bool {
         self.bounds.limited
     }
@@ -133,16 +133,16 @@ impl<S: Stage> Joint<S> {
         self.stage.strain()
     }
 
-    /// Whether its encoder stands still.
+    /// Returns true if its encoder stands still.
     pub(super) fn stands_still(&self) -> bool {
         self.speed.abs() < STANDSTILL
     }
 }
 
-/// What of a crest is unusual.
+/// The reason why a crest is unusual.
 #[derive(Clone, Copy, Debug)]
 enum Unusual {
-    /// What the crest itself shows is not well.
+    /// The samples of the crest are beyond a bound.
     Crest,
     /// Its step, which has begun, found something that must be looked at.
     Step,
@@ -150,10 +150,10 @@ enum Unusual {
     Torques,
 }
 
-/// What all joints together are held to.
+/// The bounds of all joints together.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Crests {
-    /// Whether a crest was before.
+    /// True if a crest was before.
     primed: bool,
     /// Bus voltage, V.
     bus: (f32, f32),
@@ -171,7 +171,7 @@ impl Crests {
         self.power = 0.0;
     }
 
-    /// Whether the power into the hand may go on, which is this now, W.
+    /// Returns true if the power into the hand may go on, which is this now, W.
     #[inline(always)]
     fn allow(&mut self, power: f32) -> bool {
         self.power += (power - self.power) * self.power_gain;
@@ -228,7 +228,7 @@ where
             // Five times the speed limit is no motion any more, and more than noise of a count no noise.
             jump: ((5.0 * speed) as i32).max(4),
             gain,
-            // What a slower filter leaves of it the current loop takes out.
+            // The current loop takes out the part of it that a slower filter leaves.
             steady_gain: gain.min(KICK_SHARE * self.most_torque[i] / kick),
             speed,
             radians: scale * program.carrier_hz,
@@ -314,7 +314,7 @@ where
         self.drive_all::<J, L>(supply, late, samples, into, legs)
     }
 
-    /// What the legs of J joints do next, while the motors are on and the supply is usable.
+    /// Drives the legs of J joints while the motors are on and the supply is usable.
     #[inline(always)]
     fn drive_all<const J: usize, L>(
         &mut self,
@@ -357,7 +357,7 @@ where
         true
     }
 
-    /// Whether all that the crest of J joints shows is within its bounds.
+    /// Returns true if all that the crest of J joints shows is within its bounds.
     #[inline(always)]
     fn look_of<const J: usize>(&mut self, seen: &Samples) -> bool {
         let mut least = margin_bits_between(seen.bus_voltage, self.crests.bus);
@@ -393,8 +393,8 @@ where
         self.drive(seen.bus_voltage, samples, seen.late, into, legs)
     }
 
-    /// Whether the bridges may go on driving after what this crest shows in counts, currents and supply. Call at every
-    /// crest, before [`Servo::act`] where a step is due and before [`Servo::duties`].
+    /// Checks the counts, currents and supply of this crest, and returns whether the bridges may go on driving. Call at
+    /// every crest, before [`Servo::act`] where a step is due and before [`Servo::duties`].
     pub fn guard(&mut self, seen: &Samples) -> Outputs {
         self.look(&self.known(seen));
         self.check_at_free_crest();
@@ -470,8 +470,8 @@ where
         }
     }
 
-    /// What a board shows that does not sense all of it, as if it did: the currents that were commanded, and a bus voltage
-    /// that nothing is held to.
+    /// Completes the samples of a board that lacks sensors: with the commanded currents, and with a bus voltage that is
+    /// not held to any limit.
     pub(super) fn known(&self, seen: &Samples) -> Samples {
         let mut seen = *seen;
         if !self.hardware.bridge.current_sensed {
@@ -491,7 +491,7 @@ where
     }
 }
 
-/// What the legs of one motor do next, from a supply that is usable.
+/// The drive of one motor's legs, from a supply that is usable.
 #[inline(always)]
 pub(super) fn drive_one<S: Stage>(joint: &mut Joint<S>, supply: &Supply, sample: S::Sample, late: bool) -> S::Drive {
     let speed = joint.steady_speed();
@@ -504,7 +504,7 @@ fn range(limits: Option<(f32, f32)>, radians_per_count: f32, offset: f32, zero: 
     let (low, high) = limits?;
     let ends = [low, high].map(|angle| (angle - offset) / radians_per_count);
     let (first, last) = (ends[0].min(ends[1]), ends[0].max(ends[1]));
-    // An end further away than half of what counts can tell apart is none; the other one still is.
+    // An end further away than half of the range of counts is dropped; the other end still holds.
     let most = i32::MAX as f32 * 0.25;
     let within = |end: f32| end.clamp(-most, most);
     Some((zero.wrapping_add(below(within(first))), zero.wrapping_add(-below(-within(last)))))

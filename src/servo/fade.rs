@@ -18,12 +18,12 @@ use crate::servo::program::Program;
 use crate::servo::saturation::share_within;
 use core::ops::DerefMut;
 
-/// What a step commanded by what it was for.
+/// The torques that a step commanded, by purpose.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Acted {
-    /// What carried the device's weight.
+    /// The part that carried the device's weight.
     pub gravity: Torques,
-    /// What rendered forces, N m: all but the weight and the feed-forward.
+    /// The part that rendered forces, N m: all but the weight and the feed-forward.
     pub rendered: Torques,
     /// The share of the forces asked for that the limits left.
     pub share: f32,
@@ -39,22 +39,22 @@ struct Lease {
 }
 
 impl Lease {
-    /// What is left of it.
+    /// The torques that still act.
     fn acts(&self) -> Torques {
         let part = if self.remaining > 0.0 { self.remaining / self.life } else { 0.0 };
         Torques(self.torque.map(|torque| part * torque))
     }
 }
 
-/// What acted before, on its way out. The default is nothing.
+/// The torques that acted before, on their way out. The default is zero.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Fade {
-    /// How far the scene is in, 0 to 1.
+    /// The scene's progress from 0 to 1.
     pub ramp: f32,
     /// By what the last step multiplied the forces asked for, before torques were limited: the ramp times the share that
     /// the limit of the force at the tip left.
     pub share: f32,
-    /// Whether a step of it was, and whether anything acted before.
+    /// True if a step of it was, and whether anything acted before.
     begun: bool,
     from_something: bool,
     /// The share of the device's weight that was carried: what carries it is of the pose now, or torques of another would
@@ -75,7 +75,7 @@ impl Fade {
         (self.begun, self.from_something) = (false, false);
     }
 
-    /// What renders forces before the ramp.
+    /// The torques that render forces before the ramp.
     fn rendered(&self) -> Torques {
         let host = self.host.acts();
         Torques::from_fn(|i| self.scene[i] + host[i])
@@ -95,7 +95,7 @@ where
 {
     /// Lets what the last step commanded fade into what a new program asks for. Call before that takes the old one's place.
     pub(super) fn begin_fade(&mut self) {
-        // Where no step came between two programs, what acted fades already.
+        // If no step came between two programs, the earlier torques fade already.
         if !self.fade.begun {
             return;
         }
@@ -142,7 +142,7 @@ where
         let asked = &{ self.now.found.asked };
         self.fade.begun = true;
         self.fade.ramp = (self.fade.ramp + self.period * (1.0 / ARM_SECONDS)).min(1.0);
-        // What is asked for is held to the limit of the force at the tip by itself, as what fades out is below.
+        // The limit of the force at the tip holds the present demand by itself, as it does the fading part below.
         let share = share_within(asked.force_squared, self.most_force);
         self.fade.share = self.fade.ramp * share;
         if !self.fade.from_something {
@@ -166,7 +166,7 @@ where
         self.fade.part(before, if self.weighs { 1.0 } else { 0.0 })
     }
 
-    /// What carries the weight now, N m. A scene that carries none does not say what it is.
+    /// The torques that carry the weight now, N m. A scene that does not carry it cannot tell them.
     fn weight(&self, asked: &TorqueDemand<f32>) -> [f32; MAX_JOINTS] {
         let carries = self.carries();
         let whole = match &self.program {
@@ -218,7 +218,7 @@ where
         }
     }
 
-    /// All of it: the `weight`, and a `share` of what is asked beyond it.
+    /// The `weight`, and a `share` of the rest of the demand.
     fn between(&self, asked: &TorqueDemand<f32>, weight: &[f32; MAX_JOINTS], share: f32) -> [f32; MAX_JOINTS] {
         let (fade, rendered) = (&self.fade, self.fade.rendered());
         core::array::from_fn(|i| {

@@ -1,4 +1,4 @@
-//! What goes into a control period and what it leaves behind for telemetry.
+//! The input of a control period, and the record that it leaves for telemetry.
 
 use crate::drive::stage::MAX_DUTY;
 use crate::render::step_result::{DeviceState, StepResult};
@@ -8,7 +8,7 @@ use crate::servo::joints::{Counts, Currents, Duties, Torques};
 /// A duty as large as this is as large as it can be: the drive's own end, less what rounding may take off it.
 const DUTY_END: f32 = MAX_DUTY * (1.0 - 8.0 * f32::EPSILON);
 
-/// What the hardware saw at one sampling instant, a crest of the carrier.
+/// The hardware's samples of one instant, a crest of the carrier.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Samples {
     /// Encoder counts.
@@ -17,20 +17,20 @@ pub struct Samples {
     pub bus_voltage: f32,
     /// Motor currents; ignored where they are not sensed.
     pub currents: Currents,
-    /// What two sensors of a motor's current differ by; 0 where it has one.
+    /// Difference of the two sensors of a motor's current; 0 with a single sensor.
     pub imbalance: Currents,
-    /// Whether what the legs do of it comes too late for the next valley, and applies half a carrier period later.
+    /// True if what the legs do of it comes too late for the next valley, and applies half a carrier period later.
     pub late: bool,
 }
 
-/// What one control step decided.
+/// The decision of one control step.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Outputs {
-    /// Whether the bridges may drive; false means floating.
+    /// True if the bridges may drive; false means floating.
     pub bridges: bool,
 }
 
-/// What the motors were told at a step, and what they do.
+/// The commands of a step to the motors, and their state.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Motors {
     /// Joint torques after limits, N m.
@@ -41,15 +41,14 @@ pub struct Motors {
     pub duty: Duties,
     /// V; 0 where it is not sensed.
     pub bus_voltage: f32,
-    /// What the limits leave of the walls' force along the normal of the deepest, N (docs/telemetry.md). Zero unless
-    /// armed.
+    /// The walls' force along the normal of the deepest, within the limits, N (docs/telemetry.md). Zero unless armed.
     pub rendered_force: f32,
     /// A bit for every joint that a limit gave another torque than was asked: its own limit of torque or current,
     /// another joint's, or that of the force at the tip, because all are cut by one factor.
     pub limited: u8,
 }
 
-/// What the last step left: the servo's working memory.
+/// The servo's working memory: the state that the last step left.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Now {
     /// Control steps since boot, and up to which one it was noted what they saw.
@@ -57,7 +56,7 @@ pub(crate) struct Now {
     pub noted: u32,
     pub counts: Counts,
     pub motors: Motors,
-    /// What the scene found and asks for.
+    /// The result of the scene's step.
     pub found: StepResult<f32>,
 }
 
@@ -70,9 +69,9 @@ pub struct StepRecord {
     pub state: State,
     /// Encoder counts.
     pub counts: Counts,
-    /// Where the device is and what touches it.
+    /// Position and velocity of the device, and the walls that touch it.
     pub at: DeviceState<f32>,
-    /// What the motors do.
+    /// The state of the motors.
     pub motors: Motors,
 }
 
@@ -83,8 +82,8 @@ impl StepRecord {
         Self { step: now.step, state, counts: now.counts, at: now.found.at, motors: now.motors }
     }
 
-    /// Whether joint `i` could not do what was asked: 1 a limit changed its torque ([`Motors::limited`]), 2 its duty is at
-    /// its end, 3 both.
+    /// Returns true if joint `i` could not do what was asked: 1 a limit changed its torque ([`Motors::limited`]), 2 its
+    /// duty is at its end, 3 both.
     pub fn saturation(&self, i: usize) -> u8 {
         let end = self.motors.duty.get(i).is_some_and(|duty| duty.abs() >= DUTY_END);
         (self.motors.limited >> i & 1) | u8::from(end) << 1

@@ -35,14 +35,14 @@ pub const MOST_DISTANCE: f32 = 10.0;
 pub const MOST_STIFFNESS: f32 = 1.0e5;
 /// Most damped contact, N s/m.
 pub const MOST_DAMPING: f32 = 1.0e3;
-/// How far a contact's normal may be from a unit vector, as the square of its length.
+/// Largest deviation of a contact's normal from a unit vector, as the square of its length.
 const UNIT: f32 = 1.0e-3;
 /// Shortest and longest time in which a contact goes from one plane to the next, s. One that appears or goes takes the
 /// shortest.
 pub const BLEND_SECONDS: (f32, f32) = (1.0e-3, 20.0e-3);
 
-/// What a host asks for; it takes the place of what it asked for before. Vectors are in the task frame, or one entry a
-/// joint, with zeros in entries that the device does not have. The default asks for nothing, but how the device is.
+/// A host's request; it replaces the host's earlier one. Vectors are in the task frame, or one entry a joint, with
+/// zeros in entries that the device does not have. The default requests no force and only reads the device's state.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, Schema)]
 pub struct ForceRequest {
     /// Rises with every request, wrapping. What is not newer than the last one taken is not taken.
@@ -75,7 +75,7 @@ pub struct HostContact {
     pub damping: f32,
 }
 
-/// What was done with a request.
+/// The outcome of a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub enum ForceDone {
     /// It acts from the next control step on.
@@ -143,12 +143,12 @@ impl core::fmt::Display for ForceDone {
     }
 }
 
-/// How the device is, and what the host's requests do, at the control step before the answer.
+/// The state of the device, and the effect of the host's requests, at the control step before the answer.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct ForceAnswer {
     /// Of the request that this answers.
     pub sequence: u32,
-    /// What was done with it.
+    /// The outcome of the request.
     pub done: ForceDone,
     /// Disarmed, armed, fault.
     pub state: State,
@@ -232,7 +232,7 @@ struct Blend {
 }
 
 impl Blend {
-    /// Where it is now.
+    /// Its present plane.
     fn now(&self) -> PushedPlane<f32> {
         if self.elapsed >= self.duration {
             return self.to;
@@ -274,7 +274,7 @@ impl Blend {
 /// The host's request while it acts.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct HostForce {
-    /// Whether it does.
+    /// True if it does.
     pub acts: bool,
     request: ForceRequest,
     /// Time since the state that it was computed from, s.
@@ -300,7 +300,7 @@ impl HostForce {
         let was_there = self.acts && self.contact.now().stiffness + self.contact.now().damping > 0.0;
         self.beside = if was_there { self.contact_lease - request.lease(age) } else { 0.0 };
         self.closing = self.beside.abs() / BLEND_SECONDS.0;
-        // What is left of its contact lies in the blend.
+        // The blend keeps the rest of the earlier contact.
         (self.request, self.age, self.acts) = (ForceRequest { contact: None, ..*request }, age, true);
         self.contact.go(request.contact.as_ref());
     }
@@ -406,7 +406,7 @@ where
         if self.host.acts && request.sequence.wrapping_sub(self.host.request.sequence) as i32 <= 0 {
             return ForceDone::NotNewer;
         }
-        // Steps before a change of rate took another time, which nobody counted.
+        // Steps before a change of rate took another time, so their age is unknown.
         let before = age as u32 > self.now.step.wrapping_sub(self.rate_since);
         let age = age as f32 * self.period;
         if before || request.lease(age) <= 0.0 {
@@ -417,7 +417,7 @@ where
         ForceDone::Taken
     }
 
-    /// What the scene asks of the joints, and what a host that pushes.
+    /// Renders the scene and the host's push.
     #[inline(never)]
     pub(super) fn render_pushed(&mut self, counts: &Counts) {
         let push = self.host.step(self.period);

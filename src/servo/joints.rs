@@ -1,4 +1,4 @@
-//! What the servo holds of every joint, padded with zeros to [`MAX_JOINTS`]: counts, torques, currents and duties are
+//! The servo's values of every joint, padded with zeros to [`MAX_JOINTS`]: counts, torques, currents and duties are
 //! types of their own, so that none passes for another.
 
 use crate::model::catalogue::MAX_JOINTS;

@@ -18,14 +18,14 @@ use crate::safety::refusal::Refusal;
 use crate::servo::frame::Now;
 use crate::servo::joints::{Counts, Torques};
 
-/// What a board is, as far as the servo cares.
+/// The properties of a board that the servo needs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hardware {
     /// Motor axes.
     pub axes: usize,
-    /// Whether there are real motors, which need verified data, limits, homing and a polarity check.
+    /// True if there are real motors, which need verified data, limits, homing and a polarity check.
     pub real: bool,
-    /// Whether the bus voltage is measured.
+    /// True if the bus voltage is measured.
     pub bus_sensed: bool,
     /// Its bridges.
     pub bridge: Bridge,
@@ -149,11 +149,11 @@ crate::mechanisms!(define);
 pub struct Program<K, S = Axis> {
     pub(crate) controller: AnyController<K>,
     pub(crate) mechanism: AnyMechanism<f32>,
-    /// What the servo's own begin as.
+    /// The initial state of the servo's own stages.
     pub(crate) axes: [S; MAX_JOINTS],
-    /// Whether gravity is compensated.
+    /// True if gravity is compensated.
     pub(crate) weighs: bool,
-    /// Whether the controller's steps find what torques are worth at the tip.
+    /// True if the controller's steps find what torques are worth at the tip.
     pub(crate) finds_leverage: bool,
     pub(crate) joints: usize,
     pub(crate) limits: [Option<(f32, f32)>; MAX_JOINTS],

@@ -1,4 +1,4 @@
-//! What reaches the servo between two steps, and what it answers.
+//! The requests to the servo between two steps, and its answers.
 
 use super::{Rules, Servo, watch};
 use crate::drive::stage::Stage;
@@ -79,14 +79,14 @@ pub enum Beat {
 /// The answer to a command, with the program it replaced.
 pub type Reply<P> = (Result<(), Refusal>, Option<P>);
 
-/// What a tool wants to know at any time.
+/// The state that a tool may ask for at any time.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, Schema)]
 pub struct Status {
     /// Disarmed, armed, fault.
     pub state: State,
-    /// Whether the device is homed.
+    /// True if the device is homed.
     pub homed: bool,
-    /// Whether its polarity is known.
+    /// True if its polarity is known.
     pub polarity: bool,
     /// The latched fault.
     pub fault: Option<FaultRecord>,
@@ -199,7 +199,8 @@ where
         self.program.as_mut().map(|program| change(program)).ok_or(Refusal::NoDevice)
     }
 
-    /// Whether a program may come. While armed only if it is of the same device and rate and its walls are not touched.
+    /// Checks if a program may come. While armed it must be of the same device and rate, and its walls must not be
+    /// touched.
     pub fn accepts(&self, program: &mut P) -> Result<(), Refusal> {
         if !self.state.drives() {
             return Ok(());
@@ -225,7 +226,7 @@ where
         // Rates that differ by a rounding may have the same period, and carriers of their own.
         let same_carrier = self.program.as_ref().is_some_and(|old| old.carrier_hz == program.carrier_hz);
         let same_rate = period == self.period && same_carrier;
-        // Nobody counted for how long there was no program; nor was there a step that a host could have seen its device at.
+        // The time without a program is unknown, and it had no step at which a host could have seen its device.
         if period != self.period || self.program.is_none() {
             (self.period, self.rate_since) = (period, self.now.step);
         }
@@ -288,7 +289,7 @@ where
         Ok(())
     }
 
-    /// Whether none of the device's joints turns faster than `speed`, rad/s.
+    /// Returns true if none of the device's joints turns faster than `speed`, rad/s.
     fn slower_than(&self, speed: f32) -> bool {
         self.joints.iter().take(self.count()).all(|joint| joint.speed().abs() <= speed)
     }
@@ -301,7 +302,7 @@ where
         }
     }
 
-    /// What arming and the polarity check both need.
+    /// The conditions that arming and the polarity check share.
     pub(super) fn ready(&self) -> Result<&P, Refusal> {
         self.must_be_off()?;
         let program = self.program.as_ref().ok_or(Refusal::NoDevice)?;

@@ -1,16 +1,16 @@
-//! What a board is told to hold to.
+//! The rules that a board must keep.
 
 use crate::model::catalogue::MAX_JOINTS;
 use crate::safety::limits::Limits;
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
-/// How the host is watched, the least watchful first.
+/// The watch over the host, the least watchful first.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Serialize, Deserialize, Schema)]
 pub enum HostAction {
     /// A silent host is no fault.
     Ignore,
-    /// The scene goes on; the fault is listed, and arming anew waits until it is cleared.
+    /// The scene goes on; the fault is listed, and the board cannot be armed again until it is cleared.
     Hold,
     /// The motors go off.
     #[default]
@@ -28,13 +28,13 @@ impl HostAction {
 pub struct Rules {
     /// Enforced limits.
     pub limits: Limits,
-    /// What a silent host means.
+    /// The reaction to a silent host.
     pub host_action: HostAction,
-    /// How long a host may be silent, s.
+    /// The time that a host may be silent, s.
     pub host_seconds: f32,
-    /// Whether the passivity controller pays back the energy that walls give out, by damping and less feed-forward.
+    /// True if the passivity controller pays back the energy that walls give out, by damping and less feed-forward.
     pub passivity: bool,
-    /// Counts between two index pulses of each encoder; 0 where there is none.
+    /// Counts between two index pulses of each encoder; 0 without index.
     pub index_period: [i32; MAX_JOINTS],
 }
 
@@ -55,7 +55,7 @@ impl Rules {
     /// steps, which beyond a minute are too small for an f32 to take in.
     pub const HOST_SECONDS: (f32, f32) = (0.01, 60.0);
 
-    /// Whether nothing that protects is looser than in `other`: such a change is safe at any time.
+    /// Returns true if nothing that protects is looser than in `other`: such a change is safe at any time.
     pub fn no_looser_than(&self, other: &Self) -> bool {
         let watched = self.host_action >= other.host_action
             && (other.host_action == HostAction::Ignore || self.host_seconds <= other.host_seconds);

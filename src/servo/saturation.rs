@@ -1,4 +1,4 @@
-//! What is left of the torques asked for where the motors cannot make them all.
+//! Cuts the torques asked for where the motors cannot make all of them.
 //!
 //! Limited joint by joint, a wall that is pressed beyond the motors would push less the deeper it is pressed, and
 //! sideways. So the torques are cut in the order of what they are for (docs/model.md section 2):
@@ -9,9 +9,9 @@
 //! 3. the feed-forward, of the force that is really rendered and as far as the limits leave room, by one factor again:
 //!    what it pushes aside at the tip counts towards the force's limit as well.
 //!
-//! A motor whose limit the force uses up leaves no room for the least feed-forward that points the same way, and all of it
-//! for the other way: the common factor would jump from 0 to 1 where that motor's own part passes zero. So the force
-//! leaves a motor's own part its room up to [`ROOM`] of the limit.
+//! A motor whose limit the force uses up leaves no room for the least feed-forward that points the same way, and full
+//! room for the other way: the common factor would jump from 0 to 1 where that motor's own part passes zero. So the
+//! force leaves a motor's own part its room up to [`ROOM`] of the limit.
 
 use super::Servo;
 use crate::drive::bits::margin_bits;
@@ -27,12 +27,12 @@ use core::ops::DerefMut;
 /// Share of a joint's limit that what is rendered leaves to the feed-forward where that points the same way.
 const ROOM: f32 = 1.0 / 64.0;
 
-/// What the limits leave of what was asked.
+/// The torques that the limits allow of a demand.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Granted {
     /// All torques together.
     pub torque: Torques,
-    /// What of them holds the device against gravity.
+    /// The part of them that holds the device against gravity.
     pub gravity: Torques,
     /// The share of the forces asked for that is rendered.
     pub share: f32,
@@ -44,8 +44,8 @@ where
     K: Math<f32>,
     S: Stage,
 {
-    /// Not negative where all that the step asks of the J joints is some roundings within their limits, step by step of the
-    /// order above, and its forces within theirs. Negative where it may not be, and where some of it is no number.
+    /// Not negative if the demand of the step on the J joints is some roundings within their limits, step by step of
+    /// the order above, and its forces within theirs. Negative if it may not be, and for NaN.
     #[inline(always)]
     pub(super) fn fits<const J: usize>(&self) -> i32 {
         let TorqueDemand { total, gravity, rendered, force_squared } = &self.now.found.asked;
@@ -57,7 +57,7 @@ where
         least |= margin_bits(squared(&self.leverage.force::<J>(&pushing)), self.most_force_squared);
         if self.weighs {
             for (i, fitting) in self.fitting.iter().enumerate().take(J) {
-                // Where weight and force together fit whatever their signs, each of them does, and their sum.
+                // If weight and force together fit whatever their signs, each of them does, and their sum.
                 let both = gravity[i].abs() + rendered[i].abs();
                 least |= margin_bits(total[i], *fitting) | margin_bits(both, *fitting);
             }
@@ -71,8 +71,8 @@ where
 }
 
 impl TorqueDemand<f32> {
-    /// What is within ±`limit` (not negative) of each of the J joints, and of forces within `tip_force` (N, not negative),
-    /// of which `leverage` tells what a torque is worth.
+    /// The torques within ±`limit` (not negative) of each of the J joints, and within `tip_force` (N, not negative) by
+    /// `leverage`, which gives the force of each torque.
     #[inline(always)]
     pub(super) fn within<const J: usize>(&self, limit: &Torques, tip_force: f32, leverage: &Leverage) -> Granted {
         let pushing = core::array::from_fn(|i| self.total[i] - self.gravity[i]);
@@ -116,7 +116,7 @@ impl TorqueDemand<f32> {
         }
     }
 
-    /// What is asked of joint `i` beyond gravity and what is rendered: the feed-forward.
+    /// The demand on joint `i` beyond gravity and rendered forces: the feed-forward.
     fn rest(&self, i: usize) -> f32 {
         self.total[i] - self.gravity[i] - self.rendered[i]
     }
@@ -161,7 +161,7 @@ pub(super) fn share_within(squared: f32, most: f32) -> f32 {
     }
 }
 
-/// The largest share, up to `most`, of `part` that fits on top of `base` within ±`limit`; 0 where `part` is no number.
+/// The largest share, up to `most`, of `part` that fits on top of `base` within ±`limit`; 0 if `part` is NaN.
 #[inline(always)]
 fn room(base: f32, part: f32, limit: f32, most: f32) -> f32 {
     let space = if part > 0.0 { limit - base } else { limit + base };
@@ -176,8 +176,8 @@ fn room(base: f32, part: f32, limit: f32, most: f32) -> f32 {
     }
 }
 
-/// The largest share s, up to `share`, of the force `aside` with which it and `force` (N) are together within `most` (N),
-/// |force + s aside| ≤ most; 0 where they are no numbers.
+/// The largest share s, up to `share`, of the force `aside` with which it and `force` (N) are together within `most`
+/// (N), |force + s aside| ≤ most; 0 for NaN.
 #[inline(always)]
 fn room_aside<const N: usize>(force: &[f32; N], aside: &[f32; N], most: f32, share: f32) -> f32 {
     let (a, room) = (squared(aside), most * most - squared(force));

@@ -1,5 +1,5 @@
-//! What must turn the motors off and only a control step can show: numbers that are not finite, poses, marks, silence.
-//! Limits are held to once a carrier period, in [`super::crest`]; what builds up is in [`super::budgets`].
+//! Checks that must turn the motors off and only a control step can make: numbers that are not finite, poses, marks,
+//! silence. [`super::crest`] holds limits once a carrier period; [`super::budgets`] checks harm that builds up.
 
 use super::{HostAction, Press, Servo};
 use crate::drive::bits::{margin_bits, margin_bits_between};
@@ -16,8 +16,8 @@ pub const TRIPPING_SINE: f32 = 2.0e-3;
 /// Width of an index pulse, counts; the first one counts only if it was passed no faster than this in a step.
 pub const INDEX_WIDTH: u32 = 4;
 
-/// How long ago a dead man's key that holds the motors on may have been seen down, s, whatever the rules say of a silent
-/// host; `host_seconds` where that is shorter. Of this a page takes up to 0.17 s where no network delays it: a step is told
+/// Largest age of the last sight of a dead man's key that holds the motors on, s, whatever the rules say of a silent
+/// host; `host_seconds` if that is shorter. Of this a page takes up to 0.17 s without network delays: a step is told
 /// every 50 ms and shown every 17 ms, and the key is told of every 80 ms and at every picture.
 pub const KEY_SECONDS: f32 = 0.5;
 /// Share of a real motor's maximum current that may flow for ever where its rules name no continuous current: a quarter of
@@ -54,7 +54,7 @@ where
         self.unsettled = MAX_JOINTS as u8;
     }
 
-    /// What may be asked for at the tip from now on, N.
+    /// Sets the largest force at the tip from now on, N.
     pub(super) fn set_most_force(&mut self, force: f32) {
         (self.most_force, self.most_force_squared) = (force, force * force);
     }
@@ -70,7 +70,7 @@ where
         if let (Some(joint), Some(heat)) = (self.joints.get_mut(i), self.heat.get_mut(i)) {
             joint.stage.limit(limits.current[i]);
             let (steady, motor) = (limits.continuous_current[i], joint.stage.motor_current());
-            // Nobody has said what the motor stands who allows more than its maximum.
+            // Rules that allow more than the motor's maximum do not tell its continuous current.
             let steady = if self.hardware.real && steady > motor { STEADY_SHARE * motor } else { steady };
             heat.limit(joint.stage.max_current(), steady);
             let largest = joint.stage.max_torque();
@@ -111,7 +111,7 @@ where
         }
     }
 
-    /// How long ago the key was seen down at the latest, and how long ago that may be, s; none without a key.
+    /// Time since the key was last seen down, and the longest that it may be, s; `None` without a key.
     pub fn key_age(&self) -> Option<(f32, f32)> {
         self.key.map(|key| self.age(key))
     }
@@ -121,10 +121,10 @@ where
         (steps as f32 * self.period, self.rules.host_seconds.min(KEY_SECONDS))
     }
 
-    /// Whether a key was seen down as short a while ago as one that holds the motors on must be.
+    /// Returns true if a key was seen down as short a while ago as one that holds the motors on must be.
     pub(super) fn is_fresh(&self, key: Press) -> bool {
         let (age, allowed) = self.age(key);
-        // Steps before a change of rate took another time, which nobody counted.
+        // Steps before a change of rate took another time, so the key's age is unknown.
         let known = self.now.step.wrapping_sub(key.seen) <= self.now.step.wrapping_sub(self.rate_since);
         known && age <= allowed
     }
@@ -157,8 +157,8 @@ where
         }
     }
 
-    /// Negative where what the step of J joints found must be looked at: a number that is none, a singular pose, a host
-    /// that is silent for too long. Torques that are no numbers do not fit either ([`Servo::fits`]).
+    /// Negative if the step of J joints must be looked at: NaN, a singular pose, a host that is silent for too long.
+    /// Torques that are NaN do not fit either ([`Servo::fits`]).
     #[inline(always)]
     pub(super) fn watch<const J: usize>(&self) -> i32 {
         let found = &self.now.found;
@@ -179,7 +179,7 @@ where
         }
     }
 
-    /// Negative where a torque that is asked of the J joints is no number.
+    /// Negative if a torque asked of the J joints is NaN or infinite.
     #[inline(always)]
     pub(super) fn not_finite<const J: usize>(&self) -> i32 {
         self.now.found.asked.total.iter().take(J).fold(0, |least, torque| least | margin_bits(*torque, f32::MAX))
@@ -264,7 +264,7 @@ fn index_error(count: i32, first: i32, period: i32) -> u32 {
     off.min(period.unsigned_abs().saturating_sub(off))
 }
 
-/// What it may be: each of the two pulses may be late, the first by its width, this one by what the joint moved.
+/// The allowed error: each of the two pulses may be late, the first by its width, this one by the joint's motion.
 fn index_doubt(moved: u32) -> u32 {
     moved.saturating_add(2 * INDEX_WIDTH)
 }

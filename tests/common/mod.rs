@@ -1,4 +1,4 @@
-//! What several tests share: devices that ship and devices drawn at random, the mechanics of bodies from first
+//! Helpers of several tests: devices that ship and devices drawn at random, the mechanics of bodies from first
 //! principles, and the seeds of random cases.
 
 pub mod bodies;

@@ -4,7 +4,7 @@
 use haptic_bridge::model::catalogue::Kind;
 use serde_json::Value;
 
-/// What f64 may be off by of the largest entry, and the board's f32 of the largest torque.
+/// Error of f64 as a share of the largest entry, and of the board's f32 as a share of the largest torque.
 pub const F64_TOLERANCE: f64 = 1.0e-9;
 pub const F32_TOLERANCE: f64 = 2.0e-4;
 

@@ -1,4 +1,4 @@
-//! What f32, and the board's routes with it, may be off by against the reference.
+//! Bounds on the error of f32, and of the board's routes with it, against the reference.
 
 use super::rows::singular::{Row, Singularity, Target};
 use super::rows::{DOUBLE, EXTREMES, FILTERS, SEVERAL, SINGULAR, STEPS, TURNS};

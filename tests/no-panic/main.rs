@@ -30,7 +30,7 @@ pub extern "C" fn control_step(servo: &mut OnBoard, samples: &Samples, outputs: 
     *outputs = servo.control(samples);
 }
 
-/// What the interrupt calls of it while encoder counts are all that is known.
+/// The interrupt's call while only the encoder counts are known.
 // SAFETY: no other symbol of the image has this name.
 #[unsafe(no_mangle)]
 pub extern "C" fn carrier_render(servo: &mut OnBoard, counts: &Counts) {
@@ -62,14 +62,14 @@ pub extern "C" fn carrier_generally(
     compiled::crest_generally(servo, seen, due, ticks, legs)
 }
 
-/// What it notes at a valley of the step before, as the interrupt calls it.
+/// The interrupt's call at a valley that notes the step before.
 // SAFETY: no other symbol of the image has this name.
 #[unsafe(no_mangle)]
 pub extern "C" fn carrier_notes(servo: &mut OnBoard, seen: &Samples, frame: Option<&mut MaybeUninit<StepRecord>>) {
     compiled::note(servo, seen, frame);
 }
 
-/// What it sums up at a valley, as the interrupt calls it.
+/// The interrupt's call at a valley that checks slow faults.
 // SAFETY: no other symbol of the image has this name.
 #[unsafe(no_mangle)]
 pub extern "C" fn carrier_sums(servo: &mut OnBoard, seen: &Samples, outputs: &mut Outputs) {

@@ -35,12 +35,12 @@ pub struct Flash {
     staged: BTreeMap<u8, Entry>,
 }
 
-/// What the service reaches: the servo itself, and settings in memory. It panics at what the service must not do while
-/// the motors are on.
+/// The service's machine: the servo itself, and settings in memory. It panics if the service does something that it
+/// must not do while the motors are on.
 pub struct Bench {
     pub servo: Servo<Box<Program<BoardMath>>>,
     pub flash: Flash,
-    /// How often the carrier was set: once for every program that came in force.
+    /// Number of times that the carrier was set: once for every program that came in force.
     pub retimed: u32,
 }
 
@@ -102,7 +102,7 @@ impl Described for Bench {
     }
 }
 
-/// Whether anything that protects is looser in these rules than it was `before`.
+/// Returns true if anything that protects is looser in these rules than it was `before`.
 fn looser(now: &Rules, before: &Rules) -> bool {
     let higher = |now: &[f32; MAX_JOINTS], before: &[f32; MAX_JOINTS]| now.iter().zip(before).any(|(a, b)| a > b);
     let (limits, old) = (&now.limits, &before.limits);
@@ -214,14 +214,14 @@ impl Board {
         if self.renders_plainly() {
             let mechanism = self.service.device().map(|device| device.mechanism);
             let force = mechanism.map_or(0.0, |it| it.leverage::<BoardMath>(&frame.at.q).force_squared(&torque).sqrt());
-            // Where the device is stretched, rounding is all that is left of a force.
+            // Where the device is stretched, only rounding remains of a force.
             let rounding = 1.0e-3 * limits.tip_force + 1.0e-3;
             assert!(force <= limits.tip_force + rounding, "{force} N at the tip, {torque:?} N m, above {limits:?}");
         }
     }
 
-    /// Whether its torques are those of rendered forces and of nothing else since it was armed: no weight to hold, no
-    /// feed-forward, nothing compensated.
+    /// Returns true if its torques are those of rendered forces and of nothing else since it was armed: no weight to
+    /// hold, no feed-forward, nothing compensated.
     fn renders_plainly(&mut self) -> bool {
         let (device, scene) = (self.service.device(), self.service.scene());
         let plain = device.is_some_and(|device| !device.weight)
@@ -245,7 +245,7 @@ impl Board {
         samples
     }
 
-    /// What holds after every control period and every request.
+    /// The checks after every control period and every request.
     pub fn keeps_its_promises(&mut self) {
         let state = self.state();
         let limits = self.service.rules().limits;

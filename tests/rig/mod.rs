@@ -209,13 +209,13 @@ pub struct Rig {
     pub duties: [f32; MAX_JOINTS],
     pub hardware: Hardware,
     pub rules: Rules,
-    /// What the current sensors show of axis 0 instead of the motor's current, A.
+    /// The current sensors' reading of axis 0 instead of the motor's current, A.
     pub shown_current: Option<f32>,
     /// The motors' currents, A.
     pub currents: [f32; MAX_JOINTS],
     /// Their windings, ohm.
     pub resistance: f32,
-    /// What the two sensors of each current differ by, A.
+    /// Difference of the two sensors of each current, A.
     pub imbalance: [f32; MAX_JOINTS],
     /// The largest current of motor 0 in the last step, A.
     pub peak: f32,
@@ -384,7 +384,7 @@ impl Rig {
         self.servo.status().fault.map(|record| record.fault)
     }
 
-    /// Whether nothing acts: bridges off, no duty, no torque asked for.
+    /// Returns true if nothing acts: bridges off, no duty, no torque asked for.
     pub fn motors_off(&self) -> bool {
         !self.outputs.bridges
             && self.duties == [0.0; MAX_JOINTS]

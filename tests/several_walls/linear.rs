@@ -300,8 +300,9 @@ fn a_wall_without_the_feed_forward_beside_one_with_it_is_as_stable_as_two_withou
     assert!((largest(&beside) / largest(&plain) - 1.0566).abs() < 1.0e-3, "{}", largest(&beside) / largest(&plain));
 }
 
-/// What docs/model.md says of a second wall that acts with all of its stiffness and counts with `w` of it, in the
-/// plane: the share of pairs that are more than 1 % less stable than without the feed-forward, and the worst of them.
+/// The statement of docs/model.md about a second wall that acts with its full stiffness and counts with `w` of it, in
+/// the plane: the share of pairs that are more than 1 % less stable than without the feed-forward, and the worst of
+/// them.
 fn counting(w: f64) -> (f64, f64) {
     let mut random = Random(21);
     let (sets, mut worse, mut worst) = (20_000, 0, 0.0_f64);

@@ -12,7 +12,7 @@ use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Spring, Surface, W
 use haptic_bridge::with_mechanism;
 use nalgebra::{Complex, DMatrix, DVector, SVector};
 
-/// What acts at the tip: bilateral walls, springs, and a plane of the host's.
+/// The forces at the tip: bilateral walls, springs, and a plane of the host's.
 #[derive(Clone, Debug, Default)]
 struct Set {
     /// Normal, stiffness, and whether it has the feed-forward.

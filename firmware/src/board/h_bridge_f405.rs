@@ -67,10 +67,11 @@ impl Board for HBridgeF405 {
     /// of an ODrive.
     const SIGNS: Signs = Signs { held: &[Pin::new('C', 3)], open: &[Pin::new('A', 6)] };
     const AXES: usize = AXES;
-    /// What the drive needs to know. The dead time here costs no voltage (see [`DEAD_TIME_TICKS`]), so none is compensated.
+    /// Data of the bridges. The dead time here costs no voltage (see [`DEAD_TIME_TICKS`]), so the drive compensates
+    /// none.
     const BRIDGE: Bridge =
         Bridge { carrier_hz: CARRIER_MIN_HZ as f32, dead_time: 0.0, bandwidth_hz: 1000.0, current_sensed: true };
-    /// What nobody can raise over USB: the range of the sensors, and of the bus divider.
+    /// Limits that cannot be raised over USB: the range of the sensors, and of the bus divider.
     const LIMITS: Limits = Limits {
         torque: [10.0; 3],
         current: [12.0; 3],
@@ -131,10 +132,10 @@ impl Board for HBridgeF405 {
     }
 }
 
-/// What the control interrupt owns.
+/// The part that the control interrupt owns.
 pub struct Pins {
     zeros: Zeros<AXES>,
-    /// What each sensor's reading is off by, A.
+    /// Zero error of each sensor's reading, A.
     offsets: [f32; AXES],
     carrier: Carrier,
 }
@@ -212,7 +213,7 @@ impl Io for Pins {
         }
     }
 
-    /// What the power stage reports: the break input has cut the outputs, or still would.
+    /// True if the break input has cut the outputs, or still would.
     #[inline(always)]
     fn fault(&self) -> bool {
         let low = pac::GPIOB.idr().read().idr(BREAK) == pac::gpio::vals::Idr::LOW;
@@ -235,7 +236,7 @@ impl Io for Pins {
     }
 }
 
-/// What tasks own: nothing to set up on this board, its bridges have no registers.
+/// The part that the tasks own. It has nothing to set up: this board's bridges have no registers.
 pub struct EnableLine;
 
 impl Gate for EnableLine {

@@ -70,16 +70,16 @@ impl Board for OdriveV3 {
     /// EN_GATE is high: arming reads their registers back.
     const SIGNS: Signs = Signs { held: &[Pin::new('A', 6)], open: &[] };
     const AXES: usize = AXES;
-    /// What the drive needs to know. The current loop's bandwidth is a tenth of the slowest carrier over two pi, rounded
-    /// down: with half a period of delay it keeps 60 degrees of phase margin at any carrier.
+    /// Data of the bridges. The current loop's bandwidth is a tenth of the slowest carrier over two pi, rounded down:
+    /// with half a period of delay it keeps 60 degrees of phase margin at any carrier.
     const BRIDGE: Bridge = Bridge {
         carrier_hz: CARRIER_MIN_HZ as f32,
         dead_time: DEAD_TIME_TICKS as f32 / TIMER_HZ as f32,
         bandwidth_hz: 1000.0,
         current_sensed: true,
     };
-    /// What nobody can raise over USB: half of the range of the shunts, and a bus voltage that is safe for a 24 V board
-    /// too, whose divider makes it read 1.7 times too high.
+    /// Limits that cannot be raised over USB: half of the range of the shunts, and a bus voltage that is also safe for
+    /// a 24 V board, whose divider makes it read 1.7 times too high.
     const LIMITS: Limits = Limits {
         torque: [10.0; 3],
         current: [20.0; 3],
@@ -158,14 +158,14 @@ impl Board for OdriveV3 {
     }
 }
 
-/// What the control interrupt owns.
+/// The part that the control interrupt owns.
 pub struct Pins {
     zeros: Zeros<4>,
     offsets: [Offsets; AXES],
     carrier: Carrier,
 }
 
-/// What the readings of an axis's two sensors are off by, A: half their difference, and their sum.
+/// Zero errors of an axis's two sensors, A: half their difference, and their sum.
 #[derive(Clone, Copy)]
 struct Offsets {
     current: f32,
@@ -257,8 +257,7 @@ impl Io for Pins {
         }
     }
 
-    /// What the power stage reports: a gate driver pulls the common fault line. Only true to be asked while the drivers
-    /// are up.
+    /// True if a gate driver pulls the common fault line. Only meaningful while the drivers are up.
     #[inline(always)]
     fn fault(&self) -> bool {
         pac::GPIOD.idr().read().idr(N_FAULT) == pac::gpio::vals::Idr::LOW
@@ -281,7 +280,7 @@ impl Io for Pins {
     }
 }
 
-/// What tasks own: the gate drivers.
+/// The part that the tasks own: the gate drivers.
 pub struct Drivers {
     bus: drv8301::Bus,
     drivers: [Drv8301; AXES],
@@ -319,7 +318,7 @@ impl Gate for Drivers {
         result
     }
 
-    /// Whether both drivers still are as [`Gate::raise`] left them: 130 us.
+    /// Returns true if both drivers still are as [`Gate::raise`] left them: 130 us.
     fn check(&mut self) -> Result<(), GateError> {
         self.drivers.iter_mut().try_for_each(|driver| driver.read_back(&mut self.bus, Inputs::Shunts))
     }

@@ -80,9 +80,9 @@ pub struct Pose<T: Real> {
 pub(super) struct Along<T: Real> {
     /// E, rad/m.
     pub e: Vector2<T>,
-    /// What of it the joints take by themselves, Iᵢ eᵢ + βᵢ cᵢ·n, kg m; the rest goes through the tip.
+    /// The part of it that the joints take by themselves, Iᵢ eᵢ + βᵢ cᵢ·n, kg m; the rest goes through the tip.
     pub momentum: Vector2<T>,
-    /// What the arms add to the mass at the tip, kg: in task space, without passing through J, Λ = Γ 1 + Σ Aᵢ aᵢaᵢᵀ +
+    /// The arms' part of the mass at the tip, kg: in task space, without passing through J, Λ = Γ 1 + Σ Aᵢ aᵢaᵢᵀ +
     /// βᵢ(aᵢcᵢᵀ + cᵢaᵢᵀ) with aᵢ = uᵢ/kᵢ.
     pub arms: T,
 }
@@ -246,8 +246,8 @@ impl<T: Real> FiveBar<T> {
         (pose.rod[i].dot(&along) + rod_rate.dot(&rod_rate)) * pose.inverse_k[i]
     }
 
-    /// What a tip acceleration `a` (or none) and joint accelerations `qdd` take at joint velocities `qd`: the force at
-    /// the tip (N) that is still to go through Jᵀ, and the torques at the joints (N m).
+    /// The effort of a tip acceleration `a` (if any) and joint accelerations `qdd` at joint velocities `qd`: the force
+    /// at the tip (N) that is still to go through Jᵀ, and the torques at the joints (N m).
     #[inline(always)]
     pub(super) fn inertial_loads(
         &self,

@@ -6,7 +6,7 @@ use crate::model::device::{Device, Joint};
 use crate::render::velocity::{Coefficients, LowPass};
 use nalgebra::SVector;
 
-/// How one joint is read.
+/// The reading of one joint.
 #[derive(Clone, Copy, Debug)]
 struct Encoding<T> {
     radians_per_count: T,
@@ -114,7 +114,7 @@ pub(super) struct Encoders<T: Real, const N: usize> {
     one_count: [T; N],
     /// Slower than this all velocity terms act, whatever the pose, rad/s.
     sure: T,
-    /// Whether something is rendered or compensated with joint velocities.
+    /// True if something is rendered or compensated with joint velocities.
     moving: bool,
 }
 
@@ -156,7 +156,7 @@ impl<T: Real, const N: usize> Encoders<T, N> {
         (q, angles)
     }
 
-    /// How fast the joints turned since the last step (rad/s), from integer count differences, which wrap.
+    /// The joints' velocities since the last step (rad/s), from integer count differences, which wrap.
     #[inline(always)]
     pub fn turned(&mut self, counts: &[i32; N]) -> SVector<T, N> {
         let mut raw = SVector::<T, N>::zeros();
@@ -178,13 +178,14 @@ impl<T: Real, const N: usize> Encoders<T, N> {
         }
     }
 
-    /// Where the joints are as the velocities begin.
+    /// Sets the joints' positions as the velocities begin.
     pub fn begin(&mut self, counts: &[i32; N]) {
         self.last = *counts;
         self.filters = [LowPass::default(); N];
     }
 
-    /// Whether the velocity terms are known in full at these velocities (rad/s) wherever the feed-forward acts in full.
+    /// Returns true if the velocity terms are known in full at these velocities (rad/s) wherever the feed-forward acts
+    /// in full.
     #[inline(always)]
     pub fn surely_known(&self, qd: &SVector<T, N>) -> bool {
         let mut known = true;
@@ -194,7 +195,7 @@ impl<T: Real, const N: usize> Encoders<T, N> {
         known
     }
 
-    /// What of joint velocities (rad/s) is more than single counts, see [`beyond`].
+    /// The part of joint velocities (rad/s) that is more than single counts, see [`beyond`].
     #[inline(always)]
     pub fn certain(&self, qd: &SVector<T, N>) -> SVector<T, N> {
         SVector::from_fn(|i, _| beyond(qd[i], self.one_count[i]))
@@ -229,10 +230,10 @@ impl<T: Real, const N: usize> Encoders<T, N> {
     }
 }
 
-/// What of a velocity is more than a doubt: nothing up to the doubt, from there on v - doubt²/v, which is 3/4 of it at
-/// twice the doubt and 99 % at ten times, without a step anywhere and nowhere steeper than 2. For forces that grow with
-/// the square of a velocity: near rest an estimate is a row of single counts, each of them a burst of a fast motion that
-/// is none. (The nonnegative garrote: Breiman, Technometrics 37(4), 1995.) Nothing of what is no number.
+/// The part of a velocity that exceeds a doubt: nothing up to the doubt, from there on v - doubt²/v, which is 3/4 of it
+/// at twice the doubt and 99 % at ten times, without a step anywhere and nowhere steeper than 2. It is for forces that
+/// grow with the square of a velocity: near rest an estimate is a row of single counts, and each looks like a burst of
+/// fast motion. (The nonnegative garrote: Breiman, Technometrics 37(4), 1995.) NaN gives zero.
 #[inline(always)]
 pub fn beyond<T: Real>(velocity: T, doubt: T) -> T {
     if velocity.abs() > doubt { velocity - doubt * (doubt / velocity) } else { T::zero() }
@@ -342,8 +343,7 @@ mod tests {
                     let right = if inverted { -left } else { left };
                     let found = f64::from(binary.of(count).0) * part;
                     let turns = (found - right) / core::f64::consts::TAU;
-                    // What the turns of a count that is no fraction are off by (see `repeats_after`), and rounding down
-                    // twice.
+                    // The error of the turns of a fractional count (see `repeats_after`), and rounding down twice.
                     let doubt = f64::from(count).abs() / f64::from(i32::MAX) * part.max(1.0e-4) + 2.0 * part;
                     let apart = (turns - turns.round()) * core::f64::consts::TAU;
                     assert!(apart.abs() <= doubt, "{counts_per_turn} at {count}: {apart} rad");

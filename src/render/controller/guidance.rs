@@ -1,8 +1,8 @@
 //! Springs, fields, and what the host adds.
 //!
-//! All of it goes straight through Jᵀ, but for what is stiff beside walls that have the feed-forward: springs and the
-//! host's plane then go through the levels of [`crate::model::principal`] with those walls, as walls without the
-//! feed-forward do (docs/model.md section 2).
+//! It goes straight through Jᵀ, except for stiff parts beside walls that have the feed-forward: springs and the host's
+//! plane then go through the levels of [`crate::model::principal`] with those walls, as walls without the feed-forward
+//! do (docs/model.md section 2).
 
 use super::push::{Push, PushedPlane};
 use super::stiffness::Stiffness;
@@ -20,14 +20,14 @@ pub(super) struct Guidance<T: Real> {
     springs: Vec<Spring<T>, MAX_SPRINGS>,
     field_damping: T,
     push: Option<Push<T>>,
-    /// Whether there is anything of it but a force of the host's, and whether there is that.
+    /// True if there is anything of it but a force of the host's, and whether there is that.
     pub any: bool,
     pub pushed: bool,
     /// One or the other.
     pub adds: bool,
-    /// How it is shaped beside walls with the feed-forward; [`FeedForward::Off`] where the scene has none.
+    /// Its shaping beside walls with the feed-forward; [`FeedForward::Off`] if the scene has none.
     together: FeedForward,
-    /// What the springs' stiffness is in all: in the plane, and their sum, N/m.
+    /// The springs' total stiffness: in the plane, and their sum, N/m.
     in_plane: Stiffness<T>,
     stiffness: T,
     /// Of the springs' force, and of the plane's.
@@ -37,7 +37,7 @@ pub(super) struct Guidance<T: Real> {
 /// The force of what is stiff, beside walls with the feed-forward.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Beside<T, const N: usize> {
-    /// Whether there is anything stiff.
+    /// True if there is anything stiff.
     pub acts: bool,
     /// The part of the springs' force that is shaped, N.
     pub springs: SVector<T, N>,
@@ -81,7 +81,7 @@ impl<T: Real> Guidance<T> {
         !self.springs.is_empty() || self.field_damping > T::zero() || plane
     }
 
-    /// What the host adds from the next step on.
+    /// Sets the host's force and plane from the next step on.
     pub fn set_push(&mut self, push: Option<&Push<T>>) {
         self.push = push.copied();
         self.any = self.acts();
@@ -98,7 +98,7 @@ impl<T: Real> Guidance<T> {
         self.push.as_ref().map_or(SVector::zeros(), |push| task_vector(&push.force))
     }
 
-    /// What the host adds.
+    /// The host's force and plane.
     pub fn push(&self) -> Option<&Push<T>> {
         self.push.as_ref()
     }
@@ -115,7 +115,7 @@ impl<T: Real> Guidance<T> {
         }
     }
 
-    /// Starts the washouts anew.
+    /// Restarts the washouts.
     pub fn forget(&mut self) {
         self.washouts.iter_mut().for_each(|washout| *washout = restarted(washout));
     }
@@ -133,7 +133,7 @@ impl<T: Real> Guidance<T> {
         force
     }
 
-    /// Whether walls of this scene have the feed-forward, so that [`Guidance::beside`] wants every step.
+    /// Returns true if walls of this scene have the feed-forward, so that [`Guidance::beside`] wants every step.
     pub fn is_beside(&self) -> bool {
         self.together != FeedForward::Off
     }
@@ -207,7 +207,7 @@ impl<T: Real> Guidance<T> {
         (force, beside)
     }
 
-    /// What the springs' stiffness is in all, in the plane; nothing without any.
+    /// The springs' total stiffness in the plane; zero without springs.
     #[inline(always)]
     pub fn in_plane(&self) -> Option<Stiffness<T>> {
         (self.stiffness > T::zero()).then_some(self.in_plane)
@@ -229,14 +229,14 @@ impl<T: Real> Guidance<T> {
         beside.springs + normal * beside.plane
     }
 
-    /// How far the springs are stretched, and how deep the plane is touched, by what of their force is shaped, m.
+    /// The extension of the springs and the depth in the plane, by the part of their force that is shaped, m.
     pub fn reach<const N: usize>(&self, beside: &Beside<T, N>) -> T {
         let plane = self.push.as_ref().map_or(T::zero(), |push| push.plane.stiffness);
         let most = beside.springs.iter().fold(T::zero(), |most, force| most.greater(force.abs()));
         depth_of(most, self.stiffness).greater(depth_of(beside.plane, plane))
     }
 
-    /// What is stiff at the tip position `place` (m): of the plane with the depth in it (m).
+    /// The stiffness at the tip position `place` (m): for the plane with the depth in it (m).
     pub fn pulls<const N: usize>(&self, place: &SVector<T, N>, mut each: impl FnMut(Pull<T, N>, Option<T>)) {
         for spring in self.springs.iter().filter(|spring| spring.stiffness > T::zero()) {
             let normal = task_vector(&spring.direction);

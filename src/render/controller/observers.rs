@@ -70,7 +70,7 @@ impl<T: Real, const N: usize> Observers<T, N> {
         qd
     }
 
-    /// Starts anew.
+    /// Restarts it.
     pub fn forget(&mut self) {
         self.primed = false;
         self.acting = SVector::zeros();

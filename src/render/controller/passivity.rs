@@ -1,4 +1,5 @@
-//! What the walls give out, and how it is paid back: a passivity observer and controller (Hannaford and Ryu 2002).
+//! A passivity observer and controller (Hannaford and Ryu 2002): it counts the energy that the walls give out and pays
+//! it back.
 //!
 //! The observer counts what all torques of the walls do in the joints, so the sideways push of the feed-forward and what
 //! moves with the linkage are in it: for a torque held between two samples that is exact. Weight, springs, fields, the
@@ -12,7 +13,7 @@
 use crate::math::Real;
 use nalgebra::SVector;
 
-/// What the walls owe (J) from where on nothing is shaped any more: what a wall of 10 kN/m stores at 4.5 N.
+/// Energy owed by the walls (J) from which on nothing is shaped any more: a wall of 10 kN/m stores as much at 4.5 N.
 const MOST_OWED: f64 = 1.0e-3;
 
 /// Most damping that the controller adds, as a share of the damping at which a mass of 1 kg would stop in a step: beyond
@@ -31,7 +32,7 @@ pub(super) struct Passivity<T: Real, const N: usize> {
     held: SVector<T, N>,
 }
 
-/// What the walls owe, where the controller is on.
+/// The walls' energy debt, if the controller is on.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Debt<T> {
     /// J
@@ -79,7 +80,7 @@ impl<T: Real, const N: usize> Passivity<T, N> {
         self.energy
     }
 
-    /// What is owed and to be paid now.
+    /// The energy that is owed and due now.
     #[inline(always)]
     pub fn debt(&self, rate: T) -> Option<Debt<T>> {
         (self.on && self.energy < T::zero()).then(|| Debt { owed: -self.energy, rate })
@@ -87,7 +88,7 @@ impl<T: Real, const N: usize> Passivity<T, N> {
 }
 
 impl<T: Real> Debt<T> {
-    /// The damping (N s/m) that takes up all of it in one step at `v` (m/s).
+    /// The damping (N s/m) that takes up the whole debt in one step at `v` (m/s).
     #[inline(always)]
     pub fn damping(&self, v: T) -> T {
         if v == T::zero() {

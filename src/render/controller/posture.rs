@@ -1,9 +1,9 @@
 //! The posture of a redundant device: a torsional spring between the ground and its last link.
 //!
-//! Its torques are Jφᵀ f, those of a potential of φ and of a damper on φ̇: they take up energy whatever the device does, and
-//! in rest they leave no force at the tip. Torques that do not accelerate the tip either, M e f/(eᵀ M e) along the null
-//! motion e, do not dissipate: with uneven damping of the joints they drive a tip that nobody holds (docs/model.md
-//! section 2).
+//! Its torques are Jφᵀ f, those of a potential of φ and of a damper on φ̇: they take up energy whatever the device
+//! does, and in rest they leave no force at the tip. Torques that do not accelerate the tip either, M e f/(eᵀ M e)
+//! along the null motion e, do not dissipate: with uneven damping of the joints they drive a tip that is not held
+//! (docs/model.md section 2).
 
 use super::Controller;
 use crate::math::{Math, Real};

@@ -1,4 +1,5 @@
-//! What a host adds to a scene in one step: a force at the tip, and a plane that is rendered here, at the loop's rate.
+//! The host's addition to a scene in one step: a force at the tip, and a plane that is rendered here, at the loop's
+//! rate.
 
 use crate::math::Real;
 use crate::render::scene::task_vector;
@@ -43,7 +44,7 @@ impl<T: Real> PushedPlane<T> {
         self.offset - task_vector::<T, N>(&self.normal).dot(place)
     }
 
-    /// Whether it can make no force.
+    /// Returns true if it can make no force.
     pub(super) fn is_absent(&self) -> bool {
         self.stiffness == T::zero() && self.damping == T::zero()
     }

@@ -27,7 +27,7 @@ mod round;
 mod several;
 mod wall;
 
-/// What every straight step begins with.
+/// The beginning of every straight step.
 #[derive(Clone, Copy)]
 struct Started<T: Real, P: Copy, const N: usize> {
     pose: P,
@@ -79,7 +79,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         }
     }
 
-    /// What springs, fields and the host add: worked out before the walls, while few numbers have to be kept meanwhile, and
+    /// The part of springs, fields and the host: computed before the walls, while few numbers have to be kept, and
     /// added last.
     #[inline(never)]
     fn guide(&self, started: &Started<T, M::Pose, N>, guided: &mut Guided<T>) {
@@ -112,7 +112,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         self.shaped_rarely(started, normal, force, wall)
     }
 
-    /// What of the joint velocities is more than a doubt (rad/s), where velocity terms act in full.
+    /// The part of the joint velocities that exceeds a doubt (rad/s), where velocity terms act in full.
     #[inline(always)]
     fn certain(&self, started: &Started<T, M::Pose, N>) -> Option<SVector<T, N>> {
         let Started { pose, qd, .. } = started;
@@ -195,7 +195,7 @@ impl StepVariant {
             matches!(mass, MassModel::Exact) && (M::SPEC.task == N || *admissible == Admissible::Orientation);
         let beside = guidance.any && guidance.is_beside();
         let planar = N == 2 && M::SPEC.task == 2;
-        // Where several walls turn, or compensate damping, each has its part in that.
+        // If several walls turn, or compensate damping, each has its part in that.
         let flat = !walls.damped && (*velocity_terms == VelocityTerms::Off || !walls.curved);
         let usual = closed_form && posture.is_none() && walls.gain() == T::one() && coefficients.is_low_pass();
         if !usual {

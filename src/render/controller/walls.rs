@@ -23,34 +23,34 @@ pub(super) struct Running<T: Real> {
     /// Distance up to which it acts (m), and the least force that it makes (N): zero, but without end where it is bilateral.
     reach: T,
     least: T,
-    /// How its force is shaped where it acts together with others: its own feed-forward, or theirs if it has none.
+    /// The shaping of its force where it acts together with others: its own feed-forward, or theirs if it has none.
     together: FeedForward,
-    /// Whether it has the feed-forward itself; and by what a newton presses it in, m: 0 without stiffness.
+    /// True if it has the feed-forward itself; and by what a newton presses it in, m: 0 without stiffness.
     own: bool,
     softness: T,
     velocity: Velocity<T>,
     washout: Washout<T>,
 }
 
-/// How one wall that is touched pulls with others.
+/// The pull of one touched wall among others.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Pulled<T> {
     /// N/m
     pub stiffness: T,
-    /// Whether it has the feed-forward itself.
+    /// True if it has the feed-forward itself.
     pub own: bool,
-    /// How deep the tip is in it, m.
+    /// Depth of the tip in it, m.
     pub depth: T,
     /// The depth at which its stiffness alone would make what is shaped of its force, m.
     pub reach: T,
 }
 
-/// What one wall does in one step.
+/// The effect of one wall in one step.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Pressed<T> {
     /// Velocity along its normal, m/s.
     pub velocity: T,
-    /// Whether it acts.
+    /// True if it acts.
     pub touched: bool,
     /// Its force along the normal, N, and the part that is shaped. Zero where it does not act.
     pub force: T,
@@ -125,14 +125,14 @@ impl<T: Real> Running<T> {
         }
     }
 
-    /// Whether its force is shaped, by itself or with others.
+    /// Returns true if its force is shaped, by itself or with others.
     #[inline(always)]
     pub fn is_shaped(&self) -> bool {
         self.together != FeedForward::Off
     }
 
-    /// What of its stiffness acts at this distance (m), by the depth of the tip in it: without end where it acts on both
-    /// sides. `force`: what is shaped of its force, N.
+    /// The part of its stiffness that acts at this distance (m), by the depth of the tip in it: unlimited if it acts on
+    /// both sides. `force`: the shaped part of its force, N.
     #[inline(always)]
     pub fn pull(&self, distance: T, force: T) -> Pulled<T> {
         Pulled {
@@ -148,7 +148,7 @@ impl<T: Real> Running<T> {
         &self.wall.surface
     }
 
-    /// How much of the feed-forward it gets.
+    /// Its share of the feed-forward.
     pub fn feed_forward(&self) -> FeedForward {
         self.wall.feed_forward
     }
@@ -188,9 +188,9 @@ pub(super) struct Active<T: Real, const N: usize> {
     pub distance: T,
     /// Its stiffness, N/m.
     pub stiffness: T,
-    /// Whether it acts on both sides.
+    /// True if it acts on both sides.
     pub bilateral: bool,
-    /// Whether it has the feed-forward itself.
+    /// True if it has the feed-forward itself.
     pub feed_forward: bool,
 }
 
@@ -223,7 +223,7 @@ pub(super) struct Walls<T: Real> {
     pub damped: bool,
 }
 
-/// What the walls do at one tip position.
+/// The effect of the walls at one tip position.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Touch<T: Real, const N: usize> {
     pub found: AtWalls<T>,
@@ -270,7 +270,7 @@ impl<T: Real> Walls<T> {
         Ok(walls)
     }
 
-    /// How the force of walls without the feed-forward, and of springs, is shaped where they act together with walls
+    /// The shaping of the force of walls without the feed-forward, and of springs, where they act together with walls
     /// that have it: through a washout if any of those has one, as they do not push sideways at rest either.
     pub fn others(&self) -> (FeedForward, Option<Washout<T>>) {
         let with = |feed_forward| self.running.iter().find(move |other| other.wall.feed_forward == feed_forward);
@@ -388,7 +388,7 @@ impl<T: Real> Walls<T> {
         let (line, line_rate) = match acting {
             Acting::One(only) => (only.normal, rate(only)),
             Acting::Level(together, rendered) => {
-                // How a principal direction follows the normals that make it: their rates, each by its part in it.
+                // The rate of a principal direction: the rates of the normals that make it, each by its part in it.
                 let follow = |i: usize| {
                     let (mut sum, mut all) = (SVector::zeros(), T::zero());
                     for (a, pull) in together.walls() {
@@ -426,19 +426,19 @@ impl<T: Real> Walls<T> {
         &mut self.running
     }
 
-    /// Whether every wall that has the feed-forward is stiff: what is rendered then follows their stiffness.
+    /// Returns true if every wall that has the feed-forward is stiff: what is rendered then follows their stiffness.
     pub fn are_stiff(&self) -> bool {
         let stiff = |wall: &Wall<T>| wall.feed_forward == FeedForward::Off || wall.stiffness > T::zero();
         self.running.iter().all(|running| stiff(&running.wall))
     }
 
-    /// Whether the scene has one ball alone, and that has the feed-forward.
+    /// Returns true if the scene has one ball alone, and that has the feed-forward.
     pub fn is_single_ball(&self) -> bool {
         let [only] = self.running.as_slice() else { return false };
         only.wall.surface.is_sphere() && only.own
     }
 
-    /// Whether the scene has one wall alone, or none.
+    /// Returns true if the scene has one wall alone, or none.
     pub fn at_most_one(&self) -> bool {
         self.running.len() <= 1
     }
@@ -448,7 +448,7 @@ impl<T: Real> Walls<T> {
         self.gain
     }
 
-    /// Where the tip is at `place` (m), as every estimator begins: contact then is no motion.
+    /// Starts every estimator with the tip at `place` (m): contact then is no motion.
     #[inline(never)]
     pub fn begin<K: Math<T>, const N: usize>(&mut self, place: &SVector<T, N>) {
         for running in &mut self.running {
@@ -456,7 +456,7 @@ impl<T: Real> Walls<T> {
         }
     }
 
-    /// Whether a one-sided wall is touched at the tip position `place`.
+    /// Returns true if a one-sided wall is touched at the tip position `place`.
     #[inline(never)]
     pub fn any_touched<K: Math<T>, const N: usize>(&self, place: &SVector<T, N>) -> bool {
         self.running.iter().any(|running| {

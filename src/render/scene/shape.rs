@@ -1,4 +1,4 @@
-//! What makes a wall's shape: how far the tip is from it, and which values a scene file gives for it.
+//! The interface of a wall's shape: its distance from the tip, and the values that a scene file gives for it.
 //!
 //! A shape is one file beside this one and one line in the list of [`surface`](super::surface). Scene files, checks and
 //! conversion between precisions follow from its [`ShapeSpec`].
@@ -13,7 +13,7 @@ pub const SHAPE_VALUES: usize = 8;
 /// The values of a shape as numbers, in the order of its [`ShapeSpec::keys`].
 pub type Values<T> = [T; SHAPE_VALUES];
 
-/// What a value of a shape is.
+/// The meaning of a shape's value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Meaning {
     /// A point of the task frame, m: three numbers, zero beyond the task.
@@ -27,7 +27,7 @@ pub enum Meaning {
 }
 
 impl Meaning {
-    /// How many numbers it takes.
+    /// Number of floats that it takes.
     pub const fn width(self) -> usize {
         match self {
             Self::Point | Self::Direction => 3,
@@ -36,7 +36,7 @@ impl Meaning {
     }
 }
 
-/// What scene files say of a shape.
+/// The entry of a shape in scene files.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ShapeSpec {
     /// Its word for `shape`.
@@ -49,9 +49,9 @@ pub struct ShapeSpec {
 
 /// A wall's shape.
 pub trait Shape<T: Real>: Copy {
-    /// What scene files say of it.
+    /// Its entry in scene files.
     const SPEC: ShapeSpec;
-    /// Whether its normal turns with the tip.
+    /// True if its normal turns with the tip.
     const CURVED: bool = true;
     /// The shape with these values.
     fn from_values(values: &Values<T>) -> Self;

@@ -17,10 +17,10 @@ macro_rules! shapes {
         pub enum Surface<T> { $($(#[$doc])* $Shape($Shape<T>),)* }
 
         impl<T: Real> Surface<T> {
-            /// What scene files say of each shape.
+            /// The entries of all shapes in scene files.
             pub const SPECS: &'static [ShapeSpec] = &[$(<$Shape<T> as Shape<T>>::SPEC),*];
 
-            /// What scene files say of this one.
+            /// The entry of this shape in scene files.
             pub fn spec(&self) -> ShapeSpec {
                 match self { $(Self::$Shape(_) => <$Shape<T> as Shape<T>>::SPEC,)* }
             }
@@ -44,7 +44,7 @@ macro_rules! shapes {
                 match self { $(Self::$Shape(_) => Surface::$Shape(Shape::from_values(&values)),)* }
             }
 
-            /// Whether the normal turns with the tip.
+            /// Returns true if the normal turns with the tip.
             pub fn curved(&self) -> bool {
                 match self { $(Self::$Shape(_) => <$Shape<T> as Shape<T>>::CURVED,)* }
             }
@@ -96,7 +96,7 @@ impl<T: Real> Surface<T> {
         Contact { distance, normal }
     }
 
-    /// Whether it is a ball, or what is outside one.
+    /// Returns true if it is a ball, or what is outside one.
     pub(crate) fn is_sphere(&self) -> bool {
         matches!(self, Self::Sphere(_))
     }
@@ -111,7 +111,7 @@ impl<T: Real> Surface<T> {
         }
     }
 
-    /// Whether every value is what its meaning says, for a device of task dimension `task`.
+    /// Returns true if every value is what its meaning says, for a device of task dimension `task`.
     pub(super) fn valid(&self, task: usize) -> bool {
         let values = self.values();
         let mut rest = values.as_slice();

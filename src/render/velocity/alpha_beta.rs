@@ -12,7 +12,7 @@ use crate::math::{Math, Real};
 /// The estimate of one joint.
 #[derive(Clone, Copy, Debug)]
 pub struct AlphaBeta<T> {
-    /// How far the count is ahead of the estimated position, counts.
+    /// Distance of the count ahead of the estimated position, counts.
     ahead: T,
     /// Counts per period.
     velocity: T,

@@ -54,7 +54,7 @@ impl<T: Real> JointEstimator<T> for Difference<T> {
 
     fn step<K: Math<T>>(&mut self, over: &Over<T>, seen: &Seen<T>) -> T {
         if self.next >= over.samples {
-            // The ring begins anew: at the start, after as many samples as it holds, and when it has become shorter.
+            // The ring restarts at the beginning, after as many samples as it holds, and when it has become shorter.
             let ring = self.moved.iter().take(over.samples);
             self.sum = ring.fold(T::zero(), |sum, moved| sum + *moved);
             self.next = 0;

@@ -12,7 +12,7 @@ use crate::math::{Math, Real};
 /// The estimate of one joint.
 #[derive(Clone, Copy, Debug)]
 pub struct Levant<T> {
-    /// How far the count is ahead of the estimated position, counts.
+    /// Distance of the count ahead of the estimated position, counts.
     ahead: T,
     /// Counts per period.
     velocity: T,
@@ -45,7 +45,7 @@ impl<T: Real> JointEstimator<T> for Levant<T> {
     fn step<K: Math<T>>(&mut self, limit: &T, seen: &Seen<T>) -> T {
         let limit = *limit * seen.unit.abs();
         let most = T::from_f64(1.1) * limit;
-        // Where the position would be ahead after this period without a correction.
+        // The distance ahead after this period without a correction.
         let beyond = self.ahead + (seen.moved - self.velocity);
         let left = beyond.abs() - most;
         if left > T::zero() {

@@ -44,7 +44,7 @@ impl<T: Real> LowPass<T> {
         low
     }
 
-    /// What it has let through so far.
+    /// Its output so far.
     pub fn low(&self) -> T {
         self.low
     }
@@ -86,7 +86,7 @@ impl<T: Real> Velocity<T> {
         velocity
     }
 
-    /// How far `position` is from the last sample.
+    /// Distance of `position` from the last sample.
     #[inline(always)]
     fn moved(&self, position: T) -> T {
         position - self.last

@@ -8,7 +8,8 @@ use crate::math::Real;
 pub struct Washout<T> {
     gain: T,
     low: T,
-    /// What rounding has kept out of `low` so far: at 0.2 Hz and 50 kHz a step moves `low` by less than its last digit.
+    /// The part that rounding has kept out of `low` so far: at 0.2 Hz and 50 kHz a step moves `low` by less than its
+    /// last digit.
     rest: T,
 }
 

@@ -16,10 +16,10 @@ pub struct Row {
     pub swing: f64,
     /// The same at constant speed, once settled: the error of the gain.
     pub gain: f64,
-    /// What the direct form in f32 makes of them.
+    /// Their result in the direct form in f32.
     pub direct_swing: f64,
     pub direct_gain: f64,
-    /// How far the two forms differ in the reference.
+    /// Difference of the two forms in the reference.
     pub reference: f64,
 }
 

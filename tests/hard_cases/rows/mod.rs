@@ -6,7 +6,7 @@
 use super::{Exact, ExactMath, shipped};
 use std::sync::LazyLock;
 
-/// What a device gives in f64, in f32 and in the reference's numbers.
+/// A device's results in f64, in f32 and in the reference's numbers.
 macro_rules! in_three_precisions {
     ($description:expr, ($double:ident, $board:ident, $reference:ident) => $what:expr) => {{
         let exact = haptic_bridge::model::mechanism::AnyMechanism::<super::Exact>::new($description);

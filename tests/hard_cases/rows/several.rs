@@ -16,7 +16,7 @@ use nalgebra::SVector;
 
 /// Angles between the walls, rad.
 pub const ANGLES: [f64; 4] = [1e-4, 1e-3, 1e-2, 1e-1];
-/// How much stiffer the first wall is.
+/// Stiffness of the first wall, as a multiple of the second's.
 pub const RATIOS: [f64; 3] = [1.0, 1e2, 1e4];
 const POSES: usize = 40;
 

@@ -11,7 +11,7 @@ use haptic_bridge::render::controller::{FULL_REGULARITY, NO_REGULARITY, PARALLEL
 use haptic_bridge::servo::compiled::BoardMath;
 use nalgebra::{DMatrix, SVector};
 
-/// What degenerates.
+/// The part that degenerates.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Singularity {
     /// An arm stretches or folds: serial.
@@ -22,7 +22,7 @@ pub enum Singularity {
     Rods,
 }
 
-/// How near to come.
+/// The distance to come to.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Target {
     /// cond J.
@@ -66,7 +66,7 @@ pub struct Row {
     pub board: Errors,
     /// Of double precision.
     pub double: Errors,
-    /// How far the routes disagree in the reference.
+    /// Difference of the routes in the reference.
     pub reference: f64,
     /// Of the whole of (4) in double precision.
     pub whole: WholeErrors,
@@ -99,7 +99,7 @@ fn condition<M: Mechanism<f64, N>, const N: usize>(m: &M, q: &SVector<f64, N>, s
     values.max() / values.min()
 }
 
-/// How near a pose is to its target: 1 there, more beyond.
+/// The distance of a pose from its target: 1 there, more beyond.
 fn nearness<M: Mechanism<f64, N>, const N: usize>(m: &M, q: &SVector<f64, N>, target: Target, scale: f64) -> f64 {
     match target {
         Target::Condition(most) => condition(m, q, scale) / most,

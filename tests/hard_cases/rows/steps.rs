@@ -94,7 +94,7 @@ pub fn three<const N: usize>(v: &SVector<f64, N>, task: usize) -> [f64; 3] {
     core::array::from_fn(|i| if i < task.min(N) { v[i] } else { 0.0 })
 }
 
-/// Whether the feed-forward acts in full here.
+/// Returns true if the feed-forward acts in full here.
 fn usable<M: Mechanism<f64, N>, const N: usize>(m: &M, q: &SVector<f64, N>) -> bool {
     let r = m.regularity(&m.pose::<Libm>(q));
     r.serial.min(r.parallel / PARALLEL_REGULARITY) > 2.0 * FULL_REGULARITY

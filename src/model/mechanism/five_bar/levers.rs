@@ -27,12 +27,12 @@ pub struct Moving<T: Real> {
     pub e: Vector2<T>,
     /// Cᵀ n, kg m.
     rods: Vector2<T>,
-    /// What the joints take of it by themselves, Aᵢ eᵢ + Cᵀ n, kg m; the rest goes through the tip.
+    /// The part of it that the joints take by themselves, Aᵢ eᵢ + Cᵀ n, kg m; the rest goes through the tip.
     momentum: Vector2<T>,
 }
 
 impl<T: Real> Moving<T> {
-    /// What the arms add to what this and another motion weigh with each other, kg.
+    /// The arms' part of the inertia between this motion and another, kg.
     #[inline(always)]
     pub fn arms(&self, other: &Self) -> T {
         self.e.dot(&other.momentum) + self.rods.dot(&other.e)

@@ -23,7 +23,7 @@ struct Stiff<T: Real, const N: usize> {
 /// As many as can act together: walls, and the host's plane.
 type Stiffs<T, const N: usize> = Vec<Stiff<T, N>, { MAX_WALLS + 1 }>;
 
-/// What is shaped of what acts beside the walls.
+/// The shaped part of the forces beside the walls.
 #[derive(Clone, Copy, Debug)]
 struct Plain<T: Real, const N: usize> {
     /// N
@@ -124,7 +124,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         plain
     }
 
-    /// What acts of `beside`.
+    /// The part of `beside` that acts.
     #[inline(always)]
     fn plain(&self, place: &SVector<T, N>, beside: &Beside<T, N>) -> Plain<T, N> {
         let mut plain = Plain {
@@ -135,7 +135,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         };
         if let Some((normal, depth, stiffness)) = self.guidance.touched_plane::<N>(place) {
             plain.force += normal * beside.plane;
-            // How deep by its force is in the reach already.
+            // The depth by its force is already in the reach.
             let pulled = Pulled { stiffness, own: false, depth, reach: T::zero() };
             plain.plane = Some(Stiff { normal, pulled });
         }
@@ -152,7 +152,7 @@ fn stiffest<T: Real, K: Math<T>, const N: usize>(
     reach: T,
 ) -> Option<(SVector<T, N>, T)> {
     let full = T::one() / (reach * T::from_f64(TOUCH_SHARE)).greater(T::from_f64(TOUCH_DEPTH));
-    // All of it, and that of what has no feed-forward of its own, of which most scenes have none.
+    // The total stiffness, and that of the parts without a feed-forward of their own, of which most scenes have none.
     let mut all = springs.unwrap_or(Stiffness::none());
     let (mut plain, mut mixed) = (all, springs.is_some());
     for Stiff { normal, pulled } in stiff {

@@ -11,7 +11,7 @@ use nalgebra::SVector;
 impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K, N> {
     /// [`Controller::render`] for one wall, by the closed form and with α = 1, or for none.
     ///
-    /// What is known is written at once, and equation (4) comes last: so few numbers have to be kept on the way.
+    /// Known values are written at once, and equation (4) comes last: so few numbers have to be kept on the way.
     #[inline(never)]
     pub(in super::super) fn render_wall(&mut self, counts: &[i32; N], found: &mut StepResult<T>) {
         self.render_single::<false>(counts, found);
@@ -68,14 +68,14 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         } else {
             self.shaped(&started, &contact.normal, pressed.shaped, Some(0))
         };
-        // Nothing where all of it is shaped.
+        // Adds zero if the whole force is shaped.
         torque += row * (force - pressed.shaped);
         self.passivity.hold(&torque);
         put(&e, &mut found.motion);
         self.total(&torque, || contact.normal * force, found);
     }
 
-    /// Where no wall is touched.
+    /// Writes the result of a step that touches no wall.
     #[inline(always)]
     fn untouched(&mut self, found: &mut StepResult<T>) {
         self.passivity.leave();

@@ -35,8 +35,8 @@ pub(in super::super) struct Together<'a, T: Real, const N: usize> {
 }
 
 impl<'a, T: Real, const N: usize> Together<'a, T, N> {
-    /// What contacts that act together render, at the tip position `place` (m), in a task of `task` dimensions. `pulls`: an
-    /// empty list that it may keep.
+    /// The force of contacts that act together, at the tip position `place` (m), in a task of `task` dimensions.
+    /// `pulls`: an empty list that it may keep.
     #[inline(always)]
     pub fn new<K: Math<T>>(
         first: &'a Active<T, N>,
