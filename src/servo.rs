@@ -12,6 +12,7 @@ mod fade;
 pub mod frame;
 pub mod host_force;
 pub mod joints;
+mod period;
 mod polarity;
 pub mod program;
 mod requests;
@@ -190,12 +191,6 @@ where
         self.program.as_ref().map(|program| program.rate_hz)
     }
 
-    /// One control period: [`Servo::render`], then [`Servo::act`].
-    pub fn control(&mut self, samples: &Samples) -> Outputs {
-        self.render(&samples.counts);
-        self.act(samples)
-    }
-
     /// The part of a control period that needs no more than encoder counts: what the scene asks of the joints. The motors
     /// go on as they are, and so does what they are held to.
     #[inline(always)]
@@ -213,15 +208,6 @@ where
         if let Some(program) = self.program.as_mut() {
             program.controller.step(counts, &self.now.motors.torque, &mut self.now.found);
         }
-    }
-
-    /// The rest of it: watches, and sets what each motor shall do of what was rendered for the same counts.
-    pub fn act(&mut self, samples: &Samples) -> Outputs {
-        self.step(&self.known(samples));
-        if !self.hardware.bridge.current_sensed {
-            self.now.motors.current = Currents(self.joints.each_ref().map(|joint| joint.stage.asked()));
-        }
-        self.outputs()
     }
 
     /// Index pulses were seen since the last step, of these encoders at these counts, late by at most what each joint moved
@@ -242,21 +228,6 @@ where
     #[inline(always)]
     fn count(&self) -> usize {
         self.count.into()
-    }
-
-    /// The drive of each motor's legs over the next carrier period, from the bus voltage (V) and each motor's sample:
-    /// for brushed motors currents (A) to duties, signed, ±[`MAX_DUTY`](crate::drive::stage::MAX_DUTY). No voltage
-    /// unless armed. `late` is true if they apply from the next crest on instead of the next valley, see
-    /// [`Stage::drive`].
-    pub fn duties(
-        &mut self,
-        bus_voltage: f32,
-        samples: &[S::Sample; MAX_JOINTS],
-        late: bool,
-    ) -> [S::Drive; MAX_JOINTS] {
-        let mut drives = [S::Drive::default(); MAX_JOINTS];
-        self.drive(bus_voltage, samples, late, &|drive| drive, &mut drives);
-        drives
     }
 
     /// Puts what the legs of all axes do next `into` `legs`. False where the motors are off.

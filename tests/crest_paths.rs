@@ -201,8 +201,8 @@ impl Pair {
         self.servos[0].status().state
     }
 
-    /// Returns true if the next crest takes one pass, as far as the servo knows beforehand, and whether it does so
-    /// though the limits cut the step before it.
+    /// Tells if the next crest takes one pass, as far as the servo knows beforehand, and if it does so after a step that
+    /// the limits cut.
     fn is_usual(&self) -> [bool; 2] {
         let told = told(&self.servos[0]);
         let usual = !told.contains(" usual: 0,");

@@ -53,9 +53,9 @@ impl Pin {
         Self((port as u8 - b'A') << 4 | number)
     }
 
-    /// Returns true if nothing outside holds the pin, so that it follows the chip's own pulls: down, up and down again.
-    /// A pin held between the two levels reads as stuck. Call it while the pin is an input; it leaves the pin an input
-    /// without a pull.
+    /// Returns true if nothing outside holds the pin, so that it follows the chip's own pulls down and up, twice. A
+    /// pin held between the two levels may read as either, but does not change. Call it while the pin is an input; it
+    /// leaves the pin an input without a pull.
     pub fn is_open(self) -> bool {
         let (port, number) = (PORTS[usize::from(self.0 >> 4 & 3)], usize::from(self.0 & 15));
         let pulls = [(Pupdr::PULL_DOWN, Idr::LOW), (Pupdr::PULL_UP, Idr::HIGH)];
@@ -127,9 +127,9 @@ pub trait Io {
     /// once would make every reading after it a crest old, or torn between two.
     fn forget(&mut self);
 
-    /// Returns true if the conversions that the crest started have finished, and whether they do when they are waited
-    /// for.
+    /// Returns true if the conversions that the crest started have finished.
     fn sampled(&self) -> bool;
+    /// Waits for them; returns true if they finish.
     fn await_samples(&self) -> bool;
 
     /// Puts their readings into `seen`: bus voltage, currents, and what two sensors of one differ by.
@@ -144,7 +144,7 @@ pub trait Io {
     /// Connects the bridges to the carrier, or lets them float. Off also drops the gate drivers or the enable line.
     fn drive(&mut self, on: bool);
 
-    /// Returns true if the power stage reports a fault; only true to be asked while it is up.
+    /// Returns true if the power stage reports a fault; only meaningful while it is up.
     fn fault(&self) -> bool;
 
     /// The carrier in use.

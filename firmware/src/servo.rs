@@ -268,8 +268,7 @@ impl Step {
         self.keep_time();
     }
 
-    /// Does what is left over from the last step, and everything there is to do at a crest that has no step. Whether this
-    /// was such a one.
+    /// Finishes the last step, and does the whole work of a crest without a step. Returns true if this was such a crest.
     #[cold]
     #[inline(never)]
     fn crest_before_step(&mut self) -> bool {
@@ -364,8 +363,8 @@ impl Step {
         self.servo.mark(self.io.marks(&self.seen.counts));
     }
 
-    /// Returns true if the duties to be worked out now are late: whether the next valley is too near, or has just been,
-    /// for them to apply from it on, or was for one of the crests before this.
+    /// Returns true if the duties of this crest are late: the next valley is too near for them, or has just passed, or
+    /// was too near at one of the last crests.
     #[inline(always)]
     fn is_late(&mut self) -> bool {
         // Core and timer count at the same frequency, and the timer down to its valley and up from it.

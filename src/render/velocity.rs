@@ -390,7 +390,7 @@ impl<T: Real> Coefficients<T> {
         self.first
     }
 
-    /// Returns true if a low-pass behind the backward difference is all of it.
+    /// Returns true if a low-pass behind the backward difference is the whole estimator.
     pub fn is_low_pass(&self) -> bool {
         !self.none && self.joints.is_none()
     }

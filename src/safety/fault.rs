@@ -5,7 +5,7 @@
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
-/// True if the motors may act.
+/// The state of the motors.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub enum State {
     /// Bridges float; the device moves freely.

@@ -1,4 +1,4 @@
-//! True if the control loop keeps its pace: as often as its rate says, no more and no less.
+//! Checks that the control loop keeps its pace: as often as its rate says, no more and no less.
 
 /// A loop that runs more often than this, % of its rate, is as broken as one that stops. Its timer and the clock that
 /// measures it run from one crystal, so a sound loop is off by no more than a step or two at either end.

@@ -13,8 +13,7 @@ use crate::math::Math;
 use crate::model::catalogue::MAX_JOINTS;
 use crate::safety::fault::Fault;
 use crate::safety::limits::POWER_SECONDS;
-use crate::servo::frame::{Outputs, Samples};
-use crate::servo::joints::Currents;
+use crate::servo::frame::Samples;
 use crate::servo::program::Program;
 use core::ops::DerefMut;
 
@@ -153,7 +152,7 @@ enum Unusual {
 /// The bounds of all joints together.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Crests {
-    /// True if a crest was before.
+    /// True if there was a crest before.
     primed: bool,
     /// Bus voltage, V.
     bus: (f32, f32),
@@ -171,7 +170,7 @@ impl Crests {
         self.power = 0.0;
     }
 
-    /// Returns true if the power into the hand may go on, which is this now, W.
+    /// Takes the present power into the hand, W, and returns true if its mean is within the limit.
     #[inline(always)]
     fn allow(&mut self, power: f32) -> bool {
         self.power += (power - self.power) * self.power_gain;
@@ -393,16 +392,8 @@ where
         self.drive(seen.bus_voltage, samples, seen.late, into, legs)
     }
 
-    /// Checks the counts, currents and supply of this crest, and returns whether the bridges may go on driving. Call at
-    /// every crest, before [`Servo::act`] where a step is due and before [`Servo::duties`].
-    pub fn guard(&mut self, seen: &Samples) -> Outputs {
-        self.look(&self.known(seen));
-        self.check_at_free_crest();
-        self.outputs()
-    }
-
     /// Holds what a crest shows to its bounds. While the motors are off encoders alone are watched, and only for jumps.
-    fn look(&mut self, seen: &Samples) {
+    pub(super) fn look(&mut self, seen: &Samples) {
         if !core::mem::replace(&mut self.crests.primed, true) {
             self.pass(seen);
         }
@@ -468,19 +459,6 @@ where
         if let Some((fault, axis, value)) = found {
             self.trip(fault, axis, value);
         }
-    }
-
-    /// Completes the samples of a board that lacks sensors: with the commanded currents, and with a bus voltage that is
-    /// not held to any limit.
-    pub(super) fn known(&self, seen: &Samples) -> Samples {
-        let mut seen = *seen;
-        if !self.hardware.bridge.current_sensed {
-            (seen.currents, seen.imbalance) = (self.now.motors.current, Currents::default());
-        }
-        if !self.hardware.bus_sensed {
-            seen.bus_voltage = 0.0;
-        }
-        seen
     }
 
     /// Angle (rad) of a joint at a count.

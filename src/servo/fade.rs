@@ -54,8 +54,9 @@ pub(super) struct Fade {
     /// By what the last step multiplied the forces asked for, before torques were limited: the ramp times the share that
     /// the limit of the force at the tip left.
     pub share: f32,
-    /// True if a step of it was, and whether anything acted before.
+    /// True if a step of the fade has passed.
     begun: bool,
+    /// True if anything acted before.
     from_something: bool,
     /// The share of the device's weight that was carried: what carries it is of the pose now, or torques of another would
     /// push beside all limits.

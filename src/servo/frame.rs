@@ -82,7 +82,7 @@ impl StepRecord {
         Self { step: now.step, state, counts: now.counts, at: now.found.at, motors: now.motors }
     }
 
-    /// Returns true if joint `i` could not do what was asked: 1 a limit changed its torque ([`Motors::limited`]), 2 its
+    /// Shortfall of joint `i`: 0 none, 1 a limit changed its torque ([`Motors::limited`]), 2 its
     /// duty is at its end, 3 both.
     pub fn saturation(&self, i: usize) -> u8 {
         let end = self.motors.duty.get(i).is_some_and(|duty| duty.abs() >= DUTY_END);

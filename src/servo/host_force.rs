@@ -274,7 +274,7 @@ impl Blend {
 /// The host's request while it acts.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct HostForce {
-    /// True if it does.
+    /// True if a request acts.
     pub acts: bool,
     request: ForceRequest,
     /// Time since the state that it was computed from, s.

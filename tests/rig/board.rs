@@ -199,13 +199,14 @@ impl Board {
         if let Some(marks) = self.marks.take() {
             self.machine.servo.mark(marks);
         }
-        self.machine.servo.guard(&samples);
-        self.bridges = self.machine.servo.control(&samples).bridges;
+        let (outputs, duties) = self.machine.servo.crest(&samples, &samples.currents, true);
+        (self.bridges, self.duties) = (outputs.bridges, duties.map(f32::from));
         assert!(!self.bridges || self.state().drives(), "bridges drive while {:?}", self.state());
         let frame = self.machine.servo.frame();
         if self.packer.wants(frame.step) {
             let _ = self.packer.push(&frame, 0);
         }
+        self.bridges &= self.machine.servo.check_slow_faults(&samples).bridges;
         self.keeps_its_promises();
         // Not after a request: a limit that was lowered acts at the next control step.
         let (torque, limits) = (frame.motors.torque, self.service.rules().limits);
@@ -246,13 +247,10 @@ impl Board {
     }
 
     /// The checks after every control period and every request.
-    pub fn keeps_its_promises(&mut self) {
+    pub fn keeps_its_promises(&self) {
         let state = self.state();
         let limits = self.service.rules().limits;
         assert!(limits.within(&self.most), "limits above the board's own: {limits:?}");
-        let seen = self.seen();
-        self.duties = self.machine.servo.duties(seen.bus_voltage, &seen.currents, false).map(f32::from);
-        self.bridges &= self.machine.servo.check_slow_faults(&seen).bridges;
         let duties = self.duties;
         assert!(duties.iter().all(|duty| duty.abs() <= MAX_DUTY), "{duties:?} with {:?}", self.samples);
         if !state.drives() {
@@ -275,6 +273,9 @@ impl Board {
             let now = self.service.rules();
             assert!(!looser(now, &before.1), "rules loosened while the motors are on: {:?} to {now:?}", before.1);
         }
+        let seen = self.seen();
+        self.duties = self.machine.servo.duties(seen.bus_voltage, &seen.currents, false).map(f32::from);
+        self.bridges &= self.machine.servo.check_slow_faults(&seen).bridges;
         self.keeps_its_promises();
         match after {
             After::Nothing => {}

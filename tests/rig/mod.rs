@@ -315,8 +315,8 @@ impl Rig {
             let (bus_voltage, imbalance) = (self.samples.bus_voltage, Currents(self.imbalance));
             let measured = Currents(measured);
             let seen = Samples { counts, bus_voltage, currents: measured, imbalance, late: false };
-            self.outputs = self.servo.guard(&seen);
-            if nth == carriers {
+            let due = nth == carriers;
+            if due {
                 self.samples.currents = measured;
                 if let Some((fault, axis, value)) = self.told.take() {
                     self.servo.trip(fault, axis, value);
@@ -324,9 +324,8 @@ impl Rig {
                 if let Some(marks) = self.marks.take() {
                     self.servo.mark(marks);
                 }
-                self.outputs = self.servo.control(&self.samples);
             }
-            self.duties = self.servo.duties(self.samples.bus_voltage, &measured, false).map(f32::from);
+            self.duties = self.servo.crest(&seen, &measured, due).1.map(f32::from);
             self.outputs = self.servo.check_slow_faults(&seen);
             for (i, current) in self.currents.iter_mut().enumerate() {
                 let turned = self.samples.counts[i].wrapping_sub(before[i]) as f32 * core::f32::consts::TAU;

@@ -46,7 +46,7 @@ fn turned(task: usize, angle: f64, tilt: f64) -> Vec<f64> {
     }
 }
 
-/// True if there is a third wall, and which walls have the feed-forward.
+/// Cases: with a third wall or not, and the walls that have the feed-forward.
 const SOME: [(bool, [bool; 3]); 6] = [
     (false, [true, true, true]),
     (true, [true, true, true]),

@@ -237,7 +237,7 @@ impl SimulatedBoard {
         let counts = Counts(broken.counts(self.device.counts(), self.looks));
         self.looks += 1;
         let samples = Samples { counts, bus_voltage, currents, ..Samples::default() };
-        self.guard(&samples, carriers);
+        self.guard_before(&samples, carriers);
         if due {
             self.countdown = self.machine.carrier.divider.into();
             let index = self.device.index();
@@ -248,12 +248,14 @@ impl SimulatedBoard {
             if let Some((fault, axis, value)) = self.injected.take() {
                 self.machine.servo.trip(fault, axis, value);
             }
-            self.bridges = self.machine.servo.control(&samples).bridges;
+        }
+        let (outputs, duties) = self.machine.servo.crest(&samples, &currents, due);
+        self.bridges = outputs.bridges;
+        if due {
             self.send_around();
             self.support();
         }
         self.countdown = self.countdown.saturating_sub(carriers);
-        let duties = self.machine.servo.duties(bus_voltage, &currents, false);
         for _ in 0..carriers {
             self.bridges &= self.machine.servo.check_slow_faults(&samples).bridges;
         }
@@ -351,14 +353,14 @@ impl SimulatedBoard {
         }
     }
 
-    /// Shows the servo the crests of `carriers` periods, between which the joints have turned evenly.
-    fn guard(&mut self, seen: &Samples, carriers: u32) {
+    /// Shows the servo the crests of `carriers` periods but the last, between which the joints have turned evenly.
+    fn guard_before(&mut self, seen: &Samples, carriers: u32) {
         let moved: [i64; 3] = core::array::from_fn(|axis| i64::from(seen.counts[axis].wrapping_sub(self.seen[axis])));
-        for nth in 1..=carriers {
+        for nth in 1..carriers {
             let counts = Counts::from_fn(|axis| {
                 self.seen[axis].wrapping_add((moved[axis] * i64::from(nth) / i64::from(carriers)) as i32)
             });
-            self.bridges = self.machine.servo.guard(&Samples { counts, ..*seen }).bridges;
+            self.machine.servo.guard(&Samples { counts, ..*seen });
         }
         self.seen = seen.counts;
     }

@@ -20,8 +20,9 @@ pub(super) struct Guidance<T: Real> {
     springs: Vec<Spring<T>, MAX_SPRINGS>,
     field_damping: T,
     push: Option<Push<T>>,
-    /// True if there is anything of it but a force of the host's, and whether there is that.
+    /// True if there is more than a force of the host's.
     pub any: bool,
+    /// True if the host pushes.
     pub pushed: bool,
     /// One or the other.
     pub adds: bool,

@@ -25,8 +25,9 @@ pub(super) struct Running<T: Real> {
     least: T,
     /// The shaping of its force where it acts together with others: its own feed-forward, or theirs if it has none.
     together: FeedForward,
-    /// True if it has the feed-forward itself; and by what a newton presses it in, m: 0 without stiffness.
+    /// True if it has the feed-forward itself.
     own: bool,
+    /// Depth to which a newton presses it in, m: 0 without stiffness.
     softness: T,
     velocity: Velocity<T>,
     washout: Washout<T>,
