@@ -76,7 +76,9 @@ pub mod servo;
 pub mod board {
     pub mod configuration;
     pub mod dispatch;
+    pub(crate) mod flash;
     pub mod framing;
+    pub mod machine;
     pub mod protocol;
     pub mod service;
     pub mod settings;

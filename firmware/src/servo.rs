@@ -11,9 +11,13 @@
 //! ([`Fault::ControlOverrun`]). One that only reaches past the valley applies half a carrier period later than usual,
 //! which the current loops are told.
 
+mod exchange;
+mod shared;
+mod valley;
+
 use core::cell::UnsafeCell;
 use core::mem::MaybeUninit;
-use core::sync::atomic::{AtomicBool, AtomicPtr, AtomicU32, Ordering};
+use core::sync::atomic::{AtomicPtr, Ordering};
 
 use cortex_m::peripheral::DWT;
 use embassy_stm32::interrupt;
@@ -24,77 +28,19 @@ use haptic_bridge::drive::carrier::{Carrier, Ticks};
 use haptic_bridge::drive::heat::Heat;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::safety::fault::Fault;
-use haptic_bridge::servo::compiled::{self, BoardProgram, BoardServo};
+use haptic_bridge::servo::Rules;
+use haptic_bridge::servo::compiled::{self, BoardServo};
 use haptic_bridge::servo::frame::Samples;
-use haptic_bridge::servo::host_force::{ForceAnswer, ForceRequest};
 use haptic_bridge::servo::program::Hardware;
-use haptic_bridge::servo::{Command, Reply, Rules, Status};
 
 use crate::board::{Board, Io as _, This};
 use crate::critical;
 use crate::frames::{FrameReader, Frames};
-use crate::warmth;
 
-/// A request of the tasks to the control interrupt, one at a time.
-pub enum Request {
-    /// Something for the servo.
-    Command(Command<BoardProgram>),
-    /// Only the status.
-    Status,
-    /// Another carrier; motors off.
-    Retime(Carrier),
-    /// The rest of a command that has been obeyed: of new rules, valley by valley, and the answer.
-    Settle,
-    /// The rest of a command that brings a program: it was accepted.
-    Install(BoardProgram),
-    /// Nothing: it has been taken.
-    None,
-}
-
-/// The outcome of a request.
-pub struct Answer {
-    /// Of a command.
-    pub reply: Reply<BoardProgram>,
-    /// The servo's state after it.
-    pub status: Status,
-}
-
-/// A request and its answer, both with the task that asks: it waits.
-enum Exchange<'t> {
-    /// A request of the tasks.
-    Request(Request, &'t mut Option<Answer>),
-    /// A force request of the host, thousands of times a second.
-    Force(&'t ForceRequest, &'t mut Option<ForceAnswer>),
-}
-
-/// The tasks' end of the requests.
-pub struct Requests(());
-
-impl Requests {
-    /// Hands a request to the control interrupt and waits for its answer: at most one carrier period, 50 us; one more for a
-    /// command, and another for each joint where rules change.
-    pub fn ask(&mut self, request: Request) -> Answer {
-        let mut answer = None;
-        self.exchange(&UnsafeCell::new(Exchange::Request(request, &mut answer)));
-        // The interrupt answers whatever it takes.
-        answer.unwrap_or_else(|| cortex_m::peripheral::SCB::sys_reset())
-    }
-
-    /// The same, of what the host asks the motors for.
-    pub fn ask_force(&mut self, request: &ForceRequest) -> ForceAnswer {
-        let mut answer = None;
-        self.exchange(&UnsafeCell::new(Exchange::Force(request, &mut answer)));
-        answer.unwrap_or_else(|| cortex_m::peripheral::SCB::sys_reset())
-    }
-
-    /// Hands an exchange over and waits until the interrupt has let go of it, which is why the interrupt may take what is
-    /// borrowed there for `'static`. One that does not has stopped, and then the watchdog ends the wait.
-    #[inline(always)]
-    fn exchange(&mut self, exchange: &UnsafeCell<Exchange>) {
-        CONTROL.asked.store(exchange.get().cast(), Ordering::Release);
-        while !CONTROL.asked.load(Ordering::Acquire).is_null() {}
-    }
-}
+use exchange::Exchange;
+pub use exchange::{Request, Requests};
+pub use shared::Shared;
+use shared::count;
 
 /// The tasks' ends.
 pub struct Ends {
@@ -102,28 +48,6 @@ pub struct Ends {
     pub requests: Requests,
     /// Frames of the telemetry stream.
     pub frames: FrameReader,
-}
-
-/// Numbers that the control interrupt and tasks show each other. The steps come first: the emulator's tests read them.
-#[repr(C)]
-pub struct Shared {
-    /// Control steps since the start, wrapping.
-    pub steps: AtomicU32,
-    /// Those of them whose duties applied half a carrier period later than usual.
-    pub late_steps: AtomicU32,
-    /// Every how many control steps a frame is wanted; 0 for none.
-    pub stream_divider: AtomicU32,
-    /// Frames that found no place since the stream started.
-    pub frames_dropped: AtomicU32,
-    /// Steps that reached past the next crest.
-    pub overruns: AtomicU32,
-    /// The longest time from a crest to the end of its interrupt, core cycles, and how much it left until the valley.
-    pub longest_cycles: AtomicU32,
-    least_left: AtomicU32,
-    /// The gate drivers are up and set: the bridges may be connected, and while they are not, no current flows.
-    pub gate_ready: AtomicBool,
-    /// A flash operation is about to stall the program: missed crests are no overruns.
-    pub stall_expected: AtomicBool,
 }
 
 /// The control interrupt's own. In this order in memory: what the FPU loads lies within the 1 KB that its loads reach.
@@ -166,17 +90,7 @@ struct Control {
 unsafe impl Sync for Control {}
 
 static CONTROL: Control = Control {
-    shared: Shared {
-        steps: AtomicU32::new(0),
-        late_steps: AtomicU32::new(0),
-        stream_divider: AtomicU32::new(0),
-        frames_dropped: AtomicU32::new(0),
-        overruns: AtomicU32::new(0),
-        longest_cycles: AtomicU32::new(0),
-        least_left: AtomicU32::new(0),
-        gate_ready: AtomicBool::new(false),
-        stall_expected: AtomicBool::new(false),
-    },
+    shared: Shared::new(),
     step: UnsafeCell::new(MaybeUninit::uninit()),
     asked: AtomicPtr::new(core::ptr::null_mut()),
     frames: Frames::new(),
@@ -185,11 +99,6 @@ static CONTROL: Control = Control {
 /// The numbers that the control interrupt and the tasks share.
 pub fn shared() -> &'static Shared {
     &CONTROL.shared
-}
-
-/// One more; the control interrupt alone writes it.
-fn count(number: &AtomicU32) {
-    number.store(number.load(Ordering::Relaxed).wrapping_add(1), Ordering::Relaxed);
 }
 
 /// Gives the board to the control interrupt and starts the carrier; `heat` is what the run before left of it in the
@@ -220,7 +129,7 @@ pub fn start(mut io: <This as Board>::Io, hardware: Hardware, rules: Rules, heat
     pac::TIM1.dier().modify(|w| w.set_uie(true));
     // SAFETY: the state it needs is in place.
     unsafe { interrupt::TIM1_UP_TIM10.enable() };
-    Ends { requests: Requests(()), frames: FrameReader::new(&CONTROL.frames) }
+    Ends { requests: Requests(&CONTROL.asked), frames: FrameReader::new(&CONTROL.frames) }
 }
 
 #[interrupt]
@@ -410,93 +319,6 @@ impl Step {
         }
     }
 
-    /// Everything there is to do at a valley.
-    #[inline(always)]
-    fn valley(&mut self) {
-        self.valley_at = DWT::cycle_count();
-        if !self.driving {
-            self.valley_at_rest();
-        }
-        self.io.forget();
-        // The duties of the last step have just been taken over, or are late and come next.
-        if self.pending {
-            self.pending = false;
-            self.io.write(&self.legs);
-        }
-        if self.before_step & UNRECORDED != 0 {
-            self.record();
-        } else {
-            self.see_whether_between();
-        }
-        let drives = compiled::check_slow_faults(&mut self.servo, &self.seen).bridges;
-        if !drives && self.driving {
-            self.float();
-        }
-        let asked = CONTROL.asked.load(Ordering::Acquire);
-        if !asked.is_null() {
-            // SAFETY: `Requests::exchange` has put it there, and keeps it, with what it borrows, until it is null again. There
-            // is one `Requests`, which can be in but one exchange.
-            if self.take(unsafe { &mut *asked }) {
-                CONTROL.asked.store(core::ptr::null_mut(), Ordering::Release);
-            }
-            if self.driving && self.since_valley() > 2 * u32::from(self.io.carrier().top) {
-                self.crest_missed();
-            }
-        }
-    }
-
-    /// Sees whether there was a crest without a step before this valley. Where there was none at all, it came and went while
-    /// the core did something else.
-    #[cold]
-    #[inline(never)]
-    fn see_whether_between(&mut self) {
-        if self.before_step & BETWEEN == 0 && self.driving {
-            self.crest_missed();
-        }
-        self.before_step &= !BETWEEN;
-    }
-
-    /// A crest came and went.
-    #[cold]
-    #[inline(never)]
-    fn crest_missed(&mut self) {
-        count(&CONTROL.shared.overruns);
-        self.miss();
-        self.float();
-    }
-
-    /// No valley has come since the last crest: it came and went while the core did something else, and crests may have.
-    fn valley_missed(&mut self) {
-        if self.before_step & UNRECORDED != 0 {
-            self.record();
-        }
-        if self.before_step & OVERRAN == 0 && self.driving {
-            self.before_step |= OVERRAN;
-            count(&CONTROL.shared.overruns);
-        }
-    }
-
-    /// The first work of a valley while the bridges float: they begin to drive at an extreme of the carrier, here or,
-    /// where this interrupt is late, at the next crest. Between two extremes, a bridge whose ends follow one channel
-    /// and its complement would drive its motor for the rest of half a period, which is worth whole amperes.
-    #[cold]
-    #[inline(never)]
-    fn valley_at_rest(&mut self) {
-        if !self.may_connect() {
-            if !self.servo.status().state.drives() {
-                self.unconnected = 0;
-            }
-            if self.io.sampled() {
-                self.io.learn();
-            }
-        } else if pac::TIM1.cnt().read().0 < EXTREME_CYCLES {
-            self.connect();
-        } else {
-            self.before_step |= UNCONNECTED;
-            self.wait_on();
-        }
-    }
-
     /// The bridges should drive but cannot yet, because this interrupt was late. If it always is, this counts as missed
     /// steps instead of waiting forever.
     fn wait_on(&mut self) {
@@ -519,65 +341,6 @@ impl Step {
         self.before_step &= !OVERRAN;
     }
 
-    /// Carries out one request and answers it; false where there is more to do of it at the next valley. Not inlined: it is
-    /// rare, and would only lengthen the way to the step.
-    #[inline(never)]
-    fn take(&mut self, exchange: &mut Exchange) -> bool {
-        let (request, answer) = match exchange {
-            Exchange::Force(request, answer) => {
-                **answer = Some(self.servo.force(request));
-                return true;
-            }
-            Exchange::Request(request, answer) => (request, answer),
-        };
-        let (mut reply, mut more) = ((Ok(()), None), false);
-        match request {
-            Request::None | Request::Status => {}
-            Request::Command(Command::Program(_)) => {
-                if let Request::Command(Command::Program(mut program)) = core::mem::replace(request, Request::None) {
-                    match self.servo.accepts(&mut program) {
-                        Ok(()) => (*request, more) = (Request::Install(program), true),
-                        Err(refusal) => reply = (Err(refusal), Some(program)),
-                    }
-                }
-            }
-            Request::Install(_) => {
-                if let Request::Install(program) = core::mem::replace(request, Request::None) {
-                    reply.1 = self.servo.install(program);
-                }
-            }
-            Request::Command(command) => {
-                reply.0 = self.servo.obey(command);
-                if reply.0.is_ok() {
-                    (*request, more) = (Request::Settle, true);
-                }
-            }
-            Request::Settle => more = self.servo.settle_next(),
-            Request::Retime(carrier) => {
-                if !self.driving {
-                    self.io.set_carrier(*carrier);
-                    self.ticks = carrier.ticks();
-                    (self.after_step, self.before_step) = (after_step(carrier), 0);
-                    let longest = CONTROL.shared.longest_cycles.load(Ordering::Relaxed);
-                    CONTROL.shared.least_left.store(u32::from(carrier.top).saturating_sub(longest), Ordering::Relaxed);
-                }
-            }
-        }
-        if matches!(request, Request::Status) {
-            // Some fifty times a second, what a reset must not cool is put where it stays.
-            warmth::keep(self.servo.heat());
-        }
-        let status = self.servo.status();
-        if !status.state.drives() && self.driving {
-            self.float();
-        }
-        if more {
-            return false;
-        }
-        **answer = Some(Answer { reply, status });
-        true
-    }
-
     /// Lets bridges that drive float, and drops the gate drivers as well.
     #[cold]
     #[inline(never)]
@@ -585,23 +348,6 @@ impl Step {
         self.io.drive(false);
         CONTROL.shared.gate_ready.store(false, Ordering::Relaxed);
         self.driving = false;
-    }
-
-    /// Notes and hands on what the last step left.
-    #[inline(never)]
-    fn record(&mut self) {
-        self.before_step &= !UNRECORDED;
-        let steps = self.servo.steps();
-        CONTROL.shared.steps.store(steps, Ordering::Relaxed);
-        let wanted = steps.checked_rem(CONTROL.shared.stream_divider.load(Ordering::Relaxed)) == Some(0);
-        let pushed = wanted && CONTROL.frames.push(|place| compiled::note(&mut self.servo, &self.seen, Some(place)));
-        if !pushed {
-            compiled::note(&mut self.servo, &self.seen, None);
-            if wanted {
-                // This interrupt is the only writer while a stream runs.
-                count(&CONTROL.shared.frames_dropped);
-            }
-        }
     }
 
     /// Sees to crests that took the longest so far, or reached past the valley.

@@ -4,8 +4,9 @@
 //! A frame is a postcard-rpc header (key, sequence number) and a postcard body. What cannot be understood is answered
 //! by postcard-rpc's own error message; nothing that comes in can do more than that.
 
+use crate::board::machine::{Machine, Measured};
 use crate::board::protocol::*;
-use crate::board::service::{Machine, Measured, Service};
+use crate::board::service::Service;
 use crate::board::telemetry::{Batch, StreamRequest};
 use postcard_rpc::header::{VarHeader, VarKey, VarSeq};
 use postcard_rpc::standard_icd::{ERROR_KEY, WireError};

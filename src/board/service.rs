@@ -4,11 +4,13 @@
 //! Everything is checked here even though the tool has checked it: whatever comes over the link, nothing that the
 //! rules forbid reaches the servo, and the servo checks again what depends on the moment.
 
+mod backup;
+
 use crate::board::configuration::{Configuration, nothing_to_feel, task};
-use crate::board::protocol::{
-    Beat, Commit, Details, FaultList, ForceAnswer, ForceRequest, GainsRequest, KeyList, Name, Press, Step, WriteEntry,
-};
-use crate::board::settings::{self, BoardName, Damage, Entry, Key, Polarity, Setting};
+use crate::board::flash::complete;
+use crate::board::machine::{Machine, Measured, must_be_off};
+use crate::board::protocol::{Beat, Details, FaultList, GainsRequest, KeyList, Name, Press, Step};
+use crate::board::settings::{self, BoardName, Damage, Key, Setting};
 use crate::math::Math;
 use crate::model::device::Device;
 use crate::model::precomputed::{MassModelData, Receiving, TableChunk};
@@ -18,56 +20,8 @@ use crate::safety::fault::FaultRecord;
 use crate::safety::limits::{BadLimit, GENTLE_FORCE, Limit, Limits};
 use crate::safety::refusal::Refusal;
 use crate::servo::program::{Hardware, Program};
-use crate::servo::{Command, HostAction, Reply, Rules, Status};
-use core::ops::DerefMut;
+use crate::servo::{Command, HostAction, Rules};
 use heapless::Vec;
-
-/// The board around the service.
-pub trait Machine {
-    /// The trigonometry it computes with.
-    type Math: Math<f32>;
-    /// The machine's storage for a program: a box, or a static buffer.
-    type Held: DerefMut<Target = Program<Self::Math>>;
-
-    /// Carries a command out between two control steps and waits for the answer.
-    fn execute(&mut self, command: Command<Self::Held>) -> Reply<Self::Held>;
-    /// The servo's state.
-    fn status(&mut self) -> Status;
-    /// Carries out what the host asks the motors for between two control steps, see
-    /// [`Servo::force`](crate::servo::Servo::force).
-    fn force(&mut self, request: &ForceRequest) -> ForceAnswer;
-    /// Puts a program where the servo can use it; refused while the spare place is taken.
-    fn place(&mut self, program: Program<Self::Math>) -> Result<Self::Held, Refusal>;
-    /// Takes back a program that the servo no longer uses.
-    fn release(&mut self, held: Self::Held);
-    /// Sets carrier and divider for a control rate (Hz). Called with the motors off.
-    fn retime(&mut self, rate_hz: f32);
-    /// Writes the next entry of a setting aside, where it does not count yet.
-    fn stage(&mut self, key: Key, entry: &[u8]) -> Result<(), Refusal>;
-    /// The entry staged for a setting since the start or the last commit.
-    fn staged(&mut self, key: Key) -> Option<Entry>;
-    /// Makes what was staged for these settings count: all of them or, when the power goes, none.
-    fn commit(&mut self, keys: &[Key]) -> Result<(), Refusal>;
-    /// Reads a setting; an entry without a byte for one that was stored and is damaged.
-    fn load(&mut self, key: Key) -> Option<Entry>;
-}
-
-/// The parts of [`Details`] that only the machine itself can measure.
-#[derive(Clone, Debug, Default)]
-pub struct Measured {
-    /// Carrier frequency at the present control rate, Hz.
-    pub carrier_hz: f32,
-    /// Computation delay from sampling to duty, in control samples.
-    pub delay_samples: f32,
-    /// Faults (their codes) that this board cannot sense as it is wired.
-    pub unsensed: Vec<u8, 16>,
-    /// Runs of the control interrupt that reached past the next crest since boot.
-    pub overruns: u32,
-    /// Longest control interrupt seen, in core cycles; 0 where it is not measured.
-    pub longest_cycles: u32,
-    /// Stack never used so far, bytes; 0 where it is not measured.
-    pub stack_free: u32,
-}
 
 /// The configuration of a board and everything that may be done to it.
 #[derive(Debug)]
@@ -476,184 +430,15 @@ impl Service {
         let _ = self.faults.push(fault);
     }
 
-    /// Writes every setting to flash, or none; motors must be off, because the processor stalls while flash is erased.
-    pub fn save(&mut self, machine: &mut impl Machine) -> Result<(), Refusal> {
-        must_be_off(machine)?;
-        let mut keys = KeyList::new();
-        stage_all(machine, &self.configuration, &mut keys)?;
-        stage(machine, &BoardName(self.name.clone()), &mut keys)?;
-        if keys.is_empty() { Ok(()) } else { machine.commit(&keys) }
-    }
-
-    /// A setting as it is in flash.
-    pub fn read_entry(&self, machine: &mut impl Machine, key: Key) -> Option<Entry> {
-        machine.load(key)
-    }
-
-    /// Takes a setting from a backup and puts it aside until [`Service::commit_entries`]. A damaged or unknown one is
-    /// refused.
-    pub fn stage_entry(&mut self, machine: &mut impl Machine, write: &WriteEntry) -> Result<(), Refusal> {
-        must_be_off(machine)?;
-        let entry = write.entry.as_slice();
-        match write.key {
-            Key::Device => decoded::<Device<f32>>(entry).map(drop)?,
-            Key::Scene => decoded::<Scene<f32>>(entry).map(drop)?,
-            Key::Rules => decoded::<Rules>(entry).map(drop)?,
-            Key::MassModel => decoded::<MassModelData>(entry).map(drop)?,
-            Key::Polarity => decoded::<Polarity>(entry).map(drop)?,
-            Key::Name => decoded::<BoardName>(entry).map(drop)?,
-        }
-        // Settings staged by a tool that died are not for another tool to commit.
-        if self.staged.0 != write.session {
-            self.staged = (write.session, KeyList::new());
-        }
-        self.staged.1.retain(|key| *key != write.key);
-        machine.stage(write.key, entry)?;
-        // There are as many places as keys.
-        let _ = self.staged.1.push(write.key);
-        Ok(())
-    }
-
-    /// Puts the settings that were staged under these keys in force and into flash: all of them, or none. Settings that
-    /// are not named stay as they are, but another device drops the mass model and a scene that does not fit it, and
-    /// another scene the mass model. Flash then holds the same, so no limit is in force with a device that it was not
-    /// meant for, nor after the next start.
-    pub fn commit_entries<Mc: Machine>(&mut self, machine: &mut Mc, commit: &Commit) -> Result<(), Refusal> {
-        must_be_off(machine)?;
-        let keys = &commit.keys;
-        if keys.iter().any(|key| commit.session != self.staged.0 || !self.staged.1.contains(key)) {
-            return Err(Refusal::BadEntry);
-        }
-        let name: Option<BoardName> = self.taken(machine, keys)?;
-        let (mut next, same_device) = self.restored(machine, keys)?;
-        self.install(machine, &mut next, same_device, Some(keys))?;
-        if let Some(BoardName(name)) = name {
-            self.name = name;
-        }
-        if same_device { Ok(()) } else { self.took_device(machine) }
-    }
-
-    /// The configuration in force with the settings that were staged under these keys, and whether its device is the
-    /// same. A function of its own, so that the decoded settings have left the stack when they are put in force.
-    #[inline(never)]
-    fn restored<Mc: Machine>(&self, machine: &mut Mc, keys: &KeyList) -> Result<(Configuration, bool), Refusal> {
-        let rules: Option<Rules> = self.taken(machine, keys)?;
-        let device: Option<Device<f32>> = self.taken(machine, keys)?;
-        let scene: Option<Scene<f32>> = self.taken(machine, keys)?;
-        let mass: Option<MassModelData> = self.taken(machine, keys)?;
-
-        let rules = rules.unwrap_or(self.configuration.rules);
-        self.check_rules(&rules)?;
-        if matches!(mass, Some(MassModelData::Table(..))) {
-            return Err(Refusal::BadTable);
-        }
-        if let Some(device) = &device {
-            check_device::<Mc::Math>(device)?;
-        }
-        let same_device = device.is_none();
-        let before = &self.configuration;
-        let device = device.or_else(|| before.device.clone());
-        let (scene, mass) = match &device {
-            Some(device) => {
-                if let Some(scene) = &scene {
-                    scene.check(task(device)).map_err(Refusal::Scene)?;
-                }
-                // A prepared matrix is for the device and the walls that it was made for.
-                let kept = if same_device && scene.is_none() { before.mass.clone() } else { MassModelData::Exact };
-                let scene = scene.or_else(|| before.scene.clone().filter(|scene| fits(scene, device)));
-                (scene, mass.unwrap_or(kept))
-            }
-            None if scene.is_some() => return Err(Refusal::NoDevice),
-            None => (None, before.mass.clone()),
-        };
-        Ok((Configuration { device, scene, mass, rules }, same_device))
-    }
-
-    /// The staged value of a setting, where its key is among these.
-    fn taken<S: Setting>(&self, machine: &mut impl Machine, keys: &KeyList) -> Result<Option<S>, Refusal> {
-        if !keys.contains(&S::KEY) {
-            return Ok(None);
-        }
-        let entry = machine.staged(S::KEY).ok_or(Refusal::BadEntry)?;
-        decoded(&entry).map(Some)
-    }
-
     /// Names the board; kept at the next save.
     pub fn set_name(&mut self, name: Name) {
         self.name = name;
     }
 }
 
-/// Refuses while the motors are on.
-pub fn must_be_off(machine: &mut impl Machine) -> Result<(), Refusal> {
-    if machine.status().state.drives() { Err(Refusal::Armed) } else { Ok(()) }
-}
-
 /// Returns true if a scene can be felt on a device.
 fn fits(scene: &Scene<f32>, device: &Device<f32>) -> bool {
     usize::from(scene.task) == task(device) && (scene.posture.is_none() || device.axes() > task(device))
-}
-
-/// Makes what was staged under these keys count, and with it the rest of the configuration: what flash holds of another
-/// would be in force beside it after the next start.
-#[inline(never)]
-fn complete(machine: &mut impl Machine, next: &Configuration, keys: &KeyList) -> Result<(), Refusal> {
-    let mut all = KeyList::new();
-    stage_all(machine, next, &mut all)?;
-    // A scene that is no more in force must not come back.
-    if let (Some(device), None) = (&next.device, &next.scene)
-        && machine.load(Key::Scene).is_some()
-    {
-        stage(machine, &nothing_to_feel(device), &mut all)?;
-    }
-    for key in keys {
-        if !all.contains(key) {
-            // There are as many places as keys.
-            let _ = all.push(*key);
-        }
-    }
-    machine.commit(&all)
-}
-
-/// Stages a configuration.
-fn stage_all(machine: &mut impl Machine, configuration: &Configuration, keys: &mut KeyList) -> Result<(), Refusal> {
-    let Configuration { device, scene, mass, rules } = configuration;
-    if let Some(device) = device {
-        stage(machine, device, keys)?;
-    }
-    if let Some(scene) = scene {
-        stage(machine, scene, keys)?;
-    }
-    stage(machine, rules, keys)?;
-    // A table is too long for a setting and not kept: after a restart the board uses the closed form.
-    match mass {
-        MassModelData::Table(..) => stage(machine, &MassModelData::Exact, keys),
-        kept => stage(machine, kept, keys),
-    }
-}
-
-/// Returns true if flash holds this value. It is a function of its own, so that the entry is on the stack only while it
-/// is compared.
-#[inline(never)]
-fn is_kept(machine: &mut impl Machine, key: Key, entry: &Entry) -> bool {
-    machine.load(key).is_some_and(|old| old == *entry)
-}
-
-/// Stages a setting, unless flash holds this value already, and notes its key.
-#[inline(never)]
-fn stage<S: Setting>(machine: &mut impl Machine, value: &S, keys: &mut KeyList) -> Result<(), Refusal> {
-    let entry = settings::encode(value).map_err(|_| Refusal::Flash)?;
-    if is_kept(machine, S::KEY, &entry) {
-        return Ok(());
-    }
-    machine.stage(S::KEY, &entry)?;
-    // There are as many places as keys.
-    let _ = keys.push(S::KEY);
-    Ok(())
-}
-
-fn decoded<S: Setting>(entry: &[u8]) -> Result<S, Refusal> {
-    settings::decode(entry).map_err(|_| Refusal::BadEntry)
 }
 
 /// Returns true if every number that the step will use is usable.

@@ -4,8 +4,9 @@
 #![allow(dead_code, reason = "the library's tests, the tool's and the fuzzer each use their part")]
 
 use haptic_bridge::board::dispatch::{self, After, Described};
+use haptic_bridge::board::machine::{Machine, Measured};
 use haptic_bridge::board::protocol::{ForceAnswer, ForceRequest, Info, MAX_FRAME, PROTOCOL};
-use haptic_bridge::board::service::{Machine, Measured, Service};
+use haptic_bridge::board::service::Service;
 use haptic_bridge::board::settings::{Entry, Key};
 use haptic_bridge::board::telemetry::Packer;
 use haptic_bridge::drive::stage::{Bridge, MAX_DUTY};

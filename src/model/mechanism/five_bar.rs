@@ -12,8 +12,12 @@
 //! ever computed, and inertial forces need only the accelerations of elbow and tip.
 
 mod levers;
+mod pose;
 
 pub(super) use levers::Levers;
+pub(super) use pose::Along;
+pub use pose::Pose;
+use pose::left;
 
 use super::{Mechanism, Regularity, SINE_FLOOR, Shaped, Shaping, WallTerms, effective, reciprocal, symmetric};
 use crate::math::{Angle, Math, Real, cast};
@@ -54,43 +58,6 @@ pub struct FiveBar<T> {
     pub(super) tip_load: T,
     /// Gravity in the plane (at q₀ = 0 on a turret), m/s².
     pub(super) gravity: [T; 2],
-}
-
-/// The quantities that depend on the two angles alone.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Pose<T: Real> {
-    /// Tip, m.
-    pub tip: Vector2<T>,
-    /// Elbows relative to their motors, m; turned left by 90° they are the elbow velocities per joint rate.
-    pub(super) arm: [Vector2<T>; 2],
-    /// Tip relative to the elbows, m.
-    rod: [Vector2<T>; 2],
-    /// kᵢ = uᵢ·cᵢ, m².
-    k: [T; 2],
-    /// 1/kᵢ, clamped.
-    inverse_k: [T; 2],
-    /// 1/(u₁ x u₂), clamped.
-    inverse_det: T,
-    /// |sin| of the angle between the rods; 0 when they are in line or cannot reach each other.
-    parallel: T,
-}
-
-/// A unit motion of the tip along a direction, and what it weighs.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Along<T: Real> {
-    /// E, rad/m.
-    pub e: Vector2<T>,
-    /// The part of it that the joints take by themselves, Iᵢ eᵢ + βᵢ cᵢ·n, kg m; the rest goes through the tip.
-    pub momentum: Vector2<T>,
-    /// The arms' part of the mass at the tip, kg: in task space, without passing through J, Λ = Γ 1 + Σ Aᵢ aᵢaᵢᵀ +
-    /// βᵢ(aᵢcᵢᵀ + cᵢaᵢᵀ) with aᵢ = uᵢ/kᵢ.
-    pub arms: T,
-}
-
-/// `v` turned left by 90°.
-#[inline(always)]
-fn left<T: Real>(v: &Vector2<T>) -> Vector2<T> {
-    Vector2::new(-v[1], v[0])
 }
 
 impl<T: Real> FiveBar<T> {

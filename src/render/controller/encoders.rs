@@ -1,6 +1,6 @@
 //! Encoder counts in; joint angles and velocities out.
 
-use super::{FULL_REGULARITY, KNOWN_TURN};
+use super::regularity::{FULL_REGULARITY, KNOWN_TURN};
 use crate::math::{Angle, BinaryAngle, Real};
 use crate::model::device::{Device, Joint};
 use crate::render::velocity::{Coefficients, LowPass};

@@ -12,7 +12,8 @@
 //! To add one: a file beside wall.rs with its function, a line in [`StepVariant`] and in [`StepVariant::of`], its arm in
 //! [`Controller::render`], its scenes in tests/straight_steps.rs, and its functions in emulator/src/stages.rs.
 
-use super::{Controller, FULL_REGULARITY, PARALLEL_REGULARITY, task_part};
+use super::regularity::{FULL_REGULARITY, PARALLEL_REGULARITY};
+use super::{Controller, task_part};
 use crate::math::{Math, Real};
 use crate::model::catalogue::MAX_JOINTS;
 use crate::model::device::weigh_directions;

@@ -1,7 +1,8 @@
 //! The whole of equation (4) of a five-bar, which the analysis computes: what it takes of a pose time and again, worked
 //! out once. The control step needs less of it, and has kernels of its own.
 
-use super::{FiveBar, Pose, left};
+use super::FiveBar;
+use super::pose::{Pose, left};
 use crate::math::Real;
 use nalgebra::{Matrix2, Vector2};
 
