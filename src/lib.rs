@@ -4,18 +4,25 @@
 //! it knows and shapes. One control period, in the order the data flows:
 //!
 //! ```text
-//!  encoder counts                                                     servo::Servo::control
-//!      │  render::controller::Controller::step ───────────────────┐        │
-//!      ├─► joint angles, velocities        (render::velocity)     │        │
-//!      ├─► pose: tip, J, sines             (model::mechanism)     │        │
-//!      ├─► contacts: distance, normal      (render::scene)        │        │
-//!      ├─► wall force fr = -kp x - kd v    (render::scene)        │        │
-//!      ├─► the paper's feed-forward (4):                          │        │
-//!      │     τ = M E Wrr⁻¹(fr - Eᵀb) + b   (model::inertia)       │        │
-//!      └─► joint torques ◄────────────────────────────────────────┘        │
-//!             ├─► limits, faults, arming   (safety) ◄──────────────────────┘
-//!             └─► current ► voltage ► duty (drive)  ◄── servo::Servo::duties
+//!  at the crest of the carrier                                     called by the control interrupt
+//!   encoder counts ──► servo::compiled::render
+//!      │                 └─ Controller::render ────────────────────┐
+//!      ├─► joint angles, velocities        (render::velocity)      │
+//!      ├─► pose: tip, J, sines             (model::mechanism)      │  while the converters work
+//!      ├─► contacts: distance, normal      (render::scene)         │
+//!      ├─► wall force fr = -kp x - kd v    (render::controller)    │
+//!      ├─► the paper's feed-forward (4):                           │
+//!      │     τ = M E Wrr⁻¹(fr - Eᵀb) + b   (model::mechanism)      │
+//!      └─► joint torques ◄─────────────────────────────────────────┘
+//!   currents, bus voltage ──► servo::compiled::crest
+//!             ├─► limits, faults, arming   (safety)
+//!             └─► current ► voltage ► duty (drive)
+//!  at the valley
+//!   servo::compiled::note               the step's samples and its row of telemetry
+//!   servo::compiled::check_slow_faults  motor models, heat, stalls, the force that currents make
 //! ```
+//!
+//! On a computer `servo::Servo::crest` is a whole crest, `Servo::check_slow_faults` the valley.
 //!
 //! Everything around that path configures it or watches it ([`board`]). The modules are floors, and imports go down
 //! only: [`board`] → [`servo`] → [`safety`] → [`drive`], [`render`] → [`model`] → [`math`], [`checksum`]. Nothing here

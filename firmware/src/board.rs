@@ -123,8 +123,8 @@ pub trait Io {
     /// The counts of encoders whose index pulse was seen since the last call.
     fn marks(&mut self, counts: &Counts) -> [Option<i32>; MAX_JOINTS];
 
-    /// Forgets conversions. Between two crests, so that what is waited for at the next one is that one's: a flag left over
-    /// once would make every reading after it a crest old, or torn between two.
+    /// Clears stale flags of the converters. Call between two crests: a flag left over once would make every later reading
+    /// a crest old, or torn between two.
     fn forget(&mut self);
 
     /// Returns true if the conversions that the crest started have finished.

@@ -285,7 +285,7 @@ impl Step {
         self.late > 0
     }
 
-    /// A step overran. Of no interest while the motors are off.
+    /// Trips because a step overran. Call while the motors are on.
     fn miss(&mut self) {
         let overruns = CONTROL.shared.overruns.load(Ordering::Relaxed).wrapping_add(1);
         self.servo.trip(Fault::ControlOverrun, None, overruns as f32);

@@ -3,13 +3,13 @@
 //!
 //! Bit patterns of positive floats are ordered as the floats are; infinity and NaN come above them all.
 
-/// Negative when |`value`| exceeds `bound`, which is not negative, and when it is not a number.
+/// Negative when |`value`| exceeds `bound`, which is not negative, and for NaN.
 #[inline(always)]
 pub(crate) fn margin_bits(value: f32, bound: f32) -> i32 {
     bound.to_bits().wrapping_sub(value.abs().to_bits()) as i32
 }
 
-/// Negative when `value` is below `least` or above `most`, which both are not negative, and when it is not a number.
+/// Negative when `value` is below `least` or above `most`, which both are not negative, and for NaN.
 #[inline(always)]
 pub(crate) fn margin_bits_between(value: f32, (least, most): (f32, f32)) -> i32 {
     let bits = value.to_bits();
@@ -27,7 +27,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_beyond_its_bound_is_negative_and_so_is_what_is_no_number() {
+    fn a_value_beyond_its_bound_is_negative_and_so_is_nan() {
         for within in [0.0, -0.0, 1.0e-40, 0.5, -0.5, 2.0, -2.0] {
             assert!(margin_bits(within, 2.0) >= 0, "{within}");
         }
@@ -36,12 +36,12 @@ mod tests {
         }
         assert!(
             margin_bits(f32::MAX, f32::INFINITY) >= 0 && margin_bits(f32::NAN, f32::INFINITY) < 0,
-            "a bound that is none"
+            "an infinite bound still rejects NaN"
         );
     }
 
     #[test]
-    fn what_is_between_its_ends_is_not_negative() {
+    fn a_value_between_its_ends_is_not_negative() {
         for within in [1.0, 1.5, 2.0] {
             assert!(margin_bits_between(within, (1.0, 2.0)) >= 0, "{within}");
         }

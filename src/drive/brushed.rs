@@ -48,7 +48,7 @@ const ERROR_WEIGHT: f32 = 1.0 / 4.0;
 const SLOW_ERROR_WEIGHT: f32 = 1.0 / 64.0;
 /// Share of the largest recent current that remains after a carrier period: the loop has forgotten it faster.
 const RECENT: f32 = 15.0 / 16.0;
-/// The same of the largest difference of late between the speed that is fed forward and the one that is seen.
+/// The same share of the largest recent difference between the fed-forward speed and the measured one.
 const SWING: f32 = 255.0 / 256.0;
 /// Largest error that such a lag may show while a current is reversed, as a share of the voltage at the largest.
 const LAG_DOUBT: f32 = 1.3;
@@ -105,9 +105,9 @@ pub struct Axis {
     error_weight: f32,
     /// Voltage that the speed at the last sample needed may be off by, V.
     emf_doubt: f32,
-    /// The largest difference of late between the speed that is fed forward and the one that is seen, rad/s.
+    /// The largest recent difference between the fed-forward speed and the measured one, rad/s.
     swing: f32,
-    /// The largest current reached of late, A: what the integrator holds for a hot winding outlasts it.
+    /// The largest recent current, A: the integrator's part for a hot winding outlasts it.
     recent: f32,
     /// Largest voltage by which a sound motor may differ from its model at rest without current, V.
     doubt: f32,

@@ -14,25 +14,25 @@ use crate::model::catalogue::MAX_JOINTS;
 use crate::model::device::Device;
 use crate::model::mechanism::{Mechanism, shared_pose};
 use crate::model::precomputed::MassModel;
-use crate::render::scene::{Admissible, FeedForward, Posture, Scene, SceneError, VelocityTerms};
+use crate::render::scene::{Admissible, Posture, Scene, SceneError, VelocityTerms};
 use crate::render::step_result::{AtWalls, StepResult, clear, put};
 use crate::render::velocity::{Coefficients, Washout};
 use core::marker::PhantomData;
 use encoders::Encoders;
 pub use encoders::beyond;
+pub use gains::Gains;
 use guidance::Guidance;
 use nalgebra::SVector;
 use observers::Observers;
 use passivity::Passivity;
-use postcard_schema::Schema;
 pub use push::{Push, PushedPlane};
 pub use regularity::{FULL_REGULARITY, KNOWN_TURN, NO_REGULARITY, PARALLEL_REGULARITY, UNKNOWN_TURN, known_share};
-use serde::{Deserialize, Serialize};
 use straight::StepVariant;
 use walls::Walls;
 pub use walls::{TOUCH_DEPTH, TOUCH_SHARE};
 
 mod encoders;
+mod gains;
 mod general;
 mod guidance;
 mod observers;
@@ -43,21 +43,6 @@ mod regularity;
 mod stiffness;
 mod straight;
 mod walls;
-
-/// A scene's gains of one wall, as they may change while the wall is touched.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
-pub struct Gains<T> {
-    /// Which wall, from 0.
-    pub wall: u8,
-    /// N/m
-    pub stiffness: T,
-    /// N s/m
-    pub damping: T,
-    /// True if its force is shaped.
-    pub feed_forward: FeedForward,
-    /// Corner of its washout, Hz.
-    pub washout_hz: T,
-}
 
 /// The result of one step, as vectors of the mechanism's N joints; its fields for the walls can be read directly.
 #[derive(Clone, Copy, Debug, PartialEq)]

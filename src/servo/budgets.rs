@@ -77,7 +77,7 @@ pub(super) struct Flow {
     gain: f32,
     /// The square of what they may push with, N².
     most_squared: f32,
-    /// By what share leverage changed at once of late: with a count of a coarse encoder, where links are nearly in line, by
+    /// Share by which leverage changed at once recently: with a count of a coarse encoder, where links are nearly in line, by
     /// a tenth, and the joint was half of that nearer all along.
     change: f32,
     /// Valleys until leverage is recomputed, and the number between two recomputations.
@@ -232,7 +232,7 @@ where
     }
 
     /// Works out what may flow at this leverage, and what may be asked for: what is still within the limit once leverage has
-    /// changed as of late.
+    /// changed as it did recently.
     pub(super) fn allow(&mut self) {
         let joints = self.joints.iter().enumerate().take(self.count());
         let error = joints

@@ -42,9 +42,11 @@ const STANDSTILL: f32 = 1.0e-3;
 pub(super) struct Joint<S> {
     /// Count at the crest before.
     count: i32,
-    /// Filtered speed, the one that back-EMF is fed forward of, and the last one as it was, counts in a carrier period.
+    /// Filtered speed, counts in a carrier period.
     speed: f32,
+    /// Speed for the back-EMF's feed-forward, filtered for longer.
     steady: f32,
+    /// Speed of the last carrier period, unfiltered.
     raw: f32,
     bounds: Bounds,
     pub(super) stage: S,
@@ -59,7 +61,7 @@ struct Bounds {
     jump: i32,
     /// Gain of the speed filter.
     gain: f32,
-    /// That of the one for back-EMF.
+    /// Gain of the filter for back-EMF.
     steady_gain: f32,
     /// Counts in a carrier period.
     speed: f32,
@@ -84,7 +86,7 @@ impl Bounds {
 }
 
 impl<S: Stage> Joint<S> {
-    /// Takes the count of a crest. Negative where it jumped.
+    /// Takes the count of a crest. Negative if it jumped.
     #[inline(always)]
     fn turn(&mut self, count: i32) -> i32 {
         let moved = count.wrapping_sub(self.count);
@@ -94,7 +96,7 @@ impl<S: Stage> Joint<S> {
         margin_counts(moved, self.bounds.jump)
     }
 
-    /// Negative where speed or current is beyond what it may be.
+    /// Negative if speed or current is beyond its bound.
     #[inline(always)]
     fn margin(&self, current: f32, imbalance: f32) -> i32 {
         margin_bits(self.speed, self.bounds.speed)
@@ -118,13 +120,13 @@ impl<S: Stage> Joint<S> {
         self.speed * self.bounds.radians
     }
 
-    /// The speed that back-EMF is fed forward of, rad/s.
+    /// Speed for the back-EMF's feed-forward, rad/s.
     #[inline(always)]
     pub(super) fn steady_speed(&self) -> f32 {
         self.steady * self.bounds.radians
     }
 
-    /// Sums up what its motor's last drive from this bus voltage (V) showed: [`Stage::strain`] from then on.
+    /// Updates its motor's model from the last drive and this bus voltage (V), and returns [`Stage::strain`].
     #[inline(always)]
     pub(super) fn settle(&mut self, bus_voltage: f32) -> (f32, f32) {
         let (speed, raw) = (self.speed(), self.raw * self.bounds.radians);
@@ -145,7 +147,7 @@ enum Unusual {
     Crest,
     /// Its step, which has begun, found something that must be looked at.
     Step,
-    /// Nothing of that: the scene is not in force, or the limits do not leave all that it asks, now or in the step before.
+    /// Neither: the scene is not in force, or the limits cut its torques, now or in the step before.
     Torques,
 }
 

@@ -2,7 +2,7 @@
 //!
 //! Nothing here knows a mechanism, so devices with as many joints share the code.
 
-use super::Gains;
+use super::gains::Gains;
 use super::passivity::Debt;
 use crate::math::{Math, Real};
 use crate::model::inertia::frame_rate;
