@@ -1,4 +1,4 @@
-//! Device files (docs/model.md section 4): TOML in, a checked [`Description`] out, or an error that names the line.
+//! Device files (docs/files.md): TOML in, a checked [`Description`] out, or an error that names the line.
 //!
 //! What a mechanism's file holds is read from its [`Spec`], so a new mechanism needs nothing here. A description that
 //! comes out of this module is one that [`AnyMechanism::new`] accepts: the geometry closes, every joint has inertia.

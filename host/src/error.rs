@@ -1,7 +1,7 @@
 //! How a command ends when it does not end well: an exit code, one line that says why, and what to do about it; of a file
 //! with several mistakes a line each.
 //!
-//! Exit codes (docs/model.md section 5): 0 done, 1 it could not be done, 2 the command or a file is wrong.
+//! Exit codes (docs/files.md): 0 done, 1 it could not be done, 2 the command or a file is wrong.
 
 use core::fmt;
 use std::borrow::Cow;

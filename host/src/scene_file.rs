@@ -1,4 +1,4 @@
-//! Scene files (docs/model.md section 4): TOML in, a checked [`Scene`] out, or an error that names the line.
+//! Scene files (docs/files.md): TOML in, a checked [`Scene`] out, or an error that names the line.
 //!
 //! A scene is written in the task coordinates of a device, so it is read for a task dimension: normals, points and
 //! directions must have exactly that many entries. Directions are made unit vectors here. Defaults:

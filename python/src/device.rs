@@ -112,7 +112,7 @@ impl<T> Columns<'_, '_, T> {
     }
 }
 
-/// A device, read from a device file (docs/model.md section 4) and found sound.
+/// A device, read from a device file (docs/files.md) and found sound.
 ///
 /// N joints, d task dimensions; SI units, angles in rad. Poses are arrays of shape (..., N): one pose (N,) or any
 /// number of them; results have the same leading shape. The interpreter's lock is released while they are computed, on
@@ -460,7 +460,7 @@ fn keeps(singular: &str) -> PyResult<bool> {
     word("singular", singular, &[("raise", false), ("nan", true)])
 }
 
-/// A scene: walls, springs and fields, read from a scene file (docs/model.md section 4).
+/// A scene: walls, springs and fields, read from a scene file (docs/files.md).
 #[pyclass(frozen, module = "haptic_bridge")]
 pub struct Scene {
     pub file: SceneFile,

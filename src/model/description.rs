@@ -108,7 +108,7 @@ pub struct Cogging {
 }
 
 /// A part of the joint's link that swings on a spring: a structural mode by its effective inertia, as seen with the joint
-/// held still (docs/model.md section 6).
+/// held still (docs/model.md section 4).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StructuralMode {
     /// Hz, undamped, with the joint held still.
@@ -148,7 +148,7 @@ impl Joint {
 }
 
 /// A belt, cable, gear or shaft that gives: motor and link are two bodies with a spring between them, all seen at the
-/// joint (docs/model.md section 6). A joint's viscous and Coulomb friction act on the motor's side.
+/// joint (docs/model.md section 4). A joint's viscous and Coulomb friction act on the motor's side.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Transmission {
     /// N m/rad, positive.

@@ -1,4 +1,4 @@
-//! The paper's quantities of a device at one configuration, as `haptic model` prints them (docs/model.md section 5).
+//! The paper's quantities of a device at one configuration, as `haptic model` prints them (docs/files.md).
 //!
 //! The numbers come from the shared library: in double precision, or in single precision with the mechanism and the
 //! trigonometry that the board runs.

@@ -277,7 +277,7 @@ pub fn scene_file(device: &DeviceFile) -> Result<String, Failure> {
     line("# hand_speed", "0.5", "m/s, how fast a hand moves here");
     for wall in &scene.walls {
         let Surface::Plane(plane) = &wall.surface else { continue };
-        line("\n[[wall]]  # 0; up to eight\nshape", "\"plane\"", "default; docs/model.md section 4 has the round ones");
+        line("\n[[wall]]  # 0; up to eight\nshape", "\"plane\"", "default; docs/files.md has the round ones");
         line("point", &list(&plane.point), &format!("m, {axes}: a point of the surface"));
         line("normal", &list(&plane.normal), &format!("{axes}, out of the solid towards the hand; any length"));
         line("stiffness", &number(short(wall.stiffness.into())), "N/m; here well within what is predicted stable");

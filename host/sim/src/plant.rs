@@ -4,7 +4,7 @@
 //! dynamics"): drift half a step, solve for the velocity at the end, drift the other half. It is second order and
 //! symplectic for position-dependent forces, exact for a constant torque on a constant inertia, and dry friction is a
 //! *set* of admissible impulses rather than a sign function: a joint that friction can hold does not creep or chatter.
-//! A transmission (docs/model.md section 6) is a spring and a damper between a motor and its link, integrated by the
+//! A transmission (docs/model.md section 4) is a spring and a damper between a motor and its link, integrated by the
 //! same rule's implicit mean: stable however stiff it is, and without a loss of its own. A structural mode is a body on
 //! such a spring whose end velocity is eliminated from the same equations before they are solved: it costs a few
 //! products. Stribeck friction is dry friction of the bound that the speed at the step's start gives; cogging acts at

@@ -1,5 +1,5 @@
 //! What is not rigid about a device: transmissions between motors and links, structural modes of the links, and a hand
-//! on the tip (docs/model.md section 6), linearised at a pose in continuous time.
+//! on the tip (docs/model.md section 4), linearised at a pose in continuous time.
 
 use nalgebra::{DMatrix, DVector};
 

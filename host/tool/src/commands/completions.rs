@@ -75,7 +75,7 @@ fn page(command: &clap::Command, name: &str) -> Result<String, Failure> {
     section(
         "FILES",
         &[
-            "DEVICE.toml: a device; docs/model.md has every key, devices/ examples",
+            "DEVICE.toml: a device; docs/files.md has every key, devices/ examples",
             "SCENE.toml: walls, springs and fields; devices/scenes/ has examples",
             "FILE.csv: a recording; docs/telemetry.md has every field",
         ],

@@ -316,7 +316,7 @@ fn doubts_about_what_was_typed_are_in_the_json_document_too() {
         assert_eq!(warnings.len(), 2, "{err}");
         assert!(warnings[0]["text"].as_str().unwrap().contains("132 degrees are 2.3038 rad"), "{err}");
     }
-    // A document about which nothing is doubted has the keys of docs/model.md and no other.
+    // A document about which nothing is doubted has the keys of docs/files.md and no other.
     let (_, out, _) = haptic(&["model", &device, "--json"]);
     assert_eq!(serde_json::from_str::<Value>(&out).unwrap().get("warnings"), None);
 }

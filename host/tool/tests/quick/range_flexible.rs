@@ -1,5 +1,5 @@
 //! Devices that are not ideal: transmissions that give, a hand on the tip, a difference over several samples
-//! (docs/model.md section 6).
+//! (docs/model.md section 4).
 
 use crate::common::root;
 use haptic_bridge::model::description::{EncoderAt, StructuralMode, Transmission};

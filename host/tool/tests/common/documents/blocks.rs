@@ -15,8 +15,10 @@ pub enum Kind {
     Slow,
     /// `sh no-run: REASON`, and the same for another language.
     NoRun,
-    /// `toml device`, `toml scene`: a file that `haptic check` finds sound.
+    /// `toml device`: a file that `haptic check` finds sound.
     File,
+    /// `toml scene`: the same of a scene, on a planar device.
+    Scene,
     /// `text`: nothing to run.
     Text,
 }
@@ -41,7 +43,8 @@ impl Block {
             ("sh board", "") => Ok(Kind::Board),
             ("sh slow", reason) => reasoned(Kind::Slow, reason),
             (what, reason) if what.ends_with(" no-run") => reasoned(Kind::NoRun, reason),
-            ("toml device" | "toml scene", "") => Ok(Kind::File),
+            ("toml device", "") => Ok(Kind::File),
+            ("toml scene", "") => Ok(Kind::Scene),
             ("text", "") => Ok(Kind::Text),
             _ => Err(format!("`{info}` says neither how to run this block nor why not")),
         }

@@ -5,7 +5,7 @@
 //!   a real one asks for (`haptic sim --strict`), at HAPTIC_PORT, and `my-device.toml` and `my-scene.toml` are there.
 //! - `sh slow: REASON`: typed by `cargo xtask test --deep documents`, when the images are built.
 //! - `sh no-run: REASON`, `python no-run: REASON` and so on.
-//! - `toml device`, `toml scene`: a file that `haptic check` finds sound.
+//! - `toml device`, `toml scene`: a file that `haptic check` finds sound, a scene on the coupled five-bar.
 //! - `text`: nothing to run.
 
 pub mod blocks;

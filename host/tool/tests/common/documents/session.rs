@@ -35,7 +35,12 @@ pub fn check(block: &Block) -> Result<(), String> {
     let place = tempfile::tempdir().unwrap();
     let file = place.path().join("file.toml");
     fs::write(&file, block.lines.join("\n") + "\n").unwrap();
-    let output = Command::new(TOOL).arg("check").arg(&file).output().unwrap();
+    let mut check = Command::new(TOOL);
+    check.arg("check");
+    if block.kind == Kind::Scene {
+        check.arg(root().join("devices/coupled-five-bar.toml"));
+    }
+    let output = check.arg(&file).output().unwrap();
     if output.status.success() { Ok(()) } else { Err(format!("{}: {}", block.place, text(&output.stderr))) }
 }
 

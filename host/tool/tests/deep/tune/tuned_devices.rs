@@ -1,4 +1,4 @@
-//! The table of docs/design.md: what `haptic tune` makes of a wall of each device that ships.
+//! docs/results/tuned.csv: what `haptic tune` makes of a wall of each device that ships.
 //!
 //! `UPDATE_DOCS=1 cargo test --release --locked -p haptic --test deep tuned_devices -- --ignored` writes it anew.
 
@@ -20,8 +20,9 @@ const SCENES: [(&str, &str); 9] = [
 ];
 
 const HEAD: &str = "\
-| device, scene | scene, N/m | tuned, N/m | times | limited by | rule of thumb, N/m | with (4), N/m | ripple with (4), N | ripple before, after, N | on the board, N | struck tip at rest up to, before, after, N/m |
-|---|--:|--:|--:|---|--:|--:|--:|---|---|---|
+device,scene,scene (N/m),tuned (N/m),times,limited by,rule of thumb (N/m),with (4) (N/m),ripple with (4) (N),\
+ripple before (N),ripple after (N),on the board before (N),on the board after (N),struck at rest up to before (N/m),\
+struck at rest up to after (N/m)
 ";
 
 /// What `--json` prints.
@@ -42,7 +43,7 @@ fn row(device: &str, scene: &str, said: &Value) -> String {
     let washout = &said["feed_forwards"][0];
     let rule = said["limits"].as_array().unwrap().last().unwrap();
     format!(
-        "| {device}, {scene} | {} | {} | {} | {} | {} | {} | {} | {}, {} | {}, {} | {}, {} |",
+        "{device},{scene},{},{},{},{},{},{},{},{},{},{},{},{},{}",
         whole(&said["scene"]["stiffness"]),
         whole(&said["best"]["stiffness"]),
         times(&said["times"]),
@@ -60,7 +61,7 @@ fn row(device: &str, scene: &str, said: &Value) -> String {
 }
 
 #[test]
-#[ignore = "minutes: it measures nine devices on simulated boards, and makes the table of docs/design.md"]
+#[ignore = "minutes: it measures nine devices on simulated boards, and makes docs/results/tuned.csv"]
 fn the_table_is_what_the_command_finds() {
     let mut table = String::from(HEAD);
     for (device, scene) in SCENES {
@@ -72,15 +73,13 @@ fn the_table_is_what_the_command_finds() {
         let _ = writeln!(table, "{}", row(device, scene, &said));
         println!("{}", table.lines().last().unwrap());
     }
-    let path = root().join("docs/design.md");
-    let page = std::fs::read_to_string(&path).unwrap();
-    let (before, rest) = page.split_once("<!-- tuned: begin -->\n").unwrap();
-    let (kept, after) = rest.split_once("<!-- tuned: end -->").unwrap();
+    let path = root().join("docs/results/tuned.csv");
     if std::env::var_os("UPDATE_DOCS").is_some() {
-        std::fs::write(path, format!("{before}<!-- tuned: begin -->\n{table}<!-- tuned: end -->{after}")).unwrap();
+        std::fs::write(path, table).unwrap();
     } else {
         assert_eq!(
-            kept, table,
+            std::fs::read_to_string(path).unwrap(),
+            table,
             "run UPDATE_DOCS=1 cargo test --release -p haptic --test deep tuned_devices -- --ignored"
         );
     }
