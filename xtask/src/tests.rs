@@ -38,7 +38,7 @@ pub const PARTS: [Part; 15] = [
     Part { name: "clients", what: "What programs build on: what it brings along, and its examples", run: clients },
     Part { name: "properties", what: "The library's tests from seeds drawn anew", run: properties },
     module!("hard_cases", "Single precision against 106 bits"),
-    module!("claims", "The figures of docs/claims.md"),
+    module!("claims", "The figures of docs/claims/"),
     module!("lies", "Files, wires and sensors that are wrong, and forces in scenes drawn anew"),
     module!("tune", "What `tune` and `design` find, against brute force"),
     module!("ranges", "Measured ranges of stable walls"),

@@ -1,4 +1,4 @@
-//! Prints the tables of docs/claims.md: `cargo run --package figures --bin claims`.
+//! Prints the tables in docs/claims/: `cargo run --package figures --bin claims`.
 
 #[allow(dead_code, reason = "the test asserts more than the page shows")]
 #[path = "../../../../host/tool/tests/deep/claims/page.rs"]

@@ -1,4 +1,4 @@
-//! The tables of docs/claims.md: what the paper claims, in numbers found by running the board's own control step.
+//! The tables in docs/claims/: what the paper claims, in numbers found by running the board's own control step.
 //!
 //! The loop here is the library's `Controller` in f32 with the firmware's trigonometry, on the simulator's nonlinear
 //! linkage without friction; torques act at once.
@@ -366,7 +366,32 @@ pub fn ratio(admissible: Admissible) -> f64 {
     seen.w_rr() / seen.w_eff().expect("regular")
 }
 
-/// All tables, as they stand in docs/claims.md.
+/// The tables of [`tables`], in their order.
+const FILES: [&str; 7] = ["gain", "push", "wrong-rotor", "wrong-around-home", "sliding", "many-slides", "redundant"];
+
+/// The same tables as CSV files, each with its name in docs/claims/.
+pub fn files(tables: &str) -> Vec<(&'static str, String)> {
+    let mut found: Vec<String> = Vec::new();
+    let mut open = false;
+    for line in tables.lines() {
+        let Some(row) = line.strip_prefix("| ").and_then(|line| line.strip_suffix(" |")) else {
+            // The line of dashes under a head is part of the table.
+            open = open && line.starts_with('|');
+            continue;
+        };
+        if !open {
+            found.push(String::new());
+        }
+        open = true;
+        let quoted = |cell: &str| if cell.contains(',') { format!("\"{cell}\"") } else { cell.into() };
+        let cells: Vec<String> = row.split(" | ").map(quoted).collect();
+        let _ = writeln!(found.last_mut().expect("a table is open"), "{}", cells.join(","));
+    }
+    assert_eq!(found.len(), FILES.len(), "a table has no file");
+    FILES.into_iter().zip(found).collect()
+}
+
+/// All tables, and under them what docs/claims.md says in words.
 pub fn tables() -> String {
     let mut text = String::new();
     let mut line = |content: String| {
