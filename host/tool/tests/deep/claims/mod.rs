@@ -10,8 +10,8 @@ use haptic_host::device_file::DeviceFile;
 use haptic_host::link::Board;
 use haptic_sim::{BoardOptions, DriveModel, Options, SharedBoard, ready_board};
 use page::{
-    Belief, DEMO, FINE, GainRetained, SLIDES, Slid, beliefs, demo, files, kept_around_home, perturbed, ratio, slid, slide,
-    stiffest, stiffest_moving, tables,
+    Belief, DEMO, FINE, GainRetained, SLIDES, Slid, beliefs, demo, files, kept_around_home, perturbed, ratio, slid,
+    slide, stiffest, stiffest_moving, tables,
 };
 
 #[test]
