@@ -165,3 +165,19 @@ def test_ctrl_c_ends_a_batch(five_bar):
     threading.Timer(0.2, _thread.interrupt_main).start()
     with pytest.raises(KeyboardInterrupt):
         five_bar.range(q, NORMAL)
+
+
+def test_ctrl_c_ends_a_map(five_bar):
+    threading.Timer(0.5, _thread.interrupt_main).start()
+    with pytest.raises(KeyboardInterrupt):
+        five_bar.map(NORMAL, points=4_000_000)
+
+
+def test_a_posture_is_in_the_range_of_a_redundant_arm_alone(devices, five_bar):
+    arm = hb.Device(devices / "serial-3r.toml")
+    loop = {"rate_hz": 20000, "cutoff_hz": 500, "kd": [8.0]}
+    plain = arm.range(arm.home, [0.42, -0.91], **loop)
+    held = arm.range(arm.home, [0.42, -0.91], posture=(0.5, 0.03), **loop)
+    assert plain["off"]["kp"][0] != held["off"]["kp"][0]
+    with pytest.raises(hb.RequestError, match="one posture"):
+        five_bar.range(five_bar.home, NORMAL, posture=(0.5, 0.03))

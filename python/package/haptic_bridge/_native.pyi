@@ -67,6 +67,7 @@ class Device:
         drive: Literal["ideal", "voltage", "current"] = "ideal",
         current_bandwidth_hz: float = 6400.0,
         hand: tuple[float, float, float] | None = None,
+        posture: tuple[float, float] | None = None,
         host_rate_hz: float | None = None,
         host_delay_s: float | None = None,
         singular: OnSingular = "raise",

@@ -141,6 +141,8 @@ fn commands_in_sentences_exist() {
         output.status.success().then(|| String::from_utf8(output.stdout).unwrap())
     };
     let xtask = fs::read_to_string(root().join("xtask/src/main.rs")).unwrap();
+    let is_word =
+        |word: &str| word.starts_with(char::is_alphabetic) && word.chars().all(|c| c.is_ascii_lowercase() || c == '-');
     let mut help: BTreeMap<String, Option<String>> = BTreeMap::new();
     let (mut wrong, mut seen) = (Vec::new(), 0);
     for path in documents() {
@@ -149,9 +151,12 @@ fn commands_in_sentences_exist() {
             let words: Vec<&str> = quoted.split_whitespace().collect();
             let complain = |what: &str| format!("{}: `{quoted}`: {what}", path.display());
             match words.as_slice() {
-                ["haptic", name, rest @ ..] if name.chars().all(|c| c.is_ascii_lowercase() || c == '-') => {
+                ["haptic", name, rest @ ..] if is_word(name) => {
                     seen += 1;
-                    let help = help.entry((*name).into()).or_insert_with(|| tool(&[name, "--help"]));
+                    // Some commands stand under others: `haptic board save`.
+                    let named = 1 + usize::from(rest.first().is_some_and(|word| is_word(word)));
+                    let typed = [&words[1..=named], &["--help"]].concat();
+                    let help = help.entry(typed.join(" ")).or_insert_with(|| tool(&typed));
                     match help {
                         None => wrong.push(complain("no such command")),
                         Some(help) => {
