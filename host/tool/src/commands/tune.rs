@@ -42,7 +42,7 @@ pub struct Args {
     #[command(subcommand)]
     instead: Option<Instead>,
     #[command(flatten)]
-    search: Option<Search>,
+    search: Search,
 }
 
 /// What else belongs to tuning.
@@ -55,7 +55,8 @@ enum Instead {
 #[derive(clap::Args)]
 struct Search {
     /// Device file (TOML)
-    device: PathBuf,
+    #[arg(required = true)]
+    device: Option<PathBuf>,
     /// Joint angles in rad, such as 2.4,0.7 [default: where the wall of --scene is touched, or the device file's home]
     #[arg(long, value_name = "A,B,..", allow_hyphen_values = true)]
     q: Option<Numbers>,
@@ -141,10 +142,9 @@ struct Place {
 
 /// Searches, or compares estimators.
 pub fn run(args: Args) -> Result<(), Failure> {
-    match args {
-        Args { instead: Some(Instead::Estimators(args)), .. } => estimators::run(args),
-        Args { search: Some(search), .. } => searched(search),
-        Args { search: None, .. } => Err(Failure::wrong("no device file")),
+    match args.instead {
+        Some(Instead::Estimators(args)) => estimators::run(args),
+        None => searched(args.search),
     }
 }
 
@@ -158,7 +158,8 @@ fn searched(args: Search) -> Result<(), Failure> {
         return Err(Failure::wrong("a board on --port sim ends with this command, and nothing of it is left")
             .remedy("run `haptic sim` in another terminal and use the port that it prints"));
     }
-    let file = DeviceFile::load(&args.device)?;
+    let Some(device) = &args.device else { return Err(Failure::wrong("no device file")) };
+    let file = DeviceFile::load(device)?;
     let place = place(&args, &file)?;
     let mut board = args.port.as_ref().map(|port| opened(port, &file)).transpose()?;
     let mut question = Question {

@@ -17,8 +17,8 @@ fn the_document_has_the_documented_keys() {
     let keys: Vec<&String> = document.as_object().unwrap().keys().collect();
     let asked = ["cutoff_hz", "delay_samples", "drive", "normals", "options", "q", "rate_hz"];
     let answer = keys.iter().filter(|key| !asked.contains(&key.as_str()));
-    assert!(answer.eq(&["area_ratio", "full", "off", "w_eff", "w_rr"]), "{keys:?}");
-    assert_eq!(keys.len(), asked.len() + 5, "{keys:?}");
+    assert!(answer.eq(&["area_ratio", "full", "off", "passive", "w_eff", "w_rr"]), "{keys:?}");
+    assert_eq!(keys.len(), asked.len() + 6, "{keys:?}");
     let off: Vec<&String> = document["off"].as_object().unwrap().keys().collect();
     assert_eq!(off, ["area", "boundary", "islands", "kd_max"]);
     let ratio = document["w_rr"].as_f64().unwrap() / document["w_eff"].as_f64().unwrap();

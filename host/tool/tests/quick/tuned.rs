@@ -197,10 +197,9 @@ fn long_searches_end_at_the_next_press_after_ctrl_c() {
 #[test]
 fn every_stage_is_told_where_nobody_watches_a_terminal() {
     let words = ["tune", "devices/hapkit-paddle.toml", "--normal", "1", "--rates", "1000", "--feed-forward", "off"];
-    let done = haptic(&[&words[..], &["--estimators", "backward-difference", "--json"]].concat()).assert().success();
+    let done = haptic(&[&words[..], &["--json"]].concat()).assert().success();
     let told = String::from_utf8(done.get_output().stderr.clone()).unwrap();
-    for stage in ["walls, feed-forward off: 1 of 1", "ripple, feed-forward off, round 1: 1 of 1", "stiffer, round 1: "]
-    {
+    for stage in ["walls, feed-forward off: ", "ripple, feed-forward off, round 1: ", "stiffer, round 1: "] {
         assert!(told.lines().any(|line| line.starts_with(stage)), "{stage}\n{told}");
     }
 }
