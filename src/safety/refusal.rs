@@ -99,7 +99,10 @@ impl core::fmt::Display for Refusal {
             Self::Faulted(fault) => {
                 write!(f, "{fault}; {}", fault.remedy())?;
                 // Some remedies end with it.
-                if fault.remedy().contains("faults --clear") { Ok(()) } else { f.write_str("; then `haptic faults --clear`") }
+                match fault.remedy().contains("faults --clear") {
+                    true => Ok(()),
+                    false => f.write_str("; then `haptic faults --clear`"),
+                }
             }
             Self::Armed => f.write_str("the motors are armed: `haptic disarm` first"),
             Self::BusVoltage => f.write_str("the supply voltage is out of range: check the supply"),

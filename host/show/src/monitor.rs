@@ -1,5 +1,5 @@
-//! The page of `haptic view` in a terminal (`haptic view --terminal`, docs/monitor.md): what is seen of a board ([`seen`]), put
-//! on the screen ([`screen`]), and what keys say to it.
+//! The page of `haptic view` in a terminal (`haptic view --terminal`, docs/monitor.md): what is seen of a board
+//! ([`seen`]), put on the screen ([`screen`]), and what keys say to it.
 //!
 //! It is one more page of the stage ([`crate::view::stage`]), in this process: everything that moves a board goes
 //! through the same messages, with the same questions and the same dead man's key. A terminal does not tell when a key

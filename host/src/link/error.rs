@@ -21,8 +21,8 @@ pub enum LinkError {
     SeveralBoards(Vec<String>),
     /// The port's name means nothing.
     #[error(
-        "no port {name}, and no board on USB has that serial number: {reason}; `haptic board list` shows the boards that are \
-         connected, and a simulated one is on the port that `haptic sim` prints"
+        "no port {name}, and no board on USB has that serial number: {reason}; `haptic board list` shows the boards that \
+         are connected, and a simulated one is on the port that `haptic sim` prints"
     )]
     NoSuchPort {
         /// What was asked for.

@@ -21,8 +21,8 @@ pub const SLOWEST_HZ: f64 = 1.0;
 pub struct Host {
     /// Requests in a second, Hz.
     pub rate_hz: f64,
-    /// From the state that the program was told to its force being taken by the board, s: the age that `haptic board latency`
-    /// measures.
+    /// From the state that the program was told to its force being taken by the board, s: the age that `haptic board
+    /// latency` measures.
     pub delay_s: f64,
 }
 

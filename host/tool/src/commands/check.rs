@@ -28,9 +28,9 @@ use std::path::{Path, PathBuf};
 ///
 /// Stops at the first file that is wrong and names the line and the remedy. Of a sound file it also says what it
 /// describes (reach, force and inertia at the tip), what looks like a mistake (on standard error; the exit code stays
-/// 0), and what is missing before a real board arms. Of a sound scene it says up to where its walls are predicted stable, and how
-/// the board will compute it: the way that takes the fewest instructions and is good enough, where its walls can be
-/// touched and as fast as a hand moves. --svg draws the device at home: links, joints with their zero
+/// 0), and what is missing before a real board arms. Of a sound scene it says up to where its walls are predicted
+/// stable, and how the board will compute it: the way that takes the fewest instructions and is good enough, where its
+/// walls can be touched and as fast as a hand moves. --svg draws the device at home: links, joints with their zero
 /// angles and directions, reach.
 #[derive(clap::Args)]
 pub struct Args {

@@ -15,8 +15,8 @@ use std::path::PathBuf;
 
 /// Load a device onto a board
 ///
-/// The board forgets homing and the polarity check, because they belong to the device before. `haptic board save` keeps the
-/// device over a power cycle.
+/// The board forgets homing and the polarity check, because they belong to the device before. `haptic board save` keeps
+/// the device over a power cycle.
 #[derive(clap::Args)]
 pub struct Args {
     /// Device file (TOML)

@@ -6,8 +6,8 @@ use serde_json::json;
 
 /// Restart a board into its boot loader, to be flashed over USB
 ///
-/// The motors go off. The board is gone from `haptic board list` until it is flashed (docs/flashing.md) or switched off and
-/// on.
+/// The motors go off. The board is gone from `haptic board list` until it is flashed (docs/flashing.md) or switched off
+/// and on.
 #[derive(clap::Args)]
 pub struct Args {
     #[command(flatten)]

@@ -18,8 +18,8 @@ use std::path::PathBuf;
 /// Make a mass matrix that the board need not compute, and say what error it leaves
 ///
 /// A table covers the two joint angles that the mass matrix depends on; outside it the board uses the closed form. Its
-/// size is checked against the board's memory here. `haptic scene` chooses among these by itself; this command shows one
-/// of them.
+/// size is checked against the board's memory here. `haptic scene` chooses among these by itself; this command shows
+/// one of them.
 #[derive(clap::Args)]
 pub struct Args {
     /// Device file (TOML)

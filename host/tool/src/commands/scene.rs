@@ -17,9 +17,10 @@ use std::path::PathBuf;
 
 /// Load a scene (walls, springs, fields) onto a board
 ///
-/// Chooses the cheapest way to compute it that is good enough, which `haptic check` shows: no mass matrix for a scene without feed-forward, no velocity
-/// terms where they do not count, a prepared mass matrix where that is cheaper and good enough. While the motors are
-/// armed a scene is taken as the file has it, and only if it has the same control rate and its walls are not touched.
+/// Chooses the cheapest way to compute it that is good enough, which `haptic check` shows: no mass matrix for a scene
+/// without feed-forward, no velocity terms where they do not count, a prepared mass matrix where that is cheaper and
+/// good enough. While the motors are armed a scene is taken as the file has it, and only if it has the same control
+/// rate and its walls are not touched.
 #[derive(clap::Args)]
 pub struct Args {
     /// Scene file (TOML)

@@ -1,4 +1,5 @@
-//! `haptic stream`: telemetry to the terminal, with every loss counted and shown; and how `haptic record` follows a board.
+//! `haptic stream`: telemetry to the terminal, with every loss counted and shown; and how `haptic record` follows a
+//! board.
 
 use super::interrupt;
 use super::port::{Port, counted, fault_in_words, motors_off, short};
