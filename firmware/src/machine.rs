@@ -4,8 +4,8 @@
 use core::sync::atomic::Ordering;
 
 use haptic_bridge::board::dispatch::Described;
-use haptic_bridge::board::protocol::{ForceAnswer, ForceRequest, Info, PROTOCOL};
 use haptic_bridge::board::machine::{Machine, Measured};
+use haptic_bridge::board::protocol::{ForceAnswer, ForceRequest, Info, PROTOCOL};
 use haptic_bridge::board::service::Service;
 use haptic_bridge::board::settings::{Entry, Key};
 use haptic_bridge::board::storage::StorageError;

@@ -2,8 +2,8 @@
 
 use super::flash::SettingsFlash;
 use haptic_bridge::board::dispatch::Described;
-use haptic_bridge::board::protocol::{ForceAnswer, ForceRequest, Info};
 use haptic_bridge::board::machine::{Machine, Measured};
+use haptic_bridge::board::protocol::{ForceAnswer, ForceRequest, Info};
 use haptic_bridge::board::settings::{Entry, Key};
 use haptic_bridge::drive::carrier::{CARRIER_MIN_HZ, Carrier};
 use haptic_bridge::safety::refusal::Refusal;
