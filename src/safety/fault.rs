@@ -32,6 +32,9 @@ impl State {
     }
 }
 
+/// The words after `haptic` that clear a fault, as remedies tell them to a person; other programs' have their own.
+pub const CLEARING: &str = "faults --clear";
+
 macro_rules! faults {
     ($($(#[$doc:meta])* $Name:ident = $code:literal, $what:literal, $remedy:literal;)*) => {
         /// The faults, each with a code that never changes.

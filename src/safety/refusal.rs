@@ -1,6 +1,6 @@
 //! Why the board will not do what it was asked, each with what to do about it.
 
-use crate::safety::fault::Fault;
+use crate::safety::fault::{CLEARING, Fault};
 use crate::safety::limits::BadLimit;
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
@@ -99,7 +99,7 @@ impl core::fmt::Display for Refusal {
             Self::Faulted(fault) => {
                 write!(f, "{fault}; {}", fault.remedy())?;
                 // Some remedies end with it.
-                match fault.remedy().contains("faults --clear") {
+                match fault.remedy().contains(CLEARING) {
                     true => Ok(()),
                     false => f.write_str("; then `haptic faults --clear`"),
                 }

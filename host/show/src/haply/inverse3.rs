@@ -3,7 +3,7 @@
 use super::wish::{Basis, Wish};
 use haptic_bridge::board::protocol::{ForceAnswer, ForceDone, ForceRequest};
 use haptic_bridge::render::scene::Scene;
-use haptic_bridge::safety::fault::{Fault, FaultRecord, State};
+use haptic_bridge::safety::fault::{CLEARING, Fault, FaultRecord, State};
 use haptic_bridge::safety::refusal::Refusal;
 use haptic_host::frame::Axes;
 use haptic_host::link::{Board, BoardError, LinkError, Session};
@@ -18,7 +18,7 @@ const INVERSE3: u32 = 4;
 /// Most simulated time that passes at once.
 const MOST_AT_ONCE: Duration = Duration::from_millis(100);
 /// What a program sends where a person would type a command.
-const CALLS: [(&str, &str); 1] = [("faults --clear", "`clear_fault`")];
+const CALLS: [(&str, &str); 1] = [(CLEARING, "`clear_fault`")];
 
 /// A board that programs take for a device of Haply's.
 pub struct Inverse3 {

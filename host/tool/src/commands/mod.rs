@@ -27,7 +27,6 @@ mod list;
 mod map;
 mod measure_range;
 mod model;
-mod monitor;
 mod name;
 mod new;
 mod plot;

@@ -1,7 +1,6 @@
 //! `haptic view`: a page in the browser, or in the terminal, on a board or on a simulated one with a hand to lead.
 
 use super::interrupt;
-use super::monitor;
 use super::port::{Port, address};
 use super::stream::positive;
 use haptic_bridge::render::scene::Scene;
@@ -10,9 +9,11 @@ use haptic_host::error::{Failure, print};
 use haptic_host::link::PortSpec;
 use haptic_host::output;
 use haptic_host::scene_file::SceneFile;
+use haptic_show::monitor;
 use haptic_show::view::hub::Hub;
 use haptic_show::view::{PageListener, Reach, Stage, World};
 use std::fmt::Display;
+use std::io::IsTerminal;
 use std::net::Ipv4Addr;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -165,15 +166,48 @@ impl Shown {
     }
 }
 
+/// Refuses to draw where there is no terminal.
+fn check_terminal() -> Result<(), Failure> {
+    if !std::io::stdout().is_terminal() {
+        return Err(
+            Failure::wrong("this is no terminal that could be drawn on").remedy("see haptic stream, haptic record")
+        );
+    }
+    Ok(())
+}
+
+/// Shows the board until `q`.
+fn run_in_terminal(shown: &Shown) -> Result<(), Failure> {
+    let stop = interrupt::watch().flag();
+    let hub = Hub::default();
+    let mut screen = None;
+    let opened = || {
+        let hub = hub.clone();
+        screen = Some(thread::spawn(move || monitor::run(&hub, stop)));
+        Ok(())
+    };
+    let played = shown.play(&hub, stop, opened, |_| {});
+    // The terminal is itself again before anything is said on it.
+    let ended = stop.swap(true, Ordering::SeqCst);
+    let drawn = screen.map_or(Ok(Ok(())), thread::JoinHandle::join);
+    match (played, drawn) {
+        // Whoever ended it while a board was waited for did so knowingly.
+        (Err(_), _) if ended => Ok(()),
+        (Err(failure), _) => Err(failure),
+        (Ok(()), Ok(Err(error))) => Err(Failure::impossible(format!("the terminal cannot be drawn on: {error}"))),
+        (Ok(()), _) => Ok(()),
+    }
+}
+
 /// Serves the page.
 pub fn run(args: Args) -> Result<(), Failure> {
     if args.terminal {
-        monitor::check()?;
+        check_terminal()?;
     }
     let stop = interrupt::watch();
     let shown = Shown::of(args.port, args.device.as_ref(), args.scene.as_ref(), args.rate, args.record_to)?;
     if args.terminal {
-        return monitor::run(&shown);
+        return run_in_terminal(&shown);
     }
     let hub = Hub::default();
     let opened = || {
