@@ -1,11 +1,13 @@
 //! Prediction by the model, correction by counts: an observer that knows what the motors do.
 //!
 //! The acceleration that the motors' torques give a joint, M⁻¹τ, is known; everything else that acts on it (hand,
-//! friction, weight, errors of the model) is one unknown acceleration that changes slowly. Position, velocity and that
-//! acceleration are tracked by an α-β-γ filter with the known acceleration as its input (E. Brookner 1998, *Tracking
-//! and Kalman Filtering Made Easy*, chapter 1, with all three poles at p: α = 1 - p³, β = 3/2 (1 - p)² (1 + p), γ = (1
-//! - p)³; the input as in Luenberger 1971, "An introduction to observers", IEEE Trans. Automatic Control 16:596). The
-//! wall's own effect on the tip is thus known without lag, and by the separation principle the loop around the wall is
+//! friction, weight, errors of the model) is one unknown acceleration that changes slowly. Position, velocity and
+//! that acceleration are tracked by an α-β-γ filter with the known acceleration as its input (E. Brookner 1998,
+//! *Tracking and Kalman Filtering Made Easy*, chapter 1, with all three poles at p: α = 1 - p³, β = 3/2 (1 - p)²
+//! (1 + p), γ = (1 - p)³; the input as in Luenberger 1971, "An introduction to observers", IEEE Trans. Automatic
+//! Control 16:596).
+//!
+//! The wall's effect on the tip is thus known without lag, and by the separation principle the loop around the wall is
 //! that of an exact velocity; the cutoff is the speed at which the rest is learnt, and can be low. It remembers only
 //! the distance of the count ahead of the estimate.
 
