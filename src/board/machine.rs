@@ -39,7 +39,7 @@ pub trait Machine {
     fn load(&mut self, key: Key) -> Option<Entry>;
 }
 
-/// The parts of [`Details`] that only the machine itself can measure.
+/// The parts of [`Details`](crate::board::protocol::Details) that only the machine itself can measure.
 #[derive(Clone, Debug, Default)]
 pub struct Measured {
     /// Carrier frequency at the present control rate, Hz.

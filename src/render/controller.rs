@@ -53,13 +53,13 @@ pub struct Step<T: Real, const N: usize> {
     pub qd: SVector<T, N>,
     /// See [`StepResult`].
     pub tip: SVector<T, N>,
-    /// Joint torques, N m: [`TorqueDemand::total`].
+    /// Joint torques, N m: [`TorqueDemand::total`](crate::render::step_result::TorqueDemand::total).
     pub torque: SVector<T, N>,
-    /// See [`TorqueDemand`].
+    /// See [`TorqueDemand`](crate::render::step_result::TorqueDemand).
     pub gravity: SVector<T, N>,
-    /// See [`TorqueDemand`].
+    /// See [`TorqueDemand`](crate::render::step_result::TorqueDemand).
     pub rendered: SVector<T, N>,
-    /// See [`TorqueDemand`].
+    /// See [`TorqueDemand`](crate::render::step_result::TorqueDemand).
     pub force_squared: T,
     /// See [`StepResult`].
     pub motion: SVector<T, N>,
