@@ -128,7 +128,7 @@ mod tests {
             std::fs::write(&path, table).expect("docs/results/tips.csv can be written");
         } else {
             let committed = std::fs::read_to_string(&path).expect("docs/results/tips.csv is there");
-            assert_eq!(committed, table, "run UPDATE_DOCS=1 cargo test -p haptic --lib tip::");
+            assert_eq!(committed, table, "run UPDATE_DOCS=1 cargo test -p haptic-predict --lib tip::");
         }
     }
 
