@@ -207,8 +207,8 @@ impl Board {
         if self.packer.wants(frame.step) {
             let _ = self.packer.push(&frame, 0);
         }
-        self.bridges &= self.machine.servo.check_slow_faults(&samples).bridges;
         self.keeps_its_promises();
+        self.check_slow_faults(&samples);
         // Not after a request: a limit that was lowered acts at the next control step.
         let (torque, limits) = (frame.motors.torque, self.service.rules().limits);
         let within = torque.iter().zip(&limits.torque).all(|(torque, limit)| torque.abs() <= limit * 1.000_01);
@@ -247,6 +247,12 @@ impl Board {
         samples
     }
 
+    /// The valley after a crest: a fault found there lets the bridges float, whatever their duties are.
+    fn check_slow_faults(&mut self, samples: &Samples) {
+        self.bridges &= self.machine.servo.check_slow_faults(samples).bridges;
+        assert!(!self.bridges || self.state().drives(), "bridges drive while {:?}", self.state());
+    }
+
     /// The checks after every control period and every request.
     pub fn keeps_its_promises(&self) {
         let state = self.state();
@@ -276,8 +282,8 @@ impl Board {
         }
         let seen = self.seen();
         self.duties = self.machine.servo.duties(seen.bus_voltage, &seen.currents, false).map(f32::from);
-        self.bridges &= self.machine.servo.check_slow_faults(&seen).bridges;
         self.keeps_its_promises();
+        self.check_slow_faults(&seen);
         match after {
             After::Nothing => {}
             After::Stream(request, axes) => self.packer.start(&request, axes),

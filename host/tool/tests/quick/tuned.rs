@@ -1,5 +1,5 @@
 //! `haptic tune` and `haptic tune estimators`: on devices that nobody chose (ten of them:
-//! host/tool/tests/deep/tune/settings.rs), on joints that give, and when they are to end.
+//! host/tests/deep/tune/settings.rs), on joints that give, and when they are to end.
 
 use crate::common::tuned::{drawn, none_is_stiffer, question};
 use crate::common::{haptic, json, root, shipped};
@@ -71,7 +71,8 @@ fn estimators_are_compared_on_a_wall_that_range_finds_stable() {
     let soft = "stiffness = 40.0\ndamping = 0.0";
     let text = with_cables("joint").replace("stiffness = 250.0\ndamping = 0.01", soft);
     std::fs::write(&path, text.replace("viscous = 0.001", "viscous = 0.0")).unwrap();
-    let words = ["estimators", path.to_str().unwrap(), "--normal", "0.6,0.8", "--rate", "5000", "--cutoff", "200"];
+    let words =
+        ["tune", "estimators", path.to_str().unwrap(), "--normal", "0.6,0.8", "--rate", "5000", "--cutoff", "200"];
     let failed = haptic(&words).assert().code(1).get_output().stderr.clone();
     let failed = String::from_utf8(failed).unwrap();
     assert!(failed.contains("no wall here is predicted stable") && failed.contains("(--wall)"), "{failed}");
