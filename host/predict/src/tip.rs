@@ -123,7 +123,7 @@ mod tests {
         ] {
             assert!(board.contains(&format!("    speed: [{BOARD_SPEED:.1}; 3],")), "boards start with another speed");
         }
-        let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/results/tips.csv");
+        let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/results/tips.csv");
         if std::env::var_os("UPDATE_DOCS").is_some() {
             std::fs::write(&path, table).expect("docs/results/tips.csv can be written");
         } else {
