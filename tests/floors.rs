@@ -392,13 +392,8 @@ fn the_library_names_no_board_and_no_chip() {
 }
 
 /// The files below the tool that write whole command lines for people.
-const WRITERS: [&str; 4] = [
-    "host/predict/src/analysis/prediction.rs",
-    "host/predict/src/plausible/scene.rs",
-    "host/show/src/demo.rs",
-    // It puts what a program calls in their place.
-    "host/show/src/haply/inverse3.rs",
-];
+const WRITERS: [&str; 3] =
+    ["host/predict/src/analysis/prediction.rs", "host/predict/src/plausible/scene.rs", "host/show/src/demo.rs"];
 
 /// The texts in a source that name an option of a command line; comments and tests aside.
 fn options(tokens: TokenStream) -> Vec<String> {
