@@ -1,9 +1,9 @@
 //! Predicts how stiff a wall may be without and with the feed-forward: `cargo run -p haptic --example predict_range`.
 
 use haptic_host::device_file::DeviceFile;
-use haptic_predict::analysis::plant::{Drive, Linearised};
-use haptic_predict::analysis::range::predict;
-use haptic_predict::analysis::sampled::{LinearEstimator, Loop};
+use haptic_stability::analysis::plant::{Drive, Linearised};
+use haptic_stability::analysis::range::predict;
+use haptic_stability::analysis::sampled::{LinearEstimator, Loop};
 
 /// Runs it.
 pub fn main() -> Result<(), Box<dyn std::error::Error>> {

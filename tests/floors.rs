@@ -363,7 +363,8 @@ fn an_import_that_runs_up_or_across_is_found() {
 }
 
 /// The crates of this computer's side, the tool last. Cargo sees to it that none imports one above it.
-const HOST: [&str; 5] = ["host/src", "host/sim/src", "host/predict/src", "host/show/src", "host/tool/src"];
+const HOST: [&str; 6] =
+    ["host/src", "host/sim/src", "host/stability/src", "host/predict/src", "host/show/src", "host/tool/src"];
 
 /// Names that the library, which boards share, must not know.
 const FOREIGN: [&str; 6] = ["odrive", "h-bridge", "stm32", "f405", "cortex", "embassy"];
@@ -393,7 +394,7 @@ fn the_library_names_no_board_and_no_chip() {
 
 /// The files below the tool that write whole command lines for people.
 const WRITERS: [&str; 3] =
-    ["host/predict/src/analysis/prediction.rs", "host/predict/src/plausible/scene.rs", "host/show/src/demo.rs"];
+    ["host/stability/src/analysis/prediction.rs", "host/predict/src/plausible/scene.rs", "host/show/src/demo.rs"];
 
 /// The texts in a source that name an option of a command line; comments and tests aside.
 fn options(tokens: TokenStream) -> Vec<String> {

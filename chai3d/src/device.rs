@@ -9,8 +9,8 @@ use haptic_host::haptic_bridge::servo::host_force::MOST_HELD_FORCE;
 use haptic_host::link::{LinkError, PortSpec, Session};
 use haptic_host::vectors::padded;
 use haptic_host::words::{fault_and_remedy, for_a_program};
-use haptic_predict::analysis::map::Reachable;
-use haptic_predict::analysis::pose::TaskPose;
+use haptic_stability::analysis::map::Reachable;
+use haptic_stability::analysis::pose::TaskPose;
 use std::time::{Duration, Instant};
 
 /// From one tick of the servo loop to the next: what CHAI3D's devices have.

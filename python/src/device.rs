@@ -7,16 +7,16 @@ use haptic_host::error::Failure;
 use haptic_host::haptic_bridge::model::admissible::Admissible;
 use haptic_host::scene_file::SceneFile;
 use haptic_host::toml_file::Document;
-use haptic_predict::analysis::flexible::{Hand, Posture};
-use haptic_predict::analysis::host::Host;
-use haptic_predict::analysis::map::{MapPoint, map_until};
-use haptic_predict::analysis::plant::Drive;
-use haptic_predict::analysis::pose::{motors, unit_normal};
-use haptic_predict::analysis::prediction::{Prediction, Subject};
-use haptic_predict::analysis::range::{BOUNDARY_POINTS, Domain, Range, predict};
-use haptic_predict::analysis::sampled::{LinearEstimator, Loop};
-use haptic_predict::cores;
-use haptic_predict::model::{Precision, Report, WallForce, evaluate_holding};
+use haptic_stability::analysis::flexible::{Hand, Posture};
+use haptic_stability::analysis::host::Host;
+use haptic_stability::analysis::map::{MapPoint, map_until};
+use haptic_stability::analysis::plant::Drive;
+use haptic_stability::analysis::pose::{motors, unit_normal};
+use haptic_stability::analysis::prediction::{Prediction, Subject};
+use haptic_stability::analysis::range::{BOUNDARY_POINTS, Domain, Range, predict};
+use haptic_stability::analysis::sampled::{LinearEstimator, Loop};
+use haptic_stability::cores;
+use haptic_stability::model::{Precision, Report, WallForce, evaluate_holding};
 use numpy::PyArrayDyn;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -380,7 +380,7 @@ impl PyDevice {
             let number = |of: fn(&Domain) -> f64| move |range: &Range| vec![pick(range).map_or(f64::NAN, of)];
             inner.add("area", &[], number(|domain| domain.area))?;
             inner.add("kd_max", &[], number(|domain| domain.kd_max))?;
-            let curve = |of: fn(&haptic_predict::analysis::range::BoundaryPoint) -> f64| {
+            let curve = |of: fn(&haptic_stability::analysis::range::BoundaryPoint) -> f64| {
                 move |range: &Range| {
                     pick(range).map_or_else(Vec::new, |domain| domain.boundary.iter().map(of).collect())
                 }

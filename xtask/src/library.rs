@@ -8,31 +8,33 @@ use crate::paths::root;
 use crate::toolchain::{cargo, run};
 
 /// The crates below the tool, from the ground up.
-pub const CRATES: [&str; 4] = ["haptic-host", "haptic-sim", "haptic-predict", "haptic-show"];
+pub const CRATES: [&str; 5] = ["haptic-host", "haptic-sim", "haptic-stability", "haptic-predict", "haptic-show"];
 
 /// What only the tool needs.
 const TOOL: &[&str] =
     &["clap", "clap_complete", "clap_mangen", "ctrlc", "dejavu", "indicatif", "ratatui", "resvg", "tungstenite"];
 /// What recordings, drawings and the page need.
 const SHOWING: &[&str] = &["haptic-show", "mcap", "prost-reflect"];
-/// What computes which walls are stable.
+/// What computes which walls are stable, and what measures, tunes and designs with it.
+const THEORY: &[&str] = &["haptic-stability"];
 const PREDICTING: &[&str] = &["haptic-predict"];
 /// What takes the place of a board.
 const SIMULATING: &[&str] = &["haptic-sim"];
 
 /// Who does without what.
-const WITHOUT: [(&str, &[&[&str]]); 5] = [
-    ("haptic-host", &[TOOL, SHOWING, PREDICTING, SIMULATING]),
-    ("haptic-sim", &[TOOL, SHOWING, PREDICTING]),
-    ("haptic-capi", &[TOOL, SHOWING, PREDICTING]),
-    ("haptic-chai3d", &[TOOL, SHOWING]),
+const WITHOUT: [(&str, &[&[&str]]); 6] = [
+    ("haptic-host", &[TOOL, SHOWING, PREDICTING, THEORY, SIMULATING]),
+    ("haptic-sim", &[TOOL, SHOWING, PREDICTING, THEORY]),
+    ("haptic-stability", &[TOOL, SHOWING, PREDICTING, SIMULATING]),
+    ("haptic-capi", &[TOOL, SHOWING, PREDICTING, THEORY]),
+    ("haptic-chai3d", &[TOOL, SHOWING, PREDICTING]),
     ("haptic-python", &[TOOL]),
 ];
 
 /// Checks both.
 pub fn alone() -> Result<()> {
     let tool = dependencies("haptic")?;
-    for name in [TOOL, SHOWING, PREDICTING, SIMULATING].concat() {
+    for name in [TOOL, SHOWING, PREDICTING, THEORY, SIMULATING].concat() {
         ensure!(tool.contains(name), "the tool does without {name} now: xtask/src/library.rs names it");
     }
     for (package, without) in WITHOUT {

@@ -1,8 +1,8 @@
 //! The boards there is firmware for, as a program that plans for one needs to know them.
 
-use crate::analysis::control_loop::{CARRIER_HZ, CURRENT_LOOP_HZ, TorquePath};
-use crate::analysis::plant::Drive;
 use haptic_bridge::board::protocol::{Details, Info};
+use haptic_stability::analysis::control_loop::{CARRIER_HZ, CURRENT_LOOP_HZ, TorquePath};
+use haptic_stability::analysis::plant::Drive;
 
 /// What the board that says this puts between its encoders and the torque that answers, at the rate that it runs at.
 #[must_use]

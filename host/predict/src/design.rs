@@ -13,17 +13,17 @@ pub mod place;
 pub mod posture;
 pub mod sensitivity;
 
-use crate::analysis::control_loop::TorquePath;
-use crate::analysis::plant::Linearised;
-use crate::analysis::pose::{TaskPose, angles, regular};
-use crate::analysis::range::domain;
-use crate::analysis::sampled::{LinearEstimator, Loop, Mode};
 use haptic_bridge::math::FineTable;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::with_mechanism;
 use haptic_host::error::{Choice, Failure};
+use haptic_stability::analysis::control_loop::TorquePath;
+use haptic_stability::analysis::plant::Linearised;
+use haptic_stability::analysis::pose::{TaskPose, angles, regular};
+use haptic_stability::analysis::range::domain;
+use haptic_stability::analysis::sampled::{LinearEstimator, Loop, Mode};
 use nalgebra::{DMatrix, DVector, SVector};
 
 /// The largest stiffness (N/m) of an undamped kilogram in the loop of a board at this rate and cutoff, of all dampings.

@@ -1,58 +1,43 @@
-//! Which walls a device renders stably, how they feel, and with which settings and links it renders the stiffest. All
-//! of it is computed from device and scene, in double precision or in the board's own, and draws nothing. [`measure`]
-//! asks a board instead, simulated or real, and knows no theory: what both say is compared.
+//! What to do with a device that somebody has: measure which walls it renders, on a board or a simulated one, and find
+//! the settings, place, posture and links with which it renders the stiffest. It also says what is doubtful about a
+//! device or a scene, what encoder steps make of a wall, and which control step is the cheapest that is good enough.
+//! The theory comes from [`haptic_stability`]; [`measure`] knows none of it, so that both can be compared.
 //!
 //! ```
+//! use haptic_bridge::model::admissible::Admissible;
 //! use haptic_host::device_file::DeviceFile;
-//! use haptic_predict::analysis::plant::{Drive, Linearised};
-//! use haptic_predict::analysis::range::predict;
-//! use haptic_predict::analysis::sampled::{LinearEstimator, Loop};
+//! use haptic_predict::design::place::directions;
 //!
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
 //! let device = DeviceFile::load("../../devices/coupled-five-bar.toml")?;
-//! // Joint angles (rad), and the wall's unit normal out of the solid.
-//! let seen = Linearised::at(&device.description, &[2.6, 1.75], &[0.6, 0.8])?;
-//! let around = Loop {
-//!     rate_hz: 20_000.0,
-//!     delay_samples: 0.5,
-//!     estimator: LinearEstimator::Butterworth(500.0),
-//!     drive: Drive::Ideal,
-//!     damping_compensation: false,
-//! };
-//! // The stiffest wall at 20 N s/m, without the feed-forward and with it, N/m.
-//! let range = predict(&seen, &around, Some(&[20.0]), None)?;
-//! assert!(range.full.boundary[0].kp > range.off.boundary[0].kp);
+//! // At these joint angles (rad).
+//! let found = directions(&device.description, &[2.6, 1.75], Admissible::default())?;
+//! // Without the feed-forward the stiffest wall stands where the tip is heaviest, kg.
+//! assert!(found.stiffest.w_eff > found.softest.w_eff);
 //! # Ok(())
 //! # }
 //! ```
 //!
 //! | to | begin at |
 //! |---|---|
-//! | evaluate the inertia of a pose | [`model`] |
-//! | predict which walls are stable | [`analysis`] |
-//! | measure it on a board | [`measure`] |
+//! | measure stable walls on a board | [`measure`] |
 //! | hear what is doubtful about a device or a scene | [`plausible`] |
+//! | see what encoder steps make of a pressed wall | [`ripple`] |
 //! | find the cheapest step that is good enough | [`plan`], [`mod@bench`] |
 //! | find the settings of the stiffest wall | [`mod@tune`] |
 //! | find the best place, direction, posture and links for one | [`mod@design`] |
-//!
-//! What takes long goes through a [`sweep`], which uses every core, says how far it is and goes on where it was
-//! stopped.
+//! | write a device's first files | [`template`], [`wall_ahead`] |
 #![forbid(unsafe_code)]
 
-pub mod analysis;
 pub mod bench;
 pub mod boards;
-pub mod cores;
+mod contact;
 pub mod design;
 pub mod measure;
-pub mod model;
-pub mod perception;
 pub mod plan;
 pub mod plausible;
-pub mod skeleton;
+pub mod ripple;
 pub mod summary;
-pub mod sweep;
 pub mod template;
 pub mod tip;
 pub mod tune;

@@ -36,9 +36,9 @@ use haptic_bridge::render::velocity::Estimator;
 use haptic_bridge::safety::fault::Fault;
 use thiserror::Error;
 
-use crate::analysis::pose::PoseError;
-use crate::analysis::several::Member;
 use haptic_host::link::{BoardError, LinkError};
+use haptic_stability::analysis::pose::PoseError;
+use haptic_stability::analysis::several::Member;
 
 /// Why a measurement, or the part of it at one damping, ended early. Motors are off whenever a measurement returns one
 /// of these.

@@ -1,12 +1,12 @@
 //! What a device file describes, in the terms in which a person would notice that it describes another device: how far
 //! the tip reaches, where it is at home, how hard it can push, what it weighs.
 
-use crate::analysis::map::{MapPoint, climb, map};
-use crate::analysis::pose::{PoseError, TaskPose};
 use crate::plausible::device::force_at;
 use haptic_bridge::model::device::Device;
 use haptic_host::device_file::DeviceFile;
 use haptic_host::words::with_unit;
+use haptic_stability::analysis::map::{MapPoint, climb, map};
+use haptic_stability::analysis::pose::{PoseError, TaskPose};
 use serde::Serialize;
 
 /// Poses of the grid that the reach and the inertia are taken from.

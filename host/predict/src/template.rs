@@ -1,13 +1,13 @@
 //! Files to start from: a device file for each mechanism, with every key, what it is, and numbers of a device that exists
 //! only to be replaced; and a scene file for a device.
 
-use crate::analysis::prediction::Subject;
 use crate::plausible::scene::doubts;
 use crate::wall_ahead::wall_ahead;
 use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::render::scene::{FeedForward, Scene, Surface};
 use haptic_host::device_file::DeviceFile;
 use haptic_host::error::Failure;
+use haptic_stability::analysis::prediction::Subject;
 
 /// What a template knows of a mechanism beyond its [`Spec`](haptic_bridge::model::catalogue::Spec).
 struct Example {
@@ -325,10 +325,10 @@ fn number(value: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::{Kind, device_file, scene_file};
-    use crate::analysis::prediction::Subject;
     use crate::plausible::device::doubts;
     use haptic_host::device_file::DeviceFile;
     use haptic_host::scene_file::SceneFile;
+    use haptic_stability::analysis::prediction::Subject;
 
     #[test]
     fn every_template_is_sound_plausible_and_lacks_only_a_persons_word() {

@@ -1,10 +1,10 @@
 //! What a person at the tip can meet: the largest force and the energy of motion that limits leave a device.
 
-use crate::analysis::pose::{PoseError, TaskPose};
 use crate::plausible::device::weight;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::motor::Motor;
+use haptic_stability::analysis::pose::{PoseError, TaskPose};
 use nalgebra::DVector;
 
 /// A device at one pose, to ask what its limits leave.

@@ -1,12 +1,13 @@
 //! The settings that render the stiffest wall on a device: rate, velocity estimator, cutoff, damping, stiffness,
 //! washout and feed-forward, within margins, a ripple and what the motors have.
 //!
-//! Stability is that of the exact sampled loop ([`crate::analysis`]), for a device that is not quite the one in the
-//! file ([`Margins`]). Ripple is what encoder steps make of a pressed wall, by simulation ([`crate::bench::wall`]), on
-//! that device and on others a little off it: the analysis is linear and knows no steps. One simulated hand is easily
-//! pleased, so the wall is pressed once more by another one, with everything that a board has ([`measured`]). And a tip
-//! that taps it leaves it no more than [`MOST_REBOUNDS`] times. `criteria` has them all, and `search` finds the
-//! stiffest wall that keeps them. Levant's differentiator has no linear loop, so it is not searched.
+//! Stability is that of the exact sampled loop ([`haptic_stability::analysis`]), for a device that is not quite the one
+//! in the file ([`Margins`]). Ripple is what encoder steps make of a pressed wall, by simulation
+//! ([`crate::bench::wall`]), on that device and on others a little off it: the analysis is linear and knows no steps.
+//! One simulated hand is easily pleased, so the wall is pressed once more by another one, with everything that a board
+//! has ([`measured`]). And a tip that taps it leaves it no more than [`MOST_REBOUNDS`] times. `criteria` has them all,
+//! and `search` finds the stiffest wall that keeps them. Levant's differentiator has no linear loop, so it is not
+//! searched.
 
 mod baseline;
 mod criteria;
@@ -24,16 +25,16 @@ pub use margins::{Margins, vertex};
 pub use otherwise::Otherwise;
 pub use scene::to_toml;
 
-use crate::analysis::control_loop::TorquePath;
-use crate::analysis::sampled::{LinearEstimator, Loop, Mode};
 use crate::bench::wall::Rendered;
-use crate::sweep::Sweep;
 use criteria::SearchContext;
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::render::scene::{FeedForward, Scene};
 use haptic_bridge::render::velocity::{CutoffMeans, Estimator};
 use haptic_host::device_file::DeviceFile;
 use haptic_host::error::{Choice, Failure};
+use haptic_stability::analysis::control_loop::TorquePath;
+use haptic_stability::analysis::sampled::{LinearEstimator, Loop, Mode};
+use haptic_stability::sweep::Sweep;
 use limits::limits;
 use serde::Serialize;
 use std::collections::BTreeSet;

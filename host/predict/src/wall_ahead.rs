@@ -1,13 +1,13 @@
 //! The wall that stands before a device when nobody has named a scene.
 
-use crate::analysis::control_loop::TorquePath;
-use crate::analysis::pose::TaskPose;
-use crate::analysis::prediction::{Prediction, Subject};
-use crate::analysis::sampled::Mode;
 use haptic_bridge::render::scene::{DEFAULT_RATE_HZ, FeedForward, Plane, Scene, Surface, Wall};
 use haptic_host::device_file::DeviceFile;
 use haptic_host::error::Failure;
 use haptic_host::scene_file::{DEFAULT_CUTOFF_HZ, DEFAULT_WASHOUT_HZ};
+use haptic_stability::analysis::control_loop::TorquePath;
+use haptic_stability::analysis::pose::TaskPose;
+use haptic_stability::analysis::prediction::{Prediction, Subject};
+use haptic_stability::analysis::sampled::Mode;
 
 /// How far in front of the tip the wall stands, m.
 const AHEAD: f64 = 0.006;

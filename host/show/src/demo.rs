@@ -13,10 +13,10 @@ use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};
 use haptic_host::device_file::DeviceFile;
 use haptic_host::error::Failure;
 use haptic_host::link::{BoardError, LinkError};
-use haptic_predict::analysis::plant::Linearised;
-use haptic_predict::analysis::pose::PoseError;
 use haptic_predict::measure::MeasureError;
 use haptic_sim::DeviceError;
+use haptic_stability::analysis::plant::Linearised;
+use haptic_stability::analysis::pose::PoseError;
 
 /// The device of the demo: strongly coupled, so the feed-forward matters.
 pub const DEVICE: &str = include_str!("../../../devices/coupled-five-bar.toml");
@@ -61,7 +61,7 @@ pub enum DemoError {
     Pose(#[from] PoseError),
     /// The prediction failed.
     #[error(transparent)]
-    Theory(#[from] haptic_predict::analysis::sampled::AnalysisError),
+    Theory(#[from] haptic_stability::analysis::sampled::AnalysisError),
 }
 
 impl From<LinkError> for DemoError {

@@ -2,10 +2,10 @@
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use haptic_host::device_file::DeviceFile;
-use haptic_predict::analysis::map::map;
-use haptic_predict::analysis::plant::{Drive, Linearised};
-use haptic_predict::analysis::range::predict;
-use haptic_predict::analysis::sampled::{LinearEstimator, Loop};
+use haptic_stability::analysis::map::map;
+use haptic_stability::analysis::plant::{Drive, Linearised};
+use haptic_stability::analysis::range::predict;
+use haptic_stability::analysis::sampled::{LinearEstimator, Loop};
 use std::hint::black_box;
 
 fn boundaries(criterion: &mut Criterion) {

@@ -4,19 +4,19 @@
 //! Every wall is that of [`super::wall`]: the board's own step around the device's full equations.
 
 use super::wall::{Rendered, Trial, WallSimulation};
-use crate::analysis::contact::about_its_line;
-use crate::analysis::control_loop::TorquePath;
-use crate::analysis::plant::{Drive, Linearised};
-use crate::analysis::prediction::{Prediction, Subject};
-use crate::analysis::range::stiffness_at;
-use crate::analysis::ripple::{self, PUSH_N};
-use crate::analysis::sampled::{LinearEstimator, Loop, Mode};
-use crate::sweep::Sweep;
+use crate::contact::about_its_line;
+use crate::ripple::{self, PUSH_N};
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::render::velocity::{Chosen, Coefficients, CutoffMeans, Estimator};
 use haptic_host::device_file::DeviceFile;
 use haptic_host::error::{Choice, Failure};
+use haptic_stability::analysis::control_loop::TorquePath;
+use haptic_stability::analysis::plant::{Drive, Linearised};
+use haptic_stability::analysis::prediction::{Prediction, Subject};
+use haptic_stability::analysis::range::stiffness_at;
+use haptic_stability::analysis::sampled::{LinearEstimator, Loop, Mode};
+use haptic_stability::sweep::Sweep;
 use serde::{Deserialize, Serialize};
 
 /// Time to settle before the ripple is looked at, and time in which it is, s.

@@ -1,8 +1,6 @@
 //! Where errors are looked at: poses with a wall's normal, a hand motion, and the largest force the motors give along
 //! the normal beside it. Motions that take more than the motors give are left out.
 
-use crate::analysis::map::Reachable;
-use crate::analysis::pose::PoseError;
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::model::device::Device;
@@ -13,6 +11,8 @@ use haptic_bridge::render::scene::Surface;
 use haptic_bridge::safety::limits::Limits;
 use haptic_bridge::with_mechanism;
 use haptic_host::vectors::padded;
+use haptic_stability::analysis::map::Reachable;
+use haptic_stability::analysis::pose::PoseError;
 use nalgebra::SVector;
 
 /// Force where a device file names no motors, N.

@@ -1,17 +1,12 @@
 //! One wall on a device, rendered by the board's own control step in its precision: pressed, slid along, struck or tapped,
-//! by simulation ([`crate::analysis::contact`]).
+//! by simulation (`contact`).
 //!
 //! Torque follows half a carrier period late, and nothing limits it: motors and their limits are the same for every
 //! estimator. `haptic tune estimators` compares with it ([`super::estimators`]), and [`mod@crate::tune`] searches.
 
-use crate::analysis::contact::{Answer, Contact, Fast, Grip, Law};
-use crate::analysis::control_loop::{Loop, TorquePath};
-use crate::analysis::flexible::Hand;
-use crate::analysis::plant::Drive;
-use crate::analysis::pose::TaskPose;
-use crate::analysis::ripple::{LIGHT_HAND, PUSH_N, RISE};
-use crate::analysis::sampled::LinearEstimator;
+use crate::contact::{Answer, Contact, Fast, Grip, Law};
 use crate::measure::complement;
+use crate::ripple::{LIGHT_HAND, PUSH_N, RISE};
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::model::description::Description;
@@ -25,6 +20,11 @@ use haptic_bridge::with_mechanism;
 use haptic_host::error::Failure;
 use haptic_host::vectors::{padded, padded_to};
 use haptic_sim::{EncoderModel, Plant};
+use haptic_stability::analysis::control_loop::{Loop, TorquePath};
+use haptic_stability::analysis::flexible::Hand;
+use haptic_stability::analysis::plant::Drive;
+use haptic_stability::analysis::pose::TaskPose;
+use haptic_stability::analysis::sampled::LinearEstimator;
 
 /// Time to settle before a wall that is slid along is looked at, and time in which it is, s.
 const SETTLE_S: f64 = 0.3;
@@ -63,7 +63,7 @@ pub(super) enum Trial {
     /// A hand pushes steadily. Friction may then lock the tip between two encoder steps, and a wall that would rattle
     /// is quiet.
     Pressed,
-    /// A hand pushes ever harder, as in [`crate::analysis::ripple`]: friction cannot hold the tip for good.
+    /// A hand pushes ever harder, as in [`crate::ripple`]: friction cannot hold the tip for good.
     PressedHarder,
     /// A hand pushes now more, now less, and slides along the wall.
     SlidAlong,

@@ -1,14 +1,14 @@
 //! Directions at a pose, and places in the workspace.
 
 use super::{clearance, lumped, reaching, singular, task_position, within_limits};
-use crate::analysis::map::{MapPoint, Reachable, along, at_holding};
-use crate::analysis::pose::{LEAST_ANALYSED_SINE, Stance, TaskPose, unit_normal};
-use crate::sweep::Sweep;
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device;
 use haptic_host::error::{Choice, Failure};
 use haptic_sim::Random;
+use haptic_stability::analysis::map::{MapPoint, Reachable, along, at_holding};
+use haptic_stability::analysis::pose::{LEAST_ANALYSED_SINE, Stance, TaskPose, unit_normal};
+use haptic_stability::sweep::Sweep;
 use nalgebra::DVector;
 use serde::Serialize;
 

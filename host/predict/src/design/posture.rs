@@ -6,12 +6,12 @@
 //! `clear` says how near they may come.
 
 use super::{clearance, lumped, reaching, singular, task_position, within_limits};
-use crate::analysis::map::along;
-use crate::analysis::pose::{TaskPose, unit_normal};
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device;
 use haptic_host::error::Failure;
+use haptic_stability::analysis::map::along;
+use haptic_stability::analysis::pose::{TaskPose, unit_normal};
 use nalgebra::DVector;
 use serde::Serialize;
 

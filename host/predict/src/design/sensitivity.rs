@@ -2,13 +2,13 @@
 //! smaller.
 
 use super::{lumped, reaching, singular, task_position};
-use crate::analysis::map::along;
-use crate::analysis::pose::{TaskPose, unit_normal};
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device;
 use haptic_host::error::Failure;
+use haptic_stability::analysis::map::along;
+use haptic_stability::analysis::pose::{TaskPose, unit_normal};
 use serde::Serialize;
 
 /// How much larger and smaller.

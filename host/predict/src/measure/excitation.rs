@@ -6,8 +6,8 @@ use nalgebra::DVector;
 
 use super::MeasureError;
 use super::swing::ENCODER_STEPS;
-use crate::analysis::plant::Linearised;
 use haptic_host::device_file::DeviceFile;
+use haptic_stability::analysis::plant::Linearised;
 
 /// Share of the motors' force that a pull asks of the tested wall. A swing may then grow by half a dozen before the
 /// motors bound it.

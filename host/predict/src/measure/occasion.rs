@@ -8,12 +8,12 @@ use super::campaign::{self, Plan};
 use super::progress::{Progress, ProgressError};
 use super::simulated::{Friction, World};
 use super::{MeasureError, MeasurementSetup, PreparedBoard, rules_for};
-use crate::analysis::sampled::{LinearEstimator, Loop};
 use crate::boards::torque_path;
 use haptic_bridge::board::protocol::{Details, Info};
 use haptic_bridge::model::device::Device;
 use haptic_host::device_file::DeviceFile;
 use haptic_host::link::{Board, BoardError, LinkError};
+use haptic_stability::analysis::sampled::{LinearEstimator, Loop};
 
 /// Poses closer than this are the same, rad.
 const SAME_POSE: f64 = 0.02;

@@ -15,11 +15,11 @@ use super::excitation::Excitation;
 use super::swing::{Swing, Verdict};
 use super::walls::{APART, Layout, complement, scene};
 use super::{MeasureError, MeasurementSetup};
-use crate::analysis::plant::Linearised;
-use crate::analysis::pose::PoseError;
-use crate::analysis::several::WallSet;
 use haptic_host::device_file::DeviceFile;
 use haptic_host::link::{Board, columns, fields};
+use haptic_stability::analysis::plant::Linearised;
+use haptic_stability::analysis::pose::PoseError;
+use haptic_stability::analysis::several::WallSet;
 
 /// How long the board goes on without this tool, s: a measurement must not outlive the one who watches it.
 const HOST_SECONDS: f32 = 1.0;

@@ -5,8 +5,8 @@ use haptic_bridge::render::scene::{FeedForward, MAX_WALLS, Plane, Scene, Surface
 use nalgebra::DVector;
 
 use super::{MeasureError, MeasurementSetup};
-use crate::analysis::pose::unit_normal;
 use haptic_host::vectors::padded;
+use haptic_stability::analysis::pose::unit_normal;
 
 /// Distance between the wall that holds the tip and the one that pulls it aside, m: more than any pull.
 pub const APART: f64 = 0.01;
@@ -122,8 +122,8 @@ pub fn scene(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::analysis::several::Member;
     use crate::measure::Law;
+    use haptic_stability::analysis::several::Member;
 
     #[test]
     fn its_own_scenes_are_told_from_all_others() {

@@ -1,7 +1,6 @@
 //! Doubts about a device file.
 
 use super::{Doubt, Key, turns};
-use crate::analysis::pose::TaskPose;
 use core::f64::consts::{PI, TAU};
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::description::{Description, Joint, Link};
@@ -11,6 +10,7 @@ use haptic_bridge::with_mechanism;
 use haptic_host::device_file::carries_its_body;
 use haptic_host::vectors::padded_to;
 use haptic_host::words::{digits, listed, with_unit};
+use haptic_stability::analysis::pose::TaskPose;
 use nalgebra::{DMatrix, DVector, SVector};
 
 /// kg/m³

@@ -2,8 +2,8 @@
 
 use super::criteria::SearchContext;
 use super::{Found, Question, Settings, measured, ripple, three_digits};
-use crate::sweep::Sweep;
 use haptic_host::error::Failure;
+use haptic_stability::sweep::Sweep;
 use serde::Serialize;
 
 /// The wall's settings that came before, held to the same margins.

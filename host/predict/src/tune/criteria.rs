@@ -2,15 +2,15 @@
 
 use super::margins::Corner;
 use super::{Found, Question, Settings, check, measured, three_digits};
-use crate::analysis::plant::Linearised;
-use crate::analysis::pose::TaskPose;
-use crate::analysis::range::{boundary_of, stiffnesses};
 use crate::bench::wall::{Pressed, WallSimulation};
 use crate::plausible::device::force_along;
-use crate::sweep::Sweep;
 use haptic_bridge::render::scene::FeedForward;
 use haptic_host::error::Failure;
 use haptic_host::vectors::padded_to;
+use haptic_stability::analysis::plant::Linearised;
+use haptic_stability::analysis::pose::TaskPose;
+use haptic_stability::analysis::range::{boundary_of, stiffnesses};
+use haptic_stability::sweep::Sweep;
 use serde::{Deserialize, Serialize};
 
 /// How often the tip may leave a wall again that it taps with 0.2 m/s, pushed with 3 N: a finger feels one rebound as

@@ -2,10 +2,10 @@
 
 use super::criteria::SearchContext;
 use super::{Found, STIFFNESS_RATIO, Settings, ripple, three_digits};
-use crate::analysis::error::AnalysisError;
-use crate::analysis::range::stiffnesses;
 use haptic_bridge::render::scene::FeedForward;
 use haptic_host::error::Failure;
+use haptic_stability::analysis::error::AnalysisError;
+use haptic_stability::analysis::range::stiffnesses;
 use serde::Serialize;
 
 /// How much more and less is tried to say what stops it.

@@ -10,13 +10,13 @@
 //! A hand makes a wall calmer where the controller knows nothing of the device's inertia; one that predicts takes the
 //! hand's mass for an error of its model. So the device of the file must be stable in hands, too ([`HANDS`]).
 
-use crate::analysis::flexible::Hand;
-use crate::analysis::plant::Linearised;
-use crate::analysis::pose::PoseError;
-use crate::analysis::sampled::Loop;
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::description::Description;
 use haptic_host::error::Failure;
+use haptic_stability::analysis::flexible::Hand;
+use haptic_stability::analysis::plant::Linearised;
+use haptic_stability::analysis::pose::PoseError;
+use haptic_stability::analysis::sampled::Loop;
 use serde::Serialize;
 
 /// Hands in which a wall must be stable: two fingers, and a whole hand that holds firmly.

@@ -2,11 +2,9 @@
 //! bridges and windings, friction, encoder steps.
 
 use super::{Question, Settings};
-use crate::analysis::contact::Fast;
-use crate::analysis::several::Member;
+use crate::contact::Fast;
 use crate::measure::simulated::World;
 use crate::measure::{Law, MeasureError, MeasurementSetup, PreparedBoard, complement};
-use crate::sweep::Sweep;
 use haptic_bridge::board::telemetry::Field;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::render::scene::{Plane, Scene, Surface, Wall};
@@ -14,6 +12,8 @@ use haptic_host::error::Failure;
 use haptic_host::link::{Board, fields};
 use haptic_host::vectors::padded;
 use haptic_sim::{BoardOptions, Hand, HandSettings, Intent, Options, SharedBoard, Waypoint, ready_board};
+use haptic_stability::analysis::several::Member;
+use haptic_stability::sweep::Sweep;
 use serde::Serialize;
 use std::time::Duration;
 

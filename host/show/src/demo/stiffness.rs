@@ -6,15 +6,15 @@
 use super::{Demo, DemoError};
 use haptic_bridge::render::scene::FeedForward;
 use haptic_host::link::Board;
-use haptic_predict::analysis::control_loop::TorquePath;
-use haptic_predict::analysis::plant::Drive;
-use haptic_predict::analysis::pose::PoseError;
-use haptic_predict::analysis::prediction::{Prediction, Subject};
-use haptic_predict::analysis::range::domain;
-use haptic_predict::analysis::sampled::{LinearEstimator, Loop, Mode};
-use haptic_predict::analysis::several::Member;
 use haptic_predict::measure::{Law, MeasurementSetup, PreparedBoard};
 use haptic_sim::{BoardOptions, DriveModel, Options, SharedBoard, ready_board};
+use haptic_stability::analysis::control_loop::TorquePath;
+use haptic_stability::analysis::plant::Drive;
+use haptic_stability::analysis::pose::PoseError;
+use haptic_stability::analysis::prediction::{Prediction, Subject};
+use haptic_stability::analysis::range::domain;
+use haptic_stability::analysis::sampled::{LinearEstimator, Loop, Mode};
+use haptic_stability::analysis::several::Member;
 
 /// Measured and predicted, N/m.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -11,10 +11,10 @@ use super::{Picture, linkage};
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::description::Description;
 use haptic_host::vectors::padded_to;
-use haptic_predict::analysis::map::{MapPoint, along, at_holding};
-use haptic_predict::analysis::plant::Linearised;
-use haptic_predict::analysis::pose::{PoseError, TaskPose, unit_normal};
-use haptic_predict::skeleton::{Point, Skeleton, skeleton};
+use haptic_stability::analysis::map::{MapPoint, along, at_holding};
+use haptic_stability::analysis::plant::Linearised;
+use haptic_stability::analysis::pose::{PoseError, TaskPose, unit_normal};
+use haptic_stability::skeleton::{Point, Skeleton, skeleton};
 use nalgebra::{DVector, Vector3};
 
 /// Side of each drawing, pixels.

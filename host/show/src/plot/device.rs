@@ -10,9 +10,9 @@ use super::canvas::{Anchor, Canvas, Stroke};
 use super::colour::{FAINT, FULL, INK, OFF, WASHOUT};
 use super::linkage::bounds;
 use super::{Picture, linkage};
-use haptic_predict::analysis::cut::{Cut, Fineness};
-use haptic_predict::analysis::pose::PoseError;
-use haptic_predict::skeleton::{Angle, Point, Skeleton, Turret, skeleton};
+use haptic_stability::analysis::cut::{Cut, Fineness};
+use haptic_stability::analysis::pose::PoseError;
+use haptic_stability::skeleton::{Angle, Point, Skeleton, Turret, skeleton};
 
 /// Longest side of the plane, pixels: of a linkage by itself, and of a reach that no limits keep near it.
 const SIDE: f64 = 460.0;

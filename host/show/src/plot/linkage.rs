@@ -3,7 +3,7 @@
 use super::axes::PlotArea;
 use super::canvas::{Canvas, Stroke};
 use super::colour::INK;
-use haptic_predict::skeleton::{Point, Skeleton};
+use haptic_stability::skeleton::{Point, Skeleton};
 
 /// Draws the linkage as thin bars that stay readable on any ground: base pivots square, tip round.
 pub fn outline(canvas: &mut Canvas, frame: &PlotArea, skeleton: &Skeleton) {

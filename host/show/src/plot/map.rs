@@ -14,10 +14,10 @@ use super::canvas::{Anchor, Canvas, Stroke};
 use super::colour::{ABOVE, FAINT, INK, scale};
 use super::{Picture, linkage, paddle};
 use haptic_host::vectors::unit;
-use haptic_predict::analysis::cut::{Cut, Fineness, Tile};
-use haptic_predict::analysis::map::MapPoint;
-use haptic_predict::analysis::pose::PoseError;
-use haptic_predict::skeleton::{Point, Skeleton, Turret, skeleton};
+use haptic_stability::analysis::cut::{Cut, Fineness, Tile};
+use haptic_stability::analysis::map::MapPoint;
+use haptic_stability::analysis::pose::PoseError;
+use haptic_stability::skeleton::{Point, Skeleton, Turret, skeleton};
 
 /// Share of the area that the colour scale covers at least.
 const COVERED: f64 = 0.95;

@@ -7,9 +7,9 @@ use super::axes::{Axis, PlotArea};
 use super::canvas::{Anchor, Canvas, Stroke};
 use super::colour::{INK, scale};
 use super::{Picture, linkage};
-use haptic_predict::analysis::map::along;
-use haptic_predict::analysis::pose::{PoseError, TaskPose, unit_normal};
-use haptic_predict::skeleton::{Point, skeleton};
+use haptic_stability::analysis::map::along;
+use haptic_stability::analysis::pose::{PoseError, TaskPose, unit_normal};
+use haptic_stability::skeleton::{Point, skeleton};
 
 /// Points on the arc.
 const POINTS: usize = 180;

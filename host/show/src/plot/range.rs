@@ -6,8 +6,8 @@ use super::axes::{Axis, Mark, PlotArea};
 use super::canvas::{Anchor, Canvas, Stroke};
 use super::colour::{BOUND, FAINT, FULL, HOST, OFF, WASHOUT};
 use haptic_host::words::with_unit;
-use haptic_predict::analysis::passivity::Passivity;
-use haptic_predict::analysis::range::{Domain, Range};
+use haptic_stability::analysis::passivity::Passivity;
+use haptic_stability::analysis::range::{Domain, Range};
 
 /// Distance of the lines below the axes, pixels.
 const LINE: f64 = 17.0;

@@ -12,7 +12,7 @@ use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_host::error::{Choice, Failure};
 use haptic_host::link::columns;
 use haptic_host::words::{counted, with_unit};
-use haptic_predict::analysis::amplitudes::{SpectralLine, Spectrum, spectrum};
+use haptic_stability::analysis::amplitudes::{SpectralLine, Spectrum, spectrum};
 pub use paper::draw;
 use serde::Serialize;
 

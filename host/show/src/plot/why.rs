@@ -5,7 +5,7 @@ use super::Picture;
 use super::canvas::{Anchor, Canvas, Stroke};
 use super::colour::{FAINT, FULL, OFF};
 use haptic_host::words::with_unit;
-use haptic_predict::analysis::why::{Both, Why};
+use haptic_stability::analysis::why::{Both, Why};
 
 /// Width of a letter at most, of the bars, and what one effect takes of the height, pixels.
 const LETTER: f64 = 6.8;

@@ -11,9 +11,9 @@ use haptic_bridge::model::device::Device;
 use haptic_bridge::render::scene::{Scene, Spring};
 use haptic_host::link::Column;
 use haptic_host::vectors::padded;
-use haptic_predict::analysis::plant::Linearised;
-use haptic_predict::analysis::pose::TaskPose;
-use haptic_predict::skeleton::skeleton;
+use haptic_stability::analysis::plant::Linearised;
+use haptic_stability::analysis::pose::TaskPose;
+use haptic_stability::skeleton::skeleton;
 use nalgebra::{DVector, Vector3};
 use serde::Serialize;
 

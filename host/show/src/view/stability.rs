@@ -2,10 +2,10 @@
 //! own; in a browser, which has none, when it is asked for (some milliseconds).
 
 use haptic_bridge::render::scene::{FeedForward, Scene};
-use haptic_predict::analysis::control_loop::TorquePath;
-use haptic_predict::analysis::prediction::{Prediction, Subject};
-use haptic_predict::analysis::range::BoundaryPoint;
-use haptic_predict::analysis::several::Member;
+use haptic_stability::analysis::control_loop::TorquePath;
+use haptic_stability::analysis::prediction::{Prediction, Subject};
+use haptic_stability::analysis::range::BoundaryPoint;
+use haptic_stability::analysis::several::Member;
 use serde::{Deserialize, Serialize};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread;
@@ -136,7 +136,7 @@ impl Oracle {
 mod tests {
     use super::*;
     use crate::demo::Demo;
-    use haptic_predict::analysis::plant::Drive;
+    use haptic_stability::analysis::plant::Drive;
 
     #[test]
     fn the_wall_of_the_demo_is_stable_with_the_feed_forward_alone() {

@@ -29,10 +29,10 @@ use haptic_host::link::{Board, BoardError, Column, LinkError, columns, rows_that
 use haptic_host::scene_file::place_of;
 use haptic_host::vectors::{padded, unit};
 use haptic_host::words::{wall_in_words, with_unit};
-use haptic_predict::analysis::control_loop::TorquePath;
-use haptic_predict::analysis::prediction::Subject;
 use haptic_predict::boards::torque_path;
 use haptic_predict::plausible::scene::most_gains;
+use haptic_stability::analysis::control_loop::TorquePath;
+use haptic_stability::analysis::prediction::Subject;
 use recording::ActiveRecording;
 use serde_json::json;
 use std::collections::BTreeMap;

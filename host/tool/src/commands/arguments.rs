@@ -9,11 +9,11 @@ use haptic_host::error::Failure;
 use haptic_host::toml_file::Document;
 use haptic_host::vectors::unit;
 use haptic_host::words::counted;
-use haptic_predict::analysis::estimator::LinearEstimator;
-use haptic_predict::analysis::several::Member;
 use haptic_predict::boards::BoardKind;
-use haptic_predict::model::Precision;
 use haptic_predict::plausible::{self, Doubt, Warning};
+use haptic_stability::analysis::estimator::LinearEstimator;
+use haptic_stability::analysis::several::Member;
+use haptic_stability::model::Precision;
 use std::path::{Path, PathBuf};
 
 /// A list of numbers separated by commas, such as `-0.3,1.2`.

@@ -11,8 +11,6 @@ use haptic_host::error::Failure;
 use haptic_host::scene_file::SceneFile;
 use haptic_host::toml_file::Document;
 use haptic_host::words::with_unit;
-use haptic_predict::analysis::prediction::Subject;
-use haptic_predict::analysis::range::COSTLY_RATIO;
 use haptic_predict::bench::probe::HAND_SPEED;
 use haptic_predict::plan::{Budget, DEFAULT_PERCENT, Plan, newtons, percent, plan};
 use haptic_predict::plausible::scene::Contact;
@@ -21,6 +19,8 @@ use haptic_predict::summary::Summary;
 use haptic_predict::tip::{BOARD_SPEED, Tip, motor_torques};
 use haptic_show::plot::Picture;
 use haptic_show::plot::device::draw;
+use haptic_stability::analysis::prediction::Subject;
+use haptic_stability::analysis::range::COSTLY_RATIO;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 

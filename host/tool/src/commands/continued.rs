@@ -2,7 +2,7 @@
 
 use super::interrupt;
 use haptic_host::error::Failure;
-use haptic_predict::sweep::Sweep;
+use haptic_stability::sweep::Sweep;
 use std::path::PathBuf;
 
 /// Where unfinished work is kept.

@@ -6,14 +6,14 @@ use super::continued::Continue;
 use haptic_bridge::render::scene::DEFAULT_RATE_HZ;
 use haptic_host::error::Failure;
 use haptic_host::words::percent;
-use haptic_predict::analysis::pose::TaskPose;
-use haptic_predict::analysis::range::WORTHWHILE_RATIO;
 use haptic_predict::design::place::{Directions, Placed, Places, directions, places};
 use haptic_predict::design::posture::{Posture, Postures, postures};
 use haptic_predict::design::sensitivity::{Buys, CHANGE, Effect, Sensitivity, buys_most, sensitivities};
 use haptic_predict::design::{singular, stiffness_per_kilogram};
 use haptic_predict::plausible::{Warned, warn};
 use haptic_show::plot::coupling::draw;
+use haptic_stability::analysis::pose::TaskPose;
+use haptic_stability::analysis::range::WORTHWHILE_RATIO;
 use serde::Serialize;
 use std::fmt::Write;
 
@@ -108,8 +108,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
     )?;
     let sensitivities = sensitivities(description, &q, &normal, args.holding.admissible)?;
     let pose = TaskPose::at(description, &q)?.regular()?.holding(args.holding.admissible);
-    let unit = haptic_predict::analysis::pose::unit_normal(&normal, spec.task, spec.joints)?;
-    let (w_eff, w_rr) = haptic_predict::analysis::map::along(&pose, &unit).ok_or_else(singular)?;
+    let unit = haptic_stability::analysis::pose::unit_normal(&normal, spec.task, spec.joints)?;
+    let (w_eff, w_rr) = haptic_stability::analysis::map::along(&pose, &unit).ok_or_else(singular)?;
     let document = Document {
         here: Placed {
             q: q.clone(),

@@ -6,11 +6,11 @@ use super::continued::Continue;
 use haptic_bridge::render::scene::DEFAULT_RATE_HZ;
 use haptic_host::device_file::DeviceFile;
 use haptic_host::error::Failure;
-use haptic_predict::analysis::control_loop::{Loop, TorquePath};
-use haptic_predict::analysis::estimator::LinearEstimator;
-use haptic_predict::analysis::prediction::{Prediction, Subject};
-use haptic_predict::analysis::several::Member;
 use haptic_predict::bench::estimators::{Comparison, RESOLUTION_N, Row, compare, telling_wall};
+use haptic_stability::analysis::control_loop::{Loop, TorquePath};
+use haptic_stability::analysis::estimator::LinearEstimator;
+use haptic_stability::analysis::prediction::{Prediction, Subject};
+use haptic_stability::analysis::several::Member;
 use serde_json::json;
 use std::fmt::Write;
 

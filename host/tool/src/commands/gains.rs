@@ -8,10 +8,10 @@ use haptic_bridge::render::velocity::Estimator;
 use haptic_bridge::safety::refusal::Refusal;
 use haptic_host::error::Failure;
 use haptic_host::link::{Board, BoardError};
-use haptic_predict::analysis::prediction::Subject;
 use haptic_predict::boards::torque_path;
 use haptic_predict::plausible::scene::{at, beyond};
 use haptic_predict::plausible::{Doubt, Warning, warn};
+use haptic_stability::analysis::prediction::Subject;
 use serde_json::json;
 
 /// Show or change the gains of a wall, also while it is touched

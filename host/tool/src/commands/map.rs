@@ -4,9 +4,9 @@ use super::answer::{Json, Pictures};
 use super::arguments::{self, Holding, Numbers};
 use super::continued::Continue;
 use haptic_host::error::Failure;
-use haptic_predict::analysis::map::{MapPoint, map_swept};
 use haptic_predict::plausible::{Warned, warn};
 use haptic_show::plot::map::draw;
+use haptic_stability::analysis::map::{MapPoint, map_swept};
 use std::fmt::Write;
 use std::path::PathBuf;
 

@@ -6,8 +6,8 @@ use haptic_bridge::model::admissible::Admissible;
 use haptic_host::device_file::DeviceFile;
 use haptic_host::digits::print_json;
 use haptic_host::error::{Failure, print};
-use haptic_predict::model::{Precision, Report, Rows, WallForce, evaluate_holding};
 use haptic_predict::plausible::{Warned, warn};
+use haptic_stability::model::{Precision, Report, Rows, WallForce, evaluate_holding};
 use std::fmt::Write;
 
 /// Show what a wall meets at one pose: inertia, coupling, feed-forward torque

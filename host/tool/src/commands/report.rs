@@ -8,12 +8,12 @@ use haptic_host::device_file::DeviceFile;
 use haptic_host::error::{Failure, print};
 use haptic_host::output;
 use haptic_host::scene_file::{DEFAULT_CUTOFF_HZ, SceneFile};
-use haptic_predict::analysis::control_loop::{Loop, TorquePath};
-use haptic_predict::analysis::prediction::{self, Prediction};
-use haptic_predict::analysis::sampled::LinearEstimator;
-use haptic_predict::analysis::several::Member;
 use haptic_predict::design::place::directions;
 use haptic_predict::plausible::scene::doubts;
+use haptic_stability::analysis::control_loop::{Loop, TorquePath};
+use haptic_stability::analysis::prediction::{self, Prediction};
+use haptic_stability::analysis::sampled::LinearEstimator;
+use haptic_stability::analysis::several::Member;
 use serde::{Deserialize, Serialize};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
@@ -258,7 +258,7 @@ impl Section {
         let folder = tempfile::tempdir().ok();
         let picture = folder.as_ref().zip(self.picture).map(|(folder, name)| folder.path().join(name));
         let mut command = Command::new(tool);
-        command.args(&self.words).stdin(Stdio::null()).env(haptic_predict::sweep::QUIET, "1");
+        command.args(&self.words).stdin(Stdio::null()).env(haptic_stability::sweep::QUIET, "1");
         if let Some(picture) = &picture {
             command.arg("--svg").arg(picture);
         }

@@ -8,10 +8,10 @@ use haptic_host::error::Failure;
 use haptic_host::link::{Board, BoardError};
 use haptic_host::scene_file::SceneFile;
 use haptic_host::toml_file::Document;
-use haptic_predict::analysis::prediction::Subject;
 use haptic_predict::bench::probe::HAND_SPEED;
 use haptic_predict::plan::{Budget, DEFAULT_PERCENT, plan};
 use haptic_predict::plausible::{scene::doubts, warn};
+use haptic_stability::analysis::prediction::Subject;
 use serde_json::json;
 use std::path::PathBuf;
 

@@ -14,8 +14,6 @@ use haptic_host::link::{Board, PortSpec};
 use haptic_host::output;
 use haptic_host::scene_file::SceneFile;
 use haptic_host::words::digits;
-use haptic_predict::analysis::control_loop::TorquePath;
-use haptic_predict::analysis::prediction::Subject;
 use haptic_predict::measure::occasion;
 use haptic_predict::plausible::scene::{at, doubts};
 use haptic_predict::tune::measured::{self, Measured};
@@ -23,6 +21,8 @@ use haptic_predict::tune::{
     Answer, Baseline, Found, Margins, Otherwise, Question, RATES_HZ, Settings, USUAL_RIPPLE_N, baseline, ripple_like,
     to_toml, tune,
 };
+use haptic_stability::analysis::control_loop::TorquePath;
+use haptic_stability::analysis::prediction::Subject;
 use serde::Serialize;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
@@ -193,7 +193,7 @@ fn searched(args: Search) -> Result<(), Failure> {
         let stages: Vec<Option<Settings>> = vec![before.map(|before| before.settings), Some(answer.best.settings)];
         let measure = |settings: &Option<Settings>| settings.map(|s| measured::measure(&question, &s, &sweep));
         let mut found = sweep
-            .during("measured on the simulated board", || haptic_predict::cores::map(&stages, &|_, _| {}, measure));
+            .during("measured on the simulated board", || haptic_stability::cores::map(&stages, &|_, _| {}, measure));
         here = found.pop().flatten().transpose()?;
         there = found.pop().flatten().transpose()?;
     }
@@ -264,7 +264,7 @@ fn opened(port: &PortSpec, file: &DeviceFile) -> Result<Board, Failure> {
 }
 
 fn tip(file: &DeviceFile, q: &[f64]) -> Result<Vec<f64>, Failure> {
-    Ok(haptic_predict::analysis::pose::TaskPose::at(&file.description, q)?.regular()?.position)
+    Ok(haptic_stability::analysis::pose::TaskPose::at(&file.description, q)?.regular()?.position)
 }
 
 /// Pose and normal: as typed, of the scene's wall, or home.

@@ -1,8 +1,8 @@
 //! The stable domains of single walls that were computed independently (tests/golden/range.json).
 
 use haptic_host::device_file::DeviceFile;
-use haptic_predict::analysis::plant::Drive;
-use haptic_predict::analysis::sampled::{LinearEstimator, Loop, Mode};
+use haptic_stability::analysis::plant::Drive;
+use haptic_stability::analysis::sampled::{LinearEstimator, Loop, Mode};
 use serde_json::Value;
 
 /// A device at a pose, a wall and the loop around it.

@@ -6,9 +6,9 @@ use haptic_bridge::model::description::{EncoderAt, Transmission};
 use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::render::velocity::{Chosen, CutoffMeans, Estimator};
 use haptic_host::device_file::DeviceFile;
-use haptic_predict::sweep::Sweep;
 use haptic_predict::tune::{Found, Margins, Question, Settings, estimators, keeps, tune};
 use haptic_sim::Random;
+use haptic_stability::sweep::Sweep;
 use std::f64::consts::TAU;
 
 /// The device of a number, those of odd ones with cables: one that ships, with other inertias, friction, counts.

@@ -2,7 +2,7 @@
 //! tests, which know nothing of the tool, read device files as the tool does.
 
 use haptic_host::device_file::DeviceFile;
-use haptic_predict::model::{Precision, WallForce, evaluate};
+use haptic_stability::model::{Precision, WallForce, evaluate};
 
 #[allow(dead_code)]
 #[path = "../../../../tests/common/device_file.rs"]

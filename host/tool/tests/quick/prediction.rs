@@ -2,12 +2,12 @@
 //! is called passive or stable that is not.
 
 use crate::common::{self, all_shipped, file, json, shipped};
-use haptic_predict::analysis::control_loop::{Loop, Mode, TorquePath};
-use haptic_predict::analysis::passivity::Passivity;
-use haptic_predict::analysis::plant::Drive;
-use haptic_predict::analysis::prediction::{Prediction, Subject};
-use haptic_predict::analysis::range::stiffness_at;
-use haptic_predict::analysis::sampled::LinearEstimator;
+use haptic_stability::analysis::control_loop::{Loop, Mode, TorquePath};
+use haptic_stability::analysis::passivity::Passivity;
+use haptic_stability::analysis::plant::Drive;
+use haptic_stability::analysis::prediction::{Prediction, Subject};
+use haptic_stability::analysis::range::stiffness_at;
+use haptic_stability::analysis::sampled::LinearEstimator;
 use serde_json::Value;
 
 /// With cables, rigid, and redundant.

@@ -1,9 +1,9 @@
 //! What is known about sampled walls beside this project, and docs/published.md: each number is found again.
 
-use haptic_predict::analysis::flexible::{Flexible, Hand};
-use haptic_predict::analysis::plant::{Drive, Linearised};
-use haptic_predict::analysis::range::domain;
-use haptic_predict::analysis::sampled::{LinearEstimator, Loop, Mode};
+use haptic_stability::analysis::flexible::{Flexible, Hand};
+use haptic_stability::analysis::plant::{Drive, Linearised};
+use haptic_stability::analysis::range::domain;
+use haptic_stability::analysis::sampled::{LinearEstimator, Loop, Mode};
 use nalgebra::{DMatrix, DVector};
 
 const RATE: f64 = 1000.0;

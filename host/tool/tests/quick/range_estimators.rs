@@ -1,9 +1,9 @@
 //! What the analysis makes of each velocity estimator around a pure mass, against closed forms.
 
-use haptic_predict::analysis::flexible::Flexible;
-use haptic_predict::analysis::plant::{Drive, Linearised};
-use haptic_predict::analysis::range::domain;
-use haptic_predict::analysis::sampled::{AnalysisError, LinearEstimator, Loop, Mode};
+use haptic_stability::analysis::flexible::Flexible;
+use haptic_stability::analysis::plant::{Drive, Linearised};
+use haptic_stability::analysis::range::domain;
+use haptic_stability::analysis::sampled::{AnalysisError, LinearEstimator, Loop, Mode};
 use nalgebra::{Complex, DMatrix, DVector};
 
 const RATE: f64 = 1000.0;

@@ -4,10 +4,10 @@
 use crate::common::root;
 use haptic_bridge::model::description::{EncoderAt, StructuralMode, Transmission};
 use haptic_host::device_file::DeviceFile;
-use haptic_predict::analysis::flexible::{Flexible, Hand};
-use haptic_predict::analysis::plant::{Drive, Linearised};
-use haptic_predict::analysis::range::domain;
-use haptic_predict::analysis::sampled::{AnalysisError, LinearEstimator, Loop, Mode};
+use haptic_stability::analysis::flexible::{Flexible, Hand};
+use haptic_stability::analysis::plant::{Drive, Linearised};
+use haptic_stability::analysis::range::domain;
+use haptic_stability::analysis::sampled::{AnalysisError, LinearEstimator, Loop, Mode};
 use nalgebra::{DMatrix, DVector};
 use serde_json::Value;
 

@@ -1,8 +1,8 @@
 //! The predicted domains agree with independently computed ones (tests/golden/range.json).
 
 use crate::common::domains::{self, Case, Known};
-use haptic_predict::analysis::plant::Linearised;
-use haptic_predict::analysis::range::domain;
+use haptic_stability::analysis::plant::Linearised;
+use haptic_stability::analysis::range::domain;
 
 #[test]
 fn every_domain_agrees_with_the_independent_one() {

@@ -1,9 +1,9 @@
 //! What the prediction must say whatever the device: laws of the sampled loop, and constants found independently.
 
-use haptic_predict::analysis::flexible::Flexible;
-use haptic_predict::analysis::plant::{Drive, Linearised, MotorElectrics};
-use haptic_predict::analysis::range::domain;
-use haptic_predict::analysis::sampled::{AnalysisError, LinearEstimator, Loop, Mode};
+use haptic_stability::analysis::flexible::Flexible;
+use haptic_stability::analysis::plant::{Drive, Linearised, MotorElectrics};
+use haptic_stability::analysis::range::domain;
+use haptic_stability::analysis::sampled::{AnalysisError, LinearEstimator, Loop, Mode};
 use nalgebra::{DMatrix, DVector};
 
 /// Two undamped joints whose coupling makes Wrr/Weff this ratio.

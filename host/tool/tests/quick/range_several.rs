@@ -5,8 +5,8 @@ use crate::common::domains::{self, Case, Known, SETS};
 use crate::common::{file, haptic, json};
 use haptic_bridge::model::admissible::Admissible;
 use haptic_host::device_file::DeviceFile;
-use haptic_predict::analysis::range::domain_of_several;
-use haptic_predict::analysis::several::{Member, WallSet};
+use haptic_stability::analysis::range::domain_of_several;
+use haptic_stability::analysis::several::{Member, WallSet};
 use nalgebra::{DMatrix, DVector};
 use serde_json::Value;
 

@@ -3,11 +3,12 @@
 
 use crate::common::{self, shipped};
 use haptic_bridge::render::velocity::{Chosen, Estimator as Kind};
-use haptic_predict::analysis::plant::{Drive, Linearised};
-use haptic_predict::analysis::ripple::{DampingRule, LIGHT_HAND, PUSH_N, Pressed};
-use haptic_predict::analysis::sampled::{LinearEstimator, Loop, Mode};
 use haptic_predict::bench::estimators::{Comparison, ripple_of};
-use haptic_predict::sweep::Sweep;
+use haptic_predict::ripple::{LIGHT_HAND, PUSH_N, Pressed};
+use haptic_stability::analysis::line::DampingRule;
+use haptic_stability::analysis::plant::{Drive, Linearised};
+use haptic_stability::analysis::sampled::{LinearEstimator, Loop, Mode};
+use haptic_stability::sweep::Sweep;
 use serde_json::Value;
 
 const Q: [f64; 2] = [2.6, 1.75];

@@ -11,8 +11,8 @@ use haptic_host::device_file::DeviceFile;
 use haptic_host::error::Failure;
 use haptic_predict::bench::estimators::{Comparison, compare, telling_wall};
 use haptic_predict::bench::wall::{Rendered, WallSimulation};
-use haptic_predict::sweep::Sweep;
 use haptic_predict::tune::{MOST_REBOUNDS, Margins, Question, Settings, keeps, ripple, tune};
+use haptic_stability::sweep::Sweep;
 use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicUsize, Ordering};
 

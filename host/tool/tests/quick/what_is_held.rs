@@ -4,11 +4,11 @@
 use crate::common::{file, haptic, shipped};
 use haptic_bridge::model::admissible::Admissible;
 use haptic_host::device_file::DeviceFile;
-use haptic_predict::analysis::map::map_holding;
-use haptic_predict::analysis::plant::{Drive, Linearised};
-use haptic_predict::analysis::range::predict;
-use haptic_predict::analysis::sampled::{LinearEstimator, Loop};
-use haptic_predict::model::{Precision, WallForce, evaluate_holding};
+use haptic_stability::analysis::map::map_holding;
+use haptic_stability::analysis::plant::{Drive, Linearised};
+use haptic_stability::analysis::range::predict;
+use haptic_stability::analysis::sampled::{LinearEstimator, Loop};
+use haptic_stability::model::{Precision, WallForce, evaluate_holding};
 
 const NORMAL: [f64; 2] = [0.6, 0.8];
 

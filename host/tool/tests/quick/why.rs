@@ -1,14 +1,14 @@
 //! What each effect takes from a boundary is the difference to the same loop without it.
 
 use haptic_bridge::model::description::{EncoderAt, Transmission};
-use haptic_predict::analysis::flexible::{Flexible, Hand};
-use haptic_predict::analysis::plant::{Drive, Linearised};
-use haptic_predict::analysis::range::domain;
-use haptic_predict::analysis::sampled::{LinearEstimator, Loop, Mode};
-use haptic_predict::analysis::why::{Limits, why};
-use haptic_predict::cores;
-use haptic_predict::sweep::Sweep;
 use haptic_show::plot::why::draw;
+use haptic_stability::analysis::flexible::{Flexible, Hand};
+use haptic_stability::analysis::plant::{Drive, Linearised};
+use haptic_stability::analysis::range::domain;
+use haptic_stability::analysis::sampled::{LinearEstimator, Loop, Mode};
+use haptic_stability::analysis::why::{Limits, why};
+use haptic_stability::cores;
+use haptic_stability::sweep::Sweep;
 use nalgebra::{DMatrix, DVector};
 use std::hint::black_box;
 use std::sync::atomic::{AtomicUsize, Ordering};

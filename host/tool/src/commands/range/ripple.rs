@@ -4,10 +4,11 @@ use super::Args;
 use crate::commands::arguments::Numbers;
 use haptic_host::device_file::DeviceFile;
 use haptic_host::error::Failure;
-use haptic_predict::analysis::prediction::Prediction;
-use haptic_predict::analysis::ripple::{Along, DampingRule, LIGHT_HAND, PUSH_N, Pressed, Ripple};
-use haptic_predict::analysis::sampled::Mode;
-use haptic_predict::sweep::Sweep;
+use haptic_predict::ripple::{Along, LIGHT_HAND, PUSH_N, Pressed, Ripple};
+use haptic_stability::analysis::line::DampingRule;
+use haptic_stability::analysis::prediction::Prediction;
+use haptic_stability::analysis::sampled::Mode;
+use haptic_stability::sweep::Sweep;
 use std::fmt::Write;
 
 /// What encoder steps make of pressed walls.

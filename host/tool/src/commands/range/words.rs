@@ -5,10 +5,10 @@ use crate::commands::arguments::Numbers;
 use crate::commands::port::counted;
 use haptic_bridge::model::description::{Description, EncoderAt, Joint};
 use haptic_host::words::percent;
-use haptic_predict::analysis::host::HostWall;
-use haptic_predict::analysis::passivity::Passivity;
-use haptic_predict::analysis::range::{COSTLY_RATIO, Domain, Island, Range, WORTHWHILE_RATIO, lower_corner};
-use haptic_predict::analysis::why::{Both, Limits, Why};
+use haptic_stability::analysis::host::HostWall;
+use haptic_stability::analysis::passivity::Passivity;
+use haptic_stability::analysis::range::{COSTLY_RATIO, Domain, Island, Range, WORTHWHILE_RATIO, lower_corner};
+use haptic_stability::analysis::why::{Both, Limits, Why};
 use std::fmt::Write;
 
 /// Pose, walls and loop, for titles.

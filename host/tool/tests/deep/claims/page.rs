@@ -12,13 +12,13 @@ use haptic_bridge::render::controller::{Controller, FULL_REGULARITY, PARALLEL_RE
 use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, VelocityTerms, Wall};
 use haptic_bridge::servo::compiled::BoardMath;
 use haptic_host::device_file::DeviceFile;
-use haptic_predict::analysis::plant::{Drive, Linearised};
-use haptic_predict::analysis::pose::TaskPose;
-use haptic_predict::analysis::range::predict;
-use haptic_predict::analysis::sampled::{LinearEstimator, Loop};
-use haptic_predict::model::{Precision, WallForce, evaluate};
-use haptic_predict::perception::{AlongWall, Perception};
 use haptic_sim::{Load, Plant, Random};
+use haptic_stability::analysis::plant::{Drive, Linearised};
+use haptic_stability::analysis::pose::TaskPose;
+use haptic_stability::analysis::range::predict;
+use haptic_stability::analysis::sampled::{LinearEstimator, Loop};
+use haptic_stability::model::{Precision, WallForce, evaluate};
+use haptic_stability::perception::{AlongWall, Perception};
 use nalgebra::Vector2;
 use std::fmt::Write;
 

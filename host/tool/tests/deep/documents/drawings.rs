@@ -2,9 +2,9 @@
 
 use crate::common::{file, files, haptic, root, shipped};
 use haptic_bridge::model::admissible::Admissible;
-use haptic_predict::analysis::pose::TaskPose;
-use haptic_predict::skeleton::{Turret, skeleton};
 use haptic_show::plot::coupling::draw;
+use haptic_stability::analysis::pose::TaskPose;
+use haptic_stability::skeleton::{Turret, skeleton};
 
 #[test]
 fn the_drawings_of_the_documents_are_those_of_the_tool() {

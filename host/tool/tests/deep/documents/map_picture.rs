@@ -6,10 +6,10 @@ use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::description::Description;
 use haptic_host::device_file::DeviceFile;
-use haptic_predict::analysis::map::map;
-use haptic_predict::model::{Precision, WallForce, evaluate_holding};
 use haptic_show::plot::colour::ABOVE;
 use haptic_show::plot::map::{Chart, chart, colour};
+use haptic_stability::analysis::map::map;
+use haptic_stability::model::{Precision, WallForce, evaluate_holding};
 use resvg::tiny_skia::Pixmap;
 
 /// Pixels of the PNG per unit of the drawing.
@@ -192,7 +192,7 @@ struct Found {
 fn evaluate_share(file: &DeviceFile, q: &[f64], normal: &[f64], held: Admissible) -> Option<Found> {
     let walls = [WallForce { normal: normal.to_vec(), force: 0.0, stiffness: 1.0, feed_forward: true }];
     let report = evaluate_holding(file, q, &vec![0.0; q.len()], &walls, Precision::F64, held).ok()?;
-    let pose = haptic_predict::analysis::pose::TaskPose::at(&file.description, q).ok()?;
+    let pose = haptic_stability::analysis::pose::TaskPose::at(&file.description, q).ok()?;
     Some(Found {
         share: report.coupling[0][0] / report.w_rr[0][0],
         place: report.position,

@@ -9,13 +9,13 @@ use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::safety::fault::State;
 use haptic_host::device_file::DeviceFile;
 use haptic_host::link::Board;
-use haptic_predict::analysis::plant::{Drive, Linearised};
-use haptic_predict::analysis::range::domain;
-use haptic_predict::analysis::sampled::{LinearEstimator, Loop, Mode};
-use haptic_predict::analysis::several::Member;
 use haptic_predict::measure::simulated::{Friction, World};
 use haptic_predict::measure::{Boundary, Law, MeasureError, MeasurementSetup, PreparedBoard};
 use haptic_sim::{BoardOptions, DriveModel, Options, SHIPPED_DEVICE, SharedBoard, ready_board};
+use haptic_stability::analysis::plant::{Drive, Linearised};
+use haptic_stability::analysis::range::domain;
+use haptic_stability::analysis::sampled::{LinearEstimator, Loop, Mode};
+use haptic_stability::analysis::several::Member;
 use std::cell::Cell;
 
 const POSE: [f64; 3] = [2.6, 1.75, 0.0];

@@ -3,12 +3,13 @@
 //! and cables.
 
 use crate::common::shipped;
-use haptic_predict::analysis::flexible::Hand;
-use haptic_predict::analysis::plant::{Drive, Linearised};
-use haptic_predict::analysis::range::domain;
-use haptic_predict::analysis::ripple::{DampingRule, LIGHT_HAND, PUSH_N, Pressed};
-use haptic_predict::analysis::sampled::{LinearEstimator, Loop, Mode};
-use haptic_predict::sweep::Sweep;
+use haptic_predict::ripple::{LIGHT_HAND, PUSH_N, Pressed};
+use haptic_stability::analysis::flexible::Hand;
+use haptic_stability::analysis::line::DampingRule;
+use haptic_stability::analysis::plant::{Drive, Linearised};
+use haptic_stability::analysis::range::domain;
+use haptic_stability::analysis::sampled::{LinearEstimator, Loop, Mode};
+use haptic_stability::sweep::Sweep;
 
 /// What a finger feels of a steady force of some newtons, N rms.
 const BOUND: f64 = 0.1;

@@ -6,9 +6,9 @@
 use haptic_bridge::render::scene::FeedForward;
 use haptic_host::device_file::DeviceFile;
 use haptic_host::link::Board;
-use haptic_predict::analysis::several::Member;
 use haptic_predict::measure::{Law, MeasurementSetup, PreparedBoard};
 use haptic_sim::{BoardOptions, DriveModel, Options, SharedBoard, ready_board};
+use haptic_stability::analysis::several::Member;
 
 /// 0.16 kg at 0.1 m, without friction, behind an encoder whose steps do not show.
 const PADDLE: &str = r#"

@@ -2,18 +2,18 @@
 
 use crate::common::shipped;
 use haptic_bridge::model::admissible::Admissible;
-use haptic_predict::analysis::control_loop::TorquePath;
-use haptic_predict::analysis::map::along;
-use haptic_predict::analysis::plant::Linearised;
-use haptic_predict::analysis::pose::{TaskPose, unit_normal};
-use haptic_predict::analysis::range::domain;
-use haptic_predict::analysis::sampled::{LinearEstimator, Loop, Mode};
 use haptic_predict::design::place::places;
 use haptic_predict::design::posture::postures;
 use haptic_predict::design::sensitivity::{CHANGE, buys_most, sensitivities};
 use haptic_predict::design::{clearance, stiffness_per_kilogram, within_limits};
-use haptic_predict::sweep::Sweep;
 use haptic_sim::Random;
+use haptic_stability::analysis::control_loop::TorquePath;
+use haptic_stability::analysis::map::along;
+use haptic_stability::analysis::plant::Linearised;
+use haptic_stability::analysis::pose::{TaskPose, unit_normal};
+use haptic_stability::analysis::range::domain;
+use haptic_stability::analysis::sampled::{LinearEstimator, Loop, Mode};
+use haptic_stability::sweep::Sweep;
 
 const PHI: Admissible = Admissible::Orientation;
 

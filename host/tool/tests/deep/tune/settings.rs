@@ -7,13 +7,13 @@ use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::render::velocity::{Chosen, Estimator};
 use haptic_host::device_file::DeviceFile;
 use haptic_host::scene_file::SceneFile;
-use haptic_predict::analysis::control_loop::CURRENT_LOOP_HZ;
-use haptic_predict::analysis::flexible::Flexible;
-use haptic_predict::analysis::plant::{Drive, Linearised};
-use haptic_predict::analysis::range::{domain, stiffnesses};
-use haptic_predict::analysis::sampled::{LinearEstimator, Loop, Mode};
-use haptic_predict::sweep::Sweep;
 use haptic_predict::tune::{Margins, Question, Settings, estimators, keeps, to_toml, tune, vertex};
+use haptic_stability::analysis::control_loop::CURRENT_LOOP_HZ;
+use haptic_stability::analysis::flexible::Flexible;
+use haptic_stability::analysis::plant::{Drive, Linearised};
+use haptic_stability::analysis::range::{domain, stiffnesses};
+use haptic_stability::analysis::sampled::{LinearEstimator, Loop, Mode};
+use haptic_stability::sweep::Sweep;
 use nalgebra::{DMatrix, DVector};
 
 fn around(rate_hz: f64) -> Loop {

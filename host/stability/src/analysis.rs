@@ -4,12 +4,12 @@
 //! Nothing here talks to a board: a pose, a direction and a few numbers about the loop go in, predictions come out.
 //!
 //! - [`amplitudes`]: how much of a recorded signal swings at which frequency
-//! - [`contact`]: a device with its encoder steps in a hand against a wall, by simulation
 //! - [`control_loop`]: rate, delay, estimator, drives and feed-forward: everything about a loop that is not the device
 //! - [`cut`]: the plane of that map that is drawn, in tiles
 //! - [`estimator`]: the velocity estimators as linear filters
 //! - [`flexible`]: what is not rigid about it and what holds it: transmissions, a hand on the tip, a posture
 //! - [`host`]: the same wall rendered by a program on a computer
+//! - [`line`]: walls along a line, their damping by a rule, and how far they are stable
 //! - [`map`]: inertia over the workspace: what `haptic map` prints
 //! - [`passivity`]: the classical bounds of walls that no hand can make oscillate
 //! - [`plant`]: the device linearised at a pose, its joint damping and its drives, in continuous time
@@ -21,7 +21,6 @@
 //! - [`domain`]: boundary, area and islands of one device with one feed-forward
 //! - [`prediction`]: a device in a loop: the one question that every command asks, and its answer
 //! - [`range`]: the domains of every feed-forward side by side: what `haptic range` prints
-//! - [`ripple`]: what encoder steps make of a pressed wall, by simulation
 //! - [`several`]: the same loop around walls that act together
 //! - [`why`]: what each effect takes from the boundary
 //!
@@ -30,7 +29,6 @@
 
 pub mod amplitudes;
 pub mod boundary;
-pub mod contact;
 pub mod control_loop;
 pub mod cut;
 pub mod domain;
@@ -41,6 +39,7 @@ pub mod estimator;
 pub mod flexible;
 mod flexible_reduction;
 pub mod host;
+pub mod line;
 pub mod map;
 pub mod passivity;
 pub mod plant;
@@ -48,7 +47,6 @@ pub mod pose;
 pub mod prediction;
 pub mod range;
 mod reduction;
-pub mod ripple;
 pub mod sampled;
 pub mod several;
 pub mod spectrum;

@@ -1,6 +1,6 @@
 //! What encoder steps make of a wall that is pressed: by simulation, because a quantiser is not linear.
 //!
-//! A hand presses the wall with a steady force, in the one simulation of such contacts ([`super::contact`]). The wall is
+//! A hand presses the wall with a steady force, in the one simulation of such contacts (`contact`). The wall is
 //! rendered by the loop of the prediction: its delay, drive, estimator and feed-forward, linearised at the pose, with
 //! one thing more: each joint's angle comes in steps of its encoder. A prediction has drives, delays and filters that no
 //! board has; the board's own step, with estimators that are not linear, renders the walls of [`crate::bench::wall`]. A
@@ -14,15 +14,15 @@ use haptic_bridge::model::description::Description;
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
-use super::contact::{Answer, Contact, Grip, Law, about_its_line};
-use super::flexible::Hand;
-use super::plant::Linearised;
-use super::sampled::{Loop, Mode};
-use super::several::open_loop;
-use crate::sweep::Sweep;
+use crate::contact::{Answer, Contact, Grip, Law, about_its_line};
 use haptic_host::error::Failure;
 use haptic_host::vectors::padded;
 use haptic_sim::Plant;
+use haptic_stability::analysis::flexible::Hand;
+use haptic_stability::analysis::line::{DampingRule, StableLine};
+use haptic_stability::analysis::plant::Linearised;
+use haptic_stability::analysis::sampled::{Loop, Mode};
+use haptic_stability::sweep::Sweep;
 
 /// A light hand that is there where none is asked for; it presses with [`PUSH_N`].
 pub const LIGHT_HAND: Hand = Hand { mass: 0.05, damping: 3.0, stiffness: 200.0 };
@@ -61,15 +61,6 @@ impl Ripple {
     pub fn within(&self, bound_n: f64) -> bool {
         self.rms_n.is_some_and(|rms| rms <= bound_n)
     }
-}
-
-/// Which damping goes with a stiffness.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum DampingRule {
-    /// This share of the critical damping of what the wall meets, kd = 2 ζ √(kp m).
-    Ratio(f64),
-    /// This damping, N s/m.
-    Damping(f64),
 }
 
 /// Where the ripple of walls along a line exceeds a bound.
@@ -146,34 +137,12 @@ impl Pressed<'_> {
         if self.resolutions().is_none() {
             return Ok(None);
         }
-        let open = open_loop(self.device, self.device, self.around, mode)?;
-        let mass = open.mass;
-        let damping = |kp: f64| match line {
-            DampingRule::Ratio(ratio) => 2.0 * ratio * (kp * mass).sqrt(),
-            DampingRule::Damping(kd) => kd,
-        };
-        let t = open.sample_s;
-        let stable = |kp: f64| open.is_stable(kp * t * t / mass, damping(kp) * t / mass);
-        // The largest that any loop of this rate can hold is of the order of m/T².
-        let (mut low, mut high) = (0.0, 4.0 * mass / (t * t));
-        let fine = 64;
-        for i in 0..=8 * fine {
-            let kp = 4.0 * mass / (t * t) * 10_f64.powf(f64::from(i) / f64::from(fine) - 8.0);
-            if !stable(kp) {
-                high = kp;
-                break;
-            }
-            low = kp;
-        }
-        while low > 0.0 && high / low > 1.0 + 1e-6 {
-            let middle = (low * high).sqrt();
-            if stable(middle) { low = middle } else { high = middle }
-        }
+        let StableLine { mass, kp: kp_stable } = StableLine::of(self.device, self.around, mode, line)?;
         let tried: Vec<f64> = (0..=DECADES * PER_DECADE)
-            .map(|i| low * 10_f64.powf(i as f64 / PER_DECADE as f64 - DECADES as f64))
+            .map(|i| kp_stable * 10_f64.powf(i as f64 / PER_DECADE as f64 - DECADES as f64))
             .filter(|kp| *kp > 0.0)
             .collect();
-        let wall = |kp: &f64| self.ripple(mode, *kp, damping(*kp));
+        let wall = |kp: &f64| self.ripple(mode, *kp, line.damping(*kp, mass));
         let stage = format!("ripple of walls, {mode:?}, {line:?}");
         let mut points: Vec<Ripple> = sweep.map(&stage, &tried, |kp| Ok(wall(kp)))?.into_iter().flatten().collect();
         let over = points.iter().position(|point| !point.within(bound_n));
@@ -194,7 +163,7 @@ impl Pressed<'_> {
             high
         });
         points.sort_by(|a, b| a.kp.total_cmp(&b.kp));
-        Ok(Some(Along { kp_stable: low, kp_from, points }))
+        Ok(Some(Along { kp_stable, kp_from, points }))
     }
 
     /// Simulates a wall: root mean square and peak of its force, N, and how far the tip moves, m. `None` where it flies
@@ -342,27 +311,5 @@ impl Law for Linear<'_> {
         };
         let torque = self.row * self.asked[0] + self.shaped * self.asked[1];
         Answer { force, torque: padded(torque.as_slice()) }
-    }
-}
-
-impl super::sampled::LinearEstimator {
-    /// The largest velocity that it says of a step of the position, for each metre of the step, 1/s.
-    pub fn quickest(self, rate_hz: f64) -> f64 {
-        let matrix: DMatrix<f64> = self.matrix(rate_hz);
-        let states = matrix.nrows() - 1;
-        let mut memory = DVector::zeros(states + 2);
-        let mut most: f64 = 0.0;
-        // The answer of a low-pass to a step ends before ten of its periods have passed.
-        let cutoff = self.cutoff_hz().unwrap_or(rate_hz);
-        let samples = (10.0 * rate_hz / cutoff).ceil() as usize + self.samples();
-        for n in 0..samples {
-            memory[states] = if n == 0 { 1.0 } else { 0.0 };
-            let change = &matrix * &memory;
-            for state in 0..states {
-                memory[state] += change[state];
-            }
-            most = most.max(change[states].abs());
-        }
-        most * rate_hz
     }
 }

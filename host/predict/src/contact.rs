@@ -1,14 +1,14 @@
 //! A device in a hand against a rendered wall, simulated with the steps of its encoders.
 //!
 //! The device moves by its full equations with its friction, cogging, transmissions and modes ([`Plant`]). Around it are
-//! the delay and the drives of a loop. A `Law` renders the wall: that of a prediction ([`super::ripple`]), or the
+//! the delay and the drives of a loop. A `Law` renders the wall: that of a prediction ([`crate::ripple`]), or the
 //! board's own step ([`crate::bench::wall`]). All that is said of encoder steps by simulation comes from here.
 
-use super::control_loop::Loop;
-use super::flexible::Hand;
-use super::plant::Lags;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_sim::{Load, Plant};
+use haptic_stability::analysis::control_loop::Loop;
+use haptic_stability::analysis::flexible::Hand;
+use haptic_stability::analysis::plant::Lags;
 use std::collections::VecDeque;
 
 /// Longest steps of the simulation, s: of a rigid device, and of one that gives.

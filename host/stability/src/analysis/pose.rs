@@ -155,7 +155,7 @@ impl Stance {
 }
 
 /// An error where these are not the angles of so many joints.
-pub(crate) fn angles(q: &[f64], joints: usize) -> Result<(), PoseError> {
+pub fn angles(q: &[f64], joints: usize) -> Result<(), PoseError> {
     if q.len() != joints {
         return Err(PoseError::Joints { joints, found: q.len() });
     }
@@ -166,7 +166,7 @@ pub(crate) fn angles(q: &[f64], joints: usize) -> Result<(), PoseError> {
 }
 
 /// An error where a pose is singular.
-pub(crate) fn regular(regularity: &Regularity<f64>) -> Result<(), PoseError> {
+pub fn regular(regularity: &Regularity<f64>) -> Result<(), PoseError> {
     if regularity.parallel.is_nan() || regularity.parallel < LEAST_ANALYSED_SINE {
         Err(PoseError::Parallel)
     } else if regularity.serial.is_nan() || regularity.serial < LEAST_ANALYSED_SINE {

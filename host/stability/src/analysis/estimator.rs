@@ -219,7 +219,7 @@ impl LinearEstimator {
 
     /// The filter as a matrix: over its states, the change of position and the velocity given by the command, each a
     /// column; the change of each state and the velocity, each a row.
-    pub(super) fn matrix(self, rate_hz: f64) -> DMatrix<f64> {
+    pub fn matrix(self, rate_hz: f64) -> DMatrix<f64> {
         let states = self.states();
         let mut matrix = DMatrix::zeros(states + 1, states + 2);
         let mut unit = vec![0.0; states + 2];
@@ -250,6 +250,26 @@ impl LinearEstimator {
 }
 
 impl LinearEstimator {
+    /// The largest velocity that it says of a step of the position, for each metre of the step, 1/s.
+    pub fn quickest(self, rate_hz: f64) -> f64 {
+        let matrix: DMatrix<f64> = self.matrix(rate_hz);
+        let states = matrix.nrows() - 1;
+        let mut memory = DVector::zeros(states + 2);
+        let mut most: f64 = 0.0;
+        // The answer of a low-pass to a step ends before ten of its periods have passed.
+        let cutoff = self.cutoff_hz().unwrap_or(rate_hz);
+        let samples = (10.0 * rate_hz / cutoff).ceil() as usize + self.samples();
+        for n in 0..samples {
+            memory[states] = if n == 0 { 1.0 } else { 0.0 };
+            let change = &matrix * &memory;
+            for state in 0..states {
+                memory[state] += change[state];
+            }
+            most = most.max(change[states].abs());
+        }
+        most * rate_hz
+    }
+
     /// Its states where it has seen this velocity per sample, given by commands to this part per sample, for long.
     pub(super) fn rest(self, rate_hz: f64, moved: f64, pushed: f64) -> DVector<f64> {
         let (matrix, states) = (self.matrix(rate_hz), self.states());

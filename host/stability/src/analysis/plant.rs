@@ -94,7 +94,8 @@ pub enum Drive {
 }
 
 /// How the drives of all joints lag and damp.
-pub(crate) struct Lags {
+#[derive(Clone, Debug, PartialEq)]
+pub struct Lags {
     /// Lag rate per sample, where there is a lag.
     pub rate: Vec<Option<f64>>,
     /// Damping by the back-EMF, N m s/rad.

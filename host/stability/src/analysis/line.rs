@@ -1,0 +1,94 @@
+//! Walls along a line: their stiffness grows, and a rule says which damping goes with it.
+
+use super::control_loop::{Loop, Mode};
+use super::error::AnalysisError;
+use super::plant::Linearised;
+use super::several::open_loop;
+
+/// Stiffnesses tried in a decade, and over how many decades.
+const PER_DECADE: u32 = 64;
+const DECADES: u32 = 8;
+
+/// Which damping goes with a stiffness.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum DampingRule {
+    /// This share of the critical damping of what the wall meets, kd = 2 ζ √(kp m).
+    Ratio(f64),
+    /// This damping, N s/m.
+    Damping(f64),
+}
+
+impl DampingRule {
+    /// The damping (N s/m) of a wall of this stiffness (N/m) that meets this mass (kg).
+    #[must_use]
+    pub fn damping(self, kp: f64, mass: f64) -> f64 {
+        match self {
+            Self::Ratio(ratio) => 2.0 * ratio * (kp * mass).sqrt(),
+            Self::Damping(kd) => kd,
+        }
+    }
+}
+
+/// How far a line of walls is stable.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StableLine {
+    /// What the walls meet, kg.
+    pub mass: f64,
+    /// The largest stiffness up to which every wall on the line is stable, N/m.
+    pub kp: f64,
+}
+
+impl StableLine {
+    /// Of walls on `device` in the loop `around`.
+    pub fn of(device: &Linearised, around: &Loop, mode: Mode, rule: DampingRule) -> Result<Self, AnalysisError> {
+        let open = open_loop(device, device, around, mode)?;
+        let (mass, t) = (open.mass, open.sample_s);
+        let stable = |kp: f64| open.is_stable(kp * t * t / mass, rule.damping(kp, mass) * t / mass);
+        // The largest that any loop of this rate can hold is of the order of m/T².
+        let largest = 4.0 * mass / (t * t);
+        let (mut low, mut high) = (0.0, largest);
+        for i in 0..=DECADES * PER_DECADE {
+            let kp = largest * 10_f64.powf(f64::from(i) / f64::from(PER_DECADE) - f64::from(DECADES));
+            if !stable(kp) {
+                high = kp;
+                break;
+            }
+            low = kp;
+        }
+        while low > 0.0 && high / low > 1.0 + 1e-6 {
+            let middle = (low * high).sqrt();
+            if stable(middle) { low = middle } else { high = middle }
+        }
+        Ok(Self { mass, kp: low })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::analysis::estimator::LinearEstimator;
+    use crate::analysis::plant::Drive;
+    use crate::analysis::range::predict;
+    use haptic_host::device_file::DeviceFile;
+
+    #[test]
+    fn a_line_of_one_damping_ends_at_the_boundary() {
+        let file = DeviceFile::load(concat!(env!("CARGO_MANIFEST_DIR"), "/../../devices/coupled-five-bar.toml"))
+            .expect("a shipped file");
+        let seen = Linearised::at(&file.description, &[2.6, 1.75], &[0.6, 0.8]).expect("a regular pose");
+        let around = Loop {
+            rate_hz: 20_000.0,
+            delay_samples: 0.5,
+            estimator: LinearEstimator::Butterworth(500.0),
+            drive: Drive::Ideal,
+            damping_compensation: false,
+        };
+        let range = predict(&seen, &around, Some(&[20.0]), None).expect("a loop that can be analysed");
+        for (mode, boundary) in [(Mode::Off, &range.off.boundary), (Mode::Full, &range.full.boundary)] {
+            let line = StableLine::of(&seen, &around, mode, DampingRule::Damping(20.0)).expect("the same loop");
+            let off = line.kp / boundary[0].kp - 1.0;
+            // The line is searched to a millionth.
+            assert!(off.abs() < 2e-6, "{mode:?}: {} N/m, by {off:e} off", line.kp);
+        }
+    }
+}
