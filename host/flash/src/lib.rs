@@ -1,0 +1,31 @@
+//! Firmware on a board, through the boot loader that ST put into the chip.
+//!
+//! The boot loader speaks DfuSe: the USB DFU class (version 1.1a) with ST's commands in it, as AN3156 (the protocol),
+//! AN2606 (the chips) and UM0424 (the class) describe it. [`dfuse`] is one conversation with it over a [`Transport`],
+//! [`plan`] says what is erased and written in which order, [`flash`] goes from a running board to the same board with
+//! another image in it. Nothing here needs a USB stack: `usb` (a feature) brings the one there is, and tests put a
+//! scripted boot loader in its place.
+//!
+//! `dfu-core` 0.11 and `dfu-nusb` 0.2 do not fit. They write one piece and leave the boot loader after it, and an image
+//! has two with the settings between them; they cannot read back; they erase from the first address to the last; and
+//! the second needs an executor.
+
+pub mod dfuse;
+mod embedded;
+mod image;
+mod layout;
+mod plan;
+mod sequence;
+mod update_file;
+#[cfg(feature = "usb")]
+pub mod usb;
+
+pub use dfuse::{DfuError, Transport, UsbError};
+pub use embedded::{Embedded, WITHOUT_IMAGES, embedded};
+pub use image::{BadImage, FLASH_START, Image, SETTINGS, Segment};
+pub use layout::{BadLayout, Layout, Sector};
+pub use plan::{Block, Misfit, Plan, plan};
+pub use sequence::{
+    BootLoader, Cause, Done, FlashError, Found, Opened, Progress, Said, Step, Surroundings, flash, look,
+};
+pub use update_file::{BadFile, parse};

@@ -1,0 +1,102 @@
+//! Boot loaders on USB, by `nusb`: no library and no driver on Linux and macOS; on Windows the boot loader needs WinUSB.
+
+use std::time::Duration;
+
+use nusb::transfer::{ControlIn, ControlOut, ControlType, Recipient, TransferError};
+use nusb::{DeviceInfo, ErrorKind, Interface, MaybeFuture as _};
+
+use crate::dfuse::{Transport, UsbError};
+use crate::sequence::{BootLoader, Opened};
+
+/// ST's numbers for the boot loader in its chips (AN2606).
+pub const USB_VENDOR: u16 = 0x0483;
+/// See [`USB_VENDOR`].
+pub const USB_PRODUCT: u16 = 0xDF11;
+
+/// Its only interface; alternate setting 0 is the internal flash.
+const INTERFACE: u8 = 0;
+const FLASH: u8 = 0;
+/// How long one request may take. The boot loader answers while it works; only its first answer to an erase is late in
+/// some versions.
+const ANSWER: Duration = Duration::from_secs(5);
+/// The type of the descriptor that tells the size of a transfer (DFU 1.1, section 4.1.3).
+const FUNCTIONAL: u8 = 0x21;
+/// The size that ST's boot loaders have, should one not tell.
+const TRANSFER: u16 = 2048;
+
+/// The boot loaders that are there.
+pub fn boot_loaders() -> Result<Vec<BootLoader>, UsbError> {
+    Ok(devices()?.map(|device| BootLoader { serial: serial(&device) }).collect())
+}
+
+/// Opens one.
+pub fn open(which: &BootLoader) -> Result<Opened<UsbBootLoader>, UsbError> {
+    let device = devices()?.find(|device| serial(device) == which.serial).ok_or(UsbError::Gone)?;
+    let device = device.open().wait().map_err(from_system)?;
+    let interface = device.claim_interface(INTERFACE).wait().map_err(from_system)?;
+    interface.set_alt_setting(FLASH).wait().map_err(from_system)?;
+    let descriptor = interface.descriptor().ok_or_else(|| UsbError::Other("it describes no interface".into()))?;
+    let name = descriptor.string_index().ok_or_else(|| UsbError::Other("it does not name its flash".into()))?;
+    let english = nusb::descriptors::language_id::US_ENGLISH;
+    let memory = device.get_string_descriptor(name, english, ANSWER).wait();
+    let memory = memory.map_err(|error| UsbError::Other(error.to_string()))?;
+    // The descriptor stands behind the last alternate setting alone.
+    let functional = interface.descriptors().find_map(|setting| {
+        setting.descriptors().find(|it| it.descriptor_type() == FUNCTIONAL).map(|it| it.as_bytes().to_vec())
+    });
+    let transfer = match functional.as_deref() {
+        Some([_, _, _, _, _, low, high, ..]) => u16::from_le_bytes([*low, *high]),
+        _ => TRANSFER,
+    };
+    Ok(Opened { loader: UsbBootLoader { interface }, memory, transfer })
+}
+
+fn devices() -> Result<impl Iterator<Item = DeviceInfo>, UsbError> {
+    let all = nusb::list_devices().wait().map_err(from_system)?;
+    Ok(all.filter(|device| device.vendor_id() == USB_VENDOR && device.product_id() == USB_PRODUCT))
+}
+
+fn serial(device: &DeviceInfo) -> String {
+    device.serial_number().unwrap_or_default().to_string()
+}
+
+fn from_system(error: nusb::Error) -> UsbError {
+    match error.kind() {
+        ErrorKind::Disconnected | ErrorKind::NotFound => UsbError::Gone,
+        ErrorKind::Busy => UsbError::Busy,
+        ErrorKind::PermissionDenied => UsbError::Forbidden,
+        _ => UsbError::Other(error.to_string()),
+    }
+}
+
+fn from_transfer(error: TransferError) -> UsbError {
+    match error {
+        TransferError::Stall => UsbError::Stalled,
+        TransferError::Disconnected => UsbError::Gone,
+        TransferError::Cancelled => UsbError::Silent,
+        error => UsbError::Other(error.to_string()),
+    }
+}
+
+/// The way to a boot loader.
+pub struct UsbBootLoader {
+    interface: Interface,
+}
+
+impl Transport for UsbBootLoader {
+    fn send(&mut self, request: u8, value: u16, data: &[u8]) -> Result<(), UsbError> {
+        let (control_type, recipient, index) = (ControlType::Class, Recipient::Interface, INTERFACE.into());
+        let out = ControlOut { control_type, recipient, request, value, index, data };
+        self.interface.control_out(out, ANSWER).wait().map_err(from_transfer)
+    }
+
+    fn receive(&mut self, request: u8, value: u16, length: u16) -> Result<Vec<u8>, UsbError> {
+        let (control_type, recipient, index) = (ControlType::Class, Recipient::Interface, INTERFACE.into());
+        let question = ControlIn { control_type, recipient, request, value, index, length };
+        self.interface.control_in(question, ANSWER).wait().map_err(from_transfer)
+    }
+
+    fn wait(&mut self, time: Duration) {
+        std::thread::sleep(time);
+    }
+}

@@ -1,0 +1,276 @@
+//! The boot loader in the chip's ROM, written from ST's AN3156 (USB DFU protocol), UM0424 (the class with ST's
+//! extensions) and the USB forum's DFU 1.1, and stricter than the ROM: what the documents do not allow, such as a
+//! question before the time that it asked for is over, is an error here.
+
+use std::time::Duration;
+
+/// Where the flash begins and ends.
+pub const FLASH: std::ops::Range<u32> = 0x0800_0000..0x0810_0000;
+/// How it describes its flash.
+pub const MEMORY: &str = "@Internal Flash  /0x08000000/04*016Kg,01*064Kg,07*128Kg";
+
+// DFU 1.1, table 3.2.
+const DNLOAD: u8 = 1;
+const UPLOAD: u8 = 2;
+const GETSTATUS: u8 = 3;
+const CLRSTATUS: u8 = 4;
+const GETSTATE: u8 = 5;
+const ABORT: u8 = 6;
+
+/// The states that a boot loader can be in, DFU 1.1 section 6.1.2.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum State {
+    Idle = 2,
+    DnloadSync = 3,
+    Dnbusy = 4,
+    DnloadIdle = 5,
+    ManifestSync = 6,
+    Manifest = 7,
+    UploadIdle = 9,
+    Error = 10,
+}
+
+/// What went wrong, same place.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Status {
+    Ok = 0,
+    Target = 1,
+    Prog = 6,
+    Vendor = 11,
+    StalledPacket = 15,
+}
+
+/// What was sent and is carried out at the next question for the status.
+#[derive(Clone, Debug)]
+enum Pending {
+    SetAddress(u32),
+    Erase(u32),
+    MassErase,
+    Unprotect,
+    Unsupported,
+    Write { address: u32, bytes: Vec<u8> },
+}
+
+/// What came of a request.
+#[derive(Debug, PartialEq)]
+pub enum Answer {
+    Bytes(Vec<u8>),
+    Stall,
+    /// It leaves USB for the program at this address.
+    Leaves(Vec<u8>, u32),
+    /// It leaves USB and resets.
+    Resets,
+}
+
+pub struct BootLoader {
+    pub state: State,
+    pub status: Status,
+    pointer: u32,
+    pending: Option<Pending>,
+    /// Until when it does not want to be asked, and what comes then.
+    busy: Duration,
+    outcome: Status,
+    /// How often it is busy once more than it said.
+    pub late: u32,
+    late_left: u32,
+    /// Sectors it erased, by number, in order.
+    pub erased: Vec<usize>,
+    pub protected: bool,
+    /// The next operation of this number fails.
+    pub fail: Option<usize>,
+    operations: usize,
+}
+
+impl BootLoader {
+    pub fn new(protected: bool) -> Self {
+        Self {
+            state: State::Idle,
+            status: Status::Ok,
+            // "If no address is previously specified, the device assumes internal flash start."
+            pointer: FLASH.start,
+            pending: None,
+            busy: Duration::ZERO,
+            outcome: Status::Ok,
+            late: 0,
+            late_left: 0,
+            erased: Vec::new(),
+            protected,
+            fail: None,
+            operations: 0,
+        }
+    }
+
+    /// One class request. Of an erase or a write that begins in it, only this share is done in `flash`.
+    pub fn request(
+        &mut self,
+        (request, value): (u8, u16),
+        data: &[u8],
+        length: u16,
+        flash: &mut [u8],
+        now: Duration,
+        share: f32,
+    ) -> Answer {
+        if self.state == State::Dnbusy && now < self.busy {
+            return self.stall(Status::StalledPacket);
+        }
+        match (request, self.state) {
+            (DNLOAD, State::Idle | State::DnloadIdle) => self.download(value, data),
+            (UPLOAD, State::Idle | State::UploadIdle) => self.upload(value, length, flash),
+            (GETSTATUS, _) => self.tell(flash, now, share),
+            (GETSTATE, _) => Answer::Bytes(vec![self.state as u8]),
+            (CLRSTATUS, State::Error) => self.idle(),
+            (ABORT, State::Idle | State::DnloadIdle | State::DnloadSync | State::UploadIdle | State::ManifestSync) => {
+                self.idle()
+            }
+            _ => self.stall(Status::StalledPacket),
+        }
+    }
+
+    fn idle(&mut self) -> Answer {
+        (self.state, self.status, self.pending) = (State::Idle, Status::Ok, None);
+        Answer::Bytes(Vec::new())
+    }
+
+    fn stall(&mut self, status: Status) -> Answer {
+        (self.state, self.status, self.pending) = (State::Error, status, None);
+        Answer::Stall
+    }
+
+    fn download(&mut self, value: u16, data: &[u8]) -> Answer {
+        let address = |data: &[u8]| u32::from_le_bytes([data[1], data[2], data[3], data[4]]);
+        if data.is_empty() {
+            self.state = State::ManifestSync;
+            return Answer::Bytes(Vec::new());
+        }
+        let pending = match (value, data) {
+            (0, [0x21, _, _, _, _]) => Pending::SetAddress(address(data)),
+            (0, [0x41, _, _, _, _]) => Pending::Erase(address(data)),
+            (0, [0x41]) => Pending::MassErase,
+            (0, [0x92]) => Pending::Unprotect,
+            (0, _) => Pending::Unsupported,
+            (1, _) => return self.stall(Status::StalledPacket),
+            // 2 to 2048 bytes for internal flash.
+            (_, data) if !(2..=2048).contains(&data.len()) => return self.stall(Status::StalledPacket),
+            // The size of a transfer is the length of the buffer that was sent.
+            (block, data) => Pending::Write {
+                address: self.pointer.wrapping_add(u32::from(block - 2) * data.len() as u32),
+                bytes: data.to_vec(),
+            },
+        };
+        (self.state, self.pending) = (State::DnloadSync, Some(pending));
+        Answer::Bytes(Vec::new())
+    }
+
+    fn upload(&mut self, value: u16, length: u16, flash: &[u8]) -> Answer {
+        if value == 0 {
+            self.state = State::UploadIdle;
+            return Answer::Bytes(vec![0x00, 0x21, 0x41, 0x92]);
+        }
+        if value == 1 || !(2..=2048).contains(&length) {
+            return self.stall(Status::StalledPacket);
+        }
+        if self.protected {
+            return self.stall(Status::Vendor);
+        }
+        let start = self.pointer.wrapping_add(u32::from(value - 2) * u32::from(length));
+        let inside = FLASH.contains(&start) && FLASH.end - start >= u32::from(length);
+        if !inside {
+            return self.stall(Status::Target);
+        }
+        self.state = State::UploadIdle;
+        Answer::Bytes(flash[(start - FLASH.start) as usize..][..usize::from(length)].to_vec())
+    }
+
+    fn tell(&mut self, flash: &mut [u8], now: Duration, share: f32) -> Answer {
+        let mut pause = 0;
+        match self.state {
+            State::DnloadSync => {
+                let Some(pending) = self.pending.take() else { return self.stall(Status::StalledPacket) };
+                if matches!(pending, Pending::Unprotect) {
+                    // Everything is erased, then the chip resets.
+                    flash.fill(0xFF);
+                    self.protected = false;
+                    return Answer::Resets;
+                }
+                if matches!(pending, Pending::Unsupported) {
+                    (self.state, self.status) = (State::Error, Status::StalledPacket);
+                } else {
+                    self.operations += 1;
+                    (self.outcome, pause) = self.carry_out(pending, flash, share);
+                    if self.fail == Some(self.operations) {
+                        self.outcome = Status::Prog;
+                    }
+                    (self.state, self.busy) = (State::Dnbusy, now + Duration::from_millis(pause.into()));
+                    self.late_left = self.late;
+                }
+            }
+            State::Dnbusy if self.late_left > 0 => {
+                self.late_left -= 1;
+                pause = 5;
+                self.busy = now + Duration::from_millis(5);
+            }
+            State::Dnbusy if self.outcome == Status::Ok => self.state = State::DnloadIdle,
+            State::Dnbusy => (self.state, self.status) = (State::Error, self.outcome),
+            State::ManifestSync => {
+                self.state = State::Manifest;
+                return Answer::Leaves(self.message(0), self.pointer);
+            }
+            _ => {}
+        }
+        Answer::Bytes(self.message(pause))
+    }
+
+    fn message(&self, pause: u32) -> Vec<u8> {
+        let [low, middle, high, _] = pause.to_le_bytes();
+        vec![self.status as u8, low, middle, high, self.state as u8, 0]
+    }
+
+    /// What came of it, and how long it takes, ms (STM32F405 data sheet, typical times).
+    fn carry_out(&mut self, pending: Pending, flash: &mut [u8], share: f32) -> (Status, u32) {
+        let part = |length: usize| (length as f32 * share) as usize;
+        match pending {
+            Pending::SetAddress(address) if FLASH.contains(&address) => {
+                self.pointer = address;
+                (Status::Ok, 1)
+            }
+            Pending::SetAddress(_) => (Status::Target, 1),
+            _ if self.protected => (Status::Vendor, 1),
+            Pending::Erase(address) => {
+                let Some((number, start, length)) = sector(address) else { return (Status::Target, 1) };
+                let from = (start - FLASH.start) as usize;
+                flash[from..][..part(length)].fill(0xFF);
+                self.erased.push(number);
+                (Status::Ok, 15 + length as u32 / 64)
+            }
+            Pending::MassErase => {
+                flash.fill(0xFF);
+                self.erased.extend(0..12);
+                (Status::Ok, 16_000)
+            }
+            Pending::Write { address, bytes } => {
+                if !FLASH.contains(&address) || FLASH.end - address < bytes.len() as u32 {
+                    return (Status::Target, 1);
+                }
+                let from = (address - FLASH.start) as usize;
+                // Programming only clears bits.
+                let cells = flash[from..].iter_mut().zip(&bytes).take(part(bytes.len()));
+                cells.for_each(|(cell, byte)| *cell &= byte);
+                (Status::Ok, bytes.len() as u32 / 128)
+            }
+            Pending::Unprotect | Pending::Unsupported => (Status::StalledPacket, 0),
+        }
+    }
+}
+
+/// The number, start and length of the sector with this address: RM0090, table "Flash module organization".
+pub fn sector(address: u32) -> Option<(usize, u32, usize)> {
+    let lengths = [16, 16, 16, 16, 64, 128, 128, 128, 128, 128, 128, 128].map(|kilobytes| kilobytes * 1024);
+    let mut start = FLASH.start;
+    for (number, length) in lengths.into_iter().enumerate() {
+        if (start..start + length as u32).contains(&address) {
+            return Some((number, start, length));
+        }
+        start += length as u32;
+    }
+    None
+}

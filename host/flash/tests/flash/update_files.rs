@@ -1,0 +1,70 @@
+//! Update files, as `cargo xtask` writes them.
+
+use haptic_bridge::checksum::crc32;
+use haptic_flash::{BadFile, BadImage, Image, parse};
+
+use crate::bench::image;
+use crate::dfu;
+
+fn written() -> (Image, Vec<u8>) {
+    let image = image("odrive-v3", "0.1.0", 10);
+    let file = dfu::file(&image.segments, &image.board);
+    (image, file)
+}
+
+/// With a checksum that is right again.
+fn summed(mut file: Vec<u8>) -> Vec<u8> {
+    let end = file.len() - 4;
+    let sum = !crc32(&file[..end]);
+    file[end..].copy_from_slice(&sum.to_le_bytes());
+    file
+}
+
+#[test]
+fn what_the_build_writes_is_read() {
+    let (image, file) = written();
+    assert_eq!(parse(&file), Ok(Image { version: None, protocol: None, ..image }));
+}
+
+#[test]
+fn a_changed_byte_anywhere_is_found() {
+    let (_, file) = written();
+    for at in (0..400).chain(file.len() - 40..file.len()) {
+        let mut changed = file.clone();
+        changed[at] ^= 0x10;
+        assert!(parse(&changed).is_err(), "byte {at}");
+    }
+}
+
+#[test]
+fn no_file_panics_and_none_that_lies_about_its_lengths_is_read() {
+    let (_, file) = written();
+    for length in (0..400).chain([file.len() - 1]) {
+        assert!(parse(&file[..length]).is_err());
+        if length >= 20 {
+            assert!(parse(&summed(file[..length].to_vec())).is_err(), "{length}");
+        }
+    }
+    // The length of the file, of the target and of an element, and how many there are.
+    for at in [6, 277, 281, 289] {
+        for wrong in [0_u32, 1, 7, u32::MAX] {
+            let mut changed = file.clone();
+            changed[at..at + 4].copy_from_slice(&wrong.to_le_bytes());
+            assert_eq!(parse(&summed(changed)), Err(BadFile::Lengths), "{at}: {wrong}");
+        }
+    }
+    assert_eq!(parse(b"\x7FELF").unwrap_err(), BadFile::NotDfuse);
+    let two = {
+        let mut file = file.clone();
+        file[10] = 2;
+        summed(file)
+    };
+    assert_eq!(parse(&two), Err(BadFile::Targets(2)));
+}
+
+#[test]
+fn a_file_that_would_overwrite_settings_is_refused() {
+    let (mut image, _) = written();
+    image.segments[0].bytes.resize(0x5000, 0);
+    assert_eq!(parse(&dfu::file(&image.segments, "odrive-v3")), Err(BadFile::Image(BadImage::OverSettings)));
+}
