@@ -39,6 +39,8 @@ pub enum Choice {
     Shown,
     /// What a recording holds.
     Fields,
+    /// Which firmware is flashed.
+    Image,
 }
 
 /// A command that did not do what was asked, on one line; a file with several mistakes, a line each.

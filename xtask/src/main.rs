@@ -10,6 +10,7 @@ mod firmware;
 mod format;
 mod fuzz;
 mod image;
+mod images;
 mod library;
 mod no_panic;
 mod paths;
@@ -60,6 +61,12 @@ enum Command {
     Dfu {
         #[arg(value_parser = PossibleValuesParser::new(BOARDS))]
         board: String,
+    },
+    /// Build every image and put it where the tool takes it in: host/flash/images, with version and SHA-256 beside it
+    Images {
+        /// Instead build this commit from two clean checkouts at two paths, and compare to the byte (half an hour)
+        #[arg(long)]
+        twice: bool,
     },
     /// Prove that the control step cannot panic, and bound its stack
     NoPanic,
@@ -165,6 +172,8 @@ fn run(command: Command) -> Result<()> {
         Command::ClippyFw => firmware::clippy(),
         Command::Flash { board } => firmware::flash(&board),
         Command::Dfu { board } => firmware::dfu(&board),
+        Command::Images { twice: false } => images::take_in(),
+        Command::Images { twice: true } => images::twice(),
         Command::NoPanic => no_panic::prove(),
         Command::Bench { check: false } => bench::refresh(),
         Command::Bench { check: true } => bench::check(),

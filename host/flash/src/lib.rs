@@ -15,7 +15,11 @@ mod embedded;
 mod image;
 mod layout;
 mod plan;
+pub mod probe;
 mod sequence;
+#[cfg(feature = "usb")]
+mod site;
+pub mod udev;
 mod update_file;
 #[cfg(feature = "usb")]
 pub mod usb;
@@ -28,4 +32,6 @@ pub use plan::{Block, Misfit, Plan, plan};
 pub use sequence::{
     BootLoader, Cause, Done, FlashError, Found, Opened, Progress, Said, Step, Surroundings, flash, look,
 };
+#[cfg(feature = "usb")]
+pub use site::{Bus, motors_and_unsaved};
 pub use update_file::{BadFile, parse};

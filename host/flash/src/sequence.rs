@@ -200,7 +200,7 @@ impl FlashError {
     pub fn remedy(&self) -> String {
         let first = match &self.cause {
             Cause::NoBoard => format!("plug one in, or bring it into its boot loader {BY_HAND}"),
-            Cause::Several(_) => "choose one by its serial number: --port SERIAL".into(),
+            Cause::Several(_) => "choose one by its serial number".into(),
             Cause::NotThere(_) => {
                 "`haptic list` shows the boards that run; a boot loader has its board's number".into()
             }
@@ -222,7 +222,7 @@ impl FlashError {
                  0x08000000:unprotect:force`, then this again"
                     .into()
             }
-            Cause::SettingsChanged => "put them back from a file of `haptic backup`, once the board runs".into(),
+            Cause::SettingsChanged => "put them back from a backup once the board runs".into(),
             Cause::OtherVersion { .. } => {
                 "another board may have answered: plug in this one alone and flash it again".into()
             }
@@ -235,9 +235,7 @@ impl FlashError {
                 "the board has no firmware that starts, and its motors stay off: leave its power on, look at the cable and \
                  run this again; if the power was off, enter the boot loader {BY_HAND}"
             ),
-            Flash::Written if self.step == Step::GiveBack => {
-                "the image is written; `haptic check` shows the rest".into()
-            }
+            Flash::Written if self.step == Step::GiveBack => "the image is written and runs".into(),
             Flash::Written => "the image is written and read back: set the DIP switch back to RUN (or BOOT0 low) and \
                                switch the power off and on"
                 .to_string(),

@@ -7,11 +7,7 @@ use nusb::{DeviceInfo, ErrorKind, Interface, MaybeFuture as _};
 
 use crate::dfuse::{Transport, UsbError};
 use crate::sequence::{BootLoader, Opened};
-
-/// ST's numbers for the boot loader in its chips (AN2606).
-pub const USB_VENDOR: u16 = 0x0483;
-/// See [`USB_VENDOR`].
-pub const USB_PRODUCT: u16 = 0xDF11;
+use crate::udev::BOOT_LOADER;
 
 /// Its only interface; alternate setting 0 is the internal flash.
 const INTERFACE: u8 = 0;
@@ -53,7 +49,7 @@ pub fn open(which: &BootLoader) -> Result<Opened<UsbBootLoader>, UsbError> {
 
 fn devices() -> Result<impl Iterator<Item = DeviceInfo>, UsbError> {
     let all = nusb::list_devices().wait().map_err(from_system)?;
-    Ok(all.filter(|device| device.vendor_id() == USB_VENDOR && device.product_id() == USB_PRODUCT))
+    Ok(all.filter(|device| (device.vendor_id(), device.product_id()) == BOOT_LOADER))
 }
 
 fn serial(device: &DeviceInfo) -> String {

@@ -67,7 +67,9 @@ pub enum LinkError {
         waited: std::time::Duration,
     },
     /// The board understood the frame but not the message.
-    #[error("the board rejected the message {what}: {error}; flash the firmware that came with this tool")]
+    #[error(
+        "the board rejected the message {what}: {error}; flash the firmware that came with this tool: haptic flash"
+    )]
     Rejected {
         /// The request's path.
         what: &'static str,
@@ -75,7 +77,7 @@ pub enum LinkError {
         error: String,
     },
     /// A message that could not be read or written.
-    #[error("the message {what} could not be decoded; flash the firmware that came with this tool")]
+    #[error("the message {what} could not be decoded; flash the firmware that came with this tool: haptic flash")]
     Unreadable {
         /// The message's path.
         what: &'static str,
@@ -83,7 +85,7 @@ pub enum LinkError {
     /// Tool and board speak different versions of the protocol.
     #[error(
         "the board speaks protocol version {board} and this tool version {tool}; \
-         {}", if board < tool { "flash the firmware that came with this tool" } else { "install the tool that came with the board's firmware" }
+         {}", if board < tool { "flash it: haptic flash" } else { "update this tool: it is older than the board's firmware" }
     )]
     Version {
         /// The board's.

@@ -22,6 +22,7 @@ fn option(choice: Choice) -> &'static str {
         Choice::Kept => "--continue",
         Choice::Shown => "--show",
         Choice::Fields => "--fields",
+        Choice::Image => "--file",
     }
 }
 

@@ -14,5 +14,5 @@ fn every_image_in_this_build_is_whole_and_has_its_board_and_version() {
 
 #[test]
 fn a_build_without_images_says_how_to_get_them() {
-    assert!(WITHOUT_IMAGES.contains("cargo xtask images") && WITHOUT_IMAGES.contains("--file"));
+    assert!(WITHOUT_IMAGES.contains("cargo xtask images") && WITHOUT_IMAGES.contains("update file"));
 }

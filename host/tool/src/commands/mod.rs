@@ -16,6 +16,7 @@ mod dfu;
 mod disarm;
 mod estimators;
 mod faults;
+mod flash;
 mod force;
 mod gains;
 pub mod help;
@@ -46,6 +47,7 @@ mod serve;
 mod sim;
 mod stream;
 mod tune;
+mod udev;
 mod view;
 
 use haptic_host::error::Failure;
@@ -107,6 +109,8 @@ commands! {
         (MeasureRange, measure_range)
         (Faults, faults)
         (Board, board)
+        (Flash, flash)
+        (Udev, udev)
     }
     "Shell" {
         (Completions, completions)

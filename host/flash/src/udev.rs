@@ -1,0 +1,49 @@
+//! The rule by which Linux lets whoever sits at the computer open boards and boot loaders.
+
+/// ST's numbers for the boot loader in its chips (AN2606).
+pub const BOOT_LOADER: (u16, u16) = (0x0483, 0xDF11);
+/// The numbers of boards, and the name by which they are told from others that test with the same.
+pub const BOARD: (u16, u16, &str) = (0x1209, 0x0001, "haptic-bridge");
+/// Where such a rule goes: before the 73 that reads its tag.
+pub const PLACE: &str = "/etc/udev/rules.d/70-haptic-bridge.rules";
+
+/// The rule's file.
+pub fn rule() -> String {
+    let (vendor, product) = BOOT_LOADER;
+    let (board_vendor, board_product, name) = BOARD;
+    format!(
+        "# haptic-bridge boards, for whoever sits at this computer; ModemManager leaves them alone. {PLACE}\n\
+         # The boot loader in the chip:\n\
+         SUBSYSTEM==\"usb\", ATTR{{idVendor}}==\"{vendor:04x}\", ATTR{{idProduct}}==\"{product:04x}\", TAG+=\"uaccess\"\n\
+         # The board that runs, and its serial port:\n\
+         SUBSYSTEM==\"usb\", ATTR{{idVendor}}==\"{board_vendor:04x}\", ATTR{{idProduct}}==\"{board_product:04x}\", \
+         ATTR{{product}}==\"{name}\", ENV{{ID_MM_DEVICE_IGNORE}}=\"1\"\n\
+         SUBSYSTEM==\"tty\", ATTRS{{idVendor}}==\"{board_vendor:04x}\", ATTRS{{idProduct}}==\"{board_product:04x}\", \
+         ATTRS{{product}}==\"{name}\", TAG+=\"uaccess\", ENV{{ID_MM_DEVICE_IGNORE}}=\"1\"\n"
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_line_is_a_remark_or_matches_and_gives() {
+        let rule = rule();
+        assert!(rule.contains("ATTR{idVendor}==\"0483\", ATTR{idProduct}==\"df11\", TAG+=\"uaccess\""), "{rule}");
+        for line in rule.lines() {
+            let parts: Vec<&str> = line.split(", ").collect();
+            assert!(
+                line.starts_with('#') || parts.iter().all(|part| part.contains('=') && part.ends_with('"')),
+                "{line}"
+            );
+        }
+    }
+
+    #[cfg(feature = "usb")]
+    #[test]
+    fn the_numbers_are_those_that_the_tool_looks_for() {
+        use haptic_host::link::{USB_PRODUCT, USB_PRODUCT_NAME, USB_VENDOR};
+        assert_eq!(BOARD, (USB_VENDOR, USB_PRODUCT, USB_PRODUCT_NAME));
+    }
+}

@@ -1,0 +1,230 @@
+//! `haptic flash`: firmware on a board, over USB or through a debug probe.
+
+use super::answer::Json;
+use super::port::{GOES_OFF, Port, confirm};
+use haptic_flash::{Bus, Done, Found, Image, Progress, Step, WITHOUT_IMAGES, embedded, flash, look, parse, probe};
+use haptic_host::error::{Choice, Failure, on_one_line, say, say_over};
+use haptic_host::link::{PortSpec, boards};
+use serde_json::json;
+use std::io::{BufRead, IsTerminal};
+use std::path::PathBuf;
+
+/// Put the firmware of this tool on a board, over USB
+///
+/// The board restarts into the boot loader in its chip, or is there already; only the sectors of the image are erased,
+/// every byte is read back, and the settings stay. A board that is interrupted starts no firmware, and its motors stay
+/// off: run the same again.
+#[derive(clap::Args)]
+pub struct Args {
+    /// The kind of board, which only a boot loader without firmware has to be told: odrive-v3, h-bridge-f405
+    board: Option<String>,
+    #[command(flatten)]
+    port: Port,
+    /// Flash this update file (.dfu) instead of the image in this tool
+    #[arg(long, value_name = "FILE")]
+    file: Option<PathBuf>,
+    /// Flash through a debug probe, by probe-rs
+    #[arg(long)]
+    probe: bool,
+    /// Do not ask
+    #[arg(long)]
+    yes: bool,
+    #[command(flatten)]
+    json: Json,
+}
+
+/// Finds the board, then its image, then flashes.
+pub fn run(args: Args) -> Result<(), Failure> {
+    let file = args.file.as_ref().map(read).transpose()?;
+    if file.is_none() && embedded().is_empty() {
+        return Err(Failure::impossible(WITHOUT_IMAGES).choose(Choice::Image));
+    }
+    if let Some(board) = &args.board {
+        image(&file, board)?;
+    }
+    if args.probe {
+        return by_probe(&args, &file);
+    }
+    let serial = serial(args.port.spec())?;
+    let found = look(&mut Bus::here(), serial.as_deref()).map_err(Failure::impossible)?;
+    let image = match &found {
+        Found::Running(said) => {
+            haptic_host::tell!(
+                "found {}, serial number {}, with firmware {} (protocol {})",
+                on_one_line(&said.board),
+                on_one_line(&said.serial),
+                on_one_line(&said.firmware),
+                said.protocol
+            );
+            let image = image(&file, args.board.as_deref().unwrap_or(&said.board))?;
+            // Another board's image is refused below, without a question before.
+            if image.board == said.board {
+                ask_running(&said.serial, args.yes)?;
+            }
+            image
+        }
+        Found::BootLoader(loader) => {
+            haptic_host::tell!("found a boot loader, serial number {}", on_one_line(&loader.serial));
+            for_boot_loader(&args, &file)?
+        }
+    };
+    haptic_host::tell!("flashing {}", in_words(&image));
+    let done = flash(&mut Bus::here(), &found, image, &mut |progress| show(progress));
+    let Done { said, restored, sectors, bytes } = done.map_err(Failure::impossible)?;
+    let mut words = format!(
+        "{} runs firmware {} (protocol {}): {bytes} bytes in {sectors} sectors, every one read back; settings kept\n",
+        on_one_line(&said.board),
+        on_one_line(&said.firmware),
+        said.protocol
+    );
+    if !restored.is_empty() {
+        words += &format!("put back for this firmware: {}\n", restored.join(", "));
+    }
+    let document = json!({
+        "board": said.board, "serial": said.serial, "firmware": said.firmware, "protocol": said.protocol,
+        "bytes": bytes, "sectors": sectors, "restored": restored,
+    });
+    args.json.answer(document, &words)
+}
+
+fn read(file: &PathBuf) -> Result<Image, Failure> {
+    let wrong = |error: &dyn std::fmt::Display| Failure::wrong(format!("{}: {error}", file.display()));
+    let bytes = std::fs::read(file).map_err(|error| wrong(&error))?;
+    parse(&bytes).map_err(|error| wrong(&error))
+}
+
+/// The image for this kind of board: the file's, or the one in this tool. A file of another board is found out by the
+/// board that it is for.
+fn image(file: &Option<Image>, board: &str) -> Result<Image, Failure> {
+    if let Some(image) = file {
+        return Ok(image.clone());
+    }
+    let Some(found) = embedded().iter().find(|image| image.board == board) else {
+        let reason = format!("this tool has no image for {}", on_one_line(board));
+        return Err(Failure::wrong(reason).remedy(format!("it has those for {}", boards_with_images().join(", "))));
+    };
+    let broken = |why| Failure::impossible(format!("the image for {board} in this tool is broken: {why}"));
+    found.image().map_err(broken)
+}
+
+fn boards_with_images() -> Vec<&'static str> {
+    embedded().iter().map(|image| image.board).collect()
+}
+
+fn in_words(image: &Image) -> String {
+    let board = on_one_line(&image.board);
+    match (&image.version, image.protocol) {
+        (Some(version), Some(protocol)) => format!("{board} {version} (protocol {protocol}), {} bytes", image.size()),
+        _ => format!("{board}, {} bytes", image.size()),
+    }
+}
+
+/// The serial number that was asked for, of a port that was named as well.
+fn serial(port: &PortSpec) -> Result<Option<String>, Failure> {
+    match port {
+        PortSpec::Find => Ok(None),
+        PortSpec::Serial(name) => {
+            let known = boards().0.into_iter().find(|board| board.path == *name);
+            Ok(Some(known.map_or(name.clone(), |board| board.serial)))
+        }
+        PortSpec::Tcp(_) | PortSpec::Sim(_) => Err(Failure::wrong("a simulated board has no flash for firmware")
+            .remedy("plug in a board, or leave the port out")),
+    }
+}
+
+/// What a restart takes from a running board is asked before.
+fn ask_running(serial: &str, yes: bool) -> Result<(), Failure> {
+    match haptic_flash::motors_and_unsaved(serial)? {
+        None => confirm(yes, "the board restarts, and its motors go off if they are on"),
+        Some((drives, unsaved)) => {
+            let mut loses = Vec::new();
+            if drives {
+                loses.push(GOES_OFF.to_string());
+            }
+            if !unsaved.is_empty() {
+                loses.push(format!(
+                    "what is not saved will be forgotten: {} (`haptic save` keeps it)",
+                    unsaved.join(", ")
+                ));
+            }
+            if loses.is_empty() { Ok(()) } else { confirm(yes, &loses.join("; ")) }
+        }
+    }
+}
+
+/// The image for a boot loader, which does not know what it is soldered to.
+fn for_boot_loader(args: &Args, file: &Option<Image>) -> Result<Image, Failure> {
+    let board = match (&args.board, file) {
+        (Some(board), Some(image)) if *board != image.board => {
+            let reason = format!("the file is for {} and the board is {board}", on_one_line(&image.board));
+            return Err(Failure::wrong(reason).remedy("name the file for this board"));
+        }
+        (Some(board), _) => board.clone(),
+        (None, Some(image)) => image.board.clone(),
+        (None, None) => ask_which()?,
+    };
+    let image = image(file, &board)?;
+    let board = on_one_line(&image.board);
+    confirm(
+        args.yes,
+        &format!("a boot loader does not say on which board it is: the image drives the pins of {board}"),
+    )?;
+    Ok(image)
+}
+
+fn ask_which() -> Result<String, Failure> {
+    let known = boards_with_images();
+    let unknown = || Failure::wrong("a boot loader does not say on which board it is");
+    let first = known.first().copied().unwrap_or_default();
+    if !std::io::stdin().is_terminal() {
+        return Err(unknown().remedy(format!("name the kind, as in haptic flash {first}")));
+    }
+    say(format_args!("a boot loader does not say on which board it is; which one ({})? ", known.join(", ")));
+    let mut answer = String::new();
+    let read = std::io::stdin().lock().read_line(&mut answer);
+    match known.iter().find(|board| read.is_ok() && **board == answer.trim()) {
+        Some(board) => Ok(board.to_string()),
+        None => Err(unknown().remedy(format!("write one of {}", known.join(", ")))),
+    }
+}
+
+fn by_probe(args: &Args, file: &Option<Image>) -> Result<(), Failure> {
+    let board = match (&args.board, file) {
+        (Some(board), _) => board.clone(),
+        (None, Some(image)) => image.board.clone(),
+        (None, None) => {
+            let first = boards_with_images().first().copied().unwrap_or_default();
+            let reason = "a probe does not say at which board it is";
+            return Err(Failure::wrong(reason).remedy(format!("name the kind, as in haptic flash {first} --probe")));
+        }
+    };
+    let image = image(file, &board)?;
+    if image.board != board {
+        return Err(Failure::wrong(format!("the file is for {} and the board is {board}", on_one_line(&image.board)))
+            .remedy("name the file for this board"));
+    }
+    confirm(args.yes, &format!("the board at the probe restarts as {board}, and its motors go off"))?;
+    haptic_host::tell!("flashing {}", in_words(&image));
+    probe::flash("probe-rs", &image).map_err(Failure::impossible)?;
+    let words = format!("{board} is flashed through the probe and has restarted; settings kept\n");
+    args.json.answer(json!({ "board": board, "bytes": image.size(), "by": "probe-rs" }), &words)
+}
+
+/// Says what is being done, on a line that is written over at a terminal.
+fn show(progress: Progress) {
+    let terminal = std::io::stderr().is_terminal();
+    match progress {
+        // They go back and forth between writing and reading; the percentage tells that.
+        Progress::Begins(Step::Write | Step::ReadBack) if terminal => {}
+        Progress::Begins(step) => haptic_host::tell!("{step}"),
+        Progress::Done(step, done, of) if terminal => {
+            let line = format!("{step}: {} %   ", 100 * done / of.max(1));
+            say_over(format_args!("{line}"), done == of);
+        }
+        Progress::Done(..) => {}
+        Progress::PowerCycle => haptic_host::tell!(
+            "the board does not come back by itself: set its DIP switch back to RUN (or BOOT0 low), then switch its power \
+             off and on"
+        ),
+    }
+}

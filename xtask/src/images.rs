@@ -1,0 +1,118 @@
+//! The images that the tool brings along: each an update file with its version, protocol and SHA-256 beside it. They are
+//! no part of the source; `cargo xtask images` makes them, and the tool that is built after that has them.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use anyhow::{Context as _, Result, bail, ensure};
+use sha2::{Digest as _, Sha256};
+
+use crate::dfu;
+use crate::firmware::{BOARDS, build};
+use crate::image::Image;
+use crate::paths::{root, target_directory};
+use crate::toolchain::run;
+
+/// Where host/flash/build.rs looks for them, from the root.
+const PLACE: &str = "host/flash/images";
+
+/// Builds every image and puts it in its place.
+pub fn take_in() -> Result<()> {
+    let place = root().join(PLACE);
+    fs::create_dir_all(&place).with_context(|| format!("cannot make {}", place.display()))?;
+    let (version, protocol) = (version()?, protocol()?);
+    for board in BOARDS {
+        let image = Image::read(&build(board)?)?;
+        let file = dfu::file(&image.segments, board);
+        let sum = sha256(&file);
+        write(&place.join(board).with_extension("dfu"), &file)?;
+        let about = format!("version = {version:?}\nprotocol = {protocol}\nsha256 = {sum:?}\n");
+        write(&place.join(board).with_extension("toml"), about.as_bytes())?;
+        println!("{board}: {} bytes, version {version}, protocol {protocol}, SHA-256 {sum}", file.len());
+    }
+    println!("a tool that is built now brings them: cargo build --release --package haptic");
+    Ok(())
+}
+
+fn write(path: &Path, bytes: &[u8]) -> Result<()> {
+    // An unchanged file keeps its time, and the tool is not built anew.
+    if fs::read(path).is_ok_and(|there| there == bytes) {
+        return Ok(());
+    }
+    fs::write(path, bytes).with_context(|| format!("cannot write {}", path.display()))
+}
+
+fn sha256(bytes: &[u8]) -> String {
+    Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+/// The firmware's version.
+fn version() -> Result<String> {
+    let path = root().join("firmware/Cargo.toml");
+    let text = fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))?;
+    let manifest: toml::Table = text.parse().with_context(|| format!("bad manifest {}", path.display()))?;
+    let version = manifest.get("package").and_then(|package| package.get("version")).and_then(toml::Value::as_str);
+    Ok(version.with_context(|| format!("{} has no version", path.display()))?.into())
+}
+
+/// The version of the protocol, as the library's source declares it.
+fn protocol() -> Result<u16> {
+    let path = root().join("src/board/protocol.rs");
+    let text = fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))?;
+    let number = text.lines().find_map(|line| line.strip_prefix("pub const PROTOCOL: u16 = ")?.strip_suffix(';'));
+    number.and_then(|number| number.parse().ok()).with_context(|| format!("{} has no PROTOCOL", path.display()))
+}
+
+/// Builds this commit's images from two clean checkouts at paths of different lengths; an error where a byte differs.
+/// Nothing that is compiled reads the clock, and the compiler does not run under a faked one: for another day, compare
+/// the sums that this prints.
+pub fn twice() -> Result<()> {
+    let place = target_directory().join("twice");
+    if place.exists() {
+        fs::remove_dir_all(&place).with_context(|| format!("cannot remove {}", place.display()))?;
+    }
+    let checkouts = [place.join("a"), place.join("a-longer-name/and-deeper/b")];
+    for checkout in &checkouts {
+        run(Command::new("git").args(["clone", "--quiet", "--no-local"]).arg(root()).arg(checkout))?;
+        let mut command = Command::new("cargo");
+        command.args(["run", "--quiet", "--locked", "--package", "xtask", "--", "images"]);
+        command.current_dir(checkout).env("CARGO_TARGET_DIR", checkout.join("target"));
+        run(&mut command)?;
+    }
+    let images = |checkout: &PathBuf, board: &str| {
+        let path = checkout.join(PLACE).join(board).with_extension("dfu");
+        fs::read(&path).with_context(|| format!("cannot read {}", path.display()))
+    };
+    for board in BOARDS {
+        let (one, other) = (images(&checkouts[0], board)?, images(&checkouts[1], board)?);
+        ensure!(!one.is_empty(), "{board}: an empty image");
+        if let Some(at) = one.iter().zip(&other).position(|(one, other)| one != other) {
+            bail!(
+                "{board}: byte {at} of the update file differs between {} and {}",
+                checkouts[0].display(),
+                checkouts[1].display()
+            );
+        }
+        ensure!(one.len() == other.len(), "{board}: {} and {} bytes", one.len(), other.len());
+        println!("{board}: the same to the byte, SHA-256 {}", sha256(&one));
+    }
+    fs::remove_dir_all(&place).with_context(|| format!("cannot remove {}", place.display()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn version_and_protocol_are_found_in_the_sources() {
+        assert!(version().unwrap().split('.').count() == 3);
+        assert!(protocol().unwrap() >= 10);
+    }
+
+    #[test]
+    fn the_sum_is_that_of_sha256sum() {
+        // FIPS 180-4, the example "abc".
+        assert_eq!(sha256(b"abc"), "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad");
+    }
+}
