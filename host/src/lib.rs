@@ -28,10 +28,11 @@
 //! | measure the way to one and back | [`latency`] |
 //! | have the axes of another program | [`frame`] |
 //!
-//! On it stand `haptic-sim` (a board without hardware), `haptic-stability` (which walls are stable), `haptic-predict`
-//! (measuring, tuning, design), `haptic-show` (recordings, drawings, the page) and the tool `haptic`. The programs in
-//! `examples/` press a wall, follow telemetry, push and predict a range in about twenty lines each. [`haptic_bridge`]
-//! is the code that runs on the board itself; its types (scenes, gains, faults) are those used here.
+//! On it stand `haptic-flash` (firmware on a board), `haptic-sim` (a board without hardware), `haptic-stability` (which
+//! walls are stable), `haptic-predict` (measuring, tuning, design), `haptic-show` (recordings, drawings, the page) and
+//! the tool `haptic`. The programs in `examples/` press a wall, follow telemetry, push and predict a range in about
+//! twenty lines each. [`haptic_bridge`] is the code that runs on the board itself; its types (scenes, gains, faults) are
+//! those used here.
 #![forbid(unsafe_code)]
 
 pub use haptic_bridge;

@@ -8,7 +8,8 @@ use crate::paths::root;
 use crate::toolchain::{cargo, run};
 
 /// The crates below the tool, from the ground up.
-pub const CRATES: [&str; 5] = ["haptic-host", "haptic-sim", "haptic-stability", "haptic-predict", "haptic-show"];
+pub const CRATES: [&str; 6] =
+    ["haptic-host", "haptic-flash", "haptic-sim", "haptic-stability", "haptic-predict", "haptic-show"];
 
 /// What only the tool needs.
 const TOOL: &[&str] =
@@ -20,21 +21,24 @@ const THEORY: &[&str] = &["haptic-stability"];
 const PREDICTING: &[&str] = &["haptic-predict"];
 /// What takes the place of a board.
 const SIMULATING: &[&str] = &["haptic-sim"];
+/// What flashes boards.
+const FLASHING: &[&str] = &["haptic-flash", "nusb"];
 
 /// Who does without what.
-const WITHOUT: [(&str, &[&[&str]]); 6] = [
-    ("haptic-host", &[TOOL, SHOWING, PREDICTING, THEORY, SIMULATING]),
-    ("haptic-sim", &[TOOL, SHOWING, PREDICTING, THEORY]),
-    ("haptic-stability", &[TOOL, SHOWING, PREDICTING, SIMULATING]),
-    ("haptic-capi", &[TOOL, SHOWING, PREDICTING, THEORY]),
-    ("haptic-chai3d", &[TOOL, SHOWING, PREDICTING]),
-    ("haptic-python", &[TOOL]),
+const WITHOUT: [(&str, &[&[&str]]); 7] = [
+    ("haptic-host", &[TOOL, SHOWING, PREDICTING, THEORY, SIMULATING, FLASHING]),
+    ("haptic-flash", &[TOOL, SHOWING, PREDICTING, THEORY, SIMULATING]),
+    ("haptic-sim", &[TOOL, SHOWING, PREDICTING, THEORY, FLASHING]),
+    ("haptic-stability", &[TOOL, SHOWING, PREDICTING, SIMULATING, FLASHING]),
+    ("haptic-capi", &[TOOL, SHOWING, PREDICTING, THEORY, FLASHING]),
+    ("haptic-chai3d", &[TOOL, SHOWING, PREDICTING, FLASHING]),
+    ("haptic-python", &[TOOL, FLASHING]),
 ];
 
 /// Checks both.
 pub fn alone() -> Result<()> {
     let tool = dependencies("haptic")?;
-    for name in [TOOL, SHOWING, PREDICTING, THEORY, SIMULATING].concat() {
+    for name in [TOOL, SHOWING, PREDICTING, THEORY, SIMULATING, FLASHING].concat() {
         ensure!(tool.contains(name), "the tool does without {name} now: xtask/src/library.rs names it");
     }
     for (package, without) in WITHOUT {

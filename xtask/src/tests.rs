@@ -9,8 +9,9 @@ use anyhow::{Result, anyhow, ensure};
 use crate::toolchain::{Use, cargo, run, virtual_board};
 use crate::{bench, firmware, fuzz, library, no_panic, paths, playground, python, tools};
 
-/// The tests of the tool, of C and of CHAI3D, as cargo is asked for them.
-const TOOL: [&str; 8] = ["--lib", "--bins", "--test", "quick", "--test", "c", "--test", "as_chai3d_does"];
+/// The tests of the tool, of flashing, of C and of CHAI3D, as cargo is asked for them.
+const TOOL: [&str; 10] =
+    ["--lib", "--bins", "--test", "quick", "--test", "flash", "--test", "c", "--test", "as_chai3d_does"];
 /// Where tests and programs of the virtual board find the images.
 const IMAGES: &str = "HAPTIC_FIRMWARE_DIR";
 /// Seconds of fuzzing that each target gets in the deep tests.

@@ -6,8 +6,8 @@ use serde_json::json;
 
 /// Restart a board into its boot loader, to be flashed over USB
 ///
-/// The motors go off. The board is gone from `haptic board list` until it is flashed (docs/flashing.md) or switched off
-/// and on.
+/// The motors go off. The board is gone from `haptic board list` until it is flashed (`haptic flash`, which does
+/// this by itself) or switched off and on.
 #[derive(clap::Args)]
 pub struct Args {
     #[command(flatten)]
@@ -24,6 +24,6 @@ pub fn run(args: Args) -> Result<(), Failure> {
         confirm(args.yes, GOES_OFF)?;
     }
     board.enter_dfu()?;
-    let said = "the board restarts into its boot loader: flash it with dfu-util, or switch it off and on\n";
+    let said = "the board restarts into its boot loader: flash it with `haptic flash`, or switch it off and on\n";
     args.on.answer(json!({ "restarts": "boot-loader" }), said)
 }

@@ -35,6 +35,7 @@ pub struct Args {
 
 /// Finds the board, then its image, then flashes.
 pub fn run(args: Args) -> Result<(), Failure> {
+    let serial = serial(args.port.spec())?;
     let file = args.file.as_ref().map(read).transpose()?;
     if file.is_none() && embedded().is_empty() {
         return Err(Failure::impossible(WITHOUT_IMAGES).choose(Choice::Image));
@@ -45,7 +46,6 @@ pub fn run(args: Args) -> Result<(), Failure> {
     if args.probe {
         return by_probe(&args, &file);
     }
-    let serial = serial(args.port.spec())?;
     let found = look(&mut Bus::here(), serial.as_deref()).map_err(Failure::impossible)?;
     let image = match &found {
         Found::Running(said) => {
@@ -143,7 +143,7 @@ fn ask_running(serial: &str, yes: bool) -> Result<(), Failure> {
             }
             if !unsaved.is_empty() {
                 loses.push(format!(
-                    "what is not saved will be forgotten: {} (`haptic save` keeps it)",
+                    "what is not saved will be forgotten: {} (`haptic board save` keeps it)",
                     unsaved.join(", ")
                 ));
             }

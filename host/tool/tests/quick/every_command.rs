@@ -15,7 +15,7 @@ use std::process::{Command, Stdio};
 /// What is typed, and how the first line begins that it prints.
 type Line = (&'static str, &'static str);
 
-const ANALYSIS: [Line; 16] = [
+const ANALYSIS: [Line; 17] = [
     ("demo", "coupled-five-bar: a simulated board at 1000 Hz"),
     ("new five-bar -o mine.toml", "mine.toml: an example five-bar to fill in"),
     (
@@ -43,6 +43,7 @@ const ANALYSIS: [Line; 16] = [
     ("design devices/haply-2diy.toml --points 20", "haply-2diy: q = (2.300, 0.842) rad"),
     ("report devices/hapkit-paddle.toml --without estimators,tune,map,design", "report.html: 4 parts"),
     ("board list --json", "{\"boards\":["),
+    ("udev", "# haptic-bridge boards, for whoever sits at this computer"),
     ("completions bash", "_haptic() {"),
 ];
 
@@ -186,6 +187,28 @@ fn the_monitor() {
     assert!(child.wait().unwrap().success());
 }
 
+/// What it does with a board, host/flash/tests tries against a scripted boot loader.
+#[test]
+fn flash_without_what_it_needs() {
+    let folder = folder();
+    std::fs::write(folder.path().join("no.dfu"), "DfuSe").unwrap();
+    let refused = |line: &str, code: i32, says: &str| {
+        let typed = haptic(&words(line)).current_dir(folder.path()).assert().code(code);
+        let said = String::from_utf8_lossy(&typed.get_output().stderr).into_owned();
+        assert!(said.contains(says), "haptic {line}\n{said}");
+    };
+    refused("flash --port sim", 2, "a simulated board has no flash for firmware");
+    refused("flash --file no.dfu", 2, "no.dfu: it is not a DfuSe update file");
+    refused("flash --file nowhere.dfu", 2, "nowhere.dfu: ");
+    match haptic_flash::embedded() {
+        [] => refused("flash --port NOSUCHBOARD", 1, "this tool was built without images: in a checkout of its source"),
+        _ => {
+            refused("flash --port NOSUCHBOARD", 1, "looking for a board: ");
+            refused("flash toaster --port NOSUCHBOARD", 2, "this tool has no image for toaster");
+        }
+    }
+}
+
 /// The commands of the help page, and those that it leaves out.
 #[test]
 fn no_command_is_left_out() {
@@ -195,6 +218,6 @@ fn no_command_is_left_out() {
     let listed = listing.lines().filter_map(|line| line.strip_prefix("  ")?.split_whitespace().next());
     let listed = listed.chain(DEVELOPERS);
     let run = [&ANALYSIS[..], &BOARD, &SERVING].concat();
-    let run: BTreeSet<&str> = run.into_iter().map(|(line, _)| words(line)[0]).collect();
+    let run: BTreeSet<&str> = run.into_iter().map(|(line, _)| words(line)[0]).chain(["flash"]).collect();
     assert_eq!(listed.collect::<BTreeSet<_>>(), run);
 }
