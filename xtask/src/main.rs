@@ -23,6 +23,7 @@ mod thumb;
 mod toolchain;
 mod tools;
 mod undefined;
+mod wrapper;
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -154,9 +155,9 @@ fn any_image() -> PossibleValuesParser {
 }
 
 fn main() -> ExitCode {
-    let Arguments { command } = Arguments::parse();
-    match run(command) {
-        Ok(()) => ExitCode::SUCCESS,
+    let outcome = wrapper::asked().unwrap_or_else(|| run(Arguments::parse().command).map(|()| ExitCode::SUCCESS));
+    match outcome {
+        Ok(code) => code,
         Err(error) => {
             eprintln!("xtask: {error:#}");
             ExitCode::FAILURE

@@ -15,6 +15,7 @@ use std::process::Command;
 use anyhow::{Context as _, Result, bail};
 
 use crate::paths::{root, target_directory};
+use crate::wrapper;
 
 /// The target triple of the chip.
 pub const TARGET: &str = "thumbv7em-none-eabihf";
@@ -62,7 +63,11 @@ impl Toolchain {
     /// A cargo call for the chip: `cargo SUBCOMMAND …` with the target and, where needed, the core library's source.
     pub fn cargo(self, purpose: Use) -> Command {
         let subcommand = if purpose == Use::Clippy { "clippy" } else { "rustc" };
-        self.cargo_with(subcommand, "-Zbuild-std=core,alloc", TARGET)
+        let mut command = self.cargo_with(subcommand, "-Zbuild-std=core,alloc", TARGET);
+        if purpose != Use::Clippy {
+            wrapper::stand_between(&mut command);
+        }
+        command
     }
 
     /// A cargo call for browsers.
