@@ -1,6 +1,8 @@
 //! The images that this build took in, if it did.
 
-use haptic_flash::{WITHOUT_IMAGES, embedded};
+use haptic_flash::{Layout, SETTINGS, WITHOUT_IMAGES, embedded, plan};
+
+use crate::boot_loader::MEMORY;
 
 #[test]
 fn every_image_in_this_build_is_whole_and_has_its_board_and_version() {
@@ -9,6 +11,9 @@ fn every_image_in_this_build_is_whole_and_has_its_board_and_version() {
         assert_eq!(whole.board, image.board);
         assert!(whole.version.is_some() && whole.protocol.is_some());
         assert!(whole.size() > 100_000, "{} bytes", whole.size());
+        let plan = plan(&whole, &Layout::parse(MEMORY).unwrap(), 2048).unwrap();
+        assert!(plan.erase.iter().all(|sector| sector.end() <= SETTINGS.start || SETTINGS.end <= sector.start));
+        assert_eq!(plan.vectors.len(), 1, "with the checksum behind them, in one piece");
     }
 }
 

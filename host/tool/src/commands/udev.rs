@@ -4,7 +4,7 @@ use super::force::Force;
 use haptic_flash::udev::{PLACE, rule};
 use haptic_host::error::{Failure, print};
 use haptic_host::output;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Write the rule that lets you open boards and boot loaders on Linux
 ///
@@ -23,7 +23,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let Some(file) = args.file else { return print(&rule()) };
     output::write(&file, rule().as_bytes(), args.force.overwrite())?;
     let next = "`sudo udevadm control --reload`, then plug the board in again";
-    match file == PathBuf::from(PLACE) {
+    match file == Path::new(PLACE) {
         true => print(&format!("{}: written; {next}\n", file.display())),
         false => print(&format!("{}: written; copy it to {PLACE}, {next}\n", file.display())),
     }
