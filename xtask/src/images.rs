@@ -1,5 +1,5 @@
-//! The images that the tool brings along: each an update file with its version, protocol and SHA-256 beside it. They are
-//! no part of the source; `cargo xtask images` makes them, and the tool that is built after that has them.
+//! The images that the tool brings along: each an update file with its version, protocol and SHA-256 beside it. The
+//! source does not hold them; `cargo xtask images` makes them, and the tool that is built after that has them.
 
 use std::fs;
 use std::path::{Path, PathBuf};

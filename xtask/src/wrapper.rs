@@ -1,9 +1,9 @@
 //! The compiler as cargo calls it for the chip, with one argument made the same everywhere.
 //!
-//! Cargo gives every crate a number (`-C metadata`) that becomes part of its symbols, and with it of the order of functions in
-//! an image. For a crate inside the workspace or from a registry it is the same on every computer. The library lies
-//! beside firmware/, outside of its workspace, and its number is made of its whole path, and the firmware's of that.
-//! So this program stands between cargo and the compiler and gives the crates here a number that is their name.
+//! Cargo gives every crate a number (`-C metadata`) that becomes part of its symbols, and with them decides the order of
+//! functions in an image. For a crate inside the workspace or from a registry the number is the same on every computer.
+//! The library lies beside firmware/, outside of its workspace: its number is made of its whole path, and the firmware's
+//! of that. So this program stands between cargo and the compiler and numbers the crates here by their names.
 
 use std::env;
 use std::ffi::OsString;

@@ -10,8 +10,8 @@ use crate::update_file::parse;
 include!(concat!(env!("OUT_DIR"), "/images.rs"));
 
 /// What a program says that has none.
-pub const WITHOUT_IMAGES: &str = "this tool was built without images: in a checkout of its source, run `cargo xtask images` \
-                                  and build it again, or name an update file";
+pub const WITHOUT_IMAGES: &str = "this tool was built without images: in a checkout of its source, run `cargo xtask \
+                                  images` and build it again, or name an update file";
 
 /// An image in this program.
 #[derive(Clone, Copy, Debug)]

@@ -1,8 +1,8 @@
 //! What is erased, written and compared, and in which order.
 //!
 //! The sector of the vectors is erased first and written last. While anything is missing, the chip finds no vectors and
-//! starts nothing: a board that is interrupted has its bridges off, because nobody turns them on. A power cut within the
-//! vectors leaves the checksum behind them unwritten, and the firmware then refuses to arm (`ImageDamaged`).
+//! starts nothing: a board that is interrupted has its bridges off, because nobody turns them on. A power cut within
+//! the vectors leaves the checksum behind them unwritten, and the firmware then refuses to arm (`ImageDamaged`).
 
 use crate::image::{FLASH_START, Image, SETTINGS};
 use crate::layout::{Layout, Sector};

@@ -14,12 +14,13 @@ const CHIP: &str = "STM32F405RGTx";
 pub enum ProbeError {
     /// The program is not there.
     #[error(
-        "probe-rs is not installed; `cargo install probe-rs-tools --locked` does that, or leave the probe out to flash over USB"
+        "probe-rs is not installed; `cargo install probe-rs-tools --locked` does that, or leave the probe out to flash \
+         over USB"
     )]
     NotInstalled,
     /// It ended otherwise than well.
     #[error(
-        "probe-rs {step} failed; its own words are above. The board starts no half image that would arm: look at the probe's \
+        "probe-rs {step} failed; its own words are above. A board with half an image does not arm: look at the probe's \
          cable and the board's power, and run this again"
     )]
     Failed {

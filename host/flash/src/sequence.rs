@@ -1,8 +1,8 @@
 //! From a board, running or in its boot loader, to the same board with another image: find it, ask what it is, keep its
 //! settings, enter the boot loader, erase, write, read back, leave, wait for the board, compare, put settings back.
 //!
-//! Wherever that ends, the board has its old image whole, its new image whole, or none that starts ([`crate::plan`]); the
-//! error says which, and what to do.
+//! Wherever that ends, the board has its old image whole, its new image whole, or none that starts and arms
+//! ([`crate::plan`]); the error says which, and what to do.
 
 use std::fmt;
 use std::time::Duration;
@@ -210,8 +210,8 @@ impl FlashError {
             }
             Cause::Board(_) if self.step != Step::GiveBack => format!("bring it into its boot loader {BY_HAND}"),
             Cause::NoBootLoader => format!(
-                "look at the cable; on Linux, `haptic udev` writes the rule without which a user cannot open it; or bring \
-                 it there {BY_HAND}"
+                "look at the cable; on Linux, `haptic udev` writes the rule without which a user cannot open it; or \
+                 bring it there {BY_HAND}"
             ),
             Cause::Usb(UsbError::Forbidden) => {
                 "`haptic udev` writes the rule that lets you; on Windows, Zadig installs WinUSB for it".into()
@@ -232,8 +232,8 @@ impl FlashError {
             Flash::Untouched => "nothing was changed".to_string(),
             Flash::Entered => "nothing was changed: the power off and on starts the firmware that it has".to_string(),
             Flash::Erased => format!(
-                "the board has no firmware that starts, and its motors stay off: leave its power on, look at the cable and \
-                 run this again; if the power was off, enter the boot loader {BY_HAND}"
+                "the board has no firmware that starts, and its motors stay off: leave its power on, look at the cable \
+                 and run this again; if the power was off, enter the boot loader {BY_HAND}"
             ),
             Flash::Written if self.step == Step::GiveBack => "the image is written and runs".into(),
             Flash::Written => "the image is written and read back: set the DIP switch back to RUN (or BOOT0 low) and \

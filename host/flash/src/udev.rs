@@ -14,7 +14,8 @@ pub fn rule() -> String {
     format!(
         "# haptic-bridge boards, for whoever sits at this computer; ModemManager leaves them alone. {PLACE}\n\
          # The boot loader in the chip:\n\
-         SUBSYSTEM==\"usb\", ATTR{{idVendor}}==\"{vendor:04x}\", ATTR{{idProduct}}==\"{product:04x}\", TAG+=\"uaccess\"\n\
+         SUBSYSTEM==\"usb\", ATTR{{idVendor}}==\"{vendor:04x}\", ATTR{{idProduct}}==\"{product:04x}\", \
+         TAG+=\"uaccess\"\n\
          # The board that runs, and its serial port:\n\
          SUBSYSTEM==\"usb\", ATTR{{idVendor}}==\"{board_vendor:04x}\", ATTR{{idProduct}}==\"{board_product:04x}\", \
          ATTR{{product}}==\"{name}\", ENV{{ID_MM_DEVICE_IGNORE}}=\"1\"\n\

@@ -1,4 +1,5 @@
-//! Boot loaders on USB, by `nusb`: no library and no driver on Linux and macOS; on Windows the boot loader needs WinUSB.
+//! Boot loaders on USB, by `nusb`: Linux and macOS need no library and no driver; on Windows the boot loader needs
+//! WinUSB.
 
 use std::time::Duration;
 

@@ -85,7 +85,8 @@ pub enum LinkError {
     /// Tool and board speak different versions of the protocol.
     #[error(
         "the board speaks protocol version {board} and this tool version {tool}; \
-         {}", if board < tool { "flash it: haptic flash" } else { "update this tool: it is older than the board's firmware" }
+         {}",
+        if board < tool { "flash it: haptic flash" } else { "update this tool: it is older than the board's firmware" }
     )]
     Version {
         /// The board's.

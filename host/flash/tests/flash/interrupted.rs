@@ -1,5 +1,5 @@
-//! A board that is taken away at any request: it never starts half an image, its settings are there, and another attempt
-//! goes through.
+//! A board that is taken away at any request: it never starts half an image, its settings are there, and another
+//! attempt goes through.
 
 use crate::bench::{Cut, Site, image};
 use crate::steps::attempt;

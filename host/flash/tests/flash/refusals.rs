@@ -28,8 +28,8 @@ fn an_image_for_another_board_is_refused_by_what_the_firmware_says_of_itself() {
     let error = refused(&site, &image("h-bridge-f405", "0.2.0", 11));
     assert_eq!(
         error.to_string(),
-        "asking the board what it is: the image is for h-bridge-f405 and this board is odrive-v3; flash what is for it: \
-         haptic flash odrive-v3; nothing was changed"
+        "asking the board what it is: the image is for h-bridge-f405 and this board is odrive-v3; flash what is for \
+         it: haptic flash odrive-v3; nothing was changed"
     );
     assert_eq!(site.0.borrow().requests, 0, "its boot loader is not entered");
 }

@@ -223,8 +223,8 @@ fn show(progress: Progress) {
         }
         Progress::Done(..) => {}
         Progress::PowerCycle => haptic_host::tell!(
-            "the board does not come back by itself: set its DIP switch back to RUN (or BOOT0 low), then switch its power \
-             off and on"
+            "the board does not come back by itself: set its DIP switch back to RUN (or BOOT0 low), then switch its \
+             power off and on"
         ),
     }
 }

@@ -121,6 +121,8 @@ pub fn examples(words: &str) -> &'static [&'static str] {
         }
         "faults" => &["haptic faults", "haptic faults --clear"],
         "board" => &["haptic board list", "haptic board save"],
+        "flash" => &["haptic flash", "haptic flash odrive-v3 --port 3852395C3038"],
+        "udev" => &["haptic udev | sudo tee /etc/udev/rules.d/70-haptic-bridge.rules"],
         "board backup" => &["haptic board backup board.json"],
         "board restore" => &["haptic board restore board.json"],
         "board name" => &["haptic board name", "haptic board name left-hand"],
