@@ -13,7 +13,7 @@ use std::path::PathBuf;
 ///
 /// The board restarts into the boot loader in its chip, or is there already; only the sectors of the image are erased,
 /// every byte is read back, and the settings stay. A board that is interrupted starts no firmware, and its motors stay
-/// off: run the same again.
+/// off: run the same again. On Linux, `haptic udev` writes the rule that lets you open boot loaders.
 #[derive(clap::Args)]
 pub struct Args {
     /// The kind of board, which only a boot loader without firmware has to be told: odrive-v3, h-bridge-f405

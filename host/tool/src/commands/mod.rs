@@ -110,7 +110,6 @@ commands! {
         (Faults, faults)
         (Board, board)
         (Flash, flash)
-        (Udev, udev)
     }
     "Shell" {
         (Completions, completions)
@@ -118,6 +117,7 @@ commands! {
     DEVELOPERS {
         (Bench, bench)
         (Precompute, precompute)
+        (Udev, udev)
     }
 }
 

@@ -116,7 +116,7 @@ fn every_command_with_a_board() {
 }
 
 /// Commands that can be called and are on no help page.
-const DEVELOPERS: [&str; 2] = ["bench", "precompute"];
+const DEVELOPERS: [&str; 3] = ["bench", "precompute", "udev"];
 
 /// Commands whose examples are typed as they are: the others need a board, a recording, or more than a second.
 const TYPED: [&str; 5] = ["new", "check", "model", "precompute", "range"];

@@ -334,7 +334,7 @@ impl Wire for Stranger {
 fn what_is_no_board_of_this_version_is_named_and_left_alone() {
     let error = Stranger::met(None);
     assert!(matches!(error, LinkError::Silent { .. }), "{error}");
-    for (protocol, remedy) in [(PROTOCOL + 1, "install the tool"), (PROTOCOL - 1, "flash the firmware")] {
+    for (protocol, remedy) in [(PROTOCOL + 1, "update this tool"), (PROTOCOL - 1, "flash it: haptic flash")] {
         let error = Stranger::met(Some(protocol));
         assert!(matches!(error, LinkError::Version { board, tool: PROTOCOL } if board == protocol), "{error}");
         assert!(error.to_string().contains(remedy), "{error}");
