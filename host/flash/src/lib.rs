@@ -33,5 +33,5 @@ pub use sequence::{
     BootLoader, Cause, Done, FlashError, Found, Opened, Progress, Said, Step, Surroundings, flash, look,
 };
 #[cfg(feature = "usb")]
-pub use site::{Bus, motors_and_unsaved};
+pub use site::{Bus, motors_and_unsaved, put_back};
 pub use update_file::{BadFile, parse};

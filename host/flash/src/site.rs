@@ -115,11 +115,15 @@ impl Surroundings for Bus {
     }
 }
 
-/// Puts all settings back where the board reports one of them as damaged, or no longer has it as it was.
 fn give_back(serial: &str, kept: &Backup) -> Result<Vec<String>, String> {
-    let Some(mut board) = of_this_protocol(serial).map_err(text)? else { return Ok(Vec::new()) };
+    let board = of_this_protocol(serial).map_err(text)?;
+    board.map_or(Ok(Vec::new()), |mut board| put_back(&mut board, kept))
+}
+
+/// Puts all settings back where the board reports one of them as damaged, or no longer has it as it was; their names.
+pub fn put_back(board: &mut Board, kept: &Backup) -> Result<Vec<String>, String> {
     let damaged = board.details().map_err(text)?.damage;
-    let has = Backup::read(&mut board).map_err(text)?;
+    let has = Backup::read(board).map_err(text)?;
     let lost = |key: &Key| {
         let was = kept.settings.get(key.name());
         let damaged = damaged.iter().any(|(damaged, _)| damaged == key);
@@ -130,7 +134,7 @@ fn give_back(serial: &str, kept: &Backup) -> Result<Vec<String>, String> {
     }
     // All of them: a device takes with it what belongs to the one before.
     let ready = kept.ready().map_err(text)?;
-    restore(&mut board, &ready).map_err(text)?;
+    restore(board, &ready).map_err(text)?;
     let back = ready.iter().filter(|setting| setting.how != Restored::MadeAnew);
     Ok(back.map(|setting| setting.key.name().to_string()).collect())
 }

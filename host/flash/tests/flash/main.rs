@@ -6,6 +6,8 @@ mod conversation;
 mod images;
 mod interrupted;
 mod refusals;
+#[cfg(feature = "usb")]
+mod settings;
 mod steps;
 mod update_files;
 

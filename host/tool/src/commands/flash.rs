@@ -2,6 +2,7 @@
 
 use super::answer::Json;
 use super::port::{GOES_OFF, Port, confirm};
+use haptic_bridge::board::protocol::PROTOCOL;
 use haptic_flash::{Bus, Done, Found, Image, Progress, Step, WITHOUT_IMAGES, embedded, flash, look, parse, probe};
 use haptic_host::error::{Choice, Failure, on_one_line, say, say_over};
 use haptic_host::link::{PortSpec, boards};
@@ -104,7 +105,14 @@ fn image(file: &Option<Image>, board: &str) -> Result<Image, Failure> {
         return Err(Failure::wrong(reason).remedy(format!("it has those for {}", boards_with_images().join(", "))));
     };
     let broken = |why| Failure::impossible(format!("the image for {board} in this tool is broken: {why}"));
-    found.image().map_err(broken)
+    let image = found.image().map_err(broken)?;
+    match image.protocol {
+        Some(protocol) if protocol != PROTOCOL => {
+            let reason = format!("the images in this tool speak protocol {protocol} and the tool {PROTOCOL}");
+            Err(Failure::impossible(reason).remedy("run `cargo xtask images` and build the tool again"))
+        }
+        _ => Ok(image),
+    }
 }
 
 fn boards_with_images() -> Vec<&'static str> {

@@ -53,7 +53,8 @@ mod view;
 use haptic_host::error::Failure;
 pub use stream::list_of_fields;
 
-/// The heading of what stands on no help page: commands for those who change the board's control step.
+/// The heading of what stands on no help page: commands for those who change the board's control step, and
+/// what another command's page names.
 pub const DEVELOPERS: &str = "";
 
 /// Declares the subcommands: under each heading of `haptic --help`, `(Variant, module)` in the order of that page.
