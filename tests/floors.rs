@@ -399,9 +399,13 @@ fn the_library_names_no_board_and_no_chip() {
     );
 }
 
-/// The files below the tool that write whole command lines for people.
-const WRITERS: [&str; 3] =
-    ["host/stability/src/analysis/prediction.rs", "host/predict/src/plausible/scene.rs", "host/show/src/demo.rs"];
+/// The files below the tool that write whole command lines, for people or to another program.
+const WRITERS: [&str; 4] = [
+    "host/stability/src/analysis/prediction.rs",
+    "host/predict/src/plausible/scene.rs",
+    "host/show/src/demo.rs",
+    "host/flash/src/probe.rs",
+];
 
 /// The texts in a source that name an option of a command line; comments and tests aside.
 fn options(tokens: TokenStream) -> Vec<String> {
