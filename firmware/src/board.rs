@@ -2,13 +2,28 @@
 //! feature each.
 
 // Two features name `This` twice, which no image compiles with.
-#[cfg(not(any(feature = "odrive-v3", feature = "h-bridge-f405", feature = "toy-board")))]
-compile_error!("choose a board: `--features odrive-v3` or `--features h-bridge-f405`");
+#[cfg(not(any(
+    feature = "odrive-v3",
+    feature = "h-bridge-f405",
+    feature = "h-bridge-f407-disc1",
+    feature = "toy-board"
+)))]
+compile_error!("choose a board: `--features odrive-v3`, `h-bridge-f405` or `h-bridge-f407-disc1`");
+
+#[cfg(any(feature = "h-bridge-f405", feature = "h-bridge-f407-disc1"))]
+mod h_bridges;
 
 #[cfg(feature = "h-bridge-f405")]
 mod h_bridge_f405;
+/// This image's board.
 #[cfg(feature = "h-bridge-f405")]
-pub use h_bridge_f405::HBridgeF405 as This;
+pub type This = h_bridges::HBridges<h_bridge_f405::HBridgeF405>;
+
+#[cfg(feature = "h-bridge-f407-disc1")]
+mod h_bridge_f407_disc1;
+/// This image's board.
+#[cfg(feature = "h-bridge-f407-disc1")]
+pub type This = h_bridges::HBridges<h_bridge_f407_disc1::HBridgeF407Disc1>;
 
 #[cfg(feature = "odrive-v3")]
 mod odrive_v3;
@@ -35,6 +50,7 @@ use haptic_bridge::safety::limits::Limits;
 use haptic_bridge::servo::frame::Samples;
 use haptic_bridge::servo::joints::Counts;
 
+use crate::clock::MONITOR_2V9;
 use crate::gate::Gate;
 
 /// A pin of ports A to D: sixteen times its port's number, 0 for A, and its number there.
@@ -87,6 +103,8 @@ pub trait Board {
     const NAME: &'static str;
     /// The pins that identify it.
     const SIGNS: Signs;
+    /// The level of the chip's supply monitor, 0 to 7: the highest that its supply surely is above.
+    const SUPPLY_LEVEL: u8 = MONITOR_2V9;
     /// Motors that it can drive, at most [`MAX_JOINTS`].
     const AXES: usize;
     /// Data of its bridges that the drive needs.

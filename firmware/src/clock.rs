@@ -10,6 +10,7 @@ use embassy_stm32::rcc::{
 use embassy_stm32::time::Hertz;
 use embassy_stm32::{Config, Peripherals, pac};
 
+use crate::board::{Board, This};
 use crate::critical;
 
 /// Frequency that the PWM timers count at, Hz.
@@ -22,12 +23,12 @@ const SUPPLY_LINE: usize = 16;
 /// is incorrect").
 const NOT_REVISION_A: u16 = 0x413;
 
-/// Highest level of the supply monitor: 2.9 V (STM32F405 datasheet, table 19).
-const MONITOR_2V9: u8 = 7;
+/// Highest level of the supply monitor: 2.9 V (STM32F405 datasheet, table 19), for a supply of 3.3 V.
+pub const MONITOR_2V9: u8 = 7;
 
-/// Waits until the chip's own supply is above 2.9 V: below 2.7 V, flash is too slow for the clock that comes. The chip
-/// runs on its own oscillator meanwhile, which 1.8 V are enough for, and below those its power-on reset holds it. So no
-/// brown-out level need be set in the option bytes.
+/// Waits until the chip's own supply is above the monitor's level ([`Board::SUPPLY_LEVEL`]): below 2.7 V, flash is too
+/// slow for the clock that comes. The chip runs on its own oscillator meanwhile, which 1.8 V are enough for, and below
+/// those its power-on reset holds it. So no brown-out level need be set in the option bytes.
 pub fn await_supply() {
     pac::RCC.apb1enr().modify(|w| w.set_pwren(true));
     monitor_supply();
@@ -36,7 +37,7 @@ pub fn await_supply() {
 
 fn monitor_supply() {
     pac::PWR.cr1().modify(|w| {
-        w.set_pls(MONITOR_2V9);
+        w.set_pls(This::SUPPLY_LEVEL);
         w.set_pvde(true);
     });
 }
@@ -48,7 +49,7 @@ pub fn brown_out_level() -> u8 {
 }
 
 /// From here on a crystal that stops is a non-maskable interrupt (RM0090 section 7.2.7), and a supply that falls below
-/// 2.9 V an interrupt (line 16, section 12.2.5) that neither a critical section nor a control step holds back. [`crate::reset`] has both.
+/// [`Board::SUPPLY_LEVEL`] an interrupt (line 16, section 12.2.5) that neither a critical section nor a control step holds back. [`crate::reset`] has both.
 fn watch() {
     pac::RCC.cr().modify(|w| w.set_csson(true));
     // embassy has reset the power controller.

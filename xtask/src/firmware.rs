@@ -12,7 +12,7 @@ use crate::toolchain::{TARGET, Toolchain, Use, run};
 use crate::tools;
 
 /// All boards, by the name of their Cargo feature.
-pub const BOARDS: [&str; 2] = ["odrive-v3", "h-bridge-f405"];
+pub const BOARDS: [&str; 3] = ["odrive-v3", "h-bridge-f405", "h-bridge-f407-disc1"];
 
 /// The board that a test on the emulated chip adds to them: one file, compiled into an image that nobody ships.
 pub const TOY: &str = "toy-board";

@@ -66,9 +66,10 @@ pub struct OdriveV3;
 
 impl Board for OdriveV3 {
     const NAME: &'static str = "odrive-v3";
-    /// The bus divider holds PA6 with 0.9 kohm, with the supply on or off. That there are two DRV8301 shows only once
-    /// EN_GATE is high: arming reads their registers back.
-    const SIGNS: Signs = Signs { held: &[Pin::new('A', 6)], open: &[] };
+    /// The bus divider holds PA6 with 0.9 kohm, with the supply on or off, and a thermistor with 3.3 kohm to the supply
+    /// holds PC5. On a Discovery board PA6 is an output of its accelerometer, and PC5 is free. That there are two DRV8301
+    /// shows only once EN_GATE is high: arming reads their registers back.
+    const SIGNS: Signs = Signs { held: &[Pin::new('A', 6), Pin::new('C', 5)], open: &[] };
     const AXES: usize = AXES;
     /// Data of the bridges. The current loop's bandwidth is a tenth of the slowest carrier over two pi, rounded down:
     /// with half a period of delay it keeps 60 degrees of phase margin at any carrier.

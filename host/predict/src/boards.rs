@@ -22,11 +22,13 @@ pub enum BoardKind {
     OdriveV3,
     /// Any STM32F405 module with three H-bridges.
     HBridgeF405,
+    /// ST's Discovery board STM32F407G-DISC1 with three H-bridges.
+    HBridgeF407Disc1,
 }
 
 impl BoardKind {
     /// All of them, the one with the fewest axes first.
-    pub const ALL: [Self; 2] = [Self::OdriveV3, Self::HBridgeF405];
+    pub const ALL: [Self; 3] = [Self::OdriveV3, Self::HBridgeF405, Self::HBridgeF407Disc1];
 
     /// What it calls itself, and what its image is built as.
     #[must_use]
@@ -34,6 +36,7 @@ impl BoardKind {
         match self {
             Self::OdriveV3 => "odrive-v3",
             Self::HBridgeF405 => "h-bridge-f405",
+            Self::HBridgeF407Disc1 => "h-bridge-f407-disc1",
         }
     }
 
@@ -42,7 +45,7 @@ impl BoardKind {
     pub fn axes(self) -> usize {
         match self {
             Self::OdriveV3 => 2,
-            Self::HBridgeF405 => 3,
+            Self::HBridgeF405 | Self::HBridgeF407Disc1 => 3,
         }
     }
 

@@ -119,7 +119,7 @@ mod tests {
         }
         for board in [
             include_str!("../../../firmware/src/board/odrive_v3.rs"),
-            include_str!("../../../firmware/src/board/h_bridge_f405.rs"),
+            include_str!("../../../firmware/src/board/h_bridges.rs"),
         ] {
             assert!(board.contains(&format!("    speed: [{BOARD_SPEED:.1}; 3],")), "boards start with another speed");
         }

@@ -1,0 +1,290 @@
+//! Boards with up to three H-bridges, each driven in locked anti-phase: CHx of TIM1 switches one half of a bridge, CHxN
+//! the other. A file of its own says what is wired where on each ([`Wires`]).
+//!
+//! Off is the enable line (low), not the inputs: both inputs low brakes on many bridges. A low level on the break input
+//! cuts the outputs in hardware, whatever the program does.
+
+use core::marker::PhantomData;
+
+use embassy_stm32::gpio::{AfType, AnyPin, Flex, Level, Output, Pull, Speed};
+use embassy_stm32::pac;
+use embassy_stm32::pac::gpio::Gpio;
+use embassy_stm32::pac::timer::TimGp16;
+use embassy_stm32::{Peri, Peripherals, peripherals, rcc};
+use haptic_bridge::drive::carrier::{CARRIER_MIN_HZ, Carrier};
+use haptic_bridge::drive::stage::Bridge;
+use haptic_bridge::model::catalogue::MAX_JOINTS;
+use haptic_bridge::safety::fault::Fault;
+use haptic_bridge::safety::limits::{Limits, MOST_TIP_FORCE};
+use haptic_bridge::servo::frame::Samples;
+use haptic_bridge::servo::joints::{Counts, Currents};
+
+use super::{Board, Common, Io, Signs};
+use crate::adc;
+use crate::encoder;
+use crate::gate::{Gate, GateError};
+use crate::index;
+use crate::pwm;
+use crate::zeros::{Zeroing, Zeros, settle};
+
+/// Motors that it can drive.
+const AXES: usize = 3;
+
+/// Time in which both inputs of a bridge are low at each edge: 17 ticks of 1/168 MHz, 101 ns. It is the same at both
+/// edges, so it costs a little voltage and distorts nothing.
+const DEAD_TIME_TICKS: u8 = 17;
+
+/// Amperes per volt at a current input, and the voltage of no current: a 185 mV/A Hall sensor behind a divider from 5 V
+/// to the converter's reference, here 3.3 V. With another reference and its divider a count is the same current.
+const AMPERES_PER_VOLT: f32 = 1.0 / (0.185 * 0.66);
+
+/// Amperes per count of the converter.
+const AMPERES_PER_COUNT: f32 = adc::REFERENCE_V / adc::FULL_SCALE * AMPERES_PER_VOLT;
+
+/// Farthest that a zero may be from the middle of the converter's range, counts: 40 mV of the sensor's own and 5 % of a
+/// supply that it halves, behind the divider. More is a current: 0.9 A through a bridge that is off.
+const ZERO_MAX: u16 = 136;
+
+/// The first encoder's timer.
+// SAFETY: it is 32 bits wide and has the registers of a 16-bit timer at the same places; `encoder` lets it count to 65 535.
+const TIM2: TimGp16 = unsafe { TimGp16::from_ptr(pac::TIM2.as_ptr()) };
+
+/// What differs between two of these boards. The encoders are the same on all: PA15 and PB3, PB4 and PB5, PB6 and PB7.
+pub trait Wires {
+    /// The board's name.
+    const NAME: &'static str;
+    /// The pins that identify it.
+    const SIGNS: Signs;
+    /// The level of the supply monitor.
+    const SUPPLY_LEVEL: u8;
+    /// The bridges' enable line.
+    const ENABLE: (Gpio, usize);
+    /// The break input.
+    const BREAK: (Gpio, usize);
+    /// Bits of the index inputs in port C.
+    const INDEX_LINES: [u32; AXES];
+    /// Channels of the two converters: currents 0 and 2, and current 1 with the bus voltage.
+    const CHANNELS: [[u8; 2]; 2];
+    /// Volts on the bus at the converters' full scale.
+    const BUS_FULL_SCALE: f32;
+    /// Outputs, enable line and break input of each port: locked once they are set up.
+    const LOCKED: &'static [(Gpio, u16)];
+
+    /// Finds its pins. None is touched.
+    fn divide(p: Peripherals) -> (Pins, Common);
+}
+
+/// A pin of the chip.
+type AnyPeri = Peri<'static, AnyPin>;
+
+/// A board's pins.
+pub struct Pins {
+    /// As [`Wires::ENABLE`].
+    pub enable: AnyPeri,
+    /// As [`Wires::BREAK`].
+    pub break_input: AnyPeri,
+    /// TIM1's channels and their complements.
+    pub gates: [AnyPeri; 2 * AXES],
+    /// Currents and bus voltage.
+    pub sensors: [AnyPeri; AXES + 1],
+    /// Channels A and B.
+    pub encoders: [[AnyPeri; 2]; AXES],
+}
+
+/// A board with these wires.
+pub struct HBridges<W>(PhantomData<W>);
+
+impl<W: Wires> Board for HBridges<W> {
+    const NAME: &'static str = W::NAME;
+    const SIGNS: Signs = W::SIGNS;
+    const SUPPLY_LEVEL: u8 = W::SUPPLY_LEVEL;
+    const AXES: usize = AXES;
+    /// Data of the bridges. The dead time here costs no voltage (see [`DEAD_TIME_TICKS`]), so the drive compensates
+    /// none.
+    const BRIDGE: Bridge =
+        Bridge { carrier_hz: CARRIER_MIN_HZ as f32, dead_time: 0.0, bandwidth_hz: 1000.0, current_sensed: true };
+    /// Limits that cannot be raised over USB: the range of the sensors, and of the bus divider.
+    const LIMITS: Limits = Limits {
+        torque: [10.0; 3],
+        current: [12.0; 3],
+        continuous_current: [6.0; 3],
+        speed: [100.0; 3],
+        power: 40.0,
+        bus_min: 6.0,
+        bus_max: 34.0,
+        tip_force: MOST_TIP_FORCE,
+    };
+    const POWER_FAULT: Fault = Fault::BreakInput;
+    const UNSENSED: &'static [Fault] = &[Fault::EncoderIllegal, Fault::GateDriver];
+    type Io = Sampled<W>;
+    type Gate = EnableLine;
+
+    #[inline]
+    fn off() {
+        let (port, bit) = W::ENABLE;
+        port.bsrr().write(|w| w.set_br(bit, true));
+        pwm::drive(pac::TIM1, false);
+    }
+
+    fn split(p: Peripherals, carrier: Carrier, board: bool) -> (Sampled<W>, Option<EnableLine>, Common) {
+        rcc::enable_and_reset::<peripherals::TIM1>();
+        rcc::enable_and_reset::<peripherals::TIM2>();
+        rcc::enable_and_reset::<peripherals::TIM3>();
+        rcc::enable_and_reset::<peripherals::TIM4>();
+        rcc::enable_and_reset::<peripherals::ADC1>();
+        rcc::enable_and_reset::<peripherals::ADC2>();
+
+        let config = pwm::PwmConfig { channels: [true; 3], dead_time: DEAD_TIME_TICKS, break_input: true };
+        pwm::configure(pac::TIM1, &config, carrier);
+        adc::configure(pac::ADC1, &W::CHANNELS[0]);
+        adc::configure(pac::ADC2, &W::CHANNELS[1]);
+        let (pins, common) = W::divide(p);
+        if board {
+            core::mem::forget(Output::new(pins.enable, Level::Low, Speed::Low));
+            // Pulled up: a board without a break line is not held off by it.
+            let mut break_input = Flex::new(pins.break_input);
+            break_input.set_as_af_unchecked(1, AfType::input(Pull::Up));
+            core::mem::forget(break_input);
+            pwm::outputs(pins.gates.map(Flex::new), 1);
+            adc::inputs(pins.sensors.map(Flex::new));
+            index::latch(W::INDEX_LINES[0] | W::INDEX_LINES[1] | W::INDEX_LINES[2]);
+            let [first, second, third] = pins.encoders.map(|channels| channels.map(Flex::new));
+            start_encoder(TIM2, first, 1);
+            start_encoder(pac::TIM3, second, 2);
+            start_encoder(pac::TIM4, third, 2);
+        }
+        for &(port, pins) in W::LOCKED {
+            pwm::lock(port, pins);
+        }
+
+        let io = Sampled { zeros: Zeros::new(), offsets: [0.0; AXES], carrier, wires: PhantomData };
+        (io, board.then_some(EnableLine), common)
+    }
+}
+
+fn start_encoder(timer: TimGp16, [a, b]: [Flex<'static>; 2], alternate_function: u8) {
+    encoder::start(timer, a, b, alternate_function);
+}
+
+/// The part that the control interrupt owns.
+pub struct Sampled<W> {
+    zeros: Zeros<AXES>,
+    /// Zero error of each sensor's reading, A.
+    offsets: [f32; AXES],
+    carrier: Carrier,
+    wires: PhantomData<W>,
+}
+
+impl<W> Sampled<W> {
+    /// The readings of all sensors.
+    #[inline(always)]
+    fn raw() -> [i32; AXES] {
+        [adc::result(pac::ADC1, 0), adc::result(pac::ADC2, 0), adc::result(pac::ADC1, 1)]
+    }
+}
+
+impl<W: Wires> Io for Sampled<W> {
+    #[inline(always)]
+    fn follow(&mut self, counts: &mut Counts) {
+        encoder::follow(TIM2, &mut counts[0]);
+        encoder::follow(pac::TIM3, &mut counts[1]);
+        encoder::follow(pac::TIM4, &mut counts[2]);
+    }
+
+    #[inline(always)]
+    fn marked(&self) -> bool {
+        index::seen() != 0
+    }
+
+    fn marks(&mut self, counts: &Counts) -> [Option<i32>; MAX_JOINTS] {
+        index::take(&W::INDEX_LINES, counts)
+    }
+
+    #[inline(always)]
+    fn forget(&mut self) {
+        adc::forget(pac::ADC1);
+        adc::forget(pac::ADC2);
+    }
+
+    #[inline(always)]
+    fn sampled(&self) -> bool {
+        adc::finished(pac::ADC1, pac::ADC2)
+    }
+
+    fn await_samples(&self) -> bool {
+        adc::wait(pac::ADC1, pac::ADC2)
+    }
+
+    #[inline(always)]
+    fn sample(&mut self, seen: &mut Samples) {
+        let raw = Self::raw();
+        let current = |axis: usize| self.offsets[axis] + AMPERES_PER_COUNT * raw[axis] as f32;
+        seen.currents = Currents([current(0), current(1), current(2)]);
+        let bus = adc::result(pac::ADC2, 1) as f32;
+        seen.bus_voltage = W::BUS_FULL_SCALE / adc::FULL_SCALE * bus;
+    }
+
+    fn learn(&mut self) {
+        self.zeros.take(Self::raw());
+        self.offsets = self.zeros.get().map(|zero| -AMPERES_PER_COUNT * zero);
+    }
+
+    /// Compare values of each axis's two legs, applied at the next valley: the second leg is the first one's complement
+    /// here.
+    #[inline(always)]
+    fn write(&mut self, legs: &[[u16; 2]; MAX_JOINTS]) {
+        pac::TIM1.ccr(0).write(|w| w.set_ccr(legs[0][0]));
+        pac::TIM1.ccr(1).write(|w| w.set_ccr(legs[1][0]));
+        pac::TIM1.ccr(2).write(|w| w.set_ccr(legs[2][0]));
+    }
+
+    #[inline]
+    fn drive(&mut self, on: bool) {
+        if on {
+            pwm::drive(pac::TIM1, true);
+            let (port, bit) = W::ENABLE;
+            port.bsrr().write(|w| w.set_bs(bit, true));
+        } else {
+            HBridges::<W>::off();
+        }
+    }
+
+    /// True if the break input has cut the outputs, or still would.
+    #[inline(always)]
+    fn fault(&self) -> bool {
+        let (port, bit) = W::BREAK;
+        let low = port.idr().read().idr(bit) == pac::gpio::vals::Idr::LOW;
+        let cut = !pac::TIM1.bdtr().read().moe();
+        low || cut
+    }
+
+    #[inline(always)]
+    fn carrier(&self) -> &Carrier {
+        &self.carrier
+    }
+
+    fn set_carrier(&mut self, carrier: Carrier) {
+        pwm::set_carrier(pac::TIM1, carrier);
+        self.carrier = carrier;
+    }
+
+    fn start(&mut self) {
+        pwm::start(None);
+    }
+}
+
+/// The part that the tasks own. It has nothing to set up: this board's bridges have no registers.
+pub struct EnableLine;
+
+impl Gate for EnableLine {
+    /// Learns the current sensors' zeros, 12 ms. The enable line rises when the control interrupt connects the bridges.
+    fn raise(&mut self) -> Result<(), GateError> {
+        let zero = settle(Zeroing::Learn);
+        if zero > ZERO_MAX { Err(GateError::Offset(f32::from(zero) * AMPERES_PER_COUNT)) } else { Ok(()) }
+    }
+
+    /// Nothing to look at: bridges without registers.
+    fn check(&mut self) -> Result<(), GateError> {
+        Ok(())
+    }
+}
