@@ -1,5 +1,5 @@
-//! How each board is wired, for the virtual hardware around the chip. The pins are those of docs/wiring-odrive-v3.md
-//! and docs/wiring-h-bridge-f405.md, read a second time here, so that a pin swapped in the firmware shows.
+//! How each board is wired, for the virtual hardware around the chip. The pins are those of its page, docs/wiring-*.md,
+//! read a second time here, so that a pin swapped in the firmware shows.
 
 pub use haptic_predict::boards::BoardKind;
 
@@ -66,6 +66,10 @@ pub struct Wiring {
     pub fault_breaks: bool,
     /// The bus voltage's converter channel and divider.
     pub bus: (u8, f64),
+    /// Pins that the board itself holds high, whatever hangs on it, besides the bus divider's.
+    pub held: &'static [Pin],
+    /// The chip's supply, which is also the converters' reference, mV.
+    pub supply_mv: u32,
     /// The chip selects of the gate drivers, on SPI3.
     pub drivers: &'static [Pin],
     /// The nominal bus voltage, V.
@@ -82,6 +86,8 @@ pub struct Wiring {
 const SHUNT: f64 = 500e-6;
 /// A 185 mV/A Hall sensor behind a divider from 5 V to 3.3 V.
 const HALL: f64 = 0.185 * 0.66;
+/// The same, behind a divider to 3.0 V.
+const HALL_OF_3V: f64 = 0.185 * 0.6;
 
 static ODRIVE_V3: Wiring = Wiring {
     name: BoardKind::OdriveV3.name(),
@@ -127,6 +133,8 @@ static ODRIVE_V3: Wiring = Wiring {
     fault: Pin('D', 2),
     fault_breaks: false,
     bus: (6, 19.0),
+    held: &[Pin('C', 5)],
+    supply_mv: 3300,
     drivers: &[Pin('C', 13), Pin('C', 14)],
     bus_voltage: 24.0,
     sensor_offsets: [0.008, -0.005, 0.003, -0.011],
@@ -151,6 +159,44 @@ static H_BRIDGE_F405: Wiring = Wiring {
     fault: Pin('B', 12),
     fault_breaks: true,
     bus: (13, 11.0),
+    held: &[],
+    supply_mv: 3300,
+    drivers: &[],
+    bus_voltage: 24.0,
+    sensor_offsets: [0.0; 4],
+    dead_time: 0.0,
+};
+
+static H_BRIDGE_F407_DISC1: Wiring = Wiring {
+    name: BoardKind::HBridgeF407Disc1.name(),
+    encoders: &[
+        EncoderWires { timer: 2, pins: [Pin('A', 15), Pin('B', 3)], function: 1, index: Pin('C', 6) },
+        EncoderWires { timer: 3, pins: [Pin('B', 4), Pin('B', 5)], function: 2, index: Pin('C', 8) },
+        EncoderWires { timer: 4, pins: [Pin('B', 6), Pin('B', 7)], function: 2, index: Pin('C', 9) },
+    ],
+    motors: &[
+        h_bridge(1, [Pin('E', 9), Pin('E', 8)], &[(11, HALL_OF_3V)]),
+        h_bridge(2, [Pin('E', 11), Pin('E', 10)], &[(12, HALL_OF_3V)]),
+        h_bridge(3, [Pin('E', 13), Pin('E', 12)], &[(1, HALL_OF_3V)]),
+    ],
+    enable: Pin('E', 14),
+    // PA9 is no gate: it has the cable's 5 V.
+    power: &[
+        Pin('A', 9),
+        Pin('E', 8),
+        Pin('E', 9),
+        Pin('E', 10),
+        Pin('E', 11),
+        Pin('E', 12),
+        Pin('E', 13),
+        Pin('E', 14),
+    ],
+    idle_brakes: true,
+    fault: Pin('E', 15),
+    fault_breaks: true,
+    bus: (14, 12.0),
+    held: &[Pin('B', 9)],
+    supply_mv: 3000,
     drivers: &[],
     bus_voltage: 24.0,
     sensor_offsets: [0.0; 4],
@@ -163,6 +209,12 @@ const fn h_bridge(channel: u8, [p, n]: [Pin; 2], sensors: &'static [(u8, f64)]) 
 }
 
 impl Wiring {
+    /// Half of the chip's supply, where a current sensor stands at no current, V.
+    #[must_use]
+    pub fn middle(&self) -> f64 {
+        0.5e-3 * f64::from(self.supply_mv)
+    }
+
     /// The pin that the bus divider holds.
     #[must_use]
     pub fn bus_pin(&self) -> Pin {
@@ -179,6 +231,7 @@ impl Wiring {
         match kind {
             BoardKind::OdriveV3 => &ODRIVE_V3,
             BoardKind::HBridgeF405 => &H_BRIDGE_F405,
+            BoardKind::HBridgeF407Disc1 => &H_BRIDGE_F407_DISC1,
         }
     }
 }

@@ -43,12 +43,10 @@ const PORT_PULLS: u32 = 0x0C;
 /// `BDTR` of an advanced timer, and its main output enable.
 const BREAK_AND_DEAD_TIME: u32 = 0x44;
 const MAIN_OUTPUT: u64 = 1 << 15;
-/// The 8 MHz crystal of both boards.
+/// The 8 MHz crystal of all boards.
 const CRYSTAL_HZ: u64 = 8_000_000;
-/// The rail of both boards, in millivolts.
+/// The rail of a bare chip, in millivolts.
 const RAIL_MV: u32 = 3300;
-/// Where a current sensor stands at no current, V.
-const MID_SUPPLY: f64 = 1.65;
 /// SPI3 in rigless' order.
 const SPI3: usize = 2;
 
@@ -132,6 +130,7 @@ impl Hardware {
     pub fn new(wiring: impl Into<&'static Wiring>, plant: Box<dyn Plant>) -> Result<Self, rigless::soc::Error> {
         let wiring = wiring.into();
         let mut hardware = Self { wiring: Some(wiring), plant, ..Self::bare()? };
+        hardware.chip.set_supply(wiring.supply_mv);
         for select in wiring.drivers {
             let (port, pin) = place(*select);
             let select = Select { port: PORT_NAMES[port], pin, active: Level::Low };
@@ -181,8 +180,9 @@ impl Hardware {
             for (axis, wires) in wiring.encoders.iter().enumerate() {
                 self.show_phase(at, axis, wires);
             }
-            let held = Level::from(self.plant.bus_voltage() / wiring.bus.1 > MID_SUPPLY);
+            let held = Level::from(self.plant.bus_voltage() / wiring.bus.1 > wiring.middle());
             self.hold(wiring.bus_pin(), (!self.bus_cut).then_some(held), at);
+            wiring.held.iter().for_each(|&pin| self.put(pin, Level::High, at));
         }
         if at.0 >= self.next_step {
             self.advance_plant(wiring, at);
@@ -256,20 +256,23 @@ impl Hardware {
             let gain = if wiring.drivers.is_empty() { Some(1.0) } else { self.driver(axis).gain() };
             for &(channel, volts_per_ampere) in motor.sensors {
                 let current = self.broken.current(&currents, axis, nth);
-                let seen = gain
-                    .map_or(0.0, |gain| MID_SUPPLY + wiring.sensor_offsets[nth] + gain * volts_per_ampere * current);
-                self.show_volts(channel, seen);
+                let seen = gain.map_or(0.0, |gain| {
+                    wiring.middle() + wiring.sensor_offsets[nth] + gain * volts_per_ampere * current
+                });
+                self.show_volts(wiring, channel, seen);
                 nth += 1;
             }
         }
         let (channel, divider) = wiring.bus;
-        self.show_volts(channel, self.broken.bus_shown.unwrap_or(self.plant.bus_voltage()) / divider);
+        self.show_volts(wiring, channel, self.broken.bus_shown.unwrap_or(self.plant.bus_voltage()) / divider);
     }
 
-    fn show_volts(&mut self, channel: u8, volts: f64) {
+    fn show_volts(&mut self, wiring: &Wiring, channel: u8, volts: f64) {
         let channel = AnalogChannel::new(channel).expect("a pin channel");
         // A float-to-int `as` saturates, as an input clamped to its rails does.
-        let microvolts = ((volts * 1e6) as u32).min(REFERENCE_UV);
+        // The converters are told of one reference alone: what they see is the share of this board's.
+        let share = volts / (1e-3 * f64::from(wiring.supply_mv));
+        let microvolts = ((share * f64::from(REFERENCE_UV)) as u32).min(REFERENCE_UV);
         for converter in &mut self.chip.converters {
             converter.inner.set_input(channel, microvolts);
         }
@@ -354,7 +357,7 @@ impl Hardware {
     }
 }
 
-const PORT_NAMES: [&str; 4] = ["GPIOA", "GPIOB", "GPIOC", "GPIOD"];
+const PORT_NAMES: [&str; 5] = ["GPIOA", "GPIOB", "GPIOC", "GPIOD", "GPIOE"];
 
 fn place(Pin(port, number): Pin) -> (usize, PortPin) {
     let port = (port as usize) - ('A' as usize);

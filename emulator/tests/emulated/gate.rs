@@ -109,3 +109,8 @@ fn the_image_of_odrive_v3_renders_a_wall_and_lets_go_at_a_fault() {
 fn the_image_of_h_bridge_f405_renders_a_wall_and_lets_go_at_a_fault() {
     session(BoardKind::HBridgeF405, "phantom-premium-1.5", Fault::BreakInput);
 }
+
+#[test]
+fn the_image_of_h_bridge_f407_disc1_renders_a_wall_and_lets_go_at_a_fault() {
+    session(BoardKind::HBridgeF407Disc1, "phantom-premium-1.5", Fault::BreakInput);
+}

@@ -7,7 +7,7 @@ use haptic_bridge::board::telemetry::{Field, Fields};
 use haptic_bridge::render::velocity::{Chosen, Estimator};
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::safety::refusal::Refusal;
-use virtual_board::boards::BoardKind;
+use virtual_board::boards::{BoardKind, Pin, Wiring};
 use virtual_board::inject::{after_crest, off, run_instead};
 use virtual_board::plant::Peaks;
 use virtual_board::rig::Rig;
@@ -94,20 +94,32 @@ fn the_break_input_cuts_the_outputs_without_the_processor() {
     assert_eq!(executed(), before, "the processor stood still");
 }
 
-/// Each image on the wires of the other board: PB12 is EN_GATE on the one and the break input, pulled up, on the other; PC6
-/// an axis's gate and the enable line.
+/// Each image on the wires of every other board: PB12 is EN_GATE on the one and the break input, pulled up, on another; PC6
+/// an axis's gate and the enable line; PA9 a gate, and the cable's 5 V. An accelerometer may hold the pin that an ODrive's
+/// divider holds, and a microphone the one that holds a module's.
 #[test]
 fn an_image_on_the_wrong_board_leaves_its_power_stage_alone_and_says_so() {
-    let [odrive, h_bridge] = [BoardKind::OdriveV3, BoardKind::HBridgeF405];
-    for (kind, board, strange) in [(odrive, h_bridge, 0x06), (h_bridge, odrive, 0x23)] {
+    let [odrive, module, discovery] = [BoardKind::OdriveV3, BoardKind::HBridgeF405, BoardKind::HBridgeF407Disc1];
+    let [odrive_wires, module_wires, discovery_wires] = [odrive, module, discovery].map(Wiring::of);
+    let with = |held| -> &'static Wiring { Box::leak(Box::new(Wiring { held, ..*discovery_wires })) };
+    for (kind, board, strange) in [
+        (odrive, module_wires, 0x06),
+        (module, odrive_wires, 0x23),
+        (odrive, discovery_wires, 0x06),
+        (odrive, with(&[Pin('B', 9), Pin('A', 6)]), 0x25),
+        (module, discovery_wires, 0x23),
+        (module, with(&[Pin('B', 9), Pin('C', 3)]), 0x19),
+        (discovery, odrive_wires, 0x24),
+        (discovery, module_wires, 0x24),
+    ] {
         let mut rig = Rig::misplaced(kind, board, "pantograph-mk2");
         let let_alone = |rig: &Rig| rig.with(|stopped| !stopped.hardware().peaks.touched && off(stopped));
-        assert!(let_alone(&rig), "{} on {}", kind.name(), board.name());
+        assert!(let_alone(&rig), "{} on {}", kind.name(), board.name);
         let told = |rig: &mut Rig| {
             let status = rig.tool.status().expect("the board answers");
             status.fault.map(|record| (record.fault, record.value as u8))
         };
-        assert_eq!(told(&mut rig), Some((Fault::WrongBoard, strange)), "{} on {}", kind.name(), board.name());
+        assert_eq!(told(&mut rig), Some((Fault::WrongBoard, strange)), "{} on {}", kind.name(), board.name);
         assert_eq!(rig.tool.info().board.as_str(), kind.name());
         rig.load("");
         assert_eq!(refused(rig.tool.arm()), Refusal::Faulted(Fault::WrongBoard));
@@ -119,7 +131,7 @@ fn an_image_on_the_wrong_board_leaves_its_power_stage_alone_and_says_so() {
         rig.run(SECOND / 10);
         rig = rig.restarted();
         assert_eq!(told(&mut rig), Some((Fault::WrongBoard, strange)));
-        assert!(let_alone(&rig), "{} on {}", kind.name(), board.name());
+        assert!(let_alone(&rig), "{} on {}", kind.name(), board.name);
     }
 }
 
@@ -129,7 +141,7 @@ fn a_falling_supply_floats_the_bridges_in_the_middle_of_a_control_step() {
     for kind in BoardKind::ALL {
         let rig = armed(kind);
         after_crest(&rig, 3);
-        rig.with(|stopped| stopped.supply(2_700));
+        rig.with(|stopped| stopped.supply(2_600));
         let fell = rig.now();
         while !rig.with(off) {
             rig.run(MICROSECOND / 10);

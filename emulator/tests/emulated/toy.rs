@@ -20,6 +20,8 @@ static TOY: Wiring = Wiring {
     fault: Pin('B', 12),
     fault_breaks: false,
     bus: (13, 11.0),
+    held: &[],
+    supply_mv: 3300,
     drivers: &[],
     bus_voltage: 24.0,
     sensor_offsets: [0.0; 4],

@@ -1,4 +1,4 @@
-//! Which pin is which: every encoder, motor and sensor of both boards, one at a time.
+//! Which pin is which: every encoder, motor and sensor of every board, one at a time.
 
 use std::time::Duration;
 
@@ -15,7 +15,7 @@ use crate::session::WALL;
 fn device_of(kind: BoardKind) -> &'static str {
     match kind {
         BoardKind::OdriveV3 => "pantograph-mk2",
-        BoardKind::HBridgeF405 => "fictive-five-bar-turret",
+        BoardKind::HBridgeF405 | BoardKind::HBridgeF407Disc1 => "fictive-five-bar-turret",
     }
 }
 
@@ -83,7 +83,7 @@ fn each_index_pulse_reaches_its_own_axis() {
 fn the_bus_voltage_is_read_within_a_converter_step() {
     for kind in BoardKind::ALL {
         let mut rig = Rig::empty(kind);
-        let step = 3.3 / 4096.0 * Wiring::of(kind).bus.1;
+        let step = 1e-3 * f64::from(Wiring::of(kind).supply_mv) / 4096.0 * Wiring::of(kind).bus.1;
         for volts in [12.0, 24.0, 27.5] {
             rig.with(move |stopped| {
                 stopped.hardware().plant = Box::new(Dummy { bus_voltage: volts, ..Dummy::default() });
