@@ -7,6 +7,18 @@ pub use haptic_predict::boards::BoardKind;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Pin(pub char, pub u8);
 
+impl Pin {
+    /// The pin of a converter's channel.
+    #[must_use]
+    pub fn of_channel(channel: u8) -> Self {
+        match channel {
+            low @ 0..=7 => Self('A', low),
+            middle @ 8..=9 => Self('B', middle - 8),
+            high => Self('C', high - 10),
+        }
+    }
+}
+
 /// An encoder's wires: the general timer that counts it (2 to 5), its two pins and their alternate function.
 #[derive(Clone, Copy, Debug)]
 pub struct EncoderWires {
@@ -218,11 +230,7 @@ impl Wiring {
     /// The pin that the bus divider holds.
     #[must_use]
     pub fn bus_pin(&self) -> Pin {
-        match self.bus.0 {
-            low @ 0..=7 => Pin('A', low),
-            middle @ 8..=9 => Pin('B', middle - 8),
-            high => Pin('C', high - 10),
-        }
+        Pin::of_channel(self.bus.0)
     }
 
     /// How a board is wired.

@@ -10,6 +10,7 @@ pub mod chip;
 pub mod contact;
 pub mod count;
 pub mod cycles;
+pub mod drawing;
 pub mod drv8301;
 pub mod exchange;
 pub mod hands;

@@ -49,7 +49,8 @@ pub fn brown_out_level() -> u8 {
 }
 
 /// From here on a crystal that stops is a non-maskable interrupt (RM0090 section 7.2.7), and a supply that falls below
-/// [`Board::SUPPLY_LEVEL`] an interrupt (line 16, section 12.2.5) that neither a critical section nor a control step holds back. [`crate::reset`] has both.
+/// [`Board::SUPPLY_LEVEL`] an interrupt (line 16, section 12.2.5) that neither a critical section nor a control step
+/// holds back. [`crate::reset`] has both.
 fn watch() {
     pac::RCC.cr().modify(|w| w.set_csson(true));
     // embassy has reset the power controller.

@@ -45,7 +45,7 @@ pub struct Info {
     /// Firmware version.
     pub firmware: String<16>,
     /// Kind of board: what the firmware is for, or `simulated`.
-    pub board: String<16>,
+    pub board: String<24>,
     /// Serial number.
     pub serial: String<24>,
 }

@@ -8,10 +8,11 @@ use haptic_bridge::render::velocity::{Chosen, Estimator};
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::safety::refusal::Refusal;
 use virtual_board::boards::{BoardKind, Pin, Wiring};
+use virtual_board::hardware::Hardware;
 use virtual_board::inject::{after_crest, off, run_instead};
-use virtual_board::plant::Peaks;
-use virtual_board::rig::Rig;
-use virtual_board::run::{MICROSECOND, MILLISECOND, SECOND};
+use virtual_board::plant::{Dummy, Peaks};
+use virtual_board::rig::{Rig, firmware};
+use virtual_board::run::{MICROSECOND, MILLISECOND, SECOND, VirtualBoard};
 
 use crate::gate::refused;
 use crate::session::WALL;
@@ -95,19 +96,19 @@ fn the_break_input_cuts_the_outputs_without_the_processor() {
 }
 
 /// Each image on the wires of every other board: PB12 is EN_GATE on the one and the break input, pulled up, on another; PC6
-/// an axis's gate and the enable line; PA9 a gate, and the cable's 5 V. An accelerometer may hold the pin that an ODrive's
-/// divider holds, and a microphone the one that holds a module's.
+/// an axis's gate and the enable line; PA9 a gate, and the cable's 5 V. On a Discovery board whose supply is 3.3 V an
+/// accelerometer may hold the pin that an ODrive's divider holds, and a microphone the one of a module's.
 #[test]
 fn an_image_on_the_wrong_board_leaves_its_power_stage_alone_and_says_so() {
     let [odrive, module, discovery] = [BoardKind::OdriveV3, BoardKind::HBridgeF405, BoardKind::HBridgeF407Disc1];
     let [odrive_wires, module_wires, discovery_wires] = [odrive, module, discovery].map(Wiring::of);
-    let with = |held| -> &'static Wiring { Box::leak(Box::new(Wiring { held, ..*discovery_wires })) };
+    let with = |held| -> &'static Wiring { Box::leak(Box::new(Wiring { held, supply_mv: 3300, ..*discovery_wires })) };
     for (kind, board, strange) in [
         (odrive, module_wires, 0x06),
         (module, odrive_wires, 0x23),
-        (odrive, discovery_wires, 0x06),
+        (odrive, with(discovery_wires.held), 0x06),
         (odrive, with(&[Pin('B', 9), Pin('A', 6)]), 0x25),
-        (module, discovery_wires, 0x23),
+        (module, with(discovery_wires.held), 0x23),
         (module, with(&[Pin('B', 9), Pin('C', 3)]), 0x19),
         (discovery, odrive_wires, 0x24),
         (discovery, module_wires, 0x24),
@@ -132,6 +133,19 @@ fn an_image_on_the_wrong_board_leaves_its_power_stage_alone_and_says_so() {
         rig = rig.restarted();
         assert_eq!(told(&mut rig), Some((Fault::WrongBoard, strange)));
         assert!(let_alone(&rig), "{} on {}", kind.name(), board.name);
+    }
+}
+
+/// Images for 3.3 V wait for more than a Discovery board ever has.
+#[test]
+fn at_three_volts_the_images_of_other_boards_do_not_start() {
+    let wires = Wiring::of(BoardKind::HBridgeF407Disc1);
+    for kind in [BoardKind::OdriveV3, BoardKind::HBridgeF405] {
+        let hardware = Hardware::new(wires, Box::new(Dummy::default())).expect("the board's description is sound");
+        let mut board = VirtualBoard::start(firmware(kind), hardware).expect("the image starts");
+        board.run(SECOND);
+        let (ready, touched) = board.with(|stopped| (stopped.usb().ready(), stopped.hardware().peaks.touched));
+        assert!(!ready && !touched, "{}", kind.name());
     }
 }
 

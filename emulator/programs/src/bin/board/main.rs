@@ -1,4 +1,4 @@
-//! `board [odrive-v3|h-bridge-f405|h-bridge-f407-disc1] [--device FILE.toml] [--tcp PORT] [--fast]`: the real firmware on an emulated board
+//! `board [BOARD] [--device FILE.toml] [--tcp PORT] [--fast]`: the real firmware on an emulated board
 //! with a simulated device, for a person. `cargo xtask board` calls it.
 //!
 //! It prints the ports that `haptic --port …` connects to, and the firmware's log as it comes. Ctrl-C ends it.
@@ -32,7 +32,8 @@ struct Arguments {
 
 fn main() -> ExitCode {
     let Some(arguments) = parse(std::env::args().skip(1)) else {
-        eprintln!("usage: board [odrive-v3|h-bridge-f405|h-bridge-f407-disc1] [--device FILE.toml] [--tcp PORT] [--fast]");
+        let boards = BoardKind::ALL.map(BoardKind::name).join("|");
+        eprintln!("usage: board [{boards}] [--device FILE.toml] [--tcp PORT] [--fast]");
         return ExitCode::from(2);
     };
     match run(&arguments) {
