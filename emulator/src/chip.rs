@@ -1,4 +1,4 @@
-//! The microcontroller: rigless' STM32F427 turned into the STM32F405 that both boards carry.
+//! The microcontroller: rigless' STM32F427 turned into the STM32F405 that the boards carry.
 //!
 //! What is taken over from rigless as it is: the core, RCC, PWR, GPIO, timers, converters, SPI, DMA, watchdog. What is
 //! put in place of its own: the memory sizes, the contents of the flash array ([`flash`]), the USB core in device mode

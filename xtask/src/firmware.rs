@@ -56,7 +56,7 @@ pub fn size() -> Result<()> {
     for board in BOARDS {
         let image = Image::read(&build(board)?)?;
         lines.push(format!(
-            "{board:<14} {:>7} B of {FLASH_LIMIT}   {:>6} B of {RAM_LIMIT}  ({} statics, {} stack)",
+            "{board:<20} {:>7} B of {FLASH_LIMIT}   {:>6} B of {RAM_LIMIT}  ({} statics, {} stack)",
             image.flash,
             image.ram(),
             image.statics,
@@ -66,7 +66,7 @@ pub fn size() -> Result<()> {
             over.push(board);
         }
     }
-    println!("{:<14} {:<20} RAM\n{}", "board", "flash", lines.join("\n"));
+    println!("{:<20} {:<20} RAM\n{}", "board", "flash", lines.join("\n"));
     if !over.is_empty() {
         bail!("too large: {}", over.join(", "));
     }

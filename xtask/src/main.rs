@@ -82,7 +82,7 @@ enum Command {
         /// Where Pinocchio is: the folder with its include and lib
         pinocchio: PathBuf,
     },
-    /// The library, the tool, both images, each on the emulated board once; ten minutes from nothing
+    /// The library, the tool, all images, each on the emulated board once; ten minutes from nothing
     Test {
         /// Instead what takes longer: everything, or one part
         #[arg(long, value_name = "PART", num_args = 0..=1, value_parser = deep_part())]

@@ -1,4 +1,4 @@
-//! The release firmware of both boards on the emulated chip, through the real protocol, with a simulated device.
+//! The release firmware of every board on the emulated chip, through the real protocol, with a simulated device.
 //!
 //! Virtual time stands still while a test looks, so every run sees the same bytes at the same instants.
 
