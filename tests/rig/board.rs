@@ -95,8 +95,12 @@ impl Machine for Bench {
 
 impl Described for Bench {
     fn info(&self) -> Info {
-        let text = |text: &str| text.chars().collect();
-        Info { protocol: PROTOCOL, firmware: text("0.0.0"), board: text("bench"), serial: "B1".chars().collect() }
+        Info {
+            protocol: PROTOCOL,
+            firmware: "0.0.0".chars().collect(),
+            board: "bench".chars().collect(),
+            serial: "B1".chars().collect(),
+        }
     }
     fn measured(&mut self) -> Measured {
         Measured::default()
