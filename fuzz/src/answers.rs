@@ -90,11 +90,10 @@ impl Wire for Wild {
                 let header = VarHeader { key: VarKey::Key8(GetInfo::RESP_KEY), seq_no: asked.seq_no };
                 self.asked.pop_front();
                 self.rest.pop_front();
-                let text = |text: &str| text.chars().collect();
                 let info = Info {
                     protocol: PROTOCOL,
-                    firmware: text("1"),
-                    board: text("fuzz"),
+                    firmware: "1".chars().collect(),
+                    board: "fuzz".chars().collect(),
                     serial: "F".chars().collect(),
                 };
                 encode(&header, &postcard::to_stdvec(&info).unwrap_or_default())

@@ -472,7 +472,7 @@ impl Stranger {
                         let answer = |key, body: &[u8]| {
                             encode(&VarHeader { key: VarKey::Key8(key), seq_no: frame.header.seq_no }, body)
                         };
-                        let [firmware, board] = ["9.9", "odrive-v3"].map(|word| word.chars().collect());
+                        let (firmware, board) = ("9.9".chars().collect(), "odrive-v3".chars().collect());
                         let info = Info { protocol, firmware, board, serial: "A1".chars().collect() };
                         if frame.header.key == VarKey::Key8(GetInfo::REQ_KEY) {
                             answers.extend(answer(GetInfo::RESP_KEY, &postcard::to_stdvec(&info).unwrap()));
