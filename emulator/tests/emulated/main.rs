@@ -4,6 +4,7 @@
 
 mod arming;
 mod boot;
+mod drawing;
 mod equality;
 mod faults;
 mod force;

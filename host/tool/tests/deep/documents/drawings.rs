@@ -26,7 +26,7 @@ fn the_drawings_of_the_documents_are_those_of_the_tool() {
             "{drawing}.svg: docs/devices.md says how to draw it anew"
         );
     }
-    // The eighth is a board's, which emulator/src/drawing.rs holds.
+    // The eighth is a board's, which emulator/tests/emulated/drawing.rs holds.
     assert_eq!(std::fs::read_dir(root().join("docs/drawings")).unwrap().count(), 8);
 }
 

@@ -1,0 +1,44 @@
+//! The pages of the boards are about the wires that the emulated boards have.
+
+use std::path::{Path, PathBuf};
+
+use virtual_board::boards::{BoardKind, Pin, Wiring};
+use virtual_board::drawing::draw;
+
+fn documents() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs")
+}
+
+#[test]
+fn the_drawing_of_the_documents_is_of_these_wires() {
+    let title = "STM32F407G-DISC1 with three H-bridges: the chip's pins";
+    let dividers = ["10 kΩ over 15 kΩ", "11 kΩ over 1 kΩ"];
+    let picture = draw(Wiring::of(BoardKind::HBridgeF407Disc1), title, dividers);
+    let drawn = picture.svg();
+    let path = documents().join("drawings/h-bridge-f407-disc1.svg");
+    if std::env::var_os("UPDATE_DOCS").is_some() {
+        std::fs::write(&path, drawn).expect("the drawing can be written");
+    }
+    let kept = std::fs::read_to_string(&path).expect("the drawing is there");
+    assert_eq!(kept, drawn, "run UPDATE_DOCS=1 cargo test -p virtual-board --test emulated drawing::");
+}
+
+/// A pin of a page that is not a pin of the tests would be wired and never tried.
+#[test]
+fn each_page_names_every_pin_in_its_table() {
+    for kind in BoardKind::ALL {
+        let wiring = Wiring::of(kind);
+        let page = std::fs::read_to_string(documents().join(format!("wiring-{}.md", wiring.name))).expect("a page");
+        let table = page.lines().filter(|line| line.starts_with('|'));
+        let words: Vec<&str> = table.flat_map(|line| line.split(|c: char| !c.is_alphanumeric())).collect();
+        let encoders = wiring.encoders.iter().flat_map(|wires| [wires.pins[0], wires.pins[1], wires.index]);
+        let motors = wiring.motors.iter().flat_map(|motor| {
+            let sensors = motor.sensors.iter().map(|(channel, _)| Pin::of_channel(*channel));
+            motor.gates.into_iter().chain(sensors)
+        });
+        for Pin(port, number) in encoders.chain(motors).chain([wiring.enable, wiring.fault, wiring.bus_pin()]) {
+            let pin = format!("P{port}{number}");
+            assert!(words.contains(&pin.as_str()), "{}: {pin}", wiring.name);
+        }
+    }
+}
