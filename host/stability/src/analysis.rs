@@ -9,7 +9,7 @@
 //! - [`estimator`]: the velocity estimators as linear filters
 //! - [`flexible`]: what is not rigid about it and what holds it: transmissions, a hand on the tip, a posture
 //! - [`host`]: the same wall rendered by a program on a computer
-//! - [`line`]: walls along a line, their damping by a rule, and how far they are stable
+//! - [`mod@line`]: walls along a line, their damping by a rule, and how far they are stable
 //! - [`map`]: inertia over the workspace: what `haptic map` prints
 //! - [`passivity`]: the classical bounds of walls that no hand can make oscillate
 //! - [`plant`]: the device linearised at a pose, its joint damping and its drives, in continuous time
