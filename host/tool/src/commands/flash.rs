@@ -17,7 +17,7 @@ use std::path::PathBuf;
 /// off: run the same again. On Linux, `haptic udev` writes the rule that lets you open boot loaders.
 #[derive(clap::Args)]
 pub struct Args {
-    /// The kind of board, which only a boot loader without firmware has to be told: odrive-v3, h-bridge-f405
+    /// The kind of board, such as odrive-v3, which nothing but a boot loader has to be told
     board: Option<String>,
     #[command(flatten)]
     port: Port,
