@@ -50,8 +50,10 @@ use haptic_bridge::safety::limits::Limits;
 use haptic_bridge::servo::frame::Samples;
 use haptic_bridge::servo::joints::Counts;
 
-use crate::clock::MONITOR_2V9;
 use crate::gate::Gate;
+
+/// Highest level of the supply monitor: 2.9 V (STM32F405 datasheet, table 19), for a supply of 3.3 V.
+pub const MONITOR_2V9: u8 = 7;
 
 /// A pin of ports A to D: sixteen times its port's number, 0 for A, and its number there.
 #[derive(Clone, Copy, PartialEq, Eq)]

@@ -10,7 +10,6 @@ use embassy_stm32::rcc::{
 use embassy_stm32::time::Hertz;
 use embassy_stm32::{Config, Peripherals, pac};
 
-use crate::board::{Board, This};
 use crate::critical;
 
 /// Frequency that the PWM timers count at, Hz.
@@ -23,21 +22,18 @@ const SUPPLY_LINE: usize = 16;
 /// is incorrect").
 const NOT_REVISION_A: u16 = 0x413;
 
-/// Highest level of the supply monitor: 2.9 V (STM32F405 datasheet, table 19), for a supply of 3.3 V.
-pub const MONITOR_2V9: u8 = 7;
-
-/// Waits until the chip's own supply is above the monitor's level ([`Board::SUPPLY_LEVEL`]): below 2.7 V, flash is too
+/// Waits until the chip's own supply is above a `level` of its monitor: below 2.7 V, flash is too
 /// slow for the clock that comes. The chip runs on its own oscillator meanwhile, which 1.8 V are enough for, and below
 /// those its power-on reset holds it. So no brown-out level need be set in the option bytes.
-pub fn await_supply() {
+pub fn await_supply(level: u8) {
     pac::RCC.apb1enr().modify(|w| w.set_pwren(true));
-    monitor_supply();
+    monitor_supply(level);
     while pac::PWR.csr1().read().pvdo() {}
 }
 
-fn monitor_supply() {
+fn monitor_supply(level: u8) {
     pac::PWR.cr1().modify(|w| {
-        w.set_pls(This::SUPPLY_LEVEL);
+        w.set_pls(level);
         w.set_pvde(true);
     });
 }
@@ -49,12 +45,12 @@ pub fn brown_out_level() -> u8 {
 }
 
 /// From here on a crystal that stops is a non-maskable interrupt (RM0090 section 7.2.7), and a supply that falls below
-/// [`Board::SUPPLY_LEVEL`] an interrupt (line 16, section 12.2.5) that neither a critical section nor a control step
+/// the `level` an interrupt (line 16, section 12.2.5) that neither a critical section nor a control step
 /// holds back. [`crate::reset`] has both.
-fn watch() {
+fn watch(level: u8) {
     pac::RCC.cr().modify(|w| w.set_csson(true));
     // embassy has reset the power controller.
-    monitor_supply();
+    monitor_supply(level);
     pac::EXTI.rtsr(0).modify(|w| w.set_line(SUPPLY_LINE, true));
     pac::EXTI.imr(0).modify(|w| w.set_line(SUPPLY_LINE, true));
     interrupt::PVD.set_priority(critical::SUPPLY);
@@ -66,7 +62,7 @@ fn watch() {
 }
 
 /// Starts the clocks and takes the chip's peripherals.
-pub fn start() -> Peripherals {
+pub fn start(level: u8) -> Peripherals {
     // embassy's clock counts half turns of TIM5 by its interrupt. The update event that loads the timer matches its
     // count, 0, with the comparison that is still 0, and the flag of that would be taken for a half turn: the clock
     // would then be half a turn ahead, and read 65 ms early between any half turn and its interrupt. No half turn can
@@ -75,7 +71,7 @@ pub fn start() -> Peripherals {
         let chip = embassy_stm32::init(config());
         pac::TIM5.sr().write(|w| w.0 = 0);
         accelerate();
-        watch();
+        watch(level);
         chip
     })
 }

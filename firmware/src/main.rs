@@ -53,8 +53,8 @@ async fn main(spawner: Spawner) {
         core.DCB.enable_trace();
         core.DWT.enable_cycle_counter();
     }
-    clock::await_supply();
-    let chip = clock::start();
+    clock::await_supply(This::SUPPLY_LEVEL);
+    let chip = clock::start(This::SUPPLY_LEVEL);
     self_test::image();
     freeze_carriers_when_halted();
     defmt::info!(

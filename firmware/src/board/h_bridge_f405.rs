@@ -7,7 +7,7 @@ use embassy_stm32::pac::{GPIOA, GPIOB, GPIOC};
 use super::h_bridges::{Pins, Wires};
 use super::{Common, Pin, Signs};
 use crate::adc;
-use crate::clock::MONITOR_2V9;
+use crate::board::MONITOR_2V9;
 
 /// Its wires.
 pub struct HBridgeF405;
