@@ -100,7 +100,7 @@ impl BinaryAngle {
     pub fn of_radians(radians: f64) -> Self {
         const PER_RADIAN: f64 = 4_294_967_296.0 / core::f64::consts::TAU;
         let turns = radians / core::f64::consts::TAU;
-        // What is left of a turn first: then it fits, however many there were.
+        // The whole turns come off first: the rest fits, however many there were.
         let left = radians - (turns as i64) as f64 * core::f64::consts::TAU;
         let parts = left * PER_RADIAN;
         Self((parts + if parts < 0.0 { -0.5 } else { 0.5 }) as i64 as u32)
@@ -230,7 +230,7 @@ impl Math<f32> for Minimax {
     }
 }
 
-/// What the board computes with: sine and cosine of an encoder's angle from a table of 256 places in a turn and the
+/// The board's trigonometry: sine and cosine of an encoder's angle from a table of 256 places in a turn and the
 /// addition theorem for what is left, less than π/256, by two terms of each series; absolute error below 1.0e-7. Angles
 /// that come as radians go through [`Minimax`].
 #[derive(Clone, Copy, Debug, Default)]
@@ -321,7 +321,7 @@ impl Math<f32> for Tabulated {
     }
 }
 
-/// What the analysis computes with, in double precision and from radians: the same places of a turn and the addition
+/// The analysis's trigonometry, in double precision and from radians: the same places of a turn and the addition
 /// theorem, with the terms that it takes for absolute errors below 2e-16, and for relative ones below 7e-16 up to 1e-9
 /// rad from a zero. Quicker than [`Libm`], to which it leaves angles beyond ±3000 rad.
 #[derive(Clone, Copy, Debug, Default)]

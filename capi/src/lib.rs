@@ -174,7 +174,7 @@ impl From<&Request> for ForceRequest {
     }
 }
 
-/// What a call of this library can end with, beside well: a code, and words.
+/// The failure of a call of this library: a code, and words.
 struct Failure(i32, String);
 
 impl Failure {
@@ -199,7 +199,7 @@ impl<E: std::error::Error + 'static> From<E> for Failure {
     }
 }
 
-/// What a program calls where a person would type a command.
+/// Commands that a person would type, and what a program calls instead.
 const CALLS: [(&str, &str); 6] = [
     ("device FILE", "hb_load()"),
     ("scene FILE", "hb_set_scene()"),

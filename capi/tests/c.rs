@@ -16,7 +16,7 @@ use std::path::Path;
 use std::process::Command;
 use std::ptr::null;
 
-/// Where cargo has put the shared library: beside this test.
+/// The folder in which cargo has put the shared library: beside this test.
 fn libraries() -> std::path::PathBuf {
     std::env::current_exe().unwrap().parent().unwrap().to_path_buf()
 }
@@ -39,7 +39,7 @@ fn the_example_compiles_without_a_warning_and_pushes_a_simulated_board() {
         .output()
         .expect("gcc: `apt-get install gcc`");
     assert!(compiled.status.success(), "{}", String::from_utf8_lossy(&compiled.stderr));
-    // What installing it does.
+    // Installing the library makes this link.
     let soname = format!("libhapticbridge.so.{HB_VERSION}");
     let _ = std::fs::remove_file(folder.join(&soname));
     std::os::unix::fs::symlink("libhapticbridge.so", folder.join(&soname)).unwrap();

@@ -23,10 +23,10 @@ const LEAST_RADIUS: f64 = 0.01;
 
 /// Ticks between two attempts to open a board that went away: half a second.
 const RETRY: u32 = 500;
-/// What a program does where a person would type a command.
+/// Commands that a person would type, and what a program does instead.
 const CALLS: [(&str, &str); 1] = [("faults --clear", "close and open the device")];
 
-/// How the board is opened, also once more.
+/// Opens the board, also once more.
 type Opener = Box<dyn FnMut() -> Result<Session, String> + Send>;
 
 /// A board that a program made with CHAI3D uses.
@@ -34,14 +34,14 @@ pub struct HdDevice {
     open: Opener,
     /// None while the board is gone.
     session: Option<Session>,
-    /// What the board holds: another one in its place is not this device.
+    /// The board's device: a board with another one in its place is not this device.
     held: DeviceData,
     axes: Axes,
     /// The tip that is CHAI3D's origin, m.
     centre: [f64; 3],
     /// As far as the tip goes in every direction that it has, about, m.
     pub radius: f64,
-    /// What the device is called.
+    /// The name of the device.
     pub name: String,
     last: ForceAnswer,
     tick: Instant,
@@ -51,11 +51,11 @@ pub struct HdDevice {
     simulated: bool,
     /// Why the motors are off was said.
     told: bool,
-    /// A force that is none was said.
+    /// A force that no board accepts was reported.
     told_absurd: bool,
     /// The program has the motors on, as far as it knows.
     armed: bool,
-    /// A fault that came while it had is cleared when it opens the device anew; no other is.
+    /// A fault that came while it had is cleared when it opens the device again; no other fault is.
     tripped: bool,
 }
 
@@ -141,14 +141,14 @@ impl HdDevice {
         off
     }
 
-    /// Where the tip was at the last tick, m; none while the board is gone.
+    /// The position of the tip at the last tick, m; `None` while the board is gone.
     pub fn position(&self) -> Option<[f64; 3]> {
         let tip = self.last.tip.map(f64::from);
         self.session.as_ref()?;
         Some(self.axes.to_chai3d(std::array::from_fn(|i| tip[i] - self.centre[i])))
     }
 
-    /// How fast it was, m/s; none while the board is gone.
+    /// The velocity of the tip, m/s; `None` while the board is gone.
     pub fn velocity(&self) -> Option<[f64; 3]> {
         self.session.as_ref()?;
         Some(self.axes.to_chai3d(self.last.velocity.map(f64::from)))

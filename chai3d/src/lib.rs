@@ -1,5 +1,5 @@
-//! haptic-bridge boards for programs made with CHAI3D 3.3, which need not be changed or built anew: the 14 functions
-//! that its `CPhantomDevices.cpp` looks up in `libhdPhantom.so`, with its units, axes and order (docs/chai3d.md).
+//! haptic-bridge boards for programs made with CHAI3D 3.3, which need not be changed or rebuilt: the 14 functions that
+//! its `CPhantomDevices.cpp` looks up in `libhdPhantom.so`, with its units, axes and order (docs/chai3d.md).
 //!
 //! HAPTIC_PORT says which board; without it there is a simulated one. Functions return 0, or -1 where they could not;
 //! words go to standard error. Nothing unwinds across the border, and the motors go off when the program ends.
@@ -25,7 +25,7 @@ static FOUND: Mutex<Found> = Mutex::new(Found::NotYet);
 const DONE: c_int = 0;
 const FAILED: c_int = -1;
 
-/// Has the board do something, opening it first where nobody has yet. After a panic it is let go of, which disarms it.
+/// Has the board do something, and opens it first if it is not open. After a panic it is let go of, which disarms it.
 fn with(id: c_int, work: impl FnOnce(&mut HdDevice) -> bool) -> c_int {
     if id != 0 {
         return FAILED;
@@ -91,7 +91,7 @@ unsafe fn get(from: [*const f64; 3]) -> Option<[f64; 3]> {
     Some(values)
 }
 
-/// How many devices there are: 1 where the board can be opened, else 0.
+/// The number of devices: 1 if the board can be opened, else 0.
 #[unsafe(no_mangle)]
 pub extern "C" fn hdPhantomGetNumDevices() -> c_int {
     c_int::from(with(0, |_| true) == DONE)
@@ -198,7 +198,7 @@ pub unsafe extern "C" fn hdPhantomSetForceAndTorque(
     unsafe { hdPhantomSetForce(id, x, y, z) }
 }
 
-/// How far the tip goes from the middle, about, m.
+/// The distance that the tip goes from the middle, about, m.
 ///
 /// # Safety
 /// `radius` is NULL or has room for one number.
@@ -208,7 +208,7 @@ pub unsafe extern "C" fn hdPhantomGetWorkspaceRadius(id: c_int, radius: *mut f64
     with(id, |device| unsafe { put([radius; 3], [device.radius; 3]) })
 }
 
-/// What the device is called, at most 254 bytes and a zero: CHAI3D has room for 255.
+/// The name of the device, at most 254 bytes and a zero: CHAI3D has room for 255.
 ///
 /// # Safety
 /// `name` is NULL or has room for 255 bytes.

@@ -34,7 +34,7 @@ fn run(program: &Path, folder: &Path, port: &str, axes: Option<&str>) -> Output 
     command.envs(axes.map(|axes| ("HAPTIC_AXES", axes))).output().unwrap()
 }
 
-/// What it prints: name, radius, distance from the sphere's middle at first and at last, tip, seconds, buttons.
+/// Its output: name, radius, distance from the sphere's middle at first and at last, tip, seconds, buttons.
 fn said(output: &Output) -> Vec<String> {
     let text = String::from_utf8_lossy(&output.stdout).into_owned();
     assert!(output.status.success(), "{:?}: {text}{}", output.status, String::from_utf8_lossy(&output.stderr));
@@ -67,7 +67,7 @@ fn a_sphere_pushes_the_tip_out_at_a_thousand_ticks_a_second() {
         assert!(number(5) > 1.499, "{said:?}");
         assert_eq!(said[6], "0");
         if port != "sim" {
-            // Nobody holds this one up until its motors do.
+            // No hand holds this one up before its motors do.
             continue;
         }
         // It ends where 0.3 N press it into 300 N/m, but for what friction holds: up to 0.2 N.

@@ -1,5 +1,5 @@
-//! How each board is wired, for the virtual hardware around the chip. The pins are those of its page, docs/wiring-*.md,
-//! read a second time here, so that a pin swapped in the firmware shows.
+//! The wiring of each board, for the virtual hardware around the chip. The pins are those of its page,
+//! docs/wiring-*.md, read a second time here, so that a pin swapped in the firmware shows.
 
 pub use haptic_predict::boards::BoardKind;
 
@@ -52,15 +52,15 @@ pub struct MotorWires {
     pub gates: [Pin; 4],
     /// The alternate function of `gates`.
     pub function: u8,
-    /// Where its current is seen: converter channel, and volts per ampere (from first end to second) of each sensor.
-    /// A gain-programmed sensor gives the shunt's volts per ampere; the driver's gain multiplies it.
+    /// Its current sensors: converter channel, and volts per ampere (from first end to second) of each. A
+    /// gain-programmed sensor gives the shunt's volts per ampere; the driver's gain multiplies it.
     pub sensors: &'static [(u8, f64)],
 }
 
 /// A board.
 #[derive(Clone, Copy, Debug)]
 pub struct Wiring {
-    /// What it calls itself, and what its image is built as.
+    /// The name that the board gives itself and that its image is built under.
     pub name: &'static str,
     /// The encoders, one per axis.
     pub encoders: &'static [EncoderWires],
@@ -70,7 +70,7 @@ pub struct Wiring {
     pub enable: Pin,
     /// Every pin that leads to a gate, an input of a bridge or an enable line, of used and unused phases and of the brake.
     pub power: &'static [Pin],
-    /// What all axes do while it is on but the timer's outputs are idle: float (false) or brake (true).
+    /// The state of all axes while it is on but the timer's outputs are idle: they float (false) or brake (true).
     pub idle_brakes: bool,
     /// The pin that a power stage pulls low for a fault, and whether that line is the timer's break input.
     pub fault: Pin,
@@ -86,7 +86,7 @@ pub struct Wiring {
     pub drivers: &'static [Pin],
     /// The nominal bus voltage, V.
     pub bus_voltage: f64,
-    /// What each current sensor's zero is off by, V: a few millivolts at shunt amplifiers; Hall sensors are taken as
+    /// The zero offset of each current sensor, V: a few millivolts at shunt amplifiers; Hall sensors are taken as
     /// trimmed.
     pub sensor_offsets: [f64; 4],
     /// Dead time that costs voltage, s: both switches of a half bridge off. Zero where a half bridge is a module of its
@@ -233,7 +233,7 @@ impl Wiring {
         Pin::of_channel(self.bus.0)
     }
 
-    /// How a board is wired.
+    /// Returns the wiring of a board.
     #[must_use]
     pub fn of(kind: BoardKind) -> &'static Self {
         match kind {

@@ -32,7 +32,7 @@ pub struct Case {
     pub what: &'static str,
     /// Breaks it, with the tip in a wall.
     pub cause: fn(&mut Hardware),
-    /// Whether the board has to notice it. What it may miss is listed with its effect.
+    /// True if the board has to notice it. Faults that it may miss are listed with their effect.
     pub seen: bool,
 }
 
@@ -130,14 +130,14 @@ fn drag(board: &mut Hardware) {
     }
 }
 
-/// What came of one.
+/// The result of one case.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Outcome {
     /// The fault, if it was seen.
     pub fault: Option<Fault>,
     /// From the cause to bridges that float, ns; of the time that was waited where they did not.
     pub after: u64,
-    /// What there was until then.
+    /// The peaks until then.
     pub peaks: Peaks,
 }
 
@@ -231,7 +231,7 @@ impl Campaign {
     }
 }
 
-/// Whether the power stages are disabled: also where a bridge is stuck.
+/// Returns true if the power stages are disabled, even if a bridge is stuck.
 fn disabled(stopped: &mut crate::run::StoppedBoard<'_>) -> bool {
     let board = stopped.hardware();
     board.wiring.is_some_and(|wiring| board.level(wiring.enable) == Level::Low)

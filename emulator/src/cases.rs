@@ -4,7 +4,7 @@ use crate::boards::BoardKind;
 use crate::contact::WallAt;
 use crate::rig::Rig;
 
-/// What a device meets. A wall has the feed-forward in full unless it says otherwise.
+/// The contacts of a device. A wall has the feed-forward in full unless it says otherwise.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Meets {
     /// Nothing.
@@ -52,13 +52,13 @@ impl Meets {
             Self::Ball => vec![WallAt { radius: Some(0.03), ..one }],
             Self::Corner => {
                 let other = WallAt::facing([-1.0, 0.0, 0.0]);
-                // Where both are as stiff there is nothing to shape.
+                // If both were as stiff, there would be nothing to shape.
                 vec![one, WallAt { stiffness: 0.5 * other.stiffness, ..other }]
             }
         }
     }
 
-    /// How many walls it touches.
+    /// Number of walls that it touches.
     #[must_use]
     pub fn contacts(self) -> usize {
         self.walls().len()
@@ -84,7 +84,7 @@ const fn case(board: BoardKind, device: &'static str, meets: Meets, target: u64)
     Case { board, device, meets, rate_hz: 20_000, target }
 }
 
-/// What is measured stage by stage, and kept.
+/// The cases that are measured stage by stage, and kept.
 pub const CASES: [Case; 5] = [
     case(BoardKind::OdriveV3, "pantograph-mk2", Meets::Wall, 800),
     case(BoardKind::OdriveV3, "pantograph-mk2", Meets::Corner, 1200),

@@ -1,8 +1,8 @@
 //! The microcontroller: rigless' STM32F427 turned into the STM32F405 that the boards carry.
 //!
-//! What is taken over from rigless as it is: the core, RCC, PWR, GPIO, timers, converters, SPI, DMA, watchdog. What is
-//! put in place of its own: the memory sizes, the contents of the flash array ([`flash`]), the USB core in device mode
-//! ([`otg`]), and the wires from timer triggers to converters and from TIM1 to TIM8 ([`trigger`]).
+//! Taken over from rigless unchanged: the core, RCC, PWR, GPIO, timers, converters, SPI, DMA, watchdog. Replaced: the
+//! memory sizes, the contents of the flash array ([`flash`]), the USB core in device mode ([`otg`]), and the wires from
+//! timer triggers to converters and from TIM1 to TIM8 ([`trigger`]).
 //!
 //! rigless builds its part around a bus of its own description. Here the part runs on a bus of *our* description
 //! ([`map`]) that holds the part's own slots, in the same order; a system reset hands the part its old bus back first.

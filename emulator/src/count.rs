@@ -29,7 +29,7 @@ use rigless::time::VirtualNanos;
 use crate::hardware::Hardware;
 use crate::image::{self, Firmware, Symbol};
 
-/// What was counted for one variant.
+/// The counts of one variant.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Variant {
     /// The name the image gave it.

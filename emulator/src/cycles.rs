@@ -13,7 +13,7 @@ use std::collections::VecDeque;
 
 use crate::trace::Code;
 
-/// How the flash answers.
+/// The model of the flash's delay.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Flash {
     /// At once: what the core alone takes.
@@ -40,7 +40,7 @@ const REFILL: u64 = 2;
 /// manual, section 3.9; ARM application note 298).
 pub const EXCEPTION: u64 = 12 + 12 + 17 + 17;
 
-/// What an instruction is for.
+/// The purpose of an instruction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
     /// Arithmetic of the FPU.
@@ -63,7 +63,7 @@ impl Kind {
     ];
 }
 
-/// How many instructions of a path are of each of [`Kind::ALL`].
+/// Counts the instructions of a path by [`Kind::ALL`].
 #[must_use]
 pub fn kinds(code: &Code, path: &[u32]) -> [u64; Kind::ALL.len()] {
     let mut counts = [0; Kind::ALL.len()];
@@ -74,14 +74,14 @@ pub fn kinds(code: &Code, path: &[u32]) -> [u64; Kind::ALL.len()] {
     counts
 }
 
-/// What an instruction costs by itself.
+/// The cost of an instruction by itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Cost {
     kind: Kind,
     /// Bytes of the instruction.
     length: u32,
     cycles: u64,
-    /// Whether it is a single load, which the next one overlaps.
+    /// True for a single load, which the next one overlaps.
     load: bool,
     /// The address of the constant that it loads from the code.
     constant: Option<u32>,
@@ -195,7 +195,7 @@ fn arithmetic(first: u16, second: u16) -> Cost {
 struct Lines(VecDeque<u32>);
 
 impl Lines {
-    /// Whether `line` is there; it becomes the newest of at most `most`.
+    /// Returns true if `line` is there; it becomes the newest of at most `most`.
     fn take(&mut self, line: u32, most: usize) -> bool {
         let place = self.0.iter().position(|&kept| kept == line);
         if let Some(place) = place {

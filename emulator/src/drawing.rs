@@ -10,12 +10,12 @@ use crate::boards::{Pin, Wiring};
 /// Pixels between two wires, and between two parts.
 const ROW: f64 = 19.0;
 const GAP: f64 = 12.0;
-/// Where the board ends and the parts begin.
+/// The column where the board ends, and the one where the parts begin.
 const BOARD: f64 = 240.0;
 const PARTS: f64 = 470.0;
 const WIDTH: f64 = 720.0;
 
-/// What hangs on some wires.
+/// A part that is connected to some wires.
 struct Part {
     name: String,
     colour: &'static str,

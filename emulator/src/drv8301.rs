@@ -43,7 +43,7 @@ impl Drv8301 {
         self.fault = bits & 0x3FF;
     }
 
-    /// Whether it pulls the fault line.
+    /// Returns true if it pulls the fault line.
     #[must_use]
     pub fn pulls_fault(&self) -> bool {
         self.on && self.fault != 0
@@ -59,7 +59,7 @@ impl Drv8301 {
         self.control = [0; 2];
     }
 
-    /// What its shunt amplifiers multiply by (nothing while their inputs are shorted), or `None` while they are off.
+    /// Returns the gain of its shunt amplifiers (zero while their inputs are shorted), or `None` while they are off.
     #[must_use]
     pub fn gain(&self) -> Option<f64> {
         let shorted = self.control[1] & CALIBRATE != 0;

@@ -17,10 +17,10 @@ use crate::rig::{Rig, firmware};
 use crate::run::{MICROSECOND, MILLISECOND};
 use crate::trace::Code;
 
-/// How long after an answer's last byte the next request begins, at most, ns.
+/// Longest time from an answer's last byte to the next request, ns.
 pub const LOOK: u64 = 5 * MICROSECOND;
 
-/// What came of it.
+/// The result of a stretch of exchanges.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Exchanges {
     /// Requests answered in a second.
@@ -39,7 +39,7 @@ pub struct Exchanges {
     pub overruns: u32,
     /// Telemetry.
     pub losses: Losses,
-    /// Whether the motors were on at the end, without a fault.
+    /// True if the motors were on at the end, without a fault.
     pub armed: bool,
 }
 
@@ -80,7 +80,8 @@ pub fn run(
     }
 }
 
-/// Where the instructions of an exchange go, with `ahead` of them on their way at most and no telemetry.
+/// Counts the instructions of an exchange by their purpose, with at most `ahead` exchanges on their way and no
+/// telemetry.
 ///
 /// # Panics
 ///

@@ -1,4 +1,4 @@
-//! What hands do with a simulated device.
+//! Actions of hands on a simulated device.
 
 use haptic_sim::{Hand, HandSettings, Intent, SimulatedDevice, Support, Waypoint};
 

@@ -59,9 +59,9 @@ const QUADRATURE: [[Level; 2]; 4] =
 pub struct Hardware {
     /// The microcontroller.
     pub chip: Chip,
-    /// How the board is wired; `None` for a bare chip.
+    /// The wiring of the board; `None` for a bare chip.
     pub wiring: Option<&'static Wiring>,
-    /// What hangs on the board's connectors.
+    /// The plant on the board's connectors.
     pub plant: Box<dyn Plant>,
     /// The fault line is held down from outside, whatever the drivers say.
     pub fault_line_shorted: bool,
@@ -71,7 +71,7 @@ pub struct Hardware {
     pub edges_lost: [u32; 3],
     /// From the next start on the chip's pin at the bus divider has no wire.
     pub bus_cut: bool,
-    /// What else is broken.
+    /// The other faults.
     pub broken: Broken,
     /// The most current, speed and travel since this was last set to its default.
     pub peaks: Peaks,
@@ -148,14 +148,14 @@ impl Hardware {
         self.chip.spi[SPI3].chip_mut(nth).expect("the board has this driver")
     }
 
-    /// How the motors were driven over the last step.
+    /// Returns the inputs of the motors over the last step.
     #[must_use]
     pub fn drives(&self) -> [MotorInput; 3] {
         self.drives
     }
 
-    /// Whether no bridge drives its motor at this instant: no timer's main output is enabled, and the enable line is
-    /// low.
+    /// Returns true if no bridge drives its motor at this instant: no timer's main output is enabled, and the enable
+    /// line is low.
     pub fn bridges_float(&mut self) -> bool {
         let driven =
             ["TIM1", "TIM8"].iter().any(|timer| self.chip.register(timer, BREAK_AND_DEAD_TIME) & MAIN_OUTPUT != 0);
@@ -170,7 +170,7 @@ impl Hardware {
         model.level(pin, registers)
     }
 
-    /// What happens on the board at a stop at `at`, and when it needs the next one.
+    /// Advances the board at a stop at `at`, and returns the time at which it needs the next one.
     pub fn step(&mut self, at: VirtualNanos) -> Option<VirtualNanos> {
         let wiring = self.wiring?;
         if self.restarts_seen != Some(self.chip.restarts) {
@@ -315,7 +315,7 @@ impl Hardware {
         });
     }
 
-    /// Whether the chip leaves a pin as its reset does: an input that is not pulled up.
+    /// Returns true if the chip leaves a pin as its reset does: an input that is not pulled up.
     fn is_let_alone(&self, Pin(port, number): Pin) -> bool {
         let port = PORT_NAMES[(port as usize) - ('A' as usize)];
         let field = |register| self.chip.register(port, register) >> (2 * number) & 0b11;

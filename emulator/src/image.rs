@@ -119,7 +119,7 @@ impl Firmware {
         &self.bytes
     }
 
-    /// Where the file came from.
+    /// Returns the path of the file.
     #[must_use]
     pub fn path(&self) -> &Path {
         &self.path
@@ -171,11 +171,11 @@ impl Firmware {
         self.symbols.iter().map(|(name, &symbol)| (name.as_str(), symbol))
     }
 
-    /// What the emulator places in memory.
+    /// Returns the file's contents in the form that the emulator loads into memory.
     ///
     /// # Errors
     ///
-    /// What rigless refuses of an ELF file.
+    /// Any error of rigless over the ELF file.
     pub fn image(&self) -> Result<rigless::image::Image, rigless::image::Error> {
         rigless::image::Image::new(&self.path, self.bytes.clone(), None)
     }

@@ -30,7 +30,7 @@ pub use report::{how, row, table};
 pub use stub::run_instead;
 use stub::{NMI_FLAG, SUPERVISOR, wire_to_nmi};
 
-/// How a fault is brought about.
+/// The way to cause a fault.
 pub enum Injection {
     /// On the emulated chip.
     Chip {
@@ -38,7 +38,7 @@ pub enum Injection {
         how: &'static str,
         /// A board a moment before.
         ready: fn() -> Rig,
-        /// What is done to it.
+        /// The cause of the fault.
         cause: fn(&mut Rig),
         /// The longest that the fault may take to be seen, ms.
         within: u64,
@@ -104,7 +104,7 @@ fn restarting(rig: &mut Rig, cause: impl FnOnce(&mut StoppedBoard<'_>) + Send + 
     rig.with(|stopped| stopped.reset());
 }
 
-/// How `fault` is brought about.
+/// Returns the way to cause `fault`.
 #[must_use]
 pub fn injection(fault: Fault) -> Injection {
     use Injection::{Chip, Unseen};
@@ -496,7 +496,7 @@ fn unlimited() -> Rig {
     free_within(PI)
 }
 
-/// An armed device that nobody holds, whose joints may turn by so much (rad) to either side.
+/// An armed device that no hand holds, whose joints may turn by so much (rad) to either side.
 fn free_within(angle: f64) -> Rig {
     let mut file = device_file(FIVE_BAR);
     let home = file.description.home.expect("a home pose");

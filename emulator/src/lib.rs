@@ -35,7 +35,7 @@ pub mod wire;
 
 use std::path::{Path, PathBuf};
 
-/// Where the table NAME.csv is kept.
+/// Returns the path of the table NAME.csv.
 #[must_use]
 pub fn results(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../docs/results/{name}.csv"))

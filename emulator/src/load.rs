@@ -19,7 +19,7 @@ use crate::exchange;
 use crate::rig::Rig;
 use crate::run::MILLISECOND;
 
-/// What came of a stretch under load.
+/// The result of a stretch under load.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Load {
     /// Control steps that ran.
@@ -32,7 +32,7 @@ pub struct Load {
     pub losses: Losses,
     /// Rows of telemetry that were due.
     pub due: u64,
-    /// Whether the walls were still rendered at the end, and the fault if not.
+    /// True if the walls were still rendered at the end.
     pub armed: bool,
     /// The fault that is latched.
     pub fault: Option<FaultRecord>,
@@ -41,7 +41,7 @@ pub struct Load {
 }
 
 impl Load {
-    /// Whether every period had its step.
+    /// Returns true if every period had its step.
     #[must_use]
     pub fn in_time(&self) -> bool {
         self.armed && self.overruns == 0 && self.steps.abs_diff(self.periods) <= 1
@@ -136,7 +136,7 @@ pub fn set_free_scene(rig: &mut Rig, rate_hz: u32, nth: usize) {
     rig.set_scene(&scene(&head, tip, task, &walls[..1 + nth % 2]));
 }
 
-/// Whether `case` takes new scenes at a rate with the motors on, and every period has its step all the while.
+/// Returns true if `case` takes new scenes at a rate with the motors on, and every period has its step all the while.
 ///
 /// # Panics
 ///
@@ -159,8 +159,8 @@ pub fn takes_scenes(case: &Case, rate_hz: u32) -> bool {
     all && overruns(&mut rig) == before
 }
 
-/// Whether `case` renders a host's plane beside its own walls at a rate, and every period has its step: requests as fast as
-/// they are answered, and a row of telemetry each millisecond.
+/// Returns true if `case` renders a host's plane beside its own walls at a rate, and every period has its step:
+/// requests as fast as they are answered, and a row of telemetry each millisecond.
 ///
 /// # Panics
 ///
@@ -174,8 +174,8 @@ pub fn takes_a_plane(case: &Case, rate_hz: u32) -> bool {
     done.armed && done.not_taken == 0 && done.overruns == before
 }
 
-/// Whether `case` sustains a rate while the limit of the force at the tip, a quarter of what the hand pushes with, cuts
-/// in every step.
+/// Returns true if `case` sustains a rate while the limit of the force at the tip, a quarter of what the hand pushes
+/// with, cuts in every step.
 ///
 /// # Panics
 ///

@@ -22,7 +22,7 @@ const SCENE: &str = "[[wall]]\npoint = [0.0, 0.13]\nnormal = [0.0, -1.0]\nstiffn
 const BURST: u64 = 10 * MILLISECOND;
 const LONGEST: usize = 3000;
 
-/// What a stretch of noise came to.
+/// The result of a stretch of noise.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Noise {
     /// Bursts written.
@@ -42,7 +42,7 @@ pub struct Noise {
 }
 
 impl Noise {
-    /// Whether no motor moved, nothing stopped and nothing broke.
+    /// Returns true if no motor moved, nothing stopped and nothing broke.
     #[must_use]
     pub fn harmless(&self) -> bool {
         (self.driven, self.restarts, self.stalled, self.faults) == (0, 0, 0, 0)
@@ -164,7 +164,7 @@ pub fn run(seed: u32, seconds: u64, mut told: impl FnMut(u64)) -> (Rig, Noise) {
         noise.bursts += 1;
         noise.bytes += burst.len() as u64;
         rig.with(move |bench| {
-            // What the port has not taken of the last burst is dropped: the next one may begin in the middle of a
+            // Drop the part of the last burst that the port has not taken: the next one may begin in the middle of a
             // frame.
             bench.usb().discard();
             bench.usb().write(&burst);

@@ -80,7 +80,7 @@ pub struct Core {
     pub soft_reset: bool,
 }
 
-/// What an endpoint answers.
+/// The answer of an endpoint.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Handshake<T> {
     /// The packet went through.
@@ -141,7 +141,7 @@ impl Core {
         self.set(offset, self.get(offset) & !bits);
     }
 
-    /// Whether the firmware has its pull-up on: a device is there.
+    /// Returns true if the firmware has its pull-up on: a device is there.
     #[must_use]
     pub fn connected(&self) -> bool {
         self.get(DCTL) & (1 << 1) == 0
@@ -190,7 +190,7 @@ impl Core {
         self.received.push_back(SETUP_DONE << 17);
     }
 
-    /// Whether an OUT packet to `number` would be taken now.
+    /// Returns the handshake that an OUT packet to `number` would get now.
     #[must_use]
     pub fn accepts(&self, number: usize) -> Handshake<()> {
         let control = self.get(endpoint(OUT_ENDPOINTS, number, CTL));
@@ -229,7 +229,7 @@ impl Core {
         Handshake::Ack(())
     }
 
-    /// Whether an IN token to `number` would be answered now, with the length of the packet.
+    /// Returns the handshake that an IN token to `number` would get now, with the length of the packet.
     #[must_use]
     pub fn offers(&self, number: usize) -> Handshake<usize> {
         let control = self.get(endpoint(IN_ENDPOINTS, number, CTL));
@@ -291,12 +291,12 @@ impl Core {
         status
     }
 
-    /// Whether the core asks for its interrupt.
+    /// Returns the level of the core's interrupt request.
     pub fn line(&self) -> Level {
         Level::from(self.get(GAHBCFG) & 1 != 0 && self.interrupts() & self.get(GINTMSK) != 0)
     }
 
-    /// What the firmware reads from an address, counted from the core's base.
+    /// Reads a register for the firmware, at an offset from the core's base.
     pub fn read(&mut self, offset: u32, now: VirtualNanos) -> u32 {
         match offset {
             GINTSTS => self.interrupts(),
@@ -328,7 +328,7 @@ impl Core {
         status
     }
 
-    /// What the firmware writes there.
+    /// Writes a register for the firmware, at an offset from the core's base.
     pub fn write(&mut self, offset: u32, value: u32) {
         match offset {
             GINTSTS => self.lower(GINTSTS, value & (USBSUSP | USBRST | ENUMDNE | WKUPINT | 0x4000_0408)),

@@ -1,4 +1,4 @@
-//! What the board's connectors lead to: motors that turn something, encoders that see it.
+//! The plant on the board's connectors: motors that turn something, encoders that see it.
 
 use std::fmt::Debug;
 
@@ -10,7 +10,7 @@ pub trait Plant: Debug + Send {
     fn step(&mut self, drives: &[MotorInput; 3], dt: f64);
     /// Encoder counts since power-on (quadrature edges).
     fn counts(&self) -> [i32; 3];
-    /// Whether each encoder's index mark is under its sensor.
+    /// Returns, for each encoder, true if its index mark is under its sensor.
     fn index(&self) -> [bool; 3];
     /// Winding currents, A, positive with positive duty.
     fn currents(&self) -> [f64; 3];
@@ -46,15 +46,15 @@ impl Plant for SimulatedDevice {
 /// Nothing turns by itself: the encoders stand where they are put, and the drives are remembered.
 #[derive(Clone, Debug)]
 pub struct Dummy {
-    /// Where the encoders stand, counts.
+    /// The positions of the encoders, counts.
     pub counts: [i32; 3],
-    /// Whether each encoder's index mark is under its sensor.
+    /// For each encoder, true if its index mark is under its sensor.
     pub index: [bool; 3],
     /// The currents the sensors see, A.
     pub currents: [f64; 3],
     /// The bus voltage, V.
     pub bus_voltage: f64,
-    /// How the motors were driven in the last step.
+    /// The inputs of the motors in the last step.
     pub drives: [MotorInput; 3],
 }
 
@@ -97,9 +97,9 @@ pub struct Peaks {
     pub speed: f64,
     /// The tip's way from where it was, m.
     pub travel: f64,
-    /// Whether a bridge was on.
+    /// True if a bridge was on.
     pub driven: bool,
-    /// Whether the chip drove a pin of the power stage, or pulled it up.
+    /// True if the chip drove a pin of the power stage, or pulled it up.
     pub touched: bool,
     from: Option<[f64; 3]>,
 }

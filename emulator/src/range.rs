@@ -32,7 +32,7 @@ use crate::hands::hold;
 use crate::rig::{Rig, device_file};
 use crate::run::MILLISECOND;
 
-/// Where the wall is touched, rad: the pose of the figures in docs/results.md.
+/// The pose in which the wall is touched, rad: that of the figures in docs/results.md.
 pub const POSE: [f64; 3] = [2.6, 1.75, 0.0];
 /// Edges of an encoder in a turn: so many that their steps are no part of what is measured.
 const COUNTS_PER_TURN: f64 = (1 << 20) as f64;
@@ -46,10 +46,11 @@ const MOTOR: Motor<f64> = Motor {
     max_current: 12.0,
     verified: true,
 };
-/// What 12 A make, N m.
+/// The torque of 12 A, N m.
 const TORQUE_LIMIT: f64 = 0.4;
-/// What 10 A make, N m, which the board lets flow for ever. Held too quickly, a tip on cables buzzes until it is held
-/// more softly; at more than that its motors would spend their thermal budget before, which is not what is measured.
+/// The torque of 10 A, N m, a current that the board lets flow for ever. Held too quickly, a tip on cables buzzes until
+/// it is held more softly; with more torque its motors would spend their thermal budget before, which is not what is
+/// measured.
 const LASTING_TORQUE: f64 = 0.33;
 /// Most current of motors on the odrive-v3, A. Its shunts show steps of 10 mA and zeros as much off, which on motors of
 /// 2 or 3 A push a device without friction away.
@@ -64,7 +65,7 @@ const TURRET_MOTOR: f64 = 0.3;
 /// Of the spatial devices with cables: their longer arms make more of a step, and slower swings, whose edges come in
 /// time. The emulated encoders show one edge every 250 ns.
 const SPATIAL_COUNTS_PER_TURN: f64 = (1 << 22) as f64;
-/// Where the walls with cables are measured: this share of the way to where the range ends.
+/// The damping at which the walls with cables are measured, as a share of that at which the range ends.
 const CABLE_SHARE: f64 = 0.35;
 /// Of the washout, Hz.
 const WASHOUT_HZ: f64 = 2.0;
@@ -83,12 +84,12 @@ pub struct Bench {
 }
 
 impl Bench {
-    /// Where the wall is touched, rad.
+    /// Returns the pose in which the wall is touched, rad.
     fn pose(&self) -> [f64; 3] {
         self.file.description.home.expect("a device with a home")
     }
 
-    /// Whether cables give at its joints.
+    /// Returns true if cables give at its joints.
     fn gives(&self) -> bool {
         self.file.description.joints.iter().any(|joint| joint.transmission.is_some())
     }
@@ -112,9 +113,9 @@ pub struct Rate {
     pub cutoff_hz: f64,
 }
 
-/// What is measured at: the tests' rate first, then one at which the drive's lag is an eighth of a sample.
+/// The rates that are measured: the tests' rate first, then one at which the drive's lag is an eighth of a sample.
 pub const RATES: [Rate; 2] = [Rate { rate_hz: 1000.0, cutoff_hz: 20.0 }, Rate { rate_hz: 5000.0, cutoff_hz: 100.0 }];
-/// At what walls are measured with cables.
+/// The rates at which walls are measured with cables.
 pub const CABLE_RATES: [Rate; 3] = [
     Rate { rate_hz: 1000.0, cutoff_hz: 100.0 },
     Rate { rate_hz: 5000.0, cutoff_hz: 200.0 },
@@ -232,7 +233,7 @@ pub fn rig(bench: &Bench) -> Rig {
 ///
 /// # Errors
 ///
-/// What ends a measurement early.
+/// The error that ends a measurement early.
 pub fn on<T>(
     rig: &mut Rig,
     bench: &Bench,
@@ -258,8 +259,8 @@ pub fn on<T>(
     Ok(outcome)
 }
 
-/// What the theory says of the same loop at the dampings `kd` (N s/m), or of all of it; `delay_samples` is the board's
-/// own.
+/// Returns the theory's boundary of the same loop at the dampings `kd` (N s/m), or the whole of it; `delay_samples` is
+/// the board's own.
 ///
 /// # Panics
 ///
@@ -300,7 +301,7 @@ pub fn delay_samples(rig: &mut Rig, rate: Rate) -> f64 {
 ///
 /// # Errors
 ///
-/// What ends a measurement early.
+/// The error that ends a measurement early.
 pub fn whole(rate: Rate, mode: FeedForward, mut told: impl FnMut(usize)) -> Result<(Progress, f64), MeasureError> {
     let bench = rigid();
     let mut rig = rig(&bench);
@@ -340,7 +341,7 @@ pub const CABLE_HEAD: [&str; 11] = [
 ///
 /// # Errors
 ///
-/// What ends a measurement early.
+/// The error that ends a measurement early.
 pub fn with_cables(
     device: (&str, BoardKind),
     rate: Rate,

@@ -253,7 +253,7 @@ impl Rig {
         self.with(|stopped| job(stopped.hardware().plant.device().expect("a simulated device")))
     }
 
-    /// What there is to know of a board that does not answer any more: its port's history and restarts.
+    /// Describes a board that does not answer any more: its port's history and restarts.
     #[must_use]
     pub fn post_mortem(&self) -> String {
         let (at, port, restarts) =

@@ -3,7 +3,7 @@
 use rigless::emulator::Memory;
 use rigless::soc::Width;
 
-/// Where the first up-channel's descriptor stands in the control block: after the 16-byte name and the two counts.
+/// The offset of the first up-channel's descriptor in the control block: after the 16-byte name and the two counts.
 const CHANNEL: u64 = 24;
 const BUFFER: u64 = CHANNEL + 4;
 const SIZE: u64 = CHANNEL + 8;

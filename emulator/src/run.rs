@@ -81,7 +81,7 @@ impl StoppedBoard<'_> {
         &mut self.session.board_mut().chip.otg.host
     }
 
-    /// The word at `address` of the chip's memory, or `None` where there is none.
+    /// Returns the word at `address` of the chip's memory, or `None` if there is no memory.
     pub fn word(&mut self, address: u64) -> Option<u32> {
         self.memory.read(address, Width::W32).ok().map(|value| value as u32)
     }
@@ -182,8 +182,8 @@ impl StoppedBoard<'_> {
         self.session.reset_by_pin(at, count, self.memory);
     }
 
-    /// What the firmware reached that the virtual chip lacks, one line each: an empty list means every access was
-    /// answered by a model.
+    /// Returns the firmware's accesses that the virtual chip has no model for, one line each: an empty list means every
+    /// access was answered by a model.
     #[must_use]
     pub fn gaps(&self) -> Vec<String> {
         let unmapped = self.session.unmapped().into_iter().map(|gap| gap.to_string());

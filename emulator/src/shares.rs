@@ -1,5 +1,5 @@
-//! Where the instructions of a stretch go: the control interrupt's exactly, those of the tasks by the functions of the
-//! source that they came from.
+//! The instructions of a stretch by purpose: the control interrupt's exactly, those of the tasks by the functions of
+//! the source that they came from.
 
 use std::collections::HashMap;
 
@@ -13,10 +13,10 @@ use crate::trace::{Code, Move, Walker};
 pub const CONTROL: &str = "the control interrupt";
 /// A task that waits for the control interrupt's answer.
 pub const WAITING: &str = "waiting for the valley at which it takes a request";
-/// What none of [`SHARES`] names.
+/// The share that none of [`SHARES`] names.
 const REST: &str = "everything else";
 
-/// What tasks do, and parts of the paths of the functions it consists of: the innermost function that is named decides.
+/// The purposes of tasks, with parts of the paths of their functions: the innermost function that is named decides.
 const SHARES: &[(&str, &[&str])] = &[
     (WAITING, &["Requests::exchange"]),
     ("frames: COBS", &["board::framing"]),

@@ -22,7 +22,8 @@ const CYCLE: u32 = 2;
 /// Touches left out at the start, and how many then say what is usual.
 const SETTLED: usize = 5;
 const USUAL: usize = 20;
-/// How far a later touch may leave what was usual, as a share of it: a fifth of what a hand can feel (a tenth).
+/// Largest departure of a later touch from the usual value, as a share of it: a fifth of what a hand can feel (a
+/// tenth).
 const DRIFT: f64 = 0.02;
 /// Virtual seconds of a row of the report.
 const ROW: u32 = 600;

@@ -27,10 +27,32 @@ pub const WAITING: &str = "waiting for the converters";
 /// their paths without generic arguments.
 pub const STAGES: &[(&str, &[&str])] = &[
     ("entry, exit, overrun check", &["TIM1_UP_TIM10", "Step::keep_time", "Step::note_time"]),
-    (ENCODERS, &["Pins::follow", "encoder::follow", "Pins::marked", "Pins::marks", "Step::mark"]),
+    (
+        ENCODERS,
+        &[
+            "Pins::follow",
+            "Sampled::follow",
+            "encoder::follow",
+            "Pins::marked",
+            "Sampled::marked",
+            "Pins::marks",
+            "Sampled::marks",
+            "Step::mark",
+        ],
+    ),
     (WAITING, &["adc::wait"]),
-    ("currents and bus voltage", &["Step::sample", "Step::await_samples", "Pins::sampled", "Pins::sample"]),
-    ("fault lines", &["Pins::fault", "Step::trip_driving"]),
+    (
+        "currents and bus voltage",
+        &[
+            "Step::sample",
+            "Step::await_samples",
+            "Pins::sampled",
+            "Sampled::sampled",
+            "Pins::sample",
+            "Sampled::sample",
+        ],
+    ),
+    ("fault lines", &["Pins::fault", "Sampled::fault", "Step::trip_driving"]),
     (
         "order of a crest",
         &[
@@ -160,8 +182,11 @@ pub const STAGES: &[(&str, &[&str])] = &[
             "Supply::of",
         ],
     ),
-    ("duties to the timers", &["Pins::write"]),
-    ("valley: order, converters", &["Step::valley", "Pins::forget", "Pins::learn"]),
+    ("duties to the timers", &["Pins::write", "Sampled::write"]),
+    (
+        "valley: order, converters",
+        &["Step::valley", "Pins::forget", "Sampled::forget", "Pins::learn", "Sampled::learn"],
+    ),
     (
         "valley: what the step saw, telemetry",
         &[
@@ -187,7 +212,7 @@ pub const STAGES: &[(&str, &[&str])] = &[
     ),
 ];
 
-/// What the stages that run at a valley begin with.
+/// The prefix of the names of stages that run at a valley.
 pub const AT_VALLEYS: &str = "valley: ";
 
 type Reader<'a> = EndianSlice<'a, LittleEndian>;
@@ -200,7 +225,7 @@ pub struct Stages<'a> {
 }
 
 impl<'a> Stages<'a> {
-    /// Reads the debug information of `firmware`; `None` where there is none that can be read.
+    /// Reads the debug information of `firmware`; `None` if it has none that can be read.
     #[must_use]
     pub fn of(firmware: &'a Firmware) -> Option<Self> {
         let elf = object::File::parse(firmware.bytes()).ok()?;
@@ -322,6 +347,25 @@ mod tests {
             let name = part.rsplit("::").next().unwrap_or_default();
             let there = ["(", "<"].iter().any(|next| text.contains(&format!("fn {name}{next}")));
             assert!(there, "{part}: no function is called that");
+        }
+    }
+
+    /// A board's part of the interrupt whose functions no stage names would count as its callers'.
+    #[test]
+    fn the_stages_know_every_boards_part_of_the_interrupt() {
+        let text = sources(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../firmware/src/board"));
+        let parts: Vec<&str> = text
+            .lines()
+            .filter(|line| line.starts_with("impl"))
+            .filter_map(|line| line.split_once("Io for "))
+            .map(|(_, rest)| rest.split(|c: char| !c.is_alphanumeric()).next().unwrap_or_default())
+            .collect();
+        assert!(parts.len() >= 2, "{parts:?}");
+        for part in parts {
+            for function in ["follow", "sample", "fault", "write"] {
+                let name = format!("{part}::{function}");
+                assert!(STAGES.iter().any(|(_, parts)| parts.contains(&name.as_str())), "no stage has {name}");
+            }
         }
     }
 

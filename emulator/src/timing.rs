@@ -1,4 +1,4 @@
-//! What the control interrupt takes, entry to exit, in instructions of the unmodified image: by stage, mean, worst,
+//! The length of the control interrupt, entry to exit, in instructions of the unmodified image: by stage, mean, worst,
 //! jitter.
 //!
 //! `cargo xtask timing` measures every [`Case`] and writes the tables of docs/results/timing.md; a test measures some of
@@ -22,7 +22,7 @@ use crate::trace::{Code, Run};
 
 /// The state of a row of telemetry.
 const ARMED: f64 = 1.0;
-/// What is traced of each case, ns: 500 periods at 20 kHz, with a request of the tasks every 20 ms.
+/// The traced stretch of each case, ns: 500 periods at 20 kHz, with a request of the tasks every 20 ms.
 pub const SPAN: u64 = 25 * MILLISECOND;
 
 /// A measured case.
@@ -227,7 +227,7 @@ impl Case {
     }
 }
 
-/// What a new scene takes that comes with the motors on, for 5 ms from the request on: timing-new-scenes.csv.
+/// Measures a new scene that comes with the motors on, for 5 ms from the request on: timing-new-scenes.csv.
 #[must_use]
 pub fn replacements() -> String {
     let mut text = csv_line(["case", "longest at a valley", "longest step", "median step"]);

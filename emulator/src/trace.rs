@@ -27,7 +27,7 @@ pub struct Code {
     bytes: Arc<[u8]>,
 }
 
-/// What matters of an instruction.
+/// The property of an instruction that matters to the trace.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Kind {
     /// BL, BLX.
@@ -87,7 +87,7 @@ impl Code {
     }
 }
 
-/// What stepping from one instruction to the next did.
+/// The effect of stepping from one instruction to the next.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Move {
     /// Went on, or jumped.

@@ -25,7 +25,7 @@ const ADDRESS: u8 = 5;
 /// The most a full-speed bulk packet holds.
 const PACKET: usize = 64;
 
-/// What a packet of `bytes` takes on the bus at 12 Mbit/s: token, data and handshake packets with their gaps take
+/// The time of a packet of `bytes` on the bus at 12 Mbit/s, ns: token, data and handshake packets with their gaps take
 /// about 13 bytes more.
 fn bus_time(bytes: usize) -> u64 {
     (bytes as u64 + 13) * 8 * 1000 / 12
@@ -56,7 +56,7 @@ pub enum Event {
     Stalled([u8; 8]),
 }
 
-/// What enumeration read from the device.
+/// The descriptors that enumeration read from the device.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Descriptors {
     /// The device descriptor, 18 bytes.
@@ -258,18 +258,18 @@ impl Host {
         self.asked.push_back(Control { step, setup, data, stage: Stage::Setup });
     }
 
-    /// What those requests came back with, in order: the data read, or the setup packet of one that was stalled.
+    /// Takes the answers to those requests, in order: the data read, or the setup packet of one that was stalled.
     pub fn take_answers(&mut self) -> Vec<Result<Vec<u8>, [u8; 8]>> {
         std::mem::take(&mut self.answers)
     }
 
-    /// Whether the port is open on a configured device: bytes can flow.
+    /// Returns true if the port is open on a configured device: bytes can flow.
     #[must_use]
     pub fn ready(&self) -> bool {
         self.bus == Bus::Active && self.port.is_some() && self.opened
     }
 
-    /// What enumeration read.
+    /// Returns the descriptors that enumeration read.
     #[must_use]
     pub fn descriptors(&self) -> &Descriptors {
         &self.descriptors

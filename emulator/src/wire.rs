@@ -9,7 +9,7 @@ use haptic_host::link::Wire;
 
 use crate::run::{MICROSECOND, VirtualBoard};
 
-/// How far the board runs between two looks at its port, where nobody says: ten a millisecond.
+/// Time that the board runs between two looks at its port, unless told otherwise: ten looks a millisecond.
 const LOOK: u64 = 100 * MICROSECOND;
 
 /// A board that a test and a wire hold together.
@@ -23,7 +23,7 @@ impl Shared {
         Self(Arc::new(Mutex::new(board)))
     }
 
-    /// The board, which nobody else runs meanwhile.
+    /// Returns the board, locked, so that no one else runs it meanwhile.
     ///
     /// # Panics
     ///

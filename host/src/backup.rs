@@ -2,7 +2,7 @@
 //!
 //! Every setting stands in it twice: its bytes as the board keeps them, and its value with names. The bytes go back
 //! unchanged to a board of the same version; a board whose firmware keeps the setting in another version gets the
-//! value, encoded anew. Nothing is sent before the whole file has been understood.
+//! value, encoded again. Nothing is sent before the whole file has been understood.
 
 use crate::digits::shortest;
 use crate::link::{Board, BoardError};
@@ -40,7 +40,7 @@ pub struct Backup {
 pub struct SavedSetting {
     /// Version of its bytes.
     pub version: u8,
-    /// What they mean; none when this tool could not read them.
+    /// The decoded value; `None` when this tool could not read the bytes.
     pub value: Option<Value>,
     /// The bytes, in hexadecimal.
     pub bytes: String,
@@ -68,7 +68,7 @@ pub enum BackupError {
     /// Of a later tool.
     #[error("the backup has format {0}, and this tool knows {FORMAT}: update the tool")]
     Format(u32),
-    /// A setting that nobody knows.
+    /// A setting that this tool does not know.
     #[error("the backup holds a setting {0:?} that this tool does not know: update the tool")]
     UnknownSetting(String),
     /// Its value and its bytes do not say the same: somebody edited one of them.
@@ -87,9 +87,9 @@ pub enum BackupError {
 pub enum Restored {
     /// The very bytes of the backup.
     AsItWas,
-    /// Encoded anew from its value, because the backup's bytes are of another version.
+    /// Encoded again from its value, because the backup's bytes are of another version.
     Translated,
-    /// Left out: a polarity check is good only for the wires it was made with, and nobody has watched those.
+    /// Left out: a polarity check is valid only for the wiring it was made with, and the present wiring is unchecked.
     MadeAnew,
 }
 
@@ -100,7 +100,7 @@ pub struct Ready {
     pub key: Key,
     /// Its bytes in this version.
     pub entry: Entry,
-    /// How they came about.
+    /// The way its bytes were obtained.
     pub how: Restored,
 }
 
@@ -182,8 +182,8 @@ pub fn restore(board: &mut Board, ready: &[Ready]) -> Result<(), BoardError> {
     board.commit_entries(&keys)
 }
 
-/// What a board holds that a restart would take from it, by name: a device, a scene or a name other than what was
-/// saved, and rules other than those saved, where any were.
+/// Names the settings on a board that a restart would lose: a device, a scene or a name other than what was saved, and
+/// rules other than those saved, where any were.
 pub fn unsaved(board: &mut Board) -> Result<Vec<&'static str>, BoardError> {
     fn differs<S: Setting + PartialEq>(board: &mut Board, now: &S) -> Result<bool, BoardError> {
         let saved = board.read_entry(S::KEY)?.and_then(|entry| decode::<S>(&entry).ok());
@@ -248,7 +248,7 @@ fn usable(key: Key, kept: &SavedSetting) -> Result<(Entry, Restored), BackupErro
     }
 }
 
-/// The bytes if this version understands them, else the value encoded anew.
+/// Returns the bytes if this version understands them, otherwise the value in this version's encoding.
 fn usable_as<S: Setting>(kept: &SavedSetting) -> Result<(Entry, Restored), BackupError> {
     let bytes = from_hex(&kept.bytes).ok_or_else(|| damaged(S::KEY, Damage::Corrupt))?;
     match decode::<S>(&bytes) {

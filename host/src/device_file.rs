@@ -1,7 +1,8 @@
 //! Device files (docs/files.md): TOML in, a checked [`Description`] out, or an error that names the line.
 //!
-//! What a mechanism's file holds is read from its [`Spec`], so a new mechanism needs nothing here. A description that
-//! comes out of this module is one that [`AnyMechanism::new`] accepts: the geometry closes, every joint has inertia.
+//! The contents of a mechanism's file are given by its [`Spec`], so a new mechanism needs nothing here. A description
+//! that comes out of this module is one that [`AnyMechanism::new`] accepts: the geometry closes, every joint has
+//! inertia.
 
 use crate::toml_file::{Document, FileError, Must, Problem, Table};
 use crate::vectors::padded;
@@ -24,7 +25,7 @@ use std::path::{Path, PathBuf};
 /// A device file that was read and found sound.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DeviceFile {
-    /// Where it came from.
+    /// The file it came from.
     pub path: PathBuf,
     /// The device's name.
     pub name: String,
@@ -45,7 +46,7 @@ impl DeviceFile {
         Self::read(&Document::new(text, origin))
     }
 
-    /// What a file of this device's mechanism holds: numbers of joints and links, task dimension.
+    /// The shape of a file for this device's mechanism: numbers of joints and links, task dimension.
     pub fn spec(&self) -> Spec {
         self.description.kind.spec()
     }
@@ -57,7 +58,7 @@ impl DeviceFile {
         Device::new(&self.name, &self.description)
     }
 
-    /// What must still be added before a real board arms, each with the key to write. Empty when nothing is missing.
+    /// Lists the entries that a real board still needs before it arms, each with the key to write. Empty when complete.
     pub fn lacks_for_a_board(&self) -> Vec<String> {
         let mut lacks = Vec::new();
         for (index, joint) in self.description.joints.iter().take(self.spec().joints).enumerate() {
@@ -281,12 +282,13 @@ fn joint_of(table: &Table<'_>, carries: bool) -> Joint {
     }
 }
 
-/// Whether the body that a joint turns counts in the joint's own inertia, beside its rotor: a paddle's and a turret's.
+/// Returns true if the body that a joint turns counts in the joint's own inertia, beside its rotor: a paddle's and a
+/// turret's.
 pub fn carries_its_body(spec: &Spec, joint: usize) -> bool {
     joint == 0 && (spec.links.is_empty() || spec.task == 3)
 }
 
-/// `inertia` is the joint's, of which the motor has a part, or all of it unless the joint `carries_its_body`.
+/// `inertia` is the joint's. The motor has a part of it, or the whole unless the joint `carries_its_body`.
 fn transmission_of(table: &Table<'_>, inertia: f64, carries_its_body: bool) -> Result<Transmission, FileError> {
     table.refuse_unknown_keys(&["stiffness", "damping", "motor_inertia", "encoder_at"]);
     let stiffness = table.needed("stiffness", Must::BePositive, "stiffness = 50.0");
@@ -433,7 +435,7 @@ fn swings_with_all(description: &Description, q: &[f64; MAX_JOINTS]) -> Option<u
     with_mechanism!(&links, m => first(m, description, q))
 }
 
-/// Whether the linkage closes at these joint angles.
+/// Returns true if the linkage closes at these joint angles.
 fn reachable(mechanism: &AnyMechanism<f64>, q: &[f64; MAX_JOINTS]) -> bool {
     fn regular<const N: usize, M: Mechanism<f64, N>>(mechanism: &M, q: &[f64; MAX_JOINTS]) -> bool {
         let angles = SVector::<f64, N>::from_fn(|index, _| q[index]);

@@ -1,5 +1,5 @@
-//! How a command ends when it does not end well: an exit code, one line that says why, and what to do about it; of a file
-//! with several mistakes a line each.
+//! The failure of a command: an exit code, one line that says why, and a remedy. A file with several mistakes gets a
+//! line for each.
 //!
 //! Exit codes (docs/files.md): 0 done, 1 it could not be done, 2 the command or a file is wrong.
 
@@ -16,28 +16,28 @@ pub enum Blame {
     Request,
 }
 
-/// What a user may choose otherwise to get further; a program knows under which name.
+/// A choice that the user may change to get further; each program knows it under its own name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Choice {
     /// The joint angles of the pose.
     Pose,
-    /// How clear of singularities a pose must be.
+    /// The distance that a pose must keep from singularities.
     Clearance,
-    /// How large the wall is.
+    /// The size of the wall.
     Patch,
     /// The ripple that a wall may have.
     Ripple,
     /// Which wall is tried.
     Wall,
-    /// Whether files are overwritten.
+    /// Permission to overwrite files.
     Overwriting,
     /// Which board.
     Board,
-    /// Where results are kept between runs.
+    /// The place where results are kept between runs.
     Kept,
     /// Which of a recording's signals are drawn.
     Shown,
-    /// What a recording holds.
+    /// The contents of a recording.
     Fields,
     /// Which firmware is flashed.
     Image,
@@ -83,7 +83,7 @@ impl Failure {
         self
     }
 
-    /// What the user may choose otherwise.
+    /// Returns the choice that the user may change.
     pub fn choice(&self) -> Option<Choice> {
         self.choice
     }
@@ -116,8 +116,8 @@ impl fmt::Display for Failure {
 
 impl std::error::Error for Failure {}
 
-/// What a terminal can show of a text: whatever it would obey instead, such as the ESC in a name that a file or a board
-/// brought along, as it is written in JSON. Lines and tabs stay.
+/// Returns a text that is safe to show in a terminal: characters that a terminal would obey, such as the ESC in a name
+/// from a file or a board, are written as in JSON. Lines and tabs stay.
 pub fn visible(text: &str) -> Cow<'_, str> {
     escaped(text, &['\n', '\t'])
 }

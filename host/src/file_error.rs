@@ -12,9 +12,9 @@ pub struct FileError {
     pub path: PathBuf,
     /// Line and column, both from 1; none when the file as a whole is meant.
     pub position: Option<(usize, usize)>,
-    /// What is wrong.
+    /// The first problem.
     pub problem: Box<Problem>,
-    /// What else is wrong in the same file, further down.
+    /// Further problems in the same file, in the order of their lines.
     pub others: Vec<FileError>,
 }
 
@@ -54,7 +54,7 @@ pub enum Problem {
     NotText,
     /// Not TOML.
     Syntax(String),
-    /// A key nobody reads.
+    /// A key that is not known in its table.
     UnknownKey {
         /// The key as written.
         key: String,
@@ -82,9 +82,9 @@ pub enum Problem {
         key: String,
         /// Its table.
         place: String,
-        /// What must stand there.
+        /// A description of the expected value.
         expected: String,
-        /// What does.
+        /// The type of the value that stands there.
         found: &'static str,
     },
     /// A list of the wrong length.
@@ -93,11 +93,11 @@ pub enum Problem {
         key: String,
         /// Its table.
         place: String,
-        /// How many numbers there must be.
+        /// The required number of numbers.
         expected: usize,
-        /// How many there are.
+        /// The number of numbers found.
         found: usize,
-        /// What they are.
+        /// The meaning of the numbers.
         meaning: String,
     },
     /// Infinite, not a number, or beyond what the board's 32-bit floats hold.
@@ -115,7 +115,7 @@ pub enum Problem {
         place: String,
         /// The number.
         found: f64,
-        /// What it must be, with the unit or the reason.
+        /// The condition that it must meet, with the unit or the reason.
         must: String,
     },
     /// A word that is not one of a fixed set.
@@ -133,24 +133,24 @@ pub enum Problem {
     WrongCount {
         /// The table, such as `[[link]]`.
         table: String,
-        /// How many there must be.
+        /// The required number of entries.
         expected: String,
-        /// How many there are.
+        /// The number of entries found.
         found: usize,
-        /// What they stand for, in order.
+        /// The meaning of the entries, in order.
         meaning: String,
     },
     /// Every value is fine by itself, but together they cannot be.
     Impossible {
-        /// What cannot be.
+        /// The contradiction.
         reason: String,
-        /// What to change.
+        /// The change to make.
         remedy: String,
     },
 }
 
 impl Problem {
-    /// Whether this unknown key is what is missing there.
+    /// Returns true if this unknown key is the missing one, misspelt or in the wrong table.
     fn explains(&self, missing: &Self) -> bool {
         let (Self::UnknownKey { key: unknown, place, on_top, .. }, Self::MissingKey { key, place: lacking, .. }) =
             (self, missing)
@@ -161,7 +161,7 @@ impl Problem {
         misspelt || *on_top && lacking.is_empty() && unknown == key
     }
 
-    /// What to do about it.
+    /// Returns the advice that goes with the problem.
     pub fn remedy(&self) -> String {
         match self {
             Self::Unreadable(_) => "check the path and its permissions".into(),

@@ -1,4 +1,4 @@
-//! How long the way to a board and back takes: what limits a wall that a program on the computer renders.
+//! The round-trip time to a board, which limits a wall that a program on the computer renders.
 
 use crate::link::{Board, LinkError};
 use haptic_bridge::board::protocol::ForceRequest;
@@ -23,10 +23,10 @@ pub struct Latency {
     pub age: Spread,
 }
 
-/// How times are spread, s.
+/// The distribution of a set of times, s.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Spread {
-    /// How many.
+    /// Number of times.
     pub count: usize,
     /// The shortest.
     pub min: f64,
@@ -49,7 +49,7 @@ pub struct Bin {
     pub from: f64,
     /// s
     pub to: f64,
-    /// How many times.
+    /// Number of occurrences.
     pub count: usize,
 }
 

@@ -9,7 +9,7 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use tempfile::NamedTempFile;
 
-/// Whether a file may take the place of one that is there.
+/// Permission for a file to replace an existing one.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Overwrite {
     /// A file that exists is refused.
@@ -157,7 +157,8 @@ fn beside(target: &Path, bytes: &[u8]) -> io::Result<NamedTempFile> {
         builder.permissions(std::fs::Permissions::from_mode(0o666));
     }
     let mut beside = builder.tempfile_in(folder_of(target))?;
-    // Its own file, not the named one, whose errors tell of a name that nobody knows.
+    // Write through the temporary file itself: errors from the named one would show a name that the user has never
+    // seen.
     beside.as_file_mut().write_all(bytes)?;
     beside.as_file().sync_all()?;
     if let Ok(about) = std::fs::metadata(target) {
@@ -184,7 +185,7 @@ pub fn refused(path: &Path, error: &io::Error) -> Failure {
         io::ErrorKind::NotFound => "make the folder first, or choose another",
         _ => "check the path and its permissions",
     };
-    // An error that wraps another one names the file beside, which nobody knows.
+    // An error that wraps another one names the temporary file, which the user has never seen.
     let why = match error.raw_os_error() {
         _ if error.kind() == io::ErrorKind::NotFound => "there is no such folder".into(),
         None if error.kind() != io::ErrorKind::Other => error.kind().to_string(),

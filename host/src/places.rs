@@ -1,5 +1,5 @@
-//! Places for connections that have not yet shown whose they are. Who comes always gets one: where there is none left,
-//! the connection that has had its own the longest is closed, so that strangers keep nobody out and cost a bounded number
+//! Places for connections that have not yet shown whose they are. A newcomer always gets one: if all are taken, the
+//! connection that has had its own the longest is closed, so that strangers keep no one out and cost a bounded number
 //! of threads and sockets.
 
 use std::net::{IpAddr, Ipv4Addr, Shutdown, TcpStream};
@@ -37,8 +37,9 @@ impl Places {
         self.taken.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// A place for a connection, and where there is none another's: of its own address if that has its part, else of the
-    /// address that has most of them. Those that have said nothing go first, then the oldest.
+    /// Returns a place for a connection. If none is free, another connection loses its own: one of the same address if
+    /// that has its part, otherwise one of the address that has most. Those that have said nothing go first, then the
+    /// oldest.
     ///
     /// `None` for a connection that has gone already.
     pub fn enter(&self, stream: &TcpStream) -> Option<Place> {
@@ -113,7 +114,7 @@ mod tests {
             let closed: Vec<bool> = come.iter().map(|(there, _)| is_closed(there)).collect();
             assert!(closed[gone] && !closed[0], "round {round}: {closed:?}");
         }
-        // Where all have spoken the oldest goes.
+        // When all have spoken, the oldest goes.
         let (_, here) = from(&listener);
         seats.push(places.enter(&here).unwrap());
         assert!(is_closed(&come[0].0));

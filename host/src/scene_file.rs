@@ -43,11 +43,11 @@ pub const DEFAULT_WASHOUT_HZ: f64 = 2.0;
 /// A scene file that was read and found sound.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SceneFile {
-    /// Where it came from.
+    /// The file it came from.
     pub path: PathBuf,
     /// The scene in double precision.
     pub scene: Scene<f64>,
-    /// How fast a hand moves in it, m/s: what a plan reckons with.
+    /// The speed of the hand in the scene, m/s, which a plan assumes.
     pub hand_speed: Option<f64>,
 }
 

@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-/// What a number must be.
+/// The condition that a number must meet.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Must {
     /// Any finite number.
@@ -54,7 +54,7 @@ impl Document {
         Self { path: origin.into(), text: text.into() }
     }
 
-    /// Where the text came from.
+    /// Returns the file that the text came from.
     pub fn path(&self) -> &Path {
         &self.path
     }
@@ -115,10 +115,10 @@ fn position(text: &str, offset: usize) -> (usize, usize) {
     (before.matches('\n').count() + 1, before[line_start..].chars().count() + 1)
 }
 
-/// What the tables of a document have in common.
+/// The state that the tables of a document share.
 #[derive(Debug, Default)]
 struct Kept {
-    /// What is wrong so far.
+    /// The errors found so far.
     errors: Vec<FileError>,
     /// Keys that may stand at the top of the file.
     on_top: Vec<String>,
@@ -141,7 +141,7 @@ impl<'a> Table<'a> {
         self
     }
 
-    /// What messages call this table.
+    /// Returns the table's name in messages.
     pub fn place(&self) -> &str {
         &self.place
     }
@@ -182,7 +182,7 @@ impl<'a> Table<'a> {
         self.kept.borrow_mut().errors.pop().map_or(Ok(()), Err)
     }
 
-    /// Keeps an error for every key that is not in `known`; whether there is none.
+    /// Keeps an error for every key that is not in `known`; returns true if every key is known.
     pub fn refuse_unknown_keys(&self, known: &[&str]) -> bool {
         let mut kept = self.kept.borrow_mut();
         let before = kept.errors.len();
@@ -208,12 +208,12 @@ impl<'a> Table<'a> {
         kept.errors.len() == before
     }
 
-    /// Whether the key is there.
+    /// Returns true if the key is there.
     pub fn has(&self, key: &str) -> bool {
         self.entries.contains_key(key)
     }
 
-    /// Whether the key is there with a string.
+    /// Returns true if the key is there with a string.
     pub fn is_string(&self, key: &str) -> bool {
         self.entries.get(key).is_some_and(|value| matches!(value.get_ref(), DeValue::String(_)))
     }

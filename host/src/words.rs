@@ -1,10 +1,10 @@
-//! How people are told of walls and numbers.
+//! The wording of walls and numbers in messages.
 
 use haptic_bridge::render::scene::{FeedForward, Wall};
 use haptic_bridge::safety::fault::FaultRecord;
 
-/// What a board or this library says, for people who call functions: `calls` names the function for each command of the
-/// tool.
+/// Rewrites a message of a board or of this library for people who call functions: `calls` names the function for each
+/// command of the tool.
 pub fn for_a_program(text: &str, calls: &[(&str, &str)]) -> String {
     calls.iter().fold(text.into(), |text, (command, call)| text.replace(&format!("`haptic {command}`"), call))
 }

@@ -40,7 +40,7 @@ macro_rules! shipped {
     };
 }
 
-/// What can be looked at; the first is what `haptic view --port sim` shows.
+/// The worlds that can be looked at; the first is what `haptic view --port sim` shows.
 const CHOICES: [Choice; 7] = [
     Choice { name: "coupled-five-bar: a wall that the feed-forward quiets", device: None, scene: None },
     shipped!("haply-2diy: a disc", "haply-2diy", "disc"),
@@ -69,7 +69,7 @@ struct Playground {
     stage: Stage,
     hub: Hub,
     page: PageId,
-    /// What the page has not fetched.
+    /// Messages that the page has not fetched.
     waiting: VecDeque<Message>,
 }
 
@@ -103,19 +103,19 @@ pub extern "C" fn room(bytes: usize) -> *mut u8 {
     BUFFER.with_borrow_mut(|buffer| buffer.as_mut_ptr())
 }
 
-/// Where the buffer is.
+/// The address of the buffer.
 #[unsafe(no_mangle)]
 pub extern "C" fn address() -> *const u8 {
     BUFFER.with_borrow(|buffer| buffer.as_ptr())
 }
 
-/// How many bytes are in it.
+/// Number of bytes in the buffer.
 #[unsafe(no_mangle)]
 pub extern "C" fn length() -> usize {
     BUFFER.with_borrow(Vec::len)
 }
 
-/// What can be looked at, a line each.
+/// Writes the names of the worlds that can be looked at into the buffer, a line each.
 #[unsafe(no_mangle)]
 pub extern "C" fn choices() {
     answer(CHOICES.map(|choice| choice.name).join("\n"));
@@ -163,7 +163,7 @@ pub extern "C" fn turn(milliseconds: f64) -> u32 {
     }
 }
 
-/// Puts the next message for the page into the buffer: 1, a text; 2, numbers; 0, there is none.
+/// Puts the next message for the page into the buffer: 1, a text; 2, numbers; 0, no message waits.
 #[unsafe(no_mangle)]
 pub extern "C" fn next() -> u32 {
     let message = with(|played| {

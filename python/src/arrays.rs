@@ -10,7 +10,7 @@ pub struct Rows {
     pub rows: Vec<Vec<f64>>,
 }
 
-/// What a caller gives for rows of `width`: anything that numpy makes numbers of.
+/// Reads a caller's rows of `width` numbers, from anything that numpy makes numbers of.
 pub fn rows(what: &str, given: &Bound<'_, PyAny>, width: usize) -> PyResult<Rows> {
     // Arrays that came over a wire need not lie where a processor likes its numbers.
     let array = given.py().import("numpy")?.call_method1("require", (given, "float64", ["C", "A"]))?;

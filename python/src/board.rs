@@ -20,10 +20,10 @@ use pyo3::types::PyDict;
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
-/// How long one wait for telemetry is before Ctrl-C is looked for, s.
+/// Longest wait for telemetry before Ctrl-C is looked for, s.
 const LOOK: f64 = 0.1;
 
-/// How the device is, in the answer to a request (docs/host-force.md). Arrays have three entries, 0 where the device
+/// The device's state in the answer to a request (docs/host-force.md). Arrays have three entries, 0 where the device
 /// has none.
 #[pyclass(frozen, module = "haptic_bridge")]
 pub struct State {
@@ -33,12 +33,12 @@ pub struct State {
 
 #[pymethods]
 impl State {
-    /// What was done with the request, in words: it begins with "taken" or "not taken".
+    /// The outcome of the request, in words: it begins with "taken" or "not taken".
     #[getter]
     fn done(&self) -> String {
         self.answer.done.to_string()
     }
-    /// Whether the request acts.
+    /// True if the request acts.
     #[getter]
     fn taken(&self) -> bool {
         self.answer.done == ForceDone::Taken
@@ -119,7 +119,7 @@ struct Stream {
     axes: usize,
 }
 
-/// What is held while a board is open.
+/// Everything that is held while a board is open.
 struct Held {
     session: Session,
     stream: Option<Stream>,
@@ -209,7 +209,7 @@ impl Board {
         py.detach(|| drop(self.0.lock().unwrap_or_else(PoisonError::into_inner).take()));
     }
 
-    /// What the board is: a dict of board, serial, firmware, protocol and port.
+    /// The board's description: a dict of board, serial, firmware, protocol and port.
     #[getter]
     fn info<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let (info, port) = self.with(py, |held| Ok((held.session.info().clone(), held.session.port().to_owned())))?;
@@ -311,7 +311,7 @@ impl Board {
         })
     }
 
-    /// How the device is; asks nothing of the motors, and tells the board that this program is there.
+    /// The device's state; asks nothing of the motors, and tells the board that this program is there.
     fn look(&self, py: Python<'_>) -> PyResult<State> {
         self.exchanged(py, ForceRequest::default())
     }
@@ -384,7 +384,7 @@ impl Board {
         self.with(py, |held| held.session.stop_stream())
     }
 
-    /// What the stream has lost so far: a dict of received, missing, dropped_by_board, batches_lost, garbled.
+    /// The losses of the stream so far: a dict of received, missing, dropped_by_board, batches_lost, garbled.
     #[getter]
     fn losses<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let losses = self.with(py, |held| Ok(held.session.losses()))?;

@@ -25,7 +25,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::Duration;
 
-/// How often Ctrl-C is looked for.
+/// Time between two looks for Ctrl-C.
 const LOOK: Duration = Duration::from_millis(50);
 
 /// One of a few words, or the words there are.
@@ -36,7 +36,7 @@ pub fn word<T: Copy>(what: &str, given: &str, all: &[(&str, T)]) -> PyResult<T> 
     })
 }
 
-/// What one pose gives, or why it gives nothing; a pose that is wrong ends the call.
+/// The result of each pose, or `None` for one that is impossible if `keep`; a pose that is wrong ends the call.
 fn each<T>(found: Vec<Result<T, Failure>>, keep: bool) -> PyResult<Vec<Option<T>>> {
     let many = found.len() > 1;
     found
@@ -57,7 +57,7 @@ fn each<T>(found: Vec<Result<T, Failure>>, keep: bool) -> PyResult<Vec<Option<T>
         .collect()
 }
 
-/// What each of `count` poses gives, on all cores with the interpreter's lock released; Ctrl-C ends it.
+/// The results of `count` poses, on all cores with the interpreter's lock released; Ctrl-C ends it.
 fn on_all_cores<T: Send>(
     py: Python<'_>,
     count: usize,
@@ -72,7 +72,7 @@ fn on_all_cores<T: Send>(
     })
 }
 
-/// What `work` comes to, with the interpreter's lock released; Ctrl-C asks it to stop and ends the call.
+/// The result of `work`, with the interpreter's lock released; Ctrl-C asks it to stop and ends the call.
 fn until_ctrl_c<T: Send>(py: Python<'_>, work: impl FnOnce(&AtomicBool) -> T + Send) -> PyResult<T> {
     let (stop, done) = (AtomicBool::new(false), AtomicBool::new(false));
     py.detach(|| {
@@ -120,7 +120,7 @@ impl<T> Columns<'_, '_, T> {
 #[pyclass(name = "Device", frozen, module = "haptic_bridge")]
 pub struct PyDevice {
     pub file: DeviceFile,
-    /// What the file was read from: what is pickled.
+    /// The document that the file was read from, for pickling.
     document: Document,
 }
 
@@ -180,7 +180,7 @@ impl PyDevice {
         self.file.description.home.map(|home| list(py, &home[..self.joints()])).transpose()
     }
 
-    /// What must still be added before a real board arms; empty when nothing is missing.
+    /// The settings that must still be added before a real board arms; empty when nothing is missing.
     #[getter]
     fn lacks(&self) -> Vec<String> {
         self.file.lacks_for_a_board()
@@ -481,7 +481,7 @@ impl Scene {
         Ok(Self { file: SceneFile::parse(text, origin, task).map_err(failure)? })
     }
 
-    /// How many walls it has.
+    /// The number of its walls.
     #[getter]
     fn walls(&self) -> usize {
         self.file.scene.walls.len()

@@ -34,7 +34,7 @@ create_exception!(
 );
 create_exception!(haptic_bridge, RefusedError, HapticError, "The board refuses.");
 
-/// What a program calls where a person would type a command.
+/// Commands that a person would type, and what a program calls instead.
 const CALLS: [(&str, &str); 6] = [
     ("device FILE", "Board.load()"),
     ("scene FILE", "Board.set_scene()"),
@@ -66,7 +66,7 @@ pub fn refused(words: &str) -> PyErr {
     RefusedError::new_err(in_calls(words))
 }
 
-/// What the tool says, with what a program calls.
+/// The tool's words, with a program's calls in the place of commands.
 pub fn in_calls(words: &str) -> String {
     for_a_program(words, &CALLS)
 }

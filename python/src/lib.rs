@@ -1,5 +1,5 @@
 //! haptic-bridge for Python: the module `haptic_bridge._native`, whose classes and functions `haptic_bridge` exports.
-//! What they take and give is documented where they are, and typed in `haptic_bridge/__init__.pyi`.
+//! Their arguments and results are documented where they are, and typed in `haptic_bridge/__init__.pyi`.
 #![forbid(unsafe_code)]
 
 mod arrays;

@@ -23,7 +23,7 @@ use std::cell::{Cell, OnceCell};
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-/// How often Ctrl-C is looked for.
+/// Time between two looks for Ctrl-C.
 const LOOK: Duration = Duration::from_millis(50);
 
 /// Everything that is asked for.
@@ -36,7 +36,7 @@ struct Order {
     yes: bool,
 }
 
-/// What came of it.
+/// The result of a measurement.
 struct Measured {
     progress: Progress,
     around: Loop,
@@ -200,7 +200,7 @@ fn walls(
     Ok(normals.into_iter().zip(share).enumerate().map(member).collect())
 }
 
-/// Where a simulated device stands.
+/// The pose of a simulated device.
 fn pose(file: &DeviceFile, q: &[f64], walls: &[Member]) -> PyResult<[f64; 3]> {
     let joints = file.spec().joints;
     if q.len() != joints || q.iter().any(|angle| !angle.is_finite()) {
@@ -221,7 +221,7 @@ impl Order {
         }
         let before = occasion::before(board, &progress).map_err(errors::board)?;
         let remembers = outside && path.is_some();
-        // What Python raised meanwhile: Ctrl-C, or what is told of the repeats.
+        // An exception that Python raised meanwhile: Ctrl-C, or one of the function that is told of the repeats.
         let raised = OnceCell::new();
         let looked = Cell::new(Instant::now());
         let call = |work: &dyn Fn(Python<'_>) -> PyResult<()>| {
@@ -298,7 +298,7 @@ fn measurement(error: MeasureError) -> PyErr {
     }
 }
 
-/// What was measured, as arrays.
+/// The measurement as arrays.
 fn as_arrays<'py>(py: Python<'py>, order: &Order, measured: &Measured) -> PyResult<Bound<'py, PyDict>> {
     let Measured { progress, around, encoder_step } = measured;
     let found = PyDict::new(py);

@@ -41,7 +41,7 @@ impl Recording {
         self.about.clone()
     }
 
-    /// Whether the file ended within a line, which was left out.
+    /// True if the file ended within a line, which was left out.
     #[getter]
     fn torn(&self) -> bool {
         self.torn

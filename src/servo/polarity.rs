@@ -30,8 +30,8 @@ const FORWARD_MOTION: f32 = 0.25 * POLARITY_MOTION;
 const FORWARD_COUNTS: f32 = 1.5;
 /// Time the polarity check takes to reach its torque, s; it gives up after twice this.
 pub const POLARITY_SECONDS: f32 = 1.0;
-/// How long it waits at most for a joint to come to rest before its turn, s. What the joint before has thrown about, or a
-/// hand moves, says nothing of this one's motor; a device almost without friction glides for seconds.
+/// Longest time that the check waits for a joint to come to rest before its turn, s. What the joint before has thrown
+/// about, or a hand moves, says nothing of this one's motor; a device almost without friction glides for seconds.
 pub const POLARITY_PATIENCE: f32 = 5.0;
 
 /// Time between two steps of the check, s, at least: a control step that takes a scene's forces and the check's sums too is
@@ -55,15 +55,16 @@ const DEAD_TIME_DOUBT: f32 = 0.5;
 
 /// Largest share of a motor's torque that swings a joint.
 const SWING_SHARE: f32 = 0.5;
-/// What a swing takes of the torque that moved the joint: so much that friction does not hold it at either end.
+/// Ratio of a swing's torque to the torque that moved the joint: so large that friction does not hold it at either end.
 const SWING_EXCESS: f32 = 2.5;
 /// By how much a joint is swung to either side, rad, and at least how many counts.
 const SWING_ANGLE: f32 = 0.02;
 const SWING_COUNTS: f32 = 4.0;
 /// By how many times that it may be found away from where it stood: hapkit-paddle glides into its swing and gets to 1.6.
 const SWING_TRAVEL: f32 = 4.0;
-/// What the home of each joint may be wrong by, rad, while the check still keeps to the limit of the force at the tip; and
-/// the least share of what the believed pose allows that this leaves, because near a stretched pose it would be nothing.
+/// Largest error of each joint's home, rad, with which the check still keeps to the limit of the force at the tip; and
+/// the least share of what the believed pose allows that this leaves, because near a stretched pose it would be
+/// nothing.
 const HOME_DOUBT: f32 = 0.15;
 const DOUBTED_SHARE: f32 = 0.3;
 /// Angular frequencies of a swing, rad/s: above those of a device that is carried by a spring, and below those of cables.
@@ -75,7 +76,7 @@ const SWING_STEPS: f32 = 16.0;
 const SWINGS_BEFORE: f32 = 1.0;
 const SWINGS: f32 = 5.0;
 
-/// What alternates with the torque of a swing: in phase with it, and a quarter of a swing later.
+/// A quantity that alternates with the torque of a swing: its part in phase, and its part a quarter of a swing later.
 type Phasor = [f32; 2];
 
 /// A joint that is swung.
@@ -84,16 +85,16 @@ struct Swing {
     /// Torque, N m, and angular frequency, rad/s.
     torque: f32,
     rate: f32,
-    /// How far from where it stood it may be found, rad.
+    /// Largest distance from where it stood at which it may be found, rad.
     reach: f32,
-    /// What draws the joint back to where it stood, N m/rad, and brakes it, N m s/rad.
+    /// Stiffness that draws the joint back to where it stood, N m/rad, and damping that brakes it, N m s/rad.
     stiffness: f32,
     damping: f32,
     /// Since when, s.
     seconds: f32,
-    /// Where it stood, rad: all joints.
+    /// The angles about which it swings, rad: all joints.
     about: [f32; MAX_JOINTS],
-    /// What was summed up: angles (rad), the torque of the current (N m), the current (A) and the voltage (V).
+    /// The sums so far: angles (rad), the torque of the current (N m), the current (A) and the voltage (V).
     angles: [Phasor; MAX_JOINTS],
     driven: Phasor,
     current: Phasor,
@@ -109,12 +110,12 @@ pub(super) struct PolarityCheck {
     seconds: f32,
     /// For how long the joint was waited for to come to rest, s.
     waited: f32,
-    /// Where it stands, rad, and for how long, s.
+    /// The angle at which it rests, rad, and for how long it has, s.
     rests_at: f32,
     rested: f32,
-    /// Where the joint stood at its first step, rad.
+    /// The joint's angle at its first step, rad.
     from: Option<f32>,
-    /// How many of the poses about it were looked at, and the share of the largest torque that they allow.
+    /// Number of the poses about it that were looked at, and the share of the largest torque that they allow.
     looked: u32,
     allowed: f32,
     /// The mass matrix where it swings, kg m², once that is known.
@@ -146,7 +147,7 @@ where
         Ok(())
     }
 
-    /// What the motors are told in a control step of the check, which at high rates is not due in each.
+    /// The motors' torques in a control step of the check, which at high rates is not due in each.
     pub(super) fn check_polarity(&mut self) -> Torques {
         let (motors, i) = (&self.now.motors, self.polarity.axis.min(MAX_JOINTS - 1));
         (self.polarity.current, self.polarity.voltage) = (motors.current[i], motors.duty[i] * motors.bus_voltage);
@@ -170,7 +171,7 @@ where
         }
     }
 
-    /// Whether there are crests without a control step.
+    /// Returns true if there are crests without a control step.
     fn has_free_crests(&self) -> bool {
         self.crests.period < 0.75 * self.period
     }
@@ -278,7 +279,7 @@ where
         });
     }
 
-    /// Where the joints stand about which joint `i` swings, rad.
+    /// The angles of the joints about which joint `i` swings, rad.
     fn swung_about(&self, i: usize) -> [f32; MAX_JOINTS] {
         let mut about = self.now.found.at.q;
         about[i] = self.polarity.from.unwrap_or(about[i]);
@@ -358,7 +359,7 @@ where
         let Some(program) = self.program.as_ref() else { return };
         let inertia = self.polarity.inertia.unwrap_or_default();
         let rate = -swing.rate * swing.rate;
-        // What the joints' accelerations take.
+        // The torque of the joints' accelerations.
         let acted = inertia.map(|row| {
             let parts = row.iter().zip(&swing.angles);
             parts.fold([0.0; 2], |sum: Phasor, (inertia, angle)| {
@@ -396,7 +397,7 @@ where
         }
     }
 
-    /// Whether joint `i` has come to rest.
+    /// Returns true if joint `i` has come to rest.
     fn at_rest(&mut self, i: usize) -> bool {
         let (polarity, q) = (&mut self.polarity, self.now.found.at.q[i]);
         polarity.waited += polarity.pace;
@@ -413,7 +414,7 @@ fn swing_angle(radians_per_count: f32) -> f32 {
     SWING_ANGLE.max(SWING_COUNTS * radians_per_count.abs())
 }
 
-/// What two phasors have in phase.
+/// The scalar product of two phasors.
 fn dot(one: Phasor, other: Phasor) -> f32 {
     one[0] * other[0] + one[1] * other[1]
 }

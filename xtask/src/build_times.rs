@@ -1,5 +1,5 @@
-//! What each format, view and interface adds to the time that building the tool takes: cargo's own record of a clean
-//! build, summed over the crates that only this one brings.
+//! The time that each format, view and interface adds to building the tool: cargo's own record of a clean build, summed
+//! over the crates that only this one brings.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -10,7 +10,7 @@ use serde_json::Value;
 use crate::paths::{root, target_directory};
 use crate::toolchain::{cargo, run};
 
-/// What the tool depends on, and for what.
+/// The tool's dependencies, by purpose.
 const PARTS: &[(&str, &[&str])] = &[
     ("PNG pictures", &["resvg", "dejavu"]),
     ("command line, help, manual", &["clap", "clap_complete", "clap_mangen", "indicatif", "ctrlc"]),
@@ -21,7 +21,7 @@ const PARTS: &[(&str, &[&str])] = &[
     ("device and scene files", &["toml", "serde_json"]),
 ];
 
-/// Builds the tool anew, in a directory of its own, and prints a table in Markdown.
+/// Builds the tool from nothing, in a directory of its own, and prints a table in Markdown.
 pub fn print() -> Result<()> {
     let fresh = target_directory().join("build-times");
     if fresh.exists() {
@@ -47,7 +47,7 @@ pub fn print() -> Result<()> {
     Ok(())
 }
 
-/// Whether a crate is one of this repository's.
+/// Returns true if a crate is one of this repository's.
 fn is_ours(name: &str) -> bool {
     name == "haptic" || name.starts_with("haptic-")
 }
@@ -102,7 +102,7 @@ impl Graph {
         Ok(Self(graph))
     }
 
-    /// What the tool needs, without those dependencies `except` of its own crates.
+    /// Returns the crates that the tool needs, without those dependencies `except` of its own crates.
     fn reached(&self, except: &[&str]) -> BTreeSet<&str> {
         let mut found = BTreeSet::new();
         let mut open = vec!["haptic"];

@@ -14,7 +14,7 @@ use crate::tools;
 /// All boards, by the name of their Cargo feature.
 pub const BOARDS: [&str; 3] = ["odrive-v3", "h-bridge-f405", "h-bridge-f407-disc1"];
 
-/// The board that a test on the emulated chip adds to them: one file, compiled into an image that nobody ships.
+/// The board that a test on the emulated chip adds to them: one file, compiled into an image that is not released.
 pub const TOY: &str = "toy-board";
 
 const BINARY: &str = "haptic-bridge-firmware";
@@ -27,7 +27,7 @@ fn cargo(toolchain: Toolchain, purpose: Use, board: &str) -> Command {
     command
 }
 
-/// Where the images are kept.
+/// Returns the directory of the images.
 pub fn directory() -> PathBuf {
     target_directory().join(TARGET).join("firmware")
 }

@@ -20,7 +20,7 @@ use crate::tools;
 const TARGETS: [&str; 8] =
     ["bytes", "requests", "answers", "settings", "device_file", "scene_file", "kept_file", "command_line"];
 
-/// What the document says of the targets; fuzz/src says it of each.
+/// The document's text about the targets; fuzz/src describes each.
 const HELD_TO: &str = "\
 Targets panic nowhere. After every request and every control period of the firmware's service, dispatcher and servo
 (tests/rig/board.rs) no duty and no torque is there unless armed, motors come on only by the two requests that ask for
@@ -28,12 +28,13 @@ it, limits hold and are not raised while the motors are on, no flash is written 
 refused with a line or accepted by the board as well. fuzz/src has each target.
 ";
 
-/// What libFuzzer needs the compiler to put into the code (its documentation, "Advanced features"; as cargo-fuzz does).
+/// The compiler options for the instrumentation that libFuzzer needs (its documentation, "Advanced features"; as
+/// cargo-fuzz does).
 const INSTRUMENTATION: &str = "-Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-level=4 \
     -Cllvm-args=-sanitizer-coverage-inline-8bit-counters -Cllvm-args=-sanitizer-coverage-pc-table \
     -Cllvm-args=-sanitizer-coverage-trace-compares";
 
-/// What to run.
+/// The targets and the time for each.
 #[derive(Debug, PartialEq, clap::Args)]
 pub struct Options {
     /// What is fed; everything when none is named
@@ -58,7 +59,7 @@ impl Options {
     }
 }
 
-/// What became of a target.
+/// The result of fuzzing a target.
 struct Outcome {
     executions: u64,
     /// Edges of the program's flow that were reached.
@@ -152,7 +153,7 @@ fn fuzz(program: &Path, target: &str, out: &Path, options: &Options) -> Result<O
     outcome(&log).with_context(|| format!("libFuzzer's report was not understood:\n{log}"))
 }
 
-/// What the fuzzer starts from: for files, those that ship.
+/// Returns the folder with the inputs that the fuzzer starts from: for files, those that ship.
 fn seeds(target: &str) -> PathBuf {
     match target {
         "device_file" | "scene_file" => root().join("devices"),

@@ -1,4 +1,4 @@
-//! What an image occupies on the chip, read from its ELF file, and whether it leaves the settings alone.
+//! Reads from an image's ELF file the flash and RAM that it occupies, and checks that it leaves the settings alone.
 
 use std::fs;
 use std::ops::Range;
@@ -18,8 +18,8 @@ const RAM: Range<u64> = 0x2000_0000..0x2002_0000;
 /// Sectors 1 and 2, where the settings are.
 const SETTINGS: Range<u64> = 0x0800_4000..0x0800_C000;
 
-/// Most flash that an image may take: less than half of the chip's, quick to send over USB, and large enough that nobody
-/// bends the code for it.
+/// Most flash that an image may take: less than half of the chip's, quick to send over USB, and large enough that the
+/// code need not be bent for it.
 pub const FLASH_LIMIT: u64 = 384 * 1024;
 /// Most that statics and the reserved stack may take together: three quarters of the chip's SRAM.
 pub const RAM_LIMIT: u64 = 96 * 1024;
@@ -56,7 +56,7 @@ pub struct Segment {
     pub bytes: Vec<u8>,
 }
 
-/// What an image is made of.
+/// The parts of an image.
 pub struct Image {
     /// The pieces that go to flash, ascending, gaps between them kept.
     pub segments: Vec<Segment>,

@@ -14,7 +14,7 @@ use crate::image::Image;
 use crate::paths::{root, target_directory};
 use crate::toolchain::run;
 
-/// Where host/flash/build.rs looks for them, from the root.
+/// The folder where host/flash/build.rs looks for them, from the root.
 const PLACE: &str = "host/flash/images";
 
 /// Builds every image and puts it in its place.
@@ -36,7 +36,7 @@ pub fn take_in() -> Result<()> {
 }
 
 fn write(path: &Path, bytes: &[u8]) -> Result<()> {
-    // An unchanged file keeps its time, and the tool is not built anew.
+    // An unchanged file keeps its time, so the tool is not built again.
     if fs::read(path).is_ok_and(|there| there == bytes) {
         return Ok(());
     }

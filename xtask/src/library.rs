@@ -1,4 +1,5 @@
-//! What programs build on: it compiles without the tool, and nothing comes along that only the tool needs.
+//! Checks the crates that programs build on: they compile without the tool, and bring along nothing that only the tool
+//! needs.
 
 use std::collections::BTreeSet;
 
@@ -11,25 +12,27 @@ use crate::toolchain::{cargo, run};
 pub const CRATES: [&str; 6] =
     ["haptic-host", "haptic-flash", "haptic-sim", "haptic-stability", "haptic-predict", "haptic-show"];
 
-/// What only the tool needs.
+/// Crates that only the tool needs.
 const TOOL: &[&str] =
     &["clap", "clap_complete", "clap_mangen", "ctrlc", "dejavu", "indicatif", "ratatui", "resvg", "tungstenite"];
-/// What recordings, drawings and the page need.
+/// Crates that recordings, drawings and the page need.
 const SHOWING: &[&str] = &["haptic-show", "mcap", "prost-reflect"];
-/// What computes which walls are stable, and what measures, tunes and designs with it.
+/// Crates that compute which walls are stable, and that measure, tune and design with it.
 const THEORY: &[&str] = &["haptic-stability"];
 const PREDICTING: &[&str] = &["haptic-predict"];
-/// What takes the place of a board.
+/// Crates that take the place of a board.
 const SIMULATING: &[&str] = &["haptic-sim"];
-/// What flashes boards.
+/// Crates that flash boards.
 const FLASHING: &[&str] = &["haptic-flash", "nusb"];
 
 /// Who does without what.
-const WITHOUT: [(&str, &[&[&str]]); 7] = [
+const WITHOUT: [(&str, &[&[&str]]); 9] = [
     ("haptic-host", &[TOOL, SHOWING, PREDICTING, THEORY, SIMULATING, FLASHING]),
     ("haptic-flash", &[TOOL, SHOWING, PREDICTING, THEORY, SIMULATING]),
     ("haptic-sim", &[TOOL, SHOWING, PREDICTING, THEORY, FLASHING]),
     ("haptic-stability", &[TOOL, SHOWING, PREDICTING, SIMULATING, FLASHING]),
+    ("haptic-predict", &[TOOL, SHOWING, FLASHING]),
+    ("haptic-show", &[FLASHING]),
     ("haptic-capi", &[TOOL, SHOWING, PREDICTING, THEORY, FLASHING]),
     ("haptic-chai3d", &[TOOL, SHOWING, PREDICTING, FLASHING]),
     ("haptic-python", &[TOOL, FLASHING]),

@@ -1,4 +1,4 @@
-//! Where things are.
+//! The repository's root and the folder for builds.
 
 use std::env;
 use std::path::PathBuf;
@@ -10,7 +10,7 @@ pub fn root() -> PathBuf {
     path
 }
 
-/// Where builds go.
+/// Returns the folder for builds.
 pub fn target_directory() -> PathBuf {
     match env::var_os("CARGO_TARGET_DIR") {
         Some(directory) => root().join(directory),

@@ -9,7 +9,7 @@ use crate::paths::{root, target_directory};
 use crate::toolchain::{BROWSERS, Use, run};
 use crate::tools;
 
-/// What the file may do: run what is in it, worker and library included. Nothing of the network is for it.
+/// The file's permissions: it may run its own contents, worker and library included, and may not use the network.
 const POLICY: &str = "default-src 'none'; script-src 'unsafe-inline' 'wasm-unsafe-eval'; worker-src blob:; \
                       style-src 'unsafe-inline'; img-src data:; base-uri 'none'; form-action 'none'";
 

@@ -55,7 +55,7 @@ pub fn test(arguments: &[String]) -> Result<()> {
     run(tests.args(["-m", "pytest", "-q", "-p", "no:cacheprovider"]).args(arguments))
 }
 
-/// An interpreter that has what the tests need; made anew when that has changed.
+/// Returns an interpreter with the packages that the tests need; it is set up again when these have changed.
 fn environment(place: &Path, package: &Path) -> Result<std::path::PathBuf> {
     let python = place.join("bin/python");
     let text = fs::read_to_string(package.join("pyproject.toml"))?;

@@ -1,4 +1,4 @@
-//! What dated reports share: the date, the commit, and where they go.
+//! The parts that dated reports share: the date, the commit and the folder.
 
 use std::fs;
 use std::process::Command;

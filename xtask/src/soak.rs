@@ -12,7 +12,7 @@ use crate::{report, tests};
 /// Simulated hours when nothing else is said: on the simulated board, and on the emulated chip.
 const HOURS: (f64, f64) = (24.0, 1.0);
 
-/// How long, and on what.
+/// The duration and the board.
 #[derive(clap::Args)]
 pub struct Options {
     /// On the emulated chip, random bytes into another one beside it

@@ -12,16 +12,16 @@ use crate::{bench, firmware, fuzz, library, no_panic, paths, playground, python,
 /// The tests of the tool, of flashing, of C and of CHAI3D, as cargo is asked for them.
 const TOOL: [&str; 10] =
     ["--lib", "--bins", "--test", "quick", "--test", "flash", "--test", "c", "--test", "as_chai3d_does"];
-/// Where tests and programs of the virtual board find the images.
+/// The variable that tells tests and programs of the virtual board the folder of the images.
 const IMAGES: &str = "HAPTIC_FIRMWARE_DIR";
 /// Seconds of fuzzing that each target gets in the deep tests.
 const FUZZ_SECONDS: u32 = 20;
 
 /// A named part of the deep tests.
 pub struct Part {
-    /// What it is called by.
+    /// The name on the command line.
     pub name: &'static str,
-    /// What it tests.
+    /// A description of the test.
     pub what: &'static str,
     /// Runs it, with further arguments for the program that it is.
     run: fn(&[String]) -> Result<()>,
@@ -57,7 +57,7 @@ pub const PARTS: [Part; 15] = [
     },
 ];
 
-/// What every change passes.
+/// Runs the tests that every change must pass.
 pub fn gate(arguments: &[String]) -> Result<()> {
     ensure!(arguments.is_empty(), "`cargo xtask test` takes no arguments but --deep: {}", arguments.join(" "));
     // Before the first compile: what only a late stage needs would else be missed minutes later.

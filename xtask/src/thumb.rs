@@ -7,14 +7,14 @@ use std::path::Path;
 use anyhow::{Context as _, Result, bail};
 use object::{Object as _, ObjectSection as _, ObjectSymbol as _, SymbolKind};
 
-/// What one function does to the stack and to others.
+/// A function's stack use and calls.
 #[derive(Debug, Default, PartialEq)]
 pub struct Function {
     /// Its name as the linker knows it.
     pub name: String,
     /// Addresses it calls or jumps to outside itself.
     pub calls: BTreeSet<u32>,
-    /// Where it calls or jumps through a register or a pointer.
+    /// Addresses of its calls and jumps through a register or a pointer.
     pub indirect: Vec<u32>,
     /// Bytes by which it lowers the stack pointer, all ways through it added up: never too little.
     pub stack: u32,
@@ -59,8 +59,9 @@ impl Image {
         Ok(Self(functions))
     }
 
-    /// What is reached from the functions of these names: how many functions, the indirect jumps among them, and the
-    /// deepest stack of each root. Recursion is an error, and so is a call to where there is no function.
+    /// Follows the calls from the functions of these names: returns the number of functions reached, the indirect jumps
+    /// among them, and the deepest stack of each root. Recursion is an error, and so is a call to an address without a
+    /// function.
     pub fn reach(&self, roots: &[&str]) -> Result<Reach> {
         let mut depths = BTreeMap::new();
         let mut stack = Vec::new();

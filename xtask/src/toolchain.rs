@@ -33,7 +33,7 @@ pub const DEBIAN_LINKER: &str = "/usr/bin/rust-lld";
 /// Its clippy.
 pub const DEBIAN_CLIPPY: &str = "/usr/bin/cargo-clippy";
 
-/// What a stage does.
+/// The purpose of a stage.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Use {
     /// Builds for the chip.
@@ -50,7 +50,7 @@ pub enum Use {
     Python,
 }
 
-/// How to compile for the chip, or for browsers, on this computer.
+/// The toolchain on this computer that compiles for the chip, or for browsers.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Toolchain {
     /// The toolchain that runs this program, which has the target.

@@ -80,16 +80,16 @@ impl Tool {
     }
 }
 
-/// What there is on a computer.
+/// The tools found on a computer.
 #[derive(Clone, PartialEq, Eq, Debug)]
 struct Found {
     /// Rustup's toolchain compiles and links for the chip.
     chip: bool,
     /// It does so for browsers.
     browsers: bool,
-    /// What runs besides.
+    /// The other tools that run.
     runs: Vec<Tool>,
-    /// What /usr/bin/rust-lld is a link to, whether that is there or not: the name of its package.
+    /// The name of the package that /usr/bin/rust-lld links to, even if its target is missing.
     linker: Option<String>,
 }
 
@@ -104,7 +104,7 @@ impl Found {
         }
     }
 
-    /// What these uses need and what does not run.
+    /// Returns the tools that these uses need and that do not run.
     fn missing(&self, uses: &[Use]) -> Vec<Tool> {
         let compiles = [Tool::Compiler, Tool::Cargo, Tool::Core, Tool::Linker];
         let needed = Tool::ALL.into_iter().filter(|tool| match tool {
@@ -129,7 +129,7 @@ impl Found {
         targets
     }
 
-    /// How to compile for these uses, or what is missing.
+    /// Returns the toolchain for these uses, or an error that lists the missing tools.
     fn toolchain(&self, uses: &[Use]) -> Result<Toolchain> {
         let missing = self.missing(uses);
         if !missing.is_empty() {
@@ -157,7 +157,7 @@ impl Found {
         line
     }
 
-    /// What is missing, by name, and how to get it.
+    /// Names the missing tools and the way to get them.
     fn complaint(&self, uses: &[Use], missing: &[Tool]) -> String {
         let mut text = String::from("missing on this computer:\n");
         for tool in missing {
@@ -202,9 +202,9 @@ pub fn provide(uses: &[Use]) -> Result<Toolchain> {
     found.toolchain(uses)
 }
 
-/// What `cargo xtask test` does.
+/// The uses of `cargo xtask test`.
 pub const TEST: [Use; 1] = [Use::Build];
-/// What `cargo xtask test --deep` does.
+/// The uses of `cargo xtask test --deep`.
 pub const DEEP: [Use; 5] = [Use::Build, Use::Fuzz, Use::Page, Use::Playground, Use::Python];
 
 fn succeeds(program: &str, arguments: &[&str]) -> bool {
@@ -227,7 +227,7 @@ fn new_enough(said: &str) -> bool {
     found.zip(least.ok()).is_some_and(|(found, least)| found >= least)
 }
 
-/// Whether the toolchain that runs this program has a target's core library and a linker beside it.
+/// Returns true if the toolchain that runs this program has a target's core library and a linker beside it.
 fn rustup_has(target: &str) -> bool {
     let rustc = env::var("RUSTC").unwrap_or_else(|_| "rustc".into());
     let directory = |arguments: &[&str]| -> Result<String> {
@@ -253,7 +253,7 @@ mod tests {
         Found { chip: false, browsers: false, runs: runs.to_vec(), linker: linker.map(Into::into) }
     }
 
-    /// What a fresh Debian had after the first packages: everything but the linker, on which nothing depends.
+    /// A fresh Debian after the first packages: everything but the linker, on which nothing depends.
     #[test]
     fn a_compiler_without_a_linker_is_found_out_before_it_compiles() {
         let after = found(&[Tool::Compiler, Tool::Cargo, Tool::Core, Tool::Cpp, Tool::Browser, Tool::Python], None);

@@ -12,14 +12,16 @@ use crate::toolchain::{cargo, host, run};
 pub fn sanitize(arguments: &[String]) -> Result<()> {
     let mut test = cargo();
     test.current_dir(paths::root()).args(["test", "--locked", "--package", "haptic-bridge", "--lib", "--tests"]);
-    // Of its own, because everything is compiled anew; with a target named, the flag does not reach build scripts.
+    // A directory of its own, because everything is compiled again; with a target named, the flag does not reach build
+    // scripts.
     test.args(["--target", &host()?, "--target-dir"]).arg(paths::target_directory().join("sanitize"));
     test.env("RUSTC_BOOTSTRAP", "1").env("RUSTFLAGS", "-Zsanitizer=address").env_remove("CARGO_ENCODED_RUSTFLAGS");
     run(test.args(arguments))
 }
 
-/// What Miri runs, a thousand times slower than the processor: test files, and of their tests those that begin so; all
-/// where none is named. Double precision is not among them: on a PC it goes through assembly, which Miri does not read.
+/// The tests under Miri, which is a thousand times slower than the processor: test files, and the beginnings of the
+/// names of their tests; an empty list means all. Double precision is not among them: on a PC it goes through assembly,
+/// which Miri does not read.
 const UNDER_MIRI: [(&str, &[&str]); 4] = [
     (
         "settings",

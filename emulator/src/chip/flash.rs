@@ -32,7 +32,7 @@ pub fn unit() -> FlashUnit {
     Hooked { inner: Flash::with_clock(HSI_HZ), hook: Array::default() }
 }
 
-/// What has been asked of the array.
+/// The operations on the array: waiting, done, and cut by a loss of power.
 #[derive(Debug, Default)]
 pub struct Array {
     busy: bool,

@@ -6,7 +6,7 @@ use rigless::device::{Device, DeviceContext, ErasedDevice, RegisterFile, Request
 use rigless::soc::{Layout, RegisterSpec, Width};
 use rigless::time::{EventId, VirtualNanos};
 
-/// What is added to the model `D`.
+/// An addition to the model `D`.
 pub trait Hook<D>: Debug {
     /// After every call into the model.
     fn after(&mut self, _: &mut D, _: &mut RegisterFile, _: &mut DeviceContext<'_>) {}
@@ -30,7 +30,7 @@ pub trait Hook<D>: Debug {
 pub struct Hooked<D, H> {
     /// The model.
     pub inner: D,
-    /// What is added.
+    /// The addition.
     pub hook: H,
 }
 

@@ -63,7 +63,7 @@ const RESET_LINES: [(&str, &str, &str); 15] = [
 ///
 /// # Errors
 ///
-/// What [`rigless::soc::Builder::build`] refuses, which is a bug in the description.
+/// Any error of [`rigless::soc::Builder::build`], which is a bug in the description.
 pub fn bus(stock: &Bus) -> Result<Bus, Error> {
     // The clocks and the readers of requests of the stock description; its tables, gates and corrections come along
     // with the slots, which `Chip` moves over.

@@ -41,7 +41,7 @@ pub fn converter(nth: usize) -> Converter {
     Hooked { inner, hook: ExternalTrigger { instance: CONVERTERS[nth], stopped: false } }
 }
 
-/// What a timer last drove, and how long.
+/// The last outputs of a timer, and their duration.
 #[derive(Debug, Default)]
 pub struct Outputs {
     slave_of_tim1: bool,
@@ -55,7 +55,7 @@ pub struct Outputs {
     span: Span,
 }
 
-/// How long a timer's channels were active over a stretch of time, in nanoseconds.
+/// The time for which a timer's channels were active over a stretch of time, in nanoseconds.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Span {
     /// The stretch.

@@ -11,18 +11,18 @@ use haptic_host::link::{Board, BoardError};
 use super::{Injection, injection};
 use crate::run::{MICROSECOND, MILLISECOND, SECOND, StoppedBoard};
 
-/// What came of it.
+/// The result of provoking a fault.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Outcome {
     /// The fault as it was latched.
     pub record: FaultRecord,
     /// Control periods from the cause to bridges that float.
     pub from_cause: u32,
-    /// Control periods from the step that saw it; `None` where the chip restarted and counts anew.
+    /// Control periods from the step that saw it; `None` if the chip restarted, and with it the count.
     pub from_seen: Option<u32>,
 }
 
-/// Whether every bridge floats and the power stages are disabled.
+/// Returns true if every bridge floats and the power stages are disabled.
 pub fn off(stopped: &mut StoppedBoard<'_>) -> bool {
     stopped.hardware().bridges_float()
 }
@@ -53,7 +53,7 @@ pub fn provoke(fault: Fault) -> Option<Outcome> {
     let (at, steps) =
         seen.unwrap_or_else(|| panic!("{name}: bridges are still on after {within} ms: {:?}", rig.tool.status()));
     rig.run(20 * MILLISECOND);
-    // A chip that restarted enumerates anew.
+    // A chip that restarted has to be enumerated again.
     let ready_again = rig.shared.board().run_until(2 * SECOND, MILLISECOND, |stopped| stopped.usb().ready());
     assert!(ready_again, "{name}: the port is gone");
     let restarted = rig.with(|stopped| stopped.resets().len()) > resets;

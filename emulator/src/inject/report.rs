@@ -1,11 +1,11 @@
-//! What came of every fault, as docs/results/faults.csv has it.
+//! The result of every fault, as docs/results/faults.csv has it.
 
 use haptic_bridge::safety::fault::Fault;
 use haptic_host::output::csv_line;
 
 use super::{Injection, Outcome, injection};
 
-/// How `fault` is brought about, or why it cannot be, in words.
+/// Describes the way to cause `fault`, or the reason why that is impossible.
 #[must_use]
 pub fn how(fault: Fault) -> String {
     match injection(fault) {

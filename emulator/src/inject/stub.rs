@@ -3,7 +3,7 @@
 use crate::rig::{Rig, firmware};
 use crate::run::MILLISECOND;
 
-/// Where a stub of code can be put: above everything that the firmware keeps in RAM.
+/// The address for a stub of code: above everything that the firmware keeps in RAM.
 const FREE_RAM: u64 = 0x2001_F000;
 
 /// The supervisor, which feeds the watchdog.

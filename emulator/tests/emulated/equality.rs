@@ -134,7 +134,7 @@ fn torques_on_the_chip_are_those_of_the_library_bit_for_bit() {
                 }
             };
             for field in fields {
-                // What is left on the chip of motions before the trace (the polarity check) has decayed below the
+                // The remainder on the chip of motions before the trace (the polarity check) has decayed below the
                 // normal numbers; it is no part of what is compared.
                 let settled = |value: f32| if value.abs() < f32::MIN_POSITIVE { 0 } else { value.to_bits() };
                 let chip = three(of(row, field)).map(|value| settled(value as f32));

@@ -21,14 +21,14 @@ fn a_gate_driver_that_pulls_its_fault_line_takes_both_axes_down() {
     assert_eq!((status.state, status.fault.map(|record| record.fault)), (State::Fault, Some(Fault::GateDriver)));
     let drives = rig.with(|stopped| stopped.hardware().drives());
     assert_eq!(drives, [MotorInput::Floating; 3]);
-    // The fault went with EN_GATE, and the board can be armed anew.
+    // The fault went with EN_GATE, and the board can be armed again.
     rig.tool.clear().expect("the fault clears");
     rig.tool.arm().expect("the board arms");
     rig.run(SECOND);
     assert_eq!(rig.tool.status().expect("it answers").state, State::Armed);
 }
 
-/// Gate drivers without a supply would latch a fault, but nobody asks them.
+/// Gate drivers without a supply would latch a fault, but a refused request does not reach them.
 #[test]
 fn what_is_refused_leaves_the_gate_drivers_alone() {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());

@@ -9,7 +9,7 @@ use virtual_board::shares::{CONTROL, WAITING};
 /// A plane beside the tip, so that requests carry all that they can.
 const PLANE: HostContact = HostContact { point: [0.0; 3], normal: [0.0, 1.0, 0.0], stiffness: 300.0, damping: 1.0 };
 
-/// What a stream leaves of the exchanges; the floors are a tenth below what was measured on 2026-11-25.
+/// The exchanges that remain beside a stream; the floors are a tenth below what was measured on 2026-11-25.
 #[test]
 fn every_force_is_taken_and_no_period_missed_however_often_a_host_pushes() {
     let case = CASES[0];
@@ -36,7 +36,7 @@ fn every_force_is_taken_and_no_period_missed_however_often_a_host_pushes() {
     }
 }
 
-/// Where the instructions of an exchange go; the most is a tenth above what was measured on 2026-11-25.
+/// The instructions of an exchange by purpose; the most is a tenth above what was measured on 2026-11-25.
 #[test]
 fn an_exchange_takes_the_tasks_no_more_than_is_told() {
     let case = CASES[0];

@@ -50,7 +50,7 @@ fn session(kind: BoardKind, device: &str, fault: Fault) {
     rig.with_simulated(|device| push(device, [0.0, PUSH, 0.0], 0.2));
     rig.run(SECOND);
     let depth = rig.with_simulated(|device| device.tip())[1] - start[1] - wall.gap;
-    // What current sensors, encoder steps and a hand that trembles leave uncertain.
+    // The tolerance covers current sensors, encoder steps and a hand that trembles.
     assert!((depth * wall.stiffness - PUSH).abs() < 0.08 * PUSH, "{depth} m deep");
 
     rig.with(|stopped| stopped.hardware().fault_line_shorted = true);
@@ -72,7 +72,8 @@ fn session(kind: BoardKind, device: &str, fault: Fault) {
     assert!(rig.with(|stopped| stopped.resets().is_empty()), "{}", rig.post_mortem());
 }
 
-/// Telemetry of all of it: off, armed, off; no force but in the wall, and there what the stiffness says.
+/// Checks the telemetry of the whole session: off, armed, off; no force but in the wall, and there what the stiffness
+/// says.
 fn told(rows: &[Row], stiffness: f64) {
     let state = |row: &Row| row.get(Field::State)[0];
     let mut states: Vec<f64> = rows.iter().map(state).collect();
@@ -92,7 +93,7 @@ fn told(rows: &[Row], stiffness: f64) {
     }
 }
 
-/// What a board refuses with.
+/// Returns the refusal of a board.
 pub fn refused(outcome: Result<(), BoardError>) -> Refusal {
     match outcome {
         Err(BoardError::Refused(refusal)) => refusal,

@@ -18,7 +18,7 @@ fn in_a_minute_at_20_khz_no_period_is_missed_and_no_frame_lost_while_settings_ch
     assert!(load.stack_free >= 8 * 1024, "{load:?}");
 }
 
-/// What 20,000 rows a second leave of the link: a quarter more come whole, too.
+/// The link has room beyond 20,000 rows a second: a quarter more come whole, too.
 #[test]
 fn the_link_carries_a_quarter_more_rows_than_20_khz_make() {
     let mut rig = CASES[0].rig(25_000);
@@ -55,7 +55,7 @@ fn three_joints_miss_no_period_whatever_is_lost_and_no_motor_is_taken_for_anothe
     }
 }
 
-/// What takes longest while the motors are on: checking that nothing new is touched, taking the scene over, and half a
+/// The longest work while the motors are on: checking that nothing new is touched, taking the scene over, and half a
 /// second in which what acted before fades.
 #[test]
 fn new_scenes_cost_an_armed_board_no_crest() {
@@ -64,7 +64,7 @@ fn new_scenes_cost_an_armed_board_no_crest() {
     }
 }
 
-/// Where a limit cuts a step takes some 300 instructions more, and nothing says how long that lasts.
+/// A limit that cuts a step takes some 300 instructions more, and nothing says how long that lasts.
 #[test]
 fn a_limit_that_cuts_every_step_costs_no_period() {
     for (case, rate_hz) in [(&CASES[0], 40_000), (&CASES[2], 30_000), (&CASES[4], 30_000)] {

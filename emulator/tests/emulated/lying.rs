@@ -1,6 +1,5 @@
 //! Sensors that lie and motors that are broken, in the release image at the slowest rate and in the middle of a control
-//! period, where a control step alone would be late: `cargo xtask faults` does all of it, at every rate and ten
-//! instants.
+//! period, where a control step alone would be late: `cargo xtask faults` tries them at every rate and ten instants.
 
 use virtual_board::campaign::{CASES, Campaign};
 

@@ -1,5 +1,5 @@
-//! What docs/safety.md promises of the chip itself: off until asked, off without the processor's help, and a watchdog
-//! that no half of the firmware can feed alone.
+//! The promises of docs/safety.md about the chip itself: off until asked, off without the processor's help, and a
+//! watchdog that no half of the firmware can feed alone.
 
 use std::time::Duration;
 
@@ -334,7 +334,7 @@ fn a_board_that_is_left_alone_is_not_bitten() {
     assert_eq!(rig.tool.status().expect("the board answers").state, State::Armed);
 }
 
-/// What a single count makes of a velocity is found by trying when a request comes; nobody feeds the watchdog
+/// The effect of a single count on a velocity is found by trying when a request comes; the watchdog is not fed
 /// meanwhile.
 #[test]
 fn a_request_for_the_slowest_velocities_is_not_bitten() {

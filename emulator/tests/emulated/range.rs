@@ -4,10 +4,10 @@
 use haptic_bridge::render::scene::FeedForward;
 use virtual_board::range::{RATES, delay_samples, on, predicted, rig, rigid};
 
-/// How far the boundary may lie from the theory's: where the interrupt falls against the carrier differs from image to
-/// image, and with the feed-forward one point of one image was found between 5 and 7 % below.
+/// Largest distance of the boundary from the theory's: where the interrupt falls against the carrier differs from image
+/// to image, and with the feed-forward one point of one image was found between 5 and 7 % below.
 const AGREEMENT: f64 = 0.07;
-/// Where on the boundary it is looked for: shares of the damping at which the range ends.
+/// Points of the boundary that are measured: shares of the damping at which the range ends.
 const SHARES: [f64; 3] = [0.2, 0.4, 0.6];
 
 fn lies_where_theory_says(feed_forward: FeedForward) {

@@ -47,7 +47,7 @@ fn stage(board: &mut Board) -> Result<(), BoardError> {
     board.stage_entry(Key::Rules, settings::encode(&rules).expect("rules fit an entry"))
 }
 
-/// What no state allows.
+/// Requests that no state allows.
 const NEVER: &[Request] = &[
     ("limits above the board's", |board| rules_with(board, |rules| rules.limits.torque = [1.0e6; 3])),
     ("rules that are no numbers", |board| rules_with(board, |rules| rules.limits.power = f32::NAN)),
@@ -61,10 +61,10 @@ const NEVER: &[Request] = &[
     ("an entry that is damaged", |board| board.stage_entry(Key::Rules, [1, 2, 3].into_iter().collect())),
 ];
 
-/// What readies the motors: it needs them off, no fault, and a device.
+/// Requests that ready the motors: they need them off, no fault, and a device.
 const READYING: &[Request] = &[("arm", Board::arm), ("check polarity", Board::check_polarity), ("home", Board::home)];
 
-/// What else needs the motors off.
+/// Other requests that need the motors off.
 const OFF: &[Request] = &[
     ("save", Board::save),
     ("device", |board| {

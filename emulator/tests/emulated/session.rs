@@ -1,4 +1,4 @@
-//! What a board keeps of a session, and what the largest one leaves free.
+//! The parts of a session that a board keeps, and the memory that the largest one leaves free.
 
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::precomputed::{Interpolation, TableChunk};

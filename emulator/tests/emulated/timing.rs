@@ -5,7 +5,7 @@ use virtual_board::results;
 use virtual_board::stages::STAGES;
 use virtual_board::timing::recorded;
 
-/// How much longer than recorded a period may get before someone has to look at it and run `cargo xtask timing`.
+/// Largest growth of a period over the recorded one before someone has to look at it and run `cargo xtask timing`.
 const GROWTH: f64 = 1.03;
 
 fn takes_what_is_recorded(nth: usize) {

@@ -87,10 +87,10 @@ impl Board for ToyBoard {
     }
 }
 
-/// What the control interrupt owns.
+/// The hardware that the control interrupt owns.
 pub struct Pins {
     zeros: Zeros<1>,
-    /// What the sensor's reading is off by, A.
+    /// The offset of the sensor's reading, A.
     offset: f32,
     carrier: Carrier,
 }
@@ -161,7 +161,7 @@ impl Io for Pins {
     }
 }
 
-/// What tasks own: the current sensor's zero is all there is to ready.
+/// The hardware that tasks own: only the current sensor's zero has to be readied.
 pub struct EnableLine;
 
 impl Gate for EnableLine {

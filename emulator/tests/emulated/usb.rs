@@ -1,4 +1,4 @@
-//! What a cable and a computer can do to a board.
+//! Events at the cable and the computer that a board must survive.
 
 use std::time::Duration;
 

@@ -80,7 +80,7 @@ fn a_wall_never_pulls() {
     assert!(tip[1] < height, "the hand got away: {tip:?}");
 }
 
-/// How deep the tip is in each of `walls`, m, before which it stood at `start`.
+/// Returns the depth of the tip in each of `walls`, m; it stood at `start` before.
 fn depths(walls: &[WallAt], start: [f64; 3], tip: [f64; 3]) -> Vec<f64> {
     let depth =
         |wall: &WallAt| -> f64 { (0..3).map(|i| -wall.normal[i] * (tip[i] - start[i])).sum::<f64>() - wall.gap };
@@ -95,7 +95,7 @@ fn pushed(kind: BoardKind, name: &str, walls: &[WallAt], newtons: f64) -> [Vec<V
     let mut rig = Rig::with_device(kind, name, |options| options.friction = false);
     let scene = rig.arm_before("gravity_compensation = true\n", walls);
     let (start, q) = rig.with_simulated(move |device| (device.tip(), device.q()));
-    // Where the tip stood when the walls were placed is where a firm hand still holds it.
+    // A firm hand still holds the tip where it stood when the walls were placed.
     rig.with_simulated(move |device| push_into(device, force, 0.3));
     let mut chip = Vec::new();
     for _ in 0..LOOKS {
@@ -223,12 +223,12 @@ fn the_feed_forward_on_the_chip_is_the_torque_that_the_analysis_asks_for() {
     }
 }
 
-/// What is felt and told of a wall at one depth, over 80 ms.
+/// The forces of a wall at one depth, felt and reported, over 80 ms.
 #[derive(Clone, Debug, Default)]
 struct Look {
     /// Depth of the tip, m.
     depth: f64,
-    /// What the wall asks for and what telemetry says is left of it, N.
+    /// The force that the wall asks for, and the part of it that is left according to telemetry, N.
     asked: f64,
     rendered: f64,
     /// The device's force on the hand along the normal and across it, N.
@@ -301,7 +301,7 @@ fn a_wall_pressed_beyond_the_motors_keeps_its_direction_and_never_lets_go() {
         let looks = pressed(kind, name, normal, feed_forward, torque);
         let [first, .., last] = &looks[..] else { panic!("many looks") };
         assert!(first.asked == 0.0 && last.rendered < 0.35 * last.asked, "{name}: {last:?}");
-        // What current sensors, encoder steps and the hand's own movement leave uncertain.
+        // The tolerance covers current sensors, encoder steps and the hand's own movement.
         let uncertain = 0.03 * last.rendered;
         for (index, look) in looks.iter().enumerate() {
             println!("{name}: {look:?}");

@@ -4,7 +4,7 @@ use haptic_bridge::board::protocol::{Details, Info};
 use haptic_stability::analysis::control_loop::{CARRIER_HZ, CURRENT_LOOP_HZ, TorquePath};
 use haptic_stability::analysis::plant::Drive;
 
-/// What the board that says this puts between its encoders and the torque that answers, at the rate that it runs at.
+/// The delay and lag between the encoders and the torque of the board that reports this, at the rate that it runs at.
 #[must_use]
 pub fn torque_path(info: &Info, details: &Details) -> TorquePath {
     let bandwidth_hz = (CURRENT_LOOP_HZ * f64::from(details.carrier_hz) / CARRIER_HZ).round();
@@ -30,7 +30,7 @@ impl BoardKind {
     /// All of them, the one with the fewest axes first.
     pub const ALL: [Self; 3] = [Self::OdriveV3, Self::HBridgeF405, Self::HBridgeF407Disc1];
 
-    /// What it calls itself, and what its image is built as.
+    /// The name that the board reports, which is also that of its image.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -40,7 +40,7 @@ impl BoardKind {
         }
     }
 
-    /// How many motors it drives.
+    /// Number of motors that it drives.
     #[must_use]
     pub fn axes(self) -> usize {
         match self {

@@ -1,7 +1,7 @@
 //! A device in a hand against a rendered wall, simulated with the steps of its encoders.
 //!
-//! The device moves by its full equations with its friction, cogging, transmissions and modes ([`Plant`]). Around it are
-//! the delay and the drives of a loop. A `Law` renders the wall: that of a prediction ([`crate::ripple`]), or the
+//! The device moves by its full equations with its friction, cogging, transmissions and modes ([`Plant`]). Around it
+//! are the delay and the drives of a loop. A `Law` renders the wall: that of a prediction ([`crate::ripple`]), or the
 //! board's own step ([`crate::bench::wall`]). All that is said of encoder steps by simulation comes from here.
 
 use haptic_bridge::model::catalogue::MAX_JOINTS;
@@ -16,9 +16,9 @@ const STEP_S: (f64, f64) = (50e-6, 25e-6);
 /// A tip this far from where it began, along the normal, is lost, m.
 const FAR_M: f64 = 0.02;
 
-/// What renders a wall.
+/// A control law that renders a wall.
 pub(crate) trait Law {
-    /// What it answers in one control period to the angles at the encoders, rad.
+    /// The answer in one control period to the angles at the encoders, rad.
     fn answer(&mut self, measured: &[f64; MAX_JOINTS]) -> Answer;
 }
 
@@ -28,7 +28,7 @@ pub(crate) struct Answer {
     pub torque: [f64; MAX_JOINTS],
 }
 
-/// Where a hand wants to be, m, and what it pushes with besides, N.
+/// The position that a hand aims at, m, and the force with which it pushes besides, N.
 pub(crate) struct Grip {
     pub goal: [f64; MAX_JOINTS],
     pub push: [f64; MAX_JOINTS],
@@ -42,7 +42,7 @@ pub(crate) struct Contact<'a> {
     pub around: &'a Loop,
     /// The torques that were commanded before the first period, N m.
     pub before: [f64; MAX_JOINTS],
-    /// What the motors give besides, without delay, N m.
+    /// The torques that the motors give besides, without delay, N m.
     pub carried: [f64; MAX_JOINTS],
     /// Its damping and its spring; its mass is the plant's.
     pub hand: Hand,
@@ -56,8 +56,8 @@ impl<'a> Contact<'a> {
     }
 
     /// Runs so many seconds under a law and what `grip` holds at each time (s), until `seen` says false. It sees each
-    /// period: the wall's force (N) and how far the tip is along the normal at the period's end (m). False where the tip
-    /// flies off.
+    /// period: the wall's force (N) and how far the tip is along the normal at the period's end (m). False where the
+    /// tip flies off.
     pub fn run(
         mut self,
         law: &mut dyn Law,
@@ -139,7 +139,7 @@ impl<'a> Contact<'a> {
     }
 }
 
-/// What is left of evenly spaced values beside the straight line through them: root mean square, and from the smallest
+/// The deviation of evenly spaced values from the straight line through them: root mean square, and from the smallest
 /// to the largest.
 pub(crate) fn about_its_line(values: &[f64]) -> (f64, f64) {
     let count = values.len() as f64;
@@ -157,7 +157,7 @@ pub(crate) fn about_its_line(values: &[f64]) -> (f64, f64) {
 /// From which frequency on (Hz) a force is ripple and no longer what the hand does.
 const RIPPLE_HZ: f64 = 20.0;
 
-/// What a force has above that frequency: less a trend that two poles make of it, one after the other.
+/// The part of a force above that frequency: the force less a trend that two poles in series make of it.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Fast {
     share: f64,

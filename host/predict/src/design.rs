@@ -1,5 +1,5 @@
-//! Where and how a device renders walls best: directions at a pose, places in the workspace, what each link, rotor and
-//! gear is worth, and the posture of a redundant arm.
+//! The places and directions in which a device renders walls best: directions at a pose, places in the workspace, what
+//! each link, rotor and gear is worth, and the posture of a redundant arm.
 //!
 //! Everything here rests on one law of docs/model.md: without joint damping the stable boundary of a loop is that of a
 //! single mass, so the stiffest wall is in proportion to the inertia that it meets, Weff without the feed-forward and
@@ -41,13 +41,13 @@ pub fn stiffness_per_kilogram(rate_hz: f64, cutoff_hz: f64) -> Result<f64, Failu
     Ok(found.boundary.iter().map(|point| point.kp).fold(0.0, f64::max))
 }
 
-/// How far a pose is from the nearest singularity: the lesser sine.
+/// The distance of a pose from the nearest singularity: the lesser sine.
 #[must_use]
 pub fn clearance(pose: &TaskPose) -> f64 {
     pose.regularity.serial.min(pose.regularity.parallel)
 }
 
-/// Whether joint angles lie within the limits.
+/// Returns true if the joint angles lie within the limits.
 #[must_use]
 pub fn within_limits(device: &Device<f64>, q: &[f64]) -> bool {
     let inside = |(angle, low, high): (f64, f64, f64)| (low - 1e-9..=high + 1e-9).contains(&angle);

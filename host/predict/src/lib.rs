@@ -1,7 +1,7 @@
-//! What to do with a device that somebody has: measure which walls it renders, on a board or a simulated one, and find
-//! the settings, place, posture and links with which it renders the stiffest. It also says what is doubtful about a
-//! device or a scene, what encoder steps make of a wall, and which control step is the cheapest that is good enough.
-//! The theory comes from [`haptic_stability`]; [`measure`] knows none of it, so that both can be compared.
+//! Work with a device at hand: measure which walls it renders, on a board or a simulated one, and find the settings,
+//! place, posture and links with which it renders the stiffest. It also says what is doubtful about a device or a
+//! scene, what encoder steps make of a wall, and which control step is the cheapest that is good enough. The theory
+//! comes from [`haptic_stability`]; [`measure`] knows none of it, so that both can be compared.
 //!
 //! ```
 //! use haptic_bridge::model::admissible::Admissible;

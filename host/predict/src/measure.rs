@@ -97,7 +97,7 @@ pub enum MeasureError {
     Saturates {
         /// Stiffness of the wall, or damping times the swing's frequency where that is more, N/m.
         stiffness: f64,
-        /// What is as stiff as that.
+        /// Names the wall or hold that has this stiffness.
         of: &'static str,
         /// Shortest pull that counts, m.
         pull: f64,
@@ -107,14 +107,14 @@ pub enum MeasureError {
 }
 
 impl MeasureError {
-    /// Whether it says something about one damping and nothing about the others: the measurement goes on with the next.
+    /// Returns true if the error concerns one damping only: the measurement goes on with the next.
     #[must_use]
     pub fn is_local(&self) -> bool {
         matches!(self, Self::Unbounded | Self::Saturates { .. } | Self::Restless | Self::Stuck)
     }
 }
 
-/// What is measured, and how gently.
+/// The quantity to measure, and the limits within which it is measured.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MeasurementSetup {
     /// The walls that act together.
@@ -139,9 +139,9 @@ pub struct MeasurementSetup {
 pub struct Law {
     /// Velocity estimator.
     pub estimator: Estimator,
-    /// Whether the joints' own damping is compensated.
+    /// True if the joints' own damping is compensated.
     pub damping_compensation: bool,
-    /// What a redundant device holds.
+    /// The coordinate that a redundant device holds.
     pub admissible: Admissible,
     /// The device is held no faster than this, Hz: coarse encoders and weak motors hold only softly.
     pub hold_hz: f64,
@@ -159,8 +159,8 @@ impl Default for Law {
 }
 
 impl MeasurementSetup {
-    /// How fast the device is held and its motion judged, Hz: the low-pass's cutoff. The cutoff of an estimator that
-    /// watches joints is not how fast the loop is, and theirs may be fast.
+    /// Frequency with which the device is held and its motion judged, Hz: the low-pass's cutoff. The cutoff of an
+    /// estimator that watches joints is not how fast the loop is, and theirs may be fast.
     #[must_use]
     pub fn tempo_hz(&self) -> f64 {
         let own = if self.law.estimator.spec().is_some() { (0.1 * self.rate_hz).min(500.0) } else { self.cutoff_hz };

@@ -25,13 +25,13 @@ pub const DEFAULT_PERCENT: f64 = 1.0;
 /// Trigonometry of the firmware.
 const SHIPPED: &str = "table";
 
-/// How much error a plan may leave.
+/// The error that a plan may leave.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Budget {
     /// Percent of what the motors give at the same pose: of the worst joint's torque, and so of the largest force at
     /// the tip in the direction of the error.
     Percent(f64),
-    /// What the duty's resolution hides anyway.
+    /// An error that the duty's resolution hides anyway.
     OneDutyStep,
 }
 
@@ -63,12 +63,12 @@ pub struct Candidate {
     pub used: f64,
 }
 
-/// What the board shall run.
+/// The settings that the board shall run.
 #[derive(Clone, Debug)]
 pub struct Plan {
     /// The scene with its feed-forward and velocity terms as decided.
     pub scene: Scene<f64>,
-    /// Where the mass matrix comes from.
+    /// The source of the mass matrix.
     pub mass: Precomputed,
     /// The terms of the walls' feed-forward.
     pub terms: Terms,

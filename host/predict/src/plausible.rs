@@ -1,5 +1,5 @@
-//! What a file says is allowed, but can it be meant? Lengths in millimetres, masses in grams, angles in degrees and
-//! walls beyond what is stable all parse, and all are doubted here, with the number that gives them away.
+//! Finds values that a file may contain but can hardly mean. Lengths in millimetres, masses in grams, angles in degrees
+//! and walls beyond what is stable all parse, and all are doubted here, with the number that gives them away.
 //!
 //! Nothing here refuses: a device may be stranger than these rules. Bounds come from solid steel, from what one file
 //! says in two places, and from the prediction of `haptic range`.
@@ -14,7 +14,8 @@ use haptic_bridge::model::description::Description;
 use haptic_host::toml_file::Document;
 use serde::Serialize;
 
-/// Where in a file a doubt is: a table (with its place in a list of tables, from 0), perhaps a table in it, and a key.
+/// The place of a doubt in a file: a table (with its place in a list of tables, from 0), perhaps a table in it, and a
+/// key.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Key {
     /// `geometry`, `link`, `joint`, `wall`, …; empty at the top of the file.
@@ -30,9 +31,9 @@ pub struct Key {
 /// Something that parses but can hardly be meant.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Doubt {
-    /// Where, in a file.
+    /// The place in a file.
     pub key: Option<Key>,
-    /// What, and what was probably meant: one sentence without its final stop.
+    /// The doubt, and what was probably meant: one sentence without its final stop.
     pub text: String,
 }
 

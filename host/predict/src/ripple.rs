@@ -1,13 +1,13 @@
-//! What encoder steps make of a wall that is pressed: by simulation, because a quantiser is not linear.
+//! The effect of encoder steps on a wall that is pressed: by simulation, because a quantiser is not linear.
 //!
 //! A hand presses the wall with a steady force, in the one simulation of such contacts (`contact`). The wall is
 //! rendered by the loop of the prediction: its delay, drive, estimator and feed-forward, linearised at the pose, with
-//! one thing more: each joint's angle comes in steps of its encoder. A prediction has drives, delays and filters that no
-//! board has; the board's own step, with estimators that are not linear, renders the walls of [`crate::bench::wall`]. A
-//! static wall is unilateral. Without friction there is no equilibrium between two counts, so there always is a limit
-//! cycle; where friction holds more than a count's force there is none (Abbott and Okamura 2005). Its size depends on
-//! where in a count the pose lies, so each wall is tried with several offsets of the counts, and the largest ripple is
-//! taken.
+//! one thing more: each joint's angle comes in steps of its encoder. A prediction has drives, delays and filters that
+//! no board has; the board's own step, with estimators that are not linear, renders the walls of
+//! [`crate::bench::wall`]. A static wall is unilateral. Without friction there is no equilibrium between two counts, so
+//! there always is a limit cycle; where friction holds more than a count's force, it does not arise (Abbott and Okamura
+//! 2005). Its size depends on where in a count the pose lies, so each wall is tried with several offsets of the counts,
+//! and the largest ripple is taken.
 
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::model::description::Description;
@@ -26,14 +26,14 @@ use haptic_stability::sweep::Sweep;
 
 /// A light hand that is there where none is asked for; it presses with [`PUSH_N`].
 pub const LIGHT_HAND: Hand = Hand { mass: 0.05, damping: 3.0, stiffness: 200.0 };
-/// What the hand presses with, N.
+/// The force with which the hand presses, N.
 pub const PUSH_N: f64 = 3.0;
 /// The hand presses ever harder, N/s: what friction holds only where nothing moves is no wall at rest.
 pub(crate) const RISE: f64 = 1.0;
 /// Time in which the motion settles, and in which it is looked at, s.
 pub(crate) const SETTLE_S: f64 = 0.5;
 pub(crate) const LOOK_S: f64 = 0.3;
-/// How many offsets of the counts are tried.
+/// Number of offsets of the counts that are tried.
 pub(crate) const OFFSETS: usize = 4;
 /// Walls along a line: how far below the stiffest, and how many in a decade.
 const DECADES: usize = 4;
@@ -41,7 +41,7 @@ const PER_DECADE: usize = 5;
 /// Ratio to which the stiffness is found from which the ripple exceeds a bound.
 const CLOSE: f64 = 1.05;
 
-/// What a pressed wall does.
+/// The ripple of a pressed wall.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Ripple {
     /// N/m
@@ -52,29 +52,29 @@ pub struct Ripple {
     pub rms_n: Option<f64>,
     /// Half of what lies between its largest and its smallest value, N.
     pub peak_n: Option<f64>,
-    /// How far the tip moves along the normal, from one side to the other, m.
+    /// The motion of the tip along the normal, from one side to the other, m.
     pub motion_m: Option<f64>,
 }
 
 impl Ripple {
-    /// Whether the root mean square stays within a bound, N.
+    /// Returns true if the root mean square stays within a bound, N.
     pub fn within(&self, bound_n: f64) -> bool {
         self.rms_n.is_some_and(|rms| rms <= bound_n)
     }
 }
 
-/// Where the ripple of walls along a line exceeds a bound.
+/// The point on a line of walls from which the ripple exceeds a bound.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Along {
     /// The largest stiffness up to which every wall on the line is stable by linear theory, N/m.
     pub kp_stable: f64,
     /// The stiffness from which the ripple exceeds the bound, N/m; none where no wall tried does.
     pub kp_from: Option<f64>,
-    /// What was tried, by stiffness.
+    /// The walls that were tried, by stiffness.
     pub points: Vec<Ripple>,
 }
 
-/// What is pressed, and by whom.
+/// A device and the hand that presses its wall.
 #[derive(Clone, Debug)]
 pub struct Pressed<'a> {
     /// The device as the wall sees it.
@@ -89,12 +89,12 @@ pub struct Pressed<'a> {
     pub around: &'a Loop,
     /// Who presses.
     pub hand: Hand,
-    /// How hard, N.
+    /// The force with which the hand presses, N.
     pub push_n: f64,
 }
 
 impl Pressed<'_> {
-    /// What one count of the coarsest joint moves along the normal, m; none where a joint has no encoder.
+    /// The motion along the normal in one count of the coarsest joint, m; `None` where a joint has no encoder.
     pub fn count_m(&self) -> Option<f64> {
         let steps = self.resolutions()?;
         Some(steps.iter().zip(self.device.row.iter()).map(|(step, lever)| (step * lever).abs()).fold(0.0, f64::max))
@@ -113,7 +113,7 @@ impl Pressed<'_> {
         counts.map(|counts| counts.map(|counts| std::f64::consts::TAU / counts)).collect()
     }
 
-    /// What a wall does under the hand; `None` where a joint has no encoder.
+    /// The ripple of a wall under the hand; `None` where a joint has no encoder.
     pub fn ripple(&self, mode: Mode, kp: f64, kd: f64) -> Option<Ripple> {
         let steps = self.resolutions()?;
         let lost = Ripple { kp, kd, rms_n: None, peak_n: None, motion_m: None };
@@ -200,9 +200,9 @@ impl Pressed<'_> {
         kept.then(|| [rms, 0.5 * force, about_its_line(&tips).1])
     }
 
-    /// What a hand presses with that keeps the tip where it is, per newton of wall, d entries: along the normal, and
-    /// against the feed-forward's steady push sideways, Λ J M⁻¹ of its torques. If the hand let the tip be pushed
-    /// aside, it would press another wall: its spring would give way by millimetres, too far for the linearised loop.
+    /// The force of a hand that keeps the tip where it is, per newton of wall, d entries: along the normal, and against
+    /// the feed-forward's steady push sideways, Λ J M⁻¹ of its torques. If the hand let the tip be pushed aside, it
+    /// would press another wall: its spring would give way by millimetres, too far for the linearised loop.
     fn against(&self, mode: Mode, mobility: &DMatrix<f64>, shaped: &DVector<f64>) -> Option<DVector<f64>> {
         let normal = DVector::from_column_slice(&self.normal);
         // A washout has no steady push.
@@ -221,7 +221,8 @@ struct Linear<'a> {
     offset: f64,
     row: &'a DVector<f64>,
     shaped: &'a DVector<f64>,
-    /// What a newton of wall gives the rendered velocity, through plain and through shaped torques, 1/kg.
+    /// The acceleration along the rendered direction per newton of wall, through plain and through shaped torques,
+    /// 1/kg.
     gives: [f64; 2],
     estimator: DMatrix<f64>,
     /// States of the estimator, then how far the tip moved in the last period and what the last command gives.
@@ -231,7 +232,7 @@ struct Linear<'a> {
     slow: f64,
     kp: f64,
     kd: f64,
-    /// Where the wall's surface is, m along the normal.
+    /// The position of the wall's surface, m along the normal.
     surface: f64,
     period: f64,
     before: f64,
@@ -274,7 +275,7 @@ impl<'a> Linear<'a> {
         law
     }
 
-    /// How far the tip is along the normal, by the encoders, m.
+    /// The position of the tip along the normal, by the encoders, m.
     fn position(&self, q: &[f64; MAX_JOINTS]) -> f64 {
         let angle = |j: usize| {
             // Half a turn of each joint's count by itself, so that joints do not step together.

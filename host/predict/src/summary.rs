@@ -1,5 +1,5 @@
-//! What a device file describes, in the terms in which a person would notice that it describes another device: how far
-//! the tip reaches, where it is at home, how hard it can push, what it weighs.
+//! A summary of a device file in the terms in which a person would notice that it describes another device: how far the
+//! tip reaches, where it is at home, how hard it can push, what it weighs.
 
 use crate::plausible::device::force_at;
 use haptic_bridge::model::device::Device;
@@ -34,14 +34,14 @@ impl Span {
 /// A summary of the device that a file describes.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Summary {
-    /// Where the tip can be, along each task coordinate, m: the poses reached from home.
+    /// The range of the tip along each task coordinate, m: the poses reached from home.
     pub reach: Vec<Span>,
     /// Tip at home, m.
     pub tip_at_home: Option<Vec<f64>>,
     /// Largest force at the tip at home in its weakest and its strongest direction, N: max_current times
     /// torque_constant through Jᵀ.
     pub force_at_home: Option<Span>,
-    /// How far one encoder count of one joint moves the tip at home, at most, m; none where a joint has no encoder.
+    /// The largest motion of the tip at home in one encoder count of one joint, m; `None` where a joint has no encoder.
     pub count_at_home: Option<f64>,
     /// Links and handle, kg.
     pub moving_mass: f64,
@@ -51,7 +51,7 @@ pub struct Summary {
     pub w_eff: Option<Span>,
 }
 
-/// How far the tip goes along a task coordinate: from the grid's farthest poses on, to where limits or a singularity
+/// The range of the tip along a task coordinate: from the grid's farthest poses on, to where limits or a singularity
 /// end the way.
 fn reach(device: &Device<f64>, points: &[MapPoint], axis: usize) -> Result<Option<Span>, PoseError> {
     let place = |point: &&MapPoint| point.position[axis];

@@ -1,5 +1,5 @@
-//! Files to start from: a device file for each mechanism, with every key, what it is, and numbers of a device that exists
-//! only to be replaced; and a scene file for a device.
+//! Files to start from: a device file for each mechanism, with every key, what it is, and numbers of a device that
+//! exists only to be replaced; and a scene file for a device.
 
 use crate::plausible::scene::doubts;
 use crate::wall_ahead::wall_ahead;
@@ -9,9 +9,9 @@ use haptic_host::device_file::DeviceFile;
 use haptic_host::error::Failure;
 use haptic_stability::analysis::prediction::Subject;
 
-/// What a template knows of a mechanism beyond its [`Spec`](haptic_bridge::model::catalogue::Spec).
+/// The part of a template that a mechanism's [`Spec`](haptic_bridge::model::catalogue::Spec) does not contain.
 struct Example {
-    /// What it is, and where its angles are zero.
+    /// A description of the mechanism, with the pose at which its angles are zero.
     about: &'static str,
     gravity: &'static str,
     /// Lines of `[geometry]`: key, value, comment.
@@ -231,11 +231,11 @@ pub fn device_file(kind: Kind, name: &str) -> String {
     text
 }
 
-/// How often gains are halved before a wall is taken as it is.
+/// Largest number of times that gains are halved before a wall is taken as it is.
 const MOST_HALVINGS: usize = 12;
 
-/// The scene with walls so soft that `haptic check` doubts none of them: half of what is stable by itself may be more than
-/// motors and encoders can render, and on a redundant arm a washout may let next to nothing be stable.
+/// The scene with walls so soft that `haptic check` doubts none of them: half of what is stable by itself may be more
+/// than motors and encoders can render, and on a redundant arm a washout may let next to nothing be stable.
 fn undoubted(device: &Subject, scene: Scene<f32>) -> Scene<f32> {
     for feed_forward in [FeedForward::Washout, FeedForward::Off] {
         let mut softer = scene.clone();

@@ -1,4 +1,4 @@
-//! What a person at the tip can meet: the largest force and the energy of motion that limits leave a device.
+//! The hazards for a person at the tip: the largest force and the energy of motion that limits leave a device.
 
 use crate::plausible::device::weight;
 use haptic_bridge::model::description::Description;

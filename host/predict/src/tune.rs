@@ -47,7 +47,7 @@ pub const RATES_HZ: [f64; 4] = [1_000.0, 5_000.0, 10_000.0, 20_000.0];
 /// Stiffness is found to this ratio, and of walls that differ by less the one without a feed-forward is taken.
 const STIFFNESS_RATIO: f64 = 1.03;
 
-/// What is asked.
+/// The question to answer.
 #[derive(Clone, Debug)]
 pub struct Question<'a> {
     /// The device.
@@ -56,9 +56,9 @@ pub struct Question<'a> {
     pub q: Vec<f64>,
     /// Unit normal of the wall.
     pub normal: Vec<f64>,
-    /// What a redundant device holds.
+    /// The coordinate that a redundant device holds.
     pub admissible: Admissible,
-    /// How far the device may be from its file.
+    /// The deviations of the device from its file that are allowed for.
     pub margins: Margins,
     /// Largest root mean square of what the force of a wall has above 20 Hz under a hand that slides along it, N.
     pub ripple_n: f64,
@@ -92,11 +92,11 @@ pub struct Settings {
     pub value: u32,
     /// Hz.
     pub cutoff_hz: f64,
-    /// How much feed-forward.
+    /// The wall's feed-forward.
     pub feed_forward: FeedForward,
     /// Corner of the washout, Hz.
     pub washout_hz: f64,
-    /// Whether the joints' own damping is compensated.
+    /// True if the joints' own damping is compensated.
     pub damping_compensation: bool,
     /// N/m
     pub stiffness: f64,
@@ -140,7 +140,7 @@ impl Settings {
         Mode::of(self.feed_forward, self.washout_hz)
     }
 
-    /// Whether its cutoff does anything.
+    /// Returns true if its cutoff has an effect.
     #[must_use]
     pub fn has_cutoff(&self) -> bool {
         let filtered = self.kind.chosen().is_some_and(|chosen| chosen.filtered);
@@ -167,7 +167,8 @@ pub struct Found {
     /// Root mean square of its force above 20 Hz under a hand that slides along it, N: the largest of the device in the
     /// file and those that are a little off it.
     pub ripple_n: f64,
-    /// The same on the simulated board with the device in the file, under its hand, N; none where that was not looked at.
+    /// The same on the simulated board with the device in the file, under its hand, N; none where that was not looked
+    /// at.
     pub board_ripple_n: Option<f64>,
 }
 
@@ -178,17 +179,17 @@ pub struct Answer {
     pub best: Found,
     /// The stiffest of all, where it is another.
     pub passed_over: Option<Found>,
-    /// What stops it: the limit that comes first when it is made stiffer.
+    /// The limit that comes first when the wall is made stiffer.
     pub active: &'static str,
-    /// What every limit alone would allow.
+    /// The gains that every limit alone would allow.
     pub limits: Vec<Limit>,
-    /// What is beside it: stiffer, with more damping, with less.
+    /// The walls beside it: stiffer, with more damping, with less.
     pub beside: Vec<Beside>,
     /// The best of each estimator that was found, the stiffest first.
     pub others: Vec<Found>,
-    /// What the other feed-forwards would bring.
+    /// The results with the other feed-forwards.
     pub feed_forwards: Vec<Otherwise>,
-    /// How many combinations of rate, estimator, cutoff and feed-forward there were, and of how many ripple was
+    /// Number of combinations of rate, estimator, cutoff and feed-forward, and the number of those for which ripple was
     /// simulated.
     pub looked_at: (usize, usize),
 }
@@ -246,8 +247,8 @@ fn stiffest<'a>(found: impl IntoIterator<Item = &'a Found>) -> Option<Found> {
     found.into_iter().copied().reduce(|best, other| if stiffer(&other, &best) { other } else { best })
 }
 
-/// What is taken, and the stiffest where it is another: a feed-forward asks for a model that is right and pushes along
-/// the wall, so one that makes no difference is left out.
+/// The settings that are chosen, and the stiffest where they are others: a feed-forward asks for a model that is right
+/// and pushes along the wall, so one that makes no difference is left out.
 fn chosen(all: &[Found]) -> Option<(Found, Option<Found>)> {
     let top = stiffest(all)?;
     let plain = stiffest(all.iter().filter(|found| found.settings.feed_forward == FeedForward::Off));

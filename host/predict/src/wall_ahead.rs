@@ -1,4 +1,4 @@
-//! The wall that stands before a device when nobody has named a scene.
+//! The wall that stands before a device when no scene is named.
 
 use haptic_bridge::render::scene::{DEFAULT_RATE_HZ, FeedForward, Plane, Scene, Surface, Wall};
 use haptic_host::device_file::DeviceFile;
@@ -9,7 +9,7 @@ use haptic_stability::analysis::pose::TaskPose;
 use haptic_stability::analysis::prediction::{Prediction, Subject};
 use haptic_stability::analysis::sampled::Mode;
 
-/// How far in front of the tip the wall stands, m.
+/// Distance of the wall from the tip, m.
 const AHEAD: f64 = 0.006;
 
 /// A wall in front of the tip at home, below it where the device moves in a plane or in space, of half the stiffness

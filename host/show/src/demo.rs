@@ -1,4 +1,4 @@
-//! What the feed-forward buys, shown on a simulated board over the real protocol (`haptic demo`).
+//! The benefit of the feed-forward, shown on a simulated board over the real protocol (`haptic demo`).
 //!
 //! Twice the same: a hand presses onto a wall and slides along it, once without and once with the feed-forward, with
 //! the same tremor. And twice: the stiffness is raised until the loop oscillates, beside what theory predicts. Only
@@ -21,7 +21,7 @@ use haptic_stability::analysis::pose::PoseError;
 /// The device of the demo: strongly coupled, so the feed-forward matters.
 pub const DEVICE: &str = include_str!("../../../devices/coupled-five-bar.toml");
 
-/// What is shown.
+/// The demonstration.
 #[derive(Clone, Debug)]
 pub struct Demo {
     /// The device.
@@ -110,7 +110,7 @@ impl Demo {
         &self.pose[..self.file.spec().joints]
     }
 
-    /// What the wall meets.
+    /// The inertia that the wall meets.
     pub fn inertia(&self) -> Result<Inertia, DemoError> {
         let seen = Linearised::at(&self.file.description, self.q(), &self.normal)?;
         let rendered = seen.w_rr();

@@ -25,39 +25,39 @@ use tungstenite::handshake::server::{Request, create_response, write_response};
 use tungstenite::protocol::{Role, WebSocketConfig};
 use tungstenite::{Message, WebSocket};
 
-/// Where programs look for the service.
+/// Port at which programs look for the service.
 pub const USUAL_PORT: u16 = 10_001;
 
 /// Longest message of a program, bytes.
 const MESSAGE: usize = 256 * 1024;
 /// Connections at once that have not yet said what they want.
 const HANDSHAKES: usize = 32;
-/// How long a connection is listened to before it is looked whether to stop.
+/// Time for which a connection is listened to before the server checks if it should stop.
 const LISTEN: Duration = Duration::from_millis(20);
-/// How long an answer may be left unread.
+/// Longest time for which an answer may be left unread.
 const SEND: Duration = Duration::from_secs(2);
 /// A port at which programs find a board.
 pub struct HaplyListener {
     listener: TcpListener,
-    /// What a page in a browser shows to be let in.
+    /// The token that a page in a browser shows to be let in.
     token: String,
 }
 
 impl HaplyListener {
-    /// Listens at a port of this computer; nobody else is let in.
+    /// Listens at a port of this computer; other computers are not let in.
     pub fn open(port: u16) -> io::Result<Self> {
         let listener = TcpListener::bind(SocketAddr::from(([127, 0, 0, 1], port)))?;
         listener.set_nonblocking(true)?;
         Ok(Self { listener, token: crate::view::door::token()? })
     }
 
-    /// Where programs find it.
+    /// The address at which programs find it.
     pub fn url(&self) -> io::Result<String> {
         Ok(format!("ws://localhost:{}", self.listener.local_addr()?.port()))
     }
 
-    /// Where a page in a browser on this computer finds it. Whatever else listens on this computer could send its pages
-    /// here, so they show a token, drawn anew each time.
+    /// The address at which a page in a browser on this computer finds it. Any other program that listens on this
+    /// computer could send its pages here, so pages have to show a token, which each listener draws at random.
     pub fn url_for_pages(&self) -> io::Result<String> {
         Ok(format!("{}/?token={}", self.url()?, self.token))
     }
@@ -103,7 +103,7 @@ impl HaplyListener {
     }
 }
 
-/// What the connections share.
+/// State that the connections share.
 struct Shared {
     device: Mutex<Inverse3>,
     lost: Mutex<Option<BoardError>>,
@@ -118,7 +118,7 @@ impl Shared {
         self.device.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// How the device is after `work`; none where its board is gone, which ends the server.
+    /// The device's state after `work`; `None` if its board is gone, which ends the server.
     fn frame(&self, full: bool, work: impl FnOnce(&mut Inverse3) -> Result<(), BoardError>) -> Option<Value> {
         let mut device = self.device();
         match work(&mut device) {
@@ -187,8 +187,8 @@ fn greet(mut stream: TcpStream, place: Place, shared: &Shared) -> tungstenite::R
     }
 }
 
-/// Whether a request names this computer and comes from a program, which names no origin or this very port, or from a
-/// page of this computer that shows the token. Any page that some program serves on this computer is one of it.
+/// Returns true if a request names this computer and comes from a program, which names no origin or this very port, or
+/// from a page of this computer that shows the token. A page is of this computer whichever program serves it here.
 fn from_here(request: &Request, token: &str) -> bool {
     let header = |name: &str| request.headers().get(name).and_then(|value| value.to_str().ok());
     let local = |authority: &str| {
@@ -262,7 +262,7 @@ mod tests {
                     Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n";
         program.write_all(head.as_bytes()).unwrap();
         let (stream, _) = listener.accept().unwrap();
-        // What a program that resets its connection leaves: nothing can be written to it.
+        // A program that resets its connection leaves it like this: nothing can be written to it.
         stream.shutdown(std::net::Shutdown::Write).unwrap();
         let place = Places::new(1, 1).enter(&stream).unwrap();
         assert!(greet(stream, place, &shared).is_err());

@@ -20,9 +20,9 @@ use std::time::{Duration, Instant};
 
 /// Between two looks at keys and at what has come: a picture of the stage.
 const LOOK: Duration = Duration::from_millis(16);
-/// How long a key that is held may take to begin repeating. Terminals take 250 to 660 ms.
+/// Longest time that a held key may take to begin repeating. Terminals take 250 to 660 ms.
 const REPEAT: Duration = Duration::from_millis(1000);
-/// How long it may pause between repeats before it counts as let go.
+/// Longest pause between repeats before the key counts as let go.
 const LET_GO: Duration = Duration::from_millis(400);
 /// A step of the hand, m; ten times as far with Shift.
 const STEP: f64 = 5e-4;
@@ -34,7 +34,7 @@ const TURN: f32 = 1.05;
 pub struct HeldKey {
     /// When Space last came.
     pressed: Option<Instant>,
-    /// Whether the motors were asked for.
+    /// True if the motors were asked for.
     on: bool,
     /// The newest control step that was known when no key was left in the terminal: whatever comes was pressed later.
     seen: u32,
@@ -86,7 +86,7 @@ impl HeldKey {
         Ok(Some(said.or(waited)))
     }
 
-    /// Something else turned the motors off: the key has to be pressed anew.
+    /// Something else turned the motors off: the key has to be pressed again.
     pub fn forget(&mut self) {
         (self.pressed, self.on) = (None, false);
     }
@@ -171,7 +171,7 @@ fn watch(terminal: &mut ratatui::DefaultTerminal, hub: &Hub, id: PageId, stop: &
     Ok(())
 }
 
-/// Whether a key ends what the terminal shows: `q`, Ctrl-C, Ctrl-D.
+/// Returns true if a key ends the display: `q`, Ctrl-C, Ctrl-D.
 fn is_end(key: &KeyEvent) -> bool {
     let control = key.modifiers.contains(KeyModifiers::CONTROL);
     matches!(key.code, KeyCode::Char('q')) || control && matches!(key.code, KeyCode::Char('c' | 'd'))
@@ -218,7 +218,7 @@ mod tests {
         let at = |ms: u64| began + Duration::from_millis(ms);
         assert_eq!(held.press(at(0)), None, "one press alone does not hold");
         assert_eq!(held.wait(at(500), 10), None);
-        // However many Spaces were waiting in the terminal, and for how long: none is known to be newer than the last look.
+        // Any number of Spaces may have waited in the terminal: no Space is known to be newer than the last look.
         assert_eq!(held.press(at(600)), Some(FromPage::Arm { seen: 10 }));
         assert_eq!(held.press(at(640)), Some(FromPage::Hold { seen: 10 }));
         assert_eq!(held.wait(at(1000), 20), None);

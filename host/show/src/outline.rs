@@ -1,5 +1,5 @@
-//! What a drawing in the plane of x and y shows of a wall: the one place that knows it of every shape, for the page and
-//! for the terminal.
+//! The outline of a wall in a drawing of the plane of x and y: the one place that knows it for every shape, used by the
+//! page and by the terminal.
 
 use haptic_bridge::render::scene::Surface;
 use serde::{Deserialize, Serialize};

@@ -60,7 +60,7 @@ impl std::fmt::Display for Value {
     }
 }
 
-/// Where the lines go.
+/// Destination of the lines.
 #[derive(Debug)]
 enum Sink {
     /// `whole`: bytes of the file in whole lines; none where it cannot be cut (a pipe).
@@ -88,7 +88,7 @@ pub struct Recorder {
 /// Why rows could not be written.
 #[derive(Debug)]
 pub enum RecordError {
-    /// Nobody reads the pipe any more: no error of anybody's.
+    /// The reader has closed the pipe, which is no error.
     ReaderGone,
     /// Anything else.
     Failed(Failure),
@@ -154,7 +154,7 @@ impl Recorder {
         if self.block.len() >= BLOCK { self.flush() } else { Ok(()) }
     }
 
-    /// Writes what was gathered. Where not all of it fits, what does fit of it in whole lines is kept.
+    /// Writes the gathered rows. If not all of them fit, those that fit are kept, in whole lines.
     pub fn flush(&mut self) -> Result<(), RecordError> {
         let block = std::mem::take(&mut self.block);
         let gathered = std::mem::take(&mut self.gathered);
@@ -209,7 +209,7 @@ impl Recorder {
         self.bytes
     }
 
-    /// Where they are, in words.
+    /// The place of the rows, in words.
     pub fn place(&self) -> String {
         match self.sink {
             Sink::StandardOutput => "standard output".into(),
@@ -233,7 +233,7 @@ pub enum RowWriter {
     Mcap(Box<McapRecorder>),
 }
 
-/// Whether a file of this name is to be MCAP.
+/// Returns true if a file of this name is to be MCAP.
 pub fn is_mcap(path: &Path) -> bool {
     path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("mcap"))
 }
@@ -308,7 +308,7 @@ impl RowWriter {
         }
     }
 
-    /// Where they are, in words.
+    /// The place of the rows, in words.
     pub fn place(&self) -> String {
         match self {
             Self::Mcap(recorder) => recorder.path().display().to_string(),
@@ -352,7 +352,7 @@ impl Recording {
         Ok(recording)
     }
 
-    /// What follows this word at the beginning of a line about the recording.
+    /// The text that follows this word at the beginning of a line about the recording.
     pub fn told(&self, word: &str) -> Option<&str> {
         self.about.iter().find_map(|line| line.strip_prefix(word)?.strip_prefix(' '))
     }

@@ -23,7 +23,7 @@ use haptic_host::words::counted;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
-/// Where a torque differs, and by how much.
+/// A torque that differs, and by how much.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Difference {
     /// Control step of the board.
@@ -36,11 +36,11 @@ pub struct Difference {
     pub recorded: f32,
     /// N m
     pub replayed: f32,
-    /// How many numbers of single precision lie between the two, and one.
+    /// Steps of single precision from one to the other: 1 for neighbouring numbers.
     pub steps_of_precision: u64,
 }
 
-/// What a replay found.
+/// The result of a replay.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Replayed {
     /// Rows that were played.
@@ -72,7 +72,7 @@ fn setting<S: Setting>(settings: &BTreeMap<String, SavedSetting>, name: &str) ->
     settings.get(name).ok_or_else(missing)?.read().map_err(Failure::wrong)
 }
 
-/// Where the recording has what.
+/// The numbers of the recording's columns, by their contents.
 struct Columns {
     step: usize,
     time: usize,
@@ -112,7 +112,7 @@ pub fn replay(recording: &Recording) -> Result<Replayed, Failure> {
     })?;
     let settings: BTreeMap<String, SavedSetting> = serde_json::from_str(settings).map_err(Failure::wrong)?;
     let (device, scene): (Device<f32>, Scene<f32>) = (setting(&settings, "device")?, setting(&settings, "scene")?);
-    // Nobody sends heartbeats here.
+    // A replay has no host that sends heartbeats.
     let rules = Rules { host_action: HostAction::Ignore, ..setting(&settings, "rules")? };
     let joints = device.axes();
     let columns = Columns::of(recording, joints)?;
@@ -204,7 +204,7 @@ pub fn replay(recording: &Recording) -> Result<Replayed, Failure> {
     Ok(replayed)
 }
 
-/// Whether the motors are on in a recorded state.
+/// Returns true if the motors are on in a recorded state.
 fn drives(recorded: usize) -> bool {
     State::ALL.get(recorded).is_some_and(|state| state.drives())
 }
@@ -233,7 +233,7 @@ fn follow(
     }
 }
 
-/// How many numbers of single precision it takes from one to the other.
+/// Number of steps of single precision from one to the other.
 fn apart(a: f32, b: f32) -> u64 {
     let place = |value: f32| {
         let bits = i64::from(value.to_bits() & 0x7fff_ffff);

@@ -2,7 +2,7 @@
 //! (`haptic view`, docs/view.md).
 //!
 //! One thread owns the board ([`stage`]); each page has a thread that carries messages ([`door`]) and a place where the
-//! newest picture waits for it ([`hub`]), so that a slow page sees fewer pictures and holds nobody up. Everything that
+//! newest picture waits for it ([`hub`]), so that a slow page sees fewer pictures and delays no other. Everything that
 //! a page shows is inside the tool: it loads nothing from elsewhere. Of this only [`door`] needs a network, and only
 //! [`Stage::run`] a clock: playground/ puts the rest into the page itself.
 

@@ -1,4 +1,5 @@
-//! Where the hand of `haptic sim --hand loop` goes: around on a wall that it can reach, else around where it is.
+//! The path of the hand of `haptic sim --hand loop`: a circle on a wall that it can reach, otherwise a circle where it
+//! is.
 
 use super::{Intent, Waypoint};
 use haptic_bridge::math::Libm;
@@ -18,14 +19,14 @@ const MISSED: f64 = 1e-5;
 /// A loop that never ends, three centimetres across and four seconds around.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Around {
-    /// Where the tip is at home, m: the hand waits there while the motors are off.
+    /// The tip's position at home, m: the hand waits there while the motors are off.
     rest: [f64; 3],
     /// Its middle, m.
     pub centre: Vector3<f64>,
     /// Unit vectors across and along the wall.
     across: Vector3<f64>,
     along: Vector3<f64>,
-    /// Whether it goes through the surface of a wall.
+    /// True if the circle goes through the surface of a wall.
     pub on_a_wall: bool,
 }
 
@@ -67,7 +68,7 @@ impl Around {
         self.corners().iter().all(|corner| is_within_reach(file, corner))
     }
 
-    /// Where the hand of a board with its motors off stays or goes back to: home, out of the walls.
+    /// The intent of the hand while the motors are off: it stays or goes back home, out of the walls.
     pub fn wait(&self) -> Intent {
         Intent::Lead(self.rest)
     }
@@ -81,7 +82,7 @@ impl Around {
     }
 }
 
-/// Whether the tip gets from home straight to `goal` without coming near a singular pose or a joint limit.
+/// Returns true if the tip gets from home straight to `goal` without coming near a singular pose or a joint limit.
 fn is_within_reach(file: &DeviceFile, goal: &Vector3<f64>) -> bool {
     const STEPS: u32 = 20;
     let Some(home) = file.description.home else { return false };

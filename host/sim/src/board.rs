@@ -30,7 +30,7 @@ use haptic_bridge::servo::{ARM_SECONDS, HostAction, Rules, Servo, Status};
 /// Frequency that the PWM timers count at, as those of the real boards do, Hz.
 pub const TIMER_HZ: u32 = 168_000_000;
 
-/// How the motors are driven.
+/// The model of the motor drives.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum DriveModel {
     /// Duty, bus, winding: the current loop runs and is as good as it is.
@@ -45,20 +45,20 @@ pub enum DriveModel {
 pub struct BoardOptions {
     /// The device behind it.
     pub device: Options,
-    /// How its motors are driven.
+    /// The model of its motor drives.
     pub drive: DriveModel,
     /// From sampling to the duty in force, in carrier periods, 0 to 1. The boards have 0.5.
     pub delay: f64,
     /// Asks of a user what a real board asks: verified motors, limits, homing, polarity check. Its encoders then
     /// start at zero wherever the device stands; otherwise they know their angle.
     pub strict: bool,
-    /// What somebody does for the device from power-on until the motors carry it, as docs/bring-up.md asks of a user:
-    /// while a polarity check moves it, its weight is carried; after that it is carried back; and while the torque
-    /// ramps up after arming, it is held.
+    /// Help by a user from power-on until the motors carry the device, as docs/bring-up.md asks: its weight is carried
+    /// while a polarity check moves it; after that it is carried back; and it is held while the torque ramps up after
+    /// arming.
     pub support: Support,
     /// Motor axes.
     pub axes: usize,
-    /// What is broken at power-on.
+    /// The faults present at power-on.
     pub broken: Broken,
     /// Bytes that wait for a host to read them; what comes on top of it is dropped and counted.
     pub send_buffer: usize,
@@ -86,13 +86,13 @@ impl Default for BoardOptions {
 /// so fast that the board does not take it for one at rest.
 const BACK_SPEED: f64 = 1.0;
 
-/// How often the service looks at the servo, s.
+/// Interval at which the service looks at the servo, s.
 const POLL_SECONDS: f64 = 0.02;
 
-/// What a board with torque that acts at once calls itself: whoever predicts its range must know.
+/// The name of a board with torque that acts at once: whoever predicts its range must know.
 pub const IDEAL_BOARD: &str = "simulated-ideal";
 
-/// How a board with these options introduces itself.
+/// The identification of a board with these options.
 fn info(options: &BoardOptions) -> Info {
     let board = match options.drive {
         DriveModel::Electric => "simulated",
@@ -107,7 +107,8 @@ fn info(options: &BoardOptions) -> Info {
     }
 }
 
-/// Limits that nobody can raise: those of a simulation, with a real board's tip force where its motors count as real.
+/// The limits that no setting can raise: those of a simulation, with a real board's tip force where its motors count as
+/// real.
 fn most(hardware: Hardware) -> Limits {
     let limits = Limits::default();
     if hardware.real { Limits { tip_force: MOST_TIP_FORCE, ..limits } } else { limits }
@@ -122,7 +123,7 @@ pub struct SimulatedBoard {
     device: SimulatedDevice,
     hardware: Hardware,
     countdown: u32,
-    /// How often the encoders were looked at.
+    /// Number of times that the encoders were read.
     looks: u64,
     /// Counts at the last crest.
     seen: Counts,
@@ -133,7 +134,7 @@ pub struct SimulatedBoard {
     packer: Packer,
     dropped: u32,
     link: Port,
-    /// What the hand does while the motors are on, and whether it does.
+    /// The path of the hand while the motors are on, and whether the hand follows it now.
     rounds: Option<Around>,
     going: bool,
     /// Since when the motors are armed, s.
@@ -316,7 +317,7 @@ impl SimulatedBoard {
         self.device.set_support(support);
     }
 
-    /// What somebody does for the device in this state of the board.
+    /// Gives the device the user's help that this state of the board calls for.
     fn support(&mut self) {
         let now = self.device.support();
         let state = self.machine.servo.frame().state;
@@ -415,12 +416,12 @@ impl SimulatedBoard {
         self.link.take_out(buffer)
     }
 
-    /// Whether bytes wait for the host.
+    /// Returns true if bytes wait for the host.
     pub fn has_bytes(&self) -> bool {
         !self.link.is_empty()
     }
 
-    /// Forgets bytes that nobody will read and stops the stream: the host is gone.
+    /// Forgets bytes that will never be read and stops the stream: the host is gone.
     pub fn hang_up(&mut self) {
         self.packer = Packer::default();
         self.link.clear();
@@ -440,12 +441,12 @@ impl SimulatedBoard {
         Some((f64::from(silent), f64::from(allowed)))
     }
 
-    /// What is broken, to break more or to mend.
+    /// The faults, to be added or repaired.
     pub fn broken_mut(&mut self) -> &mut Broken {
         &mut self.options.broken
     }
 
-    /// How often the encoders were looked at: once each carrier period.
+    /// Number of times that the encoders were read: once each carrier period.
     pub fn looks(&self) -> u64 {
         self.looks
     }
@@ -490,7 +491,7 @@ impl SimulatedBoard {
         }
     }
 
-    /// Does what pressing reset does: flash stays, everything else starts anew, motors off.
+    /// Acts as the reset button does: flash stays, everything else starts again, motors off.
     fn restart(&mut self) {
         self.machine.flash.restart();
         // RAM is not cleared, and motors do not cool by a reset.

@@ -1,22 +1,22 @@
-//! What can be broken on a board and at its connectors.
+//! The faults that a board and its connectors can have.
 
 use super::motor::MotorInput;
 
-/// What is broken. Nothing, to begin with.
+/// The faults of a board; none by default.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Broken {
     /// The motor that each axis really drives, and whose current it sees, from 0.
     pub motors: [usize; 3],
     /// Axes whose motor's two leads are swapped.
     pub reversed: [bool; 3],
-    /// What each current sensor shows of a current, in the order of the board's sensors: 0 for one that is stuck. The
-    /// simulated board has one sensor for each axis.
+    /// The gain of each current sensor, in the order of the board's sensors: 0 for one that is stuck. The simulated
+    /// board has one sensor for each axis.
     pub sensor_gain: [f64; 4],
-    /// What each current sensor shows on top of a current, A, in the same order.
+    /// The offset of each current sensor, A, in the same order.
     pub sensor_extra: [f64; 4],
-    /// What the sensors of an axis show whatever its current is, A.
+    /// The fixed reading of an axis's sensors, whatever its current is, A.
     pub sensor_frozen: [Option<f64>; 3],
-    /// What the divider of the bus shows whatever the voltage is, V.
+    /// The fixed reading of the bus divider, whatever the voltage is, V.
     pub bus_shown: Option<f64>,
     /// Axes whose winding is open.
     pub open: [bool; 3],
@@ -55,7 +55,7 @@ impl Default for Broken {
 }
 
 impl Broken {
-    /// What reaches the motors of what the bridges do.
+    /// Returns the inputs that reach the motors when the bridges do this.
     #[must_use]
     pub fn drives(&self, drives: [MotorInput; 3]) -> [MotorInput; 3] {
         let mut reaching = [MotorInput::Floating; 3];
@@ -75,14 +75,14 @@ impl Broken {
         if self.reversed[axis] { -1.0 } else { 1.0 }
     }
 
-    /// What sensor `nth`, which belongs to an axis, shows of the motors' currents, A.
+    /// Returns the reading of sensor `nth`, which belongs to an axis, for these motor currents, A.
     #[must_use]
     pub fn current(&self, currents: &[f64; 3], axis: usize, nth: usize) -> f64 {
         let flows = self.sensor_frozen[axis].unwrap_or(currents[self.motors[axis]] * self.sign(axis));
         self.sensor_gain[nth] * flows + self.sensor_extra[nth]
     }
 
-    /// What the encoders show of what the joints do, at the `nth` look.
+    /// Returns the counts that the encoders show at the `nth` look, when `counts` are the true ones.
     #[must_use]
     pub fn counts(&self, mut counts: [i32; 3], nth: u64) -> [i32; 3] {
         if let Some([first, second]) = self.swapped_at {

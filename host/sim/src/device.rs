@@ -13,14 +13,14 @@ pub struct Options {
     pub friction: bool,
     /// The supply and the bridges.
     pub bridge: PowerStage,
-    /// Where the device stands at power-on, rad; the description's home when `None`.
+    /// The joint angles at power-on, rad; the description's home when `None`.
     pub start: Option<[f64; 3]>,
     /// The encoders know their angle at power-on, as if homed; otherwise they start at zero wherever the device stands.
     pub absolute_encoders: bool,
     /// Longest integration step, s. At 5 µs a five-bar's energy drifts by less than 1e-9 in a second
     /// (host/tool/tests/quick/simulated_device.rs).
     pub substep: f64,
-    /// How far beyond its limits each joint hits a stop, rad; joints without limits have none.
+    /// The distance beyond its limits at which each joint hits a stop, rad; joints without limits have none.
     pub stop_margin: f64,
 }
 
@@ -161,7 +161,7 @@ impl SimulatedDevice {
         }
     }
 
-    /// What somebody does for it.
+    /// The user's help for the device.
     pub fn support(&self) -> Support {
         self.support
     }
@@ -199,7 +199,7 @@ impl SimulatedDevice {
         self.bridge.bus_voltage = volts;
     }
 
-    /// Where it stood at power-on, rad.
+    /// The joint angles at power-on, rad.
     pub fn start(&self) -> [f64; 3] {
         self.start
     }
@@ -217,7 +217,7 @@ impl SimulatedDevice {
         let q = self.plant.measured();
         core::array::from_fn(|i| self.encoders.get(i).map_or(0, |encoder| encoder.counts(q[i])))
     }
-    /// Whether each encoder's index mark is under its sensor.
+    /// Returns, for each encoder, true if its index mark is under the sensor.
     pub fn index(&self) -> [bool; 3] {
         let q = self.plant.measured();
         core::array::from_fn(|i| self.encoders.get(i).is_some_and(|encoder| encoder.at_index(q[i])))

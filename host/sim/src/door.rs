@@ -1,4 +1,4 @@
-//! Where tools come in to a board that is served: a pseudo-terminal or a TCP address.
+//! The door through which tools reach a board that is served: a pseudo-terminal or a TCP address.
 //!
 //! A second tool on TCP is told that the board is taken; on a pseudo-terminal a lock tells it. One that has held the
 //! board in silence gives way to it, and a request to disarm gets through in any case.
@@ -28,7 +28,7 @@ pub(super) enum Event {
 /// which is looked at first: what the holder says, and how much of it, keeps it waiting for no longer than one block.
 pub(super) type Stop = (Vec<u8>, Outgoing);
 
-/// Bytes to the tool, carried by a thread of their own so that a tool that does not read stops nobody.
+/// Bytes to the tool, carried by a thread of their own so that a tool that does not read holds up nothing else.
 pub(super) type Outgoing = SyncSender<Vec<u8>>;
 
 /// Blocks of bytes under way to the tool.
@@ -41,18 +41,19 @@ const EVENTS: usize = 16;
 const KNOCKING: usize = 16;
 /// Requests to disarm that wait for the board.
 pub(super) const STOPS: usize = KNOCKING;
-/// How long a connection that is turned away may take to say what it wants. One that says nothing keeps no other out.
+/// Time for which a connection that is turned away may take to make its request. One that says nothing keeps no other
+/// out.
 const REQUEST: Duration = Duration::from_secs(10);
-/// How long a tool that disarms past another one hears what the board says.
+/// Time for which a tool that disarms past another one receives the board's answer.
 pub(super) const DISARM_ANSWER: Duration = Duration::from_secs(1);
 
-/// How long tools are waited for at a TCP door.
+/// The times for which a TCP door waits for tools.
 #[derive(Clone, Copy, Debug)]
 pub struct Patience {
-    /// How long a tool may hold the board without a byte when another one asks for it: ours say something twenty times
-    /// a second while they listen.
+    /// Time for which a tool may hold the board without a byte when another one asks for it: ours say something twenty
+    /// times a second while they listen.
     pub silence: Duration,
-    /// How long a second tool waits for the first one to leave: one command after another is not two at once.
+    /// Time for which a second tool waits for the first one to leave: one command after another is not two at once.
     pub handover: Duration,
 }
 
@@ -145,7 +146,7 @@ pub fn tcp(address: SocketAddr, patience: Patience) -> io::Result<ToolListener> 
     Ok(ToolListener { port, events, stops })
 }
 
-/// What a connection that is looked at has said so far.
+/// The bytes of a new connection so far, classified.
 enum Heard {
     Nothing,
     /// Something, but no request to disarm.
@@ -195,7 +196,7 @@ struct Held {
     heard: Instant,
 }
 
-/// Whether a connection gets the board.
+/// The outcome of a connection's wish for the board.
 enum Admission {
     /// It does, under this number.
     Holds(u64),
@@ -324,7 +325,7 @@ fn disarm_for(stream: TcpStream, request: Vec<u8>, stop: &SyncSender<Stop>) -> i
     Ok(())
 }
 
-/// What is lost where a sink refuses a block: the block alone, or the sink for good.
+/// The loss when a sink refuses a block: the block alone, or the sink for good.
 #[derive(Clone, Copy, PartialEq)]
 enum Lost {
     Block,

@@ -28,7 +28,8 @@ impl EncoderModel {
         ((q - self.origin) * self.counts_per_rad).round() as i32
     }
 
-    /// Whether the index mark is under the sensor: within half a count of the description's `offset`, each turn.
+    /// Returns true if the index mark is under the sensor: within half a count of the description's `offset`, each
+    /// turn.
     pub fn at_index(&self, q: f64) -> bool {
         let turns = (q - self.index) / TAU;
         ((turns - turns.round()) * TAU * self.counts_per_rad).abs() <= 0.5

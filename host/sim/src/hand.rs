@@ -6,7 +6,7 @@
 use super::random::Random;
 use std::f64::consts::TAU;
 
-/// Where the intent arrives at a time, and rests until the next segment: m when following, N when pushing.
+/// The point at which the intent arrives at a time, and rests until the next segment: m when following, N when pushing.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Waypoint {
     /// Seconds since the hand took hold.
@@ -28,8 +28,9 @@ pub enum Intent {
     Lead([f64; 3]),
 }
 
-/// How fast the aim of a hand that is led comes to where it is led, rad/s: a critically damped second-order lag of 50
-/// ms, which is about how closely an arm follows a mouse, and takes the steps out of a mouse's 60 places a second.
+/// The rate at which the aim of a led hand approaches the place where it is led, rad/s: a critically damped
+/// second-order lag of 50 ms, which is about how closely an arm follows a mouse, and smooths the steps of a mouse's 60
+/// places a second.
 const LEAD: f64 = 40.0;
 
 /// The mechanics of a hand.
@@ -47,7 +48,7 @@ pub struct HandSettings {
     pub arm_damping: f64,
     /// Amplitude of the tremor of the arm's aim, m per axis.
     pub tremor: f64,
-    /// Where the tremor's phases come from.
+    /// The seed of the tremor's phases.
     pub seed: u64,
 }
 
@@ -114,7 +115,7 @@ impl Hand {
         (self.aim, self.aim_velocity) = (self.position, [0.0; 3]);
     }
 
-    /// Where the hand itself is, m, unless it holds nothing.
+    /// The position of the hand itself, m, unless it holds nothing.
     pub fn position(&self) -> Option<[f64; 3]> {
         (self.intent != Intent::LetGo).then_some(self.position)
     }

@@ -35,7 +35,7 @@ pub struct Press<'a> {
     pub normal: [f64; 3],
     /// N/m
     pub stiffness: f64,
-    /// What the wall does beside pushing.
+    /// The feed-forward that the wall adds to its push.
     pub feed_forward: FeedForward,
     /// The board's limits.
     pub limits: Limits,
@@ -53,7 +53,7 @@ pub const WIDE: Limits = Limits {
     tip_force: 1.0e9,
 };
 
-/// What a hand feels that holds the device at one depth.
+/// The forces on a hand that holds the device at one depth.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Felt {
     /// Depth, m.
@@ -64,7 +64,7 @@ pub struct Felt {
     pub torque: [f64; 3],
     /// Force that the wall asks for, N.
     pub asked: f64,
-    /// What the board says that its limits leave of it, N.
+    /// The force that the board's limits leave of it, as the board reports it, N.
     pub rendered: f64,
     /// Force at the tip of the torques less gravity's, along the normal, N.
     pub along: f64,
@@ -75,7 +75,8 @@ pub struct Felt {
 }
 
 impl Felt {
-    /// What the board says that its limits leave of the force asked for, as a share of it; all of nothing.
+    /// The share of the force asked for that the board's limits leave, as the board reports it; 1 when none is asked
+    /// for.
     pub fn share(&self) -> f64 {
         if self.asked > 0.0 { self.rendered / self.asked } else { 1.0 }
     }
@@ -146,7 +147,7 @@ impl Held {
         core::array::from_fn(|i| self.q[i] + self.inward[i] * depth)
     }
 
-    /// What is felt after so many control steps at a depth (m).
+    /// Measures the forces after so many control steps at a depth (m).
     pub fn felt(&mut self, depth: f64, steps: u32) -> Felt {
         let q = self.pose(depth);
         self.rest(&q, steps);

@@ -1,4 +1,4 @@
-//! What the service reaches on a board without a chip: the servo itself, and settings in memory.
+//! The machine under the service of a board without a chip: the servo itself, and settings in memory.
 
 use super::flash::SettingsFlash;
 use haptic_bridge::board::dispatch::Described;
@@ -21,7 +21,7 @@ pub struct LocalMachine {
     pub flash: SettingsFlash,
     /// The carrier of the control rate.
     pub carrier: Carrier,
-    /// How often the carrier was set: once for every program that came in force.
+    /// Number of times that the carrier was set: once for every program that came in force.
     pub retimed: u32,
     info: Info,
     /// From sampling to the duty in force, carrier periods.

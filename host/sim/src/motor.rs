@@ -7,7 +7,7 @@
 
 use haptic_bridge::model::motor::Motor;
 
-/// How one axis is driven.
+/// The drive of one axis.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum MotorInput {
     /// The bridge is off: no current, no torque, the joint turns freely.

@@ -1,4 +1,4 @@
-//! What `--port` means, opened: a simulated board in this process, or one on a wire.
+//! Opening the board that `--port` names: a simulated board in this process, or one on a wire.
 
 use crate::{BoardOptions, SHIPPED_DEVICE, SharedBoard, ready_board};
 use haptic_host::device_file::DeviceFile;
@@ -21,7 +21,7 @@ pub fn stop(port: &PortSpec) -> Result<Stopped, BoardError> {
     }
 }
 
-/// What messages call a simulated board.
+/// The name of a simulated board in messages.
 const NAME: &str = "sim";
 
 /// Opens `--port sim` (the shipped device) or `--port sim:FILE`: a board with that device on it and loaded.

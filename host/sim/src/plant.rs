@@ -48,7 +48,7 @@ pub struct Plant {
     /// Motor angles (rad) and velocities (rad/s) of the joints that have a transmission; the others' are the joint's.
     theta: [f64; 3],
     theta_d: [f64; 3],
-    /// What swings on each joint's link: the mode, its angle (rad) and velocity (rad/s).
+    /// The masses that swing on each joint's link: the mode, its angle (rad) and velocity (rad/s).
     modes: [[Option<Swinging>; MAX_MODES]; 3],
     /// Friction impulse of the last step, N m s: where the solver starts.
     friction: [f64; 3],
@@ -65,9 +65,9 @@ struct Swinging {
 }
 
 impl Swinging {
-    /// What it adds to its joint over a step of `h`, seen from the joint at `q` (rad) that moves with `qd` (rad/s):
-    /// inertia (kg m²) and momentum (N m s) on the two sides of M v⁺ = …, and its velocity at the end where the joint's
-    /// is zero then, with what each unit of the joint's adds.
+    /// The mass's part in a step of `h` of its joint, which is at `q` (rad) and moves with `qd` (rad/s): inertia (kg
+    /// m²) and momentum (N m s) on the two sides of M v⁺ = …, then its velocity at the end if the joint's is zero then,
+    /// and the increase of that velocity for each unit of the joint's.
     fn over(&self, q: f64, qd: f64, h: f64) -> (f64, f64, f64, f64) {
         let inertia = self.mode.inertia;
         let mean = 0.5 * h * self.mode.viscous() + 0.25 * h * h * self.mode.stiffness();
@@ -134,7 +134,7 @@ impl Plant {
     pub fn task(&self) -> usize {
         self.task
     }
-    /// Whether any joint has a transmission that gives or a structural mode.
+    /// Returns true if any joint has a transmission that gives or a structural mode.
     pub fn is_flexible(&self) -> bool {
         self.transmissions.iter().any(Option::is_some) || self.modes.iter().flatten().any(Option::is_some)
     }
@@ -396,7 +396,7 @@ impl Plant {
         }
     }
 
-    /// Whether a joint at `q` (rad) is at its lower or upper stop, or beyond.
+    /// Returns two flags for a joint at `q` (rad): true if it is at or beyond its lower stop, and its upper stop.
     fn outside(&self, joint: usize, q: f64) -> (bool, bool) {
         (q <= self.stops[joint].0, q >= self.stops[joint].1)
     }

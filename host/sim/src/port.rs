@@ -41,12 +41,12 @@ impl Port {
         count
     }
 
-    /// Whether no bytes wait for the host.
+    /// Returns true if no bytes wait for the host.
     pub(super) fn is_empty(&self) -> bool {
         self.out.is_empty()
     }
 
-    /// Whether the host reads fast enough for more telemetry.
+    /// Returns true if the host reads fast enough for more telemetry.
     pub(super) fn has_room(&self) -> bool {
         self.out.len() < self.capacity
     }

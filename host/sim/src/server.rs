@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, TryRecvError, TrySendError};
 use std::time::{Duration, Instant};
 
-/// How simulated time passes.
+/// The relation of simulated time to the wall clock.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Pace {
     /// With the wall clock and never ahead of it, but for what one request or control period takes; when the computer
@@ -55,10 +55,10 @@ pub fn serve(board: &mut SimulatedBoard, door: &ToolListener, pace: Pace, stop: 
     }
 }
 
-/// What the server does next.
+/// The server's next action.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Due {
-    /// The board is ahead of the clock. Nobody is heard either: a request takes some of the board's time.
+    /// The board is ahead of the clock. The tools wait too, because a request takes some of the board's time.
     Nothing,
     /// The tools are heard.
     Events,
@@ -244,7 +244,7 @@ mod tests {
                 }
                 let _ = told.try_recv();
                 let passed = server.board.time() - server.start;
-                // What it is ahead by is what one slice and one request take; what it is behind by, a turn.
+                // The board is ahead by at most one slice and one request, and behind by at most one turn.
                 assert!((now - 0.003..now + 0.021).contains(&passed), "{passed} s in {now} s, asked: {asked}");
             }
         }

@@ -23,17 +23,17 @@ use std::time::Duration;
 
 /// Values of a table that travel in one message.
 const TABLE_PIECE: usize = 64;
-/// How long a board may take over an answer; one that is a process waits for its turn as well ([`Wire::slack`]).
+/// Time a board may take to answer; a board that is a process also waits for its turn ([`Wire::slack`]).
 const ANSWER: Duration = Duration::from_secs(2);
-/// How long it may take when it writes flash: two sector erases of 16 KB and what is written (STM32F405 data sheet).
+/// Time it may take when it writes flash: two sector erases of 16 KB and the writing (STM32F405 data sheet).
 const FLASH_ANSWER: Duration = Duration::from_secs(6);
-/// How long the answer to a force is waited for, unless a program says otherwise: until then its lease has run out by
-/// itself, as [`super::Session`] sets it.
+/// Time to wait for the answer to a force, unless a program says otherwise: until then its lease has run out by itself,
+/// as [`super::Session`] sets it.
 pub const FORCE_PATIENCE: Duration = Duration::from_millis(100);
-/// How often the host says that it is there, when it was asked to.
+/// Interval at which the host sends a heartbeat, when it was asked to.
 const HEARTBEAT: Duration = Duration::from_millis(50);
 
-/// How a polarity check ended.
+/// The result of a polarity check.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum PolarityOutcome {
     /// Every motor turns its joint the right way.
@@ -256,7 +256,7 @@ impl Board {
         self.heartbeat(p::Beat::Held(p::Press { holder: self.session, seen }))
     }
     /// Asks for a force at the tip, joint torques or a contact, for as long as its lease runs; reads how the device is.
-    /// What was not done says so in the answer.
+    /// The answer names what was not done.
     pub fn force(&mut self, request: &p::ForceRequest) -> Result<p::ForceAnswer, LinkError> {
         let sent = self.send_force(request)?;
         self.force_answer(sent)

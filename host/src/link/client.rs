@@ -44,7 +44,7 @@ pub struct Client {
     buffer: Vec<u8>,
 }
 
-/// How many requests may be on their way: the oldest beyond that are given up.
+/// Largest number of requests under way: the oldest beyond that are given up.
 const MOST_UNDER_WAY: usize = 8;
 
 /// A request on its way.
@@ -90,7 +90,7 @@ impl Client {
         self.wire.now()
     }
 
-    /// How much longer than the board an answer may take, see [`Wire::slack`].
+    /// Extra time that an answer may take beyond the board's own, see [`Wire::slack`].
     pub fn slack(&self) -> Duration {
         self.wire.slack()
     }
@@ -105,7 +105,7 @@ impl Client {
         self.wire.send(&[0]).map_err(LinkError::Lost)
     }
 
-    /// Whether the other side has said that another tool is connected.
+    /// Returns true if the other side has said that another tool is connected.
     pub fn was_told_occupied(&self) -> bool {
         self.topics.iter().any(|topic| topic.key == VarKey::Key8(Occupied::TOPIC_KEY))
     }
@@ -156,7 +156,7 @@ impl Client {
         Err(LinkError::Rejected { what: E::PATH, error: error.to_string() })
     }
 
-    /// Where a request stands among those that are under way.
+    /// Returns the index of a request among those that are under way.
     fn place(&self, number: VarSeq) -> Option<usize> {
         self.under_way.iter().position(|(other, _)| *other == number)
     }

@@ -1,4 +1,4 @@
-//! What can go wrong between the tool and a board, each with what to do about it.
+//! The errors between the tool and a board, each with its remedy.
 
 use crate::error::{Choice, Failure};
 use haptic_bridge::safety::refusal::Refusal;
@@ -25,9 +25,9 @@ pub enum LinkError {
          are connected, and a simulated one is on the port that `haptic sim` prints"
     )]
     NoSuchPort {
-        /// What was asked for.
+        /// The port that was asked for.
         name: String,
-        /// What the operating system said.
+        /// The operating system's message.
         reason: String,
     },
     /// Someone else has the port open.
@@ -39,9 +39,9 @@ pub enum LinkError {
     /// A TCP connection was not made.
     #[error("cannot connect to {address}: {error}; is a board served there?")]
     NotListening {
-        /// Where.
+        /// The address that was tried.
         address: String,
-        /// Why not.
+        /// The operating system's error.
         error: io::Error,
     },
     /// The board or the wire went away.

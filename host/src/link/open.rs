@@ -1,5 +1,5 @@
-//! What `--port` means, opened. A simulated board is no wire: `haptic-sim` opens that one, and everything else by
-//! these.
+//! Opening the board that `--port` names. A simulated board has no wire: `haptic-sim` opens it, and uses these
+//! functions for all others.
 
 use super::board::{Board, Stopped};
 use super::error::{BoardError, LinkError};

@@ -11,10 +11,10 @@ use super::ports::{self, PortSpec};
 use haptic_bridge::board::protocol::Disarm;
 use std::time::Duration;
 
-/// How long the answer to one request is waited for.
+/// Time to wait for the answer to one request.
 const PATIENCE: Duration = Duration::from_millis(400);
-/// How often the request is sent at most where another tool may read the answer, or a crowd before a TCP door pushes a
-/// connection out: for ten seconds.
+/// Largest number of times that the request is sent, because another tool may read the answer, or a crowd before a TCP
+/// door may push a connection out: enough for ten seconds.
 const TRIES: usize = 25;
 
 /// Has the board at `port` disarm although another tool holds it.

@@ -15,7 +15,7 @@ pub const USB_PRODUCT: u16 = 0x0001;
 /// The product string by which the tool tells these boards from others that test with the same identifier.
 pub const USB_PRODUCT_NAME: &str = "haptic-bridge";
 
-/// Where a board is, as `--port` says it.
+/// The location of a board, as `--port` gives it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum PortSpec {
     /// The only board connected.
@@ -65,7 +65,7 @@ pub fn boards() -> (Vec<BoardPort>, Vec<String>) {
     sort(serial_ports(Path::new(PORTS)))
 }
 
-/// Where Linux lists its serial ports.
+/// The directory in which Linux lists its serial ports.
 const PORTS: &str = "/sys/class/tty";
 
 /// The serial ports; none where the system cannot list them. `place` is looked at first, because the listing panics
@@ -77,7 +77,7 @@ fn serial_ports(place: &Path) -> Vec<serialport::SerialPortInfo> {
     serialport::available_ports().unwrap_or_default()
 }
 
-/// Whether a USB product string is one of these boards'; a system that does not tell it is believed.
+/// Returns true if a USB product string is one of these boards', or if the system does not report one.
 fn names_itself(product: Option<&str>) -> bool {
     product.is_none_or(|name| name.to_lowercase().replace([' ', '_'], "-").contains(USB_PRODUCT_NAME))
 }

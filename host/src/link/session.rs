@@ -9,9 +9,9 @@ use haptic_bridge::safety::fault::{FaultRecord, State};
 use std::ops::{Deref, DerefMut};
 use std::time::Duration;
 
-/// How long a request acts in full, s: it bridges a computer that does something else for two frames of a game.
+/// Time for which a request acts in full, s: it bridges two frames of a game in which the computer is busy.
 pub const HOLD: f32 = 0.02;
-/// In how long it then fades to nothing, s.
+/// Time over which it then fades to nothing, s.
 pub const FADE: f32 = 0.05;
 
 /// For how long a request is sent again, each time that its answer does not come within
@@ -37,10 +37,10 @@ pub struct Session {
     sequence: u32,
     /// Step of the state that was told last.
     seen: Option<u32>,
-    /// What had turned the motors off when that state was told.
+    /// The fault that had turned the motors off when that state was reported.
     fault: Option<FaultRecord>,
     patience: Duration,
-    /// How long a request acts in full, and how long it then fades, s; at most 0.2 each.
+    /// Times for which a request acts in full and then fades, s; at most 0.2 each.
     pub lease: (f32, f32),
 }
 
@@ -79,7 +79,7 @@ impl Session {
         self.board.wait_for_forces(patience);
     }
 
-    /// How the device is: tip (m), velocity (m/s), joint angles (rad).
+    /// Reads the device's state: tip (m), velocity (m/s), joint angles (rad).
     pub fn look(&mut self) -> Result<ForceAnswer, LinkError> {
         self.exchange(ForceRequest::default())
     }
@@ -118,7 +118,7 @@ impl Session {
             return self.exchange(request);
         }
         self.fault = match (answer.state, self.fault) {
-            // Where it is not told now, the next answer asks again.
+            // If the board does not report the fault now, the next answer asks again.
             (State::Fault, None) => self.board.status().ok().and_then(|status| status.fault),
             (State::Fault, known) => known,
             _ => None,

@@ -13,8 +13,8 @@ pub trait Wire: Send {
     fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> io::Result<usize>;
     /// Time since some moment.
     fn now(&self) -> Duration;
-    /// How much longer than a board an answer may take on its way: nothing, but where a process on a computer that may
-    /// be busy answers in the board's place.
+    /// Extra time that an answer may take on its way: zero, except where a process on a computer that may be busy
+    /// answers in the board's place.
     fn slack(&self) -> Duration {
         Duration::ZERO
     }
@@ -23,14 +23,14 @@ pub trait Wire: Send {
 /// The slack of a simulated or emulated board in a process of its own.
 const PROCESS: Duration = Duration::from_secs(10);
 
-/// How long a board may leave a request unread before the wire counts as stuck. A flash erase stalls a board for
+/// Time for which a board may leave a request unread before the wire counts as stuck. A flash erase stalls a board for
 /// half a second (STM32F405 data sheet, table 40: 16 KB sector).
 const SEND_TIMEOUT: Duration = Duration::from_secs(3);
 
 /// Shortest timeout that the operating system is asked for: zero means "for ever" to sockets.
 const SHORTEST: Duration = Duration::from_millis(1);
 
-/// Whether a reader that waits a while has only to wait again; a signal interrupts one that has a timeout, too.
+/// Returns true if a reader only has to wait again: its time ran out, or a signal interrupted it.
 pub fn nothing_yet(error: &io::Error) -> bool {
     matches!(error.kind(), io::ErrorKind::TimedOut | io::ErrorKind::WouldBlock | io::ErrorKind::Interrupted)
 }
@@ -89,8 +89,8 @@ impl Wire for SerialWire {
     }
 }
 
-/// Whether this path is a pseudo-terminal's: a simulated or emulated board, which the operating system shows as a
-/// serial port.
+/// Returns true if this path is a pseudo-terminal's: a simulated or emulated board, which the operating system shows as
+/// a serial port.
 pub(super) fn is_pseudo_terminal(path: &str) -> bool {
     std::fs::canonicalize(path).is_ok_and(|path| path.starts_with("/dev/pts") || path.starts_with("/dev/ttys"))
 }

@@ -32,8 +32,8 @@
 //! | predict which walls are stable | [`analysis`] |
 //! | know where a mechanism's links lie | [`skeleton`] |
 //!
-//! What takes long goes through a [`sweep`], which uses every core ([`cores`]), says how far it is and goes on where it
-//! was stopped.
+//! Long work goes through a [`sweep`], which uses every core ([`cores`]), shows its progress and goes on where it was
+//! stopped.
 #![forbid(unsafe_code)]
 
 pub mod analysis;

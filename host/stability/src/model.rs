@@ -42,7 +42,7 @@ pub struct WallForce {
     pub force: f64,
     /// Its stiffness in any unit that all walls share: with several walls it decides what is rendered.
     pub stiffness: f64,
-    /// Whether it has the feed-forward; one of several may be without.
+    /// True if it has the feed-forward; one of several walls may be without.
     pub feed_forward: bool,
 }
 
@@ -94,7 +94,7 @@ pub struct Report {
     pub condition: Condition,
     /// The inertia that a hand feels at the tip.
     pub perception: Perception,
-    /// What several walls render, the stiffest direction first; empty for one wall.
+    /// The directions that several walls render, the stiffest first; empty for one wall.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub directions: Vec<Direction>,
 }
@@ -113,7 +113,7 @@ pub struct Condition {
 pub enum ModelError {
     /// J loses rank: joint velocities along `joints` do not move the tip (on a redundant arm, nor turn it).
     Serial {
-        /// Whether the task has the orientation φ as its last entry.
+        /// True if the task has the orientation φ as its last entry.
         oriented: bool,
         /// The joint motion that moves nothing, a unit vector (N).
         joints: Vec<f64>,

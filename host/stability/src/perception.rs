@@ -1,8 +1,9 @@
 //! The inertia that a hand feels at the tip: in the air, and along a wall that holds it (docs/model.md section 2).
 //!
 //! A hand that pushes the tip along a wall with F_t while the wall keeps it from moving along n has Λ p̈ = F_t + f n
-//! without the feed-forward, so it feels the block of Λ along the wall: the paper's Waa. With (4) the wall's force moves
-//! nothing along the wall, and it feels what it feels in the air, the inverse of the block of Λ⁻¹: Waa - War Wrr⁻¹ Wra.
+//! without the feed-forward, so it feels the block of Λ along the wall: the paper's Waa. With (4) the wall's force
+//! moves nothing along the wall, and it feels what it feels in the air, the inverse of the block of Λ⁻¹: Waa - War
+//! Wrr⁻¹ Wra.
 
 use nalgebra::{DMatrix, DVector};
 use serde::Serialize;
@@ -10,7 +11,8 @@ use serde::Serialize;
 /// See the module.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Perception {
-    /// Eigenvalues of Λ = (J M⁻¹ Jᵀ)⁻¹, the smallest first, kg (d). On a redundant arm what does not move the tip is free.
+    /// Eigenvalues of Λ = (J M⁻¹ Jᵀ)⁻¹, the smallest first, kg (d). On a redundant arm what does not move the tip is
+    /// free.
     pub tip: Vec<f64>,
     /// The largest over the smallest.
     pub ratio: f64,
@@ -24,12 +26,13 @@ pub struct Perception {
 pub struct AlongWall {
     /// Without the feed-forward.
     pub off: Vec<f64>,
-    /// With all of it.
+    /// With the full feed-forward.
     pub full: Vec<f64>,
 }
 
 impl Perception {
-    /// From the tip's Jacobian (d x N), M (N x N) and the unit normal of a wall; not finite where these are not regular.
+    /// From the tip's Jacobian (d x N), M (N x N) and the unit normal of a wall; not finite where these are not
+    /// regular.
     pub fn new(jacobian: &[Vec<f64>], mass: &[Vec<f64>], normal: Option<&[f64]>) -> Self {
         let matrix = |rows: &[Vec<f64>]| DMatrix::from_fn(rows.len(), rows[0].len(), |i, j| rows[i][j]);
         let (jacobian, mass) = (matrix(jacobian), matrix(mass));
@@ -50,7 +53,7 @@ impl Perception {
         Self { ratio: tip[tip.len() - 1] / tip[0], tip, along_wall }
     }
 
-    /// Whether all of it are numbers.
+    /// Returns true if all values are finite.
     pub fn is_finite(&self) -> bool {
         self.ratio.is_finite() && self.tip.iter().all(|inertia| inertia.is_finite())
     }

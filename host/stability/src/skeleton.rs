@@ -1,4 +1,4 @@
-//! Where the links and joints of a mechanism lie in its own plane: what a drawing of the device is made of.
+//! The links and joints of a mechanism in its own plane, from which the device is drawn.
 //!
 //! A device on a turret is looked at in the plane that joint 0 turns, x and y as at joint 0 = 0.
 
@@ -21,7 +21,7 @@ pub struct Bar {
     pub length: f64,
 }
 
-/// Where an actuated joint's angle can be seen.
+/// The place at which an actuated joint's angle can be seen.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Angle {
     /// The joint, from 0.

@@ -38,14 +38,14 @@ struct Checkpoint {
 /// One round of work.
 #[derive(Debug, Default, Deserialize, Serialize)]
 struct Stage {
-    /// How many things there are.
+    /// Number of things to work on.
     of: usize,
     /// Results by their thing's place, in postcard's bytes as hex: decimals would lose what is not finite.
     done: BTreeMap<usize, String>,
 }
 
 impl Checkpoint {
-    /// Whether both belong to the same question.
+    /// Returns true if both belong to the same question.
     fn is_of(&self, other: &Self) -> bool {
         (&self.version, &self.command, &self.question) == (&other.version, &other.command, &other.question)
     }
@@ -59,7 +59,7 @@ pub struct Sweep {
     state: Mutex<State>,
 }
 
-/// How progress is shown.
+/// The way in which progress is shown.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Shown {
     Never,
@@ -114,7 +114,7 @@ impl Sweep {
         Ok(Self { interrupted: Box::new(interrupted), file: file.map(Path::to_path_buf), shown, state })
     }
 
-    /// One that nobody interrupts, and that neither shows nor keeps anything.
+    /// A sweep that cannot be interrupted and neither shows nor keeps anything.
     #[must_use]
     pub fn quiet() -> Self {
         let state = Mutex::new(State { kept: Checkpoint::default(), due: Instant::now() });
@@ -183,7 +183,7 @@ impl Sweep {
         let missing: Vec<usize> = (0..things.len()).filter(|index| !found.contains_key(index)).collect();
         let before = found.len();
         let progress = |done: usize, _: usize| {
-            // What is left undone counts as well once the user has asked for the end, and clears the line.
+            // Skipped things count as done once the user has asked for the end, which clears the line.
             if self.shown == Shown::InPlace || !(self.interrupted)() {
                 self.show(stage, before + done, things.len());
             }
@@ -365,7 +365,7 @@ mod tests {
     #[test]
     fn what_belongs_to_another_question_or_is_damaged_is_refused() {
         let case = Case::new();
-        // What holds nothing yet stands in nobody's way.
+        // A file without results does not block another question.
         drop(case.sweep("one", usize::MAX).unwrap());
         let sweep = case.sweep("two", usize::MAX).unwrap();
         sweep.map("stage", &things(), |x| Ok(work(x))).unwrap();

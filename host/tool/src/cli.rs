@@ -44,7 +44,7 @@ const RENAMED: &[(&str, &str)] = &[
     ("save", "haptic board save"),
 ];
 
-/// What to type instead of a spelling of the version before.
+/// The error that says what to type instead of a spelling of the previous version.
 fn renamed(words: &[OsString]) -> Option<clap::Error> {
     let mut words = words.iter().skip(1).filter_map(|word| word.to_str());
     let asked = words.next()?;
@@ -81,7 +81,7 @@ fn without_wrong_tip(mut error: clap::Error, asked: &str) -> clap::Error {
     error
 }
 
-/// Where a number could not be read, says what to type in the place of the parser's own message.
+/// Replaces the parser's own message by words on what to type, if a number could not be read.
 fn what_to_type(error: clap::Error) -> clap::Error {
     let stumbled = error.source();
     let wanted = match stumbled.and_then(|source| source.downcast_ref::<ParseIntError>()).map(ParseIntError::kind) {
@@ -149,7 +149,7 @@ mod tests {
     fn every_example_is_understood() {
         for command in every_command() {
             for line in examples(&command) {
-                // What a shell does with the rest of the line is not ours.
+                // The rest of the line belongs to the shell.
                 let words = line.split(['|', '>']).next().unwrap_or_default().split_whitespace();
                 let read = read(words.map(OsString::from).collect());
                 assert!(read.is_ok(), "{line}: {}", read.err().unwrap());

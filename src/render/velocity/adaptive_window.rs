@@ -10,8 +10,8 @@
 use super::{Chosen, CutoffMeans, EstimatorKey, EstimatorSpec, JointEstimator, LONGEST_WINDOW, Seen};
 use crate::math::{Math, Real};
 
-/// How far a sample may lie from the line, counts: one, and a share of the 32nds in which such distances come, so that
-/// rounding decides nothing.
+/// Largest distance of a sample from the line, counts: one, and a share of the 32nds in which such distances come, so
+/// that rounding decides nothing.
 const WITHIN: f64 = 1.01;
 
 /// The last samples of one joint.
@@ -19,7 +19,7 @@ const WITHIN: f64 = 1.01;
 pub struct AdaptiveWindow<T> {
     /// Of each of the last periods, counts.
     moved: [T; LONGEST_WINDOW],
-    /// Where the last one is.
+    /// Index of the newest sample.
     newest: usize,
 }
 

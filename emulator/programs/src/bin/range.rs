@@ -15,7 +15,7 @@ use virtual_board::range::{
 };
 use virtual_board::results;
 
-/// What the table of cables has without back-EMF, too.
+/// The row of the table of cables that is also measured without back-EMF.
 const WITHOUT_EMF: (&str, f64) = ("woodenhaptics", 20_000.0);
 
 fn main() -> ExitCode {
@@ -67,7 +67,7 @@ fn cables(only: &[String]) -> Result<(), Box<dyn std::error::Error>> {
             print!("{row}");
             table += row;
         };
-        // What one device faults with leaves the others to be measured.
+        // A fault of one device leaves the others to be measured.
         if let Err(error) = with_cables(device, rate, back_emf, told) {
             let (name, board) = device;
             failed.push(format!("{name} on {} at {} Hz: {error}", board.name(), rate.rate_hz));

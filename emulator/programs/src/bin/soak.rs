@@ -8,7 +8,7 @@ use std::process::ExitCode;
 
 use virtual_board::{noise, soak};
 
-/// Where the noise begins.
+/// The seed of the noise.
 const SEED: u32 = 0x2F6E_2B1D;
 
 fn main() -> ExitCode {

@@ -1,6 +1,6 @@
 //! The torque a variant renders, by the board's own code in the board's precision, against f64 and the closed form.
 //!
-//! The reference is the scene's law with all of its velocity terms (docs/model.md section 2), so what a variant leaves
+//! The reference is the scene's law with all its velocity terms (docs/model.md section 2), so what a variant leaves
 //! out counts, and so does what the board lets fade because its estimates of velocities lag. Torques are told as forces
 //! at the tip, J⁻ᵀ Δτ: what a hand there would have to hold.
 
@@ -56,9 +56,9 @@ impl Terms {
 pub struct Law {
     /// Which; `Off` is judged as `Rendered`, by what it leaves out.
     pub terms: VelocityTerms,
-    /// How far behind they are, s.
+    /// The time by which the estimates lag, s.
     pub lag: f64,
-    /// What one encoder count makes of each at most, rad/s.
+    /// The largest change of each estimate by one encoder count, rad/s.
     pub one_count: [f64; MAX_JOINTS],
 }
 
@@ -110,7 +110,7 @@ pub enum Trigonometry {
     Libm,
 }
 
-/// How a variant computes its torques.
+/// The way in which a variant computes its torques.
 #[derive(Clone, Copy, Debug)]
 pub struct Way<'a> {
     /// With which mass matrix.
@@ -128,7 +128,7 @@ pub struct Way<'a> {
 pub struct Size {
     /// The largest.
     pub max: f64,
-    /// What 99 % of them stay below.
+    /// Their 99th percentile.
     pub most: f64,
     /// Root of their mean square.
     pub rms: f64,
@@ -237,7 +237,7 @@ pub fn errors(device: &Device<f64>, probes: &[Probe], way: &Way<'_>) -> Found {
     })
 }
 
-/// Where the error of a variant over `probes` comes from.
+/// Returns the sources of a variant's error over `probes`.
 pub fn parts(device: &Device<f64>, probes: &[Probe], way: &Way<'_>) -> Parts {
     with_mechanism!(&device.mechanism, exact => {
         with_trigonometry!(way.trigonometry, K => parts_of::<K, _, _, _>(exact, &exact.cast(), probes, way))
@@ -310,12 +310,12 @@ fn at_the_tip<E: Mechanism<f64, N>, const N: usize>(exact: &E, probe: &Probe, to
 /// Stiffness by which an error of the tip's position becomes one of force, N/m.
 pub const STIFFNESS: f64 = 20_000.0;
 
-/// Where a variant's error comes from, each the largest over the situations and by itself.
+/// The sources of a variant's error, each the largest over the situations and by itself.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Parts {
     /// Terms left out or faded, computed exactly: N at the tip.
     pub dropped: f64,
-    /// What nine of ten situations stay below of it.
+    /// The 90th percentile of `dropped` over the situations.
     pub dropped_mostly: f64,
     /// The mass model instead of the closed form: N at the tip.
     pub model: f64,

@@ -29,14 +29,14 @@ const SLOW_S: f64 = 0.2;
 const DAMPINGS: usize = 8;
 /// Ratio to which a largest stiffness is found.
 const CLOSE: f64 = 1.05;
-/// How many counts the tip moves along the normal when a wall is tried, and how many it may keep moving for the wall to
-/// count as quiet.
+/// Number of counts that the tip moves along the normal when a wall is tried, and the number that it may keep moving
+/// for the wall to count as quiet.
 const STRUCK: f64 = 40.0;
 const QUIET: f64 = 6.0;
 /// Time in which a struck wall must come to rest, s.
 const REST_S: f64 = 0.25;
 
-/// What is compared.
+/// The device, wall and estimators that are compared.
 pub struct Comparison<'a> {
     /// The device.
     pub file: &'a DeviceFile,
@@ -68,7 +68,7 @@ impl Comparison<'_> {
     }
 }
 
-/// What one estimator makes of the device.
+/// The results with one estimator.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Row {
     /// Its word in scene files.
@@ -81,14 +81,14 @@ pub struct Row {
     /// and to five times the damping that is predicted stable with the Butterworth; beyond, the area is at least this.
     pub area: f64,
     /// Root mean square of the force of the wall under a hand that presses ever harder, about its straight line, N:
-    /// without the feed-forward, and with all of it; none where the tip flies off.
+    /// without the feed-forward and with the full one; `None` where the tip flies off.
     pub press_n: [Option<f64>; 2],
     /// The same under a hand at rest, about its mean, without the feed-forward: friction may hold the tip between two
     /// counts.
     pub ripple_n: Option<f64>,
-    /// Whether the pressed wall pushed on average as hard as the hand, within a tenth.
+    /// True if the pressed wall pushed on average as hard as the hand, within a tenth.
     pub holds: bool,
-    /// How late the velocity is, s.
+    /// Delay of the velocity, s.
     pub delay_s: f64,
     /// Root mean square of its error at a slow steady motion, m/s.
     pub noise_m_s: f64,
@@ -256,7 +256,7 @@ impl<'a> Tried<'a> {
         Ok(low)
     }
 
-    /// Whether the tip, struck along the normal in the wall, is quiet in the end.
+    /// Returns true if the tip, struck along the normal in the wall, is quiet in the end.
     fn comes_to_rest(&self, wall: &Rendered) -> Result<bool, Failure> {
         self.sweep.go_on()?;
         let mass = self.linearised.w_eff().ok_or_else(|| Failure::impossible("the device has no inertia here"))?;
@@ -300,7 +300,7 @@ impl<'a> Tried<'a> {
         let Some(late) = late else { return Ok((None, false)) };
         let mean = late.iter().sum::<f64>() / late.len() as f64;
         let square = late.iter().map(|force| (force - mean).powi(2)).sum::<f64>() / late.len() as f64;
-        // What the hand's own spring gives back, and friction, are part of what the wall need not hold.
+        // The hand's own spring and friction bear part of the push, so the wall need not.
         let friction = self.simulation.friction();
         Ok((Some(square.sqrt()), (mean / PUSH_N - 1.0).abs() < 0.1 + friction / PUSH_N))
     }

@@ -12,7 +12,7 @@ use nalgebra::SVector;
 /// A mass model ready to be sent, with the values of its table.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Precomputed {
-    /// What the board is told.
+    /// The model as it is sent to the board.
     pub data: MassModelData,
     /// The table's values, to be sent before; empty for other models.
     pub values: Vec<f32>,

@@ -1,5 +1,5 @@
-//! Where errors are looked at: poses with a wall's normal, a hand motion, and the largest force the motors give along
-//! the normal beside it. Motions that take more than the motors give are left out.
+//! The situations in which errors are computed: poses with a wall's normal, a hand motion, and the largest force the
+//! motors give along the normal beside it. Motions that take more than the motors give are left out.
 
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
@@ -17,9 +17,9 @@ use nalgebra::SVector;
 
 /// Force where a device file names no motors, N.
 const FORCE_WITHOUT_MOTORS: f64 = 5.0;
-/// How fast a hand is taken to move when nothing is said, m/s.
+/// Speed of a hand where none is given, m/s.
 pub const HAND_SPEED: f64 = 0.5;
-/// How fast the redundant arm turns its last link per speed of the hand, rad/m.
+/// Turning rate of the redundant arm's last link per speed of the hand, rad/m.
 const TURNING: f64 = 4.0;
 
 /// One situation. Entries beyond the device's joints are zero.
@@ -31,7 +31,7 @@ pub struct Probe {
     pub qd: [f64; MAX_JOINTS],
     /// The wall's unit normal.
     pub normal: [f64; MAX_JOINTS],
-    /// How fast it turns, 1/s.
+    /// Rate of change of the normal, 1/s.
     pub normal_rate: [f64; MAX_JOINTS],
     /// Task velocity, m/s (and rad/s for φ).
     pub velocity: [f64; MAX_JOINTS],
@@ -138,7 +138,7 @@ fn push<M: Mechanism<f64, N>, const N: usize>(
     let weight = m.gravity(&pose);
     let (plain, shaping) = (m.transpose(&pose, &n), m.shaping(&pose, &n));
     let per_newton = SVector::<f64, N>::from_fn(|i, _| plain[i].abs().max((shaping.me[i] / shaping.w_rr).abs()));
-    // What the motors give beside the weight and the motion; nothing where these alone are too much.
+    // The force that the motors have left beside the weight and the motion; none where these alone are too much.
     let left = |b: &SVector<f64, N>| {
         let joints = (0..N).filter_map(|i| device.joints[i].motor.map(|motor| (i, strongest(&motor))));
         let share = joints.map(|(i, most)| (most - weight[i].abs() - b[i].abs()) / per_newton[i].max(1.0e-9));

@@ -61,7 +61,7 @@ pub struct Variant {
     /// The same beside what fades whatever is chosen.
     #[serde(skip)]
     pub given: Errors,
-    /// Where they come from.
+    /// The sources of the errors.
     pub parts: Parts,
     /// Nothing of the same mechanism is both cheaper and better: instructions against what is wrong with the force at
     /// the tip, the wall's own error of the tip's position included.
@@ -136,7 +136,7 @@ pub fn variants(device: &Device<f64>, timed: bool) -> Result<Vec<Variant>, Failu
 }
 
 impl Variant {
-    /// What is wrong with the force at the tip, N: of the torque beside what fades in every variant, and of the wall's
+    /// The error of the force at the tip, N: of the torque, without what fades in every variant, and of the wall's
     /// force at 20 kN/m.
     pub fn felt(&self) -> f64 {
         self.given.force.max + self.parts.tip
@@ -155,7 +155,7 @@ fn mark_front(variants: &mut [Variant]) {
     }
 }
 
-/// What one torque takes on this computer, ns: the best of several runs over the probes.
+/// Time that one torque takes on this computer, ns: the best of several runs over the probes.
 fn nanoseconds(device: &Device<f64>, probes: &[Probe], way: &Way<'_>) -> f64 {
     with_mechanism!(device.mechanism.cast::<f32>(), m => {
         with_trigonometry!(way.trigonometry, K => time::<K, _, _>(&m, probes, way))
@@ -216,9 +216,9 @@ pub fn by_variant(every: &[(Device<f64>, Vec<Variant>)]) -> String {
     text
 }
 
-/// What holds of a mechanism whatever the variant: how far one encoder step moves the tip, in how many situations the
-/// velocity terms fade and are off, and the instructions of the step with a wall and its feed-forward by velocity
-/// estimator, windows at their longest: docs/results/speed-by-mechanism.csv.
+/// The numbers of a mechanism that do not depend on the variant: how far one encoder step moves the tip, in how many
+/// situations the velocity terms fade and are off, and the instructions of the step with a wall and its feed-forward by
+/// velocity estimator, windows at their longest: docs/results/speed-by-mechanism.csv.
 pub fn by_mechanism(every: &[(Device<f64>, Vec<Variant>)]) -> Result<String, Failure> {
     let head = ["mechanism", "device", "encoder step (µm)", "encoder step (N)", "terms fade (%)", "terms off (%)"];
     let mut text = csv_line(head.into_iter().chain(Estimator::ALL.iter().map(|(name, _)| *name)));

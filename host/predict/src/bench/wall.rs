@@ -1,5 +1,5 @@
-//! One wall on a device, rendered by the board's own control step in its precision: pressed, slid along, struck or tapped,
-//! by simulation (`contact`).
+//! One wall on a device, rendered by the board's own control step in its precision: pressed, slid along, struck or
+//! tapped, by simulation (`contact`).
 //!
 //! Torque follows half a carrier period late, and nothing limits it: motors and their limits are the same for every
 //! estimator. `haptic tune estimators` compares with it ([`super::estimators`]), and [`mod@crate::tune`] searches.
@@ -36,20 +36,20 @@ const SWINGS: (f64, f64) = (0.5, 1.0);
 pub const TAP: f64 = 0.2;
 const TAP_S: f64 = 0.3;
 
-/// How a wall is rendered.
+/// The settings with which a wall is rendered.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rendered {
     /// Velocity estimator.
     pub kind: Estimator,
     /// Hz.
     pub cutoff_hz: f64,
-    /// How much feed-forward.
+    /// The wall's feed-forward.
     pub feed_forward: FeedForward,
     /// Corner of the washout, Hz.
     pub washout_hz: f64,
-    /// Whether the joints' own damping is compensated.
+    /// True if the joints' own damping is compensated.
     pub damping_compensation: bool,
-    /// What a redundant device holds.
+    /// The coordinate that a redundant device holds.
     pub admissible: Admissible,
     /// N/m
     pub stiffness: f64,
@@ -57,7 +57,7 @@ pub struct Rendered {
     pub damping: f64,
 }
 
-/// What is done to a wall.
+/// The way in which a wall is tried.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Trial {
     /// A hand pushes steadily. Friction may then lock the tip between two encoder steps, and a wall that would rattle
@@ -73,19 +73,19 @@ pub(super) enum Trial {
     Tapped(f64),
 }
 
-/// How a wall is under a hand that presses it and slides along it.
+/// The behaviour of a wall under a hand that presses it and slides along it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pressed {
     /// Root mean square of what its force has above 20 Hz, N; none where the tip flies off.
     pub ripple_n: Option<f64>,
-    /// Whether it pushes on average as hard as the hand does there, within a tenth and friction.
+    /// True if it pushes on average as hard as the hand does there, within a tenth and friction.
     pub holds: bool,
 }
 
 /// A device with a wall through its tip.
 #[derive(Clone)]
 pub struct WallSimulation {
-    /// What moves, as a hand of the light kind holds it, and alone.
+    /// The device as a hand of the light kind holds it, and alone.
     held: Description,
     alone: Description,
     board: Device<f32>,
@@ -159,7 +159,7 @@ impl WallSimulation {
         Self { encoders: moved, ..self.clone() }
     }
 
-    /// What dry friction can hold along the normal, N.
+    /// The largest force along the normal that dry friction can hold, N.
     pub(super) fn friction(&self) -> f64 {
         let joints = self.alone.joints;
         joints.iter().zip(self.motion).map(|(joint, motion)| joint.dry_friction(0.0) * motion.abs()).sum()
@@ -194,7 +194,8 @@ impl WallSimulation {
         })
     }
 
-    /// How often a tip that arrives at 0.2 m/s, pushed with 3 N, leaves a wall again; none where it flies off.
+    /// Number of times that a tip that arrives at 0.2 m/s, pushed with 3 N, leaves a wall again; `None` where it flies
+    /// off.
     pub fn rebounds(&self, wall: &Rendered) -> Result<Option<usize>, Failure> {
         let (mut inside, mut left) = (false, 0);
         let kept = self.run(wall, Trial::Tapped(TAP), TAP_S, |_, along| {
@@ -276,7 +277,7 @@ impl WallSimulation {
     }
 }
 
-/// What a hand pushes with, N.
+/// The force with which a hand pushes, N.
 fn push(trial: Trial, time: f64) -> f64 {
     match trial {
         Trial::PressedHarder => PUSH_N + RISE * time,

@@ -37,9 +37,9 @@ pub struct Directions {
     pub stiffest: Placed,
     /// The lightest: the softest wall. It is an axis, too.
     pub softest: Placed,
-    /// Where the feed-forward multiplies the inertia by most.
+    /// The place at which the feed-forward multiplies the inertia by most.
     pub feed_forward_buys_most: Placed,
-    /// Where it adds most, kg.
+    /// The place at which the feed-forward adds most inertia, kg.
     pub couples_most: Placed,
 }
 
@@ -52,7 +52,7 @@ pub struct Places {
     pub stiffest: Placed,
     /// The largest Weff in the lightest direction: the place for a surface that turns, without the feed-forward.
     pub every_direction: Placed,
-    /// Where the feed-forward multiplies the inertia by most.
+    /// The place at which the feed-forward multiplies the inertia by most.
     pub feed_forward_buys_most: Placed,
     /// For the normal that was asked for, if any.
     pub along: Option<Along>,
@@ -288,7 +288,7 @@ pub fn places(
     let first = sweep.map("places", &indices, |job| {
         Ok(best(&starts(&poses, jobs[*job]), &allowed, jobs[*job]).map(|(_, placed)| placed.q))
     })?;
-    // Where one is best another may be better than where its own search ended.
+    // A search that begins where another one ended may find more than from its own start.
     let ends: Vec<Vec<f64>> = first.into_iter().flatten().collect();
     let found = sweep.map("between them", &indices, |job| {
         let sought = jobs[*job];

@@ -36,7 +36,7 @@ pub struct Posture {
 /// The postures that stand out.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Postures {
-    /// Where the arm stands.
+    /// The posture of the arm as it stands.
     pub here: Posture,
     /// The largest Weff, and the smallest.
     pub heaviest: Posture,
@@ -46,7 +46,7 @@ pub struct Postures {
     pub most_held: Posture,
     /// See `most_held`.
     pub least_held: Posture,
-    /// How many were looked at.
+    /// Number of postures that were looked at.
     pub postures: usize,
 }
 

@@ -1,4 +1,4 @@
-//! What each number of a device is worth to one wall: the same tip position, with one of them a tenth larger or
+//! The effect of each number of a device on one wall: the same tip position, with one of them a tenth larger or
 //! smaller.
 
 use super::{lumped, reaching, singular, task_position};
@@ -11,10 +11,10 @@ use haptic_stability::analysis::map::along;
 use haptic_stability::analysis::pose::{TaskPose, unit_normal};
 use serde::Serialize;
 
-/// How much larger and smaller.
+/// The share by which a number is made larger and smaller.
 pub const CHANGE: f64 = 0.1;
 
-/// What a changed device is to the wall, over what it was.
+/// The ratios of a changed device's results for the wall to those of the original.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Effect {
     /// Weff: the stiffest wall without the feed-forward, and what is felt in free motion.
@@ -23,7 +23,7 @@ pub struct Effect {
     pub w_rr: f64,
     /// The force of the motors along the normal; none without motors.
     pub force: Option<f64>,
-    /// How far the tip moves in one encoder count; none without encoders.
+    /// The motion of the tip in one encoder count; `None` without encoders.
     pub count: Option<f64>,
     /// The largest joint torque that holds the device's weight, N m.
     pub weight: f64,
@@ -180,7 +180,7 @@ fn over(found: Effect, before: Effect) -> Effect {
     }
 }
 
-/// What every number is worth to a wall along `normal` where the tip is at `q` (rad); those of most effect on Wrr
+/// The effect of every number on a wall along `normal` where the tip is at `q` (rad); those of most effect on Wrr
 /// first.
 pub fn sensitivities(
     description: &Description,
@@ -219,13 +219,13 @@ pub fn sensitivities(
 pub struct Buys {
     /// Which number.
     pub part: String,
-    /// Whether there is more of it, or less.
+    /// True if the number is made larger, false if smaller.
     pub more: bool,
-    /// What it does.
+    /// The effect of the change.
     pub effect: Effect,
 }
 
-/// What a change must buy to be worth telling.
+/// The smallest gain by a change that is reported.
 const WORTHWHILE_RATIO: f64 = 1.01;
 
 /// The change that buys most of something, and a hundredth of it at least.

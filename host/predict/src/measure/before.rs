@@ -1,4 +1,4 @@
-//! What a board held before a measurement, and whether it holds it again afterwards.
+//! The settings that a board held before a measurement, and a check that it holds them again afterwards.
 
 use haptic_bridge::board::protocol::{DeviceData, SceneData};
 use haptic_bridge::render::scene::Scene;
@@ -17,20 +17,20 @@ pub struct Before {
     rules: Rules,
 }
 
-/// What a file keeps of it for as long as a measurement runs: a tool that is killed puts nothing back itself.
+/// The part of [`Before`] that a file keeps while a measurement runs: a tool that is killed puts nothing back itself.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RestorePoint {
     /// Serial number of the board.
     pub serial: String,
     scene: Option<backup::SavedSetting>,
     rules: backup::SavedSetting,
-    /// The rules that the measurement sets: whoever finds them finds nobody's later wish.
+    /// The rules that the measurement sets: a board that still has them was not changed by a user since.
     #[serde(default)]
     measuring: Option<backup::SavedSetting>,
 }
 
 impl Before {
-    /// What the board holds now.
+    /// Reads the settings that the board holds now.
     pub fn of(board: &mut Board) -> Result<Self, LinkError> {
         Ok(Self { device: board.device()?, scene: board.scene()?, rules: board.rules()? })
     }
@@ -41,7 +41,7 @@ impl Before {
         self.device.as_ref()
     }
 
-    /// Whether the scene is one that a measurement made and, cut short, did not take away again.
+    /// Returns true if the scene is one that an interrupted measurement left behind.
     #[must_use]
     pub fn is_left_over(&self) -> bool {
         self.scene.as_ref().is_some_and(is_measurement)
@@ -58,8 +58,8 @@ impl Before {
         Some(RestorePoint { serial: serial.into(), scene, rules, measuring })
     }
 
-    /// What was kept before a measurement that was cut short. Its rules take the place of those that the measurement
-    /// set; others stay: somebody has lowered them meanwhile. Also says whether the rules are as they were.
+    /// The settings that were kept before a measurement that was cut short. Its rules take the place of those that the
+    /// measurement set; others stay: somebody has lowered them meanwhile. Also says whether the rules are as they were.
     pub fn from_kept(&self, kept: &RestorePoint) -> Result<(Self, bool), BackupError> {
         let scene = kept.scene.as_ref().map(backup::SavedSetting::read::<Scene<f32>>).transpose()?;
         let then = kept.rules.read::<Rules>()?;

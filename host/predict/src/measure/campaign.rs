@@ -6,14 +6,14 @@ use super::progress::{Open, Point, Progress, same_damping};
 use super::swing::Verdict;
 use super::{MeasureError, PreparedBoard};
 
-/// What is to be measured.
+/// The runs of a measurement.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Plan {
     /// With which feed-forward.
     pub modes: Vec<FeedForward>,
     /// At these dampings, N s/m; measured from where the range ends when `None`.
     pub kd: Option<Vec<f64>>,
-    /// How many dampings when they are not given.
+    /// Number of dampings if they are not given.
     pub points: usize,
     /// Repeats at each.
     pub repeats: usize,
@@ -98,7 +98,8 @@ pub fn run(
     Ok(())
 }
 
-/// Where the range of a mode ends; where that cannot be told, as far as it is known to reach.
+/// The damping at which the range of a mode ends; where that cannot be told, the largest up to which it is known to
+/// reach.
 fn damping_end(
     prepared: &mut PreparedBoard<'_>,
     mode: FeedForward,

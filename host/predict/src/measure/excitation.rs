@@ -1,5 +1,5 @@
-//! How far the tip is pulled aside before a trial: no less than encoder steps could explain, no more than the motors
-//! can hold, and far enough that friction is small beside it.
+//! The distance by which the tip is pulled aside before a trial: no less than encoder steps could explain, no more than
+//! the motors can hold, and far enough that friction is small beside it.
 
 use haptic_bridge::servo::Rules;
 use nalgebra::DVector;
@@ -14,11 +14,11 @@ use haptic_stability::analysis::plant::Linearised;
 const GENTLE: f64 = 0.15;
 /// The same where friction asks for more.
 const HARD: f64 = 0.6;
-/// How many times the force of friction a pull should be. Coulomb friction damps a swing of amplitude A and frequency w
+/// Smallest ratio of a pull's force to that of friction. Coulomb friction damps a swing of amplitude A and frequency w
 /// like 4 F / (pi A w): at forty times F that is a thirtieth of what the spring takes.
 const OVER_FRICTION: f64 = 40.0;
 
-/// What bounds a pull.
+/// The bounds of a pull.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Excitation {
     /// Smallest step of the tip along the normal that the encoders show, m.
@@ -68,7 +68,7 @@ impl Excitation {
         ENCODER_STEPS * self.quantum
     }
 
-    /// How far to pull against `stiffness` (N/m), which is that `of` something.
+    /// Returns the length of a pull (m) against `stiffness` (N/m), which is that `of` something.
     pub fn pull(&self, stiffness: f64, of: &'static str) -> Result<f64, MeasureError> {
         let smallest = self.smallest();
         if smallest * stiffness > self.force {

@@ -24,13 +24,13 @@ pub struct Occasion<'a> {
     pub board: &'a mut Board,
     /// Its device.
     pub file: &'a DeviceFile,
-    /// What the board is to hold afterwards.
+    /// The settings that the board is to hold afterwards.
     pub before: Before,
     /// The results so far, which grow as the measurement goes on.
     pub progress: &'a mut Progress,
     /// The file that keeps them.
     pub path: Option<&'a Path>,
-    /// Whether what the board held before is kept there as well: should this be killed, the next measurement still
+    /// True if the board's earlier settings are kept there as well: should this be killed, the next measurement still
     /// knows.
     pub remembers: bool,
 }
@@ -90,8 +90,8 @@ fn save(progress: &Progress, path: Option<&Path>) -> Result<(), ProgressError> {
     path.map_or(Ok(()), |path| progress.save(path))
 }
 
-/// What to put back on the board afterwards: what it holds now or, if a measurement was killed on it, what it held
-/// before that one. Where both are possible, standard error says which was taken.
+/// The settings to put back on the board afterwards: those that it holds now or, if a measurement was killed on it,
+/// those that it held before that one. Where both are possible, standard error says which was taken.
 pub fn before(board: &mut Board, progress: &Progress) -> Result<Before, BoardError> {
     let now = Before::of(board)?;
     let serial = board.info().serial.clone();
@@ -143,7 +143,7 @@ pub fn around(setup: &MeasurementSetup, info: &Info, details: &Details) -> Loop 
     Loop::through(&torque_path(info, details), setup.rate_hz, LinearEstimator::Butterworth(setup.cutoff_hz))
 }
 
-/// What is measured, in words: a file of progress goes on only with the same.
+/// Describes the measurement in words: a file of progress goes on only with the same.
 #[must_use]
 pub fn what(name: &str, setup: &MeasurementSetup, world: &World) -> String {
     let listed = |values: &[f64]| {

@@ -21,15 +21,15 @@ use haptic_stability::analysis::plant::Linearised;
 use haptic_stability::analysis::pose::PoseError;
 use haptic_stability::analysis::several::WallSet;
 
-/// How long the board goes on without this tool, s: a measurement must not outlive the one who watches it.
+/// Time for which the board goes on without this tool, s: a measurement must not outlive the user who watches it.
 const HOST_SECONDS: f32 = 1.0;
 
 /// Share of a pull that must be left when the tip rests, and how often it is pulled harder until it is.
 const PULLED: f64 = 0.5;
 const HARDER: usize = 5;
 
-/// How much more softly the tip is held where it does not come to rest, and how often it is tried: down to a 32nd of
-/// the hold's frequency.
+/// Factor by which the tip is held more softly where it does not come to rest, and the number of times that this is
+/// tried: down to a 32nd of the hold's frequency.
 const SOFTER: f64 = 0.5;
 const SOFTEST: usize = 5;
 
@@ -175,7 +175,7 @@ impl<'a> PreparedBoard<'a> {
         &self.q
     }
 
-    /// What bounds the pulls here.
+    /// The bounds of the pulls here.
     pub fn excitation(&self) -> &Excitation {
         &self.excitation
     }
@@ -190,8 +190,8 @@ impl<'a> PreparedBoard<'a> {
         self.holding().1
     }
 
-    /// Whether walls of this stiffness and damping in all oscillate. `strength` scales and signs the excitation (1 or a
-    /// little less).
+    /// Returns true if walls of this stiffness and damping in all oscillate. `strength` scales and signs the excitation
+    /// (1 or a little less).
     pub fn oscillates(
         &mut self,
         feed_forward: FeedForward,
@@ -202,8 +202,8 @@ impl<'a> PreparedBoard<'a> {
         Ok(self.judge(feed_forward, kp, kd, strength)? != Verdict::Decays)
     }
 
-    /// What the tip does against walls of this stiffness (N/m) and damping (N s/m) in all. `strength` scales and signs
-    /// the excitation (1 or a little less).
+    /// Judges the tip's motion against walls of this stiffness (N/m) and damping (N s/m) in all. `strength` scales and
+    /// signs the excitation (1 or a little less).
     pub fn judge(
         &mut self,
         feed_forward: FeedForward,
@@ -340,7 +340,7 @@ impl<'a> PreparedBoard<'a> {
     }
 
     /// Waits until the tip rests near `pull`, held as softly as that takes; returns where it rests. How much damping a
-    /// device's transmissions let a hold have, nobody need know beforehand.
+    /// device's transmissions let a hold have need not be known beforehand.
     fn rest(&mut self, pull: f64) -> Result<f64, MeasureError> {
         loop {
             match self.held_still(pull) {
@@ -354,7 +354,7 @@ impl<'a> PreparedBoard<'a> {
     fn held_still(&mut self, pull: f64) -> Result<f64, MeasureError> {
         self.hold(pull)?;
         let period = TAU / self.hold_frequency;
-        // What encoder steps keep moving is as much at rest as it will ever be.
+        // A tip that only encoder steps keep moving is as much at rest as it will ever be.
         let steps = self.excitation.smallest();
         let tolerance = steps.max(0.1 * pull.abs()).max(self.setup.largest_pull * 1e-3);
         let mut quiet = Vec::new();
@@ -369,7 +369,7 @@ impl<'a> PreparedBoard<'a> {
                 let recent = &quiet[quiet.len() - window..];
                 let (low, high) = span(recent.iter().map(|at| at.place));
                 let (near, far) = span(recent.iter().map(|at| at.aside));
-                // What slides across when the trial lets go of it would go on sliding.
+                // A tip that slides across would go on sliding when the trial lets go of it.
                 if high - low <= tolerance && far - near <= tolerance {
                     return Ok((high + low) / 2.0);
                 }
@@ -430,7 +430,7 @@ impl<'a> PreparedBoard<'a> {
         Ok(())
     }
 
-    /// Where the tip was, as far as rows have come, waiting at most `seconds` for the first.
+    /// The positions of the tip, as far as rows have come, waiting at most `seconds` for the first.
     fn places(&mut self, seconds: f64) -> Result<Vec<Place>, MeasureError> {
         if (self.interrupted)() {
             return Err(MeasureError::Interrupted);
@@ -477,7 +477,7 @@ impl Drop for PreparedBoard<'_> {
     }
 }
 
-/// Where the tip was at a step: along the pull and how far beside it, m.
+/// The position of the tip at a step: along the pull and how far beside it, m.
 struct Place {
     step: u32,
     place: f64,

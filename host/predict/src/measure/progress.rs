@@ -1,5 +1,4 @@
-//! What has been measured so far, kept in a file after every repeat so that an interrupted measurement goes on where it
-//! stopped.
+//! The results so far, kept in a file after every repeat so that an interrupted measurement goes on where it stopped.
 
 use super::before::RestorePoint;
 use haptic_bridge::render::scene::FeedForward;
@@ -32,7 +31,7 @@ pub struct Point {
 pub struct Open {
     /// The stiffest wall that was seen to be stable, N/m.
     pub stable_up_to: f64,
-    /// What kept the search from going on.
+    /// The error that kept the search from going on.
     pub reason: String,
 }
 
@@ -59,7 +58,7 @@ impl Point {
 /// A measurement, finished or not.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Progress {
-    /// What is measured: device, pose, loop. A file of something else is not continued.
+    /// The measurement's subject: device, pose, loop. A file of something else is not continued.
     pub what: String,
     /// Dampings at which the range ends, N s/m, where they were measured.
     #[serde(default)]
@@ -75,7 +74,7 @@ pub struct Progress {
     /// When the last of it was measured (RFC 3339, UTC).
     #[serde(default)]
     pub date: Option<String>,
-    /// What the board held before; `None` once that is back on the board.
+    /// The settings that the board held before; `None` once they are back on the board.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub before: Option<RestorePoint>,
 }
@@ -88,7 +87,7 @@ pub enum ProgressError {
     File {
         /// Which.
         path: String,
-        /// What the system or the parser says.
+        /// The system's or the parser's message.
         reason: String,
     },
     /// Not writable.
@@ -101,7 +100,7 @@ pub enum ProgressError {
         path: String,
         /// When its last part was measured.
         date: Option<String>,
-        /// What it measures.
+        /// The subject of the measurement in the file.
         found: String,
     },
 }
@@ -120,7 +119,7 @@ impl Progress {
         }
     }
 
-    /// Whether nothing has been measured.
+    /// Returns true if nothing has been measured.
     pub fn is_empty(&self) -> bool {
         self.ends.is_empty() && self.points.iter().all(|point| point.repeats.is_empty() && point.open.is_none())
     }
@@ -140,7 +139,7 @@ impl Progress {
         }
     }
 
-    /// Reads the file at `path` when it exists, else begins anew.
+    /// Reads the file at `path` if it exists, else begins with no results.
     pub fn open(path: &Path, what: &str) -> Result<Self, ProgressError> {
         match Self::read(path)? {
             None => Ok(Self::new(what)),
@@ -163,7 +162,7 @@ impl Progress {
         output::write(path, text.as_bytes(), Overwrite::Replace).map_err(ProgressError::Unwritten)
     }
 
-    /// Where the range of a mode ends, if that was measured.
+    /// The damping at which the range of a mode ends, if that was measured.
     pub fn end(&self, mode: FeedForward) -> Option<f64> {
         self.ends.iter().find(|(measured, _)| *measured == mode).map(|(_, end)| *end)
     }
@@ -192,7 +191,7 @@ impl Progress {
     }
 }
 
-/// Whether two dampings (N s/m) are one, whatever rounding a file did to them.
+/// Returns true if two dampings (N s/m) are equal but for rounding in a file.
 pub(super) fn same_damping(one: f64, other: f64) -> bool {
     (one - other).abs() <= 1e-9 * other.abs()
 }
@@ -213,7 +212,7 @@ mod tests {
         assert_eq!(again.point(FeedForward::Off, 0.3).median(), 2.0);
         assert_eq!(again.point(FeedForward::Off, 0.3).bounds(), (1.0, 3.0));
         assert!(matches!(Progress::open(&path, "other"), Err(ProgressError::Another { .. })));
-        // What has measured nothing is in nobody's way.
+        // A file without results does not block another measurement.
         Progress::new("one").save(&path).unwrap();
         assert_eq!(Progress::open(&path, "other").unwrap(), Progress::new("other"));
     }

@@ -20,12 +20,12 @@ pub fn strength(repeat: usize) -> f64 {
     STRENGTHS[repeat % STRENGTHS.len()]
 }
 
-/// Where stable walls end.
+/// The end of the stable walls.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Boundary {
     /// The largest gain that is stable, N/m or N s/m.
     pub gain: f64,
-    /// What the tip does just beyond: builds up, or goes on vibrating.
+    /// The tip's motion just beyond: it builds up, or goes on vibrating.
     pub beyond: Verdict,
 }
 

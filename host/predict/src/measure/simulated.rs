@@ -23,7 +23,7 @@ pub enum Friction {
 /// The simulated world.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct World {
-    /// Where the device stands, rad; its home when `None`.
+    /// The device's pose, rad; its home when `None`.
     pub q: Option<[f64; 3]>,
     /// Which friction acts.
     pub friction: Friction,

@@ -1,5 +1,5 @@
-//! What a motion does: it dies out, it builds up, or it goes on as a vibration of constant size. Judged from sampled
-//! positions alone.
+//! The verdict on a motion: it dies out, it builds up, or it goes on as a vibration of constant size. Judged from
+//! sampled positions alone.
 //!
 //! The position is high-passed below the velocity filter's cutoff, because a slow return to the wall would hide a small
 //! fast oscillation; an oscillation of a rigid device's loop lies below that cutoff and seldom far below it. The swing
@@ -51,7 +51,7 @@ const RIPPLE_SHARE: f64 = 0.4;
 const SIGNIFICANT: f64 = 4.0;
 /// Slope, in parts per swing, below which a motion goes on: 0.4 % over one look.
 const FLAT_SLOPE: f64 = 2e-4;
-/// Growth over the first swings, and over the pull, at which nobody waits for the trend.
+/// Growth over the first swings, and over the pull, at which the verdict does not wait for the trend.
 const RUNAWAY_GROWTH: f64 = 4.0;
 /// Farthest distance from the wall that is still a trial, in pulls.
 const FARTHEST_PULLS: f64 = 12.0;
@@ -61,7 +61,7 @@ const DIED_OUT_SHARE: f64 = 0.02;
 /// mode is expected.
 const SILENT_PERIODS: (f64, f64) = (10.0, 200.0);
 
-/// What a motion does.
+/// The course of a motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Verdict {
     /// It dies out, or what is left of it is no more than encoder steps explain.
@@ -92,7 +92,7 @@ impl Swing {
         let rows_a_period = 1.0 / (row_seconds * cutoff_hz);
         let slowest = period / row_seconds;
         let silent = slowest.clamp(SILENT_PERIODS.0 * rows_a_period, SILENT_PERIODS.1 * rows_a_period);
-        // What is damped beyond critical does not swing.
+        // A motion that is damped beyond critical does not swing.
         let slowest = if oscillates { slowest } else { 0.0 };
         Self {
             place: Trace::new(rows_a_period, (slowest, silent), quantum, pull, LOOKS.0),
@@ -108,7 +108,8 @@ impl Swing {
         if self.told[0].is_none() {
             self.told[0] = self.place.take(place);
         }
-        // What dies out in the bend may have hidden what builds up: it is followed for as long as the place.
+        // A mode that dies out in the bend may have hidden one that builds up: the bend is followed for as long as the
+        // place.
         if let [Some(first), Some(second)] = self.before {
             self.told[1] = self.bend.take(place - 2.0 * second + first).or(self.told[1]);
         }
@@ -131,7 +132,7 @@ struct Trace {
     /// Swings smaller than this are encoder steps, and so is what is smaller than this from peak to peak for good, m.
     noise: f64,
     explained: f64,
-    /// How large the motion was at first, m.
+    /// Initial size of the motion, m.
     pull: f64,
     /// Looks after which a motion that goes on is a vibration.
     looks: usize,
@@ -225,14 +226,14 @@ impl Trace {
         self.swings.len() > 3
     }
 
-    /// What comes back by less than this is a faster mode's ripple on the swing, m. It falls while nothing turns: after
-    /// a large mode has died out a small one is seen.
+    /// A reversal smaller than this is a faster mode's ripple on the swing, m. It falls while nothing turns: after a
+    /// large mode has died out a small one is seen.
     fn ripple(&self) -> f64 {
         let recent = largest(&self.swings[self.swings.len().saturating_sub(4)..]);
         RIPPLE_SHARE * recent * (-(self.since_turn as f64) / (2.0 * self.apart())).exp2()
     }
 
-    /// How many rows the turning points so far were apart.
+    /// Average distance of the turning points so far, rows.
     fn apart(&self) -> f64 {
         (self.rows - self.since_turn) as f64 / (self.swings.len() + 1) as f64
     }
@@ -277,8 +278,8 @@ impl Trace {
         self.told_by(latest, larger).or_else(|| (!patient || !is_sure(trend(latest))).then(|| self.lasting()))
     }
 
-    /// How far the motion reaches over every [`BEAT`] swings, or over as many more as [`TURNS`] of the slowest mode
-    /// take, m.
+    /// The reach of the motion over every [`BEAT`] swings, or over as many more as [`TURNS`] of the slowest mode take,
+    /// m.
     fn stretches(&self) -> Vec<f64> {
         let (mut stretches, mut first) = (Vec::new(), SETTLING);
         for at in SETTLING..self.swings.len() {
@@ -291,8 +292,8 @@ impl Trace {
         stretches
     }
 
-    /// What the trend of swings tells, where it tells anything: growth only where the motion is `larger` than ever,
-    /// because what grows without being so is the beat of two modes that lie close together.
+    /// The verdict that the trend of swings allows, if any: growth only where the motion is `larger` than ever, because
+    /// what grows without being so is the beat of two modes that lie close together.
     fn told_by(&self, swings: &[f64], larger: bool) -> Option<Verdict> {
         let (slope, error) = trend(swings);
         let sure = is_sure((slope, error));
@@ -300,7 +301,7 @@ impl Trace {
         if sure && slope > 0.0 && larger && self.size() > self.explained {
             return Some(Verdict::Grows);
         }
-        // What shrinks ever more slowly is about to stay.
+        // A motion that shrinks ever more slowly is about to stay.
         (sure && slope < 0.0 && trend(later).0 < 0.5 * trend(earlier).0).then_some(Verdict::Decays)
     }
 
@@ -310,7 +311,7 @@ impl Trace {
         if size > self.explained { Verdict::Vibrates(size) } else { Verdict::Decays }
     }
 
-    /// How far the latest swings reach from peak to peak, m: the median of pairs, which one stray swing does not move.
+    /// The size of the latest swings from peak to peak, m: the median of pairs, which one stray swing does not move.
     fn size(&self) -> f64 {
         let recent = &self.spans[self.spans.len().saturating_sub(LOOK / 2)..];
         let mut sizes: Vec<f64> =
@@ -332,7 +333,7 @@ fn largest(swings: &[f64]) -> f64 {
     swings.iter().copied().fold(0.0, f64::max)
 }
 
-/// Whether a slope with this standard error differs from zero.
+/// Returns true if a slope with this standard error differs from zero.
 fn is_sure((slope, error): (f64, f64)) -> bool {
     slope.abs() > FLAT_SLOPE.max(SIGNIFICANT * error)
 }
@@ -473,7 +474,7 @@ mod tests {
 
     #[test]
     fn a_mode_far_below_the_cutoff_is_followed_for_as_long_as_it_takes() {
-        // What a washout of 2 Hz does below a cutoff of 100 Hz.
+        // The effect of a washout of 2 Hz below a cutoff of 100 Hz.
         for (grows, verdict) in [(-2.0, Verdict::Decays), (-0.5, Verdict::Decays), (0.3, Verdict::Grows)] {
             assert_eq!(judged_below(100.0, 1e-7, modes(&[(1.0, grows, 6.0)])), verdict, "{grows}");
         }

@@ -11,10 +11,10 @@ use haptic_stability::analysis::pose::unit_normal;
 /// Distance between the wall that holds the tip and the one that pulls it aside, m: more than any pull.
 pub const APART: f64 = 0.01;
 
-/// Where the walls that hold the tip stand in the scene. The tested ones come first; one alone is held by its own.
+/// The indices in the scene of the walls that hold the tip. The tested ones come first; one alone is held by its own.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Layout {
-    /// Where the tip is, across the direction of the pulls.
+    /// The wall at the tip's place, across the direction of the pulls.
     pub hold: u8,
     /// At +[`APART`] and -[`APART`] from there.
     pub aside: [u8; 2],
@@ -29,7 +29,8 @@ impl Layout {
     }
 }
 
-/// How many walls can be tested together on a device of `task` dimensions: a scene's, less those that hold the tip.
+/// Largest number of walls that can be tested together on a device of `task` dimensions: a scene's, less those that
+/// hold the tip.
 #[must_use]
 pub fn most_tested(task: usize) -> usize {
     MAX_WALLS - 2 - task
@@ -52,8 +53,8 @@ pub fn complement(normal: &DVector<f64>) -> Vec<DVector<f64>> {
     }
 }
 
-/// Whether a scene is one that a measurement made: flat walls held from both sides, two of them [`APART`] to either
-/// side of the first.
+/// Returns true if a scene is one that a measurement made: flat walls held from both sides, two of them [`APART`] to
+/// either side of the first.
 #[must_use]
 pub fn is_measurement(scene: &Scene<f32>) -> bool {
     let plane = |wall: &Wall<f32>| match wall.surface {

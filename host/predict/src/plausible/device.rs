@@ -25,7 +25,7 @@ const LEAST_COUNTS: f64 = 600.0;
 /// Resistance times inertia over the torque constant's square is the same before and behind a ratio, s: 2 to 30 ms in
 /// motors, and times the ratio's square where the torque constant alone was left without it.
 const MOTOR_SECONDS: f64 = 0.25;
-/// How far a motor may wind its transmission up, rad: cables and belts give by hundredths.
+/// Largest angle by which a motor may wind up its transmission, rad: cables and belts give by hundredths.
 const WOUND_UP: f64 = 0.1;
 /// The voltage that resistance and largest current ask of a supply, V; the boards take up to 56 V.
 const LARGEST_SUPPLY_V: f64 = 120.0;
@@ -67,7 +67,7 @@ pub fn doubts(description: &Description) -> Vec<Doubt> {
     doubts
 }
 
-/// What a file leaves out that decides how stiff a wall can be: what lies between motor and link.
+/// Doubts a file that leaves out the compliance between motor and link, which decides how stiff a wall can be.
 fn forgotten(description: &Description) -> Option<Doubt> {
     let joints = &description.joints[..description.kind.spec().joints];
     let silent = |joint: &Joint| joint.motor.is_some() && joint.transmission.is_none() && !joint.rigid;

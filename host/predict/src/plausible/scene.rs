@@ -30,11 +30,11 @@ const SLOW_HAND: f64 = 0.1;
 /// A wall whose force one encoder count changes by more than this is felt to buzz, N: its ripple is about half of it,
 /// root mean square (docs/encoder-steps.md).
 const BUZZ_N: f64 = 1.0;
-/// A stiffness that nobody feels, N/m.
+/// A stiffness too small to be felt, N/m.
 const NO_WALL: f64 = 1.0;
 /// Poses of each joint in which a device with so many joints is looked at.
 const PER_JOINT: [usize; 3] = [400, 60, 16];
-/// What a wall meets where the tip touches it.
+/// The limits of a wall where the tip touches it.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Contact {
     /// The wall, from 0.
@@ -48,20 +48,20 @@ pub struct Contact {
     /// The same without its feed-forward, N/m; none where it has none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub off_to: Option<f64>,
-    /// What a hand at the tip would feel of that, N/m; none where no transmission gives.
+    /// The stiffness that a hand at the tip would feel of that, N/m; `None` where no transmission gives.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub felt_to: Option<f64>,
     /// Largest damping with which anything is stable, N s/m.
     pub damping_to: f64,
     /// The most that the motors give along the normal, N; none where a joint has no motor.
     pub force: Option<f64>,
-    /// How far the tip moves along the normal in one encoder count, m.
+    /// The motion of the tip along the normal in one encoder count, m.
     pub count: f64,
     /// The largest force that one count alone makes with this wall's gains and this scene's estimator, N.
     pub step_n: f64,
-    /// What `haptic range DEVICE` takes to predict the same.
+    /// The options with which `haptic range DEVICE` predicts the same.
     pub options: String,
-    /// Whether the device is a board's, which does not know what gives in it.
+    /// True if the device was read from a board, which does not know its compliant parts.
     #[serde(skip)]
     pub taken_for_rigid: bool,
 }
@@ -176,8 +176,8 @@ fn held(subject: &Subject, scene: &Scene<f64>, path: &TorquePath) -> Option<Doub
     Some(Doubt::new(key(name), text))
 }
 
-/// What wall `index` of a scene meets at a pose, through this torque path; `None` at a singularity, with an estimator
-/// that has no linear analysis, and where damping is compensated through a transmission that gives.
+/// The limits of wall `index` of a scene at a pose, through this torque path; `None` at a singularity, with an
+/// estimator that has no linear analysis, and where damping is compensated through a transmission that gives.
 pub fn meets(
     subject: &Subject,
     scene: &Scene<f64>,
@@ -221,7 +221,7 @@ pub fn meets(
     })
 }
 
-/// How far the tip moves along a normal in one encoder count, at most, m.
+/// The largest motion of the tip along a normal in one encoder count, m.
 fn count_along(device: &Device<f64>, pose: &TaskPose, normal: &[f64]) -> f64 {
     let per_radian = pose.jacobian.tr_mul(&padded_to(pose.jacobian.nrows(), normal));
     let moved = per_radian.iter().zip(&device.joints).map(|(move_, joint)| (move_ * joint.radians_per_count).abs());
@@ -242,8 +242,8 @@ pub struct MostGains {
 /// A hand that hardly moves, m/s.
 const CREEPING: f64 = 0.01;
 
-/// The most that a wall's gains can mean where it is touched at joint angles `q` (rad); `None` at a singularity, or where
-/// a joint has no motor.
+/// The most that a wall's gains can mean where it is touched at joint angles `q` (rad); `None` at a singularity, or
+/// where a joint has no motor.
 pub fn most_gains(device: &Device<f64>, surface: &Surface<f64>, q: &[f64], limits: &Limits) -> Option<MostGains> {
     let pose = TaskPose::of(&device.mechanism, q).ok()?.regular().ok()?;
     let tip = SVector::from(padded::<3>(&pose.position));
@@ -260,7 +260,7 @@ pub fn most_gains(device: &Device<f64>, surface: &Surface<f64>, q: &[f64], limit
     Some(MostGains { stiffness, damping: force / CREEPING, force })
 }
 
-/// What wall `index` of a scene meets if it is touched at a pose, wherever the wall is.
+/// The limits of wall `index` of a scene if it is touched at a pose, wherever the wall is.
 pub fn at(subject: &Subject, scene: &Scene<f64>, index: usize, q: &[f64], path: &TorquePath) -> Option<Contact> {
     let pose = TaskPose::of(&subject.device.mechanism, q).ok()?;
     let tip = SVector::from(padded::<3>(&pose.position));
@@ -416,8 +416,8 @@ fn touched(device: &Device<f64>, surface: &Surface<f64>) -> Touched {
     }
 }
 
-/// How near a surface the tip comes, negative inside it, and how far off, m; none where the workspace could not be
-/// walked.
+/// The smallest distance of the tip from a surface, negative inside it, and the largest, m; `None` where the workspace
+/// could not be walked.
 fn distances(device: &Device<f64>, surface: &Surface<f64>) -> Option<(f64, f64)> {
     let grid = Reachable::of(device, PER_JOINT[device.mechanism.kind().spec().joints - 1], None).ok()?;
     let distances = grid.indices().filter_map(|index| {

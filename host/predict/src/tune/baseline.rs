@@ -10,7 +10,7 @@ use serde::Serialize;
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Baseline {
     /// Rate, estimator, cutoff, damping and feed-forward of the scene, with the largest stiffness that keeps
-    /// everything; 0 where there is none.
+    /// everything; 0 if no stiffness does.
     #[serde(flatten)]
     pub settings: Settings,
     /// Ripple at that stiffness, N.

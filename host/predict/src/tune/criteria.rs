@@ -1,4 +1,5 @@
-//! What a wall must keep: stability within the margins, the motors, ripple under two hands, and few rebounds after a tap.
+//! The criteria for a wall: stability within the margins, the motors, ripple under two hands, and few rebounds after a
+//! tap.
 
 use super::margins::Corner;
 use super::{Found, Question, Settings, check, measured, three_digits};
@@ -13,8 +14,8 @@ use haptic_stability::analysis::range::{boundary_of, stiffnesses};
 use haptic_stability::sweep::Sweep;
 use serde::{Deserialize, Serialize};
 
-/// How often the tip may leave a wall again that it taps with 0.2 m/s, pushed with 3 N: a finger feels one rebound as
-/// hardness and more as rattling.
+/// Largest number of times that the tip may leave a wall again that it taps with 0.2 m/s, pushed with 3 N: a finger
+/// feels one rebound as hardness and more as rattling.
 pub const MOST_REBOUNDS: usize = 1;
 
 /// Dampings of a curve; the largest as a share of where it ends, and the smallest as a share of that, but not so small
@@ -68,7 +69,7 @@ pub(super) struct SearchContext<'a> {
     pub steps: f64,
 }
 
-/// What a candidate can have at most: kp within the margins and the motors over damping.
+/// The largest gains of a candidate: kp within the margins and the motors over damping.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Curve {
     pub points: Vec<(f64, f64)>,
@@ -108,7 +109,7 @@ impl<'a> SearchContext<'a> {
         })
     }
 
-    /// Whether (4) differs from Jᵀ here.
+    /// Returns true if equation (4) differs from Jᵀ here.
     pub fn is_coupled(&self) -> bool {
         self.nominal.w_eff().is_some_and(|w_eff| self.nominal.w_rr() / w_eff > 1.0 + 1e-3)
     }
@@ -153,7 +154,7 @@ impl<'a> SearchContext<'a> {
         Ok(Some(least))
     }
 
-    /// The same at the settings' own damping, 0 where there is none, N/m.
+    /// The same at the settings' own damping, N/m; 0 if no stiffness is allowed.
     pub fn most(&self, settings: &Settings) -> Result<f64, Failure> {
         Ok(self.allowed(settings, &[settings.damping])?.map_or(0.0, |most| most[0]))
     }
@@ -166,7 +167,7 @@ impl<'a> SearchContext<'a> {
         Ok(ripple_n.filter(|ripple| holds && *ripple <= bound))
     }
 
-    /// Whether a tip that taps it leaves it no more often than it may.
+    /// Returns true if a tip that taps the wall leaves it no more often than it may.
     pub fn tapped(&self, settings: &Settings) -> Result<bool, Failure> {
         let Question { file, q, normal, admissible, .. } = self.question;
         let simulation = WallSimulation::new(&file.description, &file.description, q, normal, settings.rate_hz)?;

@@ -1,4 +1,4 @@
-//! What stops the wall that was found: what each limit alone would allow, and what lies beside it.
+//! The limits of the wall that was found: what each alone would allow, and what lies beside the wall.
 
 use super::criteria::SearchContext;
 use super::{Found, STIFFNESS_RATIO, Settings, ripple, three_digits};
@@ -8,7 +8,7 @@ use haptic_stability::analysis::error::AnalysisError;
 use haptic_stability::analysis::range::stiffnesses;
 use serde::Serialize;
 
-/// How much more and less is tried to say what stops it.
+/// Factor by which gains are raised and lowered to find the limits.
 pub(super) const MORE: f64 = 1.15;
 
 /// Limits that are looked for by simulation.
@@ -17,7 +17,8 @@ const ON_BOARD: &str = "ripple on the simulated board";
 const REBOUNDS: &str = "rebounds after a tap";
 const MARGINS: &str = "all margins together";
 const MOTORS: &str = "motors and encoder counts";
-/// Where they are looked for, as shares of the wall's stiffness, and where the last, which takes longest.
+/// The stiffnesses at which these limits are looked for, as shares of the wall's, and those for the last limit, which
+/// takes longest.
 const TRIED: [f64; 7] = [STIFFNESS_RATIO, 1.06, MORE, 1.25, 1.5, 2.0, 4.0];
 const TRIED_ON_BOARD: [f64; 2] = [STIFFNESS_RATIO, MORE];
 /// A limit that binds nothing, beside which the others are read.
@@ -39,15 +40,15 @@ pub struct Beside {
     pub stiffness: f64,
     /// N s/m
     pub damping: f64,
-    /// Whether it is stable within the margins, and the motors have it.
+    /// True if the wall is stable within the margins and the motors can render it.
     pub allowed: bool,
     /// N; none where the tip flies off.
     pub ripple_n: Option<f64>,
-    /// Whether a tip that taps it leaves it too often.
+    /// True if a tip that taps the wall leaves it too often.
     pub rebounds: bool,
 }
 
-/// What stops the wall: each limit alone, and what more damping would bring.
+/// The limits of the wall: each alone, and what more damping would bring.
 pub(super) fn limits(
     context: &SearchContext<'_>,
     best: &Found,
@@ -108,8 +109,8 @@ fn first(limits: &[Limit], settings: &Settings, damped: f64) -> &'static str {
     if limit == MARGINS && settings.damping * STIFFNESS_RATIO > damped { "motors and damping" } else { limit }
 }
 
-/// The largest stiffness at which this wall still keeps something, as far as `factors` of its own are tried; none where it
-/// keeps it at the last of them.
+/// The largest stiffness at which this wall still keeps something, as far as `factors` of its own are tried; none where
+/// it keeps it at the last of them.
 fn up_to(
     settings: &Settings,
     factors: &[f64],

@@ -1,5 +1,5 @@
-//! How far a device may be from its file, as loops that must be stable as well, and as devices on which a wall must not
-//! ripple more.
+//! The deviations of a device from its file, as loops that must be stable as well, and as devices on which a wall must
+//! not ripple more.
 //!
 //! A torque constant that is larger than the file says is a device that is lighter by the same factor, which the
 //! controller does not know; so is a device whose every mass is smaller. An error of its distribution, some links and
@@ -23,7 +23,7 @@ use serde::Serialize;
 pub const HANDS: [Hand; 2] =
     [Hand { mass: 0.05, damping: 3.0, stiffness: 200.0 }, Hand { mass: 0.3, damping: 10.0, stiffness: 1000.0 }];
 
-/// How far the device may be from its file.
+/// The deviations of the device from its file that are allowed for.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Margins {
     /// Factor by which the motors may be stronger or weaker; 1 for none.
@@ -38,7 +38,7 @@ pub struct Margins {
     pub friction: f64,
     /// Share by which a count may be coarser or finer.
     pub counts: f64,
-    /// Whether it must be stable in `HANDS` as well.
+    /// True if it must be stable in `HANDS` as well.
     pub hand: bool,
 }
 
@@ -60,8 +60,7 @@ pub(super) struct Corner {
 }
 
 impl Corner {
-    /// The loop around it. Compensated damping is analysed where nobody holds the device; in a hand it is small beside
-    /// the hand's.
+    /// The loop around it. Compensated damping is analysed without a hand; in a hand it is small beside the hand's.
     pub fn around(&self, around: &Loop) -> Loop {
         Loop {
             delay_samples: around.delay_samples + self.delay_s * around.rate_hz,

@@ -17,8 +17,8 @@ use haptic_stability::sweep::Sweep;
 use serde::Serialize;
 use std::time::Duration;
 
-/// How deep the hand aims (m), which its arm of 250 N/m makes 3 N, how far it slides (m), and when: how long it is
-/// waited for and watched, s.
+/// Depth at which the hand aims (m), which its arm of 250 N/m makes 3 N, the distance that it slides (m), and the times
+/// for which it is waited for and watched, s.
 const DEPTH: f64 = 0.012;
 const SLIDE: f64 = 0.02;
 const SETTLE: f64 = 1.5;
@@ -28,7 +28,7 @@ const HELD: f64 = 1.0;
 /// The measurement's own limits, N m and m: as `haptic measure-range` has them.
 const TORQUE: f64 = 1.0;
 const PULL: f64 = 0.5e-3;
-/// How fast the tip is held between trials, Hz: softly, whatever the encoders.
+/// Frequency of the hold of the tip between trials, Hz: softly, whatever the encoders.
 const HOLD_HZ: f64 = 40.0;
 
 /// The measurements of the board.

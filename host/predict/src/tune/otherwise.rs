@@ -1,4 +1,4 @@
-//! What the feed-forwards that were not taken would bring, and what they would cost.
+//! The gains and costs of the feed-forwards that were not chosen.
 
 use super::criteria::SearchContext;
 use super::{Found, Settings, ripple, stiffest};

@@ -4,8 +4,8 @@
 //! wall that is near the best so far is tried, and one that keeps what is asked for is made stiffer. Candidates whose
 //! curve lies below are not simulated. They are looked at in rounds of a fixed size, so the answer does not depend on
 //! the number of cores. Around the best of each estimator the search goes on between the values of the grid. What it
-//! finds is pressed on the simulated board, which takes longest, and made softer until it is quiet there as well; and the
-//! best of all is made stiffer by steps until none keeps everything.
+//! finds is pressed on the simulated board, which takes longest, and made softer until it is quiet there as well; and
+//! the best of all is made stiffer by steps until none keeps everything.
 
 use super::criteria::{Curve, SearchContext};
 use super::limits::MORE;
@@ -27,19 +27,21 @@ const NEAR: f64 = 0.85;
 /// With another feed-forward, and on the board, the search goes down to this share of the stiffest wall so far, so that
 /// there is a result to compare.
 const COMPARED_SHARE: f64 = 0.7;
-/// Where nothing is known yet, walls from this share of the encoders' rule of thumb on are tried, in such steps.
+/// Without a result so far, walls from this share of the encoders' rule of thumb on are tried, in such steps.
 const BEGIN: f64 = 0.1;
 const STEP: f64 = 1.5;
 /// The best of all is made stiffer by these factors until none keeps everything: friction or a limit cycle may make a
 /// stiffer wall the quieter.
 const HIGHER: [f64; 5] = [1.5, 1.25, MORE, 1.06, STIFFNESS_RATIO];
-/// Around the best of how many estimators the search goes on, how often, and by which factors of cutoff or window, and damping.
+/// Around the best of how many estimators the search goes on, how often, and by which factors of cutoff or window, and
+/// damping.
 const REFINED: usize = 4;
 const REFINEMENTS: usize = 5;
 const CUTOFFS: [f64; 5] = [1.0, 0.7, 1.4, 0.5, 2.0];
 const WIDTHS: [f64; 3] = [1.0, 0.75, 1.5];
 const DAMPINGS: [f64; 7] = [1.0, 0.87, 1.15, 0.74, 1.35, 0.55, 1.8];
-/// How many walls are pressed on the board at once and at most, and from one press to the next softer one.
+/// Number of walls that are pressed on the board at once and at most, and the ratio from one press to the next softer
+/// one.
 const PRESSED_AT_ONCE: usize = 4;
 const MOST_PRESSED: usize = 12;
 const SOFTER: f64 = 1.12;
@@ -47,7 +49,7 @@ const SOFTER: f64 = 1.12;
 const WASHOUTS_HZ: [f64; 5] = [20.0, 10.0, 5.0, 2.0, 1.0];
 const KEEPS: f64 = 0.98;
 
-/// What a search found beside the settings that it began with: stiffness, damping, and both ripples.
+/// The results of a search beside the settings that it began with: stiffness, damping, and both ripples.
 type Gains = ([f64; 3], Option<f64>);
 
 fn gains(found: Found) -> Gains {
@@ -74,7 +76,8 @@ impl SearchContext<'_> {
             let mut candidates: Vec<(Settings, Curve)> =
                 combinations.into_iter().zip(curves).filter_map(|(settings, curve)| Some((settings, curve?))).collect();
             looked_at.0 += candidates.len();
-            // Where they promise as much the faster first, which has more in reserve. Stable: equals stay in their order.
+            // Of equal promise, the faster comes first, which has more in reserve. The sort is stable: equals stay in
+            // their order.
             candidates.sort_by(|(one, a), (other, b)| {
                 b.top().total_cmp(&a.top()).then_with(|| other.rate_hz.total_cmp(&one.rate_hz))
             });
@@ -105,7 +108,7 @@ impl SearchContext<'_> {
         waiting.retain(|found| seen.insert((found.settings.estimator, found.settings.feed_forward.name())));
         waiting.truncate(MOST_PRESSED);
         for (round, some) in waiting.chunks(PRESSED_AT_ONCE).enumerate() {
-            // What no estimator's best comes near need not be known exactly.
+            // Results well below the stiffest so far need not be known exactly.
             let floor = COMPARED_SHARE * stiffest(&done).map_or(0.0, |found| found.settings.stiffness);
             let results = self.sweep.map(&format!("on the board, round {}", round + 1), some, |found| {
                 let top = found.settings.stiffness;
@@ -142,7 +145,7 @@ impl SearchContext<'_> {
         }
     }
 
-    /// What is there already, if it keeps everything.
+    /// The known settings, if they keep everything.
     fn known(&self) -> Result<Option<Found>, Failure> {
         let Some(known) = self.question.known.filter(|known| known.stiffness > 0.0) else { return Ok(None) };
         self.sweep

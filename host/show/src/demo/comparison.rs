@@ -1,4 +1,4 @@
-//! What became better and what became worse with the feed-forward, in the words that the report and the picture share.
+//! Changes for the better and for the worse with the feed-forward, in the words that the report and the picture share.
 
 use super::crossing::Crossing;
 use std::cmp::Ordering;
@@ -6,7 +6,7 @@ use std::cmp::Ordering;
 /// Changes smaller than this count as none: the printed digits do not show them.
 const SAME: f64 = 0.005;
 
-/// What changed for the hand.
+/// Changes for the hand.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Comparison {
     /// Such as "83 % less vibration under the resting hand".

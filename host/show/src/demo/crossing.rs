@@ -8,11 +8,11 @@ use haptic_host::link::{Board, Row, columns, fields};
 use haptic_sim::{BoardOptions, Hand, HandSettings, Intent, Options, SharedBoard, Waypoint, ready_board};
 use std::time::Duration;
 
-/// How far above the wall the hand begins, m.
+/// Height above the wall at which the hand begins, m.
 const ABOVE: f64 = 0.006;
-/// How far below its surface the hand aims, m: its arm's 250 N/m then press with about 5 N.
+/// Depth below the wall's surface at which the hand aims, m: its arm's 250 N/m then press with about 5 N.
 const AIM: f64 = 0.02;
-/// How far it slides, m: short of where the device's distal links come in line.
+/// Distance that it slides, m: short of where the device's distal links come in line.
 pub const SLIDE: f64 = 0.02;
 /// When the hand begins to move (the torque's ramp after arming is over), s after arming.
 const BEGIN: f64 = 0.6;
@@ -40,7 +40,7 @@ pub struct Moment {
     pub touching: bool,
 }
 
-/// What came of a crossing.
+/// Result of a crossing.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Crossing {
     /// Every control step.
@@ -55,7 +55,7 @@ pub struct Crossing {
     pub bounces: usize,
     /// Rows of telemetry lost.
     pub lost: u64,
-    /// Whether the board tripped a fault.
+    /// The fault that the board tripped, if any.
     pub fault: Option<String>,
 }
 

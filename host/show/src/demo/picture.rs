@@ -17,7 +17,7 @@ const GAP: f64 = 74.0;
 /// Between the two columns: room for the right one's scale.
 const BETWEEN: f64 = 84.0;
 
-/// What one row of panels shows; both panels of a row have the same scale.
+/// Contents of one row of panels; both panels of a row have the same scale.
 struct Row {
     title: &'static str,
     axis: &'static str,

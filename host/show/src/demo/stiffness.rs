@@ -19,9 +19,9 @@ use haptic_stability::analysis::several::Member;
 /// Measured and predicted, N/m.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limit {
-    /// Where the simulated board began to oscillate.
+    /// Stiffness at which the simulated board began to oscillate.
     pub measured: f64,
-    /// Where theory says that it does.
+    /// Stiffness at which theory says that it does.
     pub predicted: f64,
     /// The delay that the board reports and theory reckons with, control samples.
     pub delay_samples: f64,

@@ -13,11 +13,11 @@ use std::time::{Duration, Instant};
 
 /// The handle that programs ask for: it does not turn, and its buttons are not pressed.
 const GRIP: &str = "HB00";
-/// What Haply's service calls an Inverse3 in its `device_type`.
+/// Number of an Inverse3 in the `device_type` of Haply's service.
 const INVERSE3: u32 = 4;
 /// Most simulated time that passes at once.
 const MOST_AT_ONCE: Duration = Duration::from_millis(100);
-/// What a program sends where a person would type a command.
+/// Commands that a person would type, and what a program sends instead.
 const CALLS: [(&str, &str); 1] = [(CLEARING, "`clear_fault`")];
 
 /// A board that programs take for a device of Haply's.
@@ -28,7 +28,7 @@ pub struct Inverse3 {
     simulated: bool,
     looked: Instant,
     last: ForceAnswer,
-    /// Whether `last` answers what was asked last.
+    /// True if `last` answers the latest request.
     answered: bool,
     /// The fault that is latched.
     fault: Option<FaultRecord>,
@@ -37,11 +37,11 @@ pub struct Inverse3 {
     /// The step from which on a force arms, after a fault was cleared.
     arms_from: Option<u32>,
     armed: bool,
-    /// Whether the next force arms: the first of a program. Who turned the motors off meanwhile meant it.
+    /// True if the next force arms: the first of a program. Motors that go off meanwhile were turned off on purpose.
     may_arm: bool,
     /// The axes of the program that is connected.
     basis: Basis,
-    /// How many programs have used it.
+    /// Number of programs that have used it.
     sessions: u32,
     told: Vec<String>,
 }
@@ -182,7 +182,7 @@ impl Inverse3 {
         self.fault = self.session.fault();
         if self.armed && self.last.state != State::Armed {
             self.armed = false;
-            // That it fell silent, a program that connects anew has seen; what else came, a person has to look at.
+            // A program that connects again has seen that it fell silent; a person has to look at any other fault.
             self.tripped = self.fault.is_some_and(|fault| fault.fault == Fault::HostLost);
             let why = self.fault.map_or_else(|| "another tool did it".into(), |fault| words(&fault));
             let on =

@@ -1,14 +1,14 @@
-//! What a program asks for, in the JSON of Haply's service: forces in both of its spellings, `values` (3.1) and `vector`
+//! A program's request in the JSON of Haply's service: forces in both of its spellings, `values` (3.1) and `vector`
 //! (3.5), and the axes that it wants them in.
 
 use serde_json::Value;
 use std::fmt;
 use std::str::FromStr;
 
-/// What a program asks for with one message.
+/// The request in one message of a program.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Wish {
-    /// Force, N, in the program's axes; `None` if there is none or it is marked as not to be executed.
+    /// Force, N, in the program's axes; `None` if the message has no force or marks it as not to be executed.
     pub force: Option<[f64; 3]>,
     /// It asks for the full state once.
     pub full: bool,
@@ -58,7 +58,7 @@ impl Wish {
         for (name, value) in entries(settings) {
             match name.as_str() {
                 "basis" => self.basis = Some(value["permutation"].as_str().unwrap_or_default().parse()?),
-                // What the program is called.
+                // The program's name.
                 "profile" => {}
                 other => self.others.push(format!("configure.{other}")),
             }

@@ -1,5 +1,5 @@
-//! What the terminal shows: state, tip and walls, two signals, numbers, what was said, keys. It fits any size: parts
-//! are left out where there is no room, but never the state or the last message.
+//! The terminal's screen: state, tip and walls, two signals, numbers, what was said, keys. It fits any size: parts are
+//! left out if there is no room, but never the state or the last message.
 
 use super::seen::{Seen, Trace, WallSeen, number, numbers};
 use crate::outline::Outline;
@@ -64,7 +64,7 @@ pub fn draw(frame: &mut Frame<'_>, seen: &Seen) {
     }
 }
 
-/// How many lines words take when they are wrapped.
+/// Number of lines that words take when they are wrapped.
 fn lines_of(words: &str, width: u16) -> u16 {
     let (mut lines, mut column) = (1, 0);
     for word in words.split_whitespace().map(|word| word.chars().count()) {
@@ -74,7 +74,7 @@ fn lines_of(words: &str, width: u16) -> u16 {
     lines
 }
 
-/// Whether the motors are on comes first where there is no room for all.
+/// The line of the board's state. The state of the motors comes first, in case there is no room for all.
 fn state(seen: &Seen, width: u16) -> Line<'_> {
     let device = seen.hello["device"].as_str().unwrap_or("no board yet");
     let badge = |words, colour| Span::styled(format!(" {words} "), Style::new().bg(colour).fg(Color::Black));

@@ -1,4 +1,4 @@
-//! What the terminal has heard of the board.
+//! Everything that the terminal has heard of the board.
 
 use crate::outline::Outline;
 use crate::view::message::{FromPage, ScopeRequest};
@@ -16,13 +16,13 @@ pub struct WallSeen {
     pub shape: String,
     /// The shape's numbers, in the order of scene files.
     pub values: Vec<f64>,
-    /// What is drawn of it, if anything can be.
+    /// The outline that is drawn of it, if it can be drawn.
     pub outline: Option<Outline>,
     /// N/m
     pub stiffness: f32,
     /// N s/m
     pub damping: f32,
-    /// How its force is fed forward.
+    /// The kind of feed-forward of its force.
     pub feed_forward: FeedForward,
 }
 
@@ -47,7 +47,7 @@ pub struct Seen {
     pub plane: Value,
     /// The newest picture.
     pub picture: Value,
-    /// Why there is no board, where there is none.
+    /// The reason why there is no board; `None` while there is one.
     pub lost: Option<String>,
     /// The last thing that was refused or done, and whether it is bad.
     pub said: Option<(String, bool)>,
@@ -57,7 +57,7 @@ pub struct Seen {
     /// Signals that are drawn.
     pub signals: [String; 2],
     window: usize,
-    /// What they were.
+    /// Traces of these signals over the window.
     pub traces: Vec<Trace>,
     was_held: bool,
 }
@@ -222,7 +222,7 @@ impl Seen {
         (self.hello["task"] == 1).then_some(radius)
     }
 
-    /// Where a place of the task, m, is in the plane that is drawn.
+    /// The position of a place of the task, m, in the plane that is drawn.
     pub fn placed(&self, place: (f64, f64)) -> (f64, f64) {
         self.arc().map_or(place, |radius| (radius * (place.0 / radius).cos(), radius * (place.0 / radius).sin()))
     }
@@ -232,7 +232,7 @@ impl Seen {
         numbers(&self.picture["geometry"]["tip"])
     }
 
-    /// Whether this terminal commands.
+    /// Returns true if this terminal commands.
     pub fn commands(&self) -> bool {
         self.picture["command"] == self.you
     }
@@ -242,7 +242,7 @@ impl Seen {
         if self.commands() { FromPage::Give {} } else { FromPage::Take {} }
     }
 
-    /// Whether a recording is under way.
+    /// Returns true while a recording is under way.
     pub fn is_recording(&self) -> bool {
         !self.picture["recording"].is_null()
     }
@@ -252,12 +252,12 @@ impl Seen {
         self.picture["step"].as_u64().unwrap_or(0) as u32
     }
 
-    /// Whether the stage holds the motors on for a key.
+    /// Returns true while the stage holds the motors on for a key.
     pub fn held(&self) -> bool {
         self.picture["held"] == true
     }
 
-    /// Whether it did when this terminal last held one.
+    /// Returns true if the stage held the motors on when this terminal last held a key.
     pub fn was_held(&self) -> bool {
         self.was_held
     }

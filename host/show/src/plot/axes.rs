@@ -8,7 +8,7 @@ const TEXT: f64 = 12.0;
 /// One quantity along an axis.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Axis {
-    /// What it is, such as "stiffness kp".
+    /// Its name, such as "stiffness kp".
     pub name: String,
     /// SI unit, such as "N/m".
     pub unit: String,
@@ -18,7 +18,7 @@ pub struct Axis {
     pub high: f64,
 }
 
-/// Where the frame lies on the canvas, in pixels, and what it shows.
+/// A plot's frame: its place on the canvas, in pixels, and its axes.
 #[derive(Clone, Debug)]
 pub struct PlotArea {
     /// Left and top edge.
@@ -31,7 +31,7 @@ pub struct PlotArea {
     pub y: Axis,
 }
 
-/// What a legend entry looks like.
+/// The symbol of a legend entry.
 pub enum Mark<'a> {
     /// A line.
     Line(Stroke<'a>),
@@ -214,7 +214,7 @@ impl PlotArea {
     }
 }
 
-/// Whether a line through these points (or the only one of them) has a part in the box between two corners.
+/// Returns true if a line through these points (or the only one of them) has a part in the box between two corners.
 pub(super) fn passes(line: &[(f64, f64)], low: (f64, f64), high: (f64, f64)) -> bool {
     let within = |from: (f64, f64), to: (f64, f64)| {
         // The part of the line from 0 to 1 that lies between the left and the right edge, and of that between the

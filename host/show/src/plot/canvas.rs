@@ -9,7 +9,7 @@ use super::colour::INK;
 /// Font family of every text; compiled in for PNG, with a fallback for SVG viewers.
 pub const FONT: &str = "DejaVu Sans";
 
-/// Where a text sits relative to its point.
+/// Alignment of a text relative to its point.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Anchor {
     /// Starts there.
@@ -20,7 +20,7 @@ pub enum Anchor {
     End,
 }
 
-/// How a line is drawn.
+/// Style of a line.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Stroke<'a> {
     /// Any SVG colour.

@@ -14,7 +14,7 @@ pub const HOST: &str = "#CC79A7";
 pub const BOUND: &str = "#7A5195";
 /// Frames, ticks and text.
 pub const INK: &str = "#222222";
-/// What should stay behind.
+/// Colour of what should stay in the background.
 pub const FAINT: &str = "#9a9a9a";
 
 /// Above the end of the scale.

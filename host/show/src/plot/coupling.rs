@@ -19,7 +19,7 @@ use nalgebra::{DVector, Vector3};
 
 /// Side of each drawing, pixels.
 const SIDE: f64 = 380.0;
-/// How far the drawn motion takes the tip, as a share of the drawing.
+/// Distance by which the drawn motion moves the tip, as a share of the drawing.
 const MOTION: f64 = 0.1;
 /// Directions around a half turn, and around a whole one, of a surface.
 const AROUND: (usize, usize) = (24, 48);

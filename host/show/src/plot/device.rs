@@ -85,7 +85,7 @@ pub fn draw(description: &Description, name: &str, q: &[f64], lines: &[String]) 
     Ok(Some(canvas.finish(&title, "The linkage, its joints with their zero angles and directions, and its reach.")))
 }
 
-/// Where the tip can be, as outlines; nothing for a paddle, whose reach is a line.
+/// The area that the tip can reach, as outlines; empty for a paddle, whose reach is a line.
 fn reach(description: &Description) -> Result<Vec<Vec<Point>>, PoseError> {
     let spec = description.kind.spec();
     if spec.joints == 1 {
@@ -96,7 +96,7 @@ fn reach(description: &Description) -> Result<Vec<Vec<Point>>, PoseError> {
     Ok(cut.tiles(coarse).into_iter().map(|tile| tile.outline).collect())
 }
 
-/// What the drawing of a mechanism cannot say by itself.
+/// Facts about a mechanism that its drawing cannot show by itself.
 fn notes(description: &Description) -> Vec<String> {
     let side = if description.geometry[5] < 0.0 { "right" } else { "left" };
     let assembly =
@@ -258,7 +258,7 @@ fn arc(
     canvas.coloured_text(label.at, 12.0, label.anchor, colour, &label.text);
 }
 
-/// What stands beside a joint.
+/// A text beside a joint.
 struct Label {
     text: String,
     at: (f64, f64),
@@ -266,7 +266,7 @@ struct Label {
 }
 
 impl Label {
-    /// Where it covers the drawing.
+    /// The part of the drawing that it covers.
     fn area(&self) -> Area {
         let width = 6.1 * self.text.chars().count() as f64;
         let start = if self.anchor == Anchor::End { self.at.0 - width } else { self.at.0 };
@@ -306,7 +306,7 @@ fn label(frame: &PlotArea, angle: &Angle, skeleton: &Skeleton) -> Label {
     places.into_iter().nth(free).unwrap_or_else(|| at(shift, below, anchor))
 }
 
-/// Where the turret's axis is named.
+/// The area of the label that names the turret's axis.
 fn turret_label(frame: &PlotArea, kind: Kind) -> Option<Area> {
     const LONG: f64 = 100.0;
     let origin = frame.pixel(0.0, 0.0);

@@ -34,7 +34,7 @@ const RADIUS: f64 = 0.36 * SPACING;
 pub struct Chart {
     /// The picture.
     pub picture: Picture,
-    /// Where places lie in it.
+    /// The frame that gives places their pixels.
     pub frame: PlotArea,
     /// The share at the top of the colour scale; what is above is [`ABOVE`].
     pub top: f64,
@@ -250,7 +250,7 @@ fn colour_bar(canvas: &mut Canvas, frame: &PlotArea, step: f64, top: f64, highes
     canvas.text((left + 88.0, middle), 12.5, Anchor::Middle, true, "coupling (Wrr - Weff)/Wrr");
 }
 
-/// What the marks mean: an ellipse of a round mass, and the linkage.
+/// Draws the key of the marks: an ellipse of a round mass, and the linkage.
 fn key(canvas: &mut Canvas, y: f64, typical: Option<f64>, home: bool) {
     let mut x = 86.0;
     if let Some(typical) = typical {

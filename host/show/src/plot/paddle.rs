@@ -1,5 +1,5 @@
-//! What a map is to a device with one joint: nothing couples and the inertia is the same everywhere, so the picture
-//! shows the reach of the handle and what it weighs there.
+//! The counterpart of a map for a device with one joint: nothing couples and the inertia is the same everywhere, so the
+//! picture shows the reach of the handle and what it weighs there.
 
 use haptic_bridge::model::description::Description;
 

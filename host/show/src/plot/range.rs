@@ -25,7 +25,7 @@ pub struct MeasuredPoint {
     pub high: f64,
 }
 
-/// What goes into the picture.
+/// Contents of the picture.
 #[derive(Clone, Debug)]
 pub struct Contents<'a> {
     /// Heading, such as the device and the loop.
@@ -142,7 +142,7 @@ struct Bound {
     name: &'static str,
     dash: &'static str,
     line: Vec<(f64, f64)>,
-    /// Where it lies, in words, if not where it can be seen.
+    /// Its place in words, if it cannot be seen in the picture.
     elsewhere: Option<String>,
 }
 
@@ -178,7 +178,7 @@ fn bounds(passivity: &Passivity, frame: &PlotArea) -> Vec<Bound> {
     bounds
 }
 
-/// What the legend's symbols stand for, with the values that they have here, and what lies where it cannot be seen.
+/// The meaning of the legend's symbols, with the values that they have here, and the bounds that cannot be seen.
 fn symbols(passivity: &Passivity, bounds: &[Bound]) -> Vec<String> {
     let mut lines = vec![
         "Weff, Wrr: the inertia that the wall meets; passive: no hand makes it oscillate, without feed-forward".into(),

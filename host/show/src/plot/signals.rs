@@ -1,6 +1,6 @@
 //! Pictures of a recording: signals over time, force over penetration, spectrum, phase.
 //!
-//! What is drawn is worked out first, as points in SI units ([`panels`]), and then put on paper ([`draw`]). A row that
+//! The curves are worked out first, as points in SI units ([`panels`]), and then put on paper ([`draw`]). A row that
 //! was lost is a gap: no line leads over it.
 
 mod contact;
@@ -16,7 +16,7 @@ use haptic_stability::analysis::amplitudes::{SpectralLine, Spectrum, spectrum};
 pub use paper::draw;
 use serde::Serialize;
 
-/// What can be drawn of a recording.
+/// A view of a recording that can be drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum View {
@@ -36,7 +36,7 @@ impl View {
         [("time", Self::Time), ("force", Self::Force), ("spectrum", Self::Spectrum), ("phase", Self::Phase)];
 }
 
-/// What is asked of a recording.
+/// A request for pictures of a recording.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Request {
     /// Which views; none: those that the recording has the columns for.
@@ -52,7 +52,7 @@ pub struct Request {
 /// A quantity along an axis.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Quantity {
-    /// What it is.
+    /// Its name.
     pub name: String,
     /// SI unit.
     pub unit: String,
@@ -61,7 +61,7 @@ pub struct Quantity {
 /// A line of a panel, in pieces where rows are missing.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Curve {
-    /// What it shows.
+    /// Its name.
     pub name: String,
     /// Points in SI units.
     pub pieces: Vec<Vec<(f64, f64)>>,
@@ -70,7 +70,7 @@ pub struct Curve {
 /// One coordinate system.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Panel {
-    /// What it shows.
+    /// The view that it belongs to.
     pub view: View,
     /// Along the horizontal axis.
     pub x: Quantity,
@@ -80,11 +80,11 @@ pub struct Panel {
     pub curves: Vec<Curve>,
     /// Ends of the straight line through its points, where there is one.
     pub line: Option<[(f64, f64); 2]>,
-    /// What a reader has to know, above the frame.
+    /// A note for the reader, above the frame.
     pub note: String,
 }
 
-/// What a recording says in numbers.
+/// The findings of a recording in numbers, and its panels.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Found {
     /// Rows that are drawn, the seconds that they cover, and rows that are missing between them.
@@ -101,9 +101,9 @@ pub struct Found {
     pub contact_rows: usize,
     /// Of these, rows in which a limit cut the force; none where the recording does not say.
     pub saturated_rows: Option<usize>,
-    /// What a reader has to know beside the panels.
+    /// Notes for the reader beside the panels.
     pub said: Vec<String>,
-    /// What is drawn.
+    /// The panels to draw.
     pub panels: Vec<Panel>,
     /// Rows of which a phase portrait is drawn as one.
     #[serde(skip)]
@@ -175,13 +175,13 @@ impl<'a> Rows<'a> {
         self.stretches.windows(2).map(piece).collect()
     }
 
-    /// How many rows are drawn as one where single rows show encoder steps: at least a millisecond; at a kilohertz and
-    /// below every row by itself.
+    /// Number of rows that are drawn as one because single rows show encoder steps. Together they last at least a
+    /// millisecond; at a kilohertz and below every row is drawn by itself.
     fn together(&self) -> usize {
         (self.rate_hz / SMOOTHED_HZ).ceil().max(1.0) as usize
     }
 
-    /// Whether a limit cut the force of a row; none where the recording does not say.
+    /// A test for rows whose force was cut by a limit; `None` if the recording does not say.
     fn cut(&self) -> Option<impl Fn(&[f64]) -> bool> {
         let names = (0..MAX_JOINTS).map(|joint| format!("saturated{joint}"));
         let columns: Vec<usize> = names.filter_map(|name| self.recording.column(&name)).collect();
@@ -192,7 +192,7 @@ impl<'a> Rows<'a> {
 /// A phase portrait of faster rows is drawn of means: differences between single rows are encoder steps, whose speeds
 /// make an area of its line.
 const SMOOTHED_HZ: f64 = 1000.0;
-/// What is slower is a motion, no vibration, Hz.
+/// Anything slower is a motion and no vibration, Hz.
 const SLOW_HZ: f64 = 10.0;
 /// A millionth of the strongest line is nothing.
 const FLOOR: f64 = 1e-6;
@@ -338,7 +338,7 @@ fn amplitudes(rows: &Rows<'_>, signals: &[String]) -> Result<(Panel, Option<Spec
         }
         let shown = lines.iter().filter(|line| line.frequency <= most);
         let highest = lines.iter().fold(0.0, |highest: f64, line| highest.max(line.amplitude));
-        // What never moved lies where a unit's floor is, and not thousands of decibels below it.
+        // A signal that never moved lies at its unit's floor, and not thousands of decibels below it.
         let highest = if highest > 0.0 { highest } else { 1.0 };
         let points = shown.map(|line| (line.frequency, 20.0 * line.amplitude.max(FLOOR * highest).log10())).collect();
         panel.curves.push(Curve { name: signal.clone(), pieces: vec![points] });
@@ -399,8 +399,8 @@ fn smoothed(panel: &Panel, together: usize) -> Panel {
     smooth
 }
 
-/// Whether the values of a panel's first curve go somewhere, and do not only jump: the mean square from point to point
-/// (von Neumann 1941) is below their variance, of which noise has twice as much.
+/// Returns true if the values of a panel's first curve go somewhere, and do not only jump: the mean square from point
+/// to point (von Neumann 1941) is below their variance, of which noise has twice as much.
 fn moves(panel: &Panel) -> bool {
     let values = || panel.curves[0].pieces.iter().flatten().map(|point| point.1);
     let count = values().count().max(1) as f64;

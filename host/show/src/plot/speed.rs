@@ -1,4 +1,4 @@
-//! What each way of computing the control step costs on the chip, over what error it leaves.
+//! The cost on the chip of each way of computing the control step, over the error that it leaves.
 
 use super::Picture;
 use super::axes::{Axis, Mark, PlotArea};

@@ -1,4 +1,4 @@
-//! What a recording is of: read from the board once, written at the head of every file.
+//! The subject of a recording: read from the board once, written at the head of every file.
 
 use haptic_bridge::servo::Rules;
 use haptic_host::backup::SavedSetting;

@@ -241,7 +241,7 @@ impl McapRecorder {
         self.whole
     }
 
-    /// Where they are.
+    /// The path of the file.
     pub fn path(&self) -> &Path {
         &self.path
     }
@@ -251,7 +251,7 @@ impl Drop for McapRecorder {
     fn drop(&mut self) {
         if !self.ended {
             let _ = self.flush();
-            // The format would write its index into memory that nobody reads.
+            // The format would write its index into memory that is never read.
             let _ = self.writer.finish();
         }
     }

@@ -24,25 +24,25 @@ use tungstenite::{Message, WebSocket};
 
 /// The page.
 const PAGE: &str = include_str!("page.html");
-/// What the page may do: run what is in it, and talk to where it came from. Nothing else of the network is for it.
+/// The page's rights: it may run what is in it and talk to its own server, and use nothing else of the network.
 const POLICY: &str = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:; \
                       connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 /// Longest head of a request, bytes.
 const HEAD: usize = 8192;
-/// How long a head may take to come: browsers open connections before they use them. Who is silent goes first where places
-/// are short, so the time costs nobody anything.
+/// Longest time that a head may take to come: browsers open connections before they use them. Silent connections are
+/// closed first if places are short, so the long wait does no harm.
 const HEAD_TIME: Duration = Duration::from_secs(10);
 /// Connections at once whose head has not been read, and of these from one address: a browser opens six.
 const HANDSHAKES: (usize, usize) = (32, 8);
 /// Longest message of a page, bytes.
 const MESSAGE: usize = 16 * 1024;
-/// How long a page's thread listens before it looks for what waits for the page: 8 ms, half a picture.
+/// Time for which a page's thread listens before it checks for messages to the page: 8 ms, half a picture.
 const LISTEN: Duration = Duration::from_millis(8);
-/// How many messages of a page it hears in that time; a page that says more waits.
+/// Number of a page's messages that it hears in that time; a page that says more waits.
 const MESSAGES: usize = 32;
 /// Most bytes that wait on their way to a page: some pictures with sweeps and sound.
 const UNREAD: usize = 4 * 1024 * 1024;
-/// How long a page may leave what it was sent unread.
+/// Longest time for which a page may leave what it was sent unread.
 const SEND: Duration = Duration::from_secs(2);
 /// Connections at once of those who may come in, pages and others.
 const CONNECTIONS: usize = 64;
@@ -66,14 +66,14 @@ pub struct PageListener {
 }
 
 impl PageListener {
-    /// Listens. Beyond this computer a token is asked for, drawn anew.
+    /// Listens. Beyond this computer a token is asked for, which is drawn at random here.
     pub fn open(address: SocketAddr) -> io::Result<Self> {
         let listener = TcpListener::bind(address)?;
         let token = if address.ip().is_loopback() { None } else { Some(token()?) };
         Ok(Self { listener, token })
     }
 
-    /// What to open in a browser.
+    /// The address to open in a browser.
     pub fn url(&self) -> io::Result<String> {
         let mut address = self.listener.local_addr()?;
         if address.ip().is_unspecified() {
@@ -129,7 +129,7 @@ fn local(all: IpAddr) -> IpAddr {
     if all.is_ipv4() { Ipv4Addr::LOCALHOST.into() } else { Ipv6Addr::LOCALHOST.into() }
 }
 
-/// 128 bits that nobody guesses.
+/// 128 random bits, which cannot be guessed.
 pub(crate) fn token() -> io::Result<String> {
     let mut bytes = [0_u8; 16];
     getrandom::fill(&mut bytes).map_err(io::Error::other)?;
@@ -147,7 +147,7 @@ pub(crate) fn head(stream: &mut TcpStream) -> Option<Request> {
         let count = stream.read(&mut buffer).ok().filter(|count| *count > 0)?;
         bytes.extend(&buffer[..count]);
         match Request::try_parse(&bytes) {
-            // What follows the head of a WebSocket's request before it is answered is nobody's.
+            // A WebSocket's client sends nothing between its request and the answer; anything more is refused.
             Ok(Some(_)) if bytes.ends_with(b"\r\n\r\n") => {
                 return Request::try_parse(&bytes).ok()?.map(|(_, read)| read);
             }
@@ -166,7 +166,7 @@ pub(crate) fn shown_token(request: &Request) -> Option<&str> {
     request.uri().query().unwrap_or_default().split('&').find_map(|part| part.strip_prefix("token="))
 }
 
-/// Whether a request comes from a page of this server, and from somebody who may.
+/// Checks that a request comes from a page of this server, and from somebody who may use it.
 fn admit(request: &Request, token: Option<&str>) -> Result<(), Refused> {
     let header = |name: &str| request.headers().get(name).and_then(|value| value.to_str().ok());
     let host = header("host").unwrap_or_default();

@@ -19,7 +19,7 @@ const SOUND: usize = 16_384;
 /// A page, by the number that it got when it came.
 pub type PageId = u64;
 
-/// What the stage hears of a page.
+/// An event of a page, for the stage.
 #[derive(Debug, PartialEq)]
 pub enum Event {
     /// It connected.
@@ -32,7 +32,7 @@ pub enum Event {
     Gone(PageId),
 }
 
-/// What a page gets.
+/// A message to a page.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Message {
     /// A JSON document.
@@ -41,8 +41,8 @@ pub enum Message {
     Bytes(Vec<u8>),
 }
 
-/// What waits for a page. Messages keep their order, and the oldest are left out of more than a page reads; of pictures
-/// and scopes the newest counts.
+/// Everything that waits for a page. Messages keep their order, and the oldest are dropped if the page reads too
+/// slowly; of pictures and scopes the newest counts.
 #[derive(Debug, Default)]
 pub struct Outbox {
     /// JSON documents, see [`Outbox::tell`].
@@ -56,7 +56,7 @@ pub struct Outbox {
 }
 
 impl Outbox {
-    /// What is sent, in this order: JSON as text, numbers as bytes.
+    /// The messages to send, in this order: JSON as text, numbers as bytes.
     pub fn messages(self) -> impl Iterator<Item = Message> {
         let texts = self.messages.into_iter().chain(self.picture).map(Message::Text);
         let (rate_hz, samples) = self.sound;
@@ -87,14 +87,14 @@ impl Outbox {
 /// A page as the hub knows it.
 #[derive(Debug, Default)]
 struct Page {
-    /// Whether the stage knows of it.
+    /// True if the stage knows of it.
     known: bool,
     outbox: Outbox,
     said: VecDeque<Result<FromPage, String>>,
     left_out: u64,
     /// It lets the key go, or turns the motors off; of both the second.
     stops: Option<FromPage>,
-    /// What it said of its key the last time: an older message says less.
+    /// Its last message about its key: an older one says less.
     holds: Option<u32>,
 }
 
@@ -139,7 +139,7 @@ struct Pages {
     heard: PageId,
 }
 
-/// Where pages and stage meet.
+/// The meeting place of pages and stage.
 #[derive(Clone, Debug, Default)]
 pub struct Hub {
     pages: Arc<Mutex<Pages>>,
@@ -190,8 +190,8 @@ impl Hub {
         }
     }
 
-    /// What the stage hears next: pages that have gone and what turns motors off, then pages that have come, then one
-    /// message of each page in turn.
+    /// The next event for the stage: pages that have gone and messages that turn motors off, then pages that have come,
+    /// then one message of each page in turn.
     pub fn next(&self) -> Option<Event> {
         let mut pages = self.pages();
         if let Some(gone) = pages.gone.pop_first() {
@@ -245,7 +245,7 @@ impl Hub {
         self.pages().open.values_mut().for_each(|page| put(&mut page.outbox));
     }
 
-    /// How many pages are open.
+    /// Number of pages that are open.
     pub fn count(&self) -> usize {
         self.pages().open.len()
     }

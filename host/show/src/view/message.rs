@@ -1,4 +1,4 @@
-//! What a page says, as JSON: `{"do": "gains", "wall": 0, …}`. Unknown words and keys are errors.
+//! Messages of a page, as JSON: `{"do": "gains", "wall": 0, …}`. Unknown words and keys are errors.
 
 use haptic_bridge::render::scene::FeedForward;
 use serde::{Deserialize, Serialize};
@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 pub enum FromPage {
     /// The page is still there.
     Here {},
-    /// Take command, where nobody has it.
+    /// Take command, if no page has it.
     Take {},
     /// Give it back.
     Give {},
@@ -38,7 +38,7 @@ pub enum FromPage {
         stiffness: f32,
         /// N s/m
         damping: f32,
-        /// How its force is fed forward.
+        /// The kind of feed-forward of its force.
         feed_forward: FeedForward,
         /// Also where they are predicted to be unstable.
         #[serde(default)]
@@ -48,25 +48,25 @@ pub enum FromPage {
     Wall {
         /// Which, from 0.
         wall: u8,
-        /// Where to, in the plane that is drawn.
+        /// The new place, in the plane that is drawn.
         point: [f32; 2],
         /// The plane's new normal, of any length.
         #[serde(default)]
         normal: Option<[f32; 2]>,
     },
-    /// Where the hand goes, m; none: it lets go. On a simulated device.
+    /// The place to which the hand goes, m; without one it lets go. On a simulated device.
     Hand {
         /// In the plane that is drawn.
         at: Option<[f64; 2]>,
     },
-    /// What this page's oscilloscope shows.
+    /// Settings of this page's oscilloscope.
     Scope(ScopeRequest),
     /// Begin or end a recording, in the folder of the tool.
     Record {
         /// On or off.
         on: bool,
     },
-    /// Whether this page listens to the motors.
+    /// Turn the sound of the motors on or off for this page.
     Sound {
         /// On or off.
         on: bool,
@@ -79,14 +79,14 @@ pub enum FromPage {
 pub struct ScopeRequest {
     /// Columns of telemetry by their labels, up to four.
     pub channels: Vec<String>,
-    /// How much time is shown, s.
+    /// The time that is shown, s.
     pub seconds: f64,
-    /// What starts a sweep; none: it rolls.
+    /// The trigger of a sweep; without one it rolls.
     #[serde(default)]
     pub trigger: Option<Trigger>,
 }
 
-/// What starts a sweep.
+/// The condition that starts a sweep.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct Trigger {

@@ -1,6 +1,6 @@
 //! One moment as a page draws it: where everything is, and the numbers beside it.
 //!
-//! What lies in a plane is drawn as it is. Of a device in space the x-y plane is drawn, which is that of the linkage at
+//! A planar device is drawn as it is. Of a device in space the x-y plane is drawn, which is that of the linkage at
 //! joint 0 = 0.
 
 use super::scope::Ring;
@@ -17,7 +17,7 @@ use haptic_stability::skeleton::skeleton;
 use nalgebra::{DVector, Vector3};
 use serde::Serialize;
 
-/// What is streamed for the page, and recorded: all that `haptic replay` needs is among it.
+/// Fields that are streamed for the page and recorded: all that `haptic replay` needs is among them.
 pub const FIELDS: Fields = Fields(
     Field::Angle.bit()
         | Field::Tip.bit()
@@ -60,7 +60,7 @@ pub struct Geometry {
     pub ellipse: Option<Ellipse>,
     /// Force of the motors at the tip, N.
     pub force: Flat,
-    /// Where each of the scene's springs holds the tip from: its point, or its line's nearest one, m.
+    /// The anchor of each of the scene's springs: its point, or the nearest point of its line, m.
     pub springs: Vec<Flat>,
 }
 
@@ -104,7 +104,7 @@ impl<'a> Newest<'a> {
         Self { ring, columns }
     }
 
-    /// The number of one field's column; 0 where there is none yet.
+    /// The number of one field's column; 0 before there is one.
     pub fn get(&self, field: Field, axis: usize) -> f64 {
         let column = self.columns.iter().position(|column| column.field == field && column.axis == axis);
         let value = column.and_then(|column| self.ring.at(self.ring.end().checked_sub(1)?, column));

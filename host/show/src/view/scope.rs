@@ -72,7 +72,7 @@ impl Ring {
     }
 }
 
-/// What a sweep is.
+/// The kind of a sweep.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Phase {
     /// The newest rows, without a trigger.
@@ -88,7 +88,7 @@ pub enum Phase {
 /// A picture of a window of rows.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sweep {
-    /// What it is.
+    /// Its kind.
     pub phase: Phase,
     /// Smallest and largest value of each column on the screen, for each channel.
     pub channels: Vec<Vec<(f32, f32)>>,

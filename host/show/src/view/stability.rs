@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread;
 
-/// What is asked.
+/// A question to the [`Oracle`].
 #[derive(Clone, Debug)]
 pub struct Question {
     /// The device as the board has it, with what the file says that gives in it.
@@ -86,7 +86,7 @@ pub fn answer(question: &Question) -> Option<Plane> {
 /// Answers the newest question and leaves out those that it is too late for.
 #[derive(Debug)]
 pub struct Oracle {
-    /// Where a thread takes questions; none: there are no threads, and each is answered when it is asked.
+    /// The way to a thread that takes questions; `None` without threads, where each is answered when it is asked.
     questions: Option<Sender<Question>>,
     answer_to: Sender<Option<Plane>>,
     answers: Receiver<Option<Plane>>,
@@ -111,7 +111,7 @@ impl Default for Oracle {
 }
 
 impl Oracle {
-    /// Whether a question is being answered.
+    /// Returns true while a question is being answered.
     pub fn is_busy(&self) -> bool {
         self.busy
     }

@@ -42,13 +42,13 @@ use std::thread;
 use std::time::{Duration, Instant};
 use told::{in_words, plane_message};
 
-/// How many events are heard in a turn; what turns motors off comes first among them ([`Hub::next`]).
+/// Number of events that are heard in a turn; those that turn motors off come first among them ([`Hub::next`]).
 const EVENTS: usize = 64;
-/// How long ago, by the board's steps, the page in command may have seen its key down before the motors go off: less than
-/// what a board allows ([`haptic_bridge::servo::KEY_SECONDS`]), where it is a fault, by a heartbeat and a turn of this
+/// Longest time, by the board's steps, since the page in command saw its key down before the motors go off. It is less
+/// than a board allows ([`haptic_bridge::servo::KEY_SECONDS`]), where it is a fault, by a heartbeat and a turn of this
 /// stage.
 pub const SILENCE: Duration = Duration::from_millis(400);
-/// How long it may be silent at all before others may take command.
+/// Longest time that it may be silent at all before others may take command.
 const ABSENCE: Duration = Duration::from_secs(5);
 /// Between two pictures: 60 a second.
 const PICTURE: Duration = Duration::from_micros(16_600);
@@ -56,16 +56,16 @@ const PICTURE: Duration = Duration::from_micros(16_600);
 const SWEEP: Duration = Duration::from_millis(40);
 /// Between two looks at what changes slowly.
 const LOOK: Duration = Duration::from_millis(500);
-/// How much simulated time is caught up after the computer was busy.
+/// Most simulated time that is caught up after the computer was busy.
 const CATCH_UP: Duration = Duration::from_millis(50);
 /// Simulated time that passes between two looks at what pages say.
 const SLICE: Duration = Duration::from_millis(8);
-/// How far a joint turns before the boundary is worked out anew, rad.
+/// Turn of a joint after which the boundary is worked out again, rad.
 const TURNED: f64 = 0.02;
 /// Cycles a second of the boards' core.
 const CORE_HZ: f64 = 168e6;
 
-/// How a turn went.
+/// The outcome of a turn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Turn {
     /// Time has passed; there may be more to catch up.
@@ -111,7 +111,7 @@ pub struct Stage {
     plane: Option<Plane>,
     asked: Option<(usize, Vec<f64>)>,
     pace: Pace,
-    /// Where recordings go, if anywhere, and the one under way.
+    /// The folder for recordings, if there is one, and the recording under way.
     folder: Option<PathBuf>,
     recording: Option<ActiveRecording>,
 }
@@ -140,7 +140,7 @@ impl Stage {
         let divider = (rate_hz / rows_hz.unwrap_or(most).min(rate_hz)).ceil().max(1.0) as u32;
         let rows_hz = rate_hz / f64::from(divider);
         let columns = columns(FIELDS, device.axes());
-        // Nobody holds a key yet.
+        // No page holds a key yet.
         board.disarm()?;
         board.keep_alive();
         board.start_stream(FIELDS, divider)?;
@@ -251,7 +251,7 @@ impl Stage {
         }
         let passed = self.world.board.now().saturating_sub(self.pace.board_began);
         let behind = self.now.saturating_sub(self.pace.began).saturating_sub(passed);
-        // What the computer was too slow for is not made up for: the picture would race.
+        // Time that the computer was too slow for is not made up for: the picture would race.
         self.pace.began += behind.saturating_sub(CATCH_UP);
         Some(behind.min(SLICE)).filter(|behind| !behind.is_zero())
     }
@@ -322,7 +322,7 @@ impl Stage {
         }
     }
 
-    /// Nobody is in command any more.
+    /// Takes command from the page that has it.
     fn leave(&mut self) -> Result<(), LinkError> {
         self.command = None;
         self.goal = None;
@@ -380,7 +380,7 @@ impl Stage {
     }
 
     fn act(&mut self, id: PageId, message: FromPage) -> Result<(), BoardError> {
-        // What every page may do.
+        // Every page may do these.
         match &message {
             FromPage::Here {} => return Ok(()),
             FromPage::Disarm {} => return Ok(self.disarm()?),

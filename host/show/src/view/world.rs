@@ -1,4 +1,4 @@
-//! What is looked at: a board, its links to draw, and where it is simulated the hand on it.
+//! The subject of a view: a board, its links to draw, and the hand on it if it is simulated.
 
 use crate::demo::Demo;
 use haptic_bridge::render::scene::{FeedForward, Scene};
@@ -9,7 +9,7 @@ use haptic_host::link::{Board, LinkError};
 use haptic_predict::wall_ahead::wall_ahead;
 use haptic_sim::{BoardOptions, Hand, HandSettings, Intent, Options, SharedBoard, ready_board};
 
-/// How far in front of the tip the wall of [`World::demo`] stands, m.
+/// Distance at which the wall of [`World::demo`] stands in front of the tip, m.
 const NEAR: f64 = 0.002;
 /// Share of the joints' dry friction that it has, and how much finer its encoders are.
 const LITTLE_FRICTION: f64 = 0.1;
@@ -37,7 +37,7 @@ impl World {
         Self { board, simulated: None, file, weightless: false, smooth: false }
     }
 
-    /// What a board that is there still needs before it can be looked at: a device, a scene.
+    /// The device or the scene that a connected board still needs before it can be looked at.
     pub fn lacks(&mut self) -> Result<Option<Refusal>, LinkError> {
         Ok(match (self.board.device()?, self.board.scene()?) {
             (None, _) => Some(Refusal::NoDevice),
@@ -83,7 +83,7 @@ impl World {
         Ok(world)
     }
 
-    /// The device without its weight: with the motors off nobody would hold it, and with them on the board does.
+    /// The device without its weight: with the motors off no hand would carry it, and with them on the board does.
     fn start(mut file: DeviceFile, start: Option<[f64; 3]>) -> Result<Self, Failure> {
         let weightless = file.description.gravity.iter().any(|g| *g != 0.0);
         file.description.gravity = [0.0; 3];

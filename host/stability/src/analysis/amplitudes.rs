@@ -1,4 +1,4 @@
-//! How much of a recorded signal swings at which frequency.
+//! The amplitude spectrum of a recorded signal.
 
 use std::f64::consts::TAU;
 
@@ -21,7 +21,7 @@ pub struct SpectralLine {
 pub struct Spectrum {
     /// From 0 Hz to half of the signal's rate.
     pub lines: Vec<SpectralLine>,
-    /// How many samples are in it.
+    /// Number of samples in the signal.
     pub samples: usize,
 }
 

@@ -1,5 +1,5 @@
-//! Where modes leave the unit circle: the exact crossings of one gain with the other held, and the stable intervals
-//! between.
+//! The gains at which modes leave the unit circle: the exact crossings of one gain with the other held, and the stable
+//! intervals between.
 //!
 //! On the unit circle, z = e^{iθ}, the loop 1 + kp Gx(z) + kd Gv(z) = 0 fixes the gain as a function of θ; it must be
 //! real, which leaves the zeros of one real function of θ. Its two parts do not depend on the gains, so they are
@@ -54,7 +54,7 @@ enum Sought {
 const TURNS: f64 = 0.25;
 
 impl Response {
-    /// Whether a response turns so far from here to there that a crossing between could be overlooked.
+    /// Returns true if the response turns so far between the two that a crossing between them could be overlooked.
     fn is_far_from(&self, other: &Response) -> bool {
         let turned = |a: Complex<f64>, b: Complex<f64>| (b * a.conj()).arg().abs() > TURNS;
         turned(self.position, other.position) || turned(self.velocity, other.velocity)

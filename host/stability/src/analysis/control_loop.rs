@@ -8,8 +8,8 @@ use super::plant::Drive;
 
 /// Longest delay that can be analysed, in samples.
 pub const LONGEST_DELAY: f64 = 64.0;
-/// What is left of the lag of a board's current loop, as the bandwidth of a first-order one (docs/results.md), Hz,
-/// where nothing else is known.
+/// Bandwidth (Hz) of the first-order lag that stands for a board's current loop (docs/results.md) where nothing else is
+/// known.
 pub const CURRENT_LOOP_HZ: f64 = 6400.0;
 /// Carrier of the boards, Hz: torque follows the encoders by half a period of it.
 pub const CARRIER_HZ: f64 = 20_000.0;
@@ -26,7 +26,7 @@ pub enum Mode {
 }
 
 impl Mode {
-    /// What a wall with this feed-forward and this corner of its washout (Hz) does.
+    /// The mode of a wall with this feed-forward and this corner of its washout (Hz).
     #[must_use]
     pub fn of(feed_forward: FeedForward, washout_hz: f64) -> Self {
         match feed_forward {
@@ -48,7 +48,7 @@ pub struct Loop {
     pub estimator: LinearEstimator,
     /// Motor drives.
     pub drive: Drive,
-    /// Whether the feed-forward also compensates the joints' own damping (B q̇ in b).
+    /// True if the feed-forward also compensates the joints' own damping (B q̇ in b).
     pub damping_compensation: bool,
 }
 
@@ -89,7 +89,7 @@ impl Loop {
     }
 }
 
-/// What a board puts between the reading of its encoders and the torque that answers.
+/// The delay and lag of a board, from the reading of its encoders to the torque that answers.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TorquePath {
     /// Control samples, fractions allowed.

@@ -18,7 +18,7 @@ use crate::skeleton::{Point, Turret};
 
 /// Grid angles per swept joint before tiles are divided.
 const GRID: usize = 64;
-/// How often a tile is halved at most; at its last size a tile on the edge is cut where the workspace ends.
+/// Largest number of times that a tile is halved; at its last size a tile on the edge is cut where the workspace ends.
 const DEPTH: usize = 4;
 /// The same for tiles on the edge: two halvings leave 1.4° of a whole turn, which a straight cut follows.
 const EDGE_DEPTH: usize = 2;
@@ -52,7 +52,7 @@ impl Tile {
     }
 }
 
-/// How finely the plane is divided.
+/// The fineness with which the plane is divided.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Fineness {
     /// Largest side of a tile, m.
@@ -72,7 +72,7 @@ pub struct Cut {
     device: Device<f64>,
     reachable: Reachable,
     swept: [usize; 2],
-    /// What is held, in words; empty when nothing is.
+    /// Says what is held; empty if nothing is.
     pub caption: String,
     normal: DVector<f64>,
     admissible: Admissible,

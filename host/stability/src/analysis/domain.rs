@@ -31,7 +31,7 @@ pub struct BoundaryPoint {
     pub kd: f64,
     /// Largest stiffness that is stable from zero up, N/m; zero where nothing is.
     pub kp: f64,
-    /// What a hand at the tip feels of it where transmissions give, N/m ([`super::flexible::felt`]).
+    /// The stiffness that a hand at the tip feels where transmissions give, N/m ([`super::flexible::felt`]).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub felt: Option<f64>,
 }
@@ -246,7 +246,7 @@ fn support(circle: &mut impl Bounded) -> Result<Vec<Interval>, AnalysisError> {
     Ok(if found.last().is_some_and(|last| last.high > SMALLEST_DAMPING) { found } else { Vec::new() })
 }
 
-/// Whether the smallest stiffness is stable at this damping.
+/// Returns true if the smallest stiffness is stable at this damping.
 fn supports(support: &[Interval], kd_hat: f64) -> bool {
     support.iter().any(|interval| interval.low <= kd_hat && kd_hat < interval.high)
 }

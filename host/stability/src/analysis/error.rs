@@ -52,7 +52,7 @@ pub enum AnalysisError {
     /// A damping value of the boundary.
     #[error("damping values must be finite and not negative, not {0}")]
     Damping(f64),
-    /// What the loop compensates is the rigid device's damping.
+    /// Damping compensation is analysed only for a rigid device without a hand.
     #[error("damping compensation is analysed for rigid joints that nobody holds")]
     CompensatedFlexible,
     /// No upper limit of stiffness was found.

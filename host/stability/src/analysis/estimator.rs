@@ -10,7 +10,7 @@ use nalgebra::{Complex, DMatrix, DVector};
 /// Most samples that a difference can be taken over.
 pub const LONGEST_DIFFERENCE: usize = 64;
 
-/// How velocity is taken from sampled positions.
+/// The linear velocity estimators, which take velocity from sampled positions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum LinearEstimator {
     /// The backward difference as it is.
@@ -32,7 +32,7 @@ pub enum LinearEstimator {
     Predicted(f64),
 }
 
-/// What follows a difference over several samples.
+/// The low-pass that follows a difference over several samples.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum LowPass {
     /// Nothing.
@@ -62,7 +62,7 @@ impl LinearEstimator {
         Self::Over { samples, then }
     }
 
-    /// What a scene's estimator is near rest; `None` where it is not linear there. The adaptive window is then as long
+    /// The linear form of a scene's estimator near rest; `None` where it has none. The adaptive window is then as long
     /// as it can be.
     pub fn of(kind: Kind, cutoff_hz: f64) -> Option<Self> {
         let behind = |chosen: Chosen| if chosen.filtered { LowPass::Butterworth(cutoff_hz) } else { LowPass::None };
@@ -87,7 +87,7 @@ impl LinearEstimator {
         all.filter(move |(_, kind)| windowless(*kind) && Self::of(*kind, 1.0).is_some())
     }
 
-    /// Whether it begins with a difference, which can be taken over more samples.
+    /// Returns true if it begins with a difference, which can be taken over more samples.
     pub fn takes_difference(self) -> bool {
         !matches!(self, Self::AlphaBeta(_) | Self::Predicted(_))
     }
@@ -126,7 +126,7 @@ impl LinearEstimator {
         }
     }
 
-    /// How many states it has.
+    /// Number of states.
     pub(super) fn states(self) -> usize {
         match self {
             Self::BackwardDifference => 0,
@@ -137,7 +137,7 @@ impl LinearEstimator {
         }
     }
 
-    /// Whether it knows what the command does.
+    /// Returns true if it takes the command into account.
     pub(super) fn predicts(self) -> bool {
         matches!(self, Self::Predicted(_))
     }
@@ -234,7 +234,7 @@ impl LinearEstimator {
         matrix
     }
 
-    /// What a command line calls it, and over how many samples it takes the difference.
+    /// Its name on a command line, and the number of samples over which it takes the difference.
     pub(super) fn name_and_window(self) -> (&'static str, usize) {
         match self {
             Self::BackwardDifference => ("backward-difference", 1),

@@ -1,5 +1,5 @@
-//! What is not rigid about a device: transmissions between motors and links, structural modes of the links, and a hand
-//! on the tip (docs/model.md section 4), linearised at a pose in continuous time.
+//! The parts of a device that are not rigid: transmissions between motors and links, structural modes of the links, and
+//! a hand on the tip (docs/model.md section 4), linearised at a pose in continuous time.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -17,7 +17,7 @@ pub struct Hand {
 }
 
 impl Hand {
-    /// Whether there is any.
+    /// Returns true if there is a hand.
     pub fn is_there(&self) -> bool {
         *self != Hand::default()
     }
@@ -33,8 +33,8 @@ pub struct Posture {
     pub damping: f64,
 }
 
-/// What is not rigid about a device at a pose, and what holds it beside the wall. The default is a rigid device that
-/// nothing holds.
+/// The parts of a device that are not rigid at a pose, and the hand that holds it beside the wall. The default is a
+/// rigid device that nothing holds.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Flexible {
     /// Of each joint; empty where all are rigid.
@@ -51,8 +51,8 @@ pub struct Flexible {
     pub normal: DVector<f64>,
 }
 
-/// What a hand feels of a wall of `stiffness` (N/m) behind what gives, [`Flexible::stiffness_at_tip`] (N/m): both in
-/// series.
+/// The stiffness that a hand feels of a wall of `stiffness` (N/m) behind compliant parts of
+/// [`Flexible::stiffness_at_tip`] (N/m): both in series.
 #[must_use]
 pub fn felt(stiffness: f64, at_tip: f64) -> f64 {
     stiffness * at_tip / (stiffness + at_tip)
@@ -80,14 +80,14 @@ impl Flexible {
         (compliance > 0.0).then(|| 1.0 / compliance)
     }
 
-    /// Whether an encoder sits on the link's side of a transmission that gives: its motor then pushes through a spring
-    /// on what it sees.
+    /// Returns true if an encoder sits on the link's side of a transmission that gives: its motor then pushes through a
+    /// spring on what it sees.
     #[must_use]
     pub fn is_sensed_behind_a_spring(&self) -> bool {
         self.transmissions.iter().flatten().any(|transmission| transmission.encoder_at == EncoderAt::Joint)
     }
 
-    /// Whether it is all rigid, and in nobody's hand.
+    /// Returns true if everything is rigid and no hand holds the device.
     pub fn is_rigid(&self) -> bool {
         !self.hand.is_there() && self.modes.is_empty() && self.transmissions.iter().all(Option::is_none)
     }

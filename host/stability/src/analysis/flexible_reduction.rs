@@ -31,14 +31,14 @@ pub(crate) struct Watched<'a> {
     pub mass: &'a DMatrix<f64>,
     /// B of each joint, N m s/rad.
     pub viscous: &'a DVector<f64>,
-    /// What is not rigid.
+    /// The parts that are not rigid.
     pub flexible: &'a Flexible,
     /// Rendered directions as rows, R x N, m/rad, and those of the tip, which come first, as columns in the task.
     pub rows: &'a DMatrix<f64>,
     pub directions: &'a DMatrix<f64>,
 }
 
-/// What is left of it: ẋ = a x + b u, and the rendered positions, R rows over the states.
+/// The reduced device: ẋ = a x + b u, and the rendered positions, R rows over the states.
 pub(crate) struct Reduced {
     pub a: DMatrix<f64>,
     pub b: DMatrix<f64>,

@@ -29,10 +29,10 @@ impl DampingRule {
     }
 }
 
-/// How far a line of walls is stable.
+/// The stable part of a line of walls.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StableLine {
-    /// What the walls meet, kg.
+    /// The inertia that the walls meet, kg.
     pub mass: f64,
     /// The largest stiffness up to which every wall on the line is stable, N/m.
     pub kp: f64,

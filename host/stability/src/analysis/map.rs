@@ -60,7 +60,7 @@ pub struct MapPoint {
     pub eigenvectors: Vec<Vec<f64>>,
 }
 
-/// What stays fixed while the other joints sweep a plane.
+/// The joint or coordinate that stays fixed while the other joints sweep a plane.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Held {
     /// A joint at an angle, rad.
@@ -196,7 +196,7 @@ pub fn climb(
     step: f64,
     value: impl Fn(&TaskPose) -> f64,
 ) -> Result<f64, PoseError> {
-    // What is not the same after a turn, as a paddle's arc, ends where the grid does.
+    // A mechanism that is not the same after a turn, such as a paddle's arc, ends where the grid does.
     let periodic = device.mechanism.kind().spec().periodic;
     let at = |q: &[f64]| -> Result<Option<(bool, f64)>, PoseError> {
         if !periodic && q.iter().any(|angle| angle.abs() > std::f64::consts::PI) {
@@ -226,7 +226,7 @@ pub fn climb(
     Ok(best)
 }
 
-/// Whether a pose is as far as `sine` from all singularities and within the limits, and on which side it lies.
+/// The side of the singularities on which a pose lies; `None` if it is nearer to one than `sine` or beyond the limits.
 fn side(device: &Device<f64>, q: &[f64], sine: f64) -> Result<Option<bool>, PoseError> {
     // A grid angle that is meant to lie on a limit may be rounded to beyond it.
     let allowed = |(angle, joint): (&f64, &Joint<f64>)| {
@@ -339,12 +339,12 @@ impl Reachable {
         *last = low + (angle - low).rem_euclid(turn);
     }
 
-    /// Whether `q` (rad) is a pose on the reached side of the singularities, and within the limits.
+    /// Returns true if `q` (rad) lies on the reached side of the singularities and within the limits.
     pub fn walkable(&self, q: &[f64]) -> bool {
         self.side.is_some() && side(&self.device, q, WALKABLE_SINE).is_ok_and(|found| found == self.side)
     }
 
-    /// Whether no singularity lies between two neighbours of the grid.
+    /// Returns true if no singularity lies between two neighbours of the grid.
     fn clear(&self, from: usize, to: usize) -> bool {
         let (from, to) = (self.angles(from), self.angles(to));
         let turn = std::f64::consts::TAU;
@@ -363,7 +363,7 @@ impl Reachable {
         })
     }
 
-    /// Whether the pose of a flat index was reached.
+    /// Returns true if the pose of a flat index was reached.
     pub fn is_reached(&self, index: usize) -> bool {
         self.reached.get(index) == Some(&true)
     }
@@ -441,7 +441,7 @@ pub fn map_swept(
     })
 }
 
-/// What is done with one piece of the poses.
+/// The work on one piece of the poses.
 type Piece<'a> = &'a (dyn Fn(&Vec<Vec<f64>>) -> Vec<MapPoint> + Sync);
 
 fn swept<E: From<PoseError>>(

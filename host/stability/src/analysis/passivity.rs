@@ -38,7 +38,7 @@ const EVEN_FROM: f64 = 0.1;
 /// Aliases whose lag is reckoned with; those beyond count as if they had none, which makes r larger.
 const ALIASES: i32 = 60;
 
-/// What dissipates along the rendered direction, and what a wall there asks of it.
+/// The dissipation along the rendered direction, and the dissipation that a wall there needs.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Passivity {
     /// Smallest viscous damping of unit rendered motion, (Jr B⁻¹ Jrᵀ)⁻¹, N s/m; zero when a joint that moves has none.
@@ -47,7 +47,7 @@ pub struct Passivity {
     pub coulomb: f64,
     /// Largest step of the rendered position when every encoder steps once, Σⱼ |Jrⱼ| Δⱼ, m; `None` without encoders.
     pub quantum: Option<f64>,
-    /// How late a force acts on average, s.
+    /// Average delay of a force, s.
     lateness: f64,
     angles: Vec<Angle>,
 }
@@ -169,7 +169,7 @@ fn angles(b: f64, lag_s: f64, around: &Loop) -> Vec<Angle> {
     slow.chain(even).map(one).collect()
 }
 
-/// What an integrator moves by, at its samples and in samples, for a force that is held, delayed and lags at this rate
+/// The motion of an integrator, at its samples and in samples, for a force that is held, delayed and lags at this rate
 /// per sample.
 fn moved(theta: f64, rate: f64, delay_samples: f64) -> Complex<f64> {
     let turn = Complex::from_polar(1.0, theta);

@@ -2,9 +2,9 @@
 //! see.
 //!
 //! A wall feeds back the rendered position alone. Joint positions therefore never enter, and a joint without damping is
-//! an integrator nobody reads: all of them together are seen only through their share of the rendered velocity. That
-//! share is kept as one state, and leaving the rest out changes nothing. So the analysis never has to tell a mode that
-//! rests on the unit circle by construction from one that moves out of it.
+//! an integrator that nothing reads: all of them together are seen only through their share of the rendered velocity.
+//! That share is kept as one state, and leaving the rest out changes nothing. So the analysis never has to tell a mode
+//! that rests on the unit circle by construction from one that moves out of it.
 //!
 //! Units here are those of one sample: time in samples `T`, velocities in metres (radians) per sample, forces in units
 //! of `m/T²` with `m` a reference mass. Stiffness is then `kp T²/m` and damping `kd T/m`.
@@ -42,8 +42,8 @@ impl Linearised {
         self.unit_motion.dot(&(&self.mass * &self.unit_motion))
     }
 
-    /// What the wall meets with α times the feed-forward, Weff/(1 - α (1 - Weff/Wrr)), kg: Wrr for α = 1. `None` at and
-    /// beyond the pole.
+    /// The inertia that the wall meets with α times the feed-forward, Weff/(1 - α (1 - Weff/Wrr)), kg: Wrr for α = 1.
+    /// `None` at and beyond the pole.
     pub fn inertia_met(&self) -> Option<f64> {
         if self.gain == 1.0 {
             return Some(self.w_rr());
@@ -79,7 +79,7 @@ pub struct MotorElectrics {
     pub inductance: f64,
 }
 
-/// How commanded torque becomes torque.
+/// The lag between commanded torque and torque.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Drive {
     /// At once: what the golden values assume.
@@ -93,7 +93,7 @@ pub enum Drive {
     },
 }
 
-/// How the drives of all joints lag and damp.
+/// The lag and the damping of all joints' drives.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Lags {
     /// Lag rate per sample, where there is a lag.
@@ -136,7 +136,7 @@ pub(crate) struct ContinuousPlant {
     pub damped: Vec<usize>,
     /// Joints with a torque state, in order.
     pub lagging: Vec<usize>,
-    /// Whether the undamped joints' share of the rendered velocity is a state.
+    /// True if the undamped joints' share of the rendered velocity is a state.
     pub has_share: bool,
     /// Index of the rendered position, the last state but those in `sensed`.
     pub position: usize,
@@ -144,7 +144,7 @@ pub(crate) struct ContinuousPlant {
     pub seen: DVector<f64>,
     /// Joints whose position follows the rendered position.
     pub sensed: Vec<usize>,
-    /// Whether the drives themselves damp a joint (uncompensated back-EMF).
+    /// True if the drives themselves damp a joint (uncompensated back-EMF).
     pub electrically_damped: bool,
 }
 

@@ -129,7 +129,7 @@ impl TaskPose {
     }
 }
 
-/// How a device stands at one pose: what a walk over many poses asks of each, without a matrix that outlives it.
+/// The few numbers that a walk over many poses needs of each, without a matrix that outlives it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Stance {
     /// Distance from singularities.
@@ -148,7 +148,7 @@ impl Stance {
         }))
     }
 
-    /// Whether it is as far as `sine` from all singularities.
+    /// Returns true if it is as far as `sine` from all singularities.
     pub fn is_clear(&self, sine: f64) -> bool {
         self.regularity.serial >= sine && self.regularity.parallel >= sine
     }

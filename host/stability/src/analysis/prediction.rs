@@ -26,7 +26,7 @@ pub struct Prediction {
     pub subject: Subject,
     /// Rate, delay, estimator, drives.
     pub around: Loop,
-    /// What a redundant device holds.
+    /// The coordinate that a redundant device holds.
     pub admissible: Admissible,
     /// α of the feed-forward; a board gives no more than [`Linearised::most_gain`].
     pub gain: f64,
@@ -37,7 +37,7 @@ pub struct Prediction {
 }
 
 impl Prediction {
-    /// Of this device in this loop: in nobody's hand and no posture, with (4) as it stands.
+    /// The prediction for this device in this loop, without a hand or a posture, with equation (4) as it stands.
     #[must_use]
     pub fn new(subject: Subject, around: Loop) -> Self {
         let (admissible, hand) = (Admissible::default(), Hand::default());
@@ -118,8 +118,8 @@ impl Prediction {
         Ok(stiffness_at(&self.seen(q, normal)?, &self.around, mode, kd)?)
     }
 
-    /// What `haptic range DEVICE` takes to predict the same of these walls, but for dampings and washout. A number is
-    /// there in all its digits: round before predicting.
+    /// The options with which `haptic range DEVICE` predicts the same for these walls, except dampings and washout. A
+    /// number is there in all its digits: round before predicting.
     #[must_use]
     pub fn options(&self, q: &[f64], members: &[Member]) -> String {
         let list = |values: &[f64]| values.iter().map(f64::to_string).collect::<Vec<_>>().join(",");

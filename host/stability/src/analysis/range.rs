@@ -1,4 +1,4 @@
-//! What `haptic range` answers: the stable domain of a wall on one device for each way of feeding forward, side by
+//! The answer of `haptic range`: the stable domain of a wall on one device for each way of feeding forward, side by
 //! side.
 
 use serde::Serialize;
@@ -20,7 +20,7 @@ pub const WORTHWHILE_RATIO: f64 = 1.05;
 /// percent is rounding.
 pub const COSTLY_RATIO: f64 = 0.99;
 
-/// How often the search for a washout's corner halves it.
+/// Number of times that the search for a washout's corner halves it.
 const HALVED: i32 = 10;
 
 /// The first corner below `corner` (Hz), halved again and again, that is `free`.
@@ -33,7 +33,7 @@ pub fn lower_corner<E>(corner: f64, free: impl Fn(f64) -> Result<bool, E>) -> Re
     Ok(None)
 }
 
-/// What `haptic range` answers.
+/// The answer of `haptic range`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Range {
     /// Effective inertia, kg: what the wall meets without the feed-forward; of several walls, what their total

@@ -111,8 +111,8 @@ fn one_pole(hz: f64, rate_hz: f64, signal: &Signal, state: &Signal) -> (Signal, 
 }
 
 impl OpenLoop {
-    /// Puts the loop around the device, without a held posture, with a controller whose model of the device is `believed`: it takes feed-forward, damping
-    /// compensation and predictions from there.
+    /// Puts the loop around the device, without a held posture, with a controller whose model of the device is
+    /// `believed`: it takes feed-forward, damping compensation and predictions from there.
     pub fn believing(
         device: &Linearised,
         believed: &Linearised,
@@ -189,7 +189,7 @@ impl OpenLoop {
         &self.resonances
     }
 
-    /// Whether all modes decay; gains in sample units.
+    /// Returns true if all modes decay; gains in sample units.
     pub fn is_stable(&self, kp: f64, kd: f64) -> bool {
         growth(self.closed(kp, kd)) < self.still
     }
@@ -198,7 +198,7 @@ impl OpenLoop {
 /// |z|² - 1 below this is rounding: a mode this slow needs 10¹² samples to show.
 const STILL: f64 = 1e-12;
 
-/// Whether a joint's own damping acts within the time [`reduce`] looks at.
+/// Returns true if a joint's own damping acts within the time that [`reduce`] looks at.
 fn damps(device: &Linearised, joint: usize, sample_s: f64) -> bool {
     let inverse = device.mass.clone().cholesky().map(|c| c.inverse()[(joint, joint)]);
     inverse.is_some_and(|mobility| device.viscous[joint] * sample_s * mobility >= 1e-10)
@@ -239,7 +239,7 @@ fn assemble(
     };
     let mut loop_ = Assembly::new(size);
 
-    // What the controller sees and asks for at this sample.
+    // The controller's inputs and its command at this sample.
     let velocity = loop_.estimate(&estimator, filter, &Signal::of_state(size, moved), &pushed(0));
     let force = Signal { state: DVector::zeros(size), force: 1.0 };
     let mut asked = vec![force.clone()];
@@ -321,7 +321,7 @@ fn assemble(
                 constant.push(v);
                 states[(joint_moved + slot, column)] = v;
             }
-            // What the estimators remember of constant velocities (none along the normal) and commands.
+            // The estimators' memory of constant velocities (none along the normal) and commands.
             let commands = DVector::from_column_slice(&constant);
             let given = |row: usize| if around.estimator.predicts() { pushes.row(row).tr_dot(&commands) } else { 0.0 };
             let mut remember = |first: usize, v: f64, given: f64| {

@@ -34,7 +34,7 @@ pub struct Member {
     pub normal: Vec<f64>,
     /// Its part of the whole stiffness and damping: positive, in any unit that all share.
     pub share: f64,
-    /// Whether it has the feed-forward where the others have it.
+    /// True if this wall has the feed-forward where the others have it.
     pub feed_forward: bool,
 }
 
@@ -63,9 +63,10 @@ pub struct WallSet {
     stiffness: DVector<f64>,
     /// Torques of a unit force along each direction with the feed-forward, N x R, m.
     shaped: DMatrix<f64>,
-    /// What the feed-forward makes of the joint torques b, N x N: the torques of b and of what the walls meet of it.
+    /// The torques that the feed-forward commands for the joint torques b, N x N: those of b and of what the walls meet
+    /// of it.
     bias: DMatrix<f64>,
-    /// What is not rigid about the device, and the hand that holds it.
+    /// The parts of the device that are not rigid, and the hand that holds it.
     flexible: Flexible,
 }
 
@@ -144,8 +145,8 @@ impl WallSet {
         (largest > 0.0 && largest.is_finite()).then(|| 1.0 / largest)
     }
 
-    /// Where the tip goes in the stiffest motion that the walls allow, with or without the feed-forward: a unit vector,
-    /// d entries, on the first wall's side. For one wall its normal.
+    /// The motion of the tip in the stiffest direction that the walls allow, with or without the feed-forward: a unit
+    /// vector, d entries, on the first wall's side. For one wall its normal.
     pub fn stiffest(&self, feed_forward: bool) -> Option<DVector<f64>> {
         let answer = self.answer(feed_forward)?;
         let fastest = 1.0 / self.met(feed_forward)?;
@@ -292,7 +293,7 @@ impl Loops {
             return Err(AnalysisError::CompensatedFlexible);
         }
         let lags = Lags::new(&around.drive, joints, t);
-        // What is left of a device in a posture is reduced as a flexible one's is: a motion that nothing sees is no mode.
+        // A device in a posture is reduced as a flexible one is: a motion that nothing sees is no mode.
         let seen = match set.flexible.is_rigid() && (set.flexible.posture.is_none() || compensated) {
             true => rigid(set, &rows, &lags, &inverse, t, mass, compensated),
             false => {
@@ -359,7 +360,7 @@ impl Loops {
             };
             command += rows.rows(walls, directions - walls).tr_mul(&forces.rows(walls, directions - walls));
             let mut estimates = DVector::zeros(directions + sensed);
-            // What the last command gave: of the directions, then of the joints.
+            // The effect of the last command: on the directions, then on the joints.
             let given = &inverse * s.rows(acted, size - acted).into_owned().resize_vertically(joints, 0.0) * mass;
             let along = &rows * &given;
             for k in 0..directions + sensed {
@@ -480,7 +481,7 @@ struct Seen {
     turning: DMatrix<f64>,
 }
 
-/// Of a rigid device that nobody holds: joint velocities (rad per sample), lagging torques, positions (m).
+/// The states of a rigid device without a hand: joint velocities (rad per sample), lagging torques, positions (m).
 fn rigid(
     set: &WallSet,
     rows: &DMatrix<f64>,

@@ -36,14 +36,14 @@ impl Subject {
         self
     }
 
-    /// What gives in it.
+    /// Its compliant parts.
     #[must_use]
     pub fn gives(&self) -> Flexible {
         let joints = self.joints.as_ref().map(|joints| &joints[..self.device.axes()]);
         joints.map_or_else(Flexible::default, |joints| Flexible::default().of_joints(joints))
     }
 
-    /// Whether anything does.
+    /// Returns true if it has compliant parts.
     #[must_use]
     pub fn is_flexible(&self) -> bool {
         !self.gives().is_rigid()

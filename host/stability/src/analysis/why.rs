@@ -1,6 +1,6 @@
 //! Why the boundary lies where it lies: the same loop with one effect taken away, each in turn.
 //!
-//! What an effect takes is 1 - (limit with everything)/(limit without it): negative where it helps, as a hand does.
+//! An effect's share is 1 - (limit with everything)/(limit without it): negative where it helps, as a hand does.
 //! Effects do not add up: two lags that each take half leave a quarter or nothing.
 
 use serde::{Deserialize, Serialize};
@@ -12,10 +12,10 @@ use super::sampled::{AnalysisError, LONGEST_DELAY, LONGEST_DIFFERENCE, LinearEst
 use crate::sweep::Sweep;
 use haptic_host::error::Failure;
 
-/// How much faster a loop is that stands for one without sampling.
+/// Factor by which the loop that stands for one without sampling is faster.
 pub const FASTER: usize = 10;
 
-/// What a boundary comes to.
+/// The limits of a boundary.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Limits {
     /// Largest stiffness of all dampings, N/m.
@@ -54,12 +54,11 @@ pub struct Both {
 pub struct Without {
     /// Which effect.
     pub effect: &'static str,
-    /// What is there instead.
+    /// The condition that replaces the effect.
     pub instead: &'static str,
     /// The limits then.
     pub limits: Both,
-    /// What the effect takes from the largest stiffness, as a share of that without the effect: negative where it
-    /// helps.
+    /// The share that the effect takes of the largest stiffness without the effect: negative where it helps.
     pub takes: Shares,
     /// The same of the area.
     pub takes_area: Shares,
@@ -74,12 +73,12 @@ pub struct Shares {
     pub full: Option<f64>,
 }
 
-/// What `haptic range --why` answers.
+/// The answer of `haptic range --why`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Why {
     /// The limits with everything.
     pub limits: Both,
-    /// What each effect takes.
+    /// The share of each effect.
     pub effects: Vec<Without>,
 }
 
@@ -137,7 +136,7 @@ fn cases(device: &Linearised, around: &Loop) -> Vec<(&'static str, &'static str,
     cases
 }
 
-/// What each effect takes from the boundary of `device` in `around`; the order is always the same.
+/// The share that each effect takes of the boundary of `device` in `around`; the order is always the same.
 pub fn why(device: &Linearised, around: &Loop, sweep: &Sweep) -> Result<Why, Failure> {
     let mut all = vec![("", "", (device.clone(), around.clone()))];
     all.extend(cases(device, around));

@@ -1,4 +1,4 @@
-//! What a command answers with: words, or with `--json` one document; and pictures of it.
+//! A command's answer: words, or with `--json` one document; and pictures of it.
 
 use super::force::Force;
 use haptic_host::digits::print_json;
@@ -16,7 +16,7 @@ pub struct Json {
 }
 
 impl Json {
-    /// Whether it was asked for.
+    /// Returns true if the document was asked for.
     pub fn asked(self) -> bool {
         self.asked
     }
@@ -46,7 +46,7 @@ impl Pictures {
         self.force.pictures(self.svg.as_ref(), self.png.as_ref())
     }
 
-    /// Whether any was asked for.
+    /// Returns true if a picture was asked for.
     pub fn asked(&self) -> bool {
         self.svg.is_some() || self.png.is_some()
     }

@@ -1,4 +1,4 @@
-//! How numbers, directions and words are read from the command line.
+//! Readers of numbers, directions and words from the command line.
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use haptic_bridge::model::admissible::Admissible;
@@ -131,7 +131,7 @@ pub struct WallArgs {
 }
 
 impl WallArgs {
-    /// How many.
+    /// Number of walls.
     pub fn count(&self) -> usize {
         self.normal.len()
     }
@@ -195,7 +195,7 @@ pub fn device(path: &Path, for_a_loop: bool) -> Result<(DeviceFile, Vec<Warning>
     Ok((file, warnings))
 }
 
-/// What is doubtful about joint angles: in degrees, mostly, or beyond the joints' limits.
+/// Warnings about doubtful joint angles: most likely in degrees, or beyond the joints' limits.
 pub fn pose_doubts(q: &[f64], file: &DeviceFile) -> Vec<Warning> {
     let mut doubts = plausible::angles(q, "--q");
     if doubts.is_empty() {
@@ -245,7 +245,7 @@ pub fn feed_forward() -> impl TypedValueParser<Value = FeedForward> {
     one_of(FeedForward::ALL.map(|(name, kind)| (name, what(kind), kind)))
 }
 
-/// What a feed-forward is.
+/// The meaning of a kind of feed-forward, in words.
 pub fn what(kind: FeedForward) -> &'static str {
     match kind {
         FeedForward::Off => "None",
@@ -277,7 +277,7 @@ pub fn board() -> impl TypedValueParser<Value = BoardKind> {
     named(BoardKind::ALL.map(|kind| (kind.name(), kind)))
 }
 
-/// What a redundant device holds, by its name.
+/// The parser of what a redundant device holds, by its name.
 pub fn admissible() -> impl TypedValueParser<Value = Admissible> {
     named(Admissible::ALL)
 }

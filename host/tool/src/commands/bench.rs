@@ -29,7 +29,7 @@ pub struct Args {
     json: Json,
 }
 
-/// What the columns and the words of a variant's name mean.
+/// The meaning of the columns and of the words of a variant's name.
 const LEGEND: &str = "
 variant: mechanism/trigonometry/mass matrix/terms
   trigonometry: table (and two terms of a series, what the firmware runs), minimax (polynomials), micromath, libm

@@ -70,9 +70,9 @@ struct SceneReport {
     rate_hz: f64,
     entered_at_home: Vec<usize>,
     contacts: Vec<Contact>,
-    /// How the board will compute it; none where it cannot be planned.
+    /// The board's plan of the computation; `None` if it cannot be planned.
     plan: Option<Value>,
-    /// The same in words, or why there is none.
+    /// The plan in words, or the reason why there is no plan.
     #[serde(skip)]
     planned: String,
 }
@@ -231,7 +231,7 @@ fn readable(report: &Report, tip: &str) -> String {
     text
 }
 
-/// What a person at the tip can meet.
+/// The force and the energy that a person at the tip can meet, in words.
 fn tip_in_words(description: &Description) -> String {
     let motors = motor_torques(description);
     match Tip::at_home(description) {

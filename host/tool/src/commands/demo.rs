@@ -107,7 +107,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     args.json.answer(document(&demo, &results, &place), &said)
 }
 
-/// What `report` says, for programs: SI units, `without` the feed-forward and `with` it.
+/// The contents of `report` for programs: SI units, `without` the feed-forward and `with` it.
 fn document(demo: &Demo, results: &Results, picture: &str) -> serde_json::Value {
     let run = |crossing: &Crossing, inertia: f64, limit: &Limit| {
         json!({
@@ -187,7 +187,7 @@ fn report(demo: &Demo, results: &Results) -> String {
     text
 }
 
-/// What the feed-forward bought, from the numbers of this very run.
+/// The benefit of the feed-forward, from the numbers of this very run.
 fn bought(demo: &Demo, results: &Results) -> String {
     let Results { inertia, crossings: [without, with], limits: [low, high] } = results;
     let gain = 100.0 * (high.measured / low.measured - 1.0);

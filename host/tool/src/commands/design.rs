@@ -146,7 +146,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
 }
 
 fn list(values: &[f64]) -> String {
-    // What rounds to zero has no sign.
+    // A number that rounds to zero has no sign.
     values.iter().map(|v| format!("{:.3}", (1e3 * v).round() / 1e3 + 0.0)).collect::<Vec<_>>().join(", ")
 }
 

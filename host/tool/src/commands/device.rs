@@ -80,8 +80,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     args.on.answer(document, &report)
 }
 
-/// The torque (N m) above which the board lets nobody raise its limit, found by asking for a limit that every board
-/// refuses.
+/// The highest torque limit (N m) that the board allows, found by asking for a limit that every board refuses.
 fn most_torque(board: &mut Board) -> Option<f32> {
     let mut rules = board.rules().ok()?;
     rules.limits.torque[0] = f32::INFINITY;
@@ -97,7 +96,7 @@ fn soften(board: &mut Board, file: &DeviceFile, newtons: Option<f32>) -> Result<
     let newtons = newtons.unwrap_or(before.limits.tip_force.min(GENTLE_FORCE));
     let mut rules = before;
     rules.limits.tip_force = newtons;
-    // What makes so many newtons, and what carries the device beside.
+    // Torques that make so many newtons and carry the device as well.
     let needs: Vec<f32> = match Tip::at_home(&file.description) {
         Some(Ok(tip)) => tip.limits_for(newtons.into()).into_iter().map(|torque| torque as f32).collect(),
         _ => Vec::new(),
@@ -117,7 +116,7 @@ fn soften(board: &mut Board, file: &DeviceFile, newtons: Option<f32>) -> Result<
         each.join(", ")
     };
     let limits = three(&rules.limits.torque);
-    // What was lower before stays: somebody may have meant it.
+    // A limit that was lower before stays: it may have been set on purpose.
     if rules.limits.torque.iter().zip(&needs).any(|(limit, needed)| *limit < 0.99 * needed) {
         let needs_in_words =
             format!("{newtons} N at the tip in the home pose, and what carries the device, take {}", three(&needs));

@@ -140,7 +140,7 @@ fn serial(port: &PortSpec) -> Result<Option<String>, Failure> {
     }
 }
 
-/// What a restart takes from a running board is asked before.
+/// Asks before a restart that turns off a running board's motors or loses its unsaved settings.
 fn ask_running(serial: &str, yes: bool) -> Result<(), Failure> {
     match haptic_flash::motors_and_unsaved(serial)? {
         None => confirm(yes, "the board restarts, and its motors go off if they are on"),

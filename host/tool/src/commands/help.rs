@@ -66,7 +66,7 @@ fn explained(command: clap::Command, above: &str) -> clap::Command {
     if more.is_empty() { command } else { command.after_help(more) }
 }
 
-/// Where a newcomer begins.
+/// The first commands for a newcomer.
 const START: &str = "Start here, without hardware:
   haptic demo                     what the feed-forward buys, in seconds
   haptic view --port sim          a device, a wall and a hand to lead, in the browser

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 static INTERRUPTED: AtomicBool = AtomicBool::new(false);
 static WATCHED: OnceLock<()> = OnceLock::new();
 
-/// Whether the user has asked for the end.
+/// The flag that is set once the user has asked for the end.
 #[derive(Clone, Copy, Debug)]
 pub struct Interrupt(());
 
@@ -20,7 +20,7 @@ pub fn watch() -> Interrupt {
 }
 
 impl Interrupt {
-    /// Whether it has happened.
+    /// Returns true if the flag is set.
     pub fn is_set(self) -> bool {
         INTERRUPTED.load(Ordering::SeqCst)
     }

@@ -74,7 +74,7 @@ fn readable(name: &str, points: &[MapPoint]) -> String {
     line(format!("{name}: {} poses", points.len()));
     line(format!("  {:<34}{:>13}{:>13}{:>13}", "", "lowest", "median", "highest"));
     let mut row = |label: &str, pick: fn(&MapPoint) -> f64| {
-        // What rounds to zero has no sign.
+        // A number that rounds to zero has no sign.
         let mut values: Vec<f64> = points.iter().map(|point| (1e5 * pick(point)).round() / 1e5 + 0.0).collect();
         values.sort_by(f64::total_cmp);
         let (low, middle, high) = (values[0], values[values.len() / 2], values[values.len() - 1]);

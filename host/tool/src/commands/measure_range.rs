@@ -220,7 +220,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     match (measured, report) {
         (Ok(()), Some(report)) if report.measured() => report.out(),
         (measured, report) => {
-            // What there is, and then why it is no more.
+            // First the points that were measured, and then the reason why there are no more.
             if let Some(report) = report.filter(Report::any) {
                 report.out()?;
             }
@@ -235,7 +235,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     }
 }
 
-/// What to do where the encoders are too coarse or friction hides everything.
+/// The remedy if the encoders are too coarse or friction hides everything.
 const REMEDY: &str = "use finer encoders (--counts on --port sim), a lower --rate and --cutoff, a larger --pull or \
                       --torque-limit, another pose or normal";
 

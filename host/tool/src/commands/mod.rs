@@ -124,7 +124,7 @@ commands! {
 
 #[cfg(test)]
 mod tests {
-    /// What stands in a command's file.
+    /// The contents of a command's file.
     mod greet {
         use haptic_host::error::Failure;
 

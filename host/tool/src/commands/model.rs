@@ -206,7 +206,7 @@ fn sideways(report: &Report) -> Option<f64> {
     (push >= 0.005).then_some(push)
 }
 
-/// What the feed-forward buys here, in a sentence. The stable area of an undamped device grows by (Wrr/Weff)².
+/// The benefit of the feed-forward here, in a sentence. The stable area of an undamped device grows by (Wrr/Weff)².
 fn verdict(report: &Report) -> String {
     let gain = report.gain();
     if !report.directions.is_empty() {

@@ -28,7 +28,7 @@ pub struct Args {
     force: Force,
 }
 
-/// What is written: a device by its mechanism's name, or a scene.
+/// The file to write: a device by its mechanism's name, or a scene.
 #[derive(Clone, Copy)]
 enum What {
     Device(Kind),

@@ -27,7 +27,7 @@ impl Port {
         Ok(haptic_sim::open(self.spec())?)
     }
 
-    /// What was asked for.
+    /// The port that was asked for.
     pub fn spec(&self) -> &PortSpec {
         self.port.as_ref().unwrap_or(&PortSpec::Find)
     }
@@ -75,7 +75,7 @@ impl OnBoard {
     }
 }
 
-/// Where to listen, as `option` says it: PORT on this computer, or HOST:PORT.
+/// The address at which to listen, as `option` says it: PORT on this computer, or HOST:PORT.
 pub fn address(text: &str, option: &str) -> Result<SocketAddr, Failure> {
     let full = if text.contains(':') { text.to_string() } else { format!("127.0.0.1:{text}") };
     let found = full.to_socket_addrs().ok().and_then(|mut addresses| addresses.next());
@@ -94,7 +94,7 @@ pub fn state_in_words(state: State) -> &'static str {
     }
 }
 
-/// What is said before motors that are on go off.
+/// The warning before motors that are on go off.
 pub const GOES_OFF: &str = "the motors are on and will go off: what has weight falls";
 
 /// Asks somebody at the terminal, unless `yes` agreed beforehand; `what` would happen.
@@ -114,7 +114,7 @@ pub fn confirm(yes: bool, what: &str) -> Result<(), Failure> {
     }
 }
 
-/// What a scene holds.
+/// The contents of a scene, in words.
 pub fn scene_in_words(scene: &Scene<f32>) -> String {
     let mut parts = vec![counted(scene.walls.len(), "wall")];
     if !scene.springs.is_empty() {
@@ -155,7 +155,7 @@ pub fn warn_of_weaker(before: &Rules, now: &Rules) {
     }
 }
 
-/// What a command ends with whose motors a fault turned off.
+/// The failure with which a command ends if a fault turned its motors off.
 pub fn motors_off(record: &FaultRecord, rate_hz: f32) -> Failure {
     Failure::impossible(format!("the motors are off: {}", fault_alone(record, rate_hz))).remedy(record.fault.remedy())
 }

@@ -306,7 +306,7 @@ impl Passive {
     }
 }
 
-/// What was asked, so that the figures can be had again.
+/// The request, so that the figures can be had again.
 #[derive(serde::Serialize)]
 struct Asked {
     /// rad
@@ -318,7 +318,7 @@ struct Asked {
     cutoff_hz: Option<f64>,
     delay_samples: f64,
     drive: String,
-    /// What `haptic range DEVICE` takes to predict the same.
+    /// Options with which `haptic range DEVICE` predicts the same.
     options: String,
 }
 
@@ -350,7 +350,7 @@ impl Asked {
     }
 }
 
-/// What each effect takes, of the one wall that there is.
+/// The cost of each effect. There may be only one wall.
 fn explained(prediction: &Prediction, q: &[f64], normals: &[Vec<f64>], sweep: &Sweep) -> Result<Why, Failure> {
     let [normal] = normals else {
         let reason = "--why with several --normal";
@@ -375,7 +375,7 @@ fn estimator(args: &Args) -> Result<LinearEstimator, Failure> {
     }
 }
 
-/// What predicts the range at given dampings, washed out at a given corner, Hz.
+/// A predictor of the range at given dampings, washed out at a given corner, Hz.
 type Analysis<'a> = Box<dyn Fn(Option<&[f64]>, Option<f64>) -> Result<Range, AnalysisError> + 'a>;
 
 /// The analysis of one wall, with its passive limits, or of several.

@@ -8,7 +8,7 @@ use haptic_host::error::Failure;
 use haptic_host::link::{fields, rows_that_fit};
 use std::path::PathBuf;
 
-/// What is recorded unless asked otherwise: what a person wants to see, and what `haptic replay` needs.
+/// Fields that are recorded by default: those that a person wants to see, and those that `haptic replay` needs.
 const FIELDS: Fields = Fields(
     Fields::USUAL.0 | Field::Angle.bit() | Field::NormalVelocity.bit() | Field::Energy.bit() | Field::Counts.bit(),
 );

@@ -67,15 +67,15 @@ enum Part {
 #[derive(Clone, Debug)]
 struct Section {
     title: &'static str,
-    /// What it is about, in a sentence.
+    /// Its subject, in a sentence.
     about: &'static str,
     /// The words of the command after `haptic`.
     words: Vec<String>,
-    /// Whether it draws, and what its picture is called then.
+    /// The name of its picture, if it draws one.
     picture: Option<&'static str>,
 }
 
-/// What a command said.
+/// The output of a command.
 #[derive(Clone, Debug, Default, Deserialize, Serialize)]
 struct Said {
     text: String,
@@ -84,14 +84,14 @@ struct Said {
     done: bool,
 }
 
-/// What the commands are about.
+/// The subject of the commands.
 struct Subject {
     q: String,
     normal: String,
     rate: String,
     cutoff: String,
     washout: Option<String>,
-    /// What `haptic range DEVICE` takes to predict the wall in its scene.
+    /// Options with which `haptic range DEVICE` predicts the wall in its scene.
     options: String,
 }
 

@@ -31,7 +31,7 @@ pub struct Args {
 
 /// Checks the file against the board's device, plans, loads.
 pub fn run(args: Args) -> Result<(), Failure> {
-    // What is wrong in any dimension is said without a board.
+    // Errors that do not depend on the device's dimension are reported without a board.
     let document = Document::load(&args.file)?;
     let text = document.text();
     let mut board = args.on.open()?;

@@ -58,14 +58,14 @@ pub fn list_of_fields() -> String {
     text
 }
 
-/// Where rows go.
+/// The destination of rows.
 enum Sink {
     Terminal { since_header: usize },
     Kept(Vec<Vec<Value>>),
     File(Box<RowWriter>),
 }
 
-/// What is followed, and where it goes.
+/// The fields to follow, and the destination of their rows.
 pub(super) struct Wanted<'a> {
     pub file: Option<&'a Path>,
     pub overwrite: Overwrite,
@@ -177,7 +177,7 @@ fn disarm(board: &mut Board, rate_hz: f32) -> Result<(), Failure> {
     }
 }
 
-/// How the stream came to its end.
+/// The way in which the stream came to its end.
 enum Ended {
     AsAsked,
     ReaderGone,
@@ -286,7 +286,7 @@ impl Follow {
         Ok(())
     }
 
-    /// What is missing among the rows that were passed on.
+    /// The losses among the rows that were passed on.
     fn losses(&self, board: &Board) -> Losses {
         Losses { received: self.rows, missing: self.missing, ..board.losses() }
     }

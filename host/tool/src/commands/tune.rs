@@ -115,7 +115,7 @@ struct Document<'a> {
     ripple_limit_n: f64,
     board_ripple_limit_n: Option<f64>,
     margins: Margins,
-    /// What `haptic range DEVICE` takes to predict the wall that was found.
+    /// Options with which `haptic range DEVICE` predicts the wall that was found.
     #[serde(skip_serializing_if = "Option::is_none")]
     options: Option<String>,
     #[serde(flatten)]
@@ -131,7 +131,7 @@ struct Document<'a> {
     scene_measured: Option<&'a Measured>,
 }
 
-/// Where the wall is.
+/// The place of the wall.
 struct Place {
     q: Vec<f64>,
     normal: Vec<f64>,
@@ -318,7 +318,7 @@ fn place(args: &Search, file: &DeviceFile) -> Result<Place, Failure> {
     })
 }
 
-/// Where the device touches a wall of a scene, nearest to home.
+/// The pose and the normal with which the device touches a wall of a scene, nearest to home.
 fn touched(file: &DeviceFile, scene: &Scene<f64>, wall: usize) -> Option<(Vec<f64>, Vec<f64>)> {
     let (_, contacts) = doubts(&Subject::new(&file.description).ok()?, scene);
     contacts.into_iter().find(|contact| contact.wall == wall).map(|contact| (contact.q, contact.normal))
@@ -335,7 +335,7 @@ fn about(args: &Search, file: &DeviceFile, answer: &Answer, ripple: f64) -> Vec<
     ]
 }
 
-/// What the two hands feel.
+/// The ripple in words, and that on the simulated board if it was measured.
 fn ripples(found: &Found) -> String {
     let board = found.board_ripple_n.map_or(String::new(), |ripple| format!(", {ripple:.4} N on the simulated board"));
     format!("ripple {:.4} N{board}", found.ripple_n)
@@ -437,7 +437,7 @@ fn readable(document: &Document<'_>) -> String {
     text
 }
 
-/// What another feed-forward would bring and cost.
+/// The benefit and the cost of another feed-forward.
 fn otherwise(other: &Otherwise, best: &Found, passed_over: Option<&Found>) -> String {
     let mut text = format!("  feed-forward {}: ", other.feed_forward.name());
     match &other.best {
@@ -460,7 +460,7 @@ fn otherwise(other: &Otherwise, best: &Found, passed_over: Option<&Found>) -> St
     text
 }
 
-/// What a stiffer wall costs of the range in which a struck tip comes to rest.
+/// The cost of a stiffer wall in the range in which a struck tip comes to rest.
 fn price(before: &Measured, found: &Measured) -> String {
     let at_least = |measured: &Measured| if measured.open.is_some() { "at least " } else { "" };
     format!(

@@ -23,7 +23,7 @@ use std::time::Duration;
 /// Between two looks for a board that is waited for: long enough for other tools to come in between.
 const AGAIN: Duration = Duration::from_millis(500);
 
-/// Where the page is unless asked otherwise.
+/// The default port of the page.
 const USUAL_PORT: u16 = 7720;
 
 /// Look at a device in the browser or the terminal: walls to drag, gains to turn, signals, recording
@@ -61,7 +61,7 @@ pub struct Args {
     rate: Option<f64>,
 }
 
-/// What is looked at, and how often.
+/// The board to look at, and how often.
 pub(super) struct Shown {
     port: Port,
     file: Option<DeviceFile>,
@@ -160,7 +160,7 @@ impl Shown {
                     Err(_) => {}
                 }
             };
-            // Nobody is in command of a board that has just come back.
+            // No page is in command of a board that has just come back.
             hub.forget();
         }
     }

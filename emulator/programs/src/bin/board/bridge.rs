@@ -11,9 +11,9 @@ use std::time::{Duration, Instant};
 
 use haptic_sim::door::turn_away;
 
-/// How long a second tool waits for the first to be gone: one command after another is not two at once.
+/// Time for which a second tool waits for the first to be gone: one command after another is not two at once.
 const GRACE: Duration = Duration::from_millis(500);
-/// How long a tool that disarms past the one that holds the port hears what the board says.
+/// Time for which a tool that disarms past the holder of the port receives the board's answer.
 const GUEST: Duration = Duration::from_secs(1);
 
 /// A request to disarm, and the tool that sent it.
@@ -21,9 +21,9 @@ type Disarm = (Vec<u8>, TcpStream);
 
 /// A program's end of the board's serial port.
 pub trait Outlet {
-    /// Whether a program holds the port open.
+    /// Returns true if a program holds the port open.
     fn open(&mut self) -> bool;
-    /// What the program has written since the last call.
+    /// Returns the bytes that the program has written since the last call.
     fn read(&mut self) -> Vec<u8>;
     /// Hands bytes to the program; what it does not take is lost.
     fn write(&mut self, bytes: &[u8]);
@@ -178,7 +178,7 @@ mod terminal {
         }
 
         fn write(&mut self, bytes: &[u8]) {
-            // A full terminal means that nobody reads: the bytes go, as on a serial line.
+            // A full terminal means that no program reads: the bytes are lost, as on a serial line.
             let _ = rustix::io::write(&self.master, bytes);
         }
     }

@@ -59,8 +59,8 @@ fn parse(mut words: impl Iterator<Item = String>) -> Option<Arguments> {
     Some(arguments)
 }
 
-/// A copy of the device file at `path` that a real board arms: motor data verified, and limits where it has none.
-/// Nobody can be hurt here.
+/// A copy of the device file at `path` that a real board arms: motor data verified, and limits where it has none. There
+/// is no motor here that could hurt anyone.
 fn ready_to_arm(path: &Path, file: &DeviceFile) -> std::io::Result<PathBuf> {
     let text = std::fs::read_to_string(path)?;
     let mut joints = file.description.joints.iter();

@@ -9,7 +9,7 @@ use haptic_host::words::{counted, short};
 pub(super) fn over_penetration(rows: &Rows<'_>, force: &str, found: &mut Found) -> Result<Panel, Failure> {
     let (distance, column) = (rows.column("distance_m")?, rows.column(force)?);
     let deepest = rows.rows.iter().fold(0.0_f64, |deepest, row| deepest.max(-row[distance]));
-    // What is far from the wall is no part of this picture: an empty row of points along the axis.
+    // Rows far from the wall are no part of this picture: they would be an empty row of points along the axis.
     let near = |row: &[f64]| -row[distance] >= -0.1 * deepest;
     let mut pieces = Vec::new();
     for piece in rows.pieces(|i, _| (i as f64, 0.0)) {
@@ -61,11 +61,11 @@ pub(super) fn over_penetration(rows: &Rows<'_>, force: &str, found: &mut Found) 
 /// The straight line of least squares through some points.
 struct Fit {
     slope: f64,
-    /// Where the points end along x.
+    /// Ends of the line, at the lowest and the highest x of the points.
     ends: [(f64, f64); 2],
 }
 
-/// Why there is none whose slope is a stiffness.
+/// The reason why no line has a slope that is a stiffness.
 enum NoLine {
     TooFew,
     Scattered,
@@ -88,7 +88,7 @@ fn fitted(points: &[(f64, f64)]) -> Result<Fit, NoLine> {
     let slope = both / spread;
     let rest: f64 = points.iter().map(|p| (p.1 - y - slope * (p.0 - x)).powi(2)).sum();
     let error = (rest / ((count - 2.0) * spread)).sqrt();
-    // Also where nothing moved, and the slope is none.
+    // Also if nothing moved: then the slope is not a number.
     if !(slope > 0.0 && error < UNSURE * slope) {
         return Err(NoLine::Scattered);
     }

@@ -147,8 +147,8 @@ fn finite(point: &(f64, f64)) -> bool {
     point.0.is_finite() && point.1.is_finite()
 }
 
-/// Where more points than half pixels follow each other: first, lowest, highest and last of each half pixel, so that no
-/// peak is lost.
+/// Thins points out of which more than one falls into half a pixel: it keeps the first, lowest, highest and last of
+/// each half pixel, so that no peak is lost.
 fn envelope(frame: &PlotArea, piece: &[(f64, f64)]) -> Vec<(f64, f64)> {
     let mut kept: Vec<(f64, f64)> = Vec::new();
     let place = |point: &(f64, f64)| (2.0 * frame.pixel(point.0, point.1).0).floor();

@@ -16,7 +16,7 @@ pub(super) struct ActiveRecording {
     /// Steps of its first and its newest row.
     steps: Option<(u32, u32)>,
     rows: u64,
-    /// What had been lost before it began.
+    /// Losses from before it began.
     before: Losses,
 }
 
@@ -107,7 +107,7 @@ impl Stage {
         }
     }
 
-    /// What is in its file stays there.
+    /// Ends a recording that failed; what is in its file stays there.
     pub(super) fn recording_failed(&mut self, error: RecordError) {
         self.recording = None;
         if let RecordError::Failed(failure) = error {

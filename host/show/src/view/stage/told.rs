@@ -1,4 +1,4 @@
-//! What pages are told: pictures, sweeps, the device, the walls, and what was refused.
+//! Messages to pages: pictures, sweeps, the device, the walls, and what was refused.
 
 use super::recording::{ActiveRecording, Recorded};
 use super::{SILENCE, Stage, TURNED};
@@ -113,7 +113,7 @@ impl Stage {
         }
     }
 
-    /// What is known of the motors where nothing is heard of this stage any more.
+    /// The state of the motors, in words, once nothing is heard of this stage any more.
     fn if_lost(&self) -> &'static str {
         match (self.world.simulated.is_some(), self.state.drives(), self.rules.host_action) {
             (true, ..) => "its simulated board is gone with it, or let its motors go with the key",
@@ -136,7 +136,7 @@ impl Stage {
         }
     }
 
-    /// What a page has to know once.
+    /// The facts that a page has to know once.
     pub(super) fn about(&self) -> Value {
         let info = self.world.board.info();
         let hand = hand_settings();

@@ -1,4 +1,4 @@
-//! How far a measurement is and how long it still takes: a bar on a terminal, a line every few seconds elsewhere.
+//! Progress and remaining time of a measurement: a bar on a terminal, a line every few seconds elsewhere.
 
 use indicatif::{ProgressBar, ProgressStyle};
 use std::cell::{Cell, RefCell};

@@ -1,4 +1,4 @@
-//! What a measurement says: its points beside the theory of the same loop, as a table, a document or a picture.
+//! The report of a measurement: its points beside the theory of the same loop, as a table, a document or a picture.
 
 use super::Args;
 use crate::commands::port::counted;
@@ -61,7 +61,7 @@ impl Theory {
         Ok(Self { device, walls, around: prediction.around, excitation, line, q: q.to_vec() })
     }
 
-    /// What a hand at the tip feels of a stiffness (N/m), where transmissions give.
+    /// The stiffness that a hand at the tip feels of a wall's stiffness (N/m), if transmissions give.
     fn felt(&self, kp: f64) -> Option<f64> {
         let Walls::One(device) = &self.device else { return None };
         device.flexible.stiffness_at_tip(&device.row).map(|at_tip| felt(kp, at_tip))
@@ -105,17 +105,17 @@ pub struct Report<'a> {
 }
 
 impl Report<'_> {
-    /// Whether there is anything to tell.
+    /// Returns true if there is anything to tell.
     pub fn any(&self) -> bool {
         self.plan.modes.iter().any(|mode| !self.points(*mode).is_empty())
     }
 
-    /// Whether a boundary was found.
+    /// Returns true if a boundary was found.
     pub fn measured(&self) -> bool {
         self.plan.modes.iter().any(|mode| self.points(*mode).iter().any(|point| !point.repeats.is_empty()))
     }
 
-    /// What was measured of what is asked: a file of progress may hold other dampings as well.
+    /// The measured points that were asked for: a file of progress may hold other dampings as well.
     fn points(&self, mode: FeedForward) -> Vec<&Point> {
         self.plan.asked(self.progress.all(mode))
     }
@@ -175,7 +175,7 @@ impl Report<'_> {
         }
     }
 
-    /// Where and how, in two lines.
+    /// The pose, the normals and the loop of the measurement, in two lines.
     fn setting(&self) -> [String; 2] {
         let joined = |values: &[f64]| list(values).replace(',', ", ");
         let (args, around) = (self.args, &self.theory.around);

@@ -1,4 +1,4 @@
-//! What encoder steps make of walls that are pressed: `haptic range --ripple` and `--wall`.
+//! The effect of encoder steps on walls that are pressed: `haptic range --ripple` and `--wall`.
 
 use super::Args;
 use crate::commands::arguments::Numbers;
@@ -11,10 +11,10 @@ use haptic_stability::analysis::sampled::Mode;
 use haptic_stability::sweep::Sweep;
 use std::fmt::Write;
 
-/// What encoder steps make of pressed walls.
+/// The effect of encoder steps on pressed walls.
 #[derive(serde::Serialize)]
 pub struct Steps {
-    /// What one count of the coarsest joint moves along the normal, m.
+    /// Movement along the normal for one count of the coarsest joint, m.
     count_m: f64,
     push_n: f64,
     /// Mass (kg), damping (N s/m), stiffness (N/m).
@@ -49,7 +49,7 @@ struct StepsOfWall {
     washout: Option<Ripple>,
 }
 
-/// What encoder steps make of the walls that were asked for.
+/// The effect of encoder steps on the walls that were asked for.
 pub fn stepped(
     args: &Args,
     file: &DeviceFile,

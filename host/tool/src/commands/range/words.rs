@@ -1,4 +1,4 @@
-//! What `haptic range` says.
+//! The words of `haptic range`.
 
 use super::Args;
 use crate::commands::arguments::Numbers;
@@ -32,7 +32,7 @@ pub fn subtitle(args: &Args, q: &[f64], normals: &[Vec<f64>], ratio: f64) -> [St
     ]
 }
 
-/// What is in the loop that is not in every one.
+/// The parts of this loop that not every loop has.
 fn besides(args: &Args, description: &Description) -> Vec<String> {
     let mut besides = Vec::new();
     if description.is_flexible() {
@@ -164,7 +164,7 @@ pub fn readable(
     text
 }
 
-/// What a gain costs, in a sentence.
+/// The cost of a gain, in a sentence.
 fn price(w_eff: f64, w_rr: f64, gain: f64) -> String {
     let coupling = 1.0 - w_eff / w_rr;
     format!(
@@ -175,7 +175,7 @@ fn price(w_eff: f64, w_rr: f64, gain: f64) -> String {
     )
 }
 
-/// What rendering on the board is worth, in a sentence.
+/// The benefit of rendering on the board, in a sentence.
 fn on_a_computer(range: &Range, host: &HostWall) -> String {
     let by =
         format!("a computer that asks {:.0} times a second, its forces {} ms old", host.rate_hz, 1e3 * host.delay_s);
@@ -186,7 +186,7 @@ fn on_a_computer(range: &Range, host: &HostWall) -> String {
     format!("rendered by {by}: the board's own wall is up to {times:.1} times as stiff")
 }
 
-/// What the feed-forward buys, in a sentence.
+/// The benefit of the feed-forward, in a sentence.
 fn verdict(range: &Range) -> String {
     let ratio = range.area_ratio;
     if range.off.area == 0.0 && range.full.area == 0.0 {
@@ -227,7 +227,7 @@ pub fn in_words(why: &Why) -> String {
     text
 }
 
-/// What is left of the area and of the stiffest wall, where less is left of either than [`COSTLY_RATIO`].
+/// The shares of the area and of the stiffest wall that are left, if one of them is less than [`COSTLY_RATIO`].
 fn costs(domain: &Domain, off: &Domain) -> Option<(f64, f64)> {
     let stiffness = domain.top.kp / off.top.kp.max(f64::MIN_POSITIVE);
     let area = domain.area / off.area.max(f64::MIN_POSITIVE);

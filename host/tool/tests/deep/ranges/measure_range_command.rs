@@ -116,6 +116,16 @@ fn what_the_readme_says_ends_with_boundaries_near_those_of_theory() {
         let share = point["kp"].as_f64().unwrap() / point["theory_kp"].as_f64().unwrap();
         assert!((0.97..2.5).contains(&share), "{point}");
     }
+    let readme = std::fs::read_to_string(root().join("README.md")).unwrap().replace('\n', " ");
+    let kilonewtons = |i: usize| points[i]["kp"].as_f64().unwrap() / 1e3;
+    let said = format!(
+        "{:.2} and {:.2} kN/m with the feed-forward, {:.2} and {:.2} without",
+        kilonewtons(2),
+        kilonewtons(3),
+        kilonewtons(0),
+        kilonewtons(1)
+    );
+    assert!(readme.contains(&said), "README.md does not say {said}");
     // docs/results.md has the same line and what it gives.
     let results = std::fs::read_to_string(root().join("docs/results.md")).unwrap();
     let row = results.lines().find(|row| row.contains(&format!("`{line}`"))).expect("a row with this line");
