@@ -196,7 +196,8 @@ fn stores(values: &[(u32, u32)], task: u32) -> Vec<u32> {
 
 /// The advanced timers and the ports whose pins drive gates, and where their registers lie.
 const TIMERS: [(&str, u32); 2] = [("TIM1", 0x4001_0000), ("TIM8", 0x4001_0400)];
-const PORTS: [(&str, u32); 3] = [("GPIOA", 0x4002_0000), ("GPIOB", 0x4002_0400), ("GPIOC", 0x4002_0800)];
+const PORTS: [(&str, u32); 4] =
+    [("GPIOA", 0x4002_0000), ("GPIOB", 0x4002_0400), ("GPIOC", 0x4002_0800), ("GPIOE", 0x4002_1000)];
 /// CCMR1, CCMR2, CCER and BDTR of a timer; MODER and PUPDR of a port.
 const HOW_TIMERS_DRIVE: [u32; 4] = [0x18, 0x1C, 0x20, BREAK_AND_DEAD_TIME];
 const HOW_PINS_DRIVE: [u32; 2] = [0x00, 0x0C];

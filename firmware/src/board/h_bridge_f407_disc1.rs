@@ -5,8 +5,8 @@
 //! may drive it.
 
 use embassy_stm32::Peripherals;
-use embassy_stm32::pac::GPIOE;
 use embassy_stm32::pac::gpio::Gpio;
+use embassy_stm32::pac::{GPIOA, GPIOE};
 
 use super::h_bridges::{Pins, Wires};
 use super::{Common, Pin, Signs};
@@ -33,7 +33,8 @@ impl Wires for HBridgeF407Disc1 {
     const CHANNELS: [[u8; 2]; 2] = [[11, 1], [12, 14]];
     /// Divider: 11 kohm over 1 kohm.
     const BUS_FULL_SCALE: f32 = REFERENCE_V * 12.0;
-    const LOCKED: &'static [(Gpio, u16)] = &[(GPIOE, 0xFF00)];
+    /// PA9 too, which has the cable's 5 V and must stay an input.
+    const LOCKED: &'static [(Gpio, u16)] = &[(GPIOA, 1 << 9), (GPIOE, 0xFF00)];
 
     fn divide(p: Peripherals) -> (Pins, Common) {
         let pins = Pins {
