@@ -206,7 +206,7 @@ where
     #[inline(always)]
     fn render_scene(&mut self, counts: &Counts) {
         if let Some(program) = self.program.as_mut() {
-            program.controller.step(counts, &self.now.motors.torque, &mut self.now.found);
+            program.controller.render(counts, &self.now.motors.torque, &mut self.now.found);
         }
     }
 

@@ -7,8 +7,8 @@ use haptic_bridge::model::mechanism::AnyMechanism;
 use haptic_bridge::render::controller::Controller;
 use haptic_bridge::render::scene::{FeedForward, Scene, SceneError};
 use haptic_bridge::render::velocity::{
-    AdaptiveWindow, AlphaBeta, Chosen, Coefficients, CutoffMeans, Difference, Estimator, EstimatorSpec, JointEstimator,
-    JointVelocity, Levant, Predicted, Seen,
+    Chosen, Coefficients, CutoffMeans, Difference, Estimator, EstimatorSpec, JointEstimator, JointVelocity, Predicted,
+    Seen,
 };
 use haptic_bridge::servo::compiled::BoardMath;
 
@@ -81,58 +81,6 @@ fn the_difference_is_that_over_k_samples() {
     }
 }
 
-/// The window by its definition: the longest of which every shorter one passes too, each looked through.
-fn by_definition(positions: &[f64], longest: usize) -> f64 {
-    let last = positions.len() - 1;
-    let mut slope = positions[last] - positions[last - 1];
-    for k in 2..=longest.min(last) {
-        let longer = (positions[last] - positions[last - k]) / k as f64;
-        let fits = (1..k).all(|j| (positions[last] - longer * j as f64 - positions[last - j]).abs() <= 1.0 + 1e-9);
-        if !fits {
-            break;
-        }
-        slope = longer;
-    }
-    slope
-}
-
-#[test]
-fn the_adaptive_window_is_the_longest_whose_line_passes_within_a_count_of_every_sample() {
-    let (mut lengths, longest) = (std::collections::BTreeSet::new(), 16);
-    for swing in 1..40_u32 {
-        let x = |n: u32| (f64::from(swing * swing) * (f64::from(n) * 0.02).sin() + 0.7 * wild(n)).round();
-        let moved: Vec<f64> = (1..300).map(|n| x(n) - x(n - 1)).collect();
-        let found = run::<AdaptiveWindow<f64>>(taking(longest as u32), 500.0, moved);
-        // From where the window cannot reach what was before the first sample.
-        for n in 20..300_usize {
-            let positions: Vec<f64> = (0..=n as u32).map(x).collect();
-            let defined = by_definition(&positions, longest);
-            assert!(
-                (found[n - 1] - defined).abs() < 1e-9,
-                "swing {swing}, sample {n}: {} is not {defined}",
-                found[n - 1]
-            );
-            lengths.insert((defined * 1e6) as i64);
-        }
-    }
-    assert!(lengths.len() > 100, "too few different slopes to tell");
-}
-
-#[test]
-fn the_alpha_beta_filter_is_a_critically_damped_low_pass() {
-    // Eliminating the position from x̂' = x̂ + v + α e, v' = v + β e: v[n] = (2 - α - β) v[n-1] - (1 - α) v[n-2] + β
-    // m[n], with both poles at p for α = 1 - p² and β = (1 - p)².
-    let g = warped(300.0);
-    let p = (1.0 - g) / (1.0 + g);
-    let beta = (1.0 - p) * (1.0 - p);
-    let moved: Vec<f64> = (0..400).map(wild).collect();
-    let found = run::<AlphaBeta<f64>>(PLAIN, 300.0, moved.iter().copied());
-    for n in 2..400 {
-        let expected = 2.0 * p * found[n - 1] - p * p * found[n - 2] + beta * moved[n];
-        assert!((found[n] - expected).abs() < 1e-12, "sample {n}: {} is not {expected}", found[n]);
-    }
-}
-
 #[test]
 fn the_predicting_observer_forgets_by_three_equal_poles() {
     // Whatever it believed, what is wrong with its velocity ends like (a + b n + c n²) pⁿ: three steps of (z - p) on it
@@ -172,30 +120,12 @@ fn a_known_push_is_known_at_once_and_an_unknown_one_learnt_without_an_error() {
 }
 
 #[test]
-fn levant_is_exact_while_the_acceleration_stays_within_its_limit_and_not_beyond() {
-    // x = A sin ωn, with A ω² below and far above the limit of 0.01 counts per period².
-    let error = |amplitude: f64| {
-        let x = |n: f64| amplitude * (0.01 * n).sin();
-        let moved = (1..5_000).map(|n| x(f64::from(n)) - x(f64::from(n - 1)));
-        let design = Levant::<f64>::design(&taking(10), 0.0);
-        let mut memory = Levant::moving_at(0.0);
-        let found: Vec<f64> =
-            moved.map(|moved| memory.step::<Libm>(&design, &Seen { moved, pushed: 0.0, unit: 1e-3 })).collect();
-        // The velocity in the middle of the period is what the motion over it tells.
-        let truth = |n: usize| amplitude * 0.01 * (0.01 * (n as f64 + 0.5)).cos();
-        (4_000..4_999).map(|n| (found[n] - truth(n)).abs()).fold(0.0, f64::max)
-    };
-    assert!(error(90.0) < 1e-4, "{}", error(90.0));
-    assert!(error(1_000.0) > 1.0, "{}", error(1_000.0));
-}
-
-#[test]
 fn a_velocity_that_grows_steadily_is_known_as_late_as_said() {
-    // In counts per period: slow enough that the adaptive window stays as long as it can be.
+    // In counts per period.
     let growth = 1e-5;
     for (_, kind) in Estimator::ALL {
         let (Some(spec), Some(chosen)) = (kind.spec(), kind.chosen()) else { continue };
-        if spec.predicts || spec.name == "levant" {
+        if spec.predicts {
             continue;
         }
         for filtered in [false, spec.cutoff == CutoffMeans::LowPassBehind] {
@@ -240,11 +170,9 @@ fn every_estimator_finds_the_speed_of_an_encoder_of_20000_counts_at_20_khz_in_si
                 apart = apart.max((v - exact).abs());
             }
         }
-        // Levant's swings about the speed, by 1 % of it here (found 2026-11).
         assert!((mean / speed - 1.0).abs() < 1e-2, "{name}: {mean} is not {speed}");
-        // Of a count per period. Levant's switches, so its swing about the speed has another phase in another
-        // precision.
-        assert!(apart < 1e-4 || *name == "levant", "{name}: {apart:e} apart");
+        // Of a count per period.
+        assert!(apart < 1e-4, "{name}: {apart:e} apart");
     }
 }
 

@@ -74,7 +74,7 @@ pub const STAGES: &[(&str, &[&str])] = &[
             "Servo::render",
             "Servo::render_scene",
             "Servo::render_pushed",
-            "AnyController::step",
+            "AnyController::render",
             "Controller::render",
             "Controller::render_otherwise",
             "compiled::render",

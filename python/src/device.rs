@@ -264,8 +264,8 @@ impl PyDevice {
     /// samples).
     ///
     /// q: (..., N) rad; normal: (d,) or (..., d). kd: the dampings (N s/m) at which the boundary is wanted, k of them;
-    /// by default k is 200, even ones up to kd_max. estimator: butterworth, first-order, backward-difference,
-    /// alpha-beta or predicted. drive: ideal, voltage or current. hand: (kg, N s/m, N/m). posture: what a
+    /// by default k is 200, even ones up to kd_max. estimator: butterworth, first-order, backward-difference
+    /// or predicted. drive: ideal, voltage or current. hand: (kg, N s/m, N/m). posture: what a
     /// redundant device is held in, (N m/rad, N m s/rad). host_rate_hz and host_delay_s (s, by default one request's
     /// time) analyse the wall rendered by a program on a computer as well.
     ///

@@ -26,7 +26,7 @@ use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
 /// Version of this table. Raised by any change to it.
-pub const PROTOCOL: u16 = 10;
+pub const PROTOCOL: u16 = 11;
 
 /// Longest frame on the link, bytes, before what COBS adds.
 pub const MAX_FRAME: usize = 1536;

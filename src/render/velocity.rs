@@ -5,11 +5,8 @@
 //! the estimated joint velocities make of it, n·J q̇: there the steps of the encoder are known, and the torques are.
 //! Each of them is one file beside this one ([`JointEstimator`]) and one line in the list.
 
-mod adaptive_window;
-mod alpha_beta;
 mod cutoff;
 mod difference;
-mod levant;
 mod low_pass;
 mod predicted;
 mod washout;
@@ -17,12 +14,9 @@ mod washout;
 use crate::math::{Math, Real};
 use crate::model::catalogue::MAX_JOINTS;
 use crate::model::device::Device;
-pub use adaptive_window::AdaptiveWindow;
-pub use alpha_beta::AlphaBeta;
 pub use cutoff::BadCutoff;
 use cutoff::warped;
 pub use difference::Difference;
-pub use levant::Levant;
 pub use low_pass::{LowPass, Velocity};
 pub use predicted::Predicted;
 pub use washout::Washout;
@@ -211,12 +205,6 @@ macro_rules! estimators {
 estimators! {
     /// Difference over several samples.
     Difference;
-    /// Difference over as many samples as lie on one line within a count.
-    AdaptiveWindow;
-    /// Tracks position and velocity: a steady-state Kalman filter.
-    AlphaBeta;
-    /// Levant's robust differentiator.
-    Levant;
     /// Predicts by the motors' torques and the device's inertia, corrects by counts.
     Predicted;
 }

@@ -72,7 +72,7 @@ macro_rules! define {
 
             /// One control step; writes what it finds but joint angles. `acted`: what the motors gave since the last, N m.
             #[inline(always)]
-            pub(crate) fn step(&mut self, counts: &Counts, acted: &Torques, found: &mut StepResult<f32>) {
+            pub(crate) fn render(&mut self, counts: &Counts, acted: &Torques, found: &mut StepResult<f32>) {
                 match self {
                     // No device has more joints than there are counts.
                     $(Self::$Variant(controller) => {

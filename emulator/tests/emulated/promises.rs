@@ -339,9 +339,9 @@ fn a_board_that_is_left_alone_is_not_bitten() {
 /// meanwhile.
 #[test]
 fn a_request_for_the_slowest_velocities_is_not_bitten() {
-    let slow = |window| Estimator::AdaptiveWindow(Chosen { value: window, filtered: true });
+    let slow = |window| Estimator::Difference(Chosen { value: window, filtered: true });
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
-    rig.load(&format!("rate_hz = 10000\nestimator = \"adaptive-window\"\nwindow = 32\ncutoff_hz = 1\n{WALL}"));
+    rig.load(&format!("rate_hz = 10000\nestimator = \"difference\"\ndifference_over = 32\ncutoff_hz = 1\n{WALL}"));
     rig.ready();
     rig.tool.start_stream(Fields::USUAL, 10).expect("a stream starts");
     for (estimator, cutoff) in [(slow(32), 1.0), (slow(31), 0.5), (Estimator::Butterworth, 0.5), (slow(32), 2.0)] {

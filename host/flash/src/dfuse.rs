@@ -1,7 +1,7 @@
 //! One conversation with a DfuSe boot loader: point, erase, write, read, leave.
 //!
 //! A command is sent with one request, carried out at the first question for the status that follows it, and done when
-//! a later answer says so; in between the boot loader says how long not to ask again (AN3156 section 5). Numbers of
+//! a later answer says so; in between the boot loader says how long not to ask again (AN2662). Numbers of
 //! requests, states and statuses: DFU 1.1, sections 3 and 6.1.
 
 use std::time::Duration;
@@ -108,7 +108,7 @@ fn status_text(status: u8) -> &'static str {
     }
 }
 
-/// The status of a chip whose flash is protected, see AN3156, sections 4.1, 5.1 and 5.3.
+/// The status of a chip whose flash is protected, errVENDOR of DFU 1.1, section 6.1.2.
 const VENDOR: u8 = 0x0B;
 
 /// States, DFU 1.1, section 6.1.2.
@@ -181,7 +181,7 @@ impl<T: Transport> Dfuse<T> {
         self.finish(|| format!("write {} bytes at {address:#010x}", bytes.len()))
     }
 
-    /// Reads flash. The address of a block is its number times the length that is asked for (AN3156 section 4.1), so
+    /// Reads flash. The address of a block is its number times the length that is asked for (AN2662), so
     /// that a shorter last block is pointed at by itself.
     pub fn read(&mut self, address: u32, length: usize) -> Result<Vec<u8>, DfuError> {
         let mut bytes = Vec::with_capacity(length);

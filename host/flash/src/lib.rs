@@ -1,7 +1,7 @@
 //! Firmware on a board, through the boot loader that ST put into the chip.
 //!
-//! The boot loader speaks DfuSe: the USB DFU class (version 1.1a) with ST's commands in it, as AN3156 (the protocol),
-//! AN2606 (the chips) and UM0424 (the class) describe it. [`dfuse`] is one conversation with it over a [`Transport`],
+//! The boot loader speaks DfuSe: the USB DFU class (version 1.1a) with ST's commands in it, as AN2662 (a program that
+//! flashes through it) shows; ST's AN3156, which specifies them, was not at hand. [`dfuse`] is one conversation with it over a [`Transport`],
 //! [`plan`] says what is erased and written in which order, [`flash`] goes from a running board to the same board with
 //! another image in it. Nothing here needs a USB stack: `usb` (a feature) brings the one there is, and tests put a
 //! scripted boot loader in its place.

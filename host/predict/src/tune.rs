@@ -6,8 +6,7 @@
 //! ([`crate::bench::wall`]), on that device and on others a little off it: the analysis is linear and knows no steps.
 //! One simulated hand is easily pleased, so the wall is pressed once more by another one, with everything that a board
 //! has ([`measured`]). And a tip that taps it leaves it no more than [`MOST_REBOUNDS`] times. `criteria` has them all,
-//! and `search` finds the stiffest wall that keeps them. Levant's differentiator has no linear loop, so it is not
-//! searched.
+//! and `search` finds the stiffest wall that keeps them.
 
 mod baseline;
 mod criteria;

@@ -55,7 +55,7 @@ class Device:
         cutoff_hz: float = 20.0,
         delay: float = 0.0,
         estimator: Literal[
-            "butterworth", "first-order", "backward-difference", "alpha-beta", "predicted"
+            "butterworth", "first-order", "backward-difference", "predicted"
         ] = "butterworth",
         difference_over: int = 1,
         kd: Sequence[float] | None = None,

@@ -1,5 +1,5 @@
-//! The boot loader in the chip's ROM, written from ST's AN3156 (USB DFU protocol), UM0424 (the class with ST's
-//! extensions) and the USB forum's DFU 1.1, and stricter than the ROM: what the documents do not allow, such as a
+//! The boot loader in the chip's ROM, written from the USB forum's DFU 1.1 and ST's AN2662 (its AN3156
+//! was not at hand), and stricter than the ROM: what the documents do not allow, such as a
 //! question before the time that it asked for is over, is an error here.
 
 use std::time::Duration;

@@ -18,7 +18,7 @@ use std::collections::BTreeSet;
 /// Cutoffs of the low-passes, and of what has a bandwidth of its own, Hz.
 const CUTOFFS_HZ: [f64; 8] = [20.0, 50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0, 4000.0];
 const BANDWIDTHS_HZ: [f64; 8] = [10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0, 3000.0];
-/// Samples of the differences and of the adaptive windows.
+/// Samples of the differences.
 const WINDOWS: [u32; 4] = [4, 8, 16, 32];
 /// Candidates that are simulated at once.
 const ROUND: usize = 8;

@@ -26,8 +26,6 @@ pub enum LinearEstimator {
         /// The low-pass after it.
         then: LowPass,
     },
-    /// α-β filter with both poles at the bilinear image of this frequency (Hz).
-    AlphaBeta(f64),
     /// α-β-γ filter with its poles there (Hz), which knows the acceleration that the last sample's command gives.
     Predicted(f64),
 }
@@ -57,25 +55,20 @@ impl LinearEstimator {
             Self::FirstOrder(hz) => LowPass::FirstOrder(hz),
             Self::Butterworth(hz) => LowPass::Butterworth(hz),
             Self::Over { then, .. } => then,
-            Self::AlphaBeta(_) | Self::Predicted(_) => return self,
+            Self::Predicted(_) => return self,
         };
         Self::Over { samples, then }
     }
 
-    /// The linear form of a scene's estimator near rest; `None` where it has none. The adaptive window is then as long
-    /// as it can be.
+    /// The linear form of a scene's estimator near rest; `None` where it has none.
     pub fn of(kind: Kind, cutoff_hz: f64) -> Option<Self> {
         let behind = |chosen: Chosen| if chosen.filtered { LowPass::Butterworth(cutoff_hz) } else { LowPass::None };
         match kind {
             Kind::Butterworth => Some(Self::Butterworth(cutoff_hz)),
             Kind::FirstOrder => Some(Self::FirstOrder(cutoff_hz)),
             Kind::BackwardDifference => Some(Self::BackwardDifference),
-            Kind::Difference(chosen) | Kind::AdaptiveWindow(chosen) => {
-                Some(Self::Over { samples: chosen.value as usize, then: behind(chosen) })
-            }
-            Kind::AlphaBeta(_) => Some(Self::AlphaBeta(cutoff_hz)),
+            Kind::Difference(chosen) => Some(Self::Over { samples: chosen.value as usize, then: behind(chosen) }),
             Kind::Predicted(_) => Some(Self::Predicted(cutoff_hz)),
-            Kind::Levant(_) => None,
         }
     }
 
@@ -89,7 +82,7 @@ impl LinearEstimator {
 
     /// Returns true if it begins with a difference, which can be taken over more samples.
     pub fn takes_difference(self) -> bool {
-        !matches!(self, Self::AlphaBeta(_) | Self::Predicted(_))
+        !matches!(self, Self::Predicted(_))
     }
 
     /// Its cutoff, Hz.
@@ -98,7 +91,6 @@ impl LinearEstimator {
             Self::BackwardDifference | Self::Over { then: LowPass::None, .. } => None,
             Self::FirstOrder(hz)
             | Self::Butterworth(hz)
-            | Self::AlphaBeta(hz)
             | Self::Predicted(hz)
             | Self::Over { then: LowPass::FirstOrder(hz) | LowPass::Butterworth(hz), .. } => Some(hz),
         }
@@ -131,7 +123,7 @@ impl LinearEstimator {
         match self {
             Self::BackwardDifference => 0,
             Self::FirstOrder(_) => 1,
-            Self::Butterworth(_) | Self::AlphaBeta(_) => 2,
+            Self::Butterworth(_) => 2,
             Self::Predicted(_) => 3,
             Self::Over { samples, then } => samples - 1 + then.alone().states(),
         }
@@ -170,15 +162,6 @@ impl LinearEstimator {
                 }
                 change.append(&mut after.change);
                 Answer { velocity: after.velocity, change }
-            }
-            (Self::AlphaBeta(hz), [ahead, velocity]) => {
-                let left = 2.0 * warped(hz) / (1.0 + warped(hz));
-                let pole = 1.0 - left;
-                let alpha = 1.0 - pole * pole;
-                let unexpected = moved - velocity;
-                let beyond = ahead + unexpected;
-                let gained = left * left * beyond;
-                Answer { velocity: velocity + gained, change: vec![unexpected - alpha * beyond, gained] }
             }
             (Self::Predicted(hz), [ahead, velocity, unknown]) => {
                 let left = 2.0 * warped(hz) / (1.0 + warped(hz));
@@ -240,7 +223,6 @@ impl LinearEstimator {
             Self::BackwardDifference => ("backward-difference", 1),
             Self::FirstOrder(_) => ("first-order", 1),
             Self::Butterworth(_) => ("butterworth", 1),
-            Self::AlphaBeta(_) => ("alpha-beta", 1),
             Self::Predicted(_) => ("predicted", 1),
             Self::Over { samples, then: LowPass::None } => ("backward-difference", samples),
             Self::Over { samples, then: LowPass::FirstOrder(_) } => ("first-order", samples),

@@ -260,7 +260,6 @@ pub fn linear_estimator() -> impl TypedValueParser<Value = Estimator> {
         Estimator::Butterworth => "Backward difference and a 2nd-order Butterworth low-pass",
         Estimator::FirstOrder => "Backward difference and a 1st-order low-pass",
         Estimator::BackwardDifference => "Backward difference alone",
-        Estimator::AlphaBeta(_) => "α-β filter with its poles at the cutoff",
         Estimator::Predicted(_) => "Observer that knows the motors' torques, with its poles at the cutoff",
         _ => "As in scene files",
     };
@@ -289,7 +288,7 @@ mod tests {
     #[test]
     fn the_linear_estimators_are_those_without_a_window_of_their_own() {
         let names: Vec<&str> = LinearEstimator::named().map(|(name, _)| name).collect();
-        assert_eq!(names, ["butterworth", "first-order", "backward-difference", "alpha-beta", "predicted"]);
+        assert_eq!(names, ["butterworth", "first-order", "backward-difference", "predicted"]);
     }
 
     #[test]

@@ -43,7 +43,7 @@ fn what_check_names_to_predict_the_same_does() {
         for (feed_forward, law) in [
             ("off", "rate_hz = 5000\ncutoff_hz = 300\n"),
             ("full", "estimator = \"difference\"\ndifference_over = 4\n"),
-            ("washout", "admissible = \"consistent\"\nestimator = \"alpha-beta\"\nrate_hz = 20000\ncutoff_hz = 250\n"),
+            ("washout", "admissible = \"consistent\"\nestimator = \"predicted\"\nrate_hz = 20000\ncutoff_hz = 250\n"),
         ] {
             let scene = format!("{law}{wall}feed_forward = \"{feed_forward}\"\n{compensation}{posture}");
             std::fs::write(&path, &scene).unwrap();

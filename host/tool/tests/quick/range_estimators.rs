@@ -74,13 +74,8 @@ fn a_difference_over_k_samples_crosses_where_its_transfer_function_says() {
 #[test]
 fn what_is_another_estimator_by_its_numbers_has_that_ones_boundary() {
     let damping = [0.1, 0.5, 1.5];
-    // Both poles of the α-β filter are at 0 for a cutoff of a quarter of the rate: α = β = 1.
     let plain: Vec<f64> = damping.iter().map(|b| 2.0 * b * (2.0 - b) / (2.0 + b)).collect();
-    for estimator in [
-        LinearEstimator::BackwardDifference,
-        LinearEstimator::BackwardDifference.over(1),
-        LinearEstimator::AlphaBeta(RATE / 4.0),
-    ] {
+    for estimator in [LinearEstimator::BackwardDifference, LinearEstimator::BackwardDifference.over(1)] {
         for (a, expected) in boundary(estimator, &damping).unwrap().iter().zip(&plain) {
             assert!((a / expected - 1.0).abs() < 1e-6, "{estimator:?}: {a} is not {expected}");
         }
@@ -99,7 +94,6 @@ fn with_little_damping_every_estimator_is_as_good_as_another() {
         LinearEstimator::Butterworth(100.0),
         LinearEstimator::Butterworth(100.0).over(10),
         LinearEstimator::FirstOrder(100.0).over(4),
-        LinearEstimator::AlphaBeta(100.0),
     ] {
         let a = boundary(estimator, &[1e-5]).unwrap()[0];
         assert!((a / 2e-5 - 1.0).abs() < 1e-2, "{estimator:?}: {}", a / 1e-5);
@@ -110,11 +104,7 @@ fn with_little_damping_every_estimator_is_as_good_as_another() {
 fn windows_and_cutoffs_that_no_board_has_are_refused() {
     assert_eq!(boundary(LinearEstimator::BackwardDifference.over(0), &[]), Err(AnalysisError::Difference(0)));
     assert_eq!(boundary(LinearEstimator::BackwardDifference.over(65), &[]), Err(AnalysisError::Difference(65)));
-    for estimator in [
-        LinearEstimator::AlphaBeta(500.0),
-        LinearEstimator::Predicted(0.0),
-        LinearEstimator::Butterworth(500.0).over(2),
-    ] {
+    for estimator in [LinearEstimator::Predicted(0.0), LinearEstimator::Butterworth(500.0).over(2)] {
         assert!(matches!(boundary(estimator, &[]), Err(AnalysisError::Cutoff { .. })), "{estimator:?}");
     }
 }

@@ -66,7 +66,7 @@ fn velocity_terms_do_not_act_on_single_counts() {
             seen += 1;
         }
     }
-    assert!(seen >= 9 * 8, "{seen}");
+    assert!(seen >= 9 * Estimator::ALL.len(), "{seen}");
 }
 
 /// The mean torques (N m) of the velocity terms over the periods of the last count while a five-bar's joints turn

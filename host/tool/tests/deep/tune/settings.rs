@@ -125,7 +125,6 @@ fn no_wall_of_a_plain_scan_is_much_stiffer() {
         (usual("butterworth"), 500.0),
         (usual("first-order"), 200.0),
         (usual("predicted"), 30.0),
-        (usual("alpha-beta"), 300.0),
         (usual("difference").choosing(over(8)), 500.0),
     ] {
         for damping in [0.5, 1.0, 2.0, 4.0, 8.0, 16.0] {
