@@ -49,6 +49,7 @@ pub mod model {
     pub(crate) mod padding;
     pub mod precomputed;
     pub mod principal;
+    pub mod shipped;
     pub mod solve;
 }
 

@@ -1,7 +1,7 @@
 //! The counting image: every variant of the control step on the chip, between the markers of emulator's `count`.
 //!
 //! Nothing but the core runs: no board, no clock set-up, no interrupt. `cargo xtask bench` builds it, has it counted on
-//! the emulated chip and keeps the figures in benches/counts.json. A variant's name is
+//! the emulated chip and keeps the figures in host/predict/src/bench/counts.json. A variant's name is
 //! `mechanism/trigonometry/mass model/terms`, and that of another velocity estimator ends with its name; each is called
 //! at several poses with the tip inside the walls, after a few steps of motion.
 #![no_std]

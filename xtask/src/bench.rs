@@ -1,5 +1,5 @@
-//! Instructions of every variant of the control step: counted on the emulated chip, kept in benches/counts.json, held
-//! there.
+//! Instructions of every variant of the control step: counted on the emulated chip, kept in
+//! host/predict/src/bench/counts.json, held there.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -17,8 +17,9 @@ const BINARY: &str = "haptic-bridge-counting";
 /// By how much a variant may grow over the committed figure.
 const GROWTH: f64 = 1.05;
 
+/// Inside the package that brings the figures along.
 fn kept() -> PathBuf {
-    root().join("benches/counts.json")
+    root().join("host/predict/src/bench/counts.json")
 }
 
 /// Builds the counting image; its path.
@@ -73,10 +74,10 @@ pub fn refresh() -> Result<()> {
 
 /// Counts everything again and fails when a variant has grown by more than a twentieth over the kept figure.
 pub fn check() -> Result<()> {
-    let kept: Value = serde_json::from_str(&fs::read_to_string(kept()).context("benches/counts.json cannot be read")?)?;
+    let kept: Value = serde_json::from_str(&fs::read_to_string(kept()).context("counts.json cannot be read")?)?;
     let kept: BTreeMap<&str, u64> = kept["variants"]
         .as_array()
-        .context("benches/counts.json lists no variants")?
+        .context("counts.json lists no variants")?
         .iter()
         .filter_map(|variant| Some((variant["name"].as_str()?, variant["instructions"].as_u64()?)))
         .collect();
@@ -85,7 +86,7 @@ pub fn check() -> Result<()> {
     let mut less = 0;
     for (name, now) in &counted {
         match kept.get(name.as_str()) {
-            None => wrong.push(format!("{name}: not in benches/counts.json")),
+            None => wrong.push(format!("{name}: not in counts.json")),
             Some(then) if *now as f64 > *then as f64 * GROWTH => {
                 wrong.push(format!("{name}: {then} have become {now}"))
             }
@@ -102,6 +103,6 @@ pub fn check() -> Result<()> {
             wrong.join("\n  ")
         );
     }
-    println!("{} variants within 5 % of benches/counts.json, {less} of them below", counted.len());
+    println!("{} variants within 5 % of counts.json, {less} of them below", counted.len());
     Ok(())
 }

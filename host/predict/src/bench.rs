@@ -1,6 +1,6 @@
 //! Speed against error: what each way of computing the control step costs on the chip, and what error it leaves.
 //!
-//! - [`counts`]: instructions on the Cortex-M4F, counted on the emulated chip and kept in benches/counts.json
+//! - [`counts`]: instructions on the Cortex-M4F, counted on the emulated chip and kept in bench/counts.json
 //! - [`estimators`]: velocity estimators compared on a device, in simulation with the steps of its encoders
 //! - [`precompute`]: frozen matrices and tables of a device, made here and sent ready to use
 //! - [`probe`]: where errors are looked at: poses, normals, forces and hand motions over the workspace or along a wall

@@ -19,7 +19,7 @@ use haptic_stability::analysis::plant::Linearised;
 use haptic_stability::analysis::pose::PoseError;
 
 /// The device of the demo: strongly coupled, so the feed-forward matters.
-pub const DEVICE: &str = include_str!("../../../devices/coupled-five-bar.toml");
+pub use haptic_bridge::model::shipped::COUPLED_FIVE_BAR as DEVICE;
 
 /// The demonstration.
 #[derive(Clone, Debug)]

@@ -9,7 +9,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 /// The device behind `--port sim`.
-pub const SHIPPED_DEVICE: &str = include_str!("../../../devices/coupled-five-bar.toml");
+pub use haptic_bridge::model::shipped::COUPLED_FIVE_BAR as SHIPPED_DEVICE;
 
 /// A simulated board that its wire and its owner share.
 #[derive(Clone, Debug)]

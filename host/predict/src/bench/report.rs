@@ -11,6 +11,7 @@ use haptic_bridge::model::catalogue::{Kind, MAX_JOINTS};
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::model::precomputed::{Interpolation, MassModel};
+use haptic_bridge::model::shipped;
 use haptic_bridge::render::scene::Scene;
 use haptic_bridge::render::velocity::Estimator;
 use haptic_bridge::servo::compiled::BoardMath;
@@ -25,11 +26,11 @@ use std::time::Instant;
 /// The device file of each mechanism that the figures are of, the same that the counting image steps.
 fn example_of(kind: Kind) -> &'static str {
     match kind {
-        Kind::Paddle => include_str!("../../../../devices/hapkit-paddle.toml"),
-        Kind::FiveBar => include_str!("../../../../devices/haply-2diy.toml"),
-        Kind::FiveBarTurret => include_str!("../../../../devices/fictive-five-bar-turret.toml"),
-        Kind::Parallelogram => include_str!("../../../../devices/phantom-premium-1.5.toml"),
-        Kind::Serial3r => include_str!("../../../../devices/serial-3r.toml"),
+        Kind::Paddle => shipped::HAPKIT_PADDLE,
+        Kind::FiveBar => shipped::HAPLY_2DIY,
+        Kind::FiveBarTurret => shipped::FICTIVE_FIVE_BAR_TURRET,
+        Kind::Parallelogram => shipped::PHANTOM_PREMIUM,
+        Kind::Serial3r => shipped::SERIAL_3R,
     }
 }
 

@@ -14,7 +14,7 @@ use std::path::PathBuf;
 
 /// Show what each way of computing the control step costs and what error it leaves
 ///
-/// Instructions on the chip were counted on the emulated chip (benches/counts.json); errors are computed here and now;
+/// Instructions on the chip were counted on the emulated chip (`cargo xtask bench`); errors are computed here and now;
 /// what this computer takes is measured now and is no result to quote.
 #[derive(clap::Args)]
 pub struct Args {
