@@ -5,6 +5,7 @@ mod build_times;
 #[path = "../../src/checksum.rs"]
 mod checksum;
 mod dfu;
+mod dist;
 mod dynamics;
 mod firmware;
 mod format;
@@ -15,6 +16,7 @@ mod library;
 mod no_panic;
 mod paths;
 mod playground;
+mod publish;
 mod python;
 mod report;
 mod soak;
@@ -69,6 +71,8 @@ enum Command {
         #[arg(long)]
         twice: bool,
     },
+    /// Make what others install, for this computer: an archive, a wheel and their sums, into target/dist
+    Dist,
     /// Prove that the control step cannot panic, and bound its stack
     NoPanic,
     /// Count instructions of every variant of the control step, remake the report
@@ -175,6 +179,7 @@ fn run(command: Command) -> Result<()> {
         Command::Dfu { board } => firmware::dfu(&board),
         Command::Images { twice: false } => images::take_in(),
         Command::Images { twice: true } => images::twice(),
+        Command::Dist => dist::make().map(drop),
         Command::NoPanic => no_panic::prove(),
         Command::Bench { check: false } => bench::refresh(),
         Command::Bench { check: true } => bench::check(),

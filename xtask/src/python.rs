@@ -1,7 +1,7 @@
 //! The package for Python: built as the tests are, and tried in an environment of its own.
 
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use anyhow::{Context as _, Result};
@@ -14,7 +14,15 @@ use crate::tools;
 /// The parts of python/pyproject.toml that are used here.
 #[derive(Deserialize)]
 struct Manifest {
+    #[serde(rename = "build-system")]
+    build: Build,
     project: Project,
+}
+
+/// What builds the package.
+#[derive(Deserialize)]
+struct Build {
+    requires: Vec<String>,
 }
 
 #[derive(Deserialize)]
@@ -48,25 +56,34 @@ pub fn test(arguments: &[String]) -> Result<()> {
         }
     }
     fs::copy(built.join("lib_native.so"), inside.join("_native.abi3.so")).context("no lib_native.so")?;
-    let python = environment(&place.join("environment"), &package)?;
+    let project = manifest()?.project;
+    let wanted = [project.dependencies, project.optional.test, project.optional.peers].concat();
+    let python = environment(&place.join("environment"), &wanted)?;
     let mut tests = Command::new(python);
     tests.current_dir(&package).env("PYTHONPATH", &place).env("PYTHONDONTWRITEBYTECODE", "1");
     tests.env("HAPTIC_TOOL", built.join("haptic"));
     run(tests.args(["-m", "pytest", "-q", "-p", "no:cacheprovider"]).args(arguments))
 }
 
-/// Returns an interpreter with the packages that the tests need; it is set up again when these have changed.
-fn environment(place: &Path, package: &Path) -> Result<std::path::PathBuf> {
-    let python = place.join("bin/python");
-    let text = fs::read_to_string(package.join("pyproject.toml"))?;
-    let project = toml::from_str::<Manifest>(&text).context("python/pyproject.toml")?.project;
-    let wanted = [project.dependencies, project.optional.test, project.optional.peers].concat();
+fn manifest() -> Result<Manifest> {
+    let text = fs::read_to_string(root().join("python/pyproject.toml"))?;
+    toml::from_str(&text).context("python/pyproject.toml")
+}
+
+/// Returns an interpreter with what builds the package, and what opens and closes wheels.
+pub fn with_build_tools(place: &Path) -> Result<PathBuf> {
+    environment(place, &[manifest()?.build.requires, vec!["wheel>=0.45,<1".into()]].concat())
+}
+
+/// Returns an interpreter with these packages and no other; it is set up again when they have changed.
+pub fn environment(place: &Path, wanted: &[String]) -> Result<PathBuf> {
+    let python = place.join(if cfg!(windows) { "Scripts/python.exe" } else { "bin/python" });
     let note = place.join("wanted");
     if fs::read_to_string(&note).is_ok_and(|had| had == wanted.join("\n")) {
         return Ok(python);
     }
     run(Command::new("python3").args(["-m", "venv", "--clear"]).arg(place))?;
-    run(Command::new(&python).args(["-m", "pip", "install", "--quiet", "--disable-pip-version-check"]).args(&wanted))?;
+    run(Command::new(&python).args(["-m", "pip", "install", "--quiet", "--disable-pip-version-check"]).args(wanted))?;
     fs::write(note, wanted.join("\n"))?;
     Ok(python)
 }

@@ -7,7 +7,7 @@ use std::time::Instant;
 use anyhow::{Result, anyhow, ensure};
 
 use crate::toolchain::{Use, cargo, run, virtual_board};
-use crate::{bench, firmware, fuzz, library, no_panic, paths, playground, python, tools};
+use crate::{bench, dist, firmware, fuzz, library, no_panic, paths, playground, python, tools};
 
 /// The tests of the tool, of flashing, of C and of CHAI3D, as cargo is asked for them.
 const TOOL: [&str; 10] =
@@ -35,7 +35,7 @@ macro_rules! module {
 }
 
 /// All parts of the deep tests, cheapest first.
-pub const PARTS: [Part; 15] = [
+pub const PARTS: [Part; 16] = [
     Part { name: "clients", what: "What programs build on: what it brings along, and its examples", run: clients },
     Part { name: "properties", what: "The library's tests from seeds drawn anew", run: properties },
     module!("hard_cases", "Single precision against 106 bits"),
@@ -48,6 +48,11 @@ pub const PARTS: [Part; 15] = [
     module!("documents", "What the documents say to type, and their pictures and tables made again"),
     Part { name: "browser", what: "The page, served and as a file, in Chromium", run: browser },
     Part { name: "python", what: "The package for Python, with MuJoCo and Dask", run: python::test },
+    Part {
+        name: "dist",
+        what: "Archive, wheel and published packages, installed as others do",
+        run: |_| dist::check(),
+    },
     Part { name: "fuzzing", what: "Wild input for everything that reads any", run: fuzzing },
     Part { name: "counts", what: "Instructions of the control step", run: |_| bench::check() },
     Part {

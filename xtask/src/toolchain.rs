@@ -99,9 +99,9 @@ impl Toolchain {
     }
 }
 
-/// Flags of the caller, and paths of dependencies without the part that differs between computers: an image names the
-/// file of a panic, and shall be the same wherever it is built.
-fn rust_flags() -> Vec<String> {
+/// Flags of the caller, and paths of dependencies without the part that differs between computers: an image or a tool
+/// names the file of a panic, and shall be the same wherever it is built.
+pub fn rust_flags() -> Vec<String> {
     let mut flags: Vec<String> = match env::var("CARGO_ENCODED_RUSTFLAGS") {
         Ok(flags) => flags.split('\x1f').map(String::from).collect(),
         Err(_) => env::var("RUSTFLAGS").unwrap_or_default().split_whitespace().map(String::from).collect(),

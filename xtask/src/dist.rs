@@ -1,0 +1,112 @@
+//! What somebody installs who has no compiler, made for this computer: an archive of the tool with all that belongs to
+//! it, a wheel for Python that holds the tool as well, and their sums. Paths and times of this computer are in neither.
+
+mod archive;
+mod check;
+mod licenses;
+mod wheel;
+
+use std::env;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::time::Instant;
+
+use anyhow::{Context as _, Result, ensure};
+
+pub use check::check;
+
+use crate::paths::{root, target_directory};
+use crate::toolchain::{Use, cargo, host, run, rust_flags};
+use crate::{images, playground, tools};
+
+/// The time of every file in archive and wheel: the first that a wheel can hold, 1980-01-01.
+const TIME: u64 = 315_532_800;
+
+/// What was made.
+pub struct Made {
+    /// The archive.
+    pub archive: PathBuf,
+    /// The wheel.
+    pub wheel: PathBuf,
+}
+
+/// Builds everything anew where the source has changed, and puts it into target/dist, alone.
+pub fn make() -> Result<Made> {
+    tools::provide(&[Use::Build, Use::Playground, Use::Python])?;
+    let version = version()?;
+    images::take_in()?;
+    let page = playground::build()?;
+    let began = Instant::now();
+    run(portable(cargo().current_dir(root()).args(["build", "--release", "--locked", "--package", "haptic"])))?;
+    let tool = target_directory().join("release").join(format!("haptic{}", env::consts::EXE_SUFFIX));
+    println!("{}: {}, built in {} s", tool.display(), megabytes(&tool)?, began.elapsed().as_secs());
+
+    let place = target_directory().join("dist");
+    empty(&place)?;
+    let archive = archive::write_archive(&place, &format!("haptic-{version}-{}", host()?), &tool, &page)?;
+    let wheel = wheel::write_wheel(&place, &tool)?;
+    let mut sums = String::new();
+    for file in [&archive, &wheel] {
+        let bytes = fs::read(file).with_context(|| format!("cannot read {}", file.display()))?;
+        let name = file.file_name().unwrap_or_default().display();
+        sums += &format!("{}  {name}\n", images::sha256(&bytes));
+        println!("{}: {}", file.display(), megabytes(file)?);
+    }
+    write(&place.join("SHA256SUMS"), sums.as_bytes())?;
+    Ok(Made { archive, wheel })
+}
+
+/// Has a build leave out what differs between computers and days.
+fn portable(command: &mut Command) -> &mut Command {
+    command.env("CARGO_ENCODED_RUSTFLAGS", rust_flags().join("\x1f")).env("SOURCE_DATE_EPOCH", TIME.to_string())
+}
+
+/// The version of tool, wheel and firmware, which are released together.
+fn version() -> Result<String> {
+    let of = |path: &str, table: &[&str]| -> Result<String> {
+        let text = fs::read_to_string(root().join(path)).with_context(|| format!("cannot read {path}"))?;
+        let manifest: toml::Value = toml::from_str(&text).with_context(|| format!("bad manifest {path}"))?;
+        let found = table.iter().try_fold(&manifest, |value, key| value.get(key)).and_then(toml::Value::as_str);
+        Ok(found.with_context(|| format!("{path} has no version"))?.into())
+    };
+    let version = of("Cargo.toml", &["workspace", "package", "version"])?;
+    for (path, table) in [("firmware/Cargo.toml", "package"), ("python/pyproject.toml", "project")] {
+        let other = of(path, &[table, "version"])?;
+        ensure!(other == version, "{path} has version {other}, the workspace {version}: they are released together");
+    }
+    Ok(version)
+}
+
+fn megabytes(file: &Path) -> Result<String> {
+    let bytes = fs::metadata(file).with_context(|| format!("cannot read {}", file.display()))?.len();
+    Ok(format!("{:.1} MB", 1e-6 * bytes as f64))
+}
+
+/// Makes a folder that has nothing in it.
+fn empty(folder: &Path) -> Result<()> {
+    if folder.exists() {
+        fs::remove_dir_all(folder).with_context(|| format!("cannot empty {}", folder.display()))?;
+    }
+    fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))
+}
+
+fn write(path: &Path, bytes: &[u8]) -> Result<()> {
+    fs::write(path, bytes).with_context(|| format!("cannot write {}", path.display()))
+}
+
+/// What a program prints.
+fn output(command: &mut Command) -> Result<String> {
+    let name = command.get_program().display().to_string();
+    let output = command.output().with_context(|| format!("cannot run {name}"))?;
+    ensure!(output.status.success(), "{name}: {}", String::from_utf8_lossy(&output.stderr).trim());
+    String::from_utf8(output.stdout).with_context(|| format!("{name} prints no text"))
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn tool_wheel_and_firmware_have_one_version() {
+        super::version().unwrap();
+    }
+}

@@ -1,0 +1,93 @@
+//! Installs what was made as its user does, and runs the demo from each with nothing else to be found.
+
+use std::env;
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+
+use anyhow::{Context as _, Result, ensure};
+
+use super::{Made, empty, make, output};
+use crate::firmware::BOARDS;
+use crate::paths::target_directory;
+use crate::toolchain::run;
+use crate::{publish, python};
+
+/// Makes archive and wheel, and tries both; then the packages for the registry.
+pub fn check() -> Result<()> {
+    let made = make()?;
+    let scratch = target_directory().join("dist-check");
+    empty(&scratch)?;
+    archive(&made, &scratch.join("archive"))?;
+    wheel(&made, &scratch.join("wheel"))?;
+    fs::remove_dir_all(&scratch).with_context(|| format!("cannot remove {}", scratch.display()))?;
+    publish::dry_run()
+}
+
+/// Unpacks the archive and tries what is in it.
+fn archive(made: &Made, place: &Path) -> Result<()> {
+    empty(place)?;
+    run(Command::new("tar").arg("-xzf").arg(&made.archive).arg("-C").arg(place))?;
+    let entries = fs::read_dir(place)?.map(|entry| Ok(entry?.path())).collect::<Result<Vec<_>>>()?;
+    let [folder] = &entries[..] else { anyhow::bail!("the archive unpacks to {entries:?}, not to one folder") };
+    for path in [
+        "README.txt",
+        "LICENSE-MIT",
+        "LICENSE-APACHE",
+        "LICENSES-OTHERS.txt",
+        "70-haptic-bridge.rules",
+        "completions/haptic.bash",
+        "completions/_haptic",
+        "man/man1/haptic.1",
+        "man/man1/haptic-demo.1",
+        "docs/bring-up.md",
+        "haptic-playground.html",
+    ] {
+        let bytes = fs::metadata(folder.join(path)).with_context(|| format!("the archive has no {path}"))?.len();
+        ensure!(bytes > 500, "{path} has {bytes} bytes");
+    }
+    tool(folder, place)?;
+    let known = output(alone(folder, place).args(["check"]).arg(folder.join("devices/haply-2diy.toml")))?;
+    ensure!(known.contains("five-bar"), "{known}");
+    // The images' boards are what the tool says that it has when it is asked for another.
+    let asked = alone(folder, place).args(["flash", "no-such-board"]).output().context("cannot run haptic flash")?;
+    let said = String::from_utf8_lossy(&asked.stderr).into_owned();
+    ensure!(BOARDS.iter().all(|board| said.contains(board)), "images are missing in the tool: {said}");
+    Ok(())
+}
+
+/// Installs the wheel into an environment that has nothing, and tries both parts of it.
+fn wheel(made: &Made, place: &Path) -> Result<()> {
+    empty(place)?;
+    let environment = place.join("environment");
+    let python = python::environment(&environment, &[made.wheel.to_string_lossy().into_owned()])?;
+    let programs = python.parent().context("an interpreter lies in a folder")?;
+    tool(programs, place)?;
+    let program =
+        "import haptic_bridge as hb\nwith hb.Board('sim') as board: print(len(board.look().tip), hb.__version__)";
+    let said = output(Command::new(&python).current_dir(place).args(["-c", program]))?;
+    ensure!(said == format!("3 {}\n", super::version()?), "the package said {said}");
+    Ok(())
+}
+
+/// Runs the demo with the tool of a folder.
+fn tool(folder: &Path, place: &Path) -> Result<()> {
+    let said = output(alone(folder, place).arg("--version"))?;
+    ensure!(said == format!("haptic {}\n", super::version()?), "the tool says it is {said}");
+    let table = output(alone(folder, place).arg("demo"))?;
+    ensure!(table.contains("picture: "), "the demo printed {table}");
+    let picture = fs::read_to_string(place.join("haptic-demo.svg")).context("the demo drew no picture")?;
+    ensure!(picture.contains("</svg>"), "the demo's picture has no end");
+    println!("{}: the demo ran", folder.display());
+    Ok(())
+}
+
+/// The tool of a folder, which finds nothing but itself: no other program, no settings, no home.
+fn alone(folder: &Path, place: &Path) -> Command {
+    let mut command = Command::new(folder.join(format!("haptic{}", env::consts::EXE_SUFFIX)));
+    command.current_dir(place).env_clear().env("PATH", folder);
+    if let Some(windows) = env::var_os("SYSTEMROOT") {
+        command.env("SYSTEMROOT", windows);
+    }
+    command
+}

@@ -1,0 +1,139 @@
+//! The licenses of everything that is linked into what is handed out, which have to be handed out with it.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::path::Path;
+
+use anyhow::{Context as _, Result, ensure};
+use serde::Deserialize;
+
+use super::{output, write};
+use crate::paths::root;
+use crate::toolchain::{BROWSERS, TARGET, cargo, host};
+
+/// What cargo says of a workspace.
+#[derive(Deserialize)]
+struct Metadata {
+    packages: Vec<Package>,
+    resolve: Resolve,
+}
+
+#[derive(Deserialize)]
+struct Package {
+    id: String,
+    name: String,
+    version: String,
+    license: Option<String>,
+    repository: Option<String>,
+    manifest_path: String,
+    /// None of a package that lies here.
+    source: Option<String>,
+}
+
+#[derive(Deserialize)]
+struct Resolve {
+    nodes: Vec<Node>,
+}
+
+#[derive(Deserialize)]
+struct Node {
+    id: String,
+    deps: Vec<Dependency>,
+}
+
+#[derive(Deserialize)]
+struct Dependency {
+    pkg: String,
+    dep_kinds: Vec<Kind>,
+}
+
+/// Null for what is linked, `dev` and `build` for what is not.
+#[derive(Deserialize)]
+struct Kind {
+    kind: Option<String>,
+}
+
+/// Puts them all into a folder, and those of this project.
+pub fn write_into(folder: &Path) -> Result<()> {
+    for name in ["LICENSE-MIT", "LICENSE-APACHE"] {
+        fs::copy(root().join(name), folder.join(name)).with_context(|| format!("cannot copy {name}"))?;
+    }
+    write(&folder.join("LICENSES-OTHERS.txt"), of_dependencies()?.as_bytes())
+}
+
+/// The texts, each with the crates that have it.
+fn of_dependencies() -> Result<String> {
+    let mut crates = linked("Cargo.toml", &["haptic", "haptic-python"], &host()?)?;
+    crates.extend(linked("Cargo.toml", &["haptic-playground"], BROWSERS)?);
+    crates.extend(linked("firmware/Cargo.toml", &["haptic-bridge-firmware"], TARGET)?);
+    let mut list = String::from(
+        "The tool, the firmware images in it, the page and the library for Python hold the crates below, each under its\n\
+         own license, and Rust's standard library (MIT or Apache-2.0, https://github.com/rust-lang/rust). Their sources,\n\
+         unchanged: https://crates.io/crates/NAME/VERSION\n\n",
+    );
+    let mut texts: BTreeMap<String, Vec<String>> = BTreeMap::new();
+    for Crate { name, license, repository, texts: own } in crates {
+        list += &format!("{name}: {license}; {repository}\n");
+        for text in own {
+            texts.entry(text).or_default().push(name.clone());
+        }
+    }
+    ensure!(texts.len() > 10, "the crates' license files were not found");
+    for (text, names) in texts {
+        list += &format!("\n{}\n{}\n\n{}\n", "-".repeat(80), names.join(", "), text.trim_end());
+    }
+    Ok(list)
+}
+
+/// A crate with its licenses.
+#[derive(PartialEq, Eq, PartialOrd, Ord)]
+struct Crate {
+    name: String,
+    license: String,
+    repository: String,
+    texts: Vec<String>,
+}
+
+/// The crates of others that are linked into packages.
+fn linked(manifest: &str, packages: &[&str], target: &str) -> Result<BTreeSet<Crate>> {
+    let mut command = cargo();
+    command.args(["metadata", "--locked", "--format-version", "1", "--filter-platform", target, "--manifest-path"]);
+    let said: Metadata =
+        serde_json::from_str(&output(command.arg(root().join(manifest)))?).context("cargo metadata")?;
+    let nodes: BTreeMap<&str, &Node> = said.resolve.nodes.iter().map(|node| (node.id.as_str(), node)).collect();
+    let ours = |found: &&Package| found.source.is_none() && packages.contains(&found.name.as_str());
+    let mut open: Vec<&str> = said.packages.iter().filter(ours).map(|found| found.id.as_str()).collect();
+    ensure!(open.len() == packages.len(), "{manifest} does not have all of {}", packages.join(", "));
+    let mut seen = BTreeSet::new();
+    while let Some(id) = open.pop() {
+        if seen.insert(id) {
+            let needs = nodes.get(id).into_iter().flat_map(|node| &node.deps);
+            let needs = needs.filter(|need| need.dep_kinds.iter().any(|kind| kind.kind.is_none()));
+            open.extend(needs.map(|need| need.pkg.as_str()));
+        }
+    }
+    let others = said.packages.iter().filter(|found| found.source.is_some() && seen.contains(found.id.as_str()));
+    others
+        .map(|found| {
+            let name = format!("{} {}", found.name, found.version);
+            let license = found.license.clone().with_context(|| format!("{name} names no license"))?;
+            let repository = found.repository.clone().unwrap_or_default();
+            Ok(Crate { name, license, repository, texts: texts(Path::new(&found.manifest_path))? })
+        })
+        .collect()
+}
+
+/// The license files beside a manifest.
+fn texts(manifest: &Path) -> Result<Vec<String>> {
+    let folder = manifest.parent().context("a manifest lies in a folder")?;
+    let mut found = Vec::new();
+    for entry in fs::read_dir(folder).with_context(|| format!("cannot read {}", folder.display()))? {
+        let path = entry?.path();
+        let name = path.file_name().unwrap_or_default().to_string_lossy().to_uppercase();
+        if path.is_file() && ["LICENSE", "LICENCE", "COPYING", "NOTICE"].iter().any(|begin| name.starts_with(begin)) {
+            found.push(String::from_utf8_lossy(&fs::read(&path)?).replace("\r\n", "\n"));
+        }
+    }
+    found.sort();
+    Ok(found)
+}
