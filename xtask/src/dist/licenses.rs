@@ -67,9 +67,9 @@ fn of_dependencies() -> Result<String> {
     crates.extend(linked("Cargo.toml", &["haptic-playground"], BROWSERS)?);
     crates.extend(linked("firmware/Cargo.toml", &["haptic-bridge-firmware"], TARGET)?);
     let mut list = String::from(
-        "The tool, the firmware images in it, the page and the library for Python hold the crates below, each under its\n\
-         own license, and Rust's standard library (MIT or Apache-2.0, https://github.com/rust-lang/rust). Their sources,\n\
-         unchanged: https://crates.io/crates/NAME/VERSION\n\n",
+        "The tool, the firmware images in it, the page and the library for Python hold the crates below, each under\n\
+         its own license, and Rust's standard library (MIT or Apache-2.0, https://github.com/rust-lang/rust).\n\
+         Their sources, unchanged: https://crates.io/crates/NAME/VERSION\n\n",
     );
     let mut texts: BTreeMap<String, Vec<String>> = BTreeMap::new();
     for Crate { name, license, repository, texts: own } in crates {
