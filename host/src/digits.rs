@@ -8,7 +8,7 @@ use std::io;
 
 /// The same number in the fewest digits that mean it where single precision holds it: an `f32` that was widened to
 /// `f64` has digits that were never measured. A number that is shorter in double precision stays.
-fn fewest(number: f64) -> f64 {
+pub(crate) fn fewest(number: f64) -> f64 {
     let single = number as f32;
     if f64::from(single) != number {
         return number;

@@ -1,7 +1,8 @@
 //! The failure of a command: an exit code, one line that says why, and a remedy. A file with several mistakes gets a
 //! line for each.
 //!
-//! Exit codes (docs/files.md): 0 done, 1 it could not be done, 2 the command or a file is wrong.
+//! Exit codes (docs/files.md): 0 done, 1 it could not be done, 2 the command or a file is wrong, 3 what was compared
+//! differs.
 
 use core::fmt;
 use std::borrow::Cow;
@@ -14,6 +15,8 @@ pub enum Blame {
     World,
     /// The command line or a file is wrong, and would be wrong again. Exit code 2.
     Request,
+    /// Nobody's: two things were compared, and differ. Exit code 3.
+    Difference,
 }
 
 /// A choice that the user may change to get further; each program knows it under its own name.
@@ -65,6 +68,11 @@ impl Failure {
         Self { blame: Blame::Request, reason: reason.to_string(), remedy: None, choice: None, also: Vec::new() }
     }
 
+    /// What was compared differs (exit code 3).
+    pub fn different(reason: impl fmt::Display) -> Self {
+        Self { blame: Blame::Difference, ..Self::impossible(reason) }
+    }
+
     /// Adds what the user can do about it.
     pub fn remedy(mut self, remedy: impl fmt::Display) -> Self {
         self.remedy = Some(remedy.to_string());
@@ -98,6 +106,7 @@ impl Failure {
         ExitCode::from(match self.blame {
             Blame::World => 1,
             Blame::Request => 2,
+            Blame::Difference => 3,
         })
     }
 }

@@ -48,6 +48,7 @@ pub mod latency;
 pub mod link;
 pub mod output;
 pub mod places;
+pub mod read_back;
 pub mod scene_file;
 pub mod toml_file;
 pub mod vectors;

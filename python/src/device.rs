@@ -48,7 +48,9 @@ fn each<T>(found: Vec<Result<T, Failure>>, keep: bool) -> PyResult<Vec<Option<T>
             Err(error) if many => {
                 let text = format!("pose {index}: {error}");
                 Err(match error.blame() {
-                    haptic_host::error::Blame::World => ImpossibleError::new_err(text),
+                    haptic_host::error::Blame::World | haptic_host::error::Blame::Difference => {
+                        ImpossibleError::new_err(text)
+                    }
                     haptic_host::error::Blame::Request => RequestError::new_err(text),
                 })
             }

@@ -49,7 +49,7 @@ pub fn failure(failure: impl Into<Failure>) -> PyErr {
     let failure = failure.into();
     match failure.blame() {
         Blame::Request => RequestError::new_err(failure.to_string()),
-        Blame::World => ImpossibleError::new_err(failure.to_string()),
+        Blame::World | Blame::Difference => ImpossibleError::new_err(failure.to_string()),
     }
 }
 

@@ -33,6 +33,7 @@ pub mod bench;
 pub mod boards;
 mod contact;
 pub mod design;
+pub mod equivalent;
 pub mod measure;
 pub mod plan;
 pub mod plausible;

@@ -1,5 +1,6 @@
 //! The `haptic` command: parses the command line, runs one command, and turns what went wrong into one line on
-//! standard error and an exit code (0 done, 1 it could not be done, 2 the command or a file is wrong).
+//! standard error and an exit code (0 done, 1 it could not be done, 2 the command or a file is wrong, 3 what was compared
+//! differs).
 #![forbid(unsafe_code)]
 #![deny(clippy::print_stderr, clippy::print_stdout)]
 

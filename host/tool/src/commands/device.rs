@@ -1,30 +1,40 @@
-//! `haptic device`: loads a device file onto a board.
+//! `haptic device`: loads a device file onto a board, or reads the board's back.
 
 use super::port::{OnBoard, warn_of_weaker};
+use super::read_back::{Read, needed};
 use haptic_bridge::model::device::Device;
 use haptic_bridge::safety::limits::{GENTLE_FORCE, Limit};
 use haptic_bridge::safety::refusal::Refusal;
 use haptic_host::device_file::DeviceFile;
 use haptic_host::error::Failure;
 use haptic_host::link::{Board, BoardError};
+use haptic_host::read_back::{differences, running};
 use haptic_host::toml_file::Document;
+use haptic_predict::equivalent::device_file;
 use haptic_predict::plausible::{device::doubts, warn};
 use haptic_predict::tip::Tip;
 use serde_json::json;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-/// Load a device onto a board
+/// Load a device onto a board, or read it back
 ///
 /// The board forgets homing and the polarity check, because they belong to the device before. `haptic board save` keeps
 /// the device over a power cycle.
+///
+/// What --read writes gives a board the same device to the bit. A board keeps the coefficients of the equations of
+/// motion and not the links they came from, so the links in it are one choice of many, near those of FILE where one is
+/// given.
 #[derive(clap::Args)]
 pub struct Args {
     /// Device file (TOML)
-    file: PathBuf,
+    #[arg(required_unless_present = "read")]
+    file: Option<PathBuf>,
+    #[command(flatten)]
+    read: Read,
     /// Largest force that walls, springs and fields render at the tip, N [default: what the board has, at most 5
     /// with real motors].
     /// Lowers the board's torque limits as well, so that no torque makes more in the home pose
-    #[arg(long, value_name = "N", value_parser = newtons)]
+    #[arg(long, value_name = "N", value_parser = newtons, conflicts_with = "read")]
     tip_force: Option<f32>,
     #[command(flatten)]
     on: OnBoard,
@@ -40,10 +50,14 @@ fn newtons(text: &str) -> Result<f32, String> {
 
 /// Checks the file, then the board, then loads.
 pub fn run(args: Args) -> Result<(), Failure> {
-    let document = Document::load(&args.file)?;
+    if args.read.asked()? {
+        return read(&args);
+    }
+    let path = needed(args.file.as_ref(), "device")?;
+    let document = Document::load(&path)?;
     let file = DeviceFile::read(&document)?;
     let device = Device::new(&file.name, &file.description)
-        .map_err(|error| Failure::wrong(format!("{}: {error}", args.file.display())))?;
+        .map_err(|error| Failure::wrong(format!("{}: {error}", path.display())))?;
     let warnings: Vec<_> = doubts(&file.description).into_iter().map(|doubt| doubt.about(&document)).collect();
     warn(&warnings);
     let mut board = args.on.open()?;
@@ -51,11 +65,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let joints = file.spec().joints;
     if joints > usize::from(details.axes) {
         let line = document.find("joint", Some(usize::from(details.axes)), "", "").map_or(1, |at| at.0);
-        let reason = format!(
-            "{}:{line}: the device has {joints} joints and the board {} axes",
-            args.file.display(),
-            details.axes
-        );
+        let reason =
+            format!("{}:{line}: the device has {joints} joints and the board {} axes", path.display(), details.axes);
         return Err(Failure::wrong(reason).remedy("use a board with more axes"));
     }
     board.set_device(&device)?;
@@ -78,6 +89,24 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let lacks = if details.real { file.lacks_for_a_board() } else { Vec::new() };
     let document = json!({ "device": file.name, "port": board.port(), "lacks": lacks, "warnings": warnings });
     args.on.answer(document, &report)
+}
+
+/// The board's device as a file, or what differs there from a file.
+fn read(args: &Args) -> Result<(), Failure> {
+    let file = args.file.as_deref().map(DeviceFile::load).transpose()?;
+    let device = args.on.open()?.device()?.ok_or(BoardError::Refused(Refusal::NoDevice))?;
+    let text = device_file(&device, file.as_ref().map(|file| &file.description)).ok_or_else(|| {
+        Failure::impossible("no device file was found that gives a board exactly this device")
+            .remedy("`haptic board backup` keeps it as it is")
+    });
+    let compared = match &file {
+        Some(file) => {
+            let written = file.device::<f32>().map_err(Failure::wrong)?;
+            Some((&*file.path as &Path, differences(&running(&written), &running(&device))))
+        }
+        None => None,
+    };
+    args.read.answer(&args.on, "device", text, compared)
 }
 
 /// The highest torque limit (N m) that the board allows, found by asking for a limit that every board refuses.

@@ -35,7 +35,7 @@ pub fn command() -> clap::Command {
     let template = format!(
         "{{about-with-newline}}\n{{usage-heading}} {{usage}}\n\n{listing}{START}\n\
          `haptic help COMMAND` explains one command; `haptic --version` prints the version.\n\
-         Exit codes: 0 done, 1 it could not be done, 2 the command or a file is wrong."
+         Exit codes: 0 done, 1 it could not be done, 2 the command or a file is wrong, 3 what was compared differs."
     );
     let hidden: Vec<&str> =
         HEADINGS.iter().filter(|(heading, _)| *heading == DEVELOPERS).flat_map(|(_, names)| *names).copied().collect();
@@ -95,8 +95,11 @@ pub fn examples(words: &str) -> &'static [&'static str] {
         }
         "sim" => &["haptic sim", "haptic sim devices/haply-2diy.toml --tcp 7710 --hand loop"],
         "info" => &["haptic info --port sim", "haptic info --port /dev/ttyACM0 --json"],
-        "device" => &["haptic device devices/haply-2diy.toml"],
-        "scene" => &["haptic scene devices/scenes/haply-2diy/wall-soft.toml"],
+        "device" => &["haptic device devices/haply-2diy.toml", "haptic device --read -o found.toml"],
+        "scene" => &[
+            "haptic scene devices/scenes/haply-2diy/wall-soft.toml",
+            "haptic scene --read devices/scenes/haply-2diy/wall-soft.toml",
+        ],
         "gains" => &["haptic gains --stiffness 800 --damping 2", "haptic gains --wall 1 --feed-forward off"],
         "rules" => &["haptic rules --torque 0.1,0.1 --host disarm", "haptic rules --json"],
         "stream" => &["haptic stream", "haptic stream --fields counts --seconds 10"],

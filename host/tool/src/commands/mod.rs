@@ -35,6 +35,7 @@ mod polarity;
 mod port;
 mod precompute;
 mod range;
+mod read_back;
 mod record;
 mod replay;
 mod report;

@@ -32,6 +32,7 @@ mod range_flexible;
 mod range_golden;
 mod range_model;
 mod range_several;
+mod read_back;
 mod record;
 mod replay;
 mod report;

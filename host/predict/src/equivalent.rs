@@ -1,0 +1,266 @@
+//! A device file for the device that a board runs.
+//!
+//! A board has the coefficients of a device's equations of motion, and many links have the same. This finds links that
+//! round to them to the bit and differ little from some that are known: those of a file given, or of the mechanism's
+//! template. The file moves, weighs and pushes as the board's device does; its links are not those of the workshop.
+
+use crate::template;
+use haptic_bridge::model::catalogue::{MAX_GEOMETRY, MAX_JOINTS, MAX_LINKS};
+use haptic_bridge::model::description::{Description, Link};
+use haptic_bridge::model::device::Device;
+use haptic_bridge::model::mechanism::AnyMechanism;
+use haptic_host::device_file::DeviceFile;
+use haptic_host::read_back::{self, coefficients, rounds_to};
+use nalgebra::{DMatrix, DVector};
+
+/// The text of a device file that gives a board this device to the bit, found from a description of the same mechanism
+/// or from its template. `None` where none is found, as of a device that no file described.
+pub fn device_file(device: &Device<f32>, near: Option<&Description>) -> Option<String> {
+    let kind = device.mechanism.kind();
+    let template = DeviceFile::parse(&template::device_file(kind, "template"), "template").ok()?.description;
+    let near = near.filter(|near| near.kind == kind).copied();
+    let starts = near.into_iter().chain([1.0, 0.1, 10.0, 0.01, 100.0].map(|factor| scaled(&template, factor)));
+    let about = [
+        "Read back from a board. It keeps the coefficients of the equations of motion, not the links they came from:",
+        "masses, centres of mass, inertias and what they share with [handle] and the joints' inertia are one choice of many",
+        "that give exactly these equations. Transmissions, friction at rest, cogging and modes are not kept, and an offset",
+        "only to half a count.",
+    ];
+    let about = about.map(String::from);
+    starts.flat_map(|start| Search::new(device, start)).find_map(|description| {
+        let text = read_back::to_toml(&about, &read_back::device(&device.name, &description));
+        let read = DeviceFile::parse(&text, "read back").ok()?.device::<f32>().ok()?;
+        (read == *device).then_some(text)
+    })
+}
+
+/// The same device with so many times its mass.
+fn scaled(description: &Description, factor: f64) -> Description {
+    let mut scaled = *description;
+    for link in &mut scaled.links {
+        let Link { mass, inertia, inertia_axial, inertia_transverse, .. } = link;
+        [mass, inertia, inertia_axial, inertia_transverse].into_iter().for_each(|value| *value *= factor);
+    }
+    scaled.joints.iter_mut().for_each(|joint| joint.inertia *= factor);
+    scaled.handle_mass *= factor;
+    scaled
+}
+
+/// Places of a description's numbers among the unknowns: gravity, geometry, five of each link, the joints' inertia, the
+/// handle.
+const GEOMETRY: usize = 3;
+const LINKS: usize = GEOMETRY + MAX_GEOMETRY;
+const JOINTS: usize = LINKS + 5 * MAX_LINKS;
+const HANDLE: usize = JOINTS + MAX_JOINTS;
+const UNKNOWNS: usize = HANDLE + 1;
+
+type Unknowns = [f64; UNKNOWNS];
+
+fn unknowns(of: &Description) -> Unknowns {
+    let links = of.links.iter().flat_map(|l| [l.mass, l.com, l.inertia, l.inertia_axial, l.inertia_transverse]);
+    let mut all = of.gravity.into_iter().chain(of.geometry).chain(links).chain(of.joints.iter().map(|j| j.inertia));
+    core::array::from_fn(|_| all.next().unwrap_or(of.handle_mass))
+}
+
+fn with(of: &Description, x: &Unknowns) -> Description {
+    let mut found = *of;
+    found.gravity.copy_from_slice(&x[..GEOMETRY]);
+    found.geometry.copy_from_slice(&x[GEOMETRY..LINKS]);
+    for (link, x) in found.links.iter_mut().zip(x[LINKS..JOINTS].as_chunks::<5>().0) {
+        let [mass, com, inertia, inertia_axial, inertia_transverse] = *x;
+        *link = Link { mass, com, inertia, inertia_axial, inertia_transverse };
+    }
+    found.joints.iter_mut().zip(&x[JOINTS..HANDLE]).for_each(|(joint, x)| joint.inertia = *x);
+    found.handle_mass = x[HANDLE];
+    found
+}
+
+/// A size below which a change of an unknown is small, whatever its value.
+fn size(unknown: usize) -> f64 {
+    match unknown {
+        ..GEOMETRY => 1.0,
+        GEOMETRY..LINKS => 1e-2,
+        JOINTS..HANDLE => 1e-6,
+        HANDLE => 1e-3,
+        link => [1e-3, 1e-3, 1e-6, 1e-6, 1e-6][(link - LINKS) % 5],
+    }
+}
+
+fn may_be_negative(unknown: usize) -> bool {
+    unknown < GEOMETRY || ((LINKS..JOINTS).contains(&unknown) && (unknown - LINKS) % 5 == 1)
+}
+
+/// The search for unknowns whose coefficients round to a board's.
+struct Search {
+    start: Description,
+    /// A coefficient that the board has, and what rounds to it.
+    wanted: Vec<(f32, (f64, f64))>,
+}
+
+impl Search {
+    /// The description found near this one; with home, friction, encoders and motors of the device.
+    fn new(device: &Device<f32>, mut start: Description) -> Option<Description> {
+        let wanted =
+            coefficients(&device.mechanism).into_iter().map(|(_, value)| (value as f32, rounds_to(value as f32)));
+        let inertia = start.joints.map(|joint| joint.inertia);
+        start.joints = read_back::joints(device);
+        start.joints.iter_mut().zip(inertia).for_each(|(joint, inertia)| joint.inertia = inertia);
+        start.home = read_back::home(device);
+        let search = Self { start, wanted: wanted.collect() };
+        let assembly = start.kind.spec().geometry.iter().position(|(key, _)| *key == "assembly");
+        // Which way a linkage is put together is no number to be approached.
+        let place =
+            assembly.map(|at| GEOMETRY + start.kind.spec().geometry[..at].iter().map(|(_, n)| n).sum::<usize>());
+        let ways: &[f64] = if place.is_some() { &[1.0, -1.0] } else { &[1.0] };
+        ways.iter().find_map(|way| {
+            let mut x = unknowns(&start);
+            if let Some(place) = place {
+                x[place] = *way;
+            }
+            search.find(x, place)
+        })
+    }
+
+    fn find(&self, x: Unknowns, assembly: Option<usize>) -> Option<Description> {
+        let spec = self.start.kind.spec();
+        let lengths = spec.geometry.iter().map(|(_, count)| count).sum::<usize>();
+        let geometry: Vec<usize> = (GEOMETRY..GEOMETRY + lengths).filter(|at| Some(*at) != assembly).collect();
+        let rest: Vec<usize> = (0..spec.task)
+            .chain(LINKS..LINKS + 5 * spec.links.len())
+            .chain(JOINTS..JOINTS + spec.joints)
+            .chain([HANDLE])
+            .collect();
+        // The coefficients that lengths alone decide come first.
+        let slopes = self.slopes(&x, &rest)?;
+        let of_lengths: Vec<usize> = (0..self.wanted.len()).filter(|row| slopes.row(*row).amax() == 0.0).collect();
+        let slopes = self.slopes(&x, &geometry)?.select_rows(&of_lengths);
+        // A length that no such coefficient has stays: of a crank the board knows only what it weighs.
+        let kept: Vec<usize> = (0..geometry.len()).filter(|column| slopes.column(*column).amax() > 0.0).collect();
+        let geometry: Vec<usize> = kept.into_iter().map(|column| geometry[column]).collect();
+        let x = self.solve(x, &geometry, &of_lengths)?;
+        let x = self.shortened(x, &geometry, &of_lengths)?;
+        let all: Vec<usize> = (0..self.wanted.len()).collect();
+        let x = self.with_gravity(x, spec.task);
+        let free: Vec<usize> = rest.into_iter().filter(|at| *at >= GEOMETRY || x[*at] != 0.0).collect();
+        let x = self.solve(x, &free, &all)?;
+        Some(with(&self.start, &x))
+    }
+
+    fn at(&self, x: &Unknowns) -> Option<Vec<f64>> {
+        let found = coefficients(&AnyMechanism::<f64>::new(&with(&self.start, x)).ok()?);
+        let values: Vec<f64> = found.into_iter().map(|(_, value)| value).collect();
+        values.iter().all(|value| value.is_finite()).then_some(values)
+    }
+
+    /// By how much the coefficients change with the unknowns named.
+    fn slopes(&self, x: &Unknowns, free: &[usize]) -> Option<DMatrix<f64>> {
+        let mut slopes = DMatrix::zeros(self.wanted.len(), free.len());
+        for (column, at) in free.iter().enumerate() {
+            let step = 1e-4 * size(*at).max(x[*at].abs());
+            let (mut up, mut down) = (*x, *x);
+            up[*at] += step;
+            down[*at] -= step;
+            // A mechanism that cannot carry weight has no other gravity.
+            let (Some(up), Some(down)) = (self.at(&up), self.at(&down)) else { continue };
+            for row in 0..self.wanted.len() {
+                slopes[(row, column)] = (up[row] - down[row]) / (2.0 * step);
+            }
+        }
+        Some(slopes)
+    }
+
+    /// Those of the coefficients named that do not round to the board's.
+    fn wrong(&self, values: &[f64], rows: &[usize]) -> bool {
+        rows.iter().any(|row| values[*row] as f32 != self.wanted[*row].0)
+    }
+
+    /// Goes from `x` to where these coefficients round to the board's, changing the unknowns named as little as it can.
+    fn solve(&self, mut x: Unknowns, free: &[usize], rows: &[usize]) -> Option<Unknowns> {
+        for _ in 0..300 {
+            let values = self.at(&x)?;
+            if !self.wrong(&values, rows) {
+                return Some(x);
+            }
+            let (step, part) = self.step(&x, &values, free, rows)?;
+            let mut share = part;
+            // A step may leave the geometry open, or a joint without inertia.
+            let next = (0..20).find_map(|_| {
+                let mut next = x;
+                for (at, step) in free.iter().zip(step.iter()) {
+                    next[*at] += share * step;
+                    if !may_be_negative(*at) {
+                        next[*at] = next[*at].max(0.0);
+                    }
+                }
+                share *= 0.5;
+                self.at(&next).map(|_| next)
+            })?;
+            x = next;
+        }
+        None
+    }
+
+    /// A step of Gauss and Newton, and which share of it to go.
+    fn step(&self, x: &Unknowns, values: &[f64], free: &[usize], rows: &[usize]) -> Option<(DVector<f64>, f64)> {
+        let slopes = self.slopes(x, free)?;
+        let scale = |at: usize| size(at).max(x[at].abs());
+        // Each coefficient counts in the steps of its own precision.
+        let weight = |row: usize| {
+            let (low, high) = self.wanted[row].1;
+            1.0 / (high - low).max(1e-14 * slopes.row(row).amax()).max(1e-40)
+        };
+        let miss = DVector::from_iterator(
+            rows.len(),
+            rows.iter().map(|row| {
+                let (low, high) = self.wanted[*row].1;
+                let inside = 0.05 * (high - low);
+                (values[*row].clamp(low + inside, high - inside) - values[*row]) * weight(*row)
+            }),
+        );
+        let mut held = vec![false; free.len()];
+        loop {
+            let matrix = DMatrix::from_fn(rows.len(), free.len(), |row, column| {
+                if held[column] { 0.0 } else { slopes[(rows[row], column)] * weight(rows[row]) * scale(free[column]) }
+            });
+            let svd = matrix.svd(true, true);
+            let least = 1e-11 * svd.singular_values.amax();
+            let scaled = svd.solve(&miss, least).ok()?;
+            // What is at zero already, and would go below, stays.
+            let stuck = |column: usize| {
+                !held[column] && !may_be_negative(free[column]) && x[free[column]] <= 0.0 && scaled[column] < 0.0
+            };
+            let new: Vec<usize> = (0..free.len()).filter(|column| stuck(*column)).collect();
+            if new.is_empty() {
+                let part = (0.7 / scaled.amax().max(1e-300)).min(1.0);
+                let step = DVector::from_fn(free.len(), |column, _| scaled[column] * scale(free[column]));
+                return Some((step, part));
+            }
+            new.into_iter().for_each(|column| held[column] = true);
+        }
+    }
+
+    /// The same lengths with as few decimals as give the board its own: most are round, and equal ones are then equal.
+    fn shortened(&self, x: Unknowns, geometry: &[usize], rows: &[usize]) -> Option<Unknowns> {
+        (2..=15).find_map(|decimals| {
+            let grid = 10f64.powi(decimals);
+            let mut short = x;
+            geometry.iter().for_each(|at| short[*at] = (x[*at] * grid).round() / grid);
+            let values = self.at(&short)?;
+            (!self.wrong(&values, rows)).then_some(short)
+        })
+    }
+
+    /// With some gravity, where the mechanism carries weight, but for the components that the board has not: what is zero
+    /// there is zero exactly.
+    fn with_gravity(&self, mut x: Unknowns, task: usize) -> Unknowns {
+        for at in 0..task {
+            let (mut some, mut none) = (x, x);
+            some[at] = if x[at] == 0.0 { -9.81 } else { x[at] };
+            none[at] = 0.0;
+            let (Some(with), Some(without)) = (self.at(&some), self.at(&none)) else { continue };
+            let mut touched = (0..with.len()).filter(|row| with[*row] != without[*row]);
+            x = if touched.all(|row| self.wanted[row].0 == 0.0) { none } else { some };
+        }
+        x
+    }
+}

@@ -1,0 +1,472 @@
+//! A board's device and scene as files (docs/files.md), and what is different between two of them.
+//!
+//! Numbers are written so that the file, read again, gives the board the same ones to the bit. A board keeps less of a
+//! device than its file says: a mechanism's links are lumped into the coefficients of its equations of motion, so a
+//! [`Description`] that goes into [`device`] has to be found first; [`joints`] and [`home`] give the parts that are kept.
+
+use crate::digits::fewest;
+use core::f64::consts::TAU;
+use haptic_bridge::model::catalogue::MAX_JOINTS;
+use haptic_bridge::model::description::{self, Description, Encoder};
+use haptic_bridge::model::device::{self, Device};
+use haptic_bridge::model::mechanism::AnyMechanism;
+use haptic_bridge::render::scene::shape::Meaning;
+use haptic_bridge::render::scene::{Scene, Wall};
+use haptic_bridge::render::velocity::CutoffMeans;
+use serde::Serialize;
+use std::fmt;
+
+/// The value of a key.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(untagged)]
+pub enum Value {
+    /// A number.
+    Number(f64),
+    /// A list of numbers.
+    Numbers(Vec<f64>),
+    /// A string.
+    Text(String),
+    /// `true` or `false`.
+    Flag(bool),
+}
+
+/// As TOML has it.
+impl fmt::Display for Value {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Number(number) => write!(f, "{number:?}"),
+            Self::Numbers(numbers) => write!(f, "{numbers:?}"),
+            Self::Text(text) => write!(f, "{}", toml::Value::String(text.clone())),
+            Self::Flag(flag) => write!(f, "{flag}"),
+        }
+    }
+}
+
+/// A key in a file.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Entry {
+    /// Its table as the file writes it, such as `[[wall]]`; empty at the top.
+    table: &'static str,
+    /// Which of the tables of that name.
+    index: usize,
+    key: String,
+    value: Value,
+    unit: &'static str,
+}
+
+impl Entry {
+    /// Where it stands, in words such as `[[wall]] 1 stiffness`.
+    fn place(&self) -> String {
+        match self.table {
+            "" => self.key.clone(),
+            "[geometry]" | "[handle]" | "[home]" | "[posture]" | LUMPED => format!("{} {}", self.table, self.key),
+            table => format!("{table} {} {}", self.index, self.key),
+        }
+    }
+}
+
+/// Not a table of any file: the coefficients of a device's equations of motion.
+const LUMPED: &str = "lumped";
+
+/// A key that two files do not agree about.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Difference {
+    /// Where it stands.
+    pub key: String,
+    /// Unit of a number.
+    pub unit: &'static str,
+    /// The first file's value, `None` where it has none.
+    pub from: Option<Value>,
+    /// The second's.
+    pub to: Option<Value>,
+}
+
+impl fmt::Display for Difference {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let value = |value: &Option<Value>| value.as_ref().map_or("none".to_string(), Value::to_string);
+        write!(f, "{}: {} -> {}", self.key, value(&self.from), value(&self.to))?;
+        if self.unit.is_empty() { Ok(()) } else { write!(f, " {}", self.unit) }
+    }
+}
+
+/// What is different in the second of two lists of entries, in their order.
+pub fn differences(from: &[Entry], to: &[Entry]) -> Vec<Difference> {
+    let same = |a: &Entry, b: &Entry| (a.table, a.index, &a.key) == (b.table, b.index, &b.key);
+    let difference = |entry: &Entry, from: Option<&Entry>, to: Option<&Entry>| Difference {
+        key: entry.place(),
+        unit: entry.unit,
+        from: from.map(|entry| entry.value.clone()),
+        to: to.map(|entry| entry.value.clone()),
+    };
+    let mut found = Vec::new();
+    for entry in from {
+        let other = to.iter().find(|other| same(entry, other));
+        if other.is_none_or(|other| other.value != entry.value) {
+            found.push(difference(entry, Some(entry), other));
+        }
+    }
+    let new = to.iter().filter(|entry| !from.iter().any(|other| same(entry, other)));
+    found.extend(new.map(|entry| difference(entry, None, Some(entry))));
+    found
+}
+
+/// The file with these entries; lines of `about` begin it, as comments.
+pub fn to_toml(about: &[String], entries: &[Entry]) -> String {
+    let mut text: String = about.iter().map(|line| format!("# {}\n", crate::error::on_one_line(line))).collect();
+    let mut table = ("", 0);
+    for entry in entries {
+        if table != (entry.table, entry.index) {
+            table = (entry.table, entry.index);
+            text += &format!("\n{}\n", entry.table);
+        }
+        let line = format!("{} = {}", entry.key, entry.value);
+        text += &match entry.unit {
+            "" => line + "\n",
+            unit => format!("{line:31} # {unit}\n"),
+        };
+    }
+    text
+}
+
+/// Collects the entries of one table.
+struct Writer<'a> {
+    entries: &'a mut Vec<Entry>,
+    table: &'static str,
+    index: usize,
+}
+
+impl Writer<'_> {
+    fn put(&mut self, key: &str, value: Value, unit: &'static str) {
+        let Self { table, index, .. } = *self;
+        self.entries.push(Entry { table, index, key: key.into(), value, unit });
+    }
+    fn number(&mut self, key: &str, value: f64, unit: &'static str) {
+        self.put(key, Value::Number(fewest(value)), unit);
+    }
+    fn numbers(&mut self, key: &str, values: &[f64], unit: &'static str) {
+        self.put(key, Value::Numbers(values.iter().map(|value| fewest(*value)).collect()), unit);
+    }
+    fn word(&mut self, key: &str, word: &str) {
+        self.put(key, Value::Text(word.into()), "");
+    }
+    fn flag(&mut self, key: &str, flag: bool) {
+        self.put(key, Value::Flag(flag), "");
+    }
+}
+
+fn table<'a>(entries: &'a mut Vec<Entry>, table: &'static str, index: usize) -> Writer<'a> {
+    Writer { entries, table, index }
+}
+
+fn wide(values: &[f32]) -> Vec<f64> {
+    values.iter().map(|value| fewest(f64::from(*value))).collect()
+}
+
+/// A scene as its file.
+pub fn scene(scene: &Scene<f32>) -> Vec<Entry> {
+    let mut entries = Vec::new();
+    let task = usize::from(scene.task).min(3);
+    let mut top = table(&mut entries, "", 0);
+    top.number("rate_hz", scene.rate_hz.into(), "Hz");
+    top.word("estimator", scene.estimator.name());
+    let (spec, chosen) = (scene.estimator.spec(), scene.estimator.chosen());
+    if let (Some(key), Some(chosen)) = (spec.and_then(|spec| spec.key), chosen) {
+        top.number(key.name, chosen.value.into(), key.unit);
+    }
+    // To name it puts a low-pass behind such an estimator.
+    let unfiltered = spec.is_some_and(|spec| spec.cutoff == CutoffMeans::LowPassBehind)
+        && chosen.is_some_and(|chosen| !chosen.filtered);
+    if !unfiltered {
+        top.number("cutoff_hz", scene.cutoff_hz.into(), "Hz");
+    }
+    top.flag("gravity_compensation", scene.gravity_compensation);
+    top.word("velocity_terms", scene.velocity_terms.name());
+    top.number("feed_forward_gain", scene.feed_forward_gain.into(), "");
+    top.word("admissible", scene.admissible.name());
+    for (index, wall) in scene.walls.iter().enumerate() {
+        put_wall(&mut table(&mut entries, "[[wall]]", index), wall, task);
+    }
+    for (index, spring) in scene.springs.iter().enumerate() {
+        let mut into = table(&mut entries, "[[spring]]", index);
+        into.numbers("point", &wide(&spring.point[..task]), "m");
+        if spring.direction != [0.0; 3] {
+            into.numbers("direction", &direction(&spring.direction, task), "");
+        }
+        into.number("stiffness", spring.stiffness.into(), "N/m");
+        into.number("damping", spring.damping.into(), "N s/m");
+    }
+    if scene.field_damping != 0.0 {
+        table(&mut entries, "[[field]]", 0).number("damping", scene.field_damping.into(), "N s/m");
+    }
+    if let Some(posture) = &scene.posture {
+        let mut into = table(&mut entries, "[posture]", 0);
+        into.number("orientation", posture.orientation.into(), "rad");
+        into.number("stiffness", posture.stiffness.into(), "N m/rad");
+        into.number("damping", posture.damping.into(), "N m s/rad");
+    }
+    entries
+}
+
+fn put_wall(into: &mut Writer, wall: &Wall<f32>, task: usize) {
+    let spec = wall.surface.spec();
+    into.word("shape", spec.name);
+    let values = wall.surface.values();
+    let mut rest = &values[..];
+    for (key, meaning) in spec.keys {
+        let Some((value, after)) = rest.split_at_checked(meaning.width()) else { return };
+        rest = after;
+        match (meaning, value) {
+            (Meaning::Point, point) => into.numbers(key, &wide(&point[..task]), "m"),
+            (Meaning::Direction, [x, y, z]) => into.numbers(key, &direction(&[*x, *y, *z], task), ""),
+            (Meaning::Length, [length]) => into.number(key, f64::from(*length), "m"),
+            (Meaning::Flag, [flag]) => into.flag(key, *flag > 0.0),
+            _ => {}
+        }
+    }
+    into.number("stiffness", wall.stiffness.into(), "N/m");
+    into.number("damping", wall.damping.into(), "N s/m");
+    into.word("feed_forward", wall.feed_forward.name());
+    into.number("washout_hz", wall.washout_hz.into(), "Hz");
+    into.flag("damping_compensation", wall.damping_compensation);
+    into.flag("bilateral", wall.bilateral);
+}
+
+/// The interval of the numbers that single precision rounds to this one.
+pub fn rounds_to(number: f32) -> (f64, f64) {
+    let middle = |other: f32| 0.5 * (f64::from(number) + f64::from(other));
+    (middle(number.next_down()), middle(number.next_up()))
+}
+
+/// A vector whose direction, made a unit vector in double precision, rounds to this one. The rounded one is not quite of
+/// length 1, so every entry moves by the same share of what rounds to it, until the length is.
+fn direction(rounded: &[f32; 3], task: usize) -> Vec<f64> {
+    let rounded = &rounded[..task];
+    let short = wide(rounded);
+    let reads = |values: &[f64]| {
+        crate::vectors::unit(values).is_some_and(|unit| unit.iter().zip(rounded).all(|(a, b)| *a as f32 == *b))
+    };
+    if reads(&short) {
+        return short;
+    }
+    let length = |values: &[f64]| values.iter().map(|value| value * value).sum::<f64>();
+    let exact: Vec<f64> = rounded.iter().map(|value| f64::from(*value)).collect();
+    let outwards = length(&exact) < 1.0;
+    let room = rounded.iter().map(|value| {
+        let (low, high) = rounds_to(*value);
+        let end = if outwards == (*value > 0.0) { high } else { low };
+        if *value == 0.0 { 0.0 } else { end - f64::from(*value) }
+    });
+    let room: Vec<f64> = room.collect();
+    let moved = |share: f64| exact.iter().zip(&room).map(|(value, room)| value + share * room).collect::<Vec<_>>();
+    let (mut low, mut high) = (0.0, 1.0);
+    for _ in 0..60 {
+        let middle = 0.5 * (low + high);
+        if (length(&moved(middle)) < 1.0) == outwards { low = middle } else { high = middle }
+    }
+    moved(low)
+}
+
+/// The joints as a board knows them; their inertia is a part of the mechanism's, and 0 here.
+pub fn joints(device: &Device<f32>) -> [description::Joint; MAX_JOINTS] {
+    let home = home(device);
+    core::array::from_fn(|index| joint(&device.joints[index], home.map(|at| at[index])))
+}
+
+/// The pose that homing declares, rad.
+pub fn home(device: &Device<f32>) -> Option<[f64; MAX_JOINTS]> {
+    let home = device.home?;
+    let mut found = home.map(|angle| fewest(angle.into()));
+    for (angle, joint) in found.iter_mut().zip(&device.joints) {
+        let Some((_, scale)) = encoder(joint) else { continue };
+        if reads_as(joint.offset.into(), *angle, scale) == joint.offset {
+            continue;
+        }
+        // Home stands a whole number of counts from the offset, so it lies where both round to what the board has.
+        let counts = ((*angle - f64::from(joint.offset)) / scale).round();
+        let (of_home, of_offset) = (rounds_to(*angle as f32), rounds_to(joint.offset));
+        let low = of_home.0.max(of_offset.0 + counts * scale);
+        let high = of_home.1.min(of_offset.1 + counts * scale);
+        *angle = 0.5 * (low + high);
+    }
+    Some(found)
+}
+
+/// Counts per turn and the angle of one count, rad, of a joint that has an encoder.
+fn encoder(joint: &device::Joint<f32>) -> Option<(f64, f64)> {
+    let size = f64::from(joint.radians_per_count.abs());
+    if size == 0.0 {
+        return None;
+    }
+    let counts = f64::from(joint.counts_per_turn);
+    let turns = (counts * size / TAU).round();
+    let per_turn = if turns > 0.0 { counts / turns } else { TAU / size };
+    Some((per_turn, f64::from(joint.radians_per_count).signum() * TAU / per_turn))
+}
+
+/// The offset that a board gets from a file's, beside a home pose.
+fn reads_as(offset: f64, home: f64, radians_per_count: f64) -> f32 {
+    let counts = (home - offset) / radians_per_count;
+    let whole = (counts + if counts < 0.0 { -0.5 } else { 0.5 }).trunc();
+    (home - whole * radians_per_count) as f32
+}
+
+/// `home` is the joint's angle there, as it is written.
+fn joint(joint: &device::Joint<f32>, home: Option<f64>) -> description::Joint {
+    let short = |value: f32| fewest(value.into());
+    let encoder = encoder(joint).map(|(counts_per_turn, scale)| {
+        let offset = match home {
+            Some(home) if reads_as(0.0, home, scale) == joint.offset => 0.0,
+            Some(home) if reads_as(short(joint.offset), home, scale) != joint.offset => {
+                home - ((home - f64::from(joint.offset)) / scale).round() * scale
+            }
+            _ => short(joint.offset),
+        };
+        Encoder { counts_per_turn, offset, inverted: joint.radians_per_count < 0.0 }
+    });
+    description::Joint {
+        viscous: short(joint.viscous),
+        coulomb: short(joint.coulomb),
+        limits: joint.limits.map(|(low, high)| (short(low), short(high))),
+        encoder,
+        motor: joint.motor.map(|motor| {
+            let mut wide = motor.cast::<f64>();
+            for value in [
+                &mut wide.torque_constant,
+                &mut wide.resistance,
+                &mut wide.inductance,
+                &mut wide.back_emf,
+                &mut wide.max_current,
+            ] {
+                *value = fewest(*value);
+            }
+            wide
+        }),
+        ..description::Joint::default()
+    }
+}
+
+/// A device as its file. What a board does not keep is not written: transmissions, friction at rest, cogging, modes.
+pub fn device(name: &str, description: &Description) -> Vec<Entry> {
+    let spec = description.kind.spec();
+    let mut entries = Vec::new();
+    let mut top = table(&mut entries, "", 0);
+    top.word("name", name);
+    top.word("mechanism", spec.name);
+    top.numbers("gravity", &description.gravity[..spec.task], "m/s²");
+    geometry(&mut entries, description);
+    for (index, link) in description.links.iter().enumerate().take(spec.links.len()) {
+        let mut into = table(&mut entries, "[[link]]", index);
+        into.number("mass", link.mass, "kg");
+        into.number("com", link.com, "m");
+        into.number("inertia", link.inertia, "kg m²");
+        into.number("inertia_axial", link.inertia_axial, "kg m²");
+        into.number("inertia_transverse", link.inertia_transverse, "kg m²");
+    }
+    for (index, joint) in description.joints.iter().enumerate().take(spec.joints) {
+        put_joint(&mut entries, index, joint, true);
+    }
+    table(&mut entries, "[handle]", 0).number("mass", description.handle_mass, "kg");
+    if let Some(home) = description.home {
+        table(&mut entries, "[home]", 0).numbers("q", &home[..spec.joints], "rad");
+    }
+    entries
+}
+
+/// The entries of `[geometry]`.
+fn geometry(entries: &mut Vec<Entry>, description: &Description) {
+    let mut into = table(entries, "[geometry]", 0);
+    let mut rest = &description.geometry[..];
+    for (key, count) in description.kind.spec().geometry {
+        let Some((values, after)) = rest.split_at_checked(*count) else { return };
+        rest = after;
+        let unit = if *key == "assembly" { "" } else { "m" };
+        match values {
+            [value] => into.number(key, *value, unit),
+            values => into.numbers(key, values, unit),
+        }
+    }
+}
+
+fn put_joint(entries: &mut Vec<Entry>, index: usize, joint: &description::Joint, inertia: bool) {
+    let mut into = table(entries, "[[joint]]", index);
+    if inertia {
+        into.number("inertia", joint.inertia, "kg m²");
+    }
+    into.number("viscous", joint.viscous, "N m s/rad");
+    into.number("coulomb", joint.coulomb, "N m");
+    if let Some((low, high)) = joint.limits {
+        into.numbers("limits", &[low, high], "rad");
+    }
+    if let Some(encoder) = joint.encoder {
+        let mut into = table(entries, "[joint.encoder]", index);
+        into.number("counts_per_turn", encoder.counts_per_turn, "");
+        into.number("offset", encoder.offset, "rad");
+        into.flag("inverted", encoder.inverted);
+    }
+    if let Some(motor) = joint.motor {
+        let mut into = table(entries, "[joint.motor]", index);
+        into.number("torque_constant", motor.torque_constant, "N m/A");
+        into.number("resistance", motor.resistance, "ohm");
+        into.number("inductance", motor.inductance, "H");
+        into.number("back_emf", motor.back_emf, "V s/rad");
+        into.number("max_current", motor.max_current, "A");
+        into.flag("verified", motor.verified);
+    }
+}
+
+/// Everything that a board has of a device, to compare two: of its mechanism the coefficients of the equations of motion
+/// ([`coefficients`]).
+pub fn running(device: &Device<f32>) -> Vec<Entry> {
+    let spec = device.mechanism.kind().spec();
+    let mut entries = Vec::new();
+    let mut top = table(&mut entries, "", 0);
+    top.word("name", &device.name);
+    top.word("mechanism", spec.name);
+    for (key, value) in coefficients(&device.mechanism) {
+        let unit = unit(&key);
+        table(&mut entries, LUMPED, 0).number(&key, value, unit);
+    }
+    for (index, joint) in joints(device).iter().enumerate().take(spec.joints) {
+        put_joint(&mut entries, index, joint, false);
+    }
+    if let Some(home) = home(device) {
+        table(&mut entries, "[home]", 0).numbers("q", &home[..spec.joints], "rad");
+    }
+    entries
+}
+
+/// The coefficients of a mechanism by their names in src/model/mechanism, such as `arm_inertia 0`.
+pub fn coefficients<T: haptic_bridge::math::Real + Serialize>(mechanism: &AnyMechanism<T>) -> Vec<(String, f64)> {
+    fn collect(name: &str, value: &serde_json::Value, into: &mut Vec<(String, f64)>) {
+        let under = |key: &str| if name.is_empty() { key.to_string() } else { format!("{name} {key}") };
+        match value {
+            serde_json::Value::Object(map) => map.iter().for_each(|(key, value)| collect(&under(key), value, into)),
+            serde_json::Value::Array(values) => {
+                values.iter().enumerate().for_each(|(at, value)| collect(&under(&at.to_string()), value, into));
+            }
+            value => into.push((name.to_string(), value.as_f64().unwrap_or(f64::NAN))),
+        }
+    }
+    let mut found = Vec::new();
+    let whole = serde_json::to_value(mechanism).unwrap_or_default();
+    // The name of the mechanism is the outermost key.
+    whole.as_object().into_iter().flatten().for_each(|(_, fields)| collect("", fields, &mut found));
+    found
+}
+
+/// The unit of a coefficient, where it is known by its name.
+fn unit(coefficient: &str) -> &'static str {
+    let name = coefficient.trim_start_matches("plane ").split(' ').next().unwrap_or_default();
+    match name {
+        "length" | "lengths" | "base" | "proximal" | "axis_floor" => "m",
+        "inverse_length" | "inverse_lengths" | "reach_scale" => "1/m",
+        "reach" | "distal_difference" | "elbow_floor" | "rods_floor" => "m²",
+        "elbow_scale" | "rods_scale" => "1/m²",
+        "inertia" | "arm_inertia" | "turret_inertia" | "coupling" | "spin" | "rotor" => "kg m²",
+        "rod_coupling" | "tip_mass" | "elbow_load" | "tip_load" | "elbow_spin" | "coupled_spin" | "tip_spin" => "kg",
+        "loads" => "kg m",
+        "weight" => "N m",
+        "gravity" | "gravity_z" => "m/s²",
+        _ => "",
+    }
+}

@@ -1,0 +1,121 @@
+//! What is read back from a board: the same device and scene to the bit, and what differs from a file.
+#![cfg(unix)]
+
+use crate::common::sim::Sim;
+use crate::common::{all_shipped, file, files};
+use haptic_bridge::model::device::Device;
+use haptic_bridge::render::scene::{Scene, Surface};
+use haptic_host::device_file::DeviceFile;
+use haptic_host::read_back::{differences, running, scene, to_toml};
+use haptic_host::scene_file::SceneFile;
+use haptic_predict::equivalent::device_file;
+use haptic_sim::Random;
+use predicates::prelude::*;
+use predicates::str::contains;
+
+fn read(text: &str) -> Device<f32> {
+    DeviceFile::parse(text, "read back").unwrap().device().unwrap()
+}
+
+#[test]
+fn every_shipped_device_is_read_back_to_the_bit() {
+    for file in all_shipped() {
+        let device = file.device::<f32>().unwrap();
+        let alone = device_file(&device, None).unwrap_or_else(|| panic!("{}", file.name));
+        assert_eq!(read(&alone), device, "{}", file.name);
+        // Near its own file nothing but what the board does not keep is another.
+        let near = device_file(&device, Some(&file.description)).unwrap();
+        let found = DeviceFile::parse(&near, "near").unwrap().description;
+        assert_eq!((found.links, found.geometry), (file.description.links, file.description.geometry), "{}", file.name);
+        assert_eq!((found.handle_mass, found.gravity), (file.description.handle_mass, file.description.gravity));
+    }
+}
+
+#[test]
+fn devices_with_odd_numbers_are_read_back_to_the_bit() {
+    let mut random = Random::new(38);
+    let mut odd = |value: &mut f64| *value *= 1.0 + 0.3 * random.uniform();
+    let (mut tried, mut found) = (0, 0);
+    for file in all_shipped() {
+        let mut description = file.description;
+        for link in &mut description.links {
+            [&mut link.mass, &mut link.com, &mut link.inertia].into_iter().for_each(&mut odd);
+        }
+        description.joints.iter_mut().for_each(|joint| odd(&mut joint.inertia));
+        let Ok(device) = Device::<f32>::new("odd", &description) else { continue };
+        tried += 1;
+        found += u32::from(device_file(&device, None).is_some_and(|text| read(&text) == device));
+    }
+    assert!(tried > 5 && found == tried, "{found} of {tried}");
+}
+
+#[test]
+fn every_shipped_scene_is_read_back_to_the_bit() {
+    let mut normals = Random::new(7);
+    let mut count = 0;
+    for device in all_shipped() {
+        let task = device.spec().task;
+        let name = device.path.file_stem().unwrap().to_string_lossy().into_owned();
+        for path in files(&format!("scenes/{name}")) {
+            let mut scene_of = SceneFile::load(&path, task).unwrap().scene;
+            for turned in [false, true] {
+                if let (true, Some(wall)) = (turned && task > 1, scene_of.walls.first_mut())
+                    && let Surface::Plane(plane) = &mut wall.surface
+                {
+                    let at: Vec<f64> = (0..task).map(|_| normals.uniform() - 0.5).collect();
+                    plane.normal = haptic_host::vectors::padded(&haptic_host::vectors::unit(&at).unwrap());
+                }
+                let sent: Scene<f32> = scene_of.cast();
+                let text = to_toml(&[], &scene(&sent));
+                let again = SceneFile::parse(&text, "read back", task).unwrap().scene::<f32>().unwrap();
+                assert_eq!(again, sent, "{}\n{text}", path.display());
+                count += 1;
+            }
+        }
+    }
+    assert!(count > 10, "{count}");
+}
+
+#[test]
+fn what_differs_is_told_by_key_with_units() {
+    let [a, b] = [0.012, 0.013].map(|mass| {
+        let mut file = DeviceFile::parse(haptic_sim::SHIPPED_DEVICE, "a").unwrap();
+        file.description.handle_mass = mass;
+        file.description.joints[1].viscous = mass;
+        running(&file.device().unwrap())
+    });
+    let told: Vec<String> = differences(&a, &b).iter().map(ToString::to_string).collect();
+    assert!(differences(&a, &a).is_empty());
+    assert!(told.contains(&"[[joint]] 1 viscous: 0.012 -> 0.013 N m s/rad".to_string()), "{told:#?}");
+    assert!(told.iter().any(|line| line.starts_with("lumped tip_mass: ") && line.ends_with(" kg")), "{told:#?}");
+    assert_eq!(told.len(), 3, "{told:#?}");
+}
+
+#[test]
+fn a_board_is_read_into_files_and_held_against_them() {
+    let sim = Sim::start(&["--fast"]);
+    let (device, wall) = (file("coupled-five-bar.toml"), file("scenes/coupled-five-bar/wall.toml"));
+    sim.run(&["scene", "--read"]).code(1).stderr(contains("no scene"));
+    sim.run(&["device"]).code(2);
+    sim.run(&["device", &device]).success();
+    sim.run(&["scene", &wall]).success();
+    sim.run(&["device", "--read", &device]).success().stdout(contains("the board's device is that of"));
+    sim.run(&["scene", "--read", &wall]).success();
+    let folder = tempfile::tempdir().unwrap();
+    let [device, scene] = ["d.toml", "s.toml"].map(|name| folder.path().join(name).display().to_string());
+    for (what, path) in [("device", &device), ("scene", &scene)] {
+        sim.run(&[what, "--read", "-o", path]).success();
+        sim.run(&[what, "--read", "-o", path]).code(1).stderr(contains("--force"));
+        sim.run(&[what, path]).success();
+        sim.run(&[what, "--read", path]).success();
+    }
+    sim.run(&["gains", "--stiffness", "321"]).success();
+    let told = contains("[[wall]] 0 stiffness: ").and(contains(" -> 321.0 N/m\n"));
+    sim.run(&["scene", "--read", &scene]).code(3).stdout(told).stderr(contains("1 difference"));
+    let json = sim.run(&["scene", "--read", &scene, "--json"]).code(3);
+    let json: serde_json::Value = serde_json::from_slice(&json.get_output().stdout).unwrap();
+    assert_eq!(
+        (json["differences"][0]["to"].as_f64(), &json["differences"][1]),
+        (Some(321.0), &serde_json::Value::Null)
+    );
+}
