@@ -1,9 +1,9 @@
 //! `haptic board`: the board itself, its flash, its name, its way to this computer.
 
-use super::{backup, dfu, latency, list, name, restart, restore, save};
+use super::{backup, bug_report, dfu, latency, list, name, restart, restore, save};
 use haptic_host::error::Failure;
 
-/// Find boards, time the way to one; save, back up, restore, name, restart or reflash it
+/// Find boards, examine one, time the way to it; save, back up, restore, name, restart or reflash it
 #[derive(clap::Args)]
 pub struct Args {
     #[command(subcommand)]
@@ -14,6 +14,7 @@ pub struct Args {
 enum What {
     List(list::Args),
     Latency(latency::Args),
+    Report(bug_report::Args),
     Save(save::Args),
     Backup(backup::Args),
     Restore(restore::Args),
@@ -27,6 +28,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     match args.what {
         What::List(args) => list::run(args),
         What::Latency(args) => latency::run(args),
+        What::Report(args) => bug_report::run(args),
         What::Save(args) => save::run(args),
         What::Backup(args) => backup::run(args),
         What::Restore(args) => restore::run(args),

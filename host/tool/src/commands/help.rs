@@ -128,6 +128,7 @@ pub fn examples(words: &str) -> &'static [&'static str] {
         "udev" => &["haptic udev | sudo tee /etc/udev/rules.d/70-haptic-bridge.rules"],
         "board backup" => &["haptic board backup board.json"],
         "board restore" => &["haptic board restore board.json"],
+        "board report" => &["haptic board report -o report.md"],
         "board name" => &["haptic board name", "haptic board name left-hand"],
         "completions" => &[
             "haptic completions bash > ~/.local/share/bash-completion/completions/haptic",

@@ -6,6 +6,7 @@ mod arm;
 mod backup;
 mod bench;
 mod board;
+mod bug_report;
 mod check;
 mod completions;
 mod continued;

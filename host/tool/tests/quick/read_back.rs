@@ -119,3 +119,22 @@ fn a_board_is_read_into_files_and_held_against_them() {
         (Some(321.0), &serde_json::Value::Null)
     );
 }
+
+#[test]
+fn a_report_examines_the_board_with_its_motors_off_and_tells_nothing_private() {
+    let sim = Sim::start(&["--fast"]);
+    sim.run(&["device", &file("coupled-five-bar.toml")]).success();
+    sim.run(&["scene", &file("scenes/coupled-five-bar/wall.toml")]).success();
+    sim.run(&["board", "name", "ada-lovelaces-desk"]).success();
+    let told = sim.run(&["board", "report"]).success();
+    let page = String::from_utf8_lossy(&told.get_output().stdout).into_owned();
+    for part in ["encoder 0", "encoder 1", "current 0", "current 1", "bus", "flash", "timing", "link", "fault"] {
+        assert!(page.contains(&format!("| {part} | OK |")), "{part}\n{page}");
+    }
+    assert!(page.contains("protocol ") && page.contains("[[wall]]") && page.contains("torque_constant"), "{page}");
+    for private in ["SIM0001", "ada-lovelace", "coupled-five-bar", "tcp:", "127.0.0.1", "/home", ".toml"] {
+        assert!(!page.contains(private), "{private}\n{page}");
+    }
+    sim.run(&["arm"]).success();
+    sim.run(&["board", "report"]).code(1).stderr(contains("disarm"));
+}
