@@ -25,6 +25,7 @@
 //! | push through one, 1000 times a second | [`link::Session`] |
 //! | read device and scene files | [`device_file`], [`scene_file`] |
 //! | keep a board's settings | [`backup`] |
+//! | write a board's scene as a file, tell what differs | [`read_back`] |
 //! | measure the way to one and back | [`latency`] |
 //! | have the axes of another program | [`frame`] |
 //!

@@ -27,7 +27,7 @@ pub fn device_file(device: &Device<f32>, near: Option<&Description>) -> Option<S
         "only to half a count.",
     ];
     let about = about.map(String::from);
-    starts.flat_map(|start| Search::new(device, start)).find_map(|description| {
+    starts.flat_map(|start| Search::near(device, start)).find_map(|description| {
         let text = read_back::to_toml(&about, &read_back::device(&device.name, &description));
         let read = DeviceFile::parse(&text, "read back").ok()?.device::<f32>().ok()?;
         (read == *device).then_some(text)
@@ -99,7 +99,7 @@ struct Search {
 
 impl Search {
     /// The description found near this one; with home, friction, encoders and motors of the device.
-    fn new(device: &Device<f32>, mut start: Description) -> Option<Description> {
+    fn near(device: &Device<f32>, mut start: Description) -> Option<Description> {
         let wanted =
             coefficients(&device.mechanism).into_iter().map(|(_, value)| (value as f32, rounds_to(value as f32)));
         let inertia = start.joints.map(|joint| joint.inertia);

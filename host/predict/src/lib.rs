@@ -27,6 +27,7 @@
 //! | find the settings of the stiffest wall | [`mod@tune`] |
 //! | find the best place, direction, posture and links for one | [`mod@design`] |
 //! | write a device's first files | [`template`], [`wall_ahead`] |
+//! | write the file of a device that a board runs | [`equivalent`] |
 #![forbid(unsafe_code)]
 
 pub mod bench;
