@@ -17,9 +17,10 @@ use std::time::Duration;
 
 /// Examine a board with its motors off, and write a page to send with a question
 ///
-/// Encoders and currents at rest, bus, flash, stack and timing, each with a verdict and what to do; then versions,
-/// faults, device, scene and rules. A board whose current amplifiers sleep while the motors are off shows zeros there. Keep hands off the device for the second that it takes. The page has no serial number,
-/// no name of board or device, no port and no path. Refused while the motors are on.
+/// Encoders and currents at rest, bus, flash, stack and timing, each with a verdict and what to do; then versions, faults,
+/// device, scene and rules. A board whose current amplifiers sleep while the motors are off shows zeros there. Keep hands
+/// off the device for the second that it takes. The page has no serial number, no name of board or device, no port and no
+/// path. Refused while the motors are on.
 #[derive(clap::Args)]
 pub struct Args {
     /// File to write (Markdown) [default: standard output]
