@@ -2,7 +2,7 @@
 //!
 //! Numbers are written so that the file, read again, gives the board the same ones to the bit. A board keeps less of a
 //! device than its file says: a mechanism's links are lumped into the coefficients of its equations of motion, so a
-//! [`Description`] that goes into [`device`] has to be found first; [`joints`] and [`home`] give the parts that are kept.
+//! [`Description`] that goes into [`device()`] has to be found first; [`joints`] and [`home`] give the parts that are kept.
 
 use crate::digits::fewest;
 use core::f64::consts::TAU;

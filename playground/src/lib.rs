@@ -2,21 +2,29 @@
 //! worker of the browser. `cargo xtask playground` puts page, worker (src/worker.js), what carries messages between the
 //! two (src/page.js) and this together.
 //!
-//! The same stage stands behind the page that the tool has: simulated board, boundary, oscilloscope, the rule of the
-//! key. A browser gives it neither threads nor a clock; it says what time it is at each [`turn`]. Ports and recordings
-//! are left out.
+//! The same stage stands behind the page that the tool has: board, boundary, oscilloscope, the rule of the key. A
+//! browser gives it neither threads nor a clock; it says what time it is at each [`turn`]. Recordings are left out.
+//!
+//! A board behind a serial port of the browser is spoken to by the tool's own client, which waits for answers. Where it
+//! waits, the browser suspends this library until bytes have come (JavaScript Promise Integration). Until then nothing
+//! of what may wait is called again: [`open_board`], [`turn`], [`finish`]. [`said`] and [`room`] may be called, and what
+//! the page says goes to the hub meanwhile, as it does in the tool.
 //!
 //! Numbers are all that can be handed over, so text and bytes lie in one buffer: who calls [`room`] writes it,
 //! everything else leaves its answer there.
 
+mod port;
+
 use haptic_host::device_file::DeviceFile;
 use haptic_host::error::Failure;
+use haptic_host::link::Board;
 use haptic_host::scene_file::SceneFile;
 use haptic_show::view::hub::{Hub, Message, PageId};
 use haptic_show::view::message::FromPage;
 use haptic_show::view::{Stage, Turn, World};
 use std::cell::RefCell;
 use std::collections::VecDeque;
+use std::thread::LocalKey;
 use std::time::Duration;
 
 /// A shipped device, and what is around it.
@@ -52,9 +60,12 @@ const CHOICES: [Choice; 7] = [
 ];
 
 impl Choice {
+    fn file(&self) -> Result<Option<DeviceFile>, Failure> {
+        Ok(self.device.map(|device| DeviceFile::parse(device, self.name)).transpose()?)
+    }
+
     fn world(&self) -> Result<World, Failure> {
-        let Some(device) = self.device else { return World::demo() };
-        let file = DeviceFile::parse(device, self.name)?;
+        let Some(file) = self.file()? else { return World::demo() };
         let task = file.spec().task;
         let scene = match self.scene {
             Some(text) => Some(SceneFile::parse(text, self.name, task)?.scene::<f32>().map_err(Failure::wrong)?),
@@ -64,26 +75,28 @@ impl Choice {
     }
 }
 
-/// A stage with one page before it.
-struct Playground {
-    stage: Stage,
+/// The board that the page has opened. Its links are drawn where it has the device of a file that ships.
+fn connected() -> Result<World, Failure> {
+    let mut board = Board::over(Box::new(port::PagePort), "USB")?;
+    let loaded = board.device()?;
+    let is_loaded =
+        |file: &DeviceFile| matches!((file.device(), &loaded), (Ok(device), Some(loaded)) if device == *loaded);
+    let files = CHOICES.iter().filter_map(|choice| choice.file().ok().flatten());
+    Ok(World::of(board, files.into_iter().find(is_loaded)))
+}
+
+/// The one page, before the stage.
+struct Page {
     hub: Hub,
-    page: PageId,
-    /// Messages that the page has not fetched.
+    id: PageId,
+    /// Messages that it has not fetched.
     waiting: VecDeque<Message>,
 }
 
-impl Playground {
-    fn open(choice: &Choice) -> Result<Self, Failure> {
-        let hub = Hub::default();
-        let page = hub.come().ok_or_else(|| Failure::impossible("no page is let in"))?;
-        let stage = Stage::open(choice.world()?, hub.clone(), None, None)?;
-        Ok(Self { stage, hub, page, waiting: VecDeque::new() })
-    }
-}
-
 thread_local! {
-    static PLAYED: RefCell<Option<Playground>> = const { RefCell::new(None) };
+    // Two cells: the page is heard while the stage waits for a board.
+    static STAGE: RefCell<Option<Stage>> = const { RefCell::new(None) };
+    static PAGE: RefCell<Option<Page>> = const { RefCell::new(None) };
     static BUFFER: RefCell<Vec<u8>> = const { RefCell::new(Vec::new()) };
 }
 
@@ -91,9 +104,21 @@ fn answer(bytes: impl Into<Vec<u8>>) {
     BUFFER.replace(bytes.into());
 }
 
-/// Does something to what is played, if anything is.
-fn with<R>(what: impl FnOnce(&mut Playground) -> R) -> Option<R> {
-    PLAYED.with_borrow_mut(|played| played.as_mut().map(what))
+/// Does something to a cell's content, if it has any.
+fn with<T, R>(cell: &'static LocalKey<RefCell<Option<T>>>, what: impl FnOnce(&mut T) -> R) -> Option<R> {
+    cell.with_borrow_mut(|content| content.as_mut().map(what))
+}
+
+/// Begins with a world; where that fails, the buffer says why.
+fn begin(world: Result<World, Failure>) -> bool {
+    let begun = world.and_then(|world| {
+        let hub = Hub::default();
+        let id = hub.come().ok_or_else(|| Failure::impossible("no page is let in"))?;
+        STAGE.replace(Some(Stage::open(world, hub.clone(), None, None)?));
+        PAGE.replace(Some(Page { hub, id, waiting: VecDeque::new() }));
+        Ok(())
+    });
+    begun.map_err(|failure| answer(failure.to_string())).is_ok()
 }
 
 /// Makes room for so many bytes, and says where.
@@ -124,19 +149,22 @@ pub extern "C" fn choices() {
 /// Begins, with one of these by its number; where that fails, the buffer says why.
 #[unsafe(no_mangle)]
 pub extern "C" fn open(choice: usize) -> bool {
-    let opened = match CHOICES.get(choice) {
-        Some(choice) => Playground::open(choice),
-        None => Err(Failure::wrong(format!("there is no choice {choice}"))),
-    };
-    match opened {
-        Ok(playground) => {
-            PLAYED.replace(Some(playground));
-            true
-        }
-        Err(failure) => {
-            answer(failure.to_string());
-            false
-        }
+    let choice = CHOICES.get(choice).ok_or_else(|| Failure::wrong(format!("there is no choice {choice}")));
+    begin(choice.and_then(Choice::world))
+}
+
+/// Begins with the board behind the port that the page has opened; where that fails, the buffer says why.
+#[unsafe(no_mangle)]
+pub extern "C" fn open_board() -> bool {
+    begin(connected())
+}
+
+/// Ends: the motors are off, unless the board was `lost`, which then turns them off itself.
+#[unsafe(no_mangle)]
+pub extern "C" fn finish(lost: bool) {
+    if let Some(mut stage) = STAGE.take() {
+        // A board that does not hear of this hears of no key either.
+        let _ = stage.end(lost);
     }
 }
 
@@ -144,7 +172,7 @@ pub extern "C" fn open(choice: usize) -> bool {
 #[unsafe(no_mangle)]
 pub extern "C" fn said() {
     let text = String::from_utf8(BUFFER.take()).map_err(|_| "not a message of this page: it is no text".to_string());
-    with(|played| played.hub.said(played.page, text.and_then(|text| FromPage::parse(&text))));
+    with(&PAGE, |page| page.hub.said(page.id, text.and_then(|text| FromPage::parse(&text))));
 }
 
 /// Plays a little, `milliseconds` after the beginning: 1, and there may be more to catch up; 0, and simulated time is
@@ -153,7 +181,7 @@ pub extern "C" fn said() {
 pub extern "C" fn turn(milliseconds: f64) -> u32 {
     // A time that is not finite counts as none.
     let now = Duration::try_from_secs_f64(1e-3 * milliseconds).unwrap_or_default();
-    match with(|played| played.stage.turn(now)) {
+    match with(&STAGE, |stage| stage.turn(now)) {
         Some(Ok(Turn::Played)) => 1,
         Some(Ok(Turn::Ahead)) | None => 0,
         Some(Err(error)) => {
@@ -166,11 +194,11 @@ pub extern "C" fn turn(milliseconds: f64) -> u32 {
 /// Puts the next message for the page into the buffer: 1, a text; 2, numbers; 0, no message waits.
 #[unsafe(no_mangle)]
 pub extern "C" fn next() -> u32 {
-    let message = with(|played| {
-        if played.waiting.is_empty() {
-            played.waiting.extend(played.hub.take(played.page).messages());
+    let message = with(&PAGE, |page| {
+        if page.waiting.is_empty() {
+            page.waiting.extend(page.hub.take(page.id).messages());
         }
-        played.waiting.pop_front()
+        page.waiting.pop_front()
     });
     match message.flatten() {
         Some(Message::Text(text)) => {
@@ -188,6 +216,9 @@ pub extern "C" fn next() -> u32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use haptic_host::haptic_bridge::safety::fault::{Fault, State};
+    use haptic_host::link::{USB_PRODUCT, USB_VENDOR};
+    use haptic_sim::{BoardOptions, SharedBoard, ready_board};
 
     fn say(text: &str) {
         answer(text);
@@ -198,7 +229,13 @@ mod tests {
     fn play(from: u32, milliseconds: u32) -> (String, Vec<String>) {
         let (mut picture, mut refused) = (String::new(), Vec::new());
         for millisecond in 0..milliseconds {
-            assert!(turn(f64::from(from + millisecond)) < 2);
+            // As the worker does: until simulated time is where it should be. A board has its own.
+            let mut turned = 1;
+            while turned == 1 {
+                turned = turn(f64::from(from + millisecond));
+                assert!(turned < 2);
+                turned = if port::worker::PLUGGED.with_borrow(Option::is_some) { 0 } else { turned };
+            }
             loop {
                 match next() {
                     0 => break,
@@ -225,8 +262,7 @@ mod tests {
             assert!(open(index), "{name}: {}", String::from_utf8_lossy(&BUFFER.take()));
             say(r#"{"do":"take"}"#);
             let (picture, _) = play(0, 100);
-            let step = picture.split(r#""step":"#).nth(1).unwrap().split(',').next().unwrap();
-            say(&format!(r#"{{"do":"arm","seen":{step}}}"#));
+            arm(&picture);
             let (armed, refused) = play(100, 200);
             assert!(armed.contains(r#""state":"Armed""#) && refused.is_empty(), "{name}: {armed} {refused:?}");
             // The page is not heard for half a second.
@@ -236,6 +272,86 @@ mod tests {
         }
         assert!(!open(names.lines().count()));
         assert!(String::from_utf8(BUFFER.take()).unwrap().contains("there is no choice 7"));
+    }
+
+    /// A simulated board with a device of the list and a wall, plugged in where the page's port is.
+    fn plugged() -> SharedBoard {
+        let file = CHOICES[1].file().unwrap().unwrap();
+        let board = SharedBoard::new(ready_board(&file, BoardOptions::default()).unwrap());
+        let scene = SceneFile::parse(CHOICES[1].scene.unwrap(), "scene", 2).unwrap().scene().unwrap();
+        Board::over(board.wire(), "test").unwrap().set_scene(&scene).unwrap();
+        port::worker::PLUGGED.replace(Some(board.wire()));
+        board
+    }
+
+    fn arm(picture: &str) {
+        let step = picture.split(r#""step":"#).nth(1).unwrap().split(',').next().unwrap();
+        say(&format!(r#"{{"do":"arm","seen":{step}}}"#));
+    }
+
+    #[test]
+    fn a_board_is_opened_told_gains_and_armed_and_lets_go_when_the_page_is_gone() {
+        let board = plugged();
+        assert!(open_board(), "{}", String::from_utf8_lossy(&BUFFER.take()));
+        turn(0.0);
+        let mut texts = std::iter::from_fn(|| (next() == 1).then(|| String::from_utf8(BUFFER.take()).unwrap()));
+        let hello = texts.find(|text| text.contains(r#""is":"hello""#)).unwrap();
+        for part in [r#""simulated":false"#, r#""port":"USB""#, r#""device":"haply-2diy""#] {
+            assert!(hello.contains(part), "{hello}");
+        }
+        say(r#"{"do":"take"}"#);
+        let (picture, _) = play(0, 100);
+        assert!(!picture.contains(r#""bars":[]"#), "the links of a device that ships are drawn: {picture}");
+        say(r#"{"do":"gains","wall":0,"stiffness":123,"damping":1,"feed_forward":"off"}"#);
+        arm(&picture);
+        let (armed, refused) = play(100, 100);
+        assert!(armed.contains(r#""state":"Armed""#) && refused.is_empty(), "{armed} {refused:?}");
+        // The page is gone, and its worker with it: nothing of it is called any more.
+        board.lock().run(1.0);
+        let status = board.lock().status();
+        assert_eq!(status.fault.map(|record| record.fault), Some(Fault::KeyReleased));
+        let mut other = Board::over(board.wire(), "test").unwrap();
+        assert_eq!(other.scene().unwrap().unwrap().walls[0].stiffness, 123.0);
+    }
+
+    #[test]
+    fn a_board_is_left_with_its_motors_off_and_one_that_is_pulled_ends_it_in_words() {
+        for pulled in [false, true] {
+            let board = plugged();
+            assert!(open_board());
+            say(r#"{"do":"take"}"#);
+            let (picture, _) = play(0, 100);
+            arm(&picture);
+            play(100, 100);
+            assert_eq!(board.lock().status().state, State::Armed);
+            if pulled {
+                port::worker::PLUGGED.replace(None);
+                assert_eq!(turn(300.0), 2);
+                let words = String::from_utf8(BUFFER.take()).unwrap();
+                assert!(words.contains("unplugged") && words.contains("nothing is plugged in"), "{words}");
+                assert!(!open_board());
+            } else {
+                finish(false);
+                assert_eq!(board.lock().status().state, State::Disarmed);
+            }
+        }
+    }
+
+    #[test]
+    fn a_board_without_a_scene_is_refused_and_says_what_to_do() {
+        let file = CHOICES[1].file().unwrap().unwrap();
+        let board = SharedBoard::new(ready_board(&file, BoardOptions::default()).unwrap());
+        port::worker::PLUGGED.replace(Some(board.wire()));
+        assert!(!open_board());
+        let words = String::from_utf8(BUFFER.take()).unwrap();
+        assert!(words.contains("haptic scene"), "{words}");
+    }
+
+    /// A browser lists the ports by these numbers alone.
+    #[test]
+    fn the_page_asks_for_the_boards_by_their_numbers_on_usb() {
+        let filter = format!("usbVendorId: {USB_VENDOR:#06x}, usbProductId: {USB_PRODUCT:#06x}");
+        assert!(include_str!("page.js").contains(&filter), "{filter}");
     }
 
     #[test]

@@ -1,37 +1,99 @@
 "use strict";
-// What carries the messages of this page: a worker in the place of a WebSocket.
+// What carries the messages of this page: a worker in the place of a WebSocket, and between the worker and a board a serial
+// port of this browser.
 {
+  const CANNOT = "This browser cannot open a board: Chrome or Edge on a desktop can. The simulation goes on.";
+  const REAL = "A board with real motors: Space turns them on. Have an emergency stop in their supply.";
+  // As USB shows the boards (host/src/link/ports.rs).
+  const BOARDS = { filters: [{ usbVendorId: 0x1209, usbProductId: 0x0001 }] };
   const library = Uint8Array.from(atob($text("library")), c => c.charCodeAt(0));
   const worker = URL.createObjectURL(new Blob([$text("worker")], { type: "text/javascript" }));
   function $text(id) { const element = document.getElementById(id), text = element.textContent; element.remove(); return text; }
-  const device = document.createElement("select");
-  device.id = "choice";
+  const device = document.createElement("select"), open = document.createElement("button");
+  device.id = "choice"; open.id = "open"; open.textContent = "Open a board";
   device.setAttribute("aria-label", "Device");
-  document.querySelector("header .grow").before(device);
-  let thread = null;
+  document.querySelector("header .grow").before(device, open);
+  // The open port of the board that is looked at, if one is; how to leave that; what is said once there is something to see.
+  let port = null, leave = () => {}, news = null;
   window.playground = () => {
-    const choice = Math.max(0, device.selectedIndex);
+    const choice = Math.max(0, device.selectedIndex), board = port !== null, thread = new Worker(worker);
+    const cable = board ? connected(port, thread) : null;
     const carrier = { readyState: 0, send: text => thread.postMessage(text) };
-    const end = why => { thread.terminate(); carrier.readyState = 3; console.error(why); carrier.onclose(); };
-    thread = new Worker(worker);
+    const close = () => { cable?.pull(); thread.terminate(); };
+    leave = () => { carrier.readyState = 3; if (board) thread.postMessage({ over: true }); else close(); };
+    const end = why => {
+      const before = carrier.readyState;
+      if (before === 1) up();
+      carrier.readyState = 3;
+      if (!board) { close(); console.error(why); carrier.onclose(); }
+      // A board that was shown is not replaced by a simulation that nobody asked for.
+      else if (before === 1) { port = null; open.textContent = "Open a board"; lost(`${why}; ${view.last ? view.last.if_lost : ""}`); }
+      else if (before === 0) { news = [`${why}. The simulation goes on.`]; begin(null); }
+    };
     thread.onmessage = ({ data }) => {
-      if (data.choices) {
+      if (data.sent) cable.send(data.sent);
+      else if (data.ended) close();
+      else if (carrier.readyState === 3) return;
+      else if (data.stopped) end(data.stopped);
+      else if (data.choices) {
         if (!device.length) device.replaceChildren(...data.choices.map(name => new Option(name)));
+        device.selectedIndex = board ? -1 : choice;
+        open.textContent = board ? "Close the board" : "Open a board";
+        if (board) news = [REAL, true];
         carrier.readyState = 1;
         carrier.onopen();
-      } else if (data.stopped) end(data.stopped);
-      else carrier.onmessage({ data });
+      } else {
+        carrier.onmessage({ data });
+        if (news && view.hello) { notice(news[0], {}, news[1]); news = null; }
+      }
     };
-    thread.onerror = event => end(event.message);
-    thread.postMessage({ library, choice });
+    thread.onerror = event => { end(event.message); close(); };
+    thread.postMessage({ library, choice, board });
     return carrier;
   };
-  // Another device begins anew.
-  device.onchange = () => {
+  // Carries bytes between an open port and a worker. After an error that passes a port has another stream; unplugged, none.
+  function connected(port, thread) {
+    const writer = port.writable.getWriter();
+    let reader = null, stream = null, pulled = false;
+    (async () => {
+      let why = "its port has closed";
+      while (!pulled && port.readable && port.readable !== stream) {
+        stream = port.readable; reader = stream.getReader();
+        try { for (let read; !(read = await reader.read()).done;) thread.postMessage({ came: read.value }); }
+        catch (error) { why = error.message; }
+        reader.releaseLock();
+      }
+      thread.postMessage({ gone: why });
+    })();
+    return {
+      send: bytes => writer.write(bytes).catch(error => thread.postMessage({ gone: error.message })),
+      pull: async () => {
+        pulled = true;
+        for (const step of [() => reader.cancel(), () => writer.abort(), () => writer.releaseLock(), () => port.close()])
+          try { await step(); } catch { /* It was unplugged. */ }
+      },
+    };
+  }
+  // Another device or board begins anew.
+  function begin(board) {
     up();
-    device.blur();
-    thread.terminate();
-    view.hello = view.plane = view.closeAt = null;
+    leave();
+    port = board;
+    view.hello = view.plane = view.closeAt = view.last = view.frame = null;
     connect();
+  }
+  device.onchange = () => { device.blur(); begin(null); };
+  open.onclick = async () => {
+    open.blur();
+    if (port) return begin(null);
+    if (!navigator.serial || !WebAssembly.Suspending) return notice(CANNOT);
+    let chosen;
+    // Whoever closes the browser's list has chosen none.
+    try { chosen = await navigator.serial.requestPort(BOARDS); } catch { return; }
+    try {
+      await chosen.open({ baudRate: 115200, bufferSize: 1 << 18 });
+      await chosen.setSignals({ dataTerminalReady: true });
+    } catch (error) { return notice(`The port cannot be opened (${error.message}): close the program that uses it. The simulation goes on.`); }
+    begin(chosen);
   };
 }

@@ -1,31 +1,66 @@
 "use strict";
-// The worker: lets the library play by the browser's clock, and carries what it says.
+// The worker: lets the library play by the browser's clock, and carries what it says: to the page, and to the port of a
+// board that the page has opened.
 onmessage = async first => {
+  const { library: code, choice, board } = first.data;
+  // What has come from the port and was not fetched, who waits for it, and why the port is gone.
+  const came = [];
+  let wake = () => {}, gone = null, over = false;
+  let library;
+  const bytes = () => new Uint8Array(library.memory.buffer, library.address(), library.length()).slice();
+  const words = () => new TextDecoder().decode(bytes());
+  const put = what => { const at = library.room(what.length); new Uint8Array(library.memory.buffer, at, what.length).set(what); };
+  const put_words = text => put(new TextEncoder().encode(text));
+  // The library stands still in this until bytes have come; meanwhile the page is heard.
+  const receive = async (most, milliseconds) => {
+    if (!came.length && gone === null) {
+      const timer = await new Promise(done => { const timer = setTimeout(() => done(timer), milliseconds); wake = () => done(timer); });
+      clearTimeout(timer);
+    }
+    if (!came.length && gone !== null) { put_words(gone); return 0; }
+    const piece = came.shift() || new Uint8Array();
+    if (piece.length > most) came.unshift(piece.subarray(most));
+    put(piece.subarray(0, most));
+    return 1;
+  };
+  const port = {
+    now: () => performance.now(),
+    draw: () => crypto.getRandomValues(new Uint32Array(1))[0],
+    send: () => { const sent = bytes(); postMessage({ sent }, [sent.buffer]); },
+    receive: board ? new WebAssembly.Suspending(receive) : () => 0,
+  };
+  const waiting = name => board ? WebAssembly.promising(library[name]) : library[name];
   try {
-    const { exports: library } = (await WebAssembly.instantiate(first.data.library)).instance;
-    const bytes = () => new Uint8Array(library.memory.buffer, library.address(), library.length()).slice();
-    const words = () => new TextDecoder().decode(bytes());
+    library = (await WebAssembly.instantiate(code, { port })).instance.exports;
+    onmessage = ({ data }) => {
+      if (typeof data === "string") { put_words(data); library.said(); }
+      else if (data.came) { came.push(data.came); wake(); }
+      else if (data.gone) { gone = data.gone; wake(); }
+      else over = true;
+    };
     library.choices();
     const choices = words().split("\n");
-    if (!library.open(first.data.choice)) throw words();
-    onmessage = event => {
-      const text = new TextEncoder().encode(event.data);
-      new Uint8Array(library.memory.buffer, library.room(text.length), text.length).set(text);
-      library.said();
-    };
+    if (!await (board ? waiting("open_board")() : library.open(choice))) throw words();
     postMessage({ choices });
-    const began = performance.now();
-    const play = () => {
+    const began = performance.now(), turn = waiting("turn");
+    const play = async () => {
       try {
         // Not longer than most of a picture, or what the page says would wait.
         const until = performance.now() + 12;
-        let turn;
-        do turn = library.turn(performance.now() - began); while (turn === 1 && performance.now() < until);
-        if (turn === 2) throw words();
+        let turned;
+        do turned = await turn(performance.now() - began); while (turned === 1 && performance.now() < until);
+        if (turned === 2) throw words();
         for (let kind; (kind = library.next());) postMessage(kind === 1 ? words() : bytes().buffer);
-        setTimeout(play, 2);
-      } catch (error) { postMessage({ stopped: String(error) }); }
+        if (over) { await waiting("finish")(0); postMessage({ ended: true }); } else setTimeout(play, 2);
+      } catch (error) { stopped(error); }
     };
     play();
-  } catch (error) { postMessage({ stopped: String(error) }); }
+  } catch (error) { stopped(error); }
+  // The page hears of it first: a board that does not answer takes its time.
+  async function stopped(error) {
+    postMessage({ stopped: String(error) });
+    if (!board) return;
+    try { await waiting("finish")(1); } catch { /* It watches its host by itself. */ }
+    postMessage({ ended: true });
+  }
 };

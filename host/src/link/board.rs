@@ -1,6 +1,6 @@
 //! A board as a program sees it: one method for every endpoint of the protocol.
 
-use super::client::{Client, Sent, unlike_any_before};
+use super::client::{Client, Sent};
 use super::error::{BoardError, LinkError};
 use super::telemetry::{Losses, Row, Rows};
 use super::wire::Wire;
@@ -118,6 +118,7 @@ impl Board {
         if info.protocol != PROTOCOL {
             return Err(LinkError::Version { board: info.protocol, tool: PROTOCOL });
         }
+        let session = client.draw();
         Ok(Self {
             client,
             port,
@@ -128,7 +129,7 @@ impl Board {
             last_heartbeat: None,
             step: 0,
             force_patience: FORCE_PATIENCE,
-            session: unlike_any_before(),
+            session,
             faults: Vec::new(),
         })
     }
@@ -367,7 +368,7 @@ impl Board {
     /// Starts a stream of every `divider`-th step's `fields`; losses count from here.
     pub fn start_stream(&mut self, fields: Fields, divider: u32) -> Result<(), BoardError> {
         // Drawn, not counted: whatever a tool before this one left on the link has another.
-        let stream = unlike_any_before();
+        let stream = self.client.draw();
         self.rows = Rows::of(stream);
         self.garbled_before = self.client.garbled();
         self.change::<p::Stream>(&StreamRequest { fields, divider, stream })

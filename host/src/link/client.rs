@@ -55,12 +55,6 @@ pub struct Sent(VarSeq);
 /// version's refusals, its body this.
 const STOPPED: &[u8] = &[0];
 
-/// A number that is most likely not the one drawn last, in this process or another.
-pub(super) fn unlike_any_before() -> u32 {
-    use std::hash::{BuildHasher, RandomState};
-    RandomState::new().hash_one(0) as u32
-}
-
 /// The message that the server of a simulated board sends a second tool before it hangs up.
 pub struct Occupied;
 
@@ -72,15 +66,15 @@ impl Topic for Occupied {
 
 impl Client {
     /// A client on an open wire.
-    pub fn new(wire: Box<dyn Wire>) -> Self {
+    pub fn new(mut wire: Box<dyn Wire>) -> Self {
         Self {
+            // An answer to an earlier tool must not pass for an answer to this one.
+            sequence: wire.draw() as u16,
             wire,
             deframer: Deframer::default(),
             under_way: VecDeque::new(),
             answers: VecDeque::new(),
             topics: VecDeque::new(),
-            // An answer to an earlier tool must not pass for an answer to this one.
-            sequence: unlike_any_before() as u16,
             buffer: vec![0; 16 * 1024],
         }
     }
@@ -93,6 +87,11 @@ impl Client {
     /// Extra time that an answer may take beyond the board's own, see [`Wire::slack`].
     pub fn slack(&self) -> Duration {
         self.wire.slack()
+    }
+
+    /// A number that is most likely not the one drawn last, see [`Wire::draw`].
+    pub fn draw(&mut self) -> u32 {
+        self.wire.draw()
     }
 
     /// Stretches of bytes that were not frames.

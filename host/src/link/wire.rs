@@ -18,6 +18,11 @@ pub trait Wire: Send {
     fn slack(&self) -> Duration {
         Duration::ZERO
     }
+    /// A number that is most likely not the one drawn last, in this process or another.
+    fn draw(&mut self) -> u32 {
+        use std::hash::{BuildHasher, RandomState};
+        RandomState::new().hash_one(0) as u32
+    }
 }
 
 /// The slack of a simulated or emulated board in a process of its own.

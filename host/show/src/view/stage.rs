@@ -191,16 +191,18 @@ impl Stage {
     /// Plays until `stop` is set or the board is lost. The motors are off afterwards.
     pub fn run(&mut self, stop: &AtomicBool) -> Result<(), LinkError> {
         let played = self.play(stop);
-        self.stop_recording(played.is_err());
-        // A board that is lost turns them off itself.
-        let disarmed = self.board().disarm();
-        if let (Ok(()), Err(BoardError::Link(error))) = (&played, disarmed) {
-            return Err(error);
-        }
-        if played.is_ok() {
+        let ended = self.end(played.is_err());
+        played.and(ended)
+    }
+
+    /// Ends what is shown, with the motors off. A board that was `lost` turns them off itself.
+    pub fn end(&mut self, lost: bool) -> Result<(), LinkError> {
+        self.stop_recording(lost);
+        self.disarm()?;
+        if !lost {
             let _ = self.board().stop_stream();
         }
-        played
+        Ok(())
     }
 
     fn play(&mut self, stop: &AtomicBool) -> Result<(), LinkError> {

@@ -20,6 +20,8 @@ pub struct Browser {
     socket: WebSocket<TcpStream>,
     _profile: tempfile::TempDir,
     count: u64,
+    /// Where it listens: host and port.
+    pub address: String,
     /// What it reported, with the page's session.
     pub events: Vec<(String, Value)>,
 }
@@ -28,7 +30,14 @@ pub struct Browser {
 #[derive(Clone, Debug)]
 pub struct Tab {
     pub session: String,
-    target: String,
+    pub target: String,
+}
+
+/// A connection of its own to the browser, or to a page in it.
+pub fn connect(address: &str, url: &str, patience: Duration) -> WebSocket<TcpStream> {
+    let (socket, _) = tungstenite::client(url, TcpStream::connect(address).unwrap()).unwrap();
+    socket.get_ref().set_read_timeout(Some(patience)).unwrap();
+    socket
 }
 
 impl Browser {
@@ -57,11 +66,9 @@ impl Browser {
         };
         // It goes on writing there.
         std::thread::spawn(move || lines.for_each(drop));
-        let address = url.trim_start_matches("ws://").split('/').next().unwrap();
-        let stream = TcpStream::connect(address).unwrap();
-        let (socket, _) = tungstenite::client(url.as_str(), stream).unwrap();
-        socket.get_ref().set_read_timeout(Some(Duration::from_millis(20))).unwrap();
-        Self { child, socket, _profile: profile, count: 0, events: Vec::new() }
+        let address = url.trim_start_matches("ws://").split('/').next().unwrap().to_string();
+        let socket = connect(&address, &url, Duration::from_millis(20));
+        Self { child, socket, _profile: profile, count: 0, address, events: Vec::new() }
     }
 
     /// Opens a page of this size.
@@ -262,7 +269,7 @@ impl Drop for Browser {
     }
 }
 
-fn base64(text: &str) -> Vec<u8> {
+pub fn base64(text: &str) -> Vec<u8> {
     let digit = |byte: u8| match byte {
         b'A'..=b'Z' => byte - b'A',
         b'a'..=b'z' => byte - b'a' + 26,

@@ -6,6 +6,7 @@ mod common;
 
 mod as_a_file;
 mod devtools;
+mod serial;
 
 use common::page::View;
 use common::sim::Sim;
