@@ -44,7 +44,7 @@
         carrier.onopen();
       } else {
         carrier.onmessage({ data });
-        if (news && view.hello) { notice(news[0], {}, news[1]); news = null; }
+        if (news && view.last) { notice(news[0], {}, news[1]); news = null; }
       }
     };
     thread.onerror = event => { end(event.message); close(); };
