@@ -30,14 +30,15 @@ onmessage = async first => {
     receive: board ? new WebAssembly.Suspending(receive) : () => 0,
   };
   const waiting = name => board ? WebAssembly.promising(library[name]) : library[name];
+  // From the beginning: a board may be talking already.
+  onmessage = ({ data }) => {
+    if (typeof data === "string") { put_words(data); library.said(); }
+    else if (data.came) { came.push(data.came); wake(); }
+    else if (data.gone) { gone = data.gone; wake(); }
+    else over = true;
+  };
   try {
     library = (await WebAssembly.instantiate(code, { port })).instance.exports;
-    onmessage = ({ data }) => {
-      if (typeof data === "string") { put_words(data); library.said(); }
-      else if (data.came) { came.push(data.came); wake(); }
-      else if (data.gone) { gone = data.gone; wake(); }
-      else over = true;
-    };
     library.choices();
     const choices = words().split("\n");
     if (!await (board ? waiting("open_board")() : library.open(choice))) throw words();
