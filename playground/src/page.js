@@ -1,6 +1,6 @@
 "use strict";
-// What carries the messages of this page: a worker in the place of a WebSocket, and between the worker and a board a serial
-// port of this browser.
+// What carries the messages of this page: a worker in the place of a WebSocket, and between the worker and a board a
+// serial port of this browser.
 {
   const CANNOT = "This browser cannot open a board: Chrome or Edge on a desktop can. The simulation goes on.";
   const REAL = "A board with real motors: Space turns them on. Have an emergency stop in their supply.";
@@ -13,7 +13,8 @@
   device.id = "choice"; open.id = "open"; open.textContent = "Open a board";
   device.setAttribute("aria-label", "Device");
   document.querySelector("header .grow").before(device, open);
-  // The open port of the board that is looked at, if one is; how to leave that; what is said once there is something to see.
+  // The open port of the board that is looked at, if one is; how to leave what is looked at; what is said once there is
+  // something to see.
   let port = null, leave = () => {}, news = null;
   window.playground = () => {
     const choice = Math.max(0, device.selectedIndex), board = port !== null, thread = new Worker(worker);
@@ -27,7 +28,11 @@
       carrier.readyState = 3;
       if (!board) { close(); console.error(why); carrier.onclose(); }
       // A board that was shown is not replaced by a simulation that nobody asked for.
-      else if (before === 1) { port = null; open.textContent = "Open a board"; lost(`${why}; ${view.last ? view.last.if_lost : ""}`); }
+      else if (before === 1) {
+        port = null;
+        open.textContent = "Open a board";
+        lost(view.last ? `${why}; ${view.last.if_lost}` : why);
+      }
       else if (before === 0) { news = [`${why}. The simulation goes on.`]; begin(null); }
     };
     thread.onmessage = ({ data }) => {
@@ -51,7 +56,8 @@
     thread.postMessage({ library, choice, board });
     return carrier;
   };
-  // Carries bytes between an open port and a worker. After an error that passes a port has another stream; unplugged, none.
+  // Carries bytes between an open port and a worker. After an error that passes a port has another stream; once it is
+  // unplugged it has none.
   function connected(port, thread) {
     const writer = port.writable.getWriter();
     let reader = null, stream = null, pulled = false;
@@ -69,8 +75,8 @@
       send: bytes => writer.write(bytes).catch(error => thread.postMessage({ gone: error.message })),
       pull: async () => {
         pulled = true;
-        for (const step of [() => reader.cancel(), () => writer.abort(), () => writer.releaseLock(), () => port.close()])
-          try { await step(); } catch { /* It was unplugged. */ }
+        const steps = [() => reader.cancel(), () => writer.abort(), () => writer.releaseLock(), () => port.close()];
+        for (const step of steps) try { await step(); } catch { /* It was unplugged. */ }
       },
     };
   }
@@ -93,7 +99,10 @@
     try {
       await chosen.open({ baudRate: 115200, bufferSize: 1 << 18 });
       await chosen.setSignals({ dataTerminalReady: true });
-    } catch (error) { return notice(`The port cannot be opened (${error.message}): close the program that uses it. The simulation goes on.`); }
+    } catch (error) {
+      const why = `The port cannot be opened (${error.message}): close the program that uses it.`;
+      return notice(`${why} The simulation goes on.`);
+    }
     begin(chosen);
   };
 }

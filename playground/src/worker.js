@@ -9,15 +9,19 @@ onmessage = async first => {
   let library;
   const bytes = () => new Uint8Array(library.memory.buffer, library.address(), library.length()).slice();
   const words = () => new TextDecoder().decode(bytes());
-  const put = what => { const at = library.room(what.length); new Uint8Array(library.memory.buffer, at, what.length).set(what); };
-  const put_words = text => put(new TextEncoder().encode(text));
+  const put = what => {
+    const at = library.room(what.length);
+    new Uint8Array(library.memory.buffer, at, what.length).set(what);
+  };
+  const putWords = text => put(new TextEncoder().encode(text));
   // The library stands still in this until bytes have come; meanwhile the page is heard.
   const receive = async (most, milliseconds) => {
     if (!came.length && gone === null) {
-      const timer = await new Promise(done => { const timer = setTimeout(() => done(timer), milliseconds); wake = () => done(timer); });
+      let timer;
+      await new Promise(done => { timer = setTimeout(done, milliseconds); wake = done; });
       clearTimeout(timer);
     }
-    if (!came.length && gone !== null) { put_words(gone); return 0; }
+    if (!came.length && gone !== null) { putWords(gone); return 0; }
     const piece = came.shift() || new Uint8Array();
     if (piece.length > most) came.unshift(piece.subarray(most));
     put(piece.subarray(0, most));
@@ -32,7 +36,7 @@ onmessage = async first => {
   const waiting = name => board ? WebAssembly.promising(library[name]) : library[name];
   // From the beginning: a board may be talking already.
   onmessage = ({ data }) => {
-    if (typeof data === "string") { put_words(data); library.said(); }
+    if (typeof data === "string") { putWords(data); library.said(); }
     else if (data.came) { came.push(data.came); wake(); }
     else if (data.gone) { gone = data.gone; wake(); }
     else over = true;

@@ -141,11 +141,18 @@ fn properties(arguments: &[String]) -> Result<()> {
 }
 
 fn browser(arguments: &[String]) -> Result<()> {
-    tools::provide(&[Use::Page])?;
+    tools::provide(&[Use::Page, Use::Build])?;
     let page = playground::build()?;
     run(cargo().current_dir(paths::root()).args(["test", "--locked", "--package", "haptic-playground"]))?;
+    // The page also opens the real image, on the emulated chip.
+    firmware::build("odrive-v3")?;
+    let board = ["build", "--locked", "--ignore-rust-version", "--package", "virtual-board-programs", "--bin", "board"];
+    run(cargo().current_dir(paths::root()).args(board))?;
     let test = ["test", "--locked", "--package", "haptic", "--test", "browser", "--"];
-    run(cargo().current_dir(paths::root()).args(test).args(arguments).env("HAPTIC_PLAYGROUND", page))
+    let mut tests = cargo();
+    tests.current_dir(paths::root()).args(test).args(arguments).env("HAPTIC_PLAYGROUND", page);
+    tests.env("HAPTIC_VIRTUAL_BOARD", paths::target_directory().join("debug/board"));
+    run(tests.env(IMAGES, firmware::directory()))
 }
 
 fn fuzzing(_: &[String]) -> Result<()> {

@@ -1,6 +1,6 @@
 //! The page as a file with a board at a serial port of the browser. The port is the test's: it stands in the place of
-//! `navigator.serial`, and its bytes go to a simulated or an emulated board over the browser's debugging protocol, since
-//! the page has no network.
+//! `navigator.serial`, and its bytes go to a simulated or an emulated board over the browser's debugging protocol,
+//! since the page has no network.
 
 use super::LAPTOP;
 use super::as_a_file::path;
@@ -36,9 +36,13 @@ const PORT: &str = r#"
         },
     };
     window.arrive = text => { try { incoming?.enqueue(Uint8Array.from(atob(text), c => c.charCodeAt(0))); } catch {} };
-    window.pull = () => { incoming.error(new DOMException("The device has been lost.", "NetworkError")); port.readable = port.writable = incoming = null; };
+    window.pull = () => {
+        incoming.error(new DOMException("The device has been lost.", "NetworkError"));
+        port.readable = port.writable = incoming = null;
+    };
     window.open_port = () => port.readable !== null;
-    Object.defineProperty(navigator, "serial", { configurable: true, value: { requestPort: async what => { test.asked.push(what); return port; } } });
+    const requestPort = async what => { test.asked.push(what); return port; };
+    Object.defineProperty(navigator, "serial", { configurable: true, value: { requestPort } });
 "#;
 
 const ARMED: &str = "document.body.dataset.state === 'Armed'";
@@ -133,7 +137,7 @@ fn open(browser: &mut Browser, tab: &Tab) {
     assert_eq!(browser.evaluate(tab, "$('open').textContent"), "Close the board");
 }
 
-/// Holds Space until the motors are on. Where this computer was so slow that the board has let go, its fault is cleared.
+/// Holds Space until the motors are on. Where this computer was so slow that the board let go, its fault is cleared.
 fn hold(browser: &mut Browser, tab: &Tab) {
     while browser.evaluate(tab, ARMED) != true {
         browser.space(tab, "keyUp");
@@ -293,7 +297,11 @@ fn a_board_that_cannot_be_shown_says_why_and_the_simulation_goes_on() {
     refused(&mut browser, "haptic scene");
     browser.until(&tab, "!open_port()");
     // Whoever closes the browser's list changes nothing.
-    browser.evaluate(&tab, "notice(''); navigator.serial.requestPort = () => Promise.reject(new DOMException('', 'NotFoundError')); $('open').click(); view.pictures = 0");
+    browser.evaluate(
+        &tab,
+        "navigator.serial.requestPort = () => Promise.reject(new DOMException('', 'NotFoundError')); \
+         notice(''); $('open').click(); view.pictures = 0",
+    );
     browser.until(&tab, "view.pictures > 10 && view.hello.simulated && !$('notice').classList.contains('shown')");
     // Browsers that have no serial ports, or cannot let the library wait.
     for missing in ["navigator.serial", "WebAssembly.Suspending"] {
