@@ -7,8 +7,8 @@
 //!
 //! A board behind a serial port of the browser is spoken to by the tool's own client, which waits for answers. Where it
 //! waits, the browser suspends this library until bytes have come (JavaScript Promise Integration). Until then nothing
-//! that may wait is called again ([`open_board`], [`turn`], [`finish`]); [`said`] and [`room`] may be, and what the page
-//! says goes to the hub meanwhile, as it does in the tool.
+//! that may wait is called again ([`open_board`], [`turn`], [`finish`]); [`said`] and [`room`] may be, and what the
+//! page says goes to the hub meanwhile, as it does in the tool.
 //!
 //! Numbers are all that can be handed over, so text and bytes lie in one buffer: who calls [`room`] writes it,
 //! everything else leaves its answer there.

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use tungstenite::{Message, WebSocket};
 
 /// How long anything may take that is bound to happen: what hangs takes longer.
-pub const PATIENCE: Duration = Duration::from_secs(300);
+pub const PATIENCE: Duration = Duration::from_secs(40);
 
 const NAMES: [&str; 3] = ["chromium", "chromium-browser", "google-chrome"];
 const MISSING: &str = "no Chromium on this computer: apt-get install -y --no-install-recommends chromium (on Debian, as root; \

@@ -62,8 +62,12 @@ impl Cable {
         let ask = |method: &str, parameters: Value| {
             Message::text(json!({"id": 1, "method": method, "params": parameters}).to_string())
         };
-        page.send(ask("Runtime.enable", json!({}))).unwrap();
-        page.send(ask("Runtime.addBinding", json!({"name": "toBoard"}))).unwrap();
+        for (method, parameters) in [("Runtime.enable", json!({})), ("Runtime.addBinding", json!({"name": "toBoard"}))]
+        {
+            page.send(ask(method, parameters)).unwrap();
+            // In force before the page is there.
+            until(method, || matches!(page.read(), Ok(Message::Text(text)) if text.contains(r#""id":1"#)));
+        }
         Self(spawn(move || {
             let mut bytes = vec![0; 65_536];
             loop {
@@ -239,7 +243,7 @@ fn the_image_on_the_emulated_chip_is_opened_used_and_lets_go_when_the_browser_di
     tool(&["device", &device.unwrap()]);
     tool(&["scene", &file("scenes/pantograph-mk2/corner.toml")]);
     tool(&["home"]);
-    tool(&["polarity"]);
+    tool(&["polarity", "--yes"]);
     tool(&["home"]);
     used_until_the_browser_dies(&port, "pantograph-mk2", "odrive-v3");
 }
