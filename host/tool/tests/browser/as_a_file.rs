@@ -4,8 +4,9 @@ use super::devtools::{Browser, Tab};
 use super::{LAPTOP, by_the_wall, drag_the_wall, lead_into_the_wall, on_plane};
 
 pub fn path() -> String {
-    std::env::var("HAPTIC_PLAYGROUND")
-        .unwrap_or_else(|_| concat!(env!("CARGO_MANIFEST_DIR"), "/../../target/playground/haptic-playground.html").into())
+    std::env::var("HAPTIC_PLAYGROUND").unwrap_or_else(|_| {
+        concat!(env!("CARGO_MANIFEST_DIR"), "/../../target/playground/haptic-playground.html").into()
+    })
 }
 
 fn opened() -> (Browser, Tab) {

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use tungstenite::{Message, WebSocket};
 
 /// How long anything may take that is bound to happen: what hangs takes longer.
-pub const PATIENCE: Duration = Duration::from_secs(40);
+pub const PATIENCE: Duration = Duration::from_secs(300);
 
 const NAMES: [&str; 3] = ["chromium", "chromium-browser", "google-chrome"];
 const MISSING: &str = "no Chromium on this computer: apt-get install -y --no-install-recommends chromium (on Debian, as root; \
@@ -155,7 +155,10 @@ impl Browser {
 
     fn not_beyond_patience(&mut self, tab: &Tab, began: Instant, expression: &str) {
         if began.elapsed() > PATIENCE {
-            let seen = self.evaluate(tab, "window.view && $('why').textContent + JSON.stringify({...view, trail: 0, sweep: 0, plane: 0})");
+            let seen = self.evaluate(
+                tab,
+                "window.view && $('why').textContent + JSON.stringify({...view, trail: 0, sweep: 0, plane: 0})",
+            );
             panic!("{expression} never came: {seen}");
         }
     }

@@ -143,7 +143,11 @@ fn open(browser: &mut Browser, tab: &Tab) {
 
 /// Holds Space until the motors are on. Where this computer was so slow that the board let go, its fault is cleared.
 fn hold(browser: &mut Browser, tab: &Tab) {
+    let mut tries = 0;
     while browser.evaluate(tab, ARMED) != true {
+        tries += 1;
+        let told = browser.evaluate(tab, "$('why').textContent");
+        assert!(tries < 12, "the motors do not go on: {told}");
         browser.space(tab, "keyUp");
         browser.evaluate(tab, "if (view.last.command === null) $('take').click()");
         browser.evaluate(tab, "if (!$('clear').hidden) $('clear').click()");
@@ -244,7 +248,6 @@ fn the_image_on_the_emulated_chip_is_opened_used_and_lets_go_when_the_browser_di
     tool(&["scene", &file("scenes/pantograph-mk2/corner.toml")]);
     tool(&["home"]);
     tool(&["polarity", "--yes"]);
-    tool(&["home"]);
     used_until_the_browser_dies(&port, "pantograph-mk2", "odrive-v3");
 }
 
