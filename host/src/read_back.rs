@@ -2,7 +2,8 @@
 //!
 //! Numbers are written so that the file, read again, gives the board the same ones to the bit. A board keeps less of a
 //! device than its file says: a mechanism's links are lumped into the coefficients of its equations of motion, so a
-//! [`Description`] that goes into [`device()`] has to be found first; [`joints`] and [`home`] give the parts that are kept.
+//! [`Description`] that goes into [`device()`] has to be found first; [`joints`] and [`home`] give the parts that are
+//! kept.
 
 use crate::digits::fewest;
 use core::f64::consts::TAU;
@@ -237,8 +238,8 @@ pub fn rounds_to(number: f32) -> (f64, f64) {
     (middle(number.next_down()), middle(number.next_up()))
 }
 
-/// A vector whose direction, made a unit vector in double precision, rounds to this one. The rounded one is not quite of
-/// length 1, so every entry moves by the same share of what rounds to it, until the length is.
+/// A vector whose direction, made a unit vector in double precision, rounds to this one. The rounded one is not quite
+/// of length 1, so every entry moves by the same share of what rounds to it, until the length is.
 fn direction(rounded: &[f32; 3], task: usize) -> Vec<f64> {
     let rounded = &rounded[..task];
     let short = wide(rounded);
@@ -414,8 +415,8 @@ fn put_joint(entries: &mut Vec<Entry>, index: usize, joint: &description::Joint,
     }
 }
 
-/// Everything that a board has of a device, to compare two: of its mechanism the coefficients of the equations of motion
-/// ([`coefficients`]).
+/// Everything that a board has of a device, to compare two: of its mechanism the coefficients of the equations of
+/// motion ([`coefficients`]).
 pub fn running(device: &Device<f32>) -> Vec<Entry> {
     let spec = device.mechanism.kind().spec();
     let mut entries = Vec::new();

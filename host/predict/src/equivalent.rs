@@ -22,9 +22,9 @@ pub fn device_file(device: &Device<f32>, near: Option<&Description>) -> Option<S
     let starts = near.into_iter().chain([1.0, 0.1, 10.0, 0.01, 100.0].map(|factor| scaled(&template, factor)));
     let about = [
         "Read back from a board. It keeps the coefficients of the equations of motion, not the links they came from:",
-        "masses, centres of mass, inertias and what they share with [handle] and the joints' inertia are one choice of many",
-        "that give exactly these equations. Transmissions, friction at rest, cogging and modes are not kept, and an offset",
-        "only to half a count.",
+        "masses, centres of mass, inertias and what they share with [handle] and the joints' inertia are one choice of",
+        "many that give exactly these equations. Transmissions, friction at rest, cogging and modes are not kept, and",
+        "an offset only to half a count.",
     ];
     let about = about.map(String::from);
     starts.flat_map(|start| Search::near(device, start)).find_map(|description| {
@@ -250,8 +250,8 @@ impl Search {
         })
     }
 
-    /// With some gravity, where the mechanism carries weight, but for the components that the board has not: what is zero
-    /// there is zero exactly.
+    /// With some gravity, where the mechanism carries weight, but for the components that the board has not: what is
+    /// zero there is zero exactly.
     fn with_gravity(&self, mut x: Unknowns, task: usize) -> Unknowns {
         for at in 0..task {
             let (mut some, mut none) = (x, x);

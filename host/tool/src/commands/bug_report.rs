@@ -17,10 +17,10 @@ use std::time::Duration;
 
 /// Examine a board with its motors off, and write a page to send with a question
 ///
-/// Encoders and currents at rest, bus, flash, stack and timing, each with a verdict and what to do; then versions, faults,
-/// device, scene and rules. A board whose current amplifiers sleep while the motors are off shows zeros there. Keep hands
-/// off the device for the second that it takes. The page has no serial number, no name of board or device, no port and no
-/// path. Refused while the motors are on.
+/// Encoders and currents at rest, bus, flash, stack and timing, each with a verdict and what to do; then versions,
+/// faults, device, scene and rules. A board whose current amplifiers sleep while the motors are off shows zeros there.
+/// Keep hands off the device for the second that it takes. The page has no serial number, no name of board or device,
+/// no port and no path. Refused while the motors are on.
 #[derive(clap::Args)]
 pub struct Args {
     /// File to write (Markdown) [default: standard output]
@@ -173,7 +173,8 @@ fn findings(board: &mut Board) -> Result<Vec<Finding>, Failure> {
 fn losses_in_words(lost: &Losses) -> String {
     let Losses { missing, dropped_by_board, batches_lost, garbled, .. } = lost;
     format!(
-        "{missing} missing ({dropped_by_board} dropped by the board, {batches_lost} batches lost), {garbled} frames garbled"
+        "{missing} missing ({dropped_by_board} dropped by the board, {batches_lost} batches lost), {garbled} frames \
+         garbled"
     )
 }
 
@@ -187,7 +188,8 @@ fn mean_and_spread(values: &[f64]) -> Option<(f64, f64)> {
 fn page(board: &mut Board, findings: &[Finding]) -> Result<String, Failure> {
     let (info, details, status) = (board.info().clone(), board.details()?, board.status()?);
     let mut page = format!(
-        "# Board report\n\nTool {}, firmware {}, protocol {}, board {}, {} axes. State: {}; homed: {}; polarity checked: {}.\n\
+        "# Board report\n\nTool {}, firmware {}, protocol {}, board {}, {} axes. State: {}; homed: {}; \
+         polarity checked: {}.\n\
          Control {} Hz, carrier {} Hz, delay {} samples.\n\n| part | verdict | what |\n|---|---|---|\n",
         env!("CARGO_PKG_VERSION"),
         info.firmware,

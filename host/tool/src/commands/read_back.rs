@@ -29,8 +29,8 @@ impl Read {
         Ok(self.read)
     }
 
-    /// Writes `text`, the board's `what` as a file, where it was asked for; `compared` is a file, with what differs in the
-    /// board.
+    /// Writes `text`, the board's `what` as a file, where it was asked for; `compared` is a file, with what differs in
+    /// the board.
     pub fn answer(
         &self,
         on: &OnBoard,
