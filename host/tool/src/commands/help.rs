@@ -102,6 +102,7 @@ pub fn examples(words: &str) -> &'static [&'static str] {
         ],
         "gains" => &["haptic gains --stiffness 800 --damping 2", "haptic gains --wall 1 --feed-forward off"],
         "rules" => &["haptic rules --torque 0.1,0.1 --host disarm", "haptic rules --json"],
+        "jog" => &["haptic jog --joint 0", "haptic jog --joint 1 --by -0.05 --speed 0.1"],
         "stream" => &["haptic stream", "haptic stream --fields counts --seconds 10"],
         "record" => &[
             "haptic record contact.mcap",

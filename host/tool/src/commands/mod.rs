@@ -24,6 +24,7 @@ pub mod help;
 mod home;
 mod info;
 mod interrupt;
+mod jog;
 mod latency;
 mod list;
 mod map;
@@ -119,6 +120,7 @@ commands! {
     }
     DEVELOPERS {
         (Bench, bench)
+        (Jog, jog)
         (Precompute, precompute)
         (Udev, udev)
     }

@@ -18,6 +18,7 @@ mod forces;
 mod golden_model;
 mod haply;
 mod home;
+mod jog;
 mod map_command;
 mod measured;
 mod model_command;
