@@ -6,6 +6,7 @@
 //! kept.
 
 use crate::digits::fewest;
+use crate::error::on_one_line;
 use core::f64::consts::TAU;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::model::description::{self, Description, Encoder};
@@ -37,7 +38,8 @@ impl fmt::Display for Value {
         match self {
             Self::Number(number) => write!(f, "{number:?}"),
             Self::Numbers(numbers) => write!(f, "{numbers:?}"),
-            Self::Text(text) => write!(f, "{}", toml::Value::String(text.clone())),
+            // JSON's escapes are TOML's, too, and leave a text on one line.
+            Self::Text(text) => write!(f, "{}", on_one_line(&serde_json::Value::from(text.as_str()).to_string())),
             Self::Flag(flag) => write!(f, "{flag}"),
         }
     }
@@ -113,7 +115,7 @@ pub fn differences(from: &[Entry], to: &[Entry]) -> Vec<Difference> {
 
 /// The file with these entries; lines of `about` begin it, as comments.
 pub fn to_toml(about: &[String], entries: &[Entry]) -> String {
-    let mut text: String = about.iter().map(|line| format!("# {}\n", crate::error::on_one_line(line))).collect();
+    let mut text: String = about.iter().map(|line| format!("# {}\n", on_one_line(line))).collect();
     let mut table = ("", 0);
     for entry in entries {
         if table != (entry.table, entry.index) {

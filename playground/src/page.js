@@ -100,6 +100,8 @@
       await chosen.open({ baudRate: 115200, bufferSize: 1 << 18 });
       await chosen.setSignals({ dataTerminalReady: true });
     } catch (error) {
+      // An open port that is not used would keep everybody else out.
+      await chosen.close().catch(() => {});
       const why = `The port cannot be opened (${error.message}): close the program that uses it.`;
       return notice(`${why} The simulation goes on.`);
     }

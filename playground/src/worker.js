@@ -38,7 +38,7 @@ onmessage = async first => {
   onmessage = ({ data }) => {
     if (typeof data === "string") { putWords(data); library.said(); }
     else if (data.came) { came.push(data.came); wake(); }
-    else if (data.gone) { gone = data.gone; wake(); }
+    else if ("gone" in data) { gone = data.gone; wake(); }
     else over = true;
   };
   try {

@@ -100,13 +100,18 @@ struct Search {
 impl Search {
     /// The description found near this one; with home, friction, encoders and motors of the device.
     fn near(device: &Device<f32>, mut start: Description) -> Option<Description> {
-        let wanted =
-            coefficients(&device.mechanism).into_iter().map(|(_, value)| (value as f32, rounds_to(value as f32)));
+        let wanted: Vec<_> = coefficients(&device.mechanism)
+            .into_iter()
+            .map(|(_, value)| (value as f32, rounds_to(value as f32)))
+            .collect();
+        if !wanted.iter().all(|(_, (low, high))| low.is_finite() && high.is_finite()) {
+            return None;
+        }
         let inertia = start.joints.map(|joint| joint.inertia);
         start.joints = read_back::joints(device);
         start.joints.iter_mut().zip(inertia).for_each(|(joint, inertia)| joint.inertia = inertia);
         start.home = read_back::home(device);
-        let search = Self { start, wanted: wanted.collect() };
+        let search = Self { start, wanted };
         let assembly = start.kind.spec().geometry.iter().position(|(key, _)| *key == "assembly");
         // Which way a linkage is put together is no number to be approached.
         let place =

@@ -123,7 +123,7 @@ impl Board {
             client,
             port,
             info,
-            rows: Rows::default(),
+            rows: Rows::of(0, Fields(0)),
             garbled_before: 0,
             heartbeat: false,
             last_heartbeat: None,
@@ -369,7 +369,7 @@ impl Board {
     pub fn start_stream(&mut self, fields: Fields, divider: u32) -> Result<(), BoardError> {
         // Drawn, not counted: whatever a tool before this one left on the link has another.
         let stream = self.client.draw();
-        self.rows = Rows::of(stream);
+        self.rows = Rows::of(stream, fields);
         self.garbled_before = self.client.garbled();
         self.change::<p::Stream>(&StreamRequest { fields, divider, stream })
     }

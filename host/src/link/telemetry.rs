@@ -124,18 +124,20 @@ impl std::fmt::Display for Losses {
 }
 
 /// Unpacks batches and keeps account.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub(super) struct Rows {
     /// The stream that is followed; batches of any other are left over from a tool that is gone.
     stream: u32,
+    /// What was asked for.
+    fields: Fields,
     losses: Losses,
     next: Option<(u32, u32)>,
 }
 
 impl Rows {
-    /// Those of one stream.
-    pub(super) fn of(stream: u32) -> Self {
-        Self { stream, ..Self::default() }
+    /// Those of one stream with these fields.
+    pub(super) fn of(stream: u32, fields: Fields) -> Self {
+        Self { stream, fields, losses: Losses::default(), next: None }
     }
 
     pub(super) fn losses(&self) -> Losses {
@@ -146,7 +148,7 @@ impl Rows {
     pub(super) fn take(&mut self, batch: &Batch, rows: &mut Vec<Row>) {
         let fields = Fields(batch.fields);
         let width = fields.bytes(usize::from(batch.axes));
-        if width == 0 || batch.divider == 0 || batch.stream != self.stream {
+        if width == 0 || batch.axes == 0 || batch.divider == 0 || (batch.stream, fields) != (self.stream, self.fields) {
             return;
         }
         if let Some((step, number)) = self.next {
@@ -201,6 +203,8 @@ fn number(kind: Kind, bytes: &[u8]) -> f64 {
 mod tests {
     use super::*;
 
+    const WALL: Fields = Fields(Field::WallForce.bit());
+
     fn batch(number: u32, first_step: u32, rows: usize, dropped: u32) -> Batch {
         let rows = (0..rows).flat_map(|row| (row as f32).to_le_bytes()).collect();
         Batch { stream: 0, number, first_step, divider: 4, dropped, axes: 2, fields: Field::WallForce.bit(), rows }
@@ -208,7 +212,7 @@ mod tests {
 
     #[test]
     fn every_missing_row_is_counted_once_and_blamed() {
-        let (mut stream, mut rows) = (Rows::default(), Vec::new());
+        let (mut stream, mut rows) = (Rows::of(0, WALL), Vec::new());
         stream.take(&batch(0, 100, 3, 0), &mut rows);
         stream.take(&batch(1, 112, 2, 0), &mut rows);
         assert_eq!(stream.losses(), Losses { received: 5, ..Losses::default() });
@@ -224,7 +228,7 @@ mod tests {
 
     #[test]
     fn batches_of_another_stream_are_no_rows_and_no_losses() {
-        let (mut stream, mut rows) = (Rows::of(7), Vec::new());
+        let (mut stream, mut rows) = (Rows::of(7, WALL), Vec::new());
         stream.take(&Batch { stream: 6, ..batch(9, 100, 3, 5) }, &mut rows);
         stream.take(&Batch { stream: 7, ..batch(0, 40, 2, 0) }, &mut rows);
         // A number that went back is no loss of four thousand million batches.
@@ -234,7 +238,7 @@ mod tests {
 
     #[test]
     fn the_step_counter_may_wrap() {
-        let (mut stream, mut rows) = (Rows::default(), Vec::new());
+        let (mut stream, mut rows) = (Rows::of(0, WALL), Vec::new());
         stream.take(&batch(0, u32::MAX - 7, 2, 0), &mut rows);
         stream.take(&batch(1, 0, 2, 0), &mut rows);
         assert_eq!(stream.losses().missing, 0);

@@ -32,7 +32,12 @@ With a board, whose firmware is in the tool:
 
     sudo cp 70-haptic-bridge.rules /etc/udev/rules.d/ && sudo udevadm control --reload    (Linux, once)
     haptic flash                      the board that is plugged in; its settings stay
-    haptic --help                     what comes then
+    haptic info                       what it says of itself
+    haptic device my-device.toml      yours: begin with one of devices/, and follow docs/bring-up.md
+    haptic scene my-scene.toml        a wall
+    haptic home                       with the device in its home pose
+    haptic polarity                   each motor pushes the way its encoder counts, or says which does not
+    haptic arm --key                  motors on while Space is held: feel the wall
 
 devices/      devices and scenes to start from: haptic check devices/haply-2diy.toml
 docs/         how to describe a device, to wire and start a board (bring-up.md), and everything else

@@ -6,7 +6,7 @@ use haptic_bridge::board::telemetry::{Field, Fields};
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::safety::refusal::Refusal;
 use haptic_host::digits::shortest;
-use haptic_host::error::{Failure, visible};
+use haptic_host::error::{Failure, on_one_line, visible};
 use haptic_host::link::{Board, BoardError, Losses, Row};
 use haptic_host::output;
 use haptic_host::read_back::{running, scene, to_toml};
@@ -79,10 +79,13 @@ fn at_rest(board: &mut Board) -> Result<Vec<Row>, Failure> {
     board.start_stream(Fields(Field::Current.bit() | Field::Counts.bit() | Field::BusVoltage.bit()), divider)?;
     let until = board.now() + Duration::from_secs_f32(3.0 * SECONDS);
     let mut rows = Vec::new();
-    while rows.len() < wanted && board.now() < until {
-        rows.extend(board.rows(Duration::from_millis(50))?);
+    let mut came = Ok(());
+    while came.is_ok() && rows.len() < wanted && board.now() < until {
+        came = board.rows(Duration::from_millis(50)).map(|new| rows.extend(new));
     }
+    // Also where the rows ended in an error: the stream would go on.
     board.stop_stream()?;
+    came?;
     Ok(rows)
 }
 
@@ -192,9 +195,9 @@ fn page(board: &mut Board, findings: &[Finding]) -> Result<String, Failure> {
          polarity checked: {}.\n\
          Control {} Hz, carrier {} Hz, delay {} samples.\n\n| part | verdict | what |\n|---|---|---|\n",
         env!("CARGO_PKG_VERSION"),
-        info.firmware,
+        on_one_line(&info.firmware),
         info.protocol,
-        info.board,
+        on_one_line(&info.board),
         details.axes,
         state_in_words(status.state),
         status.homed,

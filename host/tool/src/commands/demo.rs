@@ -176,7 +176,7 @@ fn report(demo: &Demo, results: &Results) -> String {
         }
     }
     text.push_str(&format!(
-        "Weff and Wrr, and what is predicted, are also printed by (in a checkout of the sources)\n    {}\n    {}\n",
+        "Weff and Wrr, and what is predicted, are also printed by (beside the folder devices/)\n    {}\n    {}\n",
         demo.model_line(),
         demo.range_line(low.delay_samples)
     ));

@@ -102,7 +102,15 @@ fn read(args: &Args) -> Result<(), Failure> {
     let compared = match &file {
         Some(file) => {
             let written = file.device::<f32>().map_err(Failure::wrong)?;
-            Some((&*file.path as &Path, differences(&running(&written), &running(&device))))
+            let found = differences(&running(&written), &running(&device));
+            if found.is_empty() && written != device {
+                let path = file.path.display();
+                return Err(Failure::different(format!(
+                    "the board's device is not that of {path}: it differs in numbers that no device file holds"
+                ))
+                .remedy("load a device file again, or keep the board's as it is with `haptic board backup`"));
+            }
+            Some((&*file.path as &Path, found))
         }
         None => None,
     };

@@ -75,6 +75,8 @@ enum NoLine {
 const FEW: usize = 20;
 /// Standard error of a slope, as a share of it, above which it says nothing.
 const UNSURE: f64 = 0.2;
+/// Depths that differ by less than this share are one depth: single precision has seven digits.
+const ROUNDINGS: f64 = 1e-5;
 
 fn fitted(points: &[(f64, f64)]) -> Result<Fit, NoLine> {
     if points.len() < FEW {
@@ -88,10 +90,25 @@ fn fitted(points: &[(f64, f64)]) -> Result<Fit, NoLine> {
     let slope = both / spread;
     let rest: f64 = points.iter().map(|p| (p.1 - y - slope * (p.0 - x)).powi(2)).sum();
     let error = (rest / ((count - 2.0) * spread)).sqrt();
-    // Also if nothing moved: then the slope is not a number.
-    if !(slope > 0.0 && error < UNSURE * slope) {
+    let (low, high) = points.iter().fold((x, x), |(low, high), p| (low.min(p.0), high.max(p.0)));
+    // Depths that differ by roundings alone have a line as well. Written so that no motion at all is refused, too.
+    if !(slope > 0.0 && error < UNSURE * slope && high - low > ROUNDINGS * high.abs()) {
         return Err(NoLine::Scattered);
     }
-    let (low, high) = points.iter().fold((x, x), |(low, high), p| (low.min(p.0), high.max(p.0)));
     Ok(Fit { slope, ends: [low, high].map(|at| (at, y + slope * (at - x))) })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn depths_that_differ_by_roundings_have_no_stiffness() {
+        let at = |spread: f64| {
+            let points: Vec<_> = (0..100).map(|i| 1.379e-3 + spread * f64::from(i % 3)).map(|x| (x, 1e3 * x)).collect();
+            fitted(&points).ok().map(|fit| fit.slope.round())
+        };
+        assert_eq!(at(1e-10), None);
+        assert_eq!(at(1e-6), Some(1000.0));
+    }
 }
