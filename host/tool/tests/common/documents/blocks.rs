@@ -65,9 +65,9 @@ impl Block {
     }
 }
 
-/// README.md and everything in docs/ and docs/results/.
+/// README.md and everything in docs/, docs/learn/ and docs/results/.
 pub fn documents() -> Vec<PathBuf> {
-    let folders = ["docs", "docs/results"].map(|folder| fs::read_dir(root().join(folder)).unwrap());
+    let folders = ["docs", "docs/learn", "docs/results"].map(|folder| fs::read_dir(root().join(folder)).unwrap());
     let mut paths: Vec<PathBuf> = folders.into_iter().flatten().map(|entry| entry.unwrap().path()).collect();
     paths.retain(|path| path.extension().is_some_and(|end| end == "md"));
     paths.push(root().join("README.md"));
