@@ -59,6 +59,8 @@ pub enum FromPage {
         /// In the plane that is drawn.
         at: Option<[f64; 2]>,
     },
+    /// Put a simulated device and its scene back to how they were in the beginning, with the motors off.
+    StartOver {},
     /// Settings of this page's oscilloscope.
     Scope(ScopeRequest),
     /// Begin or end a recording, in the folder of the tool.

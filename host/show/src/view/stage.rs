@@ -31,6 +31,7 @@ use haptic_host::vectors::{padded, unit};
 use haptic_host::words::{wall_in_words, with_unit};
 use haptic_predict::boards::torque_path;
 use haptic_predict::plausible::scene::most_gains;
+use haptic_sim::SharedBoard;
 use haptic_stability::analysis::control_loop::TorquePath;
 use haptic_stability::analysis::prediction::Subject;
 use recording::ActiveRecording;
@@ -86,6 +87,8 @@ pub struct Stage {
     looked: Duration,
     device: Device<f64>,
     scene: Scene<f64>,
+    /// The scene as it was when the stage was opened.
+    first: Scene<f32>,
     /// As they were last seen.
     rules: Rules,
     columns: Vec<Column>,
@@ -132,7 +135,7 @@ impl Stage {
         let details = board.details()?;
         let device = board.device()?.ok_or(BoardError::Refused(haptic_bridge::safety::refusal::Refusal::NoDevice))?;
         let scene = board.scene()?.ok_or(BoardError::Refused(haptic_bridge::safety::refusal::Refusal::NoScene))?;
-        let (device, scene) = (device.cast::<f64>(), scene.cast::<f64>());
+        let (device, first, scene) = (device.cast::<f64>(), scene.clone(), scene.cast::<f64>());
         let rules = board.rules()?;
         let rate_hz = f64::from(details.rate_hz);
         let name = if world.simulated.is_some() { "simulated" } else { "" };
@@ -156,6 +159,7 @@ impl Stage {
             path: torque_path(world.board.info(), &details),
             device,
             scene,
+            first,
             rules,
             columns,
             rows_hz,
@@ -280,14 +284,15 @@ impl Stage {
             self.trail.push([tip[0], tip.get(1).copied().unwrap_or(0.0)]);
         }
         for record in self.world.board.take_reported_faults() {
-            let words = in_words(&record);
+            let words = in_words(&record, self.world.simulated.is_some());
             self.note(&words);
             self.fault = Some(words);
         }
         let code = Newest::of(&self.ring, &self.columns).get(Field::State, 0) as usize;
         let state = State::ALL.get(code).copied().unwrap_or_default();
         if state == State::Fault && (self.state != State::Fault || self.fault.is_none()) {
-            self.fault = self.board().status()?.fault.as_ref().map(in_words);
+            let simulated = self.world.simulated.is_some();
+            self.fault = self.board().status()?.fault.map(|record| in_words(&record, simulated));
             self.held = None;
         }
         if state != State::Fault && self.state == State::Fault {
@@ -448,6 +453,10 @@ impl Stage {
                 Some(_) => self.refuse(id, "a place is two finite numbers"),
                 None => self.refuse(id, "this device is not simulated: take it into your own hand"),
             },
+            FromPage::StartOver {} => match self.world.simulated.clone() {
+                Some(simulated) => self.start_over(&simulated)?,
+                None => self.refuse(id, "this device is not simulated: move it back by hand"),
+            },
             FromPage::Here {}
             | FromPage::Disarm {}
             | FromPage::Take {}
@@ -455,6 +464,34 @@ impl Stage {
             | FromPage::Sound { .. } => {}
         }
         Ok(())
+    }
+
+    /// Puts device, hand, walls and gains back to how they were in the beginning.
+    fn start_over(&mut self, simulated: &SharedBoard) -> Result<(), BoardError> {
+        self.disarm()?;
+        lead(simulated, None);
+        self.goal = None;
+        {
+            let mut board = simulated.lock();
+            let start = board.device().start();
+            board.device_mut().place(start);
+        }
+        // To the board's encoders this is a jump: a fault, of which nobody is to hear.
+        self.world.board.rows(SLICE)?;
+        match self.board().clear() {
+            Err(BoardError::Link(error)) => return Err(error.into()),
+            Ok(()) | Err(BoardError::Refused(_)) => {}
+        }
+        self.world.board.rows(SLICE)?;
+        self.world.board.take_reported_faults();
+        let first = self.first.clone();
+        self.board().set_scene(&first)?;
+        (self.last_step, self.asked, self.plane) = (None, None, None);
+        self.let_time_pass(SLICE)?;
+        self.trail.clear();
+        self.note("started over");
+        self.say_to_all(&self.about());
+        self.reread()
     }
 
     fn change_gains(

@@ -10,7 +10,7 @@ use haptic_predict::wall_ahead::wall_ahead;
 use haptic_sim::{BoardOptions, Hand, HandSettings, Intent, Options, SharedBoard, ready_board};
 
 /// Distance at which the wall of [`World::demo`] stands in front of the tip, m.
-const NEAR: f64 = 0.002;
+const NEAR: f64 = 0.010;
 /// Share of the joints' dry friction that it has, and how much finer its encoders are.
 const LITTLE_FRICTION: f64 = 0.1;
 const FINER: f64 = 5.0;
@@ -56,7 +56,8 @@ impl World {
     pub fn demo() -> Result<Self, Failure> {
         let mut demo = Demo::shipped(1)?;
         let (sine, cosine) = 45.0_f64.to_radians().sin_cos();
-        (demo.pose, demo.normal) = ([2.2, 1.2, 0.0], [cosine, sine]);
+        // The wall passes 2 mm behind the tip's place at 2.2 and 1.2 rad, in and around which it was tried.
+        (demo.pose, demo.normal) = ([2.109_673, 1.225_778, 0.0], [cosine, sine]);
         (demo.stiffness, demo.damping) = (8_700.0, 80.0);
         for joint in &mut demo.file.description.joints {
             joint.coulomb *= LITTLE_FRICTION;

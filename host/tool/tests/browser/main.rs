@@ -245,6 +245,50 @@ fn the_wall_is_pressed_by_the_mouse_and_its_feed_forward_changed_under_it() {
     assert_eq!(browser.complaints(), [""; 0]);
 }
 
+/// Three steps, ticked off by what happens; then they are gone for good, and *Start over* puts everything back.
+#[test]
+fn the_coach_leads_to_the_buzz_and_start_over_puts_everything_back() {
+    let (view, mut browser, tab) = opened();
+    let walls = browser.evaluate(&tab, "JSON.stringify(view.walls)");
+    let next =
+        |n: u8| format!("!$('coach').hidden && $('coach').querySelector('.next')?.textContent.startsWith('{n} ')");
+    browser.until(&tab, &next(1));
+    browser.evaluate(&tab, "dispatchEvent(new PointerEvent('pointerdown', {pointerType: 'touch'}))");
+    browser.until(&tab, "$('coach').textContent.includes('green button')");
+    browser.hold_until(&tab, &next(2));
+    lead_into_the_wall(&mut browser, &tab);
+    browser.hold_until(&tab, &next(3));
+    browser.until(&tab, "$('coach').textContent.includes('click Off')");
+    browser.evaluate(&tab, "$('ff-off').click()");
+    browser.until(&tab, "!$('anyway').hidden");
+    browser.evaluate(&tab, "$('anyway').click()");
+    browser.hold_until(&tab, "buzzed");
+    browser.evaluate(&tab, "$('ff-washout').click()");
+    browser.hold_until(&tab, "steps === 3");
+    browser.until(&tab, "$('coach').hidden");
+    if let Ok(folder) = std::env::var("HAPTIC_PICTURES") {
+        std::fs::write(format!("{folder}/coach-done.png"), browser.picture(&tab, false)).unwrap();
+    }
+    browser.space(&tab, "keyUp");
+    browser.until(&tab, "document.body.dataset.state === 'Disarmed'");
+    browser.evaluate(&tab, "view.goal = null; $('close').click(); $('ff-full').click()");
+    browser.until(&tab, "view.walls[0].feed_forward === 'full'");
+    browser.evaluate(&tab, "$('start-over').click()");
+    let back = format!("JSON.stringify(view.walls) === {walls} && view.last.hand === null && !view.close");
+    browser.until(&tab, &back);
+    browser.until(&tab, "Math.abs(view.last.numbers.depth + 0.010) < 1e-4");
+    // The hand is led by keys too.
+    browser.evaluate(
+        &tab,
+        "window.x = view.last.geometry.tip[0]; $('stage').onkeydown({key: 'ArrowRight', preventDefault() {}})",
+    );
+    browser.until(&tab, "view.last.hand && Math.abs(view.last.hand.goal[0] - window.x - 2e-3) < 1e-4");
+    let again = browser.open(&view.url, LAPTOP, 1.0);
+    browser.until(&again, "window.view && view.pictures > 10");
+    assert_eq!(browser.evaluate(&again, "$('coach').hidden"), true, "who has seen it does not see it again");
+    assert_eq!(browser.complaints(), [""; 0]);
+}
+
 #[test]
 fn a_single_sweep_says_that_it_waits_and_its_letters_keep_their_shape() {
     let (_view, mut browser, tab) = opened();

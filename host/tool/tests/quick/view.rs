@@ -447,6 +447,50 @@ const RED: f64 = 0.5;
 
 /// What the page is for: a hand presses the wall, one click takes the feed-forward away and the wall buzzes, another
 /// brings it back and the wall is quiet; however deep the hand presses, and also to the side of where it began.
+/// The device, wherever it was led, its walls, gains and hand; from a fault too, whose remedy is the simulation's own.
+#[test]
+fn a_simulation_starts_over_as_it_began_and_arms_again() {
+    let world = World::demo().unwrap();
+    let board = world.simulated.clone().unwrap();
+    let mut view = Played::in_command(world, None);
+    let depth = |view: &Played| view.heard(0).picture["numbers"]["depth"].as_f64().unwrap();
+    let (walls, before) = (view.heard(0).walls.clone(), depth(&view));
+    assert!((before + 0.010).abs() < 1e-4, "the wall is 10 mm away, not {before} m");
+    for broken in [false, true] {
+        view.arm(0);
+        let (place, wall) = (view.beside(-0.03, 0.01), view.beside(0.005, 0.0));
+        view.say(0, json!({"do": "hand", "at": place}));
+        view.play(0.8);
+        view.say(
+            0,
+            json!({"do": "gains", "wall": 0, "stiffness": 3000, "damping": 20, "feed_forward": "full", "beyond": true}),
+        );
+        if broken {
+            let far = board.lock().device().start().map(|angle| angle + 0.5);
+            board.lock().device_mut().place(far);
+            view.play(0.1);
+            let words = view.heard(0).picture["fault"].as_str().unwrap().to_string();
+            assert!(words.contains("start over") && !words.contains("cable"), "{words}");
+        } else {
+            view.pages[0].says = Some(FromPage::Here {});
+            view.say(0, json!({"do": "release"}));
+            view.say(0, json!({"do": "wall", "wall": 0, "point": wall}));
+        }
+        assert_ne!(view.heard(0).walls, walls);
+        view.pages[0].says = Some(FromPage::Here {});
+        view.say(0, json!({"do": "start-over"}));
+        view.play(0.2);
+        let picture = &view.heard(0).picture;
+        assert_eq!((view.state(), &picture["fault"], &picture["hand"]), ("Disarmed", &Value::Null, &Value::Null));
+        assert_eq!((&view.heard(0).walls, view.heard(0).refused.len()), (&walls, 0));
+        assert!((depth(&view) - before).abs() < 1e-4, "{} m", depth(&view));
+    }
+    view.arm(0);
+    let mut view = Played::in_command(World::of(Board::over(board.wire(), "a board").unwrap(), None), None);
+    view.say(0, json!({"do": "start-over"}));
+    assert!(view.heard(0).why().contains("not simulated"), "{}", view.heard(0).why());
+}
+
 #[test]
 fn one_click_makes_the_wall_buzz_and_another_quiets_it_while_it_is_pressed() {
     let mut view = Played::demo();
@@ -455,7 +499,7 @@ fn one_click_makes_the_wall_buzz_and_another_quiets_it_while_it_is_pressed() {
     let number = |view: &Played, name: &str| view.heard(0).picture["numbers"][name].as_f64().unwrap();
     let [stiffness, damping] = ["stiffness", "damping"].map(|gain| view.heard(0).walls[0][gain].as_f64().unwrap());
     let out = view.beside(0.0, 0.0);
-    let pressed = [(8, 0), (14, 0), (20, 0), (26, 0), (34, 0), (46, 0), (20, 6), (20, -6)];
+    let pressed = [(16, 0), (22, 0), (28, 0), (34, 0), (42, 0), (54, 0), (28, 6), (28, -6)];
     let pressed =
         pressed.map(|(depth, aside)| (view.beside(-1e-3 * f64::from(depth), 1e-3 * f64::from(aside)), depth, aside));
     // Clicks a kind of feed-forward, and means it.

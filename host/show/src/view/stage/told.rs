@@ -212,7 +212,12 @@ pub(super) fn plane_message(plane: &Plane) -> Value {
     json!({"is": "plane", "plane": plane})
 }
 
-pub(super) fn in_words(record: &FaultRecord) -> String {
+/// A fault and what helps: of a device that is simulated in this process no cable is to be checked.
+pub(super) fn in_words(record: &FaultRecord, simulated: bool) -> String {
     let joint = record.axis.map_or(String::new(), |axis| format!(" (joint {axis})"));
-    format!("{}{joint}: {}", record.fault, record.fault.remedy())
+    let remedy = match simulated {
+        true => "nothing of a simulated device is broken: start over, or clear the fault and go on from here",
+        false => record.fault.remedy(),
+    };
+    format!("{}{joint}: {remedy}", record.fault)
 }
