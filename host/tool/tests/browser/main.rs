@@ -259,12 +259,10 @@ fn the_coach_leads_to_the_buzz_and_start_over_puts_everything_back() {
     lead_into_the_wall(&mut browser, &tab);
     browser.hold_until(&tab, &next(3));
     browser.until(&tab, "$('coach').textContent.includes('click Off')");
-    browser.evaluate(&tab, "$('ff-off').click()");
-    browser.until(&tab, "!$('anyway').hidden");
-    browser.evaluate(&tab, "$('anyway').click()");
-    browser.hold_until(&tab, "buzzed");
-    browser.evaluate(&tab, "$('ff-washout').click()");
-    browser.hold_until(&tab, "steps === 3");
+    // On a slow computer the key may count as let go in between, and a click as one of a page that only watches.
+    browser.evaluate(&tab, "$('beyond').checked = true");
+    browser.hold_until(&tab, "buzzed || view.walls[0].feed_forward !== 'off' && $('ff-off').click()");
+    browser.hold_until(&tab, "steps === 3 || view.walls[0].feed_forward === 'off' && $('ff-washout').click()");
     browser.until(&tab, "$('coach').hidden");
     if let Ok(folder) = std::env::var("HAPTIC_PICTURES") {
         std::fs::write(format!("{folder}/coach-done.png"), browser.picture(&tab, false)).unwrap();
@@ -274,7 +272,9 @@ fn the_coach_leads_to_the_buzz_and_start_over_puts_everything_back() {
     browser.evaluate(&tab, "view.goal = null; $('close').click(); $('ff-full').click()");
     browser.until(&tab, "view.walls[0].feed_forward === 'full'");
     browser.evaluate(&tab, "$('start-over').click()");
-    let back = format!("JSON.stringify(view.walls) === {walls} && view.last.hand === null && !view.close");
+    let back = format!(
+        "JSON.stringify(view.walls) === {walls} && view.last.hand === null && !view.close && !$('beyond').checked"
+    );
     browser.until(&tab, &back);
     browser.until(&tab, "Math.abs(view.last.numbers.depth + 0.010) < 1e-4");
     // The hand is led by keys too.
