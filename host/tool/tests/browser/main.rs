@@ -277,6 +277,11 @@ fn the_coach_leads_to_the_buzz_and_start_over_puts_everything_back() {
     );
     browser.until(&tab, &back);
     browser.until(&tab, "Math.abs(view.last.numbers.depth + 0.010) < 1e-4");
+    // What helps after a fault stands beside its notice, which stays.
+    let faulty = "(() => { picture({...view.last, state: 'Fault', fault: 'x'}); const r = ['anew', 'clear', 'dismiss'].map(id => \
+                  $('notice').contains($(id)) && $(id).offsetParent !== null); return r.join(); })()";
+    assert_eq!(browser.evaluate(&tab, faulty), "true,true,false");
+    browser.until(&tab, "!$('notice').classList.contains('shown')");
     // The hand is led by keys too.
     browser.evaluate(
         &tab,
