@@ -64,15 +64,9 @@ fn portable(command: &mut Command) -> &mut Command {
 
 /// The version of tool, wheel and firmware, which are released together.
 fn version() -> Result<String> {
-    let of = |path: &str, table: &[&str]| -> Result<String> {
-        let text = fs::read_to_string(root().join(path)).with_context(|| format!("cannot read {path}"))?;
-        let manifest: toml::Value = toml::from_str(&text).with_context(|| format!("bad manifest {path}"))?;
-        let found = table.iter().try_fold(&manifest, |value, key| value.get(key)).and_then(toml::Value::as_str);
-        Ok(found.with_context(|| format!("{path} has no version"))?.into())
-    };
-    let version = of("Cargo.toml", &["workspace", "package", "version"])?;
+    let version = images::declared_version("Cargo.toml", &["workspace", "package"])?;
     for (path, table) in [("firmware/Cargo.toml", "package"), ("python/pyproject.toml", "project")] {
-        let other = of(path, &[table, "version"])?;
+        let other = images::declared_version(path, &[table])?;
         ensure!(other == version, "{path} has version {other}, the workspace {version}: they are released together");
     }
     Ok(version)

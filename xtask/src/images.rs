@@ -50,11 +50,15 @@ pub fn sha256(bytes: &[u8]) -> String {
 
 /// The firmware's version.
 fn version() -> Result<String> {
-    let path = root().join("firmware/Cargo.toml");
-    let text = fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))?;
-    let manifest: toml::Table = text.parse().with_context(|| format!("bad manifest {}", path.display()))?;
-    let version = manifest.get("package").and_then(|package| package.get("version")).and_then(toml::Value::as_str);
-    Ok(version.with_context(|| format!("{} has no version", path.display()))?.into())
+    declared_version("firmware/Cargo.toml", &["package"])
+}
+
+/// The version in a table of a manifest, whose path is from the root.
+pub fn declared_version(path: &str, table: &[&str]) -> Result<String> {
+    let text = fs::read_to_string(root().join(path)).with_context(|| format!("cannot read {path}"))?;
+    let manifest: toml::Value = toml::from_str(&text).with_context(|| format!("bad manifest {path}"))?;
+    let found = table.iter().chain(&["version"]).try_fold(&manifest, |value, key| value.get(*key));
+    Ok(found.and_then(toml::Value::as_str).with_context(|| format!("{path} has no version"))?.into())
 }
 
 /// The version of the protocol, as the library's source declares it.

@@ -7,7 +7,7 @@ use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::safety::refusal::Refusal;
 use haptic_host::digits::shortest;
 use haptic_host::error::{Failure, on_one_line, visible};
-use haptic_host::link::{Board, BoardError, Losses, Row};
+use haptic_host::link::{Board, BoardError, Row};
 use haptic_host::output;
 use haptic_host::read_back::{running, scene, to_toml};
 use serde::Serialize;
@@ -139,9 +139,8 @@ fn findings(board: &mut Board) -> Result<Vec<Finding>, Failure> {
         }
         let lost = board.losses();
         let overruns = board.details()?.overruns;
-        let missing = losses_in_words(&lost);
         let clean = lost.missing == 0 && lost.garbled == 0;
-        tell("link", if clean { OK } else { LOOK }, format!("{} rows, {missing}", rows.len()));
+        tell("link", if clean { OK } else { LOOK }, lost.to_string());
         if overruns > before {
             tell("overruns now", BAD, format!("{} during this second: lower rate_hz", overruns - before));
         }
@@ -171,14 +170,6 @@ fn findings(board: &mut Board) -> Result<Vec<Finding>, Failure> {
     let timing = format!("{timing}, {} overruns since boot", details.overruns);
     tell("timing", if details.overruns == 0 { OK } else { BAD }, timing);
     Ok(found)
-}
-
-fn losses_in_words(lost: &Losses) -> String {
-    let Losses { missing, dropped_by_board, batches_lost, garbled, .. } = lost;
-    format!(
-        "{missing} missing ({dropped_by_board} dropped by the board, {batches_lost} batches lost), {garbled} frames \
-         garbled"
-    )
 }
 
 /// The mean, and the lowest to the highest.
