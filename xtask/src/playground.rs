@@ -13,6 +13,9 @@ use crate::tools;
 const POLICY: &str = "default-src 'none'; script-src 'unsafe-inline' 'wasm-unsafe-eval'; worker-src blob:; \
                       style-src 'unsafe-inline'; img-src data:; base-uri 'none'; form-action 'none'";
 
+/// The page's folder.
+const PAGE: &str = "host/show/src/view/page";
+
 /// Builds the file, and says where it is.
 pub fn build() -> Result<PathBuf> {
     let toolchain = tools::provide(&[Use::Playground])?;
@@ -21,19 +24,26 @@ pub fn build() -> Result<PathBuf> {
     run(command.args(["--locked", "--package", "haptic-playground", "--profile", "playground"]))?;
     let library = target_directory().join(BROWSERS).join("playground/haptic_playground.wasm");
     let library = fs::read(&library).with_context(|| format!("cannot read {}", library.display()))?;
-    let read = |path: &str| fs::read_to_string(root().join(path)).with_context(|| format!("cannot read {path}"));
-    let page = assemble(
-        &read("host/show/src/view/page.html")?,
-        &read("playground/src/page.js")?,
-        &read("playground/src/worker.js")?,
-        &library,
-    )?;
+    let page = assemble(&page()?, &read("playground/src/page.js")?, &read("playground/src/worker.js")?, &library)?;
     let directory = target_directory().join("playground");
     fs::create_dir_all(&directory).with_context(|| format!("cannot make {}", directory.display()))?;
     let path = directory.join("haptic-playground.html");
     fs::write(&path, &page).with_context(|| format!("cannot write {}", path.display()))?;
     println!("{}: {:.1} MB; open it in a browser", path.display(), 1e-6 * page.len() as f64);
     Ok(path)
+}
+
+fn read(path: &str) -> Result<String> {
+    fs::read_to_string(root().join(path)).with_context(|| format!("cannot read {path}"))
+}
+
+/// The page that the tool serves: its style and scripts are put where it names them.
+fn page() -> Result<String> {
+    let mut page = read(&format!("{PAGE}/page.html"))?;
+    for name in ["style.css", "link.js", "stage.js", "plane.js", "scope.js"] {
+        page = put(&page, &format!("/* {name} */\n"), &read(&format!("{PAGE}/{name}"))?)?;
+    }
+    Ok(page)
 }
 
 /// The page with everything in it.
@@ -49,7 +59,7 @@ fn assemble(page: &str, script: &str, worker: &str, library: &[u8]) -> Result<St
 }
 
 fn put(page: &str, mark: &str, text: &str) -> Result<String> {
-    ensure!(page.matches(mark).count() == 1, "host/show/src/view/page.html has to have {mark} once");
+    ensure!(page.matches(mark).count() == 1, "{PAGE}/page.html has to have {mark} once");
     Ok(page.replacen(mark, text, 1))
 }
 
@@ -81,9 +91,8 @@ mod tests {
 
     #[test]
     fn the_page_has_a_place_for_what_is_put_in_and_ends_no_script_early() {
-        let read = |path: &str| fs::read_to_string(root().join(path)).unwrap();
-        let [page, script, worker] =
-            ["host/show/src/view/page.html", "playground/src/page.js", "playground/src/worker.js"].map(read);
+        let [script, worker] = ["playground/src/page.js", "playground/src/worker.js"].map(|path| read(path).unwrap());
+        let page = page().unwrap();
         assert!(!script.contains("</script") && !worker.contains("</script"));
         let whole = assemble(&page, &script, &worker, b"foobar").unwrap();
         assert!(whole.contains("id=\"library\">Zm9vYmFy</script>") && whole.contains("wasm-unsafe-eval"));

@@ -13,8 +13,8 @@ use haptic_host::link::nothing_yet;
 use haptic_host::places::{Place, Places};
 use std::io::{self, Read, Write};
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, TcpListener, TcpStream, UdpSocket};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, LazyLock};
 use std::thread;
 use std::time::{Duration, Instant};
 use tungstenite::handshake::machine::TryParse;
@@ -22,8 +22,18 @@ use tungstenite::handshake::server::{Request, create_response, write_response};
 use tungstenite::protocol::{Role, WebSocketConfig};
 use tungstenite::{Message, WebSocket};
 
-/// The page.
-const PAGE: &str = include_str!("page.html");
+/// The page: its style and its scripts stand where page.html names them.
+static PAGE: LazyLock<String> = LazyLock::new(|| {
+    let parts = [
+        ("style.css", include_str!("page/style.css")),
+        ("link.js", include_str!("page/link.js")),
+        ("stage.js", include_str!("page/stage.js")),
+        ("plane.js", include_str!("page/plane.js")),
+        ("scope.js", include_str!("page/scope.js")),
+    ];
+    let page = include_str!("page/page.html").to_owned();
+    parts.iter().fold(page, |page, (name, text)| page.replacen(&format!("/* {name} */\n"), text, 1))
+});
 /// The page's rights: it may run what is in it and talk to its own server, and use nothing else of the network.
 const POLICY: &str = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:; \
                       connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
@@ -216,7 +226,7 @@ fn page(stream: &mut TcpStream) -> tungstenite::Result<()> {
          Content-Security-Policy: {POLICY}\r\nX-Content-Type-Options: nosniff\r\nReferrer-Policy: no-referrer\r\n\
          Cache-Control: no-store\r\nConnection: close\r\n\r\n{}",
         PAGE.len(),
-        PAGE
+        *PAGE
     )?;
     Ok(())
 }
@@ -319,6 +329,7 @@ mod tests {
 
     #[test]
     fn the_page_names_no_other_place() {
+        assert!(!PAGE.contains(".js */") && !PAGE.contains(".css */"));
         assert!(!PAGE.contains("https://") && !PAGE.contains("http://www") && !PAGE.contains("src="));
     }
 

@@ -1,0 +1,232 @@
+// ---- the coach ----------------------------------------------------------------------------------------------------
+// Three steps for who sees a simulation for the first time: each is ticked off once it has happened, in the words of
+// what was used last. The last is said of the demo alone, whose wall is known to buzz.
+let used = matchMedia("(pointer: coarse)").matches ? "touch" : "mouse", steps = 0, buzzed = false, coached = false;
+try { coached = localStorage.getItem("coached") === "yes"; } catch { /* A browser that keeps nothing shows it anew. */ }
+const COACH = {
+  mouse: ["hold Space: motors on", "pull the tip into the WALL", "click Off and confirm: it buzzes; Washed out: it is gone"],
+  touch: ["hold the green button: motors on", "pull the tip into the WALL", "tap Off and confirm: it buzzes; Washed out: it is gone"],
+  keys: ["hold Space: motors on", "into the WALL by arrow keys on the picture", "press Off and confirm: it buzzes; Washed out: it is gone"],
+};
+addEventListener("pointerdown", event => { used = event.pointerType === "touch" ? "touch" : "mouse"; }, true);
+addEventListener("keydown", event => { if (event.key === "Tab" || event.key.startsWith("Arrow")) used = "keys"; }, true);
+function endCoach() { coached = true; try { localStorage.setItem("coached", "yes"); } catch { /* As above. */ } }
+$("coached").onclick = () => { endCoach(); $("coach").hidden = true; };
+function coach(p) {
+  if (coached || !view.hello) return;
+  const last = view.hello.smooth ? 3 : 2, wall = view.walls[p.numbers.wall], pressed = p.state === "Armed" && p.numbers.depth > 0;
+  $("coach").hidden = !view.hello.simulated || !view.walls.length;
+  if (steps === 0 && p.held) steps = 1;
+  if (steps === 1 && pressed) steps = 2;
+  if (steps === 2 && pressed && last === 3) {
+    if (wall.feed_forward === "off") buzzed ||= p.numbers.ripple > 0.5;
+    else if (buzzed && wall.feed_forward === "washout" && p.numbers.ripple < 0.5) steps = 3;
+  }
+  [...$("coach").querySelectorAll("span")].forEach((step, i) => {
+    const words = (i < steps ? "✓ " : i + 1 + " ") + COACH[used][i];
+    if (step.textContent !== words) step.textContent = words;
+    step.className = i === steps ? "next" : ""; step.hidden = i >= last;
+  });
+  if (steps === last) { endCoach(); setTimeout(() => { $("coach").hidden = true; }, 4000); }
+}
+
+// ---- drawing ------------------------------------------------------------------------------------------------------
+const colour = name => getComputedStyle(document.documentElement).getPropertyValue("--" + name).trim();
+let palette = {};
+function readPalette() { for (const name of ["card", "ink", "dim", "line", "soft", "wall", "hatch", "link", "tip", "hand", "force", "trail", "off", "full", "washout", "ellipse", "spring", "bad", "a", "b"]) palette[name] = colour(name); }
+function theme(dark) { document.documentElement.classList.toggle("dark", dark); readPalette(); requestDraw(); }
+$("theme").onclick = () => theme(!document.documentElement.classList.contains("dark"));
+const prefersDark = matchMedia("(prefers-color-scheme: dark)");
+prefersDark.onchange = event => theme(event.matches);
+let asked = false;
+function requestDraw() { if (!asked) { asked = true; requestAnimationFrame(() => { asked = false; drawStage(); drawPlane(); }); } }
+// Also where the window stays as it is: a stretched picture has stretched letters, and a single sweep is drawn only once.
+const resized = new ResizeObserver(() => { requestDraw(); drawScope(); });
+for (const id of ["stage", "plane", "scope"]) resized.observe($(id));
+function fresh(canvas) {
+  const ratio = devicePixelRatio || 1, w = canvas.clientWidth, h = canvas.clientHeight;
+  if (canvas.width !== Math.round(w * ratio) || canvas.height !== Math.round(h * ratio)) { canvas.width = Math.round(w * ratio); canvas.height = Math.round(h * ratio); }
+  const c = canvas.getContext("2d");
+  c.setTransform(ratio, 0, 0, ratio, 0, 0); c.clearRect(0, 0, w, h);
+  c.font = (w > 900 ? 15 : 12) + "px system-ui, sans-serif"; c.lineJoin = c.lineCap = "round"; c.textBaseline = "alphabetic"; c.textAlign = "left";
+  return [c, w, h];
+}
+
+// ---- the device ---------------------------------------------------------------------------------------------------
+// A paddle's task is the length of its tip's arc: places on it are drawn at their angle.
+const armOf = g => g.bars.length ? Math.hypot(g.bars[0][1][0] - g.bars[0][0][0], g.bars[0][1][1] - g.bars[0][0][1]) : 0.1;
+const placed = at => { if (view.hello.task > 1) return at; const l = armOf(view.last.geometry); return [l * Math.cos(at[0] / l), l * Math.sin(at[0] / l)]; };
+const unplaced = at => { if (view.hello.task > 1) return at; const l = armOf(view.last.geometry); return [l * Math.atan2(at[1], at[0]), 0]; };
+function frame(w, h) {
+  // Under a mouse that leads, the picture keeps still: the place it points at would move away from it.
+  if (grabbed && view.frame.w === w && view.frame.h === h) return view.frame;
+  const g = view.last.geometry;
+  // A wall's point that is not far off is part of the picture.
+  const near = view.walls.map(wall => placed([wall.values[0], wall.values[1]])).filter(at => Math.hypot(at[0] - g.tip[0], at[1] - g.tip[1]) < 0.12);
+  const held = g.springs.map(placed).filter(at => Math.hypot(at[0] - g.tip[0], at[1] - g.tip[1]) < 0.12);
+  const points = [g.tip, ...g.base, ...g.bars.flat(), ...near, ...held];
+  const box = view.box || [Infinity, Infinity, -Infinity, -Infinity];
+  for (const [x, y] of points) { box[0] = Math.min(box[0], x); box[1] = Math.min(box[1], y); box[2] = Math.max(box[2], x); box[3] = Math.max(box[3], y); }
+  view.box = box;
+  let centre = [(box[0] + box[2]) / 2, (box[1] + box[3]) / 2];
+  let scale = Math.min(w / (box[2] - box[0] + 0.09), h / (box[3] - box[1] + 0.09));
+  if (view.close) { view.closeAt = view.closeAt || [...g.tip]; centre = view.closeAt; scale = Math.min(w, h) / 0.05; }
+  view.frame = { w, h, scale, toX: x => w / 2 + (x - centre[0]) * scale, toY: y => h / 2 - (y - centre[1]) * scale,
+    from: (px, py) => [centre[0] + (px - w / 2) / scale, centre[1] - (py - h / 2) / scale] };
+  return view.frame;
+}
+function arrow(c, x, y, dx, dy) {
+  const length = Math.hypot(dx, dy); if (length < 3) return;
+  const [ux, uy] = [dx / length, dy / length], head = Math.min(12, length * 0.5);
+  c.beginPath(); c.moveTo(x, y); c.lineTo(x + dx - ux * head * .7, y + dy - uy * head * .7); c.stroke();
+  c.beginPath(); c.moveTo(x + dx, y + dy); c.lineTo(x + dx - ux * head - uy * head * .45, y + dy - uy * head + ux * head * .45);
+  c.lineTo(x + dx - ux * head + uy * head * .45, y + dy - uy * head - ux * head * .45); c.closePath(); c.fill();
+}
+function spring(c, x0, y0, x1, y1) {
+  const length = Math.hypot(x1 - x0, y1 - y0); if (length < 2) return;
+  const [ux, uy] = [(x1 - x0) / length, (y1 - y0) / length], turns = 7;
+  c.beginPath(); c.moveTo(x0, y0);
+  for (let i = 1; i < 2 * turns; i++) { const s = i / (2 * turns) * length, side = (i % 2 ? 5 : -5); c.lineTo(x0 + ux * s - uy * side, y0 + uy * s + ux * side); }
+  c.lineTo(x1, y1); c.stroke();
+}
+// Where a wall is taken hold of: a plane beside its point, where no tip is in the way.
+function wallHandle(wall) {
+  const v = wall.values, line = wall.outline?.is === "line" ? wall.outline : null, aside = 90 / view.frame.scale;
+  if (view.hello.task === 1) return placed([v[0], 0]);
+  return line ? [line.at[0] + aside * line.normal[1], line.at[1] - aside * line.normal[0]] : [v[0], v[1]];
+}
+// What fills the solid side of walls.
+let hatch = {};
+function hatched(c) {
+  if (hatch.of !== palette.hatch) {
+    const tile = document.createElement("canvas"), t = tile.getContext("2d");
+    tile.width = 9; tile.height = 15; t.strokeStyle = palette.hatch; t.lineWidth = 1.5; t.beginPath();
+    for (const x of [-9, 0, 9]) { t.moveTo(x, 15); t.lineTo(x + 9, 0); } t.stroke();
+    hatch = { of: palette.hatch, pattern: c.createPattern(tile, "repeat") };
+  }
+  return hatch.pattern;
+}
+function drawWall(c, f, w, h, wall, index) {
+  const v = wall.values, o = wall.outline, chosen = index === view.wall;
+  c.save(); c.fillStyle = palette.wall; c.strokeStyle = chosen ? palette.ink : palette.hatch; c.lineWidth = chosen ? 2.5 : 1.5;
+  if (o?.is === "line") {
+    const long = 2 * (w + h);
+    c.translate(f.toX(o.at[0]), f.toY(o.at[1])); c.rotate(Math.atan2(o.normal[0], o.normal[1]));
+    c.globalAlpha = .5; c.fillRect(-long, 0, 2 * long, long); c.fillStyle = hatched(c); c.fillRect(-long, 0, 2 * long, long); c.globalAlpha = 1;
+    c.beginPath(); c.moveTo(-long, 0); c.lineTo(long, 0); c.stroke();
+  } else if (o?.is === "circle") {
+    c.beginPath(); c.arc(f.toX(o.at[0]), f.toY(o.at[1]), o.radius * f.scale, 0, 2 * Math.PI); c.stroke();
+    if (o.inside) c.rect(-w, -h, 3 * w, 3 * h);
+    c.globalAlpha = .5; c.fill("evenodd"); c.fillStyle = hatched(c); c.fill("evenodd"); c.globalAlpha = 1;
+  } else {
+    c.fillStyle = palette.ink; c.fillText(wall.shape + ": not drawn in this plane", f.toX(v[0]) + 12, f.toY(v[1]) + 4);
+  }
+  c.restore();
+  if (o) {
+    // Its name, on the solid side: beside a plane's point, away from where it is taken hold of; of a hole above it.
+    const line = o.is === "line", [nx, ny] = line ? o.normal : [0, 0], up = o.inside ? o.radius * f.scale + 16 : 0;
+    const [X, Y] = [f.toX(o.at[0]) - nx * 30 - ny * (line ? 100 : 0), f.toY(o.at[1]) + ny * 30 - nx * (line ? 100 : 0) - up];
+    c.save(); c.font = `700 ${w > 900 ? 19 : 15}px system-ui, sans-serif`; c.textAlign = "center"; c.textBaseline = "middle"; c.lineWidth = 4;
+    c.strokeStyle = palette.card; c.fillStyle = palette.ink; c.strokeText("WALL", X, Y); c.fillText("WALL", X, Y); c.restore();
+  }
+  const [x, y] = wallHandle(wall);
+  c.fillStyle = palette.card; c.strokeStyle = palette.hatch; c.lineWidth = 2;
+  c.beginPath(); c.arc(f.toX(x), f.toY(y), 7, 0, 2 * Math.PI); c.fill(); c.stroke();
+  if (o?.is === "line" && view.hello.task > 1) {
+    c.fillStyle = c.strokeStyle = palette.hatch; arrow(c, f.toX(x), f.toY(y) , o.normal[0] * 38, -o.normal[1] * 38);
+  }
+}
+// A spring pulls the tip to its point, or to the nearest one of its line.
+function drawSprings(c, f, w, h, g) {
+  c.strokeStyle = c.fillStyle = palette.spring;
+  g.springs.forEach((held, index) => {
+    const s = view.springs[index]; if (!s) return;
+    const at = placed(held), [x, y] = [f.toX(at[0]), f.toY(at[1])], [dx, dy] = s.direction, long = 2 * (w + h);
+    if (view.hello.task > 1 && Math.hypot(dx, dy) > 0) {
+      c.lineWidth = 2; c.setLineDash([8, 5]); c.beginPath(); c.moveTo(x - long * dx, y + long * dy); c.lineTo(x + long * dx, y - long * dy); c.stroke(); c.setLineDash([]);
+    }
+    c.lineWidth = 2; spring(c, x, y, f.toX(g.tip[0]), f.toY(g.tip[1]));
+    c.fillRect(x - 4, y - 4, 8, 8);
+  });
+}
+function drawStage() {
+  if (!view.last || !view.hello) return;
+  const [c, w, h] = fresh($("stage")), g = view.last.geometry, f = frame(w, h);
+  view.walls.forEach((wall, index) => drawWall(c, f, w, h, wall, index));
+  drawSprings(c, f, w, h, g);
+  c.strokeStyle = palette.trail; c.lineWidth = 1.5; c.globalAlpha = .55; c.beginPath();
+  view.trail.forEach(([x, y], i) => i ? c.lineTo(f.toX(x), f.toY(y)) : c.moveTo(f.toX(x), f.toY(y))); c.stroke(); c.globalAlpha = 1;
+  if (g.ellipse && view.hello.flat) {
+    // A kilogram is drawn as 12 cm.
+    const grow = 0.12 * (view.close ? .1 : 1) * f.scale;
+    c.strokeStyle = palette.ellipse; c.lineWidth = 1.5; c.setLineDash([5, 3]); c.beginPath();
+    c.ellipse(f.toX(g.tip[0]), f.toY(g.tip[1]), g.ellipse.axes[0] * grow, Math.max(0, g.ellipse.axes[1]) * grow, -g.ellipse.angle, 0, 2 * Math.PI); c.stroke(); c.setLineDash([]);
+  }
+  c.strokeStyle = palette.link; c.lineWidth = Math.max(4, Math.min(10, .006 * f.scale)); c.globalAlpha = .85;
+  for (const [from, to] of g.bars) { c.beginPath(); c.moveTo(f.toX(from[0]), f.toY(from[1])); c.lineTo(f.toX(to[0]), f.toY(to[1])); c.stroke(); }
+  c.globalAlpha = 1; c.lineWidth = 2;
+  for (const [x, y] of [...g.base, ...g.bars.map(bar => bar[1])]) { c.fillStyle = palette.card; c.beginPath(); c.arc(f.toX(x), f.toY(y), 5, 0, 2 * Math.PI); c.fill(); c.stroke(); }
+  const [x, y] = [f.toX(g.tip[0]), f.toY(g.tip[1])];
+  const hand = view.last.hand;
+  if (hand) {
+    const [goal, at] = [placed(hand.goal), placed(hand.at)];
+    c.strokeStyle = palette.hand; c.fillStyle = palette.hand; c.lineWidth = 2;
+    spring(c, f.toX(goal[0]), f.toY(goal[1]), f.toX(at[0]), f.toY(at[1]));
+    c.beginPath(); c.arc(f.toX(goal[0]), f.toY(goal[1]), 6, 0, 2 * Math.PI); c.fill();
+    c.globalAlpha = .35; c.beginPath(); c.arc(f.toX(at[0]), f.toY(at[1]), 13, 0, 2 * Math.PI); c.fill(); c.globalAlpha = 1;
+  }
+  c.fillStyle = palette.tip; c.beginPath(); c.arc(x, y, 6, 0, 2 * Math.PI); c.fill();
+  c.strokeStyle = c.fillStyle = palette.force; c.lineWidth = 3;
+  // A newton is drawn as 12 pixels.
+  arrow(c, x, y, g.force[0] * 12, -g.force[1] * 12);
+  // Scale, and what is what.
+  const bar = view.close ? 0.005 : 0.05, length = bar * f.scale;
+  c.strokeStyle = c.fillStyle = palette.dim; c.lineWidth = 2; c.beginPath(); c.moveTo(12, h - 12); c.lineTo(12 + length, h - 12); c.stroke();
+  c.fillText(bar * 1000 + " mm", 12, h - 18);
+  let top = 16;
+  const legend = [["force", "force of the motors"], ["hand", hand ? "hand, " + unit(Math.hypot(...hand.force), "N") : ""], ["ellipse", g.ellipse && view.hello.flat ? "effective inertia" : ""],
+    ["spring", view.springs.length ? "spring, " + view.springs.map(s => unit(s.stiffness, "N/m")).join(", ") : ""], ["dim", view.field > 0 ? "damping everywhere, " + unit(view.field, "N s/m") : ""]].filter(([, words]) => words);
+  const high = w > 900 ? 20 : 16;
+  c.fillStyle = palette.card; c.globalAlpha = .8; c.fillRect(2, 2, Math.max(...legend.map(([, words]) => c.measureText("● " + words).width)) + 12, legend.length * high + 6); c.globalAlpha = 1;
+  for (const [name, words] of legend) { c.fillStyle = palette[name]; c.fillText("● " + words, 8, top); top += high; }
+}
+let lastSent = 0, grabbed = null;
+function sometimes(message) { const now = performance.now(); if (now - lastSent > 15) { lastSent = now; say(message); } }
+const placeOf = event => { const r = $("stage").getBoundingClientRect(); return [event.clientX - r.left, event.clientY - r.top]; };
+$("stage").onpointerdown = event => {
+  if (!view.frame) return;
+  const [px, py] = placeOf(event), f = view.frame;
+  const near = (x, y) => Math.hypot(f.toX(x) - px, f.toY(y) - py) < 13;
+  $("stage").setPointerCapture(event.pointerId);
+  grabbed = { hand: true };
+  view.walls.forEach((wall, index) => {
+    const [x, y] = wallHandle(wall), v = wall.values, [nx, ny] = wall.outline?.normal || [];
+    if (near(x, y)) grabbed = { wall: index, point: [v[0], v[1]], aside: view.hello.task > 1 ? [x - v[0], y - v[1]] : [0, 0] };
+    else if (nx !== undefined && view.hello.task > 1 && Math.hypot(f.toX(x) + nx * 38 - px, f.toY(y) - ny * 38 - py) < 13) grabbed = { wall: index, point: [v[0], v[1]], from: [x, y] };
+  });
+  if (grabbed.wall !== undefined) { view.wall = grabbed.wall; gainsShown(); } else if (!view.hello.simulated) grabbed = null;
+  moved(event);
+};
+function moved(event, last) {
+  if (!grabbed) return;
+  const at = view.frame.from(...placeOf(event));
+  if (grabbed.hand) { const message = { do: "hand", at: unplaced(at) }; last ? say(message) : sometimes(message); return; }
+  const message = { do: "wall", wall: grabbed.wall, point: grabbed.from ? grabbed.point : unplaced([at[0] - grabbed.aside[0], at[1] - grabbed.aside[1]]) };
+  if (grabbed.from) message.normal = [at[0] - grabbed.from[0], at[1] - grabbed.from[1]];
+  last ? say(message) : sometimes(message);
+}
+$("stage").onpointermove = event => moved(event);
+$("stage").onpointerup = event => { moved(event, true); grabbed = null; };
+$("stage").onpointercancel = () => { grabbed = null; };
+// Two millimetres a press.
+$("stage").onkeydown = event => {
+  const step = { ArrowUp: [0, 2e-3], ArrowDown: [0, -2e-3], ArrowRight: [2e-3, 0], ArrowLeft: [-2e-3, 0] }[event.key];
+  if (!step || !view.last || !view.hello?.simulated) return;
+  event.preventDefault();
+  const at = view.last.hand ? placed(view.last.hand.goal) : view.last.geometry.tip;
+  say({ do: "hand", at: unplaced([at[0] + step[0], at[1] + step[1]]) });
+};
+$("start-over").onclick = $("anew").onclick = () => { up(); notice(""); $("beyond").checked = false; say({ do: "start-over" }); if (view.close) $("close").onclick(); };
+$("let-go").onclick = () => say({ do: "hand", at: null });
+$("close").onclick = () => { view.close = !view.close; view.closeAt = null; $("close").classList.toggle("on", view.close); $("close").setAttribute("aria-pressed", view.close); requestDraw(); };
+
