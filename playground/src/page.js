@@ -9,10 +9,10 @@
   const library = Uint8Array.from(atob($text("library")), c => c.charCodeAt(0));
   const worker = URL.createObjectURL(new Blob([$text("worker")], { type: "text/javascript" }));
   function $text(id) { const element = document.getElementById(id), text = element.textContent; element.remove(); return text; }
-  const device = document.createElement("select"), open = document.createElement("button");
-  device.id = "choice"; open.id = "open"; open.textContent = "Open a board";
-  device.setAttribute("aria-label", "Device");
-  document.querySelector("header .grow").before(device, open);
+  const device = document.createElement("select"), lesson = document.createElement("select"), open = document.createElement("button");
+  device.id = "choice"; lesson.id = "lesson"; open.id = "open"; open.textContent = "Open a board";
+  device.setAttribute("aria-label", "Device"); lesson.setAttribute("aria-label", "Set-up of a lesson");
+  document.querySelector("header .grow").before(device, lesson, open);
   // The open port of the board that is looked at, if one is; how to leave what is looked at; what is said once there is
   // something to see.
   let port = null, leave = () => {}, news = null;
@@ -41,8 +41,12 @@
       else if (carrier.readyState === 3) return;
       else if (data.stopped) end(data.stopped);
       else if (data.choices) {
-        if (!device.length) device.replaceChildren(...data.choices.map(name => new Option(name)));
+        if (!device.length) {
+          device.replaceChildren(...data.choices.map(name => new Option(name)));
+          lesson.replaceChildren(new Option("Lessons"), ...LESSONS.map(([name]) => new Option(name)));
+        }
         device.selectedIndex = board ? -1 : choice;
+        if (!board && wanted() >= 0 && wanted() !== choice) { device.selectedIndex = wanted(); return begin(null); }
         open.textContent = board ? "Close the board" : "Open a board";
         if (board) news = [REAL, true];
         carrier.readyState = 1;
@@ -56,6 +60,17 @@
     thread.postMessage({ library, choice, board });
     return carrier;
   };
+  // A link's device by its name's letters and digits: the first that begins so; -1 where none is wanted or known.
+  const named = name => name.toLowerCase().replace(/[^a-z0-9.]+/g, "-");
+  function wanted() {
+    const name = view.wanted?.device;
+    if (!name) return -1;
+    const found = [...device.options].findIndex(option => named(option.value).startsWith(named(name)));
+    if (found < 0) { const why = `The link's device ${name} is none of this page: nothing was changed.`; view.wanted = null; if (view.last) notice(why); else news = [why]; }
+    return found;
+  }
+  window.playground.device = () => named(device.value);
+  window.playground.follow = () => { if (!port && wanted() >= 0 && wanted() !== device.selectedIndex) { device.selectedIndex = wanted(); begin(null); } };
   // Carries bytes between an open port and a worker. After an error that passes a port has another stream; once it is
   // unplugged it has none.
   function connected(port, thread) {
@@ -89,6 +104,7 @@
     connect();
   }
   device.onchange = () => { device.blur(); begin(null); };
+  lesson.onchange = () => { location.hash = "lesson=" + lesson.selectedIndex; lesson.selectedIndex = 0; lesson.blur(); };
   open.onclick = async () => {
     open.blur();
     if (port) return begin(null);

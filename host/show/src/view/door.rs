@@ -30,6 +30,7 @@ static PAGE: LazyLock<String> = LazyLock::new(|| {
         ("stage.js", include_str!("page/stage.js")),
         ("plane.js", include_str!("page/plane.js")),
         ("scope.js", include_str!("page/scope.js")),
+        ("share.js", include_str!("page/share.js")),
     ];
     let page = include_str!("page/page.html").to_owned();
     parts.iter().fold(page, |page, (name, text)| page.replacen(&format!("/* {name} */\n"), text, 1))
@@ -339,6 +340,38 @@ mod tests {
         // On a dark ground the same hues, lighter.
         for [off, full, washout] in [[OFF, FULL, WASHOUT], ["#56B4E9", "#FF9155", "#3ECDA3"]] {
             assert!(PAGE.contains(&format!("--off: {off}; --full: {full}; --washout: {washout};")), "{off}");
+        }
+    }
+
+    /// WCAG 2.2, level AA: 4.5 for words, 3 for lines and symbols.
+    #[test]
+    fn words_and_lines_stand_out_from_their_ground() {
+        let luminance = |colour: &str| {
+            let [r, g, b] = [1, 3, 5].map(|at| {
+                let share = f64::from(u8::from_str_radix(&colour[at..at + 2], 16).unwrap()) / 255.0;
+                if share <= 0.04045 { share / 12.92 } else { ((share + 0.055) / 1.055).powf(2.4) }
+            });
+            0.05 + 0.2126 * r + 0.7152 * g + 0.0722 * b
+        };
+        let blocks: Vec<&str> = PAGE.split("--back: ").skip(1).map(|rest| rest.split('}').next().unwrap()).collect();
+        assert_eq!(blocks.len(), 2, "light and dark");
+        for block in blocks {
+            let of = |name: &str| luminance(block.split(&format!("--{name}: ")).nth(1).unwrap());
+            let stands_out = |name: &str, ground: &str, least: f64| {
+                let contrast = of(name) / of(ground);
+                let contrast = contrast.max(1.0 / contrast);
+                assert!(contrast >= least, "{name} on {ground}: {contrast:.2} in {block}");
+            };
+            for words in ["ink", "dim", "bad", "accent"] {
+                stands_out(words, "card", 4.5);
+                stands_out(words, "soft", 4.5);
+            }
+            for words in ["good", "hand", "force", "a", "b"] {
+                stands_out(words, "card", 4.5);
+            }
+            for line in ["off", "full", "washout", "ellipse", "spring", "trail", "hatch", "link", "tip"] {
+                stands_out(line, "card", 3.0);
+            }
         }
     }
 }

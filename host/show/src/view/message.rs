@@ -60,7 +60,11 @@ pub enum FromPage {
         at: Option<[f64; 2]>,
     },
     /// Put a simulated device and its scene back to how they were in the beginning, with the motors off.
-    StartOver {},
+    StartOver {
+        /// In another pose than the first, rad.
+        #[serde(default)]
+        pose: Option<Vec<f64>>,
+    },
     /// Settings of this page's oscilloscope.
     Scope(ScopeRequest),
     /// Begin or end a recording, in the folder of the tool.
@@ -120,6 +124,7 @@ mod tests {
     fn messages_are_read_and_what_is_none_is_refused() {
         assert_eq!(FromPage::parse(r#"{"do":"arm","seen":1}"#), Ok(FromPage::Arm { seen: 1 }));
         assert_eq!(FromPage::parse(r#"{"do":"hand","at":null}"#), Ok(FromPage::Hand { at: None }));
+        assert_eq!(FromPage::parse(r#"{"do":"start-over"}"#), Ok(FromPage::StartOver { pose: None }));
         for bad in [
             "",
             "hold",
@@ -132,6 +137,7 @@ mod tests {
             r#"{"do":"sound","on":1}"#,
             r#"{"do":"sound","on":true,"and":1}"#,
             r#"{"do":"hand","at":[1]}"#,
+            r#"{"do":"start-over","pose":1}"#,
             r#"{"do":"gains","wall":-1,"stiffness":1,"damping":1,"feed_forward":"off"}"#,
             r#"{"do":"gains","wall":0,"stiffness":1,"damping":1,"feed_forward":"some"}"#,
         ] {

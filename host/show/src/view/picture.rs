@@ -32,8 +32,10 @@ pub const FIELDS: Fields = Fields(
         | Field::State.bit(),
 );
 
-/// Over how long ripple and saturation are taken, s.
+/// Over how long ripple, saturation and power are taken, s.
 const RECENT: f64 = 0.1;
+/// Over how long the frequency of a swing is taken, s: three periods of 10 Hz.
+const SWING: f64 = 0.3;
 
 /// A point or a vector of the plane that is drawn.
 type Flat = [f64; 2];
@@ -75,6 +77,11 @@ pub struct Numbers {
     pub sideways: f64,
     /// Deviation of the force from its mean over the last tenth of a second, N rms.
     pub ripple: f64,
+    /// The frequency at which the force swings about its mean, Hz; none where it does not.
+    pub frequency: Option<f64>,
+    /// Power that the nearest wall has given out over the last tenth of a second, beyond what its spring held, W. A
+    /// spring and a damper have none to give: it comes of being late.
+    pub power: f64,
     /// Energy that the walls have taken up since contact began, J; negative: given out.
     pub energy: f64,
     /// Share of the last tenth of a second in which a motor could not do what was asked.
@@ -147,11 +154,18 @@ impl<'a> Newest<'a> {
         geometry.springs = scene.springs.iter().map(|spring| padded(&held_from(spring, &tip[..task]))).collect();
         let recent = (RECENT * rows_hz).ceil() as u64;
         let wall = nearest_wall(scene, &tip[..task]);
+        let stiffness = wall.map_or(0.0, |(index, _)| scene.walls[index].stiffness);
+        let swing: Vec<f64> = self.recent(Field::RenderedForce, 0, (SWING * rows_hz).ceil() as u64).collect();
         let mut numbers = Numbers {
             force: self.get(Field::RenderedForce, 0),
             depth: -self.get(Field::Distance, 0),
             energy: self.get(Field::Energy, 0),
             ripple: ripple(self.recent(Field::RenderedForce, 0, recent)),
+            frequency: frequency(&swing, rows_hz),
+            power: given_out(
+                self.recent(Field::RenderedForce, 0, recent).zip(self.recent(Field::Distance, 0, recent)),
+                stiffness,
+            ) / RECENT,
             saturated: (0..joints)
                 .map(|axis| share(self.recent(Field::Saturated, axis, recent), |value| value > 0.0))
                 .fold(0.0, f64::max),
@@ -206,6 +220,36 @@ fn ripple(values: impl Iterator<Item = f64>) -> f64 {
     (values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / count).sqrt()
 }
 
+/// The frequency of what swings about its mean, by its upward crossings. A crossing counts once the other side was
+/// passed by half the rms, so that noise on a swing is not taken for swings.
+fn frequency(values: &[f64], rows_hz: f64) -> Option<f64> {
+    let mean = values.iter().sum::<f64>() / values.len() as f64;
+    let margin = 0.5 * ripple(values.iter().copied());
+    let (mut below, mut crossings) = (false, Vec::new());
+    for (row, value) in values.iter().enumerate() {
+        if below && value - mean > margin {
+            crossings.push(row);
+        }
+        below = value - mean < if below { margin } else { -margin };
+    }
+    let periods = crossings.len().checked_sub(1).filter(|periods| *periods >= 2)?;
+    Some(periods as f64 * rows_hz / (crossings[periods] - crossings[0]) as f64)
+}
+
+/// Energy (J) that a wall gave out over some rows of its force and the distance to it, less what its spring had stored at
+/// their beginning and has no more at their end. A force is held until the next row.
+fn given_out(rows: impl Iterator<Item = (f64, f64)>, stiffness: f64) -> f64 {
+    let stored = |distance: f64| 0.5 * stiffness * distance.min(0.0).powi(2);
+    let (mut given, mut before) = (0.0, None);
+    for (force, distance) in rows {
+        if let Some((force, before)) = before {
+            given += force * (distance - before) - (stored(before) - stored(distance));
+        }
+        before = Some((force, distance));
+    }
+    given
+}
+
 fn share(values: impl Iterator<Item = f64>, wanted: impl Fn(f64) -> bool) -> f64 {
     let (mut count, mut found) = (0_u32, 0_u32);
     for value in values {
@@ -246,6 +290,35 @@ mod tests {
         let sine = (0..1000).map(|i| 5.0 + 3.0 * (f64::from(i) * std::f64::consts::TAU / 100.0).sin());
         assert!((ripple(sine) - 3.0 / 2.0_f64.sqrt()).abs() < 1e-9);
         assert_eq!(ripple(std::iter::empty()), 0.0);
+    }
+
+    #[test]
+    fn the_frequency_of_a_swing_is_counted_and_noise_has_little_part_in_it() {
+        // 73 Hz at 1 kHz with every other row off by a fifth of the swing.
+        let row = |i: u32| (f64::from(i) * 0.073 * std::f64::consts::TAU).sin() + [0.2, -0.2][i as usize % 2];
+        let swing: Vec<f64> = (0..300).map(row).collect();
+        assert!((frequency(&swing, 1000.0).unwrap() - 73.0).abs() < 0.5);
+        for still in [vec![], vec![2.0; 300], swing[..20].to_vec()] {
+            assert_eq!(frequency(&still, 1000.0), None);
+        }
+    }
+
+    /// A spring gives back what it took, wherever it is let go; one that is a sample late gives kp x₀² sin(ω T) π more
+    /// in each period of x = x₀ sin ω t.
+    #[test]
+    fn only_a_late_spring_gives_out_power() {
+        let (kp, depth, w, rows) = (1000.0, 1e-3, 0.05_f64, 10_000_u32);
+        let distance = |i: f64| -0.01 + depth * (w * i).sin();
+        let spring = |late: f64| (0..rows).map(move |i| (-kp * distance(f64::from(i) - late), distance(f64::from(i))));
+        let a_period = kp * depth.powi(2) * std::f64::consts::PI;
+        let periods = w * f64::from(rows) / std::f64::consts::TAU;
+        // Force held for a row acts half a row late.
+        for late in [1.0, 3.0] {
+            let expected = periods * a_period * (w * (late + 0.5)).sin();
+            let found = given_out(spring(late), kp);
+            assert!((found / expected - 1.0).abs() < 0.02, "{found} J, not {expected} J");
+        }
+        assert!(given_out(spring(-0.5), kp).abs() < 1e-3 * a_period * periods);
     }
 
     /// The torques Jᵀ n f of a force along the wall's normal push with f along it, and not sideways.

@@ -33,6 +33,7 @@ use haptic_predict::boards::torque_path;
 use haptic_predict::plausible::scene::most_gains;
 use haptic_sim::SharedBoard;
 use haptic_stability::analysis::control_loop::TorquePath;
+use haptic_stability::analysis::pose::TaskPose;
 use haptic_stability::analysis::prediction::Subject;
 use recording::ActiveRecording;
 use serde_json::json;
@@ -453,8 +454,8 @@ impl Stage {
                 Some(_) => self.refuse(id, "a place is two finite numbers"),
                 None => self.refuse(id, "this device is not simulated: take it into your own hand"),
             },
-            FromPage::StartOver {} => match self.world.simulated.clone() {
-                Some(simulated) => self.start_over(&simulated)?,
+            FromPage::StartOver { pose } => match self.world.simulated.clone() {
+                Some(simulated) => self.start_over(id, &simulated, pose)?,
                 None => self.refuse(id, "this device is not simulated: move it back by hand"),
             },
             FromPage::Here {}
@@ -466,16 +467,20 @@ impl Stage {
         Ok(())
     }
 
-    /// Puts device, hand, walls and gains back to how they were in the beginning.
-    fn start_over(&mut self, simulated: &SharedBoard) -> Result<(), BoardError> {
+    /// Puts device, hand, walls and gains back to how they were in the beginning, or the device into another pose.
+    fn start_over(&mut self, id: PageId, simulated: &SharedBoard, pose: Option<Vec<f64>>) -> Result<(), BoardError> {
+        let start = match pose {
+            None => simulated.lock().device().start(),
+            Some(q) if q.len() == self.device.axes() && TaskPose::of(&self.device.mechanism, &q).is_ok() => padded(&q),
+            Some(_) => {
+                self.refuse(id, &format!("a pose is {} angles (rad) that the device can have", self.device.axes()));
+                return Ok(());
+            }
+        };
         self.disarm()?;
         lead(simulated, None);
         self.goal = None;
-        {
-            let mut board = simulated.lock();
-            let start = board.device().start();
-            board.device_mut().place(start);
-        }
+        simulated.lock().device_mut().place(start);
         // To the board's encoders this is a jump: a fault, of which nobody is to hear.
         self.world.board.rows(SLICE)?;
         match self.board().clear() {

@@ -112,6 +112,20 @@ fn as_a_file_gains_and_walls_are_dragged_and_devices_chosen() {
         );
         assert_eq!(browser.evaluate(&tab, "$('notice').classList.contains('shown')"), false, "choice {choice}");
     }
+    // A lesson's set-up, and a link to another device.
+    let links = [("lesson=1", "hapkit-paddle"), ("device=haply-2diy-a-groove&pose=1.9,1.1", "haply-2diy")];
+    for (link, device) in links {
+        browser.evaluate(&tab, &format!("location.hash = '{link}'"));
+        browser.until(
+            &tab,
+            &format!("view.hello?.device === '{device}' && view.last && view.wanted === null && view.pictures > 10"),
+        );
+    }
+    browser.until(&tab, "$('choice').value.includes('groove') && Math.abs(view.last.q[0] - 1.9) < 1e-2");
+    browser.evaluate(&tab, "location.hash = 'device=nothing'");
+    browser.until(&tab, "$('why').textContent.includes('nothing is none of this page')");
+    browser.evaluate(&tab, "notice(''); $('choice').selectedIndex = 0; $('choice').onchange()");
+    browser.until(&tab, "view.hello?.smooth && view.last && view.frame && document.body.dataset.role === 'command'");
     // The demo is as it was in the beginning, and its hand comes to the mouse.
     assert_eq!(browser.evaluate(&tab, "view.walls[0].feed_forward"), "washout");
     let place = by_the_wall(&mut browser, &tab, 0.03);

@@ -234,14 +234,77 @@ fn the_wall_is_pressed_by_the_mouse_and_its_feed_forward_changed_under_it() {
     browser.until(&tab, "!$('anyway').hidden");
     browser.evaluate(&tab, "$('anyway').click()");
     browser.until(&tab, "view.walls[0].feed_forward === 'off'");
+    // The wall as it was stands beside the wall as it is, on the same axis, with the frequency; the stage says it too.
+    browser.hold_until(&tab, "view.ghost?.mode === 'washout' && view.buzz > 55 && view.buzz < 95");
+    browser.hold_until(
+        &tab,
+        "/^washed out 0\\.\\d+ N →$/.test($('ripple-before').textContent) && $('ripple-now').className === 'hot'",
+    );
+    browser.evaluate(&tab, "window.range = JSON.stringify(axes.rendered_n)");
     browser.evaluate(&tab, "$('ff-washout').click()");
     browser.until(&tab, "view.walls[0].feed_forward === 'washout'");
+    browser.hold_until(&tab, "$('ripple-before').textContent.startsWith('off ') && $('ripple-now').className === ''");
+    let kept = "(r => axes.rendered_n.low <= r.low && axes.rendered_n.high >= r.high)(JSON.parse(window.range))";
+    assert_eq!(browser.evaluate(&tab, kept), true, "a quiet wall looks quiet");
+    // Pictures for a paper: in millimetres, on white, in letters of eight points.
+    for (what, millimetres) in [("stage", 85), ("plane", 85), ("scope", 170)] {
+        let checked = format!(
+            "(() => {{ const svg = svgOf('{what}', {millimetres}), root = new DOMParser().parseFromString(svg, 'image/svg+xml').documentElement, \
+             own = root.viewBox.baseVal.width / {millimetres} * 25.4 / 72; \
+             return [root.tagName, root.getAttribute('width'), Math.min(...[...root.querySelectorAll('text')].map(t => t.getAttribute('font-size') / own)), \
+             root.querySelectorAll('path').length > 5, /NaN|undefined/.test(svg)]; }})()"
+        );
+        let found = browser.evaluate(&tab, &checked);
+        assert_eq!((&found[0], &found[1]), (&Value::from("svg"), &Value::from(format!("{millimetres}mm"))), "{what}");
+        assert!(found[2].as_f64().unwrap() > 7.99 && found[3] == true && found[4] == false, "{what}: {found}");
+    }
     browser.space(&tab, "keyUp");
     browser.until(&tab, "document.body.dataset.state === 'Disarmed'");
     // A wall is dragged by its handle.
     browser.evaluate(&tab, "view.goal = null; $('let-go').click()");
     browser.until(&tab, "view.last.hand === null");
     drag_the_wall(&mut browser, &tab);
+    assert_eq!(browser.complaints(), [""; 0]);
+}
+
+/// A link sets device, pose, walls and gains; what is wrong with one is said, and nothing is changed.
+#[test]
+fn a_link_shows_to_others_what_one_sees() {
+    let (view, mut browser, tab) = opened();
+    browser.evaluate(&tab, "sendGains({ stiffness: 12345, damping: 60, feed_forward: 'full' })");
+    browser.evaluate(&tab, "say({ do: 'start-over', pose: [2.2, 1.3] })");
+    browser.until(&tab, "view.last.q[0] > 2.199 && view.walls[0].stiffness === 8700");
+    browser.evaluate(&tab, "sendGains({ stiffness: 12345, damping: 60, feed_forward: 'full' })");
+    browser.evaluate(&tab, "say({ do: 'wall', wall: 0, point: [0.01, 0.15], normal: [0, 1] })");
+    browser.until(&tab, "view.walls[0].stiffness === 12345 && view.walls[0].values[4] === 1");
+    let link = browser.evaluate(&tab, "$('copy').click(), link()").as_str().unwrap().to_string();
+    browser.until(&tab, "location.hash.includes('device=coupled-five-bar') && !$('notice').classList.contains('bad')");
+    let hash = link.split('#').nth(1).unwrap().to_string();
+    assert!(!link.contains('?'), "a token is not given away: {link}");
+    browser.evaluate(&tab, "say({ do: 'give' })");
+    let other = browser.open(&format!("{}#{hash}", view.url), LAPTOP, 1.0);
+    browser.front(&other);
+    let same = "window.view?.last && view.walls[0].stiffness === 12345 && view.walls[0].damping === 60 && view.walls[0].feed_forward === 'full' && \
+                view.walls[0].values[4] === 1 && Math.abs(view.last.q[1] - 1.3) < 1e-3 && view.wanted === null";
+    browser.until(&other, same);
+    for (wrong, words) in [
+        ("wall=1,2,sideways", "not one of off, full, washout"),
+        ("wall=1,2,off,x,y", "numbers"),
+        ("pose=1,2,3,4", "pose"),
+        ("lesson=99", "lesson"),
+        ("do=arm", "unknown part"),
+        ("device=other", "haptic view devices/other.toml"),
+        ("wall=1,1,off&wall=1,1,off", "2 walls"),
+        ("wall=-5,1,off", "stiffness"),
+    ] {
+        browser.evaluate(&other, &format!("notice(''); location.hash = '{wrong}'"));
+        browser.until(
+            &other,
+            &format!("$('notice').classList.contains('shown') && $('why').textContent.includes('{words}')"),
+        );
+    }
+    browser.until(&other, "view.walls[0].stiffness > 0");
+    assert_eq!(browser.evaluate(&other, "view.last.state"), "Disarmed", "no link arms");
     assert_eq!(browser.complaints(), [""; 0]);
 }
 

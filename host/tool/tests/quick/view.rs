@@ -485,6 +485,13 @@ fn a_simulation_starts_over_as_it_began_and_arms_again() {
         assert_eq!((&view.heard(0).walls, view.heard(0).refused.len()), (&walls, 0));
         assert!((depth(&view) - before).abs() < 1e-4, "{} m", depth(&view));
     }
+    for (pose, refusals) in [(json!([1.7, 1.1]), 0), (json!([1.7]), 1), (json!([1e9, -1e9]), 2)] {
+        view.say(0, json!({"do": "start-over", "pose": pose}));
+        view.play(0.2);
+        assert_eq!(view.heard(0).refused.len(), refusals, "{pose}");
+        let q = board.lock().device().q();
+        assert!((q[0] - 1.7).abs() < 1e-3 && (q[1] - 1.1).abs() < 1e-3, "{q:?}");
+    }
     view.arm(0);
     let mut view = Played::in_command(World::of(Board::over(board.wire(), "a board").unwrap(), None), None);
     view.say(0, json!({"do": "start-over"}));

@@ -1,7 +1,9 @@
 "use strict";
 const $ = id => document.getElementById(id);
-const view = { pictures: 0, sweeps: 0, sounds: 0, you: 0, hello: null, walls: [], springs: [], field: 0, plane: null, last: null, wall: 0, down: false, trail: [], box: null };
+const view = { pictures: 0, sweeps: 0, sounds: 0, you: 0, hello: null, walls: [], springs: [], field: 0, plane: null, last: null, wall: 0, down: false, trail: [], recent: [], box: null };
 window.view = view;
+// Beyond this ripple (N rms) a wall buzzes. In every picture each kind of feed-forward has its dashes beside its colour.
+const BUZZES = 0.5, DASH = { off: [], full: [9, 4], washout: [2, 3.5] };
 
 // ---- the link -----------------------------------------------------------------------------------------------------
 // The tool, at the other end of a WebSocket; in a page that is a file by itself the library, in a worker (playground/).
@@ -29,21 +31,17 @@ function heard(message) {
   }
 }
 function hello(message) {
-  view.hello = message; view.trail = []; view.box = view.closeAt = view.fault = null;
+  view.hello = message; view.trail = []; view.recent = []; view.box = view.closeAt = view.fault = null;
   $("device").textContent = message.device;
   document.title = message.device + ": haptic view";
   $("board").textContent = (message.simulated ? "simulated" + (message.weightless ? ", its weight left out" : "") : message.board + " " + message.serial + " on " + message.port) +
     ", " + unit(message.rate_hz, "Hz") + (message.rows_hz < message.rate_hz ? " (" + unit(message.rows_hz, "Hz") + " shown)" : "");
   const [grip, arm] = [message.hand.grip, message.hand.arm];
-  $("spring").textContent = message.simulated ? `The mouse leads a hand of ${message.hand.mass} kg: arm ${arm[0]} N/m, ${arm[1]} N s/m; grip ${grip[0]} N/m, ${grip[1]} N s/m.${message.smooth ? " The device has a tenth of its dry friction and encoders five times as fine." : ""}` : "";
+  $("spring").textContent = $("spring").title = message.simulated ? `The mouse leads a hand of ${message.hand.mass} kg: arm ${arm[0]} N/m, ${arm[1]} N s/m; grip ${grip[0]} N/m, ${grip[1]} N s/m.${message.smooth ? " The device has a tenth of its dry friction and encoders five times as fine." : ""}` : "";
   $("hint").textContent = message.simulated ? "lead the tip by mouse, finger or arrow keys" : "";
   $("let-go").hidden = $("start-over").hidden = !message.simulated;
   $("record").hidden = !message.records;
-  for (const [id, chosen] of [["channel-a", "rendered_n"], ["channel-b", "distance_m"]]) {
-    const kept = $(id).value || chosen;
-    $(id).replaceChildren(...(id === "channel-b" ? [new Option("none", "")] : []), ...message.columns.map(name => new Option(name, name)));
-    $(id).value = message.columns.includes(kept) ? kept : message.columns[0];
-  }
+  signalsOf(message.columns); startedOver();
   askScope();
   if ($("notice").classList.contains("shown")) notice("");
 }
@@ -90,6 +88,7 @@ addEventListener("pagehide", () => up());
 document.addEventListener("visibilitychange", () => { if (document.hidden) up(); });
 $("take").onclick = () => say({ do: view.last && view.last.command === view.you ? "give" : "take" });
 $("off").onclick = () => { up(); say({ do: "disarm" }); };
+$("more").onclick = () => $("more").setAttribute("aria-expanded", document.querySelector("header").classList.toggle("open"));
 $("clear").onclick = () => say({ do: "clear" });
 $("record").onclick = () => say({ do: "record", on: !view.last.recording });
 setInterval(() => say({ do: "here" }), 1000);
@@ -114,11 +113,13 @@ function picture(p) {
   hold();
   view.last = p; view.pictures++;
   view.trail.push(...p.trail);
+  view.recent.push(p.trail); if (view.recent.length > 9) view.recent.shift();
   if (view.trail.length > 1500) view.trail.splice(0, view.trail.length - 1500);
   document.body.dataset.state = p.state;
   $("state").textContent = { Disarmed: "motors off", Armed: "motors on", CheckingPolarity: "checking polarity", Fault: "fault" }[p.state];
   $("state").className = "pill" + (p.state === "Armed" ? " armed" : p.state === "Fault" ? " fault" : "");
   const mine = p.command === view.you;
+  if (view.wanted && mine && view.hello) follow();
   // A press that met a refusal on its way may have armed after the key was taken for up.
   if (mine && p.held && !view.down) say({ do: "release" });
   // Something else turned the motors off: the key has to be pressed anew.
@@ -137,11 +138,11 @@ function picture(p) {
   if (p.fault && (p.fault !== view.fault || !$("notice").classList.contains("shown"))) notice("Fault: " + p.fault);
   if (!p.fault && view.fault) notice("");
   view.fault = p.fault;
-  coach(p);
+  coach(p); compared(p);
   const n = p.numbers, inside = n.depth > 0;
   const shown = [
     ["Force", unit(n.force, "N")], ["Depth", inside ? unit(n.depth, "m") : "outside"], ["Sideways push", unit(n.sideways, "N")],
-    ["Ripple", unit(n.ripple, "N") + " rms", n.ripple > 0.5], ["Energy taken up", p.state === "Armed" ? unit(n.energy, "J") : "–", p.state === "Armed" && n.energy < -1e-3],
+    ["Ripple", unit(n.ripple, "N") + " rms", n.ripple > BUZZES], ["Power given out", p.state === "Armed" ? unit(Math.max(0, n.power), "W") : "–", p.state === "Armed" && n.power > GLOWS],
     ["Cut by a limit", digits(100 * n.saturated, 2) + " %", n.saturated > 0],
     ["Inertia without / with", n.inertia ? inKilograms(n.inertia[0]) + " / " + inKilograms(n.inertia[1]) : "–"],
     ["Rows lost", String(p.lost), p.lost > 0],

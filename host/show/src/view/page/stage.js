@@ -19,8 +19,8 @@ function coach(p) {
   if (steps === 0 && p.held) steps = 1;
   if (steps === 1 && pressed) steps = 2;
   if (steps === 2 && pressed && last === 3) {
-    if (wall.feed_forward === "off") buzzed ||= p.numbers.ripple > 0.5;
-    else if (buzzed && wall.feed_forward === "washout" && p.numbers.ripple < 0.5) steps = 3;
+    if (wall.feed_forward === "off") buzzed ||= p.numbers.ripple > BUZZES;
+    else if (buzzed && wall.feed_forward === "washout" && p.numbers.ripple < BUZZES) steps = 3;
   }
   [...$("coach").querySelectorAll("span")].forEach((step, i) => {
     const words = (i < steps ? "✓ " : i + 1 + " ") + COACH[used][i];
@@ -43,13 +43,17 @@ function requestDraw() { if (!asked) { asked = true; requestAnimationFrame(() =>
 // Also where the window stays as it is: a stretched picture has stretched letters, and a single sweep is drawn only once.
 const resized = new ResizeObserver(() => { requestDraw(); drawScope(); });
 for (const id of ["stage", "plane", "scope"]) resized.observe($(id));
+// A canvas to draw on anew, its width, height and size of letters in its own pixels; a picture to be saved in its place.
+let paper = null;
 function fresh(canvas) {
+  if (paper) return [paper.context, paper.width, paper.height, paper.size];
   const ratio = devicePixelRatio || 1, w = canvas.clientWidth, h = canvas.clientHeight;
   if (canvas.width !== Math.round(w * ratio) || canvas.height !== Math.round(h * ratio)) { canvas.width = Math.round(w * ratio); canvas.height = Math.round(h * ratio); }
   const c = canvas.getContext("2d");
   c.setTransform(ratio, 0, 0, ratio, 0, 0); c.clearRect(0, 0, w, h);
-  c.font = (w > 900 ? 15 : 12) + "px system-ui, sans-serif"; c.lineJoin = c.lineCap = "round"; c.textBaseline = "alphabetic"; c.textAlign = "left";
-  return [c, w, h];
+  const size = parseFloat(getComputedStyle(document.body).fontSize) * .8;
+  c.font = size + "px system-ui, sans-serif"; c.lineJoin = c.lineCap = "round"; c.textBaseline = "alphabetic"; c.textAlign = "left";
+  return [c, w, h, size];
 }
 
 // ---- the device ---------------------------------------------------------------------------------------------------
@@ -106,7 +110,7 @@ function hatched(c) {
   }
   return hatch.pattern;
 }
-function drawWall(c, f, w, h, wall, index) {
+function drawWall(c, f, w, h, size, wall, index) {
   const v = wall.values, o = wall.outline, chosen = index === view.wall;
   c.save(); c.fillStyle = palette.wall; c.strokeStyle = chosen ? palette.ink : palette.hatch; c.lineWidth = chosen ? 2.5 : 1.5;
   if (o?.is === "line") {
@@ -123,12 +127,15 @@ function drawWall(c, f, w, h, wall, index) {
   }
   c.restore();
   if (o) {
-    // Its name, on the solid side: beside a plane's point, away from where it is taken hold of; of a hole above it.
+    // Its name, on the solid side: beside a plane's point, away from where it is taken hold of and from the legend; of a
+    // hole above it.
     const line = o.is === "line", [nx, ny] = line ? o.normal : [0, 0], up = o.inside ? o.radius * f.scale + 16 : 0;
-    const [X, Y] = [f.toX(o.at[0]) - nx * 30 - ny * (line ? 100 : 0), f.toY(o.at[1]) + ny * 30 - nx * (line ? 100 : 0) - up];
-    c.save(); c.font = `700 ${w > 900 ? 19 : 15}px system-ui, sans-serif`; c.textAlign = "center"; c.textBaseline = "middle"; c.lineWidth = 4;
+    const spots = (line ? [100, -170, 0] : [0]).map(aside => [f.toX(o.at[0]) - nx * 30 - ny * aside, f.toY(o.at[1]) + ny * 30 - nx * aside - up]);
+    const [X, Y] = spots.find(([x, y]) => x > 40 && x < w - 40 && y > 20 && y < h - 40 && (x > 16 * size || y > 7 * size)) || spots[0];
+    c.save(); c.font = `700 ${1.25 * size}px system-ui, sans-serif`; c.textAlign = "center"; c.textBaseline = "middle"; c.lineWidth = 4;
     c.strokeStyle = palette.card; c.fillStyle = palette.ink; c.strokeText("WALL", X, Y); c.fillText("WALL", X, Y); c.restore();
   }
+  if (paper) return;
   const [x, y] = wallHandle(wall);
   c.fillStyle = palette.card; c.strokeStyle = palette.hatch; c.lineWidth = 2;
   c.beginPath(); c.arc(f.toX(x), f.toY(y), 7, 0, 2 * Math.PI); c.fill(); c.stroke();
@@ -151,11 +158,12 @@ function drawSprings(c, f, w, h, g) {
 }
 function drawStage() {
   if (!view.last || !view.hello) return;
-  const [c, w, h] = fresh($("stage")), g = view.last.geometry, f = frame(w, h);
-  view.walls.forEach((wall, index) => drawWall(c, f, w, h, wall, index));
+  const [c, w, h, size] = fresh($("stage")), g = view.last.geometry, f = frame(w, h);
+  view.walls.forEach((wall, index) => drawWall(c, f, w, h, size, wall, index));
+  drawGlow(c, f, g);
   drawSprings(c, f, w, h, g);
   c.strokeStyle = palette.trail; c.lineWidth = 1.5; c.globalAlpha = .55; c.beginPath();
-  view.trail.forEach(([x, y], i) => i ? c.lineTo(f.toX(x), f.toY(y)) : c.moveTo(f.toX(x), f.toY(y))); c.stroke(); c.globalAlpha = 1;
+  view.trail.map(placed).forEach(([x, y], i) => i ? c.lineTo(f.toX(x), f.toY(y)) : c.moveTo(f.toX(x), f.toY(y))); c.stroke(); c.globalAlpha = 1;
   if (g.ellipse && view.hello.flat) {
     // A kilogram is drawn as 12 cm.
     const grow = 0.12 * (view.close ? .1 : 1) * f.scale;
@@ -179,6 +187,7 @@ function drawStage() {
   c.strokeStyle = c.fillStyle = palette.force; c.lineWidth = 3;
   // A newton is drawn as 12 pixels.
   arrow(c, x, y, g.force[0] * 12, -g.force[1] * 12);
+  drawLens(c, w, h, size);
   // Scale, and what is what.
   const bar = view.close ? 0.005 : 0.05, length = bar * f.scale;
   c.strokeStyle = c.fillStyle = palette.dim; c.lineWidth = 2; c.beginPath(); c.moveTo(12, h - 12); c.lineTo(12 + length, h - 12); c.stroke();
@@ -186,9 +195,32 @@ function drawStage() {
   let top = 16;
   const legend = [["force", "force of the motors"], ["hand", hand ? "hand, " + unit(Math.hypot(...hand.force), "N") : ""], ["ellipse", g.ellipse && view.hello.flat ? "effective inertia" : ""],
     ["spring", view.springs.length ? "spring, " + view.springs.map(s => unit(s.stiffness, "N/m")).join(", ") : ""], ["dim", view.field > 0 ? "damping everywhere, " + unit(view.field, "N s/m") : ""]].filter(([, words]) => words);
-  const high = w > 900 ? 20 : 16;
+  const high = 1.35 * size;
   c.fillStyle = palette.card; c.globalAlpha = .8; c.fillRect(2, 2, Math.max(...legend.map(([, words]) => c.measureText("● " + words).width)) + 12, legend.length * high + 6); c.globalAlpha = 1;
-  for (const [name, words] of legend) { c.fillStyle = palette[name]; c.fillText("● " + words, 8, top); top += high; }
+  for (const [name, words] of legend) {
+    c.fillStyle = palette[name]; c.fillText("●", 8, top);
+    c.fillStyle = palette.ink; c.fillText(words, 8 + c.measureText("● ").width, top); top += high;
+  }
+}
+// Where a wall gives out more power (W) than this, it glows at the tip; at a hundred times as much fully.
+const GLOWS = 2e-3;
+function drawGlow(c, f, g) {
+  const power = view.last.state === "Armed" ? view.last.numbers.power : 0;
+  if (!(power > GLOWS) || paper) return;
+  const [x, y] = [f.toX(g.tip[0]), f.toY(g.tip[1])], light = c.createRadialGradient(x, y, 6, x, y, 70);
+  light.addColorStop(0, palette.force); light.addColorStop(1, "transparent");
+  c.save(); c.globalAlpha = Math.min(1, .25 + .375 * Math.log10(power / GLOWS)); c.fillStyle = light; c.beginPath(); c.arc(x, y, 70, 0, 2 * Math.PI); c.fill(); c.restore();
+}
+// The tip's last moments about their middle, magnified: a buzz of a tenth of a millimetre is no pixel on the stage.
+const LENS = 1e-3;
+function drawLens(c, w, h, size) {
+  const path = view.recent.flat().map(placed); if (path.length < 2) return;
+  const r = Math.min(5.5 * size, h / 5), [x0, y0] = [w - r - 8, h - r - 8 - 1.6 * size], middle = [0, 1].map(i => path.reduce((sum, at) => sum + at[i], 0) / path.length), scale = 2 * r / LENS;
+  c.save(); c.fillStyle = palette.card; c.strokeStyle = palette.line; c.lineWidth = 1.5; c.beginPath(); c.arc(x0, y0, r, 0, 2 * Math.PI); c.fill(); c.stroke();
+  c.save(); c.clip(); c.strokeStyle = view.buzz ? palette.force : palette.trail; c.lineWidth = 1.5; c.beginPath();
+  path.forEach(([x, y], i) => { const at = [x0 + (x - middle[0]) * scale, y0 - (y - middle[1]) * scale]; i ? c.lineTo(...at) : c.moveTo(...at); }); c.stroke(); c.restore();
+  const words = view.buzz ? `buzz, ${digits(view.last.numbers.ripple, 2)} N, ${digits(view.buzz, 2)} Hz` : "the tip, 1 mm across";
+  c.strokeStyle = palette.card; c.fillStyle = palette.ink; c.textAlign = "right"; c.lineWidth = 3; c.strokeText(words, w - 8, h - 8); c.fillText(words, w - 8, h - 8); c.restore();
 }
 let lastSent = 0, grabbed = null;
 function sometimes(message) { const now = performance.now(); if (now - lastSent > 15) { lastSent = now; say(message); } }
@@ -226,7 +258,7 @@ $("stage").onkeydown = event => {
   const at = view.last.hand ? placed(view.last.hand.goal) : view.last.geometry.tip;
   say({ do: "hand", at: unplaced([at[0] + step[0], at[1] + step[1]]) });
 };
-$("start-over").onclick = $("anew").onclick = () => { up(); notice(""); $("beyond").checked = false; say({ do: "start-over" }); if (view.close) $("close").onclick(); };
+$("start-over").onclick = $("anew").onclick = () => { up(); notice(""); $("beyond").checked = false; say({ do: "start-over" }); startedOver(); if (view.close) $("close").onclick(); };
 $("let-go").onclick = () => say({ do: "hand", at: null });
 $("close").onclick = () => { view.close = !view.close; view.closeAt = null; $("close").classList.toggle("on", view.close); $("close").setAttribute("aria-pressed", view.close); requestDraw(); };
 

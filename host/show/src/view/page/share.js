@@ -1,0 +1,125 @@
+// ---- links --------------------------------------------------------------------------------------------------------
+// What a link sets stands behind its #: device, pose (rad), and for each wall stiffness, damping, feed-forward, point, normal.
+const LESSONS = [
+  ["1 Why does a wall buzz?", "device=hapkit-paddle"],
+  ["2 What does the tip weigh?", "device=pantograph-mk2"],
+  ["3 Why does coupling cost stiffness?", "device=coupled-five-bar"],
+  ["4 Why does friction hide it?", "device=haply-2diy"],
+  ["5 What limits a real wall?", "device=hapkit-paddle"],
+];
+// A link's settings; what is wrong with it is thrown in words.
+function read(hash) {
+  const wanted = { walls: [] };
+  const numbers = (words, key, counts) => {
+    const found = words.map(Number);
+    if (!counts.includes(words.length) || !words.every((word, i) => word.trim() && isFinite(found[i]))) throw `the link's ${key} is not ${counts.join(" or ")} numbers`;
+    return found;
+  };
+  for (const [key, value] of new URLSearchParams(hash.replace(/^#/, ""))) {
+    const words = value.split(",");
+    if (key === "lesson") { if (!LESSONS[value - 1]) throw `the link's lesson is not one of 1 to ${LESSONS.length}`; Object.assign(wanted, read(LESSONS[value - 1][1])); }
+    else if (key === "device") wanted.device = value;
+    else if (key === "pose") wanted.pose = numbers(words, key, [1, 2, 3]);
+    else if (key === "wall") {
+      const mode = words.splice(2, 1)[0], [stiffness, damping, x, y, ...normal] = numbers(words, "wall (beside its feed-forward)", [2, 4, 6]);
+      if (!MODES.includes(mode)) throw `the link's feed-forward is not one of ${MODES.join(", ")}`;
+      wanted.walls.push({ gains: { stiffness, damping, feed_forward: mode }, point: y === undefined ? null : [x, y], normal });
+    } else throw `the link has an unknown part, ${key}`;
+  }
+  return wanted.device || wanted.pose || wanted.walls.length ? wanted : null;
+}
+function want() { try { view.wanted = read(location.hash); } catch (why) { view.wanted = null; return why; } return null; }
+// Does what a link wants, once there is a device; a link moves no real one.
+function follow() {
+  const { device, pose, walls } = view.wanted;
+  view.wanted = null;
+  if (!view.hello.simulated) return notice("A link sets up simulated devices only: nothing was changed.");
+  if (device && !window.playground && !device.startsWith(view.hello.device)) return notice(`The link is for ${device}, and this page shows ${view.hello.device}: haptic view devices/${device}.toml --port sim`);
+  if (walls.length > view.walls.length) return notice(`The link has ${walls.length} walls, and this scene ${view.walls.length}: nothing was changed.`);
+  say({ do: "start-over", ...(pose ? { pose } : {}) });
+  walls.forEach(({ gains, point, normal }, wall) => {
+    if (point) say({ do: "wall", wall, point, ...(normal.length ? { normal } : {}) });
+    say({ do: "gains", wall, ...gains, beyond: true });
+  });
+}
+const short = value => +value.toPrecision(6);
+function link() {
+  const turned = wall => wall.outline?.is === "line" && view.hello.task > 1;
+  const walls = view.walls.map(wall => "wall=" + [short(wall.stiffness), short(wall.damping), wall.feed_forward, ...wall.values.slice(0, 2).map(short), ...(turned(wall) ? wall.values.slice(3, 5).map(short) : [])]);
+  return location.href.replace(/[?#].*$/, "") + "#" + ["device=" + (window.playground?.device() || view.hello.device), "pose=" + view.last.q.map(short), ...walls].join("&");
+}
+$("copy").onclick = async () => {
+  history.replaceState(null, "", link());
+  try { await navigator.clipboard.writeText(location.href); notice("Copied: a link to this device, pose, walls and gains.", {}, true); }
+  catch { notice("The link stands in the address bar.", {}, true); }
+};
+addEventListener("hashchange", () => { const wrong = want(); if (wrong) notice(wrong); else window.playground?.follow(); });
+
+// ---- pictures to keep ---------------------------------------------------------------------------------------------
+// What is drawn on a canvas, as SVG: of a canvas's commands those that this page uses.
+class Drawing {
+  constructor(width, height, size) {
+    Object.assign(this, { width, height, out: [], defs: [], kept: [], d: "", at: [1, 0, 0, 1, 0, 0], dash: [], clipped: "" });
+    Object.assign(this, { fillStyle: "#000", strokeStyle: "#000", lineWidth: 1, globalAlpha: 1, textAlign: "left", textBaseline: "alphabetic", font: size + "px sans-serif" });
+    this.ruler = document.createElement("canvas").getContext("2d");
+  }
+  save() { const { at, dash, clipped, fillStyle, strokeStyle, lineWidth, globalAlpha, textAlign, textBaseline, font } = this; this.kept.push({ at, dash, clipped, fillStyle, strokeStyle, lineWidth, globalAlpha, textAlign, textBaseline, font }); }
+  restore() { Object.assign(this, this.kept.pop()); }
+  turned(a, b, c, d, e, f) { const m = this.at; this.at = [m[0] * a + m[2] * b, m[1] * a + m[3] * b, m[0] * c + m[2] * d, m[1] * c + m[3] * d, m[0] * e + m[2] * f + m[4], m[1] * e + m[3] * f + m[5]]; }
+  translate(x, y) { this.turned(1, 0, 0, 1, x, y); }
+  rotate(angle) { const [s, c] = [Math.sin(angle), Math.cos(angle)]; this.turned(c, s, -s, c, 0, 0); }
+  setLineDash(dash) { this.dash = dash; }
+  beginPath() { this.d = ""; }
+  moveTo(x, y) { this.d += `M${short(x)} ${short(y)}`; }
+  lineTo(x, y) { this.d += `${this.d ? "L" : "M"}${short(x)} ${short(y)}`; }
+  closePath() { this.d += "Z"; }
+  rect(x, y, w, h) { this.d += `M${short(x)} ${short(y)}h${short(w)}v${short(h)}h${short(-w)}Z`; }
+  // Whole ones.
+  ellipse(x, y, a, b, angle) { const [c, s] = [a * Math.cos(angle), a * Math.sin(angle)], turn = `A${short(a)} ${short(b)} ${short(angle * 180 / Math.PI)} 1 0 `; this.d += `M${short(x + c)} ${short(y + s)}${turn}${short(x - c)} ${short(y - s)}${turn}${short(x + c)} ${short(y + s)}`; }
+  arc(x, y, r) { this.ellipse(x, y, r, r, 0); }
+  put(element, inside) {
+    const own = this.at.join() === "1,0,0,1,0,0" ? "" : ` transform="matrix(${this.at.map(short)})"`, seen = this.globalAlpha < 1 ? ` opacity="${short(this.globalAlpha)}"` : "";
+    this.out.push(`<g${this.clipped}><${element}${own}${seen}${inside === undefined ? "/>" : `>${inside}</${element.split(" ")[0]}>`}</g>`);
+  }
+  colour(style) { return typeof style === "string" ? style : "url(#hatch)"; }
+  stroke() { if (this.d) this.put(`path d="${this.d}" fill="none" stroke="${this.colour(this.strokeStyle)}" stroke-width="${this.lineWidth}" stroke-linejoin="round"${this.dash.length ? ` stroke-dasharray="${this.dash}"` : ' stroke-linecap="round"'}`); }
+  fill(rule) { if (this.d) this.put(`path d="${this.d}" fill="${this.colour(this.fillStyle)}"${rule ? ` fill-rule="${rule}"` : ""}`); }
+  fillRect(x, y, w, h) { this.put(`rect x="${short(x)}" y="${short(y)}" width="${short(w)}" height="${short(h)}" fill="${this.colour(this.fillStyle)}"`); }
+  clip() { this.defs.push(`<clipPath id="clip${this.defs.length}"><path d="${this.d}"/></clipPath>`); this.clipped = ` clip-path="url(#clip${this.defs.length - 1})"`; }
+  createPattern() { return {}; }
+  measureText(words) { this.ruler.font = this.font; return this.ruler.measureText(words); }
+  words(words, x, y, paint) {
+    const [, weight, pixels] = /^(\d+ )?([\d.]+)px/.exec(this.font), size = +pixels, anchor = { left: "start", center: "middle", right: "end" }[this.textAlign];
+    const low = this.textBaseline === "middle" ? .35 * size : 0;
+    this.put(`text x="${short(x)}" y="${short(y + low)}" font-size="${short(size)}"${weight ? ` font-weight="${weight.trim()}"` : ""} text-anchor="${anchor}" ${paint}`, words.replace(/[&<>]/g, mark => `&#${mark.charCodeAt(0)};`));
+  }
+  fillText(words, x, y) { this.words(words, x, y, `fill="${this.colour(this.fillStyle)}"`); }
+  strokeText(words, x, y) { this.words(words, x, y, `fill="none" stroke="${this.strokeStyle}" stroke-width="${this.lineWidth}"`); }
+}
+// One of the three pictures at the width of a column (85 mm) or a page (170 mm) of a paper, in letters of 8 points, on white.
+function svgOf(what, millimetres) {
+  const size = 8 * 96 / 72, width = millimetres * 96 / 25.4, height = width * { stage: .8, plane: .7, scope: .55 }[what], context = new Drawing(width, height, size);
+  const dark = document.documentElement.classList.contains("dark");
+  document.documentElement.classList.remove("dark"); readPalette();
+  paper = { context, width, height, size };
+  ({ stage: drawStage, plane: drawPlane, scope: drawScope })[what]();
+  paper = null; document.documentElement.classList.toggle("dark", dark);
+  const hatch = `<pattern id="hatch" width="9" height="15" patternUnits="userSpaceOnUse"><path d="M-9 15L0 0M0 15L9 0M9 15L18 0" stroke="${palette.hatch}" stroke-width="1.5"/></pattern>`;
+  readPalette(); drawStage(); drawPlane(); drawScope();
+  const wall = view.walls[view.wall], about = view.hello.device + (wall ? `, ${unit(wall.stiffness, "N/m")}, ${unit(wall.damping, "N s/m")}, feed-forward ${NAMES[wall.feed_forward]}` : "");
+  return `<svg xmlns="http://www.w3.org/2000/svg" width="${millimetres}mm" height="${short(height * 25.4 / 96)}mm" viewBox="0 0 ${short(width)} ${short(height)}" font-family="Helvetica, Arial, sans-serif">\n` +
+    `<title>${about}</title>\n<defs>${hatch}${context.defs.join("")}</defs>\n<rect width="100%" height="100%" fill="#fff"/>\n${context.out.join("\n")}\n</svg>\n`;
+}
+$("save").onchange = () => {
+  const [what, millimetres] = $("save").value.split(" "), anchor = document.createElement("a");
+  $("save").selectedIndex = 0; $("save").blur();
+  if (!view.last || !view.hello) return;
+  anchor.href = URL.createObjectURL(new Blob([svgOf(what, +millimetres)], { type: "image/svg+xml" }));
+  anchor.download = `${view.hello.device}-${{ stage: "device", plane: "gains", scope: "scope" }[what]}-${millimetres}mm.svg`;
+  anchor.click(); URL.revokeObjectURL(anchor.href);
+};
+
+const wrong = want();
+theme(prefersDark.matches);
+connect();
+if (wrong) notice(wrong);
