@@ -49,12 +49,13 @@ macro_rules! shipped {
 }
 
 /// The worlds that can be looked at; the first is what `haptic view --port sim` shows.
-const CHOICES: [Choice; 7] = [
+const CHOICES: [Choice; 8] = [
     Choice { name: "coupled-five-bar: a wall that the feed-forward quiets", device: None, scene: None },
     shipped!("haply-2diy: a disc", "haply-2diy", "disc"),
     shipped!("haply-2diy: a groove", "haply-2diy", "groove"),
     shipped!("pantograph-mk2: a corner", "pantograph-mk2", "corner"),
     shipped!("hapkit-paddle: a wall", "hapkit-paddle", "wall"),
+    shipped!("hapkit-paddle: a wall at 1 kHz", "hapkit-paddle", "slow"),
     shipped!("woodenhaptics: a wall", "woodenhaptics"),
     shipped!("phantom-premium-1.5: a wall", "phantom-premium-1.5"),
 ];

@@ -10,6 +10,8 @@
   const worker = URL.createObjectURL(new Blob([$text("worker")], { type: "text/javascript" }));
   function $text(id) { const element = document.getElementById(id), text = element.textContent; element.remove(); return text; }
   const device = document.createElement("select"), lesson = document.createElement("select"), open = document.createElement("button");
+  // The list of devices says which one it is.
+  document.getElementById("device").hidden = true;
   device.id = "choice"; lesson.id = "lesson"; open.id = "open"; open.textContent = "Open a board";
   device.setAttribute("aria-label", "Device"); lesson.setAttribute("aria-label", "Set-up of a lesson");
   document.querySelector("header .grow").before(device, lesson, open);

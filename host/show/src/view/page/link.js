@@ -126,8 +126,10 @@ function picture(p) {
   if (view.down && view.wasHeld && !p.held) up("quietly");
   view.wasHeld = view.down && p.held;
   document.body.dataset.role = mine ? "command" : "watch";
-  $("role").textContent = (mine ? "you command" : p.command ? "another page commands" : "nobody commands") + (p.pages > 1 ? `, ${p.pages} pages` : "");
-  $("take").textContent = mine ? "Give back" : "Take command";
+  // Who is alone has nobody to give command to.
+  const alone = mine && p.pages < 2;
+  $("role").textContent = alone ? "" : (mine ? "you command" : p.command ? "another page commands" : "nobody commands") + (p.pages > 1 ? `, ${p.pages} pages` : "");
+  $("take").textContent = mine ? "Give back" : "Take command"; $("take").hidden = alone;
   $("take").disabled = !mine && p.command !== null;
   $("key").disabled = !mine || p.state === "Fault";
   // While there is a fault, what helps stays in sight.

@@ -1,11 +1,11 @@
 // ---- links --------------------------------------------------------------------------------------------------------
 // What a link sets stands behind its #: device, pose (rad), and for each wall stiffness, damping, feed-forward, point, normal.
 const LESSONS = [
-  ["1 Why does a wall buzz?", "device=hapkit-paddle"],
-  ["2 What does the tip weigh?", "device=pantograph-mk2"],
-  ["3 Why does coupling cost stiffness?", "device=coupled-five-bar"],
-  ["4 Why does friction hide it?", "device=haply-2diy"],
-  ["5 What limits a real wall?", "device=hapkit-paddle"],
+  ["1 Why does a wall buzz?", "device=hapkit-paddle-a-wall-at-1-khz"],
+  ["2 What does the tip weigh?", "device=coupled-five-bar&pose=2.6,1.75&wall=8700,80,washout,-0.11766,0.184342,0.940376,-0.340136"],
+  ["3 Why does coupling cost stiffness?", "device=coupled-five-bar&wall=8700,80,full"],
+  ["4 Why does friction hide it?", "device=hapkit-paddle-a-wall-at-1-khz&wall=10000,60,off"],
+  ["5 What limits a real wall?", "device=hapkit-paddle&wall=20000,60,off"],
 ];
 // A link's settings; what is wrong with it is thrown in words.
 function read(hash) {
