@@ -11,6 +11,7 @@
 //! - [`host`]: the same wall rendered by a program on a computer
 //! - [`mod@line`]: walls along a line, their damping by a rule, and how far they are stable
 //! - [`map`]: inertia over the workspace: what `haptic map` prints
+//! - [`oscillation`]: the frequency at which a wall swings at given gains, and how fast that grows
 //! - [`passivity`]: the classical bounds of walls that no hand can make oscillate
 //! - [`plant`]: the device linearised at a pose, its joint damping and its drives, in continuous time
 //! - [`sampled`]: zero-order hold, fractional delay, velocity estimator and feed-forward around it, in delta form
@@ -41,6 +42,7 @@ mod flexible_reduction;
 pub mod host;
 pub mod line;
 pub mod map;
+pub mod oscillation;
 pub mod passivity;
 pub mod plant;
 pub mod pose;

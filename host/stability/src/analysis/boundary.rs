@@ -262,6 +262,11 @@ impl<'a> Circle<'a> {
         let open = self.open;
         stable_between(0.0, &crossings, |kd| open.is_stable(SMALLEST_STIFFNESS, kd))
     }
+
+    /// The loop whose responses these are.
+    pub fn open(&self) -> &OpenLoop {
+        self.open
+    }
 }
 
 /// Splits [start, ∞) at the crossings and keeps what is stable, neighbours joined.

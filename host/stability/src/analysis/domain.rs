@@ -12,6 +12,7 @@ use super::boundary::{Circle, Interval};
 use super::control_loop::{Loop, Mode};
 use super::error::AnalysisError;
 use super::flexible::felt;
+use super::oscillation::Oscillation;
 use super::plant::Linearised;
 use super::several::{Loops, WallSet, open_loop};
 
@@ -34,12 +35,16 @@ pub struct BoundaryPoint {
     /// The stiffness that a hand at the tip feels where transmissions give, N/m ([`super::flexible::felt`]).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub felt: Option<f64>,
+    /// The frequency at which a stiffer wall begins to swing there, Hz; `None` where nothing is stable, or where it
+    /// creeps instead.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub hz: Option<f64>,
 }
 
 impl BoundaryPoint {
     /// This stiffness (N/m) at this damping (N s/m).
     pub(super) fn new(kd: f64, kp: f64) -> Self {
-        Self { kd, kp, felt: None }
+        Self { kd, kp, felt: None, hz: None }
     }
 }
 
@@ -109,6 +114,7 @@ pub fn domain_of_several(
 pub(super) trait Bounded {
     fn stiffness_intervals(&mut self, kd: f64) -> Result<Vec<Interval>, AnalysisError>;
     fn damping_intervals(&mut self) -> Result<Vec<Interval>, AnalysisError>;
+    fn oscillation(&self, kp: f64, kd: f64) -> Option<Oscillation>;
 }
 
 impl Bounded for Circle<'_> {
@@ -118,6 +124,9 @@ impl Bounded for Circle<'_> {
     fn damping_intervals(&mut self) -> Result<Vec<Interval>, AnalysisError> {
         Circle::damping_intervals(self)
     }
+    fn oscillation(&self, kp: f64, kd: f64) -> Option<Oscillation> {
+        self.open().oscillation(kp, kd)
+    }
 }
 
 impl Bounded for Loops {
@@ -126,6 +135,9 @@ impl Bounded for Loops {
     }
     fn damping_intervals(&mut self) -> Result<Vec<Interval>, AnalysisError> {
         Loops::damping_intervals(self)
+    }
+    fn oscillation(&self, kp: f64, kd: f64) -> Option<Oscillation> {
+        Loops::oscillation(self, kp, kd)
     }
 }
 
@@ -181,8 +193,43 @@ pub(super) fn bounded(
             push_islands(&mut islands, kd_hat, &stable, damping_unit, stiffness_unit);
         }
     }
+    for point in boundary.iter_mut().chain([&mut top]).filter(|point| point.kp > 0.0) {
+        let mode = circle.oscillation(point.kp / stiffness_unit, point.kd / damping_unit);
+        point.hz = mode.and_then(|mode| mode.sustained_hz(sample_s));
+    }
     let area = area * damping_unit * stiffness_unit;
     Ok(Domain { area, kd_max: kd_max * damping_unit, top, boundary, islands })
+}
+
+/// The least damped swing of a wall of `kp` (N/m) and `kd` (N s/m); `None` where nothing swings.
+pub fn oscillation(
+    device: &Linearised,
+    around: &Loop,
+    mode: Mode,
+    kp: f64,
+    kd: f64,
+) -> Result<Option<Oscillation>, AnalysisError> {
+    let open = open_loop(device, device, around, mode)?;
+    let (kp, kd) = in_sample_units(kp, kd, open.mass, open.sample_s)?;
+    Ok(open.oscillation(kp, kd))
+}
+
+/// As [`oscillation`] of walls that act together, in the totals of stiffness and damping.
+pub fn oscillation_of_several(
+    set: &WallSet,
+    around: &Loop,
+    mode: Mode,
+    kp: f64,
+    kd: f64,
+) -> Result<Option<Oscillation>, AnalysisError> {
+    let loops = Loops::new(set, around, mode)?;
+    let (kp, kd) = in_sample_units(kp, kd, loops.mass, loops.sample_s)?;
+    Ok(loops.oscillation(kp, kd))
+}
+
+fn in_sample_units(kp: f64, kd: f64, mass: f64, sample_s: f64) -> Result<(f64, f64), AnalysisError> {
+    let refused = [kp, kd].into_iter().find(|gain| !(gain.is_finite() && *gain >= 0.0));
+    refused.map_or(Ok((kp * sample_s * sample_s / mass, kd * sample_s / mass)), |gain| Err(AnalysisError::Gain(gain)))
 }
 
 /// The largest stiffness (N/m) that is stable with damping `kd` (N s/m), zero where none is, and the damping at which

@@ -52,6 +52,9 @@ pub enum AnalysisError {
     /// A damping value of the boundary.
     #[error("damping values must be finite and not negative, not {0}")]
     Damping(f64),
+    /// A gain of a wall.
+    #[error("a wall's stiffness and damping must be finite and not negative, not {0}")]
+    Gain(f64),
     /// Damping compensation is analysed only for a rigid device without a hand.
     #[error("damping compensation is analysed for rigid joints that nobody holds")]
     CompensatedFlexible,

@@ -4,10 +4,11 @@
 //! scene's rate, estimator, feed-forward and posture, the board's delay and drives, a hand.
 
 use super::control_loop::{CURRENT_LOOP_HZ, Loop, Mode, TorquePath};
-use super::domain::stiffness_at;
+use super::domain::{oscillation, oscillation_of_several, stiffness_at};
 use super::error::AnalysisError;
 use super::estimator::LinearEstimator;
 use super::flexible::{Hand, Posture};
+use super::oscillation::Oscillation;
 use super::plant::{Drive, Linearised};
 use super::pose::{PoseError, TaskPose};
 use super::range::{Range, predict, predict_several};
@@ -116,6 +117,22 @@ impl Prediction {
     /// damping at which all ends.
     pub fn stiffness_at(&self, q: &[f64], normal: &[f64], mode: Mode, kd: f64) -> Result<(f64, f64), Failure> {
         Ok(stiffness_at(&self.seen(q, normal)?, &self.around, mode, kd)?)
+    }
+
+    /// The swing of these walls at `q` (rad) that dies out most slowly, or grows, with `kp` (N/m) and `kd` (N s/m) in
+    /// total: beyond the boundary it is the buzz. `None` where nothing swings.
+    pub fn buzz(
+        &self,
+        q: &[f64],
+        members: &[Member],
+        mode: Mode,
+        kp: f64,
+        kd: f64,
+    ) -> Result<Option<Oscillation>, Failure> {
+        Ok(match self.walls(q, members)? {
+            Walls::One(device) => oscillation(&device, &self.around, mode, kp, kd),
+            Walls::Several(set) => oscillation_of_several(&set, &self.around, mode, kp, kd),
+        }?)
     }
 
     /// The options with which `haptic range DEVICE` predicts the same for these walls, except dampings and washout. A

@@ -14,6 +14,7 @@ use super::drift::{Drift, drifting};
 use super::eigenvalues::eigenvalues;
 pub use super::error::AnalysisError;
 pub use super::estimator::{LONGEST_DIFFERENCE, LinearEstimator, LowPass};
+use super::oscillation::Oscillation;
 use super::plant::{ContinuousPlant, Drive, Linearised};
 use super::reduction::reduce;
 use super::spectrum::{exp_minus_identity, growth};
@@ -187,6 +188,11 @@ impl OpenLoop {
     /// loop's responses turn quickly.
     pub fn resonances(&self) -> &[(f64, f64)] {
         &self.resonances
+    }
+
+    /// The least damped swing; gains in sample units.
+    pub fn oscillation(&self, kp: f64, kd: f64) -> Option<Oscillation> {
+        Oscillation::least_damped(self.closed(kp, kd), self.sample_s)
     }
 
     /// Returns true if all modes decay; gains in sample units.

@@ -21,6 +21,7 @@ use haptic_bridge::with_mechanism;
 use super::boundary::{Interval, SMALLEST_STIFFNESS};
 use super::flexible::{Flexible, Hand, Posture};
 use super::flexible_reduction::{Reduced, Watched, reduce_seen};
+use super::oscillation::Oscillation;
 use super::plant::{Drive, Lags, Linearised};
 use super::pose::{PoseError, TaskPose, unit_normal};
 use super::sampled::{AnalysisError, Loop, Mode, OpenLoop, resonances};
@@ -442,12 +443,22 @@ impl Loops {
         }
     }
 
-    fn is_stable(&self, kp: f64, kd: f64) -> bool {
+    /// F of the closed loops for totals in sample units.
+    fn closed(&self, kp: f64, kd: f64) -> DMatrix<f64> {
         let mut feedback = &self.position * kp + &self.velocity * kd;
         for (mut row, stiffness) in feedback.row_iter_mut().zip(self.stiffness.iter()) {
             row *= *stiffness;
         }
-        growth(&self.f - &self.input * feedback) < STILL
+        &self.f - &self.input * feedback
+    }
+
+    fn is_stable(&self, kp: f64, kd: f64) -> bool {
+        growth(self.closed(kp, kd)) < STILL
+    }
+
+    /// The least damped swing at these totals; sample units.
+    pub fn oscillation(&self, kp: f64, kd: f64) -> Option<Oscillation> {
+        Oscillation::least_damped(self.closed(kp, kd), self.sample_s)
     }
 
     /// Stable intervals of the total stiffness at one damping; sample units. One that begins at the smallest stiffness
