@@ -2,9 +2,9 @@
 //!
 //! A mode z of the sampled loop swings at arg z/(2π T) and grows as exp(t ln|z|/T). Of the modes that swing at all, the
 //! one that grows fastest, or dies out slowest, is what a hand feels and a microphone hears: above the boundary the
-//! wall buzzes with it. The prediction is linear: a wall that only pushes lets the tip fly free for a part of every
-//! turn, motors and friction limit the swing, and so the buzz that lasts is slower than the swing that builds up, by a
-//! tenth or so (host/tool/tests/quick/prediction.rs measures it on the demo's wall).
+//! wall buzzes with it. The prediction is linear. It leaves out that a wall only pushes, so that the tip flies free for
+//! a part of every turn, that friction holds, and that motors give no more than they can; the buzz that lasts lies
+//! within 13 % of the predicted one on the demo's wall (host/tool/tests/quick/prediction.rs).
 
 use super::eigenvalues::eigenvalues;
 use nalgebra::DMatrix;

@@ -2,12 +2,15 @@
 //! is called passive or stable that is not.
 
 use crate::common::{self, all_shipped, file, json, shipped};
+use haptic_bridge::render::scene::FeedForward;
+use haptic_show::demo::{Demo, crossing};
 use haptic_stability::analysis::control_loop::{Loop, Mode, TorquePath};
 use haptic_stability::analysis::passivity::Passivity;
 use haptic_stability::analysis::plant::Drive;
 use haptic_stability::analysis::prediction::{Prediction, Subject};
 use haptic_stability::analysis::range::stiffness_at;
 use haptic_stability::analysis::sampled::LinearEstimator;
+use haptic_stability::analysis::several::Member;
 use serde_json::Value;
 
 /// With cables, rigid, and redundant.
@@ -239,6 +242,27 @@ fn a_posture_is_part_of_the_loop() {
     assert!(nothing.iter().zip(free).all(|(nothing, free)| close(*nothing, free)), "{nothing:?} {free:?}");
     let refused = ["range", &file("haply-2diy.toml"), "--normal=0,1", "--posture", "0.5,0.03"];
     common::haptic(&refused).assert().code(2);
+}
+
+/// Friction, encoder steps, a hand, and a wall that only pushes: what the linear prediction leaves out moves the buzz by
+/// 13 % at most: down far above the boundary, where the tip leaves the wall for much of a turn, and up close to it.
+#[test]
+fn the_wall_of_the_demo_buzzes_at_the_predicted_frequency() {
+    for (stiffness, damping) in [(22_000.0, 40.0), (12_000.0, 80.0), (30_000.0, 40.0)] {
+        let demo = Demo { stiffness, damping, ..Demo::shipped(1).unwrap() };
+        let run = crossing::run(&demo, FeedForward::Off, &mut |_| {}).unwrap();
+        let resting: Vec<f64> = run.moments.iter().filter(|m| (0.3..0.8).contains(&m.time)).map(|m| m.force).collect();
+        let mean = resting.iter().sum::<f64>() / resting.len() as f64;
+        let upward: Vec<usize> = (1..resting.len()).filter(|i| resting[i - 1] < mean && resting[*i] >= mean).collect();
+        let measured = demo.rate_hz * (upward.len() - 1) as f64 / (upward[upward.len() - 1] - upward[0]) as f64;
+        let around = Loop::through(&TorquePath::usual(demo.rate_hz), demo.rate_hz, LinearEstimator::Butterworth(100.0));
+        let prediction = Prediction::new(Subject::new(&demo.file.description).unwrap(), around);
+        let wall = Member::new(demo.normal.to_vec(), 1.0);
+        let buzz = |mode| prediction.buzz(demo.q(), &[wall.clone()], mode, stiffness, damping).unwrap().unwrap();
+        let (off, washout) = (buzz(Mode::Off), buzz(Mode::Washout(demo.washout_hz)));
+        assert!(off.growth_per_s > washout.growth_per_s && off.growth_per_s > 0.0, "{off:?} {washout:?}");
+        assert!((measured / off.hz - 1.0).abs() < 0.13, "{stiffness} N/m buzzes at {measured} Hz and not {}", off.hz);
+    }
 }
 
 #[test]
