@@ -15,10 +15,11 @@ use haptic_host::words::{digits, with_unit};
 use haptic_stability::analysis::control_loop::TorquePath;
 use haptic_stability::analysis::flexible::{Flexible, felt};
 use haptic_stability::analysis::map::Reachable;
+use haptic_stability::analysis::oscillation::Oscillation;
 use haptic_stability::analysis::plant::Linearised;
 use haptic_stability::analysis::pose::TaskPose;
 use haptic_stability::analysis::prediction::{Prediction, Subject, printed};
-use haptic_stability::analysis::range::{COSTLY_RATIO, lower_corner, stiffness_at};
+use haptic_stability::analysis::range::{COSTLY_RATIO, lower_corner, oscillation, stiffness_at};
 use haptic_stability::analysis::sampled::{AnalysisError, Mode};
 use haptic_stability::analysis::several::Member;
 use nalgebra::{DVector, SVector};
@@ -53,6 +54,9 @@ pub struct Contact {
     pub felt_to: Option<f64>,
     /// Largest damping with which anything is stable, N s/m.
     pub damping_to: f64,
+    /// The swing that builds up with this wall's gains by prediction; none where none does.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub buzz: Option<Oscillation>,
     /// The most that the motors give along the normal, N; none where a joint has no motor.
     pub force: Option<f64>,
     /// The motion of the tip along the normal in one encoder count, m.
@@ -199,6 +203,7 @@ pub fn meets(
         Mode::Off => None,
         _ => stiffness_at(&seen, &prediction.around, Mode::Off, wall.damping).ok().map(|(off_to, _)| off_to),
     };
+    let swing = oscillation(&seen, &prediction.around, mode, wall.stiffness, wall.damping).ok().flatten();
     let count = count_along(device, &pose, &normal);
     let estimator = prediction.around.estimator;
     let mut options = prediction.options(&q, &[Member::new(normal.clone(), 1.0)]);
@@ -211,6 +216,7 @@ pub fn meets(
         off_to,
         felt_to: seen.flexible.stiffness_at_tip(&seen.row).map(|at_tip| felt(stable_to, at_tip)),
         damping_to,
+        buzz: swing.filter(Oscillation::grows),
         force: force_along(device, &pose, &normal),
         count,
         step_n: count * (wall.stiffness + wall.damping * estimator.quickest(scene.rate_hz)),
@@ -272,6 +278,7 @@ pub fn at(subject: &Subject, scene: &Scene<f64>, index: usize, q: &[f64], path: 
 /// scene file.
 pub fn beyond(wall: &Wall<f64>, contact: &Contact, in_file: bool) -> Vec<Doubt> {
     let index = contact.wall;
+    let at = contact.buzz.map_or(String::new(), |buzz| format!(" at about {:.0} Hz", buzz.hz));
     let rigid = if contact.taken_for_rigid { ", if nothing in the device gives" } else { "" };
     let doubt = |name: &'static str, text: String| Doubt {
         key: in_file.then_some(Key { table: "wall", index: Some(index), part: "", name }),
@@ -280,8 +287,8 @@ pub fn beyond(wall: &Wall<f64>, contact: &Contact, in_file: bool) -> Vec<Doubt> 
     let mut doubts = Vec::new();
     if wall.damping > contact.damping_to {
         let text = format!(
-            "the damping of wall {index}, {} N s/m, is beyond what is predicted stable{rigid}: up to {} here; it will vibrate \
-             unless friction or a hand damps it (`haptic range DEVICE {}`)",
+            "the damping of wall {index}, {} N s/m, is beyond what is predicted stable{rigid}: up to {} here; it will \
+             vibrate{at} unless friction or a hand damps it (`haptic range DEVICE {}`)",
             digits(wall.damping),
             with_unit(contact.damping_to, "N s/m"),
             contact.options
@@ -300,7 +307,7 @@ pub fn beyond(wall: &Wall<f64>, contact: &Contact, in_file: bool) -> Vec<Doubt> 
     } else if wall.stiffness > contact.stable_to {
         let text = format!(
             "the stiffness of wall {index}, {}, is beyond what is predicted stable{rigid}: up to {} here; this is {} times \
-             that, and it will vibrate unless friction or a hand damps it (`haptic range DEVICE {}`)",
+             that, and it will vibrate{at} unless friction or a hand damps it (`haptic range DEVICE {}`)",
             with_unit(wall.stiffness, "N/m"),
             with_unit(contact.stable_to, "N/m"),
             times(wall.stiffness / contact.stable_to),

@@ -38,6 +38,12 @@ impl Oscillation {
             .max_by(|a, b| a.growth_per_s.total_cmp(&b.growth_per_s))
     }
 
+    /// Returns true if it builds up.
+    #[must_use]
+    pub fn grows(&self) -> bool {
+        self.growth_per_s > 0.0
+    }
+
     /// Its frequency (Hz) if it neither grows nor dies out, as on a boundary that it makes.
     pub(super) fn sustained_hz(&self, sample_s: f64) -> Option<f64> {
         ((self.growth_per_s * sample_s).abs() < ON_THE_CIRCLE).then_some(self.hz)

@@ -216,8 +216,9 @@ fn readable(report: &Report, tip: &str) -> String {
                 }
                 _ => String::new(),
             };
+            let buzz = contact.buzz.map_or(String::new(), |buzz| format!("; it buzzes at about {:.0} Hz", buzz.hz));
             text.push_str(&format!(
-                "  wall {}: predicted stable up to {}{felt}{off} with its damping, up to {} damping{force}\n",
+                "  wall {}: predicted stable up to {}{felt}{off} with its damping, up to {} damping{buzz}{force}\n",
                 contact.wall,
                 with_unit(contact.stable_to, "N/m"),
                 with_unit(contact.damping_to, "N s/m"),

@@ -55,6 +55,38 @@ fn asked_for_dampings_are_answered_exactly() {
     }
 }
 
+/// The demo's wall: stable with the feed-forward alone.
+#[test]
+fn the_frequency_at_which_a_wall_buzzes_stands_beside_its_limit() {
+    let folder = tempfile::tempdir().unwrap();
+    let device = file("coupled-five-bar.toml");
+    let asked = ["range", &device, "--q=2.6,1.75", "--normal=0.2588,0.9659", "--rate", "1000", "--cutoff", "100"];
+    let wall = ["--board", "odrive-v3", "--kd", "0,40,200", "--wall", "22000,40"];
+    let document = json(&[&asked[..], &wall].concat());
+    let hz = |mode: &str, point: usize| document[mode]["boundary"][point]["hz"].as_f64();
+    for mode in ["off", "full"] {
+        assert!(hz(mode, 0).unwrap() < 6.0 && hz(mode, 2).is_none(), "{mode}: nothing is stable at 200 N s/m");
+        assert!((55.0..62.0).contains(&hz(mode, 1).unwrap()), "{document}");
+    }
+    let swings = &document["ripple"]["wall"]["swings"];
+    let grows = |mode: &str| swings[mode]["growth_per_s"].as_f64().unwrap();
+    assert!(grows("off") > 10.0 && grows("full") < 0.0 && swings.get("washout").is_none(), "{swings}");
+    let said = haptic(&[&asked[..], &wall].concat()).success().get_output().stdout.clone();
+    let said = String::from_utf8(said).unwrap();
+    assert!(
+        said.contains("buzz Hz") && said.matches("predicted to buzz at 64.8 Hz, growing by").count() == 1,
+        "{said}"
+    );
+
+    let scene = folder.path().join("scene.toml");
+    let wall = "[[wall]]\npoint = [0.0, 0.1]\nnormal = [0.0, 1.0]\nstiffness = 90e3\ndamping = 40.0\n";
+    std::fs::write(&scene, format!("rate_hz = 1000\ncutoff_hz = 100\n{wall}")).unwrap();
+    let checked = json(&["check", &device, scene.to_str().unwrap()]);
+    let hz = checked["scenes"][0]["contacts"][0]["buzz"]["hz"].as_f64().unwrap();
+    let doubt = checked["warnings"][0]["text"].as_str().unwrap();
+    assert!(doubt.contains(&format!("it will vibrate at about {hz:.0} Hz unless")), "{doubt}");
+}
+
 #[test]
 fn a_picture_is_written_as_svg_and_png() {
     let folder = tempfile::tempdir().unwrap();

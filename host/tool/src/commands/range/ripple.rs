@@ -6,8 +6,10 @@ use haptic_host::device_file::DeviceFile;
 use haptic_host::error::Failure;
 use haptic_predict::ripple::{Along, LIGHT_HAND, PUSH_N, Pressed, Ripple};
 use haptic_stability::analysis::line::DampingRule;
+use haptic_stability::analysis::oscillation::Oscillation;
 use haptic_stability::analysis::prediction::Prediction;
 use haptic_stability::analysis::sampled::Mode;
+use haptic_stability::analysis::several::Member;
 use haptic_stability::sweep::Sweep;
 use std::fmt::Write;
 
@@ -47,6 +49,17 @@ struct StepsOfWall {
     full: Ripple,
     #[serde(skip_serializing_if = "Option::is_none")]
     washout: Option<Ripple>,
+    /// Predicted, of the loop whose range is printed: without the light hand.
+    swings: Swings,
+}
+
+/// What dies out most slowly in each mode, or builds up.
+#[derive(serde::Serialize)]
+struct Swings {
+    off: Option<Oscillation>,
+    full: Option<Oscillation>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    washout: Option<Oscillation>,
 }
 
 /// The effect of encoder steps on the walls that were asked for.
@@ -124,7 +137,12 @@ pub fn stepped(
                     .remedy("write N/m and N s/m, such as 5000,150"));
             }
             let of = |mode| pressed.ripple(mode, wall[0], wall[1]).ok_or_else(unseen);
+            let alone = [Member::new(pressed.normal.clone(), 1.0)];
+            let swing = |mode| prediction.buzz(&pressed.q, &alone, mode, wall[0], wall[1]);
+            let swings =
+                Swings { off: swing(Mode::Off)?, full: swing(Mode::Full)?, washout: washout.map_or(Ok(None), swing)? };
             Some(StepsOfWall {
+                swings,
                 step_n: pressed.step_n(wall[0], wall[1]).ok_or_else(unseen)?,
                 off: of(Mode::Off)?,
                 full: of(Mode::Full)?,
@@ -170,7 +188,7 @@ impl Steps {
             }
         }
         if let Some(wall) = &self.wall {
-            let mut row = |label: &str, ripple: &Ripple| {
+            let mut row = |label: &str, ripple: &Ripple, swing: &Option<Oscillation>| {
                 let _ = match (ripple.rms_n, ripple.peak_n, ripple.motion_m) {
                     (Some(rms), Some(peak), Some(motion)) => writeln!(
                         text,
@@ -181,11 +199,15 @@ impl Steps {
                     ),
                     _ => writeln!(text, "  {label:<18} {} N/m, {} N s/m: the tip flies off", ripple.kp, ripple.kd),
                 };
+                if let Some(Oscillation { hz, growth_per_s }) = swing.filter(Oscillation::grows) {
+                    let _ =
+                        writeln!(text, "  {:18} predicted to buzz at {hz:.1} Hz, growing by {growth_per_s:.1}/s", "");
+                }
             };
-            row("no feed-forward", &wall.off);
-            row("feed-forward (4)", &wall.full);
+            row("no feed-forward", &wall.off, &wall.swings.off);
+            row("feed-forward (4)", &wall.full, &wall.swings.full);
             if let Some(washout) = &wall.washout {
-                row("washout", washout);
+                row("washout", washout, &wall.swings.washout);
             }
             let _ = writeln!(text, "  one count alone changes that wall's force by up to {:.3} N", wall.step_n);
         }

@@ -7,7 +7,9 @@ use haptic_bridge::model::description::{Description, EncoderAt, Joint};
 use haptic_host::words::percent;
 use haptic_stability::analysis::host::HostWall;
 use haptic_stability::analysis::passivity::Passivity;
-use haptic_stability::analysis::range::{COSTLY_RATIO, Domain, Island, Range, WORTHWHILE_RATIO, lower_corner};
+use haptic_stability::analysis::range::{
+    BoundaryPoint, COSTLY_RATIO, Domain, Island, Range, WORTHWHILE_RATIO, lower_corner,
+};
 use haptic_stability::analysis::why::{Both, Limits, Why};
 use std::fmt::Write;
 
@@ -93,10 +95,12 @@ pub fn readable(
     }
     line(String::new());
     let felt = if range.transmissions.is_some() { format!("{:>14}", "felt N/m") } else { String::new() };
-    line(format!("  {:<26}{:>14}{felt}{:>14}{:>18}", "", "max kp N/m", "kd_max N s/m", "area N²s/m²"));
+    line(format!("  {:<26}{:>14}{felt}{:>10}{:>14}{:>18}", "", "max kp N/m", "buzz Hz", "kd_max N s/m", "area N²s/m²"));
+    let buzz = |point: &BoundaryPoint| point.hz.map_or("-".into(), |hz| format!("{hz:.1}"));
     let mut row = |label: &str, domain: &Domain| {
         let felt = domain.top.felt.map_or(String::new(), |felt| format!("{felt:>14.2}"));
-        line(format!("  {label:<26}{:>14.2}{felt}{:>14.4}{:>18.6e}", domain.top.kp, domain.kd_max, domain.area));
+        let (top, kd_max, area) = (&domain.top, domain.kd_max, domain.area);
+        line(format!("  {label:<26}{:>14.2}{felt}{:>10}{kd_max:>14.4}{area:>18.6e}", top.kp, buzz(top)));
     };
     row("no feed-forward", &range.off);
     row("feed-forward (4)", &range.full);
@@ -109,6 +113,7 @@ pub fn readable(
     if args.kd.is_some() {
         line("  max kp: of the dampings asked for; without --kd that of the whole range".into());
     }
+    line("  buzz: the frequency at which a stiffer wall begins to buzz; - where nothing is stable, or it creeps".into());
     line(String::new());
     // A dozen rows are enough to read; --json gives the rest.
     let step = if args.kd.is_some() { 1 } else { (range.off.boundary.len() / 12).max(1) };
@@ -120,7 +125,7 @@ pub fn readable(
     ];
     let columns = || domains.iter().filter_map(|(name, domain)| Some((name, domain.as_ref()?)));
     line(columns().fold(" ".into(), |row, (name, _)| {
-        format!("{row} {:>12}{:>14}", format!("kd {name}"), format!("kp_max {name}"))
+        format!("{row} {:>12}{:>14}{:>7}", format!("kd {name}"), format!("kp_max {name}"), "Hz")
     }));
     let nothing = args.kd.is_none() && columns().all(|(_, domain)| domain.kd_max == 0.0);
     let rows = if nothing { 0 } else { range.off.boundary.len() };
@@ -128,7 +133,7 @@ pub fn readable(
         line(
             columns()
                 .filter_map(|(_, domain)| domain.boundary.get(index))
-                .fold(" ".into(), |row, point| format!("{row} {:>12.4}{:>14.2}", point.kd, point.kp)),
+                .fold(" ".into(), |row, point| format!("{row} {:>12.4}{:>14.2}{:>7}", point.kd, point.kp, buzz(point))),
         );
     }
     line(String::new());
