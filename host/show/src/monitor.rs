@@ -116,6 +116,7 @@ pub fn run(hub: &Hub, stop: &AtomicBool) -> io::Result<()> {
 }
 
 fn watch(terminal: &mut ratatui::DefaultTerminal, hub: &Hub, id: PageId, stop: &AtomicBool) -> io::Result<()> {
+    let plain = is_plain(|name| std::env::var(name).ok());
     let mut seen = Seen::default();
     let mut held = HeldKey::default();
     let mut here = Instant::now();
@@ -164,11 +165,28 @@ fn watch(terminal: &mut ratatui::DefaultTerminal, hub: &Hub, id: PageId, stop: &
             say(FromPage::Here {});
         }
         if news {
-            terminal.draw(|frame| screen::draw(frame, &seen))?;
+            terminal.draw(|frame| {
+                screen::draw(frame, &seen);
+                if plain {
+                    screen::in_ascii(frame.buffer_mut());
+                }
+            })?;
         }
         event::poll(LOOK)?;
     }
     Ok(())
+}
+
+/// Returns true if a terminal shows ASCII alone, by its environment: the first of the locale's variables that is set
+/// decides, as it does for other programs, and two kinds of terminal have no Braille.
+fn is_plain(variable: impl Fn(&str) -> Option<String>) -> bool {
+    if matches!(variable("TERM").as_deref(), Some("dumb" | "linux")) {
+        return true;
+    }
+    let set = |name: &&str| variable(name).filter(|value| !value.is_empty());
+    let locale = ["LC_ALL", "LC_CTYPE", "LANG"].iter().find_map(set).unwrap_or_default().to_lowercase();
+    // Windows has none of them.
+    !cfg!(windows) && !(locale.contains("utf-8") || locale.contains("utf8"))
 }
 
 /// Returns true if a key ends the display: `q`, Ctrl-C, Ctrl-D.
@@ -211,6 +229,20 @@ fn pressed(seen: &mut Seen, key: &KeyEvent) -> Vec<FromPage> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    #[cfg(not(windows))]
+    fn a_terminal_without_utf_8_gets_ascii() {
+        let of = |set: &[(&str, &str)]| {
+            is_plain(|name| set.iter().find(|(known, _)| *known == name).map(|(_, value)| value.to_string()))
+        };
+        assert!(of(&[]) && of(&[("LC_ALL", "C")]) && of(&[("LC_ALL", "C"), ("LANG", "en_GB.UTF-8")]));
+        assert!(of(&[("LANG", "de_DE@euro")]) && of(&[("LC_CTYPE", "POSIX"), ("LANG", "en_GB.UTF-8")]));
+        for utf8 in ["en_GB.UTF-8", "C.utf8"] {
+            assert!(!of(&[("LC_ALL", ""), ("LANG", utf8), ("TERM", "xterm")]), "{utf8}");
+            assert!(of(&[("LC_ALL", utf8), ("TERM", "dumb")]) && of(&[("LC_ALL", utf8), ("TERM", "linux")]));
+        }
+    }
 
     #[test]
     fn only_a_key_that_repeats_arms_and_one_that_stops_lets_go() {

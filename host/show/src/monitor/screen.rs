@@ -3,9 +3,11 @@
 
 use super::seen::{Seen, Trace, WallSeen, number, numbers};
 use crate::outline::Outline;
+use crate::plot::signals::quantity;
 use haptic_host::words::with_unit;
 use haptic_host::words::{bytes_in_words, short};
 use ratatui::Frame;
+use ratatui::buffer::Buffer;
 use ratatui::layout::{Constraint, Layout, Rect};
 use ratatui::style::{Color, Modifier, Style};
 use ratatui::symbols::Marker;
@@ -25,21 +27,22 @@ pub fn draw(frame: &mut Frame<'_>, seen: &Seen) {
     let keys = Paragraph::new(KEYS).wrap(Wrap { trim: true }).style(Style::new().fg(Color::DarkGray));
     let keys_high = if area.height < 18 { 0 } else { (KEYS.chars().count() as u16).div_ceil(area.width.max(1)) + 1 };
     let said_high = if seen.said.is_some() || seen.lost.is_some() || !seen.picture["fault"].is_null() { 2 } else { 0 };
-    let told_of_gains = gains_in_words(seen);
+    let (told_of_gains, unstable) = gains_in_words(seen);
     let gains_high = lines_of(&told_of_gains, area.width);
     let numbers_high = 2 + u16::from(area.width < 100);
-    let [head, said, middle, gains, below, foot] = Layout::vertical([
-        Constraint::Length(1),
-        Constraint::Length(said_high),
-        Constraint::Fill(1),
-        Constraint::Length(gains_high),
-        Constraint::Length(numbers_high),
-        Constraint::Length(keys_high),
-    ])
-    .areas(area);
+    // A layout that does not fit shrinks what it likes, the line of the motors too: what comes first here has its room.
+    let mut left = area.height;
+    let [head, said, gains, below, foot] = [1, said_high, gains_high, numbers_high, keys_high].map(|wanted| {
+        let high = wanted.min(left);
+        left -= high;
+        high
+    });
+    let [head, said, middle, gains, below, foot] =
+        Layout::vertical([head, said, left, gains, below, foot].map(Constraint::Length)).areas(area);
+    let alarm = if unstable { Style::new().fg(Color::Red).add_modifier(Modifier::BOLD) } else { Style::new() };
     frame.render_widget(Paragraph::new(state(seen, area.width)), head);
     frame.render_widget(Paragraph::new(words(seen)).wrap(Wrap { trim: true }), said);
-    frame.render_widget(Paragraph::new(told_of_gains).wrap(Wrap { trim: true }), gains);
+    frame.render_widget(Paragraph::new(told_of_gains).style(alarm).wrap(Wrap { trim: true }), gains);
     frame.render_widget(Paragraph::new(told(seen)).wrap(Wrap { trim: true }), below);
     frame.render_widget(keys, foot);
     if middle.height < 6 {
@@ -78,14 +81,15 @@ fn lines_of(words: &str, width: u16) -> u16 {
 fn state(seen: &Seen, width: u16) -> Line<'_> {
     let device = seen.hello["device"].as_str().unwrap_or("no board yet");
     let badge = |words, colour| Span::styled(format!(" {words} "), Style::new().bg(colour).fg(Color::Black));
-    let state = match (seen.lost.is_some(), seen.picture["state"].as_str()) {
-        (true, _) => badge("no connection", Color::Red),
-        (_, Some("Armed")) => badge("motors on", Color::Green),
-        (_, Some("Fault")) => badge("fault", Color::Red),
-        (_, Some("CheckingPolarity")) => badge("checking polarity", Color::Yellow),
-        (_, Some(_)) => badge("motors off", Color::Gray),
-        (_, None) => badge("waiting", Color::Gray),
+    let (words, short, colour) = match (seen.lost.is_some(), seen.picture["state"].as_str()) {
+        (true, _) => ("no connection", "lost", Color::Red),
+        (_, Some("Armed")) => ("motors on", "on", Color::Green),
+        (_, Some("Fault")) => ("fault", "fault", Color::Red),
+        (_, Some("CheckingPolarity")) => ("checking polarity", "check", Color::Yellow),
+        (_, Some(_)) => ("motors off", "off", Color::Gray),
+        (_, None) => ("waiting", "wait", Color::Gray),
     };
+    let state = badge(if usize::from(width) < words.len() + 2 { short } else { words }, colour);
     let role = match (seen.commands(), seen.picture["command"].is_null()) {
         (true, _) => "you command",
         (_, true) => "nobody commands",
@@ -118,23 +122,32 @@ fn words(seen: &Seen) -> Line<'_> {
     }
 }
 
-fn gains_in_words(seen: &Seen) -> String {
+/// The wall at hand, and whether its gains are predicted to be unstable.
+fn gains_in_words(seen: &Seen) -> (String, bool) {
     let spring = match seen.springs.len() {
         0 => String::new(),
         count => format!("; {}", haptic_host::words::counted(count, "spring")),
     };
     match seen.walls.get(seen.wall) {
-        None => format!("no wall in this scene{spring}"),
+        None => (format!("no wall in this scene{spring}"), false),
         Some(WallSeen { shape, stiffness, damping, feed_forward, .. }) => {
+            let limit = seen.stable_to();
+            let unstable = limit.is_some_and(|(most, _)| f64::from(*stiffness) > most);
             let (stiffness, damping) = (short(*stiffness), short(*damping));
             let which = seen.wall;
-            let most = seen
-                .stable_to()
-                .map_or(String::new(), |most| format!(" · predicted stable up to {}", with_unit(most, "N/m")));
-            format!(
-                "wall {which} ({shape}): {stiffness} N/m, {damping} N s/m, feed-forward {}{most}{spring}",
-                feed_forward.name()
-            )
+            // A word and a sign first, for who sees no colours or little of the line.
+            let mark = if unstable { "! UNSTABLE: " } else { "" };
+            let most = match limit {
+                Some((0.0, _)) => " · predicted stable at no stiffness with this damping".into(),
+                Some((most, hz)) => {
+                    let buzz =
+                        hz.filter(|_| unstable).map_or(String::new(), |hz| format!(", buzzing at about {hz:.0} Hz"));
+                    format!(" · predicted stable up to {}{buzz}", with_unit(most, "N/m"))
+                }
+                None => String::new(),
+            };
+            let gains = format!("{stiffness} N/m, {damping} N s/m, feed-forward {}", feed_forward.name());
+            (format!("{mark}wall {which} ({shape}): {gains}{most}{spring}"), unstable)
         }
     }
 }
@@ -291,21 +304,143 @@ fn signal(frame: &mut Frame<'_>, area: Rect, seen: &Seen, plot: usize) {
         .graph_type(GraphType::Line)
         .data(&points)
         .style(Style::new().fg(if plot == 0 { Color::Cyan } else { Color::Yellow }));
-    let ends = |value: f64| format!("{value:.4}");
-    let title = format!(" {}: {name}, {} to {} ", plot + 1, ends(low), ends(high));
+    let unit = quantity(name).unit;
+    let with = |value: f64| with_unit(value, &unit);
+    let title = format!(" {}: {name}, {} to {} ", plot + 1, with(low), with(high));
+    let (bottom, top) = (low - room, high + room);
     let window = if seconds < 1.0 { format!("{:.0} ms", 1e3 * seconds) } else { format!("{seconds} s") };
     let chart = Chart::new(vec![dataset])
         .block(Block::bordered().title(title))
         .x_axis(Axis::default().bounds([-seconds, 0.0]).labels([format!("-{window}"), "now".into()]))
-        .y_axis(Axis::default().bounds([low - room, high + room]));
+        .y_axis(Axis::default().bounds([bottom, top]).labels([bottom, 0.5 * (bottom + top), top].map(with)));
     frame.render_widget(chart, area);
 }
+
+/// The same with nothing but ASCII, for terminals that show no other characters: a cell of dots becomes one that says
+/// whether they are above, below or both.
+pub fn in_ascii(buffer: &mut Buffer) {
+    for cell in &mut buffer.content {
+        let Some(symbol) = cell.symbol().chars().next().filter(|symbol| !symbol.is_ascii()) else { continue };
+        let plain = match symbol {
+            '\u{2800}' => " ",
+            '\u{2801}'..='\u{28ff}' => match (symbol as u32 & UPPER_DOTS > 0, symbol as u32 & LOWER_DOTS > 0) {
+                (true, false) => "'",
+                (false, _) => ".",
+                (true, true) => ":",
+            },
+            '│' | '·' => "|",
+            '─' | '–' => "-",
+            '┌' | '┐' | '└' | '┘' => "+",
+            'µ' => "u",
+            '●' | '•' => "*",
+            _ => "?",
+        };
+        cell.set_symbol(plain);
+    }
+}
+
+/// The upper four dots of a Braille character, and the lower four.
+const UPPER_DOTS: u32 = 0x1b;
+const LOWER_DOTS: u32 = 0xe4;
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use ratatui::Terminal;
     use ratatui::backend::TestBackend;
+
+    /// A board before a wall of 8700 N/m whose boundary ends lower or higher, with two traces.
+    fn seen(state: &str, most: f64) -> Seen {
+        let mut seen = Seen::default();
+        for text in [
+            r#"{"is":"hello","device":"five-bar","task":2,"simulated":true,"rows_hz":1000,"columns":["rendered_n","distance_m"]}"#
+                .to_string(),
+            r#"{"is":"walls","walls":[{"shape":"plane","values":[0,0,0,0,1,0],"stiffness":8700,"damping":80,
+                "feed_forward":"off","outline":{"is":"line","at":[0,0.1],"normal":[0,1]}}],"springs":[]}"#
+                .to_string(),
+            format!(
+                r#"{{"is":"plane","plane":{{"wall":0,"w_eff":0.2,"w_rr":0.3,"full":[],"washout":[],"off":[
+                    {{"kd":0,"kp":{most},"hz":70}},{{"kd":100,"kp":{most},"hz":70}}]}}}}"#
+            ),
+            format!(
+                r#"{{"is":"picture","state":"{state}","command":null,"numbers":{{}},
+                    "geometry":{{"tip":[0.02,0.1],"bars":[[[0,0],[0.02,0.1]]],"base":[[0,0]],"springs":[],"force":[0,2]}}}}"#
+            ),
+        ] {
+            seen.hear(&text);
+        }
+        let ramp = |low: f32| (0..50).map(|i| (low + 0.1 * i as f32, low + 0.1 * i as f32)).collect();
+        seen.traces = vec![Trace { columns: ramp(-2.0) }, Trace { columns: ramp(0.001) }];
+        seen
+    }
+
+    fn drawn(seen: &Seen, width: u16, height: u16) -> Buffer {
+        let mut terminal = Terminal::new(TestBackend::new(width, height)).unwrap();
+        terminal.draw(|frame| draw(frame, seen)).unwrap();
+        terminal.backend().buffer().clone()
+    }
+
+    fn text(buffer: &Buffer) -> String {
+        let rows = buffer.content.chunks(usize::from(buffer.area.width).max(1));
+        rows.map(|row| row.iter().map(|cell| cell.symbol()).collect::<String>() + "\n").collect()
+    }
+
+    #[test]
+    fn gains_beyond_the_boundary_are_marked_by_a_word_and_a_colour() {
+        for (most, unstable) in [(6000.0, true), (0.0, true), (9000.0, false)] {
+            for (width, height) in [(120, 40), (80, 24), (44, 8), (20, 5)] {
+                let buffer = drawn(&seen("Armed", most), width, height);
+                assert_eq!(
+                    text(&buffer).contains("! UNSTABLE"),
+                    unstable,
+                    "{most} {width}x{height}\n{}",
+                    text(&buffer)
+                );
+                let red = buffer.content.iter().any(|cell| cell.symbol() == "8" && cell.fg == Color::Red);
+                assert_eq!(red, unstable, "{most} {width}x{height}");
+            }
+        }
+        let words = |most: f64| text(&drawn(&seen("Armed", most), 160, 40));
+        assert!(words(6000.0).contains("stable up to 6.00 kN/m, buzzing at about 70 Hz"), "{}", words(6000.0));
+        assert!(words(0.0).contains("stable at no stiffness") && !words(9000.0).contains("buzzing"));
+    }
+
+    #[test]
+    fn the_motors_state_is_there_at_every_size() {
+        for (state, words, short) in [("Armed", " motors on ", " on "), ("Disarmed", " motors off ", " off ")] {
+            let mut seen = seen(state, 6000.0);
+            for said in [None, Some(("a message of some length".to_string(), true))] {
+                seen.said = said;
+                for (width, height) in [(160, 50), (80, 24), (40, 12), (39, 6), (20, 5), (20, 1), (12, 5), (5, 1)] {
+                    let text = text(&drawn(&seen, width, height));
+                    let first = text.lines().next().unwrap();
+                    assert!(first.contains(if width < 12 { short } else { words }), "{width}x{height}\n{text}");
+                }
+            }
+        }
+        drawn(&seen("Armed", 1.0), 0, 0);
+    }
+
+    #[test]
+    fn the_plots_have_axes_with_units() {
+        let text = text(&drawn(&seen("Armed", 6000.0), 120, 40));
+        for label in ["│-2.25 N│", "│3.15 N │", "1: rendered_n, -2.00 N to 2.90 N", "2: distance_m, 1.00 mm to 4.90 m"]
+        {
+            assert!(text.contains(label), "{label} in\n{text}");
+        }
+    }
+
+    #[test]
+    fn without_other_characters_the_screen_is_ascii() {
+        let mut buffer = drawn(&seen("Armed", 6000.0), 120, 40);
+        let before = text(&buffer);
+        in_ascii(&mut buffer);
+        let text = text(&buffer);
+        assert!(text.is_ascii() && !text.contains('?'), "{text}");
+        let dots = |text: &str, dots: &dyn Fn(char) -> bool| text.chars().filter(|c| dots(*c)).count();
+        let braille = dots(&before, &|c| ('\u{2801}'..='\u{28ff}').contains(&c));
+        assert!(braille > 100 && dots(&text, &|c| "'.:".contains(c)) >= braille, "{text}");
+    }
 
     /// The wall of a paddle crosses the arc of its tip, and its solid side is dotted, as other walls are.
     #[test]

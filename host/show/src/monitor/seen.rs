@@ -145,11 +145,15 @@ impl Seen {
     }
 
     /// The largest stiffness (N/m) that is predicted to be stable with the damping and the feed-forward of the wall at
-    /// hand; none where that wall is not the nearest, or its boundary not worked out.
-    pub fn stable_to(&self) -> Option<f64> {
+    /// hand, and the frequency (Hz) at which a stiffer one begins to buzz; none where that wall is not the nearest, or
+    /// its boundary not worked out.
+    pub fn stable_to(&self) -> Option<(f64, Option<f64>)> {
         let wall = self.walls.get(self.wall).filter(|_| self.plane["wall"] == self.wall)?;
         let plane: Plane = serde_json::from_value(self.plane.clone()).ok()?;
-        Some(plane.stiffness_to(wall.feed_forward, f64::from(wall.damping)))
+        let damping = f64::from(wall.damping);
+        let boundary = plane.boundary(wall.feed_forward);
+        let beside = boundary.get(boundary.partition_point(|point| point.kd < damping));
+        Some((plane.stiffness_to(wall.feed_forward, damping), beside.and_then(|point| point.hz)))
     }
 
     /// Draws the next signal in one of the plots.

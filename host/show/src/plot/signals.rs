@@ -198,7 +198,7 @@ const SLOW_HZ: f64 = 10.0;
 const FLOOR: f64 = 1e-6;
 
 /// Unit and name of a column by its label; what this tool does not know has none.
-fn quantity(label: &str) -> Quantity {
+pub(crate) fn quantity(label: &str) -> Quantity {
     let known = columns(Fields::ALL, MAX_JOINTS);
     let unit = known.iter().find(|column| column.label == label).map_or("", |column| column.field.unit());
     let unit = if label == "time_s" { "s" } else { unit };

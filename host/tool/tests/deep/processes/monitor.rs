@@ -44,7 +44,7 @@ impl Terminal {
         tcsetwinsize(&master, size(rows, columns)).unwrap();
         let mut command = Command::new("setsid");
         command.args(["--ctty", "--wait"]).arg(assert_cmd::cargo::cargo_bin("haptic")).args(arguments);
-        command.env("TERM", "xterm-256color").env_remove("HAPTIC_PORT");
+        command.env("TERM", "xterm-256color").env("LC_ALL", "C.UTF-8").env_remove("HAPTIC_PORT");
         let end = || Stdio::from(slave.try_clone().unwrap());
         let child = command.stdin(end()).stdout(end()).stderr(end()).spawn().unwrap();
         Self { master, screen: vt100::Parser::new(size_of(rows), size_of(columns), 0), child, holding: None }
