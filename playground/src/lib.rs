@@ -8,7 +8,8 @@
 //! A board behind a serial port of the browser is spoken to by the tool's own client, which waits for answers. Where it
 //! waits, the browser suspends this library until bytes have come (JavaScript Promise Integration). Until then nothing
 //! that may wait is called again ([`open_board`], [`turn`], [`finish`]); [`said`] and [`room`] may be, and what the
-//! page says goes to the hub meanwhile, as it does in the tool.
+//! page says goes to the hub meanwhile, as it does in the tool. A page that stands still carries no bytes either, so the
+//! stage waits as long as the page is silent, and cannot know: [`said`] sees it by the page's own clock.
 //!
 //! Numbers are all that can be handed over, so text and bytes lie in one buffer: who calls [`room`] writes it,
 //! everything else leaves its answer there.
@@ -21,6 +22,7 @@ use haptic_host::link::Board;
 use haptic_host::scene_file::SceneFile;
 use haptic_show::view::hub::{Hub, Message, PageId};
 use haptic_show::view::message::FromPage;
+use haptic_show::view::stage::SILENCE;
 use haptic_show::view::{Stage, Turn, World};
 use std::cell::RefCell;
 use std::collections::VecDeque;
@@ -92,6 +94,24 @@ struct Page {
     id: PageId,
     /// Messages that it has not fetched.
     waiting: VecDeque<Message>,
+    /// It carries the bytes of a board.
+    carries: bool,
+    /// When it last said that its key is down, by its own clock.
+    held: Duration,
+}
+
+impl Page {
+    /// Takes in what it says at a time of its own clock.
+    fn says(&mut self, at: Duration, mut message: Result<FromPage, String>) {
+        let before = match message {
+            Ok(FromPage::Arm { .. } | FromPage::Hold { .. }) => std::mem::replace(&mut self.held, at),
+            _ => at,
+        };
+        if matches!(message, Ok(FromPage::Hold { .. })) && self.carries && at.saturating_sub(before) > SILENCE {
+            message = Ok(FromPage::Release {});
+        }
+        self.hub.said(self.id, message);
+    }
 }
 
 thread_local! {
@@ -115,8 +135,9 @@ fn begin(world: Result<World, Failure>) -> bool {
     let begun = world.and_then(|world| {
         let hub = Hub::default();
         let id = hub.come().ok_or_else(|| Failure::impossible("no page is let in"))?;
+        let carries = world.simulated.is_none();
         STAGE.replace(Some(Stage::open(world, hub.clone(), None, None)?));
-        PAGE.replace(Some(Page { hub, id, waiting: VecDeque::new() }));
+        PAGE.replace(Some(Page { hub, id, waiting: VecDeque::new(), carries, held: Duration::ZERO }));
         Ok(())
     });
     begun.map_err(|failure| answer(failure.to_string())).is_ok()
@@ -169,20 +190,23 @@ pub extern "C" fn finish(lost: bool) {
     }
 }
 
-/// Takes in what the page says.
+/// Takes in what the page says, by its clock at so many milliseconds.
 #[unsafe(no_mangle)]
-pub extern "C" fn said() {
+pub extern "C" fn said(milliseconds: f64) {
     let text = String::from_utf8(BUFFER.take()).map_err(|_| "not a message of this page: it is no text".to_string());
-    with(&PAGE, |page| page.hub.said(page.id, text.and_then(|text| FromPage::parse(&text))));
+    with(&PAGE, |page| page.says(time(milliseconds), text.and_then(|text| FromPage::parse(&text))));
+}
+
+/// A time that is not finite counts as none.
+fn time(milliseconds: f64) -> Duration {
+    Duration::try_from_secs_f64(1e-3 * milliseconds).unwrap_or_default()
 }
 
 /// Plays a little, `milliseconds` after the beginning: 1, and there may be more to catch up; 0, and simulated time is
 /// where it should be; 2, and it is over: the buffer says why.
 #[unsafe(no_mangle)]
 pub extern "C" fn turn(milliseconds: f64) -> u32 {
-    // A time that is not finite counts as none.
-    let now = Duration::try_from_secs_f64(1e-3 * milliseconds).unwrap_or_default();
-    match with(&STAGE, |stage| stage.turn(now)) {
+    match with(&STAGE, |stage| stage.turn(time(milliseconds))) {
         Some(Ok(Turn::Played)) => 1,
         Some(Ok(Turn::Ahead)) | None => 0,
         Some(Err(error)) => {
@@ -222,8 +246,12 @@ mod tests {
     use haptic_sim::{BoardOptions, SharedBoard, ready_board};
 
     fn say(text: &str) {
+        say_at(0.0, text);
+    }
+
+    fn say_at(milliseconds: f64, text: &str) {
         answer(text);
-        said();
+        said(milliseconds);
     }
 
     /// Plays for so many milliseconds from `from`; the newest picture, and everything that was refused.
@@ -315,6 +343,22 @@ mod tests {
         assert_eq!(other.scene().unwrap().unwrap().walls[0].stiffness, 123.0);
     }
 
+    /// The stage waits for bytes all the while, and of the board it hears of no step: no turn is called in between.
+    #[test]
+    fn a_page_that_stood_still_and_carried_nothing_has_let_go_whatever_it_says_next() {
+        let board = plugged();
+        assert!(open_board());
+        say(r#"{"do":"take"}"#);
+        let (picture, _) = play(0, 100);
+        arm(&picture);
+        play(100, 50);
+        for (milliseconds, state) in [(350.0, State::Armed), (800.0, State::Disarmed), (900.0, State::Disarmed)] {
+            say_at(milliseconds, r#"{"do":"hold","seen":1}"#);
+            turn(150.0);
+            assert_eq!(board.lock().status().state, state, "{milliseconds} ms");
+        }
+    }
+
     #[test]
     fn a_board_is_left_with_its_motors_off_and_one_that_is_pulled_ends_it_in_words() {
         for pulled in [false, true] {
@@ -362,7 +406,7 @@ mod tests {
         say(r#"{"do":"record","on":true}"#);
         say("nonsense");
         answer([0xff]);
-        said();
+        said(0.0);
         let (_, refused) = play(0, 40);
         for words in ["nothing can be recorded here", "not a message of this page", "it is no text"] {
             assert!(refused.iter().any(|text| text.contains(words)), "{words}: {refused:?}");

@@ -21,7 +21,7 @@
   window.playground = () => {
     const choice = Math.max(0, device.selectedIndex), board = port !== null, thread = new Worker(worker);
     const cable = board ? connected(port, thread) : null;
-    const carrier = { readyState: 0, send: text => thread.postMessage(text) };
+    const carrier = { readyState: 0, send: said => thread.postMessage({ said, at: performance.now() }) };
     const close = () => { cable?.pull(); thread.terminate(); };
     leave = () => { carrier.readyState = 3; if (board) thread.postMessage({ over: true }); else close(); };
     const end = why => {

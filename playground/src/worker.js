@@ -36,7 +36,7 @@ onmessage = async first => {
   const waiting = name => board ? WebAssembly.promising(library[name]) : library[name];
   // From the beginning: a board may be talking already.
   onmessage = ({ data }) => {
-    if (typeof data === "string") { putWords(data); library.said(); }
+    if (data.said) { putWords(data.said); library.said(data.at); }
     else if (data.came) { came.push(data.came); wake(); }
     else if ("gone" in data) { gone = data.gone; wake(); }
     else over = true;

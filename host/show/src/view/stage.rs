@@ -46,9 +46,9 @@ use told::{in_words, plane_message};
 
 /// Number of events that are heard in a turn; those that turn motors off come first among them ([`Hub::next`]).
 const EVENTS: usize = 64;
-/// Longest time, by the board's steps, since the page in command saw its key down before the motors go off. It is less
-/// than a board allows ([`haptic_bridge::servo::KEY_SECONDS`]), where it is a fault, by a heartbeat and a turn of this
-/// stage.
+/// Longest time since the page in command saw its key down, by the board's steps, and since it was heard, before the
+/// motors go off. It is less than a board allows ([`haptic_bridge::servo::KEY_SECONDS`]), where it is a fault, by a
+/// heartbeat and a turn of this stage.
 pub const SILENCE: Duration = Duration::from_millis(400);
 /// Longest time that it may be silent at all before others may take command.
 const ABSENCE: Duration = Duration::from_secs(5);
@@ -58,7 +58,7 @@ const PICTURE: Duration = Duration::from_micros(16_600);
 const SWEEP: Duration = Duration::from_millis(40);
 /// Between two looks at what changes slowly.
 const LOOK: Duration = Duration::from_millis(500);
-/// Most simulated time that is caught up after the computer was busy.
+/// Most simulated time that is caught up after the computer was busy, and most that a turn counts as time of listening.
 const CATCH_UP: Duration = Duration::from_millis(50);
 /// Simulated time that passes between two looks at what pages say.
 const SLICE: Duration = Duration::from_millis(8);
@@ -80,8 +80,10 @@ pub enum Turn {
 pub struct Stage {
     world: World,
     hub: Hub,
-    /// Time since it was opened.
+    /// Time since it was opened, and how much of it the stage has listened to pages: all but its own long waits, for
+    /// what was said meanwhile may not be here yet.
     now: Duration,
+    listened: Duration,
     /// When pages last got a picture, a sweep, and what changes slowly.
     shown: Duration,
     swept: Duration,
@@ -105,8 +107,9 @@ pub struct Stage {
     scopes: BTreeMap<PageId, Scope>,
     listeners: Vec<PageId>,
     command: Option<(PageId, Duration)>,
-    /// Of the key that is down, the newest step that its page had been shown.
+    /// Of the key that is down, the newest step that its page had been shown, and when the page was heard, by `listened`.
     held: Option<u32>,
+    key_heard: Duration,
     goal: Option<[f64; 2]>,
     state: State,
     fault: Option<String>,
@@ -153,6 +156,7 @@ impl Stage {
             ring: Ring::new(columns.len(), (1.5 * LONGEST * rows_hz).ceil() as usize),
             hub,
             now,
+            listened: now,
             shown: now,
             swept: now,
             looked: now,
@@ -172,6 +176,7 @@ impl Stage {
             listeners: Vec::new(),
             command: None,
             held: None,
+            key_heard: now,
             goal: None,
             state: State::Disarmed,
             fault: None,
@@ -223,6 +228,7 @@ impl Stage {
     /// Does what is due at `now`, the time since the stage was opened: hears the pages, lets a few milliseconds pass,
     /// shows what there is to see.
     pub fn turn(&mut self, now: Duration) -> Result<Turn, LinkError> {
+        self.listened += now.saturating_sub(self.now).min(CATCH_UP);
         self.now = now;
         for _ in 0..EVENTS {
             let Some(event) = self.hub.next() else { break };
@@ -309,10 +315,12 @@ impl Stage {
         Ok(())
     }
 
-    /// The dead man's key: silence counts as letting go.
+    /// The dead man's key: silence counts as letting go. An emulated board's steps may pass at a part of real time, so
+    /// they alone do not tell; of a board that is simulated here they do, since the stage lets its time pass.
     fn watch_the_key(&mut self) -> Result<(), LinkError> {
         let age = |seen: u32| f64::from(self.world.board.step().wrapping_sub(seen)) / self.scene.rate_hz;
-        if self.held.is_some_and(|seen| age(seen) > SILENCE.as_secs_f64()) {
+        let silent = self.world.simulated.is_none() && self.listened.saturating_sub(self.key_heard) > SILENCE;
+        if self.held.is_some_and(|seen| silent || age(seen) > SILENCE.as_secs_f64()) {
             self.disarm()?;
             self.refuse_all("the page in command was not heard: motors off");
         }
@@ -430,10 +438,11 @@ impl Stage {
             FromPage::Release {} => self.disarm()?,
             FromPage::Arm { seen } if self.held.is_none() => {
                 self.board().arm_held(seen)?;
-                self.held = Some(seen);
+                (self.held, self.key_heard) = (Some(seen), self.listened);
             }
             // Only a press arms: not a key that was down when something else turned the motors off.
             FromPage::Arm { seen } | FromPage::Hold { seen } => {
+                self.key_heard = self.listened;
                 if self.held.is_some_and(|before| before != seen) {
                     self.held = Some(seen);
                     self.board().hold_key(seen)?;

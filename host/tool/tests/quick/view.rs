@@ -237,6 +237,36 @@ fn a_board_lets_go_of_a_key_that_the_stage_no_longer_tells_of() {
     assert_eq!(view.state(), "Disarmed");
 }
 
+/// An emulated board runs at a part of real time, so that half a second of its steps is long. Where the stage itself
+/// stood still, what its page said meanwhile is heard first.
+#[test]
+fn a_page_that_falls_silent_lets_go_of_a_board_that_is_slow_too() {
+    let simulated = World::demo().unwrap().simulated.unwrap();
+    let board = Board::over(simulated.wire(), "a board").unwrap();
+    let mut view = Played::in_command(World::of(board, None), None);
+    view.arm(0);
+    for heard_at_once in [true, false] {
+        view.now += Duration::from_secs(3);
+        if !heard_at_once {
+            view.stage.turn(view.now).unwrap();
+        }
+        view.play(0.3);
+        assert_eq!((view.state(), view.heard(0).refused.len()), ("Armed", 0));
+    }
+    view.pages[0].says = None;
+    let began = simulated.lock().time();
+    for (silent, state) in [(0.3, "Armed"), (0.15, "Disarmed")] {
+        let end = view.now + Duration::from_secs_f64(silent);
+        while view.now < end {
+            view.now += Duration::from_millis(18);
+            view.step();
+        }
+        assert_eq!(view.state(), state, "{:?}", view.heard(0).refused);
+    }
+    assert!(view.heard(0).why().contains("was not heard"), "{}", view.heard(0).why());
+    assert!(simulated.lock().time() - began < 0.3, "a part of real time");
+}
+
 /// Behind a network that is slow both ways a page sees, and says, what has long passed; and so does one that hung.
 #[test]
 fn a_page_that_is_late_by_half_a_second_does_not_arm() {
