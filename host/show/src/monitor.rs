@@ -186,7 +186,7 @@ fn is_plain(variable: impl Fn(&str) -> Option<String>) -> bool {
     let set = |name: &&str| variable(name).filter(|value| !value.is_empty());
     let locale = ["LC_ALL", "LC_CTYPE", "LANG"].iter().find_map(set).unwrap_or_default().to_lowercase();
     // Windows has none of them.
-    !cfg!(windows) && !(locale.contains("utf-8") || locale.contains("utf8"))
+    !(cfg!(windows) || locale.contains("utf-8") || locale.contains("utf8"))
 }
 
 /// Returns true if a key ends the display: `q`, Ctrl-C, Ctrl-D.

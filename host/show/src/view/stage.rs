@@ -38,6 +38,7 @@ use haptic_stability::analysis::prediction::Subject;
 use recording::ActiveRecording;
 use serde_json::json;
 use std::collections::BTreeMap;
+use std::f64::consts::TAU;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
@@ -480,7 +481,13 @@ impl Stage {
     fn start_over(&mut self, id: PageId, simulated: &SharedBoard, pose: Option<Vec<f64>>) -> Result<(), BoardError> {
         let start = match pose {
             None => simulated.lock().device().start(),
-            Some(q) if q.len() == self.device.axes() && TaskPose::of(&self.device.mechanism, &q).is_ok() => padded(&q),
+            Some(q)
+                if q.len() == self.device.axes()
+                    && q.iter().all(|angle| angle.abs() <= TAU)
+                    && TaskPose::of(&self.device.mechanism, &q).is_ok() =>
+            {
+                padded(&q)
+            }
             Some(_) => {
                 self.refuse(id, &format!("a pose is {} angles (rad) that the device can have", self.device.axes()));
                 return Ok(());

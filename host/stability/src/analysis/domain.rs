@@ -363,6 +363,7 @@ mod tests {
     use crate::analysis::plant::Drive;
     use crate::analysis::sampled::LinearEstimator;
     use nalgebra::{DMatrix, DVector};
+    use std::f64::consts::TAU;
 
     fn mass(m: f64, b: f64) -> Linearised {
         Linearised {
@@ -455,5 +456,57 @@ mod tests {
         assert!((found.boundary[0].kp * 1e-6 / low - 1.0).abs() < 1e-9);
         // At k = 0 the double root at one leaves 1: kd_max T/m of the rate loop (z² - (1 - d/2) z + d/2) is 2.
         assert!((found.kd_max * 1e-3 - 2.0).abs() < 1e-6, "{}", found.kd_max);
+    }
+
+    const RATE: f64 = 1000.0;
+
+    /// A joint of 1 kg with a backward difference, no filter and no delay. In units of m/T² and m/T its characteristic
+    /// polynomial is z³ + (k/2 + d/2 - 2) z² + (1 + k/2) z - d/2.
+    fn joint() -> (Linearised, Loop) {
+        let around = Loop {
+            rate_hz: RATE,
+            delay_samples: 0.0,
+            estimator: LinearEstimator::BackwardDifference,
+            drive: Drive::Ideal,
+            damping_compensation: false,
+        };
+        (mass(1.0, 0.0), around)
+    }
+
+    #[test]
+    fn a_joint_swings_as_the_roots_of_its_polynomial_say() {
+        let (device, around) = joint();
+        // Without damping one root is 0, and the pair has |z|² = 1 + k/2 and the sum 2 - k/2.
+        for k in [1e-6, 0.01, 1.0, 3.0] {
+            let found = oscillation(&device, &around, Mode::Off, k * RATE * RATE, 0.0).unwrap().unwrap();
+            let size = (1.0 + k / 2.0_f64).sqrt();
+            let hz = ((1.0 - k / 4.0) / size).acos() * RATE / TAU;
+            assert!((found.hz / hz - 1.0).abs() < 1e-6, "{k}: {found:?} is not {hz} Hz");
+            assert!((found.growth_per_s / (size.ln() * RATE) - 1.0).abs() < 1e-6, "{k}: {found:?}");
+        }
+        // With d = 0.4 and the pair at 0.9 e^{±iθ}, the third root is r = d/2/0.81; the sum of all roots and that of
+        // their products in pairs give θ and k.
+        let (size, d) = (0.9_f64, 0.4_f64);
+        let r = d / 2.0 / (size * size);
+        let cosine = (3.0 - d / 2.0 - r - size * size) / (2.0 * size * (1.0 + r));
+        let k = 2.0 * (2.0 * r * size * cosine + size * size - 1.0);
+        let found = oscillation(&device, &around, Mode::Off, k * RATE * RATE, d * RATE).unwrap().unwrap();
+        assert!((found.hz - cosine.acos() * RATE / TAU).abs() < 1e-9 && k > 0.0, "{found:?}");
+        assert!((found.growth_per_s - size.ln() * RATE).abs() < 1e-9, "{found:?}");
+    }
+
+    #[test]
+    fn the_boundary_says_at_which_frequency_it_buzzes() {
+        let (device, around) = joint();
+        // On the circle the third root is d/2 and cos θ = (2 - d)/(2 + d).
+        let asked: Vec<f64> = [0.0, 0.1, 0.5, 1.9, 2.5].iter().map(|d| d * RATE).collect();
+        let found = domain(&device, &around, Mode::Off, Some(&asked)).unwrap();
+        for (point, d) in found.boundary.iter().zip(&asked).skip(1).take(3) {
+            let d = d / RATE;
+            let hz = ((2.0 - d) / (2.0 + d)).acos() * RATE / TAU;
+            assert!((point.hz.unwrap() / hz - 1.0).abs() < 1e-6, "{point:?} is not at {hz} Hz");
+        }
+        assert_eq!([found.boundary[0].hz, found.boundary[4].hz], [None; 2], "nothing is stable there");
+        assert!(oscillation(&device, &around, Mode::Off, -1.0, 0.0).is_err());
     }
 }

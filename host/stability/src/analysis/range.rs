@@ -5,7 +5,8 @@ use serde::Serialize;
 
 use super::control_loop::{Loop, Mode};
 pub use super::domain::{
-    BOUNDARY_POINTS, BoundaryPoint, Domain, Island, boundary_of, domain, domain_of_several, oscillation, stiffness_at, stiffnesses,
+    BOUNDARY_POINTS, BoundaryPoint, Domain, Island, boundary_of, domain, domain_of_several, oscillation, stiffness_at,
+    stiffnesses,
 };
 use super::error::AnalysisError;
 use super::host::HostWall;

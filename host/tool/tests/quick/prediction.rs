@@ -258,7 +258,8 @@ fn the_wall_of_the_demo_buzzes_at_the_predicted_frequency() {
         let around = Loop::through(&TorquePath::usual(demo.rate_hz), demo.rate_hz, LinearEstimator::Butterworth(100.0));
         let prediction = Prediction::new(Subject::new(&demo.file.description).unwrap(), around);
         let wall = Member::new(demo.normal.to_vec(), 1.0);
-        let buzz = |mode| prediction.buzz(demo.q(), &[wall.clone()], mode, stiffness, damping).unwrap().unwrap();
+        let buzz =
+            |mode| prediction.buzz(demo.q(), std::slice::from_ref(&wall), mode, stiffness, damping).unwrap().unwrap();
         let (off, washout) = (buzz(Mode::Off), buzz(Mode::Washout(demo.washout_hz)));
         assert!(off.growth_per_s > washout.growth_per_s && off.growth_per_s > 0.0, "{off:?} {washout:?}");
         assert!((measured / off.hz - 1.0).abs() < 0.13, "{stiffness} N/m buzzes at {measured} Hz and not {}", off.hz);

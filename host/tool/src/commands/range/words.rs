@@ -113,7 +113,9 @@ pub fn readable(
     if args.kd.is_some() {
         line("  max kp: of the dampings asked for; without --kd that of the whole range".into());
     }
-    line("  buzz: the frequency at which a stiffer wall begins to buzz; - where nothing is stable, or it creeps".into());
+    line(
+        "  buzz: the frequency at which a stiffer wall begins to buzz; - where nothing is stable, or it creeps".into(),
+    );
     line(String::new());
     // A dozen rows are enough to read; --json gives the rest.
     let step = if args.kd.is_some() { 1 } else { (range.off.boundary.len() / 12).max(1) };
