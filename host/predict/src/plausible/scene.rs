@@ -228,7 +228,7 @@ pub fn meets(
 }
 
 /// The largest motion of the tip along a normal in one encoder count, m.
-fn count_along(device: &Device<f64>, pose: &TaskPose, normal: &[f64]) -> f64 {
+pub fn count_along(device: &Device<f64>, pose: &TaskPose, normal: &[f64]) -> f64 {
     let per_radian = pose.jacobian.tr_mul(&padded_to(pose.jacobian.nrows(), normal));
     let moved = per_radian.iter().zip(&device.joints).map(|(move_, joint)| (move_ * joint.radians_per_count).abs());
     moved.fold(0.0, f64::max)

@@ -65,6 +65,8 @@ pub enum FromPage {
         #[serde(default)]
         pose: Option<Vec<f64>>,
     },
+    /// Say what limits the stiffness of the nearest wall: with the next boundary.
+    Explain {},
     /// Settings of this page's oscilloscope.
     Scope(ScopeRequest),
     /// Begin or end a recording, in the folder of the tool.
@@ -133,6 +135,7 @@ mod tests {
             r#"{"do":"hold"}"#,
             r#"{"do":"hold","seen":-1}"#,
             r#"{"do":"hold","seen":1,"x":1}"#,
+            r#"{"do":"explain","wall":0}"#,
             r#"{"do":"sound"}"#,
             r#"{"do":"sound","on":1}"#,
             r#"{"do":"sound","on":true,"and":1}"#,

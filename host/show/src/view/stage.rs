@@ -401,6 +401,10 @@ impl Stage {
         match &message {
             FromPage::Here {} => return Ok(()),
             FromPage::Disarm {} => return Ok(self.disarm()?),
+            FromPage::Explain {} => {
+                self.oracle.explain();
+                return Ok(());
+            }
             FromPage::Take {} if self.command.is_none() => {
                 self.command = Some((id, self.now));
                 return Ok(());
@@ -471,6 +475,7 @@ impl Stage {
             FromPage::Here {}
             | FromPage::Disarm {}
             | FromPage::Take {}
+            | FromPage::Explain {}
             | FromPage::Scope(_)
             | FromPage::Sound { .. } => {}
         }

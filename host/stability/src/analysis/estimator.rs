@@ -218,7 +218,7 @@ impl LinearEstimator {
     }
 
     /// Its name on a command line, and the number of samples over which it takes the difference.
-    pub(super) fn name_and_window(self) -> (&'static str, usize) {
+    pub fn name_and_window(self) -> (&'static str, usize) {
         match self {
             Self::BackwardDifference => ("backward-difference", 1),
             Self::FirstOrder(_) => ("first-order", 1),

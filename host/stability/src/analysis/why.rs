@@ -136,6 +136,20 @@ fn cases(device: &Linearised, around: &Loop) -> Vec<(&'static str, &'static str,
     cases
 }
 
+/// The limits for one kind of feed-forward with everything, and without each effect in turn: its name, the condition that
+/// replaces it, and the limits then. In the order of [`why`].
+pub fn limits_without(
+    device: &Linearised,
+    around: &Loop,
+    mode: Mode,
+) -> Result<(Option<Limits>, Vec<(&'static str, &'static str, Option<Limits>)>), AnalysisError> {
+    let limits = |device: &Linearised, around: &Loop| Limits::of(domain(device, around, mode, None));
+    let without = cases(device, around)
+        .into_iter()
+        .map(|(effect, instead, (device, around))| Ok((effect, instead, limits(&device, &around)?)));
+    Ok((limits(device, around)?, without.collect::<Result<_, AnalysisError>>()?))
+}
+
 /// The share that each effect takes of the boundary of `device` in `around`; the order is always the same.
 pub fn why(device: &Linearised, around: &Loop, sweep: &Sweep) -> Result<Why, Failure> {
     let mut all = vec![("", "", (device.clone(), around.clone()))];

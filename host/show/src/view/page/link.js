@@ -140,7 +140,7 @@ function picture(p) {
   if (p.fault && (p.fault !== view.fault || !$("notice").classList.contains("shown"))) notice("Fault: " + p.fault);
   if (!p.fault && view.fault) notice("");
   view.fault = p.fault;
-  coach(p); compared(p);
+  coach(p); compared(p); markGains(p);
   const n = p.numbers, inside = n.depth > 0;
   const shown = [
     ["Force", unit(n.force, "N")], ["Depth", inside ? unit(n.depth, "m") : "outside"], ["Sideways push", unit(n.sideways, "N")],

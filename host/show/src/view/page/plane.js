@@ -8,7 +8,7 @@ function gainsShown(anew) {
   view.wall = Math.min(view.wall, Math.max(0, count - 1)); $("wall").value = view.wall;
   const wall = view.walls[view.wall]; if (!wall) return;
   for (const id of ["stiffness", "damping"]) if (anew || document.activeElement !== $(id)) $(id).value = +wall[id].toPrecision(4);
-  for (const mode of MODES) $("ff-" + mode).classList.toggle("on", wall.feed_forward === mode);
+  for (const mode of MODES) { const on = wall.feed_forward === mode; $("ff-" + mode).classList.toggle("on", on); $("ff-" + mode).setAttribute("aria-pressed", on); }
   requestDraw();
 }
 function sendGains(change, throttled) {
@@ -19,47 +19,190 @@ function sendGains(change, throttled) {
 for (const mode of MODES) $("ff-" + mode).onclick = () => sendGains({ feed_forward: mode });
 for (const id of ["stiffness", "damping"]) $(id).onchange = () => { const value = $(id).valueAsNumber; if (value >= 0) sendGains({ [id]: value }); };
 $("wall").onchange = () => { view.wall = +$("wall").value; gainsShown(); };
-function nice(most) { const power = 10 ** Math.floor(Math.log10(most)); return [.1, .2, .5, 1].map(n => n * power).find(step => most / step <= 6.5) || 2 * power; }
-const tick = value => String(+value.toPrecision(4));
-function drawPlane() {
-  const [c, w, h] = fresh($("plane")), wall = view.walls[view.wall];
-  if (!wall) { c.fillStyle = palette.dim; c.fillText("no wall in this scene", 12, 24); return; }
-  const plane = view.plane && view.plane.wall === view.wall ? view.plane : null;
-  let [kdTop, kpTop] = [wall.damping * 1.3 || 1, wall.stiffness * 1.3 || 1];
-  if (plane) for (const mode of MODES) for (const p of plane[mode]) { kdTop = Math.max(kdTop, p.kd * 1.08); kpTop = Math.max(kpTop, p.kp * 1.12); }
-  // The picture does not shrink or grow under a finger.
-  if (turning) [kdTop, kpTop] = turning.tops; else view.tops = [kdTop, kpTop];
-  const left = w > 900 ? 64 : 50, bottom = w > 900 ? 38 : 32, right = w - 10, top = 8, foot = h - bottom;
-  const X = kd => left + kd / kdTop * (right - left), Y = kp => foot - kp / kpTop * (foot - top);
-  view.planeFrame = { X, Y, from: (px, py) => [Math.max(0, (px - left) / (right - left) * kdTop), Math.max(0, (foot - py) / (foot - top) * kpTop)] };
-  c.fillStyle = palette.dim; c.strokeStyle = palette.line; c.lineWidth = 1; c.textAlign = "center";
-  for (let kd = 0, step = nice(kdTop); kd <= kdTop; kd += step) { c.beginPath(); c.moveTo(X(kd), top); c.lineTo(X(kd), foot); c.stroke(); c.fillText(tick(kd), X(kd), foot + 15); }
-  c.textAlign = "right";
-  for (let kp = 0, step = nice(kpTop); kp <= kpTop; kp += step) { c.beginPath(); c.moveTo(left, Y(kp)); c.lineTo(right, Y(kp)); c.stroke(); c.fillText(kpTop > 2000 ? tick(kp / 1000) : tick(kp), left - 6, Y(kp) + 4); }
-  c.textAlign = "right"; c.fillText("damping, N s/m", right, foot + (w > 900 ? 34 : 29));
-  c.save(); c.translate(w > 900 ? 16 : 12, top + 4); c.rotate(-Math.PI / 2); c.fillText(kpTop > 2000 ? "stiffness, kN/m" : "stiffness, N/m", 0, 0); c.restore();
-  c.textAlign = "left";
-  if (plane) {
-    for (const mode of MODES) {
-      const mine = wall.feed_forward === mode; c.strokeStyle = c.fillStyle = palette[mode]; c.lineWidth = mine ? 3 : 1.3;
-      c.beginPath(); plane[mode].forEach((p, i) => i ? c.lineTo(X(p.kd), Y(p.kp)) : c.moveTo(X(p.kd), Y(p.kp))); c.stroke();
-      if (mine) { c.lineTo(X(0), Y(0)); c.closePath(); c.globalAlpha = .13; c.fill(); c.globalAlpha = 1; }
-    }
-    let y = top + 16;
-    for (const mode of MODES) { c.textAlign = "right"; c.fillStyle = palette[mode]; c.fillText("feed-forward " + NAMES[mode] + " ━", right - 4, y); y += w > 900 ? 20 : 16; }
-    c.textAlign = "left";
-  } else { c.fillStyle = palette.dim; c.fillText("the boundary is worked out where the tip is nearest to this wall", left + 8, top + 16); }
-  const stable = plane ? wall.stiffness <= below(plane[wall.feed_forward], wall.damping) : true;
-  document.body.dataset.stable = stable;
-  c.fillStyle = stable ? palette.ink : palette.bad; c.strokeStyle = palette.card; c.lineWidth = 3;
-  c.beginPath(); c.arc(X(wall.damping), Y(wall.stiffness), 9, 0, 2 * Math.PI); c.fill(); c.stroke();
-  if (!stable) { c.fillStyle = palette.bad; c.fillText("predicted to be unstable", Math.min(X(wall.damping) + 14, w - 160), Y(wall.stiffness) - 10); }
+$("scale").onchange = () => requestDraw();
+
+// ---- the axes -----------------------------------------------------------------------------------------------------
+// 1, 2 or 5 times a power of ten, the next at or above the value.
+function roundUp(value) { const power = 10 ** Math.floor(Math.log10(value) + 1e-9); return [1, 2, 5, 10].map(n => n * power).find(n => n >= value * (1 - 1e-9)); }
+const nice = most => roundUp(most / 6.5), tick = value => String(+value.toPrecision(4));
+// From `start` to `end`, in pixels. A logarithmic axis begins above zero, which lies far before its beginning.
+function axisOf([low, high], start, end, log, most) {
+  const part = log ? v => Math.max(-9, Math.log(v / low) / Math.log(high / low)) : v => v / high, ticks = [];
+  if (!log) for (let i = 0, step = roundUp(high / most); i * step <= high; i++) ticks.push(i * step);
+  else {
+    const marks = [[1, 2, 5], [1, 3], [1]].find(marks => Math.log10(high / low) * marks.length <= most) || [1];
+    for (let power = 10 ** Math.floor(Math.log10(low)); power <= high; power *= 10) ticks.push(...marks.map(n => n * power).filter(v => v >= low && v <= high));
+  }
+  return { to: v => start + part(v) * (end - start), ticks,
+    from: px => { const at = Math.max(0, (px - start) / (end - start)); return log ? low * (high / low) ** at : at * high; } };
+}
+// The ends of an axis: of all that there is, or of what is near the dot. They jump from one round number to the next,
+// so that the picture keeps still while the dot is moved.
+function ends(gain, top, scale) {
+  const all = Math.max(top, gain * 1.3) || 1;
+  if (scale === "near") return [0, roundUp(2 * (gain || all / 100))];
+  return [scale === "log" ? roundUp(Math.max(Math.min(gain || all / 100, all / 10) / 5, all / 1e5)) : 0, all];
+}
+// A dot that sits in the corner of even axes is seen on logarithmic ones.
+let scaledFor = null;
+function chooseScale(wall, kdTop, kpTop) {
+  if (scaledFor === view.hello) return;
+  scaledFor = view.hello;
+  $("scale").value = wall.damping > kdTop / 12 && wall.stiffness > kpTop / 12 ? "even" : "log";
 }
 function below(boundary, kd) {
   for (let i = 1; i < boundary.length; i++) { const [a, b] = [boundary[i - 1], boundary[i]]; if (kd >= a.kd && kd <= b.kd) return a.kp + (b.kp - a.kp) * (kd - a.kd) / (b.kd - a.kd || 1); }
   return 0;
 }
-// The dot while it is held: the scale that it was taken hold of at, and where the finger is beside it.
+
+// ---- the picture --------------------------------------------------------------------------------------------------
+// Puts words where they cover least: `places` are where they may begin, the best first; `points` are of the curves.
+function place(c, size, words, places, taken, points, [left, top, right, foot]) {
+  const high = 1.3 * size, wide = Math.max(...words.map(line => c.measureText(line).width)) + 4, tall = high * words.length;
+  let best = null;
+  places.forEach(([x, y, sideX, sideY], order) => {
+    const box = [Math.min(right - wide, Math.max(left + 2, x - (sideX < 0 ? wide : sideX ? 0 : wide / 2))), Math.min(foot - tall - 2, Math.max(top + 1, y - (sideY < 0 ? tall : 0)))];
+    const meets = ([bx, by, bw, bh]) => box[0] < bx + bw && box[0] + wide > bx && box[1] < by + bh && box[1] + tall > by;
+    const cost = 1000 * taken.filter(meets).length + 8 * points.filter(([px, py]) => meets([px - 1, py - 1, 2, 2])).length + order;
+    if (!best || cost < best.cost) best = { cost, box };
+  });
+  if (!best) return;
+  taken.push([...best.box, wide, tall]);
+  c.save(); c.textAlign = "left"; c.lineWidth = 4; c.strokeStyle = palette.card;
+  words.forEach((line, i) => { const [x, y] = [best.box[0] + 2, best.box[1] + high * (i + .8)]; c.strokeText(line, x, y); c.fillText(line, x, y); });
+  c.restore();
+}
+function drawPlane() {
+  const [c, w, h, size] = fresh($("plane")), wall = view.walls[view.wall];
+  view.predictedBuzz = null;
+  if (!wall) { c.fillStyle = palette.dim; c.fillText("no wall in this scene", 12, 24); return; }
+  const plane = view.plane && view.plane.wall === view.wall ? view.plane : null;
+  const most = gain => plane ? Math.max(...MODES.flatMap(mode => plane[mode].map(p => p[gain]))) : 0, tops = [1.08 * most("kd"), 1.12 * most("kp")];
+  if (plane) chooseScale(wall, ...tops);
+  const scale = $("scale").value, log = scale === "log";
+  let [kdEnds, kpEnds] = [ends(wall.damping, tops[0], scale), ends(wall.stiffness, tops[1], scale)];
+  // The picture does not shrink or grow under a finger.
+  if (turning) [kdEnds, kpEnds] = turning.ends; else view.ends = [kdEnds, kpEnds];
+  const left = 4.2 * size, right = w - 10, top = 8, foot = h - 2.7 * size, kilo = kpEnds[1] > 2000;
+  const ax = axisOf(kdEnds, left, right, log, (right - left) / (4.6 * size)), ay = axisOf(kpEnds, foot, top, log, (foot - top) / (2.2 * size));
+  const X = kd => Math.max(left, ax.to(kd)), Y = kp => Math.min(foot, ay.to(kp));
+  view.planeFrame = { X, Y, from: (px, py) => [ax.from(px), ay.from(py)] };
+  c.fillStyle = palette.dim; c.strokeStyle = palette.line; c.lineWidth = 1; c.textAlign = "center";
+  const rule = (...ends) => { c.beginPath(); c.moveTo(ends[0], ends[1]); c.lineTo(ends[2], ends[3]); c.stroke(); };
+  for (const kd of ax.ticks) { rule(X(kd), top, X(kd), foot); c.fillText(tick(kd), X(kd), foot + 1.2 * size); }
+  c.textAlign = "right";
+  for (const kp of ay.ticks) { rule(left, Y(kp), right, Y(kp)); c.fillText(tick(kilo ? kp / 1000 : kp), left - 6, Y(kp) + .35 * size); }
+  c.fillText("damping, N s/m", right, foot + 2.4 * size);
+  c.save(); c.translate(size, top + 4); c.rotate(-Math.PI / 2); c.fillText(`stiffness, ${kilo ? "kN/m" : "N/m"}`, 0, 0); c.restore();
+  c.textAlign = "left";
+  // The curves, and of each the points that are in sight.
+  const points = {}, room = [left, top, right, foot];
+  c.save(); c.beginPath(); c.rect(left, top, right - left, foot - top); c.clip();
+  if (plane) for (const mode of MODES) {
+    const mine = wall.feed_forward === mode, [first, second] = plane[mode], curve = [...plane[mode]];
+    // By logarithm its first piece, which is straight, is bent.
+    if (second) for (let share = .5; share > 1e-3; share /= 2) curve.splice(1, 0, { kd: second.kd * share, kp: first.kp + (second.kp - first.kp) * share });
+    const path = curve.map(p => [ax.to(p.kd), Math.min(ay.to(p.kp), foot + 9)]);
+    c.strokeStyle = c.fillStyle = palette[mode]; c.lineWidth = mine ? 3 : 1.6; c.setLineDash(DASH[mode].map(long => long * c.lineWidth / 1.5));
+    c.beginPath(); path.forEach(([x, y], i) => i ? c.lineTo(x, y) : c.moveTo(x, y)); c.stroke(); c.setLineDash([]);
+    if (mine) { c.lineTo(path.at(-1)?.[0], foot); c.lineTo(path[0]?.[0], foot); c.closePath(); c.globalAlpha = .13; c.fill(); c.globalAlpha = 1; }
+    points[mode] = path.filter(([x, y]) => x >= left && x <= right && y >= top && y < foot - 1);
+  } else { c.fillStyle = palette.dim; c.fillText("the boundary is worked out where the tip is nearest to this wall", left + 8, top + 1.4 * size); }
+  drawMarks(c, X, Y, plane, wall);
+  c.restore();
+  const limit = plane ? below(plane[wall.feed_forward], wall.damping) : null, stable = limit === null || wall.stiffness <= limit;
+  document.body.dataset.stable = stable;
+  if (!stable && view.last?.numbers.wall === view.wall) view.predictedBuzz = view.last.buzz?.hz ?? null;
+  const [x, y] = [X(wall.damping), Y(wall.stiffness)], gains = `${unit(wall.stiffness, "N/m")}, ${unit(wall.damping, "N s/m")}`;
+  const told = stable ? limit === null ? "" : "predicted stable" : "predicted " + (view.predictedBuzz ? `buzz at ${digits(view.predictedBuzz, 2)} Hz` : "to be unstable");
+  c.fillStyle = stable ? palette.ink : palette.bad; c.strokeStyle = palette.card; c.lineWidth = 3;
+  c.beginPath(); c.arc(x, y, 9, 0, 2 * Math.PI); c.fill(); c.stroke();
+  const taken = [[x - 11, y - 11, 22, 22]], sides = [[1, 1], [1, -1], [-1, 1], [-1, -1]].map(([sx, sy]) => [x + 13 * sx, y + 5 * sy, sx, sy]);
+  place(c, size, told ? [gains, told] : [gains], sides, taken, Object.values(points).flat(), room);
+  // Where curves are the same, as those of a paddle, their names stand together.
+  const same = (a, b) => plane[a].every((p, i) => Math.abs(p.kp - plane[b][i]?.kp) <= .003 * tops[1]);
+  for (const mode of MODES) if (points[mode]?.length) {
+    const alike = MODES.filter(other => points[other] && same(mode, other)), mine = alike.includes(wall.feed_forward);
+    if (mode !== (mine ? wall.feed_forward : alike[0])) continue;
+    const own = points[mode], peak = own.reduce((best, p, i) => p[1] < own[best][1] ? i : best, 0);
+    const near = own.map((_, i) => i).filter(i => i % Math.ceil(own.length / 40) === 0 || i === peak).sort((a, b) => Math.abs(a - peak) - Math.abs(b - peak));
+    c.fillStyle = palette[mode]; c.font = `${mine ? 700 : 400} ${size}px system-ui, sans-serif`;
+    place(c, size, [alike.map(name => NAMES[name]).join(", ")], near.flatMap(i => { const [x, y] = own[i]; return [[x, y, 0, -1], [x + 4, y, 1, -1], [x - 4, y, -1, 1], [x, y, 0, 1]]; }), taken, Object.values(points).flat(), room);
+  }
+  const spoken = `${gains}, feed-forward ${NAMES[wall.feed_forward]}${told && ": " + told}${limit === null ? "" : `; limit ${unit(limit, "N/m")} at this damping`}`;
+  if ($("dot").textContent !== spoken) $("dot").textContent = spoken;
+  showLimits(plane, wall);
+}
+
+// ---- what was tried -----------------------------------------------------------------------------------------------
+// A press of the wall leaves a mark at its gains: a disc where it was quiet, a cross where the force rippled as much as
+// the coach calls a buzz. The press may last: its last 0.2 s count, and a buzz may lift the tip off in between.
+const PRESSED = .3, LATELY = .2, LIFTED = .15;
+let tried = { marks: [] };
+function markGains(p) {
+  const n = p.numbers, wall = view.walls[n.wall], at = wall && JSON.stringify(wall.values);
+  if (tried.of !== view.hello) tried = { of: view.hello, marks: [], places: {} };
+  if (!wall || p.state !== "Armed") { tried.press = null; return; }
+  if (tried.places[n.wall] !== at) { tried.places[n.wall] = at; tried.marks = tried.marks.filter(mark => mark.wall !== n.wall); }
+  const key = [n.wall, wall.stiffness, wall.damping, wall.feed_forward].join();
+  if (tried.press && (tried.press.key !== key || p.time - tried.press.last > LIFTED)) tried.press = null;
+  if (!(n.depth > 0)) return;
+  const press = tried.press ||= { key, began: p.time, ripples: [] };
+  press.last = p.time;
+  press.ripples = [...press.ripples.filter(([time]) => p.time - time <= LATELY), [p.time, n.ripple]];
+  if (p.time - press.began < PRESSED) return;
+  const buzzes = Math.min(...press.ripples.map(([, ripple]) => ripple)) > BUZZES;
+  const mark = { key, wall: n.wall, kp: wall.stiffness, kd: wall.damping, mode: wall.feed_forward, buzzes, q: p.q };
+  tried.marks = [...tried.marks.filter(old => old !== press.mark && (old.key !== key || !isHere(old, p.q))), mark].slice(-200);
+  press.mark = mark;
+}
+// A boundary is of one pose, to a fiftieth of a radian; so is a mark.
+const isHere = (mark, q) => q.every((angle, i) => Math.abs(angle - mark.q[i]) < .04);
+function drawMarks(c, X, Y, plane, wall) {
+  $("forget").hidden = !tried.marks.length;
+  for (const { wall: index, kp, kd, mode, buzzes, ...mark } of tried.marks) {
+    if (index !== view.wall) continue;
+    const [x, y, r] = [X(kd), Y(kp), mode === wall.feed_forward ? 4.5 : 3];
+    c.globalAlpha = plane && isHere(mark, plane.q) ? 1 : .3; c.fillStyle = c.strokeStyle = palette[mode]; c.lineWidth = 2;
+    c.beginPath();
+    if (buzzes) { c.moveTo(x - r, y - r); c.lineTo(x + r, y + r); c.moveTo(x - r, y + r); c.lineTo(x + r, y - r); c.stroke(); } else { c.arc(x, y, r, 0, 2 * Math.PI); c.fill(); }
+  }
+  c.globalAlpha = 1;
+}
+$("forget").onclick = () => { tried.marks = []; requestDraw(); };
+
+// ---- what limits, and what is assumed -----------------------------------------------------------------------------
+let limits = { asked: 0 };
+function element(name, ...content) { const made = document.createElement(name); made.append(...content); return made; }
+function showLimits(plane, wall) {
+  if ($("limits").hidden) return;
+  const known = plane?.limits?.feed_forward === wall.feed_forward ? plane.limits : null, now = performance.now();
+  // Another pose or another kind of feed-forward: asked anew, but not while a hand goes on.
+  if (plane && !known && now - limits.asked > 1000) { limits.asked = now; say({ do: "explain" }); }
+  const here = plane ? tried.marks.filter(mark => mark.wall === view.wall && mark.mode === wall.feed_forward && isHere(mark, plane.q) && Math.abs(mark.kd - wall.damping) <= .1 * wall.damping) : [];
+  const state = JSON.stringify([plane?.q, known, wall, here.map(mark => [mark.kp, mark.buzzes])]);
+  if (limits.state === state) return;
+  limits.state = state;
+  if (!plane) return $("limits").replaceChildren(element("p", "Nothing is predicted here: the tip is nearer to another wall, or the pose is singular, or the loop has no linear form."));
+  const parts = [element("h3", `What limits “${NAMES[wall.feed_forward]}”`)];
+  if (!known) parts.push(element("p", "…"));
+  else {
+    const all = known.stiffness, rows = known.without.map(({ effect, instead, stiffness }) => [`${effect}: ${instead}`, stiffness, all && stiffness !== null ? stiffness / all : Infinity]);
+    parts.push(element("p", all === null ? "No stiffness is predicted to be unstable." : `Stiffest stable wall: ${unit(all, "N/m")}, at ${unit(known.damping, "N s/m")}. With one thing changed:`));
+    parts.push(element("table", ...rows.sort((a, b) => b[2] - a[2]).map(([words, stiffness, times]) => element("tr", element("td", words), element("td", stiffness === null ? "no limit" : unit(stiffness, "N/m")), element("td", isFinite(times) ? digits(times) + " ×" : "")))));
+    parts.push(element("p", `Encoder: a count moves the tip ${unit(known.count, "m")}, and the force ${unit(known.count * wall.stiffness, "N")}.`));
+  }
+  const [quiet, loud] = [false, true].map(buzzes => here.filter(mark => mark.buzzes === buzzes).map(mark => mark.kp));
+  if (here.length) parts.push(element("p", `Tried at about this damping: ${[quiet.length && `quiet at ${unit(Math.max(...quiet), "N/m")}`, loud.length && `buzzed at ${unit(Math.min(...loud), "N/m")}`].filter(words => words).join(", ")}; predicted limit ${unit(below(plane[wall.feed_forward], wall.damping), "N/m")}.`));
+  parts.push(element("h3", "What is assumed"), element("ul", ...plane.assumes.map(words => element("li", words))));
+  $("limits").replaceChildren(...parts);
+}
+function openLimits(open) { $("limits").hidden = !open; $("explain").setAttribute("aria-expanded", open); $("explain").classList.toggle("on", open); limits = { asked: 0 }; requestDraw(); }
+$("explain").onclick = () => openLimits($("limits").hidden);
+$("limits").onkeydown = event => { if (event.key === "Escape") { openLimits(false); $("explain").focus(); } };
+
+// ---- the dot ------------------------------------------------------------------------------------------------------
+// While it is held: the scale that it was taken hold of at, and where the finger is beside it.
 let turning = null;
 const reach = event => event.pointerType === "touch" ? 36 : 20;
 function turn(event, last) {
@@ -78,7 +221,7 @@ $("plane").onpointerdown = event => {
   if (!view.planeFrame || !view.walls[view.wall]) return;
   const { x, y } = besideDot(event);
   if (Math.hypot(x, y) > reach(event)) return;
-  $("plane").setPointerCapture(event.pointerId); turning = { tops: view.tops, x, y }; notice("");
+  $("plane").setPointerCapture(event.pointerId); turning = { ends: view.ends, x, y }; notice("");
 };
 $("plane").onpointermove = event => {
   if (turning) return turn(event, false);
@@ -88,8 +231,12 @@ $("plane").onpointermove = event => {
 };
 $("plane").onpointerup = event => { if (turning) turn(event, true); turning = null; };
 $("plane").onpointercancel = () => { turning = null; };
+// Two percent a press, ten with Shift; from zero a thousandth of what is in sight.
 $("plane").onkeydown = event => {
-  const step = { ArrowUp: ["stiffness", 1.02], ArrowDown: ["stiffness", 1 / 1.02], ArrowRight: ["damping", 1.02], ArrowLeft: ["damping", 1 / 1.02] }[event.key];
-  if (step && view.walls[view.wall]) { event.preventDefault(); sendGains({ [step[0]]: view.walls[view.wall][step[0]] * step[1] }); }
+  const [gain, end, up] = { ArrowUp: ["stiffness", 1, true], ArrowDown: ["stiffness", 1], ArrowRight: ["damping", 0, true], ArrowLeft: ["damping", 0] }[event.key] || [];
+  const wall = view.walls[view.wall], step = event.shiftKey ? 1.1 : 1.02;
+  if (!gain || !wall || !view.ends) return;
+  event.preventDefault();
+  sendGains({ [gain]: up ? wall[gain] * step || view.ends[end][1] / 1000 : wall[gain] / step });
 };
 

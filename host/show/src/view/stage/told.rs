@@ -5,11 +5,14 @@ use super::{SILENCE, Stage, TURNED};
 use crate::outline::{on_an_arc, outline};
 use crate::view::hub::PageId;
 use crate::view::picture::{Geometry, Newest, Numbers, nearest_wall};
-use crate::view::stability::{Plane, Question};
+use crate::view::stability::{Plane, Question, buzz};
 use crate::view::world::hand_settings;
 use haptic_bridge::render::scene::Surface;
 use haptic_bridge::safety::fault::FaultRecord;
 use haptic_bridge::servo::HostAction;
+use haptic_stability::analysis::flexible::Hand;
+use haptic_stability::analysis::oscillation::Oscillation;
+use nalgebra::Vector3;
 use serde::Serialize;
 use serde_json::{Value, json};
 
@@ -34,6 +37,7 @@ struct Picture<'a> {
     load: Option<f64>,
     speed: Option<f64>,
     pages: usize,
+    buzz: Option<Oscillation>,
     recording: Option<Recorded>,
     if_lost: &'static str,
 }
@@ -78,6 +82,7 @@ impl Stage {
             load: self.load,
             speed: self.world.simulated.is_some().then_some(self.pace.speed),
             pages: self.hub.count(),
+            buzz: self.buzz(),
             recording: self.recording.as_ref().map(ActiveRecording::told),
             if_lost: self.if_lost(),
         };
@@ -89,24 +94,18 @@ impl Stage {
         for listener in &self.listeners {
             self.hub.to(*listener, |outbox| outbox.hear(self.rows_hz as f32, &sound));
         }
+        let Some((wall, normal)) = nearest_wall(&self.scene, &self.tip()) else { return };
         let q = newest.q(self.device.axes());
-        let (wall, normal) = match nearest_wall(&self.scene, &self.tip()) {
-            Some((wall, normal)) => (wall, normal),
-            None => return,
-        };
         let moved = self.asked.as_ref().is_none_or(|(asked, at)| {
             *asked != wall || at.iter().zip(&q).any(|(before, now)| (before - now).abs() > TURNED)
         });
-        if moved && self.ring.end() > 0 && !self.oracle.is_busy() {
-            let task = usize::from(self.scene.task);
-            self.oracle.ask(Question {
-                subject: self.subject.clone(),
-                scene: self.scene.clone(),
-                wall,
-                q: q.clone(),
-                normal: normal.as_slice()[..task].to_vec(),
-                path: self.path.clone(),
-            });
+        // What limits a wall is worked out once for a pose and a kind of feed-forward, however often pages ask.
+        let explained = self.plane.as_ref().and_then(|plane| plane.limits.as_ref()).map(|limits| limits.feed_forward);
+        let unexplained = self.oracle.is_to_explain()
+            && self.plane.as_ref().is_some_and(|plane| plane.wall == wall)
+            && self.scene.walls.get(wall).map(|wall| wall.feed_forward) != explained;
+        if (moved || unexplained) && self.ring.end() > 0 && !self.oracle.is_busy() {
+            self.oracle.ask(self.question(wall, q.clone(), &normal));
             self.asked = Some((wall, q));
         }
         if let Some(answer) = self.oracle.answered() {
@@ -114,6 +113,33 @@ impl Stage {
             let message = self.plane.as_ref().map_or(json!({"is": "plane", "plane": null}), plane_message);
             self.say_to_all(&message);
         }
+    }
+
+    fn question(&self, wall: usize, q: Vec<f64>, normal: &Vector3<f64>) -> Question {
+        let hand = hand_settings();
+        // At the frequency of a buzz a hand hardly moves: its grip holds the tip.
+        let grip = Hand { mass: 0.0, damping: hand.grip_damping, stiffness: hand.grip_stiffness };
+        Question {
+            subject: self.subject.clone(),
+            scene: self.scene.clone(),
+            wall,
+            q,
+            normal: normal.as_slice()[..usize::from(self.scene.task)].to_vec(),
+            path: self.path.clone(),
+            hand: self.world.simulated.is_some().then_some(grip),
+            explain: false,
+        }
+    }
+
+    /// The swing of the nearest wall where its gains are predicted to be unstable.
+    fn buzz(&self) -> Option<Oscillation> {
+        let (index, normal) = nearest_wall(&self.scene, &self.tip())?;
+        let (asked, q) = self.asked.as_ref()?;
+        let (plane, wall) = (self.plane.as_ref()?, self.scene.walls.get(index)?);
+        let outside = wall.stiffness > plane.stiffness_to(wall.feed_forward, wall.damping);
+        let found = [*asked, plane.wall].iter().all(|of| *of == index) && outside;
+        let swing = found.then(|| buzz(&self.question(index, q.clone(), &normal)))??;
+        (swing.growth_per_s > 0.0).then_some(swing)
     }
 
     /// The state of the motors, in words, once nothing is heard of this stage any more.
