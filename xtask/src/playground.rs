@@ -40,7 +40,7 @@ fn read(path: &str) -> Result<String> {
 /// The page that the tool serves: its style and scripts are put where it names them.
 fn page() -> Result<String> {
     let mut page = read(&format!("{PAGE}/page.html"))?;
-    for name in ["style.css", "link.js", "stage.js", "plane.js", "scope.js", "share.js"] {
+    for name in ["style.css", "link.js", "stage.js", "plane.js", "limits.js", "scope.js", "share.js"] {
         page = put(&page, &format!("/* {name} */\n"), &read(&format!("{PAGE}/{name}"))?)?;
     }
     Ok(page)

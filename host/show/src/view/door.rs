@@ -29,6 +29,7 @@ static PAGE: LazyLock<String> = LazyLock::new(|| {
         ("link.js", include_str!("page/link.js")),
         ("stage.js", include_str!("page/stage.js")),
         ("plane.js", include_str!("page/plane.js")),
+        ("limits.js", include_str!("page/limits.js")),
         ("scope.js", include_str!("page/scope.js")),
         ("share.js", include_str!("page/share.js")),
     ];

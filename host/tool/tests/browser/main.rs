@@ -206,6 +206,109 @@ fn the_dot_is_dragged_and_stops_at_the_boundary_until_one_goes_on() {
     browser.until(&tab, "view.walls[0].stiffness === 3000 && !$('notice').classList.contains('shown')");
 }
 
+/// Of every word that is drawn on the plane its text and box, in pixels.
+const WORDS: &str = "(() => { const k = CanvasRenderingContext2D.prototype, fill = k.fillText, found = []; \
+    k.fillText = function (words, x, y) { const m = this.measureText(words), t = this.getTransform(); if (t.b === 0 && this.textAlign === 'left') \
+    found.push([words, x - m.actualBoundingBoxLeft, y - m.actualBoundingBoxAscent, x + m.actualBoundingBoxRight, y + m.actualBoundingBoxDescent]); \
+    return fill.call(this, words, x, y); }; drawPlane(); k.fillText = fill; return found; })()";
+
+/// Wherever the gains lie in the plane: the dot is clear of the edges, no word covers another or the dot.
+#[test]
+fn the_plane_is_read_at_a_glance_on_shipped_devices() {
+    let root = concat!(env!("CARGO_MANIFEST_DIR"), "/../../devices/");
+    let mut browser = Browser::start();
+    for (name, scene, scale) in [
+        ("coupled-five-bar", "", "even"),
+        ("hapkit-paddle", "wall", "log"),
+        ("serial-3r", "wall-held", "log"),
+        ("pantograph-mk2", "corner", "log"),
+        ("haply-2diy", "disc", "log"),
+        ("woodenhaptics", "room", "log"),
+        ("capstan-pantograph", "wall", "even"),
+    ] {
+        let (device, scene) = (format!("{root}{name}.toml"), format!("{root}scenes/{name}/{scene}.toml"));
+        let demo = ["--port", "sim"];
+        let own = [&device, "--port", "sim", "--scene", &scene];
+        let view = View::start(if name == "coupled-five-bar" { &demo } else { &own });
+        let tab = browser.open(&view.url, LAPTOP, 1.0);
+        browser.front(&tab);
+        browser.until(&tab, "window.view && view.plane !== null && Boolean(view.planeFrame) && view.pictures > 5");
+        browser.until(&tab, &format!("$('scale').value === '{scale}'"));
+        for (size, scale) in [(LAPTOP, scale), ((1024, 768), "even"), (PHONE, "log"), (PROJECTOR, "near")] {
+            browser.size(&tab, size, 1.0);
+            browser.evaluate(&tab, &format!("$('scale').value = '{scale}'; window.then = view.pictures"));
+            browser.until(&tab, "view.pictures > then + 6");
+            let words = browser.evaluate(&tab, WORDS);
+            let dot = browser.evaluate(
+                &tab,
+                "(() => { const w = view.walls[view.wall], x = view.planeFrame.X(w.damping), y = view.planeFrame.Y(w.stiffness); \
+                 return [x, y, $('plane').clientWidth, $('plane').clientHeight]; })()",
+            );
+            let at = |value: &Value, i: usize| value[i].as_f64().unwrap();
+            let boxes: Vec<[f64; 4]> =
+                words.as_array().unwrap().iter().map(|word| [1, 2, 3, 4].map(|i| at(word, i))).collect();
+            let what = format!("{name} {size:?} {scale}: {words} {dot}");
+            assert!(boxes.len() >= 2 && words.to_string().contains("predicted stable"), "{what}");
+            if scale != "even" {
+                assert!(at(&dot, 0) > 50.0 && at(&dot, 1) < at(&dot, 3) - 30.0, "in the corner: {what}");
+            }
+            let dot = [at(&dot, 0) - 8.0, at(&dot, 1) - 8.0, at(&dot, 0) + 8.0, at(&dot, 1) + 8.0];
+            let meet = |a: &[f64; 4], b: &[f64; 4]| a[0] < b[2] && b[0] < a[2] && a[1] < b[3] && b[1] < a[3];
+            for (i, one) in boxes.iter().enumerate() {
+                assert!(!meet(one, &dot), "on the dot: {what}");
+                assert!(boxes[..i].iter().all(|other| !meet(one, other)), "on each other: {what}");
+            }
+        }
+        browser.evaluate(&tab, "window.before = view.walls[0].stiffness; $('plane').onkeydown(new KeyboardEvent('keydown', {key: 'ArrowUp', shiftKey: true}))");
+        browser.until(&tab, "Math.abs(view.walls[0].stiffness / before - 1.1) < 1e-4");
+        assert_eq!(browser.complaints(), [""; 0]);
+        browser.close(&tab);
+    }
+}
+
+/// What was tried stands beside what was predicted, until it is of something else; what limits is told when asked for.
+#[test]
+fn presses_leave_marks_and_what_limits_is_a_click_away() {
+    let (_view, mut browser, tab) = opened();
+    browser.evaluate(
+        &tab,
+        "window.press = (seconds, ripple, from = 1) => { for (let t = 0; t <= seconds; t += .016) markGains({...view.last, state: 'Armed', \
+         time: from + t, numbers: {...view.last.numbers, wall: 0, depth: 1e-3, ripple}}); }; window.marks = () => tried.marks.map(m => m.buzzes).join()",
+    );
+    let marks = |browser: &mut Browser, press: &str| {
+        browser.evaluate(&tab, &format!("(() => {{ tried.press = null; {press}; return marks(); }})()"))
+    };
+    assert_eq!(marks(&mut browser, "press(.25, .1)"), "", "too short");
+    assert_eq!(marks(&mut browser, "press(.4, .1)"), "false", "quiet");
+    assert_eq!(marks(&mut browser, "press(.4, 2, 9)"), "true", "the same gains, tried again, buzz");
+    assert_eq!(marks(&mut browser, "press(.4, 2, 9); press(.4, .1, 9.4)"), "false", "and quieten");
+    browser.until(&tab, "!$('forget').hidden");
+    browser.evaluate(&tab, "$('explain').click()");
+    browser.until(&tab, "$('limits').textContent.includes('Stiffest stable wall') && $('limits').textContent.includes('ten times the rate')");
+    let told = browser.evaluate(&tab, "$('limits').innerText").as_str().unwrap().to_string();
+    for words in ["no delay", "cut-off 100 Hz", "Hand: none", "Left out", "quiet at 8.70 kN/m"] {
+        assert!(told.contains(words), "{words}: {told}");
+    }
+    assert!(!told.contains("rigid transmissions"), "nothing gives: {told}");
+    browser.evaluate(&tab, "$('limits').onkeydown(new KeyboardEvent('keydown', {key: 'Escape'}))");
+    assert_eq!(browser.evaluate(&tab, "$('limits').hidden && $('explain').getAttribute('aria-expanded')"), "false");
+    assert_eq!(
+        browser.evaluate(
+            &tab,
+            "$('dot').textContent.startsWith('8.70 kN/m, 80.0 N s/m, feed-forward washed out: predicted stable; limit')"
+        ),
+        true
+    );
+    // A wall that was moved is another one.
+    drag_the_wall(&mut browser, &tab);
+    assert_eq!(marks(&mut browser, "press(.02, .1)"), "");
+    assert_eq!(marks(&mut browser, "press(.4, .1)"), "false");
+    browser.evaluate(&tab, "$('start-over').click(); window.then = view.hello");
+    browser.until(&tab, "view.hello !== then");
+    assert_eq!(marks(&mut browser, "press(.02, .1)"), "", "started over");
+    assert_eq!(browser.complaints(), [""; 0]);
+}
+
 #[test]
 fn a_click_beside_the_dot_changes_no_gains() {
     let (_view, mut browser, tab) = opened();

@@ -4,7 +4,7 @@
 use crate::common::page::Heard;
 use crate::common::{file, shipped};
 use haptic_bridge::board::protocol::{Arm, Disarm};
-use haptic_bridge::render::scene::FeedForward;
+use haptic_bridge::render::scene::{FeedForward, Scene, Surface};
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_host::link::{Board, encode};
 use haptic_host::scene_file::SceneFile;
@@ -13,6 +13,13 @@ use haptic_show::view::hub::{Hub, Message as Sent, PageId};
 use haptic_show::view::message::FromPage;
 use haptic_show::view::stability::Plane;
 use haptic_show::view::{PageListener, Stage, Turn, World};
+use haptic_stability::analysis::control_loop::TorquePath;
+use haptic_stability::analysis::flexible::Posture;
+use haptic_stability::analysis::plant::Drive;
+use haptic_stability::analysis::prediction::{Prediction, Subject};
+use haptic_stability::analysis::range::BoundaryPoint;
+use haptic_stability::analysis::sampled::{LinearEstimator, Loop};
+use haptic_stability::analysis::several::Member;
 use postcard_rpc::Endpoint as _;
 use postcard_rpc::header::{VarHeader, VarKey, VarSeq};
 use serde_json::{Value, json};
@@ -433,6 +440,91 @@ fn gains_are_refused_by_name_and_have_an_upper_limit() {
         limit.unwrap_or_else(|| panic!("{}", view.heard(0).why())).parse::<f64>().unwrap()
     });
     assert!((all / half - 2.0).abs() < 0.02, "{all}, {half}");
+}
+
+/// The page's boundary is of the device and the loop that are there: what gives in the device file, the posture of the
+/// scene, the board's drive; and it says so.
+#[test]
+fn the_boundary_is_of_file_scene_and_drive() {
+    let cases = [
+        ("cable-five-bar", "wall", "Transmissions: joints 0 and 1 give as in the device file"),
+        ("serial-3r", "wall-held", "Posture: the last link is held by"),
+        ("haply-2diy", "wall-stiff", "Drive: a current loop that lags as 6.40 kHz does."),
+    ];
+    for (place, (name, scene, words)) in cases.into_iter().enumerate() {
+        let (device, path) = (shipped(name), file(&format!("scenes/{name}/{scene}.toml")));
+        let scene: Scene<f32> = SceneFile::load(Path::new(&path), device.spec().task).unwrap().scene().unwrap();
+        let subject = Subject::new(&device.description).unwrap();
+        let mut view = Played::in_command(World::simulate(device, Some(scene.clone())).unwrap(), None);
+        let plane = view.boundary();
+        assert!(plane.assumes.iter().any(|told| told.contains(words)), "{name}: {:?}", plane.assumes);
+        let (scene, wall) = (scene.cast::<f64>(), scene.walls[0].clone());
+        let Surface::Plane(surface) = wall.surface else { panic!("{name}: another wall") };
+        let estimator = LinearEstimator::of(scene.estimator, scene.cutoff_hz).unwrap();
+        let mut around = Loop::through(&TorquePath::usual(scene.rate_hz), scene.rate_hz, estimator);
+        around.damping_compensation = wall.damping_compensation;
+        let posture = scene.posture.map(|held| Posture { stiffness: held.stiffness, damping: held.damping });
+        let with = Prediction { admissible: scene.admissible, posture, ..Prediction::new(subject, around) };
+        let mut without = with.clone();
+        match place {
+            0 => without.subject.joints = None,
+            1 => without.posture = None,
+            _ => without.around.drive = Drive::Ideal,
+        }
+        let normal: Vec<f64> = surface.normal[..usize::from(scene.task)].iter().map(|n| f64::from(*n)).collect();
+        let [with, without] = [with, without].map(|prediction| {
+            prediction.range(&plane.q, &[Member::new(normal.clone(), 1.0)], None, None).unwrap().off.boundary
+        });
+        let furthest = |other: &[BoundaryPoint]| {
+            let apart = plane.off.iter().zip(other).map(|(a, b)| (a.kp - b.kp).abs());
+            apart.fold(0.0, f64::max) / plane.off.iter().map(|point| point.kp).fold(0.0, f64::max)
+        };
+        assert!(
+            furthest(&with) < 1e-3 && furthest(&without) > 2e-3,
+            "{name}: {} {}",
+            furthest(&with),
+            furthest(&without)
+        );
+    }
+}
+
+#[test]
+fn what_limits_a_wall_is_told_when_a_page_asks() {
+    let mut view = Played::demo();
+    let second = view.come();
+    assert_eq!(view.boundary().limits, None, "nobody asked");
+    for (kind, name) in [(FeedForward::Washout, "washout"), (FeedForward::Off, "off")] {
+        view.say(0, json!({"do": "gains", "wall": 0, "stiffness": 3000, "damping": 80, "feed_forward": name}));
+        // A page that only watches may ask as well.
+        view.say(second, json!({"do": "explain"}));
+        let limits = loop {
+            match view.boundary().limits {
+                Some(limits) if limits.feed_forward == kind => break limits,
+                _ => view.play(0.02),
+            }
+        };
+        let top = view.boundary().boundary(kind).iter().map(|point| point.kp).fold(0.0, f64::max);
+        assert!((limits.stiffness.unwrap() / top - 1.0).abs() < 3e-3, "{limits:?} {top}");
+        let names: Vec<&str> = limits.without.iter().map(|without| without.effect.as_str()).collect();
+        // It is rigid and has no posture; a hand leads it.
+        assert_eq!(names, ["sampling", "delay", "drive", "filter", "joint damping", "empty hand"]);
+        assert!(limits.without.iter().all(|without| without.stiffness.is_some_and(|kp| kp > 0.9 * top)), "{limits:?}");
+        assert!((1e-6..1e-4).contains(&limits.count), "{limits:?}");
+    }
+}
+
+#[test]
+fn gains_beyond_the_boundary_come_with_the_frequency_of_their_buzz() {
+    let mut view = Played::demo();
+    view.boundary();
+    assert!(view.heard(0).picture["buzz"].is_null(), "the wall is stable");
+    let gains =
+        json!({"do": "gains", "wall": 0, "stiffness": 8700, "damping": 80, "feed_forward": "off", "beyond": true});
+    view.say(0, gains);
+    view.play(0.1);
+    let buzz = &view.heard(0).picture["buzz"];
+    let (hz, growth) = (buzz["hz"].as_f64().unwrap(), buzz["growth_per_s"].as_f64().unwrap());
+    assert!((hz - 71.0).abs() < 3.0 && growth > 0.0, "{buzz}");
 }
 
 /// A page that hears nothing any more says what is known of the motors, and no more.
