@@ -21,7 +21,7 @@ function markGains(p) {
   tried.marks = [...tried.marks.filter(old => old !== press.mark && (old.key !== key || !isHere(old, p.q))), mark].slice(-200);
   press.mark = mark;
 }
-// A boundary is of one pose, to a fiftieth of a radian; so is a mark.
+// A mark is of the pose that it was left in: it counts beside a boundary that is predicted within 0.04 rad of it.
 const isHere = (mark, q) => q.every((angle, i) => Math.abs(angle - mark.q[i]) < .04);
 function drawMarks(c, X, Y, plane, wall) {
   $("forget").hidden = !tried.marks.length;

@@ -72,6 +72,7 @@ function place(c, size, words, places, taken, points, [left, top, right, foot]) 
   words.forEach((line, i) => { const [x, y] = [best.box[0] + 2, best.box[1] + high * (i + .8)]; c.strokeText(line, x, y); c.fillText(line, x, y); });
   c.restore();
 }
+let spoken = null;
 function drawPlane() {
   const [c, w, h, size] = fresh($("plane")), wall = view.walls[view.wall];
   view.predictedBuzz = null;
@@ -122,7 +123,7 @@ function drawPlane() {
   const here = tried.marks.find(mark => mark.key === keyOf(view.wall, wall) && plane && isHere(mark, plane.q));
   place(c, size, [gains, told, here && "tried: " + (here.buzzes ? "it buzzes" : "quiet")].filter(line => line), sides, taken, Object.values(points).flat(), room);
   // Where curves are the same, as those of a paddle, their names stand together.
-  const same = (a, b) => plane[a].every((p, i) => Math.abs(p.kp - plane[b][i]?.kp) <= .003 * tops[1]);
+  const same = (a, b) => plane[a].every((p, i) => Math.abs(p.kp - plane[b][i]?.kp) <= .003 * tops[1] && Math.abs(p.kd - plane[b][i].kd) <= .003 * tops[0]);
   for (const mode of MODES) if (points[mode]?.length) {
     const alike = MODES.filter(other => points[other] && same(mode, other)), mine = alike.includes(wall.feed_forward);
     if (mode !== (mine ? wall.feed_forward : alike[0])) continue;
@@ -131,8 +132,9 @@ function drawPlane() {
     c.fillStyle = palette[mode]; c.font = `${mine ? 700 : 400} ${size}px system-ui, sans-serif`;
     place(c, size, [alike.map(name => NAMES[name]).join(", ")], near.flatMap(i => { const [x, y] = own[i]; return [[x, y, 0, -1], [x + 4, y, 1, -1], [x - 4, y, -1, 1], [x, y, 0, 1]]; }), taken, Object.values(points).flat(), room);
   }
-  const spoken = `${gains}, feed-forward ${NAMES[wall.feed_forward]}${told && ": " + told}${here ? here.buzzes ? ", tried: it buzzes" : ", tried: quiet" : ""}${limit === null ? "" : `; limit ${unit(limit, "N/m")} at this damping`}`;
-  if ($("dot").textContent !== spoken) $("dot").textContent = spoken;
+  // Said anew with other gains, not whenever the hand moves and the limit with it.
+  const state = `${gains}, feed-forward ${NAMES[wall.feed_forward]}${told && ": " + told}${here ? here.buzzes ? ", tried: it buzzes" : ", tried: quiet" : ""}`;
+  if (spoken !== state) { spoken = state; $("dot").textContent = state + (limit === null ? "" : `; limit ${unit(limit, "N/m")} at this damping`); }
   showLimits(plane, wall);
 }
 
