@@ -44,6 +44,7 @@ pub struct Plane {
     /// Which wall.
     pub wall: usize,
     /// Joint angles of the prediction, rad.
+    #[serde(default)]
     pub q: Vec<f64>,
     /// Weff, kg: what the wall meets without feed-forward.
     pub w_eff: f64,
@@ -56,6 +57,7 @@ pub struct Plane {
     /// With it behind the wall's washout.
     pub washout: Vec<BoundaryPoint>,
     /// The device and the loop that were predicted, and what no prediction here knows of: a sentence each.
+    #[serde(default)]
     pub assumes: Vec<String>,
     /// What limits the stiffness, if that was asked.
     pub limits: Option<Explained>,
