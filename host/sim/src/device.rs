@@ -22,6 +22,9 @@ pub struct Options {
     pub substep: f64,
     /// The distance beyond its limits at which each joint hits a stop, rad; joints without limits have none.
     pub stop_margin: f64,
+    /// The linkage has a soft stop short of every singularity, as a device in somebody's hand has: where its file gives
+    /// its joints no limits, a simulated hand would fold it.
+    pub stops_short: bool,
 }
 
 impl Default for Options {
@@ -33,6 +36,7 @@ impl Default for Options {
             absolute_encoders: false,
             substep: 5e-6,
             stop_margin: 0.1,
+            stops_short: false,
         }
     }
 }
@@ -107,7 +111,10 @@ impl SimulatedDevice {
                 (low - options.stop_margin, high + options.stop_margin)
             })
         });
-        let plant = Plant::new(description, start, options.friction, stops)?;
+        let mut plant = Plant::new(description, start, options.friction, stops)?;
+        if options.stops_short {
+            plant.stop_short();
+        }
         let mut motors = Vec::with_capacity(joints);
         let mut encoders = Vec::with_capacity(joints);
         for (index, joint) in description.joints[..joints].iter().enumerate() {

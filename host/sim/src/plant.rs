@@ -14,7 +14,8 @@ use haptic_bridge::math::Libm;
 use haptic_bridge::model::description::{
     Cogging, Description, DescriptionError, EncoderAt, Joint, MAX_MODES, StructuralMode, Transmission,
 };
-use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
+use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism, Regularity};
+use haptic_bridge::render::controller::{FULL_REGULARITY, PARALLEL_REGULARITY};
 use haptic_bridge::with_mechanism;
 use nalgebra::{SMatrix, SVector};
 
@@ -40,6 +41,9 @@ pub struct Plant {
     dry: [Joint; 3],
     cogging: [Option<Cogging>; 3],
     stops: [(f64, f64); 3],
+    /// Its [`distance`] from singularities, and how near it comes to one.
+    distance: f64,
+    nearest: f64,
     q: [f64; 3],
     qd: [f64; 3],
     /// The acceleration of the last step, rad/s²: centres the velocity terms of the next.
@@ -82,6 +86,16 @@ impl Swinging {
 /// joints; the rest is for the steps in which a joint starts or stops.
 const SWEEPS: usize = 20;
 
+/// Softness of the stop short of a singularity, s: a harder one is a blow that no model of a motor explains, a fault.
+const SOFT_STOP: f64 = 0.05;
+/// Turn of a joint over which the way from a singularity is measured, rad.
+const TINY_TURN: f64 = 1e-6;
+
+/// Distance from the nearest singularity, as a board's feed-forward counts it.
+fn distance(regularity: &Regularity<f64>) -> f64 {
+    regularity.serial.min(regularity.parallel / PARALLEL_REGULARITY)
+}
+
 fn vector<const N: usize>(values: &[f64; 3]) -> SVector<f64, N> {
     SVector::from_fn(|i, _| values[i])
 }
@@ -109,6 +123,8 @@ impl Plant {
             dry: if friction { description.joints } else { [Joint::default(); 3] },
             cogging: description.joints.map(|joint| joint.cogging),
             stops,
+            distance: 0.0,
+            nearest: 0.0,
             q,
             qd: [0.0; 3],
             qdd: [0.0; 3],
@@ -124,6 +140,12 @@ impl Plant {
         };
         plant.refresh();
         Ok(plant)
+    }
+
+    /// Gives the linkage a stop short of every singularity: where a board's feed-forward just acts in full, or where it
+    /// stands if that is nearer.
+    pub fn stop_short(&mut self) {
+        self.nearest = FULL_REGULARITY.min(self.distance);
     }
 
     /// Number of joints N.
@@ -248,10 +270,36 @@ impl Plant {
     }
 
     fn observe<M: Mechanism<f64, N>, const N: usize>(&mut self, m: &M, pose: &M::Pose) {
+        self.distance = distance(&m.regularity(pose));
         self.tip = array(&m.tip(pose));
         self.tip_velocity = array(&m.velocity(pose, &vector(&self.qd)));
         self.tip[self.task..].fill(0.0);
         self.tip_velocity[self.task..].fill(0.0);
+    }
+
+    /// What follows from where it is after a step of `h`. The stop short of a singularity is a soft one: towards it the
+    /// linkage is no faster than would reach it in [`SOFT_STOP`], and from beyond it comes back so fast.
+    fn arrive<M: Mechanism<f64, N>, const N: usize>(&mut self, m: &M, h: f64) {
+        let (before, q) = (self.distance, vector(&self.q));
+        let pose = m.pose::<Libm>(&q);
+        self.observe(m, &pose);
+        let back = (self.nearest - self.distance) / SOFT_STOP;
+        if self.nearest == 0.0 || self.distance - before >= h * back {
+            return;
+        }
+        let away = SVector::<f64, N>::from_fn(|i, _| {
+            let mut turned = q;
+            turned[i] += TINY_TURN;
+            (distance(&m.regularity(&m.pose::<Libm>(&turned))) - self.distance) / TINY_TURN
+        });
+        let given = m.mass(&pose).try_inverse().unwrap_or_else(SMatrix::zeros) * away;
+        let qd: SVector<f64, N> = vector(&self.qd);
+        let lacks = back - away.dot(&qd);
+        let share = lacks / away.dot(&given);
+        if lacks > 0.0 && share.is_finite() {
+            self.qd = array(&(qd + given * share));
+            self.observe(m, &pose);
+        }
     }
 
     fn advance<M: Mechanism<f64, N>, const N: usize>(&mut self, m: &M, load: &Load, h: f64) {
@@ -310,8 +358,7 @@ impl Plant {
         self.q = array(&(middle + after * (0.5 * h)));
         self.qdd = array(&((after - qd) / h));
         self.qd = array(&after);
-        let pose = m.pose::<Libm>(&vector(&self.q));
-        self.observe(m, &pose);
+        self.arrive(m, h);
     }
 
     /// The same with motors behind transmissions: joints first, then the motors of those that have one. `drive` are the
@@ -380,8 +427,7 @@ impl Plant {
             self.theta[i] += 0.5 * h * (velocity[3 + i] + after[3 + i]);
             self.theta_d[i] = after[3 + i];
         }
-        let pose = m.pose::<Libm>(&vector(&self.q));
-        self.observe(m, &pose);
+        self.arrive(m, h);
     }
 
     /// Moves what swings on by `h`, before its joints, whose velocities at the end are `after`.

@@ -8,14 +8,17 @@ use haptic_bridge::render::scene::{FeedForward, Scene, Surface};
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_host::link::{Board, encode};
 use haptic_host::scene_file::SceneFile;
+use haptic_predict::wall_ahead::wall_ahead;
 use haptic_show::recorder::Recording;
 use haptic_show::view::hub::{Hub, Message as Sent, PageId};
 use haptic_show::view::message::FromPage;
 use haptic_show::view::stability::Plane;
+use haptic_show::view::world::lead;
 use haptic_show::view::{PageListener, Stage, Turn, World};
 use haptic_stability::analysis::control_loop::TorquePath;
 use haptic_stability::analysis::flexible::Posture;
 use haptic_stability::analysis::plant::Drive;
+use haptic_stability::analysis::pose::Stance;
 use haptic_stability::analysis::prediction::{Prediction, Subject};
 use haptic_stability::analysis::range::BoundaryPoint;
 use haptic_stability::analysis::sampled::{LinearEstimator, Loop};
@@ -566,6 +569,49 @@ fn the_wall_of_a_paddle_is_told_where_it_is_drawn() {
 
 /// A page reddens a ripple above this, N.
 const RED: f64 = 0.5;
+
+/// However wildly a page leads the hand, the linkage stays on its side of every singularity; also where the motors go off
+/// under a tip that is drawn far away, or the hand lets go of one that a wall throws out.
+#[test]
+fn a_hand_that_is_led_anywhere_does_not_fold_the_linkage() {
+    let planar = ["cable-five-bar", "capstan-pantograph", "haply-2diy", "pantograph-mk2", "serial-3r"];
+    let scenes = planar.map(|name| Some((name, wall_ahead(&shipped(name)).unwrap())));
+    for scene in scenes.into_iter().chain([None]) {
+        for (goal, lets_go, seconds) in
+            [(None, true, 0.4), (Some([0.02, -0.1]), false, 0.2), (Some([0.5, 0.4]), false, 0.2)]
+        {
+            let mut world = match scene.clone() {
+                Some((name, scene)) => World::simulate(shipped(name), Some(scene)).unwrap(),
+                None => World::demo().unwrap(),
+            };
+            let mut scene = world.board.scene().unwrap().unwrap();
+            scene.walls[0].feed_forward = FeedForward::Full;
+            world.board.set_scene(&scene).unwrap();
+            let Surface::Plane(plane) = &scene.walls[0].surface else { panic!("a wall is a plane") };
+            let board = world.simulated.clone().unwrap();
+            let device = world.file.as_ref().unwrap().device::<f64>().unwrap();
+            let stance = || Stance::of(&device.mechanism, &board.lock().device().q()[..device.axes()]).unwrap();
+            let (before, tip) = (stance(), board.lock().device().tip());
+            let goal = goal.unwrap_or(core::array::from_fn(|i| tip[i] - 0.07 * f64::from(plane.normal[i])));
+            world.board.arm().unwrap();
+            lead(&board, Some(goal));
+            let mut plays = |seconds: f64| {
+                for _ in 0..(200.0 * seconds) as usize {
+                    board.lock().run(0.005);
+                    let now = stance();
+                    let is_same = now.is_clear(0.045) && now.positive == before.positive;
+                    assert!(is_same, "{}, led to {goal:?}: {now:?}", device.name);
+                }
+            };
+            plays(0.3);
+            match lets_go {
+                true => lead(&board, None),
+                false => world.board.disarm().unwrap(),
+            }
+            plays(seconds);
+        }
+    }
+}
 
 /// What the page is for: a hand presses the wall, one click takes the feed-forward away and the wall buzzes, another
 /// brings it back and the wall is quiet; however deep the hand presses, and also to the side of where it began.
