@@ -6,7 +6,7 @@ use haptic_host::haptic_bridge::model::device::Device as BoardDevice;
 use haptic_host::haptic_bridge::render::scene::Scene;
 use haptic_host::haptic_bridge::safety::fault::{Fault, State};
 use haptic_host::haptic_bridge::servo::host_force::MOST_HELD_FORCE;
-use haptic_host::link::{LinkError, PortSpec, Session};
+use haptic_host::link::{BoardError, LinkError, PortSpec, Session};
 use haptic_host::vectors::padded;
 use haptic_host::words::{fault_and_remedy, for_a_program};
 use haptic_stability::analysis::map::Reachable;
@@ -127,8 +127,10 @@ impl HdDevice {
                 (self.tick, self.told, self.armed, self.tripped) = (Instant::now(), false, true, false);
                 true
             }
-            Err(error) => {
-                self.tell(format!("the motors stay off: {error}"));
+            // Nobody knows whether they are on.
+            Err(BoardError::Link(error)) => self.lost(&error),
+            Err(refused) => {
+                self.tell(format!("the motors stay off: {refused}"));
                 false
             }
         }
@@ -340,6 +342,15 @@ mod tests {
         device.force([0.0; 3]);
         assert!(!device.arm());
         assert_eq!(board.lock().status().state, State::Fault);
+    }
+
+    #[test]
+    fn a_board_that_is_lost_while_it_arms_is_gone_and_not_told_to_be_off() {
+        let (_, mut device, plugged) = device();
+        assert!(device.disarm());
+        plugged.store(false, Ordering::Relaxed);
+        assert!(!device.arm());
+        assert_eq!(device.position(), None);
     }
 
     #[test]

@@ -40,8 +40,8 @@ use haptic_host::link::{BoardError, LinkError};
 use haptic_stability::analysis::pose::PoseError;
 use haptic_stability::analysis::several::Member;
 
-/// Why a measurement, or the part of it at one damping, ended early. Motors are off whenever a measurement returns one
-/// of these.
+/// Why a measurement, or the part of it at one damping, ended early. A measurement that returns one of these has turned
+/// the motors off, if the board still answers; else it does so itself.
 #[derive(Debug, Error)]
 pub enum MeasureError {
     /// The board could not be reached or refused.
@@ -51,7 +51,7 @@ pub enum MeasureError {
     #[error(transparent)]
     Link(#[from] LinkError),
     /// The user stopped it.
-    #[error("interrupted: motors are off")]
+    #[error("interrupted")]
     Interrupted,
     /// The board tripped a fault.
     #[error("the board tripped a fault: {0}")]

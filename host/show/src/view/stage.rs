@@ -199,7 +199,7 @@ impl Stage {
         &mut self.world.board
     }
 
-    /// Plays until `stop` is set or the board is lost. The motors are off afterwards.
+    /// Plays until `stop` is set, or the board is lost or does not answer. Without an error the motors are off afterwards.
     pub fn run(&mut self, stop: &AtomicBool) -> Result<(), LinkError> {
         let played = self.play(stop);
         let ended = self.end(played.is_err());

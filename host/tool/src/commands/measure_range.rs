@@ -225,7 +225,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
                 report.out()?;
             }
             Err(match (measured, progress.points.iter().find_map(|point| point.open.as_ref())) {
-                (Err(error), _) => failure(error, &args),
+                (Err(error), _) => failure(error, &args, &mut board),
                 (Ok(()), open) => {
                     let reason = open.map_or_else(String::new, |open| open.reason.clone());
                     Failure::impossible(format!("no boundary was found: {reason}")).remedy(REMEDY)
@@ -336,8 +336,16 @@ fn progress_failure(error: ProgressError) -> Failure {
     }
 }
 
+/// How the motors are, as the board says.
+fn motors(board: &mut Board) -> &'static str {
+    match board.status() {
+        Ok(status) if !status.state.drives() => "motors are off",
+        _ => "the board DOES NOT SAY that its motors are off; use the emergency stop",
+    }
+}
+
 /// Why a measurement ended, and what to do.
-fn failure(error: MeasureError, args: &Args) -> Failure {
+fn failure(error: MeasureError, args: &Args, board: &mut Board) -> Failure {
     let again = match args.progress.exists() {
         true => format!("run the same command again to go on where it stopped ({})", args.progress.display()),
         false => "nothing was measured yet; run the same command again".into(),
@@ -347,7 +355,8 @@ fn failure(error: MeasureError, args: &Args) -> Failure {
         MeasureError::Link(error) => error.into(),
         MeasureError::Pose(error) => error.into(),
         MeasureError::Progress(error) => progress_failure(error),
-        MeasureError::Interrupted | MeasureError::Disarmed => Failure::impossible(error).remedy(again),
+        MeasureError::Interrupted => Failure::impossible(format!("{error}: {}", motors(board))).remedy(again),
+        MeasureError::Disarmed => Failure::impossible(error).remedy(again),
         MeasureError::Fault(_) => {
             Failure::impossible(error).remedy(format!("see `haptic faults`, put the device back and {again}"))
         }
@@ -360,5 +369,22 @@ fn failure(error: MeasureError, args: &Args) -> Failure {
             Failure::impossible(error).remedy(REMEDY)
         }
         MeasureError::Scene(_) => Failure::wrong(error),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use haptic_sim::{BoardOptions, SharedBoard, ready_board};
+
+    #[test]
+    fn that_motors_are_off_is_said_of_a_board_that_says_so() {
+        let file = DeviceFile::parse(haptic_sim::SHIPPED_DEVICE, "coupled-five-bar.toml").unwrap();
+        let simulated = SharedBoard::new(ready_board(&file, BoardOptions::default()).unwrap());
+        let mut board = Board::over(simulated.wire(), "sim").unwrap();
+        board.set_scene(&haptic_predict::wall_ahead::wall_ahead(&file).unwrap()).unwrap();
+        assert_eq!(motors(&mut board), "motors are off");
+        board.arm().unwrap();
+        assert!(motors(&mut board).contains("DOES NOT SAY"));
     }
 }
