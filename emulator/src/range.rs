@@ -18,6 +18,7 @@ use haptic_predict::measure::campaign::{self, Plan};
 use haptic_predict::measure::progress::Progress;
 use haptic_predict::measure::{Law, MeasureError, MeasurementSetup, PreparedBoard};
 use haptic_show::plot::Picture;
+use haptic_show::plot::paper::Paper;
 use haptic_show::plot::range::{Contents, MeasuredPoint, draw};
 use haptic_sim::Hand;
 use haptic_stability::analysis::map;
@@ -464,6 +465,8 @@ pub fn section(rate: Rate, progress: &Progress, delay: f64) -> (String, String, 
         washout_hz: None,
         measured_off: &dots(FeedForward::Off),
         measured_full: &dots(FeedForward::Full),
+        note: None,
+        paper: Paper::default(),
     });
     (rows, told, picture)
 }

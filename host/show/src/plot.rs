@@ -8,6 +8,7 @@
 //! - [`linkage`]: a device's links and joints
 //! - [`map`]: inertia over the workspace (the paper's Fig. 1)
 //! - [`paddle`]: what a map is to a device with one joint
+//! - [`paper`]: how wide a picture is on a screen and on paper, and text that fits it
 //! - [`range`]: the stable domain of a device (the paper's Fig. 3)
 //! - [`signals`]: a recording over time, over penetration, as a spectrum, as a phase portrait
 //! - [`speed`]: what each way of computing the control step costs, over its error
@@ -23,6 +24,7 @@ pub mod device;
 pub mod linkage;
 pub mod map;
 pub mod paddle;
+pub mod paper;
 pub mod range;
 pub mod signals;
 pub mod speed;

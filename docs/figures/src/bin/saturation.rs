@@ -62,7 +62,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     canvas.text((frame.at.0, 48.0), 12.0, Anchor::Start, false, about);
     let entries: Vec<(Mark<'_>, String)> =
         curves.iter().map(|(_, stroke, text)| (Mark::Line(*stroke), (*text).to_string())).collect();
-    PlotArea::legend(&mut canvas, frame.at.0 + 320.0, frame.at.1 + 10.0, &entries);
+    let drawn: Vec<_> = curves.iter().map(|(points, ..)| points.clone()).collect();
+    frame.clear_legend(&mut canvas, &drawn, &entries);
     let picture = canvas.finish("saturation", "Force along the normal and sideways over the depth in a wall.");
     picture.save_svg(&Path::new(root).join("docs/results/saturation.svg"))?;
     Ok(())

@@ -6,16 +6,24 @@ use super::crossing::{Crossing, Moment};
 use crate::plot::Picture;
 use crate::plot::axes::{Axis, PlotArea};
 use crate::plot::canvas::{Anchor, Canvas, Stroke};
-use crate::plot::colour::{FAINT, OFF, WASHOUT};
+use crate::plot::colour::{FAINT, INK, OFF, WASHOUT};
+use crate::plot::linkage;
+use haptic_stability::skeleton::skeleton;
 
 const WIDTH: f64 = 1000.0;
 const LEFT: f64 = 80.0;
 const RIGHT: f64 = 24.0;
-const TOP: f64 = 158.0;
+const TOP: f64 = 176.0;
 const PANEL: f64 = 170.0;
 const GAP: f64 = 74.0;
 /// Between the two columns: room for the right one's scale.
 const BETWEEN: f64 = 84.0;
+
+/// The time of which the last row shows every swing, s.
+const CLOSE: std::ops::Range<f64> = 0.5..0.6;
+/// The device above the panels: middle of the drawing, and how many pixels a metre is.
+const DEVICE_AT: (f64, f64) = (862.0, 74.0);
+const DEVICE_SCALE: f64 = 500.0;
 
 /// Contents of one row of panels; both panels of a row have the same scale.
 struct Row {
@@ -25,6 +33,33 @@ struct Row {
     value: fn(&Moment) -> f64,
     low: f64,
     high: f64,
+}
+
+/// Ground of the time that is shown closely.
+const FAINT_GROUND: &str = "#e8e8e8";
+
+/// The device at its pose with the wall, and the way of the hand.
+fn device(canvas: &mut Canvas, demo: &Demo) {
+    let Some(skeleton) = skeleton(&demo.file.description, demo.q()) else { return };
+    let (low, high) = linkage::bounds(skeleton.bars.iter().flat_map(|bar| [bar.from, bar.to]));
+    let middle = ((low.0 + high.0) / 2.0, (low.1 + high.1) / 2.0);
+    let pixel =
+        |x: f64, y: f64| (DEVICE_AT.0 + DEVICE_SCALE * (x - middle.0), DEVICE_AT.1 - DEVICE_SCALE * (y - middle.1));
+    let ([nx, ny], (x, y)) = (demo.normal, skeleton.tip);
+    // The solid side of the wall, and along it the slide.
+    let at = |along: f64, depth: f64| pixel(x - along * ny - depth * nx, y + along * nx - depth * ny);
+    canvas.polygon(&[at(-0.09, 0.0), at(0.09, 0.0), at(0.09, 0.02), at(-0.09, 0.02)], FAINT, 0.3);
+    canvas.line(at(-0.09, 0.0), at(0.09, 0.0), Stroke::solid(FAINT, 1.6));
+    for bar in &skeleton.bars {
+        canvas.line(pixel(bar.from.0, bar.from.1), pixel(bar.to.0, bar.to.1), Stroke::solid(INK, 2.0));
+        canvas.circle(pixel(bar.from.0, bar.from.1), 2.6, "white", Stroke::solid(INK, 1.4));
+    }
+    for base in &skeleton.base {
+        linkage::base_pivot(canvas, pixel(base.0, base.1));
+    }
+    linkage::tip(canvas, pixel(x, y));
+    let words = at(-0.095, 0.016);
+    canvas.text((words.0, words.1), 11.5, Anchor::Start, false, "wall");
 }
 
 /// Draws both crossings.
@@ -50,12 +85,12 @@ pub fn draw(demo: &Demo, without: &Crossing, with: &Crossing) -> Picture {
             high: 1.08 * top(|moment| moment.force),
         },
         Row {
-            title: "duty of the harder working motor",
-            axis: "duty",
-            unit: "",
-            value: |moment| moment.duty,
+            title: "a tenth of a second of that force, under the resting hand",
+            axis: "force",
+            unit: "N",
+            value: |moment| moment.force,
             low: 0.0,
-            high: 1.08 * top(|moment| moment.duty),
+            high: 1.08 * top(|moment| if CLOSE.contains(&moment.time) { moment.force } else { 0.0 }),
         },
     ];
     let height = TOP + 3.0 * PANEL + 2.0 * GAP + 62.0;
@@ -86,7 +121,11 @@ pub fn draw(demo: &Demo, without: &Crossing, with: &Crossing) -> Picture {
             let frame = PlotArea {
                 at: (left, top),
                 size: (width, PANEL),
-                x: axis("time", "s", 0.0, end),
+                x: if index + 1 == rows.len() {
+                    axis("time", "s", CLOSE.start, CLOSE.end)
+                } else {
+                    axis("time", "s", 0.0, end)
+                },
                 y: axis(row.axis, row.unit, row.low, row.high),
             };
             if index == 0 {
@@ -98,6 +137,15 @@ pub fn draw(demo: &Demo, without: &Crossing, with: &Crossing) -> Picture {
                 let corners = inside.map(|(x, y)| frame.pixel(x, y));
                 canvas.polygon(&corners, FAINT, 0.22);
             }
+            if index + 2 == rows.len() {
+                let corners = [CLOSE.start, CLOSE.end].map(|time| frame.pixel(time, row.high));
+                canvas.rectangle(
+                    corners[0],
+                    (corners[1].0 - corners[0].0, PANEL),
+                    FAINT_GROUND,
+                    Stroke::solid(FAINT, 0.0),
+                );
+            }
             frame.clipped(&mut canvas, |canvas| {
                 let points: Vec<(f64, f64)> =
                     crossing.moments.iter().map(|moment| (moment.time, (row.value)(moment))).collect();
@@ -107,6 +155,7 @@ pub fn draw(demo: &Demo, without: &Crossing, with: &Crossing) -> Picture {
             frame.draw(&mut canvas, &format!("({letter}) {}", row.title));
         }
     }
+    device(&mut canvas, demo);
     let description = format!(
         "Penetration {:.3} mm without and {:.3} mm with feed-forward; peak force {:.2} N and {:.2} N; ripple of the force \
          {:.2} N and {:.2} N rms.",

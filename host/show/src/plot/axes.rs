@@ -2,6 +2,7 @@
 
 use super::canvas::{Anchor, Canvas, Stroke};
 use super::colour::{FAINT, INK};
+use super::paper::{EDGE, SMALL, wrapped};
 
 const TEXT: f64 = 12.0;
 
@@ -32,13 +33,18 @@ pub struct PlotArea {
 }
 
 /// The symbol of a legend entry.
+#[derive(Clone, Copy, Debug)]
 pub enum Mark<'a> {
     /// A line.
     Line(Stroke<'a>),
     /// A dot with an error bar.
     Dot(&'a str),
+    /// A circle.
+    Circle(&'a str),
     /// A filled area.
     Area(&'a str),
+    /// Nothing: the entry goes on with the words of the one before it.
+    Continued,
 }
 
 impl Axis {
@@ -96,13 +102,35 @@ impl PlotArea {
 
     /// Frame, ticks, labels and title.
     pub fn draw(&self, canvas: &mut Canvas, title: &str) {
+        self.draw_along(canvas, title, &self.x.ticks(self.size.0 / 75.0), &self.x.label());
+    }
+
+    /// The same whose x axis holds logarithms: each decade that is even has its power of ten, and the label its unit.
+    pub fn draw_decades(&self, canvas: &mut Canvas) {
+        let superscript = |digit: char| match digit {
+            '-' => '⁻',
+            '1' => '¹',
+            '2' => '²',
+            '3' => '³',
+            digit => digit.to_digit(10).and_then(|d| char::from_u32(0x2070 + d)).unwrap_or(digit),
+        };
+        let even = (self.x.low.ceil() as i32..=self.x.high.floor() as i32).filter(|decade| decade % 2 == 0);
+        let power = |decade: i32| match decade {
+            0 => "1".to_string(),
+            decade => format!("10{}", decade.to_string().chars().map(superscript).collect::<String>()),
+        };
+        let ticks: Vec<(f64, String)> = even.map(|decade| (f64::from(decade), power(decade))).collect();
+        self.draw_along(canvas, "", &ticks, &format!("{} ({})", self.x.name, self.x.unit));
+    }
+
+    fn draw_along(&self, canvas: &mut Canvas, title: &str, ticks: &[(f64, String)], label: &str) {
         let (left, top) = self.at;
         let (width, height) = self.size;
         let bottom = top + height;
-        for (value, text) in self.x.ticks(width / 75.0) {
-            let (x, _) = self.pixel(value, self.y.low);
+        for (value, text) in ticks {
+            let (x, _) = self.pixel(*value, self.y.low);
             canvas.line((x, bottom), (x, bottom + 5.0), Stroke::solid(INK, 1.0));
-            canvas.text((x, bottom + 19.0), TEXT, Anchor::Middle, false, &text);
+            canvas.text((x, bottom + 19.0), TEXT, Anchor::Middle, false, text);
         }
         let mut widest = 0;
         for (value, text) in self.y.ticks(height / 55.0) {
@@ -112,7 +140,7 @@ impl PlotArea {
             canvas.text((left - 9.0, y + 4.2), TEXT, Anchor::End, false, &text);
         }
         canvas.rectangle(self.at, self.size, "none", Stroke::solid(INK, 1.0));
-        canvas.text((left + width / 2.0, bottom + 40.0), 13.0, Anchor::Middle, false, &self.x.label());
+        canvas.text((left + width / 2.0, bottom + 40.0), 13.0, Anchor::Middle, false, label);
         let clear = left - 20.0 - 7.7 * widest as f64;
         canvas.text((clear, top + height / 2.0), 13.0, Anchor::Middle, true, &self.y.label());
         canvas.text((left, top - 10.0), 13.5, Anchor::Start, false, title);
@@ -170,11 +198,25 @@ impl PlotArea {
             let pixels = |line: &Vec<(f64, f64)>| line.iter().map(|&(x, y)| self.pixel(x, y)).collect::<Vec<_>>();
             fits && !drawn.iter().map(pixels).any(|line| passes(&line, low, high))
         });
-        let (right, top) = free.unwrap_or_else(|| (self.at.0 + width, canvas.lengthen(height + 2.0 * GAP)));
-        Self::legend(canvas, right, top, entries);
+        if let Some((right, top)) = free {
+            return Self::legend(canvas, right, top, entries);
+        }
+        let most = canvas.width() - 2.0 * EDGE - 48.0;
+        let folded: Vec<(Mark<'_>, String)> = entries
+            .iter()
+            .flat_map(|(mark, text)| {
+                let lines = wrapped(text, most, SMALL);
+                lines.into_iter().enumerate().map(|(i, line)| (if i == 0 { *mark } else { Mark::Continued }, line))
+            })
+            .collect();
+        let (width, height) = Self::legend_size(&folded);
+        let right = (self.at.0 + width).min(canvas.width() - EDGE);
+        let top = canvas.lengthen(height + 2.0 * GAP);
+        Self::legend(canvas, right, top, &folded);
     }
 
-    fn legend_size(entries: &[(Mark<'_>, String)]) -> (f64, f64) {
+    /// Width and height of a legend, pixels.
+    pub fn legend_size(entries: &[(Mark<'_>, String)]) -> (f64, f64) {
         let longest = entries.iter().map(|(_, text)| text.chars().count()).max().unwrap_or(0) as f64;
         (48.0 + 6.5 * longest, 10.0 + 18.0 * entries.len() as f64)
     }
@@ -209,6 +251,10 @@ impl PlotArea {
             Mark::Area(colour) => {
                 canvas.rectangle((left, y - 5.0), (26.0, 10.0), colour, Stroke::solid(colour, 0.0));
             }
+            Mark::Circle(colour) => {
+                canvas.circle((left + 13.0, y), 3.2, "white", Stroke::solid(colour, 1.6));
+            }
+            Mark::Continued => {}
         }
         canvas.text((left + 33.0, y + 4.0), 11.5, Anchor::Start, false, text);
     }

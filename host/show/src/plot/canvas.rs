@@ -5,6 +5,7 @@ use std::fmt::Write;
 
 use super::Picture;
 use super::colour::INK;
+use super::paper::SMALL;
 
 /// Font family of every text; compiled in for PNG, with a fallback for SVG viewers.
 pub const FONT: &str = "DejaVu Sans";
@@ -62,6 +63,11 @@ impl Canvas {
     /// Gives the page a width on paper, mm.
     pub fn print_at(&mut self, mm: f64) {
         self.printed = Some(mm);
+    }
+
+    /// Units from edge to edge.
+    pub fn width(&self) -> f64 {
+        self.width
     }
 
     /// Makes the page higher, and says where its end was.
@@ -152,11 +158,11 @@ impl Canvas {
         self.push(format_args!(r#"<circle cx="{:.2}" cy="{:.2}" r="{radius}" fill="{fill}" {style}/>"#, at.0, at.1));
     }
 
-    /// Text of 11 pixels centred on a point, turned by `degrees` clockwise.
+    /// Small text centred on a point, turned by `degrees` clockwise; a line that it crosses makes room for it.
     pub fn slanted_text(&mut self, at: (f64, f64), degrees: f64, text: &str) {
         let text = escaped(text);
         self.push(format_args!(
-            r#"<text transform="translate({:.2} {:.2}) rotate({degrees:.2})" font-size="11" text-anchor="middle">{text}</text>"#,
+            r#"<text transform="translate({:.2} {:.2}) rotate({degrees:.2})" font-size="{SMALL}" text-anchor="middle" stroke="white" stroke-width="3" paint-order="stroke">{text}</text>"#,
             at.0, at.1
         ));
     }

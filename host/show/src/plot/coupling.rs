@@ -7,6 +7,7 @@
 use super::axes::{Axis, Mark, PlotArea};
 use super::canvas::{Anchor, Canvas, Stroke};
 use super::colour::{BOUND, FAINT, FULL, INK, OFF, WASHOUT, scale};
+use super::paper::{EDGE, Paper, SMALL, wrapped};
 use super::{Picture, linkage};
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::description::Description;
@@ -17,8 +18,11 @@ use haptic_stability::analysis::pose::{PoseError, TaskPose, unit_normal};
 use haptic_stability::skeleton::{Point, Skeleton, skeleton};
 use nalgebra::{DVector, Vector3};
 
-/// Side of each drawing, pixels.
+/// Side of each drawing on a screen, of both with what is around them, and what a drawing's axis and legend take below
+/// it, pixels.
 const SIDE: f64 = 380.0;
+const USUAL: f64 = 2.0 * SIDE + 190.0;
+const UNDER: f64 = 165.0;
 /// Distance by which the drawn motion moves the tip, as a share of the drawing.
 const MOTION: f64 = 0.1;
 /// Directions around a half turn, and around a whole one, of a surface.
@@ -37,6 +41,7 @@ pub fn draw(
     q: &[f64],
     normal: &[f64],
     admissible: Admissible,
+    paper: Paper,
 ) -> Result<Option<Picture>, PoseError> {
     let spec = description.kind.spec();
     let Some(here) = skeleton(description, q) else { return Ok(None) };
@@ -44,20 +49,21 @@ pub fn draw(
     let n = unit_normal(normal, spec.task, spec.joints)?;
     let Some(point) = at_holding(description, q, &n, admissible)? else { return Ok(None) };
     let device = Linearised::holding(description, q, normal, admissible)?;
-    let mut canvas = Canvas::new(2.0 * SIDE + 190.0, SIDE + 275.0);
     let title = format!("{name}: motion along n, and coupling over all directions");
-    canvas.text((30.0, 28.0), 15.0, Anchor::Start, false, &title);
     let list = |values: &[f64]| values.iter().map(|v| format!("{v:.3}")).collect::<Vec<_>>().join(", ");
     let at = format!("q = ({}) rad, n = ({})", list(q), list(&n.as_slice()[..spec.task]));
-    canvas.text((30.0, 48.0), 12.0, Anchor::Start, false, &at);
-    motion(&mut canvas, description, q, &here, &device);
-    let right = (SIDE + 140.0, 70.0);
-    match spec.task {
-        1 => canvas.text((right.0, 110.0), 12.0, Anchor::Start, false, "One direction: nothing couples."),
-        2 => curve(&mut canvas, right, &pose, &point, &n),
-        _ => surface(&mut canvas, right, &pose, &point, &n),
-    }
-    let bottom = SIDE + 235.0;
+    let mut page = paper.page(USUAL, 75.0);
+    page.begin = page.begin.min(30.0);
+    let heading = page.heading(&title, &[at]);
+    // Beside each other, or on a narrow page one below the other.
+    let side = match (page.is_narrow(), paper.is_printed()) {
+        (true, _) => page.wide - page.left - 24.0,
+        (_, true) => (page.wide - (USUAL - 2.0 * SIDE)) / 2.0,
+        _ => SIDE,
+    };
+    let top = 70.0 + heading.beyond(1);
+    let under = side + UNDER;
+    let second = if page.is_narrow() { (page.left, top + under) } else { (page.left + side + 65.0, top) };
     let lines = [
         format!(
             "Along n a wall meets Weff = {:.4} kg without the feed-forward and Wrr = {:.4} kg with it: {:.3} times as much.",
@@ -75,10 +81,31 @@ pub fn draw(
             ),
         },
     ];
+    let lines = page.notes(lines.iter().map(String::as_str));
+    let bottom = second.1 + under;
+    let mut canvas = page.canvas(bottom + 4.0 + 18.0 * lines.len() as f64);
+    heading.draw(&mut canvas);
+    motion(&mut canvas, description, q, &here, &device, Place { at: (page.left, top), side });
+    let place = Place { at: second, side };
+    match spec.task {
+        1 => {
+            let at = (second.0, second.1 + 40.0);
+            canvas.text(at, 12.0, Anchor::Start, false, "One direction: nothing couples.");
+        }
+        2 => curve(&mut canvas, place, &pose, &point, &n),
+        _ => surface(&mut canvas, place, &pose, &point, &n),
+    }
     for (i, line) in lines.iter().enumerate() {
-        canvas.text((30.0, bottom + 18.0 * i as f64), 12.0, Anchor::Start, false, line);
+        canvas.text((page.begin, bottom + 18.0 * i as f64), SMALL, Anchor::Start, false, line);
     }
     Ok(Some(canvas.finish(&title, "The linkage moved along the normal, and the coupling Wrr - Weff by direction.")))
+}
+
+/// Where a drawing goes: its left upper corner, and its side, pixels.
+#[derive(Clone, Copy)]
+struct Place {
+    at: Point,
+    side: f64,
 }
 
 /// Tip of the linkage after a small joint motion, per unit of it.
@@ -90,14 +117,21 @@ fn direction(description: &Description, q: &[f64], here: &Skeleton, motion: &DVe
 }
 
 /// The device, and where a push along n moves it: with the feed-forward, and by itself.
-fn motion(canvas: &mut Canvas, description: &Description, q: &[f64], here: &Skeleton, device: &Linearised) {
+fn motion(
+    canvas: &mut Canvas,
+    description: &Description,
+    q: &[f64],
+    here: &Skeleton,
+    device: &Linearised,
+    Place { at, side }: Place,
+) {
     let points = here.bars.iter().flat_map(|bar| [bar.from, bar.to]).chain(here.base.iter().copied());
     let (low, high) = super::linkage::bounds(points);
     let middle = ((low.0 + high.0) / 2.0, (low.1 + high.1) / 2.0);
     let half = 0.68 * (high.0 - low.0).max(high.1 - low.1);
     let axis =
         |name: &str, middle: f64| Axis { name: name.into(), unit: "m".into(), low: middle - half, high: middle + half };
-    let frame = PlotArea { at: (75.0, 70.0), size: (SIDE, SIDE), x: axis("x", middle.0), y: axis("y", middle.1) };
+    let frame = PlotArea { at, size: (side, side), x: axis("x", middle.0), y: axis("y", middle.1) };
     // Joint motion per metre of the tip along n: held, and free, which is what Jᵀ pushes.
     let held = device.unit_motion.clone();
     let free = device.mass.clone().cholesky().map(|mass| mass.solve(&device.row));
@@ -125,7 +159,13 @@ fn motion(canvas: &mut Canvas, description: &Description, q: &[f64], here: &Skel
         (Mark::Line(Stroke::solid(OFF, 2.0)), "what a push along n does without".to_string()),
         (Mark::Line(GHOST), "the linkage moved that way and back, with it".to_string()),
     ];
-    PlotArea::legend(canvas, 75.0 + SIDE, SIDE + 122.0, &entries);
+    legend(canvas, Place { at, side }, &entries);
+}
+
+/// Below a drawing, with its right edge where that has it, or at the page's left edge where it is too wide.
+fn legend(canvas: &mut Canvas, Place { at, side }: Place, entries: &[(Mark<'_>, String)]) {
+    let width = PlotArea::legend_size(entries).0;
+    PlotArea::legend(canvas, (at.0 + side).max(EDGE + width), at.1 + side + 52.0, entries);
 }
 
 fn arrow(canvas: &mut Canvas, from: Point, to: Point, colour: &str) {
@@ -138,7 +178,7 @@ fn arrow(canvas: &mut Canvas, from: Point, to: Point, colour: &str) {
 }
 
 /// Weff, Wrr and their difference around a turn.
-fn curve(canvas: &mut Canvas, at: Point, pose: &TaskPose, point: &MapPoint, n: &DVector<f64>) {
+fn curve(canvas: &mut Canvas, Place { at, side }: Place, pose: &TaskPose, point: &MapPoint, n: &DVector<f64>) {
     let joints = pose.jacobian.nrows();
     let around: Vec<(f64, f64, f64)> = (0..=180)
         .filter_map(|i| {
@@ -150,7 +190,7 @@ fn curve(canvas: &mut Canvas, at: Point, pose: &TaskPose, point: &MapPoint, n: &
         .collect();
     let largest = around.iter().map(|(_, _, w_rr)| *w_rr).fold(0.0, f64::max) * 1.12;
     let axis = |name: &str| Axis { name: name.into(), unit: "kg".into(), low: -largest, high: largest };
-    let frame = PlotArea { at, size: (SIDE, SIDE), x: axis("along x"), y: axis("along y") };
+    let frame = PlotArea { at, size: (side, side), x: axis("along x"), y: axis("along y") };
     let polar = |value: fn(&(f64, f64, f64)) -> f64| -> Vec<(f64, f64)> {
         around.iter().map(|all| (value(all) * all.0.cos(), value(all) * all.0.sin())).collect()
     };
@@ -173,7 +213,7 @@ fn curve(canvas: &mut Canvas, at: Point, pose: &TaskPose, point: &MapPoint, n: &
         (Mark::Area(WASHOUT), "coupling Wrr - Weff".to_string()),
         (Mark::Line(Stroke::solid(BOUND, 2.0)), "n".to_string()),
     ];
-    PlotArea::legend(canvas, at.0 + SIDE, at.1 + SIDE + 52.0, &entries);
+    legend(canvas, Place { at, side }, &entries);
 }
 
 /// The axes of the tip's inertia, as lines through the middle.
@@ -193,7 +233,7 @@ fn names_of_axes(canvas: &mut Canvas, pixel: &dyn Fn(&[f64]) -> Point, point: &M
 }
 
 /// The coupling as a surface over all directions of space: its distance from the middle.
-fn surface(canvas: &mut Canvas, at: Point, pose: &TaskPose, point: &MapPoint, n: &DVector<f64>) {
+fn surface(canvas: &mut Canvas, Place { at, side }: Place, pose: &TaskPose, point: &MapPoint, n: &DVector<f64>) {
     let joints = pose.jacobian.nrows();
     let (halves, wholes) = AROUND;
     let reach = |i: usize, j: usize| -> (Vector3<f64>, f64) {
@@ -213,8 +253,8 @@ fn surface(canvas: &mut Canvas, at: Point, pose: &TaskPose, point: &MapPoint, n:
         let (x, z) = (turn_cosine * v.x + turn_sine * v.z, turn_cosine * v.z - turn_sine * v.x);
         Vector3::new(x, tilt_cosine * v.y - tilt_sine * z, tilt_sine * v.y + tilt_cosine * z)
     };
-    let middle = (at.0 + SIDE / 2.0, at.1 + SIDE / 2.0);
-    let pixels = 0.42 * SIDE / most;
+    let middle = (at.0 + side / 2.0, at.1 + side / 2.0);
+    let pixels = 0.42 * side / most;
     let pixel = |v: &Vector3<f64>| {
         let v = seen(v);
         (middle.0 + pixels * v.x, middle.1 - pixels * v.y)
@@ -241,5 +281,8 @@ fn surface(canvas: &mut Canvas, at: Point, pose: &TaskPose, point: &MapPoint, n:
     let n = Vector3::new(n[0], n[1], n[2]);
     arrow(canvas, pixel(&Vector3::zeros()), pixel(&(n * (1.1 * most))), BOUND);
     let label = format!("coupling Wrr - Weff, up to {most:.4} kg; n in purple");
-    canvas.text((middle.0, at.1 + SIDE + 20.0), 12.0, Anchor::Middle, false, &label);
+    for (line, text) in wrapped(&label, side, SMALL).iter().enumerate() {
+        let at = (middle.0, at.1 + side + 20.0 + 16.0 * line as f64);
+        canvas.text(at, SMALL, Anchor::Middle, false, text);
+    }
 }

@@ -9,10 +9,11 @@ use super::axes::{Axis, PlotArea, passes};
 use super::canvas::{Anchor, Canvas, Stroke};
 use super::colour::{FAINT, FULL, INK, OFF, WASHOUT};
 use super::linkage::bounds;
+use super::paper::{Paper, SMALL};
 use super::{Picture, linkage};
 use haptic_stability::analysis::cut::{Cut, Fineness};
 use haptic_stability::analysis::pose::PoseError;
-use haptic_stability::skeleton::{Angle, Point, Skeleton, Turret, skeleton};
+use haptic_stability::skeleton::{Angle, Bar, Point, Skeleton, Turret, skeleton};
 
 /// Longest side of the plane, pixels: of a linkage by itself, and of a reach that no limits keep near it.
 const SIDE: f64 = 460.0;
@@ -27,7 +28,13 @@ const HALF_LINK: f64 = 4.5;
 const ARC: f64 = 46.0;
 
 /// Draws a device at joint angles `q` (rad); `None` where its linkage does not close. `lines` are written below it.
-pub fn draw(description: &Description, name: &str, q: &[f64], lines: &[String]) -> Result<Option<Picture>, PoseError> {
+pub fn draw(
+    description: &Description,
+    name: &str,
+    q: &[f64],
+    lines: &[String],
+    paper: Paper,
+) -> Result<Option<Picture>, PoseError> {
     let Some(skeleton) = skeleton(description, q) else { return Ok(None) };
     let spec = description.kind.spec();
     let reach = reach(description)?;
@@ -42,16 +49,35 @@ pub fn draw(description: &Description, name: &str, q: &[f64], lines: &[String]) 
     };
     let room = room * (high.0 - low.0).max(high.1 - low.1);
     let (low, high) = ((low.0 - room, low.1 - room), (high.0 + room, high.1 + room));
-    let pixels = side / (high.0 - low.0).max(high.1 - low.1);
+    let (across, up) = (high.0 - low.0, high.1 - low.1);
+    let usual = side / across.max(up);
+    let page = paper.page((86.0 + across * usual + 30.0).max(640.0), 86.0);
+    let pixels = if paper.is_printed() { usual.min((page.wide - page.left - 30.0) / across) } else { usual };
+    let title = if name == spec.name { name.to_string() } else { format!("{name}: a {}", spec.name) };
+    let what =
+        if description.home.is_some_and(|home| home[..spec.joints] == *q) { "at home" } else { "at the pose given" };
+    let ground = if reach.is_empty() { "" } else { "; pale ground: where the tip gets, clear of singular poses" };
+    let heading = page.heading(&title, &[format!("{what}{ground}")]);
     let frame = PlotArea {
-        at: (86.0, 62.0),
-        size: ((high.0 - low.0) * pixels, (high.1 - low.1) * pixels),
+        at: (page.left, 62.0 + heading.beyond(1)),
+        size: (across * pixels, up * pixels),
         x: Axis { name: "x".into(), unit: "m".into(), low: low.0, high: high.0 },
         y: Axis { name: "y".into(), unit: "m".into(), low: low.1, high: high.1 },
     };
-    let notes: Vec<String> = notes(description).into_iter().chain(lines.iter().cloned()).collect();
+    let mut notes: Vec<String> = notes(description).into_iter().chain(lines.iter().cloned()).collect();
+    let in_full = |bar: &Bar| format!("{}, {} mm", bar.name, (bar.length * 1e5).round() / 100.0);
+    let names: Vec<String> = match page.is_narrow() {
+        // Small links have no room for their lengths.
+        true => skeleton.bars.iter().map(|bar| bar.name.to_string()).collect(),
+        false => skeleton.bars.iter().map(in_full).collect(),
+    };
+    if page.is_narrow() {
+        notes.insert(0, skeleton.bars.iter().map(in_full).collect::<Vec<_>>().join("; "));
+    }
     let bottom = frame.at.1 + frame.size.1 + 68.0;
-    let mut canvas = Canvas::new((frame.at.0 + frame.size.0 + 30.0).max(640.0), bottom + 17.0 * notes.len() as f64);
+    let notes = page.notes(notes.iter().map(String::as_str));
+    let mut canvas = page.canvas(bottom + 17.0 * notes.len() as f64);
+    heading.draw(&mut canvas);
     frame.clipped(&mut canvas, |canvas| {
         let tiles: Vec<Vec<Point>> =
             reach.iter().map(|tile| tile.iter().map(|&(x, y)| frame.pixel(x, y)).collect()).collect();
@@ -61,7 +87,7 @@ pub fn draw(description: &Description, name: &str, q: &[f64], lines: &[String]) 
         taken.extend(turret_label(&frame, description.kind));
         let tip = frame.pixel(skeleton.tip.0, skeleton.tip.1);
         taken.push([tip.0 - 18.0, tip.1 - 24.0, tip.0 + 18.0, tip.1 + 6.0]);
-        links(canvas, &frame, &skeleton, taken);
+        links(canvas, &frame, &skeleton, &names, taken);
         for (angle, colour) in skeleton.angles.iter().zip([OFF, FULL, WASHOUT]) {
             arc(canvas, &frame, angle, pixels, description, colour, &skeleton);
         }
@@ -73,14 +99,8 @@ pub fn draw(description: &Description, name: &str, q: &[f64], lines: &[String]) 
         canvas.text((tip.0, tip.1 - 12.0), 12.5, Anchor::Middle, false, name);
     });
     frame.draw(&mut canvas, "");
-    let title = if name == spec.name { name.to_string() } else { format!("{name}: a {}", spec.name) };
-    canvas.text((frame.at.0, 28.0), 15.0, Anchor::Start, false, &title);
-    let what =
-        if description.home.is_some_and(|home| home[..spec.joints] == *q) { "at home" } else { "at the pose given" };
-    let ground = if reach.is_empty() { "" } else { "; pale ground: where the tip gets, clear of singular poses" };
-    canvas.text((frame.at.0, 47.0), 12.0, Anchor::Start, false, &format!("{what}{ground}"));
     for (i, line) in notes.iter().enumerate() {
-        canvas.text((40.0, bottom + 17.0 * i as f64), 12.0, Anchor::Start, false, line);
+        canvas.text((page.begin, bottom + 17.0 * i as f64), SMALL, Anchor::Start, false, line);
     }
     Ok(Some(canvas.finish(&title, "The linkage, its joints with their zero angles and directions, and its reach.")))
 }
@@ -136,8 +156,8 @@ fn overlap(a: &Area, b: &Area) -> bool {
     a[0] < b[2] && b[0] < a[2] && a[1] < b[3] && b[1] < a[3]
 }
 
-/// The links, with labels where nothing is `taken` yet.
-fn links(canvas: &mut Canvas, frame: &PlotArea, skeleton: &Skeleton, mut taken: Vec<Area>) {
+/// The links, with their names where nothing is `taken` yet.
+fn links(canvas: &mut Canvas, frame: &PlotArea, skeleton: &Skeleton, names: &[String], mut taken: Vec<Area>) {
     for bar in &skeleton.bars {
         let ends = [bar.from, bar.to].map(|p| frame.pixel(p.0, p.1));
         canvas.polyline(&ends, Stroke::solid(INK, 2.0 * HALF_LINK));
@@ -147,7 +167,7 @@ fn links(canvas: &mut Canvas, frame: &PlotArea, skeleton: &Skeleton, mut taken: 
     let sum = middles.fold((0.0, 0.0), |sum, p| (sum.0 + p.0, sum.1 + p.1));
     let count = skeleton.bars.len() as f64;
     let centre = frame.pixel(sum.0 / count, sum.1 / count);
-    for bar in &skeleton.bars {
+    for (bar, text) in skeleton.bars.iter().zip(names) {
         let (from, to) = (frame.pixel(bar.from.0, bar.from.1), frame.pixel(bar.to.0, bar.to.1));
         for end in [from, to] {
             canvas.circle(end, 3.4, "white", Stroke::solid(INK, 1.4));
@@ -161,7 +181,6 @@ fn links(canvas: &mut Canvas, frame: &PlotArea, skeleton: &Skeleton, mut taken: 
         let middle = ((from.0 + to.0) / 2.0, (from.1 + to.1) / 2.0);
         let (nx, ny) = (dy / length, -dx / length);
         let outward = if (middle.0 - centre.0) * nx + (middle.1 - centre.1) * ny < 0.0 { -1.0 } else { 1.0 };
-        let text = format!("{}, {} mm", bar.name, (bar.length * 1e5).round() / 100.0);
         // Off the arcs at the base; a label longer than its link begins where the link does.
         let past = (3.1 * text.chars().count() as f64 + 6.0 - length / 2.0).max(0.06 * length);
         let half = (3.1 * text.chars().count() as f64, 6.0);
@@ -198,7 +217,7 @@ fn links(canvas: &mut Canvas, frame: &PlotArea, skeleton: &Skeleton, mut taken: 
         let free = places.iter().find(|at| !labelled(**at) && !crossed(**at));
         let at = *free.or_else(|| places.iter().find(|at| !labelled(**at))).unwrap_or(&places[0]);
         taken.push(area(at));
-        canvas.slanted_text(at, slope, &text);
+        canvas.slanted_text(at, slope, text);
     }
     for (letter, at) in &skeleton.letters {
         let (x, y) = frame.pixel(at.0, at.1);
@@ -355,7 +374,8 @@ mod tests {
         for path in files.filter(|path| path.is_file()) {
             let DeviceFile { name, description, .. } = DeviceFile::load(&path).unwrap();
             let home = description.home.unwrap();
-            let svg = draw(&description, &name, &home[..description.kind.spec().joints], &[]).unwrap().unwrap();
+            let svg = draw(&description, &name, &home[..description.kind.spec().joints], &[], Paper::default());
+            let svg = svg.unwrap().unwrap();
             let links: Vec<[Point; 2]> = (svg.svg().lines().filter(|line| line.contains("stroke-width=\"9\"")))
                 .map(|line| {
                     let points = line.split('"').nth(1).unwrap();

@@ -12,6 +12,7 @@ use haptic_bridge::model::description::Description;
 use super::axes::{Axis, PlotArea};
 use super::canvas::{Anchor, Canvas, Stroke};
 use super::colour::{ABOVE, FAINT, INK, scale};
+use super::paper::{Page, Paper, SMALL};
 use super::{Picture, linkage, paddle};
 use haptic_host::vectors::unit;
 use haptic_stability::analysis::cut::{Cut, Fineness, Tile};
@@ -25,6 +26,13 @@ const COVERED: f64 = 0.95;
 const LEVELS: f64 = 50.0;
 /// Longest side of the plane, pixels.
 const SIDE: f64 = 500.0;
+/// Left of the plane, and right of it with the colour scale: with its name, and without.
+const LEFT: f64 = 86.0;
+const BESIDE: f64 = 130.0;
+const NARROW_BESIDE: f64 = 92.0;
+/// From the arrow of the normal to the edge of a narrow page: behind it stands its name.
+const ARROW: f64 = 40.0;
+const COLOURED: &str = "coupling (Wrr - Weff)/Wrr";
 /// Distance of ellipse centres, pixels, and the radius of one of typical size.
 const SPACING: f64 = 56.0;
 const RADIUS: f64 = 0.36 * SPACING;
@@ -46,11 +54,12 @@ pub fn draw(
     name: &str,
     normal: &[f64],
     admissible: Admissible,
+    paper: Paper,
 ) -> Result<Picture, PoseError> {
     if description.kind.spec().joints == 1 {
-        return paddle::draw(description, name);
+        return paddle::draw(description, name, paper);
     }
-    chart(description, name, normal, admissible).map(|chart| chart.picture)
+    chart(description, name, normal, admissible, paper).map(|chart| chart.picture)
 }
 
 /// The colour of a share on a scale that ends at `top`.
@@ -64,6 +73,7 @@ pub fn chart(
     name: &str,
     normal: &[f64],
     admissible: Admissible,
+    paper: Paper,
 ) -> Result<Chart, PoseError> {
     let cut = Cut::new(description, normal, admissible)?;
     let spec = description.kind.spec();
@@ -73,9 +83,22 @@ pub fn chart(
 
     let tips = coarse.iter().flat_map(|tile| tile.outline.iter().copied());
     let (low, high) = linkage::bounds(tips.chain(home.iter().flat_map(corners)));
-    let pixels = SIDE / (high.0 - low.0).max(high.1 - low.1);
+    let (across, up) = (high.0 - low.0, high.1 - low.1);
+    // On a screen the page is as wide as the plane; on paper the plane is as wide as the page lets it be.
+    let usual = SIDE / across.max(up);
+    let page = paper.page((LEFT + across * usual + BESIDE).max(620.0), LEFT);
+    let room = if page.is_narrow() { NARROW_BESIDE } else { BESIDE };
+    let pixels = if paper.is_printed() { usual.min((page.wide - page.left - room) / across) } else { usual };
+    let title = format!("{name}: coupling of a wall's normal with free motion");
+    let n = unit(normal).unwrap_or_default().iter().map(|v| format!("{v:.3}")).collect::<Vec<_>>().join(", ");
+    let limits =
+        if description.joints[..spec.joints].iter().all(|j| j.limits.is_none()) { "no joint limits" } else { "" };
+    let notes: Vec<&str> = [cut.caption.as_str(), limits].into_iter().filter(|note| !note.is_empty()).collect();
+    let mut under = vec![format!("normal n = ({n})"), notes.join("; ")];
+    under.extend(page.is_narrow().then(|| format!("colour: {COLOURED}")));
+    let heading = page.heading(&title, &under);
     let mut frame = PlotArea {
-        at: (86.0, 92.0),
+        at: (page.left, 92.0 + heading.beyond(2)),
         size: ((high.0 - low.0) * pixels, (high.1 - low.1) * pixels),
         x: Axis { name: "x".into(), unit: "m".into(), low: low.0, high: high.0 },
         y: Axis { name: "y".into(), unit: "m".into(), low: low.1, high: high.1 },
@@ -85,7 +108,15 @@ pub fn chart(
         frame.y.name = "y in the linkage's plane".into();
     }
     let bottom = frame.at.1 + frame.size.1;
-    let mut canvas = Canvas::new((frame.at.0 + frame.size.0 + 130.0).max(620.0), bottom + 138.0);
+    let beside = if Turret::of(description.kind).is_some() { " (joint 0's axis is one)" } else { "" };
+    let coloured = [
+        format!("coloured: where the tip gets from home, clear of singular poses{beside}"),
+        "in home's arm pose: others with the tip in the same place are not drawn".into(),
+    ];
+    let coloured = page.notes(coloured.iter().map(String::as_str));
+    let key_high = if page.is_narrow() { 36.0 } else { 0.0 };
+    let mut canvas = page.canvas(bottom + key_high + 106.0 + 16.0 * coloured.len() as f64);
+    heading.draw(&mut canvas);
 
     let fine = cut.tiles(Fineness { side: 12.0 / pixels, least: 3.0 / pixels, step: 2.0 * top / LEVELS, top });
     frame.clipped(&mut canvas, |canvas| paint(canvas, &frame, &fine, top));
@@ -95,24 +126,13 @@ pub fn chart(
     }
     frame.draw(&mut canvas, "");
 
-    let title = format!("{name}: coupling of a wall's normal with free motion");
-    canvas.text((frame.at.0, 28.0), 15.0, Anchor::Start, false, &title);
-    let n = unit(normal).unwrap_or_default().iter().map(|v| format!("{v:.3}")).collect::<Vec<_>>().join(", ");
-    canvas.text((frame.at.0, 48.0), 12.0, Anchor::Start, false, &format!("normal n = ({n})"));
-    let limits =
-        if description.joints[..spec.joints].iter().all(|j| j.limits.is_none()) { "no joint limits" } else { "" };
-    let notes: Vec<&str> = [cut.caption.as_str(), limits].into_iter().filter(|note| !note.is_empty()).collect();
-    canvas.text((frame.at.0, 65.0), 12.0, Anchor::Start, false, &notes.join("; "));
-    arrow(&mut canvas, &frame, cut.seen(normal));
-    colour_bar(&mut canvas, &frame, step, top, highest);
-    key(&mut canvas, bottom + 74.0, typical, home.is_some());
-    let beside = if Turret::of(description.kind).is_some() { " (joint 0's axis is one)" } else { "" };
-    let coloured = [
-        format!("coloured: where the tip gets from home, clear of singular poses{beside}"),
-        "in home's arm pose: others with the tip in the same place are not drawn".into(),
-    ];
+    let arrow_at = if page.is_narrow() { page.wide - ARROW } else { frame.at.0 + frame.size.0 - 24.0 };
+    arrow(&mut canvas, arrow_at, cut.seen(normal));
+    colour_bar(&mut canvas, &frame, step, top, highest, !page.is_narrow());
+    key(&mut canvas, &page, bottom + 74.0, typical, home.is_some());
     for (i, line) in coloured.iter().enumerate() {
-        canvas.text((frame.at.0, bottom + 112.0 + 16.0 * i as f64), 11.5, Anchor::Start, false, line);
+        let y = bottom + key_high + 112.0 + 16.0 * i as f64;
+        canvas.text((page.begin, y), SMALL, Anchor::Start, false, line);
     }
     let picture =
         canvas.finish(&title, "Coupling between rendered and admissible motion over the reachable workspace.");
@@ -203,14 +223,14 @@ fn ellipses(canvas: &mut Canvas, frame: &PlotArea, cut: &Cut, pixels: f64) -> Re
     Ok(Some(typical))
 }
 
-/// The wall's normal as seen in the plane, right of the heading.
-fn arrow(canvas: &mut Canvas, frame: &PlotArea, (nx, ny): Point) {
+/// The wall's normal as seen in the plane, right of the heading, with its middle at `x`.
+fn arrow(canvas: &mut Canvas, x: f64, (nx, ny): Point) {
     let length = nx.hypot(ny);
     if length < 1e-9 {
         return;
     }
     let (ux, uy) = (nx / length, -ny / length);
-    let middle = (frame.at.0 + frame.size.0 - 24.0, 56.0);
+    let middle = (x, 56.0);
     let from = (middle.0 - 16.0 * ux, middle.1 - 16.0 * uy);
     let to = (middle.0 + 16.0 * ux, middle.1 + 16.0 * uy);
     canvas.line(from, to, Stroke::solid(INK, 1.8));
@@ -221,7 +241,8 @@ fn arrow(canvas: &mut Canvas, frame: &PlotArea, (nx, ny): Point) {
     canvas.text((middle.0 + 12.0 * uy.abs() + 6.0, middle.1 + 14.0 * ux.abs() + 2.0), 13.0, Anchor::Start, false, "n");
 }
 
-fn colour_bar(canvas: &mut Canvas, frame: &PlotArea, step: f64, top: f64, highest: f64) {
+/// The scale right of the frame, with its `name` beside it where there is room.
+fn colour_bar(canvas: &mut Canvas, frame: &PlotArea, step: f64, top: f64, highest: f64, name: bool) {
     let left = frame.at.0 + frame.size.0 + 22.0;
     let above = if highest > top { 26.0 } else { 0.0 };
     let (start, height) = (frame.at.1 + above, frame.size.1 - above);
@@ -247,12 +268,14 @@ fn colour_bar(canvas: &mut Canvas, frame: &PlotArea, step: f64, top: f64, highes
         canvas.text((left + 24.0, y + 4.0), 11.5, Anchor::Start, false, &text(share));
     }
     let middle = frame.at.1 + frame.size.1 / 2.0;
-    canvas.text((left + 88.0, middle), 12.5, Anchor::Middle, true, "coupling (Wrr - Weff)/Wrr");
+    if name {
+        canvas.text((left + 88.0, middle), 12.5, Anchor::Middle, true, COLOURED);
+    }
 }
 
 /// Draws the key of the marks: an ellipse of a round mass, and the linkage.
-fn key(canvas: &mut Canvas, y: f64, typical: Option<f64>, home: bool) {
-    let mut x = 86.0;
+fn key(canvas: &mut Canvas, page: &Page, y: f64, typical: Option<f64>, home: bool) {
+    let (mut x, mut y) = (page.begin, y);
     if let Some(typical) = typical {
         let mass = round_step(typical / 2.5);
         let radius = RADIUS * (mass / typical).sqrt();
@@ -262,6 +285,9 @@ fn key(canvas: &mut Canvas, y: f64, typical: Option<f64>, home: bool) {
         canvas.text((x, y - 2.0), 11.5, Anchor::Start, false, &format!("circle: {kg} in every direction"));
         canvas.text((x, y + 13.0), 11.5, Anchor::Start, false, "(ellipse axes ∝ √eigenvalues of Λ)");
         x += 240.0;
+    }
+    if page.is_narrow() {
+        (x, y) = (page.begin + 5.0, y + 36.0);
     }
     if home {
         canvas.line((x, y + 3.0), (x + 26.0, y - 5.0), Stroke::solid(FAINT, 1.8));

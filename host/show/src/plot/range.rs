@@ -3,8 +3,9 @@
 
 use super::Picture;
 use super::axes::{Axis, Mark, PlotArea};
-use super::canvas::{Anchor, Canvas, Stroke};
+use super::canvas::{Anchor, Stroke};
 use super::colour::{BOUND, FAINT, FULL, HOST, OFF, WASHOUT};
+use super::paper::{Paper, SMALL};
 use haptic_host::words::with_unit;
 use haptic_stability::analysis::passivity::Passivity;
 use haptic_stability::analysis::range::{Domain, Range};
@@ -42,6 +43,10 @@ pub struct Contents<'a> {
     pub measured_off: &'a [MeasuredPoint],
     /// Measured dots with feed-forward.
     pub measured_full: &'a [MeasuredPoint],
+    /// What a reader has to know to compare the dots with the curves.
+    pub note: Option<String>,
+    /// Its width.
+    pub paper: Paper,
 }
 
 /// Draws it.
@@ -62,15 +67,20 @@ pub fn draw(contents: &Contents<'_>) -> Picture {
         .fold(0.0_f64, f64::max);
     let above = |value: f64| if value > 0.0 { value * 1.08 } else { 1.0 };
 
+    let page = contents.paper.page(720.0, 86.0);
+    let heading = page.heading(&contents.title, &contents.subtitle);
     let frame = PlotArea {
-        at: (86.0, 82.0),
-        size: (610.0, 340.0),
+        at: (page.left, 82.0 + heading.beyond(2)),
+        size: (page.wide - page.left - 24.0, if page.is_narrow() { 220.0 } else { 340.0 }),
         x: Axis { name: "wall damping kd".into(), unit: "N s/m".into(), low: 0.0, high: above(widest) },
         y: Axis { name: "wall stiffness kp".into(), unit: "N/m".into(), low: 0.0, high: above(tallest) },
     };
     let bounds = contents.passivity.map(|passivity| bounds(passivity, &frame)).unwrap_or_default();
     let symbols = contents.passivity.map(|passivity| symbols(passivity, &bounds)).unwrap_or_default();
-    let mut canvas = Canvas::new(720.0, 486.0 + LINE * symbols.len() as f64);
+    let symbols = page.notes(contents.note.iter().map(String::as_str).chain(symbols.iter().map(String::as_str)));
+    let below = frame.at.1 + frame.size.1 + 64.0;
+    let mut canvas = page.canvas(below + LINE * symbols.len() as f64);
+    heading.draw(&mut canvas);
     let points = |d: &Domain| d.boundary.iter().map(|p| (p.kd, p.kp)).collect::<Vec<_>>();
     let (off, full) = (points(&range.off), points(&range.full));
     let mut drawn = vec![off.clone(), full.clone()];
@@ -125,12 +135,8 @@ pub fn draw(contents: &Contents<'_>) -> Picture {
         entries.push((Mark::Dot(FAINT), "measured: median, all repeats".into()));
     }
     frame.draw(&mut canvas, "");
-    canvas.text((frame.at.0, 28.0), 15.0, Anchor::Start, false, &contents.title);
-    for (line, text) in contents.subtitle.iter().enumerate() {
-        canvas.text((frame.at.0, 48.0 + 18.0 * line as f64), 12.0, Anchor::Start, false, text);
-    }
     for (line, text) in symbols.iter().enumerate() {
-        canvas.text((frame.at.0, 486.0 + LINE * line as f64), 11.5, Anchor::Start, false, text);
+        canvas.text((page.begin, below + LINE * line as f64), SMALL, Anchor::Start, false, text);
     }
     frame.clear_legend(&mut canvas, &drawn, &entries);
     canvas
@@ -142,7 +148,7 @@ struct Bound {
     name: &'static str,
     dash: &'static str,
     line: Vec<(f64, f64)>,
-    /// Its place in words, if it cannot be seen in the picture.
+    /// Where it lies, if it cannot be seen in the picture.
     elsewhere: Option<String>,
 }
 
@@ -161,9 +167,7 @@ fn bounds(passivity: &Passivity, frame: &PlotArea) -> Vec<Bound> {
         name: "Colgate and Schenkel, of this loop",
         dash: "5 3",
         line: (0..=PIECES).map(|i| (at(i), passivity.sampled(at(i)))).collect(),
-        elsewhere: small.then(|| {
-            format!("ends at {} and {}: not to be seen here", with_unit(most, "N/m"), with_unit(end, "N s/m"))
-        }),
+        elsewhere: small.then(|| format!("kp < {}, kd < {}", with_unit(most, "N/m"), with_unit(end, "N s/m"))),
     }];
     if let Some(limit) = passivity.quantised() {
         let (_, y) = frame.pixel(0.0, limit);
@@ -172,7 +176,7 @@ fn bounds(passivity: &Passivity, frame: &PlotArea) -> Vec<Bound> {
             name: "kp ≤ 2 fc/Δ as well, at kd = 0",
             dash: "1.5 2.5",
             line: vec![(0.0, limit), (0.04 * frame.x.high, limit)],
-            elsewhere: hidden.then(|| format!("kp ≤ {}: not to be seen here", with_unit(limit, "N/m"))),
+            elsewhere: hidden.then(|| format!("with encoder steps and friction kp ≤ {}", with_unit(limit, "N/m"))),
         });
     }
     bounds
@@ -182,21 +186,26 @@ fn bounds(passivity: &Passivity, frame: &PlotArea) -> Vec<Bound> {
 fn symbols(passivity: &Passivity, bounds: &[Bound]) -> Vec<String> {
     let mut lines = vec![
         "Weff, Wrr: the inertia that the wall meets; passive: no hand makes it oscillate, without feed-forward".into(),
-        format!(
+    ];
+    let drawn = |index: usize| bounds.get(index).is_some_and(|bound| bound.elsewhere.is_none());
+    if drawn(0) {
+        lines.push(format!(
             "b = {:.3} N s/m: smallest viscous damping along n, of which delay, drive and filter leave kd < {:.3} N s/m",
             passivity.damping,
             passivity.most_damping()
-        ),
-    ];
-    if let Some(quantum) = passivity.quantum {
+        ));
+    }
+    if let Some(quantum) = passivity.quantum.filter(|_| drawn(1)) {
         let friction = passivity.coulomb;
         lines.push(format!(
             "fc = {friction:.3} N: smallest Coulomb friction along n; Δ = {:.3} µm: step of the encoders along n",
             1e6 * quantum
         ));
     }
-    let hidden = bounds.iter().filter_map(|bound| Some((bound.name, bound.elsewhere.as_ref()?)));
-    lines.extend(hidden.map(|(name, elsewhere)| format!("passive, {name}: {elsewhere}")));
+    let hidden: Vec<&str> = bounds.iter().filter_map(|bound| bound.elsewhere.as_deref()).collect();
+    if !hidden.is_empty() {
+        lines.push(format!("passive, too small to draw here: {}", hidden.join("; ")));
+    }
     lines
 }
 

@@ -3,6 +3,7 @@
 use super::Picture;
 use super::axes::{Axis, Mark, PlotArea};
 use super::canvas::{Anchor, Canvas, Stroke};
+use super::colour::FAINT;
 use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::device::Device;
 use haptic_predict::bench::report::Variant;
@@ -29,12 +30,7 @@ pub fn draw(every: &[(Device<f64>, Vec<Variant>)]) -> Picture {
     let frame = PlotArea {
         at: (80.0, 110.0),
         size: (660.0, 370.0),
-        x: Axis {
-            name: "largest error of the force at the tip beside the fade, 10ˣ".into(),
-            unit: "N".into(),
-            low,
-            high,
-        },
+        x: Axis { name: "largest error of the force at the tip beside the fade".into(), unit: "N".into(), low, high },
         y: Axis { name: "instructions".into(), unit: String::new(), low: 0.0, high: f64::from(MOST) },
     };
     let (mut entries, mut drawn) = (Vec::new(), Vec::new());
@@ -62,7 +58,9 @@ pub fn draw(every: &[(Device<f64>, Vec<Variant>)]) -> Picture {
             }
         }
     });
-    frame.draw(&mut canvas, "");
+    entries.push((Mark::Circle(FAINT), "a variant".into()));
+    entries.push((Mark::Line(Stroke::solid(FAINT, 1.8)), "the fastest for their error".into()));
+    frame.draw_decades(&mut canvas);
     let title = "Speed against error: every variant of the control step, fronts as lines";
     canvas.text((frame.at.0, 28.0), 15.0, Anchor::Start, false, title);
     let counts = every.iter().flat_map(|(_, variants)| variants).filter_map(|variant| variant.instructions);

@@ -2,69 +2,91 @@
 //! logarithmic scale, without and with the feed-forward.
 
 use super::Picture;
-use super::canvas::{Anchor, Canvas, Stroke};
+use super::canvas::{Anchor, Stroke};
 use super::colour::{FAINT, FULL, OFF};
+use super::paper::{EDGE, Paper, SMALL};
 use haptic_host::words::with_unit;
 use haptic_stability::analysis::why::{Both, Why};
 
-/// Width of a letter at most, of the bars, and what one effect takes of the height, pixels.
+/// Width of a letter at most, of the bars on a screen, of the values behind them, and what one effect takes of the
+/// height, pixels.
 const LETTER: f64 = 6.8;
 const WIDTH: f64 = 420.0;
+const VALUE: f64 = 120.0;
 const ROW: f64 = 40.0;
 const TOP: f64 = 92.0;
+/// Bars shorter than this do not stand beside their names, but under them.
+const SHORTEST: f64 = 200.0;
+/// Names of decades closer than this run into each other.
+const APART: f64 = 78.0;
+/// The meaning of the bars, beside the names of their colours.
+const BARS: &str = "largest stable stiffness without the effect";
 
 /// Draws it under a heading and two smaller lines.
-pub fn draw(title: &str, subtitle: &[String; 2], why: &Why) -> Picture {
+pub fn draw(title: &str, subtitle: &[String; 2], why: &Why, paper: Paper) -> Picture {
     let rows: Vec<(String, Both)> = std::iter::once(("with everything".to_string(), why.limits))
         .chain(why.effects.iter().map(|without| (format!("{}: {}", without.effect, without.instead), without.limits)))
         .collect();
     let longest = rows.iter().map(|(name, _)| name.chars().count()).max().unwrap_or(0);
-    let left = 24.0 + LETTER * longest as f64;
+    let named = 24.0 + LETTER * longest as f64;
+    let page = paper.page(named + WIDTH + VALUE, 16.0);
+    let beside = page.wide - named - VALUE > SHORTEST;
+    let (left, row_high) = if beside { (named, ROW) } else { (EDGE, ROW + 16.0) };
+    let width = page.wide - left - VALUE;
+    let mut under = subtitle.to_vec();
+    let below = beside && page.wide - left - 260.0 > LETTER * BARS.len() as f64;
+    under.extend((!below).then(|| format!("bars: {BARS}")));
+    let heading = page.heading(title, &under);
+    let top_of_rows = TOP + heading.beyond(2);
     let values = || rows.iter().flat_map(|(_, both)| [both.off, both.full]).flatten().map(|limits| limits.kp_max);
     let highest = values().fold(0.0, f64::max).max(f64::MIN_POSITIVE);
     let lowest = values().filter(|kp| *kp > 0.0).fold(highest, f64::min);
     let (low, high) = (lowest.log10().floor(), highest.log10().ceil().max(lowest.log10().floor() + 1.0));
-    let at = |kp: f64| left + WIDTH * ((kp.log10() - low) / (high - low)).clamp(0.0, 1.0);
-    let bottom = TOP + ROW * rows.len() as f64;
+    let at = |kp: f64| left + width * ((kp.log10() - low) / (high - low)).clamp(0.0, 1.0);
+    let bottom = top_of_rows + row_high * rows.len() as f64;
 
-    let mut canvas = Canvas::new(left + WIDTH + 120.0, bottom + 56.0);
-    for decade in low as i32..=high as i32 {
+    let mut canvas = page.canvas(bottom + 56.0);
+    heading.draw(&mut canvas);
+    let every = (APART * (high - low) / width).ceil().max(1.0) as usize;
+    for (index, decade) in (low as i32..=high as i32).enumerate() {
         let kp = 10f64.powi(decade);
-        canvas.line((at(kp), TOP - 6.0), (at(kp), bottom), Stroke { colour: FAINT, width: 0.8, dash: "2 3" });
-        canvas.text((at(kp), bottom + 16.0), 11.0, Anchor::Middle, false, &with_unit(kp, "N/m"));
+        let line = Stroke { colour: FAINT, width: 0.8, dash: "2 3" };
+        canvas.line((at(kp), top_of_rows - 6.0), (at(kp), bottom), line);
+        if index % every == 0 {
+            // The first one must not begin before the page does.
+            let anchor = if at(kp) < APART / 2.0 { Anchor::Start } else { Anchor::Middle };
+            canvas.text((at(kp), bottom + 16.0), SMALL, anchor, false, &with_unit(kp, "N/m"));
+        }
     }
     for (row, (name, both)) in rows.iter().enumerate() {
-        let top = TOP + ROW * row as f64;
-        canvas.text((left - 8.0, top + 21.0), 12.0, Anchor::End, false, name);
+        let mut top = top_of_rows + row_high * row as f64;
+        if beside {
+            canvas.text((left - 8.0, top + 21.0), 12.0, Anchor::End, false, name);
+        } else {
+            canvas.text((left, top + 14.0), 12.0, Anchor::Start, false, name);
+            top += row_high - ROW;
+        }
         for (slot, (limits, colour)) in [(both.off, OFF), (both.full, FULL)].into_iter().enumerate() {
             let y = top + 4.0 + 15.0 * slot as f64;
             let (end, text) = match limits {
                 Some(limits) if limits.kp_max > 0.0 => (at(limits.kp_max), with_unit(limits.kp_max, "N/m")),
                 Some(_) => (left, "nothing is stable".to_string()),
-                None => (left + WIDTH, "no limit".to_string()),
+                None => (left + width, "no limit".to_string()),
             };
             canvas.rectangle((left, y), (end - left, 12.0), colour, Stroke::solid(colour, 0.0));
-            canvas.text((end + 6.0, y + 10.0), 11.0, Anchor::Start, false, &text);
+            canvas.text((end + 6.0, y + 10.0), SMALL, Anchor::Start, false, &text);
         }
     }
     for (limits, colour) in [(why.limits.off, OFF), (why.limits.full, FULL)] {
         if let Some(limits) = limits.filter(|limits| limits.kp_max > 0.0) {
             let x = at(limits.kp_max);
-            canvas.line((x, TOP), (x, bottom), Stroke { colour, width: 1.2, dash: "5 3" });
+            canvas.line((x, top_of_rows), (x, bottom), Stroke { colour, width: 1.2, dash: "5 3" });
         }
-    }
-    canvas.text((16.0, 28.0), 15.0, Anchor::Start, false, title);
-    for (line, text) in subtitle.iter().enumerate() {
-        canvas.text((16.0, 48.0 + 18.0 * line as f64), 12.0, Anchor::Start, false, text);
     }
     canvas.coloured_text((left, bottom + 40.0), 12.0, Anchor::Start, OFF, "no feed-forward");
     canvas.coloured_text((left + 130.0, bottom + 40.0), 12.0, Anchor::Start, FULL, "feed-forward (4)");
-    canvas.text(
-        (left + 260.0, bottom + 40.0),
-        12.0,
-        Anchor::Start,
-        false,
-        "largest stable stiffness without the effect",
-    );
+    if below {
+        canvas.text((left + 260.0, bottom + 40.0), 12.0, Anchor::Start, false, BARS);
+    }
     canvas.finish(title, "Largest stable stiffness with everything, and without each effect in turn.")
 }

@@ -3,6 +3,7 @@
 use super::force::Force;
 use haptic_host::digits::print_json;
 use haptic_host::error::{Failure, print};
+use haptic_show::plot::paper::Paper;
 use haptic_show::plot::{Picture, PictureError};
 use serde::Serialize;
 use std::path::PathBuf;
@@ -27,7 +28,7 @@ impl Json {
     }
 }
 
-/// `--svg` and `--png`, with `--force`: which every command takes that draws its results.
+/// `--svg` and `--png`, with `--width` and `--force`: which every command takes that draws its results.
 #[derive(clap::Args)]
 pub struct Pictures {
     /// Draw the picture into this SVG file
@@ -36,8 +37,20 @@ pub struct Pictures {
     /// Draw the same into this PNG file
     #[arg(long, value_name = "FILE")]
     png: Option<PathBuf>,
+    /// Width of the picture on paper in mm, 60 to 400; its text then has 8 pt and more [default: none, for a screen]
+    #[arg(long, value_name = "MM", value_parser = width)]
+    width: Option<f64>,
     #[command(flatten)]
     force: Force,
+}
+
+/// Narrower than the numbers along an axis take, and wider than any page.
+const WIDTHS_MM: (f64, f64) = (60.0, 400.0);
+
+fn width(text: &str) -> Result<f64, String> {
+    let (least, most) = WIDTHS_MM;
+    let width = text.parse().ok().filter(|mm| (least..=most).contains(mm));
+    width.ok_or_else(|| format!("write {least} to {most} mm; a column of a paper has 85, its page 170"))
 }
 
 impl Pictures {
@@ -49,6 +62,11 @@ impl Pictures {
     /// Returns true if a picture was asked for.
     pub fn asked(&self) -> bool {
         self.svg.is_some() || self.png.is_some()
+    }
+
+    /// The width that they were asked for.
+    pub fn paper(&self) -> Paper {
+        Paper(self.width)
     }
 
     /// Writes the files that were asked for.

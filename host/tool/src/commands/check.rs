@@ -19,6 +19,7 @@ use haptic_predict::summary::Summary;
 use haptic_predict::tip::{BOARD_SPEED, Tip, motor_torques};
 use haptic_show::plot::Picture;
 use haptic_show::plot::device::draw;
+use haptic_show::plot::paper::Paper;
 use haptic_stability::analysis::prediction::Subject;
 use haptic_stability::analysis::range::COSTLY_RATIO;
 use serde_json::{Value, json};
@@ -93,7 +94,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     }
     let summary = Summary::of(&file)?;
     if args.pictures.asked() {
-        args.pictures.save(&picture(&file, &summary)?)?;
+        args.pictures.save(&picture(&file, &summary, args.pictures.paper())?)?;
     }
     warn(&warnings);
     let report = Report {
@@ -170,10 +171,10 @@ fn plan_in_words(plan: &Plan) -> String {
 }
 
 /// The device at home.
-fn picture(file: &DeviceFile, summary: &Summary) -> Result<Picture, Failure> {
+fn picture(file: &DeviceFile, summary: &Summary, paper: Paper) -> Result<Picture, Failure> {
     let no_pose = || Failure::wrong(format!("{} has no [home], so there is no pose to draw", file.path.display()));
     let home = file.description.home.ok_or_else(|| no_pose().remedy("add [home] q"))?;
-    let drawn = draw(&file.description, &file.name, &home[..file.spec().joints], &summary.lines())?;
+    let drawn = draw(&file.description, &file.name, &home[..file.spec().joints], &summary.lines(), paper)?;
     drawn.ok_or_else(|| Failure::impossible("the linkage does not close at home"))
 }
 

@@ -135,7 +135,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
         sensitivities,
     };
     if args.pictures.asked() {
-        let drawn = draw(description, &file.name, &document.q, &document.normal, args.holding.admissible)?;
+        let (q, normal, paper) = (&document.q, &document.normal, args.pictures.paper());
+        let drawn = draw(description, &file.name, q, normal, args.holding.admissible, paper)?;
         let picture = drawn.ok_or_else(|| Failure::impossible("the linkage does not close at this pose"))?;
         args.pictures.save(&picture)?;
     }

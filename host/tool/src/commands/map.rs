@@ -57,7 +57,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         return Err(Failure::impossible("no pose of this grid is regular").remedy("ask for more --points"));
     }
     if pictured {
-        let picture = draw(&file.description, &file.name, &normal, args.holding.admissible)?;
+        let picture = draw(&file.description, &file.name, &normal, args.holding.admissible, args.pictures.paper())?;
         args.pictures.save(&picture)?;
     }
     let said = readable(&file.name, &points);

@@ -33,20 +33,8 @@ pub struct Args {
     /// Print one JSON document: the numbers, and every point that is drawn
     #[arg(long)]
     json: bool,
-    /// Width of the picture on paper; its text then has 8 pt and more [default: none, for a screen]
-    #[arg(long, value_name = "MM", value_parser = width)]
-    width: Option<f64>,
     #[command(flatten)]
     pictures: Pictures,
-}
-
-/// Narrower than the numbers along an axis take, and wider than any page.
-const WIDTHS_MM: (f64, f64) = (60.0, 400.0);
-
-fn width(text: &str) -> Result<f64, String> {
-    let (least, most) = WIDTHS_MM;
-    let width = text.parse().ok().filter(|mm| (least..=most).contains(mm));
-    width.ok_or_else(|| format!("write {least} to {most} mm; a column of a paper has 85, its page 170"))
 }
 
 #[derive(Clone, Debug)]
@@ -77,7 +65,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         let walls: Vec<String> = recording.about.iter().filter(|line| line.starts_with("wall ")).cloned().collect();
         let mut subtitle = vec![format!("board {}; control rate {}", told("board"), told("control rate"))];
         subtitle.extend(walls.into_iter().take(3));
-        let picture = draw(&title, &subtitle, &found, args.width);
+        let picture = draw(&title, &subtitle, &found, args.pictures.paper());
         args.pictures.save(&picture)?;
     }
     if args.json {

@@ -241,8 +241,9 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let steps = stepped(&args, &file, &q, &normals, &prediction, &sweep)?;
     let pictures = args.pictures.asked();
     if let Some(why) = why.as_ref().filter(|_| pictures) {
+        let under = subtitle(&args, &q, &normals, range.area_ratio);
         let title = format!("{}: what each effect takes from the stiffest wall", file.name);
-        let picture = haptic_show::plot::why::draw(&title, &subtitle(&args, &q, &normals, range.area_ratio), why);
+        let picture = haptic_show::plot::why::draw(&title, &under, why, args.pictures.paper());
         args.pictures.save(&picture)?;
     } else if pictures {
         // A picture always shows the whole boundary, whatever points were asked for.
@@ -255,6 +256,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
             washout_hz: args.washout,
             measured_off: &[],
             measured_full: &[],
+            note: None,
+            paper: args.pictures.paper(),
         });
         args.pictures.save(&picture)?;
     }

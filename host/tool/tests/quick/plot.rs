@@ -1,7 +1,7 @@
 //! `haptic plot`: what is drawn is what was recorded. A recording of known functions is drawn, and the picture is read
 //! back by its own ticks and labels, without the code that drew it.
 
-use crate::common::{haptic, json};
+use crate::common::{file, haptic, json};
 use haptic_show::plot::axes::{Axis, Mark, PlotArea};
 use haptic_show::plot::canvas::Canvas;
 use predicates::str::contains;
@@ -345,38 +345,64 @@ fn a_velocity_that_is_noise_is_not_drawn_unasked() {
     assert_eq!(views(noise, &["--show", "phase"]), (1, false));
 }
 
+/// What sticks out of a picture for a paper of so many millimetres, or is smaller than 8 pt.
+fn amiss(svg: &str, width_mm: f64) -> Vec<String> {
+    let head = svg.lines().next().unwrap();
+    assert!(head.contains(&format!(" width=\"{width_mm:.2}mm\"")), "{head}");
+    let sides = head.split("viewBox=\"0 0 ").nth(1).unwrap().split('"').next().unwrap();
+    let (units, high) = sides.split_once(' ').unwrap();
+    let (units, high): (f64, f64) = (units.parse().unwrap(), high.parse().unwrap());
+    let points_a_unit = width_mm / 25.4 * 72.0 / units;
+    let texts: Vec<&str> = svg.lines().filter(|line| line.starts_with("<text")).collect();
+    assert!(texts.len() > 5);
+    let bad = |line: &&&str| {
+        let size = attribute(line, "font-size").unwrap();
+        if size * points_a_unit <= 7.99 {
+            return true;
+        }
+        let Some(x) = attribute(line, "x") else { return false };
+        let long = 0.56 * size * words(line).replace("&gt;", ">").chars().count() as f64;
+        let begins = [("start", 0.0), ("middle", 0.5), ("end", 1.0)];
+        let before = begins.iter().find(|(anchor, _)| line.contains(anchor)).unwrap().1 * long;
+        let (at, end) = if line.contains("rotate") { (attribute(line, "y").unwrap(), high) } else { (x, units) };
+        // Turned text runs upwards.
+        let begin = if line.contains("rotate") { at + before - long } else { at - before };
+        begin < 0.0 || begin + long > end
+    };
+    texts.iter().filter(bad).map(ToString::to_string).collect()
+}
+
 /// The column of a journal is 85 mm wide, its page 170 mm, and 8 pt is the smallest text that many of them print.
 #[test]
-fn a_picture_for_a_paper_has_its_width_and_letters_of_eight_points_inside_it() {
+fn pictures_for_a_paper_have_its_width_and_letters_of_eight_points_inside_it() {
     let folder = tempfile::tempdir().unwrap();
     let (csv, svg, png) = (folder.path().join("a.csv"), folder.path().join("a.svg"), folder.path().join("a.png"));
     recording(&csv);
-    for width in ["85", "170"] {
-        let files = ["--svg", svg.to_str().unwrap(), "--png", png.to_str().unwrap(), "--force", "--width", width];
-        let signals = ["--signals", "torque0_n_m,rendered_n,velocity_m_s"];
-        haptic(&["plot"]).arg(&csv).args(files).args(signals).assert().success();
-        let text = std::fs::read_to_string(&svg).unwrap();
-        let head = text.lines().next().unwrap();
-        assert!(head.contains(&format!(" width=\"{width}.00mm\"")), "{head}");
-        let units: f64 = head.split("viewBox=\"0 0 ").nth(1).unwrap().split(' ').next().unwrap().parse().unwrap();
-        let points_a_unit = width.parse::<f64>().unwrap() / 25.4 * 72.0 / units;
-        let texts: Vec<&str> = text.lines().filter(|line| line.starts_with("<text")).collect();
-        assert!(texts.len() > 30);
-        for line in texts {
-            let size = attribute(line, "font-size").unwrap();
-            assert!(size * points_a_unit > 7.99, "{line}");
-            if line.contains("rotate") {
-                continue;
-            }
-            let (x, long) = (attribute(line, "x").unwrap(), 0.56 * size * words(line).chars().count() as f64);
-            let begins = [("start", 0.0), ("middle", 0.5), ("end", 1.0)];
-            let before = begins.iter().find(|(anchor, _)| line.contains(anchor)).unwrap().1 * long;
-            assert!(x - before > 0.0 && x - before + long < units, "{line} sticks out of {units}");
+    let csv = csv.to_str().unwrap();
+    let [coupled, phantom, paddle] =
+        ["coupled-five-bar", "phantom-premium-1.5", "hapkit-paddle"].map(|name| file(&format!("{name}.toml")));
+    let at = ["--q=2.6,1.75", "--normal=0.94,-0.34"];
+    let range = ["range", &coupled, at[0], at[1], "--delay", "0.5", "--washout", "2", "--host-rate", "500"];
+    let commands: [(&[&str], &[&str]); 6] = [
+        (&["plot", csv, "--signals", "torque0_n_m,rendered_n,velocity_m_s"], &["85", "170"]),
+        (&range, &["85", "170"]),
+        (&["range", &coupled, at[0], at[1], "--board", "odrive-v3", "--why"], &["85", "170"]),
+        (&["map", &coupled, at[1], "--points", "50"], &["85"]),
+        (&["map", &paddle, "--normal=1"], &["85"]),
+        (&["design", &phantom, "--normal=1,1,0", "--points", "50"], &["85"]),
+    ];
+    for (command, widths) in commands {
+        for width in widths {
+            let files = ["--svg", svg.to_str().unwrap(), "--force", "--width", width];
+            haptic(&[command, &files].concat()).assert().success();
+            let amiss = amiss(&std::fs::read_to_string(&svg).unwrap(), width.parse().unwrap());
+            assert!(amiss.is_empty(), "{command:?} at {width} mm: {amiss:#?}");
         }
-        // 600 dots to the inch.
-        let picture = std::fs::read(&png).unwrap();
-        let wide = u32::from_be_bytes(picture[16..20].try_into().unwrap());
-        assert!((f64::from(wide) / (width.parse::<f64>().unwrap() / 25.4) - 600.0).abs() < 3.0, "{wide}");
     }
-    haptic(&["plot", "--width", "20"]).arg(&csv).assert().code(2).stderr(contains("write 60 to 400 mm"));
+    // 600 dots to the inch.
+    haptic(&["plot", csv, "--png", png.to_str().unwrap(), "--width", "85"]).assert().success();
+    let picture = std::fs::read(&png).unwrap();
+    let wide = u32::from_be_bytes(picture[16..20].try_into().unwrap());
+    assert!((f64::from(wide) / (85.0 / 25.4) - 600.0).abs() < 3.0, "{wide}");
+    haptic(&["plot", csv, "--width", "20"]).assert().code(2).stderr(contains("write 60 to 400 mm"));
 }

@@ -1,6 +1,7 @@
 //! What each effect takes from a boundary is the difference to the same loop without it.
 
 use haptic_bridge::model::description::{EncoderAt, Transmission};
+use haptic_show::plot::paper::Paper;
 use haptic_show::plot::why::draw;
 use haptic_stability::analysis::flexible::{Flexible, Hand};
 use haptic_stability::analysis::plant::{Drive, Linearised};
@@ -115,7 +116,7 @@ fn results_come_in_the_order_of_the_things_whoever_is_first() {
 fn every_word_of_the_picture_lies_in_it() {
     let around = around(6400.0);
     let found = why(&soft_and_held(), &around, &Sweep::quiet()).unwrap();
-    let picture = draw("a device", &["pose".into(), "loop".into()], &found);
+    let picture = draw("a device", &["pose".into(), "loop".into()], &found, Paper::default());
     let svg = picture.svg();
     let value = |line: &str, key: &str| -> f64 {
         let rest = line.split_once(&format!(" {key}=\"")).unwrap_or_else(|| panic!("{key}: {line}")).1;

@@ -5,71 +5,35 @@ use crate::plot::Picture;
 use crate::plot::axes::{Axis, Mark, PlotArea};
 use crate::plot::canvas::{Anchor, Canvas, Stroke};
 use crate::plot::colour::{BOUND, FULL, INK, OFF, WASHOUT};
+use crate::plot::paper::{EDGE, Paper, SMALL, wrapped};
 
 /// Size of a panel's frame, and of what is around it, in units of the drawing (pixels on a screen).
 const SIZE: (f64, f64) = (600.0, 190.0);
 const LEFT: f64 = 96.0;
 const RIGHT: f64 = 24.0;
-const HEAD: f64 = 82.0;
+const HEAD: f64 = 86.0;
 const FOOT: f64 = 84.0;
-/// On a page narrower than this, text begins at its edge and numbers along an axis get less room.
-const NARROW: f64 = 500.0;
-const NARROW_LEFT: f64 = 78.0;
-const EDGE: f64 = 10.0;
-/// Sizes of a title, and of the smallest text that is drawn.
-const TITLE: f64 = 15.0;
-const SMALL: f64 = 11.5;
-/// Millimetres of paper that a unit is, so that the smallest text has 8 pt.
-const UNIT_MM: f64 = 8.0 * 25.4 / 72.0 / SMALL;
 /// Points from which on a line that may cross itself is drawn thin.
 const MANY: usize = 1000;
 const COLOURS: [&str; 4] = [FULL, OFF, WASHOUT, BOUND];
 
-/// Puts them on paper, one below the other: so many millimetres wide with text of 8 pt and more, or for a screen.
-pub fn draw(title: &str, subtitle: &[String], found: &Found, width_mm: Option<f64>) -> Picture {
-    let wide = width_mm.map_or(LEFT + SIZE.0 + RIGHT, |mm| mm / UNIT_MM);
-    let (left, begin) = if wide < NARROW { (NARROW_LEFT, EDGE) } else { (LEFT, LEFT) };
-    let size = (wide - left - RIGHT, SIZE.1);
-    let titles = wrapped(title, wide - begin, TITLE);
-    let under: Vec<String> = subtitle.iter().flat_map(|line| wrapped(line, wide - begin, SMALL)).collect();
-    let head = HEAD + 19.0 * (titles.len() - 1) as f64;
-    let mut canvas = Canvas::new(wide, head + 16.0 * under.len().saturating_sub(1) as f64);
-    if let Some(mm) = width_mm {
-        canvas.print_at(mm);
-    }
-    for (line, text) in titles.iter().enumerate() {
-        canvas.text((begin, 26.0 + 19.0 * line as f64), TITLE, Anchor::Start, false, text);
-    }
-    for (line, text) in under.iter().enumerate() {
-        canvas.text((begin, head - 37.0 + 16.0 * line as f64), SMALL, Anchor::Start, false, text);
-    }
+/// Puts them on paper, one below the other.
+pub fn draw(title: &str, subtitle: &[String], found: &Found, paper: Paper) -> Picture {
+    let page = paper.page(LEFT + SIZE.0 + RIGHT, LEFT);
+    let size = (page.wide - page.left - RIGHT, SIZE.1);
+    let heading = page.heading(title, subtitle);
+    let mut canvas = page.canvas(HEAD + heading.beyond(1));
+    heading.draw(&mut canvas);
     for panel in &found.panels {
         match panel.view {
             View::Phase if found.together > 2 => {
-                draw_panel(&mut canvas, left, size, &smoothed(panel, found.together));
+                draw_panel(&mut canvas, page.left, size, &smoothed(panel, found.together));
             }
-            _ => draw_panel(&mut canvas, left, size, panel),
+            _ => draw_panel(&mut canvas, page.left, size, panel),
         }
     }
     let views: Vec<&str> = found.panels.iter().map(|panel| panel.y.name.as_str()).collect();
     canvas.finish(title, &format!("Of a recording: {}.", views.join("; ")))
-}
-
-/// Words in lines that are no wider than `room` where letters have this size; a word by itself may be.
-fn wrapped(text: &str, room: f64, size: f64) -> Vec<String> {
-    // A letter of the font is 0.6 of its size wide, or a little less.
-    let most = (room / (0.6 * size)) as usize;
-    let mut lines = vec![String::new()];
-    for word in text.split_whitespace() {
-        let last =
-            lines.last_mut().filter(|line| line.is_empty() || line.chars().count() + word.chars().count() < most);
-        match last {
-            Some(line) if line.is_empty() => line.push_str(word),
-            Some(line) => line.extend([" ", word]),
-            None => lines.push(word.into()),
-        }
-    }
-    lines
 }
 
 /// Adds a panel below the others: its frame has its left edge at `left` and this size.

@@ -1,6 +1,6 @@
 //! The report of a measurement: its points beside the theory of the same loop, as a table, a document or a picture.
 
-use super::Args;
+use super::{Args, FrictionKind};
 use crate::commands::port::counted;
 use haptic_bridge::render::scene::FeedForward;
 use haptic_host::device_file::DeviceFile;
@@ -176,8 +176,8 @@ impl Report<'_> {
     }
 
     /// The pose, the normals and the loop of the measurement, in two lines.
-    fn setting(&self) -> [String; 2] {
-        let joined = |values: &[f64]| list(values).replace(',', ", ");
+    /// Pose, walls and loop, numbers by `joined`.
+    fn setting(&self, joined: fn(&[f64]) -> String) -> [String; 2] {
         let (args, around) = (self.args, &self.theory.around);
         let normals: Vec<String> = args.walls.normals().map(|normal| format!("({})", joined(&normal.0))).collect();
         let mut place = format!("q = ({}) rad, n = {}", joined(&self.theory.q), normals.join(" + "));
@@ -197,7 +197,7 @@ impl Report<'_> {
     }
 
     fn table(&self) -> Result<String, Failure> {
-        let [place, around] = self.setting();
+        let [place, around] = self.setting(|values| list(values).replace(',', ", "));
         let mut text =
             format!("{}: largest stable stiffness, measured (median of {} repeats)\n", self.name, self.plan.repeats);
         if let Some(date) = &self.progress.date {
@@ -377,12 +377,25 @@ impl Report<'_> {
         let (off, full, washed) = (dots(FeedForward::Off), dots(FeedForward::Full), dots(FeedForward::Washout));
         Ok(draw(&Contents {
             title: format!("{}: stable walls, measured and predicted", self.name),
-            subtitle: self.setting(),
+            subtitle: self.setting(|values| values.iter().map(|v| format!("{v:.3}")).collect::<Vec<_>>().join(", ")),
             range: &range,
             passivity: None,
             washout_hz: self.washout(),
             measured_off: &off,
             measured_full: if full.is_empty() { &washed } else { &full },
+            note: self.left_out(),
+            paper: self.args.pictures.paper(),
         }))
+    }
+
+    /// The reason why the dots lie above the curves, if something that damps the wall is in the measurement alone.
+    fn left_out(&self) -> Option<String> {
+        let known = matches!(self.args.friction, Some(FrictionKind::Viscous | FrictionKind::None));
+        let dry = !self.args.frictionless && !known;
+        let hand = self.args.grip.then_some("the hand that holds the tip");
+        let left: Vec<String> = hand.into_iter().chain(dry.then_some("dry friction")).map(Into::into).collect();
+        (!left.is_empty()).then(|| {
+            format!("The curves leave out {}, which damps the measured wall: the dots lie above them.", listed(&left))
+        })
     }
 }

@@ -3,6 +3,7 @@
 use crate::common::{file, files, haptic, root, shipped};
 use haptic_bridge::model::admissible::Admissible;
 use haptic_show::plot::coupling::draw;
+use haptic_show::plot::paper::Paper;
 use haptic_stability::analysis::pose::TaskPose;
 use haptic_stability::skeleton::{Turret, skeleton};
 
@@ -40,7 +41,8 @@ fn the_papers_first_figure_is_what_the_tool_draws() {
     let device = shipped("coupled-five-bar");
     let size = 0.94_f64.hypot(-0.34);
     let normal = [0.94 / size, -0.34 / size];
-    let drawn = draw(&device.description, &device.name, &[2.6, 1.75], &normal, Admissible::default()).unwrap().unwrap();
+    let drawn = draw(&device.description, &device.name, &[2.6, 1.75], &normal, Admissible::default(), Paper::default());
+    let drawn = drawn.unwrap().unwrap();
     let kept = std::fs::read_to_string(root().join("docs/drawings/coupling.svg")).unwrap();
     assert!(drawn.svg() == kept, "`{line}` draws docs/drawings/coupling.svg anew");
 }

@@ -8,6 +8,7 @@ use haptic_bridge::model::description::Description;
 use haptic_host::device_file::DeviceFile;
 use haptic_show::plot::colour::ABOVE;
 use haptic_show::plot::map::{Chart, chart, colour};
+use haptic_show::plot::paper::Paper;
 use haptic_stability::analysis::map::map;
 use haptic_stability::model::{Precision, WallForce, evaluate_holding};
 use resvg::tiny_skia::Pixmap;
@@ -111,7 +112,7 @@ fn every_picture_shows_what_the_model_computes_and_nothing_elsewhere() {
         for (which, description) in [("as shipped", file.description), ("with limits", limited(file.description))] {
             let file = DeviceFile { description, name: format!("{} {which}", file.name), ..file.clone() };
             let normal = &[0.6, 0.8, 0.0][..file.spec().task];
-            let chart = chart(&file.description, &file.name, normal, held).unwrap();
+            let chart = chart(&file.description, &file.name, normal, held, Paper::default()).unwrap();
             let image = Pixmap::decode_png(&chart.picture.png().unwrap()).unwrap();
             colours_are_numbers(&file, normal, held, &chart, &image);
             if file.spec().joints == 2 {
@@ -126,7 +127,9 @@ fn every_picture_shows_what_the_model_computes_and_nothing_elsewhere() {
 fn colours_are_numbers(file: &DeviceFile, normal: &[f64], held: Admissible, chart: &Chart, image: &Pixmap) {
     let mut scatter = Scatter(7);
     let (mut compared, mut wrong) = (0, Vec::new());
-    let home = evaluate_share(file, &file.description.home.unwrap()[..file.spec().joints], normal, held).unwrap();
+    let home =
+        evaluate_share(file, &file.description.home.unwrap()[..file.spec().joints], normal, held, Paper::default())
+            .unwrap();
     for _ in 0..800 {
         let q = pose(&file.description, &mut scatter);
         if compared == 50 || !allowed(&file.description, &q) {
@@ -217,8 +220,14 @@ fn straight_from_home(file: &DeviceFile, q: &[f64], normal: &[f64], side: bool) 
 #[test]
 fn a_paddle_shows_its_arc_and_its_inertia() {
     let paddle = all_shipped().into_iter().find(|file| file.name == "hapkit-paddle").unwrap();
-    let picture =
-        haptic_show::plot::map::draw(&paddle.description, &paddle.name, &[1.0], Admissible::default()).unwrap();
+    let picture = haptic_show::plot::map::draw(
+        &paddle.description,
+        &paddle.name,
+        &[1.0],
+        Admissible::default(),
+        Paper::default(),
+    )
+    .unwrap();
     // 0.0008 kg m² at 70 mm.
     assert!(picture.svg().contains("163.3 g"), "{}", picture.svg());
 }
@@ -244,8 +253,14 @@ fn nothing_is_cut_off(svg: &str, least: usize) {
 fn no_caption_of_a_map_is_cut_off() {
     for file in all_shipped().into_iter().filter(|file| file.name != "hapkit-paddle") {
         let normal: Vec<f64> = (0..file.spec().task).map(|axis| f64::from(u8::from(axis == 0))).collect();
-        let picture =
-            haptic_show::plot::map::draw(&file.description, &file.name, &normal, Admissible::default()).unwrap();
+        let picture = haptic_show::plot::map::draw(
+            &file.description,
+            &file.name,
+            &normal,
+            Admissible::default(),
+            Paper::default(),
+        )
+        .unwrap();
         nothing_is_cut_off(picture.svg(), 4);
     }
 }
@@ -255,8 +270,14 @@ fn no_caption_of_a_paddle_is_cut_off_with_limits_or_without() {
     let mut paddle = all_shipped().into_iter().find(|file| file.name == "hapkit-paddle").unwrap();
     for limits in [None, Some((-1.04, 1.04))] {
         paddle.description.joints[0].limits = limits;
-        let picture =
-            haptic_show::plot::map::draw(&paddle.description, &paddle.name, &[1.0], Admissible::default()).unwrap();
+        let picture = haptic_show::plot::map::draw(
+            &paddle.description,
+            &paddle.name,
+            &[1.0],
+            Admissible::default(),
+            Paper::default(),
+        )
+        .unwrap();
         nothing_is_cut_off(picture.svg(), 4);
     }
 }

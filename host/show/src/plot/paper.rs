@@ -1,0 +1,126 @@
+//! The width of a picture, on a screen or on paper, and the text that has to fit it.
+//!
+//! On paper a unit of a drawing is as large as makes its smallest letters 8 pt, which journals ask for; so a column of
+//! 85 mm has 346 units, a page of 170 mm 693. A picture is laid out for the units that there are: it is never shrunk.
+
+use super::canvas::{Anchor, Canvas};
+
+/// Size of the smallest text that is drawn, units.
+pub const SMALL: f64 = 11.5;
+/// Millimetres of paper that a unit is, so that it has 8 pt.
+const UNIT_MM: f64 = 8.0 * 25.4 / 72.0 / SMALL;
+/// On a page narrower than this, text begins at its edge and numbers along an axis get less room.
+const NARROW: f64 = 500.0;
+const NARROW_LEFT: f64 = 78.0;
+/// Room at the edge of a page.
+pub const EDGE: f64 = 10.0;
+/// Sizes of a title and of the lines under it, and what a line of each takes.
+const TITLE: (f64, f64) = (15.0, 19.0);
+const UNDER: (f64, f64) = (12.0, 18.0);
+
+/// The width that a picture was asked for, mm of paper; `None` for a screen.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Paper(pub Option<f64>);
+
+/// A page of so many units.
+#[derive(Clone, Copy, Debug)]
+pub struct Page {
+    paper: Paper,
+    /// Units from edge to edge.
+    pub wide: f64,
+    /// Left end of frames, and of text.
+    pub left: f64,
+    /// See `left`.
+    pub begin: f64,
+}
+
+impl Paper {
+    /// A page that is `usual` units wide on a screen, with frames and text at `left` where there is room.
+    pub fn page(self, usual: f64, left: f64) -> Page {
+        let wide = self.0.map_or(usual, |mm| mm / UNIT_MM);
+        let (left, begin) = if wide < NARROW { (NARROW_LEFT, EDGE) } else { (left, left) };
+        Page { paper: self, wide, left, begin }
+    }
+
+    /// Returns true on paper.
+    pub fn is_printed(self) -> bool {
+        self.0.is_some()
+    }
+}
+
+impl Page {
+    /// Returns true where frames get less room.
+    pub fn is_narrow(&self) -> bool {
+        self.wide < NARROW
+    }
+
+    /// An empty canvas of its width.
+    pub fn canvas(&self, height: f64) -> Canvas {
+        let mut canvas = Canvas::new(self.wide, height);
+        if let Some(mm) = self.paper.0 {
+            canvas.print_at(mm);
+        }
+        canvas
+    }
+
+    /// A title and the lines under it, in as many lines as they take.
+    pub fn heading(&self, title: &str, under: &[String]) -> Heading {
+        let room = self.wide - self.begin - EDGE;
+        Heading {
+            begin: self.begin,
+            titles: wrapped(title, room, TITLE.0),
+            under: under.iter().flat_map(|line| wrapped(line, room, UNDER.0)).collect(),
+        }
+    }
+
+    /// Notes in small text below a frame, in as many lines as they take.
+    pub fn notes<'a>(&self, notes: impl IntoIterator<Item = &'a str>) -> Vec<String> {
+        let room = self.wide - self.begin - EDGE;
+        notes.into_iter().flat_map(|note| wrapped(note, room, SMALL)).collect()
+    }
+}
+
+/// A title with the lines under it.
+pub struct Heading {
+    begin: f64,
+    titles: Vec<String>,
+    under: Vec<String>,
+}
+
+impl Heading {
+    /// Height that it takes beyond a title of one line with `usual` lines under it.
+    pub fn beyond(&self, usual: usize) -> f64 {
+        let more = |lines: &[String], usual: usize| lines.len().saturating_sub(usual) as f64;
+        TITLE.1 * more(&self.titles, 1) + UNDER.1 * more(&self.under, usual)
+    }
+
+    /// Draws it at the top of a page.
+    pub fn draw(&self, canvas: &mut Canvas) {
+        let mut y = 28.0;
+        for title in &self.titles {
+            canvas.text((self.begin, y), TITLE.0, Anchor::Start, false, title);
+            y += TITLE.1;
+        }
+        for line in &self.under {
+            canvas.text((self.begin, y + 1.0), UNDER.0, Anchor::Start, false, line);
+            y += UNDER.1;
+        }
+    }
+}
+
+/// Words in lines that are no wider than `room` where letters have this size; a word by itself may be.
+pub fn wrapped(text: &str, room: f64, size: f64) -> Vec<String> {
+    // A letter of the font is 0.6 of its size wide, or a little less.
+    let most = (room / (0.6 * size)) as usize;
+    let mut lines = vec![String::new()];
+    for word in text.split_whitespace() {
+        let last =
+            lines.last_mut().filter(|line| line.is_empty() || line.chars().count() + word.chars().count() < most);
+        match last {
+            Some(line) if line.is_empty() => line.push_str(word),
+            Some(line) => line.extend([" ", word]),
+            None => lines.push(word.into()),
+        }
+    }
+    lines
+}
