@@ -184,9 +184,8 @@ fn bounds(passivity: &Passivity, frame: &PlotArea) -> Vec<Bound> {
 
 /// The meaning of the legend's symbols, with the values that they have here, and the bounds that cannot be seen.
 fn symbols(passivity: &Passivity, bounds: &[Bound]) -> Vec<String> {
-    let mut lines = vec![
-        "Weff, Wrr: the inertia that the wall meets; passive: no hand makes it oscillate, without feed-forward".into(),
-    ];
+    let mut lines =
+        vec!["Weff, Wrr: inertia that the wall meets; passive: stable in any hand, without feed-forward".into()];
     let drawn = |index: usize| bounds.get(index).is_some_and(|bound| bound.elsewhere.is_none());
     if drawn(0) {
         lines.push(format!(

@@ -3,7 +3,7 @@
 use super::Picture;
 use super::axes::{Axis, Mark, PlotArea};
 use super::canvas::{Anchor, Canvas, Stroke};
-use super::colour::FAINT;
+use super::colour::INK;
 use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::device::Device;
 use haptic_predict::bench::report::Variant;
@@ -58,8 +58,8 @@ pub fn draw(every: &[(Device<f64>, Vec<Variant>)]) -> Picture {
             }
         }
     });
-    entries.push((Mark::Circle(FAINT), "a variant".into()));
-    entries.push((Mark::Line(Stroke::solid(FAINT, 1.8)), "the fastest for their error".into()));
+    entries.push((Mark::Circle(INK), "a variant".into()));
+    entries.push((Mark::Line(Stroke::solid(INK, 1.8)), "the fastest for their error".into()));
     frame.draw_decades(&mut canvas);
     let title = "Speed against error: every variant of the control step, fronts as lines";
     canvas.text((frame.at.0, 28.0), 15.0, Anchor::Start, false, title);
