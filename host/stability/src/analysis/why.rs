@@ -136,13 +136,15 @@ fn cases(device: &Linearised, around: &Loop) -> Vec<(&'static str, &'static str,
     cases
 }
 
-/// The limits for one kind of feed-forward with everything, and without each effect in turn: its name, the condition that
-/// replaces it, and the limits then. In the order of [`why`].
+/// The name of an effect, the condition that replaces it, and the limits then.
+pub type LimitsWithout = (&'static str, &'static str, Option<Limits>);
+
+/// The limits for one kind of feed-forward with everything, and without each effect in turn, in the order of [`why`].
 pub fn limits_without(
     device: &Linearised,
     around: &Loop,
     mode: Mode,
-) -> Result<(Option<Limits>, Vec<(&'static str, &'static str, Option<Limits>)>), AnalysisError> {
+) -> Result<(Option<Limits>, Vec<LimitsWithout>), AnalysisError> {
     let limits = |device: &Linearised, around: &Loop| Limits::of(domain(device, around, mode, None));
     let without = cases(device, around)
         .into_iter()
