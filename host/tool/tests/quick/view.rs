@@ -461,7 +461,7 @@ fn the_boundary_is_of_file_scene_and_drive() {
         let mut view = Played::in_command(World::simulate(device, Some(scene.clone())).unwrap(), None);
         let plane = view.boundary();
         assert!(plane.assumes.iter().any(|told| told.contains(words)), "{name}: {:?}", plane.assumes);
-        let (scene, wall) = (scene.cast::<f64>(), scene.walls[0].clone());
+        let (scene, wall) = (scene.cast::<f64>(), scene.walls[0]);
         let Surface::Plane(surface) = wall.surface else { panic!("{name}: another wall") };
         let estimator = LinearEstimator::of(scene.estimator, scene.cutoff_hz).unwrap();
         let mut around = Loop::through(&TorquePath::usual(scene.rate_hz), scene.rate_hz, estimator);
@@ -595,7 +595,7 @@ fn a_hand_that_is_led_anywhere_does_not_fold_the_linkage() {
             let goal = goal.unwrap_or(core::array::from_fn(|i| tip[i] - 0.07 * f64::from(plane.normal[i])));
             world.board.arm().unwrap();
             lead(&board, Some(goal));
-            let mut plays = |seconds: f64| {
+            let plays = |seconds: f64| {
                 for _ in 0..(200.0 * seconds) as usize {
                     board.lock().run(0.005);
                     let now = stance();

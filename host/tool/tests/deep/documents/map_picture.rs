@@ -127,9 +127,7 @@ fn every_picture_shows_what_the_model_computes_and_nothing_elsewhere() {
 fn colours_are_numbers(file: &DeviceFile, normal: &[f64], held: Admissible, chart: &Chart, image: &Pixmap) {
     let mut scatter = Scatter(7);
     let (mut compared, mut wrong) = (0, Vec::new());
-    let home =
-        evaluate_share(file, &file.description.home.unwrap()[..file.spec().joints], normal, held, Paper::default())
-            .unwrap();
+    let home = evaluate_share(file, &file.description.home.unwrap()[..file.spec().joints], normal, held).unwrap();
     for _ in 0..800 {
         let q = pose(&file.description, &mut scatter);
         if compared == 50 || !allowed(&file.description, &q) {
