@@ -329,6 +329,8 @@ fn the_wall_is_pressed_by_the_mouse_and_its_feed_forward_changed_under_it() {
     browser.hold_until(&tab, "document.body.dataset.state === 'Armed'");
     lead_into_the_wall(&mut browser, &tab);
     browser.hold_until(&tab, "view.last.numbers.force > 2 && view.last.numbers.depth > 0");
+    // A ripple is known of a wall that was pressed for a while.
+    browser.hold_until(&tab, "now?.ripple > 0");
     browser.evaluate(&tab, "$('ff-off').click()");
     browser.until(&tab, "!$('anyway').hidden");
     browser.evaluate(&tab, "$('anyway').click()");
