@@ -10,6 +10,7 @@
 
 mod recording;
 mod told;
+mod walls;
 
 use super::hub::{Event, Hub, PageId};
 use super::message::FromPage;
@@ -19,24 +20,18 @@ use super::stability::{Oracle, Plane};
 use super::world::{World, lead};
 use haptic_bridge::board::telemetry::Field;
 use haptic_bridge::model::device::Device;
-use haptic_bridge::render::controller::Gains;
-use haptic_bridge::render::scene::shape::Meaning;
-use haptic_bridge::render::scene::{FeedForward, Scene, Surface};
+use haptic_bridge::render::scene::Scene;
 use haptic_bridge::safety::fault::State;
 use haptic_bridge::servo::Rules;
 use haptic_host::error::Failure;
 use haptic_host::link::{Board, BoardError, Column, LinkError, columns, rows_that_fit};
-use haptic_host::scene_file::place_of;
-use haptic_host::vectors::{padded, unit};
-use haptic_host::words::{wall_in_words, with_unit};
+use haptic_host::vectors::padded;
 use haptic_predict::boards::torque_path;
-use haptic_predict::plausible::scene::most_gains;
 use haptic_sim::SharedBoard;
 use haptic_stability::analysis::control_loop::TorquePath;
 use haptic_stability::analysis::pose::TaskPose;
 use haptic_stability::analysis::prediction::Subject;
 use recording::ActiveRecording;
-use serde_json::json;
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 use std::path::PathBuf;
@@ -44,6 +39,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 use told::{in_words, plane_message};
+use walls::fit;
 
 /// Number of events that are heard in a turn; those that turn motors off come first among them ([`Hub::next`]).
 const EVENTS: usize = 64;
@@ -140,7 +136,8 @@ impl Stage {
         let details = board.details()?;
         let device = board.device()?.ok_or(BoardError::Refused(haptic_bridge::safety::refusal::Refusal::NoDevice))?;
         let scene = board.scene()?.ok_or(BoardError::Refused(haptic_bridge::safety::refusal::Refusal::NoScene))?;
-        let (device, first, scene) = (device.cast::<f64>(), scene.clone(), scene.cast::<f64>());
+        let device = device.cast::<f64>();
+        let (first, scene) = (scene.clone(), fit(&scene, &device)?);
         let rules = board.rules()?;
         let rate_hz = f64::from(details.rate_hz);
         let name = if world.simulated.is_some() { "simulated" } else { "" };
@@ -518,98 +515,6 @@ impl Stage {
         self.note("started over");
         self.say_to_all(&self.about());
         self.reread()
-    }
-
-    fn change_gains(
-        &mut self,
-        id: PageId,
-        wall: u8,
-        stiffness: f32,
-        damping: f32,
-        feed_forward: FeedForward,
-        beyond: bool,
-    ) -> Result<(), BoardError> {
-        let Some(now) = self.scene.walls.get(usize::from(wall)) else {
-            self.refuse(id, &format!("there is no wall {wall}"));
-            return Ok(());
-        };
-        let asked = format!("{} with {}", with_unit(stiffness.into(), "N/m"), with_unit(damping.into(), "N s/m"));
-        let q = Newest::of(&self.ring, &self.columns).q(self.device.axes());
-        if let Some(most) = most_gains(&self.device, &now.surface, &q, &self.rules.limits)
-            && (f64::from(stiffness) > most.stiffness || f64::from(damping) > most.damping)
-        {
-            let why = format!(
-                "wall {wall} cannot have {asked}: beyond {} one encoder count, and beyond {} a creeping hand, asks for all of the \
-                 {} that motors and rules allow here",
-                with_unit(most.stiffness, "N/m"),
-                with_unit(most.damping, "N s/m"),
-                with_unit(most.force, "N")
-            );
-            self.say(id, &json!({"is": "refused", "of": "gains", "why": why}));
-            return Ok(());
-        }
-        if let Some(plane) = self.plane.as_ref().filter(|plane| plane.wall == usize::from(wall) && !beyond) {
-            let most = plane.stiffness_to(feed_forward, f64::from(damping));
-            let most_now = plane.stiffness_to(now.feed_forward, now.damping);
-            // Who is outside already is not asked again, but for a feed-forward that lets even less be stable.
-            let less_stable = feed_forward != now.feed_forward && most < most_now;
-            if f64::from(stiffness) > most && (now.stiffness <= most_now || less_stable) {
-                let why = format!(
-                    "{asked} and feed-forward {} is predicted to be unstable here: stable up to {}",
-                    feed_forward.name(),
-                    with_unit(most, "N/m")
-                );
-                let again = FromPage::Gains { wall, stiffness, damping, feed_forward, beyond: true };
-                self.say(id, &json!({"is": "refused", "of": "gains", "why": why, "again": again}));
-                return Ok(());
-            }
-        }
-        let washout_hz = now.washout_hz as f32;
-        self.board().set_wall_gains(Gains { wall, stiffness, damping, feed_forward, washout_hz })?;
-        self.reread()
-    }
-
-    fn move_wall(
-        &mut self,
-        id: PageId,
-        index: usize,
-        point: [f32; 2],
-        normal: Option<[f32; 2]>,
-    ) -> Result<(), BoardError> {
-        let Some(mut scene) = self.board().scene()? else { return Ok(()) };
-        let task = usize::from(scene.task);
-        let Some(wall) = scene.walls.get_mut(index) else {
-            self.refuse(id, &format!("there is no wall {index}"));
-            return Ok(());
-        };
-        let (shape, mut values) = (wall.surface.spec(), wall.surface.values());
-        if let Some((_, at)) = place_of(&shape, Meaning::Point) {
-            values.iter_mut().skip(at).zip(point).take(task).for_each(|(to, from)| *to = from);
-        }
-        wall.surface = Surface::from_values(shape.name, &values).unwrap_or(wall.surface);
-        if let (Surface::Plane(plane), Some(normal)) = (&mut wall.surface, normal.filter(|_| task > 1)) {
-            let Some(unit) = unit(&normal.map(f64::from)) else {
-                self.refuse(id, "a normal points somewhere");
-                return Ok(());
-            };
-            plane.normal = padded(&unit).map(|entry| entry as f32);
-        }
-        self.board().set_scene(&scene)?;
-        self.asked = None;
-        self.reread()
-    }
-
-    /// Reads what the board has now, and tells.
-    fn reread(&mut self) -> Result<(), BoardError> {
-        if let Some(scene) = self.board().scene()? {
-            self.scene = scene.cast();
-        }
-        self.say_to_all(&self.walls());
-        let walls = self.scene.walls.iter().enumerate();
-        let words: Vec<String> =
-            walls.map(|(index, wall)| format!("wall {index}: {}", wall_in_words(&wall.cast()))).collect();
-        self.note(&words.join("; "));
-        Ok(())
     }
 
     fn tip(&self) -> Vec<f64> {

@@ -6,7 +6,7 @@ use crate::common::{file, shipped};
 use haptic_bridge::board::protocol::{Arm, Disarm};
 use haptic_bridge::render::scene::{FeedForward, Scene, Surface};
 use haptic_bridge::safety::fault::{Fault, State};
-use haptic_host::link::{Board, encode};
+use haptic_host::link::{Board, Wire, encode};
 use haptic_host::scene_file::SceneFile;
 use haptic_predict::wall_ahead::wall_ahead;
 use haptic_show::recorder::Recording;
@@ -29,6 +29,8 @@ use serde_json::{Value, json};
 use std::io::{ErrorKind, Read, Write};
 use std::net::TcpStream;
 use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 use tungstenite::{Message, WebSocket};
 
@@ -552,6 +554,50 @@ fn what_is_known_of_the_motors_without_a_connection_is_told_beforehand() {
     view.play(0.5);
     assert_eq!(view.state(), "Armed");
     assert!(if_lost(&view).contains("MAY BE ON"), "{}", if_lost(&view));
+}
+
+/// A wire that makes none of the number [`LYING`] on its way, while the flag is set.
+struct Lying(Box<dyn Wire>, Arc<AtomicBool>);
+
+const LYING: f32 = 8_765.432;
+
+impl Wire for Lying {
+    fn send(&mut self, bytes: &[u8]) -> std::io::Result<()> {
+        self.0.send(bytes)
+    }
+    fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> std::io::Result<usize> {
+        let count = self.0.receive(buffer, timeout)?;
+        let number = LYING.to_le_bytes();
+        if self.1.load(Ordering::Relaxed)
+            && let Some(at) = buffer[..count].windows(4).position(|four| four == number)
+        {
+            buffer[at..at + 4].copy_from_slice(&[1, 1, 0xc1, 0x7f]);
+        }
+        Ok(count)
+    }
+    fn now(&self) -> Duration {
+        self.0.now()
+    }
+}
+
+/// A page could not draw it: JSON has no such numbers.
+#[test]
+fn a_scene_with_numbers_that_are_none_is_refused_in_words_and_not_drawn() {
+    let simulated = World::demo().unwrap().simulated.unwrap();
+    let lies = Arc::new(AtomicBool::new(false));
+    let open = || Board::over(Box::new(Lying(simulated.wire(), Arc::clone(&lies))), "a board").unwrap();
+    let mut view = Played::in_command(World::of(open(), None), None);
+    let gains = |damping: f64| json!({"do": "gains", "wall": 0, "stiffness": LYING, "damping": damping, "feed_forward": "off", "beyond": true});
+    view.say(0, gains(80.0));
+    let before = view.heard(0).walls.clone();
+    assert_eq!(before[0]["stiffness"], f64::from(LYING));
+    lies.store(true, Ordering::Relaxed);
+    view.say(0, gains(81.0));
+    assert_eq!(view.heard(0).walls, before);
+    assert!(view.heard(0).why().contains("wall 0: stiffness and damping must be finite"), "{}", view.heard(0).why());
+    drop(view);
+    let failure = Stage::open(World::of(open(), None), Hub::default(), None, None).err().unwrap().to_string();
+    assert!(failure.contains("wall 0: stiffness and damping must be finite"), "{failure}");
 }
 
 /// The wall of a paddle is a line across the arc of its tip, with a solid side, like that of any device.
