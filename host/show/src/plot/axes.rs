@@ -1,8 +1,8 @@
 //! A framed coordinate system on a canvas: round ticks, SI prefixes, curves, dots with error bars, a legend.
 
-use super::canvas::{Anchor, Canvas, Stroke};
+use super::canvas::{Anchor, Canvas, SMALL, Stroke};
 use super::colour::{FAINT, INK};
-use super::paper::{EDGE, SMALL, wrapped};
+use super::paper::{EDGE, wrapped};
 
 const TEXT: f64 = 12.0;
 

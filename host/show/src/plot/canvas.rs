@@ -5,10 +5,11 @@ use std::fmt::Write;
 
 use super::Picture;
 use super::colour::INK;
-use super::paper::SMALL;
 
 /// Font family of every text; compiled in for PNG, with a fallback for SVG viewers.
 pub const FONT: &str = "DejaVu Sans";
+/// Size of the smallest text that is drawn, units.
+pub const SMALL: f64 = 11.5;
 
 /// Alignment of a text relative to its point.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -5,9 +5,9 @@
 //! vanishes along the axes and is largest between the first and the last of them.
 
 use super::axes::{Axis, Mark, PlotArea};
-use super::canvas::{Anchor, Canvas, Stroke};
+use super::canvas::{Anchor, Canvas, SMALL, Stroke};
 use super::colour::{BOUND, FAINT, FULL, INK, OFF, WASHOUT, scale};
-use super::paper::{EDGE, Paper, SMALL, wrapped};
+use super::paper::{EDGE, Paper, wrapped};
 use super::{Picture, linkage};
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::description::Description;

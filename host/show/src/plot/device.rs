@@ -6,10 +6,10 @@ use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::description::Description;
 
 use super::axes::{Axis, PlotArea, passes};
-use super::canvas::{Anchor, Canvas, Stroke};
+use super::canvas::{Anchor, Canvas, SMALL, Stroke};
 use super::colour::{FAINT, FULL, INK, OFF, WASHOUT};
 use super::linkage::bounds;
-use super::paper::{Paper, SMALL};
+use super::paper::Paper;
 use super::{Picture, linkage};
 use haptic_stability::analysis::cut::{Cut, Fineness};
 use haptic_stability::analysis::pose::PoseError;

@@ -10,9 +10,9 @@ use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::description::Description;
 
 use super::axes::{Axis, PlotArea};
-use super::canvas::{Anchor, Canvas, Stroke};
+use super::canvas::{Anchor, Canvas, SMALL, Stroke};
 use super::colour::{ABOVE, FAINT, INK, scale};
-use super::paper::{Page, Paper, SMALL};
+use super::paper::{Page, Paper};
 use super::{Picture, linkage, paddle};
 use haptic_host::vectors::unit;
 use haptic_stability::analysis::cut::{Cut, Fineness, Tile};

@@ -3,10 +3,8 @@
 //! On paper a unit of a drawing is as large as makes its smallest letters 8 pt, which journals ask for; so a column of
 //! 85 mm has 346 units, a page of 170 mm 693. A picture is laid out for the units that there are: it is never shrunk.
 
-use super::canvas::{Anchor, Canvas};
+use super::canvas::{Anchor, Canvas, SMALL};
 
-/// Size of the smallest text that is drawn, units.
-pub const SMALL: f64 = 11.5;
 /// Millimetres of paper that a unit is, so that it has 8 pt.
 const UNIT_MM: f64 = 8.0 * 25.4 / 72.0 / SMALL;
 /// On a page narrower than this, text begins at its edge and numbers along an axis get less room.

@@ -3,9 +3,9 @@
 
 use super::Picture;
 use super::axes::{Axis, Mark, PlotArea};
-use super::canvas::{Anchor, Stroke};
+use super::canvas::{Anchor, SMALL, Stroke};
 use super::colour::{BOUND, FAINT, FULL, HOST, OFF, WASHOUT};
-use super::paper::{Paper, SMALL};
+use super::paper::Paper;
 use haptic_host::words::with_unit;
 use haptic_stability::analysis::passivity::Passivity;
 use haptic_stability::analysis::range::{Domain, Range};

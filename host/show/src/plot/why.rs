@@ -2,9 +2,9 @@
 //! logarithmic scale, without and with the feed-forward.
 
 use super::Picture;
-use super::canvas::{Anchor, Stroke};
+use super::canvas::{Anchor, SMALL, Stroke};
 use super::colour::{FAINT, FULL, OFF};
-use super::paper::{EDGE, Paper, SMALL};
+use super::paper::{EDGE, Paper};
 use haptic_host::words::with_unit;
 use haptic_stability::analysis::why::{Both, Why};
 

@@ -3,9 +3,9 @@
 use super::{Found, Panel, Quantity, View, smoothed};
 use crate::plot::Picture;
 use crate::plot::axes::{Axis, Mark, PlotArea};
-use crate::plot::canvas::{Anchor, Canvas, Stroke};
+use crate::plot::canvas::{Anchor, Canvas, SMALL, Stroke};
 use crate::plot::colour::{BOUND, FULL, INK, OFF, WASHOUT};
-use crate::plot::paper::{EDGE, Paper, SMALL, wrapped};
+use crate::plot::paper::{EDGE, Paper, wrapped};
 
 /// Size of a panel's frame, and of what is around it, in units of the drawing (pixels on a screen).
 const SIZE: (f64, f64) = (600.0, 190.0);
