@@ -303,20 +303,20 @@ impl Oracle {
         self.busy
     }
 
-    /// Has the next question also ask what limits the stiffness.
+    /// Somebody wants to know what limits the stiffness.
     pub fn explain(&mut self) {
         self.explain = true;
     }
 
-    /// Returns true if that waits for a question.
-    pub fn is_to_explain(&self) -> bool {
-        self.explain
+    /// Returns true if that is to be asked now, with the motors on or off. Without a thread it would keep the stage from
+    /// hearing of the key for some tenths of a second, so it waits until they are off.
+    pub fn is_to_explain(&self, motors_on: bool) -> bool {
+        self.explain && !(motors_on && self.questions.is_none())
     }
 
     /// Asks.
     pub fn ask(&mut self, question: Question) {
-        let explain = std::mem::take(&mut self.explain);
-        let question = Question { explain: question.explain || explain, ..question };
+        self.explain &= !question.explain;
         self.busy = match &self.questions {
             Some(questions) => questions.send(question).is_ok(),
             None => self.answer_to.send(answer(&question)).is_ok(),
@@ -365,5 +365,10 @@ mod tests {
         assert!(to(FeedForward::Off) < demo.stiffness && demo.stiffness < to(FeedForward::Washout));
         assert!(to(FeedForward::Washout) < to(FeedForward::Full));
         assert_eq!(plane.stiffness_to(FeedForward::Off, 1e6), 0.0, "no damping beyond the boundary is stable");
+        // What takes long waits for the motors to be off where no thread takes it.
+        oracle.explain();
+        assert!(oracle.is_to_explain(true) && oracle.is_to_explain(false));
+        oracle.questions = None;
+        assert!(!oracle.is_to_explain(true) && oracle.is_to_explain(false));
     }
 }

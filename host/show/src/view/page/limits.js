@@ -48,12 +48,12 @@ function showLimits(plane, wall) {
   // Another pose or another kind of feed-forward: asked anew, but not while a hand goes on.
   if (plane && !known && now - limits.asked > 1000) { limits.asked = now; say({ do: "explain" }); }
   const here = plane ? tried.marks.filter(mark => mark.wall === view.wall && mark.mode === wall.feed_forward && isHere(mark, plane.q) && Math.abs(mark.kd - wall.damping) <= .1 * wall.damping) : [];
-  const state = JSON.stringify([plane?.q, known, wall, here.map(mark => [mark.kp, mark.buzzes])]);
+  const state = JSON.stringify([plane?.q, known, view.last?.held, wall, here.map(mark => [mark.kp, mark.buzzes])]);
   if (limits.state === state) return;
   limits.state = state;
   if (!plane) return $("limits").replaceChildren(element("p", "Nothing is predicted here: the tip is nearer to another wall, or the pose is singular, or the loop has no linear form."));
   const parts = [element("h3", `What limits “${NAMES[wall.feed_forward]}”`)];
-  if (!known) parts.push(element("p", "…"));
+  if (!known) parts.push(element("p", window.playground && view.last?.held ? "It is worked out once the motors are off." : "…"));
   else {
     const all = known.stiffness, rows = known.without.map(({ effect, instead, stiffness }) => [`${effect}: ${instead}`, stiffness, all && stiffness !== null ? stiffness / all : Infinity]);
     parts.push(element("p", all === null ? "No stiffness is predicted to be unstable." : `Stiffest stable wall: ${unit(all, "N/m")}, at ${unit(known.damping, "N s/m")}. With one thing changed:`));

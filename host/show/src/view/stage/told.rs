@@ -100,12 +100,13 @@ impl Stage {
             *asked != wall || at.iter().zip(&q).any(|(before, now)| (before - now).abs() > TURNED)
         });
         // What limits a wall is worked out once for a pose and a kind of feed-forward, however often pages ask.
+        let explain = self.oracle.is_to_explain(self.state.drives());
         let explained = self.plane.as_ref().and_then(|plane| plane.limits.as_ref()).map(|limits| limits.feed_forward);
-        let unexplained = self.oracle.is_to_explain()
+        let unexplained = explain
             && self.plane.as_ref().is_some_and(|plane| plane.wall == wall)
             && self.scene.walls.get(wall).map(|wall| wall.feed_forward) != explained;
         if (moved || unexplained) && self.ring.end() > 0 && !self.oracle.is_busy() {
-            self.oracle.ask(self.question(wall, q.clone(), &normal));
+            self.oracle.ask(Question { explain, ..self.question(wall, q.clone(), &normal) });
             self.asked = Some((wall, q));
         }
         if let Some(answer) = self.oracle.answered() {
