@@ -130,7 +130,7 @@ function drawWall(c, f, w, h, size, wall, index) {
     // Its name, on the solid side: beside a plane's point, away from where it is taken hold of and from the legend; of a
     // hole above it.
     const line = o.is === "line", [nx, ny] = line ? o.normal : [0, 0], up = o.inside ? o.radius * f.scale + 16 : 0;
-    const spots = (line ? [100, -170, 0] : [0]).map(aside => [f.toX(o.at[0]) - nx * 30 - ny * aside, f.toY(o.at[1]) + ny * 30 - nx * aside - up]);
+    const spots = (line ? [100, -170, -45, 45] : [0]).map(aside => [f.toX(o.at[0]) - nx * 30 - ny * aside, f.toY(o.at[1]) + ny * 30 - nx * aside - up]);
     const [X, Y] = spots.find(([x, y]) => x > 40 && x < w - 40 && y > 20 && y < h - 40 && (x > 16 * size || y > 7 * size)) || spots[0];
     c.save(); c.font = `700 ${1.25 * size}px system-ui, sans-serif`; c.textAlign = "center"; c.textBaseline = "middle"; c.lineWidth = 4;
     c.strokeStyle = palette.card; c.fillStyle = palette.ink; c.strokeText("WALL", X, Y); c.fillText("WALL", X, Y); c.restore();
