@@ -146,7 +146,7 @@ function picture(p) {
     ["Force", unit(n.force, "N")], ["Depth", inside ? unit(n.depth, "m") : "outside"], ["Sideways push", unit(n.sideways, "N")],
     ["Ripple", unit(n.ripple, "N") + " rms", n.ripple > BUZZES], ["Power given out", p.state === "Armed" ? unit(Math.max(0, n.power), "W") : "–", p.state === "Armed" && n.power > GLOWS],
     ["Cut by a limit", digits(100 * n.saturated, 2) + " %", n.saturated > 0],
-    ["Inertia without / with", n.inertia ? inKilograms(n.inertia[0]) + " / " + inKilograms(n.inertia[1]) : "–"],
+    ["Inertia off / full", n.inertia ? inKilograms(n.inertia[0]) + " / " + inKilograms(n.inertia[1]) : "–"],
     ["Rows lost", String(p.lost), p.lost > 0],
     p.speed === null ? ["Interrupt's load", p.load === null ? "–" : digits(100 * p.load, 2) + " %", p.load > 0.9] : ["Simulation's speed", digits(100 * p.speed, 3) + " %", p.speed < 0.9],
   ];

@@ -123,8 +123,8 @@ function compared(p) {
   $("ripple-before").textContent = before ? words(before) + " →" : "";
   $("ripple-now").textContent = now ? words(now) : "–";
   $("ripple-now").classList.toggle("hot", !!now && now.ripple > BUZZES);
-  const predicted = view.predictedBuzz ? ` (predicted ${digits(view.predictedBuzz, 2)})` : "";
-  $("buzz").textContent = view.buzz ? `at ${digits(view.buzz, 2)} Hz${predicted}` : "";
+  $("buzz").textContent = view.buzz ? `at ${digits(view.buzz, 2)} Hz` : "";
+  $("predicted").textContent = view.buzz && view.predictedBuzz ? `predicted ${digits(view.predictedBuzz, 2)} Hz` : "";
 }
 function startedOver() { now = before = null; fit(); }
 
