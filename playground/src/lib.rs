@@ -300,7 +300,7 @@ mod tests {
             assert!(refused[0].contains("was not heard"), "{name}: {refused:?}");
         }
         assert!(!open(names.lines().count()));
-        assert!(String::from_utf8(BUFFER.take()).unwrap().contains("there is no choice 7"));
+        assert!(String::from_utf8(BUFFER.take()).unwrap().contains("there is no choice 8"));
     }
 
     /// A simulated board with a device of the list and a wall, plugged in where the page's port is.

@@ -46,6 +46,7 @@
         if (!device.length) {
           device.replaceChildren(...data.choices.map(name => new Option(name)));
           lesson.replaceChildren(new Option("Lessons"), ...LESSONS.map(([name]) => new Option(name)));
+          lesson.selectedIndex = +(/lesson=(\d)/.exec(location.hash)?.[1] || 0);
         }
         device.selectedIndex = board ? -1 : choice;
         if (!board && wanted() >= 0 && wanted() !== choice) { device.selectedIndex = wanted(); return begin(null); }
@@ -105,8 +106,8 @@
     view.hello = view.plane = view.closeAt = view.last = view.frame = null;
     connect();
   }
-  device.onchange = () => { device.blur(); begin(null); };
-  lesson.onchange = () => { location.hash = "lesson=" + lesson.selectedIndex; lesson.selectedIndex = 0; lesson.blur(); };
+  device.onchange = () => { device.blur(); lesson.selectedIndex = 0; begin(null); };
+  lesson.onchange = () => { if (lesson.selectedIndex) location.hash = "lesson=" + lesson.selectedIndex; lesson.blur(); };
   open.onclick = async () => {
     open.blur();
     if (port) return begin(null);

@@ -180,6 +180,10 @@ impl<'a> Newest<'a> {
             let l = &pose.operational;
             geometry.ellipse = Some(ellipse(l[(0, 0)], l[(0, 1)], l[(1, 1)]));
         }
+        // Along the arc of a paddle.
+        if let ([along], r @ 1e-9..) = (force.as_slice(), place[0].hypot(place[1])) {
+            geometry.force = [-along * place[1] / r, along * place[0] / r];
+        }
         if let Some((_, normal)) = wall {
             let n = DVector::from_fn(task, |i, _| normal[i]);
             numbers.sideways = (&force - &n * n.dot(&force)).norm();
@@ -264,6 +268,7 @@ mod tests {
     use super::*;
     use crate::demo::Demo;
     use haptic_bridge::render::scene::FeedForward;
+    use haptic_host::device_file::DeviceFile;
     use haptic_host::link::columns;
 
     #[test]
@@ -319,6 +324,25 @@ mod tests {
             assert!((found / expected - 1.0).abs() < 0.02, "{found} J, not {expected} J");
         }
         assert!(given_out(spring(-0.5), kp).abs() < 1e-3 * a_period * periods);
+    }
+
+    #[test]
+    fn the_force_of_a_paddle_is_drawn_along_its_arc() {
+        let file = DeviceFile::parse(include_str!("../../../../devices/hapkit-paddle.toml"), "hapkit").unwrap();
+        let (device, columns) = (file.device::<f64>().unwrap(), columns(FIELDS, 1));
+        let (length, angle) = (file.description.geometry[0], 0.3_f64);
+        let mut ring = Ring::new(columns.len(), 10);
+        ring.push(columns.iter().map(|column| match column.field {
+            Field::Angle => angle as f32,
+            Field::Tip => (length * angle) as f32,
+            Field::Torque => (2.0 * length) as f32,
+            _ => 0.0,
+        }));
+        let newest = Newest::of(&ring, &columns);
+        let scene = Scene { task: 1, ..Scene::default() };
+        let (geometry, _) = newest.moment(&device, Some(&file.description), &scene, 1000.0);
+        let [x, y] = geometry.force;
+        assert!((x + 2.0 * angle.sin()).abs() < 1e-5 && (y - 2.0 * angle.cos()).abs() < 1e-5, "{x} {y}");
     }
 
     /// The torques Jᵀ n f of a force along the wall's normal push with f along it, and not sideways.

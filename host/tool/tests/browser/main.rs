@@ -11,7 +11,7 @@ mod serial;
 use common::page::View;
 use common::sim::Sim;
 use devtools::{Browser, Tab};
-use serde_json::Value;
+use serde_json::{Value, json};
 
 const LAPTOP: (u32, u32) = (1366, 768);
 const PHONE: (u32, u32) = (390, 844);
@@ -143,6 +143,32 @@ fn a_key_that_is_held_arms_and_letting_go_disarms() {
     browser.hold_until(&tab, armed);
     browser.evaluate(&tab, "window.dispatchEvent(new Event('blur'))");
     browser.until(&tab, off);
+    assert_eq!(browser.complaints(), [""; 0]);
+}
+
+/// On a phone one finger holds the key while another taps: a tap that makes no click of its own.
+#[test]
+fn a_second_finger_taps_while_the_first_holds_the_key() {
+    let (_view, mut browser, tab) = opened();
+    browser.size(&tab, PHONE, 2.0);
+    browser.ask(&tab, "Emulation.setTouchEmulationEnabled", json!({"enabled": true, "maxTouchPoints": 2}));
+    let touch = |browser: &mut Browser, kind: &str, fingers: &[(f64, f64)]| {
+        let points = fingers.iter().enumerate().map(|(id, (x, y))| json!({"x": x, "y": y, "id": id}));
+        browser.ask(&tab, "Input.dispatchTouchEvent", json!({"type": kind, "touchPoints": points.collect::<Vec<_>>()}));
+    };
+    let key = on(&mut browser, &tab, "key", "60", "30");
+    touch(&mut browser, "touchStart", &[key]);
+    browser.until(&tab, "view.down");
+    for (button, happened) in [("ff-off", "!$('anyway').hidden"), ("off", "!view.down")] {
+        let at = on(&mut browser, &tab, button, "20", "15");
+        touch(&mut browser, "touchStart", &[key, at]);
+        assert_eq!(browser.evaluate(&tab, "view.down"), true, "{button}");
+        // With this the second finger is gone.
+        touch(&mut browser, "touchMove", &[key]);
+        browser.until(&tab, happened);
+    }
+    browser.until(&tab, "document.body.dataset.state === 'Disarmed'");
+    touch(&mut browser, "touchEnd", &[]);
     assert_eq!(browser.complaints(), [""; 0]);
 }
 

@@ -11,7 +11,9 @@ function markGains(p) {
   if (tried.places[n.wall] !== at) { tried.places[n.wall] = at; tried.marks = tried.marks.filter(mark => mark.wall !== n.wall); }
   const key = keyOf(n.wall, wall);
   if (tried.press && (tried.press.key !== key || p.time - tried.press.last > LIFTED)) tried.press = null;
-  if (!(n.depth > 0)) return;
+  // Where the motors are at their limit, no wall is felt: it says nothing of the gains.
+  if (n.saturated > LIMITED) tried.press = null;
+  if (!(n.depth > 0) || n.saturated > LIMITED) return;
   const press = tried.press ||= { key, began: p.time, ripples: [] };
   press.last = p.time;
   press.ripples = [...press.ripples.filter(([time]) => p.time - time <= LATELY), [p.time, n.ripple]];

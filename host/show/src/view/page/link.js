@@ -2,8 +2,8 @@
 const $ = id => document.getElementById(id);
 const view = { pictures: 0, sweeps: 0, sounds: 0, you: 0, hello: null, walls: [], springs: [], field: 0, plane: null, last: null, wall: 0, down: false, trail: [], recent: [], box: null };
 window.view = view;
-// Beyond this ripple (N rms) a wall buzzes. In every picture each kind of feed-forward has its dashes beside its colour.
-const BUZZES = 0.5, DASH = { off: [], full: [9, 4], washout: [2, 3.5] };
+// Beyond this ripple (N rms) a wall buzzes; with more than this share of the time at a limit it is the motors that are felt. In every picture each kind of feed-forward has its dashes beside its colour.
+const BUZZES = 0.5, LIMITED = 0.2, DASH = { off: [], full: [9, 4], washout: [2, 3.5] };
 
 // ---- the link -----------------------------------------------------------------------------------------------------
 // The tool, at the other end of a WebSocket; in a page that is a file by itself the library, in a worker (playground/).
@@ -26,7 +26,7 @@ function heard(message) {
     case "recorded": notice(message.words, {}, true); break;
     case "plane": view.plane = message.plane; break;
     case "picture": picture(message); break;
-    case "refused": if (!(view.last && view.last.held)) up("quietly"); notice(message.why, message); gainsShown(message.of === "gains"); break;
+    case "refused": if (!(view.last && view.last.held)) up("quietly"); notice(message.why, { ...message, of: /inside a wall/.test(message.why) ? "inside" : message.of }); gainsShown(message.of === "gains"); break;
     case "lost": lost(message.why); break;
   }
 }
@@ -37,8 +37,8 @@ function hello(message) {
   $("board").textContent = (message.simulated ? "simulated" + (message.weightless ? ", its weight left out" : "") : message.board + " " + message.serial + " on " + message.port) +
     ", " + unit(message.rate_hz, "Hz") + (message.rows_hz < message.rate_hz ? " (" + unit(message.rows_hz, "Hz") + " shown)" : "");
   const [grip, arm] = [message.hand.grip, message.hand.arm];
-  $("spring").textContent = $("spring").title = message.simulated ? `The mouse leads a hand of ${message.hand.mass} kg: arm ${arm[0]} N/m, ${arm[1]} N s/m; grip ${grip[0]} N/m, ${grip[1]} N s/m.${message.smooth ? " The device has a tenth of its dry friction and encoders five times as fine." : ""}` : "";
-  $("hint").textContent = message.simulated ? "lead the tip by mouse, finger or arrow keys" : "";
+  $("spring").textContent = $("spring").title = message.simulated ? `You lead a hand of ${message.hand.mass} kg: arm ${arm[0]} N/m, ${arm[1]} N s/m; grip ${grip[0]} N/m, ${grip[1]} N s/m.${message.smooth ? " The device has a tenth of its dry friction and encoders five times as fine." : ""}` : "";
+  $("hint").textContent = message.simulated ? coarse ? "lead the tip by a finger" : "lead the tip by mouse or arrow keys" : "";
   $("let-go").hidden = $("start-over").hidden = !message.simulated;
   $("record").hidden = !message.records;
   signalsOf(message.columns); startedOver();
@@ -55,6 +55,8 @@ function notice(why, { of, again } = {}, good) {
 }
 $("anyway").onclick = () => { const again = view.again; notice(""); say(again); };
 $("dismiss").onclick = () => notice("");
+// A notice of something that was done goes by itself.
+function done(why, seconds = 4) { notice(why, {}, true); setTimeout(() => { if ($("why").textContent === why) notice(""); }, 1000 * seconds); }
 
 // ---- the dead man's key -------------------------------------------------------------------------------------------
 // With the key goes the step of the newest picture that came before it was seen: half a second after that step the board
@@ -86,6 +88,17 @@ $("key").oncontextmenu = event => event.preventDefault();
 addEventListener("blur", () => up());
 addEventListener("pagehide", () => up());
 document.addEventListener("visibilitychange", () => { if (document.hidden) up(); });
+// While one finger holds the key, a second one makes no click of its own.
+let second = null;
+const buttonOf = element => element?.closest?.("button:not(#key)");
+addEventListener("pointerdown", event => { if (event.pointerType === "touch" && !event.isPrimary) second = buttonOf(event.target); }, true);
+addEventListener("pointerup", event => {
+  if (event.pointerType !== "touch" || event.isPrimary || !second) return;
+  if (second === buttonOf(document.elementFromPoint(event.clientX, event.clientY))) second.click();
+  second = null;
+}, true);
+const coarse = matchMedia("(pointer: coarse)").matches;
+if (coarse) $("key").querySelector("small").textContent = "letting go turns them off";
 $("take").onclick = () => say({ do: view.last && view.last.command === view.you ? "give" : "take" });
 $("off").onclick = () => { up(); say({ do: "disarm" }); };
 $("more").onclick = () => $("more").setAttribute("aria-expanded", document.querySelector("header").classList.toggle("open"));
@@ -140,6 +153,7 @@ function picture(p) {
   if (p.fault && (p.fault !== view.fault || !$("notice").classList.contains("shown"))) notice("Fault: " + p.fault);
   if (!p.fault && view.fault) notice("");
   view.fault = p.fault;
+  if (view.of === "inside" && !(p.numbers.depth > 0)) notice("");
   coach(p); compared(p); markGains(p);
   const n = p.numbers, inside = n.depth > 0;
   const shown = [

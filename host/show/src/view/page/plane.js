@@ -23,7 +23,7 @@ $("scale").onchange = () => requestDraw();
 
 // ---- the axes -----------------------------------------------------------------------------------------------------
 // 1, 2 or 5 times a power of ten, the next at or above the value.
-function roundUp(value) { const power = 10 ** Math.floor(Math.log10(value) + 1e-9); return [1, 2, 5, 10].map(n => n * power).find(n => n >= value * (1 - 1e-9)); }
+function roundUp(value, steps = [1, 2, 5, 10]) { const power = 10 ** Math.floor(Math.log10(value) + 1e-9); return steps.map(n => n * power).find(n => n >= value * (1 - 1e-9)); }
 const nice = most => roundUp(most / 6.5), tick = value => String(+value.toPrecision(4));
 // From `start` to `end`, in pixels. A logarithmic axis begins above zero, which lies far before its beginning.
 function axisOf([low, high], start, end, log, most) {
@@ -40,7 +40,7 @@ function axisOf([low, high], start, end, log, most) {
 // so that the picture keeps still while the dot is moved.
 function ends(gain, top, scale) {
   const all = Math.max(top, gain * 1.3) || 1;
-  if (scale === "near") return [0, roundUp(2 * (gain || all / 100))];
+  if (scale === "near") return [0, Math.min(all, roundUp(1.3 * (gain || all / 100), [1, 1.5, 2, 3, 4, 5, 6, 8, 10]))];
   return [scale === "log" ? roundUp(Math.max(Math.min(gain || all / 100, all / 10) / 5, all / 1e5)) : 0, all];
 }
 // A dot that sits in the corner of even axes is seen on logarithmic ones.
@@ -48,7 +48,7 @@ let scaledFor = null;
 function chooseScale(wall, kdTop, kpTop) {
   if (scaledFor === view.hello) return;
   scaledFor = view.hello;
-  $("scale").value = wall.damping > kdTop / 12 && wall.stiffness > kpTop / 12 ? "even" : "log";
+  $("scale").value = view.scale ? view.scale : wall.damping > kdTop / 12 && wall.stiffness > kpTop / 12 ? "even" : "log";
 }
 function below(boundary, kd) {
   for (let i = 1; i < boundary.length; i++) { const [a, b] = [boundary[i - 1], boundary[i]]; if (kd >= a.kd && kd <= b.kd) return a.kp + (b.kp - a.kp) * (kd - a.kd) / (b.kd - a.kd || 1); }
@@ -121,7 +121,7 @@ function drawPlane() {
   const taken = [[x - 11, y - 11, 22, 22]], sides = [[1, 1], [1, -1], [-1, 1], [-1, -1]].map(([sx, sy]) => [x + 13 * sx, y + 5 * sy, sx, sy]);
   // The mark of these very gains lies under the dot.
   const here = tried.marks.find(mark => mark.key === keyOf(view.wall, wall) && plane && isHere(mark, plane.q));
-  place(c, size, [gains, told, here && "tried: " + (here.buzzes ? "it buzzes" : "quiet")].filter(line => line), sides, taken, Object.values(points).flat(), room);
+  place(c, size, [gains, told, here && "tried: " + (here.buzzes ? "it buzzes" : stable ? "quiet" : "quiet (friction, a hand)")].filter(line => line), sides, taken, Object.values(points).flat(), room);
   // Where curves are the same, as those of a paddle, their names stand together.
   const same = (a, b) => plane[a].every((p, i) => Math.abs(p.kp - plane[b][i]?.kp) <= .003 * tops[1] && Math.abs(p.kd - plane[b][i].kd) <= .003 * tops[0]);
   for (const mode of MODES) if (points[mode]?.length) {

@@ -94,7 +94,7 @@ function drawScope() {
     c.textAlign = channel ? "right" : "left";
     c.fillText(name + (unit && ", " + unit), channel ? w - 4 : 4, size);
     if (!channel && view.ghost) {
-      c.strokeStyle = palette[view.ghost.mode]; c.lineWidth = 1.2; c.setLineDash(DASH[view.ghost.mode]); c.globalAlpha = .8; trace(view.ghost.values, Y); c.globalAlpha = 1; c.setLineDash([]);
+      c.strokeStyle = palette[view.ghost.mode]; c.lineWidth = 1.2; c.setLineDash(view.ghost.mode === "off" ? [6, 3] : DASH[view.ghost.mode]); c.globalAlpha = .8; trace(view.ghost.values, Y); c.globalAlpha = 1; c.setLineDash([]);
       c.fillStyle = palette.ink; c.textAlign = "center"; c.fillText("╌ before: " + NAMES[view.ghost.mode], (left + right) / 2, size);
     }
     if (!channel && $("trigger").value) {
@@ -122,9 +122,16 @@ function compared(p) {
   const words = part => `${NAMES[part.mode]} ${part.ripple === null ? "–" : digits(part.ripple, 2) + " N"}`;
   $("ripple-before").textContent = before ? words(before) + " →" : "";
   $("ripple-now").textContent = now ? words(now) : "–";
-  $("ripple-now").classList.toggle("hot", !!now && now.ripple > BUZZES);
+  $("ripple-now").classList.toggle("hot", pressed && !!now && now.ripple > BUZZES);
   $("buzz").textContent = view.buzz ? `at ${digits(view.buzz, 2)} Hz` : "";
-  $("predicted").textContent = view.buzz && view.predictedBuzz ? `predicted ${digits(view.predictedBuzz, 2)} Hz` : "";
+  const limited = pressed && n.saturated > LIMITED;
+  $("predicted").textContent = limited ? "motors at their limit: press more gently" : view.buzz && view.predictedBuzz ? `predicted ${digits(view.predictedBuzz, 2)} Hz` : "";
+  const [free, kept] = (n.inertia || []).map(inKilograms), effect = wall && n.inertia ? {
+    off: `off: the wall meets ${free}, for the tip may swerve sideways`,
+    full: `full: torques that stop the swerve, so the wall meets ${kept}; a resting hand is pushed sideways`,
+    washout: `washed out: torques that stop the swerve, so the wall meets ${kept}; they fade for a resting hand`,
+  }[wall.feed_forward] : "";
+  if ($("effect").textContent !== effect) $("effect").textContent = effect;
 }
 function startedOver() { now = before = null; fit(); }
 

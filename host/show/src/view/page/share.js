@@ -1,11 +1,12 @@
 // ---- links --------------------------------------------------------------------------------------------------------
 // What a link sets stands behind its #: device, pose (rad), and for each wall stiffness, damping, feed-forward, point, normal.
+// Lessons: a name, a link, and what to do.
 const LESSONS = [
-  ["1 Why does a wall buzz?", "device=hapkit-paddle-a-wall-at-1-khz"],
-  ["2 What does the tip weigh?", "device=coupled-five-bar&pose=2.6,1.75&wall=8700,80,washout,-0.11766,0.184342,0.940376,-0.340136"],
-  ["3 Why does coupling cost stiffness?", "device=coupled-five-bar&wall=8700,80,full"],
-  ["4 Why does friction hide it?", "device=hapkit-paddle-a-wall-at-1-khz&wall=10000,60,off"],
-  ["5 What limits a real wall?", "device=hapkit-paddle&wall=20000,60,off"],
+  ["1 Why does a wall buzz?", "device=hapkit-paddle-a-wall-at-1-khz", "Press into the wall: quiet. Drag the dot beyond the curve, as to 14 kN/m at 60 N s/m, confirm, come out, and strike."],
+  ["2 What does the tip weigh?", "device=coupled-five-bar&pose=2.6,1.75&wall=8700,80,washout,-0.11766,0.184342,0.940376,-0.340136", "Lead the tip about: the dashed ellipse is the mass that a push meets, by direction."],
+  ["3 Why does coupling cost stiffness?", "device=coupled-five-bar&wall=8700,80,full", "Press a centimetre deep with Full, Washed out and Off: which one pushes you sideways, which one buzzes?"],
+  ["4 Why does friction hide it?", "device=hapkit-paddle-a-wall-at-1-khz&wall=10000,60,off", "This wall is beyond the curve and quiet: friction and the hand hold it. Raise it, or strike it, until it buzzes."],
+  ["5 What limits a real wall?", "device=hapkit-paddle&wall=20000,60,off", "Set the scope to 20 ms and move slowly in the wall: each count of the encoder is a step of force."],
 ];
 // A link's settings; what is wrong with it is thrown in words.
 function read(hash) {
@@ -17,8 +18,9 @@ function read(hash) {
   };
   for (const [key, value] of new URLSearchParams(hash.replace(/^#/, ""))) {
     const words = value.split(",");
-    if (key === "lesson") { if (!LESSONS[value - 1]) throw `the link's lesson is not one of 1 to ${LESSONS.length}`; Object.assign(wanted, read(LESSONS[value - 1][1])); }
+    if (key === "lesson") { if (!LESSONS[value - 1]) throw `the link's lesson is not one of 1 to ${LESSONS.length}`; Object.assign(wanted, read(LESSONS[value - 1][1]), { task: LESSONS[value - 1][2] }); }
     else if (key === "device") wanted.device = value;
+    else if (key === "scale") { if (![...$("scale").options].some(option => option.value === value)) throw "the link's scale is not one of the plane's"; wanted.scale = value; }
     else if (key === "pose") wanted.pose = numbers(words, key, [1, 2, 3]);
     else if (key === "wall") {
       const mode = words.splice(2, 1)[0], [stiffness, damping, x, y, ...normal] = numbers(words, "wall (beside its feed-forward)", [2, 4, 6]);
@@ -26,13 +28,13 @@ function read(hash) {
       wanted.walls.push({ gains: { stiffness, damping, feed_forward: mode }, point: y === undefined ? null : [x, y], normal });
     } else throw `the link has an unknown part, ${key}`;
   }
-  return wanted.device || wanted.pose || wanted.walls.length ? wanted : null;
+  return wanted.device || wanted.scale || wanted.pose || wanted.walls.length ? wanted : null;
 }
 function want() { try { view.wanted = read(location.hash); } catch (why) { view.wanted = null; return why; } return null; }
 // Does what a link wants, once there is a device; a link moves no real one.
 function follow() {
-  const { device, pose, walls } = view.wanted;
-  view.wanted = null;
+  const { device, pose, walls, scale, task } = view.wanted;
+  view.wanted = null; view.scale = scale;
   if (!view.hello.simulated) return notice("A link sets up simulated devices only: nothing was changed.");
   if (device && !window.playground && !device.startsWith(view.hello.device)) return notice(`The link is for ${device}, and this page shows ${view.hello.device}: haptic view devices/${device}.toml --port sim`);
   if (walls.length > view.walls.length) return notice(`The link has ${walls.length} walls, and this scene ${view.walls.length}: nothing was changed.`);
@@ -41,17 +43,18 @@ function follow() {
     if (point) say({ do: "wall", wall, point, ...(normal.length ? { normal } : {}) });
     say({ do: "gains", wall, ...gains, beyond: true });
   });
+  if (task) done(task, 30);
 }
 const short = value => +value.toPrecision(6);
 function link() {
   const turned = wall => wall.outline?.is === "line" && view.hello.task > 1;
   const walls = view.walls.map(wall => "wall=" + [short(wall.stiffness), short(wall.damping), wall.feed_forward, ...wall.values.slice(0, 2).map(short), ...(turned(wall) ? wall.values.slice(3, 5).map(short) : [])]);
-  return location.href.replace(/[?#].*$/, "") + "#" + ["device=" + (window.playground?.device() || view.hello.device), "pose=" + view.last.q.map(short), ...walls].join("&");
+  return location.href.replace(/[?#].*$/, "") + "#" + ["device=" + (window.playground?.device() || view.hello.device), "pose=" + view.last.q.map(short), "scale=" + $("scale").value, ...walls].join("&");
 }
 $("copy").onclick = async () => {
   history.replaceState(null, "", link());
-  try { await navigator.clipboard.writeText(location.href); notice("Copied: a link to this device, pose, walls and gains.", {}, true); }
-  catch { notice("The link stands in the address bar.", {}, true); }
+  try { await navigator.clipboard.writeText(location.href); done("Copied: a link to this device, pose, walls and gains."); }
+  catch { done("The link stands in the address bar."); }
 };
 addEventListener("hashchange", () => { const wrong = want(); if (wrong) notice(wrong); else window.playground?.follow(); });
 
@@ -117,6 +120,7 @@ $("save").onchange = () => {
   anchor.href = URL.createObjectURL(new Blob([svgOf(what, +millimetres)], { type: "image/svg+xml" }));
   anchor.download = `${view.hello.device}-${{ stage: "device", plane: "gains", scope: "scope" }[what]}-${millimetres}mm.svg`;
   anchor.click(); URL.revokeObjectURL(anchor.href);
+  done(`Saved among the downloads: ${anchor.download}`);
 };
 
 const wrong = want();

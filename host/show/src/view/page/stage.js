@@ -1,7 +1,7 @@
 // ---- the coach ----------------------------------------------------------------------------------------------------
 // Three steps for who sees a simulation for the first time: each is ticked off once it has happened, in the words of
 // what was used last. The last is said of the demo alone, whose wall is known to buzz.
-let used = matchMedia("(pointer: coarse)").matches ? "touch" : "mouse", steps = 0, buzzed = false, coached = false;
+let used = coarse ? "touch" : "mouse", steps = 0, buzzed = false, coached = false;
 try { coached = localStorage.getItem("coached") === "yes"; } catch { /* A browser that keeps nothing shows it anew. */ }
 const COACH = {
   mouse: ["hold Space: motors on", "pull the tip into the WALL", "click Off and confirm: it buzzes; Washed out: it is gone"],
@@ -215,7 +215,7 @@ function drawGlow(c, f, g) {
 const LENS = 1e-3;
 function drawLens(c, w, h, size) {
   const path = view.recent.flat().map(placed); if (path.length < 2) return;
-  const r = Math.min(5.5 * size, h / 5), [x0, y0] = [w - r - 8, h - r - 8 - 1.6 * size], middle = [0, 1].map(i => path.reduce((sum, at) => sum + at[i], 0) / path.length), scale = 2 * r / LENS;
+  const r = Math.min(5.5 * size, h / 5, w / 8), [x0, y0] = [w - r - 8, h - r - 8 - 1.6 * size], middle = [0, 1].map(i => path.reduce((sum, at) => sum + at[i], 0) / path.length), scale = 2 * r / LENS;
   c.save(); c.fillStyle = palette.card; c.strokeStyle = palette.line; c.lineWidth = 1.5; c.beginPath(); c.arc(x0, y0, r, 0, 2 * Math.PI); c.fill(); c.stroke();
   c.save(); c.clip(); c.strokeStyle = view.buzz ? palette.force : palette.trail; c.lineWidth = 1.5; c.beginPath();
   path.forEach(([x, y], i) => { const at = [x0 + (x - middle[0]) * scale, y0 - (y - middle[1]) * scale]; i ? c.lineTo(...at) : c.moveTo(...at); }); c.stroke(); c.restore();
@@ -231,7 +231,9 @@ $("stage").onpointerdown = event => {
   const near = (x, y) => Math.hypot(f.toX(x) - px, f.toY(y) - py) < 13;
   $("stage").setPointerCapture(event.pointerId);
   grabbed = { hand: true };
-  view.walls.forEach((wall, index) => {
+  // The tip goes before what lies under it.
+  const { tip } = view.last.geometry;
+  if (!(view.hello.simulated && near(...tip))) view.walls.forEach((wall, index) => {
     const [x, y] = wallHandle(wall), v = wall.values, [nx, ny] = wall.outline?.normal || [];
     if (near(x, y)) grabbed = { wall: index, point: [v[0], v[1]], aside: view.hello.task > 1 ? [x - v[0], y - v[1]] : [0, 0] };
     else if (nx !== undefined && view.hello.task > 1 && Math.hypot(f.toX(x) + nx * 38 - px, f.toY(y) - ny * 38 - py) < 13) grabbed = { wall: index, point: [v[0], v[1]], from: [x, y] };
@@ -258,7 +260,7 @@ $("stage").onkeydown = event => {
   const at = view.last.hand ? placed(view.last.hand.goal) : view.last.geometry.tip;
   say({ do: "hand", at: unplaced([at[0] + step[0], at[1] + step[1]]) });
 };
-$("start-over").onclick = $("anew").onclick = () => { up(); notice(""); $("beyond").checked = false; say({ do: "start-over" }); startedOver(); if (view.close) $("close").onclick(); };
+$("start-over").onclick = $("anew").onclick = () => { up(); notice(""); $("beyond").checked = false; say({ do: "start-over" }); startedOver(); coached = buzzed = false; steps = 0; if (view.close) $("close").onclick(); };
 $("let-go").onclick = () => say({ do: "hand", at: null });
 $("close").onclick = () => { view.close = !view.close; view.closeAt = null; $("close").classList.toggle("on", view.close); $("close").setAttribute("aria-pressed", view.close); requestDraw(); };
 

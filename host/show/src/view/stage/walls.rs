@@ -24,6 +24,9 @@ pub(super) fn fit(scene: &Scene<f32>, device: &Device<f64>) -> Result<Scene<f64>
     }
 }
 
+/// Gains of a link are rounded to six digits: so much more is no other gain.
+const SAME: f64 = 1.000_01;
+
 impl Stage {
     pub(super) fn change_gains(
         &mut self,
@@ -41,7 +44,8 @@ impl Stage {
         let asked = format!("{} with {}", with_unit(stiffness.into(), "N/m"), with_unit(damping.into(), "N s/m"));
         let q = Newest::of(&self.ring, &self.columns).q(self.device.axes());
         if let Some(most) = most_gains(&self.device, &now.surface, &q, &self.rules.limits)
-            && (f64::from(stiffness) > most.stiffness || f64::from(damping) > most.damping)
+            && (f64::from(stiffness) > most.stiffness.max(SAME * now.stiffness)
+                || f64::from(damping) > most.damping.max(SAME * now.damping))
         {
             let why = format!(
                 "wall {wall} cannot have {asked}: beyond {} one encoder count, and beyond {} a creeping hand, asks for all of the \
