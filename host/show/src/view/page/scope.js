@@ -126,11 +126,12 @@ function compared(p) {
   $("buzz").textContent = view.buzz ? `at ${digits(view.buzz, 2)} Hz` : "";
   const limited = pressed && n.saturated > LIMITED;
   $("predicted").textContent = limited ? "motors at their limit: press more gently" : view.buzz && view.predictedBuzz ? `predicted ${digits(view.predictedBuzz, 2)} Hz` : "";
-  const [free, kept] = (n.inertia || []).map(inKilograms), effect = wall && n.inertia ? {
+  const [free, kept] = (n.inertia || []).map(inKilograms), coupled = n.inertia && n.inertia[1] > 1.005 * n.inertia[0];
+  const effect = !wall || !n.inertia ? "" : !coupled ? `nothing swerves here: with and without feed-forward the wall meets ${free}` : {
     off: `off: the wall meets ${free}, for the tip may swerve sideways`,
     full: `full: torques that stop the swerve, so the wall meets ${kept}; a resting hand is pushed sideways`,
     washout: `washed out: torques that stop the swerve, so the wall meets ${kept}; they fade for a resting hand`,
-  }[wall.feed_forward] : "";
+  }[wall.feed_forward];
   if ($("effect").textContent !== effect) $("effect").textContent = effect;
 }
 function startedOver() { now = before = null; fit(); }
