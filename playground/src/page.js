@@ -46,7 +46,7 @@
         if (!device.length) {
           device.replaceChildren(...data.choices.map(name => new Option(name)));
           lesson.replaceChildren(new Option("Lessons"), ...LESSONS.map(([name]) => new Option(name)));
-          lesson.selectedIndex = +(/lesson=(\d)/.exec(location.hash)?.[1] || 0);
+          lessonShown();
         }
         device.selectedIndex = board ? -1 : choice;
         if (!board && wanted() >= 0 && wanted() !== choice) { device.selectedIndex = wanted(); return begin(null); }
@@ -73,7 +73,8 @@
     return found;
   }
   window.playground.device = () => named(device.value);
-  window.playground.follow = () => { if (!port && wanted() >= 0 && wanted() !== device.selectedIndex) { device.selectedIndex = wanted(); begin(null); } };
+  const lessonShown = () => { lesson.selectedIndex = +(/lesson=(\d)/.exec(location.hash)?.[1] || 0); };
+  window.playground.follow = () => { lessonShown(); if (!port && wanted() >= 0 && wanted() !== device.selectedIndex) { device.selectedIndex = wanted(); begin(null); } };
   // Carries bytes between an open port and a worker. After an error that passes a port has another stream; once it is
   // unplugged it has none.
   function connected(port, thread) {

@@ -43,7 +43,7 @@ function hello(message) {
   $("record").hidden = !message.records;
   signalsOf(message.columns); startedOver();
   askScope();
-  if ($("notice").classList.contains("shown")) notice("");
+  if (!$("notice").classList.contains("good")) notice("");
 }
 // What it is of goes with it: a warning about gains stands until there are other gains.
 function notice(why, { of, again } = {}, good) {
