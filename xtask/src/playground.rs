@@ -39,8 +39,9 @@ fn read(path: &str) -> Result<String> {
 
 /// The page that the tool serves: its style and scripts are put where it names them.
 fn page() -> Result<String> {
-    let mut page = read(&format!("{PAGE}/page.html"))?;
-    for name in ["style.css", "link.js", "stage.js", "plane.js", "limits.js", "scope.js", "share.js"] {
+    let named = read(&format!("{PAGE}/page.html"))?;
+    let mut page = named.clone();
+    for name in named.lines().filter_map(|line| line.strip_prefix("/* ")?.strip_suffix(" */")) {
         page = put(&page, &format!("/* {name} */\n"), &read(&format!("{PAGE}/{name}"))?)?;
     }
     Ok(page)

@@ -29,6 +29,7 @@ use haptic_host::vectors::padded;
 use haptic_predict::boards::torque_path;
 use haptic_sim::SharedBoard;
 use haptic_stability::analysis::control_loop::TorquePath;
+use haptic_stability::analysis::oscillation::Oscillation;
 use haptic_stability::analysis::pose::TaskPose;
 use haptic_stability::analysis::prediction::Subject;
 use recording::ActiveRecording;
@@ -114,6 +115,8 @@ pub struct Stage {
     oracle: Oracle,
     plane: Option<Plane>,
     asked: Option<(usize, Vec<f64>)>,
+    /// The swing of the plane's wall where its gains are predicted to be unstable.
+    buzz: Option<Oscillation>,
     pace: Pace,
     /// The folder for recordings, if there is one, and the recording under way.
     folder: Option<PathBuf>,
@@ -182,6 +185,7 @@ impl Stage {
             oracle: Oracle::default(),
             plane: None,
             asked: None,
+            buzz: None,
             pace: Pace { began: now, board_began: board_now, measured: (now, board_now), speed: 1.0 },
             folder,
             recording: None,

@@ -24,7 +24,7 @@ struct Picture<'a> {
     step: u32,
     state: &'static str,
     /// Joint angles, rad.
-    q: Vec<f64>,
+    q: &'a [f64],
     geometry: &'a Geometry,
     numbers: &'a Numbers,
     trail: &'a [[f64; 2]],
@@ -64,12 +64,13 @@ impl Stage {
         let every = self.trail.len().div_ceil(32).max(1);
         let trail: Vec<[f64; 2]> = self.trail.drain(..).step_by(every).collect();
         let losses = self.world.board.losses();
+        let q = newest.q(self.device.axes());
         let picture = Picture {
             is: "picture",
             time: self.world.board.now().as_secs_f64(),
             step: self.world.board.step(),
             state: crate::recorder::STATES[self.state as usize],
-            q: newest.q(self.device.axes()),
+            q: &q,
             geometry: &geometry,
             numbers: &numbers,
             trail: &trail,
@@ -82,7 +83,7 @@ impl Stage {
             load: self.load,
             speed: self.world.simulated.is_some().then_some(self.pace.speed),
             pages: self.hub.count(),
-            buzz: self.buzz(),
+            buzz: self.buzz.filter(|_| numbers.wall == self.plane.as_ref().map(|plane| plane.wall)),
             recording: self.recording.as_ref().map(ActiveRecording::told),
             if_lost: self.if_lost(),
         };
@@ -95,7 +96,6 @@ impl Stage {
             self.hub.to(*listener, |outbox| outbox.hear(self.rows_hz as f32, &sound));
         }
         let Some((wall, normal)) = nearest_wall(&self.scene, &self.tip()) else { return };
-        let q = newest.q(self.device.axes());
         let moved = self.asked.as_ref().is_none_or(|(asked, at)| {
             *asked != wall || at.iter().zip(&q).any(|(before, now)| (before - now).abs() > TURNED)
         });
@@ -111,6 +111,7 @@ impl Stage {
         }
         if let Some(answer) = self.oracle.answered() {
             self.plane = answer;
+            self.buzz = self.predicted_buzz();
             let message = self.plane.as_ref().map_or(json!({"is": "plane", "plane": null}), plane_message);
             self.say_to_all(&message);
         }
@@ -132,8 +133,9 @@ impl Stage {
         }
     }
 
-    /// The swing of the nearest wall where its gains are predicted to be unstable.
-    fn buzz(&self) -> Option<Oscillation> {
+    /// The swing of the nearest wall where its gains are predicted to be unstable: worked out with every boundary and
+    /// with every change of the scene, not for every picture.
+    pub(super) fn predicted_buzz(&self) -> Option<Oscillation> {
         let (index, normal) = nearest_wall(&self.scene, &self.tip())?;
         let (asked, q) = self.asked.as_ref()?;
         let (plane, wall) = (self.plane.as_ref()?, self.scene.walls.get(index)?);

@@ -116,6 +116,7 @@ impl Stage {
                 Err(why) => self.refuse_all(&why.to_string()),
             }
         }
+        self.buzz = self.predicted_buzz();
         self.say_to_all(&self.walls());
         let walls = self.scene.walls.iter().enumerate();
         let words: Vec<String> =

@@ -6,6 +6,7 @@ use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::description::Description;
 use haptic_host::device_file::DeviceFile;
+use haptic_show::plot::Picture;
 use haptic_show::plot::colour::ABOVE;
 use haptic_show::plot::map::{Chart, chart, colour};
 use haptic_show::plot::paper::Paper;
@@ -215,17 +216,15 @@ fn straight_from_home(file: &DeviceFile, q: &[f64], normal: &[f64], side: bool) 
     })
 }
 
+fn map_of(file: &DeviceFile, normal: &[f64]) -> Picture {
+    haptic_show::plot::map::draw(&file.description, &file.name, normal, Admissible::default(), Paper::default())
+        .unwrap()
+}
+
 #[test]
 fn a_paddle_shows_its_arc_and_its_inertia() {
     let paddle = all_shipped().into_iter().find(|file| file.name == "hapkit-paddle").unwrap();
-    let picture = haptic_show::plot::map::draw(
-        &paddle.description,
-        &paddle.name,
-        &[1.0],
-        Admissible::default(),
-        Paper::default(),
-    )
-    .unwrap();
+    let picture = map_of(&paddle, &[1.0]);
     // 0.0008 kg m² at 70 mm.
     assert!(picture.svg().contains("163.3 g"), "{}", picture.svg());
 }
@@ -251,14 +250,7 @@ fn nothing_is_cut_off(svg: &str, least: usize) {
 fn no_caption_of_a_map_is_cut_off() {
     for file in all_shipped().into_iter().filter(|file| file.name != "hapkit-paddle") {
         let normal: Vec<f64> = (0..file.spec().task).map(|axis| f64::from(u8::from(axis == 0))).collect();
-        let picture = haptic_show::plot::map::draw(
-            &file.description,
-            &file.name,
-            &normal,
-            Admissible::default(),
-            Paper::default(),
-        )
-        .unwrap();
+        let picture = map_of(&file, &normal);
         nothing_is_cut_off(picture.svg(), 4);
     }
 }
@@ -268,14 +260,7 @@ fn no_caption_of_a_paddle_is_cut_off_with_limits_or_without() {
     let mut paddle = all_shipped().into_iter().find(|file| file.name == "hapkit-paddle").unwrap();
     for limits in [None, Some((-1.04, 1.04))] {
         paddle.description.joints[0].limits = limits;
-        let picture = haptic_show::plot::map::draw(
-            &paddle.description,
-            &paddle.name,
-            &[1.0],
-            Admissible::default(),
-            Paper::default(),
-        )
-        .unwrap();
+        let picture = map_of(&paddle, &[1.0]);
         nothing_is_cut_off(picture.svg(), 4);
     }
 }
