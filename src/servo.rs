@@ -87,6 +87,8 @@ pub struct Servo<P, S = Axis> {
     /// The dead man's key that holds the motors on, if any, as it was seen at the latest.
     key: Option<Press>,
     rules: Rules,
+    /// True if telemetry shows the walls' energy.
+    shows_energy: bool,
     host: host_force::HostForce,
     /// The torques that acted before the present scene, while they fade out.
     fade: fade::Fade,
@@ -119,6 +121,7 @@ where
         Self {
             hardware,
             rules,
+            shows_energy: false,
             program: None,
             state: State::Disarmed,
             homed: false,

@@ -214,7 +214,7 @@ fn wander<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize>(
     let scene = scene::<T>(&mut draw, &place, M::SPEC.task);
     let mut straight = Controller::<T, M, K, N>::new(*mechanism, device, &scene).expect("a scene");
     let passivity = draw.within(0.0, 1.0) < 0.5;
-    straight.set_passivity(passivity);
+    straight.set_passivity(passivity, true);
     let pace = draw.order(0.1, 60.0);
     let plane = pushed_plane::<T>(&mut draw, &place, M::SPEC.task);
     let plane = if draw.within(0.0, 1.0) < 0.5 { plane } else { PushedPlane::default() };

@@ -127,7 +127,7 @@ impl Case {
         scene.walls.push(wall).expect("room");
         let device = Device::<f64>::new("loop", description).expect("a sound device");
         let mut controller = Controller::<f64, M, Libm, N>::new(m, &device, &scene).expect("a sound scene");
-        controller.set_passivity(passivity);
+        controller.set_passivity(passivity, true);
 
         let (from, to) = (self.from, self.from + self.slide);
         let corners = [(1e-6, to), (1e-6, from), (-self.depth, from), (-self.depth, to), (1e-6, to)];

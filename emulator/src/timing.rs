@@ -9,13 +9,15 @@ use std::collections::BTreeSet;
 use haptic_bridge::board::telemetry::Fields;
 use haptic_host::output::csv_line;
 
-use crate::cases::{CASES, Case, SCENES};
+use crate::boards::BoardKind;
+use crate::cases::{CASES, Case, Meets, SCENES};
+use crate::contact::{WallAt, scene};
 use crate::cycles::{Flash, Kind, estimate, kinds};
 use crate::image::CONTROL_INTERRUPT;
 use crate::load::{
     highest_for, highest_rate, rows_without_loss, set_free_scene, takes_a_plane, takes_cuts, takes_scenes,
 };
-use crate::rig::{Rig, firmware};
+use crate::rig::{Rig, device_file, firmware};
 use crate::run::MILLISECOND;
 use crate::stages::{AT_VALLEYS, ENCODERS, REQUEST, STAGES, Stages, WAITING};
 use crate::trace::{Code, Run};
@@ -144,12 +146,57 @@ impl Rig {
     pub fn trace_control_while(&mut self, done: impl FnOnce(&mut Self)) -> Vec<Run> {
         let image = firmware(self.kind);
         let entry = image.symbol(CONTROL_INTERRUPT).unwrap_or_else(|error| panic!("{error}")).address;
-        let code = Code::of(image).expect("an image with code");
+        self.trace_function_while(entry, done)
+    }
+
+    /// Every whole run of the function at `entry`, which nothing interrupts, while something is `done`.
+    fn trace_function_while(&mut self, entry: u64, done: impl FnOnce(&mut Self)) -> Vec<Run> {
+        let code = Code::of(firmware(self.kind)).expect("an image with code");
         let watched = code.clone();
         self.with(move |bench| bench.trace(&watched, entry));
         done(self);
         self.with(move |bench| bench.take_trace(&code))
     }
+}
+
+/// The devices and scenes whose control step alone every run of the gate counts again.
+const STEPS: [(&str, Meets); 6] = [
+    ("hapkit-paddle", Meets::Wall),
+    ("haply-2diy", Meets::Wall),
+    ("fictive-five-bar-turret", Meets::Wall),
+    ("phantom-premium-1.5", Meets::Wall),
+    ("serial-3r", Meets::Wall),
+    ("haply-2diy", Meets::Nothing),
+];
+
+/// Instructions of the control step of a release image, motors off and encoders standing still, by device and scene:
+/// timing-steps.csv.
+///
+/// # Panics
+///
+/// When the board refuses anything.
+#[must_use]
+pub fn steps() -> String {
+    let mut text = csv_line(["device", "the tip meets", "instructions"]);
+    let mut rig = Rig::empty(BoardKind::HBridgeF405);
+    let render = firmware(rig.kind).find_ending("8compiled6render").expect("the control step").address;
+    for (device, meets) in STEPS {
+        rig.file = Some(device_file(device));
+        rig.load("");
+        rig.tool.home().expect("the device can be homed");
+        rig.run(MILLISECOND);
+        let tip = rig.tool.status().expect("the board answers").tip.map(f64::from);
+        let task = rig.file.as_ref().map_or(2, |file| file.spec().task);
+        let toward = if task == 1 { [1.0, 0.0, 0.0] } else { [0.0, -1.0, 0.0] };
+        let wall = WallAt { gap: -0.003, ..WallAt::facing(toward) };
+        let walls = if meets == Meets::Wall { &[wall][..] } else { &[] };
+        rig.set_scene(&scene("", tip, task, walls));
+        rig.run(MILLISECOND);
+        let runs = rig.trace_function_while(render, |rig| rig.run(MILLISECOND));
+        let longest = runs.iter().map(|run| run.path.len()).max().expect("control steps");
+        text += &csv_line([device, meets.name(), &longest.to_string()]);
+    }
+    text
 }
 
 const LONGEST: &str = "longest";

@@ -7,7 +7,8 @@
 use crate::board::machine::{Machine, Measured};
 use crate::board::protocol::*;
 use crate::board::service::Service;
-use crate::board::telemetry::{Batch, StreamRequest};
+use crate::board::telemetry::{Batch, Field, StreamRequest};
+use crate::servo::Command;
 use postcard_rpc::header::{VarHeader, VarKey, VarSeq};
 use postcard_rpc::standard_icd::{ERROR_KEY, WireError};
 use postcard_rpc::{Endpoint, Topic};
@@ -171,6 +172,8 @@ fn route<M: Described>(
         Clear: |()| service.clear(machine);
         GetFaults: |()| service.faults().clone();
         Stream: |stream| {
+            let energy = stream.divider > 0 && stream.fields.0 & Field::Energy.bit() != 0;
+            machine.execute(Command::ShowEnergy(energy)).0?;
             *after = After::Stream(stream, service.device().map_or(0, |device| device.axes()));
             Ok(())
         };

@@ -238,11 +238,6 @@ fn torque_at<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(
 pub struct Leverage([[f32; MAX_JOINTS]; 3]);
 
 impl Leverage {
-    /// Of what a control step found.
-    pub(crate) fn found(rows: [[f32; MAX_JOINTS]; 3]) -> Self {
-        Self(rows)
-    }
-
     /// The force at the tip, N, that the torques τ (N m) of the first N joints are worth, in the first N task directions.
     #[inline(always)]
     pub fn force<const N: usize>(&self, torque: &[f32; MAX_JOINTS]) -> [f32; N] {
@@ -279,31 +274,19 @@ pub(crate) fn squared<const N: usize>(force: &[f32; N]) -> f32 {
 
 /// The direction of a task axis.
 #[inline(always)]
-fn unit<T: Real, const N: usize>(direction: usize) -> SVector<T, N> {
-    SVector::from_fn(|i, _| if i == direction { T::one() } else { T::zero() })
-}
-
-/// Writes the rows of J⁻ᵀ for a mechanism with as many joints as the task has directions, and says whether it is one.
-#[inline(always)]
-pub(crate) fn weigh_directions<T: Real, M: Mechanism<T, N>, const N: usize>(
-    mechanism: &M,
-    pose: &M::Pose,
-    rows: &mut [[T; MAX_JOINTS]; 3],
-) -> bool {
-    if M::SPEC.task != N {
-        return false;
-    }
-    for (direction, row) in rows.iter_mut().enumerate().take(N) {
-        *row = padded(&mechanism.inverse(pose, &unit(direction)).data.0[0]);
-    }
-    true
+fn unit<const N: usize>(direction: usize) -> SVector<f32, N> {
+    SVector::from_fn(|i, _| if i == direction { 1.0 } else { 0.0 })
 }
 
 #[inline(never)]
 fn leverage_at<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(mechanism: &M, q: &[f32; MAX_JOINTS]) -> Leverage {
     let pose = shared_pose::<f32, K, M, N>(mechanism, &angles(q));
     let (mut rows, task) = ([[0.0; MAX_JOINTS]; 3], M::SPEC.task);
-    if weigh_directions(mechanism, &pose, &mut rows) {
+    if task == N {
+        // The rows of J⁻ᵀ.
+        for (direction, row) in rows.iter_mut().enumerate().take(N) {
+            *row = padded(&mechanism.inverse(&pose, &unit(direction)).data.0[0]);
+        }
         return Leverage(rows);
     }
     // By what a unit of each force of a hand moves the joints, M⁻¹ Jᵀ, and the tip, J M⁻¹ Jᵀ.

@@ -293,9 +293,10 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         self.guidance.forget();
     }
 
-    /// Turns the passivity controller on or off; what was counted is forgotten.
-    pub fn set_passivity(&mut self, on: bool) {
-        self.passivity.set(on);
+    /// Turns the passivity controller on or off; without it the walls' energy is counted only where it is `shown`. What was
+    /// counted is forgotten.
+    pub fn set_passivity(&mut self, on: bool, shown: bool) {
+        self.passivity.set(on, shown);
     }
 
     /// Returns true if a one-sided wall of this scene is touched at these counts: arming and scene changes are refused

@@ -78,8 +78,6 @@ pub struct StepResult<T> {
     pub(crate) guided: Guided<T>,
     /// J⁻¹ n: joint motion per metre of tip motion along the normal of the deepest wall, rad/m; zero out of contact.
     pub motion: [T; MAX_JOINTS],
-    /// The forces at the tip for joint torques, by task directions, 1/m, if there are as many directions as joints.
-    pub(crate) leverage: [[T; MAX_JOINTS]; 3],
     /// The distance of the pose from a parallel singularity, see [`Regularity`](crate::model::mechanism::Regularity).
     pub parallel: T,
 }

@@ -83,6 +83,9 @@ pub(super) struct Flow {
     /// Valleys until leverage is recomputed, and the number between two recomputations.
     until_weighed: u32,
     every: u32,
+    /// The leverage that the last valley worked out and the next one puts in force: a control interrupt has no time for both
+    /// at once.
+    next: Option<Leverage>,
     /// For how long what was allowed before a limit was lowered may still flow, s.
     settling: f32,
 }
@@ -135,7 +138,10 @@ where
             }
             match self.flow.until_weighed.checked_sub(1) {
                 Some(valleys) => self.flow.until_weighed = valleys,
-                None => self.weigh_again(&seen.counts),
+                None => match self.flow.next.take() {
+                    Some(leverage) => self.weigh_by(&leverage),
+                    None => self.flow.next = self.leverage_at(&seen.counts),
+                },
             }
         } else {
             self.drift(seen, sensed);
@@ -163,8 +169,9 @@ where
     /// error, which no limit on measured currents can hold: as a force at the tip it must be less than half of the
     /// limit.
     pub(super) fn find_stray(&mut self) -> Result<(), Refusal> {
-        let counts = self.now.counts;
-        self.weigh_again(&counts);
+        if let Some(leverage) = self.leverage_at(&{ self.now.counts }) {
+            self.weigh_by(&leverage);
+        }
         let most = STRAY_SHARE * self.rules.limits.tip_force;
         if margin_bits(self.leverage.force_squared(&self.flow.torque), most * most) >= 0 {
             return Ok(());
@@ -208,27 +215,22 @@ where
         }
     }
 
-    /// Takes what torques are worth at the tip from the last control step, where that is not long ago and knows it.
+    /// What torques are worth at the tip where these counts are.
     #[inline(never)]
-    fn weigh_again(&mut self, counts: &Counts) {
-        let was = self.leverage;
-        if self.period * LEVERAGE_HZ <= 1.0 && self.program.as_ref().is_some_and(|program| program.finds_leverage) {
-            self.leverage = Leverage::found(self.now.found.leverage);
-        } else {
-            self.weigh(counts);
-        }
-        let change = self.leverage.changed_from(&was).min(1.0);
+    fn leverage_at(&self, counts: &Counts) -> Option<Leverage> {
+        let program = self.program.as_ref()?;
+        Some(program.mechanism.leverage::<K>(&core::array::from_fn(|i| self.angle(i, counts[i]))))
+    }
+
+    /// Holds forces at the tip by this leverage from now on.
+    #[inline(never)]
+    fn weigh_by(&mut self, leverage: &Leverage) {
+        let change = leverage.changed_from(&self.leverage).min(1.0);
         if change > 0.0 {
             self.flow.change = change.max(CHANGE_KEPT * self.flow.change);
         }
+        self.leverage = *leverage;
         self.allow();
-    }
-
-    /// Works out what torques are worth at the tip where these counts are.
-    #[inline(never)]
-    fn weigh(&mut self, counts: &Counts) {
-        let Some(program) = self.program.as_ref() else { return };
-        self.leverage = program.mechanism.leverage::<K>(&core::array::from_fn(|i| self.angle(i, counts[i])));
     }
 
     /// Works out what may flow at this leverage, and what may be asked for: what is still within the limit once leverage has

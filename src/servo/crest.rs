@@ -484,7 +484,8 @@ fn range(limits: Option<(f32, f32)>, radians_per_count: f32, offset: f32, zero: 
     let (low, high) = limits?;
     let ends = [low, high].map(|angle| (angle - offset) / radians_per_count);
     let (first, last) = (ends[0].min(ends[1]), ends[0].max(ends[1]));
-    // An end further away than half of the range of counts is dropped; the other end still holds.
+    // An end further away than that is brought in to there. Differences of counts wrap, and beyond half of the counter's
+    // range they would call a joint far outside its limits inside them.
     let most = i32::MAX as f32 * 0.25;
     let within = |end: f32| end.clamp(-most, most);
     Some((zero.wrapping_add(below(within(first))), zero.wrapping_add(-below(-within(last)))))
@@ -494,4 +495,28 @@ fn range(limits: Option<(f32, f32)>, radians_per_count: f32, offset: f32, zero: 
 fn below(value: f32) -> i32 {
     let whole = value as i32;
     if (whole as f32) > value { whole - 1 } else { whole }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_joint_whose_limits_exceed_the_counter_is_out_of_range_at_every_count_beyond_a_quarter_of_it() {
+        let within = |(first, last): (i32, i32), zero: i32, relative: i32| {
+            let bounds = Bounds { first, last, ..Bounds::default() };
+            bounds.range_margin(zero.wrapping_add(relative)) >= 0
+        };
+        let quarter = i32::MAX / 4 + 1;
+        for zero in [0, 12_345, i32::MAX, i32::MIN] {
+            for (limits, below) in [((-1.0e9, 1.0e9), true), ((-1.0, 1.0e9), false)] {
+                let range = range(Some(limits), 1.0e-3, 0.0, zero).expect("it has limits");
+                assert!(within(range, zero, quarter) && !within(range, zero, quarter + 1), "{range:?}");
+                assert_eq!(within(range, zero, -quarter), below, "{range:?}");
+                for beyond in [i32::MAX / 2, i32::MAX, i32::MIN, i32::MIN / 2, -quarter - 1] {
+                    assert!(!within(range, zero, beyond), "{range:?} holds {beyond}");
+                }
+            }
+        }
+    }
 }

@@ -11,7 +11,6 @@ use super::{ARM_SECONDS, Servo};
 use crate::drive::stage::Stage;
 use crate::math::Math;
 use crate::model::catalogue::MAX_JOINTS;
-use crate::model::device::Leverage;
 use crate::render::step_result::TorqueDemand;
 use crate::servo::joints::Torques;
 use crate::servo::program::Program;
@@ -196,17 +195,11 @@ where
     /// Holds what fades to the forces that it may make where the tip is now.
     #[inline(never)]
     fn hold_what_fades(&mut self) {
-        let fade = &mut self.fade;
-        let Some(program) = self.program.as_ref() else { return };
+        let (fade, leverage) = (&mut self.fade, &self.leverage);
         let rendered = fade.rendered();
         if rendered == Torques::default() && fade.aside == Torques::default() {
             return;
         }
-        let found = &self.now.found;
-        let leverage = match program.finds_leverage {
-            true => Leverage::found(found.leverage),
-            false => program.mechanism.leverage::<K>(&found.at.q),
-        };
         let share = share_within(leverage.force_squared(&rendered), self.most_force);
         for part in fade.scene.iter_mut().chain(fade.host.torque.iter_mut()).chain(fade.aside.iter_mut()) {
             *part *= share;

@@ -135,8 +135,8 @@ macro_rules! define {
             }
 
             /// See [`Controller::set_passivity`].
-            pub fn set_passivity(&mut self, on: bool) {
-                match self { $(Self::$Variant(controller) => controller.set_passivity(on),)* }
+            pub fn set_passivity(&mut self, on: bool, shown: bool) {
+                match self { $(Self::$Variant(controller) => controller.set_passivity(on, shown),)* }
             }
         }
     };
@@ -153,8 +153,6 @@ pub struct Program<K, S = Axis> {
     pub(crate) axes: [S; MAX_JOINTS],
     /// True if gravity is compensated.
     pub(crate) weighs: bool,
-    /// True if the controller's steps find what torques are worth at the tip.
-    pub(crate) finds_leverage: bool,
     pub(crate) joints: usize,
     pub(crate) limits: [Option<(f32, f32)>; MAX_JOINTS],
     pub(crate) home: Option<[f32; MAX_JOINTS]>,
@@ -214,7 +212,6 @@ impl<K: Math<f32>, S: Stage> Program<K, S> {
             mechanism: device.mechanism,
             axes,
             weighs: scene.gravity_compensation && device.weight,
-            finds_leverage: device.mechanism.kind().spec().task == joints,
             joints,
             limits: core::array::from_fn(|i| device.joints[i].limits),
             home: device.home,

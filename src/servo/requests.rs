@@ -52,6 +52,9 @@ pub enum Command<P> {
     Beat(Beat),
     /// Latches a fault found elsewhere.
     Fault(FaultRecord),
+    /// Counts the walls' energy from now on because telemetry shows it, or no longer; the passivity controller counts it
+    /// anyway.
+    ShowEnergy(bool),
 }
 
 /// A dead man's key that somebody saw down, and not before when. Motors that it holds go off
@@ -192,6 +195,13 @@ where
                 self.trip(record.fault, record.axis, record.value);
                 Ok(())
             }
+            Command::ShowEnergy(shown) => {
+                self.shows_energy = *shown;
+                if let Some(program) = self.program.as_mut() {
+                    program.controller.set_passivity(self.rules.passivity, *shown);
+                }
+                Ok(())
+            }
         }
     }
 
@@ -230,7 +240,7 @@ where
         if period != self.period || self.program.is_none() {
             (self.period, self.rate_since) = (period, self.now.step);
         }
-        program.controller.set_passivity(self.rules.passivity);
+        program.controller.set_passivity(self.rules.passivity, self.shows_energy);
         let same_device = self.program.is_some() && program.same_device;
         match &self.program {
             Some(old) if same_device => program.controller.set_zero(&old.controller.zero()),
@@ -267,7 +277,7 @@ where
         self.rules = *rules;
         self.hear_host();
         if let Some(program) = self.program.as_mut() {
-            program.controller.set_passivity(rules.passivity);
+            program.controller.set_passivity(rules.passivity, self.shows_energy);
         }
         self.begin_bounds();
         Ok(())

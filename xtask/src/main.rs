@@ -19,6 +19,7 @@ mod playground;
 mod publish;
 mod python;
 mod report;
+mod shown;
 mod soak;
 mod tests;
 mod thumb;
@@ -77,7 +78,7 @@ enum Command {
     NoPanic,
     /// Count instructions of every variant of the control step, remake the report
     Bench {
-        /// Only fail where a variant's instructions grew by more than 5 % over the kept figures
+        /// Only fail where a variant's instructions grew by more than 1 % over the kept figures
         #[arg(long)]
         check: bool,
     },

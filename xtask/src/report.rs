@@ -7,6 +7,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use anyhow::{Context as _, Result};
 
 use crate::paths::root;
+use crate::shown;
 use crate::toolchain::{cargo, run};
 
 /// Writes `docs/results/NAME` and says so.
@@ -20,7 +21,24 @@ pub fn write(name: &str, text: &str) -> Result<()> {
 /// Draws the figures of docs/results.md: the program in docs/figures.
 pub fn figures(cases: &[String]) -> Result<()> {
     let program = ["run", "--quiet", "--locked", "--release", "--package", "figures", "--"];
-    run(cargo().current_dir(root()).args(program).args(cases))
+    run(cargo().current_dir(root()).args(program).args(cases))?;
+    if cases.is_empty() { record("ranges", "cargo xtask figures") } else { Ok(()) }
+}
+
+/// Notes in docs/results/made.csv with which commit and compiler the figures called `what` were made just now, by `command`,
+/// and has the documents show them.
+pub fn record(what: &str, command: &str) -> Result<()> {
+    let path = root().join("docs/results/made.csv");
+    let compiler = Command::new(std::env::var_os("RUSTC").unwrap_or_else(|| "rustc".into())).arg("--version").output()?;
+    let line = format!("{what},{command},\"{}\",{}", occasion(), String::from_utf8_lossy(&compiler.stdout).trim());
+    let head = "figures,command,made,compiler";
+    let kept = fs::read_to_string(&path).unwrap_or_default();
+    let others = kept.lines().skip(1).filter(|other| other.split(',').next() != Some(what));
+    let mut lines: Vec<&str> = others.chain([line.as_str()]).collect();
+    lines.sort_unstable();
+    lines.insert(0, head);
+    write("made.csv", &(lines.join("\n") + "\n"))?;
+    shown::refresh()
 }
 
 /// Today and the commit that is checked out, as in "2026-01-31, commit 0123abc".

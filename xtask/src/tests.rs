@@ -1,13 +1,14 @@
 //! The test runs: the gate (`cargo xtask test`), which every change passes, and everything else in named parts that run
 //! alone (`cargo xtask test --deep [PART]`). `cargo test` is the first stage of the gate.
 
+use std::env;
 use std::process::Command;
 use std::time::Instant;
 
 use anyhow::{Result, anyhow, ensure};
 
 use crate::toolchain::{Use, cargo, run, virtual_board};
-use crate::{bench, dist, firmware, fuzz, library, no_panic, paths, playground, python, tools};
+use crate::{bench, dist, firmware, fuzz, library, no_panic, paths, playground, python, report, tools};
 
 /// The tests of the tool, of flashing, of C and of CHAI3D, as cargo is asked for them.
 const TOOL: [&str; 10] =
@@ -90,7 +91,11 @@ pub fn gate(arguments: &[String]) -> Result<()> {
 /// One part of what takes longer, or all of them: then the others go on after one has failed.
 pub fn deep(part: Option<&str>, arguments: &[String]) -> Result<()> {
     if let Some(part) = PARTS.iter().find(|known| Some(known.name) == part) {
-        return stage(part.name, || (part.run)(arguments));
+        stage(part.name, || (part.run)(arguments))?;
+        return match env::var_os("UPDATE_DOCS") {
+            Some(_) => report::record(part.name, &format!("UPDATE_DOCS=1 cargo xtask test --deep {}", part.name)),
+            None => Ok(()),
+        };
     }
     tools::provide(&tools::DEEP)?;
     let began = Instant::now();
@@ -190,7 +195,8 @@ pub fn play(arguments: &[String]) -> Result<()> {
 
 /// A program of the virtual board's that measures on the emulated chip and writes a document.
 pub fn measure(name: &str, arguments: &[String]) -> Result<()> {
-    run(program(name)?.args(arguments))
+    run(program(name)?.args(arguments))?;
+    if arguments.is_empty() { report::record(name, &format!("cargo xtask {name}")) } else { Ok(()) }
 }
 
 /// A program of the virtual board's that runs the images of the boards, which this builds.

@@ -10,11 +10,14 @@ use haptic_bridge::safety::refusal::Refusal;
 use haptic_host::link::{BoardError, Row};
 use haptic_sim::MotorInput;
 use virtual_board::boards::{BoardKind, Wiring};
+use virtual_board::cases::{CASES, Meets};
 use virtual_board::contact::{WallAt, scene};
 use virtual_board::hands::push;
 use virtual_board::inject::off;
+use virtual_board::results;
 use virtual_board::rig::Rig;
 use virtual_board::run::{MICROSECOND, MILLISECOND, SECOND};
+use virtual_board::timing::{recorded, steps};
 
 /// N, with which a hand leans on the wall.
 const PUSH: f64 = 1.0;
@@ -49,6 +52,11 @@ fn session(kind: BoardKind, device: &str, fault: Fault) {
     rig.arm();
     rig.with_simulated(|device| push(device, [0.0, PUSH, 0.0], 0.2));
     rig.run(SECOND);
+    if let Some(case) = CASES.iter().find(|case| (case.board, case.device, case.meets) == (kind, device, Meets::Wall)) {
+        let crest = rig.trace_control(MILLISECOND).iter().map(|run| run.path.len() as u64).max();
+        let (kept, _) = recorded(&kept("timing"), case).expect("the case is in the table");
+        assert!(crest.is_some_and(|crest| no_longer(crest, kept)), "a crest takes {crest:?} instructions, {kept} kept");
+    }
     let depth = rig.with_simulated(|device| device.tip())[1] - start[1] - wall.gap;
     // The tolerance covers current sensors, encoder steps and a hand that trembles.
     assert!((depth * wall.stiffness - PUSH).abs() < 0.08 * PUSH, "{depth} m deep");
@@ -90,6 +98,29 @@ fn told(rows: &[Row], stiffness: f64) {
         assert!(row.get(Field::WallForce)[0] == 0.0 || row.get(Field::Distance)[0] < 0.0, "{row:?}");
         let armed = state(row) == f64::from(State::Armed as u8);
         assert!(armed || row.get(Field::Torque).iter().all(|torque| *torque == 0.0), "{row:?}");
+    }
+}
+
+/// The committed table of docs/results, which `cargo xtask timing` makes.
+fn kept(name: &str) -> String {
+    std::fs::read_to_string(results(name)).expect("the table is there")
+}
+
+/// Returns true if `now` instructions are at most 1 % more than those `kept`.
+fn no_longer(now: u64, kept: u64) -> bool {
+    100 * now <= 101 * kept
+}
+
+/// A step that is longer on purpose: `cargo xtask timing` keeps what it takes.
+#[test]
+fn control_steps_take_no_more_instructions_than_are_kept() {
+    let (kept, now) = (kept("timing-steps"), steps());
+    println!("{now}");
+    let number = |line: &str| line.rsplit(',').next().and_then(|cell| cell.parse::<u64>().ok());
+    assert_eq!(kept.lines().count(), now.lines().count());
+    for (kept, now) in kept.lines().zip(now.lines()).skip(1) {
+        let (before, after) = (number(kept).expect("a number"), number(now).expect("a number"));
+        assert!(no_longer(after, before), "more than 1 % more than kept: {now}, kept: {kept}");
     }
 }
 

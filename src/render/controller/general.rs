@@ -7,7 +7,6 @@ use super::walls::{Acting, Active, Together};
 use super::{Controller, task_part};
 use crate::math::{Angle, Math, Real};
 use crate::model::catalogue::MAX_JOINTS;
-use crate::model::device::weigh_directions;
 use crate::model::mechanism::{Mechanism, Regularity, Shaping, shared_pose};
 use crate::model::precomputed::MassModel;
 use crate::model::principal::Principal;
@@ -43,7 +42,6 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         let qd = self.encoders.velocities(&turned, |filter, raw| filter.step(&self.coefficients, raw));
         Self::keep(&qd, &tip, found);
         found.parallel = regularity.parallel;
-        weigh_directions(&self.mechanism, &pose, &mut found.leverage);
         let mut begun = Begun { angles, qd, pose: &pose, place: task_part::<T, M, N>(&tip), regularity };
         let (mut torque, rendered, force) = self.anywhere(&mut begun, counts, found);
         let asked = &mut found.asked;

@@ -20,10 +20,13 @@ const MOST_OWED: f64 = 1.0e-3;
 /// it the controller itself would be the instability.
 const DAMPING_SHARE: f64 = 0.01;
 
-/// The observer, and whether the controller is on.
+/// The observer, and whether it and the controller are on. A step that needs neither pays for neither.
 #[derive(Clone, Debug)]
 pub(super) struct Passivity<T: Real, const N: usize> {
-    on: bool,
+    /// True if the energy is counted: for the controller, or because it is shown.
+    counts: bool,
+    /// True if the controller pays back.
+    pays: bool,
     /// s
     period: T,
     /// Taken up since contact began, less what was owed then, J.
@@ -44,34 +47,41 @@ pub(super) struct Debt<T> {
 impl<T: Real, const N: usize> Passivity<T, N> {
     /// Off, for a control rate in Hz.
     pub fn new(rate: T) -> Self {
-        Self { on: false, period: T::one() / rate, energy: T::zero(), held: SVector::zeros() }
+        Self { counts: false, pays: false, period: T::one() / rate, energy: T::zero(), held: SVector::zeros() }
     }
 
-    /// Turns the controller on or off; what was counted is forgotten.
-    pub fn set(&mut self, on: bool) {
-        if self.on != on {
+    /// Turns the controller on or off, and the observer alone where the energy is `shown`; what was counted is forgotten.
+    pub fn set(&mut self, pays: bool, shown: bool) {
+        let counts = pays || shown;
+        if (self.counts, self.pays) != (counts, pays) {
             (self.energy, self.held) = (T::zero(), SVector::zeros());
         }
-        self.on = on;
+        (self.counts, self.pays) = (counts, pays);
     }
 
     /// Counts the last period, in which the joints turned at `speed` (rad/s, not filtered).
     #[inline(always)]
     pub fn observe(&mut self, speed: &SVector<T, N>) {
-        self.energy -= self.held.dot(speed) * self.period;
+        if self.counts {
+            self.energy -= self.held.dot(speed) * self.period;
+        }
     }
 
     /// The walls ask for these joint torques (N m) until the next step.
     #[inline(always)]
     pub fn hold(&mut self, torque: &SVector<T, N>) {
-        self.held = *torque;
+        if self.counts {
+            self.held = *torque;
+        }
     }
 
     /// No wall is touched: what they still owe stays for the next touch.
     #[inline(always)]
     pub fn leave(&mut self) {
-        self.energy = self.energy.lesser(T::zero());
-        self.held = SVector::zeros();
+        if self.counts {
+            self.energy = self.energy.lesser(T::zero());
+            self.held = SVector::zeros();
+        }
     }
 
     /// J
@@ -83,7 +93,7 @@ impl<T: Real, const N: usize> Passivity<T, N> {
     /// The energy that is owed and due now.
     #[inline(always)]
     pub fn debt(&self, rate: T) -> Option<Debt<T>> {
-        (self.on && self.energy < T::zero()).then(|| Debt { owed: -self.energy, rate })
+        (self.pays && self.energy < T::zero()).then(|| Debt { owed: -self.energy, rate })
     }
 }
 

@@ -16,7 +16,6 @@ use super::regularity::{FULL_REGULARITY, PARALLEL_REGULARITY};
 use super::{Controller, task_part};
 use crate::math::{Math, Real};
 use crate::model::catalogue::MAX_JOINTS;
-use crate::model::device::weigh_directions;
 use crate::model::mechanism::{Mechanism, Regularity, Shaped};
 use crate::model::precomputed::MassModel;
 use crate::render::controller::walls::{Acting, Active};
@@ -55,7 +54,6 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         let qd = self.encoders.velocities(&turned, |filter, raw| filter.pass(&self.coefficients, raw));
         Self::keep(&qd, &tip, found);
         found.parallel = self.mechanism.regularity(&pose).parallel;
-        weigh_directions(&self.mechanism, &pose, &mut found.leverage);
         // Without weight that stays zero from where the steps began.
         if self.gravity {
             put(&self.mechanism.gravity(&pose), &mut found.asked.gravity);

@@ -7,7 +7,7 @@ use std::process::ExitCode;
 
 use virtual_board::cases::{CASES, Case, SCENES};
 use virtual_board::results;
-use virtual_board::timing::{Timing, rates, replacements, scenes, table};
+use virtual_board::timing::{Timing, rates, replacements, scenes, steps, table};
 
 fn main() -> ExitCode {
     let measured = |cases: &[Case]| -> Vec<Timing> {
@@ -21,7 +21,7 @@ fn main() -> ExitCode {
     let mut tables = vec![("timing", table(&measured(&CASES))), ("timing-scenes", scenes(&measured(&SCENES)))];
     // An attempt at too high a rate ends in a panic on its own thread, which is the answer.
     std::panic::set_hook(Box::new(|_| ()));
-    tables.extend([("timing-new-scenes", replacements()), ("timing-rates", rates())]);
+    tables.extend([("timing-steps", steps()), ("timing-new-scenes", replacements()), ("timing-rates", rates())]);
     for (name, table) in tables {
         if let Err(error) = std::fs::write(results(name), table) {
             eprintln!("timing: {}: {error}", results(name).display());
