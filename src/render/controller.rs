@@ -24,7 +24,7 @@ pub use gains::Gains;
 use guidance::Guidance;
 use nalgebra::SVector;
 use observers::Observers;
-use passivity::Passivity;
+use passivity::{Debt, Passivity};
 pub use push::{Push, PushedPlane};
 pub use regularity::{FULL_REGULARITY, KNOWN_TURN, NO_REGULARITY, PARALLEL_REGULARITY, UNKNOWN_TURN, known_share};
 use straight::StepVariant;
@@ -111,6 +111,10 @@ pub struct Controller<T: Real, M, K, const N: usize> {
     usual_terms: bool,
     /// The same, and what the turning of normals adds to it.
     turning_terms: bool,
+    /// The walls' energy is counted: to be paid back, or because it is shown.
+    counts_energy: bool,
+    /// The passivity controller is on.
+    pays_energy: bool,
     mechanism: M,
     coefficients: Coefficients<T>,
     encoders: Encoders<T, N>,
@@ -179,6 +183,8 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             biased,
             usual_terms: rendered && !turns,
             turning_terms: rendered && turns,
+            counts_energy: false,
+            pays_energy: false,
             variant: StepVariant::Anew,
             math: PhantomData,
         })
@@ -210,6 +216,9 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         if self.variant == StepVariant::Anew {
             self.restart(counts, &mut found);
         }
+        if self.counts_energy {
+            self.observe_energy(counts);
+        }
         self.render_generally(counts, &mut found);
         self.angles(counts, &mut found);
         Step::of(&found)
@@ -220,6 +229,9 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
     /// the last step (N m), which is what was asked less what limits took.
     #[inline(always)]
     pub fn render(&mut self, counts: &[i32; N], acted: &[T; MAX_JOINTS], found: &mut StepResult<T>) {
+        if self.counts_energy {
+            self.observe_energy(counts);
+        }
         match self.variant {
             StepVariant::Wall => self.render_wall(counts, found),
             StepVariant::Round if N == 2 => self.render_round(counts, found),
@@ -244,6 +256,37 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             StepVariant::Several if N == 2 => self.render_several(counts, found),
             _ => self.render_generally(counts, found),
         }
+    }
+
+    /// Counts the energy of the period that ends with these counts, unless the estimators begin with them.
+    #[inline(never)]
+    fn observe_energy(&mut self, counts: &[i32; N]) {
+        if self.variant != StepVariant::Anew {
+            self.passivity.observe(&self.encoders.turned(counts));
+        }
+    }
+
+    /// The walls ask for these joint torques (N m) until the next step.
+    #[inline(always)]
+    fn hold(&mut self, torque: &SVector<T, N>, found: &mut StepResult<T>) {
+        if self.counts_energy {
+            found.at.walls.energy = self.passivity.energy();
+            self.passivity.hold(torque);
+        }
+    }
+
+    /// No wall is touched.
+    #[inline(always)]
+    fn leave(&mut self) {
+        if self.counts_energy {
+            self.passivity.leave();
+        }
+    }
+
+    /// The walls' energy debt, if the passivity controller is on.
+    #[inline(always)]
+    fn debt(&self) -> Option<Debt<T>> {
+        if self.pays_energy { self.passivity.debt(self.coefficients.rate()) } else { None }
     }
 
     /// Writes the joint angles (rad) of these counts.
@@ -296,7 +339,11 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
     /// Turns the passivity controller on or off; without it the walls' energy is counted only where it is `shown`. What was
     /// counted is forgotten.
     pub fn set_passivity(&mut self, on: bool, shown: bool) {
-        self.passivity.set(on, shown);
+        let counts = on || shown;
+        if (self.counts_energy, self.pays_energy) != (counts, on) {
+            self.passivity.forget();
+        }
+        (self.counts_energy, self.pays_energy) = (counts, on);
     }
 
     /// Returns true if a one-sided wall of this scene is touched at these counts: arming and scene changes are refused

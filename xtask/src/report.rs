@@ -29,7 +29,8 @@ pub fn figures(cases: &[String]) -> Result<()> {
 /// and has the documents show them.
 pub fn record(what: &str, command: &str) -> Result<()> {
     let path = root().join("docs/results/made.csv");
-    let compiler = Command::new(std::env::var_os("RUSTC").unwrap_or_else(|| "rustc".into())).arg("--version").output()?;
+    let compiler =
+        Command::new(std::env::var_os("RUSTC").unwrap_or_else(|| "rustc".into())).arg("--version").output()?;
     let line = format!("{what},{command},\"{}\",{}", occasion(), String::from_utf8_lossy(&compiler.stdout).trim());
     let head = "figures,command,made,compiler";
     let kept = fs::read_to_string(&path).unwrap_or_default();

@@ -53,7 +53,8 @@ fn with_rows_of(files: &[tables::Table], text: &str) -> String {
                 shown = Some(files.iter().find_map(|file| Some((file, columns(file)?))));
             }
             (Some(Some((file, columns))), Some(cells)) => {
-                let same = |row: &&Vec<String>| cells.iter().zip(columns).take_while(|(cell, at)| row[**at] == **cell).count();
+                let same =
+                    |row: &&Vec<String>| cells.iter().zip(columns).take_while(|(cell, at)| row[**at] == **cell).count();
                 // The first of those that are as near.
                 if let Some(row) = file[1..].iter().rev().max_by_key(same).filter(|row| same(row) > 0) {
                     made = columns.iter().fold("|".to_string(), |line, at| line + " " + &row[*at] + " |");

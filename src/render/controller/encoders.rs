@@ -158,19 +158,20 @@ impl<T: Real, const N: usize> Encoders<T, N> {
 
     /// The joints' velocities since the last step (rad/s), from integer count differences, which wrap.
     #[inline(always)]
-    pub fn turned(&mut self, counts: &[i32; N]) -> SVector<T, N> {
+    pub fn turned(&self, counts: &[i32; N]) -> SVector<T, N> {
         let mut raw = SVector::<T, N>::zeros();
         for i in 0..N {
             raw[i] = T::from_i32(counts[i].wrapping_sub(self.last[i])) * self.joints[i].speed_per_count;
         }
-        self.last = *counts;
         raw
     }
 
-    /// Filtered joint velocities from what [`Encoders::turned`] says. Where nothing is rendered with them, only guard and
+    /// Filtered joint velocities. Where nothing is rendered with them, only guard and
     /// telemetry watch, and a first-order filter at the same cutoff is enough.
     #[inline(always)]
-    pub fn velocities(&mut self, raw: &SVector<T, N>, filter: impl Fn(&mut LowPass<T>, T) -> T) -> SVector<T, N> {
+    pub fn velocities(&mut self, counts: &[i32; N], filter: impl Fn(&mut LowPass<T>, T) -> T) -> SVector<T, N> {
+        let raw = self.turned(counts);
+        self.last = *counts;
         if self.moving {
             SVector::from_fn(|i, _| filter(&mut self.filters[i], raw[i]))
         } else {

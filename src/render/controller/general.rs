@@ -37,9 +37,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         let pose = shared_pose::<T, K, M, N>(&self.mechanism, &angles);
         let tip = self.mechanism.tip(&pose);
         let regularity = self.mechanism.regularity(&pose);
-        let turned = self.encoders.turned(counts);
-        self.passivity.observe(&turned);
-        let qd = self.encoders.velocities(&turned, |filter, raw| filter.step(&self.coefficients, raw));
+        let qd = self.encoders.velocities(counts, |filter, raw| filter.step(&self.coefficients, raw));
         Self::keep(&qd, &tip, found);
         found.parallel = regularity.parallel;
         let mut begun = Begun { angles, qd, pose: &pose, place: task_part::<T, M, N>(&tip), regularity };
@@ -73,11 +71,10 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
 
         let mut more: Vec<Active<T, N>, MAX_WALLS> = Vec::new();
         let along = observed.then_some(&along);
-        let debt = self.passivity.debt(self.coefficients.rate());
+        let debt = self.debt();
         let touch = self.walls.touch::<K, N>(&self.coefficients, place, along, debt.as_ref(), &mut more);
         found.at.walls = touch.found;
         if touch.found.contacts > 0 {
-            found.at.walls.energy = self.passivity.energy();
             put(&self.mechanism.inverse(pose, &touch.normal), &mut found.motion);
         } else {
             clear::<T, N>(&mut found.motion);
@@ -123,11 +120,11 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             rendered = torque;
         }
         if touch.found.contacts == 0 {
-            self.passivity.leave();
+            self.leave();
         } else if self.guidance.any {
-            self.passivity.hold(&(torque - self.mechanism.transpose(pose, &guided)));
+            self.hold(&(torque - self.mechanism.transpose(pose, &guided)), found);
         } else {
-            self.passivity.hold(&torque);
+            self.hold(&torque, found);
         }
         if M::SPEC.task < N && self.posture.is_some() {
             torque += self.posture_torque(pose, qd);

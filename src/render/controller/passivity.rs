@@ -20,13 +20,9 @@ const MOST_OWED: f64 = 1.0e-3;
 /// it the controller itself would be the instability.
 const DAMPING_SHARE: f64 = 0.01;
 
-/// The observer, and whether it and the controller are on. A step that needs neither pays for neither.
+/// The observer. The steps of a controller that neither pays back nor shows the energy leave it out.
 #[derive(Clone, Debug)]
 pub(super) struct Passivity<T: Real, const N: usize> {
-    /// True if the energy is counted: for the controller, or because it is shown.
-    counts: bool,
-    /// True if the controller pays back.
-    pays: bool,
     /// s
     period: T,
     /// Taken up since contact began, less what was owed then, J.
@@ -35,7 +31,7 @@ pub(super) struct Passivity<T: Real, const N: usize> {
     held: SVector<T, N>,
 }
 
-/// The walls' energy debt, if the controller is on.
+/// The walls' energy debt.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Debt<T> {
     /// J
@@ -45,43 +41,33 @@ pub(super) struct Debt<T> {
 }
 
 impl<T: Real, const N: usize> Passivity<T, N> {
-    /// Off, for a control rate in Hz.
+    /// Nothing counted, at a control rate in Hz.
     pub fn new(rate: T) -> Self {
-        Self { counts: false, pays: false, period: T::one() / rate, energy: T::zero(), held: SVector::zeros() }
+        Self { period: T::one() / rate, energy: T::zero(), held: SVector::zeros() }
     }
 
-    /// Turns the controller on or off, and the observer alone where the energy is `shown`; what was counted is forgotten.
-    pub fn set(&mut self, pays: bool, shown: bool) {
-        let counts = pays || shown;
-        if (self.counts, self.pays) != (counts, pays) {
-            (self.energy, self.held) = (T::zero(), SVector::zeros());
-        }
-        (self.counts, self.pays) = (counts, pays);
+    /// Forgets what was counted.
+    pub fn forget(&mut self) {
+        (self.energy, self.held) = (T::zero(), SVector::zeros());
     }
 
     /// Counts the last period, in which the joints turned at `speed` (rad/s, not filtered).
     #[inline(always)]
     pub fn observe(&mut self, speed: &SVector<T, N>) {
-        if self.counts {
-            self.energy -= self.held.dot(speed) * self.period;
-        }
+        self.energy -= self.held.dot(speed) * self.period;
     }
 
     /// The walls ask for these joint torques (N m) until the next step.
     #[inline(always)]
     pub fn hold(&mut self, torque: &SVector<T, N>) {
-        if self.counts {
-            self.held = *torque;
-        }
+        self.held = *torque;
     }
 
     /// No wall is touched: what they still owe stays for the next touch.
     #[inline(always)]
     pub fn leave(&mut self) {
-        if self.counts {
-            self.energy = self.energy.lesser(T::zero());
-            self.held = SVector::zeros();
-        }
+        self.energy = self.energy.lesser(T::zero());
+        self.held = SVector::zeros();
     }
 
     /// J
@@ -93,7 +79,7 @@ impl<T: Real, const N: usize> Passivity<T, N> {
     /// The energy that is owed and due now.
     #[inline(always)]
     pub fn debt(&self, rate: T) -> Option<Debt<T>> {
-        (self.pays && self.energy < T::zero()).then(|| Debt { owed: -self.energy, rate })
+        (self.energy < T::zero()).then(|| Debt { owed: -self.energy, rate })
     }
 }
 

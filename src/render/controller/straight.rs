@@ -49,9 +49,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         let (_, angles) = self.encoders.angles(counts);
         let pose = self.mechanism.regular_pose::<K>(&angles, &least)?;
         let tip = self.mechanism.tip(&pose);
-        let turned = self.encoders.turned(counts);
-        self.passivity.observe(&turned);
-        let qd = self.encoders.velocities(&turned, |filter, raw| filter.pass(&self.coefficients, raw));
+        let qd = self.encoders.velocities(counts, |filter, raw| filter.pass(&self.coefficients, raw));
         Self::keep(&qd, &tip, found);
         found.parallel = self.mechanism.regularity(&pose).parallel;
         // Without weight that stays zero from where the steps began.

@@ -58,7 +58,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             }
         }
         let Started { pose, place, .. } = started;
-        let debt = self.passivity.debt(self.coefficients.rate());
+        let debt = self.debt();
         let (mut at, mut deepest) = (AtWalls { distance: T::INFINITY, ..AtWalls::none() }, SVector::zeros());
         let mut force = SVector::<T, N>::zeros();
         for running in self.walls.all() {
@@ -85,7 +85,6 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             }
         }
         if at.contacts > 0 {
-            at.energy = self.passivity.energy();
             put(&self.mechanism.inverse(&pose, &deepest), &mut found.motion);
         } else {
             clear::<T, N>(&mut found.motion);
@@ -101,9 +100,9 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             torque += self.shaped(&started, &e, along, None).torque * share;
         }
         if at.contacts > 0 {
-            self.passivity.hold(&torque)
+            self.hold(&torque, found)
         } else {
-            self.passivity.leave()
+            self.leave()
         }
         self.total(&torque, || force, found);
     }

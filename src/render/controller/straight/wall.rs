@@ -28,7 +28,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             self.guide(&{ started }, &mut found.guided);
         }
         let Started { pose, place, .. } = started;
-        let debt = self.passivity.debt(self.coefficients.rate());
+        let debt = self.debt();
         let Some(running) = self.walls.single() else {
             found.at.walls = AtWalls::none();
             return self.untouched(found);
@@ -46,7 +46,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             normal_velocity: pressed.velocity,
             wall_force: pressed.force,
             shaping: T::one(),
-            energy: if pressed.touched { self.passivity.energy() } else { T::zero() },
+            energy: T::zero(),
             passivity_damping: pressed.passivity_damping,
         };
         if !pressed.touched {
@@ -60,7 +60,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         found.asked.force_squared = force * force;
         if !ROUND && feed_forward == FeedForward::Off {
             put(&self.mechanism.inverse(&pose, &contact.normal), &mut found.motion);
-            self.passivity.hold(&rendered);
+            self.hold(&rendered, found);
             return self.total(&rendered, || contact.normal * force, found);
         }
         let Shaped { e, mut torque } = if ROUND {
@@ -70,7 +70,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         };
         // Adds zero if the whole force is shaped.
         torque += row * (force - pressed.shaped);
-        self.passivity.hold(&torque);
+        self.hold(&torque, found);
         put(&e, &mut found.motion);
         self.total(&torque, || contact.normal * force, found);
     }
@@ -78,7 +78,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
     /// Writes the result of a step that touches no wall.
     #[inline(always)]
     fn untouched(&mut self, found: &mut StepResult<T>) {
-        self.passivity.leave();
+        self.leave();
         clear::<T, N>(&mut found.motion);
         clear::<T, N>(&mut found.asked.rendered);
         found.asked.force_squared = T::zero();
