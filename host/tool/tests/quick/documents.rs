@@ -5,6 +5,10 @@
 use crate::common::documents::blocks::{Block, Kind, blocks, documents, root};
 use crate::common::documents::{all, session, tables};
 use crate::common::sim::HANG;
+use haptic_bridge::board::protocol::{MAX_FRAME, PROTOCOL};
+use haptic_bridge::safety::limits::GENTLE_FORCE;
+use haptic_bridge::servo::KEY_SECONDS;
+use haptic_predict::tip::BOARD_SPEED;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::process::Command;
@@ -66,6 +70,27 @@ fn the_times_of_the_motor_model_are_those_measured() {
     assert!(soon >= 15, "{soon}");
     assert_eq!(frozen.len(), 3, "{frozen:?}");
     assert!(frozen.iter().zip([15.0, 11.0, 7.0]).all(|(found, said)| *found <= said), "{frozen:?}");
+}
+
+/// A number in a sentence or a table is the code's constant, or the committed figure.
+#[test]
+fn numbers_of_the_documents_are_those_of_the_code() {
+    let says = |page: &str, said: String| {
+        let text = fs::read_to_string(root().join(page)).unwrap();
+        assert!(text.replace('\n', " ").contains(&said), "{page} should say: {said}");
+    };
+    says("docs/protocol.md", format!("version, now {PROTOCOL}."));
+    says("docs/protocol.md", format!("at most {MAX_FRAME} bytes before"));
+    says("docs/protocol.md", format!("at most {KEY_SECONDS} s (`KeyTooOld`)"));
+    says("docs/safety.md", format!("every joint at {BOARD_SPEED} rad/s, the speed limit that real boards start with"));
+    says("README.md", format!("{GENTLE_FORCE} N at the tip to begin with"));
+    let counts = fs::read_to_string(root().join("host/predict/src/bench/counts.json")).unwrap();
+    let counts: serde_json::Value = serde_json::from_str(&counts).unwrap();
+    for variant in counts["variants"].as_array().unwrap() {
+        if let Some(mechanism) = variant["name"].as_str().unwrap().strip_suffix("/table/exact/feed-forward+z") {
+            says("README.md", format!("| {mechanism} | {} |", variant["instructions"]));
+        }
+    }
 }
 
 /// The documents and what they say: a file, or a heading of one.

@@ -52,7 +52,7 @@ fn a_comparison_of_estimators() {
     let file = shipped("hapkit-paddle");
     let comparison =
         Comparison { file: &file, q: &[0.1], normal: &[1.0], rate_hz: 1_000.0, cutoff_hz: 50.0, wall: (100.0, 1.0) };
-    comes_to_the_same(2, 1_800, |sweep| compare(&comparison, sweep));
+    comes_to_the_same(2, 900, |sweep| compare(&comparison, sweep));
 }
 
 #[test]
