@@ -92,7 +92,10 @@ pub const STAGES: &[(&str, &[&str])] = &[
             "Servo::see_what_is_usual",
         ],
     ),
-    ("step: angles, speeds", &["Encoders::angles", "Encoders::velocities", "Controller::observe"]),
+    (
+        "step: angles, speeds",
+        &["Encoders::angles", "Encoders::velocities", "Controller::observe", "Controller::observe_energy"],
+    ),
     (
         "step: pose, tip, weight",
         &[

@@ -128,7 +128,7 @@ fields! {
     Shaping = 9, "shaping", "", false, |frame, _i| frame.at.walls.shaping => f32,
         "Share of the feed-forward that acts, 1 away from singular poses";
     Energy = 10, "energy", "J", false, |frame, _i| frame.at.walls.energy => f32,
-        "Energy that the walls, the feed-forward included, have taken up since contact began; negative: given out";
+        "Energy that the walls, the feed-forward included, have taken up since contact or the stream began; negative: given out";
     PassivityDamping = 11, "passivity", "N s/m", false, |frame, _i| frame.at.walls.passivity_damping => f32,
         "Damping that the passivity controller added";
     BusVoltage = 12, "bus", "V", false, |frame, _i| frame.motors.bus_voltage => f32,
