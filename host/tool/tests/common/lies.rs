@@ -1,7 +1,7 @@
 //! Device files that are wrong, wires and sensors that lie: what a board makes of them, and what a hand may feel of it.
 
 use super::forces::Push;
-use haptic_bridge::model::description::Description;
+use haptic_bridge::model::description::{Description, Joint};
 use haptic_bridge::model::motor::Motor;
 use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};
 use haptic_bridge::safety::fault::{FaultRecord, State};
@@ -89,7 +89,12 @@ fn motors(wired: &mut Description) -> impl Iterator<Item = &mut Motor<f64>> {
 }
 
 fn constants(wired: &mut Description, factor: f64) {
-    for motor in motors(wired) {
+    windings_of(&mut wired.joints, factor);
+}
+
+/// Multiplies what the motors of these joints make of an ampere and of a turn.
+pub fn windings_of(joints: &mut [Joint], factor: f64) {
+    for motor in joints.iter_mut().filter_map(|joint| joint.motor.as_mut()) {
         motor.torque_constant *= factor;
         motor.back_emf *= factor;
     }
@@ -149,7 +154,20 @@ pub struct Harm {
 
 /// A real board in all but silicon that was told `file`, whose device and wires are as they are, homed.
 fn homed(file: &DeviceFile, lie: &Lie) -> (SharedBoard, Board, Description) {
-    let mut told = file.description;
+    homed_as(&file.name, &file.description, |wired, broken| {
+        if let When::Always(lie) = lie.when {
+            lie(wired, broken);
+        }
+    })
+}
+
+/// The same of any description and any lie.
+fn homed_as(
+    name: &str,
+    description: &Description,
+    lie: impl FnOnce(&mut Description, &mut Broken),
+) -> (SharedBoard, Board, Description) {
+    let mut told = *description;
     let home = told.home.unwrap();
     for (joint, home) in told.joints.iter_mut().zip(home) {
         joint.motor.iter_mut().for_each(|motor| motor.verified = true);
@@ -157,11 +175,9 @@ fn homed(file: &DeviceFile, lie: &Lie) -> (SharedBoard, Board, Description) {
     }
     let mut wired = told;
     let mut options = BoardOptions { strict: true, support: Support::Held, ..BoardOptions::default() };
-    if let When::Always(lie) = lie.when {
-        lie(&mut wired, &mut options.broken);
-    }
+    lie(&mut wired, &mut options.broken);
     let mut simulated = SimulatedBoard::new(&wired, options).unwrap();
-    simulated.load(&file.name, &told, None).unwrap();
+    simulated.load(name, &told, None).unwrap();
     let shared = SharedBoard::new(simulated);
     let mut board = Board::over(shared.wire(), "sim").unwrap();
     let rules = board.rules().unwrap();
@@ -209,7 +225,19 @@ pub struct Moved {
 
 /// How the polarity check ends, and what it does until then.
 pub fn moved(file: &DeviceFile, lie: &Lie) -> (Result<(), FaultRecord>, Moved) {
-    let (shared, mut board, wired) = homed(file, lie);
+    watched(homed(file, lie))
+}
+
+/// The same of any description and any lie.
+pub fn moved_by(
+    name: &str,
+    description: &Description,
+    lie: impl FnOnce(&mut Description, &mut Broken),
+) -> (Result<(), FaultRecord>, Moved) {
+    watched(homed_as(name, description, lie))
+}
+
+fn watched((shared, mut board, wired): (SharedBoard, Board, Description)) -> (Result<(), FaultRecord>, Moved) {
     let mut push = Push::of(&wired, &shared.lock());
     let start = shared.lock().device().q();
     let mut moved = Moved::default();
