@@ -38,11 +38,11 @@ const CHECK_PERIOD: f32 = 1.0e-4;
 const REST_MOTION: f32 = 2.0e-3;
 const REST_SECONDS: f32 = 0.2;
 
-/// By what factor the torque that acted may differ from the one of the file, either way: what a sound device of an honest
-/// file is measured to within.
-pub const TORQUE_DOUBT: f32 = 1.2;
-/// By what factor the first swing may be off for a second, harder one to follow.
-const FIRST_DOUBT: f32 = 1.6;
+/// Least and largest torque that acted over the one of the file: what a sound device of an honest file is measured to
+/// within. Friction that sticks makes it less, and a device that is weaker than its file pushes less than it may.
+const TORQUE_DOUBT: (f32, f32) = (1.0 / 1.4, 1.2);
+/// The same of the first swing, for a second, harder one to follow.
+const FIRST_DOUBT: (f32, f32) = (0.5, 1.6);
 /// Share of the torque that moves one joint by which another one's may seem to be driven, too.
 pub const CROSS_DOUBT: f32 = 0.5;
 /// Share of the file's resistance by which the winding's may differ: copper gains 40 % per 100 K.
@@ -70,12 +70,14 @@ const SWING_ANGLE: f32 = 0.015;
 const SWING_COUNTS: f32 = 4.0;
 /// Farthest that any joint may be found from where it stood, rad, and at least how many counts.
 const STRAY_ANGLE: f32 = 0.1;
+/// The same of the other joints in the second swing.
+const SWUNG_ANGLE: f32 = 0.14;
 const STRAY_COUNTS: f32 = 8.0;
 /// Largest error of each joint's home, rad, with which the check still keeps to its forces at the tip; and
 /// the least share of what the believed pose allows that this leaves, because near a stretched pose it would be
 /// nothing.
 const HOME_DOUBT: f32 = 0.15;
-const DOUBTED_SHARE: f32 = 0.3;
+const DOUBTED_SHARE: f32 = 0.6;
 /// Angular frequencies of a swing, rad/s: above those of a device that hangs from a thread, and a third of that of a soft
 /// cable.
 const SWING_RATES: (f32, f32) = (8.0, 50.0);
@@ -215,7 +217,9 @@ where
         let from = *self.polarity.from.get_or_insert(q);
         let moved: [f32; MAX_JOINTS] = core::array::from_fn(|j| q[j] - from[j]);
         let Some(counts) = self.program.as_ref().map(|program| program.radians_per_count) else { return none };
-        let beyond = |j: &usize| margin_bits(moved[*j], STRAY_ANGLE.max(STRAY_COUNTS * counts[*j].abs())) < 0;
+        let swung = self.polarity.swing.is_some_and(|swing| swing.last);
+        let farthest = |j: usize| if swung && j != i { SWUNG_ANGLE } else { STRAY_ANGLE };
+        let beyond = |j: &usize| margin_bits(moved[*j], farthest(*j).max(STRAY_COUNTS * counts[*j].abs())) < 0;
         if let Some(j) = (0..self.count()).find(beyond) {
             match self.polarity.swing {
                 Some(swing) => self.trip(Fault::TorqueMismatch, Some(j as u8), moved[j] / swing.angle),
@@ -318,7 +322,7 @@ where
             .min(SECOND_TORQUE * self.joints[i].stage.max_torque());
         let rate = self.swing_rate(i, most, inertia * angle, angle);
         let inert = (inertia * angle * rate * rate).min(most);
-        let most = (FIRST_DOUBT * inert).max(SWING_EXCESS * first.moved_by.unwrap_or(0.0));
+        let most = (FIRST_DOUBT.1 * inert).max(SWING_EXCESS * first.moved_by.unwrap_or(0.0));
         // A quarter as fast as it is swung, and hardly ringing.
         let back = 0.25 * rate;
         let (stiffness, damping) = (inertia * back * back, 1.4 * inertia * back);
@@ -387,7 +391,7 @@ where
         for ((low, high), moved) in swing.ends.iter_mut().zip(moved) {
             (*low, *high) = (low.min(*moved), high.max(*moved));
         }
-        let far = |j: usize| swing.ends[j].1 - swing.ends[j].0 >= if j == i { 2.0 } else { 2.5 } * swing.angle;
+        let far = |j: usize| swing.ends[j].1 - swing.ends[j].0 >= 2.0 * swing.angle;
         if !swing.full {
             swing.torque = (swing.torque * (1.0 + self.polarity.pace / (SWINGS_GROWING * turn))).min(swing.most);
             swing.full = swing.torque >= swing.most || (0..self.count()).any(far);
@@ -433,9 +437,9 @@ where
         let doubt = 4.0 / core::f32::consts::PI * dead / amperes;
         let second = if swing.last { None } else { self.second_swing(i, swing) };
         let torque_doubt = if second.is_some() { FIRST_DOUBT } else { TORQUE_DOUBT };
-        if found < -1.0 / FIRST_DOUBT {
+        if found < -FIRST_DOUBT.0 {
             self.trip(Fault::PolarityWrong, Some(i as u8), found);
-        } else if !(1.0 / torque_doubt..=torque_doubt).contains(&found) {
+        } else if !(torque_doubt.0..=torque_doubt.1).contains(&found) {
             self.trip(Fault::TorqueMismatch, Some(i as u8), found);
         } else if second.is_some() {
             self.polarity.swing = second;
