@@ -41,6 +41,14 @@ fn a_device_that_is_not_homed_is_not_armed() {
 }
 
 #[test]
+fn a_motor_without_an_inductance_is_not_armed() {
+    let mut description = paddle();
+    description.joints[0].motor.as_mut().unwrap().inductance = 0.0;
+    let mut rig = Rig::with(&description, &scene(1, &[]), hardware(), rules());
+    assert_eq!(rig.execute(Command::Arm), Err(Refusal::MotorNotVerified(0)));
+}
+
+#[test]
 fn a_device_whose_polarity_is_unknown_is_not_armed() {
     let mut rig = Rig::bare(hardware(), rules());
     rig.load(&paddle(), &scene(1, &[]), false).unwrap();

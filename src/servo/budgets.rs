@@ -8,6 +8,7 @@ use crate::drive::stage::Stage;
 use crate::math::{Math, limited, sqrt};
 use crate::model::device::{Leverage, squared};
 use crate::safety::fault::{Fault, State};
+use crate::safety::limits::VOLTS_MARGIN;
 use crate::safety::refusal::Refusal;
 use crate::servo::frame::{Outputs, Samples};
 use crate::servo::joints::{Counts, Torques};
@@ -51,8 +52,6 @@ impl Sums {
 const FLOW_SECONDS: f32 = 5.0e-4;
 /// By how much measured currents may push more than what may be asked for: the current loop's overshoot.
 const FLOW_MARGIN: f32 = 1.05;
-/// By how much the currents that the motors' voltages tell may: a sensor that lies hides no more.
-const VOLTS_MARGIN: f32 = 1.5;
 /// Largest share of the limit that the sensors' error may hide: near a singular pose a torque too small to be measured is
 /// a large force.
 const HIDDEN_SHARE: f32 = 0.05;

@@ -65,8 +65,8 @@ const SWING_EXCESS: f32 = 2.5;
 /// Motion that is seen, rad, and at least so many counts.
 const SEEN_ANGLE: f32 = 1.5e-3;
 const SEEN_COUNTS: f32 = 1.5;
-/// By how much a joint is swung to either side, rad, and at least how many counts; the second time by twice the angle.
-const SWING_ANGLE: f32 = 0.015;
+/// By how much a joint is swung to either side, rad, and at least how many counts.
+const SWING_ANGLE: f32 = 0.02;
 const SWING_COUNTS: f32 = 4.0;
 /// Farthest that any joint may be found from where it stood, rad, and at least how many counts.
 const STRAY_ANGLE: f32 = 0.1;
@@ -317,7 +317,7 @@ where
     /// The second swing of joint `i`, after the first one was about as the file says; `None` if it would not be harder.
     fn second_swing(&self, i: usize, first: &Swing) -> Option<Swing> {
         let inertia = self.polarity.inertia.map_or(0.0, |inertia| inertia[i][i]);
-        let angle = first.angle.max(2.0 * SWING_ANGLE);
+        let angle = first.angle;
         let most = (SECOND_SHARE * self.rules.limits.tip_force / self.polarity.worth)
             .min(SECOND_TORQUE * self.joints[i].stage.max_torque());
         let rate = self.swing_rate(i, most, inertia * angle, angle);
