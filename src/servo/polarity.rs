@@ -47,6 +47,8 @@ const FIRST_DOUBT: (f32, f32) = (0.5, 1.6);
 pub const CROSS_DOUBT: f32 = 0.5;
 /// Share of the file's resistance by which the winding's may differ: copper gains 40 % per 100 K.
 pub const RESISTANCE_DOUBT: f32 = 0.35;
+/// Share of the file's resistance that the dead time may hide where the measured one is believed from then on.
+const CLEAR_DOUBT: f32 = 0.1;
 /// Share of the voltage that the dead time takes by which that may be off once it has been made up for.
 const DEAD_TIME_DOUBT: f32 = 0.5;
 
@@ -73,9 +75,8 @@ const STRAY_ANGLE: f32 = 0.1;
 /// The same of the other joints in the second swing.
 const SWUNG_ANGLE: f32 = 0.14;
 const STRAY_COUNTS: f32 = 8.0;
-/// Largest error of each joint's home, rad, with which the check still keeps to its forces at the tip; and
-/// the least share of what the believed pose allows that this leaves, because near a stretched pose it would be
-/// nothing.
+/// Largest error of each joint's home, rad, with which the check still keeps to its forces at the tip; and the least share
+/// of what the believed pose allows that this leaves, because near a stretched pose it would be nothing.
 const HOME_DOUBT: f32 = 0.15;
 const DOUBTED_SHARE: f32 = 0.6;
 /// Angular frequencies of a swing, rad/s: above those of a device that hangs from a thread, and a third of that of a soft
@@ -90,7 +91,7 @@ const SWING_SPEED: f32 = 0.5;
 const SWING_STEPS: f32 = 16.0;
 /// Swings in which the torque grows by a factor of e; those before what they do is summed up, and while it is.
 const SWINGS_GROWING: f32 = 1.5;
-const SWINGS_BEFORE: f32 = 1.0;
+const SWINGS_BEFORE: f32 = 2.0;
 const SWINGS: f32 = 3.0;
 /// Those in which the torque fades, so that the joint does not glide on.
 const SWINGS_FADING: f32 = 2.0;
@@ -450,6 +451,9 @@ where
         {
             self.trip(Fault::ResistanceMismatch, Some(i as u8), found);
         } else {
+            if let Some((found, expected)) = measured.filter(|(_, expected)| doubt < CLEAR_DOUBT * expected) {
+                self.joints[i].stage.know_resistance(found.max((1.0 - RESISTANCE_DOUBT) * expected));
+            }
             self.pass_on(i);
         }
     }

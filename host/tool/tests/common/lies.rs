@@ -8,7 +8,9 @@ use haptic_bridge::safety::fault::{FaultRecord, State};
 use haptic_bridge::servo::{HostAction, Rules};
 use haptic_host::device_file::DeviceFile;
 use haptic_host::link::Board;
-use haptic_sim::{BoardOptions, Broken, Hand, HandSettings, Intent, SharedBoard, SimulatedBoard, Support, Waypoint};
+use haptic_sim::{
+    BoardOptions, Broken, Hand, HandSettings, Intent, Options, SharedBoard, SimulatedBoard, Support, Waypoint,
+};
 use std::f64::consts::TAU;
 
 /// When something begins to be wrong.
@@ -154,7 +156,7 @@ pub struct Harm {
 
 /// A real board in all but silicon that was told `file`, whose device and wires are as they are, homed.
 fn homed(file: &DeviceFile, lie: &Lie) -> (SharedBoard, Board, Description) {
-    homed_as(&file.name, &file.description, |wired, broken| {
+    homed_as(&file.name, &file.description, Options::default(), |wired, broken| {
         if let When::Always(lie) = lie.when {
             lie(wired, broken);
         }
@@ -165,6 +167,7 @@ fn homed(file: &DeviceFile, lie: &Lie) -> (SharedBoard, Board, Description) {
 fn homed_as(
     name: &str,
     description: &Description,
+    device: Options,
     lie: impl FnOnce(&mut Description, &mut Broken),
 ) -> (SharedBoard, Board, Description) {
     let mut told = *description;
@@ -174,7 +177,7 @@ fn homed_as(
         joint.limits = Some((home - 1.5, home + 1.5));
     }
     let mut wired = told;
-    let mut options = BoardOptions { strict: true, support: Support::Held, ..BoardOptions::default() };
+    let mut options = BoardOptions { device, strict: true, support: Support::Held, ..BoardOptions::default() };
     lie(&mut wired, &mut options.broken);
     let mut simulated = SimulatedBoard::new(&wired, options).unwrap();
     simulated.load(name, &told, None).unwrap();
@@ -228,13 +231,13 @@ pub fn moved(file: &DeviceFile, lie: &Lie) -> (Result<(), FaultRecord>, Moved) {
     watched(homed(file, lie))
 }
 
-/// The same of any description and any lie.
+/// The same of any description and any lie, simulated coarsely: two integration steps a carrier period.
 pub fn moved_by(
     name: &str,
     description: &Description,
     lie: impl FnOnce(&mut Description, &mut Broken),
 ) -> (Result<(), FaultRecord>, Moved) {
-    watched(homed_as(name, description, lie))
+    watched(homed_as(name, description, Options { substep: 25e-6, ..Options::default() }, lie))
 }
 
 fn watched((shared, mut board, wired): (SharedBoard, Board, Description)) -> (Result<(), FaultRecord>, Moved) {
