@@ -246,7 +246,9 @@ fn off(fault: Fault) -> &'static str {
         Fault::PowerLimit => "by a mean over 0.1 s",
         Fault::PolarityNoMotion => "when its torque has grown and alternated in vain: some seconds",
         Fault::PolarityUnrest => "never on: a joint is waited for without torque",
-        Fault::PolarityWrong | Fault::TorqueMismatch | Fault::ResistanceMismatch => "when the joint was swung: some seconds",
+        Fault::PolarityWrong | Fault::TorqueMismatch | Fault::ResistanceMismatch => {
+            "when the joint was swung: some seconds"
+        }
         Fault::MotorModel => "as the loop's integrator grows: some 0.2 ms",
         Fault::DriverReset => "at the next look, within 20 ms (0.2 s while a host that stops reading is waited for)",
         Fault::ClockFailure => "by the non-maskable interrupt",

@@ -278,7 +278,9 @@ where
             let bound = if hard { doubt } else { most };
             (margin_bits(strain, bound) < 0).then_some((i, joint, strain))
         });
-        let Some((i, joint, strain)) = strained.max_by(|one, other| one.2.abs().total_cmp(&other.2.abs())) else { return };
+        let Some((i, joint, strain)) = strained.max_by(|one, other| one.2.abs().total_cmp(&other.2.abs())) else {
+            return;
+        };
         // A current as it should be and a voltage that only motion explains: the encoder is what stands still.
         let (fault, value) = if joint.stage.flows_as_expected() && joint.stands_still() {
             (Fault::EncoderLoss, joint.stage.turning(strain))

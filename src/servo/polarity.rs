@@ -232,7 +232,11 @@ where
         match (self.polarity.swing, self.polarity.inertia) {
             (Some(swing), _) => return self.swing(i, swing, &moved, &counts),
             (None, Some(inertia)) => self.begin_first(i, inertia[i][i]),
-            (None, None) if self.at_rest(i) && self.has_looked_around(i) => {
+            (None, None) if self.at_rest(i) => {
+                if self.polarity.looked < 1 << self.count {
+                    self.look_around(i);
+                    return none;
+                }
                 self.polarity.from = Some(q);
                 self.polarity.inertia = self.program.as_ref().map(|program| program.mechanism.inertia::<K>(&q));
             }
@@ -244,10 +248,10 @@ where
         none
     }
 
-    /// Looks at one of the poses at which the device may stand in truth, for what a torque of joint `i` is worth at the tip
-    /// there; whether it has looked at all. Between those corners leverage is less: it grows towards singular poses.
-    fn has_looked_around(&mut self, i: usize) -> bool {
-        let Some(program) = self.program.as_ref() else { return false };
+    /// Looks at the next of the poses at which the device may stand in truth, for what a torque of joint `i` is worth at the
+    /// tip there. Between those corners leverage is less: it grows towards singular poses.
+    fn look_around(&mut self, i: usize) {
+        let Some(program) = self.program.as_ref() else { return };
         let corner = self.polarity.looked;
         let mut unit = Torques::default();
         unit[i] = 1.0;
@@ -257,7 +261,6 @@ where
         // `min` also drops NaN, of a pose that there is not.
         self.polarity.worth = self.polarity.worth.max(there.max(here).min(here / DOUBTED_SHARE));
         self.polarity.looked = corner + 1;
-        self.polarity.looked >= 1 << self.count
     }
 
     /// A torque (N m) of joint `i` alone, as far as the limit of the force at the tip allows it here and around.

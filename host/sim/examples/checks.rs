@@ -32,18 +32,42 @@ fn main() {
             let mut file = shipped("hapkit-paddle");
             let motor = file.description.joints[0].motor.as_mut().unwrap();
             (motor.torque_constant, motor.back_emf, motor.resistance, motor.max_current) = (1.9, 1.9, 2.33, 2.0);
-            for what in ["first current sensor freezes", "current sensors begin to show half", "first current sensor 0.5 A too low"] {
+            for what in [
+                "first current sensor freezes",
+                "current sensors begin to show half",
+                "first current sensor 0.5 A too low",
+            ] {
                 let lie = lies::LIES.iter().find(|lie| lie.what == what).unwrap();
                 println!("{what}: {:?}", lies::outcome(&file, lie));
             }
             return;
         }
-        "wrong" => for s in from..to { all.push(drawn::check_wrong(s)); },
-        _ => for s in from..to { all.push(drawn::check_sound(s)); },
+        "wrong" => {
+            for s in from..to {
+                all.push(drawn::check_wrong(s));
+            }
+        }
+        _ => {
+            for s in from..to {
+                all.push(drawn::check_sound(s));
+            }
+        }
     }
     let passed = all.iter().filter(|c| c.ended.is_ok()).count();
-    let bad: Vec<_> = all.iter().filter(|c| if kind == "wrong" { c.moved.push > 5.0 || c.moved.travel > 0.15 } else { c.ended.is_err() }).collect();
-    for c in &bad { println!("{c}"); }
+    let bad: Vec<_> = all
+        .iter()
+        .filter(|c| if kind == "wrong" { c.moved.push > 5.0 || c.moved.travel > 0.15 } else { c.ended.is_err() })
+        .collect();
+    for c in &bad {
+        println!("{c}");
+    }
     let m = |f: fn(&drawn::Checked) -> f64| all.iter().map(f).fold(0.0, f64::max);
-    println!("{} of {} bad, {} passed, worst {:.2} N {:.3} rad", bad.len(), all.len(), passed, m(|c| c.moved.push), m(|c| c.moved.travel));
+    println!(
+        "{} of {} bad, {} passed, worst {:.2} N {:.3} rad",
+        bad.len(),
+        all.len(),
+        passed,
+        m(|c| c.moved.push),
+        m(|c| c.moved.travel)
+    );
 }

@@ -115,7 +115,9 @@ fn a_sensor_that_begins_to_lie_pushes_no_harder_than_its_bound_however_strong_th
     let mut file = shipped("hapkit-paddle");
     let motor = file.description.joints[0].motor.as_mut().unwrap();
     (motor.torque_constant, motor.back_emf, motor.resistance, motor.max_current) = (1.9, 1.9, 2.33, 2.0);
-    for what in ["first current sensor freezes", "current sensors begin to show half", "first current sensor 0.5 A too low"] {
+    for what in
+        ["first current sensor freezes", "current sensors begin to show half", "first current sensor 0.5 A too low"]
+    {
         let lie = LIES.iter().find(|lie| lie.what == what).unwrap();
         let harm = match outcome(&file, lie) {
             Outcome::Refused(record) => panic!("{what}: {record:?}"),
