@@ -55,15 +55,15 @@ const DEAD_TIME_DOUBT: f32 = 0.5;
 /// Forces at the tip by the file, N: that of the first torque, half a newton if every constant is ten times wrong; that
 /// which inertia takes in the first swing; and that up to which an unmoved joint is pushed whose friction the file omits.
 const LEAST_FORCE: f32 = 0.05;
-const FIRST_FORCE: f32 = 0.3;
+const FIRST_FORCE: f32 = 0.2;
 const UNSEEN_FORCE: f32 = 0.8;
 /// By how much the file's Coulomb friction may be exceeded at rest.
 const FRICTION_DOUBT: f32 = 3.0;
 /// Largest shares of the tip's limit and of the motor's torque that inertia takes in the second swing.
 const SECOND_SHARE: f32 = 0.6;
 const SECOND_TORQUE: f32 = 0.25;
-/// Ratio of a swing's torque to the torque that moved the joint: so large that friction does not hold it at either end.
-const SWING_EXCESS: f32 = 2.5;
+/// Share of what inertia takes by the file that a swing's torque may exceed what moved the joint by.
+const SWING_EXCESS: f32 = 1.2;
 /// Motion that is seen, rad, and at least so many counts.
 const SEEN_ANGLE: f32 = 1.5e-3;
 const SEEN_COUNTS: f32 = 1.5;
@@ -312,7 +312,7 @@ where
         let rate = self.swing_rate(i, FIRST_FORCE / worth, inertia * angle, angle);
         let inert = inertia * angle * rate * rate;
         // An unseen joint of such inertia swings by a few angles at most.
-        let unstated = (UNSEEN_FORCE / worth).min(friction + 4.0 * inert);
+        let unstated = (UNSEEN_FORCE / worth).min(friction + 2.0 * inert);
         let most = (inert + FRICTION_DOUBT * friction).max(unstated);
         let torque = (LEAST_FORCE / worth).min(0.25 * inert);
         self.polarity.swing = Some(Swing { torque, most, rate, angle, ..Swing::default() });
@@ -326,7 +326,7 @@ where
             .min(SECOND_TORQUE * self.joints[i].stage.max_torque());
         let rate = self.swing_rate(i, most, inertia * angle, angle);
         let inert = (inertia * angle * rate * rate).min(most);
-        let most = (FIRST_DOUBT.1 * inert).max(SWING_EXCESS * first.moved_by.unwrap_or(0.0));
+        let most = FIRST_DOUBT.1 * inert + first.moved_by.unwrap_or(0.0);
         // A quarter as fast as it is swung, and hardly ringing.
         let back = 0.25 * rate;
         let (stiffness, damping) = (inertia * back * back, 1.4 * inertia * back);
@@ -383,13 +383,12 @@ where
             add(&mut swing.voltage, voltage);
         }
         swing.seconds += self.polarity.pace;
-        let seen = |j: usize| moved[j].abs() > SEEN_ANGLE.max(SEEN_COUNTS * counts[j].abs());
-        if swing.moved_by.is_none() && (0..self.count()).any(seen) {
-            // From here on nothing needs more than what moved it, or what inertia takes by the file.
+        if swing.moved_by.is_none() && moved[i].abs() > SEEN_ANGLE.max(SEEN_COUNTS * counts[i].abs()) {
+            // From here on nothing needs more than what moved it, and what inertia takes by the file.
             swing.moved_by = Some(swing.torque);
             let inertia = self.polarity.inertia.map_or(0.0, |inertia| inertia[i][i]);
             let inert = inertia * swing.angle * swing.rate * swing.rate;
-            swing.most = (1.2 * inert).max(SWING_EXCESS * swing.torque);
+            swing.most = swing.torque + SWING_EXCESS * inert;
             (swing.full, swing.turns) = (false, 0.0);
         }
         for ((low, high), moved) in swing.ends.iter_mut().zip(moved) {
