@@ -12,7 +12,7 @@ use super::message::FromPage;
 use haptic_host::link::nothing_yet;
 use haptic_host::places::{Place, Places};
 use std::io::{self, Read, Write};
-use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, TcpListener, TcpStream, UdpSocket};
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, Shutdown, SocketAddr, TcpListener, TcpStream, UdpSocket};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, LazyLock};
 use std::thread;
@@ -149,19 +149,28 @@ pub(crate) fn token() -> io::Result<String> {
 }
 
 /// Reads the head of a GET request; `None` for any other request, a head that is too long, and one that comes too late.
+/// A connection on which nothing was asked is closed: a browser would take an answer for that to its next request.
 pub(crate) fn head(stream: &mut TcpStream) -> Option<Request> {
-    let began = Instant::now();
     let mut bytes = Vec::new();
+    let request = read_head(stream, &mut bytes);
+    if bytes.is_empty() {
+        let _ = stream.shutdown(Shutdown::Both);
+    }
+    request
+}
+
+fn read_head(stream: &mut TcpStream, bytes: &mut Vec<u8>) -> Option<Request> {
+    let began = Instant::now();
     while bytes.len() < HEAD {
         let left = HEAD_TIME.checked_sub(began.elapsed()).filter(|left| !left.is_zero())?;
         stream.set_read_timeout(Some(left)).ok()?;
         let mut buffer = [0; 1024];
         let count = stream.read(&mut buffer).ok().filter(|count| *count > 0)?;
         bytes.extend(&buffer[..count]);
-        match Request::try_parse(&bytes) {
+        match Request::try_parse(bytes) {
             // A WebSocket's client sends nothing between its request and the answer; anything more is refused.
             Ok(Some(_)) if bytes.ends_with(b"\r\n\r\n") => {
-                return Request::try_parse(&bytes).ok()?.map(|(_, read)| read);
+                return Request::try_parse(bytes).ok()?.map(|(_, read)| read);
             }
             Ok(None) => {}
             Ok(Some(_)) | Err(_) => return None,

@@ -27,7 +27,7 @@ use postcard_rpc::Endpoint as _;
 use postcard_rpc::header::{VarHeader, VarKey, VarSeq};
 use serde_json::{Value, json};
 use std::io::{ErrorKind, Read, Write};
-use std::net::TcpStream;
+use std::net::{Shutdown, TcpStream};
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -890,6 +890,11 @@ fn the_page_is_served_to_whom_it_is_for() {
     assert!(ask(host, "GET / HTTP/1.1\r\nHost: evil.example\r\n\r\n").starts_with("HTTP/1.1 403 "));
     assert!(ask(host, &format!("POST / HTTP/1.1\r\nHost: {host}\r\n\r\n")).starts_with("HTTP/1.1 400 "));
     assert!(ask(host, "\0\x01\x02 what\r\n\r\n").starts_with("HTTP/1.1 400 "));
+    // A browser keeps a spare connection: what is said on it would be taken for the answer to its next request.
+    let (mut spare, mut said) = (TcpStream::connect(host).unwrap(), String::new());
+    spare.shutdown(Shutdown::Write).unwrap();
+    spare.read_to_string(&mut said).unwrap();
+    assert_eq!(said, "", "nothing was asked");
 }
 
 #[test]
