@@ -378,7 +378,7 @@ mod tests {
                 stands_out(words, "card", 4.5);
                 stands_out(words, "soft", 4.5);
             }
-            for words in ["good", "hand", "force", "a", "b"] {
+            for words in ["good", "hand", "force", "a", "b", "off-name", "full-name", "washout-name"] {
                 stands_out(words, "card", 4.5);
             }
             for line in ["off", "full", "washout", "ellipse", "spring", "trail", "hatch", "link", "tip"] {

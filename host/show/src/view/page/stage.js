@@ -33,7 +33,7 @@ function coach(p) {
 // ---- drawing ------------------------------------------------------------------------------------------------------
 const colour = name => getComputedStyle(document.documentElement).getPropertyValue("--" + name).trim();
 let palette = {};
-function readPalette() { for (const name of ["card", "ink", "dim", "line", "soft", "wall", "hatch", "link", "tip", "hand", "force", "trail", "off", "full", "washout", "ellipse", "spring", "bad", "a", "b"]) palette[name] = colour(name); }
+function readPalette() { for (const name of ["card", "ink", "dim", "line", "soft", "wall", "hatch", "link", "tip", "hand", "force", "trail", "off", "full", "washout", "off-name", "full-name", "washout-name", "ellipse", "spring", "bad", "a", "b"]) palette[name] = colour(name); }
 function theme(dark) { document.documentElement.classList.toggle("dark", dark); readPalette(); requestDraw(); }
 $("theme").onclick = () => theme(!document.documentElement.classList.contains("dark"));
 const prefersDark = matchMedia("(prefers-color-scheme: dark)");
