@@ -371,6 +371,7 @@ fn the_wall_is_pressed_by_the_mouse_and_its_feed_forward_changed_under_it() {
     let kept = "(r => axes.rendered_n.low <= r.low && axes.rendered_n.high >= r.high)(JSON.parse(window.range))";
     assert_eq!(browser.evaluate(&tab, kept), true, "a quiet wall looks quiet");
     // Pictures for a paper: in millimetres, on white, in letters of eight points.
+    browser.evaluate(&tab, "view.hello.device = 'a & <b>'");
     for (what, millimetres) in [("stage", 85), ("plane", 85), ("scope", 170)] {
         let checked = format!(
             "(() => {{ const svg = svgOf('{what}', {millimetres}), root = new DOMParser().parseFromString(svg, 'image/svg+xml').documentElement, \
@@ -381,6 +382,7 @@ fn the_wall_is_pressed_by_the_mouse_and_its_feed_forward_changed_under_it() {
         let found = browser.evaluate(&tab, &checked);
         assert_eq!((&found[0], &found[1]), (&Value::from("svg"), &Value::from(format!("{millimetres}mm"))), "{what}");
         assert!(found[2].as_f64().unwrap() > 7.99 && found[3] == true && found[4] == false, "{what}: {found}");
+        assert!(found[5].as_str().unwrap().starts_with("a & <b>, 8.70 kN/m"), "{what}: {found}");
     }
     browser.space(&tab, "keyUp");
     browser.until(&tab, "document.body.dataset.state === 'Disarmed'");

@@ -56,7 +56,10 @@ $("copy").onclick = async () => {
   try { await navigator.clipboard.writeText(location.href); done("Copied: a link to this device, pose, walls and gains."); }
   catch { done("The link stands in the address bar."); }
 };
-addEventListener("hashchange", () => { const wrong = want(); if (wrong) notice(wrong); else window.playground?.follow(); });
+function wantAnew() { const wrong = want(); if (wrong || view.of === "link") notice(wrong, { of: "link" }); return !wrong; }
+addEventListener("hashchange", () => { if (wantAnew()) window.playground?.follow(); });
+
+const escaped = words => words.replace(/[&<>]/g, mark => `&#${mark.charCodeAt(0)};`);
 
 // ---- pictures to keep ---------------------------------------------------------------------------------------------
 // What is drawn on a canvas, as SVG: of a canvas's commands those that this page uses.
@@ -94,7 +97,7 @@ class Drawing {
   words(words, x, y, paint) {
     const [, weight, pixels] = /^(\d+ )?([\d.]+)px/.exec(this.font), size = +pixels, anchor = { left: "start", center: "middle", right: "end" }[this.textAlign];
     const low = this.textBaseline === "middle" ? .35 * size : 0;
-    this.put(`text x="${short(x)}" y="${short(y + low)}" font-size="${short(size)}"${weight ? ` font-weight="${weight.trim()}"` : ""} text-anchor="${anchor}" ${paint}`, words.replace(/[&<>]/g, mark => `&#${mark.charCodeAt(0)};`));
+    this.put(`text x="${short(x)}" y="${short(y + low)}" font-size="${short(size)}"${weight ? ` font-weight="${weight.trim()}"` : ""} text-anchor="${anchor}" ${paint}`, escaped(words));
   }
   fillText(words, x, y) { this.words(words, x, y, `fill="${this.colour(this.fillStyle)}"`); }
   strokeText(words, x, y) { this.words(words, x, y, `fill="none" stroke="${this.strokeStyle}" stroke-width="${this.lineWidth}"`); }
@@ -111,7 +114,7 @@ function svgOf(what, millimetres) {
   readPalette(); drawStage(); drawPlane(); drawScope();
   const wall = view.walls[view.wall], about = view.hello.device + (wall ? `, ${unit(wall.stiffness, "N/m")}, ${unit(wall.damping, "N s/m")}, feed-forward ${NAMES[wall.feed_forward]}` : "");
   return `<svg xmlns="http://www.w3.org/2000/svg" width="${millimetres}mm" height="${short(height * 25.4 / 96)}mm" viewBox="0 0 ${short(width)} ${short(height)}" font-family="Helvetica, Arial, sans-serif">\n` +
-    `<title>${about}</title>\n<defs>${hatch}${context.defs.join("")}</defs>\n<rect width="100%" height="100%" fill="#fff"/>\n${context.out.join("\n")}\n</svg>\n`;
+    `<title>${escaped(about)}</title>\n<defs>${hatch}${context.defs.join("")}</defs>\n<rect width="100%" height="100%" fill="#fff"/>\n${context.out.join("\n")}\n</svg>\n`;
 }
 $("save").onchange = () => {
   const [what, millimetres] = $("save").value.split(" "), anchor = document.createElement("a");
