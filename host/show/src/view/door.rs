@@ -347,6 +347,21 @@ mod tests {
     }
 
     #[test]
+    fn lessons_name_files_that_ship() {
+        let devices = concat!(env!("CARGO_MANIFEST_DIR"), "/../../devices/");
+        let links = PAGE.split("\"device=").skip(1).filter_map(|rest| rest.split(['&', '"']).next());
+        // The demo needs none.
+        let named: Vec<&str> = links.filter(|name| !["", "coupled-five-bar"].contains(name)).collect();
+        assert!(named.len() >= 3, "{named:?}");
+        for name in named {
+            let (device, _) = name.split_once('/').unwrap_or_else(|| panic!("{name}"));
+            for path in [format!("{devices}{device}.toml"), format!("{devices}scenes/{name}.toml")] {
+                assert!(std::fs::exists(&path).unwrap(), "{path}");
+            }
+        }
+    }
+
+    #[test]
     fn feed_forward_has_the_colours_that_it_has_in_every_picture() {
         use crate::plot::colour::{FULL, OFF, WASHOUT};
         // On a dark ground the same hues, lighter.

@@ -105,7 +105,7 @@ fn as_a_file_gains_and_walls_are_dragged_and_devices_chosen() {
         browser.until(
             &tab,
             &format!(
-                "view.hello && $('choice').value.startsWith(view.hello.device + ':') && view.pictures > {} && \
+                "view.hello && $('choice').value.startsWith(shown() + ':') && view.pictures > {} && \
                  document.body.dataset.role === 'command'",
                 pictures + 10
             ),
@@ -113,7 +113,7 @@ fn as_a_file_gains_and_walls_are_dragged_and_devices_chosen() {
         assert_eq!(browser.evaluate(&tab, "$('notice').classList.contains('shown')"), false, "choice {choice}");
     }
     // A lesson's set-up, and a link to another device.
-    let links = [("lesson=1", "hapkit-paddle"), ("device=haply-2diy-a-groove&pose=1.9,1.1", "haply-2diy")];
+    let links = [("lesson=1", "hapkit-paddle"), ("device=haply-2diy/groove&pose=1.9,1.1", "haply-2diy")];
     for (link, device) in links {
         browser.evaluate(&tab, &format!("location.hash = '{link}'"));
         browser.until(

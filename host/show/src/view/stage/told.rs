@@ -176,6 +176,7 @@ impl Stage {
             "is": "hello",
             "tool": env!("CARGO_PKG_VERSION"),
             "device": self.device.name.as_str(),
+            "scene": self.world.scene_name,
             "board": info.board.as_str(),
             "serial": info.serial.as_str(),
             "port": self.world.board.port(),
