@@ -4,7 +4,7 @@
 let used = coarse ? "touch" : "mouse", steps = 0, buzzed = false, coached = false;
 try { coached = localStorage.getItem("coached") === "yes"; } catch { /* A browser that keeps nothing shows it anew. */ }
 const COACH = {
-  mouse: ["hold Space: motors on", "pull the tip into the WALL", "click Off and confirm: it buzzes; Washed out: it is gone"],
+  mouse: ["hold Space or click the green button: motors on", "pull the tip into the WALL", "click Off and confirm: it buzzes; Washed out: it is gone"],
   touch: ["hold the green button: motors on", "pull the tip into the WALL", "tap Off and confirm: it buzzes; Washed out: it is gone"],
   keys: ["hold Space: motors on", "into the WALL by arrow keys on the picture", "press Off and confirm: it buzzes; Washed out: it is gone"],
 };
