@@ -51,28 +51,26 @@
         device.selectedIndex = board ? -1 : choice;
         if (!board && wanted() >= 0 && wanted() !== choice) { device.selectedIndex = wanted(); return begin(null); }
         open.textContent = board ? "Close the board" : "Open a board";
-        if (board) news = [REAL, true];
+        if (board) news = [REAL, {}, true];
         carrier.readyState = 1;
         carrier.onopen();
       } else {
         carrier.onmessage({ data });
-        if (news && view.last) { notice(news[0], {}, news[1]); news = null; }
+        if (news && view.last) { notice(...news); news = null; }
       }
     };
     thread.onerror = event => { end(event.message); close(); };
     thread.postMessage({ library, choice, board });
     return carrier;
   };
-  // A link's device by its name's letters and digits: the first that begins so; -1 where none is wanted or known.
-  const named = name => name.toLowerCase().replace(/[^a-z0-9.]+/g, "-");
+  // A link's device, or the first scene of it; -1 where none is wanted or known.
   function wanted() {
     const name = view.wanted?.device;
     if (!name) return -1;
-    const found = [...device.options].findIndex(option => named(option.value).startsWith(named(name)));
-    if (found < 0) { const why = `The link's device ${name} is none of this page: nothing was changed.`; view.wanted = null; if (view.last) notice(why); else news = [why]; }
+    const found = [...device.options].findIndex(({ value }) => [":", "/"].some(end => value.startsWith(name + end)));
+    if (found < 0) { const why = [`The link's device ${name} is none of this page: nothing was changed.`, { of: "link" }]; view.wanted = null; if (view.last) notice(...why); else news = why; }
     return found;
   }
-  window.playground.device = () => named(device.value);
   const lessonShown = () => { lesson.selectedIndex = +(/lesson=(\d)/.exec(location.hash)?.[1] || 0); };
   window.playground.follow = () => { lessonShown(); if (!port && wanted() >= 0 && wanted() !== device.selectedIndex) { device.selectedIndex = wanted(); begin(null); } };
   // Carries bytes between an open port and a worker. After an error that passes a port has another stream; once it is

@@ -12,7 +12,7 @@ use super::message::FromPage;
 use haptic_host::link::nothing_yet;
 use haptic_host::places::{Place, Places};
 use std::io::{self, Read, Write};
-use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, TcpListener, TcpStream, UdpSocket};
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, Shutdown, SocketAddr, TcpListener, TcpStream, UdpSocket};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, LazyLock};
 use std::thread;
@@ -149,19 +149,28 @@ pub(crate) fn token() -> io::Result<String> {
 }
 
 /// Reads the head of a GET request; `None` for any other request, a head that is too long, and one that comes too late.
+/// A connection on which nothing was asked is closed: a browser would take an answer for that to its next request.
 pub(crate) fn head(stream: &mut TcpStream) -> Option<Request> {
-    let began = Instant::now();
     let mut bytes = Vec::new();
+    let request = read_head(stream, &mut bytes);
+    if bytes.is_empty() {
+        let _ = stream.shutdown(Shutdown::Both);
+    }
+    request
+}
+
+fn read_head(stream: &mut TcpStream, bytes: &mut Vec<u8>) -> Option<Request> {
+    let began = Instant::now();
     while bytes.len() < HEAD {
         let left = HEAD_TIME.checked_sub(began.elapsed()).filter(|left| !left.is_zero())?;
         stream.set_read_timeout(Some(left)).ok()?;
         let mut buffer = [0; 1024];
         let count = stream.read(&mut buffer).ok().filter(|count| *count > 0)?;
         bytes.extend(&buffer[..count]);
-        match Request::try_parse(&bytes) {
+        match Request::try_parse(bytes) {
             // A WebSocket's client sends nothing between its request and the answer; anything more is refused.
             Ok(Some(_)) if bytes.ends_with(b"\r\n\r\n") => {
-                return Request::try_parse(&bytes).ok()?.map(|(_, read)| read);
+                return Request::try_parse(bytes).ok()?.map(|(_, read)| read);
             }
             Ok(None) => {}
             Ok(Some(_)) | Err(_) => return None,
@@ -338,6 +347,21 @@ mod tests {
     }
 
     #[test]
+    fn lessons_name_files_that_ship() {
+        let devices = concat!(env!("CARGO_MANIFEST_DIR"), "/../../devices/");
+        let links = PAGE.split("\"device=").skip(1).filter_map(|rest| rest.split(['&', '"']).next());
+        // The demo needs none.
+        let named: Vec<&str> = links.filter(|name| !["", "coupled-five-bar"].contains(name)).collect();
+        assert!(named.len() >= 3, "{named:?}");
+        for name in named {
+            let (device, _) = name.split_once('/').unwrap_or_else(|| panic!("{name}"));
+            for path in [format!("{devices}{device}.toml"), format!("{devices}scenes/{name}.toml")] {
+                assert!(std::fs::exists(&path).unwrap(), "{path}");
+            }
+        }
+    }
+
+    #[test]
     fn feed_forward_has_the_colours_that_it_has_in_every_picture() {
         use crate::plot::colour::{FULL, OFF, WASHOUT};
         // On a dark ground the same hues, lighter.
@@ -369,7 +393,7 @@ mod tests {
                 stands_out(words, "card", 4.5);
                 stands_out(words, "soft", 4.5);
             }
-            for words in ["good", "hand", "force", "a", "b"] {
+            for words in ["good", "hand", "force", "a", "b", "off-name", "full-name", "washout-name"] {
                 stands_out(words, "card", 4.5);
             }
             for line in ["off", "full", "washout", "ellipse", "spring", "trail", "hatch", "link", "tip"] {

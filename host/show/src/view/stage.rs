@@ -4,6 +4,7 @@
 //! lets go, closes, or was not heard to see the key for [`SILENCE`] turns them off. Any page may turn them off. With its
 //! key a page says the newest control step that it had been shown when it saw the key, and this goes on to the board
 //! ([`Board::hold_key`]): whatever is slow or stands still on this way round, the board knows how old the press is.
+//! Simulated motors hurt no hand: they stay on until the key is let go or the page is gone, however slow the computer.
 //!
 //! It reads no clock: whoever calls [`Stage::turn`] says what time it is. The tool does so in a loop ([`Stage::run`]),
 //! the page as a file whenever the browser lets it (playground/).
@@ -14,7 +15,7 @@ mod walls;
 
 use super::hub::{Event, Hub, PageId};
 use super::message::FromPage;
-use super::picture::{FIELDS, Newest};
+use super::picture::{FIELDS, Newest, nearest_wall};
 use super::scope::{LONGEST, Ring, Scope};
 use super::stability::{Oracle, Plane};
 use super::world::{World, lead};
@@ -22,6 +23,7 @@ use haptic_bridge::board::telemetry::Field;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::render::scene::Scene;
 use haptic_bridge::safety::fault::State;
+use haptic_bridge::safety::refusal::Refusal;
 use haptic_bridge::servo::Rules;
 use haptic_host::error::Failure;
 use haptic_host::link::{Board, BoardError, Column, LinkError, columns, rows_that_fit};
@@ -48,6 +50,9 @@ const EVENTS: usize = 64;
 /// motors go off. It is less than a board allows ([`haptic_bridge::servo::KEY_SECONDS`]), where it is a fault, by a
 /// heartbeat and a turn of this stage.
 pub const SILENCE: Duration = Duration::from_millis(400);
+/// Distance from a wall to which a simulated hand takes the tip out of it, m, and longest time that this may take.
+const OUTSIDE: f64 = 0.005;
+const WAY_OUT: Duration = Duration::from_secs(2);
 /// Longest time that it may be silent at all before others may take command.
 const ABSENCE: Duration = Duration::from_secs(5);
 /// Between two pictures: 60 a second.
@@ -108,6 +113,8 @@ pub struct Stage {
     /// Of the key that is down, the newest step that its page had been shown, and when the page was heard, by `listened`.
     held: Option<u32>,
     key_heard: Duration,
+    /// When the key was pressed, while a simulated hand takes the tip out of a wall: then the motors go on.
+    coming_out: Option<Duration>,
     goal: Option<[f64; 2]>,
     state: State,
     fault: Option<String>,
@@ -137,8 +144,8 @@ impl Stage {
     pub fn open(mut world: World, hub: Hub, rows_hz: Option<f64>, folder: Option<PathBuf>) -> Result<Self, Failure> {
         let board = &mut world.board;
         let details = board.details()?;
-        let device = board.device()?.ok_or(BoardError::Refused(haptic_bridge::safety::refusal::Refusal::NoDevice))?;
-        let scene = board.scene()?.ok_or(BoardError::Refused(haptic_bridge::safety::refusal::Refusal::NoScene))?;
+        let device = board.device()?.ok_or(BoardError::Refused(Refusal::NoDevice))?;
+        let scene = board.scene()?.ok_or(BoardError::Refused(Refusal::NoScene))?;
         let device = device.cast::<f64>();
         let (first, scene) = (scene.clone(), fit(&scene, &device)?);
         let rules = board.rules()?;
@@ -178,6 +185,7 @@ impl Stage {
             command: None,
             held: None,
             key_heard: now,
+            coming_out: None,
             goal: None,
             state: State::Disarmed,
             fault: None,
@@ -312,19 +320,20 @@ impl Stage {
         self.state = state;
         if went_off && self.board().status()?.state == State::Disarmed {
             self.held = None;
-            self.refuse_all("another tool turned the motors off");
+            self.refuse_all(Some("off"), "another tool turned the motors off");
         }
         Ok(())
     }
 
-    /// The dead man's key: silence counts as letting go. An emulated board's steps may pass at a part of real time, so
-    /// they alone do not tell; of a board that is simulated here they do, since the stage lets its time pass.
+    /// The dead man's key of real motors: silence counts as letting go. An emulated board's steps may pass at a part of
+    /// real time, so they alone do not tell.
     fn watch_the_key(&mut self) -> Result<(), LinkError> {
         let age = |seen: u32| f64::from(self.world.board.step().wrapping_sub(seen)) / self.scene.rate_hz;
-        let silent = self.world.simulated.is_none() && self.listened.saturating_sub(self.key_heard) > SILENCE;
-        if self.held.is_some_and(|seen| silent || age(seen) > SILENCE.as_secs_f64()) {
+        let silent = self.listened.saturating_sub(self.key_heard) > SILENCE;
+        let too_old = self.held.is_some_and(|seen| silent || age(seen) > SILENCE.as_secs_f64());
+        if too_old && self.world.simulated.is_none() {
             self.disarm()?;
-            self.refuse_all("the page in command was not heard: motors off");
+            self.refuse_all(Some("off"), "the page in command was not heard: motors off");
         }
         if self.command.is_some_and(|(_, heard)| self.now.saturating_sub(heard) > ABSENCE) {
             self.leave()?;
@@ -333,11 +342,34 @@ impl Stage {
     }
 
     fn disarm(&mut self) -> Result<(), LinkError> {
-        self.held = None;
+        (self.held, self.coming_out) = (None, None);
         match self.board().disarm() {
             Err(BoardError::Link(error)) => Err(error),
             Ok(()) | Err(BoardError::Refused(_)) => Ok(()),
         }
+    }
+
+    /// The key is pressed: motors on. A simulated hand takes the tip out of a wall first.
+    fn press(&mut self, seen: u32) -> Result<(), BoardError> {
+        let began = self.coming_out.take().unwrap_or(self.now);
+        let armed = match &self.world.simulated {
+            Some(_) => self.world.board.arm(),
+            None => self.world.board.arm_held(seen),
+        };
+        if let (Err(BoardError::Refused(Refusal::InsideWall)), Some(simulated)) = (&armed, &self.world.simulated)
+            && self.now.saturating_sub(began) < WAY_OUT
+            && let Some((_, normal)) = nearest_wall(&self.scene, &self.tip())
+        {
+            let tip: [f64; 2] = padded(&self.tip());
+            let way = OUTSIDE - Newest::of(&self.ring, &self.columns).get(Field::Distance, 0);
+            let goal = [tip[0] + way * normal[0], tip[1] + way * normal[1]];
+            lead(simulated, Some(goal));
+            (self.goal, self.coming_out) = (Some(goal), Some(began));
+            return Ok(());
+        }
+        armed?;
+        (self.held, self.key_heard) = (Some(seen), self.listened);
+        Ok(())
     }
 
     /// Takes command from the page that has it.
@@ -376,6 +408,9 @@ impl Stage {
                 }
                 match self.act(id, message) {
                     Err(BoardError::Link(error)) => return Err(error),
+                    Err(BoardError::Refused(Refusal::InsideWall)) => {
+                        self.refuse_while("inside", id, &Refusal::InsideWall.to_string());
+                    }
                     Err(BoardError::Refused(refusal)) => self.refuse(id, &refusal.to_string()),
                     Ok(()) => {}
                 }
@@ -431,27 +466,26 @@ impl Stage {
         }
         if !self.commands(id) {
             if !matches!(message, FromPage::Release {} | FromPage::Hold { .. }) {
-                let why = match self.command {
-                    Some(_) => "another page is in command; this one watches",
-                    None => "nobody is in command: take it first",
-                };
-                self.refuse(id, why);
+                match self.command {
+                    Some(_) => self.refuse_while("watching", id, "another page is in command; this one watches"),
+                    None => self.refuse_while("nobody", id, "nobody is in command: take it first"),
+                }
             }
             return Ok(());
         }
         match message {
             FromPage::Give {} => self.leave()?,
             FromPage::Release {} => self.disarm()?,
-            FromPage::Arm { seen } if self.held.is_none() => {
-                self.board().arm_held(seen)?;
-                (self.held, self.key_heard) = (Some(seen), self.listened);
-            }
+            FromPage::Arm { seen } if self.held.is_none() => self.press(seen)?,
+            FromPage::Hold { seen } if self.coming_out.is_some() => self.press(seen)?,
             // Only a press arms: not a key that was down when something else turned the motors off.
             FromPage::Arm { seen } | FromPage::Hold { seen } => {
                 self.key_heard = self.listened;
                 if self.held.is_some_and(|before| before != seen) {
                     self.held = Some(seen);
-                    self.board().hold_key(seen)?;
+                    if self.world.simulated.is_none() {
+                        self.board().hold_key(seen)?;
+                    }
                 }
             }
             FromPage::Clear {} => self.board().clear()?,

@@ -25,6 +25,8 @@ pub struct World {
     pub simulated: Option<SharedBoard>,
     /// The device, for its links.
     pub file: Option<DeviceFile>,
+    /// The name of the scene's file, by which links know it.
+    pub scene_name: Option<String>,
     /// The device's weight was left out.
     pub weightless: bool,
     /// The device has less dry friction and finer encoders than its file says.
@@ -34,7 +36,7 @@ pub struct World {
 impl World {
     /// A board that is there.
     pub fn of(board: Board, file: Option<DeviceFile>) -> Self {
-        Self { board, simulated: None, file, weightless: false, smooth: false }
+        Self { board, simulated: None, file, scene_name: None, weightless: false, smooth: false }
     }
 
     /// The device or the scene that a connected board still needs before it can be looked at.
@@ -94,7 +96,7 @@ impl World {
             .map_err(|error| LinkError::CannotSimulate(format!("{}: {error}", file.path.display())))?;
         let simulated = SharedBoard::new(board);
         let board = Board::over(simulated.wire(), "sim")?;
-        Ok(Self { board, simulated: Some(simulated), file: Some(file), weightless, smooth: false })
+        Ok(Self { simulated: Some(simulated), weightless, ..Self::of(board, Some(file)) })
     }
 }
 

@@ -98,10 +98,10 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let warnings =
         if named || args.cutoff.is_some() { doubts(&mut board, &scene, usize::from(args.wall))? } else { Vec::new() };
     warn(&warnings);
-    let estimator = match scene.estimator {
-        Estimator::Butterworth => "Butterworth",
-        Estimator::BackwardDifference => "no",
-        other => other.name(),
+    let filter = match scene.estimator {
+        Estimator::Butterworth => format!("Butterworth filter at {} Hz", short(scene.cutoff_hz)),
+        Estimator::BackwardDifference => "no filter".into(),
+        other => format!("{} filter at {} Hz", other.name(), short(scene.cutoff_hz)),
     };
     if wall.feed_forward != FeedForward::Off && scene.velocity_terms == VelocityTerms::Off {
         haptic_host::tell!(
@@ -109,12 +109,11 @@ pub fn run(args: Args) -> Result<(), Failure> {
         );
     }
     let said = format!(
-        "wall {}: stiffness {} N/m, damping {} N s/m, feed-forward {}; {estimator} filter at {} Hz, control at {} Hz\n",
+        "wall {}: stiffness {} N/m, damping {} N s/m, feed-forward {}; {filter}, control at {} Hz\n",
         args.wall,
         short(wall.stiffness),
         short(wall.damping),
         feed_forward_in_words(wall),
-        short(scene.cutoff_hz),
         short(scene.rate_hz)
     );
     let document = json!({

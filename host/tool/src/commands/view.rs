@@ -65,7 +65,8 @@ pub struct Args {
 pub(super) struct Shown {
     port: Port,
     file: Option<DeviceFile>,
-    scene: Option<Scene<f32>>,
+    /// The scene, and the name of its file.
+    scene: Option<(Scene<f32>, Option<String>)>,
     rate: Option<f64>,
     folder: PathBuf,
 }
@@ -96,7 +97,8 @@ impl Shown {
                     Failure::wrong("--scene without a device file").remedy("name the device as well, before --port sim")
                 })?;
                 let scene = SceneFile::load(path, task)?.scene::<f32>();
-                Some(scene.map_err(|error| Failure::wrong(format!("{}: {error}", path.display())))?)
+                let scene = scene.map_err(|error| Failure::wrong(format!("{}: {error}", path.display())))?;
+                Some((scene, path.file_stem().map(|name| name.to_string_lossy().into_owned())))
             }
         };
         Ok(Self { port, file, scene, rate, folder })
@@ -106,7 +108,10 @@ impl Shown {
         let file = self.file.clone();
         match (matches!(self.port.spec(), PortSpec::Sim(_)), file) {
             (true, None) => World::demo(),
-            (true, Some(file)) => World::simulate(file, self.scene.clone()),
+            (true, Some(file)) => {
+                let (scene, scene_name) = self.scene.clone().unzip();
+                Ok(World { scene_name: scene_name.flatten(), ..World::simulate(file, scene)? })
+            }
             (false, file) => Ok(World::of(self.port.open()?, file)),
         }
     }

@@ -163,9 +163,9 @@ impl Browser {
         }
     }
 
-    /// Holds Space until an expression is true. A page that is not heard for half a second has let go, and after five
-    /// seconds it does not command any more; should this computer have been so slow, command is taken again, the hand
-    /// is led out of the wall, Space pressed anew, and the hand led back to `view.goal`, where the test wants it.
+    /// Holds Space until an expression is true. A page that is not heard for five seconds does not command any more;
+    /// should this computer have been so slow, command is taken again, Space pressed anew, which takes the hand out of a
+    /// wall, and the hand led back to `view.goal`, where the test wants it.
     pub fn hold_until(&mut self, tab: &Tab, expression: &str) {
         const ARMED: &str = "document.body.dataset.state === 'Armed'";
         let began = Instant::now();
@@ -174,18 +174,12 @@ impl Browser {
             if self.evaluate(tab, ARMED) != true {
                 self.space(tab, "keyUp");
                 self.evaluate(tab, "if (view.last.command === null) $('take').click()");
-                let out = "(() => { if (!view.goal) return false; const v = view.walls[0].values; \
-                           say({do: 'hand', at: [v[0] + 0.01 * v[3], v[1] + 0.01 * v[4]]}); return true; })()";
-                let led = self.evaluate(tab, out) == true;
-                std::thread::sleep(Duration::from_millis(if led { 1500 } else { 0 }));
                 self.space(tab, "keyDown");
                 let pressed = Instant::now();
                 while self.evaluate(tab, ARMED) != true && pressed.elapsed() < Duration::from_secs(3) {
                     std::thread::sleep(Duration::from_millis(20));
                 }
-                if led {
-                    self.evaluate(tab, "say({do: 'hand', at: view.goal})");
-                }
+                self.evaluate(tab, "if (view.goal) say({do: 'hand', at: view.goal})");
             }
             std::thread::sleep(Duration::from_millis(20));
         }
@@ -196,24 +190,6 @@ impl Browser {
         let down = u8::from(what != "mouseReleased");
         let event = json!({"type": what, "x": x, "y": y, "button": "left", "buttons": down, "clickCount": 1});
         self.ask(tab, "Input.dispatchMouseEvent", event);
-    }
-
-    /// Presses the mouse until an expression is true: anew, should this computer have been so slow that the page counted
-    /// as one that has let go.
-    pub fn press_until(&mut self, tab: &Tab, place: (f64, f64), expression: &str) {
-        let began = Instant::now();
-        loop {
-            self.mouse(tab, "mousePressed", place);
-            let pressed = Instant::now();
-            while pressed.elapsed() < Duration::from_secs(3) {
-                if self.evaluate(tab, expression) == true {
-                    return;
-                }
-                std::thread::sleep(Duration::from_millis(20));
-            }
-            self.not_beyond_patience(tab, began, expression);
-            self.mouse(tab, "mouseReleased", place);
-        }
     }
 
     pub fn drag(&mut self, tab: &Tab, from: (f64, f64), to: (f64, f64)) {

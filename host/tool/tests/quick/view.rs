@@ -15,6 +15,7 @@ use haptic_show::view::message::FromPage;
 use haptic_show::view::stability::Plane;
 use haptic_show::view::world::lead;
 use haptic_show::view::{PageListener, Stage, Turn, World};
+use haptic_sim::SharedBoard;
 use haptic_stability::analysis::control_loop::TorquePath;
 use haptic_stability::analysis::flexible::Posture;
 use haptic_stability::analysis::plant::Drive;
@@ -27,7 +28,7 @@ use postcard_rpc::Endpoint as _;
 use postcard_rpc::header::{VarHeader, VarKey, VarSeq};
 use serde_json::{Value, json};
 use std::io::{ErrorKind, Read, Write};
-use std::net::TcpStream;
+use std::net::{Shutdown, TcpStream};
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -69,6 +70,13 @@ impl Played {
         view.say(page, json!({"do": "take"}));
         assert_eq!(view.pages[page].heard.picture["command"], view.pages[page].id);
         view
+    }
+
+    /// With a page in command of a board that is not simulated here, and what is behind that board.
+    fn on_a_board() -> (SharedBoard, Self) {
+        let simulated = World::demo().unwrap().simulated.unwrap();
+        let board = Board::over(simulated.wire(), "a board").unwrap();
+        (simulated, Self::in_command(World::of(board, None), None))
     }
 
     /// A page comes; its number.
@@ -170,6 +178,7 @@ fn one_page_commands_and_the_others_watch() {
         view.say(second, message);
         assert_eq!(view.heard(second).refused.len(), before + 1);
         assert!(view.heard(second).why().contains("another page is in command"), "{}", view.heard(second).why());
+        assert_eq!(view.heard(second).refused[before]["of"], "watching");
     }
     let seen = &view.heard(second).picture;
     assert_eq!((&seen["command"], &seen["pages"]), (&json!(view.pages[first].id), &json!(2)));
@@ -185,7 +194,7 @@ fn one_page_commands_and_the_others_watch() {
 
 #[test]
 fn the_motors_are_on_only_while_the_key_is_down() {
-    let mut view = Played::demo();
+    let (_, mut view) = Played::on_a_board();
     view.arm(0);
     view.play(2.0);
     assert_eq!(view.state(), "Armed", "{:?}", view.heard(0).refused);
@@ -212,10 +221,67 @@ fn the_motors_are_on_only_while_the_key_is_down() {
     assert!(view.heard(0).picture["command"].is_null());
 }
 
+/// No hand is hurt by simulated motors, and a student's computer may have other work.
+#[test]
+fn simulated_motors_stay_on_until_the_key_is_let_go_or_the_page_is_gone() {
+    let mut view = Played::demo();
+    let seen = view.heard(0).step();
+    view.play(2.0);
+    view.say(0, json!({"do": "arm", "seen": seen}));
+    view.pages[0].says = None;
+    view.play(4.9);
+    assert_eq!((view.state(), view.heard(0).refused.len()), ("Armed", 0));
+    view.play(0.2);
+    assert_eq!((view.state(), &view.heard(0).picture["command"]), ("Disarmed", &Value::Null));
+}
+
+/// Whoever lets the key go in a wall, or leads the tip there first, gets on by the key alone; of a real board by hand.
+#[test]
+fn the_key_takes_a_simulated_hand_out_of_a_wall() {
+    let mut view = Played::demo();
+    let depth = |view: &Played| view.heard(0).picture["numbers"]["depth"].as_f64().unwrap();
+    let press = |view: &mut Played, seconds: f64| {
+        let seen = view.heard(0).step();
+        view.pages[0].says = Some(FromPage::Hold { seen });
+        view.say(0, json!({"do": "arm", "seen": seen}));
+        view.play(seconds);
+    };
+    let release = |view: &mut Played| {
+        view.pages[0].says = Some(FromPage::Here {});
+        view.say(0, json!({"do": "release"}));
+    };
+    let inside = view.beside(-0.03, 0.0);
+    for released in [true, false] {
+        view.say(0, json!({"do": "hand", "at": inside}));
+        view.play(1.0);
+        assert!(depth(&view) > 0.01, "{} m", depth(&view));
+        press(&mut view, 0.05);
+        assert_eq!(view.state(), "Disarmed", "the hand is on its way");
+        if released {
+            release(&mut view);
+        }
+        view.play(1.0);
+        assert_eq!((view.state(), view.heard(0).refused.len()), (if released { "Disarmed" } else { "Armed" }, 0));
+        assert!(depth(&view) <= 0.0, "{} m", depth(&view));
+    }
+    release(&mut view);
+    // A wall that has no outside in reach.
+    let wall = |view: &Played| json!({"do": "wall", "wall": 0, "point": view.beside(0.5, 0.0)});
+    view.say(0, wall(&view));
+    press(&mut view, 1.9);
+    assert_eq!((view.state(), view.heard(0).refused.len()), ("Disarmed", 0));
+    view.play(0.3);
+    assert_eq!(view.heard(0).refused.last().unwrap()["of"], "inside", "{}", view.heard(0).why());
+    let (_, mut view) = Played::on_a_board();
+    view.say(0, wall(&view));
+    press(&mut view, 0.02);
+    assert_eq!(view.heard(0).refused.last().unwrap()["of"], "inside", "{}", view.heard(0).why());
+}
+
 /// What still says that the key is down and no longer sees it: a script that hangs in its sending, a queue.
 #[test]
 fn a_key_that_is_not_seen_down_again_is_let_go() {
-    let mut view = Played::demo();
+    let (_, mut view) = Played::on_a_board();
     view.arm(0);
     view.pages[0].says = None;
     let seen = view.heard(0).step();
@@ -231,9 +297,7 @@ fn a_key_that_is_not_seen_down_again_is_let_go() {
 /// This board ignores a silent host.
 #[test]
 fn a_board_lets_go_of_a_key_that_the_stage_no_longer_tells_of() {
-    let simulated = World::demo().unwrap().simulated.unwrap();
-    let board = Board::over(simulated.wire(), "a board").unwrap();
-    let mut view = Played::in_command(World::of(board, None), None);
+    let (simulated, mut view) = Played::on_a_board();
     view.arm(0);
     view.play(1.0);
     assert_eq!(simulated.lock().status().state, State::Armed);
@@ -253,9 +317,7 @@ fn a_board_lets_go_of_a_key_that_the_stage_no_longer_tells_of() {
 /// stood still, what its page said meanwhile is heard first.
 #[test]
 fn a_page_that_falls_silent_lets_go_of_a_board_that_is_slow_too() {
-    let simulated = World::demo().unwrap().simulated.unwrap();
-    let board = Board::over(simulated.wire(), "a board").unwrap();
-    let mut view = Played::in_command(World::of(board, None), None);
+    let (simulated, mut view) = Played::on_a_board();
     view.arm(0);
     for heard_at_once in [true, false] {
         view.now += Duration::from_secs(3);
@@ -282,7 +344,7 @@ fn a_page_that_falls_silent_lets_go_of_a_board_that_is_slow_too() {
 /// Behind a network that is slow both ways a page sees, and says, what has long passed; and so does one that hung.
 #[test]
 fn a_page_that_is_late_by_half_a_second_does_not_arm() {
-    let mut view = Played::demo();
+    let (_, mut view) = Played::on_a_board();
     for (late, armed) in [(0.2, "Armed"), (0.5, "Disarmed"), (2.0, "Disarmed")] {
         let seen = view.heard(0).step();
         view.play(late);
@@ -296,7 +358,7 @@ fn a_page_that_is_late_by_half_a_second_does_not_arm() {
 
 #[test]
 fn a_press_that_is_said_twice_is_one_and_its_key_is_held_on() {
-    let mut view = Played::demo();
+    let (_, mut view) = Played::on_a_board();
     view.arm(0);
     view.say(0, json!({"do": "arm", "seen": view.heard(0).step()}));
     view.play(1.0);
@@ -369,9 +431,7 @@ fn a_page_that_is_gone_has_let_go() {
 /// Whoever holds the key learns why the motors went off under it; and a device in somebody's own hand gets no other.
 #[test]
 fn motors_that_another_tool_turned_off_are_told() {
-    let simulated = World::demo().unwrap().simulated.unwrap();
-    let board = Board::over(simulated.wire(), "a board").unwrap();
-    let mut view = Played::in_command(World::of(board, None), None);
+    let (simulated, mut view) = Played::on_a_board();
     view.say(0, json!({"do": "hand", "at": [0.0, 0.1]}));
     assert!(view.heard(0).why().contains("not simulated"), "{}", view.heard(0).why());
     view.arm(0);
@@ -537,9 +597,7 @@ fn gains_beyond_the_boundary_come_with_the_frequency_of_their_buzz() {
 fn what_is_known_of_the_motors_without_a_connection_is_told_beforehand() {
     let if_lost = |view: &Played| view.heard(0).picture["if_lost"].as_str().unwrap_or_default().to_string();
     assert!(if_lost(&Played::demo()).contains("simulated board is gone"));
-    let simulated = World::demo().unwrap().simulated.unwrap();
-    let board = Board::over(simulated.wire(), "a board").unwrap();
-    let mut view = Played::in_command(World::of(board, None), None);
+    let (simulated, mut view) = Played::on_a_board();
     assert_eq!(if_lost(&view), "the motors were off when this page last heard of them");
     view.arm(0);
     view.play(0.1);
@@ -890,6 +948,11 @@ fn the_page_is_served_to_whom_it_is_for() {
     assert!(ask(host, "GET / HTTP/1.1\r\nHost: evil.example\r\n\r\n").starts_with("HTTP/1.1 403 "));
     assert!(ask(host, &format!("POST / HTTP/1.1\r\nHost: {host}\r\n\r\n")).starts_with("HTTP/1.1 400 "));
     assert!(ask(host, "\0\x01\x02 what\r\n\r\n").starts_with("HTTP/1.1 400 "));
+    // A browser keeps a spare connection: what is said on it would be taken for the answer to its next request.
+    let (mut spare, mut said) = (TcpStream::connect(host).unwrap(), String::new());
+    spare.shutdown(Shutdown::Write).unwrap();
+    spare.read_to_string(&mut said).unwrap();
+    assert_eq!(said, "", "nothing was asked");
 }
 
 #[test]

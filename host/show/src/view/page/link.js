@@ -13,11 +13,11 @@ function say(message) { if (socket && socket.readyState === 1) socket.send(JSON.
 function connect() {
   socket = carrier();
   socket.binaryType = "arraybuffer";
-  socket.onopen = () => { say({ do: "take" }); askScope(); if (sound) say({ do: "sound", on: true }); };
+  socket.onopen = () => { view.takes = true; askScope(); if (sound) say({ do: "sound", on: true }); };
   socket.onmessage = event => typeof event.data === "string" ? heard(JSON.parse(event.data)) : numbers(new Float32Array(event.data));
   socket.onclose = () => { up(); lost("not connected" + (view.last ? ": " + view.last.if_lost : "")); setTimeout(connect, 1000); };
 }
-function lost(why) { $("state").textContent = "no connection"; $("state").className = "pill lost"; document.body.dataset.state = "Lost"; notice(why); }
+function lost(why) { $("state").textContent = "no connection"; $("state").className = "pill lost"; document.body.dataset.state = "Lost"; notice(why, { of: "lost" }); }
 function heard(message) {
   switch (message.is) {
     case "you": view.you = message.you; break;
@@ -26,7 +26,7 @@ function heard(message) {
     case "recorded": notice(message.words, {}, true); break;
     case "plane": view.plane = message.plane; break;
     case "picture": picture(message); break;
-    case "refused": if (!(view.last && view.last.held)) up("quietly"); notice(message.why, { ...message, of: /inside a wall/.test(message.why) ? "inside" : message.of }); gainsShown(message.of === "gains"); break;
+    case "refused": if (!(view.last && view.last.held)) up("quietly"); notice(message.why, message); gainsShown(message.of === "gains"); break;
     case "lost": lost(message.why); break;
   }
 }
@@ -39,13 +39,19 @@ function hello(message) {
   const [grip, arm] = [message.hand.grip, message.hand.arm];
   $("spring").textContent = $("spring").title = message.simulated ? `You lead a hand of ${message.hand.mass} kg: arm ${arm[0]} N/m, ${arm[1]} N s/m; grip ${grip[0]} N/m, ${grip[1]} N s/m.${message.smooth ? " The device has a tenth of its dry friction and encoders five times as fine." : ""}` : "";
   $("hint").textContent = message.simulated ? coarse ? "lead the tip by a finger" : "lead the tip by mouse or arrow keys" : "";
+  if (!coarse) $("key").querySelector("small").textContent = message.simulated ? "Space; a click keeps them on until the next" : "Space, or press here; letting go turns them off";
   $("let-go").hidden = $("start-over").hidden = !message.simulated;
   $("record").hidden = !message.records;
   signalsOf(message.columns); startedOver();
   askScope();
-  if (!$("notice").classList.contains("good")) notice("");
+  if (view.of !== "link" && !$("notice").classList.contains("good")) notice("");
 }
-// What it is of goes with it: a warning about gains stands until there are other gains.
+// A notice goes with its cause: one about gains when there are other gains, one about the connection when there is one
+// again, one about a link with the next link, and these once a picture shows that the cause is over.
+const OVER = {
+  inside: p => !(p.numbers.depth > 0), watching: p => p.command === null || p.command === view.you, nobody: p => p.command !== null,
+  off: p => p.state === "Armed", fault: p => !p.fault,
+};
 function notice(why, { of, again } = {}, good) {
   $("notice").classList.toggle("shown", !!why); $("notice").classList.toggle("good", !!good);
   $("why").textContent = why || "";
@@ -82,8 +88,10 @@ const typing = target => target.matches?.("input[type=number], input[type=text],
 addEventListener("keydown", event => { if (event.key === "Enter" && typing(event.target)) event.target.blur(); });
 addEventListener("keydown", event => { if (event.code === "Space" && !typing(event.target)) { event.preventDefault(); if (!event.repeat) press(); } });
 addEventListener("keyup", event => { if (event.code === "Space") { if (!typing(event.target)) event.preventDefault(); up(); } });
-$("key").onpointerdown = event => { $("key").setPointerCapture(event.pointerId); press(); };
-$("key").onpointerup = $("key").onpointercancel = $("key").onlostpointercapture = () => up();
+// On a simulated device a click of the mouse holds the key until the next: the tip is led by the same mouse.
+const latches = event => event.pointerType === "mouse" && view.hello?.simulated;
+$("key").onpointerdown = event => { if (latches(event)) return view.down ? up() : press(); $("key").setPointerCapture(event.pointerId); press(); };
+$("key").onpointerup = $("key").onpointercancel = $("key").onlostpointercapture = event => { if (!latches(event)) up(); };
 $("key").oncontextmenu = event => event.preventDefault();
 addEventListener("blur", () => up());
 addEventListener("pagehide", () => up());
@@ -132,6 +140,9 @@ function picture(p) {
   $("state").textContent = { Disarmed: "motors off", Armed: "motors on", CheckingPolarity: "checking polarity", Fault: "fault" }[p.state];
   $("state").className = "pill" + (p.state === "Armed" ? " armed" : p.state === "Fault" ? " fault" : "");
   const mine = p.command === view.you;
+  // A page takes command when it comes, unless another has it.
+  if (view.takes && p.command === null) say({ do: "take" });
+  view.takes = false;
   if (view.wanted && mine && view.hello) follow();
   // A press that met a refusal on its way may have armed after the key was taken for up.
   if (mine && p.held && !view.down) say({ do: "release" });
@@ -147,13 +158,12 @@ function picture(p) {
   $("key").disabled = !mine || p.state === "Fault";
   // While there is a fault, what helps stays in sight.
   const faulty = p.state === "Fault";
-  $("clear").hidden = !faulty; $("dismiss").hidden = faulty; $("anew").hidden = !faulty || !view.hello?.simulated;
+  $("clear").hidden = !faulty; $("dismiss").hidden = faulty; $("anew").hidden = !(faulty || view.of === "inside") || !view.hello?.simulated;
   $("record").disabled = !mine; $("record").classList.toggle("on", !!p.recording); $("record").setAttribute("aria-pressed", !!p.recording);
   $("record").textContent = p.recording ? `Recording, ${(p.recording.bytes / 1e6).toFixed(1)} MB` : "Record"; $("record").title = p.recording ? p.recording.file : "Record to a file where the tool runs";
-  if (p.fault && (p.fault !== view.fault || !$("notice").classList.contains("shown"))) notice("Fault: " + p.fault);
-  if (!p.fault && view.fault) notice("");
+  if (p.fault && (p.fault !== view.fault || !$("notice").classList.contains("shown"))) notice("Fault: " + p.fault, { of: "fault" });
   view.fault = p.fault;
-  if (view.of === "inside" && !(p.numbers.depth > 0)) notice("");
+  if (OVER[view.of]?.(p)) notice("");
   coach(p); compared(p); markGains(p);
   const n = p.numbers, inside = n.depth > 0;
   const shown = [

@@ -1,12 +1,12 @@
 // ---- links --------------------------------------------------------------------------------------------------------
-// What a link sets stands behind its #: device, pose (rad), and for each wall stiffness, damping, feed-forward, point, normal.
-// Lessons: a name, a link, and what to do.
+// What a link sets stands behind its #: device and scene by the names of their files, pose (rad), and for each wall
+// stiffness, damping, feed-forward, point, normal. Lessons: a name, a link, and what to do.
 const LESSONS = [
-  ["1 Why does a wall buzz?", "device=hapkit-paddle-a-wall-at-1-khz", "Press into the wall: quiet. Drag the dot beyond the curve, as to 14 kN/m at 60 N s/m, confirm, come out, and strike."],
+  ["1 Why does a wall buzz?", "device=hapkit-paddle/slow", "Press into the wall: quiet. Drag the dot beyond the curve, as to 14 kN/m at 60 N s/m, confirm, come out, and strike."],
   ["2 What does the tip weigh?", "device=coupled-five-bar&pose=2.6,1.75&wall=8700,80,washout,-0.11766,0.184342,0.940376,-0.340136", "Lead the tip about: the dashed ellipse is the mass that a push meets, by direction."],
   ["3 Why does coupling cost stiffness?", "device=coupled-five-bar&wall=8700,80,full", "Press a centimetre deep with Full, Washed out and Off: which one pushes you sideways, which one buzzes?"],
-  ["4 Why does friction hide it?", "device=hapkit-paddle-a-wall-at-1-khz&wall=10000,60,off", "This wall is beyond the curve and quiet: friction and the hand hold it. Raise it, or strike it, until it buzzes."],
-  ["5 What limits a real wall?", "device=hapkit-paddle&wall=20000,60,off", "Set the scope to 20 ms and move slowly in the wall: each count of the encoder is a step of force."],
+  ["4 Why does friction hide it?", "device=hapkit-paddle/slow&wall=10000,60,off", "This wall is beyond the curve and quiet: friction and the hand hold it. Raise it, or strike it, until it buzzes."],
+  ["5 What limits a real wall?", "device=hapkit-paddle/wall&wall=20000,60,off", "Set the scope to 20 ms and move slowly in the wall: each count of the encoder is a step of force."],
 ];
 // A link's settings; what is wrong with it is thrown in words.
 function read(hash) {
@@ -35,9 +35,14 @@ function want() { try { view.wanted = read(location.hash); } catch (why) { view.
 function follow() {
   const { device, pose, walls, scale, task } = view.wanted;
   view.wanted = null; view.scale = scale;
-  if (!view.hello.simulated) return notice("A link sets up simulated devices only: nothing was changed.");
-  if (device && !window.playground && !device.startsWith(view.hello.device)) return notice(`The link is for ${device}, and this page shows ${view.hello.device}: haptic view devices/${device}.toml --port sim`);
-  if (walls.length > view.walls.length) return notice(`The link has ${walls.length} walls, and this scene ${view.walls.length}: nothing was changed.`);
+  const not = why => notice(`Nothing was changed: ${why}`, { of: "link" });
+  if (!view.hello.simulated) return not("a link sets up simulated devices only");
+  if (device && ![shown(), view.hello.device].includes(device)) {
+    // Only a lesson's link is known to name files that ship; without a scene it is the demo.
+    const [name, scene] = device.split("/"), files = scene ? ` devices/${name}.toml --scene devices/scenes/${name}/${scene}.toml` : "";
+    return not(`the link is for ${device}, and this page shows ${shown()}. ${task ? `Show it with: haptic view${files} --port sim` : "Open it where haptic view shows that device and scene."}`);
+  }
+  if (walls.length > view.walls.length) return not(`the link has ${walls.length} walls, and this scene ${view.walls.length}`);
   say({ do: "start-over", ...(pose ? { pose } : {}) });
   walls.forEach(({ gains, point, normal }, wall) => {
     if (point) say({ do: "wall", wall, point, ...(normal.length ? { normal } : {}) });
@@ -46,17 +51,22 @@ function follow() {
   if (task) done(task, 30);
 }
 const short = value => +value.toPrecision(6);
+// Device and scene, as a link names them.
+const shown = () => view.hello.device + (view.hello.scene ? "/" + view.hello.scene : "");
 function link() {
   const turned = wall => wall.outline?.is === "line" && view.hello.task > 1;
   const walls = view.walls.map(wall => "wall=" + [short(wall.stiffness), short(wall.damping), wall.feed_forward, ...wall.values.slice(0, 2).map(short), ...(turned(wall) ? wall.values.slice(3, 5).map(short) : [])]);
-  return location.href.replace(/[?#].*$/, "") + "#" + ["device=" + (window.playground?.device() || view.hello.device), "pose=" + view.last.q.map(short), "scale=" + $("scale").value, ...walls].join("&");
+  return location.href.replace(/[?#].*$/, "") + "#" + ["device=" + shown(), "pose=" + view.last.q.map(short), "scale=" + $("scale").value, ...walls].join("&");
 }
 $("copy").onclick = async () => {
   history.replaceState(null, "", link());
   try { await navigator.clipboard.writeText(location.href); done("Copied: a link to this device, pose, walls and gains."); }
   catch { done("The link stands in the address bar."); }
 };
-addEventListener("hashchange", () => { const wrong = want(); if (wrong) notice(wrong); else window.playground?.follow(); });
+function wantAnew() { const wrong = want(); if (wrong || view.of === "link") notice(wrong, { of: "link" }); return !wrong; }
+addEventListener("hashchange", () => { if (wantAnew()) window.playground?.follow(); });
+
+const escaped = words => words.replace(/[&<>]/g, mark => `&#${mark.charCodeAt(0)};`);
 
 // ---- pictures to keep ---------------------------------------------------------------------------------------------
 // What is drawn on a canvas, as SVG: of a canvas's commands those that this page uses.
@@ -94,7 +104,7 @@ class Drawing {
   words(words, x, y, paint) {
     const [, weight, pixels] = /^(\d+ )?([\d.]+)px/.exec(this.font), size = +pixels, anchor = { left: "start", center: "middle", right: "end" }[this.textAlign];
     const low = this.textBaseline === "middle" ? .35 * size : 0;
-    this.put(`text x="${short(x)}" y="${short(y + low)}" font-size="${short(size)}"${weight ? ` font-weight="${weight.trim()}"` : ""} text-anchor="${anchor}" ${paint}`, words.replace(/[&<>]/g, mark => `&#${mark.charCodeAt(0)};`));
+    this.put(`text x="${short(x)}" y="${short(y + low)}" font-size="${short(size)}"${weight ? ` font-weight="${weight.trim()}"` : ""} text-anchor="${anchor}" ${paint}`, escaped(words));
   }
   fillText(words, x, y) { this.words(words, x, y, `fill="${this.colour(this.fillStyle)}"`); }
   strokeText(words, x, y) { this.words(words, x, y, `fill="none" stroke="${this.strokeStyle}" stroke-width="${this.lineWidth}"`); }
@@ -111,7 +121,7 @@ function svgOf(what, millimetres) {
   readPalette(); drawStage(); drawPlane(); drawScope();
   const wall = view.walls[view.wall], about = view.hello.device + (wall ? `, ${unit(wall.stiffness, "N/m")}, ${unit(wall.damping, "N s/m")}, feed-forward ${NAMES[wall.feed_forward]}` : "");
   return `<svg xmlns="http://www.w3.org/2000/svg" width="${millimetres}mm" height="${short(height * 25.4 / 96)}mm" viewBox="0 0 ${short(width)} ${short(height)}" font-family="Helvetica, Arial, sans-serif">\n` +
-    `<title>${about}</title>\n<defs>${hatch}${context.defs.join("")}</defs>\n<rect width="100%" height="100%" fill="#fff"/>\n${context.out.join("\n")}\n</svg>\n`;
+    `<title>${escaped(about)}</title>\n<defs>${hatch}${context.defs.join("")}</defs>\n<rect width="100%" height="100%" fill="#fff"/>\n${context.out.join("\n")}\n</svg>\n`;
 }
 $("save").onchange = () => {
   const [what, millimetres] = $("save").value.split(" "), anchor = document.createElement("a");
@@ -123,7 +133,6 @@ $("save").onchange = () => {
   done(`Saved among the downloads: ${anchor.download}`);
 };
 
-const wrong = want();
 theme(prefersDark.matches);
 connect();
-if (wrong) notice(wrong);
+wantAnew();

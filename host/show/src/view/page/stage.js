@@ -4,7 +4,7 @@
 let used = coarse ? "touch" : "mouse", steps = 0, buzzed = false, coached = false;
 try { coached = localStorage.getItem("coached") === "yes"; } catch { /* A browser that keeps nothing shows it anew. */ }
 const COACH = {
-  mouse: ["hold Space: motors on", "pull the tip into the WALL", "click Off and confirm: it buzzes; Washed out: it is gone"],
+  mouse: ["hold Space or click the green button: motors on", "pull the tip into the WALL", "click Off and confirm: it buzzes; Washed out: it is gone"],
   touch: ["hold the green button: motors on", "pull the tip into the WALL", "tap Off and confirm: it buzzes; Washed out: it is gone"],
   keys: ["hold Space: motors on", "into the WALL by arrow keys on the picture", "press Off and confirm: it buzzes; Washed out: it is gone"],
 };
@@ -33,7 +33,7 @@ function coach(p) {
 // ---- drawing ------------------------------------------------------------------------------------------------------
 const colour = name => getComputedStyle(document.documentElement).getPropertyValue("--" + name).trim();
 let palette = {};
-function readPalette() { for (const name of ["card", "ink", "dim", "line", "soft", "wall", "hatch", "link", "tip", "hand", "force", "trail", "off", "full", "washout", "ellipse", "spring", "bad", "a", "b"]) palette[name] = colour(name); }
+function readPalette() { for (const name of ["card", "ink", "dim", "line", "soft", "wall", "hatch", "link", "tip", "hand", "force", "trail", "off", "full", "washout", "off-name", "full-name", "washout-name", "ellipse", "spring", "bad", "a", "b"]) palette[name] = colour(name); }
 function theme(dark) { document.documentElement.classList.toggle("dark", dark); readPalette(); requestDraw(); }
 $("theme").onclick = () => theme(!document.documentElement.classList.contains("dark"));
 const prefersDark = matchMedia("(prefers-color-scheme: dark)");

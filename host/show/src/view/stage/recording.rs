@@ -111,7 +111,7 @@ impl Stage {
     pub(super) fn recording_failed(&mut self, error: RecordError) {
         self.recording = None;
         if let RecordError::Failed(failure) = error {
-            self.refuse_all(&format!("the recording has ended: {failure}"));
+            self.refuse_all(None, &format!("the recording has ended: {failure}"));
         }
     }
 }

@@ -1,7 +1,7 @@
 //! Messages to pages: pictures, sweeps, the device, the walls, and what was refused.
 
 use super::recording::{ActiveRecording, Recorded};
-use super::{SILENCE, Stage, TURNED};
+use super::{Stage, TURNED};
 use crate::outline::{on_an_arc, outline};
 use crate::view::hub::PageId;
 use crate::view::picture::{Geometry, Newest, Numbers, nearest_wall};
@@ -176,6 +176,7 @@ impl Stage {
             "is": "hello",
             "tool": env!("CARGO_PKG_VERSION"),
             "device": self.device.name.as_str(),
+            "scene": self.world.scene_name,
             "board": info.board.as_str(),
             "serial": info.serial.as_str(),
             "port": self.world.board.port(),
@@ -192,7 +193,6 @@ impl Stage {
                 "mass": hand.mass, "grip": [hand.grip_stiffness, hand.grip_damping],
                 "arm": [hand.arm_stiffness, hand.arm_damping],
             },
-            "silence_ms": SILENCE.as_millis() as u64,
         })
     }
 
@@ -235,8 +235,13 @@ impl Stage {
         self.say(id, &json!({"is": "refused", "why": why}));
     }
 
-    pub(super) fn refuse_all(&self, why: &str) {
-        self.say_to_all(&json!({"is": "refused", "why": why}));
+    /// A refusal that stands as long as its cause, by the page's name for it (page/link.js).
+    pub(super) fn refuse_while(&self, cause: &str, id: PageId, why: &str) {
+        self.say(id, &json!({"is": "refused", "of": cause, "why": why}));
+    }
+
+    pub(super) fn refuse_all(&self, cause: Option<&str>, why: &str) {
+        self.say_to_all(&json!({"is": "refused", "of": cause, "why": why}));
     }
 }
 

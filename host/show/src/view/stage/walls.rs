@@ -113,7 +113,7 @@ impl Stage {
         if let Some(scene) = self.board().scene()? {
             match fit(&scene, &self.device) {
                 Ok(scene) => self.scene = scene,
-                Err(why) => self.refuse_all(&why.to_string()),
+                Err(why) => self.refuse_all(None, &why.to_string()),
             }
         }
         self.buzz = self.predicted_buzz();

@@ -1,15 +1,17 @@
 //! The words of `haptic range`.
 
-use super::Args;
+use super::{Args, estimator};
 use crate::commands::arguments::Numbers;
 use crate::commands::port::counted;
 use haptic_bridge::model::description::{Description, EncoderAt, Joint};
+use haptic_bridge::render::velocity::Estimator;
 use haptic_host::words::percent;
 use haptic_stability::analysis::host::HostWall;
 use haptic_stability::analysis::passivity::Passivity;
 use haptic_stability::analysis::range::{
     BoundaryPoint, COSTLY_RATIO, Domain, Island, Range, WORTHWHILE_RATIO, lower_corner,
 };
+use haptic_stability::analysis::sampled::LinearEstimator;
 use haptic_stability::analysis::why::{Both, Limits, Why};
 use std::fmt::Write;
 
@@ -23,15 +25,22 @@ pub fn subtitle(args: &Args, q: &[f64], normals: &[Vec<f64>], ratio: f64) -> [St
             normals.iter().map(|n| format!("({})", joined(n))).collect::<Vec<_>>().join(" + ")
         ),
         format!(
-            "{} Hz, cutoff {} Hz, delay {}, {:?} drive; area ratio {ratio:.3}",
+            "{} Hz, {}, delay {}, {:?} drive; area ratio {ratio:.3}",
             args.rate,
-            args.cutoff,
+            filter(args),
             counted(args.delay(), "sample"),
             args.drive()
         )
         .to_lowercase()
         .replace("hz", "Hz"),
     ]
+}
+
+/// The estimator, unless it is the usual one, and its cutoff, if it has one.
+fn filter(args: &Args) -> String {
+    let kind = (args.estimator != Estimator::Butterworth).then(|| args.estimator.name().to_string());
+    let cutoff = estimator(args).ok().and_then(LinearEstimator::cutoff_hz).map(|hz| format!("cutoff {hz} Hz"));
+    kind.into_iter().chain(cutoff).collect::<Vec<_>>().join(", ")
 }
 
 /// The parts of this loop that not every loop has.
