@@ -41,10 +41,12 @@ fn input_overwritten(matches: &ArgMatches) -> Option<clap::Error> {
     if !matches.try_get_one::<bool>("force").ok()?.is_some_and(|force| *force) {
         return None;
     }
-    let mut named = BTreeSet::new();
-    let values = matches.ids().filter_map(|id| matches.try_get_raw(id.as_str()).ok()?).flatten();
-    let file = values.filter_map(|value| std::fs::canonicalize(value).ok().filter(|path| path.is_file()));
-    let twice = file.into_iter().find(|file| !named.insert(file.clone()))?;
+    // A group's values are the names of its options.
+    let named = matches.ids().filter(|id| matches.try_get_many::<clap::Id>(id.as_str()).is_err());
+    let values = named.filter_map(|id| matches.try_get_raw(id.as_str()).ok()?).flatten();
+    let mut files = values.filter_map(|value| std::fs::canonicalize(value).ok().filter(|path| path.is_file()));
+    let mut seen = BTreeSet::new();
+    let twice = files.find(|file| !seen.insert(file.clone()))?;
     let message = format!(
         "{} is named twice, and --force would overwrite what this command reads or writes there: choose another name for \
          the file to write\n",
@@ -219,12 +221,11 @@ mod tests {
             "report IN --out OUT",
             "tune IN --normal 0,1 --out OUT",
             "plot IN --svg OUT",
-            "model IN --svg OUT",
             "range IN --normal 0,1 --rate 1000 --cutoff 20 --png OUT",
             "map IN --normal 0,1 --svg OUT",
             "design IN --normal 0,1 --svg OUT",
             "new scene --device IN -o OUT",
-            "precompute IN --kind frozen --out OUT",
+            "precompute IN --kind frozen -o OUT",
             "device --read IN -o OUT",
         ];
         for line in lines {

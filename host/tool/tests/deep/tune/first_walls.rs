@@ -32,7 +32,7 @@ fn ripple(file: &DeviceFile, scene: Scene<f32>) -> (f64, f64) {
     let mut board = Board::over(SharedBoard::new(board).wire(), "sim").unwrap();
     board.keep_alive();
     board.arm().unwrap();
-    let mut run = |board: &mut Board, seconds: f64| {
+    let run = |board: &mut Board, seconds: f64| {
         let end = board.now() + Duration::from_secs_f64(seconds);
         let mut rows = Vec::new();
         while board.now() < end {
