@@ -48,6 +48,7 @@ pub fn first_wall(file: &DeviceFile) -> Result<FirstWall, Failure> {
             let (doubted, contacts) = doubts(&subject, &scene.cast());
             match contacts.first() {
                 Some(contact) if doubted.is_empty() => return Ok(quieted(file, scene, contact)),
+                None if doubted.is_empty() => return Ok(FirstWall { scene, ripple: None }),
                 _ => weaken(&mut scene, 0.5, 0.5),
             }
         }

@@ -1,7 +1,7 @@
 //! Doubts about a device file.
 
 use super::{Doubt, Key, in_degrees, turns};
-use core::f64::consts::PI;
+use core::f64::consts::{PI, TAU};
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::description::{Description, Joint, Link};
