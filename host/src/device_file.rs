@@ -404,6 +404,10 @@ fn home(top: &Table<'_>, spec: &Spec, joints: &[Joint]) -> Result<Option<[f64; M
             let radians = angle.to_radians();
             let remedy = match angle.abs() > TAU && (low..=high).contains(&radians) {
                 true => format!("angles are in radians: {angle} degrees are {radians:.4} rad"),
+                false if low.abs().max(high.abs()) > TAU && (low.to_radians()..=high.to_radians()).contains(angle) => {
+                    let [low, high] = [low, high].map(f64::to_radians);
+                    format!("angles are in radians: in degrees these limits are [{low:.4}, {high:.4}] rad")
+                }
                 false => "move home or widen the limits".into(),
             };
             return Err(table.error_at_element("q", index, impossible(reason, remedy)));

@@ -54,6 +54,8 @@ pub enum Problem {
     NotText,
     /// Not TOML.
     Syntax(String),
+    /// A description in another format.
+    Foreign(&'static Foreign),
     /// A key that is not known in its table.
     UnknownKey {
         /// The key as written.
@@ -168,7 +170,9 @@ impl Problem {
             Self::Unfit(_) => "name the TOML file that is meant".into(),
             Self::NotText => "save the file as UTF-8 text".into(),
             Self::Syntax(_) => "mend the TOML at this place".into(),
+            Self::Foreign(format) => format.instead.into(),
             Self::UnknownKey { on_top: true, .. } => "it belongs at the top of the file, above the first table".into(),
+            Self::UnknownKey { key, place, .. } if let Some(instead) = instead_of(key, place) => instead.into(),
             Self::UnknownKey { nearest: Some(nearest), .. } => format!("did you mean `{nearest}`?"),
             Self::UnknownKey { nearest: None, known, .. } if known.is_empty() => "remove it".into(),
             Self::UnknownKey { nearest: None, known, .. } => {
@@ -192,6 +196,138 @@ impl Problem {
     }
 }
 
+/// Words of data sheets and of other projects' files, a part of the name of the tables in which they are meant so, and the
+/// keys to write instead.
+const SHEET_WORDS: &[(&[&str], &str, &str)] = &[
+    (
+        &[
+            "ratio",
+            "gear",
+            "gears",
+            "gear_ratio",
+            "gearing",
+            "gearbox",
+            "reduction",
+            "capstan_ratio",
+            "transmission_ratio",
+        ],
+        "",
+        "multiply torque_constant, back_emf and counts_per_turn by the ratio and the rotor's inertia by its square: every \
+         number counts at the joint (docs/devices.md)",
+    ),
+    (&["efficiency"], "", "multiply torque_constant by the efficiency"),
+    (
+        &["kv", "speed_constant", "rpm_per_volt"],
+        "",
+        "write torque_constant = 9.549 / kv, with kv in rpm/V, times the gear ratio",
+    ),
+    (&["kt", "k_t"], "", "write torque_constant, in N m/A, times the gear ratio"),
+    (&["ke", "k_e", "emf_constant"], "", "write back_emf, in V s/rad, times the gear ratio"),
+    (
+        &["phase_resistance", "terminal_resistance", "winding_resistance", "r_phase"],
+        "",
+        "write resistance, in ohm, between the two terminals of a brushed motor",
+    ),
+    (
+        &["phase_inductance", "terminal_inductance", "l_phase"],
+        "",
+        "write inductance, in H, between the two terminals of a brushed motor",
+    ),
+    (
+        &["pole_pairs", "poles", "phases", "commutation", "hall"],
+        "",
+        "boards drive brushed motors only; a brushless motor cannot be described yet (docs/devices.md)",
+    ),
+    (
+        &["lines", "ppr", "pulses_per_turn"],
+        "",
+        "write counts_per_turn = 4 x lines x gear ratio: it counts the edges of A and B, at the joint",
+    ),
+    (
+        &["cpr", "resolution", "ticks", "ticks_per_turn", "counts_per_rev", "counts_per_revolution"],
+        "encoder",
+        "write counts_per_turn = the edges of A and B in one motor turn x gear ratio (4 x the lines, where the sheet counts \
+         lines)",
+    ),
+    (
+        &["type", "absolute", "bits", "sensor", "chip", "spi", "i2c", "pwm", "analog"],
+        "encoder",
+        "boards read incremental encoders with A and B only; an absolute or analog one cannot be described yet: use its A and \
+         B outputs where it has them (docs/devices.md)",
+    ),
+    (
+        &["index", "index_offset", "index_angle"],
+        "encoder",
+        "an index mark needs no key: write offset = the joint angle at which it passes",
+    ),
+    (
+        &["noise", "jitter", "backlash", "play", "slip", "hysteresis"],
+        "",
+        "leave it out: noise, backlash and slip cannot be described yet, and simulation and predictions are without them",
+    ),
+    (
+        &["rotor_inertia", "armature", "reflected_inertia"],
+        "",
+        "write the joint's inertia = rotor inertia x gear ratio squared, in kg m²",
+    ),
+    (
+        &["max_torque", "peak_torque", "stall_torque", "torque_limit", "effort", "nominal_torque"],
+        "",
+        "write max_current = torque / torque_constant, in A",
+    ),
+    (
+        &["stall_current", "nominal_current", "continuous_current", "current_limit"],
+        "",
+        "write max_current, in A: what motor, board and supply stand continuously",
+    ),
+    (&["no_load_current"], "", "write the joint's coulomb = no-load current x torque_constant, in N m"),
+];
+
+/// The keys to write instead of a data sheet's word.
+fn instead_of(key: &str, place: &str) -> Option<&'static str> {
+    let key = key.to_lowercase().replace('-', "_");
+    let meant = |(words, part, _): &&(&[&str], &str, &str)| words.contains(&key.as_str()) && place.contains(part);
+    SHEET_WORDS.iter().find(meant).map(|(_, _, instead)| *instead)
+}
+
+/// A format in which people have descriptions of their devices, or other data.
+#[derive(Debug, PartialEq, Eq)]
+pub struct Foreign {
+    name: &'static str,
+    instead: &'static str,
+}
+
+impl Foreign {
+    /// The format of a text that is no TOML, by its first line.
+    pub fn of(text: &str) -> Option<&'static Self> {
+        const DESCRIBE: &str = "begin with `haptic new KIND -o mine.toml` and take lengths, masses, centres of mass, inertias and \
+                                limits from this file (docs/devices.md)";
+        const WRITE: &str = "write it as TOML: `haptic new` shows every key (docs/devices.md)";
+        let text = text.trim_start_matches(['\u{feff}', ' ', '\t', '\r', '\n']);
+        let first = text.lines().map(str::trim).find(|line| !line.is_empty() && !line.starts_with('#'))?;
+        let key = |word: &str| !word.is_empty() && word.chars().all(|c| c.is_alphanumeric() || "_- ".contains(c));
+        Some(match () {
+            () if text.starts_with('<') && text.contains("xacro") => {
+                &Self { name: "xacro (a URDF template)", instead: DESCRIBE }
+            }
+            () if text.starts_with('<') && text.contains("<robot") => &Self { name: "URDF", instead: DESCRIBE },
+            () if text.starts_with('<') && text.contains("<mujoco") => {
+                &Self { name: "MJCF (a MuJoCo model)", instead: DESCRIBE }
+            }
+            () if text.starts_with('<') => &Self { name: "XML", instead: DESCRIBE },
+            () if text.starts_with('{') => &Self { name: "JSON", instead: WRITE },
+            () if first == "---" || first.split_once(':').is_some_and(|(word, _)| key(word)) => {
+                &Self { name: "YAML", instead: WRITE }
+            }
+            () if first.contains(',') && first.split(',').all(|word| key(word.trim())) => &Self {
+                name: "a table (CSV)",
+                instead: "name a device or scene file in TOML; `haptic plot` draws recordings",
+            },
+            () => return None,
+        })
+    }
+}
+
 /// `key` in `place`, or `key` alone at the top of the file.
 fn at(key: &str, place: &str) -> String {
     if place.is_empty() { format!("`{key}`") } else { format!("`{key}` in {place}") }
@@ -203,6 +339,7 @@ impl fmt::Display for Problem {
             Self::Unreadable(why) | Self::Unfit(why) => write!(f, "cannot be read: {why}"),
             Self::NotText => write!(f, "not UTF-8 text"),
             Self::Syntax(why) => write!(f, "not valid TOML: {why}"),
+            Self::Foreign(format) => write!(f, "this is {}, which cannot be read yet, and not TOML", format.name),
             Self::UnknownKey { key, place, .. } => write!(f, "unknown key {}", at(key, place)),
             Self::MissingKey { key, place, .. } => write!(f, "{} is missing", at(key, place)),
             Self::WrongType { key, place, expected, found } => {

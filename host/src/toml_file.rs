@@ -4,8 +4,8 @@
 //! scene files are written in terms of it. What is wrong with one value is kept ([`Table::keep`]) while the others are
 //! read, so that a file is told all at once.
 
-use crate::file_error::nearest;
 pub use crate::file_error::{FileError, Problem};
+use crate::file_error::{Foreign, nearest};
 use core::ops::Range;
 use std::cell::RefCell;
 use std::path::{Path, PathBuf};
@@ -67,6 +67,9 @@ impl Document {
     /// Parses the text and hands its top table to `read`.
     pub fn read<T>(&self, read: impl FnOnce(&Table<'_>) -> Result<T, FileError>) -> Result<T, FileError> {
         let root = DeTable::parse(&self.text).map_err(|error| {
+            if let Some(format) = Foreign::of(&self.text) {
+                return FileError::new(self.path.clone(), None, Problem::Foreign(format));
+            }
             let span = error.span().unwrap_or(0..0);
             self.error(span, Problem::Syntax(error.message().to_string()))
         })?;

@@ -6,6 +6,7 @@
 
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_sim::{Load, Plant};
+use haptic_stability::analysis::amplitudes::RIPPLE_HZ;
 use haptic_stability::analysis::control_loop::Loop;
 use haptic_stability::analysis::flexible::Hand;
 use haptic_stability::analysis::plant::Lags;
@@ -154,10 +155,7 @@ pub(crate) fn about_its_line(values: &[f64]) -> (f64, f64) {
     ((square / count).sqrt(), high - low)
 }
 
-/// From which frequency on (Hz) a force is ripple and no longer what the hand does.
-const RIPPLE_HZ: f64 = 20.0;
-
-/// The part of a force above that frequency: the force less a trend that two poles in series make of it.
+/// The part of a force above [`RIPPLE_HZ`]: the force less a trend that two poles in series make of it.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Fast {
     share: f64,

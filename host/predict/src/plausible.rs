@@ -10,6 +10,7 @@
 pub mod device;
 pub mod scene;
 
+use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::description::Description;
 use haptic_host::toml_file::Document;
 use serde::Serialize;
@@ -108,8 +109,8 @@ pub fn warn(warnings: &[Warning]) {
 }
 
 /// Doubts about joint angles that were typed: degrees, mostly.
-pub fn angles(q: &[f64], what: &str) -> Vec<Doubt> {
-    let doubted = q.iter().enumerate().filter(|(_, angle)| angle.abs() > core::f64::consts::TAU);
+pub fn angles(q: &[f64], what: &str, kind: Kind) -> Vec<Doubt> {
+    let doubted = q.iter().enumerate().filter(|(_, angle)| in_degrees(kind, **angle));
     doubted
         .map(|(joint, angle)| Doubt { key: None, text: turns(&format!("{what} of joint {joint}"), *angle) })
         .collect()
@@ -125,6 +126,13 @@ pub fn beyond_limits(q: &[f64], description: &Description) -> Vec<Doubt> {
         (!(low..=high).contains(angle)).then_some(Doubt { key: None, text })
     };
     q.iter().enumerate().filter_map(beyond).collect()
+}
+
+/// Returns true if an angle is probably in degrees. The joints of a linkage turn less than once. A wheel or a knob turns
+/// often: its angles are in degrees if they are round as such.
+fn in_degrees(kind: Kind, angle: f64) -> bool {
+    let round = angle.abs() >= 15.0 && angle % 5.0 == 0.0;
+    angle.abs() > core::f64::consts::TAU && (kind != Kind::Paddle || round)
 }
 
 /// An angle that is more than a turn.

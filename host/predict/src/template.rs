@@ -1,13 +1,14 @@
 //! Files to start from: a device file for each mechanism, with every key, what it is, and numbers of a device that
 //! exists only to be replaced; and a scene file for a device.
 
-use crate::plausible::scene::doubts;
-use crate::wall_ahead::wall_ahead;
+use crate::plausible::scene::Ripple;
+use crate::tune::{USUAL_RIPPLE_N, three_digits};
+use crate::wall_ahead::{FirstWall, first_wall};
 use haptic_bridge::model::catalogue::Kind;
-use haptic_bridge::render::scene::{FeedForward, Scene, Surface};
+use haptic_bridge::render::scene::Surface;
 use haptic_host::device_file::DeviceFile;
 use haptic_host::error::Failure;
-use haptic_stability::analysis::prediction::Subject;
+use haptic_host::words::with_unit;
 
 /// The part of a template that a mechanism's [`Spec`](haptic_bridge::model::catalogue::Spec) does not contain.
 struct Example {
@@ -119,6 +120,10 @@ fn example(kind: Kind) -> Example {
     }
 }
 
+/// The motors and encoders that boards work with, in a sentence without its final stop.
+pub const MOTORS_AND_ENCODERS: &str = "boards drive brushed motors and read incremental encoders (A and B): two of each at 10 to 50 V (odrive-v3), three at 6 to \
+     34 V (H-bridges)";
+
 /// The text of a device file of this mechanism that passes every check and lacks only a person's word for its motors.
 pub fn device_file(kind: Kind, name: &str) -> String {
     let spec = kind.spec();
@@ -127,7 +132,8 @@ pub fn device_file(kind: Kind, name: &str) -> String {
     let mut text = format!(
         "# {about}\n\
          # Every number here is an example: replace it by your device's. SI units throughout (m, kg, s, N, rad).\n\
-         # docs/devices.md has a drawing and says where each number comes from; `haptic check FILE` says what it describes.\n\n\
+         # docs/devices.md has a drawing and says where each number comes from; `haptic check FILE` says what it describes.\n\
+         # Motors and encoders: {MOTORS_AND_ENCODERS}.\n\n\
          name = {name:?}\n\
          mechanism = \"{}\"\n\
          gravity = {}\n\n\
@@ -231,30 +237,9 @@ pub fn device_file(kind: Kind, name: &str) -> String {
     text
 }
 
-/// Largest number of times that gains are halved before a wall is taken as it is.
-const MOST_HALVINGS: usize = 12;
-
-/// The scene with walls so soft that `haptic check` doubts none of them: half of what is stable by itself may be more
-/// than motors and encoders can render, and on a redundant arm a washout may let next to nothing be stable.
-fn undoubted(device: &Subject, scene: Scene<f32>) -> Scene<f32> {
-    for feed_forward in [FeedForward::Washout, FeedForward::Off] {
-        let mut softer = scene.clone();
-        softer.walls.iter_mut().for_each(|wall| wall.feed_forward = feed_forward);
-        for _ in 0..MOST_HALVINGS {
-            if doubts(device, &softer.cast()).0.is_empty() {
-                return softer;
-            }
-            for wall in &mut softer.walls {
-                (wall.stiffness, wall.damping) = (0.5 * wall.stiffness, 0.5 * wall.damping);
-            }
-        }
-    }
-    scene
-}
-
 /// The text of a scene file for a device, with one wall in front of its home pose and every other key as a comment.
 pub fn scene_file(device: &DeviceFile) -> Result<String, Failure> {
-    let scene = undoubted(&Subject::new(&device.description).map_err(Failure::wrong)?, wall_ahead(device)?);
+    let FirstWall { scene, ripple } = first_wall(device)?;
     let task = device.spec().task;
     let list = |values: &[f32]| {
         // Tenths of a millimetre, and no zero with a sign.
@@ -280,8 +265,17 @@ pub fn scene_file(device: &DeviceFile) -> Result<String, Failure> {
         line("\n[[wall]]  # 0; up to eight\nshape", "\"plane\"", "default; docs/files.md has the round ones");
         line("point", &list(&plane.point), &format!("m, {axes}: a point of the surface"));
         line("normal", &list(&plane.normal), &format!("{axes}, out of the solid towards the hand; any length"));
-        line("stiffness", &number(short(wall.stiffness.into())), "N/m; here well within what is predicted stable");
-        line("damping", &number(short(wall.damping.into())), "N s/m; default 0");
+        let rippling = match ripple {
+            None => String::new(),
+            Some(Ripple { ripple_n, allowed_n }) => format!(
+                "; its force ripples by {} under a hand{}",
+                ripple_n.map_or("very much".into(), |ripple| format!("{} rms", with_unit(ripple, "N"))),
+                if allowed_n > USUAL_RIPPLE_N { ", the least that these encoders allow" } else { "" }
+            ),
+        };
+        let comment = format!("N/m; well within what is predicted stable{rippling}");
+        line("stiffness", &number(three_digits(wall.stiffness.into(), false)), &comment);
+        line("damping", &number(three_digits(wall.damping.into(), false)), "N s/m; default 0");
         let law = format!("{:?}", wall.feed_forward.name());
         line(
             "feed_forward",
@@ -306,11 +300,6 @@ fn line(key: &str, value: &str, comment: &str) -> String {
     let pair = format!("{key} = {value}");
     let comment = if comment.is_empty() { String::new() } else { format!("# {comment}") };
     format!("{before}{}\n", format!("{pair:<36} {comment}").trim_end())
-}
-
-/// To three significant digits, which is all that a prediction means.
-fn short(value: f64) -> f64 {
-    format!("{value:.2e}").parse().unwrap_or(value)
 }
 
 fn prefixed(unit: &str, comment: &str) -> String {

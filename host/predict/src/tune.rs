@@ -122,7 +122,7 @@ impl Settings {
         })
     }
 
-    fn rendered(&self, admissible: Admissible) -> Rendered {
+    pub(crate) fn rendered(&self, admissible: Admissible) -> Rendered {
         Rendered {
             kind: self.kind,
             cutoff_hz: self.cutoff_hz,
@@ -194,7 +194,7 @@ pub struct Answer {
 }
 
 /// `value` rounded to three digits, down where `down`.
-fn three_digits(value: f64, down: bool) -> f64 {
+pub(crate) fn three_digits(value: f64, down: bool) -> f64 {
     if value <= 0.0 || !value.is_finite() {
         return value;
     }

@@ -1,5 +1,7 @@
 //! The wall that stands before a device when no scene is named.
 
+use crate::plausible::scene::{Contact, Ripple, SOFTEST_WALL, doubts, ripple};
+use crate::tune::three_digits;
 use haptic_bridge::render::scene::{DEFAULT_RATE_HZ, FeedForward, Plane, Scene, Surface, Wall};
 use haptic_host::device_file::DeviceFile;
 use haptic_host::error::Failure;
@@ -12,9 +14,79 @@ use haptic_stability::analysis::sampled::Mode;
 /// Distance of the wall from the tip, m.
 const AHEAD: f64 = 0.006;
 
+/// Depth at which a first wall may ask for all that the motors have, m: a hand feels a wall there and no switch.
+const FULL_FORCE_DEPTH: f64 = 1e-3;
+/// Share of the ripple that a wall may have at which a first one stops: other hands press it as well.
+const RIPPLE_SHARE: f64 = 0.7;
+/// Largest number of times that gains are lowered before a wall is taken as it is.
+const MOST_STEPS: usize = 12;
+
+/// A scene of one wall, and what it ripples under a hand; none where the device has no encoders.
+#[derive(Clone, Debug)]
+pub struct FirstWall {
+    /// The scene.
+    pub scene: Scene<f32>,
+    /// The ripple of its wall.
+    pub ripple: Option<Ripple>,
+}
+
+/// The scene of [`first_wall`].
+pub fn wall_ahead(file: &DeviceFile) -> Result<Scene<f32>, Failure> {
+    first_wall(file).map(|first| first.scene)
+}
+
+/// A wall in front of the tip at home that `haptic check` doubts nothing about: stable, within the motors, and so soft
+/// that it does not rattle.
+pub fn first_wall(file: &DeviceFile) -> Result<FirstWall, Failure> {
+    let stable = stable_wall(file)?;
+    let subject = Subject::new(&file.description).map_err(Failure::wrong)?;
+    // On a redundant arm a washout may let next to nothing be stable.
+    for feed_forward in [FeedForward::Washout, FeedForward::Off] {
+        let mut scene = stable.clone();
+        scene.walls.iter_mut().for_each(|wall| wall.feed_forward = feed_forward);
+        for _ in 0..MOST_STEPS {
+            let (doubted, contacts) = doubts(&subject, &scene.cast());
+            match contacts.first() {
+                Some(contact) if doubted.is_empty() => return Ok(quieted(file, scene, contact)),
+                None if doubted.is_empty() => return Ok(FirstWall { scene, ripple: None }),
+                _ => weaken(&mut scene, 0.5, 0.5),
+            }
+        }
+    }
+    Ok(FirstWall { scene: stable, ripple: None })
+}
+
+/// The scene with a wall that is within the motors and does not rattle where it is touched, if it can be had.
+fn quieted(file: &DeviceFile, mut scene: Scene<f32>, contact: &Contact) -> FirstWall {
+    let stiffness = |scene: &Scene<f32>| scene.walls.first().map_or(0.0, |wall| f64::from(wall.stiffness));
+    let most = contact.force.map_or(f64::INFINITY, |force| force / FULL_FORCE_DEPTH).max(SOFTEST_WALL);
+    let factor = (most / stiffness(&scene)).min(1.0);
+    weaken(&mut scene, factor, factor);
+    for _ in 0..MOST_STEPS {
+        let Some(ripple) = ripple(&file.description, &scene.cast(), contact) else { break };
+        let over = ripple.ripple_n.map_or(f64::INFINITY, |found| found / (RIPPLE_SHARE * ripple.allowed_n));
+        if over <= 1.0 {
+            break;
+        }
+        // Ripple grows about as the gains do; a wall as soft as a wall can be is damped less.
+        let factor = (0.95 / over).clamp(0.25, 0.85);
+        let softer = factor.max(SOFTEST_WALL / stiffness(&scene)).min(1.0);
+        weaken(&mut scene, softer, factor);
+    }
+    FirstWall { ripple: ripple(&file.description, &scene.cast(), contact), scene }
+}
+
+/// Multiplies stiffness and damping of every wall, to three digits, which is all that a prediction means.
+fn weaken(scene: &mut Scene<f32>, stiffness: f64, damping: f64) {
+    for wall in &mut scene.walls {
+        wall.stiffness = three_digits(stiffness * f64::from(wall.stiffness), true) as f32;
+        wall.damping = three_digits(damping * f64::from(wall.damping), true) as f32;
+    }
+}
+
 /// A wall in front of the tip at home, below it where the device moves in a plane or in space, of half the stiffness
 /// that is predicted stable.
-pub fn wall_ahead(file: &DeviceFile) -> Result<Scene<f32>, Failure> {
+fn stable_wall(file: &DeviceFile) -> Result<Scene<f32>, Failure> {
     let task = file.spec().task;
     let none = || {
         Failure::wrong(format!("{} has no [home], so there is no pose to start in", file.path.display()))

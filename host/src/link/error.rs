@@ -48,7 +48,9 @@ pub enum LinkError {
     #[error("the board was unplugged or the connection was lost ({0}); plug it in again")]
     Lost(io::Error),
     /// Another tool is connected to the simulated board.
-    #[error("another tool is connected to {0}; close it first")]
+    #[error(
+        "another tool is connected to {0}; close it first, or use one that does both: `haptic view` records while gains are turned"
+    )]
     HeldByAnother(String),
     /// The device of `sim:FILE` cannot be simulated.
     #[error("{0}")]

@@ -2,8 +2,9 @@
 
 use crate::commands::Command;
 use crate::commands::help::{Cli, command};
-use clap::FromArgMatches;
 use clap::error::{ContextKind, ContextValue};
+use clap::{ArgMatches, FromArgMatches};
+use std::collections::BTreeSet;
 use std::error::Error;
 use std::ffi::OsString;
 use std::num::{IntErrorKind, ParseFloatError, ParseIntError};
@@ -25,7 +26,33 @@ pub fn read(words: Vec<OsString>) -> Result<Command, clap::Error> {
     let asked = words.get(1).map(|word| word.to_string_lossy().into_owned()).unwrap_or_default();
     let unread = |error| what_to_type(without_wrong_tip(error, &asked));
     let matches = command().try_get_matches_from(words).map_err(unread)?;
+    if let Some(error) = input_overwritten(&matches) {
+        return Err(error);
+    }
     Ok(Cli::from_arg_matches(&matches)?.command)
+}
+
+/// The error for `--force` where two of a command's values name one file: the command would overwrite its own input, or
+/// one of its outputs with another.
+fn input_overwritten(matches: &ArgMatches) -> Option<clap::Error> {
+    if let Some((_, matches)) = matches.subcommand() {
+        return input_overwritten(matches);
+    }
+    if !matches.try_get_one::<bool>("force").ok()?.is_some_and(|force| *force) {
+        return None;
+    }
+    // A group's values are the names of its options.
+    let named = matches.ids().filter(|id| matches.try_get_many::<clap::Id>(id.as_str()).is_err());
+    let values = named.filter_map(|id| matches.try_get_raw(id.as_str()).ok()?).flatten();
+    let mut files = values.filter_map(|value| std::fs::canonicalize(value).ok().filter(|path| path.is_file()));
+    let mut seen = BTreeSet::new();
+    let twice = files.find(|file| !seen.insert(file.clone()))?;
+    let message = format!(
+        "{} is named twice, and --force would overwrite what this command reads or writes there: choose another name for \
+         the file to write\n",
+        twice.display()
+    );
+    Some(clap::Error::raw(clap::error::ErrorKind::ArgumentConflict, message).with_cmd(&command()))
 }
 
 /// Commands that had another name in the version before, each with what to type now.
@@ -71,6 +98,12 @@ fn without_wrong_tip(mut error: clap::Error, asked: &str) -> clap::Error {
         if !tips.is_empty() {
             error.insert(ContextKind::Suggested, ContextValue::StyledStrs(tips));
         }
+    }
+    if let Some(ContextValue::String(word)) = error.get(ContextKind::InvalidArg)
+        && word.parse::<f64>().is_ok()
+    {
+        let tip = "numbers that belong together are written with commas: '--normal 0,1'".to_string().into();
+        error.insert(ContextKind::Suggested, ContextValue::StyledStrs(vec![tip]));
     }
     if let (Some(ContextValue::String(word)), "new") = (error.get(ContextKind::InvalidArg), asked)
         && !word.starts_with('-')
@@ -176,12 +209,46 @@ mod tests {
     }
 
     #[test]
+    fn force_overwrites_no_input_of_the_same_command() {
+        let folder = tempfile::tempdir().unwrap();
+        let [input, other] = ["a.toml", "b.toml"].map(|name| folder.path().join(name).display().to_string());
+        std::fs::write(&input, "").unwrap();
+        std::fs::write(&other, "").unwrap();
+        // One folder up and down again is the same file.
+        let around = format!("{}/../{}/a.toml", folder.path().display(), folder.path().file_name().unwrap().display());
+        let lines = [
+            "check IN --svg OUT",
+            "report IN --out OUT",
+            "tune IN --normal 0,1 --out OUT",
+            "plot IN --svg OUT",
+            "range IN --normal 0,1 --rate 1000 --cutoff 20 --png OUT",
+            "map IN --normal 0,1 --svg OUT",
+            "design IN --normal 0,1 --svg OUT",
+            "new scene --device IN -o OUT",
+            "precompute IN --kind frozen -o OUT",
+            "device --read IN -o OUT",
+        ];
+        for line in lines {
+            let read = |output: &str| {
+                let words = format!("haptic {line} --force").replace("IN", &input).replace("OUT", output);
+                read(words.split(' ').map(OsString::from).collect())
+            };
+            for output in [&input, &around] {
+                let error = read(output).err().unwrap_or_else(|| panic!("{line}")).to_string();
+                assert!(error.contains("is named twice"), "{line}: {error}");
+            }
+            assert!(!read(&other).err().is_some_and(|error| error.to_string().contains("twice")), "{line}");
+        }
+    }
+
+    #[test]
     fn tips_say_what_helps() {
         let said = |line: &str| read(line.split_whitespace().map(OsString::from).collect()).err().unwrap().to_string();
         for line in ["haptic view --json", "haptic check a.toml --jsn", "haptic new --json"] {
             assert!(!said(line).contains("'-- "), "{line}: {}", said(line));
         }
         assert!(said("haptic check a.toml --jsn").contains("'--json'"), "{}", said("haptic check a.toml --jsn"));
+        assert!(said("haptic range a.toml --rate 1000 --cutoff 20 --normal 0 1").contains("commas: '--normal 0,1'"));
         assert!(said("haptic new five-bar mine.toml").contains("use '-o mine.toml'"));
     }
 

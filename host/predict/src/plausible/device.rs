@@ -1,8 +1,9 @@
 //! Doubts about a device file.
 
-use super::{Doubt, Key, turns};
+use super::{Doubt, Key, in_degrees, turns};
 use core::f64::consts::{PI, TAU};
 use haptic_bridge::math::Libm;
+use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::description::{Description, Joint, Link};
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::Mechanism;
@@ -54,7 +55,7 @@ pub fn doubts(description: &Description) -> Vec<Doubt> {
         doubts.push(too_heavy(key("handle", None, "", "mass"), "[handle]", description.handle_mass, heaviest));
     }
     for (index, joint) in description.joints.iter().enumerate().take(spec.joints) {
-        doubts.extend(of_joint(joint, index));
+        doubts.extend(of_joint(joint, index, description.kind));
         doubts.extend(of_motor(joint, index, carries_its_body(&spec, index)));
     }
     doubts.extend(forgotten(description));
@@ -175,7 +176,7 @@ fn of_link(link: &Link, index: usize, place: &str, longest: f64, heaviest: f64) 
     doubts
 }
 
-fn of_joint(joint: &Joint, index: usize) -> Vec<Doubt> {
+fn of_joint(joint: &Joint, index: usize, kind: Kind) -> Vec<Doubt> {
     let mut doubts = Vec::new();
     let mut doubt = |part, name, text: String| doubts.push(Doubt::new(key("joint", Some(index), part, name), text));
     if joint.inertia > JOINT_INERTIA {
@@ -187,7 +188,7 @@ fn of_joint(joint: &Joint, index: usize) -> Vec<Doubt> {
         doubt("", "inertia", text);
     }
     if let Some((low, high)) = joint.limits
-        && let Some(angle) = [low, high].into_iter().find(|angle| angle.abs() > TAU)
+        && let Some(angle) = [low, high].into_iter().find(|angle| in_degrees(kind, *angle))
     {
         doubt("", "limits", turns(&format!("a limit of joint {index}"), angle));
     }
@@ -203,7 +204,7 @@ fn of_joint(joint: &Joint, index: usize) -> Vec<Doubt> {
             );
             doubt("encoder", "counts_per_turn", text);
         }
-        if encoder.offset.abs() > TAU {
+        if in_degrees(kind, encoder.offset) {
             doubt("encoder", "offset", turns(&format!("the encoder offset of joint {index}"), encoder.offset));
         }
     }
@@ -279,13 +280,19 @@ fn at_home(description: &Description) -> Vec<Doubt> {
     let at = key("home", None, "", "q");
     let Some(home) = description.home else { return Vec::new() };
     let home = &home[..joints];
-    let degrees = home.iter().enumerate().filter(|(_, angle)| angle.abs() > TAU);
+    let degrees = home.iter().enumerate().filter(|(_, angle)| in_degrees(description.kind, **angle));
     let mut doubts: Vec<Doubt> =
         degrees.map(|(joint, angle)| Doubt::new(at, turns(&format!("home of joint {joint}"), *angle))).collect();
     let Ok(device) = Device::<f64>::new("", description) else { return doubts };
     let Ok(pose) = TaskPose::of(&device.mechanism, home) else { return doubts };
     if doubts.is_empty() && pose.regularity.serial.min(pose.regularity.parallel) < HOME_SINE {
         let text = "home is a singular pose: the device can hardly push there; home it elsewhere".into();
+        doubts.push(Doubt::new(at, text));
+    }
+    if arms_cross(description, home) {
+        let text = "the arms cross at home, each between its motor and its elbow: joint 0 is the motor at -base/2, joint 1 the \
+                    one at +base/2; exchange them, or write the other angles"
+            .into();
         doubts.push(Doubt::new(at, text));
     }
     for (joint, weight) in weight(&device, home).iter().enumerate().take(joints) {
@@ -309,6 +316,22 @@ fn at_home(description: &Description) -> Vec<Doubt> {
         doubts.push(Doubt::new(key("joint", Some(0), "motor", "torque_constant"), text));
     }
     doubts
+}
+
+/// Returns true if the proximal arms of a five-bar cross at these joint angles, rad.
+fn arms_cross(description: &Description, q: &[f64]) -> bool {
+    let q = match description.kind {
+        Kind::FiveBar => q,
+        Kind::FiveBarTurret => &q[1..],
+        _ => return false,
+    };
+    let [base, first, second, ..] = description.geometry;
+    // Elbows as seen from the left motor; arms on one axis do not cross.
+    let (c, d) = ((first * q[0].cos(), first * q[0].sin()), (base + second * q[1].cos(), second * q[1].sin()));
+    let beside = |p: (f64, f64), q: (f64, f64), r: (f64, f64)| (q.0 - p.0) * (r.1 - p.1) - (q.1 - p.1) * (r.0 - p.0);
+    let apart = |p, q, r, s| beside(p, q, r) * beside(p, q, s) < 0.0;
+    let (a, b) = ((0.0, 0.0), (base, 0.0));
+    base > 0.0 && apart(a, c, b, d) && apart(b, d, a, c)
 }
 
 /// The joint torques that hold the device up, N m.

@@ -4,7 +4,11 @@
 use super::device::force_along;
 use super::{Doubt, Key};
 use crate::bench::probe::on_surface;
+use crate::bench::wall::WallSimulation;
+use crate::ripple::LIGHT_HAND;
+use crate::tune::{Settings, USUAL_RIPPLE_N};
 use haptic_bridge::math::Libm;
+use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::render::scene::shape::Meaning;
 use haptic_bridge::render::scene::{FeedForward, Scene, Surface, Wall};
@@ -63,6 +67,10 @@ pub struct Contact {
     pub count: f64,
     /// The largest force that one count alone makes with this wall's gains and this scene's estimator, N.
     pub step_n: f64,
+    /// Root mean square of what its force has above 20 Hz under a hand that slides along it, simulated, N; none where
+    /// that was not looked at ([`rippling`]), or the tip flies off.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ripple_n: Option<f64>,
     /// The options with which `haptic range DEVICE` predicts the same.
     pub options: String,
     /// True if the device was read from a board, which does not know its compliant parts.
@@ -220,6 +228,7 @@ pub fn meets(
         force: force_along(device, &pose, &normal),
         count,
         step_n: count * (wall.stiffness + wall.damping * estimator.quickest(scene.rate_hz)),
+        ripple_n: None,
         options: format!("{options} --kd {}", wall.damping),
         taken_for_rigid: subject.joints.is_none(),
         q,
@@ -353,6 +362,58 @@ fn buzzing(scene: &Scene<f64>, contact: &Contact) -> Option<Doubt> {
         scene.rate_hz,
         wall.stiffness,
         wall.damping
+    );
+    Some(Doubt::new(Key { table: "wall", index: Some(contact.wall), part: "", name: "damping" }, text))
+}
+
+/// Stiffness of the softest wall that is one, N/m: that of a light hand's own spring. Without damping it ripples as
+/// little as a device's encoders allow.
+pub const SOFTEST_WALL: f64 = LIGHT_HAND.stiffness;
+
+/// The ripple of a wall under a hand, by the simulation with which `haptic tune` searches.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Ripple {
+    /// Root mean square of what the wall's force has above 20 Hz while a hand slides along it, N; none where the tip
+    /// flies off.
+    pub ripple_n: Option<f64>,
+    /// The ripple that a wall may have here, N: [`USUAL_RIPPLE_N`], or the least that the encoders allow.
+    pub allowed_n: f64,
+}
+
+/// The ripple of a wall where it is touched; none where a joint has no encoder.
+pub fn ripple(description: &Description, scene: &Scene<f64>, contact: &Contact) -> Option<Ripple> {
+    let wall = Settings::of(scene, contact.wall)?;
+    let simulation = WallSimulation::new(description, description, &contact.q, &contact.normal, scene.rate_hz).ok()?;
+    let of = |wall: Settings| simulation.slid_along(&wall.rendered(scene.admissible), f64::INFINITY).ok();
+    let ripple_n = of(wall)?.ripple_n;
+    if ripple_n.is_some_and(|ripple| ripple <= USUAL_RIPPLE_N) {
+        return Some(Ripple { ripple_n, allowed_n: USUAL_RIPPLE_N });
+    }
+    let softest = Settings { stiffness: wall.stiffness.min(SOFTEST_WALL), damping: 0.0, ..wall };
+    let least = of(softest)?.ripple_n.unwrap_or_default();
+    Some(Ripple { ripple_n, allowed_n: least.max(USUAL_RIPPLE_N) })
+}
+
+/// Simulates the ripple of a wall that is stable, keeps it in `contact`, and doubts a wall that rattles.
+pub fn rippling(description: &Description, scene: &Scene<f64>, contact: &mut Contact) -> Option<Doubt> {
+    let wall = scene.walls.get(contact.wall)?;
+    // The wall that cannot be had anyway has its own doubt.
+    if wall.stiffness > contact.stable_to || wall.damping > contact.damping_to {
+        return None;
+    }
+    let Ripple { ripple_n, allowed_n } = ripple(description, scene, contact)?;
+    contact.ripple_n = ripple_n;
+    if contact.step_n > BUZZ_N || ripple_n.is_some_and(|ripple| ripple <= allowed_n) {
+        return None;
+    }
+    let text = format!(
+        "wall {} rattles: its force ripples by {} rms under a hand that slides along it, and {} {}; less damping or \
+         stiffness, a lower cutoff or a slower velocity help, and `haptic tune DEVICE --scene SCENE` finds the stiffest \
+         wall that does not",
+        contact.wall,
+        ripple_n.map_or("all that it has".into(), |ripple| with_unit(ripple, "N")),
+        with_unit(allowed_n, "N"),
+        if allowed_n > USUAL_RIPPLE_N { "is the least that the encoders allow" } else { "is hardly felt" },
     );
     Some(Doubt::new(Key { table: "wall", index: Some(contact.wall), part: "", name: "damping" }, text))
 }

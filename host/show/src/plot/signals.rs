@@ -9,10 +9,12 @@ mod paper;
 use crate::recorder::Recording;
 use haptic_bridge::board::telemetry::Fields;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
+use haptic_bridge::safety::fault::State;
+use haptic_bridge::servo::ARM_SECONDS;
 use haptic_host::error::{Choice, Failure};
 use haptic_host::link::columns;
 use haptic_host::words::{counted, with_unit};
-use haptic_stability::analysis::amplitudes::{SpectralLine, Spectrum, spectrum};
+use haptic_stability::analysis::amplitudes::{RIPPLE_HZ, SpectralLine, Spectrum, spectrum};
 pub use paper::draw;
 use serde::Serialize;
 
@@ -95,9 +97,11 @@ pub struct Found {
     pub missing: u64,
     /// The strongest sine of the first signal from 10 Hz on.
     pub strongest: Option<SpectralLine>,
+    /// Root mean square of what that signal has from 20 Hz on, in its unit.
+    pub ripple: Option<f64>,
     /// Stiffness of the line through force over penetration, in contact and where no limit cut the force, N/m.
     pub stiffness: Option<f64>,
-    /// Rows in contact with the motors on.
+    /// Rows in contact with the motors on, after torque has ramped up.
     pub contact_rows: usize,
     /// Of these, rows in which a limit cut the force; none where the recording does not say.
     pub saturated_rows: Option<usize>,
@@ -181,6 +185,18 @@ impl<'a> Rows<'a> {
         (self.rate_hz / SMOOTHED_HZ).ceil().max(1.0) as usize
     }
 
+    /// A test for rows in which torque still ramps up after the motors were switched on: their force is less than the
+    /// wall asks for.
+    fn ramping(&self) -> impl Fn(&[f64]) -> bool {
+        let armed =
+            |row: &[f64]| self.recording.column("state").map(|state| row[state] == State::Armed as usize as f64);
+        let pairs = self.recording.rows.windows(2);
+        let switched = pairs.filter(|two| armed(&two[0]) == Some(false) && armed(&two[1]) == Some(true));
+        let times: Vec<f64> = switched.map(|two| two[1][self.time]).collect();
+        let time = self.time;
+        move |row: &[f64]| times.iter().any(|on| (0.0..f64::from(ARM_SECONDS)).contains(&(row[time] - on)))
+    }
+
     /// A test for rows whose force was cut by a limit; `None` if the recording does not say.
     fn cut(&self) -> Option<impl Fn(&[f64]) -> bool> {
         let names = (0..MAX_JOINTS).map(|joint| format!("saturated{joint}"));
@@ -238,6 +254,7 @@ pub fn panels(recording: &Recording, request: &Request) -> Result<Found, Failure
         seconds: span,
         missing: rows.missing,
         strongest: None,
+        ripple: None,
         stiffness: None,
         contact_rows: 0,
         saturated_rows: None,
@@ -257,8 +274,7 @@ pub fn panels(recording: &Recording, request: &Request) -> Result<Found, Failure
         found.panels.push(panel);
     }
     if drawn(View::Spectrum) {
-        let (panel, strongest) = amplitudes(&rows, &signals)?;
-        found.strongest = strongest;
+        let panel = amplitudes(&rows, &signals, &mut found)?;
         found.panels.push(panel);
     }
     if drawn(View::Phase) {
@@ -305,7 +321,7 @@ fn over_time(rows: &Rows<'_>, signals: &[String]) -> Result<Vec<Panel>, Failure>
 /// Highest frequency that a spectrum shows, Hz: beyond it a hand feels nothing.
 const MOST_HZ: f64 = 1000.0;
 
-fn amplitudes(rows: &Rows<'_>, signals: &[String]) -> Result<(Panel, Option<SpectralLine>), Failure> {
+fn amplitudes(rows: &Rows<'_>, signals: &[String], found: &mut Found) -> Result<Panel, Failure> {
     let half = 0.5 * rows.rate_hz;
     let most = half.min(MOST_HZ);
     let mut panel = Panel {
@@ -319,22 +335,24 @@ fn amplitudes(rows: &Rows<'_>, signals: &[String]) -> Result<(Panel, Option<Spec
     let unit = quantity(&signals[0]).unit;
     let reference = if unit.is_empty() { String::new() } else { format!(" re 1 {unit}") };
     panel.y.name.push_str(&reference);
-    let (mut strongest, mut used) = (None, 0);
+    let mut used = 0;
     for signal in signals.iter().filter(|signal| quantity(signal).unit == unit) {
         let column = rows.column(signal)?;
         let values: Vec<f64> = rows.rows.iter().map(|row| row[column]).collect();
         let stretches: Vec<&[f64]> = rows.stretches.windows(2).map(|ends| &values[ends[0]..ends[1]]).collect();
-        let Spectrum { lines, samples } = spectrum(&stretches, rows.rate_hz).ok_or_else(|| {
+        let spectrum = spectrum(&stretches, rows.rate_hz).ok_or_else(|| {
             let most = stretches.iter().map(|stretch| stretch.len()).max().unwrap_or(0);
             Failure::wrong(format!("{} without a gap are too few for a spectrum", counted(most, "row")))
                 .remedy("record longer, or leave the spectrum out")
                 .choose(Choice::Shown)
         })?;
-        used = samples;
+        let Spectrum { lines, samples } = &spectrum;
+        used = *samples;
         let fast = lines.iter().filter(|line| line.frequency >= SLOW_HZ);
         let top = fast.max_by(|a, b| a.amplitude.total_cmp(&b.amplitude));
         if panel.curves.is_empty() {
-            strongest = top.copied().filter(|top| top.amplitude > 0.0);
+            found.strongest = top.copied().filter(|top| top.amplitude > 0.0);
+            found.ripple = Some(spectrum.ripple());
         }
         let shown = lines.iter().filter(|line| line.frequency <= most);
         let highest = lines.iter().fold(0.0, |highest: f64, line| highest.max(line.amplitude));
@@ -347,12 +365,15 @@ fn amplitudes(rows: &Rows<'_>, signals: &[String]) -> Result<(Panel, Option<Spec
         let left = counted(rows.rows.len() - used, "row");
         panel.note = format!("without {left} of shorter stretches between gaps");
     }
-    if let Some(line) = strongest {
-        let size = with_unit(line.amplitude, &unit);
-        let says = format!("strongest above {SLOW_HZ} Hz: {size} at {:.1} Hz", line.frequency);
+    if let (Some(line), Some(ripple)) = (found.strongest, found.ripple) {
+        let (size, ripple) = (with_unit(line.amplitude, &unit), with_unit(ripple, &unit));
+        let says = format!(
+            "strongest above {SLOW_HZ} Hz: {size} at {:.1} Hz; above {RIPPLE_HZ} Hz: {ripple} rms",
+            line.frequency
+        );
         panel.note = if panel.note.is_empty() { says } else { format!("{says}; {}", panel.note) };
     }
-    Ok((panel, strongest))
+    Ok(panel)
 }
 
 fn phase(rows: &Rows<'_>) -> Result<Panel, Failure> {

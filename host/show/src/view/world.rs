@@ -75,7 +75,7 @@ impl World {
         Ok(world)
     }
 
-    /// A simulated device in a scene, or before a wall of half the stiffness that is predicted to be stable.
+    /// A simulated device in a scene, or before a wall that is stable and does not rattle.
     pub fn simulate(file: DeviceFile, scene: Option<Scene<f32>>) -> Result<Self, Failure> {
         let scene = match scene {
             Some(scene) => scene,

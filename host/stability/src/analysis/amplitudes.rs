@@ -25,6 +25,20 @@ pub struct Spectrum {
     pub samples: usize,
 }
 
+/// From this frequency on (Hz) a force is ripple and no longer what the hand does.
+pub const RIPPLE_HZ: f64 = 20.0;
+/// A sine under a Hann window has this many lines' worth of power: the window's equivalent noise bandwidth.
+const HANN_LINES: f64 = 1.5;
+
+impl Spectrum {
+    /// Root mean square of what the signal has from [`RIPPLE_HZ`] on, in its unit.
+    #[must_use]
+    pub fn ripple(&self) -> f64 {
+        let fast = self.lines.iter().filter(|line| line.frequency >= RIPPLE_HZ);
+        (fast.map(|line| 0.5 * line.amplitude.powi(2)).sum::<f64>() / HANN_LINES).sqrt()
+    }
+}
+
 /// The amplitudes of a signal's sines, from its even `stretches` (Welch 1967): pieces of the largest power of two of
 /// samples that the longest stretch holds, 16384 at most, each less its mean and under a Hann window, averaged by their
 /// power. The pieces of a stretch overlap by half or more, so that the first begins with it and the last ends with it;
@@ -112,6 +126,8 @@ mod tests {
             assert!((top.frequency - hz).abs() < rate / LONGEST as f64, "{top:?}");
             // Between two lines the Hann window shows 15 % less at most.
             assert!(top.amplitude <= 1.001 * amplitude && top.amplitude > 0.84 * amplitude, "{top:?}");
+            let ripple = found.ripple() / (amplitude * 0.5_f64.sqrt());
+            assert!((ripple - 1.0).abs() < 0.01, "{hz} Hz: {ripple} of the root mean square");
         }
         assert_eq!(spectrum(&[&[0.0; 63]], 1.0), None);
     }

@@ -197,7 +197,7 @@ pub fn device(path: &Path, for_a_loop: bool) -> Result<(DeviceFile, Vec<Warning>
 
 /// Warnings about doubtful joint angles: most likely in degrees, or beyond the joints' limits.
 pub fn pose_doubts(q: &[f64], file: &DeviceFile) -> Vec<Warning> {
-    let mut doubts = plausible::angles(q, "--q");
+    let mut doubts = plausible::angles(q, "--q", file.description.kind);
     if doubts.is_empty() {
         doubts = plausible::beyond_limits(q, &file.description);
     }

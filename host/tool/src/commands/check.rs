@@ -16,6 +16,7 @@ use haptic_predict::plan::{Budget, DEFAULT_PERCENT, Plan, newtons, percent, plan
 use haptic_predict::plausible::scene::Contact;
 use haptic_predict::plausible::{Warning, device, scene, warn};
 use haptic_predict::summary::Summary;
+use haptic_predict::template::MOTORS_AND_ENCODERS;
 use haptic_predict::tip::{BOARD_SPEED, Tip, motor_torques};
 use haptic_show::plot::Picture;
 use haptic_show::plot::device::draw;
@@ -116,7 +117,10 @@ fn scene_report(path: &Path, device: &DeviceFile) -> Result<(SceneReport, Vec<Wa
     let file = SceneFile::read(&document, device.spec().task)?;
     file.scene::<f32>().map_err(|error| Failure::wrong(format!("{}: {error}", path.display())))?;
     let subject = Subject::new(&device.description).map_err(Failure::wrong)?;
-    let (doubts, contacts) = scene::doubts(&subject, &file.scene);
+    let (mut doubts, mut contacts) = scene::doubts(&subject, &file.scene);
+    for contact in &mut contacts {
+        doubts.extend(scene::rippling(&device.description, &file.scene, contact));
+    }
     let speed = file.hand_speed.unwrap_or(HAND_SPEED);
     let planned = device
         .device()
@@ -191,6 +195,7 @@ fn readable(report: &Report, tip: &str) -> String {
         text.push_str(&format!("  {line}\n"));
     }
     text.push_str(tip);
+    text.push_str(&format!("  {MOTORS_AND_ENCODERS}\n"));
     for lack in &report.lacks {
         text.push_str(&format!("  before a real board arms: {lack}\n"));
     }
@@ -218,8 +223,11 @@ fn readable(report: &Report, tip: &str) -> String {
                 _ => String::new(),
             };
             let buzz = contact.buzz.map_or(String::new(), |buzz| format!("; it buzzes at about {:.0} Hz", buzz.hz));
+            let ripple = contact
+                .ripple_n
+                .map_or(String::new(), |ripple| format!("; ripples by {} rms under a hand", with_unit(ripple, "N")));
             text.push_str(&format!(
-                "  wall {}: predicted stable up to {}{felt}{off} with its damping, up to {} damping{buzz}{force}\n",
+                "  wall {}: predicted stable up to {}{felt}{off} with its damping, up to {} damping{buzz}{ripple}{force}\n",
                 contact.wall,
                 with_unit(contact.stable_to, "N/m"),
                 with_unit(contact.damping_to, "N s/m"),
@@ -245,7 +253,7 @@ fn tip_in_words(description: &Description) -> String {
                 tip.limits_for(GENTLE_FORCE.into()).iter().map(|torque| format!("{torque:.3}")).collect();
             format!(
                 "  at the home pose its motors make up to {:.1} N at the tip{moment}; a real board lets walls push with \
-                 {GENTLE_FORCE} N until told otherwise, and `haptic device` sets its torque limits for as much and the device's weight ({} N m); at {} rad/s its links carry {:.2} J\n",
+                 {GENTLE_FORCE} N until told otherwise, and `haptic device` sets its torque limits for as much and the device's weight ({} N m); at {} rad/s, the speed limit that a real board starts with, its links carry {:.2} J\n",
                 tip.force(&motors),
                 joints.join(", "),
                 BOARD_SPEED,

@@ -79,7 +79,9 @@ pub fn run(args: Args) -> Result<(), Failure> {
             report.push_str(&format!("  before the board arms: {lack}\n"));
         }
     }
-    if board.scene()?.is_none() {
+    let ends = args.on.what_is_left();
+    report.push_str(ends);
+    if ends.is_empty() && board.scene()?.is_none() {
         report.push_str("next: `haptic scene FILE`, then `haptic home`\n");
     }
     let lacks = if details.real { file.lacks_for_a_board() } else { Vec::new() };

@@ -21,6 +21,8 @@ pub fn command() -> clap::Command {
     let command = Cli::command();
     let shown = || HEADINGS.iter().filter(|(heading, _)| *heading != DEVELOPERS);
     let width = shown().flat_map(|(_, names)| *names).map(|name| name.len()).max().unwrap_or(0) + 2;
+    let hidden: Vec<&str> =
+        HEADINGS.iter().filter(|(heading, _)| *heading == DEVELOPERS).flat_map(|(_, names)| *names).copied().collect();
     let mut listing = String::new();
     for (heading, names) in shown() {
         listing.push_str(&format!("{heading}:\n"));
@@ -35,10 +37,10 @@ pub fn command() -> clap::Command {
     let template = format!(
         "{{about-with-newline}}\n{{usage-heading}} {{usage}}\n\n{listing}{START}\n\
          `haptic help COMMAND` explains one command; `haptic --version` prints the version.\n\
-         Exit codes: 0 done, 1 it could not be done, 2 the command or a file is wrong, 3 what was compared differs."
+         Not listed, each with its own page: {}.\n\
+         Exit codes: 0 done, 1 it could not be done, 2 the command or a file is wrong, 3 what was compared differs.",
+        hidden.join(", ")
     );
-    let hidden: Vec<&str> =
-        HEADINGS.iter().filter(|(heading, _)| *heading == DEVELOPERS).flat_map(|(_, names)| *names).copied().collect();
     command.help_template(template).mut_subcommands(|sub| {
         let hide = hidden.contains(&sub.get_name());
         explained(sub, "").hide(hide)

@@ -13,7 +13,8 @@ use std::path::PathBuf;
 /// Write a device or scene file with every key and a comment on each, to fill in
 ///
 /// The numbers of a device are examples that run on the simulated board. docs/devices.md says where your own come from.
-/// A scene has one wall, in front of the home pose of --device, that is well within what is predicted stable there.
+/// A scene has one wall, in front of the home pose of --device: well within what is predicted stable there and within
+/// the motors, and so soft that its force does not ripple by more than 0.1 N under a hand.
 #[derive(clap::Args)]
 pub struct Args {
     /// Mechanism of the device, or `scene`

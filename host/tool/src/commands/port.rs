@@ -69,6 +69,17 @@ impl OnBoard {
         self.port.spec()
     }
 
+    /// A line that says what is left on a board that ends with this command; empty for every other board.
+    pub fn what_is_left(&self) -> &'static str {
+        match self.spec() {
+            PortSpec::Sim(_) => {
+                "a board on --port sim ends with this command, and nothing of it is left: run `haptic sim` in another \
+                 terminal and use the port that it prints\n"
+            }
+            _ => "",
+        }
+    }
+
     /// Prints the document where `--json` asks for it, else these words.
     pub fn answer(&self, document: impl Serialize, words: &str) -> Result<(), Failure> {
         self.json.answer(document, words)

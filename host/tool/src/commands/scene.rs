@@ -60,7 +60,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         board.set_scene(&written)?;
         return args.on.answer(
             json!({ "scene": written, "planned": false, "warnings": warnings }),
-            &loaded(&name.to_string(), &board, &written),
+            &(loaded(&name.to_string(), &board, &written) + args.on.what_is_left()),
         );
     }
     let speed = file.hand_speed.unwrap_or(HAND_SPEED);
@@ -70,7 +70,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         "scene": scene, "planned": true, "model": plan.mass.name(), "terms": plan.terms.name(),
         "instructions": plan.instructions, "warnings": warnings,
     });
-    args.on.answer(document, &loaded(&name.to_string(), &board, &scene))
+    args.on.answer(document, &(loaded(&name.to_string(), &board, &scene) + args.on.what_is_left()))
 }
 
 /// The board's scene as a file, or what differs there from a file.

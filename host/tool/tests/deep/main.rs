@@ -40,6 +40,7 @@ mod soak;
 
 mod tune {
     mod design;
+    mod first_walls;
     mod plan;
     mod settings;
     mod tuned_devices;

@@ -228,6 +228,7 @@ fn a_wrong_device_is_refused_by_line_and_remedy() {
             ":49:6:",
             &["outside its limits", "angles are in radians: 137 degrees are 2.3911 rad"],
         ),
+        ("limits = [-1.0, 3.0]", "limits = [80, 172]", ":49:6:", &["in degrees these limits are [1.3963, 3.0020] rad"]),
         ("resistance = 2.0", "resistance = 0.0", ":42:14:", &["`resistance`", "more than zero"]),
         ("resistance = 2.0", "resistance = 2.0\ninductance = -1", ":43:14:", &["`inductance`", "zero or more"]),
         ("max_current = 3.0\n", "", ":40:1:", &["`max_current`", "[joint.motor] of [[joint]] 0"]),
@@ -320,6 +321,58 @@ fn a_file_with_several_mistakes_is_told_all_of_them() {
     let scene = SCENE.replace("rate_hz = 20000", "rate_hz = 1").replace("stiffness = 1000.0", "stiffness = -1.0");
     let error = SceneFile::parse(&scene.replace("[[field]]\ndamping = 1.0", "[[field]]"), "scene", 2).unwrap_err();
     assert_eq!(error.to_string().lines().count(), 4, "{error}");
+}
+
+/// A data sheet's word is answered with the key to write instead: who only removed it would lose the number.
+#[test]
+fn a_data_sheets_word_is_answered_with_what_to_write_instead() {
+    let motor = "torque_constant = 0.05\n";
+    let encoder = "counts_per_turn = 16384\n";
+    let joint = "limits = [-1.0, 3.0]\n";
+    for (after, line, words) in [
+        (motor, "ratio = 14.7", "multiply torque_constant, back_emf and counts_per_turn by the ratio"),
+        (joint, "gear = 5", "rotor's inertia by its square"),
+        (motor, "kv = 270", "torque_constant = 9.549 / kv"),
+        (motor, "phase_resistance = 0.04", "write resistance"),
+        (motor, "pole_pairs = 7", "brushed motors only"),
+        (encoder, "lines = 1024", "counts_per_turn = 4 x lines x gear ratio"),
+        (encoder, "cpr = 4096", "counts_per_turn = the edges of A and B"),
+        (encoder, "type = \"AS5047\"", "incremental encoders with A and B only"),
+        (encoder, "index = true", "write offset"),
+        (encoder, "noise = 2.0", "cannot be described yet"),
+        (joint, "backlash = 0.01", "cannot be described yet"),
+    ] {
+        let said = refusal(&replaced(DEVICE, after, &format!("{after}{line}\n")), SCENE);
+        assert!(said.contains("unknown key") && said.contains(words) && !said.contains("remove it"), "{line}: {said}");
+    }
+    // Where the word means something else, it is a key like any other.
+    let said = refusal(&replaced(DEVICE, "name = ", "type = \"five-bar\"\nname = "), SCENE);
+    assert!(said.contains("unknown key") && !said.contains("encoder"), "{said}");
+}
+
+/// A file of another program is named by its format.
+#[test]
+fn a_description_in_another_format_is_named_so() {
+    let folder = tempfile::tempdir().unwrap();
+    for (name, text, words) in [
+        (
+            "arm.urdf",
+            "<?xml version=\"1.0\"?>\n<!-- own -->\n<robot name=\"a\"><link name=\"b\"/></robot>\n",
+            "this is URDF",
+        ),
+        ("arm.xacro", "<?xml version=\"1.0\"?>\n<robot xmlns:xacro=\"http://ros.org/wiki/xacro\"/>\n", "this is xacro"),
+        ("arm.xml", "<mujoco model=\"a\"><worldbody/></mujoco>\n", "this is MJCF"),
+        ("a.json", "{ \"name\": \"a\", \"base\": 0.05 }\n", "this is JSON"),
+        ("a.yaml", "# own\nname: a\nmechanism: five-bar\n", "this is YAML"),
+        ("a.csv", "wall,stiffness,damping\n0,300,1\n", "this is a table (CSV)"),
+    ] {
+        let path = folder.path().join(name);
+        std::fs::write(&path, text).unwrap();
+        let output = haptic(&["check"]).arg(&path).output().unwrap();
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert_eq!((output.status.code(), said.lines().count()), (Some(2), 1), "{said}");
+        assert!(said.contains(words) && said.contains("`haptic "), "{said}");
+    }
 }
 
 /// Where an encoder is not told otherwise its counts rise with the angle, and count 0 is angle 0.

@@ -393,6 +393,10 @@ fn clearing_tells_which_joint_is_outside_its_limits() {
     sim.run(&["faults", "--clear", "--json"]).success().stdout(contains("\"outside_limits\":[]"));
     sim.run(&["arm"]).success();
     sim.until(|state| state == "Fault");
+    // The remedy is a line of its own, and not a code for a line's end.
+    let said = sim.run(&["info"]).success().get_output().stdout.clone();
+    let said = String::from_utf8(said).unwrap();
+    assert!(said.contains("JointLimit") && said.contains("move the device back") && !said.contains("u000a"), "{said}");
     sim.run(&["faults", "--clear"])
         .success()
         .stdout(contains("cleared JointLimit").and(contains("joint 0 is outside its limits, at 2.")));
@@ -412,6 +416,25 @@ fn a_stream_whose_motors_a_fault_turned_off_ends_with_that_fault() {
     assert_eq!(rows["values"].as_array().unwrap().len(), 20, "the rows are all there");
     // One that only looks has done what it was asked.
     sim.run(&["stream", "--seconds", "0.5"]).success();
+}
+
+/// Two boards of one name could not be told apart.
+#[test]
+fn a_backup_brings_its_name_to_no_other_board() {
+    let folder = tempfile::tempdir().unwrap();
+    let kept = folder.path().join("kept.json");
+    let sim = Sim::start(&["--fast"]);
+    sim.run(&["board", "name", "left hand"]).success();
+    sim.run(&["board", "save"]).success();
+    sim.run(&["board", "backup", kept.to_str().unwrap()]).success();
+    let text = std::fs::read_to_string(&kept).unwrap();
+    for (serial, said, name) in [("SIM0001", "name: restored", "left hand\n"), ("B2", "name: left out", "right hand\n")]
+    {
+        std::fs::write(&kept, text.replace("SIM0001", serial)).unwrap();
+        sim.run(&["board", "name", "right hand"]).success();
+        sim.run(&["board", "restore", kept.to_str().unwrap()]).success().stdout(contains(said));
+        sim.run(&["board", "name"]).success().stdout(name);
+    }
 }
 
 #[test]

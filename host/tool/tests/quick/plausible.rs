@@ -197,6 +197,49 @@ fn the_limit_that_is_named_is_that_of_haptic_range() {
     assert!((named / predicted - 1.0).abs() < 1e-9, "{named} {predicted}");
 }
 
+/// A wheel of 900 degrees and a knob of fifty turns are no mistakes; a Hapkit's limits in degrees are one.
+#[test]
+fn a_paddle_may_turn_often_and_its_degrees_are_doubted_all_the_same() {
+    let shipped = std::fs::read_to_string(file("hapkit-paddle.toml")).unwrap();
+    let limits = shipped.lines().find(|line| line.starts_with("limits")).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("wheel.toml").display().to_string();
+    for (written, doubted) in [("[-7.85, 7.85]", 0), ("[-314.0, 314.0]", 0), ("[-40.0, 40.0]", 1), ("[-90, 90]", 1)] {
+        std::fs::write(&path, shipped.replace(limits, &format!("limits = {written}"))).unwrap();
+        let (code, _, err) = haptic(&["check", &path]);
+        assert_eq!((code, err.matches("angles are in radians").count()), (0, doubted), "{written}: {err}");
+    }
+}
+
+/// With the motors exchanged the tip lies behind the base, and the device is another one.
+#[test]
+fn arms_that_cross_at_home_are_doubted() {
+    let exchanged = [("q = [2.3, 0.84159265358979]", "q = [0.84159265358979, 2.3]")];
+    let (_, err) = checked(&exchanged, None);
+    assert!(err.contains("the arms cross at home"), "{err}");
+    // Motors on one axis have no left and no right.
+    let (_, err) = checked(&[exchanged[0], ("base = 0.038", "base = 0.0")], None);
+    assert!(!err.contains("the arms cross"), "{err}");
+}
+
+/// A wall far within what is stable may rattle: a hand that slides along it feels every encoder step.
+#[test]
+fn a_wall_that_rattles_is_doubted_and_a_quiet_one_is_not() {
+    let wall = |stiffness: f64, damping: f64| {
+        let at = "point = [0.0, 0.108]\nnormal = [0.0, 1.0]\nfeed_forward = \"off\"";
+        format!("rate_hz = 20000\ncutoff_hz = 500\n[[wall]]\n{at}\nstiffness = {stiffness}\ndamping = {damping}\n")
+    };
+    let (json, err) = checked(&[], Some(&wall(14_000.0, 15.0)));
+    let contact = &json["scenes"][0]["contacts"][0];
+    assert!(
+        contact["stable_to"].as_f64().unwrap() > 14_000.0 && contact["step_n"].as_f64().unwrap() < 1.0,
+        "{contact}"
+    );
+    assert!(contact["ripple_n"].as_f64().unwrap() > 0.1 && err.contains("wall 0 rattles"), "{contact}: {err}");
+    let (json, err) = checked(&[], Some(&wall(1_500.0, 3.0)));
+    assert!(json["scenes"][0]["contacts"][0]["ripple_n"].as_f64().unwrap() < 0.1 && err.is_empty(), "{err}");
+}
+
 #[test]
 fn nothing_shipped_is_doubted() {
     let shipped = files("");

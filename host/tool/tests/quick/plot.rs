@@ -278,6 +278,11 @@ fn a_vibration_at_the_end_of_a_recording_is_in_its_spectrum() {
     let strongest = json(&["plot", csv.to_str().unwrap()])["strongest"].clone();
     let (hz, amplitude) = (strongest["frequency"].as_f64().unwrap(), strongest["amplitude"].as_f64().unwrap());
     assert!((hz - 50.0).abs() < 2.0 && (0.2..1.0).contains(&amplitude), "{strongest}");
+    let said = haptic(&["plot", csv.to_str().unwrap()]).assert().success();
+    assert!(
+        String::from_utf8_lossy(&said.get_output().stdout).contains("above 20 Hz: "),
+        "the whole buzz beside a line"
+    );
 }
 
 /// A wall of 60 kN/m, pressed 0.5 mm deep by a device whose limit is at `most` newtons.
@@ -312,6 +317,25 @@ fn the_stiffness_is_that_of_rows_that_no_limit_cut() {
     assert!(found["stiffness"].is_null() && found["panels"][1]["line"].is_null(), "{found}");
     assert!(printed.contains("no stiffness, too few for a line: ") && printed.contains("there: none"), "{printed}");
     assert!(!drawn.contains("stroke-dasharray=\"7 4\""));
+}
+
+/// A recording that begins with the arming: torque ramps up for half a second, in the wall.
+#[test]
+fn the_ramp_after_arming_is_no_part_of_the_stiffness() {
+    let folder = tempfile::tempdir().unwrap();
+    let csv = folder.path().join("a.csv");
+    write_rows(&csv, "distance_m,rendered_n,state", 2000, |t| {
+        let depth = 1e-3 * (1.0 + 0.5 * (TAU * t).sin());
+        let ramp = ((t - 0.1) / 0.5).clamp(0.0, 1.0);
+        format!("{},{},{}", -depth, 1500.0 * depth * ramp, if t < 0.1 { "Disarmed" } else { "Armed" })
+    });
+    let found = json(&["plot", csv.to_str().unwrap()]);
+    let stiffness = found["stiffness"].as_f64().unwrap();
+    assert!((stiffness - 1500.0).abs() < 1.0, "{stiffness}");
+    assert_eq!(found["contact_rows"], 1400);
+    // From a later time on, the arming is not among the rows that are drawn.
+    let later = json(&["plot", csv.to_str().unwrap(), "--from", "0.3"]);
+    assert_eq!(later["contact_rows"], 1400);
 }
 
 #[test]

@@ -28,7 +28,9 @@ pub(super) fn over_penetration(rows: &Rows<'_>, force: &str, found: &mut Found) 
     // With the motors off there is no wall, however deep the tip is in it.
     let state = rows.recording.column("state");
     let on = |row: &&Vec<f64>| state.is_none_or(|state| row[state] == State::Armed as usize as f64);
-    let touched: Vec<&Vec<f64>> = rows.rows.iter().filter(|row| row[distance] < 0.0).filter(on).collect();
+    let ramping = rows.ramping();
+    let pressed = rows.rows.iter().filter(|row| row[distance] < 0.0).filter(on);
+    let (early, touched): (Vec<&Vec<f64>>, Vec<&Vec<f64>>) = pressed.partition(|row| ramping(row));
     let cut = rows.cut();
     let whole = |row: &&&Vec<f64>| cut.as_ref().is_none_or(|cut| !cut(row.as_slice()));
     let points: Vec<(f64, f64)> = touched.iter().filter(whole).map(|row| (-row[distance], row[column])).collect();
@@ -41,6 +43,11 @@ pub(super) fn over_penetration(rows: &Rows<'_>, force: &str, found: &mut Found) 
         Some(0) => format!("{all} in contact"),
         Some(cut) => format!("{kept} in contact, without {cut} that a limit cut"),
     };
+    let early = match early.len() {
+        0 => String::new(),
+        _ => format!(", without {} in which torque ramped up", counted(early.len(), "row")),
+    };
+    let kept = kept + &early;
     let note = match &fit {
         _ if touched.is_empty() => "no wall was touched".into(),
         Ok(fit) => format!("line through {kept}: {} N/m", short(fit.slope as f32)),

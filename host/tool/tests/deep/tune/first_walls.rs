@@ -1,0 +1,72 @@
+//! The wall that `haptic new scene` writes does not rattle: on the simulated board, under a hand, on every device that
+//! ships and on twenty that nobody chose.
+
+use crate::common::tuned::drawn;
+use crate::common::{files, shipped};
+use haptic_bridge::board::telemetry::Field;
+use haptic_bridge::render::scene::Scene;
+use haptic_host::device_file::DeviceFile;
+use haptic_host::link::{Board, fields};
+use haptic_host::scene_file::SceneFile;
+use haptic_predict::template::scene_file;
+use haptic_sim::{Around, BoardOptions, HandSettings, SharedBoard, Support, ready_board};
+use std::time::Duration;
+
+/// Time that the hand needs to get to the wall, and for which it is watched on and off it, s.
+const SETTLE: f64 = 1.0;
+const WATCH: f64 = 4.0;
+/// What a hand does to a force is slower than this, s: the ripple is what differs from the mean over so long.
+const SLOW: f64 = 0.05;
+
+/// The share of the time in contact, and the root mean square of the wall's force about its mean over [`SLOW`] while it
+/// lasts, N. Within so long of a touch the force itself begins or ends, which is no ripple.
+fn ripple(file: &DeviceFile, scene: Scene<f32>) -> (f64, f64) {
+    let weightless = file.description.gravity == [0.0; 3];
+    let support = if weightless { Support::None } else { Support::Carried };
+    let mut board = ready_board(file, BoardOptions { support, ..BoardOptions::default() }).unwrap();
+    let around = Around::find(file, Some(&scene.cast()), board.device().tip());
+    assert!(around.on_a_wall, "{}: the hand does not touch the wall", file.name);
+    let rate_hz = f64::from(scene.rate_hz);
+    board.load(&file.name, &file.description, Some(scene)).unwrap();
+    board.set_rounds(HandSettings { tremor: 2e-4, ..HandSettings::default() }, around);
+    let mut board = Board::over(SharedBoard::new(board).wire(), "sim").unwrap();
+    board.keep_alive();
+    board.arm().unwrap();
+    let run = |board: &mut Board, seconds: f64| {
+        let end = board.now() + Duration::from_secs_f64(seconds);
+        let mut rows = Vec::new();
+        while board.now() < end {
+            rows.extend(board.rows(Duration::from_millis(20)).unwrap());
+        }
+        rows
+    };
+    run(&mut board, SETTLE);
+    let divider = (rate_hz / 5_000.0).ceil() as u32;
+    board.start_stream(fields("force").unwrap(), divider).unwrap();
+    let forces: Vec<f64> = run(&mut board, WATCH).iter().filter_map(|row| row.get(Field::WallForce)).collect();
+    let half = (0.5 * SLOW * rate_hz / f64::from(divider)) as usize;
+    let windows = forces.windows(2 * half + 1).filter(|window| window.iter().all(|force| *force > 0.0));
+    let off: Vec<f64> = windows.map(|w| w[half] - w.iter().sum::<f64>() / w.len() as f64).collect();
+    assert!(board.status().unwrap().fault.is_none(), "{}", file.name);
+    let share = off.len() as f64 / forces.len() as f64;
+    (share, (off.iter().map(|off| off * off).sum::<f64>() / off.len() as f64).sqrt())
+}
+
+#[test]
+fn no_first_wall_rattles() {
+    let names = files("").into_iter().map(|path| path.file_stem().unwrap().display().to_string());
+    let devices = names.map(|name| shipped(&name)).chain((0..20).map(drawn));
+    let mut rattle = Vec::new();
+    for (number, file) in devices.enumerate() {
+        let text = scene_file(&file).unwrap();
+        let scene = SceneFile::parse(&text, "wall.toml", file.spec().task).unwrap().scene::<f32>().unwrap();
+        let gains = (scene.walls[0].stiffness, scene.walls[0].damping);
+        let (share, ripple) = ripple(&file, scene);
+        println!("{number} {}: {gains:?}, in contact {share:.2}, {ripple:.3} N", file.name);
+        let least = text.contains("the least that these encoders allow");
+        if ripple > 0.1 && !least || share < 0.1 {
+            rattle.push(format!("{number} {}", file.name));
+        }
+    }
+    assert!(rattle.is_empty(), "{rattle:?}");
+}
