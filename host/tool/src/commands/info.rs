@@ -1,6 +1,6 @@
 //! `haptic info`: what a board is, what it has loaded, and how it is.
 
-use super::port::{OnBoard, fault_in_words, numbers, scene_in_words, state_in_words, wall_in_words};
+use super::port::{OnBoard, fault_alone, numbers, scene_in_words, state_in_words, wall_in_words};
 use haptic_bridge::safety::fault::Fault;
 use haptic_host::digits::print_json;
 use haptic_host::error::{Failure, on_one_line, print};
@@ -69,7 +69,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
         line("tip", numbers(&status.tip[..axes], "m") + unknown);
     }
     if let Some(record) = &status.fault {
-        line("fault", fault_in_words(record, details.rate_hz));
+        line("fault", fault_alone(record, details.rate_hz));
+        line("", record.fault.remedy().into());
     }
     if details.overruns > 0 {
         line("overruns", details.overruns.to_string());
