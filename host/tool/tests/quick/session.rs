@@ -51,7 +51,7 @@ fn a_lost_frame_costs_a_force_its_patience_and_the_next_one_nothing() {
 #[test]
 fn spoilt_frames_turn_no_motor_off_and_lose_no_row_uncounted() {
     let (shared, _session) = session();
-    SpoiltWire::follow(shared.wire(), 60_000);
+    SpoiltWire::follow(shared.wire(), 40_000);
 }
 
 #[test]
