@@ -38,7 +38,7 @@ use crest::Joint;
 pub use crest::SPEED_HZ;
 pub use requests::{Beat, Command, Press, REST_SPEED, Reply, Status};
 pub use rules::{HostAction, Rules};
-pub use watch::KEY_SECONDS;
+pub use watch::{KEY_SECONDS, TRIPPING_SINE};
 
 /// Seconds over which torque ramps up after arming.
 pub const ARM_SECONDS: f32 = 0.5;

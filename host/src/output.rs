@@ -1,7 +1,8 @@
 //! Files that the tool writes: it never replaces a file unasked and never leaves half of one.
 //!
 //! A document is written to a temporary file beside its place and then moved there, so a full disk or a killed tool
-//! leaves the old file as it was. Links are followed. A device node or a pipe is written to directly.
+//! leaves the old file as it was. A link is refused: what it leads to was not named. A device node or a pipe is written
+//! to directly, also through a link such as /dev/stdout.
 
 use crate::error::{Choice, Failure};
 use std::fs::{File, OpenOptions};
@@ -21,8 +22,8 @@ pub enum Overwrite {
 
 /// The kind of place that a file is written to.
 enum Place {
-    /// Nothing yet, or an ordinary file that is replaced: this path, links followed.
-    File(PathBuf),
+    /// Nothing yet, or an ordinary file that is replaced.
+    File,
     /// A device node or a pipe.
     Special,
 }
@@ -31,7 +32,7 @@ enum Place {
 pub fn check(path: &Path, overwrite: Overwrite) -> Result<(), Failure> {
     match place(path, overwrite)? {
         Place::Special => Ok(()),
-        Place::File(target) => std::fs::metadata(folder_of(&target)).map(drop).map_err(|error| refused(path, &error)),
+        Place::File => std::fs::metadata(folder_of(path)).map(drop).map_err(|error| refused(path, &error)),
     }
 }
 
@@ -71,7 +72,7 @@ pub fn write(path: &Path, bytes: &[u8], overwrite: Overwrite) -> Result<(), Fail
             // A reader that went away (`--svg /dev/stdout | head`) has what he wanted.
             written.or_else(|error| if error.kind() == io::ErrorKind::BrokenPipe { Ok(()) } else { Err(error) })
         }
-        Place::File(target) => beside(&target, bytes).and_then(|beside| put(beside, &target, overwrite)),
+        Place::File => beside(path, bytes).and_then(|beside| put(beside, path, overwrite)),
     }
     .map_err(|error| refused(path, &error))
 }
@@ -82,14 +83,11 @@ pub fn write_together(files: &[(&Path, &[u8])], overwrite: Overwrite) -> Result<
     for (path, bytes) in files {
         match place(path, overwrite)? {
             Place::Special => write(path, bytes, overwrite)?,
-            Place::File(target) => {
-                let beside = beside(&target, bytes).map_err(|error| refused(path, &error))?;
-                ready.push((path, target, beside));
-            }
+            Place::File => ready.push((path, beside(path, bytes).map_err(|error| refused(path, &error))?)),
         }
     }
-    for (path, target, beside) in ready {
-        put(beside, &target, overwrite).map_err(|error| refused(path, &error))?;
+    for (path, beside) in ready {
+        put(beside, path, overwrite).map_err(|error| refused(path, &error))?;
     }
     Ok(())
 }
@@ -98,14 +96,14 @@ pub fn write_together(files: &[(&Path, &[u8])], overwrite: Overwrite) -> Result<
 pub fn open(path: &Path, overwrite: Overwrite) -> Result<(File, bool), Failure> {
     let opened = match place(path, overwrite)? {
         Place::Special => OpenOptions::new().write(true).open(path).map(|file| (file, false)),
-        Place::File(target) => {
+        Place::File => {
             let mut options = OpenOptions::new();
             options.write(true);
             match overwrite {
                 Overwrite::Never => options.create_new(true),
                 Overwrite::Replace => options.create(true).truncate(true),
             };
-            options.open(target).map(|file| (file, true))
+            options.open(path).map(|file| (file, true))
         }
     };
     opened.map_err(|error| refused(path, &error))
@@ -137,12 +135,13 @@ fn place(path: &Path, overwrite: Overwrite) -> Result<Place, Failure> {
                 .remedy("choose another name, or allow it to be overwritten")
                 .choose(Choice::Overwriting))
         }
-        Ok(_) => std::fs::canonicalize(path).map(Place::File).map_err(|error| refused(path, &error)),
-        Err(_) => {
-            // A link that leads nowhere yet says where the file is to be.
-            let target = std::fs::read_link(path).map(|to| path.parent().unwrap_or(Path::new("")).join(to));
-            Ok(Place::File(target.unwrap_or_else(|_| path.into())))
-        }
+        _ => match std::fs::read_link(path) {
+            Ok(to) => {
+                let reason = format!("{shown} is a link to {}, and files are not written through links", to.display());
+                Err(Failure::impossible(reason).remedy("name the file itself, or remove the link"))
+            }
+            Err(_) => Ok(Place::File),
+        },
     }
 }
 
@@ -255,16 +254,19 @@ mod tests {
 
     #[cfg(unix)]
     #[test]
-    fn links_are_followed_and_stay_links() {
+    fn links_are_refused_and_what_they_lead_to_is_kept() {
         let folder = tempfile::tempdir().unwrap();
         let (target, link) = (folder.path().join("target"), folder.path().join("link"));
         std::os::unix::fs::symlink("target", &link).unwrap();
-        for text in ["where nothing was", "where something was"] {
-            write(&link, text.as_bytes(), Overwrite::Replace).unwrap();
-            assert!(link.symlink_metadata().unwrap().is_symlink());
-            assert_eq!(std::fs::read_to_string(&target).unwrap(), text);
+        for overwrite in [Overwrite::Never, Overwrite::Replace] {
+            assert!(write(&link, b"new", overwrite).is_err() && open(&link, overwrite).is_err());
+            assert!(!target.exists());
         }
-        assert!(write(&link, b"", Overwrite::Never).is_err(), "what it leads to is kept");
+        std::fs::write(&target, "old").unwrap();
+        let refused = write(&link, b"new", Overwrite::Replace).unwrap_err().to_string();
+        assert!(refused.contains("is a link to target"), "{refused}");
+        assert!(open(&link, Overwrite::Replace).is_err());
+        assert_eq!(std::fs::read_to_string(&target).unwrap(), "old");
     }
 
     #[cfg(target_os = "linux")]

@@ -5,8 +5,9 @@ use std::time::Duration;
 use haptic_bridge::board::telemetry::Fields;
 use haptic_bridge::safety::fault::State;
 use haptic_host::link::Board;
-use haptic_sim::MotorInput;
+use haptic_sim::{MotorInput, SpoiltWire};
 use virtual_board::boards::BoardKind;
+use virtual_board::contact::WallAt;
 use virtual_board::noise;
 use virtual_board::rig::Rig;
 use virtual_board::run::{MICROSECOND, MILLISECOND, SECOND};
@@ -210,4 +211,12 @@ fn arming_disarming_and_replugging_over_and_over_leaves_a_board_that_works() {
     rig.run(MILLISECOND);
     let (drives, resets) = rig.with(|stopped| (stopped.hardware().drives(), stopped.resets().len()));
     assert_eq!((drives, resets), ([MotorInput::Floating; 3], 0));
+}
+
+#[test]
+fn spoilt_frames_turn_no_motor_off_for_a_minute() {
+    let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |options| options.substep = 25e-6);
+    rig.arm_before("rate_hz = 1000\ncutoff_hz = 100\n", &[WallAt::facing([0.0, -1.0, 0.0])]);
+    rig.tool.disarm().expect("it disarms");
+    SpoiltWire::follow(rig.shared.wire(), 60_000);
 }

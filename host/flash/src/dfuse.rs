@@ -51,6 +51,8 @@ pub trait Transport {
     fn receive(&mut self, request: u8, value: u16, length: u16) -> Result<Vec<u8>, UsbError>;
     /// Lets time pass.
     fn wait(&mut self, time: Duration);
+    /// Time since some moment.
+    fn now(&self) -> Duration;
 }
 
 /// Why a boot loader did not do what it was told.
@@ -225,7 +227,7 @@ impl<T: Transport> Dfuse<T> {
     /// To idle from wherever it is.
     fn settle(&mut self) -> Result<(), DfuError> {
         let doing = || "get ready".to_string();
-        let mut waited = Duration::ZERO;
+        let began = self.transport.now();
         loop {
             let status = self.status()?;
             match status.state {
@@ -235,7 +237,7 @@ impl<T: Transport> Dfuse<T> {
                 state::DNBUSY | state::DNLOAD_SYNC => {}
                 state => return Err(DfuError::Lost { doing: doing(), state }),
             }
-            self.pause(status.pause, &mut waited, doing)?;
+            self.pause(status.pause, began, doing)?;
         }
     }
 
@@ -253,22 +255,22 @@ impl<T: Transport> Dfuse<T> {
 
     /// Has what was sent last carried out, and waits for its end.
     fn finish(&mut self, doing: impl Fn() -> String) -> Result<(), DfuError> {
-        let mut waited = Duration::ZERO;
+        let began = self.transport.now();
         loop {
             let status = self.status()?;
             match status.state {
                 state::DNLOAD_IDLE => return Ok(()),
-                state::DNBUSY | state::DNLOAD_SYNC => self.pause(status.pause, &mut waited, &doing)?,
+                state::DNBUSY | state::DNLOAD_SYNC => self.pause(status.pause, began, &doing)?,
                 state::ERROR => return Err(failed(status.status, doing)),
                 state => return Err(DfuError::Lost { doing: doing(), state }),
             }
         }
     }
 
-    fn pause(&mut self, asked: Duration, waited: &mut Duration, doing: impl Fn() -> String) -> Result<(), DfuError> {
+    /// Waits before the next question, if the command has not taken too long since it `began`, answers included.
+    fn pause(&mut self, asked: Duration, began: Duration, doing: impl Fn() -> String) -> Result<(), DfuError> {
         let pause = asked.max(PAUSE);
-        *waited += pause;
-        if *waited > LONGEST {
+        if self.transport.now() - began + pause > LONGEST {
             return Err(DfuError::Endless(doing()));
         }
         self.transport.wait(pause);

@@ -15,7 +15,7 @@ use crate::sequence::{BootLoader, Opened, Said, Surroundings};
 use crate::usb::{self, UsbBootLoader};
 
 /// How long a board may take over an answer.
-const ANSWER: Duration = Duration::from_secs(2);
+const ANSWER: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(2));
 
 /// The boards and boot loaders on this computer's USB.
 pub struct Bus {

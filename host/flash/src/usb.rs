@@ -1,7 +1,7 @@
 //! Boot loaders on USB, by `nusb`: Linux and macOS need no library and no driver; on Windows the boot loader needs
 //! WinUSB.
 
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use nusb::transfer::{ControlIn, ControlOut, ControlType, Recipient, TransferError};
 use nusb::{DeviceInfo, ErrorKind, Interface, MaybeFuture as _};
@@ -45,7 +45,7 @@ pub fn open(which: &BootLoader) -> Result<Opened<UsbBootLoader>, UsbError> {
         Some([_, _, _, _, _, low, high, ..]) => u16::from_le_bytes([*low, *high]),
         _ => TRANSFER,
     };
-    Ok(Opened { loader: UsbBootLoader { interface }, memory, transfer })
+    Ok(Opened { loader: UsbBootLoader { interface, began: Instant::now() }, memory, transfer })
 }
 
 fn devices() -> Result<impl Iterator<Item = DeviceInfo>, UsbError> {
@@ -78,6 +78,7 @@ fn from_transfer(error: TransferError) -> UsbError {
 /// The way to a boot loader.
 pub struct UsbBootLoader {
     interface: Interface,
+    began: Instant,
 }
 
 impl Transport for UsbBootLoader {
@@ -95,5 +96,9 @@ impl Transport for UsbBootLoader {
 
     fn wait(&mut self, time: Duration) {
         std::thread::sleep(time);
+    }
+
+    fn now(&self) -> Duration {
+        self.began.elapsed()
     }
 }

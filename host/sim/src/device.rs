@@ -35,7 +35,7 @@ impl Default for Options {
             start: None,
             absolute_encoders: false,
             substep: 5e-6,
-            stop_margin: 0.1,
+            stop_margin: 0.02,
             stops_short: false,
         }
     }

@@ -39,6 +39,7 @@ mod plant;
 mod port;
 mod random;
 pub mod server;
+mod spoilt;
 mod wire;
 
 pub use around::Around;
@@ -54,4 +55,5 @@ pub use motor::{MotorInput, MotorModel, PowerStage};
 pub use open::{open, stop};
 pub use plant::{Load, Plant};
 pub use random::Random;
+pub use spoilt::SpoiltWire;
 pub use wire::{SHIPPED_DEVICE, SharedBoard, ready_board};

@@ -16,6 +16,7 @@ use haptic_bridge::model::description::{
 };
 use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism, Regularity};
 use haptic_bridge::render::controller::{FULL_REGULARITY, PARALLEL_REGULARITY};
+use haptic_bridge::servo::TRIPPING_SINE;
 use haptic_bridge::with_mechanism;
 use nalgebra::{SMatrix, SVector};
 
@@ -41,9 +42,9 @@ pub struct Plant {
     dry: [Joint; 3],
     cogging: [Option<Cogging>; 3],
     stops: [(f64, f64); 3],
-    /// Its [`distance`] from singularities, and how near it comes to one.
+    /// The stop short of singularities, and how far from them the linkage is.
+    short: ShortStop,
     distance: f64,
-    nearest: f64,
     q: [f64; 3],
     qd: [f64; 3],
     /// The acceleration of the last step, rad/s²: centres the velocity terms of the next.
@@ -86,15 +87,35 @@ impl Swinging {
 /// joints; the rest is for the steps in which a joint starts or stops.
 const SWEEPS: usize = 20;
 
-/// Softness of the stop short of a singularity, s: a harder one is a blow that no model of a motor explains, a fault.
-const SOFT_STOP: f64 = 0.05;
-/// Turn of a joint over which the way from a singularity is measured, rad.
-const TINY_TURN: f64 = 1e-6;
-
-/// Distance from the nearest singularity, as a board's feed-forward counts it.
-fn distance(regularity: &Regularity<f64>) -> f64 {
-    regularity.serial.min(regularity.parallel / PARALLEL_REGULARITY)
+/// A stop at a distance `nearest` from singularities: towards it the linkage is no faster than would reach it in
+/// `softness` (s), and from beyond it comes back so fast. So it takes energy and gives none.
+#[derive(Clone, Copy, Debug)]
+struct ShortStop {
+    nearest: f64,
+    softness: f64,
+    /// Serial singularities count as well, through which a linkage goes as through any pose.
+    serial: bool,
 }
+
+impl ShortStop {
+    /// The stop of every simulated linkage: short of a parallel singularity, where inertia has no bound, and nearer to it
+    /// than where a board turns its motors off. What is left of the way shrinks to no less than a third in a millisecond:
+    /// a step of 5 µs stays short beside it.
+    const HARD: Self =
+        Self { nearest: 0.5 * TRIPPING_SINE as f64 / PARALLEL_REGULARITY, softness: 1e-3, serial: false };
+    /// A stop that a hand runs into: a harder one is a blow that no model of a motor explains, a fault.
+    const SOFT: Self = Self { nearest: FULL_REGULARITY, softness: 0.05, serial: true };
+
+    /// Distance from the nearest singularity, as a board's feed-forward counts it.
+    fn distance(&self, regularity: &Regularity<f64>) -> f64 {
+        let parallel = regularity.parallel / PARALLEL_REGULARITY;
+        if self.serial { regularity.serial.min(parallel) } else { parallel }
+    }
+}
+
+/// Turn of a joint over which the way from a singularity is measured, rad: a tenth of the turn that leads from
+/// [`ShortStop::HARD`] into the singularity.
+const TINY_TURN: f64 = 1e-7;
 
 fn vector<const N: usize>(values: &[f64; 3]) -> SVector<f64, N> {
     SVector::from_fn(|i, _| values[i])
@@ -123,8 +144,8 @@ impl Plant {
             dry: if friction { description.joints } else { [Joint::default(); 3] },
             cogging: description.joints.map(|joint| joint.cogging),
             stops,
+            short: ShortStop::HARD,
             distance: 0.0,
-            nearest: 0.0,
             q,
             qd: [0.0; 3],
             qdd: [0.0; 3],
@@ -138,14 +159,20 @@ impl Plant {
             tip: [0.0; 3],
             tip_velocity: [0.0; 3],
         };
-        plant.refresh();
+        plant.stop_at(ShortStop::HARD);
         Ok(plant)
     }
 
     /// Gives the linkage a stop short of every singularity: where a board's feed-forward just acts in full, or where it
     /// stands if that is nearer.
     pub fn stop_short(&mut self) {
-        self.nearest = FULL_REGULARITY.min(self.distance);
+        self.stop_at(ShortStop::SOFT);
+    }
+
+    fn stop_at(&mut self, stop: ShortStop) {
+        self.short = stop;
+        self.refresh();
+        self.short.nearest = stop.nearest.min(self.distance);
     }
 
     /// Number of joints N.
@@ -270,27 +297,28 @@ impl Plant {
     }
 
     fn observe<M: Mechanism<f64, N>, const N: usize>(&mut self, m: &M, pose: &M::Pose) {
-        self.distance = distance(&m.regularity(pose));
+        self.distance = self.short.distance(&m.regularity(pose));
         self.tip = array(&m.tip(pose));
         self.tip_velocity = array(&m.velocity(pose, &vector(&self.qd)));
         self.tip[self.task..].fill(0.0);
         self.tip_velocity[self.task..].fill(0.0);
     }
 
-    /// What follows from where it is after a step of `h`. The stop short of a singularity is a soft one: towards it the
-    /// linkage is no faster than would reach it in [`SOFT_STOP`], and from beyond it comes back so fast.
+    /// Updates what follows from the pose after a step of `h`, and applies the stop short of singularities.
     fn arrive<M: Mechanism<f64, N>, const N: usize>(&mut self, m: &M, h: f64) {
         let (before, q) = (self.distance, vector(&self.q));
         let pose = m.pose::<Libm>(&q);
         self.observe(m, &pose);
-        let back = (self.nearest - self.distance) / SOFT_STOP;
-        if self.nearest == 0.0 || self.distance - before >= h * back {
+        let back = (self.short.nearest - self.distance) / self.short.softness;
+        if self.distance - before >= h * back {
             return;
         }
+        // The square of the distance is smooth where the distance has a corner or an infinite slope.
         let away = SVector::<f64, N>::from_fn(|i, _| {
             let mut turned = q;
             turned[i] += TINY_TURN;
-            (distance(&m.regularity(&m.pose::<Libm>(&turned))) - self.distance) / TINY_TURN
+            let there = self.short.distance(&m.regularity(&m.pose::<Libm>(&turned)));
+            (there.powi(2) - self.distance.powi(2)) / (2.0 * self.distance * TINY_TURN)
         });
         let given = m.mass(&pose).try_inverse().unwrap_or_else(SMatrix::zeros) * away;
         let qd: SVector<f64, N> = vector(&self.qd);

@@ -1,6 +1,6 @@
 //! A board as a program sees it: one method for every endpoint of the protocol.
 
-use super::client::{Client, Sent};
+use super::client::{Client, HEARTBEAT, Patience, Sent};
 use super::error::{BoardError, LinkError};
 use super::telemetry::{Losses, Row, Rows};
 use super::wire::Wire;
@@ -23,15 +23,18 @@ use std::time::Duration;
 
 /// Values of a table that travel in one message.
 const TABLE_PIECE: usize = 64;
-/// Time a board may take to answer; a board that is a process also waits for its turn ([`Wire::slack`]).
-const ANSWER: Duration = Duration::from_secs(2);
-/// Time it may take when it writes flash: two sector erases of 16 KB and the writing (STM32F405 data sheet).
-const FLASH_ANSWER: Duration = Duration::from_secs(6);
+/// Time after which a request is sent again, some times within the half second after which a board may take its host for
+/// lost, and time a board may take to answer; a board that is a process also waits for its turn ([`Wire::slack`]).
+const ANSWER: Patience = (Duration::from_millis(100), Duration::from_secs(2));
+/// The same when it writes flash: two sector erases of 16 KB and the writing (STM32F405 data sheet).
+const FLASH_ANSWER: Patience = (Duration::from_secs(3), Duration::from_secs(6));
+/// The same when it is to turn its motors off: who asks for that is told soon that they may be on.
+const STOP_ANSWER: Patience = (Duration::from_millis(100), Duration::from_secs(4));
+/// Batches in a row that cannot be read before a stream ends with an error: fewer may be spoilt frames.
+const UNREADABLE: u32 = 50;
 /// Time to wait for the answer to a force, unless a program says otherwise: until then its lease has run out by itself,
 /// as [`super::Session`] sets it.
 pub const FORCE_PATIENCE: Duration = Duration::from_millis(100);
-/// Interval at which the host sends a heartbeat, when it was asked to.
-const HEARTBEAT: Duration = Duration::from_millis(50);
 
 /// The result of a polarity check.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -72,7 +75,6 @@ pub struct Board {
     info: Info,
     rows: Rows,
     garbled_before: u64,
-    heartbeat: bool,
     last_heartbeat: Option<Duration>,
     /// The step that the board told in answer to the newest heartbeat.
     step: u32,
@@ -99,7 +101,7 @@ impl Board {
     /// protocol, and also where a server lets only this request past the tool that holds the board.
     pub fn stop_over(wire: Box<dyn Wire>, port: impl Into<String>) -> Result<Stopped, BoardError> {
         let (mut client, port) = (Self::reach(wire)?, port.into());
-        match client.call::<p::Disarm>(&(), ANSWER + client.slack()) {
+        match client.call::<p::Disarm>(&(), STOP_ANSWER) {
             Err(_) if client.was_told_occupied() => return Err(LinkError::HeldByAnother(port).into()),
             outcome => outcome??,
         }
@@ -111,7 +113,7 @@ impl Board {
     }
 
     fn greet(mut client: Client, port: String) -> Result<Self, LinkError> {
-        let info = match client.call::<p::GetInfo>(&(), ANSWER + client.slack()) {
+        let info = match client.call::<p::GetInfo>(&(), (ANSWER.0, ANSWER.1 + client.slack())) {
             Err(_) if client.was_told_occupied() => return Err(LinkError::HeldByAnother(port)),
             other => other?,
         };
@@ -123,9 +125,8 @@ impl Board {
             client,
             port,
             info,
-            rows: Rows::of(0, Fields(0)),
+            rows: Rows::of(0, Fields(0), 0),
             garbled_before: 0,
-            heartbeat: false,
             last_heartbeat: None,
             step: 0,
             force_patience: FORCE_PATIENCE,
@@ -147,12 +148,12 @@ impl Board {
         self.client.now()
     }
 
-    fn ask<E: Endpoint>(&mut self, request: &E::Request, timeout: Duration) -> Result<E::Response, LinkError>
+    fn ask<E: Endpoint>(&mut self, request: &E::Request, patience: Patience) -> Result<E::Response, LinkError>
     where
         E::Request: Serialize,
         E::Response: DeserializeOwned,
     {
-        self.client.call::<E>(request, timeout + self.client.slack())
+        self.client.call::<E>(request, (patience.0, patience.1 + self.client.slack()))
     }
 
     fn change<E: Endpoint<Response = Outcome>>(&mut self, request: &E::Request) -> Result<(), BoardError>
@@ -160,6 +161,15 @@ impl Board {
         E::Request: Serialize,
     {
         Ok(self.ask::<E>(request, ANSWER)??)
+    }
+
+    /// The outcome of a request to turn the motors on. One whose answer was lost is refused when it is repeated, because
+    /// they are on.
+    fn on(&self, outcome: Result<(), BoardError>) -> Result<(), BoardError> {
+        match outcome {
+            Err(BoardError::Refused(Refusal::Armed)) if self.client.repeats > 0 => Ok(()),
+            outcome => outcome,
+        }
     }
 
     /// The rest of what the board says of itself.
@@ -231,11 +241,13 @@ impl Board {
     }
     /// Starts the polarity check: each joint is moved by a small torque.
     pub fn check_polarity(&mut self) -> Result<(), BoardError> {
-        self.change::<p::CheckPolarity>(&())
+        let outcome = self.change::<p::CheckPolarity>(&());
+        self.on(outcome)
     }
     /// Motors on.
     pub fn arm(&mut self) -> Result<(), BoardError> {
-        self.change::<p::Arm>(&())
+        let outcome = self.change::<p::Arm>(&());
+        self.on(outcome)
     }
     /// Motors off.
     pub fn disarm(&mut self) -> Result<(), BoardError> {
@@ -250,7 +262,8 @@ impl Board {
     /// knew of before the key was seen down. Half a second after that step the board turns its motors off, as a fault,
     /// unless [`Board::hold_key`] has told of a newer one; it refuses to arm where that is over already.
     pub fn arm_held(&mut self, seen: u32) -> Result<(), BoardError> {
-        self.change::<p::ArmHeld>(&p::Press { holder: self.session, seen })
+        let outcome = self.change::<p::ArmHeld>(&p::Press { holder: self.session, seen });
+        self.on(outcome)
     }
     /// The key is still down, see [`Board::arm_held`]. Only this `Board` can say so of the key that it armed with.
     pub fn hold_key(&mut self, seen: u32) -> Result<(), LinkError> {
@@ -274,7 +287,9 @@ impl Board {
         let (began, patience) = (self.now(), self.force_patience);
         let answer = self.client.answer::<p::Force>(sent, patience);
         answer.map_err(|error| match error {
-            LinkError::Silent { .. } => LinkError::Unanswered { waited: patience.min(self.now() - began) },
+            LinkError::Silent { .. } | LinkError::Rejected { .. } | LinkError::Unreadable { .. } => {
+                LinkError::Unanswered { waited: patience.min(self.now() - began) }
+            }
             error => error,
         })
     }
@@ -325,17 +340,18 @@ impl Board {
         self.change::<p::Restart>(&())
     }
 
-    /// From now on says several times a second that the host is there, whenever it waits for telemetry.
+    /// From now on says several times a second that the host is there, whenever it waits for telemetry
+    /// or for an answer.
     pub fn keep_alive(&mut self) {
-        self.heartbeat = true;
+        self.client.alive = true;
     }
 
     /// Waits for the end of the polarity check that [`Board::check_polarity`] started, and says how it ended. Meanwhile
     /// the board is told that the host is there.
     pub fn wait_for_polarity(&mut self) -> Result<PolarityOutcome, BoardError> {
-        let before = std::mem::replace(&mut self.heartbeat, true);
+        let before = std::mem::replace(&mut self.client.alive, true);
         let outcome = self.polarity_outcome();
-        self.heartbeat = before;
+        self.client.alive = before;
         outcome
     }
 
@@ -369,7 +385,7 @@ impl Board {
     pub fn start_stream(&mut self, fields: Fields, divider: u32) -> Result<(), BoardError> {
         // Drawn, not counted: whatever a tool before this one left on the link has another.
         let stream = self.client.draw();
-        self.rows = Rows::of(stream, fields);
+        self.rows = Rows::of(stream, fields, divider);
         self.garbled_before = self.client.garbled();
         self.change::<p::Stream>(&StreamRequest { fields, divider, stream })
     }
@@ -391,9 +407,14 @@ impl Board {
             match self.client.topic(wait)? {
                 Some(frame) => {
                     if let Some(batch) = frame.message::<p::Telemetry>() {
-                        self.rows.take(&batch?, &mut rows);
+                        match batch {
+                            Ok(batch) => self.rows.take(&batch, &mut rows),
+                            Err(error) if self.rows.spoilt() > UNREADABLE => return Err(error),
+                            Err(_) => {}
+                        }
                     } else if let Some(record) = frame.message::<p::FaultSeen>() {
-                        self.faults.push(record?);
+                        // One that was spoilt on its way is still in the board's list.
+                        self.faults.extend(record);
                     }
                 }
                 None if !rows.is_empty() || left.is_zero() => return Ok(rows),
@@ -404,12 +425,13 @@ impl Board {
 
     /// The losses of the stream so far.
     pub fn losses(&self) -> Losses {
-        Losses { garbled: self.client.garbled() - self.garbled_before, ..self.rows.losses() }
+        let losses = self.rows.losses();
+        Losses { garbled: losses.garbled + self.client.garbled() - self.garbled_before, ..losses }
     }
 
     fn beat(&mut self) -> Result<(), LinkError> {
         let now = self.client.now();
-        if self.heartbeat && self.last_heartbeat.is_none_or(|last| now.saturating_sub(last) >= HEARTBEAT) {
+        if self.client.alive && self.last_heartbeat.is_none_or(|last| now.saturating_sub(last) >= HEARTBEAT) {
             self.heartbeat(p::Beat::Here)?;
         }
         Ok(())
@@ -417,7 +439,7 @@ impl Board {
 
     fn heartbeat(&mut self, beat: p::Beat) -> Result<(), LinkError> {
         self.last_heartbeat = Some(self.now());
-        self.step = self.ask::<p::Heartbeat>(&beat, ANSWER)?;
+        self.step = self.ask::<p::Heartbeat>(&beat, (HEARTBEAT, ANSWER.1))?;
         Ok(())
     }
 }

@@ -3,7 +3,7 @@
 use super::error::LinkError;
 use super::framing::{Deframer, Packet, encode};
 use super::wire::Wire;
-use haptic_bridge::board::protocol::Disarm;
+use haptic_bridge::board::protocol::{Beat, Disarm, Heartbeat};
 use postcard_rpc::header::{VarHeader, VarKey, VarSeq};
 use postcard_rpc::standard_icd::{ERROR_KEY, WireError};
 use postcard_rpc::{Endpoint, Key, Topic};
@@ -27,8 +27,7 @@ impl TopicFrame {
     where
         T::Message: DeserializeOwned,
     {
-        (self.key == VarKey::Key8(T::TOPIC_KEY))
-            .then(|| postcard::from_bytes(&self.body).map_err(|_| LinkError::Unreadable { what: T::PATH }))
+        (self.key == VarKey::Key8(T::TOPIC_KEY)).then(|| whole(&self.body, T::PATH))
     }
 }
 
@@ -42,6 +41,25 @@ pub struct Client {
     topics: VecDeque<TopicFrame>,
     sequence: u16,
     buffer: Vec<u8>,
+    /// True if heartbeats go out while an answer is waited for.
+    pub(super) alive: bool,
+    /// Times that the last request of [`Client::call`] was sent again: it may have been carried out before.
+    pub(super) repeats: u32,
+}
+
+/// Time after which a request that was not answered is sent again, and after which it is given up.
+pub type Patience = (Duration, Duration);
+/// Interval at which the host sends heartbeats, where it was asked to.
+pub(super) const HEARTBEAT: Duration = Duration::from_millis(50);
+/// Times that a request is sent again whose answer rejects it or cannot be read: fewer may be spoilt frames.
+const UNREADABLE: u32 = 3;
+
+/// A message that takes all of these bytes: what is longer was spoilt on its way.
+fn whole<M: DeserializeOwned>(body: &[u8], path: &'static str) -> Result<M, LinkError> {
+    match postcard::take_from_bytes(body) {
+        Ok((message, [])) => Ok(message),
+        _ => Err(LinkError::Unreadable { what: path }),
+    }
 }
 
 /// Largest number of requests under way: the oldest beyond that are given up.
@@ -76,6 +94,8 @@ impl Client {
             answers: VecDeque::new(),
             topics: VecDeque::new(),
             buffer: vec![0; 16 * 1024],
+            alive: false,
+            repeats: 0,
         }
     }
 
@@ -109,14 +129,40 @@ impl Client {
         self.topics.iter().any(|topic| topic.key == VarKey::Key8(Occupied::TOPIC_KEY))
     }
 
-    /// Sends a request of endpoint `E` and waits for its answer. Topic messages that come meanwhile are kept.
-    pub fn call<E: Endpoint>(&mut self, request: &E::Request, timeout: Duration) -> Result<E::Response, LinkError>
+    /// Sends a request of endpoint `E` and waits for its answer. A spoilt frame costs little: the request is sent again,
+    /// under its number, after the first of the two times or half of what was waited, whichever is longer. Topic messages
+    /// that come meanwhile are kept.
+    pub fn call<E: Endpoint>(&mut self, request: &E::Request, patience: Patience) -> Result<E::Response, LinkError>
     where
         E::Request: Serialize,
         E::Response: DeserializeOwned,
     {
-        let sent = self.send::<E>(request)?;
-        self.answer::<E>(sent, timeout)
+        let (sent, frame) = self.send_frame::<E>(request)?;
+        let (again, began) = (patience.0, self.now());
+        let (mut asked, end) = (began, began + patience.1);
+        self.repeats = 0;
+        let answer = loop {
+            let before = self.now();
+            let due = end.min(asked + again.max((before - began) / 2));
+            match self.read::<E>(sent, due.saturating_sub(before).min(HEARTBEAT)) {
+                Err(LinkError::Rejected { .. } | LinkError::Unreadable { .. }) if self.repeats < UNREADABLE => {}
+                Err(LinkError::Silent { .. }) if self.now() < end => {
+                    if self.alive {
+                        let beat = self.send::<Heartbeat>(&Beat::Here)?;
+                        self.forget(beat);
+                    }
+                    if self.now() < due {
+                        continue;
+                    }
+                }
+                answer => break answer,
+            }
+            // The board may hold a part of the last one.
+            self.wire.send(&[&[0], &frame[..]].concat()).map_err(LinkError::Lost)?;
+            (self.repeats, asked) = (self.repeats + 1, self.now());
+        };
+        self.forget(sent);
+        answer
     }
 
     /// Sends a request of endpoint `E`; what [`Client::answer`] wants to know of it.
@@ -124,17 +170,23 @@ impl Client {
     where
         E::Request: Serialize,
     {
+        self.send_frame::<E>(request).map(|(sent, _)| sent)
+    }
+
+    /// As [`Client::send`]; also the bytes on the wire.
+    fn send_frame<E: Endpoint<Request: Serialize>>(&mut self, body: &E::Request) -> Result<(Sent, Vec<u8>), LinkError> {
         self.sequence = self.sequence.wrapping_add(1);
         let sent = Sent(VarSeq::Seq2(self.sequence));
         let key = VarKey::Key8(E::REQ_KEY);
-        let body = postcard::to_stdvec(request).map_err(|_| LinkError::Unreadable { what: E::PATH })?;
-        self.wire.send(&encode(&VarHeader { key, seq_no: sent.0 }, &body)).map_err(LinkError::Lost)?;
+        let body = postcard::to_stdvec(body).map_err(|_| LinkError::Unreadable { what: E::PATH })?;
+        let frame = encode(&VarHeader { key, seq_no: sent.0 }, &body);
+        self.wire.send(&frame).map_err(LinkError::Lost)?;
         self.under_way.push_back((sent.0, VarKey::Key8(E::RESP_KEY)));
         if self.under_way.len() > MOST_UNDER_WAY {
             let given_up = self.under_way.pop_front();
             self.answers.retain(|frame| given_up.is_none_or(|(number, _)| frame.header.seq_no != number));
         }
-        Ok(sent)
+        Ok((sent, frame))
     }
 
     /// Waits for the answer to a request of endpoint `E`. Requests are answered in their order: where one that was sent
@@ -143,15 +195,27 @@ impl Client {
     where
         E::Response: DeserializeOwned,
     {
-        let answered = self.answered(sent, E::PATH, timeout);
+        let answer = self.read::<E>(sent, timeout);
+        self.forget(sent);
+        answer
+    }
+
+    fn forget(&mut self, sent: Sent) {
         self.under_way.retain(|(number, _)| *number != sent.0);
-        let frame = answered?;
+        self.answers.retain(|frame| frame.header.seq_no != sent.0);
+    }
+
+    fn read<E: Endpoint<Response: DeserializeOwned>>(
+        &mut self,
+        sent: Sent,
+        timeout: Duration,
+    ) -> Result<E::Response, LinkError> {
+        let frame = self.answered(sent, E::PATH, timeout)?;
         let stopped = E::REQ_KEY == Disarm::REQ_KEY && frame.body == STOPPED;
         if frame.header.key == VarKey::Key8(E::RESP_KEY) || stopped {
-            return postcard::from_bytes(&frame.body).map_err(|_| LinkError::Unreadable { what: E::PATH });
+            return whole(&frame.body, E::PATH);
         }
-        let error: WireError =
-            postcard::from_bytes(&frame.body).map_err(|_| LinkError::Unreadable { what: E::PATH })?;
+        let error: WireError = whole(&frame.body, E::PATH)?;
         Err(LinkError::Rejected { what: E::PATH, error: error.to_string() })
     }
 
@@ -194,7 +258,8 @@ impl Client {
         }
     }
 
-    /// Takes in what the wire has; answers to what is under way wait for [`Self::answer`], the others are topics.
+    /// Takes in what the wire has; answers to what is under way wait for [`Self::answer`], the others are topics,
+    /// except the answers to heartbeats that went out beside a request.
     fn pump(&mut self, timeout: Duration) -> Result<(), LinkError> {
         let count = self.wire.receive(&mut self.buffer, timeout).map_err(LinkError::Lost)?;
         let (under_way, waiting, topics) = (&self.under_way, &mut self.answers, &mut self.topics);
@@ -206,7 +271,7 @@ impl Client {
             };
             if under_way.iter().any(answers) {
                 waiting.push_back(frame);
-            } else {
+            } else if key != VarKey::Key8(Heartbeat::RESP_KEY) {
                 let Packet { header, body } = frame;
                 topics.push_back(TopicFrame { key: header.key, sequence: header.seq_no, body });
             }

@@ -31,7 +31,9 @@ pub enum LinkError {
         reason: String,
     },
     /// Someone else has the port open.
-    #[error("port {0} is in use by another program (another `haptic`, a serial monitor, ModemManager); close it first")]
+    #[error(
+        "port {0} is in use by another program (another `haptic`, a serial monitor, ModemManager); close it first. `haptic view` turns gains and records at once"
+    )]
     PortBusy(String),
     /// Not allowed to open the port.
     #[error("no permission to open {0}; add yourself to its group: sudo usermod -aG dialout $USER, then log in again")]
@@ -48,9 +50,7 @@ pub enum LinkError {
     #[error("the board was unplugged or the connection was lost ({0}); plug it in again")]
     Lost(io::Error),
     /// Another tool is connected to the simulated board.
-    #[error(
-        "another tool is connected to {0}; close it first, or use one that does both: `haptic view` records while gains are turned"
-    )]
+    #[error("another tool is connected to {0}; close it first. `haptic view` turns gains and records at once")]
     HeldByAnother(String),
     /// The device of `sim:FILE` cannot be simulated.
     #[error("{0}")]

@@ -5,16 +5,15 @@
 //! sent again. A real serial port is the other tool's alone: end that tool (Ctrl-C), or pull the USB cable, which
 //! disarms a board that watches its host.
 
-use super::client::Client;
+use super::client::{Client, Patience};
 use super::error::{BoardError, LinkError};
 use super::ports::{self, PortSpec};
 use haptic_bridge::board::protocol::Disarm;
 use std::time::Duration;
 
-/// Time to wait for the answer to one request.
-const PATIENCE: Duration = Duration::from_millis(400);
-/// Largest number of times that the request is sent, because another tool may read the answer, or a crowd before a TCP
-/// door may push a connection out: enough for ten seconds.
+/// Time after which the request is sent again, because another tool may read the answer, and after which it is given up.
+const PATIENCE: Patience = (Duration::from_millis(100), Duration::from_secs(4));
+/// Connections that are tried: a crowd before a TCP door may push one out.
 const TRIES: usize = 25;
 
 /// Has the board at `port` disarm although another tool holds it.
@@ -30,10 +29,9 @@ pub fn disarm_past(port: &PortSpec) -> Result<(), BoardError> {
     let mut client = Client::new(open()?);
     for _ in 1..TRIES {
         match client.call::<Disarm>(&(), PATIENCE) {
-            Err(LinkError::Silent { .. }) => {}
             Err(LinkError::Lost(_)) => client = Client::new(open()?),
             answered => return Ok(answered??),
         }
     }
-    Ok(client.call::<Disarm>(&(), PATIENCE + client.slack())??)
+    Ok(client.call::<Disarm>(&(), PATIENCE)??)
 }

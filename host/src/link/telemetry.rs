@@ -1,7 +1,7 @@
 //! Telemetry as it arrives: rows with their step, columns with name and unit, and exact accounts of what was lost.
 
 use crate::words::counted;
-use haptic_bridge::board::telemetry::{Batch, Field, Fields, Kind};
+use haptic_bridge::board::telemetry::{BATCH_BYTES, Batch, Field, Fields, Kind};
 
 /// One kept control step.
 #[derive(Clone, Debug, PartialEq)]
@@ -128,39 +128,65 @@ impl std::fmt::Display for Losses {
 pub(super) struct Rows {
     /// The stream that is followed; batches of any other are left over from a tool that is gone.
     stream: u32,
-    /// What was asked for.
+    /// The fields and the steps between rows that were asked for.
     fields: Fields,
+    divider: u32,
     losses: Losses,
+    /// Step and number of the next batch, if none is lost.
     next: Option<(u32, u32)>,
+    /// Spoilt batches since the last good one.
+    spoilt: u32,
 }
 
+/// Spoilt batches in a row after which the next one is believed: the one before them was spoilt then.
+const BELIEVED: u32 = 3;
+
 impl Rows {
-    /// Those of one stream with these fields.
-    pub(super) fn of(stream: u32, fields: Fields) -> Self {
-        Self { stream, fields, losses: Losses::default(), next: None }
+    /// Those of one stream with these fields of every `divider`-th step.
+    pub(super) fn of(stream: u32, fields: Fields, divider: u32) -> Self {
+        Self { stream, fields, divider, losses: Losses::default(), next: None, spoilt: 0 }
+    }
+
+    /// Counts a batch that was spoilt on its way; how many were in a row.
+    pub(super) fn spoilt(&mut self) -> u32 {
+        self.losses.garbled += 1;
+        self.spoilt += 1;
+        self.spoilt
     }
 
     pub(super) fn losses(&self) -> Losses {
         self.losses
     }
 
-    /// Appends the rows of a batch.
+    /// Appends the rows of a batch. One that contradicts those before it was spoilt: its rows count as missing. Rows are
+    /// missing because the board dropped them, or with batches of one row at least.
     pub(super) fn take(&mut self, batch: &Batch, rows: &mut Vec<Row>) {
         let fields = Fields(batch.fields);
         let width = fields.bytes(usize::from(batch.axes));
-        if width == 0 || batch.axes == 0 || batch.divider == 0 || (batch.stream, fields) != (self.stream, self.fields) {
+        let asked = (self.stream, self.fields, self.divider);
+        if width == 0 || batch.axes == 0 || batch.divider == 0 || (batch.stream, fields, batch.divider) != asked {
             return;
         }
+        let mut fits = batch.rows.len().is_multiple_of(width);
         if let Some((step, number)) = self.next {
-            let ahead = batch.first_step.wrapping_sub(step) / batch.divider;
+            let behind = batch.first_step.wrapping_sub(step);
+            let ahead = u64::from(behind / batch.divider);
+            let lost = u64::from(batch.number.wrapping_sub(number));
+            let most = u64::from(batch.dropped) + lost * (BATCH_BYTES / width) as u64;
+            let restarted = batch.number == 0 || self.spoilt >= BELIEVED;
+            fits &= restarted || (behind.is_multiple_of(batch.divider) && (lost..=most).contains(&ahead));
             // A step counter that went back means that the board restarted: nothing can be said of what lies between.
-            if ahead < u32::MAX / 2 / batch.divider {
-                self.losses.missing += u64::from(ahead);
+            if fits && behind < u32::MAX / 2 {
+                self.losses.missing += ahead;
             }
-            self.losses.batches_lost += u64::from(batch.number.saturating_sub(number));
-        } else {
-            self.losses.batches_lost += u64::from(batch.number);
         }
+        if !fits {
+            self.spoilt();
+            return;
+        }
+        self.spoilt = 0;
+        let number = self.next.map_or(0, |(_, number)| number);
+        self.losses.batches_lost += u64::from(batch.number.saturating_sub(number));
         self.losses.dropped_by_board = u64::from(batch.dropped);
         let mut step = batch.first_step;
         for packed in batch.rows.chunks_exact(width) {
@@ -212,7 +238,7 @@ mod tests {
 
     #[test]
     fn every_missing_row_is_counted_once_and_blamed() {
-        let (mut stream, mut rows) = (Rows::of(0, WALL), Vec::new());
+        let (mut stream, mut rows) = (Rows::of(0, WALL, 4), Vec::new());
         stream.take(&batch(0, 100, 3, 0), &mut rows);
         stream.take(&batch(1, 112, 2, 0), &mut rows);
         assert_eq!(stream.losses(), Losses { received: 5, ..Losses::default() });
@@ -228,7 +254,7 @@ mod tests {
 
     #[test]
     fn batches_of_another_stream_are_no_rows_and_no_losses() {
-        let (mut stream, mut rows) = (Rows::of(7, WALL), Vec::new());
+        let (mut stream, mut rows) = (Rows::of(7, WALL, 4), Vec::new());
         stream.take(&Batch { stream: 6, ..batch(9, 100, 3, 5) }, &mut rows);
         stream.take(&Batch { stream: 7, ..batch(0, 40, 2, 0) }, &mut rows);
         // A number that went back is no loss of four thousand million batches.
@@ -238,7 +264,7 @@ mod tests {
 
     #[test]
     fn the_step_counter_may_wrap() {
-        let (mut stream, mut rows) = (Rows::of(0, WALL), Vec::new());
+        let (mut stream, mut rows) = (Rows::of(0, WALL, 4), Vec::new());
         stream.take(&batch(0, u32::MAX - 7, 2, 0), &mut rows);
         stream.take(&batch(1, 0, 2, 0), &mut rows);
         assert_eq!(stream.losses().missing, 0);

@@ -59,6 +59,8 @@ pub struct Board {
     pub now: Duration,
     /// From when on the system sees it.
     seen_from: Duration,
+    /// Time that the boot loader takes to answer.
+    pub answers_after: Duration,
     pub plugged: bool,
     pub boot_pins: bool,
     pub protected: bool,
@@ -114,6 +116,7 @@ impl Site {
             lies: None,
             stuck: None,
             opening: None,
+            answers_after: Duration::ZERO,
             late: 0,
             fail: None,
             given_back: None,
@@ -253,11 +256,17 @@ impl Transport for Cable {
     }
 
     fn receive(&mut self, request: u8, value: u16, length: u16) -> Result<Vec<u8>, UsbError> {
-        self.0.borrow_mut().request((request, value), &[], length)
+        let mut board = self.0.borrow_mut();
+        board.now += board.answers_after;
+        board.request((request, value), &[], length)
     }
 
     fn wait(&mut self, time: Duration) {
         self.0.borrow_mut().now += time;
+    }
+
+    fn now(&self) -> Duration {
+        self.0.borrow().now
     }
 }
 

@@ -87,19 +87,24 @@ fn a_conversation_begins_wherever_another_one_stopped() {
 
 #[test]
 fn a_busy_boot_loader_is_waited_for_and_one_that_never_ends_is_given_up() {
-    let (site, cable) = cable();
-    site.change(|board| match &mut board.chip {
-        Chip::BootLoader(boot_loader) => boot_loader.late = 30,
-        _ => unreachable!(),
-    });
-    let mut dfuse = Dfuse::begin(cable, 2048).unwrap();
-    dfuse.erase(0x0802_0000).unwrap();
-    site.change(|board| match &mut board.chip {
-        Chip::BootLoader(boot_loader) => boot_loader.late = u32::MAX,
-        _ => unreachable!(),
-    });
-    let error = dfuse.erase(0x0802_0000).unwrap_err();
-    assert_eq!(error, DfuError::Endless("erase the sector at 0x08020000".into()));
+    for answers_after in [0.0, 4.9].map(std::time::Duration::from_secs_f64) {
+        let (site, cable) = cable();
+        let late = |rounds| {
+            site.change(|board| match &mut board.chip {
+                Chip::BootLoader(boot_loader) => boot_loader.late = rounds,
+                _ => unreachable!(),
+            });
+        };
+        late(30);
+        let mut dfuse = Dfuse::begin(cable, 2048).unwrap();
+        dfuse.erase(0x0802_0000).unwrap();
+        late(u32::MAX);
+        site.change(|board| board.answers_after = answers_after);
+        let began = site.0.borrow().now;
+        let error = dfuse.erase(0x0802_0000).unwrap_err();
+        assert_eq!(error, DfuError::Endless("erase the sector at 0x08020000".into()));
+        assert!((site.0.borrow().now - began).as_secs() <= 25, "answers after {answers_after:?}");
+    }
 }
 
 #[test]

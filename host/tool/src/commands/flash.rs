@@ -90,7 +90,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
 
 fn read(file: &PathBuf) -> Result<Image, Failure> {
     let wrong = |error: &dyn std::fmt::Display| Failure::wrong(format!("{}: {error}", file.display()));
-    let bytes = std::fs::read(file).map_err(|error| wrong(&error))?;
+    let bytes = haptic_host::input::read(file).map_err(|error| wrong(&error))?;
     parse(&bytes).map_err(|error| wrong(&error))
 }
 

@@ -164,6 +164,11 @@ pub fn warn_of_weaker(before: &Rules, now: &Rules) {
             short(was)
         );
     }
+    for (joint, (was, is)) in before.limits.torque.iter().zip(now.limits.torque).enumerate() {
+        if is > *was {
+            haptic_host::tell!("joint {joint} may now get {} N m, before {}", short(is), short(*was));
+        }
+    }
 }
 
 /// The failure with which a command ends if a fault turned its motors off.

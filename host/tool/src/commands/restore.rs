@@ -1,20 +1,24 @@
 //! `haptic board restore`: puts a backup back into a board.
 
-use super::port::{OnBoard, warn_of_weaker};
+use super::port::{OnBoard, confirm, warn_of_weaker};
 use haptic_bridge::board::settings::Key;
 use haptic_host::backup::{Backup, Ready, Restored, restore};
-use haptic_host::error::Failure;
+use haptic_host::error::{Failure, on_one_line};
 use haptic_host::toml_file::Document;
 use serde_json::json;
 use std::path::PathBuf;
 
 /// Put a backup back into the board's flash
 ///
-/// The motors must be off. A polarity check is not restored: run `haptic polarity` again.
+/// The motors must be off. A polarity check is not restored: run `haptic polarity` again. A backup of another board is
+/// restored only once you have agreed, and without that board's name.
 #[derive(clap::Args)]
 pub struct Args {
     /// A file that `haptic board backup` wrote
     file: PathBuf,
+    /// Do not ask before the settings of another board are restored
+    #[arg(long)]
+    yes: bool,
     #[command(flatten)]
     on: OnBoard,
 }
@@ -29,9 +33,17 @@ pub fn run(args: Args) -> Result<(), Failure> {
     backup.ready().map_err(wrong)?;
     let mut board = args.on.open()?;
     let mut ready = backup.ready().map_err(wrong)?;
-    let another = board.info().serial != backup.serial.as_str();
-    if another {
-        // Two boards of one name could not be told apart.
+    let info = board.info();
+    let from_another = (backup.board.as_str(), backup.serial.as_str()) != (info.board.as_str(), info.serial.as_str());
+    if from_another {
+        let [kind, serial] = [&backup.board, &backup.serial].map(|text| on_one_line(text));
+        let what = format!(
+            "the backup is of another board ({kind}, serial number {serial}) and this is {}, serial number {}: device, \
+             limits and scene of that one come here",
+            on_one_line(&info.board),
+            on_one_line(&info.serial)
+        );
+        confirm(args.yes, &what)?;
         ready.retain(|setting| setting.key != Key::Name);
     }
     haptic_host::tell!("writing flash: the board pauses for up to a second");
@@ -46,8 +58,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
             Restored::MadeAnew => format!("{}: left out, to be made anew: `haptic polarity`\n", setting.key.name()),
         };
     }
-    if another && backup.settings.contains_key(Key::Name.name()) {
-        report += "name: left out, because the backup is of another board: `haptic board name`\n";
+    if from_another {
+        report += "name: left as it is; `haptic board name` changes it\n";
     }
     let how = |setting: &Ready| json!({ "setting": setting.key.name(), "how": format!("{:?}", setting.how) });
     args.on.answer(json!({ "restored": ready.iter().map(how).collect::<Vec<_>>() }), &report)

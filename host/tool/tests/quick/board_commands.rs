@@ -457,6 +457,28 @@ fn what_weakens_a_protection_is_told_by_whichever_command_does_it() {
 }
 
 #[test]
+fn a_backup_of_another_board_is_restored_once_agreed_and_without_its_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let kept = folder.path().join("kept.json");
+    let restore = ["board", "restore", kept.to_str().unwrap()];
+    let sim = Sim::start(&["--fast"]);
+    sim.run(&["board", "name", "left hand"]).success();
+    sim.run(&["board", "save"]).success();
+    sim.run(&["board", "backup", kept.to_str().unwrap()]).success();
+    let text = std::fs::read_to_string(&kept).unwrap();
+    std::fs::write(&kept, text.replace("\"SIM0001\"", "\"OTHER\"")).unwrap();
+    sim.run(&["board", "name", "right hand"]).success();
+    let tight = ["rules", "--torque", "0.1,0.1"];
+    let tightened = sim.run(&tight).success().stderr("").get_output().stdout.clone();
+    sim.run(&restore).code(1).stderr(contains("OTHER").and(contains("SIM0001")).and(contains("--yes")));
+    sim.run(&["rules"]).success().stdout(tightened);
+    sim.run(&[&restore[..], &["--yes"]].concat()).success().stderr(contains("joint 0 may now get"));
+    sim.run(&["info"]).success().stdout(contains("right hand"));
+    sim.run(&tight).success();
+    sim.run(&["rules", "--torque", "0.2,0.1"]).success().stderr(contains("joint 0 may now get 0.2 N m, before 0.1"));
+}
+
+#[test]
 fn the_limit_of_the_tip_force_goes_as_high_as_the_safety_page_says() {
     let page = std::fs::read_to_string(file("../docs/safety.md")).unwrap();
     assert!(page.contains("at most 100 N; 1000 N on a simulated board without `--strict`"));

@@ -9,7 +9,9 @@ use haptic_bridge::safety::fault::{Fault, State};
 use haptic_host::device_file::DeviceFile;
 use haptic_host::latency::measure;
 use haptic_host::link::{Board, FADE, FORCE_PATIENCE, HOLD, LinkError, PATIENCE, Session, fields};
-use haptic_sim::{BoardOptions, Hand, HandSettings, Intent, SHIPPED_DEVICE, SharedBoard, Waypoint, ready_board};
+use haptic_sim::{
+    BoardOptions, Hand, HandSettings, Intent, SHIPPED_DEVICE, SharedBoard, SpoiltWire, Waypoint, ready_board,
+};
 use predicates::str::contains;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -44,6 +46,12 @@ fn a_lost_frame_costs_a_force_its_patience_and_the_next_one_nothing() {
         loses.store(0, Ordering::Relaxed);
         assert_eq!(session.look().unwrap().done, ForceDone::Looked);
     }
+}
+
+#[test]
+fn spoilt_frames_turn_no_motor_off_and_lose_no_row_uncounted() {
+    let (shared, _session) = session();
+    SpoiltWire::follow(shared.wire(), 40_000);
 }
 
 #[test]

@@ -5,11 +5,12 @@
 use crate::common::sim::{Sim, until};
 use crate::common::{file, haptic, signal};
 use assert_cmd::cargo::cargo_bin;
-use haptic_host::link::Board;
+use haptic_host::link::{Board, SerialWire};
 use haptic_predict::measure::before::Before;
 use haptic_predict::measure::progress::Progress;
 use haptic_predict::measure::rules_for;
 use haptic_show::recorder::Recording;
+use haptic_sim::SpoiltWire;
 use predicates::prelude::*;
 use predicates::str::contains;
 use std::io::{BufRead, BufReader, Read};
@@ -338,4 +339,10 @@ fn a_measurement_that_was_killed_between_its_rules_and_its_scene_gives_way_to_th
     sim.run(&["rules", "--torque", "0.5,0.5"]).success();
     sim.run(&next).code(1).stderr(contains("were left").not());
     sim.run(&["rules"]).success().stdout(contains("0.5, 0.5 N m"));
+}
+
+#[test]
+fn spoilt_frames_on_a_pseudo_terminal_turn_no_motor_off_for_a_minute() {
+    let sim = Sim::on_pseudo_terminal(&["--fast", "--scene", &file("scenes/coupled-five-bar/wall.toml")]);
+    SpoiltWire::follow(Box::new(SerialWire::open(&sim.port).unwrap()), 60 * 20_000);
 }
