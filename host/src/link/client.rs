@@ -1,9 +1,10 @@
 //! Requests and their answers, and the topic messages that come between them.
 
 use super::error::LinkError;
-use super::framing::{Deframer, Packet, encode};
+use super::framing::{Deframer, Packet};
 use super::wire::Wire;
-use haptic_bridge::board::protocol::Disarm;
+use haptic_bridge::board::framing::{encode, most_on_wire};
+use haptic_bridge::board::protocol::{Disarm, MAX_FRAME};
 use postcard_rpc::header::{VarHeader, VarKey, VarSeq};
 use postcard_rpc::standard_icd::{ERROR_KEY, WireError};
 use postcard_rpc::{Endpoint, Key, Topic};
@@ -42,6 +43,8 @@ pub struct Client {
     topics: VecDeque<TopicFrame>,
     sequence: u16,
     buffer: Vec<u8>,
+    /// Bodies of answers that were read: their memory is used again, so that an exchange of forces allocates none.
+    spare: Vec<Vec<u8>>,
 }
 
 /// Largest number of requests under way: the oldest beyond that are given up.
@@ -76,6 +79,7 @@ impl Client {
             answers: VecDeque::new(),
             topics: VecDeque::new(),
             buffer: vec![0; 16 * 1024],
+            spare: Vec::new(),
         }
     }
 
@@ -127,8 +131,14 @@ impl Client {
         self.sequence = self.sequence.wrapping_add(1);
         let sent = Sent(VarSeq::Seq2(self.sequence));
         let key = VarKey::Key8(E::REQ_KEY);
-        let body = postcard::to_stdvec(request).map_err(|_| LinkError::Unreadable { what: E::PATH })?;
-        self.wire.send(&encode(&VarHeader { key, seq_no: sent.0 }, &body)).map_err(LinkError::Lost)?;
+        let mut frame = [0; most_on_wire(MAX_FRAME)];
+        let write = |frame: &mut [u8]| {
+            let (head, rest) = VarHeader { key, seq_no: sent.0 }.write_to_slice(frame.get_mut(1..)?)?;
+            let length = head.len() + postcard::to_slice(request, rest).ok()?.len();
+            encode(frame, length)
+        };
+        let count = write(&mut frame).ok_or(LinkError::Unreadable { what: E::PATH })?;
+        self.wire.send(&frame[..count]).map_err(LinkError::Lost)?;
         self.under_way.push_back((sent.0, VarKey::Key8(E::RESP_KEY)));
         if self.under_way.len() > MOST_UNDER_WAY {
             let given_up = self.under_way.pop_front();
@@ -145,14 +155,19 @@ impl Client {
     {
         let answered = self.answered(sent, E::PATH, timeout);
         self.under_way.retain(|(number, _)| *number != sent.0);
-        let frame = answered?;
-        let stopped = E::REQ_KEY == Disarm::REQ_KEY && frame.body == STOPPED;
-        if frame.header.key == VarKey::Key8(E::RESP_KEY) || stopped {
-            return postcard::from_bytes(&frame.body).map_err(|_| LinkError::Unreadable { what: E::PATH });
+        let Packet { header, body } = answered?;
+        let stopped = E::REQ_KEY == Disarm::REQ_KEY && body == STOPPED;
+        let unreadable = |_| LinkError::Unreadable { what: E::PATH };
+        let answer = if header.key == VarKey::Key8(E::RESP_KEY) || stopped {
+            postcard::from_bytes(&body).map_err(unreadable)
+        } else {
+            let error = postcard::from_bytes::<WireError>(&body).map_err(unreadable)?.to_string();
+            Err(LinkError::Rejected { what: E::PATH, error })
+        };
+        if self.spare.len() < MOST_UNDER_WAY {
+            self.spare.push(body);
         }
-        let error: WireError =
-            postcard::from_bytes(&frame.body).map_err(|_| LinkError::Unreadable { what: E::PATH })?;
-        Err(LinkError::Rejected { what: E::PATH, error: error.to_string() })
+        answer
     }
 
     /// Returns the index of a request among those that are under way.
@@ -198,19 +213,27 @@ impl Client {
     fn pump(&mut self, timeout: Duration) -> Result<(), LinkError> {
         let count = self.wire.receive(&mut self.buffer, timeout).map_err(LinkError::Lost)?;
         let (under_way, waiting, topics) = (&self.under_way, &mut self.answers, &mut self.topics);
-        self.deframer.feed(&self.buffer[..count], |frame| {
-            let VarHeader { key, seq_no } = frame.header;
-            let stopped = |to: VarKey| to == VarKey::Key8(Disarm::RESP_KEY) && frame.body == STOPPED;
+        let (spare, mut headless) = (&mut self.spare, 0);
+        self.deframer.feed_plain(&self.buffer[..count], |plain| {
+            let Some((header, read)) = VarHeader::take_from_slice(plain) else {
+                headless += 1;
+                return;
+            };
+            let VarHeader { key, seq_no } = header;
+            let stopped = |to: VarKey| to == VarKey::Key8(Disarm::RESP_KEY) && read == STOPPED;
             let answers = |to: &(VarSeq, VarKey)| {
                 to.0 == seq_no && (to.1 == key || key == VarKey::Key8(ERROR_KEY) || stopped(to.1))
             };
             if under_way.iter().any(answers) {
-                waiting.push_back(frame);
+                let mut body = spare.pop().unwrap_or_default();
+                body.clear();
+                body.extend_from_slice(read);
+                waiting.push_back(Packet { header, body });
             } else {
-                let Packet { header, body } = frame;
-                topics.push_back(TopicFrame { key: header.key, sequence: header.seq_no, body });
+                topics.push_back(TopicFrame { key, sequence: seq_no, body: read.to_vec() });
             }
         });
+        self.deframer.garbled += headless;
         Ok(())
     }
 }
