@@ -233,8 +233,8 @@ hb_board *hb_open(const char *port);
 void hb_close(hb_board *board);
 
 /*
- Loads a device file and a scene file; a NULL scene is free space. Motors must be off; homing and the polarity check are
- forgotten.
+ Loads a device file and a scene file; a NULL scene is free space. Motors must be off. Homing is forgotten. The polarity
+ check still counts where the same device is loaded again and then homed near where it was homed before.
  */
 int32_t hb_load(const hb_board *board, const char *device_file, const char *scene_file);
 
@@ -279,7 +279,7 @@ int32_t hb_wait_for_forces(const hb_board *board, double seconds);
 /*
  Sends a request (NULL only asks) and waits for the answer, usually below a millisecond. Where none comes it returns
  HB_UNANSWERED, see hb_wait_for_forces(), and the next request goes on. A request that was not taken is no failure:
- hb_state.done says why.
+ hb_state.done says why. Allocates no memory after the first calls, unless it has words for hb_error().
  */
 int32_t hb_exchange(const hb_board *board, const hb_request *request, hb_state *state);
 

@@ -322,8 +322,8 @@ pub unsafe extern "C" fn hb_close(board: *mut Board) {
     }
 }
 
-/// Loads a device file and a scene file; a NULL scene is free space. Motors must be off; homing and the polarity check are
-/// forgotten.
+/// Loads a device file and a scene file; a NULL scene is free space. Motors must be off. Homing is forgotten. The polarity
+/// check still counts where the same device is loaded again and then homed near where it was homed before.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn hb_load(board: *const Board, device_file: *const c_char, scene_file: *const c_char) -> i32 {
     // SAFETY: as the caller promises.
@@ -419,7 +419,7 @@ pub unsafe extern "C" fn hb_wait_for_forces(board: *const Board, seconds: f64) -
 
 /// Sends a request (NULL only asks) and waits for the answer, usually below a millisecond. Where none comes it returns
 /// HB_UNANSWERED, see hb_wait_for_forces(), and the next request goes on. A request that was not taken is no failure:
-/// hb_state.done says why.
+/// hb_state.done says why. Allocates no memory after the first calls, unless it has words for hb_error().
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn hb_exchange(board: *const Board, request: *const Request, state: *mut State) -> i32 {
     // SAFETY: as the caller promises.

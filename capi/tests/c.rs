@@ -4,17 +4,20 @@ mod header;
 
 use haptic_host::device_file::DeviceFile;
 use haptic_host::link::{Board as Linked, Session};
-use haptic_sim::{BoardOptions, SHIPPED_DEVICE, SharedBoard, ready_board};
+use haptic_sim::{BoardOptions, SHIPPED_DEVICE, SharedBoard, door, ready_board, server};
 use hapticbridge::{
     Board, HB_ARMED, HB_BAD, HB_BAD_ARGUMENT, HB_DISARMED, HB_FAILED, HB_FAULT, HB_OK, HB_UNANSWERED, HB_VERSION,
     Request, State, hb_arm, hb_check_polarity, hb_clear, hb_close, hb_error, hb_exchange, hb_fault_text, hb_home,
     hb_load, hb_open, hb_set_scene, hb_wait_for_forces,
 };
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
 use std::ffi::{CStr, CString, c_char};
 use std::mem::{offset_of, size_of};
 use std::path::Path;
 use std::process::Command;
 use std::ptr::null;
+use std::sync::atomic::AtomicBool;
 
 /// The folder in which cargo has put the shared library: beside this test.
 fn libraries() -> std::path::PathBuf {
@@ -28,7 +31,7 @@ fn the_example_compiles_without_a_warning_and_pushes_a_simulated_board() {
     let folder = libraries();
     let program = folder.join("capi-push");
     let compiled = Command::new("gcc")
-        .args(["-std=c11", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-I"])
+        .args(["-std=c11", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wdouble-promotion", "-Werror", "-I"])
         .arg(here.join("include"))
         .arg(here.join("examples/push.c"))
         .arg("-L")
@@ -140,6 +143,57 @@ fn errors_name_functions_and_numbers() {
         assert_eq!(hb_exchange(board, null(), &mut state), HB_UNANSWERED, "nothing is waited for");
         assert_eq!(hb_wait_for_forces(board, 0.1), HB_OK);
         assert_eq!(hb_exchange(board, null(), &mut state), HB_OK, "and the next goes on");
+        hb_close(board);
+    }
+}
+
+/// The system's allocator; counts what each thread allocates.
+struct Counting;
+
+thread_local! {
+    static ALLOCATIONS: Cell<u32> = const { Cell::new(0) };
+}
+
+// SAFETY: the system's allocator does the work.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        ALLOCATIONS.set(ALLOCATIONS.get() + 1);
+        // SAFETY: as the caller promises.
+        unsafe { System.alloc(layout) }
+    }
+    unsafe fn dealloc(&self, memory: *mut u8, layout: Layout) {
+        // SAFETY: as the caller promises.
+        unsafe { System.dealloc(memory, layout) }
+    }
+}
+
+#[global_allocator]
+static COUNTING: Counting = Counting;
+
+#[test]
+fn an_exchange_allocates_nothing() {
+    let file = DeviceFile::parse(SHIPPED_DEVICE, "coupled-five-bar.toml").unwrap();
+    let mut simulated = ready_board(&file, BoardOptions::default()).unwrap();
+    let door = door::tcp(([127, 0, 0, 1], 0).into(), door::Patience::default()).unwrap();
+    let port = CString::new(door.port.as_str()).unwrap();
+    // It has a thread of its own.
+    std::thread::spawn(move || server::serve(&mut simulated, &door, server::Pace::RealTime, &AtomicBool::new(false)));
+    // SAFETY: the name of a port.
+    let board = unsafe { hb_open(port.as_ptr()) };
+    let push = Request { hold_s: 0.02, fade_s: 0.05, force_n: [0.1, 0.0, 0.0], ..Request::default() };
+    let exchange = || {
+        let mut state = State::default();
+        // SAFETY: pointers to what is there.
+        let code = unsafe { hb_exchange(board, &push, &mut state) };
+        assert_eq!((code, state.state), (HB_OK, HB_ARMED));
+    };
+    // SAFETY: the board is closed last.
+    unsafe {
+        assert_eq!((hb_set_scene(board, null()), hb_arm(board)), (HB_OK, HB_OK), "{}", error());
+        exchange();
+        let before = ALLOCATIONS.get();
+        (0..100).for_each(|_| exchange());
+        assert_eq!(ALLOCATIONS.get() - before, 0);
         hb_close(board);
     }
 }

@@ -14,14 +14,13 @@ use haptic_host::link::{self, BoardError, PortSpec, Row, Session, columns};
 use haptic_host::words::fault_and_remedy;
 use haptic_show::recorder::STATES;
 use numpy::PyArrayDyn;
-use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
-/// Longest wait for telemetry before Ctrl-C is looked for, s.
-const LOOK: f64 = 0.1;
+/// Longest wait for telemetry before Ctrl-C is looked for.
+const LOOK: Duration = Duration::from_millis(100);
 
 /// The device's state in the answer to a request (docs/host-force.md). Arrays have three entries, 0 where the device
 /// has none.
@@ -104,7 +103,9 @@ impl State {
         self.fault.as_ref().map(words)
     }
     fn __repr__(&self) -> String {
-        format!("<State {}, tip {:?} m, {}>", self.state(), self.answer.tip, self.answer.done)
+        let done =
+            if self.answer.done == ForceDone::Looked { String::new() } else { format!(", {}", self.answer.done) };
+        format!("<State {}, tip {:?} m{done}>", self.state(), self.answer.tip)
     }
 }
 
@@ -169,7 +170,7 @@ impl Board {
         })?;
         match state.answer.done {
             // A step that the board has not been at: it has restarted, and the next request goes on.
-            ForceDone::Bad(bad) if bad != BadForce::Seen => Err(PyValueError::new_err(state.answer.done.to_string())),
+            ForceDone::Bad(bad) if bad != BadForce::Seen => Err(RequestError::new_err(state.answer.done.to_string())),
             _ => Ok(state),
         }
     }
@@ -204,6 +205,11 @@ impl Board {
         self.close(py);
     }
 
+    fn __repr__(&self, py: Python<'_>) -> String {
+        let port = self.with(py, |held| Ok(held.session.port().to_owned()));
+        port.map_or_else(|_| "<Board, closed>".into(), |port| format!("<Board at {port}>"))
+    }
+
     /// Disarms the board and lets go of it. Twice is once.
     fn close(&self, py: Python<'_>) {
         py.detach(|| drop(self.0.lock().unwrap_or_else(PoisonError::into_inner).take()));
@@ -234,8 +240,8 @@ impl Board {
         self.with(py, |held| Ok(held.session.status()?.fault.as_ref().map(words)))
     }
 
-    /// Loads a device and a scene; without a scene, free space. Motors must be off; homing and the polarity check are
-    /// forgotten.
+    /// Loads a device and a scene; without a scene, free space. Motors must be off. Homing is forgotten; the polarity check
+    /// still counts where the same device is loaded again and then homed near where it was homed before.
     #[pyo3(signature = (device, scene = None))]
     fn load(&self, py: Python<'_>, device: &PyDevice, scene: Option<&Scene>) -> PyResult<()> {
         let data = device.file.device().map_err(|error| RequestError::new_err(error.to_string()))?;
@@ -304,7 +310,7 @@ impl Board {
     /// again, for a second in all. Where none comes they raise UnansweredError, and the next one goes on.
     fn wait_for_forces(&self, py: Python<'_>, seconds: f64) -> PyResult<()> {
         let patience = Duration::try_from_secs_f64(seconds)
-            .map_err(|_| PyValueError::new_err(format!("a time is no less than 0 s, not {seconds}")))?;
+            .map_err(|_| RequestError::new_err(format!("a time is no less than 0 s, not {seconds}")))?;
         self.with(py, |held| {
             held.session.wait_for_forces(patience);
             Ok::<_, BoardError>(())
@@ -321,7 +327,7 @@ impl Board {
     ///
     /// hold_s: how long it acts in full, fade_s: in how long it then fades to nothing, 0 to 0.2 s each. contact: (point
     /// (m), unit normal, stiffness (N/m), damping (N s/m)) of a plane that the board renders at its own rate. A number
-    /// that no board takes raises ValueError; what was not taken for another reason raises nothing: State.done says why.
+    /// that no board takes raises RequestError; what was not taken for another reason raises nothing: State.done says why.
     #[pyo3(signature = (force, *, contact = None, hold_s = link::HOLD, fade_s = link::FADE))]
     fn force(
         &self,
@@ -371,10 +377,18 @@ impl Board {
     fn rows<'py>(&self, py: Python<'py>, timeout_s: f64) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
         let timeout =
             Duration::try_from_secs_f64(timeout_s).map_err(|error| RequestError::new_err(error.to_string()))?;
-        let (rows, width) = self.with(py, |held| {
-            let width = held.stream.map_or(0, |stream| names(stream.fields, stream.axes).len());
-            Ok((held.session.rows(timeout)?, width))
-        })?;
+        let (mut rows, mut left) = (Vec::new(), timeout);
+        let width =
+            self.with(py, |held| Ok(held.stream.map_or(0, |stream| names(stream.fields, stream.axes).len())))?;
+        loop {
+            let wait = left.min(LOOK);
+            rows.append(&mut self.with(py, |held| Ok(held.session.rows(wait)?))?);
+            left -= wait;
+            if !rows.is_empty() || left.is_zero() {
+                break;
+            }
+            py.check_signals()?;
+        }
         let rows: Vec<Vec<f64>> = rows.iter().map(with_step).collect();
         array(py, rows.concat(), &[rows.len(), width])
     }
@@ -409,7 +423,7 @@ impl Board {
             if left <= 0.0 {
                 break;
             }
-            let wait = Duration::from_secs_f64(left.min(LOOK));
+            let wait = Duration::from_secs_f64(left.min(LOOK.as_secs_f64()));
             let came = self.with(py, |held| Ok(held.session.rows(wait)?))?;
             rows.extend(came.iter().map(with_step));
             py.check_signals()?;

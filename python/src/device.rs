@@ -59,12 +59,21 @@ fn each<T>(found: Vec<Result<T, Failure>>, keep: bool) -> PyResult<Vec<Option<T>
         .collect()
 }
 
-/// The results of `count` poses, on all cores with the interpreter's lock released; Ctrl-C ends it.
-fn on_all_cores<T: Send>(
+/// Most poses of which the caller's own thread computes the model, some microseconds each: two threads take longer to
+/// start, and a controller asks for one pose at a time.
+const ALONE: usize = 64;
+
+/// The results of `count` poses, with the interpreter's lock released: of at most `alone` in this thread, of more on all
+/// cores, where Ctrl-C ends it.
+fn of_poses<T: Send>(
     py: Python<'_>,
     count: usize,
+    alone: usize,
     one: impl Fn(usize) -> Result<T, Failure> + Sync,
 ) -> PyResult<Vec<Result<T, Failure>>> {
+    if count <= alone {
+        return Ok(py.detach(|| (0..count).map(&one).collect()));
+    }
     let all: Vec<usize> = (0..count).collect();
     until_ctrl_c(py, |stop| {
         cores::map(&all, &|_, _| {}, |pose| match stop.load(Ordering::Relaxed) {
@@ -117,8 +126,8 @@ impl<T> Columns<'_, '_, T> {
 /// A device, read from a device file (docs/files.md) and found sound.
 ///
 /// N joints, d task dimensions; SI units, angles in rad. Poses are arrays of shape (..., N): one pose (N,) or any
-/// number of them; results have the same leading shape. The interpreter's lock is released while they are computed, on
-/// all cores.
+/// number of them; results have the same leading shape. The interpreter's lock is released while they are computed, many
+/// on all cores.
 #[pyclass(name = "Device", frozen, module = "haptic_bridge")]
 pub struct PyDevice {
     pub file: DeviceFile,
@@ -238,7 +247,7 @@ impl PyDevice {
             }
             Ok(evaluate_holding(&self.file, &poses.rows[pose], &speeds[pose], &walls, precision, admissible)?)
         };
-        let found = each(on_all_cores(py, poses.rows.len(), one)?, keep)?;
+        let found = each(of_poses(py, poses.rows.len(), ALONE, one)?, keep)?;
         let columns = Columns { into: PyDict::new(py), shape: &poses.shape, found: &found };
         columns.add("position", &[d], |report| report.position.clone())?;
         columns.add("jacobian", &[d, n], |report| report.jacobian.concat())?;
@@ -372,7 +381,7 @@ impl PyDevice {
             let host = host.map(|host| host.domain(&device, around, kd.as_deref())).transpose()?;
             Ok(Range { host, ..range })
         };
-        let found = each(on_all_cores(py, poses.rows.len(), one)?, keep)?;
+        let found = each(of_poses(py, poses.rows.len(), 0, one)?, keep)?;
         let columns = Columns { into: PyDict::new(py), shape: &poses.shape, found: &found };
         columns.add("w_eff", &[], |range| vec![range.w_eff])?;
         columns.add("w_rr", &[], |range| vec![range.w_rr])?;

@@ -1,18 +1,19 @@
 //! Telemetry as arrays.
 
 use crate::arrays::array;
-use crate::errors::RequestError;
+use crate::errors::failure;
 use haptic_show::recorder::Recording as Read;
 use numpy::PyArrayDyn;
 use pyo3::exceptions::PyKeyError;
 use pyo3::prelude::*;
+use pyo3::types::{PyIterator, PyList};
 use std::path::PathBuf;
 
 /// Rows of telemetry with names.
 ///
 /// `recording["tip_x_m"]` is one column, shape (rows,); `recording.data` all of them, shape (rows, columns). Column
 /// names end with their unit; `step` counts control periods since the board started. A state is 0 disarmed, 1 armed, 2
-/// checking polarity, 3 fault.
+/// checking polarity, 3 fault. `pandas.DataFrame(dict(recording))` is the same with pandas.
 #[pyclass(frozen, module = "haptic_bridge")]
 pub struct Recording {
     pub columns: Vec<String>,
@@ -58,21 +59,29 @@ impl Recording {
         array(py, self.rows.iter().map(|row| row[column]).collect(), &[self.rows.len()])
     }
 
+    /// Names of the columns, for `dict(recording)`.
+    fn keys(&self) -> Vec<String> {
+        self.columns.clone()
+    }
+
+    fn __iter__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyIterator>> {
+        PyList::new(py, &self.columns)?.try_iter()
+    }
+
+    fn __contains__(&self, name: &str) -> bool {
+        self.columns.iter().any(|column| column == name)
+    }
+
     fn __repr__(&self) -> String {
         format!("<Recording: {} rows of {}>", self.rows.len(), self.columns.join(", "))
     }
 }
 
-/// Reads what `haptic record` wrote as CSV.
+/// Reads what `haptic record` wrote, MCAP or CSV.
 ///
-/// A file whose writer was killed is read up to its last whole line (`torn`).
+/// A file whose writer was killed is read up to its last whole line or chunk (`torn`).
 #[pyfunction]
 pub fn read_recording(py: Python<'_>, path: PathBuf) -> PyResult<Recording> {
-    py.detach(|| {
-        let name = path.display();
-        let text = std::fs::read_to_string(&path)
-            .map_err(|error| RequestError::new_err(format!("{name}: cannot be read: {error}")))?;
-        let read = Read::parse(&text).map_err(|error| RequestError::new_err(format!("{name}: {error}")))?;
-        Ok(Recording { columns: read.columns, rows: read.rows, about: read.about, torn: read.torn })
-    })
+    let Read { about, columns, rows, torn } = py.detach(|| Read::load(&path)).map_err(failure)?;
+    Ok(Recording { columns, rows, about, torn })
 }

@@ -11,6 +11,9 @@ use haptic_sim::{BoardOptions, DriveModel, Hand, HandSettings, Intent, Options, 
 use numpy::PyArrayDyn;
 use pyo3::prelude::*;
 
+/// Simulated time between two looks for Ctrl-C, s: a few milliseconds of a computer's.
+const LOOK: f64 = 0.02;
+
 /// A simulated board with a device on it: the firmware's code around a simulated linkage, motors and encoders.
 ///
 /// Simulation(device, scene=None, *, ideal=False, friction=True, strict=False): no scene is free space; ideal motors
@@ -52,9 +55,24 @@ impl Simulation {
         Ok(Board::of(Session::of(Linked::over(self.shared.wire(), "sim").map_err(errors::link)?)))
     }
 
-    /// Lets so many seconds pass.
-    fn run(&self, py: Python<'_>, seconds: f64) {
-        py.detach(|| self.shared.lock().run(seconds));
+    /// Lets so many seconds pass; Ctrl-C ends it before.
+    fn run(&self, py: Python<'_>, seconds: f64) -> PyResult<()> {
+        let end = self.shared.lock().time() + seconds;
+        let slice = || {
+            let mut board = self.shared.lock();
+            let until = end.min(board.time() + LOOK);
+            board.run_until(until);
+            board.time() < end
+        };
+        while py.detach(slice) {
+            py.check_signals()?;
+        }
+        Ok(())
+    }
+
+    fn __repr__(&self) -> String {
+        let board = self.shared.lock();
+        format!("<Simulation: {} s, tip {:?} m>", board.time(), &board.device().tip()[..self.task])
     }
 
     /// Runs one control period with the device at rest at q (N,) rad, and returns the motors' torques, N m, shape (N,):

@@ -1,4 +1,8 @@
+import _thread
+import faulthandler
 import pathlib
+import signal
+import threading
 
 import pytest
 
@@ -23,3 +27,19 @@ def vouched():
     text = (DEVICES / "coupled-five-bar.toml").read_text()
     text = text.replace("[joint.motor]\n", "[joint.motor]\nverified = true\n")
     return hb.Device.parse(text.replace("[[joint]]\n", "[[joint]]\nlimits = [-3.14, 3.14]\n"))
+
+
+@pytest.fixture
+def ctrl_c():
+    """Presses Ctrl-C during a call, also where whoever started the tests ignores it; a call that goes on ends them."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    faulthandler.dump_traceback_later(120, exit=True)
+
+    def pressed_during(call):
+        threading.Timer(0.2, _thread.interrupt_main).start()
+        with pytest.raises(KeyboardInterrupt):
+            call()
+
+    yield pressed_during
+    faulthandler.cancel_dump_traceback_later()
+    signal.signal(signal.SIGINT, before)

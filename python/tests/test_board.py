@@ -102,7 +102,7 @@ def test_a_board_that_watches_its_host_is_brought_up_and_its_fault_read_and_clea
 def test_numbers_that_no_board_takes_and_answers_that_do_not_come_are_exceptions(five_bar):
     with armed(hb.Simulation(five_bar)) as board:
         for force in ([np.nan, 0.0], [2000.0, 0.0], [0.0, np.inf]):
-            with pytest.raises(ValueError, match="each entry of the force must be at most 1000 N"):
+            with pytest.raises(hb.RequestError, match="each entry of the force must be at most 1000 N"):
                 board.force(force)
         board.wait_for_forces(0.0)
         with pytest.raises(hb.UnansweredError, match="no answer to a force"):
@@ -139,6 +139,7 @@ def test_a_recording_has_every_step_by_name(five_bar, tmp_path):
         assert board.losses["missing"] == 0 and (recording["state"] == 1).all()
     with pytest.raises(KeyError, match="no column tip"):
         recording["tip"]
+    assert "step" in recording and "tip" not in recording and list(dict(recording)) == recording.columns
 
 
 def test_recordings_of_the_tool_are_read(tmp_path):
@@ -152,6 +153,19 @@ def test_recordings_of_the_tool_are_read(tmp_path):
         hb.read_recording(path)
     with pytest.raises(hb.RequestError, match="cannot be read"):
         hb.read_recording(tmp_path / "none.csv")
+
+
+def test_recordings_of_either_format_are_read(tmp_path):
+    tool = os.environ.get("HAPTIC_TOOL")
+    if not tool:
+        pytest.skip("HAPTIC_TOOL does not say where `haptic` is")
+    read = []
+    for name in ("a.mcap", "a.csv"):
+        order = [tool, "record", name, "--port", "sim", "--seconds", "0.01", "--fields", "tip,state"]
+        subprocess.run(order, cwd=tmp_path, check=True, capture_output=True)
+        read.append(hb.read_recording(tmp_path / name))
+    assert read[0].columns == read[1].columns and len(read[0]) > 100 and not read[0].torn
+    assert set(np.diff(read[0]["step"])) == {1} and "time_s" in read[0]
 
 
 def test_a_hand_that_presses_a_wall_is_held(five_bar):

@@ -1,6 +1,5 @@
 """Model, range and map: shapes, the paper's relations between the numbers, and what is refused."""
 
-import _thread
 import json
 import pickle
 import threading
@@ -160,17 +159,28 @@ def test_a_device_is_pickled_as_its_file(five_bar):
     np.testing.assert_array_equal(copy.model(q)["mass"], five_bar.model(q)["mass"])
 
 
-def test_ctrl_c_ends_a_batch(five_bar):
-    q = np.tile(five_bar.home, (1_000_000, 1))  # a quarter of an hour
-    threading.Timer(0.2, _thread.interrupt_main).start()
-    with pytest.raises(KeyboardInterrupt):
-        five_bar.range(q, NORMAL)
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda device: device.range(np.tile(device.home, (1_000_000, 1)), NORMAL),  # a quarter of an hour
+        lambda device: device.map(NORMAL, points=4_000_000),
+        lambda device: hb.Simulation(device).run(1e6),
+        lambda device: hb.Simulation(device).board().rows(1e6),
+    ],
+)
+def test_ctrl_c_ends_a_call(five_bar, ctrl_c, call):
+    ctrl_c(lambda: call(five_bar))
 
 
-def test_ctrl_c_ends_a_map(five_bar):
-    threading.Timer(0.5, _thread.interrupt_main).start()
-    with pytest.raises(KeyboardInterrupt):
-        five_bar.map(NORMAL, points=4_000_000)
+@pytest.mark.parametrize("count, waits", [(1, False), (64, False), (65, True)])
+def test_the_model_of_some_poses_is_computed_where_it_is_asked_for(five_bar, count, waits):
+    """A caller that waits for another thread gives up its processor; one that computes does not."""
+    resource = pytest.importorskip("resource")
+    q = np.tile(five_bar.home, (count, 1))
+    before = resource.getrusage(resource.RUSAGE_THREAD).ru_nvcsw
+    for _ in range(100):
+        five_bar.model(q, normal=NORMAL)
+    assert (resource.getrusage(resource.RUSAGE_THREAD).ru_nvcsw - before > 50) == waits
 
 
 def test_a_posture_is_in_the_range_of_a_redundant_arm_alone(devices, five_bar):

@@ -28,7 +28,7 @@ def test_the_stubs_name_what_there_is_and_nothing_else():
             continue
         assert {key for key in vars(there) if not key.startswith("_")} == {key for key in own if not key.startswith("_")}, name
         for key, member in own.items():
-            if key in ("__init__", "__enter__", "__exit__", "__len__", "__getitem__"):
+            if key in ("__init__", "__enter__", "__exit__", "__len__", "__getitem__", "__iter__", "__contains__"):
                 continue
             attribute = getattr(there, key)
             assert attribute.__doc__, f"{name}.{key}"

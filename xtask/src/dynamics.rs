@@ -57,9 +57,9 @@ fn bench() -> Result<PathBuf> {
 /// Builds Pinocchio's part, for this very processor, which the benchmark is not.
 fn peer(pinocchio: &Path) -> Result<PathBuf> {
     ensure!(
-        pinocchio.join("include/pinocchio").is_dir(),
-        "no Pinocchio at {}: `pip install pin==4.1.0` in a virtual environment brings it, below \
-         lib/python3.*/site-packages/cmeel.prefix",
+        ["pinocchio", "eigen3"].iter().all(|headers| pinocchio.join("include").join(headers).is_dir()),
+        "no Pinocchio with Eigen's headers at {}: `pip install pin==4.1.0 cmeel-eigen` in a virtual environment brings \
+         them, below lib/python3.*/site-packages/cmeel.prefix",
         pinocchio.display()
     );
     let (include, library) = (pinocchio.join("include"), pinocchio.canonicalize()?.join("lib"));

@@ -15,14 +15,16 @@ pub use wish::{Basis, Wish};
 use haptic_host::link::{BoardError, nothing_yet};
 use haptic_host::places::{Place, Places};
 use serde_json::{Value, json};
+use std::fmt::Display;
 use std::io::{self, Write};
 use std::net::{IpAddr, SocketAddr, TcpListener, TcpStream};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use tungstenite::handshake::server::{Request, create_response, write_response};
-use tungstenite::protocol::{Role, WebSocketConfig};
+use tungstenite::protocol::frame::coding::CloseCode;
+use tungstenite::protocol::{CloseFrame, Role, WebSocketConfig};
 use tungstenite::{Message, WebSocket};
 
 /// Port at which programs look for the service.
@@ -34,13 +36,22 @@ const MESSAGE: usize = 256 * 1024;
 const HANDSHAKES: usize = 32;
 /// Time for which a connection is listened to before the server checks if it should stop.
 const LISTEN: Duration = Duration::from_millis(20);
-/// Longest time for which an answer may be left unread.
+/// Longest time for which an answer may be left unread, and for which a program waits for a silent one to leave.
 const SEND: Duration = Duration::from_secs(2);
+/// Time without an exchange after which the board is asked something, because a silent connection to a simulated board
+/// gives way to another tool; and time between two tries to open a lost board, for other tools to come in between.
+const TEND: Duration = Duration::from_millis(500);
+/// Time without a message after which a program gives way to another one.
+const SILENCE: Duration = Duration::from_secs(3);
+/// The answer while the board is lost.
+const GONE: &str = "the board is gone; it is opened again once it is back";
+
 /// A port at which programs find a board.
 pub struct HaplyListener {
     listener: TcpListener,
     /// The token that a page in a browser shows to be let in.
     token: String,
+    silence: Duration,
 }
 
 impl HaplyListener {
@@ -48,7 +59,12 @@ impl HaplyListener {
     pub fn open(port: u16) -> io::Result<Self> {
         let listener = TcpListener::bind(SocketAddr::from(([127, 0, 0, 1], port)))?;
         listener.set_nonblocking(true)?;
-        Ok(Self { listener, token: crate::view::door::token()? })
+        Ok(Self { listener, token: crate::view::door::token()?, silence: SILENCE })
+    }
+
+    /// Changes the time without a message after which a program gives way to another one.
+    pub fn give_way_after(self, silence: Duration) -> Self {
+        Self { silence, ..self }
     }
 
     /// The address at which programs find it.
@@ -62,25 +78,18 @@ impl HaplyListener {
         Ok(format!("{}/?token={}", self.url()?, self.token))
     }
 
-    /// Serves a device until `stop`, or until its board is gone, which is the error. One program at a time uses the
-    /// device; anybody on this computer may ask what it is.
-    pub fn serve(&self, device: Inverse3, stop: &AtomicBool) -> Result<(), BoardError> {
+    /// Serves a device until `stop`. One program at a time uses the device; anybody on this computer may ask what it is.
+    /// A board that is lost is told, and tried to `open` again.
+    pub fn serve<E: Display>(&self, device: Inverse3, open: impl Fn() -> Result<Inverse3, E>, stop: &AtomicBool) {
         let shared = Arc::new(Shared {
-            device: Mutex::new(device),
-            lost: Mutex::new(None),
-            taken: AtomicBool::new(false),
+            served: Mutex::new(Served { device: Some(device), user: None }),
             over: AtomicBool::new(false),
             token: self.token.clone(),
+            silence: self.silence,
         });
         let handshakes = Places::new(HANDSHAKES, HANDSHAKES);
-        let mut threads = Vec::new();
-        let ended = loop {
-            if let Some(lost) = shared.lost.lock().unwrap_or_else(PoisonError::into_inner).take() {
-                break Err(lost);
-            }
-            if stop.load(Ordering::Relaxed) {
-                break Ok(());
-            }
+        let (mut threads, mut tried) = (Vec::new(), None);
+        while !stop.load(Ordering::Relaxed) {
             match self.listener.accept() {
                 Ok((stream, _)) => {
                     let Some(place) = handshakes.enter(&stream) else { continue };
@@ -93,41 +102,91 @@ impl HaplyListener {
                 Err(_) => thread::sleep(LISTEN / 4),
             }
             threads.retain(|thread| !thread.is_finished());
-        };
+            shared.tend(&open, &mut tried);
+        }
         shared.over.store(true, Ordering::Relaxed);
         for thread in threads {
             let _ = thread.join();
         }
-        shared.device().let_go();
-        ended
     }
+}
+
+/// The device and the program that uses it.
+struct Served {
+    /// `None` while its board is lost.
+    device: Option<Inverse3>,
+    user: Option<User>,
+}
+
+/// A program that uses the device.
+struct User {
+    heard: Instant,
+    /// Why it has to leave.
+    leaves: Option<&'static str>,
 }
 
 /// State that the connections share.
 struct Shared {
-    device: Mutex<Inverse3>,
-    lost: Mutex<Option<BoardError>>,
-    /// A program uses the device.
-    taken: AtomicBool,
+    served: Mutex<Served>,
     over: AtomicBool,
     token: String,
+    silence: Duration,
 }
 
 impl Shared {
-    fn device(&self) -> MutexGuard<'_, Inverse3> {
-        self.device.lock().unwrap_or_else(PoisonError::into_inner)
+    fn served(&self) -> MutexGuard<'_, Served> {
+        self.served.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The device's state after `work`; `None` if its board is gone, which ends the server.
+    /// The device's state after `work`; `None` while its board is lost.
     fn frame(&self, full: bool, work: impl FnOnce(&mut Inverse3) -> Result<(), BoardError>) -> Option<Value> {
-        let mut device = self.device();
-        match work(&mut device) {
-            Ok(()) => Some(device.frame(full)),
-            Err(lost) => {
-                *self.lost.lock().unwrap_or_else(PoisonError::into_inner) = Some(lost);
-                None
+        self.served().work(work).map(|device| device.frame(full))
+    }
+
+    /// Asks the board something where no program has for a while, and opens a lost one again once its user has left: a
+    /// program arms only what it has connected to.
+    fn tend<E: Display>(&self, open: impl Fn() -> Result<Inverse3, E>, tried: &mut Option<(Instant, String)>) {
+        let mut served = self.served();
+        if served.device.as_ref().is_some_and(|device| device.idle() >= TEND) {
+            served.work(Inverse3::glance);
+        }
+        let soon = tried.as_ref().is_some_and(|(when, _)| when.elapsed() < TEND);
+        if served.device.is_some() || served.user.is_some() || soon {
+            return;
+        }
+        drop(served);
+        let opened = open().map_err(|error| error.to_string());
+        let before = tried.take().map(|(_, why)| why);
+        match opened {
+            Ok(device) => {
+                haptic_host::tell!("{} is there again", device.id());
+                self.served().device = Some(device);
+            }
+            Err(why) => {
+                if before.as_ref() != Some(&why) {
+                    haptic_host::tell!("{why}; trying again");
+                }
+                *tried = Some((Instant::now(), why));
             }
         }
+    }
+
+    /// Why the program that uses the device has to leave.
+    fn leaves(&self) -> Option<&'static str> {
+        let over = self.over.load(Ordering::Relaxed).then_some("the server ends");
+        over.or_else(|| self.served().user.as_ref()?.leaves)
+    }
+}
+
+impl Served {
+    /// The device after `work`; `None` where its board is lost, which ends its user's connection.
+    fn work(&mut self, work: impl FnOnce(&mut Inverse3) -> Result<(), BoardError>) -> Option<&Inverse3> {
+        if let Err(lost) = work(self.device.as_mut()?) {
+            haptic_host::tell!("{lost}; waiting for it");
+            self.device = None;
+            self.user.iter_mut().for_each(|user| user.leaves = Some(GONE));
+        }
+        self.device.as_ref()
     }
 }
 
@@ -135,19 +194,39 @@ impl Shared {
 struct Used<'s>(&'s Shared);
 
 impl<'s> Used<'s> {
-    fn take(shared: &'s Shared) -> Option<Self> {
-        let free = !shared.taken.swap(true, Ordering::SeqCst);
-        free.then(|| {
-            shared.device().begin();
-            Self(shared)
-        })
+    /// Takes the device; a program that is silent gives way, also one that is suspended. The error is who has it.
+    fn take(shared: &'s Shared) -> Result<Self, &'static str> {
+        let began = Instant::now();
+        loop {
+            let mut served = shared.served();
+            let Served { device, user } = &mut *served;
+            match (device, &mut *user) {
+                (None, _) => return Err(GONE),
+                (Some(device), None) => {
+                    device.begin();
+                    *user = Some(User { heard: Instant::now(), leaves: None });
+                    return Ok(Self(shared));
+                }
+                (_, Some(user)) if user.heard.elapsed() >= shared.silence && began.elapsed() < SEND => {
+                    user.leaves = Some("another program asks for the device, and this one was silent");
+                }
+                _ => return Err("another program uses the device"),
+            }
+            drop(served);
+            thread::sleep(LISTEN / 4);
+        }
+    }
+
+    fn heard(&self) {
+        self.0.served().user.iter_mut().for_each(|user| user.heard = Instant::now());
     }
 }
 
 impl Drop for Used<'_> {
     fn drop(&mut self) {
-        self.0.device().let_go();
-        self.0.taken.store(false, Ordering::SeqCst);
+        let mut served = self.0.served();
+        served.device.iter_mut().for_each(Inverse3::let_go);
+        served.user = None;
     }
 }
 
@@ -164,17 +243,19 @@ fn greet(mut stream: TcpStream, place: Place, shared: &Shared) -> tungstenite::R
     }
     drop(place);
     if let Ok(response) = create_response(&request) {
-        let Some(_used) = Used::take(shared) else {
-            let taken = json!({"ok": false, "error": "another program uses the device"});
-            return answer(&mut stream, "503 Service Unavailable", &taken);
+        let used = match Used::take(shared) {
+            Ok(used) => used,
+            Err(error) => {
+                return answer(&mut stream, "503 Service Unavailable", &json!({"ok": false, "error": error}));
+            }
         };
         write_response(&mut stream, &response)?;
-        return converse(stream, shared);
+        return converse(stream, &used);
     }
     match request.uri().path() {
         "/devices" => {
             let Some(frame) = shared.frame(true, Inverse3::glance) else {
-                let gone = json!({"ok": false, "error": "the board is gone"});
+                let gone = json!({"ok": false, "error": GONE});
                 return answer(&mut stream, "503 Service Unavailable", &gone);
             };
             answer(&mut stream, "200 OK", &frame)
@@ -212,20 +293,26 @@ fn answer(stream: &mut TcpStream, status: &str, document: &Value) -> tungstenite
     Ok(())
 }
 
-fn converse(stream: TcpStream, shared: &Shared) -> tungstenite::Result<()> {
+fn converse(stream: TcpStream, used: &Used<'_>) -> tungstenite::Result<()> {
     stream.set_read_timeout(Some(LISTEN))?;
     let config = WebSocketConfig::default().max_message_size(Some(MESSAGE)).max_frame_size(Some(MESSAGE));
     let mut socket = WebSocket::from_raw_socket(stream, Role::Server, Some(config));
     let mut next = Some(Wish { full: true, ..Wish::default() });
-    while !shared.over.load(Ordering::Relaxed) {
-        if let Some(wish) = next.take() {
-            let Some(frame) = shared.frame(wish.full, |device| device.obey(&wish)) else { return Ok(()) };
+    loop {
+        if let Some(wish) = next.take()
+            && let Some(frame) = used.0.frame(wish.full, |device| device.obey(&wish))
+        {
             socket.send(Message::text(frame.to_string()))?;
+        }
+        if let Some(why) = used.0.leaves() {
+            return socket.close(Some(CloseFrame { code: CloseCode::Away, reason: why.into() }));
         }
         match socket.read() {
             // Python's orjson makes bytes, which become binary frames; the service answers either with text.
             Ok(message @ (Message::Text(_) | Message::Binary(_))) => {
-                let mut device = shared.device();
+                used.heard();
+                let mut served = used.0.served();
+                let Some(device) = &mut served.device else { continue };
                 next = Some(Wish::parse(&message.into_data(), device.id()).unwrap_or_else(|error| {
                     device.tell(format!("a message that makes no sense: {error}"));
                     Wish::default()
@@ -237,7 +324,6 @@ fn converse(stream: TcpStream, shared: &Shared) -> tungstenite::Result<()> {
             Err(error) => return Err(error),
         }
     }
-    Ok(())
 }
 
 #[cfg(test)]
@@ -249,12 +335,12 @@ mod tests {
     #[test]
     fn a_handshake_that_fails_leaves_the_device_to_the_next_program() {
         let session = Session::of(haptic_sim::open(&PortSpec::Sim(None)).unwrap());
+        let device = Inverse3::new(session, None, true).unwrap();
         let shared = Shared {
-            device: Mutex::new(Inverse3::new(session, None, true).unwrap()),
-            lost: Mutex::new(None),
-            taken: AtomicBool::new(false),
+            served: Mutex::new(Served { device: Some(device), user: None }),
             over: AtomicBool::new(false),
             token: "abc".into(),
+            silence: SILENCE,
         };
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let mut program = TcpStream::connect(listener.local_addr().unwrap()).unwrap();
@@ -266,7 +352,7 @@ mod tests {
         stream.shutdown(std::net::Shutdown::Write).unwrap();
         let place = Places::new(1, 1).enter(&stream).unwrap();
         assert!(greet(stream, place, &shared).is_err());
-        assert!(!shared.taken.load(Ordering::SeqCst));
+        assert!(shared.served().user.is_none());
     }
 
     #[test]

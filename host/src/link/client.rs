@@ -1,9 +1,10 @@
 //! Requests and their answers, and the topic messages that come between them.
 
 use super::error::LinkError;
-use super::framing::{Deframer, Packet, encode};
+use super::framing::{Deframer, Packet};
 use super::wire::Wire;
-use haptic_bridge::board::protocol::{Beat, Disarm, Heartbeat};
+use haptic_bridge::board::framing::{encode, most_on_wire};
+use haptic_bridge::board::protocol::{Beat, Disarm, Heartbeat, MAX_FRAME};
 use postcard_rpc::header::{VarHeader, VarKey, VarSeq};
 use postcard_rpc::standard_icd::{ERROR_KEY, WireError};
 use postcard_rpc::{Endpoint, Key, Topic};
@@ -45,6 +46,8 @@ pub struct Client {
     pub(super) alive: bool,
     /// Times that the last request of [`Client::call`] was sent again: it may have been carried out before.
     pub(super) repeats: u32,
+    /// Bodies of answers that were read: their memory is used again, so that an exchange of forces allocates none.
+    spare: Vec<Vec<u8>>,
 }
 
 /// Time after which a request that was not answered is sent again, and after which it is given up.
@@ -61,6 +64,9 @@ fn whole<M: DeserializeOwned>(body: &[u8], path: &'static str) -> Result<M, Link
         _ => Err(LinkError::Unreadable { what: path }),
     }
 }
+
+/// Length of the longest encoded frame, bytes.
+const MAX_ENCODED: usize = most_on_wire(MAX_FRAME);
 
 /// Largest number of requests under way: the oldest beyond that are given up.
 const MOST_UNDER_WAY: usize = 8;
@@ -96,6 +102,7 @@ impl Client {
             buffer: vec![0; 16 * 1024],
             alive: false,
             repeats: 0,
+            spare: Vec::new(),
         }
     }
 
@@ -137,7 +144,7 @@ impl Client {
         E::Request: Serialize,
         E::Response: DeserializeOwned,
     {
-        let (sent, frame) = self.send_frame::<E>(request)?;
+        let (sent, frame, length) = self.send_frame::<E>(request)?;
         let (again, began) = (patience.0, self.now());
         let (mut asked, end) = (began, began + patience.1);
         self.repeats = 0;
@@ -158,7 +165,7 @@ impl Client {
                 answer => break answer,
             }
             // The board may hold a part of the last one.
-            self.wire.send(&[&[0], &frame[..]].concat()).map_err(LinkError::Lost)?;
+            self.wire.send(&[&[0], &frame[..length]].concat()).map_err(LinkError::Lost)?;
             (self.repeats, asked) = (self.repeats + 1, self.now());
         };
         self.forget(sent);
@@ -170,23 +177,31 @@ impl Client {
     where
         E::Request: Serialize,
     {
-        self.send_frame::<E>(request).map(|(sent, _)| sent)
+        self.send_frame::<E>(request).map(|(sent, ..)| sent)
     }
 
-    /// As [`Client::send`]; also the bytes on the wire.
-    fn send_frame<E: Endpoint<Request: Serialize>>(&mut self, body: &E::Request) -> Result<(Sent, Vec<u8>), LinkError> {
+    /// Sends a request. Returns its number, the encoded frame and the frame's length, without allocating.
+    fn send_frame<E: Endpoint<Request: Serialize>>(
+        &mut self,
+        request: &E::Request,
+    ) -> Result<(Sent, [u8; MAX_ENCODED], usize), LinkError> {
         self.sequence = self.sequence.wrapping_add(1);
         let sent = Sent(VarSeq::Seq2(self.sequence));
         let key = VarKey::Key8(E::REQ_KEY);
-        let body = postcard::to_stdvec(body).map_err(|_| LinkError::Unreadable { what: E::PATH })?;
-        let frame = encode(&VarHeader { key, seq_no: sent.0 }, &body);
-        self.wire.send(&frame).map_err(LinkError::Lost)?;
+        let mut frame = [0; MAX_ENCODED];
+        let write = |frame: &mut [u8]| {
+            let (head, rest) = VarHeader { key, seq_no: sent.0 }.write_to_slice(frame.get_mut(1..)?)?;
+            let length = head.len() + postcard::to_slice(request, rest).ok()?.len();
+            encode(frame, length)
+        };
+        let count = write(&mut frame).ok_or(LinkError::Unreadable { what: E::PATH })?;
+        self.wire.send(&frame[..count]).map_err(LinkError::Lost)?;
         self.under_way.push_back((sent.0, VarKey::Key8(E::RESP_KEY)));
         if self.under_way.len() > MOST_UNDER_WAY {
             let given_up = self.under_way.pop_front();
             self.answers.retain(|frame| given_up.is_none_or(|(number, _)| frame.header.seq_no != number));
         }
-        Ok((sent, frame))
+        Ok((sent, frame, count))
     }
 
     /// Waits for the answer to a request of endpoint `E`. Requests are answered in their order: where one that was sent
@@ -210,13 +225,18 @@ impl Client {
         sent: Sent,
         timeout: Duration,
     ) -> Result<E::Response, LinkError> {
-        let frame = self.answered(sent, E::PATH, timeout)?;
-        let stopped = E::REQ_KEY == Disarm::REQ_KEY && frame.body == STOPPED;
-        if frame.header.key == VarKey::Key8(E::RESP_KEY) || stopped {
-            return whole(&frame.body, E::PATH);
+        let Packet { header, body } = self.answered(sent, E::PATH, timeout)?;
+        let stopped = E::REQ_KEY == Disarm::REQ_KEY && body == STOPPED;
+        let reply = if header.key == VarKey::Key8(E::RESP_KEY) || stopped {
+            whole(&body, E::PATH)
+        } else {
+            whole::<WireError>(&body, E::PATH)
+                .and_then(|error| Err(LinkError::Rejected { what: E::PATH, error: error.to_string() }))
+        };
+        if self.spare.len() < MOST_UNDER_WAY {
+            self.spare.push(body);
         }
-        let error: WireError = whole(&frame.body, E::PATH)?;
-        Err(LinkError::Rejected { what: E::PATH, error: error.to_string() })
+        reply
     }
 
     /// Returns the index of a request among those that are under way.
@@ -263,19 +283,27 @@ impl Client {
     fn pump(&mut self, timeout: Duration) -> Result<(), LinkError> {
         let count = self.wire.receive(&mut self.buffer, timeout).map_err(LinkError::Lost)?;
         let (under_way, waiting, topics) = (&self.under_way, &mut self.answers, &mut self.topics);
-        self.deframer.feed(&self.buffer[..count], |frame| {
-            let VarHeader { key, seq_no } = frame.header;
-            let stopped = |to: VarKey| to == VarKey::Key8(Disarm::RESP_KEY) && frame.body == STOPPED;
+        let (spare, mut headless) = (&mut self.spare, 0);
+        self.deframer.feed_plain(&self.buffer[..count], |plain| {
+            let Some((header, read)) = VarHeader::take_from_slice(plain) else {
+                headless += 1;
+                return;
+            };
+            let VarHeader { key, seq_no } = header;
+            let stopped = |to: VarKey| to == VarKey::Key8(Disarm::RESP_KEY) && read == STOPPED;
             let answers = |to: &(VarSeq, VarKey)| {
                 to.0 == seq_no && (to.1 == key || key == VarKey::Key8(ERROR_KEY) || stopped(to.1))
             };
             if under_way.iter().any(answers) {
-                waiting.push_back(frame);
+                let mut body = spare.pop().unwrap_or_default();
+                body.clear();
+                body.extend_from_slice(read);
+                waiting.push_back(Packet { header, body });
             } else if key != VarKey::Key8(Heartbeat::RESP_KEY) {
-                let Packet { header, body } = frame;
-                topics.push_back(TopicFrame { key: header.key, sequence: header.seq_no, body });
+                topics.push_back(TopicFrame { key, sequence: seq_no, body: read.to_vec() });
             }
         });
+        self.deframer.garbled += headless;
         Ok(())
     }
 }

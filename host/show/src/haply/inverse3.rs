@@ -32,8 +32,10 @@ pub struct Inverse3 {
     answered: bool,
     /// The fault that is latched.
     fault: Option<FaultRecord>,
-    /// It came while a program had the motors on; one from before is not cleared by whoever comes next.
-    tripped: bool,
+    /// The board is homed and its motors' polarity is known, or it needs neither.
+    calibrated: bool,
+    /// The board's reason not to turn the motors on for this program.
+    refusal: Option<String>,
     /// The step from which on a force arms, after a fault was cleared.
     arms_from: Option<u32>,
     armed: bool,
@@ -58,7 +60,7 @@ impl Inverse3 {
         let axes = axes.unwrap_or_else(|| Axes::of(device.mechanism.kind(), device.weight));
         let id = session.info().serial.to_string();
         let last = session.look()?;
-        Ok(Self {
+        let mut device = Self {
             fault: session.fault(),
             session,
             axes,
@@ -67,14 +69,17 @@ impl Inverse3 {
             looked: Instant::now(),
             last,
             answered: true,
-            tripped: false,
+            calibrated: false,
+            refusal: None,
             arms_from: None,
             armed: false,
             may_arm: true,
             basis: Basis::default(),
             sessions: 0,
             told: Vec::new(),
-        })
+        };
+        device.read_calibration()?;
+        Ok(device)
     }
 
     /// The device's id in messages: the board's serial number.
@@ -95,9 +100,20 @@ impl Inverse3 {
         self.sessions += 1;
     }
 
+    /// Time since the board was last asked something. A simulated one in this process forgets no silent program.
+    pub(super) fn idle(&self) -> Duration {
+        if self.simulated { Duration::ZERO } else { self.looked.elapsed() }
+    }
+
+    fn read_calibration(&mut self) -> Result<(), LinkError> {
+        let status = self.session.status()?;
+        self.calibrated = status.homed && status.polarity || !self.session.details()?.real;
+        Ok(())
+    }
+
     /// Motors off.
     pub(super) fn let_go(&mut self) {
-        (self.armed, self.may_arm, self.basis) = (false, true, Basis::default());
+        (self.armed, self.may_arm, self.basis, self.refusal) = (false, true, Basis::default(), None);
         self.told.clear();
         let _ = self.session.disarm();
     }
@@ -107,6 +123,9 @@ impl Inverse3 {
     pub(super) fn obey(&mut self, wish: &Wish) -> Result<(), BoardError> {
         for other in &wish.others {
             self.tell(format!("`{other}` is left alone: a board takes forces at the tip, and a basis for them"));
+        }
+        if wish.elsewhere {
+            self.tell(format!("what is not for `device_id` {} is left alone", self.id));
         }
         self.basis = wish.basis.unwrap_or(self.basis);
         let done = self.exchange(wish);
@@ -123,7 +142,7 @@ impl Inverse3 {
                 (State::Fault, known) => known,
                 _ => None,
             };
-            Ok(())
+            Ok(device.read_calibration()?)
         };
         let done = look(self);
         self.heard(done)
@@ -173,7 +192,11 @@ impl Inverse3 {
             let [x, y, z] = wish.force.unwrap_or_default();
             self.tell(format!("a force of ({x:e}, {y:e}, {z:e}) N is {}", self.last.done));
         }
+        let before = self.fault;
         self.notice();
+        if wish.full || before != self.fault {
+            self.read_calibration()?;
+        }
         Ok(())
     }
 
@@ -182,11 +205,9 @@ impl Inverse3 {
         self.fault = self.session.fault();
         if self.armed && self.last.state != State::Armed {
             self.armed = false;
-            // A program that connects again has seen that it fell silent; a person has to look at any other fault.
-            self.tripped = self.fault.is_some_and(|fault| fault.fault == Fault::HostLost);
             let why = self.fault.map_or_else(|| "another tool did it".into(), |fault| words(&fault));
-            let on =
-                if self.tripped || self.fault.is_none() { "connects anew arms them" } else { "clears that arms them" };
+            let anew = self.fault.is_none_or(|fault| fault.fault == Fault::HostLost);
+            let on = if anew { "connects anew arms them" } else { "clears that arms them" };
             self.tell(format!("the motors are off: {why}; a program that {on}"));
         }
     }
@@ -199,7 +220,7 @@ impl Inverse3 {
         let rate = self.session.scene()?.map_or(0.0, |scene| scene.rate_hz);
         self.session.clear()?;
         self.arms_from = Some(self.last.step.wrapping_add(rate as u32));
-        (self.fault, self.tripped, self.may_arm) = (None, false, true);
+        (self.fault, self.refusal, self.may_arm) = (None, None, true);
         self.tell("the fault is cleared: a force arms from a second on".into());
         Ok(())
     }
@@ -210,14 +231,17 @@ impl Inverse3 {
             return Ok(());
         }
         self.arms_from = None;
-        if self.tripped {
+        // A program that connects has lost whatever fell silent before it; a person has to look at any other fault.
+        if self.fault.is_some_and(|fault| fault.fault == Fault::HostLost) {
             self.session.clear()?;
-            (self.fault, self.tripped) = (None, false);
+            self.fault = None;
         }
         match self.session.arm() {
-            Ok(()) => (self.armed, self.may_arm) = (true, false),
+            Ok(()) => (self.armed, self.may_arm, self.refusal) = (true, false, None),
             Err(BoardError::Refused(refusal)) => {
-                self.tell(format!("the motors stay off: {}", for_a_program(&refusal.to_string(), &CALLS)));
+                let refusal = for_a_program(&refusal.to_string(), &CALLS);
+                self.tell(format!("the motors stay off: {refusal}"));
+                self.refusal = Some(refusal);
             }
             Err(error) => return Err(error),
         }
@@ -237,6 +261,7 @@ impl Inverse3 {
         let zero = json!({"x": 0.0, "y": 0.0, "z": 0.0});
         let here = json!({"position": zero, "rotation": upright, "scale": {"x": 1.0, "y": 1.0, "z": 1.0}});
         let armed = self.last.state == State::Armed;
+        let mode = if armed { "force" } else { "idle" };
         let mut device = json!({
             "device_id": self.id,
             "state": {
@@ -249,16 +274,16 @@ impl Inverse3 {
                 "current_cursor_position": vector(self.last.tip),
                 "current_angular_torques": each(self.last.torque.map(f64::from)),
                 "current_angular_position": degrees(self.last.q),
-                "mode": "idle",
+                "mode": mode,
                 "control_domain": "cartesian",
-                "control_mode": if armed { "force" } else { "idle" },
+                "control_mode": mode,
                 "transform": here,
             },
             "status": {
-                "calibrated": true,
+                "calibrated": self.calibrated,
                 "in_use": armed,
                 "power_supply": true,
-                "ready": self.answered && self.last.state != State::Fault,
+                "ready": self.answered && self.fault.is_none() && self.calibrated && self.refusal.is_none(),
                 "started": armed,
             },
         });
@@ -267,6 +292,9 @@ impl Inverse3 {
                 "code": fault.code(), "name": fault.name(), "what": fault.what(), "joint": axis, "value": value,
                 "remedy": for_a_program(fault.remedy(), &CALLS),
             });
+        }
+        if let Some(refusal) = &self.refusal {
+            device["refusal"] = json!(refusal);
         }
         let mut grip = json!({
             "device_id": GRIP,

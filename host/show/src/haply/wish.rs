@@ -18,11 +18,12 @@ pub struct Wish {
     pub clear_fault: bool,
     /// Commands and settings that a board has nothing for.
     pub others: Vec<String>,
+    /// Part of it is for a device that is not this one.
+    pub elsewhere: bool,
 }
 
 impl Wish {
-    /// Reads a message, of a text frame or a binary one, for the device with this id; anything for other devices is
-    /// ignored.
+    /// Reads a message, of a text frame or a binary one, for the device with this id.
     pub fn parse(message: &[u8], id: &str) -> Result<Self, String> {
         let message: Value = serde_json::from_slice(message).map_err(|error| format!("not JSON: {error}"))?;
         let mut wish = Self::default();
@@ -33,7 +34,11 @@ impl Wish {
                 other => wish.others.push(format!("session.{other}")),
             }
         }
-        for device in message["inverse3"].as_array().into_iter().flatten().filter(|device| device["device_id"] == id) {
+        for device in message["inverse3"].as_array().into_iter().flatten() {
+            if device["device_id"] != id {
+                wish.elsewhere = true;
+                continue;
+            }
             wish.configure(&device["configure"])?;
             for (name, command) in entries(&device["commands"]) {
                 match name.as_str() {
@@ -156,7 +161,7 @@ mod tests {
         assert!(wish("{\"set_cursor_force\":{\"values\":{\"x\":1}}}").is_err());
         assert!(parse("{").is_err());
         let other = format!("{{\"inverse3\":[{{\"device_id\":\"B\",\"commands\":{new}}}]}}");
-        assert_eq!(parse(&other), Ok(Wish::default()));
+        assert_eq!(parse(&other), Ok(Wish { elsewhere: true, ..Wish::default() }));
         assert!(parse("{\"session\":{\"force_render_full_state\":{}}}").unwrap().full);
     }
 

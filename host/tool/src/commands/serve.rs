@@ -11,7 +11,7 @@ use haptic_show::haply::{HaplyListener, Inverse3, USUAL_PORT};
 ///
 /// --haply speaks as Haply's inverse service does, until Ctrl-C: a WebSocket with JSON on this computer, and on this
 /// one alone. The first force of a program arms the board; the motors go off when it leaves, and its forces fade when
-/// it says nothing.
+/// it says nothing. A board that is unplugged is waited for.
 #[derive(clap::Args)]
 pub struct Args {
     /// As Haply's inverse service: an Inverse3 and a grip that does not move
@@ -31,8 +31,9 @@ pub struct Args {
 pub fn run(args: Args) -> Result<(), Failure> {
     let stop = interrupt::watch();
     let simulated = matches!(args.port.spec(), PortSpec::Sim(_));
-    let session = Session::of(args.port.open()?);
-    let device = Inverse3::new(session, args.axes, simulated)?;
+    let open =
+        || -> Result<Inverse3, Failure> { Ok(Inverse3::new(Session::of(args.port.open()?), args.axes, simulated)?) };
+    let device = open()?;
     let listening = HaplyListener::open(args.listen).map_err(|error| {
         Failure::impossible(format!("cannot listen on port {}: {error}", args.listen))
             .remedy("end what listens there, such as Haply's own service, or choose another --listen PORT")
@@ -43,5 +44,6 @@ pub fn run(args: Args) -> Result<(), Failure> {
         "{} is an Inverse3 for programs, at {url}\na page in a browser here uses {page}\nCtrl-C ends it\n",
         device.id()
     ))?;
-    Ok(listening.serve(device, stop.flag())?)
+    listening.serve(device, open, stop.flag());
+    Ok(())
 }

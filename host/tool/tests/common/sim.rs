@@ -28,7 +28,8 @@ pub struct Sim {
 impl Sim {
     /// Behind a TCP port.
     pub fn start(arguments: &[&str]) -> Self {
-        let sim = Self::launch(&[&["--tcp", "0"], arguments].concat());
+        let port = if arguments.contains(&"--tcp") { &[][..] } else { &["--tcp", "0"] };
+        let sim = Self::launch(&[port, arguments].concat());
         assert!(sim.port.starts_with("tcp:127.0.0.1:"), "{}", sim.port);
         sim
     }

@@ -5,6 +5,7 @@ use crate::common::haptic;
 use crate::common::sim::{Sim, until};
 use crate::common::strict::{Lossy, strict};
 use haptic_bridge::safety::fault::{Fault, State};
+use haptic_host::link::Session;
 use haptic_show::haply::{HaplyListener, Inverse3};
 use haptic_sim::SharedBoard;
 use serde_json::{Value, json};
@@ -14,6 +15,7 @@ use std::process::{Child, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::thread::JoinHandle;
+use std::time::Duration;
 use tungstenite::stream::MaybeTlsStream;
 use tungstenite::{Message, WebSocket};
 
@@ -84,15 +86,20 @@ struct Served {
 
 impl Served {
     fn start() -> Self {
-        let (board, session) = strict();
+        Self::of(HaplyListener::open(0).unwrap(), |_| {})
+    }
+
+    /// By this listener, after `prepare`.
+    fn of(listener: HaplyListener, prepare: impl FnOnce(&mut Session)) -> Self {
+        let (board, mut session) = strict();
+        prepare(&mut session);
         drop(session);
         let (session, loses) = Lossy::session(&board);
-        let listener = HaplyListener::open(0).unwrap();
         let address = listener.url().unwrap().replace("ws://localhost", "127.0.0.1");
         let device = Inverse3::new(session, None, false).unwrap();
         let stop = Arc::new(AtomicBool::new(false));
         let over = Arc::clone(&stop);
-        let server = std::thread::spawn(move || listener.serve(device, &over).unwrap());
+        let server = std::thread::spawn(move || listener.serve(device, || Err("not lost"), &over));
         Self { address, board, loses, stop, server: Some(server) }
     }
 
@@ -299,6 +306,12 @@ fn a_fault_is_named_to_the_program_that_has_the_board_and_cleared_by_it() {
     let (mut anew, _, first) = server.connect();
     assert_eq!((&first["inverse3"][0]["fault"]["code"], &first["session_id"]), (&json!(16), &json!(2)));
     assert!(started(&anew.ask(&push)));
+    // Nor does one that falls silent and leaves without another word keep the next one out.
+    fall_silent();
+    drop(anew);
+    let (mut anew, _, first) = server.connect();
+    assert_eq!(first["inverse3"][0]["fault"]["name"], "HostLost");
+    assert!(started(&anew.ask(&push)));
     drop(anew);
     // What came while nobody used the device is not its program's to clear unasked.
     server.board.lock().inject(Fault::GateDriver, None, 0.0);
@@ -333,6 +346,65 @@ fn a_program_that_only_reads_is_there_and_whoever_asks_beside_it_is_not() {
         get(&server.address, "/devices", "");
     }
     assert_eq!(server.board.lock().status().fault.unwrap().fault, Fault::HostLost);
+}
+
+#[test]
+fn a_device_that_is_not_homed_is_neither_calibrated_nor_ready_and_says_why_it_does_not_arm() {
+    let status =
+        |frame: &Value| ["calibrated", "ready", "started"].map(|key| frame["inverse3"][0]["status"][key] == true);
+    let homed = Served::start();
+    let (mut program, id, first) = homed.connect();
+    let push = force(&id, "vector", [0.0; 3]);
+    assert_eq!([status(&first), status(&program.ask(&push))], [[true, true, false], [true; 3]]);
+    let forget = |session: &mut Session| {
+        let device = session.device().unwrap().unwrap();
+        session.set_device(&device).unwrap();
+    };
+    let forgotten = Served::of(HaplyListener::open(0).unwrap(), forget);
+    let (mut program, _, first) = forgotten.connect();
+    assert_eq!(status(&first), [false; 3]);
+    let refused = program.ask(&push);
+    assert_eq!(status(&refused), [false; 3]);
+    assert!(refused["inverse3"][0]["refusal"].as_str().unwrap().contains("not homed"), "{refused}");
+}
+
+#[test]
+fn a_program_that_says_nothing_gives_way_to_the_next_and_not_before() {
+    let within = |silence| Served::of(HaplyListener::open(0).unwrap().give_way_after(silence), |_| {});
+    let server = within(Duration::MAX);
+    let _program = server.connect();
+    assert!(Program::connect(&server.address).is_err());
+    let server = within(Duration::ZERO);
+    let (mut suspended, id, _) = server.connect();
+    suspended.ask(&force(&id, "vector", [0.0; 3]));
+    let (mut next, first) = Program::connect(&server.address).unwrap();
+    assert_eq!(first["inverse3"][0]["status"]["started"], false);
+    assert_eq!(next.ask(&force(&id, "vector", [0.0; 3]))["inverse3"][0]["status"]["started"], true);
+    assert!(matches!(suspended.0.read(), Ok(Message::Close(_))));
+}
+
+#[test]
+fn the_board_hears_from_the_server_while_no_program_is_connected() {
+    let server = Served::start();
+    server.loses.store(2, Ordering::Relaxed);
+    until("two messages", || server.loses.load(Ordering::Relaxed) == 0);
+}
+
+#[test]
+fn a_board_that_comes_back_is_served_again_to_programs_that_connect_again() {
+    let board = Sim::start(&[]);
+    let port = board.port.rsplit(':').next().unwrap().to_owned();
+    let server = Server::start(&board.port);
+    let mut program = server.connect().unwrap();
+    let id = program.ask(&json!({"session": {"force_render_full_state": {}}}))["inverse3"][0]["device_id"].clone();
+    let push = force(&id, "vector", [0.0; 3]);
+    program.ask(&push);
+    drop(board);
+    // It does not say anything, and is told.
+    assert!(matches!(program.0.read(), Ok(Message::Close(_))));
+    assert!(server.get("/devices", "").0.contains("503") && server.connect().is_err());
+    let _back = Sim::start(&["--tcp", &port]);
+    assert_eq!(server.next().ask(&push)["inverse3"][0]["status"]["started"], true);
 }
 
 #[test]
@@ -398,7 +470,6 @@ fn one_program_at_a_time_of_this_computer_and_the_motors_go_off_with_it() {
     }
     let started = || server.get("/devices", "").1["inverse3"][0]["status"]["started"].clone();
     let mut program = server.connect().unwrap();
-    assert!(server.connect().is_err(), "another program");
     program.ask(&force(&id, "vector", [0.0; 3]));
     assert_eq!(started(), true);
     drop(program);
