@@ -7,6 +7,7 @@
 use crate::toml_file::{Document, FileError, Must, Problem, Table};
 use crate::vectors::padded;
 use core::f64::consts::TAU;
+use haptic_bridge::drive::stage::MAX_DUTY;
 use haptic_bridge::math::{Libm, Real};
 use haptic_bridge::model::catalogue::{Kind, Spec};
 use haptic_bridge::model::catalogue::{MAX_GEOMETRY, MAX_JOINTS, MAX_LINKS};
@@ -33,6 +34,11 @@ pub struct DeviceFile {
     pub description: Description,
     /// The device's lumped coefficients in double precision.
     pub mechanism: AnyMechanism<f64>,
+    /// The voltage that the board is fed with, V, where the file says it. It bounds every motor's `max_current` in
+    /// `description` to what it drives through the motor at rest.
+    pub supply: Option<f64>,
+    /// `max_current` of each joint as the file has it, A, where `supply` drives less.
+    pub beyond_supply: [Option<f64>; MAX_JOINTS],
 }
 
 impl DeviceFile {
@@ -89,18 +95,28 @@ impl DeviceFile {
     /// Checks a document.
     pub fn read(document: &Document) -> Result<Self, FileError> {
         document.read(|top| {
-            let (name, description, mechanism) = device(top)?;
-            Ok(Self { path: document.path().into(), name, description, mechanism })
+            let (name, mut description, mechanism, supply) = device(top)?;
+            let mut beyond_supply = [None; MAX_JOINTS];
+            for (joint, beyond) in description.joints.iter_mut().zip(&mut beyond_supply) {
+                let Some((motor, supply)) = joint.motor.as_mut().zip(supply) else { continue };
+                let most = supply * f64::from(MAX_DUTY) / motor.resistance;
+                if motor.max_current > most {
+                    *beyond = Some(motor.max_current);
+                    motor.max_current = most;
+                }
+            }
+            Ok(Self { path: document.path().into(), name, description, mechanism, supply, beyond_supply })
         })
     }
 }
 
-fn device(top: &Table<'_>) -> Result<(String, Description, AnyMechanism<f64>), FileError> {
+/// Name, description, lumped coefficients and supply (V).
+fn device(top: &Table<'_>) -> Result<(String, Description, AnyMechanism<f64>, Option<f64>), FileError> {
     if !top.has("mechanism") && ["wall", "spring", "field", "rate_hz", "cutoff_hz"].iter().any(|key| top.has(key)) {
         let reason = "this looks like a scene file, not a device file";
         return Err(top.error_here(impossible(reason, "name the device file first, then its scene files")));
     }
-    top.refuse_unknown_keys(&["name", "mechanism", "gravity", "geometry", "link", "joint", "handle", "home"]);
+    top.refuse_unknown_keys(&["name", "mechanism", "gravity", "geometry", "link", "joint", "handle", "home", "supply"]);
     let name = top.keep(name(top), "");
     let words: Vec<(&str, Kind)> = Kind::ALL.iter().map(|kind| (kind.spec().name, *kind)).collect();
     let kind = top.required("mechanism", top.word("mechanism", &words)?, "mechanism = \"five-bar\"")?;
@@ -111,6 +127,7 @@ fn device(top: &Table<'_>) -> Result<(String, Description, AnyMechanism<f64>), F
     let example = format!("gravity = {:?}", vec![0.0; spec.task]);
     let gravity = top.keep(gravity.and_then(|value| top.required("gravity", value, example)), Vec::new());
 
+    let supply = top.keep(top.number("supply", Must::BePositive), None);
     let table = top.table("geometry").and_then(|table| top.required("geometry", table, "[geometry]"));
     let geometry_table = top.keep(table.map(Some), None);
     let geometry = geometry_table.as_ref().map_or([0.0; MAX_GEOMETRY], |table| geometry(table, &spec));
@@ -150,7 +167,7 @@ fn device(top: &Table<'_>) -> Result<(String, Description, AnyMechanism<f64>), F
         let reason = "at the home pose the linkage cannot close: the links do not reach each other";
         return Err(table.error_at("q", impossible(reason, "write the joint angles of a pose the device can take")));
     }
-    Ok((name.to_string(), description, mechanism))
+    Ok((name.to_string(), description, mechanism, supply))
 }
 
 fn name<'a>(top: &Table<'a>) -> Result<&'a str, FileError> {

@@ -1,6 +1,7 @@
 //! The boards there is firmware for, as a program that plans for one needs to know them.
 
 use haptic_bridge::board::protocol::{Details, Info};
+use haptic_bridge::model::motor::Motor;
 use haptic_stability::analysis::control_loop::{CARRIER_HZ, CURRENT_LOOP_HZ, TorquePath};
 use haptic_stability::analysis::plant::Drive;
 
@@ -49,6 +50,15 @@ impl BoardKind {
         }
     }
 
+    /// The largest current in a motor, A: the limit that the board begins with, and that no setting raises.
+    #[must_use]
+    pub fn most_current(self) -> f64 {
+        match self {
+            Self::OdriveV3 => 20.0,
+            Self::HBridgeF405 | Self::HBridgeF407Disc1 => 12.0,
+        }
+    }
+
     /// The board called `name`.
     #[must_use]
     pub fn named(name: &str) -> Option<Self> {
@@ -60,4 +70,13 @@ impl BoardKind {
     pub fn with_axes(joints: usize) -> Option<Self> {
         Self::ALL.into_iter().find(|kind| kind.axes() >= joints)
     }
+}
+
+/// The torque that a motor of a device of so many joints gives at rest, N m at the joint: within its `max_current`, which
+/// the file's `supply` bounds already ([`haptic_host::device_file::DeviceFile`]), and within the current of the smallest
+/// board with as many axes. Every force and torque that is predicted comes from here.
+#[must_use]
+pub fn torque_at_rest(motor: &Motor<f64>, joints: usize) -> f64 {
+    let board = BoardKind::with_axes(joints).map_or(f64::INFINITY, BoardKind::most_current);
+    motor.torque_constant.abs() * motor.max_current.min(board)
 }

@@ -1,10 +1,10 @@
 //! The places and directions in which a device renders walls best: directions at a pose, places in the workspace, what
 //! each link, rotor and gear is worth, and the posture of a redundant arm.
 //!
-//! Everything here rests on one law of docs/model.md: without joint damping the stable boundary of a loop is that of a
-//! single mass, so the stiffest wall is in proportion to the inertia that it meets, Weff without the feed-forward and
-//! Wrr with it. What it leaves out (joint damping, friction, transmissions, the force that the motors have) is for
-//! `haptic range` and `haptic tune` at the pose that was chosen.
+//! Places, directions and postures are searched by inertia, Weff without the feed-forward and Wrr with it: without
+//! joint damping the stable boundary of a rigid device is that of a single mass, so that the stiffest wall is in
+//! proportion to it (docs/model.md). The stiffness beside each, and what each change of the device does to it, is the
+//! prediction of `haptic range`, with joint damping and transmissions. Friction and ripple are for `haptic tune`.
 //!
 //! Inertia grows without bound towards a singular pose along the direction that is lost there. So the best place lies
 //! at the edge of what is allowed, which is said: poses nearer to a singularity than a given sine are left out.
@@ -19,26 +19,18 @@ use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::with_mechanism;
 use haptic_host::error::{Choice, Failure};
-use haptic_stability::analysis::control_loop::TorquePath;
-use haptic_stability::analysis::plant::Linearised;
 use haptic_stability::analysis::pose::{TaskPose, angles, regular};
-use haptic_stability::analysis::range::domain;
-use haptic_stability::analysis::sampled::{LinearEstimator, Loop, Mode};
-use nalgebra::{DMatrix, DVector, SVector};
+use haptic_stability::analysis::range::BoundaryPoint;
+use nalgebra::{DVector, SVector};
+use serde::Serialize;
 
-/// The largest stiffness (N/m) of an undamped kilogram in the loop of a board at this rate and cutoff, of all dampings.
-pub fn stiffness_per_kilogram(rate_hz: f64, cutoff_hz: f64) -> Result<f64, Failure> {
-    let kilogram = Linearised {
-        mass: DMatrix::identity(1, 1),
-        viscous: DVector::zeros(1),
-        row: DVector::from_element(1, 1.0),
-        unit_motion: DVector::from_element(1, 1.0),
-        gain: 1.0,
-        flexible: Default::default(),
-    };
-    let around = Loop::through(&TorquePath::usual(rate_hz), rate_hz, LinearEstimator::Butterworth(cutoff_hz));
-    let found = domain(&kilogram, &around, Mode::Off, None)?;
-    Ok(found.boundary.iter().map(|point| point.kp).fold(0.0, f64::max))
+/// The stiffest walls at a place that stay stable, of all dampings, as `haptic range` predicts them.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Stiffest {
+    /// Without the feed-forward.
+    pub off: BoundaryPoint,
+    /// With it.
+    pub full: BoundaryPoint,
 }
 
 /// The distance of a pose from the nearest singularity: the lesser sine.

@@ -18,7 +18,7 @@ use crate::contact::{Answer, Contact, Grip, Law, about_its_line};
 use haptic_host::error::Failure;
 use haptic_host::vectors::padded;
 use haptic_sim::Plant;
-use haptic_stability::analysis::flexible::Hand;
+use haptic_stability::analysis::flexible::{Hand, Posture};
 use haptic_stability::analysis::line::{DampingRule, StableLine};
 use haptic_stability::analysis::plant::Linearised;
 use haptic_stability::analysis::sampled::{Loop, Mode};
@@ -214,19 +214,19 @@ impl Pressed<'_> {
     }
 }
 
-/// The loop of a prediction: its estimator and feed-forward, linearised at the pose, behind encoders that step.
+/// The loop of a prediction: its estimator, feed-forward and posture, linearised at the pose, behind encoders that step.
 struct Linear<'a> {
     steps: &'a [f64],
     q0: [f64; MAX_JOINTS],
     offset: f64,
-    row: &'a DVector<f64>,
+    device: &'a Linearised,
     shaped: &'a DVector<f64>,
-    /// The acceleration along the rendered direction per newton of wall, through plain and through shaped torques,
-    /// 1/kg.
-    gives: [f64; 2],
+    mobility: &'a DMatrix<f64>,
     estimator: DMatrix<f64>,
-    /// States of the estimator, then how far the tip moved in the last period and what the last command gives.
-    memory: DVector<f64>,
+    wall: Watched,
+    held: Option<(Posture, Watched)>,
+    /// Of each joint, where its damping is compensated, and what b of (4) becomes in torques.
+    compensated: Option<(Vec<Watched>, DMatrix<f64>)>,
     mode: Mode,
     /// The slow part of the force, of a washout.
     slow: f64,
@@ -235,9 +235,39 @@ struct Linear<'a> {
     /// The position of the wall's surface, m along the normal.
     surface: f64,
     period: f64,
+    /// The last command, N m.
+    commanded: DVector<f64>,
+}
+
+/// A motion of the joints whose velocity is estimated.
+struct Watched {
+    /// Its Jacobian.
+    row: DVector<f64>,
     before: f64,
-    /// Newtons that were commanded through plain and through shaped torques.
-    asked: [f64; 2],
+    /// States of the estimator, then how far it moved in the last period and what the last command gives.
+    memory: DVector<f64>,
+}
+
+impl Watched {
+    /// At rest at these angles, rad.
+    fn new(row: DVector<f64>, estimator: &DMatrix<f64>, angles: &DVector<f64>) -> Self {
+        Self { before: row.dot(angles), row, memory: DVector::zeros(estimator.nrows() + 1) }
+    }
+
+    /// Its position and its velocity per sample; `given` is the velocity per sample that the last command gave each
+    /// joint, rad.
+    fn seen(&mut self, angles: &DVector<f64>, estimator: &DMatrix<f64>, given: &DVector<f64>) -> (f64, f64) {
+        let x = self.row.dot(angles);
+        let states = estimator.nrows() - 1;
+        self.memory[states] = x - self.before;
+        self.memory[states + 1] = self.row.dot(given);
+        self.before = x;
+        let change = estimator * &self.memory;
+        for state in 0..states {
+            self.memory[state] += change[state];
+        }
+        (x, change[states])
+    }
 }
 
 impl<'a> Linear<'a> {
@@ -247,19 +277,30 @@ impl<'a> Linear<'a> {
         mode: Mode,
         (kp, kd): (f64, f64),
         offset: f64,
-        mobility: &DMatrix<f64>,
+        mobility: &'a DMatrix<f64>,
         shaped: &'a DVector<f64>,
     ) -> Self {
-        let (row, period) = (&pressed.device.row, 1.0 / pressed.around.rate_hz);
+        let (device, joints) = (pressed.device, steps.len());
         let estimator = pressed.around.estimator.matrix(pressed.around.rate_hz);
-        let mut law = Self {
+        let q0 = padded(&pressed.q);
+        let angles = stepped(&q0, &q0, steps, offset);
+        let watched = |row: DVector<f64>| Watched::new(row, &estimator, &angles);
+        let unit = &device.unit_motion;
+        let compensated = (pressed.around.damping_compensation && mode != Mode::Off).then(|| {
+            let each = DMatrix::identity(joints, joints);
+            let joints = each.column_iter().map(|joint| watched(joint.into_owned())).collect();
+            (joints, each - &device.mass * unit * unit.transpose() / device.w_rr())
+        });
+        Self {
             steps,
-            q0: padded(&pressed.q),
+            q0,
             offset,
-            row,
+            device,
             shaped,
-            gives: [row.dot(&(mobility * row)), row.dot(&(mobility * shaped))],
-            memory: DVector::zeros(estimator.nrows() + 1),
+            mobility,
+            wall: watched(device.row.clone()),
+            held: device.flexible.posture.as_ref().map(|(held, row)| (*held, watched(row.clone()))),
+            compensated,
             estimator,
             mode,
             slow: pressed.push_n,
@@ -267,39 +308,29 @@ impl<'a> Linear<'a> {
             kd,
             // At the start the wall holds the hand.
             surface: if kp > 0.0 { -pressed.push_n / kp } else { 0.0 },
-            period,
-            before: 0.0,
-            asked: [0.0; 2],
-        };
-        law.before = law.position(&law.q0);
-        law
+            period: 1.0 / pressed.around.rate_hz,
+            commanded: DVector::zeros(joints),
+        }
     }
+}
 
-    /// The position of the tip along the normal, by the encoders, m.
-    fn position(&self, q: &[f64; MAX_JOINTS]) -> f64 {
-        let angle = |j: usize| {
-            // Half a turn of each joint's count by itself, so that joints do not step together.
-            let origin = (self.offset + 0.37 * j as f64).fract();
-            (((q[j] - self.q0[j]) / self.steps[j] - origin).round() + origin) * self.steps[j]
-        };
-        (0..self.steps.len()).map(|j| self.row[j] * angle(j)).sum()
-    }
+/// How far the joints are from `q0` by their encoders, rad.
+fn stepped(q: &[f64; MAX_JOINTS], q0: &[f64; MAX_JOINTS], steps: &[f64], offset: f64) -> DVector<f64> {
+    DVector::from_fn(steps.len(), |j, _| {
+        // Half a turn of each joint's count by itself, so that joints do not step together.
+        let origin = (offset + 0.37 * j as f64).fract();
+        (((q[j] - q0[j]) / steps[j] - origin).round() + origin) * steps[j]
+    })
 }
 
 impl Law for Linear<'_> {
     fn answer(&mut self, measured: &[f64; MAX_JOINTS]) -> Answer {
-        let x = self.position(measured);
-        let (states, period) = (self.estimator.nrows() - 1, self.period);
-        self.memory[states] = x - self.before;
-        // The velocity per sample that the last command gave.
-        self.memory[states + 1] = period * period * (self.gives[0] * self.asked[0] + self.gives[1] * self.asked[1]);
-        self.before = x;
-        let change = &self.estimator * &self.memory;
-        for state in 0..states {
-            self.memory[state] += change[state];
-        }
-        let force = (-self.kp * (self.surface + x) - self.kd * change[states] / period).max(0.0);
-        self.asked = match self.mode {
+        let (period, estimator) = (self.period, &self.estimator);
+        let angles = stepped(measured, &self.q0, self.steps, self.offset);
+        let given = self.mobility * &self.commanded * (period * period);
+        let (x, moved) = self.wall.seen(&angles, estimator, &given);
+        let force = (-self.kp * (self.surface + x) - self.kd * moved / period).max(0.0);
+        let [plain, shaped] = match self.mode {
             Mode::Off => [force, 0.0],
             Mode::Full => [0.0, force],
             Mode::Washout(hz) => {
@@ -310,7 +341,17 @@ impl Law for Linear<'_> {
                 [force - washed, washed]
             }
         };
-        let torque = self.row * self.asked[0] + self.shaped * self.asked[1];
+        let mut torque = &self.device.row * plain + self.shaped * shaped;
+        if let Some((posture, turn)) = &mut self.held {
+            let (angle, moved) = turn.seen(&angles, estimator, &given);
+            torque -= &turn.row * (posture.stiffness * angle + posture.damping * moved / period);
+        }
+        if let Some((joints, bias)) = &mut self.compensated {
+            let moved = joints.iter_mut().map(|joint| joint.seen(&angles, estimator, &given).1 / period);
+            let moved = DVector::from_iterator(self.steps.len(), moved);
+            torque += &*bias * self.device.viscous.component_mul(&moved);
+        }
+        self.commanded.copy_from(&torque);
         Answer { force, torque: padded(torque.as_slice()) }
     }
 }

@@ -136,7 +136,8 @@ pub fn device_file(kind: Kind, name: &str) -> String {
          # Motors and encoders: {MOTORS_AND_ENCODERS}.\n\n\
          name = {name:?}\n\
          mechanism = \"{}\"\n\
-         gravity = {}\n\n\
+         gravity = {}\n\
+         # supply = 24.0                      # V, what feeds the board: bounds what the motors give\n\n\
          [geometry]                           # m, between axes\n",
         spec.name,
         example.gravity,
@@ -326,10 +327,10 @@ mod tests {
             let file = DeviceFile::parse(&text, "mine.toml").unwrap_or_else(|error| panic!("{error}\n{text}"));
             assert_eq!(file.description.kind, *kind);
             // Only its maker knows what lies between motor and link.
-            let [silent] = &doubts(&file.description)[..] else { panic!("{:?}", doubts(&file.description)) };
+            let [silent] = &doubts(&file)[..] else { panic!("{:?}", doubts(&file)) };
             assert!(silent.text.contains("transmission = \"rigid\""), "{}", silent.text);
             let said = text.replace("# transmission = \"rigid\"", "transmission = \"rigid\"");
-            assert_eq!(doubts(&DeviceFile::parse(&said, "mine.toml").unwrap().description), []);
+            assert_eq!(doubts(&DeviceFile::parse(&said, "mine.toml").unwrap()), []);
             let lacks = file.lacks_for_a_board();
             assert!(lacks.iter().all(|lack| lack.contains("verified")), "{lacks:?}");
             assert_eq!(lacks.len(), kind.spec().joints);
@@ -378,6 +379,7 @@ mod tests {
             "per_turn",
             "frequency",
             "inertia",
+            "supply",
         ] {
             assert!(text.lines().any(|line| line.starts_with(&format!("# {key} = "))), "{key}");
         }
@@ -423,7 +425,7 @@ mod tests {
     fn a_template_is_sound_with_all_that_it_offers() {
         for kind in Kind::ALL {
             let keys = ["[joint.", "[[joint.", "stiffness", "damping", "motor_inertia", "encoder_at", "static"];
-            let more = ["stribeck_speed", "amplitude", "per_turn", "frequency", "inertia"];
+            let more = ["stribeck_speed", "amplitude", "per_turn", "frequency", "inertia", "supply"];
             let mut text = device_file(*kind, "mine");
             for key in keys.into_iter().chain(more) {
                 text = text.replace(&format!("\n# {key}"), &format!("\n{key}"));

@@ -1,9 +1,9 @@
 //! The hazards for a person at the tip: the largest force and the energy of motion that limits leave a device.
 
+use crate::boards::torque_at_rest;
 use crate::plausible::device::weight;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device;
-use haptic_bridge::model::motor::Motor;
 use haptic_stability::analysis::pose::{PoseError, TaskPose};
 use nalgebra::DVector;
 
@@ -65,20 +65,16 @@ impl Tip {
 /// Joint speed, rad/s, that the boards' firmware allows until it is told otherwise.
 pub const BOARD_SPEED: f64 = 100.0;
 
-/// The most that each motor itself can give, N m at the joint; 0 without one.
+/// The most that each motor can give at rest, N m at the joint; 0 without one.
 pub fn motor_torques(description: &Description) -> Vec<f64> {
-    torques_of(description, |motor| motor.max_current)
-}
-
-/// The torque that a current (A) in each motor makes, N m at the joint; 0 without a motor.
-fn torques_of(description: &Description, current: fn(&Motor<f64>) -> f64) -> Vec<f64> {
-    let motors = description.joints.iter().map(|joint| joint.motor);
-    motors.map(|motor| motor.map_or(0.0, |motor| (motor.torque_constant * current(&motor)).abs())).collect()
+    let joints = description.kind.spec().joints;
+    description.joints.iter().map(|joint| joint.motor.map_or(0.0, |motor| torque_at_rest(&motor, joints))).collect()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::boards::BoardKind;
     use haptic_bridge::model::catalogue::MAX_JOINTS;
     use haptic_host::device_file::DeviceFile;
 
@@ -114,14 +110,16 @@ mod tests {
             let most = tip.force(&limits);
             let energy = tip.energy(&[BOARD_SPEED; MAX_JOINTS]);
             let limits = listed.join(" ");
-            let ampere = tip.force(&torques_of(&file.description, |_| 1.0));
+            let ampere = file.description.joints.map(|joint| joint.motor.map_or(0.0, |motor| motor.torque_constant));
+            let ampere = tip.force(&ampere);
             writeln!(table, "{name},{gentle},{limits},{most:.1},{motors},{ampere:.1},{energy:.2}").expect("it fits");
         }
-        for board in [
-            include_str!("../../../firmware/src/board/odrive_v3.rs"),
-            include_str!("../../../firmware/src/board/h_bridges.rs"),
+        for (kind, board) in [
+            (BoardKind::OdriveV3, include_str!("../../../firmware/src/board/odrive_v3.rs")),
+            (BoardKind::HBridgeF405, include_str!("../../../firmware/src/board/h_bridges.rs")),
         ] {
             assert!(board.contains(&format!("    speed: [{BOARD_SPEED:.1}; 3],")), "boards start with another speed");
+            assert!(board.contains(&format!("    current: [{:.1}; 3],", kind.most_current())), "{kind:?}");
         }
         let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/results/tips.csv");
         if std::env::var_os("UPDATE_DOCS").is_some() {

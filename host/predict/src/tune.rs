@@ -169,6 +169,9 @@ pub struct Found {
     /// The same on the simulated board with the device in the file, under its hand, N; none where that was not looked
     /// at.
     pub board_ripple_n: Option<f64>,
+    /// The stiffness that a hand at the tip feels of it at rest, N/m; `None` where no transmission gives.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub felt: Option<f64>,
 }
 
 /// The answer.
@@ -226,7 +229,8 @@ fn check(question: &Question<'_>) -> Result<(), Failure> {
 /// Searches. The same in any order of work.
 pub fn tune(question: &Question<'_>, sweep: &Sweep) -> Result<Answer, Failure> {
     let context = SearchContext::new(question, sweep)?;
-    let (all, looked_at) = context.all()?;
+    let (mut all, looked_at) = context.all()?;
+    all.iter_mut().for_each(|found| found.felt = context.felt(&found.settings));
     let Some((best, passed_over)) = chosen(&all) else {
         return Err(Failure::impossible(format!(
             "no wall here keeps a ripple of {} N within the margins",

@@ -8,7 +8,7 @@ use super::broken::Broken;
 use super::device::{DeviceError, Options, SimulatedDevice, Support};
 use super::hand::{Hand, HandSettings};
 use super::machine::LocalMachine;
-use super::motor::MotorInput;
+use super::motor::{MotorInput, PowerStage};
 use super::port::Port;
 use haptic_bridge::board::dispatch::{self, After};
 use haptic_bridge::board::protocol::{FaultSeen, Info, MAX_FRAME, PROTOCOL, Telemetry};
@@ -107,11 +107,15 @@ fn info(options: &BoardOptions) -> Info {
     }
 }
 
-/// The limits that no setting can raise: those of a simulation, with a real board's tip force where its motors count as
-/// real.
-fn most(hardware: Hardware) -> Limits {
+/// The limits that no setting can raise: those of a simulation fed with `supply` (V), with a real board's tip force
+/// where its motors count as real.
+fn most(hardware: Hardware, supply: f64) -> Limits {
     let limits = Limits::default();
-    if hardware.real { Limits { tip_force: MOST_TIP_FORCE, ..limits } } else { limits }
+    // As far below and above the supply as the usual limits are of the usual supply.
+    let share = (supply / PowerStage::default().bus_voltage) as f32;
+    let (bus_min, bus_max) = (limits.bus_min * share.min(1.0), limits.bus_max * share.max(1.0));
+    let tip_force = if hardware.real { MOST_TIP_FORCE } else { limits.tip_force };
+    Limits { bus_min, bus_max, tip_force, ..limits }
 }
 
 /// A board with a device on it.
@@ -168,7 +172,7 @@ impl SimulatedBoard {
         };
         let seen = Counts(device.counts());
         let mut board = Self {
-            service: Service::new(hardware, most(hardware)),
+            service: Service::new(hardware, most(hardware, bridge.bus_voltage)),
             machine: LocalMachine::new(hardware, info(&options), options.delay),
             options: options.clone(),
             device,
@@ -498,7 +502,7 @@ impl SimulatedBoard {
         let heat = *self.machine.servo.heat();
         self.machine.servo = Servo::new(self.hardware, Rules::default());
         self.machine.servo.start_heat(heat);
-        self.service = Service::new(self.hardware, most(self.hardware));
+        self.service = Service::new(self.hardware, most(self.hardware, self.device.bus_voltage()));
         self.drive = [MotorInput::Floating; 3];
         self.bridges = false;
         self.packer = Packer::default();

@@ -55,8 +55,9 @@ impl Wire for SimulatedWire {
     }
 }
 
-/// A simulated board with the device of `file` wired to it and, when it takes it, loaded.
-pub fn ready_board(file: &DeviceFile, options: BoardOptions) -> Result<SimulatedBoard, DeviceError> {
+/// A simulated board, fed with the supply of `file`, with its device wired to it and, when it takes it, loaded.
+pub fn ready_board(file: &DeviceFile, mut options: BoardOptions) -> Result<SimulatedBoard, DeviceError> {
+    options.device.bridge.bus_voltage = file.supply.unwrap_or(options.device.bridge.bus_voltage);
     let mut board = SimulatedBoard::new(&file.description, options)?;
     // A device that the board refuses is refused again, in words, when the tool loads it.
     let _ = board.load(&file.name, &file.description, None);

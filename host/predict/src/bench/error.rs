@@ -5,7 +5,8 @@
 //! at the tip, J⁻ᵀ Δτ: what a hand there would have to hold.
 
 use crate::bench::precompute::Precomputed;
-use crate::bench::probe::{Probe, strongest};
+use crate::bench::probe::Probe;
+use crate::boards::torque_at_rest;
 use haptic_bridge::math::{Angle, BinaryAngle, Libm, Math, Real};
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::model::device::Device;
@@ -270,7 +271,9 @@ fn errors_of<E: Mechanism<f64, N>, const N: usize>(
     for (probe, found) in probes.iter().zip(found) {
         let off = difference(*found, reference::<E, N>(exact, Terms::FeedForwardZ, law, probe));
         let whole = largest(reference::<E, N>(exact, Terms::None, law, probe));
-        let share = |i: usize| off[i].abs() / device.joints[i].motor.map_or(whole, |motor| strongest(&motor));
+        let share = |i: usize| {
+            off[i].abs() / device.joints[i].motor.map_or(whole, |motor| torque_at_rest(&motor, device.axes()))
+        };
         torques.push(largest(off));
         forces.push(at_the_tip::<E, N>(exact, probe, off));
         shares.push((0..N).map(share).fold(0.0, f64::max));

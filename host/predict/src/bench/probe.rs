@@ -1,11 +1,11 @@
 //! The situations in which errors are computed: poses with a wall's normal, a hand motion, and the largest force the
 //! motors give along the normal beside it. Motions that take more than the motors give are left out.
 
+use crate::boards::torque_at_rest;
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::Mechanism;
-use haptic_bridge::model::motor::Motor;
 use haptic_bridge::render::controller::{FULL_REGULARITY, PARALLEL_REGULARITY};
 use haptic_bridge::render::scene::Surface;
 use haptic_bridge::safety::limits::Limits;
@@ -86,11 +86,6 @@ pub fn on_surface(
     Ok(probes)
 }
 
-/// The most that a motor gives at its joint, N m.
-pub fn strongest(motor: &Motor<f64>) -> f64 {
-    motor.torque_constant.abs() * motor.max_current
-}
-
 fn place<M: Mechanism<f64, N>, const N: usize>(task: &SVector<f64, N>) -> SVector<f64, N> {
     SVector::from_fn(|i, _| if i < M::SPEC.task { task[i] } else { 0.0 })
 }
@@ -140,7 +135,7 @@ fn push<M: Mechanism<f64, N>, const N: usize>(
     let per_newton = SVector::<f64, N>::from_fn(|i, _| plain[i].abs().max((shaping.me[i] / shaping.w_rr).abs()));
     // The force that the motors have left beside the weight and the motion; none where these alone are too much.
     let left = |b: &SVector<f64, N>| {
-        let joints = (0..N).filter_map(|i| device.joints[i].motor.map(|motor| (i, strongest(&motor))));
+        let joints = (0..N).filter_map(|i| device.joints[i].motor.map(|motor| (i, torque_at_rest(&motor, N))));
         let share = joints.map(|(i, most)| (most - weight[i].abs() - b[i].abs()) / per_newton[i].max(1.0e-9));
         share.fold(f64::INFINITY, f64::min)
     };

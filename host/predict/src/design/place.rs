@@ -1,6 +1,6 @@
 //! Directions at a pose, and places in the workspace.
 
-use super::{clearance, lumped, reaching, singular, task_position, within_limits};
+use super::{Stiffest, clearance, lumped, reaching, singular, task_position, within_limits};
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device;
@@ -8,6 +8,9 @@ use haptic_host::error::{Choice, Failure};
 use haptic_sim::Random;
 use haptic_stability::analysis::map::{MapPoint, Reachable, along, at_holding};
 use haptic_stability::analysis::pose::{LEAST_ANALYSED_SINE, Stance, TaskPose, unit_normal};
+use haptic_stability::analysis::prediction::Prediction;
+use haptic_stability::analysis::range::Range;
+use haptic_stability::analysis::several::Member;
 use haptic_stability::sweep::Sweep;
 use nalgebra::DVector;
 use serde::Serialize;
@@ -27,6 +30,9 @@ pub struct Placed {
     pub w_rr: f64,
     /// Sine of the nearest singular angle.
     pub clearance: f64,
+    /// The stiffest walls that are predicted stable there, where they were asked for: of a patch in its middle.
+    #[serde(flatten)]
+    pub walls: Option<Stiffest>,
 }
 
 /// The directions that stand out at a pose.
@@ -71,6 +77,15 @@ pub struct Along {
     pub worst: Placed,
 }
 
+impl Placed {
+    /// Predicts its stiffest walls.
+    pub fn predict(&mut self, prediction: &Prediction) -> Result<Range, Failure> {
+        let range = prediction.range(&self.q, &[Member::new(self.normal.clone(), 1.0)], None, None)?;
+        self.walls = Some(Stiffest { off: range.off.top, full: range.full.top });
+        Ok(range)
+    }
+}
+
 fn placed(pose: &TaskPose, q: &[f64], normal: &DVector<f64>) -> Option<Placed> {
     let (w_eff, w_rr) = along(pose, normal)?;
     Some(Placed {
@@ -80,6 +95,7 @@ fn placed(pose: &TaskPose, q: &[f64], normal: &DVector<f64>) -> Option<Placed> {
         w_eff,
         w_rr,
         clearance: clearance(pose),
+        walls: None,
     })
 }
 

@@ -1,14 +1,16 @@
 //! The effect of each number of a device on one wall: the same tip position, with one of them a tenth larger or
 //! smaller.
 
-use super::{lumped, reaching, singular, task_position};
+use super::{reaching, singular, task_position};
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::catalogue::Kind;
-use haptic_bridge::model::description::Description;
-use haptic_bridge::model::device::Device;
+use haptic_bridge::model::description::{Description, Joint};
 use haptic_host::error::Failure;
+use haptic_stability::analysis::control_loop::{Loop, Mode};
 use haptic_stability::analysis::map::along;
 use haptic_stability::analysis::pose::{TaskPose, unit_normal};
+use haptic_stability::analysis::prediction::{Prediction, Subject};
+use haptic_stability::analysis::range::boundary_of;
 use serde::Serialize;
 
 /// The share by which a number is made larger and smaller.
@@ -17,10 +19,14 @@ pub const CHANGE: f64 = 0.1;
 /// The ratios of a changed device's results for the wall to those of the original.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Effect {
-    /// Weff: the stiffest wall without the feed-forward, and what is felt in free motion.
+    /// Weff, which is also what is felt in free motion.
     pub w_eff: f64,
-    /// Wrr: the stiffest wall with it.
+    /// Wrr.
     pub w_rr: f64,
+    /// The stiffest wall that is predicted stable without the feed-forward.
+    pub off: f64,
+    /// The stiffest wall with it.
+    pub full: f64,
     /// The force of the motors along the normal; none without motors.
     pub force: Option<f64>,
     /// The motion of the tip in one encoder count; `None` without encoders.
@@ -65,6 +71,15 @@ fn counterweight(description: &mut Description, link: usize) {
     link.inertia += moved;
     link.inertia_transverse += moved;
     (link.mass, link.com) = (mass, com);
+}
+
+/// Scales the inertia on the motor's side: all of the joint's, where its transmission does not say less.
+fn scale_motor(joint: &mut Joint, factor: f64) {
+    let motor = joint.transmission.map_or(joint.inertia, |transmission| transmission.motor_inertia);
+    joint.inertia += (factor - 1.0) * motor;
+    if let Some(transmission) = &mut joint.transmission {
+        transmission.motor_inertia *= factor;
+    }
 }
 
 /// Everything that is changed, one after the other.
@@ -122,7 +137,7 @@ fn changes(description: &Description) -> Vec<(String, Change, bool)> {
         if description.joints[joint].inertia > 0.0 {
             all.push((
                 format!("rotor of joint {joint}"),
-                Box::new(move |d, factor| d.joints[joint].inertia *= factor),
+                Box::new(move |d, factor| scale_motor(&mut d.joints[joint], factor)),
                 true,
             ));
         }
@@ -130,9 +145,12 @@ fn changes(description: &Description) -> Vec<(String, Change, bool)> {
             format!("gear ratio of joint {joint}"),
             Box::new(move |d, factor| {
                 let joint = &mut d.joints[joint];
-                joint.inertia *= factor * factor;
+                scale_motor(joint, factor * factor);
                 joint.viscous *= factor * factor;
                 joint.coulomb *= factor;
+                if let Some(friction) = &mut joint.friction {
+                    friction.rest *= factor;
+                }
                 if let Some(motor) = &mut joint.motor {
                     motor.torque_constant *= factor;
                     motor.back_emf *= factor;
@@ -150,8 +168,19 @@ fn changes(description: &Description) -> Vec<(String, Change, bool)> {
     all
 }
 
+/// Dampings at which the boundary is looked at, at even shares of where it ends: the same shares before and after a
+/// change.
+const DAMPINGS: usize = 40;
+
 /// The quantities that matter at a pose of a device.
-fn worth(device: &Device<f64>, q: &[f64], normal: &[f64], admissible: Admissible) -> Option<Effect> {
+fn worth(prediction: &Prediction, q: &[f64], normal: &[f64]) -> Option<Effect> {
+    let (device, admissible) = (&prediction.subject.device, prediction.admissible);
+    let seen = prediction.seen(q, normal).ok()?;
+    let stiffest = |mode| {
+        let shares = |end: f64| (0..DAMPINGS).map(|i| end * (i as f64 + 0.5) / DAMPINGS as f64).collect();
+        let boundary = boundary_of(&seen, &seen, &prediction.around, mode, shares).ok()?;
+        Some(boundary.iter().map(|point| point.kp).fold(0.0, f64::max))
+    };
     let pose = TaskPose::of(&device.mechanism, q).ok()?.regular().ok()?.holding(admissible);
     let n = unit_normal(normal, pose.task, q.len()).ok()?;
     let (w_eff, w_rr) = along(&pose, &n)?;
@@ -163,6 +192,8 @@ fn worth(device: &Device<f64>, q: &[f64], normal: &[f64], admissible: Admissible
     Some(Effect {
         w_eff,
         w_rr,
+        off: stiffest(Mode::Off)?,
+        full: stiffest(Mode::Full)?,
         force: crate::plausible::device::force_along(device, &pose, normal),
         count: (count > 0.0).then_some(count),
         weight,
@@ -174,29 +205,36 @@ fn over(found: Effect, before: Effect) -> Effect {
     Effect {
         w_eff: found.w_eff / before.w_eff,
         w_rr: found.w_rr / before.w_rr,
+        off: found.off / before.off,
+        full: found.full / before.full,
         force: ratio(found.force, before.force),
         count: ratio(found.count, before.count),
         weight: found.weight,
     }
 }
 
-/// The effect of every number on a wall along `normal` where the tip is at `q` (rad); those of most effect on Wrr
-/// first.
+/// The effect of every number on a wall along `normal` where the tip is at `q` (rad), in this loop; those of most effect
+/// on the stiffest wall first.
 pub fn sensitivities(
     description: &Description,
     q: &[f64],
     normal: &[f64],
     admissible: Admissible,
+    around: &Loop,
 ) -> Result<Vec<Sensitivity>, Failure> {
-    let device = lumped(description)?;
-    let before = worth(&device, q, normal, admissible).ok_or_else(singular)?;
-    let place = task_position(&TaskPose::of(&device.mechanism, q)?, q);
+    let predicted = |description: &Description| -> Result<Prediction, Failure> {
+        let subject = Subject::new(description).map_err(Failure::wrong)?;
+        Ok(Prediction { admissible, ..Prediction::new(subject, around.clone()) })
+    };
+    let as_it_is = predicted(description)?;
+    let before = worth(&as_it_is, q, normal).ok_or_else(singular)?;
+    let place = task_position(&TaskPose::of(&as_it_is.subject.device.mechanism, q)?, q);
     let changed = |change: &Change, factor: f64| -> Option<Effect> {
         let mut other = *description;
         change(&mut other, factor);
-        let device = lumped(&other).ok()?;
-        let there = reaching(&device, q, &place)?;
-        Some(over(worth(&device, &there, normal, admissible)?, before))
+        let prediction = predicted(&other).ok()?;
+        let there = reaching(&prediction.subject.device, q, &place)?;
+        Some(over(worth(&prediction, &there, normal)?, before))
     };
     let mut found: Vec<Sensitivity> = changes(description)
         .into_iter()
@@ -208,7 +246,7 @@ pub fn sensitivities(
         .collect();
     let most = |one: &Sensitivity| {
         let sides = [one.more, one.less].into_iter().flatten();
-        sides.map(|effect| effect.w_rr.ln().abs().max(effect.w_eff.ln().abs())).fold(0.0, f64::max)
+        sides.map(|effect| effect.full.ln().abs().max(effect.off.ln().abs())).fold(0.0, f64::max)
     };
     found.sort_by(|a, b| most(b).total_cmp(&most(a)));
     Ok(found)

@@ -1,16 +1,19 @@
 //! Doubts about a device file.
 
 use super::{Doubt, Key, in_degrees, turns};
+use crate::boards::torque_at_rest;
 use core::f64::consts::{PI, TAU};
+use haptic_bridge::drive::stage::MAX_DUTY;
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::description::{Description, Joint, Link};
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::with_mechanism;
-use haptic_host::device_file::carries_its_body;
+use haptic_host::device_file::{DeviceFile, carries_its_body};
 use haptic_host::vectors::padded_to;
 use haptic_host::words::{digits, listed, with_unit};
+use haptic_sim::PowerStage;
 use haptic_stability::analysis::pose::TaskPose;
 use nalgebra::{DMatrix, DVector, SVector};
 
@@ -42,8 +45,8 @@ fn key(table: &'static str, index: Option<usize>, part: &'static str, name: &'st
 }
 
 /// Everything that is doubtful about a device.
-pub fn doubts(description: &Description) -> Vec<Doubt> {
-    let spec = description.kind.spec();
+pub fn doubts(file: &DeviceFile) -> Vec<Doubt> {
+    let (description, spec) = (&file.description, file.spec());
     let mut doubts = lengths(description);
     let longest = longest(description);
     let heaviest = STEEL_DENSITY * (longest / 2.0).powi(3);
@@ -56,7 +59,8 @@ pub fn doubts(description: &Description) -> Vec<Doubt> {
     }
     for (index, joint) in description.joints.iter().enumerate().take(spec.joints) {
         doubts.extend(of_joint(joint, index, description.kind));
-        doubts.extend(of_motor(joint, index, carries_its_body(&spec, index)));
+        doubts.extend(of_motor(joint, index, spec.joints, carries_its_body(&spec, index)));
+        doubts.extend(out_of_current(file, index));
     }
     doubts.extend(forgotten(description));
     let gravity = description.gravity.iter().take(spec.task).map(|g| g * g).sum::<f64>().sqrt();
@@ -211,12 +215,35 @@ fn of_joint(joint: &Joint, index: usize, kind: Kind) -> Vec<Doubt> {
     doubts
 }
 
+/// A `max_current` that the supply or the board does not give.
+fn out_of_current(file: &DeviceFile, index: usize) -> Option<Doubt> {
+    let motor = file.description.joints[index].motor?;
+    let (volts, supply) = (motor.resistance * motor.max_current, PowerStage::default().bus_voltage);
+    let given = with_unit(motor.max_current, "A");
+    let text = if let Some((supply, written)) = file.supply.zip(file.beyond_supply[index]) {
+        format!(
+            "the supply of {supply} V drives {given} through the motor of joint {index} at rest ({MAX_DUTY} of it over its \
+             resistance), not its max_current of {}: its torque is reckoned with {given}",
+            with_unit(written, "A")
+        )
+    } else if file.supply.is_none() && volts > supply * f64::from(MAX_DUTY) && volts <= LARGEST_SUPPLY_V {
+        format!(
+            "the motor of joint {index} takes {} at rest for its max_current, and a simulated board has {supply} V where \
+             the file names no supply: write supply = {supply} (V) at its top, or what feeds your board",
+            with_unit(volts, "V")
+        )
+    } else {
+        return None;
+    };
+    Some(Doubt::new(key("joint", Some(index), "motor", "max_current"), text))
+}
+
 /// `carries_body`: the joint's inertia is not the motor's alone.
-fn of_motor(joint: &Joint, index: usize, carries_body: bool) -> Vec<Doubt> {
+fn of_motor(joint: &Joint, index: usize, joints: usize, carries_body: bool) -> Vec<Doubt> {
     let mut doubts = Vec::new();
     let mut doubt = |part, name, text: String| doubts.push(Doubt::new(key("joint", Some(index), part, name), text));
     let Some(motor) = joint.motor else { return doubts };
-    let torque = motor.torque_constant * motor.max_current;
+    let torque = torque_at_rest(&motor, joints);
     let volts = motor.resistance * motor.max_current;
     if volts > LARGEST_SUPPLY_V {
         let text = format!(
@@ -297,7 +324,7 @@ fn at_home(description: &Description) -> Vec<Doubt> {
     }
     for (joint, weight) in weight(&device, home).iter().enumerate().take(joints) {
         let Some(motor) = device.joints[joint].motor else { continue };
-        let torque = motor.torque_constant * motor.max_current;
+        let torque = torque_at_rest(&motor, joints);
         if weight.abs() > torque {
             let text = format!(
                 "the device's weight takes {} at joint {joint} at home, and its motor has {}: it falls when armed",
@@ -349,7 +376,7 @@ pub fn force_along(device: &Device<f64>, pose: &TaskPose, direction: &[f64]) -> 
     let mut least = f64::INFINITY;
     for (joint, torque) in per_newton.iter().enumerate() {
         let motor = device.joints[joint].motor?;
-        least = least.min(motor.torque_constant * motor.max_current / torque.abs().max(1e-12));
+        least = least.min(torque_at_rest(&motor, device.axes()) / torque.abs().max(1e-12));
     }
     Some(least)
 }
@@ -364,7 +391,7 @@ pub fn force_at(device: &Device<f64>, pose: &TaskPose) -> Option<(f64, f64)> {
     let jacobian = pose.jacobian.rows(0, pose.task);
     let motors = device.joints.iter().take(jacobian.ncols()).map(|joint| joint.motor);
     let most: Vec<f64> =
-        motors.map(|motor| motor.map(|m| (m.torque_constant * m.max_current).abs())).collect::<Option<_>>()?;
+        motors.map(|motor| motor.map(|motor| torque_at_rest(&motor, device.axes()))).collect::<Option<_>>()?;
     let faces = most.iter().zip(jacobian.column_iter()).map(|(torque, column)| torque / column.norm());
     let weakest = faces.fold(f64::INFINITY, f64::min);
     let mut strongest = 0.0_f64;

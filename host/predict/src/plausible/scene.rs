@@ -16,8 +16,9 @@ use haptic_bridge::safety::limits::{GENTLE_FORCE, Limits};
 use haptic_host::scene_file::place_of;
 use haptic_host::vectors::{padded, padded_to};
 use haptic_host::words::{digits, with_unit};
+use haptic_sim::HandSettings;
 use haptic_stability::analysis::control_loop::TorquePath;
-use haptic_stability::analysis::flexible::{Flexible, felt};
+use haptic_stability::analysis::flexible::{Flexible, Hand};
 use haptic_stability::analysis::map::Reachable;
 use haptic_stability::analysis::oscillation::Oscillation;
 use haptic_stability::analysis::plant::Linearised;
@@ -48,17 +49,29 @@ pub struct Contact {
     pub q: Vec<f64>,
     /// The wall's normal there.
     pub normal: Vec<f64>,
+    /// Its stiffness, N/m.
+    pub stiffness: f64,
     /// Largest stiffness that is stable with this wall's damping and feed-forward by prediction, N/m.
     pub stable_to: f64,
     /// The same without its feed-forward, N/m; none where it has none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub off_to: Option<f64>,
-    /// The stiffness that a hand at the tip would feel of that, N/m; `None` where no transmission gives.
+    /// The stiffness that a hand at the tip would feel of that at rest, N/m; `None` where no transmission gives.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub felt_to: Option<f64>,
+    /// The same of this wall as it is, N/m.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub felt: Option<f64>,
     /// Largest damping with which anything is stable, N s/m.
     pub damping_to: f64,
-    /// The swing that builds up with this wall's gains by prediction; none where none does.
+    /// The same limits in a hand; `None` where they are not predicted, as with compensated damping.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub in_hand: Option<InHand>,
+    /// The frequency at which this wall buzzes in that hand, Hz; of a stable wall, the frequency at which it would with
+    /// more stiffness.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub hz: Option<f64>,
+    /// The swing that builds up with this wall's gains in that hand; `None` where none does.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub buzz: Option<Oscillation>,
     /// The most that the motors give along the normal, N; none where a joint has no motor.
@@ -76,6 +89,31 @@ pub struct Contact {
     /// True if the device was read from a board, which does not know its compliant parts.
     #[serde(skip)]
     pub taken_for_rigid: bool,
+}
+
+/// What a hand on the tip makes of a wall's limits: behind cables it may take from them.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct InHand {
+    /// Mass (kg), damping (N s/m) and stiffness (N/m) of the hand.
+    pub hand: [f64; 3],
+    /// As [`Contact::stable_to`].
+    pub stable_to: f64,
+    /// As [`Contact::damping_to`].
+    pub damping_to: f64,
+}
+
+impl core::fmt::Display for InHand {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        let [mass, damping, stiffness] = self.hand;
+        write!(f, "a hand of {mass} kg, {damping} N s/m and {stiffness} N/m")
+    }
+}
+
+/// The hand that walls are predicted in where none is named: that of `haptic sim --hand loop`.
+#[must_use]
+pub fn usual_hand() -> Hand {
+    let HandSettings { mass, grip_damping, grip_stiffness, .. } = HandSettings::default();
+    Hand { mass, damping: grip_damping, stiffness: grip_stiffness }
 }
 
 /// Everything doubtful about a scene, and what each wall meets where the device touches it, on a board of which nothing
@@ -124,12 +162,11 @@ fn at_home(subject: &Subject, scene: &Scene<f64>, path: &TorquePath) -> Option<V
     let motions = mobility.symmetric_eigen();
     let lightest = motions.eigenvectors.column(motions.eigenvalues.imax());
     let prediction = Prediction::in_scene(subject, scene, None, path)?;
-    let stable = |damping| prediction.stiffness_at(q, lightest.as_slice(), Mode::Off, damping).ok();
     let mut doubts = Vec::new();
     let mut doubt = |table, index: usize, name, what: &str, has: f64, most: f64, unit| {
         let text = format!(
             "the {name} of {what}, {}, is beyond what is predicted stable at home: up to {}; it will vibrate unless \
-             friction or a hand damps it",
+             friction damps it",
             with_unit(has, unit),
             with_unit(most, unit)
         );
@@ -211,7 +248,17 @@ pub fn meets(
         Mode::Off => None,
         _ => stiffness_at(&seen, &prediction.around, Mode::Off, wall.damping).ok().map(|(off_to, _)| off_to),
     };
-    let swing = oscillation(&seen, &prediction.around, mode, wall.stiffness, wall.damping).ok().flatten();
+    let hand = usual_hand();
+    let held = seen.clone().held(hand);
+    let in_hand = stiffness_at(&held, &prediction.around, mode, wall.damping).ok().map(|(stable_to, damping_to)| {
+        InHand { hand: [hand.mass, hand.damping, hand.stiffness], stable_to, damping_to }
+    });
+    let buzz = |stiffness| {
+        let swing = oscillation(&held, &prediction.around, mode, stiffness, wall.damping).ok().flatten();
+        swing.filter(Oscillation::grows)
+    };
+    // Just beyond the boundary, where the swing grows.
+    let beyond = in_hand.map_or(0.0, |held| 1.001 * held.stable_to);
     let count = count_along(device, &pose, &normal);
     let estimator = prediction.around.estimator;
     let mut options = prediction.options(&q, &[Member::new(normal.clone(), 1.0)]);
@@ -220,11 +267,15 @@ pub fn meets(
     }
     Some(Contact {
         wall: index,
+        stiffness: wall.stiffness,
         stable_to,
         off_to,
-        felt_to: seen.flexible.stiffness_at_tip(&seen.row).map(|at_tip| felt(stable_to, at_tip)),
+        felt_to: seen.felt(mode, stable_to),
+        felt: seen.felt(mode, wall.stiffness),
         damping_to,
-        buzz: swing.filter(Oscillation::grows),
+        in_hand,
+        hz: buzz(wall.stiffness.max(beyond)).map(|swing| swing.hz),
+        buzz: buzz(wall.stiffness),
         force: force_along(device, &pose, &normal),
         count,
         step_n: count * (wall.stiffness + wall.damping * estimator.quickest(scene.rate_hz)),
@@ -287,7 +338,6 @@ pub fn at(subject: &Subject, scene: &Scene<f64>, index: usize, q: &[f64], path: 
 /// scene file.
 pub fn beyond(wall: &Wall<f64>, contact: &Contact, in_file: bool) -> Vec<Doubt> {
     let index = contact.wall;
-    let at = contact.buzz.map_or(String::new(), |buzz| format!(" at about {:.0} Hz", buzz.hz));
     let rigid = if contact.taken_for_rigid { ", if nothing in the device gives" } else { "" };
     let doubt = |name: &'static str, text: String| Doubt {
         key: in_file.then_some(Key { table: "wall", index: Some(index), part: "", name }),
@@ -296,10 +346,11 @@ pub fn beyond(wall: &Wall<f64>, contact: &Contact, in_file: bool) -> Vec<Doubt> 
     let mut doubts = Vec::new();
     if wall.damping > contact.damping_to {
         let text = format!(
-            "the damping of wall {index}, {} N s/m, is beyond what is predicted stable{rigid}: up to {} here; it will \
-             vibrate{at} unless friction or a hand damps it (`haptic range DEVICE {}`)",
+            "the damping of wall {index}, {} N s/m, is beyond what is predicted stable{rigid}: up to {} here; {} \
+             (`haptic range DEVICE {}`)",
             digits(wall.damping),
             with_unit(contact.damping_to, "N s/m"),
+            outlook(wall, contact),
             contact.options
         );
         doubts.push(doubt("damping", text));
@@ -316,10 +367,20 @@ pub fn beyond(wall: &Wall<f64>, contact: &Contact, in_file: bool) -> Vec<Doubt> 
     } else if wall.stiffness > contact.stable_to {
         let text = format!(
             "the stiffness of wall {index}, {}, is beyond what is predicted stable{rigid}: up to {} here; this is {} times \
-             that, and it will vibrate{at} unless friction or a hand damps it (`haptic range DEVICE {}`)",
+             that, and {} (`haptic range DEVICE {}`)",
             with_unit(wall.stiffness, "N/m"),
             with_unit(contact.stable_to, "N/m"),
             times(wall.stiffness / contact.stable_to),
+            outlook(wall, contact),
+            contact.options
+        );
+        doubts.push(doubt("stiffness", text));
+    } else if contact.buzz.is_some() {
+        let text = format!(
+            "the stiffness of wall {index}, {}, is predicted stable{rigid} only where nothing holds the tip: {} (`haptic \
+             range DEVICE {}`)",
+            with_unit(wall.stiffness, "N/m"),
+            outlook(wall, contact),
             contact.options
         );
         doubts.push(doubt("stiffness", text));
@@ -344,6 +405,22 @@ pub fn beyond(wall: &Wall<f64>, contact: &Contact, in_file: bool) -> Vec<Doubt> 
         doubts.push(doubt("damping", text));
     }
     doubts
+}
+
+/// What becomes of a wall that is unstable with or without a hand on the tip.
+fn outlook(wall: &Wall<f64>, contact: &Contact) -> String {
+    let Some(held) = contact.in_hand else { return "it will vibrate unless friction damps it".into() };
+    let (limit, end) = match wall.damping > held.damping_to {
+        true => (with_unit(held.damping_to, "N s/m"), "damping"),
+        false => (with_unit(held.stable_to, "N/m"), "stiffness"),
+    };
+    match contact.buzz {
+        Some(buzz) => format!(
+            "in {held}, where {end} ends at {limit}, it will vibrate at about {:.0} Hz unless friction damps it",
+            buzz.hz
+        ),
+        None => format!("it will vibrate unless friction or a hand damps it: {held} does, up to {limit}"),
+    }
 }
 
 /// A doubt about a wall that encoder steps make buzz at this rate.

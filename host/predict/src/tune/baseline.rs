@@ -13,6 +13,9 @@ pub struct Baseline {
     /// everything; 0 if no stiffness does.
     #[serde(flatten)]
     pub settings: Settings,
+    /// The stiffness that a hand feels of that, N/m; `None` where no transmission gives.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub felt: Option<f64>,
     /// Ripple at that stiffness, N.
     pub ripple_n: Option<f64>,
     /// The largest stiffness within the margins, whatever it ripples, N/m.
@@ -71,6 +74,7 @@ pub fn baseline(question: &Question<'_>, written: &Settings, sweep: &Sweep) -> R
     let nothing = Settings { stiffness: 0.0, ..*written };
     Ok(Baseline {
         settings: best.map_or(nothing, |best| best.settings),
+        felt: best.and_then(|best| context.felt(&best.settings)),
         ripple_n: best.map(|best| best.ripple_n),
         within_margins: most,
         as_written: written.stiffness,

@@ -114,6 +114,11 @@ impl<'a> SearchContext<'a> {
         self.nominal.w_eff().is_some_and(|w_eff| self.nominal.w_rr() / w_eff > 1.0 + 1e-3)
     }
 
+    /// The stiffness that a hand feels of a wall, N/m; `None` where no transmission gives.
+    pub fn felt(&self, settings: &Settings) -> Option<f64> {
+        self.nominal.felt(settings.mode(), settings.stiffness)
+    }
+
     fn corners(&self, settings: &Settings) -> &[Corner] {
         &self.corners[usize::from(settings.feed_forward != FeedForward::Off)]
     }
@@ -183,7 +188,7 @@ impl<'a> SearchContext<'a> {
     /// A wall, if it keeps the ripple of the hand that slides and what a tap may do; what is cheaper comes first.
     pub fn quiet(&self, settings: &Settings) -> Result<Option<Found>, Failure> {
         let Some(ripple_n) = self.slid_along(settings)? else { return Ok(None) };
-        Ok(self.tapped(settings)?.then_some(Found { settings: *settings, ripple_n, board_ripple_n: None }))
+        Ok(self.tapped(settings)?.then_some(Found { settings: *settings, ripple_n, board_ripple_n: None, felt: None }))
     }
 
     /// The same, if the board keeps its ripple as well: all that is found by simulation.

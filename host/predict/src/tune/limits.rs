@@ -31,6 +31,9 @@ pub struct Limit {
     pub limit: &'static str,
     /// Largest stiffness, N/m; none where it sets no bound as far as was looked.
     pub stiffness: Option<f64>,
+    /// The stiffness that a hand feels of that, N/m; `None` where no transmission gives.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub felt: Option<f64>,
 }
 
 /// A wall a little beside the one that was found.
@@ -58,6 +61,10 @@ pub(super) fn limits(
     let shaped = settings.feed_forward != FeedForward::Off;
     let question = context.question;
     let mut limits = Vec::new();
+    let mut push = |limit, stiffness: Option<f64>| {
+        let felt = stiffness.and_then(|stiffness| context.felt(&Settings { stiffness, ..*settings }));
+        limits.push(Limit { limit, stiffness, felt });
+    };
     for (limit, margins) in question.margins.alone() {
         let corners =
             margins.corners(&question.file.description, &question.q, &question.normal, question.admissible, shaped)?;
@@ -70,19 +77,19 @@ pub(super) fn limits(
                 found => least = least.min(found?[0]),
             }
         }
-        limits.push(Limit { limit, stiffness: least.is_finite().then_some(least) });
+        push(limit, least.is_finite().then_some(least));
     }
-    limits.push(Limit { limit: MOTORS, stiffness: Some(context.motors.0) });
+    push(MOTORS, Some(context.motors.0));
     let slid = |wall: &Settings| Ok(context.slid_along(wall)?.is_some());
-    limits.push(Limit { limit: RIPPLE, stiffness: up_to(settings, &TRIED, &slid)? });
+    push(RIPPLE, up_to(settings, &TRIED, &slid)?);
     let tapped = |wall: &Settings| context.tapped(wall);
-    limits.push(Limit { limit: REBOUNDS, stiffness: up_to(settings, &TRIED, &tapped)? });
+    push(REBOUNDS, up_to(settings, &TRIED, &tapped)?);
     if let Some(bound) = question.board_ripple_n {
         let pressed = |wall: &Settings| Ok(context.on_board(wall, bound)?.is_some());
-        limits.push(Limit { limit: ON_BOARD, stiffness: up_to(settings, &TRIED_ON_BOARD, &pressed)? });
+        push(ON_BOARD, up_to(settings, &TRIED_ON_BOARD, &pressed)?);
     }
+    push(RULE_OF_THUMB, Some(context.steps));
     let active = first(&limits, settings, context.motors.1);
-    limits.push(Limit { limit: RULE_OF_THUMB, stiffness: Some(context.steps) });
 
     let mut beside = Vec::new();
     for (stiffer, more) in [(MORE, 1.0), (1.0, MORE), (1.0, 1.0 / MORE)] {

@@ -57,7 +57,7 @@ fn gains(found: Found) -> Gains {
 }
 
 fn restored(settings: &Settings, ([stiffness, damping, ripple_n], board_ripple_n): Gains) -> Found {
-    Found { settings: Settings { stiffness, damping, ..*settings }, ripple_n, board_ripple_n }
+    Found { settings: Settings { stiffness, damping, ..*settings }, ripple_n, board_ripple_n, felt: None }
 }
 
 impl SearchContext<'_> {

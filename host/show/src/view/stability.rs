@@ -217,8 +217,8 @@ fn assumptions(question: &Question, prediction: &Prediction, seen: &Linearised) 
     let gives: Vec<usize> =
         seen.flexible.transmissions.iter().enumerate().filter(|(_, one)| one.is_some()).map(|(at, _)| at).collect();
     let at_tip = seen
-        .flexible
-        .stiffness_at_tip(&seen.row)
+        .compliance(Mode::Off)
+        .map(|compliance| 1.0 / compliance)
         .map(|at_tip| format!(", which leaves {} at the tip along this wall", with_unit(at_tip, "N/m")));
     told.push(match (subject.joints, gives.is_empty()) {
         (None, _) => "Transmissions: taken for rigid, for no file of this device is known here.".into(),

@@ -76,10 +76,10 @@ pub struct Domain {
 }
 
 impl Domain {
-    /// The same with what a hand feels behind what is as stiff as this at the tip (N/m), where anything gives.
-    pub(super) fn behind(mut self, at_tip: Option<f64>) -> Self {
+    /// The same with what a hand feels behind parts of this compliance (m/N), where anything gives.
+    pub(super) fn behind(mut self, compliance: Option<f64>) -> Self {
         for point in self.boundary.iter_mut().chain([&mut self.top]) {
-            point.felt = at_tip.map(|at_tip| felt(point.kp, at_tip));
+            point.felt = compliance.and_then(|compliance| felt(point.kp, compliance));
         }
         self
     }
@@ -92,7 +92,7 @@ pub fn domain(device: &Linearised, around: &Loop, mode: Mode, kd: Option<&[f64]>
     }
     let open = open_loop(device, device, around, mode)?;
     let found = bounded(&mut Circle::new(&open, around.delay_samples), open.mass, open.sample_s, kd)?;
-    Ok(found.behind(device.flexible.stiffness_at_tip(&device.row)))
+    Ok(found.behind(device.compliance(mode)))
 }
 
 /// As [`domain`] of walls that act together.

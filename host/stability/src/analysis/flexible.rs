@@ -51,11 +51,12 @@ pub struct Flexible {
     pub normal: DVector<f64>,
 }
 
-/// The stiffness that a hand feels of a wall of `stiffness` (N/m) behind compliant parts of
-/// [`Flexible::stiffness_at_tip`] (N/m): both in series.
+/// The stiffness that a hand feels at rest of a wall of `stiffness` (N/m) behind parts of this compliance (m/N): both in
+/// series. `None` where the wall holds no hand at rest: the torques of its feed-forward move the tip into it.
 #[must_use]
-pub fn felt(stiffness: f64, at_tip: f64) -> f64 {
-    stiffness * at_tip / (stiffness + at_tip)
+pub fn felt(stiffness: f64, compliance: f64) -> Option<f64> {
+    let share = 1.0 + stiffness * compliance;
+    (share > 0.0).then(|| stiffness / share)
 }
 
 impl Flexible {
@@ -67,17 +68,20 @@ impl Flexible {
         self
     }
 
-    /// Stiffness at the tip along a direction whose Jacobian is `row` (m/rad, N), with the motors held where their
-    /// encoders see them: that of the transmissions, 1/Σⱼ rowⱼ²/kⱼ, N/m. A joint whose encoder is on the link's side
-    /// does not count, because its wall reckons with what the transmission gives. `None` where nothing gives.
+    /// How far the transmissions let the tip move along a direction whose Jacobian is `row` (m/rad, N) when the motors,
+    /// held where their encoders see them, give `torque` (N m per newton of wall, N): Σⱼ rowⱼ torqueⱼ/kⱼ, m/N. A joint
+    /// whose encoder is on the link's side does not count, because its wall sees what the transmission gives. `None`
+    /// where nothing gives.
     #[must_use]
-    pub fn stiffness_at_tip(&self, row: &DVector<f64>) -> Option<f64> {
-        let gives = self.transmissions.iter().zip(row.iter()).filter_map(|(transmission, lever)| {
-            let transmission = transmission.filter(|found| found.encoder_at == EncoderAt::Motor)?;
-            Some(lever * lever / transmission.stiffness)
-        });
-        let compliance: f64 = gives.sum();
-        (compliance > 0.0).then(|| 1.0 / compliance)
+    pub fn compliance_at_tip(&self, row: &DVector<f64>, torque: &DVector<f64>) -> Option<f64> {
+        let joints = self.transmissions.iter().zip(row.iter().zip(torque.iter()));
+        let compliance: f64 = joints
+            .filter_map(|(transmission, (lever, torque))| {
+                let transmission = transmission.filter(|found| found.encoder_at == EncoderAt::Motor)?;
+                Some(lever * torque / transmission.stiffness)
+            })
+            .sum();
+        (compliance != 0.0).then_some(compliance)
     }
 
     /// Returns true if an encoder sits on the link's side of a transmission that gives: its motor then pushes through a

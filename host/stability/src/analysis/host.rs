@@ -57,7 +57,7 @@ impl Host {
         let open = held(&board, steps, late);
         let delay = (late as f64 + around.delay_samples) / steps as f64;
         let domain = bounded(&mut Circle::new(&open, delay), open.mass, open.sample_s, kd)?;
-        let domain = domain.behind(device.flexible.stiffness_at_tip(&device.row));
+        let domain = domain.behind(device.compliance(Mode::Off));
         Ok(HostWall { rate_hz: around.rate_hz / steps as f64, delay_s: late as f64 / around.rate_hz, domain })
     }
 }

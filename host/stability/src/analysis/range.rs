@@ -48,7 +48,8 @@ pub struct Range {
     /// See `feed_forward_gain`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub inertia_met: Option<f64>,
-    /// Stiffness of the transmissions at the tip along the wall, N/m, where any gives: a hand feels a wall behind it.
+    /// Stiffness of the transmissions at the tip along the wall, N/m, where any gives: a hand feels a wall without the
+    /// feed-forward behind it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub transmissions: Option<f64>,
     /// Without feed-forward.
@@ -94,7 +95,7 @@ pub fn predict(
     let w_eff = device.w_eff().ok_or(AnalysisError::Singular)?;
     let feed_forward_gain = (device.gain != 1.0).then_some(device.gain);
     let inertia_met = feed_forward_gain.and_then(|_| device.inertia_met());
-    let transmissions = device.flexible.stiffness_at_tip(&device.row);
+    let transmissions = device.compliance(Mode::Off).map(|compliance| 1.0 / compliance);
     let (w_rr, host) = (device.w_rr(), None);
     Ok(Range { w_eff, w_rr, feed_forward_gain, inertia_met, transmissions, off, full, washout, area_ratio, host })
 }

@@ -189,7 +189,7 @@ pub fn pose(q: Option<&Numbers>, file: &DeviceFile) -> Result<Vec<f64>, Failure>
 pub fn device(path: &Path, for_a_loop: bool) -> Result<(DeviceFile, Vec<Warning>), Failure> {
     let document = Document::load(path)?;
     let file = DeviceFile::read(&document)?;
-    let mut doubts = plausible::device::doubts(&file.description);
+    let mut doubts = plausible::device::doubts(&file);
     doubts.retain(|doubt| for_a_loop || doubt.key.is_none_or(|key| key.name != "transmission"));
     let warnings = doubts.into_iter().map(|doubt| doubt.about(&document)).collect();
     Ok((file, warnings))

@@ -85,8 +85,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let document = Document::load(&args.device)?;
     let file = DeviceFile::read(&document)?;
     let spec = file.spec();
-    let mut warnings: Vec<Warning> =
-        device::doubts(&file.description).into_iter().map(|doubt| doubt.about(&document)).collect();
+    let mut warnings: Vec<Warning> = device::doubts(&file).into_iter().map(|doubt| doubt.about(&document)).collect();
     let mut scenes = Vec::new();
     for path in &args.scenes {
         let (scene, doubts) = scene_report(path, &file)?;
@@ -214,24 +213,36 @@ fn readable(report: &Report, tip: &str) -> String {
         for contact in &scene.contacts {
             let force =
                 contact.force.map_or(String::new(), |force| format!("; the motors have {}", with_unit(force, "N")));
-            let felt =
-                contact.felt_to.map_or(String::new(), |felt| format!(" (felt at the tip: {})", with_unit(felt, "N/m")));
+            let felt = |felt: Option<f64>| {
+                felt.map_or(String::new(), |felt| format!(" (felt at the tip: {})", with_unit(felt, "N/m")))
+            };
             let off = match contact.off_to {
                 Some(off) if contact.stable_to < COSTLY_RATIO * off => {
                     format!(" ({} without its feed-forward, which costs more than it brings)", with_unit(off, "N/m"))
                 }
                 _ => String::new(),
             };
-            let buzz = contact.buzz.map_or(String::new(), |buzz| format!("; it buzzes at about {:.0} Hz", buzz.hz));
             let ripple = contact
                 .ripple_n
                 .map_or(String::new(), |ripple| format!("; ripples by {} rms under a hand", with_unit(ripple, "N")));
             text.push_str(&format!(
-                "  wall {}: predicted stable up to {}{felt}{off} with its damping, up to {} damping{buzz}{ripple}{force}\n",
+                "  wall {}: {}{}, predicted stable up to {}{}{off} with its damping, up to {} damping{ripple}{force}\n",
                 contact.wall,
+                with_unit(contact.stiffness, "N/m"),
+                felt(contact.felt),
                 with_unit(contact.stable_to, "N/m"),
+                felt(contact.felt_to),
                 with_unit(contact.damping_to, "N s/m"),
             ));
+            if let Some(held) = contact.in_hand {
+                let buzz = match (contact.buzz, contact.hz) {
+                    (Some(buzz), _) => format!("; it buzzes at about {:.0} Hz", buzz.hz),
+                    (None, Some(hz)) => format!("; a stiffer one buzzes at about {hz:.0} Hz"),
+                    _ => String::new(),
+                };
+                text.push_str(&format!("    in {held} up to {}{buzz}\n", with_unit(held.stable_to, "N/m")));
+            }
+            text.push_str(&format!("    the same: haptic range {} {}\n", report.path, contact.options));
         }
         text.push_str(&scene.planned);
         for wall in &scene.entered_at_home {

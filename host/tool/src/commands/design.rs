@@ -9,11 +9,15 @@ use haptic_host::words::percent;
 use haptic_predict::design::place::{Directions, Placed, Places, directions, places};
 use haptic_predict::design::posture::{Posture, Postures, postures};
 use haptic_predict::design::sensitivity::{Buys, CHANGE, Effect, Sensitivity, buys_most, sensitivities};
-use haptic_predict::design::{singular, stiffness_per_kilogram};
+use haptic_predict::design::{Stiffest, singular};
 use haptic_predict::plausible::{Warned, warn};
 use haptic_show::plot::coupling::draw;
+use haptic_stability::analysis::control_loop::{Loop, TorquePath};
+use haptic_stability::analysis::estimator::LinearEstimator;
 use haptic_stability::analysis::pose::TaskPose;
-use haptic_stability::analysis::range::WORTHWHILE_RATIO;
+use haptic_stability::analysis::prediction::{Prediction, Subject};
+use haptic_stability::analysis::range::{BoundaryPoint, WORTHWHILE_RATIO};
+use haptic_stability::analysis::several::Member;
 use serde::Serialize;
 use std::fmt::Write;
 
@@ -22,8 +26,9 @@ use std::fmt::Write;
 /// At one pose: the directions of the stiffest and the softest wall, and the one in which the feed-forward buys most.
 /// Over the workspace: the best places of a wall, of one with the normal that is given, and of a surface that turns
 /// every way. What a tenth more or less of each length, mass, inertia, rotor and gear ratio does to the wall at the
-/// pose, and a counterweight. On a redundant arm: the best posture at the same tip position. Walls are judged by the
-/// inertia that they meet, because the stiffest wall is in proportion to it. --svg draws the device with its motion
+/// pose, and a counterweight. On a redundant arm: the best posture at the same tip position. Places and postures are
+/// searched by the inertia that a wall meets; the stiffest walls beside them, and what each change does to them, are
+/// predicted as `haptic range` does, with joint damping, transmissions and a board's delay and drive. --svg draws the device with its motion
 /// along the normal, and its coupling over all directions.
 #[derive(clap::Args)]
 pub struct Args {
@@ -64,13 +69,16 @@ struct Document {
     q: Vec<f64>,
     normal: Vec<f64>,
     clear: f64,
-    /// Largest stiffness of an undamped kilogram in the loop, N/m.
-    stiffness_per_kilogram: f64,
+    /// Options with which `haptic range DEVICE` predicts the walls at the pose.
+    options: String,
+    /// The stable area at the pose with the feed-forward over that without.
+    area_ratio: f64,
     here: Placed,
     directions: Directions,
     places: Places,
     sensitivities: Vec<Sensitivity>,
-    /// The change that buys most: of Weff, of Wrr, and of Wrr at the same Weff.
+    /// The change that buys most: of the stiffest wall without the feed-forward, of that with it, and of that with it
+    /// for each kilogram of Weff.
     buys_most: [Option<Buys>; 3],
     #[serde(skip_serializing_if = "Option::is_none")]
     postures: Option<Postures>,
@@ -79,7 +87,7 @@ struct Document {
 /// Searches, prints and draws.
 pub fn run(args: Args) -> Result<(), Failure> {
     args.pictures.check()?;
-    let (file, mut warnings) = arguments::device(&args.at.device, false)?;
+    let (file, mut warnings) = arguments::device(&args.at.device, true)?;
     let spec = file.spec();
     arguments::check_rate(args.rate)?;
     if !(0.0..1.0).contains(&args.clear) || !(0.0..=1.0).contains(&args.patch) {
@@ -90,14 +98,14 @@ pub fn run(args: Args) -> Result<(), Failure> {
     warn(&warnings);
     let asked = args.normal.clone().map(|normal| normal.unit(spec.task, "--normal")).transpose()?;
     let description = &file.description;
-    let directions = directions(description, &q, args.holding.admissible)?;
+    let mut directions = directions(description, &q, args.holding.admissible)?;
     let normal = asked.clone().unwrap_or_else(|| directions.feed_forward_buys_most.normal.clone());
     let question = format!(
-        "{} {description:?} {asked:?} {} {} {} {:?}",
-        file.name, args.patch, args.clear, args.points, args.holding.admissible
+        "{} {description:?} {q:?} {asked:?} {} {} {} {:?} {} {}",
+        file.name, args.patch, args.clear, args.points, args.holding.admissible, args.rate, args.cutoff
     );
     let sweep = args.continued.sweep("design", &question)?;
-    let places = places(
+    let mut places = places(
         description,
         asked.as_deref(),
         args.patch,
@@ -106,25 +114,39 @@ pub fn run(args: Args) -> Result<(), Failure> {
         args.holding.admissible,
         &sweep,
     )?;
-    let sensitivities = sensitivities(description, &q, &normal, args.holding.admissible)?;
+    let (path, subject) = (TorquePath::usual(args.rate), Subject::new(description).map_err(Failure::wrong)?);
+    let around = Loop::through(&path, args.rate, LinearEstimator::Butterworth(args.cutoff));
+    let prediction = Prediction { admissible: args.holding.admissible, ..Prediction::new(subject, around) };
+    let sensitivities = sensitivities(description, &q, &normal, args.holding.admissible, &prediction.around)?;
     let pose = TaskPose::at(description, &q)?.regular()?.holding(args.holding.admissible);
     let unit = haptic_stability::analysis::pose::unit_normal(&normal, spec.task, spec.joints)?;
     let (w_eff, w_rr) = haptic_stability::analysis::map::along(&pose, &unit).ok_or_else(singular)?;
+    let mut here = Placed {
+        q: q.clone(),
+        position: pose.position.clone(),
+        normal: normal.clone(),
+        w_eff,
+        w_rr,
+        clearance: haptic_predict::design::clearance(&pose),
+        walls: None,
+    };
+    let area_ratio = here.predict(&prediction)?.area_ratio;
+    let Directions { stiffest, softest, feed_forward_buys_most, couples_most } = &mut directions;
+    let mut found = vec![stiffest, softest, feed_forward_buys_most, couples_most];
+    found.extend([&mut places.stiffest, &mut places.every_direction, &mut places.feed_forward_buys_most]);
+    found.extend(places.along.iter_mut().flat_map(|along| [&mut along.off, &mut along.full, &mut along.worst]));
+    for placed in found {
+        placed.predict(&prediction)?;
+    }
     let document = Document {
-        here: Placed {
-            q: q.clone(),
-            position: pose.position.clone(),
-            normal: normal.clone(),
-            w_eff,
-            w_rr,
-            clearance: haptic_predict::design::clearance(&pose),
-        },
-        stiffness_per_kilogram: stiffness_per_kilogram(args.rate, args.cutoff)?,
+        here,
+        area_ratio,
+        options: prediction.options(&q, &[Member::new(normal.clone(), 1.0)]),
         postures: postures(description, &q, &normal, args.clear, args.holding.admissible)?,
         buys_most: [
-            buys_most(&sensitivities, |effect| effect.w_eff),
-            buys_most(&sensitivities, |effect| effect.w_rr),
-            buys_most(&sensitivities, |effect| effect.w_rr / effect.w_eff),
+            buys_most(&sensitivities, |effect| effect.off),
+            buys_most(&sensitivities, |effect| effect.full),
+            buys_most(&sensitivities, |effect| effect.full / effect.w_eff),
         ],
         device: file.name.clone(),
         clear: args.clear,
@@ -156,28 +178,38 @@ fn readable(document: &Document, asked: bool, args: &Args) -> String {
     let mut line = |content: String| {
         let _ = writeln!(text, "{content}");
     };
-    let per_kilogram = document.stiffness_per_kilogram;
     line(format!("{}: q = ({}) rad, n = ({})", document.device, list(&document.q), list(&document.normal)));
     line(format!(
-        "  walls by {:.0} N/m for a kilogram met: {} Hz, Butterworth at {} Hz, a board's delay and drive, no joint damping",
-        per_kilogram, args.rate, args.cutoff
+        "  the stiffest walls as predicted by haptic range {} {}",
+        args.at.device.display(),
+        document.options
     ));
+    let gives = document.here.walls.is_some_and(|walls| walls.off.felt.is_some());
+    if gives {
+        line("  felt: at the tip, behind the transmissions".into());
+    }
     let wall = |name: &str, at: &Placed| {
+        let stiffest = |pick: fn(&Stiffest) -> BoundaryPoint| {
+            let point = at.walls.as_ref().map(pick);
+            let felt = point.and_then(|point| point.felt).map_or(String::new(), |felt| format!("{felt:>11.0}"));
+            format!("{:>11.0}{felt}", point.map_or(f64::NAN, |point| point.kp))
+        };
         format!(
-            "  {name:<34}{:>10.4}{:>10.4}{:>8.3}{:>11.0}{:>11.0}  n ({})",
+            "  {name:<34}{:>10.4}{:>10.4}{:>8.3}{}{}  n ({})",
             at.w_eff,
             at.w_rr,
             at.w_rr / at.w_eff,
-            per_kilogram * at.w_eff,
-            per_kilogram * at.w_rr,
+            stiffest(|walls| walls.off),
+            stiffest(|walls| walls.full),
             list(&at.normal)
         )
     };
+    let felt = if gives { format!("{:>11}", "felt N/m") } else { String::new() };
     let placed = |name: &str, at: &Placed| {
         format!("{}  q ({}), tip ({}) m, sine {:.2}", wall(name, at), list(&at.q), list(&at.position), at.clearance)
     };
     line(format!(
-        "\n  {:<34}{:>10}{:>10}{:>8}{:>11}{:>11}",
+        "\n  {:<34}{:>10}{:>10}{:>8}{:>11}{felt}{:>11}{felt}",
         "at this pose", "Weff kg", "Wrr kg", "ratio", "off N/m", "full N/m"
     ));
     line(wall("along n", &document.here));
@@ -195,7 +227,7 @@ fn readable(document: &Document, asked: bool, args: &Args) -> String {
     line(placed("where the feed-forward buys most", &places.feed_forward_buys_most));
     if let Some(along) = &places.along {
         line(format!(
-            "  a wall {:.0} mm wide with this normal, by what it meets at its worst point",
+            "  a wall {:.0} mm wide with this normal, by what it meets at its worst point; N/m in its middle",
             2e3 * along.patch
         ));
         line(placed("best without the feed-forward", &along.off));
@@ -203,25 +235,27 @@ fn readable(document: &Document, asked: bool, args: &Args) -> String {
         line(placed("worst without it", &along.worst));
     }
     line(format!(
-        "\n  what {:.0} % more and less of each does to the wall along n, the tip where it is",
+        "\n  what {:.0} % more and less of each does to the stiffest wall along n, the tip where it is",
         100.0 * CHANGE
     ));
     line(format!(
-        "  {:<46}{:>9}{:>9}{:>9}{:>11}{:>9}{:>9}",
-        "", "Weff +", "Wrr +", "force +", "count +", "Weff -", "Wrr -"
+        "  {:<46}{:>9}{:>9}{:>9}{:>9}{:>9}{:>11}{:>9}{:>9}",
+        "", "off +", "full +", "Weff +", "Wrr +", "force +", "count +", "off -", "full -"
     ));
     let percent = |value: Option<f64>| value.map_or("-".into(), |value| percent(value - 1.0, 2, true));
     for one in &document.sensitivities {
         let of = |effect: &Option<Effect>, pick: fn(&Effect) -> Option<f64>| percent(effect.as_ref().and_then(pick));
         line(format!(
-            "  {:<46}{:>9}{:>9}{:>9}{:>11}{:>9}{:>9}",
+            "  {:<46}{:>9}{:>9}{:>9}{:>9}{:>9}{:>11}{:>9}{:>9}",
             one.part,
+            of(&one.more, |e| Some(e.off)),
+            of(&one.more, |e| Some(e.full)),
             of(&one.more, |e| Some(e.w_eff)),
             of(&one.more, |e| Some(e.w_rr)),
             of(&one.more, |e| e.force),
             of(&one.more, |e| e.count),
-            of(&one.less, |e| Some(e.w_eff)),
-            of(&one.less, |e| Some(e.w_rr))
+            of(&one.less, |e| Some(e.off)),
+            of(&one.less, |e| Some(e.full))
         ));
     }
     for (what, buys) in [
@@ -238,10 +272,11 @@ fn readable(document: &Document, asked: bool, args: &Args) -> String {
         };
         let by = if buys.more { "more" } else { "less" };
         line(format!(
-            "  buys most of {what}: {by} {} (Weff {}, Wrr {})",
+            "  buys most of {what}: {by} {} (off {}, full {}, Weff {})",
             buys.part,
-            percent(Some(buys.effect.w_eff)),
-            percent(Some(buys.effect.w_rr))
+            percent(Some(buys.effect.off)),
+            percent(Some(buys.effect.full)),
+            percent(Some(buys.effect.w_eff))
         ));
     }
     if let Some(found) = &document.postures {
@@ -274,7 +309,7 @@ fn readable(document: &Document, asked: bool, args: &Args) -> String {
             found.heaviest.orientation, found.most_held.orientation
         ));
     }
-    let gain = (document.here.w_rr / document.here.w_eff).powi(2);
+    let gain = document.area_ratio;
     line(String::new());
     line(match gain >= WORTHWHILE_RATIO {
         true => format!("Along n the feed-forward makes the stable area {gain:.2} times as large."),

@@ -58,7 +58,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let file = DeviceFile::read(&document)?;
     let device = Device::new(&file.name, &file.description)
         .map_err(|error| Failure::wrong(format!("{}: {error}", path.display())))?;
-    let warnings: Vec<_> = doubts(&file.description).into_iter().map(|doubt| doubt.about(&document)).collect();
+    let warnings: Vec<_> = doubts(&file).into_iter().map(|doubt| doubt.about(&document)).collect();
     warn(&warnings);
     let mut board = args.on.open()?;
     let details = board.details()?;

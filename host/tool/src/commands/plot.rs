@@ -2,11 +2,16 @@
 
 use super::answer::Pictures;
 use super::port::counted;
+use haptic_bridge::render::scene::Scene;
+use haptic_host::device_file::DeviceFile;
 use haptic_host::digits::print_json;
 use haptic_host::error::{Failure, print};
 use haptic_host::words::short;
+use haptic_predict::plausible::scene::at;
 use haptic_show::plot::signals::{Found, Request, View, draw, panels};
 use haptic_show::recorder::Recording;
+use haptic_stability::analysis::control_loop::TorquePath;
+use haptic_stability::analysis::prediction::Subject;
 use std::path::PathBuf;
 
 /// Draw a recording: signals over time, force over penetration, spectrum, phase
@@ -30,6 +35,9 @@ pub struct Args {
     /// To this time, s
     #[arg(long, value_name = "SECONDS")]
     to: Option<f64>,
+    /// The file of the device that was recorded: a hand feels its walls behind its transmissions, which no board knows
+    #[arg(long, value_name = "FILE")]
+    device: Option<PathBuf>,
     /// Print one JSON document: the numbers, and every point that is drawn
     #[arg(long)]
     json: bool,
@@ -68,13 +76,48 @@ pub fn run(args: Args) -> Result<(), Failure> {
         let picture = draw(&title, &subtitle, &found, args.pictures.paper());
         args.pictures.save(&picture)?;
     }
+    let device = args.device.as_ref().map(DeviceFile::load).transpose()?;
+    let felt = match (&device, found.stiffness) {
+        (Some(device), Some(stiffness)) => felt(&recording, device, stiffness)?,
+        _ => None,
+    };
     if args.json {
-        return print_json(&found);
+        return print_json(&Document { found: &found, felt });
     }
-    print(&readable(&recording, &found))
+    print(&readable(&recording, &found, felt))
 }
 
-fn readable(recording: &Recording, found: &Found) -> String {
+/// The document of `--json`.
+#[derive(serde::Serialize)]
+struct Document<'a> {
+    #[serde(flatten)]
+    found: &'a Found,
+    /// The stiffness that a hand at the tip felt, N/m; `None` where no transmission gives.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    felt: Option<f64>,
+}
+
+/// The stiffness (N/m) that a hand felt of one that the encoders saw, at the mean of the poses in contact.
+fn felt(recording: &Recording, file: &DeviceFile, stiffness: f64) -> Result<Option<f64>, Failure> {
+    let lacks = |what: &str| {
+        Failure::wrong(format!("--device {}, and the recording has no {what}", file.path.display()))
+            .remedy("record one wall of that device with haptic record, or leave --device out")
+    };
+    recording.told("device").filter(|name| *name == file.name).ok_or_else(|| lacks(&file.name))?;
+    let scene: Option<Scene<f64>> = recording.told("scene").and_then(|scene| serde_json::from_str(scene).ok());
+    let mut scene = scene.filter(|scene| scene.walls.len() == 1).ok_or_else(|| lacks("scene of one wall"))?;
+    scene.walls[0].stiffness = stiffness;
+    let column = |name: &str| recording.column(name).ok_or_else(|| lacks(name));
+    let distance = column("distance_m")?;
+    let touched: Vec<&Vec<f64>> = recording.rows.iter().filter(|row| row[distance] < 0.0).collect();
+    let mean = |column: usize| touched.iter().map(|row| row[column]).sum::<f64>() / touched.len() as f64;
+    let joints = (0..file.spec().joints).map(|joint| column(&format!("q{joint}_rad")));
+    let q: Vec<f64> = joints.map(|column| column.map(mean)).collect::<Result<_, _>>()?;
+    let subject = Subject::new(&file.description).map_err(Failure::wrong)?;
+    Ok(at(&subject, &scene, 0, &q, &TorquePath::usual(scene.rate_hz)).and_then(|contact| contact.felt))
+}
+
+fn readable(recording: &Recording, found: &Found, felt: Option<f64>) -> String {
     let mut text = format!("{} over {:.3} s", counted(found.rows, "row"), found.seconds);
     if found.missing > 0 {
         text.push_str(&format!(", {} missing between them", counted(found.missing, "row")));
@@ -89,7 +132,10 @@ fn readable(recording: &Recording, found: &Found) -> String {
         text.push_str(&format!("  {} over {}, of {}{note}\n", panel.y.name, panel.x.name, of.join(", ")));
     }
     match found.stiffness {
-        Some(stiffness) => text.push_str(&format!("stiffness that was there: {} N/m\n", short(stiffness as f32))),
+        Some(stiffness) => {
+            let felt = felt.map_or(String::new(), |felt| format!(" (felt at the tip: {} N/m)", short(felt as f32)));
+            text.push_str(&format!("stiffness that was there: {} N/m{felt}\n", short(stiffness as f32)));
+        }
         None if found.contact_rows > 0 => text.push_str("stiffness that was there: none\n"),
         None => {}
     }

@@ -33,8 +33,8 @@ use words::{costly, in_words, readable, subtitle};
 /// Predict which stiffness and damping a wall can have before it oscillates
 ///
 /// Exact sampled-data analysis (zero-order hold, delay, velocity filter, joint damping) of walls at one pose,
-/// without and with the feed-forward. Friction and a hand make the measured range larger; `haptic measure-range`
-/// measures it.
+/// without and with the feed-forward. Friction makes the measured range larger. A hand (--hand) mostly does too, but
+/// behind cables it takes from it. `haptic measure-range` measures it.
 #[derive(ClapArgs)]
 pub struct Args {
     #[command(flatten)]

@@ -9,7 +9,7 @@ use haptic_host::error::{Failure, print};
 use haptic_host::output;
 use haptic_host::scene_file::{DEFAULT_CUTOFF_HZ, SceneFile};
 use haptic_predict::design::place::directions;
-use haptic_predict::plausible::scene::doubts;
+use haptic_predict::plausible::scene::{doubts, usual_hand};
 use haptic_stability::analysis::control_loop::{Loop, TorquePath};
 use haptic_stability::analysis::prediction::{self, Prediction};
 use haptic_stability::analysis::sampled::LinearEstimator;
@@ -93,6 +93,8 @@ struct Subject {
     washout: Option<String>,
     /// Options with which `haptic range DEVICE` predicts the wall in its scene.
     options: String,
+    /// Stiffness and damping of the scene's wall, as `--wall` takes them.
+    wall: Option<String>,
 }
 
 /// Runs every command and writes the page.
@@ -153,6 +155,7 @@ fn subject(args: &Args, file: &DeviceFile) -> Result<Subject, Failure> {
     let (q, normal) = (rounded(&q), rounded(&normal));
     Ok(Subject {
         options: prediction.options(&q, &[Member::new(normal.clone(), 1.0)]),
+        wall: wall.map(|wall| format!("{},{}", wall.stiffness, wall.damping)),
         q: list(&q),
         normal: list(&normal),
         rate: list(&[rate]),
@@ -166,7 +169,7 @@ fn subject(args: &Args, file: &DeviceFile) -> Result<Subject, Failure> {
 fn sections(args: &Args, subject: &Subject) -> Vec<Section> {
     let device = args.device.display().to_string();
     let scene = args.scene.as_ref().map(|scene| scene.display().to_string());
-    let Subject { q, normal, rate, cutoff, washout, options } = subject;
+    let Subject { q, normal, rate, cutoff, washout, options, wall } = subject;
     let (q, normal) = (format!("--q={q}"), format!("--normal={normal}"));
     let mut sections = Vec::new();
     let mut add = |title, about, picture, words: &[&str]| {
@@ -201,25 +204,39 @@ fn sections(args: &Args, subject: &Subject) -> Vec<Section> {
     }
     add(
         "The range of stable walls",
-        "Predicted with a board's drive and delay: without the feed-forward, with it, and washed out. Friction and a hand \
-         make the measured range larger.",
+        "Predicted with a board's drive and delay: without the feed-forward, with it, and washed out. Friction makes the \
+         measured range larger.",
         Some("range.svg"),
         &range,
     );
+    let hand = usual_hand();
+    let hand = format!("{},{},{}", hand.mass, hand.damping, hand.stiffness);
+    let mut held = range.clone();
+    // Compensated damping is not predicted in a hand.
+    let is_held = !options.contains("--damping-compensation");
+    if is_held {
+        held.extend(["--hand", &hand]);
+    }
+    held.extend(wall.iter().flat_map(|wall| ["--wall", wall.as_str()]));
+    if is_held || wall.is_some() {
+        add(
+            "The wall in a hand",
+            "What a hand does to the range: behind cables it takes from it. With a scene also how its wall ripples.",
+            None,
+            &held,
+        );
+    }
     range.push("--why");
     add("Why it ends there", "The same loop with one effect taken away, each in turn.", Some("why.svg"), &range);
     if !args.without.contains(&Part::Estimators) {
-        add(
-            "Velocity estimators",
-            "Simulated with the device's own encoder steps and friction.",
-            None,
-            &["tune", "estimators", &device, &q, &normal, "--rate", rate, "--cutoff", cutoff],
-        );
+        let mut words = vec!["tune", "estimators", &device, &q, &normal, "--rate", rate, "--cutoff", cutoff];
+        words.extend(wall.iter().flat_map(|wall| ["--wall", wall.as_str()]));
+        add("Velocity estimators", "Simulated with the device's own encoder steps and friction.", None, &words);
     }
     if !args.without.contains(&Part::Design) {
         add(
             "The best place, direction and links",
-            "By the inertia that a wall meets, to which the stiffest wall is in proportion where joints are not damped.",
+            "Searched by the inertia that a wall meets; the stiffest walls are predicted as above.",
             Some("design.svg"),
             &["design", &device, &q, &normal, "--rate", rate, "--cutoff", cutoff],
         );

@@ -335,6 +335,11 @@ fn about(args: &Search, file: &DeviceFile, answer: &Answer, ripple: f64) -> Vec<
     ]
 }
 
+/// The stiffness that a hand feels where transmissions give, to stand behind that of the wall.
+fn felt(felt: Option<f64>) -> String {
+    felt.map_or(String::new(), |felt| format!(" (felt at the tip: {felt:.0} N/m)"))
+}
+
 /// The ripple in words, and that on the simulated board if it was measured.
 fn ripples(found: &Found) -> String {
     let board = found.board_ripple_n.map_or(String::new(), |ripple| format!(", {ripple:.4} N on the simulated board"));
@@ -369,13 +374,19 @@ fn readable(document: &Document<'_>) -> String {
     };
     let joined = |values: &[f64]| values.iter().map(|v| format!("{v:.3}")).collect::<Vec<_>>().join(", ");
     line(format!("{}: q = ({}) rad, n = ({})", document.device, joined(document.q), joined(document.normal)));
-    line(format!("  the stiffest wall        {:>10} N/m   {}", best.settings.stiffness, ripples(best)));
+    line(format!(
+        "  the stiffest wall        {:>10} N/m{}   {}",
+        best.settings.stiffness,
+        felt(best.felt),
+        ripples(best)
+    ));
     line(format!("    {}", in_words(&best.settings)));
     if let Some(scene) = document.scene {
         let ripple = scene
             .ripple_n
             .map_or("none keeps margins, ripple and rebounds".into(), |ripple| format!("ripple {ripple:.4} N"));
-        line(format!("  the scene's settings     {:>10} N/m   {ripple}", scene.settings.stiffness));
+        let felt = felt(scene.felt);
+        line(format!("  the scene's settings     {:>10} N/m{felt}   {ripple}", scene.settings.stiffness));
         line(format!(
             "    {}; {} N/m as written, {} N/m within margins and motors whatever it ripples",
             in_words(&scene.settings),
@@ -403,7 +414,7 @@ fn readable(document: &Document<'_>) -> String {
     line(format!("  {:<30}{:>14}", "at this damping, alone", "up to N/m"));
     for limit in &answer.limits {
         let up_to = limit.stiffness.map_or("no bound".into(), |stiffness| format!("{stiffness:.0}"));
-        line(format!("    {:<28}{up_to:>14}", limit.limit));
+        line(format!("    {:<28}{up_to:>14}{}", limit.limit, felt(limit.felt)));
     }
     line("  beside it".into());
     for beside in &answer.beside {
@@ -417,7 +428,8 @@ fn readable(document: &Document<'_>) -> String {
     }
     line("\n  the best of each estimator".into());
     for found in &answer.others {
-        line(format!("    {:>10} N/m  {}  {}", found.settings.stiffness, ripples(found), in_words(&found.settings)));
+        let (felt, settings) = (felt(found.felt), in_words(&found.settings));
+        line(format!("    {:>10} N/m{felt}  {}  {settings}", found.settings.stiffness, ripples(found)));
     }
     line(format!("  {} combinations, {} of them simulated", answer.looked_at.0, answer.looked_at.1));
     let told = |name: &str, measured: &Measured| {
@@ -444,8 +456,9 @@ fn otherwise(other: &Otherwise, best: &Found, passed_over: Option<&Found>) -> St
         Some(found) => {
             let _ = write!(
                 text,
-                "{} N/m at most, {:.2} times, with a ripple of {:.4} N",
+                "{} N/m{} at most, {:.2} times, with a ripple of {:.4} N",
                 found.settings.stiffness,
+                felt(found.felt),
                 found.settings.stiffness / best.settings.stiffness,
                 found.ripple_n
             );

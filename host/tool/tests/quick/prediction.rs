@@ -2,15 +2,21 @@
 //! is called passive or stable that is not.
 
 use crate::common::{self, all_shipped, file, json, shipped};
+use haptic_bridge::model::admissible::Admissible;
+use haptic_bridge::model::motor::Motor;
 use haptic_bridge::render::scene::FeedForward;
+use haptic_host::device_file::DeviceFile;
+use haptic_predict::boards::torque_at_rest;
+use haptic_predict::design::sensitivity::sensitivities;
 use haptic_show::demo::{Demo, crossing};
 use haptic_stability::analysis::control_loop::{Loop, Mode, TorquePath};
 use haptic_stability::analysis::passivity::Passivity;
-use haptic_stability::analysis::plant::Drive;
+use haptic_stability::analysis::plant::{Drive, Linearised};
 use haptic_stability::analysis::prediction::{Prediction, Subject};
 use haptic_stability::analysis::range::stiffness_at;
 use haptic_stability::analysis::sampled::LinearEstimator;
 use haptic_stability::analysis::several::Member;
+use nalgebra::{DMatrix, DVector};
 use serde_json::Value;
 
 /// With cables, rigid, and redundant.
@@ -59,6 +65,11 @@ fn what_check_names_to_predict_the_same_does() {
             assert!(close(found["kd_max"].as_f64().unwrap(), contact["damping_to"].as_f64().unwrap()), "{options}");
             assert_eq!(found["boundary"][0].get("felt").is_some(), name == "cable-five-bar");
             assert_eq!(found["boundary"][0].get("felt"), contact.get("felt_to"), "{options}");
+            // The line can be typed with what asks for the wall's ripple as well.
+            if feed_forward == "full" {
+                let rippled = typed(&device, &format!("{options} --wall 500,2.5"), "ripple");
+                assert!(rippled["wall"]["full"]["rms_n"].as_f64().unwrap() < 1.0, "{options}: {rippled}");
+            }
             lines += 1;
         }
     }
@@ -116,25 +127,140 @@ fn what_range_and_measure_range_name_to_predict_the_same_does() {
 }
 
 #[test]
-fn a_hand_feels_a_wall_and_its_cables_in_series() {
+fn design_predicts_what_range_does_with_cables_too() {
     let device = file("cable-five-bar.toml");
-    let range = json(&["range", &device, "--normal=0.6,0.8", "--kd", "3"]);
-    let seen = Prediction::new(
-        Subject::new(&shipped("cable-five-bar").description).unwrap(),
-        Loop::through(&TorquePath::usual(1e3), 1e3, LinearEstimator::BackwardDifference),
-    );
-    let home = shipped("cable-five-bar").description.home.unwrap();
-    let row = seen.seen(&home[..2], &[0.6, 0.8]).unwrap().row;
-    // A force f along n turns each joint's cable by rowⱼ f/k.
-    let compliance: f64 = row.iter().map(|lever| lever * lever / 1280.0).sum();
-    assert!(close(range["transmissions"].as_f64().unwrap(), 1.0 / compliance));
-    let point = &range["off"]["boundary"][0];
-    let kp = point["kp"].as_f64().unwrap();
-    assert!(close(point["felt"].as_f64().unwrap(), 1.0 / (1.0 / kp + compliance)));
-    let said = common::haptic(&["range", &device, "--normal=0.6,0.8"]).output().unwrap();
-    let said = String::from_utf8(said.stdout).unwrap();
-    assert!(said.contains("felt N/m") && said.contains("stiffness of the transmissions at the tip"), "{said}");
+    let q = ["--q=2.6,1.75", "--normal=0.94,-0.34", "--points", "40"];
+    let found = json(&[&["design", &device], &q[..]].concat());
+    for mode in ["off", "full"] {
+        let here = &found["here"][mode];
+        let options = format!("{} --kd {}", found["options"].as_str().unwrap(), here["kd"]);
+        let range = &typed(&device, &options, mode)["boundary"][0];
+        assert!(close(here["kp"].as_f64().unwrap(), range["kp"].as_f64().unwrap()), "{options}: {here} {range}");
+        assert!(close(here["felt"].as_f64().unwrap(), range["felt"].as_f64().unwrap()), "{options}: {here} {range}");
+        let whole = typed(&device, found["options"].as_str().unwrap(), mode);
+        let points = whole["boundary"].as_array().unwrap().iter();
+        let most = points.map(|point| point["kp"].as_f64().unwrap()).fold(0.0, f64::max);
+        assert!((0.0..3e-3).contains(&(here["kp"].as_f64().unwrap() / most - 1.0)), "{most} {here}");
+    }
+}
+
+/// A tenth more ratio is 21 % more of the motor's own inertia, and of nothing else.
+#[test]
+fn a_ratio_reflects_the_motor_and_not_the_body_on_its_joint() {
+    let mut description = shipped("cable-five-bar").description;
+    let motor = 5e-5;
+    for joint in &mut description.joints[..2] {
+        joint.transmission.as_mut().unwrap().motor_inertia = motor;
+    }
+    let (q, n) = ([2.6, 1.75], [0.94, -0.34]);
+    let around = Loop::through(&TorquePath::usual(2e4), 2e4, LinearEstimator::Butterworth(500.0));
+    let found = sensitivities(&description, &q, &n, Admissible::default(), &around).unwrap();
+    let gear = found.iter().find(|one| one.part == "gear ratio of joint 0").unwrap().more.unwrap();
+    let seen = Linearised::at(&description, &q, &n).unwrap();
+    let expected = 1.0 + 0.21 * motor * seen.unit_motion[0].powi(2) / seen.w_rr();
+    assert!((gear.w_rr / expected - 1.0).abs() < 1e-9, "{gear:?} {expected}");
+}
+
+/// The angles at rest as a system of equations: the wall's torques wind up the cables, and a hand holds the tip a little
+/// way into the wall.
+#[test]
+fn a_hand_at_rest_feels_what_torques_leave_of_a_wall() {
+    let text = std::fs::read_to_string(file("cable-five-bar.toml")).unwrap();
+    let text = text.replacen("stiffness = 1280.0", "stiffness = 120.0", 1).replacen("mass = 0.06", "mass = 0.2", 1);
+    let folder = tempfile::tempdir().unwrap();
+    let device = folder.path().join("device.toml");
+    std::fs::write(&device, &text).unwrap();
+    let asked = ["--q=2.6,1.75", "--normal=0.94,-0.34", "--kd", "3", "--washout", "2"];
+    let range = json(&[&["range", device.to_str().unwrap()], &asked[..]].concat());
+    let seen = Linearised::at(&DeviceFile::load(&device).unwrap().description, &[2.6, 1.75], &[0.94, -0.34]).unwrap();
+    let cables = DMatrix::from_diagonal(&DVector::from_vec(vec![120.0, 1280.0]));
+    let shaped = &seen.mass * &seen.unit_motion / seen.w_rr();
+    let mut compliances = Vec::new();
+    for (mode, torque) in [("off", &seen.row), ("washout", &seen.row), ("full", &shaped)] {
+        let point = &range[mode]["boundary"][0];
+        let kp = point["kp"].as_f64().unwrap();
+        // K (θ - q) = -kp (Jr θ) torque, with q = E.
+        let motors = (&cables + torque * seen.row.transpose() * kp).lu().solve(&(&cables * &seen.unit_motion)).unwrap();
+        let felt = kp * seen.row.dot(&motors);
+        assert!(close(point["felt"].as_f64().unwrap(), felt), "{mode}: {point} {felt}");
+        compliances.push(1.0 / felt - 1.0 / kp);
+    }
+    assert!(close(range["transmissions"].as_f64().unwrap(), 1.0 / compliances[0]));
+    assert!((compliances[2] / compliances[0] - 1.0).abs() > 0.05, "{compliances:?}");
     assert_eq!(json(&["range", &file("haply-2diy.toml"), "--normal=0.6,0.8"]).get("transmissions"), None);
+}
+
+#[test]
+fn check_predicts_walls_in_the_hand_of_which_it_speaks() {
+    let folder = tempfile::tempdir().unwrap();
+    let device = file("cable-five-bar.toml");
+    let path = folder.path().join("scene.toml");
+    let shipped = std::fs::read_to_string(file("scenes/cable-five-bar/wall.toml")).unwrap();
+    let written = |stiffness: f64| {
+        let lines = shipped.lines().map(|line| match line.starts_with("stiffness =") {
+            true => format!("stiffness = {stiffness:?}"),
+            false => line.to_string(),
+        });
+        std::fs::write(&path, lines.collect::<Vec<_>>().join("\n")).unwrap();
+        let checked = json(&["check", &device, path.to_str().unwrap()]);
+        (checked["scenes"][0]["contacts"][0].clone(), checked["warnings"].to_string())
+    };
+    let (contact, _) = written(1000.0);
+    let alone = contact["stable_to"].as_f64().unwrap();
+    let held = contact["in_hand"]["stable_to"].as_f64().unwrap();
+    let options = contact["options"].as_str().unwrap();
+    let mode = if options.contains("--washout") { "washout" } else { "off" };
+    let range = typed(&device, &format!("{options} --hand 0.12,6,1200"), mode);
+    assert!(close(range["boundary"][0]["kp"].as_f64().unwrap(), held), "{range} {held}");
+    // Cables: the hand takes from the range, and a wall between the two limits buzzes in it alone.
+    assert!(held < 0.95 * alone, "{held} {alone}");
+    let (contact, warnings) = written((0.5 * (alone + held)).round());
+    let wall = format!("{},{}", contact["stiffness"], options.rsplit(' ').next().unwrap());
+    let swings = typed(&device, &format!("{options} --hand 0.12,6,1200 --wall {wall}"), "ripple");
+    let swing = &swings["wall"]["swings"][mode];
+    assert!(swing["growth_per_s"].as_f64().unwrap() > 0.0, "{swing}");
+    for hz in [&contact["hz"], &contact["buzz"]["hz"]] {
+        assert!(close(hz.as_f64().unwrap(), swing["hz"].as_f64().unwrap()), "{contact} {swing}");
+    }
+    assert!(warnings.contains("a hand of 0.12 kg, 6 N s/m and 1200 N/m"), "{warnings}");
+    // Below both it is quiet.
+    assert!(!written((0.9 * held).round()).1.contains("a hand of"));
+}
+
+#[test]
+fn a_supply_bounds_what_motors_are_said_to_give() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("device.toml");
+    let text = std::fs::read_to_string(file("haply-2diy.toml")).unwrap();
+    let device = path.to_str().unwrap().to_string();
+    let checked = |supply: &str| {
+        let motor = "resistance = 15.0";
+        let text = text.replace("resistance = 2.0", motor).replacen("[geometry]", &format!("{supply}[geometry]"), 1);
+        assert!(text.contains(motor));
+        std::fs::write(&path, text).unwrap();
+        let scene = file("scenes/haply-2diy/wall-soft.toml");
+        let checked = json(&["check", &device, &scene]);
+        let force = checked["scenes"][0]["contacts"][0]["force"].as_f64().unwrap();
+        let most = DeviceFile::load(&path).unwrap().description.joints[0].motor.unwrap().max_current;
+        (force, checked["summary"]["force_at_home"]["low"].as_f64().unwrap(), most, checked["warnings"].to_string())
+    };
+    // 3 A through 15 ohm are 45 V, more than a simulated board has.
+    let free = checked("");
+    assert!(free.3.contains("the file names no supply"), "{}", free.3);
+    let bound = checked("supply = 12.0\n");
+    let share = 12.0 * 0.92 / 15.0 / 3.0;
+    assert!(bound.3.contains("the supply of 12 V"), "{}", bound.3);
+    for (bound, free) in [(bound.0, free.0), (bound.1, free.1), (bound.2, free.2)] {
+        assert!(close(bound, share * free), "{bound} {free} {share}");
+    }
+    let info = json(&["info", "--port", &format!("sim:{device}")]);
+    assert!((info["bus_voltage"].as_f64().unwrap() - 12.0).abs() < 1e-3, "{info}");
+    // A high supply is none that trips.
+    assert!(!checked("supply = 56.0\n").3.contains("supply"));
+    json(&["arm", "--port", &format!("sim:{device}")]);
+    // No board gives 25 A.
+    let strong = Motor { torque_constant: -0.1, max_current: 25.0, ..Motor::default() };
+    assert_eq!([2, 3].map(|joints| torque_at_rest(&strong, joints)), [2.0, 0.1 * 12.0]);
 }
 
 /// Every estimator with a bound, every drive of a board, delays within a sample and beyond.

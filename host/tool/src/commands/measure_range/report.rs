@@ -11,7 +11,7 @@ use haptic_predict::measure::excitation::{Excitation, millimetres};
 use haptic_predict::measure::progress::{Point, Progress};
 use haptic_predict::plausible::{Doubt, Warning, warn};
 use haptic_show::plot::range::{Contents, MeasuredPoint, draw};
-use haptic_stability::analysis::flexible::felt;
+use haptic_stability::analysis::control_loop::Mode;
 use haptic_stability::analysis::plant::Drive;
 use haptic_stability::analysis::pose::PoseError;
 use haptic_stability::analysis::prediction::{Prediction, Subject, Walls, printed};
@@ -62,9 +62,10 @@ impl Theory {
     }
 
     /// The stiffness that a hand at the tip feels of a wall's stiffness (N/m), if transmissions give.
-    fn felt(&self, kp: f64) -> Option<f64> {
+    fn felt(&self, mode: FeedForward, kp: f64) -> Option<f64> {
         let Walls::One(device) = &self.device else { return None };
-        device.flexible.stiffness_at_tip(&device.row).map(|at_tip| felt(kp, at_tip))
+        // At rest a washout's corner plays no part.
+        device.felt(Mode::of(mode, 0.0), kp)
     }
 
     fn predict(&self, kd: Option<&[f64]>, washout: Option<f64>) -> Result<Range, Failure> {
@@ -227,7 +228,7 @@ impl Report<'_> {
                     (_, None) => "grows".into(),
                 };
                 let median = (!point.repeats.is_empty()).then(|| point.median());
-                let felt = median.and_then(|median| self.theory.felt(median));
+                let felt = median.and_then(|median| self.theory.felt(mode, median));
                 let felt = felt.map_or(String::new(), |felt| format!("; felt at the tip: {felt:.0} N/m"));
                 let _ = writeln!(text, "{:>12.2}  {beyond}{felt}", theory.kp);
                 if let Some(why) = &point.open {
@@ -337,7 +338,7 @@ impl Report<'_> {
                     "open": point.open,
                     "theory_kp": theory.kp,
                 });
-                if let Some(felt) = found.and_then(|found| self.theory.felt(found.0)) {
+                if let Some(felt) = found.and_then(|found| self.theory.felt(mode, found.0)) {
                     told["felt"] = felt.into();
                 }
                 points.push(told);

@@ -78,14 +78,6 @@ pub fn stepped(
         let reason = "--ripple or --wall with several --normal";
         return Err(Failure::wrong(reason).remedy("ask for the ripple of one wall at a time"));
     };
-    if args.damping_compensation {
-        let reason = "--ripple or --wall with --damping-compensation";
-        return Err(Failure::wrong(reason).remedy("the ripple is simulated without it: leave it out"));
-    }
-    if args.posture.is_some() {
-        let reason = "--ripple or --wall with --posture";
-        return Err(Failure::wrong(reason).remedy("the ripple is simulated without it: leave it out"));
-    }
     let positive = |value: f64, what: &str| match value.is_finite() && value > 0.0 {
         true => Ok(value),
         false => Err(Failure::wrong(format!("{what} {value} is not more than zero")).remedy("write a positive number")),

@@ -5,7 +5,7 @@ use haptic_bridge::model::admissible::Admissible;
 use haptic_predict::design::place::places;
 use haptic_predict::design::posture::postures;
 use haptic_predict::design::sensitivity::{CHANGE, buys_most, sensitivities};
-use haptic_predict::design::{clearance, stiffness_per_kilogram, within_limits};
+use haptic_predict::design::{clearance, within_limits};
 use haptic_sim::Random;
 use haptic_stability::analysis::control_loop::TorquePath;
 use haptic_stability::analysis::map::along;
@@ -17,19 +17,25 @@ use haptic_stability::sweep::Sweep;
 
 const PHI: Admissible = Admissible::Orientation;
 
+/// A board's loop.
+fn around() -> Loop {
+    Loop::through(&TorquePath::usual(20_000.0), 20_000.0, LinearEstimator::Butterworth(500.0))
+}
+
 #[test]
 fn the_stiffest_wall_is_in_proportion_to_the_inertia_that_it_meets() {
-    let per_kilogram = stiffness_per_kilogram(20_000.0, 500.0).unwrap();
+    let around = around();
+    let mut kilogram = Linearised::at(&shipped("hapkit-paddle").description, &[0.0], &[1.0]).unwrap().undamped();
+    kilogram.flexible = Default::default();
+    let per_kilogram = domain(&kilogram, &around, Mode::Off, None).unwrap().top.kp / kilogram.w_rr();
     for (name, q, n) in [
         ("coupled-five-bar", vec![2.6, 1.75], vec![0.94, -0.34]),
         ("phantom-premium-1.5", vec![0.3, 0.9, -0.3], vec![0.6, 0.8, 0.0]),
     ] {
         let device = Linearised::at(&shipped(name).description, &q, &n).unwrap().undamped();
-        let estimator = LinearEstimator::Butterworth(500.0);
-        let around = Loop::through(&TorquePath::usual(20_000.0), 20_000.0, estimator);
         for (mode, met) in [(Mode::Off, device.w_eff().unwrap()), (Mode::Full, device.w_rr())] {
             let range = domain(&device, &around, mode, None).unwrap();
-            let top = range.boundary.iter().map(|point| point.kp).fold(0.0, f64::max);
+            let top = range.top.kp;
             assert!((top / (per_kilogram * met) - 1.0).abs() < 1e-6, "{name}, {mode:?}: {top}");
         }
     }
@@ -46,7 +52,7 @@ fn a_rotor_is_worth_what_its_formula_says() {
         let description = shipped(name).description;
         let device = Linearised::at(&description, &q, &n).unwrap();
         let mobility = device.mass.clone().try_inverse().unwrap();
-        let found = sensitivities(&description, &q, &n, PHI).unwrap();
+        let found = sensitivities(&description, &q, &n, PHI, &around()).unwrap();
         for j in 0..q.len() {
             let change = CHANGE * description.joints[j].inertia;
             let pull = (&mobility * &device.row)[j];
@@ -72,7 +78,7 @@ fn a_rotor_is_worth_what_its_formula_says() {
 fn a_longer_link_leaves_the_tip_where_it_is() {
     let description = shipped("haply-2diy").description;
     let (q, n) = ([2.3, 0.84159265358979], [0.6, 0.8]);
-    let found = sensitivities(&description, &q, &n, PHI).unwrap();
+    let found = sensitivities(&description, &q, &n, PHI, &around()).unwrap();
     let base = found.iter().find(|one| one.part == "length base").unwrap().more.unwrap();
     // The same by hand: the tip's place of before, with inverse kinematics of this test's own.
     let mut wider = description;
