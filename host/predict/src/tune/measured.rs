@@ -76,7 +76,7 @@ fn boundary(question: &Question<'_>, settings: &Settings, stop: &dyn Fn() -> boo
         largest_pull: PULL,
     };
     let mut prepared = PreparedBoard::new(&mut board, question.file, setup, stop)?;
-    let found = prepared.boundary(settings.feed_forward, settings.damping, 0, None)?.gain;
+    let found = prepared.boundary(settings.feed_forward, settings.damping, 1.0, None)?.gain;
     prepared.finish()?;
     Ok(found)
 }
