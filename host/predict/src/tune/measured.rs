@@ -71,6 +71,7 @@ fn boundary(question: &Question<'_>, settings: &Settings, stop: &dyn Fn() -> boo
             damping_compensation: settings.damping_compensation,
             admissible: question.admissible,
             hold_hz: HOLD_HZ,
+            ..Law::default()
         },
         torque_limit: TORQUE,
         largest_pull: PULL,
