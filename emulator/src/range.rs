@@ -281,10 +281,10 @@ pub fn predicted(bench: &Bench, rate: Rate, delay_samples: f64, kd: Option<&[f64
     predict(&linear, &around, kd, washout).expect("the loop can be analysed")
 }
 
-/// Dampings and repeats of the whole measurement.
+/// Dampings of the whole measurement, and the pulls at each.
 pub const POINTS: usize = 12;
 /// See [`POINTS`].
-pub const REPEATS: usize = 5;
+pub const PULLS: [f64; 5] = [1.0, -1.0, 0.7, -0.7, 0.85];
 
 /// Delay in samples that the board reports at `rate`.
 ///
@@ -297,7 +297,7 @@ pub fn delay_samples(rig: &mut Rig, rate: Rate) -> f64 {
     f64::from(rig.tool.details().expect("the board answers").delay_samples)
 }
 
-/// The whole range at `rate` with this feed-forward, [`POINTS`] dampings up to where it ends, [`REPEATS`] times each,
+/// The whole range at `rate` with this feed-forward, [`POINTS`] dampings up to where it ends, each pull of [`PULLS`],
 /// and the delay that the board reports. `told` hears how many boundaries are done.
 ///
 /// # Errors
@@ -307,7 +307,7 @@ pub fn whole(rate: Rate, mode: FeedForward, mut told: impl FnMut(usize)) -> Resu
     let bench = rigid();
     let mut rig = rig(&bench);
     let delay = delay_samples(&mut rig, rate);
-    let plan = Plan { modes: vec![mode], kd: None, points: POINTS, repeats: REPEATS };
+    let plan = Plan { modes: vec![mode], kd: None, points: POINTS, repeats: 1, pulls: PULLS.to_vec() };
     let mut progress = Progress::new("the emulated chip");
     on(&mut rig, &bench, rate, |prepared| {
         campaign::run(prepared, &plan, &mut progress, |_, done| {
@@ -366,7 +366,7 @@ pub fn with_cables(
                     guess = None;
                 }
             }
-            let found = prepared.boundary(mode, kd, 0, guess)?.gain;
+            let found = prepared.boundary(mode, kd, 1.0, guess)?.gain;
             // The walls that hold the tip make the step longer, and its duties may be late for it.
             let delay = f64::from(prepared.board().details()?.delay_samples);
             let expected = predicted(&bench, rate, delay, Some(&[kd])).of(mode).boundary[0].kp;
@@ -450,7 +450,7 @@ pub fn section(rate: Rate, progress: &Progress, delay: f64) -> (String, String, 
     let dots = |mode| -> Vec<MeasuredPoint> {
         let dot = |point: &haptic_predict::measure::progress::Point| {
             let (low, high) = point.bounds();
-            MeasuredPoint { kd: point.kd, kp: point.median(), low, high }
+            MeasuredPoint { kd: point.kd, kp: point.median(), low, high, beside: 0.0 }
         };
         progress.of(mode).into_iter().map(dot).collect()
     };
@@ -463,6 +463,7 @@ pub fn section(rate: Rate, progress: &Progress, delay: f64) -> (String, String, 
         range: &range,
         passivity: None,
         washout_hz: None,
+        measured: "measured: median, all pulls".into(),
         measured_off: &dots(FeedForward::Off),
         measured_full: &dots(FeedForward::Full),
         note: None,

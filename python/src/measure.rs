@@ -61,7 +61,7 @@ struct Measured {
 /// equal ones), those listed in no_feed_forward (counted from 0) without it; stiffness and damping are then the totals.
 /// feed_forward: "both" (off and full), "all" (washout as well), "off", "full" or "washout". kd: the dampings, N s/m
 /// (default: `points` even ones up to where the range ends). torque_limit_nm: largest joint torque, N m; pull_m:
-/// farthest the tip is pulled aside, m.
+/// farthest the tip is pulled aside, m: every repeat pulls the same way.
 ///
 /// progress: a file that is written after every repeat; the same call with it goes on where the last one was
 /// interrupted. told: called with (repeats done, repeats in all); it must leave the board alone.
@@ -159,7 +159,8 @@ pub fn measure_range<'py>(
         torque_limit: torque_limit_nm,
         largest_pull: pull_m,
     };
-    let order = Order { file, setup, plan: Plan { modes, kd, points, repeats }, world, progress, yes };
+    let order =
+        Order { file, setup, plan: Plan { modes, kd, points, repeats, pulls: vec![1.0] }, world, progress, yes };
 
     let measured = match board {
         Some(board) => board.whole(py, |board| order.measure(board, told.as_ref(), true))?,
@@ -212,7 +213,7 @@ fn pose(file: &DeviceFile, q: &[f64], walls: &[Member]) -> PyResult<[f64; 3]> {
 
 impl Order {
     fn measure(&self, board: &mut Linked, told: Option<&Py<PyAny>>, outside: bool) -> PyResult<Measured> {
-        let what = occasion::what(&self.file.name, &self.setup, &self.world);
+        let what = occasion::what(&self.file.name, &self.setup, &self.plan.pulls, &self.world);
         let path = self.progress.as_deref();
         let wrong = |error| measurement(MeasureError::Progress(error));
         let mut progress = path.map_or(Ok(Progress::new(&what)), |path| Progress::open(path, &what)).map_err(wrong)?;

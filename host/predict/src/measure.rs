@@ -7,8 +7,11 @@
 //! tip is held. Holding is done by walls too, because gains change at once and a new scene fades in over half a second:
 //! one wall along the direction of the pull and one across it for every other direction (`measure/walls.rs`). A trial
 //! pulls the tip aside by a small distance, lets it swing back, and hands it over to the tested gains. The holding
-//! walls are soft springs chosen from the inertia at the pose and the filter's cutoff, and made softer until the tip
-//! rests: a cable that gives may leave less damping than a rigid device stands, whatever its file says of it.
+//! walls are soft springs chosen from the inertia at the pose, the filter's cutoff and the friction, and made softer
+//! until the tip rests: a cable that gives may leave less damping than a rigid device stands, whatever its file says.
+//!
+//! A tip has several poses: the joints are compared with those of the beginning before and after every trial, and a
+//! trial in another pose is no measurement. A redundant device needs a [`Law::posture`] besides.
 //!
 //! One wall is pulled along its normal. A set is pulled, and watched, half way between the stiffest motion that it
 //! allows without the feed-forward and the one with it: a direction that shows either.
@@ -29,7 +32,7 @@ mod walls;
 
 pub use prepared::{PreparedBoard, rules_for};
 pub use search::Boundary;
-pub use walls::{complement, most_tested};
+pub use walls::{LONGEST_PULL, complement, most_tested};
 
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::render::velocity::Estimator;
@@ -37,6 +40,7 @@ use haptic_bridge::safety::fault::Fault;
 use thiserror::Error;
 
 use haptic_host::link::{BoardError, LinkError};
+use haptic_stability::analysis::flexible::Posture;
 use haptic_stability::analysis::pose::PoseError;
 use haptic_stability::analysis::several::Member;
 
@@ -62,12 +66,32 @@ pub enum MeasureError {
     /// The device stands elsewhere than when the measurement began.
     #[error("the device does not stand where this measurement began")]
     Moved,
+    /// The joints are not where they were, though the tip may be.
+    #[error(
+        "joint {joint} stands {by:.3} rad from where the measurement began: what would be measured there is another pose"
+    )]
+    Away {
+        /// Index of the joint.
+        joint: usize,
+        /// How far, rad.
+        by: f64,
+    },
     /// The tip could not be held still.
     #[error("the tip does not come to rest when held softly")]
     Restless,
     /// The tip could not be pulled aside.
-    #[error("friction holds the tip: the soft hold does not pull it aside")]
-    Stuck,
+    #[error(
+        "friction holds the tip: a pull of {} mm takes {force:.3} N, and friction {friction:.3} N",
+        crate::measure::excitation::millimetres(*.pull)
+    )]
+    Stuck {
+        /// Length of the pull, m.
+        pull: f64,
+        /// Force of the hold on a tip that is pulled so far, N.
+        force: f64,
+        /// Coulomb friction at the tip, N.
+        friction: f64,
+    },
     /// The pose is no good.
     #[error(transparent)]
     Pose(#[from] PoseError),
@@ -110,7 +134,7 @@ impl MeasureError {
     /// Returns true if the error concerns one damping only: the measurement goes on with the next.
     #[must_use]
     pub fn is_local(&self) -> bool {
-        matches!(self, Self::Unbounded | Self::Saturates { .. } | Self::Restless | Self::Stuck)
+        matches!(self, Self::Unbounded | Self::Saturates { .. } | Self::Restless | Self::Stuck { .. })
     }
 }
 
@@ -145,6 +169,10 @@ pub struct Law {
     pub admissible: Admissible,
     /// The device is held no faster than this, Hz: coarse encoders and weak motors hold only softly.
     pub hold_hz: f64,
+    /// Holds the last link of a redundant device where it stands.
+    pub posture: Option<Posture>,
+    /// The tip may be pulled farther than the largest pull, up to [`walls::LONGEST_PULL`], where friction asks for it.
+    pub farther: bool,
 }
 
 impl Default for Law {
@@ -154,6 +182,8 @@ impl Default for Law {
             damping_compensation: false,
             admissible: Admissible::default(),
             hold_hz: f64::INFINITY,
+            posture: None,
+            farther: false,
         }
     }
 }

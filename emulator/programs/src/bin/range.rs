@@ -11,7 +11,7 @@ use haptic_bridge::render::scene::FeedForward;
 use haptic_host::output::csv_line;
 use haptic_predict::measure::progress::Progress;
 use virtual_board::range::{
-    CABLE_HEAD, CABLE_RATES, CABLED, HEAD, POINTS, RATES, REPEATS, Rate, section, whole, with_cables,
+    CABLE_HEAD, CABLE_RATES, CABLED, HEAD, POINTS, PULLS, RATES, Rate, section, whole, with_cables,
 };
 use virtual_board::results;
 
@@ -84,7 +84,7 @@ fn measured(rate: Rate) -> Result<(Progress, f64), String> {
     let parts = std::thread::scope(|scope| {
         let running = [FeedForward::Off, FeedForward::Full].map(|mode| {
             scope.spawn(move || {
-                let told = |done| eprintln!("{} Hz, {mode:?}: {done} of {}", rate.rate_hz, POINTS * REPEATS);
+                let told = |done| eprintln!("{} Hz, {mode:?}: {done} of {}", rate.rate_hz, POINTS * PULLS.len());
                 whole(rate, mode, told).map_err(|error| error.to_string())
             })
         });

@@ -2,7 +2,7 @@
 
 use haptic_bridge::render::scene::FeedForward;
 
-use super::progress::{Open, Point, Progress, same_damping};
+use super::progress::{Open, Point, Progress, median, same_damping};
 use super::swing::Verdict;
 use super::{MeasureError, PreparedBoard};
 
@@ -15,14 +15,40 @@ pub struct Plan {
     pub kd: Option<Vec<f64>>,
     /// Number of dampings if they are not given.
     pub points: usize,
-    /// Repeats at each.
+    /// Repeats of each pull at each.
     pub repeats: usize,
+    /// The pulls, in turn: strength and sign of each beside the largest.
+    pub pulls: Vec<f64>,
 }
 
+/// To either side: with friction the two need not agree.
+pub const BOTH_SIDES: [f64; 2] = [1.0, -1.0];
+
 impl Plan {
+    /// Repeats at each damping, all pulls together.
+    #[must_use]
+    pub fn searches(&self) -> usize {
+        self.repeats * self.pulls.len()
+    }
+
     /// Repeats in all.
     pub fn total(&self) -> usize {
-        self.modes.len() * self.kd.as_ref().map_or(self.points, Vec::len) * self.repeats
+        self.modes.len() * self.kd.as_ref().map_or(self.points, Vec::len) * self.searches()
+    }
+
+    /// The repeats of a point by pull: those of one pull alone are repeats of one experiment. Without pulls that were
+    /// not made.
+    #[must_use]
+    pub fn by_pull(&self, point: &Point) -> Vec<(f64, Vec<f64>)> {
+        let of = |nth: usize| point.repeats.iter().copied().skip(nth).step_by(self.pulls.len()).collect::<Vec<_>>();
+        let all = self.pulls.iter().enumerate().map(|(nth, pull)| (*pull, of(nth)));
+        all.filter(|(_, repeats)| !repeats.is_empty()).collect()
+    }
+
+    /// The stiffness that was stable whichever pull was made, N/m: the lowest of the pulls' medians.
+    #[must_use]
+    pub fn at_every_pull(&self, point: &Point) -> f64 {
+        self.by_pull(point).iter().map(|(_, repeats)| median(repeats)).reduce(f64::min).unwrap_or(0.0)
     }
 
     /// Those of `points` that are of it: where dampings are named, those.
@@ -39,7 +65,7 @@ impl Progress {
     pub fn measured(&self, plan: &Plan) -> usize {
         plan.asked(&self.points)
             .into_iter()
-            .map(|point| if point.open.is_some() { plan.repeats } else { point.repeats.len().min(plan.repeats) })
+            .map(|point| if point.open.is_some() { plan.searches() } else { point.repeats.len().min(plan.searches()) })
             .sum()
     }
 }
@@ -70,11 +96,12 @@ pub fn run(
             }
         };
         for kd in kds {
-            for repeat in 0..plan.repeats {
+            for repeat in 0..plan.searches() {
                 let earlier = progress.point(mode, kd);
                 if earlier.repeats.len() <= repeat && earlier.open.is_none() {
                     let guess = earlier.repeats.last().copied();
-                    let found = prepared.boundary(mode, kd, repeat, guess);
+                    let strength = plan.pulls[repeat % plan.pulls.len()];
+                    let found = prepared.boundary(mode, kd, strength, guess);
                     progress.now();
                     let point = progress.point(mode, kd);
                     match found {

@@ -4,7 +4,7 @@
 use std::path::Path;
 
 use super::before::Before;
-use super::campaign::{self, Plan};
+use super::campaign::{self, BOTH_SIDES, Plan};
 use super::progress::{Progress, ProgressError};
 use super::simulated::{Friction, World};
 use super::{MeasureError, MeasurementSetup, PreparedBoard, rules_for};
@@ -145,7 +145,7 @@ pub fn around(setup: &MeasurementSetup, info: &Info, details: &Details) -> Loop 
 
 /// Describes the measurement in words: a file of progress goes on only with the same.
 #[must_use]
-pub fn what(name: &str, setup: &MeasurementSetup, world: &World) -> String {
+pub fn what(name: &str, setup: &MeasurementSetup, pulls: &[f64], world: &World) -> String {
     let listed = |values: &[f64]| {
         // Without the noise of making it a unit.
         let rounded = values.iter().map(|value| ((value * 1e9).round() / 1e9 + 0.0).to_string());
@@ -161,7 +161,14 @@ pub fn what(name: &str, setup: &MeasurementSetup, world: &World) -> String {
         .collect();
     let along = each.join(" and ");
     // Without the noise of a multiplication.
-    let pull_mm = (setup.largest_pull * 1e9).round() / 1e6;
+    let mm = |pull: &f64| ((setup.largest_pull * pull * 1e9).round() / 1e6).to_string();
+    let mut pull_mm = match pulls == BOTH_SIDES {
+        true => mm(&1.0),
+        false => pulls.iter().map(mm).collect::<Vec<_>>().join(" and "),
+    };
+    if setup.law.farther {
+        pull_mm = format!("of at least {pull_mm}");
+    }
     let mut what = format!(
         "{name} along {along} at {} Hz, cutoff {} Hz, washout {} Hz, pull {pull_mm} mm, {} N m",
         setup.rate_hz, setup.cutoff_hz, setup.washout_hz, setup.torque_limit
@@ -169,6 +176,9 @@ pub fn what(name: &str, setup: &MeasurementSetup, world: &World) -> String {
     let without: Vec<usize> = (0..setup.walls.len()).filter(|wall| !setup.walls[*wall].feed_forward).collect();
     if !without.is_empty() {
         what.push_str(&format!(", without the feed-forward of {without:?}"));
+    }
+    if let Some(held) = setup.law.posture {
+        what.push_str(&format!(", posture {},{}", held.stiffness, held.damping));
     }
     let World { q, friction, ideal_drive, counts, grip } = *world;
     if let Some(q) = q {

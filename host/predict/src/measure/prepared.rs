@@ -13,7 +13,7 @@ use nalgebra::DVector;
 use super::before::Before;
 use super::excitation::Excitation;
 use super::swing::{Swing, Verdict};
-use super::walls::{APART, Layout, complement, scene};
+use super::walls::{APART, LONGEST_PULL, Layout, complement, scene};
 use super::{MeasureError, MeasurementSetup};
 use haptic_host::device_file::DeviceFile;
 use haptic_host::link::{Board, columns, fields};
@@ -24,9 +24,27 @@ use haptic_stability::analysis::several::WallSet;
 /// Time for which the board goes on without this tool, s: a measurement must not outlive the user who watches it.
 const HOST_SECONDS: f32 = 1.0;
 
-/// Share of a pull that must be left when the tip rests, and how often it is pulled harder until it is.
-const PULLED: f64 = 0.5;
-const HARDER: usize = 5;
+/// Least and largest share of a pull at which the tip may rest, and how often it is pulled harder or less until it does.
+const PULLED: (f64, f64) = (0.9, 1.15);
+const HARDER: usize = 16;
+
+/// Distance by which friction may hold the tip off its place, m: the hold is firmer where it holds it farther off.
+const OFF_ITS_PLACE: f64 = 5e-4;
+
+/// Share of the rate, rad/s for each Hz, at which the tip is held; and the most where friction asks for it. Both are far
+/// below the 0.3 at which the stiffest wall of the paper's setting swings.
+const SOFT: f64 = 0.05;
+const FIRM: f64 = 0.125;
+
+/// Angle by which a joint may differ from where the measurement began, beside what a tip [`APART`] off its place
+/// explains, rad: friction holds joints off their places. Another pose with the same tip is farther away, unless that
+/// pose is nearly singular.
+const SAME_POSE: f64 = 0.03;
+/// Number of times that a trial is repeated which the device left its pose in.
+const AGAIN: usize = 2;
+
+/// The most that the tip can be held aside, in [`APART`].
+const HOLDS: f64 = 0.9;
 
 /// Factor by which the tip is held more softly where it does not come to rest, and the number of times that this is
 /// tried: down to a 32nd of the hold's frequency.
@@ -55,6 +73,8 @@ pub struct PreparedBoard<'a> {
     /// Natural frequency of the hold, rad/s, and how often it was lowered.
     hold_frequency: f64,
     softened: usize,
+    /// The angle by which each joint turns for each metre of a pull, rad/m.
+    turns: Vec<f64>,
     excitation: Excitation,
     divider: u32,
     /// Columns of a row that hold the tip, and the one that holds the state.
@@ -82,7 +102,8 @@ impl<'a> PreparedBoard<'a> {
         let shares = setup.walls.iter().map(|wall| (wall.share / total, wall.feed_forward)).collect();
 
         // The hold: natural frequency well below filter and rate.
-        let hold_frequency = (0.05 * setup.rate_hz).min(0.3 * TAU * setup.tempo_hz());
+        let at_most = |share: f64| (share * setup.rate_hz).min(0.3 * TAU * setup.tempo_hz());
+        let mut hold_frequency = at_most(SOFT);
         let mut inertia = Vec::new();
         for direction in std::iter::once(&direction).chain(&across) {
             let seen = Linearised::at(&file.description, &q, direction.as_slice())?;
@@ -94,7 +115,15 @@ impl<'a> PreparedBoard<'a> {
         let rules = rules_for(before.rules(), setup.torque_limit);
         let device = Linearised::at(&file.description, &q, direction.as_slice())?;
         let torques = [false, true].map(|feed_forward| set.torque(&direction, feed_forward));
-        let excitation = Excitation::new(file, &device, &torques, &rules, setup.largest_pull);
+        let mut excitation = Excitation::new(file, &device, &torques, &rules, setup.largest_pull);
+        let off_its_place = excitation.friction / gains_of(inertia[0], hold_frequency).0;
+        if off_its_place > OFF_ITS_PLACE {
+            let firmer = hold_frequency * (off_its_place / OFF_ITS_PLACE).sqrt();
+            hold_frequency = firmer.min(at_most(FIRM)).max(hold_frequency);
+        }
+        if setup.law.farther {
+            excitation.largest = excitation.largest.max(off_its_place).min(LONGEST_PULL);
+        }
         // Not even the soft hold could be told from a loose tip: nothing is touched then.
         excitation.pull(gains_of(inertia[0], hold_frequency).0, "the hold that rate, cutoff and inertia ask for")?;
 
@@ -104,7 +133,7 @@ impl<'a> PreparedBoard<'a> {
         let tip_columns = (0..spec.task).filter_map(|axis| column(Field::Tip, axis)).collect();
         let state_column = column(Field::State, 0).unwrap_or_default();
 
-        let (layout, wanted) = scene(&setup, &tip, &direction, &across)?;
+        let (layout, wanted) = scene(&setup, &q, &tip, &direction, &across)?;
         // From here on the board is put back as it was whenever this is dropped.
         let mut prepared = Self {
             board,
@@ -119,6 +148,7 @@ impl<'a> PreparedBoard<'a> {
             heaviest,
             hold_frequency,
             softened: 0,
+            turns: device.unit_motion.iter().map(|turn| turn.abs()).collect(),
             excitation,
             divider: (setup.rate_hz / 10_000.0).ceil().max(1.0) as u32,
             setup,
@@ -145,9 +175,21 @@ impl<'a> PreparedBoard<'a> {
                     self.hold(0.0)?;
                     self.arm_again()?;
                 }
-                other => return other.map(|_| ()),
+                other => return other.and_then(|_| self.check_pose()),
             }
         }
+    }
+
+    /// Refuses a device whose joints are not where the measurement began.
+    fn check_pose(&mut self) -> Result<(), MeasureError> {
+        let now = self.board.status()?.q;
+        for (joint, (began, turns)) in self.q.iter().zip(&self.turns).enumerate() {
+            let by = f64::from(now[joint]) - began;
+            if by.abs() > SAME_POSE + turns * APART {
+                return Err(MeasureError::Away { joint, by });
+            }
+        }
+        Ok(())
     }
 
     /// Holds more softly from here on; false where that was tried often enough.
@@ -219,8 +261,8 @@ impl<'a> PreparedBoard<'a> {
             _ => "the hold that rate, cutoff and inertia ask for",
         };
         let pull = self.excitation.pull(hardest, of)?;
-        let pull = strength.signum() * (strength.abs() * pull).max(self.excitation.smallest()).min(0.5 * APART);
-        let mut trips = 0;
+        let pull = strength.signum() * (strength.abs() * pull).max(self.excitation.smallest()).min(LONGEST_PULL);
+        let (mut trips, mut left) = (0, 0);
         loop {
             match self.swing_from_rest(feed_forward, pull) {
                 // The device was still ringing from the oscillation before, and that tripped the guard. It has stopped
@@ -228,36 +270,53 @@ impl<'a> PreparedBoard<'a> {
                 Err(MeasureError::Fault(fault)) if violent(fault) && trips < 3 => {
                     trips += 1;
                     self.arm_again()?;
+                    continue;
                 }
-                other => break other?,
+                other => other?,
             }
-        }
-        let verdict = self.watch(feed_forward, kp, kd, pull);
-        // Back off at once, whatever came out.
-        self.hold(0.0)?;
-        match verdict {
-            // The guard was quicker than the telemetry: an oscillation that violent is one.
-            Err(MeasureError::Fault(fault)) if violent(fault) => {
-                self.arm_again()?;
-                Ok(Verdict::Grows)
+            let verdict = self.watch(feed_forward, kp, kd, pull);
+            // A motion that grew has left the pose by growing; any other was that of the pose, or of none.
+            let there = match &verdict {
+                Ok(Verdict::Decays | Verdict::Vibrates(_)) => self.check_pose(),
+                _ => Ok(()),
+            };
+            // Back off at once, whatever came out.
+            self.hold(0.0)?;
+            match (verdict, there) {
+                (Ok(_), Err(MeasureError::Away { .. })) if left < AGAIN => left += 1,
+                (Ok(_), Err(error)) => return Err(error),
+                // The guard was quicker than the telemetry: an oscillation that violent is one.
+                (Err(MeasureError::Fault(fault)), _) if violent(fault) => {
+                    self.arm_again()?;
+                    return Ok(Verdict::Grows);
+                }
+                (verdict, Ok(())) => return verdict,
+                (Err(error), _) => return Err(error),
             }
-            verdict => verdict,
         }
     }
 
     /// Pulls the tip aside by `pull` and lets it swing back. Where friction keeps it from coming along, it is pulled
-    /// harder.
+    /// harder: a pull that went half as far would find another boundary.
     fn swing_from_rest(&mut self, feed_forward: FeedForward, pull: f64) -> Result<(), MeasureError> {
         let friction = self.excitation.friction / self.holding().0;
         let mut aim = pull + friction * pull.signum();
+        let enough = (PULLED.0 * pull.abs()).min(pull.abs() - 2.0 * self.excitation.quantum);
         for _ in 0..HARDER {
-            let rested = self.rest(aim.clamp(-0.5 * APART, 0.5 * APART))?;
-            if rested * pull.signum() >= PULLED * pull.abs() {
+            let rested = self.rest(aim.clamp(-HOLDS * APART, HOLDS * APART))?;
+            let along = rested * pull.signum();
+            if along >= enough && along <= PULLED.1 * pull.abs() + 2.0 * self.excitation.quantum {
+                self.check_pose()?;
                 return self.swing_back(feed_forward, pull, rested);
             }
             aim += pull - rested;
         }
-        Err(MeasureError::Stuck)
+        Err(self.stuck(pull))
+    }
+
+    fn stuck(&self, pull: f64) -> MeasureError {
+        let (pull, friction) = (pull.abs(), self.excitation.friction);
+        MeasureError::Stuck { pull, force: pull * self.holding().0, friction }
     }
 
     /// Clears the fault that a violent oscillation tripped, and arms with the soft hold; unless somebody else has
@@ -307,7 +366,7 @@ impl<'a> PreparedBoard<'a> {
     /// share the stiffness.
     fn hold(&mut self, pull: f64) -> Result<(), MeasureError> {
         let (kp, kd) = self.holding();
-        let share = (pull / APART).clamp(-0.9, 0.9);
+        let share = (pull / APART).clamp(-HOLDS, HOLDS);
         let Layout { hold, aside, across } = self.layout;
         self.gains(hold, kp * (1.0 - share.abs()), kd, FeedForward::Off)?;
         if hold > 0 {
@@ -378,7 +437,8 @@ impl<'a> PreparedBoard<'a> {
         Err(MeasureError::Restless)
     }
 
-    /// Pulls back towards the tested walls, as softly as they were held, and returns when the tip is on its way.
+    /// Pulls back towards the tested walls, as softly as they were held, and returns when the tip is on its way. A tip
+    /// that friction stops before is not swinging, and what it does then says nothing of a wall.
     ///
     /// With the feed-forward that is tested: without it the pull would set the admissible directions moving, and with
     /// it nothing would stop them again.
@@ -389,13 +449,14 @@ impl<'a> PreparedBoard<'a> {
         let started = self.board.now();
         let quarter = 0.5 * PI / self.hold_frequency;
         let aim = 0.5 * rested;
-        while (self.board.now() - started).as_secs_f64() < quarter {
+        // Without friction it is half way after two thirds of a quarter.
+        while (self.board.now() - started).as_secs_f64() < 2.0 * quarter {
             let latest = self.places(quarter / 8.0)?;
             if latest.iter().any(|at| (at.place - aim) * pull.signum() < 0.0) {
-                break;
+                return Ok(());
             }
         }
-        Ok(())
+        Err(self.stuck(pull))
     }
 
     /// Hands the moving tip to the tested gains and follows it until the verdict.

@@ -16,7 +16,7 @@ pub struct Point {
     pub mode: FeedForward,
     /// Damping, N s/m.
     pub kd: f64,
-    /// Largest stable stiffness of each repeat, N/m.
+    /// Largest stable stiffness of each repeat, N/m; the pulls of the measurement in turn.
     pub repeats: Vec<f64>,
     /// The largest vibration seen just beyond, m from peak to peak; none where the motion built up instead.
     #[serde(default)]
@@ -36,23 +36,35 @@ pub struct Open {
 }
 
 impl Point {
-    /// Median of the repeats; zero without any.
+    /// Median of the repeats, whatever the pull; zero without any.
     pub fn median(&self) -> f64 {
-        let mut sorted = self.repeats.clone();
-        sorted.sort_by(f64::total_cmp);
-        match (sorted.len(), sorted.len() / 2) {
-            (0, _) => 0.0,
-            (n, half) if n % 2 == 1 => sorted[half],
-            (_, half) => (sorted[half - 1] + sorted[half]) / 2.0,
-        }
+        median(&self.repeats)
     }
 
-    /// Lowest and highest repeat.
+    /// Lowest and highest repeat, whatever the pull.
     pub fn bounds(&self) -> (f64, f64) {
-        let low = self.repeats.iter().copied().fold(f64::INFINITY, f64::min);
-        let high = self.repeats.iter().copied().fold(0.0, f64::max);
-        (low.min(high), high)
+        bounds(&self.repeats)
     }
+}
+
+/// Median; zero without any.
+#[must_use]
+pub fn median(repeats: &[f64]) -> f64 {
+    let mut sorted = repeats.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    match (sorted.len(), sorted.len() / 2) {
+        (0, _) => 0.0,
+        (n, half) if n % 2 == 1 => sorted[half],
+        (_, half) => (sorted[half - 1] + sorted[half]) / 2.0,
+    }
+}
+
+/// Lowest and highest.
+#[must_use]
+pub fn bounds(repeats: &[f64]) -> (f64, f64) {
+    let low = repeats.iter().copied().fold(f64::INFINITY, f64::min);
+    let high = repeats.iter().copied().fold(0.0, f64::max);
+    (low.min(high), high)
 }
 
 /// A measurement, finished or not.

@@ -12,14 +12,6 @@ const RAISE: f64 = 1.3;
 /// Times the gain is raised at most.
 const RAISES: usize = 60;
 
-/// Strengths and signs of the excitation of successive repeats.
-const STRENGTHS: [f64; 6] = [1.0, -1.0, 0.7, -0.7, 0.85, -0.85];
-
-/// The excitation of a repeat.
-pub fn strength(repeat: usize) -> f64 {
-    STRENGTHS[repeat % STRENGTHS.len()]
-}
-
 /// The end of the stable walls.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Boundary {
@@ -79,16 +71,16 @@ fn climb(
 }
 
 impl PreparedBoard<'_> {
-    /// Measures the largest stable stiffness (N/m) at one damping.
+    /// Measures the largest stable stiffness (N/m) at one damping. `strength` scales and signs the pull.
     pub fn boundary(
         &mut self,
         feed_forward: FeedForward,
         kd: f64,
-        repeat: usize,
+        strength: f64,
         guess: Option<f64>,
     ) -> Result<Boundary, MeasureError> {
         let start = self.gentle_stiffness();
-        climb(start, guess.filter(|g| *g > 0.0), |kp| self.judge(feed_forward, kp, kd, strength(repeat)))
+        climb(start, guess.filter(|g| *g > 0.0), |kp| self.judge(feed_forward, kp, kd, strength))
     }
 
     /// Measures the damping (N s/m) at which even a soft wall oscillates: where the range ends.

@@ -3,7 +3,8 @@
 
 use haptic_host::device_file::DeviceFile;
 use haptic_sim::{
-    BoardOptions, DeviceError, DriveModel, Hand, HandSettings, Intent, Options, SharedBoard, Waypoint, ready_board,
+    BoardOptions, DeviceError, DriveModel, Hand, HandSettings, Intent, Options, SharedBoard, Support, Waypoint,
+    ready_board,
 };
 
 /// Which friction of the device file acts.
@@ -65,7 +66,9 @@ impl World {
             ..Options::default()
         };
         let drive = if self.ideal_drive { DriveModel::Ideal } else { DriveModel::Electric };
-        let mut board = ready_board(file, BoardOptions { device, drive, ..BoardOptions::default() })?;
+        // Its user holds it until the motors carry it: what has weight would fall into another pose.
+        let options = BoardOptions { device, drive, support: Support::Held, ..BoardOptions::default() };
+        let mut board = ready_board(file, options)?;
         if self.grip {
             let tip = board.device().tip();
             let rest = Intent::Follow(vec![Waypoint { time: 0.0, value: tip }]);

@@ -1,7 +1,7 @@
 //! The walls of a measurement's scene: those that are tested, two that pull the tip aside, and one for every direction
 //! across the pull. One tested wall also holds the tip between trials; several leave that to one more.
 
-use haptic_bridge::render::scene::{FeedForward, MAX_WALLS, Plane, Scene, Surface, VelocityTerms, Wall};
+use haptic_bridge::render::scene::{FeedForward, MAX_WALLS, Plane, Posture, Scene, Surface, VelocityTerms, Wall};
 use nalgebra::DVector;
 
 use super::{MeasureError, MeasurementSetup};
@@ -10,6 +10,8 @@ use haptic_stability::analysis::pose::unit_normal;
 
 /// Distance between the wall that holds the tip and the one that pulls it aside, m: more than any pull.
 pub const APART: f64 = 0.01;
+/// Longest pull, m.
+pub const LONGEST_PULL: f64 = 0.5 * APART;
 
 /// The indices in the scene of the walls that hold the tip. The tested ones come first; one alone is held by its own.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -75,9 +77,11 @@ pub fn is_measurement(scene: &Scene<f32>) -> bool {
             .any(|pair| pair[0].normal == pair[1].normal && apart(&pair[0], APART) && apart(&pair[1], -APART))
 }
 
-/// The scene of a measurement, its walls without gains yet. `direction` is that of the pulls, `across` all others.
+/// The scene of a measurement at `q` (rad), its walls without gains yet. `direction` is that of the pulls, `across` all
+/// others.
 pub fn scene(
     setup: &MeasurementSetup,
+    q: &[f64],
     tip: &DVector<f64>,
     direction: &DVector<f64>,
     across: &[DVector<f64>],
@@ -89,6 +93,11 @@ pub fn scene(
         velocity_terms: VelocityTerms::Off,
         estimator: setup.law.estimator,
         admissible: setup.law.admissible,
+        posture: setup.law.posture.map(|held| Posture {
+            orientation: q.iter().sum::<f64>() as f32,
+            stiffness: held.stiffness as f32,
+            damping: held.damping as f32,
+        }),
         ..Scene::default()
     };
     let layout = Layout::new(setup.walls.len());
@@ -141,7 +150,7 @@ mod tests {
                 walls: walls.clone(),
             };
             let direction = unit_normal(&walls[0].normal, tip.len(), tip.len()).unwrap();
-            let (_, mut own) = scene(&setup, &tip, &direction, &complement(&direction)).unwrap();
+            let (_, mut own) = scene(&setup, &[], &tip, &direction, &complement(&direction)).unwrap();
             own.walls[0].stiffness = 300.0;
             assert!(is_measurement(&own));
             own.walls[0].bilateral = false;

@@ -71,12 +71,13 @@ fn boundary(question: &Question<'_>, settings: &Settings, stop: &dyn Fn() -> boo
             damping_compensation: settings.damping_compensation,
             admissible: question.admissible,
             hold_hz: HOLD_HZ,
+            ..Law::default()
         },
         torque_limit: TORQUE,
         largest_pull: PULL,
     };
     let mut prepared = PreparedBoard::new(&mut board, question.file, setup, stop)?;
-    let found = prepared.boundary(settings.feed_forward, settings.damping, 0, None)?.gain;
+    let found = prepared.boundary(settings.feed_forward, settings.damping, 1.0, None)?.gain;
     prepared.finish()?;
     Ok(found)
 }

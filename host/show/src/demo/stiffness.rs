@@ -50,7 +50,7 @@ pub fn limit(demo: &Demo, feed_forward: FeedForward) -> Result<Limit, DemoError>
         largest_pull: 1e-3,
     };
     let mut prepared = PreparedBoard::new(&mut board, &demo.file, setup, &|| false)?;
-    let measured = prepared.boundary(feed_forward, demo.damping, 0, None)?.gain;
+    let measured = prepared.boundary(feed_forward, demo.damping, 1.0, None)?.gain;
     // Predicted for the delay that the board itself reports, while it runs at the demo's rate.
     let delay_samples = f64::from(prepared.board().details()?.delay_samples);
     prepared.finish()?;

@@ -24,6 +24,8 @@ pub struct MeasuredPoint {
     pub low: f64,
     /// Highest repeat, N/m.
     pub high: f64,
+    /// Drawn so far to the right of its damping, pixels.
+    pub beside: f64,
 }
 
 /// Contents of the picture.
@@ -39,6 +41,8 @@ pub struct Contents<'a> {
     pub passivity: Option<&'a Passivity>,
     /// Frequency of the feed-forward's washout, Hz.
     pub washout_hz: Option<f64>,
+    /// The meaning of the measured dots.
+    pub measured: String,
     /// Measured dots without feed-forward.
     pub measured_off: &'a [MeasuredPoint],
     /// Measured dots with feed-forward.
@@ -126,13 +130,14 @@ pub fn draw(contents: &Contents<'_>) -> Picture {
         }
         for (dots, colour) in [(contents.measured_full, FULL), (contents.measured_off, OFF)] {
             for dot in dots {
-                frame.dot(canvas, dot.kd, dot.kp, dot.low, dot.high, colour);
-                drawn.push(vec![(dot.kd, dot.low), (dot.kd, dot.high)]);
+                let kd = dot.kd + dot.beside * frame.x.high / frame.size.0;
+                frame.dot(canvas, kd, dot.kp, dot.low, dot.high, colour);
+                drawn.push(vec![(kd, dot.low), (kd, dot.high)]);
             }
         }
     });
     if measured().next().is_some() {
-        entries.push((Mark::Dot(FAINT), "measured: median, all repeats".into()));
+        entries.push((Mark::Dot(FAINT), contents.measured.clone()));
     }
     frame.draw(&mut canvas, "");
     for (line, text) in symbols.iter().enumerate() {

@@ -6,6 +6,7 @@ mod report;
 use super::answer::{Json, Pictures};
 use super::interrupt;
 use super::port::{Port, confirm};
+use super::range::posture;
 use crate::commands::arguments::{self, Numbers, WallArgs};
 use clap::ValueEnum;
 use clap::builder::TypedValueParser;
@@ -17,11 +18,11 @@ use haptic_host::error::Failure;
 use haptic_host::link::{Board, PortSpec};
 use haptic_host::output::{self, Overwrite};
 use haptic_host::vectors::padded;
-use haptic_predict::measure::campaign::Plan;
+use haptic_predict::measure::campaign::{BOTH_SIDES, Plan};
 use haptic_predict::measure::occasion::{self, Occasion};
 use haptic_predict::measure::progress::{Progress, ProgressError};
 use haptic_predict::measure::simulated::{Friction, World};
-use haptic_predict::measure::{Law, MeasureError, MeasurementSetup, PreparedBoard, most_tested};
+use haptic_predict::measure::{LONGEST_PULL, Law, MeasureError, MeasurementSetup, PreparedBoard, most_tested};
 use haptic_stability::analysis::several::{Member, WallSet};
 use meter::Meter;
 use report::{Report, Theory};
@@ -31,8 +32,9 @@ use std::path::PathBuf;
 ///
 /// Several --normal measure walls that act together, in the totals of stiffness and damping, as `haptic range` predicts
 /// them. For every damping the stiffness is raised until the telemetry shows a motion that builds up, or that goes on
-/// as a vibration larger than encoder steps explain; it is taken back at once, and the boundary bisected. The median of
-/// the repeats and their bounds are reported. The theory is not consulted, only printed beside it, with the
+/// as a vibration larger than encoder steps explain; it is taken back at once, and the boundary bisected. The lowest,
+/// the median and the highest repeat of each pull are reported; friction lets a wall stand a short pull that a long
+/// one sets vibrating. The theory is not consulted, only printed beside it, with the
 /// `haptic range` line that gives it. Take the hand off the device. Ctrl-C at any moment turns the motors off; the same
 /// command then goes on where it stopped. What the board held before (scene, rate, rules) is put back, also by the next
 /// run with the same --progress after one that was killed. --svg draws the measured dots over the predicted range.
@@ -58,8 +60,8 @@ pub struct Args {
     /// How many dampings
     #[arg(long, value_name = "N", default_value_t = 12, value_parser = clap::value_parser!(u16).range(1..=200))]
     points: u16,
-    /// Repeats at each damping
-    #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u16).range(1..=100))]
+    /// Repeats of each pull at each damping
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u16).range(1..=100))]
     repeats: u16,
     /// Feed-forward to measure with
     #[arg(long, value_name = "KIND", default_value = "both", value_parser = kinds())]
@@ -70,9 +72,14 @@ pub struct Args {
     /// Largest joint torque the measurement may ask for, in N m
     #[arg(long, value_name = "NM", default_value_t = 1.0)]
     torque_limit: f64,
-    /// Farthest the tip is pulled aside to set it swinging: in millimetres, the one option that is not in SI units
-    #[arg(long, value_name = "MM", default_value_t = 0.5)]
-    pull: f64,
+    /// Farthest the tip is pulled aside to set it swinging, to one side or (negative) the other, 5 at most: in
+    /// millimetres, the one option that is not in SI units [default: 0.5,-0.5, or as much more as friction asks for]
+    #[arg(long, value_name = "MM,..", allow_hyphen_values = true)]
+    pull: Option<Numbers>,
+    /// The posture in which a redundant device is held, as a scene's [posture]: stiffness (N m/rad) and damping
+    /// (N m s/rad), such as 0.5,0.03
+    #[arg(long, value_name = "K,D", allow_hyphen_values = true)]
+    posture: Option<Numbers>,
     /// On --port sim: joint angles in rad where it is measured [default: the device file's home]
     #[arg(long, value_name = "A,B,..", allow_hyphen_values = true)]
     q: Option<Numbers>,
@@ -137,7 +144,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let mut file = DeviceFile::load(&args.device)?;
     let spec = file.spec();
     let walls = walls(&args, spec.task)?;
-    let plan = plan(&args)?;
+    let (plan, largest_pull) = plan(&args, spec.joints)?;
+    let held = posture(args.posture.as_ref(), &file)?;
     let world = world(&args, &file, &walls)?;
     let simulated = matches!(args.port.spec(), PortSpec::Sim(_));
     if simulated {
@@ -153,11 +161,15 @@ pub fn run(args: Args) -> Result<(), Failure> {
         rate_hz: args.rate,
         cutoff_hz: args.cutoff,
         washout_hz: args.washout,
-        law: Law::default(),
+        law: Law {
+            posture: held,
+            farther: args.pull.is_none() && file.description.joints.iter().any(|joint| joint.coulomb > 0.0),
+            ..Law::default()
+        },
         torque_limit: args.torque_limit,
-        largest_pull: args.pull * 1e-3,
+        largest_pull,
     };
-    let what = occasion::what(&file.name, &setup, &world);
+    let what = occasion::what(&file.name, &setup, &plan.pulls, &world);
     // Before anything moves: the results need a file that can be written.
     output::check(&args.progress, Overwrite::Replace)?;
     let mut progress = match args.anew {
@@ -182,7 +194,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         _ => args.port.open()?,
     };
     let before = occasion::before(&mut board, &progress)?;
-    ready(&mut board, &file, &args)?;
+    ready(&mut board, &file, &args, &setup)?;
     let earlier = progress.measured(&plan);
     if earlier > 0 {
         let (total, place) = (plan.total(), args.progress.display());
@@ -190,7 +202,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         let none = if earlier == total { ": none is measured now (--anew measures them again)" } else { "" };
         haptic_host::tell!("{earlier} of {total} repeats are in {place} already{date}{none}");
     }
-    let meter = Meter::new(plan.total(), plan.repeats, earlier);
+    let meter = Meter::new(plan.total(), plan.searches(), earlier);
     let stop = || {
         meter.tick();
         interrupt.is_set()
@@ -208,7 +220,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let begun = |prepared: &mut PreparedBoard<'_>, q: &[f64]| {
         let (info, details) = (prepared.board().info().clone(), prepared.board().details()?);
         let around = occasion::around(&setup, &info, &details);
-        theory = Some(Theory::new(&args, &file, setup.walls.clone(), q, around, *prepared.excitation())?);
+        theory = Some(Theory::new(&args, &file, &setup, q, around, *prepared.excitation())?);
         Ok(())
     };
     let measured = occasion.measure(setup.clone(), &plan, &stop, begun, |done| meter.done(done));
@@ -225,7 +237,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
                 report.out()?;
             }
             Err(match (measured, progress.points.iter().find_map(|point| point.open.as_ref())) {
-                (Err(error), _) => failure(error, &args, &mut board),
+                (Err(error), _) => failure(error, &args, spec.joints > spec.task, &mut board),
                 (Ok(()), open) => {
                     let reason = open.map_or_else(String::new, |open| open.reason.clone());
                     Failure::impossible(format!("no boundary was found: {reason}")).remedy(REMEDY)
@@ -239,12 +251,22 @@ pub fn run(args: Args) -> Result<(), Failure> {
 const REMEDY: &str = "use finer encoders (--counts on --port sim), a lower --rate and --cutoff, a larger --pull or \
                       --torque-limit, another pose or normal";
 
-fn plan(args: &Args) -> Result<Plan, Failure> {
+/// The runs, and the largest pull, m.
+fn plan(args: &Args, joints: usize) -> Result<(Plan, f64), Failure> {
     if !(args.torque_limit > 0.0 && args.torque_limit.is_finite()) {
         return Err(Failure::wrong(format!("--torque-limit is {} N m, and must be positive", args.torque_limit)));
     }
-    if !(args.pull > 0.0 && args.pull <= 5.0) {
-        return Err(Failure::wrong(format!("--pull is {} mm, and must be more than 0 and at most 5", args.pull)));
+    let either = BOTH_SIDES.map(|side| 0.5 * side).to_vec();
+    let pulls = args.pull.clone().map_or(either, |Numbers(pulls)| pulls);
+    let longest = LONGEST_PULL * 1e3;
+    if let Some(pull) = pulls.iter().find(|pull| **pull == 0.0 || pull.abs() > longest) {
+        return Err(Failure::wrong(format!("--pull is {pull} mm, and must not be 0 or more than {longest}")));
+    }
+    let largest = pulls.iter().fold(0.0_f64, |largest, pull| largest.max(pull.abs()));
+    // One joint couples with nothing.
+    let modes = if joints == 1 && args.feed_forward.len() > 1 { &[FeedForward::Off][..] } else { args.feed_forward };
+    if modes.len() < args.feed_forward.len() {
+        haptic_host::tell!("one joint couples with no other: the feed-forward changes nothing, and is not measured");
     }
     let kd = match args.kd.clone() {
         Some(Numbers(kd)) if kd.iter().any(|kd| *kd < 0.0) => {
@@ -252,7 +274,9 @@ fn plan(args: &Args) -> Result<Plan, Failure> {
         }
         kd => kd.map(|kd| kd.0),
     };
-    Ok(Plan { modes: args.feed_forward.to_vec(), kd, points: args.points.into(), repeats: args.repeats.into() })
+    let (points, repeats) = (args.points.into(), args.repeats.into());
+    let pulls = pulls.iter().map(|pull| pull / largest).collect();
+    Ok((Plan { modes: modes.to_vec(), kd, points, repeats, pulls }, largest * 1e-3))
 }
 
 /// The walls that are measured together, each with its part.
@@ -297,7 +321,7 @@ fn holds(found: &str, file: &DeviceFile) -> Result<(), Failure> {
 }
 
 /// Sees that the board holds the device, and that the user wants its motors to move.
-fn ready(board: &mut Board, file: &DeviceFile, args: &Args) -> Result<(), Failure> {
+fn ready(board: &mut Board, file: &DeviceFile, args: &Args, setup: &MeasurementSetup) -> Result<(), Failure> {
     let details = board.details()?;
     let device = Device::new(&file.name, &file.description).map_err(Failure::wrong)?;
     if let Some(found) = occasion::another(board, &device)? {
@@ -318,8 +342,9 @@ fn ready(board: &mut Board, file: &DeviceFile, args: &Args) -> Result<(), Failur
     }
     haptic_host::tell!(
         "This moves the motors by themselves: the tip swings by up to {} mm with at most {} N m, and will oscillate briefly, \
-         many times.\nKeep the hand off the device and clear of it. Ctrl-C turns the motors off.",
-        args.pull * 12.0,
+         many times.\nHold a device that has weight in its pose until the motors carry it; then keep the hand off it and \
+         clear of it. Ctrl-C turns the motors off.",
+        12e3 * if setup.law.farther { LONGEST_PULL } else { setup.largest_pull },
         args.torque_limit
     );
     confirm(false, "the device will move")
@@ -345,7 +370,7 @@ fn motors(board: &mut Board) -> &'static str {
 }
 
 /// Why a measurement ended, and what to do.
-fn failure(error: MeasureError, args: &Args, board: &mut Board) -> Failure {
+fn failure(error: MeasureError, args: &Args, redundant: bool, board: &mut Board) -> Failure {
     let again = match args.progress.exists() {
         true => format!("run the same command again to go on where it stopped ({})", args.progress.display()),
         false => "nothing was measured yet; run the same command again".into(),
@@ -365,7 +390,14 @@ fn failure(error: MeasureError, args: &Args, board: &mut Board) -> Failure {
         }
         MeasureError::Restless => Failure::impossible(error)
             .remedy("measure away from stops and singularities, at a lower --rate and --cutoff, and check the inertia in the device file"),
-        MeasureError::Stuck | MeasureError::Unbounded | MeasureError::Saturates { .. } | MeasureError::Open { .. } => {
+        MeasureError::Away { .. } => {
+            let again = format!("put it back in its pose, hold it there until the motors carry it, and {again}");
+            Failure::impossible(error).remedy(match args.posture {
+                None if redundant => format!("hold the pose of this redundant device, as with --posture 0.5,0.03, or {again}"),
+                _ => again,
+            })
+        }
+        MeasureError::Stuck { .. } | MeasureError::Unbounded | MeasureError::Saturates { .. } | MeasureError::Open { .. } => {
             Failure::impossible(error).remedy(REMEDY)
         }
         MeasureError::Scene(_) => Failure::wrong(error),

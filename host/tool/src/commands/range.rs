@@ -165,24 +165,6 @@ impl Args {
         }
     }
 
-    fn posture(&self, file: &DeviceFile) -> Result<Option<Posture>, Failure> {
-        let Some(numbers) = &self.posture else { return Ok(None) };
-        let remedy = "write stiffness (N m/rad) and damping (N m s/rad), such as 0.5,0.03";
-        let spec = file.spec();
-        match numbers.0[..] {
-            _ if spec.joints == spec.task => {
-                let reason = format!("--posture, and a {} has one posture at each place of its tip", spec.name);
-                Err(Failure::wrong(reason).remedy("leave it out"))
-            }
-            [stiffness, damping] if stiffness >= 0.0 && damping >= 0.0 => Ok(Some(Posture { stiffness, damping })),
-            [_, _] => Err(Failure::wrong("--posture holds a negative number").remedy(remedy)),
-            _ => {
-                let numbers = counted(numbers.0.len(), "number");
-                Err(Failure::wrong(format!("--posture has {numbers}, and a posture has 2")).remedy(remedy))
-            }
-        }
-    }
-
     /// The device in the loop that was asked for.
     fn prediction(&self, file: &DeviceFile) -> Result<Prediction, Failure> {
         let drive = match self.drive() {
@@ -201,10 +183,29 @@ impl Args {
         Ok(Prediction {
             admissible: self.holding.admissible,
             gain: self.feed_forward_gain,
-            posture: self.posture(file)?,
+            posture: posture(self.posture.as_ref(), file)?,
             hand: self.hand()?,
             ..Prediction::new(subject, around)
         })
+    }
+}
+
+/// The posture of --posture, for a redundant device.
+pub(super) fn posture(numbers: Option<&Numbers>, file: &DeviceFile) -> Result<Option<Posture>, Failure> {
+    let Some(numbers) = numbers else { return Ok(None) };
+    let remedy = "write stiffness (N m/rad) and damping (N m s/rad), such as 0.5,0.03";
+    let spec = file.spec();
+    match numbers.0[..] {
+        _ if spec.joints == spec.task => {
+            let reason = format!("--posture, and a {} has one posture at each place of its tip", spec.name);
+            Err(Failure::wrong(reason).remedy("leave it out"))
+        }
+        [stiffness, damping] if stiffness >= 0.0 && damping >= 0.0 => Ok(Some(Posture { stiffness, damping })),
+        [_, _] => Err(Failure::wrong("--posture holds a negative number").remedy(remedy)),
+        _ => {
+            let numbers = counted(numbers.0.len(), "number");
+            Err(Failure::wrong(format!("--posture has {numbers}, and a posture has 2")).remedy(remedy))
+        }
     }
 }
 
@@ -254,6 +255,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
             range: &whole,
             passivity: passivity.as_ref(),
             washout_hz: args.washout,
+            measured: String::new(),
             measured_off: &[],
             measured_full: &[],
             note: None,

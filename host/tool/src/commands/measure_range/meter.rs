@@ -62,7 +62,7 @@ impl Meter {
         }
         if let Some(bar) = &self.bar {
             bar.set_position(done as u64);
-            bar.set_message(self.left().map_or(String::new(), |left| format!(", about {} left", in_words(left))));
+            bar.set_message(self.left(0.0).map_or(String::new(), |left| format!(", about {} left", in_words(left))));
         }
         self.tick();
     }
@@ -73,20 +73,24 @@ impl Meter {
             return;
         }
         self.last_line.set(Instant::now());
-        let left = self.left().map_or(String::new(), |left| format!(", about {} left", in_words(left)));
+        let since = self.last_done.get().elapsed().as_secs_f64();
+        let left = self.left(since).map_or(String::new(), |left| format!(", about {} left", in_words(left)));
         let (done, total) = (self.done.get(), self.total);
         haptic_host::tell!("{done} of {total} repeats after {}{left}", in_words(self.began.elapsed().as_secs_f64()));
     }
 
-    /// Seconds that are left, once the first search is over.
-    fn left(&self) -> Option<f64> {
+    /// Seconds that are left `since` seconds after the latest repeat, once the first search is over.
+    fn left(&self, since: f64) -> Option<f64> {
         let [first, later] = *self.took.borrow();
         let mean = |(count, seconds): (f64, f64)| (count > 0.0).then(|| seconds / count);
         let first_mean = mean(first).or_else(|| mean(later).map(|seconds| 2.0 * seconds))?;
         let later_mean = mean(later).unwrap_or(0.5 * first_mean);
         let done = self.done.get();
         let firsts = (done..self.total).filter(|repeat| repeat.is_multiple_of(self.repeats)).count();
-        Some(firsts as f64 * first_mean + (self.total - done - firsts) as f64 * later_mean)
+        let whole = firsts as f64 * first_mean + (self.total - done - firsts) as f64 * later_mean;
+        // The search that is under way has begun; it lasts no longer than others until it does.
+        let under_way = if done.is_multiple_of(self.repeats) { first_mean } else { later_mean };
+        Some(whole - since.min(under_way).min(whole))
     }
 
     /// Takes the bar away.
@@ -113,14 +117,14 @@ mod tests {
     #[test]
     fn the_estimate_counts_first_and_later_searches_apart() {
         let meter = Meter::new(6, 3, 0);
-        assert_eq!(meter.left(), None);
+        assert_eq!(meter.left(0.0), None);
         *meter.took.borrow_mut() = [(1.0, 10.0), (0.0, 0.0)];
         meter.done.set(1);
         // Two later ones at half the time, then 10 + 5 + 5.
-        assert_eq!(meter.left(), Some(30.0));
+        assert_eq!([0.0, 4.0, 40.0].map(|since| meter.left(since)), [Some(30.0), Some(26.0), Some(25.0)]);
         *meter.took.borrow_mut() = [(1.0, 10.0), (2.0, 6.0)];
         meter.done.set(3);
-        assert_eq!(meter.left(), Some(16.0));
+        assert_eq!(meter.left(0.0), Some(16.0));
         assert_eq!([in_words(42.4), in_words(130.0), in_words(7200.0)], ["42 s", "2 min", "2.0 h"]);
     }
 }

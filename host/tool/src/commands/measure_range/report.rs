@@ -6,9 +6,10 @@ use haptic_bridge::render::scene::FeedForward;
 use haptic_host::device_file::DeviceFile;
 use haptic_host::error::Failure;
 use haptic_host::words::listed;
+use haptic_predict::measure::MeasurementSetup;
 use haptic_predict::measure::campaign::Plan;
 use haptic_predict::measure::excitation::{Excitation, millimetres};
-use haptic_predict::measure::progress::{Point, Progress};
+use haptic_predict::measure::progress::{Point, Progress, bounds, median};
 use haptic_predict::plausible::{Doubt, Warning, warn};
 use haptic_show::plot::range::{Contents, MeasuredPoint, draw};
 use haptic_stability::analysis::control_loop::Mode;
@@ -38,16 +39,18 @@ fn list(values: &[f64]) -> String {
 }
 
 impl Theory {
-    /// Of `walls` at `q` behind this loop.
+    /// Of what is measured with this setup at `q` behind this loop.
     pub fn new(
         args: &Args,
         file: &DeviceFile,
-        walls: Vec<Member>,
+        setup: &MeasurementSetup,
         q: &[f64],
         around: Loop,
         excitation: Excitation,
     ) -> Result<Self, PoseError> {
-        let prediction = Prediction::new(Subject::new(&file.description)?, around);
+        let walls = setup.walls.clone();
+        let subject = Subject::new(&file.description)?;
+        let prediction = Prediction { posture: setup.law.posture, ..Prediction::new(subject, around) };
         let device = prediction.walls(q, &walls)?;
         let mut line = format!("haptic range {} --q={}", args.device.display(), list(q));
         line += &args.walls.line();
@@ -77,20 +80,23 @@ impl Theory {
 #[derive(serde::Serialize)]
 struct Area {
     mode: FeedForward,
-    /// ∫ kp dkd of the medians, and of the theory, N² s/m².
+    /// ∫ kp dkd of what was stable at every pull, and of the theory, N² s/m².
     measured: f64,
     theory: f64,
-    /// Largest distance of a median from the theory, as a share of the theory's highest stiffness.
+    /// Largest distance of that stiffness from the theory, as a share of the theory's highest.
     furthest: f64,
-    /// The widest bar of a damping over its median.
+    /// The widest bar of a pull over its median.
     spread: f64,
 }
 
-/// From the lowest to the highest repeat, over the median.
-fn spread(point: &Point) -> f64 {
-    let (low, high) = point.bounds();
-    if point.median() > 0.0 { (high - low) / point.median() } else { 0.0 }
+/// From the lowest to the highest of the repeats of one pull, over their median.
+fn spread(repeats: &[f64]) -> f64 {
+    let ((low, high), median) = (bounds(repeats), median(repeats));
+    if median > 0.0 { (high - low) / median } else { 0.0 }
 }
+
+/// Distance of the dots of two pulls in the picture, pixels.
+const APART: f64 = 7.0;
 
 /// Less than this part of theory's stiffness has another cause than what theory leaves out: that takes at most a fifth
 /// on the simulated board (docs/results/complete.md).
@@ -137,7 +143,7 @@ impl Report<'_> {
         let mut rows = Vec::new();
         for &mode in &self.plan.modes {
             let points = self.beside(mode)?.into_iter().filter(|(point, _)| !point.repeats.is_empty());
-            let far = points.filter(|(point, theory)| point.median() < FAR_BELOW * theory.kp);
+            let far = points.filter(|(point, theory)| self.plan.at_every_pull(point) < FAR_BELOW * theory.kp);
             rows.extend(far.map(|(point, _)| format!("{} at kd {:.4}", mode.name(), point.kd)));
         }
         let text = format!(
@@ -167,6 +173,11 @@ impl Report<'_> {
         kd.sort_by(f64::total_cmp);
         kd.dedup();
         format!("{} --kd {}", self.theory.line, list(&kd))
+    }
+
+    /// The most that a pull of this strength may be, mm.
+    fn pull_mm(&self, strength: f64) -> f64 {
+        (self.theory.excitation.largest * strength * 1e6).round() / 1e3
     }
 
     fn drive(&self) -> String {
@@ -200,37 +211,43 @@ impl Report<'_> {
     fn table(&self) -> Result<String, Failure> {
         let [place, around] = self.setting(|values| list(values).replace(',', ", "));
         let mut text =
-            format!("{}: largest stable stiffness, measured (median of {} repeats)\n", self.name, self.plan.repeats);
+            format!("{}: largest stable stiffness, measured ({} repeats of each pull)\n", self.name, self.plan.repeats);
         if let Some(date) = &self.progress.date {
             let _ = writeln!(text, "  the last of it on {date}");
         }
         let _ = writeln!(text, "  {place}\n  {around}\n");
         let _ = writeln!(
             text,
-            "{:>9}{:>11}{:>13}{:>12}{:>12}{:>12}  beyond it",
-            "", "kd N s/m", "kp N/m", "lowest", "highest", "theory"
+            "{:>9}{:>11}{:>9}{:>12}{:>12}{:>12}{:>12}  beyond it",
+            "", "kd N s/m", "pull mm", "lowest", "median", "highest", "theory"
         );
         let mut open = Vec::new();
         for &mode in &self.plan.modes {
             for (point, theory) in self.beside(mode)? {
                 let label = format!("{mode:?}").to_lowercase();
-                let _ = write!(text, "{label:>9}{:>11.4}", point.kd);
-                let (low, high) = point.bounds();
-                let _ = match (&point.open, point.repeats.is_empty()) {
-                    (Some(why), true) => {
-                        write!(text, "{:>13}{:>12}{:>12}", format!("> {:.0}", why.stable_up_to), "", "")
-                    }
-                    _ => write!(text, "{:>13.2}{low:>12.2}{high:>12.2}", point.median()),
-                };
                 let beyond = match (&point.open, point.vibration_m) {
                     (Some(_), _) if point.repeats.is_empty() => "not told".into(),
                     (_, Some(size)) => format!("vibrates by {} mm", millimetres(size)),
                     (_, None) => "grows".into(),
                 };
-                let median = (!point.repeats.is_empty()).then(|| point.median());
-                let felt = median.and_then(|median| self.theory.felt(mode, median));
-                let felt = felt.map_or(String::new(), |felt| format!("; felt at the tip: {felt:.0} N/m"));
-                let _ = writeln!(text, "{:>12.2}  {beyond}{felt}", theory.kp);
+                let mut row = |pull: &str, [low, median, high]: [String; 3], felt: &str| {
+                    let _ = writeln!(
+                        text,
+                        "{label:>9}{:>11.4}{pull:>9}{low:>12}{median:>12}{high:>12}{:>12.2}  {beyond}{felt}",
+                        point.kd, theory.kp
+                    );
+                };
+                if let (Some(why), true) = (&point.open, point.repeats.is_empty()) {
+                    row("", [String::new(), format!("> {:.0}", why.stable_up_to), String::new()], "");
+                }
+                for (pull, repeats) in self.plan.by_pull(point) {
+                    let (median, (low, high)) = (median(&repeats), bounds(&repeats));
+                    let felt = self.theory.felt(mode, median);
+                    let felt = felt.map_or(String::new(), |felt| format!("; felt at the tip: {felt:.0} N/m"));
+                    let pull =
+                        format!("{:+.3}", self.pull_mm(pull)).trim_end_matches('0').trim_end_matches('.').to_string();
+                    row(&pull, [low, median, high].map(|kp| format!("{kp:.2}")), &felt);
+                }
                 if let Some(why) = &point.open {
                     open.push((label, point, why, theory.kp));
                 }
@@ -307,15 +324,19 @@ impl Report<'_> {
             }
             let domain = range.of(mode);
             let top = domain.boundary.iter().map(|point| point.kp).fold(0.0, f64::max);
-            let apart = points.iter().map(|(point, theory)| (point.median() - theory.kp).abs() / top);
+            let apart = points.iter().map(|(point, theory)| (self.plan.at_every_pull(point) - theory.kp).abs() / top);
             // The dampings lie at the middles of even cells.
             let cell = end / self.plan.points as f64;
             areas.push(Area {
                 mode,
-                measured: points.iter().map(|(point, _)| point.median() * cell).sum(),
+                measured: points.iter().map(|(point, _)| self.plan.at_every_pull(point) * cell).sum(),
                 theory: domain.area,
                 furthest: apart.fold(0.0, f64::max),
-                spread: points.iter().map(|(point, _)| spread(point)).fold(0.0, f64::max),
+                spread: points
+                    .iter()
+                    .flat_map(|(point, _)| self.plan.by_pull(point))
+                    .map(|(_, repeats)| spread(&repeats))
+                    .fold(0.0, f64::max),
             });
         }
         Ok(areas)
@@ -326,13 +347,23 @@ impl Report<'_> {
         for &mode in &self.plan.modes {
             for (point, theory) in self.beside(mode)? {
                 let (low, high) = point.bounds();
-                let found = (!point.repeats.is_empty()).then(|| (point.median(), low, high));
+                let found = (!point.repeats.is_empty()).then(|| (self.plan.at_every_pull(point), low, high));
+                let pulls: Vec<_> = self
+                    .plan
+                    .by_pull(point)
+                    .into_iter()
+                    .map(|(pull, repeats)| {
+                        let (low, high) = bounds(&repeats);
+                        json!({ "pull_mm": self.pull_mm(pull), "low": low, "median": median(&repeats), "high": high })
+                    })
+                    .collect();
                 let mut told = json!({
                     "mode": mode,
                     "kd": point.kd,
                     "kp": found.map(|found| found.0),
                     "low": found.map(|found| found.1),
                     "high": found.map(|found| found.2),
+                    "pulls": pulls,
                     "repeats": point.repeats,
                     "vibration_m": point.vibration_m,
                     "open": point.open,
@@ -368,13 +399,20 @@ impl Report<'_> {
 
     fn picture(&self) -> Result<haptic_show::plot::Picture, Failure> {
         let range = self.theory.predict(None, self.washout())?;
+        // Side by side, so that bars do not hide each other.
+        let beside = |nth: usize| (nth as f64 - (self.plan.pulls.len() as f64 - 1.0) / 2.0) * APART;
         let dots = |mode| -> Vec<MeasuredPoint> {
-            let dot = |point: &Point| {
-                let (low, high) = point.bounds();
-                MeasuredPoint { kd: point.kd, kp: point.median(), low, high }
+            let of = |point: &Point| {
+                let (kd, pulls) = (point.kd, self.plan.by_pull(point).into_iter().enumerate());
+                let dot = |(nth, (_, repeats)): (usize, (f64, Vec<f64>))| {
+                    let (low, high) = bounds(&repeats);
+                    MeasuredPoint { kd, kp: median(&repeats), low, high, beside: beside(nth) }
+                };
+                pulls.map(dot).collect::<Vec<_>>()
             };
-            self.points(mode).into_iter().filter(|point| !point.repeats.is_empty()).map(dot).collect()
+            self.points(mode).into_iter().flat_map(of).collect()
         };
+        let pulls: Vec<String> = self.plan.pulls.iter().map(|pull| format!("{:+}", self.pull_mm(*pull))).collect();
         let (off, full, washed) = (dots(FeedForward::Off), dots(FeedForward::Full), dots(FeedForward::Washout));
         Ok(draw(&Contents {
             title: format!("{}: stable walls, measured and predicted", self.name),
@@ -383,6 +421,7 @@ impl Report<'_> {
             passivity: None,
             washout_hz: self.washout(),
             measured_off: &off,
+            measured: format!("measured, pulled by {} mm: median and all repeats", listed(&pulls)),
             measured_full: if full.is_empty() { &washed } else { &full },
             note: self.left_out(),
             paper: self.args.pictures.paper(),

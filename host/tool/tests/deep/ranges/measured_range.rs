@@ -12,7 +12,10 @@ use haptic_host::link::Board;
 use haptic_predict::measure::simulated::{Friction, World};
 use haptic_predict::measure::{Boundary, Law, MeasureError, MeasurementSetup, PreparedBoard};
 use haptic_sim::{BoardOptions, DriveModel, Options, SHIPPED_DEVICE, SharedBoard, ready_board};
+use haptic_stability::analysis::control_loop::CURRENT_LOOP_HZ;
+use haptic_stability::analysis::flexible::Posture;
 use haptic_stability::analysis::plant::{Drive, Linearised};
+use haptic_stability::analysis::prediction::{Prediction, Subject};
 use haptic_stability::analysis::range::domain;
 use haptic_stability::analysis::sampled::{LinearEstimator, Loop, Mode};
 use haptic_stability::analysis::several::Member;
@@ -67,7 +70,7 @@ fn the_measured_boundary_is_the_predicted_one() {
         for share in [0.3, 0.8] {
             let kd = share * kd_max;
             let predicted = domain(&device, &around, theory, Some(&[kd])).unwrap().boundary[0].kp;
-            let measured = prepared.boundary(mode, kd, 0, None).unwrap().gain;
+            let measured = prepared.boundary(mode, kd, 1.0, None).unwrap().gain;
             assert!((measured / predicted - 1.0).abs() < 0.03, "{mode:?} at {kd}: {measured} is not {predicted}");
         }
     }
@@ -86,7 +89,7 @@ fn an_interrupted_measurement_leaves_the_motors_off() {
         looks.get() > 60
     };
     let stopped = PreparedBoard::new(&mut board, &file, setup(20_000.0, 500.0), &interrupted)
-        .and_then(|mut prepared| prepared.boundary(FeedForward::Off, 100.0, 0, None));
+        .and_then(|mut prepared| prepared.boundary(FeedForward::Off, 100.0, 1.0, None));
     assert!(matches!(stopped, Err(MeasureError::Interrupted)));
     assert_eq!(board.status().unwrap().state, State::Disarmed);
     shared.lock().run(0.01);
@@ -107,7 +110,7 @@ fn phantom(feed_forward: FeedForward, finer: f64) -> Result<Boundary, MeasureErr
     let walls = vec![Member::new(vec![0.6, 0.8, 0.0], 1.0)];
     let setup = MeasurementSetup { walls, torque_limit: 1.0, largest_pull: 5e-4, ..setup(5_000.0, 200.0) };
     let mut prepared = PreparedBoard::new(&mut board, &file, setup, &|| false).unwrap();
-    prepared.boundary(feed_forward, 20.0, 0, None)
+    prepared.boundary(feed_forward, 20.0, 1.0, None)
 }
 
 const PHANTOM: [(FeedForward, f64); 2] = [(FeedForward::Off, 27_618.72), (FeedForward::Full, 32_029.50)];
@@ -160,4 +163,85 @@ fn a_device_is_held_as_softly_as_its_cables_ask() {
     let mut stands = |kp| !prepared.oscillates(FeedForward::Off, kp, 3.26, 1.0).unwrap();
     assert!(stands(0.9 * 8406.0));
     assert!(!stands(1.1 * 8406.0));
+}
+
+/// A shipped device in a world, its walls along `normal` at the paper's 200 Hz and 20 Hz, and what the theory of that
+/// loop says of them.
+fn at_the_papers_setting(
+    name: &str,
+    world: &World,
+    normal: &[f64],
+    law: Law,
+) -> (DeviceFile, MeasurementSetup, Prediction) {
+    let mut file = shipped(name);
+    world.apply(&mut file);
+    let walls = vec![Member::new(normal.to_vec(), 1.0)];
+    let setup = MeasurementSetup { walls, torque_limit: 1.0, largest_pull: 5e-4, law, ..setup(200.0, 20.0) };
+    let drive = if world.ideal_drive { Drive::Ideal } else { Drive::Current { bandwidth_hz: CURRENT_LOOP_HZ } };
+    let delay_samples = 0.5 * 200.0 / 20_000.0;
+    let estimator = LinearEstimator::Butterworth(20.0);
+    let around = Loop { rate_hz: 200.0, delay_samples, estimator, drive, damping_compensation: false };
+    let prediction =
+        Prediction { posture: law.posture, ..Prediction::new(Subject::new(&file.description).unwrap(), around) };
+    (file, setup, prediction)
+}
+
+#[test]
+fn a_device_with_weight_is_measured_in_its_pose_and_not_in_another_with_the_same_tip() {
+    let world = World { friction: Friction::None, ideal_drive: true, counts: Some(8_388_608.0), ..World::default() };
+    let normal = [0.6, 0.8, 0.0];
+    let (file, setup, prediction) = at_the_papers_setting("phantom-premium-1.5", &world, &normal, Law::default());
+    let home = file.description.home.unwrap();
+    let predicted = prediction.range(&home, &setup.walls, Some(&[2.4]), None).unwrap();
+    let mut board = Board::over(world.board(&file, 200.0).unwrap().wire(), "sim").unwrap();
+    let mut prepared = PreparedBoard::new(&mut board, &file, setup.clone(), &|| false).unwrap();
+    for mode in [FeedForward::Off, FeedForward::Full] {
+        let theory = predicted.of(mode).boundary[0].kp;
+        let found = prepared.boundary(mode, 2.4, 1.0, None).unwrap().gain;
+        assert!((found / theory - 1.0).abs() < 0.015, "{mode:?}: {found} is not {theory}");
+    }
+    drop(prepared);
+
+    // Nobody holds this one until its motors carry it: it falls, and what catches its tip does so in another pose.
+    let device = Options { friction: false, ..Options::default() };
+    let options = BoardOptions { device, drive: DriveModel::Ideal, ..BoardOptions::default() };
+    let falls = SharedBoard::new(ready_board(&file, options).unwrap());
+    let mut board = Board::over(falls.wire(), "sim").unwrap();
+    let fallen = PreparedBoard::new(&mut board, &file, setup, &|| false).map(drop);
+    assert!(matches!(fallen, Err(MeasureError::Away { joint: 1 | 2, .. })), "{fallen:?}");
+}
+
+#[test]
+fn a_tip_that_friction_holds_is_no_stable_wall() {
+    let world = World { q: Some(POSE), ..World::default() };
+    let law = Law { farther: true, ..Law::default() };
+    let normal = [0.947, -0.321];
+    let (file, setup, prediction) = at_the_papers_setting("coupled-five-bar", &world, &normal, law);
+    let theory = prediction.range(&POSE[..2], &setup.walls, None, None).unwrap().off.kd_max;
+    let mut board = Board::over(world.board(&file, 200.0).unwrap().wire(), "sim").unwrap();
+    let mut prepared = PreparedBoard::new(&mut board, &file, setup, &|| false).unwrap();
+    let found = prepared.damping_end(FeedForward::Off).unwrap().gain;
+    assert!((0.95..1.5).contains(&(found / theory)), "{found} N s/m, theory {theory}");
+}
+
+#[test]
+fn a_redundant_arm_is_measured_in_the_posture_that_holds_it() {
+    let world = World {
+        q: Some([0.5, 0.8, 0.7]),
+        friction: Friction::None,
+        ideal_drive: true,
+        counts: Some(8_388_608.0),
+        ..World::default()
+    };
+    let law = Law { posture: Some(Posture { stiffness: 0.05, damping: 0.003 }), ..Law::default() };
+    let (file, setup, prediction) = at_the_papers_setting("serial-3r", &world, &[0.6, 0.8], law);
+    let kd = 0.2 * prediction.range(&world.q.unwrap(), &setup.walls, None, None).unwrap().off.kd_max;
+    let predicted = prediction.range(&world.q.unwrap(), &setup.walls, Some(&[kd]), None).unwrap();
+    let mut board = Board::over(world.board(&file, 200.0).unwrap().wire(), "sim").unwrap();
+    let mut prepared = PreparedBoard::new(&mut board, &file, setup, &|| false).unwrap();
+    for mode in [FeedForward::Off, FeedForward::Full] {
+        let theory = predicted.of(mode).boundary[0].kp;
+        let found = prepared.boundary(mode, kd, 1.0, None).unwrap().gain;
+        assert!((found / theory - 1.0).abs() < 0.03, "{mode:?}: {found} is not {theory}");
+    }
 }

@@ -51,7 +51,7 @@ fn measure(rate_hz: f64, cutoff_hz: f64, share: f64) -> (f64, f64) {
     };
     let mut prepared = PreparedBoard::new(&mut board, &file, setup, &|| false).unwrap();
     let end = prepared.damping_end(FeedForward::Off).unwrap().gain;
-    let summit = prepared.boundary(FeedForward::Off, share * end, 0, None).unwrap().gain;
+    let summit = prepared.boundary(FeedForward::Off, share * end, 1.0, None).unwrap().gain;
     prepared.finish().unwrap();
     (summit / MASS / rate_hz.powi(2), end / MASS / rate_hz)
 }
