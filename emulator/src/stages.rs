@@ -26,48 +26,48 @@ pub const WAITING: &str = "waiting for the converters";
 /// The stages of a run, in the order in which it goes through them, and the functions each consists of: the ends of
 /// their paths without generic arguments.
 pub const STAGES: &[(&str, &[&str])] = &[
-    ("entry, exit, overrun check", &["TIM1_UP_TIM10", "Step::keep_time", "Step::note_time"]),
+    ("entry, exit, overrun check", &["TIM1_UP_TIM10", "InterruptState::keep_time", "InterruptState::record_time"]),
     (
         ENCODERS,
         &[
-            "Pins::follow",
-            "Sampled::follow",
-            "encoder::follow",
-            "Pins::marked",
-            "Sampled::marked",
+            "Pins::update_counts",
+            "Sampled::update_counts",
+            "encoder::update_count",
+            "Pins::has_marks",
+            "Sampled::has_marks",
             "Pins::marks",
             "Sampled::marks",
-            "Step::mark",
+            "InterruptState::mark",
         ],
     ),
     (WAITING, &["adc::wait"]),
     (
         "currents and bus voltage",
         &[
-            "Step::sample",
-            "Step::await_samples",
-            "Pins::sampled",
-            "Sampled::sampled",
+            "InterruptState::sample",
+            "InterruptState::await_samples",
+            "Pins::has_sampled",
+            "Sampled::has_sampled",
             "Pins::sample",
             "Sampled::sample",
         ],
     ),
-    ("fault lines", &["Pins::fault", "Sampled::fault", "Step::trip_driving"]),
+    ("fault lines", &["Pins::has_fault", "Sampled::has_fault", "InterruptState::trip_driving"]),
     (
         "order of a crest",
         &[
-            "Step::crest",
-            "Step::crest_before_step",
-            "Step::crest_between",
-            "Step::is_late",
-            "Step::crest_late",
-            "Step::write_late",
-            "Step::write",
-            "Step::see_whether_missed",
-            "Step::miss",
+            "InterruptState::crest",
+            "InterruptState::crest_before_step",
+            "InterruptState::crest_between",
+            "InterruptState::is_late",
+            "InterruptState::crest_late",
+            "InterruptState::write_late",
+            "InterruptState::write",
+            "InterruptState::check_missed_crest",
+            "InterruptState::trip_overrun",
         ],
     ),
-    (REQUEST, &["Step::take"]),
+    (REQUEST, &["InterruptState::carry_out"]),
     (
         "servo",
         &[
@@ -170,7 +170,7 @@ pub const STAGES: &[(&str, &[&str])] = &[
             "Servo::fade_in",
         ],
     ),
-    ("bridges", &["Step::connect"]),
+    ("bridges", &["InterruptState::connect"]),
     (
         "current loops",
         &[
@@ -188,12 +188,18 @@ pub const STAGES: &[(&str, &[&str])] = &[
     ("duties to the timers", &["Pins::write", "Sampled::write"]),
     (
         "valley: order, converters",
-        &["Step::valley", "Pins::forget", "Sampled::forget", "Pins::learn", "Sampled::learn"],
+        &[
+            "InterruptState::valley",
+            "Pins::clear_flags",
+            "Sampled::clear_flags",
+            "Pins::learn_zeros",
+            "Sampled::learn_zeros",
+        ],
     ),
     (
         "valley: what the step saw, telemetry",
         &[
-            "Step::record",
+            "InterruptState::record",
             "Frames::push",
             "compiled::note",
             "Servo::note",

@@ -18,7 +18,7 @@ pub const REFERENCE_V: f32 = 3.3;
 /// Injected trigger of the F405: TIM1's trigger output.
 const TIM1_TRIGGER: u8 = 1;
 
-/// Gives pins to the converters for good.
+/// Hands pins to the converters permanently.
 pub fn inputs<const N: usize>(pins: [Flex<'static>; N]) {
     for mut pin in pins {
         pin.set_as_analog();
@@ -33,8 +33,7 @@ pub fn configure(adc: Adc, channels: &[u8]) {
     adc.cr1().write(|w| w.set_scan(true));
     adc.jsqr().write(|w| {
         w.set_jl(channels.len() as u8 - 1);
-        // A sequence shorter than four fills the last ranks; its results come in the first data registers (RM0090
-        // 13.13.12).
+        // A sequence shorter than four uses the last ranks; its results are in the first data registers (RM0090 13.13.12).
         for (rank, channel) in channels.iter().enumerate() {
             w.set_jsq(4 - channels.len() + rank, *channel);
         }
@@ -52,21 +51,21 @@ pub fn configure(adc: Adc, channels: &[u8]) {
     });
 }
 
-/// Returns true if both have finished the sequence that the crest started.
+/// Returns true if both converters have finished the sequence that the crest started.
 #[inline(always)]
 pub fn finished(one: Adc, other: Adc) -> bool {
     Sr(one.sr().read().0 & other.sr().read().0).jeoc()
 }
 
-/// Waits until both have, false when they do not within about 10 us (a converter that is not triggered).
+/// Waits until both converters have finished. Returns false after about 10 us (a converter that is not triggered).
 #[inline(never)]
 pub fn wait(one: Adc, other: Adc) -> bool {
     (0..200).any(|_| finished(one, other))
 }
 
-/// Forgets the sequence before, so that what is waited for next is the next one: at every valley.
+/// Clears the flags of the last sequence, so that the next wait is for the next sequence. Call at every valley.
 #[inline(always)]
-pub fn forget(adc: Adc) {
+pub fn clear_flags(adc: Adc) {
     adc.sr().write(|w| {
         // Flags are cleared by writing 0; writing 1 leaves them.
         w.0 = 0x3F;
@@ -75,7 +74,7 @@ pub fn forget(adc: Adc) {
     });
 }
 
-/// Result of a rank, 0..4095.
+/// Returns the result of a rank, 0 to 4095.
 #[inline(always)]
 pub fn result(adc: Adc, rank: usize) -> i32 {
     // The register's upper half reads as 0 (RM0090 13.13.14).

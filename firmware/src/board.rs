@@ -1,7 +1,7 @@
-//! The interface of a board ([`Board`]), and the one this image is for ([`This`]): one file per board, one Cargo
-//! feature each.
+//! The interface of a board ([`Board`]), and the board of this image ([`This`]). Every board has a file and a Cargo
+//! feature.
 
-// Two features name `This` twice, which no image compiles with.
+// Two board features define `This` twice, which does not compile.
 #[cfg(not(any(
     feature = "odrive-v3",
     feature = "h-bridge-f405",
@@ -52,14 +52,14 @@ use haptic_bridge::servo::joints::Counts;
 
 use crate::gate::Gate;
 
-/// Highest level of the supply monitor: 2.9 V (STM32F405 datasheet, table 19), for a supply of 3.3 V.
+/// Highest level of the supply monitor, 2.9 V (STM32F405 datasheet, table 19), for a supply of 3.3 V.
 pub const MONITOR_2V9: u8 = 7;
 
-/// A pin of ports A to D: sixteen times its port's number, 0 for A, and its number there.
+/// A pin of ports A to D: 16 times the port's number (0 for A) plus the pin's number.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub struct Pin(pub(crate) u8);
 
-/// Time after which a pin follows a pull, us: 40 kohm, and a thousand times what a wire of a metre has (100 pF).
+/// Time in which a pin follows a pull of 40 kohm, us. It allows a thousand times the capacitance of a 1 m wire (100 pF).
 const PULL_US: u64 = 500;
 
 /// The ports.
@@ -71,9 +71,9 @@ impl Pin {
         Self((port as u8 - b'A') << 4 | number)
     }
 
-    /// Returns true if nothing outside holds the pin, so that it follows the chip's own pulls down and up, twice. A
-    /// pin held between the two levels may read as either, but does not change. Call it while the pin is an input; it
-    /// leaves the pin an input without a pull.
+    /// Returns true if nothing outside the chip holds the pin: it follows the chip's pull down and pull up, twice. A pin
+    /// held between the two levels may read as either, but does not change. The pin must be an input, and stays an input
+    /// without a pull.
     pub fn is_open(self) -> bool {
         let (port, number) = (PORTS[usize::from(self.0 >> 4 & 3)], usize::from(self.0 & 15));
         let pulls = [(Pupdr::PULL_DOWN, Idr::LOW), (Pupdr::PULL_UP, Idr::HIGH)];
@@ -87,97 +87,96 @@ impl Pin {
     }
 }
 
-/// Pins that tell one board from another before any pin is driven: some are held at a level by the board, others lead
-/// nowhere. The chip pulls at each of them with its own 40 kohm, and a pin that leads nowhere follows. None of them
-/// leads to a gate, an enable line or an input of a bridge on any board: on the wrong board the pull would move such a
-/// pin towards on. EN_GATE of an ODrive, for example, would rest at 1.8 V between the chip's 40 kohm and the 50 kohm
-/// inside its two drivers.
-pub struct Signs {
-    /// Held at a level.
+/// Pins that identify a board before any pin is driven: the board holds some at a level and leaves others open. The chip
+/// pulls each with its own 40 kohm, and an open pin follows. No identifying pin may lead to a gate, an enable line or a
+/// bridge input on any board, because on the wrong board the pull would drive it towards on. EN_GATE of an ODrive, for
+/// example, would rest at 1.8 V between the chip's 40 kohm and the 50 kohm inside its two drivers.
+pub struct IdentityPins {
+    /// Pins that the board holds at a level.
     pub held: &'static [Pin],
-    /// Without anything.
+    /// Pins that the board leaves open.
     pub open: &'static [Pin],
 }
 
 /// A motor-driver board.
 pub trait Board {
-    /// Its name, as the host shows it.
+    /// The board's name, as the host shows it.
     const NAME: &'static str;
-    /// The pins that identify it.
-    const SIGNS: Signs;
-    /// The level of the chip's supply monitor, 0 to 7: the highest that its supply surely is above.
+    /// The pins that identify the board.
+    const IDENTITY: IdentityPins;
+    /// Level of the chip's supply monitor, 0 to 7: the highest level that the board's supply always exceeds.
     const SUPPLY_LEVEL: u8 = MONITOR_2V9;
-    /// Motors that it can drive, at most [`MAX_JOINTS`].
+    /// Number of motors that the board can drive, at most [`MAX_JOINTS`].
     const AXES: usize;
-    /// Data of its bridges that the drive needs.
+    /// Data of the bridges for the drive.
     const BRIDGE: Bridge;
     /// Limits that cannot be raised over USB.
     const LIMITS: Limits;
     /// The fault to record when the power stage reports one.
     const POWER_FAULT: Fault;
-    /// Faults that it has no means to see.
+    /// Faults that the board cannot sense.
     const UNSENSED: &'static [Fault];
     /// The part that the control interrupt owns.
     type Io: Io;
     /// The part that the tasks own.
     type Gate: Gate;
 
-    /// Bridges off. Plain register writes: works in any state of the program, even in a fault handler.
+    /// Turns the bridges off. Uses plain register writes, so it works in any state of the program, even in a fault handler.
     fn off();
 
-    /// Divides the chip. `carrier` is what the board starts with; nothing runs and nothing is driven yet. Where the chip
-    /// is not on this `board`, no pin but USB's is touched, there is no power stage, and the pins that this image would
-    /// drive stay inputs until the next reset.
+    /// Divides the chip's peripherals between interrupt and tasks, and sets the timers to `carrier` without starting them.
+    /// If `board` is false, the chip is on another board: only USB's pins are used, there is no power stage, and all pins
+    /// that this image would drive stay inputs until the next reset.
     fn split(p: Peripherals, carrier: Carrier, board: bool) -> (Self::Io, Option<Self::Gate>, Common);
 }
 
-/// The part of a board that the control interrupt owns: encoders, conversions, bridges. Every function is bounded in
-/// time.
+/// The part of a board that the control interrupt owns: encoders, conversions, bridges. The duration of every function is
+/// bounded.
 pub trait Io {
-    /// Brings encoder counts up to date, one per axis; they were 0 at power-on.
-    fn follow(&mut self, counts: &mut Counts);
+    /// Updates the encoder counts, one per axis. They are 0 at power-on.
+    fn update_counts(&mut self, counts: &mut Counts);
 
-    /// Returns true if index pulses were seen since [`Io::marks`].
-    fn marked(&self) -> bool;
+    /// Returns true if an index pulse came since the last call of [`Io::marks`].
+    fn has_marks(&self) -> bool;
 
-    /// The counts of encoders whose index pulse was seen since the last call.
+    /// Returns the counts of the encoders whose index pulse came since the last call.
     fn marks(&mut self, counts: &Counts) -> [Option<i32>; MAX_JOINTS];
 
-    /// Clears stale flags of the converters. Call between two crests: a flag left over once would make every later reading
-    /// a crest old, or torn between two.
-    fn forget(&mut self);
+    /// Clears stale flags of the converters. Call between two crests, because a flag that is left over would make every
+    /// later reading one crest old or torn between two crests.
+    fn clear_flags(&mut self);
 
     /// Returns true if the conversions that the crest started have finished.
-    fn sampled(&self) -> bool;
-    /// Waits for them; returns true if they finish.
+    fn has_sampled(&self) -> bool;
+    /// Waits for the conversions. Returns true if they finish.
     fn await_samples(&self) -> bool;
 
-    /// Puts their readings into `seen`: bus voltage, currents, and what two sensors of one differ by.
-    fn sample(&mut self, seen: &mut Samples);
+    /// Writes the readings to `samples`: bus voltage, currents, and the difference of two sensors of one current.
+    fn sample(&mut self, samples: &mut Samples);
 
-    /// Takes these readings for the sensors' zeros, where a task waits for that. While the bridges are off.
-    fn learn(&mut self);
+    /// Uses the readings as the sensors' zeros if a task waits for them. Call while the bridges are off.
+    fn learn_zeros(&mut self);
 
-    /// Compare values of each axis's two legs, applied at the next valley.
+    /// Writes the compare values of each axis's two legs, which apply at the next valley.
     fn write(&mut self, legs: &[[u16; 2]; MAX_JOINTS]);
 
-    /// Connects the bridges to the carrier, or lets them float. Off also drops the gate drivers or the enable line.
+    /// Connects the bridges to the carrier, or lets them float. Off also disables the gate drivers or the enable line.
     fn drive(&mut self, on: bool);
 
-    /// Returns true if the power stage reports a fault; only meaningful while it is up.
-    fn fault(&self) -> bool;
+    /// Returns true if the power stage reports a fault. Only meaningful while the power stage is enabled.
+    fn has_fault(&self) -> bool;
 
-    /// The carrier in use.
+    /// Returns the carrier in use.
     fn carrier(&self) -> &Carrier;
 
-    /// Changes the carrier; all axes take it at the same extreme.
+    /// Changes the carrier, for all axes at the same extreme.
     fn set_carrier(&mut self, carrier: Carrier);
 
     /// Starts the carrier.
     fn start(&mut self);
 }
 
-/// Peripherals that every board hands to its tasks.
+/// Peripherals that every board passes to its tasks.
 pub struct Common {
     /// The USB device and its two pins.
     pub usb: (Peri<'static, USB_OTG_FS>, Peri<'static, PA12>, Peri<'static, PA11>),

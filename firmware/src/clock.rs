@@ -1,6 +1,6 @@
 //! Clocks: an 8 MHz crystal to 168 MHz for the core, 84 MHz for the fast peripheral bus (168 MHz at its timers,
 //! [`TIMER_HZ`]), 42 MHz for the slow one (84 MHz at its timers), 48 MHz for USB. STM32F405 reference manual RM0090,
-//! section 7.2. The clock of the tasks is embassy's, on TIM5.
+//! section 7.2. The tasks use embassy's clock, on TIM5.
 
 use embassy_stm32::interrupt;
 use embassy_stm32::interrupt::InterruptExt;
@@ -22,9 +22,9 @@ const SUPPLY_LINE: usize = 16;
 /// is incorrect").
 const NOT_REVISION_A: u16 = 0x413;
 
-/// Waits until the chip's own supply is above a `level` of its monitor: below 2.7 V, flash is too
-/// slow for the clock that comes. The chip runs on its own oscillator meanwhile, which 1.8 V are enough for, and below
-/// those its power-on reset holds it. So no brown-out level need be set in the option bytes.
+/// Waits until the chip's supply is above a `level` of its monitor, because below 2.7 V the flash is too slow for the
+/// full clock. Meanwhile the chip runs on its own oscillator, which needs 1.8 V; below 1.8 V the power-on reset holds the
+/// chip. Therefore the option bytes need no brown-out level.
 pub fn await_supply(level: u8) {
     pac::RCC.apb1enr().modify(|w| w.set_pwren(true));
     monitor_supply(level);
@@ -38,23 +38,22 @@ fn monitor_supply(level: u8) {
     });
 }
 
-/// The brown-out level in the option bytes, 0 (off) to 3 (2.7 V), which the firmware only reads (RM0090 section
+/// Returns the brown-out level in the option bytes, 0 (off) to 3 (2.7 V). The firmware never writes it (RM0090 section
 /// 3.9.10).
 pub fn brown_out_level() -> u8 {
     3 - pac::FLASH.optcr().read().bor_lev()
 }
 
-/// From here on a crystal that stops is a non-maskable interrupt (RM0090 section 7.2.7), and a supply that falls below
-/// the `level` an interrupt (line 16, section 12.2.5) that neither a critical section nor a control step
-/// holds back. [`crate::reset`] has both.
-fn watch(level: u8) {
+/// Enables two interrupts that neither a critical section nor a control step delays, handled in [`crate::reset`]: a
+/// stopped crystal (non-maskable, RM0090 section 7.2.7) and a supply below `level` (line 16, section 12.2.5).
+fn enable_monitors(level: u8) {
     pac::RCC.cr().modify(|w| w.set_csson(true));
     // embassy has reset the power controller.
     monitor_supply(level);
     pac::EXTI.rtsr(0).modify(|w| w.set_line(SUPPLY_LINE, true));
     pac::EXTI.imr(0).modify(|w| w.set_line(SUPPLY_LINE, true));
     interrupt::PVD.set_priority(critical::SUPPLY);
-    // SAFETY: its handler shares nothing with what it interrupts.
+    // SAFETY: the handler shares no data with the code that it interrupts.
     unsafe { interrupt::PVD.enable() };
     if pac::PWR.csr1().read().pvdo() {
         interrupt::PVD.pend();
@@ -63,26 +62,25 @@ fn watch(level: u8) {
 
 /// Starts the clocks and takes the chip's peripherals.
 pub fn start(level: u8) -> Peripherals {
-    // embassy's clock counts half turns of TIM5 by its interrupt. The update event that loads the timer matches its
-    // count, 0, with the comparison that is still 0, and the flag of that would be taken for a half turn: the clock
-    // would then be half a turn ahead, and read 65 ms early between any half turn and its interrupt. No half turn can
-    // have passed before the section ends.
+    // embassy's clock counts half turns of TIM5 by interrupt. The update event that loads the timer compares count 0 with
+    // a compare value that is still 0, and sets the flag of a half turn. Counted, it would put the clock half a turn ahead,
+    // and 65 ms early between a half turn and its interrupt. The flag is cleared here, before a real half turn can pass.
     critical_section::with(|_| {
         let chip = embassy_stm32::init(config());
         pac::TIM5.sr().write(|w| w.0 = 0);
-        accelerate();
-        watch(level);
+        enable_flash_caches();
+        enable_monitors(level);
         chip
     })
 }
 
-/// Hides most of the flash's five wait states: 64 lines of instructions, 8 of data, and the next line fetched ahead
-/// (RM0090 section 3.5.2). A reset leaves all three off, and so does embassy; the control interrupt would then take
-/// twice the time. Fetching ahead does not work in revision A.
-fn accelerate() {
+/// Hides most of the flash's five wait states, with 64 cache lines for instructions, 8 for data, and prefetch (RM0090
+/// section 3.5.2). Reset and embassy leave all three off, which doubles the duration of the control interrupt. Prefetch
+/// does not work in revision A.
+fn enable_flash_caches() {
     let prefetch = pac::DBGMCU.idcode().read().dev_id() == NOT_REVISION_A;
     let control = pac::FLASH.acr();
-    // Both caches empty, which they can be made only while they are off.
+    // The caches can be cleared only while they are off.
     control.modify(|w| {
         w.set_icrst(true);
         w.set_dcrst(true);
@@ -98,9 +96,9 @@ fn accelerate() {
     });
 }
 
-/// Empties the cache of constants: after a sector was erased, which it knows nothing of (RM0090 section 3.5.2).
-/// embassy's driver does so on chips with two banks alone.
-pub fn forget_constants() {
+/// Clears the data cache. Call after a sector was erased, because the cache does not follow erases (RM0090 section
+/// 3.5.2). embassy's driver clears it only on chips with two banks.
+pub fn clear_data_cache() {
     let control = pac::FLASH.acr();
     control.modify(|w| w.set_dcen(false));
     control.modify(|w| w.set_dcrst(true));
@@ -108,7 +106,7 @@ pub fn forget_constants() {
     control.modify(|w| w.set_dcen(true));
 }
 
-/// The clock tree, and all DMA interrupts below the control interrupt.
+/// Returns the clock tree, with all DMA interrupts below the control interrupt.
 fn config() -> Config {
     let mut config = Config::default();
     config.rcc.hsi = false;

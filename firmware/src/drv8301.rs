@@ -1,8 +1,8 @@
-//! The DRV8301 gate driver of an axis: its two control registers written and read back, its status read.
+//! The DRV8301 gate driver of an axis: configuration by its two control registers, read-back, status.
 //!
-//! Texas Instruments SLOS719F, section 7.5. Frames are 16 bits, clock idle low, data taken at the falling edge; a
-//! reading's answer comes with the next frame. Pulling EN_GATE low resets the registers, so they are written after
-//! every rise of it.
+//! Texas Instruments SLOS719F, section 7.5. Frames are 16 bits, with the clock idle low and data sampled at the falling
+//! edge. The value of a read comes with the next frame. A low EN_GATE resets the registers, so they are written after
+//! every rise of EN_GATE.
 
 use embassy_stm32::gpio::Output;
 use embassy_stm32::mode::Blocking;
@@ -18,21 +18,21 @@ const STATUS_2: u16 = 1;
 const CONTROL_1: u16 = 2;
 const CONTROL_2: u16 = 3;
 
-/// 1.7 A of gate current, six independent gate signals, over-current latches the driver off, at 0.730 V over a switch.
+/// 1.7 A of gate current, six independent gate signals, latched shutdown at an over-current of 0.730 V across a switch.
 const CONTROL_1_VALUE: u16 = (21 << 6) | (1 << 4);
 
 /// Amplifier gain 80 V/V, inputs connected, over-temperature and over-current both reported.
 const CONTROL_2_VALUE: u16 = 3 << 2;
 
-/// Inputs of both amplifiers shorted and off the shunts.
+/// Disconnects both amplifiers' inputs from the shunts and shorts them.
 const CALIBRATE: u16 = 0b11 << 4;
 
-/// The quantity that the shunt amplifiers see.
+/// The connection of the shunt amplifiers' inputs.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Inputs {
-    /// Nothing: what they show is their offset.
+    /// Shorted: the output is the amplifier's offset.
     Shorted,
-    /// The shunts.
+    /// Connected to the shunts.
     Shunts,
 }
 
@@ -51,13 +51,13 @@ impl From<Error> for GateError {
     }
 }
 
-/// One gate driver, by its chip select.
+/// One gate driver, addressed by its chip select.
 pub struct Drv8301 {
     select: Output<'static>,
 }
 
 impl Drv8301 {
-    /// The driver behind a chip select line (active low).
+    /// Creates the driver with this chip select line (active low).
     pub fn new(select: Output<'static>) -> Self {
         Self { select }
     }
@@ -84,7 +84,7 @@ impl Drv8301 {
         Ok(self.transfer(bus, request)? & 0x7FF)
     }
 
-    /// Writes the control registers and reads them back; clears and checks the status. EN_GATE must have been high for
+    /// Writes the control registers, reads them back, and clears and checks the status. EN_GATE must have been high for
     /// 10 ms.
     pub fn configure(&mut self, bus: &mut Bus, inputs: Inputs) -> Result<(), GateError> {
         self.write(bus, CONTROL_1, CONTROL_1_VALUE)?;
@@ -98,15 +98,15 @@ impl Drv8301 {
         Ok(())
     }
 
-    /// Returns true if the control registers are as [`Drv8301::configure`] wrote them.
+    /// Checks that the control registers hold the values that [`Drv8301::configure`] wrote.
     pub fn read_back(&mut self, bus: &mut Bus, inputs: Inputs) -> Result<(), GateError> {
         let control_1 = self.read(bus, CONTROL_1)?;
         let control_2 = self.read(bus, CONTROL_2)?;
-        let kept = control_1 == CONTROL_1_VALUE && control_2 == inputs.control_2();
-        if kept { Ok(()) } else { Err(GateError::Readback) }
+        let is_kept = control_1 == CONTROL_1_VALUE && control_2 == inputs.control_2();
+        if is_kept { Ok(()) } else { Err(GateError::Readback) }
     }
 
-    /// The two status registers.
+    /// Reads the two status registers.
     pub fn status(&mut self, bus: &mut Bus) -> Result<(u16, u16), GateError> {
         Ok((self.read(bus, STATUS_1)?, self.read(bus, STATUS_2)?))
     }

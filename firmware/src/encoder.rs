@@ -1,17 +1,16 @@
-//! Quadrature encoders: a timer counts the edges of both channels (four counts per line), 16 bits wide; software
-//! extends the count by wrap-safe differences, which is exact as long as an encoder moves less than 32 768 counts
-//! between two readings.
+//! Quadrature encoders. A 16-bit timer counts the edges of both channels (four counts per line). Software extends the
+//! count by wrap-safe differences, which are exact if an encoder moves less than 32 768 counts between two readings.
 
 use embassy_stm32::gpio::{AfType, Flex, Pull};
 use embassy_stm32::pac::timer::{TimGp16, vals};
 
-/// Lets a timer count an encoder on its channels 1 and 2, from 0. The timer's clock must be on. Inputs are pulled up, so
-/// open-collector encoders work, and filtered over eight timer clocks (95 ns), which passes more than two million counts
-/// per second.
+/// Starts a timer that counts the encoder at its channels 1 and 2, from 0. The timer's clock must be on. The inputs are
+/// pulled up for open-collector encoders, and filtered over eight timer clocks (95 ns), which passes more than two million
+/// counts per second.
 pub fn start(timer: TimGp16, mut a: Flex<'static>, mut b: Flex<'static>, alternate_function: u8) {
     a.set_as_af_unchecked(alternate_function, AfType::input(Pull::Up));
     b.set_as_af_unchecked(alternate_function, AfType::input(Pull::Up));
-    // A dropped pin goes back to analog mode; these stay with the timer for good.
+    // Dropping a pin would return it to analog mode.
     core::mem::forget(a);
     core::mem::forget(b);
     timer.ccmr_input(0).write(|w| {
@@ -26,10 +25,10 @@ pub fn start(timer: TimGp16, mut a: Flex<'static>, mut b: Flex<'static>, alterna
     timer.cr1().write(|w| w.set_cen(true));
 }
 
-/// Brings a count up to date, which was 0 when the timer started, and wraps at the ends of `i32`. Its lower half is what
-/// the timer showed.
+/// Updates a count, which was 0 when the timer started and wraps at the ends of `i32`. Its lower half is the timer's last
+/// value.
 #[inline(always)]
-pub fn follow(timer: TimGp16, count: &mut i32) {
+pub fn update_count(timer: TimGp16, count: &mut i32) {
     let moved = (timer.cnt().read().0 as u16).wrapping_sub(*count as u16) as i16;
     *count = count.wrapping_add(i32::from(moved));
 }

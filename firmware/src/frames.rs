@@ -1,5 +1,4 @@
-//! Frames of the telemetry stream on their way from the control interrupt to a task: a ring whose places are written
-//! where they lie, and read there.
+//! The ring of telemetry frames from the control interrupt to a task. Frames are written and read in place, without a copy.
 
 use core::cell::UnsafeCell;
 use core::mem::MaybeUninit;
@@ -8,25 +7,26 @@ use core::sync::atomic::{AtomicUsize, Ordering, compiler_fence};
 use haptic_bridge::board::telemetry;
 use haptic_bridge::servo::frame::StepRecord;
 
-/// Frames that may wait: 5 ms at 20 kHz.
+/// Number of places in the ring: 5 ms at 20 kHz.
 const PLACES: usize = 100;
 
-/// The ring. The places from `first` up to `next` hold frames; one is always empty.
+/// A ring of frames. The places from `first` up to `next` hold frames. One place is always empty.
 #[repr(C)]
 pub struct Frames {
-    /// The oldest frame, moved by the reader alone.
+    /// Index of the oldest frame. Only the reader changes it.
     first: AtomicUsize,
-    /// The place to be written next, moved by the writer alone.
+    /// Index of the place to write next. Only the writer changes it.
     next: AtomicUsize,
     places: [UnsafeCell<MaybeUninit<StepRecord>>; PLACES],
 }
 
-// SAFETY: there is one writer, the control interrupt, and one reader, see [`FrameReader::new`]. A place is the writer's until
-// it moves `next` past it and then the reader's until that moves `first` past it; each leaves the other's places alone.
+// SAFETY: there is one writer, the control interrupt, and one reader, see [`FrameReader::new`]. A place belongs to the writer
+// until the writer moves `next` past it, and then to the reader until the reader moves `first` past it. Neither uses the
+// places of the other.
 unsafe impl Sync for Frames {}
 
 impl Frames {
-    /// An empty ring.
+    /// Creates an empty ring.
     pub const fn new() -> Self {
         Self {
             first: AtomicUsize::new(0),
@@ -35,8 +35,8 @@ impl Frames {
         }
     }
 
-    /// Hands on the frame that `write` puts into its place; false, and nothing written, where all places are taken. For the
-    /// control interrupt alone.
+    /// Lets `write` fill the next place, and publishes the frame. Returns false without writing if the ring is full. Only
+    /// the control interrupt may call this.
     #[inline(always)]
     pub fn push(&self, write: impl FnOnce(&mut MaybeUninit<StepRecord>)) -> bool {
         let place = self.next.load(Ordering::Relaxed);
@@ -44,9 +44,9 @@ impl Frames {
         if next == self.first.load(Ordering::Relaxed) {
             return false;
         }
-        // SAFETY: `place` is below PLACES, because only `after` moves it, and the writer's.
+        // SAFETY: `place` is below PLACES, because only `after` changes it, and it belongs to the writer.
         write(unsafe { &mut *self.places.get_unchecked(place).get() });
-        // The reader runs on the same core: it sees what was written before in the program.
+        // A compiler fence is enough, because the reader runs on the same core.
         compiler_fence(Ordering::Release);
         self.next.store(next, Ordering::Relaxed);
         true
@@ -58,11 +58,11 @@ fn after(place: usize) -> usize {
     if place + 1 < PLACES { place + 1 } else { 0 }
 }
 
-/// The reader's end, for a task.
+/// The reader of a ring, owned by a task.
 pub struct FrameReader(&'static Frames);
 
 impl FrameReader {
-    /// The one reader of a ring. Call once.
+    /// Creates the only reader of a ring. Call once.
     pub fn new(frames: &'static Frames) -> Self {
         Self(frames)
     }
@@ -71,16 +71,16 @@ impl FrameReader {
 impl telemetry::Frames for FrameReader {
     fn first(&self) -> Option<&StepRecord> {
         let place = self.0.first.load(Ordering::Relaxed);
-        let some = place != self.0.next.load(Ordering::Relaxed);
+        let has_frame = place != self.0.next.load(Ordering::Relaxed);
         compiler_fence(Ordering::Acquire);
-        // SAFETY: the place holds a frame, and is the reader's until `drop_first`, which takes `self` for its own.
-        some.then(|| unsafe { (*self.0.places[place].get()).assume_init_ref() })
+        // SAFETY: the place holds a frame and belongs to the reader until `drop_first`, which borrows `self` mutably.
+        has_frame.then(|| unsafe { (*self.0.places[place].get()).assume_init_ref() })
     }
 
     fn drop_first(&mut self) {
         let place = self.0.first.load(Ordering::Relaxed);
         if place != self.0.next.load(Ordering::Relaxed) {
-            // The frame has been read; the place is free from here on.
+            // The frame has been read; the store below frees its place.
             compiler_fence(Ordering::Release);
             self.0.first.store(after(place), Ordering::Relaxed);
         }

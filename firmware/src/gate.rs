@@ -1,36 +1,35 @@
-//! The tasks' side of a board's power stage: they ready it before the motors may be armed, and check that it stays
-//! ready.
+//! The power stage as the tasks use it: they enable it before the motors are armed, and check it while they are on.
 
 use haptic_bridge::safety::fault::Fault;
 
-/// The power stage of a board as its tasks own it: gate drivers with registers, or an enable line alone.
+/// The power stage of a board: gate drivers with registers, or an enable line alone.
 pub trait Gate {
-    /// Readies the power stage and learns the current sensors' zeros while no current flows: some 10 ms. On an error
-    /// everything is off again.
+    /// Enables the power stage and learns the current sensors' zeros while no current flows. Takes 10 to 40 ms. After an
+    /// error the power stage is off.
     fn raise(&mut self) -> Result<(), GateError>;
 
-    /// Returns true if it still is as [`Gate::raise`] left it.
+    /// Checks that the power stage is still configured as [`Gate::raise`] left it.
     fn check(&mut self) -> Result<(), GateError>;
 }
 
-/// Errors while the power stage is readied.
+/// Errors of the power stage.
 #[derive(Clone, Copy, PartialEq, Debug, defmt::Format)]
 #[allow(dead_code, reason = "a board without gate drivers has fewer ways to fail")]
 pub enum GateError {
-    /// The transfer itself failed.
+    /// The SPI transfer failed.
     Bus,
-    /// A control register did not read back as written: no driver there, or no supply.
+    /// A control register did not read back as written: the driver is missing or has no supply.
     Readback,
-    /// The driver reports a fault; its status registers.
+    /// The driver reports a fault, with these status registers.
     Fault(u16, u16),
-    /// The current sensors' zero is this far from the middle of their range, A.
+    /// Distance of a current sensor's zero from the middle of its range, A.
     Offset(f32),
-    /// This current flows though the bridges are off, A.
+    /// Current that flows although the bridges are off, A.
     Stray(f32),
 }
 
 impl GateError {
-    /// The number that a fault record keeps of it.
+    /// Returns the number that the fault record keeps.
     pub fn value(self) -> f32 {
         match self {
             Self::Bus | Self::Readback => 0.0,
@@ -39,7 +38,7 @@ impl GateError {
         }
     }
 
-    /// Which fault it is.
+    /// Returns the fault of this error.
     pub fn fault(self) -> Fault {
         match self {
             Self::Bus | Self::Readback | Self::Fault(..) => Fault::GateDriver,

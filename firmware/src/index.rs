@@ -1,46 +1,46 @@
-//! Index pulses of the encoders: the chip latches every rising edge (EXTI, RM0090 section 12.3), and the control step
-//! looks at the latches. A pulse is seen at the step after it, so its count is late by at most what the joint moved in
-//! that step.
+//! Index pulses of the encoders. The chip latches every rising edge (EXTI, RM0090 section 12.3), and the control interrupt
+//! reads the latches at every step, so the count of a pulse is late by at most the motion of one step.
 //!
-//! No interrupt is enabled for them: the lines pend in the controller and are read there. Index inputs are pins of port
-//! C, named by a mask of their bits, as they are in every register of the controller.
+//! No interrupt is enabled for the lines: they pend in the interrupt controller and are read there. Index inputs are pins
+//! of port C, given as a mask of bits like in every register of the controller.
 
 use embassy_stm32::pac;
 use embassy_stm32::pac::exti::regs::Lines;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::servo::joints::Counts;
 
-/// Latches rising edges at these pins of port C, pulled up as the encoders' channels are.
+/// Latches rising edges at these pins of port C, with pull-ups like the encoders' channels.
 pub fn latch(lines: u32) {
     pac::RCC.apb2enr().modify(|w| w.set_syscfgen(true));
     for four in 0..4 {
         // Port C in all four fields of the register.
         pac::SYSCFG.exticr(four).write(|w| w.0 = 0x2222);
     }
-    // Inputs since the reset; two bits a pin: each pin's lower bit is the pull-up.
+    // The pins are inputs since the reset. Each pin has two bits; the lower one is the pull-up.
     pac::GPIOC.pupdr().modify(|w| (0..16).filter(|pin| lines >> pin & 1 == 1).for_each(|pin| w.0 |= 1 << (2 * pin)));
     pac::EXTI.rtsr(0).modify(|w| w.0 |= lines);
     pac::EXTI.imr(0).modify(|w| w.0 |= lines);
 }
 
-/// The lines of pins; the others are not index pulses.
+/// The lines that belong to pins.
 const PINS: u32 = 0xFFFF;
 
-/// The lines that saw a pulse since [`take`].
+/// Returns the lines with a pulse since the last call of [`take`].
 #[inline(always)]
-pub fn seen() -> u32 {
+pub fn pending() -> u32 {
     pac::EXTI.pr(0).read().0 & PINS
 }
 
-/// The counts of encoders whose line saw a pulse since the last call; `lines` are theirs.
+/// Returns the counts of the encoders whose index line had a pulse since the last call, and clears the latches. `lines`
+/// holds the encoders' index lines.
 #[cold]
 pub fn take(lines: &[u32], counts: &Counts) -> [Option<i32>; MAX_JOINTS] {
-    let seen = seen();
+    let pending = pending();
     // A flag is cleared by writing 1.
-    pac::EXTI.pr(0).write_value(Lines(seen));
+    pac::EXTI.pr(0).write_value(Lines(pending));
     let mut marks = [None; MAX_JOINTS];
     for ((mark, line), count) in marks.iter_mut().zip(lines).zip(counts.iter()) {
-        *mark = (seen & line != 0).then_some(*count);
+        *mark = (pending & line != 0).then_some(*count);
     }
     marks
 }

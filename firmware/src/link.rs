@@ -30,9 +30,9 @@ bind_interrupts!(struct Irqs {
 // The tool looks for these (host/src/link/ports.rs); a test on the emulated chip holds the two together.
 /// USB vendor identifier: pid.codes, for open hardware and firmware.
 const USB_VENDOR: u16 = 0x1209;
-/// USB product identifier: the one pid.codes leaves to testing; a maker who sells boards gets one of their own.
+/// USB product identifier: pid.codes' shared test id. A maker who sells boards needs an own identifier.
 const USB_PRODUCT: u16 = 0x0001;
-/// The product string by which the tool tells these boards from others that test with the same identifier.
+/// The product string, which separates these boards from other projects with the shared test id.
 const USB_PRODUCT_NAME: &str = "haptic-bridge";
 
 /// Builds the USB device with its serial port.
@@ -61,8 +61,8 @@ pub fn device(
     (builder.build(), serial)
 }
 
-/// The serial number that the chip's own boot loader reports as well, so that a board keeps its name while it is
-/// updated: the first and third word of the unique identifier added, then the upper half of the second. Call once.
+/// Returns the serial number: the sum of the first and third word of the unique identifier, then the upper half of the
+/// second. The chip's boot loader reports the same number, so a board keeps its name during an update. Call once.
 pub fn serial_number() -> &'static str {
     static SERIAL_NUMBER: StaticCell<[u8; 12]> = StaticCell::new();
     let id = embassy_stm32::uid::uid();
@@ -85,10 +85,10 @@ pub async fn usb(mut device: UsbDevice<'static, UsbDriver>) -> ! {
 /// Interval at which the servo is checked for new faults.
 const WATCH: Duration = Duration::from_millis(20);
 
-/// Interval at which the telemetry queue is emptied: it holds 5 ms of frames at 20 kHz.
+/// Interval at which the telemetry ring is emptied. The ring holds 5 ms of frames at 20 kHz.
 const DRAIN: Duration = Duration::from_millis(1);
 
-/// Answers the host, sends telemetry and new faults. `previous` is how the last run ended, if that was a fault.
+/// Replies to the host, and sends telemetry and new faults. `previous` is the fault that ended the last run, if any.
 #[embassy_executor::task]
 pub async fn serve(mut machine: BoardMachine, hardware: Hardware, previous: Option<FaultRecord>, serial: Serial) -> ! {
     let (sender, receiver) = serial.split();
@@ -103,18 +103,18 @@ pub async fn serve(mut machine: BoardMachine, hardware: Hardware, previous: Opti
     let mut watch = Instant::now();
     let mut more = false;
     loop {
-        supervisor::alive(supervisor::Task::Link);
-        // One request or one batch a turn: the other tasks come in between, also where requests or rows come faster
-        // than they leave, and nothing else here would ever wait.
+        supervisor::report_alive(supervisor::Task::Link);
+        // Handles one request or one batch a turn. The yield lets the other tasks run, even if requests or rows arrive
+        // faster than they leave and no other await ever waits.
         yield_now().await;
-        let wake = match (more, stream.runs()) {
+        let wake = match (more, stream.is_running()) {
             (true, _) => Instant::now(),
             (false, true) => Instant::now() + DRAIN,
             (false, false) => watch,
         };
         match select(incoming.next(), Timer::at(wake)).await {
             Either::First(Event::Frame(request)) => {
-                let (answer, after) = dispatch::answer(&mut service, &mut machine, request, outgoing.place());
+                let (answer, after) = dispatch::answer(&mut service, &mut machine, request, outgoing.buffer());
                 if let Some(length) = answer.map(<[u8]>::len) {
                     outgoing.send(length).await;
                 }
@@ -127,14 +127,14 @@ pub async fn serve(mut machine: BoardMachine, hardware: Hardware, previous: Opti
             }
             Either::First(Event::Disconnected) => {
                 stream.stop();
-                outgoing.forget();
+                outgoing.discard();
             }
             Either::Second(()) => {}
         }
         more = false;
         if let Some(batch) = stream.batch(&mut machine) {
             more = true;
-            if let Some(length) = dispatch::telemetry(sequence, batch, outgoing.place()).map(<[u8]>::len) {
+            if let Some(length) = dispatch::telemetry(sequence, batch, outgoing.buffer()).map(<[u8]>::len) {
                 sequence = sequence.wrapping_add(1);
                 outgoing.send(length).await;
             }
@@ -144,7 +144,7 @@ pub async fn serve(mut machine: BoardMachine, hardware: Hardware, previous: Opti
             machine.watch_gate();
             if let Some(record) = service.poll(&mut machine)
                 && let Some(length) =
-                    dispatch::publish::<FaultSeen>(sequence, &record, outgoing.place()).map(<[u8]>::len)
+                    dispatch::publish::<FaultSeen>(sequence, &record, outgoing.buffer()).map(<[u8]>::len)
             {
                 sequence = sequence.wrapping_add(1);
                 outgoing.send(length).await;
@@ -153,7 +153,7 @@ pub async fn serve(mut machine: BoardMachine, hardware: Hardware, previous: Opti
     }
 }
 
-/// Lets the answer leave, then restarts.
+/// Waits until the reply has left, then restarts.
 async fn restart(how: fn() -> !) {
     Timer::after_millis(100).await;
     how()

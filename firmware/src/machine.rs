@@ -1,5 +1,5 @@
-//! The board as the library's service sees it: programs are built in spare buffers and handed to the control interrupt,
-//! settings are in flash, and arming readies the gate drivers first.
+//! The board behind the library's service: it builds programs in spare buffers and passes them to the control interrupt,
+//! keeps settings in flash, and enables the gate drivers before arming.
 
 use core::sync::atomic::Ordering;
 
@@ -29,7 +29,7 @@ use crate::storage::Storage;
 use crate::supervisor;
 use crate::watchdog;
 
-/// Programs that exist at most: the one that runs and the one that replaces it.
+/// Maximum number of programs: the one that runs and the one that replaces it.
 const PROGRAMS: usize = 2;
 
 /// The part of the board that the tasks own.
@@ -37,7 +37,7 @@ pub struct BoardMachine {
     requests: Requests,
     /// Frames of the telemetry stream.
     pub frames: FrameReader,
-    /// None where the board is not this image's.
+    /// `None` if the image does not belong to this board.
     gate: Option<<This as Board>::Gate>,
     storage: Storage,
     serial: &'static str,
@@ -47,7 +47,7 @@ pub struct BoardMachine {
 }
 
 impl BoardMachine {
-    /// Call once.
+    /// Creates the machine. Call once.
     pub fn new(
         ends: servo::Ends,
         gate: Option<<This as Board>::Gate>,
@@ -68,8 +68,8 @@ impl BoardMachine {
         }
     }
 
-    /// Starts the service from the settings. From then on reading one takes neither a search, for which no watchdog
-    /// waits while the motors are on, nor a write.
+    /// Starts the storage and the service. After this, reading a setting needs neither a search of the flash, which would
+    /// outlast the watchdog while the motors are on, nor a write.
     pub fn boot(&mut self, service: &mut Service) {
         while_flash_stalls(|| {
             self.storage.start();
@@ -77,7 +77,7 @@ impl BoardMachine {
         });
     }
 
-    /// Does what writes flash.
+    /// Runs `work`, which writes flash.
     fn write(&mut self, work: impl FnOnce(&mut Storage) -> Result<(), StorageError>) -> Result<(), Refusal> {
         while_flash_stalls(|| work(&mut self.storage)).map_err(|error| {
             defmt::error!("the settings were not written: error {=u8}", error as u8);
@@ -85,14 +85,14 @@ impl BoardMachine {
         })
     }
 
-    /// Readies the gate drivers; a driver that does not answer latches a fault.
+    /// Enables the gate drivers. A driver that does not respond latches a fault.
     fn raise_gate(&mut self) -> Result<(), Refusal> {
         if let Some(record) = self_test::failed() {
-            let _ = self.requests.ask(Request::Command(Command::Fault(record)));
+            let _ = self.requests.send(Request::Command(Command::Fault(record)));
             return Err(Refusal::Faulted(record.fault));
         }
         let gate = self.gate.as_mut().ok_or(Refusal::NotSupported)?;
-        // An earlier arming may have left the drivers up, and they have not been watched since the motors went off.
+        // An earlier arming may have left the drivers enabled, and they were not checked since the motors went off.
         lower_gate();
         let raised = gate.raise();
         servo::shared().gate_ready.store(raised.is_ok(), Ordering::Relaxed);
@@ -101,27 +101,27 @@ impl BoardMachine {
             Err(error) => {
                 defmt::error!("the gate drivers cannot be readied: {}", error);
                 let record = FaultRecord { fault: error.fault(), axis: None, value: error.value(), step: 0 };
-                let _ = self.requests.ask(Request::Command(Command::Fault(record)));
+                let _ = self.requests.send(Request::Command(Command::Fault(record)));
                 Err(Refusal::Faulted(error.fault()))
             }
         }
     }
 
-    /// Looks whether the gate drivers still are as they were set, while they are up: call a few times a second.
+    /// Checks that enabled gate drivers still hold their configuration. Call a few times a second.
     pub fn watch_gate(&mut self) {
         if !servo::shared().gate_ready.load(Ordering::Relaxed) {
             return;
         }
-        // An arming that ended before the control interrupt had connected the bridges left the drivers up.
+        // An arming that ended before the control interrupt connected the bridges left the drivers enabled.
         if !self.status().state.drives() {
             return lower_gate();
         }
         let Some(Err(error)) = self.gate.as_mut().map(Gate::check) else { return };
-        // A fault that came meanwhile lowered the gate, which resets the drivers: lost registers are expected then.
+        // A fault during the check disables the gate drivers, which resets their registers. That is no driver fault.
         if servo::shared().gate_ready.load(Ordering::Relaxed) {
             defmt::error!("a gate driver is no longer as it was set: {}", error);
             let record = FaultRecord { fault: Fault::DriverReset, axis: None, value: error.value(), step: 0 };
-            let _ = self.requests.ask(Request::Command(Command::Fault(record)));
+            let _ = self.requests.send(Request::Command(Command::Fault(record)));
         }
     }
 }
@@ -140,16 +140,17 @@ impl Machine for BoardMachine {
         };
         let powers_up = question.is_some();
         if let Some(question) = question {
-            // Asked first: a request that will be refused must not power the gate drivers, or latch a fault where they
-            // have no supply.
-            let refused = self.requests.ask(Request::Command(question)).reply.0;
-            // With the motors on it is refused, and also if a check of polarity ended since: its gate is about to fall.
+            // The question comes first: a request that will be refused must not power the gate drivers, nor latch a fault
+            // if they have no supply.
+            let refused = self.requests.send(Request::Command(question)).reply.0;
+            // Refused while the motors are on, and also if a polarity check has ended meanwhile, because the gate drivers
+            // are about to be disabled.
             let refused = if status.state.drives() { refused.and(Err(Refusal::Armed)) } else { refused };
             if let Err(refusal) = refused.and_then(|()| self.raise_gate()) {
                 return (Err(refusal), None);
             }
         }
-        let reply = self.requests.ask(Request::Command(command)).reply;
+        let reply = self.requests.send(Request::Command(command)).reply;
         if powers_up && reply.0.is_err() {
             lower_gate();
         }
@@ -157,11 +158,11 @@ impl Machine for BoardMachine {
     }
 
     fn status(&mut self) -> Status {
-        self.requests.ask(Request::Status).status
+        self.requests.send(Request::Status).status
     }
 
     fn force(&mut self, request: &ForceRequest) -> ForceAnswer {
-        self.requests.ask_force(request)
+        self.requests.send_force(request)
     }
 
     fn place(&mut self, program: Program<BoardMath>) -> Result<BoardProgram, Refusal> {
@@ -176,16 +177,16 @@ impl Machine for BoardMachine {
     }
 
     fn release(&mut self, held: BoardProgram) {
-        // There are as many places as buffers.
+        // The list has as many places as there are buffers.
         let _ = self.spare.push(held);
     }
 
     fn retime(&mut self, rate_hz: f32) {
         let carrier = Carrier::for_rate(TIMER_HZ, rate_hz);
         if carrier != self.carrier {
-            let _ = self.requests.ask(Request::Retime(carrier));
+            let _ = self.requests.send(Request::Retime(carrier));
             self.carrier = carrier;
-            supervisor::expect(carrier.rate_hz());
+            supervisor::expect_rate(carrier.rate_hz());
         }
     }
 
@@ -224,7 +225,7 @@ impl Described for BoardMachine {
     }
 
     fn measured(&mut self) -> Measured {
-        // A few late steps (a new program, a change of gains) are no delay; many are.
+        // A few late steps (a new program, a change of gains) do not change the delay; many do.
         let late = supervisor::late_share() > 0.25;
         let delay = self.carrier.delay_samples();
         Measured {
@@ -238,7 +239,7 @@ impl Described for BoardMachine {
     }
 }
 
-/// Runs what may write flash, which stalls the program: the watchdog and the count of late steps know.
+/// Runs `work`, which may stall the program by writing flash, with a patient watchdog and without counting overruns.
 fn while_flash_stalls<R>(work: impl FnOnce() -> R) -> R {
     servo::shared().stall_expected.store(true, Ordering::Relaxed);
     let result = watchdog::patient(work);
@@ -246,13 +247,13 @@ fn while_flash_stalls<R>(work: impl FnOnce() -> R) -> R {
     result
 }
 
-/// Lets the power stage go, while the motors are off: nothing but a task switches them on.
+/// Disables the power stage. Call while the motors are off; only tasks switch them on.
 fn lower_gate() {
     servo::shared().gate_ready.store(false, Ordering::Relaxed);
     This::off();
 }
 
-/// As much of a text as fits.
+/// Returns the part of `text` that fits into `N` bytes.
 fn text<const N: usize>(text: &str) -> String<N> {
     let mut short = String::new();
     for character in text.chars() {

@@ -1,8 +1,8 @@
 //! The firmware of a haptic-bridge board: boot and task wiring, top to bottom.
 //!
-//! One interrupt does the control step ([`servo`]); everything else is Embassy tasks in thread mode. What may delay
-//! what: nothing delays the control interrupt but what ends in a reset (see [`critical`]); the control interrupt delays
-//! all else by its own length.
+//! One interrupt runs the control step ([`servo`]); everything else is Embassy tasks in thread mode. Only handlers that
+//! end in a reset delay the control interrupt (see [`critical`]). The control interrupt delays everything else by its
+//! own duration.
 #![no_std]
 #![no_main]
 
@@ -82,15 +82,15 @@ async fn main(spawner: Spawner) {
     let machine = BoardMachine::new(servo, gate, storage, serial_number, carrier);
     let (usb, serial) = link::device(common.usb, serial_number);
 
-    // Before any task: what stretches its time must find it running.
+    // Started before any task, because `watchdog::patient` needs a running watchdog.
     let watchdog = Watchdog::start(common.watchdog);
     spawner.must_spawn(supervisor::supervise(watchdog));
     spawner.must_spawn(link::usb(usb));
     spawner.must_spawn(link::serve(machine, hardware, fault, serial));
 }
 
-/// A halted core must not leave a duty standing: with these bits the carriers stop with it and their outputs go to the
-/// idle level (RM0090 section 38.16.4). The watchdog waits for the debugger as well.
+/// Stops the carriers and the watchdog while a debugger halts the core, so that no duty stays applied: the outputs go to
+/// their idle level (RM0090 section 38.16.4).
 fn freeze_carriers_when_halted() {
     pac::DBGMCU.apb2fzr().modify(|w| {
         w.set_tim1(true);

@@ -1,10 +1,10 @@
 //! The carrier: centre-aligned complementary PWM with dead time on TIM1, and on TIM8 in step with it where the board
 //! has a second bridge.
 //!
-//! A timer counts 0 -> top -> 0. At the crest (top) all low-side switches are on: currents are sampled there and the
-//! control interrupt steps. A duty written then is preloaded and applies at the next valley, half a carrier period
+//! A timer counts 0 -> top -> 0. At the crest (top) all low-side switches are on: the currents are sampled there, and the
+//! control interrupt runs its step. A duty written then is preloaded and applies at the next valley, half a carrier period
 //! later. The repetition counter stays 0, because it also gates the transfer of preloaded duties; the control interrupt
-//! divides in software. STM32F405 reference manual RM0090, section 17.
+//! divides the rate in software. STM32F405 reference manual RM0090, section 17.
 
 use embassy_stm32::gpio::{AfType, Flex, OutputType, Speed};
 use embassy_stm32::pac;
@@ -13,7 +13,7 @@ use embassy_stm32::pac::timer::{TimAdv, vals};
 
 use haptic_bridge::drive::carrier::Carrier;
 
-/// Hands pins to a timer's outputs for good: fast edges, low when nothing drives them.
+/// Hands pins to a timer's outputs permanently, with fast edges.
 pub fn outputs<const N: usize>(pins: [Flex<'static>; N], alternate_function: u8) {
     for mut pin in pins {
         pin.set_as_af_unchecked(alternate_function, AfType::output(OutputType::PushPull, Speed::VeryHigh));
@@ -21,25 +21,25 @@ pub fn outputs<const N: usize>(pins: [Flex<'static>; N], alternate_function: u8)
     }
 }
 
-/// Locks how pins of a port are configured until the next reset, once for all of its pins: mode, type, speed, pulls and
-/// alternate function (RM0090 section 8.3.6). What a locked output shows can still be written.
+/// Locks the configuration of these pins of a port until the next reset: mode, type, speed, pulls and alternate function
+/// (RM0090 section 8.3.6). Call once per port. The level of a locked output can still be written.
 pub fn lock(port: Gpio, pins: u16) {
     const KEY: u32 = 1 << 16;
     let pins = u32::from(pins);
-    // Any other write in between would restart the sequence; no interrupt writes here.
+    // Another write to the register would restart the sequence, but no interrupt writes to it.
     for word in [KEY | pins, pins, KEY | pins] {
         port.lckr().write(|w| w.0 = word);
     }
-    // The first reading ends the sequence, the second one shows what came of it.
+    // The first read ends the sequence; the second returns the result.
     let _ = port.lckr().read();
     if port.lckr().read().0 != KEY | pins {
         defmt::error!("pins {=u32:#x} of a port are not locked", pins);
     }
 }
 
-/// Settings that a bridge's timer gets once.
+/// Settings of a bridge's timer, written once.
 pub struct PwmConfig {
-    /// Which of channels 1..3 drive a bridge; the others stay off.
+    /// True for each of channels 1 to 3 that drives a bridge. The others stay off.
     pub channels: [bool; 3],
     /// Dead time between the two switches of a half bridge, ticks of 1/168 MHz, at most 127.
     pub dead_time: u8,
@@ -47,8 +47,8 @@ pub struct PwmConfig {
     pub break_input: bool,
 }
 
-/// Sets a timer up as a stopped carrier with its outputs off. Until its next reset, dead time, break input, idle
-/// levels, polarity and mode of its outputs are locked; duties, period and the outputs' enable bit stay free.
+/// Configures a timer as a stopped carrier with its outputs off. Dead time, break input, and idle levels, polarity and
+/// mode of the outputs are locked until the next reset. Duties, period and the outputs' enable bit stay writable.
 pub fn configure(timer: TimAdv, config: &PwmConfig, carrier: Carrier) {
     timer.cr1().write(|w| {
         w.set_cms(vals::Cms::CENTER_ALIGNED1);
@@ -66,27 +66,26 @@ pub fn configure(timer: TimAdv, config: &PwmConfig, carrier: Carrier) {
             w.set_ccne(channel, config.channels[channel]);
         });
     }
-    // Channel 4 has no pin. It is active from just before the crest to just after it, and its rising edge starts the
-    // analog conversions.
+    // Channel 4 has no pin. It is active around the crest, and its rising edge starts the analog conversions.
     timer.ccmr_output(1).modify(|w| {
         w.set_ocm(1, vals::Ocm::PWM_MODE2);
         w.set_ocpe(1, true);
     });
     timer.bdtr().write(|w| {
         w.set_dtg(config.dead_time.min(127));
-        // Off is a driven low level at every switch, not a floating input, both while idle and for unused channels.
+        // Off is a driven low level at every switch, not a floating output, also for unused channels.
         w.set_ossi(vals::Ossi::IDLE_LEVEL);
         w.set_ossr(vals::Ossr::IDLE_LEVEL);
         w.set_bkp(0, vals::Bkp::ACTIVE_LOW);
         w.set_bke(0, config.break_input);
-        // RM0090 section 17.4.18: by the first write of this register or never.
+        // Only the first write of this register can lock it (RM0090 section 17.4.18).
         w.set_lock(vals::Lock::LEVEL3);
     });
     set_carrier(timer, carrier);
     timer.egr().write(|w| w.set_ug(true));
 }
 
-/// Writes the preloaded period, with all duties at one half; both apply at the next extreme.
+/// Writes the preloaded period, and duties of one half. Both apply at the next extreme.
 pub fn set_carrier(timer: TimAdv, carrier: Carrier) {
     timer.arr().write(|w| w.set_arr(carrier.top));
     timer.ccr(3).write(|w| w.set_ccr(carrier.top - 1));
@@ -95,7 +94,7 @@ pub fn set_carrier(timer: TimAdv, carrier: Carrier) {
     }
 }
 
-/// Starts the carriers on one clock edge and leaves TIM1's trigger output to the analog converters.
+/// Starts the carriers on one clock edge, then connects TIM1's trigger output to the analog converters.
 pub fn start(follower: Option<TimAdv>) {
     let leader = pac::TIM1;
     leader.cr2().modify(|w| w.set_mms(vals::Mms::ENABLE));

@@ -1,6 +1,6 @@
-//! When nothing can go on: a panic, a hard fault, a dead crystal or a falling supply turns the bridges off before
-//! anything else, writes down why in memory that survives a reset, and resets. The next start reports it
-//! ([`Previous`]). A request for the USB boot loader travels the same way.
+//! The ends of a run. A panic, a hard fault, a stopped crystal or a falling supply first turns the bridges off, then
+//! records the cause in memory that survives a reset, and resets. The next start reports the cause ([`Previous`]). A
+//! request for the USB boot loader is passed on in the same way.
 
 use core::mem::MaybeUninit;
 use core::panic::PanicInfo;
@@ -13,24 +13,24 @@ use haptic_bridge::safety::fault::{Fault, FaultRecord};
 
 use crate::board::{Board, This};
 
-/// Says that a record was written and not that SRAM happens to hold something.
+/// Marks a record that was written, as opposed to random contents of the SRAM.
 const WRITTEN: u32 = 0x4C41_5354;
 const BOOT_LOADER: u32 = 0x4446_5521;
 
-/// The program's record of its own end. Plain words, so that any bit pattern is a valid value.
+/// The record of a run's end. It consists of words only, so that any bit pattern is valid.
 #[repr(C)]
 #[derive(Clone, Copy)]
 struct LastWords {
     mark: u32,
     /// 1 panic, 2 hard fault, 3 unexpected interrupt, 4 stack overflow, 5 dead crystal, 6 falling supply.
     kind: u32,
-    /// Program counter and link register where a fault struck; the line of a panic, the number of an interrupt.
+    /// Program counter and link register at a fault; the line of a panic; the number of an interrupt.
     pc: u32,
     lr: u32,
     /// Configurable fault status and the address it names (RM0090 / ARMv7-M B3.2.15).
     status: u32,
     address: u32,
-    /// The name of a panic's file: where it lies in flash, and its length.
+    /// Address in flash and length of the name of a panic's file.
     file: u32,
     file_len: u32,
     check: u32,
@@ -42,10 +42,10 @@ static mut LAST_WORDS: MaybeUninit<LastWords> = MaybeUninit::uninit();
 #[unsafe(link_section = ".uninit.BOOT_REQUEST")]
 static mut BOOT_REQUEST: MaybeUninit<u32> = MaybeUninit::uninit();
 
-/// Why the chip started, as its reset flags say (RM0090 section 7.3.21).
+/// Cause of the last reset, from the chip's reset flags (RM0090 section 7.3.21).
 #[derive(Clone, Copy, PartialEq, Eq, Debug, defmt::Format)]
 pub enum ResetCause {
-    /// Supply was switched on, or dipped.
+    /// The supply was switched on, or dipped.
     Power,
     /// The independent watchdog was not fed.
     Watchdog,
@@ -58,7 +58,7 @@ pub enum ResetCause {
 /// The end of the previous run.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, defmt::Format)]
 pub enum Previous {
-    /// Nothing is on record.
+    /// No record was left.
     Clean,
     /// A panic; `file` is its file and `pc` its line.
     Panic,
@@ -90,7 +90,7 @@ pub struct Start {
 }
 
 impl Start {
-    /// The fault that the end of the previous run leaves for this one; it stays latched until someone clears it.
+    /// Returns the fault that the previous run's end leaves latched for this run.
     pub fn fault(&self) -> Option<FaultRecord> {
         let (fault, value) = match (self.previous, self.cause) {
             (Previous::Panic, _) => (Fault::Panic, self.pc as f32),
@@ -111,22 +111,22 @@ impl LastWords {
         words.iter().fold(0x811C_9DC5_u32, |sum, word| (sum ^ word).wrapping_mul(0x0100_0193))
     }
 
-    /// The name of the file, unless it is not where names lie.
+    /// Returns the name of the panic's file, or "" if the address or length is not plausible.
     fn file(&self) -> &'static str {
         const FLASH: core::ops::Range<u32> = 0x0800_0000..0x0810_0000;
         const LONGEST: u32 = 128;
         if self.file_len > LONGEST || !FLASH.contains(&self.file) || !FLASH.contains(&(self.file + self.file_len)) {
             return "";
         }
-        // SAFETY: the bytes lie in flash, which nothing writes while names are read; whether they are text is checked.
+        // SAFETY: the bytes lie in flash, which is not written meanwhile. `from_utf8` checks that they are text.
         let bytes = unsafe { core::slice::from_raw_parts(self.file as *const u8, self.file_len as usize) };
         core::str::from_utf8(bytes).unwrap_or("")
     }
 }
 
-/// Reads and clears what the previous run left. Call once, first thing.
+/// Reads and clears the record of the previous run. Call once, before anything else.
 pub fn take() -> Start {
-    // SAFETY: runs once, before interrupts and tasks exist, so nothing else refers to the record; every bit pattern is
+    // SAFETY: runs once, before interrupts and tasks exist, so nothing else refers to the record. Every bit pattern is
     // valid.
     let words = unsafe {
         let words = addr_of!(LAST_WORDS).cast::<LastWords>().read_volatile();
@@ -164,7 +164,7 @@ pub fn take() -> Start {
     }
 }
 
-/// Resets into the chip's USB boot loader: the bridges are off, the next start goes to the ROM.
+/// Turns the bridges off and resets into the chip's USB boot loader.
 pub fn reboot_to_boot_loader() -> ! {
     This::off();
     // SAFETY: a single aligned word that only the start-up code reads.
@@ -172,19 +172,18 @@ pub fn reboot_to_boot_loader() -> ! {
     SCB::sys_reset()
 }
 
-/// Restarts the program with the bridges off.
+/// Turns the bridges off and restarts the program.
 pub fn reboot() -> ! {
     This::off();
     SCB::sys_reset()
 }
 
-/// Jumps to the ROM's boot loader if the previous run asked for it. Call before any clock or peripheral is set up.
+/// Jumps to the ROM's boot loader if the previous run requested it. Call before any clock or peripheral is set up.
 pub fn enter_boot_loader_if_requested() {
     /// System memory of the STM32F405 (application note AN2606).
     const SYSTEM_MEMORY: u32 = 0x1FFF_0000;
-    // SAFETY: start-up code, nothing else runs yet. The word is in RAM that start-up does not initialise. The ROM
-    // begins with a stack pointer and an entry address, as any vector table does, and expects the chip as it is right
-    // after a reset.
+    // SAFETY: nothing else runs yet at start-up, which does not initialise the word. The ROM begins with a vector table and
+    // expects the chip in its state after a reset.
     unsafe {
         let request = addr_of_mut!(BOOT_REQUEST).cast::<u32>();
         if request.read_volatile() != BOOT_LOADER {
@@ -218,28 +217,28 @@ fn write_down_and_reset(kind: u32, pc: u32, lr: u32, file: (u32, u32)) -> ! {
     SCB::sys_reset()
 }
 
-/// Keeps the place and not the message: without a use for them, messages and their formatting stay out of the image.
-/// The optimiser sees that only while this function is small enough to be inlined.
+/// Records the location of a panic but not its message, which keeps messages and their formatting out of the image. The
+/// optimiser removes them only while this function is small enough to be inlined.
 #[panic_handler]
 fn panic(info: &PanicInfo) -> ! {
-    // The place lives in the image for ever, whatever the lifetime of what tells of it.
+    // The file's name is part of the image, so its address stays valid.
     match info.location() {
-        Some(place) => panicked(place.line(), place.file().as_ptr() as u32, place.file().len() as u32),
-        None => panicked(0, 0, 0),
+        Some(place) => record_panic(place.line(), place.file().as_ptr() as u32, place.file().len() as u32),
+        None => record_panic(0, 0, 0),
     }
 }
 
 #[inline(never)]
-fn panicked(line: u32, file: u32, len: u32) -> ! {
+fn record_panic(line: u32, file: u32, len: u32) -> ! {
     This::off();
     cortex_m::interrupt::disable();
     write_down_and_reset(1, line, 0, (file, len))
 }
 
-/// The entry of every hard fault: gives the handler the stack pointer of the fault and a fresh stack, because an
-/// overflow may have been the cause. A frame with room for floating-point registers, which the core fills lazily, lies
-/// on the old one: they are let go (FPCCR.LSPACT, ARMv7-M B3.2.21), or the handler's first such instruction would fault
-/// again, and a fault in this handler is a lock-up.
+/// The entry of every hard fault. It passes the stack pointer of the fault to the handler and gives the handler an empty
+/// stack, because an overflow may be the cause. It also cancels the lazy save of the floating-point registers to the old
+/// stack (FPCCR.LSPACT, ARMv7-M B3.2.21): otherwise the handler's first floating-point instruction would fault again, and a
+/// fault in this handler locks the core up.
 #[unsafe(naked)]
 #[unsafe(export_name = "HardFault")]
 unsafe extern "C" fn hard_fault_entry() -> ! {
@@ -268,7 +267,7 @@ extern "C" fn hard_fault(frame: *const u32) -> ! {
     let at = frame as usize;
     let inside = at >= bottom && at + 32 <= top && at.is_multiple_of(4);
     let (pc, lr) = if inside {
-        // SAFETY: the eight words of an exception frame lie inside the stack. ARMv7-M B1.5.6: r0-r3, r12, lr, pc, xPSR.
+        // SAFETY: the eight words of the exception frame lie inside the stack: r0-r3, r12, lr, pc, xPSR (ARMv7-M B1.5.6).
         unsafe { (frame.add(6).read_volatile(), frame.add(5).read_volatile()) }
     } else {
         (0, 0)
@@ -276,23 +275,23 @@ extern "C" fn hard_fault(frame: *const u32) -> ! {
     write_down_and_reset(if inside { 2 } else { 4 }, pc, lr, (0, 0))
 }
 
-/// The clock security system: the crystal is dead, and core and carriers go on at 16 MHz from the chip's own
-/// oscillator. A start without a crystal waits for it, with the bridges off.
+/// Handles a stopped crystal (clock security system). Core and carriers run on at 16 MHz from the chip's own oscillator. A
+/// start without a crystal waits for it, with the bridges off.
 #[cortex_m_rt::exception]
 unsafe fn NonMaskableInt() -> ! {
-    gone(5, 0)
+    record_end(5, 0)
 }
 
-/// The supply monitor: there are microseconds left in which the processor can be relied on. The next start waits until
-/// the supply is there ([`crate::clock::await_supply`]).
+/// Handles a falling supply: the processor is reliable for a few more microseconds. The next start waits for the supply
+/// ([`crate::clock::await_supply`]).
 #[interrupt]
 fn PVD() -> ! {
-    gone(6, 0)
+    record_end(6, 0)
 }
 
-/// `pc` is the program counter, or what stands in for it.
+/// Turns the bridges off, records the cause and resets. `pc` is the program counter, or the number of an interrupt.
 #[inline(never)]
-fn gone(kind: u32, pc: u32) -> ! {
+fn record_end(kind: u32, pc: u32) -> ! {
     This::off();
     cortex_m::interrupt::disable();
     write_down_and_reset(kind, pc, 0, (0, 0))
@@ -300,5 +299,5 @@ fn gone(kind: u32, pc: u32) -> ! {
 
 #[cortex_m_rt::exception]
 unsafe fn DefaultHandler(number: i16) {
-    gone(3, number as u32)
+    record_end(3, number as u32)
 }

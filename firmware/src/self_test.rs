@@ -1,8 +1,8 @@
-//! Tests that run before motors may arm: RAM before any of it is used, the image in flash, and, before any pin is
-//! driven, that the board is the one that the image is for.
+//! Self-tests before the motors can be armed: the RAM before its first use, the image in flash, and, before any pin is
+//! driven, the identity of the board.
 //!
-//! A board that fails goes on as far as it can and says so, but never arms: [`failed`] is asked at every arming and
-//! every check of polarity.
+//! After a failed test the board still runs and reports the failure, but never arms: every arming and every polarity
+//! check calls [`failed`].
 
 use core::arch::global_asm;
 use core::ptr::addr_of;
@@ -11,20 +11,20 @@ use core::sync::atomic::{AtomicBool, AtomicU8, AtomicU32, Ordering};
 use haptic_bridge::checksum::Crc32;
 use haptic_bridge::safety::fault::{Fault, FaultRecord};
 
-use crate::board::{Board, Pin, Signs, This};
+use crate::board::{Board, IdentityPins, Pin, This};
 
-/// The first word that failed the RAM test, 0 where none did. The test writes it, start-up leaves it alone.
+/// Address of the first word that failed the RAM test; 0 if the test passed. Start-up does not initialise it.
 #[unsafe(link_section = ".uninit.RAM_FAILED")]
 static RAM_FAILED: AtomicU32 = AtomicU32::new(0);
 
-/// The image is as it was built.
+/// True if the image in flash matches its checksum.
 static IMAGE_SOUND: AtomicBool = AtomicBool::new(false);
 
 // The RAM test: march C- over stack and statics, word by word, with all bits 0 and all bits 1 (van de Goor 1993): write
-// 0; up: read 0, write 1; up: read 1, write 0; down: read 0, write 1; down: read 1, write 0; read 0. It finds bits that
-// are stuck, do not change, or change with another word, and addresses that are taken for each other; not bits of one
-// word that change together. Start-up calls it with the stack still empty and before any static has its value, so it is
-// assembly, uses registers alone, and leaves out what lives through a reset (.uninit). 30 ms at the 16 MHz of a start.
+// 0; up: read 0, write 1; up: read 1, write 0; down: read 0, write 1; down: read 1, write 0; read 0. It detects stuck bits,
+// bits that do not change or that change with another word, and wrong address decoding, but not bits of one word that
+// change together. Start-up calls the test with an empty stack and before any static has its value. Therefore it is
+// assembly, uses registers alone, and skips memory that survives a reset (.uninit). It takes 30 ms at 16 MHz.
 global_asm!(
     ".section .text.__pre_init, \"ax\"",
     ".global __pre_init",
@@ -91,8 +91,8 @@ unsafe extern "C" {
     static __edata: u8;
 }
 
-/// Compares the image's checksum with the one that `cargo fw` wrote into it: over the vectors, then over everything
-/// from the first instruction to the last initial value of a static. Call once, before the watchdog runs.
+/// Compares the image's checksum with the one that `cargo fw` wrote. The checksum covers the vectors, then everything from
+/// the first instruction to the last initial value of a static. Call once, before the watchdog runs.
 pub fn image() {
     let initial = addr_of!(__edata) as usize - addr_of!(__sdata) as usize;
     let parts = [
@@ -101,45 +101,45 @@ pub fn image() {
     ];
     let mut sum = Crc32::new();
     for (start, end) in parts {
-        // SAFETY: the linker puts both ends into flash, which nothing writes before the settings are opened.
+        // SAFETY: the linker places both ends in flash, which is not written before the settings are opened.
         sum.take(unsafe { core::slice::from_raw_parts(start, end - start as usize) });
     }
-    // SAFETY: a word of flash that the linker placed.
+    // SAFETY: the linker placed this word in flash.
     let written = unsafe { addr_of!(_image_check).read_volatile() };
     IMAGE_SOUND.store(sum.sum() == written, Ordering::Relaxed);
 }
 
-/// The pin that is not as on this image's board, [`UNTOLD`] before anybody looked, [`NONE`] where all are.
-static STRANGE_PIN: AtomicU8 = AtomicU8::new(UNTOLD);
-const UNTOLD: u8 = 0xFF;
-const NONE: u8 = 0xFE;
+/// The pin that differs from this image's board, [`NOT_CHECKED`], or [`NO_PIN`] if all pins match.
+static WRONG_PIN: AtomicU8 = AtomicU8::new(NOT_CHECKED);
+const NOT_CHECKED: u8 = 0xFF;
+const NO_PIN: u8 = 0xFE;
 
-/// Returns true if the chip is on the board that this image is for. Call once, while all pins are as a reset leaves
-/// them and the clock of the tasks runs; takes at most 4 ms.
+/// Returns true if the chip is on the board of this image. Call once, while all pins are in their reset state and the
+/// tasks' clock runs. Takes at most 4 ms.
 pub fn board() -> bool {
-    let Signs { held, open } = This::SIGNS;
-    let strange = held.iter().find(|pin| pin.is_open()).or_else(|| open.iter().find(|pin| !pin.is_open()));
-    STRANGE_PIN.store(strange.map_or(NONE, |pin| pin.0), Ordering::Relaxed);
-    if let Some(Pin(pin)) = strange {
+    let IdentityPins { held, open } = This::IDENTITY;
+    let wrong = held.iter().find(|pin| pin.is_open()).or_else(|| open.iter().find(|pin| !pin.is_open()));
+    WRONG_PIN.store(wrong.map_or(NO_PIN, |pin| pin.0), Ordering::Relaxed);
+    if let Some(Pin(pin)) = wrong {
         let port = char::from(b'A' + (pin >> 4));
         defmt::error!(
-            "this image is for {=str}, and this board is another: see pin P{=char}{=u8}",
+            "this image is for {=str}, but pin P{=char}{=u8} is not as on that board",
             This::NAME,
             port,
             pin & 15
         );
     }
-    strange.is_none()
+    wrong.is_none()
 }
 
-/// The test that failed, if any did.
+/// Returns the fault of the test that failed; `None` if all passed.
 pub fn failed() -> Option<FaultRecord> {
     let address = RAM_FAILED.load(Ordering::Relaxed);
-    let strange = STRANGE_PIN.load(Ordering::Relaxed);
+    let pin = WRONG_PIN.load(Ordering::Relaxed);
     let (fault, value) = match IMAGE_SOUND.load(Ordering::Relaxed) {
         _ if address != 0 => (Fault::RamDamaged, address as f32),
         false => (Fault::ImageDamaged, 0.0),
-        true if strange != NONE => (Fault::WrongBoard, f32::from(strange)),
+        true if pin != NO_PIN => (Fault::WrongBoard, f32::from(pin)),
         true => return None,
     };
     Some(FaultRecord { fault, axis: None, value, step: 0 })

@@ -1,9 +1,9 @@
-//! The two directions of the USB serial port as frames (COBS, ended by a zero) that never hold the board up.
+//! The USB serial port as frames (COBS, terminated by a zero) in both directions. A slow host never stalls the board.
 //!
-//! In: what is no frame is skipped, and a lost connection ends the frame that was under way. Out: two frames are on their way
-//! at most. The interrupt of the USB core hands the next packet over as soon as the one before has left, so that the bus
-//! does not wait for a task. A host is given [`PATIENCE`] to take a frame, whether it stops reading or reads slowly; from then
-//! on frames are dropped until it has read one. What has begun to leave leaves whole.
+//! Incoming: bytes that are no frame are skipped, and a lost connection discards a partial frame. Outgoing: at most two
+//! frames wait. The USB core's interrupt passes on the next packet as soon as the previous one has left, so the bus does
+//! not wait for a task. A host has [`PATIENCE`] to read a frame; after that, frames are dropped until the host has read
+//! one. A frame that has begun to leave is always sent whole.
 
 use core::cell::RefCell;
 use core::future::poll_fn;
@@ -31,19 +31,19 @@ pub type Serial = CdcAcmClass<'static, UsbDriver>;
 /// Largest packet of a full-speed bulk endpoint.
 pub const PACKET: usize = 64;
 
-/// Longest time that a host may take over the queued frames before there is room for another. A turn of the link task
-/// sends three at most, and the watchdog must hear of it once a second.
+/// Longest wait for a host to make room for a frame. A turn of the link task sends at most three frames, and the task must
+/// report to the supervisor once a second.
 const PATIENCE: Duration = Duration::from_millis(100);
 
-/// Bytes that are copied by words.
+/// Bytes aligned to words, for copies by words.
 #[repr(align(4))]
 pub struct Aligned<const N: usize>(pub [u8; N]);
 
 /// An event on the link from the host.
 pub enum Event<'f> {
-    /// A frame, decoded.
+    /// A decoded frame.
     Frame(&'f [u8]),
-    /// The host has left, or arrived: whatever it had asked for is over.
+    /// The host disconnected or reconnected: its streams and replies are obsolete.
     Disconnected,
 }
 
@@ -57,12 +57,12 @@ pub struct Incoming {
 }
 
 impl Incoming {
-    /// The receiving half of a serial port.
+    /// Creates the receiving half of a serial port.
     pub fn new(receiver: Receiver<'static, UsbDriver>) -> Self {
         Self { receiver, packet: Aligned([0; PACKET]), taken: 0, filled: 0, decoder: Decoder::default() }
     }
 
-    /// Waits for the next frame. May be dropped while it waits; nothing is lost.
+    /// Waits for the next frame. Dropping the future while it waits loses nothing.
     pub async fn next(&mut self) -> Event<'_> {
         loop {
             while let Some(left) = self.packet.0.get(self.taken..self.filled).filter(|left| !left.is_empty()) {
@@ -85,7 +85,7 @@ impl Incoming {
     }
 }
 
-/// A frame on its way out: a delimiter, for a host that has got the beginning of another, then the frame with its own.
+/// An outgoing frame: a delimiter that ends a partial frame at the host, then the frame and its delimiter.
 struct Frame {
     bytes: [u8; 1 + most_on_wire(MAX_FRAME)],
     length: usize,
@@ -95,38 +95,38 @@ impl Frame {
     const EMPTY: Self = Self { bytes: [0; 1 + most_on_wire(MAX_FRAME)], length: 0 };
 }
 
-/// Frames that are on their way at most.
-const ON_THEIR_WAY: usize = 2;
+/// Maximum number of frames that wait to leave.
+const MAX_WAITING: usize = 2;
 
 /// Frames to the host.
 pub struct Outgoing {
-    /// The one that is written.
+    /// The frame being written.
     frame: &'static mut Frame,
     stalled: bool,
 }
 
 impl Outgoing {
-    /// The sending half of a serial port. Call once.
+    /// Creates the sending half of a serial port. Call once.
     pub fn new(sender: Sender<'static, UsbDriver>) -> Self {
-        static FRAMES: ConstStaticCell<[Frame; 1 + ON_THEIR_WAY]> =
-            ConstStaticCell::new([Frame::EMPTY; 1 + ON_THEIR_WAY]);
+        static FRAMES: ConstStaticCell<[Frame; 1 + MAX_WAITING]> =
+            ConstStaticCell::new([Frame::EMPTY; 1 + MAX_WAITING]);
         let [frame, free @ ..] = FRAMES.take();
         let (waiting, free, waker) = (Deque::new(), Vec::from_iter(free), WakerRegistration::new());
         LEAVING.lock(|leaving| leaving.replace(Some(Leaving { sender, waiting, begun: 0, free, waker })));
         Self { frame, stalled: false }
     }
 
-    /// Buffer for the next frame, before it is encoded.
-    pub fn place(&mut self) -> &mut [u8] {
+    /// Returns the buffer for the next frame, before encoding.
+    pub fn buffer(&mut self) -> &mut [u8] {
         &mut self.frame.bytes[2..][..MAX_FRAME]
     }
 
-    /// Sends the first bytes of [`Outgoing::place`], or drops them where the host does not take the frames before.
+    /// Sends the first `length` bytes of [`Outgoing::buffer`], or drops them if the host does not read earlier frames.
     pub async fn send(&mut self, length: usize) {
         let Some(length) = framing::encode(&mut self.frame.bytes[1..], length) else { return };
         self.frame.length = 1 + length;
         let mut free = with(|leaving| leaving.free.pop()).flatten();
-        // One look, no waiting, at a host that has kept the board waiting.
+        // Does not wait for a host that has already made the board wait.
         if free.is_none() && !self.stalled {
             free = with_timeout(PATIENCE, poll_fn(poll_free)).await.ok();
         }
@@ -134,42 +134,42 @@ impl Outgoing {
         let Some(free) = free else { return };
         let frame = core::mem::replace(&mut self.frame, free);
         with(|leaving| {
-            // There is room for all frames but the one that is written.
+            // The queue has room for all frames except the one being written.
             let _ = leaving.waiting.push_back(frame);
             leaving.hand_over();
         });
     }
 
-    /// Forgets what has not left yet: it was for a host that is gone.
-    pub fn forget(&mut self) {
-        with(Leaving::forget);
+    /// Discards the frames that have not left, because their host is gone.
+    pub fn discard(&mut self) {
+        with(SendQueue::discard);
     }
 }
 
-/// Outgoing bytes, as the USB core's interrupt sees them.
-struct Leaving {
+/// The queue of outgoing frames, emptied by the USB core's interrupt.
+struct SendQueue {
     sender: Sender<'static, UsbDriver>,
-    waiting: Deque<&'static mut Frame, ON_THEIR_WAY>,
-    /// Bytes of the first of them that have been handed over. Its own first byte is only sent where the host may have got
-    /// the beginning of another frame.
+    waiting: Deque<&'static mut Frame, MAX_WAITING>,
+    /// Number of bytes of the first frame that have been passed on. The first frame's leading delimiter is sent only if the
+    /// host may hold a partial frame.
     begun: usize,
-    free: Vec<&'static mut Frame, ON_THEIR_WAY>,
-    /// The task that waits for a free one.
+    free: Vec<&'static mut Frame, MAX_WAITING>,
+    /// The task that waits for a free frame.
     waker: WakerRegistration,
 }
 
-// SAFETY: what keeps it from being sent is the state of the control lines that `Sender` shares with the task of the USB
-// device. `Leaving` calls nothing of it but `write_packet`, which touches the endpoint alone.
-unsafe impl Send for Leaving {}
+// SAFETY: `Sender` is not `Send` because it shares the state of the control lines with the task of the USB device.
+// `SendQueue` only calls `write_packet`, which uses the endpoint alone.
+unsafe impl Send for SendQueue {}
 
-static LEAVING: CriticalSectionMutex<RefCell<Option<Leaving>>> = CriticalSectionMutex::new(RefCell::new(None));
+static SEND_QUEUE: CriticalSectionMutex<RefCell<Option<SendQueue>>> = CriticalSectionMutex::new(RefCell::new(None));
 
-/// Does what is to be done without the interrupt coming in between.
-fn with<R>(work: impl FnOnce(&mut Leaving) -> R) -> Option<R> {
-    LEAVING.lock(|leaving| leaving.borrow_mut().as_mut().map(work))
+/// Runs `work` on the queue while the USB core's interrupt is masked.
+fn with<R>(work: impl FnOnce(&mut SendQueue) -> R) -> Option<R> {
+    SEND_QUEUE.lock(|queue| queue.borrow_mut().as_mut().map(work))
 }
 
-/// Waits for a frame that is free.
+/// Polls for a free frame.
 fn poll_free(context: &mut Context) -> Poll<&'static mut Frame> {
     let free = with(|leaving| {
         leaving.waker.register(context.waker());
@@ -178,13 +178,13 @@ fn poll_free(context: &mut Context) -> Poll<&'static mut Frame> {
     free.flatten().map_or(Poll::Pending, Poll::Ready)
 }
 
-impl Leaving {
-    /// Hands the next packet to the USB core, if there is one and the one before has left.
+impl SendQueue {
+    /// Passes the next packet to the USB core, if the previous one has left.
     #[inline(never)]
     fn hand_over(&mut self) {
         let Some(frame) = self.waiting.front() else { return };
         let left = &frame.bytes[self.begun..frame.length];
-        // The last packet of a frame is always a short one, so that the frame goes to the tool at once.
+        // The last packet of a frame is always short, so that the host delivers the frame at once.
         let packet = if left.len() == PACKET { &left[..PACKET - 1] } else { &left[..left.len().min(PACKET)] };
         match poll_once(self.sender.write_packet(packet)) {
             Poll::Pending => {}
@@ -193,17 +193,17 @@ impl Leaving {
                 self.begun = 1;
                 self.free_first();
             }
-            Poll::Ready(Err(_)) => self.forget(),
+            Poll::Ready(Err(_)) => self.discard(),
         }
     }
 
-    /// The host is gone.
-    fn forget(&mut self) {
+    /// Frees all frames, because the host is gone.
+    fn discard(&mut self) {
         self.begun = 0;
         while self.free_first() {}
     }
 
-    /// Lets the task have the first frame again, if there is one.
+    /// Frees the first frame for the task. Returns false if the queue is empty.
     fn free_first(&mut self) -> bool {
         let Some(frame) = self.waiting.pop_front() else { return false };
         let _ = self.free.push(frame);
@@ -217,6 +217,6 @@ pub struct HandOver;
 
 impl typelevel::Handler<typelevel::OTG_FS> for HandOver {
     unsafe fn on_interrupt() {
-        with(Leaving::hand_over);
+        with(SendQueue::hand_over);
     }
 }

@@ -1,15 +1,15 @@
-//! The control interrupt: at the crest of the carrier it samples, steps and writes the duties that apply at the next
-//! valley.
+//! The control interrupt: at a crest of the carrier it samples, runs the control step and writes the duties, which apply
+//! at the next valley.
 //!
-//! It runs at every update of TIM1, crests and valleys. At a valley it notes what the step before saw, sums up what takes
-//! long to do harm, and takes at most one request from the tasks, so that none of it lengthens a step. At every crest it
-//! holds what it sees to the limits and runs the current loops; at every k-th crest (k = [`Carrier::divider`]) it runs the
-//! library's control step. All that it shares with tasks are atomics, a ring of frames and one exchange, so nothing here
-//! waits and nothing is torn; a full queue drops and counts.
+//! The interrupt runs at every update of TIM1: at crests and valleys. Every crest checks the limits and runs the current
+//! loops; every k-th crest (k = [`Carrier::divider`]) also runs the library's control step. A valley records the last
+//! step, checks for slow faults and carries out at most one request of the tasks, so that this work does not lengthen a
+//! step. The interrupt shares atomics, a ring of frames and one exchange with the tasks. It never waits for a task. A
+//! full ring drops the frame and counts it.
 //!
-//! Time bound: a step that reaches past the following crest is counted, and turns the motors off if they are on
-//! ([`Fault::ControlOverrun`]). One that only reaches past the valley applies half a carrier period later than usual,
-//! which the current loops are told.
+//! Time bound: a step that lasts past the next crest is counted, and turns the motors off if they are on
+//! ([`Fault::ControlOverrun`]). The duties of a step that lasts past the valley apply half a carrier period late; the
+//! current loops take this delay into account.
 
 mod exchange;
 mod shared;
@@ -42,34 +42,37 @@ pub use exchange::{Request, Requests};
 pub use shared::Shared;
 use shared::count;
 
-/// The tasks' ends.
+/// The tasks' ends of the channels to the control interrupt.
 pub struct Ends {
-    /// Of the requests.
+    /// Requests to the control interrupt.
     pub requests: Requests,
     /// Frames of the telemetry stream.
     pub frames: FrameReader,
 }
 
-/// The control interrupt's own. In this order in memory: what the FPU loads lies within the 1 KB that its loads reach.
+/// The state that the control interrupt owns. The order in memory keeps every float within the 1 KB that one FPU load
+/// can reach.
 #[repr(C)]
-struct Step {
+struct InterruptState {
     io: <This as Board>::Io,
     /// Samples of the last crest.
-    seen: Samples,
+    samples: Samples,
     /// Compare values of the legs.
     legs: [[u16; 2]; MAX_JOINTS],
     ticks: Ticks,
-    /// Work at crests before the next control step: the number of crests without a step, and flags that the last step
-    /// left, see [`OVERRAN`]. `after_step` is its value right after a step.
+    /// Number of crests before the next control step, with flags for work that the last step left, see [`OVERRAN`].
     before_step: u32,
+    /// Value of `before_step` right after a step.
     after_step: u32,
     /// The core's cycle count at the last valley.
     valley_at: u32,
-    /// Crests for which duties are late yet, and whether those worked out last wait for the valley.
+    /// Number of crests for which duties still count as late.
     late: u8,
+    /// True if the last duties wait for the valley.
     pending: bool,
-    /// The bridges are connected to the carrier; and, while they are to be, for how many valleys they have not been.
+    /// True while the bridges are connected to the carrier.
     driving: bool,
+    /// Number of valleys at which the bridges should have been connected and were not.
     unconnected: u8,
     servo: BoardServo,
 }
@@ -78,42 +81,41 @@ struct Step {
 #[repr(C)]
 struct Control {
     shared: Shared,
-    /// Start-up hands it to the interrupt for good.
-    step: UnsafeCell<MaybeUninit<Step>>,
-    /// A task's request, until it is answered.
-    asked: AtomicPtr<Exchange<'static>>,
+    /// Owned by the interrupt once `start` has written it.
+    state: UnsafeCell<MaybeUninit<InterruptState>>,
+    /// Request of a task that has no reply yet.
+    request: AtomicPtr<Exchange<'static>>,
     frames: Frames,
 }
 
-// SAFETY: `step` is written once by `start` before the interrupt is enabled, and touched by nothing but the interrupt from
-// then on.
+// SAFETY: `start` writes `state` once, before it enables the interrupt. After that only the interrupt uses it.
 unsafe impl Sync for Control {}
 
 static CONTROL: Control = Control {
     shared: Shared::new(),
-    step: UnsafeCell::new(MaybeUninit::uninit()),
-    asked: AtomicPtr::new(core::ptr::null_mut()),
+    state: UnsafeCell::new(MaybeUninit::uninit()),
+    request: AtomicPtr::new(core::ptr::null_mut()),
     frames: Frames::new(),
 };
 
-/// The numbers that the control interrupt and the tasks share.
+/// Returns the numbers that the control interrupt and the tasks share.
 pub fn shared() -> &'static Shared {
     &CONTROL.shared
 }
 
-/// Gives the board to the control interrupt and starts the carrier; `heat` is what the run before left of it in the
-/// motors. Call once.
+/// Hands the board to the control interrupt and starts the carrier. `heat` is the motors' heat at the end of the previous
+/// run. Call once.
 pub fn start(mut io: <This as Board>::Io, hardware: Hardware, rules: Rules, heat: [Heat; MAX_JOINTS]) -> Ends {
     io.start();
     let mut servo = BoardServo::new(hardware, rules);
     servo.start_heat(heat);
-    let step = Step {
+    let state = InterruptState {
         ticks: io.carrier().ticks(),
         servo,
         after_step: after_step(io.carrier()),
         before_step: 0,
         valley_at: DWT::cycle_count(),
-        seen: Samples::default(),
+        samples: Samples::default(),
         late: 0,
         pending: false,
         legs: [[0; 2]; MAX_JOINTS],
@@ -123,13 +125,13 @@ pub fn start(mut io: <This as Board>::Io, hardware: Hardware, rules: Rules, heat
     };
     CONTROL.shared.least_left.store(u32::MAX, Ordering::Relaxed);
     // SAFETY: the interrupt is not enabled yet.
-    unsafe { (*CONTROL.step.get()).write(step) };
+    unsafe { (*CONTROL.state.get()).write(state) };
     interrupt::TIM1_UP_TIM10.set_priority(critical::CONTROL);
     pac::TIM1.sr().write(|w| w.0 = 0);
     pac::TIM1.dier().modify(|w| w.set_uie(true));
-    // SAFETY: the state it needs is in place.
+    // SAFETY: the state that the interrupt needs is written.
     unsafe { interrupt::TIM1_UP_TIM10.enable() };
-    Ends { requests: Requests(&CONTROL.asked), frames: FrameReader::new(&CONTROL.frames) }
+    Ends { requests: Requests(&CONTROL.request), frames: FrameReader::new(&CONTROL.frames) }
 }
 
 #[interrupt]
@@ -138,46 +140,46 @@ fn TIM1_UP_TIM10() {
         w.0 = !0;
         w.set_uif(false);
     });
-    // SAFETY: `start` has written it before it enabled this interrupt, which is its only user since and does not preempt
-    // itself.
-    let step = unsafe { (*CONTROL.step.get()).assume_init_mut() };
+    // SAFETY: `start` wrote the state before it enabled this interrupt. The interrupt is the only user and does not
+    // preempt itself.
+    let state = unsafe { (*CONTROL.state.get()).assume_init_mut() };
     if past_valley() {
-        step.valley();
+        state.valley();
     } else {
-        step.crest();
+        state.crest();
     }
 }
 
-impl Step {
-    /// Everything there is to do at a crest.
+impl InterruptState {
+    /// Does the work of a crest.
     #[inline(always)]
     fn crest(&mut self) {
         if self.before_step != 0 && self.crest_before_step() {
             return;
         }
-        self.io.follow(&mut self.seen.counts);
-        // Right behind the counts that they belong to.
-        if self.io.marked() {
+        self.io.update_counts(&mut self.samples.counts);
+        // Directly after the counts, because an index mark belongs to them.
+        if self.io.has_marks() {
             self.mark();
         }
-        compiled::render(&mut self.servo, &self.seen.counts);
+        compiled::render(&mut self.servo, &self.samples.counts);
         if passed_an_extreme() {
-            self.see_whether_missed();
+            self.check_missed_crest();
         }
-        // The converters have worked meanwhile.
+        // The conversions have finished in the meantime.
         self.sample();
         if self.is_late() {
             self.crest_late();
         } else {
-            let drives = compiled::crest(&mut self.servo, &self.seen, &self.ticks, &mut self.legs);
+            let drives = compiled::crest(&mut self.servo, &self.samples, &self.ticks, &mut self.legs);
             self.write(drives);
         }
-        // Work that is not urgent is left to the valley.
+        // The valley does the work that is not urgent.
         self.before_step = self.after_step;
         self.keep_time();
     }
 
-    /// Finishes the last step, and does the whole work of a crest without a step. Returns true if this was such a crest.
+    /// Finishes the last step and, at a crest without a step, does all of its work. Returns true if the crest has no step.
     #[cold]
     #[inline(never)]
     fn crest_before_step(&mut self) -> bool {
@@ -193,10 +195,10 @@ impl Step {
         }
         if self.before_step & OVERRAN != 0 {
             if self.driving {
-                self.miss();
+                self.trip_overrun();
                 self.float();
             } else if self.servo.status().state.drives() {
-                self.wait_on();
+                self.count_unconnected();
             }
         }
         self.before_step &= !(OVERRAN | BETWEEN);
@@ -208,34 +210,34 @@ impl Step {
         between
     }
 
-    /// Everything there is to do at a crest between two control steps.
+    /// Does the work of a crest between two control steps.
     fn crest_between(&mut self) {
-        self.io.follow(&mut self.seen.counts);
+        self.io.update_counts(&mut self.samples.counts);
         self.sample();
-        self.seen.late = self.is_late();
-        let drives = compiled::crest_generally(&mut self.servo, &self.seen, false, &self.ticks, &mut self.legs);
-        if self.seen.late {
+        self.samples.late = self.is_late();
+        let drives = compiled::crest_generally(&mut self.servo, &self.samples, false, &self.ticks, &mut self.legs);
+        if self.samples.late {
             self.write_late(drives);
-            self.seen.late = false;
+            self.samples.late = false;
         } else {
             self.write(drives);
         }
         self.keep_time();
     }
 
-    /// Takes what the crest started to sample, and sees that it is well with the power stage.
+    /// Reads the conversions that the crest started, and checks the power stage for a fault.
     #[inline(always)]
     fn sample(&mut self) {
-        if !self.io.sampled() {
+        if !self.io.has_sampled() {
             self.await_samples();
         }
-        self.io.sample(&mut self.seen);
-        if self.io.fault() {
+        self.io.sample(&mut self.samples);
+        if self.io.has_fault() {
             self.trip_driving(This::POWER_FAULT);
         }
     }
 
-    /// Has the legs take their duties, and the bridges drive or not.
+    /// Writes the duties of the legs, and lets the bridges float unless `drives`.
     #[inline(always)]
     fn write(&mut self, drives: bool) {
         self.io.write(&self.legs);
@@ -244,18 +246,18 @@ impl Step {
         }
     }
 
-    /// The rest of a crest with a control step whose duties are late.
+    /// Finishes a crest with a control step whose duties are late.
     #[cold]
     #[inline(never)]
     fn crest_late(&mut self) {
-        self.seen.late = true;
-        let drives = compiled::crest(&mut self.servo, &self.seen, &self.ticks, &mut self.legs);
+        self.samples.late = true;
+        let drives = compiled::crest(&mut self.servo, &self.samples, &self.ticks, &mut self.legs);
         self.write_late(drives);
-        self.seen.late = false;
-        count(&CONTROL.shared.late_steps);
+        self.samples.late = false;
+        increment(&CONTROL.shared.late_steps);
     }
 
-    /// As [`Step::write`] where the duties are late: they wait for the valley, if that is yet to come.
+    /// Like [`InterruptState::write`] for late duties: before the valley, they wait for it.
     fn write_late(&mut self, drives: bool) {
         if self.driving && !drives {
             self.float();
@@ -269,14 +271,14 @@ impl Step {
     #[cold]
     #[inline(never)]
     fn mark(&mut self) {
-        self.servo.mark(self.io.marks(&self.seen.counts));
+        self.servo.mark(self.io.marks(&self.samples.counts));
     }
 
-    /// Returns true if the duties of this crest are late: the next valley is too near for them, or has just passed, or
-    /// was too near at one of the last crests.
+    /// Returns true if the duties of this crest are late: the valley is too near or has just passed, now or at one of
+    /// the last [`LATE_CRESTS`] crests.
     #[inline(always)]
     fn is_late(&mut self) -> bool {
-        // Core and timer count at the same frequency, and the timer down to its valley and up from it.
+        // Core and timer count at the same frequency. The timer counts down to its valley and up from it.
         if pac::TIM1.cnt().read().0 < LEGS_CYCLES {
             self.late = LATE_CRESTS;
         } else if self.late > 0 {
@@ -285,23 +287,24 @@ impl Step {
         self.late > 0
     }
 
-    /// Trips because a step overran. Call while the motors are on.
-    fn miss(&mut self) {
+    /// Trips because of an overrun. Call while the motors are on.
+    fn trip_overrun(&mut self) {
         let overruns = CONTROL.shared.overruns.load(Ordering::Relaxed).wrapping_add(1);
         self.servo.trip(Fault::ControlOverrun, None, overruns as f32);
     }
 
-    /// This step is past its valley: its duties are late, and what the converters have may belong to the next crest.
+    /// Handles a step that lasted past its valley: its duties are late. If it also lasted past the next crest, the
+    /// conversions may belong to that crest, and the motors go off.
     #[cold]
     #[inline(never)]
-    fn see_whether_missed(&mut self) {
+    fn check_missed_crest(&mut self) {
         self.late = LATE_CRESTS;
-        if self.driving && self.outlasts() {
-            self.miss();
+        if self.driving && self.outlasts_crest() {
+            self.trip_overrun();
         }
     }
 
-    /// Waits for the converters, which have not finished yet.
+    /// Waits for conversions that have not finished yet.
     #[cold]
     #[inline(never)]
     fn await_samples(&mut self) {
@@ -319,16 +322,16 @@ impl Step {
         }
     }
 
-    /// The bridges should drive but cannot yet, because this interrupt was late. If it always is, this counts as missed
-    /// steps instead of waiting forever.
-    fn wait_on(&mut self) {
+    /// Counts an extreme at which the bridges could not be connected, because the interrupt was late. Too many trip, so
+    /// that arming does not wait forever.
+    fn count_unconnected(&mut self) {
         self.unconnected = self.unconnected.saturating_add(1);
         if self.unconnected > LATE_CRESTS {
-            self.miss();
+            self.trip_overrun();
         }
     }
 
-    /// Returns true if the bridges are to drive, and can.
+    /// Returns true if the bridges should drive and the gate drivers are ready.
     fn may_connect(&self) -> bool {
         self.servo.status().state.drives() && CONTROL.shared.gate_ready.load(Ordering::Relaxed)
     }
@@ -337,11 +340,11 @@ impl Step {
     fn connect(&mut self) {
         self.io.drive(true);
         self.driving = true;
-        // The duration of steps while they floated does not matter.
+        // An overrun while the bridges floated does not matter.
         self.before_step &= !OVERRAN;
     }
 
-    /// Lets bridges that drive float, and drops the gate drivers as well.
+    /// Lets driving bridges float, and disables the gate drivers.
     #[cold]
     #[inline(never)]
     fn float(&mut self) {
@@ -350,19 +353,19 @@ impl Step {
         self.driving = false;
     }
 
-    /// Sees to crests that took the longest so far, or reached past the valley.
+    /// Records the duration of a crest that is the longest so far or lasted past the valley.
     #[inline(always)]
     fn keep_time(&mut self) {
         if passed_an_extreme() || pac::TIM1.cnt().read().0 < CONTROL.shared.least_left.load(Ordering::Relaxed) {
-            self.note_time();
+            self.record_time();
         }
     }
 
-    /// Notes how long this crest takes, that duties came too late where it is past the valley, and counts it where it is
-    /// past the next crest.
+    /// Records the duration of this crest. Past the valley, the duties of the next crests count as late; past the next
+    /// crest, the overrun is counted.
     #[cold]
     #[inline(never)]
-    fn note_time(&mut self) {
+    fn record_time(&mut self) {
         if passed_an_extreme() {
             self.late = LATE_CRESTS;
         }
@@ -376,46 +379,50 @@ impl Step {
             longest_cycles.store(cycles, Ordering::Relaxed);
             least_left.store(top.saturating_sub(cycles), Ordering::Relaxed);
         }
-        if passed_an_extreme() && self.outlasts() {
+        if passed_an_extreme() && self.outlasts_crest() {
             self.before_step |= OVERRAN;
-            count(overruns);
+            increment(overruns);
         }
     }
 
-    /// Core cycles since the last valley. Core and timer count at the same frequency.
+    /// Returns the core cycles since the last valley. Core and timer count at the same frequency.
     fn since_valley(&self) -> u32 {
         DWT::cycle_count().wrapping_sub(self.valley_at)
     }
 
-    /// Returns true if what is past its valley is past the next crest, too.
-    fn outlasts(&self) -> bool {
+    /// Returns true if the interrupt, which lasted past its valley, also lasted past the next crest.
+    fn outlasts_crest(&self) -> bool {
         !past_valley() || self.since_valley() > 3 * u32::from(self.io.carrier().top)
     }
 }
 
-/// Flags that a crest leaves, above its count of crests without a step: the last crest had no step; the bridges should
-/// drive and do not yet; its step overran; its step is not recorded yet.
+/// Flags in `before_step`, above the count of crests without a step.
+///
+/// The last crest had no step.
 const BETWEEN: u32 = 1 << 28;
+/// The bridges should drive and are not connected yet.
 const UNCONNECTED: u32 = 1 << 29;
+/// The last step overran.
 const OVERRAN: u32 = 1 << 30;
+/// The last step is not recorded yet.
 const UNRECORDED: u32 = 1 << 31;
 
-/// The work that is due right after a step.
+/// Returns the value of `before_step` right after a step.
 fn after_step(carrier: &Carrier) -> u32 {
     UNRECORDED | (u32::from(carrier.divider) - 1)
 }
 
-/// Crests for which duties stay late after a step that came too late for its valley: a duty in time before a late one
-/// acts for half a carrier period too long, and where some steps are late, most will be.
+/// Number of crests for which duties stay late after a step that missed its valley. If some steps are late, most are,
+/// and a duty in time before a late one acts for half a carrier period too long.
 const LATE_CRESTS: u8 = 64;
 
-/// Core cycles from here until duties are written: limits, torques and current loops of two motors take up to 350
-/// instructions where something is unusual, those of three 460, at up to 2.4 cycles each.
+/// Core cycles from the lateness check to the write of the duties: limits, torques and current loops take at most 350
+/// instructions for two motors and 460 for three, at up to 2.4 cycles each.
 const LEGS_CYCLES: u32 = 288 * (This::AXES as u32 + 1);
 
-/// Core cycles after a crest or a valley, 1.5 us, up to which the bridges may begin to drive: twice what the interrupt is
-/// estimated to take to get there (emulator/src/cycles.rs, with a cold flash). Each microsecond is worth 0.24 A to a motor
-/// of 0.1 mH at 24 V.
+/// Core cycles after a crest or a valley within which the bridges may be connected, 1.5 us: twice the estimate of the
+/// interrupt's time to that point (emulator/src/cycles.rs, with a cold flash). Each microsecond adds 0.24 A in a motor of
+/// 0.1 mH at 24 V.
 const EXTREME_CYCLES: u32 = 252;
 
 /// Returns true if the carrier has passed a crest or a valley since this interrupt began.

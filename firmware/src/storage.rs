@@ -1,7 +1,7 @@
-//! The chip's flash behind the map of settings: sectors 1 and 2.
+//! The chip's flash under the stored settings: sectors 1 and 2.
 //!
-//! Writing stalls the program: 16 us per word, and up to 0.5 s when a sector is erased, so it is done only while the
-//! bridges are off; the caller sees to that, and the map that reading never does it.
+//! A write stalls the program for 16 us per word, and for up to 0.5 s if a sector is erased. Therefore the caller writes
+//! only while the bridges are off. Reading a setting never writes.
 
 use embassy_stm32::flash::{Bank1Region1, Blocking, Error as FlashError, Flash};
 use embassy_stm32::{Peri, peripherals::FLASH};
@@ -17,7 +17,7 @@ const RANGE: core::ops::Range<u32> = 0x4000..0xC000;
 /// The settings in the chip's flash.
 pub type Storage = storage::Storage<'static, Sectors>;
 
-/// The flash as the map wants it: asynchronous by name, blocking by nature.
+/// The flash sectors behind the storage's asynchronous interface. Every operation blocks.
 pub struct Sectors(Bank1Region1<'static, Blocking>);
 
 impl ErrorType for Sectors {
@@ -42,7 +42,7 @@ impl NorFlash for Sectors {
 
     async fn erase(&mut self, from: u32, to: u32) -> Result<(), FlashError> {
         let erased = self.0.blocking_erase(from, to);
-        clock::forget_constants();
+        clock::clear_data_cache();
         erased
     }
 
@@ -51,7 +51,7 @@ impl NorFlash for Sectors {
     }
 }
 
-/// Takes the flash; reads nothing yet. Call once.
+/// Creates the storage without reading the flash. Call once.
 pub fn open(flash: Peri<'static, FLASH>) -> Storage {
     static BUFFER: ConstStaticCell<[u8; LONGEST_STORED]> = ConstStaticCell::new([0; LONGEST_STORED]);
     let sectors = Sectors(Flash::new_blocking(flash).into_blocking_regions().bank1_region1);

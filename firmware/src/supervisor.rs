@@ -1,6 +1,5 @@
-//! Has the watchdog fed, and only when everything that has to move has moved: the control interrupt since the last
-//! feeding, no more often than its rate says and, while the motors are on, no less often, and every task within its own
-//! time.
+//! Feeds the watchdog while the program runs as it should: the control interrupt ran since the last check, not above its
+//! rate and, while the motors are on, not below it; and every task has reported in time.
 
 use core::sync::atomic::{AtomicU32, Ordering};
 
@@ -11,80 +10,80 @@ use haptic_bridge::safety::pace::{Pace, Verdict};
 use crate::servo;
 use crate::watchdog::{self, Watchdog};
 
-/// Time between looks; one is worth 100 ms to the watchdog.
+/// Time between checks. One passed check gives the watchdog 100 ms.
 const PERIOD: Duration = Duration::from_millis(20);
 
-/// Longest time between two signs of life of a task, ms.
+/// Longest time between two reports of a task, ms.
 const SILENCE_MAX_MS: u32 = 1000;
 
 /// A task that the supervisor watches.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, defmt::Format)]
 pub enum Task {
-    /// The one that answers the host.
+    /// The task that replies to the host.
     Link = 0,
 }
 
 const TASKS: [Task; 1] = [Task::Link];
 
-/// When each task was last heard, ms since the start.
-static LAST_HEARD_MS: [AtomicU32; TASKS.len()] = [const { AtomicU32::new(0) }; TASKS.len()];
+/// Time of each task's last report, ms since the start.
+static LAST_REPORT_MS: [AtomicU32; TASKS.len()] = [const { AtomicU32::new(0) }; TASKS.len()];
 
-/// Control steps a second that were asked for last.
+/// Expected control steps per second.
 static RATE_HZ: AtomicU32 = AtomicU32::new(CARRIER_MIN_HZ);
 
-/// The control rate is this from now on, Hz.
-pub fn expect(rate_hz: f32) {
+/// Sets the expected control rate, Hz.
+pub fn expect_rate(rate_hz: f32) {
     RATE_HZ.store(rate_hz as u32 + 1, Ordering::Relaxed);
 }
 
-/// The share of control steps whose duties applied half a carrier period later than usual, as bits of an `f32`.
+/// Share of control steps whose duties applied half a carrier period late, as bits of an `f32`.
 static LATE_SHARE: AtomicU32 = AtomicU32::new(0);
 
-/// Steps over which that share is taken: a fifth of a second at 20 kHz.
+/// Averaging window of the share of late steps, steps: a fifth of a second at 20 kHz.
 const LATE_WINDOW: f32 = 4096.0;
 
-/// That share, of late.
+/// Returns the share of late steps, averaged over [`LATE_WINDOW`].
 pub fn late_share() -> f32 {
     f32::from_bits(LATE_SHARE.load(Ordering::Relaxed))
 }
 
-/// Takes so many `steps` into it, of which so many were `late`.
-fn note_late(late: u32, steps: u32) {
+/// Adds `steps` control steps, `late` of them late, to the share of late steps.
+fn add_late(late: u32, steps: u32) {
     let weight = (steps as f32 / LATE_WINDOW).min(1.0);
     let share = if steps > 0 { late as f32 / steps as f32 } else { 0.0 };
     LATE_SHARE.store((late_share() + (share - late_share()) * weight).to_bits(), Ordering::Relaxed);
 }
 
-/// A task's sign of life, to be given at least every second.
-pub fn alive(task: Task) {
-    LAST_HEARD_MS[task as usize].store(now_ms(), Ordering::Relaxed);
+/// Reports that a task runs. Every task calls this at least once a second.
+pub fn report_alive(task: Task) {
+    LAST_REPORT_MS[task as usize].store(now_ms(), Ordering::Relaxed);
 }
 
 fn now_ms() -> u32 {
     Instant::now().as_millis() as u32
 }
 
-/// Has the watchdog fed for as long as all is well.
+/// Feeds the watchdog as long as all checks pass.
 #[embassy_executor::task]
 pub async fn supervise(mut watchdog: Watchdog) -> ! {
     let mut ticker = Ticker::every(PERIOD);
     let mut steps = servo::shared().steps.load(Ordering::Relaxed);
     let mut late_steps = servo::shared().late_steps.load(Ordering::Relaxed);
     let mut pace = Pace::new(RATE_HZ.load(Ordering::Relaxed));
-    let mut looked = Instant::now();
+    let mut checked = Instant::now();
     let mut stalls = watchdog::stalls();
     let mut up = false;
     for task in TASKS {
-        alive(task);
+        report_alive(task);
     }
     loop {
         ticker.next().await;
         let before = core::mem::replace(&mut steps, servo::shared().steps.load(Ordering::Relaxed));
         let late_before = core::mem::replace(&mut late_steps, servo::shared().late_steps.load(Ordering::Relaxed));
-        note_late(late_steps.wrapping_sub(late_before), steps.wrapping_sub(before));
-        let elapsed = core::mem::replace(&mut looked, Instant::now()).elapsed().as_micros();
-        // While flash is written no step is taken. With the motors off, a scene that the chip cannot keep up with is no
-        // reason to restart with the same scene; a power stage that has only just come up is checked at the next look.
+        add_late(late_steps.wrapping_sub(late_before), steps.wrapping_sub(before));
+        let elapsed = core::mem::replace(&mut checked, Instant::now()).elapsed().as_micros();
+        // No steps run while flash is written. With the motors off, a scene that is too slow for the chip must not restart
+        // the board, which would load the same scene again. A power stage that has just been enabled is checked next time.
         let stalled = core::mem::replace(&mut stalls, watchdog::stalls()) != stalls;
         let up_before = core::mem::replace(&mut up, servo::shared().gate_ready.load(Ordering::Relaxed));
         let excused = stalled || !(up && up_before);
@@ -92,7 +91,7 @@ pub async fn supervise(mut watchdog: Watchdog) -> ! {
         let now = now_ms();
         let silent = TASKS
             .into_iter()
-            .find(|task| now.wrapping_sub(LAST_HEARD_MS[*task as usize].load(Ordering::Relaxed)) > SILENCE_MAX_MS);
+            .find(|task| now.wrapping_sub(LAST_REPORT_MS[*task as usize].load(Ordering::Relaxed)) > SILENCE_MAX_MS);
         match (steps != before, verdict, silent) {
             (true, Verdict::Kept, None) => watchdog.feed(),
             (false, ..) => defmt::error!("the control step stands still"),

@@ -11,7 +11,7 @@ use crate::servo;
 /// Longest time that a row waits for its batch to fill.
 const PATIENCE: Duration = Duration::from_millis(5);
 
-/// A stream as one tool asked for it.
+/// A stream as a tool requested it.
 #[derive(Default)]
 pub struct TelemetryStream {
     packer: Packer,
@@ -31,19 +31,19 @@ impl TelemetryStream {
         self.last = (request.divider > 0).then(Instant::now);
     }
 
-    /// Ends it.
+    /// Stops the stream.
     pub fn stop(&mut self) {
         servo::shared().stream_divider.store(0, Ordering::Relaxed);
         self.packer.stop();
         self.last = None;
     }
 
-    /// Returns true if one is on.
-    pub fn runs(&self) -> bool {
+    /// Returns true while the stream runs.
+    pub fn is_running(&self) -> bool {
         self.last.is_some()
     }
 
-    /// Packs what frames there are; a batch that is full or has waited long enough.
+    /// Packs the waiting frames. Returns a batch if one is full or has waited for [`PATIENCE`].
     pub fn batch(&mut self, machine: &mut BoardMachine) -> Option<&Batch> {
         let late = Instant::now().saturating_duration_since(self.last?) > PATIENCE;
         let dropped = servo::shared().frames_dropped.load(Ordering::Relaxed);

@@ -1,5 +1,4 @@
-//! The motors' heat over a reset, in memory that start-up leaves alone. A motor does not cool because its board
-//! restarts.
+//! The motors' heat in memory that survives a reset, because a motor does not cool when its board restarts.
 
 use core::sync::atomic::AtomicU32;
 
@@ -9,12 +8,12 @@ use haptic_bridge::model::catalogue::MAX_JOINTS;
 #[unsafe(link_section = ".uninit.HEAT")]
 static HEAT: [AtomicU32; KEPT] = [const { AtomicU32::new(0) }; KEPT];
 
-/// The heat that the previous run left.
+/// Returns the heat at the end of the previous run.
 pub fn take() -> [Heat; MAX_JOINTS] {
     heat::kept(&HEAT)
 }
 
-/// Keeps the heats for the run after this.
+/// Stores the heat for the next run.
 pub fn keep(heat: &[Heat; MAX_JOINTS]) {
     heat::keep(heat, &HEAT);
 }

@@ -1,14 +1,13 @@
-//! The independent watchdog: resets the chip, and with it the bridges, when it is not fed in time.
+//! The independent watchdog: resets the chip, and so turns the bridges off, if it is not fed in time.
 //!
-//! An interrupt feeds it every millisecond ([`SysTick`]), for as long as the supervisor has given it credit for
-//! ([`Watchdog::feed`]) and the control interrupt is served. So a core that stands still, and a control interrupt that
-//! does not come or does not end, is reset within 4 to 17 ms, and a task that does not let the supervisor run after
-//! another 100 ms. It counts the chip's own slow oscillator, 17 to 47 kHz (STM32F405 datasheet, table 35), so its times
-//! hold within a factor.
+//! An interrupt ([`SysTick`]) feeds it every millisecond while the supervisor's credit lasts ([`Watchdog::feed`]) and the
+//! control interrupt is served. A stopped core, or a control interrupt that does not come or does not end, is reset within
+//! 4 to 17 ms; a task that keeps the supervisor from running, after another 100 ms. The watchdog counts the chip's slow
+//! oscillator, 17 to 47 kHz (STM32F405 datasheet, table 35), so its times vary by that factor.
 //!
-//! Erasing a flash sector stalls the whole program for up to 0.5 s, and looking through a full one takes tens of
-//! milliseconds, so the time is stretched to at least 2.7 s around the writing of a setting and the reading of all of
-//! them at start ([`patient`]): both while the bridges are off.
+//! A sector erase stalls the program for up to 0.5 s, and a search of a full sector takes tens of milliseconds. Therefore
+//! the time is stretched to at least 2.7 s around a write of a setting and the read of all settings at start
+//! ([`patient`]). The bridges are off in both cases.
 
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
@@ -21,25 +20,25 @@ use embassy_stm32::{Peri, peripherals::IWDG};
 use crate::clock::TIMER_HZ;
 use crate::critical;
 
-/// Ticks of the prescaled oscillator (32 kHz / 32 = 1 kHz nominal) until it bites: at least 5.4 ms at the fast end,
-/// several times what holds up the interrupt that feeds it, and at most 17 ms (a tick more) at the slow end.
+/// Ticks of the prescaled oscillator (32 kHz / 32 = 1 kHz nominal) until the reset: at least 5.4 ms at the fast end,
+/// several times the longest delay of the interrupt that feeds it, and at most 17 ms (one tick more) at the slow end.
 const NORMAL_TICKS: u16 = 8;
-/// The most that its register holds.
+/// The maximum of the register.
 const PATIENT_TICKS: u16 = 0xFFF;
 
-/// Feedings, one a millisecond, for which the supervisor need not be heard: it looks every 20 ms, and arming keeps it from
-/// that for 35.
+/// Number of feedings, one a millisecond, per passed check of the supervisor. It checks every 20 ms, and arming delays it
+/// by 35 ms.
 const CREDIT: u32 = 100;
 
 /// Feedings left.
 static LEFT: AtomicU32 = AtomicU32::new(0);
 
-/// Its registers are being set: a feeding in between would close them.
+/// True while the registers are being set. A feeding in between would lock them.
 static BUSY: AtomicBool = AtomicBool::new(false);
 
-/// Feeds the watchdog while there is credit and the control interrupt is served. That is above this one: a step that does
-/// not end keeps this from running at all, and where it is not taken any more the carrier's flag stays up. A flag that
-/// has risen just now, before that interrupt could come, costs one feeding of several.
+/// Feeds the watchdog while credit is left and the control interrupt is served. That interrupt has the higher priority: a
+/// step that does not end keeps this handler from running, and if the interrupt is no longer served, the carrier's flag
+/// stays set. A flag that was set just now costs one feeding of several.
 #[cortex_m_rt::exception]
 fn SysTick() {
     let left = LEFT.load(Ordering::Relaxed);
@@ -55,13 +54,13 @@ pub struct Watchdog {
 }
 
 impl Watchdog {
-    /// Starts it, and what feeds it. The carrier must run.
+    /// Starts the watchdog and the interrupt that feeds it. The carrier must run.
     pub fn start(peripheral: Peri<'static, IWDG>) -> Self {
         pac::IWDG.kr().write(|w| w.set_key(Key::START));
         set(NORMAL_TICKS);
-        // SAFETY: nothing else uses the core's timer, nor its priority.
+        // SAFETY: nothing else uses the core's timer or its priority.
         let mut core = unsafe { cortex_m::Peripherals::steal() };
-        // SAFETY: its handler uses atomics, and shares nothing with what it interrupts but these.
+        // SAFETY: the handler shares only atomics with the code that it interrupts.
         unsafe { core.SCB.set_priority(SystemHandler::SysTick, critical::WATCHDOG as u8) };
         core.SYST.set_clock_source(SystClkSource::Core);
         // The core runs at the frequency of the fast timers.
@@ -72,7 +71,7 @@ impl Watchdog {
         Self { _peripheral: peripheral }
     }
 
-    /// All is well: postpones the reset by 100 ms.
+    /// Postpones the reset by 100 ms.
     pub fn feed(&mut self) {
         LEFT.store(CREDIT, Ordering::Relaxed);
     }
@@ -81,13 +80,13 @@ impl Watchdog {
 /// Number of calls of [`patient`].
 static STALLS: AtomicU32 = AtomicU32::new(0);
 
-/// Stretches so far in which the program may have stalled, wrapping.
+/// Returns the number of calls of [`patient`], wrapping.
 pub fn stalls() -> u32 {
     STALLS.load(Ordering::Relaxed)
 }
 
-/// Runs something that stalls the program for long, with a watchdog that waits for it. It must be running:
-/// a write before its oscillator runs is lost, and blocks every write after it.
+/// Runs `work`, which may stall the program, with the watchdog's longest time. The watchdog must be running, because a
+/// write before its oscillator runs is lost and blocks every later write.
 pub fn patient<R>(work: impl FnOnce() -> R) -> R {
     STALLS.store(stalls().wrapping_add(1), Ordering::Relaxed);
     set(PATIENT_TICKS);
@@ -100,14 +99,14 @@ fn reload() {
     pac::IWDG.kr().write(|w| w.set_key(Key::RESET));
 }
 
-/// Sets its time, and restarts the credit.
+/// Sets the watchdog's time and restores the credit.
 fn set(ticks: u16) {
     BUSY.store(true, Ordering::Relaxed);
     pac::IWDG.kr().write(|w| w.set_key(Key::ENABLE));
     pac::IWDG.pr().write(|w| w.set_pr(Pr::DIVIDE_BY32));
     pac::IWDG.rlr().write(|w| w.set_rl(ticks));
-    // The new values cross into the oscillator's clock domain within five of its periods, 0.3 ms at worst; a register
-    // that never says so must not hang the program until it bites.
+    // The new values cross into the oscillator's clock domain within five of its periods, 0.3 ms at worst. The loop is
+    // bounded, so that a register that stays busy does not hang the program.
     for _ in 0..20_000 {
         let busy = pac::IWDG.sr().read();
         if !busy.pvu() && !busy.rvu() {

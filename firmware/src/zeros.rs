@@ -1,4 +1,4 @@
-//! The zeros of current sensors, learned by the control interrupt while the bridges are off and a task waits.
+//! The zeros of the current sensors. The control interrupt learns them while the bridges are off and a task waits.
 
 use core::sync::atomic::{AtomicU8, AtomicU16, Ordering};
 
@@ -6,46 +6,46 @@ use embassy_time::{Duration, block_for};
 
 use crate::adc;
 
-/// Weight of one reading in a current sensor's zero, learned while no current flows: settled after a hundred readings.
+/// Weight of one reading in a sensor's zero, which settles after a hundred readings.
 const ZERO_WEIGHT: f32 = 1.0 / 32.0;
 
 /// Time for the zeros to settle, ms: at least 200 carrier periods.
 const ZERO_MS: u64 = 12;
 
-/// The use of readings while the bridges are off.
+/// The use of the readings while the bridges are off.
 #[derive(Clone, Copy, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Zeroing {
-    /// Nothing.
+    /// The readings are not used.
     No,
-    /// Takes them for zeros.
+    /// The readings become the zeros.
     Learn,
-    /// Looks what is left of them beyond the zeros.
+    /// The readings are compared with the zeros.
     #[allow(dead_code, reason = "only an amplifier can be shorted, and not every board has one")]
     Check,
 }
 
-/// Which it is.
+/// The present [`Zeroing`].
 static ZEROING: AtomicU8 = AtomicU8::new(Zeroing::No as u8);
 
-/// Farthest zero from the middle, or farthest reading from its zero, counts, as the control interrupt last saw it.
+/// Largest distance of a zero from the middle of the range, or of a reading from its zero, counts.
 static ZERO_WORST: AtomicU16 = AtomicU16::new(0);
 
-/// The zeros of a board's current sensors, and what their readings have been beyond them.
+/// The zeros of a board's current sensors, and the averaged distance of their readings from them, counts.
 pub struct Zeros<const N: usize>([f32; N], [f32; N]);
 
 impl<const N: usize> Zeros<N> {
-    /// Zeros in the middle of the converter's range.
+    /// Creates zeros in the middle of the converter's range.
     pub const fn new() -> Self {
         Self([adc::FULL_SCALE / 2.0; N], [0.0; N])
     }
 
-    /// Each sensor's zero, counts.
+    /// Returns each sensor's zero, counts.
     pub fn get(&self) -> &[f32; N] {
         &self.0
     }
 
-    /// Takes readings while the bridges are off for zeros, or sees what they are beyond them, where a task waits for that.
+    /// Uses readings while the bridges are off as the waiting task requests: to learn the zeros or to check them.
     #[inline(never)]
     pub fn take(&mut self, raw: [i32; N]) {
         let how = ZEROING.load(Ordering::Relaxed);
@@ -69,8 +69,8 @@ impl<const N: usize> Zeros<N> {
     }
 }
 
-/// Has the control interrupt look at the current sensors while the bridges are off, for as long as their zeros take to
-/// settle; the farthest it saw, counts.
+/// Lets the control interrupt learn or check the zeros for the time in which they settle, with the bridges off. Returns
+/// the largest distance, counts: see [`ZERO_WORST`].
 pub fn settle(how: Zeroing) -> u16 {
     ZERO_WORST.store(0, Ordering::Relaxed);
     ZEROING.store(how as u8, Ordering::Relaxed);

@@ -12,7 +12,7 @@ use haptic_bridge::safety::limits::{Limits, MOST_TIP_FORCE};
 use haptic_bridge::servo::frame::Samples;
 use haptic_bridge::servo::joints::Counts;
 
-use super::{Board, Common, Io, Pin, Signs};
+use super::{Board, Common, IdentityPins, Io, Pin};
 use crate::adc;
 use crate::encoder;
 use crate::gate::{Gate, GateError};
@@ -41,7 +41,7 @@ pub struct ToyBoard;
 impl Board for ToyBoard {
     const NAME: &'static str = "toy-board";
     /// Its bus divider.
-    const SIGNS: Signs = Signs { held: &[Pin::new('C', 3)], open: &[] };
+    const IDENTITY: IdentityPins = IdentityPins { held: &[Pin::new('C', 3)], open: &[] };
     const AXES: usize = 1;
     const BRIDGE: Bridge =
         Bridge { carrier_hz: CARRIER_MIN_HZ as f32, dead_time: 0.0, bandwidth_hz: 1000.0, current_sensed: true };
@@ -96,23 +96,23 @@ pub struct Pins {
 }
 
 impl Io for Pins {
-    fn follow(&mut self, counts: &mut Counts) {
-        encoder::follow(pac::TIM4, &mut counts[0]);
+    fn update_counts(&mut self, counts: &mut Counts) {
+        encoder::update_count(pac::TIM4, &mut counts[0]);
     }
 
-    fn marked(&self) -> bool {
-        index::seen() != 0
+    fn has_marks(&self) -> bool {
+        index::pending() != 0
     }
 
     fn marks(&mut self, counts: &Counts) -> [Option<i32>; MAX_JOINTS] {
         index::take(&INDEX_LINES, counts)
     }
 
-    fn forget(&mut self) {
-        adc::forget(pac::ADC1);
+    fn clear_flags(&mut self) {
+        adc::clear_flags(pac::ADC1);
     }
 
-    fn sampled(&self) -> bool {
+    fn has_sampled(&self) -> bool {
         adc::finished(pac::ADC1, pac::ADC1)
     }
 
@@ -120,12 +120,12 @@ impl Io for Pins {
         adc::wait(pac::ADC1, pac::ADC1)
     }
 
-    fn sample(&mut self, seen: &mut Samples) {
-        seen.currents[0] = self.offset + AMPERES_PER_COUNT * adc::result(pac::ADC1, 0) as f32;
-        seen.bus_voltage = VOLTS_PER_COUNT * adc::result(pac::ADC1, 1) as f32;
+    fn sample(&mut self, samples: &mut Samples) {
+        samples.currents[0] = self.offset + AMPERES_PER_COUNT * adc::result(pac::ADC1, 0) as f32;
+        samples.bus_voltage = VOLTS_PER_COUNT * adc::result(pac::ADC1, 1) as f32;
     }
 
-    fn learn(&mut self) {
+    fn learn_zeros(&mut self) {
         self.zeros.take([adc::result(pac::ADC1, 0)]);
         self.offset = -AMPERES_PER_COUNT * self.zeros.get()[0];
     }
@@ -143,7 +143,7 @@ impl Io for Pins {
         }
     }
 
-    fn fault(&self) -> bool {
+    fn has_fault(&self) -> bool {
         false
     }
 

@@ -5,18 +5,19 @@ use embassy_stm32::pac::gpio::Gpio;
 use embassy_stm32::pac::{GPIOA, GPIOB, GPIOC};
 
 use super::h_bridges::{Pins, Wires};
-use super::{Common, Pin, Signs};
+use super::{Common, IdentityPins, Pin};
 use crate::adc;
 use crate::board::MONITOR_2V9;
 
-/// Its wires.
+/// The wires of this board.
 pub struct HBridgeF405;
 
 impl Wires for HBridgeF405 {
     const NAME: &'static str = "h-bridge-f405";
-    /// The bus divider holds PC3 with 0.9 kohm, with the supply on or off; PA6 is not wired here, and is the bus divider
-    /// of an ODrive; nor is PB9, which a Discovery board pulls up.
-    const SIGNS: Signs = Signs { held: &[Pin::new('C', 3)], open: &[Pin::new('A', 6), Pin::new('B', 9)] };
+    /// The bus divider holds PC3 with 0.9 kohm, with the supply on or off. PA6 and PB9 are open here: PA6 is the bus divider
+    /// of an ODrive, and a Discovery board pulls PB9 up.
+    const IDENTITY: IdentityPins =
+        IdentityPins { held: &[Pin::new('C', 3)], open: &[Pin::new('A', 6), Pin::new('B', 9)] };
     const SUPPLY_LEVEL: u8 = MONITOR_2V9;
     const ENABLE: (Gpio, usize) = (GPIOC, 6);
     const BREAK: (Gpio, usize) = (GPIOB, 12);

@@ -1,8 +1,8 @@
-//! Boards with up to three H-bridges, each driven in locked anti-phase: CHx of TIM1 switches one half of a bridge, CHxN
-//! the other. A file of its own says what is wired where on each ([`Wires`]).
+//! Boards with up to three H-bridges, each driven in locked anti-phase: CHx of TIM1 switches one half of a bridge, CHxN the
+//! other. The wiring of each board is in its own file ([`Wires`]).
 //!
-//! Off is the enable line (low), not the inputs: both inputs low brakes on many bridges. A low level on the break input
-//! cuts the outputs in hardware, whatever the program does.
+//! A low enable line turns the bridges off. Two low inputs do not, because they brake on many bridges. A low level on the
+//! break input cuts the outputs in hardware.
 
 use core::marker::PhantomData;
 
@@ -19,7 +19,7 @@ use haptic_bridge::safety::limits::{Limits, MOST_TIP_FORCE};
 use haptic_bridge::servo::frame::Samples;
 use haptic_bridge::servo::joints::{Counts, Currents};
 
-use super::{Board, Common, Io, Signs};
+use super::{Board, Common, IdentityPins, Io};
 use crate::adc;
 use crate::encoder;
 use crate::gate::{Gate, GateError};
@@ -27,50 +27,50 @@ use crate::index;
 use crate::pwm;
 use crate::zeros::{Zeroing, Zeros, settle};
 
-/// Motors that it can drive.
+/// Number of motors.
 const AXES: usize = 3;
 
-/// Time in which both inputs of a bridge are low at each edge: 17 ticks of 1/168 MHz, 101 ns. It is the same at both
-/// edges, so it costs a little voltage and distorts nothing.
+/// Time in which both inputs of a bridge are low at each edge: 17 ticks of 1/168 MHz, 101 ns. It is equal at both edges, so
+/// it reduces the voltage a little without distorting it.
 const DEAD_TIME_TICKS: u8 = 17;
 
-/// Amperes per volt at a current input, and the voltage of no current: a 185 mV/A Hall sensor behind a divider from 5 V
-/// to the converter's reference, here 3.3 V. With another reference and its divider a count is the same current.
+/// Amperes per volt at a current input: a 185 mV/A Hall sensor behind a divider from 5 V to the converter's reference, here
+/// 3.3 V. With another reference and its divider, a count is the same current.
 const AMPERES_PER_VOLT: f32 = 1.0 / (0.185 * 0.66);
 
 /// Amperes per count of the converter.
 const AMPERES_PER_COUNT: f32 = adc::REFERENCE_V / adc::FULL_SCALE * AMPERES_PER_VOLT;
 
-/// Farthest that a zero may be from the middle of the converter's range, counts: 40 mV of the sensor's own and 5 % of a
-/// supply that it halves, behind the divider. More is a current: 0.9 A through a bridge that is off.
+/// Largest distance of a zero from the middle of the converter's range, counts: 40 mV of the sensor's own offset and 5 % of
+/// the halved supply, behind the divider. A larger distance means a current of 0.9 A through a bridge that is off.
 const ZERO_MAX: u16 = 136;
 
 /// The first encoder's timer.
 // SAFETY: it is 32 bits wide and has the registers of a 16-bit timer at the same places; `encoder` lets it count to 65 535.
 const TIM2: TimGp16 = unsafe { TimGp16::from_ptr(pac::TIM2.as_ptr()) };
 
-/// What differs between two of these boards. The encoders are the same on all: PA15 and PB3, PB4 and PB5, PB6 and PB7.
+/// The wiring of one of these boards. All use the same encoder pins: PA15 and PB3, PB4 and PB5, PB6 and PB7.
 pub trait Wires {
     /// The board's name.
     const NAME: &'static str;
-    /// The pins that identify it.
-    const SIGNS: Signs;
+    /// The pins that identify the board.
+    const IDENTITY: IdentityPins;
     /// The level of the supply monitor.
     const SUPPLY_LEVEL: u8;
     /// The bridges' enable line.
     const ENABLE: (Gpio, usize);
     /// The break input.
     const BREAK: (Gpio, usize);
-    /// Bits of the index inputs in port C.
+    /// Masks of the index inputs in port C.
     const INDEX_LINES: [u32; AXES];
-    /// Channels of the two converters: currents 0 and 2, and current 1 with the bus voltage.
+    /// Channels of the two converters: currents 0 and 2; current 1 and the bus voltage.
     const CHANNELS: [[u8; 2]; 2];
-    /// Volts on the bus at the converters' full scale.
+    /// Bus voltage at the converters' full scale, V.
     const BUS_FULL_SCALE: f32;
-    /// Outputs, enable line and break input of each port: locked once they are set up.
+    /// Outputs, enable line and break input of each port, which are locked after their configuration.
     const LOCKED: &'static [(Gpio, u16)];
 
-    /// Finds its pins. None is touched.
+    /// Sorts the chip's pins without configuring any.
     fn divide(p: Peripherals) -> (Pins, Common);
 }
 
@@ -79,9 +79,9 @@ type AnyPeri = Peri<'static, AnyPin>;
 
 /// A board's pins.
 pub struct Pins {
-    /// As [`Wires::ENABLE`].
+    /// The pin of [`Wires::ENABLE`].
     pub enable: AnyPeri,
-    /// As [`Wires::BREAK`].
+    /// The pin of [`Wires::BREAK`].
     pub break_input: AnyPeri,
     /// TIM1's channels and their complements.
     pub gates: [AnyPeri; 2 * AXES],
@@ -96,14 +96,13 @@ pub struct HBridges<W>(PhantomData<W>);
 
 impl<W: Wires> Board for HBridges<W> {
     const NAME: &'static str = W::NAME;
-    const SIGNS: Signs = W::SIGNS;
+    const IDENTITY: IdentityPins = W::IDENTITY;
     const SUPPLY_LEVEL: u8 = W::SUPPLY_LEVEL;
     const AXES: usize = AXES;
-    /// Data of the bridges. The dead time here costs no voltage (see [`DEAD_TIME_TICKS`]), so the drive compensates
-    /// none.
+    /// Data of the bridges. The dead time distorts nothing (see [`DEAD_TIME_TICKS`]), so the drive compensates none.
     const BRIDGE: Bridge =
         Bridge { carrier_hz: CARRIER_MIN_HZ as f32, dead_time: 0.0, bandwidth_hz: 1000.0, current_sensed: true };
-    /// Limits that cannot be raised over USB: the range of the sensors, and of the bus divider.
+    /// Limits that cannot be raised over USB: the ranges of the current sensors and of the bus divider.
     const LIMITS: Limits = Limits {
         torque: [10.0; 3],
         current: [12.0; 3],
@@ -141,7 +140,7 @@ impl<W: Wires> Board for HBridges<W> {
         let (pins, common) = W::divide(p);
         if board {
             core::mem::forget(Output::new(pins.enable, Level::Low, Speed::Low));
-            // Pulled up: a board without a break line is not held off by it.
+            // Pulled up, so that a board without a break line can drive.
             let mut break_input = Flex::new(pins.break_input);
             break_input.set_as_af_unchecked(1, AfType::input(Pull::Up));
             core::mem::forget(break_input);
@@ -176,7 +175,7 @@ pub struct Sampled<W> {
 }
 
 impl<W> Sampled<W> {
-    /// The readings of all sensors.
+    /// Returns the readings of all current sensors.
     #[inline(always)]
     fn raw() -> [i32; AXES] {
         [adc::result(pac::ADC1, 0), adc::result(pac::ADC2, 0), adc::result(pac::ADC1, 1)]
@@ -185,15 +184,15 @@ impl<W> Sampled<W> {
 
 impl<W: Wires> Io for Sampled<W> {
     #[inline(always)]
-    fn follow(&mut self, counts: &mut Counts) {
-        encoder::follow(TIM2, &mut counts[0]);
-        encoder::follow(pac::TIM3, &mut counts[1]);
-        encoder::follow(pac::TIM4, &mut counts[2]);
+    fn update_counts(&mut self, counts: &mut Counts) {
+        encoder::update_count(TIM2, &mut counts[0]);
+        encoder::update_count(pac::TIM3, &mut counts[1]);
+        encoder::update_count(pac::TIM4, &mut counts[2]);
     }
 
     #[inline(always)]
-    fn marked(&self) -> bool {
-        index::seen() != 0
+    fn has_marks(&self) -> bool {
+        index::pending() != 0
     }
 
     fn marks(&mut self, counts: &Counts) -> [Option<i32>; MAX_JOINTS] {
@@ -201,13 +200,13 @@ impl<W: Wires> Io for Sampled<W> {
     }
 
     #[inline(always)]
-    fn forget(&mut self) {
-        adc::forget(pac::ADC1);
-        adc::forget(pac::ADC2);
+    fn clear_flags(&mut self) {
+        adc::clear_flags(pac::ADC1);
+        adc::clear_flags(pac::ADC2);
     }
 
     #[inline(always)]
-    fn sampled(&self) -> bool {
+    fn has_sampled(&self) -> bool {
         adc::finished(pac::ADC1, pac::ADC2)
     }
 
@@ -216,21 +215,20 @@ impl<W: Wires> Io for Sampled<W> {
     }
 
     #[inline(always)]
-    fn sample(&mut self, seen: &mut Samples) {
+    fn sample(&mut self, samples: &mut Samples) {
         let raw = Self::raw();
         let current = |axis: usize| self.offsets[axis] + AMPERES_PER_COUNT * raw[axis] as f32;
-        seen.currents = Currents([current(0), current(1), current(2)]);
+        samples.currents = Currents([current(0), current(1), current(2)]);
         let bus = adc::result(pac::ADC2, 1) as f32;
-        seen.bus_voltage = W::BUS_FULL_SCALE / adc::FULL_SCALE * bus;
+        samples.bus_voltage = W::BUS_FULL_SCALE / adc::FULL_SCALE * bus;
     }
 
-    fn learn(&mut self) {
+    fn learn_zeros(&mut self) {
         self.zeros.take(Self::raw());
         self.offsets = self.zeros.get().map(|zero| -AMPERES_PER_COUNT * zero);
     }
 
-    /// Compare values of each axis's two legs, applied at the next valley: the second leg is the first one's complement
-    /// here.
+    /// Writes the compare value of each axis's first leg. The second leg is its complement.
     #[inline(always)]
     fn write(&mut self, legs: &[[u16; 2]; MAX_JOINTS]) {
         pac::TIM1.ccr(0).write(|w| w.set_ccr(legs[0][0]));
@@ -249,9 +247,9 @@ impl<W: Wires> Io for Sampled<W> {
         }
     }
 
-    /// True if the break input has cut the outputs, or still would.
+    /// Returns true if the break input is low or has cut the outputs.
     #[inline(always)]
-    fn fault(&self) -> bool {
+    fn has_fault(&self) -> bool {
         let (port, bit) = W::BREAK;
         let low = port.idr().read().idr(bit) == pac::gpio::vals::Idr::LOW;
         let cut = !pac::TIM1.bdtr().read().moe();
@@ -273,7 +271,7 @@ impl<W: Wires> Io for Sampled<W> {
     }
 }
 
-/// The part that the tasks own. It has nothing to set up: this board's bridges have no registers.
+/// The part that the tasks own. The bridges have no registers to configure.
 pub struct EnableLine;
 
 impl Gate for EnableLine {
@@ -283,7 +281,7 @@ impl Gate for EnableLine {
         if zero > ZERO_MAX { Err(GateError::Offset(f32::from(zero) * AMPERES_PER_COUNT)) } else { Ok(()) }
     }
 
-    /// Nothing to look at: bridges without registers.
+    /// Succeeds always, because the bridges have no registers.
     fn check(&mut self) -> Result<(), GateError> {
         Ok(())
     }

@@ -1,7 +1,8 @@
 //! ODrive v3.6 and its clones: two axes, each a three-phase bridge behind a DRV8301, with shunts under phases B and C.
 //!
-//! A brushed motor sits between phases B and C of its axis: both carry the same carrier at 0.5 +- duty/2 and phase A
-//! stays off. Pins: docs/wiring-odrive-v3.md. EN_GATE is common to both drivers, and low resets their registers.
+//! A brushed motor is connected to phases B and C of its axis. Both are driven by the same carrier at 0.5 +- duty/2, and
+//! phase A stays off. EN_GATE is common to both drivers; a low level resets their registers. Pins:
+//! docs/wiring-odrive-v3.md.
 
 use embassy_stm32::gpio::{Flex, Level, Output, Speed};
 use embassy_stm32::pac;
@@ -18,7 +19,7 @@ use haptic_bridge::safety::limits::{Limits, MOST_TIP_FORCE};
 use haptic_bridge::servo::frame::Samples;
 use haptic_bridge::servo::joints::Counts;
 
-use super::{Board, Common, Io, Pin, Signs};
+use super::{Board, Common, IdentityPins, Io, Pin};
 use crate::adc;
 use crate::clock::TIMER_HZ;
 use crate::drv8301::{self, Drv8301, Inputs};
@@ -28,33 +29,32 @@ use crate::index;
 use crate::pwm;
 use crate::zeros::{Zeroing, Zeros, settle};
 
-/// Motors that it can drive.
+/// Number of motors.
 const AXES: usize = 2;
 
-/// Dead time between the switches of a half bridge: 20 ticks of 1/168 MHz, 119 ns, on top of what the driver inserts
-/// itself.
+/// Dead time between the switches of a half bridge: 20 ticks of 1/168 MHz, 119 ns, in addition to the driver's own.
 const DEAD_TIME_TICKS: u8 = 20;
 
-/// Low-side shunts under phases B and C, ohm.
+/// Resistance of the low-side shunts under phases B and C, ohm.
 const SHUNT_OHM: f32 = 500e-6;
 
 /// Amperes per count of the converter.
 const AMPERES_PER_COUNT: f32 = adc::REFERENCE_V / adc::FULL_SCALE / drv8301::AMPLIFIER_GAIN / SHUNT_OHM;
 
-/// Farthest that a zero may be from the middle of the converter's range, counts: 4 mV of input offset (SLOS719F section
-/// 6.5) times the gain, and half as much again. It is learned with shorted inputs, so no current hides in it.
+/// Largest distance of a zero from the middle of the converter's range, counts: 1.5 times the amplifier's gain times its
+/// 4 mV of input offset (SLOS719F section 6.5). The zeros are learned with shorted inputs, so no current adds to them.
 const ZERO_MAX: u16 = 600;
 
-/// Current that may seem to flow once the zeros are learned and the bridges are still off, A: noise, and an amplifier
-/// whose inputs are no longer shorted.
+/// Largest apparent current with learned zeros and the bridges off, A. It allows for noise and for the change from shorted
+/// to connected inputs.
 const STRAY_A: f32 = 0.5;
 
-/// Bus divider of the 56 V boards, 18 kohm over 1 kohm; the 24 V ones have 10 kohm over 1 kohm (11).
+/// Bus divider of the 56 V boards: 18 kohm over 1 kohm. The 24 V boards have 10 kohm over 1 kohm (11).
 const BUS_DIVIDER: f32 = 19.0;
 
 const TIMERS: [TimAdv; AXES] = [pac::TIM1, pac::TIM8];
 
-/// Bits of the index inputs in port C.
+/// Masks of the index inputs in port C.
 const INDEX_LINES: [u32; AXES] = [1 << 9, 1 << 15];
 /// Bit of EN_GATE in port B.
 const EN_GATE: usize = 12;
@@ -67,20 +67,20 @@ pub struct OdriveV3;
 impl Board for OdriveV3 {
     const NAME: &'static str = "odrive-v3";
     /// The bus divider holds PA6 with 0.9 kohm, with the supply on or off, and a thermistor with 3.3 kohm to the supply
-    /// holds PC5. On a Discovery board PA6 is an output of its accelerometer, and PC5 is free. That there are two DRV8301
-    /// shows only once EN_GATE is high: arming reads their registers back.
-    const SIGNS: Signs = Signs { held: &[Pin::new('A', 6), Pin::new('C', 5)], open: &[] };
+    /// holds PC5. On a Discovery board PA6 is an output of its accelerometer, and PC5 is free. The two DRV8301 can be
+    /// identified only while EN_GATE is high, so arming reads their registers back.
+    const IDENTITY: IdentityPins = IdentityPins { held: &[Pin::new('A', 6), Pin::new('C', 5)], open: &[] };
     const AXES: usize = AXES;
-    /// Data of the bridges. The current loop's bandwidth is a tenth of the slowest carrier over two pi, rounded down:
-    /// with half a period of delay it keeps 60 degrees of phase margin at any carrier.
+    /// Data of the bridges. The current loop's bandwidth is a tenth of the slowest carrier frequency, divided by two pi and
+    /// rounded down. With half a period of delay it keeps 60 degrees of phase margin at any carrier.
     const BRIDGE: Bridge = Bridge {
         carrier_hz: CARRIER_MIN_HZ as f32,
         dead_time: DEAD_TIME_TICKS as f32 / TIMER_HZ as f32,
         bandwidth_hz: 1000.0,
         current_sensed: true,
     };
-    /// Limits that cannot be raised over USB: half of the range of the shunts, and a bus voltage that is also safe for
-    /// a 24 V board, whose divider makes it read 1.7 times too high.
+    /// Limits that cannot be raised over USB: half of the shunts' range, and a bus voltage that is also safe for a 24 V
+    /// board, whose divider makes the reading 1.7 times too high.
     const LIMITS: Limits = Limits {
         torque: [10.0; 3],
         current: [20.0; 3],
@@ -121,7 +121,7 @@ impl Board for OdriveV3 {
         adc::configure(pac::ADC2, &[11, 12]);
 
         let gate = board.then(|| {
-            // EN_GATE first: low, for good measure, before any gate signal has a driver.
+            // EN_GATE is set low before any gate signal is driven.
             core::mem::forget(Output::new(p.PB12, Level::Low, Speed::Low));
             let mut fault = Flex::new(p.PD2);
             fault.set_as_input(embassy_stm32::gpio::Pull::Up);
@@ -174,7 +174,7 @@ struct Offsets {
 }
 
 impl Offsets {
-    /// Current and imbalance (A) of these readings. What leaves phase B comes back through C.
+    /// Returns current and imbalance of these readings, A. The current of phase B returns through phase C.
     #[inline(always)]
     fn sensed(&self, b: i32, c: i32) -> (f32, f32) {
         let current = self.current + 0.5 * AMPERES_PER_COUNT * (b - c) as f32;
@@ -183,7 +183,7 @@ impl Offsets {
 }
 
 impl Pins {
-    /// The readings of all sensors: phases B and C of one axis, then of the other.
+    /// Returns the readings of all current sensors: phases B and C of the first axis, then of the second.
     #[inline(always)]
     fn raw() -> [i32; 4] {
         [adc::result(pac::ADC1, 0), adc::result(pac::ADC2, 0), adc::result(pac::ADC1, 1), adc::result(pac::ADC2, 1)]
@@ -192,14 +192,14 @@ impl Pins {
 
 impl Io for Pins {
     #[inline(always)]
-    fn follow(&mut self, counts: &mut Counts) {
-        encoder::follow(pac::TIM3, &mut counts[0]);
-        encoder::follow(pac::TIM4, &mut counts[1]);
+    fn update_counts(&mut self, counts: &mut Counts) {
+        encoder::update_count(pac::TIM3, &mut counts[0]);
+        encoder::update_count(pac::TIM4, &mut counts[1]);
     }
 
     #[inline(always)]
-    fn marked(&self) -> bool {
-        index::seen() != 0
+    fn has_marks(&self) -> bool {
+        index::pending() != 0
     }
 
     fn marks(&mut self, counts: &Counts) -> [Option<i32>; MAX_JOINTS] {
@@ -207,13 +207,13 @@ impl Io for Pins {
     }
 
     #[inline(always)]
-    fn forget(&mut self) {
-        adc::forget(pac::ADC1);
-        adc::forget(pac::ADC2);
+    fn clear_flags(&mut self) {
+        adc::clear_flags(pac::ADC1);
+        adc::clear_flags(pac::ADC2);
     }
 
     #[inline(always)]
-    fn sampled(&self) -> bool {
+    fn has_sampled(&self) -> bool {
         adc::finished(pac::ADC1, pac::ADC2)
     }
 
@@ -222,15 +222,15 @@ impl Io for Pins {
     }
 
     #[inline(always)]
-    fn sample(&mut self, seen: &mut Samples) {
+    fn sample(&mut self, samples: &mut Samples) {
         let [b0, c0, b1, c1] = Self::raw();
-        (seen.currents[0], seen.imbalance[0]) = self.offsets[0].sensed(b0, c0);
-        (seen.currents[1], seen.imbalance[1]) = self.offsets[1].sensed(b1, c1);
+        (samples.currents[0], samples.imbalance[0]) = self.offsets[0].sensed(b0, c0);
+        (samples.currents[1], samples.imbalance[1]) = self.offsets[1].sensed(b1, c1);
         let bus = adc::result(pac::ADC1, 2) as f32;
-        seen.bus_voltage = adc::REFERENCE_V / adc::FULL_SCALE * BUS_DIVIDER * bus;
+        samples.bus_voltage = adc::REFERENCE_V / adc::FULL_SCALE * BUS_DIVIDER * bus;
     }
 
-    fn learn(&mut self) {
+    fn learn_zeros(&mut self) {
         self.zeros.take(Self::raw());
         let zero = self.zeros.get().map(|zero| AMPERES_PER_COUNT * zero);
         for (axis, off) in self.offsets.iter_mut().enumerate() {
@@ -258,9 +258,9 @@ impl Io for Pins {
         }
     }
 
-    /// True if a gate driver pulls the common fault line. Only meaningful while the drivers are up.
+    /// Returns true if a gate driver pulls the common fault line low. Only meaningful while the drivers are enabled.
     #[inline(always)]
-    fn fault(&self) -> bool {
+    fn has_fault(&self) -> bool {
         pac::GPIOD.idr().read().idr(N_FAULT) == pac::gpio::vals::Idr::LOW
     }
 
@@ -288,7 +288,7 @@ pub struct Drivers {
 }
 
 impl Drivers {
-    fn set_up(&mut self) -> Result<(), GateError> {
+    fn configure(&mut self) -> Result<(), GateError> {
         for driver in &mut self.drivers {
             driver.configure(&mut self.bus, Inputs::Shorted)?;
         }
@@ -306,20 +306,20 @@ impl Drivers {
 }
 
 impl Gate for Drivers {
-    /// Raises EN_GATE, sets both drivers up, learns the amplifiers' zeros with their inputs shorted and sees that no
-    /// current flows: about 35 ms. On an error everything is off again.
+    /// Raises EN_GATE, configures both drivers, learns the amplifiers' zeros with shorted inputs and checks that no current
+    /// flows. Takes about 35 ms. After an error everything is off.
     fn raise(&mut self) -> Result<(), GateError> {
         pac::GPIOB.bsrr().write(|w| w.set_bs(EN_GATE, true));
-        // SLOS719F 6.7: up to 10 ms until the driver answers.
+        // The drivers need up to 10 ms until they respond (SLOS719F 6.7).
         block_for(Duration::from_millis(10));
-        let result = self.set_up();
+        let result = self.configure();
         if result.is_err() {
             OdriveV3::off();
         }
         result
     }
 
-    /// Returns true if both drivers still are as [`Gate::raise`] left them: 130 us.
+    /// Checks that both drivers still hold their configuration. Takes 130 us.
     fn check(&mut self) -> Result<(), GateError> {
         self.drivers.iter_mut().try_for_each(|driver| driver.read_back(&mut self.bus, Inputs::Shunts))
     }

@@ -1,4 +1,4 @@
-//! The tasks' requests to the control interrupt: one at a time, handed over by address, and answered at a valley.
+//! The tasks' requests to the control interrupt: one at a time, passed by address, and carried out at a valley.
 
 use core::cell::UnsafeCell;
 use core::sync::atomic::{AtomicPtr, Ordering};
@@ -8,60 +8,60 @@ use haptic_bridge::servo::compiled::BoardProgram;
 use haptic_bridge::servo::host_force::{ForceAnswer, ForceRequest};
 use haptic_bridge::servo::{Command, Reply, Status};
 
-/// A request of the tasks to the control interrupt, one at a time.
+/// A request of a task to the control interrupt.
 pub enum Request {
-    /// Something for the servo.
+    /// A command to the servo.
     Command(Command<BoardProgram>),
-    /// Only the status.
+    /// A request for the status alone.
     Status,
-    /// Another carrier; motors off.
+    /// A change of the carrier, with the motors off.
     Retime(Carrier),
-    /// The rest of a command that has been obeyed: of new rules, valley by valley, and the answer.
+    /// The rest of an accepted command: new rules are applied one joint per valley, then the reply is sent.
     Settle,
-    /// The rest of a command that brings a program: it was accepted.
+    /// The rest of an accepted command that brings a program.
     Install(BoardProgram),
-    /// Nothing: it has been taken.
+    /// No request: the interrupt has taken it.
     None,
 }
 
 /// The outcome of a request.
-pub struct Answer {
-    /// Of a command.
+pub struct Outcome {
+    /// Reply to a command.
     pub reply: Reply<BoardProgram>,
-    /// The servo's state after it.
+    /// Status of the servo after the request.
     pub status: Status,
 }
 
-/// A request and its answer, both with the task that asks: it waits.
+/// A request and the place for its outcome. Both belong to the task that waits.
 pub(super) enum Exchange<'t> {
-    /// A request of the tasks.
-    Request(Request, &'t mut Option<Answer>),
-    /// A force request of the host, thousands of times a second.
+    /// A request of a task.
+    Request(Request, &'t mut Option<Outcome>),
+    /// A force request of the host, up to thousands of times a second.
     Force(&'t ForceRequest, &'t mut Option<ForceAnswer>),
 }
 
-/// The tasks' end of the requests.
+/// The tasks' end of the channel for requests.
 pub struct Requests(pub(super) &'static AtomicPtr<Exchange<'static>>);
 
 impl Requests {
-    /// Hands a request to the control interrupt and waits for its answer: at most one carrier period, 50 us; one more for a
-    /// command, and another for each joint where rules change.
-    pub fn ask(&mut self, request: Request) -> Answer {
-        let mut answer = None;
-        self.exchange(&UnsafeCell::new(Exchange::Request(request, &mut answer)));
-        // The interrupt answers whatever it takes.
-        answer.unwrap_or_else(|| cortex_m::peripheral::SCB::sys_reset())
+    /// Passes a request to the control interrupt and waits for its outcome: at most one carrier period (50 us), one more
+    /// for a command, and one more per joint if rules change.
+    pub fn send(&mut self, request: Request) -> Outcome {
+        let mut outcome = None;
+        self.exchange(&UnsafeCell::new(Exchange::Request(request, &mut outcome)));
+        // The interrupt writes an outcome for every request it takes, so this reset is unreachable.
+        outcome.unwrap_or_else(|| cortex_m::peripheral::SCB::sys_reset())
     }
 
-    /// The same, of what the host asks the motors for.
-    pub fn ask_force(&mut self, request: &ForceRequest) -> ForceAnswer {
-        let mut answer = None;
-        self.exchange(&UnsafeCell::new(Exchange::Force(request, &mut answer)));
-        answer.unwrap_or_else(|| cortex_m::peripheral::SCB::sys_reset())
+    /// Passes the host's force request to the control interrupt and waits for the reply.
+    pub fn send_force(&mut self, request: &ForceRequest) -> ForceAnswer {
+        let mut reply = None;
+        self.exchange(&UnsafeCell::new(Exchange::Force(request, &mut reply)));
+        reply.unwrap_or_else(|| cortex_m::peripheral::SCB::sys_reset())
     }
 
-    /// Hands an exchange over and waits until the interrupt has let go of it, which is why the interrupt may take what is
-    /// borrowed there for `'static`. One that does not has stopped, and then the watchdog ends the wait.
+    /// Passes an exchange to the interrupt and waits until the interrupt has released it. Because of this wait the
+    /// interrupt may treat the borrows in it as `'static`. If the interrupt has stopped, the watchdog ends the wait.
     #[inline(always)]
     fn exchange(&mut self, exchange: &UnsafeCell<Exchange>) {
         self.0.store(exchange.get().cast(), Ordering::Release);

@@ -1,26 +1,27 @@
-//! Numbers that the control interrupt and the tasks share.
+//! The numbers that the control interrupt and the tasks share.
 
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
-/// Numbers that the control interrupt and tasks show each other. The steps come first: the emulator's tests read them.
+/// Numbers shared by the control interrupt and the tasks. `steps` comes first, because the emulator's tests read it.
 #[repr(C)]
 pub struct Shared {
     /// Control steps since the start, wrapping.
     pub steps: AtomicU32,
-    /// Those of them whose duties applied half a carrier period later than usual.
+    /// Control steps whose duties applied half a carrier period late.
     pub late_steps: AtomicU32,
-    /// Every how many control steps a frame is wanted; 0 for none.
+    /// Control steps per streamed frame; 0 while nothing streams.
     pub stream_divider: AtomicU32,
-    /// Frames that found no place since the stream started.
+    /// Frames dropped because the ring was full, since the stream started.
     pub frames_dropped: AtomicU32,
-    /// Steps that reached past the next crest.
+    /// Steps that lasted past the next crest.
     pub overruns: AtomicU32,
-    /// The longest time from a crest to the end of its interrupt, core cycles, and how much it left until the valley.
+    /// Longest time from a crest to the end of its interrupt, core cycles.
     pub longest_cycles: AtomicU32,
+    /// Time that this crest left until the valley, core cycles.
     pub(super) least_left: AtomicU32,
-    /// The gate drivers are up and set: the bridges may be connected, and while they are not, no current flows.
+    /// True if the gate drivers are enabled and configured, so that the bridges may be connected.
     pub gate_ready: AtomicBool,
-    /// A flash operation is about to stall the program: missed crests are no overruns.
+    /// True while a flash operation may stall the program: missed crests then do not count as overruns.
     pub stall_expected: AtomicBool,
 }
 
@@ -40,7 +41,7 @@ impl Shared {
     }
 }
 
-/// One more; the control interrupt alone writes it.
-pub(super) fn count(number: &AtomicU32) {
+/// Adds 1 to a counter that only the control interrupt writes.
+pub(super) fn increment(number: &AtomicU32) {
     number.store(number.load(Ordering::Relaxed).wrapping_add(1), Ordering::Relaxed);
 }

@@ -1,4 +1,4 @@
-//! The valley of the carrier: it records the last step, checks for slow faults, and answers at most one request.
+//! The work at a valley of the carrier: record the last step, check for slow faults, carry out at most one request.
 
 use core::sync::atomic::Ordering;
 
@@ -6,22 +6,22 @@ use cortex_m::peripheral::DWT;
 use embassy_stm32::pac;
 use haptic_bridge::servo::{Command, compiled};
 
-use super::exchange::{Answer, Exchange, Request};
-use super::shared::count;
-use super::{BETWEEN, CONTROL, EXTREME_CYCLES, OVERRAN, Step, UNCONNECTED, UNRECORDED, after_step};
+use super::exchange::{Exchange, Outcome, Request};
+use super::shared::increment;
+use super::{BETWEEN, CONTROL, EXTREME_CYCLES, InterruptState, OVERRAN, UNCONNECTED, UNRECORDED, after_step};
 use crate::board::Io as _;
 use crate::warmth;
 
-impl Step {
-    /// Everything there is to do at a valley.
+impl InterruptState {
+    /// Does the work of a valley.
     #[inline(always)]
     pub(super) fn valley(&mut self) {
         self.valley_at = DWT::cycle_count();
         if !self.driving {
-            self.valley_at_rest();
+            self.valley_floating();
         }
-        self.io.forget();
-        // The duties of the last step have just been taken over, or are late and come next.
+        self.io.clear_flags();
+        // The timer has just loaded the duties of the last step, unless they are late.
         if self.pending {
             self.pending = false;
             self.io.write(&self.legs);
@@ -29,18 +29,18 @@ impl Step {
         if self.before_step & UNRECORDED != 0 {
             self.record();
         } else {
-            self.see_whether_between();
+            self.check_crest_between();
         }
-        let drives = compiled::check_slow_faults(&mut self.servo, &self.seen).bridges;
+        let drives = compiled::check_slow_faults(&mut self.servo, &self.samples).bridges;
         if !drives && self.driving {
             self.float();
         }
-        let asked = CONTROL.asked.load(Ordering::Acquire);
-        if !asked.is_null() {
-            // SAFETY: `Requests::exchange` has put it there, and keeps it, with what it borrows, until it is null again. There
-            // is one `Requests`, which can be in but one exchange.
-            if self.take(unsafe { &mut *asked }) {
-                CONTROL.asked.store(core::ptr::null_mut(), Ordering::Release);
+        let request = CONTROL.request.load(Ordering::Acquire);
+        if !request.is_null() {
+            // SAFETY: `Requests::exchange` stored the pointer and keeps the exchange, with everything it borrows, alive until
+            // the pointer is null again. There is one `Requests`, and it is in one exchange at a time.
+            if self.carry_out(unsafe { &mut *request }) {
+                CONTROL.request.store(core::ptr::null_mut(), Ordering::Release);
             }
             if self.driving && self.since_valley() > 2 * u32::from(self.io.carrier().top) {
                 self.crest_missed();
@@ -48,68 +48,67 @@ impl Step {
         }
     }
 
-    /// Sees whether there was a crest without a step before this valley. Where there was none at all, it came and went while
-    /// the core did something else.
+    /// Checks that a crest without a step preceded this valley. If no crest did, one passed while the core was busy.
     #[cold]
     #[inline(never)]
-    fn see_whether_between(&mut self) {
+    fn check_crest_between(&mut self) {
         if self.before_step & BETWEEN == 0 && self.driving {
             self.crest_missed();
         }
         self.before_step &= !BETWEEN;
     }
 
-    /// A crest came and went.
+    /// Turns the motors off because a crest passed without its interrupt.
     #[cold]
     #[inline(never)]
     fn crest_missed(&mut self) {
-        count(&CONTROL.shared.overruns);
-        self.miss();
+        increment(&CONTROL.shared.overruns);
+        self.trip_overrun();
         self.float();
     }
 
-    /// No valley has come since the last crest: it came and went while the core did something else, and crests may have.
+    /// Handles a crest without a valley since the last one: the valley, and perhaps crests, passed while the core was busy.
     pub(super) fn valley_missed(&mut self) {
         if self.before_step & UNRECORDED != 0 {
             self.record();
         }
         if self.before_step & OVERRAN == 0 && self.driving {
             self.before_step |= OVERRAN;
-            count(&CONTROL.shared.overruns);
+            increment(&CONTROL.shared.overruns);
         }
     }
 
-    /// The first work of a valley while the bridges float: they begin to drive at an extreme of the carrier, here or,
-    /// where this interrupt is late, at the next crest. Between two extremes, a bridge whose ends follow one channel
-    /// and its complement would drive its motor for the rest of half a period, which is worth whole amperes.
+    /// Begins a valley while the bridges float. The bridges are connected at an extreme of the carrier: here or, if this
+    /// interrupt is late, at the next crest. If connected between two extremes, a bridge whose legs follow one channel and
+    /// its complement would drive its motor for the rest of half a period, which adds amperes.
     #[cold]
     #[inline(never)]
-    fn valley_at_rest(&mut self) {
+    fn valley_floating(&mut self) {
         if !self.may_connect() {
             if !self.servo.status().state.drives() {
                 self.unconnected = 0;
             }
-            if self.io.sampled() {
-                self.io.learn();
+            if self.io.has_sampled() {
+                self.io.learn_zeros();
             }
         } else if pac::TIM1.cnt().read().0 < EXTREME_CYCLES {
             self.connect();
         } else {
             self.before_step |= UNCONNECTED;
-            self.wait_on();
+            self.count_unconnected();
         }
     }
 
-    /// Carries out one request and answers it; false where there is more to do of it at the next valley. Not inlined: it is
-    /// rare, and would only lengthen the way to the step.
+    /// Carries out one request and writes its outcome. Returns false if work on it remains for the next valley. Not
+    /// inlined, because requests are rare and inlining would lengthen the path to the step.
     #[inline(never)]
-    fn take(&mut self, exchange: &mut Exchange) -> bool {
-        let (request, answer) = match exchange {
-            Exchange::Force(request, answer) => {
-                **answer = Some(self.servo.force(request));
+    fn carry_out(&mut self, exchange: &mut Exchange) -> bool {
+        let (request, outcome) = match exchange {
+            Exchange::Force(request, reply) => {
+                **reply = Some(self.servo.force(request));
                 return true;
             }
-            Exchange::Request(request, answer) => (request, answer),
+            Exchange::Request(request, outcome) => (request, outcome),
         };
         let (mut reply, mut more) = ((Ok(()), None), false);
         match request {
@@ -145,7 +144,7 @@ impl Step {
             }
         }
         if matches!(request, Request::Status) {
-            // Some fifty times a second, what a reset must not cool is put where it stays.
+            // About fifty times a second, the heat is copied to memory that survives a reset.
             warmth::keep(self.servo.heat());
         }
         let status = self.servo.status();
@@ -155,23 +154,23 @@ impl Step {
         if more {
             return false;
         }
-        **answer = Some(Answer { reply, status });
+        **outcome = Some(Outcome { reply, status });
         true
     }
 
-    /// Notes and hands on what the last step left.
+    /// Records the last step, into a frame if one is due.
     #[inline(never)]
     fn record(&mut self) {
         self.before_step &= !UNRECORDED;
         let steps = self.servo.steps();
         CONTROL.shared.steps.store(steps, Ordering::Relaxed);
-        let wanted = steps.checked_rem(CONTROL.shared.stream_divider.load(Ordering::Relaxed)) == Some(0);
-        let pushed = wanted && CONTROL.frames.push(|place| compiled::note(&mut self.servo, &self.seen, Some(place)));
+        let due = steps.checked_rem(CONTROL.shared.stream_divider.load(Ordering::Relaxed)) == Some(0);
+        let pushed = due && CONTROL.frames.push(|place| compiled::note(&mut self.servo, &self.samples, Some(place)));
         if !pushed {
-            compiled::note(&mut self.servo, &self.seen, None);
-            if wanted {
+            compiled::note(&mut self.servo, &self.samples, None);
+            if due {
                 // This interrupt is the only writer while a stream runs.
-                count(&CONTROL.shared.frames_dropped);
+                increment(&CONTROL.shared.frames_dropped);
             }
         }
     }
