@@ -112,7 +112,7 @@ impl Outgoing {
             ConstStaticCell::new([Frame::EMPTY; 1 + MAX_WAITING]);
         let [frame, free @ ..] = FRAMES.take();
         let (waiting, free, waker) = (Deque::new(), Vec::from_iter(free), WakerRegistration::new());
-        LEAVING.lock(|leaving| leaving.replace(Some(Leaving { sender, waiting, begun: 0, free, waker })));
+        SEND_QUEUE.lock(|queue| queue.replace(Some(SendQueue { sender, waiting, begun: 0, free, waker })));
         Self { frame, stalled: false }
     }
 
@@ -125,7 +125,7 @@ impl Outgoing {
     pub async fn send(&mut self, length: usize) {
         let Some(length) = framing::encode(&mut self.frame.bytes[1..], length) else { return };
         self.frame.length = 1 + length;
-        let mut free = with(|leaving| leaving.free.pop()).flatten();
+        let mut free = with(|queue| queue.free.pop()).flatten();
         // Does not wait for a host that has already made the board wait.
         if free.is_none() && !self.stalled {
             free = with_timeout(PATIENCE, poll_fn(poll_free)).await.ok();
@@ -133,10 +133,10 @@ impl Outgoing {
         self.stalled = free.is_none();
         let Some(free) = free else { return };
         let frame = core::mem::replace(&mut self.frame, free);
-        with(|leaving| {
+        with(|queue| {
             // The queue has room for all frames except the one being written.
-            let _ = leaving.waiting.push_back(frame);
-            leaving.hand_over();
+            let _ = queue.waiting.push_back(frame);
+            queue.hand_over();
         });
     }
 
@@ -171,9 +171,9 @@ fn with<R>(work: impl FnOnce(&mut SendQueue) -> R) -> Option<R> {
 
 /// Polls for a free frame.
 fn poll_free(context: &mut Context) -> Poll<&'static mut Frame> {
-    let free = with(|leaving| {
-        leaving.waker.register(context.waker());
-        leaving.free.pop()
+    let free = with(|queue| {
+        queue.waker.register(context.waker());
+        queue.free.pop()
     });
     free.flatten().map_or(Poll::Pending, Poll::Ready)
 }

@@ -40,7 +40,7 @@ use crate::frames::{FrameReader, Frames};
 use exchange::Exchange;
 pub use exchange::{Request, Requests};
 pub use shared::Shared;
-use shared::count;
+use shared::increment;
 
 /// The tasks' ends of the channels to the control interrupt.
 pub struct Ends {
