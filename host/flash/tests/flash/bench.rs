@@ -257,7 +257,8 @@ impl Transport for Cable {
 
     fn receive(&mut self, request: u8, value: u16, length: u16) -> Result<Vec<u8>, UsbError> {
         let mut board = self.0.borrow_mut();
-        board.now += board.answers_after;
+        let answered_after = board.answers_after;
+        board.now += answered_after;
         board.request((request, value), &[], length)
     }
 
