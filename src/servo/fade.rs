@@ -195,11 +195,14 @@ where
     /// Holds what fades to the forces that it may make where the tip is now.
     #[inline(never)]
     fn hold_what_fades(&mut self) {
-        let (fade, leverage) = (&mut self.fade, &self.leverage);
+        let fade = &mut self.fade;
+        let Some(program) = self.program.as_ref() else { return };
         let rendered = fade.rendered();
         if rendered == Torques::default() && fade.aside == Torques::default() {
             return;
         }
+        // That of half a millisecond ago would let 4 % too much through: what fades is fixed, and not asked for again here.
+        let leverage = program.mechanism.leverage::<K>(&self.now.found.at.q);
         let share = share_within(leverage.force_squared(&rendered), self.most_force);
         for part in fade.scene.iter_mut().chain(fade.host.torque.iter_mut()).chain(fade.aside.iter_mut()) {
             *part *= share;
