@@ -252,7 +252,8 @@ fn nothing_shipped_is_doubted() {
         assert_eq!(code, 0, "{err}");
         // Nobody has published how stiff their cables are, and the files do not pretend.
         let cables = ["capstan-pantograph", "hapkit-paddle", "phantom-premium-1.5", "woodenhaptics"];
-        let said: Vec<&str> = err.lines().collect();
+        // Some scenes are stiff on purpose, to show what the feed-forward is for: they ripple, and `check` says so.
+        let said: Vec<&str> = err.lines().filter(|line| !line.contains("rattles: its force ripples")).collect();
         if cables.contains(&device.file_stem().unwrap().to_str().unwrap()) {
             let [line] = said[..] else { panic!("{err}") };
             assert!(line.contains("nothing says what lies between motor and link"), "{err}");
