@@ -6,6 +6,8 @@ use haptic_bridge::render::scene::{DEFAULT_RATE_HZ, FeedForward, Plane, Scene, S
 use haptic_host::device_file::DeviceFile;
 use haptic_host::error::Failure;
 use haptic_host::scene_file::{DEFAULT_CUTOFF_HZ, DEFAULT_WASHOUT_HZ};
+use haptic_host::vectors::padded;
+use haptic_sim::Around;
 use haptic_stability::analysis::control_loop::TorquePath;
 use haptic_stability::analysis::pose::TaskPose;
 use haptic_stability::analysis::prediction::{Prediction, Subject};
@@ -36,9 +38,26 @@ pub fn wall_ahead(file: &DeviceFile) -> Result<Scene<f32>, Failure> {
 }
 
 /// A wall in front of the tip at home that `haptic check` doubts nothing about: stable, within the motors, and so soft
-/// that it does not rattle.
+/// that it does not rattle. It is on the other side of the tip where a hand does not get around on this one.
 pub fn first_wall(file: &DeviceFile) -> Result<FirstWall, Failure> {
-    let stable = stable_wall(file)?;
+    let first = first_wall_on(file, 1.0)?;
+    if is_touched(file, &first.scene) {
+        return Ok(first);
+    }
+    let other = first_wall_on(file, -1.0)?;
+    Ok(if is_touched(file, &other.scene) { other } else { first })
+}
+
+/// Returns true if a hand that moves around as that of `haptic sim` gets to a wall of the scene from home.
+fn is_touched(file: &DeviceFile, scene: &Scene<f32>) -> bool {
+    let home = file.description.home.unwrap_or_default();
+    let pose = TaskPose::at(&file.description, &home[..file.spec().joints]);
+    pose.is_ok_and(|pose| Around::find(file, Some(&scene.cast()), padded(&pose.position)).on_a_wall)
+}
+
+/// `side`: 1 for a wall below the tip, -1 for one above it.
+fn first_wall_on(file: &DeviceFile, side: f64) -> Result<FirstWall, Failure> {
+    let stable = stable_wall(file, side)?;
     let subject = Subject::new(&file.description).map_err(Failure::wrong)?;
     // On a redundant arm a washout may let next to nothing be stable.
     for feed_forward in [FeedForward::Washout, FeedForward::Off] {
@@ -84,9 +103,9 @@ fn weaken(scene: &mut Scene<f32>, stiffness: f64, damping: f64) {
     }
 }
 
-/// A wall in front of the tip at home, below it where the device moves in a plane or in space, of half the stiffness
-/// that is predicted stable.
-fn stable_wall(file: &DeviceFile) -> Result<Scene<f32>, Failure> {
+/// A wall in front of the tip at home, below or above it where the device moves in a plane or in space, of half the
+/// stiffness that is predicted stable.
+fn stable_wall(file: &DeviceFile, side: f64) -> Result<Scene<f32>, Failure> {
     let task = file.spec().task;
     let none = || {
         Failure::wrong(format!("{} has no [home], so there is no pose to start in", file.path.display()))
@@ -96,7 +115,7 @@ fn stable_wall(file: &DeviceFile) -> Result<Scene<f32>, Failure> {
     let q = &home[..file.spec().joints];
     let pose = TaskPose::at(&file.description, q)?;
     let mut normal = vec![0.0; task];
-    normal[usize::from(task > 1)] = 1.0;
+    normal[usize::from(task > 1)] = side;
     let point = core::array::from_fn(|i| match (pose.position.get(i), normal.get(i)) {
         (Some(place), Some(n)) => (place - AHEAD * n) as f32,
         _ => 0.0,

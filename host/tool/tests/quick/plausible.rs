@@ -201,11 +201,11 @@ fn the_limit_that_is_named_is_that_of_haptic_range() {
 #[test]
 fn a_paddle_may_turn_often_and_its_degrees_are_doubted_all_the_same() {
     let shipped = std::fs::read_to_string(file("hapkit-paddle.toml")).unwrap();
-    let limits = shipped.lines().find(|line| line.starts_with("limits")).unwrap();
+    let coulomb = shipped.lines().find(|line| line.starts_with("coulomb")).unwrap();
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("wheel.toml").display().to_string();
     for (written, doubted) in [("[-7.85, 7.85]", 0), ("[-314.0, 314.0]", 0), ("[-40.0, 40.0]", 1), ("[-90, 90]", 1)] {
-        std::fs::write(&path, shipped.replace(limits, &format!("limits = {written}"))).unwrap();
+        std::fs::write(&path, shipped.replace(coulomb, &format!("{coulomb}\nlimits = {written}"))).unwrap();
         let (code, _, err) = haptic(&["check", &path]);
         assert_eq!((code, err.matches("angles are in radians").count()), (0, doubted), "{written}: {err}");
     }
@@ -229,12 +229,9 @@ fn a_wall_that_rattles_is_doubted_and_a_quiet_one_is_not() {
         let at = "point = [0.0, 0.108]\nnormal = [0.0, 1.0]\nfeed_forward = \"off\"";
         format!("rate_hz = 20000\ncutoff_hz = 500\n[[wall]]\n{at}\nstiffness = {stiffness}\ndamping = {damping}\n")
     };
-    let (json, err) = checked(&[], Some(&wall(14_000.0, 15.0)));
+    let (json, err) = checked(&[], Some(&wall(8_000.0, 12.0)));
     let contact = &json["scenes"][0]["contacts"][0];
-    assert!(
-        contact["stable_to"].as_f64().unwrap() > 14_000.0 && contact["step_n"].as_f64().unwrap() < 1.0,
-        "{contact}"
-    );
+    assert!(contact["stable_to"].as_f64().unwrap() > 8_000.0 && contact["step_n"].as_f64().unwrap() < 1.0, "{contact}");
     assert!(contact["ripple_n"].as_f64().unwrap() > 0.1 && err.contains("wall 0 rattles"), "{contact}: {err}");
     let (json, err) = checked(&[], Some(&wall(1_500.0, 3.0)));
     assert!(json["scenes"][0]["contacts"][0]["ripple_n"].as_f64().unwrap() < 0.1 && err.is_empty(), "{err}");
@@ -252,7 +249,8 @@ fn nothing_shipped_is_doubted() {
         assert_eq!(code, 0, "{err}");
         // Nobody has published how stiff their cables are, and the files do not pretend.
         let cables = ["capstan-pantograph", "hapkit-paddle", "phantom-premium-1.5", "woodenhaptics"];
-        let said: Vec<&str> = err.lines().collect();
+        // Some scenes are stiff on purpose, to show what the feed-forward is for: they ripple, and `check` says so.
+        let said: Vec<&str> = err.lines().filter(|line| !line.contains("rattles: its force ripples")).collect();
         if cables.contains(&device.file_stem().unwrap().to_str().unwrap()) {
             let [line] = said[..] else { panic!("{err}") };
             assert!(line.contains("nothing says what lies between motor and link"), "{err}");
