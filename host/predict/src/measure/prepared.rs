@@ -40,6 +40,8 @@ const FIRM: f64 = 0.125;
 /// explains, rad: friction holds joints off their places. Another pose with the same tip is farther away, unless that
 /// pose is nearly singular.
 const SAME_POSE: f64 = 0.03;
+/// A tip that slides this far along the walls has left its pose, m.
+const ASIDE: f64 = 0.03;
 /// Number of times that a trial is repeated which the device left its pose in.
 const AGAIN: usize = 2;
 
@@ -283,7 +285,9 @@ impl<'a> PreparedBoard<'a> {
             // Back off at once, whatever came out.
             self.hold(0.0)?;
             match (verdict, there) {
-                (Ok(_), Err(MeasureError::Away { .. })) if left < AGAIN => left += 1,
+                (Ok(_), Err(MeasureError::Away { .. })) | (Err(MeasureError::Away { .. }), _) if left < AGAIN => {
+                    left += 1;
+                }
                 (Ok(_), Err(error)) => return Err(error),
                 // The guard was quicker than the telemetry: an oscillation that violent is one.
                 (Err(MeasureError::Fault(fault)), _) if violent(fault) => {
@@ -471,6 +475,9 @@ impl<'a> PreparedBoard<'a> {
                 // Rows from before the hand-over were still on their way.
                 if at.step.wrapping_sub(first) > u32::MAX / 2 {
                     continue;
+                }
+                if at.aside > ASIDE {
+                    return Err(self.check_pose().err().unwrap_or(MeasureError::Restless));
                 }
                 if let Some(verdict) = swing.take(at.place) {
                     return Ok(verdict);
