@@ -134,7 +134,10 @@ impl MeasureError {
     /// Returns true if the error concerns one damping only: the measurement goes on with the next.
     #[must_use]
     pub fn is_local(&self) -> bool {
-        matches!(self, Self::Unbounded | Self::Saturates { .. } | Self::Restless | Self::Stuck { .. })
+        matches!(
+            self,
+            Self::Unbounded | Self::Saturates { .. } | Self::Restless | Self::Stuck { .. } | Self::Away { .. }
+        )
     }
 }
 

@@ -34,12 +34,16 @@ const OFF_ITS_PLACE: f64 = 5e-4;
 /// Share of the rate, rad/s for each Hz, at which the tip is held; and the most where friction asks for it. Both are far
 /// below the 0.3 at which the stiffest wall of the paper's setting swings.
 const SOFT: f64 = 0.05;
-const FIRM: f64 = 0.125;
+const FIRM: f64 = 0.1;
 
 /// Angle by which a joint may differ from where the measurement began, beside what a tip [`APART`] off its place
 /// explains, rad: friction holds joints off their places. Another pose with the same tip is farther away, unless that
 /// pose is nearly singular.
 const SAME_POSE: f64 = 0.03;
+/// A tip that has moved so far is on its way, m.
+const EDGE: f64 = 2e-5;
+/// A tip that slides this far along the walls has left its pose, m.
+const ASIDE: f64 = 0.03;
 /// Number of times that a trial is repeated which the device left its pose in.
 const AGAIN: usize = 2;
 
@@ -264,7 +268,7 @@ impl<'a> PreparedBoard<'a> {
         let pull = strength.signum() * (strength.abs() * pull).max(self.excitation.smallest()).min(LONGEST_PULL);
         let (mut trips, mut left) = (0, 0);
         loop {
-            match self.swing_from_rest(feed_forward, pull) {
+            match self.swing_from_rest(feed_forward, pull, kp > gentle) {
                 // The device was still ringing from the oscillation before, and that tripped the guard. It has stopped
                 // by now.
                 Err(MeasureError::Fault(fault)) if violent(fault) && trips < 3 => {
@@ -283,7 +287,9 @@ impl<'a> PreparedBoard<'a> {
             // Back off at once, whatever came out.
             self.hold(0.0)?;
             match (verdict, there) {
-                (Ok(_), Err(MeasureError::Away { .. })) if left < AGAIN => left += 1,
+                (Ok(_), Err(MeasureError::Away { .. })) | (Err(MeasureError::Away { .. }), _) if left < AGAIN => {
+                    left += 1;
+                }
                 (Ok(_), Err(error)) => return Err(error),
                 // The guard was quicker than the telemetry: an oscillation that violent is one.
                 (Err(MeasureError::Fault(fault)), _) if violent(fault) => {
@@ -298,7 +304,7 @@ impl<'a> PreparedBoard<'a> {
 
     /// Pulls the tip aside by `pull` and lets it swing back. Where friction keeps it from coming along, it is pulled
     /// harder: a pull that went half as far would find another boundary.
-    fn swing_from_rest(&mut self, feed_forward: FeedForward, pull: f64) -> Result<(), MeasureError> {
+    fn swing_from_rest(&mut self, feed_forward: FeedForward, pull: f64, stiffer: bool) -> Result<(), MeasureError> {
         let friction = self.excitation.friction / self.holding().0;
         let mut aim = pull + friction * pull.signum();
         let enough = (PULLED.0 * pull.abs()).min(pull.abs() - 2.0 * self.excitation.quantum);
@@ -307,7 +313,7 @@ impl<'a> PreparedBoard<'a> {
             let along = rested * pull.signum();
             if along >= enough && along <= PULLED.1 * pull.abs() + 2.0 * self.excitation.quantum {
                 self.check_pose()?;
-                return self.swing_back(feed_forward, pull, rested);
+                return self.swing_back(feed_forward, pull, rested, stiffer);
             }
             aim += pull - rested;
         }
@@ -442,13 +448,24 @@ impl<'a> PreparedBoard<'a> {
     ///
     /// With the feed-forward that is tested: without it the pull would set the admissible directions moving, and with
     /// it nothing would stop them again.
-    fn swing_back(&mut self, feed_forward: FeedForward, pull: f64, rested: f64) -> Result<(), MeasureError> {
+    fn swing_back(
+        &mut self,
+        feed_forward: FeedForward,
+        pull: f64,
+        rested: f64,
+        stiffer: bool,
+    ) -> Result<(), MeasureError> {
         let (kp, _) = self.holding();
         self.release()?;
         self.test(kp / self.along, 0.0, feed_forward)?;
         let started = self.board.now();
         let quarter = 0.5 * PI / self.hold_frequency;
-        let aim = 0.5 * rested;
+        // Friction takes much of what the soft pull gives: a stiffer wall pulls by itself from where the tip was held.
+        let aim = if stiffer && self.excitation.friction > 0.0 {
+            rested - EDGE.min(0.1 * pull.abs()).copysign(pull)
+        } else {
+            0.5 * rested
+        };
         // Without friction it is half way after two thirds of a quarter.
         while (self.board.now() - started).as_secs_f64() < 2.0 * quarter {
             let latest = self.places(quarter / 8.0)?;
@@ -471,6 +488,9 @@ impl<'a> PreparedBoard<'a> {
                 // Rows from before the hand-over were still on their way.
                 if at.step.wrapping_sub(first) > u32::MAX / 2 {
                     continue;
+                }
+                if at.aside > ASIDE {
+                    return Err(self.check_pose().err().unwrap_or(MeasureError::Restless));
                 }
                 if let Some(verdict) = swing.take(at.place) {
                     return Ok(verdict);

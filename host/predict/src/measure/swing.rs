@@ -53,8 +53,10 @@ const SIGNIFICANT: f64 = 4.0;
 const FLAT_SLOPE: f64 = 2e-4;
 /// Growth over the first swings, and over the pull, at which the verdict does not wait for the trend.
 const RUNAWAY_GROWTH: f64 = 4.0;
-/// Farthest distance from the wall that is still a trial, in pulls.
+/// Farthest distance from the wall that is still a trial, in pulls, and of long pulls beyond two of them, m: what has
+/// left that far builds up, and is caught in its pose.
 const FARTHEST_PULLS: f64 = 12.0;
+const FARTHEST: f64 = 0.015;
 /// Share of the largest swing below which a motion has died out.
 const DIED_OUT_SHARE: f64 = 0.02;
 /// Periods of the cutoff without a turning point after which a motion is over: at least, and at most where a slower
@@ -183,7 +185,7 @@ impl Trace {
     fn take(&mut self, place: f64) -> Option<Verdict> {
         self.rows += 1;
         self.since_turn += 1;
-        if place.abs() > FARTHEST_PULLS * self.pull {
+        if place.abs() > (FARTHEST_PULLS * self.pull).min(2.0 * self.pull + FARTHEST) {
             return Some(Verdict::Grows);
         }
         let [first, second] = self.slow.get_or_insert([place, 0.0]);
