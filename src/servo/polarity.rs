@@ -403,8 +403,8 @@ where
         for ((low, high), moved) in swing.ends.iter_mut().zip(moved) {
             (*low, *high) = (low.min(*moved), high.max(*moved));
         }
-        let most = if swing.last { 4.0 } else { 2.0 } * swing.angle;
-        let far = |j: usize| swing.ends[j].1 - swing.ends[j].0 >= most;
+        let most = |j: usize| if swing.last && j == i { 4.0 } else { 2.0 } * swing.angle;
+        let far = |j: usize| swing.ends[j].1 - swing.ends[j].0 >= most(j);
         swing.work += self.polarity.told[i] * (moved[i] - swing.was);
         swing.was = moved[i];
         if !swing.full {
