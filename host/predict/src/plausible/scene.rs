@@ -162,8 +162,7 @@ fn at_home(subject: &Subject, scene: &Scene<f64>, path: &TorquePath) -> Option<V
     let motions = mobility.symmetric_eigen();
     let lightest = motions.eigenvectors.column(motions.eigenvalues.imax());
     let prediction = Prediction::in_scene(subject, scene, None, path)?;
-    let seen = prediction.seen(q, lightest.as_slice()).ok()?;
-    let stable = |damping| stiffness_at(&seen, &prediction.around, Mode::Off, damping).ok();
+    let stable = |damping| prediction.stiffness_at(q, lightest.as_slice(), Mode::Off, damping).ok();
     let mut doubts = Vec::new();
     let mut doubt = |table, index: usize, name, what: &str, has: f64, most: f64, unit| {
         let text = format!(

@@ -6,9 +6,12 @@ use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::motor::Motor;
 use haptic_bridge::render::scene::FeedForward;
 use haptic_host::device_file::DeviceFile;
+use haptic_host::link::Board;
+use haptic_host::scene_file::SceneFile;
 use haptic_predict::boards::torque_at_rest;
 use haptic_predict::design::sensitivity::sensitivities;
 use haptic_show::demo::{Demo, crossing};
+use haptic_sim::{BoardOptions, SharedBoard, ready_board};
 use haptic_stability::analysis::control_loop::{Loop, Mode, TorquePath};
 use haptic_stability::analysis::passivity::Passivity;
 use haptic_stability::analysis::plant::{Drive, Linearised};
@@ -257,7 +260,12 @@ fn a_supply_bounds_what_motors_are_said_to_give() {
     assert!((info["bus_voltage"].as_f64().unwrap() - 12.0).abs() < 1e-3, "{info}");
     // A high supply is none that trips.
     assert!(!checked("supply = 56.0\n").3.contains("supply"));
-    json(&["arm", "--port", &format!("sim:{device}")]);
+    let device = DeviceFile::load(&device).unwrap();
+    let simulated = SharedBoard::new(ready_board(&device, BoardOptions::default()).unwrap());
+    let mut board = Board::over(simulated.wire(), "sim").unwrap();
+    let scene = SceneFile::load(file("scenes/haply-2diy/wall-soft.toml"), 2).unwrap().scene().unwrap();
+    board.set_scene(&scene).unwrap();
+    board.arm().unwrap();
     // No board gives 25 A.
     let strong = Motor { torque_constant: -0.1, max_current: 25.0, ..Motor::default() };
     assert_eq!([2, 3].map(|joints| torque_at_rest(&strong, joints)), [2.0, 0.1 * 12.0]);
