@@ -137,7 +137,9 @@ fn a_key_that_is_held_arms_and_letting_go_disarms() {
     // The button, by the mouse, which is free for the tip then; of a real board it holds no longer than it is pressed.
     let key = on(&mut browser, &tab, "key", "60", "30");
     for held in [true, false] {
-        ["mousePressed", "mouseReleased"].map(|what| browser.mouse(&tab, what, key));
+        for what in ["mousePressed", "mouseReleased"] {
+            browser.mouse(&tab, what, key);
+        }
         browser.until(&tab, &format!("view.last.held === {held}"));
     }
     browser.evaluate(&tab, "view.hello.simulated = false");
