@@ -4,7 +4,8 @@ use haptic_bridge::render::scene::FeedForward;
 
 use super::error::AnalysisError;
 use super::estimator::LinearEstimator;
-use super::plant::Drive;
+use super::flexible::felt;
+use super::plant::{Drive, Linearised};
 
 /// Longest delay that can be analysed, in samples.
 pub const LONGEST_DELAY: f64 = 64.0;
@@ -109,4 +110,23 @@ impl TorquePath {
 /// The delay of a board at a control rate when nothing else is known, control samples: half a period of the carrier.
 pub fn usual_delay(rate_hz: f64) -> f64 {
     0.5 / (CARRIER_HZ / rate_hz).round().max(1.0)
+}
+
+impl Linearised {
+    /// How far the tip gives way along the normal at rest beyond what the wall sees, m/N: Σⱼ Jrⱼ τⱼ/kⱼ with the joint
+    /// torques τ per newton of wall, those of (4) with the full feed-forward and Jrᵀ without it or behind a washout.
+    /// `None` where no transmission gives.
+    #[must_use]
+    pub fn compliance(&self, mode: Mode) -> Option<f64> {
+        match mode {
+            Mode::Full => self.flexible.compliance_at_tip(&self.row, &self.shaped_torque()),
+            Mode::Off | Mode::Washout(_) => self.flexible.compliance_at_tip(&self.row, &self.row),
+        }
+    }
+
+    /// The stiffness (N/m) that a hand feels at rest of a wall of this stiffness; `None` where no transmission gives.
+    #[must_use]
+    pub fn felt(&self, mode: Mode, stiffness: f64) -> Option<f64> {
+        felt(stiffness, self.compliance(mode)?)
+    }
 }

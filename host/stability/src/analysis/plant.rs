@@ -11,8 +11,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use super::control_loop::Mode;
-use super::flexible::{Flexible, felt};
+use super::flexible::Flexible;
 
 /// The device at rest at one pose, seen along one rendered direction. `N` joints; gravity is balanced.
 #[derive(Clone, Debug)]
@@ -64,23 +63,6 @@ impl Linearised {
     pub fn shaped_torque(&self) -> DVector<f64> {
         let shaped = &self.mass * &self.unit_motion / self.w_rr();
         if self.gain == 1.0 { shaped } else { &self.row + (shaped - &self.row) * self.gain }
-    }
-
-    /// How far the tip gives way along the normal at rest beyond what the wall sees, m/N: Σⱼ Jrⱼ τⱼ/kⱼ with the joint
-    /// torques τ per newton of wall, those of (4) with the full feed-forward and Jrᵀ without it or behind a washout.
-    /// `None` where no transmission gives.
-    #[must_use]
-    pub fn compliance(&self, mode: Mode) -> Option<f64> {
-        match mode {
-            Mode::Full => self.flexible.compliance_at_tip(&self.row, &self.shaped_torque()),
-            Mode::Off | Mode::Washout(_) => self.flexible.compliance_at_tip(&self.row, &self.row),
-        }
-    }
-
-    /// The stiffness (N/m) that a hand feels at rest of a wall of this stiffness; `None` where no transmission gives.
-    #[must_use]
-    pub fn felt(&self, mode: Mode, stiffness: f64) -> Option<f64> {
-        felt(stiffness, self.compliance(mode)?)
     }
 }
 
