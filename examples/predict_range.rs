@@ -7,7 +7,7 @@ use haptic_stability::analysis::sampled::{LinearEstimator, Loop};
 
 /// Runs it.
 pub fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let device = DeviceFile::load(concat!(env!("CARGO_MANIFEST_DIR"), "/../../devices/coupled-five-bar.toml"))?;
+    let device = DeviceFile::load(concat!(env!("CARGO_MANIFEST_DIR"), "/../devices/coupled-five-bar.toml"))?;
     // Joint angles (rad), and the wall's unit normal out of the solid.
     let seen = Linearised::at(&device.description, &[2.6, 1.75], &[0.6, 0.8])?;
     let around = Loop {

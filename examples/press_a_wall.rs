@@ -10,8 +10,8 @@ use std::time::Duration;
 
 /// Runs it.
 pub fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let device = DeviceFile::load(concat!(env!("CARGO_MANIFEST_DIR"), "/../../devices/coupled-five-bar.toml"))?;
-    let scene = concat!(env!("CARGO_MANIFEST_DIR"), "/../../devices/scenes/coupled-five-bar/wall.toml");
+    let device = DeviceFile::load(concat!(env!("CARGO_MANIFEST_DIR"), "/../devices/coupled-five-bar.toml"))?;
+    let scene = concat!(env!("CARGO_MANIFEST_DIR"), "/../devices/scenes/coupled-five-bar/wall.toml");
     let scene = SceneFile::load(scene, device.spec().task)?;
     let simulated = SharedBoard::new(ready_board(&device, BoardOptions::default())?);
     let mut board = Board::over(simulated.wire(), "sim")?;

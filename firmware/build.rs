@@ -10,7 +10,7 @@ fn main() {
     println!("cargo::rustc-link-search={}", out.display());
     // --nmagic: sections are not aligned to pages, which flash does not have. link.x is cortex-m-rt's, defmt.x defmt's.
     for argument in ["--nmagic", "-Tlink.x", "-Tdefmt.x"] {
-        println!("cargo::rustc-link-arg-bin=haptic-bridge-firmware={argument}");
+        println!("cargo::rustc-link-arg-bin=haptic-firmware={argument}");
     }
     // Its entry points are kept; everything they do not reach is dropped.
     for name in ["render", "crest", "generally", "notes", "sums"] {

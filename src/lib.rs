@@ -5,7 +5,7 @@
 //!
 //! ```text
 //!  at the crest of the carrier                                     called by the control interrupt
-//!   encoder counts ──► servo::compiled::render
+//!   encoder counts ──► control::compiled::render
 //!      │                 └─ Controller::render ────────────────────┐
 //!      ├─► joint angles, velocities        (render::velocity)      │
 //!      ├─► pose: tip, J, sines             (model::mechanism)      │  while the converters work
@@ -14,18 +14,18 @@
 //!      ├─► the paper's feed-forward (4):                           │
 //!      │     τ = M E Wrr⁻¹(fr - Eᵀb) + b   (model::mechanism)      │
 //!      └─► joint torques ◄─────────────────────────────────────────┘
-//!   currents, bus voltage ──► servo::compiled::crest
+//!   currents, bus voltage ──► control::compiled::crest
 //!             ├─► limits, faults, arming   (safety)
 //!             └─► current ► voltage ► duty (drive)
 //!  at the valley
-//!   servo::compiled::note               the step's samples and its row of telemetry
-//!   servo::compiled::check_slow_faults  motor models, heat, stalls, the force that currents make
+//!   control::compiled::note               the step's samples and its row of telemetry
+//!   control::compiled::check_slow_faults  motor models, heat, stalls, the force that currents make
 //! ```
 //!
-//! On a computer `servo::Servo::crest` is a whole crest, `Servo::check_slow_faults` the valley.
+//! On a computer `control::ControlLoop::crest` is a whole crest, `ControlLoop::check_slow_faults` the valley.
 //!
 //! Everything around that path configures it or watches it ([`board`]). The modules are floors, and imports go down
-//! only: [`board`] → [`servo`] → [`safety`] → [`drive`], [`render`] → [`model`] → [`math`], [`checksum`]. Nothing here
+//! only: [`board`] → [`control`] → [`safety`] → [`drive`], [`render`] → [`model`] → [`math`], [`checksum`]. Nothing here
 //! knows a chip or a computer, its files or its ports: the firmware and the tool (`host`) bring those. Only what a board
 //! says to people, its refusals and remedies, names the tool's commands.
 //!
@@ -78,7 +78,7 @@ pub mod safety {
     pub mod refusal;
 }
 
-pub mod servo;
+pub mod control;
 
 /// The board's interface and memory: its protocol, settings and telemetry, and the service behind them.
 pub mod board {

@@ -14,7 +14,7 @@ const ROWS: [(&str, Option<(&str, &str)>); 11] = [
     ("fault", Some(("src/safety/fault.rs", "a_toy_fault_is_one_line"))),
     ("velocity estimator", Some(("tests/estimators.rs", "a_toy_estimator_is_one_impl"))),
     ("request", Some(("src/board/dispatch.rs", "a_toy_request_is_a_line_and_an_arm"))),
-    ("command", Some(("host/tool/src/commands/mod.rs", "a_toy_command_is_a_file_and_a_line"))),
+    ("command", Some(("tool/src/commands/mod.rs", "a_toy_command_is_a_file_and_a_line"))),
     ("board", Some(("emulator/tests/emulated/toy.rs", "a_toy_board_is_one_file_and_renders_a_wall"))),
     (
         "motor stage",

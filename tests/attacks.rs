@@ -1,14 +1,14 @@
-//! Attacks that once worked: one valid request each, on the whole service or the servo.
+//! Attacks that once worked: one valid request each, on the whole service or the control_loop.
 
 use crate::rig::board::Board;
 use crate::rig::{self, Rig, five_bar, hardware, rules, scene};
 use haptic_bridge::board::protocol::*;
 use haptic_bridge::board::settings::{self, Key};
+use haptic_bridge::control::{Command, HostAction, Rules};
 use haptic_bridge::model::precomputed::MassModelData;
 use haptic_bridge::render::scene::{FeedForward, Plane, Posture, Scene, Surface, Wall};
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::safety::limits::Limits;
-use haptic_bridge::servo::{Command, HostAction, Rules};
 use nalgebra::{Matrix2, Vector2};
 
 // ---- 1: a mass model that is no mass turns two walls round
@@ -20,7 +20,7 @@ fn a_mass_matrix_that_is_none_is_refused_or_pushes_out_of_a_corner() {
         let mut probe = Board::ready(false, &device, &scene(2, &[]));
         probe.ask::<Home>(&()).unwrap().unwrap();
         probe.tick();
-        let at = probe.machine.servo.status();
+        let at = probe.machine.control_loop.status();
         let walls = [a, a + 0.5].map(|a| Wall {
             surface: Surface::Plane(Plane {
                 point: [at.tip[0] - 0.5e-3 * a.cos(), at.tip[1] - 0.5e-3 * a.sin(), 0.0],
@@ -54,7 +54,7 @@ fn a_mass_matrix_that_is_none_is_refused_or_pushes_out_of_a_corner() {
             if board.state() != State::Armed {
                 break;
             }
-            let f = board.machine.servo.frame();
+            let f = board.machine.control_loop.frame();
             let torque = Vector2::new(f.motors.torque[0], f.motors.torque[1]).map(f64::from);
             let force = rig::statics::worth(&f.at.q, torque);
             assert!(
@@ -140,18 +140,18 @@ fn a_contact_that_is_renewed_twice_between_two_steps_comes_back_without_a_step_o
     fast.rate_hz = 5_000.0;
     let mut rig = Rig::with(&five_bar(), &fast, hardware(), rules());
     rig.arm();
-    let tip = rig.servo.status().tip;
+    let tip = rig.control_loop.status().tip;
     let contact =
         HostContact { point: [tip[0] + 4.0e-3, tip[1], 0.0], normal: [1.0, 0.0, 0.0], stiffness: 1e3, damping: 0.0 };
     let renewed =
         |sequence| ForceRequest { sequence, contact: Some(contact), hold: 0.01, fade: 0.05, ..ForceRequest::default() };
-    rig.servo.force(&renewed(1));
+    rig.control_loop.force(&renewed(1));
     rig.run(0.03);
-    let before = rig.servo.force(&ForceRequest::default()).force[0];
-    rig.servo.force(&renewed(2));
-    rig.servo.force(&renewed(3));
+    let before = rig.control_loop.force(&ForceRequest::default()).force[0];
+    rig.control_loop.force(&renewed(2));
+    rig.control_loop.force(&renewed(3));
     rig.step();
-    let now = rig.servo.force(&ForceRequest::default()).force[0];
+    let now = rig.control_loop.force(&ForceRequest::default()).force[0];
     assert!(now >= before && now - before <= 0.4, "from {before} to {now} N");
 }
 
@@ -162,7 +162,7 @@ fn a_contact_that_is_sent_again_while_its_lease_fades_goes_on_moving_evenly() {
     fast.rate_hz = 20_000.0;
     let mut rig = Rig::with(&five_bar(), &fast, hardware(), rules());
     rig.arm();
-    let tip = rig.servo.status().tip;
+    let tip = rig.control_loop.status().tip;
     let plane = |sequence, depth: f32| ForceRequest {
         sequence,
         hold: 0.0,
@@ -175,16 +175,16 @@ fn a_contact_that_is_sent_again_while_its_lease_fades_goes_on_moving_evenly() {
         }),
         ..ForceRequest::default()
     };
-    rig.servo.force(&plane(1, 1.0e-3));
+    rig.control_loop.force(&plane(1, 1.0e-3));
     rig.run(0.01);
     // 4 N further, 10 ms after the last move: 0.02 N a step.
-    let (mut before, mut most) = (rig.servo.force(&ForceRequest::default()).force[0], 0.0_f32);
+    let (mut before, mut most) = (rig.control_loop.force(&ForceRequest::default()).force[0], 0.0_f32);
     for step in 0..200 {
         if step % 10 == 0 {
-            rig.servo.force(&plane(2 + step, 5.0e-3));
+            rig.control_loop.force(&plane(2 + step, 5.0e-3));
         }
         rig.step();
-        let now = rig.servo.force(&ForceRequest::default()).force[0];
+        let now = rig.control_loop.force(&ForceRequest::default()).force[0];
         most = most.max((now - before).abs());
         before = now;
     }
@@ -198,7 +198,7 @@ fn a_renewal_that_comes_late_makes_no_step_of_a_contacts_force() {
     fast.rate_hz = 20_000.0;
     let mut rig = Rig::with(&five_bar(), &fast, hardware(), rules());
     rig.arm();
-    let tip = rig.servo.status().tip;
+    let tip = rig.control_loop.status().tip;
     let contact =
         HostContact { point: [tip[0] + 4.0e-3, tip[1], 0.0], normal: [1.0, 0.0, 0.0], stiffness: 1e3, damping: 0.0 };
     let request = |sequence, seen| ForceRequest {
@@ -209,13 +209,13 @@ fn a_renewal_that_comes_late_makes_no_step_of_a_contacts_force() {
         fade: 0.05,
         ..ForceRequest::default()
     };
-    rig.servo.force(&request(1, None));
+    rig.control_loop.force(&request(1, None));
     rig.run(0.005);
-    let before = rig.servo.force(&ForceRequest::default()).force[0];
-    let seen = rig.servo.steps().wrapping_sub(1_000);
-    assert_eq!(rig.servo.force(&request(2, Some(seen))).done, ForceDone::Taken);
+    let before = rig.control_loop.force(&ForceRequest::default()).force[0];
+    let seen = rig.control_loop.steps().wrapping_sub(1_000);
+    assert_eq!(rig.control_loop.force(&request(2, Some(seen))).done, ForceDone::Taken);
     rig.step();
-    let now = rig.servo.force(&ForceRequest::default()).force[0];
+    let now = rig.control_loop.force(&ForceRequest::default()).force[0];
     assert!((now - before).abs() < 0.3, "from {before} to {now} N in 50 us");
 }
 
@@ -228,7 +228,7 @@ fn on_the_way_between_two_planes_no_more_is_pushed_than_by_either() {
     gentle.limits.tip_force = 5.0;
     let mut rig = Rig::with(&five_bar(), &fast, hardware(), gentle);
     rig.arm();
-    let tip = rig.servo.status().tip;
+    let tip = rig.control_loop.status().tip;
     let plane = |sequence, depth: f32, stiffness| ForceRequest {
         sequence,
         hold: 0.1,
@@ -242,14 +242,14 @@ fn on_the_way_between_two_planes_no_more_is_pushed_than_by_either() {
         ..ForceRequest::default()
     };
     // 1 mm out of a stiff one, then 100 mm in a soft one: 0 N, 1 N.
-    rig.servo.force(&plane(1, -1.0e-3, 1.0e4));
+    rig.control_loop.force(&plane(1, -1.0e-3, 1.0e4));
     rig.run(0.02);
-    rig.servo.force(&plane(2, 0.1, 10.0));
+    rig.control_loop.force(&plane(2, 0.1, 10.0));
     let mut most = 0.0_f32;
     let mut above = 0;
     for _ in 0..600 {
         rig.step();
-        let now = rig.servo.force(&ForceRequest::default()).force[0];
+        let now = rig.control_loop.force(&ForceRequest::default()).force[0];
         most = most.max(now);
         above += u32::from(now > 1.05);
     }
@@ -263,7 +263,7 @@ fn the_age_of_a_force_counts_through_a_change_of_rate() {
     (slow.rate_hz, slow.cutoff_hz) = (200.0, 20.0);
     let mut rig = Rig::with(&five_bar(), &slow, hardware(), rules());
     rig.arm();
-    let seen = rig.servo.steps();
+    let seen = rig.control_loop.steps();
     rig.run(1.0);
     rig.execute(Command::Disarm).unwrap();
     let mut fast = scene(2, &[]);
@@ -279,7 +279,7 @@ fn the_age_of_a_force_counts_through_a_change_of_rate() {
         force: [1.0, 0.0, 0.0],
         ..ForceRequest::default()
     };
-    let answer = rig.servo.force(&request);
+    let answer = rig.control_loop.force(&request);
     assert_eq!(answer.done, ForceDone::TooOld, "a second old, taken for {:?} s", answer.age);
 }
 

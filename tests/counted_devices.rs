@@ -1,10 +1,10 @@
-//! The devices whose instructions are counted are those that ship: benches/chip/devices.rs has their numbers once more,
+//! The devices whose instructions are counted are those that ship: emulator/counting/devices.rs has their numbers once more,
 //! because the image on the chip reads no TOML.
 
 use crate::common::device_file;
 use haptic_bridge::model::description::{Description, Joint};
 
-#[path = "../benches/chip/devices.rs"]
+#[path = "../emulator/counting/devices.rs"]
 mod devices;
 
 /// The parameters of a joint's step: inertia, viscous and dry friction, counts a turn.

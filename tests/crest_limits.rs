@@ -2,6 +2,9 @@
 //! the scene has.
 
 use crate::rig::{self, RATE, RATES, Rig, five_bar, hardware, limits, paddle, quiet, rules, scene, wall};
+use haptic_bridge::control::frame::Samples;
+use haptic_bridge::control::joints::{Counts, Currents};
+use haptic_bridge::control::{Command, Rules};
 use haptic_bridge::drive::stage::{Duty, MAX_DUTY};
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::description::Encoder;
@@ -10,9 +13,6 @@ use haptic_bridge::render::scene::{Plane, Surface, Wall};
 use haptic_bridge::render::velocity::{Coefficients, Estimator};
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::safety::limits::Limits;
-use haptic_bridge::servo::frame::Samples;
-use haptic_bridge::servo::joints::{Counts, Currents};
-use haptic_bridge::servo::{Command, Rules};
 
 #[test]
 fn limits_hold_whatever_the_step_is_asked_for() {
@@ -21,7 +21,7 @@ fn limits_hold_whatever_the_step_is_asked_for() {
     let bound = limits().torque[0] * 1.000_01;
     for angle in [-0.1, -0.5, -0.9, 0.2] {
         rig.turn(0, angle, 4.0);
-        assert!(rig.servo.frame().motors.torque[0].abs() <= bound, "{:?}", rig.servo.frame());
+        assert!(rig.control_loop.frame().motors.torque[0].abs() <= bound, "{:?}", rig.control_loop.frame());
         assert!(rig.duties.iter().all(|duty| duty.abs() <= MAX_DUTY));
     }
 }
@@ -42,7 +42,7 @@ fn crests_until_off(rig: &mut Rig, speed: f64, most: u32, shown: [f32; 3]) -> Op
     (1..=most).find(|nth| {
         let moved = f64::from(*nth) * speed / 20_000.0 / core::f64::consts::TAU * rig::COUNTS;
         let counts = Counts([start + moved as i32, 0, 0]);
-        !rig.servo
+        !rig.control_loop
             .guard(&Samples { counts, bus_voltage: 24.0, currents: Currents(shown), ..Samples::default() })
             .bridges
     })
@@ -54,7 +54,7 @@ fn a_current_above_its_limit_is_seen_at_the_next_crest_at_every_rate() {
         let mut rig = armed_at(rate);
         assert_eq!(crests_until_off(&mut rig, 0.0, 10, [6.0, 0.0, 0.0]), Some(1), "{rate} Hz");
         assert_eq!(rig.fault(), Some(Fault::OverCurrent));
-        assert_eq!(rig.servo.duties(24.0, &[0.0; 3], false), [Duty::default(); 3]);
+        assert_eq!(rig.control_loop.duties(24.0, &[0.0; 3], false), [Duty::default(); 3]);
     }
 }
 
@@ -84,7 +84,7 @@ fn no_scene_filter_slows_or_blinds_the_speed_limit() {
         rig.execute(Command::Coefficients(coefficients)).unwrap();
         rig.turn(0, 0.5, 30.0);
         assert_eq!(rig.fault(), Some(Fault::SpeedLimit), "{kind:?} {cutoff} Hz");
-        let travel = rig.servo.status().q[0];
+        let travel = rig.control_loop.status().q[0];
         assert!(travel < 0.1, "{kind:?} {cutoff} Hz: {travel} rad");
     }
 }
@@ -100,7 +100,7 @@ fn a_coarse_encoder_is_given_a_few_counts_before_it_is_called_fast() {
         let counts =
             |nth: u32| Counts([(f64::from(nth) * speed / 20_000.0 / core::f64::consts::TAU * 400.0) as i32, 0, 0]);
         let off = (1..=1_200).find(|nth| {
-            !rig.servo.guard(&Samples { counts: counts(*nth), bus_voltage: 24.0, ..Samples::default() }).bridges
+            !rig.control_loop.guard(&Samples { counts: counts(*nth), bus_voltage: 24.0, ..Samples::default() }).bridges
         });
         (off.map(|nth| counts(nth)[0]), rig.fault())
     };

@@ -2,6 +2,12 @@
 //! and a current loop far from its limits against the one for any time.
 
 use crate::rig::{self, device, five_bar, hardware, paddle, scene, wall};
+use haptic_bridge::control::compiled::{self, BoardControlLoop, Legs};
+use haptic_bridge::control::frame::Samples;
+use haptic_bridge::control::host_force::ForceRequest;
+use haptic_bridge::control::joints::Currents;
+use haptic_bridge::control::program::Program;
+use haptic_bridge::control::{Beat, Command, ControlLoop, HostAction, Rules};
 use haptic_bridge::drive::brushed::Axis;
 use haptic_bridge::drive::carrier::Carrier;
 use haptic_bridge::drive::stage::{Bridge, Stage, Supply};
@@ -11,12 +17,6 @@ use haptic_bridge::model::motor::Motor;
 use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, VelocityTerms, Wall};
 use haptic_bridge::render::velocity::{Coefficients, Estimator};
 use haptic_bridge::safety::fault::{Fault, State};
-use haptic_bridge::servo::compiled::{self, BoardServo, Legs};
-use haptic_bridge::servo::frame::Samples;
-use haptic_bridge::servo::host_force::ForceRequest;
-use haptic_bridge::servo::joints::Currents;
-use haptic_bridge::servo::program::Program;
-use haptic_bridge::servo::{Beat, Command, HostAction, Rules, Servo};
 use std::collections::BTreeSet;
 
 /// Numbers drawn in turn.
@@ -52,7 +52,7 @@ impl Drawn {
 
 const WILD: [f32; 8] = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX, -0.0, 1.0e-40, 1.0e3, -1.0e3];
 
-/// Every how many crests all of a servo is told.
+/// Every how many crests all of a control loop is told.
 const ASKED: u32 = 50;
 
 /// All of a value as text, where two floats are the same only if their bits are, or if neither is a number.
@@ -127,7 +127,7 @@ const RATE: f32 = 2_000.0;
 
 /// A board whose crests take one pass where they may, and one that takes them all piece by piece.
 struct Pair {
-    servos: [BoardServo; 2],
+    servos: [BoardControlLoop; 2],
     legs: [Legs; 2],
     carrier: Carrier,
     crests: u32,
@@ -135,20 +135,20 @@ struct Pair {
 
 impl Pair {
     fn new(description: &Description, scene: &Scene<f32>, rules: Rules) -> Self {
-        let servo = || {
+        let control_loop = || {
             let program = Program::new(&hardware(), &rules.limits, &device(description), scene, false);
-            let mut servo: BoardServo = Servo::new(hardware(), rules);
+            let mut control_loop: BoardControlLoop = ControlLoop::new(hardware(), rules);
             let program = Box::leak(Box::new(program.expect("a program that fits")));
-            servo.execute(Command::Program(program)).0.expect("it may be loaded");
-            servo
+            control_loop.execute(Command::Program(program)).0.expect("it may be loaded");
+            control_loop
         };
         let carrier = Carrier::for_rate(hardware().timer_hz, 20_000.0);
-        Self { servos: [servo(), servo()], legs: [Legs::default(); 2], carrier, crests: 0 }
+        Self { servos: [control_loop(), control_loop()], legs: [Legs::default(); 2], carrier, crests: 0 }
     }
 
     /// The same command to both.
     fn ask(&mut self, command: impl Fn() -> Command<compiled::BoardProgram>) {
-        let [one, other] = self.servos.each_mut().map(|servo| servo.execute(command()).0);
+        let [one, other] = self.servos.each_mut().map(|control_loop| control_loop.execute(command()).0);
         assert_eq!(one, other);
     }
 
@@ -162,7 +162,7 @@ impl Pair {
         }
     }
 
-    fn both(&mut self, act: impl Fn(&mut BoardServo)) {
+    fn both(&mut self, act: impl Fn(&mut BoardControlLoop)) {
         self.servos.iter_mut().for_each(act);
     }
 
@@ -171,7 +171,7 @@ impl Pair {
         self.crests += 1;
         let ticks = self.carrier.ticks();
         if due {
-            self.both(|servo| compiled::render(servo, &seen.counts));
+            self.both(|control_loop| compiled::render(control_loop, &seen.counts));
         }
         let ([one, other], [legs, other_legs]) = (&mut self.servos, &mut self.legs);
         let drives = if due {
@@ -182,15 +182,18 @@ impl Pair {
         let others = compiled::crest_generally(other, seen, due, &ticks, other_legs);
         assert_eq!((drives, &legs), (others, &other_legs), "{seen:?} {:?} {:?}", one.status(), other.status());
         // A usual step leaves it to the valley to note what it saw.
-        self.both(|servo| compiled::note(servo, seen, None));
+        self.both(|control_loop| compiled::note(control_loop, seen, None));
         self.agree(seen);
-        let [one, other] = self.servos.each_mut().map(|servo| compiled::check_slow_faults(servo, seen));
+        let [one, other] = self.servos.each_mut().map(|control_loop| compiled::check_slow_faults(control_loop, seen));
         assert_eq!(one, other, "at the valley after {seen:?}");
         self.agree(seen);
     }
 
     fn agree(&self, seen: &Samples) {
-        let [one, other] = self.servos.each_ref().map(|servo| (servo.frame(), servo.status(), *servo.heat()));
+        let [one, other] = self
+            .servos
+            .each_ref()
+            .map(|control_loop| (control_loop.frame(), control_loop.status(), *control_loop.heat()));
         // Text takes long; but it tells zeros of either sign apart, and compares NaN as equal.
         if one != other || self.crests.is_multiple_of(ASKED) {
             assert_eq!(told(&one), told(&other), "{seen:?}");
@@ -201,7 +204,7 @@ impl Pair {
         self.servos[0].status().state
     }
 
-    /// Tells if the next crest takes one pass, as far as the servo knows beforehand, and if it does so after a step that
+    /// Tells if the next crest takes one pass, as far as the control loop knows beforehand, and if it does so after a step that
     /// the limits cut.
     fn is_usual(&self) -> [bool; 2] {
         let told = told(&self.servos[0]);
@@ -366,9 +369,9 @@ fn episode(drawn: &mut Drawn, trouble: Trouble) -> ([u32; 2], Option<Fault>) {
                 let count = shown.counts[axis] + drawn.of(&[0, 1, -3, 60_000]);
                 let mut marks = [None; MAX_JOINTS];
                 marks[axis] = Some(count);
-                pair.both(|servo| servo.mark(marks));
+                pair.both(|control_loop| control_loop.mark(marks));
             }
-            Trouble::Told if now => pair.both(|servo| servo.trip(Fault::GateDriver, None, f32::NAN)),
+            Trouble::Told if now => pair.both(|control_loop| control_loop.trip(Fault::GateDriver, None, f32::NAN)),
             Trouble::Push | Trouble::Power | Trouble::Weight if on && crest % 30 == 0 => {
                 let mut torque = [0.0; MAX_JOINTS];
                 torque[axis] = drawn.between(-2.0, 2.0) * rules.limits.torque[axis];
@@ -378,7 +381,7 @@ fn episode(drawn: &mut Drawn, trouble: Trouble) -> ([u32; 2], Option<Fault>) {
                 }
                 let request =
                     ForceRequest { sequence: crest, hold: 0.01, fade: 0.01, torque, ..ForceRequest::default() };
-                let [one, other] = pair.servos.each_mut().map(|servo| servo.force(&request));
+                let [one, other] = pair.servos.each_mut().map(|control_loop| control_loop.force(&request));
                 assert_eq!(told(&one), told(&other));
             }
             Trouble::Disarm if now => pair.ask(|| Command::Disarm),

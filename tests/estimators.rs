@@ -2,6 +2,7 @@
 //! precision.
 
 use crate::rig;
+use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::math::{Libm, Math, Real};
 use haptic_bridge::model::mechanism::AnyMechanism;
 use haptic_bridge::render::controller::Controller;
@@ -10,7 +11,6 @@ use haptic_bridge::render::velocity::{
     Chosen, Coefficients, CutoffMeans, Difference, Estimator, EstimatorSpec, JointEstimator, JointVelocity, Predicted,
     Seen,
 };
-use haptic_bridge::servo::compiled::BoardMath;
 
 const RATE: f64 = 20_000.0;
 const PLAIN: Chosen = Chosen { value: 0, filtered: false };

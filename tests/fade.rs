@@ -4,12 +4,12 @@
 use crate::rig::statics::worth;
 use crate::rig::{Rig, five_bar, hardware, limits, rules, scene, wall};
 use haptic_bridge::board::protocol::{ForceDone, ForceRequest};
+use haptic_bridge::control::{Command, Rules};
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Spring, Surface, Wall};
 use haptic_bridge::safety::fault::State;
 use haptic_bridge::safety::limits::Limits;
-use haptic_bridge::servo::{Command, Rules};
 use nalgebra::Vector2;
 
 /// Torque on its way through a current and back.
@@ -17,12 +17,12 @@ const ROUNDING: f64 = 1.0e-3;
 
 /// The force at the tip that the torques of the last step are worth, N.
 fn force(rig: &Rig) -> Vector2<f64> {
-    let frame = rig.servo.frame();
+    let frame = rig.control_loop.frame();
     worth(&frame.at.q, Vector2::new(frame.motors.torque[0], frame.motors.torque[1]).map(f64::from))
 }
 
 fn torques(rig: &Rig) -> [f32; MAX_JOINTS] {
-    *rig.servo.frame().motors.torque
+    *rig.control_loop.frame().motors.torque
 }
 
 /// Limits that leave a rig room for this tip force (N) alone.
@@ -46,7 +46,7 @@ fn pulled(tip: [f32; 3], forces: &[[f32; 2]]) -> Scene<f32> {
 
 /// A five-bar at home, armed, whose tip a spring pulls with this force, N.
 fn at_home(rules: Rules, pull: [f32; 2]) -> Rig {
-    let tip = Rig::with(&five_bar(), &scene(2, &[]), hardware(), rules).servo.frame().at.tip;
+    let tip = Rig::with(&five_bar(), &scene(2, &[]), hardware(), rules).control_loop.frame().at.tip;
     let mut rig = Rig::with(&five_bar(), &pulled(tip, &[pull]), hardware(), rules);
     rig.arm();
     rig
@@ -69,10 +69,17 @@ fn a_tip_that_moves_to_a_stretched_elbow_meanwhile_feels_no_more_than_its_limit(
                 break;
             }
             let left = 1.0 - (step + 1) as f32 / 1_000.0;
-            let old =
-                worth(&rig.servo.frame().at.q, Vector2::new(before[0], before[1]).map(|torque| (torque * left).into()));
+            let old = worth(
+                &rig.control_loop.frame().at.q,
+                Vector2::new(before[0], before[1]).map(|torque| (torque * left).into()),
+            );
             alone = alone.max(old.norm());
-            assert!(force(&rig).norm() <= 2.0 + 5.0 * ROUNDING, "{} N, {:?}", force(&rig).norm(), rig.servo.frame());
+            assert!(
+                force(&rig).norm() <= 2.0 + 5.0 * ROUNDING,
+                "{} N, {:?}",
+                force(&rig).norm(),
+                rig.control_loop.frame()
+            );
         }
         assert!(alone > 3.0, "the same torques would be {alone} N");
     }
@@ -102,7 +109,7 @@ fn a_torque_limit_that_is_lowered_makes_no_more_force_of_what_fades() {
 
 #[test]
 fn nothing_steps_where_a_wall_that_pushes_sideways_at_the_limit_is_replaced() {
-    let tip = Rig::with(&five_bar(), &scene(2, &[]), hardware(), gentle(2.0)).servo.frame().at.tip;
+    let tip = Rig::with(&five_bar(), &scene(2, &[]), hardware(), gentle(2.0)).control_loop.frame().at.tip;
     let normal = [0.8, 0.6, 0.0];
     let surface = Surface::Plane(Plane { point: [tip[0] + 1.0e-3, tip[1], 0.0], normal });
     let bilateral = Wall { surface, bilateral: true, feed_forward: FeedForward::Full, ..wall(0.0, 2_480.0) };
@@ -136,7 +143,7 @@ fn what_a_host_asked_for_ends_with_its_lease_whatever_scene_comes() {
         let spring = torques(&rig);
         let request =
             ForceRequest { sequence: 1, hold: 0.02, fade: 0.02, torque, force: push, ..ForceRequest::default() };
-        assert_eq!(rig.servo.force(&request).done, ForceDone::Taken);
+        assert_eq!(rig.control_loop.force(&request).done, ForceDone::Taken);
         rig.step();
         let both = torques(&rig);
         assert!((0..2).all(|i| (both[i] - spring[i]).abs() > 0.005), "{spring:?} {both:?}");
@@ -167,10 +174,10 @@ fn requests_and_scenes_between_two_steps_leave_nothing_that_outlives_its_lease_o
     for (first, second) in [(0.005, 1.0), (0.1, 0.0), (0.0, 0.1)] {
         let mut rig = Rig::with(&five_bar(), &free, hardware(), gentle(5.0));
         rig.arm();
-        assert_eq!(rig.servo.force(&asks(1, first)).done, ForceDone::Taken);
+        assert_eq!(rig.control_loop.force(&asks(1, first)).done, ForceDone::Taken);
         rig.step();
         let before = torques(&rig)[0];
-        assert_eq!(rig.servo.force(&asks(2, second)).done, ForceDone::Taken);
+        assert_eq!(rig.control_loop.force(&asks(2, second)).done, ForceDone::Taken);
         rig.load(&five_bar(), &free, true).expect("free space");
         for _ in 0..80 {
             rig.step();
@@ -190,7 +197,7 @@ fn a_second_scene_within_a_lease_or_a_fade_does_not_prolong_what_a_host_asked_fo
             rig.arm();
             let request =
                 ForceRequest { sequence: 1, hold: 0.02, fade: 0.02, torque, force: push, ..ForceRequest::default() };
-            assert_eq!(rig.servo.force(&request).done, ForceDone::Taken);
+            assert_eq!(rig.control_loop.force(&request).done, ForceDone::Taken);
             rig.step();
             for _ in 0..3 {
                 rig.load(&five_bar(), &free, true).expect("free space");
@@ -221,7 +228,7 @@ fn a_scene_that_comes_on_the_way_to_a_stretched_elbow_lifts_no_limit() {
     for (rate, speed) in [(200.0, 2.0), (200.0, 5.0), (1_000.0, 5.0)] {
         let at_rate = |scene: Scene<f32>| Scene { rate_hz: rate, cutoff_hz: 0.2 * rate, ..scene };
         let free = at_rate(scene(2, &[]));
-        let tip = Rig::with(&five_bar(), &free, hardware(), gentle(2.0)).servo.frame().at.tip;
+        let tip = Rig::with(&five_bar(), &free, hardware(), gentle(2.0)).control_loop.frame().at.tip;
         let moved = (speed / rate * 60_000.0 / std::f32::consts::TAU) as i32;
         for wait in (0..40).map(|nth| nth * 2) {
             let mut rig = Rig::with(&five_bar(), &at_rate(pulled(tip, &[[1.9, 0.3]])), hardware(), gentle(2.0));
@@ -260,7 +267,7 @@ fn weight_that_is_compensated_from_a_scene_on_takes_nothing_out_of_the_limit() {
         let pose = mechanism.pose::<haptic_bridge::math::Libm>(&at);
         mechanism.gravity(&pose)
     };
-    let tip = Rig::with(&heavy, &scene(2, &[]), hardware(), gentle(2.0)).servo.frame().at.tip;
+    let tip = Rig::with(&heavy, &scene(2, &[]), hardware(), gentle(2.0)).control_loop.frame().at.tip;
     for (before, after) in [(false, true), (true, false), (true, true)] {
         let with = |scene: Scene<f32>, on| Scene { gravity_compensation: on, ..scene };
         let mut rig = Rig::with(&heavy, &with(pulled(tip, &[[1.9, 0.0]]), before), hardware(), gentle(2.0));
@@ -273,7 +280,7 @@ fn weight_that_is_compensated_from_a_scene_on_takes_nothing_out_of_the_limit() {
             if rig.state() != State::Armed {
                 break;
             }
-            let frame = rig.servo.frame();
+            let frame = rig.control_loop.frame();
             let ramp = f64::from(step) / 1_000.0;
             let share = if before { 1.0 - ramp } else { 0.0 } + if after { ramp } else { 0.0 };
             let held = weight(&frame.at.q) * share;
@@ -294,7 +301,7 @@ fn a_scene_that_comes_as_the_ramp_ends_turns_no_force_round() {
             // Four times what the tip may have.
             let force = [20.0, 0.0, 0.0];
             let request = ForceRequest { sequence: step + 1, hold: 0.02, fade: 0.05, force, ..ForceRequest::default() };
-            assert_eq!(rig.servo.force(&request).done, ForceDone::Taken);
+            assert_eq!(rig.control_loop.force(&request).done, ForceDone::Taken);
             rig.step();
         }
         rig.load(&five_bar(), &free, true).expect("free space");

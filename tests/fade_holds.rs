@@ -2,15 +2,15 @@
 
 use crate::rig::statics::worth;
 use crate::rig::{Rig, five_bar, hardware, limits, rules, scene};
+use haptic_bridge::control::{Command, Rules};
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::render::scene::{Scene, Spring};
 use haptic_bridge::safety::fault::State;
 use haptic_bridge::safety::limits::Limits;
-use haptic_bridge::servo::{Command, Rules};
 use nalgebra::Vector2;
 
 fn force(rig: &Rig) -> f64 {
-    let frame = rig.servo.frame();
+    let frame = rig.control_loop.frame();
     worth(&frame.at.q, Vector2::new(frame.motors.torque[0], frame.motors.torque[1]).map(f64::from)).norm()
 }
 
@@ -36,7 +36,7 @@ fn at(rate_hz: f32, scene: Scene<f32>) -> Scene<f32> {
 /// one every `every` steps (0: none).
 fn most(rate: f32, speed: f32, begin: f32, every: u32) -> f64 {
     let free = at(rate, scene(2, &[]));
-    let tip = Rig::with(&five_bar(), &free, hardware(), held(2.0)).servo.frame().at.tip;
+    let tip = Rig::with(&five_bar(), &free, hardware(), held(2.0)).control_loop.frame().at.tip;
     let mut pulled = free.clone();
     let point = [tip[0] + 0.19, tip[1] + 0.03, 0.0];
     pulled.springs.push(Spring { point, direction: [0.0; 3], stiffness: 10.0, damping: 0.0 }).expect("room");
@@ -98,7 +98,7 @@ fn a_limit_lowered_right_before_a_scene_holds_it_at_every_rate() {
     let mut wrong = Vec::new();
     for rate in [1_000.0, 10_000.0, 20_000.0, 50_000.0] {
         let free = at(rate, scene(2, &[]));
-        let tip = Rig::with(&five_bar(), &free, hardware(), held(5.0)).servo.frame().at.tip;
+        let tip = Rig::with(&five_bar(), &free, hardware(), held(5.0)).control_loop.frame().at.tip;
         let mut pulled = free.clone();
         let point = [tip[0] + 0.39, tip[1], 0.0];
         pulled.springs.push(Spring { point, direction: [0.0; 3], stiffness: 10.0, damping: 0.0 }).expect("room");

@@ -3,13 +3,13 @@
 //! force.
 
 use crate::common::device_file;
+use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::math::{Libm, Math, Real};
 use haptic_bridge::model::description::{Description, Encoder};
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
 use haptic_bridge::render::controller::Controller;
 use haptic_bridge::render::scene::{Cylinder, FeedForward, Plane, Scene, Sphere, Surface, Wall};
-use haptic_bridge::servo::compiled::BoardMath;
 use haptic_bridge::with_mechanism;
 use nalgebra::SVector;
 

@@ -7,7 +7,7 @@ use syn::visit::{self, Visit};
 
 /// The floors from the ground up; those that stand on the same level do not know each other.
 const LEVELS: [&[&str]; 6] =
-    [&["math", "checksum"], &["model"], &["render", "drive"], &["safety"], &["servo"], &["board"]];
+    [&["math", "checksum"], &["model"], &["render", "drive"], &["safety"], &["control"], &["board"]];
 
 /// Level of a floor.
 fn level(floor: &str) -> Option<usize> {
@@ -298,12 +298,12 @@ fn holding_circles(texts: &BTreeMap<String, String>) -> Vec<String> {
 const HOLDING: [&str; 8] = [
     "render::controller::straight",
     "render::velocity::low_pass",
-    "servo::budgets",
-    "servo::crest",
-    "servo::fade",
-    "servo::host_force",
-    "servo::polarity",
-    "servo::requests",
+    "control::budgets",
+    "control::crest",
+    "control::fade",
+    "control::host_force",
+    "control::polarity",
+    "control::requests",
 ];
 
 #[test]
@@ -346,31 +346,31 @@ fn a_circle_is_found() {
 #[test]
 fn an_import_that_runs_up_or_across_is_found() {
     let wrong = |path: &str, text: &str| Source::new(path, text).upward().len();
-    assert_eq!(wrong("model/device.rs", "use crate::servo::Servo;"), 1);
+    assert_eq!(wrong("model/device.rs", "use crate::control::ControlLoop;"), 1);
     assert_eq!(wrong("model/device.rs", "fn f(x: crate::board::settings::Key) {}"), 1);
     assert_eq!(wrong("render/scene/plane.rs", "use crate::drive::carrier::Carrier;"), 1);
     assert_eq!(wrong("model/device.rs", "use crate::{math, render::scene, board};"), 2);
     assert_eq!(wrong("math.rs", "use crate::checksum::crc32;"), 1);
-    assert_eq!(wrong("model/device.rs", "use super::super::servo::Servo;"), 1);
-    assert_eq!(wrong("servo.rs", "use super::board::settings::Key;"), 1);
+    assert_eq!(wrong("model/device.rs", "use super::super::control::ControlLoop;"), 1);
+    assert_eq!(wrong("control_loop.rs", "use super::board::settings::Key;"), 1);
     assert_eq!(wrong("model/mechanism/five_bar.rs", "use super::super::super::render::scene::Scene;"), 1);
     assert_eq!(wrong("model/mechanism.rs", "mod tests { use super::super::super::render::scene::Scene; }"), 1);
     assert_eq!(wrong("model/device.rs", "use crate::{model::{catalogue::Kind, solve}, board::settings};"), 1);
     assert_eq!(wrong("model/device.rs", "define! { [crate::board::settings::Key] }"), 1);
     assert_eq!(wrong("model/mechanism/five_bar.rs", "use super::super::solve; use super::Mechanism;"), 0);
-    assert_eq!(wrong("servo/watch.rs", "use crate::safety::fault::Fault;\ncrate::mechanisms!(define);"), 0);
-    assert_eq!(wrong("model/device.rs", "// see crate::servo::Servo"), 0);
+    assert_eq!(wrong("control/watch.rs", "use crate::safety::fault::Fault;\ncrate::mechanisms!(define);"), 0);
+    assert_eq!(wrong("model/device.rs", "// see crate::control::ControlLoop"), 0);
 }
 
 /// The crates of this computer's side, the tool last. Cargo sees to it that none imports one above it.
 const HOST: [&str; 7] = [
     "host/src",
-    "host/flash/src",
-    "host/sim/src",
-    "host/stability/src",
-    "host/predict/src",
-    "host/show/src",
-    "host/tool/src",
+    "crates/flash/src",
+    "crates/sim/src",
+    "crates/stability/src",
+    "crates/predict/src",
+    "crates/show/src",
+    "tool/src",
 ];
 
 /// Names that the library, which boards share, must not know.
@@ -401,10 +401,10 @@ fn the_library_names_no_board_and_no_chip() {
 
 /// The files below the tool that write whole command lines, for people or to another program.
 const WRITERS: [&str; 4] = [
-    "host/stability/src/analysis/prediction.rs",
-    "host/predict/src/plausible/scene.rs",
-    "host/show/src/demo.rs",
-    "host/flash/src/probe.rs",
+    "crates/stability/src/analysis/prediction.rs",
+    "crates/predict/src/plausible/scene.rs",
+    "crates/show/src/demo.rs",
+    "crates/flash/src/probe.rs",
 ];
 
 /// The texts in a source that name an option of a command line; comments and tests aside.
@@ -428,7 +428,7 @@ fn product(text: &str) -> TokenStream {
 fn nothing_below_the_tool_names_an_option_of_it() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let mut found = Vec::new();
-    for folder in HOST.iter().filter(|folder| **folder != "host/tool/src") {
+    for folder in HOST.iter().filter(|folder| **folder != "tool/src") {
         sources(&root.join(folder), &mut found);
     }
     let (mut read, mut wrong) = (0, Vec::new());

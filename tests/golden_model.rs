@@ -4,11 +4,11 @@
 
 use crate::common::device_file::parse;
 use crate::golden::{F32_TOLERANCE, F64_TOLERANCE, Quantity, agree, cases, list, number, text};
+use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::math::{FineTable, Math, Real};
 use haptic_bridge::model::inertia::Inertia;
 use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
 use haptic_bridge::model::principal::Pull;
-use haptic_bridge::servo::compiled::BoardMath;
 use haptic_bridge::with_mechanism;
 use nalgebra::{SMatrix, SVector};
 use serde_json::Value;

@@ -1,14 +1,14 @@
 //! Every fault turns the motors off within one control period, stays latched, and clears.
 //!
 //! Faults that the control step finds are provoked by what it is shown (counts, currents, voltages, time); those that
-//! hardware or another part of the firmware finds reach the servo as `Servo::trip` and are provoked on the emulated
+//! hardware or another part of the firmware finds reach the control loop as `ControlLoop::trip` and are provoked on the emulated
 //! chip by the tests of emulator/. A fault that is neither does not compile here.
 
 use crate::rig::{self, Held, RATE, Rig, five_bar, hardware, paddle, quiet, rules, scene, wall};
+use haptic_bridge::control::joints::Counts;
+use haptic_bridge::control::{Beat, Command, HostAction, Press};
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::safety::refusal::Refusal;
-use haptic_bridge::servo::joints::Counts;
-use haptic_bridge::servo::{Beat, Command, HostAction, Press};
 
 /// The way a fault is provoked.
 enum Origin {
@@ -144,7 +144,7 @@ fn origin(fault: Fault) -> Origin {
         }),
         Fault::KeyReleased => Step(|| {
             let mut rig = Rig::armed();
-            let press = Press { holder: 7, seen: rig.servo.steps() };
+            let press = Press { holder: 7, seen: rig.control_loop.steps() };
             for _ in 0..5 {
                 rig.execute(Command::Beat(Beat::Held(press))).unwrap();
                 rig.run(0.1);
@@ -312,7 +312,7 @@ fn a_sensor_that_is_off_its_zero_by_half_of_the_tips_limit_arms_nothing() {
         rig.shown_current = Some(current);
         rig.settle();
         let asked = rig.execute(command());
-        (asked.err(), rig.servo.status().fault.map(|record| (record.fault, record.axis)))
+        (asked.err(), rig.control_loop.status().fault.map(|record| (record.fault, record.axis)))
     };
     for command in [|| Command::Arm, || Command::CheckPolarity] {
         assert_eq!(shown(0.095, command), (None, None));
@@ -327,7 +327,7 @@ fn rules_that_are_sent_again_and_again_put_no_force_limit_off() {
     let mut rig = Rig::armed_with(|rules| rules.limits.tip_force = 0.2);
     rig.rules.limits.tip_force = 0.1;
     let settling = |rig: &Rig| {
-        let all = format!("{:?}", rig.servo);
+        let all = format!("{:?}", rig.control_loop);
         let rest = all.split_once("settling: ").expect("it is held there").1;
         rest[..rest.find([',', ' ']).expect("it ends")].parse::<f32>().expect("a number")
     };
@@ -416,14 +416,14 @@ fn a_sudden_cause_needs_one_step_and_no_more() {
 fn a_fault_stays_when_its_cause_is_gone_and_the_first_one_is_told() {
     for fault in Fault::ALL {
         let mut rig = provoked(*fault);
-        let record = rig.servo.status().fault;
+        let record = rig.control_loop.status().fault;
         rig.shown_current = None;
         rig.samples.bus_voltage = 24.0;
         rig.settle();
         rig.told = Some((Fault::SensorStale, None, 7.0));
         rig.step();
         assert!(rig.motors_off() && rig.state() == State::Fault, "{}", fault.name());
-        let told = rig.servo.status().fault;
+        let told = rig.control_loop.status().fault;
         assert_eq!(
             told.map(|r| (r.fault, r.axis, r.step)),
             record.map(|r| (r.fault, r.axis, r.step)),
@@ -452,9 +452,9 @@ fn what_loses_counts_loses_homing_too() {
     for fault in
         [Fault::EncoderJump, Fault::EncoderLoss, Fault::EncoderIllegal, Fault::EncoderStall, Fault::IndexMismatch]
     {
-        assert!(!provoked(fault).servo.status().homed, "{}", fault.name());
+        assert!(!provoked(fault).control_loop.status().homed, "{}", fault.name());
     }
-    assert!(provoked(Fault::OverCurrent).servo.status().homed);
+    assert!(provoked(Fault::OverCurrent).control_loop.status().homed);
 }
 
 /// `cargo xtask faults` writes the injection of each fault in the image; a fault without an injector does not build

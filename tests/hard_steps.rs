@@ -3,6 +3,10 @@
 use crate::common::device_file::shipped;
 use crate::hard_cases::rows::steps::{controller, counts, encoded, scene, three};
 use crate::rig::{self, Rig};
+use haptic_bridge::control::Command;
+use haptic_bridge::control::compiled::BoardMath;
+use haptic_bridge::control::joints::Counts;
+use haptic_bridge::control::program::Program;
 use haptic_bridge::drive::stage::MAX_DUTY;
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::description::Description;
@@ -10,10 +14,6 @@ use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::{AnyMechanism, FiveBar, Mechanism};
 use haptic_bridge::render::controller::{Controller, FULL_REGULARITY, NO_REGULARITY, PARALLEL_REGULARITY, Step};
 use haptic_bridge::render::scene::FeedForward;
-use haptic_bridge::servo::Command;
-use haptic_bridge::servo::compiled::BoardMath;
-use haptic_bridge::servo::joints::Counts;
-use haptic_bridge::servo::program::Program;
 use nalgebra::{SVector, Vector2, Vector3};
 
 const COUNTS_PER_TURN: i32 = 1_048_576;
@@ -242,7 +242,7 @@ fn measurements_that_are_no_numbers_never_reach_a_duty() {
                 rig.step();
                 assert!(rig.duties.iter().all(|duty| duty.abs() <= MAX_DUTY), "{poison}: {:?}", rig.duties);
             }
-            let frame = rig.servo.frame();
+            let frame = rig.control_loop.frame();
             assert!(frame.motors.torque.iter().all(|t| t.is_finite()), "{poison}: {frame:?}");
         }
     }

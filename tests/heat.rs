@@ -3,10 +3,10 @@
 use crate::common::cases;
 use crate::rig::{self, Rig, hardware, paddle, rules, scene, wall};
 use core::sync::atomic::{AtomicU32, Ordering};
+use haptic_bridge::control::{Command, Rules};
 use haptic_bridge::drive::heat::{Heat, KEPT, WORDS, keep, kept};
 use haptic_bridge::model::motor::Motor;
 use haptic_bridge::safety::fault::Fault;
-use haptic_bridge::servo::{Command, Rules};
 use proptest::prelude::*;
 
 /// A motor that stands `most` (A) for 4 s and `steady` (A) for ever.
@@ -292,16 +292,16 @@ fn raised() -> Rules {
 #[test]
 fn a_restart_does_not_let_a_motor_cool_faster() {
     let mut rig = heated();
-    let heat = *rig.servo.heat();
+    let heat = *rig.control_loop.heat();
     rig.execute(Command::Clear).unwrap();
     rig.execute(Command::Rules(raised())).unwrap();
     let mut again = Rig::bare(hardware(), raised());
-    again.servo.start_heat(heat);
+    again.control_loop.start_heat(heat);
     again.load(&paddle(), &scene(1, &[wall(-0.05, 100.0)]), false).unwrap();
     for rig in [&mut rig, &mut again] {
-        let before = rig.servo.heat()[0].held();
+        let before = rig.control_loop.heat()[0].held();
         rig.run(4.0);
-        let held = rig.servo.heat()[0].held();
+        let held = rig.control_loop.heat()[0].held();
         assert!((before - held - 4.0).abs() < 0.1, "1 A² s a second: {before} to {held}");
     }
 }
@@ -309,7 +309,7 @@ fn a_restart_does_not_let_a_motor_cool_faster() {
 #[test]
 fn noise_of_sensors_is_no_heat_and_a_device_without_motors_no_motor_to_heat() {
     let mut rig = Rig::bare(hardware(), rules());
-    rig.servo.start_heat([Heat::UNKNOWN; 3]);
+    rig.control_loop.start_heat([Heat::UNKNOWN; 3]);
     let mut bare = paddle();
     bare.joints[0].motor = None;
     rig.shown_current = Some(0.1);
@@ -318,7 +318,7 @@ fn noise_of_sensors_is_no_heat_and_a_device_without_motors_no_motor_to_heat() {
     rig.load(&paddle(), &scene(1, &[wall(-0.05, 100.0)]), false).unwrap();
     rig.run(0.1);
     rig.run(20.0);
-    assert_eq!(rig.servo.heat()[0].held(), 0.0, "half of 32 A² s at 1 A² s a second");
+    assert_eq!(rig.control_loop.heat()[0].held(), 0.0, "half of 32 A² s at 1 A² s a second");
 }
 
 #[test]
@@ -329,7 +329,7 @@ fn a_tighter_continuous_current_while_armed_gives_no_longer_peak() {
         let mut rig = Rig::with(&paddle(), &scene(1, &[wall(-0.005, 290.0)]), hardware(), rules);
         rig.arm();
         rig.turn(0, -0.15, 1.0);
-        let began = rig.servo.steps();
+        let began = rig.control_loop.steps();
         while rig.fault().is_none() {
             rig.tremble(0.05);
             if tighten && rules.limits.continuous_current[0] > 0.3 {
@@ -338,7 +338,7 @@ fn a_tighter_continuous_current_while_armed_gives_no_longer_peak() {
             }
         }
         assert_eq!(rig.fault(), Some(Fault::ThermalBudget));
-        (rig.servo.steps() - began) as f32 / rig::RATE
+        (rig.control_loop.steps() - began) as f32 / rig::RATE
     };
     let (plain, tightened) = (lasts(false), lasts(true));
     assert!(tightened <= plain, "{plain} s, tightened {tightened} s");
@@ -352,13 +352,13 @@ fn heat_that_nobody_knows_stays_unknown_over_a_restart() {
         let mut rules = rules();
         rules.limits.current = [current; 3];
         let mut rig = Rig::bare(hardware(), rules);
-        rig.servo.start_heat(heat);
+        rig.control_loop.start_heat(heat);
         rig.load(&strong, &scene(1, &[wall(-0.05, 100.0)]), false).unwrap();
         rig
     };
     for (first, then) in [(1.5, 20.0), (20.0, 3.0)] {
-        let kept = *boot([Heat::UNKNOWN; 3], first).servo.heat();
-        let held = boot(kept, then).servo.heat()[0].held();
+        let kept = *boot([Heat::UNKNOWN; 3], first).control_loop.heat();
+        let held = boot(kept, then).control_loop.heat()[0].held();
         let half = 0.5 * 4.0 * (then * then - 1.0);
         assert!((held - half).abs() < 0.01 * half, "{first} A, then {then} A: {held} A² s, not {half}");
     }
@@ -394,7 +394,7 @@ fn a_hot_motor_cools_while_it_is_off_and_stays_hot_when_a_device_is_loaded_anew(
 /// flow for ever.
 fn lasts(heat: Heat) -> f32 {
     let mut rig = Rig::bare(hardware(), rules());
-    rig.servo.start_heat([heat; 3]);
+    rig.control_loop.start_heat([heat; 3]);
     rig.load(&paddle(), &scene(1, &[wall(-0.005, 290.0)]), false).unwrap();
     rig.settle();
     rig.execute(Command::Home).unwrap();
@@ -402,10 +402,10 @@ fn lasts(heat: Heat) -> f32 {
     rig.execute(Command::PolarityKnown).unwrap();
     rig.arm();
     rig.turn(0, -0.15, 1.0);
-    let began = rig.servo.frame().step;
+    let began = rig.control_loop.frame().step;
     rig.tremble(10.0);
     assert_eq!(rig.fault(), Some(Fault::ThermalBudget));
-    (rig.servo.frame().step - began) as f32 / rig::RATE
+    (rig.control_loop.frame().step - began) as f32 / rig::RATE
 }
 
 #[test]
@@ -413,7 +413,7 @@ fn a_motor_is_as_hot_after_a_reset_as_before_and_warm_where_nobody_knows() {
     // (2.9² - 1) A² fill the budget of (3² - 1) A² times 4 s in 4.3 s.
     let cold = lasts(Heat::default());
     assert!((4.2..4.5).contains(&cold), "{cold} s");
-    let hot = heated().servo.heat()[0];
+    let hot = heated().control_loop.heat()[0];
     // A second of homing and arming cools by 1 A² s, which 0.14 s at 2.9 A make up for.
     let after = lasts(hot);
     assert!(after < 0.3, "{after} s");

@@ -4,12 +4,12 @@
 use crate::rig::statics::{torques, worth};
 use crate::rig::{self, RATE, Rig, five_bar, hardware, rules, scene, wall};
 use haptic_bridge::board::protocol::{BadForce, ForceAnswer, ForceDone, ForceRequest, HostContact};
-use haptic_bridge::safety::fault::{Fault, State};
-use haptic_bridge::servo::host_force::{
+use haptic_bridge::control::host_force::{
     MOST_DAMPING, MOST_DISTANCE, MOST_HELD_FORCE, MOST_LEASE, MOST_STIFFNESS, MOST_TORQUE,
 };
-use haptic_bridge::servo::joints::Torques;
-use haptic_bridge::servo::{Command, HostAction, Rules};
+use haptic_bridge::control::joints::Torques;
+use haptic_bridge::control::{Command, HostAction, Rules};
+use haptic_bridge::safety::fault::{Fault, State};
 use nalgebra::Vector2;
 
 /// Rounding of a torque on its way through a current and back.
@@ -36,7 +36,7 @@ fn force(sequence: u32, x: f32, y: f32) -> ForceRequest {
 
 /// Asks how the device is.
 fn look(rig: &mut Rig) -> ForceAnswer {
-    rig.servo.force(&ForceRequest::default())
+    rig.control_loop.force(&ForceRequest::default())
 }
 
 #[test]
@@ -56,7 +56,7 @@ fn whatever_a_host_asks_for_is_cut_to_the_tips_limit_and_keeps_its_direction() {
             let (sin, cos) = (0.5 * nth as f32).sin_cos();
             let both =
                 ForceRequest { torque: [size * cos, size * sin, 0.0], ..force(nth + 1, push * sin, -push * cos) };
-            assert_eq!(rig.servo.force(&both).done, ForceDone::Taken);
+            assert_eq!(rig.control_loop.force(&both).done, ForceDone::Taken);
             rig.step();
             let answer = look(&mut rig);
             let forces = [wall + push * sin, -push * cos].map(f64::from);
@@ -74,9 +74,9 @@ fn whatever_a_host_asks_for_is_cut_to_the_tips_limit_and_keeps_its_direction() {
 fn a_tips_limit_that_is_lowered_holds_joint_torques_at_the_next_step_and_all_the_while_that_they_fade() {
     let mut rig = armed();
     let request = ForceRequest { hold: 0.02, fade: 0.02, torque: [0.2, -0.1, 0.0], ..request(1) };
-    assert_eq!(rig.servo.force(&request).done, ForceDone::Taken);
+    assert_eq!(rig.control_loop.force(&request).done, ForceDone::Taken);
     let force = |rig: &Rig| {
-        let frame = rig.servo.frame();
+        let frame = rig.control_loop.frame();
         worth(&frame.at.q, Vector2::new(frame.motors.torque[0], frame.motors.torque[1]).map(f64::from)).norm()
     };
     rig.step();
@@ -100,14 +100,14 @@ fn a_tips_limit_that_is_lowered_holds_joint_torques_at_the_next_step_and_all_the
 #[test]
 fn a_request_is_held_then_fades_evenly_and_is_gone() {
     let mut rig = armed();
-    assert_eq!(rig.servo.force(&torque(1, 0.2)).done, ForceDone::Taken);
+    assert_eq!(rig.control_loop.force(&torque(1, 0.2)).done, ForceDone::Taken);
     let period = 1.0 / RATE;
     let mut before = None;
     for step in 1..=80 {
         rig.step();
         let age = step as f32 * period;
         let share = ((0.03 - age) / 0.02).clamp(0.0, 1.0);
-        let now = rig.servo.frame().motors.torque[0];
+        let now = rig.control_loop.frame().motors.torque[0];
         // A step's period is rounded, and ages are sums of periods.
         assert!((now - 0.2 * share).abs() < 0.2 * 1.0e-3, "{now} at {age} s");
         let most = 0.2 * period / 0.02 * 1.001;
@@ -119,7 +119,7 @@ fn a_request_is_held_then_fades_evenly_and_is_gone() {
         let ending = (age - 0.03).abs() < 0.5 * period;
         assert!(ending || answer.age.is_some() == (age < 0.03), "{age} s: {answer:?}");
     }
-    assert_eq!(rig.servo.frame().motors.torque, Torques::default());
+    assert_eq!(rig.control_loop.frame().motors.torque, Torques::default());
     assert_eq!(rig.state(), State::Armed);
 }
 
@@ -130,37 +130,37 @@ fn what_comes_late_has_only_the_rest_of_its_life() {
     rig.run(0.02);
     // 20 ms old of 30, half of it faded.
     let half = ForceRequest { seen: Some(seen), ..torque(1, 0.2) };
-    assert_eq!(rig.servo.force(&half).done, ForceDone::Taken);
+    assert_eq!(rig.control_loop.force(&half).done, ForceDone::Taken);
     rig.step();
-    let now = rig.servo.frame().motors.torque[0];
+    let now = rig.control_loop.frame().motors.torque[0];
     let share = (0.03 - 0.02 - 1.0 / RATE) / 0.02;
     assert!((now - 0.2 * share).abs() < 1.0e-4, "{now}");
     rig.run(0.02);
-    let answer = rig.servo.force(&ForceRequest { sequence: 2, ..half });
+    let answer = rig.control_loop.force(&ForceRequest { sequence: 2, ..half });
     assert_eq!((answer.done, answer.age), (ForceDone::TooOld, None));
     rig.step();
-    assert_eq!(rig.servo.frame().motors.torque, Torques::default());
+    assert_eq!(rig.control_loop.frame().motors.torque, Torques::default());
     let future = ForceRequest { seen: Some(answer.step + 10), ..torque(3, 0.2) };
-    assert_eq!(rig.servo.force(&future).done, ForceDone::Bad(BadForce::Seen));
+    assert_eq!(rig.control_loop.force(&future).done, ForceDone::Bad(BadForce::Seen));
 }
 
 #[test]
 fn repeated_and_reordered_requests_change_nothing() {
     let mut rig = armed();
-    assert_eq!(rig.servo.force(&torque(u32::MAX, 0.1)).done, ForceDone::Taken);
+    assert_eq!(rig.control_loop.force(&torque(u32::MAX, 0.1)).done, ForceDone::Taken);
     for old in [u32::MAX, u32::MAX - 1, u32::MAX / 2 + 10] {
-        let answer = rig.servo.force(&torque(old, 0.2));
+        let answer = rig.control_loop.force(&torque(old, 0.2));
         assert_eq!((answer.sequence, answer.done), (old, ForceDone::NotNewer));
         rig.step();
-        assert!((rig.servo.frame().motors.torque[0] - 0.1).abs() < ROUNDING);
+        assert!((rig.control_loop.frame().motors.torque[0] - 0.1).abs() < ROUNDING);
     }
     // It wraps.
-    assert_eq!(rig.servo.force(&torque(0, 0.2)).done, ForceDone::Taken);
+    assert_eq!(rig.control_loop.force(&torque(0, 0.2)).done, ForceDone::Taken);
     rig.step();
-    assert!((rig.servo.frame().motors.torque[0] - 0.2).abs() < ROUNDING);
+    assert!((rig.control_loop.frame().motors.torque[0] - 0.2).abs() < ROUNDING);
     // Another program counts as it likes, once the last request of this one is gone.
     rig.run(0.05);
-    assert_eq!(rig.servo.force(&torque(u32::MAX - 7, 0.1)).done, ForceDone::Taken);
+    assert_eq!(rig.control_loop.force(&torque(u32::MAX - 7, 0.1)).done, ForceDone::Taken);
 }
 
 #[test]
@@ -171,11 +171,11 @@ fn lost_requests_are_bridged_for_as_long_as_the_last_one_is_held() {
         // At 1 kHz, seven of every eight lost: 8 ms between two, which are held for 10.
         if millisecond % 8 == 0 {
             sequence += 1;
-            assert_eq!(rig.servo.force(&torque(sequence, 0.1)).done, ForceDone::Taken);
+            assert_eq!(rig.control_loop.force(&torque(sequence, 0.1)).done, ForceDone::Taken);
         }
         rig.step();
         rig.step();
-        let now = rig.servo.frame().motors.torque[0];
+        let now = rig.control_loop.frame().motors.torque[0];
         assert!((now - 0.1).abs() < ROUNDING, "{now} after {millisecond} ms");
     }
 }
@@ -216,19 +216,19 @@ fn no_absurd_number_is_taken_and_none_disturbs_what_acts() {
     }
     for (what, request) in bad {
         let mut rig = armed();
-        assert_eq!(rig.servo.force(&torque(1, 0.1)).done, ForceDone::Taken);
-        let answer = rig.servo.force(&request);
+        assert_eq!(rig.control_loop.force(&torque(1, 0.1)).done, ForceDone::Taken);
+        let answer = rig.control_loop.force(&request);
         assert_eq!(answer.done, ForceDone::Bad(what), "{request:?}");
         assert!(answer.done.to_string().contains("not taken"), "{}", answer.done);
         rig.step();
-        assert!((rig.servo.frame().motors.torque[0] - 0.1).abs() < ROUNDING, "{request:?}");
+        assert!((rig.control_loop.frame().motors.torque[0] - 0.1).abs() < ROUNDING, "{request:?}");
     }
 }
 
 #[test]
 fn the_largest_numbers_that_are_taken_are_harmless() {
     let mut rig = armed();
-    let answer = rig.servo.force(&ForceRequest {
+    let answer = rig.control_loop.force(&ForceRequest {
         contact: Some(HostContact {
             point: [MOST_DISTANCE, 0.0, 0.0],
             normal: [1.0, 0.0, 0.0],
@@ -241,7 +241,7 @@ fn the_largest_numbers_that_are_taken_are_harmless() {
     assert_eq!(answer.done, ForceDone::Taken);
     for _ in 0..100 {
         rig.step();
-        assert!(rig.servo.frame().motors.torque.iter().all(|torque| torque.abs() <= 0.3 * (1.0 + ROUNDING)));
+        assert!(rig.control_loop.frame().motors.torque.iter().all(|torque| torque.abs() <= 0.3 * (1.0 + ROUNDING)));
     }
     assert_eq!(rig.state(), State::Armed);
 }
@@ -249,17 +249,17 @@ fn the_largest_numbers_that_are_taken_are_harmless() {
 #[test]
 fn only_armed_motors_take_force_and_disarming_or_a_fault_forgets_it() {
     let mut rig = Rig::with(&five_bar(), &scene(2, &[]), hardware(), rules());
-    let answer = rig.servo.force(&torque(1, 0.1));
+    let answer = rig.control_loop.force(&torque(1, 0.1));
     assert_eq!((answer.done, answer.state), (ForceDone::NotArmed, State::Disarmed));
     assert_eq!(look(&mut rig).done, ForceDone::Looked);
-    assert_eq!(answer.tip, rig.servo.status().tip, "how the device is, it tells all the same");
+    assert_eq!(answer.tip, rig.control_loop.status().tip, "how the device is, it tells all the same");
     for by_fault in [false, true] {
         rig.arm();
-        assert_eq!(rig.servo.force(&force(1, 1.0, 0.0)).done, ForceDone::Taken);
+        assert_eq!(rig.control_loop.force(&force(1, 1.0, 0.0)).done, ForceDone::Taken);
         rig.step();
-        assert_ne!(rig.servo.frame().motors.torque, Torques::default());
+        assert_ne!(rig.control_loop.frame().motors.torque, Torques::default());
         if by_fault {
-            rig.servo.trip(Fault::GateDriver, None, 0.0);
+            rig.control_loop.trip(Fault::GateDriver, None, 0.0);
         } else {
             rig.execute(Command::Disarm).unwrap();
         }
@@ -272,7 +272,7 @@ fn only_armed_motors_take_force_and_disarming_or_a_fault_forgets_it() {
         rig.execute(Command::Arm).unwrap();
         for _ in 0..20 {
             rig.step();
-            assert_eq!(rig.servo.frame().motors.torque, Torques::default());
+            assert_eq!(rig.control_loop.frame().motors.torque, Torques::default());
         }
         rig.execute(Command::Disarm).unwrap();
     }
@@ -282,7 +282,7 @@ fn only_armed_motors_take_force_and_disarming_or_a_fault_forgets_it() {
 fn a_force_grows_with_the_ramp_after_arming() {
     let mut rig = Rig::with(&five_bar(), &scene(2, &[]), hardware(), rules());
     rig.execute(Command::Arm).unwrap();
-    assert_eq!(rig.servo.force(&force(1, 1.0, 0.0)).done, ForceDone::Taken);
+    assert_eq!(rig.control_loop.force(&force(1, 1.0, 0.0)).done, ForceDone::Taken);
     // A fifth of half a second.
     rig.run(0.1);
     let answer = look(&mut rig);
@@ -294,7 +294,7 @@ fn a_force_grows_with_the_ramp_after_arming() {
 fn a_force_at_the_tip_is_the_torque_of_virtual_work() {
     for (x, y) in [(1.0, 0.0), (0.0, 1.0), (-0.7, 0.4)] {
         let mut rig = armed();
-        rig.servo.force(&force(1, x, y));
+        rig.control_loop.force(&force(1, x, y));
         rig.step();
         let answer = look(&mut rig);
         let expected = torques(&answer.q, [x, y].map(f64::from));
@@ -313,10 +313,10 @@ fn what_the_motors_cannot_make_walls_and_host_give_up_in_the_same_share() {
     let bilateral = haptic_bridge::render::scene::Wall { bilateral: true, ..wall(tip[0] + 1.0e-3, 2_000.0) };
     let mut rig = Rig::with(&five_bar(), &scene(2, &[bilateral]), hardware(), rules());
     rig.arm();
-    rig.servo.force(&force(1, 0.0, 12.0));
+    rig.control_loop.force(&force(1, 0.0, 12.0));
     rig.step();
     let answer = look(&mut rig);
-    assert!((rig.servo.frame().at.walls.wall_force - 2.0).abs() < 1.0e-3);
+    assert!((rig.control_loop.frame().at.walls.wall_force - 2.0).abs() < 1.0e-3);
     let asked = torques(&answer.q, [2.0, 12.0]);
     let share = 0.3 / asked.amax();
     assert!(share < 0.9, "they ask for more than 0.3 N m: {asked}");
@@ -360,7 +360,7 @@ fn a_contact_pushes_as_its_plane_says_and_never_pulls() {
     for (sequence, depth, expected) in [(1, 1.0e-3, 1.5), (2, -1.0e-3, 0.0)] {
         let contact = HostContact { point: at(depth), normal, stiffness: 1_500.0, damping: 3.0 };
         let request = ForceRequest { contact: Some(contact), hold: MOST_LEASE, ..request(sequence) };
-        assert_eq!(rig.servo.force(&request).done, ForceDone::Taken);
+        assert_eq!(rig.control_loop.force(&request).done, ForceDone::Taken);
         rig.run(0.05);
         let answer = look(&mut rig);
         for (force, normal) in answer.force.iter().zip(&normal) {
@@ -391,7 +391,7 @@ fn a_contact_that_jumps_tilts_appears_or_goes_makes_no_step_of_force() {
     let mut before = look(&mut rig).force;
     let mut largest: f32 = 0.0;
     for (sequence, contact) in (1..).zip(planes) {
-        rig.servo.force(&ForceRequest { contact, ..request(sequence) });
+        rig.control_loop.force(&ForceRequest { contact, ..request(sequence) });
         for _ in 0..10 {
             rig.step();
             let now = look(&mut rig).force;
@@ -422,7 +422,7 @@ fn a_contact_that_is_renewed_while_it_fades_comes_back_without_a_step_of_force()
     // Held for 10 ms, then for 35 of 50 ms on its way to nothing; renewed where it is and a millimetre further.
     for (sequence, depth) in [(1, 2.0e-3), (2, 2.0e-3), (3, 3.0e-3)] {
         let mut before = look(&mut rig).force[0];
-        rig.servo.force(&ForceRequest { sequence, ..contact(depth) });
+        rig.control_loop.force(&ForceRequest { sequence, ..contact(depth) });
         for _ in 0..(0.045 * RATE) as usize {
             rig.step();
             let now = look(&mut rig).force[0];
@@ -443,11 +443,11 @@ fn a_contact_that_is_sent_again_as_it_is_goes_on_moving_to_where_it_was_going() 
             HostContact { point: [tip[0] + depth, tip[1], 0.0], normal: [1.0, 0.0, 0.0], stiffness: 1e3, damping: 0.0 };
         ForceRequest { contact: Some(contact), ..request(0) }
     };
-    rig.servo.force(&ForceRequest { sequence: 1, ..plane(1.0e-3) });
+    rig.control_loop.force(&ForceRequest { sequence: 1, ..plane(1.0e-3) });
     rig.run(0.01);
     // 10 ms since the first, so 10 ms to the second, whatever is sent meanwhile.
     for sequence in 2..22 {
-        rig.servo.force(&ForceRequest { sequence, ..plane(3.0e-3) });
+        rig.control_loop.force(&ForceRequest { sequence, ..plane(3.0e-3) });
         rig.step();
     }
     assert!((look(&mut rig).force[0] - 3.0).abs() < 2.0e-3);
@@ -459,7 +459,7 @@ fn forces_tell_that_the_host_is_there_and_their_end_that_it_is_not() {
     let mut rig = Rig::with(&five_bar(), &scene(2, &[]), hardware(), watched);
     rig.arm();
     for sequence in 1..100 {
-        assert_eq!(rig.servo.force(&torque(sequence, 0.01)).done, ForceDone::Taken);
+        assert_eq!(rig.control_loop.force(&torque(sequence, 0.01)).done, ForceDone::Taken);
         rig.run(0.01);
         assert_eq!(rig.state(), State::Armed);
     }
@@ -471,7 +471,7 @@ fn forces_tell_that_the_host_is_there_and_their_end_that_it_is_not() {
 fn let_pass(rig: &mut Rig, mut steps: u64) {
     while steps > 0 {
         let hop = steps.min(1 << 28) as u32;
-        rig.servo.skip_steps(hop);
+        rig.control_loop.skip_steps(hop);
         rig.run(0.001);
         steps -= u64::from(hop);
     }
@@ -483,16 +483,16 @@ fn a_host_pushes_on_however_long_the_rate_has_been_the_same() {
     let push_now = |rig: &mut Rig, sequence: u32| {
         let seen = look(rig).step;
         rig.step();
-        let answer = rig.servo.force(&ForceRequest { seen: Some(seen), ..torque(sequence, 0.1) });
+        let answer = rig.control_loop.force(&ForceRequest { seen: Some(seen), ..torque(sequence, 0.1) });
         assert_eq!(answer.done, ForceDone::Taken, "at step {}, of one before", answer.step);
         rig.run(0.05);
         let late = ForceRequest { seen: Some(seen), ..torque(sequence + 1, 0.1) };
-        assert_eq!(rig.servo.force(&late).done, ForceDone::TooOld, "50 ms where 30 are its life");
+        assert_eq!(rig.control_loop.force(&late).done, ForceDone::TooOld, "50 ms where 30 are its life");
     };
     push_now(&mut rig, 1);
     // 29.8 h at 20 kHz, then 59.7 h, where the count of steps begins again, and as much once more.
     for sequence in [3, 5, 7, 9] {
-        let left = (1 << 31) - u64::from(rig.servo.steps() & ((1 << 31) - 1));
+        let left = (1 << 31) - u64::from(rig.control_loop.steps() & ((1 << 31) - 1));
         let_pass(&mut rig, left - 1_000);
         push_now(&mut rig, sequence);
         let_pass(&mut rig, 1_000);
@@ -516,14 +516,14 @@ fn a_request_that_is_taken_and_a_look_that_follows_another_tell_the_board_that_i
         let mut rig = Rig::with(&five_bar(), &scene, hardware(), watched);
         rig.arm();
         for _ in 0..4 {
-            assert_eq!(rig.servo.force(&force(1, 0.0, 0.0)).done, ForceDone::Taken);
+            assert_eq!(rig.control_loop.force(&force(1, 0.0, 0.0)).done, ForceDone::Taken);
             rig.run(0.45);
         }
         assert_eq!(rig.state(), State::Armed, "taken");
-        assert_eq!(rig.servo.force(&force(1, 0.0, 0.0)).done, ForceDone::Taken);
+        assert_eq!(rig.control_loop.force(&force(1, 0.0, 0.0)).done, ForceDone::Taken);
         for _ in 0..6 {
             if why != ForceDone::NotNewer || look(&mut rig).age.is_some() {
-                assert_eq!(rig.servo.force(&refused).done, why);
+                assert_eq!(rig.control_loop.force(&refused).done, why);
             }
             rig.run(0.09);
         }
@@ -532,8 +532,8 @@ fn a_request_that_is_taken_and_a_look_that_follows_another_tell_the_board_that_i
     let mut rig = Rig::with(&five_bar(), &scene, hardware(), watched);
     rig.arm();
     for _ in 0..4 {
-        let follows = ForceRequest { hold: 0.0, fade: 0.0, seen: Some(rig.servo.steps()), ..request(2) };
-        assert_eq!(rig.servo.force(&follows).done, ForceDone::Looked);
+        let follows = ForceRequest { hold: 0.0, fade: 0.0, seen: Some(rig.control_loop.steps()), ..request(2) };
+        assert_eq!(rig.control_loop.force(&follows).done, ForceDone::Looked);
         rig.run(0.45);
     }
     assert_eq!(rig.state(), State::Armed);

@@ -2,10 +2,10 @@
 //! nothing.
 
 use crate::rig::{RATE, Rig, paddle, quiet};
+use haptic_bridge::control::{Beat, Command, HostAction, KEY_SECONDS, Press, Rules};
 use haptic_bridge::render::scene::Scene;
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::safety::refusal::Refusal;
-use haptic_bridge::servo::{Beat, Command, HostAction, KEY_SECONDS, Press, Rules};
 use std::collections::VecDeque;
 
 #[test]
@@ -55,7 +55,7 @@ impl Rig {
 
     /// A tool's message of its key that is down, told at this very step.
     fn press(&self) -> Press {
-        Press { holder: 1, seen: self.servo.steps() }
+        Press { holder: 1, seen: self.control_loop.steps() }
     }
 
     /// Lets so many tenths of a second pass, the key seen down at the beginning of each; what was said of it last.
@@ -172,11 +172,11 @@ fn motors_are_off_half_a_second_after_a_key_was_let_go_however_slow_the_link_is(
     // One way, s, at first and from a second after arming on.
     for (at_first, later) in [(0.0, 0.0), (0.1, 0.1), (0.1, 0.2), (0.0, 0.26), (0.05, 2.0), (0.26, 0.26), (2.0, 2.0)] {
         let mut rig = ready();
-        let began = rig.servo.steps();
+        let began = rig.control_loop.steps();
         let (let_go, mut armed, mut off) = (began + steps(3.0), None, None);
         let mut under_way = VecDeque::new();
-        while rig.servo.steps() < let_go + steps(5.0) {
-            let now = rig.servo.steps();
+        while rig.control_loop.steps() < let_go + steps(5.0) {
+            let now = rig.control_loop.steps();
             let way = if now < began + steps(1.0) { at_first } else { later };
             if now < let_go && (now - began).is_multiple_of(steps(0.02)) {
                 under_way.push_back((now + steps(way), Press { holder: 1, seen: now.saturating_sub(steps(way)) }));
@@ -190,7 +190,7 @@ fn motors_are_off_half_a_second_after_a_key_was_let_go_however_slow_the_link_is(
             }
             rig.step();
             if armed.is_some() && rig.state() != State::Armed {
-                off = off.or(Some(rig.servo.steps()));
+                off = off.or(Some(rig.control_loop.steps()));
             }
         }
         let case = format!("{at_first} s, {later} s");

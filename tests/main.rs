@@ -6,6 +6,7 @@ mod rig;
 
 mod adding;
 mod attacks;
+mod control_loop;
 mod counted_devices;
 mod crest_limits;
 mod crest_paths;
@@ -32,7 +33,6 @@ mod power_cut;
 mod precomputed_mass;
 mod rendered_force;
 mod service;
-mod servo;
 mod settings;
 mod several_walls;
 mod shape;

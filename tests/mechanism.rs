@@ -1,13 +1,13 @@
 //! A mechanism needs nothing but its own file: a toy one, and a wall on it.
 
 use crate::rig;
+use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::math::{Angle, Math, Real};
 use haptic_bridge::model::catalogue::Spec;
 use haptic_bridge::model::description::{Description, DescriptionError};
 use haptic_bridge::model::mechanism::{Mechanism, Regularity};
 use haptic_bridge::render::controller::Controller;
 use haptic_bridge::render::scene::FeedForward;
-use haptic_bridge::servo::compiled::BoardMath;
 use nalgebra::{SMatrix, SVector};
 
 /// Two crossed slides on screws: the tip's x and y are two angles, each times a lead.

@@ -5,13 +5,13 @@
 
 use crate::common::bodies::{derivative, dynamics, place};
 use crate::common::{Draw, NUMBERS, cases, determinant, device, inverse};
+use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::inertia::Inertia;
 use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism, Regularity};
 use haptic_bridge::model::principal::Pull;
-use haptic_bridge::servo::compiled::BoardMath;
 use haptic_bridge::with_mechanism;
 use nalgebra::{SMatrix, SVector};
 use proptest::prelude::*;

@@ -2,8 +2,8 @@
 //! and warm windings, encoders that stand still.
 
 use crate::rig::{RATES, Rig, hardware, paddle, quiet, rules, scene, wall};
+use haptic_bridge::control::Command;
 use haptic_bridge::safety::fault::{Fault, State};
-use haptic_bridge::servo::Command;
 
 /// The largest current of motor 0 from here until the bridges float, A, and the fault; `None` where they do not within
 /// 50 ms.

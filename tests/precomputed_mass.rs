@@ -2,12 +2,12 @@
 //! for.
 
 use crate::common::device_file::shipped;
+use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::mechanism::{AnyMechanism, FiveBar, Mechanism};
 use haptic_bridge::model::precomputed::{
     Grid, Interpolation, MassModel, MassModelData, Receiving, TABLE_VALUES, checksum, tabulate,
 };
-use haptic_bridge::servo::compiled::BoardMath;
 use haptic_bridge::with_mechanism;
 use nalgebra::SVector;
 

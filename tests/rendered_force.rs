@@ -1,12 +1,12 @@
 //! The recorded force is the one that was asked for, the part that remained, and the motor that fell short.
 
 use crate::rig::{COUNTS, RATE, Rig, five_bar, hardware, rules, scene, wall};
+use haptic_bridge::control::frame::{Motors, StepRecord};
+use haptic_bridge::control::{Command, Rules};
 use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::{FeedForward, Plane, Surface};
 use haptic_bridge::render::velocity::Washout;
 use haptic_bridge::safety::limits::Limits;
-use haptic_bridge::servo::frame::{Motors, StepRecord};
-use haptic_bridge::servo::{Command, Rules};
 
 /// A paddle of 0.1 m in a wall of 1 kN/m at -0.05 m, so many metres deep; its motor may push with 0.3 N m, so 3 N.
 fn pressed(depth: f64) -> Rig {
@@ -18,7 +18,7 @@ fn pressed(depth: f64) -> Rig {
 
 #[test]
 fn a_wall_within_the_motors_means_is_rendered_as_asked() {
-    let frame = pressed(0.002).servo.frame();
+    let frame = pressed(0.002).control_loop.frame();
     assert!((frame.at.walls.wall_force - 2.0).abs() < 0.02, "{frame:?}");
     assert!((frame.motors.rendered_force - frame.at.walls.wall_force).abs() < 1e-5, "{frame:?}");
     assert_eq!(frame.saturation(0), 0);
@@ -26,7 +26,7 @@ fn a_wall_within_the_motors_means_is_rendered_as_asked() {
 
 #[test]
 fn a_wall_beyond_the_motors_means_is_recorded_as_what_they_can() {
-    let frame = pressed(0.008).servo.frame();
+    let frame = pressed(0.008).control_loop.frame();
     assert!((frame.at.walls.wall_force - 8.0).abs() < 0.02, "asked for: {frame:?}");
     assert!((frame.motors.rendered_force - 3.0).abs() < 1e-4, "0.3 N m at 0.1 m: {frame:?}");
     assert_eq!(frame.saturation(0), 1, "and the motor is marked");
@@ -39,7 +39,7 @@ fn a_force_beyond_the_limit_of_the_tip_is_marked_too() {
     let limited = rules();
     rig.execute(Command::Rules(Rules { limits: Limits { tip_force: 1.0, ..limited.limits }, ..limited })).unwrap();
     rig.step();
-    let frame = rig.servo.frame();
+    let frame = rig.control_loop.frame();
     assert!((frame.motors.rendered_force - 1.0).abs() < 1e-3, "{frame:?}");
     assert_eq!((frame.saturation(0), frame.saturation(1)), (1, 0), "{frame:?}");
 }
@@ -49,14 +49,14 @@ fn nothing_is_rendered_with_the_motors_off_nor_in_full_while_torque_ramps_up() {
     let mut rig = pressed(0.002);
     rig.execute(Command::Disarm).unwrap();
     rig.step();
-    let off = rig.servo.frame();
+    let off = rig.control_loop.frame();
     assert!(off.at.walls.wall_force > 1.9 && off.motors.rendered_force == 0.0, "{off:?}");
 
     let mut rig = Rig::ready(&scene(1, &[wall(-0.05, 1_000.0)]));
     rig.execute(Command::Arm).unwrap();
     // In 0.03 s of the half second's ramp the tip is 2 mm deep.
     rig.turn(0, -0.52, 18.0);
-    let ramp = rig.servo.frame();
+    let ramp = rig.control_loop.frame();
     assert!(ramp.at.walls.wall_force > 1.9 && ramp.motors.rendered_force > 0.0, "{ramp:?}");
     assert!(ramp.motors.rendered_force < 0.2 * ramp.at.walls.wall_force, "{ramp:?}");
 }
@@ -110,7 +110,7 @@ fn on_two_joints_it_is_the_force_that_the_recorded_torques_hold() {
                 rig.samples.counts[i] += turn;
             }
             rig.run(0.02);
-            let frame = rig.servo.frame();
+            let frame = rig.control_loop.frame();
             // The counts' own angles: 2.4 and 0.7 rad at home.
             let angle = |i: usize| f64::from(frame.counts[i]) / COUNTS * core::f64::consts::TAU + [2.4, 0.7][i];
             let torque = [f64::from(frame.motors.torque[0]), f64::from(frame.motors.torque[1])];
@@ -135,13 +135,13 @@ fn on_two_joints_it_is_the_force_that_the_recorded_torques_hold() {
 #[test]
 fn a_duty_at_its_end_is_marked_by_itself() {
     let mut rig = pressed(0.001);
-    assert_eq!(rig.servo.frame().saturation(0), 0);
+    assert_eq!(rig.control_loop.frame().saturation(0), 0);
     // 2 N more within one step: a winding of 1 mH would need 44 V for that in a carrier period.
     let gains = Gains { wall: 0, stiffness: 2_900.0, damping: 0.0, feed_forward: FeedForward::Off, washout_hz: 2.0 };
     rig.execute(Command::Gains(gains, Washout::new(2.0, RATE).unwrap())).unwrap();
-    rig.servo.control(&rig.samples);
-    rig.servo.duties(24.0, &rig.samples.currents, false);
-    let frame = rig.servo.frame();
+    rig.control_loop.control(&rig.samples);
+    rig.control_loop.duties(24.0, &rig.samples.currents, false);
+    let frame = rig.control_loop.frame();
     assert_eq!(frame.saturation(0), 2, "{frame:?}");
     let motors = Motors { limited: 0b101, ..frame.motors };
     assert_eq!(StepRecord { motors, ..frame }.saturation(0), 3);

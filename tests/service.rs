@@ -9,6 +9,9 @@ use crate::rig::{self, device, five_bar};
 use haptic_bridge::board::protocol::*;
 use haptic_bridge::board::settings::{self, BoardName, Key};
 use haptic_bridge::board::telemetry::{Fields, StreamRequest};
+use haptic_bridge::control::compiled::BoardMath;
+use haptic_bridge::control::program::Program;
+use haptic_bridge::control::{Command, Rules};
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::precomputed::{Grid, Interpolation, MassModelData, checksum};
 use haptic_bridge::render::controller::Gains;
@@ -16,9 +19,6 @@ use haptic_bridge::render::scene::{FeedForward, Scene};
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::safety::limits::{BadLimit, Limit, Limits};
 use haptic_bridge::safety::refusal::Refusal;
-use haptic_bridge::servo::compiled::BoardMath;
-use haptic_bridge::servo::program::Program;
-use haptic_bridge::servo::{Command, Rules};
 use postcard_rpc::Endpoint;
 use postcard_rpc::header::VarHeader;
 use postcard_rpc::standard_icd::WireError;
@@ -227,7 +227,7 @@ fn what_only_asks_is_answered_in_every_state_and_changes_none() {
     }
 }
 
-/// A board readies its gate drivers only for what the servo will not refuse, so it asks before.
+/// A board readies its gate drivers only for what the control loop will not refuse, so it asks before.
 #[test]
 fn whether_it_may_be_armed_is_answered_as_arming_is_and_changes_nothing() {
     fn not_yet(press: Press) -> Press {
@@ -244,9 +244,9 @@ fn whether_it_may_be_armed_is_answered_as_arming_is_and_changes_nothing() {
         let mut board = board(now);
         let press = press(&mut board);
         let before = (configuration(&mut board), board.ask::<GetStatus>(&()).unwrap());
-        let answer = board.machine.servo.execute(may(press)).0;
+        let answer = board.machine.control_loop.execute(may(press)).0;
         assert_eq!((configuration(&mut board), board.ask::<GetStatus>(&()).unwrap()), before, "{now:?}");
-        assert_eq!(answer, board.machine.servo.execute(does(press)).0, "{now:?}");
+        assert_eq!(answer, board.machine.control_loop.execute(does(press)).0, "{now:?}");
     }
 }
 
@@ -457,7 +457,7 @@ fn polarity_check(board: &mut Board, way: f64) {
         if !board.state().drives() {
             break;
         }
-        let torque = board.machine.servo.frame().motors.torque[0];
+        let torque = board.machine.control_loop.frame().motors.torque[0];
         qd += (way * f64::from(torque) - 2.0e-3 * qd) / 1.0e-4 / rate;
         q += qd / rate;
         board.samples.counts[0] = from + (q / core::f64::consts::TAU * rig::COUNTS).round() as i32;

@@ -3,13 +3,13 @@
 use crate::rig;
 use haptic_bridge::board::settings::{BoardName, Damage, Key, LONGEST_SETTING, Polarity, Setting, decode, encode};
 use haptic_bridge::checksum::crc32;
+use haptic_bridge::control::{HostAction, Rules};
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::precomputed::MassModelData;
 use haptic_bridge::render::scene::{Cylinder, FeedForward, Posture, Scene, Sphere, Spring, Surface, VelocityTerms};
 use haptic_bridge::render::velocity::{Chosen, Estimator};
 use haptic_bridge::safety::limits::Limits;
-use haptic_bridge::servo::{HostAction, Rules};
 use std::fmt::Debug;
 use std::fmt::Write as _;
 use std::path::Path;

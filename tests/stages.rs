@@ -1,17 +1,17 @@
-//! Anything that implements `Stage` can stand between a joint's torque and its motor: two toys run here in the servo
+//! Anything that implements `Stage` can stand between a joint's torque and its motor: two toys run here in the control loop
 //! that ships. Limits, watch and thermal budget hold for them as for a brushed motor.
 
 use crate::rig::{COUNTS, device, hardware, limits, paddle, rules, scene, wall};
+use haptic_bridge::control::compiled::BoardMath;
+use haptic_bridge::control::frame::Samples;
+use haptic_bridge::control::joints::Currents;
+use haptic_bridge::control::program::Program;
+use haptic_bridge::control::{Command, ControlLoop};
 use haptic_bridge::drive::stage::{Bridge, Stage, Supply};
 use haptic_bridge::math::Math;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::model::motor::Motor;
 use haptic_bridge::safety::fault::{Fault, State};
-use haptic_bridge::servo::compiled::BoardMath;
-use haptic_bridge::servo::frame::Samples;
-use haptic_bridge::servo::joints::Currents;
-use haptic_bridge::servo::program::Program;
-use haptic_bridge::servo::{Command, Servo};
 
 /// An amplifier that closes the current loop itself: its set-point is all that it is told.
 #[derive(Clone, Copy, Debug, Default)]
@@ -129,14 +129,14 @@ impl Stage for FieldOriented {
 
 /// A paddle on motors of a kind, armed, its tip 1 cm deep in a wall.
 struct Pressed<S: Stage> {
-    servo: Servo<Box<Program<BoardMath, S>>, S>,
+    control_loop: ControlLoop<Box<Program<BoardMath, S>>, S>,
     samples: Samples,
 }
 
 impl<S: Stage> Pressed<S> {
     fn into_a_wall(stiffness: f32) -> Self {
-        let servo = Servo::new(hardware(), rules());
-        let mut rig = Self { servo, samples: Samples { bus_voltage: 24.0, ..Samples::default() } };
+        let control_loop = ControlLoop::new(hardware(), rules());
+        let mut rig = Self { control_loop, samples: Samples { bus_voltage: 24.0, ..Samples::default() } };
         let scene = scene(1, &[wall(-0.005, stiffness)]);
         let program = Program::new(&hardware(), &limits(), &device(&paddle()), &scene, false);
         rig.execute(Command::Program(Box::new(program.expect("a program that fits"))));
@@ -147,7 +147,7 @@ impl<S: Stage> Pressed<S> {
         rig.execute(Command::Arm);
         rig.run(1_200);
         let target = (-0.15 / std::f64::consts::TAU * COUNTS) as i32;
-        while self::State::Armed == rig.servo.status().state && rig.samples.counts[0] > target {
+        while self::State::Armed == rig.control_loop.status().state && rig.samples.counts[0] > target {
             rig.samples.counts[0] -= 5;
             rig.run(1);
         }
@@ -155,20 +155,20 @@ impl<S: Stage> Pressed<S> {
     }
 
     fn execute(&mut self, command: Command<Box<Program<BoardMath, S>>>) {
-        assert_eq!(self.servo.execute(command).0, Ok(()));
+        assert_eq!(self.control_loop.execute(command).0, Ok(()));
     }
 
     /// So many control periods.
     fn run(&mut self, steps: u32) {
         for _ in 0..steps {
             // The current that was asked for flows.
-            self.samples.currents = Currents(self.servo.frame().motors.torque.map(|torque| torque / 0.1));
+            self.samples.currents = Currents(self.control_loop.frame().motors.torque.map(|torque| torque / 0.1));
             // 20 kHz and 2 kHz.
             for _ in 0..10 {
-                self.servo.guard(&self.samples);
-                self.servo.check_slow_faults(&self.samples);
+                self.control_loop.guard(&self.samples);
+                self.control_loop.check_slow_faults(&self.samples);
             }
-            self.servo.control(&self.samples);
+            self.control_loop.control(&self.samples);
         }
     }
 }
@@ -177,43 +177,47 @@ impl<S: Stage> Pressed<S> {
 fn an_amplifier_gets_the_current_of_the_walls_torque_and_nothing_once_the_motors_are_off() {
     // 1 cm at 250 N/m and an arm of 0.1 m: 0.25 N m, 2.5 A of 3 A.
     let mut rig = Pressed::<SetPoint>::into_a_wall(250.0);
-    let drives = rig.servo.duties(24.0, &[(); MAX_JOINTS], false);
+    let drives = rig.control_loop.duties(24.0, &[(); MAX_JOINTS], false);
     assert!((drives[0] - 2.5 / 3.0).abs() < 0.01, "{drives:?}");
     rig.execute(Command::Disarm);
-    assert_eq!(rig.servo.duties(24.0, &[(); MAX_JOINTS], false), [0.0; MAX_JOINTS]);
+    assert_eq!(rig.control_loop.duties(24.0, &[(); MAX_JOINTS], false), [0.0; MAX_JOINTS]);
 }
 
 #[test]
 fn limits_and_the_thermal_budget_hold_for_it_as_for_any() {
     let mut rig = Pressed::<SetPoint>::into_a_wall(1.0e6);
     let most = limits().torque[0];
-    assert!((rig.servo.frame().motors.torque[0] - most).abs() < 1.0e-6, "{:?}", rig.servo.frame().motors.torque);
+    assert!(
+        (rig.control_loop.frame().motors.torque[0] - most).abs() < 1.0e-6,
+        "{:?}",
+        rig.control_loop.frame().motors.torque
+    );
     // (3² - 1²) A² for 4 s, at 2 kHz; it trembles, so that no encoder stands still.
     for step in 0..8_400 {
         rig.samples.counts[0] += if step % 2 == 0 { 1 } else { -1 };
         rig.run(1);
     }
-    assert_eq!(rig.servo.status().fault.map(|record| record.fault), Some(Fault::ThermalBudget));
-    assert_eq!(rig.servo.duties(24.0, &[(); MAX_JOINTS], false), [0.0; MAX_JOINTS]);
+    assert_eq!(rig.control_loop.status().fault.map(|record| record.fault), Some(Fault::ThermalBudget));
+    assert_eq!(rig.control_loop.duties(24.0, &[(); MAX_JOINTS], false), [0.0; MAX_JOINTS]);
 }
 
 #[test]
 fn a_field_oriented_motor_has_its_voltage_across_the_field_at_any_angle() {
     let mut rig = Pressed::<FieldOriented>::into_a_wall(250.0);
     for angle in [0.0_f32, 1.0, 2.5, -2.0] {
-        let current = rig.servo.frame().motors.torque[0] / 0.1;
+        let current = rig.control_loop.frame().motors.torque[0] / 0.1;
         // 2.5 A across the field flow already.
         let phase = |shift: f32| -current * (angle - shift).sin();
         let third = std::f32::consts::TAU / 3.0;
         let mut phases = [Phases::default(); MAX_JOINTS];
         phases[0] = Phases { currents: [phase(0.0), phase(third)], angle };
-        let drives = rig.servo.duties(24.0, &phases, false);
+        let drives = rig.control_loop.duties(24.0, &phases, false);
         // 2 ohm.
         let expected = [0.0, third, -third].map(|shift| 2.0 * phase(shift) / 24.0);
         for (drive, expected) in drives[0].iter().zip(expected) {
             assert!((drive - expected).abs() < 1.0e-5, "{angle}: {:?} {expected:?}", drives[0]);
         }
-        assert!((rig.servo.frame().motors.duty[0] - 2.0 * current / 24.0).abs() < 1.0e-5);
+        assert!((rig.control_loop.frame().motors.duty[0] - 2.0 * current / 24.0).abs() < 1.0e-5);
     }
-    assert_eq!(rig.servo.status().state, State::Armed);
+    assert_eq!(rig.control_loop.status().state, State::Armed);
 }

@@ -2,6 +2,7 @@
 //! for torques, which a straight step may put together in another order: those within a few roundings of their parts.
 
 use crate::common::{Draw, NUMBERS, device};
+use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::math::{Libm, Math, Real};
 use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::description::Encoder;
@@ -10,7 +11,6 @@ use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::render::controller::{Controller, Gains, Push, PushedPlane, Step};
 use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Sphere, Spring, Surface, VelocityTerms, Wall};
 use haptic_bridge::render::velocity::{Estimator, Washout};
-use haptic_bridge::servo::compiled::BoardMath;
 use haptic_bridge::with_mechanism;
 use nalgebra::SVector;
 

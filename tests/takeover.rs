@@ -2,20 +2,20 @@
 //! program has that comes first.
 
 use crate::rig::{COUNTS, Rig, five_bar, hardware, limits, paddle, quiet, rules, scene, wall};
+use haptic_bridge::control::frame::Samples;
+use haptic_bridge::control::joints::Counts;
+use haptic_bridge::control::{Command, Rules};
 use haptic_bridge::drive::carrier::Carrier;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::render::scene::Scene;
 use haptic_bridge::safety::fault::Fault;
 use haptic_bridge::safety::limits::Limits;
-use haptic_bridge::servo::frame::Samples;
-use haptic_bridge::servo::joints::Counts;
-use haptic_bridge::servo::{Command, Rules};
 
 /// Everything that is held ready of stages, bounds and limits.
 fn ready(rig: &Rig) -> String {
-    let all = format!("{:?}", rig.servo);
+    let all = format!("{:?}", rig.control_loop);
     let part = |from: &str, to: &str| {
-        // The program has fields of the same names: what comes last is the servo's own.
+        // The program has fields of the same names: what comes last is the control loop's own.
         let begin = all.rfind(from).unwrap_or_else(|| panic!("{from}"));
         let end = begin + all[begin..].find(to).unwrap_or_else(|| panic!("{to}"));
         format!("{}\n", &all[begin..end])
@@ -115,7 +115,7 @@ fn slowest_refused(first: Option<f32>, rate: f32) -> f64 {
         let perpetual = COUNTS / std::f64::consts::TAU * speed / carrier_hz;
         for crest in 0..(0.05 * carrier_hz) as i32 {
             let counts = Counts([(perpetual * f64::from(crest)) as i32, 0, 0]);
-            rig.servo.guard(&Samples { counts, ..rig.samples });
+            rig.control_loop.guard(&Samples { counts, ..rig.samples });
         }
         if rig.fault() == Some(Fault::SpeedLimit) {
             return speed;

@@ -2,10 +2,10 @@
 
 use crate::common::cases;
 use haptic_bridge::board::telemetry::{BATCH_BYTES, Batch, Field, Fields, Frames, Packer, StreamRequest};
+use haptic_bridge::control::frame::StepRecord;
+use haptic_bridge::control::joints::Counts;
 use haptic_bridge::render::step_result::{AtWalls, DeviceState};
 use haptic_bridge::safety::fault::State;
-use haptic_bridge::servo::frame::StepRecord;
-use haptic_bridge::servo::joints::Counts;
 use proptest::prelude::*;
 use std::collections::VecDeque;
 

@@ -366,7 +366,7 @@ fn place(Pin(port, number): Pin) -> (usize, PortPin) {
 
 impl Board for Hardware {
     fn name(&self) -> &'static str {
-        "virtual-board"
+        "haptic-emulator"
     }
 
     fn target_names(&self) -> Vec<&'static str> {

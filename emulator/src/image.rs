@@ -96,7 +96,7 @@ impl Firmware {
     /// An image that cannot be built or read.
     pub fn of(name: &str) -> Result<Self, Error> {
         if let Some(directory) = std::env::var_os("HAPTIC_FIRMWARE_DIR") {
-            return Self::read(Path::new(&directory).join(format!("haptic-bridge-firmware-{name}.elf")));
+            return Self::read(Path::new(&directory).join(format!("haptic-firmware-{name}.elf")));
         }
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
         let built = Command::new("cargo")

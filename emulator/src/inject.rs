@@ -6,11 +6,11 @@
 
 use std::f64::consts::PI;
 
+use haptic_bridge::control::{HostAction, Rules};
 use haptic_bridge::model::motor::Motor;
 use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::safety::fault::Fault;
-use haptic_bridge::servo::{HostAction, Rules};
 use haptic_sim::{Hand, Intent, SimulatedDevice, Waypoint};
 use rigless::time::VirtualNanos;
 

@@ -1,9 +1,9 @@
 //! A board on a test bench: firmware booted, a simulated device at its connectors, and the tool's client on its port.
 
+use haptic_bridge::control::{HostAction, Rules};
 use haptic_bridge::model::device::Device as DeviceData;
 use haptic_bridge::safety::fault::State;
 use haptic_bridge::safety::limits::{Limits, MOST_TIP_FORCE};
-use haptic_bridge::servo::{HostAction, Rules};
 use haptic_host::device_file::DeviceFile;
 use haptic_host::link::Board;
 use haptic_host::scene_file::SceneFile;

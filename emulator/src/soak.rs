@@ -1,5 +1,5 @@
 //! Hours of contact with telemetry on the unmodified image: no control period is missed, no row is lost, no touch of
-//! the wall is unlike the first ones. `cargo xtask soak --chip` runs it; host/tool/tests/deep/soak.rs is the same on
+//! the wall is unlike the first ones. `cargo xtask soak --chip` runs it; tool/tests/deep/soak.rs is the same on
 //! the simulated board.
 
 use std::fmt::Write as _;

@@ -42,13 +42,13 @@ use embassy_stm32::pac::gpio::vals::{Idr, Pupdr};
 use embassy_stm32::peripherals::{FLASH, IWDG, PA11, PA12, USB_OTG_FS};
 use embassy_stm32::{Peri, Peripherals};
 use embassy_time::{Duration, block_for};
+use haptic_bridge::control::frame::Samples;
+use haptic_bridge::control::joints::Counts;
 use haptic_bridge::drive::carrier::Carrier;
 use haptic_bridge::drive::stage::Bridge;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::safety::fault::Fault;
 use haptic_bridge::safety::limits::Limits;
-use haptic_bridge::servo::frame::Samples;
-use haptic_bridge::servo::joints::Counts;
 
 use crate::gate::Gate;
 

@@ -5,7 +5,7 @@ use core::mem::MaybeUninit;
 use core::sync::atomic::{AtomicUsize, Ordering, compiler_fence};
 
 use haptic_bridge::board::telemetry;
-use haptic_bridge::servo::frame::StepRecord;
+use haptic_bridge::control::frame::StepRecord;
 
 /// Number of places in the ring: 5 ms at 20 kHz.
 const PLACES: usize = 100;

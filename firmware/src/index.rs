@@ -6,8 +6,8 @@
 
 use embassy_stm32::pac;
 use embassy_stm32::pac::exti::regs::Lines;
+use haptic_bridge::control::joints::Counts;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
-use haptic_bridge::servo::joints::Counts;
 
 /// Latches rising edges at these pins of port C, with pull-ups like the encoders' channels.
 pub fn latch(lines: u32) {

@@ -12,9 +12,9 @@ use haptic_bridge::board::dispatch::{self, After};
 use haptic_bridge::board::machine::Machine as _;
 use haptic_bridge::board::protocol::FaultSeen;
 use haptic_bridge::board::service::Service;
+use haptic_bridge::control::Command;
+use haptic_bridge::control::program::Hardware;
 use haptic_bridge::safety::fault::FaultRecord;
-use haptic_bridge::servo::Command;
-use haptic_bridge::servo::program::Hardware;
 use static_cell::{ConstStaticCell, StaticCell};
 
 use crate::board::{Board, This};
@@ -82,7 +82,7 @@ pub async fn usb(mut device: UsbDevice<'static, UsbDriver>) -> ! {
     device.run().await
 }
 
-/// Interval at which the servo is checked for new faults.
+/// Interval at which the control loop is checked for new faults.
 const WATCH: Duration = Duration::from_millis(20);
 
 /// Interval at which the telemetry ring is emptied. The ring holds 5 ms of frames at 20 kHz.

@@ -9,12 +9,12 @@ use haptic_bridge::board::protocol::{ForceAnswer, ForceRequest, Info, PROTOCOL};
 use haptic_bridge::board::service::Service;
 use haptic_bridge::board::settings::{Entry, Key};
 use haptic_bridge::board::storage::StorageError;
+use haptic_bridge::control::compiled::{BoardMath, BoardProgram};
+use haptic_bridge::control::program::Program;
+use haptic_bridge::control::{Command, Reply, Status};
 use haptic_bridge::drive::carrier::Carrier;
 use haptic_bridge::safety::fault::{Fault, FaultRecord};
 use haptic_bridge::safety::refusal::Refusal;
-use haptic_bridge::servo::compiled::{BoardMath, BoardProgram};
-use haptic_bridge::servo::program::Program;
-use haptic_bridge::servo::{Command, Reply, Status};
 use heapless::{String, Vec};
 use static_cell::StaticCell;
 
@@ -22,8 +22,8 @@ use crate::board::{Board, This};
 use crate::clock::TIMER_HZ;
 use crate::frames::FrameReader;
 use crate::gate::Gate;
+use crate::interrupt::{self, Request, Requests};
 use crate::self_test;
-use crate::servo::{self, Request, Requests};
 use crate::stack;
 use crate::storage::Storage;
 use crate::supervisor;
@@ -49,7 +49,7 @@ pub struct BoardMachine {
 impl BoardMachine {
     /// Creates the machine. Call once.
     pub fn new(
-        ends: servo::Ends,
+        ends: interrupt::Ends,
         gate: Option<<This as Board>::Gate>,
         storage: Storage,
         serial: &'static str,
@@ -95,7 +95,7 @@ impl BoardMachine {
         // An earlier arming may have left the drivers enabled, and they were not checked since the motors went off.
         lower_gate();
         let raised = gate.raise();
-        servo::shared().gate_ready.store(raised.is_ok(), Ordering::Relaxed);
+        interrupt::shared().gate_ready.store(raised.is_ok(), Ordering::Relaxed);
         match raised {
             Ok(()) => Ok(()),
             Err(error) => {
@@ -109,7 +109,7 @@ impl BoardMachine {
 
     /// Checks that enabled gate drivers still hold their configuration. Call a few times a second.
     pub fn watch_gate(&mut self) {
-        if !servo::shared().gate_ready.load(Ordering::Relaxed) {
+        if !interrupt::shared().gate_ready.load(Ordering::Relaxed) {
             return;
         }
         // An arming that ended before the control interrupt connected the bridges left the drivers enabled.
@@ -118,7 +118,7 @@ impl BoardMachine {
         }
         let Some(Err(error)) = self.gate.as_mut().map(Gate::check) else { return };
         // A fault during the check disables the gate drivers, which resets their registers. That is no driver fault.
-        if servo::shared().gate_ready.load(Ordering::Relaxed) {
+        if interrupt::shared().gate_ready.load(Ordering::Relaxed) {
             defmt::error!("a gate driver is no longer as it was set: {}", error);
             let record = FaultRecord { fault: Fault::DriverReset, axis: None, value: error.value(), step: 0 };
             let _ = self.requests.send(Request::Command(Command::Fault(record)));
@@ -232,8 +232,8 @@ impl Described for BoardMachine {
             carrier_hz: self.carrier.carrier_hz(),
             delay_samples: if late { 2.0 * delay } else { delay },
             unsensed: This::UNSENSED.iter().map(|fault| fault.code()).collect(),
-            overruns: servo::shared().overruns.load(Ordering::Relaxed),
-            longest_cycles: servo::shared().longest_cycles.load(Ordering::Relaxed),
+            overruns: interrupt::shared().overruns.load(Ordering::Relaxed),
+            longest_cycles: interrupt::shared().longest_cycles.load(Ordering::Relaxed),
             stack_free: stack::never_used(),
         }
     }
@@ -241,15 +241,15 @@ impl Described for BoardMachine {
 
 /// Runs `work`, which may stall the program by writing flash, with a patient watchdog and without counting overruns.
 fn while_flash_stalls<R>(work: impl FnOnce() -> R) -> R {
-    servo::shared().stall_expected.store(true, Ordering::Relaxed);
+    interrupt::shared().stall_expected.store(true, Ordering::Relaxed);
     let result = watchdog::patient(work);
-    servo::shared().stall_expected.store(false, Ordering::Relaxed);
+    interrupt::shared().stall_expected.store(false, Ordering::Relaxed);
     result
 }
 
 /// Disables the power stage. Call while the motors are off; only tasks switch them on.
 fn lower_gate() {
-    servo::shared().gate_ready.store(false, Ordering::Relaxed);
+    interrupt::shared().gate_ready.store(false, Ordering::Relaxed);
     This::off();
 }
 

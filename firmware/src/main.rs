@@ -1,6 +1,6 @@
 //! The firmware of a haptic-bridge board: boot and task wiring, top to bottom.
 //!
-//! One interrupt runs the control step ([`servo`]); everything else is Embassy tasks in thread mode. Only handlers that
+//! One interrupt runs the control step ([`interrupt`]); everything else is Embassy tasks in thread mode. Only handlers that
 //! end in a reset delay the control interrupt (see [`critical`]). The control interrupt delays everything else by its
 //! own duration.
 #![no_std]
@@ -16,13 +16,13 @@ mod encoder;
 mod frames;
 mod gate;
 mod index;
+mod interrupt;
 mod link;
 mod machine;
 mod pwm;
 mod reset;
 mod self_test;
 mod serial;
-mod servo;
 mod stack;
 mod storage;
 mod supervisor;
@@ -34,9 +34,9 @@ mod zeros;
 use defmt_rtt as _;
 use embassy_executor::Spawner;
 use embassy_stm32::pac;
+use haptic_bridge::control::Rules;
+use haptic_bridge::control::program::Hardware;
 use haptic_bridge::drive::carrier::{CARRIER_MIN_HZ, Carrier};
-use haptic_bridge::servo::Rules;
-use haptic_bridge::servo::program::Hardware;
 
 use crate::board::{Board, This};
 use crate::machine::BoardMachine;
@@ -75,11 +75,11 @@ async fn main(spawner: Spawner) {
     let rules = Rules { limits: This::LIMITS, ..Rules::default() };
     let carrier = Carrier::for_rate(clock::TIMER_HZ, CARRIER_MIN_HZ as f32);
     let (io, gate, common) = This::split(chip, carrier, self_test::board());
-    let servo = servo::start(io, hardware, rules, warmth::take());
+    let control_loop = interrupt::start(io, hardware, rules, warmth::take());
     let storage = storage::open(common.flash);
     let fault = self_test::failed().or_else(|| start.fault());
     let serial_number = link::serial_number();
-    let machine = BoardMachine::new(servo, gate, storage, serial_number, carrier);
+    let machine = BoardMachine::new(control_loop, gate, storage, serial_number, carrier);
     let (usb, serial) = link::device(common.usb, serial_number);
 
     // Started before any task, because `watchdog::patient` needs a running watchdog.

@@ -7,7 +7,7 @@ use embassy_time::{Duration, Instant, Ticker};
 use haptic_bridge::drive::carrier::CARRIER_MIN_HZ;
 use haptic_bridge::safety::pace::{Pace, Verdict};
 
-use crate::servo;
+use crate::interrupt;
 use crate::watchdog::{self, Watchdog};
 
 /// Time between checks. One passed check gives the watchdog 100 ms.
@@ -67,8 +67,8 @@ fn now_ms() -> u32 {
 #[embassy_executor::task]
 pub async fn supervise(mut watchdog: Watchdog) -> ! {
     let mut ticker = Ticker::every(PERIOD);
-    let mut steps = servo::shared().steps.load(Ordering::Relaxed);
-    let mut late_steps = servo::shared().late_steps.load(Ordering::Relaxed);
+    let mut steps = interrupt::shared().steps.load(Ordering::Relaxed);
+    let mut late_steps = interrupt::shared().late_steps.load(Ordering::Relaxed);
     let mut pace = Pace::new(RATE_HZ.load(Ordering::Relaxed));
     let mut checked = Instant::now();
     let mut stalls = watchdog::stalls();
@@ -78,14 +78,14 @@ pub async fn supervise(mut watchdog: Watchdog) -> ! {
     }
     loop {
         ticker.next().await;
-        let before = core::mem::replace(&mut steps, servo::shared().steps.load(Ordering::Relaxed));
-        let late_before = core::mem::replace(&mut late_steps, servo::shared().late_steps.load(Ordering::Relaxed));
+        let before = core::mem::replace(&mut steps, interrupt::shared().steps.load(Ordering::Relaxed));
+        let late_before = core::mem::replace(&mut late_steps, interrupt::shared().late_steps.load(Ordering::Relaxed));
         add_late(late_steps.wrapping_sub(late_before), steps.wrapping_sub(before));
         let elapsed = core::mem::replace(&mut checked, Instant::now()).elapsed().as_micros();
         // No steps run while flash is written. With the motors off, a scene that is too slow for the chip must not restart
         // the board, which would load the same scene again. A power stage that has just been enabled is checked next time.
         let stalled = core::mem::replace(&mut stalls, watchdog::stalls()) != stalls;
-        let up_before = core::mem::replace(&mut up, servo::shared().gate_ready.load(Ordering::Relaxed));
+        let up_before = core::mem::replace(&mut up, interrupt::shared().gate_ready.load(Ordering::Relaxed));
         let excused = stalled || !(up && up_before);
         let verdict = pace.look(steps.wrapping_sub(before), elapsed, RATE_HZ.load(Ordering::Relaxed), excused);
         let now = now_ms();

@@ -5,8 +5,8 @@ use core::sync::atomic::Ordering;
 use embassy_time::{Duration, Instant};
 use haptic_bridge::board::telemetry::{Batch, Frames as _, Packer, StreamRequest};
 
+use crate::interrupt;
 use crate::machine::BoardMachine;
-use crate::servo;
 
 /// Longest time that a row waits for its batch to fill.
 const PATIENCE: Duration = Duration::from_millis(5);
@@ -26,14 +26,14 @@ impl TelemetryStream {
             machine.frames.drop_first();
         }
         self.packer.start(request, axes);
-        servo::shared().frames_dropped.store(0, Ordering::Relaxed);
-        servo::shared().stream_divider.store(request.divider, Ordering::Relaxed);
+        interrupt::shared().frames_dropped.store(0, Ordering::Relaxed);
+        interrupt::shared().stream_divider.store(request.divider, Ordering::Relaxed);
         self.last = (request.divider > 0).then(Instant::now);
     }
 
     /// Stops the stream.
     pub fn stop(&mut self) {
-        servo::shared().stream_divider.store(0, Ordering::Relaxed);
+        interrupt::shared().stream_divider.store(0, Ordering::Relaxed);
         self.packer.stop();
         self.last = None;
     }
@@ -46,7 +46,7 @@ impl TelemetryStream {
     /// Packs the waiting frames. Returns a batch if one is full or has waited for [`PATIENCE`].
     pub fn batch(&mut self, machine: &mut BoardMachine) -> Option<&Batch> {
         let late = Instant::now().saturating_duration_since(self.last?) > PATIENCE;
-        let dropped = servo::shared().frames_dropped.load(Ordering::Relaxed);
+        let dropped = interrupt::shared().frames_dropped.load(Ordering::Relaxed);
         let batch = self.packer.drain(&mut machine.frames, dropped, late)?;
         self.last = Some(Instant::now());
         Some(batch)

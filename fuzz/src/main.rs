@@ -7,10 +7,10 @@ mod answers;
 #[path = "../../tests/rig/board.rs"]
 mod board;
 #[allow(dead_code, reason = "of the tool's own files only the parser is used here")]
-#[path = "../../host/tool/src/cli.rs"]
+#[path = "../../tool/src/cli.rs"]
 mod cli;
 #[allow(dead_code, reason = "of the tool's own files only the parser is used here")]
-#[path = "../../host/tool/src/commands/mod.rs"]
+#[path = "../../tool/src/commands/mod.rs"]
 mod commands;
 mod files;
 mod requests;

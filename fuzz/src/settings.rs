@@ -8,7 +8,7 @@ use haptic_bridge::model::device::Device;
 use haptic_bridge::model::precomputed::MassModelData;
 use haptic_bridge::render::scene::Scene;
 use haptic_bridge::safety::fault::State;
-use haptic_bridge::servo::Rules;
+use haptic_bridge::control::Rules;
 use std::collections::BTreeMap;
 
 /// Entries, each behind a byte for its key and two for its length. The highest bit of the key seals the entry with a

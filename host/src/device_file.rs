@@ -7,6 +7,7 @@
 use crate::toml_file::{Document, FileError, Must, Problem, Table};
 use crate::vectors::padded;
 use core::f64::consts::TAU;
+use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::drive::stage::MAX_DUTY;
 use haptic_bridge::math::{Libm, Real};
 use haptic_bridge::model::catalogue::{Kind, Spec};
@@ -18,7 +19,6 @@ use haptic_bridge::model::description::{
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
 use haptic_bridge::model::motor::Motor;
-use haptic_bridge::servo::compiled::BoardMath;
 use haptic_bridge::with_mechanism;
 use nalgebra::SVector;
 use std::path::{Path, PathBuf};

@@ -1,10 +1,10 @@
 //! The configuration of a board: a device, the scene rendered on it, its mass matrix and its limits.
 
+use crate::control::Rules;
 use crate::drive::carrier::RATE_HZ;
 use crate::model::device::Device;
 use crate::model::precomputed::MassModelData;
 use crate::render::scene::{MAX_RATE_HZ, MIN_RATE_HZ, Scene};
-use crate::servo::Rules;
 
 // A scene may ask for any rate that the carrier can give.
 const _: () = assert!(RATE_HZ.0 as f64 == MIN_RATE_HZ && RATE_HZ.1 as f64 == MAX_RATE_HZ);

@@ -8,7 +8,7 @@ use crate::board::machine::{Machine, Measured};
 use crate::board::protocol::*;
 use crate::board::service::Service;
 use crate::board::telemetry::{Batch, Field, StreamRequest};
-use crate::servo::Command;
+use crate::control::Command;
 use postcard_rpc::header::{VarHeader, VarKey, VarSeq};
 use postcard_rpc::standard_icd::{ERROR_KEY, WireError};
 use postcard_rpc::{Endpoint, Topic};

@@ -1,11 +1,11 @@
-//! The board around the service: the servo, its timer and its flash.
+//! The board around the service: the control loop, its timer and its flash.
 
 use crate::board::protocol::{ForceAnswer, ForceRequest};
 use crate::board::settings::{Entry, Key};
+use crate::control::program::Program;
+use crate::control::{Command, Reply, Status};
 use crate::math::Math;
 use crate::safety::refusal::Refusal;
-use crate::servo::program::Program;
-use crate::servo::{Command, Reply, Status};
 use core::ops::DerefMut;
 use heapless::Vec;
 
@@ -18,14 +18,14 @@ pub trait Machine {
 
     /// Carries a command out between two control steps and waits for the answer.
     fn execute(&mut self, command: Command<Self::Held>) -> Reply<Self::Held>;
-    /// The servo's state.
+    /// The control loop's state.
     fn status(&mut self) -> Status;
     /// Carries out what the host asks the motors for between two control steps, see
-    /// [`Servo::force`](crate::servo::Servo::force).
+    /// [`ControlLoop::force`](crate::control::ControlLoop::force).
     fn force(&mut self, request: &ForceRequest) -> ForceAnswer;
-    /// Puts a program where the servo can use it; refused while the spare place is taken.
+    /// Puts a program where the control loop can use it; refused while the spare place is taken.
     fn place(&mut self, program: Program<Self::Math>) -> Result<Self::Held, Refusal>;
-    /// Takes back a program that the servo no longer uses.
+    /// Takes back a program that the control loop no longer uses.
     fn release(&mut self, held: Self::Held);
     /// Sets carrier and divider for a control rate (Hz). Called with the motors off.
     fn retime(&mut self, rate_hz: f32);

@@ -9,6 +9,9 @@
 
 use crate::board::settings::{Damage, Entry, Key};
 use crate::board::telemetry::{Batch, StreamRequest};
+pub use crate::control::host_force::{BadForce, ForceAnswer, ForceDone, ForceRequest, HostContact};
+pub use crate::control::{Beat, Press};
+use crate::control::{Rules, Status};
 use crate::model::device::Device;
 use crate::model::precomputed::MassModelData;
 pub use crate::model::precomputed::TableChunk;
@@ -17,9 +20,6 @@ use crate::render::scene::Scene;
 use crate::render::velocity::Estimator;
 use crate::safety::fault::FaultRecord;
 use crate::safety::refusal::Refusal;
-pub use crate::servo::host_force::{BadForce, ForceAnswer, ForceDone, ForceRequest, HostContact};
-pub use crate::servo::{Beat, Press};
-use crate::servo::{Rules, Status};
 use heapless::{String, Vec};
 use postcard_rpc::{TopicDirection, endpoints, topics};
 use postcard_schema::Schema;

@@ -2,7 +2,7 @@
 //!
 //! Firmware and simulated board wrap the same [`Service`] in their own input and output, described by [`Machine`].
 //! Everything is checked here even though the tool has checked it: whatever comes over the link, nothing that the
-//! rules forbid reaches the servo, and the servo checks again what depends on the moment.
+//! rules forbid reaches the control loop, and the control loop checks again what depends on the moment.
 
 mod backup;
 
@@ -11,6 +11,8 @@ use crate::board::flash::complete;
 use crate::board::machine::{Machine, Measured, must_be_off};
 use crate::board::protocol::{Beat, Details, FaultList, GainsRequest, KeyList, Name, Press, Step};
 use crate::board::settings::{self, BoardName, Damage, Key, Setting};
+use crate::control::program::{Hardware, Program};
+use crate::control::{Command, HostAction, Rules};
 use crate::math::Math;
 use crate::model::device::Device;
 use crate::model::precomputed::{MassModelData, Receiving, TableChunk};
@@ -19,8 +21,6 @@ use crate::render::velocity::{Coefficients, Washout};
 use crate::safety::fault::FaultRecord;
 use crate::safety::limits::{BadLimit, GENTLE_FORCE, Limit, Limits};
 use crate::safety::refusal::Refusal;
-use crate::servo::program::{Hardware, Program};
-use crate::servo::{Command, HostAction, Rules};
 use heapless::Vec;
 
 /// The configuration of a board and everything that may be done to it.
@@ -177,7 +177,7 @@ impl Service {
         self.took_device(machine)
     }
 
-    /// Forgets a table that was on its way for the device before, and tells the servo when this device's polarity was
+    /// Forgets a table that was on its way for the device before, and tells the control loop when this device's polarity was
     /// found right already. A device that holds a NaN equals no device, so it counts as unchecked.
     fn took_device(&mut self, machine: &mut impl Machine) -> Result<(), Refusal> {
         self.receiving = Receiving::default();
@@ -270,7 +270,7 @@ impl Service {
         Ok(())
     }
 
-    /// A configuration's program where the servo can use it, and its control rate, Hz; `None` without a device. By
+    /// A configuration's program where the control loop can use it, and its control rate, Hz; `None` without a device. By
     /// itself, so that nothing else stands on the stack with a program.
     #[inline(never)]
     fn placed<Mc: Machine>(
@@ -405,7 +405,7 @@ impl Service {
         &self.faults
     }
 
-    /// Looks at the servo: call a few times a second. Returns a fault that is new.
+    /// Looks at the control_loop: call a few times a second. Returns a fault that is new.
     pub fn poll(&mut self, machine: &mut impl Machine) -> Option<FaultRecord> {
         let status = machine.status();
         // A device that is already recorded is not copied again.

@@ -5,11 +5,11 @@
 
 use crate::board::storage::DECISION;
 use crate::checksum::crc32;
+use crate::control::Rules;
 use crate::model::device::Device;
 use crate::model::precomputed::MassModelData;
 use crate::render::scene::Scene;
 use crate::safety::limits::GENTLE_FORCE;
-use crate::servo::Rules;
 use heapless::{String, Vec};
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize, de::DeserializeOwned};

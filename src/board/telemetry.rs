@@ -5,9 +5,9 @@
 //! the board's own count of what it had to drop. Every batch carries the number that the tool gave its stream: what a
 //! killed tool left on the link is told from what the next one asked for.
 
+use crate::control::frame::StepRecord;
 use crate::model::catalogue::MAX_JOINTS;
 use crate::render::scene::MAX_WALLS;
-use crate::servo::frame::StepRecord;
 use heapless::Vec;
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize, Serializer};
@@ -337,9 +337,9 @@ impl Packer {
 #[cfg(test)]
 mod tests {
     use super::{Fields, Kind, Number};
+    use crate::control::frame::{Motors, StepRecord};
+    use crate::control::joints::Torques;
     use crate::render::step_result::{AtWalls, DeviceState};
-    use crate::servo::frame::{Motors, StepRecord};
-    use crate::servo::joints::Torques;
     use heapless::Vec;
 
     fields! {

@@ -1,7 +1,7 @@
 //! The seam between joint torques and the legs of a board's bridges: what one motor of a kind makes of a torque.
 //!
 //! [`brushed::Axis`](super::brushed::Axis) is the one that ships. An amplifier that takes a current as its set-point, or a
-//! field-oriented motor with a sample for each phase and a duty for each leg, is another one: the servo holds its limits,
+//! field-oriented motor with a sample for each phase and a duty for each leg, is another one: the control loop holds its limits,
 //! its watch and its thermal budget to whatever stands here (tests/stages.rs has a toy of each).
 
 use super::bits::margin_bits_between;

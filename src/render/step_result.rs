@@ -1,4 +1,4 @@
-//! The result of one control step, vectors padded with zeros: written in place once a step, and then read by the servo
+//! The result of one control step, vectors padded with zeros: written in place once a step, and then read by the control loop
 //! and telemetry.
 
 use crate::math::Real;

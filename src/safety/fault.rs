@@ -1,4 +1,4 @@
-//! The states of the servo, and the faults that turn the motors off, each with a remedy.
+//! The states of the control loop, and the faults that turn the motors off, each with a remedy.
 //!
 //! Motors are off unless armed; every fault turns them off within the step that sees it and stays until cleared.
 

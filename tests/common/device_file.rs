@@ -1,4 +1,4 @@
-//! Device files (docs/files.md), as far as the shipped and the golden ones go, taken at their word. host/tool/tests/quick/golden_model.rs holds this against the tool's own reader.
+//! Device files (docs/files.md), as far as the shipped and the golden ones go, taken at their word. tool/tests/quick/golden_model.rs holds this against the tool's own reader.
 
 use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::description::{Description, Encoder, EncoderAt, Joint, Link, Transmission};

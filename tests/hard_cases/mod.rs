@@ -1,4 +1,4 @@
-//! Cases that are hard to compute: the board's f32 against f64. host/tool/tests/deep/hard_cases asserts the same of 106
+//! Cases that are hard to compute: the board's f32 against f64. tool/tests/deep/hard_cases asserts the same of 106
 //! bits, and of f64 too.
 
 mod bounds;

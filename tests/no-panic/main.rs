@@ -8,10 +8,10 @@
 
 use core::mem::MaybeUninit;
 
+use haptic_bridge::control::compiled::{self, BoardControlLoop as OnBoard, Legs};
+use haptic_bridge::control::frame::{Outputs, Samples, StepRecord};
+use haptic_bridge::control::joints::Counts;
 use haptic_bridge::drive::carrier::Ticks;
-use haptic_bridge::servo::compiled::{self, BoardServo as OnBoard, Legs};
-use haptic_bridge::servo::frame::{Outputs, Samples, StepRecord};
-use haptic_bridge::servo::joints::Counts;
 
 unsafe extern "C" {
     /// Exists nowhere: its name is the linker's message.
@@ -26,25 +26,25 @@ fn panic(_: &core::panic::PanicInfo) -> ! {
 /// One control period, as the simulated board calls it.
 // SAFETY: no other symbol of the image has this name.
 #[unsafe(no_mangle)]
-pub extern "C" fn control_step(servo: &mut OnBoard, samples: &Samples, outputs: &mut Outputs) {
-    *outputs = servo.control(samples);
+pub extern "C" fn control_step(control_loop: &mut OnBoard, samples: &Samples, outputs: &mut Outputs) {
+    *outputs = control_loop.control(samples);
 }
 
 /// The interrupt's call while only the encoder counts are known.
 // SAFETY: no other symbol of the image has this name.
 #[unsafe(no_mangle)]
-pub extern "C" fn carrier_render(servo: &mut OnBoard, counts: &Counts) {
-    compiled::render(servo, counts);
+pub extern "C" fn carrier_render(control_loop: &mut OnBoard, counts: &Counts) {
+    compiled::render(control_loop, counts);
 }
 
 /// The rest of a crest with a step, as the interrupt calls it.
 // SAFETY: no other symbol of the image has this name.
 #[unsafe(no_mangle)]
-pub extern "C" fn carrier_crest(servo: &mut OnBoard, seen: &Samples, ticks: &Ticks, legs: &mut Legs) -> bool {
-    let on = compiled::crest(servo, seen, ticks, legs);
+pub extern "C" fn carrier_crest(control_loop: &mut OnBoard, seen: &Samples, ticks: &Ticks, legs: &mut Legs) -> bool {
+    let on = compiled::crest(control_loop, seen, ticks, legs);
     #[cfg(feature = "broken")]
     {
-        legs[0] = legs[servo.status().step as usize];
+        legs[0] = legs[control_loop.status().step as usize];
     }
     on
 }
@@ -53,25 +53,29 @@ pub extern "C" fn carrier_crest(servo: &mut OnBoard, seen: &Samples, ticks: &Tic
 // SAFETY: no other symbol of the image has this name.
 #[unsafe(no_mangle)]
 pub extern "C" fn carrier_generally(
-    servo: &mut OnBoard,
+    control_loop: &mut OnBoard,
     seen: &Samples,
     due: bool,
     ticks: &Ticks,
     legs: &mut Legs,
 ) -> bool {
-    compiled::crest_generally(servo, seen, due, ticks, legs)
+    compiled::crest_generally(control_loop, seen, due, ticks, legs)
 }
 
 /// The interrupt's call at a valley that notes the step before.
 // SAFETY: no other symbol of the image has this name.
 #[unsafe(no_mangle)]
-pub extern "C" fn carrier_notes(servo: &mut OnBoard, seen: &Samples, frame: Option<&mut MaybeUninit<StepRecord>>) {
-    compiled::note(servo, seen, frame);
+pub extern "C" fn carrier_notes(
+    control_loop: &mut OnBoard,
+    seen: &Samples,
+    frame: Option<&mut MaybeUninit<StepRecord>>,
+) {
+    compiled::note(control_loop, seen, frame);
 }
 
 /// The interrupt's call at a valley that checks slow faults.
 // SAFETY: no other symbol of the image has this name.
 #[unsafe(no_mangle)]
-pub extern "C" fn carrier_sums(servo: &mut OnBoard, seen: &Samples, outputs: &mut Outputs) {
-    *outputs = compiled::check_slow_faults(servo, seen);
+pub extern "C" fn carrier_sums(control_loop: &mut OnBoard, seen: &Samples, outputs: &mut Outputs) {
+    *outputs = compiled::check_slow_faults(control_loop, seen);
 }

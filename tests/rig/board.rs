@@ -1,4 +1,4 @@
-//! A board that is the servo, the service and the dispatcher, and nothing else: frames in, frames out, one call a
+//! A board that is the control loop, the service and the dispatcher, and nothing else: frames in, frames out, one call a
 //! control period. What the safety tests and the fuzzer drive; after every call it holds itself to what no request may
 //! change.
 #![allow(dead_code, reason = "the library's tests, the tool's and the fuzzer each use their part")]
@@ -9,6 +9,10 @@ use haptic_bridge::board::protocol::{ForceAnswer, ForceRequest, Info, MAX_FRAME,
 use haptic_bridge::board::service::Service;
 use haptic_bridge::board::settings::{Entry, Key};
 use haptic_bridge::board::telemetry::Packer;
+use haptic_bridge::control::compiled::BoardMath;
+use haptic_bridge::control::frame::Samples;
+use haptic_bridge::control::program::{Hardware, Program};
+use haptic_bridge::control::{Command, ControlLoop, HostAction, Reply, Rules, Status};
 use haptic_bridge::drive::stage::{Bridge, MAX_DUTY};
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::model::device::Device;
@@ -16,10 +20,6 @@ use haptic_bridge::render::scene::{FeedForward, Scene};
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::safety::limits::Limits;
 use haptic_bridge::safety::refusal::Refusal;
-use haptic_bridge::servo::compiled::BoardMath;
-use haptic_bridge::servo::frame::Samples;
-use haptic_bridge::servo::program::{Hardware, Program};
-use haptic_bridge::servo::{Command, HostAction, Reply, Rules, Servo, Status};
 use postcard_rpc::Endpoint;
 use postcard_rpc::header::{VarHeader, VarKey, VarSeq};
 use postcard_rpc::standard_icd::{ERROR_KEY, WireError};
@@ -36,10 +36,10 @@ pub struct Flash {
     staged: BTreeMap<u8, Entry>,
 }
 
-/// The service's machine: the servo itself, and settings in memory. It panics if the service does something that it
+/// The service's machine: the control loop itself, and settings in memory. It panics if the service does something that it
 /// must not do while the motors are on.
 pub struct Bench {
-    pub servo: Servo<Box<Program<BoardMath>>>,
+    pub control_loop: ControlLoop<Box<Program<BoardMath>>>,
     pub flash: Flash,
     /// Number of times that the carrier was set: once for every program that came in force.
     pub retimed: u32,
@@ -47,7 +47,7 @@ pub struct Bench {
 
 impl Bench {
     fn writes(&self) -> Result<(), Refusal> {
-        assert!(!self.servo.status().state.drives(), "flash is written while the motors are on");
+        assert!(!self.control_loop.status().state.drives(), "flash is written while the motors are on");
         if self.flash.broken { Err(Refusal::Flash) } else { Ok(()) }
     }
 }
@@ -57,20 +57,20 @@ impl Machine for Bench {
     type Held = Box<Program<BoardMath>>;
 
     fn execute(&mut self, command: Command<Self::Held>) -> Reply<Self::Held> {
-        self.servo.execute(command)
+        self.control_loop.execute(command)
     }
     fn status(&mut self) -> Status {
-        self.servo.status()
+        self.control_loop.status()
     }
     fn force(&mut self, request: &ForceRequest) -> ForceAnswer {
-        self.servo.force(request)
+        self.control_loop.force(request)
     }
     fn place(&mut self, program: Program<BoardMath>) -> Result<Self::Held, Refusal> {
         Ok(Box::new(program))
     }
     fn release(&mut self, _held: Self::Held) {}
     fn retime(&mut self, _rate_hz: f32) {
-        assert!(!self.servo.status().state.drives(), "the timer is set while the motors are on");
+        assert!(!self.control_loop.status().state.drives(), "the timer is set while the motors are on");
         self.retimed += 1;
     }
     fn stage(&mut self, key: Key, entry: &[u8]) -> Result<(), Refusal> {
@@ -162,7 +162,7 @@ impl Board {
         let most = Limits::default();
         let mut board = Self {
             machine: Bench {
-                servo: Servo::new(hardware, Rules::default()),
+                control_loop: ControlLoop::new(hardware, Rules::default()),
                 flash: Flash { kept: flash, ..Flash::default() },
                 retimed: 0,
             },
@@ -192,22 +192,22 @@ impl Board {
     }
 
     pub fn state(&self) -> State {
-        self.machine.servo.status().state
+        self.machine.control_loop.status().state
     }
 
     /// One control period.
     pub fn tick(&mut self) {
         let samples = self.seen();
         if let Some((fault, axis, value)) = self.told.take() {
-            self.machine.servo.trip(fault, axis, value);
+            self.machine.control_loop.trip(fault, axis, value);
         }
         if let Some(marks) = self.marks.take() {
-            self.machine.servo.mark(marks);
+            self.machine.control_loop.mark(marks);
         }
-        let (outputs, duties) = self.machine.servo.crest(&samples, &samples.currents, true);
+        let (outputs, duties) = self.machine.control_loop.crest(&samples, &samples.currents, true);
         (self.bridges, self.duties) = (outputs.bridges, duties.map(f32::from));
         assert!(!self.bridges || self.state().drives(), "bridges drive while {:?}", self.state());
-        let frame = self.machine.servo.frame();
+        let frame = self.machine.control_loop.frame();
         if self.packer.wants(frame.step) {
             let _ = self.packer.push(&frame, 0);
         }
@@ -242,7 +242,7 @@ impl Board {
     /// The samples, with currents that flow as they were asked for on top of what a sensor is off by.
     fn seen(&self) -> Samples {
         let mut samples = self.samples;
-        let torque = self.machine.servo.frame().motors.torque;
+        let torque = self.machine.control_loop.frame().motors.torque;
         for (axis, joint) in self.service.device().iter().flat_map(|device| &device.joints).enumerate() {
             if let Some(motor) = joint.motor.filter(|motor| motor.torque_constant != 0.0) {
                 samples.currents[axis] += torque[axis] / motor.torque_constant;
@@ -253,7 +253,7 @@ impl Board {
 
     /// The valley after a crest: a fault found there lets the bridges float, whatever their duties are.
     fn check_slow_faults(&mut self, samples: &Samples) {
-        self.bridges &= self.machine.servo.check_slow_faults(samples).bridges;
+        self.bridges &= self.machine.control_loop.check_slow_faults(samples).bridges;
         assert!(!self.bridges || self.state().drives(), "bridges drive while {:?}", self.state());
     }
 
@@ -265,12 +265,12 @@ impl Board {
         let duties = self.duties;
         assert!(duties.iter().all(|duty| duty.abs() <= MAX_DUTY), "{duties:?} with {:?}", self.samples);
         if !state.drives() {
-            let torque = self.machine.servo.frame().motors.torque;
+            let torque = self.machine.control_loop.frame().motors.torque;
             assert_eq!(duties, [0.0; MAX_JOINTS], "duty while {state:?}");
             assert_eq!(*torque, [0.0; MAX_JOINTS], "torque while {state:?}");
         }
         if state == State::Fault {
-            assert!(self.machine.servo.status().fault.is_some(), "a fault has a cause");
+            assert!(self.machine.control_loop.status().fault.is_some(), "a fault has a cause");
         }
     }
 
@@ -285,7 +285,7 @@ impl Board {
             assert!(!looser(now, &before.1), "rules loosened while the motors are on: {:?} to {now:?}", before.1);
         }
         let seen = self.seen();
-        self.duties = self.machine.servo.duties(seen.bus_voltage, &seen.currents, false).map(f32::from);
+        self.duties = self.machine.control_loop.duties(seen.bus_voltage, &seen.currents, false).map(f32::from);
         self.keeps_its_promises();
         self.check_slow_faults(&seen);
         match after {

@@ -1,7 +1,13 @@
-//! A servo with a device and a scene in hand, for the tests of the safety logic: no hardware, one call a control
+//! A control loop with a device and a scene in hand, for the tests of the safety logic: no hardware, one call a control
 //! period.
 #![allow(dead_code, reason = "every test file uses its own part")]
 
+use haptic_bridge::control::compiled::BoardMath;
+use haptic_bridge::control::frame::{Outputs, Samples};
+use haptic_bridge::control::joints::{Counts, Currents, Torques};
+use haptic_bridge::control::program::Hardware;
+use haptic_bridge::control::program::Program;
+use haptic_bridge::control::{Beat, Command, ControlLoop, HostAction, Rules};
 use haptic_bridge::drive::stage::Bridge;
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::catalogue::Kind;
@@ -14,12 +20,6 @@ use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::safety::limits::Limits;
 use haptic_bridge::safety::refusal::Refusal;
-use haptic_bridge::servo::compiled::BoardMath;
-use haptic_bridge::servo::frame::{Outputs, Samples};
-use haptic_bridge::servo::joints::{Counts, Currents, Torques};
-use haptic_bridge::servo::program::Hardware;
-use haptic_bridge::servo::program::Program;
-use haptic_bridge::servo::{Beat, Command, HostAction, Rules, Servo};
 
 pub mod board;
 pub mod statics;
@@ -151,7 +151,7 @@ impl Body {
         let (mut pushed, mut waits) = (false, 0);
         while waits < 50 {
             self.step(rig, 1.0);
-            let idle = rig.servo.frame().motors.torque == Torques::default();
+            let idle = rig.control_loop.frame().motors.torque == Torques::default();
             pushed |= !idle;
             waits = if pushed && idle { waits + 1 } else { 0 };
             assert_eq!(rig.state(), State::CheckingPolarity, "{:?}", rig.fault());
@@ -197,9 +197,9 @@ pub fn device(description: &Description) -> Device<f32> {
     Device::new("test", description).expect("a sound device")
 }
 
-/// The servo, what it is shown at the next step, and what it decided at the last.
+/// The control loop, what it is shown at the next step, and what it decided at the last.
 pub struct Rig {
-    pub servo: Servo<Held>,
+    pub control_loop: ControlLoop<Held>,
     pub samples: Samples,
     /// Index pulses that are seen until the next step.
     pub marks: Option<[Option<i32>; MAX_JOINTS]>,
@@ -227,9 +227,9 @@ impl Rig {
     /// A board without a device.
     pub fn bare(hardware: Hardware, rules: Rules) -> Self {
         let samples = Samples { bus_voltage: 24.0, ..Samples::default() };
-        let servo = Servo::new(hardware, rules);
+        let control_loop = ControlLoop::new(hardware, rules);
         Self {
-            servo,
+            control_loop,
             samples,
             marks: None,
             told: None,
@@ -283,7 +283,7 @@ impl Rig {
             self.execute(Command::Beat(Beat::Here)).expect("never refused");
             self.step();
         }
-        assert_eq!(self.state(), State::Armed, "{:?}", self.servo.status().fault);
+        assert_eq!(self.state(), State::Armed, "{:?}", self.control_loop.status().fault);
     }
 
     pub fn load(&mut self, description: &Description, scene: &Scene<f32>, same_device: bool) -> Result<(), Refusal> {
@@ -294,13 +294,13 @@ impl Rig {
     }
 
     pub fn execute(&mut self, command: Command<Held>) -> Result<(), Refusal> {
-        self.servo.execute(command).0
+        self.control_loop.execute(command).0
     }
 
     /// One control period, in which the motors' windings answer to ten duties.
     pub fn step(&mut self) {
-        let first = self.servo.frame().step == 0;
-        let before = if first { self.samples.counts } else { self.servo.frame().counts };
+        let first = self.control_loop.frame().step == 0;
+        let before = if first { self.samples.counts } else { self.control_loop.frame().counts };
         self.peak = 0.0;
         let carrier = self.rate.max(20_000.0);
         let carriers = (carrier / self.rate) as u32;
@@ -319,14 +319,14 @@ impl Rig {
             if due {
                 self.samples.currents = measured;
                 if let Some((fault, axis, value)) = self.told.take() {
-                    self.servo.trip(fault, axis, value);
+                    self.control_loop.trip(fault, axis, value);
                 }
                 if let Some(marks) = self.marks.take() {
-                    self.servo.mark(marks);
+                    self.control_loop.mark(marks);
                 }
             }
-            self.duties = self.servo.crest(&seen, &measured, due).1.map(f32::from);
-            self.outputs = self.servo.check_slow_faults(&seen);
+            self.duties = self.control_loop.crest(&seen, &measured, due).1.map(f32::from);
+            self.outputs = self.control_loop.check_slow_faults(&seen);
             for (i, current) in self.currents.iter_mut().enumerate() {
                 let turned = self.samples.counts[i].wrapping_sub(before[i]) as f32 * core::f32::consts::TAU;
                 let voltage = self.duties[i] * 24.0 - 0.1 * turned / COUNTS as f32 * self.rate;
@@ -376,17 +376,17 @@ impl Rig {
     }
 
     pub fn state(&self) -> State {
-        self.servo.status().state
+        self.control_loop.status().state
     }
 
     pub fn fault(&self) -> Option<Fault> {
-        self.servo.status().fault.map(|record| record.fault)
+        self.control_loop.status().fault.map(|record| record.fault)
     }
 
     /// Returns true if nothing acts: bridges off, no duty, no torque asked for.
     pub fn motors_off(&self) -> bool {
         !self.outputs.bridges
             && self.duties == [0.0; MAX_JOINTS]
-            && self.servo.frame().motors.torque == Torques::default()
+            && self.control_loop.frame().motors.torque == Torques::default()
     }
 }

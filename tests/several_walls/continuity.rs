@@ -2,13 +2,13 @@
 //! bounds that do not depend on how finely one looks.
 
 use super::{Precision, Shipped, at, device, scaled, torque, torque_of_some};
+use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::description::Encoder;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::{AnyMechanism, FiveBar, Mechanism};
 use haptic_bridge::render::controller::{Controller, TOUCH_DEPTH};
 use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};
-use haptic_bridge::servo::compiled::BoardMath;
 use haptic_bridge::with_mechanism;
 use nalgebra::SVector;
 

@@ -1,19 +1,19 @@
 //! Walls that meet at an angle: what docs/model.md section 2 promises of them, held by loops and bounds that do not use
 //! the code under test. The feed-forward's torques alone come from it. Simulated devices that press such walls are in
-//! host/tool/tests/deep/ranges/sets_of_walls.rs.
+//! tool/tests/deep/ranges/sets_of_walls.rs.
 
 mod continuity;
 mod linear;
 mod springs;
 
 use crate::common::device_file;
+use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::math::{FineTable, Math, Real};
 use haptic_bridge::model::catalogue::Spec;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::inertia::Inertia;
 use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
 use haptic_bridge::model::principal::Pull;
-use haptic_bridge::servo::compiled::BoardMath;
 use haptic_bridge::with_mechanism;
 use nalgebra::SVector;
 

@@ -1,5 +1,5 @@
 //! Instructions of every variant of the control step: counted on the emulated chip, kept in
-//! host/predict/src/bench/counts.json, held there.
+//! crates/predict/src/bench/counts.json, held there.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -11,16 +11,16 @@ use serde_json::{Value, json};
 
 use crate::paths::{root, target_directory};
 use crate::report;
-use crate::toolchain::{TARGET, Use, cargo, run, virtual_board};
+use crate::toolchain::{TARGET, Use, cargo, haptic_emulator, run};
 use crate::tools;
 
-const BINARY: &str = "haptic-bridge-counting";
+const BINARY: &str = "haptic-counting";
 /// By how much a variant may grow over the committed figure.
 const GROWTH: f64 = 1.01;
 
 /// Inside the package that brings the figures along.
 fn kept() -> PathBuf {
-    root().join("host/predict/src/bench/counts.json")
+    root().join("crates/predict/src/bench/counts.json")
 }
 
 /// Builds the counting image; its path.
@@ -35,7 +35,7 @@ fn image() -> Result<PathBuf> {
 fn count() -> Result<Vec<(String, u64)>> {
     let image = image()?;
     let output =
-        virtual_board("count").arg(image).stderr(Stdio::inherit()).output().context("cannot run the counter")?;
+        haptic_emulator("count").arg(image).stderr(Stdio::inherit()).output().context("cannot run the counter")?;
     ensure!(output.status.success(), "the counter failed ({})", output.status);
     let counted: Value = serde_json::from_slice(&output.stdout).context("the counter's output is not JSON")?;
     let variants = counted["variants"].as_array().context("the counter lists no variants")?;

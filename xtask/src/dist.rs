@@ -65,7 +65,7 @@ fn portable(command: &mut Command) -> &mut Command {
 /// The version of tool, wheel and firmware, which are released together.
 fn version() -> Result<String> {
     let version = images::declared_version("Cargo.toml", &["workspace", "package"])?;
-    for (path, table) in [("firmware/Cargo.toml", "package"), ("python/pyproject.toml", "project")] {
+    for (path, table) in [("firmware/Cargo.toml", "package"), ("clients/python/pyproject.toml", "project")] {
         let other = images::declared_version(path, &[table])?;
         ensure!(other == version, "{path} has version {other}, the workspace {version}: they are released together");
     }

@@ -1,5 +1,5 @@
 //! The time of the equations of motion and of the whole of equation (4) on this computer, beside that of Pinocchio,
-//! which computes the same at the same states (host/tool/benches/pinocchio.cpp).
+//! which computes the same at the same states (tool/benches/pinocchio.cpp).
 
 use std::collections::BTreeMap;
 use std::env;
@@ -72,7 +72,7 @@ fn peer(pinocchio: &Path) -> Result<PathBuf> {
         .arg(&include)
         .arg("-I")
         .arg(include.join("eigen3"))
-        .arg(root().join("host/tool/benches/pinocchio.cpp"))
+        .arg(root().join("tool/benches/pinocchio.cpp"))
         .arg("-o")
         .arg(&executable)
         .arg("-L")

@@ -17,7 +17,7 @@ pub const BOARDS: [&str; 3] = ["odrive-v3", "h-bridge-f405", "h-bridge-f407-disc
 /// The board that a test on the emulated chip adds to them: one file, compiled into an image that is not released.
 pub const TOY: &str = "toy-board";
 
-const BINARY: &str = "haptic-bridge-firmware";
+const BINARY: &str = "haptic-firmware";
 const CHIP: &str = "STM32F405RGTx";
 
 fn cargo(toolchain: Toolchain, purpose: Use, board: &str) -> Command {
@@ -77,7 +77,7 @@ pub fn size() -> Result<()> {
 pub fn clippy() -> Result<()> {
     let toolchain = tools::provide(&[Use::Clippy])?;
     for board in BOARDS.into_iter().chain([TOY]) {
-        let with_it = ["--package", "haptic-bridge", "--package", "haptic-bridge-counting"];
+        let with_it = ["--package", "haptic-bridge", "--package", "haptic-counting"];
         run(cargo(toolchain, Use::Clippy, board).args(with_it).args(["--", "-D", "warnings"]))?;
     }
     Ok(())

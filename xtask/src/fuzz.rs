@@ -22,7 +22,7 @@ const TARGETS: [&str; 8] =
 
 /// The document's text about the targets; fuzz/src describes each.
 const HELD_TO: &str = "\
-Targets panic nowhere. After every request and every control period of the firmware's service, dispatcher and servo
+Targets panic nowhere. After every request and every control period of the firmware's service, dispatcher and control_loop
 (tests/rig/board.rs) no duty and no torque is there unless armed, motors come on only by the two requests that ask for
 it, limits hold and are not raised while the motors are on, no flash is written meanwhile, and disarming works. Files are
 refused with a line or accepted by the board as well. fuzz/src has each target.

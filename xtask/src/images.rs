@@ -14,8 +14,8 @@ use crate::image::Image;
 use crate::paths::{root, target_directory};
 use crate::toolchain::run;
 
-/// The folder where host/flash/build.rs looks for them, from the root.
-const PLACE: &str = "host/flash/images";
+/// The folder where crates/flash/build.rs looks for them, from the root.
+const PLACE: &str = "crates/flash/images";
 
 /// Builds every image and puts it in its place.
 pub fn take_in() -> Result<()> {

@@ -33,7 +33,7 @@ const WITHOUT: [(&str, &[&[&str]]); 9] = [
     ("haptic-stability", &[TOOL, SHOWING, PREDICTING, SIMULATING, FLASHING]),
     ("haptic-predict", &[TOOL, SHOWING, FLASHING]),
     ("haptic-show", &[FLASHING]),
-    ("haptic-capi", &[TOOL, SHOWING, PREDICTING, THEORY, FLASHING]),
+    ("haptic-c", &[TOOL, SHOWING, PREDICTING, THEORY, FLASHING]),
     ("haptic-chai3d", &[TOOL, SHOWING, PREDICTING, FLASHING]),
     ("haptic-python", &[TOOL, FLASHING]),
 ];

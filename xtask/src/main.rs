@@ -66,7 +66,7 @@ enum Command {
         #[arg(value_parser = PossibleValuesParser::new(BOARDS))]
         board: String,
     },
-    /// Build every image and put it where the tool takes it in: host/flash/images, with version and SHA-256 beside it
+    /// Build every image and put it where the tool takes it in: crates/flash/images, with version and SHA-256 beside it
     Images {
         /// Instead build this commit from two clean checkouts at two paths, and compare to the byte (half an hour)
         #[arg(long)]

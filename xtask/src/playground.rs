@@ -1,4 +1,4 @@
-//! The page of `haptic view` as a file: playground/ compiled to WebAssembly, inside the page that the tool serves.
+//! The page of `haptic view` as a file: clients/page/ compiled to WebAssembly, inside the page that the tool serves.
 
 use std::fs;
 use std::path::PathBuf;
@@ -14,20 +14,20 @@ const POLICY: &str = "default-src 'none'; script-src 'unsafe-inline' 'wasm-unsaf
                       style-src 'unsafe-inline'; img-src data:; base-uri 'none'; form-action 'none'";
 
 /// The page's folder.
-const PAGE: &str = "host/show/src/view/page";
+const PAGE: &str = "crates/show/src/view/page";
 
 /// Builds the file, and says where it is.
 pub fn build() -> Result<PathBuf> {
     let toolchain = tools::provide(&[Use::Playground])?;
     let mut command = toolchain.cargo_for_browsers("rustc");
     command.current_dir(root()).arg("--target-dir").arg(target_directory());
-    run(command.args(["--locked", "--package", "haptic-playground", "--profile", "playground"]))?;
-    let library = target_directory().join(BROWSERS).join("playground/haptic_playground.wasm");
+    run(command.args(["--locked", "--package", "haptic-page", "--profile", "playground"]))?;
+    let library = target_directory().join(BROWSERS).join("playground/haptic_page.wasm");
     let library = fs::read(&library).with_context(|| format!("cannot read {}", library.display()))?;
-    let page = assemble(&page()?, &read("playground/src/page.js")?, &read("playground/src/worker.js")?, &library)?;
+    let page = assemble(&page()?, &read("clients/page/src/page.js")?, &read("clients/page/src/worker.js")?, &library)?;
     let directory = target_directory().join("playground");
     fs::create_dir_all(&directory).with_context(|| format!("cannot make {}", directory.display()))?;
-    let path = directory.join("haptic-playground.html");
+    let path = directory.join("haptic-page.html");
     fs::write(&path, &page).with_context(|| format!("cannot write {}", path.display()))?;
     println!("{}: {:.1} MB; open it in a browser", path.display(), 1e-6 * page.len() as f64);
     Ok(path)
@@ -92,7 +92,8 @@ mod tests {
 
     #[test]
     fn the_page_has_a_place_for_what_is_put_in_and_ends_no_script_early() {
-        let [script, worker] = ["playground/src/page.js", "playground/src/worker.js"].map(|path| read(path).unwrap());
+        let [script, worker] =
+            ["clients/page/src/page.js", "clients/page/src/worker.js"].map(|path| read(path).unwrap());
         let page = page().unwrap();
         assert!(!script.contains("</script") && !worker.contains("</script"));
         let whole = assemble(&page, &script, &worker, b"foobar").unwrap();

@@ -11,7 +11,7 @@ use crate::paths::{root, target_directory};
 use crate::toolchain::{Use, cargo, run};
 use crate::tools;
 
-/// The parts of python/pyproject.toml that are used here.
+/// The parts of clients/python/pyproject.toml that are used here.
 #[derive(Deserialize)]
 struct Manifest {
     #[serde(rename = "build-system")]
@@ -39,7 +39,7 @@ struct Optional {
     peers: Vec<String>,
 }
 
-/// Runs the tests of python/; further arguments go to pytest.
+/// Runs the tests of clients/python/; further arguments go to pytest.
 pub fn test(arguments: &[String]) -> Result<()> {
     tools::provide(&[Use::Python])?;
     let package = root().join("python");
@@ -66,8 +66,8 @@ pub fn test(arguments: &[String]) -> Result<()> {
 }
 
 fn manifest() -> Result<Manifest> {
-    let text = fs::read_to_string(root().join("python/pyproject.toml"))?;
-    toml::from_str(&text).context("python/pyproject.toml")
+    let text = fs::read_to_string(root().join("clients/python/pyproject.toml"))?;
+    toml::from_str(&text).context("clients/python/pyproject.toml")
 }
 
 /// Returns an interpreter with what builds the package, and what opens and closes wheels.

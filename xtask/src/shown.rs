@@ -8,7 +8,7 @@ mod blocks {
     pub use crate::paths::root;
 }
 #[allow(dead_code, reason = "the tests of the documents use the rest")]
-#[path = "../../host/tool/tests/common/documents/tables.rs"]
+#[path = "../../tool/tests/common/documents/tables.rs"]
 mod tables;
 
 /// Updates the tables of docs/results/*.md.

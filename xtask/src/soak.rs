@@ -1,4 +1,4 @@
-//! The soaks, with their figures as dated reports: host/tool/tests/deep/soak.rs on the simulated board, or the release
+//! The soaks, with their figures as dated reports: tool/tests/deep/soak.rs on the simulated board, or the release
 //! image on the emulated chip (emulator/src/soak.rs), for as long as is wanted.
 
 use std::fs;

@@ -7,7 +7,7 @@ use std::time::Instant;
 
 use anyhow::{Result, anyhow, ensure};
 
-use crate::toolchain::{Use, cargo, run, virtual_board};
+use crate::toolchain::{Use, cargo, haptic_emulator, run};
 use crate::{bench, dist, firmware, fuzz, library, no_panic, paths, playground, python, report, tools};
 
 /// The tests of the tool, of flashing, of C and of CHAI3D, as cargo is asked for them.
@@ -28,7 +28,7 @@ pub struct Part {
     run: fn(&[String]) -> Result<()>,
 }
 
-/// A part that is a module of host/tool/tests/deep.
+/// A part that is a module of tool/tests/deep.
 macro_rules! module {
     ($name:literal, $what:literal) => {
         Part { name: $name, what: $what, run: |arguments| tool(concat!($name, "::"), arguments) }
@@ -120,7 +120,7 @@ fn stage(name: &str, work: impl FnOnce() -> Result<()>) -> Result<()> {
     outcome
 }
 
-/// A module of host/tool/tests/deep.
+/// A module of tool/tests/deep.
 fn tool(module: &str, arguments: &[String]) -> Result<()> {
     run(tests(&["--test", "deep", "--", module]).args(arguments).env("HAPTIC_FRESH_SEEDS", "1"))
 }
@@ -148,10 +148,11 @@ fn properties(arguments: &[String]) -> Result<()> {
 fn browser(arguments: &[String]) -> Result<()> {
     tools::provide(&[Use::Page, Use::Build])?;
     let page = playground::build()?;
-    run(cargo().current_dir(paths::root()).args(["test", "--locked", "--package", "haptic-playground"]))?;
+    run(cargo().current_dir(paths::root()).args(["test", "--locked", "--package", "haptic-page"]))?;
     // The page also opens the real image, on the emulated chip.
     firmware::build("odrive-v3")?;
-    let board = ["build", "--locked", "--ignore-rust-version", "--package", "virtual-board-programs", "--bin", "board"];
+    let board =
+        ["build", "--locked", "--ignore-rust-version", "--package", "haptic-emulator-programs", "--bin", "board"];
     run(cargo().current_dir(paths::root()).args(board))?;
     let test = ["test", "--locked", "--package", "haptic", "--test", "browser", "--"];
     let mut tests = cargo();
@@ -181,7 +182,7 @@ fn gate_tests() -> Command {
 /// Tests of the tool and of the virtual board. The packages are always the same, and so are then their dependencies'
 /// features: each is compiled once.
 fn tests(targets: &[&str]) -> Command {
-    let others = ["haptic", "haptic-capi", "haptic-chai3d", "virtual-board", "xtask"];
+    let others = ["haptic", "haptic-c", "haptic-chai3d", "haptic-emulator", "xtask"];
     let packages = library::CRATES.iter().chain(&others).flat_map(|name| ["--package", *name]);
     let mut test = cargo();
     test.current_dir(paths::root()).args(["test", "--locked", "--ignore-rust-version"]).args(packages).args(targets);
@@ -202,7 +203,7 @@ pub fn measure(name: &str, arguments: &[String]) -> Result<()> {
 /// A program of the virtual board's that runs the images of the boards, which this builds.
 fn program(name: &str) -> Result<Command> {
     firmware::build_all()?;
-    let mut command = virtual_board(name);
+    let mut command = haptic_emulator(name);
     command.env(IMAGES, firmware::directory());
     Ok(command)
 }

@@ -130,10 +130,10 @@ pub fn cargo() -> Command {
 }
 
 /// A program of the virtual board's. The emulator declares a newer compiler than it needs.
-pub fn virtual_board(name: &str) -> Command {
+pub fn haptic_emulator(name: &str) -> Command {
     let mut command = cargo();
     command.current_dir(root()).args(["run", "--quiet", "--locked", "--ignore-rust-version"]);
-    command.args(["--package", "virtual-board-programs", "--bin", name, "--"]);
+    command.args(["--package", "haptic-emulator-programs", "--bin", name, "--"]);
     command
 }
 

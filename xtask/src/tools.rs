@@ -71,7 +71,7 @@ impl Tool {
             Self::Linker => linker_runs(DEBIAN_LINKER),
             Self::Clippy => version(DEBIAN_CLIPPY),
             Self::Cpp => version(&env::var("CXX").unwrap_or_else(|_| "c++".into())),
-            // The names that host/tool/tests/browser tries.
+            // The names that tool/tests/browser tries.
             Self::Browser => ["chromium", "chromium-browser", "google-chrome"].into_iter().any(version),
             Self::Python => {
                 succeeds("python3", &["-c", "import ensurepip, sys, venv; sys.exit(sys.version_info < (3, 11))"])

@@ -47,7 +47,7 @@ const UNDER_MIRI: [(&str, &[&str]); 4] = [
             "what_only_asks",
         ],
     ),
-    ("servo", &["a_board_starts", "a_device_in_motion", "a_device_that_is_not", "a_device_whose"]),
+    ("control", &["a_board_starts", "a_device_in_motion", "a_device_that_is_not", "a_device_whose"]),
 ];
 
 /// Tests of the library under Miri, which sees undefined behaviour of any kind in the dependencies' `unsafe`: the link,

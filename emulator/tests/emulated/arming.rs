@@ -3,12 +3,12 @@
 
 use haptic_bridge::board::telemetry::Fields;
 use haptic_bridge::safety::fault::Fault;
+use haptic_emulator::cases::CASES;
+use haptic_emulator::contact::{WallAt, scene};
+use haptic_emulator::range::rigid;
+use haptic_emulator::rig::Rig;
+use haptic_emulator::run::{MILLISECOND, SECOND};
 use haptic_sim::Support;
-use virtual_board::cases::CASES;
-use virtual_board::contact::{WallAt, scene};
-use virtual_board::range::rigid;
-use virtual_board::rig::Rig;
-use virtual_board::run::{MILLISECOND, SECOND};
 
 /// Most current while nothing is asked for yet, A: an interrupt begins some ticks after the extreme.
 const MOST: f64 = 0.2;
@@ -27,7 +27,7 @@ fn no_current_flows_when_the_bridges_begin_to_drive() {
         // Not always at the same instant of the carrier and of the step.
         for pause in [0, 3, 11] {
             rig.run(pause * MILLISECOND / 100);
-            rig.with(|stopped| stopped.hardware().peaks = virtual_board::plant::Peaks::default());
+            rig.with(|stopped| stopped.hardware().peaks = haptic_emulator::plant::Peaks::default());
             rig.tool.check_polarity().expect("the polarity check starts");
             // It has not begun to ramp its torque up before the joint has rested.
             rig.run(20 * MILLISECOND);

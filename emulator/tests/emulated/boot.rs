@@ -1,10 +1,10 @@
 //! From power-on to a configured serial port.
 
+use haptic_emulator::boards::BoardKind;
+use haptic_emulator::rig::{Rig, firmware};
+use haptic_emulator::run::{MILLISECOND, SECOND};
+use haptic_emulator::usb::Event;
 use haptic_host::link::{USB_PRODUCT, USB_PRODUCT_NAME, USB_VENDOR};
-use virtual_board::boards::BoardKind;
-use virtual_board::rig::{Rig, firmware};
-use virtual_board::run::{MILLISECOND, SECOND};
-use virtual_board::usb::Event;
 
 #[test]
 fn a_board_that_started_is_a_serial_port_with_a_fast_flash_and_a_model_for_every_register() {

@@ -2,8 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use virtual_board::boards::{BoardKind, Pin, Wiring};
-use virtual_board::drawing::draw;
+use haptic_emulator::boards::{BoardKind, Pin, Wiring};
+use haptic_emulator::drawing::draw;
 
 fn documents() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs")
@@ -20,7 +20,7 @@ fn the_drawing_of_the_documents_is_of_these_wires() {
         std::fs::write(&path, drawn).expect("the drawing can be written");
     }
     let kept = std::fs::read_to_string(&path).expect("the drawing is there");
-    assert_eq!(kept, drawn, "run UPDATE_DOCS=1 cargo test -p virtual-board --test emulated drawing::");
+    assert_eq!(kept, drawn, "run UPDATE_DOCS=1 cargo test -p haptic-emulator --test emulated drawing::");
 }
 
 /// A pin of a page that is not a pin of the tests would be wired and never tried.

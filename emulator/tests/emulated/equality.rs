@@ -3,20 +3,20 @@
 use std::time::Duration;
 
 use haptic_bridge::board::telemetry::{Field, Fields};
+use haptic_bridge::control::compiled::BoardMath;
+use haptic_bridge::control::frame::Samples;
+use haptic_bridge::control::joints::{Counts, Currents};
+use haptic_bridge::control::program::Hardware;
+use haptic_bridge::control::program::Program;
+use haptic_bridge::control::{Command, ControlLoop};
 use haptic_bridge::drive::stage::Bridge;
 use haptic_bridge::model::device::Device;
-use haptic_bridge::servo::compiled::BoardMath;
-use haptic_bridge::servo::frame::Samples;
-use haptic_bridge::servo::joints::{Counts, Currents};
-use haptic_bridge::servo::program::Hardware;
-use haptic_bridge::servo::program::Program;
-use haptic_bridge::servo::{Command, Servo};
+use haptic_emulator::boards::{BoardKind, Wiring};
+use haptic_emulator::rig::Rig;
+use haptic_emulator::run::SECOND;
 use haptic_host::link::Row;
 use haptic_host::scene_file::SceneFile;
 use haptic_sim::{Hand, HandSettings, Intent, Waypoint};
-use virtual_board::boards::{BoardKind, Wiring};
-use virtual_board::rig::Rig;
-use virtual_board::run::SECOND;
 
 /// State, in the stream's first column of [`Field::State`].
 const ARMED: f64 = 1.0;
@@ -85,7 +85,7 @@ fn torques_on_the_chip_are_those_of_the_library_bit_for_bit() {
         let scene = SceneFile::parse(&scene, "scene", task).expect("a scene").scene().expect("it fits f32");
         let program: Program<BoardMath> =
             Program::new(&hardware, &rules.limits, &device, &scene, false).expect("a program");
-        let mut servo = Servo::new(hardware, rules);
+        let mut control_loop = ControlLoop::new(hardware, rules);
         let of = |row: &Row, field: Field| -> Vec<f64> {
             columns
                 .iter()
@@ -95,14 +95,14 @@ fn torques_on_the_chip_are_those_of_the_library_bit_for_bit() {
                 .collect()
         };
         let three = |values: Vec<f64>| -> [f64; 3] { std::array::from_fn(|i| values.get(i).copied().unwrap_or(0.0)) };
-        servo.execute(Command::Program(Box::new(program))).0.expect("loaded");
+        control_loop.execute(Command::Program(Box::new(program))).0.expect("loaded");
         // Homed where it stood; then at rest where the trace begins, until every estimator is at zero.
-        servo.control(&Samples { counts: Counts(home), bus_voltage: 24.0, ..Samples::default() });
-        servo.execute(Command::Home).0.expect("homed");
-        servo.execute(Command::PolarityKnown).0.expect("known");
+        control_loop.control(&Samples { counts: Counts(home), bus_voltage: 24.0, ..Samples::default() });
+        control_loop.execute(Command::Home).0.expect("homed");
+        control_loop.execute(Command::PolarityKnown).0.expect("known");
         let start = Counts(three(of(&rows[0], Field::Counts)).map(|count| count as i32));
         for _ in 0..20_000 {
-            servo.control(&Samples { counts: start, bus_voltage: 24.0, ..Samples::default() });
+            control_loop.control(&Samples { counts: start, bus_voltage: 24.0, ..Samples::default() });
         }
         let mut compared = 0;
         let mut touched = 0;
@@ -114,14 +114,14 @@ fn torques_on_the_chip_are_those_of_the_library_bit_for_bit() {
                 ..Samples::default()
             };
             let armed = is_armed(row);
-            if armed && servo.status().state != haptic_bridge::safety::fault::State::Armed {
-                servo.execute(Command::Arm).0.expect("armed");
+            if armed && control_loop.status().state != haptic_bridge::safety::fault::State::Armed {
+                control_loop.execute(Command::Arm).0.expect("armed");
             }
-            servo.control(&samples);
+            control_loop.control(&samples);
             if !armed {
                 continue;
             }
-            let frame = servo.frame();
+            let frame = control_loop.frame();
             let here = |field| -> [f32; 3] {
                 match field {
                     Field::Angle => frame.at.q,

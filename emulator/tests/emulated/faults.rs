@@ -2,11 +2,11 @@
 
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::safety::refusal::Refusal;
+use haptic_emulator::boards::BoardKind;
+use haptic_emulator::rig::Rig;
+use haptic_emulator::run::{MILLISECOND, SECOND};
 use haptic_host::link::BoardError;
 use haptic_sim::MotorInput;
-use virtual_board::boards::BoardKind;
-use virtual_board::rig::Rig;
-use virtual_board::run::{MILLISECOND, SECOND};
 
 use crate::session::WALL;
 

@@ -2,9 +2,9 @@
 
 use haptic_bridge::board::protocol::HostContact;
 use haptic_bridge::board::telemetry::Fields;
-use virtual_board::cases::CASES;
-use virtual_board::exchange::{run, shares};
-use virtual_board::shares::{CONTROL, WAITING};
+use haptic_emulator::cases::CASES;
+use haptic_emulator::exchange::{run, shares};
+use haptic_emulator::shares::{CONTROL, WAITING};
 
 /// A plane beside the tip, so that requests carry all that they can.
 const PLANE: HostContact = HostContact { point: [0.0; 3], normal: [0.0, 1.0, 0.0], stiffness: 300.0, damping: 1.0 };

@@ -7,17 +7,17 @@ use haptic_bridge::board::protocol::PROTOCOL;
 use haptic_bridge::board::telemetry::{Field, Fields};
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::safety::refusal::Refusal;
+use haptic_emulator::boards::{BoardKind, Wiring};
+use haptic_emulator::cases::{CASES, Meets};
+use haptic_emulator::contact::{WallAt, scene};
+use haptic_emulator::hands::push;
+use haptic_emulator::inject::off;
+use haptic_emulator::results;
+use haptic_emulator::rig::Rig;
+use haptic_emulator::run::{MICROSECOND, MILLISECOND, SECOND};
+use haptic_emulator::timing::{recorded, steps};
 use haptic_host::link::{BoardError, Row};
 use haptic_sim::MotorInput;
-use virtual_board::boards::{BoardKind, Wiring};
-use virtual_board::cases::{CASES, Meets};
-use virtual_board::contact::{WallAt, scene};
-use virtual_board::hands::push;
-use virtual_board::inject::off;
-use virtual_board::results;
-use virtual_board::rig::Rig;
-use virtual_board::run::{MICROSECOND, MILLISECOND, SECOND};
-use virtual_board::timing::{recorded, steps};
 
 /// N, with which a hand leans on the wall.
 const PUSH: f64 = 1.0;

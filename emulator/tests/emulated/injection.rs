@@ -2,8 +2,8 @@
 //! cleared only when asked for. docs/results/faults.csv holds what came of each.
 
 use haptic_bridge::safety::fault::Fault;
-use virtual_board::inject::{provoke, row};
-use virtual_board::results;
+use haptic_emulator::inject::{provoke, row};
+use haptic_emulator::results;
 
 /// Every fourth fault, from the `first` of them on: four tests run side by side.
 fn every_fourth(first: usize) {

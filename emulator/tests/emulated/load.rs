@@ -2,9 +2,9 @@
 
 use haptic_bridge::board::telemetry::Fields;
 use haptic_bridge::safety::fault::Fault;
-use virtual_board::cases::{CASES, SCENES};
-use virtual_board::load::{run, takes_cuts, takes_scenes};
-use virtual_board::run::{MICROSECOND, MILLISECOND};
+use haptic_emulator::cases::{CASES, SCENES};
+use haptic_emulator::load::{run, takes_cuts, takes_scenes};
+use haptic_emulator::run::{MICROSECOND, MILLISECOND};
 
 #[test]
 fn in_a_minute_at_20_khz_no_period_is_missed_and_no_frame_lost_while_settings_change() {

@@ -1,7 +1,7 @@
 //! Sensors that lie and motors that are broken, in the release image at the slowest rate and in the middle of a control
 //! period, where a control step alone would be late: `cargo xtask faults` tries them at every rate and ten instants.
 
-use virtual_board::campaign::{CASES, Campaign};
+use haptic_emulator::campaign::{CASES, Campaign};
 
 #[test]
 fn what_has_to_be_seen_is_seen_before_a_motor_runs_away() {

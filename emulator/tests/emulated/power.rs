@@ -3,10 +3,10 @@
 //! flash alone, in many more states of it.
 
 use haptic_bridge::board::protocol::SceneData;
-use virtual_board::boards::BoardKind;
-use virtual_board::image::SETTINGS;
-use virtual_board::rig::Rig;
-use virtual_board::run::MILLISECOND;
+use haptic_emulator::boards::BoardKind;
+use haptic_emulator::image::SETTINGS;
+use haptic_emulator::rig::Rig;
+use haptic_emulator::run::MILLISECOND;
 
 /// More flash operations than any save has.
 const FOREVER: u64 = 1 << 40;

@@ -7,12 +7,12 @@ use haptic_bridge::board::telemetry::{Field, Fields};
 use haptic_bridge::render::velocity::{Chosen, Estimator};
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::safety::refusal::Refusal;
-use virtual_board::boards::{BoardKind, Pin, Wiring};
-use virtual_board::hardware::Hardware;
-use virtual_board::inject::{after_crest, off, run_instead};
-use virtual_board::plant::{Dummy, Peaks};
-use virtual_board::rig::{Rig, firmware};
-use virtual_board::run::{MICROSECOND, MILLISECOND, SECOND, VirtualBoard};
+use haptic_emulator::boards::{BoardKind, Pin, Wiring};
+use haptic_emulator::hardware::Hardware;
+use haptic_emulator::inject::{after_crest, off, run_instead};
+use haptic_emulator::plant::{Dummy, Peaks};
+use haptic_emulator::rig::{Rig, firmware};
+use haptic_emulator::run::{MICROSECOND, MILLISECOND, SECOND, VirtualBoard};
 
 use crate::gate::refused;
 use crate::session::WALL;

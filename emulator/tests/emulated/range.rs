@@ -2,7 +2,7 @@
 //! feed-forward enlarges it. docs/results.md holds the whole measurement, see `cargo xtask range`.
 
 use haptic_bridge::render::scene::FeedForward;
-use virtual_board::range::{RATES, delay_samples, on, predicted, rig, rigid};
+use haptic_emulator::range::{RATES, delay_samples, on, predicted, rig, rigid};
 
 /// Largest distance of the boundary from the theory's: where the interrupt falls against the carrier differs from image
 /// to image, and with the feed-forward one point of one image was found between 5 and 7 % below.

@@ -3,16 +3,16 @@
 
 use haptic_bridge::board::protocol::TableChunk;
 use haptic_bridge::board::settings::{self, Key};
+use haptic_bridge::control::Rules;
 use haptic_bridge::model::precomputed::{Grid, Interpolation, MassModelData};
 use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::safety::fault::State;
-use haptic_bridge::servo::Rules;
+use haptic_emulator::boards::BoardKind;
+use haptic_emulator::inject::off;
+use haptic_emulator::rig::Rig;
+use haptic_emulator::run::{MICROSECOND, MILLISECOND};
 use haptic_host::link::{Board, BoardError};
-use virtual_board::boards::BoardKind;
-use virtual_board::inject::off;
-use virtual_board::rig::Rig;
-use virtual_board::run::{MICROSECOND, MILLISECOND};
 
 use crate::session::WALL;
 

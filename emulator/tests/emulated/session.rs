@@ -3,11 +3,11 @@
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::precomputed::{Interpolation, TableChunk};
 
+use haptic_emulator::boards::BoardKind;
+use haptic_emulator::rig::Rig;
+use haptic_emulator::run::SECOND;
 use haptic_host::backup::{Backup, restore};
 use haptic_predict::bench::precompute;
-use virtual_board::boards::BoardKind;
-use virtual_board::rig::Rig;
-use virtual_board::run::SECOND;
 
 /// A wall beyond the home pose of the pantograph, at 20 kHz.
 pub const WALL: &str = "[[wall]]\npoint = [0.0, 0.13]\nnormal = [0.0, -1.0]\nstiffness = 2000.0\ndamping = 4.0\n";

@@ -1,9 +1,9 @@
 //! The control interrupt under the clock: docs/results/timing.csv holds what it takes, and it takes no more.
 
-use virtual_board::cases::CASES;
-use virtual_board::results;
-use virtual_board::stages::STAGES;
-use virtual_board::timing::recorded;
+use haptic_emulator::cases::CASES;
+use haptic_emulator::results;
+use haptic_emulator::stages::STAGES;
+use haptic_emulator::timing::recorded;
 
 /// Largest growth of a period over the recorded one before someone has to look at it and run `cargo xtask timing`.
 const GROWTH: f64 = 1.03;

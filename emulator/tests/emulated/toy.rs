@@ -1,8 +1,8 @@
 //! A board that no image ships: `toy_board.rs` beside this, compiled into the firmware, and its wires.
 
-use virtual_board::boards::{EncoderWires, HalfBridge, MotorWires, Pin, Wiring};
-use virtual_board::contact::WallAt;
-use virtual_board::rig::Rig;
+use haptic_emulator::boards::{EncoderWires, HalfBridge, MotorWires, Pin, Wiring};
+use haptic_emulator::contact::WallAt;
+use haptic_emulator::rig::Rig;
 
 static TOY: Wiring = Wiring {
     name: "toy-board",

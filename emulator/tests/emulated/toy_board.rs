@@ -4,13 +4,13 @@
 
 use embassy_stm32::gpio::{Flex, Level, Output, Speed};
 use embassy_stm32::{Peripherals, pac, peripherals, rcc};
+use haptic_bridge::control::frame::Samples;
+use haptic_bridge::control::joints::Counts;
 use haptic_bridge::drive::carrier::{CARRIER_MIN_HZ, Carrier};
 use haptic_bridge::drive::stage::Bridge;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::safety::fault::Fault;
 use haptic_bridge::safety::limits::{Limits, MOST_TIP_FORCE};
-use haptic_bridge::servo::frame::Samples;
-use haptic_bridge::servo::joints::Counts;
 
 use super::{Board, Common, IdentityPins, Io, Pin};
 use crate::adc;

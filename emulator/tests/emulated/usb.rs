@@ -4,14 +4,14 @@ use std::time::Duration;
 
 use haptic_bridge::board::telemetry::Fields;
 use haptic_bridge::safety::fault::State;
+use haptic_emulator::boards::BoardKind;
+use haptic_emulator::contact::WallAt;
+use haptic_emulator::noise;
+use haptic_emulator::rig::Rig;
+use haptic_emulator::run::{MICROSECOND, MILLISECOND, SECOND};
+use haptic_emulator::usb::Event;
 use haptic_host::link::Board;
 use haptic_sim::{MotorInput, SpoiltWire};
-use virtual_board::boards::BoardKind;
-use virtual_board::contact::WallAt;
-use virtual_board::noise;
-use virtual_board::rig::Rig;
-use virtual_board::run::{MICROSECOND, MILLISECOND, SECOND};
-use virtual_board::usb::Event;
 
 use crate::session::WALL;
 

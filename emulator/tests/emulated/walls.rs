@@ -3,20 +3,20 @@
 use std::time::Duration;
 
 use haptic_bridge::board::telemetry::{Field, Fields};
+use haptic_bridge::control::Rules;
 use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::safety::limits::Limits;
-use haptic_bridge::servo::Rules;
+use haptic_emulator::boards::BoardKind;
+use haptic_emulator::contact::{WallAt, scene};
+use haptic_emulator::hands::{firm, hang, hold, push as push_into};
+use haptic_emulator::rig::Rig;
+use haptic_emulator::run::{MILLISECOND, SECOND};
 use haptic_host::link::Board;
 use haptic_host::scene_file::SceneFile;
 use haptic_sim::{BoardOptions, Options, SharedBoard, SimulatedBoard};
 use haptic_sim::{Hand, HandSettings, Intent, Waypoint};
 use haptic_stability::analysis::plant::Linearised;
-use virtual_board::boards::BoardKind;
-use virtual_board::contact::{WallAt, scene};
-use virtual_board::hands::{firm, hang, hold, push as push_into};
-use virtual_board::rig::Rig;
-use virtual_board::run::{MILLISECOND, SECOND};
 
 /// Friction off: the wall alone holds the hand.
 fn armed_at_a_wall(feed_forward: &str, inside: f64) -> (Rig, f64) {

@@ -4,10 +4,10 @@ use std::time::Duration;
 
 use haptic_bridge::board::telemetry::{Field, Fields};
 use haptic_bridge::safety::fault::Fault;
-use virtual_board::boards::{BoardKind, Wiring};
-use virtual_board::plant::Dummy;
-use virtual_board::rig::Rig;
-use virtual_board::run::MILLISECOND;
+use haptic_emulator::boards::{BoardKind, Wiring};
+use haptic_emulator::plant::Dummy;
+use haptic_emulator::rig::Rig;
+use haptic_emulator::run::MILLISECOND;
 
 use crate::session::WALL;
 

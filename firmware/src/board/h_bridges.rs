@@ -11,13 +11,13 @@ use embassy_stm32::pac;
 use embassy_stm32::pac::gpio::Gpio;
 use embassy_stm32::pac::timer::TimGp16;
 use embassy_stm32::{Peri, Peripherals, peripherals, rcc};
+use haptic_bridge::control::frame::Samples;
+use haptic_bridge::control::joints::{Counts, Currents};
 use haptic_bridge::drive::carrier::{CARRIER_MIN_HZ, Carrier};
 use haptic_bridge::drive::stage::Bridge;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::safety::fault::Fault;
 use haptic_bridge::safety::limits::{Limits, MOST_TIP_FORCE};
-use haptic_bridge::servo::frame::Samples;
-use haptic_bridge::servo::joints::{Counts, Currents};
 
 use super::{Board, Common, IdentityPins, Io};
 use crate::adc;

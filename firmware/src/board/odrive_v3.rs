@@ -11,13 +11,13 @@ use embassy_stm32::spi::{self, Spi};
 use embassy_stm32::time::Hertz;
 use embassy_stm32::{Peripherals, peripherals, rcc};
 use embassy_time::{Duration, block_for};
+use haptic_bridge::control::frame::Samples;
+use haptic_bridge::control::joints::Counts;
 use haptic_bridge::drive::carrier::{CARRIER_MIN_HZ, Carrier};
 use haptic_bridge::drive::stage::Bridge;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::safety::fault::Fault;
 use haptic_bridge::safety::limits::{Limits, MOST_TIP_FORCE};
-use haptic_bridge::servo::frame::Samples;
-use haptic_bridge::servo::joints::Counts;
 
 use super::{Board, Common, IdentityPins, Io, Pin};
 use crate::adc;

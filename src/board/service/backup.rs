@@ -6,11 +6,11 @@ use crate::board::flash::{decoded, stage, stage_all};
 use crate::board::machine::{Machine, must_be_off};
 use crate::board::protocol::{Commit, KeyList, WriteEntry};
 use crate::board::settings::{BoardName, Entry, Key, Polarity, Setting};
+use crate::control::Rules;
 use crate::model::device::Device;
 use crate::model::precomputed::MassModelData;
 use crate::render::scene::Scene;
 use crate::safety::refusal::Refusal;
-use crate::servo::Rules;
 
 impl Service {
     /// Writes every setting to flash, or none; motors must be off, because the processor stalls while flash is erased.

@@ -4,11 +4,11 @@ use super::routes::{Errors, routes};
 use super::shipped;
 use super::singular::{Random, at_hand_speed, cast, wide_five_bar};
 use super::{Exact, ExactMath};
+use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::render::controller::{FULL_REGULARITY, PARALLEL_REGULARITY};
-use haptic_bridge::servo::compiled::BoardMath;
 use nalgebra::SVector;
 
 /// Both sines over those at which the feed-forward begins to fade.

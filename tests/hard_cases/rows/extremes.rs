@@ -4,10 +4,10 @@ use super::routes::{Errors, Routes, routes};
 use super::shipped;
 use super::singular::{Random, cast};
 use super::{Exact, ExactMath};
+use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::math::{Libm, Real};
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::mechanism::Mechanism;
-use haptic_bridge::servo::compiled::BoardMath;
 use nalgebra::SVector;
 
 /// Poses per row, each with normals of its own.

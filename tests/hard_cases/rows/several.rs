@@ -7,11 +7,11 @@ use super::shipped;
 use super::singular::{Random, cast};
 use super::steps::{controller, counts, encoded, three};
 use super::{Exact, ExactMath};
+use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::math::{Libm, Math, Real};
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, VelocityTerms, Wall};
-use haptic_bridge::servo::compiled::BoardMath;
 use nalgebra::SVector;
 
 /// Angles between the walls, rad.

@@ -4,11 +4,11 @@ use super::routes::{Errors, routes};
 use super::shipped;
 use super::whole::{WholeErrors, whole};
 use super::{Exact, ExactMath};
+use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::math::{FineTable, Libm, Real};
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::render::controller::{FULL_REGULARITY, NO_REGULARITY, PARALLEL_REGULARITY};
-use haptic_bridge::servo::compiled::BoardMath;
 use nalgebra::{DMatrix, SVector};
 
 /// The part that degenerates.

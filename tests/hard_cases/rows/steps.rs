@@ -2,13 +2,13 @@
 
 use super::shipped;
 use super::singular::Random;
+use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::math::{Libm, Math, Real};
 use haptic_bridge::model::description::{Description, Encoder};
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
 use haptic_bridge::render::controller::{Controller, FULL_REGULARITY, PARALLEL_REGULARITY, Step};
 use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};
-use haptic_bridge::servo::compiled::BoardMath;
 use nalgebra::SVector;
 
 /// One row of the table.

@@ -5,11 +5,11 @@ use super::shipped;
 use super::singular::{Random, cast};
 use super::steps::{controller, encoded, scene, three};
 use super::{Exact, ExactMath};
+use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::math::{Libm, Real};
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::render::scene::FeedForward;
-use haptic_bridge::servo::compiled::BoardMath;
 use nalgebra::SVector;
 
 /// A half count a turn, 20 000 behind 7:3 and behind √1.1:1, and what somebody measured.

@@ -20,7 +20,7 @@ In this folder, without hardware:
     ./haptic demo                     a simulated hand presses into a wall; draws haptic-demo.svg
     ./haptic view --port sim          the same in the browser, until Ctrl-C
 
-haptic-playground.html is that page as a file: it opens in a browser and needs no tool.
+haptic-page.html is that page as a file: it opens in a browser and needs no tool.
 
 Installed, `haptic` is found in every folder; nothing else has to be beside it:
 

@@ -41,7 +41,7 @@ fn archive(made: &Made, place: &Path) -> Result<()> {
         "man/man1/haptic.1",
         "man/man1/haptic-demo.1",
         "docs/bring-up.md",
-        "haptic-playground.html",
+        "haptic-page.html",
     ] {
         let bytes = fs::metadata(folder.join(path)).with_context(|| format!("the archive has no {path}"))?.len();
         ensure!(bytes > 500, "{path} has {bytes} bytes");

@@ -64,8 +64,8 @@ pub fn write_into(folder: &Path) -> Result<()> {
 /// The texts, each with the crates that have it.
 fn of_dependencies() -> Result<String> {
     let mut crates = linked("Cargo.toml", &["haptic", "haptic-python"], &host()?)?;
-    crates.extend(linked("Cargo.toml", &["haptic-playground"], BROWSERS)?);
-    crates.extend(linked("firmware/Cargo.toml", &["haptic-bridge-firmware"], TARGET)?);
+    crates.extend(linked("Cargo.toml", &["haptic-page"], BROWSERS)?);
+    crates.extend(linked("firmware/Cargo.toml", &["haptic-firmware"], TARGET)?);
     let mut list = String::from(
         "The tool, the firmware images in it, the page and the library for Python hold the crates below, each under\n\
          its own license, and Rust's standard library (MIT or Apache-2.0, https://github.com/rust-lang/rust).\n\

@@ -1,4 +1,4 @@
-//! The wheel: maturin builds the package in python/ and says for which systems it is; the tool is added as a command.
+//! The wheel: maturin builds the package in clients/python/ and says for which systems it is; the tool is added as a command.
 
 use std::fs;
 use std::path::{Path, PathBuf};

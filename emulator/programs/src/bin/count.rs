@@ -2,14 +2,14 @@
 //! `{"image":…,"variants":[{"name":…,"calls":…,"instructions":…,"instructions_min":…,"instructions_mean":…,"results":[[…]]},…]}`.
 //!
 //! `instructions` is the worst case over the calls, less the markers' own cost; `results` holds the words that the
-//! image left in `BENCH_RESULT` at each call. The convention an image follows is in `virtual_board::count`.
+//! image left in `BENCH_RESULT` at each call. The convention an image follows is in `haptic_emulator::count`.
 //! Exit code 1: the image could not be counted; 2: the command is wrong.
 
 use std::process::ExitCode;
 
+use haptic_emulator::count::count;
+use haptic_emulator::image::Firmware;
 use serde_json::json;
-use virtual_board::count::count;
-use virtual_board::image::Firmware;
 
 fn main() -> ExitCode {
     let mut path = None;

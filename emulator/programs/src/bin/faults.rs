@@ -9,8 +9,8 @@ use std::io;
 use std::process::ExitCode;
 
 use haptic_bridge::safety::fault::Fault;
-use virtual_board::inject::{how, provoke, table};
-use virtual_board::{campaign, results};
+use haptic_emulator::inject::{how, provoke, table};
+use haptic_emulator::{campaign, results};
 
 fn main() -> ExitCode {
     let named: Vec<String> = std::env::args().skip(1).collect();

@@ -8,12 +8,12 @@
 use std::process::ExitCode;
 
 use haptic_bridge::render::scene::FeedForward;
-use haptic_host::output::csv_line;
-use haptic_predict::measure::progress::Progress;
-use virtual_board::range::{
+use haptic_emulator::range::{
     CABLE_HEAD, CABLE_RATES, CABLED, HEAD, POINTS, PULLS, RATES, Rate, section, whole, with_cables,
 };
-use virtual_board::results;
+use haptic_emulator::results;
+use haptic_host::output::csv_line;
+use haptic_predict::measure::progress::Progress;
 
 /// The row of the table of cables that is also measured without back-EMF.
 const WITHOUT_EMF: (&str, f64) = ("woodenhaptics", 20_000.0);

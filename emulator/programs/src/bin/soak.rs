@@ -6,7 +6,7 @@
 
 use std::process::ExitCode;
 
-use virtual_board::{noise, soak};
+use haptic_emulator::{noise, soak};
 
 /// The seed of the noise.
 const SEED: u32 = 0x2F6E_2B1D;

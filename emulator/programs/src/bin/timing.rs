@@ -5,9 +5,9 @@
 
 use std::process::ExitCode;
 
-use virtual_board::cases::{CASES, Case, SCENES};
-use virtual_board::results;
-use virtual_board::timing::{Timing, rates, replacements, scenes, steps, table};
+use haptic_emulator::cases::{CASES, Case, SCENES};
+use haptic_emulator::results;
+use haptic_emulator::timing::{Timing, rates, replacements, scenes, steps, table};
 
 fn main() -> ExitCode {
     let measured = |cases: &[Case]| -> Vec<Timing> {

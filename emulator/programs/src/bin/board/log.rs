@@ -2,7 +2,7 @@
 
 use defmt_decoder::{DecodeError, Table};
 
-use virtual_board::image::Firmware;
+use haptic_emulator::image::Firmware;
 
 /// The log's strings, taken from an image.
 pub struct Decoder {
@@ -45,8 +45,8 @@ impl Reader<'_> {
 
 #[cfg(test)]
 mod tests {
-    use virtual_board::boards::BoardKind;
-    use virtual_board::rig::{Rig, firmware};
+    use haptic_emulator::boards::BoardKind;
+    use haptic_emulator::rig::{Rig, firmware};
 
     use super::Decoder;
 

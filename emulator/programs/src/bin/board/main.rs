@@ -12,13 +12,13 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
 
+use haptic_emulator::boards::{BoardKind, Wiring};
+use haptic_emulator::hardware::Hardware;
+use haptic_emulator::image::Firmware;
+use haptic_emulator::rig;
+use haptic_emulator::run::{MILLISECOND, SECOND, VirtualBoard};
 use haptic_host::device_file::DeviceFile;
 use haptic_sim::{Options, PowerStage, SimulatedDevice};
-use virtual_board::boards::{BoardKind, Wiring};
-use virtual_board::hardware::Hardware;
-use virtual_board::image::Firmware;
-use virtual_board::rig;
-use virtual_board::run::{MILLISECOND, SECOND, VirtualBoard};
 
 use crate::bridge::{Outlet, TcpOutlet};
 use crate::log::Decoder;

@@ -1,0 +1,250 @@
+//! Every variant of every mechanism with its cost and its error; the tables made of them.
+
+use crate::bench::counts;
+use crate::bench::error::{
+    Errors, Law, Parts, STIFFNESS, Terms, Trigonometry, Way, encoder_step, errors, parts, with_trigonometry,
+};
+use crate::bench::precompute::{Precomputed, frozen, most_points, range, table};
+use crate::bench::probe::{HAND_SPEED, Probe, workspace};
+use haptic_bridge::control::compiled::BoardMath;
+use haptic_bridge::math::Math;
+use haptic_bridge::model::catalogue::{Kind, MAX_JOINTS};
+use haptic_bridge::model::device::Device;
+use haptic_bridge::model::mechanism::Mechanism;
+use haptic_bridge::model::precomputed::{Interpolation, MassModel};
+use haptic_bridge::model::shipped;
+use haptic_bridge::render::scene::Scene;
+use haptic_bridge::render::velocity::Estimator;
+use haptic_bridge::with_mechanism;
+use haptic_host::device_file::DeviceFile;
+use haptic_host::error::Failure;
+use haptic_host::output::csv_line;
+use serde::Serialize;
+use std::hint::black_box;
+use std::time::Instant;
+
+/// The device file of each mechanism that the figures are of, the same that the counting image steps.
+fn example_of(kind: Kind) -> &'static str {
+    match kind {
+        Kind::Paddle => shipped::HAPKIT_PADDLE,
+        Kind::FiveBar => shipped::HAPLY_2DIY,
+        Kind::FiveBarTurret => shipped::FICTIVE_FIVE_BAR_TURRET,
+        Kind::Parallelogram => shipped::PHANTOM_PREMIUM,
+        Kind::Serial3r => shipped::SERIAL_3R,
+    }
+}
+
+/// The devices of the report.
+pub fn devices() -> Result<Vec<Device<f64>>, Failure> {
+    let read = |text| DeviceFile::parse(text, "a shipped device")?.device().map_err(Failure::wrong);
+    Kind::ALL.iter().map(|kind| read(example_of(*kind))).collect()
+}
+
+/// One variant on one target.
+#[derive(Clone, Debug, Serialize)]
+pub struct Variant {
+    /// `mechanism/trigonometry/mass model/terms`
+    pub name: String,
+    /// Its mechanism.
+    pub mechanism: &'static str,
+    /// `cortex-m4f` or `host`.
+    pub target: &'static str,
+    /// Of a whole control step in contact with one wall; counted on the emulated chip, null elsewhere.
+    pub instructions: Option<u32>,
+    /// Of the torque alone; measured on this computer, null elsewhere.
+    pub nanoseconds: Option<f64>,
+    /// Largest torque error, N m.
+    pub error_max: f64,
+    /// Root mean square of the torque error, N m.
+    pub error_rms: f64,
+    /// All errors.
+    pub errors: Errors,
+    /// The same beside what fades whatever is chosen.
+    #[serde(skip)]
+    pub given: Errors,
+    /// The sources of the errors.
+    pub parts: Parts,
+    /// Nothing of the same mechanism is both cheaper and better: instructions against what is wrong with the force at
+    /// the tip, the wall's own error of the tip's position included.
+    pub pareto: bool,
+}
+
+/// Angles per joint of the grid over the workspace.
+fn density(joints: usize) -> usize {
+    match joints {
+        1 => 41,
+        2 => 25,
+        _ => 9,
+    }
+}
+
+/// The situations of a device's variants; none where it cannot be analysed.
+fn probes(device: &Device<f64>) -> Vec<Probe> {
+    workspace(device, density(device.mechanism.kind().spec().joints), HAND_SPEED).unwrap_or_default()
+}
+
+/// As a scene has it that says nothing.
+fn law(device: &Device<f64>) -> Result<Law, Failure> {
+    Law::of(&Scene::default(), device)
+}
+
+/// Every variant of `device`; `timed` adds what this computer takes.
+pub fn variants(device: &Device<f64>, timed: bool) -> Result<Vec<Variant>, Failure> {
+    let spec = device.mechanism.kind().spec();
+    let (probes, law) = (probes(device), law(device)?);
+    let (points, range) = (most_points(device), range(device, &probes));
+    let mut models = vec![Precomputed::default(), frozen(device, &probes)];
+    models.extend(table(device, Interpolation::Bilinear, [points; 2], range));
+    models.extend(table(device, Interpolation::Bicubic, [points; 2], range));
+    let back_ends = [
+        (Trigonometry::Tabulated, "table"),
+        (Trigonometry::Minimax, "minimax"),
+        (Trigonometry::Micromath, "micromath"),
+        (Trigonometry::Libm, "libm"),
+    ];
+    let mut found = Vec::new();
+    for (trigonometry, name) in back_ends {
+        for model in &models {
+            for terms in Terms::ALL {
+                if terms == Terms::None && model.name() != "exact" {
+                    continue;
+                }
+                let way = Way { model, terms, trigonometry, law };
+                let (errors, parts) = (errors(device, &probes, &way), parts(device, &probes, &way));
+                let variant = |target, instructions, nanoseconds| Variant {
+                    name: format!("{}/{name}/{}/{}", spec.name, model.name(), terms.name()),
+                    mechanism: spec.name,
+                    target,
+                    instructions,
+                    nanoseconds,
+                    error_max: errors.whole.torque.max,
+                    error_rms: errors.whole.torque.rms,
+                    errors: errors.whole,
+                    given: errors.given,
+                    parts,
+                    pareto: false,
+                };
+                let count = counts::instructions(spec.name, name, model.name(), terms.name());
+                found.push(variant("cortex-m4f", count, None));
+                if timed {
+                    found.push(variant("host", None, Some(nanoseconds(device, &probes, &way))));
+                }
+            }
+        }
+    }
+    mark_front(&mut found);
+    Ok(found)
+}
+
+impl Variant {
+    /// The error of the force at the tip, N: of the torque, without what fades in every variant, and of the wall's
+    /// force at 20 kN/m.
+    pub fn felt(&self) -> f64 {
+        self.given.force.max + self.parts.tip
+    }
+}
+
+fn mark_front(variants: &mut [Variant]) {
+    let cost: Vec<Option<(u32, f64)>> =
+        variants.iter().map(|variant| variant.instructions.map(|count| (count, variant.felt()))).collect();
+    for (index, variant) in variants.iter_mut().enumerate() {
+        let Some((count, error)) = cost[index] else { continue };
+        variant.pareto = !cost
+            .iter()
+            .flatten()
+            .any(|(other, with)| (*other < count && *with <= error) || (*other <= count && *with < error));
+    }
+}
+
+/// Time that one torque takes on this computer, ns: the best of several runs over the probes.
+fn nanoseconds(device: &Device<f64>, probes: &[Probe], way: &Way<'_>) -> f64 {
+    with_mechanism!(device.mechanism.cast::<f32>(), m => {
+        with_trigonometry!(way.trigonometry, K => time::<K, _, _>(&m, probes, way))
+    })
+}
+
+fn time<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(
+    m: &M,
+    probes: &[Probe],
+    &Way { model, terms, law, .. }: &Way<'_>,
+) -> f64 {
+    let Some(mass) = MassModel::<f32, N>::new::<M>(&model.data, &model.values) else { return f64::NAN };
+    let some = &probes[..probes.len().min(1000)];
+    let run = || {
+        let start = Instant::now();
+        for probe in some {
+            let torque: [f64; MAX_JOINTS] =
+                crate::bench::error::torque::<f32, K, M, N>(m, &mass, terms, law, black_box(probe));
+            black_box(torque);
+        }
+        start.elapsed().as_secs_f64() * 1.0e9 / some.len() as f64
+    };
+    (0..5).map(|_| run()).fold(f64::INFINITY, f64::min)
+}
+
+/// Every variant on the chip, mechanism by mechanism, the cheapest first: docs/results/speed-against-error.csv.
+pub fn by_variant(every: &[(Device<f64>, Vec<Variant>)]) -> String {
+    let mut text = csv_line([
+        "mechanism",
+        "device",
+        "trigonometry",
+        "mass matrix",
+        "terms",
+        "instructions",
+        "terms left out (N)",
+        "left out in 90 % (N)",
+        "mass matrix (N)",
+        "rounding (N)",
+        "tip (N)",
+        "area (%)",
+        "duty (steps)",
+        "front",
+    ]);
+    for (device, variants) in every {
+        let mut rows: Vec<&Variant> = variants.iter().filter(|variant| variant.target == "cortex-m4f").collect();
+        rows.sort_by_key(|variant| variant.instructions);
+        for variant in rows {
+            let mut cells = vec![variant.mechanism.to_owned(), device.name.to_string()];
+            cells.extend(variant.name.split('/').skip(1).map(String::from));
+            cells.push(count(variant.instructions));
+            let Parts { dropped, dropped_mostly, model, rounding, tip, area } = variant.parts;
+            cells.extend([dropped, dropped_mostly, model, rounding, tip].map(|newtons| format!("{newtons:.1e}")));
+            let front = if variant.pareto { "F" } else { "" };
+            cells.extend([format!("{:.1}", 100.0 * area), steps(variant.errors.duty.max), front.into()]);
+            text += &csv_line(cells);
+        }
+    }
+    text
+}
+
+/// The numbers of a mechanism that do not depend on the variant: how far one encoder step moves the tip, in how many
+/// situations the velocity terms fade and are off, and the instructions of the step with a wall and its feed-forward by
+/// velocity estimator, windows at their longest: docs/results/speed-by-mechanism.csv.
+pub fn by_mechanism(every: &[(Device<f64>, Vec<Variant>)]) -> Result<String, Failure> {
+    let head = ["mechanism", "device", "encoder step (µm)", "encoder step (N)", "terms fade (%)", "terms off (%)"];
+    let mut text = csv_line(head.into_iter().chain(Estimator::ALL.iter().map(|(name, _)| *name)));
+    for (device, _) in every {
+        let (probes, spec) = (probes(device), device.mechanism.kind().spec());
+        let (step, [faded, off]) = (encoder_step(device, &probes), law(device)?.fading(device, &probes));
+        let mut cells = vec![
+            spec.name.to_owned(),
+            device.name.to_string(),
+            format!("{:.1}", 1.0e6 * step),
+            format!("{:.1e}", STIFFNESS * step),
+        ];
+        cells.extend([faded, off].map(|share| format!("{:.1}", 100.0 * share)));
+        cells.extend(Estimator::ALL.iter().map(|(estimator, _)| {
+            count(counts::instructions(spec.name, BoardMath::NAME, "exact", &format!("feed-forward, {estimator}")))
+        }));
+        text += &csv_line(cells);
+    }
+    Ok(text)
+}
+
+fn count(instructions: Option<u32>) -> String {
+    instructions.map_or("-".into(), |count| count.to_string())
+}
+
+fn steps(value: f64) -> String {
+    if value < 0.1 { format!("{value:.1e}") } else { format!("{value:.1}") }
+}

@@ -1,0 +1,320 @@
+//! One wall on a device, rendered by the board's own control step in its precision: pressed, slid along, struck or
+//! tapped, by simulation (`contact`).
+//!
+//! Torque follows half a carrier period late, and nothing limits it: motors and their limits are the same for every
+//! estimator. `haptic tune estimators` compares with it ([`super::estimators`]), and [`mod@crate::tune`] searches.
+
+use crate::contact::{Answer, Contact, Fast, Grip, Law};
+use crate::measure::complement;
+use crate::ripple::{LIGHT_HAND, PUSH_N, RISE};
+use haptic_bridge::control::compiled::BoardMath;
+use haptic_bridge::model::admissible::Admissible;
+use haptic_bridge::model::catalogue::MAX_JOINTS;
+use haptic_bridge::model::description::Description;
+use haptic_bridge::model::device::Device;
+use haptic_bridge::model::mechanism::Mechanism;
+use haptic_bridge::render::controller::Controller;
+use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};
+use haptic_bridge::render::velocity::Estimator;
+use haptic_bridge::with_mechanism;
+use haptic_host::error::Failure;
+use haptic_host::vectors::{padded, padded_to};
+use haptic_sim::{EncoderModel, Plant};
+use haptic_stability::analysis::control_loop::{Loop, TorquePath};
+use haptic_stability::analysis::flexible::Hand;
+use haptic_stability::analysis::plant::Drive;
+use haptic_stability::analysis::pose::TaskPose;
+use haptic_stability::analysis::sampled::LinearEstimator;
+
+/// Time to settle before a wall that is slid along is looked at, and time in which it is, s.
+const SETTLE_S: f64 = 0.3;
+const SLIDE_S: f64 = 0.5;
+/// Speed along the wall, m/s, and how the push of a hand that slides swings, as a share of it and in Hz.
+const SLIDE: f64 = 0.03;
+const SWINGS: (f64, f64) = (0.5, 1.0);
+/// Speed of a tap, m/s, and how long is waited for its last rebound, s.
+pub const TAP: f64 = 0.2;
+const TAP_S: f64 = 0.3;
+
+/// The settings with which a wall is rendered.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Rendered {
+    /// Velocity estimator.
+    pub kind: Estimator,
+    /// Hz.
+    pub cutoff_hz: f64,
+    /// The wall's feed-forward.
+    pub feed_forward: FeedForward,
+    /// Corner of the washout, Hz.
+    pub washout_hz: f64,
+    /// True if the joints' own damping is compensated.
+    pub damping_compensation: bool,
+    /// The coordinate that a redundant device holds.
+    pub admissible: Admissible,
+    /// N/m
+    pub stiffness: f64,
+    /// N s/m
+    pub damping: f64,
+}
+
+/// The way in which a wall is tried.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Trial {
+    /// A hand pushes steadily. Friction may then lock the tip between two encoder steps, and a wall that would rattle
+    /// is quiet.
+    Pressed,
+    /// A hand pushes ever harder, as in [`crate::ripple`]: friction cannot hold the tip for good.
+    PressedHarder,
+    /// A hand pushes now more, now less, and slides along the wall.
+    SlidAlong,
+    /// The tip of a `bilateral` wall is given this speed (m/s) into it, without a hand.
+    Struck(f64),
+    /// The tip, pushed by a hand, arrives at this speed, m/s.
+    Tapped(f64),
+}
+
+/// The behaviour of a wall under a hand that presses it and slides along it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pressed {
+    /// Root mean square of what its force has above 20 Hz, N; none where the tip flies off.
+    pub ripple_n: Option<f64>,
+    /// True if it pushes on average as hard as the hand does there, within a tenth and friction.
+    pub holds: bool,
+}
+
+/// A device with a wall through its tip.
+#[derive(Clone)]
+pub struct WallSimulation {
+    /// The device as a hand of the light kind holds it, and alone.
+    held: Description,
+    alone: Description,
+    board: Device<f32>,
+    pub(super) encoders: Vec<EncoderModel>,
+    around: Loop,
+    pub(super) q: [f64; MAX_JOINTS],
+    normal: [f64; MAX_JOINTS],
+    tip: [f64; MAX_JOINTS],
+    /// A unit vector along the wall; zero where there is only one direction.
+    across: [f64; MAX_JOINTS],
+    /// Joint motion per metre of tip motion along the normal, rad/m.
+    pub(super) motion: [f64; MAX_JOINTS],
+    /// Tip motion along the normal in one count of the coarsest joint, m.
+    pub(super) count: f64,
+}
+
+impl WallSimulation {
+    /// The device that a board believes it has, and the one that moves, at a pose (rad), with a wall across the unit
+    /// normal, at a control rate, Hz.
+    pub fn new(
+        believed: &Description,
+        moving: &Description,
+        q: &[f64],
+        normal: &[f64],
+        rate_hz: f64,
+    ) -> Result<Self, Failure> {
+        let encoders = believed.joints[..q.len()]
+            .iter()
+            .map(|joint| joint.encoder.map(|encoder| EncoderModel::new(&encoder, encoder.offset)))
+            .collect::<Option<Vec<_>>>()
+            .ok_or_else(|| {
+                Failure::wrong("the device has joints without [joint.encoder]")
+                    .remedy("walls are tried with what encoder steps make of them: add them")
+            })?;
+        let pose = TaskPose::at(believed, q)?.regular()?;
+        // The device as it was sent has home where count 0 may not be; here counts begin at the encoders' offset.
+        let board = Device::<f32>::new("tried", &Description { home: None, ..*believed }).map_err(Failure::wrong)?;
+        let alone = *moving;
+        let mut held = alone;
+        held.handle_mass += LIGHT_HAND.mass;
+        let row = pose.jacobian.tr_mul(&padded_to(pose.jacobian.nrows(), normal));
+        let per_count = row.iter().zip(&encoders).map(|(lever, encoder)| (lever * encoder.resolution()).abs());
+        let across = complement(&nalgebra::DVector::from_column_slice(normal));
+        let count = per_count.fold(0.0, f64::max);
+        let mut pushed = plant(&alone, padded(q))?;
+        let tip = pushed.tip();
+        pushed.push(padded(normal));
+        Ok(Self {
+            held,
+            alone,
+            board,
+            encoders,
+            // The board's step has an estimator of its own.
+            around: Loop::through(
+                &TorquePath { drive: Drive::Ideal, ..TorquePath::usual(rate_hz) },
+                rate_hz,
+                LinearEstimator::BackwardDifference,
+            ),
+            q: padded(q),
+            normal: padded(normal),
+            tip,
+            across: across.first().map_or([0.0; MAX_JOINTS], |across| padded(across.as_slice())),
+            motion: pushed.qd(),
+            count,
+        })
+    }
+
+    /// The same with each encoder's counts moved by its share of one.
+    pub(super) fn moved(&self, share: impl Fn(usize) -> f64) -> Self {
+        let moved = self.encoders.iter().enumerate().map(|(j, encoder)| encoder.moved(share(j))).collect();
+        Self { encoders: moved, ..self.clone() }
+    }
+
+    /// The largest force along the normal that dry friction can hold, N.
+    pub(super) fn friction(&self) -> f64 {
+        let joints = self.alone.joints;
+        joints.iter().zip(self.motion).map(|(joint, motion)| joint.dry_friction(0.0) * motion.abs()).sum()
+    }
+
+    /// Slides along a wall. Once the ripple is more than `bound_n` (N) whatever follows, that much is told.
+    pub fn slid_along(&self, wall: &Rendered, bound_n: f64) -> Result<Pressed, Failure> {
+        let rate_hz = self.around.rate_hz;
+        let (settle, all) = ((SETTLE_S * rate_hz) as usize, ((SETTLE_S + SLIDE_S) * rate_hz).round() as usize);
+        let look = (all - settle) as f64;
+        let mut fast = Fast::new(rate_hz);
+        let (mut n, mut force_sum, mut square) = (0, 0.0, 0.0);
+        let enough = bound_n * bound_n * look;
+        let kept = self.run(wall, Trial::SlidAlong, SETTLE_S + SLIDE_S, |force, _| {
+            let fast = fast.of(force);
+            if n >= settle {
+                force_sum += force;
+                square += fast * fast;
+            }
+            n += 1;
+            square <= enough
+        })?;
+        if !kept {
+            return Ok(Pressed { ripple_n: None, holds: false });
+        }
+        // A soft wall gives way, and the hand's own spring holds a part.
+        let pushes = (settle..all).map(|n| push(Trial::SlidAlong, n as f64 / rate_hz));
+        let expected = pushes.sum::<f64>() / look * wall.stiffness / (wall.stiffness + LIGHT_HAND.stiffness);
+        Ok(Pressed {
+            ripple_n: Some((square / look).sqrt()),
+            holds: n == all && (force_sum / look / expected - 1.0).abs() < 0.1 + self.friction() / expected,
+        })
+    }
+
+    /// Number of times that a tip that arrives at 0.2 m/s, pushed with 3 N, leaves a wall again; `None` where it flies
+    /// off.
+    pub fn rebounds(&self, wall: &Rendered) -> Result<Option<usize>, Failure> {
+        let (mut inside, mut left) = (false, 0);
+        let kept = self.run(wall, Trial::Tapped(TAP), TAP_S, |_, along| {
+            left += usize::from(inside && along > 0.0);
+            inside = along < 0.0;
+            true
+        })?;
+        Ok(kept.then_some(left))
+    }
+
+    /// Simulates so many seconds of a trial, until `seen` says false: it sees the wall's force (N) and how far the tip
+    /// is along the normal (m) in each period. False where the tip flies off.
+    pub(super) fn run(
+        &self,
+        wall: &Rendered,
+        trial: Trial,
+        seconds: f64,
+        seen: impl FnMut(f64, f64) -> bool,
+    ) -> Result<bool, Failure> {
+        let alone = matches!(trial, Trial::Struck(_));
+        let mut plant = plant(if alone { &self.alone } else { &self.held }, self.q)?;
+        if let Trial::Struck(speed) | Trial::Tapped(speed) = trial {
+            plant.push(self.normal.map(|n| -n * speed));
+        }
+        let scene = self.scene(wall, alone);
+        let Hand { mass, .. } = LIGHT_HAND;
+        let grip = |time: f64| {
+            let along = if trial == Trial::SlidAlong { SLIDE * time } else { 0.0 };
+            (!alone).then(|| Grip {
+                goal: core::array::from_fn(|i| self.tip[i] + along * self.across[i]),
+                // A hand carries its own weight.
+                push: core::array::from_fn(|i| -push(trial, time) * self.normal[i] - mass * self.alone.gravity[i]),
+            })
+        };
+        let contact = Contact::new(plant, self.normal, &self.around, LIGHT_HAND);
+        with_mechanism!(&self.board.mechanism, m => {
+            let mut law = Board::new(self, *m, &scene)?;
+            Ok(contact.run(&mut law, seconds, grip, seen))
+        })
+    }
+
+    /// A wall through the tip.
+    fn scene(&self, wall: &Rendered, bilateral: bool) -> Scene<f32> {
+        let surface =
+            Surface::Plane(Plane { point: self.tip.map(|v| v as f32), normal: self.normal.map(|v| v as f32) });
+        Scene {
+            task: self.alone.kind.spec().task as u8,
+            rate_hz: self.around.rate_hz as f32,
+            cutoff_hz: wall.cutoff_hz as f32,
+            estimator: wall.kind,
+            admissible: wall.admissible,
+            walls: [Wall {
+                surface,
+                stiffness: wall.stiffness as f32,
+                damping: wall.damping as f32,
+                feed_forward: wall.feed_forward,
+                washout_hz: wall.washout_hz as f32,
+                damping_compensation: wall.damping_compensation,
+                bilateral,
+            }]
+            .into_iter()
+            .collect(),
+            ..Scene::default()
+        }
+    }
+
+    /// The velocity that the board sees, m/s, while the joints turn steadily so that the tip goes at `speed`, m/s.
+    pub(super) fn velocities(&self, wall: &Rendered, speed: f64, seconds: f64) -> Result<Vec<f64>, Failure> {
+        let scene = self.scene(wall, true);
+        let rate_hz = self.around.rate_hz;
+        with_mechanism!(&self.board.mechanism, m => {
+            let mut board = Board::new(self, *m, &scene)?;
+            let moved = (0..(seconds * rate_hz) as usize).map(|n| speed * n as f64 / rate_hz);
+            Ok(moved.map(|moved| {
+                let q = core::array::from_fn(|i| self.q[i] + self.motion[i] * moved);
+                f64::from(board.controller.step(&board.counts(&q)).normal_velocity)
+            }).collect())
+        })
+    }
+}
+
+/// The force with which a hand pushes, N.
+fn push(trial: Trial, time: f64) -> f64 {
+    match trial {
+        Trial::PressedHarder => PUSH_N + RISE * time,
+        Trial::SlidAlong => {
+            let (share, hz) = SWINGS;
+            PUSH_N * (1.0 + share * (std::f64::consts::TAU * hz * time).sin())
+        }
+        Trial::Pressed | Trial::Struck(_) | Trial::Tapped(_) => PUSH_N,
+    }
+}
+
+fn plant(description: &Description, q: [f64; MAX_JOINTS]) -> Result<Plant, Failure> {
+    Plant::new(description, q, true, [(f64::NEG_INFINITY, f64::INFINITY); 3]).map_err(Failure::wrong)
+}
+
+/// The board's own step behind the encoders.
+struct Board<'a, M: Mechanism<f32, N>, const N: usize> {
+    controller: Controller<f32, M, BoardMath, N>,
+    encoders: &'a [EncoderModel],
+    before: [f32; MAX_JOINTS],
+}
+
+impl<'a, M: Mechanism<f32, N>, const N: usize> Board<'a, M, N> {
+    fn new(simulation: &'a WallSimulation, mechanism: M, scene: &Scene<f32>) -> Result<Self, Failure> {
+        let controller = Controller::new(mechanism, &simulation.board, scene).map_err(Failure::wrong)?;
+        Ok(Self { controller, encoders: &simulation.encoders, before: [0.0; MAX_JOINTS] })
+    }
+
+    fn counts(&self, q: &[f64; MAX_JOINTS]) -> [i32; N] {
+        core::array::from_fn(|i| self.encoders[i].counts(q[i]))
+    }
+}
+
+impl<M: Mechanism<f32, N>, const N: usize> Law for Board<'_, M, N> {
+    fn answer(&mut self, measured: &[f64; MAX_JOINTS]) -> Answer {
+        let step = self.controller.step_after(&self.before, &self.counts(measured));
+        self.before = core::array::from_fn(|i| if i < N { step.torque[i] } else { 0.0 });
+        Answer { force: f64::from(step.wall_force), torque: self.before.map(f64::from) }
+    }
+}

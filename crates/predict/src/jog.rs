@@ -1,0 +1,537 @@
+//! One joint moved a little while somebody holds a key: the board's part is a joint torque that lasts 70 ms, and the
+//! rest is here. [`Plan`] refuses what must not be begun, [`ControlLoop`] turns angles into a torque without a board, and
+//! [`run`] arms, asks the control loop a hundred times a second, and always ends with the motors off.
+//!
+//! A joint at rest is pushed harder and harder until it moves, then a PI controller holds its speed. Its gains follow
+//! from the inertia that the board's device has there; whatever they do, the torque stays below a share of its limit,
+//! and a joint that is faster than twice the speed asked for, or goes the other way, ends it.
+
+use haptic_bridge::board::protocol::{DeviceData, ForceAnswer, ForceDone};
+use haptic_bridge::control::ARM_SECONDS;
+use haptic_bridge::math::Libm;
+use haptic_bridge::model::catalogue::MAX_JOINTS;
+use haptic_bridge::render::scene::Scene;
+use haptic_bridge::safety::fault::State;
+use haptic_host::error::Failure;
+use haptic_host::link::{Board, Session};
+use haptic_host::words::{fault_and_remedy, short};
+use std::collections::VecDeque;
+use std::io;
+use std::time::Duration;
+
+/// Between two torques: half of the time for which one acts in full.
+const PERIOD: Duration = Duration::from_millis(10);
+/// The speed is the mean over this time, s: slow enough for encoders of 2000 counts a turn.
+const WINDOW: f64 = 0.05;
+/// Bandwidth of the speed controller, rad/s: its delay, half the window and two periods, then takes 26 degrees of
+/// phase.
+const BANDWIDTH: f64 = 10.0;
+/// The push on a joint at rest grows from nothing to the largest in no less and no more than these times, s.
+const RAMP: (f64, f64) = (2.0, 20.0);
+/// Between them no faster than inertia times speed times this, 1/s²: until it is seen to move, the joint has gained
+/// less speed than it was asked for. A coarse encoder sees later ([`ControlLoop::onset`]).
+const ONSET: f64 = 500.0;
+/// A joint that stands still for so long against the largest push stands against something, s.
+const STUCK: f64 = 0.5;
+/// The speed that ends it, over the speed asked for.
+const TOO_FAST: f64 = 2.0;
+/// The same of the other joints: they are free, and a moved link turns the next one's joint by up to three times as
+/// much.
+const OTHER_TOO_FAST: f64 = 5.0;
+/// The way back that ends it, as a share of the way asked for.
+const BACKWARD: f64 = 0.1;
+/// Counts beyond which an encoder shows a motion: at rest it may show one more or less.
+const SHAKE: f64 = 1.5;
+/// Torques that come too late are given up after this time, s.
+const LATE: f64 = 0.5;
+/// The largest share of the torque limit, way (rad) and speed (rad/s).
+const MOST: (f64, f64, f64) = (0.5, 1.0, 1.0);
+
+/// What is asked for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Jog {
+    /// Which joint.
+    pub joint: usize,
+    /// How far and which way, rad.
+    pub by: f64,
+    /// How fast, rad/s; positive.
+    pub speed: f64,
+    /// The largest push as a share of the joint's torque limit.
+    pub share: f64,
+}
+
+/// A jog that a board may begin.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Plan {
+    jog: Jog,
+    device: DeviceData,
+    /// The largest push, N m.
+    pub most: f64,
+    /// The scene holds the device's weight.
+    carried: bool,
+    /// The scene of free space that a board gets which has none: it arms with none.
+    free: Option<Scene<f32>>,
+}
+
+impl Plan {
+    /// Asks the board whether this may begin, and refuses in words.
+    pub fn new(board: &mut Board, jog: Jog) -> Result<Self, Failure> {
+        let Jog { joint, by, speed, share } = jog;
+        let (most_share, most_by, most_speed) = MOST;
+        let inside = |value: f64, most: f64| value > 0.0 && value <= most;
+        if !inside(by.abs(), most_by) {
+            return Err(Failure::wrong(format!(
+                "the way is {by} rad, and must be at most {most_by} either way, and not 0"
+            )));
+        }
+        if !inside(speed, most_speed) {
+            return Err(Failure::wrong(format!(
+                "the speed is {speed} rad/s, and must be more than 0 and at most {most_speed}"
+            )));
+        }
+        if !inside(share, most_share) {
+            return Err(Failure::wrong(format!(
+                "the share of the torque limit is {share}, and must be more than 0 and at most {most_share}"
+            )));
+        }
+        let device = board.device()?.ok_or_else(|| {
+            Failure::impossible("the board has no device").remedy("load one with `haptic device FILE`")
+        })?;
+        if joint >= device.axes() {
+            let last = device.axes() - 1;
+            return Err(Failure::wrong(format!("no joint {joint}: the joints of {} are 0 to {last}", device.name)));
+        }
+        let status = board.status()?;
+        match (status.state, status.fault) {
+            (State::Disarmed, _) => {}
+            (State::Fault, Some(record)) => return Err(Failure::impossible(fault_and_remedy(&record))),
+            _ => return Err(Failure::impossible("the motors are on already").remedy("`haptic disarm` first")),
+        }
+        if !status.homed && device.joints[joint].limits.is_some() {
+            return Err(Failure::impossible("the board does not know where the joint is, and it has limits")
+                .remedy("hold the device in its home pose and run `haptic home`"));
+        }
+        let scene = board.scene()?;
+        let renders = scene.as_ref().is_some_and(|scene| {
+            !(scene.walls.is_empty()
+                && scene.springs.is_empty()
+                && scene.posture.is_none()
+                && scene.field_damping == 0.0)
+        });
+        if renders {
+            return Err(Failure::impossible("the board's scene would push as well: a jog wants free space").remedy(
+                "load a scene without walls, springs, field and posture, or the device again (`haptic device FILE`)",
+            ));
+        }
+        let limits = board.rules()?.limits;
+        if TOO_FAST * speed > f64::from(limits.speed[joint]) {
+            let allowed = short(limits.speed[joint]);
+            return Err(Failure::wrong(format!(
+                "the speed is {speed} rad/s, and the rules let joint {joint} go {allowed}"
+            ))
+            .remedy("ask for at most half of that"));
+        }
+        let motor = device.joints[joint].motor.ok_or_else(|| Failure::impossible("this joint has no motor"))?;
+        let current = motor.max_current.min(limits.current[joint]);
+        let most = share * f64::from((motor.torque_constant * current).min(limits.torque[joint]));
+        if !(most > 0.0 && most.is_finite()) {
+            return Err(Failure::impossible("the rules or the motor allow no torque").remedy("see `haptic rules`"));
+        }
+        let carried = scene.as_ref().is_none_or(|scene| scene.gravity_compensation);
+        let task = device.mechanism.kind().spec().task as u8;
+        let free = || Scene { task, rate_hz: 1000.0, cutoff_hz: 100.0, ..Scene::default() };
+        let plan = Self { jog, device, most, carried, free: scene.is_none().then(free) };
+        plan.check_goal(&status.q)?;
+        Ok(plan)
+    }
+
+    /// Refuses to start at these angles (rad), if the way ends beyond the joint's limits or where the linkage cannot
+    /// be.
+    fn check_goal(&self, q: &[f32; MAX_JOINTS]) -> Result<(), Failure> {
+        let (joint, mut goal) = (self.jog.joint, *q);
+        goal[joint] += self.jog.by as f32;
+        if let Some((low, high)) = self.device.joints[joint].limits
+            && !(low..=high).contains(&goal[joint])
+        {
+            return Err(Failure::impossible(format!(
+                "joint {joint} would go from {} to {} rad, and its limits are {} and {}",
+                short(q[joint]),
+                short(goal[joint]),
+                short(low),
+                short(high)
+            ))
+            .remedy("choose a shorter way, or the other one"));
+        }
+        if !self.device.mechanism.is_finite_at::<Libm>(&goal) {
+            return Err(Failure::impossible(format!("no pose has joint {joint} at {} rad", short(goal[joint])))
+                .remedy("choose a shorter way, or the other one"));
+        }
+        Ok(())
+    }
+
+    /// What it will do.
+    pub fn in_words(&self) -> String {
+        let Jog { joint, by, speed, share } = self.jog;
+        let free = match (self.device.weight, self.carried) {
+            (true, true) => "get no torque but what carries the device's weight",
+            (true, false) => "get no torque, and nothing carries the device's weight",
+            (false, _) => "get no torque",
+        };
+        let most = short(self.most as f32);
+        let scene = if self.free.is_some() { "; the board has no scene, and gets one of free space" } else { "" };
+        format!(
+            "joint {joint} goes by {by:+} rad at {speed} rad/s, pushed with at most {most} N m ({share} of its limit); \
+             other joints {free}{scene}"
+        )
+    }
+
+    fn control_loop(&self, start: &ForceAnswer) -> ControlLoop {
+        ControlLoop::new(
+            Aim {
+                jog: self.jog,
+                joints: self.device.axes(),
+                most: self.most,
+                inertia: felt(&self.device.mechanism.inertia::<Libm>(&start.q), self.device.axes(), self.jog.joint),
+                count: self.device.joints.map(|joint| f64::from(joint.radians_per_count).abs()),
+            },
+            start.q.map(f64::from),
+        )
+    }
+}
+
+/// The inertia that a torque at `joint` meets while the other joints are free, kg m²: 1/(M⁻¹)ᵢᵢ.
+fn felt(mass: &[[f32; MAX_JOINTS]; MAX_JOINTS], joints: usize, joint: usize) -> f64 {
+    let mut mass = mass.map(|row| row.map(f64::from));
+    for other in (0..joints).filter(|other| *other != joint) {
+        let pivot = mass[other];
+        for row in (0..joints).filter(|row| *row != other) {
+            let factor = mass[row][other] / pivot[other];
+            (0..joints).for_each(|column| mass[row][column] -= factor * pivot[column]);
+        }
+    }
+    mass[joint][joint]
+}
+
+/// What a [`ControlLoop`] knows of the joint.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Aim {
+    /// What is asked for.
+    pub jog: Jog,
+    /// Joints of the device.
+    pub joints: usize,
+    /// The largest push, N m.
+    pub most: f64,
+    /// The inertia that it moves, kg m².
+    pub inertia: f64,
+    /// Of each joint, rad in a count.
+    pub count: [f64; MAX_JOINTS],
+}
+
+/// How a jog ended.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Ended {
+    /// The joint went its way.
+    Arrived,
+    /// The key was let go.
+    Released,
+    /// Somebody asked for the end.
+    Stopped,
+    /// The joint moved faster than twice what was asked for.
+    TooFast,
+    /// It moved the other way.
+    Backward,
+    /// Another joint moved by itself.
+    Other(usize),
+    /// It stands still against the largest push.
+    Stuck,
+}
+
+impl Ended {
+    /// In words where it ended as somebody wanted; else the failure.
+    pub fn in_words(self) -> Result<&'static str, Failure> {
+        let failed = |why: &str, remedy: &str| Err(Failure::impossible(why).remedy(remedy));
+        match self {
+            Self::Arrived => Ok("it has gone its way"),
+            Self::Released => Ok("the key was let go"),
+            Self::Stopped => Ok("ended as asked"),
+            Self::TooFast => failed(
+                "the joint moved faster than twice the speed asked for",
+                "let nothing push it, see that its weight is carried, and try a smaller share of the torque limit",
+            ),
+            Self::Backward => failed(
+                "the joint moved the other way than it was pushed",
+                "let nothing push it and see that its weight is carried; else motor and encoder disagree: run \
+                 `haptic polarity`",
+            ),
+            Self::Other(joint) => Err(Failure::impossible(format!("joint {joint} moved by itself")).remedy(
+                "let nothing push it, see that its weight is carried, and that each motor has its own encoder",
+            )),
+            Self::Stuck => failed(
+                "the joint stands still against the largest push: it stands against something, or friction is more",
+                "see what holds it; if nothing does, a larger share of the torque limit pushes harder",
+            ),
+        }
+    }
+}
+
+/// The torque for a joint that is to move, from its angles.
+#[derive(Clone, Debug)]
+pub struct ControlLoop {
+    aim: Aim,
+    from: [f64; MAX_JOINTS],
+    /// The last angles, each with its time (s since the start) and the push then (N m).
+    seen: VecDeque<(f64, [f64; MAX_JOINTS], f64)>,
+    push: f64,
+    moves: bool,
+    /// Since when the largest push has moved nothing.
+    pushed: Option<f64>,
+}
+
+impl ControlLoop {
+    /// Begins at these angles (rad) and time 0, as the motors go on.
+    pub fn new(aim: Aim, from: [f64; MAX_JOINTS]) -> Self {
+        Self { aim, from, seen: VecDeque::from([(0.0, from, 0.0)]), push: 0.0, moves: false, pushed: None }
+    }
+
+    /// The torque at a time (s) and these angles (rad), or how it ends. Times rise from call to call.
+    pub fn step(&mut self, time: f64, q: [f64; MAX_JOINTS]) -> Result<f64, Ended> {
+        let Aim { jog: Jog { joint, by, speed, .. }, most, inertia, count, .. } = self.aim;
+        let way = by.signum();
+        let moved = way * (q[joint] - self.from[joint]);
+        self.guard(time, &q, moved)?;
+        if moved >= by.abs() {
+            return Err(Ended::Arrived);
+        }
+        let last = self.seen.back().map_or(0.0, |(before, ..)| time - before);
+        while self.seen.get(1).is_some_and(|(before, ..)| time - before >= WINDOW) {
+            self.seen.pop_front();
+        }
+        let (before, there, push) = self.seen.front().copied().unwrap_or((0.0, self.from, 0.0));
+        let gone = way * (q[joint] - there[joint]);
+        // While torque ramps up after arming, the guards alone are at work.
+        if time >= f64::from(ARM_SECONDS) {
+            let velocity = gone / (time - before).max(1e-3);
+            // It comes to its end slowly, for nothing brakes it once the motors are off.
+            let wanted = speed * (4.0 * (1.0 - moved / by.abs())).clamp(0.2, 1.0);
+            let moves = gone.abs() > SHAKE * count[joint];
+            if moves && !self.moves {
+                // What was added since it began to move is more than it takes.
+                self.push = push;
+            }
+            self.moves = moves;
+            let (slope, proportional) = match moves {
+                true => {
+                    let proportional = BANDWIDTH * inertia * (wanted - velocity);
+                    (0.25 * BANDWIDTH * proportional, proportional)
+                }
+                false => (self.onset().clamp(most / RAMP.1, most / RAMP.0), 0.0),
+            };
+            self.push = (self.push + slope * last.min(WINDOW)).clamp(-most, most);
+            let torque = (self.push + proportional).clamp(-most, most);
+            let holds = !moves && torque >= most;
+            let since = *self.pushed.get_or_insert(time);
+            if !holds {
+                self.pushed = None;
+            } else if time - since >= STUCK {
+                return Err(Ended::Stuck);
+            }
+            self.seen.push_back((time, q, self.push));
+            return Ok(way * torque);
+        }
+        self.seen.push_back((time, q, 0.0));
+        Ok(0.0)
+    }
+
+    /// How fast the push on a joint at rest may grow, N m/s. A joint that is free gains jt²/2 of speed and jt³/6 of
+    /// way, with j this over its inertia; it is seen after two to three counts, and is to have gained no more than it is
+    /// asked for.
+    fn onset(&self) -> f64 {
+        let Aim { jog: Jog { joint, speed, .. }, inertia, count, .. } = self.aim;
+        let way = 3.0 * count[joint];
+        inertia * (ONSET * speed).min(2.0 * speed.powi(3) / (9.0 * way * way))
+    }
+
+    /// Ends what goes too fast or the wrong way.
+    fn guard(&self, time: f64, q: &[f64; MAX_JOINTS], moved: f64) -> Result<(), Ended> {
+        let Aim { jog: Jog { joint, by, speed, .. }, joints, count, .. } = self.aim;
+        if moved < -(BACKWARD * by.abs()).max(4.0 * count[joint]) {
+            return Err(Ended::Backward);
+        }
+        for (before, there, _) in &self.seen {
+            for i in 0..joints {
+                let most = if i == joint { TOO_FAST } else { OTHER_TOO_FAST } * speed;
+                // What is not a number is no slow joint.
+                let slow = (q[i] - there[i]).abs() <= most * (time - before) + 2.0 * count[i];
+                match slow {
+                    true => {}
+                    false if i == joint => return Err(Ended::TooFast),
+                    false => return Err(Ended::Other(i)),
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+/// What a key says.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Key {
+    /// It is down, and was not when the board told this control step ([`Board::step`]).
+    Down(u32),
+    /// It is let go.
+    Up,
+    /// Whoever holds it wants the end.
+    End,
+}
+
+/// How a jog went.
+#[derive(Debug)]
+pub struct Jogged {
+    /// How it ended; an error where the board or the way to it ended it.
+    pub ended: Result<Ended, Failure>,
+    /// How far the joint went, rad, as it stands with the motors off; `None` if they were never on, or nobody can say.
+    pub moved: Option<f64>,
+}
+
+/// Waits for the key, moves the joint while it is held, and leaves the motors off. `key` is asked a hundred times a
+/// second, with the newest control step that the board has told.
+pub fn run(session: &mut Session, plan: &Plan, key: impl FnMut(u32) -> io::Result<Option<Key>>) -> Jogged {
+    let mut from = None;
+    let ended = while_held(session, plan, key, &mut from);
+    let off = session.disarm();
+    let joint = plan.jog.joint;
+    let moved = from.and_then(|from: f32| session.status().ok().map(|status| f64::from(status.q[joint] - from)));
+    Jogged { ended: ended.and_then(|ended| Ok(off.map(|()| ended)?)), moved }
+}
+
+fn while_held(
+    session: &mut Session,
+    plan: &Plan,
+    mut key: impl FnMut(u32) -> io::Result<Option<Key>>,
+    from: &mut Option<f32>,
+) -> Result<Ended, Failure> {
+    if let Some(scene) = &plan.free {
+        session.set_scene(scene)?;
+    }
+    session.keep_alive();
+    let seen = loop {
+        session.rows(PERIOD)?;
+        match key(session.step()).map_err(Failure::impossible)? {
+            Some(Key::Down(seen)) => break seen,
+            Some(Key::End) => return Ok(Ended::Stopped),
+            _ => {}
+        }
+    };
+    let start = session.look()?;
+    plan.check_goal(&start.q)?;
+    session.arm_held(seen)?;
+    let mut control_loop = plan.control_loop(&start);
+    *from = Some(start.q[plan.jog.joint]);
+    let seconds = |answer: &ForceAnswer| f64::from(answer.step.wrapping_sub(start.step)) * f64::from(answer.period);
+    let mut taken = 0.0;
+    loop {
+        session.rows(PERIOD)?;
+        match key(session.step()).map_err(Failure::impossible)? {
+            Some(Key::Up) => return Ok(Ended::Released),
+            Some(Key::End) => return Ok(Ended::Stopped),
+            Some(Key::Down(seen)) => session.hold_key(seen)?,
+            None => {}
+        }
+        let now = session.look()?;
+        match (now.state, session.fault()) {
+            (State::Armed, _) => {}
+            (_, Some(record)) => return Err(Failure::impossible(fault_and_remedy(&record))),
+            _ => return Err(Failure::impossible("the motors were turned off from elsewhere")),
+        }
+        let mut torque = [0.0; MAX_JOINTS];
+        match control_loop.step(seconds(&now), now.q.map(f64::from)) {
+            Ok(push) => torque[plan.jog.joint] = push as f32,
+            Err(ended) => return Ok(ended),
+        }
+        let answer = session.torque(torque)?;
+        match answer.done {
+            ForceDone::Taken => taken = seconds(&answer),
+            ForceDone::Bad(_) => return Err(Failure::impossible(answer.done)),
+            // Whether the motors are still on shows at the next look.
+            _ if seconds(&answer) - taken < LATE => {}
+            _ => return Err(Failure::impossible(format!("the way to the board is too slow: {}", answer.done))),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Matrix3;
+
+    #[test]
+    fn a_joint_is_as_heavy_as_it_is_while_the_others_are_free() {
+        let mass = [[3.0, 1.0, 0.5], [1.0, 2.0, 0.3], [0.5, 0.3, 1.0]];
+        let inverse = Matrix3::from_fn(|i, j| f64::from(mass[i][j])).try_inverse().unwrap();
+        for joint in 0..3 {
+            assert!((felt(&mass, 3, joint) * inverse[(joint, joint)] - 1.0).abs() < 1e-6);
+        }
+        assert_eq!(felt(&mass, 1, 0), 3.0);
+    }
+
+    /// A mass (kg m²) with dry friction (N m) behind an encoder, pushed every 12 ms; `drive` turns the torque asked for
+    /// into the one that acts. How it ended, the angle then (rad) and the fastest on the way (rad/s).
+    fn pushed(aim: Aim, friction: f64, drive: impl Fn(f64) -> f64) -> (Ended, f64, f64) {
+        let (mut angle, mut speed, mut fastest) = (0.0_f64, 0.0_f64, 0.0_f64);
+        let (mut control_loop, step) = (ControlLoop::new(aim, [0.0; 3]), 1e-4);
+        for period in 1..10_000 {
+            let shown = (angle / aim.count[0]).floor() * aim.count[0];
+            let torque = match control_loop.step(0.012 * f64::from(period), [shown, 0.0, 0.0]) {
+                Ok(torque) => drive(torque),
+                Err(ended) => return (ended, angle, fastest),
+            };
+            assert!(torque.abs() <= aim.most);
+            for _ in 0..120 {
+                let free = speed + step * torque / aim.inertia;
+                let held = step * friction / aim.inertia;
+                speed = free.signum() * (free.abs() - held).max(0.0);
+                angle += step * speed;
+                fastest = fastest.max(speed.abs());
+            }
+        }
+        panic!("without end at {angle} rad");
+    }
+
+    fn aim(inertia: f64, by: f64, counts: f64) -> Aim {
+        let jog = Jog { joint: 0, by, speed: 0.2, share: 0.2 };
+        Aim { jog, joints: 2, most: 0.05, inertia, count: [std::f64::consts::TAU / counts; 3] }
+    }
+
+    #[test]
+    fn light_and_heavy_joints_with_much_and_no_friction_go_their_way_and_no_faster_than_guarded() {
+        for inertia in [5e-5, 2e-4, 1e-3, 1e-2] {
+            for friction in [0.0, 0.002, 0.03] {
+                for counts in [2000.0, 20_000.0] {
+                    for by in [0.1, -0.1, 0.4] {
+                        let aim = aim(inertia, by, counts);
+                        let (ended, angle, fastest) = pushed(aim, friction, |torque| torque);
+                        let said =
+                            format!("{inertia} kg m², {friction} N m, {counts}, {by}: {angle} rad, {fastest} rad/s");
+                        assert_eq!(ended, Ended::Arrived, "{said}");
+                        // A count in the window is what the encoder cannot tell.
+                        let most = TOO_FAST * 0.2 + aim.count[0] / WINDOW;
+                        assert!((angle - by).abs() < 0.006 && fastest < most, "{said}");
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_motor_the_wrong_way_and_friction_that_is_more_end_it() {
+        for inertia in [1e-4, 1e-3, 1e-2] {
+            for by in [0.1, -0.1] {
+                let aim = aim(inertia, by, 20_000.0);
+                let (ended, angle, _) = pushed(aim, 0.01, |torque| -torque);
+                assert!(matches!(ended, Ended::Backward | Ended::TooFast), "{ended:?}");
+                assert!(angle.abs() < 0.1, "{angle}");
+                assert_eq!(pushed(aim, 0.06, |torque| torque).0, Ended::Stuck);
+            }
+        }
+    }
+}

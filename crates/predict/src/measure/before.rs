@@ -1,0 +1,141 @@
+//! The settings that a board held before a measurement, and a check that it holds them again afterwards.
+
+use haptic_bridge::board::protocol::{DeviceData, SceneData};
+use haptic_bridge::control::Rules;
+use haptic_bridge::render::scene::Scene;
+
+use super::walls::is_measurement;
+use haptic_host::backup::{self, BackupError};
+use haptic_host::link::{Board, BoardError, LinkError};
+use serde::{Deserialize, Serialize};
+
+/// Device, scene (with its control rate) and rules of a board.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Before {
+    device: Option<DeviceData>,
+    scene: Option<SceneData>,
+    rules: Rules,
+}
+
+/// The part of [`Before`] that a file keeps while a measurement runs: a tool that is killed puts nothing back itself.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct RestorePoint {
+    /// Serial number of the board.
+    pub serial: String,
+    scene: Option<backup::SavedSetting>,
+    rules: backup::SavedSetting,
+    /// The rules that the measurement sets: a board that still has them was not changed by a user since.
+    #[serde(default)]
+    measuring: Option<backup::SavedSetting>,
+}
+
+impl Before {
+    /// Reads the settings that the board holds now.
+    pub fn of(board: &mut Board) -> Result<Self, LinkError> {
+        Ok(Self { device: board.device()?, scene: board.scene()?, rules: board.rules()? })
+    }
+
+    /// The device that was loaded.
+    #[must_use]
+    pub fn device(&self) -> Option<&DeviceData> {
+        self.device.as_ref()
+    }
+
+    /// Returns true if the scene is one that an interrupted measurement left behind.
+    #[must_use]
+    pub fn is_left_over(&self) -> bool {
+        self.scene.as_ref().is_some_and(is_measurement)
+    }
+
+    /// As a file keeps it: the scene and the rules of this board, and the rules that the measurement is about to set.
+    #[must_use]
+    pub fn keep(&self, serial: &str, measuring: &Rules) -> Option<RestorePoint> {
+        let scene = match &self.scene {
+            Some(scene) => Some(backup::SavedSetting::of(scene)?),
+            None => None,
+        };
+        let (rules, measuring) = (backup::SavedSetting::of(&self.rules)?, backup::SavedSetting::of(measuring));
+        Some(RestorePoint { serial: serial.into(), scene, rules, measuring })
+    }
+
+    /// The settings that were kept before a measurement that was cut short. Its rules take the place of those that the
+    /// measurement set; others stay: somebody has lowered them meanwhile. Also says whether the rules are as they were.
+    pub fn from_kept(&self, kept: &RestorePoint) -> Result<(Self, bool), BackupError> {
+        let scene = kept.scene.as_ref().map(backup::SavedSetting::read::<Scene<f32>>).transpose()?;
+        let then = kept.rules.read::<Rules>()?;
+        let measuring = kept.measuring.as_ref().map(backup::SavedSetting::read::<Rules>).transpose()?;
+        let rules = if measuring == Some(self.rules) { then } else { self.rules };
+        Ok((Self { scene, rules, ..self.clone() }, rules == then))
+    }
+
+    /// The same with the rules from before a measurement that was cut short, if the board still has those that it set.
+    pub fn without_its_rules(&self, kept: &RestorePoint) -> Result<Option<Self>, BackupError> {
+        let then = kept.rules.read::<Rules>()?;
+        let measuring = kept.measuring.as_ref().map(backup::SavedSetting::read::<Rules>).transpose()?;
+        let left = measuring == Some(self.rules) && then != self.rules;
+        Ok(left.then(|| Self { rules: then, ..self.clone() }))
+    }
+
+    /// The rules that were in force.
+    #[must_use]
+    pub fn rules(&self) -> &Rules {
+        &self.rules
+    }
+
+    /// Turns the motors off and puts back whatever has changed: rules, device, scene. A board that had no scene gets an
+    /// empty one, because no request takes a scene away. Every part is tried whatever became of the others; the first
+    /// error is returned.
+    pub fn put_back(&self, board: &mut Board) -> Result<(), BoardError> {
+        let off = board.disarm();
+        let rules = board.set_rules(&self.rules);
+        let device = match &self.device {
+            // Loading a device makes a real board forget its homing.
+            Some(device) if board.device()?.as_ref() != Some(device) => board.set_device(device),
+            _ => Ok(()),
+        };
+        let scene = match (&self.scene, board.scene()?) {
+            (Some(scene), now) if now.as_ref() != Some(scene) => board.set_scene(scene),
+            (None, Some(now)) if !now.walls.is_empty() => {
+                board.set_scene(&Scene { task: now.task, ..Scene::default() })
+            }
+            _ => Ok(()),
+        };
+        off.and(rules).and(device).and(scene)
+    }
+
+    /// The names of what differs from before; empty if nothing does.
+    pub fn missing(&self, board: &mut Board) -> Result<Vec<&'static str>, LinkError> {
+        let now = Self::of(board)?;
+        let empty = now.scene.as_ref().is_none_or(|scene| scene.walls.is_empty());
+        let scene = now.scene == self.scene || (self.scene.is_none() && empty);
+        let parts = [("device", now.device == self.device), ("scene", scene), ("rules", now.rules == self.rules)];
+        Ok(parts.into_iter().filter(|(_, same)| !same).map(|(name, _)| name).collect())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn with_torque(torque: f32) -> Before {
+        let mut rules = Rules::default();
+        rules.limits.torque = [torque; 3];
+        Before { device: None, scene: None, rules }
+    }
+
+    #[test]
+    fn the_rules_of_a_measurement_give_way_to_those_before_it_and_anybody_else_s_stay() {
+        let (before, measuring) = (with_torque(5.0), with_torque(1.0));
+        let kept = before.keep("1", &measuring.rules).unwrap();
+        assert_eq!(measuring.from_kept(&kept).unwrap(), (before.clone(), true));
+        assert_eq!(before.from_kept(&kept).unwrap(), (before.clone(), true));
+        assert_eq!(measuring.without_its_rules(&kept).unwrap(), Some(before.clone()));
+        assert_eq!(before.without_its_rules(&kept).unwrap(), None);
+        let lowered = with_torque(0.5);
+        assert_eq!(lowered.without_its_rules(&kept).unwrap(), None);
+        assert_eq!(lowered.from_kept(&kept).unwrap(), (lowered, false));
+        // A file of an earlier version does not say what the measurement set.
+        let kept = RestorePoint { measuring: None, ..kept };
+        assert_eq!(measuring.from_kept(&kept).unwrap(), (measuring, false));
+    }
+}

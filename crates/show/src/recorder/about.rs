@@ -1,0 +1,114 @@
+//! The subject of a recording: read from the board once, written at the head of every file.
+
+use haptic_bridge::control::Rules;
+use haptic_host::backup::SavedSetting;
+use haptic_host::error::{Failure, on_one_line};
+use haptic_host::link::Board;
+use haptic_host::output;
+use haptic_host::words::{nth_step, wall_in_words};
+use serde::Serialize;
+use std::collections::BTreeMap;
+
+/// Date, versions, board, device, scene, gains and rules of a recording.
+#[derive(Clone, Debug, PartialEq)]
+pub struct About {
+    /// Its lines, as they stand at the head of a CSV file.
+    text: String,
+    /// Control rate, Hz.
+    pub rate_hz: f64,
+    /// Control steps between rows.
+    pub divider: u32,
+    delay_samples: f32,
+}
+
+impl About {
+    /// As the board is now.
+    pub fn read(board: &mut Board, divider: u32) -> Result<Self, Failure> {
+        let details = board.details()?;
+        let info = board.info().clone();
+        let (device, scene, rules) = (board.device()?, board.scene()?, board.rules()?);
+        let name = if details.name.is_empty() { String::new() } else { format!(" \"{}\"", on_one_line(&details.name)) };
+        let mut text = format!(
+            "haptic-bridge recording, fields in docs/telemetry.md\n\
+             date {}\n\
+             tool {}, firmware {}, protocol {}\n\
+             board {} {}{name}\n\
+             device {}\n\
+             control rate {} Hz, every {}, delay {} samples\n",
+            output::date(),
+            env!("CARGO_PKG_VERSION"),
+            on_one_line(&info.firmware),
+            info.protocol,
+            on_one_line(&info.board),
+            on_one_line(&info.serial),
+            on_one_line(details.device.as_deref().unwrap_or("none")),
+            details.rate_hz,
+            nth_step(divider),
+            details.delay_samples,
+        );
+        for (index, wall) in scene.iter().flat_map(|scene| scene.walls.iter().enumerate()) {
+            text.push_str(&format!("wall {index}: {}\n", wall_in_words(wall)));
+        }
+        // For programs: the same and the rest, as the board holds them at the start.
+        text.push_str(&format!("scene {}\n", json(&scene)?));
+        let joints = device.as_ref().map_or(details.axes.into(), |device| device.axes());
+        text.push_str(&format!("rules {}\n", json(&of_joints(&rules, joints)?)?));
+        // And once more to the bit, as a backup has them: `haptic replay` computes with these.
+        let mut settings = BTreeMap::new();
+        settings.extend(device.and_then(|device| Some(("device", bytes_alone(SavedSetting::of(&device)?)))));
+        settings.extend(scene.and_then(|scene| Some(("scene", bytes_alone(SavedSetting::of(&scene)?)))));
+        settings.extend(SavedSetting::of(&rules).map(|rules| ("rules", bytes_alone(rules))));
+        text.push_str(&format!("settings {}\n", json(&settings)?));
+        Ok(Self { text, rate_hz: details.rate_hz.into(), divider, delay_samples: details.delay_samples })
+    }
+
+    /// Its lines.
+    pub fn text(&self) -> &str {
+        &self.text
+    }
+
+    /// The same for programs: the lines together, and each by its first word.
+    pub fn map(&self) -> BTreeMap<String, String> {
+        let lines = self.text.lines().skip(1).filter(|line| !line.starts_with("control rate"));
+        // Versions stand in one line: "tool 0.1.0, firmware 0.1.0, protocol 6".
+        let parts =
+            lines.flat_map(|line| if line.starts_with("tool ") { line.split(", ").collect() } else { vec![line] });
+        let lines = parts.filter_map(|line| match line.strip_prefix("wall ") {
+            Some(wall) => wall.split_once(": ").map(|(index, is)| (format!("wall {index}"), is.into())),
+            None => line.split_once(' ').map(|(word, rest)| (word.into(), rest.into())),
+        });
+        let told = [
+            ("about".to_string(), self.text.clone()),
+            ("divider".into(), self.divider.to_string()),
+            ("rate_hz".into(), self.rate_hz.to_string()),
+            ("delay_samples".into(), self.delay_samples.to_string()),
+            (
+                "time_base".into(),
+                "log times are this computer's clock at the first row, and from there on the board's control steps"
+                    .into(),
+            ),
+        ];
+        lines.chain(told).collect()
+    }
+}
+
+/// Version and bytes; what they mean stands beside them already.
+fn bytes_alone(kept: SavedSetting) -> SavedSetting {
+    SavedSetting { value: None, ..kept }
+}
+
+/// Rules with one number per joint, where a board has room for more joints than a device has.
+fn of_joints(rules: &Rules, joints: usize) -> Result<serde_json::Value, Failure> {
+    let mut rules = serde_json::to_value(rules).map_err(Failure::impossible)?;
+    for list in rules["limits"].as_object_mut().into_iter().flatten().filter_map(|(_, limit)| limit.as_array_mut()) {
+        list.truncate(joints);
+    }
+    if let Some(list) = rules["index_period"].as_array_mut() {
+        list.truncate(joints);
+    }
+    Ok(rules)
+}
+
+fn json(value: &impl Serialize) -> Result<String, Failure> {
+    serde_json::to_string(value).map_err(Failure::impossible)
+}

@@ -1,0 +1,256 @@
+//! A recording played once more: its encoder counts into the simulated board's control code, torques beside torques.
+//!
+//! Device, scene and rules are those of the recording. The control code is deterministic, so from the same counts at
+//! every step the same torques come, to the bit. What is not in a recording makes a difference: gains that were changed
+//! while it was made, forces that a host asked for, and what the velocity estimators remembered from before its first
+//! row, which fades within the first rows.
+
+use crate::recorder::{Recording, STATES};
+use haptic_bridge::board::settings::Setting;
+use haptic_bridge::control::compiled::BoardMath;
+use haptic_bridge::control::frame::Samples;
+use haptic_bridge::control::joints::Counts;
+use haptic_bridge::control::program::{Hardware, Program};
+use haptic_bridge::control::{Command, ControlLoop, HostAction, Rules};
+use haptic_bridge::drive::stage::Bridge;
+use haptic_bridge::model::catalogue::MAX_JOINTS;
+use haptic_bridge::model::device::Device;
+use haptic_bridge::render::scene::Scene;
+use haptic_bridge::safety::fault::State;
+use haptic_host::backup::SavedSetting;
+use haptic_host::error::{Choice, Failure};
+use haptic_host::words::counted;
+use serde::Serialize;
+use std::collections::BTreeMap;
+
+/// A torque that differs, and by how much.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Difference {
+    /// Control step of the board.
+    pub step: u64,
+    /// Since the recording's first row, s.
+    pub time_s: f64,
+    /// Joint, from 0.
+    pub joint: usize,
+    /// N m
+    pub recorded: f32,
+    /// N m
+    pub replayed: f32,
+    /// Steps of single precision from one to the other: 1 for neighbouring numbers.
+    pub steps_of_precision: u64,
+}
+
+/// The result of a replay.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Replayed {
+    /// Rows that were played.
+    pub rows: u64,
+    /// Of these, rows with the motors on.
+    pub armed: u64,
+    /// Rows in which a torque differs.
+    pub differing: u64,
+    /// The first difference.
+    pub first: Option<Difference>,
+    /// The largest.
+    pub largest: Option<Difference>,
+    /// Why not all rows were played.
+    pub stopped: Option<String>,
+}
+
+impl Replayed {
+    /// Every row was played, and every torque is the same to the bit.
+    pub fn is_same(&self) -> bool {
+        self.differing == 0 && self.stopped.is_none()
+    }
+}
+
+fn setting<S: Setting>(settings: &BTreeMap<String, SavedSetting>, name: &str) -> Result<S, Failure> {
+    let missing = || {
+        Failure::wrong(format!("the recording says nothing of the board's {name}"))
+            .remedy("record with a device and a scene loaded, by haptic record")
+    };
+    settings.get(name).ok_or_else(missing)?.read().map_err(Failure::wrong)
+}
+
+/// The numbers of the recording's columns, by their contents.
+struct Columns {
+    step: usize,
+    time: usize,
+    state: usize,
+    counts: Vec<usize>,
+    torque: Vec<usize>,
+    q: Vec<usize>,
+}
+
+impl Columns {
+    fn of(recording: &Recording, joints: usize) -> Result<Self, Failure> {
+        let column = |name: String| {
+            recording.column(&name).ok_or_else(|| {
+                Failure::wrong(format!("the recording has no column {name}, which a replay needs"))
+                    .remedy("record q, torque, counts and state, as haptic record does")
+                    .choose(Choice::Fields)
+            })
+        };
+        let each = |name: &str, unit: &str| {
+            (0..joints).map(|i| column(format!("{name}{i}{unit}"))).collect::<Result<Vec<usize>, Failure>>()
+        };
+        Ok(Self {
+            step: column("step".into())?,
+            time: column("time_s".into())?,
+            state: column("state".into())?,
+            counts: each("counts", "")?,
+            torque: each("torque", "_n_m")?,
+            q: each("q", "_rad")?,
+        })
+    }
+}
+
+/// Plays a recording.
+pub fn replay(recording: &Recording) -> Result<Replayed, Failure> {
+    let settings = recording.told("settings").ok_or_else(|| {
+        Failure::wrong("the recording does not hold the board's settings").remedy("record with haptic record")
+    })?;
+    let settings: BTreeMap<String, SavedSetting> = serde_json::from_str(settings).map_err(Failure::wrong)?;
+    let (device, scene): (Device<f32>, Scene<f32>) = (setting(&settings, "device")?, setting(&settings, "scene")?);
+    // A replay has no host that sends heartbeats.
+    let rules = Rules { host_action: HostAction::Ignore, ..setting(&settings, "rules")? };
+    let joints = device.axes();
+    let columns = Columns::of(recording, joints)?;
+    let rows = &recording.rows;
+    let first = rows.first().ok_or_else(|| Failure::wrong("the recording has no rows"))?;
+    if rows.get(1).is_some_and(|second| second[columns.step] - first[columns.step] > 1.5) {
+        let every = rows[1][columns.step] - first[columns.step];
+        return Err(Failure::wrong(format!(
+            "the recording holds one control step in {every}, and a replay needs every one"
+        ))
+        .remedy("record at the control rate: haptic record does where the link carries it, with fewer fields")
+        .choose(Choice::Fields));
+    }
+    if drives(first[columns.state] as usize) {
+        return Err(Failure::wrong(
+            "the motors are on in the first row: what the control step remembered is not known",
+        )
+        .remedy("begin to record before arming, as haptic record does where it arms itself"));
+    }
+
+    let hardware = Hardware {
+        axes: MAX_JOINTS,
+        real: false,
+        bus_sensed: false,
+        bridge: Bridge { carrier_hz: 20e3, dead_time: 0.0, bandwidth_hz: 1e3, current_sensed: false },
+        timer_hz: haptic_sim::TIMER_HZ,
+    };
+    let mut control_loop = ControlLoop::<Box<Program<BoardMath>>>::new(hardware, rules);
+    let program = Program::new(&hardware, &rules.limits, &device, &scene, false).map_err(Failure::wrong)?;
+    control_loop.execute(Command::Program(Box::new(program))).0.map_err(Failure::wrong)?;
+
+    // Counts at angle zero as homing set them: what the recorded angle leaves of the recorded count.
+    let zero: Vec<i64> = (0..joints)
+        .map(|i| {
+            let joint = &device.joints[i];
+            let turned = (first[columns.q[i]] - f64::from(joint.offset)) / f64::from(joint.radians_per_count);
+            first[columns.counts[i]] as i64 - turned.round() as i64
+        })
+        .collect();
+    let mut replayed = Replayed::default();
+    let mut due = first[columns.step];
+    for row in rows {
+        let (step, time_s) = (row[columns.step], row[columns.time]);
+        if step != due {
+            let lost = counted((step - due).max(0.0), "row");
+            replayed.stopped = Some(format!("{lost} missing before step {step}; played up to there"));
+            break;
+        }
+        due = (step + 1.0) % 4_294_967_296.0;
+        let recorded = row[columns.state] as usize;
+        if let Err(refusal) = follow(&mut control_loop, recorded) {
+            replayed.stopped = Some(format!(
+                "at step {step} the recording is {}, and the simulated board refuses: {refusal}",
+                STATES.get(recorded).unwrap_or(&"in no state that is known")
+            ));
+            break;
+        }
+        let counts = Counts::from_fn(|i| match columns.counts.get(i) {
+            Some(column) => (row[*column] as i64 - zero[i]) as i32,
+            None => 0,
+        });
+        control_loop.control(&Samples { counts, ..Samples::default() });
+        let frame = control_loop.frame();
+        replayed.rows += 1;
+        replayed.armed += u64::from(drives(recorded));
+        let mut differs = false;
+        for (joint, column) in columns.torque.iter().enumerate() {
+            let (recorded, found) = (row[*column] as f32, frame.motors.torque[joint]);
+            if recorded.to_bits() == found.to_bits() {
+                continue;
+            }
+            differs = true;
+            let difference = Difference {
+                step: step as u64,
+                time_s,
+                joint,
+                recorded,
+                replayed: found,
+                steps_of_precision: apart(recorded, found),
+            };
+            replayed.first = replayed.first.or(Some(difference));
+            let size = |d: &Difference| f64::from(d.recorded - d.replayed).abs();
+            if replayed.largest.as_ref().is_none_or(|largest| size(largest) < size(&difference)) {
+                replayed.largest = Some(difference);
+            }
+        }
+        replayed.differing += u64::from(differs);
+    }
+    Ok(replayed)
+}
+
+/// Returns true if the motors are on in a recorded state.
+fn drives(recorded: usize) -> bool {
+    State::ALL.get(recorded).is_some_and(|state| state.drives())
+}
+
+/// Brings the control loop into the state that the row was recorded in.
+fn follow(
+    control_loop: &mut ControlLoop<Box<Program<BoardMath>>>,
+    recorded: usize,
+) -> Result<(), haptic_bridge::safety::refusal::Refusal> {
+    let now = control_loop.frame().state;
+    if now as usize == recorded || !now.drives() && !drives(recorded) {
+        return Ok(());
+    }
+    // A check that has ended turns the motors off by itself, in the step that shows it.
+    if now == State::CheckingPolarity {
+        return Ok(());
+    }
+    if now == State::Fault {
+        control_loop.execute(Command::Clear).0?;
+    }
+    match recorded {
+        armed if armed == State::Armed as usize => control_loop.execute(Command::Arm).0,
+        check if check == State::CheckingPolarity as usize => control_loop.execute(Command::CheckPolarity).0,
+        // A fault that turns the motors off shows in the step that finds it.
+        _ => control_loop.execute(Command::Disarm).0,
+    }
+}
+
+/// Number of steps of single precision from one to the other.
+fn apart(a: f32, b: f32) -> u64 {
+    let place = |value: f32| {
+        let bits = i64::from(value.to_bits() & 0x7fff_ffff);
+        if value.is_sign_negative() { -bits } else { bits }
+    };
+    place(a).abs_diff(place(b))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_are_apart_by_what_lies_between_them() {
+        assert_eq!(apart(1.0, 1.0 + f32::EPSILON), 1);
+        assert_eq!(apart(-1.0, -1.0 - 2.0 * f32::EPSILON), 2);
+        assert_eq!(apart(f32::from_bits(1), -f32::from_bits(1)), 2);
+        assert_eq!(apart(0.0, -0.0), 0);
+    }
+}

@@ -1,0 +1,260 @@
+//! Messages to pages: pictures, sweeps, the device, the walls, and what was refused.
+
+use super::recording::{ActiveRecording, Recorded};
+use super::{Stage, TURNED};
+use crate::outline::{on_an_arc, outline};
+use crate::view::hub::PageId;
+use crate::view::picture::{Geometry, Newest, Numbers, nearest_wall};
+use crate::view::stability::{Plane, Question, buzz};
+use crate::view::world::hand_settings;
+use haptic_bridge::control::HostAction;
+use haptic_bridge::render::scene::Surface;
+use haptic_bridge::safety::fault::FaultRecord;
+use haptic_stability::analysis::flexible::Hand;
+use haptic_stability::analysis::oscillation::Oscillation;
+use nalgebra::Vector3;
+use serde::Serialize;
+use serde_json::{Value, json};
+
+/// One picture, as JSON.
+#[derive(Serialize)]
+struct Picture<'a> {
+    is: &'static str,
+    time: f64,
+    step: u32,
+    state: &'static str,
+    /// Joint angles, rad.
+    q: &'a [f64],
+    geometry: &'a Geometry,
+    numbers: &'a Numbers,
+    trail: &'a [[f64; 2]],
+    hand: Option<HandSeen>,
+    command: Option<PageId>,
+    held: bool,
+    fault: Option<&'a str>,
+    losses: String,
+    lost: u64,
+    load: Option<f64>,
+    speed: Option<f64>,
+    pages: usize,
+    buzz: Option<Oscillation>,
+    recording: Option<Recorded>,
+    if_lost: &'static str,
+}
+
+#[derive(Serialize)]
+struct HandSeen {
+    at: [f64; 2],
+    goal: [f64; 2],
+    force: [f64; 2],
+}
+
+impl Stage {
+    /// The moment to every page.
+    pub(super) fn show(&mut self) {
+        let newest = Newest::of(&self.ring, &self.columns);
+        let links = self.world.file.as_ref().map(|file| &file.description);
+        let (geometry, numbers) = newest.moment(&self.device, links, &self.scene, self.rows_hz);
+        let hand = self.world.simulated.as_ref().and_then(|board| {
+            let board = board.lock();
+            let [x, y, _] = board.device().hand().position()?;
+            let [fx, fy, _] = board.device().hand_force();
+            Some(HandSeen { at: [x, y], goal: self.goal.unwrap_or([x, y]), force: [fx, fy] })
+        });
+        let every = self.trail.len().div_ceil(32).max(1);
+        let trail: Vec<[f64; 2]> = self.trail.drain(..).step_by(every).collect();
+        let losses = self.world.board.losses();
+        let q = newest.q(self.device.axes());
+        let picture = Picture {
+            is: "picture",
+            time: self.world.board.now().as_secs_f64(),
+            step: self.world.board.step(),
+            state: crate::recorder::STATES[self.state as usize],
+            q: &q,
+            geometry: &geometry,
+            numbers: &numbers,
+            trail: &trail,
+            hand,
+            command: self.command.map(|(id, _)| id),
+            held: self.held.is_some(),
+            fault: self.fault.as_deref(),
+            lost: losses.missing,
+            losses: losses.to_string(),
+            load: self.load,
+            speed: self.world.simulated.is_some().then_some(self.pace.speed),
+            pages: self.hub.count(),
+            buzz: self.buzz.filter(|_| numbers.wall == self.plane.as_ref().map(|plane| plane.wall)),
+            recording: self.recording.as_ref().map(ActiveRecording::told),
+            if_lost: self.if_lost(),
+        };
+        // NaN and infinities become null: a page leaves them out.
+        if let Ok(text) = serde_json::to_string(&picture) {
+            self.hub.to_all(|outbox| outbox.picture = Some(text.clone()));
+        }
+        let sound = std::mem::take(&mut self.sound);
+        for listener in &self.listeners {
+            self.hub.to(*listener, |outbox| outbox.hear(self.rows_hz as f32, &sound));
+        }
+        let Some((wall, normal)) = nearest_wall(&self.scene, &self.tip()) else { return };
+        let moved = self.asked.as_ref().is_none_or(|(asked, at)| {
+            *asked != wall || at.iter().zip(&q).any(|(before, now)| (before - now).abs() > TURNED)
+        });
+        // What limits a wall is worked out once for a pose and a kind of feed-forward, however often pages ask.
+        let explain = self.oracle.is_to_explain(self.state.drives());
+        let explained = self.plane.as_ref().and_then(|plane| plane.limits.as_ref()).map(|limits| limits.feed_forward);
+        let unexplained = explain
+            && self.plane.as_ref().is_some_and(|plane| plane.wall == wall)
+            && self.scene.walls.get(wall).map(|wall| wall.feed_forward) != explained;
+        if (moved || unexplained) && self.ring.end() > 0 && !self.oracle.is_busy() {
+            self.oracle.ask(Question { explain, ..self.question(wall, q.clone(), &normal) });
+            self.asked = Some((wall, q));
+        }
+        if let Some(answer) = self.oracle.answered() {
+            self.plane = answer;
+            self.buzz = self.predicted_buzz();
+            let message = self.plane.as_ref().map_or(json!({"is": "plane", "plane": null}), plane_message);
+            self.say_to_all(&message);
+        }
+    }
+
+    fn question(&self, wall: usize, q: Vec<f64>, normal: &Vector3<f64>) -> Question {
+        let hand = hand_settings();
+        // At the frequency of a buzz a hand hardly moves: its grip holds the tip.
+        let grip = Hand { mass: 0.0, damping: hand.grip_damping, stiffness: hand.grip_stiffness };
+        Question {
+            subject: self.subject.clone(),
+            scene: self.scene.clone(),
+            wall,
+            q,
+            normal: normal.as_slice()[..usize::from(self.scene.task)].to_vec(),
+            path: self.path.clone(),
+            hand: self.world.simulated.is_some().then_some(grip),
+            explain: false,
+        }
+    }
+
+    /// The swing of the nearest wall where its gains are predicted to be unstable: worked out with every boundary and
+    /// with every change of the scene, not for every picture.
+    pub(super) fn predicted_buzz(&self) -> Option<Oscillation> {
+        let (index, normal) = nearest_wall(&self.scene, &self.tip())?;
+        let (asked, q) = self.asked.as_ref()?;
+        let (plane, wall) = (self.plane.as_ref()?, self.scene.walls.get(index)?);
+        let outside = wall.stiffness > plane.stiffness_to(wall.feed_forward, wall.damping);
+        let found = [*asked, plane.wall].iter().all(|of| *of == index) && outside;
+        let swing = found.then(|| buzz(&self.question(index, q.clone(), &normal)))??;
+        (swing.growth_per_s > 0.0).then_some(swing)
+    }
+
+    /// The state of the motors, in words, once nothing is heard of this stage any more.
+    fn if_lost(&self) -> &'static str {
+        match (self.world.simulated.is_some(), self.state.drives(), self.rules.host_action) {
+            (true, ..) => "its simulated board is gone with it, or let its motors go with the key",
+            _ if self.held.is_some() => "the board turns its motors off half a second after it last heard of the key",
+            (_, true, HostAction::Disarm) => {
+                "another tool turned the motors on; the board turns them off where it hears of no tool"
+            }
+            (_, true, _) => "the motors MAY BE ON: another tool turned them on, and the board does not watch its host",
+            (_, false, _) => "the motors were off when this page last heard of them",
+        }
+    }
+
+    /// The newest sweep to every page that has a scope.
+    pub(super) fn sweep(&mut self) {
+        for (id, scope) in &mut self.scopes {
+            if let Some(sweep) = scope.sweep(&self.ring) {
+                let bytes = scope.bytes(&sweep);
+                self.hub.to(*id, |outbox| outbox.scope = Some(bytes));
+            }
+        }
+    }
+
+    /// The facts that a page has to know once.
+    pub(super) fn about(&self) -> Value {
+        let info = self.world.board.info();
+        let hand = hand_settings();
+        json!({
+            "is": "hello",
+            "tool": env!("CARGO_PKG_VERSION"),
+            "device": self.device.name.as_str(),
+            "scene": self.world.scene_name,
+            "board": info.board.as_str(),
+            "serial": info.serial.as_str(),
+            "port": self.world.board.port(),
+            "simulated": self.world.simulated.is_some(),
+            "records": self.folder.is_some(),
+            "weightless": self.world.weightless, "smooth": self.world.smooth,
+            "flat": self.device.mechanism.kind().spec().task == 2,
+            "task": self.device.mechanism.kind().spec().task,
+            "rate_hz": self.scene.rate_hz,
+            "rows_hz": self.rows_hz,
+            "cutoff_hz": self.scene.cutoff_hz,
+            "columns": self.columns.iter().map(|column| column.label.as_str()).collect::<Vec<_>>(),
+            "hand": {
+                "mass": hand.mass, "grip": [hand.grip_stiffness, hand.grip_damping],
+                "arm": [hand.arm_stiffness, hand.arm_damping],
+            },
+        })
+    }
+
+    pub(super) fn walls(&self) -> Value {
+        let paddle = self.scene.task == 1;
+        let length = self.world.file.as_ref().map(|file| file.description.geometry[0]);
+        let drawn = |surface: &Surface<f64>| match paddle {
+            true => length.and_then(|length| on_an_arc(surface, length)),
+            false => outline(surface),
+        };
+        let walls = self.scene.walls.iter().map(|wall| {
+            json!({
+                "shape": wall.surface.spec().name, "values": wall.surface.values(),
+                "outline": drawn(&wall.surface), "stiffness": wall.stiffness,
+                "damping": wall.damping, "feed_forward": wall.feed_forward, "washout_hz": wall.washout_hz,
+            })
+        });
+        let springs = self.scene.springs.iter().map(|spring| {
+            json!({
+                "point": spring.point, "direction": spring.direction, "stiffness": spring.stiffness,
+                "damping": spring.damping,
+            })
+        });
+        json!({
+            "is": "walls", "walls": walls.collect::<Vec<_>>(), "springs": springs.collect::<Vec<_>>(),
+            "field_damping": self.scene.field_damping,
+        })
+    }
+
+    pub(super) fn say(&self, id: PageId, message: &Value) {
+        self.hub.to(id, |outbox| outbox.tell(message.to_string()));
+    }
+
+    pub(super) fn say_to_all(&self, message: &Value) {
+        let text = message.to_string();
+        self.hub.to_all(|outbox| outbox.tell(text.clone()));
+    }
+
+    pub(super) fn refuse(&self, id: PageId, why: &str) {
+        self.say(id, &json!({"is": "refused", "why": why}));
+    }
+
+    /// A refusal that stands as long as its cause, by the page's name for it (page/link.js).
+    pub(super) fn refuse_while(&self, cause: &str, id: PageId, why: &str) {
+        self.say(id, &json!({"is": "refused", "of": cause, "why": why}));
+    }
+
+    pub(super) fn refuse_all(&self, cause: Option<&str>, why: &str) {
+        self.say_to_all(&json!({"is": "refused", "of": cause, "why": why}));
+    }
+}
+
+pub(super) fn plane_message(plane: &Plane) -> Value {
+    json!({"is": "plane", "plane": plane})
+}
+
+/// A fault and what helps: of a device that is simulated in this process no cable is to be checked.
+pub(super) fn in_words(record: &FaultRecord, simulated: bool) -> String {
+    let joint = record.axis.map_or(String::new(), |axis| format!(" (joint {axis})"));
+    let remedy = match simulated {
+        true => "nothing of a simulated device is broken: start over, or clear the fault and go on from here",
+        false => record.fault.remedy(),
+    };
+    format!("{}{joint}: {remedy}", record.fault)
+}

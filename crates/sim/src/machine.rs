@@ -1,0 +1,96 @@
+//! The machine under the service of a board without a chip: the control loop itself, and settings in memory.
+
+use super::flash::SettingsFlash;
+use haptic_bridge::board::dispatch::Described;
+use haptic_bridge::board::machine::{Machine, Measured};
+use haptic_bridge::board::protocol::{ForceAnswer, ForceRequest, Info};
+use haptic_bridge::board::settings::{Entry, Key};
+use haptic_bridge::control::compiled::BoardMath;
+use haptic_bridge::control::program::{Hardware, Program};
+use haptic_bridge::control::{Command, ControlLoop, Reply, Rules, Status};
+use haptic_bridge::drive::carrier::{CARRIER_MIN_HZ, Carrier};
+use haptic_bridge::safety::refusal::Refusal;
+
+/// The machine of a board that is a program on this computer. What the service must not do while the motors are on,
+/// it panics at in a build with debug assertions.
+#[derive(Debug)]
+pub struct LocalMachine {
+    /// The control_loop.
+    pub control_loop: ControlLoop<Box<Program<BoardMath>>>,
+    /// The settings.
+    pub flash: SettingsFlash,
+    /// The carrier of the control rate.
+    pub carrier: Carrier,
+    /// Number of times that the carrier was set: once for every program that came in force.
+    pub retimed: u32,
+    info: Info,
+    /// From sampling to the duty in force, carrier periods.
+    delay: f64,
+}
+
+impl LocalMachine {
+    /// A machine fresh from the factory, which introduces itself with `info` and has this delay, in carrier periods.
+    pub fn new(hardware: Hardware, info: Info, delay: f64) -> Self {
+        Self {
+            control_loop: ControlLoop::new(hardware, Rules::default()),
+            flash: SettingsFlash::default(),
+            carrier: Carrier::for_rate(hardware.timer_hz, CARRIER_MIN_HZ as f32),
+            retimed: 0,
+            info,
+            delay,
+        }
+    }
+
+    fn motors_are_off(&self) -> bool {
+        !self.control_loop.status().state.drives()
+    }
+}
+
+impl Machine for LocalMachine {
+    type Math = BoardMath;
+    type Held = Box<Program<BoardMath>>;
+
+    fn execute(&mut self, command: Command<Self::Held>) -> Reply<Self::Held> {
+        self.control_loop.execute(command)
+    }
+    fn status(&mut self) -> Status {
+        self.control_loop.status()
+    }
+    fn force(&mut self, request: &ForceRequest) -> ForceAnswer {
+        self.control_loop.force(request)
+    }
+    fn place(&mut self, program: Program<BoardMath>) -> Result<Self::Held, Refusal> {
+        Ok(Box::new(program))
+    }
+    fn release(&mut self, _held: Self::Held) {}
+    fn retime(&mut self, rate_hz: f32) {
+        debug_assert!(self.motors_are_off(), "the timer is set while the motors are on");
+        self.carrier = Carrier::for_rate(self.carrier.timer_hz, rate_hz);
+        self.retimed = self.retimed.wrapping_add(1);
+    }
+    fn stage(&mut self, key: Key, entry: &[u8]) -> Result<(), Refusal> {
+        debug_assert!(self.motors_are_off(), "flash is written while the motors are on");
+        self.flash.stage(key, entry)
+    }
+    fn staged(&mut self, key: Key) -> Option<Entry> {
+        self.flash.staged(key)
+    }
+    fn commit(&mut self, keys: &[Key]) -> Result<(), Refusal> {
+        debug_assert!(self.motors_are_off(), "flash is written while the motors are on");
+        self.flash.commit(keys)
+    }
+    fn load(&mut self, key: Key) -> Option<Entry> {
+        self.flash.load(key)
+    }
+}
+
+impl Described for LocalMachine {
+    fn info(&self) -> Info {
+        self.info.clone()
+    }
+
+    fn measured(&mut self) -> Measured {
+        let delay = self.delay / f64::from(self.carrier.divider);
+        Measured { carrier_hz: self.carrier.carrier_hz(), delay_samples: delay as f32, ..Measured::default() }
+    }
+}

@@ -1,0 +1,515 @@
+//! The device's equations of motion, integrated: M(q) q̈ + c + g + B q̇ + Coulomb = τ + Jᵀ f (docs/model.md section 1).
+//!
+//! One step is Moreau's midpoint rule (J. J. Moreau 1988, "Unilateral contact and dry friction in finite freedom
+//! dynamics"): drift half a step, solve for the velocity at the end, drift the other half. It is second order and
+//! symplectic for position-dependent forces, exact for a constant torque on a constant inertia, and dry friction is a
+//! *set* of admissible impulses rather than a sign function: a joint that friction can hold does not creep or chatter.
+//! A transmission (docs/model.md section 4) is a spring and a damper between a motor and its link, integrated by the
+//! same rule's implicit mean: stable however stiff it is, and without a loss of its own. A structural mode is a body on
+//! such a spring whose end velocity is eliminated from the same equations before they are solved: it costs a few
+//! products. Stribeck friction is dry friction of the bound that the speed at the step's start gives; cogging acts at
+//! the angle at its middle.
+
+use haptic_bridge::control::TRIPPING_SINE;
+use haptic_bridge::math::Libm;
+use haptic_bridge::model::description::{
+    Cogging, Description, DescriptionError, EncoderAt, Joint, MAX_MODES, StructuralMode, Transmission,
+};
+use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism, Regularity};
+use haptic_bridge::render::controller::{FULL_REGULARITY, PARALLEL_REGULARITY};
+use haptic_bridge::with_mechanism;
+use nalgebra::{SMatrix, SVector};
+
+/// The forces on the device during one step; the first N (or d) entries count.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Load {
+    /// Motor torques, N m.
+    pub torque: [f64; 3],
+    /// Damping added by the motors (torque constant times back-EMF over resistance), N m s/rad.
+    pub damping: [f64; 3],
+    /// Force on the tip, N.
+    pub force: [f64; 3],
+}
+
+/// Position and velocity of a mechanism with its friction.
+#[derive(Clone, Debug)]
+pub struct Plant {
+    mechanism: AnyMechanism<f64>,
+    joints: usize,
+    task: usize,
+    viscous: [f64; 3],
+    /// The joints, with the part of their dry friction and cogging that acts.
+    dry: [Joint; 3],
+    cogging: [Option<Cogging>; 3],
+    stops: [(f64, f64); 3],
+    /// The stop short of singularities, and how far from them the linkage is.
+    short: ShortStop,
+    distance: f64,
+    q: [f64; 3],
+    qd: [f64; 3],
+    /// The acceleration of the last step, rad/s²: centres the velocity terms of the next.
+    qdd: [f64; 3],
+    transmissions: [Option<Transmission>; 3],
+    /// Motor angles (rad) and velocities (rad/s) of the joints that have a transmission; the others' are the joint's.
+    theta: [f64; 3],
+    theta_d: [f64; 3],
+    /// The masses that swing on each joint's link: the mode, its angle (rad) and velocity (rad/s).
+    modes: [[Option<Swinging>; MAX_MODES]; 3],
+    /// Friction impulse of the last step, N m s: where the solver starts.
+    friction: [f64; 3],
+    tip: [f64; 3],
+    tip_velocity: [f64; 3],
+}
+
+/// A structural mode and its state.
+#[derive(Clone, Copy, Debug)]
+struct Swinging {
+    mode: StructuralMode,
+    angle: f64,
+    velocity: f64,
+}
+
+impl Swinging {
+    /// The mass's part in a step of `h` of its joint, which is at `q` (rad) and moves with `qd` (rad/s): inertia (kg
+    /// m²) and momentum (N m s) on the two sides of M v⁺ = …, then its velocity at the end if the joint's is zero then,
+    /// and the increase of that velocity for each unit of the joint's.
+    fn over(&self, q: f64, qd: f64, h: f64) -> (f64, f64, f64, f64) {
+        let inertia = self.mode.inertia;
+        let mean = 0.5 * h * self.mode.viscous() + 0.25 * h * h * self.mode.stiffness();
+        let pulled = h * self.mode.stiffness() * (q - self.angle);
+        let share = mean / (inertia + mean);
+        let alone = ((inertia - mean) * self.velocity + pulled + mean * qd) / (inertia + mean);
+        (inertia * share, -inertia * (alone - self.velocity), alone, share)
+    }
+}
+
+/// Sweeps of the friction solver. It starts from the previous step's answer, and two sweeps already settle N ≤ 3
+/// joints; the rest is for the steps in which a joint starts or stops.
+const SWEEPS: usize = 20;
+
+/// A stop at a distance `nearest` from singularities: towards it the linkage is no faster than would reach it in
+/// `softness` (s), and from beyond it comes back so fast. So it takes energy and gives none.
+#[derive(Clone, Copy, Debug)]
+struct ShortStop {
+    nearest: f64,
+    softness: f64,
+    /// Serial singularities count as well, through which a linkage goes as through any pose.
+    serial: bool,
+}
+
+impl ShortStop {
+    /// The stop of every simulated linkage: short of a parallel singularity, where inertia has no bound, and nearer to it
+    /// than where a board turns its motors off. What is left of the way shrinks to no less than a third in a millisecond:
+    /// a step of 5 µs stays short beside it.
+    const HARD: Self =
+        Self { nearest: 0.5 * TRIPPING_SINE as f64 / PARALLEL_REGULARITY, softness: 1e-3, serial: false };
+    /// A stop that a hand runs into: a harder one is a blow that no model of a motor explains, a fault.
+    const SOFT: Self = Self { nearest: FULL_REGULARITY, softness: 0.05, serial: true };
+
+    /// Distance from the nearest singularity, as a board's feed-forward counts it.
+    fn distance(&self, regularity: &Regularity<f64>) -> f64 {
+        let parallel = regularity.parallel / PARALLEL_REGULARITY;
+        if self.serial { regularity.serial.min(parallel) } else { parallel }
+    }
+}
+
+/// Turn of a joint over which the way from a singularity is measured, rad: a tenth of the turn that leads from
+/// [`ShortStop::HARD`] into the singularity.
+const TINY_TURN: f64 = 1e-7;
+
+fn vector<const N: usize>(values: &[f64; 3]) -> SVector<f64, N> {
+    SVector::from_fn(|i, _| values[i])
+}
+
+fn array<const N: usize>(values: &SVector<f64, N>) -> [f64; 3] {
+    core::array::from_fn(|i| if i < N { values[i] } else { 0.0 })
+}
+
+impl Plant {
+    /// A device at rest at `q` (rad). `friction` false leaves out viscous and Coulomb friction; `stops` are the angles
+    /// (low, high) beyond which a joint cannot go, infinite where there are none.
+    pub fn new(
+        description: &Description,
+        q: [f64; 3],
+        friction: bool,
+        stops: [(f64, f64); 3],
+    ) -> Result<Self, DescriptionError> {
+        let spec = description.kind.spec();
+        let share = if friction { 1.0 } else { 0.0 };
+        let mut plant = Self {
+            mechanism: AnyMechanism::new(&description.link_side())?,
+            joints: spec.joints,
+            task: spec.task,
+            viscous: description.joints.map(|joint| share * joint.viscous),
+            dry: if friction { description.joints } else { [Joint::default(); 3] },
+            cogging: description.joints.map(|joint| joint.cogging),
+            stops,
+            short: ShortStop::HARD,
+            distance: 0.0,
+            q,
+            qd: [0.0; 3],
+            qdd: [0.0; 3],
+            transmissions: description.joints.map(|joint| joint.transmission),
+            theta: q,
+            theta_d: [0.0; 3],
+            modes: core::array::from_fn(|i| {
+                description.joints[i].modes.map(|mode| mode.map(|mode| Swinging { mode, angle: q[i], velocity: 0.0 }))
+            }),
+            friction: [0.0; 3],
+            tip: [0.0; 3],
+            tip_velocity: [0.0; 3],
+        };
+        plant.stop_at(ShortStop::HARD);
+        Ok(plant)
+    }
+
+    /// Gives the linkage a stop short of every singularity: where a board's feed-forward just acts in full, or where it
+    /// stands if that is nearer.
+    pub fn stop_short(&mut self) {
+        self.stop_at(ShortStop::SOFT);
+    }
+
+    fn stop_at(&mut self, stop: ShortStop) {
+        self.short = stop;
+        self.refresh();
+        self.short.nearest = stop.nearest.min(self.distance);
+    }
+
+    /// Number of joints N.
+    pub fn joints(&self) -> usize {
+        self.joints
+    }
+    /// Task dimension d.
+    pub fn task(&self) -> usize {
+        self.task
+    }
+    /// Returns true if any joint has a transmission that gives or a structural mode.
+    pub fn is_flexible(&self) -> bool {
+        self.transmissions.iter().any(Option::is_some) || self.modes.iter().flatten().any(Option::is_some)
+    }
+    /// Joint angles, rad.
+    pub fn q(&self) -> [f64; 3] {
+        self.q
+    }
+    /// Joint velocities, rad/s.
+    pub fn qd(&self) -> [f64; 3] {
+        self.qd
+    }
+    /// Velocities of the motors, at the joints, rad/s.
+    pub fn motor_velocity(&self) -> [f64; 3] {
+        core::array::from_fn(|i| if self.transmissions[i].is_some() { self.theta_d[i] } else { self.qd[i] })
+    }
+    /// Angles of the motors, at the joints, rad.
+    fn motor_angle(&self) -> [f64; 3] {
+        core::array::from_fn(|i| if self.transmissions[i].is_some() { self.theta[i] } else { self.q[i] })
+    }
+    /// Angles that the encoders measure, rad.
+    pub fn measured(&self) -> [f64; 3] {
+        core::array::from_fn(|i| match self.transmissions[i] {
+            Some(Transmission { encoder_at: EncoderAt::Motor, .. }) => self.theta[i],
+            _ => self.q[i],
+        })
+    }
+    /// Tip, m (the first d entries).
+    pub fn tip(&self) -> [f64; 3] {
+        self.tip
+    }
+    /// Tip velocity, m/s.
+    pub fn tip_velocity(&self) -> [f64; 3] {
+        self.tip_velocity
+    }
+
+    /// Puts the device at `q` (rad) with velocities `qd` (rad/s).
+    pub fn place(&mut self, q: [f64; 3], qd: [f64; 3]) {
+        self.q = q;
+        self.qd = qd;
+        self.qdd = [0.0; 3];
+        (self.theta, self.theta_d) = (q, qd);
+        self.friction = [0.0; 3];
+        self.swing_along();
+        self.refresh();
+    }
+
+    /// Lets what swings move with its joint.
+    fn swing_along(&mut self) {
+        for (joint, modes) in self.modes.iter_mut().enumerate() {
+            for mode in modes.iter_mut().flatten() {
+                (mode.angle, mode.velocity) = (self.q[joint], self.qd[joint]);
+            }
+        }
+    }
+
+    /// Gives the tip the velocity `velocity` (m/s), with no other motion where the device is redundant.
+    pub fn push(&mut self, velocity: [f64; 3]) {
+        with_mechanism!(&self.mechanism, m => self.qd = array(&m.inverse(&m.pose::<Libm>(&vector(&self.q)), &vector(&velocity))));
+        self.theta_d = self.qd;
+        self.swing_along();
+        self.refresh();
+    }
+
+    /// Kinetic energy ½ q̇ᵀ M q̇ and what the springs of transmissions and modes and the magnets of the motors hold, J.
+    pub fn energy(&self) -> f64 {
+        fn moving<M: Mechanism<f64, N>, const N: usize>(m: &M, q: &[f64; 3], qd: &[f64; 3]) -> f64 {
+            let qd: SVector<f64, N> = vector(qd);
+            0.5 * qd.dot(&(m.mass(&m.pose::<Libm>(&vector(q))) * qd))
+        }
+        let links = with_mechanism!(&self.mechanism, m => moving(m, &self.q, &self.qd));
+        let turned = self.motor_angle();
+        let besides = |joint: usize| {
+            let swinging = self.modes[joint].iter().flatten().map(|swinging| {
+                let Swinging { mode, angle, velocity } = swinging;
+                let moving = velocity.powi(2) - self.qd[joint].powi(2);
+                0.5 * (mode.inertia * moving + mode.stiffness() * (angle - self.q[joint]).powi(2))
+            });
+            let magnets = self.cogging[joint].map_or(0.0, |cogging| {
+                cogging.amplitude / cogging.per_turn * (1.0 + (cogging.per_turn * turned[joint]).cos())
+            });
+            swinging.sum::<f64>() + magnets
+        };
+        let behind = |joint: usize| {
+            self.transmissions[joint].map_or(0.0, |transmission| {
+                let twist = self.theta[joint] - self.q[joint];
+                0.5 * (transmission.motor_inertia * self.theta_d[joint].powi(2)
+                    + transmission.stiffness * twist.powi(2))
+            })
+        };
+        links + (0..self.joints).map(|joint| behind(joint) + besides(joint)).sum::<f64>()
+    }
+
+    /// The torques that hold the device against gravity here, N m.
+    pub fn gravity(&self) -> [f64; 3] {
+        with_mechanism!(&self.mechanism, m => array(&m.gravity(&m.pose::<Libm>(&vector(&self.q)))))
+    }
+
+    /// Advances by `h` seconds under a constant load.
+    pub fn step(&mut self, load: &Load, h: f64) {
+        // The mechanism is copied out so that its arm of the match may change the rest of the plant; it is plain data.
+        let mechanism = self.mechanism;
+        with_mechanism!(&mechanism, m => self.advance(m, load, h));
+    }
+
+    fn refresh(&mut self) {
+        let mechanism = self.mechanism;
+        with_mechanism!(&mechanism, m => {
+            let pose = m.pose::<Libm>(&vector(&self.q));
+            self.observe(m, &pose);
+        });
+    }
+
+    fn observe<M: Mechanism<f64, N>, const N: usize>(&mut self, m: &M, pose: &M::Pose) {
+        self.distance = self.short.distance(&m.regularity(pose));
+        self.tip = array(&m.tip(pose));
+        self.tip_velocity = array(&m.velocity(pose, &vector(&self.qd)));
+        self.tip[self.task..].fill(0.0);
+        self.tip_velocity[self.task..].fill(0.0);
+    }
+
+    /// Updates what follows from the pose after a step of `h`, and applies the stop short of singularities.
+    fn arrive<M: Mechanism<f64, N>, const N: usize>(&mut self, m: &M, h: f64) {
+        let (before, q) = (self.distance, vector(&self.q));
+        let pose = m.pose::<Libm>(&q);
+        self.observe(m, &pose);
+        let back = (self.short.nearest - self.distance) / self.short.softness;
+        if self.distance - before >= h * back {
+            return;
+        }
+        // The square of the distance is smooth where the distance has a corner or an infinite slope.
+        let away = SVector::<f64, N>::from_fn(|i, _| {
+            let mut turned = q;
+            turned[i] += TINY_TURN;
+            let there = self.short.distance(&m.regularity(&m.pose::<Libm>(&turned)));
+            (there.powi(2) - self.distance.powi(2)) / (2.0 * self.distance * TINY_TURN)
+        });
+        let given = m.mass(&pose).try_inverse().unwrap_or_else(SMatrix::zeros) * away;
+        let qd: SVector<f64, N> = vector(&self.qd);
+        let lacks = back - away.dot(&qd);
+        let share = lacks / away.dot(&given);
+        if lacks > 0.0 && share.is_finite() {
+            self.qd = array(&(qd + given * share));
+            self.observe(m, &pose);
+        }
+    }
+
+    fn advance<M: Mechanism<f64, N>, const N: usize>(&mut self, m: &M, load: &Load, h: f64) {
+        let qd: SVector<f64, N> = vector(&self.qd);
+        let middle: SVector<f64, N> = vector::<N>(&self.q) + qd * (0.5 * h);
+        let pose = m.pose::<Libm>(&middle);
+        let centred = qd + vector::<N>(&self.qdd) * (0.5 * h);
+
+        let mut mass = m.mass(&pose);
+        for i in 0..N {
+            for swinging in self.modes[i].iter().flatten() {
+                mass[(i, i)] -= swinging.mode.inertia;
+            }
+        }
+        let (angle, speed) = (self.motor_angle(), self.motor_velocity());
+        let bounds: [f64; 3] = core::array::from_fn(|i| self.dry[i].dry_friction(speed[i]) * h);
+        let mut load = *load;
+        for i in 0..N {
+            if let Some(cogging) = self.cogging[i] {
+                load.torque[i] += cogging.amplitude * (cogging.per_turn * (angle[i] + 0.5 * h * speed[i])).sin();
+            }
+        }
+        let load = &load;
+        let mut force: SVector<f64, N> = vector(&load.force);
+        for entry in self.task..N {
+            force[entry] = 0.0;
+        }
+        let drive =
+            vector::<N>(&load.torque) + m.transpose(&pose, &force) - m.coriolis(&pose, &centred) - m.gravity(&pose);
+        if self.transmissions.iter().any(Option::is_some) {
+            return self.advance_flexible(m, load, mass, drive - vector::<N>(&load.torque), &bounds, h);
+        }
+        // Viscous friction as the trapezoid's mean: (M + hB/2) v⁺ = (M - hB/2) v + h τ - impulses.
+        let mut damped = mass;
+        let mut momentum = mass * qd + drive * h;
+        for i in 0..N {
+            let half = 0.5 * h * (self.viscous[i] + load.damping[i]);
+            damped[(i, i)] += half;
+            momentum[i] -= half * qd[i];
+            for swinging in self.modes[i].iter().flatten() {
+                let (inertia, given, ..) = swinging.over(self.q[i], qd[i], h);
+                damped[(i, i)] += inertia;
+                momentum[i] += given;
+            }
+        }
+        // Not invertible only when the state is already not finite; the old velocity is then as good as any.
+        let inverse = damped.try_inverse().unwrap_or_else(SMatrix::zeros);
+        let free = inverse * momentum;
+        let bounds = core::array::from_fn(|i| bounds[i]);
+        let outside = core::array::from_fn(|i| self.outside(i, middle[i]));
+        let mut friction = vector(&self.friction);
+        let after = free - inverse * reactions::<N>(&inverse, &free, &bounds, &outside, &mut friction);
+        self.friction = array(&friction);
+
+        self.swing(&array(&after), h);
+        self.q = array(&(middle + after * (0.5 * h)));
+        self.qdd = array(&((after - qd) / h));
+        self.qd = array(&after);
+        self.arrive(m, h);
+    }
+
+    /// The same with motors behind transmissions: joints first, then the motors of those that have one. `drive` are the
+    /// joint torques without the motors'.
+    fn advance_flexible<M: Mechanism<f64, N>, const N: usize>(
+        &mut self,
+        m: &M,
+        load: &Load,
+        mass: SMatrix<f64, N, N>,
+        drive: SVector<f64, N>,
+        dry: &[f64; 3],
+        h: f64,
+    ) {
+        const BOTH: usize = 6;
+        let mut velocity = SVector::<f64, BOTH>::zeros();
+        let (mut inertia, mut damping) = (SMatrix::<f64, BOTH, BOTH>::identity(), SMatrix::<f64, BOTH, BOTH>::zeros());
+        let (mut stiffness, mut force) = (damping, velocity);
+        let mut bounds = [0.0; BOTH];
+        let mut outside = [(false, false); BOTH];
+        inertia.view_mut((0, 0), (N, N)).copy_from(&mass);
+        for i in 0..N {
+            velocity[i] = self.qd[i];
+            force[i] = drive[i];
+            outside[i] = self.outside(i, self.q[i] + 0.5 * h * self.qd[i]);
+            let mut turned = i;
+            if let Some(transmission) = self.transmissions[i] {
+                turned = 3 + i;
+                velocity[turned] = self.theta_d[i];
+                inertia[(turned, turned)] = transmission.motor_inertia;
+                for (a, b, sign) in [(i, i, 1.0), (turned, turned, 1.0), (i, turned, -1.0), (turned, i, -1.0)] {
+                    damping[(a, b)] += sign * transmission.damping;
+                    stiffness[(a, b)] += sign * transmission.stiffness;
+                }
+                let pull = transmission.stiffness * (self.theta[i] - self.q[i]);
+                force[i] += pull;
+                force[turned] -= pull;
+            }
+            force[turned] += load.torque[i];
+            damping[(turned, turned)] += self.viscous[i] + load.damping[i];
+            bounds[turned] = dry[i];
+        }
+        // The spring's mean force over the step is that of its mean deflection, h/4 (v + v⁺) further than now.
+        let mean = damping * (0.5 * h) + stiffness * (0.25 * h * h);
+        let (mut before, mut momentum) = (inertia + mean, (inertia - mean) * velocity + force * h);
+        for i in 0..N {
+            for swinging in self.modes[i].iter().flatten() {
+                let (inertia, given, ..) = swinging.over(self.q[i], self.qd[i], h);
+                before[(i, i)] += inertia;
+                momentum[i] += given;
+            }
+        }
+        let inverse = before.try_inverse().unwrap_or_else(SMatrix::zeros);
+        let free = inverse * momentum;
+        let turned = |i: usize| if self.transmissions[i].is_some() { 3 + i } else { i };
+        let mut friction = SVector::<f64, BOTH>::zeros();
+        for i in 0..N {
+            friction[turned(i)] = self.friction[i];
+        }
+        let after = free - inverse * reactions::<BOTH>(&inverse, &free, &bounds, &outside, &mut friction);
+        self.friction = core::array::from_fn(|i| if i < N { friction[turned(i)] } else { 0.0 });
+        self.swing(&core::array::from_fn(|i| after[i]), h);
+        for i in 0..N {
+            self.q[i] += 0.5 * h * (velocity[i] + after[i]);
+            self.qdd[i] = (after[i] - velocity[i]) / h;
+            self.qd[i] = after[i];
+            self.theta[i] += 0.5 * h * (velocity[3 + i] + after[3 + i]);
+            self.theta_d[i] = after[3 + i];
+        }
+        self.arrive(m, h);
+    }
+
+    /// Moves what swings on by `h`, before its joints, whose velocities at the end are `after`.
+    fn swing(&mut self, after: &[f64; 3], h: f64) {
+        for (joint, modes) in self.modes.iter_mut().enumerate() {
+            for swinging in modes.iter_mut().flatten() {
+                let (_, _, alone, share) = swinging.over(self.q[joint], self.qd[joint], h);
+                let velocity = alone + share * after[joint];
+                swinging.angle += 0.5 * h * (swinging.velocity + velocity);
+                swinging.velocity = velocity;
+            }
+        }
+    }
+
+    /// Returns two flags for a joint at `q` (rad): true if it is at or beyond its lower stop, and its upper stop.
+    fn outside(&self, joint: usize, q: f64) -> (bool, bool) {
+        (q <= self.stops[joint].0, q >= self.stops[joint].1)
+    }
+}
+
+/// Impulses of dry friction and end stops, N m s, by projected Gauss-Seidel: each coordinate's friction takes what it
+/// can of the velocity, within ± `bounds`; a stop takes what moves further out. `friction` is where the solver starts,
+/// and its answer.
+fn reactions<const S: usize>(
+    inverse: &SMatrix<f64, S, S>,
+    free: &SVector<f64, S>,
+    bounds: &[f64; S],
+    outside: &[(bool, bool); S],
+    friction: &mut SVector<f64, S>,
+) -> SVector<f64, S> {
+    if bounds.iter().all(|bound| *bound == 0.0) && outside.iter().all(|&(low, high)| !low && !high) {
+        *friction = SVector::zeros();
+        return SVector::zeros();
+    }
+    let mut stop = SVector::<f64, S>::zeros();
+    for _ in 0..SWEEPS {
+        let mut change: f64 = 0.0;
+        for i in 0..S {
+            let mut take = |impulse: &mut SVector<f64, S>, low: f64, high: f64, other: &SVector<f64, S>| {
+                let velocity = free[i] - (inverse.row(i) * (*impulse + other))[0];
+                let before = impulse[i];
+                impulse[i] = (before + velocity / inverse[(i, i)]).clamp(low, high);
+                change = change.max((impulse[i] - before).abs());
+            };
+            take(friction, -bounds[i], bounds[i], &stop);
+            match outside[i] {
+                (true, _) => take(&mut stop, f64::NEG_INFINITY, 0.0, friction),
+                (_, true) => take(&mut stop, 0.0, f64::INFINITY, friction),
+                _ => {}
+            }
+        }
+        if change <= 1e-18 {
+            break;
+        }
+    }
+    *friction + stop
+}

@@ -1,0 +1,296 @@
+//! The counting image: every variant of the control step on the chip, between the markers of emulator's `count`.
+//!
+//! Nothing but the core runs: no board, no clock set-up, no interrupt. `cargo xtask bench` builds it, has it counted on
+//! the emulated chip and keeps the figures in crates/predict/src/bench/counts.json. A variant's name is
+//! `mechanism/trigonometry/mass model/terms`, and that of another velocity estimator ends with its name; each is called
+//! at several poses with the tip inside the walls, after a few steps of motion.
+#![no_std]
+#![no_main]
+
+mod devices;
+
+use core::hint::black_box;
+use core::panic::PanicInfo;
+use core::ptr::{addr_of_mut, write_volatile};
+use haptic_bridge::math::{Libm, Math, Micromath, Minimax, Tabulated};
+use haptic_bridge::model::catalogue::MAX_JOINTS;
+use haptic_bridge::model::description::Description;
+use haptic_bridge::model::device::Device;
+use haptic_bridge::model::mechanism::Mechanism;
+use haptic_bridge::model::precomputed::{Grid, Interpolation, MassModel, TABLE_VALUES, tabulate};
+use haptic_bridge::render::controller::Controller;
+use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Sphere, Spring, Surface, VelocityTerms, Wall};
+use haptic_bridge::render::step_result::StepResult;
+use haptic_bridge::render::velocity::{Chosen, Estimator, LONGEST_WINDOW};
+use haptic_bridge::with_mechanism;
+use heapless::{String, Vec};
+use nalgebra::SVector;
+
+#[unsafe(no_mangle)]
+static mut BENCH_NAME: [u32; 2] = [0; 2];
+
+#[unsafe(no_mangle)]
+#[inline(never)]
+extern "C" fn bench_begin() {
+    // SAFETY: nothing but an instruction that does nothing; it keeps the three markers different functions.
+    unsafe { core::arch::asm!("nop") };
+}
+
+#[unsafe(no_mangle)]
+#[inline(never)]
+extern "C" fn bench_end() {
+    // SAFETY: see `bench_begin`.
+    unsafe { core::arch::asm!("nop", "nop") };
+}
+
+#[unsafe(no_mangle)]
+#[inline(never)]
+extern "C" fn bench_done() {
+    // SAFETY: see `bench_begin`.
+    unsafe { core::arch::asm!("nop", "nop", "nop") };
+}
+
+#[panic_handler]
+fn panic(_: &PanicInfo<'_>) -> ! {
+    loop {
+        core::hint::spin_loop();
+    }
+}
+
+/// Poses away from home, rad; every pose of every device below is regular.
+const POSES: [[f32; MAX_JOINTS]; 6] =
+    [[0.0; 3], [0.15, 0.2, -0.1], [-0.2, -0.15, 0.25], [0.3, 0.1, 0.2], [-0.1, 0.25, -0.2], [0.1, -0.2, -0.15]];
+/// The contents of the scene.
+#[derive(Clone, Copy, PartialEq)]
+enum Walls {
+    None,
+    One,
+    /// Two planes across each other, both touched.
+    Two,
+    Ball,
+    /// No wall, but a spring.
+    Spring,
+    /// A plane, and a spring beside it.
+    OneAndSpring,
+}
+
+/// The terms, by name: what stands in the scene, whether it is shaped, whether with velocity terms.
+const TERMS: &[(&str, Walls, FeedForward, VelocityTerms)] = &[
+    ("none", Walls::One, FeedForward::Off, VelocityTerms::Off),
+    ("feed-forward", Walls::One, FeedForward::Full, VelocityTerms::Off),
+    ("feed-forward+z", Walls::One, FeedForward::Full, VelocityTerms::Rendered),
+    ("washout", Walls::One, FeedForward::Washout, VelocityTerms::Off),
+    ("washout+z", Walls::One, FeedForward::Washout, VelocityTerms::Rendered),
+    ("free", Walls::None, FeedForward::Off, VelocityTerms::Off),
+    ("edge, none", Walls::Two, FeedForward::Off, VelocityTerms::Off),
+    ("edge, washout", Walls::Two, FeedForward::Washout, VelocityTerms::Off),
+    ("edge, washout+z", Walls::Two, FeedForward::Washout, VelocityTerms::Rendered),
+    ("ball, washout", Walls::Ball, FeedForward::Washout, VelocityTerms::Off),
+    ("ball, washout+z", Walls::Ball, FeedForward::Washout, VelocityTerms::Rendered),
+    ("spring", Walls::Spring, FeedForward::Off, VelocityTerms::Off),
+    ("spring beside, none", Walls::OneAndSpring, FeedForward::Off, VelocityTerms::Off),
+    ("spring beside, washout", Walls::OneAndSpring, FeedForward::Washout, VelocityTerms::Off),
+];
+/// A table's points along each coordinate, and how far it reaches from home, rad.
+const POINTS: u8 = 10;
+const RANGE: f32 = 0.6;
+/// Steps before the one that is counted: the joints come from a few counts away, so velocities are not zero. An
+/// estimator's window is full by then.
+const RUN_UP: i32 = 3;
+const LONG_RUN_UP: i32 = LONGEST_WINDOW as i32 + RUN_UP;
+
+#[cortex_m_rt::entry]
+fn main() -> ! {
+    // Every variant is set up on the stack, several controllers at once, so it gets the free end of the memory.
+    // SAFETY: nothing of this function is used again, and nothing else lies there (memory.x).
+    unsafe { core::arch::asm!("mov sp, {top}", "b {all}", top = in(reg) 0x2002_0000, all = sym all, options(noreturn)) }
+}
+
+extern "C" fn all() -> ! {
+    name("empty");
+    bench_begin();
+    bench_end();
+    for description in
+        [devices::PADDLE, devices::FIVE_BAR, devices::FIVE_BAR_TURRET, devices::PARALLELOGRAM, devices::SERIAL_3R]
+    {
+        let Ok(device) = Device::<f32>::new("bench", &description) else { panic!() };
+        every_math(&device, &description);
+    }
+    bench_done();
+    loop {
+        core::hint::spin_loop();
+    }
+}
+
+#[inline(never)]
+fn every_math(device: &Device<f32>, description: &Description) {
+    with_mechanism!(&device.mechanism, mechanism => {
+        variants::<_, Tabulated, _>(mechanism, device, description);
+        variants::<_, Minimax, _>(mechanism, device, description);
+        variants::<_, Micromath, _>(mechanism, device, description);
+        variants::<_, Libm, _>(mechanism, device, description);
+    });
+}
+
+#[inline(never)]
+fn variants<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
+    mechanism: &M,
+    device: &Device<f32>,
+    description: &Description,
+) {
+    let home = description.home.unwrap_or_default();
+    let pose = mechanism.pose::<K>(&SVector::from_fn(|i, _| home[i] as f32));
+    let tip = mechanism.tip(&pose);
+    let entries = M::MASS_ENTRIES.len();
+    let [first, second] = mechanism.shape(&SVector::from_fn(|i, _| home[i] as f32));
+    let grid = |interpolation| {
+        let (low, high) = ([first - RANGE, second - RANGE], [first + RANGE, second + RANGE]);
+        Grid::new(interpolation, [POINTS; 2], low, high, entries)
+    };
+    for kind in ["exact", "bilinear", "bicubic", "frozen"] {
+        let interpolation = if kind == "bilinear" { Interpolation::Bilinear } else { Interpolation::Bicubic };
+        let Some(grid) = grid(interpolation) else { panic!() };
+        let mut values = Vec::<f32, TABLE_VALUES>::new();
+        tabulate::<f32, K, M, N>(mechanism, &grid, |_, value| _ = values.push(value));
+        let mass = match kind {
+            "exact" => MassModel::Exact,
+            "frozen" => MassModel::Frozen(mechanism.mass(&pose)),
+            _ => MassModel::table::<M>(&grid, &values).unwrap_or_default(),
+        };
+        for (term, walls, feed_forward, velocity_terms) in TERMS {
+            // Other scenes are counted with the board's own functions alone, and all but a ball with the closed form
+            // alone.
+            let shipped = K::NAME == Tabulated::NAME && (kind == "exact" || *walls == Walls::Ball);
+            if *walls != Walls::One && !shipped {
+                continue;
+            }
+            let scene = scene::<M, N>(&tip, *walls, *feed_forward, *velocity_terms);
+            count::<M, K, N>(mechanism, device, &scene, &mass, &home, &[kind, "/", term], RUN_UP);
+        }
+    }
+    // Estimators of the wall's velocity, with the board's own functions: their windows as long as they can be.
+    if K::NAME == Tabulated::NAME {
+        for (estimator, usual) in Estimator::ALL {
+            let longest = |chosen| match usual.spec().and_then(|spec| spec.key).filter(|key| key.unit == "samples") {
+                Some(key) => Chosen { value: key.range.1, ..chosen },
+                None => chosen,
+            };
+            let mut scene = scene::<M, N>(&tip, Walls::One, FeedForward::Full, VelocityTerms::Off);
+            scene.estimator = usual.chosen().map_or(*usual, |chosen| usual.choosing(longest(chosen)));
+            let name = ["exact/feed-forward, ", estimator];
+            count::<M, K, N>(mechanism, device, &scene, &MassModel::Exact, &home, &name, LONG_RUN_UP);
+        }
+    }
+}
+
+/// Counts the step of a scene, under its mechanism's and trigonometry's name and `rest`, at every pose.
+#[inline(never)]
+fn count<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
+    mechanism: &M,
+    device: &Device<f32>,
+    scene: &Scene<f32>,
+    mass: &MassModel<f32, N>,
+    home: &[f64; MAX_JOINTS],
+    rest: &[&str],
+    run_up: i32,
+) {
+    let Ok(mut controller) = Controller::<f32, M, K, N>::new(*mechanism, device, scene) else { panic!() };
+    controller.set_mass(mass.clone());
+    let mut text = String::<96>::new();
+    for part in [M::SPEC.name, "/", K::NAME, "/"].iter().chain(rest) {
+        let _ = text.push_str(part);
+    }
+    name(&text);
+    for offset in POSES {
+        step_at::<M, K, N>(&mut controller, device, home, &offset, run_up);
+    }
+}
+
+#[inline(never)]
+fn step_at<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
+    controller: &mut Controller<f32, M, K, N>,
+    device: &Device<f32>,
+    home: &[f64; MAX_JOINTS],
+    offset: &[f32; MAX_JOINTS],
+    run_up: i32,
+) {
+    let mut counts: [i32; N] =
+        core::array::from_fn(|i| ((home[i] as f32 + offset[i]) / device.joints[i].radians_per_count) as i32);
+    let controller = black_box(controller);
+    controller.forget();
+    let mut found = StepResult::default();
+    for step in 0..=run_up {
+        for (i, count) in counts.iter_mut().enumerate() {
+            *count += 1 + i as i32;
+        }
+        let counts = black_box(&counts);
+        let counted = step == run_up;
+        if counted {
+            bench_begin();
+        }
+        control::<M, K, N>(controller, counts, black_box(&mut found));
+        if counted {
+            bench_end();
+        }
+    }
+}
+
+/// The control step, which leaves what it finds where the control loop and telemetry read it, out of line as the interrupt has it.
+#[inline(never)]
+fn control<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
+    controller: &mut Controller<f32, M, K, N>,
+    counts: &[i32; N],
+    found: &mut StepResult<f32>,
+) {
+    controller.render(counts, &[0.0; MAX_JOINTS], found);
+}
+
+/// A scene whose walls are far enough out that every pose is inside them.
+fn scene<M: Mechanism<f32, N>, const N: usize>(
+    tip: &SVector<f32, N>,
+    walls: Walls,
+    feed_forward: FeedForward,
+    velocity_terms: VelocityTerms,
+) -> Scene<f32> {
+    let task = M::SPEC.task;
+    let directions = match task {
+        1 => [[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]],
+        2 => [[0.6, 0.8, 0.0], [0.8, -0.6, 0.0]],
+        _ => [[0.36, 0.48, 0.8], [0.8, -0.6, 0.0]],
+    };
+    let at =
+        |direction: &[f32; 3]| core::array::from_fn(|i| if i < task { tip[i.min(N - 1)] + direction[i] } else { 0.0 });
+    let plane = |direction: &[f32; 3]| Surface::Plane(Plane { point: at(direction), normal: *direction });
+    let surfaces = match walls {
+        Walls::None | Walls::Spring => [None, None],
+        Walls::One | Walls::OneAndSpring => [Some(plane(&directions[0])), None],
+        Walls::Two => [Some(plane(&directions[0])), Some(plane(&directions[1]))],
+        Walls::Ball => {
+            let ball = Sphere { center: at(&directions[0]), radius: 2.0, inside: false };
+            [Some(Surface::Sphere(ball)), None]
+        }
+    };
+    let mut scene = Scene { task: task as u8, velocity_terms, ..Scene::default() };
+    // Walls of different stiffness: where two are alike there is nothing to shape.
+    for (surface, stiffness) in surfaces.into_iter().flatten().zip([1000.0, 500.0]) {
+        let _ = scene.walls.push(Wall {
+            surface,
+            stiffness,
+            damping: 2.0,
+            feed_forward,
+            washout_hz: 2.0,
+            damping_compensation: false,
+            bilateral: false,
+        });
+    }
+    if matches!(walls, Walls::Spring | Walls::OneAndSpring) {
+        let spring = Spring { point: at(&[0.01, 0.0, 0.0]), direction: [0.0; 3], stiffness: 200.0, damping: 1.0 };
+        let _ = scene.springs.push(spring);
+    }
+    scene
+}
+
+fn name(text: &str) {
+    // SAFETY: one thread; written volatile because it is read from outside.
+    unsafe { write_volatile(addr_of_mut!(BENCH_NAME), [text.as_ptr() as u32, text.len() as u32]) };
+}

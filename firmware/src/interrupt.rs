@@ -1,0 +1,439 @@
+//! The control interrupt: at a crest of the carrier it samples, runs the control step and writes the duties, which apply
+//! at the next valley.
+//!
+//! The interrupt runs at every update of TIM1: at crests and valleys. Every crest checks the limits and runs the current
+//! loops; every k-th crest (k = [`Carrier::divider`]) also runs the library's control step. A valley records the last
+//! step, checks for slow faults and carries out at most one request of the tasks, so that this work does not lengthen a
+//! step. The interrupt shares atomics, a ring of frames and one exchange with the tasks. It never waits for a task. A
+//! full ring drops the frame and counts it.
+//!
+//! Time bound: a step that lasts past the next crest is counted, and turns the motors off if they are on
+//! ([`Fault::ControlOverrun`]). The duties of a step that lasts past the valley apply half a carrier period late; the
+//! current loops take this delay into account.
+
+mod exchange;
+mod shared;
+mod valley;
+
+use core::cell::UnsafeCell;
+use core::mem::MaybeUninit;
+use core::sync::atomic::{AtomicPtr, Ordering};
+
+use cortex_m::peripheral::DWT;
+use embassy_stm32::interrupt;
+use embassy_stm32::interrupt::InterruptExt;
+use embassy_stm32::pac;
+use embassy_stm32::pac::timer::vals::Dir;
+use haptic_bridge::control::Rules;
+use haptic_bridge::control::compiled::{self, BoardControlLoop};
+use haptic_bridge::control::frame::Samples;
+use haptic_bridge::control::program::Hardware;
+use haptic_bridge::drive::carrier::{Carrier, Ticks};
+use haptic_bridge::drive::heat::Heat;
+use haptic_bridge::model::catalogue::MAX_JOINTS;
+use haptic_bridge::safety::fault::Fault;
+
+use crate::board::{Board, Io as _, This};
+use crate::critical;
+use crate::frames::{FrameReader, Frames};
+
+use exchange::Exchange;
+pub use exchange::{Request, Requests};
+pub use shared::Shared;
+use shared::increment;
+
+/// The tasks' ends of the channels to the control interrupt.
+pub struct Ends {
+    /// Requests to the control interrupt.
+    pub requests: Requests,
+    /// Frames of the telemetry stream.
+    pub frames: FrameReader,
+}
+
+/// The state that the control interrupt owns. The order in memory keeps every float within the 1 KB that one FPU load
+/// can reach.
+#[repr(C)]
+struct InterruptState {
+    io: <This as Board>::Io,
+    /// Samples of the last crest.
+    samples: Samples,
+    /// Compare values of the legs.
+    legs: [[u16; 2]; MAX_JOINTS],
+    ticks: Ticks,
+    /// Number of crests before the next control step, with flags for work that the last step left, see [`OVERRAN`].
+    before_step: u32,
+    /// Value of `before_step` right after a step.
+    after_step: u32,
+    /// The core's cycle count at the last valley.
+    valley_at: u32,
+    /// Number of crests for which duties still count as late.
+    late: u8,
+    /// True if the last duties wait for the valley.
+    pending: bool,
+    /// True while the bridges are connected to the carrier.
+    driving: bool,
+    /// Number of valleys at which the bridges should have been connected and were not.
+    unconnected: u8,
+    control_loop: BoardControlLoop,
+}
+
+/// All state of the control interrupt, at one address.
+#[repr(C)]
+struct Control {
+    shared: Shared,
+    /// Owned by the interrupt once `start` has written it.
+    state: UnsafeCell<MaybeUninit<InterruptState>>,
+    /// Request of a task that has no reply yet.
+    request: AtomicPtr<Exchange<'static>>,
+    frames: Frames,
+}
+
+// SAFETY: `start` writes `state` once, before it enables the interrupt. After that only the interrupt uses it.
+unsafe impl Sync for Control {}
+
+static CONTROL: Control = Control {
+    shared: Shared::new(),
+    state: UnsafeCell::new(MaybeUninit::uninit()),
+    request: AtomicPtr::new(core::ptr::null_mut()),
+    frames: Frames::new(),
+};
+
+/// Returns the numbers that the control interrupt and the tasks share.
+pub fn shared() -> &'static Shared {
+    &CONTROL.shared
+}
+
+/// Hands the board to the control interrupt and starts the carrier. `heat` is the motors' heat at the end of the previous
+/// run. Call once.
+pub fn start(mut io: <This as Board>::Io, hardware: Hardware, rules: Rules, heat: [Heat; MAX_JOINTS]) -> Ends {
+    io.start();
+    let mut control_loop = BoardControlLoop::new(hardware, rules);
+    control_loop.start_heat(heat);
+    let state = InterruptState {
+        ticks: io.carrier().ticks(),
+        control_loop,
+        after_step: after_step(io.carrier()),
+        before_step: 0,
+        valley_at: DWT::cycle_count(),
+        samples: Samples::default(),
+        late: 0,
+        pending: false,
+        legs: [[0; 2]; MAX_JOINTS],
+        driving: false,
+        unconnected: 0,
+        io,
+    };
+    CONTROL.shared.least_left.store(u32::MAX, Ordering::Relaxed);
+    // SAFETY: the interrupt is not enabled yet.
+    unsafe { (*CONTROL.state.get()).write(state) };
+    interrupt::TIM1_UP_TIM10.set_priority(critical::CONTROL);
+    pac::TIM1.sr().write(|w| w.0 = 0);
+    pac::TIM1.dier().modify(|w| w.set_uie(true));
+    // SAFETY: the state that the interrupt needs is written.
+    unsafe { interrupt::TIM1_UP_TIM10.enable() };
+    Ends { requests: Requests(&CONTROL.request), frames: FrameReader::new(&CONTROL.frames) }
+}
+
+#[interrupt]
+fn TIM1_UP_TIM10() {
+    pac::TIM1.sr().write(|w| {
+        w.0 = !0;
+        w.set_uif(false);
+    });
+    // SAFETY: `start` wrote the state before it enabled this interrupt. The interrupt is the only user and does not
+    // preempt itself.
+    let state = unsafe { (*CONTROL.state.get()).assume_init_mut() };
+    if past_valley() {
+        state.valley();
+    } else {
+        state.crest();
+    }
+}
+
+impl InterruptState {
+    /// Does the work of a crest.
+    #[inline(always)]
+    fn crest(&mut self) {
+        if self.before_step != 0 && self.crest_before_step() {
+            return;
+        }
+        self.io.update_counts(&mut self.samples.counts);
+        // Directly after the counts, because an index mark belongs to them.
+        if self.io.has_marks() {
+            self.mark();
+        }
+        compiled::render(&mut self.control_loop, &self.samples.counts);
+        if passed_an_extreme() {
+            self.check_missed_crest();
+        }
+        // The conversions have finished in the meantime.
+        self.sample();
+        if self.is_late() {
+            self.crest_late();
+        } else {
+            let drives = compiled::crest(&mut self.control_loop, &self.samples, &self.ticks, &mut self.legs);
+            self.write(drives);
+        }
+        // The valley does the work that is not urgent.
+        self.before_step = self.after_step;
+        self.keep_time();
+    }
+
+    /// Finishes the last step and, at a crest without a step, does all of its work. Returns true if the crest has no step.
+    #[cold]
+    #[inline(never)]
+    fn crest_before_step(&mut self) -> bool {
+        if self.before_step & UNCONNECTED != 0 {
+            self.before_step &= !UNCONNECTED;
+            let top = u32::from(self.io.carrier().top);
+            if self.may_connect() && pac::TIM1.cnt().read().0 > top.saturating_sub(EXTREME_CYCLES) {
+                self.connect();
+            }
+        }
+        if self.before_step & (UNRECORDED | BETWEEN) != 0 {
+            self.valley_missed();
+        }
+        if self.before_step & OVERRAN != 0 {
+            if self.driving {
+                self.trip_overrun();
+                self.float();
+            } else if self.control_loop.status().state.drives() {
+                self.count_unconnected();
+            }
+        }
+        self.before_step &= !(OVERRAN | BETWEEN);
+        let between = self.before_step > 0;
+        if between {
+            self.before_step = (self.before_step - 1) | BETWEEN;
+            self.crest_between();
+        }
+        between
+    }
+
+    /// Does the work of a crest between two control steps.
+    fn crest_between(&mut self) {
+        self.io.update_counts(&mut self.samples.counts);
+        self.sample();
+        self.samples.late = self.is_late();
+        let drives =
+            compiled::crest_generally(&mut self.control_loop, &self.samples, false, &self.ticks, &mut self.legs);
+        if self.samples.late {
+            self.write_late(drives);
+            self.samples.late = false;
+        } else {
+            self.write(drives);
+        }
+        self.keep_time();
+    }
+
+    /// Reads the conversions that the crest started, and checks the power stage for a fault.
+    #[inline(always)]
+    fn sample(&mut self) {
+        if !self.io.has_sampled() {
+            self.await_samples();
+        }
+        self.io.sample(&mut self.samples);
+        if self.io.has_fault() {
+            self.trip_driving(This::POWER_FAULT);
+        }
+    }
+
+    /// Writes the duties of the legs, and lets the bridges float unless `drives`.
+    #[inline(always)]
+    fn write(&mut self, drives: bool) {
+        self.io.write(&self.legs);
+        if self.driving && !drives {
+            self.float();
+        }
+    }
+
+    /// Finishes a crest with a control step whose duties are late.
+    #[cold]
+    #[inline(never)]
+    fn crest_late(&mut self) {
+        self.samples.late = true;
+        let drives = compiled::crest(&mut self.control_loop, &self.samples, &self.ticks, &mut self.legs);
+        self.write_late(drives);
+        self.samples.late = false;
+        increment(&CONTROL.shared.late_steps);
+    }
+
+    /// Like [`InterruptState::write`] for late duties: before the valley, they wait for it.
+    fn write_late(&mut self, drives: bool) {
+        if self.driving && !drives {
+            self.float();
+        }
+        self.pending = !past_valley();
+        if !self.pending {
+            self.io.write(&self.legs);
+        }
+    }
+
+    #[cold]
+    #[inline(never)]
+    fn mark(&mut self) {
+        self.control_loop.mark(self.io.marks(&self.samples.counts));
+    }
+
+    /// Returns true if the duties of this crest are late: the valley is too near or has just passed, now or at one of
+    /// the last [`LATE_CRESTS`] crests.
+    #[inline(always)]
+    fn is_late(&mut self) -> bool {
+        // Core and timer count at the same frequency. The timer counts down to its valley and up from it.
+        if pac::TIM1.cnt().read().0 < LEGS_CYCLES {
+            self.late = LATE_CRESTS;
+        } else if self.late > 0 {
+            self.late -= 1;
+        }
+        self.late > 0
+    }
+
+    /// Trips because of an overrun. Call while the motors are on.
+    fn trip_overrun(&mut self) {
+        let overruns = CONTROL.shared.overruns.load(Ordering::Relaxed).wrapping_add(1);
+        self.control_loop.trip(Fault::ControlOverrun, None, overruns as f32);
+    }
+
+    /// Handles a step that lasted past its valley: its duties are late. If it also lasted past the next crest, the
+    /// conversions may belong to that crest, and the motors go off.
+    #[cold]
+    #[inline(never)]
+    fn check_missed_crest(&mut self) {
+        self.late = LATE_CRESTS;
+        if self.driving && self.outlasts_crest() {
+            self.trip_overrun();
+        }
+    }
+
+    /// Waits for conversions that have not finished yet.
+    #[cold]
+    #[inline(never)]
+    fn await_samples(&mut self) {
+        if !self.io.await_samples() {
+            self.trip_driving(Fault::SensorStale);
+        }
+    }
+
+    /// Trips a fault that counts only while the motors are on.
+    #[cold]
+    #[inline(never)]
+    fn trip_driving(&mut self, fault: Fault) {
+        if self.driving {
+            self.control_loop.trip(fault, None, 0.0);
+        }
+    }
+
+    /// Counts an extreme at which the bridges could not be connected, because the interrupt was late. Too many trip, so
+    /// that arming does not wait forever.
+    fn count_unconnected(&mut self) {
+        self.unconnected = self.unconnected.saturating_add(1);
+        if self.unconnected > LATE_CRESTS {
+            self.trip_overrun();
+        }
+    }
+
+    /// Returns true if the bridges should drive and the gate drivers are ready.
+    fn may_connect(&self) -> bool {
+        self.control_loop.status().state.drives() && CONTROL.shared.gate_ready.load(Ordering::Relaxed)
+    }
+
+    /// Connects the bridges to the carrier.
+    fn connect(&mut self) {
+        self.io.drive(true);
+        self.driving = true;
+        // An overrun while the bridges floated does not matter.
+        self.before_step &= !OVERRAN;
+    }
+
+    /// Lets driving bridges float, and disables the gate drivers.
+    #[cold]
+    #[inline(never)]
+    fn float(&mut self) {
+        self.io.drive(false);
+        CONTROL.shared.gate_ready.store(false, Ordering::Relaxed);
+        self.driving = false;
+    }
+
+    /// Records the duration of a crest that is the longest so far or lasted past the valley.
+    #[inline(always)]
+    fn keep_time(&mut self) {
+        if passed_an_extreme() || pac::TIM1.cnt().read().0 < CONTROL.shared.least_left.load(Ordering::Relaxed) {
+            self.record_time();
+        }
+    }
+
+    /// Records the duration of this crest. Past the valley, the duties of the next crests count as late; past the next
+    /// crest, the overrun is counted.
+    #[cold]
+    #[inline(never)]
+    fn record_time(&mut self) {
+        if passed_an_extreme() {
+            self.late = LATE_CRESTS;
+        }
+        let Shared { stall_expected, longest_cycles, least_left, overruns, .. } = &CONTROL.shared;
+        if stall_expected.load(Ordering::Relaxed) {
+            return;
+        }
+        let top = u32::from(self.io.carrier().top);
+        let cycles = self.since_valley().saturating_sub(top);
+        if cycles > longest_cycles.load(Ordering::Relaxed) {
+            longest_cycles.store(cycles, Ordering::Relaxed);
+            least_left.store(top.saturating_sub(cycles), Ordering::Relaxed);
+        }
+        if passed_an_extreme() && self.outlasts_crest() {
+            self.before_step |= OVERRAN;
+            increment(overruns);
+        }
+    }
+
+    /// Returns the core cycles since the last valley. Core and timer count at the same frequency.
+    fn since_valley(&self) -> u32 {
+        DWT::cycle_count().wrapping_sub(self.valley_at)
+    }
+
+    /// Returns true if the interrupt, which lasted past its valley, also lasted past the next crest.
+    fn outlasts_crest(&self) -> bool {
+        !past_valley() || self.since_valley() > 3 * u32::from(self.io.carrier().top)
+    }
+}
+
+/// Flags in `before_step`, above the count of crests without a step.
+///
+/// The last crest had no step.
+const BETWEEN: u32 = 1 << 28;
+/// The bridges should drive and are not connected yet.
+const UNCONNECTED: u32 = 1 << 29;
+/// The last step overran.
+const OVERRAN: u32 = 1 << 30;
+/// The last step is not recorded yet.
+const UNRECORDED: u32 = 1 << 31;
+
+/// Returns the value of `before_step` right after a step.
+fn after_step(carrier: &Carrier) -> u32 {
+    UNRECORDED | (u32::from(carrier.divider) - 1)
+}
+
+/// Number of crests for which duties stay late after a step that missed its valley. If some steps are late, most are,
+/// and a duty in time before a late one acts for half a carrier period too long.
+const LATE_CRESTS: u8 = 64;
+
+/// Core cycles from the lateness check to the write of the duties: limits, torques and current loops take at most 350
+/// instructions for two motors and 460 for three, at up to 2.4 cycles each.
+const LEGS_CYCLES: u32 = 288 * (This::AXES as u32 + 1);
+
+/// Core cycles after a crest or a valley within which the bridges may be connected, 1.5 us: twice the estimate of the
+/// interrupt's time to that point (emulator/src/cycles.rs, with a cold flash). Each microsecond adds 0.24 A in a motor of
+/// 0.1 mH at 24 V.
+const EXTREME_CYCLES: u32 = 252;
+
+/// Returns true if the carrier has passed a crest or a valley since this interrupt began.
+#[inline(always)]
+fn passed_an_extreme() -> bool {
+    pac::TIM1.sr().read().uif()
+}
+
+/// Returns true if the carrier has passed its valley since the crest.
+#[inline(always)]
+fn past_valley() -> bool {
+    pac::TIM1.cr1().read().dir() == Dir::UP
+}

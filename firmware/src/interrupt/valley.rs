@@ -1,0 +1,178 @@
+//! The work at a valley of the carrier: record the last step, check for slow faults, carry out at most one request.
+
+use core::sync::atomic::Ordering;
+
+use cortex_m::peripheral::DWT;
+use embassy_stm32::pac;
+use haptic_bridge::control::{Command, compiled};
+
+use super::exchange::{Exchange, Outcome, Request};
+use super::shared::increment;
+use super::{BETWEEN, CONTROL, EXTREME_CYCLES, InterruptState, OVERRAN, UNCONNECTED, UNRECORDED, after_step};
+use crate::board::Io as _;
+use crate::warmth;
+
+impl InterruptState {
+    /// Does the work of a valley.
+    #[inline(always)]
+    pub(super) fn valley(&mut self) {
+        self.valley_at = DWT::cycle_count();
+        if !self.driving {
+            self.valley_floating();
+        }
+        self.io.clear_flags();
+        // The timer has just loaded the duties of the last step, unless they are late.
+        if self.pending {
+            self.pending = false;
+            self.io.write(&self.legs);
+        }
+        if self.before_step & UNRECORDED != 0 {
+            self.record();
+        } else {
+            self.check_crest_between();
+        }
+        let drives = compiled::check_slow_faults(&mut self.control_loop, &self.samples).bridges;
+        if !drives && self.driving {
+            self.float();
+        }
+        let request = CONTROL.request.load(Ordering::Acquire);
+        if !request.is_null() {
+            // SAFETY: `Requests::exchange` stored the pointer and keeps the exchange, with everything it borrows, alive until
+            // the pointer is null again. There is one `Requests`, and it is in one exchange at a time.
+            if self.carry_out(unsafe { &mut *request }) {
+                CONTROL.request.store(core::ptr::null_mut(), Ordering::Release);
+            }
+            if self.driving && self.since_valley() > 2 * u32::from(self.io.carrier().top) {
+                self.crest_missed();
+            }
+        }
+    }
+
+    /// Checks that a crest without a step preceded this valley. If no crest did, one passed while the core was busy.
+    #[cold]
+    #[inline(never)]
+    fn check_crest_between(&mut self) {
+        if self.before_step & BETWEEN == 0 && self.driving {
+            self.crest_missed();
+        }
+        self.before_step &= !BETWEEN;
+    }
+
+    /// Turns the motors off because a crest passed without its interrupt.
+    #[cold]
+    #[inline(never)]
+    fn crest_missed(&mut self) {
+        increment(&CONTROL.shared.overruns);
+        self.trip_overrun();
+        self.float();
+    }
+
+    /// Handles a crest without a valley since the last one: the valley, and perhaps crests, passed while the core was busy.
+    pub(super) fn valley_missed(&mut self) {
+        if self.before_step & UNRECORDED != 0 {
+            self.record();
+        }
+        if self.before_step & OVERRAN == 0 && self.driving {
+            self.before_step |= OVERRAN;
+            increment(&CONTROL.shared.overruns);
+        }
+    }
+
+    /// Begins a valley while the bridges float. The bridges are connected at an extreme of the carrier: here or, if this
+    /// interrupt is late, at the next crest. If connected between two extremes, a bridge whose legs follow one channel and
+    /// its complement would drive its motor for the rest of half a period, which adds amperes.
+    #[cold]
+    #[inline(never)]
+    fn valley_floating(&mut self) {
+        if !self.may_connect() {
+            if !self.control_loop.status().state.drives() {
+                self.unconnected = 0;
+            }
+            if self.io.has_sampled() {
+                self.io.learn_zeros();
+            }
+        } else if pac::TIM1.cnt().read().0 < EXTREME_CYCLES {
+            self.connect();
+        } else {
+            self.before_step |= UNCONNECTED;
+            self.count_unconnected();
+        }
+    }
+
+    /// Carries out one request and writes its outcome. Returns false if work on it remains for the next valley. Not
+    /// inlined, because requests are rare and inlining would lengthen the path to the step.
+    #[inline(never)]
+    fn carry_out(&mut self, exchange: &mut Exchange) -> bool {
+        let (request, outcome) = match exchange {
+            Exchange::Force(request, reply) => {
+                **reply = Some(self.control_loop.force(request));
+                return true;
+            }
+            Exchange::Request(request, outcome) => (request, outcome),
+        };
+        let (mut reply, mut more) = ((Ok(()), None), false);
+        match request {
+            Request::None | Request::Status => {}
+            Request::Command(Command::Program(_)) => {
+                if let Request::Command(Command::Program(mut program)) = core::mem::replace(request, Request::None) {
+                    match self.control_loop.accepts(&mut program) {
+                        Ok(()) => (*request, more) = (Request::Install(program), true),
+                        Err(refusal) => reply = (Err(refusal), Some(program)),
+                    }
+                }
+            }
+            Request::Install(_) => {
+                if let Request::Install(program) = core::mem::replace(request, Request::None) {
+                    reply.1 = self.control_loop.install(program);
+                }
+            }
+            Request::Command(command) => {
+                reply.0 = self.control_loop.obey(command);
+                if reply.0.is_ok() {
+                    (*request, more) = (Request::Settle, true);
+                }
+            }
+            Request::Settle => more = self.control_loop.settle_next(),
+            Request::Retime(carrier) => {
+                if !self.driving {
+                    self.io.set_carrier(*carrier);
+                    self.ticks = carrier.ticks();
+                    (self.after_step, self.before_step) = (after_step(carrier), 0);
+                    let longest = CONTROL.shared.longest_cycles.load(Ordering::Relaxed);
+                    CONTROL.shared.least_left.store(u32::from(carrier.top).saturating_sub(longest), Ordering::Relaxed);
+                }
+            }
+        }
+        if matches!(request, Request::Status) {
+            // About fifty times a second, the heat is copied to memory that survives a reset.
+            warmth::keep(self.control_loop.heat());
+        }
+        let status = self.control_loop.status();
+        if !status.state.drives() && self.driving {
+            self.float();
+        }
+        if more {
+            return false;
+        }
+        **outcome = Some(Outcome { reply, status });
+        true
+    }
+
+    /// Records the last step, into a frame if one is due.
+    #[inline(never)]
+    fn record(&mut self) {
+        self.before_step &= !UNRECORDED;
+        let steps = self.control_loop.steps();
+        CONTROL.shared.steps.store(steps, Ordering::Relaxed);
+        let due = steps.checked_rem(CONTROL.shared.stream_divider.load(Ordering::Relaxed)) == Some(0);
+        let pushed =
+            due && CONTROL.frames.push(|place| compiled::note(&mut self.control_loop, &self.samples, Some(place)));
+        if !pushed {
+            compiled::note(&mut self.control_loop, &self.samples, None);
+            if due {
+                // This interrupt is the only writer while a stream runs.
+                increment(&CONTROL.shared.frames_dropped);
+            }
+        }
+    }
+}

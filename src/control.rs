@@ -1,0 +1,458 @@
+//! One control period of the board, without the board: samples in, bridge state and currents out; then, once per
+//! carrier period, duties.
+//!
+//! The firmware's interrupt, the simulated board and the tests all run this very code. Configuration reaches it whole,
+//! between two steps: a [`Program`] is built elsewhere and handed over by ownership, small changes are [`Command`]s.
+//! Nothing here blocks, allocates or panics.
+
+mod budgets;
+pub mod compiled;
+mod crest;
+mod fade;
+pub mod frame;
+pub mod host_force;
+pub mod joints;
+mod period;
+mod polarity;
+pub mod program;
+mod requests;
+mod rules;
+mod saturation;
+mod watch;
+
+use crate::control::frame::{Now, Outputs, Samples, StepRecord};
+use crate::control::joints::{Counts, Currents, Torques};
+use crate::control::program::Hardware;
+use crate::control::program::Program;
+use crate::drive::brushed::Axis;
+use crate::drive::heat::Heat;
+use crate::drive::stage::{Stage, Supply};
+use crate::math::{Math, limited};
+use crate::model::catalogue::MAX_JOINTS;
+use crate::model::device::Leverage;
+use crate::render::scene::DEFAULT_RATE_HZ;
+use crate::render::step_result::TorqueDemand;
+use crate::safety::fault::{Fault, FaultRecord, State};
+use core::ops::DerefMut;
+use crest::Joint;
+pub use crest::SPEED_HZ;
+pub use requests::{Beat, Command, Press, REST_SPEED, Reply, Status};
+pub use rules::{HostAction, Rules};
+pub use watch::{KEY_SECONDS, TRIPPING_SINE};
+
+/// Seconds over which torque ramps up after arming.
+pub const ARM_SECONDS: f32 = 0.5;
+
+/// The board's control loop. In this order in memory: what every crest needs lies within the 1 KB that the FPU's loads
+/// reach.
+#[derive(Debug)]
+#[repr(C)]
+pub struct ControlLoop<P, S = Axis> {
+    state: State,
+    homed: bool,
+    polarity_known: bool,
+    /// Joints of the loaded device, and whether its weight is carried.
+    count: u8,
+    weighs: bool,
+    /// The same while the motors are on and every joint has a range: a crest then takes one pass. Else 0.
+    usual: u8,
+    /// True if the scene has faded in and no pulse is to be looked at.
+    in_force: bool,
+    /// Negative unless it is so and the last step commanded all that was asked.
+    steady: i32,
+    program: Option<P>,
+    crests: crest::Crests,
+    /// Bus voltage of the drives since the last valley, V; 0 where there were none.
+    supplied: f32,
+    /// The step after which the host has been silent for too long.
+    host_expected: u32,
+    /// The torque that each joint may be asked for without a clamp, N m; then the largest force at the tip, N, and its
+    /// square.
+    fitting: [f32; MAX_JOINTS],
+    most_force: f32,
+    most_force_squared: f32,
+    /// The forces at the tip for joint torques, as of a fraction of a millisecond ago.
+    leverage: Leverage,
+    flow: budgets::Flow,
+    now: Now,
+    joints: [Joint<S>; MAX_JOINTS],
+    /// The largest torque that each joint may be asked for, N m.
+    most_torque: Torques,
+    hardware: Hardware,
+    period: f32,
+    /// A step since which that is the period: the first one, or where that is long ago one that is no request's any more.
+    rate_since: u32,
+    /// The step at which the host was heard the last time.
+    host_heard: u32,
+    /// The dead man's key that holds the motors on, if any, as it was seen at the latest.
+    key: Option<Press>,
+    rules: Rules,
+    /// True if telemetry shows the walls' energy.
+    shows_energy: bool,
+    host: host_force::HostForce,
+    /// The torques that acted before the present scene, while they fade out.
+    fade: fade::Fade,
+    /// The torques of the last step that commanded less than all that was asked, and that step.
+    cut: fade::Acted,
+    cut_at: u32,
+    /// The joint whose turn it is at the next valley.
+    turn: usize,
+    /// Number of joints that are not yet held to the rules, see [`ControlLoop::settle_next`].
+    unsettled: u8,
+    /// The heat of the motors, whatever device is loaded.
+    heat: [Heat; MAX_JOINTS],
+    first_index: [Option<i32>; MAX_JOINTS],
+    /// Index pulses seen since the last step.
+    marks: Option<[Option<i32>; MAX_JOINTS]>,
+    polarity: polarity::PolarityCheck,
+    /// The counts of the home at which the polarity was found, see `polarity_known`.
+    checked_zero: Counts,
+    fault: Option<FaultRecord>,
+}
+
+impl<P, K, S> ControlLoop<P, S>
+where
+    P: DerefMut<Target = Program<K, S>>,
+    K: Math<f32>,
+    S: Stage,
+{
+    /// A disarmed control loop without a device.
+    pub fn new(hardware: Hardware, rules: Rules) -> Self {
+        Self {
+            hardware,
+            rules,
+            shows_energy: false,
+            program: None,
+            state: State::Disarmed,
+            homed: false,
+            polarity_known: false,
+            count: 0,
+            weighs: false,
+            usual: 0,
+            in_force: false,
+            steady: -1,
+            marks: None,
+            polarity: polarity::PolarityCheck::default(),
+            checked_zero: Counts::default(),
+            fault: None,
+            now: Now::default(),
+            joints: [Joint::default(); MAX_JOINTS],
+            period: 1.0 / DEFAULT_RATE_HZ as f32,
+            rate_since: 0,
+            fade: fade::Fade::default(),
+            cut: fade::Acted::default(),
+            cut_at: 0,
+            most_torque: Torques::default(),
+            fitting: [0.0; MAX_JOINTS],
+            most_force: 0.0,
+            most_force_squared: 0.0,
+            leverage: Leverage::default(),
+            flow: budgets::Flow::default(),
+            supplied: 0.0,
+            host_heard: 0,
+            host_expected: 0,
+            key: None,
+            first_index: [None; MAX_JOINTS],
+            crests: crest::Crests::default(),
+            host: host_force::HostForce::default(),
+            turn: 0,
+            unsettled: 0,
+            heat: [Heat::default(); MAX_JOINTS],
+        }
+    }
+
+    /// Goes on with the heat that an earlier run left in the motors. Call before the first program.
+    pub fn start_heat(&mut self, heat: [Heat; MAX_JOINTS]) {
+        self.heat = heat;
+    }
+
+    /// The motors' heat, to be handed to [`ControlLoop::start_heat`] of the run after this.
+    pub fn heat(&self) -> &[Heat; MAX_JOINTS] {
+        &self.heat
+    }
+
+    /// The telemetry record of the last step, with the present state.
+    #[inline(always)]
+    pub fn frame(&self) -> StepRecord {
+        StepRecord::of(&self.now, self.state)
+    }
+
+    /// Control steps since boot, wrapping.
+    #[inline(always)]
+    pub fn steps(&self) -> u32 {
+        self.now.step
+    }
+
+    /// Counts so many control steps as if they had passed, at most 2^30 between two real ones: days, for a test.
+    #[doc(hidden)]
+    pub fn skip_steps(&mut self, steps: u32) {
+        self.now.step = self.now.step.wrapping_add(steps);
+    }
+
+    /// Control rate of the loaded program, Hz.
+    pub fn rate_hz(&self) -> Option<f32> {
+        self.program.as_ref().map(|program| program.rate_hz)
+    }
+
+    /// The part of a control period that needs no more than encoder counts: what the scene asks of the joints. The motors
+    /// go on as they are, and so does what they are held to.
+    #[inline(always)]
+    pub fn render(&mut self, counts: &Counts) {
+        if self.host.acts {
+            self.render_pushed(counts);
+        } else {
+            self.render_scene(counts);
+        }
+    }
+
+    /// Renders the scene alone.
+    #[inline(always)]
+    fn render_scene(&mut self, counts: &Counts) {
+        if let Some(program) = self.program.as_mut() {
+            program.controller.render(counts, &self.now.motors.torque, &mut self.now.found);
+        }
+    }
+
+    /// Index pulses were seen since the last step, of these encoders at these counts, late by at most what each joint moved
+    /// in it. Call before [`ControlLoop::act`] or [`compiled::crest`].
+    pub fn mark(&mut self, marks: [Option<i32>; MAX_JOINTS]) {
+        self.marks = Some(marks);
+        self.in_force = false;
+        self.steady = -1;
+    }
+
+    /// The permission of the bridges to drive.
+    #[inline(always)]
+    fn outputs(&self) -> Outputs {
+        Outputs { bridges: self.state.drives() }
+    }
+
+    /// Joints of the loaded program, at most [`MAX_JOINTS`].
+    #[inline(always)]
+    fn count(&self) -> usize {
+        self.count.into()
+    }
+
+    /// Puts what the legs of all axes do next `into` `legs`. False where the motors are off.
+    #[inline(never)]
+    fn drive<L>(
+        &mut self,
+        bus_voltage: f32,
+        samples: &[S::Sample; MAX_JOINTS],
+        late: bool,
+        into: &impl Fn(S::Drive) -> L,
+        legs: &mut [L; MAX_JOINTS],
+    ) -> bool {
+        let (supply, active, joints) = (Supply::of(bus_voltage), self.state.drives(), self.count());
+        let usable = supply.is_usable();
+        self.supplied = if usable { bus_voltage } else { 0.0 };
+        let motors = self.joints.iter_mut().zip(self.now.motors.duty.iter_mut()).zip(samples).zip(legs);
+        for (i, (((joint, duty), sample), legs)) in motors.enumerate() {
+            let drive = match active && i < joints {
+                true if usable => crest::drive_one(joint, &supply, *sample, late),
+                true => joint.stage.drive(&supply, *sample, joint.speed(), late),
+                false => S::Drive::default(),
+            };
+            (*duty, *legs) = (S::duty(drive), into(drive));
+        }
+        active
+    }
+
+    /// Latches the first fault and turns the motors off.
+    #[cold]
+    #[inline(never)]
+    pub fn trip(&mut self, fault: Fault, axis: Option<u8>, value: f32) {
+        // A silent host may be listed while the motors stay on; the fault that turns them off replaces it.
+        if self.fault.is_none() || self.state != State::Fault {
+            self.fault = Some(FaultRecord { fault, axis, value, step: self.now.step });
+        }
+        if fault.loses_counts() {
+            self.homed = false;
+        }
+        self.off();
+        self.state = State::Fault;
+        self.see_what_is_usual();
+    }
+
+    fn off(&mut self) {
+        self.let_go();
+        self.key = None;
+        self.fade = fade::Fade::default();
+        self.cut = fade::Acted::default();
+        self.cut_at = self.now.step;
+        self.now.motors.torque = Torques::default();
+        self.now.motors.current = Currents::default();
+        for joint in &mut self.joints {
+            joint.stage.rest();
+        }
+    }
+
+    /// Begins every control step by counting it.
+    #[inline(always)]
+    fn begin_step(&mut self) {
+        self.now.step = self.now.step.wrapping_add(1);
+    }
+
+    /// Notes what a control step saw, for all that looks at it later.
+    #[inline(always)]
+    fn note(&mut self, seen: &Samples) {
+        self.now.noted = self.now.step;
+        self.now.motors.bus_voltage = seen.bus_voltage;
+        self.now.motors.current = seen.currents;
+        self.now.counts = seen.counts;
+        if let Some(program) = self.program.as_ref() {
+            program.controller.angles(&seen.counts, &mut self.now.found);
+        }
+    }
+
+    /// Notes what the last control step saw where it has not: a usual step leaves that to the valley.
+    #[inline(always)]
+    fn note_late(&mut self, seen: &Samples) {
+        if self.now.noted != self.now.step {
+            self.note(seen);
+        }
+    }
+
+    /// A control step in any state.
+    fn step(&mut self, seen: &Samples) {
+        self.begin_step();
+        if self.program.is_some() {
+            self.step_otherwise(seen);
+        } else {
+            self.note(seen);
+        }
+    }
+
+    /// The rest of a control step that is not the usual one.
+    #[cold]
+    #[inline(never)]
+    fn step_otherwise(&mut self, seen: &Samples) {
+        let before = self.now.counts;
+        self.note(seen);
+        // Most steps that are not usual are well all the same: torque ramps up, or a limit cuts it.
+        if self.marks.is_some() || self.watch_all() < 0 {
+            self.find(&before);
+        }
+        match self.state {
+            State::Armed if self.fade.ramp < 1.0 => {
+                let (faded, wanted) = self.fade_in();
+                self.command(&faded, &wanted);
+            }
+            State::Armed => {
+                self.fade.share = 1.0;
+                let asked = self.now.found.asked;
+                self.command(&asked, &asked.total);
+            }
+            State::CheckingPolarity => {
+                let torque = self.check_polarity();
+                if self.state == State::CheckingPolarity {
+                    self.command_test(&torque);
+                }
+                self.now.motors.rendered_force = 0.0;
+            }
+            State::Disarmed | State::Fault => self.ask_nothing(),
+        }
+        self.see_what_is_usual();
+    }
+
+    fn ask_nothing(&mut self) {
+        let motors = &mut self.now.motors;
+        (motors.torque, motors.rendered_force, motors.limited) = (Torques::default(), 0.0, 0);
+    }
+
+    /// Sees what is usual from now on.
+    fn see_what_is_usual(&mut self) {
+        let limited = self.joints.iter().take(self.count()).all(Joint::is_limited);
+        self.usual = if self.state.drives() && limited { self.count } else { 0 };
+        let faded_in = self.fade.ramp >= 1.0 && self.fade.share >= 1.0;
+        self.in_force = self.state == State::Armed && faded_in && self.marks.is_none();
+        self.see_what_is_cut();
+    }
+
+    /// The same where only what the limits leave may have changed.
+    #[inline(always)]
+    fn see_what_is_cut(&mut self) {
+        self.steady = if self.in_force && self.now.motors.limited == 0 { 0 } else { -1 };
+    }
+
+    /// Returns true if the last step commanded something else than all that was asked.
+    fn was_cut(&self) -> bool {
+        self.cut_at == self.now.step
+    }
+
+    /// Commands all that is asked, which fits.
+    #[inline(always)]
+    fn command_all<const J: usize>(&mut self) {
+        let (motors, found) = (&mut self.now.motors, &self.now.found);
+        motors.rendered_force = found.at.walls.wall_force;
+        for (i, joint) in self.joints.iter_mut().enumerate().take(J) {
+            joint.stage.command_within(found.asked.total[i]);
+            motors.torque[i] = found.asked.total[i];
+        }
+    }
+
+    /// Commands the torques of a polarity check within limits.
+    fn command_test(&mut self, torque: &Torques) {
+        let joints = self.count();
+        for (i, joint) in self.joints.iter_mut().enumerate().take(joints) {
+            let torque = limited(torque[i], self.most_torque[i]);
+            joint.stage.command(torque);
+            self.now.motors.torque[i] = limited(torque, joint.stage.max_torque());
+        }
+        self.now.motors.limited = 0;
+    }
+
+    /// Commands what the limits leave of all that a scene in force asks of J joints.
+    #[inline(always)]
+    fn command_what_fits<const J: usize>(&mut self) {
+        let asked = self.now.found.asked;
+        self.command_of::<J>(&asked, &asked.total);
+        self.see_what_is_cut();
+    }
+
+    /// Commands the torques asked for within limits, and records which are not what was `wanted`.
+    fn command(&mut self, asked: &TorqueDemand<f32>, wanted: &[f32; MAX_JOINTS]) {
+        match self.count() {
+            2 => self.command_of::<2>(asked, wanted),
+            3 => self.command_of::<3>(asked, wanted),
+            _ => self.command_of::<1>(asked, wanted),
+        }
+    }
+
+    /// [`ControlLoop::command`] of J joints.
+    #[inline(always)]
+    fn command_of<const J: usize>(&mut self, asked: &TorqueDemand<f32>, wanted: &[f32; MAX_JOINTS]) {
+        let granted = asked.within::<J>(&self.most_torque, self.most_force, &self.leverage);
+        let rendered = Torques(asked.rendered.map(|r| granted.share * r));
+        self.cut = fade::Acted { gravity: granted.gravity, rendered, share: granted.share };
+        self.cut_at = self.now.step;
+        if self.host.acts {
+            self.host.granted = granted.share * self.fade.share;
+        }
+        let motors = &mut self.now.motors;
+        motors.limited = 0;
+        for (i, joint) in self.joints.iter_mut().enumerate().take(J) {
+            joint.stage.command(granted.torque[i]);
+            motors.torque[i] = limited(granted.torque[i], joint.stage.max_torque());
+            // True if the torque is the requested one, up to the rounding of its way through a current; false for NaN.
+            let kept = (wanted[i] - motors.torque[i]).abs() <= 1.0e-5 * wanted[i].abs();
+            motors.limited |= u8::from(!kept) << i;
+        }
+        self.now.motors.rendered_force = self.rendered_of::<J>();
+    }
+
+    /// The force (N) that the torques commanded leave of what the walls asked for.
+    ///
+    /// A tip that only moves along the deepest wall's normal n, by one unit, moves the joints by E = J⁻¹ n. By virtual
+    /// work a joint torque τ therefore is worth E·τ along n (τ = Jᵀ F gives E·τ = n·F), and so the torque that limits
+    /// took off is worth E·(asked - left). Weight and springs drop out of the difference.
+    #[inline(always)]
+    fn rendered_of<const J: usize>(&self) -> f32 {
+        let Now { motors, found, .. } = &self.now;
+        let mut force = found.at.walls.wall_force;
+        for (i, asked) in found.asked.total.iter().enumerate().take(J) {
+            force -= found.motion[i] * (asked - motors.torque[i]);
+        }
+        force
+    }
+}

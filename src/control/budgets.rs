@@ -1,0 +1,314 @@
+//! The checks at the carrier's valley, right after the drives of the crest before it: the force at the tip that the
+//! measured currents make; each motor against its device file; and, of one joint at a time in turn, harm that builds up
+//! over many carrier periods (heat, stalls, lost encoders) and takes milliseconds at least.
+
+use super::ControlLoop;
+use crate::control::frame::{Outputs, Samples};
+use crate::control::joints::{Counts, Torques};
+use crate::control::program::Program;
+use crate::drive::bits::margin_bits;
+use crate::drive::stage::Stage;
+use crate::math::{Math, limited, sqrt};
+use crate::model::device::{Leverage, squared};
+use crate::safety::fault::{Fault, State};
+use crate::safety::refusal::Refusal;
+use core::ops::DerefMut;
+
+/// Longest time that torque near its limit is believed without any encoder motion, s.
+pub const STALL_SECONDS: f32 = 5.0;
+/// Longest time that an encoder may stand still while the back-EMF says the joint turns, s.
+pub const LOSS_SECONDS: f32 = 0.05;
+
+/// The sums kept for one joint.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Sums {
+    /// Its encoder's count at its last turn.
+    count: i32,
+    /// Squares of its motor's current since then, A².
+    squares: f32,
+    /// Time without a count in spite of torque, s, and torque that moves a joint unless it is blocked, N m.
+    still: f32,
+    stall: f32,
+    /// Time without a count in spite of back-EMF, s, and a speed that cannot go without any, rad/s.
+    lost: f32,
+    suspicious: f32,
+}
+
+impl Sums {
+    /// Forgets what was summed up while the motors were on the last time; what heated them stays.
+    pub(super) fn reset(&mut self) {
+        (self.still, self.lost) = (0.0, 0.0);
+    }
+
+    /// Takes the motor's largest torque (N m) and the joint's speed limit (rad/s).
+    pub(super) fn set_limits(&mut self, torque: f32, speed: f32) {
+        self.stall = if torque > 0.0 { 0.8 * torque } else { f32::INFINITY };
+        self.suspicious = 0.25 * speed;
+    }
+}
+
+/// Averaging time of the force that is held to the limit, s: a few carrier periods far above it trip.
+const FLOW_SECONDS: f32 = 5.0e-4;
+/// By how much measured currents may push more than what may be asked for: the current loop's overshoot.
+const FLOW_MARGIN: f32 = 1.05;
+/// Largest share of the limit that the sensors' error may hide: near a singular pose a torque too small to be measured is
+/// a large force.
+const HIDDEN_SHARE: f32 = 0.05;
+/// Known error of a current sensor's mean over that time, A: its zero and its noise.
+const SENSOR_ERROR: f32 = 0.05;
+/// Share of the limit that what the sensors show of bridges that are off may be worth.
+const STRAY_SHARE: f32 = 0.5;
+/// Time that currents and that mean take to follow a limit that was lowered, s.
+const SETTLING_SECONDS: f32 = 5.0e-3;
+/// Rate at which the forces at the tip for joint torques are recomputed, Hz: a tip at 1 m/s moves by half a millimetre
+/// meanwhile.
+const LEVERAGE_HZ: f32 = 2.0e3;
+
+/// By what share leverage may change at once before less is asked for: what the limit of what flows leaves to it.
+const CHANGE_FREE: f32 = 0.02;
+/// Share of the largest recent change that is kept at the next recomputation.
+const CHANGE_KEPT: f32 = 0.75;
+
+/// The measured currents as forces at the tip.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Flow {
+    /// Means of the torques that the measured currents make beyond the device's weight, N m, and the gain of a sample.
+    torque: Torques,
+    gain: f32,
+    /// The square of what they may push with, N².
+    most_squared: f32,
+    /// Share by which leverage changed at once recently: with a count of a coarse encoder, where links are nearly in line, by
+    /// a tenth, and the joint was half of that nearer all along.
+    change: f32,
+    /// Valleys until leverage is recomputed, and the number between two recomputations.
+    until_weighed: u32,
+    every: u32,
+    /// The leverage that the last valley worked out and the next one puts in force: a control interrupt has no time for both
+    /// at once.
+    next: Option<Leverage>,
+    /// For how long what was allowed before a limit was lowered may still flow, s.
+    settling: f32,
+}
+
+impl Flow {
+    /// Forgets what flowed while the motors were on the last time.
+    pub(super) fn reset(&mut self) {
+        *self = Self { gain: self.gain, every: self.every, ..Self::default() };
+    }
+
+    /// The limit was lowered: it acts on what is asked for at the next step, after `period` (s) at most, and the
+    /// currents and their means follow.
+    pub(super) fn settle(&mut self, period: f32) {
+        self.settling = period + SETTLING_SECONDS;
+    }
+
+    /// Takes the carrier's period, s.
+    pub(super) fn set_period(&mut self, period: f32) {
+        self.gain = (period / FLOW_SECONDS).min(1.0);
+        self.every = (1.0 / (period * LEVERAGE_HZ)) as u32;
+    }
+}
+
+impl<P, K, S> ControlLoop<P, S>
+where
+    P: DerefMut<Target = Program<K, S>>,
+    K: Math<f32>,
+    S: Stage,
+{
+    /// Sums up what the crest before showed (`seen`), and says whether the bridges may go on driving. Call at every
+    /// valley, after [`ControlLoop::duties`].
+    pub fn check_slow_faults(&mut self, seen: &Samples) -> Outputs {
+        let seen = &self.known(seen);
+        let supplied = core::mem::take(&mut self.supplied);
+        let sensed = self.hardware.bridge.current_sensed && self.hardware.bus_sensed;
+        self.check_slow_faults_of(seen, (supplied > 0.0).then_some(supplied), sensed);
+        self.outputs()
+    }
+
+    /// [`ControlLoop::check_slow_faults`], where the drives since the last valley were `supplied` with so many volts, if there were any, and
+    /// all that is seen is `sensed` or not.
+    #[inline(always)]
+    pub(super) fn check_slow_faults_of(&mut self, seen: &Samples, supplied: Option<f32>, sensed: bool) {
+        let active = self.state.drives();
+        if active {
+            match self.count() {
+                2 => self.doubt::<2>(seen, supplied),
+                3 => self.doubt::<3>(seen, supplied),
+                _ => self.doubt::<1>(seen, supplied),
+            }
+            match self.flow.until_weighed.checked_sub(1) {
+                Some(valleys) => self.flow.until_weighed = valleys,
+                None => match self.flow.next.take() {
+                    Some(leverage) => self.weigh_by(&leverage),
+                    None => self.flow.next = self.leverage_at(&seen.counts),
+                },
+            }
+        } else {
+            self.drift(seen, sensed);
+        }
+        let joints = self.count();
+        let i = if self.turn < joints { self.turn } else { 0 };
+        self.turn = i + 1;
+        if joints > 0
+            && let Some((fault, value)) = self.spent(i, seen, sensed, active)
+            && active
+        {
+            self.trip(fault, Some(i as u8), value);
+        }
+    }
+
+    /// Averages the sensors' readings while no bridge drives.
+    fn drift(&mut self, seen: &Samples, sensed: bool) {
+        for ((joint, current), mean) in self.joints.iter().zip(seen.currents.iter()).zip(self.flow.torque.iter_mut()) {
+            let shown = if sensed { joint.stage.torque_of(*current) } else { 0.0 };
+            *mean += self.flow.gain * (shown - *mean);
+        }
+    }
+
+    /// Checks the readings while no bridge drives. Such a current flows through a broken bridge, or is the sensors'
+    /// error, which no limit on measured currents can hold: as a force at the tip it must be less than half of the
+    /// limit.
+    pub(super) fn find_stray(&mut self) -> Result<(), Refusal> {
+        if let Some(leverage) = self.leverage_at(&{ self.now.counts }) {
+            self.weigh_by(&leverage);
+        }
+        let most = STRAY_SHARE * self.rules.limits.tip_force;
+        if margin_bits(self.leverage.force_squared(&self.flow.torque), most * most) >= 0 {
+            return Ok(());
+        }
+        let worth = |i: usize, torque: &f32| self.leverage.most_of(i) * torque.abs();
+        let worst = self.joints.iter().zip(self.flow.torque.iter()).enumerate().take(self.count());
+        let worst = worst.max_by(|(i, (_, one)), (j, (_, other))| worth(*i, one).total_cmp(&worth(*j, other)));
+        let Some((i, (joint, torque))) = worst else { return Ok(()) };
+        self.trip(Fault::StrayCurrent, Some(i as u8), torque / joint.stage.torque_of(1.0));
+        Err(Refusal::Faulted(Fault::StrayCurrent))
+    }
+
+    /// Holds what the drives of J joints have left to what a sound motor leaves.
+    #[inline(always)]
+    fn doubt<const J: usize>(&mut self, seen: &Samples, supplied: Option<f32>) {
+        let mut least = 0;
+        let held = self.held();
+        let motors = self.joints.iter_mut().zip(seen.currents.iter()).zip(self.flow.torque.iter_mut().zip(held.iter()));
+        for ((joint, current), (mean, held)) in motors.take(J) {
+            joint.sums.squares += current * current;
+            *mean += self.flow.gain * (joint.stage.torque_of(*current) - held - *mean);
+            if let Some(bus_voltage) = supplied {
+                let (strain, doubt) = joint.settle(bus_voltage);
+                least |= margin_bits(strain, doubt);
+            }
+        }
+        least |= margin_bits(squared(&self.leverage.force::<J>(&self.flow.torque)), self.flow.most_squared);
+        if least < 0 {
+            self.find_strained();
+        }
+    }
+
+    /// The part of the commanded torques that holds the device against gravity, N m.
+    #[inline(always)]
+    fn held(&self) -> Torques {
+        match self.state {
+            // The torque that carries the weight may fade in a scene that carries no weight.
+            State::Armed if self.was_cut() => self.cut.gravity,
+            State::Armed if self.weighs => Torques(self.now.found.asked.gravity),
+            _ => Torques::default(),
+        }
+    }
+
+    /// What torques are worth at the tip where these counts are.
+    #[inline(never)]
+    fn leverage_at(&self, counts: &Counts) -> Option<Leverage> {
+        let program = self.program.as_ref()?;
+        Some(program.mechanism.leverage::<K>(&core::array::from_fn(|i| self.angle(i, counts[i]))))
+    }
+
+    /// Holds forces at the tip by this leverage from now on.
+    #[inline(never)]
+    fn weigh_by(&mut self, leverage: &Leverage) {
+        let change = leverage.changed_from(&self.leverage).min(1.0);
+        if change > 0.0 {
+            self.flow.change = change.max(CHANGE_KEPT * self.flow.change);
+        }
+        self.leverage = *leverage;
+        self.allow();
+    }
+
+    /// Works out what may flow at this leverage, and what may be asked for: what is still within the limit once leverage has
+    /// changed as it did recently.
+    pub(super) fn allow(&mut self) {
+        let joints = self.joints.iter().enumerate().take(self.count());
+        let error = joints
+            .fold(0.0, |sum, (i, joint)| sum + self.leverage.most_of(i) * joint.stage.torque_of(SENSOR_ERROR).abs());
+        let limit = self.rules.limits.tip_force;
+        self.set_most_force(limit / (1.0 + (self.flow.change - CHANGE_FREE).max(0.0)));
+        let most = FLOW_MARGIN * limit + error.min(HIDDEN_SHARE * limit);
+        let (flow, most) = (&mut self.flow, most * most);
+        flow.until_weighed = flow.every;
+        if flow.settling > 0.0 {
+            flow.settling -= (flow.every + 1) as f32 * self.crests.period;
+            flow.most_squared = flow.most_squared.max(most);
+        } else {
+            flow.most_squared = most;
+        }
+    }
+
+    /// A motor is not as its device file says: finds out which, and turns the motors off.
+    #[cold]
+    #[inline(never)]
+    fn find_strained(&mut self) {
+        let joints = self.count();
+        let flowing = self.leverage.force_squared(&self.flow.torque);
+        if margin_bits(flowing, self.flow.most_squared) < 0 {
+            self.trip(Fault::ForceLimit, None, sqrt(flowing));
+            return;
+        }
+        let strained = self.joints.iter().enumerate().take(joints).find_map(|(i, joint)| {
+            let (strain, doubt) = joint.stage.strain();
+            (margin_bits(strain, doubt) < 0).then_some((i, joint, strain))
+        });
+        let Some((i, joint, strain)) = strained else { return };
+        // A current as it should be and a voltage that only motion explains: the encoder is what stands still.
+        let (fault, value) = if joint.stage.flows_as_expected() && joint.stands_still() {
+            (Fault::EncoderLoss, joint.stage.turning(strain))
+        } else {
+            (Fault::MotorModel, strain)
+        };
+        self.trip(fault, Some(i as u8), value);
+    }
+
+    /// Sums up for joint `i`, whose turn it is; what of it is spent, and its number.
+    #[inline(always)]
+    fn spent(&mut self, i: usize, seen: &Samples, sensed: bool, active: bool) -> Option<(Fault, f32)> {
+        let period = self.crests.period;
+        let elapsed = period * self.count() as f32;
+        let (joint, motor) = (self.joints.get_mut(i)?, self.heat.get_mut(i)?);
+        let (motors, sums) = (&self.now.motors, &mut joint.sums);
+        let (count, current) = (seen.counts[i], seen.currents[i]);
+        let mut found = None;
+        let moved = core::mem::replace(&mut sums.count, count) != count;
+        let heat = limited(core::mem::take(&mut sums.squares) * period, f32::MAX);
+        // The motor model goes on while the motors are off: that is when they cool.
+        if motor.warm(heat, elapsed) {
+            found = Some((Fault::ThermalBudget, current));
+        }
+        if moved {
+            sums.reset();
+        } else if active {
+            if motors.torque[i].abs() > sums.stall {
+                sums.still += elapsed;
+                if sums.still > STALL_SECONDS {
+                    found = Some((Fault::EncoderStall, sums.still));
+                }
+            }
+            // Voltage across the motor less R i is its back-EMF: when that says several rad/s, counts must move.
+            if sensed {
+                let turning = joint.stage.speed_of(motors.duty[i], seen.bus_voltage, current);
+                sums.lost = if turning.abs() > sums.suspicious { sums.lost + elapsed } else { 0.0 };
+                if sums.lost > LOSS_SECONDS {
+                    found = Some((Fault::EncoderLoss, turning));
+                }
+            }
+        }
+        found
+    }
+}

@@ -1,0 +1,511 @@
+//! A crest of the carrier: what it can show and must turn the motors off, whatever the control rate; and, on the board,
+//! all that a crest takes in one pass (`ControlLoop::crest_of`).
+//!
+//! Speed and power are made here from encoder counts, by a filter that no scene, gain or rate has a say in. What a sample
+//! is held to are a few comparisons of bit patterns whose signs are gathered; what is wrong is found out only when
+//! something is.
+
+use super::ControlLoop;
+use super::budgets::Sums;
+use crate::control::frame::Samples;
+use crate::control::program::Program;
+use crate::drive::bits::{margin_bits, margin_bits_between, margin_counts};
+use crate::drive::stage::{BUS_VOLTAGE, Stage, Supply};
+use crate::math::Math;
+use crate::model::catalogue::MAX_JOINTS;
+use crate::safety::fault::Fault;
+use crate::safety::limits::POWER_SECONDS;
+use core::ops::DerefMut;
+
+/// Cutoff of the first-order filter behind speed and power limits, Hz: twice the speed limit is seen after 0.6 ms.
+pub const SPEED_HZ: f32 = 200.0;
+/// No limit makes that filter slower than this, Hz.
+const SLOWEST_HZ: f32 = 5.0;
+/// Largest share of the speed limit that a single count may look like: a coarse encoder is filtered for longer, until
+/// the joint has moved by a few counts.
+const COUNT_SHARE: f32 = 0.25;
+
+/// Largest share of the torque limit that a single count may push with when back-EMF is fed forward.
+const KICK_SHARE: f32 = 1.0 / 32.0;
+
+/// Largest difference of two current sensors: a share of the current limit (gains, settling at the edge of the duty)
+/// and amperes (zeros, noise).
+const IMBALANCE_SHARE: f32 = 0.15;
+const IMBALANCE_FLOOR: f32 = 0.5;
+/// Speed below which an encoder stands still, counts in a carrier period: one count in 1000 periods.
+const STANDSTILL: f32 = 1.0e-3;
+
+/// One joint and its motor in the order in which a crest needs them: contiguous, so that one address reaches every
+/// field.
+#[derive(Clone, Copy, Debug, Default)]
+#[repr(C)]
+pub(super) struct Joint<S> {
+    /// Count at the crest before.
+    count: i32,
+    /// Filtered speed, counts in a carrier period.
+    speed: f32,
+    /// Speed for the back-EMF's feed-forward, filtered for longer.
+    steady: f32,
+    /// Speed of the last carrier period, unfiltered.
+    raw: f32,
+    bounds: Bounds,
+    pub(super) stage: S,
+    pub(super) sums: Sums,
+}
+
+/// The bounds of a joint, recomputed whenever device, homing, rules or rate change.
+#[derive(Clone, Copy, Debug, Default)]
+#[repr(C)]
+struct Bounds {
+    /// Most counts that it can move in a carrier period.
+    jump: i32,
+    /// Gain of the speed filter.
+    gain: f32,
+    /// Gain of the filter for back-EMF.
+    steady_gain: f32,
+    /// Counts in a carrier period.
+    speed: f32,
+    /// Speed of a count in a carrier period, rad/s, with its sign.
+    radians: f32,
+    /// First and last count of its range, where it has one.
+    first: i32,
+    last: i32,
+    limited: bool,
+    /// Measured current that is not the loop's overshoot any more, A.
+    current: f32,
+    /// Largest difference of two current sensors, A.
+    imbalance: f32,
+}
+
+impl Bounds {
+    /// Negative outside the joint's range.
+    #[inline(always)]
+    fn range_margin(&self, count: i32) -> i32 {
+        count.wrapping_sub(self.first) | self.last.wrapping_sub(count)
+    }
+}
+
+impl<S: Stage> Joint<S> {
+    /// Takes the count of a crest. Negative if it jumped.
+    #[inline(always)]
+    fn turn(&mut self, count: i32) -> i32 {
+        let moved = count.wrapping_sub(self.count);
+        self.raw = moved as f32;
+        self.speed += self.bounds.gain * (self.raw - self.speed);
+        self.steady += self.bounds.steady_gain * (self.raw - self.steady);
+        margin_counts(moved, self.bounds.jump)
+    }
+
+    /// Negative if speed or current is beyond its bound.
+    #[inline(always)]
+    fn margin(&self, current: f32, imbalance: f32) -> i32 {
+        margin_bits(self.speed, self.bounds.speed)
+            | margin_bits(current, self.bounds.current)
+            | margin_bits(imbalance, self.bounds.imbalance)
+    }
+
+    /// Negative where a count is outside its range, if it has one.
+    fn range_margin(&self, count: i32) -> i32 {
+        if self.bounds.limited { self.bounds.range_margin(count) } else { 0 }
+    }
+
+    /// Returns true if it has a range.
+    pub(super) fn is_limited(&self) -> bool {
+        self.bounds.limited
+    }
+
+    /// Its speed, rad/s.
+    #[inline(always)]
+    pub(super) fn speed(&self) -> f32 {
+        self.speed * self.bounds.radians
+    }
+
+    /// Speed for the back-EMF's feed-forward, rad/s.
+    #[inline(always)]
+    pub(super) fn steady_speed(&self) -> f32 {
+        self.steady * self.bounds.radians
+    }
+
+    /// Updates its motor's model from the last drive and this bus voltage (V), and returns [`Stage::strain`].
+    #[inline(always)]
+    pub(super) fn settle(&mut self, bus_voltage: f32) -> (f32, f32) {
+        let (speed, raw) = (self.speed(), self.raw * self.bounds.radians);
+        self.stage.settle(bus_voltage, self.steady_speed(), speed, raw);
+        self.stage.strain()
+    }
+
+    /// Returns true if its encoder stands still.
+    pub(super) fn stands_still(&self) -> bool {
+        self.speed.abs() < STANDSTILL
+    }
+}
+
+/// The reason why a crest is unusual.
+#[derive(Clone, Copy, Debug)]
+enum Unusual {
+    /// The samples of the crest are beyond a bound.
+    Crest,
+    /// Its step, which has begun, found something that must be looked at.
+    Step,
+    /// Neither: the scene is not in force, or the limits cut its torques, now or in the step before.
+    Torques,
+}
+
+/// The bounds of all joints together.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Crests {
+    /// True if there was a crest before.
+    primed: bool,
+    /// Bus voltage, V.
+    bus: (f32, f32),
+    /// Mean power into the hand, W, and the most that it may be.
+    power: f32,
+    most_power: f32,
+    power_gain: f32,
+    /// s
+    pub(super) period: f32,
+}
+
+impl Crests {
+    /// Forgets what was summed up while the motors were on the last time; what heated them stays.
+    pub(super) fn reset(&mut self) {
+        self.power = 0.0;
+    }
+
+    /// Takes the present power into the hand, W, and returns true if its mean is within the limit.
+    #[inline(always)]
+    fn allow(&mut self, power: f32) -> bool {
+        self.power += (power - self.power) * self.power_gain;
+        self.power <= self.most_power
+    }
+}
+
+impl<P, K, S> ControlLoop<P, S>
+where
+    P: DerefMut<Target = Program<K, S>>,
+    K: Math<f32>,
+    S: Stage,
+{
+    /// Makes ready what all joints together are held to: after anything it depends on has changed.
+    pub(super) fn set_crest_bounds(&mut self) {
+        let Some(program) = self.program.as_ref() else { return };
+        let limits = &self.rules.limits;
+        let period = 1.0 / program.carrier_hz.max(1.0);
+        self.crests.period = period;
+        self.flow.set_period(period);
+        self.crests.power_gain = period / POWER_SECONDS;
+        self.crests.most_power = limits.power;
+        self.crests.bus = if self.hardware.bus_sensed {
+            (limits.bus_min.max(BUS_VOLTAGE.0), limits.bus_max.min(BUS_VOLTAGE.1))
+        } else {
+            (0.0, f32::MAX)
+        };
+    }
+
+    /// Makes the joints' ranges ready: after device or homing has changed.
+    pub(super) fn set_ranges(&mut self) {
+        let Some(program) = self.program.as_ref() else { return };
+        let zero = program.controller.zero();
+        for (i, (joint, zero)) in self.joints.iter_mut().zip(*zero).enumerate() {
+            let range = range(program.limits[i], program.radians_per_count[i], program.offsets[i], zero);
+            joint.bounds.limited = range.is_some();
+            (joint.bounds.first, joint.bounds.last) = range.unwrap_or_default();
+        }
+    }
+
+    /// Makes ready what joint `i` is held to beside its range.
+    pub(super) fn set_crest_bounds_of(&mut self, i: usize) {
+        let (Some(program), Some(joint)) = (self.program.as_ref(), self.joints.get_mut(i)) else { return };
+        let period = self.crests.period;
+        let scale = program.radians_per_count[i];
+        let size = scale.abs().max(f32::MIN_POSITIVE);
+        let speed = self.rules.limits.speed[i].max(0.0) * period / size;
+        let max_current = joint.stage.max_current();
+        let gain = (core::f32::consts::TAU * SPEED_HZ * period)
+            .min((COUNT_SHARE * speed).max(core::f32::consts::TAU * SLOWEST_HZ * period));
+        // The torque that a count would push with, were its back-EMF fed forward for a whole carrier period.
+        let kick = joint.stage.torque_of(joint.stage.driven_by(size / period)).abs();
+        joint.bounds = Bounds {
+            // Five times the speed limit is no motion any more, and more than noise of a count no noise.
+            jump: ((5.0 * speed) as i32).max(4),
+            gain,
+            // The current loop takes out the part of it that a slower filter leaves.
+            steady_gain: gain.min(KICK_SHARE * self.most_torque[i] / kick),
+            speed,
+            radians: scale * program.carrier_hz,
+            // The loop may overshoot a little; half again as much as the limit is not the loop.
+            current: 1.5 * max_current + 1.0,
+            imbalance: IMBALANCE_SHARE * max_current + IMBALANCE_FLOOR,
+            ..joint.bounds
+        };
+    }
+
+    /// A crest in one pass, of a device with J joints on a board that senses currents and bus voltage, where a control step
+    /// is due, in time or late: all that it shows is held to its bounds; what [`ControlLoop::render`] found becomes what
+    /// the motors are asked for; and what their legs do next is put `into` `legs`. False where the motors are off now.
+    ///
+    /// For where [`ControlLoop::usual`] says so. It is [`ControlLoop::crest_generally`], number for number, and where something turns out
+    /// to be unusual after all, that takes over from there.
+    #[inline(always)]
+    pub(super) fn crest_of<const J: usize, L>(
+        &mut self,
+        seen: &Samples,
+        samples: &[S::Sample; MAX_JOINTS],
+        into: &impl Fn(S::Drive) -> L,
+        legs: &mut [L; MAX_JOINTS],
+    ) -> bool {
+        if !self.look_of::<J>(seen) {
+            return self.go_on::<J, L>(Unusual::Crest, seen, samples, into, legs);
+        }
+        for (joint, count) in self.joints.iter_mut().zip(seen.counts.iter()).take(J) {
+            joint.count = *count;
+        }
+        self.begin_step();
+        let watched = self.watch::<J>();
+        if self.steady | watched < 0 || self.fits::<J>() < 0 {
+            let unusual = if watched < 0 { Unusual::Step } else { Unusual::Torques };
+            return self.go_on::<J, L>(unusual, seen, samples, into, legs);
+        }
+        self.command_all::<J>();
+        let supply = Supply::of(seen.bus_voltage);
+        if seen.late {
+            return self.drive_unusually::<J, L>(&supply, true, samples, into, legs);
+        }
+        self.drive_all::<J, L>(&supply, false, samples, into, legs)
+    }
+
+    /// The rest of a crest in which something is unusual.
+    #[cold]
+    #[inline(never)]
+    fn go_on<const J: usize, L>(
+        &mut self,
+        unusual: Unusual,
+        seen: &Samples,
+        samples: &[S::Sample; MAX_JOINTS],
+        into: &impl Fn(S::Drive) -> L,
+        legs: &mut [L; MAX_JOINTS],
+    ) -> bool {
+        match unusual {
+            Unusual::Torques if self.in_force && self.not_finite::<J>() >= 0 => self.command_what_fits::<J>(),
+            Unusual::Torques | Unusual::Step => self.step_otherwise(seen),
+            Unusual::Crest => {
+                self.find_at_crest(seen);
+                self.pass(seen);
+                self.step(seen);
+            }
+        }
+        let supply = Supply::of(seen.bus_voltage);
+        if self.state.drives() && supply.is_usable() {
+            self.supplied = seen.bus_voltage;
+            return self.drive_unusually::<J, L>(&supply, seen.late, samples, into, legs);
+        }
+        self.drive(seen.bus_voltage, samples, seen.late, into, legs)
+    }
+
+    /// [`ControlLoop::drive_all`] where the step was not usual, or its duties are late.
+    #[inline(never)]
+    fn drive_unusually<const J: usize, L>(
+        &mut self,
+        supply: &Supply,
+        late: bool,
+        samples: &[S::Sample; MAX_JOINTS],
+        into: &impl Fn(S::Drive) -> L,
+        legs: &mut [L; MAX_JOINTS],
+    ) -> bool {
+        self.drive_all::<J, L>(supply, late, samples, into, legs)
+    }
+
+    /// Drives the legs of J joints while the motors are on and the supply is usable.
+    #[inline(always)]
+    fn drive_all<const J: usize, L>(
+        &mut self,
+        supply: &Supply,
+        late: bool,
+        samples: &[S::Sample; MAX_JOINTS],
+        into: &impl Fn(S::Drive) -> L,
+        legs: &mut [L; MAX_JOINTS],
+    ) -> bool {
+        #[allow(clippy::needless_range_loop, reason = "one number for four arrays")]
+        for i in 0..J {
+            let joint = &mut self.joints[i];
+            let Some(drive) = joint.stage.drive_easily(supply, samples[i], joint.steady_speed(), late) else {
+                return self.drive_rest(i, supply, late, samples, into, legs);
+            };
+            self.now.motors.duty[i] = S::duty(drive);
+            legs[i] = into(drive);
+        }
+        true
+    }
+
+    /// The same from joint `from` on, of which at least that one takes more.
+    #[cold]
+    #[inline(never)]
+    fn drive_rest<L>(
+        &mut self,
+        from: usize,
+        supply: &Supply,
+        late: bool,
+        samples: &[S::Sample; MAX_JOINTS],
+        into: &impl Fn(S::Drive) -> L,
+        legs: &mut [L; MAX_JOINTS],
+    ) -> bool {
+        let joints = self.count();
+        let motors = self.joints.iter_mut().zip(self.now.motors.duty.iter_mut()).zip(samples).zip(legs);
+        for (((joint, duty), sample), legs) in motors.take(joints).skip(from) {
+            let drive = drive_one(joint, supply, *sample, late);
+            (*duty, *legs) = (S::duty(drive), into(drive));
+        }
+        true
+    }
+
+    /// Returns true if all that the crest of J joints shows is within its bounds.
+    #[inline(always)]
+    fn look_of<const J: usize>(&mut self, seen: &Samples) -> bool {
+        let mut least = margin_bits_between(seen.bus_voltage, self.crests.bus);
+        let mut power = None;
+        for (i, joint) in self.joints.iter_mut().enumerate().take(J) {
+            least |= joint.turn(seen.counts[i]);
+            least |= joint.bounds.range_margin(seen.counts[i]) | joint.margin(seen.currents[i], seen.imbalance[i]);
+            let share = self.now.motors.torque[i] * joint.speed();
+            power = Some(power.map_or(share, |sum| sum + share));
+        }
+        let power = power.unwrap_or(0.0);
+        let allowed = self.crests.allow(power);
+        least >= 0 && allowed
+    }
+
+    /// A crest in any state, whether a control step is `due` or not, and the duties in time or late.
+    #[cold]
+    #[inline(never)]
+    pub(super) fn crest_generally<L>(
+        &mut self,
+        seen: &Samples,
+        samples: &[S::Sample; MAX_JOINTS],
+        due: bool,
+        into: &impl Fn(S::Drive) -> L,
+        legs: &mut [L; MAX_JOINTS],
+    ) -> bool {
+        self.look(seen);
+        if due {
+            self.step(seen);
+        } else {
+            self.check_at_free_crest();
+        }
+        self.drive(seen.bus_voltage, samples, seen.late, into, legs)
+    }
+
+    /// Holds what a crest shows to its bounds. While the motors are off encoders alone are watched, and only for jumps.
+    pub(super) fn look(&mut self, seen: &Samples) {
+        if !core::mem::replace(&mut self.crests.primed, true) {
+            self.pass(seen);
+        }
+        let joints = self.count();
+        let (mut least, mut most, mut power) = (0, margin_bits_between(seen.bus_voltage, self.crests.bus), 0.0);
+        for (i, joint) in self.joints.iter_mut().enumerate().take(joints) {
+            least |= joint.turn(seen.counts[i]);
+            most |= joint.range_margin(seen.counts[i]) | joint.margin(seen.currents[i], seen.imbalance[i]);
+            power += self.now.motors.torque[i] * joint.speed();
+        }
+        if self.state.drives() {
+            least |= if self.crests.allow(power) { most } else { -1 };
+        }
+        if least < 0 {
+            self.find_at_crest(seen);
+        }
+        self.pass(seen);
+    }
+
+    /// The counts of this crest become those of the crest before.
+    fn pass(&mut self, seen: &Samples) {
+        for (joint, count) in self.joints.iter_mut().zip(seen.counts.iter()) {
+            joint.count = *count;
+        }
+    }
+
+    /// Something is not well: finds out what comes first, and turns the motors off.
+    #[cold]
+    #[inline(never)]
+    fn find_at_crest(&mut self, seen: &Samples) {
+        let active = self.state.drives();
+        let mut found = None;
+        let mut note = |wrong: bool, fault: Fault, axis: Option<usize>, value: f32| {
+            if wrong && found.is_none() {
+                found = Some((fault, axis.map(|i| i as u8), value));
+            }
+        };
+        let (crests, bus) = (&self.crests, seen.bus_voltage);
+        let joints = || self.joints.iter().enumerate().take(self.count());
+        for (i, _) in joints() {
+            // No number first: it makes every comparison below meaningless.
+            note(active && !seen.currents[i].is_finite(), Fault::NotFinite, Some(i), seen.currents[i]);
+        }
+        note(active && !bus.is_finite(), Fault::NotFinite, None, bus);
+        for (i, joint) in joints() {
+            let (bounds, count, current) = (&joint.bounds, seen.counts[i], seen.currents[i]);
+            let moved = count.wrapping_sub(joint.count);
+            note(margin_counts(moved, bounds.jump) < 0, Fault::EncoderJump, Some(i), moved as f32);
+            if active {
+                note(margin_bits(joint.speed, bounds.speed) < 0, Fault::SpeedLimit, Some(i), joint.speed());
+                note(joint.range_margin(count) < 0, Fault::JointLimit, Some(i), self.angle(i, count));
+                note(margin_bits(current, bounds.current) < 0, Fault::OverCurrent, Some(i), current);
+                let imbalance = seen.imbalance[i];
+                note(margin_bits(imbalance, bounds.imbalance) < 0, Fault::CurrentSensor, Some(i), imbalance);
+            }
+        }
+        if active {
+            let power = crests.power;
+            note(power > crests.most_power || power.is_nan(), Fault::PowerLimit, None, power);
+            note(bus < crests.bus.0, Fault::BusUnderVoltage, None, bus);
+            note(bus > crests.bus.1, Fault::BusOverVoltage, None, bus);
+        }
+        if let Some((fault, axis, value)) = found {
+            self.trip(fault, axis, value);
+        }
+    }
+
+    /// Angle (rad) of a joint at a count.
+    pub(super) fn angle(&self, joint: usize, count: i32) -> f32 {
+        let Some(program) = self.program.as_ref() else { return 0.0 };
+        let relative = count.wrapping_sub(program.controller.zero()[joint]);
+        relative as f32 * program.radians_per_count[joint] + program.offsets[joint]
+    }
+}
+
+/// The drive of one motor's legs, from a supply that is usable.
+#[inline(always)]
+pub(super) fn drive_one<S: Stage>(joint: &mut Joint<S>, supply: &Supply, sample: S::Sample, late: bool) -> S::Drive {
+    let speed = joint.steady_speed();
+    let easily = joint.stage.drive_easily(supply, sample, speed, late);
+    easily.unwrap_or_else(|| joint.stage.drive(supply, sample, speed, late))
+}
+
+/// A joint's range as counts, rounded outward by less than one; `None` without limits.
+fn range(limits: Option<(f32, f32)>, radians_per_count: f32, offset: f32, zero: i32) -> Option<(i32, i32)> {
+    let (low, high) = limits?;
+    let ends = [low, high].map(|angle| (angle - offset) / radians_per_count);
+    let (first, last) = (ends[0].min(ends[1]), ends[0].max(ends[1]));
+    // An end further away than that is brought in to there. Differences of counts wrap, and beyond half of the counter's
+    // range they would call a joint far outside its limits inside them.
+    let most = i32::MAX as f32 * 0.25;
+    let within = |end: f32| end.clamp(-most, most);
+    Some((zero.wrapping_add(below(within(first))), zero.wrapping_add(-below(-within(last)))))
+}
+
+/// The largest whole number that is not above `value`.
+fn below(value: f32) -> i32 {
+    let whole = value as i32;
+    if (whole as f32) > value { whole - 1 } else { whole }
+}
+
+#[test]
+fn limits_beyond_a_quarter_of_the_counter_hold_there() {
+    for zero in [0, 12_345, i32::MAX, i32::MIN] {
+        let (first, last) = range(Some((-1.0e9, 1.0e9)), 1.0e-3, 0.0, zero).expect("limits");
+        let bounds = Bounds { first, last, ..Bounds::default() };
+        let within = |relative: i32| bounds.range_margin(zero.wrapping_add(relative)) >= 0;
+        let quarter = i32::MAX / 4 + 1;
+        assert!(within(quarter) && within(-quarter));
+        let beyond = [quarter + 1, i32::MAX / 2, i32::MAX, i32::MIN, i32::MIN / 2, -quarter - 1];
+        assert!(!beyond.into_iter().any(within), "from {first} to {last}");
+    }
+}

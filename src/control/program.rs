@@ -1,0 +1,244 @@
+//! A device in a scene, ready to run: the controller of whichever mechanism is loaded, and the drives of its motors.
+
+use crate::control::frame::Now;
+use crate::control::joints::{Counts, Torques};
+use crate::drive::brushed::Axis;
+use crate::drive::carrier::Carrier;
+use crate::drive::stage::{Bridge, Stage};
+use crate::math::Math;
+use crate::model::catalogue::{Kind, MAX_JOINTS};
+use crate::model::device::Device;
+use crate::model::mechanism::AnyMechanism;
+use crate::model::padding::{first, head, padded};
+use crate::model::precomputed::{MassModel, MassModelData};
+use crate::render::controller::{Controller, Gains, Push};
+use crate::render::scene::Scene;
+use crate::render::step_result::StepResult;
+use crate::render::velocity::{Coefficients, Washout};
+use crate::safety::limits::Limits;
+use crate::safety::refusal::Refusal;
+
+/// The properties of a board that the control loop needs.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Hardware {
+    /// Motor axes.
+    pub axes: usize,
+    /// True if there are real motors, which need verified data, limits, homing and a polarity check.
+    pub real: bool,
+    /// True if the bus voltage is measured.
+    pub bus_sensed: bool,
+    /// Its bridges.
+    pub bridge: Bridge,
+    /// Frequency that its PWM timers count at, Hz.
+    pub timer_hz: u32,
+}
+
+macro_rules! define {
+    ($(($Variant:ident, $module:ident, $n:literal))*) => {
+        /// The controller of whichever mechanism is loaded, in the board's precision.
+        #[derive(Clone, Debug)]
+        pub enum AnyController<K> {
+            $(
+                #[doc = concat!("Controls a [`", stringify!($Variant), "`](crate::model::mechanism::", stringify!($Variant), ").")]
+                $Variant(Controller<f32, crate::model::mechanism::$Variant<f32>, K, $n>),
+            )*
+        }
+
+        impl<K: Math<f32>> AnyController<K> {
+            /// Builds the run-time form of a device and a scene; designs filters, so not for the interrupt.
+            pub fn new(device: &Device<f32>, scene: &Scene<f32>) -> Result<Self, Refusal> {
+                match &device.mechanism {
+                    $(crate::model::mechanism::AnyMechanism::$Variant(mechanism) => {
+                        Controller::new(*mechanism, device, scene).map(Self::$Variant).map_err(Refusal::Scene)
+                    })*
+                }
+            }
+
+            /// See [`Controller::set_mass`]; refused when the data do not fit the mechanism.
+            pub fn set_mass(&mut self, data: &MassModelData, values: &[f32]) -> Result<(), Refusal> {
+                match self {
+                    $(Self::$Variant(controller) => {
+                        let mass = MassModel::new::<crate::model::mechanism::$Variant<f32>>(data, values);
+                        controller.set_mass(mass.ok_or(Refusal::BadTable)?);
+                    })*
+                }
+                Ok(())
+            }
+
+            /// Which mechanism.
+            pub fn kind(&self) -> Kind {
+                match self { $(Self::$Variant(_) => Kind::$Variant,)* }
+            }
+
+            /// One control step; writes what it finds but joint angles. `acted`: what the motors gave since the last, N m.
+            #[inline(always)]
+            pub(crate) fn render(&mut self, counts: &Counts, acted: &Torques, found: &mut StepResult<f32>) {
+                match self {
+                    // No device has more joints than there are counts.
+                    $(Self::$Variant(controller) => {
+                        controller.render(first(counts).unwrap_or(&[0; $n]), acted, found);
+                    })*
+                }
+            }
+
+            /// See [`Controller::angles`].
+            pub(crate) fn angles(&self, counts: &Counts, found: &mut StepResult<f32>) {
+                match self { $(Self::$Variant(controller) => controller.angles(first(counts).unwrap_or(&[0; $n]), found),)* }
+            }
+
+            /// See [`Controller::home`].
+            pub fn home(&mut self, counts: &Counts, q: &[f32; MAX_JOINTS]) {
+                match self { $(Self::$Variant(controller) => controller.home(&head(counts), &head(q)),)* }
+            }
+
+            /// Counts that homing subtracts.
+            pub fn zero(&self) -> Counts {
+                match self { $(Self::$Variant(controller) => Counts(padded(&controller.zero())),)* }
+            }
+
+            /// Takes over homing.
+            pub fn set_zero(&mut self, zero: &Counts) {
+                match self { $(Self::$Variant(controller) => controller.set_zero(head(zero)),)* }
+            }
+
+            /// See [`Controller::inside_a_wall`].
+            pub fn inside_a_wall(&self, counts: &Counts) -> bool {
+                match self {
+                    $(Self::$Variant(controller) => controller.inside_a_wall(&head(counts)),)*
+                }
+            }
+
+            /// See [`Controller::set_push`].
+            pub fn set_push(&mut self, push: Option<&Push<f32>>) {
+                match self { $(Self::$Variant(controller) => controller.set_push(push),)* }
+            }
+
+            /// Tip velocity (m/s) and the force (N) that the host's push makes where the last step was, see
+            /// [`Controller::pushed`].
+            pub(crate) fn pushed(&self, now: &Now) -> ([f32; MAX_JOINTS], [f32; MAX_JOINTS]) {
+                match self {
+                    $(Self::$Variant(controller) => {
+                        let (velocity, force) = controller.pushed(&head(&now.counts), &head(&now.found.at.qd).into());
+                        (padded(&velocity.data.0[0]), padded(&force.data.0[0]))
+                    })*
+                }
+            }
+
+            /// See [`Controller::set_gains`].
+            pub fn set_gains(&mut self, gains: &Gains<f32>, washout: &Washout<f32>) {
+                match self { $(Self::$Variant(controller) => controller.set_gains(gains, washout),)* }
+            }
+
+            /// See [`Controller::set_coefficients`].
+            pub fn set_coefficients(&mut self, coefficients: &Coefficients<f32>) {
+                match self { $(Self::$Variant(controller) => controller.set_coefficients(coefficients),)* }
+            }
+
+            /// See [`Controller::set_passivity`].
+            pub fn set_passivity(&mut self, on: bool, shown: bool) {
+                match self { $(Self::$Variant(controller) => controller.set_passivity(on, shown),)* }
+            }
+        }
+    };
+}
+crate::mechanisms!(define);
+
+/// A device in a scene on a board, ready to run: what is handed to the control loop whole. `S` is what stands between a joint's
+/// torque and its motor.
+#[derive(Clone, Debug)]
+pub struct Program<K, S = Axis> {
+    pub(crate) controller: AnyController<K>,
+    pub(crate) mechanism: AnyMechanism<f32>,
+    /// The initial state of the control loop's own stages.
+    pub(crate) axes: [S; MAX_JOINTS],
+    /// True if gravity is compensated.
+    pub(crate) weighs: bool,
+    pub(crate) joints: usize,
+    pub(crate) limits: [Option<(f32, f32)>; MAX_JOINTS],
+    pub(crate) home: Option<[f32; MAX_JOINTS]>,
+    pub(crate) radians_per_count: [f32; MAX_JOINTS],
+    /// Angles at count zero, rad.
+    pub(crate) offsets: [f32; MAX_JOINTS],
+    /// Same device as the program before: homing and the polarity check stay valid.
+    pub(crate) same_device: bool,
+    /// Why this program may not be armed, found once.
+    pub(crate) arming_refused: Option<Refusal>,
+    pub(crate) rate_hz: f32,
+    pub(crate) carrier_hz: f32,
+}
+
+impl<K: Math<f32>, S: Stage> Program<K, S> {
+    /// Builds a program for `hardware` under `limits`. `same_device` keeps homing across a change of scene.
+    ///
+    /// Errors: more joints than axes, a joint without encoder scale, or whatever the scene lacks.
+    pub fn new(
+        hardware: &Hardware,
+        limits: &Limits,
+        device: &Device<f32>,
+        scene: &Scene<f32>,
+        same_device: bool,
+    ) -> Result<Self, Refusal> {
+        let joints = device.axes();
+        if joints > hardware.axes {
+            return Err(Refusal::TooManyJoints { joints: joints as u8, axes: hardware.axes as u8 });
+        }
+        let controller = AnyController::new(device, scene)?;
+        // The current loops run once a carrier period, and the carrier follows the control rate.
+        let bridge =
+            Bridge { carrier_hz: Carrier::for_rate(hardware.timer_hz, scene.rate_hz).carrier_hz(), ..hardware.bridge };
+        let mut axes = [S::default(); MAX_JOINTS];
+        let mut arming_refused = if device.home.is_none() && hardware.real { Some(Refusal::NoHome) } else { None };
+        for (i, joint) in device.joints.iter().enumerate().take(joints) {
+            let scale = joint.radians_per_count;
+            if !scale.is_finite() || scale == 0.0 {
+                return Err(Refusal::BadDevice);
+            }
+            let index = i as u8;
+            match &joint.motor {
+                None => arming_refused = arming_refused.or(Some(Refusal::NoMotor(index))),
+                Some(motor) => {
+                    if hardware.real && !motor.verified {
+                        arming_refused = arming_refused.or(Some(Refusal::MotorNotVerified(index)));
+                    }
+                    axes[i] = S::new(motor, &bridge, limits.current[i]);
+                }
+            }
+            if hardware.real && joint.limits.is_none() {
+                arming_refused = arming_refused.or(Some(Refusal::NoJointLimits(index)));
+            }
+        }
+        Ok(Self {
+            controller,
+            mechanism: device.mechanism,
+            axes,
+            weighs: scene.gravity_compensation && device.weight,
+            joints,
+            limits: core::array::from_fn(|i| device.joints[i].limits),
+            home: device.home,
+            radians_per_count: core::array::from_fn(|i| device.joints[i].radians_per_count),
+            offsets: core::array::from_fn(|i| device.joints[i].offset),
+            same_device,
+            arming_refused,
+            rate_hz: scene.rate_hz,
+            carrier_hz: bridge.carrier_hz,
+        })
+    }
+
+    /// Takes the mass matrix from a prepared model instead of the mechanism's closed form; `values` are those sent for
+    /// a table.
+    ///
+    /// Errors: data that do not fit the mechanism.
+    pub fn set_mass(&mut self, data: &MassModelData, values: &[f32]) -> Result<(), Refusal> {
+        self.controller.set_mass(data, values)
+    }
+
+    /// Its controller.
+    pub fn controller(&self) -> &AnyController<K> {
+        &self.controller
+    }
+
+    /// Control rate, Hz.
+    pub fn rate_hz(&self) -> f32 {
+        self.rate_hz
+    }
+}

@@ -1,0 +1,68 @@
+//! The rules that a board must keep.
+
+use crate::model::catalogue::MAX_JOINTS;
+use crate::safety::limits::Limits;
+use postcard_schema::Schema;
+use serde::{Deserialize, Serialize};
+
+/// The watch over the host, the least watchful first.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Serialize, Deserialize, Schema)]
+pub enum HostAction {
+    /// A silent host is no fault.
+    Ignore,
+    /// The scene goes on; the fault is listed, and the board cannot be armed again until it is cleared.
+    Hold,
+    /// The motors go off.
+    #[default]
+    Disarm,
+}
+
+impl HostAction {
+    /// Every action with its name on the command line.
+    pub const ALL: [(&'static str, Self); 3] =
+        [("ignore", Self::Ignore), ("hold", Self::Hold), ("disarm", Self::Disarm)];
+}
+
+/// The part of the board's settings that the control loop obeys.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
+pub struct Rules {
+    /// Enforced limits.
+    pub limits: Limits,
+    /// The reaction to a silent host.
+    pub host_action: HostAction,
+    /// The time that a host may be silent, s.
+    pub host_seconds: f32,
+    /// True if the passivity controller pays back the energy that walls give out, by damping and less feed-forward.
+    pub passivity: bool,
+    /// Counts between two index pulses of each encoder; 0 without index.
+    pub index_period: [i32; MAX_JOINTS],
+}
+
+impl Default for Rules {
+    fn default() -> Self {
+        Self {
+            limits: Limits::default(),
+            host_action: HostAction::default(),
+            host_seconds: 0.5,
+            passivity: false,
+            index_period: [0; MAX_JOINTS],
+        }
+    }
+}
+
+impl Rules {
+    /// Shortest and longest silence of a host that a board may be told to wait for, s. A silence is summed up in single
+    /// steps, which beyond a minute are too small for an f32 to take in.
+    pub const HOST_SECONDS: (f32, f32) = (0.01, 60.0);
+
+    /// Returns true if nothing that protects is looser than in `other`: such a change is safe at any time.
+    pub fn no_looser_than(&self, other: &Self) -> bool {
+        let watched = self.host_action >= other.host_action
+            && (other.host_action == HostAction::Ignore || self.host_seconds <= other.host_seconds);
+        let mut index = self.index_period.iter().zip(&other.index_period);
+        self.limits.no_higher_than(&other.limits)
+            && watched
+            && (self.passivity || !other.passivity)
+            && index.all(|(period, before)| *before == 0 || period == before)
+    }
+}

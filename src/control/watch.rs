@@ -1,0 +1,270 @@
+//! Checks that must turn the motors off and only a control step can make: numbers that are not finite, poses, marks,
+//! silence. [`super::crest`] holds limits once a carrier period; [`super::budgets`] checks harm that builds up.
+
+use super::{ControlLoop, HostAction, Press};
+use crate::control::joints::Counts;
+use crate::control::program::Program;
+use crate::drive::bits::{margin_bits, margin_bits_between};
+use crate::drive::stage::Stage;
+use crate::math::Math;
+use crate::model::catalogue::MAX_JOINTS;
+use crate::safety::fault::{Fault, FaultRecord};
+use core::ops::DerefMut;
+
+/// Regularity of a closed loop below which its tip force is no longer defined well enough to act.
+pub const TRIPPING_SINE: f32 = 2.0e-3;
+/// Width of an index pulse, counts; the first one counts only if it was passed no faster than this in a step.
+pub const INDEX_WIDTH: u32 = 4;
+
+/// Largest age of the last sight of a dead man's key that holds the motors on, s, whatever the rules say of a silent
+/// host; `host_seconds` if that is shorter. Of this a page takes up to 0.17 s without network delays: a step is told
+/// every 50 ms and shown every 17 ms, and the key is told of every 80 ms and at every picture.
+pub const KEY_SECONDS: f32 = 0.5;
+/// Share of a real motor's maximum current that may flow for ever where its rules name no continuous current: a quarter of
+/// the heat.
+pub const STEADY_SHARE: f32 = 0.5;
+
+/// Most steps until the silence of a host is looked at again: the counter of steps wraps at four times as many.
+const LOOK_AGAIN: u32 = 1 << 30;
+
+impl<P, K, S> ControlLoop<P, S>
+where
+    P: DerefMut<Target = Program<K, S>>,
+    K: Math<f32>,
+    S: Stage,
+{
+    /// Makes ready what steps and carrier periods are held to: after device, homing or rate have changed.
+    pub(super) fn set_bounds(&mut self) {
+        self.set_ranges();
+        self.begin_bounds();
+        self.finish_bounds();
+    }
+
+    /// The same after rules have changed: what does not belong to a joint at once, and the joints one by one, each by a
+    /// [`ControlLoop::settle_next`].
+    pub(super) fn begin_bounds(&mut self) {
+        self.expect_host();
+        let tip_force = self.rules.limits.tip_force;
+        // The same limit again gives what flows no more time.
+        if tip_force * tip_force < self.most_force_squared || !self.state.drives() {
+            self.flow.settle(self.period);
+        }
+        self.set_most_force(tip_force);
+        self.set_crest_bounds();
+        self.unsettled = MAX_JOINTS as u8;
+    }
+
+    /// Sets the largest force at the tip from now on, N.
+    pub(super) fn set_most_force(&mut self, force: f32) {
+        (self.most_force, self.most_force_squared) = (force, force * force);
+    }
+
+    /// Puts the new rules in force for the next joint that is not yet held to them; whether there are more such. While the
+    /// motors are on a control interrupt has no time for all at once; each joint is held to the old rules or to the new
+    /// ones, and then the new ones are no looser.
+    #[inline(never)]
+    pub fn settle_next(&mut self) -> bool {
+        let Some(joint) = self.unsettled.checked_sub(1) else { return false };
+        self.unsettled = joint;
+        let (i, limits) = (usize::from(joint), &self.rules.limits);
+        if let (Some(joint), Some(heat)) = (self.joints.get_mut(i), self.heat.get_mut(i)) {
+            joint.stage.limit(limits.current[i]);
+            let (steady, motor) = (limits.continuous_current[i], joint.stage.motor_current());
+            // Rules that allow more than the motor's maximum do not tell its continuous current.
+            let steady = if self.hardware.real && steady > motor { STEADY_SHARE * motor } else { steady };
+            heat.limit(joint.stage.max_current(), steady);
+            let largest = joint.stage.max_torque();
+            joint.sums.set_limits(largest, limits.speed[i]);
+            self.most_torque[i] = limits.torque[i].min(largest).max(0.0);
+            self.fitting[i] = fitting(self.most_torque[i]);
+        }
+        self.set_crest_bounds_of(i);
+        joint > 0
+    }
+
+    /// Puts the new rules in force for all joints.
+    pub(super) fn finish_bounds(&mut self) {
+        while self.settle_next() {}
+    }
+
+    /// The host was heard.
+    pub(super) fn hear_host(&mut self) {
+        self.host_heard = self.now.step;
+        self.expect_host();
+    }
+
+    /// For how long no heartbeat has come, s, counted from the start, a change of rules or arming.
+    pub fn host_silent(&self) -> f32 {
+        self.now.step.wrapping_sub(self.host_heard) as f32 * self.period
+    }
+
+    /// A dead man's key was told of: it counts by when it was seen, not by when that was heard.
+    pub(super) fn hear_key(&mut self, press: Press) {
+        let steps = |key: Press| self.now.step.wrapping_sub(key.seen);
+        let newer = match self.key {
+            // One key has one holder.
+            Some(key) => key.holder == press.holder && steps(press) < steps(key),
+            None => self.state.drives(),
+        };
+        if newer {
+            self.key = Some(press);
+        }
+    }
+
+    /// Time since the key was last seen down, and the longest that it may be, s; `None` without a key.
+    pub fn key_age(&self) -> Option<(f32, f32)> {
+        self.key.map(|key| self.age(key))
+    }
+
+    fn age(&self, key: Press) -> (f32, f32) {
+        let steps = self.now.step.wrapping_sub(key.seen);
+        (steps as f32 * self.period, self.rules.host_seconds.min(KEY_SECONDS))
+    }
+
+    /// Returns true if a key was seen down as short a while ago as one that holds the motors on must be.
+    pub(super) fn is_fresh(&self, key: Press) -> bool {
+        let (age, allowed) = self.age(key);
+        // Steps before a change of rate took another time, so the key's age is unknown.
+        let known = self.now.step.wrapping_sub(key.seen) <= self.now.step.wrapping_sub(self.rate_since);
+        known && age <= allowed
+    }
+
+    /// Sets the step after which the host, or the key that it tells of, has been silent for too long, or is looked at
+    /// again.
+    fn expect_host(&mut self) {
+        let key = match self.key_age() {
+            Some((age, allowed)) => ((allowed - age) / self.period) as u32,
+            None => LOOK_AGAIN,
+        };
+        let steps = match self.rules.host_action {
+            HostAction::Ignore => LOOK_AGAIN,
+            // It is listed.
+            HostAction::Hold if self.fault.is_some() => LOOK_AGAIN,
+            HostAction::Hold | HostAction::Disarm => {
+                (((self.rules.host_seconds - self.host_silent()) / self.period) as u32).min(LOOK_AGAIN)
+            }
+        };
+        self.host_expected = self.now.step.wrapping_add(steps.min(key));
+        self.forget_old_rates();
+    }
+
+    /// Lets the step since which the rate is the same follow, half of all steps behind, before the count of steps reaches
+    /// it again: nothing that a host has seen is older. There is a look at the host four times in that count.
+    fn forget_old_rates(&mut self) {
+        const HALF: u32 = 1 << 31;
+        if self.now.step.wrapping_sub(self.rate_since) > HALF {
+            self.rate_since = self.now.step.wrapping_sub(HALF);
+        }
+    }
+
+    /// Negative if the step of J joints must be looked at: NaN, a singular pose, a host that is silent for too long.
+    /// Torques that are NaN do not fit either ([`ControlLoop::fits`]).
+    #[inline(always)]
+    pub(super) fn watch<const J: usize>(&self) -> i32 {
+        let found = &self.now.found;
+        let mut sum = found.at.walls.wall_force + found.at.walls.normal_velocity;
+        for qd in found.at.qd.iter().take(J) {
+            sum += qd;
+        }
+        // One check for all: a sum of finite numbers this small can only be infinite or NaN if one of them is.
+        margin_bits(sum, f32::MAX) | beyond(found.parallel) | self.host_expected.wrapping_sub(self.now.step) as i32
+    }
+
+    /// [`ControlLoop::watch`] of all joints, and of the torques as well.
+    pub(super) fn watch_all(&self) -> i32 {
+        match self.count() {
+            2 => self.watch::<2>() | self.not_finite::<2>(),
+            3 => self.watch::<3>() | self.not_finite::<3>(),
+            _ => self.watch::<1>() | self.not_finite::<1>(),
+        }
+    }
+
+    /// Negative if a torque asked of the J joints is NaN or infinite.
+    #[inline(always)]
+    pub(super) fn not_finite<const J: usize>(&self) -> i32 {
+        self.now.found.asked.total.iter().take(J).fold(0, |least, torque| least | margin_bits(*torque, f32::MAX))
+    }
+
+    /// Something is to be looked at: finds out what comes first, and turns the motors off where they must not go on.
+    /// `before`: counts of the step before.
+    #[cold]
+    #[inline(never)]
+    pub(super) fn find(&mut self, before: &Counts) {
+        let active = self.state.drives();
+        let joints = self.count();
+        let mut first = None;
+        let mut note = |wrong: bool, fault: Fault, axis: Option<usize>, value: f32| {
+            if wrong && first.is_none() {
+                first = Some((fault, axis.map(|i| i as u8), value));
+            }
+        };
+        // No number first: it makes every comparison below meaningless.
+        let found = &self.now.found;
+        let mut sum = found.at.walls.wall_force + found.at.walls.normal_velocity;
+        for (qd, torque) in found.at.qd.iter().zip(&found.asked.total).take(joints) {
+            sum += qd + torque;
+        }
+        note(!sum.is_finite(), Fault::NotFinite, None, sum);
+        let marks = self.marks.take().unwrap_or_default();
+        let counts = self.now.counts.iter().zip(before.iter());
+        let learned = self.rules.index_period.iter().zip(&mut self.first_index);
+        for (i, ((mark, (count, before)), (period, first))) in marks.iter().zip(counts).zip(learned).enumerate() {
+            // A board may have more encoders than the device has joints.
+            let (Some(at), true) = (*mark, *period > 0 && i < joints) else { continue };
+            let moved = count.wrapping_sub(*before).unsigned_abs();
+            match *first {
+                Some(first) => {
+                    let off = index_error(at, first, *period);
+                    note(off > index_doubt(moved), Fault::IndexMismatch, Some(i), off as f32);
+                }
+                None if moved <= INDEX_WIDTH => *first = Some(at),
+                None => {}
+            }
+        }
+        if active {
+            let parallel = self.now.found.parallel;
+            note(beyond(parallel) < 0, Fault::Singularity, None, parallel);
+            let seconds = self.host_silent();
+            let silent = seconds > self.rules.host_seconds;
+            match self.rules.host_action {
+                HostAction::Disarm => note(silent, Fault::HostLost, None, seconds),
+                // Listed once is enough.
+                HostAction::Hold if silent && self.fault.is_none() => {
+                    self.fault =
+                        Some(FaultRecord { fault: Fault::HostLost, axis: None, value: seconds, step: self.now.step });
+                }
+                _ => {}
+            }
+            if let Some((age, allowed)) = self.key_age() {
+                note(age > allowed, Fault::KeyReleased, None, age);
+            }
+        }
+        self.expect_host();
+        if let Some((fault, axis, value)) = first {
+            self.trip(fault, axis, value);
+        }
+    }
+}
+
+/// A torque so much below its limit, N m, that no rounding on its way to a current passes it.
+fn fitting(most: f32) -> f32 {
+    if most.is_normal() { most * (1.0 - 8.0 * f32::EPSILON) } else { 0.0 }
+}
+
+/// Negative where a closed loop is stretched so far that its tip force is not defined, and where that is not known.
+#[inline(always)]
+fn beyond(parallel: f32) -> i32 {
+    margin_bits_between(parallel, (TRIPPING_SINE, f32::MAX))
+}
+
+/// Counts between an index pulse at `count` and the nearest place where it should be: whole turns of `period` from the
+/// `first`.
+fn index_error(count: i32, first: i32, period: i32) -> u32 {
+    let off = count.wrapping_sub(first).checked_rem(period).unwrap_or(0).unsigned_abs();
+    off.min(period.unsigned_abs().saturating_sub(off))
+}
+
+/// The allowed error: each of the two pulses may be late, the first by its width, this one by the joint's motion.
+fn index_doubt(moved: u32) -> u32 {
+    moved.saturating_add(2 * INDEX_WIDTH)
+}

@@ -1,0 +1,183 @@
+//! `--port`, which every command that talks to a board takes, and how they talk about what they found.
+
+use super::answer::Json;
+use haptic_bridge::control::{HostAction, Rules};
+use haptic_bridge::render::scene::Scene;
+use haptic_bridge::safety::fault::{FaultRecord, State};
+use haptic_host::error::Failure;
+use haptic_host::link::{Board, PortSpec};
+pub use haptic_host::words::counted;
+pub use haptic_host::words::{feed_forward_in_words, short, wall_in_words};
+use serde::Serialize;
+use std::io::{BufRead, IsTerminal};
+use std::net::{SocketAddr, ToSocketAddrs};
+
+/// Which board.
+#[derive(clap::Args)]
+pub struct Port {
+    /// The board: a serial port or a board's serial number, tcp:HOST:PORT, sim, or sim:DEVICE.toml [default:
+    /// HAPTIC_PORT where that is set, else the only board connected]
+    #[arg(long, value_name = "PORT", env = "HAPTIC_PORT")]
+    port: Option<PortSpec>,
+}
+
+impl Port {
+    /// Opens the board.
+    pub fn open(&self) -> Result<Board, Failure> {
+        Ok(haptic_sim::open(self.spec())?)
+    }
+
+    /// The port that was asked for.
+    pub fn spec(&self) -> &PortSpec {
+        self.port.as_ref().unwrap_or(&PortSpec::Find)
+    }
+
+    /// Opens the board for a command that leaves something in it: not one that ends with the command.
+    pub fn open_to_stay(&self) -> Result<Board, Failure> {
+        match &self.port {
+            Some(PortSpec::Sim(_)) => {
+                Err(Failure::wrong("a board on --port sim ends with this command, and nothing of it is left")
+                    .remedy("run `haptic sim` in another terminal and use the port that it prints"))
+            }
+            _ => self.open(),
+        }
+    }
+}
+
+/// `--port` and `--json`: what a command takes that asks a board something and answers with it.
+#[derive(clap::Args)]
+pub struct OnBoard {
+    #[command(flatten)]
+    port: Port,
+    #[command(flatten)]
+    pub json: Json,
+}
+
+impl OnBoard {
+    /// Opens the board.
+    pub fn open(&self) -> Result<Board, Failure> {
+        self.port.open()
+    }
+
+    /// Opens the board for a command that leaves something in it: see [`Port::open_to_stay`].
+    pub fn open_to_stay(&self) -> Result<Board, Failure> {
+        self.port.open_to_stay()
+    }
+
+    /// Which board was asked for.
+    pub fn spec(&self) -> &PortSpec {
+        self.port.spec()
+    }
+
+    /// A line that says what is left on a board that ends with this command; empty for every other board.
+    pub fn what_is_left(&self) -> &'static str {
+        match self.spec() {
+            PortSpec::Sim(_) => {
+                "a board on --port sim ends with this command, and nothing of it is left: run `haptic sim` in another \
+                 terminal and use the port that it prints\n"
+            }
+            _ => "",
+        }
+    }
+
+    /// Prints the document where `--json` asks for it, else these words.
+    pub fn answer(&self, document: impl Serialize, words: &str) -> Result<(), Failure> {
+        self.json.answer(document, words)
+    }
+}
+
+/// The address at which to listen, as `option` says it: PORT on this computer, or HOST:PORT.
+pub fn address(text: &str, option: &str) -> Result<SocketAddr, Failure> {
+    let full = if text.contains(':') { text.to_string() } else { format!("127.0.0.1:{text}") };
+    let found = full.to_socket_addrs().ok().and_then(|mut addresses| addresses.next());
+    found.ok_or_else(|| {
+        Failure::wrong(format!("{option} {text} is not PORT or HOST:PORT")).remedy(format!("try {option} 7710"))
+    })
+}
+
+/// A state in words.
+pub fn state_in_words(state: State) -> &'static str {
+    match state {
+        State::Disarmed => "disarmed (motors off, the device moves freely)",
+        State::Armed => "armed",
+        State::CheckingPolarity => "checking motor polarity",
+        State::Fault => "fault (motors off until it is cleared)",
+    }
+}
+
+/// The warning before motors that are on go off.
+pub const GOES_OFF: &str = "the motors are on and will go off: what has weight falls";
+
+/// Asks somebody at the terminal, unless `yes` agreed beforehand; `what` would happen.
+pub fn confirm(yes: bool, what: &str) -> Result<(), Failure> {
+    if yes {
+        return Ok(());
+    }
+    if !std::io::stdin().is_terminal() {
+        return Err(Failure::impossible(format!("{what}, and nobody can be asked")).remedy("repeat with --yes"));
+    }
+    haptic_host::error::say(format_args!("{what}; go on? [y/N] "));
+    let mut answer = String::new();
+    let read = std::io::stdin().lock().read_line(&mut answer);
+    match read {
+        Ok(_) if ["y", "yes"].contains(&answer.trim().to_ascii_lowercase().as_str()) => Ok(()),
+        _ => Err(Failure::impossible("not confirmed").remedy("nothing was done")),
+    }
+}
+
+/// The contents of a scene, in words.
+pub fn scene_in_words(scene: &Scene<f32>) -> String {
+    let mut parts = vec![counted(scene.walls.len(), "wall")];
+    if !scene.springs.is_empty() {
+        parts.push(counted(scene.springs.len(), "spring"));
+    }
+    if scene.field_damping > 0.0 {
+        parts.push(format!("a field of {} N s/m", short(scene.field_damping)));
+    }
+    parts.join(", ")
+}
+
+/// A fault in words, with its remedy on a line of its own.
+pub fn fault_in_words(record: &FaultRecord, rate_hz: f32) -> String {
+    format!("{}\n    {}", fault_alone(record, rate_hz), record.fault.remedy())
+}
+
+/// A fault in words, without its remedy.
+pub fn fault_alone(record: &FaultRecord, rate_hz: f32) -> String {
+    let axis = record.axis.map_or(String::new(), |axis| format!(", joint {axis}"));
+    let seconds = f64::from(record.step) / f64::from(rate_hz.max(1.0));
+    format!("{}{axis}, value {}, {seconds:.3} s after boot", record.fault, record.value)
+}
+
+/// Says on standard error which protection is weaker under the rules in force now than it was before.
+pub fn warn_of_weaker(before: &Rules, now: &Rules) {
+    if now.host_action != HostAction::Disarm && before.host_action == HostAction::Disarm {
+        haptic_host::tell!(
+            "the host is no longer watched: if this tool is killed or its cable pulled, the motors stay on as they are"
+        );
+    }
+    let (was, is) = (before.limits.tip_force, now.limits.tip_force);
+    if is > was {
+        haptic_host::tell!(
+            "walls, springs and fields may now push at the tip with {} N, before with {}",
+            short(is),
+            short(was)
+        );
+    }
+    for (joint, (was, is)) in before.limits.torque.iter().zip(now.limits.torque).enumerate() {
+        if is > *was {
+            haptic_host::tell!("joint {joint} may now get {} N m, before {}", short(is), short(*was));
+        }
+    }
+}
+
+/// The failure with which a command ends if a fault turned its motors off.
+pub fn motors_off(record: &FaultRecord, rate_hz: f32) -> Failure {
+    Failure::impossible(format!("the motors are off: {}", fault_alone(record, rate_hz))).remedy(record.fault.remedy())
+}
+
+/// Numbers in a row, for people; what rounds to zero has no sign.
+pub fn numbers(values: &[f32], unit: &str) -> String {
+    let numbers: Vec<String> = values.iter().map(|value| format!("{:.4}", (1e4 * value).round() / 1e4 + 0.0)).collect();
+    format!("({}) {unit}", numbers.join(", "))
+}

@@ -1,0 +1,407 @@
+//! `haptic report`: everything about a device on one page, each number with the command that prints it.
+
+use super::arguments::{self, Numbers};
+use super::continued::Continue;
+use super::force::Force;
+use haptic_bridge::render::scene::{DEFAULT_RATE_HZ, FeedForward};
+use haptic_host::device_file::DeviceFile;
+use haptic_host::error::{Failure, print};
+use haptic_host::output;
+use haptic_host::scene_file::{DEFAULT_CUTOFF_HZ, SceneFile};
+use haptic_predict::design::place::directions;
+use haptic_predict::plausible::scene::{doubts, usual_hand};
+use haptic_stability::analysis::control_loop::{Loop, TorquePath};
+use haptic_stability::analysis::prediction::{self, Prediction};
+use haptic_stability::analysis::sampled::LinearEstimator;
+use haptic_stability::analysis::several::Member;
+use serde::{Deserialize, Serialize};
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+/// Write one page with everything about a device: what it is, what it renders, how to make it better
+///
+/// What the file describes, the largest force, the model, the map, the range of stable walls and why it ends where it
+/// does, velocity estimators, the best place, direction and links, the best settings. The page is one HTML file that
+/// needs nothing else: to read offline, to print. Its numbers are what this tool's own commands print, and above each
+/// stands the line to type. With SCENE the wall is the scene's first. Takes a minute or two; Ctrl-C ends it, and with
+/// --continue the same command goes on from there.
+#[derive(clap::Args)]
+pub struct Args {
+    /// Device file (TOML)
+    device: PathBuf,
+    /// Scene file (TOML)
+    scene: Option<PathBuf>,
+    /// Where to write the page
+    #[arg(long, value_name = "FILE", default_value = "report.html")]
+    out: PathBuf,
+    /// Joint angles in rad, such as 2.4,0.7 [default: where the scene's wall is touched, or the device file's home]
+    #[arg(long, value_name = "A,B,..", allow_hyphen_values = true)]
+    q: Option<Numbers>,
+    /// Normal of the wall, any length [default: the scene's, or that in which the feed-forward buys most at the pose]
+    #[arg(long, value_name = "X,Y,..", allow_hyphen_values = true)]
+    normal: Option<Numbers>,
+    /// Leave these parts out: those that take longest are estimators and tune
+    #[arg(long, value_name = "PART", value_delimiter = ',')]
+    without: Vec<Part>,
+    #[command(flatten)]
+    continued: Continue,
+    #[command(flatten)]
+    force: Force,
+}
+
+/// A part of the page that can be left out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Part {
+    /// Velocity estimators
+    Estimators,
+    /// The best settings
+    Tune,
+    /// The best place, direction and links
+    Design,
+    /// The map
+    Map,
+}
+
+/// A part of the page: one command.
+#[derive(Clone, Debug)]
+struct Section {
+    title: &'static str,
+    /// Its subject, in a sentence.
+    about: &'static str,
+    /// The words of the command after `haptic`.
+    words: Vec<String>,
+    /// The name of its picture, if it draws one.
+    picture: Option<&'static str>,
+}
+
+/// The output of a command.
+#[derive(Clone, Debug, Default, Deserialize, Serialize)]
+struct Said {
+    text: String,
+    notes: String,
+    picture: Option<String>,
+    done: bool,
+}
+
+/// The subject of the commands.
+struct Subject {
+    q: String,
+    normal: String,
+    rate: String,
+    cutoff: String,
+    washout: Option<String>,
+    /// Options with which `haptic range DEVICE` predicts the wall in its scene.
+    options: String,
+    /// Stiffness and damping of the scene's wall, as `--wall` takes them.
+    wall: Option<String>,
+}
+
+/// Runs every command and writes the page.
+pub fn run(args: Args) -> Result<(), Failure> {
+    output::check(&args.out, args.force.overwrite())?;
+    let file = DeviceFile::load(&args.device)?;
+    let subject = subject(&args, &file)?;
+    let sections = sections(&args, &subject);
+    let scene = args.scene.as_ref().map(|path| SceneFile::load(path, file.spec().task)).transpose()?;
+    let scene = scene.map(|file| file.scene);
+    let lines: Vec<_> = sections.iter().map(Section::line).collect();
+    let question = format!("{lines:?} {:?} {scene:?}", file.description);
+    let sweep = args.continued.sweep("report", &question)?;
+    let tool = std::env::current_exe().map_err(Failure::impossible)?;
+    let said = sweep.map("parts", &sections, |section| Ok(section.run(&tool)))?;
+    let page = page(&file.name, &args, &sections, &said);
+    output::write(&args.out, page.as_bytes(), args.force.overwrite())?;
+    let missing = said.iter().filter(|said| !said.done).count();
+    let without = if missing > 0 { format!(", {missing} of them without an answer") } else { String::new() };
+    print(&format!("{}: {} parts{without}\n", args.out.display(), sections.len()))?;
+    sweep.finish();
+    Ok(())
+}
+
+/// Six digits, without zeros that say nothing.
+fn list(values: &[f64]) -> String {
+    let rounded = values.iter().map(|value| (value * 1e6).round() / 1e6 + 0.0);
+    rounded.map(|value| value.to_string()).collect::<Vec<_>>().join(",")
+}
+
+fn subject(args: &Args, file: &DeviceFile) -> Result<Subject, Failure> {
+    let spec = file.spec();
+    let scene = args.scene.as_ref().map(|path| SceneFile::load(path, spec.task)).transpose()?.map(|file| file.scene);
+    let device = prediction::Subject::new(&file.description).map_err(Failure::wrong)?;
+    let touched = scene.as_ref().and_then(|scene| {
+        let (_, contacts) = doubts(&device, scene);
+        contacts.into_iter().find(|contact| contact.wall == 0)
+    });
+    let q = match (&args.q, &touched) {
+        (None, Some(contact)) => contact.q.clone(),
+        (q, _) => arguments::pose(q.as_ref(), file)?,
+    };
+    let normal = match (&args.normal, &touched) {
+        (Some(normal), _) => normal.unit(spec.task, "--normal")?,
+        (None, Some(contact)) => contact.normal.clone(),
+        (None, None) => directions(&file.description, &q, Default::default())?.feed_forward_buys_most.normal,
+    };
+    let wall = scene.as_ref().and_then(|scene| scene.walls.first());
+    let rate = scene.as_ref().map_or(DEFAULT_RATE_HZ, |scene| scene.rate_hz);
+    let cutoff = scene.as_ref().map_or(DEFAULT_CUTOFF_HZ, |scene| scene.cutoff_hz);
+    let path = TorquePath::usual(rate);
+    let in_scene = scene.as_ref().and_then(|scene| Prediction::in_scene(&device, scene, wall, &path));
+    let prediction = in_scene.unwrap_or_else(|| {
+        // An estimator without a linear analysis stands beside the usual one.
+        Prediction::new(device.clone(), Loop::through(&path, rate, LinearEstimator::Butterworth(cutoff)))
+    });
+    let rounded = |values: &[f64]| values.iter().map(|value| (value * 1e6).round() / 1e6 + 0.0).collect::<Vec<_>>();
+    let (q, normal) = (rounded(&q), rounded(&normal));
+    Ok(Subject {
+        options: prediction.options(&q, &[Member::new(normal.clone(), 1.0)]),
+        wall: wall.map(|wall| format!("{},{}", wall.stiffness, wall.damping)),
+        q: list(&q),
+        normal: list(&normal),
+        rate: list(&[rate]),
+        cutoff: list(&[cutoff]),
+        washout: wall
+            .filter(|wall| wall.feed_forward == FeedForward::Washout)
+            .map_or(Some("2".into()), |wall| Some(list(&[wall.washout_hz]))),
+    })
+}
+
+fn sections(args: &Args, subject: &Subject) -> Vec<Section> {
+    let device = args.device.display().to_string();
+    let scene = args.scene.as_ref().map(|scene| scene.display().to_string());
+    let Subject { q, normal, rate, cutoff, washout, options, wall } = subject;
+    let (q, normal) = (format!("--q={q}"), format!("--normal={normal}"));
+    let mut sections = Vec::new();
+    let mut add = |title, about, picture, words: &[&str]| {
+        sections.push(Section { title, about, picture, words: words.iter().map(|word| (*word).to_string()).collect() });
+    };
+    let mut check = vec!["check", &device];
+    check.extend(scene.as_deref());
+    add(
+        "What the file describes, and the largest force",
+        "Reach, weight and inertia; what a person at the tip can meet; what a real board still lacks.",
+        Some("device.svg"),
+        &check,
+    );
+    add(
+        "The model at the pose",
+        "What a wall meets there, and the torques that a newton of it takes without and with the feed-forward.",
+        None,
+        &["model", &device, &q, &normal, "--force", "1"],
+    );
+    if !args.without.contains(&Part::Map) {
+        add(
+            "The map",
+            "Inertia along the normal over the workspace, and where the feed-forward pays.",
+            Some("map.svg"),
+            &["map", &device, &normal],
+        );
+    }
+    let mut range = vec!["range", &device];
+    range.extend(options.split(' '));
+    if let Some(washout) = washout {
+        range.extend(["--washout", washout]);
+    }
+    add(
+        "The range of stable walls",
+        "Predicted with a board's drive and delay: without the feed-forward, with it, and washed out. Friction makes the \
+         measured range larger.",
+        Some("range.svg"),
+        &range,
+    );
+    let hand = usual_hand();
+    let hand = format!("{},{},{}", hand.mass, hand.damping, hand.stiffness);
+    let mut held = range.clone();
+    // Compensated damping is not predicted in a hand.
+    let is_held = !options.contains("--damping-compensation");
+    if is_held {
+        held.extend(["--hand", &hand]);
+    }
+    held.extend(wall.iter().flat_map(|wall| ["--wall", wall.as_str()]));
+    if is_held || wall.is_some() {
+        add(
+            "The wall in a hand",
+            "What a hand does to the range: behind cables it takes from it. With a scene also how its wall ripples.",
+            None,
+            &held,
+        );
+    }
+    range.push("--why");
+    add("Why it ends there", "The same loop with one effect taken away, each in turn.", Some("why.svg"), &range);
+    if !args.without.contains(&Part::Estimators) {
+        let mut words = vec!["tune", "estimators", &device, &q, &normal, "--rate", rate, "--cutoff", cutoff];
+        words.extend(wall.iter().flat_map(|wall| ["--wall", wall.as_str()]));
+        add("Velocity estimators", "Simulated with the device's own encoder steps and friction.", None, &words);
+    }
+    if !args.without.contains(&Part::Design) {
+        add(
+            "The best place, direction and links",
+            "Searched by the inertia that a wall meets; the stiffest walls are predicted as above.",
+            Some("design.svg"),
+            &["design", &device, &q, &normal, "--rate", rate, "--cutoff", cutoff],
+        );
+    }
+    if !args.without.contains(&Part::Tune) {
+        let mut tune = vec!["tune", &device, &q, &normal];
+        if let Some(scene) = &scene {
+            tune.extend(["--scene", scene]);
+        }
+        add(
+            "The best settings",
+            "The stiffest wall within margins and a ripple: stability predicted, ripple simulated.",
+            None,
+            &tune,
+        );
+    }
+    sections
+}
+
+impl Section {
+    /// The line to type.
+    fn line(&self) -> String {
+        let quoted = |word: &String| match word.chars().all(|c| c.is_ascii_alphanumeric() || "-_./=,+:".contains(c)) {
+            true => word.clone(),
+            false => format!("'{}'", word.replace('\'', "'\\''")),
+        };
+        let mut line = format!("haptic {}", self.words.iter().map(quoted).collect::<Vec<_>>().join(" "));
+        if let Some(picture) = self.picture {
+            let _ = write!(line, " --svg {picture}");
+        }
+        line
+    }
+
+    /// Types it.
+    fn run(&self, tool: &Path) -> Said {
+        let folder = tempfile::tempdir().ok();
+        let picture = folder.as_ref().zip(self.picture).map(|(folder, name)| folder.path().join(name));
+        let mut command = Command::new(tool);
+        command.args(&self.words).stdin(Stdio::null()).env(haptic_stability::sweep::QUIET, "1");
+        if let Some(picture) = &picture {
+            command.arg("--svg").arg(picture);
+        }
+        match command.output() {
+            Ok(output) => Said {
+                text: String::from_utf8_lossy(&output.stdout).into_owned(),
+                notes: String::from_utf8_lossy(&output.stderr).into_owned(),
+                picture: picture.and_then(|path| std::fs::read_to_string(path).ok()),
+                done: output.status.success(),
+            },
+            Err(error) => Said { notes: error.to_string(), ..Said::default() },
+        }
+    }
+}
+
+/// Text in HTML.
+fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+}
+
+/// An SVG document as a part of a page that has others: names of its own, and no declaration of what it is.
+fn inline(svg: &str, number: usize) -> String {
+    svg.replace(" xmlns=\"http://www.w3.org/2000/svg\"", "")
+        .replace("id=\"clip", &format!("id=\"p{number}clip"))
+        .replace("url(#clip", &format!("url(#p{number}clip"))
+}
+
+const STYLE: &str = "body{font-family:sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem;color:#222}\
+    h1{font-size:1.5rem}h2{font-size:1.15rem;margin-top:2.2rem;border-top:1px solid #ccc;padding-top:.8rem}\
+    pre{font-size:.72rem;overflow-x:auto;background:#f6f6f6;padding:.6rem;white-space:pre}\
+    code.line{display:block;background:#eef3f8;padding:.4rem .6rem;font-size:.78rem;overflow-wrap:anywhere}\
+    svg{max-width:100%;height:auto}p.notes{font-size:.8rem;color:#7a3b00;white-space:pre-line}li{margin:.15rem 0}\
+    @media print{body{margin:0;max-width:none}pre{white-space:pre-wrap;font-size:.6rem}h2{break-after:avoid}\
+    section{break-inside:auto}svg{break-inside:avoid}}";
+
+fn page(name: &str, args: &Args, sections: &[Section], said: &[Said]) -> String {
+    let mut page = String::new();
+    let name = escaped(name);
+    let scene = args.scene.as_ref().map_or(String::new(), |scene| format!(" with {}", scene.display()));
+    let about = escaped(&format!(
+        "{}{scene}, by haptic {}, {}",
+        args.device.display(),
+        env!("CARGO_PKG_VERSION"),
+        output::date()
+    ));
+    let _ = write!(
+        page,
+        "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\"/>\n<title>{name}</title>\n\
+         <meta name=\"viewport\" content=\"width=device-width\"/>\n<style>{STYLE}</style>\n</head>\n<body>\n\
+         <h1>{name}</h1>\n<p>{about}</p>\n\
+         <p>Every number on this page is printed by the line above it, typed where the page was made. Predictions are of the \
+         device in the file: nothing here was measured on one.</p>\n<ol>\n"
+    );
+    for section in sections {
+        let _ = writeln!(page, "<li>{}</li>", escaped(section.title));
+    }
+    page.push_str("</ol>\n");
+    for (number, (section, said)) in sections.iter().zip(said).enumerate() {
+        let _ = write!(
+            page,
+            "<section>\n<h2>{}. {}</h2>\n<p>{}</p>\n<code class=\"line\">{}</code>\n",
+            number + 1,
+            escaped(section.title),
+            escaped(section.about),
+            escaped(&section.line())
+        );
+        if !said.notes.trim().is_empty() {
+            let _ = writeln!(page, "<p class=\"notes\">{}</p>", escaped(said.notes.trim()));
+        }
+        if let Some(picture) = &said.picture {
+            let _ = writeln!(page, "<figure>\n{}</figure>", inline(picture, number + 1));
+        }
+        if !said.text.trim().is_empty() {
+            let _ = writeln!(page, "<pre>{}</pre>", escaped(said.text.trim_end()));
+        }
+        page.push_str("</section>\n");
+    }
+    page.push_str("</body>\n</html>\n");
+    page
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::commands::help;
+    use clap::Parser;
+
+    #[derive(clap::Parser)]
+    struct CommandLine {
+        #[command(flatten)]
+        args: Args,
+    }
+
+    #[test]
+    fn every_line_on_the_page_can_be_typed() {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+        let mut lines = 0;
+        for (device, scene) in [
+            ("haply-2diy", Some("wall-stiff")),
+            ("phantom-premium-1.5", Some("ramp")),
+            ("hapkit-paddle", None),
+            ("serial-3r", None),
+            ("fictive-five-bar-turret", Some("ball")),
+        ] {
+            let path = |name: String| root.join(name).display().to_string();
+            let mut words = vec!["haptic".to_string(), path(format!("devices/{device}.toml"))];
+            words.extend(scene.map(|scene| path(format!("devices/scenes/{device}/{scene}.toml"))));
+            let args = CommandLine::parse_from(words).args;
+            let file = DeviceFile::load(&args.device).unwrap();
+            let subject = subject(&args, &file).unwrap();
+            for section in sections(&args, &subject) {
+                // As a shell splits it: no path here needs quotes.
+                let line = section.line();
+                if let Err(error) = help::command().try_get_matches_from(line.split(' ')) {
+                    panic!("{}: {error}", section.line());
+                }
+                lines += 1;
+            }
+        }
+        assert!(lines > 35, "{lines}");
+    }
+
+    #[test]
+    fn a_word_that_a_shell_would_take_apart_is_quoted() {
+        let words = vec!["check".into(), "my device's.toml".into()];
+        let section = Section { title: "", about: "", words, picture: None };
+        assert_eq!(section.line(), r"haptic check 'my device'\''s.toml'");
+    }
+}

@@ -1,0 +1,194 @@
+//! `haptic rules`: shows or changes what the board enforces, whatever a tool asks for.
+
+use super::arguments::one_of;
+use super::port::{OnBoard, counted, short, warn_of_weaker};
+use clap::builder::TypedValueParser;
+use haptic_bridge::control::{HostAction, Rules};
+use haptic_bridge::model::device::Device;
+use haptic_bridge::safety::limits::Limits;
+use haptic_host::error::Failure;
+use serde_json::json;
+
+/// Show or change the limits and rules that the board enforces
+///
+/// Rules that are not named stay as they are. They can be made stricter at any time, and looser only with the motors
+/// off, never beyond the board's own limits. `haptic board save` keeps them over a power cycle.
+#[derive(clap::Args)]
+pub struct Args {
+    #[command(flatten)]
+    on: OnBoard,
+    /// Joint torques in N m, one per joint
+    #[arg(long, value_name = "N M,..", value_delimiter = ',', value_parser = limit, allow_hyphen_values = true)]
+    torque: Vec<f32>,
+    /// Motor currents in A, one per joint
+    #[arg(long, value_name = "A,..", value_delimiter = ',', value_parser = limit, allow_hyphen_values = true)]
+    current: Vec<f32>,
+    /// Motor currents that may flow for ever, in A, one per joint
+    #[arg(long, value_name = "A,..", value_delimiter = ',', value_parser = limit, allow_hyphen_values = true)]
+    continuous_current: Vec<f32>,
+    /// Joint speeds in rad/s, one per joint
+    #[arg(long, value_name = "RAD/S,..", value_delimiter = ',', value_parser = limit, allow_hyphen_values = true)]
+    speed: Vec<f32>,
+    /// Mean power into the hand in W
+    #[arg(long, value_name = "W", value_parser = limit)]
+    power: Option<f32>,
+    /// Force of walls, springs and fields together at the tip in N
+    #[arg(long, value_name = "N", value_parser = limit)]
+    tip_force: Option<f32>,
+    /// Lowest supply voltage in V
+    #[arg(long, value_name = "V", value_parser = limit)]
+    bus_min: Option<f32>,
+    /// Highest supply voltage in V
+    #[arg(long, value_name = "V", value_parser = limit)]
+    bus_max: Option<f32>,
+    /// What the board does when the host has been silent
+    #[arg(long, value_name = "ACTION", value_parser = action())]
+    host: Option<HostAction>,
+    #[arg(long, value_name = "S", value_parser = seconds, help = silence())]
+    host_seconds: Option<f32>,
+    /// Pay back the energy that walls give out, by damping and less feed-forward (passivity controller)
+    #[arg(long, value_name = "BOOL", action = clap::ArgAction::Set)]
+    passivity: Option<bool>,
+    /// Counts between two index pulses of each encoder, one per joint; 0 where it has none
+    #[arg(long, value_name = "COUNTS,..", value_delimiter = ',', value_parser = clap::value_parser!(i32).range(0..), allow_hyphen_values = true)]
+    index_period: Vec<i32>,
+}
+
+/// An action, by its name.
+fn action() -> impl TypedValueParser<Value = HostAction> {
+    let what = |action| match action {
+        HostAction::Ignore => "Nothing",
+        HostAction::Hold => "The scene goes on, and the fault is listed",
+        HostAction::Disarm => "Motors off",
+    };
+    one_of(HostAction::ALL.map(|(name, action)| (name, what(action), action)))
+}
+
+fn limit(text: &str) -> Result<f32, String> {
+    match text.trim().parse::<f32>() {
+        Ok(value) if value.is_finite() && value > 0.0 => Ok(value),
+        Ok(_) => Err("must be finite and greater than zero".into()),
+        Err(_) => Err("not a number".into()),
+    }
+}
+
+fn silence() -> String {
+    let (least, most) = Rules::HOST_SECONDS;
+    format!("How long the host may be silent, in s: {least} to {most}")
+}
+
+fn seconds(text: &str) -> Result<f32, String> {
+    limit(text).and_then(|value| {
+        let (least, most) = Rules::HOST_SECONDS;
+        if (least..=most).contains(&value) { Ok(value) } else { Err(format!("must be between {least} and {most}")) }
+    })
+}
+
+/// Reads the rules, changes those that were named, and reports them all.
+pub fn run(args: Args) -> Result<(), Failure> {
+    let mut board = args.on.open()?;
+    let before = board.rules()?;
+    let device = board.device()?;
+    let joints = match &device {
+        Some(device) => device.axes(),
+        None => usize::from(board.details()?.axes).min(before.limits.torque.len()),
+    };
+    let whose = device.as_ref().map_or("the board", |device| device.name.as_str()).to_string();
+    let whose = (whose.as_str(), joints);
+    let mut rules = before;
+    let limits = &mut rules.limits;
+    per_joint(whose, "torque", &args.torque, &mut limits.torque)?;
+    per_joint(whose, "current", &args.current, &mut limits.current)?;
+    per_joint(whose, "continuous-current", &args.continuous_current, &mut limits.continuous_current)?;
+    per_joint(whose, "speed", &args.speed, &mut limits.speed)?;
+    per_joint(whose, "index-period", &args.index_period, &mut rules.index_period)?;
+    limits.power = args.power.unwrap_or(limits.power);
+    limits.tip_force = args.tip_force.unwrap_or(limits.tip_force);
+    limits.bus_min = args.bus_min.unwrap_or(limits.bus_min);
+    limits.bus_max = args.bus_max.unwrap_or(limits.bus_max);
+    rules.host_action = args.host.unwrap_or(rules.host_action);
+    rules.host_seconds = args.host_seconds.unwrap_or(rules.host_seconds);
+    rules.passivity = args.passivity.unwrap_or(rules.passivity);
+    if rules != before {
+        board.set_rules(&rules)?;
+    }
+    let now = board.rules()?;
+    warn_of_weaker(&before, &now);
+    if !args.torque.is_empty() {
+        device.iter().for_each(|device| tell_of_weaker_motors(device, &now.limits));
+    }
+    args.on.answer(as_json(&now, joints), &in_words(&now, joints))
+}
+
+/// Says which torque limits have no effect, because the motor gives less.
+fn tell_of_weaker_motors(device: &Device<f32>, limits: &Limits) {
+    for (index, (joint, limit)) in device.joints.iter().zip(limits.torque).enumerate().take(device.axes()) {
+        let Some(motor) = joint.motor else { continue };
+        let most = motor.torque_constant * motor.max_current.min(limits.current[index]);
+        if limit > most {
+            haptic_host::tell!(
+                "the motor of joint {index} gives {} N m at most, and that counts: its limit of {} N m is never reached",
+                short(most),
+                short(limit)
+            );
+        }
+    }
+}
+
+/// Puts what was given, nothing or one for every joint, in its place.
+fn per_joint<T: Copy>((whose, joints): (&str, usize), name: &str, given: &[T], place: &mut [T]) -> Result<(), Failure> {
+    if !given.is_empty() && given.len() != joints {
+        let numbers = counted(given.len(), "number");
+        let reason = format!("--{name} has {numbers}, and {whose} has {}", counted(joints, "joint"));
+        return Err(Failure::wrong(reason).remedy("give one number per joint, joint 0 first, separated by commas"));
+    }
+    for (place, given) in place.iter_mut().zip(given) {
+        *place = *given;
+    }
+    Ok(())
+}
+
+/// One value for every joint there is.
+fn listed<T: std::fmt::Display>(values: &[T], joints: usize) -> String {
+    values.iter().take(joints).map(ToString::to_string).collect::<Vec<_>>().join(", ")
+}
+
+fn as_json(rules: &Rules, joints: usize) -> serde_json::Value {
+    let Limits { torque, current, continuous_current, speed, power, bus_min, bus_max, tip_force } = &rules.limits;
+    json!({
+        "torque": &torque[..joints], "current": &current[..joints],
+        "continuous_current": &continuous_current[..joints], "speed": &speed[..joints], "power": power,
+        "bus_min": bus_min, "bus_max": bus_max, "tip_force": tip_force, "host_action": rules.host_action, "host_seconds": rules.host_seconds,
+        "passivity": rules.passivity, "index_period": &rules.index_period[..joints],
+    })
+}
+
+fn in_words(rules: &Rules, joints: usize) -> String {
+    let Limits { torque, current, continuous_current, speed, power, bus_min, bus_max, tip_force } = &rules.limits;
+    let host = match rules.host_action {
+        HostAction::Ignore => "a silent host is ignored".into(),
+        HostAction::Hold => {
+            format!("a host silent for {} s is listed as a fault, the scene goes on", rules.host_seconds)
+        }
+        HostAction::Disarm => format!("a host silent for {} s turns the motors off", rules.host_seconds),
+    };
+    let passivity = if rules.passivity { "on" } else { "off" };
+    let index = match rules.index_period {
+        [0, 0, 0] => "not watched".into(),
+        periods => format!("every {} counts, 0 where none is watched", listed(&periods, joints)),
+    };
+    let [torque, current, continuous_current, speed] =
+        [torque, current, continuous_current, speed].map(|values| listed(values, joints));
+    format!(
+        "torque              {torque} N m\n\
+         current             {current} A\n\
+         continuous current  {continuous_current} A\n\
+         speed               {speed} rad/s\n\
+         power into the hand {power} W\n\
+         force at the tip    {tip_force} N of walls, springs and fields\n\
+         supply              {bus_min} to {bus_max} V\n\
+         host                {host}\n\
+         passivity control   {passivity}\n\
+         index pulses        {index}\n"
+    )
+}

@@ -1,0 +1,377 @@
+//! `haptic stream`: telemetry to the terminal, with every loss counted and shown; and how `haptic record` follows a
+//! board.
+
+use super::interrupt;
+use super::port::{Port, counted, fault_in_words, motors_off, short};
+use haptic_bridge::board::telemetry::{Field, Fields};
+use haptic_bridge::control::Status;
+use haptic_bridge::safety::fault::State;
+use haptic_host::error::{Failure, print};
+use haptic_host::link::{Board, Column, LinkError, Losses, Row, columns, fields};
+use haptic_host::output::Overwrite;
+use haptic_host::words::{bytes_in_words, nth_step};
+use haptic_show::recorder::about::About;
+use haptic_show::recorder::{RecordError, RowWriter, Value};
+use serde_json::json;
+use std::io::{IsTerminal, Write};
+use std::path::Path;
+use std::time::Duration;
+
+/// Show telemetry on the terminal
+///
+/// Losses are counted exactly and shown. `haptic record` writes a file.
+#[derive(clap::Args)]
+pub struct Args {
+    #[command(flatten)]
+    port: Port,
+    /// Fields, separated by commas: usual, all, or any of the list below
+    #[arg(long, value_name = "NAMES", default_value = "usual", value_parser = fields)]
+    fields: Fields,
+    /// Rows per second, at most the control rate
+    #[arg(long, value_name = "HZ", default_value_t = 10.0, value_parser = positive)]
+    rate: f64,
+    /// Switch the motors on once rows come, and off at the end; an error where a fault turned them off before
+    #[arg(long)]
+    arm: bool,
+    /// Stop after so many seconds of the board's time [default: until Ctrl-C]
+    #[arg(long, value_name = "SECONDS", value_parser = positive)]
+    seconds: Option<f64>,
+    /// Print one JSON document at the end: the rows, and what was lost
+    #[arg(long)]
+    json: bool,
+}
+
+pub(super) fn positive(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if value.is_finite() && value > 0.0 => Ok(value),
+        Ok(_) => Err("must be greater than zero".into()),
+        Err(_) => Err("not a number".into()),
+    }
+}
+
+/// The fields with units and meaning, for the help page.
+pub fn list_of_fields() -> String {
+    let mut text = "Fields (docs/telemetry.md):\n".to_string();
+    for field in Field::ALL {
+        text.push_str(&format!("  {:<11}{:<7}{}\n", field.name(), field.unit(), field.meaning()));
+    }
+    text
+}
+
+/// The destination of rows.
+enum Sink {
+    Terminal { since_header: usize },
+    Kept(Vec<Vec<Value>>),
+    File(Box<RowWriter>),
+}
+
+/// The fields to follow, and the destination of their rows.
+pub(super) struct Wanted<'a> {
+    pub file: Option<&'a Path>,
+    pub overwrite: Overwrite,
+    pub fields: Fields,
+    /// Rows a second.
+    pub rate: f64,
+    pub arm: bool,
+    pub seconds: Option<f64>,
+    pub json: bool,
+}
+
+/// Streams until the time is over, Ctrl-C, or the board goes away.
+pub fn run(args: Args) -> Result<(), Failure> {
+    let mut board = args.port.open()?;
+    let wanted = Wanted {
+        file: None,
+        overwrite: Overwrite::Never,
+        fields: args.fields,
+        rate: args.rate,
+        arm: args.arm,
+        seconds: args.seconds,
+        json: args.json,
+    };
+    follow(&mut board, &wanted)
+}
+
+/// Follows the board's telemetry as it is wanted.
+pub(super) fn follow(board: &mut Board, wanted: &Wanted<'_>) -> Result<(), Failure> {
+    let rate_hz = f64::from(board.details()?.rate_hz);
+    let axes = board.device()?.map_or(0, |device| device.axes());
+    let divider = (rate_hz / wanted.rate).round().clamp(1.0, f64::from(u32::MAX)) as u32;
+    let got = rate_hz / f64::from(divider);
+    if (got - wanted.rate).abs() > 1e-3 * wanted.rate {
+        haptic_host::tell!("{} rows a second: every {} at {rate_hz} Hz control", short(got as f32), nth_step(divider));
+    }
+    let columns = columns(wanted.fields, axes);
+    let about = wanted.file.map(|_| About::read(board, divider)).transpose()?;
+    let stop = interrupt::watch();
+    board.keep_alive();
+    board.start_stream(wanted.fields, divider)?;
+    if wanted.arm {
+        board.arm()?;
+    }
+    // Only now: where the board refuses, no file is made, and none replaced.
+    let sink = match (wanted.file, about) {
+        (Some(path), Some(about)) => match RowWriter::create(path, &about, &columns, wanted.overwrite) {
+            Ok(writer) => Sink::File(Box::new(writer)),
+            Err(failure) => {
+                if wanted.arm {
+                    board.disarm()?;
+                }
+                board.stop_stream()?;
+                return Err(failure);
+            }
+        },
+        _ if wanted.json => Sink::Kept(Vec::new()),
+        _ => Sink::Terminal { since_header: usize::MAX },
+    };
+    let mut follow = Follow {
+        rate_hz,
+        divider,
+        columns,
+        sink,
+        first_step: None,
+        last_step: 0,
+        rows: 0,
+        missing: 0,
+        shown: Losses::default(),
+        last_note: board.now(),
+    };
+    let ended = loop {
+        if stop.is_set() {
+            break Ended::AsAsked;
+        }
+        match board.rows(Duration::from_millis(200)) {
+            Err(error) => break Ended::BoardLost(error),
+            Ok(rows) => {
+                let mut happened = Ok(());
+                for record in board.take_reported_faults() {
+                    let words = fault_in_words(&record, rate_hz as f32);
+                    haptic_host::tell!("fault: {words}");
+                    happened = happened.and(follow.event(&words));
+                }
+                let over = happened.and_then(|()| follow.take(&rows, wanted.seconds));
+                match over.and_then(|over| follow.note(board).map(|()| over)) {
+                    Ok(false) => {}
+                    Ok(true) => break Ended::AsAsked,
+                    Err(RecordError::ReaderGone) => break Ended::ReaderGone,
+                    Err(RecordError::Failed(failure)) => break Ended::NoRoom(failure),
+                }
+            }
+        }
+    };
+    // Motors first: what may go wrong with a file comes after that.
+    let disarmed = match ended {
+        Ended::BoardLost(_) => Ok(()),
+        _ if wanted.arm => disarm(board, rate_hz as f32),
+        _ => Ok(()),
+    };
+    finish(ended, board, follow, wanted.json).and(disarmed)
+}
+
+/// Turns the motors off; an error where a fault did that before.
+fn disarm(board: &mut Board, rate_hz: f32) -> Result<(), Failure> {
+    board.disarm()?;
+    match board.status()? {
+        Status { state: State::Fault, fault: Some(record), .. } => Err(motors_off(&record, rate_hz)),
+        _ => Ok(()),
+    }
+}
+
+/// The way in which the stream came to its end.
+enum Ended {
+    AsAsked,
+    ReaderGone,
+    BoardLost(LinkError),
+    NoRoom(Failure),
+}
+
+/// The stream as it goes by.
+struct Follow {
+    rate_hz: f64,
+    divider: u32,
+    columns: Vec<Column>,
+    sink: Sink,
+    first_step: Option<u32>,
+    last_step: u32,
+    /// Rows passed on, and rows missing between them.
+    rows: u64,
+    missing: u64,
+    shown: Losses,
+    last_note: Duration,
+}
+
+impl Follow {
+    /// Passes rows on; true when the time is over.
+    fn take(&mut self, rows: &[Row], seconds: Option<f64>) -> Result<bool, RecordError> {
+        for row in rows {
+            let first = *self.first_step.get_or_insert(row.step);
+            let time = f64::from(row.step.wrapping_sub(first)) / self.rate_hz;
+            if seconds.is_some_and(|seconds| time >= seconds) {
+                return Ok(true);
+            }
+            if self.rows > 0 {
+                let steps = row.step.wrapping_sub(self.last_step);
+                self.missing += u64::from((steps / self.divider).saturating_sub(1));
+            }
+            (self.last_step, self.rows) = (row.step, self.rows + 1);
+            self.pass(row, time)?;
+        }
+        Ok(false)
+    }
+
+    fn pass(&mut self, row: &Row, time: f64) -> Result<(), RecordError> {
+        let values = self.columns.iter().zip(&row.values).map(|(column, value)| Value::of(column, *value));
+        match &mut self.sink {
+            Sink::File(writer) => writer.row(row.step, time, &row.values),
+            Sink::Kept(kept) => {
+                kept.push(
+                    [Value::Number(f64::from(row.step)), Value::Number(time)].into_iter().chain(values).collect(),
+                );
+                Ok(())
+            }
+            Sink::Terminal { since_header } => {
+                let mut text = String::new();
+                if *since_header >= 30 {
+                    *since_header = 0;
+                    text.push_str(&format!("{:>10}", "time_s"));
+                    for column in &self.columns {
+                        text.push_str(&format!(" {:>13}", column.label));
+                    }
+                    text.push('\n');
+                }
+                *since_header += 1;
+                text.push_str(&format!("{time:>10.3}"));
+                for (column, value) in self.columns.iter().zip(values) {
+                    text.push_str(&format!(" {:>13}", shown(column, value)));
+                }
+                text.push('\n');
+                std::io::stdout().lock().write_all(text.as_bytes()).map_err(|error| match error.kind() {
+                    std::io::ErrorKind::BrokenPipe => RecordError::ReaderGone,
+                    _ => {
+                        RecordError::Failed(Failure::impossible(format!("standard output cannot be written: {error}")))
+                    }
+                })
+            }
+        }
+    }
+
+    /// Keeps what happened where rows are kept.
+    fn event(&mut self, words: &str) -> Result<(), RecordError> {
+        let first = self.first_step.unwrap_or(self.last_step);
+        let time = f64::from(self.last_step.wrapping_sub(first)) / self.rate_hz;
+        match &mut self.sink {
+            Sink::File(writer) => writer.event(time, words),
+            _ => Ok(()),
+        }
+    }
+
+    /// Twice a second: what is recorded is put on disk, and new losses are said.
+    fn note(&mut self, board: &Board) -> Result<(), RecordError> {
+        let now = board.now();
+        if now.saturating_sub(self.last_note) < Duration::from_millis(500) {
+            return Ok(());
+        }
+        self.last_note = now;
+        let losses = self.losses(board);
+        if let Sink::File(writer) = &mut self.sink {
+            writer.flush()?;
+            if std::io::stderr().is_terminal() {
+                let size = bytes_in_words(writer.bytes());
+                haptic_host::error::say_over(format_args!("{losses}, {size}   "), false);
+            }
+        } else if losses.missing > self.shown.missing || losses.garbled > self.shown.garbled {
+            haptic_host::tell!("{losses}");
+        }
+        self.shown = losses;
+        Ok(())
+    }
+
+    /// The losses among the rows that were passed on.
+    fn losses(&self, board: &Board) -> Losses {
+        Losses { received: self.rows, missing: self.missing, ..board.losses() }
+    }
+}
+
+/// A value for the terminal: five digits, or all of them for what is counted.
+fn shown(column: &Column, value: Value) -> String {
+    match (column.field, value) {
+        (Field::Counts | Field::State | Field::Saturated, value) | (_, value @ Value::Word(_)) => value.to_string(),
+        (_, Value::Number(number)) => format!("{number:.5}"),
+        // Without a sign where nothing is left of the number.
+        (_, Value::Single(number)) => format!("{:.5}", (1e5 * number).round() / 1e5 + 0.0),
+    }
+}
+
+fn as_json(value: &Value) -> serde_json::Value {
+    match value {
+        Value::Number(number) => json!(number),
+        Value::Single(_) => json!(value.to_string().parse::<f64>().ok()),
+        Value::Word(word) => json!(word),
+    }
+}
+
+/// Stops the stream and says what came of it: one count, in the file, on the terminal and in JSON.
+fn finish(ended: Ended, board: &mut Board, mut follow: Follow, json: bool) -> Result<(), Failure> {
+    let stopped = match ended {
+        Ended::BoardLost(_) => Ok(()),
+        _ => board.stop_stream(),
+    };
+    if matches!(ended, Ended::ReaderGone) {
+        return Ok(());
+    }
+    let losses = follow.losses(board);
+    let mut written = Ok(());
+    let mut kept = losses.to_string();
+    let mut file = None;
+    if let Sink::File(recorder) = &mut follow.sink {
+        if !matches!(ended, Ended::NoRoom(_)) {
+            let cut = if matches!(ended, Ended::BoardLost(_)) { "cut short: the board was lost; " } else { "" };
+            written = recorder.end(&format!("{cut}{losses}"), &losses);
+        }
+        // Whoever read has what he wanted, also where the last rows found him gone.
+        if matches!((&ended, &written), (Ended::AsAsked, Err(RecordError::ReaderGone))) {
+            return Ok(stopped?);
+        }
+        let are = if recorder.rows() == 1 { "is" } else { "are" };
+        let size = bytes_in_words(recorder.bytes());
+        let all = format!("{} {are} in {}, {size}", counted(recorder.rows(), "row"), recorder.place());
+        let said = losses.to_string();
+        let on_the_way = said.trim_start_matches(|c: char| c != ',');
+        kept = match losses.received.saturating_sub(recorder.rows()) {
+            0 => format!("{all}{on_the_way}"),
+            unwritten if losses.missing == 0 => {
+                format!("{all}, {unwritten} that came could not be written and are lost")
+            }
+            unwritten => format!("{all}, {unwritten} that came could not be written and are lost{on_the_way} before"),
+        };
+        file = Some((recorder.place(), recorder.rows(), recorder.bytes()));
+        if std::io::stderr().is_terminal() {
+            haptic_host::tell!("");
+        }
+    }
+    haptic_host::tell!("{kept}");
+    if json {
+        let names: Vec<&str> =
+            ["step", "time_s"].into_iter().chain(follow.columns.iter().map(|column| column.label.as_str())).collect();
+        let mut document = json!({
+            "columns": names, "rows": losses.received, "missing": losses.missing,
+            "dropped_by_board": losses.dropped_by_board, "batches_lost": losses.batches_lost,
+            "frames_garbled": losses.garbled,
+        });
+        if let Some((place, rows, bytes)) = &file {
+            document["file"] = json!(place);
+            document["rows"] = json!(rows);
+            document["bytes"] = json!(bytes);
+        }
+        if let Sink::Kept(rows) = &follow.sink {
+            document["values"] = rows.iter().map(|row| row.iter().map(as_json).collect::<Vec<_>>()).collect();
+        }
+        print(&format!("{document}\n"))?;
+    }
+    match (ended, written) {
+        (Ended::NoRoom(failure), _) | (_, Err(RecordError::Failed(failure))) => Err(failure),
+        (Ended::BoardLost(error), _) if file.is_none() => Err(error.into()),
+        (Ended::BoardLost(error), _) => Err(Failure::impossible(error).remedy(kept)),
+        _ => Ok(stopped?),
+    }
+}

@@ -1,0 +1,692 @@
+//! `haptic view` in a real browser, without a screen. A computer without Chromium fails here, with the line that
+//! installs it. With HAPTIC_PICTURES set to a folder, pictures of the page are left there for a person to look at.
+
+#[path = "../common/mod.rs"]
+mod common;
+
+mod as_a_file;
+mod devtools;
+mod serial;
+
+use common::page::View;
+use common::sim::Sim;
+use devtools::{Browser, Tab};
+use serde_json::{Value, json};
+
+const LAPTOP: (u32, u32) = (1366, 768);
+const PHONE: (u32, u32) = (390, 844);
+const PROJECTOR: (u32, u32) = (1920, 1080);
+
+fn opened() -> (View, Browser, Tab) {
+    let view = View::start(&["--port", "sim"]);
+    let mut browser = Browser::start();
+    let tab = browser.open(&view.url, LAPTOP, 1.0);
+    browser.until(
+        &tab,
+        "window.view && view.pictures > 3 && view.plane !== null && document.body.dataset.role === 'command'",
+    );
+    browser.front(&tab);
+    // A page draws only while it is in front, and a busy computer takes its time: places are known once it has.
+    browser.until(&tab, "Boolean(view.frame && view.planeFrame)");
+    (view, browser, tab)
+}
+
+/// A place on a canvas, in pixels of the page; `x` and `y` are expressions in its own pixels.
+fn on(browser: &mut Browser, tab: &Tab, canvas: &str, x: &str, y: &str) -> (f64, f64) {
+    let place =
+        format!("(() => {{ const r = $('{canvas}').getBoundingClientRect(); return [r.left + {x}, r.top + {y}]; }})()");
+    let place = browser.evaluate(tab, &place);
+    (place[0].as_f64().unwrap(), place[1].as_f64().unwrap())
+}
+
+fn on_plane(browser: &mut Browser, tab: &Tab, damping: f64, stiffness: f64) -> (f64, f64) {
+    on(browser, tab, "plane", &format!("view.planeFrame.X({damping})"), &format!("view.planeFrame.Y({stiffness})"))
+}
+
+/// Drags the first wall down by its handle, which it follows.
+fn drag_the_wall(browser: &mut Browser, tab: &Tab) {
+    let handle = on(
+        browser,
+        tab,
+        "stage",
+        "view.frame.toX(wallHandle(view.walls[0])[0])",
+        "view.frame.toY(wallHandle(view.walls[0])[1])",
+    );
+    let before = browser.evaluate(tab, "view.walls[0].values[1]").as_f64().unwrap();
+    browser.drag(tab, handle, (handle.0, handle.1 + 60.0));
+    browser.until(tab, &format!("view.walls[0].values[1] < {before} - 0.01"));
+}
+
+/// A place in front of the wall by so many metres.
+fn by_the_wall(browser: &mut Browser, tab: &Tab, before: f64) -> (f64, f64) {
+    let along = |i: u8| format!("(view.walls[0].values[{i}] + {before} * view.walls[0].values[{}])", i + 3);
+    on(browser, tab, "stage", &format!("view.frame.toX({})", along(0)), &format!("view.frame.toY({})", along(1)))
+}
+
+/// Leads the hand by the mouse to 2 cm behind the wall's surface, and notes the place in `view.goal`.
+fn lead_into_the_wall(browser: &mut Browser, tab: &Tab) {
+    let tip = on(
+        browser,
+        tab,
+        "stage",
+        "view.frame.toX(view.last.geometry.tip[0])",
+        "view.frame.toY(view.last.geometry.tip[1])",
+    );
+    let tip = (tip.0, tip.1 - 25.0);
+    let goal = by_the_wall(browser, tab, -0.02);
+    browser.drag(tab, tip, goal);
+    browser.evaluate(tab, "(v => view.goal = [v[0] - 0.02 * v[3], v[1] - 0.02 * v[4]])(view.walls[0].values)");
+    // All of the way: the hand is there with the mouse's first step.
+    let there = "view.last.hand && Math.hypot(view.last.hand.goal[0] - view.goal[0], view.last.hand.goal[1] - view.goal[1]) < 2e-3";
+    browser.hold_until(tab, there);
+}
+
+#[test]
+fn the_page_loads_is_alive_and_asks_nobody_else() {
+    let (view, mut browser, tab) = opened();
+    let count = |browser: &mut Browser, what: &str| browser.evaluate(&tab, what).as_u64().unwrap();
+    let (pictures, sweeps) = (count(&mut browser, "view.pictures"), count(&mut browser, "view.sweeps"));
+    browser.until(&tab, &format!("view.pictures > {} && view.sweeps > {}", pictures + 20, sweeps + 10));
+    browser.evaluate(&tab, "$('sound').click()");
+    browser.until(&tab, "view.sounds > 5");
+    assert_eq!(browser.evaluate(&tab, "document.title"), "coupled-five-bar: haptic view");
+    // Everything is drawn: no canvas is of one colour.
+    for canvas in ["stage", "plane", "scope"] {
+        let colours = browser.evaluate(
+            &tab,
+            &format!(
+                "(() => {{ const c = $('{canvas}'); const d = new Uint32Array(c.getContext('2d').getImageData(0, 0, c.width, \
+                 c.height).data.buffer); return new Set(d).size; }})()"
+            ),
+        );
+        assert!(colours.as_u64().unwrap() > 20, "{canvas}: {colours} colours");
+    }
+    let own = [view.url.clone(), format!("ws://{}/live", view.address())];
+    let elsewhere: Vec<String> = browser.requested().into_iter().filter(|url| !own.contains(url)).collect();
+    assert!(elsewhere.iter().all(|url| url == "about:blank" || url.starts_with("data:")), "{elsewhere:?}");
+    assert_eq!(browser.complaints(), [""; 0]);
+}
+
+#[test]
+fn a_key_that_is_held_arms_and_letting_go_disarms() {
+    let (_view, mut browser, tab) = opened();
+    let armed = "document.body.dataset.state === 'Armed'";
+    let off = "document.body.dataset.state === 'Disarmed'";
+    browser.hold_until(&tab, armed);
+    browser.space(&tab, "keyUp");
+    browser.until(&tab, off);
+    // Whatever has the focus, and it stays as it is; but not where a number is typed.
+    for control in ["ff-off", "beyond", "channel-a", "before", "trigger"] {
+        browser.evaluate(
+            &tab,
+            &format!("$('{control}').focus(); window.was = [$('{control}').value, $('{control}').checked]"),
+        );
+        browser.hold_until(&tab, armed);
+        browser.space(&tab, "keyUp");
+        browser.until(&tab, off);
+        let same = format!("$('{control}').value === was[0] && $('{control}').checked === was[1]");
+        assert_eq!(browser.evaluate(&tab, &same), true, "{control}");
+    }
+    browser.evaluate(&tab, "$('stiffness').focus()");
+    browser.space(&tab, "keyDown");
+    browser.space(&tab, "keyUp");
+    browser.evaluate(&tab, "window.then = view.pictures");
+    browser.until(&tab, "view.pictures > then + 10");
+    assert_eq!(browser.evaluate(&tab, "view.down || view.last.state === 'Armed'"), false);
+    browser.evaluate(&tab, "document.activeElement.blur()");
+    // The button, by the mouse, which is free for the tip then; of a real board it holds no longer than it is pressed.
+    let key = on(&mut browser, &tab, "key", "60", "30");
+    for held in [true, false] {
+        for what in ["mousePressed", "mouseReleased"] {
+            browser.mouse(&tab, what, key);
+        }
+        browser.until(&tab, &format!("view.last.held === {held}"));
+    }
+    browser.evaluate(&tab, "view.hello.simulated = false");
+    for (what, down) in [("mousePressed", true), ("mouseReleased", false)] {
+        browser.mouse(&tab, what, key);
+        assert_eq!(browser.evaluate(&tab, "view.down"), down);
+    }
+    browser.evaluate(&tab, "view.hello.simulated = true");
+    browser.until(&tab, off);
+    // Focus that goes elsewhere is a hand that may be elsewhere.
+    browser.hold_until(&tab, armed);
+    browser.evaluate(&tab, "window.dispatchEvent(new Event('blur'))");
+    browser.until(&tab, off);
+    assert_eq!(browser.complaints(), [""; 0]);
+}
+
+/// On a phone one finger holds the key while another taps: a tap that makes no click of its own.
+#[test]
+fn a_second_finger_taps_while_the_first_holds_the_key() {
+    let (_view, mut browser, tab) = opened();
+    browser.size(&tab, PHONE, 2.0);
+    browser.ask(&tab, "Emulation.setTouchEmulationEnabled", json!({"enabled": true, "maxTouchPoints": 2}));
+    let touch = |browser: &mut Browser, kind: &str, fingers: &[(f64, f64)]| {
+        let points = fingers.iter().enumerate().map(|(id, (x, y))| json!({"x": x, "y": y, "id": id}));
+        browser.ask(&tab, "Input.dispatchTouchEvent", json!({"type": kind, "touchPoints": points.collect::<Vec<_>>()}));
+    };
+    let key = on(&mut browser, &tab, "key", "60", "30");
+    touch(&mut browser, "touchStart", &[key]);
+    browser.until(&tab, "view.down");
+    let off = on(&mut browser, &tab, "ff-off", "20", "15");
+    touch(&mut browser, "touchStart", &[key, off]);
+    assert_eq!(browser.evaluate(&tab, "view.down && $('anyway').hidden"), true, "nothing is tapped yet");
+    // Here fingers can be lifted only together.
+    touch(&mut browser, "touchEnd", &[]);
+    browser.until(&tab, "!view.down && !$('anyway').hidden");
+    browser.until(&tab, "document.body.dataset.state === 'Disarmed'");
+    assert_eq!(browser.complaints(), [""; 0]);
+}
+
+#[test]
+fn a_page_that_is_closed_disarms_and_the_other_one_may_command_then() {
+    let (view, mut browser, first) = opened();
+    let second = browser.open(&view.url, PHONE, 2.0);
+    browser.until(&second, "window.view && view.pictures > 3");
+    assert_eq!(browser.evaluate(&second, "document.body.dataset.role"), "watch");
+    assert_eq!(browser.evaluate(&second, "$('key').disabled && $('take').disabled"), true);
+    // That is no alarm; a click that changes something is refused as long as another page commands.
+    let notice = "$('notice').classList.contains('shown')";
+    assert_eq!(browser.evaluate(&second, notice), false);
+    browser.evaluate(&second, "$('ff-off').click()");
+    browser.until(&second, &format!("{notice} && $('why').textContent.includes('this one watches')"));
+    browser.front(&first);
+    browser.hold_until(&first, "document.body.dataset.state === 'Armed'");
+    browser.close(&first);
+    browser.until(&second, "document.body.dataset.state === 'Disarmed' && view.last.command === null");
+    assert_eq!(browser.evaluate(&second, notice), false, "what was in the way is gone");
+    browser.front(&second);
+    browser.evaluate(&second, "$('take').click()");
+    browser.until(&second, "document.body.dataset.role === 'command'");
+    browser.hold_until(&second, "document.body.dataset.state === 'Armed'");
+}
+
+#[test]
+fn the_dot_is_dragged_and_stops_at_the_boundary_until_one_goes_on() {
+    let (_view, mut browser, tab) = opened();
+    let (from, to) = (on_plane(&mut browser, &tab, 80.0, 8700.0), on_plane(&mut browser, &tab, 40.0, 10e3));
+    browser.drag(&tab, from, to);
+    // A pixel of the picture is some tens of newtons a metre.
+    browser.until(&tab, "Math.abs(view.walls[0].damping - 40) < 1 && Math.abs(view.walls[0].stiffness - 10e3) < 200");
+    assert_eq!(
+        browser.evaluate(&tab, "$('stiffness').value === String(+view.walls[0].stiffness.toPrecision(4))"),
+        true
+    );
+    let top = browser.evaluate(&tab, "$('plane').getBoundingClientRect().top");
+    let beyond = on_plane(&mut browser, &tab, 40.0, 23e3);
+    browser.drag(&tab, to, beyond);
+    browser.until(
+        &tab,
+        "$('notice').classList.contains('shown') && $('why').textContent.includes('predicted to be unstable')",
+    );
+    assert_eq!(
+        browser.evaluate(&tab, "$('plane').getBoundingClientRect().top"),
+        top,
+        "the plane stays under the finger"
+    );
+    let in_sight = "['ff-full', 'close', 'let-go', 'off', 'key'].every(id => { const r = $(id).getBoundingClientRect(); \
+                    return $(id).contains(document.elementFromPoint(r.left + r.width / 2, r.top + r.height / 2)); })";
+    assert_eq!(browser.evaluate(&tab, in_sight), true, "what one needs then is not covered");
+    assert_eq!(browser.evaluate(&tab, "view.walls[0].stiffness < 21e3"), true, "it stays on the stable side");
+    browser.until(&tab, "view.again?.stiffness > 22e3");
+    // The button names what it sets, and the bar goes with what it was about.
+    assert_eq!(browser.evaluate(&tab, "/^Set 2[23]\\.\\d kN\\/m, .* anyway$/.test($('anyway').textContent)"), true);
+    browser.evaluate(&tab, "$('anyway').click()");
+    browser.until(&tab, "view.walls[0].stiffness > 21e3 && document.body.dataset.stable === 'false'");
+    browser.evaluate(&tab, "$('stiffness').focus(); $('stiffness').value = '1000000000'; $('stiffness').onchange()");
+    browser.until(&tab, "$('why').textContent.includes('motors and rules allow') && $('anyway').hidden");
+    assert_eq!(
+        browser.evaluate(&tab, "$('stiffness').valueAsNumber < 1e6"),
+        true,
+        "what was refused is not left there"
+    );
+    browser.evaluate(&tab, "$('stiffness').value = '3000'; $('stiffness').onchange()");
+    browser.until(&tab, "view.walls[0].stiffness === 3000 && !$('notice').classList.contains('shown')");
+}
+
+/// Of every word that is drawn on the plane its text and box, in pixels.
+const WORDS: &str = "(() => { const k = CanvasRenderingContext2D.prototype, fill = k.fillText, found = []; \
+    k.fillText = function (words, x, y) { const m = this.measureText(words), t = this.getTransform(); if (t.b === 0 && this.textAlign === 'left') \
+    found.push([words, x - m.actualBoundingBoxLeft, y - m.actualBoundingBoxAscent, x + m.actualBoundingBoxRight, y + m.actualBoundingBoxDescent]); \
+    return fill.call(this, words, x, y); }; drawPlane(); k.fillText = fill; return found; })()";
+
+/// Wherever the gains lie in the plane: the dot is clear of the edges, no word covers another or the dot.
+#[test]
+fn the_plane_is_read_at_a_glance_on_shipped_devices() {
+    let root = concat!(env!("CARGO_MANIFEST_DIR"), "/../devices/");
+    let mut browser = Browser::start();
+    for (name, scene, scale) in [
+        ("coupled-five-bar", "", "even"),
+        ("hapkit-paddle", "wall", "log"),
+        ("serial-3r", "wall-held", "log"),
+        ("pantograph-mk2", "corner", "log"),
+        ("haply-2diy", "disc", "log"),
+        ("woodenhaptics", "room", "log"),
+        ("capstan-pantograph", "wall", "even"),
+    ] {
+        let (device, scene) = (format!("{root}{name}.toml"), format!("{root}scenes/{name}/{scene}.toml"));
+        let demo = ["--port", "sim"];
+        let own = [&device, "--port", "sim", "--scene", &scene];
+        let view = View::start(if name == "coupled-five-bar" { &demo } else { &own });
+        let tab = browser.open(&view.url, LAPTOP, 1.0);
+        browser.front(&tab);
+        browser.until(&tab, "window.view && view.plane !== null && Boolean(view.planeFrame) && view.pictures > 5");
+        browser.until(&tab, &format!("$('scale').value === '{scale}'"));
+        for (size, scale) in [(LAPTOP, scale), ((1024, 768), "even"), (PHONE, "log"), (PROJECTOR, "near")] {
+            browser.size(&tab, size, 1.0);
+            browser.evaluate(&tab, &format!("$('scale').value = '{scale}'; window.then = view.pictures"));
+            browser.until(&tab, "view.pictures > then + 6");
+            let words = browser.evaluate(&tab, WORDS);
+            let dot = browser.evaluate(
+                &tab,
+                "(() => { const w = view.walls[view.wall], x = view.planeFrame.X(w.damping), y = view.planeFrame.Y(w.stiffness); \
+                 return [x, y, $('plane').clientWidth, $('plane').clientHeight]; })()",
+            );
+            let at = |value: &Value, i: usize| value[i].as_f64().unwrap();
+            let boxes: Vec<[f64; 4]> =
+                words.as_array().unwrap().iter().map(|word| [1, 2, 3, 4].map(|i| at(word, i))).collect();
+            let what = format!("{name} {size:?} {scale}: {words} {dot}");
+            assert!(boxes.len() >= 2 && words.to_string().contains("predicted stable"), "{what}");
+            if scale != "even" {
+                assert!(at(&dot, 0) > 50.0 && at(&dot, 1) < at(&dot, 3) - 30.0, "in the corner: {what}");
+            }
+            let dot = [at(&dot, 0) - 8.0, at(&dot, 1) - 8.0, at(&dot, 0) + 8.0, at(&dot, 1) + 8.0];
+            let meet = |a: &[f64; 4], b: &[f64; 4]| a[0] < b[2] && b[0] < a[2] && a[1] < b[3] && b[1] < a[3];
+            for (i, one) in boxes.iter().enumerate() {
+                assert!(!meet(one, &dot), "on the dot: {what}");
+                assert!(boxes[..i].iter().all(|other| !meet(one, other)), "on each other: {what}");
+            }
+        }
+        browser.evaluate(&tab, "window.from = view.walls[0].stiffness; $('plane').onkeydown(new KeyboardEvent('keydown', {key: 'ArrowUp', shiftKey: true}))");
+        browser.until(&tab, "Math.abs(view.walls[0].stiffness / from - 1.1) < 1e-4");
+        assert_eq!(browser.complaints(), [""; 0]);
+        browser.close(&tab);
+    }
+}
+
+/// What was tried stands beside what was predicted, until it is of something else; what limits is told when asked for.
+#[test]
+fn presses_leave_marks_and_what_limits_is_a_click_away() {
+    let (_view, mut browser, tab) = opened();
+    browser.evaluate(
+        &tab,
+        "window.press = (seconds, ripple, from = 1) => { for (let t = 0; t <= seconds; t += .016) markGains({...view.last, state: 'Armed', \
+         time: from + t, numbers: {...view.last.numbers, wall: 0, depth: 1e-3, ripple}}); }; window.marks = () => tried.marks.map(m => m.buzzes).join()",
+    );
+    let marks = |browser: &mut Browser, press: &str| {
+        browser.evaluate(&tab, &format!("(() => {{ tried.press = null; {press}; return marks(); }})()"))
+    };
+    assert_eq!(marks(&mut browser, "press(.25, .1)"), "", "too short");
+    assert_eq!(marks(&mut browser, "press(.4, .1)"), "false", "quiet");
+    assert_eq!(marks(&mut browser, "press(.4, 2, 9)"), "true", "the same gains, tried again, buzz");
+    assert_eq!(marks(&mut browser, "press(.4, 2, 9); press(.4, .1, 9.4)"), "false", "and quieten");
+    browser.until(&tab, "!$('forget').hidden");
+    browser.evaluate(&tab, "$('explain').click()");
+    browser.until(&tab, "$('limits').textContent.includes('Stiffest stable wall') && $('limits').textContent.includes('ten times the rate')");
+    let told = browser.evaluate(&tab, "$('limits').innerText").as_str().unwrap().to_string();
+    for words in ["no delay", "cut-off 100 Hz", "Hand: none", "Left out", "quiet at 8.70 kN/m"] {
+        assert!(told.contains(words), "{words}: {told}");
+    }
+    assert!(!told.contains("rigid transmissions"), "nothing gives: {told}");
+    browser.evaluate(&tab, "$('limits').onkeydown(new KeyboardEvent('keydown', {key: 'Escape'}))");
+    assert_eq!(browser.evaluate(&tab, "$('limits').hidden && $('explain').getAttribute('aria-expanded')"), "false");
+    let spoken = browser.evaluate(&tab, "$('dot').textContent").as_str().unwrap().to_string();
+    let stable = "8.70 kN/m, 80.0 N s/m, feed-forward washed out: predicted stable, tried: quiet; limit ";
+    assert!(spoken.starts_with(stable), "{spoken}");
+    // A wall that was moved is another one.
+    drag_the_wall(&mut browser, &tab);
+    assert_eq!(marks(&mut browser, "press(.02, .1)"), "");
+    assert_eq!(marks(&mut browser, "press(.4, .1)"), "false");
+    browser.evaluate(&tab, "$('start-over').click(); window.then = view.hello");
+    browser.until(&tab, "view.hello !== then");
+    assert_eq!(marks(&mut browser, "press(.02, .1)"), "", "started over");
+    assert_eq!(browser.complaints(), [""; 0]);
+}
+
+#[test]
+fn a_click_beside_the_dot_changes_no_gains() {
+    let (_view, mut browser, tab) = opened();
+    browser.hold_until(&tab, "document.body.dataset.state === 'Armed'");
+    let beside = on_plane(&mut browser, &tab, 40.0, 15e3);
+    browser.evaluate(&tab, "window.gains = JSON.stringify([view.walls[0].damping, view.walls[0].stiffness])");
+    browser.mouse(&tab, "mousePressed", beside);
+    browser.mouse(&tab, "mouseReleased", beside);
+    browser.evaluate(&tab, "window.then = view.pictures");
+    browser.until(&tab, "view.pictures > then + 10");
+    assert_eq!(
+        browser.evaluate(&tab, "JSON.stringify([view.walls[0].damping, view.walls[0].stiffness]) === gains"),
+        true,
+        "only who takes hold of the dot moves it"
+    );
+    browser.space(&tab, "keyUp");
+}
+
+#[test]
+fn the_wall_is_pressed_by_the_mouse_and_its_feed_forward_changed_under_it() {
+    let (_view, mut browser, tab) = opened();
+    browser.hold_until(&tab, "document.body.dataset.state === 'Armed'");
+    lead_into_the_wall(&mut browser, &tab);
+    browser.hold_until(&tab, "view.last.numbers.force > 2 && view.last.numbers.depth > 0");
+    // A ripple is known of a wall that was pressed for a while.
+    browser.hold_until(&tab, "now?.ripple > 0");
+    browser.evaluate(&tab, "$('ff-off').click()");
+    browser.until(&tab, "!$('anyway').hidden");
+    browser.evaluate(&tab, "$('anyway').click()");
+    browser.until(&tab, "view.walls[0].feed_forward === 'off'");
+    // The wall as it was stands beside the wall as it is, on the same axis, with the frequency; the stage says it too.
+    browser.hold_until(&tab, "view.ghost?.mode === 'washout' && view.buzz > 55 && view.buzz < 95");
+    browser.hold_until(
+        &tab,
+        "/^washed out 0\\.\\d+ N →$/.test($('ripple-before').textContent) && $('ripple-now').className === 'hot'",
+    );
+    browser.evaluate(&tab, "window.range = JSON.stringify(axes.rendered_n)");
+    browser.evaluate(&tab, "$('ff-washout').click()");
+    browser.until(&tab, "view.walls[0].feed_forward === 'washout'");
+    browser.hold_until(&tab, "$('ripple-before').textContent.startsWith('off ') && $('ripple-now').className === ''");
+    let kept = "(r => axes.rendered_n.low <= r.low && axes.rendered_n.high >= r.high)(JSON.parse(window.range))";
+    assert_eq!(browser.evaluate(&tab, kept), true, "a quiet wall looks quiet");
+    // Pictures for a paper: in millimetres, on white, in letters of eight points.
+    browser.evaluate(&tab, "view.hello.device = 'a & <b>'");
+    for (what, millimetres) in [("stage", 85), ("plane", 85), ("scope", 170)] {
+        let checked = format!(
+            "(() => {{ const svg = svgOf('{what}', {millimetres}), root = new DOMParser().parseFromString(svg, 'image/svg+xml').documentElement, \
+             own = root.viewBox.baseVal.width / {millimetres} * 25.4 / 72; \
+             return [root.tagName, root.getAttribute('width'), Math.min(...[...root.querySelectorAll('text')].map(t => t.getAttribute('font-size') / own)), \
+             root.querySelectorAll('path').length > 5, /NaN|undefined/.test(svg), root.querySelector('title').textContent]; }})()"
+        );
+        let found = browser.evaluate(&tab, &checked);
+        assert_eq!((&found[0], &found[1]), (&Value::from("svg"), &Value::from(format!("{millimetres}mm"))), "{what}");
+        assert!(found[2].as_f64().unwrap() > 7.99 && found[3] == true && found[4] == false, "{what}: {found}");
+        assert!(found[5].as_str().unwrap().starts_with("a & <b>, 8.70 kN/m"), "{what}: {found}");
+    }
+    browser.space(&tab, "keyUp");
+    browser.until(&tab, "document.body.dataset.state === 'Disarmed'");
+    // A wall is dragged by its handle.
+    browser.evaluate(&tab, "view.goal = null; $('let-go').click()");
+    browser.until(&tab, "view.last.hand === null");
+    drag_the_wall(&mut browser, &tab);
+    assert_eq!(browser.complaints(), [""; 0]);
+}
+
+/// A link sets device, pose, walls and gains; what is wrong with one is said, and nothing is changed.
+#[test]
+fn a_link_shows_to_others_what_one_sees() {
+    let (view, mut browser, tab) = opened();
+    browser.evaluate(&tab, "sendGains({ stiffness: 12345, damping: 60, feed_forward: 'full' })");
+    browser.evaluate(&tab, "say({ do: 'start-over', pose: [2.2, 1.3] })");
+    browser.until(&tab, "view.last.q[0] > 2.199 && view.walls[0].stiffness === 8700");
+    browser.evaluate(&tab, "sendGains({ stiffness: 12345, damping: 60, feed_forward: 'full' })");
+    browser.evaluate(&tab, "say({ do: 'wall', wall: 0, point: [0.01, 0.15], normal: [0, 1] })");
+    browser.until(&tab, "view.walls[0].stiffness === 12345 && view.walls[0].values[4] === 1");
+    let link = browser.evaluate(&tab, "$('copy').click(), link()").as_str().unwrap().to_string();
+    browser.until(&tab, "location.hash.includes('device=coupled-five-bar') && !$('notice').classList.contains('bad')");
+    let hash = link.split('#').nth(1).unwrap().to_string();
+    assert!(!link.contains('?'), "a token is not given away: {link}");
+    browser.evaluate(&tab, "say({ do: 'give' })");
+    let other = browser.open(&format!("{}#{hash}", view.url), LAPTOP, 1.0);
+    browser.front(&other);
+    let same = "window.view?.last && view.walls[0].stiffness === 12345 && view.walls[0].damping === 60 && view.walls[0].feed_forward === 'full' && \
+                view.walls[0].values[4] === 1 && Math.abs(view.last.q[1] - 1.3) < 1e-3 && view.wanted === null";
+    browser.until(&other, same);
+    for (wrong, words) in [
+        ("wall=1,2,sideways", "not one of off, full, washout"),
+        ("wall=1,2,off,x,y", "numbers"),
+        ("pose=1,2,3,4", "pose"),
+        ("lesson=99", "lesson"),
+        ("do=arm", "unknown part"),
+        ("device=other", "where haptic view shows that device and scene"),
+        (
+            "lesson=1",
+            "haptic view devices/hapkit-paddle.toml --scene devices/scenes/hapkit-paddle/slow.toml --port sim",
+        ),
+        ("wall=1,1,off&wall=1,1,off", "2 walls"),
+        ("wall=-5,1,off", "stiffness"),
+    ] {
+        browser.evaluate(&other, &format!("notice(''); location.hash = '{wrong}'"));
+        browser.until(
+            &other,
+            &format!("$('notice').classList.contains('shown') && $('why').textContent.includes('{words}')"),
+        );
+    }
+    assert_eq!(browser.evaluate(&other, "view.last.state"), "Disarmed", "no link arms");
+    // What is wrong with a link stands until there is another one.
+    browser.evaluate(&other, "location.hash = 'pose=a'; location.reload()");
+    browser.until(&other, "window.view?.pictures > 10 && view.hello && $('why').textContent.includes('pose')");
+    browser.evaluate(&other, "location.hash = 'pose=2.2,1.3'");
+    browser.until(&other, "!$('notice').classList.contains('shown')");
+    assert_eq!(browser.complaints(), [""; 0]);
+}
+
+/// Three steps, ticked off by what happens; then they are gone for good, and *Start over* puts everything back.
+#[test]
+fn the_coach_leads_to_the_buzz_and_start_over_puts_everything_back() {
+    let (view, mut browser, tab) = opened();
+    let walls = browser.evaluate(&tab, "JSON.stringify(view.walls)");
+    let next =
+        |n: u8| format!("!$('coach').hidden && $('coach').querySelector('.next')?.textContent.startsWith('{n} ')");
+    browser.until(&tab, &next(1));
+    browser.evaluate(&tab, "dispatchEvent(new PointerEvent('pointerdown', {pointerType: 'touch'}))");
+    browser.until(&tab, "$('coach').textContent.includes('green button')");
+    browser.hold_until(&tab, &next(2));
+    lead_into_the_wall(&mut browser, &tab);
+    browser.hold_until(&tab, &next(3));
+    browser.until(&tab, "$('coach').textContent.includes('click Off')");
+    // On a slow computer the key may count as let go in between, and a click as one of a page that only watches.
+    browser.evaluate(&tab, "$('beyond').checked = true");
+    browser.hold_until(&tab, "buzzed || view.walls[0].feed_forward !== 'off' && $('ff-off').click()");
+    browser.hold_until(&tab, "steps === 3 || view.walls[0].feed_forward === 'off' && $('ff-washout').click()");
+    browser.until(&tab, "$('coach').hidden");
+    if let Ok(folder) = std::env::var("HAPTIC_PICTURES") {
+        std::fs::write(format!("{folder}/coach-done.png"), browser.picture(&tab, false)).unwrap();
+    }
+    browser.space(&tab, "keyUp");
+    browser.until(&tab, "document.body.dataset.state === 'Disarmed'");
+    browser.evaluate(&tab, "view.goal = null; $('close').click(); $('ff-full').click()");
+    browser.until(&tab, "view.walls[0].feed_forward === 'full'");
+    browser.evaluate(&tab, "$('start-over').click()");
+    let back = format!(
+        "JSON.stringify(view.walls) === {walls} && view.last.hand === null && !view.close && !$('beyond').checked"
+    );
+    browser.until(&tab, &back);
+    browser.until(&tab, "Math.abs(view.last.numbers.depth + 0.010) < 1e-4");
+    // What helps after a fault stands beside its notice, which stays.
+    let faulty = "(() => { picture({...view.last, state: 'Fault', fault: 'x'}); const r = ['anew', 'clear', 'dismiss'].map(id => \
+                  $('notice').contains($(id)) && $(id).offsetParent !== null); return r.join(); })()";
+    assert_eq!(browser.evaluate(&tab, faulty), "true,true,false");
+    browser.until(&tab, "!$('notice').classList.contains('shown')");
+    // The hand is led by keys too.
+    browser.evaluate(
+        &tab,
+        "window.x = view.last.geometry.tip[0]; $('stage').onkeydown({key: 'ArrowRight', preventDefault() {}})",
+    );
+    browser.until(&tab, "view.last.hand && Math.abs(view.last.hand.goal[0] - window.x - 2e-3) < 1e-4");
+    let again = browser.open(&view.url, LAPTOP, 1.0);
+    browser.until(&again, "window.view && view.pictures > 10");
+    assert_eq!(browser.evaluate(&again, "$('coach').hidden"), true, "who has seen it does not see it again");
+    assert_eq!(browser.complaints(), [""; 0]);
+}
+
+#[test]
+fn a_single_sweep_says_that_it_waits_and_its_letters_keep_their_shape() {
+    let (_view, mut browser, tab) = opened();
+    browser.until(&tab, "view.sweep && $('phase').textContent === 'rolling'");
+    browser.evaluate(&tab, "window.rolled = view.sweep");
+    browser.evaluate(
+        &tab,
+        "$('channel-a').value = 'distance_m'; $('edge').value = 'down'; $('level').value = '0'; \
+         $('trigger').value = 'once'; $('trigger').onchange()",
+    );
+    // One that was under way comes in late.
+    browser.evaluate(&tab, "numbers(window.rolled)");
+    assert_eq!(browser.evaluate(&tab, "$('phase').textContent"), "waiting for the trigger");
+    lead_into_the_wall(&mut browser, &tab);
+    browser.until(&tab, "view.sweep && view.sweep[1] === 3 && $('phase').textContent === 'one sweep'");
+    browser.evaluate(&tab, "$('scope').style.maxHeight = '80px'");
+    browser.until(&tab, "$('scope').clientHeight === 80 && $('scope').height === Math.round(80 * devicePixelRatio)");
+    browser.space(&tab, "keyUp");
+    assert_eq!(browser.complaints(), [""; 0]);
+}
+
+/// How many pixels of a canvas are of a colour of the palette, in a square around a place of the drawn plane (m).
+fn coloured(browser: &mut Browser, tab: &Tab, place: &str, colour: &str, half: u32) -> u64 {
+    let count = format!(
+        "(() => {{ const c = $('stage'), r = devicePixelRatio, p = {place}, k = c.getContext('2d'); k.save(); \
+         const one = document.createElement('canvas').getContext('2d'); one.fillStyle = palette['{colour}'] || '#0d8a8a'; \
+         one.fillRect(0, 0, 1, 1); const w = one.getImageData(0, 0, 1, 1).data; k.restore(); \
+         const x = Math.round(view.frame.toX(p[0]) * r), y = Math.round(view.frame.toY(p[1]) * r); \
+         const d = k.getImageData(x - {half}, y - {half}, 2 * {half}, 2 * {half}).data; let n = 0; \
+         for (let i = 0; i < d.length; i += 4) if (d[i + 3] > 200 && Math.abs(d[i] - w[0]) + Math.abs(d[i + 1] - w[1]) + Math.abs(d[i + 2] - w[2]) < 24) n++; \
+         return n; }})()"
+    );
+    browser.evaluate(tab, &count).as_u64().unwrap()
+}
+
+/// No picture lies: a spring that pulls the tip is seen, from where it holds to the tip, and its line.
+#[test]
+fn springs_of_the_scene_are_drawn_where_they_hold() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = folder.path().join("springs.toml");
+    // The line y = 0.15 above the tip, and a point to its right.
+    let springs = "[[spring]]\npoint = [0.0, 0.15]\ndirection = [1.0, 0.0]\nstiffness = 250.0\ndamping = 1.0\n\n\
+                   [[spring]]\npoint = [0.06, 0.10]\nstiffness = 100.0\ndamping = 1.0\n";
+    std::fs::write(&scene, springs).unwrap();
+    let device = concat!(env!("CARGO_MANIFEST_DIR"), "/../devices/haply-2diy.toml");
+    let view = View::start(&[device, "--port", "sim", "--scene", scene.to_str().unwrap()]);
+    let mut browser = Browser::start();
+    let tab = browser.open(&view.url, LAPTOP, 1.0);
+    browser.until(&tab, "window.view && view.pictures > 10");
+    browser.evaluate(&tab, "theme(false)");
+    browser.until(&tab, "view.frame && view.pictures > 20");
+    let tip = browser.evaluate(&tab, "view.last.geometry.tip").clone();
+    let (x, y) = (tip[0].as_f64().unwrap(), tip[1].as_f64().unwrap());
+    let mut seen =
+        |at: (f64, f64), half| coloured(&mut browser, &tab, &format!("[{}, {}]", at.0, at.1), "spring", half);
+    assert!(seen((x, 0.5 * (y + 0.15)), 8) > 10, "no spring between the line and the tip");
+    assert!(seen((x - 0.04, 0.15), 12) > 5, "its line is not drawn");
+    assert!(seen((0.5 * (x + 0.06), 0.5 * (y + 0.10)), 8) > 10, "no spring between the point and the tip");
+    assert!(seen((0.06, 0.10), 5) > 30, "the point is not drawn");
+    assert_eq!(seen((x - 0.04, 0.14), 6), 0, "nothing is where no spring is");
+    assert_eq!(browser.complaints(), [""; 0]);
+    if let Ok(folder) = std::env::var("HAPTIC_PICTURES") {
+        let png = browser.picture(&tab, false);
+        std::fs::write(format!("{folder}/view-spring.png"), png).unwrap();
+    }
+}
+
+/// At every size nothing sticks out and the key is in sight; pictures for a person to look at.
+#[test]
+fn the_page_fits_a_phone_a_laptop_and_a_projector() {
+    let (_view, mut browser, tab) = opened();
+    browser.hold_until(&tab, "document.body.dataset.state === 'Armed'");
+    lead_into_the_wall(&mut browser, &tab);
+    browser.hold_until(&tab, "view.last.numbers.force > 2");
+    for (name, size, scale, dark) in [
+        ("laptop", LAPTOP, 1.0, false),
+        ("laptop-dark", LAPTOP, 1.0, true),
+        ("phone", PHONE, 2.0, false),
+        ("phone-dark", PHONE, 2.0, true),
+        ("phone-turned", (PHONE.1, PHONE.0), 2.0, false),
+        ("projector", PROJECTOR, 1.0, false),
+    ] {
+        browser.size(&tab, size, scale);
+        browser.evaluate(&tab, &format!("theme({dark})"));
+        let pictures = browser.evaluate(&tab, "view.pictures").as_u64().unwrap();
+        browser.until(&tab, &format!("view.pictures > {}", pictures + 20));
+        let fits = browser.evaluate(
+            &tab,
+            "(() => { const k = $('key').getBoundingClientRect(); return {wide: document.documentElement.scrollWidth, \
+             key: k.bottom <= innerHeight && k.top > 0, canvases: ['stage', 'plane', 'scope'].map(i => $(i).clientHeight)}; })()",
+        );
+        assert!(fits["wide"].as_u64().unwrap() <= u64::from(size.0), "{name}: {fits}");
+        assert_eq!(fits["key"], true, "{name}");
+        let heights: Vec<Value> = fits["canvases"].as_array().unwrap().clone();
+        assert!(heights.iter().all(|height| height.as_u64().unwrap() >= 110), "{name}: {fits}");
+        if let Ok(folder) = std::env::var("HAPTIC_PICTURES") {
+            let png = browser.picture(&tab, size == PHONE);
+            std::fs::write(format!("{folder}/view-{name}.png"), png).unwrap();
+        }
+    }
+}
+
+/// Seconds of processor time that a process has had.
+fn processor_seconds(process: u32) -> f64 {
+    let stat = std::fs::read_to_string(format!("/proc/{process}/stat")).unwrap();
+    let fields: Vec<&str> = stat.rsplit(')').next().unwrap().split_whitespace().collect();
+    // User and system time, in ticks of 10 ms on every Linux that this runs on.
+    0.01 * (fields[11].parse::<f64>().unwrap() + fields[12].parse::<f64>().unwrap())
+}
+
+fn middle(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values[values.len() / 2]
+}
+
+#[test]
+#[ignore = "a measurement, no test: docs/view.md names its command line"]
+fn how_fast_the_page_is() {
+    let root = concat!(env!("CARGO_MANIFEST_DIR"), "/../devices/");
+    let (device, scene) = (format!("{root}coupled-five-bar.toml"), format!("{root}scenes/coupled-five-bar/wall.toml"));
+    // Watching alone: the board is another process, and every one of its 20,000 steps a second is a row.
+    let sim = Sim::start(&[&device, "--scene", &scene]);
+    let view = View::start(&[&device, "--port", &sim.port, "--rate", "20000"]);
+    let mut browser = Browser::start();
+    let watch = |browser: &mut Browser, view: &View, what: &str| {
+        let tab = browser.open(&view.url, LAPTOP, 1.0);
+        browser.until(&tab, "window.view && view.pictures > 30 && view.hello.rows_hz === 20000");
+        browser.front(&tab);
+        browser.evaluate(
+            &tab,
+            "view.m = { frames: 0, inside: true, base: Infinity, contacts: [], prev: 0, due: null, lost: view.last.lost }; \
+             { const drawn = drawStage, seen = picture; \
+               drawStage = () => { drawn(); view.m.frames++; const due = view.m.due; view.m.due = null; \
+                 if (due) requestAnimationFrame(() => { const t = performance.now() - view.m.base; view.m.contacts.push([t - due[0], t - due[1]]); }); }; \
+               picture = p => { const m = view.m, now = performance.now(), inside = p.numbers.depth > 0; m.base = Math.min(m.base, now - 1e3 * p.time); \
+                 if (inside && !m.inside) m.due = [1e3 * m.prev, 1e3 * p.time]; m.inside = inside; m.prev = p.time; seen(p); }; }",
+        );
+        let (began, used) = (std::time::Instant::now(), processor_seconds(view.process()));
+        let pictures = browser.evaluate(&tab, "view.pictures").as_f64().unwrap();
+        if what.contains("in its own process") {
+            for _ in 0..20 {
+                for place in ["[v[0] - 0.01 * v[3], v[1] - 0.01 * v[4]]", "[v[0] + 0.01 * v[3], v[1] + 0.01 * v[4]]"] {
+                    browser.evaluate(&tab, &format!("(v => say({{do: 'hand', at: {place}}}))(view.walls[0].values)"));
+                    std::thread::sleep(std::time::Duration::from_millis(700));
+                }
+            }
+        } else {
+            std::thread::sleep(std::time::Duration::from_secs(20));
+        }
+        let seconds = began.elapsed().as_secs_f64();
+        let share = 100.0 * (processor_seconds(view.process()) - used) / seconds;
+        let found = browser.evaluate(
+            &tab,
+            "({ m: view.m, pictures: view.pictures, lost: view.last.lost - view.m.lost, speed: view.last.speed })",
+        );
+        let of = |value: &Value| value.as_f64().unwrap();
+        println!(
+            "{what}: {:.0} pictures and {:.0} frames a second, {} rows lost, {share:.0} % of one core",
+            (of(&found["pictures"]) - pictures) / seconds,
+            of(&found["m"]["frames"]) / seconds,
+            found["lost"]
+        );
+        if let Some(speed) = found["speed"].as_f64() {
+            println!("  the simulation ran at {:.0} % of its time", 100.0 * speed);
+        }
+        let contacts: Vec<(f64, f64)> =
+            found["m"]["contacts"].as_array().unwrap().iter().map(|pair| (of(&pair[0]), of(&pair[1]))).collect();
+        if !contacts.is_empty() {
+            let (most, least) = contacts.iter().copied().unzip::<f64, f64, Vec<_>, Vec<_>>();
+            println!(
+                "  contact to pixel: {:.0} to {:.0} ms in the middle of {} contacts (between the last picture without and the first with it)",
+                middle(least),
+                middle(most),
+                contacts.len()
+            );
+        }
+        browser.close(&tab);
+    };
+    watch(&mut browser, &view, "watching a board");
+    drop((view, sim));
+    let view = View::start(&[&device, "--port", "sim", "--scene", &scene]);
+    watch(&mut browser, &view, "simulating the board in its own process as well");
+}

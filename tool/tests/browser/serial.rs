@@ -1,0 +1,342 @@
+//! The page as a file with a board at a serial port of the browser. The port is the test's: it stands in the place of
+//! `navigator.serial`, and its bytes go to a simulated or an emulated board over the browser's debugging protocol,
+//! since the page has no network.
+
+use super::LAPTOP;
+use super::as_a_file::path;
+use super::common::file;
+use super::common::sim::{Sim, until};
+use super::devtools::{Browser, PATIENCE, Tab, base64, connect};
+use haptic_bridge::safety::fault::{Fault, State};
+use haptic_host::link::{Board, TcpWire};
+use serde_json::{Value, json};
+use std::io::{BufRead, BufReader, ErrorKind, Read, Write};
+use std::net::TcpStream;
+use std::process::{Child, Command, Stdio};
+use std::thread::{JoinHandle, spawn};
+use std::time::{Duration, Instant};
+use tungstenite::Message;
+
+/// A port as Chromium has it. `arrive` brings bytes, `toBoard` takes them, `pull` unplugs.
+const PORT: &str = r#"
+    window.test = { asked: [], refuses: null };
+    let incoming = null;
+    const port = {
+        readable: null, writable: null, setSignals: async () => {},
+        open: async options => {
+            if (test.refuses) throw new DOMException(test.refuses, "NetworkError");
+            if (port.readable) throw new DOMException("The port is already open.", "InvalidStateError");
+            test.options = options;
+            port.readable = new ReadableStream({ start: control => { incoming = control; } });
+            port.writable = new WritableStream({ write: bytes => toBoard(btoa(String.fromCharCode(...bytes))) });
+        },
+        close: async () => {
+            if (port.readable.locked || port.writable.locked) throw new TypeError("Cannot close a locked stream");
+            port.readable = port.writable = incoming = null;
+        },
+    };
+    window.arrive = text => { try { incoming?.enqueue(Uint8Array.from(atob(text), c => c.charCodeAt(0))); } catch {} };
+    window.pull = () => {
+        incoming.error(new DOMException("The device has been lost.", "NetworkError"));
+        port.readable = port.writable = incoming = null;
+    };
+    window.open_port = () => port.readable !== null;
+    const requestPort = async what => { test.asked.push(what); return port; };
+    Object.defineProperty(navigator, "serial", { configurable: true, value: { requestPort } });
+"#;
+
+const ARMED: &str = "document.body.dataset.state === 'Armed'";
+
+/// The cable between the page's port and a board behind TCP; what ends it gives the board's end back.
+struct Cable(JoinHandle<TcpStream>);
+
+impl Cable {
+    /// From the next page that this tab opens.
+    fn plug(browser: &mut Browser, tab: &Tab, board: &str) -> Self {
+        let url = format!("ws://{}/devtools/page/{}", browser.address, tab.target);
+        let mut page = connect(&browser.address, &url, Duration::from_millis(2));
+        let mut board = TcpStream::connect(board.trim_start_matches("tcp:")).unwrap();
+        board.set_nodelay(true).unwrap();
+        board.set_read_timeout(Some(Duration::from_millis(2))).unwrap();
+        browser.ask(tab, "Page.addScriptToEvaluateOnNewDocument", json!({"source": format!("{{{PORT}}}")}));
+        let ask = |method: &str, parameters: Value| {
+            Message::text(json!({"id": 1, "method": method, "params": parameters}).to_string())
+        };
+        for (method, parameters) in [("Runtime.enable", json!({})), ("Runtime.addBinding", json!({"name": "toBoard"}))]
+        {
+            page.send(ask(method, parameters)).unwrap();
+            // In force before the page is there.
+            until(method, || matches!(page.read(), Ok(Message::Text(text)) if text.contains(r#""id":1"#)));
+        }
+        Self(spawn(move || {
+            let mut bytes = vec![0; 65_536];
+            loop {
+                match board.read(&mut bytes) {
+                    Ok(0) => return board,
+                    Ok(count) => {
+                        let arrive = format!("window.arrive && arrive('{}')", to_base64(&bytes[..count]));
+                        if page.send(ask("Runtime.evaluate", json!({"expression": arrive}))).is_err() {
+                            return board;
+                        }
+                    }
+                    Err(_) => {}
+                }
+                loop {
+                    match page.read() {
+                        Ok(Message::Text(text)) => {
+                            let event: Value = serde_json::from_str(&text).unwrap();
+                            if event["method"] == "Runtime.bindingCalled" {
+                                board.write_all(&base64(event["params"]["payload"].as_str().unwrap())).unwrap();
+                            }
+                        }
+                        Ok(_) => {}
+                        Err(tungstenite::Error::Io(error))
+                            if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) =>
+                        {
+                            break;
+                        }
+                        // The browser is gone, or its page.
+                        Err(_) => return board,
+                    }
+                }
+            }
+        }))
+    }
+
+    /// The board, once the page is gone.
+    fn board(self) -> Board {
+        Board::over(Box::new(TcpWire::new(self.0.join().unwrap()).unwrap()), "the cable's").unwrap()
+    }
+}
+
+fn to_base64(bytes: &[u8]) -> String {
+    const DIGITS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
+    let four = |three: &[u8]| {
+        let number = three.iter().enumerate().fold(0, |number, (i, byte)| number | usize::from(*byte) << (16 - 8 * i));
+        [0, 1, 2, 3].map(|i| if i > three.len() { '=' } else { char::from(DIGITS[number >> (18 - 6 * i) & 63]) })
+    };
+    bytes.chunks(3).flat_map(four).collect()
+}
+
+/// The page with a port that a board is plugged into; it shows the simulation.
+fn page(board: &str) -> (Browser, Tab, Cable) {
+    let mut browser = Browser::start();
+    let tab = browser.open("about:blank", LAPTOP, 1.0);
+    let cable = Cable::plug(&mut browser, &tab, board);
+    show(&mut browser, &tab);
+    (browser, tab, cable)
+}
+
+fn show(browser: &mut Browser, tab: &Tab) {
+    browser.ask(tab, "Page.navigate", json!({"url": format!("file://{}", path())}));
+    browser.until(tab, "Boolean(window.view && view.hello?.simulated && view.pictures > 3)");
+    browser.front(tab);
+}
+
+/// Opens the board that is plugged in.
+fn open(browser: &mut Browser, tab: &Tab) {
+    browser.evaluate(tab, "view.pictures = 0; $('open').click()");
+    let there = "view.hello?.simulated === false && view.pictures > 3 && document.body.dataset.role === 'command'";
+    browser.until(tab, there);
+    assert_eq!(browser.evaluate(tab, "$('open').textContent"), "Close the board");
+}
+
+/// Holds Space until the motors are on. Where this computer was so slow that page or board let go, it is pressed anew.
+fn hold(browser: &mut Browser, tab: &Tab) {
+    let began = Instant::now();
+    while browser.evaluate(tab, ARMED) != true {
+        let told = browser.evaluate(tab, "$('why').textContent");
+        assert!(began.elapsed() < PATIENCE, "the motors do not go on: {told}");
+        browser.space(tab, "keyUp");
+        browser.evaluate(tab, "if (view.last.command === null) $('take').click()");
+        browser.evaluate(tab, "if (!$('clear').hidden) $('clear').click()");
+        browser.until(tab, "document.body.dataset.state === 'Disarmed'");
+        browser.space(tab, "keyDown");
+        for _ in 0..50 {
+            if browser.evaluate(tab, ARMED) == true {
+                break;
+            }
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    }
+}
+
+/// Everything that the page does with a board that is ready, until the browser is killed with the motors on.
+fn used_until_the_browser_dies(board: &str, device: &str, name: &str) {
+    let (mut browser, tab, cable) = page(board);
+    open(&mut browser, &tab);
+    // It is named, and said to be one.
+    assert_eq!(browser.evaluate(&tab, "$('device').textContent"), device);
+    let on = browser.evaluate(&tab, "$('board').textContent").as_str().unwrap().to_string();
+    assert!(on.starts_with(name) && on.contains("on USB"), "{on}");
+    browser.until(&tab, "$('why').textContent.includes('real motors')");
+    assert_eq!(browser.evaluate(&tab, "test.asked[0].filters[0].usbVendorId"), 0x1209);
+    assert_eq!(browser.evaluate(&tab, "$('let-go').hidden && $('record').hidden"), true);
+    // Scope and boundary are of this board.
+    browser.until(&tab, "view.sweeps > 5 && view.plane !== null");
+    // Gains, as the board has them.
+    browser.evaluate(&tab, "$('stiffness').value = '123'; $('stiffness').onchange()");
+    browser.until(&tab, "view.walls[0].stiffness === 123");
+    // The key: held and let go; hidden; stuck, when the board lets go by itself.
+    hold(&mut browser, &tab);
+    browser.space(&tab, "keyUp");
+    browser.until(&tab, "document.body.dataset.state === 'Disarmed'");
+    hold(&mut browser, &tab);
+    browser.evaluate(
+        &tab,
+        "Object.defineProperty(document, 'hidden', { value: true, configurable: true }); \
+         document.dispatchEvent(new Event('visibilitychange')); delete document.hidden;",
+    );
+    browser.until(&tab, "document.body.dataset.state === 'Disarmed' && !view.down");
+    hold(&mut browser, &tab);
+    // By the page's clock, as its silence counts: an emulated board's steps pass more slowly on a busy computer.
+    browser.evaluate(&tab, "(() => { const until = performance.now() + 1500; while (performance.now() < until); })()");
+    browser.until(&tab, &format!("!({ARMED}) && !view.last.held"));
+    browser.evaluate(&tab, "window.then = view.pictures");
+    browser.until(&tab, "view.pictures > then + 10");
+    assert_eq!(browser.evaluate(&tab, ARMED), false, "a key that stayed down arms nothing");
+    println!("{device}: {}", browser.evaluate(&tab, "view.last.losses"));
+    if let Ok(folder) = std::env::var("HAPTIC_PICTURES") {
+        std::fs::write(format!("{folder}/serial-{device}.png"), browser.picture(&tab, false)).unwrap();
+    }
+    hold(&mut browser, &tab);
+    assert_eq!(browser.complaints(), [""; 0]);
+    // No word of the page reaches the board any more.
+    drop(browser);
+    let mut board = cable.board();
+    until("the motors off", || board.status().unwrap().state != State::Armed);
+    // A page that this computer had kept waiting may have let go before it died.
+    let fault = board.status().unwrap().fault.map(|record| record.fault);
+    assert!(fault.is_none_or(|fault| fault == Fault::KeyReleased), "{fault:?}");
+    assert_eq!(board.scene().unwrap().unwrap().walls[0].stiffness, 123.0);
+}
+
+fn simulated() -> Sim {
+    Sim::start(&[&file("haply-2diy.toml"), "--scene", &file("scenes/haply-2diy/disc.toml")])
+}
+
+#[test]
+fn a_simulated_board_is_opened_used_and_lets_go_when_the_browser_dies() {
+    let sim = simulated();
+    used_until_the_browser_dies(&sim.port, "haply-2diy", "simulated SIM");
+}
+
+/// The emulated board in a process of its own.
+struct Emulated(Child);
+
+impl Drop for Emulated {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+#[test]
+fn the_image_on_the_emulated_chip_is_opened_used_and_lets_go_when_the_browser_dies() {
+    let program = std::env::var("HAPTIC_VIRTUAL_BOARD")
+        .unwrap_or_else(|_| concat!(env!("CARGO_MANIFEST_DIR"), "/../target/debug/board").into());
+    let board = Command::new(&program).stdout(Stdio::piped()).spawn();
+    let mut board =
+        board.unwrap_or_else(|error| panic!("{program}: {error}; `cargo xtask test --deep browser` makes it"));
+    let mut lines = BufReader::new(board.stdout.take().unwrap()).lines().map(Result::unwrap);
+    let _board = Emulated(board);
+    let port = lines.find_map(|line| line.strip_prefix("port: ").map(String::from)).unwrap();
+    let device = lines
+        .find_map(|line| Some(line.split_whitespace().nth(2)?.to_string()).filter(|_| line.contains("haptic device")));
+    // It goes on writing there.
+    spawn(move || lines.for_each(drop));
+    let tool = |arguments: &[&str]| drop(super::common::haptic(arguments).args(["--port", &port]).assert().success());
+    tool(&["device", &device.unwrap()]);
+    tool(&["scene", &file("scenes/pantograph-mk2/corner.toml")]);
+    tool(&["home"]);
+    tool(&["polarity", "--yes"]);
+    used_until_the_browser_dies(&port, "pantograph-mk2", "odrive-v3");
+}
+
+#[test]
+fn a_board_that_is_pulled_is_missed_in_words_opened_again_and_closed_with_its_motors_off() {
+    let sim = simulated();
+    let (mut browser, tab, cable) = page(&sim.port);
+    open(&mut browser, &tab);
+    hold(&mut browser, &tab);
+    browser.evaluate(&tab, "pull()");
+    browser.until(&tab, "document.body.dataset.state === 'Lost' && !view.down");
+    let why = browser.evaluate(&tab, "$('why').textContent").as_str().unwrap().to_string();
+    assert!(why.contains("The device has been lost") && why.contains("motors"), "{why}");
+    browser.space(&tab, "keyUp");
+    assert_eq!(browser.evaluate(&tab, "$('open').textContent"), "Open a board");
+    // Nothing takes its place unasked.
+    browser.evaluate(&tab, "window.then = view.pictures");
+    std::thread::sleep(Duration::from_millis(1500));
+    assert_eq!(browser.evaluate(&tab, "view.pictures === then && document.body.dataset.state === 'Lost'"), true);
+    open(&mut browser, &tab);
+    let mut board = closed(browser, &tab, cable);
+    // It lets go by itself where this computer keeps the page waiting for half a second: then once more.
+    let began = Instant::now();
+    while board.status().unwrap().fault.is_some_and(|record| record.fault == Fault::KeyReleased) {
+        assert!(began.elapsed() < PATIENCE, "closing does not turn the motors off");
+        board.clear().unwrap();
+        drop(board);
+        let (mut browser, tab, cable) = page(&sim.port);
+        open(&mut browser, &tab);
+        board = closed(browser, &tab, cable);
+    }
+    let status = board.status().unwrap();
+    assert_eq!((status.state, status.fault), (State::Disarmed, None));
+}
+
+/// The board, after it was closed with its motors on.
+fn closed(mut browser: Browser, tab: &Tab, cable: Cable) -> Board {
+    hold(&mut browser, tab);
+    browser.evaluate(tab, "$('open').click()");
+    let simulation = "view.hello?.simulated && view.pictures > 10 && document.body.dataset.state === 'Disarmed'";
+    browser.until(tab, &format!("{simulation} && !open_port()"));
+    let name = "$('open').textContent === 'Open a board' && $('choice').selectedIndex === 0";
+    assert_eq!(browser.evaluate(tab, name), true);
+    assert_eq!(browser.complaints(), [""; 0]);
+    drop(browser);
+    cable.board()
+}
+
+#[test]
+fn a_board_that_cannot_be_shown_says_why_and_the_simulation_goes_on() {
+    let sim = Sim::start(&[&file("haply-2diy.toml")]);
+    let (mut browser, tab, _cable) = page(&sim.port);
+    let refused = |browser: &mut Browser, words: &str| {
+        browser.evaluate(&tab, "notice(''); view.pictures = 0; $('open').click()");
+        let said = format!(
+            "$('why').textContent.includes('{words}') && $('why').textContent.includes('The simulation goes on')"
+        );
+        browser.until(&tab, &format!("{said} && view.hello?.simulated && view.pictures > 10"));
+        assert_eq!(
+            browser
+                .evaluate(&tab, "$('notice').classList.contains('shown') && $('open').textContent === 'Open a board'"),
+            true
+        );
+    };
+    browser.evaluate(&tab, "test.refuses = 'Failed to open serial port.'");
+    refused(&mut browser, "Failed to open serial port.");
+    browser.evaluate(&tab, "test.refuses = null");
+    refused(&mut browser, "haptic scene");
+    browser.until(&tab, "!open_port()");
+    // Whoever closes the browser's list changes nothing.
+    browser.evaluate(
+        &tab,
+        "navigator.serial.requestPort = () => Promise.reject(new DOMException('', 'NotFoundError')); \
+         notice(''); $('open').click(); view.pictures = 0",
+    );
+    browser.until(&tab, "view.pictures > 10 && view.hello.simulated && !$('notice').classList.contains('shown')");
+    // Browsers that have no serial ports, or cannot let the library wait.
+    for missing in ["navigator.serial", "WebAssembly.Suspending"] {
+        let (of, name) = missing.split_once('.').unwrap();
+        browser.evaluate(
+            &tab,
+            &format!(
+                "delete {of}.{name}; Object.defineProperty({of}, '{name}', {{ value: undefined, configurable: true }})"
+            ),
+        );
+        refused(&mut browser, "Chrome or Edge on a desktop can");
+        browser.evaluate(&tab, &format!("delete {of}.{name}"));
+    }
+    assert_eq!(browser.complaints(), [""; 0]);
+}

@@ -1,0 +1,289 @@
+//! Device files that are wrong, wires and sensors that lie: what a board makes of them, and what a hand may feel of it.
+
+use super::forces::Push;
+use haptic_bridge::control::{HostAction, Rules};
+use haptic_bridge::model::description::Description;
+use haptic_bridge::model::motor::Motor;
+use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};
+use haptic_bridge::safety::fault::{FaultRecord, State};
+use haptic_host::device_file::DeviceFile;
+use haptic_host::link::Board;
+use haptic_sim::{BoardOptions, Broken, Hand, HandSettings, Intent, SharedBoard, SimulatedBoard, Support, Waypoint};
+use std::f64::consts::TAU;
+
+/// When something begins to be wrong.
+pub enum When {
+    /// From power-on: what device and wires are, where the board was told another device.
+    Always(fn(&mut Description, &mut Broken)),
+    /// While a hand presses against a wall.
+    InContact(fn(&mut SimulatedBoard, &Description)),
+}
+
+/// What is wrong.
+pub struct Lie {
+    pub what: &'static str,
+    pub when: When,
+}
+
+const fn always(what: &'static str, lie: fn(&mut Description, &mut Broken)) -> Lie {
+    Lie { what, when: When::Always(lie) }
+}
+
+const fn in_contact(what: &'static str, lie: fn(&mut SimulatedBoard, &Description)) -> Lie {
+    Lie { what, when: When::InContact(lie) }
+}
+
+/// Everything that is tried.
+pub const LIES: [Lie; 37] = [
+    always("torque constant twice the file's", |wired, _| constants(wired, 2.0)),
+    always("torque constant half the file's", |wired, _| constants(wired, 0.5)),
+    always("torque constant 1.15 of the file's", |wired, _| constants(wired, 1.15)),
+    always("a gear of 10 that the file forgets", |wired, _| constants(wired, 10.0)),
+    always("counts per line instead of per edge", |wired, _| counts(wired, 4.0)),
+    always("counts per edge instead of per line", |wired, _| counts(wired, 0.25)),
+    always("first two motors swapped", |_, broken| broken.motors.swap(0, 1)),
+    always("first two encoders swapped", |_, broken| broken.swapped_at = Some([0; 2])),
+    always("leads of the first motor swapped", |_, broken| broken.reversed[0] = true),
+    always("first encoder backward", |_, broken| broken.share[0] = Some((0, -1.0))),
+    always("resistance twice the file's", |wired, _| windings(wired, 2.0, 1.0)),
+    always("resistance half the file's", |wired, _| windings(wired, 0.5, 1.0)),
+    always("inductance half the file's", |wired, _| windings(wired, 1.0, 0.5)),
+    always("inertias twice the file's", |wired, _| inertias(wired, 2.0)),
+    always("inertias half the file's", |wired, _| inertias(wired, 0.5)),
+    always("current sensors show 45 %", |_, broken| broken.sensor_gain = [0.45; 4]),
+    always("current sensors show two thirds", |_, broken| broken.sensor_gain = [0.67; 4]),
+    always("first current sensor shows two thirds", |_, broken| broken.sensor_gain[0] = 0.67),
+    always("current sensors show 150 %", |_, broken| broken.sensor_gain = [1.5; 4]),
+    always("first current sensor backward", |_, broken| broken.sensor_gain[0] = -1.0),
+    always("first current sensor shows nothing", |_, broken| broken.sensor_gain[0] = 0.0),
+    always("first current sensor 0.3 A off its zero", |_, broken| broken.sensor_extra[0] = 0.3),
+    in_contact("first current sensor 8 A too high", |board, _| board.broken_mut().sensor_extra[0] = 8.0),
+    in_contact("first current sensor 0.5 A too low", |board, _| board.broken_mut().sensor_extra[0] = -0.5),
+    in_contact("current sensors begin to show half", |board, _| board.broken_mut().sensor_gain = [0.5; 4]),
+    in_contact("first current sensor freezes", |board, _| {
+        board.broken_mut().sensor_frozen[0] = Some(board.device().currents()[0]);
+    }),
+    in_contact("first winding opens", |board, _| board.broken_mut().open[0] = true),
+    in_contact("first bridge stuck at 40 %", |board, _| board.broken_mut().stuck_on[0] = Some(0.4)),
+    in_contact("first encoder dead", |board, _| share(board, 0.0)),
+    in_contact("first encoder begins to count backward", |board, _| share(board, -1.0)),
+    in_contact("first encoder loses one count in ten", |board, _| share(board, 0.9)),
+    in_contact("first encoder drifts by 1.9 rad/s", |board, device| {
+        let rate = 1.9 * counts_per_radian(device) / board.carrier_hz();
+        board.broken_mut().drift[0] = Some((board.looks(), rate));
+    }),
+    in_contact("first encoder shakes by 8 counts", |board, _| board.broken_mut().shake[0] = 8),
+    in_contact("first encoder leaps by 0.4 rad", |board, device| {
+        board.broken_mut().count_extra[0] = (0.4 * counts_per_radian(device)) as i32;
+    }),
+    in_contact("first two encoders change places", |board, _| {
+        let [first, second, _] = board.device().counts();
+        board.broken_mut().swapped_at = Some([first, second]);
+    }),
+    in_contact("bus shows half", |board, _| board.broken_mut().bus_shown = Some(12.0)),
+    in_contact("bus shows twice", |board, _| board.broken_mut().bus_shown = Some(48.0)),
+];
+
+fn motors(wired: &mut Description) -> impl Iterator<Item = &mut Motor<f64>> {
+    wired.joints.iter_mut().filter_map(|joint| joint.motor.as_mut())
+}
+
+fn constants(wired: &mut Description, factor: f64) {
+    for motor in motors(wired) {
+        motor.torque_constant *= factor;
+        motor.back_emf *= factor;
+    }
+}
+
+fn windings(wired: &mut Description, resistance: f64, inductance: f64) {
+    for motor in motors(wired) {
+        motor.resistance *= resistance;
+        motor.inductance *= inductance;
+    }
+}
+
+fn inertias(wired: &mut Description, factor: f64) {
+    wired.joints.iter_mut().for_each(|joint| joint.inertia *= factor);
+    for link in &mut wired.links {
+        link.mass *= factor;
+        link.inertia *= factor;
+        link.inertia_axial *= factor;
+        link.inertia_transverse *= factor;
+    }
+    wired.handle_mass *= factor;
+}
+
+pub fn counts(wired: &mut Description, factor: f64) {
+    wired.joints.iter_mut().filter_map(|joint| joint.encoder.as_mut()).for_each(|it| it.counts_per_turn *= factor);
+}
+
+fn share(board: &mut SimulatedBoard, share: f64) {
+    board.broken_mut().share[0] = Some((board.device().counts()[0], share));
+}
+
+fn counts_per_radian(device: &Description) -> f64 {
+    device.joints[0].encoder.map_or(0.0, |encoder| encoder.counts_per_turn) / TAU
+}
+
+/// What came of a lie.
+#[derive(Clone, Copy, Debug)]
+pub enum Outcome {
+    /// The polarity check ended with this fault.
+    Refused(FaultRecord),
+    /// The motors went off with this fault, so many seconds after it began or, where it was always so, after arming.
+    Seen(FaultRecord, f64, Harm),
+    /// It was not seen.
+    Missed(Harm),
+}
+
+/// What a hand met.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Harm {
+    /// The largest mean over 2 ms of the motors' push at the tip, N.
+    pub push: f64,
+    /// The largest current of a motor, A.
+    pub current: f64,
+    /// The largest speed of a joint, rad/s.
+    pub speed: f64,
+}
+
+/// A real board in all but silicon that was told `file`, whose device and wires are as they are, homed.
+fn homed(file: &DeviceFile, lie: &Lie) -> (SharedBoard, Board, Description) {
+    let mut told = file.description;
+    let home = told.home.unwrap();
+    for (joint, home) in told.joints.iter_mut().zip(home) {
+        joint.motor.iter_mut().for_each(|motor| motor.verified = true);
+        joint.limits = Some((home - 1.5, home + 1.5));
+    }
+    let mut wired = told;
+    let mut options = BoardOptions { strict: true, support: Support::Held, ..BoardOptions::default() };
+    if let When::Always(lie) = lie.when {
+        lie(&mut wired, &mut options.broken);
+    }
+    let mut simulated = SimulatedBoard::new(&wired, options).unwrap();
+    simulated.load(&file.name, &told, None).unwrap();
+    let shared = SharedBoard::new(simulated);
+    let mut board = Board::over(shared.wire(), "sim").unwrap();
+    let rules = board.rules().unwrap();
+    board.set_rules(&Rules { host_action: HostAction::Ignore, ..rules }).unwrap();
+    board.home_at_rest().unwrap();
+    (shared, board, wired)
+}
+
+/// How the polarity check ends, and after every carrier period what there was `to_see`.
+fn checked(
+    shared: &SharedBoard,
+    board: &mut Board,
+    mut to_see: impl FnMut(&SimulatedBoard),
+) -> Result<(), FaultRecord> {
+    board.check_polarity().unwrap();
+    let mut board = shared.lock();
+    let most = board.time() + 60.0;
+    while board.status().state == State::CheckingPolarity {
+        assert!(board.time() < most, "the check does not end");
+        board.carrier();
+        to_see(&board);
+    }
+    let status = board.status();
+    match (status.polarity, status.fault) {
+        (true, None) => Ok(()),
+        (_, Some(record)) => Err(record),
+        other => panic!("{other:?}"),
+    }
+}
+
+/// Whether the polarity check finds something wrong.
+pub fn refused(file: &DeviceFile, lie: &Lie) -> Result<(), FaultRecord> {
+    let (shared, mut board, _) = homed(file, lie);
+    checked(&shared, &mut board, |_| ())
+}
+
+/// What a polarity check does until it ends.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Moved {
+    /// The largest mean over 2 ms of the motors' push at the tip, N.
+    pub push: f64,
+    /// How far it takes a joint from where that stood, rad.
+    pub travel: f64,
+}
+
+/// How the polarity check ends, and what it does until then.
+pub fn moved(file: &DeviceFile, lie: &Lie) -> (Result<(), FaultRecord>, Moved) {
+    let (shared, mut board, wired) = homed(file, lie);
+    let mut push = Push::of(&wired, &shared.lock());
+    let start = shared.lock().device().q();
+    let mut moved = Moved::default();
+    let ended = checked(&shared, &mut board, |board| {
+        moved.push = moved.push.max(push.take(board).unwrap_or(0.0));
+        let turned = board.device().q().into_iter().zip(start).map(|(q, start)| (q - start).abs());
+        moved.travel = turned.fold(moved.travel, f64::max);
+    });
+    (ended, moved)
+}
+
+/// What comes of a lie where a hand presses against a wall of 1000 N/m at 1 kHz with 4 N and goes to and fro along it.
+pub fn outcome(file: &DeviceFile, lie: &Lie) -> Outcome {
+    let (shared, mut board, wired) = homed(file, lie);
+    if let Err(record) = checked(&shared, &mut board, |_| ()) {
+        return Outcome::Refused(record);
+    }
+    shared.lock().run(0.5);
+    let (tip, task) = (shared.lock().device().tip(), file.spec().task);
+    let [normal, along] =
+        [[[1.0, 0.0, 0.0], [0.0; 3]], [[0.6, 0.8, 0.0], [0.8, -0.6, 0.0]], [[0.6, 0.64, 0.48], [0.8, -0.48, -0.36]]]
+            [task - 1];
+    let at = |outward: f64, aside: f64| {
+        core::array::from_fn(|axis| tip[axis] + outward * normal[axis] + aside * along[axis])
+    };
+    let mut scene = Scene {
+        task: task as u8,
+        rate_hz: 1_000.0,
+        cutoff_hz: 200.0,
+        gravity_compensation: wired.gravity != [0.0; 3],
+        ..Scene::default()
+    };
+    scene
+        .walls
+        .push(Wall {
+            surface: Surface::Plane(Plane {
+                point: at(-2e-3, 0.0).map(|along: f64| along as f32),
+                normal: normal.map(|along| along as f32),
+            }),
+            stiffness: 1_000.0,
+            damping: 1.0,
+            feed_forward: FeedForward::Washout,
+            washout_hz: 2.0,
+            damping_compensation: false,
+            bilateral: false,
+        })
+        .unwrap();
+    board.set_scene(&scene).unwrap();
+    board.arm().unwrap();
+    let mut board = shared.lock();
+    let now = board.time();
+    let mut path = vec![Waypoint { time: 0.0, value: tip }];
+    path.extend((1..40).map(|nth| Waypoint {
+        time: 0.6 + 0.2 * f64::from(nth),
+        value: at(-0.022, if nth % 2 == 0 { 8e-3 } else { -8e-3 }),
+    }));
+    board.device_mut().set_hand(Hand::new(HandSettings::default(), Intent::Follow(path), tip, now));
+    if let When::InContact(lie) = lie.when {
+        board.run(1.25);
+        assert_eq!(board.status().state, State::Armed, "{}: {:?}", file.name, board.status());
+        lie(&mut board, &wired);
+    }
+    let began = board.time();
+    let (mut push, mut harm) = (Push::of(&wired, &board), Harm::default());
+    while board.time() < began + 2.0 {
+        board.carrier();
+        let device = board.device();
+        let most = |values: [f64; 3]| values.iter().fold(0.0, |most: f64, value| most.max(value.abs()));
+        harm.current = harm.current.max(most(device.currents()));
+        harm.speed = harm.speed.max(most(device.qd()));
+        harm.push = harm.push.max(push.take(&board).unwrap_or(0.0));
+        if let Some(record) = board.status().fault {
+            return Outcome::Seen(record, board.time() - began, harm);
+        }
+    }
+    Outcome::Missed(harm)
+}

@@ -1,0 +1,466 @@
+//! The tables in docs/claims/: what the paper claims, in numbers found by running the board's own control step.
+//!
+//! The loop here is the library's `Controller` in f32 with the firmware's trigonometry, on the simulator's nonlinear
+//! linkage without friction; torques act at once.
+
+use haptic_bridge::control::compiled::BoardMath;
+use haptic_bridge::math::Libm;
+use haptic_bridge::model::admissible::Admissible;
+use haptic_bridge::model::description::Description;
+use haptic_bridge::model::device::Device;
+use haptic_bridge::model::mechanism::{AnyMechanism, FiveBar, Mechanism};
+use haptic_bridge::render::controller::{Controller, FULL_REGULARITY, PARALLEL_REGULARITY};
+use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, VelocityTerms, Wall};
+use haptic_host::device_file::DeviceFile;
+use haptic_sim::{Load, Plant, Random};
+use haptic_stability::analysis::plant::{Drive, Linearised};
+use haptic_stability::analysis::pose::TaskPose;
+use haptic_stability::analysis::range::predict;
+use haptic_stability::analysis::sampled::{LinearEstimator, Loop};
+use haptic_stability::model::{Precision, WallForce, evaluate};
+use haptic_stability::perception::{AlongWall, Perception};
+use nalgebra::Vector2;
+use std::fmt::Write;
+
+#[path = "moving.rs"]
+mod moving;
+
+pub const RATE_HZ: f64 = 1_000.0;
+const CUTOFF_HZ: f64 = 100.0;
+/// The wall of the runs, N/m and N s/m: well below what is stable with or without the feed-forward.
+const STIFFNESS: f64 = 10_000.0;
+const DAMPING: f64 = 40.0;
+/// An encoder whose steps do not show.
+pub const FINE: f64 = 16_777_216.0;
+/// Home of the demo's device.
+const HOME: [f64; 2] = [2.3, 0.841_592_653_589_79];
+/// The demo's pose and wall.
+pub const DEMO: ([f64; 2], f64) = ([2.6, 1.75], 75.0);
+
+fn demo_file() -> DeviceFile {
+    DeviceFile::parse(include_str!("../../../../devices/coupled-five-bar.toml"), "coupled-five-bar.toml")
+        .expect("a shipped device")
+}
+
+pub fn five_bar() -> Description {
+    demo_file().description
+}
+
+fn unit(degrees: f64) -> Vector2<f64> {
+    Vector2::new(degrees.to_radians().cos(), degrees.to_radians().sin())
+}
+
+/// One run at a bilateral wall through the tip.
+pub struct Run {
+    pub q: [f64; 2],
+    /// Direction of the normal, degrees.
+    pub normal: f64,
+    /// Speed along the wall at the start, m/s.
+    pub speed: f64,
+    /// An external push along the wall, N, for this long, s.
+    pub push: (f64, f64),
+    pub counts_per_turn: f64,
+    pub feed_forward: FeedForward,
+    pub velocity_terms: VelocityTerms,
+}
+
+impl Run {
+    pub fn at((q, normal): ([f64; 2], f64)) -> Self {
+        Self {
+            q,
+            normal,
+            speed: 0.0,
+            push: (0.0, 0.0),
+            counts_per_turn: FINE,
+            feed_forward: FeedForward::Full,
+            velocity_terms: VelocityTerms::Rendered,
+        }
+    }
+
+    /// The farthest that the tip leaves the wall's surface within `seconds`, m.
+    pub fn farthest(&self, seconds: f64) -> f64 {
+        let description = five_bar();
+        let mut plant =
+            Plant::new(&description, [self.q[0], self.q[1], 0.0], false, [(f64::NEG_INFINITY, f64::INFINITY); 3])
+                .expect("a shipped device");
+        let (n, t) = (unit(self.normal), unit(self.normal + 90.0));
+        let start = Vector2::new(plant.tip()[0], plant.tip()[1]);
+        let mut scene = Scene::<f32> {
+            task: 2,
+            rate_hz: RATE_HZ as f32,
+            cutoff_hz: CUTOFF_HZ as f32,
+            velocity_terms: self.velocity_terms,
+            ..Scene::default()
+        };
+        let place = |v: &Vector2<f64>| [v.x as f32, v.y as f32, 0.0];
+        let wall = Wall {
+            surface: Surface::Plane(Plane { point: place(&start), normal: place(&n) }),
+            stiffness: STIFFNESS as f32,
+            damping: DAMPING as f32,
+            feed_forward: self.feed_forward,
+            washout_hz: 2.0,
+            damping_compensation: false,
+            bilateral: true,
+        };
+        scene.walls.push(wall).expect("room for a wall");
+        let mut known = description;
+        for joint in &mut known.joints[..2] {
+            joint.encoder.as_mut().expect("a shipped device has encoders").counts_per_turn = self.counts_per_turn;
+        }
+        let device = Device::<f32>::new("claims", &known).expect("a shipped device");
+        let AnyMechanism::FiveBar(mechanism) = device.mechanism else { panic!("a five-bar") };
+        let mut controller =
+            Controller::<f32, FiveBar<f32>, BoardMath, 2>::new(mechanism, &device, &scene).expect("a sound scene");
+        let per_rad = self.counts_per_turn / std::f64::consts::TAU;
+        let counts = |q: [f64; 3]| [(q[0] * per_rad).round() as i32, (q[1] * per_rad).round() as i32];
+
+        plant.push([self.speed * t.x, self.speed * t.y, 0.0]);
+        // The estimators have watched the tip come along the wall.
+        for k in -60..0 {
+            let before = start + t * (self.speed * f64::from(k) / RATE_HZ);
+            controller.step(&counts(joints_at(&description, self.q, &before)));
+        }
+        const PIECES: u32 = 10;
+        let mut farthest = 0.0_f64;
+        for k in 0..(seconds * RATE_HZ) as u32 {
+            let step = controller.step(&counts(plant.q()));
+            let pushing = if f64::from(k) < self.push.1 * RATE_HZ { self.push.0 } else { 0.0 };
+            let load = Load {
+                torque: [f64::from(step.torque[0]), f64::from(step.torque[1]), 0.0],
+                damping: [0.0; 3],
+                force: [pushing * t.x, pushing * t.y, 0.0],
+            };
+            for _ in 0..PIECES {
+                plant.step(&load, 1.0 / RATE_HZ / f64::from(PIECES));
+            }
+            let off = n.dot(&(Vector2::new(plant.tip()[0], plant.tip()[1]) - start));
+            farthest = farthest.max(off.abs());
+        }
+        farthest
+    }
+}
+
+/// The joint angles near `q` that bring the tip to `place`: Newton's method.
+fn joints_at(description: &Description, q: [f64; 2], place: &Vector2<f64>) -> [f64; 3] {
+    let mut q = Vector2::from(q);
+    for _ in 0..8 {
+        let pose = TaskPose::at(description, q.as_slice()).expect("angles");
+        let left = nalgebra::DVector::from_fn(2, |i, _| place[i] - pose.position[i]);
+        let by = &pose.inverse * left;
+        q += Vector2::new(by[0], by[1]);
+    }
+    [q[0], q[1], 0.0]
+}
+
+/// Poses and motions along a wall: q, normal in degrees, speed in m/s.
+pub const SLIDES: [([f64; 2], f64, f64); 3] =
+    [([2.3, 0.841_592_653_589_79], 90.0, 0.5), ([2.3, 0.841_592_653_589_79], 37.0, 0.5), ([2.6, 1.75], 75.0, -0.5)];
+
+/// The farthest a sliding tip leaves a wall, m.
+pub fn slide((q, normal, speed): ([f64; 2], f64, f64), terms: VelocityTerms, counts_per_turn: f64) -> f64 {
+    Run { speed, velocity_terms: terms, counts_per_turn, ..Run::at((q, normal)) }.farthest(0.04)
+}
+
+/// How far (µm) sliding tips leave their walls, over [`SLID`] slides from poses within 0.6 rad of home, normals and
+/// directions at random, away from singular poses.
+pub struct Slid {
+    /// Medians of "off", "paper" and "rendered".
+    pub medians: [f64; 3],
+    /// In how many "rendered" is worse than "off".
+    pub worse: usize,
+}
+
+/// Slides of a [`Slid`].
+const SLID: usize = 120;
+
+pub fn slid(counts_per_turn: f64) -> Slid {
+    let description = five_bar();
+    // The first of the slides that stay clear of singular poses, of a sequence that is the same everywhere.
+    let mut random = Random::new(15);
+    let mut between = |low, high| random.between(low, high);
+    let mut found: [Vec<f64>; 3] = Default::default();
+    while found[0].len() < SLID {
+        let q = HOME.map(|angle| angle + between(-0.6, 0.6));
+        let (normal, speed) = (between(0.0, 360.0), if between(-1.0, 1.0) < 0.0 { -0.5 } else { 0.5 });
+        if !clear(q) {
+            continue;
+        }
+        let start = TaskPose::at(&description, &q).expect("angles").position;
+        let along = unit(normal + 90.0) * speed;
+        let clear_at = |seconds: f64| {
+            let place = Vector2::new(start[0], start[1]) + along * seconds;
+            let [a, b, _] = joints_at(&description, q, &place);
+            let there = TaskPose::at(&description, &[a, b]).map(|pose| (pose.position[0], pose.position[1]));
+            clear([a, b]) && there.is_ok_and(|(x, y)| (place - Vector2::new(x, y)).norm() < 1e-9)
+        };
+        if ![-0.06, -0.03, 0.02, 0.04].into_iter().all(clear_at) {
+            continue;
+        }
+        for (found, terms) in found.iter_mut().zip([VelocityTerms::Off, VelocityTerms::Paper, VelocityTerms::Rendered])
+        {
+            found.push(1e6 * slide((q, normal, speed), terms, counts_per_turn));
+        }
+    }
+    let worse = found[0].iter().zip(&found[2]).filter(|(off, rendered)| rendered > off).count();
+    let median = |mut values: Vec<f64>| {
+        values.sort_by(f64::total_cmp);
+        0.5 * (values[SLID / 2 - 1] + values[SLID / 2])
+    };
+    Slid { medians: found.map(median), worse }
+}
+
+/// Whether the feed-forward acts in full at a pose of the demo's device.
+fn clear(q: [f64; 2]) -> bool {
+    let AnyMechanism::FiveBar(mechanism) = AnyMechanism::<f64>::new(&five_bar()).expect("a shipped device") else {
+        panic!("a five-bar")
+    };
+    let regularity = mechanism.regularity(&mechanism.pose::<Libm>(&Vector2::from(q)));
+    regularity.serial.min(regularity.parallel / PARALLEL_REGULARITY) >= FULL_REGULARITY
+}
+
+/// The demo's device along the demo's normal.
+pub fn demo() -> Linearised {
+    along(&five_bar(), DEMO).undamped()
+}
+
+/// A device at a pose along a normal.
+fn along(description: &Description, (q, normal): ([f64; 2], f64)) -> Linearised {
+    let n = unit(normal);
+    Linearised::at(description, &q, &[n.x, n.y]).expect("a regular pose")
+}
+
+/// kp_max at 40 N s/m, without and with the feed-forward of a gain.
+pub fn stiffest(device: &Linearised) -> (f64, f64) {
+    let around = Loop {
+        rate_hz: RATE_HZ,
+        delay_samples: 0.025,
+        estimator: LinearEstimator::Butterworth(CUTOFF_HZ),
+        drive: Drive::Ideal,
+        damping_compensation: false,
+    };
+    let range = predict(device, &around, Some(&[DAMPING]), None).expect("an analysable pose");
+    (range.off.boundary[0].kp, range.full.boundary[0].kp)
+}
+
+/// kp_max (N/m) of the demo's wall while its tip slides at `speed` (m/s), by law; `None` is Jᵀ f.
+pub fn stiffest_moving(speed: f64, law: Option<VelocityTerms>) -> f64 {
+    let AnyMechanism::FiveBar(mechanism) = AnyMechanism::new(&five_bar()).expect("a shipped device") else {
+        panic!("a five-bar")
+    };
+    let moving = moving::Moving { mechanism, q: DEMO.0, normal: DEMO.1, law };
+    moving.stiffest(speed, DAMPING, (8_000.0, 60_000.0), RATE_HZ, CUTOFF_HZ)
+}
+
+/// The farthest that 2 N along the wall for 30 ms move it within 60 ms, without and with the feed-forward, m. Some 20 ms
+/// later the tip is at the end of its reach.
+pub fn perturbed(feed_forward: FeedForward) -> f64 {
+    Run { push: (2.0, 0.03), feed_forward, ..Run::at(DEMO) }.farthest(0.06)
+}
+
+/// What a board believes of the demo's device.
+pub struct Belief {
+    pub description: Description,
+    /// What it takes the joint angles to be less what they are, rad.
+    pub homed_off: [f64; 2],
+}
+
+impl Belief {
+    /// With rotor inertias and a handle's mass so many times as large as they are.
+    pub fn scaled(rotors: [f64; 2], handle: f64) -> Self {
+        let mut description = five_bar();
+        description.joints.iter_mut().zip(rotors).for_each(|(joint, factor)| joint.inertia *= factor);
+        description.handle_mass *= handle;
+        Self { description, homed_off: [0.0; 2] }
+    }
+
+    /// The share of the gained inertia that is left: the real device in the loop that measures and pushes by this.
+    pub fn kept(&self, (q, normal): ([f64; 2], f64)) -> f64 {
+        let wrong = along(&self.description, (self.angles(q), normal));
+        let real = along(&five_bar(), (q, normal));
+        let mass = real.mass.clone().cholesky().expect("positive definite");
+        let met = |torque| 1.0 / wrong.row.dot(&mass.solve(torque));
+        (met(&wrong.shaped_torque()) - met(&wrong.row)) / (real.w_rr() - real.w_eff().expect("a regular pose"))
+    }
+
+    fn angles(&self, q: [f64; 2]) -> [f64; 2] {
+        [q[0] + self.homed_off[0], q[1] + self.homed_off[1]]
+    }
+}
+
+/// What may be wrong of the demo's device, each on all sides.
+pub fn beliefs() -> Vec<(String, Vec<Belief>)> {
+    let half = [0.5, 1.5];
+    let both = || half.into_iter().flat_map(move |first| half.map(|second| [first, second]));
+    let one = half.into_iter().flat_map(|by| [[by, 1.0], [1.0, by]]);
+    let mut all = vec![
+        ("one rotor, by a half".into(), one.map(|rotors| Belief::scaled(rotors, 1.0)).collect()),
+        ("both rotors, by a half".into(), both().map(|rotors| Belief::scaled(rotors, 1.0)).collect()),
+        (
+            "both rotors and the handle, by a half".into(),
+            both().flat_map(|rotors| half.map(|handle| Belief::scaled(rotors, handle))).collect(),
+        ),
+    ];
+    for off in [0.02, 0.05, 0.1] {
+        let sides = [[off, off], [off, -off], [-off, off], [-off, -off]];
+        let homed = sides.map(|homed_off| Belief { homed_off, ..Belief::scaled([1.0; 2], 1.0) });
+        all.push((format!("home, by {off} rad in both joints"), homed.into()));
+    }
+    all
+}
+
+/// What is kept with wrong beliefs, at poses around home where the feed-forward acts in full and is worth having.
+pub struct GainRetained {
+    pub cases: usize,
+    /// Of them, those that keep less than seven eighths.
+    pub below: usize,
+    pub least: f64,
+    pub most: f64,
+}
+
+/// Poses within 0.6 rad of home in steps of 0.05 rad, normals in steps of 15°, Wrr/Weff above 1.3.
+pub fn kept_around_home(beliefs: &[Belief]) -> GainRetained {
+    let description = five_bar();
+    let mut kept = GainRetained { cases: 0, below: 0, least: f64::INFINITY, most: f64::NEG_INFINITY };
+    let steps = |i: i32| 0.05 * f64::from(i);
+    for (a, b) in (-12..=12).flat_map(|a| (-12..=12).map(move |b| (a, b))) {
+        let q = [HOME[0] + steps(a), HOME[1] + steps(b)];
+        if !clear(q) {
+            continue;
+        }
+        for normal in (0..12).map(|i| 15.0 * f64::from(i)) {
+            let seen = along(&description, (q, normal));
+            if seen.w_rr() / seen.w_eff().expect("a regular pose") <= 1.3 {
+                continue;
+            }
+            for share in beliefs.iter().filter(|it| clear(it.angles(q))).map(|it| it.kept((q, normal))) {
+                kept.cases += 1;
+                kept.below += usize::from(share < 0.875);
+                (kept.least, kept.most) = (kept.least.min(share), kept.most.max(share));
+            }
+        }
+    }
+    kept
+}
+
+/// Degrees between a push on the free tip along the demo's normal and where it goes.
+pub fn free_deflection() -> f64 {
+    let device = demo();
+    let t = unit(DEMO.1 + 90.0);
+    let along = Linearised::at(&five_bar(), &DEMO.0, &[t.x, t.y]).expect("a regular pose");
+    let answer = device.mass.clone().cholesky().expect("positive definite").solve(&device.row);
+    (along.row.dot(&answer)).atan2(device.row.dot(&answer)).to_degrees()
+}
+
+/// What a hand feels at the demo's wall.
+fn felt() -> Perception {
+    let normal = unit(DEMO.1).as_slice().to_vec();
+    let wall = WallForce { normal, force: 0.0, stiffness: 1.0, feed_forward: true };
+    evaluate(&demo_file(), &DEMO.0, &[0.0; 2], &[wall], Precision::F64).expect("a regular pose").perception
+}
+
+/// Wrr/Weff of the serial-3r at (0.5, 0.8, 0.7) against (0.6, 0.8), by what is held.
+pub fn ratio(admissible: Admissible) -> f64 {
+    let file =
+        DeviceFile::parse(include_str!("../../../../devices/serial-3r.toml"), "serial-3r.toml").expect("shipped");
+    let seen = Linearised::holding(&file.description, &[0.5, 0.8, 0.7], &[0.6, 0.8], admissible).expect("regular");
+    seen.w_rr() / seen.w_eff().expect("regular")
+}
+
+/// The tables of [`tables`], in their order.
+const FILES: [&str; 7] = ["gain", "push", "wrong-rotor", "wrong-around-home", "sliding", "many-slides", "redundant"];
+
+/// The same tables as CSV files, each with its name in docs/claims/.
+pub fn files(tables: &str) -> Vec<(&'static str, String)> {
+    let mut found: Vec<String> = Vec::new();
+    let mut open = false;
+    for line in tables.lines() {
+        let Some(row) = line.strip_prefix("| ").and_then(|line| line.strip_suffix(" |")) else {
+            // The line of dashes under a head is part of the table.
+            open = open && line.starts_with('|');
+            continue;
+        };
+        if !open {
+            found.push(String::new());
+        }
+        open = true;
+        let quoted = |cell: &str| if cell.contains(',') { format!("\"{cell}\"") } else { cell.into() };
+        let cells: Vec<String> = row.split(" | ").map(quoted).collect();
+        let _ = writeln!(found.last_mut().expect("a table is open"), "{}", cells.join(","));
+    }
+    assert_eq!(found.len(), FILES.len(), "a table has no file");
+    FILES.into_iter().zip(found).collect()
+}
+
+/// All tables, and under them what docs/claims.md says in words.
+pub fn tables() -> String {
+    let mut text = String::new();
+    let mut line = |content: String| {
+        let _ = writeln!(text, "{content}");
+    };
+    line("### Gain of the feed-forward\n".into());
+    line("| gain | inertia met, kg | kp_max, kN/m | 1 % of coupling changes it by, % |\n|---|---|---|---|".into());
+    let mut device = demo();
+    for gain in [0.0, 0.5, 1.0, 1.5, 2.0, 2.5] {
+        device.gain = gain;
+        let coupling = 1.0 - device.w_eff().unwrap_or(0.0) / device.w_rr();
+        let sensitivity = gain * coupling / (1.0 - gain * coupling);
+        let met = device.inertia_met().unwrap_or(f64::NAN);
+        line(format!("| {gain} | {met:.3} | {:.1} | {sensitivity:.2} |", stiffest(&device).1 / 1e3));
+    }
+    line("\n### A push along the wall\n".into());
+    line("| feed-forward | farthest in or out of the wall within 60 ms, µm |\n|---|---|".into());
+    let [off, full] = [FeedForward::Off, FeedForward::Full].map(perturbed);
+    line(format!("| off | {:.0} |\n| full | {:.0} |\n| ratio | {:.2} |", 1e6 * off, 1e6 * full, full / off));
+    line("\n### A wrong model\n".into());
+    line("| the model's rotor inertia | rotor 0: gain kept, % | rotor 1: gain kept, % |\n|---|---|---|".into());
+    for percent in [-50, -25, -10, 10, 25, 50] {
+        let by = 1.0 + f64::from(percent) / 100.0;
+        let [first, second] = [[by, 1.0], [1.0, by]].map(|rotors| 100.0 * Belief::scaled(rotors, 1.0).kept(DEMO));
+        line(format!("| {percent:+} % | {first:.1} | {second:.1} |"));
+    }
+    line("\n| wrong around home | cases | keep less than 87.5 %, % of them | least and most kept, % |\n|---|---|---|---|".into());
+    for (name, beliefs) in beliefs() {
+        let GainRetained { cases, below, least, most } = kept_around_home(&beliefs);
+        let share = 100.0 * below as f64 / cases as f64;
+        line(format!("| {name} | {cases} | {share:.1} | {:.1} to {:.1} |", 100.0 * least, 100.0 * most));
+    }
+    line("\n### A sliding tip\n".into());
+    line("| q, normal, speed | encoder | off, µm | paper, µm | rendered, µm |\n|---|---|---|---|---|".into());
+    for case in SLIDES {
+        for (name, counts) in [("ideal", FINE), ("20 000 counts", 20_000.0)] {
+            let far = |terms| 1e6 * slide(case, terms, counts);
+            line(format!(
+                "| ({:.2}, {:.2}), {}°, {} m/s | {name} | {:.1} | {:.1} | {:.1} |",
+                case.0[0],
+                case.0[1],
+                case.1,
+                case.2,
+                far(VelocityTerms::Off),
+                far(VelocityTerms::Paper),
+                far(VelocityTerms::Rendered)
+            ));
+        }
+    }
+    line(format!(
+        "\n| {SLID} slides, medians | off, µm | paper, µm | rendered, µm | rendered worse than off |\n|---|---|---|---|---|"
+    ));
+    for (name, counts) in [("ideal", FINE), ("20 000 counts", 20_000.0)] {
+        let Slid { medians: [off, paper, rendered], worse } = slid(counts);
+        line(format!("| {name} | {off:.0} | {paper:.0} | {rendered:.2} | {worse} |"));
+    }
+    line("\n### A redundant arm\n".into());
+    line("| held | Wrr/Weff | area gained |\n|---|---|---|".into());
+    for (name, admissible) in Admissible::ALL {
+        let ratio = ratio(admissible);
+        line(format!("| {name} | {ratio:.2} | x {:.2} |", ratio * ratio));
+    }
+    line("\n### A free tip\n".into());
+    line(format!("A push along the normal moves the free tip {:.1}° off it.", free_deflection().abs()));
+    let Perception { tip, ratio, along_wall } = felt();
+    let AlongWall { off, full } = along_wall.expect("a wall");
+    line(format!(
+        "\nA hand feels {:.3} to {:.3} kg in the air, by direction ({ratio:.1} times), and along the wall {:.3} kg off, {:.3} full.",
+        tip[0], tip[1], off[0], full[0]
+    ));
+    text
+}

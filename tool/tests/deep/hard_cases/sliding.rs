@@ -1,0 +1,167 @@
+//! Velocity terms from estimated velocities: a tip slides along a wall, and the f32 step knows counts alone.
+//!
+//! The reference knows the joints' true velocities, and has the velocity terms from M and J by central differences in
+//! 106 bits (Lagrange's equations), so it shares nothing with the closed forms.
+
+use super::double_double::{DoubleDouble, Series};
+use super::rows::routes::inverse;
+use super::rows::singular::{Random, cast};
+use super::rows::steps::{RATE, controller, encoded, scene, three};
+use super::shipped;
+use haptic_bridge::control::compiled::BoardMath;
+use haptic_bridge::math::Libm;
+use haptic_bridge::model::description::Description;
+use haptic_bridge::model::mechanism::Mechanism;
+use haptic_bridge::render::scene::{FeedForward, VelocityTerms};
+use nalgebra::{SMatrix, SVector};
+
+/// Counts per turn: what ships on many devices, and as fine as the other tables.
+pub const COUNTS: [f64; 2] = [20_000.0, 1_048_576.0];
+/// Of the tip along the wall, m/s.
+const SPEED: f64 = 0.5;
+const RUNS: usize = 10;
+/// Steps of a run: the estimator settles, then 20 ms are looked at.
+const SETTLED: u32 = 600;
+const STEPS: u32 = 1_000;
+
+/// One row of the table.
+#[derive(Clone, Debug)]
+pub struct Row {
+    pub device: &'static str,
+    pub terms: VelocityTerms,
+    /// What the terms are: largest torque with them less without, as a share of the largest torque. So are the errors.
+    pub size: f64,
+    /// f32 against f64 fed the same counts.
+    pub rounding: f64,
+    /// f32 against true angles and velocities, for each of [`COUNTS`].
+    pub estimated: [f64; 2],
+}
+
+/// Torques for the wall force f along n with true velocities, and without the velocity terms.
+fn truth<M: Mechanism<DoubleDouble, N>, const N: usize>(
+    m: &M,
+    q: &SVector<DoubleDouble, N>,
+    qd: &SVector<DoubleDouble, N>,
+    n: &SVector<DoubleDouble, N>,
+    f: DoubleDouble,
+    terms: VelocityTerms,
+) -> [SVector<DoubleDouble, N>; 2] {
+    let pose = |q: &SVector<DoubleDouble, N>| m.pose::<Series>(q);
+    let (mass, jacobian) = (m.mass(&pose(q)), m.jacobian(&pose(q)));
+    // The error of a central difference in 106 bits is 1e-20 of the third derivative.
+    let h = DoubleDouble::from(1e-10);
+    let slope = |along: &SVector<DoubleDouble, N>, of: &dyn Fn(&M::Pose) -> SMatrix<DoubleDouble, N, N>| {
+        (of(&pose(&(q + along * h))) - of(&pose(&(q - along * h)))) / (h + h)
+    };
+    // Lagrange: c = Ṁ q̇ - ½ ∂(q̇ᵀ M q̇)/∂q.
+    let mut c = slope(qd, &|p| m.mass(p)) * qd;
+    for i in 0..N {
+        let unit = SVector::from_fn(|k, _| DoubleDouble::from(if k == i { 1.0 } else { 0.0 }));
+        c[i] -= qd.dot(&(slope(&unit, &|p| m.mass(p)) * qd)) * 0.5.into();
+    }
+    let back = inverse(&jacobian);
+    let b = c - mass * (back * (slope(qd, &|p| m.jacobian(p)) * qd));
+    let e = back * n;
+    let me = mass * e;
+    let inertia = e.dot(&me);
+    let off = me * (f / inertia);
+    match terms {
+        VelocityTerms::Off => [off, off],
+        VelocityTerms::Paper => [me * ((f - e.dot(&b)) / inertia) + b, off],
+        VelocityTerms::Rendered => [off + b, off],
+    }
+}
+
+fn row<A, B, C, const N: usize>(
+    (double, board, reference): (A, B, C),
+    name: &'static str,
+    device: &Description,
+    terms: VelocityTerms,
+) -> Row
+where
+    A: Mechanism<f64, N>,
+    B: Mechanism<f32, N>,
+    C: Mechanism<DoubleDouble, N>,
+{
+    let task = A::SPEC.task;
+    let mut random = Random(19);
+    let mut row = Row { device: name, terms, size: 0.0, rounding: 0.0, estimated: [0.0; 2] };
+    let mut runs = 0;
+    while runs < RUNS {
+        let start: SVector<f64, N> = random.vector(3.1);
+        let (mut n, mut t): (SVector<f64, N>, SVector<f64, N>) = (random.vector(1.0), random.vector(1.0));
+        for i in task..N {
+            (n[i], t[i]) = (0.0, 0.0);
+        }
+        let pose = double.pose::<Libm>(&start);
+        let r = double.regularity(&pose);
+        if r.serial.min(r.parallel) < 0.4 || n.norm() < 0.1 {
+            continue;
+        }
+        let n: SVector<f64, N> = cast(&cast::<f64, f32, N>(&(n / n.norm())));
+        t -= n * n.dot(&t);
+        let qd = double.inverse(&pose, &(t / t.norm() * SPEED));
+        // The feed-forward acts in full all the way.
+        let regular = |k: u32| {
+            let q = start + qd * (f64::from(STEPS) / RATE * f64::from(k) / 10.0);
+            let r = double.regularity(&double.pose::<Libm>(&q));
+            r.serial.min(r.parallel) > 0.2
+        };
+        if !(0..=10).all(regular) {
+            continue;
+        }
+        runs += 1;
+        // A metre deep in 5 N/m: the force hardly changes, and the depth is known to all its digits.
+        let surface = double.tip(&pose) + n;
+        for (index, counts_per_turn) in COUNTS.into_iter().enumerate() {
+            let mut device = encoded(device);
+            for joint in &mut device.joints {
+                joint.encoder.as_mut().expect("every joint has one").counts_per_turn = counts_per_turn;
+                joint.viscous = 0.0;
+            }
+            device.gravity = [0.0; 3];
+            let (p, normal) = (three(&surface, task), three(&n, task));
+            let mut wide = scene::<f64>(task, p, normal, 5.0, 0.0, FeedForward::Full);
+            wide.velocity_terms = terms;
+            let mut narrow = scene::<f32>(task, p, normal, 5.0, 0.0, FeedForward::Full);
+            narrow.velocity_terms = terms;
+            let mut exact = controller::<f64, Libm, _, N>(double, &device, &wide);
+            let mut found = controller::<f32, BoardMath, _, N>(board, &device, &narrow);
+            let (mut largest, mut size, mut rounding, mut estimated) = (0.0_f64, 0.0_f64, 0.0_f64, 0.0_f64);
+            for step in 0..STEPS {
+                let q = start + qd * (f64::from(step) / RATE);
+                let counts = q.map(|x| (x / std::f64::consts::TAU * counts_per_turn).round() as i32).into();
+                let (a, b) = (exact.step(&counts), found.step(&counts));
+                let torque: SVector<f64, N> = cast(&b.torque);
+                if step < SETTLED || step % 40 != 0 {
+                    continue;
+                }
+                let place = double.tip(&double.pose::<Libm>(&q));
+                let force = (0..task).map(|i| n[i] * (surface[i] - place[i])).sum::<f64>() * 5.0;
+                let right = truth(&reference, &cast(&q), &cast(&qd), &cast(&n), force.into(), terms);
+                let [right, without]: [SVector<f64, N>; 2] = right.map(|torque| cast(&torque));
+                largest = largest.max(right.amax());
+                size = size.max((right - without).amax());
+                rounding = rounding.max((a.torque - torque).amax());
+                estimated = estimated.max((right - torque).amax());
+            }
+            row.size = row.size.max(size / largest);
+            row.rounding = row.rounding.max(rounding / largest);
+            row.estimated[index] = row.estimated[index].max(estimated / largest);
+        }
+    }
+    row
+}
+
+/// Every mechanism that has more than one direction, under every law.
+pub fn all() -> Vec<Row> {
+    super::MECHANISMS
+    .into_iter()
+    .flat_map(|(name, file)| {
+        // Its weight would only add the same on both sides.
+        let mut device = encoded(&shipped(file));
+        device.gravity = [0.0; 3];
+        in_three_precisions!(&device, (a, b, c) => VelocityTerms::ALL.map(|(_, terms)| row((a, b, c), name, &device, terms)))
+    })
+    .collect()
+}

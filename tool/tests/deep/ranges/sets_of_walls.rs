@@ -1,0 +1,364 @@
+//! Sets of walls on a simulated device in contact: the board's step in its own precision around the nonlinear linkage
+//! of the simulation, with limited motors.
+
+use haptic_bridge::control::compiled::BoardMath;
+use haptic_bridge::model::description::Encoder;
+use haptic_bridge::model::device::Device;
+use haptic_bridge::model::mechanism::{AnyMechanism, FiveBar, Mechanism, Parallelogram};
+use haptic_bridge::render::controller::Controller;
+use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Spring, Surface, VelocityTerms, Wall};
+use haptic_host::device_file::DeviceFile;
+use haptic_sim::{Hand, HandSettings, Intent, MotorInput, Options, SimulatedDevice, Waypoint};
+use nalgebra::SVector;
+
+const RATE: f64 = 1_000.0;
+
+fn device(name: &str) -> DeviceFile {
+    DeviceFile::load(format!("{}/../../devices/{name}.toml", env!("CARGO_MANIFEST_DIR"))).expect("a shipped device")
+}
+
+/// A unit vector at this angle, rad.
+fn at(angle: f64) -> Vec<f64> {
+    vec![angle.cos(), angle.sin()]
+}
+
+fn scaled(v: &[f64]) -> Vec<f64> {
+    let length = v.iter().map(|x| x * x).sum::<f64>().sqrt();
+    v.iter().map(|x| x / length).collect()
+}
+
+/// One wall: unit normal, share of stiffness and damping.
+type Facet = (Vec<f64>, f64);
+
+fn around(middle: f64, facets: &[(f64, f64)]) -> Vec<Facet> {
+    facets.iter().map(|(degrees, share)| (at(middle + degrees.to_radians()), *share)).collect()
+}
+
+/// What walls through the tip's place do after a blow of 2 cm/s, or pressed on: the torque that still swings in the
+/// last tenth of a second, N m.
+struct Run<'a> {
+    file: &'a DeviceFile,
+    q: [f64; 3],
+    stiffness: f64,
+    damping: f64,
+    feed_forward: FeedForward,
+    bilateral: bool,
+    /// A hand that aims this far from the start, m; its arm is a spring of 250 N/m.
+    push: Option<[f64; 3]>,
+    hand: HandSettings,
+    velocity_terms: VelocityTerms,
+    /// Velocity terms that do not fade: b as it is estimated, on top of the torques without.
+    unfaded: bool,
+    /// A spring that pulls to the tip's first place, this far aside (m): its line (zero: a point) and its stiffness,
+    /// N/m.
+    spring: Option<([f64; 3], [f64; 3], f64)>,
+}
+
+impl Run<'_> {
+    fn swing(&self, walls: &[Facet]) -> f64 {
+        match AnyMechanism::<f32>::new(&self.file.description).expect("a sound device") {
+            AnyMechanism::FiveBar(m) => self.with::<FiveBar<f32>, 2>(m, walls),
+            AnyMechanism::Parallelogram(m) => self.with::<Parallelogram<f32>, 3>(m, walls),
+            other => panic!("{other:?} is not among these tests"),
+        }
+    }
+
+    fn with<M: Mechanism<f32, N>, const N: usize>(&self, m: M, walls: &[Facet]) -> f64 {
+        let mut description = self.file.description;
+        description.gravity = [0.0; 3];
+        for joint in &mut description.joints {
+            joint.encoder = Some(Encoder { counts_per_turn: 1_048_576.0, offset: 0.0, inverted: false });
+            joint.viscous = 0.0;
+        }
+        let options =
+            Options { start: Some(self.q), absolute_encoders: true, substep: 1.0e-4, ..Options::frictionless() };
+        let mut plant = SimulatedDevice::new(&description, &options).expect("a sound device");
+        let tip = plant.tip();
+        let total: f64 = walls.iter().map(|wall| wall.1).sum();
+        let walls = walls.iter().map(|(normal, share)| {
+            let n: [f64; 3] = core::array::from_fn(|i| normal.get(i).copied().unwrap_or(0.0));
+            Wall {
+                surface: Surface::Plane(Plane { point: tip.map(|x| x as f32), normal: n.map(|x| x as f32) }),
+                stiffness: (self.stiffness * share / total) as f32,
+                damping: (self.damping * share / total) as f32,
+                feed_forward: self.feed_forward,
+                washout_hz: 2.0,
+                // Nothing is compensated, but velocities are estimated.
+                damping_compensation: self.unfaded,
+                bilateral: self.bilateral,
+            }
+        });
+        let springs = self.spring.iter().map(|(aside, line, stiffness)| Spring {
+            point: core::array::from_fn(|i| (tip[i] + aside[i]) as f32),
+            direction: line.map(|x| x as f32),
+            stiffness: *stiffness as f32,
+            damping: (0.002 * stiffness) as f32,
+        });
+        let scene = Scene {
+            task: M::SPEC.task as u8,
+            rate_hz: RATE as f32,
+            cutoff_hz: 100.0,
+            walls: walls.collect(),
+            springs: springs.collect(),
+            velocity_terms: self.velocity_terms,
+            ..Scene::default()
+        };
+        let device = Device::new("device", &description).expect("a sound device");
+        let mut controller = Controller::<f32, M, BoardMath, N>::new(m, &device, &scene).expect("a sound scene");
+        match self.push {
+            Some(aim) => {
+                let value = core::array::from_fn(|i| tip[i] + aim[i]);
+                let intent = Intent::Follow(vec![Waypoint { time: 0.0, value }]);
+                plant.set_hand(Hand::new(self.hand, intent, tip, 0.0));
+            }
+            None => plant.push([0.012, -0.016, 0.0]),
+        }
+        let (mut low, mut high) =
+            (SVector::<f32, N>::repeat(f32::INFINITY), SVector::<f32, N>::repeat(f32::NEG_INFINITY));
+        let steps = (1.2 * RATE) as u32;
+        for k in 0..steps {
+            let counts = plant.counts();
+            let mut step = controller.step(&core::array::from_fn(|i| counts[i]));
+            if self.unfaded && step.contacts > 0 {
+                step.torque += m.velocity_torque(&m.pose::<BoardMath>(&step.q), &step.qd);
+            }
+            let drive = core::array::from_fn(|i| {
+                MotorInput::Torque(if i < N { f64::from(step.torque[i].clamp(-2.0, 2.0)) } else { 0.0 })
+            });
+            plant.step(&drive, 1.0 / RATE);
+            if k >= steps - (0.1 * RATE) as u32 {
+                low = low.inf(&step.torque);
+                high = high.sup(&step.torque);
+            }
+        }
+        f64::from((high - low).amax())
+    }
+}
+
+/// The demo's pose and normal: 17.9 kN/m without, 23.0 with the feed-forward at 40 N s/m.
+fn demo(file: &DeviceFile, feed_forward: FeedForward) -> Run<'_> {
+    Run {
+        file,
+        q: [2.6, 1.75, 0.0],
+        stiffness: 20_000.0,
+        damping: 40.0,
+        feed_forward,
+        bilateral: true,
+        push: None,
+        hand: HandSettings::default(),
+        velocity_terms: VelocityTerms::default(),
+        unfaded: false,
+        spring: None,
+    }
+}
+
+/// Torque that still swings, N m: a few encoder steps through 20 kN/m. An unstable wall fills the 2 N m of the motors.
+const QUIET: f64 = 0.05;
+const LOUD: f64 = 1.0;
+
+#[test]
+fn a_wall_cut_into_facets_is_as_quiet_as_in_one_piece() {
+    let file = device("coupled-five-bar");
+    let middle = 75_f64.to_radians();
+    for feed_forward in [FeedForward::Full, FeedForward::Washout] {
+        for facets in [
+            vec![(0.0, 1.0)],
+            vec![(-1.0, 1.0), (1.0, 1.0)],
+            vec![(-0.03, 1.0), (0.03, 1.0)],
+            vec![(-5.0, 1.0), (5.0, 1.0)],
+            vec![(-5.0, 1.0), (0.0, 2.0), (5.0, 1.0)],
+            vec![(-1.0, 9.0), (8.0, 1.0)],
+        ] {
+            let swing = demo(&file, feed_forward).swing(&around(middle, &facets));
+            assert!(swing < QUIET, "{facets:?}: {swing} N m");
+        }
+    }
+    let swing = demo(&file, FeedForward::Off).swing(&around(middle, &[(0.0, 1.0)]));
+    assert!(swing > LOUD, "without the feed-forward this wall is too stiff: {swing} N m");
+}
+
+/// A light hand, so that it is the feed-forward that keeps the wall quiet: without it the same press swings, and two
+/// facets whose force went straight through Jᵀ, as the span of their normals once had it, would be without it.
+#[test]
+fn one_sided_facets_are_quiet_under_a_hand_that_presses_them() {
+    let file = device("coupled-five-bar");
+    let middle = 75_f64.to_radians();
+    let push = Some([-0.02 * middle.cos(), -0.02 * middle.sin(), 0.0]);
+    let hand = HandSettings { mass: 0.01, grip_stiffness: 400.0, grip_damping: 0.5, ..HandSettings::default() };
+    for facets in [vec![(0.0, 1.0)], vec![(-1.0, 1.0), (1.0, 1.0)], vec![(-5.0, 1.0), (5.0, 1.0)]] {
+        let swing = |feed_forward| {
+            let run = Run { bilateral: false, push, hand, ..demo(&file, feed_forward) };
+            run.swing(&around(middle, &facets))
+        };
+        for feed_forward in [FeedForward::Full, FeedForward::Washout] {
+            let swing = swing(feed_forward);
+            assert!(swing < QUIET, "{facets:?} {feed_forward:?}: {swing} N m");
+        }
+        let without = swing(FeedForward::Off);
+        assert!(without > 10.0 * QUIET, "{facets:?} without the feed-forward: {without} N m");
+    }
+}
+
+/// b grows as 1/sin³ towards a stretched arm, and what the estimates tell of it comes late: kept in full, it pushes a
+/// tip that a hand presses along the wall on into the singularity, and the press never ends.
+#[test]
+fn a_press_towards_a_stretched_arm_swings_where_velocity_terms_do_not_fade_and_is_quiet_where_they_do() {
+    let file = device("coupled-five-bar");
+    let middle = 77_f64.to_radians();
+    // Further than where it depends on the last digit whether the press ends.
+    for aim in [0.023, 0.024, 0.025] {
+        let push = Some([-aim * middle.cos(), -aim * middle.sin(), 0.0]);
+        let swing = |velocity_terms, unfaded| {
+            let run = Run { bilateral: false, push, velocity_terms, unfaded, ..demo(&file, FeedForward::Full) };
+            run.swing(&around(middle, &[(0.0, 1.0)]))
+        };
+        let in_full = swing(VelocityTerms::Off, true);
+        assert!(in_full > LOUD, "{aim} m, in full: {in_full} N m");
+        for terms in [VelocityTerms::Off, VelocityTerms::Rendered, VelocityTerms::Paper] {
+            let faded = swing(terms, false);
+            assert!(faded < QUIET, "{aim} m, {terms:?}: {faded} N m");
+        }
+    }
+}
+
+/// A press slides along the wall, for the push along the normal also moves the tip along it: at 75° by 18 mm, to where
+/// an elbow is 6° from stretched and b grows as 1/sin³. What the estimates tell of it then is too late.
+#[test]
+fn a_press_that_is_quiet_without_velocity_terms_is_quiet_with_them() {
+    let file = device("coupled-five-bar");
+    let (mut pressed, mut quiet) = (0, 0);
+    for stiffness in [2_000.0, 10_000.0, 15_000.0, 20_000.0] {
+        for degrees in (0..12).map(|k| 15.0 + 30.0 * f64::from(k)) {
+            let normal = at(f64::to_radians(degrees));
+            for aim in [0.005, 0.01, 0.015, 0.02] {
+                let swing = |velocity_terms| {
+                    let push = Some([-aim * normal[0], -aim * normal[1], 0.0]);
+                    let damping = if stiffness > 5_000.0 { 40.0 } else { 10.0 };
+                    let run = demo(&file, FeedForward::Full);
+                    let run = Run { stiffness, damping, bilateral: false, push, velocity_terms, ..run };
+                    run.swing(&[(normal.clone(), 1.0)])
+                };
+                pressed += 1;
+                if swing(VelocityTerms::Off) < QUIET {
+                    quiet += 1;
+                    for terms in [VelocityTerms::default(), VelocityTerms::Paper] {
+                        let swing = swing(terms);
+                        let press = format!("{stiffness} N/m, normal at {degrees}°, aim {aim} m, {terms:?}");
+                        assert!(swing < QUIET, "{press}: {swing} N m");
+                    }
+                }
+            }
+        }
+    }
+    assert!(quiet > pressed / 2, "{quiet} of {pressed} presses are quiet");
+}
+
+#[test]
+fn corners_that_are_stable_without_the_feed_forward_are_quiet_with_it() {
+    let file = device("coupled-five-bar");
+    // A right-angled corner of 2 x 8 kN/m, an acute one, and a stiff wall beside one of a hundredth.
+    for (angles, stiffness) in [
+        (vec![(75.0, 1.0), (-15.0, 1.0)], 12_000.0),
+        (vec![(75.0, 1.0), (15.0, 1.0)], 12_000.0),
+        (vec![(75.0, 1.0), (165.0, 0.01)], 15_000.0),
+        (vec![(75.0, 1.0), (-15.0, 1.0), (30.0, 0.5)], 12_000.0),
+    ] {
+        let walls: Vec<Facet> =
+            angles.iter().map(|(degrees, share): &(f64, f64)| (at(degrees.to_radians()), *share)).collect();
+        for feed_forward in [FeedForward::Off, FeedForward::Full, FeedForward::Washout] {
+            let run = Run { stiffness, damping: 0.002 * stiffness, ..demo(&file, feed_forward) };
+            let swing = run.swing(&walls);
+            assert!(swing < QUIET, "{angles:?} {feed_forward:?}: {swing} N m");
+        }
+    }
+}
+
+/// The push that the feed-forward makes of a firm press on one wall goes onto another, which is touched lightly: as
+/// that one comes to count, the push falls. Where it falls within a tenth of a millimetre, these swing with 0.2 N m and
+/// more.
+#[test]
+fn a_light_touch_beside_a_firm_press_is_quiet() {
+    let file = device("coupled-five-bar");
+    for (first, between, k1, k2) in [
+        (165.0, 90.0, 8_000.0, 8_000.0),
+        (75.0, -90.0, 8_000.0, 8_000.0),
+        (135.0, 90.0, 8_000.0, 8_000.0),
+        (165.0, 90.0, 2_000.0, 6_000.0),
+        (75.0, -90.0, 2_000.0, 6_000.0),
+    ] {
+        let [one, other] = [first, first + between].map(|degrees: f64| at(degrees.to_radians()));
+        for light in [0.02, 0.1] {
+            let push = Some([0, 1, 2].map(|i| if i < 2 { -0.02 * (one[i] + light * other[i]) } else { 0.0 }));
+            for feed_forward in [FeedForward::Off, FeedForward::Full, FeedForward::Washout] {
+                let stiffness = k1 + k2;
+                let run =
+                    Run { stiffness, damping: 0.002 * stiffness, bilateral: false, push, ..demo(&file, feed_forward) };
+                let swing = run.swing(&[(one.clone(), k1), (other.clone(), k2)]);
+                assert!(swing < QUIET, "{first}° {between}° {k1} {k2} {light} {feed_forward:?}: {swing} N m");
+            }
+        }
+    }
+}
+
+/// A spring along a direction between the wall's normal and what the linkage makes of it: straight through Jᵀ beside
+/// the shaped wall it runs away at any gain.
+#[test]
+fn a_spring_beside_a_wall_is_quiet_where_it_is_without_the_feed_forward() {
+    let file = device("coupled-five-bar");
+    let normal = at(75_f64.to_radians());
+    for degrees in (0..12).map(|k| 15.0 * f64::from(k)) {
+        let line = at(f64::to_radians(degrees + 90.0));
+        for stiffness in [1_000.0, 4_000.0] {
+            for feed_forward in [FeedForward::Off, FeedForward::Full, FeedForward::Washout] {
+                let spring = Some(([0.0; 3], [line[0], line[1], 0.0], stiffness));
+                let run = Run { stiffness: 8_000.0, damping: 16.0, spring, ..demo(&file, feed_forward) };
+                let swing = run.swing(&[(normal.clone(), 1.0)]);
+                assert!(swing < QUIET, "{degrees}° {stiffness} {feed_forward:?}: {swing} N m");
+            }
+        }
+    }
+}
+
+/// What is shaped of a spring's force comes as the wall is touched: not so soon that a light touch swings.
+#[test]
+fn a_light_touch_of_a_wall_beside_a_stretched_spring_is_quiet() {
+    let file = device("coupled-five-bar");
+    for degrees in (0..12).map(|k| 15.0 + 30.0 * f64::from(k)) {
+        let n = at(f64::to_radians(degrees));
+        let along = |far: f64| [far * n[0], far * n[1], 0.0];
+        for far in [-0.02, 0.02] {
+            for aim in [-0.021, -0.019, -0.01, 0.0, 0.015] {
+                let swing = |feed_forward| {
+                    let (push, spring) = (Some(along(aim)), Some((along(far), [0.0; 3], 200.0)));
+                    let run = demo(&file, feed_forward);
+                    Run { stiffness: 6_000.0, damping: 12.0, bilateral: false, push, spring, ..run }
+                        .swing(&[(n.clone(), 1.0)])
+                };
+                for feed_forward in [FeedForward::Off, FeedForward::Full, FeedForward::Washout] {
+                    let swing = swing(feed_forward);
+                    assert!(swing < QUIET, "{degrees}° {far} {aim} {feed_forward:?}: {swing} N m");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn edges_and_vertices_in_space_are_quiet_where_they_are_without() {
+    let file = device("phantom-premium-1.5");
+    let q = [0.3, 0.9, -0.3];
+    for (walls, stiffness) in [
+        (vec![(vec![0.6, 0.8, 0.0], 1.0), (vec![0.0, 0.6, 0.8], 1.0)], 2_000.0),
+        (vec![(vec![1.0, 0.0, 0.0], 1.0), (vec![0.0, 1.0, 0.0], 0.3), (vec![0.0, 0.0, 1.0], 0.05)], 2_000.0),
+        (
+            vec![(scaled(&[0.1, 1.0, 0.0]), 1.0), (scaled(&[-0.1, 1.0, 0.1]), 1.0), (scaled(&[0.0, 1.0, -0.1]), 1.0)],
+            2_000.0,
+        ),
+    ] {
+        for feed_forward in [FeedForward::Off, FeedForward::Full, FeedForward::Washout] {
+            let run = Run { q, stiffness, damping: 0.002 * stiffness, ..demo(&file, feed_forward) };
+            let swing = run.swing(&walls);
+            assert!(swing < QUIET, "{walls:?} {feed_forward:?}: {swing} N m");
+        }
+    }
+}

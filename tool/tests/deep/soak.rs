@@ -1,0 +1,212 @@
+//! Hours of contact with telemetry on the simulated board, through the tool's own link: no control period is missed, no
+//! row is lost or comes twice, the wall of the last cycle pushes like that of the first, and nothing grows.
+//!
+//! Ten simulated minutes in `cargo test`; `cargo xtask soak` runs a day of them. Alone in its file, because it looks at
+//! the memory of its process.
+
+use haptic_bridge::control::{HostAction, Rules};
+use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};
+use haptic_bridge::safety::fault::State;
+use haptic_host::device_file::DeviceFile;
+use haptic_host::link::{Board, Losses, Row, columns, fields};
+use haptic_sim::{BoardOptions, Hand, HandSettings, Intent, SHIPPED_DEVICE, SharedBoard, Waypoint, ready_board};
+use std::fmt::Write as _;
+use std::time::Duration;
+
+/// Control rate, Hz: the lowest at which this wall is still firm, because a day has to pass.
+const RATE: u32 = 1_000;
+/// One touch of the wall and back, s.
+const CYCLE: u32 = 2;
+/// Simulated time in `cargo test`, s.
+const SHORT: u64 = 600;
+/// Cycles until friction and filters have settled, and how many then say what is usual.
+const SETTLED: usize = 5;
+const USUAL: usize = 20;
+/// How far a later cycle may leave what was usual, as a share of it: a hundredth of what a hand can feel (a tenth).
+const DRIFT: f64 = 1e-3;
+/// Memory that the process may take more at the end than after the first minute, bytes.
+const GROWTH: u64 = 1 << 20;
+
+/// A board with a wall 5 mm below the tip, and a hand that follows a path 15 mm down and up again, over and over.
+fn board_and_tool(seconds: u64) -> (SharedBoard, Board) {
+    let file = DeviceFile::parse(SHIPPED_DEVICE, "coupled-five-bar.toml").unwrap();
+    let mut options = BoardOptions::default();
+    // Half a carrier period: the coarsest that still has the current loop's own time step.
+    options.device.substep = 25e-6;
+    let shared = SharedBoard::new(ready_board(&file, options).unwrap());
+    let mut board = Board::over(shared.wire(), "sim").unwrap();
+    let tip = shared.lock().device().tip();
+    let point = [tip[0] as f32, (tip[1] - 0.005) as f32, 0.0];
+    let wall = Wall {
+        surface: Surface::Plane(Plane { point, normal: [0.0, 1.0, 0.0] }),
+        stiffness: 800.0,
+        damping: 4.0,
+        feed_forward: FeedForward::Washout,
+        washout_hz: 2.0,
+        damping_compensation: false,
+        bilateral: false,
+    };
+    let mut scene = Scene { task: 2, rate_hz: RATE as f32, cutoff_hz: 100.0, ..Scene::default() };
+    scene.walls.push(wall).unwrap();
+    board.set_scene(&scene).unwrap();
+    board.set_rules(&Rules { host_action: HostAction::Disarm, host_seconds: 0.5, ..Rules::default() }).unwrap();
+    board.arm().unwrap();
+    let half = f64::from(CYCLE) / 2.0;
+    let path = (0..=2 * (seconds / u64::from(CYCLE) + 2)).map(|turn| Waypoint {
+        time: half * turn as f64,
+        value: [tip[0], tip[1] - if turn % 2 == 0 { 0.0 } else { 0.015 }, 0.0],
+    });
+    let now = shared.lock().time();
+    let hand = Hand::new(HandSettings::default(), Intent::Follow(path.collect()), tip, now);
+    shared.lock().device_mut().set_hand(hand);
+    (shared, board)
+}
+
+/// What one cycle felt like: largest force (N), impulse (N s), and the torque of each motor added up (N m s).
+#[derive(Clone, Copy, Debug, Default)]
+struct Cycle {
+    peak: f64,
+    impulse: f64,
+    torque: [f64; 2],
+}
+
+impl Cycle {
+    fn parts(&self) -> [f64; 4] {
+        [self.peak, self.impulse, self.torque[0], self.torque[1]]
+    }
+}
+
+/// Smallest and largest of each part.
+#[derive(Clone, Copy)]
+struct Span([(f64, f64); 4]);
+
+impl Span {
+    fn of(cycles: &[Cycle]) -> Self {
+        let mut span = [(f64::INFINITY, f64::NEG_INFINITY); 4];
+        for cycle in cycles {
+            for (range, value) in span.iter_mut().zip(cycle.parts()) {
+                *range = (range.0.min(value), range.1.max(value));
+            }
+        }
+        Self(span)
+    }
+
+    fn holds(&self, cycle: &Cycle) -> bool {
+        self.0.iter().zip(cycle.parts()).all(|((low, high), value)| {
+            let slack = DRIFT * low.abs().max(high.abs());
+            value >= low - slack && value <= high + slack
+        })
+    }
+}
+
+/// Where in a row the columns are that matter here.
+struct Places {
+    force: usize,
+    torque: [usize; 2],
+    state: usize,
+}
+
+impl Places {
+    fn new() -> Self {
+        let labels: Vec<String> = columns(fields("all").unwrap(), 2).into_iter().map(|column| column.label).collect();
+        let at = |name: &str| {
+            labels.iter().position(|label| label == name).unwrap_or_else(|| panic!("{name} in {labels:?}"))
+        };
+        Self { force: at("force_n"), torque: [at("torque0_n_m"), at("torque1_n_m")], state: at("state") }
+    }
+
+    fn add(&self, row: &Row, cycle: &mut Cycle) {
+        let second = 1.0 / f64::from(RATE);
+        assert_eq!(row.values[self.state], f64::from(State::Armed as u8), "step {}", row.step);
+        cycle.peak = cycle.peak.max(row.values[self.force]);
+        cycle.impulse += second * row.values[self.force];
+        for (sum, place) in cycle.torque.iter_mut().zip(self.torque) {
+            *sum += second * row.values[place];
+        }
+    }
+}
+
+/// Memory of this process that is really there, bytes; `None` where the system does not say.
+fn resident() -> Option<u64> {
+    let text = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = text.lines().find_map(|line| line.strip_prefix("VmRSS:"))?;
+    Some(1024 * line.trim().trim_end_matches(" kB").parse::<u64>().ok()?)
+}
+
+#[test]
+fn hours_of_contact_lose_nothing_drift_nowhere_and_do_not_grow() {
+    let seconds: u64 = std::env::var("HAPTIC_SOAK_SECONDS").map_or(SHORT, |text| text.parse().unwrap());
+    let (shared, mut board) = board_and_tool(seconds);
+    let places = Places::new();
+    board.keep_alive();
+    board.start_stream(fields("all").unwrap(), 1).unwrap();
+    let began = shared.lock().time();
+    let (mut first, mut next, mut rows) = (None, None, 0_u64);
+    // Written to once, so that this record is in the memory that counts as being there from the beginning.
+    let unused = Cycle { peak: f64::NAN, ..Cycle::default() };
+    let mut cycles = vec![unused; (seconds / u64::from(CYCLE)) as usize + 2];
+    cycles.clear();
+    let (mut memory, mut most, mut minute) = (None, None, 0);
+    while shared.lock().time() < began + seconds as f64 {
+        for row in board.rows(Duration::from_secs(1)).unwrap() {
+            assert_eq!(*next.get_or_insert(row.step), row.step, "a row is missing or came twice");
+            next = Some(row.step.wrapping_add(1));
+            let cycle = row.step.wrapping_sub(*first.get_or_insert(row.step)) / (RATE * CYCLE);
+            cycles.resize(cycle as usize + 1, Cycle::default());
+            places.add(&row, &mut cycles[cycle as usize]);
+            rows += 1;
+        }
+        let now = ((shared.lock().time() - began) / 60.0) as u64;
+        if now > minute {
+            minute = now;
+            let now = resident();
+            memory = memory.or(now);
+            most = most.max(now);
+        }
+    }
+    board.stop_stream().unwrap();
+    rows += board.rows(Duration::ZERO).unwrap().len() as u64;
+
+    // No control period was missed: as many steps as milliseconds, and as many rows as steps.
+    let losses = board.losses();
+    assert_eq!(losses, Losses { received: rows, ..Losses::default() });
+    let steps = u64::from(board.status().unwrap().step.wrapping_sub(first.unwrap()));
+    let passed = ((shared.lock().time() - began) * f64::from(RATE)).round() as u64;
+    assert!(steps.abs_diff(passed) <= 5, "{steps} steps in {passed} ms");
+    assert!(rows.abs_diff(steps) <= 5, "{rows} rows of {steps} steps");
+    assert!(board.faults().unwrap().is_empty());
+
+    // No cycle is unlike the first ones. The last one is not complete.
+    cycles.pop();
+    let usual = Span::of(&cycles[SETTLED..SETTLED + USUAL]);
+    assert!(usual.0[0].0 > 1.0, "the wall is touched in every cycle: {} N", usual.0[0].0);
+    let strange = cycles[SETTLED..].iter().position(|cycle| !usual.holds(cycle));
+    assert_eq!(strange, None, "{:?}; usual {:?}", strange.map(|at| cycles[SETTLED + at]), usual.0);
+    if let (Some(memory), Some(most)) = (memory, most) {
+        assert!(most <= memory + GROWTH, "{} KiB more", (most - memory) / 1024);
+    }
+
+    if let Ok(path) = std::env::var("HAPTIC_SOAK_REPORT") {
+        let grown =
+            memory.zip(most).map_or("not known".into(), |(memory, most)| format!("{} KiB", (most - memory) / 1024));
+        std::fs::write(path, report(seconds, rows, &cycles, &grown)).unwrap();
+    }
+}
+
+/// The figures of the first hour, the last, and all.
+fn report(seconds: u64, rows: u64, cycles: &[Cycle], grown: &str) -> String {
+    let mut text = format!(
+        "{:.2} simulated hours of contact at {RATE} Hz: {} touches of the wall, {rows} control steps, as many rows of \
+         telemetry with every field, none missing, none twice. Memory of the process after the first minute: + {grown}.\n\n\
+         | hour | largest force, N | impulse of a touch, N s |\n|--:|--:|--:|\n",
+        seconds as f64 / 3600.0,
+        cycles.len(),
+    );
+    let settled = &cycles[SETTLED..];
+    let hours: Vec<&[Cycle]> = settled.chunks((3600 / CYCLE) as usize).collect();
+    for (hour, touches) in [("1", hours[0]), (&hours.len().to_string(), hours[hours.len() - 1]), ("all", settled)] {
+        let [peak, impulse, ..] = Span::of(touches).0;
+        let _ = writeln!(text, "| {hour} | {:.5} to {:.5} | {:.6} to {:.6} |", peak.0, peak.1, impulse.0, impulse.1);
+    }
+    text
+}

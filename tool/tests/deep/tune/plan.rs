@@ -1,0 +1,131 @@
+//! Only what a scene needs: what the planner chooses, that it costs less for less, and that its error holds elsewhere.
+
+use crate::common::{file, shipped};
+use haptic_bridge::model::device::Device;
+use haptic_bridge::render::scene::{FeedForward, Scene, VelocityTerms};
+use haptic_host::scene_file::SceneFile;
+use haptic_predict::bench::counts::instructions;
+use haptic_predict::bench::error::{Law, Terms, Trigonometry, Way, errors};
+use haptic_predict::bench::probe::HAND_SPEED;
+use haptic_predict::plan::{Budget, Plan, cost, plan, touched};
+use std::collections::BTreeSet;
+
+fn device(name: &str) -> Device<f64> {
+    shipped(name).device().unwrap()
+}
+
+fn scene(device: &Device<f64>, name: &str) -> SceneFile {
+    let path = file(&format!("scenes/{}/{name}.toml", device.name));
+    SceneFile::load(path, device.mechanism.kind().spec().task).unwrap()
+}
+
+fn planned(device: &Device<f64>, file: &SceneFile) -> Plan {
+    plan(device, &file.scene, Budget::Percent(1.0), file.hand_speed.unwrap_or(HAND_SPEED)).unwrap()
+}
+
+#[test]
+fn shipped_scenes_come_to_at_least_three_different_models() {
+    let wanted = [
+        ("haply-2diy", "wall-soft", ("exact", Terms::None)),
+        ("coupled-five-bar", "tracing", ("exact", Terms::FeedForward)),
+        ("coupled-five-bar", "wall", ("exact", Terms::FeedForwardZ)),
+        ("hapkit-paddle", "wall", ("exact", Terms::None)),
+        ("phantom-premium-1.5", "ramp", ("exact", Terms::FeedForwardZ)),
+    ];
+    let mut models = BTreeSet::new();
+    for (name, file, (model, terms)) in wanted {
+        let device = device(name);
+        let plan = planned(&device, &scene(&device, file));
+        assert_eq!((plan.mass.name(), plan.terms), (model, terms), "{name} {file}");
+        models.insert((plan.mass.name(), plan.terms.name()));
+    }
+    assert!(models.len() >= 3, "{models:?}");
+}
+
+#[test]
+fn a_looser_budget_leaves_the_velocity_terms_out() {
+    let device = device("coupled-five-bar");
+    // They are a twentieth of the force on this disc; one matrix for all of it would leave about a quarter, and take longer.
+    let scene = scene(&device, "tracing").scene;
+    let loose = plan(&device, &scene, Budget::Percent(50.0), HAND_SPEED).unwrap();
+    assert_eq!((loose.mass.name(), loose.terms), ("exact", Terms::FeedForward));
+    let tight = plan(&device, &scene, Budget::OneDutyStep, HAND_SPEED).unwrap();
+    assert_eq!((tight.mass.name(), tight.terms), ("exact", Terms::FeedForwardZ));
+    assert!(loose.instructions < tight.instructions);
+}
+
+#[test]
+fn instructions_fall_as_a_scene_gets_simpler() {
+    for name in ["coupled-five-bar", "phantom-premium-1.5", "serial-3r"] {
+        let device = device(name);
+        let one = scene(&device, if name == "phantom-premium-1.5" { "table" } else { "wall" }).scene;
+        let mut two = one.clone();
+        two.walls.push(one.walls[0]).unwrap();
+        let without_terms = Scene { velocity_terms: VelocityTerms::Off, ..one.clone() };
+        let mut plain = without_terms.clone();
+        plain.walls[0].feed_forward = FeedForward::Off;
+        let mut empty = plain.clone();
+        empty.walls.clear();
+        let costs: Vec<u32> =
+            [two, one, without_terms, plain, empty].iter().map(|scene| cost(&device, scene, "exact")).collect();
+        assert!(costs.windows(2).all(|pair| pair[0] > pair[1]), "{name}: {costs:?}");
+        assert!(costs.iter().all(|cost| (50..5000).contains(cost)), "{name}: {costs:?}");
+    }
+}
+
+#[test]
+fn the_results_tell_the_instructions_that_were_counted() {
+    let page = include_str!("../../../../docs/results.md").replace('\n', " ");
+    let bench = include_str!("../../../../docs/results/speed-against-error.csv");
+    let counted = |mechanism, terms| instructions(mechanism, "table", "exact", terms).unwrap();
+    let both = |mechanism| ["feed-forward", "feed-forward+z"].map(|terms| counted(mechanism, terms));
+    for mechanism in ["five-bar", "five-bar-turret", "parallelogram", "serial-3r"] {
+        let [without, with] = both(mechanism);
+        let row = format!("| {mechanism} | {without} | {with} | ");
+        assert!(page.contains(&row), "docs/results.md lacks {row}");
+        for (terms, count) in [("feed-forward", without), ("feed-forward+z", with)] {
+            let row = format!(",table,exact,{terms},{count},");
+            let of = format!("{mechanism},");
+            let there = bench.lines().any(|line| line.starts_with(&of) && line.contains(&row));
+            assert!(there, "docs/results/speed-against-error.csv lacks {row} of {mechanism}");
+        }
+    }
+    let ([without, with], none) = (both("five-bar"), counted("five-bar", "none"));
+    for told in [
+        format!("the five-bar's step takes {none} instructions; the feed-forward adds {}, ", without - none),
+        format!("the velocity terms {}.", with - without),
+    ] {
+        assert!(page.contains(&told), "docs/results.md lacks: {told}");
+    }
+}
+
+#[test]
+fn the_error_holds_at_poses_the_planner_did_not_look_at() {
+    let budget = 1.0;
+    for (name, file, other) in [
+        ("coupled-five-bar", "tracing", 230),
+        ("coupled-five-bar", "wall", 230),
+        ("haply-2diy", "wall-stiff", 230),
+        ("fictive-five-bar-turret", "ball", 31),
+        ("serial-3r", "wall", 31),
+    ] {
+        let device = device(name);
+        let file = scene(&device, file);
+        let speed = file.hand_speed.unwrap_or(HAND_SPEED);
+        let plan = plan(&device, &file.scene, Budget::Percent(budget), speed).unwrap();
+        let elsewhere = touched(&device, &file.scene, other, speed).unwrap();
+        assert!(elsewhere.len() > 50, "{name}: {} situations", elsewhere.len());
+        let law = Law::of(&file.scene, &device).unwrap();
+        let way = Way { model: &plan.mass, terms: plan.terms, trigonometry: Trigonometry::Tabulated, law };
+        let errors = errors(&device, &elsewhere, &way).given;
+        assert!(100.0 * errors.share.max <= budget, "{name}: {errors:?}");
+    }
+}
+
+#[test]
+fn a_budget_nothing_can_keep_says_what_the_best_would_leave() {
+    let device = device("coupled-five-bar");
+    let scene = scene(&device, "wall").scene;
+    let failure = plan(&device, &scene, Budget::Percent(1.0e-9), HAND_SPEED).unwrap_err().to_string();
+    assert!(failure.contains("the best leaves"), "{failure}");
+}

@@ -1,0 +1,145 @@
+//! A backup brings back what a board kept, byte for byte, also from another version of the firmware, and never half.
+
+use haptic_bridge::board::settings::{Entry, Key};
+use haptic_bridge::control::Rules;
+use haptic_bridge::model::precomputed::MassModelData;
+use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};
+use haptic_bridge::safety::limits::Limits;
+use haptic_host::backup::{Backup, BackupError, Restored, restore};
+use haptic_host::device_file::DeviceFile;
+use haptic_host::link::Board;
+use haptic_sim::{BoardOptions, SHIPPED_DEVICE, SharedBoard, SimulatedBoard, ready_board};
+use std::collections::BTreeMap;
+
+fn file() -> DeviceFile {
+    DeviceFile::parse(SHIPPED_DEVICE, "coupled-five-bar.toml").unwrap()
+}
+
+fn entries(board: &mut Board) -> BTreeMap<&'static str, Entry> {
+    Key::ALL.into_iter().filter_map(|key| Some((key.name(), board.read_entry(key).unwrap()?))).collect()
+}
+
+/// A board with something saved under every key that a tool can set.
+fn full() -> Board {
+    let mut board =
+        Board::over(SharedBoard::new(ready_board(&file(), BoardOptions::default()).unwrap()).wire(), "sim").unwrap();
+    let wall = Wall {
+        surface: Surface::Plane(Plane { point: [0.0, -0.2, 0.0], normal: [0.0, 1.0, 0.0] }),
+        stiffness: 1234.5,
+        damping: 0.1,
+        feed_forward: FeedForward::Washout,
+        washout_hz: 2.0,
+        damping_compensation: false,
+        bilateral: false,
+    };
+    let mut scene = Scene { task: 2, ..Scene::default() };
+    scene.walls.push(wall).unwrap();
+    board.set_scene(&scene).unwrap();
+    board.set_mass_model(&MassModelData::Frozen([1.0e-4, 1.0e-5, 1.1e-4, 0.0, 0.0, 0.0])).unwrap();
+    board.set_rules(&Rules { limits: Limits { power: 3.3, ..Limits::default() }, ..Rules::default() }).unwrap();
+    board.set_name(&"bench left".try_into().unwrap()).unwrap();
+    board.save().unwrap();
+    board
+}
+
+fn empty(serial: &str) -> Board {
+    let options = BoardOptions { serial: serial.into(), ..BoardOptions::default() };
+    let board = SimulatedBoard::new(&file().description, options).unwrap();
+    Board::over(SharedBoard::new(board).wire(), "sim").unwrap()
+}
+
+#[test]
+fn what_was_kept_comes_back_byte_for_byte_on_an_empty_board() {
+    let mut source = full();
+    let kept = entries(&mut source);
+    assert!(kept.len() >= 5, "{:?}", kept.keys());
+    let text = Backup::read(&mut source).unwrap().to_text();
+    let mut target = empty("SIM0001");
+    let ready = Backup::parse(&text).unwrap().ready().unwrap();
+    assert!(ready.iter().all(|setting| setting.how == Restored::AsItWas));
+    restore(&mut target, &ready).unwrap();
+    assert_eq!(entries(&mut target), kept);
+    assert_eq!(target.scene().unwrap(), source.scene().unwrap());
+    assert_eq!(target.rules().unwrap(), source.rules().unwrap());
+}
+
+#[test]
+fn a_backup_of_another_version_is_translated_by_its_values() {
+    let mut source = full();
+    let kept = entries(&mut source);
+    let mut backup = Backup::read(&mut source).unwrap();
+    for (name, setting) in &mut backup.settings {
+        // As another firmware would have written it: another version, other bytes, the same value.
+        let mut body = kept[name.as_str()][..kept[name.as_str()].len() - 4].to_vec();
+        body[1] = 77;
+        body.extend([1, 2, 3]);
+        let sum = haptic_bridge::checksum::crc32(&body).to_le_bytes();
+        body.extend(sum);
+        setting.version = 77;
+        setting.bytes = body.iter().map(|byte| format!("{byte:02x}")).collect();
+    }
+    let ready = Backup::parse(&backup.to_text()).unwrap().ready().unwrap();
+    assert!(ready.iter().all(|setting| setting.how == Restored::Translated));
+    let mut target = empty("SIM0001");
+    restore(&mut target, &ready).unwrap();
+    assert_eq!(entries(&mut target), kept);
+}
+
+#[test]
+fn damage_is_found_before_anything_is_sent() {
+    let backup = Backup::read(&mut full()).unwrap();
+    for name in backup.settings.keys() {
+        let mut damaged = backup.clone();
+        let bytes = &mut damaged.settings.get_mut(name).unwrap().bytes;
+        let flipped = if bytes.ends_with('0') { '1' } else { '0' };
+        bytes.pop();
+        bytes.push(flipped);
+        assert!(matches!(damaged.ready(), Err(BackupError::Damaged(..))), "{name}");
+    }
+    let mut unknown = backup.clone();
+    unknown.settings.insert("colour".into(), backup.settings["rules"].clone());
+    assert_eq!(unknown.ready(), Err(BackupError::UnknownSetting("colour".into())));
+}
+
+#[test]
+fn a_value_that_was_edited_is_not_silently_ignored() {
+    let text = Backup::read(&mut full()).unwrap().to_text();
+    assert!(text.contains("3.3,") && !text.contains("3.2999"), "as people write it: {text}");
+    let edited = text.replace("3.3,", "1000.0,");
+    assert_ne!(edited, text);
+    let refused = Backup::parse(&edited).unwrap().ready().unwrap_err();
+    assert_eq!(refused, BackupError::Disagree("rules"));
+    assert!(refused.to_string().contains("haptic rules"));
+    // Written otherwise, but the same number.
+    assert!(Backup::parse(&text.replace("3.3,", "3.30,")).unwrap().ready().is_ok());
+    assert!(Backup::parse(&text.replace("3.3,", "3.299999952316284,")).unwrap().ready().is_ok());
+}
+
+#[test]
+fn a_polarity_check_is_never_restored() {
+    let mut backup = Backup::read(&mut full()).unwrap();
+    let entry = haptic_bridge::board::settings::encode(&haptic_bridge::board::settings::Polarity(7)).unwrap();
+    let bytes = entry.iter().map(|byte| format!("{byte:02x}")).collect();
+    let kept = haptic_host::backup::SavedSetting { version: 1, value: None, bytes };
+    backup.settings.insert("polarity".into(), kept);
+    let ready = backup.ready().unwrap().into_iter().find(|setting| setting.key == Key::Polarity).unwrap();
+    assert_eq!(ready.how, Restored::MadeAnew);
+}
+
+#[test]
+fn a_backup_without_a_mass_model_does_not_leave_the_old_one_behind() {
+    let mut backup = Backup::read(&mut full()).unwrap();
+    backup.settings.remove("mass-model");
+    let mut target = full();
+    restore(&mut target, &backup.ready().unwrap()).unwrap();
+    let entry = target.read_entry(Key::MassModel).unwrap().unwrap();
+    assert_eq!(haptic_bridge::board::settings::decode::<MassModelData>(&entry), Ok(MassModelData::Exact));
+}
+
+#[test]
+fn what_is_no_backup_is_refused() {
+    for text in ["", "{}", "[]", "{\"haptic-backup\": \"one\"}", "{\"haptic-backup\": 1}"] {
+        assert!(matches!(Backup::parse(text), Err(BackupError::NotABackup(_))), "{text}");
+    }
+    assert_eq!(Backup::parse("{\"haptic-backup\": 2}"), Err(BackupError::Format(2)));
+}

@@ -1,0 +1,156 @@
+//! A device with weight on a simulated board that asks for what a real one asks: somebody holds it until the motors
+//! carry it, and then they do.
+
+use crate::common::{files, shipped};
+use haptic_bridge::control::{ARM_SECONDS, HostAction, Rules};
+use haptic_bridge::model::catalogue::Kind;
+use haptic_bridge::render::scene::Scene;
+use haptic_bridge::safety::fault::State;
+use haptic_host::device_file::DeviceFile;
+use haptic_host::link::Board;
+use haptic_host::scene_file::SceneFile;
+use haptic_predict::template;
+use haptic_sim::{BoardOptions, SharedBoard, Support, ready_board};
+use std::time::Duration;
+
+/// The scenes that ship for a device.
+fn scenes(name: &str, task: usize) -> Vec<SceneFile> {
+    files(&format!("scenes/{name}")).into_iter().map(|path| SceneFile::load(&path, task).unwrap()).collect()
+}
+
+/// A strict board with this device, which somebody holds, and whatever its file lacks for a board.
+fn strict(mut file: DeviceFile) -> (SharedBoard, Board) {
+    let home = file.description.home.unwrap();
+    for (joint, home) in file.description.joints.iter_mut().zip(home) {
+        joint.motor.iter_mut().for_each(|motor| motor.verified = true);
+        joint.limits.get_or_insert((home - 1.0, home + 1.0));
+    }
+    let options = BoardOptions { strict: true, support: Support::Held, ..BoardOptions::default() };
+    let shared = SharedBoard::new(ready_board(&file, options).unwrap());
+    let mut board = Board::over(shared.wire(), "sim").unwrap();
+    let rules = board.rules().unwrap();
+    board.set_rules(&Rules { host_action: HostAction::Ignore, ..rules }).unwrap();
+    (shared, board)
+}
+
+/// The same, homed, with its polarity checked.
+fn ready_to_arm(file: DeviceFile) -> (SharedBoard, Board) {
+    let (name, home) = (file.name.clone(), file.description.home.unwrap());
+    let (shared, mut board) = strict(file);
+    board.home().unwrap();
+    board.check_polarity().unwrap();
+    shared.lock().run(10.0);
+    assert!(board.status().unwrap().polarity, "{name}: {:?}", board.status());
+    assert_eq!(shared.lock().device().q(), home, "{name} is put back");
+    (shared, board)
+}
+
+#[test]
+fn homing_straight_after_a_polarity_check_waits_until_the_device_is_back_at_home() {
+    let file = DeviceFile::parse(&template::device_file(Kind::FiveBar, "mine"), "mine.toml").unwrap();
+    let home = file.description.home.unwrap();
+    let (shared, mut board) = strict(file);
+    board.home_at_rest().unwrap();
+    board.check_polarity().unwrap();
+    assert!(board.wait_for_polarity().unwrap().passed().is_ok());
+    board.home_at_rest().unwrap();
+    assert_eq!(shared.lock().device().q(), home);
+    board.rows(Duration::from_millis(20)).unwrap();
+    let q = board.status().unwrap().q;
+    assert!((f64::from(q[0]) - home[0]).abs() < 1e-3 && (f64::from(q[1]) - home[1]).abs() < 1e-3, "{q:?}");
+}
+
+/// Arms, and looks where the device is at the ramp's end and long after it.
+fn stays_while_armed(shared: &SharedBoard, board: &mut Board, what: &str) {
+    let before = shared.lock().device().q();
+    board.arm().unwrap_or_else(|error| panic!("{what}: {error}"));
+    shared.lock().run(0.98 * f64::from(ARM_SECONDS));
+    assert_eq!(shared.lock().device().q(), before, "{what} is held while the torque ramps up");
+    shared.lock().run(2.0);
+    let status = board.status().unwrap();
+    assert_eq!((status.state, status.fault), (State::Armed, None), "{what}");
+    let q = shared.lock().device().q();
+    let moved = q.iter().zip(before).map(|(q, before)| (q - before).abs()).fold(0.0, f64::max);
+    // The motors carry the weight; a spring of the scene may pull.
+    assert!(moved < 0.1, "{what} moved by {moved} rad");
+}
+
+#[test]
+fn every_scene_that_ships_for_a_device_with_weight_runs_on_a_strict_board() {
+    for name in ["phantom-premium-1.5", "serial-3r", "woodenhaptics", "fictive-five-bar-turret"] {
+        let file = shipped(name);
+        for scene in scenes(name, file.spec().task) {
+            let (shared, mut board) = ready_to_arm(file.clone());
+            let what = scene.path.display().to_string();
+            board.set_scene(&scene.scene::<f32>().unwrap()).unwrap();
+            stays_while_armed(&shared, &mut board, &what);
+        }
+    }
+}
+
+#[test]
+fn every_template_is_homed_checked_and_armed_on_a_strict_board_and_does_not_fall() {
+    for kind in Kind::ALL {
+        let file = DeviceFile::parse(&template::device_file(*kind, "mine"), "mine.toml").unwrap();
+        let task = file.spec().task as u8;
+        let (shared, mut board) = ready_to_arm(file);
+        // Whoever homes again finds home where it was.
+        board.home().unwrap();
+        board.set_scene(&Scene { task, ..Scene::default() }).unwrap();
+        stays_while_armed(&shared, &mut board, kind.spec().name);
+    }
+}
+
+#[test]
+fn the_weight_of_a_device_is_carried_on_any_simulated_board_until_the_motors_carry_it() {
+    let file = shipped("woodenhaptics");
+    let [room] = &scenes("woodenhaptics", 3)
+        .into_iter()
+        .filter(|scene| scene.path.ends_with("room.toml"))
+        .collect::<Vec<_>>()[..]
+    else {
+        panic!("no room")
+    };
+    let options = BoardOptions { support: Support::Carried, ..BoardOptions::default() };
+    let shared = SharedBoard::new(ready_board(&file, options).unwrap());
+    let mut board = Board::over(shared.wire(), "sim").unwrap();
+    board.set_scene(&room.scene::<f32>().unwrap()).unwrap();
+    shared.lock().run(2.0);
+    stays_while_armed(&shared, &mut board, "woodenhaptics in a room");
+}
+
+#[test]
+fn a_device_with_weight_is_held_until_it_is_armed_and_passes_the_polarity_check() {
+    for name in ["phantom-premium-1.5", "serial-3r", "woodenhaptics", "fictive-five-bar-turret"] {
+        let file = shipped(name);
+        let (home, task) = (file.description.home.unwrap(), file.spec().task as u8);
+        let (shared, mut board) = strict(file);
+        board.set_scene(&Scene { task, ..Scene::default() }).unwrap();
+        shared.lock().run(2.0);
+        assert_eq!(shared.lock().device().q(), home, "{name} is held");
+        board.home().unwrap();
+        board.check_polarity().unwrap();
+        shared.lock().run(7.0);
+        let status = board.status().unwrap();
+        assert!(status.polarity, "{name}: {status:?}");
+        let still = shared.lock().device().q();
+        shared.lock().run(1.0);
+        assert_eq!(shared.lock().device().q(), still, "{name} is held again");
+        board.arm().unwrap();
+        shared.lock().run(0.6);
+        board.disarm().unwrap();
+        shared.lock().run(0.2);
+        let fallen =
+            shared.lock().device().q().iter().zip(still).map(|(q, still)| (q - still).abs()).fold(0.0, f64::max);
+        assert!(fallen > 1e-3, "{name}: from now on nobody holds it, {fallen} rad");
+        // Nothing stops it either: a turret folds through itself, and jams.
+        shared.lock().run(1.0);
+        let q = shared.lock().device().q();
+        assert!(q.iter().all(|q| q.is_finite()), "{name}: {q:?}");
+        // Until the board begins anew, and has to be homed again.
+        board.restart().unwrap();
+        shared.lock().run(1.0);
+        assert_eq!(shared.lock().device().q(), home, "{name} is held");
+        assert_eq!(board.status().unwrap().fault, None, "{name}");
+    }
+}

@@ -1,0 +1,239 @@
+//! Every command once, with the cheapest arguments that make sense: its exit code is 0, and its first line says what it
+//! should. A command that `haptic help` lists and nobody runs here fails.
+#![cfg(unix)]
+
+use crate::common::sim::{Sim, until};
+use crate::common::{haptic, root, signal};
+use rustix::fs::{Mode, OFlags};
+use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
+use rustix::termios::{Winsize, tcsetwinsize};
+use std::collections::BTreeSet;
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+use std::process::{Command, Stdio};
+
+/// What is typed, and how the first line begins that it prints.
+type Line = (&'static str, &'static str);
+
+const ANALYSIS: [Line; 17] = [
+    ("demo", "coupled-five-bar: a simulated board at 1000 Hz"),
+    ("new five-bar -o mine.toml", "mine.toml: an example five-bar to fill in"),
+    (
+        "new scene --device mine.toml -o wall.toml",
+        "wall.toml: a wall in front of mine at home; then `haptic check mine.toml",
+    ),
+    ("check mine.toml wall.toml", "mine.toml: sound: mine, a five-bar"),
+    ("check devices/hapkit-paddle.toml", "devices/hapkit-paddle.toml: sound: hapkit-paddle"),
+    ("model devices/hapkit-paddle.toml", "hapkit-paddle (paddle)"),
+    ("map devices/hapkit-paddle.toml --normal 1 --points 20", "hapkit-paddle: 20 poses"),
+    (
+        "precompute devices/haply-2diy.toml --kind frozen --box 1.8,2.2,0.9,1.3 -o frozen.json",
+        "haply-2diy: frozen mass matrix",
+    ),
+    ("bench devices/hapkit-paddle.toml", "variant "),
+    ("range devices/hapkit-paddle.toml --normal 1", "hapkit-paddle: q = (0.000) rad, n = (1.000)"),
+    (
+        "tune estimators devices/hapkit-paddle.toml --normal 1 --rate 1000",
+        "hapkit-paddle: control at 1000 Hz; ripple on a wall",
+    ),
+    (
+        "tune devices/hapkit-paddle.toml --normal 1 --rates 1000 --feed-forward off",
+        "hapkit-paddle: q = (0.000) rad, n = (1.000)",
+    ),
+    ("design devices/haply-2diy.toml --points 20", "haply-2diy: q = (2.300, 0.842) rad"),
+    ("report devices/hapkit-paddle.toml --without estimators,tune,map,design", "report.html: 4 parts"),
+    ("board list --json", "{\"boards\":["),
+    ("udev", "# haptic-bridge boards, for whoever sits at this computer"),
+    ("completions bash", "_haptic() {"),
+];
+
+/// On a board in a process of its own, or in the command's.
+const BOARD: [Line; 25] = [
+    ("info --port sim", "board       simulated, serial number SIM0001, on sim"),
+    ("board latency --port sim --exchanges 2", "2 exchanges, 10000 a second, on sim"),
+    ("faults --port sim", "no faults since the board started"),
+    ("stream --port sim --seconds 0.1", "    time_s "),
+    (
+        "measure-range devices/hapkit-paddle.toml --port sim --normal 1 --kd 5 --repeats 1 --feed-forward off --pull 2",
+        "hapkit-paddle: largest stable stiffness, measured",
+    ),
+    ("device devices/coupled-five-bar.toml", "coupled-five-bar is loaded on tcp:"),
+    ("scene devices/scenes/coupled-five-bar/wall.toml", "devices/scenes/coupled-five-bar/wall.toml is loaded on tcp:"),
+    ("gains --stiffness 800", "wall 0: stiffness 800 N/m"),
+    ("rules", "torque              5, 5 N m"),
+    ("home", "homed: joints (2.3000, 0.8416) rad"),
+    ("polarity", "every motor turns its joint the right way"),
+    ("record contact.csv --arm --seconds 0.1", "2000 rows are in contact.csv"),
+    ("arm", "armed: torque ramps up over 0.5 s"),
+    ("disarm", "disarmed: the motors are off"),
+    ("faults --clear", "no fault was latched"),
+    ("board name bench", "this board is called bench"),
+    ("board save", "saved: the board starts with this device and scene"),
+    ("board backup board.json", "board.json: device, mass-model, name, rules, scene"),
+    ("board restore board.json", "rules: restored"),
+    ("board restart", "the board restarts: it has what was saved"),
+    ("board dfu", "the board restarts into its boot loader"),
+    ("plot contact.csv", "2000 rows over 0.100 s"),
+    ("replay contact.csv", "2000 rows played, "),
+    ("info", "board       simulated \"bench\", serial number SIM0001"),
+    ("stream --seconds 0.1", "    time_s "),
+];
+
+/// They end with Ctrl-C, after what they say first.
+const SERVING: [Line; 3] = [
+    ("sim --tcp 0", "a simulated board with coupled-five-bar is on tcp:127.0.0.1:"),
+    ("view --port sim --listen 127.0.0.1:0", "open http://127.0.0.1:"),
+    ("serve --haply --port sim --listen 0", "SIM0001 is an Inverse3 for programs, at ws://localhost:"),
+];
+
+/// A folder with the devices that ship.
+fn folder() -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    std::os::unix::fs::symlink(root().join("devices"), folder.path().join("devices")).unwrap();
+    folder
+}
+
+fn words(line: &str) -> Vec<&str> {
+    line.split(' ').collect()
+}
+
+fn each(lines: &[Line], folder: &Path, port: &str) {
+    for (line, begins) in lines {
+        let typed = haptic(&words(line)).current_dir(folder).env("HAPTIC_PORT", port).assert().success();
+        let said = [&typed.get_output().stdout[..], &typed.get_output().stderr].concat();
+        assert!(said.starts_with(begins.as_bytes()), "haptic {line}\n{}", String::from_utf8_lossy(&said));
+    }
+}
+
+#[test]
+fn every_command_without_a_board() {
+    each(&ANALYSIS, folder().path(), "sim");
+}
+
+#[test]
+fn every_command_with_a_board() {
+    each(&BOARD, folder().path(), &Sim::start(&["--fast"]).port);
+}
+
+/// Commands that can be called and are on no help page.
+const DEVELOPERS: [&str; 4] = ["bench", "jog", "precompute", "udev"];
+
+/// Commands whose examples are typed as they are: the others need a board, a recording, or more than a second.
+const TYPED: [&str; 5] = ["new", "check", "model", "precompute", "range"];
+
+#[test]
+fn the_examples_of_every_help_page_name_files_that_ship() {
+    let folder = folder();
+    let help = |name: &[&str]| {
+        let page = haptic(&[&["help"], name].concat()).assert().success().get_output().stdout.clone();
+        String::from_utf8(page).unwrap()
+    };
+    let page = help(&[]);
+    let (listing, _) = page.split_once("Start here").unwrap();
+    let mut typed = BTreeSet::new();
+    let listed = listing.lines().filter_map(|line| line.strip_prefix("  ")?.split_whitespace().next());
+    for name in listed.chain(DEVELOPERS) {
+        let page = help(&[name]);
+        let examples = page.split_once("Examples:\n").map_or("", |(_, examples)| examples);
+        for line in examples.lines().filter_map(|line| line.trim().strip_prefix("haptic ")) {
+            let files = words(line).into_iter().filter(|word| word.starts_with("devices/"));
+            files.for_each(|file| assert!(root().join(file).is_file(), "haptic {line}: {file} does not ship"));
+            if TYPED.contains(&name) {
+                haptic(&words(line)).current_dir(folder.path()).assert().success();
+                typed.insert(name.to_string());
+            }
+        }
+    }
+    assert_eq!(typed.len(), TYPED.len(), "{typed:?}");
+}
+
+#[test]
+fn every_command_that_serves() {
+    for (line, begins) in SERVING {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_haptic"));
+        let mut child = command.args(words(line)).stdout(Stdio::piped()).spawn().unwrap();
+        let mut said = String::new();
+        BufReader::new(child.stdout.take().unwrap()).read_line(&mut said).unwrap();
+        assert!(said.starts_with(begins), "haptic {line}\n{said}");
+        signal(&child, "INT");
+        assert!(child.wait().unwrap().success(), "haptic {line}");
+    }
+}
+
+/// Runs the tool in a terminal until this is on its screen, types `q`, and gives what it shows then.
+fn in_a_terminal(line: &str, shows: &str) -> String {
+    let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).unwrap();
+    grantpt(&master).unwrap();
+    unlockpt(&master).unwrap();
+    tcsetwinsize(&master, Winsize { ws_row: 24, ws_col: 80, ws_xpixel: 0, ws_ypixel: 0 }).unwrap();
+    let path = ptsname(&master, Vec::new()).unwrap();
+    let mut child = {
+        // Its other end is the tool's alone, so that reading ends with it.
+        let mode = OFlags::RDWR | OFlags::NOCTTY | OFlags::CLOEXEC;
+        let slave = rustix::fs::open(path.as_c_str(), mode, Mode::empty()).unwrap();
+        let end = || Stdio::from(slave.try_clone().unwrap());
+        let mut command = Command::new(env!("CARGO_BIN_EXE_haptic"));
+        command.args(words(line)).env("TERM", "xterm-256color");
+        command.stdin(end()).stdout(end()).stderr(end()).spawn().unwrap()
+    };
+    let (mut screen, mut bytes) = (vt100::Parser::default(), [0; 4096]);
+    until(shows, || {
+        let count = rustix::io::read(&master, &mut bytes).unwrap();
+        screen.process(&bytes[..count]);
+        screen.screen().contents().contains(shows)
+    });
+    rustix::io::write(&master, b"q").unwrap();
+    while let Ok(count @ 1..) = rustix::io::read(&master, &mut bytes) {
+        screen.process(&bytes[..count]);
+    }
+    assert!(child.wait().unwrap().success());
+    screen.screen().contents()
+}
+
+#[test]
+fn the_monitor() {
+    in_a_terminal("view --terminal --port sim", "wall 0 (plane)");
+}
+
+/// What it does while a key is held, jog.rs tries in virtual time.
+#[test]
+fn a_jog_that_nobody_holds_a_key_for() {
+    let sim = Sim::start(&[]);
+    let said = in_a_terminal(&format!("jog --joint 0 --port {}", sim.port), "hold Space");
+    assert!(said.contains("joint 0 goes by +0.1 rad at 0.2 rad/s") && said.contains("nothing was moved"), "{said}");
+}
+
+/// What it does with a board, crates/flash/tests tries against a scripted boot loader.
+#[test]
+fn flash_without_what_it_needs() {
+    let folder = folder();
+    std::fs::write(folder.path().join("no.dfu"), "DfuSe").unwrap();
+    let refused = |line: &str, code: i32, says: &str| {
+        let typed = haptic(&words(line)).current_dir(folder.path()).assert().code(code);
+        let said = String::from_utf8_lossy(&typed.get_output().stderr).into_owned();
+        assert!(said.contains(says), "haptic {line}\n{said}");
+    };
+    refused("flash --port sim", 2, "a simulated board has no flash for firmware");
+    refused("flash --file no.dfu", 2, "no.dfu: it is not a DfuSe update file");
+    refused("flash --file nowhere.dfu", 2, "nowhere.dfu: ");
+    match haptic_flash::embedded() {
+        [] => refused("flash --port NOSUCHBOARD", 1, "this tool was built without images: in a checkout of its source"),
+        _ => {
+            refused("flash --port NOSUCHBOARD", 1, "looking for a board: ");
+            refused("flash toaster --port NOSUCHBOARD", 2, "this tool has no image for toaster");
+        }
+    }
+}
+
+/// The commands of the help page, and those that it leaves out.
+#[test]
+fn no_command_is_left_out() {
+    let page = haptic(&["help"]).assert().success().get_output().stdout.clone();
+    let page = String::from_utf8(page).unwrap();
+    let (listing, _) = page.split_once("Start here").unwrap();
+    let listed = listing.lines().filter_map(|line| line.strip_prefix("  ")?.split_whitespace().next());
+    let listed = listed.chain(DEVELOPERS);
+    let run = [&ANALYSIS[..], &BOARD, &SERVING].concat();
+    let run: BTreeSet<&str> = run.into_iter().map(|(line, _)| words(line)[0]).chain(["flash", "jog"]).collect();
+    assert_eq!(listed.collect::<BTreeSet<_>>(), run);
+}

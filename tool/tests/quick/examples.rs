@@ -1,0 +1,32 @@
+//! The example programs do what they say.
+
+#[path = "../../../examples/follow_telemetry.rs"]
+mod follow_telemetry;
+#[path = "../../../examples/predict_range.rs"]
+mod predict_range;
+#[path = "../../../examples/press_a_wall.rs"]
+mod press_a_wall;
+#[path = "../../../examples/push_from_the_host.rs"]
+mod push_from_the_host;
+
+#[test]
+fn each_runs_to_its_end() {
+    press_a_wall::main().expect("a wall that can be pressed");
+    follow_telemetry::follow("sim").expect("telemetry of a simulated board");
+    predict_range::main().expect("a range");
+    let (from, to) = push_from_the_host::push("sim").expect("a board that can be pushed");
+    // 1 N down against 50 N/m and, from 5 mm on, 2050 N/m: 5.37 mm, less what 0.005 N m of friction on 0.1 m hold.
+    let sunk = f64::from(from[1] - to[1]);
+    assert!((sunk - 0.005_37).abs() < 0.000_1, "{sunk} m");
+}
+
+#[test]
+fn there_is_none_that_is_not_run() {
+    let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../examples");
+    let mut names: Vec<String> = std::fs::read_dir(folder)
+        .expect("the folder of examples")
+        .map(|entry| entry.expect("a readable entry").file_name().to_string_lossy().into_owned())
+        .collect();
+    names.sort();
+    assert_eq!(names, ["follow_telemetry.rs", "predict_range.rs", "press_a_wall.rs", "push_from_the_host.rs"]);
+}

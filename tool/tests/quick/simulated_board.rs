@@ -1,0 +1,448 @@
+//! The simulated board over its real protocol, in lock step: what a tool is told and what the device then does.
+
+use haptic_bridge::control::{HostAction, Rules};
+use haptic_bridge::math::Libm;
+use haptic_bridge::model::device::Device;
+use haptic_bridge::model::mechanism::{AnyMechanism, FiveBar, Mechanism};
+use haptic_bridge::render::controller::Gains;
+use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};
+use haptic_bridge::safety::fault::{Fault, State};
+use haptic_bridge::safety::refusal::Refusal;
+use haptic_host::device_file::DeviceFile;
+use haptic_host::link::{Board, BoardError, fields};
+use haptic_sim::{
+    Around, BoardOptions, DriveModel, Hand, HandSettings, Intent, Options, SHIPPED_DEVICE, SharedBoard, Waypoint,
+    ready_board,
+};
+use nalgebra::Vector2;
+use std::time::Duration;
+
+fn device_file() -> DeviceFile {
+    DeviceFile::parse(SHIPPED_DEVICE, "coupled-five-bar.toml").unwrap()
+}
+
+fn connect(options: BoardOptions) -> (SharedBoard, Board) {
+    let shared = SharedBoard::new(ready_board(&device_file(), options).unwrap());
+    let board = Board::over(shared.wire(), "sim").unwrap();
+    (shared, board)
+}
+
+/// A wall whose surface is `gap` metres below the tip, facing up (+y).
+fn wall_below(shared: &SharedBoard, gap: f64, feed_forward: FeedForward) -> Scene<f32> {
+    let tip = shared.lock().device().tip();
+    let point = [tip[0] as f32, (tip[1] - gap) as f32, 0.0];
+    let mut scene = Scene { task: 2, ..Scene::default() };
+    let wall = Wall {
+        surface: Surface::Plane(Plane { point, normal: [0.0, 1.0, 0.0] }),
+        stiffness: 1000.0,
+        damping: 5.0,
+        feed_forward,
+        washout_hz: 2.0,
+        damping_compensation: false,
+        bilateral: false,
+    };
+    scene.walls.push(wall).unwrap();
+    scene
+}
+
+fn push_down(shared: &SharedBoard, newtons: f64) {
+    let mut guard = shared.lock();
+    let (tip, now) = (guard.device().tip(), guard.time());
+    let push = Intent::Push(vec![
+        Waypoint { time: 0.0, value: [0.0; 3] },
+        Waypoint { time: 0.3, value: [0.0, -newtons, 0.0] },
+    ]);
+    guard.device_mut().set_hand(Hand::new(HandSettings::default(), push, tip, now));
+}
+
+fn refusal(result: Result<(), BoardError>) -> Refusal {
+    match result {
+        Err(BoardError::Refused(refusal)) => refusal,
+        other => panic!("expected a refusal, got {other:?}"),
+    }
+}
+
+#[test]
+fn a_board_says_what_it_is() {
+    let (_, mut board) = connect(BoardOptions::default());
+    assert_eq!(board.info().board.as_str(), "simulated");
+    let details = board.details().unwrap();
+    assert_eq!(details.device.as_deref(), Some("coupled-five-bar"));
+    assert_eq!((details.axes, details.walls, details.real), (3, 0, false));
+    assert_eq!((details.rate_hz, details.carrier_hz, details.delay_samples), (20_000.0, 20_000.0, 0.5));
+}
+
+#[test]
+fn a_wall_holds_a_push_with_the_penetration_its_stiffness_predicts() {
+    let (shared, mut board) = connect(BoardOptions::default());
+    board.set_scene(&wall_below(&shared, 0.005, FeedForward::Off)).unwrap();
+    board.arm().unwrap();
+    push_down(&shared, 4.0);
+    board.start_stream(fields("distance,force,state").unwrap(), 20).unwrap();
+    let mut last = Vec::new();
+    while shared.lock().time() < 2.5 {
+        if let Some(row) = board.rows(Duration::from_millis(100)).unwrap().pop() {
+            last = row.values;
+        }
+    }
+    // 4 N on 1000 N/m; joint friction (0.005 N m on 0.1 m arms) may hold a part of it.
+    assert!((last[0] + 0.004).abs() < 0.0003, "distance {}", last[0]);
+    assert!((last[1] - 4.0).abs() < 0.3, "force {}", last[1]);
+    assert_eq!(last[2..], [1.0, 1.0], "armed, one wall touched");
+    assert_eq!(board.losses().missing, 0);
+    board.disarm().unwrap();
+    assert_eq!(board.status().unwrap().state, State::Disarmed);
+}
+
+#[test]
+fn a_disarmed_wall_is_not_there() {
+    let (shared, mut board) = connect(BoardOptions::default());
+    board.set_scene(&wall_below(&shared, 0.005, FeedForward::Off)).unwrap();
+    push_down(&shared, 4.0);
+    let before = shared.lock().device().tip()[1];
+    shared.lock().run(0.5);
+    assert!(shared.lock().device().tip()[1] < before - 0.01);
+    assert_eq!(shared.lock().device().currents(), [0.0; 3]);
+}
+
+#[test]
+fn every_row_of_a_full_rate_stream_arrives_in_order() {
+    let (_, mut board) = connect(BoardOptions::default());
+    board.start_stream(fields("q,counts").unwrap(), 1).unwrap();
+    let mut rows = Vec::new();
+    while rows.len() < 5_000 {
+        rows.extend(board.rows(Duration::from_millis(100)).unwrap());
+    }
+    assert!(rows.windows(2).all(|pair| pair[1].step == pair[0].step + 1));
+    assert_eq!(board.losses().missing, 0);
+    assert_eq!(board.losses().received, rows.len() as u64);
+}
+
+#[test]
+fn requests_in_the_middle_of_a_stream_lose_no_rows() {
+    let (_, mut board) = connect(BoardOptions::default());
+    board.keep_alive();
+    board.start_stream(fields("q").unwrap(), 1).unwrap();
+    let mut received = 0;
+    while received < 10_000 {
+        received += board.rows(Duration::from_millis(100)).unwrap().len();
+        board.status().unwrap();
+    }
+    board.stop_stream().unwrap();
+    received += board.rows(Duration::ZERO).unwrap().len();
+    let losses = board.losses();
+    assert_eq!((losses.missing, losses.batches_lost, losses.received), (0, 0, received as u64));
+}
+
+#[test]
+fn a_host_that_does_not_read_loses_rows_and_is_told_how_many() {
+    let (shared, mut board) = connect(BoardOptions { send_buffer: 4_000, ..BoardOptions::default() });
+    board.start_stream(fields("q,tip").unwrap(), 1).unwrap();
+    shared.lock().run(1.0);
+    let mut rows = Vec::new();
+    while rows.last().is_none_or(|row: &haptic_host::link::Row| row.step < 21_000) {
+        rows.extend(board.rows(Duration::from_millis(50)).unwrap());
+    }
+    let losses = board.losses();
+    let span = u64::from(rows[rows.len() - 1].step - rows[0].step) + 1;
+    assert!(losses.missing > 15_000, "{losses}");
+    assert_eq!(losses.received + losses.missing, span, "every step between first and last row is accounted for");
+    assert_eq!(losses.dropped_by_board, losses.missing);
+    assert_eq!(losses.batches_lost, 0);
+}
+
+#[test]
+fn what_cannot_be_armed_is_refused_with_the_reason() {
+    let options = BoardOptions { strict: true, ..BoardOptions::default() };
+    let shared = SharedBoard::new(haptic_sim::SimulatedBoard::new(&device_file().description, options).unwrap());
+    let mut board = Board::over(shared.wire(), "sim").unwrap();
+    assert_eq!(refusal(board.arm()), Refusal::NoDevice);
+    assert_eq!(refusal(board.home()), Refusal::NoDevice);
+
+    let mut description = device_file().description;
+    board.set_device(&Device::new("unverified", &description).unwrap()).unwrap();
+    assert_eq!(refusal(board.arm()), Refusal::NoScene);
+    board.set_scene(&wall_below(&shared, 0.01, FeedForward::Full)).unwrap();
+    assert_eq!(refusal(board.arm()), Refusal::MotorNotVerified(0));
+
+    for joint in &mut description.joints[..2] {
+        joint.motor.as_mut().unwrap().verified = true;
+        joint.limits = Some((-4.0, 4.0));
+    }
+    board.set_device(&Device::new("verified", &description).unwrap()).unwrap();
+    assert_eq!(refusal(board.arm()), Refusal::NotHomed);
+    board.home().unwrap();
+    assert_eq!(refusal(board.arm()), Refusal::PolarityUnchecked);
+    board.check_polarity().unwrap();
+    listening(&shared, &mut board, 5.0);
+    assert!(board.status().unwrap().polarity, "{:?}", board.status());
+
+    // The polarity check moved the device; a wall is now put around its tip.
+    let scene = wall_below(&shared, -0.01, FeedForward::Full);
+    board.set_scene(&scene).unwrap();
+    assert_eq!(refusal(board.arm()), Refusal::InsideWall);
+}
+
+/// Lets so many seconds pass, and says now and then that the host is there.
+fn listening(shared: &SharedBoard, board: &mut Board, seconds: f64) {
+    board.keep_alive();
+    for _ in 0..(10.0 * seconds) as u32 {
+        shared.lock().run(0.1);
+        board.rows(Duration::ZERO).unwrap();
+    }
+}
+
+#[test]
+fn a_swapped_motor_is_found_before_it_is_armed() {
+    let mut file = device_file();
+    let mut wired = file.description;
+    wired.joints[1].motor.as_mut().unwrap().torque_constant *= -1.0;
+    wired.joints[1].motor.as_mut().unwrap().back_emf *= -1.0;
+    for joint in &mut file.description.joints[..2] {
+        joint.motor.as_mut().unwrap().verified = true;
+        joint.limits = Some((-4.0, 4.0));
+    }
+    let options = BoardOptions { strict: true, ..BoardOptions::default() };
+    let mut simulated = haptic_sim::SimulatedBoard::new(&wired, options).unwrap();
+    simulated.load(&file.name, &file.description, None).unwrap();
+    let shared = SharedBoard::new(simulated);
+    let mut board = Board::over(shared.wire(), "sim").unwrap();
+    board.home().unwrap();
+    board.check_polarity().unwrap();
+    listening(&shared, &mut board, 5.0);
+    let fault = board.status().unwrap().fault.unwrap();
+    assert_eq!((fault.fault, fault.axis), (Fault::PolarityWrong, Some(1)));
+    assert_eq!(board.faults().unwrap().len(), 1);
+}
+
+#[test]
+fn gains_change_while_the_wall_is_touched_and_bad_ones_do_not() {
+    let (shared, mut board) = connect(BoardOptions::default());
+    board.set_scene(&wall_below(&shared, 0.005, FeedForward::Washout)).unwrap();
+    board.arm().unwrap();
+    push_down(&shared, 4.0);
+    shared.lock().run(2.0);
+    let before = shared.lock().device().tip()[1];
+    let gains =
+        Gains { wall: 0, stiffness: 4000.0, damping: 10.0, feed_forward: FeedForward::Washout, washout_hz: 2.0 };
+    board.set_wall_gains(gains).unwrap();
+    shared.lock().run(1.0);
+    let risen = shared.lock().device().tip()[1] - before;
+    assert!((risen - 0.003).abs() < 0.0006, "4 N/1000 - 4 N/4000 = 3 mm, got {risen}");
+    for bad in [f32::NAN, f32::INFINITY, -1.0] {
+        assert!(matches!(refusal(board.set_wall_gains(Gains { stiffness: bad, ..gains })), Refusal::Scene(_)));
+    }
+    assert!(matches!(refusal(board.set_wall_gains(Gains { wall: 3, ..gains })), Refusal::Scene(_)));
+    assert_eq!(board.scene().unwrap().unwrap().walls[0].stiffness, 4000.0);
+}
+
+#[test]
+fn a_silent_host_disarms_when_the_rules_say_so_and_a_waiting_one_keeps_the_board_alive() {
+    let (shared, mut board) = connect(BoardOptions::default());
+    board.set_scene(&wall_below(&shared, 0.05, FeedForward::Off)).unwrap();
+    let rules = Rules { host_action: HostAction::Disarm, host_seconds: 0.3, ..board.rules().unwrap() };
+    board.set_rules(&rules).unwrap();
+    board.arm().unwrap();
+    board.keep_alive();
+    for _ in 0..20 {
+        board.rows(Duration::from_millis(50)).unwrap();
+    }
+    assert_eq!(board.status().unwrap().state, State::Armed);
+    shared.lock().run(0.5);
+    let status = board.status().unwrap();
+    assert_eq!(status.state, State::Fault);
+    assert_eq!(status.fault.unwrap().fault, Fault::HostLost);
+    assert_eq!(refusal(board.arm()), Refusal::Faulted(Fault::HostLost));
+    board.clear().unwrap();
+    board.arm().unwrap();
+}
+
+#[test]
+fn settings_survive_a_restart_once_saved() {
+    let (shared, mut board) = connect(BoardOptions::default());
+    let scene = wall_below(&shared, 0.02, FeedForward::Full);
+    board.set_scene(&scene).unwrap();
+    board.restart().unwrap();
+    assert_eq!(board.device().unwrap(), None, "nothing was saved");
+    shared.lock().load("saved", &device_file().description, Some(scene.clone())).unwrap();
+    board.save().unwrap();
+    board.restart().unwrap();
+    assert_eq!(board.details().unwrap().device.as_deref(), Some("saved"));
+    assert_eq!(board.scene().unwrap(), Some(scene));
+    assert!(matches!(board.status().unwrap().state, State::Disarmed));
+}
+
+#[test]
+fn two_runs_are_the_same_bit_for_bit() {
+    let run = || {
+        let (shared, mut board) = connect(BoardOptions::default());
+        board.set_scene(&wall_below(&shared, 0.002, FeedForward::Washout)).unwrap();
+        board.arm().unwrap();
+        push_down(&shared, 3.0);
+        board.start_stream(fields("all").unwrap(), 7).unwrap();
+        let mut rows = Vec::new();
+        while shared.lock().time() < 0.6 {
+            rows.extend(board.rows(Duration::from_millis(30)).unwrap());
+        }
+        rows
+    };
+    assert_eq!(run(), run());
+}
+
+/// A second of contact with a wall too stiff for its rate, in telemetry: least energy (J), most added damping (N s/m),
+/// and the root mean square of the velocity (m/s) in the second half.
+fn unstable_contact(passivity: bool) -> (f64, f64, f64) {
+    let (shared, mut board) = connect(BoardOptions::default());
+    let mut scene = wall_below(&shared, 0.001, FeedForward::Off);
+    scene.rate_hz = 1_000.0;
+    scene.cutoff_hz = 100.0;
+    scene.walls[0].stiffness = 40_000.0;
+    scene.walls[0].damping = 0.0;
+    board.set_scene(&scene).unwrap();
+    let rules = board.rules().unwrap();
+    board.set_rules(&Rules { passivity, ..rules }).unwrap();
+    board.arm().unwrap();
+    push_down(&shared, 2.0);
+    board.start_stream(fields("velocity,energy,passivity").unwrap(), 1).unwrap();
+    let mut rows = Vec::new();
+    while rows.len() < 1_000 {
+        rows.extend(board.rows(Duration::from_millis(100)).unwrap());
+    }
+    let least = rows.iter().map(|row| row.values[1]).fold(0.0, f64::min);
+    let most = rows.iter().map(|row| row.values[2]).fold(0.0, f64::max);
+    let squares: f64 = rows[500..1_000].iter().map(|row| row.values[0].powi(2)).sum();
+    (least, most, (squares / 500.0).sqrt())
+}
+
+#[test]
+fn the_energy_that_a_wall_gives_out_is_seen_in_telemetry_and_damped_where_the_rules_ask_for_it() {
+    let (given_out, undamped, free) = unstable_contact(false);
+    assert!(given_out < -1e-3, "the wall gave out {given_out} J");
+    assert_eq!(undamped, 0.0, "nobody asked");
+    let (given_out, damping, damped) = unstable_contact(true);
+    assert!(given_out < -1e-3, "the wall gave out {given_out} J");
+    assert!(damping > 1.0, "{damping} N s/m");
+    // It takes the edge off, a tenth to a fifth of the speed (rounding decides which way such a wall swings), and does
+    // not make it stable: docs/safety.md.
+    let left = damped / free;
+    assert!((0.75..0.95).contains(&left), "{damped} m/s with damping, {free} m/s without");
+}
+
+/// What a five-bar renders of a force (N) straight up within `most` (N m) of each joint: its share, and the tip's force
+/// of joint torques.
+struct Straight {
+    mechanism: FiveBar<f64>,
+    most: f64,
+}
+
+impl Straight {
+    fn asked(&self, q: &[f64], newtons: f64) -> Vector2<f64> {
+        let pose = self.mechanism.pose::<Libm>(&Vector2::new(q[0], q[1]));
+        self.mechanism.transpose(&pose, &Vector2::new(0.0, newtons))
+    }
+
+    fn share(&self, asked: &Vector2<f64>) -> f64 {
+        asked.iter().fold(1.0, |share, torque| share.min(self.most / torque.abs()))
+    }
+
+    fn at_the_tip(&self, q: &[f64], torque: &Vector2<f64>) -> Vector2<f64> {
+        let pose = self.mechanism.pose::<Libm>(&Vector2::new(q[0], q[1]));
+        self.mechanism.jacobian_inverse(&pose).tr_mul(torque)
+    }
+}
+
+#[test]
+fn a_wall_that_its_motors_cannot_hold_pushes_a_sliding_hand_straight_and_as_much_as_they_can() {
+    const MOST: f64 = 0.3;
+    let device = Options::frictionless();
+    let (shared, mut board) = connect(BoardOptions { device, drive: DriveModel::Ideal, ..BoardOptions::default() });
+    let mut rules = board.rules().unwrap();
+    rules.limits.torque = [MOST as f32; 3];
+    rules.limits.tip_force = 1.0e3;
+    board.set_rules(&rules).unwrap();
+    let mut scene = wall_below(&shared, 0.002, FeedForward::Off);
+    scene.walls[0].damping = 0.0;
+    board.set_scene(&scene).unwrap();
+    board.arm().unwrap();
+    // Torque ramps up after arming.
+    shared.lock().run(0.6);
+    let began = {
+        let mut guard = shared.lock();
+        let (tip, now) = (guard.device().tip(), guard.time());
+        let slid = [tip[0] + 0.03, tip[1] - 0.04, 0.0];
+        let path = vec![Waypoint { time: 0.0, value: tip }, Waypoint { time: 1.0, value: slid }];
+        guard.device_mut().set_hand(Hand::new(HandSettings::default(), Intent::Follow(path), tip, now));
+        now
+    };
+    board.start_stream(fields("q,torque,distance,force,rendered,saturated,state").unwrap(), 20).unwrap();
+    let mut rows = Vec::new();
+    while shared.lock().time() < began + 1.0 {
+        rows.extend(board.rows(Duration::from_millis(50)).unwrap());
+    }
+    let Ok(AnyMechanism::FiveBar(mechanism)) = AnyMechanism::<f64>::new(&device_file().description) else {
+        panic!("the shipped device is a five-bar")
+    };
+    let straight = Straight { mechanism, most: MOST };
+    let (mut beyond, mut flagged, mut deepest, mut aside) = (0, Vec::new(), 0.0_f64, 0.0_f64);
+    let mut last = None::<(f64, f64, f64)>;
+    for row in rows.iter().filter(|row| row.values[5] > 0.05) {
+        let [q0, q1, torque0, torque1, distance, force, rendered, flag0, flag1, ..] = row.values[..] else {
+            panic!("{row:?}")
+        };
+        let q = [q0, q1];
+        let asked = straight.asked(&q, force);
+        let share = straight.share(&asked);
+        let most = straight.share(&(asked * 1.0e6)) * 1.0e6 * force;
+        // By one factor, computed here: as much as the motors hold, and nothing aside.
+        let felt = straight.at_the_tip(&q, &Vector2::new(torque0, torque1));
+        assert!((felt[1] - share * force).abs() < 0.01, "{row:?}: {felt} is not {share} of {force}");
+        assert!(felt[0].abs() < 0.01, "{row:?}: {felt} pulls aside");
+        assert!((rendered - felt[1]).abs() < 0.01, "{row:?}: {felt}");
+        if !(0.999..1.0).contains(&share) {
+            let flag = f64::from(u8::from(share < 1.0));
+            assert_eq!([flag0, flag1], [flag; 2], "{row:?}: {share}");
+            flagged.push(flag);
+        }
+        // Deeper never means less, but for what the motors can do at another pose.
+        if let Some((depth, before, could)) = last.filter(|(depth, ..)| -distance > *depth) {
+            assert!(felt[1] > before + (most - could).min(0.0) - 0.01, "{row:?}: {before} at {depth}");
+        }
+        last = Some((-distance, felt[1], most));
+        beyond += usize::from(share < 0.5);
+        deepest = deepest.max(-distance);
+        aside = aside.max(straight.at_the_tip(&q, &asked.map(|torque| torque.clamp(-MOST, MOST)))[0].abs());
+    }
+    let changes = flagged.windows(2).filter(|pair| pair[0] != pair[1]).count();
+    assert!(flagged.first() == Some(&0.0) && changes == 1, "{changes} changes of the flag");
+    assert!(beyond > 100 && deepest > 0.01, "{beyond} rows with half of the force, {deepest} m deep");
+    assert!(aside > 0.5, "limited joint by joint these rows would pull aside by {aside} N");
+    assert!(rows.iter().all(|row| row.values[9] == 1.0), "armed throughout");
+}
+
+#[test]
+fn a_hand_that_goes_around_keeps_out_of_the_walls_until_the_motors_are_armed() {
+    let (shared, mut board) = connect(BoardOptions::default());
+    let scene = wall_below(&shared, 0.01, FeedForward::Off);
+    board.set_scene(&scene).unwrap();
+    let tip = shared.lock().device().tip();
+    let walls = Scene { task: 2, walls: scene.walls.iter().map(Wall::cast).collect(), ..Scene::default() };
+    let around = Around::find(&device_file(), Some(&walls), tip);
+    assert!(around.on_a_wall);
+    shared.lock().set_rounds(HandSettings { tremor: 2e-4, ..HandSettings::default() }, around);
+    for _ in 0..3 {
+        // The loop takes four seconds, and is in the wall for half of them.
+        for _ in 0..10 {
+            shared.lock().run(0.41);
+            board.arm().expect("the hand waits");
+            board.disarm().unwrap();
+        }
+        board.arm().unwrap();
+        let mut deepest: f64 = 0.0;
+        for _ in 0..30 {
+            shared.lock().run(0.1);
+            deepest = deepest.min(shared.lock().device().tip()[1] - (tip[1] - 0.01));
+        }
+        assert!(deepest < -0.001, "armed, it presses: {deepest}");
+        board.disarm().unwrap();
+    }
+}

@@ -1,0 +1,432 @@
+//! Tools that come second, go, are killed, flood or say nothing: the board is one tool's, the next one finds it as it
+//! was, and a request to disarm gets through. Where there is a real port, tools are waited for not at all or for an hour.
+
+use crate::common::{file, shipped};
+use haptic_bridge::board::protocol::{Disarm, GetDetails, GetInfo, Info, PROTOCOL};
+use haptic_bridge::control::{HostAction, Rules};
+use haptic_bridge::render::scene::{FeedForward, Scene};
+use haptic_bridge::safety::fault::{Fault, State};
+use haptic_host::device_file::DeviceFile;
+use haptic_host::link::{Board, Deframer, LinkError, PortSpec, Wire, disarm_past, encode, fields};
+use haptic_host::scene_file::SceneFile;
+use haptic_predict::measure::{Law, MeasureError, MeasurementSetup, PreparedBoard};
+use haptic_sim::door::{Patience, ToolListener, tcp};
+use haptic_sim::server::{Pace, serve};
+use haptic_sim::{BoardOptions, SharedBoard, SimulatedBoard, ready_board};
+use haptic_stability::analysis::several::Member;
+use postcard_rpc::Endpoint;
+use postcard_rpc::header::{VarHeader, VarKey, VarSeq};
+use std::cell::Cell;
+use std::io::{Read, Write};
+use std::net::{Shutdown, TcpListener, TcpStream};
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::{JoinHandle, spawn};
+use std::time::Duration;
+
+const NOT_AT_ALL: Duration = Duration::ZERO;
+const AN_HOUR: Duration = Duration::from_secs(3600);
+
+fn device() -> DeviceFile {
+    shipped("coupled-five-bar")
+}
+
+fn simulated() -> SimulatedBoard {
+    ready_board(&device(), BoardOptions::default()).unwrap()
+}
+
+/// A simulated board behind a port; ends when dropped.
+struct Served {
+    port: PortSpec,
+    stop: Arc<AtomicBool>,
+    server: Option<JoinHandle<()>>,
+}
+
+impl Served {
+    fn behind(door: ToolListener) -> Self {
+        let (port, stop) = (door.port.parse().unwrap(), Arc::new(AtomicBool::new(false)));
+        let stopped = Arc::clone(&stop);
+        let server = spawn(move || serve(&mut simulated(), &door, Pace::AsFastAsItCan, &stopped));
+        Self { port, stop, server: Some(server) }
+    }
+
+    /// Over TCP, where the next tool waits for so long for one that goes, and a silent one gives way after so long.
+    fn on_tcp(handover: Duration, silence: Duration) -> Self {
+        Self::behind(tcp("127.0.0.1:0".parse().unwrap(), Patience { silence, handover }).unwrap())
+    }
+
+    /// Over everything that there is.
+    fn everywhere(handover: Duration) -> Vec<Self> {
+        let mut ports = vec![Self::on_tcp(handover, AN_HOUR)];
+        #[cfg(unix)]
+        ports.push(Self::behind(haptic_sim::door::pseudo_terminal().unwrap()));
+        ports
+    }
+
+    fn open(&self) -> Board {
+        Board::open(&self.port).unwrap_or_else(|error| panic!("{:?}: {error}", self.port))
+    }
+
+    /// A board with its motors on.
+    fn armed(&self) -> Board {
+        let mut board = self.open();
+        board.set_scene(&Scene { task: 2, ..Scene::default() }).unwrap();
+        board.arm().unwrap();
+        board
+    }
+
+    /// A connection that is no tool yet.
+    fn connect(&self) -> TcpStream {
+        let PortSpec::Tcp(address) = &self.port else { panic!("{:?} is no TCP port", self.port) };
+        TcpStream::connect(address).unwrap()
+    }
+
+    fn refuses_a_second_tool(&self) {
+        let error = Board::open(&self.port).map(drop).unwrap_err();
+        let said = error.to_string();
+        match (&error, &self.port) {
+            (LinkError::HeldByAnother(_), PortSpec::Tcp(address)) => assert!(said.contains(address), "{said}"),
+            (LinkError::PortBusy(_), PortSpec::Serial(name)) => assert!(said.contains(name), "{said}"),
+            _ => panic!("{said}"),
+        }
+        assert!(said.contains("another"), "{said}");
+    }
+}
+
+impl Drop for Served {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::SeqCst);
+        let _ = self.server.take().map(JoinHandle::join);
+    }
+}
+
+/// Streams until `count` rows more have come.
+fn rows(board: &mut Board, count: u64) {
+    let enough = board.losses().received + count;
+    while board.losses().received < enough {
+        board.rows(Duration::from_secs(1)).unwrap();
+    }
+}
+
+#[test]
+fn a_board_behind_a_port_answers_and_streams_without_loss_and_so_it_does_for_the_next_tool() {
+    for served in Served::everywhere(AN_HOUR) {
+        for _ in 0..2 {
+            let mut board = served.open();
+            assert_eq!(board.info().board.as_str(), "simulated");
+            assert_eq!(board.details().unwrap().device.as_deref(), Some("coupled-five-bar"));
+            board.start_stream(fields("usual").unwrap(), 10).unwrap();
+            rows(&mut board, 5_000);
+            assert_eq!((board.losses().missing, board.losses().garbled), (0, 0));
+        }
+    }
+}
+
+#[test]
+fn the_second_of_two_tools_is_told_that_the_board_is_taken_and_the_first_does_not_notice() {
+    for served in Served::everywhere(NOT_AT_ALL) {
+        let mut first = served.open();
+        first.start_stream(fields("usual").unwrap(), 10).unwrap();
+        rows(&mut first, 500);
+        served.refuses_a_second_tool();
+        rows(&mut first, 5_000);
+        assert_eq!((first.losses().missing, first.losses().garbled), (0, 0));
+    }
+}
+
+#[test]
+fn a_request_to_disarm_gets_past_the_tool_that_holds_the_board() {
+    for served in Served::everywhere(NOT_AT_ALL) {
+        // It does not read meanwhile, as one that was stopped.
+        let mut first = served.armed();
+        disarm_past(&served.port).unwrap();
+        assert_eq!(first.status().unwrap().state, State::Disarmed);
+        // And nothing but that request does.
+        first.arm().unwrap();
+        served.refuses_a_second_tool();
+        assert_eq!(first.status().unwrap().state, State::Armed);
+    }
+}
+
+#[test]
+fn connections_that_say_nothing_neither_disturb_the_tool_that_holds_the_board_nor_keep_out_a_request_to_disarm() {
+    let served = Served::on_tcp(NOT_AT_ALL, AN_HOUR);
+    let mut first = served.armed();
+    let silent = || (0..100).map(|_| served.connect()).collect::<Vec<_>>();
+    // As `haptic disarm` does: it asks first, and is told that the board is held.
+    let _crowd = silent();
+    served.refuses_a_second_tool();
+    let _more = silent();
+    assert_eq!(first.status().unwrap().state, State::Armed);
+    disarm_past(&served.port).unwrap();
+    assert_eq!(first.status().unwrap().state, State::Disarmed);
+}
+
+/// A byte each, and then nothing: none of them is a request, and none keeps one out.
+#[test]
+fn strangers_that_begin_to_speak_and_fall_silent_keep_out_no_request_to_disarm() {
+    let served = Served::on_tcp(AN_HOUR, AN_HOUR);
+    let mut first = served.armed();
+    let strangers = (0..100).map(|_| {
+        let mut stranger = served.connect();
+        // One that was turned away has closed its end.
+        let _ = stranger.write_all(&[1]);
+        stranger
+    });
+    let _crowd: Vec<_> = strangers.collect();
+    disarm_past(&served.port).unwrap();
+    assert_eq!(first.status().unwrap().state, State::Disarmed);
+}
+
+#[test]
+fn a_tool_that_speaks_takes_the_place_of_connections_that_say_nothing() {
+    let served = Served::on_tcp(AN_HOUR, NOT_AT_ALL);
+    let _silent: Vec<_> = (0..100).map(|_| served.connect()).collect();
+    let mut board = served.open();
+    // None of them takes it back.
+    for _ in 0..100 {
+        board.status().unwrap();
+    }
+}
+
+fn request<E: Endpoint>(sequence: u16) -> Vec<u8> {
+    encode(&VarHeader { key: VarKey::Key8(E::REQ_KEY), seq_no: VarSeq::Seq2(sequence) }, &[])
+}
+
+#[test]
+fn a_tool_that_floods_and_does_not_read_costs_a_bounded_memory_and_the_next_one_is_served() {
+    let mut board = simulated();
+    (0..50_000).for_each(|sequence| board.receive(&request::<GetDetails>(sequence)));
+    let (mut waiting, mut buffer) = (0, [0; 4096]);
+    loop {
+        match board.take_bytes(&mut buffer) {
+            0 => break,
+            count => waiting += count,
+        }
+    }
+    assert!(waiting > 10_000, "it did answer: {waiting} bytes");
+    let room = BoardOptions::default().send_buffer + 70_000;
+    assert!(waiting < room, "{waiting} bytes wait for a tool that does not read");
+
+    let served = Served::on_tcp(AN_HOUR, AN_HOUR);
+    let mut flood = served.connect();
+    let requests: Vec<u8> = (0..20_000).flat_map(request::<GetDetails>).collect();
+    flood.write_all(&requests).unwrap();
+    drop(flood);
+    served.open().status().unwrap();
+}
+
+#[test]
+fn a_hundred_replugs_armed_or_not_leave_a_board_that_arms_again() {
+    let served = Served::on_tcp(AN_HOUR, AN_HOUR);
+    let mut board = served.armed();
+    board.disarm().unwrap();
+    let host_seconds = Rules::HOST_SECONDS.1;
+    board.set_rules(&Rules { host_action: HostAction::Disarm, host_seconds, ..Rules::default() }).unwrap();
+    drop(board);
+    for round in 0..100 {
+        let mut board = served.open();
+        board.keep_alive();
+        // After a tool that left without disarming they are still on.
+        board.disarm().unwrap();
+        board.arm().unwrap();
+        board.start_stream(fields("usual").unwrap(), 10).unwrap();
+        rows(&mut board, 50);
+        assert_eq!(board.losses().missing, 0, "round {round}");
+        assert_eq!(board.status().unwrap().state, State::Armed, "round {round}");
+        if round % 2 == 0 {
+            board.disarm().unwrap();
+        }
+    }
+    assert_eq!(served.open().faults().unwrap().len(), 0);
+}
+
+#[test]
+fn a_board_that_goes_away_while_streaming_is_a_clear_error() {
+    let served = Served::on_tcp(AN_HOUR, AN_HOUR);
+    let cable = TcpListener::bind("127.0.0.1:0").unwrap();
+    let port = PortSpec::Tcp(cable.local_addr().unwrap().to_string());
+    let mut to_board = served.connect();
+    // It is pulled after 2000 bytes from the board.
+    let pulled = spawn(move || {
+        let (mut tool, _) = cable.accept().unwrap();
+        let (mut from_board, mut from_tool) = (to_board.try_clone().unwrap(), tool.try_clone().unwrap());
+        spawn(move || std::io::copy(&mut from_tool, &mut to_board));
+        std::io::copy(&mut Read::by_ref(&mut from_board).take(2000), &mut tool).unwrap();
+        let _ = (tool.shutdown(Shutdown::Both), from_board.shutdown(Shutdown::Both));
+    });
+    let mut board = Board::open(&port).unwrap();
+    board.start_stream(fields("all").unwrap(), 100).unwrap();
+    let error = loop {
+        if let Err(error) = board.rows(Duration::from_secs(1)) {
+            break error;
+        }
+    };
+    pulled.join().unwrap();
+    assert!(matches!(error, LinkError::Lost(_)) && error.to_string().contains("unplugged"), "{error}");
+    assert!(board.losses().received > 5);
+}
+
+#[test]
+fn ports_with_nobody_behind_them_are_said_with_their_names() {
+    // This end of a connection keeps its port, and nobody listens at it.
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let taken = TcpStream::connect(listener.local_addr().unwrap()).unwrap();
+    let address = taken.local_addr().unwrap().to_string();
+    let error = Board::open(&PortSpec::Tcp(address.clone())).map(drop).unwrap_err();
+    assert!(matches!(error, LinkError::NotListening { .. }) && error.to_string().contains(&address), "{error}");
+    let error = Board::open(&PortSpec::Serial("/dev/no-such-port".into())).map(drop).unwrap_err();
+    assert!(matches!(error, LinkError::NoSuchPort { .. }), "{error}");
+    assert!(error.to_string().contains("/dev/no-such-port"));
+}
+
+/// What is no board, or one of another protocol version, which answers whatever it is asked with its `Info`.
+struct Stranger {
+    protocol: Option<u16>,
+    out: Vec<u8>,
+    now: Duration,
+}
+
+impl Stranger {
+    fn met(protocol: Option<u16>) -> LinkError {
+        let wire = Self { protocol, out: b"HTTP/1.1 400 Bad Request\r\n\r\n\0\0".into(), now: Duration::ZERO };
+        Board::over(Box::new(wire), "test").map(drop).unwrap_err()
+    }
+}
+
+impl Wire for Stranger {
+    fn send(&mut self, bytes: &[u8]) -> std::io::Result<()> {
+        let mut requests = Vec::new();
+        Deframer::default().feed(bytes, |frame| requests.push(frame));
+        for request in requests {
+            assert_eq!(request.header.key, VarKey::Key8(GetInfo::REQ_KEY), "nothing else is asked of it");
+            let Some(protocol) = self.protocol else { continue };
+            let [firmware, board, serial] = ["9.9", "odrive-v3", "A1"];
+            let info = Info {
+                protocol,
+                firmware: firmware.chars().collect(),
+                board: board.chars().collect(),
+                serial: serial.chars().collect(),
+            };
+            let header = VarHeader { key: VarKey::Key8(GetInfo::RESP_KEY), seq_no: request.header.seq_no };
+            self.out.extend(encode(&header, &postcard::to_stdvec(&info).unwrap()));
+        }
+        Ok(())
+    }
+    fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> std::io::Result<usize> {
+        let count = self.out.len().min(buffer.len());
+        buffer[..count].copy_from_slice(&self.out[..count]);
+        self.out.drain(..count);
+        self.now += if count == 0 { timeout } else { Duration::ZERO };
+        assert!(self.now <= Duration::from_secs(2), "it is given up by then");
+        Ok(count)
+    }
+    fn now(&self) -> Duration {
+        self.now
+    }
+}
+
+#[test]
+fn what_is_no_board_of_this_version_is_named_and_left_alone() {
+    let error = Stranger::met(None);
+    assert!(matches!(error, LinkError::Silent { .. }), "{error}");
+    for (protocol, remedy) in [(PROTOCOL + 1, "update this tool"), (PROTOCOL - 1, "flash it: haptic flash")] {
+        let error = Stranger::met(Some(protocol));
+        assert!(matches!(error, LinkError::Version { board, tool: PROTOCOL } if board == protocol), "{error}");
+        assert!(error.to_string().contains(remedy), "{error}");
+    }
+}
+
+/// A board in this process, in virtual time.
+fn in_process() -> (SharedBoard, Board) {
+    let shared = SharedBoard::new(simulated());
+    let board = Board::over(shared.wire(), "sim").unwrap();
+    (shared, board)
+}
+
+#[test]
+fn what_is_left_of_another_tools_stream_is_no_row_of_this_one() {
+    let (shared, mut killed) = in_process();
+    killed.start_stream(fields("counts").unwrap(), 1).unwrap();
+    shared.lock().run(0.2);
+    // It read nothing of it and says no good-bye; the next one finds the port as it was left.
+    drop(killed);
+    let mut next = Board::over(shared.wire(), "sim").unwrap();
+    next.start_stream(fields("q,tip").unwrap(), 20).unwrap();
+    let mut rows = Vec::new();
+    while rows.len() < 100 {
+        rows.extend(next.rows(Duration::from_millis(100)).unwrap());
+    }
+    assert!(rows.iter().all(|row| row.values.len() == 4), "{:?}", rows[0]);
+    assert!(rows.windows(2).all(|pair| pair[1].step - pair[0].step == 20));
+    let losses = next.losses();
+    assert_eq!((losses.missing, losses.batches_lost, losses.garbled), (0, 0, 0));
+}
+
+fn setup() -> MeasurementSetup {
+    MeasurementSetup {
+        walls: vec![Member::new(vec![0.6, 0.8], 1.0)],
+        rate_hz: 1_000.0,
+        cutoff_hz: 20.0,
+        washout_hz: 2.0,
+        law: Law::default(),
+        torque_limit: 1.0,
+        largest_pull: 2e-3,
+    }
+}
+
+/// One trial of a measurement that is asked again and again whether it shall stop.
+fn measure(board: &mut Board, stop: &dyn Fn() -> bool) -> Result<(), MeasureError> {
+    let mut prepared = PreparedBoard::new(board, &device(), setup(), stop)?;
+    prepared.oscillates(FeedForward::Off, 100.0, 1.0, 1.0).map(drop)
+}
+
+#[test]
+fn a_measurement_that_ends_anywhere_has_its_motors_off_and_the_rules_as_they_were() {
+    let (shared, mut board) = in_process();
+    let scene = SceneFile::load(Path::new(&file("scenes/coupled-five-bar/wall.toml")), 2).unwrap().scene().unwrap();
+    board.set_scene(&scene).unwrap();
+    let before = board.rules().unwrap();
+    for most in [1, 30, 300, 1000] {
+        let asked = Cell::new(0);
+        let ended = measure(&mut board, &|| {
+            asked.set(asked.get() + 1);
+            asked.get() > most
+        });
+        assert_eq!(ended.is_err(), asked.get() > most, "{ended:?}");
+        assert_eq!(shared.lock().status().state, State::Disarmed, "after {most}");
+        assert_eq!(board.rules().unwrap(), before);
+        assert_eq!(board.scene().unwrap().as_ref(), Some(&scene));
+    }
+}
+
+#[test]
+fn a_measurement_ends_when_somebody_else_turns_the_motors_off_or_clears_its_fault() {
+    for most in [40, 60] {
+        let (shared, mut board) = in_process();
+        let asked = Cell::new(0);
+        let ended = measure(&mut board, &|| {
+            asked.set(asked.get() + 1);
+            if asked.get() == most {
+                shared.lock().receive(&request::<Disarm>(7));
+            }
+            false
+        });
+        assert!(asked.get() >= most, "it was in the middle of it");
+        assert!(matches!(ended, Err(MeasureError::Disarmed)), "{ended:?}");
+        assert_eq!(shared.lock().status().state, State::Disarmed);
+    }
+}
+
+#[test]
+fn a_measurement_whose_tool_dies_takes_its_motors_with_it() {
+    let (shared, mut board) = in_process();
+    let prepared = PreparedBoard::new(&mut board, &device(), setup(), &|| false).unwrap();
+    // What a killed process does: nothing more, not even dropping.
+    std::mem::forget(prepared);
+    assert_eq!(shared.lock().status().state, State::Armed);
+    shared.lock().run(1.1);
+    let status = shared.lock().status();
+    assert_eq!((status.state, status.fault.map(|record| record.fault)), (State::Fault, Some(Fault::HostLost)));
+}
