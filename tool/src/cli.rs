@@ -63,7 +63,7 @@ const RENAMED: &[(&str, &str)] = &[
     ("estimators", "haptic tune estimators"),
     ("latency", "haptic board latency"),
     ("list", "haptic board list"),
-    ("monitor", "haptic view --terminal"),
+    ("monitor", "haptic view"),
     ("name", "haptic board name"),
     ("plan", "haptic check"),
     ("restart", "haptic board restart"),

@@ -28,7 +28,6 @@
 //! | find the best place, direction, posture and links for one | [`mod@design`] |
 //! | write a device's first files | [`template`], [`wall_ahead`] |
 //! | write the file of a device that a board runs | [`equivalent`] |
-//! | move one joint while a key is held | [`jog`] |
 #![forbid(unsafe_code)]
 
 pub mod bench;
@@ -36,7 +35,6 @@ pub mod boards;
 mod contact;
 pub mod design;
 pub mod equivalent;
-pub mod jog;
 pub mod measure;
 pub mod plan;
 pub mod plausible;

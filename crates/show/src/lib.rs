@@ -24,8 +24,6 @@
 pub mod demo;
 #[cfg(feature = "serve")]
 pub mod haply;
-#[cfg(feature = "monitor")]
-pub mod monitor;
 pub mod outline;
 pub mod plot;
 pub mod recorder;

@@ -1,13 +1,13 @@
 //! `haptic arm`: motors on, and somebody there while they are.
 
 use super::answer::Json;
+use super::held_key::{HeldKey, in_raw_terminal};
 use super::interrupt::{self, Interrupt};
 use super::port::{OnBoard, motors_off};
 use haptic_bridge::control::{ARM_SECONDS, HostAction};
 use haptic_bridge::safety::fault::State;
 use haptic_host::error::{Failure, print};
 use haptic_host::link::Board;
-use haptic_show::monitor::{HeldKey, in_raw_terminal};
 use haptic_show::view::message::FromPage;
 use serde_json::json;
 use std::io::IsTerminal;

@@ -104,7 +104,6 @@ pub fn examples(words: &str) -> &'static [&'static str] {
         ],
         "gains" => &["haptic gains --stiffness 800 --damping 2", "haptic gains --wall 1 --feed-forward off"],
         "rules" => &["haptic rules --torque 0.1,0.1 --host disarm", "haptic rules --json"],
-        "jog" => &["haptic jog --joint 0", "haptic jog --joint 1 --by -0.05 --speed 0.1"],
         "stream" => &["haptic stream", "haptic stream --fields counts --seconds 10"],
         "record" => &[
             "haptic record contact.mcap",
@@ -117,11 +116,7 @@ pub fn examples(words: &str) -> &'static [&'static str] {
         ],
         "replay" => &["haptic replay contact.mcap"],
         "serve" => &["haptic serve --haply --port sim"],
-        "view" => &[
-            "haptic view --port sim",
-            "haptic view devices/haply-2diy.toml --port sim",
-            "haptic view --terminal --port sim",
-        ],
+        "view" => &["haptic view --port sim", "haptic view devices/haply-2diy.toml --port sim"],
         "measure-range" => {
             &["haptic measure-range devices/coupled-five-bar.toml --port sim --normal 0.6,0.8 --rate 1000 --cutoff 20"]
         }

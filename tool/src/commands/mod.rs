@@ -20,11 +20,11 @@ mod faults;
 mod flash;
 mod force;
 mod gains;
+mod held_key;
 pub mod help;
 mod home;
 mod info;
 mod interrupt;
-mod jog;
 mod latency;
 mod list;
 mod map;
@@ -120,7 +120,6 @@ commands! {
     }
     DEVELOPERS {
         (Bench, bench)
-        (Jog, jog)
         (Precompute, precompute)
         (Udev, udev)
     }

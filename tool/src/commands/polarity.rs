@@ -7,8 +7,7 @@ use serde_json::json;
 /// Check that every motor turns its joint the way its encoder counts (moves the device)
 ///
 /// Each joint in turn gets a small, slowly growing torque until it moves, and is then swung about where it stood, by
-/// some degrees. A real board arms only after this check has passed with its device, homed where it is. `haptic jog`
-/// then moves one joint by itself, while a key is held.
+/// some degrees. A real board arms only after this check has passed with its device, homed where it is.
 #[derive(clap::Args)]
 pub struct Args {
     #[command(flatten)]

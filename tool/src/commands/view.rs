@@ -1,4 +1,4 @@
-//! `haptic view`: a page in the browser, or in the terminal, on a board or on a simulated one with a hand to lead.
+//! `haptic view`: a page in the browser, for a board or for a simulated one with a hand to lead.
 
 use super::interrupt;
 use super::port::{Port, address};
@@ -9,11 +9,9 @@ use haptic_host::error::{Failure, print};
 use haptic_host::link::PortSpec;
 use haptic_host::output;
 use haptic_host::scene_file::SceneFile;
-use haptic_show::monitor;
 use haptic_show::view::hub::Hub;
 use haptic_show::view::{PageListener, Reach, Stage, World};
 use std::fmt::Display;
-use std::io::IsTerminal;
 use std::net::Ipv4Addr;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -26,14 +24,13 @@ const AGAIN: Duration = Duration::from_millis(500);
 /// The default port of the page.
 const USUAL_PORT: u16 = 7720;
 
-/// Look at a device in the browser or the terminal: walls to drag, gains to turn, signals, recording
+/// Look at a device in the browser: walls to drag, gains to turn, signals, recording
 ///
 /// Serves one page until Ctrl-C; what it shows is inside this tool, nothing is loaded from elsewhere. Motors are on
 /// only while somebody holds a key (Space) on the page in command: letting go, closing the page or losing the network
 /// turns them off.
 ///
-/// --terminal draws the same with characters, also over ssh, until q; motors are on only while Space is held, and the
-/// last line of the screen lists the keys. A board that is unplugged is waited for.
+/// A board that is unplugged is waited for. Over ssh, forward the page's port: ssh -L 7720:localhost:7720 HOST.
 ///
 /// With --port sim the mouse is a hand on a simulated device. Without DEVICE it is that of `haptic demo`, with less dry
 /// friction and finer encoders, before a wall that buzzes without the feed-forward and is quiet with it.
@@ -41,9 +38,6 @@ const USUAL_PORT: u16 = 7720;
 pub struct Args {
     /// Device file (TOML), for its links [default: a board's tip is drawn without them]
     device: Option<PathBuf>,
-    /// Draw in this terminal instead
-    #[arg(long, conflicts_with = "listen")]
-    terminal: bool,
     #[command(flatten)]
     port: Port,
     /// On --port sim: scene file (TOML) [default: one wall in front of the tip]
@@ -171,49 +165,10 @@ impl Shown {
     }
 }
 
-/// Refuses to draw where there is no terminal.
-fn check_terminal() -> Result<(), Failure> {
-    if !std::io::stdout().is_terminal() {
-        return Err(
-            Failure::wrong("this is no terminal that could be drawn on").remedy("see haptic stream, haptic record")
-        );
-    }
-    Ok(())
-}
-
-/// Shows the board until `q`.
-fn run_in_terminal(shown: &Shown) -> Result<(), Failure> {
-    let stop = interrupt::watch().flag();
-    let hub = Hub::default();
-    let mut screen = None;
-    let opened = || {
-        let hub = hub.clone();
-        screen = Some(thread::spawn(move || monitor::run(&hub, stop)));
-        Ok(())
-    };
-    let played = shown.play(&hub, stop, opened, |_| {});
-    // The terminal is itself again before anything is said on it.
-    let ended = stop.swap(true, Ordering::SeqCst);
-    let drawn = screen.map_or(Ok(Ok(())), thread::JoinHandle::join);
-    match (played, drawn) {
-        // Whoever ended it while a board was waited for did so knowingly.
-        (Err(_), _) if ended => Ok(()),
-        (Err(failure), _) => Err(failure),
-        (Ok(()), Ok(Err(error))) => Err(Failure::impossible(format!("the terminal cannot be drawn on: {error}"))),
-        (Ok(()), _) => Ok(()),
-    }
-}
-
 /// Serves the page.
 pub fn run(args: Args) -> Result<(), Failure> {
-    if args.terminal {
-        check_terminal()?;
-    }
     let stop = interrupt::watch();
     let shown = Shown::of(args.port, args.device.as_ref(), args.scene.as_ref(), args.rate, args.record_to)?;
-    if args.terminal {
-        return run_in_terminal(&shown);
-    }
     let hub = Hub::default();
     let opened = || {
         let door = match &args.listen {

@@ -17,10 +17,10 @@ mod hard_cases;
 mod lies;
 
 mod processes {
+    mod arm_key;
     mod continued;
     mod demo;
     mod killed;
-    mod monitor;
     mod view;
 }
 

@@ -2,11 +2,8 @@
 //! should. A command that `haptic help` lists and nobody runs here fails.
 #![cfg(unix)]
 
-use crate::common::sim::{Sim, until};
+use crate::common::sim::Sim;
 use crate::common::{haptic, root, signal};
-use rustix::fs::{Mode, OFlags};
-use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
-use rustix::termios::{Winsize, tcsetwinsize};
 use std::collections::BTreeSet;
 use std::io::{BufRead, BufReader};
 use std::path::Path;
@@ -116,7 +113,7 @@ fn every_command_with_a_board() {
 }
 
 /// Commands that can be called and are on no help page.
-const DEVELOPERS: [&str; 4] = ["bench", "jog", "precompute", "udev"];
+const DEVELOPERS: [&str; 3] = ["bench", "precompute", "udev"];
 
 /// Commands whose examples are typed as they are: the others need a board, a recording, or more than a second.
 const TYPED: [&str; 5] = ["new", "check", "model", "precompute", "range"];
@@ -160,49 +157,6 @@ fn every_command_that_serves() {
     }
 }
 
-/// Runs the tool in a terminal until this is on its screen, types `q`, and gives what it shows then.
-fn in_a_terminal(line: &str, shows: &str) -> String {
-    let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).unwrap();
-    grantpt(&master).unwrap();
-    unlockpt(&master).unwrap();
-    tcsetwinsize(&master, Winsize { ws_row: 24, ws_col: 80, ws_xpixel: 0, ws_ypixel: 0 }).unwrap();
-    let path = ptsname(&master, Vec::new()).unwrap();
-    let mut child = {
-        // Its other end is the tool's alone, so that reading ends with it.
-        let mode = OFlags::RDWR | OFlags::NOCTTY | OFlags::CLOEXEC;
-        let slave = rustix::fs::open(path.as_c_str(), mode, Mode::empty()).unwrap();
-        let end = || Stdio::from(slave.try_clone().unwrap());
-        let mut command = Command::new(env!("CARGO_BIN_EXE_haptic"));
-        command.args(words(line)).env("TERM", "xterm-256color");
-        command.stdin(end()).stdout(end()).stderr(end()).spawn().unwrap()
-    };
-    let (mut screen, mut bytes) = (vt100::Parser::default(), [0; 4096]);
-    until(shows, || {
-        let count = rustix::io::read(&master, &mut bytes).unwrap();
-        screen.process(&bytes[..count]);
-        screen.screen().contents().contains(shows)
-    });
-    rustix::io::write(&master, b"q").unwrap();
-    while let Ok(count @ 1..) = rustix::io::read(&master, &mut bytes) {
-        screen.process(&bytes[..count]);
-    }
-    assert!(child.wait().unwrap().success());
-    screen.screen().contents()
-}
-
-#[test]
-fn the_monitor() {
-    in_a_terminal("view --terminal --port sim", "wall 0 (plane)");
-}
-
-/// What it does while a key is held, jog.rs tries in virtual time.
-#[test]
-fn a_jog_that_nobody_holds_a_key_for() {
-    let sim = Sim::start(&[]);
-    let said = in_a_terminal(&format!("jog --joint 0 --port {}", sim.port), "hold Space");
-    assert!(said.contains("joint 0 goes by +0.1 rad at 0.2 rad/s") && said.contains("nothing was moved"), "{said}");
-}
-
 /// What it does with a board, crates/flash/tests tries against a scripted boot loader.
 #[test]
 fn flash_without_what_it_needs() {
@@ -234,6 +188,6 @@ fn no_command_is_left_out() {
     let listed = listing.lines().filter_map(|line| line.strip_prefix("  ")?.split_whitespace().next());
     let listed = listed.chain(DEVELOPERS);
     let run = [&ANALYSIS[..], &BOARD, &SERVING].concat();
-    let run: BTreeSet<&str> = run.into_iter().map(|(line, _)| words(line)[0]).chain(["flash", "jog"]).collect();
+    let run: BTreeSet<&str> = run.into_iter().map(|(line, _)| words(line)[0]).chain(["flash"]).collect();
     assert_eq!(listed.collect::<BTreeSet<_>>(), run);
 }

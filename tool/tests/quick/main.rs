@@ -18,7 +18,6 @@ mod forces;
 mod golden_model;
 mod haply;
 mod home;
-mod jog;
 mod map_command;
 mod measured;
 mod model_command;

@@ -1,0 +1,113 @@
+//! The dead man's key of a terminal. A terminal does not report a released key, but repeats a held one: Space switches the
+//! motors on once it repeats, and they go off when it no longer does. With each Space goes the newest control step that was
+//! known before the key came.
+
+use crossterm::event::{self, Event, KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
+use crossterm::terminal;
+use haptic_show::view::message::FromPage;
+use std::io;
+use std::time::{Duration, Instant};
+
+/// Longest time that a held key may take to begin repeating. Terminals take 250 to 660 ms.
+const REPEAT: Duration = Duration::from_millis(1000);
+/// Longest pause between repeats before the key counts as released.
+const RELEASED: Duration = Duration::from_millis(400);
+
+/// The dead man's key of a terminal.
+#[derive(Debug, Default)]
+pub struct HeldKey {
+    /// Time of the last Space.
+    pressed: Option<Instant>,
+    /// True while the motors are requested.
+    on: bool,
+    /// The newest control step that was known when the terminal had no more keys: later keys were pressed after it.
+    seen: u32,
+}
+
+impl HeldKey {
+    /// Handles a Space. Returns the message for the board.
+    pub fn press(&mut self, now: Instant) -> Option<FromPage> {
+        let repeats = self.pressed.is_some_and(|before| now.duration_since(before) <= REPEAT);
+        self.pressed = Some(now);
+        match (self.on, repeats) {
+            (true, _) => Some(FromPage::Hold { seen: self.seen }),
+            (false, true) => {
+                self.on = true;
+                Some(FromPage::Arm { seen: self.seen })
+            }
+            (false, false) => None,
+        }
+    }
+
+    /// Handles a terminal without more keys, after the board has reported this control step. Returns the message for the
+    /// board.
+    pub fn wait(&mut self, now: Instant, step: u32) -> Option<FromPage> {
+        self.seen = step;
+        let silent = self.pressed.is_none_or(|before| now.duration_since(before) > RELEASED);
+        (self.on && silent).then(|| self.release())
+    }
+
+    /// Releases the key. Returns the message for the board.
+    pub fn release(&mut self) -> FromPage {
+        self.forget();
+        FromPage::Release {}
+    }
+
+    /// Reads the keys of a raw terminal, after the board has reported this control step. Returns the message for the board,
+    /// or `None` to end.
+    pub fn listen(&mut self, step: u32) -> io::Result<Option<Option<FromPage>>> {
+        let mut said = None;
+        while event::poll(Duration::ZERO)? {
+            match event::read()? {
+                Event::Key(key) if key.kind == KeyEventKind::Release => {}
+                Event::Key(key) if is_end(&key) => return Ok(None),
+                Event::Key(key) if key.code == KeyCode::Char(' ') => said = self.press(Instant::now()).or(said),
+                // Any other key stops the motors.
+                Event::Key(_) => said = Some(self.release()),
+                _ => {}
+            }
+        }
+        let waited = self.wait(Instant::now(), step);
+        Ok(Some(said.or(waited)))
+    }
+
+    /// Forgets the key because something else turned the motors off: it must be pressed again.
+    pub fn forget(&mut self) {
+        (self.pressed, self.on) = (None, false);
+    }
+}
+
+/// Runs `work` while the terminal passes on every key at once and echoes none.
+pub fn in_raw_terminal<T>(work: impl FnOnce() -> T) -> io::Result<T> {
+    terminal::enable_raw_mode()?;
+    let done = work();
+    terminal::disable_raw_mode()?;
+    Ok(done)
+}
+
+/// Returns true if a key ends the command: `q`, Ctrl-C, Ctrl-D.
+fn is_end(key: &KeyEvent) -> bool {
+    let control = key.modifiers.contains(KeyModifiers::CONTROL);
+    matches!(key.code, KeyCode::Char('q')) || control && matches!(key.code, KeyCode::Char('c' | 'd'))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_a_key_that_repeats_arms_and_one_that_stops_lets_go() {
+        let (mut held, began) = (HeldKey::default(), Instant::now());
+        let at = |ms: u64| began + Duration::from_millis(ms);
+        assert_eq!(held.press(at(0)), None, "one press alone does not hold");
+        assert_eq!(held.wait(at(500), 10), None);
+        // Any number of Spaces may have waited in the terminal: no Space is known to be newer than the last look.
+        assert_eq!(held.press(at(600)), Some(FromPage::Arm { seen: 10 }));
+        assert_eq!(held.press(at(640)), Some(FromPage::Hold { seen: 10 }));
+        assert_eq!(held.wait(at(1000), 20), None);
+        assert_eq!(held.wait(at(1041), 21), Some(FromPage::Release {}));
+        assert_eq!(held.wait(at(5000), 99), None);
+        assert_eq!(held.press(at(5000)), None, "and it begins anew");
+        assert_eq!(held.press(at(6001)), None, "two presses far apart do not hold");
+    }
+}

@@ -1,0 +1,97 @@
+//! `haptic arm --key` in a pseudo-terminal.
+#![cfg(unix)]
+
+use crate::common::file;
+use crate::common::sim::{HANG, Sim};
+
+use rustix::event::{PollFd, PollFlags, poll};
+use rustix::fs::{Mode, OFlags};
+use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
+use std::os::fd::OwnedFd;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+struct Terminal {
+    master: OwnedFd,
+    text: String,
+    child: Child,
+    /// Time of the last Space while the key is held. Spaces repeat as a terminal sends them, so that the motors go on again
+    /// if this process was too slow and they went off.
+    held: Option<Instant>,
+}
+
+impl Terminal {
+    /// Runs the tool in a session and terminal of its own.
+    fn run(arguments: &[&str]) -> Self {
+        let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).unwrap();
+        grantpt(&master).unwrap();
+        unlockpt(&master).unwrap();
+        let path = ptsname(&master, Vec::new()).unwrap();
+        let slave = rustix::fs::open(path.as_c_str(), OFlags::RDWR | OFlags::NOCTTY, Mode::empty()).unwrap();
+        let mut command = Command::new("setsid");
+        command.args(["--ctty", "--wait"]).arg(assert_cmd::cargo::cargo_bin("haptic")).args(arguments);
+        let end = || Stdio::from(slave.try_clone().unwrap());
+        let child = command.stdin(end()).stdout(end()).stderr(end()).spawn().unwrap();
+        Self { master, text: String::new(), child, held: None }
+    }
+
+    fn hold(&mut self) {
+        self.held = Some(Instant::now());
+        rustix::io::write(&self.master, b" ").unwrap();
+    }
+
+    /// Reads the output so far. Returns false once the tool has closed the terminal.
+    fn read(&mut self) -> bool {
+        if self.held.is_some_and(|last| last.elapsed() > Duration::from_millis(40)) {
+            self.hold();
+        }
+        let mut descriptors = [PollFd::new(&self.master, PollFlags::IN)];
+        let time = rustix::event::Timespec { tv_sec: 0, tv_nsec: 20_000_000 };
+        if poll(&mut descriptors, Some(&time)).unwrap() == 0 {
+            return true;
+        }
+        let mut bytes = [0; 4096];
+        match rustix::io::read(&self.master, &mut bytes) {
+            Ok(count) if count > 0 => {
+                self.text.push_str(&String::from_utf8_lossy(&bytes[..count]));
+                true
+            }
+            _ => false,
+        }
+    }
+
+    /// Waits until the tool has printed these words, and forgets the output up to now.
+    fn expect(&mut self, words: &str) {
+        let began = Instant::now();
+        while !self.text.contains(words) {
+            assert!(began.elapsed() < HANG, "{words}:\n{}", self.text);
+            assert!(self.read(), "{words}: the tool has ended\n{}", self.text);
+        }
+        self.text.clear();
+    }
+}
+
+impl Drop for Terminal {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+#[test]
+fn the_motors_are_on_only_while_space_is_held() {
+    let sim = Sim::start(&["--scene", &file("scenes/coupled-five-bar/wall.toml")]);
+    let mut terminal = Terminal::run(&["arm", "--key", "--port", &sim.port]);
+    terminal.expect("hold Space");
+    for _ in 0..2 {
+        terminal.hold();
+        terminal.expect("motors on");
+        terminal.held = None;
+        terminal.expect("motors off");
+    }
+    rustix::io::write(&terminal.master, b"q").unwrap();
+    terminal.expect("disarmed");
+    while terminal.read() {}
+    assert!(terminal.child.wait().unwrap().success());
+    sim.until(|state| state == "Disarmed");
+}
