@@ -1,10 +1,10 @@
 //! Doubts about a scene on a device: walls out of reach, beyond what is stable there or beyond the motors, springs and
 //! fields beyond what is stable at home.
 
-use super::device::force_along;
 use super::{Doubt, Key};
 use crate::bench::probe::on_surface;
 use crate::bench::wall::WallSimulation;
+use crate::boards::force_along;
 use crate::ripple::LIGHT_HAND;
 use crate::tune::{Settings, USUAL_RIPPLE_N};
 use haptic_bridge::math::Libm;

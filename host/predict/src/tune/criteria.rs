@@ -4,7 +4,7 @@
 use super::margins::Corner;
 use super::{Found, Question, Settings, check, measured, three_digits};
 use crate::bench::wall::{Pressed, WallSimulation};
-use crate::plausible::device::force_along;
+use crate::boards::force_along;
 use haptic_bridge::render::scene::FeedForward;
 use haptic_host::error::Failure;
 use haptic_host::vectors::padded_to;
