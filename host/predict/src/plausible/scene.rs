@@ -479,6 +479,10 @@ pub fn rippling(description: &Description, scene: &Scene<f64>, contact: &mut Con
     if wall.stiffness > contact.stable_to || wall.damping > contact.damping_to {
         return None;
     }
+    // A hand presses through a wall that is softer than its own spring, so there is no contact to judge.
+    if wall.stiffness < SOFTEST_WALL {
+        return None;
+    }
     let Ripple { ripple_n, allowed_n } = ripple(description, scene, contact)?;
     contact.ripple_n = ripple_n;
     if contact.step_n > BUZZ_N || ripple_n.is_some_and(|ripple| ripple <= allowed_n) {
