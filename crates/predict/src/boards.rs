@@ -1,9 +1,12 @@
 //! The boards there is firmware for, as a program that plans for one needs to know them.
 
 use haptic_bridge::board::protocol::{Details, Info};
+use haptic_bridge::model::device::Device;
 use haptic_bridge::model::motor::Motor;
+use haptic_host::vectors::padded_to;
 use haptic_stability::analysis::control_loop::{CARRIER_HZ, CURRENT_LOOP_HZ, TorquePath};
 use haptic_stability::analysis::plant::Drive;
+use haptic_stability::analysis::pose::TaskPose;
 
 /// The delay and lag between the encoders and the torque of the board that reports this, at the rate that it runs at.
 #[must_use]
@@ -79,4 +82,17 @@ impl BoardKind {
 pub fn torque_at_rest(motor: &Motor<f64>, joints: usize) -> f64 {
     let board = BoardKind::with_axes(joints).map_or(f64::INFINITY, BoardKind::most_current);
     motor.torque_constant.abs() * motor.max_current.min(board)
+}
+
+/// Returns the largest force of the motors along a direction of d entries, N; infinite where no motor acts. `None` if a
+/// joint has no motor.
+pub fn force_along(device: &Device<f64>, pose: &TaskPose, direction: &[f64]) -> Option<f64> {
+    let task = padded_to(pose.jacobian.nrows(), direction);
+    let per_newton = pose.jacobian.tr_mul(&task);
+    let mut least = f64::INFINITY;
+    for (joint, torque) in per_newton.iter().enumerate() {
+        let motor = device.joints[joint].motor?;
+        least = least.min(torque_at_rest(&motor, device.axes()) / torque.abs().max(1e-12));
+    }
+    Some(least)
 }

@@ -418,25 +418,6 @@ fn a_stream_whose_motors_a_fault_turned_off_ends_with_that_fault() {
     sim.run(&["stream", "--seconds", "0.5"]).success();
 }
 
-/// Two boards of one name could not be told apart.
-#[test]
-fn a_backup_brings_its_name_to_no_other_board() {
-    let folder = tempfile::tempdir().unwrap();
-    let kept = folder.path().join("kept.json");
-    let sim = Sim::start(&["--fast"]);
-    sim.run(&["board", "name", "left hand"]).success();
-    sim.run(&["board", "save"]).success();
-    sim.run(&["board", "backup", kept.to_str().unwrap()]).success();
-    let text = std::fs::read_to_string(&kept).unwrap();
-    for (serial, said, name) in [("SIM0001", "name: restored", "left hand\n"), ("B2", "name: left out", "right hand\n")]
-    {
-        std::fs::write(&kept, text.replace("SIM0001", serial)).unwrap();
-        sim.run(&["board", "name", "right hand"]).success();
-        sim.run(&["board", "restore", kept.to_str().unwrap()]).success().stdout(contains(said));
-        sim.run(&["board", "name"]).success().stdout(name);
-    }
-}
-
 #[test]
 fn what_weakens_a_protection_is_told_by_whichever_command_does_it() {
     let folder = tempfile::tempdir().unwrap();

@@ -60,7 +60,7 @@ fn the_page_needs_nothing_else_and_every_line_on_it_prints_what_stands_there() {
 
     let lines: Vec<String> =
         page.split("<code class=\"line\">").skip(1).map(|rest| plain(rest.split("</code>").next().unwrap())).collect();
-    assert_eq!(lines.len(), 6);
+    assert_eq!(lines.len(), 7);
     let mut pages = page.split("<section>").skip(1);
     for line in lines {
         let section = plain(pages.next().unwrap());

@@ -134,7 +134,6 @@ fn what_cannot_be_simulated_is_refused() {
         (&["--ripple", "0"][..], "--ripple 0 is not more than zero"),
         (&["--wall", "0,1"][..], "--wall needs a stiffness above zero"),
         (&["--ripple", "1", "--normal", "1,0"][..], "--ripple or --wall with several --normal"),
-        (&["--ripple", "1", "--damping-compensation"][..], "--damping-compensation"),
     ] {
         let pose = ["range", "devices/coupled-five-bar.toml", "--q=2.6,1.75", "--normal=0.2588,0.9659"];
         let done = common::haptic(&pose).args(arguments).assert().code(2);

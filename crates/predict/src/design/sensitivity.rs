@@ -194,7 +194,7 @@ fn worth(prediction: &Prediction, q: &[f64], normal: &[f64]) -> Option<Effect> {
         w_rr,
         off: stiffest(Mode::Off)?,
         full: stiffest(Mode::Full)?,
-        force: crate::plausible::device::force_along(device, &pose, normal),
+        force: crate::boards::force_along(device, &pose, normal),
         count: (count > 0.0).then_some(count),
         weight,
     })

@@ -11,7 +11,6 @@ use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::with_mechanism;
 use haptic_host::device_file::{DeviceFile, carries_its_body};
-use haptic_host::vectors::padded_to;
 use haptic_host::words::{digits, listed, with_unit};
 use haptic_sim::PowerStage;
 use haptic_stability::analysis::pose::TaskPose;
@@ -367,18 +366,6 @@ pub(crate) fn weight(device: &Device<f64>, q: &[f64]) -> Vec<f64> {
         m.gravity(&m.pose::<Libm>(&SVector::<f64, N>::from_column_slice(q))).iter().copied().collect()
     }
     with_mechanism!(&device.mechanism, m => of(m, q))
-}
-
-/// The most that the motors give along a direction of d entries, N; infinite when no motor is felt there.
-pub fn force_along(device: &Device<f64>, pose: &TaskPose, direction: &[f64]) -> Option<f64> {
-    let task = padded_to(pose.jacobian.nrows(), direction);
-    let per_newton = pose.jacobian.tr_mul(&task);
-    let mut least = f64::INFINITY;
-    for (joint, torque) in per_newton.iter().enumerate() {
-        let motor = device.joints[joint].motor?;
-        least = least.min(torque_at_rest(&motor, device.axes()) / torque.abs().max(1e-12));
-    }
-    Some(least)
 }
 
 /// The most that the motors give at a pose along their weakest and strongest direction, N. Along a direction alone: on

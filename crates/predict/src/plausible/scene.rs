@@ -1,10 +1,10 @@
 //! Doubts about a scene on a device: walls out of reach, beyond what is stable there or beyond the motors, springs and
 //! fields beyond what is stable at home.
 
-use super::device::force_along;
 use super::{Doubt, Key};
 use crate::bench::probe::on_surface;
 use crate::bench::wall::WallSimulation;
+use crate::boards::force_along;
 use crate::ripple::LIGHT_HAND;
 use crate::tune::{Settings, USUAL_RIPPLE_N};
 use haptic_bridge::math::Libm;
@@ -477,6 +477,10 @@ pub fn rippling(description: &Description, scene: &Scene<f64>, contact: &mut Con
     let wall = scene.walls.get(contact.wall)?;
     // The wall that cannot be had anyway has its own doubt.
     if wall.stiffness > contact.stable_to || wall.damping > contact.damping_to {
+        return None;
+    }
+    // A hand presses through a wall that is softer than its own spring, so there is no contact to judge.
+    if wall.stiffness < SOFTEST_WALL {
         return None;
     }
     let Ripple { ripple_n, allowed_n } = ripple(description, scene, contact)?;

@@ -4,7 +4,7 @@
 use super::margins::Corner;
 use super::{Found, Question, Settings, check, measured, three_digits};
 use crate::bench::wall::{Pressed, WallSimulation};
-use crate::plausible::device::force_along;
+use crate::boards::force_along;
 use haptic_bridge::render::scene::FeedForward;
 use haptic_host::error::Failure;
 use haptic_host::vectors::padded_to;
@@ -51,7 +51,8 @@ fn pressed(question: &Question<'_>, settings: &Settings, bound_n: f64) -> Result
 pub fn keeps(question: &Question<'_>, settings: &Settings) -> Result<Option<Found>, Failure> {
     let sweep = Sweep::quiet();
     let context = SearchContext::new(question, &sweep)?;
-    if context.most(settings)? < settings.stiffness { Ok(None) } else { context.kept(settings) }
+    let kept = if context.most(settings)? < settings.stiffness { None } else { context.kept(settings)? };
+    Ok(kept.map(|found| Found { felt: context.felt(settings), ..found }))
 }
 
 /// The question with what does not change between candidates.
