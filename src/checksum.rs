@@ -24,8 +24,7 @@ const NIBBLES: [u32; 16] = {
     table
 };
 
-/// A CRC-32 that is computed piece by piece, four bits at a time: the table takes 64 bytes, and a firmware image takes
-/// milliseconds.
+/// A CRC-32 that is computed piece by piece, four bits at a time: a 64-byte table, milliseconds per firmware image.
 #[derive(Clone, Copy, Debug)]
 pub struct Crc32(u32);
 

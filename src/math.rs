@@ -147,12 +147,11 @@ pub trait Math<T>: Copy + Default + Debug + Send + Sync + 'static {
     fn sin_cos_of(angle: Angle<T>) -> (T, T) {
         Self::sin_cos(angle.radians)
     }
-    /// Square root; NaN for a negative number.
+    /// Returns the square root; NaN for a negative number.
     fn sqrt(value: T) -> T;
 }
 
-/// `libm`: errors of at most one unit in the last place. It is slow on the board because it reduces arguments in
-/// software double precision.
+/// `libm`: errors of at most one unit in the last place. Slow on the board: reduces arguments in software f64.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Libm;
 
@@ -185,8 +184,9 @@ impl Math<f64> for Libm {
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Minimax;
 
-/// Returns the sine and cosine of `angle` (rad). Uses minimax polynomials on [-π/4, π/4] (Remez exchange on (sin r -
-/// r)/r³ and (cos r - 1 + r²/2)/r⁴; residuals 3.6e-9 and 9.7e-11) after a two-term Cody-Waite reduction by π/2.
+/// Returns the sine and cosine of `angle` (rad). Uses minimax polynomials on [-π/4, π/4] (Remez exchange on
+/// (sin r - r)/r³ and (cos r - 1 + r²/2)/r⁴; residuals 3.6e-9 and 9.7e-11) after a two-term Cody-Waite reduction by
+/// π/2.
 ///
 /// The reduction loses accuracy beyond ±1e5 rad. The controller passes angles that are already wrapped to one turn.
 #[inline(always)]
@@ -208,8 +208,7 @@ pub fn minimax_sin_cos(angle: f32) -> (f32, f32) {
     if quadrant & 2 == 0 { (sine, cosine) } else { (-sine, -cosine) }
 }
 
-/// Returns the correctly rounded square root; NaN for a negative number. The chip uses its FPU, other targets libm,
-/// with the same bits.
+/// Returns the correctly rounded square root; NaN for a negative number. FPU and libm return the same bits.
 #[inline(always)]
 pub fn sqrt(value: f32) -> f32 {
     #[cfg(target_arch = "arm")]
@@ -330,11 +329,11 @@ pub struct FineTable;
 /// Returns the sine and cosine of `angle` (rad), see [`FineTable`].
 #[inline(always)]
 pub fn fine_sin_cos(angle: f64) -> (f64, f64) {
-    const FARTHEST: f64 = 3_000.0;
+    const LARGEST_ANGLE: f64 = 3_000.0;
     // 1.5 · 2⁵²: adding it rounds to an integer, which is then in the low bits.
     const ROUNDER: f64 = 6_755_399_441_055_744.0;
     // Written so that NaN fails the test.
-    let near = angle.abs() <= FARTHEST;
+    let near = angle.abs() <= LARGEST_ANGLE;
     if !near {
         return sin_cos_of_large(angle);
     }
@@ -343,8 +342,7 @@ pub fn fine_sin_cos(angle: f64) -> (f64, f64) {
     let places = rounded - ROUNDER;
     let d = (angle - places * PLACE[0]) - places * PLACE[1];
     let z = d * d;
-    // sin d by a minimax polynomial (Remez exchange on |d| ≤ π/256, relative residual 2.6e-17), 1 - cos d by its
-    // series.
+    // sin d by a minimax polynomial (Remez exchange on |d| ≤ π/256, relative residual 2.6e-17), cos d by its series.
     let s = d + d * z * (-0.166_666_666_664_728_15 + z * 8.333_291_730_412_959e-3);
     let c = z * (0.5 + z * (-1.0 / 24.0 + z * (1.0 / 720.0)));
     (sine + (cosine * s - sine * c), cosine - (sine * s + cosine * c))

@@ -9,15 +9,14 @@ pub(crate) fn margin_bits(value: f32, bound: f32) -> i32 {
     bound.to_bits().wrapping_sub(value.abs().to_bits()) as i32
 }
 
-/// Returns a negative number if `value` is below `least` or above `most`, which both are not negative, or if it is NaN.
+/// Returns a negative number if `value` is below `low` or above `high`, which both are not negative, or if it is NaN.
 #[inline(always)]
-pub(crate) fn margin_bits_between(value: f32, (least, most): (f32, f32)) -> i32 {
+pub(crate) fn margin_bits_between(value: f32, (low, high): (f32, f32)) -> i32 {
     let bits = value.to_bits();
-    (bits | bits.wrapping_sub(least.to_bits()) | most.to_bits().wrapping_sub(bits)) as i32
+    (bits | bits.wrapping_sub(low.to_bits()) | high.to_bits().wrapping_sub(bits)) as i32
 }
 
-/// Returns a negative number if |`moved`| exceeds `bound`, which is not negative. A difference that wraps counts as
-/// exceeding.
+/// Returns a negative number if |`moved`| exceeds `bound`, which is not negative, or if the difference wraps.
 #[inline(always)]
 pub(crate) fn margin_counts(moved: i32, bound: i32) -> i32 {
     bound.wrapping_sub(moved) | bound.wrapping_add(moved)

@@ -28,7 +28,7 @@ pub const UNKNOWN_WINDING: f32 = 0.05;
 /// Largest overshoot of a current: a multiple of its limit plus an absolute amount, A.
 const OVERSHOOT: f32 = 1.3;
 const OVERSHOOT_FLOOR: f32 = 0.6;
-/// Share of the available change that is left after rounding.
+/// Share of the available change that remains after rounding.
 const ROUNDED_SHARE: f32 = 1.0 - 8.0 * f32::EPSILON;
 
 /// Current below which dead-time compensation fades, A: near zero the sign of the current is noise.
@@ -46,10 +46,10 @@ const EMF_TOLERANCE: f32 = 0.2;
 const ERROR_WEIGHT: f32 = 1.0 / 4.0;
 const SLOW_ERROR_WEIGHT: f32 = 1.0 / 64.0;
 /// Share of the largest recent current that remains after a carrier period. The loop's integrator forgets faster.
-const RECENT: f32 = 15.0 / 16.0;
-/// The same share for the largest recent difference between the fed-forward speed and the measured speed.
-const SWING: f32 = 255.0 / 256.0;
-/// Largest error that this lag may cause while a current reverses, as a share of the voltage at the largest current.
+const CURRENT_DECAY: f32 = 15.0 / 16.0;
+/// Share of the largest recent difference of fed-forward and measured speed that remains after a carrier period.
+const SWING_DECAY: f32 = 255.0 / 256.0;
+/// Largest error by a lagging current during a reversal, as a share of the voltage at the largest current.
 const LAG_TOLERANCE: f32 = 1.3;
 
 /// When a duty acts, as shares of the current change that the duty makes in a full carrier period.
@@ -74,7 +74,7 @@ pub struct Axis {
     target: f32,
     /// Currents that the next sample should show and that the duties so far produce at the next valley, A.
     expected: f32,
-    reached: f32,
+    at_valley: f32,
     /// Expected current less measured current at the last sample, A.
     error: f32,
     /// Voltage of the integrator, V.
@@ -88,10 +88,9 @@ pub struct Axis {
     safe_rise: f32,
     /// Share of a change at the next sample if the duty applies in time, see [`Timing::sample`].
     half: f32,
-    /// Timing of a duty that applies in time and of a late duty; share of a free current that is left after half a
-    /// carrier period.
+    /// Timing of a duty in time and of a late duty; share of a free current that remains after half a carrier period.
     timing: [Timing; 2],
-    kept: f32,
+    free_share: f32,
     /// Inverse of `surge`, A/V.
     inverse_surge: f32,
     torque_per_amp: f32,
@@ -99,7 +98,7 @@ pub struct Axis {
     motor_current: f32,
     max_current: f32,
     /// Largest current including overshoot, A.
-    current_bound: f32,
+    bound: f32,
     /// Mean of expected less measured current, A, and the weight of one sample.
     mean_error: f32,
     error_weight: f32,
@@ -108,32 +107,30 @@ pub struct Axis {
     /// Largest recent difference between the fed-forward and the measured speed, rad/s.
     swing: f32,
     /// Largest recent current, A: the integrator's voltage for a hot winding outlasts the current.
-    recent: f32,
+    recent_current: f32,
     /// Largest voltage by which a sound motor may differ from its model at rest without current, V.
     tolerance: f32,
-    /// The part of it without any current, V, and the voltage that each allowed ampere adds if the inductance is
-    /// unknown, Ω.
+    /// Part of `tolerance` without any current, V, and its part per allowed ampere if the inductance is unknown, Ω.
     base_tolerance: f32,
     lag_resistance: f32,
-    /// Voltage that each ampere of the largest recent current adds to it because the winding may be hot, Ω.
+    /// Additional tolerance per ampere of the largest recent current, because the winding may be hot, Ω.
     tolerance_resistance: f32,
 }
 
 impl Axis {
-    /// Sets the timing of duties; `kept` is the share of a free current that is left after half a carrier period. At
-    /// constant voltage the remaining change of current falls as kept^(2t), so half a period makes (1 - kept)/(1 -
-    /// kept²) of the change of a full period.
-    fn set_timing(&mut self, kept: f32) {
-        let half = 1.0 / (1.0 + kept);
+    /// Sets the timing of duties; f = `free_share` is the share of a free current that remains after half a carrier
+    /// period. At constant voltage the remaining change of current falls as f^(2t), so half a period makes
+    /// (1 - f)/(1 - f²) of the change of a full period.
+    fn set_timing(&mut self, free_share: f32) {
+        let half = 1.0 / (1.0 + free_share);
         self.timing = [
-            Timing { sample: half, valley: 1.0, part: 1.0 / (1.0 + half * kept * kept) },
+            Timing { sample: half, valley: 1.0, part: 1.0 / (1.0 + half * free_share * free_share) },
             Timing { sample: 0.0, valley: half, part: 1.0 },
         ];
-        (self.kept, self.half) = (kept, half);
+        (self.free_share, self.half) = (free_share, half);
     }
 
-    /// Returns the duty that compensates the dead time: both legs lose voltage against the current. It fades where the
-    /// sign of the current is uncertain.
+    /// Returns the duty that compensates the dead time. It fades where the sign of the current is uncertain.
     #[inline(always)]
     fn dead_time_duty(&self) -> f32 {
         self.dead_time_share * (self.target / (self.target.abs() + DEAD_TIME_KNEE))
@@ -145,17 +142,18 @@ impl Axis {
         self.integrator + self.back_emf * speed + self.proportional * error + self.resistance * begin
     }
 
-    /// [`Stage::drive`] with any timing and at any limit, for a usable supply.
+    /// Implements [`Stage::drive`] with any timing and at any limit, for a usable supply.
     #[inline(never)]
     fn drive_at_limits(&mut self, supply: &Supply, current: f32, speed: f32, late: bool) -> f32 {
         let timing = self.timing[usize::from(late)];
         let error = self.expected - current;
         // Current at which the drive begins: the previous drive continues until a late drive acts.
-        let begin = if late { self.reached + self.kept * (self.reached - self.expected) } else { self.reached };
+        let begin =
+            if late { self.at_valley + self.free_share * (self.at_valley - self.expected) } else { self.at_valley };
         // If the next duty is late, this duty acts for longer: keep the change below an over-current.
-        let (up, down) = ((self.current_bound - begin) * timing.part, (self.current_bound + begin) * -timing.part);
-        let wanted = self.target - begin;
-        let mut rise = if wanted > up { up } else { wanted };
+        let (up, down) = ((self.bound - begin) * timing.part, (self.bound + begin) * -timing.part);
+        let change = self.target - begin;
+        let mut rise = if change > up { up } else { change };
         rise = if rise < down { down } else { rise };
         let (hold, dead_time_duty) = (self.hold(begin, error, speed), self.dead_time_duty());
         let mut duty = dead_time_duty + supply.inverse * (hold + self.surge * rise);
@@ -164,12 +162,11 @@ impl Axis {
             true
         } else {
             duty = limited(duty, USABLE_DUTY);
-            rise =
-                limited(((duty - dead_time_duty) * supply.volts - hold) * self.inverse_surge, 2.0 * self.current_bound);
+            rise = limited(((duty - dead_time_duty) * supply.volts - hold) * self.inverse_surge, 2.0 * self.bound);
             duty * error < 0.0
         };
         self.expected = begin + timing.sample * rise;
-        self.reached = self.target - (wanted - timing.valley * rise);
+        self.at_valley = self.target - (change - timing.valley * rise);
         self.error = error;
         if integrates {
             self.integrator += self.integral * error;
@@ -224,9 +221,9 @@ impl Stage for Axis {
         self.max_current = self.motor_current.min(max_current).max(0.0);
         // The last command acts until the next control step.
         self.target = limited(self.target, self.max_current);
-        self.current_bound = OVERSHOOT * self.max_current + OVERSHOOT_FLOOR;
+        self.bound = OVERSHOOT * self.max_current + OVERSHOOT_FLOOR;
         // The change from any current within the limit to the largest current with overshoot.
-        self.safe_rise = ROUNDED_SHARE * ((self.current_bound - self.max_current) * self.timing[0].part).max(0.0);
+        self.safe_rise = ROUNDED_SHARE * ((self.bound - self.max_current) * self.timing[0].part).max(0.0);
         self.tolerance = self.base_tolerance + self.lag_resistance * self.max_current;
     }
 
@@ -274,15 +271,16 @@ impl Stage for Axis {
     /// A late drive makes at most the requested change, so only the voltage can be too small.
     #[inline(always)]
     fn drive_in_range(&mut self, supply: &Supply, current: f32, speed: f32, late: bool) -> Option<Duty> {
-        let begin = if late { self.reached + self.kept * (self.reached - self.expected) } else { self.reached };
+        let begin =
+            if late { self.at_valley + self.free_share * (self.at_valley - self.expected) } else { self.at_valley };
         let error = self.expected - current;
         let rise = self.target - begin;
         let duty = self.dead_time_duty() + supply.inverse * (self.hold(begin, error, speed) + self.surge * rise);
-        let room = margin_bits(self.target, self.current_bound) | margin_bits(begin, f32::MAX);
+        let room = margin_bits(self.target, self.bound) | margin_bits(begin, f32::MAX);
         if if late { room } else { margin_bits(rise, self.safe_rise) } | margin_bits(duty, USABLE_DUTY) < 0 {
             return None;
         }
-        (self.expected, self.reached) = if late {
+        (self.expected, self.at_valley) = if late {
             (begin + self.timing[1].sample * rise, self.target - (rise - self.timing[1].valley * rise))
         } else {
             (begin + self.half * rise, self.target)
@@ -296,10 +294,10 @@ impl Stage for Axis {
     fn settle(&mut self, bus_voltage: f32, given: f32, speed: f32, raw: f32) {
         self.integrator = limited(self.integrator, USABLE_DUTY * bus_voltage);
         self.mean_error += self.error_weight * (self.error - self.mean_error);
-        let (reached, fading) = (self.reached.abs(), RECENT * self.recent);
-        self.recent = if reached > fading { reached } else { fading };
+        let (at_valley, fading) = (self.at_valley.abs(), CURRENT_DECAY * self.recent_current);
+        self.recent_current = if at_valley > fading { at_valley } else { fading };
         // After a jump the speed leads its filtered value; between the counts of a coarse encoder it appears to lag.
-        let (ahead, fading) = ((speed - given).abs(), SWING * self.swing);
+        let (ahead, fading) = ((speed - given).abs(), SWING_DECAY * self.swing);
         self.swing = if ahead > fading { ahead } else { fading };
         self.emf_tolerance = (EMF_TOLERANCE * speed.abs() + self.swing + (raw - speed).abs()) * self.back_emf.abs();
     }
@@ -328,7 +326,7 @@ impl Stage for Axis {
     #[inline(always)]
     fn strain(&self) -> (f32, f32) {
         let strain = self.integrator + self.resistance * self.mean_error;
-        (strain, self.tolerance + self.tolerance_resistance * self.recent + self.emf_tolerance)
+        (strain, self.tolerance + self.tolerance_resistance * self.recent_current + self.emf_tolerance)
     }
 
     fn turning(&self, volts: f32) -> f32 {
@@ -336,24 +334,24 @@ impl Stage for Axis {
     }
 
     fn has_expected_current(&self) -> bool {
-        self.mean_error.abs() <= 0.25 * self.reached.abs() + DEAD_TIME_KNEE
+        self.mean_error.abs() <= 0.25 * self.at_valley.abs() + DEAD_TIME_KNEE
     }
 
     fn rest(&mut self) {
         self.integrator = 0.0;
-        self.reached = 0.0;
+        self.at_valley = 0.0;
         self.expected = 0.0;
         self.error = 0.0;
         self.mean_error = 0.0;
-        self.recent = 0.0;
+        self.recent_current = 0.0;
         self.target = 0.0;
         self.emf_tolerance = 0.0;
         self.swing = 0.0;
     }
 
     fn inherit(&mut self, other: &Self) {
-        let Self { integrator, reached, expected, error, mean_error, recent, target, .. } = *other;
-        *self = Self { integrator, reached, expected, error, mean_error, recent, target, ..*self };
+        let Self { integrator, at_valley, expected, error, mean_error, recent_current, target, .. } = *other;
+        *self = Self { integrator, at_valley, expected, error, mean_error, recent_current, target, ..*self };
     }
 
     /// Subtracts the resistance's voltage, and then the possible error: half of that voltage again (a hot winding or a

@@ -1,5 +1,4 @@
-//! The PWM carrier for a control rate: its frequency, the number of carrier periods in a control step, and the
-//! resulting delay.
+//! The PWM carrier for a control rate: its frequency, number of periods in a control step, and delay.
 //!
 //! The carrier is centre-aligned: a timer counts up to a crest and down to a valley. Encoders and currents are sampled
 //! at the crest. A duty that is written after the crest applies at the next valley, half a carrier period later.

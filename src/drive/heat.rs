@@ -35,8 +35,7 @@ pub fn keep(heat: &[Heat; MAX_JOINTS], memory: &[AtomicU32; KEPT]) {
     memory[KEPT - 1].store(sum, Ordering::Relaxed);
 }
 
-/// Returns the heat that [`keep`] wrote. It is unknown if the memory is not intact: after a restart during the write,
-/// or after a loss of power.
+/// Returns the heat that [`keep`] wrote; unknown after a restart during the write or a loss of power.
 pub fn kept(memory: &[AtomicU32; KEPT]) -> [Heat; MAX_JOINTS] {
     let word = |i: usize| memory[i.min(KEPT - 1)].load(Ordering::Relaxed);
     let words: [[u32; WORDS]; MAX_JOINTS] =
@@ -60,7 +59,7 @@ pub struct Heat {
     /// Square of the continuous current, A²: as allowed now, and as in force when the motor was last cold.
     allowed_squared: f32,
     warmed_squared: f32,
-    /// The smaller of the two, and the weight of i² beyond it in terms of `warmed_squared`.
+    /// The smaller of `allowed_squared` and `warmed_squared`, and the weight of i² above it.
     continuous_squared: f32,
     weight: f32,
     /// Time until a raised limit applies while the motor is warm, s.
@@ -191,8 +190,8 @@ impl Heat {
         let values = words.map(f32::from_bits);
         let [held, rest, guessed, guessed_from, allowed_squared, warmed_squared, max_squared] = values;
         let finite = [held, guessed, allowed_squared, warmed_squared, max_squared];
-        let sound = finite.iter().all(|value| value.is_finite() && *value >= 0.0);
-        if !sound || !rest.is_finite() || guessed_from.is_nan() {
+        let is_valid = finite.iter().all(|value| value.is_finite() && *value >= 0.0);
+        if !is_valid || !rest.is_finite() || guessed_from.is_nan() {
             return Self::UNKNOWN;
         }
         let mut heat =

@@ -76,12 +76,10 @@ impl Supply {
 pub trait Stage: Copy + Debug + Default {
     /// The board's samples of one motor at each crest: a current (A), or one current for each phase and an angle.
     type Sample: Copy + Debug + Default;
-    /// The command to the legs of one motor until the next crest: a duty, or one duty for each leg. The default is no
-    /// voltage.
+    /// Command to the legs of one motor until the next crest: a duty, or one for each leg. The default is no voltage.
     type Drive: Copy + Debug + Default;
 
-    /// Makes the stage of a motor on a bridge. The current limit is the smaller of `max_current` (A) and the motor's
-    /// own limit.
+    /// Makes the stage of a motor. The current limit is the smaller of `max_current` (A) and the motor's own limit.
     fn new(motor: &Motor<f32>, bridge: &Bridge, max_current: f32) -> Self;
 
     /// Sets the current limit, A; the motor's own limit still applies.
@@ -104,8 +102,7 @@ pub trait Stage: Copy + Debug + Default {
     /// Returns the target current, A.
     fn asked(&self) -> f32;
 
-    /// Sets the target current for the joint torque (N m) of this control step, within the limit. A torque that is not
-    /// finite sets it to zero.
+    /// Sets the target current for this control step's joint torque (N m), within the limit; zero if it is not finite.
     fn command(&mut self, torque: f32);
 
     /// Like [`Stage::command`], for a torque that is within [`Stage::max_torque`] by at least a few roundings.

@@ -11,8 +11,8 @@ use nalgebra::SVector;
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
-/// The coordinate that a redundant device holds in addition to the tip's while the wall pushes. It determines Wrr
-/// (docs/model.md section 2). Without effect on a device with as many joints as task dimensions.
+/// The coordinate that a redundant device holds in addition to its tip while the wall pushes. It determines Wrr
+/// (docs/model.md section 2). It has no effect on a device with as many joints as task dimensions.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Admissible {
@@ -50,7 +50,7 @@ impl Admissible {
 
 /// Range of the squared share of the null motion that moves the held joint. At and above the upper value the joint is
 /// held. At and below the lower value it is free, because no finite null motion could hold it.
-const HELD: [f64; 2] = [0.02 * 0.02, 0.05 * 0.05];
+const HELD_SHARE: [f64; 2] = [0.02 * 0.02, 0.05 * 0.05];
 
 impl Admissible {
     /// Returns the index of the held joint.
@@ -63,8 +63,7 @@ impl Admissible {
         }
     }
 
-    /// Converts the `shaping` of a tip direction from a held φ to this coordinate. `null` is the shaping of the null
-    /// motion (φ alone).
+    /// Converts the `shaping` of a tip direction from a held φ to this coordinate; `null` shapes φ alone.
     pub fn hold<T: Real, const N: usize>(self, shaping: &Shaping<T, N>, null: &Shaping<T, N>) -> Shaping<T, N> {
         let added = self.added(shaping, null);
         let (e, me) = (shaping.e + null.e * added, shaping.me + null.me * added);
@@ -76,15 +75,15 @@ impl Admissible {
         self.null_motion(null, &shaping.e, shaping.e.dot(&null.me))
     }
 
-    /// Converts the velocity torques `b` (N m) from a held φ to this coordinate. `bent` = J⁻¹ J̇ q̇ is the joint
+    /// Converts the velocity torques `b` (N m) from a held φ to this coordinate. `qdd_bias` = J⁻¹ J̇ q̇ is the joint
     /// acceleration, rad/s², that a straight tip motion subtracts.
     pub fn hold_bias<T: Real, const N: usize>(
         self,
         b: &SVector<T, N>,
-        bent: &SVector<T, N>,
+        qdd_bias: &SVector<T, N>,
         null: &Shaping<T, N>,
     ) -> SVector<T, N> {
-        b + null.me * self.null_motion(null, &-bent, b.dot(&null.e))
+        b + null.me * self.null_motion(null, &-qdd_bias, b.dot(&null.e))
     }
 
     /// Returns the null motion to add to the joint motion `motion`, whose momentum along the null motion is `along`.
@@ -95,7 +94,7 @@ impl Admissible {
         let free = -along / null.w_rr;
         let Some(joint) = self.joint().filter(|joint| *joint < N) else { return free };
         let moves = null.e[joint];
-        let [low, high] = HELD.map(T::from_f64);
+        let [low, high] = HELD_SHARE.map(T::from_f64);
         let share = moves * moves / null.e.dot(&null.e);
         if share <= low {
             return free;

@@ -8,8 +8,7 @@ use crate::model::motor::Motor;
 /// Description of a complete device.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Description {
-    /// Kind of mechanism. Its [`Spec`](crate::model::catalogue::Spec) gives the number of valid entries in the arrays
-    /// below.
+    /// Kind of mechanism. Its [`Spec`](crate::model::catalogue::Spec) gives the number of valid entries below.
     pub kind: Kind,
     /// Gravity in the task frame, m/s²; the first `task` entries are valid.
     pub gravity: [f64; 3],
@@ -89,8 +88,8 @@ pub struct Joint {
 /// Maximum number of structural modes of a joint.
 pub const MAX_MODES: usize = 2;
 
-/// Dry friction that falls from its value at rest to the Coulomb friction as the speed grows: coulomb + (rest -
-/// coulomb) exp(-(speed/stribeck_speed)²). It acts on the same side as `coulomb`.
+/// Dry friction that falls from its value at rest to the Coulomb friction as the speed grows:
+/// coulomb + (rest - coulomb) exp(-(speed/stribeck_speed)²). It acts on the same side as `coulomb`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Stribeck {
     /// Friction torque at rest, N m; at least the Coulomb friction.

@@ -1,5 +1,4 @@
-//! The board's form of a device: coefficients of the mechanism, encoders, motors, limits. Plain data, ready for the
-//! control step.
+//! The board's form of a device: coefficients of the mechanism, encoders, motors, limits. Plain data.
 
 use crate::math::{Angle, Math, Real, cast, sqrt};
 use crate::model::catalogue::MAX_JOINTS;
@@ -53,8 +52,7 @@ pub struct Joint<T> {
 }
 
 impl<T: Real> Device<T> {
-    /// Computes the coefficients in f64 and rounds once. Cuts a name longer than [`NAME_LENGTH`] bytes between
-    /// characters.
+    /// Computes the coefficients in f64 and rounds once. Cuts a name at a character to [`NAME_LENGTH`] bytes.
     pub fn new(name: &str, description: &Description) -> Result<Self, DescriptionError> {
         let spec = description.kind.spec();
         let r = T::from_f64;
@@ -91,7 +89,7 @@ impl<T: Real> Device<T> {
         })
     }
 
-    /// The same in another precision.
+    /// Converts to another precision.
     pub fn cast<U: Real>(&self) -> Device<U> {
         Device {
             name: self.name.clone(),
@@ -109,7 +107,7 @@ impl<T: Real> Device<T> {
 }
 
 impl<T: Real> Joint<T> {
-    /// The same in another precision.
+    /// Converts to another precision.
     pub fn cast<U: Real>(&self) -> Joint<U> {
         Joint {
             radians_per_count: cast(self.radians_per_count),
@@ -153,8 +151,7 @@ fn counts_until_repeat(counts_per_turn: f64) -> i32 {
 macro_rules! define {
     ($(($Variant:ident, $module:ident, $n:literal))*) => {
         impl AnyMechanism<f32> {
-            /// Returns true if all results at `q` (rad) are finite. A broken coefficient makes at least one result not
-            /// finite.
+            /// Returns true if all results at `q` (rad) are finite: a broken coefficient affects at least one.
             pub fn is_finite_at<K: Math<f32>>(&self, q: &[f32; MAX_JOINTS]) -> bool {
                 match self {
                     $(Self::$Variant(mechanism) => finite_at::<K, _, $n>(mechanism, q),)*
@@ -195,8 +192,7 @@ crate::mechanisms!(define);
 
 fn finite_at<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(mechanism: &M, q: &[f32; MAX_JOINTS]) -> bool {
     let pose = shared_pose::<f32, K, M, N>(mechanism, &angles(q));
-    // Use a direction in which every coefficient of the mass matrix counts. `MassModel::shaping` is called because its
-    // code is in the image anyway.
+    // A direction in which every coefficient of M counts. The code of `MassModel::shaping` is in the image anyway.
     let direction = SVector::from_fn(|i, _| 0.5 + 0.1 * i as f32);
     let shaping = MassModel::Exact.shaping(mechanism, &head(q).into(), &pose, &direction);
     let results = [mechanism.tip(&pose), mechanism.gravity(&pose), shaping.e, shaping.me];
@@ -205,7 +201,7 @@ fn finite_at<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(mechanism: &M, 
 
 /// Converts joint angles from rad.
 fn angles<const N: usize>(q: &[f32; MAX_JOINTS]) -> [Angle<f32>; N] {
-    head(q).map(Angle::of_radians)
+    head(q).map(Angle::from_radians)
 }
 
 fn gravity_at<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(
@@ -251,15 +247,14 @@ impl Leverage {
         squared(&self.force::<MAX_JOINTS>(torque))
     }
 
-    /// Returns the largest relative change, over all joints, of the tip force per joint torque since `was`. 0 if it is
-    /// unknown.
+    /// Returns the largest relative change of a joint's tip force per torque since `was`; 0 if it is unknown.
     pub fn relative_change_from(&self, was: &Self) -> f32 {
         let squared_force = |of: &Self, joint: usize| squared(&of.0.map(|direction| direction[joint]));
-        let most = (0..MAX_JOINTS).fold(1.0, |most: f32, joint| {
+        let largest = (0..MAX_JOINTS).fold(1.0, |largest: f32, joint| {
             let (now, then) = (squared_force(self, joint), squared_force(was, joint));
-            if now > 0.0 && then > 0.0 { most.max(now / then).max(then / now) } else { most }
+            if now > 0.0 && then > 0.0 { largest.max(now / then).max(then / now) } else { largest }
         });
-        sqrt(most) - 1.0
+        sqrt(largest) - 1.0
     }
 
     /// Returns an upper bound of the tip force that an error of 1 N m of joint `joint` makes, N.
@@ -307,9 +302,8 @@ fn leverage_at<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(mechanism: &M
     Leverage(rows)
 }
 
-/// Returns the angle of count 0 nearest to `offset` for which `home` is at an integer count (all in rad), so that the
-/// measured pose after homing equals the declared pose. It moves by at most half a count, which homing would otherwise
-/// round away.
+/// Returns the angle of count 0 nearest to `offset` that has `home` at an integer count (all in rad): the measured pose
+/// after homing equals the declared pose. It moves by at most half a count, which homing would round away.
 fn offset_on_count(offset: f64, home: f64, radians_per_count: f64) -> f64 {
     let counts = (home - offset) / radians_per_count;
     let half = if counts < 0.0 { -0.5 } else { 0.5 };

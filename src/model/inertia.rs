@@ -1,9 +1,9 @@
 //! Rendered and admissible motion: the inertia that a wall meets, and the feed-forward that increases it.
 //!
 //! Source: "Inertia Properties and Their Role in Haptic Rendering", equations (1) to (4), in the joint form of
-//! docs/model.md section 2, which subtracts no nearly equal numbers and inverts no matrix of admissible size: with E =
-//! J⁻¹ Q (Q an orthonormal basis of the rendered directions) and b = c + g - M T⁻¹Ṫ q̇, Wrr = Eᵀ M E, zr = Eᵀ b and **τ
-//! = M E Wrr⁻¹ (fr - Eᵀ b) + b**.
+//! docs/model.md section 2, which subtracts no nearly equal numbers and inverts no matrix of admissible size: with
+//! E = J⁻¹ Q (Q an orthonormal basis of the rendered directions) and b = c + g - M T⁻¹Ṫ q̇, Wrr = Eᵀ M E, zr = Eᵀ b and
+//! **τ = M E Wrr⁻¹ (fr - Eᵀ b) + b**.
 //!
 //! [`Shaping::torque`] computes this torque for one wall ([`crate::model::principal`] for several). [`Split`] and
 //! [`Inertia`] hold the paper's own quantities for the analysis.
@@ -42,8 +42,7 @@ impl<T: Real, const N: usize> Split<T, N> {
             basis[(0, 1)] = -n[1];
             basis[(1, 1)] = n[0];
         } else if task == 3 && N >= 3 {
-            // e_k less its part along n, divided by its length s = √(n_i² + n_j²), and the cross product of n with it;
-            // (k, i, j) is cyclic.
+            // e_k less its part along n, over its length s = √(n_i² + n_j²), and n x it; (k, i, j) is cyclic.
             let mut complete = |k: usize, i: usize, j: usize| {
                 let s = K::sqrt(n[i] * n[i] + n[j] * n[j]);
                 let inverse = T::one() / s;
@@ -63,8 +62,7 @@ impl<T: Real, const N: usize> Split<T, N> {
         Self { basis, rendered: 1 }
     }
 
-    /// Returns the split for these walls: by the normal of a single wall, or by the directions of the stiffness of
-    /// several walls.
+    /// Returns the split for these walls: by one wall's normal, or by the stiffness directions of several walls.
     fn for_walls<K: Math<T>>(walls: &[Pull<T, N>], task: usize) -> Self {
         match walls {
             [] => Self { basis: SMatrix::identity(), rendered: 0 },
@@ -143,8 +141,7 @@ impl<T: Real, const N: usize> Inertia<T, N> {
         }
     }
 
-    /// Computes the quantities for one wall, with φ held on a redundant device: the usual case, from closed-form terms
-    /// of the mechanisms.
+    /// Computes the quantities for one wall, with φ held on a redundant device: the usual case, in closed form.
     #[inline(always)]
     fn for_one_wall<K: Math<T>, M: Mechanism<T, N>>(
         mechanism: &M,
@@ -187,8 +184,8 @@ impl<T: Real, const N: usize> Inertia<T, N> {
         let mut split = split;
         if M::SPEC.task < N && admissible != Admissible::Orientation {
             let null = mechanism.shaping(pose, &tip.column(N - 1).into_owned());
-            let bent = mechanism.inverse(pose, &(mechanism.jacobian_rate(pose, qd) * qd));
-            b = admissible.hold_bias(&b, &bent, &null);
+            let qdd_bias = mechanism.inverse(pose, &(mechanism.jacobian_rate(pose, qd) * qd));
+            b = admissible.hold_bias(&b, &qdd_bias, &null);
             for i in 0..M::SPEC.task {
                 let along = mechanism.shaping(pose, &tip.column(i).into_owned());
                 split.basis[(N - 1, i)] = admissible.added(&along, &null);

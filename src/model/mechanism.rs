@@ -79,8 +79,7 @@ fn effective<T: Real, const N: usize>(mass: &SMatrix<T, N, N>, y: &SVector<T, N>
     below / above
 }
 
-/// Like [`effective`], for arms with the inertia `arms` on a turret with the inertia `turret`; y consists of `lever`
-/// and `y`.
+/// Like [`effective`], for inertias of arms and of the turret that carries them; y consists of `lever` and `y`.
 #[inline(always)]
 fn effective_turned<T: Real>(turret: T, lever: T, arms: &Matrix2<T>, y: &Vector2<T>) -> T {
     // For a wall across the arms' plane y is zero, and the effective inertia is the turret's alone.
@@ -115,9 +114,9 @@ impl<T: Real, const N: usize> Shaping<T, N> {
         Self { e, me, w_rr: e.dot(&me) }
     }
 
-    /// Returns the joint torques (N m) that render the force `force` (N) along n by equation (4): τ = M E Wrr⁻¹ (f - Eᵀ
-    /// met) + b. `met` is the part of b (N m) that the wall meets: all of b by the paper, zero if the force is rendered
-    /// in every motion.
+    /// Returns the joint torques (N m) that render the force `force` (N) along n by equation (4):
+    /// τ = M E Wrr⁻¹ (f - Eᵀ met) + b. `met` is the part of b (N m) that the wall meets: all of b by the paper, zero if
+    /// the force is rendered in every motion.
     #[inline(always)]
     pub fn torque(&self, force: T, b: &SVector<T, N>, met: &SVector<T, N>) -> SVector<T, N> {
         self.me * ((force - self.e.dot(met)) / self.w_rr) + b
@@ -143,7 +142,7 @@ pub trait Mechanism<T: Real, const N: usize>: Copy + core::fmt::Debug {
     /// Like [`Mechanism::pose_at`], for joint angles `q` in rad.
     #[inline(always)]
     fn pose<K: Math<T>>(&self, q: &SVector<T, N>) -> Self::Pose {
-        self.pose_at::<K>(&core::array::from_fn(|i| Angle::of_radians(q[i])))
+        self.pose_at::<K>(&core::array::from_fn(|i| Angle::from_radians(q[i])))
     }
     /// Like [`Mechanism::pose_at`], but returns `None` if the pose is less regular than `least` (positive sines), so
     /// that the computation needs no clamps.
@@ -196,13 +195,13 @@ pub trait Mechanism<T: Real, const N: usize>: Copy + core::fmt::Debug {
     /// the velocity part of `b` in docs/model.md section 2. A tip acceleration `a` needs `shaping(pose, a).me` in
     /// addition.
     fn velocity_torque(&self, pose: &Self::Pose, qd: &SVector<T, N>) -> SVector<T, N> {
-        let bent = self.inverse(pose, &(self.jacobian_rate(pose, qd) * qd));
-        self.coriolis(pose, qd) - self.mass(pose) * bent
+        let qdd_bias = self.inverse(pose, &(self.jacobian_rate(pose, qd) * qd));
+        self.coriolis(pose, qd) - self.mass(pose) * qdd_bias
     }
-    /// Computes equation (4) for one wall of unit normal `n`, whose force `force` (N) is rendered in every motion: E =
-    /// J⁻¹ n (rad/m) and the joint torques τ = M E Wrr⁻¹ f + b, N m; b is zero without joint velocities `qd` (rad/s).
-    /// The tip then accelerates by f/Wrr along n and not across n: one pass of inverse dynamics, if the mechanism has
-    /// it in closed form.
+    /// Computes equation (4) for one wall of unit normal `n`, whose force `force` (N) is rendered in every motion:
+    /// E = J⁻¹ n (rad/m) and the joint torques τ = M E Wrr⁻¹ f + b, N m; b is zero without joint velocities `qd`
+    /// (rad/s). The tip then accelerates by f/Wrr along n and not across n: one pass of inverse dynamics, if the
+    /// mechanism has it in closed form.
     #[inline(always)]
     fn shaped(&self, pose: &Self::Pose, n: &SVector<T, N>, force: T, qd: Option<&SVector<T, N>>) -> Shaped<T, N> {
         let shaping = self.shaping(pose, n);
@@ -280,7 +279,7 @@ macro_rules! define {
                 }
             }
 
-            /// The same in another precision.
+            /// Converts to another precision.
             pub fn cast<U: Real>(&self) -> AnyMechanism<U> {
                 match self {
                     $(Self::$Variant(mechanism) => AnyMechanism::$Variant(mechanism.cast()),)*
@@ -332,8 +331,7 @@ pub(crate) fn reciprocal<T: Real>(x: T, floor: T) -> T {
     if x < T::zero() { -limit } else { limit }
 }
 
-/// Calls [`Mechanism::pose_at`]; compiled once for each mechanism. The cost of the call is small, and every copy would
-/// enlarge the image.
+/// Calls [`Mechanism::pose_at`]; compiled once per mechanism, because every copy would enlarge the image.
 #[inline(never)]
 pub(crate) fn shared_pose<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
     mechanism: &M,

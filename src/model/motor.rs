@@ -22,7 +22,7 @@ pub struct Motor<T> {
 }
 
 impl<T: Real> Motor<T> {
-    /// The same in another precision.
+    /// Converts to another precision.
     pub fn cast<U: Real>(&self) -> Motor<U> {
         Motor {
             torque_constant: cast(self.torque_constant),

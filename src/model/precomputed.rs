@@ -19,8 +19,8 @@ use nalgebra::{SMatrix, SVector};
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
-/// Maximum number of values in a table: 2 800 bytes. 15 x 15 points of a five-bar, 13 x 13 of a device on a turret, 10
-/// x 10 of a redundant arm.
+/// Maximum number of values in a table: 2 800 bytes. 15 x 15 points of a five-bar, 13 x 13 with a turret, 10 x 10 of a
+/// redundant arm.
 pub const TABLE_VALUES: usize = 700;
 
 /// Maximum number of distinct entries in a mechanism's M.
@@ -99,8 +99,8 @@ impl<T: Real> Grid<T> {
     }
 
     fn is_usable(&self, entries: usize) -> bool {
-        let least = 2 + 2 * self.interpolation.margin();
-        self.points.iter().all(|count| *count >= least)
+        let min_points = 2 + 2 * self.interpolation.margin();
+        self.points.iter().all(|count| *count >= min_points)
             && self.values(entries) <= TABLE_VALUES
             && self.spacing.iter().all(|step| step.is_finite() && *step > T::zero())
             && self.low.iter().all(|low| low.is_finite())
@@ -253,8 +253,7 @@ pub enum MassModel<T: Real, const N: usize> {
 }
 
 impl<T: Real, const N: usize> MassModel<T, N> {
-    /// Makes the run-time form of a table for the mechanism `M`; `None` if the grid does not fit the mechanism or the
-    /// number of values is wrong.
+    /// Makes the run-time form of a table for the mechanism `M`; `None` if the grid or the number of values is wrong.
     pub fn table<M: Mechanism<T, N>>(grid: &Grid<T>, values: &[T]) -> Option<Self> {
         let entries = M::MASS_ENTRIES.len();
         let fits = grid.is_usable(entries) && grid.values(entries) == values.len();
@@ -297,8 +296,7 @@ pub enum MassModelData {
 }
 
 impl<const N: usize> MassModel<f32, N> {
-    /// Makes the run-time form with the received values of a table; `None` if the data do not fit the mechanism or are
-    /// not a mass matrix.
+    /// Makes the run-time form with the received values of a table; `None` if the data are not a valid mass matrix.
     pub fn new<M: Mechanism<f32, N>>(data: &MassModelData, values: &[f32]) -> Option<Self> {
         match data {
             MassModelData::Exact => Some(Self::Exact),

@@ -1,26 +1,25 @@
-//! Selects the rendered directions when several walls act at once, and computes the joint torques of their
-//! feed-forward.
+//! Selects the rendered directions of several walls and computes the joint torques of their feed-forward.
 //!
 //! The rendered directions follow the walls' stiffness K = Σ kᵢ nᵢ nᵢᵀ: they are its eigenvectors e₁, e₂, … in the
 //! order of falling eigenvalues k₁ ≥ k₂ ≥ …. Level R is equation (4) with e₁ … e_R rendered and every other direction
-//! admissible. The force along e_j goes through the levels R = j, j + 1, …. Each level takes the share (1 -
-//! (k_{R+1}/k_R)²) p_R of the force that the levels before it left; the rest after the last level goes straight through
-//! Jᵀ. p_R is 1 if every wall has the feed-forward; if some walls have not, it is reduced by their part of the
+//! admissible. The force along e_j goes through the levels R = j, j + 1, …. Each level takes the share
+//! (1 - (k_{R+1}/k_R)²) p_R of the force that the levels before it left; the rest after the last level goes straight
+//! through Jᵀ. p_R is 1 if every wall has the feed-forward; if some walls have not, it is reduced by their part of the
 //! stiffness along e₁ … e_R. If two eigenvalues are equal, their eigenvectors are arbitrary and the level between them
 //! has no share, so torques are continuous.
 //!
 //! No set of walls, with the feed-forward on any of them, is less stable than without feed-forward if the device is
 //! undamped, the feed-forward acts in full and all walls have the same damping ratio. Proof: split Λ⁻¹ = [a b; bᵀ d]
-//! and K = [K_a 0; 0 K_d] into the first R directions and the rest. With the share s of level R the map is B = [a - s b
-//! d⁻¹ bᵀ, b; (1 - s) bᵀ, d]. Scaling the second block by σ = √(1 - s) makes BK similar to B_s K with B_s = [a - s b
-//! d⁻¹ bᵀ, σ b; σ bᵀ, d], which is symmetric and positive definite, because its Schur complement a - b d⁻¹ bᵀ does not
-//! depend on s: all eigenvalues of the loop are real and positive, like those of masses. If μ exceeds the largest
-//! eigenvalue of Λ⁻¹K, then with p = μ K_d⁻¹ - d: p > 0 and μ K_a⁻¹ - a - b p⁻¹ bᵀ > 0, hence also μ K_a⁻¹ - a + s b
-//! d⁻¹ bᵀ - (1 - s) b p⁻¹ bᵀ > 0, so μ exceeds every eigenvalue of BK: the largest eigenvalue falls as s grows. The
-//! next lower level has the same form on B_s in the place of Λ⁻¹, because the Schur complement onto its directions is
-//! the same and the scaling does not change its block. With equal damping ratios the loop separates into one mass 1/μ
-//! for each eigenvalue, and a mass is stable wherever a lighter mass is (checked numerically; four of 5208 rays with an
-//! unfiltered difference over 32 samples are exceptions). p_R only reduces a share.
+//! and K = [K_a 0; 0 K_d] into the first R directions and the rest. With the share s of level R the map is
+//! B = [a - s b d⁻¹ bᵀ, b; (1 - s) bᵀ, d]. Scaling the second block by σ = √(1 - s) makes BK similar to B_s K with
+//! B_s = [a - s b d⁻¹ bᵀ, σ b; σ bᵀ, d], which is symmetric and positive definite, because its Schur complement
+//! a - b d⁻¹ bᵀ does not depend on s: all eigenvalues of the loop are real and positive, like those of masses. If μ
+//! exceeds the largest eigenvalue of Λ⁻¹K, then with p = μ K_d⁻¹ - d: p > 0 and μ K_a⁻¹ - a - b p⁻¹ bᵀ > 0, hence also
+//! μ K_a⁻¹ - a + s b d⁻¹ bᵀ - (1 - s) b p⁻¹ bᵀ > 0, so μ exceeds every eigenvalue of BK: the largest eigenvalue falls
+//! as s grows. The next lower level has the same form on B_s in the place of Λ⁻¹, because the Schur complement onto its
+//! directions is the same and the scaling does not change its block. With equal damping ratios the loop separates into
+//! one mass 1/μ for each eigenvalue, and a mass is stable wherever a lighter mass is (checked numerically; four of 5208
+//! rays with an unfiltered difference over 32 samples are exceptions). p_R only reduces a share.
 //!
 //! A single wall does not need this: it is level 1 with its own normal.
 
@@ -43,8 +42,7 @@ pub struct Pull<T: Real, const N: usize> {
     /// Normal of a wall (unit length), normal of the host's plane (may be shorter), or line of a spring. Zeros beyond
     /// the task dimension.
     pub normal: SVector<T, N>,
-    /// True if it is stiff in all directions across `normal` instead of along it; every direction is across a normal of
-    /// length zero.
+    /// True if it is stiff in all directions across `normal` (every direction if it is zero) instead of along it.
     pub across: bool,
     /// Stiffness, N/m or in any other common unit; not negative.
     pub stiffness: T,
@@ -81,14 +79,14 @@ pub struct Principal<T: Real, const N: usize> {
 }
 
 impl<T: Real, const N: usize> Principal<T, N> {
-    /// Computes the principal directions of these walls in a task of `task` dimensions. If all stiffnesses are zero,
-    /// all walls count equally.
+    /// Computes the principal directions of walls in a task of `task` dimensions; walls without stiffness count
+    /// equally.
     ///
     /// Uses Jacobi rotations of K in a frame that begins with the stiffest wall's normal: in this frame the stiffest
     /// wall is a single entry, so its rounding does not hide a soft wall. Two walls need one rotation.
     #[inline(never)]
     pub fn new<K: Math<T>>(pulls: &[Pull<T, N>], task: usize) -> Self {
-        let largest = pulls.iter().fold(T::zero(), |most, pull| pull.stiffness.greater(most));
+        let largest = pulls.iter().fold(T::zero(), |largest, pull| pull.stiffness.greater(largest));
         // A smaller value counts as zero, because its inverse would overflow.
         let inverse = (largest > T::EPSILON * T::EPSILON).then(|| T::one() / largest);
         let weight = |pull: &Pull<T, N>| inverse.map_or(T::one(), |inverse| pull.stiffness * inverse);
@@ -153,8 +151,7 @@ impl<T: Real, const N: usize> Principal<T, N> {
         }
     }
 
-    /// Computes the feed-forward for the task force `force` (N), the resultant of the walls; every level takes only
-    /// `part` of its share.
+    /// Computes the feed-forward for the walls' resultant `force` (N); every level takes only `part` of its share.
     ///
     /// `shapings` holds the shaping of each column of the basis. `bias` returns b of a level and the part of b that the
     /// walls meet (N m, see [`Shaping::torque`]). Returns the joint torques of all levels (N m) and the force that is
@@ -218,12 +215,12 @@ fn frame<T: Real, K: Math<T>, const N: usize>(
 ) -> [SVector<T, N>; N] {
     let mut axes: [SVector<T, N>; N] = core::array::from_fn(|i| unit(i));
     let walls = || pulls.iter().filter(|pull| !pull.across);
-    let mut most = T::zero();
+    let mut largest = T::zero();
     for pull in walls() {
         // A wall has no normal at the centre of a ball.
         let size = weight(pull) * pull.normal.dot(&pull.normal);
-        if size > most {
-            (most, axes[0]) = (size, pull.normal);
+        if size > largest {
+            (largest, axes[0]) = (size, pull.normal);
         }
     }
     let squared = axes[0].dot(&axes[0]);
@@ -233,13 +230,13 @@ fn frame<T: Real, K: Math<T>, const N: usize>(
     if task == 2 && N >= 2 {
         (axes[1][0], axes[1][1]) = (-axes[0][1], axes[0][0]);
     } else if task == 3 && N >= 3 {
-        let (mut most, mut second) = (T::zero(), None);
+        let (mut largest, mut second) = (T::zero(), None);
         for pull in walls() {
             let part = pull.normal - axes[0] * axes[0].dot(&pull.normal);
             let size = part.dot(&part);
             // If two normals are equal, the remainder is rounding and has no direction.
-            if size > T::EPSILON && weight(pull) * size > most {
-                (most, second) = (weight(pull) * size, Some(part / K::sqrt(size)));
+            if size > T::EPSILON && weight(pull) * size > largest {
+                (largest, second) = (weight(pull) * size, Some(part / K::sqrt(size)));
             }
         }
         axes[1] = match second {
@@ -258,8 +255,8 @@ fn frame<T: Real, K: Math<T>, const N: usize>(
 /// Returns a unit vector across the unit vector `n` in space: the normalised part across `n` of the axis with the
 /// smallest component along `n`, the first axis on ties.
 fn across<T: Real, K: Math<T>, const N: usize>(n: &SVector<T, N>) -> SVector<T, N> {
-    let least = (1..N.min(3)).fold(0, |least, i| if n[i].abs() < n[least].abs() { i } else { least });
-    let part = unit::<T, N>(least) - n * n[least];
+    let smallest = (1..N.min(3)).fold(0, |smallest, i| if n[i].abs() < n[smallest].abs() { i } else { smallest });
+    let part = unit::<T, N>(smallest) - n * n[smallest];
     part / K::sqrt(part.dot(&part))
 }
 

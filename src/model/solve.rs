@@ -3,8 +3,7 @@
 use crate::math::Real;
 use nalgebra::{SMatrix, SVector};
 
-/// Returns true if a symmetric A (N x N) is positive definite: every pivot of its LDLᵀ is positive by more than
-/// rounding.
+/// Returns true if a symmetric A (N x N) is positive definite: its LDLᵀ pivots are positive beyond rounding.
 #[inline(never)]
 pub fn is_positive_definite<T: Real, const N: usize>(a: &SMatrix<T, N, N>) -> bool {
     let mut left = *a;
@@ -16,8 +15,8 @@ pub fn is_positive_definite<T: Real, const N: usize>(a: &SMatrix<T, N, N>) -> bo
             for i in j + 1..N {
                 let part = left[(i, j)] / pivot;
                 for k in j + 1..N {
-                    let taken = part * left[(j, k)];
-                    left[(i, k)] -= taken;
+                    let change = part * left[(j, k)];
+                    left[(i, k)] -= change;
                 }
             }
         }
@@ -78,18 +77,17 @@ pub fn quotient<T: Real, const N: usize>(a: &SMatrix<T, N, N>, y: &SVector<T, N>
         for i in j + 1..N {
             let part = left[(i, j)] * inverse;
             for k in j + 1..=i {
-                let taken = part * left[(k, j)];
-                left[(i, k)] -= taken;
+                let change = part * left[(k, j)];
+                left[(i, k)] -= change;
             }
-            let taken = part * x[j];
-            x[i] -= taken;
+            let change = part * x[j];
+            x[i] -= change;
         }
     }
     (above, below)
 }
 
-/// Returns `pivot`, the remainder of the diagonal entry `of`, or the smallest usable positive number if rounding left
-/// less.
+/// Returns `pivot`, the remainder of the diagonal entry `of`, but at least the smallest usable positive number.
 #[inline(always)]
 fn positive<T: Real>(pivot: T, of: T) -> T {
     pivot.greater(T::EPSILON * T::EPSILON * T::EPSILON * of.abs().greater(T::EPSILON))

@@ -127,13 +127,13 @@ pub struct Controller<T: Real, M, K, const N: usize> {
     posture: Option<Posture<T>>,
     guidance: Guidance<T>,
     mass: MassModel<T, N>,
-    /// Beyond the reach of those loads: it needs an address of its own, and would push other fields out of reach.
+    /// Placed beyond the reach of these loads, because it needs an address of its own and would displace other fields.
     passivity: Passivity<T, N>,
     math: PhantomData<K>,
 }
 
 /// The part of a scene that does not depend on the mechanism.
-struct Prepared<T: Real> {
+struct PreparedScene<T: Real> {
     coefficients: Coefficients<T>,
     walls: Walls<T>,
     guidance: Guidance<T>,
@@ -141,28 +141,31 @@ struct Prepared<T: Real> {
 
 /// Checks a scene and designs its filters. Not inlined: the mechanisms share it.
 #[inline(never)]
-fn prepare<T: Real, K: Math<T>>(device: &Device<T>, scene: &Scene<T>, task: usize) -> Result<Prepared<T>, SceneError> {
+fn prepare<T: Real, K: Math<T>>(
+    device: &Device<T>,
+    scene: &Scene<T>,
+    task: usize,
+) -> Result<PreparedScene<T>, SceneError> {
     scene.check(task)?;
     let coefficients = Coefficients::of_device::<K>((scene.estimator, scene.rate_hz, scene.cutoff_hz), device)
         .map_err(|_| SceneError::Cutoff)?;
     let (walls, mut guidance) = (Walls::new(scene)?, Guidance::new(scene));
     guidance.set_shared_feed_forward(walls.shared_feed_forward());
-    Ok(Prepared { coefficients, walls, guidance })
+    Ok(PreparedScene { coefficients, walls, guidance })
 }
 
 impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K, N> {
-    /// Makes the run-time form of `scene` on this mechanism. Designs the filters, so do not call it inside the control
-    /// step.
+    /// Makes the run-time form of `scene` on this mechanism. Designs filters, so do not call it in the control step.
     ///
     /// Returns the errors of [`Scene::check`].
     #[inline(never)]
     pub fn new(mechanism: M, device: &Device<T>, scene: &Scene<T>) -> Result<Self, SceneError> {
-        let Prepared { coefficients, walls, guidance } = prepare::<T, K>(device, scene, M::SPEC.task)?;
+        let PreparedScene { coefficients, walls, guidance } = prepare::<T, K>(device, scene, M::SPEC.task)?;
         if scene.posture.is_some() && M::SPEC.task == N {
             return Err(SceneError::Posture);
         }
         let has_bias = scene.velocity_terms != VelocityTerms::Off || walls.damped;
-        // Whether b is rendered in every motion. On a line no normal turns.
+        // True if b is rendered in every motion. On a line no normal turns.
         let rendered = scene.velocity_terms == VelocityTerms::Rendered && !walls.damped;
         let turns = walls.curved && M::SPEC.task > 1;
         let moving = has_bias || guidance.is_active || scene.posture.is_some();
@@ -202,8 +205,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         self.step_after(&[T::zero(); MAX_JOINTS], counts)
     }
 
-    /// Like [`Controller::step`], with the motor torques since the last step (N m), which an estimator that predicts
-    /// uses.
+    /// Like [`Controller::step`], with the motor torques since the last step (N m) for an estimator that predicts.
     pub fn step_after(&mut self, acted: &[T; MAX_JOINTS], counts: &[i32; N]) -> Step<T, N> {
         let mut result = StepResult::default();
         self.render(counts, acted, &mut result);
@@ -211,7 +213,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         Step::from_result(&result)
     }
 
-    /// Like [`Controller::step`], by the general step: the reference of every straight step.
+    /// Like [`Controller::step`], but always runs the general step, the reference of every straight step.
     pub fn step_generally(&mut self, counts: &[i32; N]) -> Step<T, N> {
         let mut result = StepResult::default();
         if self.variant == StepVariant::Restart {
@@ -241,7 +243,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         }
     }
 
-    /// [`Controller::render`] if no straight step is ready.
+    /// Implements [`Controller::render`] if no straight step is ready.
     #[inline(never)]
     fn render_uncommon(&mut self, counts: &[i32; N], acted: &[T; MAX_JOINTS], result: &mut StepResult<T>) {
         // Only an estimator that predicts uses the torques.
@@ -347,8 +349,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         (self.is_counting_energy, self.is_passivity_on) = (counts, on);
     }
 
-    /// Returns true if a one-sided wall of this scene is touched at these counts: arming and scene changes are then
-    /// refused.
+    /// Returns true if a one-sided wall of this scene is touched: arming and scene changes are then refused.
     pub fn is_inside_wall(&self, counts: &[i32; N]) -> bool {
         let (_, angles) = self.encoders.angles(counts);
         let pose = shared_pose::<T, K, M, N>(&self.mechanism, &angles);

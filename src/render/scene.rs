@@ -43,8 +43,7 @@ pub enum FeedForward {
     Off,
     /// Equation (4) unchanged: the wall meets Wrr, and a resting hand is pushed sideways.
     Full,
-    /// Equation (4) with the wall force high-passed: the feed-forward acts at the frequencies of instability and not at
-    /// rest.
+    /// Equation (4) with the wall force high-passed: acts at the frequencies of instability and not at rest.
     #[default]
     Washout,
 }
@@ -59,10 +58,9 @@ impl FeedForward {
     }
 }
 
-/// The controller's treatment of the forces that keep the tip of a moving linkage on a straight line, b of
-/// docs/model.md section 2.
+/// The treatment of the forces that keep a moving tip on a straight line, b of docs/model.md section 2.
 ///
-/// The first two were `false` and `true` when this was a flag: settings and backups of that time remain readable.
+/// The first two variants were `false` and `true` when this was a flag: old settings and backups remain readable.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Schema)]
 #[serde(rename_all = "kebab-case")]
 pub enum VelocityTerms {
@@ -192,8 +190,7 @@ pub struct Scene<T> {
     pub springs: Vec<Spring<T>, MAX_SPRINGS>,
     /// Sum of all damping fields, N s/m.
     pub field_damping: T,
-    /// α: the feed-forward is α times equation (4)'s, 0 to [`MAX_FEED_FORWARD_GAIN`]; above 1 only with a single shaped
-    /// wall.
+    /// α: factor on equation (4)'s feed-forward, 0 to [`MAX_FEED_FORWARD_GAIN`]; above 1 only with one shaped wall.
     #[serde(default = "T::one")]
     pub feed_forward_gain: T,
     /// Coordinate that a redundant device holds.
@@ -255,9 +252,9 @@ impl core::fmt::Display for SceneError {
                 write!(f, "wall {i}: its point must be finite, its normal or axis not zero, its radius positive")
             }
             Self::Shape(i) => write!(f, "wall {i}: this shape needs a three-dimensional device"),
-            Self::FeedForwardGain => {
-                f.write_str("feed_forward_gain must be from 0 to 3, and at most 1 if several walls have a feed-forward")
-            }
+            Self::FeedForwardGain => f.write_str(
+                "feed_forward_gain must be from 0 to 3, and at limit 1 if several walls have a feed-forward",
+            ),
             Self::Estimator => f.write_str("the velocity estimator's own value is outside its range"),
             Self::Posture => f.write_str(
                 "posture: it needs a device with more joints than its tip has directions, a finite orientation, and \
@@ -290,7 +287,7 @@ impl<T: Real> Default for Scene<T> {
 }
 
 impl<T: Real> Wall<T> {
-    /// The same in another precision.
+    /// Converts to another precision.
     pub fn cast<U: Real>(&self) -> Wall<U> {
         Wall {
             surface: self.surface.cast(),
@@ -305,7 +302,7 @@ impl<T: Real> Wall<T> {
 }
 
 impl<T: Real> Spring<T> {
-    /// The same in another precision.
+    /// Converts to another precision.
     pub fn cast<U: Real>(&self) -> Spring<U> {
         Spring {
             point: self.point.map(cast),
@@ -317,14 +314,14 @@ impl<T: Real> Spring<T> {
 }
 
 impl<T: Real> Posture<T> {
-    /// The same in another precision.
+    /// Converts to another precision.
     pub fn cast<U: Real>(&self) -> Posture<U> {
         Posture { orientation: cast(self.orientation), stiffness: cast(self.stiffness), damping: cast(self.damping) }
     }
 }
 
 impl<T: Real> Scene<T> {
-    /// The same in another precision.
+    /// Converts to another precision.
     pub fn cast<U: Real>(&self) -> Scene<U> {
         Scene {
             task: self.task,
@@ -361,8 +358,8 @@ impl<T: Real> Scene<T> {
             return Err(SceneError::Estimator);
         }
         let shaped = self.walls.iter().filter(|wall| wall.feed_forward != FeedForward::Off).count();
-        let most = if shaped > 1 { T::one() } else { T::from_f64(MAX_FEED_FORWARD_GAIN) };
-        if !(T::zero()..=most).contains(&self.feed_forward_gain) {
+        let limit = if shaped > 1 { T::one() } else { T::from_f64(MAX_FEED_FORWARD_GAIN) };
+        if !(T::zero()..=limit).contains(&self.feed_forward_gain) {
             return Err(SceneError::FeedForwardGain);
         }
         for (index, wall) in self.walls.iter().enumerate() {

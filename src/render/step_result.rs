@@ -1,5 +1,4 @@
-//! The result of one control step, with vectors padded with zeros. It is written in place once per step, and read by
-//! the control loop and telemetry.
+//! The result of one control step, padded with zeros; written in place once per step.
 
 use crate::math::Real;
 use crate::model::catalogue::MAX_JOINTS;

@@ -233,8 +233,8 @@ impl Estimator {
     /// Returns true if its value is in its range.
     pub fn valid(&self) -> bool {
         let (Some(spec), Some(chosen)) = (self.spec(), self.chosen()) else { return true };
-        let (least, most) = spec.key.map_or((0, 0), |key| key.range);
-        (least..=most).contains(&chosen.value)
+        let (smallest, largest) = spec.key.map_or((0, 0), |key| key.range);
+        (smallest..=largest).contains(&chosen.value)
     }
 }
 
@@ -328,7 +328,7 @@ impl<T: Real> Coefficients<T> {
     fn response_to_one_count<K: Math<T>>(&self, acceleration: T) -> T {
         let unit = if acceleration > T::zero() { T::one() / acceleration } else { T::zero() };
         let (mut low_pass, mut joint) = (LowPass::default(), JointVelocity::default());
-        let (mut most, mut quiet) = (T::zero(), 0);
+        let (mut largest, mut quiet) = (T::zero(), 0);
         for period in 0..MAX_RESPONSE {
             let moved = if period == 1 { T::one() } else { T::zero() };
             let velocity = match &self.joints {
@@ -345,12 +345,12 @@ impl<T: Real> Coefficients<T> {
                 }
                 None => low_pass.step(self, moved),
             };
-            if velocity.abs() * T::from_f64(2.0) < most {
+            if velocity.abs() * T::from_f64(2.0) < largest {
                 break;
             }
-            most = most.greater(velocity.abs());
+            largest = largest.greater(velocity.abs());
         }
-        most
+        largest
     }
 
     /// Returns the largest velocity (rad/s) that the estimate of each joint shows after a single count from rest:

@@ -1,12 +1,12 @@
 //! `five-bar`: two motors, two arms, one tip (Pantograph, Haply 2diy).
 //!
 //! Motors at A = (-base/2, 0) and B = (base/2, 0); elbows C = A + l₁(cos q₁, sin q₁), D = B + l₂(cos q₂, sin q₂). The
-//! tip P is an intersection of the circles (C, r₁) and (D, r₂): to the left of C→D for `assembly` 1, to the right for
-//! -1.
+//! tip P is an intersection of the circles (C, r₁) and (D, r₂): to the left of C→D for `assembly` 1, to the right
+//! for -1.
 //!
 //! Closed form: with u₁ = P - C, u₂ = P - D and the elbow velocities per joint rate c₁ = l₁(-sin q₁, cos q₁), c₂
-//! likewise, the rods are rigid: uᵢ·(ṗ - cᵢ q̇ᵢ) = 0. Hence J⁻¹ = [u₁ᵀ/k₁; u₂ᵀ/k₂] with kᵢ = uᵢ·cᵢ, and J = [u₁ᵀ;
-//! u₂ᵀ]⁻¹ diag(k₁, k₂).
+//! likewise, the rods are rigid: uᵢ·(ṗ - cᵢ q̇ᵢ) = 0. Hence J⁻¹ = [u₁ᵀ/k₁; u₂ᵀ/k₂] with kᵢ = uᵢ·cᵢ, and
+//! J = [u₁ᵀ; u₂ᵀ]⁻¹ diag(k₁, k₂).
 //!
 //! A rigid rod between elbow and tip has the kinetic energy ½(α|Ċ|² + 2β Ċ·ṗ + γ|ṗ|²) with three *constants* (centre of
 //! mass at the fraction s of the rod: α = m(1-s)² + I/r², β = m s(1-s) - I/r², γ = m s² + I/r²). No distal angle is
@@ -62,7 +62,7 @@ pub struct FiveBar<T> {
 }
 
 impl<T: Real> FiveBar<T> {
-    /// The same in another precision.
+    /// Converts to another precision.
     pub fn cast<U: Real>(&self) -> FiveBar<U> {
         FiveBar {
             base: cast(self.base),
@@ -97,8 +97,7 @@ impl<T: Real> FiveBar<T> {
         if assembly != 1.0 && assembly != -1.0 {
             return Err(DescriptionError::Assembly);
         }
-        // The distance of the elbows takes every value between these two. The linkage closes if their range overlaps
-        // the rods' range.
+        // The elbows' distance takes every value between these two. The linkage closes if the rods' range overlaps it.
         let farthest = base + l1 + l2;
         let nearest = (base - l1 - l2).max(0.0).max(l1 - base - l2).max(l2 - base - l1);
         if nearest >= r1 + r2 || farthest <= (r1 - r2).abs() {
@@ -149,8 +148,8 @@ impl<T: Real> FiveBar<T> {
         })
     }
 
-    /// Computes the pose at these angles. `inverse` inverts a number whose magnitude has a lower bound; `positive` maps
-    /// a number to the argument of a root.
+    /// Computes the pose at these angles. `inverse` inverts its first argument and may clamp its magnitude to the
+    /// second; `positive` may clamp the argument of a root to zero.
     #[inline(always)]
     fn close<K: Math<T>>(&self, q: &[Angle<T>; 2], inverse: impl Fn(T, T) -> T, positive: impl Fn(T) -> T) -> Pose<T> {
         let half = T::from_f64(0.5);
@@ -192,8 +191,7 @@ impl<T: Real> FiveBar<T> {
         )
     }
 
-    /// Returns the joint accelerations for a tip acceleration `a` (m/s²; zero if `None`), at joint velocities `qd` and
-    /// tip velocity `tip`.
+    /// Returns the joint accelerations for a tip acceleration `a` (m/s², default 0), at velocities `qd` and `tip`.
     #[inline(always)]
     pub(super) fn joint_acceleration(
         pose: &Pose<T>,
@@ -204,7 +202,7 @@ impl<T: Real> FiveBar<T> {
         Vector2::new(Self::arm_acceleration(pose, qd, tip, a, 0), Self::arm_acceleration(pose, qd, tip, a, 1))
     }
 
-    /// [`FiveBar::joint_acceleration`] of one arm, from the rigidity of its rod: uᵢ·(a - p̈_elbow) + |u̇ᵢ|² = 0.
+    /// Returns the joint acceleration of one arm, from the rigidity of its rod: uᵢ·(a - p̈_elbow) + |u̇ᵢ|² = 0.
     #[inline(always)]
     fn arm_acceleration(pose: &Pose<T>, qd: &Vector2<T>, tip: &Vector2<T>, a: Option<&Vector2<T>>, i: usize) -> T {
         let rod_rate = tip - left(&pose.arm[i]) * qd[i];
@@ -245,8 +243,7 @@ impl<T: Real> FiveBar<T> {
         UnitMotion { e, momentum, arms: e[0] * (momentum[0] + with1) + e[1] * (momentum[1] + with2) }
     }
 
-    /// Adds to `force` (N) the rods' force on the tip for joint accelerations `qdd`, at the joint velocities `qd` or at
-    /// rest.
+    /// Adds to `force` (N) the rods' force on the tip for joint accelerations `qdd` at velocities `qd` or at rest.
     #[inline(always)]
     pub(super) fn with_rods(
         &self,
@@ -264,8 +261,7 @@ impl<T: Real> FiveBar<T> {
         force
     }
 
-    /// Returns the joint torques of a tip acceleration `a` (or `None`) and joint accelerations `qdd`, at joint
-    /// velocities `qd`.
+    /// Returns the joint torques of accelerations `a` of the tip (if any) and `qdd` of the joints, at velocities `qd`.
     #[inline(always)]
     fn inertial_torque(&self, pose: &Pose<T>, qd: &Vector2<T>, qdd: &Vector2<T>, a: Option<&Vector2<T>>) -> Vector2<T> {
         let (at_tip, at_joints) = self.inertial_loads(pose, qd, qdd, a);
@@ -406,9 +402,9 @@ impl<T: Real> Mechanism<T, 2> for FiveBar<T> {
         let (mut qdd, mut at_joints) = (e * s, momentum * s);
         if let Some(qd) = qd {
             // At these velocities a tip without acceleration requires accelerating joints.
-            let bent = Self::joint_acceleration(pose, qd, &self.velocity(pose, qd), None);
-            qdd += bent;
-            at_joints += Vector2::new(self.arm_inertia[0] * bent[0], self.arm_inertia[1] * bent[1]);
+            let qdd_bias = Self::joint_acceleration(pose, qd, &self.velocity(pose, qd), None);
+            qdd += qdd_bias;
+            at_joints += Vector2::new(self.arm_inertia[0] * qdd_bias[0], self.arm_inertia[1] * qdd_bias[1]);
         }
         let at_tip = self.with_rods(pose, n * (self.tip_mass * s), qd, &qdd);
         Shaped { e, torque: at_joints + Self::transposed(pose, &at_tip) }
@@ -452,7 +448,7 @@ impl<T: Real> Mechanism<T, 2> for FiveBar<T> {
         let levers = Levers::new(self, pose);
         let motion = |i: usize| levers.unit_motion(&basis.column(i).into_owned());
         let motion = [motion(0), motion(1)];
-        let bent = Self::joint_acceleration(pose, qd, &levers.velocity(qd), None);
+        let qdd_bias = Self::joint_acceleration(pose, qd, &levers.velocity(qd), None);
         let row = levers.transposed(&motion[0].n);
         WallTerms {
             e: Matrix2::from_columns(&[motion[0].e, motion[1].e]),
@@ -462,7 +458,7 @@ impl<T: Real> Mechanism<T, 2> for FiveBar<T> {
                 let arms = motion[i].arms(&motion[j]);
                 if i == j { self.tip_mass + arms } else { arms }
             }),
-            b: levers.bias(qd, &bent, Vector2::zeros(), &Vector2::from(self.gravity)),
+            b: levers.bias(qd, &qdd_bias, Vector2::zeros(), &Vector2::from(self.gravity)),
             row,
             w_eff: effective(&levers.mass(), &row),
         }

@@ -1,14 +1,14 @@
 //! `five-bar-turret`: a five-bar whose plane a third motor rotates about the plane's x axis; the tip moves in space.
 //!
 //! World (X, Y, Z) = (x, y cos q₀, y sin q₀). In the rotating frame (x, radial, normal) the motion separates: in the
-//! plane it is the five-bar of `five_bar.rs`, and across the plane the tip moves at y q̇₀. So J = R [J_plane; y], M =
-//! diag(J₀, M_plane), and the code of the plane is reused unchanged.
+//! plane it is the five-bar of `five_bar.rs`, and across the plane the tip moves at y q̇₀. So J = R [J_plane; y],
+//! M = diag(J₀, M_plane), and the code of the plane is reused unchanged.
 //!
-//! The turret's inertia needs no distal angle either. A link's inertia about the axis is m y_com² + I_axial +
-//! (I_transverse - I_axial) sin²(its angle to the axis), and both y_com and the sine are linear in the y coordinates of
-//! the link's two ends. The sum over the links is a quadratic form in the y of the two elbows and the tip: J₀ = I₀ + a₁
-//! y_C² + a₂ y_D² + 2 y_P(b₁ y_C + b₂ y_D) + c y_P². Half its gradient times q̇₀² gives the centrifugal forces on
-//! elbows and tip.
+//! The turret's inertia needs no distal angle either. A link's inertia about the axis is
+//! m y_com² + I_axial + (I_transverse - I_axial) sin²(its angle to the axis), and both y_com and the sine are linear in
+//! the y coordinates of the link's two ends. The sum over the links is a quadratic form in the y of the two elbows and
+//! the tip: J₀ = I₀ + a₁ y_C² + a₂ y_D² + 2 y_P(b₁ y_C + b₂ y_D) + c y_P². Half its gradient times q̇₀² gives the
+//! centrifugal forces on elbows and tip.
 
 use super::five_bar::{self, FiveBar, Levers, UnitMotion};
 use super::{Mechanism, Regularity, SINE_FLOOR, Shaped, Shaping, WallTerms, effective_turned, reciprocal, symmetric};
@@ -81,7 +81,7 @@ fn linkage<T: Real>(joints: &Vector3<T>) -> Vector2<T> {
 }
 
 impl<T: Real> FiveBarTurret<T> {
-    /// The same in another precision.
+    /// Converts to another precision.
     pub fn cast<U: Real>(&self) -> FiveBarTurret<U> {
         FiveBarTurret {
             plane: self.plane.cast(),
@@ -114,12 +114,12 @@ impl<T: Real> FiveBarTurret<T> {
         // The other joints compensate the turret's centripetal and Coriolis accelerations.
         let turning = qd[0] * qd[0];
         let inward = plane.tip[1] * turning;
-        let bent = FiveBar::joint_acceleration(plane, &joints, &tip, Some(&Vector2::new(T::zero(), inward)));
+        let qdd_bias = FiveBar::joint_acceleration(plane, &joints, &tip, Some(&Vector2::new(T::zero(), inward)));
         let q0dd = -two * tip[1] * qd[0] * pose.inverse_y;
         let [x, y] = self.plane.gravity;
         let (g, across) = pose.to_plane(&Vector3::new(x, y, self.gravity_z));
         let at_tip = Vector2::new(T::zero(), self.plane.tip_mass * inward - spin.tip * turning);
-        let arms = levers.bias(&joints, &bent, at_tip, &g);
+        let arms = levers.bias(&joints, &qdd_bias, at_tip, &g);
         // The elbows' x are their velocities in y per joint rate.
         let [[x1, y1], [x2, y2]] = plane.arm.map(|arm| [arm[0], arm[1]]);
         let (f1, f2) = (spin.elbow[0] * x1, spin.elbow[1] * x2);
@@ -344,17 +344,17 @@ impl<T: Real> Mechanism<T, 3> for FiveBarTurret<T> {
             // At these velocities a tip without acceleration requires accelerating joints: the linkage compensates the
             // turret's centripetal and Coriolis accelerations.
             let inward = plane.tip[1] * turning;
-            let bent = FiveBar::joint_acceleration(plane, &of_arms, &tip, Some(&Vector2::new(T::zero(), inward)));
+            let qdd_bias = FiveBar::joint_acceleration(plane, &of_arms, &tip, Some(&Vector2::new(T::zero(), inward)));
             let twice = two * qd[0];
             q0dd -= tip[1] * twice * pose.inverse_y;
-            qdd += bent;
+            qdd += qdd_bias;
             at_tip[1] += turning * (self.plane.tip_mass * plane.tip[1] - spin.tip);
             // The elbows' x are their velocities in y per joint rate.
             let [x1, x2] = plane.arm.map(|arm| arm[0]);
             let [a1, a2] = self.plane.arm_inertia;
             let [b1, b2] = self.plane.rod_coupling;
-            at_joints[0] += a1 * bent[0] + turning * (x1 * (b1 * plane.tip[1] - spin.elbow[0]));
-            at_joints[1] += a2 * bent[1] + turning * (x2 * (b2 * plane.tip[1] - spin.elbow[1]));
+            at_joints[0] += a1 * qdd_bias[0] + turning * (x1 * (b1 * plane.tip[1] - spin.elbow[0]));
+            at_joints[1] += a2 * qdd_bias[1] + turning * (x2 * (b2 * plane.tip[1] - spin.elbow[1]));
             turret =
                 twice * (spin.elbow[0] * (x1 * of_arms[0]) + spin.elbow[1] * (x2 * of_arms[1]) + spin.tip * tip[1]);
             joints = Some(of_arms);

@@ -1,5 +1,4 @@
-//! `paddle`: one pivot, with the handle at the distance `length` (Hapkit-like). The task is the handle's arc length, x
-//! = length q.
+//! `paddle`: one pivot with a handle (Hapkit-like). The task is the handle's arc length, x = length q.
 
 use super::{Mechanism, Regularity};
 use crate::math::{Angle, Math, Real, cast};
@@ -19,7 +18,7 @@ pub struct Paddle<T> {
 }
 
 impl<T: Real> Paddle<T> {
-    /// The same in another precision.
+    /// Converts to another precision.
     pub fn cast<U: Real>(&self) -> Paddle<U> {
         Paddle { length: cast(self.length), inverse_length: cast(self.inverse_length), inertia: cast(self.inertia) }
     }

@@ -3,9 +3,9 @@
 //! Turret q₀ about the vertical Y: world (X, Y, Z) = (x cos q₀, y, -x sin q₀). In the plane the angles are absolute:
 //! the upper arm O→E is at q₁, length U; the tip is P = E + F(cos q₂, sin q₂). The drive crank points from O along
 //! -(cos q₂, sin q₂), length K, and the coupler runs from the crank's end parallel to the upper arm. Every link is
-//! parallel to one of the two directions e₁, e₂, so with δ = q₂ - q₁ M_plane = [a, b cos δ; b cos δ, c], J_plane = [U
-//! e₁⊥, F e₂⊥], J_plane⁻¹ = [e₂ᵀ/(U sin δ); -e₁ᵀ/(F sin δ)], and the turret's inertia is a quadratic form in the
-//! cosines, J₀ = I₀ + α cos² q₁ + 2β cos q₁ cos q₂ + γ cos² q₂.
+//! parallel to one of the two directions e₁, e₂, so with δ = q₂ - q₁ M_plane = [a, b cos δ; b cos δ, c],
+//! J_plane = [U e₁⊥, F e₂⊥], J_plane⁻¹ = [e₂ᵀ/(U sin δ); -e₁ᵀ/(F sin δ)], and the turret's inertia is a quadratic form
+//! in the cosines, J₀ = I₀ + α cos² q₁ + 2β cos q₁ cos q₂ + γ cos² q₂.
 //!
 //! The sines and cosines of q₁ and δ are computed; those of q₂ follow by the addition theorem. The divisor sin δ of J⁻¹
 //! then keeps full precision when the arm is nearly stretched.
@@ -88,7 +88,7 @@ impl<T: Real> Pose<T> {
 }
 
 impl<T: Real> Parallelogram<T> {
-    /// The same in another precision.
+    /// Converts to another precision.
     pub fn cast<U: Real>(&self) -> Parallelogram<U> {
         Parallelogram {
             lengths: self.lengths.map(cast),
@@ -170,8 +170,7 @@ impl<T: Real> Mechanism<T, 3> for Parallelogram<T> {
         let [upper, fore, crank, coupler] = description.links;
         let handle = description.handle_mass;
         let about_proximal = |link: &crate::model::description::Link| link.mass * link.com * link.com;
-        // Second moments of mass along the two directions: (e₁e₁, e₁e₂, e₂e₂); the turret's inertia uses the same
-        // moments.
+        // Second moments of mass along e₁e₁, e₁e₂, e₂e₂; the turret's inertia uses the same moments.
         let along_upper = about_proximal(&upper) + about_proximal(&coupler) + (fore.mass + handle) * u * u;
         let along_fore = about_proximal(&fore) + about_proximal(&crank) + coupler.mass * k * k + handle * f * f;
         let mixed = fore.mass * u * fore.com - coupler.mass * k * coupler.com + handle * u * f;

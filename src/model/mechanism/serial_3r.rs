@@ -1,12 +1,12 @@
-//! `serial-3r`: a planar arm of three links with relative joint angles. The task is the position of the tip, so the arm
-//! is redundant.
+//! `serial-3r`: a planar arm of three links with relative joint angles; redundant, because its task is the tip
+//! position.
 //!
 //! The third task coordinate is the orientation φ = q₁ + q₂ + q₃, whose row of J is (1, 1, 1). In the links' absolute
 //! angular rates θ̇ = (q̇₁, q̇₁ + q̇₂, φ̇), with link directions eᵢ, the tip velocity is ṗ = Σ lᵢ eᵢ⊥ θ̇ᵢ. For a given
-//! φ̇ the other two rates are those of a two-link arm: θ̇₁ = v·e₂/(l₁ sin q₂), θ̇₂ = -v·e₁/(l₂ sin q₂), v = ṗ - l₃ e₃⊥
-//! φ̇. The mass matrix in absolute rates has a constant diagonal. An entry off the diagonal is a constant times the
-//! cosine of the angle between the two links (less the reflected rotor between neighbours). Joint torques are sums of
-//! the moments on the absolute angles, τᵢ = Σ_{j≥i}.
+//! φ̇ the other two rates are those of a two-link arm: θ̇₁ = v·e₂/(l₁ sin q₂), θ̇₂ = -v·e₁/(l₂ sin q₂),
+//! v = ṗ - l₃ e₃⊥ φ̇. The mass matrix in absolute rates has a constant diagonal. An entry off the diagonal is a
+//! constant times the cosine of the angle between the two links (less the reflected rotor between neighbours). Joint
+//! torques are sums of the moments on the absolute angles, τᵢ = Σ_{j≥i}.
 
 use super::{Mechanism, Regularity, SINE_FLOOR, Shaping, WallTerms, effective, reciprocal};
 use crate::math::{Angle, Math, Real, cast};
@@ -73,7 +73,7 @@ fn accumulate<T: Real>(moments: &Vector3<T>) -> Vector3<T> {
 }
 
 impl<T: Real> Serial3r<T> {
-    /// The same in another precision.
+    /// Converts to another precision.
     pub fn cast<U: Real>(&self) -> Serial3r<U> {
         Serial3r {
             lengths: self.lengths.map(cast),
@@ -108,8 +108,7 @@ impl<T: Real> Serial3r<T> {
         [self.coupling[0] * c12 - self.rotor[0], self.coupling[1] * c23 - self.rotor[1], self.coupling[2] * c13]
     }
 
-    /// Multiplies the mass matrix in absolute rates by the rates of the first two links and, if it rotates, of the
-    /// third.
+    /// Multiplies the mass matrix in absolute rates by the rates of the first two links and of the third, if any.
     #[inline(always)]
     fn momentum(&self, pose: &Pose<T>, [first, second]: [T; 2], third: Option<T>) -> Vector3<T> {
         let [m12, m23, m13] = self.off_diagonal(pose);
@@ -294,8 +293,7 @@ impl<T: Real> Mechanism<T, 3> for Serial3r<T> {
         let first = pose.link[1] * (pose.inverse_sine * self.inverse_lengths[0]);
         let second = pose.link[0] * (-pose.inverse_sine * self.inverse_lengths[1]);
         let arms = |v: Vector2<T>| [first.dot(&v), second.dot(&v)];
-        // The third link does not rotate for motions along the wall's normal and across it; for φ it rotates about the
-        // tip.
+        // The third link does not rotate along the wall's normal or across it; for φ it rotates about the tip.
         let (n, one, zero) = (Vector2::new(basis[(0, 0)], basis[(1, 0)]), T::one(), T::zero());
         let (along, across, about) = (arms(n), arms(left(&n)), arms(left(&pose.link[2]) * -self.lengths[2]));
         let momentum = |rates: [T; 2], third| self.momentum(pose, rates, third);

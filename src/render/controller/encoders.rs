@@ -35,11 +35,10 @@ struct Binary {
 }
 
 impl Binary {
-    /// Makes the conversion for `period` counts in `turns` turns; without turns, one count is `radians`. `offset` in
-    /// rad.
+    /// Makes the conversion for `period` counts in `turns` turns, or of one count of `radians`. `offset` in rad.
     fn new(period: i32, turns: i32, radians: f64, offset: f64) -> Self {
         // In units of 2⁻³² of a binary angle unit.
-        let of_a_count = match (u64::try_from(period), u64::try_from(turns)) {
+        let per_count = match (u64::try_from(period), u64::try_from(turns)) {
             (Ok(period), Ok(turns)) if period > 0 && turns > 0 => {
                 let (whole, left) = ((turns << 32) / period, (turns << 32) % period);
                 let size = (whole << 32).wrapping_add(((left << 32) + period / 2) / period) as i64;
@@ -47,13 +46,12 @@ impl Binary {
             }
             _ => (radians * (18_446_744_073_709_551_616.0 / core::f64::consts::TAU)) as i64,
         };
-        let rest = of_a_count as i32;
-        let whole = (of_a_count.wrapping_sub(i64::from(rest)) >> 32) as u32;
+        let rest = per_count as i32;
+        let whole = (per_count.wrapping_sub(i64::from(rest)) >> 32) as u32;
         Self { whole, rest, offset: BinaryAngle::from_radians(offset) }
     }
 
-    /// Returns the angle of `counts` counts with two multiplications: it needs no division, and complete turns drop
-    /// out.
+    /// Returns the angle of `counts` counts with two multiplications and no division; complete turns drop out.
     #[inline(always)]
     fn of(&self, counts: i32) -> BinaryAngle {
         let rest = (i64::from(counts) * i64::from(self.rest)) >> 32;
@@ -92,8 +90,7 @@ impl<T: Real> Encoding<T> {
         }
     }
 
-    /// A turn of p/q counts has p parts of 1/q count: n counts are n q parts, and complete turns of p parts are removed
-    /// exactly.
+    /// A turn of p/q counts has p parts of 1/q count: n counts are n q parts, and complete turns come off exactly.
     #[cold]
     #[inline(never)]
     fn within_a_fractional_turn(&self, relative: i32) -> T {
@@ -122,8 +119,7 @@ pub(super) struct Encoders<T: Real, const N: usize> {
 }
 
 impl<T: Real, const N: usize> Encoders<T, N> {
-    /// Makes the encoders of a device. `periodic` is true if complete turns are the same pose; `moving` is true if
-    /// rendering uses the velocities.
+    /// Makes the encoders of a device. `periodic`: complete turns are the same pose. `moving`: velocities are used.
     #[inline(never)]
     pub fn new(device: &Device<T>, coefficients: &Coefficients<T>, periodic: bool, moving: bool) -> Self {
         let mut encoders = Self {
@@ -169,8 +165,7 @@ impl<T: Real, const N: usize> Encoders<T, N> {
         raw
     }
 
-    /// Returns filtered joint velocities. If only the guard and telemetry use them, a first-order filter at the same
-    /// cutoff is enough.
+    /// Returns filtered joint velocities: by a first-order filter if only the guard and telemetry use them.
     #[inline(always)]
     pub fn velocities(&mut self, counts: &[i32; N], filter: impl Fn(&mut LowPass<T>, T) -> T) -> SVector<T, N> {
         let raw = self.raw_velocities(counts);
@@ -188,8 +183,7 @@ impl<T: Real, const N: usize> Encoders<T, N> {
         self.filters = [LowPass::default(); N];
     }
 
-    /// Returns true if the velocity terms are known in full at these velocities (rad/s) in every pose where the
-    /// feed-forward acts in full.
+    /// Returns true if the velocity terms are known in full at these velocities (rad/s) in any regular pose.
     #[inline(always)]
     pub fn are_known(&self, qd: &SVector<T, N>) -> bool {
         let mut known = true;
@@ -296,8 +290,8 @@ mod tests {
 
     #[test]
     fn complete_turns_of_fractional_counts_are_removed_exactly() {
-        // An encoder of 4000 counts behind gears of 43:4, 7:3 and 355:113, an encoder with decimals, and a gear ratio
-        // that is not a fraction.
+        // An encoder of 4000 counts with gears of 43:4, 7:3 and 355:113, one with decimals, and an irrational gear
+        // ratio.
         for counts_per_turn in
             [20_000.0, 10_752.5, 28_000.0 / 3.0, 4_000.0 * 355.0 / 113.0, 16_384.07, 2e4 * 1.1_f64.sqrt()]
         {
@@ -310,11 +304,11 @@ mod tests {
                             let count = sign * (share * counts_per_turn) as i32;
                             let left = remainder(count, counts_per_turn) * core::f64::consts::TAU / counts_per_turn;
                             let right = if inverted { -left } else { left };
-                            let found = f64::from(encoding.within_a_turn(count));
+                            let angle = f64::from(encoding.within_a_turn(count));
                             // Decimals and roots are p/q to within 3e-5 of a count after these turns, 1e-8 rad.
                             assert!(
-                                (found - right).abs() <= rounding(right) + 1.0e-8,
-                                "{counts_per_turn} per turn, {turns} turns, {count}: {found} is not {right}"
+                                (angle - right).abs() <= rounding(right) + 1.0e-8,
+                                "{counts_per_turn} per turn, {turns} turns, {count}: {angle} is not {right}"
                             );
                         }
                     }
@@ -347,8 +341,8 @@ mod tests {
                 for count in [0, 1, -1, 7, 4_999, -20_000, 123_456_789, i32::MAX, i32::MIN] {
                     let left = remainder(count, counts_per_turn) * core::f64::consts::TAU / counts_per_turn;
                     let right = if inverted { -left } else { left };
-                    let found = f64::from(binary.of(count).0) * part;
-                    let turns = (found - right) / core::f64::consts::TAU;
+                    let angle = f64::from(binary.of(count).0) * part;
+                    let turns = (angle - right) / core::f64::consts::TAU;
                     // The error of the turns of a fractional count (see `counts_until_repeat`), and two roundings down.
                     let uncertainty = f64::from(count).abs() / f64::from(i32::MAX) * part.max(1.0e-4) + 2.0 * part;
                     let error = (turns - turns.round()) * core::f64::consts::TAU;

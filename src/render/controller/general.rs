@@ -98,9 +98,9 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
                 && more.is_empty()
                 && !shared.acts
             {
-                let kept = first.shaped * self.share_below_pole(angles, pose, &first.normal, gain);
-                plain += first.normal * (first.shaped - kept);
-                first.shaped = kept;
+                let limited = first.shaped * self.share_below_pole(angles, pose, &first.normal, gain);
+                plain += first.normal * (first.shaped - limited);
+                first.shaped = limited;
             }
             let mut shaped = more.iter().fold(first.normal * first.shaped, |sum, a| sum + a.normal * a.shaped);
             if shared.acts {
@@ -132,8 +132,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         (torque, rendered, force)
     }
 
-    /// Writes and returns the joint torques (N m) in addition to those of walls, springs and fields: the torques
-    /// against gravity.
+    /// Writes and returns the joint torques (N m) that hold the device against gravity.
     #[inline(always)]
     pub(super) fn write_gravity(&self, pose: &M::Pose, asked: &mut TorqueDemand<T>) -> SVector<T, N> {
         let gravity = if self.gravity { self.mechanism.gravity(pose) } else { SVector::zeros() };
@@ -141,8 +140,8 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         gravity
     }
 
-    /// Adds another force (N) to the forces whose resultant is `force` (N), and to the torques that render them.
-    /// Returns its torques, N m.
+    /// Adds the force `other` (N) to the resultant `force` (N), and its torques, which it returns, to the rendered
+    /// torques.
     #[inline(never)]
     pub(super) fn add_force(
         &self,
@@ -180,7 +179,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
 
     /// Returns a unit motion of the tip; on a redundant device with the scene's coordinate held.
     #[inline(always)]
-    pub(super) fn with_held_coordinate(&self, shaping: Shaping<T, N>, pose: &M::Pose) -> Shaping<T, N> {
+    pub(super) fn hold_coordinate(&self, shaping: Shaping<T, N>, pose: &M::Pose) -> Shaping<T, N> {
         if M::SPEC.task == N || self.admissible == Admissible::Orientation {
             return shaping;
         }
@@ -195,17 +194,17 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         self.mechanism.shaping(pose, &turning)
     }
 
-    /// Returns the share of the feed-forward that keeps a gain α above 1 away from the inertia's pole. The wall meets m
-    /// = Weff/(1 - α ρ), ρ = 1 - Weff/Wrr, which is unbounded at α = 1/ρ. The limit is half way to the pole, at (1 +
-    /// 1/ρ)/2, where m is twice Wrr.
+    /// Returns the share of the feed-forward that keeps a gain α above 1 away from the inertia's pole. The wall meets
+    /// m = Weff/(1 - α ρ), ρ = 1 - Weff/Wrr, which is unbounded at α = 1/ρ. The limit is half way to the pole, at
+    /// (1 + 1/ρ)/2, where m is twice Wrr.
     #[inline(never)]
     pub(super) fn share_below_pole(&self, angles: &[Angle<T>; N], pose: &M::Pose, n: &SVector<T, N>, gain: T) -> T {
-        let shaping = self.with_held_coordinate(self.mass.shaping(&self.mechanism, &radians(angles), pose, n), pose);
+        let shaping = self.hold_coordinate(self.mass.shaping(&self.mechanism, &radians(angles), pose, n), pose);
         let row = self.mechanism.transpose(pose, n);
         let w_eff = T::one() / row.dot(&solve_symmetric(&self.mechanism.mass(pose), &row));
         let coupling = (T::one() - w_eff / shaping.w_rr).greater(T::EPSILON);
-        let most = T::from_f64(0.5) * (T::one() + T::one() / coupling);
-        (most / gain).lesser(T::one())
+        let limit = T::from_f64(0.5) * (T::one() + T::one() / coupling);
+        (limit / gain).lesser(T::one())
     }
 
     /// Computes the share `share` of the feed-forward of one or several active walls and of the stiff guidance that
@@ -227,17 +226,14 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             return (SVector::zeros(), *force);
         }
         if more.is_empty() && !shared.acts {
-            let shaping = self.with_held_coordinate(self.mass.shaping(&self.mechanism, q, pose, &first.normal), pose);
+            let shaping = self.hold_coordinate(self.mass.shaping(&self.mechanism, q, pose, &first.normal), pose);
             let (b, met) = self.bias(pose, place, qd, &BiasScope::One(first));
             (shaping.torque(first.shaped, &b, &met) * share, force * (T::one() - share))
         } else {
             let mut pulls = Vec::new();
             let group = ContactGroup::new::<K>(first, more, &self.guidance, shared, place, M::SPEC.task, &mut pulls);
             let along = |i| {
-                self.with_held_coordinate(
-                    self.mass.shaping(&self.mechanism, q, pose, &group.principal.direction(i)),
-                    pose,
-                )
+                self.hold_coordinate(self.mass.shaping(&self.mechanism, q, pose, &group.principal.direction(i)), pose)
             };
             let unused = Shaping { e: SVector::zeros(), me: SVector::zeros(), w_rr: T::one() };
             let shapings = core::array::from_fn(|i| if i + 1 < N { along(i) } else { unused });
@@ -247,8 +243,8 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             let bias = |level| self.has_bias.then(|| same.unwrap_or_else(|| of_level(level)));
             let first = &group.principal.direction(0);
             let share_of_gain = |gain| {
-                let most = gain * self.share_below_pole(angles, pose, first, gain);
-                (T::one() + (most - T::one()) * single_wall_weight(&group.principal)) / gain
+                let limit = gain * self.share_below_pole(angles, pose, first, gain);
+                (T::one() + (limit - T::one()) * single_wall_weight(&group.principal)) / gain
             };
             let part = share * self.gain.map_or(T::one(), share_of_gain);
             group.principal.shaped(&shapings, force, part, bias)
@@ -265,7 +261,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         pose: &M::Pose,
         place: &SVector<T, N>,
         qd: &SVector<T, N>,
-        acting: &BiasScope<'_, T, N>,
+        scope: &BiasScope<'_, T, N>,
     ) -> (SVector<T, N>, SVector<T, N>) {
         let mut b = SVector::zeros();
         if self.velocity_terms != VelocityTerms::Off {
@@ -273,16 +269,16 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             b = self.mechanism.velocity_torque(pose, qd);
             if M::SPEC.task > 1 && self.walls.curved {
                 let velocity = task_part::<T, M, N>(&self.mechanism.velocity(pose, qd));
-                let acceleration = self.walls.turning::<K, N>(place, &velocity, acting);
+                let acceleration = self.walls.turning::<K, N>(place, &velocity, scope);
                 b += MassModel::Exact.shaping(&self.mechanism, qd, pose, &acceleration).me;
             }
             if M::SPEC.task < N && self.admissible != Admissible::Orientation {
-                let bent = self.mechanism.inverse(pose, &(self.mechanism.jacobian_rate(pose, qd) * qd));
-                b = self.admissible.hold_bias(&b, &bent, &self.null_motion(pose));
+                let qdd_bias = self.mechanism.inverse(pose, &(self.mechanism.jacobian_rate(pose, qd) * qd));
+                b = self.admissible.hold_bias(&b, &qdd_bias, &self.null_motion(pose));
             }
             b *= self.velocity_term_share(pose, qd);
         }
-        let share = self.walls.damping_share(acting);
+        let share = self.walls.damping_share(scope);
         let damping = if share > T::zero() { self.viscous.component_mul(qd) * share } else { SVector::zeros() };
         let met = if self.velocity_terms == VelocityTerms::Rendered { damping } else { b + damping };
         (b + damping, met)

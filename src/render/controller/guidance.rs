@@ -24,7 +24,7 @@ pub(super) struct Guidance<T: Real> {
     pub is_active: bool,
     /// True if the host pushes.
     pub is_pushed: bool,
-    /// True if either of the two is true.
+    /// True if `is_active` or `is_pushed`.
     pub adds_force: bool,
     /// Shaping of its stiff parts when they act together with walls with the feed-forward; [`FeedForward::Off`] if the
     /// scene has no such walls.
@@ -127,7 +127,7 @@ impl<T: Real> Guidance<T> {
     pub fn force<const N: usize>(&self, place: &SVector<T, N>, velocity: &SVector<T, N>) -> SVector<T, N> {
         let mut force = velocity * -self.field_damping;
         if let Some(push) = &self.push {
-            force += push.plane.force_vector(place, velocity);
+            force += push.plane.force(place, velocity);
         }
         for spring in &self.springs {
             force += spring_force(spring, place, velocity);
@@ -135,14 +135,12 @@ impl<T: Real> Guidance<T> {
         force
     }
 
-    /// Returns true if walls of this scene have the feed-forward, so that [`Guidance::shared_part`] must run in every
-    /// step.
+    /// Returns true if walls have the feed-forward, so that [`Guidance::shared_part`] must run in every step.
     pub fn shares_feed_forward(&self) -> bool {
         self.shared_feed_forward != FeedForward::Off
     }
 
-    /// Returns the part of [`Guidance::force`] that is shaped together with walls that have the feed-forward with α
-    /// `gain`.
+    /// Returns the part of [`Guidance::force`] that walls with the feed-forward shape with α `gain`.
     #[inline(never)]
     pub fn shared_part<const N: usize>(
         &mut self,
@@ -157,7 +155,7 @@ impl<T: Real> Guidance<T> {
         }
         let plane = self.stiff_plane();
         let touched = plane.is_some_and(|plane| plane.depth(place) > T::zero());
-        shared.plane = plane.map_or(T::zero(), |plane| plane.force(place, velocity));
+        shared.plane = plane.map_or(T::zero(), |plane| plane.normal_force(place, velocity));
         self.keep_shaped_part(&mut shared, touched, gain);
         shared
     }
@@ -203,7 +201,7 @@ impl<T: Real> Guidance<T> {
         }
         let mut touched = false;
         if let Some(Push { plane, .. }) = &self.push {
-            let along = plane.force(place, velocity);
+            let along = plane.normal_force(place, velocity);
             force += task_vector::<T, N>(&plane.normal) * along;
             if plane.stiffness > T::zero() {
                 touched = plane.depth(place) > T::zero();
@@ -238,16 +236,14 @@ impl<T: Real> Guidance<T> {
         shared.springs + normal * shared.plane
     }
 
-    /// Returns the extension of the springs or the depth in the plane, whichever is larger, from the shaped part of
-    /// their force, m.
+    /// Returns the larger of the springs' extension and the depth in the plane, by the shaped part of their force, m.
     pub fn shared_depth<const N: usize>(&self, shared: &SharedGuidance<T, N>) -> T {
         let plane = self.push.as_ref().map_or(T::zero(), |push| push.plane.stiffness);
-        let most = shared.springs.iter().fold(T::zero(), |most, force| most.greater(force.abs()));
-        depth_of(most, self.stiffness).greater(depth_of(shared.plane, plane))
+        let largest = shared.springs.iter().fold(T::zero(), |largest, force| largest.greater(force.abs()));
+        depth_of(largest, self.stiffness).greater(depth_of(shared.plane, plane))
     }
 
-    /// Passes the stiffness of each spring and of the touched plane at the tip position `place` (m) to `each`; for the
-    /// plane with its depth (m).
+    /// Passes the stiffness of each spring and of the touched plane (with its depth, m) to `each`.
     pub fn for_each_pull<const N: usize>(&self, place: &SVector<T, N>, mut each: impl FnMut(Pull<T, N>, Option<T>)) {
         for spring in self.springs.iter().filter(|spring| spring.stiffness > T::zero()) {
             let normal = task_vector(&spring.direction);

@@ -1,5 +1,4 @@
-//! A passivity observer and controller (Hannaford and Ryu 2002): it counts the energy that the walls give out and takes
-//! it back.
+//! A passivity observer and controller (Hannaford and Ryu 2002): takes back the energy that the walls give out.
 //!
 //! The observer counts the work of all torques of the walls at the joints, including the sideways push of the
 //! feed-forward and the torques that move with the linkage. The count is exact, because a torque is constant between
@@ -90,8 +89,8 @@ impl<T: Real> Debt<T> {
         if v == T::zero() {
             return T::zero();
         }
-        let most = self.rate * T::from_f64(DAMPING_SHARE);
-        (self.owed * self.rate / (v * v).greater(T::from_f64(1.0e-12))).lesser(most)
+        let limit = self.rate * T::from_f64(DAMPING_SHARE);
+        (self.owed * self.rate / (v * v).greater(T::from_f64(1.0e-12))).lesser(limit)
     }
 
     /// Returns the remaining share of the feed-forward: 1 without debt, 0 from [`MAX_DEBT`] on.

@@ -11,8 +11,8 @@ use crate::model::mechanism::Mechanism;
 use nalgebra::SVector;
 
 impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K, N> {
-    /// Returns the joint torques (N m) of the scene's posture in this pose and at these joint velocities (rad/s): f = k
-    /// sin(φ₀ - φ) - d φ̇. The spring's moment is at most k for any rotation of φ.
+    /// Returns the joint torques (N m) of the scene's posture in this pose and at these joint velocities (rad/s):
+    /// f = k sin(φ₀ - φ) - d φ̇. The spring's moment is at most k for any rotation of φ.
     #[inline(never)]
     pub(super) fn posture_torque(&self, pose: &M::Pose, qd: &SVector<T, N>) -> SVector<T, N> {
         let Some(posture) = &self.posture else { return SVector::zeros() };

@@ -1,5 +1,4 @@
-//! The host's addition to a scene in one step: a force at the tip, and a plane that the board renders at the control
-//! rate.
+//! The host's addition to a scene: a force at the tip, and a plane that the board renders at the control rate.
 
 use crate::math::Real;
 use crate::render::scene::task_vector;
@@ -14,8 +13,7 @@ pub struct Push<T> {
     pub plane: PushedPlane<T>,
 }
 
-/// A plane n·p = offset that pushes along n if n·p is less than the offset: f = stiffness (offset - n·p) - damping n·ṗ.
-/// It never pulls.
+/// A plane that pushes, and never pulls, if n·p is less than offset: f = stiffness (offset - n·p) - damping n·ṗ.
 ///
 /// n may be shorter than 1: the plane half way between two planes is their mean, and its distance from any point is the
 /// mean of the two distances.
@@ -35,7 +33,7 @@ impl<T: Real> Push<T> {
     /// Returns the force (N) at the tip position `place` (m) and velocity (m/s).
     #[inline(never)]
     pub fn at<const N: usize>(&self, place: &SVector<T, N>, velocity: &SVector<T, N>) -> SVector<T, N> {
-        task_vector::<T, N>(&self.force) + self.plane.force_vector(place, velocity)
+        task_vector::<T, N>(&self.force) + self.plane.force(place, velocity)
     }
 }
 
@@ -53,17 +51,13 @@ impl<T: Real> PushedPlane<T> {
 
     /// Returns its force at the tip position `place` (m) and velocity (m/s), N.
     #[inline(never)]
-    pub(super) fn force_vector<const N: usize>(
-        &self,
-        place: &SVector<T, N>,
-        velocity: &SVector<T, N>,
-    ) -> SVector<T, N> {
-        task_vector::<T, N>(&self.normal) * self.force(place, velocity)
+    pub(super) fn force<const N: usize>(&self, place: &SVector<T, N>, velocity: &SVector<T, N>) -> SVector<T, N> {
+        task_vector::<T, N>(&self.normal) * self.normal_force(place, velocity)
     }
 
     /// Returns its force along n, N.
     #[inline(always)]
-    pub(super) fn force<const N: usize>(&self, place: &SVector<T, N>, velocity: &SVector<T, N>) -> T {
+    pub(super) fn normal_force<const N: usize>(&self, place: &SVector<T, N>, velocity: &SVector<T, N>) -> T {
         let depth = self.depth(place);
         if depth > T::zero() {
             let along = task_vector::<T, N>(&self.normal).dot(velocity);

@@ -26,12 +26,11 @@ pub const KNOWN_TURN: f64 = 0.05;
 /// The same share at and above which velocity terms are off; in between they fade, so the force is continuous.
 pub const UNKNOWN_TURN: f64 = 0.1;
 
-/// Returns the active share of the velocity terms at joint velocities `qd` (rad/s) whose estimate lags by `lag` (s),
-/// see [`KNOWN_TURN`].
+/// Returns the active share of the velocity terms at `qd` (rad/s) with a lag of `lag` (s), see [`KNOWN_TURN`].
 #[inline(always)]
 pub fn known_share<T: Real, const N: usize>(regularity: &Regularity<T>, qd: &SVector<T, N>, lag: T) -> T {
     let near = regularity.serial.lesser(regularity.parallel);
-    let turned = qd.iter().fold(T::zero(), |most, v| most.greater(v.abs())) * lag;
+    let turned = qd.iter().fold(T::zero(), |largest, v| largest.greater(v.abs())) * lag;
     if turned <= near * T::from_f64(KNOWN_TURN) {
         return T::one();
     }
@@ -43,8 +42,7 @@ pub fn known_share<T: Real, const N: usize>(regularity: &Regularity<T>, qd: &SVe
     s * s * (T::from_f64(3.0) - s - s)
 }
 
-/// Returns the distance from singularity that the feed-forward uses: see [`FULL_REGULARITY`] and
-/// [`PARALLEL_REGULARITY`].
+/// Returns the distance from singularity for [`FULL_REGULARITY`] and [`PARALLEL_REGULARITY`].
 #[inline(always)]
 pub(super) fn nearness<T: Real>(regularity: &Regularity<T>) -> T {
     regularity.serial.lesser(regularity.parallel * T::from_f64(1.0 / PARALLEL_REGULARITY))

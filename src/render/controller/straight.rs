@@ -29,7 +29,7 @@ mod wall;
 
 /// Values that every straight step uses.
 #[derive(Clone, Copy)]
-struct StraightStart<T: Real, P: Copy, const N: usize> {
+struct Start<T: Real, P: Copy, const N: usize> {
     pose: P,
     /// The tip's own coordinates, m; zero beyond the task.
     place: SVector<T, N>,
@@ -41,7 +41,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
     /// Computes and writes the values of every step. Returns `None` and writes nothing if the feed-forward does not act
     /// in full, because only the general step fades it.
     #[inline(always)]
-    fn start(&mut self, counts: &[i32; N], result: &mut StepResult<T>) -> Option<StraightStart<T, M::Pose, N>> {
+    fn start(&mut self, counts: &[i32; N], result: &mut StepResult<T>) -> Option<Start<T, M::Pose, N>> {
         let least = Regularity {
             serial: T::from_f64(FULL_REGULARITY),
             parallel: T::from_f64(FULL_REGULARITY * PARALLEL_REGULARITY),
@@ -56,12 +56,11 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         if self.gravity {
             put(&self.mechanism.gravity(&pose), &mut result.asked.gravity);
         }
-        let start = StraightStart { pose, place: task_part::<T, M, N>(&tip), qd };
+        let start = Start { pose, place: task_part::<T, M, N>(&tip), qd };
         Some(start)
     }
 
-    /// Writes the total torque: these torques (N m), the torques against gravity, and the additions to the walls, whose
-    /// resultant is `force` (N).
+    /// Writes the total of these torques (N m), gravity, and the additions to the walls' resultant `force` (N).
     #[inline(always)]
     fn write_total(&self, torque: &SVector<T, N>, force: impl FnOnce() -> SVector<T, N>, result: &mut StepResult<T>) {
         let mut total = *torque;
@@ -76,11 +75,10 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         }
     }
 
-    /// Writes the part of springs, fields and the host. It is computed before the walls, while few values are live, and
-    /// added last.
+    /// Writes the part of springs, fields and the host. It runs before the walls, while few values are live.
     #[inline(never)]
-    fn write_guidance(&self, start: &StraightStart<T, M::Pose, N>, guidance: &mut GuidanceDemand<T>) {
-        let StraightStart { pose, place, qd } = start;
+    fn write_guidance(&self, start: &Start<T, M::Pose, N>, guidance: &mut GuidanceDemand<T>) {
+        let Start { pose, place, qd } = start;
         let mut force = self.guidance.push_force();
         if self.guidance.is_active {
             let velocity = task_part::<T, M, N>(&self.mechanism.velocity(pose, qd));
@@ -90,17 +88,16 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         put(&self.mechanism.transpose(pose, &force), &mut guidance.torque);
     }
 
-    /// Computes equation (4) for the force `force` (N) along `normal`, which belongs to the wall with index `wall`, if
-    /// any.
+    /// Computes equation (4) for the force `force` (N) along `normal`, of the wall with index `wall` if any.
     #[inline(always)]
     fn shaped(
         &self,
-        start: &StraightStart<T, M::Pose, N>,
+        start: &Start<T, M::Pose, N>,
         normal: &SVector<T, N>,
         force: T,
         wall: Option<usize>,
     ) -> Shaped<T, N> {
-        let StraightStart { pose, .. } = start;
+        let Start { pose, .. } = start;
         if !self.has_bias {
             return self.mechanism.shaped(pose, normal, force, None);
         }
@@ -112,23 +109,23 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
 
     /// Returns the part of the joint velocities beyond single counts (rad/s), if velocity terms act in full.
     #[inline(always)]
-    fn certain_velocities(&self, start: &StraightStart<T, M::Pose, N>) -> Option<SVector<T, N>> {
-        let StraightStart { pose, qd, .. } = start;
+    fn certain_velocities(&self, start: &Start<T, M::Pose, N>) -> Option<SVector<T, N>> {
+        let Start { pose, qd, .. } = start;
         let certain = self.encoders.beyond_one_count(qd);
         let known = self.encoders.are_known(qd) || self.velocity_term_share(pose, &certain) >= T::one();
         known.then_some(certain)
     }
 
-    /// [`Controller::shaped`] in the rare cases.
+    /// Implements [`Controller::shaped`] in the rare cases.
     #[inline(always)]
     fn shaped_rarely(
         &self,
-        start: &StraightStart<T, M::Pose, N>,
+        start: &Start<T, M::Pose, N>,
         normal: &SVector<T, N>,
         force: T,
         wall: Option<usize>,
     ) -> Shaped<T, N> {
-        let StraightStart { pose, place, qd } = start;
+        let Start { pose, place, qd } = start;
         // Copy value by value, so that the usual case need not keep these values in memory.
         let (pose, place, qd, normal) = (*pose, *place, *qd, *normal);
         let Shaped { e, torque } = self.shaped_in_general(&pose, &place, &qd, &normal, force, wall);
@@ -147,9 +144,9 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         force: T,
         wall: Option<usize>,
     ) -> Shaped<T, N> {
-        let acting = ShapedContact::along(normal, force, wall);
+        let contact = ShapedContact::along(normal, force, wall);
         let shaping = self.mechanism.shaping(pose, normal);
-        let (b, met) = self.bias(pose, place, qd, &BiasScope::One(&acting));
+        let (b, met) = self.bias(pose, place, qd, &BiasScope::One(&contact));
         Shaped { e: shaping.e, torque: shaping.torque(force, &b, &met) }
     }
 }
@@ -182,8 +179,8 @@ pub(super) enum StepVariant {
     Wall,
     /// A single round wall whose velocity terms follow its normal, on a device with two joints.
     Round,
-    /// Several walls in the plane, or walls with the feed-forward together with springs or a host's plane, on a device
-    /// with two joints.
+    /// Several walls, or walls with the feed-forward together with springs or a host's plane, in the plane with two
+    /// joints.
     Several,
 }
 

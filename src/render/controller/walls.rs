@@ -115,7 +115,12 @@ impl<T: Real> RunningWall<T> {
 
     /// Returns the shaped contact of wall `index` with the force `shaped` (N) through the feed-forward.
     #[inline(always)]
-    pub fn acting<const N: usize>(&self, index: usize, contact: &Contact<T, N>, shaped: T) -> ShapedContact<T, N> {
+    pub fn shaped_contact<const N: usize>(
+        &self,
+        index: usize,
+        contact: &Contact<T, N>,
+        shaped: T,
+    ) -> ShapedContact<T, N> {
         ShapedContact {
             wall: index,
             normal: contact.normal,
@@ -177,8 +182,7 @@ impl<T: Real> RunningWall<T> {
     }
 }
 
-/// A contact whose force goes through the feed-forward in this step, its own or that of walls that act together with
-/// it.
+/// A contact whose force is shaped in this step, by its own feed-forward or together with other walls.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct ShapedContact<T: Real, const N: usize> {
     /// Index of the wall.
@@ -234,8 +238,7 @@ pub(super) struct Touch<T: Real, const N: usize> {
     pub normal: SVector<T, N>,
     /// Force that goes straight through Jᵀ, N.
     pub plain: SVector<T, N>,
-    /// The first wall with the feed-forward. It is stored separately, because a single wall is the usual case and need
-    /// not go through memory.
+    /// The first wall with the feed-forward: separate, because a single wall is usual and need not go through memory.
     pub first: Option<ShapedContact<T, N>>,
 }
 
@@ -275,9 +278,8 @@ impl<T: Real> Walls<T> {
         Ok(walls)
     }
 
-    /// Returns the shaping of walls without the feed-forward, and of springs, that act together with walls with the
-    /// feed-forward: through a washout if any of these walls has one, because such walls do not push sideways at rest
-    /// either.
+    /// Returns the shaping of walls without the feed-forward, and of springs, that act together with walls with it:
+    /// through a washout if any of these has one, because such walls do not push sideways at rest either.
     pub fn shared_feed_forward(&self) -> (FeedForward, Option<Washout<T>>) {
         let with = |feed_forward| self.running.iter().find(move |other| other.wall.feed_forward == feed_forward);
         match with(FeedForward::Washout).map(|other| other.washout) {
@@ -340,11 +342,11 @@ impl<T: Real> Walls<T> {
             touch.at_walls.passivity_damping += effect.passivity_damping;
             touch.plain += contact.normal * (effect.force - effect.shaped);
             if running.effective_feed_forward != FeedForward::Off {
-                let contact_of_wall = running.acting(index, &contact, effect.shaped);
-                if touch.first.is_none() && contact_of_wall.feed_forward {
-                    touch.first = Some(contact_of_wall);
+                let shaped = running.shaped_contact(index, &contact, effect.shaped);
+                if touch.first.is_none() && shaped.feed_forward {
+                    touch.first = Some(shaped);
                 } else {
-                    let _ = more.push(contact_of_wall);
+                    let _ = more.push(shaped);
                 }
             }
         }
@@ -358,21 +360,22 @@ impl<T: Real> Walls<T> {
 
     /// Returns the share of joint damping that is compensated. Of several walls with the feed-forward, it is the share
     /// in their stiffness of the walls that request it.
-    pub fn damping_share<const N: usize>(&self, acting: &BiasScope<'_, T, N>) -> T {
-        let asks = |a: &ShapedContact<T, N>| self.running.get(a.wall).is_some_and(|r| r.wall.damping_compensation);
+    pub fn damping_share<const N: usize>(&self, scope: &BiasScope<'_, T, N>) -> T {
+        let compensates =
+            |a: &ShapedContact<T, N>| self.running.get(a.wall).is_some_and(|r| r.wall.damping_compensation);
         if !self.damped {
             return T::zero();
         }
-        match acting {
-            BiasScope::One(only) if asks(only) => T::one(),
+        match scope {
+            BiasScope::One(only) if compensates(only) => T::one(),
             BiasScope::One(_) => T::zero(),
             BiasScope::Level(group, _) => {
-                let (mut asking, mut all) = (T::zero(), T::zero());
+                let (mut compensated, mut all) = (T::zero(), T::zero());
                 for (a, pull) in group.walls().filter(|(_, pull)| pull.feed_forward) {
                     all += pull.stiffness;
-                    asking += if asks(a) { pull.stiffness } else { T::zero() };
+                    compensated += if compensates(a) { pull.stiffness } else { T::zero() };
                 }
-                if all > T::zero() { asking / all } else { T::zero() }
+                if all > T::zero() { compensated / all } else { T::zero() }
             }
         }
     }
@@ -383,17 +386,16 @@ impl<T: Real> Walls<T> {
         &self,
         place: &SVector<T, N>,
         velocity: &SVector<T, N>,
-        acting: &BiasScope<'_, T, N>,
+        scope: &BiasScope<'_, T, N>,
     ) -> SVector<T, N> {
         let rate = |a: &ShapedContact<T, N>| match self.running.get(a.wall) {
             Some(running) => running.wall.surface.normal_rate::<K, N>(place, velocity),
             None => SVector::zeros(),
         };
-        let (line, line_rate) = match acting {
+        let (line, line_rate) = match scope {
             BiasScope::One(only) => (only.normal, rate(only)),
             BiasScope::Level(group, rendered) => {
-                // The rate of a principal direction is the mean of the normals' rates, weighted by each normal's part
-                // in the direction.
+                // The rate of a principal direction is the mean of the normals' rates, weighted by their parts in it.
                 let follow = |i: usize| {
                     let (mut sum, mut all) = (SVector::zeros(), T::zero());
                     for (a, pull) in group.walls() {
@@ -431,8 +433,7 @@ impl<T: Real> Walls<T> {
         &mut self.running
     }
 
-    /// Returns true if every wall with the feed-forward is stiff: the rendered directions then follow the walls'
-    /// stiffness.
+    /// Returns true if every wall with the feed-forward is stiff, so that the walls' stiffness gives the directions.
     pub fn are_stiff(&self) -> bool {
         let stiff = |wall: &Wall<T>| wall.feed_forward == FeedForward::Off || wall.stiffness > T::zero();
         self.running.iter().all(|running| stiff(&running.wall))

@@ -45,8 +45,7 @@ impl<T: Real> Shape<T> for Sphere<T> {
 }
 
 impl<T: Real> Sphere<T> {
-    /// Returns distance, normal and curvature, 1/m: the rotation of the normal per tip motion across it; negative
-    /// inside.
+    /// Returns the contact and the surface's curvature, 1/m: the normal's rotation per tip motion; negative inside.
     #[inline(always)]
     pub(super) fn contact_and_curvature<K: Math<T>, const N: usize>(&self, p: &SVector<T, N>) -> (Contact<T, N>, T) {
         contact_and_curvature::<T, K, N>(&self.arm(p), self.radius, self.inside)

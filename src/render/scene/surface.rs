@@ -38,7 +38,7 @@ macro_rules! shapes {
                 match self { $(Self::$Shape(shape) => shape.values(),)* }
             }
 
-            /// The same in another precision.
+            /// Converts to another precision.
             pub fn cast<U: Real>(&self) -> Surface<U> {
                 let values = self.values().map(|value| U::from_f64(value.to_f64()));
                 match self { $(Self::$Shape(_) => Surface::$Shape(Shape::from_values(&values)),)* }
@@ -49,15 +49,13 @@ macro_rules! shapes {
                 match self { $(Self::$Shape(_) => <$Shape<T> as Shape<T>>::CURVED,)* }
             }
 
-            /// Returns the contact of a curved surface. Not inlined: the mechanisms share it, and planes do not pay for
-            /// it.
+            /// Returns the contact of a curved surface. Not inlined: mechanisms share it, and planes do not use it.
             #[inline(never)]
             fn curved_contact<K: Math<T>, const N: usize>(&self, p: &SVector<T, N>) -> Contact<T, N> {
                 match self { $(Self::$Shape(shape) => shape.contact::<K, N>(p),)* }
             }
 
-            /// Returns ṅ (1/s) at the tip position `p` moving at `velocity` (m/s). Not inlined, because it is zero for
-            /// planes.
+            /// Returns ṅ (1/s) at the tip position `p` moving at `velocity` (m/s). Not inlined: it is zero for planes.
             #[inline(never)]
             pub fn normal_rate<K: Math<T>, const N: usize>(
                 &self,

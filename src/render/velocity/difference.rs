@@ -49,8 +49,7 @@ impl<T: Real> JointEstimator<T> for Difference<T> {
 
     fn step<K: Math<T>>(&mut self, window: &Window<T>, seen: &Seen<T>) -> T {
         if self.next >= window.samples {
-            // The sum is computed again at the start of each pass through the ring, and when the ring has become
-            // shorter.
+            // Compute the sum again at the start of each pass through the ring, and when the ring has become shorter.
             let ring = self.moved.iter().take(window.samples);
             self.sum = ring.fold(T::zero(), |sum, moved| sum + *moved);
             self.next = 0;

@@ -29,8 +29,8 @@ pub(in super::super) struct UnitMotion<T: Real> {
     pub e: Vector2<T>,
     /// The part of M E that acts at the joints directly, Iᵢ eᵢ + βᵢ cᵢ·n, kg m; the rest goes through the tip.
     pub momentum: Vector2<T>,
-    /// The arms' part of the mass at the tip, kg: computed in task space, without J, Λ = Γ 1 + Σ Aᵢ aᵢaᵢᵀ + βᵢ(aᵢcᵢᵀ +
-    /// cᵢaᵢᵀ) with aᵢ = uᵢ/kᵢ.
+    /// The arms' part of the mass at the tip, kg: computed in task space, without J,
+    /// Λ = Γ 1 + Σ Aᵢ aᵢaᵢᵀ + βᵢ(aᵢcᵢᵀ + cᵢaᵢᵀ) with aᵢ = uᵢ/kᵢ.
     pub arms: T,
 }
 

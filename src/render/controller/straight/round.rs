@@ -1,15 +1,15 @@
 //! The step of a scene with a single round wall whose velocity terms follow its normal, on a device with two joints.
 
 use super::super::Controller;
-use super::StraightStart;
+use super::Start;
 use crate::math::{Math, Real};
 use crate::model::mechanism::{Mechanism, Shaped};
 use crate::render::step_result::StepResult;
 use nalgebra::SVector;
 
 impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K, N> {
-    /// [`Controller::render`] for one ball with the feed-forward and [`VelocityTerms::Rendered`], in the plane: like
-    /// [`Controller::render_wall`], plus the rotation of the normal.
+    /// Implements [`Controller::render`] for one ball with the feed-forward and [`VelocityTerms::Rendered`], in the
+    /// plane: like [`Controller::render_wall`], plus the rotation of the normal.
     ///
     /// [`VelocityTerms::Rendered`]: crate::render::scene::VelocityTerms::Rendered
     #[inline(never)]
@@ -17,12 +17,11 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         self.render_single::<true>(counts, result);
     }
 
-    /// Computes equation (4) for the force `force` (N) of the only wall, whose surface has the curvature `curvature`
-    /// (1/m).
+    /// Computes equation (4) for the force `force` (N) of the only wall, with this curvature (1/m).
     #[inline(always)]
     pub(super) fn shaped_round(
         &self,
-        start: &StraightStart<T, M::Pose, N>,
+        start: &Start<T, M::Pose, N>,
         normal: &SVector<T, N>,
         force: T,
         curvature: T,

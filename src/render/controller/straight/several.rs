@@ -5,11 +5,11 @@ use super::super::Controller;
 use super::super::guidance::SharedGuidance;
 use super::super::stiffness::Stiffness;
 use super::super::walls::{ContactPull, TOUCH_DEPTH, TOUCH_SHARE};
-use super::{StraightStart, task_part};
+use super::{Start, task_part};
 use crate::math::{Math, Real};
 use crate::model::mechanism::Mechanism;
 use crate::render::scene::MAX_WALLS;
-use crate::render::step_result::{AtWalls, Guided, StepResult, clear, put};
+use crate::render::step_result::{AtWalls, GuidanceDemand, StepResult, clear, put};
 use heapless::Vec;
 use nalgebra::SVector;
 
@@ -37,7 +37,7 @@ struct SharedPull<T: Real, const N: usize> {
 }
 
 impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K, N> {
-    /// [`Controller::render`] for several walls, by the closed form and with α = 1, in the plane.
+    /// Implements [`Controller::render`] for several walls, by the closed form and with α = 1, in the plane.
     ///
     /// In the plane [`crate::model::principal`] has one level. With the stiffest direction e of the walls, the level's
     /// share s, and the force F with the shaped part G, τ = s (4)(e, e·G) + Jᵀ(F - e s e·G).
@@ -57,7 +57,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
                 }
             }
         }
-        let StraightStart { pose, place, .. } = start;
+        let Start { pose, place, .. } = start;
         let debt = self.debt();
         let (mut at, mut deepest) = (AtWalls { distance: T::INFINITY, ..AtWalls::none() }, SVector::zeros());
         let mut force = SVector::<T, N>::zeros();
@@ -107,15 +107,14 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         self.write_total(&torque, || force, result);
     }
 
-    /// Like [`Controller::write_guidance`]; also returns the part that is shaped together with the walls; `None` if no
-    /// part is.
+    /// Like [`Controller::write_guidance`]; also returns the part that is shaped together with the walls, if any.
     #[inline(never)]
     fn write_shared_guidance(
         &mut self,
-        start: &StraightStart<T, M::Pose, N>,
-        guidance: &mut Guided<T>,
+        start: &Start<T, M::Pose, N>,
+        guidance: &mut GuidanceDemand<T>,
     ) -> Option<SharedPull<T, N>> {
-        let StraightStart { pose, place, qd } = start;
+        let Start { pose, place, qd } = start;
         let (mut force, mut plain) = (self.guidance.push_force(), None);
         if self.guidance.is_active {
             let velocity = task_part::<T, M, N>(&self.mechanism.velocity(pose, qd));
@@ -156,8 +155,7 @@ fn stiffest<T: Real, K: Math<T>, const N: usize>(
     reach: T,
 ) -> Option<(SVector<T, N>, T)> {
     let full = T::one() / (reach * T::from_f64(TOUCH_SHARE)).greater(T::from_f64(TOUCH_DEPTH));
-    // The total stiffness, and the stiffness of the parts without a feed-forward of their own, which most scenes do not
-    // have.
+    // The total stiffness, and the stiffness of the parts without their own feed-forward, which are rare.
     let mut all = springs.unwrap_or(Stiffness::none());
     let (mut plain, mut mixed) = (all, springs.is_some());
     for StiffContact { normal, pull } in contacts {

@@ -1,7 +1,7 @@
 //! The step of a scene with a single wall, or no wall.
 
 use super::super::Controller;
-use super::StraightStart;
+use super::Start;
 use crate::math::{Math, Real};
 use crate::model::mechanism::{Mechanism, Shaped};
 use crate::render::scene::FeedForward;
@@ -9,7 +9,7 @@ use crate::render::step_result::{AtWalls, StepResult, clear, put};
 use nalgebra::SVector;
 
 impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K, N> {
-    /// [`Controller::render`] for one wall, by the closed form and with α = 1, or for no wall.
+    /// Implements [`Controller::render`] for one wall, by the closed form and with α = 1, or for no wall.
     ///
     /// Known values are written at once, and equation (4) comes last, so that few values are live on the way.
     #[inline(never)]
@@ -27,7 +27,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             // A copy, so that the usual case need not keep it in memory.
             self.write_guidance(&{ start }, &mut result.guidance);
         }
-        let StraightStart { pose, place, .. } = start;
+        let Start { pose, place, .. } = start;
         let debt = self.debt();
         let Some(running) = self.walls.single() else {
             result.at.walls = AtWalls::none();

@@ -13,8 +13,7 @@ use nalgebra::SVector;
 /// a shipped encoder, and the depth of a few newtons in the stiffest walls that these devices render.
 pub const TOUCH_DEPTH: f64 = 1.0e-4;
 
-/// The same depth as a share of the largest depth at which a contact's own stiffness would make the shaped part of its
-/// force.
+/// The same depth as a share of the largest depth at which a contact's own stiffness would make its shaped force.
 ///
 /// While a second contact gains weight, the sideways push by the first contact's force changes. Over this share of the
 /// first contact's depth, the change adds to the second contact, or removes from it, at most three times its own
