@@ -9,7 +9,7 @@
 //! the bus voltage across the motor, -1..1; the legs run at ½ ± duty/2.
 //!
 //! [`Stage::drive_in_range`] computes a duty within all limits with a few multiplications and additions.
-//! `Axis::drive_at_limits` computes every other duty. Both return the same number where both apply.
+//! `Axis::drive_at_limits` computes every other duty. If both apply, both return the same number.
 
 use super::bits::margin_bits;
 use super::stage::{Bridge, Duty, MAX_DUTY, Stage, Supply};
@@ -23,7 +23,7 @@ const USABLE_DUTY: f32 = MAX_DUTY * (1.0 - 2.0 * f32::EPSILON);
 /// inductance: the full voltage of the target applies at once, the current rises with L/R, and it overshoots by the
 /// error that the loop has integrated meanwhile: with the boards' 1 kHz by 7 % at L/R = 0.3 ms, 14 % at 0.8 ms and 16 %
 /// at 1 ms (tests/drive.rs).
-pub const UNKNOWN_WINDING: f32 = 0.05;
+pub const UNKNOWN_INDUCTANCE_SHARE: f32 = 0.05;
 
 /// Largest overshoot of a current: a multiple of its limit plus an absolute amount, A.
 const OVERSHOOT: f32 = 1.3;
@@ -188,7 +188,7 @@ impl Stage for Axis {
         // Without a current sensor there is no error to correct.
         let share = match (bridge.current_sensed, inductance > 0.0) {
             (true, true) => 1.0,
-            (true, false) => UNKNOWN_WINDING,
+            (true, false) => UNKNOWN_INDUCTANCE_SHARE,
             (false, _) => 0.0,
         };
         let bandwidth = share * core::f32::consts::TAU * bridge.bandwidth_hz;

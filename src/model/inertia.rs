@@ -17,7 +17,7 @@ use nalgebra::{SMatrix, SVector};
 
 /// A direction does not count as rendered in an [`Inertia`] if the walls' stiffness along it is less than this share of
 /// the largest: a hundred times the square of the angle by which rounding in f32 separates two equal normals.
-pub const NO_STIFFNESS: f64 = 1.0e-12;
+pub const MIN_STIFFNESS_SHARE: f64 = 1.0e-12;
 
 /// An orthonormal basis of the task space whose first columns span the rendered directions.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -69,7 +69,7 @@ impl<T: Real, const N: usize> Split<T, N> {
             [only] => Self::new::<K>(&only.normal, task),
             several => {
                 let principal = Principal::new::<K>(several, task);
-                let least = principal.along(0) * T::from_f64(NO_STIFFNESS);
+                let least = principal.along(0) * T::from_f64(MIN_STIFFNESS_SHARE);
                 let rendered = principal.stiffness.iter().filter(|along| **along > least).count();
                 Self { basis: principal.basis, rendered }
             }

@@ -26,7 +26,9 @@ use nalgebra::SVector;
 use observers::Observers;
 use passivity::{Debt, Passivity};
 pub use push::{Push, PushedPlane};
-pub use regularity::{FULL_REGULARITY, KNOWN_TURN, NO_REGULARITY, PARALLEL_REGULARITY, UNKNOWN_TURN, known_share};
+pub use regularity::{
+    FULL_REGULARITY, KNOWN_TURN, NO_REGULARITY, PARALLEL_REGULARITY, UNKNOWN_TURN, velocity_term_share,
+};
 use straight::StepVariant;
 use walls::Walls;
 pub use walls::{TOUCH_DEPTH, TOUCH_SHARE};
@@ -202,11 +204,11 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
 
     /// Runs one control step for these encoder counts. Call at the control rate.
     pub fn step(&mut self, counts: &[i32; N]) -> Step<T, N> {
-        self.step_after(&[T::zero(); MAX_JOINTS], counts)
+        self.step_with_torque(&[T::zero(); MAX_JOINTS], counts)
     }
 
     /// Like [`Controller::step`], with the motor torques since the last step (N m) for an estimator that predicts.
-    pub fn step_after(&mut self, acted: &[T; MAX_JOINTS], counts: &[i32; N]) -> Step<T, N> {
+    pub fn step_with_torque(&mut self, acted: &[T; MAX_JOINTS], counts: &[i32; N]) -> Step<T, N> {
         let mut result = StepResult::default();
         self.render(counts, acted, &mut result);
         self.angles(counts, &mut result);
@@ -227,7 +229,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         Step::from_result(&result)
     }
 
-    /// Like [`Controller::step_after`], but writes the first N entries of every vector of `result`, except the joint
+    /// Like [`Controller::step_with_torque`], but writes the first N entries of every vector of `result`, except the joint
     /// angles, which are computed only on demand ([`Controller::angles`]). `acted` is the motor torque since the last
     /// step (N m): the requested torque after all limits.
     #[inline(always)]

@@ -191,7 +191,7 @@ impl<T: Real> FiveBar<T> {
         )
     }
 
-    /// Returns the joint accelerations for a tip acceleration `a` (m/s², default 0), at velocities `qd` and `tip`.
+    /// Returns the joint accelerations for a tip acceleration `a` (m/s², 0 if `None`), at velocities `qd` and `tip`.
     #[inline(always)]
     pub(super) fn joint_acceleration(
         pose: &Pose<T>,

@@ -51,7 +51,7 @@ impl Binary {
         Self { whole, rest, offset: BinaryAngle::from_radians(offset) }
     }
 
-    /// Returns the angle of `counts` counts with two multiplications and no division; complete turns drop out.
+    /// Returns the angle of `counts` counts with two multiplications and no division; complete turns vanish.
     #[inline(always)]
     fn of(&self, counts: i32) -> BinaryAngle {
         let rest = (i64::from(counts) * i64::from(self.rest)) >> 32;
@@ -90,7 +90,7 @@ impl<T: Real> Encoding<T> {
         }
     }
 
-    /// A turn of p/q counts has p parts of 1/q count: n counts are n q parts, and complete turns come off exactly.
+    /// A turn of p/q counts has p parts of 1/q count: n counts are n q parts, and complete turns are removed exactly.
     #[cold]
     #[inline(never)]
     fn within_a_fractional_turn(&self, relative: i32) -> T {
@@ -183,7 +183,7 @@ impl<T: Real, const N: usize> Encoders<T, N> {
         self.filters = [LowPass::default(); N];
     }
 
-    /// Returns true if the velocity terms are known in full at these velocities (rad/s) in any regular pose.
+    /// Returns true if velocity terms act in full at these velocities (rad/s) in any pose with full feed-forward.
     #[inline(always)]
     pub fn are_known(&self, qd: &SVector<T, N>) -> bool {
         let mut known = true;

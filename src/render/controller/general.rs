@@ -2,7 +2,7 @@
 //! the same for one kind of scene, and shares these parts.
 
 use super::guidance::SharedGuidance;
-use super::regularity::{fade, known_share, nearness};
+use super::regularity::{clearance, fade, velocity_term_share};
 use super::walls::{BiasScope, ContactGroup, ShapedContact};
 use super::{Controller, task_part};
 use crate::math::{Angle, Math, Real};
@@ -110,7 +110,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             }
             force = plain + shaped;
             rendered = self.mechanism.transpose(pose, &force);
-            let share = fade(nearness(regularity));
+            let share = fade(clearance(regularity));
             let (through, left) = self.feed_forward(start, &first, &more, &shared, &shaped, share);
             result.at.walls.shaping = share;
             torque = through + self.mechanism.transpose(pose, &(plain + left));
@@ -287,7 +287,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
     /// Returns the share of the velocity terms that acts with estimated velocities, see [`KNOWN_TURN`].
     #[inline(always)]
     pub(super) fn velocity_term_share(&self, pose: &M::Pose, qd: &SVector<T, N>) -> T {
-        known_share(&self.mechanism.regularity(pose), qd, self.coefficients.lag())
+        velocity_term_share(&self.mechanism.regularity(pose), qd, self.coefficients.lag())
     }
 }
 

@@ -28,7 +28,7 @@ pub const UNKNOWN_TURN: f64 = 0.1;
 
 /// Returns the active share of the velocity terms at `qd` (rad/s) with a lag of `lag` (s), see [`KNOWN_TURN`].
 #[inline(always)]
-pub fn known_share<T: Real, const N: usize>(regularity: &Regularity<T>, qd: &SVector<T, N>, lag: T) -> T {
+pub fn velocity_term_share<T: Real, const N: usize>(regularity: &Regularity<T>, qd: &SVector<T, N>, lag: T) -> T {
     let near = regularity.serial.lesser(regularity.parallel);
     let turned = qd.iter().fold(T::zero(), |largest, v| largest.greater(v.abs())) * lag;
     if turned <= near * T::from_f64(KNOWN_TURN) {
@@ -44,11 +44,11 @@ pub fn known_share<T: Real, const N: usize>(regularity: &Regularity<T>, qd: &SVe
 
 /// Returns the distance from singularity for [`FULL_REGULARITY`] and [`PARALLEL_REGULARITY`].
 #[inline(always)]
-pub(super) fn nearness<T: Real>(regularity: &Regularity<T>) -> T {
+pub(super) fn clearance<T: Real>(regularity: &Regularity<T>) -> T {
     regularity.serial.lesser(regularity.parallel * T::from_f64(1.0 / PARALLEL_REGULARITY))
 }
 
-/// Returns the share of the feed-forward at [`nearness`]: a smooth step from [`NO_REGULARITY`] to [`FULL_REGULARITY`].
+/// Returns the share of the feed-forward at [`clearance`]: a smooth step from [`NO_REGULARITY`] to [`FULL_REGULARITY`].
 #[inline(always)]
 pub(super) fn fade<T: Real>(regularity: T) -> T {
     let (low, high) = (T::from_f64(NO_REGULARITY), T::from_f64(FULL_REGULARITY));

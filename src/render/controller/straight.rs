@@ -6,8 +6,8 @@
 //! for roundings. tests/straight_steps.rs checks both for every straight step. Rare cases are computed elsewhere: a
 //! fading feed-forward by the general step, unusual velocity terms by a cold function.
 //!
-//! Each is a function of its own, not inlined: together in one function they would share a stack frame too large for
-//! the FPU's loads, and all would become slower.
+//! Each straight step is a separate function that is not inlined: in one function they would share a stack frame too
+//! large for the FPU's loads, and all would become slower.
 //!
 //! To add one: a file next to wall.rs with its function, a line in [`StepVariant`] and in [`StepVariant::of`], its arm
 //! in [`Controller::render`], its scenes in tests/straight_steps.rs, and its functions in emulator/src/stages.rs.
