@@ -1,13 +1,13 @@
-//! The checksum of what is kept and sent: CRC-32.
+//! The checksum of stored and transmitted data: CRC-32.
 
-/// CRC-32 (IEEE 802.3, reflected) of these bytes.
+/// Returns the CRC-32 (IEEE 802.3, reflected) of `bytes`.
 pub fn crc32(bytes: &[u8]) -> u32 {
     let mut crc = Crc32::new();
     crc.take(bytes);
     crc.sum()
 }
 
-/// The contribution of the last four bits of a checksum: the polynomial divided out of them.
+/// Remainder of each four-bit value after division by the polynomial.
 const NIBBLES: [u32; 16] = {
     let mut table = [0; 16];
     let mut nibble = 0;
@@ -24,17 +24,17 @@ const NIBBLES: [u32; 16] = {
     table
 };
 
-/// A CRC-32 that grows, four bits at a time: a table of 64 bytes, and a whole image in milliseconds.
+/// A CRC-32 that is computed piece by piece, four bits at a time: a 64-byte table, milliseconds per firmware image.
 #[derive(Clone, Copy, Debug)]
 pub struct Crc32(u32);
 
 impl Crc32 {
-    /// Of nothing.
+    /// Starts a checksum without any bytes.
     pub const fn new() -> Self {
         Self(u32::MAX)
     }
 
-    /// Adds bytes.
+    /// Adds `bytes` to the checksum.
     pub fn take(&mut self, bytes: &[u8]) {
         for byte in bytes {
             self.0 ^= u32::from(*byte);
@@ -44,7 +44,7 @@ impl Crc32 {
         }
     }
 
-    /// The checksum of what has come so far.
+    /// Returns the checksum of all bytes so far.
     pub const fn sum(&self) -> u32 {
         !self.0
     }

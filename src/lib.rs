@@ -1,7 +1,7 @@
-//! haptic-bridge: the control code that board and host share.
+//! haptic-bridge: the control code that board and computer share.
 //!
-//! Encoder counts go in, motor duty comes out, and between the two the board renders a wall on a device whose inertia
-//! it knows and shapes. One control period, in the order the data flows:
+//! Encoder counts go in and motor duties come out. Between the two the board renders a wall on a device of known
+//! inertia and shapes that inertia. One control period, in the order of the data flow:
 //!
 //! ```text
 //!  at the crest of the carrier                                     called by the control interrupt
@@ -22,22 +22,22 @@
 //!   control::compiled::check_slow_faults  motor models, heat, stalls, the force that currents make
 //! ```
 //!
-//! On a computer `control::ControlLoop::crest` is a whole crest, `ControlLoop::check_slow_faults` the valley.
+//! On a computer `control::ControlLoop::crest` runs a complete crest, and `ControlLoop::check_slow_faults` the valley.
 //!
-//! Everything around that path configures it or watches it ([`board`]). The modules are floors, and imports go down
-//! only: [`board`] → [`control`] → [`safety`] → [`drive`], [`render`] → [`model`] → [`math`], [`checksum`]. Nothing here
-//! knows a chip or a computer, its files or its ports: the firmware and the tool (`host`) bring those. Only what a board
-//! says to people, its refusals and remedies, names the tool's commands.
+//! All other code configures or monitors that path ([`board`]). The modules are layers, and a module imports only from
+//! the layers below it: [`board`] → [`control`] → [`safety`] → [`drive`], [`render`] → [`model`] → [`math`],
+//! [`checksum`]. No module here depends on a chip, a computer, its files or its ports: the firmware and the tool
+//! (`host`) provide those. Only the board's messages to people, its refusals and remedies, name the tool's commands.
 //!
-//! The code is generic over the float and its trigonometry ([`math`]): the board runs `f32`, the analysis runs the same
-//! lines in `f64`, and the difference between the two is how error is measured. All quantities are in SI units.
+//! The code is generic over the float type and its trigonometry ([`math`]): the board runs `f32`, the analysis runs the
+//! same code in `f64`, and the difference between the two results measures the error. All quantities are in SI units.
 #![no_std]
 #![forbid(unsafe_code)]
 
 pub mod checksum;
 pub mod math;
 
-/// The device: the maker's description, one file for each mechanism, and the inertia it feels like.
+/// The device: the maker's description, one file for each mechanism, and the effective inertia.
 pub mod model {
     pub mod admissible;
     pub mod catalogue;
@@ -53,7 +53,7 @@ pub mod model {
     pub mod solve;
 }
 
-/// From encoder counts to joint torques: the scene that is rendered, and the step that renders it.
+/// From encoder counts to joint torques: the scene and the control step that renders it.
 pub mod render {
     pub mod controller;
     pub mod scene;
@@ -70,7 +70,7 @@ pub mod drive {
     pub mod stage;
 }
 
-/// The protection of the person at the device: faults, refusals, limits.
+/// Protection of the person at the device: faults, refusals, limits.
 pub mod safety {
     pub mod fault;
     pub mod limits;
@@ -80,7 +80,7 @@ pub mod safety {
 
 pub mod control;
 
-/// The board's interface and memory: its protocol, settings and telemetry, and the service behind them.
+/// The board's interface and memory: protocol, settings, telemetry, and the service that handles requests.
 pub mod board {
     pub mod configuration;
     pub mod dispatch;

@@ -1,49 +1,49 @@
-//! Scalars and elementary functions: the only place where the library touches a sine or a square root.
+//! Scalars and elementary functions: the only place where the library computes a sine or a square root.
 //!
-//! [`Real`] is the float (`f32` on the board, `f64` in the analysis); [`Math`] is a zero-sized back end that
-//! supplies sine-and-cosine and square root for it. Which back end ships on the board is decided by the
-//! speed-against-error report (docs/results.md), so every one stays selectable.
+//! [`Real`] is the float (`f32` on the board, `f64` in the analysis). [`Math`] is a zero-sized back end that supplies
+//! sine, cosine and square root for the float. The report on speed and error (docs/results.md) decides which back end
+//! the board uses, so every back end stays selectable.
 
 use core::fmt::{Debug, Display};
 use core::ops::{Neg, Sub};
 
-/// The floating-point numbers the model is written for.
+/// A floating-point type that the model can use.
 pub trait Real:
     nalgebra::Scalar + Copy + Default + Debug + Display + PartialOrd + Neg<Output = Self> + num_traits::NumAssign
 {
-    /// The nearest representable number.
+    /// Returns the representable number nearest to `value`.
     fn from_f64(value: f64) -> Self;
-    /// The same number in double precision.
+    /// Returns the number in double precision.
     fn to_f64(self) -> f64;
-    /// The nearest representable number.
+    /// Returns the representable number nearest to `value`.
     fn from_i32(value: i32) -> Self;
-    /// The whole part; limited to what fits, 0 for NaN.
+    /// Returns the integer part, clamped to the range of `i32`; 0 for NaN.
     fn whole(self) -> i32;
-    /// Absolute value.
+    /// Returns the absolute value.
     fn abs(self) -> Self;
-    /// Neither infinite nor NaN.
+    /// Returns true if the number is neither infinite nor NaN.
     fn is_finite(self) -> bool;
     /// The distance from 1 to the next larger number.
     const EPSILON: Self;
-    /// Larger than any number.
+    /// Positive infinity.
     const INFINITY: Self;
 
-    /// The smaller of two; `other` when `self` is NaN.
+    /// Returns the smaller of the two; `other` if `self` is NaN.
     fn lesser(self, other: Self) -> Self {
         if self < other { self } else { other }
     }
-    /// The larger of two; `other` when `self` is NaN.
+    /// Returns the larger of the two; `other` if `self` is NaN.
     fn greater(self, other: Self) -> Self {
         if self > other { self } else { other }
     }
 }
 
-/// The same number in another precision.
+/// Converts a number to another precision.
 pub(crate) fn cast<T: Real, U: Real>(value: T) -> U {
     U::from_f64(value.to_f64())
 }
 
-/// `value` within ±`bound`, which is not negative; 0 for what is not finite.
+/// Clamps `value` to ±`bound`, which is not negative; returns 0 if `value` is not finite.
 #[inline(always)]
 pub(crate) fn limited(value: f32, bound: f32) -> f32 {
     if value.abs() <= bound {
@@ -90,35 +90,34 @@ macro_rules! real {
 real!(f32);
 real!(f64);
 
-/// An angle as a part of a turn: 2³² of these make one, so that arithmetic that wraps takes whole turns off, and a step is
-/// 1.5e-9 rad.
+/// An angle as an integer: 2³² units are one turn, so wrapping arithmetic drops complete turns. One unit is 1.5e-9 rad.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct BinaryAngle(pub u32);
 
 impl BinaryAngle {
-    /// The nearest to an angle in radians.
-    pub fn of_radians(radians: f64) -> Self {
+    /// Returns the binary angle nearest to an angle in radians.
+    pub fn from_radians(radians: f64) -> Self {
         const PER_RADIAN: f64 = 4_294_967_296.0 / core::f64::consts::TAU;
         let turns = radians / core::f64::consts::TAU;
-        // The whole turns come off first: the rest fits, however many there were.
+        // Remove complete turns first, so that the rest fits for any number of turns.
         let left = radians - (turns as i64) as f64 * core::f64::consts::TAU;
         let parts = left * PER_RADIAN;
         Self((parts + if parts < 0.0 { -0.5 } else { 0.5 }) as i64 as u32)
     }
 }
 
-/// An angle whose sine and cosine are wanted.
+/// An angle from which sine and cosine are computed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Angle<T> {
-    /// rad
+    /// Angle, rad.
     pub radians: T,
-    /// The same as a part of a turn, where it comes from an encoder.
+    /// The same angle as a binary angle, if it comes from an encoder.
     pub binary: Option<BinaryAngle>,
 }
 
 impl<T> Angle<T> {
-    /// An angle of which only that is known.
-    pub fn of_radians(radians: T) -> Self {
+    /// Makes an angle without a binary angle.
+    pub fn from_radians(radians: T) -> Self {
         Self { radians, binary: None }
     }
 }
@@ -136,24 +135,23 @@ impl<T: Real> Sub for Angle<T> {
     }
 }
 
-/// A back end of elementary functions for the float `T`. All of them accept any input and never panic;
-/// what is not finite yields what is not finite.
+/// A back end of elementary functions for the float `T`. Every function accepts any input and never panics. Input that
+/// is not finite yields output that is not finite.
 pub trait Math<T>: Copy + Default + Debug + Send + Sync + 'static {
-    /// The name used in reports.
+    /// Name in reports.
     const NAME: &'static str;
-    /// (sine, cosine) of an angle in radians.
+    /// Returns (sine, cosine) of an angle in radians.
     fn sin_cos(angle: T) -> (T, T);
-    /// (sine, cosine) of an angle that may be known as a part of a turn as well.
+    /// Returns (sine, cosine) of an angle that may have a binary angle.
     #[inline(always)]
     fn sin_cos_of(angle: Angle<T>) -> (T, T) {
         Self::sin_cos(angle.radians)
     }
-    /// Square root; NaN for a negative number.
+    /// Returns the square root; NaN for a negative number.
     fn sqrt(value: T) -> T;
 }
 
-/// `libm`: correctly rounded to within one unit in the last place; slow on the board because its argument reduction
-/// is done in software double precision.
+/// `libm`: errors of at most one unit in the last place. Slow on the board: reduces arguments in software f64.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Libm;
 
@@ -182,21 +180,22 @@ impl Math<f64> for Libm {
 }
 
 /// One pair of minimax polynomials after a quadrant reduction; absolute error below 1.2e-7 for |angle| ≤ 2π. The square
-/// root is the FPU's, correctly rounded. No table in flash, and a PC and the chip agree bit for bit.
+/// root is the FPU's, correctly rounded. It needs no table in flash, and PC and chip agree bit for bit.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Minimax;
 
-/// Sine and cosine of `angle` (rad) by minimax polynomials on [-π/4, π/4] (Remez exchange on (sin r - r)/r³ and
-/// (cos r - 1 + r²/2)/r⁴; residuals 3.6e-9 and 9.7e-11), after a two-term Cody-Waite reduction by π/2.
+/// Returns the sine and cosine of `angle` (rad). Uses minimax polynomials on [-π/4, π/4] (Remez exchange on
+/// (sin r - r)/r³ and (cos r - 1 + r²/2)/r⁴; residuals 3.6e-9 and 9.7e-11) after a two-term Cody-Waite reduction by
+/// π/2.
 ///
-/// Angles beyond ±1e5 rad lose the reduction's accuracy; the controller hands in angles already wrapped to a turn.
+/// The reduction loses accuracy beyond ±1e5 rad. The controller passes angles that are already wrapped to one turn.
 #[inline(always)]
 pub fn minimax_sin_cos(angle: f32) -> (f32, f32) {
     const TWO_OVER_PI: f32 = core::f32::consts::FRAC_2_PI;
-    // π/2 split so that a quadrant count of up to 16 bits times the head is exact in f32.
+    // π/2 is split so that a quadrant count of up to 16 bits times the head is exact in f32.
     const HALF_PI_HEAD: f32 = 1.570_312_5;
     const HALF_PI_TAIL: f32 = 4.838_268e-4;
-    // 1.5 · 2²³: adding it rounds to a whole number, which then stands in the low bits. Good for |angle| < 6e6.
+    // 1.5 · 2²³: adding it rounds to an integer, which is then in the low bits. Valid for |angle| < 6e6.
     const ROUNDER: f32 = 12_582_912.0;
     let rounded = angle * TWO_OVER_PI + ROUNDER;
     let quadrant = rounded.to_bits();
@@ -209,7 +208,7 @@ pub fn minimax_sin_cos(angle: f32) -> (f32, f32) {
     if quadrant & 2 == 0 { (sine, cosine) } else { (-sine, -cosine) }
 }
 
-/// Square root, correctly rounded; NaN for a negative number. The FPU's on the chip, libm's elsewhere: the same bits.
+/// Returns the correctly rounded square root; NaN for a negative number. FPU and libm return the same bits.
 #[inline(always)]
 pub fn sqrt(value: f32) -> f32 {
     #[cfg(target_arch = "arm")]
@@ -230,9 +229,9 @@ impl Math<f32> for Minimax {
     }
 }
 
-/// The board's trigonometry: sine and cosine of an encoder's angle from a table of 256 places in a turn and the
-/// addition theorem for what is left, less than π/256, by two terms of each series; absolute error below 1.0e-7. Angles
-/// that come as radians go through [`Minimax`].
+/// The board's trigonometry. It looks up sine and cosine of the nearest 256th of a turn and adds the rest, less than
+/// π/256, by the addition theorem with two terms of each series; absolute error below 1.0e-7. Angles without a binary
+/// angle go through [`Minimax`].
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Tabulated;
 
@@ -259,12 +258,12 @@ static FINE_PLACES: [(f64, f64); 256] = {
     all
 };
 
-/// A 256th of a turn in two parts: the first has 36 bits, so that up to 2¹⁷ times it is exact.
+/// A 256th of a turn in two parts. The first part has 36 bits, so its product with up to 2¹⁷ is exact.
 const PLACE: [f64; 2] = [1.570_796_326_792_333_3 / 64.0, 2.563_344_151_594_519e-12 / 64.0];
 
-/// (sine, cosine) of the 256th of a turn with this number.
+/// Returns (sine, cosine) of `place` 256ths of a turn.
 const fn place(place: usize) -> (f64, f64) {
-    // From the nearest quarter of a turn, at most π/4 away.
+    // Measure from the nearest quarter turn, which is at most π/4 away.
     let quarter = (place + 32) / 64;
     let parts = place as f64 - 64.0 * quarter as f64;
     let (sine, cosine) = series(parts * PLACE[0], parts * PLACE[1]);
@@ -276,10 +275,10 @@ const fn place(place: usize) -> (f64, f64) {
     }
 }
 
-/// (sine, cosine) of `x` + `rest`, |`x`| ≤ π/4 rad and `rest` a rounding of it, by their Taylor series: to the last
-/// digit.
+/// Returns (sine, cosine) of `x` + `rest` by their Taylor series, exact to the last digit. |`x`| ≤ π/4 rad, and `rest`
+/// is a rounding error of `x`.
 const fn series(x: f64, rest: f64) -> (f64, f64) {
-    // sin x/x and cos x less 1, by Horner's rule: -x²/(2·3) (1 - x²/(4·5) (1 - ...)).
+    // (sin x)/x - 1 and cos x - 1 by Horner's rule: -x²/(2·3) (1 - x²/(4·5) (1 - ...)).
     let (mut sine, mut cosine, mut n) = (0.0, 0.0, 20.0);
     while n > 0.0 {
         sine = -x * x / (n * (n + 1.0)) * (1.0 + sine);
@@ -289,7 +288,7 @@ const fn series(x: f64, rest: f64) -> (f64, f64) {
     (x + (x * sine + rest * (1.0 + cosine)), 1.0 + (cosine - rest * x * (1.0 + sine)))
 }
 
-/// Sine and cosine of a binary angle, see [`Tabulated`].
+/// Returns the sine and cosine of a binary angle, see [`Tabulated`].
 #[inline(always)]
 pub fn table_sin_cos(BinaryAngle(angle): BinaryAngle) -> (f32, f32) {
     const RADIANS: f32 = (core::f64::consts::TAU / 4_294_967_296.0) as f32;
@@ -321,29 +320,29 @@ impl Math<f32> for Tabulated {
     }
 }
 
-/// The analysis's trigonometry, in double precision and from radians: the same places of a turn and the addition
-/// theorem, with the terms that it takes for absolute errors below 2e-16, and for relative ones below 7e-16 up to 1e-9
-/// rad from a zero. Quicker than [`Libm`], to which it leaves angles beyond ±3000 rad.
+/// The analysis's trigonometry, in double precision and from radians. It uses the same table and the addition theorem,
+/// with enough terms for absolute errors below 2e-16 and, up to 1e-9 rad from a zero, relative errors below 7e-16. It
+/// is faster than [`Libm`], which it calls for angles beyond ±3000 rad.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct FineTable;
 
-/// Sine and cosine of `angle` (rad), see [`FineTable`].
+/// Returns the sine and cosine of `angle` (rad), see [`FineTable`].
 #[inline(always)]
 pub fn fine_sin_cos(angle: f64) -> (f64, f64) {
-    const FARTHEST: f64 = 3_000.0;
-    // 1.5 · 2⁵²: adding it rounds to a whole number, which then stands in the low bits.
+    const LARGEST_ANGLE: f64 = 3_000.0;
+    // 1.5 · 2⁵²: adding it rounds to an integer, which is then in the low bits.
     const ROUNDER: f64 = 6_755_399_441_055_744.0;
-    // Asked the way round that NaN fails.
-    let near = angle.abs() <= FARTHEST;
+    // Written so that NaN fails the test.
+    let near = angle.abs() <= LARGEST_ANGLE;
     if !near {
-        return far(angle);
+        return sin_cos_of_large(angle);
     }
     let rounded = angle * (256.0 / core::f64::consts::TAU) + ROUNDER;
     let (sine, cosine) = FINE_PLACES[(rounded.to_bits() & 255) as usize];
     let places = rounded - ROUNDER;
     let d = (angle - places * PLACE[0]) - places * PLACE[1];
     let z = d * d;
-    // sin d by minimax (Remez exchange on |d| ≤ π/256, residual 2.6e-17 of it), 1 - cos d by its series.
+    // sin d by a minimax polynomial (Remez exchange on |d| ≤ π/256, relative residual 2.6e-17), cos d by its series.
     let s = d + d * z * (-0.166_666_666_664_728_15 + z * 8.333_291_730_412_959e-3);
     let c = z * (0.5 + z * (-1.0 / 24.0 + z * (1.0 / 720.0)));
     (sine + (cosine * s - sine * c), cosine - (sine * s + cosine * c))
@@ -351,7 +350,7 @@ pub fn fine_sin_cos(angle: f64) -> (f64, f64) {
 
 #[cold]
 #[inline(never)]
-fn far(angle: f64) -> (f64, f64) {
+fn sin_cos_of_large(angle: f64) -> (f64, f64) {
     libm::sincos(angle)
 }
 
@@ -367,7 +366,7 @@ impl Math<f64> for FineTable {
     }
 }
 
-/// The `micromath` crate: smallest, least accurate (sine 1.1e-3, square root up to 6 % relative).
+/// The `micromath` crate: the smallest and least accurate back end (sine 1.1e-3, square root up to 6 % relative).
 #[cfg(feature = "micromath")]
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Micromath;

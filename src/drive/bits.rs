@@ -1,22 +1,22 @@
-//! Comparisons whose outcomes are signs: negative where something is beyond its bound, so that many are gathered by OR and
-//! looked at once, without a branch for each and without moving the FPU's flags.
+//! Comparisons that return a sign: negative if a value is beyond its bound. OR combines many results, so one test
+//! checks them all without a branch for each and without moving the FPU's flags.
 //!
-//! Bit patterns of positive floats are ordered as the floats are; infinity and NaN come above them all.
+//! The bit patterns of positive floats have the order of the floats; infinity and NaN are above them all.
 
-/// Negative when |`value`| exceeds `bound`, which is not negative, and for NaN.
+/// Returns a negative number if |`value`| exceeds `bound`, which is not negative, or if `value` is NaN.
 #[inline(always)]
 pub(crate) fn margin_bits(value: f32, bound: f32) -> i32 {
     bound.to_bits().wrapping_sub(value.abs().to_bits()) as i32
 }
 
-/// Negative when `value` is below `least` or above `most`, which both are not negative, and for NaN.
+/// Returns a negative number if `value` is below `low` or above `high`, which both are not negative, or if it is NaN.
 #[inline(always)]
-pub(crate) fn margin_bits_between(value: f32, (least, most): (f32, f32)) -> i32 {
+pub(crate) fn margin_bits_between(value: f32, (low, high): (f32, f32)) -> i32 {
     let bits = value.to_bits();
-    (bits | bits.wrapping_sub(least.to_bits()) | most.to_bits().wrapping_sub(bits)) as i32
+    (bits | bits.wrapping_sub(low.to_bits()) | high.to_bits().wrapping_sub(bits)) as i32
 }
 
-/// Negative when |`moved`| exceeds `bound`, which is not negative: what wraps is as negative.
+/// Returns a negative number if |`moved`| exceeds `bound`, which is not negative, or if the difference wraps.
 #[inline(always)]
 pub(crate) fn margin_counts(moved: i32, bound: i32) -> i32 {
     bound.wrapping_sub(moved) | bound.wrapping_add(moved)
@@ -27,7 +27,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_value_beyond_its_bound_is_negative_and_so_is_nan() {
+    fn values_beyond_the_bound_and_nan_give_a_negative_margin() {
         for within in [0.0, -0.0, 1.0e-40, 0.5, -0.5, 2.0, -2.0] {
             assert!(margin_bits(within, 2.0) >= 0, "{within}");
         }
@@ -41,7 +41,7 @@ mod tests {
     }
 
     #[test]
-    fn a_value_between_its_ends_is_not_negative() {
+    fn values_between_the_ends_give_no_negative_margin() {
         for within in [1.0, 1.5, 2.0] {
             assert!(margin_bits_between(within, (1.0, 2.0)) >= 0, "{within}");
         }
@@ -51,7 +51,7 @@ mod tests {
     }
 
     #[test]
-    fn a_motion_beyond_its_bound_is_negative_however_far_it_is() {
+    fn any_motion_beyond_its_bound_gives_a_negative_margin() {
         assert!([-9, 0, 9].iter().all(|moved| margin_counts(*moved, 9) >= 0));
         assert!([-10, 10, i32::MIN, i32::MIN + 8, i32::MAX].iter().all(|moved| margin_counts(*moved, 9) < 0));
     }

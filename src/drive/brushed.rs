@@ -1,173 +1,172 @@
 //! Torque → current → voltage → duty, for one brushed motor on a bridge.
 //!
-//! The voltage that takes a winding like the device file's to the target within one carrier period, or as far as the
-//! bus allows, is worked out from the motor's resistance, inductance and back-EMF. Where the board senses current, a PI
-//! loop takes out what that leaves: it compares each sample with the current that such a winding would have at that
-//! instant, not with the target, which no current can have reached yet, so steps do not overshoot.
+//! The motor's resistance, inductance and back-EMF give the voltage that takes the winding of the device file to the
+//! target current within one carrier period, or as far as the bus allows. If the board senses current, a PI loop
+//! removes the remaining error: it compares each sample with the current that this winding would have at that instant,
+//! not with the target, which the current cannot have reached yet. Steps therefore do not overshoot.
 //!
-//! Limits (torque, current, voltage, duty) are enforced here and nowhere else. The duty returned is signed, -1..1 of
-//! the bus voltage across the motor; legs run at ½ ± duty/2.
+//! Limits (torque, current, voltage, duty) are enforced here and nowhere else. The returned duty is a signed share of
+//! the bus voltage across the motor, -1..1; the legs run at ½ ± duty/2.
 //!
-//! A duty that applies in time, to a current that is where it should be and a voltage that is there, is a few
-//! multiplications and additions ([`Stage::drive_easily`]); what any other one takes is in `Axis::hardly`, which gives the
-//! same numbers where both may.
+//! [`Stage::drive_in_range`] computes a duty within all limits with a few multiplications and additions.
+//! `Axis::drive_at_limits` computes every other duty. If both apply, both return the same number.
 
 use super::bits::margin_bits;
 use super::stage::{Bridge, Duty, MAX_DUTY, Stage, Supply};
 use crate::math::limited;
 use crate::model::motor::Motor;
 
-/// [`MAX_DUTY`] less what rounding may add.
+/// [`MAX_DUTY`] less the largest rounding error.
 const USABLE_DUTY: f32 = MAX_DUTY * (1.0 - 2.0 * f32::EPSILON);
 
-/// Share of the loop's bandwidth where the device file leaves the inductance at 0. The motor may have one all the same:
-/// the whole voltage of the target is applied at once, so its current rises with L/R and overshoots by what the loop
-/// has integrated meanwhile, with the boards' 1 kHz by 7 % at L/R = 0.3 ms, 14 % at 0.8 ms and 16 % at 1 ms
-/// (tests/drive.rs).
-pub const UNKNOWN_WINDING: f32 = 0.05;
+/// Share of the loop's bandwidth that is used if the device file gives the inductance as 0. The real winding may have
+/// inductance: the full voltage of the target applies at once, the current rises with L/R, and it overshoots by the
+/// error that the loop has integrated meanwhile: with the boards' 1 kHz by 7 % at L/R = 0.3 ms, 14 % at 0.8 ms and 16 %
+/// at 1 ms (tests/drive.rs).
+pub const UNKNOWN_INDUCTANCE_SHARE: f32 = 0.05;
 
-/// Largest overshoot of a current: a multiple of its limit, plus an absolute amount, A.
+/// Largest overshoot of a current: a multiple of its limit plus an absolute amount, A.
 const OVERSHOOT: f32 = 1.3;
 const OVERSHOOT_FLOOR: f32 = 0.6;
-/// Share of the available change that rounding leaves.
-const EASILY: f32 = 1.0 - 8.0 * f32::EPSILON;
+/// Share of the available change that remains after rounding.
+const ROUNDED_SHARE: f32 = 1.0 - 8.0 * f32::EPSILON;
 
-/// The current below which dead-time compensation fades, A: its sign is noise around zero.
+/// Current below which dead-time compensation fades, A: near zero the sign of the current is noise.
 const DEAD_TIME_KNEE: f32 = 0.1;
 
 /// Share by which a winding's resistance may exceed the device file's: copper gains 40 % per 100 K.
-const RESISTANCE_DOUBT: f32 = 0.5;
+const RESISTANCE_TOLERANCE: f32 = 0.5;
 
-/// Voltage of a motor that nothing here accounts for and that is no fault, V: brushes, ripple, zeros.
-const VOLTAGE_DOUBT: f32 = 1.0;
-/// Share of the back-EMF by which it may differ from the data sheet's.
-const EMF_DOUBT: f32 = 0.2;
-/// Weight of one sample in the mean difference between expected and measured current; and where the winding is not
-/// known, whose current may lag behind what is expected for a millisecond or so.
+/// Voltage that the model of a sound motor does not explain, V: brushes, ripple, zero errors.
+const VOLTAGE_TOLERANCE: f32 = 1.0;
+/// Share by which the back-EMF may differ from the data sheet's.
+const EMF_TOLERANCE: f32 = 0.2;
+/// Weight of one sample in the mean difference between expected and measured current. The second value applies if the
+/// inductance is unknown, because the current may then lag the expected current for about a millisecond.
 const ERROR_WEIGHT: f32 = 1.0 / 4.0;
 const SLOW_ERROR_WEIGHT: f32 = 1.0 / 64.0;
-/// Share of the largest recent current that remains after a carrier period: the loop has forgotten it faster.
-const RECENT: f32 = 15.0 / 16.0;
-/// The same share of the largest recent difference between the fed-forward speed and the measured one.
-const SWING: f32 = 255.0 / 256.0;
-/// Largest error that such a lag may show while a current is reversed, as a share of the voltage at the largest.
-const LAG_DOUBT: f32 = 1.3;
+/// Share of the largest recent current that remains after a carrier period. The loop's integrator forgets faster.
+const CURRENT_DECAY: f32 = 15.0 / 16.0;
+/// Share of the largest recent difference of fed-forward and measured speed that remains after a carrier period.
+const SWING_DECAY: f32 = 255.0 / 256.0;
+/// Largest error by a lagging current during a reversal, as a share of the voltage at the largest current.
+const LAG_TOLERANCE: f32 = 1.3;
 
-/// When a duty acts, as shares of currents: of what it changes the current by within a carrier period, if it acts so long.
+/// When a duty acts, as shares of the current change that the duty makes in a full carrier period.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct Timing {
-    /// Share of a change that the current makes until the next sample and until the next valley.
+    /// Shares of the change at the next sample and at the next valley.
     sample: f32,
     valley: f32,
-    /// Share of a change to ask for, so that a drive that acts half a period too long makes the whole change.
+    /// Share of a change to request, so that a duty that lasts half a period too long completes the change.
     part: f32,
 }
 
-/// One motor's drive: constants made when a device is loaded, and the loop's integrator. In this order in memory: what
-/// every carrier period needs comes first.
+/// The drive of one motor: constants that are computed when a device is loaded, and the state of the loop. The fields
+/// that every carrier period needs come first in memory.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[repr(C)]
 pub struct Axis {
     amps_per_torque: f32,
     back_emf: f32,
     dead_time_share: f32,
-    /// The current that the controller asked for, A.
+    /// Target current, A.
     target: f32,
-    /// The current that the next sample should show, and the one that the duties so far lead to at the next valley, A.
+    /// Currents that the next sample should show and that the duties so far produce at the next valley, A.
     expected: f32,
-    reached: f32,
-    /// By what the last sample was below what was expected, A.
+    at_valley: f32,
+    /// Expected current less measured current at the last sample, A.
     error: f32,
-    /// Voltage the integrator holds, V.
+    /// Voltage of the integrator, V.
     integrator: f32,
     proportional: f32,
     integral: f32,
     resistance: f32,
     /// Voltage that changes the current by 1 A within a carrier period, V/A.
     surge: f32,
-    /// A change that can never be too large for a duty in time, A.
-    easy: f32,
-    /// When a duty in time acts, see [`Timing::sample`].
+    /// A change of current that a duty in time can always make, A.
+    safe_rise: f32,
+    /// Share of a change at the next sample if the duty applies in time, see [`Timing::sample`].
     half: f32,
-    /// When a duty acts: in time, and late; and what is left of a free current after half a carrier period.
+    /// Timing of a duty in time and of a late duty; share of a free current that remains after half a carrier period.
     timing: [Timing; 2],
-    kept: f32,
-    /// A/V, the inverse of `surge`.
-    reach: f32,
+    free_share: f32,
+    /// Inverse of `surge`, A/V.
+    inverse_surge: f32,
     torque_per_amp: f32,
-    /// The motor's own maximum current, A; 0 if it has no torque constant.
+    /// Maximum current of the motor itself, A; 0 without a torque constant.
     motor_current: f32,
     max_current: f32,
     /// Largest current including overshoot, A.
-    most: f32,
-    /// Mean of what samples were below what was expected, A, and the weight of one.
-    missing: f32,
+    bound: f32,
+    /// Mean of expected less measured current, A, and the weight of one sample.
+    mean_error: f32,
     error_weight: f32,
-    /// Voltage that the speed at the last sample needed may be off by, V.
-    emf_doubt: f32,
-    /// The largest recent difference between the fed-forward speed and the measured one, rad/s.
+    /// Possible error of the back-EMF at the last sample's speed, V.
+    emf_tolerance: f32,
+    /// Largest recent difference between the fed-forward and the measured speed, rad/s.
     swing: f32,
-    /// The largest recent current, A: the integrator's part for a hot winding outlasts it.
-    recent: f32,
+    /// Largest recent current, A: the integrator's voltage for a hot winding outlasts the current.
+    recent_current: f32,
     /// Largest voltage by which a sound motor may differ from its model at rest without current, V.
-    doubt: f32,
-    /// That without any current, V, and what each ampere allowed adds where the inductance is not known, Ω.
-    least_doubt: f32,
+    tolerance: f32,
+    /// Part of `tolerance` without any current, V, and its part per allowed ampere if the inductance is unknown, Ω.
+    base_tolerance: f32,
     lag_resistance: f32,
-    /// Voltage that each ampere of the largest recent current adds to that: a hot winding, Ω.
-    doubt_resistance: f32,
+    /// Additional tolerance per ampere of the largest recent current, because the winding may be hot, Ω.
+    tolerance_resistance: f32,
 }
 
 impl Axis {
-    /// Sets when a duty acts, where `kept` is what is left of a free current after half a carrier period. With constant
-    /// voltage a current nears its end as kept^(2t): within half a period it makes (1 - kept)/(1 - kept²) of what it makes
-    /// in one.
-    fn time(&mut self, kept: f32) {
-        let half = 1.0 / (1.0 + kept);
+    /// Sets the timing of duties; f = `free_share` is the share of a free current that remains after half a carrier
+    /// period. At constant voltage the remaining change of current falls as f^(2t), so half a period makes
+    /// (1 - f)/(1 - f²) of the change of a full period.
+    fn set_timing(&mut self, free_share: f32) {
+        let half = 1.0 / (1.0 + free_share);
         self.timing = [
-            Timing { sample: half, valley: 1.0, part: 1.0 / (1.0 + half * kept * kept) },
+            Timing { sample: half, valley: 1.0, part: 1.0 / (1.0 + half * free_share * free_share) },
             Timing { sample: 0.0, valley: half, part: 1.0 },
         ];
-        (self.kept, self.half) = (kept, half);
+        (self.free_share, self.half) = (free_share, half);
     }
 
-    /// Duty that makes up for the dead time: both legs lose it against the current. It fades where the current's sign is
-    /// unsure.
+    /// Returns the duty that compensates the dead time. It fades where the sign of the current is uncertain.
     #[inline(always)]
-    fn regained(&self) -> f32 {
+    fn dead_time_duty(&self) -> f32 {
         self.dead_time_share * (self.target / (self.target.abs() + DEAD_TIME_KNEE))
     }
 
-    /// Voltage, V, that keeps the current where it begins, and takes out what the last sample was off by.
+    /// Returns the voltage (V) that keeps the current at `begin` and corrects the error of the last sample.
     #[inline(always)]
     fn hold(&self, begin: f32, error: f32, speed: f32) -> f32 {
         self.integrator + self.back_emf * speed + self.proportional * error + self.resistance * begin
     }
 
-    /// [`Stage::drive`] at any time and at any limit, where the supply is usable.
+    /// Implements [`Stage::drive`] with any timing and at any limit, for a usable supply.
     #[inline(never)]
-    fn hardly(&mut self, supply: &Supply, current: f32, speed: f32, late: bool) -> f32 {
+    fn drive_at_limits(&mut self, supply: &Supply, current: f32, speed: f32, late: bool) -> f32 {
         let timing = self.timing[usize::from(late)];
         let error = self.expected - current;
-        // The current at which the drive begins: until a late drive acts, the one before it goes on.
-        let begin = if late { self.reached + self.kept * (self.reached - self.expected) } else { self.reached };
-        // Should the next duty be late, this one makes more of it: no more than is short of an over-current.
-        let (up, down) = ((self.most - begin) * timing.part, (self.most + begin) * -timing.part);
-        let wanted = self.target - begin;
-        let mut rise = if wanted > up { up } else { wanted };
+        // Current at which the drive begins: the previous drive continues until a late drive acts.
+        let begin =
+            if late { self.at_valley + self.free_share * (self.at_valley - self.expected) } else { self.at_valley };
+        // If the next duty is late, this duty acts for longer: keep the change below an over-current.
+        let (up, down) = ((self.bound - begin) * timing.part, (self.bound + begin) * -timing.part);
+        let change = self.target - begin;
+        let mut rise = if change > up { up } else { change };
         rise = if rise < down { down } else { rise };
-        let (hold, regained) = (self.hold(begin, error, speed), self.regained());
-        let mut duty = regained + supply.inverse * (hold + self.surge * rise);
-        // Not further into a voltage that is not there.
+        let (hold, dead_time_duty) = (self.hold(begin, error, speed), self.dead_time_duty());
+        let mut duty = dead_time_duty + supply.inverse * (hold + self.surge * rise);
+        // Do not integrate further into a voltage that the bus cannot supply.
         let integrates = if duty.abs() <= USABLE_DUTY {
             true
         } else {
             duty = limited(duty, USABLE_DUTY);
-            rise = limited(((duty - regained) * supply.volts - hold) * self.reach, 2.0 * self.most);
+            rise = limited(((duty - dead_time_duty) * supply.volts - hold) * self.inverse_surge, 2.0 * self.bound);
             duty * error < 0.0
         };
         self.expected = begin + timing.sample * rise;
-        self.reached = self.target - (wanted - timing.valley * rise);
+        self.at_valley = self.target - (change - timing.valley * rise);
         self.error = error;
         if integrates {
             self.integrator += self.integral * error;
@@ -180,20 +179,20 @@ impl Stage for Axis {
     type Sample = f32;
     type Drive = Duty;
 
-    /// A motor without a torque constant gets no current.
+    /// A motor without a torque constant receives no current.
     fn new(motor: &Motor<f32>, bridge: &Bridge, max_current: f32) -> Self {
         let kt = motor.torque_constant;
         let usable = kt.abs() > 1.0e-9;
         let carrier_hz = bridge.carrier_hz.max(1.0);
         let inductance = motor.inductance.max(0.0);
-        // Without a current sensor there is nothing to correct by.
+        // Without a current sensor there is no error to correct.
         let share = match (bridge.current_sensed, inductance > 0.0) {
             (true, true) => 1.0,
-            (true, false) => UNKNOWN_WINDING,
+            (true, false) => UNKNOWN_INDUCTANCE_SHARE,
             (false, _) => 0.0,
         };
         let bandwidth = share * core::f32::consts::TAU * bridge.bandwidth_hz;
-        // A free current falls to exp(-fade) in a carrier period.
+        // A free current falls by a factor of exp(-fade) in a carrier period.
         let fade = motor.resistance / (inductance * carrier_hz);
         let surge = motor.resistance + inductance * carrier_hz / growth(fade);
         let mut axis = Self {
@@ -201,31 +200,31 @@ impl Stage for Axis {
             torque_per_amp: if usable { kt } else { 0.0 },
             motor_current: if usable { motor.max_current } else { 0.0 },
             resistance: motor.resistance,
-            doubt_resistance: RESISTANCE_DOUBT * motor.resistance,
+            tolerance_resistance: RESISTANCE_TOLERANCE * motor.resistance,
             back_emf: motor.back_emf,
             surge,
-            reach: if surge > 0.0 { 1.0 / surge } else { 0.0 },
+            inverse_surge: if surge > 0.0 { 1.0 / surge } else { 0.0 },
             proportional: bandwidth * inductance,
             integral: bandwidth * motor.resistance / carrier_hz,
             dead_time_share: 2.0 * bridge.dead_time * bridge.carrier_hz,
-            least_doubt: if bridge.current_sensed { VOLTAGE_DOUBT } else { f32::INFINITY },
-            lag_resistance: if inductance > 0.0 { 0.0 } else { LAG_DOUBT * motor.resistance },
+            base_tolerance: if bridge.current_sensed { VOLTAGE_TOLERANCE } else { f32::INFINITY },
+            lag_resistance: if inductance > 0.0 { 0.0 } else { LAG_TOLERANCE * motor.resistance },
             error_weight: if inductance > 0.0 { ERROR_WEIGHT } else { SLOW_ERROR_WEIGHT },
             ..Self::default()
         };
-        axis.time(1.0 / (1.0 + 0.5 * fade * growth(0.5 * fade)));
+        axis.set_timing(1.0 / (1.0 + 0.5 * fade * growth(0.5 * fade)));
         axis.limit(max_current);
         axis
     }
 
     fn limit(&mut self, max_current: f32) {
         self.max_current = self.motor_current.min(max_current).max(0.0);
-        // The last command acts until the next step.
+        // The last command acts until the next control step.
         self.target = limited(self.target, self.max_current);
-        self.most = OVERSHOOT * self.max_current + OVERSHOOT_FLOOR;
-        // From wherever the limit lets a current be to wherever it lets it go.
-        self.easy = EASILY * ((self.most - self.max_current) * self.timing[0].part).max(0.0);
-        self.doubt = self.least_doubt + self.lag_resistance * self.max_current;
+        self.bound = OVERSHOOT * self.max_current + OVERSHOOT_FLOOR;
+        // The change from any current within the limit to the largest current with overshoot.
+        self.safe_rise = ROUNDED_SHARE * ((self.bound - self.max_current) * self.timing[0].part).max(0.0);
+        self.tolerance = self.base_tolerance + self.lag_resistance * self.max_current;
     }
 
     fn max_current(&self) -> f32 {
@@ -259,28 +258,29 @@ impl Stage for Axis {
         self.target = torque * self.amps_per_torque;
     }
 
-    /// The duty for the next carrier period from the supply and the measured current (A, of no effect where none is
-    /// sensed). Zero when the bus voltage is not usable.
+    /// Returns the duty for the next carrier period from the supply and the measured current (A; ignored if the board
+    /// senses none). Returns zero if the bus voltage is not usable.
     fn drive(&mut self, supply: &Supply, current: f32, speed: f32, late: bool) -> Duty {
         if !supply.is_usable() {
             self.integrator = 0.0;
             return Duty::default();
         }
-        Duty(self.hardly(supply, current, speed, late))
+        Duty(self.drive_at_limits(supply, current, speed, late))
     }
 
-    /// A late drive makes no more of a change than was asked for, so only the voltage can be insufficient.
+    /// A late drive makes at most the requested change, so only the voltage can be too small.
     #[inline(always)]
-    fn drive_easily(&mut self, supply: &Supply, current: f32, speed: f32, late: bool) -> Option<Duty> {
-        let begin = if late { self.reached + self.kept * (self.reached - self.expected) } else { self.reached };
+    fn drive_in_range(&mut self, supply: &Supply, current: f32, speed: f32, late: bool) -> Option<Duty> {
+        let begin =
+            if late { self.at_valley + self.free_share * (self.at_valley - self.expected) } else { self.at_valley };
         let error = self.expected - current;
         let rise = self.target - begin;
-        let duty = self.regained() + supply.inverse * (self.hold(begin, error, speed) + self.surge * rise);
-        let room = margin_bits(self.target, self.most) | margin_bits(begin, f32::MAX);
-        if if late { room } else { margin_bits(rise, self.easy) } | margin_bits(duty, USABLE_DUTY) < 0 {
+        let duty = self.dead_time_duty() + supply.inverse * (self.hold(begin, error, speed) + self.surge * rise);
+        let room = margin_bits(self.target, self.bound) | margin_bits(begin, f32::MAX);
+        if if late { room } else { margin_bits(rise, self.safe_rise) } | margin_bits(duty, USABLE_DUTY) < 0 {
             return None;
         }
-        (self.expected, self.reached) = if late {
+        (self.expected, self.at_valley) = if late {
             (begin + self.timing[1].sample * rise, self.target - (rise - self.timing[1].valley * rise))
         } else {
             (begin + self.half * rise, self.target)
@@ -293,23 +293,23 @@ impl Stage for Axis {
     #[inline(always)]
     fn settle(&mut self, bus_voltage: f32, given: f32, speed: f32, raw: f32) {
         self.integrator = limited(self.integrator, USABLE_DUTY * bus_voltage);
-        self.missing += self.error_weight * (self.error - self.missing);
-        let (reached, fading) = (self.reached.abs(), RECENT * self.recent);
-        self.recent = if reached > fading { reached } else { fading };
-        // A speed that jumps is ahead of its filters; between the counts of a coarse encoder it seems to be behind them.
-        let (ahead, fading) = ((speed - given).abs(), SWING * self.swing);
+        self.mean_error += self.error_weight * (self.error - self.mean_error);
+        let (at_valley, fading) = (self.at_valley.abs(), CURRENT_DECAY * self.recent_current);
+        self.recent_current = if at_valley > fading { at_valley } else { fading };
+        // After a jump the speed leads its filtered value; between the counts of a coarse encoder it appears to lag.
+        let (ahead, fading) = ((speed - given).abs(), SWING_DECAY * self.swing);
         self.swing = if ahead > fading { ahead } else { fading };
-        self.emf_doubt = (EMF_DOUBT * speed.abs() + self.swing + (raw - speed).abs()) * self.back_emf.abs();
+        self.emf_tolerance = (EMF_TOLERANCE * speed.abs() + self.swing + (raw - speed).abs()) * self.back_emf.abs();
     }
 
-    fn driven_by(&self, speed: f32) -> f32 {
+    fn back_emf_current(&self, speed: f32) -> f32 {
         if self.resistance > 0.0 { self.back_emf * speed / self.resistance } else { 0.0 }
     }
 
-    /// The part of the voltage that is in phase with the current: the inductance's part is a quarter of a turn off, and
-    /// the back-EMF's is taken out.
+    /// Uses the part of the voltage that is in phase with the current: the inductance's voltage is a quarter period
+    /// off, and the back-EMF is subtracted.
     fn resistance_of(&self, voltage: [f32; 2], current: [f32; 2], angle: [f32; 2], rate: f32) -> Option<(f32, f32)> {
-        // The function a cos + b sin has the derivative rate (b cos - a sin).
+        // The derivative of a cos + b sin is rate (b cos - a sin).
         let turning = [rate * angle[1], -rate * angle[0]];
         let left = [voltage[0] - self.back_emf * turning[0], voltage[1] - self.back_emf * turning[1]];
         let squared = current[0] * current[0] + current[1] * current[1];
@@ -321,53 +321,53 @@ impl Stage for Axis {
         drive.0
     }
 
-    /// The loop's integrator is what such a motor would not need; where the bus leaves it no room, a current that
-    /// stays behind says as much.
+    /// A sound motor leaves the integrator near zero. If the bus limits the voltage, a current that stays below the
+    /// expected current shows the same error.
     #[inline(always)]
     fn strain(&self) -> (f32, f32) {
-        let strain = self.integrator + self.resistance * self.missing;
-        (strain, self.doubt + self.doubt_resistance * self.recent + self.emf_doubt)
+        let strain = self.integrator + self.resistance * self.mean_error;
+        (strain, self.tolerance + self.tolerance_resistance * self.recent_current + self.emf_tolerance)
     }
 
     fn turning(&self, volts: f32) -> f32 {
         if self.back_emf.abs() > 1.0e-6 { volts / self.back_emf } else { 0.0 }
     }
 
-    fn flows_as_expected(&self) -> bool {
-        self.missing.abs() <= 0.25 * self.reached.abs() + DEAD_TIME_KNEE
+    fn has_expected_current(&self) -> bool {
+        self.mean_error.abs() <= 0.25 * self.at_valley.abs() + DEAD_TIME_KNEE
     }
 
     fn rest(&mut self) {
         self.integrator = 0.0;
-        self.reached = 0.0;
+        self.at_valley = 0.0;
         self.expected = 0.0;
         self.error = 0.0;
-        self.missing = 0.0;
-        self.recent = 0.0;
+        self.mean_error = 0.0;
+        self.recent_current = 0.0;
         self.target = 0.0;
-        self.emf_doubt = 0.0;
+        self.emf_tolerance = 0.0;
         self.swing = 0.0;
     }
 
     fn inherit(&mut self, other: &Self) {
-        let Self { integrator, reached, expected, error, missing, recent, target, .. } = *other;
-        *self = Self { integrator, reached, expected, error, missing, recent, target, ..*self };
+        let Self { integrator, at_valley, expected, error, mean_error, recent_current, target, .. } = *other;
+        *self = Self { integrator, at_valley, expected, error, mean_error, recent_current, target, ..*self };
     }
 
-    /// The voltage less the resistance's part is back-EMF, less the doubt: a winding half as resistive again (hot, or a
-    /// poor contact) and the dead time.
+    /// Subtracts the resistance's voltage, and then the possible error: half of that voltage again (a hot winding or a
+    /// poor contact) and the dead time. The rest is back-EMF.
     #[inline(always)]
-    fn speed_of(&self, duty: f32, bus_voltage: f32, current: f32) -> f32 {
+    fn least_speed(&self, duty: f32, bus_voltage: f32, current: f32) -> f32 {
         let drop = self.resistance * current;
         let left = duty * bus_voltage - drop;
-        let doubt = RESISTANCE_DOUBT * drop.abs() + self.dead_time_share * bus_voltage;
-        let usable = self.back_emf.abs() > 1.0e-6 && left.abs() > doubt;
-        if usable { (left - doubt * left.signum()) / self.back_emf } else { 0.0 }
+        let tolerance = RESISTANCE_TOLERANCE * drop.abs() + self.dead_time_share * bus_voltage;
+        let usable = self.back_emf.abs() > 1.0e-6 && left.abs() > tolerance;
+        if usable { (left - tolerance * left.signum()) / self.back_emf } else { 0.0 }
     }
 }
 
-/// (eˣ - 1)/x for x ≥ 0, by its series: exact where x is small and, where it is large, at least so large that what is
-/// divided by it hardly counts. Infinite for infinity.
+/// Returns (eˣ - 1)/x for x ≥ 0 by its series: exact for small x. For large x it is so large that a quotient by it is
+/// negligible. Infinite for infinity.
 fn growth(x: f32) -> f32 {
     (2..=9).rev().fold(1.0, |sum, n| 1.0 + x / n as f32 * sum)
 }

@@ -1,72 +1,72 @@
-//! The thermal budget of a motor: I²t above what it stands for ever. It knows the current, not the temperature.
+//! The thermal budget of a motor: I²t above the motor's continuous current. It uses the current, not the temperature.
 
 use crate::model::catalogue::MAX_JOINTS;
 use core::sync::atomic::{AtomicU32, Ordering};
 
-/// Time a motor stands its maximum current before the budget trips, s.
+/// Time for which a motor tolerates its maximum current before the budget trips, s.
 pub const PEAK_SECONDS: f32 = 4.0;
 
-/// Time after which more that is allowed counts for a motor that is still warm, s.
+/// Time after which a raised continuous limit applies to a motor that is still warm, s.
 pub const WAIT_SECONDS: f32 = 60.0;
 
-/// Words that a [`Heat`] is kept in.
+/// Number of words of a stored [`Heat`].
 pub const WORDS: usize = 7;
 
-/// Words that the heat of all motors is kept in, with their checksum.
+/// Number of words of the stored heat of all motors, with their checksum.
 pub const KEPT: usize = WORDS * MAX_JOINTS + 1;
 
-/// Starts the checksum: says that heats were written and not that memory happens to hold something.
+/// Initial value of the checksum. It distinguishes stored heat from arbitrary memory contents.
 const MARK: u32 = 0x4845_4154;
 
-fn with(sum: u32, word: u32) -> u32 {
+fn add_to_sum(sum: u32, word: u32) -> u32 {
     (sum ^ word).wrapping_mul(0x0100_0193)
 }
 
-/// Writes the heat of all motors to memory that a restart leaves alone.
+/// Writes the heat of all motors to memory that a restart preserves.
 #[inline(never)]
 pub fn keep(heat: &[Heat; MAX_JOINTS], memory: &[AtomicU32; KEPT]) {
     let mut sum = MARK;
     for (heat, memory) in heat.iter().zip(memory.chunks_exact(WORDS)) {
         for (word, place) in heat.words().into_iter().zip(memory) {
             place.store(word, Ordering::Relaxed);
-            sum = with(sum, word);
+            sum = add_to_sum(sum, word);
         }
     }
     memory[KEPT - 1].store(sum, Ordering::Relaxed);
 }
 
-/// The heat that [`keep`] wrote, if it is whole: after a restart in the middle of it, or a time without power, nothing
-/// is known.
+/// Returns the heat that [`keep`] wrote; unknown after a restart during the write or a loss of power.
 pub fn kept(memory: &[AtomicU32; KEPT]) -> [Heat; MAX_JOINTS] {
     let word = |i: usize| memory[i.min(KEPT - 1)].load(Ordering::Relaxed);
     let words: [[u32; WORDS]; MAX_JOINTS] =
         core::array::from_fn(|motor| core::array::from_fn(|i| word(WORDS * motor + i)));
-    let whole = word(KEPT - 1) == words.iter().flatten().fold(MARK, |sum, word| with(sum, *word));
+    let whole = word(KEPT - 1) == words.iter().flatten().fold(MARK, |sum, word| add_to_sum(sum, *word));
     if whole { words.map(Heat::from_words) } else { [Heat::UNKNOWN; MAX_JOINTS] }
 }
 
-/// The heat that one motor holds. It belongs to the motor and outlasts devices, rules and restarts. The default is a
-/// cold motor that is not allowed any current yet.
+/// The heat of one motor. It belongs to the motor and outlasts devices, rules and restarts. The default is a cold motor
+/// that is not allowed any current yet.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Heat {
-    /// I²t accumulator, A² s above what the motor stands for ever.
+    /// I²t accumulator above the continuous current, A² s.
     held: f32,
-    /// The part that rounding has kept out of `held` so far: a step's share can be less than its last digit.
+    /// Rounding error of `held` so far: the share of one step can be less than the last digit of `held`.
     rest: f32,
-    /// The part of `held` that is guessed, and the budget that it is half of; an infinite one where the heat is known.
-    guess: f32,
+    /// Guessed part of `held`, and the budget from which the guess was made (the guess is half of it); an infinite
+    /// budget if the heat is known.
+    guessed: f32,
     guessed_from: f32,
-    /// i² that the motor stands for ever, A²: as it is allowed, and as it counted when the motor was cold the last time.
+    /// Square of the continuous current, A²: as allowed now, and as in force when the motor was last cold.
     allowed_squared: f32,
     warmed_squared: f32,
-    /// The smaller of both, and what i² beyond it is worth of what `warmed_squared` counts.
+    /// The smaller of `allowed_squared` and `warmed_squared`, and the weight of i² above it.
     continuous_squared: f32,
     weight: f32,
-    /// Time until more may be allowed while the motor is warm, s.
+    /// Time until a raised limit applies while the motor is warm, s.
     wait: f32,
-    /// i² at the most that is allowed, A²; 0 before the first motor.
+    /// Square of the largest allowed current, A²; 0 before the first motor.
     max_squared: f32,
-    /// A² s; infinite where the maximum current may flow for ever.
+    /// Budget, A² s; infinite if the maximum current is allowed continuously.
     budget: f32,
 }
 
@@ -77,11 +77,11 @@ impl Default for Heat {
 }
 
 impl Heat {
-    /// Unknown heat: assume half of the budget, as soon as there is a budget.
+    /// Unknown heat: half of the budget is assumed as soon as there is a budget.
     pub const UNKNOWN: Self = Self {
         held: 0.0,
         rest: 0.0,
-        guess: 0.0,
+        guessed: 0.0,
         guessed_from: 0.0,
         allowed_squared: 0.0,
         warmed_squared: 0.0,
@@ -92,9 +92,10 @@ impl Heat {
         budget: f32::INFINITY,
     };
 
-    /// Sets the currents that are allowed, A; where none is, there is no motor now, and it stays as it is. No motor cools any
-    /// faster because more is allowed: a larger continuous current counts once it is cold, or after [`WAIT_SECONDS`].
-    /// Nor does it stand its peak any longer because less is: what is left of the budget lasts as long at the maximum.
+    /// Sets the allowed currents, A. Without an allowed current there is no motor at present, and the heat stays
+    /// unchanged. A higher limit does not make a motor cool faster: a larger continuous current applies once the motor
+    /// is cold or after [`WAIT_SECONDS`]. A lower limit does not extend the time at the peak: the rest of the budget
+    /// lasts as long at the maximum current.
     pub fn limit(&mut self, max_current: f32, continuous_current: f32) {
         if max_current <= 0.0 {
             return;
@@ -105,11 +106,11 @@ impl Heat {
         }
         self.allowed_squared = continuous * continuous;
         self.max_squared = max_current * max_current;
-        self.count();
+        self.update_budget();
     }
 
-    /// Sets what counts of what is allowed.
-    fn count(&mut self) {
+    /// Updates the budget for the allowed currents.
+    fn update_budget(&mut self) {
         if self.held <= 0.0 || self.max_squared <= self.warmed_squared {
             self.warmed_squared = self.allowed_squared;
         }
@@ -117,22 +118,22 @@ impl Heat {
         let (above, all) = (self.max_squared - self.warmed_squared, self.max_squared - self.continuous_squared);
         (self.weight, self.budget) =
             if above > 0.0 { (above / all, above * PEAK_SECONDS) } else { (1.0, f32::INFINITY) };
-        self.guess();
+        self.update_guess();
     }
 
-    /// While the heat is unknown, the guess follows the budget: half of it, less the cooling since.
-    fn guess(&mut self) {
+    /// While the heat is unknown, the guess follows the budget: it is half of the budget less the cooling since.
+    fn update_guess(&mut self) {
         if !self.budget.is_finite() || self.guessed_from == f32::INFINITY {
             return;
         }
         let half = 0.5 * self.budget;
-        let guess = (self.guess + (half - 0.5 * self.guessed_from).max(0.0)).min(half);
-        self.held += guess - self.guess;
-        (self.guess, self.guessed_from) = (guess, self.budget);
+        let guessed = (self.guessed + (half - 0.5 * self.guessed_from).max(0.0)).min(half);
+        self.held += guessed - self.guessed;
+        (self.guessed, self.guessed_from) = (guessed, self.budget);
     }
 
-    /// Warms the motor by `squares`, the integral of i² (A² s) over the last `dt` (s); true when its budget is spent: what
-    /// is above what it stands for ever has passed what [`PEAK_SECONDS`] at the maximum current put there.
+    /// Warms the motor by `squares`, the integral of i² (A² s) over the last `dt` (s). Returns true if the budget is
+    /// spent: the heat above the continuous current exceeds the heat of [`PEAK_SECONDS`] at the maximum current.
     #[inline(always)]
     pub fn warm(&mut self, squares: f32, dt: f32) -> bool {
         let share = (squares - self.continuous_squared * dt) * self.weight + self.rest;
@@ -140,12 +141,12 @@ impl Heat {
         if held > 0.0 && self.max_squared > 0.0 {
             self.rest = share - (held - self.held);
             self.held = held;
-            // It cools from what is known.
-            if held < self.guess {
-                self.guess = held;
+            // Cooling below the guess reduces the guess.
+            if held < self.guessed {
+                self.guessed = held;
             }
         } else {
-            (self.held, self.rest, self.guess) = (0.0, 0.0, 0.0);
+            (self.held, self.rest, self.guessed) = (0.0, 0.0, 0.0);
         }
         if self.warmed_squared != self.allowed_squared {
             self.catch_up(dt);
@@ -153,29 +154,29 @@ impl Heat {
         self.held > self.budget
     }
 
-    /// Counts with what is allowed now, if the motor is cold or more has waited for long enough.
+    /// Applies the present limits if the motor is cold or a raised limit has waited for long enough.
     #[cold]
     fn catch_up(&mut self, dt: f32) {
         self.wait -= dt;
         if self.held <= 0.0 {
-            self.count();
+            self.update_budget();
         } else if self.wait <= 0.0 && self.allowed_squared > self.warmed_squared {
             self.warmed_squared = self.allowed_squared;
-            self.count();
+            self.update_budget();
         }
     }
 
-    /// A² s above the level that the motor stands for ever; NaN if unknown.
+    /// Returns the heat above the continuous level, A² s; NaN if unknown.
     pub fn held(&self) -> f32 {
         if self.guessed_from == 0.0 { f32::NAN } else { self.held }
     }
 
-    /// The whole state in words, to be kept while the board restarts.
+    /// Returns the complete state as words, to be stored while the board restarts.
     pub fn words(&self) -> [u32; WORDS] {
         [
             self.held,
             self.rest,
-            self.guess,
+            self.guessed,
             self.guessed_from,
             self.allowed_squared,
             self.warmed_squared,
@@ -184,18 +185,18 @@ impl Heat {
         .map(f32::to_bits)
     }
 
-    /// The state that [`Heat::words`] kept; unknown if the words cannot be one.
+    /// Returns the state from stored [`Heat::words`]; unknown heat if the words are not valid.
     pub fn from_words(words: [u32; WORDS]) -> Self {
         let values = words.map(f32::from_bits);
-        let [held, rest, guess, guessed_from, allowed_squared, warmed_squared, max_squared] = values;
-        let finite = [held, guess, allowed_squared, warmed_squared, max_squared];
-        let sound = finite.iter().all(|value| value.is_finite() && *value >= 0.0);
-        if !sound || !rest.is_finite() || guessed_from.is_nan() {
+        let [held, rest, guessed, guessed_from, allowed_squared, warmed_squared, max_squared] = values;
+        let finite = [held, guessed, allowed_squared, warmed_squared, max_squared];
+        let is_valid = finite.iter().all(|value| value.is_finite() && *value >= 0.0);
+        if !is_valid || !rest.is_finite() || guessed_from.is_nan() {
             return Self::UNKNOWN;
         }
         let mut heat =
-            Self { held, rest, guess, guessed_from, allowed_squared, warmed_squared, max_squared, ..Self::UNKNOWN };
-        heat.count();
+            Self { held, rest, guessed, guessed_from, allowed_squared, warmed_squared, max_squared, ..Self::UNKNOWN };
+        heat.update_budget();
         heat
     }
 }

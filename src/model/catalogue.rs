@@ -1,30 +1,30 @@
-//! The mechanisms there are, by name: the one list that everything about them is made from, and how large any may be.
+//! The list of mechanisms, from which all code for them is generated, and the largest size of a mechanism.
 
-/// Most joints any mechanism has.
+/// Maximum number of joints of a mechanism.
 pub const MAX_JOINTS: usize = 3;
-/// Most links any mechanism lists.
+/// Maximum number of links of a mechanism.
 pub const MAX_LINKS: usize = 4;
-/// Most numbers any mechanism's geometry takes.
+/// Maximum number of values in a mechanism's geometry.
 pub const MAX_GEOMETRY: usize = 6;
 
-/// The entries that a device file must hold for a mechanism.
+/// Required entries in the device file of a mechanism.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Spec {
-    /// The name in device files.
+    /// Name in device files.
     pub name: &'static str,
     /// Number of joints N.
     pub joints: usize,
     /// Task dimension d.
     pub task: usize,
-    /// The links in order.
+    /// Names of the links, in order.
     pub links: &'static [&'static str],
-    /// The keys of `[geometry]` in order, each with its number of values.
+    /// Keys of `[geometry]` in order, each with its number of values.
     pub geometry: &'static [(&'static str, usize)],
-    /// True if angles a whole turn apart are the same pose (false for a paddle, whose task is arc length).
+    /// True if angles that differ by a complete turn are the same pose (false for a paddle, whose task is arc length).
     pub periodic: bool,
 }
 
-/// Expands `$with!{ (Variant, module, N) ... }` over every mechanism. Adding a mechanism is adding its line here.
+/// Expands `$with!{ (Variant, module, N) ... }` over every mechanism. A new mechanism needs one line here.
 #[macro_export]
 macro_rules! mechanisms {
     ($with:ident) => {
@@ -40,7 +40,7 @@ macro_rules! mechanisms {
 
 macro_rules! define {
     ($(($Variant:ident, $module:ident, $n:literal))*) => {
-        /// Which mechanism.
+        /// Kind of mechanism.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize, postcard_schema::Schema)]
         pub enum Kind {
             $(

@@ -1,4 +1,4 @@
-//! A device as the board knows it: lumped mechanism, encoders, motors, limits. Plain data, ready to use.
+//! The board's form of a device: coefficients of the mechanism, encoders, motors, limits. Plain data.
 
 use crate::math::{Angle, Math, Real, cast, sqrt};
 use crate::model::catalogue::MAX_JOINTS;
@@ -13,33 +13,33 @@ use nalgebra::{SMatrix, SVector};
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
-/// Longest device name kept, bytes.
+/// Maximum length of a device name, bytes.
 pub const NAME_LENGTH: usize = 32;
 
-/// Everything about a device that a step needs, lumped and in the board's precision.
+/// All data of a device that a control step needs, in the board's precision.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct Device<T: Real> {
-    /// Its name, for people.
+    /// Name that is shown to people.
     pub name: String<NAME_LENGTH>,
-    /// Its equations of motion.
+    /// Equations of motion.
     pub mechanism: AnyMechanism<T>,
-    /// True if it has weight to hold.
+    /// True if gravity acts on the device.
     pub weight: bool,
-    /// Its joints; the first N count.
+    /// Joints; the first N are valid.
     pub joints: [Joint<T>; MAX_JOINTS],
-    /// The pose that homing declares, rad.
+    /// Joint angles that homing assigns, rad.
     pub home: Option<[T; MAX_JOINTS]>,
 }
 
 /// One joint: encoder, motor, friction, limits.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, Schema)]
 pub struct Joint<T> {
-    /// Joint angle per encoder count, rad; negative when the encoder is inverted.
+    /// Joint angle per encoder count, rad; negative if the encoder is inverted.
     pub radians_per_count: T,
-    /// Counts after which the angle repeats, 0 when it never does. They make one turn where the counts per turn are
-    /// whole, and q turns where they are a fraction p/q.
+    /// Counts after which the angle repeats; 0 if it never does. This is one turn if the counts per turn are an
+    /// integer, and q turns if they are a fraction p/q.
     pub counts_per_turn: i32,
-    /// Joint angle at count 0, rad; within half a count of the description's, where home is a whole count.
+    /// Joint angle at count 0, rad. It is moved by up to half a count so that home is at an integer count.
     pub offset: T,
     /// Viscous friction, N m s/rad.
     pub viscous: T,
@@ -47,12 +47,12 @@ pub struct Joint<T> {
     pub coulomb: T,
     /// Allowed angles, rad.
     pub limits: Option<(T, T)>,
-    /// The motor; a joint without one cannot be armed.
+    /// Motor; a joint without a motor cannot be armed.
     pub motor: Option<Motor<T>>,
 }
 
 impl<T: Real> Device<T> {
-    /// Lumps a description in f64 and rounds once. A name longer than [`NAME_LENGTH`] bytes is cut at a character.
+    /// Computes the coefficients in f64 and rounds once. Cuts a name at a character to [`NAME_LENGTH`] bytes.
     pub fn new(name: &str, description: &Description) -> Result<Self, DescriptionError> {
         let spec = description.kind.spec();
         let r = T::from_f64;
@@ -69,10 +69,10 @@ impl<T: Real> Device<T> {
                 let sign = if encoder.inverted { -1.0 } else { 1.0 };
                 scale = sign * core::f64::consts::TAU / encoder.counts_per_turn;
                 joint.offset = r(match description.home {
-                    Some(home) => on_a_count(encoder.offset, home[index], scale),
+                    Some(home) => offset_on_count(encoder.offset, home[index], scale),
                     None => encoder.offset,
                 });
-                joint.counts_per_turn = repeats_after(encoder.counts_per_turn);
+                joint.counts_per_turn = counts_until_repeat(encoder.counts_per_turn);
             }
             joint.radians_per_count = r(scale);
             joint.viscous = r(described.viscous);
@@ -89,7 +89,7 @@ impl<T: Real> Device<T> {
         })
     }
 
-    /// The same in another precision.
+    /// Converts to another precision.
     pub fn cast<U: Real>(&self) -> Device<U> {
         Device {
             name: self.name.clone(),
@@ -100,14 +100,14 @@ impl<T: Real> Device<T> {
         }
     }
 
-    /// N.
+    /// Returns the number of joints N.
     pub fn axes(&self) -> usize {
         self.mechanism.kind().spec().joints
     }
 }
 
 impl<T: Real> Joint<T> {
-    /// The same in another precision.
+    /// Converts to another precision.
     pub fn cast<U: Real>(&self) -> Joint<U> {
         Joint {
             radians_per_count: cast(self.radians_per_count),
@@ -121,22 +121,22 @@ impl<T: Real> Joint<T> {
     }
 }
 
-/// Most turns after which an angle repeats: a board divides its way back to them from f32 numbers, whose five roundings
-/// stay below half a turn of so many.
-const MOST_TURNS: f64 = 1_048_576.0;
+/// Maximum number of turns after which an angle repeats. The board computes the turns from f32 numbers by division, and
+/// the five roundings stay below half a turn up to this number.
+const MAX_TURNS: f64 = 1_048_576.0;
 
-/// The whole number of counts p after which q whole turns are over, where p/q are these counts per turn: the first
-/// convergent of their continued fraction that is the same f64, or the last that fits. Then p/q is so near that the
-/// counter's whole range is off by less than one count (from 2048 counts per turn on). 0 when no such number fits.
-fn repeats_after(counts_per_turn: f64) -> i32 {
+/// Returns the integer number of counts p that make q complete turns, where p/q are these counts per turn: the first
+/// convergent of their continued fraction that equals the f64, or the last one that fits. Over the counter's full range
+/// p/q is off by less than one count (from 2048 counts per turn on). Returns 0 if no such number fits.
+fn counts_until_repeat(counts_per_turn: f64) -> i32 {
     let (mut counts, mut turns) = (1.0, 0.0);
     let (mut counts_before, mut turns_before) = (0.0, 1.0);
     let mut rest = counts_per_turn;
     loop {
-        // Truncates; NaN becomes 0.
+        // Truncates, and turns NaN into 0.
         let whole = rest as i64 as f64;
         let next = (whole * counts + counts_before, whole * turns + turns_before);
-        if !(next.0 <= f64::from(i32::MAX) && next.1 <= MOST_TURNS && rest > 0.0) {
+        if !(next.0 <= f64::from(i32::MAX) && next.1 <= MAX_TURNS && rest > 0.0) {
             return if turns > 0.0 { counts as i32 } else { 0 };
         }
         (counts_before, turns_before) = (counts, turns);
@@ -151,36 +151,35 @@ fn repeats_after(counts_per_turn: f64) -> i32 {
 macro_rules! define {
     ($(($Variant:ident, $module:ident, $n:literal))*) => {
         impl AnyMechanism<f32> {
-            /// Returns true if everything computed at `q` (rad) is finite: a broken coefficient spoils at least one
-            /// number.
+            /// Returns true if all results at `q` (rad) are finite: a broken coefficient affects at least one.
             pub fn is_finite_at<K: Math<f32>>(&self, q: &[f32; MAX_JOINTS]) -> bool {
                 match self {
                     $(Self::$Variant(mechanism) => finite_at::<K, _, $n>(mechanism, q),)*
                 }
             }
 
-            /// The forces at the tip for joint torques at `q` (rad).
+            /// Returns the tip force per joint torque at `q` (rad).
             pub fn leverage<K: Math<f32>>(&self, q: &[f32; MAX_JOINTS]) -> Leverage {
                 match self {
                     $(Self::$Variant(mechanism) => leverage_at::<K, _, $n>(mechanism, q),)*
                 }
             }
 
-            /// The torques that carry the device's weight at `q` (rad), N m; zeros beyond the joints.
+            /// Returns the torques that hold the device's weight at `q` (rad), N m; zeros beyond the joints.
             pub fn gravity<K: Math<f32>>(&self, q: &[f32; MAX_JOINTS]) -> [f32; MAX_JOINTS] {
                 match self {
                     $(Self::$Variant(mechanism) => gravity_at::<K, _, $n>(mechanism, q),)*
                 }
             }
 
-            /// The mass matrix at `q` (rad), kg m², by rows; zeros beyond the joints.
+            /// Returns the mass matrix at `q` (rad), kg m², by rows; zeros beyond the joints.
             pub fn inertia<K: Math<f32>>(&self, q: &[f32; MAX_JOINTS]) -> [[f32; MAX_JOINTS]; MAX_JOINTS] {
                 match self {
                     $(Self::$Variant(mechanism) => inertia_at::<K, _, $n>(mechanism, q),)*
                 }
             }
 
-            /// Jᵀ f, N m: the joint torques that make a force f (N, task frame) at the tip at `q` (rad).
+            /// Returns Jᵀ f, N m: the joint torques of a force f (N, task frame) at the tip at `q` (rad).
             pub fn torque<K: Math<f32>>(&self, q: &[f32; MAX_JOINTS], force: &[f32; 3]) -> [f32; MAX_JOINTS] {
                 match self {
                     $(Self::$Variant(mechanism) => torque_at::<K, _, $n>(mechanism, q, force),)*
@@ -193,17 +192,16 @@ crate::mechanisms!(define);
 
 fn finite_at<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(mechanism: &M, q: &[f32; MAX_JOINTS]) -> bool {
     let pose = shared_pose::<f32, K, M, N>(mechanism, &angles(q));
-    // A direction in which every coefficient of the mass matrix counts, through the copy of this code that is there
-    // anyway.
-    let askew = SVector::from_fn(|i, _| 0.5 + 0.1 * i as f32);
-    let shaping = MassModel::Exact.shaping(mechanism, &head(q).into(), &pose, &askew);
-    let found = [mechanism.tip(&pose), mechanism.gravity(&pose), shaping.e, shaping.me];
-    found.iter().all(|v| v.iter().all(|x| x.is_finite())) && shaping.w_rr.is_finite()
+    // A direction in which every coefficient of M counts. The code of `MassModel::shaping` is in the image anyway.
+    let direction = SVector::from_fn(|i, _| 0.5 + 0.1 * i as f32);
+    let shaping = MassModel::Exact.shaping(mechanism, &head(q).into(), &pose, &direction);
+    let results = [mechanism.tip(&pose), mechanism.gravity(&pose), shaping.e, shaping.me];
+    results.iter().all(|v| v.iter().all(|x| x.is_finite())) && shaping.w_rr.is_finite()
 }
 
-/// Joint angles given in rad.
+/// Converts joint angles from rad.
 fn angles<const N: usize>(q: &[f32; MAX_JOINTS]) -> [Angle<f32>; N] {
-    head(q).map(Angle::of_radians)
+    head(q).map(Angle::from_radians)
 }
 
 fn gravity_at<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(
@@ -231,48 +229,47 @@ fn torque_at<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(
     padded(&torque.data.0[0])
 }
 
-/// The forces (N) that joint torques τ (N m) make at the tip: a row for each task direction, zeros beyond the task,
-/// 1/m. It is the force felt by a hand that holds the tip where it is: J⁻ᵀ τ, and for an arm with more joints than the
-/// tip has directions, whose other motion is free, (J M⁻¹ Jᵀ)⁻¹ J M⁻¹ τ.
+/// The forces (N) at the tip per joint torque τ (N m): a row for each task direction, zeros beyond the task, 1/m. A
+/// hand that holds the tip in place feels this force: J⁻ᵀ τ, or (J M⁻¹ Jᵀ)⁻¹ J M⁻¹ τ for an arm with more joints than
+/// task directions, whose other motion is free.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Leverage([[f32; MAX_JOINTS]; 3]);
 
 impl Leverage {
-    /// The force at the tip, N, that the torques τ (N m) of the first N joints are worth, in the first N task directions.
+    /// Returns the force at the tip, N, of the torques τ (N m) of the first N joints, in the first N task directions.
     #[inline(always)]
     pub fn force<const N: usize>(&self, torque: &[f32; MAX_JOINTS]) -> [f32; N] {
         core::array::from_fn(|direction| (0..N).fold(0.0, |sum, joint| sum + self.0[direction][joint] * torque[joint]))
     }
 
-    /// Its square, N², of all joints' torques τ (N m).
+    /// Returns the squared force at the tip, N², of the torques τ (N m) of all joints.
     pub fn force_squared(&self, torque: &[f32; MAX_JOINTS]) -> f32 {
         squared(&self.force::<MAX_JOINTS>(torque))
     }
 
-    /// By what share a torque of one joint is worth more or less at the tip than it `was`: of the joint where that is most.
-    /// 0 where nothing is known.
-    pub fn changed_from(&self, was: &Self) -> f32 {
-        let worth = |of: &Self, joint: usize| squared(&of.0.map(|direction| direction[joint]));
-        let most = (0..MAX_JOINTS).fold(1.0, |most: f32, joint| {
-            let (now, then) = (worth(self, joint), worth(was, joint));
-            if now > 0.0 && then > 0.0 { most.max(now / then).max(then / now) } else { most }
+    /// Returns the largest relative change of a joint's tip force per torque since `was`; 0 if it is unknown.
+    pub fn relative_change_from(&self, was: &Self) -> f32 {
+        let squared_force = |of: &Self, joint: usize| squared(&of.0.map(|direction| direction[joint]));
+        let largest = (0..MAX_JOINTS).fold(1.0, |largest: f32, joint| {
+            let (now, then) = (squared_force(self, joint), squared_force(was, joint));
+            if now > 0.0 && then > 0.0 { largest.max(now / then).max(then / now) } else { largest }
         });
-        sqrt(most) - 1.0
+        sqrt(largest) - 1.0
     }
 
-    /// More than what an error of 1 N m of joint `joint` can be worth at the tip, N.
-    pub fn most_of(&self, joint: usize) -> f32 {
+    /// Returns an upper bound of the tip force that an error of 1 N m of joint `joint` makes, N.
+    pub fn force_bound(&self, joint: usize) -> f32 {
         self.0.iter().fold(0.0, |sum, direction| sum + direction[joint].abs())
     }
 }
 
-/// |f|².
+/// Returns |f|².
 #[inline(always)]
 pub(crate) fn squared<const N: usize>(force: &[f32; N]) -> f32 {
     force.iter().fold(0.0, |sum, along| sum + along * along)
 }
 
-/// The direction of a task axis.
+/// Returns the unit vector of a task axis.
 #[inline(always)]
 fn unit<const N: usize>(direction: usize) -> SVector<f32, N> {
     SVector::from_fn(|i, _| if i == direction { 1.0 } else { 0.0 })
@@ -289,7 +286,7 @@ fn leverage_at<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(mechanism: &M
         }
         return Leverage(rows);
     }
-    // By what a unit of each force of a hand moves the joints, M⁻¹ Jᵀ, and the tip, J M⁻¹ Jᵀ.
+    // Joint motion M⁻¹ Jᵀ and tip motion J M⁻¹ Jᵀ per unit of a hand's force in each direction.
     let mass = mechanism.mass(&pose);
     let torques: [SVector<f32, N>; N] = core::array::from_fn(|direction| mechanism.transpose(&pose, &unit(direction)));
     let moved: [SVector<f32, N>; N] = core::array::from_fn(|direction| solve_symmetric(&mass, &torques[direction]));
@@ -305,11 +302,11 @@ fn leverage_at<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(mechanism: &M
     Leverage(rows)
 }
 
-/// The angle of count 0 that is nearest to `offset` and has `home` on a whole count (all in rad), so that the pose that
-/// homing declares is the pose that is read. It moves by half a count at most, which homing rounded away before.
-fn on_a_count(offset: f64, home: f64, radians_per_count: f64) -> f64 {
+/// Returns the angle of count 0 nearest to `offset` that has `home` at an integer count (all in rad): the measured pose
+/// after homing equals the declared pose. It moves by at most half a count, which homing would round away.
+fn offset_on_count(offset: f64, home: f64, radians_per_count: f64) -> f64 {
     let counts = (home - offset) / radians_per_count;
     let half = if counts < 0.0 { -0.5 } else { 0.5 };
-    // Counts beyond an i64's are no encoder's; `as` clamps them.
+    // No encoder reaches counts beyond an i64; `as` clamps them.
     home - ((counts + half) as i64) as f64 * radians_per_count
 }

@@ -1,12 +1,12 @@
-//! Rendered and admissible motion: what a wall meets, and the feed-forward that makes it meet more.
+//! Rendered and admissible motion: the inertia that a wall meets, and the feed-forward that increases it.
 //!
 //! Source: "Inertia Properties and Their Role in Haptic Rendering", equations (1) to (4), in the joint form of
-//! docs/model.md section 2, which subtracts no nearly equal numbers and inverts no admissible-sized matrix:
-//! with E = J⁻¹ Q (Q an orthonormal basis of the rendered directions) and b = c + g - M T⁻¹Ṫ q̇,
-//! Wrr = Eᵀ M E, zr = Eᵀ b and **τ = M E Wrr⁻¹ (fr - Eᵀ b) + b**.
+//! docs/model.md section 2, which subtracts no nearly equal numbers and inverts no matrix of admissible size: with
+//! E = J⁻¹ Q (Q an orthonormal basis of the rendered directions) and b = c + g - M T⁻¹Ṫ q̇, Wrr = Eᵀ M E, zr = Eᵀ b and
+//! **τ = M E Wrr⁻¹ (fr - Eᵀ b) + b**.
 //!
-//! [`Shaping::torque`] is that line for a wall ([`crate::model::principal`] for several); [`Split`]
-//! and [`Inertia`] hold the paper's own quantities for the analysis.
+//! [`Shaping::torque`] computes this torque for one wall ([`crate::model::principal`] for several). [`Split`] and
+//! [`Inertia`] hold the paper's own quantities for the analysis.
 
 use crate::math::{Math, Real};
 use crate::model::admissible::Admissible;
@@ -15,24 +15,24 @@ use crate::model::principal::{Principal, Pull};
 use crate::model::solve::solve_symmetric;
 use nalgebra::{SMatrix, SVector};
 
-/// Directions along which the walls' stiffness is less than this share of the largest do not count as rendered in an
-/// [`Inertia`]: the square of the angle by which rounding in f32 parts two equal normals, and a hundred times more.
-pub const NO_STIFFNESS: f64 = 1.0e-12;
+/// A direction does not count as rendered in an [`Inertia`] if the walls' stiffness along it is less than this share of
+/// the largest: a hundred times the square of the angle by which rounding in f32 separates two equal normals.
+pub const MIN_STIFFNESS_SHARE: f64 = 1.0e-12;
 
 /// An orthonormal basis of the task space whose first columns span the rendered directions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Split<T: Real, const N: usize> {
     /// Columns: R rendered directions, then N - R admissible ones.
     pub basis: SMatrix<T, N, N>,
-    /// R.
+    /// Number of rendered directions R.
     pub rendered: usize,
 }
 
 impl<T: Real, const N: usize> Split<T, N> {
-    /// The split for one wall with this unit normal (zeros beyond the task dimension `task`).
+    /// Returns the split for one wall with this unit normal (zeros beyond the task dimension `task`).
     ///
-    /// It is completed in the plane by (-n_y, n_x), in space by the normalised part of e_k across n (k the smallest
-    /// |n_k|) and its cross product; coordinates beyond the task are admissible as they stand.
+    /// The basis is completed in the plane by (-n_y, n_x), and in space by the normalised part of e_k across n (k the
+    /// smallest |n_k|) and its cross product with n. Coordinates beyond the task are admissible and unchanged.
     #[inline(always)]
     pub fn new<K: Math<T>>(normal: &SVector<T, N>, task: usize) -> Self {
         let n = normal;
@@ -42,7 +42,7 @@ impl<T: Real, const N: usize> Split<T, N> {
             basis[(0, 1)] = -n[1];
             basis[(1, 1)] = n[0];
         } else if task == 3 && N >= 3 {
-            // e_k less its part along n, over its length s = √(n_i² + n_j²), and n x that; i and j follow k around.
+            // e_k less its part along n, over its length s = √(n_i² + n_j²), and n x it; (k, i, j) is cyclic.
             let mut complete = |k: usize, i: usize, j: usize| {
                 let s = K::sqrt(n[i] * n[i] + n[j] * n[j]);
                 let inverse = T::one() / s;
@@ -62,14 +62,14 @@ impl<T: Real, const N: usize> Split<T, N> {
         Self { basis, rendered: 1 }
     }
 
-    /// The split for these walls: one wall's by its normal, several walls' by the directions of their stiffness.
-    fn of<K: Math<T>>(walls: &[Pull<T, N>], task: usize) -> Self {
+    /// Returns the split for these walls: by one wall's normal, or by the stiffness directions of several walls.
+    fn for_walls<K: Math<T>>(walls: &[Pull<T, N>], task: usize) -> Self {
         match walls {
             [] => Self { basis: SMatrix::identity(), rendered: 0 },
             [only] => Self::new::<K>(&only.normal, task),
             several => {
                 let principal = Principal::new::<K>(several, task);
-                let least = principal.along(0) * T::from_f64(NO_STIFFNESS);
+                let least = principal.along(0) * T::from_f64(MIN_STIFFNESS_SHARE);
                 let rendered = principal.stiffness.iter().filter(|along| **along > least).count();
                 Self { basis: principal.basis, rendered }
             }
@@ -77,9 +77,10 @@ impl<T: Real, const N: usize> Split<T, N> {
     }
 }
 
-/// The turning of the task frame under curved walls: κ (m/s²) such that T⁻¹Ṫ q̇ = J⁻¹(J̇ q̇ + κ), for one rendered
-/// direction `n` with rate `n_rate` and the tip moving at `velocity`: κ = n(ṅ·ṗ) - ṅ(n·ṗ). The admissible directions do
-/// not spin about n. With several directions in space, pass the one admissible direction and its rate instead.
+/// Returns the rotation term of the task frame on curved walls: κ (m/s²) such that T⁻¹Ṫ q̇ = J⁻¹(J̇ q̇ + κ), for one
+/// rendered direction `n` with rate `n_rate` and the tip moving at `velocity`: κ = n(ṅ·ṗ) - ṅ(n·ṗ). The admissible
+/// directions do not spin about n. For several rendered directions in space, pass the one admissible direction and its
+/// rate instead.
 pub fn frame_rate<T: Real, const N: usize>(
     n: &SVector<T, N>,
     n_rate: &SVector<T, N>,
@@ -91,7 +92,7 @@ pub fn frame_rate<T: Real, const N: usize>(
 /// The paper's quantities at one configuration, in the basis of a [`Split`].
 #[derive(Clone, Copy, Debug)]
 pub struct Inertia<T: Real, const N: usize> {
-    /// Which directions are rendered.
+    /// The rendered and admissible directions.
     pub split: Split<T, N>,
     /// W = T⁻ᵀ M T⁻¹ (1a): rendered block first, kg.
     pub w: SMatrix<T, N, N>,
@@ -101,15 +102,15 @@ pub struct Inertia<T: Real, const N: usize> {
     pub w_eff: SMatrix<T, N, N>,
     /// The joint torques of (4) with z for the given force, N m.
     pub torque: SVector<T, N>,
-    /// Jrᵀ fr: what the joints do without the feed-forward, N m.
+    /// Jrᵀ fr: the joint torques without the feed-forward, N m.
     pub torque_without_feed_forward: SVector<T, N>,
     /// fa of (4) in its first N - R entries, N.
     pub f_a: SVector<T, N>,
 }
 
 impl<T: Real, const N: usize> Inertia<T, N> {
-    /// Everything equation (4) says of a mechanism in `pose` at joint velocities `qd` (rad/s), against plane walls
-    /// whose forces add up to `force` (N, a task vector).
+    /// Computes all quantities of equation (4) for a mechanism in `pose` at joint velocities `qd` (rad/s), against
+    /// plane walls whose forces add up to `force` (N, a task vector).
     #[inline(always)]
     pub fn new<K: Math<T>, M: Mechanism<T, N>>(
         mechanism: &M,
@@ -121,8 +122,8 @@ impl<T: Real, const N: usize> Inertia<T, N> {
         Self::holding::<K, M>(mechanism, pose, qd, walls, force, Admissible::Orientation)
     }
 
-    /// As [`Inertia::new`], a redundant device holding `admissible` instead of φ. The basis then holds the null motion
-    /// that goes with each tip direction.
+    /// Like [`Inertia::new`], for a redundant device that holds `admissible` instead of φ. The basis then contains the
+    /// null motion of each tip direction.
     #[inline(always)]
     pub fn holding<K: Math<T>, M: Mechanism<T, N>>(
         mechanism: &M,
@@ -134,15 +135,15 @@ impl<T: Real, const N: usize> Inertia<T, N> {
     ) -> Self {
         match walls {
             [only] if M::SPEC.task == N || admissible == Admissible::Orientation => {
-                Self::of_one::<K, M>(mechanism, pose, qd, only, force)
+                Self::for_one_wall::<K, M>(mechanism, pose, qd, only, force)
             }
-            _ => Self::in_general::<K, M>(mechanism, pose, qd, walls, force, admissible),
+            _ => Self::for_any_walls::<K, M>(mechanism, pose, qd, walls, force, admissible),
         }
     }
 
-    /// Of one wall, a redundant device holding φ: the usual case, from terms that the mechanisms have in closed form.
+    /// Computes the quantities for one wall, with φ held on a redundant device: the usual case, in closed form.
     #[inline(always)]
-    fn of_one<K: Math<T>, M: Mechanism<T, N>>(
+    fn for_one_wall<K: Math<T>, M: Mechanism<T, N>>(
         mechanism: &M,
         pose: &M::Pose,
         qd: &SVector<T, N>,
@@ -166,9 +167,9 @@ impl<T: Real, const N: usize> Inertia<T, N> {
         }
     }
 
-    /// Of any walls, a redundant device holding anything.
+    /// Computes the quantities for any walls and any held coordinate.
     #[inline(never)]
-    fn in_general<K: Math<T>, M: Mechanism<T, N>>(
+    fn for_any_walls<K: Math<T>, M: Mechanism<T, N>>(
         mechanism: &M,
         pose: &M::Pose,
         qd: &SVector<T, N>,
@@ -176,15 +177,15 @@ impl<T: Real, const N: usize> Inertia<T, N> {
         force: &SVector<T, N>,
         admissible: Admissible,
     ) -> Self {
-        let split = Split::of::<K>(walls, M::SPEC.task);
+        let split = Split::for_walls::<K>(walls, M::SPEC.task);
         let rank = split.rendered;
         let tip = split.basis;
         let mut b = mechanism.velocity_torque(pose, qd);
         let mut split = split;
         if M::SPEC.task < N && admissible != Admissible::Orientation {
             let null = mechanism.shaping(pose, &tip.column(N - 1).into_owned());
-            let bent = mechanism.inverse(pose, &(mechanism.jacobian_rate(pose, qd) * qd));
-            b = admissible.hold_bias(&b, &bent, &null);
+            let qdd_bias = mechanism.inverse(pose, &(mechanism.jacobian_rate(pose, qd) * qd));
+            b = admissible.hold_bias(&b, &qdd_bias, &null);
             for i in 0..M::SPEC.task {
                 let along = mechanism.shaping(pose, &tip.column(i).into_owned());
                 split.basis[(N - 1, i)] = admissible.added(&along, &null);
@@ -212,15 +213,15 @@ impl<T: Real, const N: usize> Inertia<T, N> {
             }
         };
         let f_a = SVector::from_fn(|i, _| shapings.get(i + rank).map_or(T::zero(), |shaping| shaping.e.dot(&torque)));
-        let (w_eff, without) = coupled(mechanism, pose, &tip, rank, &in_span);
-        Self { split, w, z, w_eff, torque, torque_without_feed_forward: without, f_a }
+        let (w_eff, torque_without_feed_forward) = without_feed_forward(mechanism, pose, &tip, rank, &in_span);
+        Self { split, w, z, w_eff, torque, torque_without_feed_forward, f_a }
     }
 }
 
-/// The device without the feed-forward along the first `rank` columns of `tip`: Weff (kg) in its leading block, and Jrᵀ
-/// fr (N m) of the force `in_span` (N) along them.
+/// Returns the quantities without feed-forward along the first `rank` columns of `tip`: Weff (kg) in its leading block,
+/// and Jrᵀ fr (N m) for the force `in_span` (N) along the columns.
 #[inline(always)]
-fn coupled<T: Real, M: Mechanism<T, N>, const N: usize>(
+fn without_feed_forward<T: Real, M: Mechanism<T, N>, const N: usize>(
     mechanism: &M,
     pose: &M::Pose,
     tip: &SMatrix<T, N, N>,

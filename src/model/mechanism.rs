@@ -1,13 +1,13 @@
-//! Mechanisms: joint angles in; tip, Jacobian, mass matrix and bias forces out.
+//! Mechanisms: from joint angles to tip, Jacobian, mass matrix and bias forces.
 //!
-//! A mechanism is one file below this one and one line in [`mechanisms!`](crate::mechanisms). It lumps the maker's
-//! description into its own minimal coefficients once (in f64, on the host), and computes everything that depends on
-//! the angles alone once per step, in its `Pose`.
+//! A mechanism is one file in this module's folder and one line in [`mechanisms!`](crate::mechanisms). It computes its
+//! own minimal coefficients from the maker's description once (in f64, on the host). Once per control step it computes
+//! all quantities that depend on the angles alone, in its `Pose`.
 //!
 //! Every mechanism has as many *task* coordinates as joints: the tip's `d` coordinates and, on the redundant arm, the
-//! orientation φ as the third. So its Jacobian J is always square, N x N, and a unit motion of the tip along `n` with
-//! no other motion is E = J⁻¹ n (docs/model.md section 2). Directions in which the tip is rendered have zeros beyond
-//! `d`.
+//! orientation φ as the third. Its Jacobian J is therefore always square, N x N, and a unit motion of the tip along `n`
+//! without other motion is E = J⁻¹ n (docs/model.md section 2). Directions in which the tip is rendered have zeros
+//! beyond `d`.
 
 mod five_bar;
 mod five_bar_turret;
@@ -21,30 +21,30 @@ use crate::model::description::{Description, DescriptionError};
 use crate::model::solve::quotient;
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 
-/// The distance of a pose from the nearest singularity, each a dimensionless sine in [0, 1] (0 = singular).
+/// Distance of a pose from the nearest singularities, each a dimensionless sine in [0, 1] (0 = singular).
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Regularity<T> {
-    /// Zero if J loses rank (an arm stretched): E and the feed-forward grow without bound, Jᵀ f stays finite.
+    /// Zero if J loses rank (a stretched arm): E and the feed-forward are unbounded, Jᵀ f stays finite.
     pub serial: T,
-    /// Zero if J⁻¹ loses rank (a closed loop stretched): Jᵀ f grows without bound. 1 on open chains.
+    /// Zero if J⁻¹ loses rank (a stretched closed loop): Jᵀ f is unbounded. 1 on open chains.
     pub parallel: T,
 }
 
-/// A unit motion of the tip, what the device does for it and what it weighs.
+/// A unit motion of the tip, with its joint motion, momentum and inertia.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Shaping<T: Real, const N: usize> {
     /// E = J⁻¹ n: joint velocities per unit rendered velocity, rad/m.
     pub e: SVector<T, N>,
     /// M E: joint momentum per unit rendered velocity, kg m.
     pub me: SVector<T, N>,
-    /// Wrr = Eᵀ M E: inertia along n with no admissible motion, kg.
+    /// Wrr = Eᵀ M E: inertia along n without admissible motion, kg.
     pub w_rr: T,
 }
 
-/// The terms of equation (4) for one wall, in N directions of which the first is its normal: the analysis' own kernel.
+/// The terms of equation (4) for one wall in N directions, the wall's normal first: computed by the analysis only.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WallTerms<T: Real, const N: usize> {
-    /// E = T⁻¹: joint velocities per unit velocity along each direction, a column each, rad/m.
+    /// E = T⁻¹: joint velocities per unit velocity along each direction, one column each, rad/m.
     pub e: SMatrix<T, N, N>,
     /// M E of the normal, kg m.
     pub me: SVector<T, N>,
@@ -58,7 +58,7 @@ pub struct WallTerms<T: Real, const N: usize> {
     pub w_eff: T,
 }
 
-/// The symmetric matrix with this upper triangle.
+/// Returns the symmetric matrix with this upper triangle.
 #[inline(always)]
 fn symmetric<T: Real, const N: usize>(upper: impl Fn(usize, usize) -> T) -> SMatrix<T, N, N> {
     let mut matrix = SMatrix::zeros();
@@ -72,22 +72,22 @@ fn symmetric<T: Real, const N: usize>(upper: impl Fn(usize, usize) -> T) -> SMat
     matrix
 }
 
-/// 1/(yᵀ M⁻¹ y): what is felt of the inertia M along y.
+/// Returns 1/(yᵀ M⁻¹ y): the effective inertia of M along y.
 #[inline(always)]
 fn effective<T: Real, const N: usize>(mass: &SMatrix<T, N, N>, y: &SVector<T, N>) -> T {
     let (above, below) = quotient(mass, y);
     below / above
 }
 
-/// The same of arms with the inertia `arms` on a turret with the inertia `turret` beside them, y the `lever` and `y`.
+/// Like [`effective`], for inertias of arms and of the turret that carries them; y consists of `lever` and `y`.
 #[inline(always)]
 fn effective_turned<T: Real>(turret: T, lever: T, arms: &Matrix2<T>, y: &Vector2<T>) -> T {
-    // Of a wall across the arms' plane y is zero, and what is felt is the turret alone.
+    // For a wall across the arms' plane y is zero, and the effective inertia is the turret's alone.
     let (above, below) = quotient(arms, y);
     turret * below / (lever * lever * below + turret * above)
 }
 
-/// Bᵀ Λ B for a symmetric Λ.
+/// Returns Bᵀ Λ B for a symmetric Λ.
 #[inline(always)]
 pub(crate) fn in_basis<T: Real, const N: usize>(
     inertia: &SMatrix<T, N, N>,
@@ -102,21 +102,21 @@ pub(crate) fn in_basis<T: Real, const N: usize>(
 pub struct Shaped<T: Real, const N: usize> {
     /// E = J⁻¹ n, rad/m.
     pub e: SVector<T, N>,
-    /// N m
+    /// Joint torques, N m.
     pub torque: SVector<T, N>,
 }
 
 impl<T: Real, const N: usize> Shaping<T, N> {
-    /// The inertia of the joint velocities `e` (rad/m) with a mass matrix (N x N, kg m²).
+    /// Makes the shaping of the joint velocities `e` (rad/m) with a mass matrix (N x N, kg m²).
     #[inline(always)]
     pub fn of(mass: &SMatrix<T, N, N>, e: SVector<T, N>) -> Self {
         let me = mass * e;
         Self { e, me, w_rr: e.dot(&me) }
     }
 
-    /// The joint torques (N m) that render the force `force` (N) along n by equation (4): τ = M E Wrr⁻¹ (f - Eᵀ met) +
-    /// b. `met` is the part of b (N m) that the wall meets: all of b by the paper, zero if the force is rendered
-    /// whatever moves.
+    /// Returns the joint torques (N m) that render the force `force` (N) along n by equation (4):
+    /// τ = M E Wrr⁻¹ (f - Eᵀ met) + b. `met` is the part of b (N m) that the wall meets: all of b by the paper, zero if
+    /// the force is rendered in every motion.
     #[inline(always)]
     pub fn torque(&self, force: T, b: &SVector<T, N>, met: &SVector<T, N>) -> SVector<T, N> {
         self.me * ((force - self.e.dot(met)) / self.w_rr) + b
@@ -125,59 +125,59 @@ impl<T: Real, const N: usize> Shaping<T, N> {
 
 /// The equations of motion of one mechanism with N joints, M q̈ + c(q, q̇) + g(q) = τ (friction is the joint's own).
 ///
-/// All methods accept any finite input; near a singularity results grow but stay finite where a clamp is documented.
+/// All methods accept any finite input. Near a singularity results grow; they stay finite where a clamp is documented.
 pub trait Mechanism<T: Real, const N: usize>: Copy + core::fmt::Debug {
-    /// The contents of its device files.
+    /// Contents of its device files.
     const SPEC: Spec;
-    /// The nonzero entries of the lower triangle of M (row, column), row by row; every other entry is always zero.
+    /// Nonzero entries of the lower triangle of M (row, column), row by row; all other entries are always zero.
     const MASS_ENTRIES: &'static [(usize, usize)];
-    /// The quantities that depend on the angles alone, computed once per step.
+    /// Quantities that depend on the angles alone, computed once per control step.
     type Pose: Copy + core::fmt::Debug;
 
-    /// Lumped coefficients from a description. Errors say what about it cannot be.
+    /// Computes the coefficients from a description. Errors name the invalid property of the description.
     fn new(description: &Description) -> Result<Self, DescriptionError>;
 
-    /// Everything that depends on the joint angles alone.
+    /// Computes all quantities that depend on the joint angles alone.
     fn pose_at<K: Math<T>>(&self, angles: &[Angle<T>; N]) -> Self::Pose;
-    /// The same of joint angles `q` in rad.
+    /// Like [`Mechanism::pose_at`], for joint angles `q` in rad.
     #[inline(always)]
     fn pose<K: Math<T>>(&self, q: &SVector<T, N>) -> Self::Pose {
-        self.pose_at::<K>(&core::array::from_fn(|i| Angle::of_radians(q[i])))
+        self.pose_at::<K>(&core::array::from_fn(|i| Angle::from_radians(q[i])))
     }
-    /// [`Mechanism::pose_at`] of a pose that is at least as regular as `least`, positive sines; nothing of any other, so that
-    /// no clamp is needed on the way.
+    /// Like [`Mechanism::pose_at`], but returns `None` if the pose is less regular than `least` (positive sines), so
+    /// that the computation needs no clamps.
     #[inline(always)]
     fn regular_pose<K: Math<T>>(&self, angles: &[Angle<T>; N], least: &Regularity<T>) -> Option<Self::Pose> {
         let pose = self.pose_at::<K>(angles);
-        let found = self.regularity(&pose);
-        (found.serial >= least.serial && found.parallel >= least.parallel).then_some(pose)
+        let regularity = self.regularity(&pose);
+        (regularity.serial >= least.serial && regularity.parallel >= least.parallel).then_some(pose)
     }
-    /// Task position: tip in metres (then φ in rad on the redundant arm).
+    /// Returns the task position: tip in metres (then φ in rad on the redundant arm).
     fn tip(&self, pose: &Self::Pose) -> SVector<T, N>;
-    /// Distance from singularities.
+    /// Returns the distance from singularities.
     fn regularity(&self, pose: &Self::Pose) -> Regularity<T>;
-    /// J (N x N): task velocity = J q̇.
+    /// Returns J (N x N): task velocity = J q̇.
     fn jacobian(&self, pose: &Self::Pose) -> SMatrix<T, N, N>;
-    /// J̇ (N x N) at joint velocities `qd` (rad/s).
+    /// Returns J̇ (N x N) at joint velocities `qd` (rad/s).
     fn jacobian_rate(&self, pose: &Self::Pose, qd: &SVector<T, N>) -> SMatrix<T, N, N>;
-    /// M(q) (N x N), kg m².
+    /// Returns M(q) (N x N), kg m².
     fn mass(&self, pose: &Self::Pose) -> SMatrix<T, N, N>;
-    /// c(q, q̇): Coriolis and centrifugal joint torques, N m.
+    /// Returns c(q, q̇): Coriolis and centrifugal joint torques, N m.
     fn coriolis(&self, pose: &Self::Pose, qd: &SVector<T, N>) -> SVector<T, N>;
-    /// g(q): the joint torques that hold the device against gravity, N m.
+    /// Returns g(q): the joint torques that hold the device against gravity, N m.
     fn gravity(&self, pose: &Self::Pose) -> SVector<T, N>;
 
-    /// Jᵀ f: joint torques of a task force.
+    /// Returns Jᵀ f: the joint torques of a task force.
     fn transpose(&self, pose: &Self::Pose, force: &SVector<T, N>) -> SVector<T, N> {
         self.jacobian(pose).tr_mul(force)
     }
-    /// J q̇: task velocity.
+    /// Returns J q̇: the task velocity.
     fn velocity(&self, pose: &Self::Pose, qd: &SVector<T, N>) -> SVector<T, N> {
         self.jacobian(pose) * qd
     }
-    /// J⁻¹ v: the joint velocities of a task velocity. Clamped, not infinite, at a serial singularity.
+    /// Returns J⁻¹ v: the joint velocities of a task velocity. Clamped, not infinite, at a serial singularity.
     fn inverse(&self, pose: &Self::Pose, velocity: &SVector<T, N>) -> SVector<T, N>;
-    /// J⁻¹ (N x N).
+    /// Returns J⁻¹ (N x N).
     fn jacobian_inverse(&self, pose: &Self::Pose) -> SMatrix<T, N, N> {
         let mut inverse = SMatrix::<T, N, N>::zeros();
         for column in 0..N {
@@ -187,27 +187,29 @@ pub trait Mechanism<T: Real, const N: usize>: Copy + core::fmt::Debug {
         }
         inverse
     }
-    /// The joint motion and the inertia of a unit task motion along `n`.
+    /// Returns the joint motion and the inertia of a unit task motion along `n`.
     fn shaping(&self, pose: &Self::Pose, n: &SVector<T, N>) -> Shaping<T, N> {
         Shaping::of(&self.mass(pose), self.inverse(pose, n))
     }
-    /// The torques that let the tip go straight on while the joints move: c - M J⁻¹ J̇ q̇, N m, the velocity part of
-    /// `b` in docs/model.md section 2. What a tip acceleration `a` takes besides is `shaping(pose, a).me`.
+    /// Returns the torques that move the tip straight at constant speed while the joints move: c - M J⁻¹ J̇ q̇, N m,
+    /// the velocity part of `b` in docs/model.md section 2. A tip acceleration `a` needs `shaping(pose, a).me` in
+    /// addition.
     fn velocity_torque(&self, pose: &Self::Pose, qd: &SVector<T, N>) -> SVector<T, N> {
-        let bent = self.inverse(pose, &(self.jacobian_rate(pose, qd) * qd));
-        self.coriolis(pose, qd) - self.mass(pose) * bent
+        let qdd_bias = self.inverse(pose, &(self.jacobian_rate(pose, qd) * qd));
+        self.coriolis(pose, qd) - self.mass(pose) * qdd_bias
     }
-    /// Equation (4) for one wall of unit normal `n`, whose force `force` (N) is rendered whatever moves: E = J⁻¹ n (rad/m) and
-    /// the joint torques τ = M E Wrr⁻¹ f + b, N m, b zero without joint velocities `qd` (rad/s). The tip then accelerates by
-    /// f/Wrr along n and not at all across it: one pass of inverse dynamics, where a mechanism has it in closed form.
+    /// Computes equation (4) for one wall of unit normal `n`, whose force `force` (N) is rendered in every motion:
+    /// E = J⁻¹ n (rad/m) and the joint torques τ = M E Wrr⁻¹ f + b, N m; b is zero without joint velocities `qd`
+    /// (rad/s). The tip then accelerates by f/Wrr along n and not across n: one pass of inverse dynamics, if the
+    /// mechanism has it in closed form.
     #[inline(always)]
     fn shaped(&self, pose: &Self::Pose, n: &SVector<T, N>, force: T, qd: Option<&SVector<T, N>>) -> Shaped<T, N> {
         let shaping = self.shaping(pose, n);
         let torque = shaping.me * (force / shaping.w_rr);
         Shaped { e: shaping.e, torque: qd.map_or(torque, |qd| torque + self.velocity_torque(pose, qd)) }
     }
-    /// [`Mechanism::shaped`] for a wall whose normal turns, so that the tip accelerates by `turning` (m/s²) besides: -κ of
-    /// [`frame_rate`](crate::model::inertia::frame_rate).
+    /// Like [`Mechanism::shaped`], for a wall whose normal turns: the tip also accelerates by `turning` (m/s²), which
+    /// is -κ of [`frame_rate`](crate::model::inertia::frame_rate).
     #[inline(always)]
     fn shaped_turning(
         &self,
@@ -221,8 +223,8 @@ pub trait Mechanism<T: Real, const N: usize>: Copy + core::fmt::Debug {
         let accelerated = self.shaping(pose, &(n * (force / w_rr) + turning)).me;
         Shaped { e, torque: self.velocity_torque(pose, qd) + accelerated }
     }
-    /// The terms of equation (4) for one wall at joint velocities `qd` (rad/s). The columns of `basis` are orthonormal:
-    /// the wall's normal, the directions across it, and on the redundant arm φ, which it holds.
+    /// Returns the terms of equation (4) for one wall at joint velocities `qd` (rad/s). The columns of `basis` are
+    /// orthonormal: the wall's normal, the directions across the wall and, on the redundant arm, the held φ.
     #[inline(always)]
     fn wall_terms(&self, pose: &Self::Pose, basis: &SMatrix<T, N, N>, qd: &SVector<T, N>) -> WallTerms<T, N> {
         let n = basis.column(0).into_owned();
@@ -236,12 +238,12 @@ pub trait Mechanism<T: Real, const N: usize>: Copy + core::fmt::Debug {
             w_eff: effective(&self.mass(pose), &row),
         }
     }
-    /// Λ = J⁻ᵀ M J⁻¹ (N x N): the inertia in task coordinates.
+    /// Returns Λ = J⁻ᵀ M J⁻¹ (N x N): the inertia in task coordinates.
     fn operational_inertia(&self, pose: &Self::Pose) -> SMatrix<T, N, N> {
         let inverse = self.jacobian_inverse(pose);
         inverse.tr_mul(&(self.mass(pose) * inverse))
     }
-    /// The two joint coordinates that the mass matrix depends on (all mechanisms here have at most two), rad.
+    /// Returns the two joint coordinates that the mass matrix depends on, rad (all mechanisms here have at most two).
     fn shape(&self, q: &SVector<T, N>) -> [T; 2];
 }
 
@@ -252,7 +254,7 @@ macro_rules! define {
         )*
 
         impl Kind {
-            /// The contents of this mechanism's device files.
+            /// Returns the contents of this mechanism's device files.
             pub const fn spec(self) -> Spec {
                 match self {
                     $(Kind::$Variant => <$Variant<f64> as Mechanism<f64, $n>>::SPEC,)*
@@ -260,7 +262,7 @@ macro_rules! define {
             }
         }
 
-        /// A mechanism chosen at run time, with its lumped coefficients.
+        /// A mechanism that is chosen at run time, with its coefficients.
         #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize, postcard_schema::Schema)]
         pub enum AnyMechanism<T: Real> {
             $(
@@ -270,21 +272,21 @@ macro_rules! define {
         }
 
         impl<T: Real> AnyMechanism<T> {
-            /// The lumped mechanism of a description.
+            /// Computes the mechanism of a description.
             pub fn new(description: &Description) -> Result<Self, DescriptionError> {
                 match description.kind {
                     $(Kind::$Variant => <$Variant<T> as Mechanism<T, $n>>::new(description).map(Self::$Variant),)*
                 }
             }
 
-            /// The same in another precision.
+            /// Converts to another precision.
             pub fn cast<U: Real>(&self) -> AnyMechanism<U> {
                 match self {
                     $(Self::$Variant(mechanism) => AnyMechanism::$Variant(mechanism.cast()),)*
                 }
             }
 
-            /// Which mechanism this is.
+            /// Returns the kind of this mechanism.
             pub fn kind(&self) -> Kind {
                 match self {
                     $(Self::$Variant(_) => Kind::$Variant,)*
@@ -315,11 +317,11 @@ macro_rules! define {
 
 crate::mechanisms!(define);
 
-/// Poses whose rods are closer to one line than this sine are treated as singular; the same for elbows. Beyond it the
-/// reciprocals are clamped so that every number stays finite.
+/// Poses are treated as singular if the sine of the angle between the rods, or at an elbow, is below this value. Beyond
+/// it the reciprocals are clamped, so that every number stays finite.
 const SINE_FLOOR: f64 = 1.0e-6;
 
-/// `1 / x`, with |x| kept at or above `floor` so that the result is always finite for finite `x`.
+/// Returns `1 / x` with |x| clamped to at least `floor`, so that the result is finite for any finite `x`.
 #[inline(always)]
 pub(crate) fn reciprocal<T: Real>(x: T, floor: T) -> T {
     if x.abs() >= floor {
@@ -329,8 +331,7 @@ pub(crate) fn reciprocal<T: Real>(x: T, floor: T) -> T {
     if x < T::zero() { -limit } else { limit }
 }
 
-/// [`Mechanism::pose_at`], compiled once for each mechanism: a call costs little beside it, and every copy makes
-/// the image larger.
+/// Calls [`Mechanism::pose_at`]; compiled once per mechanism, because every copy would enlarge the image.
 #[inline(never)]
 pub(crate) fn shared_pose<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
     mechanism: &M,

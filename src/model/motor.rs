@@ -1,28 +1,28 @@
-//! A motor as a device file gives it and as a board knows it: the same numbers, in either precision.
+//! The data of a motor, for device files and boards: the same numbers in either precision.
 
 use crate::math::{Real, cast};
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
-/// A brushed motor as seen at the joint.
+/// A brushed motor, referred to the joint.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, Schema)]
 pub struct Motor<T> {
-    /// N m/A at the joint.
+    /// Torque constant, N m/A at the joint.
     pub torque_constant: T,
-    /// ohm
+    /// Resistance, ohm.
     pub resistance: T,
-    /// H
+    /// Inductance, H.
     pub inductance: T,
-    /// V s/rad at the joint.
+    /// Back-EMF constant, V s/rad at the joint.
     pub back_emf: T,
-    /// A
+    /// Maximum current, A.
     pub max_current: T,
-    /// A person or a calibration vouches for these numbers; a real board refuses to arm otherwise.
+    /// True if a person or a calibration has verified these numbers; otherwise a real board refuses to arm.
     pub verified: bool,
 }
 
 impl<T: Real> Motor<T> {
-    /// The same in another precision.
+    /// Converts to another precision.
     pub fn cast<U: Real>(&self) -> Motor<U> {
         Motor {
             torque_constant: cast(self.torque_constant),

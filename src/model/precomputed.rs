@@ -1,14 +1,14 @@
-//! Mass matrices that are not computed in the step: frozen at a pose, or looked up in a table over the joint angles.
+//! Mass matrices that the control step does not compute: one matrix for all poses, or a table over the joint angles.
 //!
-//! M depends on two joint coordinates at most ([`Mechanism::shape`]), so a table is a grid over these two. It holds the
-//! distinct entries of M alone ([`Mechanism::MASS_ENTRIES`]), and has a fixed size: [`TABLE_VALUES`] numbers, under 3
-//! KB of the board's memory. Outside its grid the closed form is used, so a table is never wrong by more than its
-//! interpolation; so it is where what it holds is no mass matrix.
+//! M depends on at most two joint coordinates ([`Mechanism::shape`]), so a table is a grid over these two. It contains
+//! only the distinct entries of M ([`Mechanism::MASS_ENTRIES`]) and has a fixed size: [`TABLE_VALUES`] numbers, under 3
+//! KB of the board's memory. Outside the grid, and where the table does not hold a valid mass matrix, the closed form
+//! is used. The error of a table is therefore never larger than its interpolation error.
 //!
-//! The way in is [`MassModel::new`], from what a tool sent, and the way out [`MassModel::shaping`]: nothing else knows
-//! how a matrix is prepared.
+//! [`MassModel::new`] makes a mass model from the data of a tool, and [`MassModel::shaping`] uses it. No other code
+//! depends on the preparation of a matrix.
 //!
-//! The velocity terms z are the mechanism's own in every case: they are forces, not a mass matrix.
+//! The velocity terms z always come from the mechanism: they are forces, not a mass matrix.
 
 use crate::checksum::Crc32;
 use crate::math::{Math, Real};
@@ -19,25 +19,25 @@ use nalgebra::{SMatrix, SVector};
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
-/// Most numbers a table holds: 2 800 bytes. 15 x 15 points of a five-bar, 13 x 13 of a device on a turret, 10 x 10 of a
+/// Maximum number of values in a table: 2 800 bytes. 15 x 15 points of a five-bar, 13 x 13 with a turret, 10 x 10 of a
 /// redundant arm.
 pub const TABLE_VALUES: usize = 700;
 
-/// Most distinct entries of any mechanism's M.
-const MOST_ENTRIES: usize = 6;
+/// Maximum number of distinct entries in a mechanism's M.
+const MAX_ENTRIES: usize = 6;
 
 /// The interpolation between a table's values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub enum Interpolation {
     /// Linear in both coordinates: continuous, error of second order in the spacing.
     Bilinear,
-    /// Catmull-Rom in both coordinates: continuous with its slope, error of third order. Its outermost points only
-    /// carry slopes.
+    /// Catmull-Rom in both coordinates: continuous with continuous slope, error of third order. The outermost points
+    /// only provide slopes.
     Bicubic,
 }
 
 impl Interpolation {
-    /// Points on each side of the grid that lie outside of what can be looked up.
+    /// Returns the number of points on each side of the grid that lie outside the usable range.
     const fn margin(self) -> u8 {
         match self {
             Self::Bilinear => 0,
@@ -46,25 +46,25 @@ impl Interpolation {
     }
 }
 
-/// The grid of a table. Its values go point by point, the second coordinate running fastest, each point's entries in
-/// the order of [`Mechanism::MASS_ENTRIES`], kg m².
+/// The grid of a table. Its values are ordered point by point, with the second coordinate fastest; each point's entries
+/// are in the order of [`Mechanism::MASS_ENTRIES`], kg m².
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct Grid<T> {
-    /// The interpolation between values.
+    /// Interpolation between values.
     pub interpolation: Interpolation,
     /// Number of points along each coordinate.
     pub points: [u8; 2],
-    /// The first point, rad.
+    /// First point, rad.
     pub low: [T; 2],
     /// Distance between points, rad.
     pub spacing: [T; 2],
 }
 
 impl<T: Real> Grid<T> {
-    /// A grid that can be looked up from `low` to `high` (rad), with `points` points along each coordinate.
+    /// Makes a grid that is usable from `low` to `high` (rad), with `points` points along each coordinate.
     ///
-    /// `None` when it would hold more than [`TABLE_VALUES`] numbers for a mechanism with `entries` of them a point,
-    /// when there are too few points to interpolate, or when the range is empty.
+    /// `None` if the table would hold more than [`TABLE_VALUES`] numbers at `entries` numbers per point, if there are
+    /// too few points to interpolate, or if the range is empty.
     pub fn new(
         interpolation: Interpolation,
         points: [u8; 2],
@@ -84,30 +84,30 @@ impl<T: Real> Grid<T> {
             low: core::array::from_fn(|i| low[i] - spacing[i] * T::from_i32(i32::from(margin))),
             spacing,
         };
-        grid.usable(entries).then_some(grid)
+        grid.is_usable(entries).then_some(grid)
     }
 
-    /// Number of values for a mechanism with this many entries.
+    /// Returns the number of values for a mechanism with this many entries.
     pub fn values(&self, entries: usize) -> usize {
         usize::from(self.points[0]) * usize::from(self.points[1]) * entries
     }
 
-    /// The joint coordinates of a grid point, rad.
+    /// Returns the joint coordinates of a grid point, rad.
     pub fn at(&self, i: usize, j: usize) -> [T; 2] {
         let along = |k: usize, index: usize| self.low[k] + self.spacing[k] * T::from_i32(index as i32);
         [along(0, i), along(1, j)]
     }
 
-    fn usable(&self, entries: usize) -> bool {
-        let least = 2 + 2 * self.interpolation.margin();
-        self.points.iter().all(|count| *count >= least)
+    fn is_usable(&self, entries: usize) -> bool {
+        let min_points = 2 + 2 * self.interpolation.margin();
+        self.points.iter().all(|count| *count >= min_points)
             && self.values(entries) <= TABLE_VALUES
             && self.spacing.iter().all(|step| step.is_finite() && *step > T::zero())
             && self.low.iter().all(|low| low.is_finite())
     }
 }
 
-/// Computes the values of a table for `mechanism` and hands each on with its index.
+/// Computes the values of a table for `mechanism` and passes each value to `put` with its index.
 pub fn tabulate<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
     mechanism: &M,
     grid: &Grid<T>,
@@ -125,7 +125,7 @@ pub fn tabulate<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
     }
 }
 
-/// Joint angles with these shape coordinates; the joints that M does not depend on at zero.
+/// Returns joint angles with these shape coordinates; joints that M does not depend on are at zero.
 pub fn joints<T: Real, M: Mechanism<T, N>, const N: usize>(mechanism: &M, shape: &[T; 2]) -> SVector<T, N> {
     SVector::from_fn(|joint, _| {
         let mut unit = SVector::<T, N>::zeros();
@@ -135,19 +135,19 @@ pub fn joints<T: Real, M: Mechanism<T, N>, const N: usize>(mechanism: &M, shape:
     })
 }
 
-/// A table made ready for the step.
+/// A table in run-time form.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Table<T> {
     interpolation: Interpolation,
     low: [T; 2],
-    /// 1/rad
+    /// Inverse of the spacing, 1/rad.
     inverse_spacing: [T; 2],
-    /// First cell that can be looked up, and the last.
+    /// First and last usable cell.
     first: i32,
     last: [i32; 2],
-    /// Points of the second coordinate.
+    /// Number of points along the second coordinate.
     row: usize,
-    /// As [`Grid`] orders them, then zeros.
+    /// Values in the order of [`Grid`], followed by zeros.
     values: [T; TABLE_VALUES],
 }
 
@@ -169,7 +169,7 @@ impl<T: Real> Table<T> {
         }
     }
 
-    /// The cell and the position in it, each in [0, 1], of joint coordinates; `None` outside the grid.
+    /// Returns the cell of joint coordinates and the position in the cell, each in [0, 1]; `None` outside the grid.
     #[inline(always)]
     fn cell(&self, shape: &[T; 2]) -> Option<([usize; 2], [T; 2])> {
         let mut cell = [0; 2];
@@ -189,7 +189,7 @@ impl<T: Real> Table<T> {
         Some((cell, within))
     }
 
-    /// M at joint coordinates; `None` outside the grid.
+    /// Returns M at joint coordinates; `None` outside the grid.
     fn mass<M: Mechanism<T, N>, const N: usize>(&self, shape: &[T; 2]) -> Option<SMatrix<T, N, N>> {
         let entries = self.entries(shape, M::MASS_ENTRIES.len())?;
         let mut mass = SMatrix::<T, N, N>::zeros();
@@ -203,19 +203,19 @@ impl<T: Real> Table<T> {
         Some(mass)
     }
 
-    /// The first `count` entries at joint coordinates. Not inlined: all mechanisms share it.
+    /// Returns the first `count` entries at joint coordinates. Not inlined: all mechanisms share it.
     #[inline(never)]
-    fn entries(&self, shape: &[T; 2], count: usize) -> Option<[T; MOST_ENTRIES]> {
+    fn entries(&self, shape: &[T; 2], count: usize) -> Option<[T; MAX_ENTRIES]> {
         let (cell, within) = self.cell(shape)?;
         let one = T::one();
         let linear = [[one - within[0], within[0]], [one - within[1], within[1]]];
         let cubic = [catmull_rom(within[0]), catmull_rom(within[1])];
-        // One neighbour before the cell where the curve needs it.
+        // The cubic curve needs one neighbour before the cell.
         let (along, across, before): (&[T], &[T], usize) = match self.interpolation {
             Interpolation::Bilinear => (&linear[0], &linear[1], 0),
             Interpolation::Bicubic => (&cubic[0], &cubic[1], 1),
         };
-        let mut entries = [T::zero(); MOST_ENTRIES];
+        let mut entries = [T::zero(); MAX_ENTRIES];
         for (i, first) in along.iter().enumerate() {
             let start = ((cell[0] + i).wrapping_sub(before) * self.row + cell[1].wrapping_sub(before)) * count;
             let mut line = self.values.get(start..)?.chunks_exact(count.max(1));
@@ -230,7 +230,7 @@ impl<T: Real> Table<T> {
     }
 }
 
-/// Weights of four neighbours at `t` in [0, 1] between the middle two (Catmull and Rom 1974, tension 1/2).
+/// Returns the weights of four neighbours at `t` in [0, 1] between the middle two (Catmull and Rom 1974, tension 1/2).
 fn catmull_rom<T: Real>(t: T) -> [T; 4] {
     let half = T::from_f64(0.5);
     let s = T::one() - t;
@@ -239,30 +239,29 @@ fn catmull_rom<T: Real>(t: T) -> [T; 4] {
     [before, T::one() - smooth - after, smooth - before, after]
 }
 
-/// Source of the mass matrix in the step.
+/// Source of the mass matrix in the control step.
 #[derive(Clone, Debug, Default, PartialEq)]
-#[allow(clippy::large_enum_variant, reason = "the board has no heap, and a program keeps room for either")]
+#[allow(clippy::large_enum_variant, reason = "the board has no heap, and a program reserves memory for either")]
 pub enum MassModel<T: Real, const N: usize> {
-    /// The mechanism's closed form, at every step.
+    /// The mechanism's closed form, computed in every control step.
     #[default]
     Exact,
-    /// One matrix for the whole workspace, kg m².
+    /// One matrix for the complete workspace, kg m².
     Frozen(SMatrix<T, N, N>),
     /// A table over the joint angles.
     Table(Table<T>),
 }
 
 impl<T: Real, const N: usize> MassModel<T, N> {
-    /// The run-time form of a table for the mechanism `M`; `None` when the grid does not fit it, or has not as many
-    /// values.
+    /// Makes the run-time form of a table for the mechanism `M`; `None` if the grid or the number of values is wrong.
     pub fn table<M: Mechanism<T, N>>(grid: &Grid<T>, values: &[T]) -> Option<Self> {
         let entries = M::MASS_ENTRIES.len();
-        let fits = grid.usable(entries) && grid.values(entries) == values.len();
+        let fits = grid.is_usable(entries) && grid.values(entries) == values.len();
         fits.then(|| Self::Table(Table::new(grid, values)))
     }
 
-    /// The joint motion and the inertia of a unit tip motion along `n`. Shared by single walls and corners: a call
-    /// costs little beside it, and every copy makes the image larger.
+    /// Returns the joint motion and the inertia of a unit tip motion along `n`. Not inlined: the cost of the call is
+    /// small, and every copy would enlarge the image.
     #[inline(never)]
     pub fn shaping<M: Mechanism<T, N>>(
         &self,
@@ -283,8 +282,8 @@ impl<T: Real, const N: usize> MassModel<T, N> {
     }
 }
 
-/// A mass model as it is sent. Only what fits one setting is kept in flash: a table is sent again by the tool, and
-/// until then the board uses the closed form.
+/// A mass model in a request. Only data that fit one setting are stored in flash: the tool sends a table again after a
+/// restart, and until then the board uses the closed form.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, Schema)]
 pub enum MassModelData {
     /// The mechanism's closed form.
@@ -292,13 +291,12 @@ pub enum MassModelData {
     Exact,
     /// The lower triangle of one matrix, row by row, kg m².
     Frozen([f32; 6]),
-    /// A table whose values have been sent before, with their CRC-32.
+    /// A table whose values have been sent before, and the CRC-32 of the values.
     Table(Grid<f32>, u32),
 }
 
 impl<const N: usize> MassModel<f32, N> {
-    /// The run-time form, with the values that were sent for a table; `None` when the data do not fit the mechanism or
-    /// are not a mass matrix.
+    /// Makes the run-time form with the received values of a table; `None` if the data are not a valid mass matrix.
     pub fn new<M: Mechanism<f32, N>>(data: &MassModelData, values: &[f32]) -> Option<Self> {
         match data {
             MassModelData::Exact => Some(Self::Exact),
@@ -315,7 +313,7 @@ impl<const N: usize> MassModel<f32, N> {
     }
 }
 
-/// A piece of a table on its way to the board.
+/// A part of a table in a request.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct TableChunk {
     /// Index of the first value.
@@ -324,15 +322,15 @@ pub struct TableChunk {
     pub values: Vec<f32, 64>,
 }
 
-/// The values of a table on their way to the board, piece by piece.
+/// The received values of a table that is sent in parts.
 #[derive(Clone, Debug, Default)]
-pub struct Receiving {
+pub struct TableReceiver {
     values: Vec<f32, TABLE_VALUES>,
 }
 
-impl Receiving {
-    /// Takes a chunk that begins at value `offset`: 0 restarts the transfer, anything else must continue it. Returns
-    /// false if it does not, if the table would be too long, or if a value is not finite.
+impl TableReceiver {
+    /// Appends a chunk that begins at value `offset`: 0 restarts the transfer, any other offset must continue it.
+    /// Returns false if it does not, if the table would be too long, or if a value is not finite.
     pub fn take(&mut self, offset: usize, chunk: &[f32]) -> bool {
         if !self.fits(offset, chunk) {
             return false;
@@ -343,24 +341,24 @@ impl Receiving {
         self.values.extend_from_slice(chunk).is_ok()
     }
 
-    /// Returns true if a piece may come next: the first of a table, or the one after the last, of numbers.
+    /// Returns true if the chunk is finite, fits, and is the first of a table or continues the previous one.
     pub fn fits(&self, offset: usize, chunk: &[f32]) -> bool {
         let next = offset == 0 || offset == self.values.len();
         next && offset + chunk.len() <= TABLE_VALUES && chunk.iter().all(|value| value.is_finite())
     }
 
-    /// The values that came so far.
+    /// Returns the values received so far.
     pub fn values(&self) -> &[f32] {
         &self.values
     }
 
-    /// Returns true if what came is all of a table of this many values with this checksum.
+    /// Returns true if the received values are complete: this number of values with this checksum.
     pub fn is_complete(&self, values: usize, crc: u32) -> bool {
         self.values.len() == values && checksum(&self.values) == crc
     }
 }
 
-/// The checksum by which a table's values are known: CRC-32 of their little-endian bytes.
+/// Returns the checksum that identifies a table's values: CRC-32 of their little-endian bytes.
 pub fn checksum(values: &[f32]) -> u32 {
     let mut crc = Crc32::new();
     for value in values {

@@ -1,69 +1,68 @@
-//! Which directions are rendered where several walls act at once, and the joint torques of the feed-forward for them.
+//! Selects the rendered directions of several walls and computes the joint torques of their feed-forward.
 //!
-//! The rendered directions follow the walls' stiffness K = Σ kᵢ nᵢ nᵢᵀ: its eigenvectors e₁, e₂, … in falling order of
-//! its eigenvalues k₁ ≥ k₂ ≥ …. Level R is equation (4) with e₁ … e_R rendered and every other direction admissible.
-//! The force along e_j goes through the levels R = j, j + 1, …; each takes the share (1 - (k_{R+1}/k_R)²) p_R of what
-//! the levels before it left, and what is left after the last goes straight through Jᵀ. p_R is 1 where every wall has the
-//! feed-forward; where some are without it, it is less by their part of the stiffness along e₁ … e_R. Where two
-//! eigenvalues meet, and their eigenvectors mean nothing, the level between them has no share: so torques are
-//! continuous.
+//! The rendered directions follow the walls' stiffness K = Σ kᵢ nᵢ nᵢᵀ: they are its eigenvectors e₁, e₂, … in the
+//! order of falling eigenvalues k₁ ≥ k₂ ≥ …. Level R is equation (4) with e₁ … e_R rendered and every other direction
+//! admissible. The force along e_j goes through the levels R = j, j + 1, …. Each level takes the share
+//! (1 - (k_{R+1}/k_R)²) p_R of the force that the levels before it left; the rest after the last level goes straight
+//! through Jᵀ. p_R is 1 if every wall has the feed-forward; if some walls have not, it is reduced by their part of the
+//! stiffness along e₁ … e_R. If two eigenvalues are equal, their eigenvectors are arbitrary and the level between them
+//! has no share, so torques are continuous.
 //!
-//! No set of walls, whichever of them have the feed-forward, is less stable than without, where the device is undamped,
-//! the feed-forward acts in full and all walls are damped in the same ratio. Proof: split Λ⁻¹ = [a b; bᵀ d] and
-//! K = [K_a 0; 0 K_d] into the first R directions and the rest. With the share s of level R the map is
+//! No set of walls, with the feed-forward on any of them, is less stable than without feed-forward if the device is
+//! undamped, the feed-forward acts in full and all walls have the same damping ratio. Proof: split Λ⁻¹ = [a b; bᵀ d]
+//! and K = [K_a 0; 0 K_d] into the first R directions and the rest. With the share s of level R the map is
 //! B = [a - s b d⁻¹ bᵀ, b; (1 - s) bᵀ, d]. Scaling the second block by σ = √(1 - s) makes BK similar to B_s K with
 //! B_s = [a - s b d⁻¹ bᵀ, σ b; σ bᵀ, d], which is symmetric and positive definite, because its Schur complement
-//! a - b d⁻¹ bᵀ does not depend on s: all eigenvalues of the loop are real and positive, as of masses. If μ exceeds the
-//! largest eigenvalue of Λ⁻¹K, then with p = μ K_d⁻¹ - d: p > 0 and μ K_a⁻¹ - a - b p⁻¹ bᵀ > 0, hence also
-//! μ K_a⁻¹ - a + s b d⁻¹ bᵀ - (1 - s) b p⁻¹ bᵀ > 0, so μ exceeds every eigenvalue of BK: the largest falls as s grows.
-//! The next lower level has the same form on B_s in the place of Λ⁻¹, since the Schur complement onto its directions is
-//! the same and the scaling leaves its block alone. With equal damping ratios the loop falls apart into one mass 1/μ for
-//! each eigenvalue, and a mass is stable wherever a lighter one is (checked numerically; of 5208 rays with an unfiltered
-//! difference over 32 samples four are not). p_R only makes a share less.
+//! a - b d⁻¹ bᵀ does not depend on s: all eigenvalues of the loop are real and positive, like those of masses. If μ
+//! exceeds the largest eigenvalue of Λ⁻¹K, then with p = μ K_d⁻¹ - d: p > 0 and μ K_a⁻¹ - a - b p⁻¹ bᵀ > 0, hence also
+//! μ K_a⁻¹ - a + s b d⁻¹ bᵀ - (1 - s) b p⁻¹ bᵀ > 0, so μ exceeds every eigenvalue of BK: the largest eigenvalue falls
+//! as s grows. The next lower level has the same form on B_s in the place of Λ⁻¹, because the Schur complement onto its
+//! directions is the same and the scaling does not change its block. With equal damping ratios the loop separates into
+//! one mass 1/μ for each eigenvalue, and a mass is stable wherever a lighter mass is (checked numerically; four of 5208
+//! rays with an unfiltered difference over 32 samples are exceptions). p_R only reduces a share.
 //!
-//! One wall has no use for this: it is level 1 with its own normal.
+//! A single wall does not need this: it is level 1 with its own normal.
 
 use crate::math::{Math, Real};
 use crate::model::mechanism::Shaping;
 use crate::model::solve::solve_symmetric;
 use nalgebra::{SMatrix, SVector};
 
-/// Rounds of rotations at most. Two directions take one; three, which converge quadratically, are exact to rounding
-/// after four.
-const SWEEPS: usize = 6;
+/// Maximum number of rounds of rotations. Two directions need one; three directions converge quadratically and are
+/// exact to rounding after four.
+const MAX_SWEEPS: usize = 6;
 
-/// By how much the square of a normal's length may be off without a root taken: a scene's are unit to within this. A plane
-/// that the host pushes half way from one place to another has a shorter one.
-const UNIT: f64 = 1.0e-5;
+/// Largest error of a normal's squared length that is not corrected by a root: normals of a scene are unit vectors to
+/// within this. The normal of the host's plane is shorter while the plane moves from one place to another.
+const UNIT_TOLERANCE: f64 = 1.0e-5;
 
-/// One wall or spring as far as its stiffness decides what is rendered.
+/// The stiffness of one wall or spring, as used to select the rendered directions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pull<T: Real, const N: usize> {
-    /// A wall's normal, of unit length or the host's plane's, which may be shorter; a spring's line. Zeros beyond the task
-    /// dimension.
+    /// Normal of a wall (unit length), normal of the host's plane (may be shorter), or line of a spring. Zeros beyond
+    /// the task dimension.
     pub normal: SVector<T, N>,
-    /// True if it is stiff in all directions across `normal` instead of along it; every direction is across a normal of
-    /// length zero.
+    /// True if it is stiff in all directions across `normal` (every direction if it is zero) instead of along it.
     pub across: bool,
-    /// Its stiffness, N/m or in any other common unit; not negative.
+    /// Stiffness, N/m or in any other common unit; not negative.
     pub stiffness: T,
-    /// True if it has the feed-forward. Otherwise it takes its part of the stiffness out of every level's share.
+    /// True if it has the feed-forward. Otherwise its part of the stiffness is subtracted from every level's share.
     pub feed_forward: bool,
 }
 
 impl<T: Real, const N: usize> Pull<T, N> {
-    /// aᵀ S b of two orthonormal directions, S = n nᵀ, or the identity less that.
+    /// Returns aᵀ S b of two orthonormal directions; S is n nᵀ, or the identity less n nᵀ.
     #[inline(always)]
     fn between(&self, a: &SVector<T, N>, b: &SVector<T, N>) -> T {
         if self.across {
-            // Of the vectors themselves: the difference of two numbers would lose the softer direction to rounding.
-            self.beside(a).dot(&self.beside(b))
+            // Project the vectors: a difference of the two products would lose the softer direction to rounding.
+            self.across_part(a).dot(&self.across_part(b))
         } else {
             a.dot(&self.normal) * b.dot(&self.normal)
         }
     }
 
-    fn beside(&self, a: &SVector<T, N>) -> SVector<T, N> {
+    fn across_part(&self, a: &SVector<T, N>) -> SVector<T, N> {
         a - self.normal * self.normal.dot(a)
     }
 }
@@ -75,20 +74,20 @@ pub struct Principal<T: Real, const N: usize> {
     pub basis: SMatrix<T, N, N>,
     /// k₁ ≥ k₂ ≥ … over the stiffness of the stiffest wall; zero beyond the task.
     pub stiffness: SVector<T, N>,
-    /// The part of them that belongs to springs and to walls without the feed-forward.
+    /// The part of `stiffness` from springs and from walls without the feed-forward.
     pub plain: SVector<T, N>,
 }
 
 impl<T: Real, const N: usize> Principal<T, N> {
-    /// The principal directions of these walls in a task of `task` dimensions. Walls of no stiffness at all count
-    /// alike.
+    /// Computes the principal directions of walls in a task of `task` dimensions; walls without stiffness count
+    /// equally.
     ///
-    /// Jacobi rotations of K in a frame that begins with the stiffest wall's normal: there that wall is one entry alone, and
-    /// a soft wall beside it does not drown in its rounding. Two walls take one rotation.
+    /// Uses Jacobi rotations of K in a frame that begins with the stiffest wall's normal: in this frame the stiffest
+    /// wall is a single entry, so its rounding does not hide a soft wall. Two walls need one rotation.
     #[inline(never)]
     pub fn new<K: Math<T>>(pulls: &[Pull<T, N>], task: usize) -> Self {
-        let largest = pulls.iter().fold(T::zero(), |most, pull| pull.stiffness.greater(most));
-        // A smaller one counts as zero: its inverse would overflow.
+        let largest = pulls.iter().fold(T::zero(), |largest, pull| pull.stiffness.greater(largest));
+        // A smaller value counts as zero, because its inverse would overflow.
         let inverse = (largest > T::EPSILON * T::EPSILON).then(|| T::one() / largest);
         let weight = |pull: &Pull<T, N>| inverse.map_or(T::one(), |inverse| pull.stiffness * inverse);
         let task = task.min(N);
@@ -102,14 +101,14 @@ impl<T: Real, const N: usize> Principal<T, N> {
                 }
             }
         }
-        for _ in 0..SWEEPS {
-            let mut turned = false;
+        for _ in 0..MAX_SWEEPS {
+            let mut rotated = false;
             for a in 0..N {
                 for b in (a + 1..N).filter(|b| *b < task) {
-                    turned |= turn::<T, K, N>(&mut axes, &mut k, a, b, task);
+                    rotated |= rotate::<T, K, N>(&mut axes, &mut k, a, b, task);
                 }
             }
-            if !turned || task < 3 {
+            if !rotated || task < 3 {
                 break;
             }
         }
@@ -123,21 +122,21 @@ impl<T: Real, const N: usize> Principal<T, N> {
         Self { basis: SMatrix::from_columns(&axes), stiffness, plain }
     }
 
-    /// Column `i` of the basis; zero beyond it, so that asking cannot panic.
+    /// Returns column `i` of the basis; zero beyond it, so that the call cannot panic.
     #[inline(always)]
     pub fn direction(&self, i: usize) -> SVector<T, N> {
         SVector::from_fn(|row, _| self.basis.get((row, i)).copied().unwrap_or_default())
     }
 
-    /// k of direction `i`, from 0; zero beyond the last.
+    /// Returns k of direction `i`, counted from 0; zero beyond the last.
     #[inline(always)]
     pub fn along(&self, i: usize) -> T {
         self.stiffness.get(i).copied().unwrap_or_default()
     }
 
-    /// The share that the level with `rendered` directions takes of what the levels before it left:
-    /// (1 - (k_{R+1}/k_R)²) p_R, p_R = P k_R/(P k_R + Q k₁) with P of the stiffness along e₁ … e_R belonging to walls with
-    /// the feed-forward and Q to walls without.
+    /// Returns the share that the level with `rendered` directions takes of the force that the levels before it left:
+    /// (1 - (k_{R+1}/k_R)²) p_R, p_R = P k_R/(P k_R + Q k₁). P is the stiffness along e₁ … e_R of walls with the
+    /// feed-forward, Q the stiffness of walls without.
     #[inline(always)]
     pub fn share(&self, rendered: usize) -> T {
         let (stiffer, softer) = (self.along(rendered.wrapping_sub(1)), self.along(rendered));
@@ -152,12 +151,11 @@ impl<T: Real, const N: usize> Principal<T, N> {
         }
     }
 
-    /// The feed-forward for the task force `force` (N), the resultant of the walls; every level takes only the part
-    /// `part` of its share.
+    /// Computes the feed-forward for the walls' resultant `force` (N); every level takes only `part` of its share.
     ///
-    /// `shapings` are those of the columns of the basis; `bias` says b of a level and what of it the walls shall meet
-    /// (N m, see [`Shaping::torque`]).
-    /// Returns the joint torques of all levels (N m) and what of the force is left for Jᵀ (N).
+    /// `shapings` holds the shaping of each column of the basis. `bias` returns b of a level and the part of b that the
+    /// walls meet (N m, see [`Shaping::torque`]). Returns the joint torques of all levels (N m) and the force that is
+    /// left for Jᵀ (N).
     #[inline(always)]
     pub fn shaped(
         &self,
@@ -168,7 +166,7 @@ impl<T: Real, const N: usize> Principal<T, N> {
     ) -> (SVector<T, N>, SVector<T, N>) {
         let mut torque = SVector::zeros();
         let mut plain = *force;
-        // The part of the force along each direction that no level has taken yet; for b, the part of e₁.
+        // The part of the force along each direction that no level has taken yet; the entry of e₁ also applies to b.
         let mut left = SVector::<T, N>::repeat(T::one());
         for rendered in 1..N {
             let share = self.share(rendered) * part;
@@ -207,8 +205,9 @@ fn unit<T: Real, const N: usize>(i: usize) -> SVector<T, N> {
     SVector::from_fn(|row, _| if row == i { T::one() } else { T::zero() })
 }
 
-/// An orthonormal frame of the first `task` coordinates, the others as they are: first the normal of the wall of the largest
-/// weight, then what the wall has across it that has most there.
+/// Returns an orthonormal frame of the first `task` coordinates; the other coordinates are unchanged. The first axis is
+/// the normal of the wall with the largest weight, the second the largest weighted part of a wall's normal across the
+/// first.
 fn frame<T: Real, K: Math<T>, const N: usize>(
     pulls: &[Pull<T, N>],
     weight: impl Fn(&Pull<T, N>) -> T,
@@ -216,32 +215,32 @@ fn frame<T: Real, K: Math<T>, const N: usize>(
 ) -> [SVector<T, N>; N] {
     let mut axes: [SVector<T, N>; N] = core::array::from_fn(|i| unit(i));
     let walls = || pulls.iter().filter(|pull| !pull.across);
-    let mut most = T::zero();
+    let mut largest = T::zero();
     for pull in walls() {
-        // In the very middle of a ball it has none.
+        // A wall has no normal at the centre of a ball.
         let size = weight(pull) * pull.normal.dot(&pull.normal);
-        if size > most {
-            (most, axes[0]) = (size, pull.normal);
+        if size > largest {
+            (largest, axes[0]) = (size, pull.normal);
         }
     }
     let squared = axes[0].dot(&axes[0]);
-    if (squared - T::one()).abs() > T::from_f64(UNIT) {
+    if (squared - T::one()).abs() > T::from_f64(UNIT_TOLERANCE) {
         axes[0] /= K::sqrt(squared);
     }
     if task == 2 && N >= 2 {
         (axes[1][0], axes[1][1]) = (-axes[0][1], axes[0][0]);
     } else if task == 3 && N >= 3 {
-        let (mut most, mut second) = (T::zero(), None);
+        let (mut largest, mut second) = (T::zero(), None);
         for pull in walls() {
             let part = pull.normal - axes[0] * axes[0].dot(&pull.normal);
             let size = part.dot(&part);
-            // The remainder of the same normal twice is rounding, and shows no direction.
-            if size > T::EPSILON && weight(pull) * size > most {
-                (most, second) = (weight(pull) * size, Some(part / K::sqrt(size)));
+            // If two normals are equal, the remainder is rounding and has no direction.
+            if size > T::EPSILON && weight(pull) * size > largest {
+                (largest, second) = (weight(pull) * size, Some(part / K::sqrt(size)));
             }
         }
         axes[1] = match second {
-            // Once more: of a short part much is rounding, and the frame is to stand square.
+            // Orthogonalise again: a short part is mostly rounding, and the frame must be orthogonal.
             Some(part) => {
                 let part = part - axes[0] * axes[0].dot(&part);
                 part / K::sqrt(part.dot(&part))
@@ -253,15 +252,15 @@ fn frame<T: Real, K: Math<T>, const N: usize>(
     axes
 }
 
-/// A unit vector across the unit vector `n` in space: the normalised part across it of the axis that has least along it, the
-/// first on ties.
+/// Returns a unit vector across the unit vector `n` in space: the normalised part across `n` of the axis with the
+/// smallest component along `n`, the first axis on ties.
 fn across<T: Real, K: Math<T>, const N: usize>(n: &SVector<T, N>) -> SVector<T, N> {
-    let least = (1..N.min(3)).fold(0, |least, i| if n[i].abs() < n[least].abs() { i } else { least });
-    let part = unit::<T, N>(least) - n * n[least];
+    let smallest = (1..N.min(3)).fold(0, |smallest, i| if n[i].abs() < n[smallest].abs() { i } else { smallest });
+    let part = unit::<T, N>(smallest) - n * n[smallest];
     part / K::sqrt(part.dot(&part))
 }
 
-/// Cross product in the first three coordinates (zero where there are fewer).
+/// Returns the cross product in the first three coordinates (zero if there are fewer).
 fn cross<T: Real, const N: usize>(a: &SVector<T, N>, b: &SVector<T, N>) -> SVector<T, N> {
     let mut product = SVector::<T, N>::zeros();
     if N >= 3 {
@@ -272,9 +271,9 @@ fn cross<T: Real, const N: usize>(a: &SVector<T, N>, b: &SVector<T, N>) -> SVect
     product
 }
 
-/// Turns axes `a` < `b` so that the lower triangle `k` of K in these axes has nothing left between them and the larger entry
-/// first; false where it is that already, to rounding.
-fn turn<T: Real, K: Math<T>, const N: usize>(
+/// Rotates axes `a` < `b` so that the lower triangle `k` of K in these axes has no entry between them and the larger
+/// diagonal entry first. Returns false if this is the case already, to rounding.
+fn rotate<T: Real, K: Math<T>, const N: usize>(
     axes: &mut [SVector<T, N>; N],
     k: &mut SMatrix<T, N, N>,
     a: usize,
@@ -283,22 +282,22 @@ fn turn<T: Real, K: Math<T>, const N: usize>(
 ) -> bool {
     let (aa, bb, ab) = (k[(a, a)], k[(b, b)], k[(b, a)]);
     let difference = aa - bb;
-    // By less than an epsilon no axis would be another.
+    // A rotation by less than an epsilon does not change the axes.
     let small = ab.abs() <= T::EPSILON * difference || ab * ab <= T::EPSILON * T::EPSILON * aa * bb;
     if small && difference >= T::zero() {
         return false;
     }
     let half = T::from_f64(0.5);
-    let long = K::sqrt(difference * difference + (ab + ab) * (ab + ab));
-    if long <= T::zero() {
+    let hypotenuse = K::sqrt(difference * difference + (ab + ab) * (ab + ab));
+    if hypotenuse <= T::zero() {
         return false;
     }
-    // Half of the angle whose cosine is difference/long, from its larger part.
-    let larger = K::sqrt(half + half * difference.abs() / long);
-    let smaller = ab.abs() / (long * larger);
+    // Half of the angle whose cosine is difference/hypotenuse, from its larger part.
+    let larger = K::sqrt(half + half * difference.abs() / hypotenuse);
+    let smaller = ab.abs() / (hypotenuse * larger);
     let (cosine, sine) = if difference >= T::zero() { (larger, smaller) } else { (smaller, larger) };
     let sine = if ab < T::zero() { -sine } else { sine };
-    // The softer direction loses as much as the stiffer gains.
+    // The softer direction loses the stiffness that the stiffer direction gains.
     let gained = ab.abs() * smaller / larger;
     k[(a, a)] = aa.greater(bb) + gained;
     k[(b, b)] = (aa.lesser(bb) - gained).greater(T::zero());

@@ -1,7 +1,7 @@
-//! The device files that programs bring along, as text that `haptic-host` reads: devices/ lies in this package, and a
-//! published crate cannot reach out of its own.
+//! The shipped device files, as text that `haptic-host` parses: devices/ is in this package, because a published crate
+//! can only include files of its own package.
 
-/// A five-bar whose coupling is strong: the device of the demo and of a simulated board.
+/// A five-bar with strong coupling: the device of the demo and of a simulated board.
 pub const COUPLED_FIVE_BAR: &str = include_str!("../../devices/coupled-five-bar.toml");
 /// A paddle with one joint.
 pub const HAPKIT_PADDLE: &str = include_str!("../../devices/hapkit-paddle.toml");

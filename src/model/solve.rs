@@ -1,23 +1,22 @@
-//! Linear equations as small as a device has joints.
+//! Linear equations of the size of a device's joints.
 
 use crate::math::Real;
 use nalgebra::{SMatrix, SVector};
 
-/// Returns true if a symmetric A (N x N) is positive definite: every pivot of its LDLᵀ is, beyond what rounding makes
-/// of zero.
+/// Returns true if a symmetric A (N x N) is positive definite: its LDLᵀ pivots are positive beyond rounding.
 #[inline(never)]
 pub fn is_positive_definite<T: Real, const N: usize>(a: &SMatrix<T, N, N>) -> bool {
     let mut left = *a;
     (0..N).all(|j| {
         let pivot = left[(j, j)];
-        // Asked the way round that NaN fails.
+        // Written so that NaN fails the test.
         let positive = pivot > T::EPSILON * a[(j, j)].abs();
         if positive {
             for i in j + 1..N {
                 let part = left[(i, j)] / pivot;
                 for k in j + 1..N {
-                    let taken = part * left[(j, k)];
-                    left[(i, k)] -= taken;
+                    let change = part * left[(j, k)];
+                    left[(i, k)] -= change;
                 }
             }
         }
@@ -25,8 +24,8 @@ pub fn is_positive_definite<T: Real, const N: usize>(a: &SMatrix<T, N, N>) -> bo
     })
 }
 
-/// x with A x = y for a symmetric positive definite A (N x N), by LDLᵀ without a square root. A pivot that is not
-/// positive is replaced by the smallest positive number that divides, so the result is finite wherever the input is.
+/// Returns x with A x = y for a symmetric positive definite A (N x N), by LDLᵀ without a square root. A pivot that is
+/// not positive is replaced by the smallest usable positive number, so the result is finite for any finite input.
 pub fn solve_symmetric<T: Real, const N: usize>(a: &SMatrix<T, N, N>, y: &SVector<T, N>) -> SVector<T, N> {
     let mut l = SMatrix::<T, N, N>::identity();
     let mut d = SVector::<T, N>::zeros();
@@ -61,8 +60,8 @@ pub fn solve_symmetric<T: Real, const N: usize>(a: &SMatrix<T, N, N>, y: &SVecto
     x
 }
 
-/// yᵀ A⁻¹ y for a symmetric positive definite A (N x N), N > 0, as a numerator and a denominator that is positive: the
-/// forward half of [`solve_symmetric`], its last division left to the caller.
+/// Returns yᵀ A⁻¹ y for a symmetric positive definite A (N x N), N > 0, as a numerator and a positive denominator: the
+/// forward half of [`solve_symmetric`] without its last division.
 #[inline(always)]
 pub fn quotient<T: Real, const N: usize>(a: &SMatrix<T, N, N>, y: &SVector<T, N>) -> (T, T) {
     let (mut left, mut x) = (*a, *y);
@@ -78,18 +77,17 @@ pub fn quotient<T: Real, const N: usize>(a: &SMatrix<T, N, N>, y: &SVector<T, N>
         for i in j + 1..N {
             let part = left[(i, j)] * inverse;
             for k in j + 1..=i {
-                let taken = part * left[(k, j)];
-                left[(i, k)] -= taken;
+                let change = part * left[(k, j)];
+                left[(i, k)] -= change;
             }
-            let taken = part * x[j];
-            x[i] -= taken;
+            let change = part * x[j];
+            x[i] -= change;
         }
     }
     (above, below)
 }
 
-/// `pivot`, what is left of the diagonal entry `of`, or the smallest positive number that divides where rounding left
-/// less.
+/// Returns `pivot`, the remainder of the diagonal entry `of`, but at least the smallest usable positive number.
 #[inline(always)]
 fn positive<T: Real>(pivot: T, of: T) -> T {
     pivot.greater(T::EPSILON * T::EPSILON * T::EPSILON * of.abs().greater(T::EPSILON))

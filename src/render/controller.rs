@@ -1,13 +1,13 @@
-//! One control step: encoder counts in, joint torques out.
+//! One control step: from encoder counts to joint torques.
 //!
-//! [`Controller::step_generally`] is the whole of it, in the order the data flows:
-//! counts → angles → pose → contacts → wall forces → the feed-forward → torques
-//! (`general.rs`, or a straight step for one shape of scene). It owns no hardware, allocates
-//! nothing, and cannot panic: every index is bounded by a constant, every division is by something clamped. It is
-//! generic over the float and the trigonometry, so the board's f32 step and the analysis' f64 are the same code.
+//! [`Controller::step_generally`] runs a complete step in the order of the data flow: counts → angles → pose → contacts
+//! → wall forces → the feed-forward → torques (`general.rs`; a straight step does the same for one kind of scene). The
+//! controller owns no hardware, allocates nothing, and cannot panic: every index is bounded by a constant and every
+//! divisor is clamped. It is generic over the float and the trigonometry, so the board's f32 step and the analysis' f64
+//! step are the same code.
 //!
-//! "Model only what a scene needs": a scene without feed-forward computes no mass matrix, one without velocity terms no
-//! Coriolis forces, one without springs no tip velocity; the choices are made once, in [`Controller::new`].
+//! The controller computes only what the scene needs: without feed-forward no mass matrix, without velocity terms no
+//! Coriolis forces, without springs no tip velocity. [`Controller::new`] makes these choices once.
 
 use crate::math::{Math, Real};
 use crate::model::catalogue::MAX_JOINTS;
@@ -26,7 +26,9 @@ use nalgebra::SVector;
 use observers::Observers;
 use passivity::{Debt, Passivity};
 pub use push::{Push, PushedPlane};
-pub use regularity::{FULL_REGULARITY, KNOWN_TURN, NO_REGULARITY, PARALLEL_REGULARITY, UNKNOWN_TURN, known_share};
+pub use regularity::{
+    FULL_REGULARITY, KNOWN_TURN, NO_REGULARITY, PARALLEL_REGULARITY, UNKNOWN_TURN, velocity_term_share,
+};
 use straight::StepVariant;
 use walls::Walls;
 pub use walls::{TOUCH_DEPTH, TOUCH_SHARE};
@@ -44,7 +46,7 @@ mod stiffness;
 mod straight;
 mod walls;
 
-/// The result of one step, as vectors of the mechanism's N joints; its fields for the walls can be read directly.
+/// The result of one step, as vectors of the mechanism's N joints. The state at the walls can be read directly.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Step<T: Real, const N: usize> {
     /// See [`StepResult`].
@@ -65,13 +67,13 @@ pub struct Step<T: Real, const N: usize> {
     pub motion: SVector<T, N>,
     /// See [`StepResult`].
     pub parallel: T,
-    /// The state at the walls.
+    /// State at the walls.
     pub walls: AtWalls<T>,
 }
 
 impl<T: Real, const N: usize> Step<T, N> {
-    fn of(found: &StepResult<T>) -> Self {
-        let StepResult { at, asked, motion, parallel, .. } = found;
+    fn from_result(result: &StepResult<T>) -> Self {
+        let StepResult { at, asked, motion, parallel, .. } = result;
         let first = |values: &[T; MAX_JOINTS]| SVector::from_fn(|i, _| values[i]);
         Self {
             q: first(&at.q),
@@ -96,44 +98,44 @@ impl<T: Real, const N: usize> core::ops::Deref for Step<T, N> {
     }
 }
 
-/// The control step of one mechanism with N joints, its scene, and its memory between steps.
+/// The control step of one mechanism with N joints, its scene, and its state between steps.
 ///
-/// In this order in memory, so that what a usual step needs lies within the 1 KB that the FPU's loads reach.
+/// The order in memory keeps the fields of a usual step within the 1 KB that the FPU's loads reach.
 #[derive(Clone, Debug)]
 #[repr(C)]
 pub struct Controller<T: Real, M, K, const N: usize> {
     variant: StepVariant,
     velocity_terms: VelocityTerms,
     gravity: bool,
-    /// b of the shaped torque is not zero.
-    biased: bool,
-    /// It is c - M J⁻¹ J̇ q̇ and nothing else, and no wall meets any of it.
+    /// True if b of the shaped torque can be nonzero.
+    has_bias: bool,
+    /// True if b is c - M J⁻¹ J̇ q̇ only, and no wall meets any part of it.
     usual_terms: bool,
-    /// The same, and what the turning of normals adds to it.
+    /// True if b also contains the rotation of normals.
     turning_terms: bool,
-    /// The walls' energy is counted: to be paid back, or because it is shown.
-    counts_energy: bool,
-    /// The passivity controller is on.
-    pays_energy: bool,
+    /// True if the walls' energy is counted, for the passivity controller or for display.
+    is_counting_energy: bool,
+    /// True if the passivity controller is on.
+    is_passivity_on: bool,
     mechanism: M,
     coefficients: Coefficients<T>,
     encoders: Encoders<T, N>,
     walls: Walls<T>,
     observers: Observers<T, N>,
     viscous: SVector<T, N>,
-    /// α of the feed-forward where the inertia's pole could be reached: above 1.
+    /// α of the feed-forward if it is above 1, so that the inertia's pole could be reached.
     gain: Option<T>,
     admissible: Admissible,
     posture: Option<Posture<T>>,
     guidance: Guidance<T>,
     mass: MassModel<T, N>,
-    /// Behind what those loads reach: it needs one address of its own, and would push others out.
+    /// Placed beyond the reach of these loads, because it needs an address of its own and would displace other fields.
     passivity: Passivity<T, N>,
     math: PhantomData<K>,
 }
 
-/// The part of a scene that is the same for every mechanism.
-struct Prepared<T: Real> {
+/// The part of a scene that does not depend on the mechanism.
+struct PreparedScene<T: Real> {
     coefficients: Coefficients<T>,
     walls: Walls<T>,
     guidance: Guidance<T>,
@@ -141,30 +143,34 @@ struct Prepared<T: Real> {
 
 /// Checks a scene and designs its filters. Not inlined: the mechanisms share it.
 #[inline(never)]
-fn prepare<T: Real, K: Math<T>>(device: &Device<T>, scene: &Scene<T>, task: usize) -> Result<Prepared<T>, SceneError> {
+fn prepare<T: Real, K: Math<T>>(
+    device: &Device<T>,
+    scene: &Scene<T>,
+    task: usize,
+) -> Result<PreparedScene<T>, SceneError> {
     scene.check(task)?;
     let coefficients = Coefficients::of_device::<K>((scene.estimator, scene.rate_hz, scene.cutoff_hz), device)
         .map_err(|_| SceneError::Cutoff)?;
     let (walls, mut guidance) = (Walls::new(scene)?, Guidance::new(scene));
-    guidance.agree(walls.others());
-    Ok(Prepared { coefficients, walls, guidance })
+    guidance.set_shared_feed_forward(walls.shared_feed_forward());
+    Ok(PreparedScene { coefficients, walls, guidance })
 }
 
 impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K, N> {
-    /// The run-time form of `scene` on this mechanism. Designs the filters, so not for use inside the step.
+    /// Makes the run-time form of `scene` on this mechanism. Designs filters, so do not call it in the control step.
     ///
-    /// Errors: whatever [`Scene::check`] finds.
+    /// Returns the errors of [`Scene::check`].
     #[inline(never)]
     pub fn new(mechanism: M, device: &Device<T>, scene: &Scene<T>) -> Result<Self, SceneError> {
-        let Prepared { coefficients, walls, guidance } = prepare::<T, K>(device, scene, M::SPEC.task)?;
+        let PreparedScene { coefficients, walls, guidance } = prepare::<T, K>(device, scene, M::SPEC.task)?;
         if scene.posture.is_some() && M::SPEC.task == N {
             return Err(SceneError::Posture);
         }
-        let biased = scene.velocity_terms != VelocityTerms::Off || walls.damped;
-        // The part that is rendered whatever moves; along a line no normal turns.
+        let has_bias = scene.velocity_terms != VelocityTerms::Off || walls.damped;
+        // True if b is rendered in every motion. On a line no normal turns.
         let rendered = scene.velocity_terms == VelocityTerms::Rendered && !walls.damped;
         let turns = walls.curved && M::SPEC.task > 1;
-        let moving = biased || guidance.any || scene.posture.is_some();
+        let moving = has_bias || guidance.is_active || scene.posture.is_some();
         Ok(Self {
             mechanism,
             mass: MassModel::Exact,
@@ -180,124 +186,123 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             gain: (scene.feed_forward_gain > T::one()).then_some(scene.feed_forward_gain),
             admissible: scene.admissible,
             posture: scene.posture,
-            biased,
+            has_bias,
             usual_terms: rendered && !turns,
             turning_terms: rendered && turns,
-            counts_energy: false,
-            pays_energy: false,
-            variant: StepVariant::Anew,
+            is_counting_energy: false,
+            is_passivity_on: false,
+            variant: StepVariant::Restart,
             math: PhantomData,
         })
     }
 
-    /// Takes the mass matrix from `mass` from now on instead of the mechanism's closed form.
+    /// Sets the source of the mass matrix from now on.
     pub fn set_mass(&mut self, mass: MassModel<T, N>) {
         self.mass = mass;
-        self.choose();
+        self.select_variant();
     }
 
-    /// One control step for these encoder counts. Call at the control rate.
+    /// Runs one control step for these encoder counts. Call at the control rate.
     pub fn step(&mut self, counts: &[i32; N]) -> Step<T, N> {
-        self.step_after(&[T::zero(); MAX_JOINTS], counts)
+        self.step_with_torque(&[T::zero(); MAX_JOINTS], counts)
     }
 
-    /// [`Controller::step`] where the motors gave these torques since the last one (N m), which an estimator that predicts
-    /// wants to know.
-    pub fn step_after(&mut self, acted: &[T; MAX_JOINTS], counts: &[i32; N]) -> Step<T, N> {
-        let mut found = StepResult::default();
-        self.render(counts, acted, &mut found);
-        self.angles(counts, &mut found);
-        Step::of(&found)
+    /// Like [`Controller::step`], with the motor torques since the last step (N m) for an estimator that predicts.
+    pub fn step_with_torque(&mut self, acted: &[T; MAX_JOINTS], counts: &[i32; N]) -> Step<T, N> {
+        let mut result = StepResult::default();
+        self.render(counts, acted, &mut result);
+        self.angles(counts, &mut result);
+        Step::from_result(&result)
     }
 
-    /// As [`Controller::step`] for any scene, the slow way: what every straight step is held to.
+    /// Like [`Controller::step`], but always runs the general step, the reference of every straight step.
     pub fn step_generally(&mut self, counts: &[i32; N]) -> Step<T, N> {
-        let mut found = StepResult::default();
-        if self.variant == StepVariant::Anew {
-            self.restart(counts, &mut found);
+        let mut result = StepResult::default();
+        if self.variant == StepVariant::Restart {
+            self.restart(counts, &mut result);
         }
-        if self.counts_energy {
+        if self.is_counting_energy {
             self.observe_energy(counts);
         }
-        self.render_generally(counts, &mut found);
-        self.angles(counts, &mut found);
-        Step::of(&found)
+        self.render_generally(counts, &mut result);
+        self.angles(counts, &mut result);
+        Step::from_result(&result)
     }
 
-    /// [`Controller::step`] where what it finds is kept: writes the first N entries of every vector of `found` but the joint
-    /// angles, which are worked out only where somebody looks ([`Controller::angles`]). `acted`: what the motors gave since
-    /// the last step (N m), which is what was asked less what limits took.
+    /// Like [`Controller::step_with_torque`], but writes the first N entries of every vector of `result`, except the joint
+    /// angles, which are computed only on demand ([`Controller::angles`]). `acted` is the motor torque since the last
+    /// step (N m): the requested torque after all limits.
     #[inline(always)]
-    pub fn render(&mut self, counts: &[i32; N], acted: &[T; MAX_JOINTS], found: &mut StepResult<T>) {
-        if self.counts_energy {
+    pub fn render(&mut self, counts: &[i32; N], acted: &[T; MAX_JOINTS], result: &mut StepResult<T>) {
+        if self.is_counting_energy {
             self.observe_energy(counts);
         }
         match self.variant {
-            StepVariant::Wall => self.render_wall(counts, found),
-            StepVariant::Round if N == 2 => self.render_round(counts, found),
-            StepVariant::Several if N == 2 => self.render_several(counts, found),
-            _ => self.render_otherwise(counts, acted, found),
+            StepVariant::Wall => self.render_wall(counts, result),
+            StepVariant::Round if N == 2 => self.render_round(counts, result),
+            StepVariant::Several if N == 2 => self.render_several(counts, result),
+            _ => self.render_uncommon(counts, acted, result),
         }
     }
 
-    /// [`Controller::render`] where no straight step is ready.
+    /// Implements [`Controller::render`] if no straight step is ready.
     #[inline(never)]
-    fn render_otherwise(&mut self, counts: &[i32; N], acted: &[T; MAX_JOINTS], found: &mut StepResult<T>) {
-        // Only an estimator that predicts wants to know.
-        if self.coefficients.at_joints() {
-            self.observers.acting = SVector::from_fn(|i, _| acted[i.min(MAX_JOINTS - 1)]);
+    fn render_uncommon(&mut self, counts: &[i32; N], acted: &[T; MAX_JOINTS], result: &mut StepResult<T>) {
+        // Only an estimator that predicts uses the torques.
+        if self.coefficients.uses_joints() {
+            self.observers.motor_torque = SVector::from_fn(|i, _| acted[i.min(MAX_JOINTS - 1)]);
         }
-        if self.variant == StepVariant::Anew {
-            self.restart(counts, found);
+        if self.variant == StepVariant::Restart {
+            self.restart(counts, result);
         }
         match self.variant {
-            StepVariant::Wall => self.render_wall(counts, found),
-            StepVariant::Round if N == 2 => self.render_round(counts, found),
-            StepVariant::Several if N == 2 => self.render_several(counts, found),
-            _ => self.render_generally(counts, found),
+            StepVariant::Wall => self.render_wall(counts, result),
+            StepVariant::Round if N == 2 => self.render_round(counts, result),
+            StepVariant::Several if N == 2 => self.render_several(counts, result),
+            _ => self.render_generally(counts, result),
         }
     }
 
-    /// Counts the energy of the period that ends with these counts, unless the estimators begin with them.
+    /// Counts the energy of the period that ends with these counts, unless the estimators start with them.
     #[inline(never)]
     fn observe_energy(&mut self, counts: &[i32; N]) {
-        if self.variant != StepVariant::Anew {
-            self.passivity.observe(&self.encoders.turned(counts));
+        if self.variant != StepVariant::Restart {
+            self.passivity.observe(&self.encoders.raw_velocities(counts));
         }
     }
 
-    /// The walls ask for these joint torques (N m) until the next step.
+    /// Sets the walls' joint torques (N m) until the next step.
     #[inline(always)]
-    fn hold(&mut self, torque: &SVector<T, N>, found: &mut StepResult<T>) {
-        if self.counts_energy {
-            found.at.walls.energy = self.passivity.energy();
+    fn hold(&mut self, torque: &SVector<T, N>, result: &mut StepResult<T>) {
+        if self.is_counting_energy {
+            result.at.walls.energy = self.passivity.energy();
             self.passivity.hold(torque);
         }
     }
 
-    /// No wall is touched.
+    /// Reports that no wall is touched.
     #[inline(always)]
     fn leave(&mut self) {
-        if self.counts_energy {
+        if self.is_counting_energy {
             self.passivity.leave();
         }
     }
 
-    /// The walls' energy debt, if the passivity controller is on.
+    /// Returns the walls' energy debt, if the passivity controller is on.
     #[inline(always)]
     fn debt(&self) -> Option<Debt<T>> {
-        if self.pays_energy { self.passivity.debt(self.coefficients.rate()) } else { None }
+        if self.is_passivity_on { self.passivity.debt(self.coefficients.rate()) } else { None }
     }
 
     /// Writes the joint angles (rad) of these counts.
     #[inline(always)]
-    pub fn angles(&self, counts: &[i32; N], found: &mut StepResult<T>) {
-        put(&self.encoders.angles(counts).0, &mut found.at.q);
+    pub fn angles(&self, counts: &[i32; N], result: &mut StepResult<T>) {
+        put(&self.encoders.angles(counts).0, &mut result.at.q);
     }
 
-    /// Lets the estimators begin where these counts are.
-    fn restart(&mut self, counts: &[i32; N], found: &mut StepResult<T>) {
-        clear::<T, N>(&mut found.asked.gravity);
+    /// Starts the estimators at these counts.
+    fn restart(&mut self, counts: &[i32; N], result: &mut StepResult<T>) {
+        clear::<T, N>(&mut result.asked.gravity);
         self.encoders.begin(counts);
         let (_, angles) = self.encoders.angles(counts);
         let pose = shared_pose::<T, K, M, N>(&self.mechanism, &angles);
@@ -305,50 +310,49 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         self.variant = StepVariant::of(self);
     }
 
-    /// Keeps joint velocities (rad/s) and the tip.
+    /// Writes joint velocities (rad/s) and the tip position.
     #[inline(always)]
-    fn keep(qd: &SVector<T, N>, tip: &SVector<T, N>, found: &mut StepResult<T>) {
-        put(qd, &mut found.at.qd);
-        put(tip, &mut found.at.tip);
+    fn write_motion(qd: &SVector<T, N>, tip: &SVector<T, N>, result: &mut StepResult<T>) {
+        put(qd, &mut result.at.qd);
+        put(tip, &mut result.at.tip);
     }
 
-    /// Declares the joints to be at `q` (rad) for these counts, and restarts the estimators.
+    /// Declares that the joints are at `q` (rad) for these counts, and restarts the estimators.
     pub fn home(&mut self, counts: &[i32; N], q: &[T; N]) {
         self.encoders.home(counts, q);
         self.forget();
     }
 
-    /// Counts that homing has subtracted.
+    /// Returns the counts that homing has subtracted.
     pub fn zero(&self) -> [i32; N] {
         self.encoders.zero()
     }
 
-    /// Takes over homing from the controller this one replaces.
+    /// Takes over homing from the controller that this controller replaces.
     pub fn set_zero(&mut self, zero: [i32; N]) {
         self.encoders.set_zero(zero);
     }
 
-    /// Restarts all estimators, so that earlier counts are not taken for a motion.
+    /// Restarts all estimators, so that earlier counts do not appear as a motion.
     pub fn forget(&mut self) {
-        self.variant = StepVariant::Anew;
+        self.variant = StepVariant::Restart;
         self.observers.forget();
         self.walls.forget();
         self.guidance.forget();
     }
 
-    /// Turns the passivity controller on or off; without it the walls' energy is counted only where it is `shown`. What was
-    /// counted is forgotten.
+    /// Turns the passivity controller on or off. Without it the walls' energy is counted only if it is `shown`. A
+    /// change of the mode clears the count.
     pub fn set_passivity(&mut self, on: bool, shown: bool) {
         let counts = on || shown;
-        if (self.counts_energy, self.pays_energy) != (counts, on) {
+        if (self.is_counting_energy, self.is_passivity_on) != (counts, on) {
             self.passivity.forget();
         }
-        (self.counts_energy, self.pays_energy) = (counts, on);
+        (self.is_counting_energy, self.is_passivity_on) = (counts, on);
     }
 
-    /// Returns true if a one-sided wall of this scene is touched at these counts: arming and scene changes are refused
-    /// then.
-    pub fn inside_a_wall(&self, counts: &[i32; N]) -> bool {
+    /// Returns true if a one-sided wall of this scene is touched: arming and scene changes are then refused.
+    pub fn is_inside_wall(&self, counts: &[i32; N]) -> bool {
         let (_, angles) = self.encoders.angles(counts);
         let pose = shared_pose::<T, K, M, N>(&self.mechanism, &angles);
         self.walls.any_touched::<K, N>(&task_part::<T, M, N>(&self.mechanism.tip(&pose)))
@@ -357,11 +361,11 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
     /// Sets the host's force and plane from the next step on.
     pub fn set_push(&mut self, push: Option<&Push<T>>) {
         self.guidance.set_push(push);
-        self.choose();
+        self.select_variant();
     }
 
-    /// Tip velocity (m/s) at these counts and joint velocities (rad/s), and the force (N) that the host's push makes
-    /// there. Computes a pose, so not for the step.
+    /// Returns the tip velocity (m/s) at these counts and joint velocities (rad/s), and the force (N) of the host's
+    /// push at that point. Computes a pose, so do not call it inside the control step.
     pub fn pushed(&self, counts: &[i32; N], qd: &SVector<T, N>) -> (SVector<T, N>, SVector<T, N>) {
         let (_, angles) = self.encoders.angles(counts);
         let pose = shared_pose::<T, K, M, N>(&self.mechanism, &angles);
@@ -371,33 +375,33 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         (velocity, force)
     }
 
-    /// Applies checked gains between two steps; estimators and the washout's state go on.
+    /// Applies checked gains between two steps; the states of estimators and washout continue.
     pub fn set_gains(&mut self, gains: &Gains<T>, washout: &Washout<T>) {
         self.walls.set_gains(gains, washout);
-        self.guidance.agree(self.walls.others());
-        self.choose();
+        self.guidance.set_shared_feed_forward(self.walls.shared_feed_forward());
+        self.select_variant();
     }
 
-    /// Applies checked coefficients of the velocity estimators between two steps; their states go on. Another estimator
-    /// that watches joints starts from the velocities by the low-pass.
+    /// Applies checked coefficients of the velocity estimators between two steps; their states continue. A new
+    /// estimator of the joints starts from the velocities of the low-pass.
     pub fn set_coefficients(&mut self, coefficients: &Coefficients<T>) {
         if coefficients.kind() != self.coefficients.kind() {
             self.observers.forget();
         }
         self.coefficients = *coefficients;
         self.encoders.retune(coefficients);
-        self.choose();
+        self.select_variant();
     }
 
-    /// Takes the step that fits, unless the estimators must restart at the next one.
-    fn choose(&mut self) {
-        if self.variant != StepVariant::Anew {
+    /// Selects the step variant, unless the estimators must restart at the next step.
+    fn select_variant(&mut self) {
+        if self.variant != StepVariant::Restart {
             self.variant = StepVariant::of(self);
         }
     }
 }
 
-/// The tip's own coordinates; those beyond the task dimension (φ) zero.
+/// Returns the tip's own coordinates, with zeros beyond the task dimension (φ).
 #[inline(always)]
 fn task_part<T: Real, M: Mechanism<T, N>, const N: usize>(v: &SVector<T, N>) -> SVector<T, N> {
     let mut part = *v;

@@ -1,7 +1,7 @@
-//! The scene that the device renders: walls, springs and damping fields, as the scene file says them and checked once.
+//! The scene that the device renders: walls, springs and damping fields, as in the scene file, and checked once.
 //!
 //! A [`Scene`] is plain data, the same on host and board; the controller builds its run-time form from it. A wall's
-//! shape is one file below this one and one line in the list of [`surface`].
+//! shape is one file in this module's folder and one line in the list of [`surface`].
 
 mod cylinder;
 mod plane;
@@ -21,9 +21,9 @@ use serde::{Deserialize, Serialize};
 pub use sphere::Sphere;
 pub use surface::Surface;
 
-/// Most walls in a scene.
+/// Maximum number of walls in a scene.
 pub const MAX_WALLS: usize = 8;
-/// Most springs in a scene.
+/// Maximum number of springs in a scene.
 pub const MAX_SPRINGS: usize = 4;
 
 /// The position of a point relative to a surface.
@@ -35,15 +35,15 @@ pub struct Contact<T: Real, const N: usize> {
     pub normal: SVector<T, N>,
 }
 
-/// The share of the paper's feed-forward that a wall gets.
+/// The feed-forward of a wall.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[serde(rename_all = "kebab-case")]
 pub enum FeedForward {
-    /// None: the wall meets Weff.
+    /// No feed-forward: the wall meets Weff.
     Off,
-    /// Equation (4) as it stands: the wall meets Wrr, and a resting hand is pushed sideways.
+    /// Equation (4) unchanged: the wall meets Wrr, and a resting hand is pushed sideways.
     Full,
-    /// Equation (4) with the wall force high-passed: shaped where it would go unstable, at rest it is not there.
+    /// Equation (4) with the wall force high-passed: acts at the frequencies of instability and not at rest.
     #[default]
     Washout,
 }
@@ -52,22 +52,21 @@ impl FeedForward {
     /// Every kind with its name in scene files and on the command line.
     pub const ALL: [(&'static str, Self); 3] = [("off", Self::Off), ("full", Self::Full), ("washout", Self::Washout)];
 
-    /// Its name.
+    /// Returns its name.
     pub fn name(self) -> &'static str {
         Self::ALL[self as usize].0
     }
 }
 
-/// The controller's treatment of the forces that a moving linkage needs to go straight on, b of docs/model.md section
-/// 2.
+/// The treatment of the forces that keep a moving tip on a straight line, b of docs/model.md section 2.
 ///
-/// The first two are what `false` and `true` were when this was a flag: settings and backups of that time still read.
+/// The first two variants were `false` and `true` when this was a flag: old settings and backups remain readable.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Schema)]
 #[serde(rename_all = "kebab-case")]
 pub enum VelocityTerms {
-    /// Nothing: τ = M E Wrr⁻¹ fr.
+    /// No velocity terms: τ = M E Wrr⁻¹ fr.
     Off,
-    /// The paper's (4): in the admissible motion alone, so that the wall meets Wrr u̇r = fr - zr.
+    /// The paper's (4): in the admissible motion only, so that the wall meets Wrr u̇r = fr - zr.
     Paper,
     /// In every motion, τ = M E Wrr⁻¹ fr + b: the wall meets Wrr u̇r = fr, the force that is rendered.
     #[default]
@@ -79,7 +78,7 @@ impl VelocityTerms {
     pub const ALL: [(&'static str, Self); 3] =
         [("off", Self::Off), ("paper", Self::Paper), ("rendered", Self::Rendered)];
 
-    /// Its name.
+    /// Returns its name.
     pub fn name(self) -> &'static str {
         Self::ALL[self as usize].0
     }
@@ -94,7 +93,7 @@ impl<'de> Deserialize<'de> for VelocityTerms {
             Paper,
             Rendered,
         }
-        /// The value in a text file: one of the words, or the flag that it was once.
+        /// The value in a text file: one of the words, or the former flag.
         struct FlagOrWord;
         impl<'de> serde::de::Visitor<'de> for FlagOrWord {
             type Value = Word;
@@ -121,58 +120,59 @@ impl<'de> Deserialize<'de> for VelocityTerms {
     }
 }
 
-/// Largest `feed_forward_gain` that a scene may ask for; near the inertia's pole the board takes less.
+/// Largest `feed_forward_gain` of a scene; near the inertia's pole the board uses less.
 pub const MAX_FEED_FORWARD_GAIN: f64 = 3.0;
 
 /// One wall: fr = -stiffness x - damping v while x < 0.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct Wall<T> {
-    /// Its shape.
+    /// Shape.
     pub surface: Surface<T>,
-    /// N/m
+    /// Stiffness, N/m.
     pub stiffness: T,
-    /// N s/m
+    /// Damping, N s/m.
     pub damping: T,
-    /// True if its force is shaped.
+    /// Feed-forward of its force.
     pub feed_forward: FeedForward,
-    /// Corner of the high-pass when it is [`FeedForward::Washout`], Hz.
+    /// Corner frequency of the high-pass if it is [`FeedForward::Washout`], Hz.
     pub washout_hz: T,
-    /// Adds B q̇ to b, so that uneven joint damping does not creep.
+    /// True to add B q̇ to b, so that uneven joint damping does not cause creep.
     pub damping_compensation: bool,
-    /// Acts on both sides of the surface, and may pull.
+    /// True if it acts on both sides of the surface and may pull.
     pub bilateral: bool,
 }
 
 /// A spring to a point or a line (guidance).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct Spring<T> {
-    /// A point of the line, or the point, m.
+    /// A point of the line, or the point itself, m.
     pub point: [T; 3],
-    /// The line's unit direction; zero for a point.
+    /// Unit direction of the line; zero for a point.
     pub direction: [T; 3],
-    /// N/m
+    /// Stiffness, N/m.
     pub stiffness: T,
-    /// N s/m, on the same motion.
+    /// Damping of the same motion, N s/m.
     pub damping: T,
 }
 
-/// A torsional spring between the ground and the last link of a redundant device: it holds the orientation φ, and in rest
-/// leaves no force at the tip (docs/model.md section 2).
+/// A torsional spring between the ground and the last link of a redundant device. It holds the orientation φ and makes
+/// no force at the tip at rest (docs/model.md section 2).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct Posture<T> {
-    /// φ to be held, rad.
+    /// Orientation φ to hold, rad.
     pub orientation: T,
-    /// N m/rad at `orientation`, and the largest moment of the spring, N m: it grows as the sine of the turn.
+    /// Stiffness at `orientation`, N m/rad. It is also the largest moment of the spring, N m, because the moment grows
+    /// as the sine of the rotation.
     pub stiffness: T,
-    /// N m s/rad
+    /// Damping, N m s/rad.
     pub damping: T,
 }
 
-/// A whole scene.
+/// A complete scene.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
 #[serde(bound(deserialize = "T: Real + Deserialize<'de>"))]
 pub struct Scene<T> {
-    /// The task dimension it was written for.
+    /// Task dimension of the scene.
     pub task: u8,
     /// Control rate, Hz.
     pub rate_hz: T,
@@ -182,7 +182,7 @@ pub struct Scene<T> {
     pub estimator: Estimator,
     /// True if the device's own weight is held at all times.
     pub gravity_compensation: bool,
-    /// The treatment of the forces of motion.
+    /// Treatment of the forces of motion.
     pub velocity_terms: VelocityTerms,
     /// Walls.
     pub walls: Vec<Wall<T>, MAX_WALLS>,
@@ -190,25 +190,25 @@ pub struct Scene<T> {
     pub springs: Vec<Spring<T>, MAX_SPRINGS>,
     /// Sum of all damping fields, N s/m.
     pub field_damping: T,
-    /// α: the feed-forward is α times (4)'s, 0 to [`MAX_FEED_FORWARD_GAIN`]; above 1 with one shaped wall alone.
+    /// α: factor on equation (4)'s feed-forward, 0 to [`MAX_FEED_FORWARD_GAIN`]; above 1 only with one shaped wall.
     #[serde(default = "T::one")]
     pub feed_forward_gain: T,
-    /// The coordinate that a redundant device holds.
+    /// Coordinate that a redundant device holds.
     #[serde(default)]
     pub admissible: Admissible,
-    /// The posture that a redundant device is held in.
+    /// Posture in which a redundant device is held.
     #[serde(default)]
     pub posture: Option<Posture<T>>,
 }
 
-/// Control rate where none is named, Hz.
+/// Control rate of a scene that does not set one, Hz.
 pub const DEFAULT_RATE_HZ: f64 = 20_000.0;
-/// Slowest control rate, Hz.
+/// Lowest control rate, Hz.
 pub const MIN_RATE_HZ: f64 = 200.0;
-/// Fastest control rate, Hz.
+/// Highest control rate, Hz.
 pub const MAX_RATE_HZ: f64 = 50_000.0;
 
-/// An error in a scene; the index is the wall's or spring's.
+/// An error in a scene; the index is that of the wall or spring.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub enum SceneError {
     /// The scene is for another task dimension than the device.
@@ -231,7 +231,7 @@ pub enum SceneError {
     FeedForwardGain,
     /// The velocity estimator's own value is outside its range.
     Estimator,
-    /// The posture's numbers are not finite or negative, or the device has but one posture.
+    /// The posture's numbers are not finite or negative, or the device is not redundant.
     Posture,
 }
 
@@ -253,7 +253,7 @@ impl core::fmt::Display for SceneError {
             }
             Self::Shape(i) => write!(f, "wall {i}: this shape needs a three-dimensional device"),
             Self::FeedForwardGain => f.write_str(
-                "feed_forward_gain must be from 0 to 3, and at most 1 where several walls have a feed-forward",
+                "feed_forward_gain must be from 0 to 3, and at limit 1 if several walls have a feed-forward",
             ),
             Self::Estimator => f.write_str("the velocity estimator's own value is outside its range"),
             Self::Posture => f.write_str(
@@ -267,7 +267,7 @@ impl core::fmt::Display for SceneError {
 impl core::error::Error for SceneError {}
 
 impl<T: Real> Default for Scene<T> {
-    /// Nothing to touch, at [`DEFAULT_RATE_HZ`] with a 500 Hz cutoff, holding the device's own weight.
+    /// An empty scene at [`DEFAULT_RATE_HZ`] with a 500 Hz cutoff that holds the device's own weight.
     fn default() -> Self {
         Self {
             task: 0,
@@ -287,7 +287,7 @@ impl<T: Real> Default for Scene<T> {
 }
 
 impl<T: Real> Wall<T> {
-    /// The same in another precision.
+    /// Converts to another precision.
     pub fn cast<U: Real>(&self) -> Wall<U> {
         Wall {
             surface: self.surface.cast(),
@@ -302,7 +302,7 @@ impl<T: Real> Wall<T> {
 }
 
 impl<T: Real> Spring<T> {
-    /// The same in another precision.
+    /// Converts to another precision.
     pub fn cast<U: Real>(&self) -> Spring<U> {
         Spring {
             point: self.point.map(cast),
@@ -314,14 +314,14 @@ impl<T: Real> Spring<T> {
 }
 
 impl<T: Real> Posture<T> {
-    /// The same in another precision.
+    /// Converts to another precision.
     pub fn cast<U: Real>(&self) -> Posture<U> {
         Posture { orientation: cast(self.orientation), stiffness: cast(self.stiffness), damping: cast(self.damping) }
     }
 }
 
 impl<T: Real> Scene<T> {
-    /// The same in another precision.
+    /// Converts to another precision.
     pub fn cast<U: Real>(&self) -> Scene<U> {
         Scene {
             task: self.task,
@@ -339,7 +339,7 @@ impl<T: Real> Scene<T> {
         }
     }
 
-    /// Checks everything the controller relies on, for a device of task dimension `task`.
+    /// Checks all conditions that the controller relies on, for a device of task dimension `task`.
     pub fn check(&self, task: usize) -> Result<(), SceneError> {
         let gain = |value: T| value.is_finite() && value >= T::zero();
         if usize::from(self.task) != task {
@@ -358,8 +358,8 @@ impl<T: Real> Scene<T> {
             return Err(SceneError::Estimator);
         }
         let shaped = self.walls.iter().filter(|wall| wall.feed_forward != FeedForward::Off).count();
-        let most = if shaped > 1 { T::one() } else { T::from_f64(MAX_FEED_FORWARD_GAIN) };
-        if !(T::zero()..=most).contains(&self.feed_forward_gain) {
+        let limit = if shaped > 1 { T::one() } else { T::from_f64(MAX_FEED_FORWARD_GAIN) };
+        if !(T::zero()..=limit).contains(&self.feed_forward_gain) {
             return Err(SceneError::FeedForwardGain);
         }
         for (index, wall) in self.walls.iter().enumerate() {
@@ -404,12 +404,12 @@ fn squared<T: Real>(v: &[T; 3]) -> T {
     v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
 }
 
-/// A squared length within f32 rounding of 1.
+/// Returns true if a squared length is 1 to within f32 rounding.
 fn is_unit<T: Real>(length_squared: T) -> bool {
     (length_squared - T::one()).abs() < T::from_f64(1.0e-5)
 }
 
-/// The first N entries of a three-vector as a task vector.
+/// Returns the first N entries of a three-vector as a task vector.
 #[inline(always)]
 pub fn task_vector<T: Real, const N: usize>(v: &[T; 3]) -> SVector<T, N> {
     SVector::from_fn(|i, _| if i < 3 { v[i] } else { T::zero() })

@@ -1,5 +1,4 @@
-//! The result of one control step, vectors padded with zeros: written in place once a step, and then read by the control loop
-//! and telemetry.
+//! The result of one control step, padded with zeros; written in place once per step.
 
 use crate::math::Real;
 use crate::model::catalogue::MAX_JOINTS;
@@ -13,19 +12,19 @@ pub struct AtWalls<T> {
     pub distance: T,
     /// Velocity along the normal of the deepest wall, m/s.
     pub normal_velocity: T,
-    /// Sum of the forces that the walls ask for, N.
+    /// Sum of the wall forces, N.
     pub wall_force: T,
-    /// Share of the feed-forward that acts: 1 away from singularities, fading to 0 near them.
+    /// Active share of the feed-forward: 1 away from singularities, fading to 0 near them.
     pub shaping: T,
-    /// Energy that the walls' torques, the feed-forward's with them, have taken up since contact began, less what they owed
-    /// then, J; negative when they gave some out.
+    /// Energy that the walls' torques (including the feed-forward) have absorbed since contact began, less the walls'
+    /// debt at that time, J; negative if the walls have given out energy.
     pub energy: T,
-    /// Damping that the passivity controller added, N s/m.
+    /// Damping added by the passivity controller, N s/m.
     pub passivity_damping: T,
 }
 
 impl<T: Real> AtWalls<T> {
-    /// The state without walls.
+    /// Returns the state without walls.
     #[inline(always)]
     pub(crate) fn none() -> Self {
         Self { shaping: T::one(), ..Self::default() }
@@ -41,29 +40,29 @@ pub struct DeviceState<T> {
     pub qd: [T; MAX_JOINTS],
     /// Task position: the tip, m (and φ, rad).
     pub tip: [T; MAX_JOINTS],
-    /// The walls.
+    /// State at the walls.
     pub walls: AtWalls<T>,
 }
 
-/// Joint torques of one control step by what they are for.
+/// Joint torques of one control step, by purpose.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct TorqueDemand<T> {
-    /// All of them together, N m.
+    /// Total, N m.
     pub total: [T; MAX_JOINTS],
-    /// The part that holds the device against gravity, N m.
+    /// Part that holds the device against gravity, N m.
     pub gravity: [T; MAX_JOINTS],
-    /// The part that renders the forces of walls, springs and fields, Jᵀ f, N m; the rest is the feed-forward.
+    /// Part that renders the forces of walls, springs and fields, Jᵀ f, N m; the rest is the feed-forward.
     pub rendered: [T; MAX_JOINTS],
-    /// |f|², the square of those forces' resultant, N².
+    /// |f|², the squared resultant of these forces, N².
     pub force_squared: T,
 }
 
-/// The additions of springs, fields and the host.
+/// Force and torques of springs, fields and the host.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(crate) struct Guided<T> {
-    /// At the tip, N.
+pub(crate) struct GuidanceDemand<T> {
+    /// Force at the tip, N.
     pub force: [T; MAX_JOINTS],
-    /// At the joints, N m.
+    /// Torques at the joints, N m.
     pub torque: [T; MAX_JOINTS],
 }
 
@@ -72,17 +71,17 @@ pub(crate) struct Guided<T> {
 pub struct StepResult<T> {
     /// Position and velocity of the device, and the walls that touch it.
     pub at: DeviceState<T>,
-    /// The joint torques that the scene asks for.
+    /// Joint torques that the scene requests.
     pub asked: TorqueDemand<T>,
-    /// The part of springs, fields and the host, if a straight step has computed it.
-    pub(crate) guided: Guided<T>,
-    /// J⁻¹ n: joint motion per metre of tip motion along the normal of the deepest wall, rad/m; zero out of contact.
+    /// Part of springs, fields and the host, if a straight step has computed it.
+    pub(crate) guidance: GuidanceDemand<T>,
+    /// J⁻¹ n: joint motion per metre of tip motion along the normal of the deepest wall, rad/m; zero without contact.
     pub motion: [T; MAX_JOINTS],
-    /// The distance of the pose from a parallel singularity, see [`Regularity`](crate::model::mechanism::Regularity).
+    /// Distance of the pose from a parallel singularity, see [`Regularity`](crate::model::mechanism::Regularity).
     pub parallel: T,
 }
 
-/// Writes the first N of a vector's entries.
+/// Writes the first N entries of a vector.
 #[inline(always)]
 pub(crate) fn put<T: Real, const N: usize>(vector: &nalgebra::SVector<T, N>, into: &mut [T; MAX_JOINTS]) {
     for i in 0..N.min(MAX_JOINTS) {
@@ -90,7 +89,7 @@ pub(crate) fn put<T: Real, const N: usize>(vector: &nalgebra::SVector<T, N>, int
     }
 }
 
-/// Zero in the first N entries.
+/// Sets the first N entries to zero.
 #[inline(always)]
 pub(crate) fn clear<T: Real, const N: usize>(vector: &mut [T; MAX_JOINTS]) {
     put::<T, N>(&nalgebra::SVector::zeros(), vector);

@@ -1,9 +1,10 @@
-//! Velocity from positions, and the washout's high-pass.
+//! Estimation of velocities from positions, and the washout's high-pass.
 //!
-//! Two families. The low-passes of [`LowPass`] take the backward difference of every wall's own distance, as the paper
-//! does. An estimator of the list below watches the encoder counts of each joint instead, and a wall's velocity is what
-//! the estimated joint velocities make of it, n·J q̇: there the steps of the encoder are known, and the torques are.
-//! Each of them is one file beside this one ([`JointEstimator`]) and one line in the list.
+//! There are two families. The low-passes of [`LowPass`] filter the backward difference of each wall's own distance,
+//! like the paper. An estimator of the list below uses the encoder counts of each joint instead, because the encoder
+//! steps and the motor torques are known at the joints; a wall's velocity is then n·J q̇ of the estimated joint
+//! velocities. Each of these estimators is one file in this module's folder ([`JointEstimator`]) and one line in the
+//! list.
 
 mod cutoff;
 mod difference;
@@ -21,84 +22,84 @@ pub use low_pass::{LowPass, Velocity};
 pub use predicted::Predicted;
 pub use washout::Washout;
 
-/// Most samples that an estimator looks back.
-pub const LONGEST_WINDOW: usize = 32;
+/// Maximum number of past samples that an estimator uses.
+pub const MAX_WINDOW: usize = 32;
 
-/// Most periods after which an estimate of one count is looked for: the peak of the slowest low-pass that a scene may
-/// ask for, 1 Hz at 20 kHz, lies at 3536.
-const LONGEST_RISE: usize = 4096;
+/// Maximum number of periods for which the response to one count is computed: the peak of the slowest low-pass of a
+/// scene, 1 Hz at 20 kHz, is at 3536.
+const MAX_RESPONSE: usize = 4096;
 
 /// The meaning of `cutoff_hz` for an estimator.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum CutoffMeans {
-    /// Its own bandwidth.
+pub enum CutoffMeaning {
+    /// The bandwidth of the estimator.
     Bandwidth,
-    /// The cutoff of a 2nd-order Butterworth low-pass behind it, which is there if a cutoff is given.
-    LowPassBehind,
+    /// The cutoff of a 2nd-order Butterworth low-pass after the estimator, which is used if a cutoff is given.
+    LowPassAfter,
 }
 
-/// The value that an estimator takes besides the cutoff: a whole number.
+/// An integer value of an estimator in addition to the cutoff.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct EstimatorKey {
-    /// Its key in scene files.
+    /// Key in scene files.
     pub name: &'static str,
-    /// The unit that it counts.
+    /// Unit of the value.
     pub unit: &'static str,
-    /// Least and most.
+    /// Smallest and largest value.
     pub range: (u32, u32),
-    /// Its value if a file does not give one.
+    /// Value if a file does not give one.
     pub usual: u32,
 }
 
-/// The entry of an estimator in scene files.
+/// Entry of an estimator in scene files.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct EstimatorSpec {
-    /// Its word for `estimator`.
+    /// Value of `estimator`.
     pub name: &'static str,
-    /// The meaning of the cutoff for it.
-    pub cutoff: CutoffMeans,
-    /// Its own value, if it takes one.
+    /// Meaning of the cutoff.
+    pub cutoff: CutoffMeaning,
+    /// Additional value, if the estimator has one.
     pub key: Option<EstimatorKey>,
-    /// True if it wants to know the acceleration that the motors' torques give the joints.
+    /// True if it uses the acceleration of the joints by the motors' torques.
     pub predicts: bool,
 }
 
-/// The choices that go with an estimator.
+/// Options of an estimator.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize, postcard_schema::Schema)]
 pub struct Chosen {
-    /// The value of the key that its [`EstimatorSpec`] names; 0 where it names none.
+    /// Value of the key of its [`EstimatorSpec`]; 0 without a key.
     pub value: u32,
-    /// True if a Butterworth low-pass at the cutoff stands behind it.
+    /// True if a Butterworth low-pass at the cutoff follows the estimator.
     pub filtered: bool,
 }
 
 /// The samples of one joint in one control period, in encoder counts and control periods.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Seen<T> {
-    /// Distance that it moved, counts.
+    /// Distance moved, counts.
     pub moved: T,
-    /// Acceleration that the motors' torques gave it, counts per period²; zero for an estimator that does not predict.
+    /// Acceleration by the motors' torques, counts per period²; zero for an estimator that does not predict.
     pub pushed: T,
-    /// Counts per period² in 1 rad/s²; negative where the encoder is inverted.
+    /// Counts per period² for 1 rad/s²; negative if the encoder is inverted.
     pub unit: T,
 }
 
-/// A velocity estimator that watches one joint's encoder.
+/// A velocity estimator for the encoder of one joint.
 ///
-/// Velocities are in counts per control period. [`JointEstimator::step`] runs in the control interrupt: bounded time and
-/// no panic.
+/// Velocities are in counts per control period. [`JointEstimator::step`] runs in the control interrupt: it has bounded
+/// time and does not panic.
 pub trait JointEstimator<T: Real>: Copy {
-    /// Its entry in scene files.
+    /// Entry in scene files.
     const SPEC: EstimatorSpec;
-    /// Its coefficients.
+    /// Coefficients.
     type Design: Copy + core::fmt::Debug + PartialEq;
-    /// Coefficients for these choices; `warped` is tan(π cutoff/rate).
+    /// Computes the coefficients for these options; `warped` is tan(π cutoff/rate).
     fn design(chosen: &Chosen, warped: T) -> Self::Design;
-    /// The lag of the velocity while it grows steadily, control periods.
+    /// Returns the lag of the velocity at constant acceleration, control periods.
     fn lag(design: &Self::Design) -> T;
-    /// Its memory of a joint that has been moving at this velocity.
+    /// Returns the state for a joint that has been moving at this velocity.
     fn moving_at(velocity: T) -> Self;
-    /// The velocity now.
+    /// Returns the present velocity.
     fn step<K: Math<T>>(&mut self, design: &Self::Design, seen: &Seen<T>) -> T;
 }
 
@@ -110,21 +111,21 @@ macro_rules! estimators {
         )]
         #[serde(rename_all = "kebab-case")]
         pub enum Estimator {
-            /// Backward difference and a 2nd-order Butterworth low-pass: the paper's.
+            /// Backward difference and a 2nd-order Butterworth low-pass, as in the paper.
             #[default]
             Butterworth,
             /// Backward difference and a 1st-order low-pass: less lag, less smoothing.
             FirstOrder,
-            /// Backward difference alone; the cutoff is not used.
+            /// Backward difference without a filter; the cutoff is not used.
             BackwardDifference,
             $($(#[$doc])* $Name(Chosen),)*
         }
 
         impl Estimator {
-            /// The entries in scene files of the estimators that watch joints.
+            /// Entries in scene files of the estimators that use joints.
             pub const SPECS: &'static [EstimatorSpec] = &[$(<$Name<f32> as JointEstimator<f32>>::SPEC),*];
 
-            /// Every estimator, as it is where a file says no more than its name.
+            /// Every estimator with its default options, by name.
             pub const ALL: &'static [(&'static str, Self)] = &[
                 ("butterworth", Self::Butterworth),
                 ("first-order", Self::FirstOrder),
@@ -132,7 +133,7 @@ macro_rules! estimators {
                 $((<$Name<f32> as JointEstimator<f32>>::SPEC.name, Self::$Name(usual(&<$Name<f32> as JointEstimator<f32>>::SPEC))),)*
             ];
 
-            /// Its entry in scene files, if it watches joints.
+            /// Returns its entry in scene files, if it uses joints.
             pub fn spec(&self) -> Option<EstimatorSpec> {
                 match self {
                     $(Self::$Name(_) => Some(<$Name<f32> as JointEstimator<f32>>::SPEC),)*
@@ -140,7 +141,7 @@ macro_rules! estimators {
                 }
             }
 
-            /// The choices that go with it, if it watches joints.
+            /// Returns its options, if it uses joints.
             pub fn chosen(&self) -> Option<Chosen> {
                 match self {
                     $(Self::$Name(chosen) => Some(*chosen),)*
@@ -148,8 +149,8 @@ macro_rules! estimators {
                 }
             }
 
-            /// The same with other choices.
-            pub fn choosing(self, chosen: Chosen) -> Self {
+            /// Returns the estimator with other options.
+            pub fn with_options(self, chosen: Chosen) -> Self {
                 match self {
                     $(Self::$Name(_) => Self::$Name(chosen),)*
                     other => other,
@@ -157,12 +158,12 @@ macro_rules! estimators {
             }
         }
 
-        /// Coefficients of an estimator that watches joints.
+        /// Coefficients of an estimator that uses joints.
         #[derive(Clone, Copy, Debug, PartialEq)]
         enum Design<T: Real> { $($Name(<$Name<T> as JointEstimator<T>>::Design),)* }
 
         impl<T: Real> Design<T> {
-            /// Of an estimator with its lag (control periods), if it watches joints.
+            /// Makes the coefficients and the lag (control periods) of an estimator; `None` if it does not use joints.
             fn new(kind: Estimator, warped: T) -> Option<(Self, T)> {
                 match kind {
                     $(Estimator::$Name(chosen) => {
@@ -174,10 +175,10 @@ macro_rules! estimators {
             }
         }
 
-        /// An estimator's memory of a joint.
+        /// State of an estimator for one joint.
         #[derive(Clone, Copy, Debug, Default)]
         enum Memory<T: Real> {
-            /// Nothing: it does not watch joints.
+            /// No state: the estimator does not use joints.
             #[default]
             None,
             $($Name($Name<T>),)*
@@ -188,7 +189,7 @@ macro_rules! estimators {
                 match design { $(Design::$Name(_) => Self::$Name(JointEstimator::moving_at(velocity)),)* }
             }
 
-            /// The velocity, counts per period. Memory of another estimator is dropped.
+            /// Returns the velocity, counts per period. The state of another estimator is dropped.
             fn step<K: Math<T>>(&mut self, design: &Design<T>, seen: &Seen<T>, velocity: T) -> T {
                 match (&mut *self, design) {
                     $((Self::$Name(memory), Design::$Name(design)) => memory.step::<K>(design, seen),)*
@@ -205,11 +206,11 @@ macro_rules! estimators {
 estimators! {
     /// Difference over several samples.
     Difference;
-    /// Predicts by the motors' torques and the device's inertia, corrects by counts.
+    /// Predicts from the motors' torques and the device's inertia, and corrects by counts.
     Predicted;
 }
 
-/// The choice if a file does not give one.
+/// Returns the options that apply if a file gives none.
 const fn usual(spec: &EstimatorSpec) -> Chosen {
     let value = match &spec.key {
         Some(key) => key.usual,
@@ -219,7 +220,7 @@ const fn usual(spec: &EstimatorSpec) -> Chosen {
 }
 
 impl Estimator {
-    /// Its name in scene files and on the command line.
+    /// Returns its name in scene files and on the command line.
     pub fn name(&self) -> &'static str {
         match self {
             Self::Butterworth => "butterworth",
@@ -229,42 +230,42 @@ impl Estimator {
         }
     }
 
-    /// Returns true if its value lies in its range.
+    /// Returns true if its value is in its range.
     pub fn valid(&self) -> bool {
         let (Some(spec), Some(chosen)) = (self.spec(), self.chosen()) else { return true };
-        let (least, most) = spec.key.map_or((0, 0), |key| key.range);
-        (least..=most).contains(&chosen.value)
+        let (smallest, largest) = spec.key.map_or((0, 0), |key| key.range);
+        (smallest..=largest).contains(&chosen.value)
     }
 }
 
-/// An estimator's coefficients, made when a scene or its gains are set.
+/// Coefficients of an estimator, computed when a scene or its gains are set.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Coefficients<T: Real> {
     /// Control rate, Hz.
     rate: T,
     kind: Estimator,
-    /// Share that the low-pass's band-pass state loses in half a step, 1 - a₁: small if the cutoff is, so it keeps its
-    /// digits there. None in a low-pass of first order.
+    /// Share of the low-pass's band-pass state that half a step loses, 1 - a₁: small if the cutoff is low, so it is
+    /// stored without rounding against 1. Zero for a first-order low-pass.
     loss: T,
     a2: T,
     a3: T,
-    /// There is no low-pass: the difference alone.
-    none: bool,
+    /// True if the backward difference is not filtered.
+    unfiltered: bool,
     /// Gain of a first-order low-pass at the same cutoff (1 without one).
     first: T,
-    /// s, see [`Coefficients::lag`].
+    /// Lag, s, see [`Coefficients::lag`].
     lag: T,
-    /// rad/s, see [`Coefficients::one_count`].
+    /// Velocity of one count, rad/s, see [`Coefficients::one_count`].
     one_count: [T; MAX_JOINTS],
-    /// Of one that watches joints.
+    /// Coefficients of an estimator that uses joints.
     joints: Option<Design<T>>,
-    /// True if a low-pass stands behind that.
+    /// True if a low-pass follows that estimator.
     filtered: bool,
 }
 
 impl<T: Real> Coefficients<T> {
-    /// For a control rate and a cutoff in Hz. The cutoff must lie between 0 and half the rate, except for
-    /// [`Estimator::BackwardDifference`], which has none.
+    /// Computes the coefficients for a control rate and a cutoff in Hz. The cutoff must be between 0 and half the rate,
+    /// except for [`Estimator::BackwardDifference`], which has no cutoff.
     #[inline(never)]
     pub fn new(kind: Estimator, rate_hz: T, cutoff_hz: T) -> Result<Self, BadCutoff> {
         let one = T::one();
@@ -275,7 +276,7 @@ impl<T: Real> Coefficients<T> {
         let first = g / (one + g);
         let damped = g * (g + T::from_f64(core::f64::consts::SQRT_2));
         let a1 = one / (one + damped);
-        // The slope of the low-pass's phase at rest, and half a sample for the difference.
+        // Slope of the low-pass's phase at zero frequency; the difference adds half a sample.
         let second_order = T::from_f64(core::f64::consts::FRAC_1_SQRT_2) / g;
         let half = T::from_f64(0.5);
         let design = Design::new(kind, g);
@@ -298,7 +299,7 @@ impl<T: Real> Coefficients<T> {
             loss,
             a2,
             a3,
-            none: kind == Estimator::BackwardDifference,
+            unfiltered: kind == Estimator::BackwardDifference,
             first,
             lag: slope / rate_hz,
             one_count: [T::zero(); MAX_JOINTS],
@@ -307,8 +308,8 @@ impl<T: Real> Coefficients<T> {
         })
     }
 
-    /// As [`Coefficients::new`], with what single counts of the device's encoders make of joint velocities. Tries that
-    /// count by count, so not for use inside the step.
+    /// Like [`Coefficients::new`], with the joint velocities that single counts of the device's encoders cause.
+    /// Simulates these counts step by step, so do not call it inside the control step.
     #[inline(never)]
     pub fn of_device<K: Math<T>>(
         (kind, rate_hz, cutoff_hz): (Estimator, T, T),
@@ -317,97 +318,97 @@ impl<T: Real> Coefficients<T> {
         let mut coefficients = Self::new(kind, rate_hz, cutoff_hz)?;
         for (i, joint) in device.joints.iter().enumerate().take(device.axes().min(MAX_JOINTS)) {
             let speed = joint.radians_per_count.abs() * rate_hz;
-            coefficients.one_count[i] = speed * coefficients.seen_of_one_count::<K>(speed * rate_hz);
+            coefficients.one_count[i] = speed * coefficients.response_to_one_count::<K>(speed * rate_hz);
         }
         Ok(coefficients)
     }
 
-    /// The largest velocity (counts per period) after one count and then none, for a joint of which a count per period²
-    /// is `acceleration` (rad/s²).
-    fn seen_of_one_count<K: Math<T>>(&self, acceleration: T) -> T {
+    /// Returns the largest velocity (counts per period) after a single count, for a joint whose acceleration of one
+    /// count per period² is `acceleration` (rad/s²).
+    fn response_to_one_count<K: Math<T>>(&self, acceleration: T) -> T {
         let unit = if acceleration > T::zero() { T::one() / acceleration } else { T::zero() };
-        let (mut behind, mut joint) = (LowPass::default(), JointVelocity::default());
-        let (mut most, mut quiet) = (T::zero(), 0);
-        for period in 0..LONGEST_RISE {
+        let (mut low_pass, mut joint) = (LowPass::default(), JointVelocity::default());
+        let (mut largest, mut quiet) = (T::zero(), 0);
+        for period in 0..MAX_RESPONSE {
             let moved = if period == 1 { T::one() } else { T::zero() };
             let velocity = match &self.joints {
                 Some(design) => {
-                    // An estimator that forgets the count is not asked thousands of times while a low-pass behind it
-                    // rises: the board does this when a request comes, and its watchdog waits meanwhile.
-                    let found = if quiet > LONGEST_WINDOW {
+                    // Do not run an estimator with zero output thousands of times while the low-pass after it still
+                    // responds: the board runs this during a request, and its watchdog waits meanwhile.
+                    let velocity = if quiet > MAX_WINDOW {
                         T::zero()
                     } else {
                         joint.memory.step::<K>(design, &Seen { moved, pushed: T::zero(), unit }, T::zero())
                     };
-                    quiet = if found == T::zero() { quiet + 1 } else { 0 };
-                    if self.filtered { joint.behind.step(self, found) } else { found }
+                    quiet = if velocity == T::zero() { quiet + 1 } else { 0 };
+                    if self.filtered { joint.low_pass.step(self, velocity) } else { velocity }
                 }
-                None => behind.step(self, moved),
+                None => low_pass.step(self, moved),
             };
-            if velocity.abs() * T::from_f64(2.0) < most {
+            if velocity.abs() * T::from_f64(2.0) < largest {
                 break;
             }
-            most = most.greater(velocity.abs());
+            largest = largest.greater(velocity.abs());
         }
-        most
+        largest
     }
 
-    /// The largest velocity (rad/s) that the estimate of each joint shows of one single count, after rest: what cannot
-    /// be told from standing still. Zero where no device is known.
+    /// Returns the largest velocity (rad/s) that the estimate of each joint shows after a single count from rest:
+    /// smaller velocities cannot be distinguished from rest. Zero without a known device.
     pub fn one_count(&self) -> &[T; MAX_JOINTS] {
         &self.one_count
     }
 
-    /// The lag of an estimated velocity, s.
+    /// Returns the lag of an estimated velocity, s.
     pub fn lag(&self) -> T {
         self.lag
     }
 
-    /// Of which estimator.
+    /// Returns the kind of estimator.
     pub fn kind(&self) -> Estimator {
         self.kind
     }
 
-    /// Control rate, Hz.
+    /// Returns the control rate, Hz.
     pub fn rate(&self) -> T {
         self.rate
     }
 
-    /// The gain of [`LowPass::step_first_order`] at the same cutoff.
+    /// Returns the gain of [`LowPass::step_first_order`] at the same cutoff.
     pub fn first_order_gain(&self) -> T {
         self.first
     }
 
-    /// Returns true if a low-pass behind the backward difference is the whole estimator.
+    /// Returns true if the estimator consists of the backward difference and a low-pass.
     pub fn is_low_pass(&self) -> bool {
-        !self.none && self.joints.is_none()
+        !self.unfiltered && self.joints.is_none()
     }
 
-    /// Returns true if the estimator watches joints.
+    /// Returns true if the estimator uses joints.
     #[inline(always)]
-    pub fn at_joints(&self) -> bool {
+    pub fn uses_joints(&self) -> bool {
         self.joints.is_some()
     }
 
-    /// Returns true if the estimator wants to know what the motors' torques do.
+    /// Returns true if the estimator uses the motors' torques.
     pub fn predicts(&self) -> bool {
         self.kind.spec().is_some_and(|spec| spec.predicts)
     }
 }
 
-/// An estimator that watches one joint.
+/// An estimator for one joint.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct JointVelocity<T: Real> {
     memory: Memory<T>,
-    behind: LowPass<T>,
+    low_pass: LowPass<T>,
 }
 
 impl<T: Real> JointVelocity<T> {
-    /// The velocity (counts per period) after what a period showed. `velocity` is where it starts when another estimator
-    /// was at work before. Zero where the estimator does not watch joints.
+    /// Returns the velocity (counts per period) after a period with this sample. `velocity` is the initial velocity if
+    /// another estimator was used before. Zero if the estimator does not use joints.
     pub fn step<K: Math<T>>(&mut self, coefficients: &Coefficients<T>, seen: &Seen<T>, velocity: T) -> T {
         let Some(design) = &coefficients.joints else { return T::zero() };
-        let found = self.memory.step::<K>(design, seen, velocity);
-        if coefficients.filtered { self.behind.step(coefficients, found) } else { found }
+        let velocity = self.memory.step::<K>(design, seen, velocity);
+        if coefficients.filtered { self.low_pass.step(coefficients, velocity) } else { velocity }
     }
 }

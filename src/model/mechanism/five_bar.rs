@@ -1,22 +1,23 @@
 //! `five-bar`: two motors, two arms, one tip (Pantograph, Haply 2diy).
 //!
-//! Motors at A = (-base/2, 0) and B = (base/2, 0); elbows C = A + l₁(cos q₁, sin q₁), D = B + l₂(cos q₂, sin q₂);
-//! the tip P is where the circles (C, r₁) and (D, r₂) meet, to the left of C→D for `assembly` 1 and right for -1.
+//! Motors at A = (-base/2, 0) and B = (base/2, 0); elbows C = A + l₁(cos q₁, sin q₁), D = B + l₂(cos q₂, sin q₂). The
+//! tip P is an intersection of the circles (C, r₁) and (D, r₂): to the left of C→D for `assembly` 1, to the right
+//! for -1.
 //!
-//! The closed form used throughout: with u₁ = P - C, u₂ = P - D and the elbow velocities per joint rate
-//! c₁ = l₁(-sin q₁, cos q₁), c₂ likewise, the rods' rigidity uᵢ·(ṗ - cᵢ q̇ᵢ) = 0 gives
-//! J⁻¹ = [u₁ᵀ/k₁; u₂ᵀ/k₂] with kᵢ = uᵢ·cᵢ, and J = [u₁ᵀ; u₂ᵀ]⁻¹ diag(k₁, k₂).
+//! Closed form: with u₁ = P - C, u₂ = P - D and the elbow velocities per joint rate c₁ = l₁(-sin q₁, cos q₁), c₂
+//! likewise, the rods are rigid: uᵢ·(ṗ - cᵢ q̇ᵢ) = 0. Hence J⁻¹ = [u₁ᵀ/k₁; u₂ᵀ/k₂] with kᵢ = uᵢ·cᵢ, and
+//! J = [u₁ᵀ; u₂ᵀ]⁻¹ diag(k₁, k₂).
 //!
-//! A rigid rod between elbow and tip has kinetic energy ½(α|Ċ|² + 2β Ċ·ṗ + γ|ṗ|²) with three *constants*
-//! (com at the fraction s of the rod: α = m(1-s)² + I/r², β = m s(1-s) - I/r², γ = m s² + I/r²), so no distal angle is
-//! ever computed, and inertial forces need only the accelerations of elbow and tip.
+//! A rigid rod between elbow and tip has the kinetic energy ½(α|Ċ|² + 2β Ċ·ṗ + γ|ṗ|²) with three *constants* (centre of
+//! mass at the fraction s of the rod: α = m(1-s)² + I/r², β = m s(1-s) - I/r², γ = m s² + I/r²). No distal angle is
+//! therefore computed, and inertial forces need only the accelerations of elbow and tip.
 
 mod levers;
 mod pose;
 
 pub(super) use levers::Levers;
-pub(super) use pose::Along;
 pub use pose::Pose;
+pub(super) use pose::UnitMotion;
 use pose::left;
 
 use super::{Mechanism, Regularity, SINE_FLOOR, Shaped, Shaping, WallTerms, effective, reciprocal, symmetric};
@@ -25,7 +26,7 @@ use crate::model::catalogue::{Kind, Spec};
 use crate::model::description::{Description, DescriptionError};
 use nalgebra::{Matrix2, Vector2};
 
-/// A planar five-bar: its minimal coefficients.
+/// Minimal coefficients of a planar five-bar.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize, postcard_schema::Schema)]
 pub struct FiveBar<T> {
     /// B - A along x, m.
@@ -36,32 +37,32 @@ pub struct FiveBar<T> {
     reach: [T; 2],
     /// r₁² - r₂², m².
     distal_difference: T,
-    /// 1/(lᵢ rᵢ), 1/m²: turns kᵢ into the sine of the elbow angle.
+    /// 1/(lᵢ rᵢ), 1/m²: converts kᵢ to the sine of the elbow angle.
     elbow_scale: [T; 2],
     /// Assembly mode, ±1.
     assembly: T,
-    /// Smallest |kᵢ| divided by, m².
+    /// Smallest |kᵢ| used as a divisor, m².
     elbow_floor: T,
-    /// 1/(r₁ r₂), 1/m²: turns u₁ x u₂ into the sine of the angle between the rods.
+    /// 1/(r₁ r₂), 1/m²: converts u₁ x u₂ to the sine of the angle between the rods.
     rods_scale: T,
-    /// Smallest |u₁ x u₂| divided by, m².
+    /// Smallest |u₁ x u₂| used as a divisor, m².
     rods_floor: T,
-    /// Rotor, proximal link and the rod's α lᵢ² about each motor, kg m².
+    /// Inertia of rotor, proximal link and the rod's α lᵢ² about each motor, kg m².
     pub(super) arm_inertia: [T; 2],
     /// The rods' β, kg.
     pub(super) rod_coupling: [T; 2],
     /// γ₁ + γ₂ + handle, kg.
     pub(super) tip_mass: T,
-    /// The mass that counts at each elbow, m_p c_p/l + m_d(1 - s), kg.
+    /// Effective mass at each elbow for gravity, m_p c_p/l + m_d(1 - s), kg.
     pub(super) elbow_load: [T; 2],
-    /// The mass that counts at the tip, m_d1 s_1 + m_d2 s_2 + handle, kg.
+    /// Effective mass at the tip for gravity, m_d1 s_1 + m_d2 s_2 + handle, kg.
     pub(super) tip_load: T,
     /// Gravity in the plane (at q₀ = 0 on a turret), m/s².
     pub(super) gravity: [T; 2],
 }
 
 impl<T: Real> FiveBar<T> {
-    /// The same in another precision.
+    /// Converts to another precision.
     pub fn cast<U: Real>(&self) -> FiveBar<U> {
         FiveBar {
             base: cast(self.base),
@@ -82,7 +83,7 @@ impl<T: Real> FiveBar<T> {
         }
     }
 
-    /// The coefficients of a description whose links are a five-bar's and whose joints 0 and 1 carry its arms.
+    /// Computes the coefficients of a description whose links are a five-bar's and whose joints 0 and 1 drive its arms.
     pub(super) fn lump(description: &Description) -> Result<Self, DescriptionError> {
         let [base, l1, l2, r1, r2, assembly] = description.geometry;
         for (index, length) in [l1, l2, r1, r2].into_iter().enumerate() {
@@ -96,7 +97,7 @@ impl<T: Real> FiveBar<T> {
         if assembly != 1.0 && assembly != -1.0 {
             return Err(DescriptionError::Assembly);
         }
-        // The elbows' distance takes every value between these two; the rods close where it lies in their own range.
+        // The elbows' distance takes every value between these two. The linkage closes if the rods' range overlaps it.
         let farthest = base + l1 + l2;
         let nearest = (base - l1 - l2).max(0.0).max(l1 - base - l2).max(l2 - base - l1);
         if nearest >= r1 + r2 || farthest <= (r1 - r2).abs() {
@@ -147,9 +148,10 @@ impl<T: Real> FiveBar<T> {
         })
     }
 
-    /// The pose at these angles, with `inverse` of a number whose size has this floor, and the root of `positive`.
+    /// Computes the pose at these angles. `inverse` inverts its first argument and may clamp its magnitude to the
+    /// second; `positive` may clamp the argument of a root to zero.
     #[inline(always)]
-    fn closed<K: Math<T>>(&self, q: &[Angle<T>; 2], inverse: impl Fn(T, T) -> T, positive: impl Fn(T) -> T) -> Pose<T> {
+    fn close<K: Math<T>>(&self, q: &[Angle<T>; 2], inverse: impl Fn(T, T) -> T, positive: impl Fn(T) -> T) -> Pose<T> {
         let half = T::from_f64(0.5);
         let (s1, c1) = K::sin_cos_of(q[0]);
         let (s2, c2) = K::sin_cos_of(q[1]);
@@ -159,8 +161,8 @@ impl<T: Real> FiveBar<T> {
         let span = Vector2::new(self.base + arm2[0] - arm1[0], arm2[1] - arm1[1]);
         let span_squared = span.dot(&span);
         let inverse_span = inverse(span_squared, T::EPSILON * T::EPSILON);
-        // u₁ x u₂ = r₁ r₂ sin(angle between the rods), by Heron's form of the height over C→D: the differences are of
-        // lengths, not of nearly equal products.
+        // u₁ x u₂ = r₁ r₂ sin(angle between the rods), by Heron's formula for the height over C→D: it subtracts
+        // lengths, not nearly equal products.
         let det =
             half * self.assembly * K::sqrt(positive((self.reach[0] - span_squared) * (span_squared - self.reach[1])));
         let along = half + half * self.distal_difference * inverse_span;
@@ -179,7 +181,7 @@ impl<T: Real> FiveBar<T> {
         }
     }
 
-    /// Jᵀ w.
+    /// Returns Jᵀ w.
     #[inline(always)]
     pub(super) fn transposed(pose: &Pose<T>, w: &Vector2<T>) -> Vector2<T> {
         let [u1, u2] = &pose.rod;
@@ -189,8 +191,7 @@ impl<T: Real> FiveBar<T> {
         )
     }
 
-    /// The joint accelerations of a tip acceleration `a` (m/s²; of none), at joint velocities `qd` and tip velocity
-    /// `tip`.
+    /// Returns the joint accelerations for a tip acceleration `a` (m/s², 0 if `None`), at velocities `qd` and `tip`.
     #[inline(always)]
     pub(super) fn joint_acceleration(
         pose: &Pose<T>,
@@ -201,7 +202,7 @@ impl<T: Real> FiveBar<T> {
         Vector2::new(Self::arm_acceleration(pose, qd, tip, a, 0), Self::arm_acceleration(pose, qd, tip, a, 1))
     }
 
-    /// [`FiveBar::joint_acceleration`] of one arm: its rod stays rigid, uᵢ·(a - p̈_elbow) + |u̇ᵢ|² = 0.
+    /// Returns the joint acceleration of one arm, from the rigidity of its rod: uᵢ·(a - p̈_elbow) + |u̇ᵢ|² = 0.
     #[inline(always)]
     fn arm_acceleration(pose: &Pose<T>, qd: &Vector2<T>, tip: &Vector2<T>, a: Option<&Vector2<T>>, i: usize) -> T {
         let rod_rate = tip - left(&pose.arm[i]) * qd[i];
@@ -213,8 +214,8 @@ impl<T: Real> FiveBar<T> {
         (pose.rod[i].dot(&along) + rod_rate.dot(&rod_rate)) * pose.inverse_k[i]
     }
 
-    /// The effort of a tip acceleration `a` (if any) and joint accelerations `qdd` at joint velocities `qd`: the force
-    /// at the tip (N) that is still to go through Jᵀ, and the torques at the joints (N m).
+    /// Returns the effort of a tip acceleration `a` (if any) and joint accelerations `qdd` at joint velocities `qd`:
+    /// the force at the tip (N), to be multiplied by Jᵀ, and the torques at the joints (N m).
     #[inline(always)]
     pub(super) fn inertial_loads(
         &self,
@@ -232,18 +233,17 @@ impl<T: Real> FiveBar<T> {
         (at_tip, at_joints + with_tip)
     }
 
-    /// A unit motion of the tip along `n`.
+    /// Computes a unit motion of the tip along `n`.
     #[inline(always)]
-    pub(super) fn along(&self, pose: &Pose<T>, n: &Vector2<T>) -> Along<T> {
+    pub(super) fn unit_motion(&self, pose: &Pose<T>, n: &Vector2<T>) -> UnitMotion<T> {
         let e = self.inverse(pose, n);
         let with_tip = |i: usize| self.rod_coupling[i] * left(&pose.arm[i]).dot(n);
         let (with1, with2) = (with_tip(0), with_tip(1));
         let momentum = Vector2::new(self.arm_inertia[0] * e[0] + with1, self.arm_inertia[1] * e[1] + with2);
-        Along { e, momentum, arms: e[0] * (momentum[0] + with1) + e[1] * (momentum[1] + with2) }
+        UnitMotion { e, momentum, arms: e[0] * (momentum[0] + with1) + e[1] * (momentum[1] + with2) }
     }
 
-    /// `force` (N) with what the rods push the tip with where their elbows accelerate with the joints, by `qdd` at the joint
-    /// velocities `qd`, or from rest.
+    /// Adds to `force` (N) the rods' force on the tip for joint accelerations `qdd` at velocities `qd` or at rest.
     #[inline(always)]
     pub(super) fn with_rods(
         &self,
@@ -261,14 +261,14 @@ impl<T: Real> FiveBar<T> {
         force
     }
 
-    /// The joint torques of a tip acceleration `a` (or none) and joint accelerations `qdd`, at joint velocities `qd`.
+    /// Returns the joint torques of accelerations `a` of the tip (if any) and `qdd` of the joints, at velocities `qd`.
     #[inline(always)]
     fn inertial_torque(&self, pose: &Pose<T>, qd: &Vector2<T>, qdd: &Vector2<T>, a: Option<&Vector2<T>>) -> Vector2<T> {
         let (at_tip, at_joints) = self.inertial_loads(pose, qd, qdd, a);
         at_joints + Self::transposed(pose, &at_tip)
     }
 
-    /// The joint torques that hold the linkage where gravity in its plane is `g`, m/s².
+    /// Returns the joint torques that hold the linkage against gravity `g` in its plane, m/s².
     #[inline(always)]
     pub(super) fn gravity_torque(&self, pose: &Pose<T>, g: &Vector2<T>) -> Vector2<T> {
         let through_tip = Self::transposed(pose, &(g * self.tip_load));
@@ -298,15 +298,15 @@ impl<T: Real> Mechanism<T, 2> for FiveBar<T> {
 
     #[inline(always)]
     fn pose_at<K: Math<T>>(&self, q: &[Angle<T>; 2]) -> Pose<T> {
-        // Rounding (or a pose that cannot close) may make the height's square negative: clamped to zero, seen as
-        // parallel = 0. Elbows that coincide are kept apart by the tiniest length that still divides.
-        self.closed::<K>(q, reciprocal, |squared| squared.greater(T::zero()))
+        // Rounding (or a pose that cannot close) may make the square of the height negative: it is clamped to zero,
+        // which shows as parallel = 0. A tiny minimum distance of coinciding elbows avoids a division by zero.
+        self.close::<K>(q, reciprocal, |squared| squared.greater(T::zero()))
     }
 
-    /// Such a pose takes no clamp: what cannot be divided by, or has no root, is not regular.
+    /// Needs no clamps: if a divisor is zero or a root does not exist, the pose is not regular.
     #[inline(always)]
     fn regular_pose<K: Math<T>>(&self, q: &[Angle<T>; 2], least: &Regularity<T>) -> Option<Pose<T>> {
-        let pose = self.closed::<K>(q, |x, _| T::one() / x, |squared| squared);
+        let pose = self.close::<K>(q, |x, _| T::one() / x, |squared| squared);
         let elbow = |i: usize| (pose.k[i] * self.elbow_scale[i]).abs();
         (elbow(0) >= least.serial && elbow(1) >= least.serial && pose.parallel >= least.parallel).then_some(pose)
     }
@@ -330,7 +330,7 @@ impl<T: Real> Mechanism<T, 2> for FiveBar<T> {
     }
 
     fn jacobian_rate(&self, pose: &Pose<T>, qd: &Vector2<T>) -> Matrix2<T> {
-        // d/dt of [u₁ᵀ; u₂ᵀ] J = diag(k): J̇ = [u₁ᵀ; u₂ᵀ]⁻¹ (diag(k̇) - [u̇₁ᵀ; u̇₂ᵀ] J).
+        // Differentiate [u₁ᵀ; u₂ᵀ] J = diag(k): J̇ = [u₁ᵀ; u₂ᵀ]⁻¹ (diag(k̇) - [u̇₁ᵀ; u̇₂ᵀ] J).
         let jacobian = self.jacobian(pose);
         let tip = jacobian * qd;
         let [u1, u2] = &pose.rod;
@@ -389,22 +389,22 @@ impl<T: Real> Mechanism<T, 2> for FiveBar<T> {
 
     #[inline(always)]
     fn shaping(&self, pose: &Pose<T>, n: &Vector2<T>) -> Shaping<T, 2> {
-        let Along { e, momentum, arms } = self.along(pose, n);
+        let UnitMotion { e, momentum, arms } = self.unit_motion(pose, n);
         let me = momentum + Self::transposed(pose, &self.with_rods(pose, n * self.tip_mass, None, &e));
         Shaping { e, me, w_rr: self.tip_mass * n.dot(n) + arms }
     }
 
     #[inline(always)]
     fn shaped(&self, pose: &Pose<T>, n: &Vector2<T>, force: T, qd: Option<&Vector2<T>>) -> Shaped<T, 2> {
-        let Along { e, momentum, arms } = self.along(pose, n);
-        // The tip's acceleration along n.
+        let UnitMotion { e, momentum, arms } = self.unit_motion(pose, n);
+        // Acceleration of the tip along n.
         let s = force / (self.tip_mass + arms);
         let (mut qdd, mut at_joints) = (e * s, momentum * s);
         if let Some(qd) = qd {
-            // At these velocities the joints accelerate where the tip does not.
-            let bent = Self::joint_acceleration(pose, qd, &self.velocity(pose, qd), None);
-            qdd += bent;
-            at_joints += Vector2::new(self.arm_inertia[0] * bent[0], self.arm_inertia[1] * bent[1]);
+            // At these velocities a tip without acceleration requires accelerating joints.
+            let qdd_bias = Self::joint_acceleration(pose, qd, &self.velocity(pose, qd), None);
+            qdd += qdd_bias;
+            at_joints += Vector2::new(self.arm_inertia[0] * qdd_bias[0], self.arm_inertia[1] * qdd_bias[1]);
         }
         let at_tip = self.with_rods(pose, n * (self.tip_mass * s), qd, &qdd);
         Shaped { e, torque: at_joints + Self::transposed(pose, &at_tip) }
@@ -419,8 +419,8 @@ impl<T: Real> Mechanism<T, 2> for FiveBar<T> {
         qd: &Vector2<T>,
         turning: &Vector2<T>,
     ) -> Shaped<T, 2> {
-        let Along { e, arms, .. } = self.along(pose, n);
-        // All of the tip's acceleration at once.
+        let UnitMotion { e, arms, .. } = self.unit_motion(pose, n);
+        // Total acceleration of the tip.
         let a = n * (force / (self.tip_mass + arms)) + turning;
         let qdd = Self::joint_acceleration(pose, qd, &self.velocity(pose, qd), Some(&a));
         Shaped { e, torque: self.inertial_torque(pose, qd, &qdd, Some(&a)) }
@@ -446,19 +446,19 @@ impl<T: Real> Mechanism<T, 2> for FiveBar<T> {
     #[inline(always)]
     fn wall_terms(&self, pose: &Pose<T>, basis: &Matrix2<T>, qd: &Vector2<T>) -> WallTerms<T, 2> {
         let levers = Levers::new(self, pose);
-        let moving = |i: usize| levers.moving(&basis.column(i).into_owned());
-        let moving = [moving(0), moving(1)];
-        let bent = Self::joint_acceleration(pose, qd, &levers.velocity(qd), None);
-        let row = levers.transposed(&moving[0].n);
+        let motion = |i: usize| levers.unit_motion(&basis.column(i).into_owned());
+        let motion = [motion(0), motion(1)];
+        let qdd_bias = Self::joint_acceleration(pose, qd, &levers.velocity(qd), None);
+        let row = levers.transposed(&motion[0].n);
         WallTerms {
-            e: Matrix2::from_columns(&[moving[0].e, moving[1].e]),
-            me: levers.momentum(&moving[0]),
-            // Λ holds the tip's mass in every direction.
+            e: Matrix2::from_columns(&[motion[0].e, motion[1].e]),
+            me: levers.momentum(&motion[0]),
+            // Λ contains the tip's mass in every direction.
             w: symmetric(|i, j| {
-                let arms = moving[i].arms(&moving[j]);
+                let arms = motion[i].arms(&motion[j]);
                 if i == j { self.tip_mass + arms } else { arms }
             }),
-            b: levers.bias(qd, &bent, Vector2::zeros(), &Vector2::from(self.gravity)),
+            b: levers.bias(qd, &qdd_bias, Vector2::zeros(), &Vector2::from(self.gravity)),
             row,
             w_eff: effective(&levers.mass(), &row),
         }

@@ -1,44 +1,44 @@
-//! `five-bar-turret`: a five-bar whose plane a third motor turns about the plane's x axis; a tip in space.
+//! `five-bar-turret`: a five-bar whose plane a third motor rotates about the plane's x axis; the tip moves in space.
 //!
-//! World (X, Y, Z) = (x, y cos q₀, y sin q₀). In the frame that turns along, (x, radial, normal), the motion falls
-//! apart: the plane is the five-bar of `five_bar.rs`, and across it the tip moves with y q̇₀. So J = R [J_plane; y], M
-//! = diag(J₀, M_plane), and everything about the plane is reused as it is.
+//! World (X, Y, Z) = (x, y cos q₀, y sin q₀). In the rotating frame (x, radial, normal) the motion separates: in the
+//! plane it is the five-bar of `five_bar.rs`, and across the plane the tip moves at y q̇₀. So J = R [J_plane; y],
+//! M = diag(J₀, M_plane), and the code of the plane is reused unchanged.
 //!
-//! The turret's inertia needs no distal angle either. A link's inertia about the axis is m y_com² + I_axial +
-//! (I_transverse - I_axial) sin²(its angle to the axis), and both y_com and the sine are linear in the y coordinates of
-//! the link's two ends. Summed over the links it is a quadratic form in the y of the two elbows and the tip:
-//! J₀ = I₀ + a₁ y_C² + a₂ y_D² + 2 y_P(b₁ y_C + b₂ y_D) + c y_P². Half its gradient times q̇₀² are the centrifugal
-//! forces on elbows and tip.
+//! The turret's inertia needs no distal angle either. A link's inertia about the axis is
+//! m y_com² + I_axial + (I_transverse - I_axial) sin²(its angle to the axis), and both y_com and the sine are linear in
+//! the y coordinates of the link's two ends. The sum over the links is a quadratic form in the y of the two elbows and
+//! the tip: J₀ = I₀ + a₁ y_C² + a₂ y_D² + 2 y_P(b₁ y_C + b₂ y_D) + c y_P². Half its gradient times q̇₀² gives the
+//! centrifugal forces on elbows and tip.
 
-use super::five_bar::{self, Along, FiveBar, Levers};
+use super::five_bar::{self, FiveBar, Levers, UnitMotion};
 use super::{Mechanism, Regularity, SINE_FLOOR, Shaped, Shaping, WallTerms, effective_turned, reciprocal, symmetric};
 use crate::math::{Angle, Math, Real, cast};
 use crate::model::catalogue::{Kind, Spec};
 use crate::model::description::{Description, DescriptionError};
 use nalgebra::{Matrix3, Vector2, Vector3};
 
-/// A five-bar on a turret: its minimal coefficients.
+/// Minimal coefficients of a five-bar on a turret.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize, postcard_schema::Schema)]
 pub struct FiveBarTurret<T> {
     /// The linkage; its gravity is the world's (X, Y).
     plane: FiveBar<T>,
     /// Gravity along the world's Z, m/s².
     gravity_z: T,
-    /// I₀: the turret, its rotor and the links about their own axes, kg m².
+    /// I₀: inertia of the turret, its rotor and the links about their own axes, kg m².
     turret_inertia: T,
-    /// aᵢ: on the squared y of each elbow, kg.
+    /// aᵢ: coefficient of the squared y of each elbow, kg.
     elbow_spin: [T; 2],
-    /// bᵢ: on the product of each elbow's y with the tip's, kg.
+    /// bᵢ: coefficient of the product of each elbow's y and the tip's y, kg.
     coupled_spin: [T; 2],
-    /// c: on the squared y of the tip, kg.
+    /// c: coefficient of the squared y of the tip, kg.
     tip_spin: T,
-    /// 1/(the farthest the tip can be from the axis), 1/m: turns |y| into a number in [0, 1].
+    /// 1/(largest distance of the tip from the axis), 1/m: converts |y| to a number in [0, 1].
     reach_scale: T,
-    /// Smallest |y| divided by, m.
+    /// Smallest |y| used as a divisor, m.
     axis_floor: T,
 }
 
-/// The quantities that depend on the three angles alone.
+/// Quantities that depend on the three angles alone.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pose<T: Real> {
     /// The linkage in its plane.
@@ -51,7 +51,7 @@ pub struct Pose<T: Real> {
     inverse_y: T,
 }
 
-/// The turret's inertia and half its gradient by the y of the elbows and the tip, kg m².
+/// The turret's inertia, and half its gradient with respect to the y of the elbows and the tip, kg m².
 struct Spin<T> {
     inertia: T,
     elbow: [T; 2],
@@ -59,14 +59,14 @@ struct Spin<T> {
 }
 
 impl<T: Real> Pose<T> {
-    /// A world vector as (in the plane, normal to it).
+    /// Returns the components of a world vector in the plane and normal to it.
     #[inline(always)]
     fn to_plane(self, v: &Vector3<T>) -> (Vector2<T>, T) {
         let Self { sine: s, cosine: c, .. } = self;
         (Vector2::new(v[0], c * v[1] + s * v[2]), c * v[2] - s * v[1])
     }
 
-    /// A vector given in the plane and normal to it, in the world.
+    /// Returns the world vector with these components in the plane and normal to it.
     #[inline(always)]
     fn to_world(self, plane: &Vector2<T>, normal: T) -> Vector3<T> {
         let Self { sine: s, cosine: c, .. } = self;
@@ -74,14 +74,14 @@ impl<T: Real> Pose<T> {
     }
 }
 
-/// The joints of the linkage.
+/// Returns the entries of the linkage's joints.
 #[inline(always)]
 fn linkage<T: Real>(joints: &Vector3<T>) -> Vector2<T> {
     Vector2::new(joints[1], joints[2])
 }
 
 impl<T: Real> FiveBarTurret<T> {
-    /// The same in another precision.
+    /// Converts to another precision.
     pub fn cast<U: Real>(&self) -> FiveBarTurret<U> {
         FiveBarTurret {
             plane: self.plane.cast(),
@@ -106,21 +106,21 @@ impl<T: Real> FiveBarTurret<T> {
         Spin { inertia: self.turret_inertia + y1 * elbow[0] + y2 * elbow[1] + y * tip, elbow, tip }
     }
 
-    /// The torques that let the tip go straight on at joint velocities `qd`, and hold the device's weight.
+    /// Returns the torques that move the tip straight at joint velocities `qd` and hold the device's weight.
     #[inline(always)]
     fn bias(&self, pose: &Pose<T>, levers: &Levers<'_, T>, spin: &Spin<T>, qd: &Vector3<T>) -> Vector3<T> {
         let (plane, joints, two) = (&pose.plane, linkage(qd), T::from_f64(2.0));
         let tip = levers.velocity(&joints);
-        // The turret's centripetal and Coriolis accelerations, undone by the other joints.
+        // The other joints compensate the turret's centripetal and Coriolis accelerations.
         let turning = qd[0] * qd[0];
         let inward = plane.tip[1] * turning;
-        let bent = FiveBar::joint_acceleration(plane, &joints, &tip, Some(&Vector2::new(T::zero(), inward)));
+        let qdd_bias = FiveBar::joint_acceleration(plane, &joints, &tip, Some(&Vector2::new(T::zero(), inward)));
         let q0dd = -two * tip[1] * qd[0] * pose.inverse_y;
         let [x, y] = self.plane.gravity;
         let (g, across) = pose.to_plane(&Vector3::new(x, y, self.gravity_z));
         let at_tip = Vector2::new(T::zero(), self.plane.tip_mass * inward - spin.tip * turning);
-        let arms = levers.bias(&joints, &bent, at_tip, &g);
-        // Velocities in y per joint rate are the elbows' x.
+        let arms = levers.bias(&joints, &qdd_bias, at_tip, &g);
+        // The elbows' x are their velocities in y per joint rate.
         let [[x1, y1], [x2, y2]] = plane.arm.map(|arm| [arm[0], arm[1]]);
         let (f1, f2) = (spin.elbow[0] * x1, spin.elbow[1] * x2);
         let [b1, b2] = self.plane.rod_coupling;
@@ -134,7 +134,7 @@ impl<T: Real> FiveBarTurret<T> {
         )
     }
 
-    /// The torques of given accelerations: `q0dd` of the turret, `qdd` and `a` of the linkage in its plane;
+    /// Returns the torques of given accelerations: `q0dd` of the turret, `qdd` and `a` of the linkage in its plane;
     /// `tip` is the tip's velocity in the plane.
     #[inline(always)]
     fn inertial_torque(
@@ -152,7 +152,7 @@ impl<T: Real> FiveBarTurret<T> {
         let turning = qd[0] * qd[0];
         at_tip[1] -= turning * spin.tip;
         let through_tip = FiveBar::transposed(plane, &at_tip);
-        // Velocities in y per joint rate are the elbows' x.
+        // The elbows' x are their velocities in y per joint rate.
         let [f1, f2] = [spin.elbow[0] * plane.arm[0][0], spin.elbow[1] * plane.arm[1][0]];
         let half_rate = f1 * qd[1] + f2 * qd[2] + spin.tip * tip[1];
         Vector3::new(
@@ -328,11 +328,11 @@ impl<T: Real> Mechanism<T, 3> for FiveBarTurret<T> {
     fn shaped(&self, pose: &Pose<T>, n: &Vector3<T>, force: T, qd: Option<&Vector3<T>>) -> Shaped<T, 3> {
         let (plane, two) = (&pose.plane, T::from_f64(2.0));
         let (in_plane, normal) = pose.to_plane(n);
-        let Along { e, momentum, arms } = self.plane.along(plane, &in_plane);
+        let UnitMotion { e, momentum, arms } = self.plane.unit_motion(plane, &in_plane);
         let e0 = normal * pose.inverse_y;
         let spin = self.spin(pose);
         let w_rr = self.plane.tip_mass * in_plane.dot(&in_plane) + arms + spin.inertia * (e0 * e0);
-        // The tip's acceleration along n.
+        // Acceleration of the tip along n.
         let s = force / w_rr;
         let (mut q0dd, mut qdd, mut at_joints) = (e0 * s, e * s, momentum * s);
         let mut at_tip = in_plane * (self.plane.tip_mass * s);
@@ -341,20 +341,20 @@ impl<T: Real> Mechanism<T, 3> for FiveBarTurret<T> {
             let of_arms = linkage(qd);
             let tip = self.plane.velocity(plane, &of_arms);
             let turning = qd[0] * qd[0];
-            // At these velocities the joints accelerate where the tip does not: the other joints undo the turret's
-            // centripetal and Coriolis accelerations.
+            // At these velocities a tip without acceleration requires accelerating joints: the linkage compensates the
+            // turret's centripetal and Coriolis accelerations.
             let inward = plane.tip[1] * turning;
-            let bent = FiveBar::joint_acceleration(plane, &of_arms, &tip, Some(&Vector2::new(T::zero(), inward)));
+            let qdd_bias = FiveBar::joint_acceleration(plane, &of_arms, &tip, Some(&Vector2::new(T::zero(), inward)));
             let twice = two * qd[0];
             q0dd -= tip[1] * twice * pose.inverse_y;
-            qdd += bent;
+            qdd += qdd_bias;
             at_tip[1] += turning * (self.plane.tip_mass * plane.tip[1] - spin.tip);
-            // Velocities in y per joint rate are the elbows' x.
+            // The elbows' x are their velocities in y per joint rate.
             let [x1, x2] = plane.arm.map(|arm| arm[0]);
             let [a1, a2] = self.plane.arm_inertia;
             let [b1, b2] = self.plane.rod_coupling;
-            at_joints[0] += a1 * bent[0] + turning * (x1 * (b1 * plane.tip[1] - spin.elbow[0]));
-            at_joints[1] += a2 * bent[1] + turning * (x2 * (b2 * plane.tip[1] - spin.elbow[1]));
+            at_joints[0] += a1 * qdd_bias[0] + turning * (x1 * (b1 * plane.tip[1] - spin.elbow[0]));
+            at_joints[1] += a2 * qdd_bias[1] + turning * (x2 * (b2 * plane.tip[1] - spin.elbow[1]));
             turret =
                 twice * (spin.elbow[0] * (x1 * of_arms[0]) + spin.elbow[1] * (x2 * of_arms[1]) + spin.tip * tip[1]);
             joints = Some(of_arms);
@@ -371,7 +371,7 @@ impl<T: Real> Mechanism<T, 3> for FiveBarTurret<T> {
     fn velocity_torque(&self, pose: &Pose<T>, qd: &Vector3<T>) -> Vector3<T> {
         let joints = linkage(qd);
         let tip = self.plane.velocity(&pose.plane, &joints);
-        // The turret's centripetal and Coriolis accelerations, undone by the other joints.
+        // The other joints compensate the turret's centripetal and Coriolis accelerations.
         let in_plane = Vector2::new(T::zero(), pose.plane.tip[1] * qd[0] * qd[0]);
         let q0dd = T::from_f64(-2.0) * tip[1] * qd[0] * pose.inverse_y;
         let qdd = FiveBar::joint_acceleration(&pose.plane, &joints, &tip, Some(&in_plane));
@@ -381,7 +381,7 @@ impl<T: Real> Mechanism<T, 3> for FiveBarTurret<T> {
     fn operational_inertia(&self, pose: &Pose<T>) -> Matrix3<T> {
         let plane = self.plane.operational_inertia(&pose.plane);
         let normal = self.spin(pose).inertia * pose.inverse_y * pose.inverse_y;
-        // Turned about x: the plane's y lies along (0, cos, sin), its normal along (0, -sin, cos).
+        // Rotate about x: the plane's y axis is (0, cos, sin), its normal (0, -sin, cos).
         let (s, c) = (pose.sine, pose.cosine);
         let (xy, yy) = (plane[(0, 1)], plane[(1, 1)]);
         let across = (yy - normal) * (s * c);
@@ -402,22 +402,22 @@ impl<T: Real> Mechanism<T, 3> for FiveBarTurret<T> {
     fn wall_terms(&self, pose: &Pose<T>, basis: &Matrix3<T>, qd: &Vector3<T>) -> WallTerms<T, 3> {
         let (levers, spin) = (Levers::new(&self.plane, &pose.plane), self.spin(pose));
         let b = self.bias(pose, &levers, &spin, qd);
-        let moving = |i: usize| {
+        let motion = |i: usize| {
             let (in_plane, normal) = pose.to_plane(&basis.column(i).into_owned());
-            (levers.moving(&in_plane), normal)
+            (levers.unit_motion(&in_plane), normal)
         };
-        let moving = [moving(0), moving(1), moving(2)];
-        // Λ holds the tip's mass in the plane and J₀/y² along its normal. What two directions have in common in the
-        // plane is what they have in common, 1 or 0, less what they have along the normal.
+        let motion = [motion(0), motion(1), motion(2)];
+        // Λ contains the tip's mass in the plane and J₀/y² along the normal. The product of two directions in the plane
+        // is their total product, 1 or 0, less their product along the normal.
         let mass = self.plane.tip_mass;
         let more = spin.inertia * pose.inverse_y * pose.inverse_y - mass;
         let w = |i: usize, j: usize| {
-            let ((a, normal_a), (b, normal_b)) = (&moving[i], &moving[j]);
-            let beside = more * *normal_a * *normal_b + a.arms(b);
-            if i == j { mass + beside } else { beside }
+            let ((a, normal_a), (b, normal_b)) = (&motion[i], &motion[j]);
+            let arms = more * *normal_a * *normal_b + a.arms(b);
+            if i == j { mass + arms } else { arms }
         };
-        let e = |i: usize| Vector3::new(moving[i].1 * pose.inverse_y, moving[i].0.e[0], moving[i].0.e[1]);
-        let (first, normal) = &moving[0];
+        let e = |i: usize| Vector3::new(motion[i].1 * pose.inverse_y, motion[i].0.e[0], motion[i].0.e[1]);
+        let (first, normal) = &motion[0];
         let (me, row) = (levers.momentum(first), levers.transposed(&first.n));
         let lever = pose.plane.tip[1] * *normal;
         WallTerms {

@@ -1,5 +1,4 @@
-//! `paddle`: one pivot, the handle at `length` from it (Hapkit-like). The task is the handle's arc length, x = length
-//! q.
+//! `paddle`: one pivot with a handle (Hapkit-like). The task is the handle's arc length, x = length q.
 
 use super::{Mechanism, Regularity};
 use crate::math::{Angle, Math, Real, cast};
@@ -7,19 +6,19 @@ use crate::model::catalogue::{Kind, Spec};
 use crate::model::description::{Description, DescriptionError};
 use nalgebra::{SMatrix, SVector};
 
-/// A paddle: two numbers.
+/// Coefficients of a paddle.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize, postcard_schema::Schema)]
 pub struct Paddle<T> {
     /// Pivot to handle, m.
     length: T,
     /// 1 / length, 1/m.
     inverse_length: T,
-    /// Body, rotor and handle about the pivot, kg m².
+    /// Inertia of body, rotor and handle about the pivot, kg m².
     inertia: T,
 }
 
 impl<T: Real> Paddle<T> {
-    /// The same in another precision.
+    /// Converts to another precision.
     pub fn cast<U: Real>(&self) -> Paddle<U> {
         Paddle { length: cast(self.length), inverse_length: cast(self.inverse_length), inertia: cast(self.inertia) }
     }

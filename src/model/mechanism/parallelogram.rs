@@ -1,15 +1,14 @@
-//! `parallelogram`: two arms driven from the base through a parallelogram, on a turret (Phantom, WoodenHaptics).
+//! `parallelogram`: two arms on a turret, driven from the base through a parallelogram (Phantom, WoodenHaptics).
 //!
 //! Turret q₀ about the vertical Y: world (X, Y, Z) = (x cos q₀, y, -x sin q₀). In the plane the angles are absolute:
-//! the upper arm O→E at q₁, length U; the tip P = E + F(cos q₂, sin q₂); the drive crank leaves O along
-//! -(cos q₂, sin q₂), length K, and the coupler runs from its tip parallel to the upper arm. Every link keeps one of
-//! the two directions e₁, e₂, so with δ = q₂ - q₁
-//! M_plane = [a, b cos δ; b cos δ, c], J_plane = [U e₁⊥, F e₂⊥], J_plane⁻¹ = [e₂ᵀ/(U sin δ); -e₁ᵀ/(F sin δ)],
-//! and the turret's inertia is a quadratic form in the cosines,
-//! J₀ = I₀ + α cos² q₁ + 2β cos q₁ cos q₂ + γ cos² q₂.
+//! the upper arm O→E is at q₁, length U; the tip is P = E + F(cos q₂, sin q₂). The drive crank points from O along
+//! -(cos q₂, sin q₂), length K, and the coupler runs from the crank's end parallel to the upper arm. Every link is
+//! parallel to one of the two directions e₁, e₂, so with δ = q₂ - q₁ M_plane = [a, b cos δ; b cos δ, c],
+//! J_plane = [U e₁⊥, F e₂⊥], J_plane⁻¹ = [e₂ᵀ/(U sin δ); -e₁ᵀ/(F sin δ)], and the turret's inertia is a quadratic form
+//! in the cosines, J₀ = I₀ + α cos² q₁ + 2β cos q₁ cos q₂ + γ cos² q₂.
 //!
-//! Sine and cosine are taken of q₁ and δ, and those of q₂ follow by the addition theorem: sin δ, by which J⁻¹ divides,
-//! then keeps all its digits when the arm is nearly stretched.
+//! The sines and cosines of q₁ and δ are computed; those of q₂ follow by the addition theorem. The divisor sin δ of J⁻¹
+//! then keeps full precision when the arm is nearly stretched.
 
 use super::{Mechanism, Regularity, SINE_FLOOR, Shaping, WallTerms, effective_turned, reciprocal, symmetric};
 use crate::math::{Angle, Math, Real, cast};
@@ -17,18 +16,18 @@ use crate::model::catalogue::{Kind, Spec};
 use crate::model::description::{Description, DescriptionError};
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 
-/// A parallelogram on a turret: its minimal coefficients.
+/// Minimal coefficients of a parallelogram on a turret.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize, postcard_schema::Schema)]
 pub struct Parallelogram<T> {
     /// U and F, m.
     lengths: [T; 2],
     /// 1/U and 1/F, 1/m.
     inverse_lengths: [T; 2],
-    /// a and c: on the diagonal of the mass matrix, kg m².
+    /// a and c: diagonal of the mass matrix, kg m².
     arm_inertia: [T; 2],
-    /// b: off the diagonal, times cos δ, kg m².
+    /// b: coefficient of cos δ off the diagonal, kg m².
     coupling: T,
-    /// I₀: turret, rotor and links about their own axes, kg m².
+    /// I₀: inertia of turret, rotor and links about their own axes, kg m².
     turret_inertia: T,
     /// α, β, γ, kg m².
     spin: [T; 3],
@@ -36,13 +35,13 @@ pub struct Parallelogram<T> {
     loads: [T; 2],
     /// Gravity in the world, m/s².
     gravity: [T; 3],
-    /// 1/(U + F), 1/m: turns |x| into a number in [0, 1].
+    /// 1/(U + F), 1/m: converts |x| to a number in [0, 1].
     reach_scale: T,
-    /// Smallest |x| divided by, m.
+    /// Smallest |x| used as a divisor, m.
     axis_floor: T,
 }
 
-/// The quantities that depend on the three angles alone.
+/// Quantities that depend on the three angles alone.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pose<T: Real> {
     /// Tip in the plane, m.
@@ -66,21 +65,21 @@ pub struct Pose<T: Real> {
 }
 
 impl<T: Real> Pose<T> {
-    /// A world vector as (in the plane, normal to it).
+    /// Returns the components of a world vector in the plane and normal to it.
     #[inline(always)]
     fn to_plane(self, v: &Vector3<T>) -> (Vector2<T>, T) {
         let Self { sine: s, cosine: c, .. } = self;
         (Vector2::new(c * v[0] - s * v[2], v[1]), -s * v[0] - c * v[2])
     }
 
-    /// A vector given in the plane and normal to it, in the world.
+    /// Returns the world vector with these components in the plane and normal to it.
     #[inline(always)]
     fn to_world(self, plane: &Vector2<T>, normal: T) -> Vector3<T> {
         let Self { sine: s, cosine: c, .. } = self;
         Vector3::new(c * plane[0] - s * normal, plane[1], -s * plane[0] - c * normal)
     }
 
-    /// J_planeᵀ f.
+    /// Returns J_planeᵀ f for these lengths.
     #[inline(always)]
     fn transposed(&self, lengths: [T; 2], f: &Vector2<T>) -> Vector2<T> {
         let (e1, e2) = (&self.upper, &self.fore);
@@ -89,7 +88,7 @@ impl<T: Real> Pose<T> {
 }
 
 impl<T: Real> Parallelogram<T> {
-    /// The same in another precision.
+    /// Converts to another precision.
     pub fn cast<U: Real>(&self) -> Parallelogram<U> {
         Parallelogram {
             lengths: self.lengths.map(cast),
@@ -105,7 +104,7 @@ impl<T: Real> Parallelogram<T> {
         }
     }
 
-    /// J₀ and half its gradient by (cos q₁, cos q₂), kg m².
+    /// Returns J₀ and half its gradient with respect to (cos q₁, cos q₂), kg m².
     #[inline(always)]
     fn spin(&self, pose: &Pose<T>) -> (T, [T; 2]) {
         let (c1, c2) = (pose.upper[0], pose.fore[0]);
@@ -114,14 +113,14 @@ impl<T: Real> Parallelogram<T> {
         (self.turret_inertia + c1 * half_gradient[0] + c2 * half_gradient[1], half_gradient)
     }
 
-    /// J_plane⁻¹ v.
+    /// Returns J_plane⁻¹ v.
     #[inline(always)]
     fn inverse_in_plane(&self, pose: &Pose<T>, v: &Vector2<T>) -> Vector2<T> {
         let [iu, inverse_fore] = self.inverse_lengths;
         Vector2::new(pose.fore.dot(v) * pose.inverse_sine * iu, -pose.upper.dot(v) * pose.inverse_sine * inverse_fore)
     }
 
-    /// M q̇.
+    /// Returns M q̇.
     #[inline(always)]
     fn momentum(&self, pose: &Pose<T>, qd: &Vector3<T>) -> Vector3<T> {
         let off = self.coupling * pose.elbow_cosine;
@@ -129,11 +128,11 @@ impl<T: Real> Parallelogram<T> {
         Vector3::new(self.spin(pose).0 * qd[0], a * qd[1] + off * qd[2], off * qd[1] + c * qd[2])
     }
 
-    /// The torques of joint accelerations `qdd` at joint velocities `qd`.
+    /// Returns the torques of joint accelerations `qdd` at joint velocities `qd`.
     #[inline(always)]
     fn inertial_torque(&self, pose: &Pose<T>, qd: &Vector3<T>, qdd: &Vector3<T>) -> Vector3<T> {
         let (inertia, [h1, h2]) = self.spin(pose);
-        // Half the rates of J₀ per joint rate, which are also the centrifugal torques per q̇₀².
+        // Half the rates of J₀ per joint rate; they are also the centrifugal torques per q̇₀².
         let (f1, f2) = (h1 * pose.upper[1], h2 * pose.fore[1]);
         let turning = qd[0] * qd[0];
         let [a, c] = self.arm_inertia;
@@ -171,7 +170,7 @@ impl<T: Real> Mechanism<T, 3> for Parallelogram<T> {
         let [upper, fore, crank, coupler] = description.links;
         let handle = description.handle_mass;
         let about_proximal = |link: &crate::model::description::Link| link.mass * link.com * link.com;
-        // Second moments of mass along the two directions: (e₁e₁, e₁e₂, e₂e₂), then the same seen from the turret.
+        // Second moments of mass along e₁e₁, e₁e₂, e₂e₂; the turret's inertia uses the same moments.
         let along_upper = about_proximal(&upper) + about_proximal(&coupler) + (fore.mass + handle) * u * u;
         let along_fore = about_proximal(&fore) + about_proximal(&crank) + coupler.mass * k * k + handle * f * f;
         let mixed = fore.mass * u * fore.com - coupler.mass * k * coupler.com + handle * u * f;
@@ -180,7 +179,7 @@ impl<T: Real> Mechanism<T, 3> for Parallelogram<T> {
         let a = joint1.inertia + upper.inertia + coupler.inertia + along_upper;
         let c = joint2.inertia + fore.inertia + crank.inertia + along_fore;
         let turret_inertia = turret.inertia + description.links.iter().map(|link| link.inertia_axial).sum::<f64>();
-        // a c > b² up to rounding whenever a and c hold more than coincident point masses.
+        // a c > b² up to rounding, unless a and c come from coincident point masses only.
         if [a, c, turret_inertia, a * c - mixed * mixed].into_iter().any(|value| value.is_nan() || value <= 0.0) {
             return Err(DescriptionError::NoInertia);
         }
@@ -327,7 +326,7 @@ impl<T: Real> Mechanism<T, 3> for Parallelogram<T> {
             - (mixed + mixed.transpose()) * (self.coupling * pose.elbow_cosine))
             * (pose.inverse_sine * pose.inverse_sine);
         let normal = self.spin(pose).0 * pose.inverse_x * pose.inverse_x;
-        // Turned about the axis of the turret: the plane's x lies along (cos, 0, -sin), its normal along (-sin, 0, -cos).
+        // Rotate about the axis of the turret: the plane's x axis is (cos, 0, -sin), its normal (-sin, 0, -cos).
         let (s, c) = (pose.sine, pose.cosine);
         let (xx, xy) = (plane[(0, 0)], plane[(0, 1)]);
         let across = (normal - xx) * (s * c);

@@ -1,12 +1,12 @@
-//! `serial-3r`: a planar arm of three links with relative joint angles; its tip's point is the task, so it is
-//! redundant.
+//! `serial-3r`: a planar arm of three links with relative joint angles; redundant, because its task is the tip
+//! position.
 //!
-//! The third task coordinate is the orientation φ = q₁ + q₂ + q₃, whose row of J is (1, 1, 1). Written in the links'
-//! absolute angular rates θ̇ = (q̇₁, q̇₁ + q̇₂, φ̇), with link directions eᵢ, the arm is
-//! ṗ = Σ lᵢ eᵢ⊥ θ̇ᵢ, and with φ̇ given the other two rates are those of a two-link arm:
-//! θ̇₁ = v·e₂/(l₁ sin q₂), θ̇₂ = -v·e₁/(l₂ sin q₂), v = ṗ - l₃ e₃⊥ φ̇.
-//! The mass matrix in absolute rates has constants on its diagonal and a constant times the cosine of the angle between
-//! the two links off it (less the reflected rotor between neighbours); torques go back by sums, τᵢ = Σ_{j≥i} of them.
+//! The third task coordinate is the orientation φ = q₁ + q₂ + q₃, whose row of J is (1, 1, 1). In the links' absolute
+//! angular rates θ̇ = (q̇₁, q̇₁ + q̇₂, φ̇), with link directions eᵢ, the tip velocity is ṗ = Σ lᵢ eᵢ⊥ θ̇ᵢ. For a given
+//! φ̇ the other two rates are those of a two-link arm: θ̇₁ = v·e₂/(l₁ sin q₂), θ̇₂ = -v·e₁/(l₂ sin q₂),
+//! v = ṗ - l₃ e₃⊥ φ̇. The mass matrix in absolute rates has a constant diagonal. An entry off the diagonal is a
+//! constant times the cosine of the angle between the two links (less the reflected rotor between neighbours). Joint
+//! torques are sums of the moments on the absolute angles, τᵢ = Σ_{j≥i}.
 
 use super::{Mechanism, Regularity, SINE_FLOOR, Shaping, WallTerms, effective, reciprocal};
 use crate::math::{Angle, Math, Real, cast};
@@ -14,24 +14,24 @@ use crate::model::catalogue::{Kind, Spec};
 use crate::model::description::{Description, DescriptionError};
 use nalgebra::{Matrix3, Vector2, Vector3};
 
-/// A planar 3R arm: its minimal coefficients.
+/// Minimal coefficients of a planar 3R arm.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize, postcard_schema::Schema)]
 pub struct Serial3r<T> {
     /// l₁, l₂, l₃, m.
     lengths: [T; 3],
     /// 1/l₁ and 1/l₂, 1/m.
     inverse_lengths: [T; 2],
-    /// On the diagonal of the mass matrix in absolute rates, kg m².
+    /// Diagonal of the mass matrix in absolute rates, kg m².
     inertia: [T; 3],
-    /// Times the cosine between links 1 and 2, 2 and 3, 1 and 3, kg m².
+    /// Coefficients of the cosines between links 1 and 2, 2 and 3, 1 and 3, kg m².
     coupling: [T; 3],
-    /// Rotors of joints 2 and 3, kg m².
+    /// Rotor inertias of joints 2 and 3, kg m².
     rotor: [T; 2],
     /// First moments of mass along each link times gravity, N m.
     weight: [[T; 2]; 3],
 }
 
-/// The quantities that depend on the three angles alone.
+/// Quantities that depend on the three angles alone.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pose<T: Real> {
     /// Tip (m) and φ (rad).
@@ -40,32 +40,32 @@ pub struct Pose<T: Real> {
     link: [Vector2<T>; 3],
     /// Sines of q₂, q₃, q₂ + q₃: the angles between links 1 and 2, 2 and 3, 1 and 3.
     sine: [T; 3],
-    /// Cosines of the same.
+    /// Cosines of the same angles.
     cosine: [T; 3],
     /// 1/sin q₂, clamped.
     inverse_sine: T,
 }
 
-/// `v` turned left by 90°.
+/// Returns `v` rotated left by 90°.
 #[inline(always)]
 fn left<T: Real>(v: &Vector2<T>) -> Vector2<T> {
     Vector2::new(-v[1], v[0])
 }
 
-/// Absolute rates of joint rates.
+/// Returns the absolute rates of joint rates.
 #[inline(always)]
 fn absolute<T: Real>(qd: &Vector3<T>) -> Vector3<T> {
     let second = qd[0] + qd[1];
     Vector3::new(qd[0], second, second + qd[2])
 }
 
-/// Joint rates of absolute rates.
+/// Returns the joint rates of absolute rates.
 #[inline(always)]
 fn relative<T: Real>(rates: &Vector3<T>) -> Vector3<T> {
     Vector3::new(rates[0], rates[1] - rates[0], rates[2] - rates[1])
 }
 
-/// Joint torques of what acts on the absolute angles.
+/// Returns the joint torques of moments on the absolute angles.
 #[inline(always)]
 fn accumulate<T: Real>(moments: &Vector3<T>) -> Vector3<T> {
     let second = moments[1] + moments[2];
@@ -73,7 +73,7 @@ fn accumulate<T: Real>(moments: &Vector3<T>) -> Vector3<T> {
 }
 
 impl<T: Real> Serial3r<T> {
-    /// The same in another precision.
+    /// Converts to another precision.
     pub fn cast<U: Real>(&self) -> Serial3r<U> {
         Serial3r {
             lengths: self.lengths.map(cast),
@@ -85,14 +85,14 @@ impl<T: Real> Serial3r<T> {
         }
     }
 
-    /// The absolute rates of a task velocity.
+    /// Returns the absolute rates of a task velocity.
     #[inline(always)]
     fn rates(&self, pose: &Pose<T>, point: &Vector2<T>, turning: T) -> Vector3<T> {
         let [first, second] = self.arm_rates(pose, &(point - left(&pose.link[2]) * (self.lengths[2] * turning)));
         Vector3::new(first, second, turning)
     }
 
-    /// The absolute rates of the first two links that move the second one's end with `v`.
+    /// Returns the absolute rates of the first two links for a velocity `v` of the second link's end.
     #[inline(always)]
     fn arm_rates(&self, pose: &Pose<T>, v: &Vector2<T>) -> [T; 2] {
         [
@@ -101,14 +101,14 @@ impl<T: Real> Serial3r<T> {
         ]
     }
 
-    /// The off-diagonal entries (12, 23, 13) of the mass matrix in absolute rates.
+    /// Returns the off-diagonal entries (12, 23, 13) of the mass matrix in absolute rates.
     #[inline(always)]
     fn off_diagonal(&self, pose: &Pose<T>) -> [T; 3] {
         let [c12, c23, c13] = pose.cosine;
         [self.coupling[0] * c12 - self.rotor[0], self.coupling[1] * c23 - self.rotor[1], self.coupling[2] * c13]
     }
 
-    /// Mass matrix in absolute rates times a vector: of the first two links, and of the third if it turns.
+    /// Multiplies the mass matrix in absolute rates by the rates of the first two links and of the third, if any.
     #[inline(always)]
     fn momentum(&self, pose: &Pose<T>, [first, second]: [T; 2], third: Option<T>) -> Vector3<T> {
         let [m12, m23, m13] = self.off_diagonal(pose);
@@ -117,7 +117,7 @@ impl<T: Real> Serial3r<T> {
         third.map_or(momentum, |third| momentum + Vector3::new(m13, m23, m33) * third)
     }
 
-    /// Centrifugal moments on the absolute angles, given the squares of their rates.
+    /// Returns the centrifugal moments on the absolute angles, from the squares of their rates.
     #[inline(always)]
     fn centrifugal(&self, pose: &Pose<T>, squares: &Vector3<T>) -> Vector3<T> {
         let [k12, k23, k13] = self.coupling;
@@ -153,7 +153,7 @@ impl<T: Real> Mechanism<T, 3> for Serial3r<T> {
         let [j1, j2, j3] = description.joints.map(|joint| joint.inertia);
         let handle = description.handle_mass;
         let own = |link: &crate::model::description::Link| link.inertia + link.mass * link.com * link.com;
-        // First moments of all that a link carries, itself included, about its proximal joint.
+        // First moments of each link and all later links about its proximal joint.
         let moment3 = link3.mass * link3.com + handle * l3;
         let moment2 = link2.mass * link2.com + (link3.mass + handle) * l2;
         let moment1 = link1.mass * link1.com + (link2.mass + link3.mass + handle) * l1;
@@ -162,8 +162,8 @@ impl<T: Real> Mechanism<T, 3> for Serial3r<T> {
             own(&link2) + (link3.mass + handle) * l2 * l2,
             own(&link3) + handle * l3 * l3,
         ];
-        let spare = [links[0] + j1, links[1] + j2, links[2] + j3];
-        if spare.into_iter().any(|value| value.is_nan() || value <= 0.0) {
+        let inertias = [links[0] + j1, links[1] + j2, links[2] + j3];
+        if inertias.into_iter().any(|value| value.is_nan() || value <= 0.0) {
             return Err(DescriptionError::NoInertia);
         }
         let real = T::from_f64;
@@ -289,20 +289,20 @@ impl<T: Real> Mechanism<T, 3> for Serial3r<T> {
 
     #[inline(always)]
     fn wall_terms(&self, pose: &Pose<T>, basis: &Matrix3<T>, qd: &Vector3<T>) -> WallTerms<T, 3> {
-        // As `arm_rates`, for several velocities.
+        // Like `arm_rates`, for several velocities.
         let first = pose.link[1] * (pose.inverse_sine * self.inverse_lengths[0]);
         let second = pose.link[0] * (-pose.inverse_sine * self.inverse_lengths[1]);
         let arms = |v: Vector2<T>| [first.dot(&v), second.dot(&v)];
-        // Along the wall's normal and across it the third link does not turn; for φ it does, about the tip.
+        // The third link does not rotate along the wall's normal or across it; for φ it rotates about the tip.
         let (n, one, zero) = (Vector2::new(basis[(0, 0)], basis[(1, 0)]), T::one(), T::zero());
         let (along, across, about) = (arms(n), arms(left(&n)), arms(left(&pose.link[2]) * -self.lengths[2]));
         let momentum = |rates: [T; 2], third| self.momentum(pose, rates, third);
         let (pn, pt, pf) = (momentum(along, None), momentum(across, None), momentum(about, Some(one)));
-        let met = |p: &Vector3<T>, rates: [T; 2]| p[0] * rates[0] + p[1] * rates[1];
-        let (nn, nt, tt) = (met(&pn, along), met(&pn, across), met(&pt, across));
-        let (nf, tf, ff) = (met(&pn, about) + pn[2], met(&pt, about) + pt[2], met(&pf, about) + pf[2]);
+        let product = |p: &Vector3<T>, rates: [T; 2]| p[0] * rates[0] + p[1] * rates[1];
+        let (nn, nt, tt) = (product(&pn, along), product(&pn, across), product(&pt, across));
+        let (nf, tf, ff) = (product(&pn, about) + pn[2], product(&pt, about) + pt[2], product(&pf, about) + pf[2]);
         let e = |rates: [T; 2], third| relative(&Vector3::new(rates[0], rates[1], third));
-        // Weff in absolute rates, which make the shortest mass matrix.
+        // Weff in absolute rates, in which the mass matrix is shortest.
         let moment = |i: usize| self.lengths[i] * (pose.link[i][0] * n[1] - pose.link[i][1] * n[0]);
         let moments = Vector3::new(moment(0), moment(1), moment(2));
         let ([m11, m22, m33], [m12, m23, m13]) = (self.inertia, self.off_diagonal(pose));

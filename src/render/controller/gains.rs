@@ -4,17 +4,17 @@ use crate::render::scene::FeedForward;
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
-/// A scene's gains of one wall, as they may change while the wall is touched.
+/// A wall's gains, which may change while the wall is touched.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct Gains<T> {
-    /// Which wall, from 0.
+    /// Index of the wall, from 0.
     pub wall: u8,
-    /// N/m
+    /// Stiffness, N/m.
     pub stiffness: T,
-    /// N s/m
+    /// Damping, N s/m.
     pub damping: T,
-    /// The shaping of its force.
+    /// Feed-forward of its force.
     pub feed_forward: FeedForward,
-    /// Corner of its washout, Hz.
+    /// Corner frequency of its washout, Hz.
     pub washout_hz: T,
 }

@@ -1,9 +1,9 @@
-//! The general control step, for any scene: contacts → wall forces → the feed-forward → torques. Straight steps do the same
-//! for one shape of scene, and share its parts.
+//! The general control step, for any scene: contacts → wall forces → the feed-forward → torques. A straight step does
+//! the same for one kind of scene, and shares these parts.
 
-use super::guidance::Beside;
-use super::regularity::{fade, known_share, nearness};
-use super::walls::{Acting, Active, Together};
+use super::guidance::SharedGuidance;
+use super::regularity::{clearance, fade, velocity_term_share};
+use super::walls::{BiasScope, ContactGroup, ShapedContact};
 use super::{Controller, task_part};
 use crate::math::{Angle, Math, Real};
 use crate::model::catalogue::MAX_JOINTS;
@@ -16,10 +16,10 @@ use crate::render::step_result::{StepResult, TorqueDemand, clear, put};
 use heapless::Vec;
 use nalgebra::SVector;
 
-/// The beginning of every step.
+/// Values that every part of the general step uses.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Begun<'a, T: Real, P, const N: usize> {
-    /// Joint angles, whole turns taken off.
+pub(super) struct StepStart<'a, T: Real, P, const N: usize> {
+    /// Joint angles without complete turns.
     angles: [Angle<T>; N],
     /// Filtered joint velocities, rad/s.
     qd: SVector<T, N>,
@@ -30,101 +30,101 @@ pub(super) struct Begun<'a, T: Real, P, const N: usize> {
 }
 
 impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K, N> {
-    /// [`Controller::step_generally`] where what it finds is kept.
+    /// Like [`Controller::step_generally`], but writes into `result`.
     #[inline(never)]
-    pub(crate) fn render_generally(&mut self, counts: &[i32; N], found: &mut StepResult<T>) {
+    pub(crate) fn render_generally(&mut self, counts: &[i32; N], result: &mut StepResult<T>) {
         let (_, angles) = self.encoders.angles(counts);
         let pose = shared_pose::<T, K, M, N>(&self.mechanism, &angles);
         let tip = self.mechanism.tip(&pose);
         let regularity = self.mechanism.regularity(&pose);
         let qd = self.encoders.velocities(counts, |filter, raw| filter.step(&self.coefficients, raw));
-        Self::keep(&qd, &tip, found);
-        found.parallel = regularity.parallel;
-        let mut begun = Begun { angles, qd, pose: &pose, place: task_part::<T, M, N>(&tip), regularity };
-        let (mut torque, rendered, force) = self.anywhere(&mut begun, counts, found);
-        let asked = &mut found.asked;
-        torque += self.weigh(&pose, asked);
+        Self::write_motion(&qd, &tip, result);
+        result.parallel = regularity.parallel;
+        let mut start = StepStart { angles, qd, pose: &pose, place: task_part::<T, M, N>(&tip), regularity };
+        let (mut torque, rendered, force) = self.render_any_scene(&mut start, counts, result);
+        let asked = &mut result.asked;
+        torque += self.write_gravity(&pose, asked);
         put(&rendered, &mut asked.rendered);
         asked.force_squared = force.dot(&force);
-        if self.guidance.pushed {
-            torque += self.add(&pose, &force, &self.guidance.pushing(), asked);
+        if self.guidance.is_pushed {
+            torque += self.add_force(&pose, &force, &self.guidance.push_force(), asked);
         }
         put(&torque, &mut asked.total);
     }
 
-    /// Joint torques (N m) of any scene, what of them renders its forces, and their resultant (N): contacts → wall forces →
-    /// the feed-forward → torques.
+    /// Returns the joint torques (N m) of any scene, the part of them that renders its forces, and the resultant of
+    /// these forces (N): contacts → wall forces → the feed-forward → torques.
     #[inline(always)]
-    fn anywhere(
+    fn render_any_scene(
         &mut self,
-        begun: &mut Begun<'_, T, M::Pose, N>,
+        start: &mut StepStart<'_, T, M::Pose, N>,
         counts: &[i32; N],
-        found: &mut StepResult<T>,
+        result: &mut StepResult<T>,
     ) -> (SVector<T, N>, SVector<T, N>, SVector<T, N>) {
-        let observed = self.coefficients.at_joints();
+        let uses_joints = self.coefficients.uses_joints();
         let mut along = SVector::zeros();
-        if observed {
-            (begun.qd, along) = self.observe(begun.pose, counts, &begun.qd);
-            put(&begun.qd, &mut found.at.qd);
+        if uses_joints {
+            (start.qd, along) = self.observe(start.pose, counts, &start.qd);
+            put(&start.qd, &mut result.at.qd);
         }
-        let Begun { angles, qd, pose, place, regularity } = &*begun;
+        let StepStart { angles, qd, pose, place, regularity } = &*start;
 
-        let mut more: Vec<Active<T, N>, MAX_WALLS> = Vec::new();
-        let along = observed.then_some(&along);
+        let mut more: Vec<ShapedContact<T, N>, MAX_WALLS> = Vec::new();
+        let along = uses_joints.then_some(&along);
         let debt = self.debt();
         let touch = self.walls.touch::<K, N>(&self.coefficients, place, along, debt.as_ref(), &mut more);
-        found.at.walls = touch.found;
-        if touch.found.contacts > 0 {
-            put(&self.mechanism.inverse(pose, &touch.normal), &mut found.motion);
+        result.at.walls = touch.at_walls;
+        if touch.at_walls.contacts > 0 {
+            put(&self.mechanism.inverse(pose, &touch.normal), &mut result.motion);
         } else {
-            clear::<T, N>(&mut found.motion);
+            clear::<T, N>(&mut result.motion);
         }
         let mut plain = touch.plain;
-        let (mut beside, mut guided) = (Beside::none(), SVector::zeros());
-        if self.guidance.any {
+        let (mut shared, mut guidance_force) = (SharedGuidance::none(), SVector::zeros());
+        if self.guidance.is_active {
             let velocity = task_part::<T, M, N>(&self.mechanism.velocity(pose, qd));
-            guided = self.guidance.force(place, &velocity);
-            plain += guided;
-            // One joint alone has no other direction to shape into.
-            if self.guidance.is_beside() && N > 1 {
-                beside = self.guidance.beside(place, &velocity, self.walls.gain());
+            guidance_force = self.guidance.force(place, &velocity);
+            plain += guidance_force;
+            // A single joint has no other direction to shape.
+            if self.guidance.shares_feed_forward() && N > 1 {
+                shared = self.guidance.shared_part(place, &velocity, self.walls.gain());
             }
         }
 
-        // (4): what is shaped goes through M E Wrr⁻¹, the rest straight through Jᵀ.
+        // (4): the shaped force goes through M E Wrr⁻¹, the rest straight through Jᵀ.
         let (mut torque, rendered, force);
         if let Some(mut first) = touch.first {
             if let Some(gain) = self.gain
                 && more.is_empty()
-                && !beside.acts
+                && !shared.acts
             {
-                let kept = first.shaped * self.below_the_pole(angles, pose, &first.normal, gain);
-                plain += first.normal * (first.shaped - kept);
-                first.shaped = kept;
+                let limited = first.shaped * self.share_below_pole(angles, pose, &first.normal, gain);
+                plain += first.normal * (first.shaped - limited);
+                first.shaped = limited;
             }
             let mut shaped = more.iter().fold(first.normal * first.shaped, |sum, a| sum + a.normal * a.shaped);
-            if beside.acts {
-                let stiff = self.guidance.sum(&beside);
+            if shared.acts {
+                let stiff = self.guidance.shared_force(&shared);
                 plain -= stiff;
                 shaped += stiff;
             }
             force = plain + shaped;
             rendered = self.mechanism.transpose(pose, &force);
-            let share = fade(nearness(regularity));
-            let (through, left) = self.feed_forward(begun, &first, &more, &beside, &shaped, share);
-            found.at.walls.shaping = share;
+            let share = fade(clearance(regularity));
+            let (through, left) = self.feed_forward(start, &first, &more, &shared, &shaped, share);
+            result.at.walls.shaping = share;
             torque = through + self.mechanism.transpose(pose, &(plain + left));
         } else {
             force = plain;
             torque = self.mechanism.transpose(pose, &plain);
             rendered = torque;
         }
-        if touch.found.contacts == 0 {
+        if touch.at_walls.contacts == 0 {
             self.leave();
-        } else if self.guidance.any {
-            self.hold(&(torque - self.mechanism.transpose(pose, &guided)), found);
+        } else if self.guidance.is_active {
+            self.hold(&(torque - self.mechanism.transpose(pose, &guidance_force)), result);
         } else {
-            self.hold(&torque, found);
+            self.hold(&torque, result);
         }
         if M::SPEC.task < N && self.posture.is_some() {
             torque += self.posture_torque(pose, qd);
@@ -132,17 +132,18 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         (torque, rendered, force)
     }
 
-    /// Joint torques (N m) beside those of walls, springs and fields: what holds the device against gravity.
+    /// Writes and returns the joint torques (N m) that hold the device against gravity.
     #[inline(always)]
-    pub(super) fn weigh(&self, pose: &M::Pose, asked: &mut TorqueDemand<T>) -> SVector<T, N> {
+    pub(super) fn write_gravity(&self, pose: &M::Pose, asked: &mut TorqueDemand<T>) -> SVector<T, N> {
         let gravity = if self.gravity { self.mechanism.gravity(pose) } else { SVector::zeros() };
         put(&gravity, &mut asked.gravity);
         gravity
     }
 
-    /// Adds another force (N) to those whose resultant is `force` (N), and to what renders them; its torques, N m.
+    /// Adds the force `other` (N) to the resultant `force` (N), and its torques, which it returns, to the rendered
+    /// torques.
     #[inline(never)]
-    pub(super) fn add(
+    pub(super) fn add_force(
         &self,
         pose: &M::Pose,
         force: &SVector<T, N>,
@@ -158,8 +159,8 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         torque
     }
 
-    /// Joint velocities (rad/s) by an estimator that watches joints, and the tip's (m/s). `before`: by what was at work
-    /// when it is new.
+    /// Returns the joint velocities (rad/s) of the joint estimators, and the tip velocity (m/s). `before` is the
+    /// initial velocity of a new estimator.
     #[inline(never)]
     pub(super) fn observe(
         &mut self,
@@ -168,7 +169,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         before: &SVector<T, N>,
     ) -> (SVector<T, N>, SVector<T, N>) {
         let pushed = if self.coefficients.predicts() {
-            solve_symmetric(&self.mechanism.mass(pose), &self.observers.acting)
+            solve_symmetric(&self.mechanism.mass(pose), &self.observers.motor_torque)
         } else {
             SVector::zeros()
         };
@@ -176,128 +177,130 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         (qd, task_part::<T, M, N>(&self.mechanism.velocity(pose, &qd)))
     }
 
-    /// A unit motion of the tip, on a redundant device with the coordinate held that the scene names.
+    /// Returns a unit motion of the tip; on a redundant device with the scene's coordinate held.
     #[inline(always)]
-    pub(super) fn held(&self, shaping: Shaping<T, N>, pose: &M::Pose) -> Shaping<T, N> {
+    pub(super) fn hold_coordinate(&self, shaping: Shaping<T, N>, pose: &M::Pose) -> Shaping<T, N> {
         if M::SPEC.task == N || self.admissible == Admissible::Orientation {
             return shaping;
         }
-        self.admissible.hold(&shaping, &self.null(pose))
+        self.admissible.hold(&shaping, &self.null_motion(pose))
     }
 
-    /// The motion that moves no tip, on a redundant device.
+    /// Returns the motion of a redundant device that does not move the tip.
     #[inline(never)]
-    pub(super) fn null(&self, pose: &M::Pose) -> Shaping<T, N> {
+    pub(super) fn null_motion(&self, pose: &M::Pose) -> Shaping<T, N> {
         let mut turning = SVector::<T, N>::zeros();
         turning[N - 1] = T::one();
         self.mechanism.shaping(pose, &turning)
     }
 
-    /// The share of the feed-forward that keeps a gain α above 1 away from the inertia's pole. The wall meets
-    /// m = Weff/(1 - α ρ), ρ = 1 - Weff/Wrr, which has no bound at α = 1/ρ; half way there, at (1 + 1/ρ)/2, it is twice
-    /// Wrr, and no more is given.
+    /// Returns the share of the feed-forward that keeps a gain α above 1 away from the inertia's pole. The wall meets
+    /// m = Weff/(1 - α ρ), ρ = 1 - Weff/Wrr, which is unbounded at α = 1/ρ. The limit is half way to the pole, at
+    /// (1 + 1/ρ)/2, where m is twice Wrr.
     #[inline(never)]
-    pub(super) fn below_the_pole(&self, angles: &[Angle<T>; N], pose: &M::Pose, n: &SVector<T, N>, gain: T) -> T {
-        let shaping = self.held(self.mass.shaping(&self.mechanism, &radians(angles), pose, n), pose);
+    pub(super) fn share_below_pole(&self, angles: &[Angle<T>; N], pose: &M::Pose, n: &SVector<T, N>, gain: T) -> T {
+        let shaping = self.hold_coordinate(self.mass.shaping(&self.mechanism, &radians(angles), pose, n), pose);
         let row = self.mechanism.transpose(pose, n);
         let w_eff = T::one() / row.dot(&solve_symmetric(&self.mechanism.mass(pose), &row));
         let coupling = (T::one() - w_eff / shaping.w_rr).greater(T::EPSILON);
-        let most = T::from_f64(0.5) * (T::one() + T::one() / coupling);
-        (most / gain).lesser(T::one())
+        let limit = T::from_f64(0.5) * (T::one() + T::one() / coupling);
+        (limit / gain).lesser(T::one())
     }
 
-    /// The share `share` of the feed-forward of one or several active walls, and what is stiff beside them, whose
-    /// resultant is `force` (N): torques without gravity, and what of the force is left for Jᵀ.
+    /// Computes the share `share` of the feed-forward of one or several active walls and of the stiff guidance that
+    /// acts together with them; their resultant is `force` (N). Returns the torques without gravity, and the force that
+    /// is left for Jᵀ.
     #[inline(never)]
     pub(super) fn feed_forward(
         &self,
-        begun: &Begun<'_, T, M::Pose, N>,
-        first: &Active<T, N>,
-        more: &[Active<T, N>],
-        beside: &Beside<T, N>,
+        start: &StepStart<'_, T, M::Pose, N>,
+        first: &ShapedContact<T, N>,
+        more: &[ShapedContact<T, N>],
+        shared: &SharedGuidance<T, N>,
         force: &SVector<T, N>,
         share: T,
     ) -> (SVector<T, N>, SVector<T, N>) {
-        let Begun { angles, qd, pose, place, .. } = begun;
+        let StepStart { angles, qd, pose, place, .. } = start;
         let q = &radians(angles);
         if share <= T::zero() {
             return (SVector::zeros(), *force);
         }
-        if more.is_empty() && !beside.acts {
-            let shaping = self.held(self.mass.shaping(&self.mechanism, q, pose, &first.normal), pose);
-            let (b, met) = self.bias(pose, place, qd, &Acting::One(first));
+        if more.is_empty() && !shared.acts {
+            let shaping = self.hold_coordinate(self.mass.shaping(&self.mechanism, q, pose, &first.normal), pose);
+            let (b, met) = self.bias(pose, place, qd, &BiasScope::One(first));
             (shaping.torque(first.shaped, &b, &met) * share, force * (T::one() - share))
         } else {
             let mut pulls = Vec::new();
-            let together = Together::new::<K>(first, more, &self.guidance, beside, place, M::SPEC.task, &mut pulls);
-            let along =
-                |i| self.held(self.mass.shaping(&self.mechanism, q, pose, &together.principal.direction(i)), pose);
+            let group = ContactGroup::new::<K>(first, more, &self.guidance, shared, place, M::SPEC.task, &mut pulls);
+            let along = |i| {
+                self.hold_coordinate(self.mass.shaping(&self.mechanism, q, pose, &group.principal.direction(i)), pose)
+            };
             let unused = Shaping { e: SVector::zeros(), me: SVector::zeros(), w_rr: T::one() };
             let shapings = core::array::from_fn(|i| if i + 1 < N { along(i) } else { unused });
-            let of_level = |level| self.bias(pose, place, qd, &Acting::Level(&together, level));
-            // Only where walls turn, or compensate damping, one level's is another than the next one's.
-            let same = (self.biased && !self.walls.curved && !self.walls.damped).then(|| of_level(1));
-            let bias = |level| self.biased.then(|| same.unwrap_or_else(|| of_level(level)));
-            let first = &together.principal.direction(0);
-            let gained = |gain| {
-                let most = gain * self.below_the_pole(angles, pose, first, gain);
-                (T::one() + (most - T::one()) * single_wall_weight(&together.principal)) / gain
+            let of_level = |level| self.bias(pose, place, qd, &BiasScope::Level(&group, level));
+            // The bias of the levels differs only if normals turn or walls compensate damping.
+            let same = (self.has_bias && !self.walls.curved && !self.walls.damped).then(|| of_level(1));
+            let bias = |level| self.has_bias.then(|| same.unwrap_or_else(|| of_level(level)));
+            let first = &group.principal.direction(0);
+            let share_of_gain = |gain| {
+                let limit = gain * self.share_below_pole(angles, pose, first, gain);
+                (T::one() + (limit - T::one()) * single_wall_weight(&group.principal)) / gain
             };
-            let part = share * self.gain.map_or(T::one(), gained);
-            together.principal.shaped(&shapings, force, part, bias)
+            let part = share * self.gain.map_or(T::one(), share_of_gain);
+            group.principal.shaped(&shapings, force, part, bias)
         }
     }
 
-    /// b without gravity: c - M J⁻¹(J̇ q̇ + κ), and B q̇ where a wall asks for it; and the part of it that the walls
-    /// meet: the whole by the paper's (4), B q̇ alone where the force is rendered whatever moves. Zero when the scene
-    /// has no velocity terms, where nothing moves by more than single counts, and where the estimate lags too far
-    /// behind, see [`KNOWN_TURN`].
+    /// Returns b without gravity: c - M J⁻¹(J̇ q̇ + κ), plus B q̇ if a wall requests it; and the part of b that the
+    /// walls meet: all of it by the paper's (4), B q̇ alone if the force is rendered in every motion. The velocity
+    /// terms are zero if the scene has none, if no joint moves by more than single counts, and if the estimate lags too
+    /// far behind, see [`KNOWN_TURN`].
     #[inline(never)]
     pub(super) fn bias(
         &self,
         pose: &M::Pose,
         place: &SVector<T, N>,
         qd: &SVector<T, N>,
-        acting: &Acting<'_, T, N>,
+        scope: &BiasScope<'_, T, N>,
     ) -> (SVector<T, N>, SVector<T, N>) {
         let mut b = SVector::zeros();
         if self.velocity_terms != VelocityTerms::Off {
-            let qd = &self.encoders.certain(qd);
+            let qd = &self.encoders.beyond_one_count(qd);
             b = self.mechanism.velocity_torque(pose, qd);
             if M::SPEC.task > 1 && self.walls.curved {
                 let velocity = task_part::<T, M, N>(&self.mechanism.velocity(pose, qd));
-                let acceleration = self.walls.turning::<K, N>(place, &velocity, acting);
+                let acceleration = self.walls.turning::<K, N>(place, &velocity, scope);
                 b += MassModel::Exact.shaping(&self.mechanism, qd, pose, &acceleration).me;
             }
             if M::SPEC.task < N && self.admissible != Admissible::Orientation {
-                let bent = self.mechanism.inverse(pose, &(self.mechanism.jacobian_rate(pose, qd) * qd));
-                b = self.admissible.hold_bias(&b, &bent, &self.null(pose));
+                let qdd_bias = self.mechanism.inverse(pose, &(self.mechanism.jacobian_rate(pose, qd) * qd));
+                b = self.admissible.hold_bias(&b, &qdd_bias, &self.null_motion(pose));
             }
-            b *= self.known(pose, qd);
+            b *= self.velocity_term_share(pose, qd);
         }
-        let share = self.walls.damping_share(acting);
+        let share = self.walls.damping_share(scope);
         let damping = if share > T::zero() { self.viscous.component_mul(qd) * share } else { SVector::zeros() };
         let met = if self.velocity_terms == VelocityTerms::Rendered { damping } else { b + damping };
         (b + damping, met)
     }
 
-    /// The share of the velocity terms that estimated velocities can tell, see [`KNOWN_TURN`].
+    /// Returns the share of the velocity terms that acts with estimated velocities, see [`KNOWN_TURN`].
     #[inline(always)]
-    pub(super) fn known(&self, pose: &M::Pose, qd: &SVector<T, N>) -> T {
-        known_share(&self.mechanism.regularity(pose), qd, self.coefficients.lag())
+    pub(super) fn velocity_term_share(&self, pose: &M::Pose, qd: &SVector<T, N>) -> T {
+        velocity_term_share(&self.mechanism.regularity(pose), qd, self.coefficients.lag())
     }
 }
 
-/// Angles in radians, as a prepared mass matrix takes them.
+/// Converts angles to radians, for a precomputed mass matrix.
 #[inline(always)]
 fn radians<T: Real, const N: usize>(angles: &[Angle<T>; N]) -> SVector<T, N> {
     SVector::from_fn(|i, _| angles[i].radians)
 }
 
-/// Similarity of several walls to a single one, for which a gain of the feed-forward above 1 is meant: a smooth step
-/// from 1, where they coincide, to 0 where the second direction has a hundredth of the stiffness of the first (two
-/// equal facets 11° apart). Beyond, the proof that no set of walls is less stable than without the feed-forward needs a
-/// gain of 1.
+/// Returns the similarity of several walls to a single wall, for which a gain of the feed-forward above 1 is intended:
+/// a smooth step from 1, if the walls coincide, to 0, if the second direction has a hundredth of the stiffness of the
+/// first (two equal facets 11° apart). For less similar walls the proof that no set of walls is less stable than
+/// without the feed-forward needs a gain of 1.
 fn single_wall_weight<T: Real, const N: usize>(principal: &Principal<T, N>) -> T {
     let second = principal.along(1) * T::from_f64(100.0);
     let s = (T::one() - second / principal.along(0).greater(T::EPSILON)).greater(T::zero());

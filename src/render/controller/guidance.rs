@@ -1,8 +1,8 @@
-//! Springs, fields, and what the host adds.
+//! Springs, fields, and the host's force and plane.
 //!
-//! It goes straight through Jᵀ, except for stiff parts beside walls that have the feed-forward: springs and the host's
-//! plane then go through the levels of [`crate::model::principal`] with those walls, as walls without the feed-forward
-//! do (docs/model.md section 2).
+//! Their force goes straight through Jᵀ, except for stiff parts that act together with walls with the feed-forward:
+//! springs and the host's plane then go through the levels of [`crate::model::principal`] together with these walls,
+//! like walls without the feed-forward (docs/model.md section 2).
 
 use super::push::{Push, PushedPlane};
 use super::stiffness::Stiffness;
@@ -14,56 +14,57 @@ use crate::render::velocity::Washout;
 use heapless::Vec;
 use nalgebra::SVector;
 
-/// Springs, fields, and what the host adds.
+/// The run-time form of springs, fields, and the host's force and plane.
 #[derive(Clone, Debug)]
 pub(super) struct Guidance<T: Real> {
     springs: Vec<Spring<T>, MAX_SPRINGS>,
     field_damping: T,
     push: Option<Push<T>>,
-    /// True if there is more than a force of the host's.
-    pub any: bool,
+    /// True if there is a spring, a field or a plane of the host.
+    pub is_active: bool,
     /// True if the host pushes.
-    pub pushed: bool,
-    /// One or the other.
-    pub adds: bool,
-    /// Its shaping beside walls with the feed-forward; [`FeedForward::Off`] if the scene has none.
-    together: FeedForward,
-    /// The springs' total stiffness: in the plane, and their sum, N/m.
+    pub is_pushed: bool,
+    /// True if `is_active` or `is_pushed`.
+    pub adds_force: bool,
+    /// Shaping of its stiff parts when they act together with walls with the feed-forward; [`FeedForward::Off`] if the
+    /// scene has no such walls.
+    shared_feed_forward: FeedForward,
+    /// Total stiffness of the springs: in the plane, and as a sum, N/m.
     in_plane: Stiffness<T>,
     stiffness: T,
-    /// Of the springs' force, and of the plane's.
+    /// Washouts of the plane's force and of the springs' force.
     washouts: [Washout<T>; 4],
 }
 
-/// The force of what is stiff, beside walls with the feed-forward.
+/// The force of springs and the plane when they act together with walls that have the feed-forward.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Beside<T, const N: usize> {
-    /// True if there is anything stiff.
+pub(super) struct SharedGuidance<T, const N: usize> {
+    /// True if a spring or the plane is stiff and acts.
     pub acts: bool,
-    /// The part of the springs' force that is shaped, N.
+    /// Shaped part of the springs' force, N.
     pub springs: SVector<T, N>,
-    /// The part of the plane's, along its normal, N.
+    /// Shaped part of the plane's force along its normal, N.
     pub plane: T,
 }
 
-impl<T: Real, const N: usize> Beside<T, N> {
-    /// Nothing.
+impl<T: Real, const N: usize> SharedGuidance<T, N> {
+    /// Returns no force.
     pub fn none() -> Self {
         Self { acts: false, springs: SVector::zeros(), plane: T::zero() }
     }
 }
 
 impl<T: Real> Guidance<T> {
-    /// Of a checked scene.
+    /// Makes the run-time form of a checked scene.
     pub fn new(scene: &Scene<T>) -> Self {
         let mut guidance = Self {
             springs: scene.springs.clone(),
             field_damping: scene.field_damping,
             push: None,
-            any: false,
-            pushed: false,
-            adds: false,
-            together: FeedForward::Off,
+            is_active: false,
+            is_pushed: false,
+            adds_force: false,
+            shared_feed_forward: FeedForward::Off,
             in_plane: Stiffness::none(),
             stiffness: scene.springs.iter().fold(T::zero(), |sum, spring| sum + spring.stiffness),
             washouts: [Washout::default(); 4],
@@ -71,13 +72,13 @@ impl<T: Real> Guidance<T> {
         for Spring { direction: [x, y, _], stiffness, .. } in &scene.springs {
             guidance.in_plane.add_across(*x, *y, *stiffness);
         }
-        guidance.any = guidance.acts();
-        guidance.adds = guidance.any;
+        guidance.is_active = guidance.computes_active();
+        guidance.adds_force = guidance.is_active;
         guidance
     }
 
-    /// See [`Guidance::any`].
-    fn acts(&self) -> bool {
+    /// Computes [`Guidance::is_active`].
+    fn computes_active(&self) -> bool {
         let plane = self.push.as_ref().is_some_and(|push| !push.plane.is_absent());
         !self.springs.is_empty() || self.field_damping > T::zero() || plane
     }
@@ -85,32 +86,32 @@ impl<T: Real> Guidance<T> {
     /// Sets the host's force and plane from the next step on.
     pub fn set_push(&mut self, push: Option<&Push<T>>) {
         self.push = push.copied();
-        self.any = self.acts();
-        self.pushed = push.is_some();
-        self.adds = self.any || self.pushed;
+        self.is_active = self.computes_active();
+        self.is_pushed = push.is_some();
+        self.adds_force = self.is_active || self.is_pushed;
         if push.is_none_or(|push| push.plane.is_absent()) {
             let [of_plane, ..] = &mut self.washouts;
             *of_plane = restarted(of_plane);
         }
     }
 
-    /// The force (N) that the host adds at the tip.
-    pub fn pushing<const N: usize>(&self) -> SVector<T, N> {
+    /// Returns the host's force (N) at the tip.
+    pub fn push_force<const N: usize>(&self) -> SVector<T, N> {
         self.push.as_ref().map_or(SVector::zeros(), |push| task_vector(&push.force))
     }
 
-    /// The host's force and plane.
+    /// Returns the host's force and plane.
     pub fn push(&self) -> Option<&Push<T>> {
         self.push.as_ref()
     }
 
-    /// Takes over how walls with the feed-forward want the others shaped beside them.
-    pub fn agree(&mut self, (together, washout): (FeedForward, Option<Washout<T>>)) {
-        if together != self.together {
-            // They were not stepped, so what they remember is no longer true.
+    /// Sets the feed-forward that stiff parts share with walls, and its washout.
+    pub fn set_shared_feed_forward(&mut self, (shared_feed_forward, washout): (FeedForward, Option<Washout<T>>)) {
+        if shared_feed_forward != self.shared_feed_forward {
+            // The washouts were not stepped, so their states are no longer valid.
             self.washouts = [Washout::default(); 4];
         }
-        self.together = together;
+        self.shared_feed_forward = shared_feed_forward;
         if let Some(washout) = washout {
             self.washouts.iter_mut().for_each(|own| own.retune(&washout));
         }
@@ -121,12 +122,12 @@ impl<T: Real> Guidance<T> {
         self.washouts.iter_mut().for_each(|washout| *washout = restarted(washout));
     }
 
-    /// The force (N) at the tip, without what the host pushes with.
+    /// Returns the force (N) of springs, fields and the plane at the tip, without the host's force.
     #[inline(always)]
     pub fn force<const N: usize>(&self, place: &SVector<T, N>, velocity: &SVector<T, N>) -> SVector<T, N> {
         let mut force = velocity * -self.field_damping;
         if let Some(push) = &self.push {
-            force += push.plane.pushes(place, velocity);
+            force += push.plane.force(place, velocity);
         }
         for spring in &self.springs {
             force += spring_force(spring, place, velocity);
@@ -134,88 +135,93 @@ impl<T: Real> Guidance<T> {
         force
     }
 
-    /// Returns true if walls of this scene have the feed-forward, so that [`Guidance::beside`] wants every step.
-    pub fn is_beside(&self) -> bool {
-        self.together != FeedForward::Off
+    /// Returns true if walls have the feed-forward, so that [`Guidance::shared_part`] must run in every step.
+    pub fn shares_feed_forward(&self) -> bool {
+        self.shared_feed_forward != FeedForward::Off
     }
 
-    /// The part of [`Guidance::force`] that is shaped beside walls that have the feed-forward, α `gain`.
+    /// Returns the part of [`Guidance::force`] that walls with the feed-forward shape with α `gain`.
     #[inline(never)]
-    pub fn beside<const N: usize>(&mut self, place: &SVector<T, N>, velocity: &SVector<T, N>, gain: T) -> Beside<T, N> {
-        let mut beside = Beside::none();
+    pub fn shared_part<const N: usize>(
+        &mut self,
+        place: &SVector<T, N>,
+        velocity: &SVector<T, N>,
+        gain: T,
+    ) -> SharedGuidance<T, N> {
+        let mut shared = SharedGuidance::none();
         for spring in self.springs.iter().filter(|spring| spring.stiffness > T::zero()) {
-            beside.springs += spring_force(spring, place, velocity);
-            beside.acts = true;
+            shared.springs += spring_force(spring, place, velocity);
+            shared.acts = true;
         }
         let plane = self.stiff_plane();
         let touched = plane.is_some_and(|plane| plane.depth(place) > T::zero());
-        beside.plane = plane.map_or(T::zero(), |plane| plane.force(place, velocity));
-        self.shape(&mut beside, touched, gain);
-        beside
+        shared.plane = plane.map_or(T::zero(), |plane| plane.normal_force(place, velocity));
+        self.keep_shaped_part(&mut shared, touched, gain);
+        shared
     }
 
-    /// The host's plane where it is stiff.
+    /// Returns the host's plane if it is stiff.
     #[inline(always)]
     fn stiff_plane(&self) -> Option<&PushedPlane<T>> {
         self.push.as_ref().map(|push| &push.plane).filter(|plane| plane.stiffness > T::zero())
     }
 
-    /// Leaves of all that is stiff beside walls that have the feed-forward, α `gain`, the part that is shaped. `touched`:
-    /// whether the plane is.
+    /// Reduces the stiff forces to the part that is shaped together with walls that have the feed-forward with α
+    /// `gain`. `touched` is true if the plane is touched.
     #[inline(always)]
-    fn shape<const N: usize>(&mut self, beside: &mut Beside<T, N>, touched: bool, gain: T) {
-        beside.acts |= touched;
-        if self.together == FeedForward::Washout {
+    fn keep_shaped_part<const N: usize>(&mut self, shared: &mut SharedGuidance<T, N>, touched: bool, gain: T) {
+        shared.acts |= touched;
+        if self.shared_feed_forward == FeedForward::Washout {
             let [of_plane, of_springs @ ..] = &mut self.washouts;
-            beside.plane = of_plane.step(beside.plane);
-            for (force, washout) in beside.springs.iter_mut().zip(of_springs) {
+            shared.plane = of_plane.step(shared.plane);
+            for (force, washout) in shared.springs.iter_mut().zip(of_springs) {
                 *force = washout.step(*force);
             }
         }
-        beside.springs *= gain;
-        beside.plane = if touched { beside.plane * gain } else { T::zero() };
+        shared.springs *= gain;
+        shared.plane = if touched { shared.plane * gain } else { T::zero() };
     }
 
-    /// [`Guidance::force`], and with α = 1 [`Guidance::beside`], each spring's force worked out once.
+    /// Returns [`Guidance::force`] and, for α = 1, [`Guidance::shared_part`], and computes each spring's force once.
     #[inline(always)]
-    pub fn force_and_beside<const N: usize>(
+    pub fn force_and_shared_part<const N: usize>(
         &mut self,
         place: &SVector<T, N>,
         velocity: &SVector<T, N>,
-    ) -> (SVector<T, N>, Beside<T, N>) {
-        let mut beside = Beside::none();
+    ) -> (SVector<T, N>, SharedGuidance<T, N>) {
+        let mut shared = SharedGuidance::none();
         let mut force = velocity * -self.field_damping;
         for spring in &self.springs {
             let of_spring = spring_force(spring, place, velocity);
             force += of_spring;
             if spring.stiffness > T::zero() {
-                beside.springs += of_spring;
-                beside.acts = true;
+                shared.springs += of_spring;
+                shared.acts = true;
             }
         }
         let mut touched = false;
         if let Some(Push { plane, .. }) = &self.push {
-            let along = plane.force(place, velocity);
+            let along = plane.normal_force(place, velocity);
             force += task_vector::<T, N>(&plane.normal) * along;
             if plane.stiffness > T::zero() {
                 touched = plane.depth(place) > T::zero();
-                beside.plane = along;
+                shared.plane = along;
             }
         }
-        if self.is_beside() {
-            self.shape(&mut beside, touched, T::one());
+        if self.shares_feed_forward() {
+            self.keep_shaped_part(&mut shared, touched, T::one());
         }
-        (force, beside)
+        (force, shared)
     }
 
-    /// The springs' total stiffness in the plane; zero without springs.
+    /// Returns the springs' total stiffness in the plane; `None` without springs.
     #[inline(always)]
     pub fn in_plane(&self) -> Option<Stiffness<T>> {
         (self.stiffness > T::zero()).then_some(self.in_plane)
     }
 
-    /// The normal of the host's plane, the depth in it (m) at the tip position `place` (m) and its stiffness (N/m), where it is
-    /// stiff and touched.
+    /// Returns the normal of the host's plane, the depth in it (m) at the tip position `place` (m) and its stiffness
+    /// (N/m), if it is stiff and touched.
     #[inline(always)]
     pub fn touched_plane<const N: usize>(&self, place: &SVector<T, N>) -> Option<(SVector<T, N>, T, T)> {
         let plane = self.stiff_plane()?;
@@ -223,22 +229,22 @@ impl<T: Real> Guidance<T> {
         (depth > T::zero()).then(|| (task_vector(&plane.normal), depth, plane.stiffness))
     }
 
-    /// The force of `beside`, N.
+    /// Returns the force of `shared`, N.
     #[inline(never)]
-    pub fn sum<const N: usize>(&self, beside: &Beside<T, N>) -> SVector<T, N> {
+    pub fn shared_force<const N: usize>(&self, shared: &SharedGuidance<T, N>) -> SVector<T, N> {
         let normal = self.push.as_ref().map_or(SVector::zeros(), |push| task_vector(&push.plane.normal));
-        beside.springs + normal * beside.plane
+        shared.springs + normal * shared.plane
     }
 
-    /// The extension of the springs and the depth in the plane, by the part of their force that is shaped, m.
-    pub fn reach<const N: usize>(&self, beside: &Beside<T, N>) -> T {
+    /// Returns the larger of the springs' extension and the depth in the plane, by the shaped part of their force, m.
+    pub fn shared_depth<const N: usize>(&self, shared: &SharedGuidance<T, N>) -> T {
         let plane = self.push.as_ref().map_or(T::zero(), |push| push.plane.stiffness);
-        let most = beside.springs.iter().fold(T::zero(), |most, force| most.greater(force.abs()));
-        depth_of(most, self.stiffness).greater(depth_of(beside.plane, plane))
+        let largest = shared.springs.iter().fold(T::zero(), |largest, force| largest.greater(force.abs()));
+        depth_of(largest, self.stiffness).greater(depth_of(shared.plane, plane))
     }
 
-    /// The stiffness at the tip position `place` (m): for the plane with the depth in it (m).
-    pub fn pulls<const N: usize>(&self, place: &SVector<T, N>, mut each: impl FnMut(Pull<T, N>, Option<T>)) {
+    /// Passes the stiffness of each spring and of the touched plane (with its depth, m) to `each`.
+    pub fn for_each_pull<const N: usize>(&self, place: &SVector<T, N>, mut each: impl FnMut(Pull<T, N>, Option<T>)) {
         for spring in self.springs.iter().filter(|spring| spring.stiffness > T::zero()) {
             let normal = task_vector(&spring.direction);
             each(Pull { normal, across: true, stiffness: spring.stiffness, feed_forward: false }, None);
@@ -250,14 +256,14 @@ impl<T: Real> Guidance<T> {
     }
 }
 
-/// The same design without a memory.
+/// Returns a washout of the same design with a cleared state.
 fn restarted<T: Real>(washout: &Washout<T>) -> Washout<T> {
     let mut fresh = Washout::default();
     fresh.retune(washout);
     fresh
 }
 
-/// The force (N) of one spring at the tip. Not inlined: few scenes have springs, and mechanisms share it.
+/// Returns the force (N) of one spring at the tip. Not inlined: few scenes have springs, and the mechanisms share it.
 #[inline(never)]
 fn spring_force<T: Real, const N: usize>(
     spring: &Spring<T>,

@@ -1,29 +1,29 @@
-//! The estimators that watch joints, one for each.
+//! The joint estimators, one for each joint.
 
 use crate::math::{Math, Real};
 use crate::model::device::Device;
 use crate::render::velocity::{Coefficients, JointVelocity, Seen};
 use nalgebra::SVector;
 
-/// One joint.
+/// State of one joint.
 #[derive(Clone, Copy, Debug)]
 struct Joint<T: Real> {
     velocity: JointVelocity<T>,
     /// Angular velocity of one count per control period, rad/s.
     speed_per_count: T,
-    /// Its inverse, and counts per period² in 1 rad/s²; 0 for a joint without encoder.
+    /// Its inverse, and counts per period² for 1 rad/s²; 0 for a joint without encoder.
     counts_per_speed: T,
     unit: T,
 }
 
-/// N joints and what their counts were.
+/// N joints and their last counts.
 #[derive(Clone, Debug)]
 pub(super) struct Observers<T: Real, const N: usize> {
     joints: [Joint<T>; N],
     last: [i32; N],
-    primed: bool,
-    /// The motors' torques since the last step, N m.
-    pub acting: SVector<T, N>,
+    is_started: bool,
+    /// Motor torques since the last step, N m.
+    pub motor_torque: SVector<T, N>,
 }
 
 impl<T: Real, const N: usize> Observers<T, N> {
@@ -41,11 +41,11 @@ impl<T: Real, const N: usize> Observers<T, N> {
                 unit: counts_per_speed / rate,
             }
         };
-        Self { joints: core::array::from_fn(joint), last: [0; N], primed: false, acting: SVector::zeros() }
+        Self { joints: core::array::from_fn(joint), last: [0; N], is_started: false, motor_torque: SVector::zeros() }
     }
 
-    /// Joint velocities (rad/s) after these counts. `pushed`: accelerations that the motors gave, rad/s². `before`: the
-    /// velocities by what was at work when the estimator is new.
+    /// Returns joint velocities (rad/s) after these counts. `pushed` is the acceleration by the motors, rad/s²;
+    /// `before` is the initial velocity of a new estimator.
     pub fn step<K: Math<T>>(
         &mut self,
         coefficients: &Coefficients<T>,
@@ -53,9 +53,9 @@ impl<T: Real, const N: usize> Observers<T, N> {
         pushed: &SVector<T, N>,
         before: &SVector<T, N>,
     ) -> SVector<T, N> {
-        if !self.primed {
+        if !self.is_started {
             self.last = *counts;
-            self.primed = true;
+            self.is_started = true;
         }
         let mut qd = SVector::zeros();
         for (i, joint) in self.joints.iter_mut().enumerate() {
@@ -70,10 +70,10 @@ impl<T: Real, const N: usize> Observers<T, N> {
         qd
     }
 
-    /// Restarts it.
+    /// Restarts the estimators.
     pub fn forget(&mut self) {
-        self.primed = false;
-        self.acting = SVector::zeros();
+        self.is_started = false;
+        self.motor_torque = SVector::zeros();
         self.joints.iter_mut().for_each(|joint| joint.velocity = JointVelocity::default());
     }
 }

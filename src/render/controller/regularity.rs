@@ -6,32 +6,31 @@ use nalgebra::SVector;
 
 /// Sine of a serial singularity at and above which the feed-forward acts in full.
 ///
-/// At 0.05 an elbow is 3° from stretched and cond J is about 40 on the shipped devices; f32 keeps the torque within
-/// 2e-5 there (docs/hard-cases.md), so the limit protects the hand from a feed-forward that grows as 1/sin, not the
-/// numbers.
+/// At 0.05 an elbow is 3° from stretched and cond J is about 40 on the shipped devices. f32 keeps the torque within
+/// 2e-5 there (docs/hard-cases.md), so the limit is needed not for precision but to protect the hand from a
+/// feed-forward that grows as 1/sin.
 pub const FULL_REGULARITY: f64 = 0.05;
-/// Sine at and below which the feed-forward is off; in between it fades, so nothing jumps.
+/// Sine at and below which the feed-forward is off; in between it fades, so the force is continuous.
 pub const NO_REGULARITY: f64 = 0.02;
-/// A parallel singularity counts as this many times nearer: in full from a sine of 0.15 (rods 9° from one line), off
-/// at 0.06. There it is the numbers: Jᵀ itself loses digits as 1/sin², and 0.15 is where f32 still keeps the torque
-/// of a moving tip within 1e-4 (docs/hard-cases.md).
+/// Factor by which a parallel singularity counts as nearer: the feed-forward acts in full from a sine of 0.15 (rods 9°
+/// from one line) and is off at 0.06. Precision sets this limit: Jᵀ itself loses digits as 1/sin², and down to 0.15 f32
+/// keeps the torque of a moving tip within 1e-4 (docs/hard-cases.md).
 pub const PARALLEL_REGULARITY: f64 = 3.0;
-/// Angle that the fastest joint may turn while its velocity estimate lags (rad), as a share of the sine of the nearest
-/// singularity, for the velocity terms to act in full.
+/// Largest rotation of the fastest joint during the lag of its velocity estimate (rad) for the velocity terms to act in
+/// full, as a share of the sine of the nearest singularity.
 ///
-/// b grows as 1/sin³ at a steady speed of the tip, so within the lag it changes by three times this share. Here that
-/// is 15 %, beyond [`UNKNOWN_TURN`] 30 %: there b is mostly what the motion was, and pushes a tip that slides towards a
-/// stretched arm on into it (docs/model.md).
+/// b grows as 1/sin³ at a constant speed of the tip, so within the lag it changes by three times this share: by 15 %
+/// here, and by 30 % at [`UNKNOWN_TURN`]. Beyond that, b mostly reflects the past motion, and pushes a tip that slides
+/// towards a stretched arm further into it (docs/model.md).
 pub const KNOWN_TURN: f64 = 0.05;
-/// The same share at and above which velocity terms are off; in between they fade, so nothing jumps.
+/// The same share at and above which velocity terms are off; in between they fade, so the force is continuous.
 pub const UNKNOWN_TURN: f64 = 0.1;
 
-/// The share of the velocity terms that acts at joint velocities `qd` (rad/s) whose estimate lags by `lag` (s), see
-/// [`KNOWN_TURN`].
+/// Returns the active share of the velocity terms at `qd` (rad/s) with a lag of `lag` (s), see [`KNOWN_TURN`].
 #[inline(always)]
-pub fn known_share<T: Real, const N: usize>(regularity: &Regularity<T>, qd: &SVector<T, N>, lag: T) -> T {
+pub fn velocity_term_share<T: Real, const N: usize>(regularity: &Regularity<T>, qd: &SVector<T, N>, lag: T) -> T {
     let near = regularity.serial.lesser(regularity.parallel);
-    let turned = qd.iter().fold(T::zero(), |most, v| most.greater(v.abs())) * lag;
+    let turned = qd.iter().fold(T::zero(), |largest, v| largest.greater(v.abs())) * lag;
     if turned <= near * T::from_f64(KNOWN_TURN) {
         return T::one();
     }
@@ -43,13 +42,13 @@ pub fn known_share<T: Real, const N: usize>(regularity: &Regularity<T>, qd: &SVe
     s * s * (T::from_f64(3.0) - s - s)
 }
 
-/// Distance from singularity, as the feed-forward needs it: see [`FULL_REGULARITY`] and [`PARALLEL_REGULARITY`].
+/// Returns the distance from singularity for [`FULL_REGULARITY`] and [`PARALLEL_REGULARITY`].
 #[inline(always)]
-pub(super) fn nearness<T: Real>(regularity: &Regularity<T>) -> T {
+pub(super) fn clearance<T: Real>(regularity: &Regularity<T>) -> T {
     regularity.serial.lesser(regularity.parallel * T::from_f64(1.0 / PARALLEL_REGULARITY))
 }
 
-/// The share of the feed-forward at [`nearness`]: a smooth step from [`NO_REGULARITY`] to [`FULL_REGULARITY`].
+/// Returns the share of the feed-forward at [`clearance`]: a smooth step from [`NO_REGULARITY`] to [`FULL_REGULARITY`].
 #[inline(always)]
 pub(super) fn fade<T: Real>(regularity: T) -> T {
     let (low, high) = (T::from_f64(NO_REGULARITY), T::from_f64(FULL_REGULARITY));

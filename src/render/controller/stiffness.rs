@@ -1,4 +1,4 @@
-//! Stiffness in the plane, of which the direction where it is the most is rendered.
+//! Stiffness in the plane; its stiffest direction is rendered.
 
 use crate::math::Real;
 
@@ -14,12 +14,12 @@ pub(super) struct Stiffness<T> {
 }
 
 impl<T: Real> Stiffness<T> {
-    /// None at all.
+    /// Returns a stiffness of zero.
     pub fn none() -> Self {
         Self { xx: T::zero(), xy: T::zero(), yy: T::zero() }
     }
 
-    /// Adds one along a normal.
+    /// Adds a stiffness along a normal.
     #[inline(always)]
     pub fn add(&mut self, x: T, y: T, k: T) {
         let (kx, ky) = (k * x, k * y);
@@ -28,8 +28,8 @@ impl<T: Real> Stiffness<T> {
         self.yy += ky * y;
     }
 
-    /// Adds one in all directions across a line, or in every direction where that has no length: as
-    /// [`Pull`](crate::model::principal::Pull) has it, k (1 - d dᵀ)².
+    /// Adds a stiffness in all directions across a line, or in every direction if the line's direction has length zero:
+    /// k (1 - d dᵀ)², as in [`Pull`](crate::model::principal::Pull).
     pub fn add_across(&mut self, x: T, y: T, k: T) {
         let kd = k * (x * x + y * y - T::one() - T::one());
         self.xx += k + kd * x * x;
@@ -37,7 +37,7 @@ impl<T: Real> Stiffness<T> {
         self.yy += k + kd * y * y;
     }
 
-    /// nᵀ K n
+    /// Returns nᵀ K n.
     #[inline(always)]
     pub fn along(&self, x: T, y: T) -> T {
         (self.xx * x + self.xy * y) * x + (self.xy * x + self.yy * y) * y

@@ -1,6 +1,6 @@
-//! The walls of a scene at run time: contacts, forces, and what each wall remembers between two steps.
+//! The walls of a scene at run time: contacts, forces, and the state of each wall between two steps.
 //!
-//! Nothing here knows a mechanism, so devices with as many joints share the code.
+//! This code does not depend on a mechanism, so devices with the same number of joints share it.
 
 use super::gains::Gains;
 use super::passivity::Debt;
@@ -9,65 +9,66 @@ use crate::model::inertia::frame_rate;
 use crate::render::scene::{Contact, FeedForward, MAX_WALLS, Scene, SceneError, Surface, Wall};
 use crate::render::step_result::AtWalls;
 use crate::render::velocity::{Coefficients, Velocity, Washout};
+pub(super) use contact_group::{ContactGroup, depth_of};
+pub use contact_group::{TOUCH_DEPTH, TOUCH_SHARE};
 use heapless::Vec;
 use nalgebra::SVector;
-pub use together::{TOUCH_DEPTH, TOUCH_SHARE};
-pub(super) use together::{Together, depth_of};
 
-mod together;
+mod contact_group;
 
-/// One wall.
+/// One wall at run time.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Running<T: Real> {
+pub(super) struct RunningWall<T: Real> {
     wall: Wall<T>,
-    /// Distance up to which it acts (m), and the least force that it makes (N): zero, but without end where it is bilateral.
-    reach: T,
-    least: T,
-    /// The shaping of its force where it acts together with others: its own feed-forward, or theirs if it has none.
-    together: FeedForward,
-    /// True if it has the feed-forward itself.
-    own: bool,
-    /// Depth to which a newton presses it in, m: 0 without stiffness.
-    softness: T,
+    /// Distance below which the wall acts, m, and smallest force that it may make, N. Both are 0; for a bilateral wall
+    /// they are +∞ and -∞.
+    acts_below: T,
+    least_force: T,
+    /// Shaping of its force when it acts together with others: its own feed-forward, or theirs if it has none.
+    effective_feed_forward: FeedForward,
+    /// True if it has a feed-forward of its own.
+    has_feed_forward: bool,
+    /// Depth per newton, m: 0 without stiffness.
+    compliance: T,
     velocity: Velocity<T>,
     washout: Washout<T>,
 }
 
-/// The pull of one touched wall among others.
+/// The pull of one touched wall among several.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Pulled<T> {
-    /// N/m
+pub(super) struct ContactPull<T> {
+    /// Stiffness, N/m.
     pub stiffness: T,
-    /// True if it has the feed-forward itself.
-    pub own: bool,
-    /// Depth of the tip in it, m.
+    /// True if it has a feed-forward of its own.
+    pub has_feed_forward: bool,
+    /// Depth of the tip in the wall, m.
     pub depth: T,
-    /// The depth at which its stiffness alone would make what is shaped of its force, m.
+    /// Depth at which its stiffness alone would make the shaped part of its force, m.
     pub reach: T,
 }
 
 /// The effect of one wall in one step.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Pressed<T> {
-    /// Velocity along its normal, m/s.
+pub(super) struct WallEffect<T> {
+    /// Velocity along the normal, m/s.
     pub velocity: T,
-    /// True if it acts.
+    /// True if the wall acts.
     pub touched: bool,
-    /// Its force along the normal, N, and the part that is shaped. Zero where it does not act.
+    /// Force along the normal, N, and its shaped part. Zero if the wall does not act.
     pub force: T,
     pub shaped: T,
-    /// Damping that the passivity controller added, N s/m.
+    /// Damping added by the passivity controller, N s/m.
     pub passivity_damping: T,
 }
 
-impl<T: Real> Running<T> {
-    /// The velocity along the normal (m/s) at this distance (m) by the wall's own low-pass.
+impl<T: Real> RunningWall<T> {
+    /// Returns the velocity along the normal (m/s) at this distance (m) by the wall's own low-pass.
     #[inline(always)]
     pub fn pass(&mut self, coefficients: &Coefficients<T>, distance: T) -> T {
         self.velocity.pass(coefficients, distance)
     }
 
-    /// The same by any estimator. `known`: the velocity, by one that watches joints.
+    /// Like [`RunningWall::pass`], for any estimator. `known` is the velocity from joint estimators.
     #[inline(always)]
     fn approach(&mut self, coefficients: &Coefficients<T>, distance: T, known: Option<T>) -> T {
         match known {
@@ -76,46 +77,51 @@ impl<T: Real> Running<T> {
         }
     }
 
-    /// The wall at this distance (m) and at the velocity `v` (m/s). `gain`: the feed-forward's α.
+    /// Computes the wall's effect at this distance (m) and velocity `v` (m/s). `gain` is the feed-forward's α.
     #[inline(always)]
-    pub fn press(&mut self, distance: T, v: T, debt: Option<&Debt<T>>, gain: T) -> Pressed<T> {
+    pub fn press(&mut self, distance: T, v: T, debt: Option<&Debt<T>>, gain: T) -> WallEffect<T> {
         let wall = &self.wall;
         let zero = T::zero();
-        let mut pressed = Pressed { velocity: v, touched: false, force: zero, shaped: zero, passivity_damping: zero };
-        // Comparisons here are written so that what is not a number stays one, and is found out.
-        let inside = distance < self.reach;
+        let mut effect = WallEffect { velocity: v, touched: false, force: zero, shaped: zero, passivity_damping: zero };
+        // These comparisons are written so that NaN propagates and is detected.
+        let inside = distance < self.acts_below;
         if !inside {
-            if self.together == FeedForward::Washout {
+            if self.effective_feed_forward == FeedForward::Washout {
                 self.washout.step(zero);
             }
-            return pressed;
+            return effect;
         }
         let mut force = -wall.stiffness * distance - wall.damping * v;
         if let Some(debt) = debt {
             let extra = debt.damping(v);
             force -= extra * v;
-            pressed.passivity_damping = extra;
+            effect.passivity_damping = extra;
         }
-        if force < self.least {
-            force = self.least;
+        if force < self.least_force {
+            force = self.least_force;
         }
-        pressed.touched = true;
-        pressed.force = force;
-        pressed.shaped = match self.together {
+        effect.touched = true;
+        effect.force = force;
+        effect.shaped = match self.effective_feed_forward {
             FeedForward::Off => zero,
             FeedForward::Full => force * gain,
             FeedForward::Washout => self.washout.step(force) * gain,
         };
         if let Some(debt) = debt {
-            pressed.shaped *= debt.feed_forward_share();
+            effect.shaped *= debt.feed_forward_share();
         }
-        pressed
+        effect
     }
 
-    /// Of wall `index` as it acts at a contact with the force `shaped` (N) through the feed-forward.
+    /// Returns the shaped contact of wall `index` with the force `shaped` (N) through the feed-forward.
     #[inline(always)]
-    pub fn acting<const N: usize>(&self, index: usize, contact: &Contact<T, N>, shaped: T) -> Active<T, N> {
-        Active {
+    pub fn shaped_contact<const N: usize>(
+        &self,
+        index: usize,
+        contact: &Contact<T, N>,
+        shaped: T,
+    ) -> ShapedContact<T, N> {
+        ShapedContact {
             wall: index,
             normal: contact.normal,
             shaped,
@@ -126,77 +132,77 @@ impl<T: Real> Running<T> {
         }
     }
 
-    /// Returns true if its force is shaped, by itself or with others.
+    /// Returns true if its force is shaped, by its own feed-forward or together with other walls.
     #[inline(always)]
     pub fn is_shaped(&self) -> bool {
-        self.together != FeedForward::Off
+        self.effective_feed_forward != FeedForward::Off
     }
 
-    /// The part of its stiffness that acts at this distance (m), by the depth of the tip in it: unlimited if it acts on
-    /// both sides. `force`: the shaped part of its force, N.
+    /// Returns the wall's pull at this distance (m); its depth is infinite for a bilateral wall. `force` is the shaped
+    /// part of its force, N.
     #[inline(always)]
-    pub fn pull(&self, distance: T, force: T) -> Pulled<T> {
-        Pulled {
+    pub fn pull(&self, distance: T, force: T) -> ContactPull<T> {
+        ContactPull {
             stiffness: self.wall.stiffness,
-            own: self.own,
-            depth: self.reach - distance,
-            reach: force.abs() * self.softness,
+            has_feed_forward: self.has_feed_forward,
+            depth: self.acts_below - distance,
+            reach: force.abs() * self.compliance,
         }
     }
 
-    /// Its surface.
+    /// Returns its surface.
     pub fn surface(&self) -> &Surface<T> {
         &self.wall.surface
     }
 
-    /// Its share of the feed-forward.
+    /// Returns its own feed-forward.
     pub fn feed_forward(&self) -> FeedForward {
         self.wall.feed_forward
     }
 
-    /// Not inlined: the same for every mechanism, and rare.
+    /// Sets the gains. Not inlined: the same for every mechanism, and rare.
     #[inline(never)]
     fn set_gains(&mut self, gains: &Gains<T>, washout: &Washout<T>) {
-        self.wash(washout);
+        self.set_washout(washout);
         self.wall.stiffness = gains.stiffness;
         self.wall.damping = gains.damping;
         self.wall.feed_forward = gains.feed_forward;
         self.wall.washout_hz = gains.washout_hz;
     }
 
-    /// Takes this design for its washout.
-    fn wash(&mut self, washout: &Washout<T>) {
-        if self.together == FeedForward::Washout {
+    /// Sets the design of its washout.
+    fn set_washout(&mut self, washout: &Washout<T>) {
+        if self.effective_feed_forward == FeedForward::Washout {
             self.washout.retune(washout);
         } else {
-            // It was not stepped, so what it remembers is no longer true.
+            // The washout was not stepped, so its state is no longer valid.
             self.washout = Washout::default();
             self.washout.retune(washout);
         }
     }
 }
 
-/// A contact whose force goes through the feed-forward in this step, its own or that of walls it acts together with.
+/// A contact whose force is shaped in this step, by its own feed-forward or together with other walls.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Active<T: Real, const N: usize> {
-    /// Which wall.
+pub(super) struct ShapedContact<T: Real, const N: usize> {
+    /// Index of the wall.
     pub wall: usize,
-    /// Its unit normal here.
+    /// Unit normal at the contact.
     pub normal: SVector<T, N>,
-    /// The part of its force that is shaped, N.
+    /// Shaped part of its force, N.
     pub shaped: T,
-    /// Distance of the tip to it, m; negative inside it.
+    /// Distance of the tip, m; negative inside the wall.
     pub distance: T,
-    /// Its stiffness, N/m.
+    /// Stiffness, N/m.
     pub stiffness: T,
-    /// True if it acts on both sides.
+    /// True if the wall acts on both sides.
     pub bilateral: bool,
-    /// True if it has the feed-forward itself.
+    /// True if it has a feed-forward of its own.
     pub feed_forward: bool,
 }
 
-impl<T: Real, const N: usize> Active<T, N> {
-    /// A force (N) along a normal, that of a wall (by its index) or of none.
+impl<T: Real, const N: usize> ShapedContact<T, N> {
+    /// Makes the contact of a force (N) along a normal, which belongs to the wall with index `wall`, if any.
     pub fn along(normal: &SVector<T, N>, shaped: T, wall: Option<usize>) -> Self {
         let zero = T::zero();
         let wall = wall.unwrap_or(MAX_WALLS);
@@ -204,40 +210,40 @@ impl<T: Real, const N: usize> Active<T, N> {
     }
 }
 
-/// For what b of the feed-forward is asked.
-pub(super) enum Acting<'a, T: Real, const N: usize> {
+/// Contacts for which b of the feed-forward is computed.
+pub(super) enum BiasScope<'a, T: Real, const N: usize> {
     /// One wall.
-    One(&'a Active<T, N>),
-    /// So many rendered directions of several walls.
-    Level(&'a Together<'a, T, N>, usize),
+    One(&'a ShapedContact<T, N>),
+    /// A number of rendered directions of several walls.
+    Level(&'a ContactGroup<'a, T, N>, usize),
 }
 
 /// All walls of a scene.
 #[derive(Clone, Debug)]
 pub(super) struct Walls<T: Real> {
-    running: Vec<Running<T>, MAX_WALLS>,
-    /// α: how much of (4)'s feed-forward there is.
+    running: Vec<RunningWall<T>, MAX_WALLS>,
+    /// α: factor on the feed-forward of (4).
     gain: T,
-    /// Some wall is curved.
+    /// True if some wall is curved.
     pub curved: bool,
-    /// Some wall compensates joint damping.
+    /// True if some wall compensates joint damping.
     pub damped: bool,
 }
 
 /// The effect of the walls at one tip position.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Touch<T: Real, const N: usize> {
-    pub found: AtWalls<T>,
-    /// The normal of the deepest.
+    pub at_walls: AtWalls<T>,
+    /// Normal of the deepest wall.
     pub normal: SVector<T, N>,
-    /// The force that goes straight through Jᵀ, N.
+    /// Force that goes straight through Jᵀ, N.
     pub plain: SVector<T, N>,
-    /// The first wall with the feed-forward: by itself, because one is the usual case and need not go through memory.
-    pub first: Option<Active<T, N>>,
+    /// The first wall with the feed-forward: separate, because a single wall is usual and need not go through memory.
+    pub first: Option<ShapedContact<T, N>>,
 }
 
 impl<T: Real> Walls<T> {
-    /// The walls of a checked scene, with their filters designed.
+    /// Makes the run-time walls of a checked scene and designs their filters.
     #[inline(never)]
     pub fn new(scene: &Scene<T>) -> Result<Self, SceneError> {
         let mut running = Vec::new();
@@ -249,14 +255,15 @@ impl<T: Real> Walls<T> {
                 _ => Washout::default(),
             };
             // The two vectors have the same capacity.
-            let (reach, least) = if wall.bilateral { (T::INFINITY, -T::INFINITY) } else { (T::zero(), T::zero()) };
-            let _ = running.push(Running {
+            let (acts_below, least_force) =
+                if wall.bilateral { (T::INFINITY, -T::INFINITY) } else { (T::zero(), T::zero()) };
+            let _ = running.push(RunningWall {
                 wall: *wall,
-                reach,
-                least,
-                together: wall.feed_forward,
-                own: false,
-                softness: T::zero(),
+                acts_below,
+                least_force,
+                effective_feed_forward: wall.feed_forward,
+                has_feed_forward: false,
+                compliance: T::zero(),
                 velocity: Velocity::default(),
                 washout,
             });
@@ -267,13 +274,13 @@ impl<T: Real> Walls<T> {
             curved: scene.walls.iter().any(|wall| wall.surface.curved()),
             damped: scene.walls.iter().any(|wall| wall.damping_compensation),
         };
-        walls.agree();
+        walls.update_shared_feed_forward();
         Ok(walls)
     }
 
-    /// The shaping of the force of walls without the feed-forward, and of springs, where they act together with walls
-    /// that have it: through a washout if any of those has one, as they do not push sideways at rest either.
-    pub fn others(&self) -> (FeedForward, Option<Washout<T>>) {
+    /// Returns the shaping of walls without the feed-forward, and of springs, that act together with walls with it:
+    /// through a washout if any of these has one, because such walls do not push sideways at rest either.
+    pub fn shared_feed_forward(&self) -> (FeedForward, Option<Washout<T>>) {
         let with = |feed_forward| self.running.iter().find(move |other| other.wall.feed_forward == feed_forward);
         match with(FeedForward::Washout).map(|other| other.washout) {
             Some(washout) => (FeedForward::Washout, Some(washout)),
@@ -282,25 +289,24 @@ impl<T: Real> Walls<T> {
         }
     }
 
-    /// Tells walls without the feed-forward what [`Walls::others`] says.
-    fn agree(&mut self) {
-        let (others, washout) = self.others();
+    /// Sets the feed-forward of walls without their own to [`Walls::shared_feed_forward`].
+    fn update_shared_feed_forward(&mut self) {
+        let (others, washout) = self.shared_feed_forward();
         for running in &mut self.running {
             let own = running.wall.feed_forward;
-            let together = if own == FeedForward::Off && running.wall.stiffness > T::zero() { others } else { own };
             if let (FeedForward::Off, Some(washout)) = (own, &washout) {
-                running.wash(washout);
+                running.set_washout(washout);
             }
-            running.together = together;
-            running.own = own != FeedForward::Off;
-            running.softness = depth_of(T::one(), running.wall.stiffness);
+            let shares = own == FeedForward::Off && running.wall.stiffness > T::zero();
+            running.effective_feed_forward = if shares { others } else { own };
+            running.has_feed_forward = own != FeedForward::Off;
+            running.compliance = depth_of(T::one(), running.wall.stiffness);
         }
     }
 
-    /// Contacts and forces at the tip position `place` (m); walls whose force is shaped go to `more`, but for the first
-    /// that has the feed-forward itself.
-    /// `along` is the tip's velocity (m/s) where an estimator that watches joints knows it. Every estimator runs at every
-    /// step, so contact never starts it from zero.
+    /// Computes contacts and forces at the tip position `place` (m). Walls whose force is shaped go to `more`, except
+    /// for the first wall with a feed-forward of its own. `along` is the tip velocity (m/s) from joint estimators, if
+    /// used. Every estimator runs in every step, so a contact never starts it from zero.
     #[inline(always)]
     pub fn touch<K: Math<T>, const N: usize>(
         &mut self,
@@ -308,148 +314,148 @@ impl<T: Real> Walls<T> {
         place: &SVector<T, N>,
         along: Option<&SVector<T, N>>,
         debt: Option<&Debt<T>>,
-        more: &mut Vec<Active<T, N>, MAX_WALLS>,
+        more: &mut Vec<ShapedContact<T, N>, MAX_WALLS>,
     ) -> Touch<T, N> {
-        let mut found = AtWalls::none();
+        let mut at_walls = AtWalls::none();
         if !self.running.is_empty() {
-            found.distance = T::INFINITY;
+            at_walls.distance = T::INFINITY;
         }
         let zeros = SVector::zeros();
-        let mut touch = Touch { found, normal: zeros, plain: zeros, first: None };
+        let mut touch = Touch { at_walls, normal: zeros, plain: zeros, first: None };
         for (index, running) in self.running.iter_mut().enumerate() {
             let contact = running.wall.surface.contact::<K, N>(place);
             let known = along.map(|velocity| contact.normal.dot(velocity));
             let velocity = running.approach(coefficients, contact.distance, known);
-            let pressed = running.press(contact.distance, velocity, debt, self.gain);
-            // Written so that what is not a number stays one, and is found out.
-            let shallower = contact.distance >= touch.found.distance;
+            let effect = running.press(contact.distance, velocity, debt, self.gain);
+            // Written so that NaN propagates and is detected.
+            let shallower = contact.distance >= touch.at_walls.distance;
             if !shallower {
-                touch.found.distance = contact.distance;
-                touch.found.normal_velocity = pressed.velocity;
+                touch.at_walls.distance = contact.distance;
+                touch.at_walls.normal_velocity = effect.velocity;
                 touch.normal = contact.normal;
             }
-            if !pressed.touched {
+            if !effect.touched {
                 continue;
             }
-            touch.found.contacts += 1;
-            touch.found.wall_force += pressed.force;
-            touch.found.passivity_damping += pressed.passivity_damping;
-            touch.plain += contact.normal * (pressed.force - pressed.shaped);
-            if running.together != FeedForward::Off {
-                let active = running.acting(index, &contact, pressed.shaped);
-                if touch.first.is_none() && active.feed_forward {
-                    touch.first = Some(active);
+            touch.at_walls.contacts += 1;
+            touch.at_walls.wall_force += effect.force;
+            touch.at_walls.passivity_damping += effect.passivity_damping;
+            touch.plain += contact.normal * (effect.force - effect.shaped);
+            if running.effective_feed_forward != FeedForward::Off {
+                let shaped = running.shaped_contact(index, &contact, effect.shaped);
+                if touch.first.is_none() && shaped.feed_forward {
+                    touch.first = Some(shaped);
                 } else {
-                    let _ = more.push(active);
+                    let _ = more.push(shaped);
                 }
             }
         }
         if touch.first.is_none() && !more.is_empty() {
-            // Walls without the feed-forward alone.
+            // There are only walls without the feed-forward.
             touch.plain += more.iter().fold(SVector::zeros(), |sum, a| sum + a.normal * a.shaped);
             more.clear();
         }
         touch
     }
 
-    /// The share of joint damping that is compensated: of several walls with the feed-forward, the share in their
-    /// stiffness of those that ask for it.
-    pub fn damping_share<const N: usize>(&self, acting: &Acting<'_, T, N>) -> T {
-        let asks = |a: &Active<T, N>| self.running.get(a.wall).is_some_and(|r| r.wall.damping_compensation);
+    /// Returns the share of joint damping that is compensated. Of several walls with the feed-forward, it is the share
+    /// in their stiffness of the walls that request it.
+    pub fn damping_share<const N: usize>(&self, scope: &BiasScope<'_, T, N>) -> T {
+        let compensates =
+            |a: &ShapedContact<T, N>| self.running.get(a.wall).is_some_and(|r| r.wall.damping_compensation);
         if !self.damped {
             return T::zero();
         }
-        match acting {
-            Acting::One(only) if asks(only) => T::one(),
-            Acting::One(_) => T::zero(),
-            Acting::Level(together, _) => {
-                let (mut asking, mut all) = (T::zero(), T::zero());
-                for (a, pull) in together.walls().filter(|(_, pull)| pull.feed_forward) {
+        match scope {
+            BiasScope::One(only) if compensates(only) => T::one(),
+            BiasScope::One(_) => T::zero(),
+            BiasScope::Level(group, _) => {
+                let (mut compensated, mut all) = (T::zero(), T::zero());
+                for (a, pull) in group.walls().filter(|(_, pull)| pull.feed_forward) {
                     all += pull.stiffness;
-                    asking += if asks(a) { pull.stiffness } else { T::zero() };
+                    compensated += if compensates(a) { pull.stiffness } else { T::zero() };
                 }
-                if all > T::zero() { asking / all } else { T::zero() }
+                if all > T::zero() { compensated / all } else { T::zero() }
             }
         }
     }
 
-    /// The tip acceleration (m/s²) by which the turning of curved walls' normals differs from none, -κ of
-    /// [`frame_rate`].
+    /// Returns the tip acceleration (m/s²) by the rotation of curved walls' normals, -κ of [`frame_rate`].
     #[inline(never)]
     pub fn turning<K: Math<T>, const N: usize>(
         &self,
         place: &SVector<T, N>,
         velocity: &SVector<T, N>,
-        acting: &Acting<'_, T, N>,
+        scope: &BiasScope<'_, T, N>,
     ) -> SVector<T, N> {
-        let rate = |a: &Active<T, N>| match self.running.get(a.wall) {
+        let rate = |a: &ShapedContact<T, N>| match self.running.get(a.wall) {
             Some(running) => running.wall.surface.normal_rate::<K, N>(place, velocity),
             None => SVector::zeros(),
         };
-        let (line, line_rate) = match acting {
-            Acting::One(only) => (only.normal, rate(only)),
-            Acting::Level(together, rendered) => {
-                // The rate of a principal direction: the rates of the normals that make it, each by its part in it.
+        let (line, line_rate) = match scope {
+            BiasScope::One(only) => (only.normal, rate(only)),
+            BiasScope::Level(group, rendered) => {
+                // The rate of a principal direction is the mean of the normals' rates, weighted by their parts in it.
                 let follow = |i: usize| {
                     let (mut sum, mut all) = (SVector::zeros(), T::zero());
-                    for (a, pull) in together.walls() {
-                        let along = together.principal.direction(i).dot(&a.normal);
+                    for (a, pull) in group.walls() {
+                        let along = group.principal.direction(i).dot(&a.normal);
                         sum += rate(a) * (pull.stiffness * along);
                         all += pull.stiffness * along * along;
                     }
                     if all > T::zero() { sum / all } else { SVector::zeros() }
                 };
                 if *rendered == 1 {
-                    let (line, rate) = (together.principal.direction(0), follow(0));
+                    let (line, rate) = (group.principal.direction(0), follow(0));
                     (line, rate - line * line.dot(&rate))
                 } else {
-                    // The admissible line stays across what is rendered.
-                    let line = together.principal.direction(N - 1);
-                    let held = (0..*rendered)
-                        .fold(SVector::zeros(), |sum, i| sum - together.principal.direction(i) * line.dot(&follow(i)));
-                    (line, held)
+                    // The admissible line stays perpendicular to the rendered directions.
+                    let line = group.principal.direction(N - 1);
+                    let rate = (0..*rendered)
+                        .fold(SVector::zeros(), |sum, i| sum - group.principal.direction(i) * line.dot(&follow(i)));
+                    (line, rate)
                 }
             }
         };
         -frame_rate(&line, &line_rate, velocity)
     }
 
-    /// The only wall of a scene that has one alone.
+    /// Returns the wall of a scene with a single wall.
     #[inline(always)]
-    pub fn single(&mut self) -> Option<&mut Running<T>> {
+    pub fn single(&mut self) -> Option<&mut RunningWall<T>> {
         let [only] = self.running.as_mut_slice() else { return None };
         Some(only)
     }
 
-    /// All of them.
+    /// Returns all walls.
     #[inline(always)]
-    pub fn all(&mut self) -> &mut [Running<T>] {
+    pub fn all(&mut self) -> &mut [RunningWall<T>] {
         &mut self.running
     }
 
-    /// Returns true if every wall that has the feed-forward is stiff: what is rendered then follows their stiffness.
+    /// Returns true if every wall with the feed-forward is stiff, so that the walls' stiffness gives the directions.
     pub fn are_stiff(&self) -> bool {
         let stiff = |wall: &Wall<T>| wall.feed_forward == FeedForward::Off || wall.stiffness > T::zero();
         self.running.iter().all(|running| stiff(&running.wall))
     }
 
-    /// Returns true if the scene has one ball alone, and that has the feed-forward.
+    /// Returns true if the scene's only wall is a ball with the feed-forward.
     pub fn is_single_ball(&self) -> bool {
         let [only] = self.running.as_slice() else { return false };
-        only.wall.surface.is_sphere() && only.own
+        only.wall.surface.is_sphere() && only.has_feed_forward
     }
 
-    /// Returns true if the scene has one wall alone, or none.
-    pub fn at_most_one(&self) -> bool {
+    /// Returns true if the scene has a single wall, or no wall.
+    pub fn has_at_most_one(&self) -> bool {
         self.running.len() <= 1
     }
 
-    /// α of the feed-forward.
+    /// Returns α of the feed-forward.
     pub fn gain(&self) -> T {
         self.gain
     }
 
-    /// Starts every estimator with the tip at `place` (m): contact then is no motion.
+    /// Starts every estimator with the tip at `place` (m), so that contact does not appear as a motion.
     #[inline(never)]
     pub fn begin<K: Math<T>, const N: usize>(&mut self, place: &SVector<T, N>) {
         for running in &mut self.running {
@@ -471,10 +477,10 @@ impl<T: Real> Walls<T> {
         if let Some(running) = self.running.get_mut(usize::from(gains.wall)) {
             running.set_gains(gains, washout);
         }
-        self.agree();
+        self.update_shared_feed_forward();
     }
 
-    /// Forgets what the washouts have seen; the estimators begin with [`Walls::begin`].
+    /// Clears the states of the washouts; the estimators start with [`Walls::begin`].
     #[inline(never)]
     pub fn forget(&mut self) {
         for running in &mut self.running {

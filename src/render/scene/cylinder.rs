@@ -1,4 +1,4 @@
-//! A round wall along an axis: a rod to feel from outside, or a pipe to feel from inside.
+//! A round wall along an axis: a rod that is touched from outside, or a pipe that is touched from inside.
 
 use super::shape::{Meaning, Shape, ShapeSpec, Values, number};
 use super::sphere::{round_contact, round_normal_rate};
@@ -6,16 +6,16 @@ use super::{Contact, task_vector};
 use crate::math::{Math, Real};
 use nalgebra::SVector;
 
-/// A cylinder of endless length, or (`inside`) all that is not the cylinder.
+/// An infinitely long cylinder, or (`inside`) all space outside the cylinder.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize, postcard_schema::Schema)]
 pub struct Cylinder<T> {
     /// A point of the axis, m.
     pub point: [T; 3],
     /// Unit direction of the axis.
     pub axis: [T; 3],
-    /// m
+    /// Radius, m.
     pub radius: T,
-    /// The tip moves inside; the solid is around it.
+    /// True if the tip moves inside and the solid is outside.
     pub inside: bool,
 }
 
@@ -40,7 +40,7 @@ impl<T: Real> Shape<T> for Cylinder<T> {
         [a, b, c, x, y, z, self.radius, number(self.inside)]
     }
 
-    /// Distance to the surface and the normal across the axis.
+    /// Returns the distance to the surface and the normal across the axis.
     #[inline(always)]
     fn contact<K: Math<T>, const N: usize>(&self, p: &SVector<T, N>) -> Contact<T, N> {
         round_contact::<T, K, N>(&self.across(&(p - task_vector::<T, N>(&self.point))), self.radius, self.inside)
@@ -54,7 +54,7 @@ impl<T: Real> Shape<T> for Cylinder<T> {
 }
 
 impl<T: Real> Cylinder<T> {
-    /// The part of `v` perpendicular to the axis.
+    /// Returns the part of `v` perpendicular to the axis.
     #[inline(always)]
     fn across<const N: usize>(&self, v: &SVector<T, N>) -> SVector<T, N> {
         let axis = task_vector::<T, N>(&self.axis);

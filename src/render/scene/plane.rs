@@ -28,7 +28,7 @@ impl<T: Real> Shape<T> for Plane<T> {
         [a, b, c, x, y, z, T::zero(), T::zero()]
     }
 
-    /// x = n·(p - p₀), the normal everywhere the same.
+    /// Returns x = n·(p - p₀) and the normal, which is constant.
     #[inline(always)]
     fn contact<K: Math<T>, const N: usize>(&self, p: &SVector<T, N>) -> Contact<T, N> {
         let normal: SVector<T, N> = task_vector(&self.normal);

@@ -1,13 +1,13 @@
-//! The interface of a wall's shape: its distance from the tip, and the values that a scene file gives for it.
+//! The interface of a wall's shape: its distance from the tip, and its values in a scene file.
 //!
-//! A shape is one file beside this one and one line in the list of [`surface`](super::surface). Scene files, checks and
-//! conversion between precisions follow from its [`ShapeSpec`].
+//! A shape is one file next to this file and one line in the list of [`surface`](super::surface). Scene files, checks
+//! and conversion between precisions follow from its [`ShapeSpec`].
 
 use super::Contact;
 use crate::math::{Math, Real};
 use nalgebra::SVector;
 
-/// Most numbers that the values of a shape take together.
+/// Maximum number of numbers in a shape's values.
 pub const SHAPE_VALUES: usize = 8;
 
 /// The values of a shape as numbers, in the order of its [`ShapeSpec::keys`].
@@ -16,7 +16,7 @@ pub type Values<T> = [T; SHAPE_VALUES];
 /// The meaning of a shape's value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Meaning {
-    /// A point of the task frame, m: three numbers, zero beyond the task.
+    /// A point in the task frame, m: three numbers, zero beyond the task.
     Point,
     /// A unit vector: three numbers.
     Direction,
@@ -27,7 +27,7 @@ pub enum Meaning {
 }
 
 impl Meaning {
-    /// Number of floats that it takes.
+    /// Returns the number of floats of the value.
     pub const fn width(self) -> usize {
         match self {
             Self::Point | Self::Direction => 3,
@@ -39,31 +39,31 @@ impl Meaning {
 /// The entry of a shape in scene files.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ShapeSpec {
-    /// Its word for `shape`.
+    /// Value of `shape`.
     pub name: &'static str,
-    /// The least task dimension in which it exists.
+    /// Smallest task dimension in which the shape exists.
     pub least_task: usize,
-    /// Its keys besides those that every wall has.
+    /// Keys in addition to those of every wall.
     pub keys: &'static [(&'static str, Meaning)],
 }
 
 /// A wall's shape.
 pub trait Shape<T: Real>: Copy {
-    /// Its entry in scene files.
+    /// Entry in scene files.
     const SPEC: ShapeSpec;
-    /// True if its normal turns with the tip.
+    /// True if the normal depends on the tip position.
     const CURVED: bool = true;
-    /// The shape with these values.
+    /// Makes the shape from these values.
     fn from_values(values: &Values<T>) -> Self;
-    /// Its values.
+    /// Returns the shape's values.
     fn values(&self) -> Values<T>;
-    /// Distance and normal at the tip position `p` (m).
+    /// Returns the distance and the normal at the tip position `p` (m).
     fn contact<K: Math<T>, const N: usize>(&self, p: &SVector<T, N>) -> Contact<T, N>;
-    /// ṅ (1/s) at the tip position `p` (m) moving at `velocity` (m/s).
+    /// Returns ṅ (1/s) at the tip position `p` (m) moving at `velocity` (m/s).
     fn normal_rate<K: Math<T>, const N: usize>(&self, p: &SVector<T, N>, velocity: &SVector<T, N>) -> SVector<T, N>;
 }
 
-/// 1 for true.
+/// Converts a flag to a number: 1 for true.
 pub(super) fn number<T: Real>(flag: bool) -> T {
     if flag { T::one() } else { T::zero() }
 }

@@ -1,18 +1,18 @@
-//! A round wall: a ball to feel from outside, or a bowl to feel from inside. In the plane, a disc.
+//! A round wall: a ball that is touched from outside, or a bowl that is touched from inside. In the plane, a disc.
 
 use super::shape::{Meaning, Shape, ShapeSpec, Values, number};
 use super::{Contact, task_vector};
 use crate::math::{Math, Real};
 use nalgebra::SVector;
 
-/// A ball, or (`inside`) all that is not the ball.
+/// A ball, or (`inside`) all space outside the ball.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize, postcard_schema::Schema)]
 pub struct Sphere<T> {
     /// Centre, m.
     pub center: [T; 3],
-    /// m
+    /// Radius, m.
     pub radius: T,
-    /// The tip moves inside; the solid is around it.
+    /// True if the tip moves inside and the solid is outside.
     pub inside: bool,
 }
 
@@ -32,7 +32,7 @@ impl<T: Real> Shape<T> for Sphere<T> {
         [x, y, z, self.radius, number(self.inside), zero, zero, zero]
     }
 
-    /// Distance to the surface and the radial normal.
+    /// Returns the distance to the surface and the radial normal.
     #[inline(always)]
     fn contact<K: Math<T>, const N: usize>(&self, p: &SVector<T, N>) -> Contact<T, N> {
         round_contact::<T, K, N>(&self.arm(p), self.radius, self.inside)
@@ -45,33 +45,33 @@ impl<T: Real> Shape<T> for Sphere<T> {
 }
 
 impl<T: Real> Sphere<T> {
-    /// Distance and normal, and the curvature by which the normal turns as the tip moves across it, 1/m: negative inside.
+    /// Returns the contact and the surface's curvature, 1/m: the normal's rotation per tip motion; negative inside.
     #[inline(always)]
-    pub(super) fn bent_contact<K: Math<T>, const N: usize>(&self, p: &SVector<T, N>) -> (Contact<T, N>, T) {
-        bent_contact::<T, K, N>(&self.arm(p), self.radius, self.inside)
+    pub(super) fn contact_and_curvature<K: Math<T>, const N: usize>(&self, p: &SVector<T, N>) -> (Contact<T, N>, T) {
+        contact_and_curvature::<T, K, N>(&self.arm(p), self.radius, self.inside)
     }
 
-    /// Centre to tip; coordinates beyond the task do not count.
+    /// Returns the vector from the centre to the tip; coordinates beyond the task have no effect.
     #[inline(always)]
     fn arm<const N: usize>(&self, p: &SVector<T, N>) -> SVector<T, N> {
         p - task_vector::<T, N>(&self.center)
     }
 }
 
-/// The contact with a round wall whose centre (or axis) lies at `-arm` from the tip. At the very centre the normal is
-/// zero: no direction is the right one, and no force is.
+/// Returns the contact with a round wall whose centre (or axis) is at `-arm` from the tip. At the exact centre the
+/// normal and the force are zero, because no direction is distinguished.
 #[inline(always)]
 pub(super) fn round_contact<T: Real, K: Math<T>, const N: usize>(
     arm: &SVector<T, N>,
     radius: T,
     inside: bool,
 ) -> Contact<T, N> {
-    bent_contact::<T, K, N>(arm, radius, inside).0
+    contact_and_curvature::<T, K, N>(arm, radius, inside).0
 }
 
-/// [`round_contact`], and the curvature (1/m) that its normal turns by: ṅ is that times the velocity across n.
+/// Like [`round_contact`], with the curvature (1/m): ṅ is the curvature times the velocity across n.
 #[inline(always)]
-fn bent_contact<T: Real, K: Math<T>, const N: usize>(
+fn contact_and_curvature<T: Real, K: Math<T>, const N: usize>(
     arm: &SVector<T, N>,
     radius: T,
     inside: bool,
@@ -86,7 +86,7 @@ fn bent_contact<T: Real, K: Math<T>, const N: usize>(
     }
 }
 
-/// ṅ = (v - n(n·v))/ρ for a round wall, with the sign of its normal.
+/// Returns ṅ = (v - n(n·v))/ρ for a round wall, with the sign of its normal.
 #[inline(always)]
 pub(super) fn round_normal_rate<T: Real, K: Math<T>, const N: usize>(
     arm: &SVector<T, N>,

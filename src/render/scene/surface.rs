@@ -1,4 +1,4 @@
-//! Every shape that a wall can have.
+//! The list of wall shapes.
 
 use super::Contact;
 use super::cylinder::Cylinder;
@@ -20,12 +20,12 @@ macro_rules! shapes {
             /// The entries of all shapes in scene files.
             pub const SPECS: &'static [ShapeSpec] = &[$(<$Shape<T> as Shape<T>>::SPEC),*];
 
-            /// The entry of this shape in scene files.
+            /// Returns the entry of this shape in scene files.
             pub fn spec(&self) -> ShapeSpec {
                 match self { $(Self::$Shape(_) => <$Shape<T> as Shape<T>>::SPEC,)* }
             }
 
-            /// The shape of this name, with these values.
+            /// Makes the shape of this name from these values; `None` if there is no such shape.
             pub fn from_values(name: &str, values: &Values<T>) -> Option<Self> {
                 $(if name == <$Shape<T> as Shape<T>>::SPEC.name {
                     return Some(Self::$Shape(Shape::from_values(values)));
@@ -33,29 +33,29 @@ macro_rules! shapes {
                 None
             }
 
-            /// Its values, in the order of its [`ShapeSpec::keys`].
+            /// Returns its values, in the order of its [`ShapeSpec::keys`].
             pub fn values(&self) -> Values<T> {
                 match self { $(Self::$Shape(shape) => shape.values(),)* }
             }
 
-            /// The same in another precision.
+            /// Converts to another precision.
             pub fn cast<U: Real>(&self) -> Surface<U> {
                 let values = self.values().map(|value| U::from_f64(value.to_f64()));
                 match self { $(Self::$Shape(_) => Surface::$Shape(Shape::from_values(&values)),)* }
             }
 
-            /// Returns true if the normal turns with the tip.
+            /// Returns true if the normal depends on the tip position.
             pub fn curved(&self) -> bool {
                 match self { $(Self::$Shape(_) => <$Shape<T> as Shape<T>>::CURVED,)* }
             }
 
-            /// The contact of curved surfaces. Not inlined: mechanisms share it, and planes do not pay for it.
+            /// Returns the contact of a curved surface. Not inlined: mechanisms share it, and planes do not use it.
             #[inline(never)]
             fn curved_contact<K: Math<T>, const N: usize>(&self, p: &SVector<T, N>) -> Contact<T, N> {
                 match self { $(Self::$Shape(shape) => shape.contact::<K, N>(p),)* }
             }
 
-            /// ṅ (1/s) at the tip position `p` moving at `velocity` (m/s). Not inlined, as it is zero for planes.
+            /// Returns ṅ (1/s) at the tip position `p` moving at `velocity` (m/s). Not inlined: it is zero for planes.
             #[inline(never)]
             pub fn normal_rate<K: Math<T>, const N: usize>(
                 &self,
@@ -71,14 +71,14 @@ macro_rules! shapes {
 shapes! {
     /// A half-space.
     Plane;
-    /// A ball, or what is outside it (in the plane: a disc).
+    /// A ball, or the space outside it (in the plane: a disc).
     Sphere;
-    /// A cylinder, or what is outside it (in space only).
+    /// A cylinder, or the space outside it (in space only).
     Cylinder;
 }
 
 impl<T: Real> Surface<T> {
-    /// Distance and normal at the tip position `p` (m).
+    /// Returns the distance and the normal at the tip position `p` (m).
     #[inline(always)]
     pub fn contact<K: Math<T>, const N: usize>(&self, p: &SVector<T, N>) -> Contact<T, N> {
         let (distance, normal) = match self {
@@ -87,7 +87,7 @@ impl<T: Real> Surface<T> {
                 (distance, normal.map(|n| n))
             }
             curved => {
-                // Copies: what is handed to another function lies in memory, and the plane's numbers need not.
+                // Copy, because arguments of another function are kept in memory and the plane's numbers need not be.
                 let p = *p;
                 let Contact { distance, normal } = curved.curved_contact::<K, N>(&p);
                 (distance, normal.map(|n| n))
@@ -96,22 +96,22 @@ impl<T: Real> Surface<T> {
         Contact { distance, normal }
     }
 
-    /// Returns true if it is a ball, or what is outside one.
+    /// Returns true if it is a ball or the space outside a ball.
     pub(crate) fn is_sphere(&self) -> bool {
         matches!(self, Self::Sphere(_))
     }
 
-    /// [`Surface::contact`] of a ball, inlined, with the curvature that its normal turns by where the tip moves across it,
-    /// 1/m: negative inside. Any other shape counts as flat.
+    /// Like [`Surface::contact`], inlined for a ball, with the curvature of the surface, 1/m: the rotation of the
+    /// normal per tip motion across it; negative inside. Every other shape counts as flat.
     #[inline(always)]
-    pub(crate) fn bent_contact<K: Math<T>, const N: usize>(&self, p: &SVector<T, N>) -> (Contact<T, N>, T) {
+    pub(crate) fn contact_and_curvature<K: Math<T>, const N: usize>(&self, p: &SVector<T, N>) -> (Contact<T, N>, T) {
         match self {
-            Self::Sphere(sphere) => sphere.bent_contact::<K, N>(p),
+            Self::Sphere(sphere) => sphere.contact_and_curvature::<K, N>(p),
             other => (other.contact::<K, N>(p), T::zero()),
         }
     }
 
-    /// Returns true if every value is what its meaning says, for a device of task dimension `task`.
+    /// Returns true if every value is valid for its meaning, for a device of task dimension `task`.
     pub(super) fn valid(&self, task: usize) -> bool {
         let values = self.values();
         let mut rest = values.as_slice();

@@ -14,15 +14,16 @@ impl core::fmt::Display for BadCutoff {
 
 impl core::error::Error for BadCutoff {}
 
-/// The prewarped gain tan(π cutoff/rate).
+/// Returns the prewarped gain tan(π cutoff/rate).
 pub(super) fn warped<T: Real>(cutoff_hz: T, rate_hz: T) -> Result<T, BadCutoff> {
     let ratio = cutoff_hz / rate_hz;
     let valid = rate_hz.is_finite() && ratio > T::zero() && ratio < T::from_f64(0.5);
     if valid { Ok(tangent(ratio)) } else { Err(BadCutoff) }
 }
 
-/// The tangent of π times a ratio from 0 to 1/2, to a few units in the last place: the quotient of the two power
-/// series, above π/4 that of the complement. Small, because the board designs its filters itself, in its own precision.
+/// Returns the tangent of π times a ratio from 0 to 1/2, to a few units in the last place: the quotient of the two
+/// power series, or above π/4 the inverse of the complement's tangent. The code is small, because the board designs its
+/// filters itself, in its own precision.
 fn tangent<T: Real>(ratio: T) -> T {
     let complement = T::from_f64(0.5) - ratio;
     if ratio > complement {
@@ -46,11 +47,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_tangent_is_that_of_libm_up_to_a_quarter_turn() {
+    fn the_tangent_agrees_with_libm_up_to_a_quarter_turn() {
         for i in 0..500 {
             let ratio = f64::from(i) * 1.0e-3;
             let exact = libm::tan(core::f64::consts::PI * ratio);
-            // The complement's own rounding counts where the tangent is steep.
+            // The rounding of the complement matters where the tangent is steep.
             assert!((tangent(ratio) - exact).abs() <= 4.0e-16 * exact * (4.0 + exact), "{ratio}");
             let single = f64::from(tangent(ratio as f32));
             assert!((single - exact).abs() <= 2.0e-7 * exact * (4.0 + exact), "{ratio} in single precision");

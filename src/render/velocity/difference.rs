@@ -1,25 +1,25 @@
 //! Difference over several samples: (x[n] - x[n-k])/(k T).
 //!
-//! The steps of the encoder weigh 1/k of what they weigh in the backward difference, and the velocity is k/2 samples
-//! late: what sampling position fast and velocity slowly does (Koul, Khosa and Ahmad 2024, Int. J. of Mechanical System
-//! Dynamics 4(2):171), without its jumps. Linear; nulls at every multiple of rate/k.
+//! The encoder steps have 1/k of their weight in the backward difference, and the velocity is k/2 samples late: the
+//! same as sampling position fast and velocity slowly (Koul, Khosa and Ahmad 2024, Int. J. of Mechanical System
+//! Dynamics 4(2):171), without its jumps. Linear; zeros at every multiple of rate/k.
 
-use super::{Chosen, CutoffMeans, EstimatorKey, EstimatorSpec, JointEstimator, LONGEST_WINDOW, Seen};
+use super::{Chosen, CutoffMeaning, EstimatorKey, EstimatorSpec, JointEstimator, MAX_WINDOW, Seen};
 use crate::math::{Math, Real};
 
 /// The last samples of one joint.
 #[derive(Clone, Copy, Debug)]
 pub struct Difference<T> {
-    /// Of each of the last periods, counts.
-    moved: [T; LONGEST_WINDOW],
+    /// Motion in each of the last periods, counts.
+    moved: [T; MAX_WINDOW],
     next: usize,
-    /// Over the window, counts.
+    /// Motion over the window, counts.
     sum: T,
 }
 
-/// Samples that the difference goes over, and their inverse.
+/// Number of samples of the window, and its inverse.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Over<T> {
+pub struct Window<T> {
     samples: usize,
     inverse: T,
 }
@@ -27,35 +27,30 @@ pub struct Over<T> {
 impl<T: Real> JointEstimator<T> for Difference<T> {
     const SPEC: EstimatorSpec = EstimatorSpec {
         name: "difference",
-        cutoff: CutoffMeans::LowPassBehind,
-        key: Some(EstimatorKey {
-            name: "difference_over",
-            unit: "samples",
-            range: (1, LONGEST_WINDOW as u32),
-            usual: 10,
-        }),
+        cutoff: CutoffMeaning::LowPassAfter,
+        key: Some(EstimatorKey { name: "difference_over", unit: "samples", range: (1, MAX_WINDOW as u32), usual: 10 }),
         predicts: false,
     };
 
-    type Design = Over<T>;
+    type Design = Window<T>;
 
-    fn design(chosen: &Chosen, _: T) -> Over<T> {
-        let samples = (chosen.value as usize).clamp(1, LONGEST_WINDOW);
-        Over { samples, inverse: T::one() / T::from_i32(samples as i32) }
+    fn design(options: &Chosen, _: T) -> Window<T> {
+        let samples = (options.value as usize).clamp(1, MAX_WINDOW);
+        Window { samples, inverse: T::one() / T::from_i32(samples as i32) }
     }
 
-    fn lag(over: &Over<T>) -> T {
-        T::from_f64(0.5) / over.inverse
+    fn lag(window: &Window<T>) -> T {
+        T::from_f64(0.5) / window.inverse
     }
 
     fn moving_at(velocity: T) -> Self {
-        Self { moved: [velocity; LONGEST_WINDOW], next: LONGEST_WINDOW, sum: T::zero() }
+        Self { moved: [velocity; MAX_WINDOW], next: MAX_WINDOW, sum: T::zero() }
     }
 
-    fn step<K: Math<T>>(&mut self, over: &Over<T>, seen: &Seen<T>) -> T {
-        if self.next >= over.samples {
-            // The ring restarts at the beginning, after as many samples as it holds, and when it has become shorter.
-            let ring = self.moved.iter().take(over.samples);
+    fn step<K: Math<T>>(&mut self, window: &Window<T>, seen: &Seen<T>) -> T {
+        if self.next >= window.samples {
+            // Compute the sum again at the start of each pass through the ring, and when the ring has become shorter.
+            let ring = self.moved.iter().take(window.samples);
             self.sum = ring.fold(T::zero(), |sum, moved| sum + *moved);
             self.next = 0;
         }
@@ -64,6 +59,6 @@ impl<T: Real> JointEstimator<T> for Difference<T> {
             *oldest = seen.moved;
         }
         self.next += 1;
-        self.sum * over.inverse
+        self.sum * window.inverse
     }
 }

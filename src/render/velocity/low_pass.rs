@@ -1,14 +1,14 @@
 //! Backward difference, then a low-pass.
 //!
-//! The filters are trapezoidal state-variable (topology-preserving) forms: the bilinear transform prewarped at the
-//! cutoff, so the very transfer function of the usual digital `butter` design, but with states that keep their
-//! accuracy in f32 when the cutoff is a thousandth of the rate. (A direct form's gain is off by 1e-3 at
-//! 20 Hz/20 kHz, this by 4e-6; tests/velocity.rs.) Cost: one difference and nine multiply-adds a step.
+//! The filters are trapezoidal state-variable (topology-preserving) forms: the bilinear transform, prewarped at the
+//! cutoff. The transfer function is that of the usual digital `butter` design, but the states keep their accuracy in
+//! f32 when the cutoff is a thousandth of the rate. (A direct form's gain is off by 1e-3 at 20 Hz/20 kHz, this form's
+//! by 4e-6; tests/velocity.rs.) Cost: one difference and nine multiply-adds per step.
 
 use super::Coefficients;
 use crate::math::Real;
 
-/// A low-pass's two states.
+/// The two states of a low-pass.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LowPass<T> {
     band: T,
@@ -16,14 +16,14 @@ pub struct LowPass<T> {
 }
 
 impl<T: Real> LowPass<T> {
-    /// One step, of whichever kind the coefficients are. Of an estimator that watches joints: the low-pass that may stand
-    /// behind it.
+    /// Computes one step of the filter that the coefficients select. For an estimator that uses joints, this is the
+    /// low-pass that may follow it.
     #[inline(always)]
     pub fn step(&mut self, coefficients: &Coefficients<T>, input: T) -> T {
-        if coefficients.none { input } else { self.pass(coefficients, input) }
+        if coefficients.unfiltered { input } else { self.pass(coefficients, input) }
     }
 
-    /// [`LowPass::step`] of coefficients that are known to be of a low-pass.
+    /// Like [`LowPass::step`], for coefficients that are known to be those of a low-pass.
     #[inline(always)]
     pub fn pass(&mut self, coefficients: &Coefficients<T>, input: T) -> T {
         let high = input - self.low;
@@ -35,7 +35,7 @@ impl<T: Real> LowPass<T> {
         low
     }
 
-    /// One step of a first-order low-pass.
+    /// Computes one step of a first-order low-pass.
     #[inline(always)]
     pub fn step_first_order(&mut self, gain: T, input: T) -> T {
         let rise = gain * (input - self.low);
@@ -44,7 +44,7 @@ impl<T: Real> LowPass<T> {
         low
     }
 
-    /// Its output so far.
+    /// Returns the last output.
     pub fn low(&self) -> T {
         self.low
     }
@@ -58,12 +58,12 @@ pub struct Velocity<T> {
 }
 
 impl<T: Real> Velocity<T> {
-    /// At rest at this position.
+    /// Makes an estimator at rest at this position.
     pub fn resting_at(position: T) -> Self {
         Self { last: position, filter: LowPass::default() }
     }
 
-    /// The velocity (per second) after this sample of the position.
+    /// Returns the velocity (per second) after this sample of the position.
     #[inline(always)]
     pub fn step(&mut self, coefficients: &Coefficients<T>, position: T) -> T {
         let difference = self.moved(position);
@@ -71,7 +71,7 @@ impl<T: Real> Velocity<T> {
         self.filter.step(coefficients, difference * coefficients.rate)
     }
 
-    /// [`Velocity::step`] of coefficients that are known to be of a low-pass.
+    /// Like [`Velocity::step`], for coefficients that are known to be those of a low-pass.
     #[inline(always)]
     pub fn pass(&mut self, coefficients: &Coefficients<T>, position: T) -> T {
         let difference = self.moved(position);
@@ -79,14 +79,14 @@ impl<T: Real> Velocity<T> {
         self.filter.pass(coefficients, difference * coefficients.rate)
     }
 
-    /// Takes the velocity (per second) at this sample of the position from elsewhere, and would go on from there.
+    /// Sets the state to a position and a velocity (per second) from another estimator, and returns the velocity.
     pub fn follow(&mut self, position: T, velocity: T) -> T {
         self.last = position;
         self.filter = LowPass { band: T::zero(), low: velocity };
         velocity
     }
 
-    /// Distance of `position` from the last sample.
+    /// Returns the distance of `position` from the last sample.
     #[inline(always)]
     fn moved(&self, position: T) -> T {
         position - self.last

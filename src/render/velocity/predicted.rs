@@ -1,34 +1,33 @@
-//! Prediction by the model, correction by counts: an observer that knows what the motors do.
+//! Prediction by the model, correction by counts: an observer that knows the motors' torques.
 //!
-//! The acceleration that the motors' torques give a joint, M⁻¹τ, is known; everything else that acts on it (hand,
-//! friction, weight, errors of the model) is one unknown acceleration that changes slowly. Position, velocity and
-//! that acceleration are tracked by an α-β-γ filter with the known acceleration as its input (E. Brookner 1998,
-//! *Tracking and Kalman Filtering Made Easy*, chapter 1, with all three poles at p: α = 1 - p³, β = 3/2 (1 - p)²
-//! (1 + p), γ = (1 - p)³; the input as in Luenberger 1971, "An introduction to observers", IEEE Trans. Automatic
-//! Control 16:596).
+//! The acceleration of a joint by the motors' torques, M⁻¹τ, is known. All other effects on it (hand, friction, weight,
+//! model errors) are treated as one unknown acceleration that changes slowly. An α-β-γ filter tracks position, velocity
+//! and that acceleration, with the known acceleration as its input (E. Brookner 1998, *Tracking and Kalman Filtering
+//! Made Easy*, chapter 1, with all three poles at p: α = 1 - p³, β = 3/2 (1 - p)² (1 + p), γ = (1 - p)³; the input as
+//! in Luenberger 1971, "An introduction to observers", IEEE Trans. Automatic Control 16:596).
 //!
-//! The wall's effect on the tip is thus known without lag, and by the separation principle the loop around the wall is
-//! that of an exact velocity; the cutoff is the speed at which the rest is learnt, and can be low. It remembers only
-//! the distance of the count ahead of the estimate.
+//! The wall's effect on the tip is therefore known without lag, and by the separation principle the loop around the
+//! wall behaves as with an exact velocity. The cutoff is the bandwidth at which the unknown acceleration is estimated,
+//! and can be low. The position state is only the distance of the count from the estimate.
 
-use super::{Chosen, CutoffMeans, EstimatorSpec, JointEstimator, Seen};
+use super::{Chosen, CutoffMeaning, EstimatorSpec, JointEstimator, Seen};
 use crate::math::{Math, Real};
 
 /// The estimate of one joint.
 #[derive(Clone, Copy, Debug)]
 pub struct Predicted<T> {
-    /// Distance of the count ahead of the estimated position, counts.
+    /// Distance of the count from the estimated position, counts.
     ahead: T,
-    /// Counts per period.
+    /// Velocity, counts per period.
     velocity: T,
-    /// The acceleration that no torque accounts for, counts per period².
+    /// Acceleration that no motor torque explains, counts per period².
     unknown: T,
 }
 
 /// 1 - α, β and γ, and the lag in periods.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Gains<T> {
-    kept: T,
+    remaining: T,
     beta: T,
     gamma: T,
     lag: T,
@@ -36,23 +35,23 @@ pub struct Gains<T> {
 
 impl<T: Real> JointEstimator<T> for Predicted<T> {
     const SPEC: EstimatorSpec =
-        EstimatorSpec { name: "predicted", cutoff: CutoffMeans::Bandwidth, key: None, predicts: true };
+        EstimatorSpec { name: "predicted", cutoff: CutoffMeaning::Bandwidth, key: None, predicts: true };
 
     type Design = Gains<T>;
 
     fn design(_: &Chosen, warped: T) -> Gains<T> {
-        let left = (warped + warped) / (T::one() + warped);
-        let pole = T::one() - left;
-        let square = left * left;
+        let loss = (warped + warped) / (T::one() + warped);
+        let pole = T::one() - loss;
+        let square = loss * loss;
         Gains {
-            kept: pole * pole * pole,
+            remaining: pole * pole * pole,
             beta: T::from_f64(1.5) * square * (T::one() + pole),
-            gamma: square * left,
-            lag: T::one() / left,
+            gamma: square * loss,
+            lag: T::one() / loss,
         }
     }
 
-    /// A steady acceleration is known without any; an unknown push is after this long.
+    /// A steady acceleration by the motors causes no lag; an unknown force is estimated after this time.
     fn lag(gains: &Gains<T>) -> T {
         gains.lag
     }
@@ -62,11 +61,11 @@ impl<T: Real> JointEstimator<T> for Predicted<T> {
     }
 
     fn step<K: Math<T>>(&mut self, gains: &Gains<T>, seen: &Seen<T>) -> T {
-        let gained = self.unknown + seen.pushed;
-        let beyond = self.ahead + (seen.moved - self.velocity - T::from_f64(0.5) * gained);
-        self.ahead = gains.kept * beyond;
-        self.velocity += gained + gains.beta * beyond;
-        self.unknown += gains.gamma * beyond;
+        let acceleration = self.unknown + seen.pushed;
+        let innovation = self.ahead + (seen.moved - self.velocity - T::from_f64(0.5) * acceleration);
+        self.ahead = gains.remaining * innovation;
+        self.velocity += acceleration + gains.beta * innovation;
+        self.unknown += gains.gamma * innovation;
         self.velocity
     }
 }

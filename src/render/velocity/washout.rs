@@ -3,24 +3,23 @@
 use super::cutoff::{BadCutoff, warped};
 use crate::math::Real;
 
-/// The washout: a first-order high-pass of the wall force, whose output is what the feed-forward shapes.
+/// The washout: a first-order high-pass of the wall force. Its output is shaped by the feed-forward.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Washout<T> {
     gain: T,
     low: T,
-    /// The part that rounding has kept out of `low` so far: at 0.2 Hz and 50 kHz a step moves `low` by less than its
-    /// last digit.
+    /// Rounding error of `low` so far: at 0.2 Hz and 50 kHz a step changes `low` by less than its last digit.
     rest: T,
 }
 
 impl<T: Real> Washout<T> {
-    /// Bilinear, prewarped at `washout_hz` (between zero and half the rate), started at zero.
+    /// Makes a bilinear filter, prewarped at `washout_hz` (between zero and half the rate), with a state of zero.
     pub fn new(washout_hz: T, rate_hz: T) -> Result<Self, BadCutoff> {
         let g = warped(washout_hz, rate_hz)?;
         Ok(Self { gain: g / (T::one() + g), low: T::zero(), rest: T::zero() })
     }
 
-    /// The high-passed force.
+    /// Returns the high-passed force.
     #[inline(always)]
     pub fn step(&mut self, force: T) -> T {
         let rise = self.gain * (force - self.low);
@@ -32,7 +31,7 @@ impl<T: Real> Washout<T> {
         high
     }
 
-    /// Takes new coefficients and keeps the state.
+    /// Takes the coefficients of `other` and keeps the state.
     pub fn retune(&mut self, other: &Self) {
         self.gain = other.gain;
     }

@@ -1,5 +1,5 @@
-//! The whole of equation (4) of a five-bar, which the analysis computes: what it takes of a pose time and again, worked
-//! out once. The control step needs less of it, and has kernels of its own.
+//! All terms of equation (4) for a five-bar, for the analysis. Quantities of the pose that the terms share are computed
+//! once. The control step needs fewer terms and has its own kernels.
 
 use super::FiveBar;
 use super::pose::{Pose, left};
@@ -21,19 +21,19 @@ pub struct Levers<'a, T: Real> {
 
 /// A unit motion of the tip.
 #[derive(Clone, Copy, Debug)]
-pub struct Moving<T: Real> {
-    /// Along this vector.
+pub struct TipMotion<T: Real> {
+    /// Direction of the motion.
     pub n: Vector2<T>,
     /// E, rad/m.
     pub e: Vector2<T>,
     /// Cᵀ n, kg m.
     rods: Vector2<T>,
-    /// The part of it that the joints take by themselves, Aᵢ eᵢ + Cᵀ n, kg m; the rest goes through the tip.
+    /// The part of M E that acts at the joints directly, Aᵢ eᵢ + Cᵀ n, kg m; the rest goes through the tip.
     momentum: Vector2<T>,
 }
 
-impl<T: Real> Moving<T> {
-    /// The arms' part of the inertia between this motion and another, kg.
+impl<T: Real> TipMotion<T> {
+    /// Returns the arms' part of the inertia between this motion and `other`, kg.
     #[inline(always)]
     pub fn arms(&self, other: &Self) -> T {
         self.e.dot(&other.momentum) + self.rods.dot(&other.e)
@@ -53,19 +53,19 @@ impl<'a, T: Real> Levers<'a, T> {
         }
     }
 
-    /// J q̇.
+    /// Returns J q̇.
     #[inline(always)]
     pub fn velocity(&self, qd: &Vector2<T>) -> Vector2<T> {
         self.jacobian[0] * qd[0] + self.jacobian[1] * qd[1]
     }
 
-    /// Jᵀ f.
+    /// Returns Jᵀ f.
     #[inline(always)]
     pub fn transposed(&self, f: &Vector2<T>) -> Vector2<T> {
         Vector2::new(self.jacobian[0].dot(f), self.jacobian[1].dot(f))
     }
 
-    /// M.
+    /// Returns M.
     #[inline(always)]
     pub fn mass(&self) -> Matrix2<T> {
         let ([j1, j2], [c1, c2], [a1, a2]) = (&self.jacobian, &self.rods, self.linkage.arm_inertia);
@@ -74,23 +74,23 @@ impl<'a, T: Real> Levers<'a, T> {
         Matrix2::new(a1 + j1.dot(&(g1 + c1)), off, off, a2 + j2.dot(&(g2 + c2)))
     }
 
-    /// A unit motion of the tip along `n`.
+    /// Computes a unit motion of the tip along `n`.
     #[inline(always)]
-    pub fn moving(&self, n: &Vector2<T>) -> Moving<T> {
+    pub fn unit_motion(&self, n: &Vector2<T>) -> TipMotion<T> {
         let along = |rows: &[Vector2<T>; 2]| Vector2::new(rows[0].dot(n), rows[1].dot(n));
         let (e, rods, [a1, a2]) = (along(&self.inverse), along(&self.rods), self.linkage.arm_inertia);
-        Moving { n: *n, e, rods, momentum: Vector2::new(a1 * e[0] + rods[0], a2 * e[1] + rods[1]) }
+        TipMotion { n: *n, e, rods, momentum: Vector2::new(a1 * e[0] + rods[0], a2 * e[1] + rods[1]) }
     }
 
-    /// M E of a motion, kg m.
+    /// Returns M E of a motion, kg m.
     #[inline(always)]
-    pub fn momentum(&self, moving: &Moving<T>) -> Vector2<T> {
-        let through_tip = moving.n * self.linkage.tip_mass + self.rods[0] * moving.e[0] + self.rods[1] * moving.e[1];
-        moving.momentum + self.transposed(&through_tip)
+    pub fn momentum(&self, motion: &TipMotion<T>) -> Vector2<T> {
+        let through_tip = motion.n * self.linkage.tip_mass + self.rods[0] * motion.e[0] + self.rods[1] * motion.e[1];
+        motion.momentum + self.transposed(&through_tip)
     }
 
-    /// The torques of joint accelerations `qdd` at joint velocities `qd`, with the force `at_tip` (N) that the tip
-    /// takes besides, and those that hold the linkage where gravity in its plane is `g`, m/s².
+    /// Returns the torques of joint accelerations `qdd` at joint velocities `qd`, with the additional force `at_tip`
+    /// (N) at the tip, and of holding the linkage against gravity `g` in its plane, m/s².
     #[inline(always)]
     pub fn bias(&self, qd: &Vector2<T>, qdd: &Vector2<T>, at_tip: Vector2<T>, g: &Vector2<T>) -> Vector2<T> {
         let FiveBar { arm_inertia, elbow_load, tip_load, .. } = self.linkage;

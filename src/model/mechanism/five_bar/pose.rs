@@ -3,12 +3,12 @@
 use crate::math::Real;
 use nalgebra::Vector2;
 
-/// The quantities that depend on the two angles alone.
+/// Quantities that depend on the two angles alone.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pose<T: Real> {
     /// Tip, m.
     pub tip: Vector2<T>,
-    /// Elbows relative to their motors, m; turned left by 90° they are the elbow velocities per joint rate.
+    /// Elbows relative to their motors, m; rotated left by 90° they are the elbow velocities per joint rate.
     pub(in super::super) arm: [Vector2<T>; 2],
     /// Tip relative to the elbows, m.
     pub(super) rod: [Vector2<T>; 2],
@@ -18,23 +18,23 @@ pub struct Pose<T: Real> {
     pub(super) inverse_k: [T; 2],
     /// 1/(u₁ x u₂), clamped.
     pub(super) inverse_det: T,
-    /// |sin| of the angle between the rods; 0 when they are in line or cannot reach each other.
+    /// |sin| of the angle between the rods; 0 if they are in line or cannot reach each other.
     pub(super) parallel: T,
 }
 
-/// A unit motion of the tip along a direction, and what it weighs.
+/// A unit motion of the tip along a direction, and its inertia.
 #[derive(Clone, Copy, Debug)]
-pub(in super::super) struct Along<T: Real> {
+pub(in super::super) struct UnitMotion<T: Real> {
     /// E, rad/m.
     pub e: Vector2<T>,
-    /// The part of it that the joints take by themselves, Iᵢ eᵢ + βᵢ cᵢ·n, kg m; the rest goes through the tip.
+    /// The part of M E that acts at the joints directly, Iᵢ eᵢ + βᵢ cᵢ·n, kg m; the rest goes through the tip.
     pub momentum: Vector2<T>,
-    /// The arms' part of the mass at the tip, kg: in task space, without passing through J, Λ = Γ 1 + Σ Aᵢ aᵢaᵢᵀ +
-    /// βᵢ(aᵢcᵢᵀ + cᵢaᵢᵀ) with aᵢ = uᵢ/kᵢ.
+    /// The arms' part of the mass at the tip, kg: computed in task space, without J,
+    /// Λ = Γ 1 + Σ Aᵢ aᵢaᵢᵀ + βᵢ(aᵢcᵢᵀ + cᵢaᵢᵀ) with aᵢ = uᵢ/kᵢ.
     pub arms: T,
 }
 
-/// `v` turned left by 90°.
+/// Returns `v` rotated left by 90°.
 #[inline(always)]
 pub(super) fn left<T: Real>(v: &Vector2<T>) -> Vector2<T> {
     Vector2::new(-v[1], v[0])

@@ -1,7 +1,7 @@
-//! The step of a scene that is one wall, or none.
+//! The step of a scene with a single wall, or no wall.
 
 use super::super::Controller;
-use super::Started;
+use super::Start;
 use crate::math::{Math, Real};
 use crate::model::mechanism::{Mechanism, Shaped};
 use crate::render::scene::FeedForward;
@@ -9,79 +9,79 @@ use crate::render::step_result::{AtWalls, StepResult, clear, put};
 use nalgebra::SVector;
 
 impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K, N> {
-    /// [`Controller::render`] for one wall, by the closed form and with α = 1, or for none.
+    /// Implements [`Controller::render`] for one wall, by the closed form and with α = 1, or for no wall.
     ///
-    /// Known values are written at once, and equation (4) comes last: so few numbers have to be kept on the way.
+    /// Known values are written at once, and equation (4) comes last, so that few values are live on the way.
     #[inline(never)]
-    pub(in super::super) fn render_wall(&mut self, counts: &[i32; N], found: &mut StepResult<T>) {
-        self.render_single::<false>(counts, found);
+    pub(in super::super) fn render_wall(&mut self, counts: &[i32; N], result: &mut StepResult<T>) {
+        self.render_single::<false>(counts, result);
     }
 
-    /// The same; `ROUND` as [`Controller::render_round`] has it.
+    /// Implements [`Controller::render_wall`]; with `ROUND`, [`Controller::render_round`].
     #[inline(always)]
-    pub(super) fn render_single<const ROUND: bool>(&mut self, counts: &[i32; N], found: &mut StepResult<T>) {
-        let Some(started) = self.start(counts, found) else {
-            return self.render_generally(counts, found);
+    pub(super) fn render_single<const ROUND: bool>(&mut self, counts: &[i32; N], result: &mut StepResult<T>) {
+        let Some(start) = self.start(counts, result) else {
+            return self.render_generally(counts, result);
         };
-        if self.guidance.adds {
+        if self.guidance.adds_force {
             // A copy, so that the usual case need not keep it in memory.
-            self.guide(&{ started }, &mut found.guided);
+            self.write_guidance(&{ start }, &mut result.guidance);
         }
-        let Started { pose, place, .. } = started;
+        let Start { pose, place, .. } = start;
         let debt = self.debt();
         let Some(running) = self.walls.single() else {
-            found.at.walls = AtWalls::none();
-            return self.untouched(found);
+            result.at.walls = AtWalls::none();
+            return self.write_untouched(result);
         };
         let (contact, curvature) = if ROUND {
-            running.surface().bent_contact::<K, N>(&place)
+            running.surface().contact_and_curvature::<K, N>(&place)
         } else {
             (running.surface().contact::<K, N>(&place), T::zero())
         };
         let velocity = running.pass(&self.coefficients, contact.distance);
-        let pressed = running.press(contact.distance, velocity, debt.as_ref(), T::one());
-        found.at.walls = AtWalls {
-            contacts: u8::from(pressed.touched),
+        let effect = running.press(contact.distance, velocity, debt.as_ref(), T::one());
+        result.at.walls = AtWalls {
+            contacts: u8::from(effect.touched),
             distance: contact.distance,
-            normal_velocity: pressed.velocity,
-            wall_force: pressed.force,
+            normal_velocity: effect.velocity,
+            wall_force: effect.force,
             shaping: T::one(),
             energy: T::zero(),
-            passivity_damping: pressed.passivity_damping,
+            passivity_damping: effect.passivity_damping,
         };
-        if !pressed.touched {
-            return self.untouched(found);
+        if !effect.touched {
+            return self.write_untouched(result);
         }
-        let (feed_forward, force) = (running.feed_forward(), pressed.force);
-        // Everything is along the normal: one row of J makes torques of all that goes through Jᵀ.
+        let (feed_forward, force) = (running.feed_forward(), effect.force);
+        // All forces are along the normal: one row of J converts every force through Jᵀ.
         let row = self.mechanism.transpose(&pose, &contact.normal);
         let rendered = row * force;
-        put(&rendered, &mut found.asked.rendered);
-        found.asked.force_squared = force * force;
+        put(&rendered, &mut result.asked.rendered);
+        result.asked.force_squared = force * force;
         if !ROUND && feed_forward == FeedForward::Off {
-            put(&self.mechanism.inverse(&pose, &contact.normal), &mut found.motion);
-            self.hold(&rendered, found);
-            return self.total(&rendered, || contact.normal * force, found);
+            put(&self.mechanism.inverse(&pose, &contact.normal), &mut result.motion);
+            self.hold(&rendered, result);
+            return self.write_total(&rendered, || contact.normal * force, result);
         }
         let Shaped { e, mut torque } = if ROUND {
-            self.shaped_round(&started, &contact.normal, pressed.shaped, curvature)
+            self.shaped_round(&start, &contact.normal, effect.shaped, curvature)
         } else {
-            self.shaped(&started, &contact.normal, pressed.shaped, Some(0))
+            self.shaped(&start, &contact.normal, effect.shaped, Some(0))
         };
-        // Adds zero if the whole force is shaped.
-        torque += row * (force - pressed.shaped);
-        self.hold(&torque, found);
-        put(&e, &mut found.motion);
-        self.total(&torque, || contact.normal * force, found);
+        // Adds zero if the complete force is shaped.
+        torque += row * (force - effect.shaped);
+        self.hold(&torque, result);
+        put(&e, &mut result.motion);
+        self.write_total(&torque, || contact.normal * force, result);
     }
 
-    /// Writes the result of a step that touches no wall.
+    /// Writes the result of a step without contact.
     #[inline(always)]
-    fn untouched(&mut self, found: &mut StepResult<T>) {
+    fn write_untouched(&mut self, result: &mut StepResult<T>) {
         self.leave();
-        clear::<T, N>(&mut found.motion);
-        clear::<T, N>(&mut found.asked.rendered);
-        found.asked.force_squared = T::zero();
-        self.total(&SVector::zeros(), SVector::zeros, found);
+        clear::<T, N>(&mut result.motion);
+        clear::<T, N>(&mut result.asked.rendered);
+        result.asked.force_squared = T::zero();
+        self.write_total(&SVector::zeros(), SVector::zeros, result);
     }
 }
