@@ -346,7 +346,7 @@ where
             State::CheckingPolarity => {
                 let torque = self.check_polarity();
                 if self.state == State::CheckingPolarity {
-                    self.command_check(&torque);
+                    self.command_test(&torque);
                 }
                 self.now.motors.rendered_force = 0.0;
             }
@@ -392,7 +392,7 @@ where
     }
 
     /// Commands the torques of a polarity check, within the limits.
-    fn command_check(&mut self, torque: &Torques) {
+    fn command_test(&mut self, torque: &Torques) {
         let joints = self.count();
         for (i, joint) in self.joints.iter_mut().enumerate().take(joints) {
             let torque = limited(torque[i], self.most_torque[i]);

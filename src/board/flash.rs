@@ -10,7 +10,11 @@ use crate::safety::refusal::Refusal;
 /// Commits the settings staged under these keys together with the rest of the configuration. Otherwise settings of an
 /// older configuration, left in flash, would apply after the next start.
 #[inline(never)]
-pub(super) fn commit_configuration(machine: &mut impl Machine, next: &Configuration, keys: &KeyList) -> Result<(), Refusal> {
+pub(super) fn commit_configuration(
+    machine: &mut impl Machine,
+    next: &Configuration,
+    keys: &KeyList,
+) -> Result<(), Refusal> {
     let mut all = KeyList::new();
     stage_all(machine, next, &mut all)?;
     // A scene that no longer applies must not come back.

@@ -273,7 +273,7 @@ impl Service {
     /// Places a configuration's program where the control loop can use it, and returns it with its control rate, Hz;
     /// `None` without a device. A separate function, so that no other large value shares the stack with a program.
     #[inline(never)]
-    fn placed<Mc: Machine>(
+    fn place_program<Mc: Machine>(
         &self,
         machine: &mut Mc,
         next: &Configuration,

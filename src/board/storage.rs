@@ -241,10 +241,7 @@ impl<'b, F: NorFlash> Storage<'b, F> {
 
     /// Runs an operation that may write, then locates every entry again, because writing moves entries and a flash
     /// error loses the places of all.
-    fn with_writing<T>(
-        &mut self,
-        work: impl FnOnce(&mut Self) -> Result<T, StorageError>,
-    ) -> Result<T, StorageError> {
+    fn with_writing<T>(&mut self, work: impl FnOnce(&mut Self) -> Result<T, StorageError>) -> Result<T, StorageError> {
         self.lost = 0;
         self.map.flash().writable = true;
         let result = work(self);

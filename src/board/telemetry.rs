@@ -179,8 +179,10 @@ impl Fields {
     }
 }
 
-const _: () =
-    assert!(Fields::ALL.bytes(MAX_JOINTS) <= BATCH_BYTES && MAX_WALLS < 16, "a row fits into a batch, and the number of walls into the state's byte");
+const _: () = assert!(
+    Fields::ALL.bytes(MAX_JOINTS) <= BATCH_BYTES && MAX_WALLS < 16,
+    "a row fits into a batch, and the number of walls into the state's byte"
+);
 
 /// Returns the bits of all fields.
 const fn all_bits() -> u32 {

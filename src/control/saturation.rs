@@ -75,7 +75,12 @@ impl TorqueDemand<f32> {
     /// Returns the torques within ±`limit` (not negative) of each of the J joints, and within `tip_force` (N, not
     /// negative). `leverage` is the tip force per joint torque.
     #[inline(always)]
-    pub(super) fn within<const J: usize>(&self, limit: &Torques, tip_force: f32, leverage: &Leverage) -> GrantedTorques {
+    pub(super) fn within<const J: usize>(
+        &self,
+        limit: &Torques,
+        tip_force: f32,
+        leverage: &Leverage,
+    ) -> GrantedTorques {
         let pushing = core::array::from_fn(|i| self.total[i] - self.gravity[i]);
         let mut least = margin_bits(self.force_squared, tip_force * tip_force);
         least |= margin_bits(squared(&leverage.force::<J>(&pushing)), tip_force * tip_force);
@@ -227,7 +232,11 @@ mod tests {
         let less = asked.within::<3>(&Torques([50.0, 50.0, 2.0]), 5.0, &Leverage::default()).torque;
         // 2 N m less a 64th for that joint's feed-forward, of 8 N m.
         let share = (2.0 - 2.0 / 64.0) / 8.0;
-        assert_eq!(less[..2], [1.0, 6.0 * share + 2.0 / 64.0 * 2.0], "a joint's limit may be stricter than the force limit");
+        assert_eq!(
+            less[..2],
+            [1.0, 6.0 * share + 2.0 / 64.0 * 2.0],
+            "a joint's limit may be stricter than the force limit"
+        );
         for no_number in [f32::NAN, f32::INFINITY] {
             let asked = TorqueDemand { force_squared: no_number, ..asked };
             assert_eq!(

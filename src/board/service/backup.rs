@@ -72,7 +72,11 @@ impl Service {
     /// Returns the present configuration with the settings staged under these keys, and true if the device stays the
     /// same. A separate function, so that the decoded settings have left the stack when they are applied.
     #[inline(never)]
-    fn restored_configuration<Mc: Machine>(&self, machine: &mut Mc, keys: &KeyList) -> Result<(Configuration, bool), Refusal> {
+    fn restored_configuration<Mc: Machine>(
+        &self,
+        machine: &mut Mc,
+        keys: &KeyList,
+    ) -> Result<(Configuration, bool), Refusal> {
         let rules: Option<Rules> = self.staged_value(machine, keys)?;
         let device: Option<Device<f32>> = self.staged_value(machine, keys)?;
         let scene: Option<Scene<f32>> = self.staged_value(machine, keys)?;
