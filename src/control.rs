@@ -262,7 +262,7 @@ where
     #[cold]
     #[inline(never)]
     pub fn trip(&mut self, fault: Fault, axis: Option<u8>, value: f32) {
-        // A silent host may be listed while the motors stay on; the fault that turns them off replaces it.
+        // A silent host may be listed while the motors stay on; a later fault that turns the motors off replaces it.
         if self.fault.is_none() || self.state != State::Fault {
             self.fault = Some(FaultRecord { fault, axis, value, step: self.now.step });
         }
@@ -434,7 +434,7 @@ where
         for (i, joint) in self.joints.iter_mut().enumerate().take(J) {
             joint.stage.command(granted.torque[i]);
             motors.torque[i] = limited(granted.torque[i], joint.stage.max_torque());
-            // True if the torque is the requested one, up to the rounding of its way through a current; false for NaN.
+            // True if the torque is as requested, except for the rounding of its conversion to a current; false for NaN.
             let kept = (wanted[i] - motors.torque[i]).abs() <= 1.0e-5 * wanted[i].abs();
             motors.limited |= u8::from(!kept) << i;
         }

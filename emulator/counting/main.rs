@@ -103,10 +103,10 @@ const LONG_RUN_UP: i32 = LONGEST_WINDOW as i32 + RUN_UP;
 fn main() -> ! {
     // The variants use much stack, with several controllers at once, so the stack starts at the free end of the memory.
     // SAFETY: nothing of this function is used afterwards, and nothing else is stored there (memory.x).
-    unsafe { core::arch::asm!("mov sp, {top}", "b {count_all}", top = in(reg) 0x2002_0000, count_all = sym count_all, options(noreturn)) }
+    unsafe { core::arch::asm!("mov sp, {top}", "b {run}", top = in(reg) 0x2002_0000, run = sym run, options(noreturn)) }
 }
 
-extern "C" fn count_all() -> ! {
+extern "C" fn run() -> ! {
     name("empty");
     bench_begin();
     bench_end();

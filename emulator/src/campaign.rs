@@ -188,9 +188,9 @@ impl Campaign {
             hold(device);
         });
         rig.run(50 * MILLISECOND);
-        rig.tool.clear().expect("nothing is broken any more");
+        rig.tool.clear().expect("no injected error is left");
         rig.tool.home().expect("the device is at rest");
-        if !rig.tool.status().expect("the board answers").polarity {
+        if !rig.tool.status().expect("the board replies").polarity {
             // Counts were lost, so the home pose has other counts now.
             rig.check_hanging();
             rig.with_simulated(move |device| {
@@ -204,7 +204,7 @@ impl Campaign {
         rig.with_simulated(|device| push(device, [0.0, PUSH, 0.0], 0.3));
         // Torque rises for half a second.
         rig.run(700 * MILLISECOND);
-        let status = rig.tool.status().expect("the board answers");
+        let status = rig.tool.status().expect("the board replies");
         assert_eq!(status.state, State::Armed, "{status:?}");
     }
 
@@ -233,7 +233,7 @@ impl Campaign {
         let floats = rig.shared.board().run_until(MAX_WAIT, 25 * MICROSECOND, disabled);
         let after = rig.now() - began;
         let peaks = rig.with(|stopped| stopped.hardware().peaks);
-        let status = rig.tool.status().expect("the board answers");
+        let status = rig.tool.status().expect("the board replies");
         assert_eq!(floats, status.state == State::Fault, "{}: {status:?}", case.name);
         assert!(!floats || rig.with(bridges_off), "{}: {status:?}", case.name);
         Outcome { fault: status.fault.map(|record| record.fault), after, peaks }

@@ -6,8 +6,8 @@
 //!
 //! | symbol | what it is |
 //! |---|---|
-//! | `bench_begin`, `bench_end` | functions called right before and right after what is counted |
-//! | `bench_done` | a function called once, after everything |
+//! | `bench_begin`, `bench_end` | functions called immediately before and after the counted code |
+//! | `bench_done` | a function called once, at the end |
 //! | `BENCH_NAME` | a `[u32; 2]`, address and length of the variant's name (a `&'static str`), written before `bench_begin` |
 //! | `BENCH_RESULT` | optional, words written before `bench_end`, reported bit for bit (f32 as its bits) |
 //!
@@ -98,7 +98,7 @@ impl From<image::Error> for Error {
 ///
 /// # Errors
 ///
-/// An image without the markers, or one that does not finish.
+/// If the image has no markers or does not finish.
 pub fn count(firmware: &Firmware, seconds: u64) -> Result<Vec<Variant>, Error> {
     let driver = Counter {
         begin: firmware.symbol("bench_begin")?.address,

@@ -1,4 +1,4 @@
-//! A DRV8301 gate driver as its SPI bus sees it (Texas Instruments SLOS719F section 7.5): two status and two control
+//! A DRV8301 gate driver on its SPI bus (Texas Instruments SLOS719F section 7.5): two status and two control
 //! registers; the reply to a read follows in the next frame; no reply while EN_GATE is low.
 
 use rigless::chip::Timeline;
@@ -27,7 +27,7 @@ pub struct Drv8301 {
     stuck: bool,
 }
 
-/// No snapshots: a run starts at power-on.
+/// Not stored in snapshots, because a run starts at power-on.
 impl Store for Drv8301 {}
 
 impl Drv8301 {

@@ -51,7 +51,6 @@ pub struct Exchanges {
 /// # Panics
 ///
 /// If the link breaks.
-/// When the link breaks.
 pub fn run(
     rig: &mut Rig,
     (fields, divider): (Fields, u32),
@@ -66,7 +65,7 @@ pub fn run(
     let (after, ended) = (rig.steps(), rig.now());
     let losses = rig.tool.losses();
     rig.tool.stop_stream().expect("the stream stops");
-    let (details, status) = (rig.tool.details().expect("it answers"), rig.tool.status().expect("it answers"));
+    let (details, status) = (rig.tool.details().expect("it replies"), rig.tool.status().expect("it replies"));
     let seconds = |nanoseconds: u64| nanoseconds as f64 * 1e-9;
     let count = times.len();
     times.sort_unstable();
@@ -103,7 +102,7 @@ pub fn shares(rig: &mut Rig, milliseconds: u64, ahead: usize) -> Vec<(&'static s
 
 /// Connects a computer that polls often, and starts its stream.
 fn start(rig: &mut Rig, (fields, divider): (Fields, u32)) {
-    rig.tool = Board::over(rig.shared.wire_polled_every(POLL_INTERVAL), "virtual").expect("the board answers");
+    rig.tool = Board::over(rig.shared.wire_polled_every(POLL_INTERVAL), "virtual").expect("the board replies");
     if divider > 0 {
         rig.tool.start_stream(fields, divider).expect("a stream starts");
     }
@@ -137,7 +136,7 @@ fn push(rig: &mut Rig, milliseconds: u64, contact: Option<HostContact>, ahead: u
             continue;
         }
         let Some((sequence, began, sent)) = in_flight.pop_front() else { continue };
-        let answer = rig.tool.force_answer(sent).expect("the board answers");
+        let answer = rig.tool.force_answer(sent).expect("the board replies");
         rejected += usize::from(answer.done != ForceDone::Taken || answer.sequence != sequence);
         seen = Some(answer.step);
         times.push(rig.now() - began);

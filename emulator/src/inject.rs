@@ -81,7 +81,7 @@ fn disarmed_rig() -> Rig {
 }
 
 fn rules(rig: &mut Rig, change: impl FnOnce(&mut Rules)) {
-    let mut rules = rig.tool.rules().expect("the board answers");
+    let mut rules = rig.tool.rules().expect("the board replies");
     change(&mut rules);
     rig.tool.set_rules(&rules).expect("limits are lowered");
 }
@@ -329,7 +329,7 @@ pub fn injection(fault: Fault) -> Injection {
             rig_in_contact,
             |rig| {
                 rules(rig, |rules| rules.host_seconds = 0.1);
-                let seen = rig.tool.status().expect("the board answers").step;
+                let seen = rig.tool.status().expect("the board replies").step;
                 rig.tool.hold_key(seen).expect("a beat is never refused");
                 rig.run(60 * MILLISECOND);
                 // The host is alive, but reports the same state of the key.

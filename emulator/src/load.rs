@@ -61,7 +61,7 @@ fn change(rig: &mut Rig, nth: u64) {
         0 => rig.tool.set_wall_gains(gains(nth / 3)).expect("gains change in contact"),
         1 => {
             // Rules are only tightened, because protective rules cannot be loosened while the motors are on.
-            let mut rules = rig.tool.rules().expect("the board answers");
+            let mut rules = rig.tool.rules().expect("the board replies");
             rules.passivity = true;
             rules.limits.power *= 0.999;
             rig.tool.set_rules(&rules).expect("rules are tightened in contact");
@@ -82,7 +82,7 @@ fn change(rig: &mut Rig, nth: u64) {
 pub fn run(rig: &mut Rig, (fields, divider): (Fields, u32), rate_hz: u32, milliseconds: u64) -> Load {
     rig.tool.start_stream(fields, divider).expect("a stream starts");
     rig.run(5 * MILLISECOND);
-    let overruns = rig.tool.details().expect("the board answers").overruns;
+    let overruns = rig.tool.details().expect("the board replies").overruns;
     let before = rig.steps();
     let began = rig.now();
     let first = rig.tool.rows(Duration::from_millis(50)).expect("rows come")[0].step;
@@ -102,8 +102,8 @@ pub fn run(rig: &mut Rig, (fields, divider): (Fields, u32), rate_hz: u32, millis
     let ended = rig.now();
     let losses = rig.tool.losses();
     rig.tool.stop_stream().expect("the stream stops");
-    let details = rig.tool.details().expect("the board answers");
-    let status = rig.tool.status().expect("the board answers");
+    let details = rig.tool.details().expect("the board replies");
+    let status = rig.tool.status().expect("the board replies");
     Load {
         steps: after.wrapping_sub(before),
         // The timer divides its clock by integers: 45 kHz are about 2 in 10,000 slower.
@@ -144,7 +144,7 @@ pub fn set_free_scene(rig: &mut Rig, rate_hz: u32, nth: usize) {
 #[must_use]
 pub fn sustains_scenes(case: &Case, rate_hz: u32) -> bool {
     let mut rig = case.rig(rate_hz);
-    let overruns = |rig: &mut Rig| rig.tool.details().expect("the board answers").overruns;
+    let overruns = |rig: &mut Rig| rig.tool.details().expect("the board replies").overruns;
     let before = overruns(&mut rig);
     let all = (0..4).all(|nth| {
         let (began, steps) = (rig.now(), rig.steps());
@@ -153,7 +153,7 @@ pub fn sustains_scenes(case: &Case, rate_hz: u32) -> bool {
         // Requests take time, so the elapsed time is read first.
         let (steps, passed) = (rig.steps().wrapping_sub(steps), rig.now() - began);
         let periods = passed as f64 * 1.0e-9 * true_rate(rate_hz);
-        let armed = rig.tool.status().expect("the board answers").state == State::Armed;
+        let armed = rig.tool.status().expect("the board replies").state == State::Armed;
         armed && (f64::from(steps) - periods).abs() < 1.5
     });
     all && overruns(&mut rig) == before
@@ -169,7 +169,7 @@ pub fn sustains_scenes(case: &Case, rate_hz: u32) -> bool {
 pub fn sustains_plane(case: &Case, rate_hz: u32) -> bool {
     let plane = HostContact { point: [0.0; 3], normal: [0.0, 1.0, 0.0], stiffness: 300.0, damping: 1.0 };
     let mut rig = case.rig(rate_hz);
-    let before = rig.tool.details().expect("the board answers").overruns;
+    let before = rig.tool.details().expect("the board replies").overruns;
     let done = exchange::run(&mut rig, (Fields::USUAL, rate_hz / 1000), rate_hz, 200, Some(plane), 1);
     done.armed && done.rejected == 0 && done.overruns == before
 }
@@ -183,13 +183,13 @@ pub fn sustains_plane(case: &Case, rate_hz: u32) -> bool {
 #[must_use]
 pub fn sustains_cuts(case: &Case, rate_hz: u32) -> bool {
     let mut rig = case.rig(rate_hz);
-    let mut rules = rig.tool.rules().expect("the board answers");
+    let mut rules = rig.tool.rules().expect("the board replies");
     rules.limits.tip_force = 0.2;
     rig.tool.set_rules(&rules).expect("rules are tightened in contact");
-    let before = rig.tool.details().expect("the board answers").overruns;
+    let before = rig.tool.details().expect("the board replies").overruns;
     rig.run(200 * MILLISECOND);
-    let armed = rig.tool.status().expect("the board answers").state == State::Armed;
-    armed && rig.tool.details().expect("the board answers").overruns == before
+    let armed = rig.tool.status().expect("the board replies").state == State::Armed;
+    armed && rig.tool.details().expect("the board replies").overruns == before
 }
 
 /// Returns the highest rate at which `case` passes the test `sustains`.

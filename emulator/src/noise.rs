@@ -30,7 +30,7 @@ pub struct Noise {
     /// Number of bytes written.
     pub bytes: u64,
     /// Number of bytes received.
-    pub answered: u64,
+    pub received: u64,
     /// Number of bursts after which a bridge did not float.
     pub driven: u64,
     /// Number of restarts of the chip.
@@ -83,7 +83,7 @@ fn requests(rig: &mut Rig) -> Vec<Vec<u8>> {
 pub fn recorded(rig: &mut Rig, work: impl FnOnce(&mut Rig)) -> Vec<Vec<u8>> {
     let sent = Arc::new(Mutex::new(Vec::new()));
     let tapped = RecordingWire { wire: rig.shared.wire(), sent: sent.clone() };
-    rig.tool = Board::over(Box::new(tapped), "tapped").expect("the board answers");
+    rig.tool = Board::over(Box::new(tapped), "tapped").expect("the board replies");
     work(rig);
     let sent = sent.lock().expect("no thread panicked");
     sent.split_inclusive(|byte| *byte == 0).filter(|frame| frame.len() > 1).map(<[u8]>::to_vec).collect()
@@ -91,13 +91,13 @@ pub fn recorded(rig: &mut Rig, work: impl FnOnce(&mut Rig)) -> Vec<Vec<u8>> {
 
 fn make_requests(rig: &mut Rig) {
     rig.load(SCENE);
-    rig.tool.details().expect("the board answers");
-    rig.tool.status().expect("the board answers");
+    rig.tool.details().expect("the board replies");
+    rig.tool.status().expect("the board replies");
     let gains = Gains { wall: 0, stiffness: 500.0, damping: 1.0, feed_forward: FeedForward::Full, washout_hz: 2.0 };
     rig.tool.set_wall_gains(gains).expect("gains change");
-    let rules = rig.tool.rules().expect("the board answers");
+    let rules = rig.tool.rules().expect("the board replies");
     rig.tool.set_rules(&rules).expect("rules change");
-    rig.tool.faults().expect("the board answers");
+    rig.tool.faults().expect("the board replies");
     rig.tool.start_stream(Fields::USUAL, 20).expect("a stream starts");
     rig.tool.stop_stream().expect("the stream stops");
 }
@@ -152,7 +152,7 @@ impl Numbers {
 /// If the board does not boot, or does not reply afterwards.
 pub fn run(seed: u32, seconds: u64, mut report_minute: impl FnMut(u64)) -> (Rig, Noise) {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |options| options.substep = 25e-6);
-    let rules = rig.tool.rules().expect("the board answers");
+    let rules = rig.tool.rules().expect("the board replies");
     let requests = requests(&mut rig);
     let mut numbers = Numbers(seed);
     let mut noise = Noise::default();
@@ -169,8 +169,8 @@ pub fn run(seed: u32, seconds: u64, mut report_minute: impl FnMut(u64)) -> (Rig,
             stopped.usb().write(&burst);
         });
         rig.run(BURST);
-        let (answered, drives) = rig.with(|stopped| (stopped.usb().take().len(), stopped.hardware().drives()));
-        noise.answered += answered as u64;
+        let (received, drives) = rig.with(|stopped| (stopped.usb().take().len(), stopped.hardware().drives()));
+        noise.received += received as u64;
         noise.driven += u64::from(drives != [MotorInput::Floating; 3]);
         // At the lowest rate, which a changed scene may have, a burst lasts two steps.
         let now = rig.steps();
@@ -185,10 +185,10 @@ pub fn run(seed: u32, seconds: u64, mut report_minute: impl FnMut(u64)) -> (Rig,
         stopped.usb().take();
         stopped.resets().len()
     });
-    rig.tool = Board::over(rig.shared.wire(), "after the noise").expect("the board answers after the noise");
-    let faults = rig.tool.faults().expect("the board answers");
+    rig.tool = Board::over(rig.shared.wire(), "after the noise").expect("the board replies after the noise");
+    let faults = rig.tool.faults().expect("the board replies");
     noise.faults = faults.iter().filter(|record| record.fault != Fault::NotFinite).count();
-    let state = rig.tool.status().expect("the board answers").state;
+    let state = rig.tool.status().expect("the board replies").state;
     noise.driven += u64::from(state.drives());
     // A request with a changed byte may have been valid and have lowered a limit.
     rig.tool.set_rules(&rules).expect("rules change");
@@ -202,7 +202,7 @@ pub fn run(seed: u32, seconds: u64, mut report_minute: impl FnMut(u64)) -> (Rig,
 /// If the board refuses a request.
 pub fn session_after(rig: &mut Rig) {
     rig.load(SCENE);
-    rig.tool.clear().expect("what is latched is cleared");
+    rig.tool.clear().expect("a latched fault can be cleared");
     rig.ready();
     rig.tool.disarm().expect("the board disarms");
 }

@@ -223,7 +223,7 @@ pub fn rig(test_device: &TestDevice) -> Rig {
         hold(device);
     });
     rig.run(300 * MILLISECOND);
-    let mut rules = rig.tool.rules().expect("the board answers");
+    let mut rules = rig.tool.rules().expect("the board replies");
     rules.limits.current = [12.0; 3];
     rig.tool.set_rules(&rules).expect("limits are raised while disarmed");
     rig
@@ -234,7 +234,6 @@ pub fn rig(test_device: &TestDevice) -> Rig {
 ///
 /// # Errors
 ///
-/// The error that ends a measurement early.
 /// The error that ends a measurement early.
 pub fn measure_on<T>(
     rig: &mut Rig,
@@ -288,7 +287,7 @@ pub fn predicted(test_device: &TestDevice, rate: Rate, delay_samples: f64, kd: O
 
 /// Number of dampings of a complete measurement, and pulls at each damping.
 pub const POINTS: usize = 12;
-/// See [`POINTS`].
+/// Pulls at each damping, see [`POINTS`].
 pub const PULLS: [f64; 5] = [1.0, -1.0, 0.7, -0.7, 0.85];
 
 /// Returns the delay in samples that the board reports at `rate`.
@@ -299,7 +298,7 @@ pub const PULLS: [f64; 5] = [1.0, -1.0, 0.7, -0.7, 0.85];
 #[must_use]
 pub fn delay_samples(rig: &mut Rig, rate: Rate) -> f64 {
     rig.set_scene(&format!("rate_hz = {}\n", rate.rate_hz));
-    f64::from(rig.tool.details().expect("the board answers").delay_samples)
+    f64::from(rig.tool.details().expect("the board replies").delay_samples)
 }
 
 /// Measures the complete range at `rate` with this feed-forward: [`POINTS`] dampings up to the end of the range, with

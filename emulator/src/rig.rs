@@ -165,7 +165,7 @@ impl Rig {
     ///
     /// If the board refuses the rules.
     pub fn relax_rules(&mut self) {
-        let rules = self.tool.rules().expect("the board answers");
+        let rules = self.tool.rules().expect("the board replies");
         let limits = Limits { tip_force: MOST_TIP_FORCE, ..rules.limits };
         self.tool.set_rules(&Rules { limits, host_action: HostAction::Ignore, ..rules }).expect("the motors are off");
     }
@@ -212,7 +212,7 @@ impl Rig {
     pub fn arm(&mut self) {
         self.tool.arm().expect("the board arms");
         self.run(SECOND);
-        let status = self.tool.status().expect("the board answers");
+        let status = self.tool.status().expect("the board replies");
         assert_eq!((status.state, status.fault), (State::Armed, None), "{status:?}");
     }
 
@@ -225,7 +225,7 @@ impl Rig {
         self.tool.check_polarity().expect("the polarity check starts");
         for _ in 0..100 {
             self.run(100 * MILLISECOND);
-            let status = self.tool.status().expect("the board answers");
+            let status = self.tool.status().expect("the board replies");
             if status.state != State::CheckingPolarity {
                 assert!(status.polarity, "{status:?}");
                 return;

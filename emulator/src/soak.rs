@@ -59,14 +59,14 @@ pub fn contact(seconds: u64, mut report_minute: impl FnMut(u64)) -> String {
     let began = rig.now();
     let (mut first, mut next, mut rows, mut minute) = (None, None, 0_u64, 0);
     let mut touches: Vec<Touch> = Vec::new();
-    let stack = rig.tool.details().expect("the board answers").stack_free;
+    let stack = rig.tool.details().expect("the board replies").stack_free;
     let steps_before = rig.steps();
     let measured_from = rig.now();
     while rig.now() < began + seconds * SECOND {
         let received_rows = rig.tool.rows(Duration::from_millis(500));
         let received_rows = received_rows.unwrap_or_else(|error| panic!("{error}\n{}", rig.post_mortem()));
         for row in received_rows {
-            assert_eq!(*next.get_or_insert(row.step), row.step, "a row is missing or received_rows twice");
+            assert_eq!(*next.get_or_insert(row.step), row.step, "a row is missing or duplicated");
             next = Some(row.step.wrapping_add(1));
             assert_eq!(row.values[state], f64::from(State::Armed as u8), "step {}", row.step);
             let touch = row.step.wrapping_sub(*first.get_or_insert(row.step)) / (RATE * CYCLE);
@@ -88,10 +88,10 @@ pub fn contact(seconds: u64, mut report_minute: impl FnMut(u64)) -> String {
     rig.tool.stop_stream().expect("the stream stops");
     rows += rig.tool.rows(Duration::ZERO).expect("rows come").len() as u64;
     assert_eq!(rig.tool.losses(), Losses { received: rows, ..Losses::default() });
-    let details = rig.tool.details().expect("the board answers");
+    let details = rig.tool.details().expect("the board replies");
     assert_eq!((details.overruns, rig.with(|stopped| stopped.resets().len())), (0, 0));
-    assert!(rig.tool.faults().expect("the board answers").is_empty());
-    assert_eq!(rig.tool.status().expect("the board answers").state, State::Armed);
+    assert!(rig.tool.faults().expect("the board replies").is_empty());
+    assert_eq!(rig.tool.status().expect("the board replies").state, State::Armed);
     // The last touch is incomplete.
     touches.pop();
     let usual = span(&touches[SKIPPED..SKIPPED + REFERENCE]);

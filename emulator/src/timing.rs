@@ -177,7 +177,6 @@ const STEPS: [(&str, SceneKind); 6] = [
 /// # Panics
 ///
 /// If the board refuses a request.
-/// When the board refuses anything.
 #[must_use]
 pub fn steps() -> String {
     let mut text = csv_line(["device", "the tip meets", "instructions"]);
@@ -188,7 +187,7 @@ pub fn steps() -> String {
         rig.load("");
         rig.tool.home().expect("the device can be homed");
         rig.run(MILLISECOND);
-        let tip = rig.tool.status().expect("the board answers").tip.map(f64::from);
+        let tip = rig.tool.status().expect("the board replies").tip.map(f64::from);
         let task = rig.file.as_ref().map_or(2, |file| file.spec().task);
         let toward = if task == 1 { [1.0, 0.0, 0.0] } else { [0.0, -1.0, 0.0] };
         let wall = WallAt { gap: -0.003, ..WallAt::facing(toward) };

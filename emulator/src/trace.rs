@@ -92,7 +92,7 @@ impl Code {
 pub enum Move {
     /// Continued or jumped.
     Within,
-    /// Called a function.
+    /// Entered a function.
     Called,
     /// Returned from a function.
     Returned,

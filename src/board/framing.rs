@@ -23,7 +23,7 @@ fn zeros(word: u32) -> u32 {
 }
 
 /// Encodes in place a frame of `length` bytes that starts at the second byte of `wire`, and ends it with a delimiter.
-/// Returns the number of bytes on the wire, or `None` if `wire` is shorter than [`max_wire_length`].
+/// Returns the number of bytes on the wire, or `None` if `wire` is shorter than [`most_on_wire`].
 #[inline(never)]
 pub fn encode(wire: &mut [u8], length: usize) -> Option<usize> {
     wire.get(..most_on_wire(length))?;

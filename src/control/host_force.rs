@@ -48,9 +48,9 @@ pub struct ForceRequest {
     pub sequence: u32,
     /// [`ForceAnswer::step`] of the state that the request was computed from; `None` if it depends on no state.
     pub seen: Option<u32>,
-    /// Time for which it acts in full, s; at most [`MAX_LEASE`].
+    /// Time for which it acts in full, s; at most [`MOST_LEASE`].
     pub hold: f32,
-    /// Time for which it then fades to zero, s; at most [`MAX_LEASE`].
+    /// Time for which it then fades to zero, s; at most [`MOST_LEASE`].
     pub fade: f32,
     /// Force at the tip, N.
     pub force: [f32; 3],
@@ -66,7 +66,7 @@ pub struct ForceRequest {
 pub struct HostContact {
     /// A point of the plane, m.
     pub point: [f32; 3],
-    /// Unit normal out of the solid.
+    /// Unit normal, pointing out of the solid.
     pub normal: [f32; 3],
     /// N/m
     pub stiffness: f32,
@@ -74,12 +74,12 @@ pub struct HostContact {
     pub damping: f32,
 }
 
-/// The outcome of a request.
+/// Outcome of a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub enum ForceDone {
-    /// It acts from the next control step on.
+    /// Accepted: it acts from the next control step on.
     Taken,
-    /// Nothing: with `hold` and `fade` 0 it only asks how the device is.
+    /// No force: with `hold` and `fade` 0 the request only reads the device's state.
     Looked,
     /// Rejected: the motors are off.
     NotArmed,
@@ -106,7 +106,7 @@ pub enum BadForce {
     Point,
     /// The contact's normal is not a unit vector of the task frame.
     Normal,
-    /// The contact's stiffness or damping is not a number from 0 to its maximum, [`MAX_CONTACT_STIFFNESS`] or [`MAX_CONTACT_DAMPING`].
+    /// The contact's stiffness or damping is not a number from 0 to its maximum, [`MOST_STIFFNESS`] or [`MOST_DAMPING`].
     Gains,
 }
 
@@ -147,9 +147,9 @@ impl core::fmt::Display for ForceDone {
 pub struct ForceAnswer {
     /// Sequence number of the request.
     pub sequence: u32,
-    /// The outcome of the request.
+    /// Outcome of the request.
     pub done: ForceDone,
-    /// Disarmed, armed, fault.
+    /// Disarmed, armed or fault.
     pub state: State,
     /// Control steps since boot, wrapping: the board's time, as in telemetry.
     pub step: u32,

@@ -2,13 +2,13 @@
 
 /// Upper limit of the measured rate, % of the loop's rate. A loop above it is as faulty as a stopped one. The loop's
 /// timer and the measuring clock run from one crystal, so a correct loop is off by at most a step or two at either end.
-const TOO_OFTEN_PERCENT: u64 = 110;
+const MAX_RATE_PERCENT: u64 = 110;
 /// Lower limit of the measured rate, %. A loop below it sums up heat, stalls and silence over the wrong time.
-const TOO_SELDOM_PERCENT: u64 = 90;
+const MIN_RATE_PERCENT: u64 = 90;
 /// Number of steps by which a count may be off because it does not begin and end with a step.
-const ENDS: u64 = 4;
-/// Checks are accumulated until this number of steps is due, so that [`ENDS`] is a twentieth of them at any rate.
-const ENOUGH: u64 = 80;
+const END_STEPS: u64 = 4;
+/// Checks are accumulated until this number of steps is due, so that [`END_STEPS`] is a twentieth of them at any rate.
+const MIN_STEPS: u64 = 80;
 
 /// Result of a check of the loop's rate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -51,7 +51,8 @@ impl Pace {
         let [alone, together] = [(u64::from(steps), elapsed_us), (self.taken, self.elapsed)]
             .map(|(taken, elapsed)| verdict(taken, elapsed, rates, excused));
         let now = if alone == Verdict::Kept { together } else { alone };
-        if now != Verdict::Kept || excused || before != self.rate || expected(self.elapsed, self.rate, 100) >= ENOUGH {
+        if now != Verdict::Kept || excused || before != self.rate || expected(self.elapsed, self.rate, 100) >= MIN_STEPS
+        {
             self.found = now;
             (self.taken, self.elapsed) = (0, 0);
         }
@@ -65,9 +66,9 @@ fn expected(elapsed: u64, rate: u64, percent: u64) -> u64 {
 }
 
 fn verdict(taken: u64, elapsed: u64, (slower, faster): (u64, u64), excused: bool) -> Verdict {
-    if taken > expected(elapsed, faster, TOO_OFTEN_PERCENT).saturating_add(ENDS) {
+    if taken > expected(elapsed, faster, MAX_RATE_PERCENT).saturating_add(END_STEPS) {
         Verdict::TooOften
-    } else if !excused && taken.saturating_add(ENDS) < expected(elapsed, slower, TOO_SELDOM_PERCENT) {
+    } else if !excused && taken.saturating_add(END_STEPS) < expected(elapsed, slower, MIN_RATE_PERCENT) {
         Verdict::TooSeldom
     } else {
         Verdict::Kept

@@ -60,20 +60,20 @@ pub fn provoke(fault: Fault) -> Option<Outcome> {
     if restarted {
         rig.tool = Board::over(rig.shared.wire(), "again").unwrap_or_else(|error| panic!("{name}: {error}"));
     }
-    let status = rig.tool.status().expect("the board answers");
+    let status = rig.tool.status().expect("the board replies");
     let record = status.fault.unwrap_or_else(|| panic!("{name}: no fault is latched: {status:?}"));
     assert_eq!((record.fault, status.state), (fault, State::Fault), "{name}: {status:?}");
     if fault == Fault::SettingsDamaged {
         // The name is at its default, not at the name before; the other settings are kept.
-        let details = rig.tool.details().expect("the board answers");
+        let details = rig.tool.details().expect("the board replies");
         assert_eq!(details.damage.as_slice(), [(Key::Name, Damage::Corrupt)]);
         assert_eq!((details.name.as_str(), details.device.is_some()), ("", true), "{details:?}");
-        let backup = Backup::read(&mut rig.tool).expect("the board answers");
+        let backup = Backup::read(&mut rig.tool).expect("the board replies");
         let kept = |key: Key| backup.settings.contains_key(key.name());
         assert!(kept(Key::Device) && !kept(Key::Name), "{:?}", backup.settings.keys());
-        assert!(backup.ready().is_ok(), "what is left can be restored");
+        assert!(backup.ready().is_ok(), "the remaining settings can be restored");
     }
-    let listed = rig.tool.faults().expect("the board answers");
+    let listed = rig.tool.faults().expect("the board replies");
     assert!(listed.iter().any(|listed| listed.fault == fault), "{name}: not listed: {listed:?}");
     // The fault stays latched, the bridges stay off, and arming is refused.
     let _ = rig.tool.rows(Duration::from_millis(50));
@@ -89,7 +89,7 @@ pub fn provoke(fault: Fault) -> Option<Outcome> {
     }
     rig.tool.clear().unwrap_or_else(|error| panic!("{name}: {error}"));
     rig.run(MILLISECOND);
-    let status = rig.tool.status().expect("the board answers");
+    let status = rig.tool.status().expect("the board replies");
     assert_eq!((status.state, status.fault), (State::Disarmed, None), "{name} is not cleared");
     assert!(rig.with(bridges_off), "{name}: clearing turned the bridges on");
     if matches!(fault, Fault::ImageDamaged | Fault::RamDamaged | Fault::WrongBoard) {

@@ -15,7 +15,6 @@ pub(super) const SUPERVISOR: &str = "10supervisor9supervise4POOL";
 /// # Panics
 ///
 /// If the image has no such task.
-/// When the image has no such task.
 pub fn run_instead(rig: &Rig, pool: &str, code: impl FnOnce(u32) -> Vec<u32>) {
     let image = firmware(rig.kind);
     let pool = image.find_ending(pool).expect("the task");

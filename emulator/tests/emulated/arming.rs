@@ -33,7 +33,7 @@ fn no_current_flows_when_the_bridges_begin_to_drive() {
             rig.run(20 * MILLISECOND);
             let (peak, driven) =
                 rig.with(|stopped| (stopped.hardware().peaks.current, !stopped.hardware().bridges_float()));
-            let status = rig.tool.status().expect("the board answers");
+            let status = rig.tool.status().expect("the board replies");
             assert!(driven && status.fault.is_none(), "at {rate} Hz: {status:?}");
             assert!(peak < MAX_CURRENT, "{peak} A at {rate} Hz");
             rig.tool.disarm().expect("the board disarms");
@@ -53,7 +53,7 @@ fn bridges_without_time_to_connect_cause_an_overrun() {
         rig.tool.arm().expect("the board arms");
         rig.run(SECOND);
         let floats = rig.with(|stopped| stopped.hardware().bridges_float());
-        let status = rig.tool.status().expect("the board answers");
+        let status = rig.tool.status().expect("the board replies");
         let fault = status.fault.map(|record| record.fault);
         let expected = if floats { Some(Fault::ControlOverrun) } else { None };
         assert_eq!(fault, expected, "gravity {gravity}: {status:?}");

@@ -17,7 +17,7 @@ fn the_fault_line_of_one_gate_driver_stops_both_axes() {
     rig.ready();
     rig.with(|stopped| stopped.hardware().driver(1).fail(1 << 2));
     rig.run(50 * MILLISECOND);
-    let status = rig.tool.status().expect("the board answers");
+    let status = rig.tool.status().expect("the board replies");
     assert_eq!((status.state, status.fault.map(|record| record.fault)), (State::Fault, Some(Fault::GateDriver)));
     let drives = rig.with(|stopped| stopped.hardware().drives());
     assert_eq!(drives, [MotorInput::Floating; 3]);
@@ -25,7 +25,7 @@ fn the_fault_line_of_one_gate_driver_stops_both_axes() {
     rig.tool.clear().expect("the fault clears");
     rig.tool.arm().expect("the board arms");
     rig.run(SECOND);
-    assert_eq!(rig.tool.status().expect("it answers").state, State::Armed);
+    assert_eq!(rig.tool.status().expect("it replies").state, State::Armed);
 }
 
 /// Gate drivers without a supply would latch a fault, but a refused request does not reach them.
@@ -37,7 +37,7 @@ fn refused_requests_do_not_reach_the_gate_drivers() {
     for outcome in [rig.tool.arm(), rig.tool.check_polarity()] {
         assert!(matches!(outcome, Err(BoardError::Refused(Refusal::NotHomed))), "{outcome:?}");
     }
-    let status = rig.tool.status().expect("it answers");
+    let status = rig.tool.status().expect("it replies");
     assert_eq!((status.state, status.fault), (State::Disarmed, None));
 }
 
@@ -49,7 +49,7 @@ fn a_gate_driver_that_loses_its_settings_is_never_armed() {
     rig.with(|stopped| stopped.hardware().driver(0).stick(true));
     let outcome = rig.tool.check_polarity();
     rig.run(SECOND / 2);
-    let status = rig.tool.status().expect("it answers");
+    let status = rig.tool.status().expect("it replies");
     let refused = matches!(outcome, Err(BoardError::Refused(_)));
     assert!(refused || status.state == State::Fault, "{outcome:?} {status:?}");
     assert!(!status.polarity);

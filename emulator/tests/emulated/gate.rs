@@ -31,7 +31,7 @@ fn session(kind: BoardKind, device: &str, fault: Fault) {
         options.substep = 25e-6;
     });
     assert_eq!((rig.tool.info().protocol, rig.tool.info().board.as_str()), (PROTOCOL, kind.name()));
-    let details = rig.tool.details().expect("the board answers");
+    let details = rig.tool.details().expect("the board replies");
     assert_eq!(usize::from(details.axes), Wiring::of(kind).motors.len());
     assert!(details.real && details.device.is_none(), "{details:?}");
 
@@ -72,14 +72,14 @@ fn session(kind: BoardKind, device: &str, fault: Fault) {
     rig.run(10 * MILLISECOND);
     assert_eq!(rig.with(|stopped| stopped.hardware().drives()), [MotorInput::Floating; 3]);
     assert_eq!(refused(rig.tool.arm()), Refusal::Faulted(fault));
-    let status = rig.tool.status().expect("the board answers");
+    let status = rig.tool.status().expect("the board replies");
     assert_eq!((status.state, status.fault.map(|record| record.fault)), (State::Fault, Some(fault)));
 
     rig.tool.stop_stream().expect("the stream stops");
     let rows = rig.tool.rows(Duration::ZERO).expect("rows came");
     check_rows(&rows, wall.stiffness);
     assert!(rows.windows(2).all(|pair| pair[1].step == pair[0].step + DIVIDER), "a row is missing");
-    let (losses, details) = (rig.tool.losses(), rig.tool.details().expect("the board answers"));
+    let (losses, details) = (rig.tool.losses(), rig.tool.details().expect("the board replies"));
     assert_eq!((losses.received, losses.missing, losses.garbled), (rows.len() as u64, 0, 0), "{losses:?}");
     assert_eq!(details.overruns, 0);
     assert!(rig.with(|stopped| stopped.resets().is_empty()), "{}", rig.post_mortem());

@@ -86,7 +86,7 @@ fn a_missed_crest_turns_the_motors_off() {
             rig.with(|stopped| stopped.hold(false));
             rig.run(MILLISECOND);
             let floats = rig.with(|stopped| stopped.hardware().bridges_float());
-            let status = rig.tool.status().expect("the board answers");
+            let status = rig.tool.status().expect("the board replies");
             let fault = status.fault.map(|record| record.fault);
             assert_eq!((floats, fault), (true, Some(Fault::ControlOverrun)), "{rate_hz} Hz, phase {phase}: {status:?}");
             rig.tool.clear().expect("the fault can be cleared");

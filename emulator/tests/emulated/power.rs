@@ -28,11 +28,11 @@ fn saved_rig() -> Rig {
 
 /// Returns the scene of a board, and checks that all other settings are kept.
 fn scene(rig: &mut Rig) -> SceneData {
-    let details = rig.tool.details().expect("the board answers");
+    let details = rig.tool.details().expect("the board replies");
     assert!(details.damage.is_empty(), "{:?}", details.damage);
     assert_eq!(details.name.as_str(), "left hand");
-    assert!(rig.tool.device().expect("the board answers").is_some(), "the device is lost");
-    rig.tool.scene().expect("the board answers").expect("a scene")
+    assert!(rig.tool.device().expect("the board replies").is_some(), "the device is lost");
+    rig.tool.scene().expect("the board replies").expect("a scene")
 }
 
 /// Restarts the board with `words` in the sectors of its settings.

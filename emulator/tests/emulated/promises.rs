@@ -117,7 +117,7 @@ fn an_image_on_the_wrong_board_does_not_touch_its_power_stage() {
         let untouched = |rig: &Rig| rig.with(|stopped| !stopped.hardware().peaks.touched && bridges_off(stopped));
         assert!(untouched(&rig), "{} on {}", kind.name(), board.name);
         let fault_of = |rig: &mut Rig| {
-            let status = rig.tool.status().expect("the board answers");
+            let status = rig.tool.status().expect("the board replies");
             status.fault.map(|record| (record.fault, record.value as u8))
         };
         assert_eq!(fault_of(&mut rig), Some((Fault::WrongBoard, strange)), "{} on {}", kind.name(), board.name);
@@ -271,8 +271,8 @@ fn check_watchdog_at(rate: u32, task: &'static str, code: impl FnOnce(u32) -> Ve
     assert!(rig.with(bridges_off), "bridges are on after the reset");
     let ready = rig.shared.board().run_until(2 * SECOND, MILLISECOND, |stopped| stopped.usb().ready());
     assert!(ready, "the port is gone");
-    rig.tool = haptic_host::link::Board::over(rig.shared.wire(), "again").expect("the board answers");
-    let status = rig.tool.status().expect("the board answers");
+    rig.tool = haptic_host::link::Board::over(rig.shared.wire(), "again").expect("the board replies");
+    let status = rig.tool.status().expect("the board replies");
     assert_eq!((status.state, status.fault.map(|record| record.fault)), (State::Fault, Some(Fault::Watchdog)));
 }
 
@@ -323,8 +323,8 @@ fn a_board_with_a_low_supply_stays_off_and_reports_it() {
     assert!(resets == steps && !ready, "{resets} resets; the board runs with a low supply");
     rig.with(|stopped| stopped.supply(3300));
     assert!(rig.shared.board().run_until(2 * SECOND, MILLISECOND, |stopped| stopped.usb().ready()), "the port is gone");
-    rig.tool = haptic_host::link::Board::over(rig.shared.wire(), "again").expect("the board answers");
-    let status = rig.tool.status().expect("the board answers");
+    rig.tool = haptic_host::link::Board::over(rig.shared.wire(), "again").expect("the board replies");
+    let status = rig.tool.status().expect("the board replies");
     assert_eq!((status.state, status.fault.map(|record| record.fault)), (State::Fault, Some(Fault::SupplyDip)));
 }
 
@@ -334,7 +334,7 @@ fn the_watchdog_does_not_bite_an_idle_board() {
     let _ = rig.tool.rows(Duration::from_millis(10));
     rig.run(2 * SECOND);
     assert_eq!(rig.with(|stopped| stopped.resets().len()), 0);
-    assert_eq!(rig.tool.status().expect("the board answers").state, State::Armed);
+    assert_eq!(rig.tool.status().expect("the board replies").state, State::Armed);
 }
 
 /// The board computes the effect of a single count on a velocity by trial when the request arrives, without feeding the
@@ -351,13 +351,13 @@ fn a_request_for_the_slowest_velocities_is_fast_enough() {
         rig.run(100 * MILLISECOND);
     }
     assert_eq!(rig.with(|stopped| stopped.resets().len()), 0);
-    assert_eq!(rig.tool.status().expect("the board answers").state, State::Armed);
+    assert_eq!(rig.tool.status().expect("the board replies").state, State::Armed);
 }
 
 #[test]
 fn limits_are_raised_only_while_the_motors_are_off() {
     let mut rig = armed(BoardKind::OdriveV3);
-    let own = rig.tool.rules().expect("the board answers");
+    let own = rig.tool.rules().expect("the board replies");
     let with_torque = |factor: f32| {
         let mut rules = own;
         rules.limits.torque = rules.limits.torque.map(|torque| factor * torque);
@@ -365,7 +365,7 @@ fn limits_are_raised_only_while_the_motors_are_off() {
     };
     rig.tool.set_rules(&with_torque(0.5)).expect("lowered while armed");
     assert_eq!(refused(rig.tool.set_rules(&own)), Refusal::Armed);
-    assert_eq!(rig.tool.rules().expect("the board answers"), with_torque(0.5), "a refused change changes nothing");
+    assert_eq!(rig.tool.rules().expect("the board replies"), with_torque(0.5), "a refused change changes nothing");
     rig.tool.disarm().expect("the board disarms");
     rig.tool.set_rules(&own).expect("raised with the motors off");
     let raised = refused(rig.tool.set_rules(&with_torque(1.01)));

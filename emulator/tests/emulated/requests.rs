@@ -50,9 +50,9 @@ fn stage(board: &mut Board) -> Result<(), BoardError> {
 /// Requests that every state refuses.
 const ALWAYS_REFUSED: &[Request] = &[
     ("limits above the board's", |board| rules_with(board, |rules| rules.limits.torque = [1.0e6; 3])),
-    ("rules that are no numbers", |board| rules_with(board, |rules| rules.limits.power = f32::NAN)),
+    ("rules that are not numbers", |board| rules_with(board, |rules| rules.limits.power = f32::NAN)),
     ("gains of a wall that does not exist", |board| board.set_wall_gains(gains(9, 300.0))),
-    ("gains that are no numbers", |board| board.set_wall_gains(gains(0, f32::NAN))),
+    ("gains that are not numbers", |board| board.set_wall_gains(gains(0, f32::NAN))),
     ("a table that was not sent", table),
     ("a table that starts in its middle", |board| {
         board.send_table(&TableChunk { offset: 7, values: [1.0].into_iter().collect() })
@@ -85,18 +85,18 @@ const NEED_MOTORS_OFF: &[Request] = &[
 
 /// Returns everything that a tool can read from a board, except the time.
 fn contents(board: &mut Board) -> String {
-    let status = board.status().expect("the board answers");
+    let status = board.status().expect("the board replies");
     let state = (status.state, status.homed, status.polarity, status.fault);
-    let entries = Key::ALL.map(|key| board.read_entry(key).expect("the board answers"));
-    let device = board.device().expect("the board answers");
-    let scene = board.scene().expect("the board answers");
-    let rules = board.rules().expect("the board answers");
+    let entries = Key::ALL.map(|key| board.read_entry(key).expect("the board replies"));
+    let device = board.device().expect("the board replies");
+    let scene = board.scene().expect("the board replies");
+    let rules = board.rules().expect("the board replies");
     format!("{state:?} {device:?} {scene:?} {rules:?} {entries:?}")
 }
 
 /// Sends requests that the board must refuse, and checks its pins and data after each.
 fn check_refused(rig: &mut Rig, state: State, requests: &[Request]) {
-    assert_eq!(rig.tool.status().expect("the board answers").state, state);
+    assert_eq!(rig.tool.status().expect("the board replies").state, state);
     let driving = state.drives();
     for (name, request) in requests {
         let before = contents(&mut rig.tool);

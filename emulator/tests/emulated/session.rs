@@ -18,16 +18,16 @@ fn settings_survive_a_reset() {
         let mut rig = Rig::with_device(kind, "pantograph-mk2", |_| ());
         rig.load(WALL);
         rig.tool.set_name(&"left hand".try_into().expect("a short name")).expect("the board takes a name");
-        let (device, scene) = (rig.tool.device().expect("it answers"), rig.tool.scene().expect("it answers"));
+        let (device, scene) = (rig.tool.device().expect("it replies"), rig.tool.scene().expect("it replies"));
         rig.tool.save().expect("the settings are written");
 
         let mut rig = rig.restarted();
-        let details = rig.tool.details().expect("the board answers");
+        let details = rig.tool.details().expect("the board replies");
         assert_eq!(details.name.as_str(), "left hand");
         assert!(details.damage.is_empty(), "{:?}", details.damage);
-        assert_eq!(rig.tool.device().expect("it answers"), device);
-        assert_eq!(rig.tool.scene().expect("it answers"), scene);
-        assert!(!rig.tool.status().expect("it answers").homed, "a reset loses the home");
+        assert_eq!(rig.tool.device().expect("it replies"), device);
+        assert_eq!(rig.tool.scene().expect("it replies"), scene);
+        assert!(!rig.tool.status().expect("it replies").homed, "a reset loses the home");
     }
 }
 
@@ -37,7 +37,7 @@ fn unsaved_changes_are_lost_in_a_reset() {
     rig.load(WALL);
     rig.run(SECOND / 10);
     let mut rig = rig.restarted();
-    assert_eq!(rig.tool.device().expect("it answers"), None);
+    assert_eq!(rig.tool.device().expect("it replies"), None);
 }
 
 /// Sends a table of masses of the largest size.
@@ -62,10 +62,10 @@ fn a_restored_backup_of_three_joints_leaves_stack_free() {
     rig.load(&"[[wall]]\npoint = [0.0, 9.0]\nnormal = [0.0, -1.0]\nstiffness = 2000.0\n".repeat(3));
     send_largest_table(&mut rig);
     rig.tool.save().expect("the board saves");
-    let backup = Backup::read(&mut rig.tool).expect("the board answers");
+    let backup = Backup::read(&mut rig.tool).expect("the board replies");
     let ready = backup.ready().expect("everything is readable");
     restore(&mut rig.tool, &ready).expect("the board takes its own backup");
-    let details = rig.tool.details().expect("the board answers");
+    let details = rig.tool.details().expect("the board replies");
     assert_eq!(details.walls, 3);
     assert!(details.stack_free >= 8 * 1024, "{} of 52 KB were never used", details.stack_free);
     assert!(rig.with(|stopped| stopped.resets().is_empty()), "{}", rig.post_mortem());

@@ -34,8 +34,8 @@ fn a_toy_board_is_one_file_and_renders_a_wall() {
     let pressed = 2.0;
     let mut rig = Rig::in_contact(&TOY, "hapkit-paddle", "", &[wall], pressed);
     assert_eq!(rig.tool.info().board.as_str(), TOY.name);
-    assert_eq!(rig.tool.details().expect("the board answers").axes, 1);
-    assert_eq!(rig.tool.status().expect("the board answers").fault, None);
+    assert_eq!(rig.tool.details().expect("the board replies").axes, 1);
+    assert_eq!(rig.tool.status().expect("the board replies").fault, None);
     // The motor's force at the tip equals the hand's, except for dry friction: 4 mN m at 70 mm.
     let motor = rig.file.as_ref().and_then(|file| file.description.joints[0].motor).expect("a motor");
     let held = rig.with_simulated(|device| device.currents()[0]) * motor.torque_constant / 0.07;

@@ -92,11 +92,11 @@ fn a_computer_that_stops_reading_stops_nothing_else() {
     rig.run(SECOND);
     rig.with(|stopped| stopped.usb().read_port(true));
     rig.run(200 * MILLISECOND);
-    let status = rig.tool.status().expect("the board answers");
+    let status = rig.tool.status().expect("the board replies");
     // At least 1.2 s at 20 kHz: the control step did not wait.
     assert!(status.step - before > 24_000, "{} steps", status.step - before);
     assert_eq!(status.fault, None);
-    assert_eq!(rig.tool.details().expect("it answers").overruns, 0);
+    assert_eq!(rig.tool.details().expect("it replies").overruns, 0);
     rig.tool.rows(Duration::from_millis(100)).expect("rows come again");
     rig.tool.stop_stream().expect("the stream stops");
     let losses = rig.tool.losses();
@@ -121,9 +121,9 @@ fn a_computer_that_reads_slowly_stops_nothing_else() {
     }
     rig.with(|stopped| stopped.usb().read_port(true));
     rig.run(200 * MILLISECOND);
-    let status = rig.tool.status().expect("the board answers");
+    let status = rig.tool.status().expect("the board replies");
     assert_eq!((status.state, status.fault), (State::Armed, None));
-    assert_eq!(rig.tool.details().expect("it answers").overruns, 0);
+    assert_eq!(rig.tool.details().expect("it replies").overruns, 0);
 }
 
 /// Requests that arrive faster than their replies leave time for the other tasks, which feed the watchdog.
@@ -133,7 +133,7 @@ fn a_flood_of_requests_starves_no_task() {
     rig.load(WALL);
     rig.ready();
     let frames = noise::recorded(&mut rig, |rig| {
-        rig.tool.status().expect("it answers");
+        rig.tool.status().expect("it replies");
     });
     let flood = frames.last().expect("a request was sent").repeat(3000);
     rig.shared.wire().send(&flood).expect("the port takes it");
@@ -141,8 +141,8 @@ fn a_flood_of_requests_starves_no_task() {
     let resets = rig.with(|stopped| stopped.resets().len());
     assert_eq!(resets, 0, "the watchdog bit");
     rig.with(|stopped| stopped.usb().take());
-    rig.tool = Board::over(rig.shared.wire(), "again").expect("the board answers again");
-    let status = rig.tool.status().expect("it answers");
+    rig.tool = Board::over(rig.shared.wire(), "again").expect("the board replies again");
+    let status = rig.tool.status().expect("it replies");
     assert_eq!((status.state, status.fault), (State::Armed, None));
 }
 
@@ -163,7 +163,7 @@ fn every_arming_makes_the_drivers_ready_again() {
         rig.shared.wire().send(&both).expect("the port takes it");
         rig.run(40 * MILLISECOND + pause);
         rig.with(|stopped| stopped.usb().take());
-        rig.tool = Board::over(rig.shared.wire(), "again").expect("the board answers again");
+        rig.tool = Board::over(rig.shared.wire(), "again").expect("the board replies again");
         let before = rig.now();
         rig.tool.arm().expect("the board arms");
         let took = rig.now() - before;
@@ -180,7 +180,7 @@ fn a_minute_of_random_bytes_has_no_effect() {
     let (mut rig, noise) = noise::run(seed, 60, |_| ());
     println!("{noise:?}");
     assert!(
-        noise.bytes > 1_000_000 && noise.answered > 10_000,
+        noise.bytes > 1_000_000 && noise.received > 10_000,
         "the board received the bytes and replied to some: {noise:?}"
     );
     assert!(noise.harmless(), "{noise:?}");
@@ -202,14 +202,14 @@ fn a_board_survives_repeated_arming_and_replugging() {
             rig.with(|stopped| stopped.usb().plug(true));
             wait_until_ready(&rig);
             rig.with(|stopped| stopped.usb().take());
-            rig.tool = Board::over(rig.shared.wire(), "again").expect("the board answers again");
+            rig.tool = Board::over(rig.shared.wire(), "again").expect("the board replies again");
             // The rules ignore a silent host, so the wall is still rendered.
-            assert_eq!(rig.tool.status().expect("it answers").state, State::Armed, "cycle {cycle}");
+            assert_eq!(rig.tool.status().expect("it replies").state, State::Armed, "cycle {cycle}");
         }
     }
-    let status = rig.tool.status().expect("it answers");
+    let status = rig.tool.status().expect("it replies");
     assert_eq!((status.state, status.fault), (State::Armed, None));
-    assert_eq!(rig.tool.details().expect("it answers").overruns, 0);
+    assert_eq!(rig.tool.details().expect("it replies").overruns, 0);
     rig.tool.disarm().expect("the board disarms");
     rig.run(MILLISECOND);
     let (drives, resets) = rig.with(|stopped| (stopped.hardware().drives(), stopped.resets().len()));

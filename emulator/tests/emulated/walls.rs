@@ -53,7 +53,7 @@ fn a_wall_holds_a_hand_at_the_depth_of_its_stiffness() {
         rig.tool.set_wall_gains(gains(feed_forward, 2000.0, 6.0)).expect("gains change in contact");
         rig.run(SECOND);
         let (tip, tip_velocity) = rig.with_simulated(|device| (device.tip(), device.tip_velocity()));
-        let status = rig.tool.status().expect("the board answers");
+        let status = rig.tool.status().expect("the board replies");
         assert_eq!(status.fault, None, "{feed_forward:?}");
         let depth = tip[1] - height;
         // 2 N at 2000 N/m are 1 mm; current sensors and encoder steps leave an uncertainty of 8 %.
@@ -102,7 +102,7 @@ fn depths_when_pushed(kind: BoardKind, name: &str, walls: &[WallAt], newtons: f6
         rig.run(10 * MILLISECOND);
         chip.push(depths(walls, start, rig.with_simulated(|device| device.tip())));
     }
-    let status = rig.tool.status().expect("the board answers");
+    let status = rig.tool.status().expect("the board replies");
     assert_eq!(status.fault, None, "{name}");
 
     let file = rig.file.as_ref().expect("a device");
@@ -113,7 +113,7 @@ fn depths_when_pushed(kind: BoardKind, name: &str, walls: &[WallAt], newtons: f6
     board.load(&file.name, &file.description, Some(scene)).expect("loaded");
     hold(board.device_mut());
     let shared = SharedBoard::new(board);
-    Board::over(shared.wire(), "simulated").expect("it answers").arm().expect("it arms");
+    Board::over(shared.wire(), "simulated").expect("it replies").arm().expect("it arms");
     let mut board = shared.lock();
     board.run(1.0);
     push_into(board.device_mut(), force, 0.3);
@@ -251,7 +251,7 @@ fn measure_pressed(
     const ROWS: usize = 40;
     let mut rig = Rig::with_device(kind, name, |options| options.friction = false);
     rig.prepare("gravity_compensation = true\n");
-    let rules = rig.tool.rules().expect("the board answers");
+    let rules = rig.tool.rules().expect("the board replies");
     let limits = Limits { torque: [torque; 3], ..rules.limits };
     rig.tool.set_rules(&Rules { limits, ..rules }).expect("the motors are off");
     let start = rig.with_simulated(|device| device.tip());
@@ -293,7 +293,7 @@ fn measure_pressed(
         sample.across = (0..3).map(|i| (force[i] / times - sample.along * normal[i]).powi(2)).sum::<f64>().sqrt();
         samples.push(sample);
     }
-    assert_eq!(rig.tool.status().expect("the board answers").fault, None, "{name}");
+    assert_eq!(rig.tool.status().expect("the board replies").fault, None, "{name}");
     samples
 }
 

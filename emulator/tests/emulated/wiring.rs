@@ -53,7 +53,7 @@ fn each_index_pulse_reaches_its_own_axis() {
         let mut rig = Rig::with_device(kind, device_of(kind), |_| ());
         rig.load(if kind == BoardKind::OdriveV3 { WALL } else { "" });
         for axis in 0..Wiring::of(kind).encoders.len() {
-            let mut rules = rig.tool.rules().expect("the board answers");
+            let mut rules = rig.tool.rules().expect("the board replies");
             rules.index_period = [4_096; 3];
             rig.tool.set_rules(&rules).expect("rules change");
             rig.tool.home().expect("the device is homed");
@@ -65,7 +65,7 @@ fn each_index_pulse_reaches_its_own_axis() {
                     rig.with(move |stopped| stopped.hardware().plant = Box::new(dummy));
                     rig.run(MILLISECOND);
                 }
-                let record = rig.tool.status().expect("it answers").fault;
+                let record = rig.tool.status().expect("it replies").fault;
                 record.map(|record| (record.fault, record.axis, record.value))
             };
             let place = format!("{} axis {axis}", kind.name());
@@ -89,7 +89,7 @@ fn the_bus_voltage_is_exact_within_a_converter_step() {
                 stopped.hardware().plant = Box::new(Dummy { bus_voltage: volts, ..Dummy::default() });
             });
             rig.run(2 * MILLISECOND);
-            let seen = f64::from(rig.tool.status().expect("it answers").bus_voltage);
+            let seen = f64::from(rig.tool.status().expect("it replies").bus_voltage);
             assert!((seen - volts).abs() <= 1.5 * step, "{}: {seen} V for {volts} V", kind.name());
         }
     }

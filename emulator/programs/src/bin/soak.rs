@@ -33,7 +33,7 @@ fn main() -> ExitCode {
         "{contact}\n{hours:.2} virtual hours of random bytes into the USB port of a disarmed board, seed {SEED:#x}: {} bursts, {} bytes \
          (random bytes, random frames, changed and truncated requests), {} bytes received. Bursts after which a bridge \
          was on: {}. Restarts: {}. Bursts without a control step: {}. Faults, except for numbers too large to compute with: {}. The session after it armed and disarmed.\n",
-        noise.bursts, noise.bytes, noise.answered, noise.driven, noise.restarts, noise.stalled, noise.faults
+        noise.bursts, noise.bytes, noise.received, noise.driven, noise.restarts, noise.stalled, noise.faults
     );
     print!("{text}");
     match std::fs::write(&path, text) {
