@@ -1,9 +1,9 @@
-//! One control period of the board, without the board: samples in, bridge state and currents out; then, once per
-//! carrier period, duties.
+//! The control loop of one device, without hardware: takes samples, returns the state of the bridges and the currents
+//! and, once per carrier period, the duties.
 //!
-//! The firmware's interrupt, the simulated board and the tests all run this very code. Configuration reaches it whole,
-//! between two steps: a [`Program`] is built elsewhere and handed over by ownership, small changes are [`Command`]s.
-//! Nothing here blocks, allocates or panics.
+//! The firmware's interrupt, the simulated board and the tests all run this code. Configuration arrives complete,
+//! between two steps: a [`Program`] is built elsewhere and moved in; small changes are [`Command`]s. Nothing here
+//! blocks, allocates or panics.
 
 mod budgets;
 pub mod compiled;
@@ -43,69 +43,69 @@ pub use watch::{KEY_SECONDS, TRIPPING_SINE};
 /// Seconds over which torque ramps up after arming.
 pub const ARM_SECONDS: f32 = 0.5;
 
-/// The board's control loop. In this order in memory: what every crest needs lies within the 1 KB that the FPU's loads
-/// reach.
+/// The board's control loop. The order in memory keeps everything that each crest needs within the 1 KB that FPU loads
+/// can reach.
 #[derive(Debug)]
 #[repr(C)]
 pub struct ControlLoop<P, S = Axis> {
     state: State,
     homed: bool,
     polarity_known: bool,
-    /// Joints of the loaded device, and whether its weight is carried.
+    /// Number of joints of the loaded device, and true if its weight is compensated.
     count: u8,
     weighs: bool,
-    /// The same while the motors are on and every joint has a range: a crest then takes one pass. Else 0.
+    /// `count` while the motors are on and every joint has a range: a crest then takes a single pass. Otherwise 0.
     usual: u8,
-    /// True if the scene has faded in and no pulse is to be looked at.
+    /// True if the scene has faded in and no index pulse waits for its check.
     in_force: bool,
-    /// Negative unless it is so and the last step commanded all that was asked.
+    /// Negative unless `in_force` and the last step commanded the full requested torques.
     steady: i32,
     program: Option<P>,
     crests: crest::Crests,
-    /// Bus voltage of the drives since the last valley, V; 0 where there were none.
+    /// Bus voltage of the drives since the last valley, V; 0 if it was not usable.
     supplied: f32,
-    /// The step after which the host has been silent for too long.
+    /// Last step at which the host may still be silent.
     host_expected: u32,
-    /// The torque that each joint may be asked for without a clamp, N m; then the largest force at the tip, N, and its
-    /// square.
+    /// Joint torque that needs no clamp, N m; then the force limit at the tip, N, and its square.
     fitting: [f32; MAX_JOINTS],
     most_force: f32,
     most_force_squared: f32,
-    /// The forces at the tip for joint torques, as of a fraction of a millisecond ago.
+    /// Tip force per joint torque, a fraction of a millisecond old.
     leverage: Leverage,
     flow: budgets::Flow,
     now: Now,
     joints: [Joint<S>; MAX_JOINTS],
-    /// The largest torque that each joint may be asked for, N m.
+    /// Torque limit of each joint, N m.
     most_torque: Torques,
     hardware: Hardware,
     period: f32,
-    /// A step since which that is the period: the first one, or where that is long ago one that is no request's any more.
+    /// Step from which `period` has applied: the first step or, if that is long ago, a step that no pending request
+    /// refers to.
     rate_since: u32,
-    /// The step at which the host was heard the last time.
+    /// Step at which the host last sent a sign of life.
     host_heard: u32,
-    /// The dead man's key that holds the motors on, if any, as it was seen at the latest.
+    /// Latest press of the dead man's key that keeps the motors on, if any.
     key: Option<Press>,
     rules: Rules,
-    /// True if telemetry shows the walls' energy.
+    /// True if telemetry includes the walls' energy.
     shows_energy: bool,
     host: host_force::HostForce,
-    /// The torques that acted before the present scene, while they fade out.
+    /// Torques of the previous scene while they fade out.
     fade: fade::Fade,
-    /// The torques of the last step that commanded less than all that was asked, and that step.
-    cut: fade::Acted,
+    /// Torques of the last step that commanded less than was requested, and that step.
+    cut: fade::CommandedTorques,
     cut_at: u32,
-    /// The joint whose turn it is at the next valley.
+    /// Joint that the next valley checks.
     turn: usize,
-    /// Number of joints that are not yet held to the rules, see [`ControlLoop::settle_next`].
+    /// Number of joints for which new rules are not in force yet, see [`ControlLoop::settle_next`].
     unsettled: u8,
-    /// The heat of the motors, whatever device is loaded.
+    /// Heat of the motors, kept when the device changes.
     heat: [Heat; MAX_JOINTS],
     first_index: [Option<i32>; MAX_JOINTS],
     /// Index pulses seen since the last step.
     marks: Option<[Option<i32>; MAX_JOINTS]>,
     polarity: polarity::PolarityCheck,
-    /// The counts of the home at which the polarity was found, see `polarity_known`.
+    /// Counts of the home pose at which the polarity was checked, see `polarity_known`.
     checked_zero: Counts,
     fault: Option<FaultRecord>,
 }
@@ -116,7 +116,7 @@ where
     K: Math<f32>,
     S: Stage,
 {
-    /// A disarmed control loop without a device.
+    /// Returns a disarmed control loop without a device.
     pub fn new(hardware: Hardware, rules: Rules) -> Self {
         Self {
             hardware,
@@ -140,7 +140,7 @@ where
             period: 1.0 / DEFAULT_RATE_HZ as f32,
             rate_since: 0,
             fade: fade::Fade::default(),
-            cut: fade::Acted::default(),
+            cut: fade::CommandedTorques::default(),
             cut_at: 0,
             most_torque: Torques::default(),
             fitting: [0.0; MAX_JOINTS],
@@ -161,41 +161,41 @@ where
         }
     }
 
-    /// Goes on with the heat that an earlier run left in the motors. Call before the first program.
+    /// Sets the heat that an earlier run left in the motors. Call before the first program.
     pub fn start_heat(&mut self, heat: [Heat; MAX_JOINTS]) {
         self.heat = heat;
     }
 
-    /// The motors' heat, to be handed to [`ControlLoop::start_heat`] of the run after this.
+    /// Returns the motors' heat, for [`ControlLoop::start_heat`] of the next run.
     pub fn heat(&self) -> &[Heat; MAX_JOINTS] {
         &self.heat
     }
 
-    /// The telemetry record of the last step, with the present state.
+    /// Returns the telemetry record of the last step, with the present state.
     #[inline(always)]
     pub fn frame(&self) -> StepRecord {
         StepRecord::of(&self.now, self.state)
     }
 
-    /// Control steps since boot, wrapping.
+    /// Returns the number of control steps since boot, wrapping.
     #[inline(always)]
     pub fn steps(&self) -> u32 {
         self.now.step
     }
 
-    /// Counts so many control steps as if they had passed, at most 2^30 between two real ones: days, for a test.
+    /// Advances the step count as if control steps had passed, at most 2^30 between two real steps. For tests of days.
     #[doc(hidden)]
     pub fn skip_steps(&mut self, steps: u32) {
         self.now.step = self.now.step.wrapping_add(steps);
     }
 
-    /// Control rate of the loaded program, Hz.
+    /// Returns the control rate of the loaded program, Hz.
     pub fn rate_hz(&self) -> Option<f32> {
         self.program.as_ref().map(|program| program.rate_hz)
     }
 
-    /// The part of a control period that needs no more than encoder counts: what the scene asks of the joints. The motors
-    /// go on as they are, and so does what they are held to.
+    /// Computes the scene's joint torques, for which encoder counts are sufficient. Does not change the motors' torques
+    /// or limits.
     #[inline(always)]
     pub fn render(&mut self, counts: &Counts) {
         if self.host.acts {
@@ -213,27 +213,27 @@ where
         }
     }
 
-    /// Index pulses were seen since the last step, of these encoders at these counts, late by at most what each joint moved
-    /// in it. Call before [`ControlLoop::act`] or [`compiled::crest`].
+    /// Records index pulses seen since the last step: the counts of these encoders, late by at most the motion of the
+    /// joint in this step. Call before [`ControlLoop::act`] or [`compiled::crest`].
     pub fn mark(&mut self, marks: [Option<i32>; MAX_JOINTS]) {
         self.marks = Some(marks);
         self.in_force = false;
         self.steady = -1;
     }
 
-    /// The permission of the bridges to drive.
+    /// Returns true if the bridges may drive.
     #[inline(always)]
     fn outputs(&self) -> Outputs {
         Outputs { bridges: self.state.drives() }
     }
 
-    /// Joints of the loaded program, at most [`MAX_JOINTS`].
+    /// Returns the number of joints of the loaded program, at most [`MAX_JOINTS`].
     #[inline(always)]
     fn count(&self) -> usize {
         self.count.into()
     }
 
-    /// Puts what the legs of all axes do next `into` `legs`. False where the motors are off.
+    /// Writes the next drive of each axis, converted by `into`, to `legs`. Returns false if the motors are off.
     #[inline(never)]
     fn drive<L>(
         &mut self,
@@ -262,7 +262,7 @@ where
     #[cold]
     #[inline(never)]
     pub fn trip(&mut self, fault: Fault, axis: Option<u8>, value: f32) {
-        // A silent host may be listed while the motors stay on; the fault that turns them off replaces it.
+        // A silent host may be listed while the motors stay on; a later fault that turns the motors off replaces it.
         if self.fault.is_none() || self.state != State::Fault {
             self.fault = Some(FaultRecord { fault, axis, value, step: self.now.step });
         }
@@ -275,10 +275,10 @@ where
     }
 
     fn off(&mut self) {
-        self.let_go();
+        self.clear_host_force();
         self.key = None;
         self.fade = fade::Fade::default();
-        self.cut = fade::Acted::default();
+        self.cut = fade::CommandedTorques::default();
         self.cut_at = self.now.step;
         self.now.motors.torque = Torques::default();
         self.now.motors.current = Currents::default();
@@ -287,13 +287,13 @@ where
         }
     }
 
-    /// Begins every control step by counting it.
+    /// Counts the control step that begins.
     #[inline(always)]
     fn begin_step(&mut self) {
         self.now.step = self.now.step.wrapping_add(1);
     }
 
-    /// Notes what a control step saw, for all that looks at it later.
+    /// Records the samples of a control step for later readers.
     #[inline(always)]
     fn note(&mut self, seen: &Samples) {
         self.now.noted = self.now.step;
@@ -305,7 +305,7 @@ where
         }
     }
 
-    /// Notes what the last control step saw where it has not: a usual step leaves that to the valley.
+    /// Records the samples of the last control step unless done already: the fast path leaves this to the valley.
     #[inline(always)]
     fn note_late(&mut self, seen: &Samples) {
         if self.now.noted != self.now.step {
@@ -313,7 +313,7 @@ where
         }
     }
 
-    /// A control step in any state.
+    /// Runs a control step in any state.
     fn step(&mut self, seen: &Samples) {
         self.begin_step();
         if self.program.is_some() {
@@ -323,13 +323,13 @@ where
         }
     }
 
-    /// The rest of a control step that is not the usual one.
+    /// Runs the rest of a control step that is not on the fast path.
     #[cold]
     #[inline(never)]
     fn step_otherwise(&mut self, seen: &Samples) {
         let before = self.now.counts;
         self.note(seen);
-        // Most steps that are not usual are well all the same: torque ramps up, or a limit cuts it.
+        // Most steps off the fast path have no fault: torque ramps up, or a limit cuts it.
         if self.marks.is_some() || self.watch_all() < 0 {
             self.find(&before);
         }
@@ -350,37 +350,37 @@ where
                 }
                 self.now.motors.rendered_force = 0.0;
             }
-            State::Disarmed | State::Fault => self.ask_nothing(),
+            State::Disarmed | State::Fault => self.command_zero(),
         }
         self.see_what_is_usual();
     }
 
-    fn ask_nothing(&mut self) {
+    fn command_zero(&mut self) {
         let motors = &mut self.now.motors;
         (motors.torque, motors.rendered_force, motors.limited) = (Torques::default(), 0.0, 0);
     }
 
-    /// Sees what is usual from now on.
+    /// Updates the flags that select the fast path.
     fn see_what_is_usual(&mut self) {
         let limited = self.joints.iter().take(self.count()).all(Joint::is_limited);
         self.usual = if self.state.drives() && limited { self.count } else { 0 };
         let faded_in = self.fade.ramp >= 1.0 && self.fade.share >= 1.0;
         self.in_force = self.state == State::Armed && faded_in && self.marks.is_none();
-        self.see_what_is_cut();
+        self.update_steady();
     }
 
-    /// The same where only what the limits leave may have changed.
+    /// Updates `steady` after a step in which only `limited` may have changed.
     #[inline(always)]
-    fn see_what_is_cut(&mut self) {
+    fn update_steady(&mut self) {
         self.steady = if self.in_force && self.now.motors.limited == 0 { 0 } else { -1 };
     }
 
-    /// Returns true if the last step commanded something else than all that was asked.
+    /// Returns true if the last step commanded other torques than requested.
     fn was_cut(&self) -> bool {
         self.cut_at == self.now.step
     }
 
-    /// Commands all that is asked, which fits.
+    /// Commands the requested torques, which are within the limits.
     #[inline(always)]
     fn command_all<const J: usize>(&mut self) {
         let (motors, found) = (&mut self.now.motors, &self.now.found);
@@ -391,7 +391,7 @@ where
         }
     }
 
-    /// Commands the torques of a polarity check within limits.
+    /// Commands the torques of a polarity check, within the limits.
     fn command_test(&mut self, torque: &Torques) {
         let joints = self.count();
         for (i, joint) in self.joints.iter_mut().enumerate().take(joints) {
@@ -402,15 +402,15 @@ where
         self.now.motors.limited = 0;
     }
 
-    /// Commands what the limits leave of all that a scene in force asks of J joints.
+    /// Commands the torques of a fully faded-in scene on J joints, cut to the limits.
     #[inline(always)]
     fn command_what_fits<const J: usize>(&mut self) {
         let asked = self.now.found.asked;
         self.command_of::<J>(&asked, &asked.total);
-        self.see_what_is_cut();
+        self.update_steady();
     }
 
-    /// Commands the torques asked for within limits, and records which are not what was `wanted`.
+    /// Commands the requested torques within the limits, and records which joints differ from `wanted`.
     fn command(&mut self, asked: &TorqueDemand<f32>, wanted: &[f32; MAX_JOINTS]) {
         match self.count() {
             2 => self.command_of::<2>(asked, wanted),
@@ -419,12 +419,12 @@ where
         }
     }
 
-    /// [`ControlLoop::command`] of J joints.
+    /// Same as [`ControlLoop::command`], for J joints.
     #[inline(always)]
     fn command_of<const J: usize>(&mut self, asked: &TorqueDemand<f32>, wanted: &[f32; MAX_JOINTS]) {
         let granted = asked.within::<J>(&self.most_torque, self.most_force, &self.leverage);
         let rendered = Torques(asked.rendered.map(|r| granted.share * r));
-        self.cut = fade::Acted { gravity: granted.gravity, rendered, share: granted.share };
+        self.cut = fade::CommandedTorques { gravity: granted.gravity, rendered, share: granted.share };
         self.cut_at = self.now.step;
         if self.host.acts {
             self.host.granted = granted.share * self.fade.share;
@@ -434,20 +434,20 @@ where
         for (i, joint) in self.joints.iter_mut().enumerate().take(J) {
             joint.stage.command(granted.torque[i]);
             motors.torque[i] = limited(granted.torque[i], joint.stage.max_torque());
-            // True if the torque is the requested one, up to the rounding of its way through a current; false for NaN.
+            // True if the torque is as requested, except for the rounding of its conversion to a current; false for NaN.
             let kept = (wanted[i] - motors.torque[i]).abs() <= 1.0e-5 * wanted[i].abs();
             motors.limited |= u8::from(!kept) << i;
         }
-        self.now.motors.rendered_force = self.rendered_of::<J>();
+        self.now.motors.rendered_force = self.limited_wall_force::<J>();
     }
 
-    /// The force (N) that the torques commanded leave of what the walls asked for.
+    /// Returns the force (N) of the walls that remains after limits.
     ///
-    /// A tip that only moves along the deepest wall's normal n, by one unit, moves the joints by E = J⁻¹ n. By virtual
-    /// work a joint torque τ therefore is worth E·τ along n (τ = Jᵀ F gives E·τ = n·F), and so the torque that limits
-    /// took off is worth E·(asked - left). Weight and springs drop out of the difference.
+    /// If the tip moves only along the deepest wall's normal n, by one unit, the joints move by E = J⁻¹ n. By virtual
+    /// work, a joint torque τ is worth E·τ along n (τ = Jᵀ F gives E·τ = n·F). The torque that limits removed is
+    /// therefore worth E·(asked - commanded). Weight and springs cancel in the difference.
     #[inline(always)]
-    fn rendered_of<const J: usize>(&self) -> f32 {
+    fn limited_wall_force<const J: usize>(&self) -> f32 {
         let Now { motors, found, .. } = &self.now;
         let mut force = found.at.walls.wall_force;
         for (i, asked) in found.asked.total.iter().enumerate().take(J) {

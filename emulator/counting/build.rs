@@ -1,4 +1,4 @@
-//! The linker's arguments, and its view of the chip: memory.x at the root of the repository.
+//! Passes the linker's arguments, and its map of the chip: memory.x at the root of the repository.
 
 use std::{env, fs, path::PathBuf};
 

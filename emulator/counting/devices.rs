@@ -1,6 +1,7 @@
-//! The devices that the counting image steps: one shipped device file per mechanism, as numbers.
+//! Devices of the counting image: one shipped device file per mechanism, as numbers.
 //!
-//! The image has no TOML reader, so the numbers stand here again; tests/counted_devices.rs holds them to the files.
+//! The image has no TOML reader, so the numbers are repeated here; tests/counted_devices.rs compares them with the
+//! files.
 
 use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::catalogue::{MAX_JOINTS, MAX_LINKS};

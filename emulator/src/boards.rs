@@ -1,5 +1,5 @@
-//! The wiring of each board, for the virtual hardware around the chip. The pins are those of its page,
-//! docs/wiring-*.md, read a second time here, so that a pin swapped in the firmware shows.
+//! The wiring of each board, for the virtual hardware around the chip. The pins are a second transcription of
+//! docs/wiring-*.md, so that a pin swapped in the firmware is detected.
 
 pub use haptic_predict::boards::BoardKind;
 
@@ -8,7 +8,7 @@ pub use haptic_predict::boards::BoardKind;
 pub struct Pin(pub char, pub u8);
 
 impl Pin {
-    /// The pin of a converter's channel.
+    /// Returns the pin of a converter's channel.
     #[must_use]
     pub fn of_channel(channel: u8) -> Self {
         match channel {
@@ -19,20 +19,20 @@ impl Pin {
     }
 }
 
-/// An encoder's wires: the general timer that counts it (2 to 5), its two pins and their alternate function.
+/// Wires of an encoder: its timer (TIM2 to TIM5), its two pins and their alternate function.
 #[derive(Clone, Copy, Debug)]
 pub struct EncoderWires {
-    /// TIM2 to TIM5, by number.
+    /// Number of the timer, 2 to 5.
     pub timer: u8,
     /// Channel A at the timer's channel 1, channel B at its channel 2.
     pub pins: [Pin; 2],
-    /// The alternate function that joins the pins to the timer.
+    /// Alternate function that connects the pins to the timer.
     pub function: u8,
-    /// The index mark's pin.
+    /// Pin of the index mark.
     pub index: Pin,
 }
 
-/// One side of a motor: a switched half bridge.
+/// One end of a motor: a switched half bridge.
 #[derive(Clone, Copy, Debug)]
 pub enum HalfBridge {
     /// The upper switch follows a timer channel (1 to 3), the lower one its complement.
@@ -41,64 +41,62 @@ pub enum HalfBridge {
     Complement(u8),
 }
 
-/// A motor's wires.
+/// Wires of a motor.
 #[derive(Clone, Copy, Debug)]
 pub struct MotorWires {
-    /// The advanced timer that drives it: 1 or 8.
+    /// Number of the advanced timer that drives the motor: 1 or 8.
     pub timer: u8,
-    /// The half bridges at its two ends; current flows from the first to the second at positive duty.
+    /// Half bridges at the two ends; current flows from the first to the second at positive duty.
     pub ends: [HalfBridge; 2],
-    /// The gate signals' pins, and the alternate function that joins them to the timer.
+    /// Pins of the gate signals.
     pub gates: [Pin; 4],
-    /// The alternate function of `gates`.
+    /// Alternate function that connects `gates` to the timer.
     pub function: u8,
-    /// Its current sensors: converter channel, and volts per ampere (from first end to second) of each. A
-    /// gain-programmed sensor gives the shunt's volts per ampere; the driver's gain multiplies it.
+    /// Current sensors: converter channel, and volts per ampere (from first end to second). If the amplifier's gain is
+    /// programmable, this value is that of the shunt; the driver's gain multiplies it.
     pub sensors: &'static [(u8, f64)],
 }
 
 /// A board.
 #[derive(Clone, Copy, Debug)]
 pub struct Wiring {
-    /// The name that the board gives itself and that its image is built under.
+    /// Name of the board and of its image.
     pub name: &'static str,
     /// The encoders, one per axis.
     pub encoders: &'static [EncoderWires],
     /// The motors, one per axis.
     pub motors: &'static [MotorWires],
-    /// The pin that lets the power stages work, high for on.
+    /// Pin that enables the power stages, active high.
     pub enable: Pin,
-    /// Every pin that leads to a gate, an input of a bridge or an enable line, of used and unused phases and of the brake.
+    /// All pins that lead to a gate, an input of a bridge or an enable line, of used and unused phases and of the brake.
     pub power: &'static [Pin],
-    /// The state of all axes while it is on but the timer's outputs are idle: they float (false) or brake (true).
+    /// State of all axes while enabled with idle timer outputs: true if they brake, false if they float.
     pub idle_brakes: bool,
-    /// The pin that a power stage pulls low for a fault, and whether that line is the timer's break input.
+    /// Pin that a power stage pulls low for a fault.
     pub fault: Pin,
-    /// TIM1's break input listens to `fault`.
+    /// True if `fault` is TIM1's break input.
     pub fault_breaks: bool,
-    /// The bus voltage's converter channel and divider.
+    /// Converter channel and divider of the bus voltage.
     pub bus: (u8, f64),
-    /// Pins that the board itself holds high, whatever hangs on it, besides the bus divider's.
+    /// Pins that the board holds high with any wiring, in addition to that of the bus divider.
     pub held: &'static [Pin],
-    /// The chip's supply, which is also the converters' reference, mV.
+    /// Supply of the chip and reference of the converters, mV.
     pub supply_mv: u32,
-    /// The chip selects of the gate drivers, on SPI3.
+    /// Chip selects of the gate drivers, on SPI3.
     pub drivers: &'static [Pin],
-    /// The nominal bus voltage, V.
+    /// Nominal bus voltage, V.
     pub bus_voltage: f64,
-    /// The zero offset of each current sensor, V: a few millivolts at shunt amplifiers; Hall sensors are taken as
-    /// trimmed.
+    /// Zero offset of each current sensor, V: a few millivolts for shunt amplifiers; Hall sensors are trimmed.
     pub sensor_offsets: [f64; 4],
-    /// Dead time that costs voltage, s: both switches of a half bridge off. Zero where a half bridge is a module of its
-    /// own.
+    /// Dead time, s, with both switches of a half bridge off, which costs voltage. Zero if half bridges are modules.
     pub dead_time: f64,
 }
 
-/// Shunts under phases B and C.
+/// Resistance of the shunts under phases B and C, ohm.
 const SHUNT: f64 = 500e-6;
-/// A 185 mV/A Hall sensor behind a divider from 5 V to 3.3 V.
+/// Scale of a 185 mV/A Hall sensor behind a divider from 5 V to 3.3 V, V/A.
 const HALL: f64 = 0.185 * 0.66;
-/// The same, behind a divider to 3.0 V.
+/// Scale of the same sensor behind a divider to 3.0 V, V/A.
 const HALL_OF_3V: f64 = 0.185 * 0.6;
 
 static ODRIVE_V3: Wiring = Wiring {
@@ -192,7 +190,7 @@ static H_BRIDGE_F407_DISC1: Wiring = Wiring {
         h_bridge(3, [Pin('E', 13), Pin('E', 12)], &[(1, HALL_OF_3V)]),
     ],
     enable: Pin('E', 14),
-    // PA9 is no gate: it has the cable's 5 V.
+    // PA9 is not a gate: it has the cable's 5 V.
     power: &[
         Pin('A', 9),
         Pin('E', 8),
@@ -221,13 +219,13 @@ const fn h_bridge(channel: u8, [p, n]: [Pin; 2], sensors: &'static [(u8, f64)]) 
 }
 
 impl Wiring {
-    /// Half of the chip's supply, where a current sensor stands at no current, V.
+    /// Returns half of the chip's supply, V: the output of a current sensor without current.
     #[must_use]
     pub fn middle(&self) -> f64 {
         0.5e-3 * f64::from(self.supply_mv)
     }
 
-    /// The pin that the bus divider holds.
+    /// Returns the pin of the bus divider.
     #[must_use]
     pub fn bus_pin(&self) -> Pin {
         Pin::of_channel(self.bus.0)

@@ -1,5 +1,5 @@
-//! Sensors that lie and motors that are broken, at three control rates and ten instants of the control period each: how
-//! long until the bridges float, and what a hand in the device would have felt until then.
+//! Injected errors of sensors and motors, at three control rates and ten instants of the control period each: the time
+//! until the bridges float, and the motion that a hand in the device would have felt until then.
 
 use std::collections::BTreeSet;
 
@@ -12,101 +12,109 @@ use crate::boards::BoardKind;
 use crate::contact::{WallAt, scene};
 use crate::hands::{hold, push};
 use crate::hardware::Hardware;
-use crate::inject::off;
+use crate::inject::bridges_off;
 use crate::plant::Peaks;
 use crate::rig::Rig;
 use crate::run::{MICROSECOND, MILLISECOND};
 
-/// Control rates, Hz: the slowest, the default of the paper's comparison, and the carrier's own.
+/// Control rates, Hz: the slowest rate, the default of the paper's comparison, and the carrier's rate.
 pub const RATES: [u32; 3] = [200, 1_000, 20_000];
-/// Instants within a control period.
+/// Number of instants within a control period.
 pub const PHASES: u64 = 10;
-/// The longest that is waited for bridges to float.
-const PATIENCE: u64 = 300 * MILLISECOND;
-/// N, held against the wall.
+/// Longest time to wait for floating bridges.
+const MAX_WAIT: u64 = 300 * MILLISECOND;
+/// Force of the hand against the wall, N.
 const PUSH: f64 = 0.8;
 
-/// Something that breaks.
+/// An injected error.
 pub struct Case {
-    /// In words.
-    pub what: &'static str,
-    /// Breaks it, with the tip in a wall.
+    /// Description of the error.
+    pub name: &'static str,
+    /// Injects the error while the tip is in a wall.
     pub cause: fn(&mut Hardware),
-    /// True if the board has to notice it. Faults that it may miss are listed with their effect.
-    pub seen: bool,
+    /// True if the board must detect the error. Errors that it may miss are listed with their effect.
+    pub detected: bool,
 }
 
-/// Everything that is broken here, one at a time.
+/// All injected errors, one at a time.
 pub const CASES: &[Case] = &[
-    Case { what: "current sensors 8 A too high", cause: |board| extra(board, 2, 8.0), seen: true },
-    Case { what: "current sensors 4 A too low", cause: |board| extra(board, 2, -4.0), seen: true },
-    Case { what: "current sensors stuck at 0 A", cause: |board| shunts(board, 2, 0.0), seen: true },
-    Case { what: "current sensors show a quarter", cause: |board| shunts(board, 2, 0.25), seen: true },
-    // A current that stands at what the loop asks for contradicts nothing for as long as nothing changes.
-    Case { what: "current sensors frozen, hand at rest", cause: freeze, seen: false },
+    Case { name: "current sensors 8 A too high", cause: |board| add_to_shunts(board, 2, 8.0), detected: true },
+    Case { name: "current sensors 4 A too low", cause: |board| add_to_shunts(board, 2, -4.0), detected: true },
+    Case { name: "current sensors stuck at 0 A", cause: |board| scale_shunts(board, 2, 0.0), detected: true },
+    Case { name: "current sensors show a quarter", cause: |board| scale_shunts(board, 2, 0.25), detected: true },
+    // A current that stays at the requested value contradicts nothing as long as nothing changes.
+    Case { name: "current sensors frozen, hand at rest", cause: freeze, detected: false },
     Case {
-        what: "current sensors frozen, hand moves",
+        name: "current sensors frozen, hand moves",
         cause: |board| {
             freeze(board);
             drag(board);
         },
-        seen: false,
+        detected: false,
     },
-    Case { what: "one of two shunts 4 A too high", cause: |board| extra(board, 1, 4.0), seen: true },
-    // The 0.4 A of this contact, doubled by a loop that sees half of it, are less than what two sound sensors may
-    // differ by; in a contact of 2.5 N it is seen (src/inject.rs, CurrentSensor).
-    Case { what: "one of two shunts shows nothing", cause: |board| shunts(board, 1, 0.0), seen: false },
-    Case { what: "a winding open", cause: |board| board.broken.open[0] = true, seen: true },
-    Case { what: "a bridge stuck at 40 %", cause: |board| board.broken.stuck_on[0] = Some(0.4), seen: true },
-    Case { what: "a gate driver forgets its registers", cause: |board| board.driver(0).forget(), seen: true },
-    Case { what: "an encoder unplugged, hand at rest", cause: |board| board.encoders_unplugged[0] = true, seen: false },
+    Case { name: "one of two shunts 4 A too high", cause: |board| add_to_shunts(board, 1, 4.0), detected: true },
+    // The 0.4 A of this contact, doubled by a loop that sees half of it, are less than the permitted difference of two
+    // correct sensors. In a contact of 2.5 N the error is detected (src/inject.rs, CurrentSensor).
+    Case { name: "one of two shunts shows nothing", cause: |board| scale_shunts(board, 1, 0.0), detected: false },
+    Case { name: "a winding open", cause: |board| board.broken.open[0] = true, detected: true },
+    Case { name: "a bridge stuck at 40 %", cause: |board| board.broken.stuck_on[0] = Some(0.4), detected: true },
+    Case { name: "a gate driver forgets its registers", cause: |board| board.driver(0).forget(), detected: true },
     Case {
-        what: "an encoder unplugged, hand moves",
+        name: "an encoder unplugged, hand at rest",
+        cause: |board| board.encoders_unplugged[0] = true,
+        detected: false,
+    },
+    Case {
+        name: "an encoder unplugged, hand moves",
         cause: |board| {
             board.encoders_unplugged[0] = true;
             drag(board);
         },
-        seen: false,
+        detected: false,
     },
-    Case { what: "an encoder shakes by 8 counts", cause: |board| board.broken.shake[0] = 8, seen: false },
-    Case { what: "an encoder counts backward, hand at rest", cause: backward, seen: false },
+    Case { name: "an encoder shakes by 8 counts", cause: |board| board.broken.shake[0] = 8, detected: false },
+    Case { name: "an encoder counts backward, hand at rest", cause: backward, detected: false },
     Case {
-        what: "an encoder counts backward, hand moves",
+        name: "an encoder counts backward, hand moves",
         cause: |board| {
             backward(board);
             drag(board);
         },
-        seen: false,
+        detected: false,
     },
-    Case { what: "two encoders change places, hand at rest", cause: swap, seen: false },
+    Case { name: "two encoders change places, hand at rest", cause: swap, detected: false },
     Case {
-        what: "two encoders change places, hand moves",
+        name: "two encoders change places, hand moves",
         cause: |board| {
             swap(board);
             drag(board);
         },
-        seen: false,
+        detected: false,
     },
-    Case { what: "the bus sensor shows 12 V of 24 V", cause: |board| board.broken.bus_shown = Some(12.0), seen: false },
     Case {
-        what: "58 V on the bus, whose sensor shows 24 V",
+        name: "the bus sensor shows 12 V of 24 V",
+        cause: |board| board.broken.bus_shown = Some(12.0),
+        detected: false,
+    },
+    Case {
+        name: "58 V on the bus, whose sensor shows 24 V",
         cause: |board| {
             board.broken.bus_shown = Some(24.0);
             if let Some(device) = board.plant.device() {
                 device.set_bus_voltage(58.0);
             }
         },
-        seen: false,
+        detected: false,
     },
 ];
 
-/// So many shunts of the first motor show a share of its current.
-fn shunts(board: &mut Hardware, count: usize, gain: f64) {
+/// Makes the first `count` shunts of the first motor show a share of its current.
+fn scale_shunts(board: &mut Hardware, count: usize, gain: f64) {
     board.broken.sensor_gain[..count].fill(gain);
 }
 
-/// So many shunts of the first motor show so much more, A.
-fn extra(board: &mut Hardware, count: usize, current: f64) {
+/// Adds a current to the first `count` shunts of the first motor, A.
+fn add_to_shunts(board: &mut Hardware, count: usize, current: f64) {
     board.broken.sensor_extra[..count].fill(current);
 }
 
@@ -123,25 +131,25 @@ fn swap(board: &mut Hardware) {
     board.broken.swapped_at = Some([first, second]);
 }
 
-/// A hand begins to take the tip along the wall, with the force that it pushes with.
+/// Starts a hand that moves the tip along the wall, with the force that it pushes with.
 fn drag(board: &mut Hardware) {
     if let Some(device) = board.plant.device() {
         push(device, [PUSH, PUSH, 0.0], 0.02);
     }
 }
 
-/// The result of one case.
+/// Result of one injected error.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Outcome {
-    /// The fault, if it was seen.
+    /// The fault, if the error was detected.
     pub fault: Option<Fault>,
-    /// From the cause to bridges that float, ns; of the time that was waited where they did not.
+    /// Time from the cause until the bridges float, ns; the full waiting time if they do not.
     pub after: u64,
-    /// The peaks until then.
+    /// Peaks until then.
     pub peaks: Peaks,
 }
 
-/// A board whose device is put back into the wall again and again.
+/// A board whose device is returned to the wall for each error.
 pub struct Campaign {
     rig: Rig,
     home: [f64; 3],
@@ -150,11 +158,11 @@ pub struct Campaign {
 }
 
 impl Campaign {
-    /// A board at a control rate.
+    /// Returns a board at a control rate.
     ///
     /// # Panics
     ///
-    /// When the board refuses anything.
+    /// If the board refuses anything.
     #[must_use]
     pub fn at(rate: u32) -> Self {
         let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
@@ -166,8 +174,8 @@ impl Campaign {
         Self { rig, home, scene, rate }
     }
 
-    /// The device in the wall, everything whole.
-    fn ready(&mut self) {
+    /// Returns the device to the wall, without injected errors.
+    fn prepare(&mut self) {
         let (rig, home) = (&mut self.rig, self.home);
         rig.tool.disarm().expect("the board disarms");
         rig.with(move |stopped| {
@@ -180,10 +188,10 @@ impl Campaign {
             hold(device);
         });
         rig.run(50 * MILLISECOND);
-        rig.tool.clear().expect("nothing is broken any more");
+        rig.tool.clear().expect("no injected error is left");
         rig.tool.home().expect("the device is at rest");
-        if !rig.tool.status().expect("the board answers").polarity {
-            // Counts were lost: its home is elsewhere now, as the board counts.
+        if !rig.tool.status().expect("the board replies").polarity {
+            // Counts were lost, so the home pose has other counts now.
             rig.check_hanging();
             rig.with_simulated(move |device| {
                 device.place(home);
@@ -196,19 +204,20 @@ impl Campaign {
         rig.with_simulated(|device| push(device, [0.0, PUSH, 0.0], 0.3));
         // Torque rises for half a second.
         rig.run(700 * MILLISECOND);
-        let status = rig.tool.status().expect("the board answers");
+        let status = rig.tool.status().expect("the board replies");
         assert_eq!(status.state, State::Armed, "{status:?}");
     }
 
-    /// Breaks one thing at the `phase`th tenth of a control period, and watches.
+    /// Injects an error at the `phase`th tenth of a control period, and observes the effect.
     ///
     /// # Panics
     ///
-    /// When the board refuses what it must not, or bridges float without a fault.
+    /// If the board wrongly refuses a request, or bridges float without a fault.
     pub fn run(&mut self, case: &Case, phase: u64) -> Outcome {
-        self.ready();
+        self.prepare();
         let rig = &mut self.rig;
-        // Steps come at multiples of the control period from the first on, whatever the time is.
+        // Step times are multiples of the control period after the first step, not of the clock, so wait for a step
+        // first.
         let period = 1_000_000_000 / u64::from(self.rate);
         let steps = rig.steps();
         while rig.steps() == steps {
@@ -221,23 +230,23 @@ impl Campaign {
             stopped.hardware().peaks = Peaks::default();
             cause(stopped.hardware());
         });
-        let floats = rig.shared.board().run_until(PATIENCE, 25 * MICROSECOND, disabled);
+        let floats = rig.shared.board().run_until(MAX_WAIT, 25 * MICROSECOND, disabled);
         let after = rig.now() - began;
         let peaks = rig.with(|stopped| stopped.hardware().peaks);
-        let status = rig.tool.status().expect("the board answers");
-        assert_eq!(floats, status.state == State::Fault, "{}: {status:?}", case.what);
-        assert!(!floats || rig.with(off), "{}: {status:?}", case.what);
+        let status = rig.tool.status().expect("the board replies");
+        assert_eq!(floats, status.state == State::Fault, "{}: {status:?}", case.name);
+        assert!(!floats || rig.with(bridges_off), "{}: {status:?}", case.name);
         Outcome { fault: status.fault.map(|record| record.fault), after, peaks }
     }
 }
 
-/// Returns true if the power stages are disabled, even if a bridge is stuck.
+/// Returns true if the power stages are disabled. A stuck bridge does not count.
 fn disabled(stopped: &mut crate::run::StoppedBoard<'_>) -> bool {
     let board = stopped.hardware();
     board.wiring.is_some_and(|wiring| board.level(wiring.enable) == Level::Low)
 }
 
-/// The row of a case at a rate: the worst of every number over the phases.
+/// Returns the row of an error at a rate: the worst value of each column over the phases.
 #[must_use]
 pub fn row(case: &Case, rate: u32, outcomes: &[Outcome]) -> String {
     let names: BTreeSet<&str> = outcomes.iter().map(|outcome| outcome.fault.map_or("nobody", Fault::name)).collect();
@@ -249,7 +258,7 @@ pub fn row(case: &Case, rate: u32, outcomes: &[Outcome]) -> String {
         false => format!("{:.2}", most(|outcome| outcome.after as f64 * 1e-6)),
     };
     csv_line([
-        case.what,
+        case.name,
         &rate.to_string(),
         &names.join(", "),
         &after,
@@ -259,11 +268,11 @@ pub fn row(case: &Case, rate: u32, outcomes: &[Outcome]) -> String {
     ])
 }
 
-/// The whole campaign, as docs/results/broken.csv has it; the rates run side by side.
+/// Runs the complete campaign and returns docs/results/broken.csv. The rates run in parallel.
 ///
 /// # Panics
 ///
-/// When a board refuses what it must not.
+/// If a board wrongly refuses a request.
 #[must_use]
 pub fn table() -> String {
     let at_rate = |rate| {

@@ -1,21 +1,21 @@
-//! Devices in scenes whose control interrupt is measured, and put under load.
+//! Devices and scenes whose control interrupt is measured and tested under load.
 
 use crate::boards::BoardKind;
 use crate::contact::WallAt;
 use crate::rig::Rig;
 
-/// The contacts of a device. A wall has the feed-forward in full unless it says otherwise.
+/// Scene of a case. Walls have the full feed-forward unless noted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Meets {
-    /// Nothing.
+pub enum SceneKind {
+    /// No walls, springs or fields.
     Nothing,
     /// A spring and a damping field.
     Spring,
     /// One flat wall.
     Wall,
-    /// The same without the feed-forward.
+    /// One flat wall without feed-forward.
     WallOff,
-    /// The same with a feed-forward that is washed out.
+    /// One flat wall with a washed-out feed-forward.
     WallWashed,
     /// One round wall.
     Ball,
@@ -25,8 +25,8 @@ pub enum Meets {
     Corner,
 }
 
-impl Meets {
-    /// Its name in a table.
+impl SceneKind {
+    /// Returns the scene's name in a table.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -41,7 +41,7 @@ impl Meets {
         }
     }
 
-    /// The walls.
+    /// Returns the scene's walls.
     fn walls(self) -> Vec<WallAt> {
         let one = WallAt::facing([0.0, -1.0, 0.0]);
         match self {
@@ -52,75 +52,75 @@ impl Meets {
             Self::Ball => vec![WallAt { radius: Some(0.03), ..one }],
             Self::Corner => {
                 let other = WallAt::facing([-1.0, 0.0, 0.0]);
-                // If both were as stiff, there would be nothing to shape.
+                // With equal stiffness there would be nothing to shape.
                 vec![one, WallAt { stiffness: 0.5 * other.stiffness, ..other }]
             }
         }
     }
 
-    /// Number of walls that it touches.
+    /// Returns the number of walls that the tip touches.
     #[must_use]
     pub fn contacts(self) -> usize {
         self.walls().len()
     }
 }
 
-/// A device in a scene on a board, pushed into what it meets, telemetry of every step streaming.
+/// A device in a scene on a board: the tip is pushed into the walls, and telemetry of every step is streamed.
 #[derive(Clone, Copy, Debug)]
 pub struct Case {
     /// The board.
     pub board: BoardKind,
-    /// The device file.
+    /// Name of the device file.
     pub device: &'static str,
     /// The scene.
-    pub meets: Meets,
+    pub scene_kind: SceneKind,
     /// Control rate, Hz.
     pub rate_hz: u32,
-    /// The most instructions that a step is meant to take on average.
+    /// Target for the mean number of instructions of a step.
     pub target: u64,
 }
 
-const fn case(board: BoardKind, device: &'static str, meets: Meets, target: u64) -> Case {
-    Case { board, device, meets, rate_hz: 20_000, target }
+const fn case(board: BoardKind, device: &'static str, scene_kind: SceneKind, target: u64) -> Case {
+    Case { board, device, scene_kind, rate_hz: 20_000, target }
 }
 
-/// The cases that are measured stage by stage, and kept.
+/// Cases that are measured stage by stage, with recorded results.
 pub const CASES: [Case; 5] = [
-    case(BoardKind::OdriveV3, "pantograph-mk2", Meets::Wall, 800),
-    case(BoardKind::OdriveV3, "pantograph-mk2", Meets::Corner, 1200),
-    case(BoardKind::HBridgeF405, "phantom-premium-1.5", Meets::Wall, 1150),
-    case(BoardKind::HBridgeF405, "woodenhaptics", Meets::Wall, 1150),
-    case(BoardKind::HBridgeF405, "fictive-five-bar-turret", Meets::Wall, 1150),
+    case(BoardKind::OdriveV3, "pantograph-mk2", SceneKind::Wall, 800),
+    case(BoardKind::OdriveV3, "pantograph-mk2", SceneKind::Corner, 1200),
+    case(BoardKind::HBridgeF405, "phantom-premium-1.5", SceneKind::Wall, 1150),
+    case(BoardKind::HBridgeF405, "woodenhaptics", SceneKind::Wall, 1150),
+    case(BoardKind::HBridgeF405, "fictive-five-bar-turret", SceneKind::Wall, 1150),
 ];
 
-/// Every other kind of scene, on a five-bar.
+/// All other kinds of scenes, on a five-bar.
 pub const SCENES: [Case; 6] = [
-    case(BoardKind::OdriveV3, "pantograph-mk2", Meets::Nothing, 880),
-    case(BoardKind::OdriveV3, "pantograph-mk2", Meets::Spring, 880),
-    case(BoardKind::OdriveV3, "pantograph-mk2", Meets::WallOff, 880),
-    case(BoardKind::OdriveV3, "pantograph-mk2", Meets::WallWashed, 880),
-    case(BoardKind::OdriveV3, "pantograph-mk2", Meets::Ball, 880),
-    case(BoardKind::OdriveV3, "pantograph-mk2", Meets::WallAndSpring, 880),
+    case(BoardKind::OdriveV3, "pantograph-mk2", SceneKind::Nothing, 880),
+    case(BoardKind::OdriveV3, "pantograph-mk2", SceneKind::Spring, 880),
+    case(BoardKind::OdriveV3, "pantograph-mk2", SceneKind::WallOff, 880),
+    case(BoardKind::OdriveV3, "pantograph-mk2", SceneKind::WallWashed, 880),
+    case(BoardKind::OdriveV3, "pantograph-mk2", SceneKind::Ball, 880),
+    case(BoardKind::OdriveV3, "pantograph-mk2", SceneKind::WallAndSpring, 880),
 ];
 
 impl Case {
-    /// Its name in the table.
+    /// Returns the case's name in the table.
     #[must_use]
     pub fn name(&self) -> String {
-        format!("{}, {}, {}, {} kHz", self.board.name(), self.device, self.meets.name(), self.rate_hz / 1000)
+        format!("{}, {}, {}, {} kHz", self.board.name(), self.device, self.scene_kind.name(), self.rate_hz / 1000)
     }
 
-    /// A rig in contact with what this case meets at `rate_hz`.
+    /// Returns a rig at `rate_hz` whose tip is in contact with the walls of this case.
     ///
     /// # Panics
     ///
-    /// When the board refuses anything.
+    /// If the board refuses a request.
     #[must_use]
     pub fn rig(&self, rate_hz: u32) -> Rig {
         let mut head = format!("rate_hz = {rate_hz}\ngravity_compensation = true\n");
-        if matches!(self.meets, Meets::Spring | Meets::WallAndSpring) {
+        if matches!(self.scene_kind, SceneKind::Spring | SceneKind::WallAndSpring) {
             head += "[[spring]]\npoint = [0.0, 0.1]\nstiffness = 50.0\ndamping = 0.5\n[[field]]\ndamping = 0.5\n";
         }
-        Rig::in_contact(self.board, self.device, &head, &self.meets.walls(), 0.8)
+        Rig::in_contact(self.board, self.device, &head, &self.scene_kind.walls(), 0.8)
     }
 }

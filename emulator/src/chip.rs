@@ -1,11 +1,11 @@
-//! The microcontroller: rigless' STM32F427 turned into the STM32F405 that the boards carry.
+//! The microcontroller: rigless' STM32F427 turned into the STM32F405 of the boards.
 //!
-//! Taken over from rigless unchanged: the core, RCC, PWR, GPIO, timers, converters, SPI, DMA, watchdog. Replaced: the
-//! memory sizes, the contents of the flash array ([`flash`]), the USB core in device mode ([`otg`]), and the wires from
+//! Unchanged from rigless: the core, RCC, PWR, GPIO, timers, converters, SPI, DMA, watchdog. Replaced: the memory
+//! sizes, the contents of the flash array ([`flash`]), the USB core in device mode ([`otg`]), and the connections from
 //! timer triggers to converters and from TIM1 to TIM8 ([`trigger`]).
 //!
-//! rigless builds its part around a bus of its own description. Here the part runs on a bus of *our* description
-//! ([`map`]) that holds the part's own slots, in the same order; a system reset hands the part its old bus back first.
+//! rigless builds its part with its own bus. Here the part runs on a bus of *our* description ([`map`]) that holds the
+//! part's own slots, in the same order. A system reset first returns the original bus to the part.
 
 pub mod flash;
 pub mod hook;
@@ -28,16 +28,16 @@ use flash::FlashUnit;
 use otg::Otg;
 use trigger::{Converter, MasterTimer};
 
-/// The blocks that the vendor's file splits the USB core into, in address order.
+/// Blocks into which the vendor's file splits the USB core, in address order.
 pub const OTG_BLOCKS: [&str; 4] = ["OTG_FS_GLOBAL", "OTG_FS_HOST", "OTG_FS_DEVICE", "OTG_FS_PWRCLK"];
 
-/// Which model of ours answers for a slot.
+/// Our model that replaces the part's model of a slot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Ours {
+enum OwnModel {
     None,
     Otg(usize),
     Flash,
-    /// A table of ours without a model.
+    /// Our register table without a model.
     Exti,
     Advanced(usize),
     Converter(usize),
@@ -47,13 +47,13 @@ enum Ours {
 #[derive(Debug)]
 pub struct Chip {
     part: Stm32f427,
-    /// The bus the part was built with, its slots moved out.
+    /// The bus that the part was built with, without its slots.
     parked: Bus,
-    ours: Vec<Ours>,
+    own_models: Vec<OwnModel>,
     otg_slot: usize,
-    /// Restarts so far.
+    /// Number of restarts so far.
     pub restarts: u64,
-    /// The USB core and the cable's far end.
+    /// The USB core and the computer at the cable's other end.
     pub otg: Otg,
     /// The flash interface with its array.
     pub flash: FlashUnit,
@@ -77,21 +77,21 @@ impl DerefMut for Chip {
 }
 
 impl Chip {
-    /// The chip out of power-on with nothing on its pins.
+    /// Returns the chip after power-on with unconnected pins.
     ///
     /// # Errors
     ///
-    /// A wrong description of the part, which is a bug here.
+    /// If the description of the part is wrong, which is a bug here.
     pub fn new() -> Result<Self, Error> {
         let part = Stm32f427::new()?;
         let bus = map::bus(part.bus())?;
         let bus_slot = bus.slot(OTG_BLOCKS[0])?;
-        let ours = bus.slots().iter().map(|slot| owner(slot.peripheral().name)).collect();
+        let own_models = bus.slots().iter().map(|slot| owner(slot.peripheral().name)).collect();
         let mut chip = Self {
             part,
             parked: bus,
             otg_slot: bus_slot,
-            ours,
+            own_models,
             restarts: 0,
             otg: Otg::default(),
             flash: flash::unit(),
@@ -100,40 +100,41 @@ impl Chip {
         };
         chip.exchange();
         chip.check()?;
-        chip.name_itself(VirtualNanos(0));
+        chip.set_device_id(VirtualNanos(0));
         Ok(chip)
     }
 
-    /// Tells programs that this is an STM32F405, of revision Y (RM0090 section 38.6.1).
-    fn name_itself(&mut self, at: VirtualNanos) {
+    /// Sets the identity that programs read: STM32F405, revision Y (RM0090 section 38.6.1).
+    fn set_device_id(&mut self, at: VirtualNanos) {
         let slot = self.bus().slot_of("DBG").expect("the part has a debug component");
         let (registers, _) = self.part.bus_mut().drive(at, slot);
         registers.set(DebugRegister::DbgmcuIdcode, 0x100F_6413);
     }
 
-    /// Swaps the bus in use with the parked one. The slots of the part's own models move along, so what they hold,
-    /// what gates them and how they are corrected is the same on either.
+    /// Swaps the active bus with the parked bus. The slots of the part's own models move along, so their contents,
+    /// gates and corrections are equal on both.
     fn exchange(&mut self) {
-        let Self { part, parked, ours, .. } = self;
-        for (index, owner) in ours.iter().enumerate() {
-            if !matches!(owner, Ours::Otg(_) | Ours::Exti) {
+        let Self { part, parked, own_models, .. } = self;
+        for (index, owner) in own_models.iter().enumerate() {
+            if !matches!(owner, OwnModel::Otg(_) | OwnModel::Exti) {
                 std::mem::swap(parked.slot_mut(index), part.bus_mut().slot_mut(index));
             }
         }
         std::mem::swap(parked, part.bus_mut());
     }
 
-    /// The bus and the advanced timers, apart, to drive a timer's input.
+    /// Returns the bus and the advanced timers separately, to drive a timer's input.
     pub fn bus_and_timers(&mut self) -> (&mut Bus, &mut [MasterTimer]) {
         (self.part.bus_mut(), &mut self.advanced)
     }
 
-    /// A rising edge at pin `line` of port `port` (0 for A): latched where the firmware selected the port for the line
-    /// (SYSCFG), its rising edges and its request (RM0090 section 12.3). No model of rigless does this.
+    /// Applies a rising edge to pin `line` of port `port` (0 for A). The edge is latched if the firmware selected the
+    /// port for the line (SYSCFG) and enabled rising edges and the request (RM0090 section 12.3). rigless has no model
+    /// for this.
     ///
     /// # Panics
     ///
-    /// When the part has no such controller, which is a bug here.
+    /// If the part has no such controller, which is a bug here.
     pub fn rising_edge(&mut self, at: VirtualNanos, port: usize, line: u32) {
         let selected = self.register("SYSCFG", 0x08 + 4 * (line / 4)) >> (4 * (line % 4)) & 0xF;
         let enabled = self.register("EXTI", map::exti::RISING) & self.register("EXTI", map::exti::MASK) & (1 << line);
@@ -144,20 +145,20 @@ impl Chip {
         }
     }
 
-    /// The crystal stops. Answers whether the clock security system was on, which flags it and goes on with the chip's
-    /// own oscillator (RM0090 section 7.2.7); its wire to the core's non-maskable interrupt is not modelled.
+    /// Stops the crystal. Returns true if the clock security system was on: it sets its flag and switches to the chip's
+    /// internal oscillator (RM0090 section 7.2.7). Its connection to the core's non-maskable interrupt is not modelled.
     pub fn stop_crystal(&mut self, at: VirtualNanos) -> bool {
         self.part.drive_clocks(at, |clocks, registers, context| clocks.fail_hse(registers, context));
         self.register("RCC", map::rcc::INTERRUPTS) & map::rcc::CLOCK_FAILED != 0
     }
 
-    /// Gives the chip so many millivolts. Answers whether its supply monitor asks for its interrupt: the monitor's
-    /// output has risen on line 16, where rising edges and requests are let through (RM0090 sections 5.2.2 and 12.2.5).
-    /// No model of rigless joins the two.
+    /// Sets the chip's supply voltage. Returns true if the supply monitor requests its interrupt: the monitor's output
+    /// has risen on line 16 with enabled rising edges and requests (RM0090 sections 5.2.2 and 12.2.5). rigless does not
+    /// connect the two.
     ///
     /// # Panics
     ///
-    /// When the part has no such controller, which is a bug here.
+    /// If the part has no such controller, which is a bug here.
     pub fn supply(&mut self, at: VirtualNanos, millivolts: u32) -> bool {
         let low = |chip: &Self| chip.register("PWR", map::power::STATUS) & map::power::SUPPLY_LOW != 0;
         let before = low(self);
@@ -172,22 +173,23 @@ impl Chip {
         true
     }
 
-    /// Changes a word of the flash as age or radiation would, without the interface; in force when the run goes on.
+    /// Changes a word of the flash as age or radiation would, bypassing the interface. Takes effect when the run
+    /// continues.
     ///
     /// # Panics
     ///
-    /// When the part has no flash interface, which is a bug here.
-    pub fn spoil_flash(&mut self, at: VirtualNanos, address: u64, word: u32) {
+    /// If the part has no flash interface, which is a bug here.
+    pub fn corrupt_flash(&mut self, at: VirtualNanos, address: u64, word: u32) {
         let slot = self.bus().slot_of("FLASH").expect("the part has a flash interface");
         let (_, mut context) = self.part.bus_mut().drive(at, slot);
         context.program(address, Width::W32, u64::from(word), flash::WRITTEN);
     }
 
-    /// The registers of the instance called `name`.
+    /// Returns a register of the instance called `name`.
     ///
     /// # Panics
     ///
-    /// When the part has no such instance, which is a bug of the caller.
+    /// If the part has no such instance, which is a bug of the caller.
     #[must_use]
     pub fn register(&self, name: &str, offset: u32) -> u64 {
         let bus = self.part.bus();
@@ -199,20 +201,20 @@ impl Chip {
     }
 }
 
-fn owner(instance: &str) -> Ours {
+fn owner(instance: &str) -> OwnModel {
     if let Some(block) = OTG_BLOCKS.iter().position(|&name| name == instance) {
-        return Ours::Otg(block);
+        return OwnModel::Otg(block);
     }
     if let Some(nth) = ADVANCED_TIMERS.iter().position(|timer| timer.instance == instance) {
-        return Ours::Advanced(nth);
+        return OwnModel::Advanced(nth);
     }
     if let Some(nth) = CONVERTERS.iter().position(|&name| name == instance) {
-        return Ours::Converter(nth);
+        return OwnModel::Converter(nth);
     }
     match instance {
-        "FLASH" => Ours::Flash,
-        "EXTI" => Ours::Exti,
-        _ => Ours::None,
+        "FLASH" => OwnModel::Flash,
+        "EXTI" => OwnModel::Exti,
+        _ => OwnModel::None,
     }
 }
 
@@ -227,12 +229,12 @@ impl Mcu for Chip {
 
     fn reset(&mut self, at: VirtualNanos, cause: ResetCause) {
         self.exchange();
-        // Our bus of before, with the count of events that models may still wait for.
-        let before = std::mem::replace(&mut self.parked, map::bus(self.part.bus()).expect("described once already"));
+        // Our previous bus, with the count of events that models may still wait for.
+        let before = std::mem::replace(&mut self.parked, map::bus(self.part.bus()).expect("a valid description"));
         self.part.reset(at, cause);
         self.parked.keep_added(&before).expect("the same description");
         self.exchange();
-        self.name_itself(at);
+        self.set_device_id(at);
         self.restarts += 1;
         self.otg.chip_reset();
         self.flash = flash::unit();
@@ -248,20 +250,20 @@ impl Mcu for Chip {
     }
 
     fn poll(&mut self, now: VirtualNanos) {
-        // The part's own poll asks its serial ports alone, and nothing hangs on those.
+        // The part's own poll concerns only its serial ports, which are not connected.
         let Self { part, otg, otg_slot, .. } = self;
         let (_, mut context) = part.bus_mut().drive(now, *otg_slot);
-        otg.look_outside(&mut context);
+        otg.update_host(&mut context);
     }
 
     fn split(&mut self, slot: usize) -> (&mut Bus, Option<&mut dyn ErasedDevice>) {
-        let Self { part, ours, otg, flash, advanced, converters, .. } = self;
-        let model: &mut dyn ErasedDevice = match ours.get(slot) {
-            None | Some(Ours::None | Ours::Exti) => return part.split(slot),
-            Some(&Ours::Otg(block)) => otg.answering_for(block),
-            Some(Ours::Flash) => flash,
-            Some(&Ours::Advanced(nth)) => &mut advanced[nth],
-            Some(&Ours::Converter(nth)) => &mut converters[nth],
+        let Self { part, own_models, otg, flash, advanced, converters, .. } = self;
+        let model: &mut dyn ErasedDevice = match own_models.get(slot) {
+            None | Some(OwnModel::None | OwnModel::Exti) => return part.split(slot),
+            Some(&OwnModel::Otg(block)) => otg.answering_for(block),
+            Some(OwnModel::Flash) => flash,
+            Some(&OwnModel::Advanced(nth)) => &mut advanced[nth],
+            Some(&OwnModel::Converter(nth)) => &mut converters[nth],
         };
         (part.bus_mut(), Some(model))
     }

@@ -1,4 +1,4 @@
-//! A device whose tip stands before walls, pushed into them by a hand.
+//! A device whose tip is in front of walls, pushed into them by a hand.
 
 use std::time::Duration;
 
@@ -11,32 +11,32 @@ use crate::hands::{hang, hold, push};
 use crate::rig::Rig;
 use crate::run::{MILLISECOND, SECOND};
 
-/// A wall before the tip, by where the tip starts.
+/// A wall relative to the tip's initial position.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WallAt {
-    /// Unit normal, pointing to the free side.
+    /// Unit normal towards the free side.
     pub normal: [f64; 3],
-    /// Radius of a ball, m; a plane without.
+    /// Radius of a sphere, m; `None` for a plane.
     pub radius: Option<f64>,
-    /// From the tip to the wall at the start, m.
+    /// Distance from the tip to the wall at the start, m.
     pub gap: f64,
-    /// N/m
+    /// Stiffness, N/m.
     pub stiffness: f64,
-    /// N s/m
+    /// Damping, N s/m.
     pub damping: f64,
     /// `off`, `full` or `washout`.
     pub feed_forward: &'static str,
 }
 
 impl WallAt {
-    /// A wall of 500 N/m with the feed-forward in full, 3 mm from the tip.
+    /// Returns a wall of 500 N/m with the full feed-forward, 3 mm from the tip.
     #[must_use]
     pub fn facing(normal: [f64; 3]) -> Self {
         Self { normal, radius: None, gap: 0.003, stiffness: 500.0, damping: 1.0, feed_forward: "full" }
     }
 }
 
-/// The scene file with `walls` before a tip at `tip` of a task of `task` dimensions; `head` comes first.
+/// Returns the scene file with `head` and `walls` in front of a tip at `tip`, in a task of `task` dimensions.
 #[must_use]
 pub fn scene(head: &str, tip: [f64; 3], task: usize, walls: &[WallAt]) -> String {
     let list = |values: [f64; 3]| values.iter().take(task).map(|x| format!("{x:?}")).collect::<Vec<_>>().join(", ");
@@ -55,12 +55,12 @@ pub fn scene(head: &str, tip: [f64; 3], task: usize, walls: &[WallAt]) -> String
 }
 
 impl Rig {
-    /// A board with a device that was homed, held, armed before `walls`, and is pushed into them by `newtons` along
-    /// each of their normals for half a second.
+    /// Returns a board whose device is homed, held and armed in front of `walls`, and was pushed into them for half a
+    /// second with `newtons` along each normal.
     ///
     /// # Panics
     ///
-    /// When the board refuses anything.
+    /// If the board refuses a request.
     #[must_use]
     pub fn in_contact(
         kind: impl Into<&'static Wiring>,
@@ -77,12 +77,12 @@ impl Rig {
         rig
     }
 
-    /// Loads the device with a scene without walls, homes it while somebody holds it still, and has its polarity
-    /// checked; a firm hand holds it after that. The counts at which it was homed.
+    /// Loads the device with a scene without walls, homes it while it is held still, and checks its polarity; then a
+    /// firm hand holds it. Returns the counts at homing.
     ///
     /// # Panics
     ///
-    /// When the board refuses anything.
+    /// If the board refuses a request.
     pub fn prepare(&mut self, head: &str) -> [i32; 3] {
         self.load(head);
         self.with_simulated(|device| device.set_support(Support::Held));
@@ -94,18 +94,18 @@ impl Rig {
         home
     }
 
-    /// Has the polarity checked of a device that hangs meanwhile.
+    /// Checks the polarity while the device hangs.
     ///
     /// # Panics
     ///
-    /// When the board refuses, or the check fails.
+    /// If the board refuses the request, or the check fails.
     pub fn check_hanging(&mut self) {
         self.with_simulated(hang);
         self.check_polarity();
         self.with_simulated(|device| device.set_support(Support::None));
     }
 
-    /// The encoders' counts as the board has them: what turned before it started is not in them.
+    /// Returns the encoder counts of the board, which do not include turns before it started.
     fn counts(&mut self) -> [i32; 3] {
         self.tool.start_stream(Fields(Field::Counts.bit()), 1).expect("a stream starts");
         let mut rows = Vec::new();
@@ -113,16 +113,16 @@ impl Rig {
             rows = self.tool.rows(Duration::from_millis(100)).expect("rows come");
         }
         self.tool.stop_stream().expect("the stream stops");
-        let told = rows.last().map(|row| row.get(Field::Counts).to_vec()).unwrap_or_default();
-        std::array::from_fn(|i| told.get(i).map_or(0, |count| *count as i32))
+        let counts = rows.last().map(|row| row.get(Field::Counts).to_vec()).unwrap_or_default();
+        std::array::from_fn(|i| counts.get(i).map_or(0, |count| *count as i32))
     }
 
-    /// Prepares the device, loads `walls` before the tip, wherever the polarity check took it, and arms. The scene's
-    /// text.
+    /// Prepares the device, loads `walls` in front of the tip at its position after the polarity check, and arms.
+    /// Returns the scene's text.
     ///
     /// # Panics
     ///
-    /// When the board refuses anything.
+    /// If the board refuses a request.
     pub fn arm_before(&mut self, head: &str, walls: &[WallAt]) -> String {
         self.prepare(head);
         let tip = self.with_simulated(|device| device.tip());

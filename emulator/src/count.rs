@@ -1,22 +1,22 @@
-//! Counts instructions of marked stretches of a bench image on the emulated chip, exact and the same on every run.
+//! Counts the instructions between the markers of a counting image on the emulated chip. The counts are exact and equal
+//! on every run.
 //!
 //! The image is any ELF file for the chip with these symbols (`#[unsafe(no_mangle)]`, `#[inline(never)]`, and bodies
-//! that differ from each other, or the linker merges them):
+//! that differ from each other, because the linker merges equal functions):
 //!
 //! | symbol | what it is |
 //! |---|---|
-//! | `bench_begin`, `bench_end` | functions called right before and right after what is counted |
-//! | `bench_done` | a function called once, after everything |
+//! | `bench_begin`, `bench_end` | functions called immediately before and after the counted code |
+//! | `bench_done` | a function called once, at the end |
 //! | `BENCH_NAME` | a `[u32; 2]`, address and length of the variant's name (a `&'static str`), written before `bench_begin` |
 //! | `BENCH_RESULT` | optional, words written before `bench_end`, reported bit for bit (f32 as its bits) |
 //!
-//! Between the markers take inputs and hand on outputs through `core::hint::black_box`, or the compiler moves the work
-//! outside: `bench_begin(); let y = black_box(f(black_box(x))); bench_end();`.
+//! Pass inputs and outputs between the markers through `core::hint::black_box`, because the compiler may move other
+//! work outside: `bench_begin(); let y = black_box(f(black_box(x))); bench_end();`.
 //!
-//! A call of a variant counts the instructions from entering `bench_begin` to entering `bench_end`. A variant named
-//! `empty` (nothing between the markers) is the cost of the markers themselves: it is subtracted from the others.
-//! Variants are reported in the order of their first call; calling one with several inputs gives minimum, maximum and
-//! mean.
+//! A call of a variant counts the instructions from entering `bench_begin` to entering `bench_end`. The variant `empty`
+//! (nothing between the markers) gives the cost of the markers, which is subtracted from the other variants. Variants
+//! are reported in the order of their first call; several calls with different inputs give minimum, maximum and mean.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -29,45 +29,45 @@ use rigless::time::VirtualNanos;
 use crate::hardware::Hardware;
 use crate::image::{self, Firmware, Symbol};
 
-/// The counts of one variant.
+/// Counts of one variant.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Variant {
-    /// The name the image gave it.
+    /// Name of the variant in the image.
     pub name: String,
-    /// Instructions of each call, less the markers' own, in call order.
+    /// Instructions of each call without the markers, in call order.
     pub instructions: Vec<u64>,
-    /// `BENCH_RESULT` at the end of each call, in call order; empty where the image has none.
+    /// `BENCH_RESULT` at the end of each call, in call order; empty if the image has none.
     pub results: Vec<Vec<u32>>,
 }
 
 impl Variant {
-    /// The fewest instructions of any call.
+    /// Returns the smallest number of instructions of all calls.
     #[must_use]
     pub fn min(&self) -> u64 {
         self.instructions.iter().copied().min().unwrap_or(0)
     }
 
-    /// The most instructions of any call.
+    /// Returns the largest number of instructions of all calls.
     #[must_use]
     pub fn max(&self) -> u64 {
         self.instructions.iter().copied().max().unwrap_or(0)
     }
 
-    /// The mean over all calls.
+    /// Returns the mean over all calls.
     #[must_use]
     pub fn mean(&self) -> f64 {
         self.instructions.iter().sum::<u64>() as f64 / self.instructions.len().max(1) as f64
     }
 }
 
-/// Why an image could not be counted.
+/// Reason why an image could not be counted.
 #[derive(Debug)]
 pub enum Error {
-    /// The image is not there or lacks a marker.
+    /// The image does not exist or lacks a marker.
     Image(image::Error),
-    /// The emulator refused the image or stopped.
+    /// The emulator rejected the image or stopped.
     Emulator(String),
-    /// The image did not reach `bench_done` within this many virtual seconds.
+    /// The image did not reach `bench_done` within this number of virtual seconds.
     NeverDone(u64),
     /// The image broke the convention: an end without a begin, or a name that is not text.
     Markers(&'static str),
@@ -98,7 +98,7 @@ impl From<image::Error> for Error {
 ///
 /// # Errors
 ///
-/// An image without the markers, or one that does not finish.
+/// If the image has no markers or does not finish.
 pub fn count(firmware: &Firmware, seconds: u64) -> Result<Vec<Variant>, Error> {
     let driver = Counter {
         begin: firmware.symbol("bench_begin")?.address,
@@ -116,7 +116,7 @@ pub fn count(firmware: &Firmware, seconds: u64) -> Result<Vec<Variant>, Error> {
     };
     let emulator = |error: &dyn fmt::Display| Error::Emulator(error.to_string());
     let hardware = Hardware::bare().map_err(|error| emulator(&error))?;
-    // Watches are armed when the run first hands the session back, so the first stop comes at once.
+    // Watches can be set only at a stop, so the first stop comes at once.
     let session = Session::new(Box::new(hardware), 0, VirtualNanos(1)).map_err(|error| emulator(&error))?;
     let images = [firmware.image().map_err(|error| emulator(&error))?];
     let finished = emulator::run(session, &Start::new(&images), driver).map_err(|error| emulator(&error))?;

@@ -1,31 +1,31 @@
-//! An estimate, no measurement, of the cycles that a path of instructions takes on a Cortex-M4F that runs from the
-//! flash of an STM32F405 at 168 MHz.
+//! Estimates (does not measure) the cycles of a path of instructions on a Cortex-M4F that runs from the flash of an
+//! STM32F405 at 168 MHz.
 //!
-//! The core: the tables of instruction timings of ARM's Cortex-M4 technical reference manual (r0p1, sections 3.3 and
-//! 7.2.3). A load after a load is pipelined, a taken branch refills the pipeline in two cycles of the one to three that
-//! the manual gives, a skipped instruction is taken for an executed one. The flash: five wait states for each line of
-//! sixteen bytes, and what hides them (RM0090 sections 3.5.1 and 3.5.2): a cache of 64 lines of instructions, one of 8
-//! lines of constants, and the line after the present one fetched ahead; a fetch under way is waited for before another
-//! begins. The caches are empty at the first instruction. SRAM and registers answer at once; what DMA and USB take from
-//! the buses is not in it.
+//! The core follows the instruction timings of ARM's Cortex-M4 technical reference manual (r0p1, sections 3.3 and
+//! 7.2.3). A load after a load is pipelined; a taken branch refills the pipeline in two cycles, of the one to three in
+//! the manual; a skipped instruction counts as executed. The flash has five wait states per line of sixteen bytes, and
+//! an accelerator that hides them (RM0090 sections 3.5.1 and 3.5.2): a cache of 64 instruction lines, a cache of 8
+//! lines of constants, and a prefetch of the line after the present line. A running fetch ends before the next begins.
+//! The caches are empty at the first instruction. SRAM and registers reply at once; the bus load of DMA and USB is not
+//! included.
 
 use std::collections::VecDeque;
 
 use crate::trace::Code;
 
-/// The model of the flash's delay.
+/// Model of the flash's delay.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Flash {
-    /// At once: what the core alone takes.
+    /// No wait states: the time of the core alone.
     AtOnce,
-    /// With its wait states behind both caches and the fetching ahead.
+    /// Wait states with both caches and prefetch.
     Accelerated,
-    /// With its wait states for every line: what a reset leaves.
+    /// Wait states for every line, as after a reset.
     Bare,
 }
 
 impl Flash {
-    /// Every way, from the fastest.
+    /// All models, fastest first.
     pub const ALL: [Self; 3] = [Self::AtOnce, Self::Accelerated, Self::Bare];
 }
 
@@ -36,11 +36,11 @@ const INSTRUCTION_LINES: usize = 64;
 const DATA_LINES: usize = 8;
 /// Cycles to refill the pipeline after a taken branch.
 const REFILL: u64 = 2;
-/// Cycles into the exception and out of it, and those that put the FPU's registers away and fetch them again (Cortex-M4
-/// manual, section 3.9; ARM application note 298).
+/// Cycles to enter and leave the exception, and to save and restore the FPU's registers (Cortex-M4 manual, section 3.9;
+/// ARM application note 298).
 pub const EXCEPTION: u64 = 12 + 12 + 17 + 17;
 
-/// The purpose of an instruction.
+/// Purpose of an instruction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
     /// Arithmetic of the FPU.
@@ -49,12 +49,12 @@ pub enum Kind {
     Memory,
     /// Jumps, calls and returns.
     Branch,
-    /// Integers, moves, comparisons.
+    /// Integer instructions, moves, comparisons.
     Rest,
 }
 
 impl Kind {
-    /// Each, and its name in a table.
+    /// All kinds with their names in a table.
     pub const ALL: [(Self, &'static str); 4] = [
         (Self::Arithmetic, "arithmetic of the FPU"),
         (Self::Memory, "loads and stores"),
@@ -63,7 +63,7 @@ impl Kind {
     ];
 }
 
-/// Counts the instructions of a path by [`Kind::ALL`].
+/// Counts the instructions of a path, in the order of [`Kind::ALL`].
 #[must_use]
 pub fn kinds(code: &Code, path: &[u32]) -> [u64; Kind::ALL.len()] {
     let mut counts = [0; Kind::ALL.len()];
@@ -74,18 +74,18 @@ pub fn kinds(code: &Code, path: &[u32]) -> [u64; Kind::ALL.len()] {
     counts
 }
 
-/// The cost of an instruction by itself.
+/// Cost of a single instruction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Cost {
     kind: Kind,
     /// Bytes of the instruction.
     length: u32,
     cycles: u64,
-    /// True for a single load, which the next one overlaps.
+    /// True for a single load, which overlaps with a following load.
     load: bool,
-    /// The address of the constant that it loads from the code.
+    /// Address of the constant that the instruction loads from the code.
     constant: Option<u32>,
-    /// Registers of the FPU: the one that its arithmetic writes, and those that it reads.
+    /// FPU registers: the register that its arithmetic writes, and the registers that it reads.
     writes: Option<u16>,
     reads: [Option<u16>; 2],
 }
@@ -108,12 +108,13 @@ impl Cost {
     }
 }
 
-/// The constant at `offset` words from the word after `at`'s, as instructions relative to the program counter name it.
+/// Returns the address of the constant `words` words after the word that follows `at`'s, as PC-relative instructions
+/// address it.
 fn constant(at: u32, words: u16) -> Option<u32> {
     Some((at & !3).wrapping_add(4).wrapping_add(4 * u32::from(words)))
 }
 
-/// Encodings as in the ARMv7-M Architecture Reference Manual, chapters A5 and A6.
+/// Returns the cost of the instruction at `at`. Encodings: ARMv7-M Architecture Reference Manual, chapters A5 and A6.
 fn cost(code: &Code, at: u32) -> Cost {
     let first = code.half(at);
     if first >> 11 >= 0b11101 {
@@ -138,7 +139,7 @@ fn cost(code: &Code, at: u32) -> Cost {
 fn wide(first: u16, second: u16, at: u32) -> Cost {
     let loads = first & 0x10 != 0;
     match first {
-        // LDM, STM; TBB; LDRD, STRD and the exclusive ones.
+        // LDM, STM; TBB; LDRD, STRD and the exclusive variants.
         _ if first & 0xFE40 == 0xE800 => Cost::memory(4, 1 + u64::from(second.count_ones())),
         0xE8D0..=0xE8DF if second & 0xFFE0 == 0xF000 => Cost { cycles: 2, ..Cost::branch(4) },
         _ if first & 0xFE40 == 0xE840 => Cost::memory(4, 3),
@@ -151,24 +152,24 @@ fn wide(first: u16, second: u16, at: u32) -> Cost {
         _ if first & 0xFFE0 == 0xEC40 => Cost::of(4, 2),
         _ if first & 0xFE00 == 0xEC00 => Cost::memory(4, 1 + u64::from(second & 0xFF)),
         _ if first & 0xFF00 == 0xEE00 && second & 0x10 == 0 => arithmetic(first, second),
-        // LDR and STR; those of a constant.
+        // LDR and STR; LDR of a constant.
         _ if first & 0xFE00 == 0xF800 && loads => {
             let relative = first & 0xF == 0xF && first & 0x80 != 0;
             Cost::load(4, relative.then(|| (at & !3).wrapping_add(4 + u32::from(second & 0xFFF))))
         }
         _ if first & 0xFE00 == 0xF800 => Cost::memory(4, 1),
-        // B and BL; what has no condition there are barriers and special registers.
+        // B and BL; the encodings without a condition are barriers and special registers.
         _ if first & 0xF800 == 0xF000 && second & 0x8000 != 0 => {
             let other = second & 0x5000 == 0 && first & 0x0380 == 0x0380;
             if other { Cost::of(4, 1) } else { Cost::branch(4) }
         }
-        // SDIV, UDIV at their longest.
+        // SDIV and UDIV: the longest time.
         _ if first & 0xFFD0 == 0xFB90 => Cost::of(4, 12),
         _ => Cost::of(4, 1),
     }
 }
 
-/// Arithmetic of the FPU.
+/// Returns the cost of an FPU instruction.
 fn arithmetic(first: u16, second: u16) -> Cost {
     let register = |number: u16, low: u16| Some((number & 0xF) << 1 | low & 1);
     let unary = first & 0xFFB0 == 0xEEB0;
@@ -190,13 +191,13 @@ fn arithmetic(first: u16, second: u16) -> Cost {
     }
 }
 
-/// Lines that were used last, the newest first.
+/// Most recently used lines, newest first.
 #[derive(Debug, Default)]
 struct Lines(VecDeque<u32>);
 
 impl Lines {
-    /// Returns true if `line` is there; it becomes the newest of at most `most`.
-    fn take(&mut self, line: u32, most: usize) -> bool {
+    /// Returns true if `line` is cached. Makes it the newest of at most `most` lines.
+    fn use_line(&mut self, line: u32, most: usize) -> bool {
         let place = self.0.iter().position(|&kept| kept == line);
         if let Some(place) = place {
             self.0.remove(place);
@@ -207,12 +208,12 @@ impl Lines {
     }
 }
 
-/// The flash during a run.
+/// State of the flash during a run.
 #[derive(Debug)]
-struct Fetching {
+struct FlashState {
     flash: Flash,
     now: u64,
-    /// When the array is free again.
+    /// Time at which the flash array is free again.
     free: u64,
     line: Option<u32>,
     ahead: Option<u32>,
@@ -220,8 +221,8 @@ struct Fetching {
     constants: Lines,
 }
 
-impl Fetching {
-    /// Reads a line of the array, and waits for it.
+impl FlashState {
+    /// Reads a line of the flash array and waits for it.
     fn read(&mut self) {
         self.now = self.now.max(self.free) + WAIT_STATES;
         self.free = self.now;
@@ -235,7 +236,7 @@ impl Fetching {
         if self.flash == Flash::Bare {
             return self.read();
         }
-        if !self.instructions.take(line, INSTRUCTION_LINES) {
+        if !self.instructions.use_line(line, INSTRUCTION_LINES) {
             if self.ahead == Some(line) {
                 self.now = self.now.max(self.free);
             } else {
@@ -249,17 +250,17 @@ impl Fetching {
     }
 
     fn constant(&mut self, at: u32) {
-        let there = self.constants.take(at / LINE, DATA_LINES) && self.flash == Flash::Accelerated;
-        if self.flash != Flash::AtOnce && !there {
+        let is_cached = self.constants.use_line(at / LINE, DATA_LINES) && self.flash == Flash::Accelerated;
+        if self.flash != Flash::AtOnce && !is_cached {
             self.read();
         }
     }
 }
 
-/// Cycles of the exception whose handler executes the instructions at `path`, in this order.
+/// Returns the cycles of an exception whose handler executes the instructions at `path`, in this order.
 #[must_use]
 pub fn estimate(code: &Code, path: &[u32], flash: Flash) -> u64 {
-    let mut fetching = Fetching {
+    let mut state = FlashState {
         flash,
         now: EXCEPTION,
         free: 0,
@@ -271,18 +272,18 @@ pub fn estimate(code: &Code, path: &[u32], flash: Flash) -> u64 {
     let mut before = Cost::of(0, 0);
     for (nth, &at) in path.iter().enumerate() {
         let cost = cost(code, at);
-        fetching.instruction(at);
-        fetching.instruction(at + cost.length - 1);
+        state.instruction(at);
+        state.instruction(at + cost.length - 1);
         if let Some(constant) = cost.constant {
-            fetching.constant(constant);
+            state.constant(constant);
         }
         let overlaps = u64::from(before.load && cost.load);
         let waits = u64::from(before.writes.is_some() && cost.reads.contains(&before.writes));
         let taken = path.get(nth + 1).is_some_and(|&next| next != at + cost.length);
-        fetching.now += cost.cycles - overlaps + waits + if taken { REFILL } else { 0 };
+        state.now += cost.cycles - overlaps + waits + if taken { REFILL } else { 0 };
         before = cost;
     }
-    fetching.now
+    state.now
 }
 
 #[cfg(test)]
@@ -296,19 +297,19 @@ mod tests {
     }
 
     #[test]
-    fn a_line_of_eight_instructions_hides_the_next_but_for_nothing() {
+    fn prefetch_hides_all_lines_but_the_first() {
         let path: Vec<u32> = (0..24).map(|nth| 0x1000 + 2 * nth).collect();
         let code = [NOP; 24];
         assert_eq!(straight(&code, &path, Flash::AtOnce), 24);
-        // Three lines, each waited for.
+        // Three lines, each with its wait states.
         assert_eq!(straight(&code, &path, Flash::Bare), 24 + 3 * 5);
-        // The first alone: fetching takes six cycles, executing the line before it eight.
+        // Only the first line: a fetch takes six cycles, the execution of the line before it eight.
         assert_eq!(straight(&code, &path, Flash::Accelerated), 24 + 5);
     }
 
     #[test]
-    fn wide_instructions_outrun_the_fetching_ahead() {
-        // movw r0, #0, four a line: each further line is there two cycles late.
+    fn wide_instructions_are_faster_than_the_prefetch() {
+        // movw r0, #0, four per line: each further line arrives two cycles late.
         let code = [[0xF240, 0x0000]; 12].concat();
         let path: Vec<u32> = (0..12).map(|nth| 0x1000 + 4 * nth).collect();
         assert_eq!(straight(&code, &path, Flash::Accelerated), 12 + 5 + 2 * 2);
@@ -325,7 +326,7 @@ mod tests {
     }
 
     #[test]
-    fn instructions_cost_what_the_manual_says() {
+    fn instructions_have_the_costs_of_the_manual() {
         let alone = |halves: &[u16]| straight(halves, &[0x1000], Flash::AtOnce);
         assert_eq!(alone(&[0x6808]), 2, "ldr r0, [r1]");
         assert_eq!(alone(&[0x6008]), 1, "str r0, [r1]");
@@ -342,7 +343,7 @@ mod tests {
     }
 
     #[test]
-    fn instructions_are_told_apart() {
+    fn instructions_are_classified() {
         let kind = |halves: &[u16]| cost(&Code::at(0x1000, halves), 0x1000).kind;
         for (halves, expected) in [
             (&[0xEE30, 0x0A20][..], Kind::Arithmetic),
@@ -367,7 +368,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_needed_at_once_is_waited_for() {
+    fn a_result_needed_at_once_costs_a_cycle() {
         // vadd s0, s1, s2; vadd s3, s0, s2; vadd s4, s1, s2
         let code = [0xEE30, 0x0A81, 0xEE70, 0x1A01, 0xEE30, 0x2A81];
         assert_eq!(straight(&code, &[0x1000, 0x1004, 0x1008], Flash::AtOnce), 4);
@@ -376,14 +377,14 @@ mod tests {
     }
 
     #[test]
-    fn a_constant_in_the_code_is_waited_for_once() {
+    fn a_constant_in_the_code_costs_one_fetch() {
         // ldr r0, [pc, #0x3C] twice: the word at 0x1040.
         let code = [0x480F, 0x480F];
         let path = [0x1000, 0x1002];
         assert_eq!(straight(&code, &path, Flash::AtOnce), 3);
-        // The line of the code, and that of the constant twice.
+        // One line of code, and the line of the constant twice.
         assert_eq!(straight(&code, &path, Flash::Bare), 3 + 5 + 2 * 5);
-        // Once, after the line that is being fetched ahead.
+        // The constant's line once, after the running prefetch.
         assert_eq!(straight(&code, &path, Flash::Accelerated), 3 + 5 + 6 + 5);
     }
 }

@@ -1,5 +1,5 @@
-//! The drawing of a board's wires, from the table that the emulated board is wired by ([`crate::boards`]), so that the
-//! page a builder follows and the tests speak of the same pins.
+//! Draws a board's wires from the table that wires the emulated board ([`crate::boards`]), so that the wiring page and
+//! the tests use the same pins.
 
 use haptic_show::plot::Picture;
 use haptic_show::plot::canvas::{Anchor, Canvas, Stroke};
@@ -7,23 +7,23 @@ use haptic_show::plot::colour::{FAINT, FULL, INK, OFF, WASHOUT};
 
 use crate::boards::{Pin, Wiring};
 
-/// Pixels between two wires, and between two parts.
+/// Distance between two wires, and between two parts, pixels.
 const ROW: f64 = 19.0;
 const GAP: f64 = 12.0;
-/// The column where the board ends, and the one where the parts begin.
+/// Column at which the board ends, and column at which the parts begin.
 const BOARD: f64 = 240.0;
 const PARTS: f64 = 470.0;
 const WIDTH: f64 = 720.0;
 
-/// A part that is connected to some wires.
+/// A part with its wires.
 struct Part {
     name: String,
     colour: &'static str,
-    /// The chip's pin, the part's, and what stands on the wire.
+    /// The chip's pin, the part's pin, and the label of the wire.
     wires: Vec<(Pin, &'static str, &'static str)>,
 }
 
-/// Draws a board of H-bridges; the resistors of its dividers are those that its page says.
+/// Draws a board of H-bridges; `current` and `bus` describe the resistors of the dividers.
 #[must_use]
 pub fn draw(wiring: &Wiring, title: &str, [current, bus]: [&'static str; 2]) -> Picture {
     let parts = parts(wiring, current, bus);

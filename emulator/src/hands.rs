@@ -2,7 +2,7 @@
 
 use haptic_sim::{Hand, HandSettings, Intent, SimulatedDevice, Support, Waypoint};
 
-/// A hand that gives way to nothing.
+/// Returns the settings of a very stiff hand.
 #[must_use]
 pub fn firm() -> HandSettings {
     HandSettings {
@@ -14,14 +14,14 @@ pub fn firm() -> HandSettings {
     }
 }
 
-/// A firm hand that keeps the tip where it is, as a person does while homing a device that would fall.
+/// Lets a firm hand hold the tip, as a person does while homing a device that would fall.
 pub fn hold(device: &mut SimulatedDevice) {
     let here = vec![Waypoint { time: 0.0, value: device.tip() }];
     device.set_hand(Hand::new(firm(), Intent::Follow(here), device.tip(), device.time()));
 }
 
-/// Hangs a device as the polarity check asks: carried by what has no inertia, and held a little by a rubber band, for what
-/// nothing holds does not stay where it is when a sensor's zero is off.
+/// Hangs a device for the polarity check: carried without inertia, and held lightly by a rubber band, because a free
+/// device drifts if a sensor has a zero offset.
 pub fn hang(device: &mut SimulatedDevice) {
     let band = HandSettings { grip_stiffness: 5.0, grip_damping: 0.5, ..firm() };
     let here = vec![Waypoint { time: 0.0, value: device.tip() }];
@@ -29,7 +29,7 @@ pub fn hang(device: &mut SimulatedDevice) {
     device.set_hand(Hand::new(band, Intent::Follow(here), device.tip(), device.time()));
 }
 
-/// A firm hand that moves the tip to and fro by `reach` (m) for `seconds`.
+/// Lets a firm hand move the tip to and fro by `reach` (m) for `seconds`.
 pub fn wander(device: &mut SimulatedDevice, reach: f64, seconds: f64) {
     let tip = device.tip();
     let place = |k: u32| tip.map(|x| if k % 2 == 1 { x + reach } else { x });
@@ -37,7 +37,7 @@ pub fn wander(device: &mut SimulatedDevice, reach: f64, seconds: f64) {
     device.set_hand(Hand::new(firm(), Intent::Follow(path), tip, device.time()));
 }
 
-/// A trembling hand that pushes the tip with `force` (N), reached in `seconds`.
+/// Lets a trembling hand push the tip with `force` (N), reached within `seconds`.
 pub fn push(device: &mut SimulatedDevice, force: [f64; 3], seconds: f64) {
     let path = vec![Waypoint::default(), Waypoint { time: seconds, value: force }];
     let settings = HandSettings { tremor: 2e-4, ..HandSettings::default() };

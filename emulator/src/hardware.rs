@@ -1,10 +1,10 @@
-//! The board around the chip: crystal, rail, power stages, sensors and encoders, wired as [`crate::boards`] says.
+//! The board around the chip: crystal, supply, power stages, sensors and encoders, wired as in [`crate::boards`].
 //!
-//! At every crest and valley of the carrier the time that each switch was on since the last one becomes the motors'
-//! voltage, the plant moves on by that time, and what its sensors see is put on the chip's pins: quadrature edges one
-//! after another, microvolts at the converters, levels at the fault and index pins. From extreme to extreme the mean of
-//! a centre-aligned carrier is its duty, so a motor without inductance sees its duty and not the carrier; ripple is
-//! not simulated. A chip whose carrier stands still moves the plant every [`PHYSICS_STEP`].
+//! At every crest and valley of the carrier, the on-times of the switches since the last extreme give the motors'
+//! voltages. The plant advances by the elapsed time, and its sensor values are applied to the chip's pins: quadrature
+//! edges one after another, microvolts at the converters, levels at the fault and index pins. Between two extremes the
+//! mean of a centre-aligned carrier is its duty, so the motor sees the duty and not the carrier; ripple is not
+//! simulated. If the carrier stands still, the plant advances every [`PHYSICS_STEP`].
 
 use std::num::{NonZeroU32, NonZeroU64};
 
@@ -26,31 +26,31 @@ use crate::chip::trigger::{REFERENCE_UV, Span};
 use crate::drv8301::Drv8301;
 use crate::plant::{Dummy, Peaks, Plant};
 
-/// Instructions a second of virtual time: 168 MHz at two cycles an instruction, the middle of the 1.9 to 2.3 that a
-/// cycle estimate of a control step gives on a Cortex-M4F with flash wait states hidden.
+/// Instructions per second of virtual time: 168 MHz at two cycles per instruction, the middle of the 1.9 to 2.3 from a
+/// cycle estimate of a control step on a Cortex-M4F with hidden flash wait states.
 pub const INSTRUCTIONS_PER_SECOND: NonZeroU64 = NonZeroU64::new(84_000_000).expect("not zero");
 
-/// Time between two steps of the plant without a carrier, ns: half a period of the slowest one.
+/// Time between two steps of the plant without a carrier, ns: half a period of the slowest carrier.
 pub const PHYSICS_STEP: u64 = 25_000;
-/// Time between two edges of one encoder, ns: more than the 95 ns its input filter needs.
+/// Time between two edges of one encoder, ns, longer than the 95 ns of its input filter.
 const EDGE_SPACING: u64 = 250;
 
-/// `ARR` of a timer.
+/// Offset of `ARR` of a timer.
 const AUTO_RELOAD: u32 = 0x2C;
-/// `MODER` and `PUPDR` of a port.
+/// Offsets of `MODER` and `PUPDR` of a port.
 const PORT_MODE: u32 = 0x00;
 const PORT_PULLS: u32 = 0x0C;
-/// `BDTR` of an advanced timer, and its main output enable.
+/// Offset of `BDTR` of an advanced timer, and its main output enable.
 const BREAK_AND_DEAD_TIME: u32 = 0x44;
 const MAIN_OUTPUT: u64 = 1 << 15;
 /// The 8 MHz crystal of all boards.
 const CRYSTAL_HZ: u64 = 8_000_000;
-/// The rail of a bare chip, in millivolts.
+/// Supply of a bare chip, mV.
 const RAIL_MV: u32 = 3300;
-/// SPI3 in rigless' order.
+/// Index of SPI3 in rigless.
 const SPI3: usize = 2;
 
-/// The two channels of an encoder at each of its four phases, and the order in which they follow at rising counts.
+/// Levels of an encoder's two channels in its four phases, in the order of rising counts.
 const QUADRATURE: [[Level; 2]; 4] =
     [[Level::Low, Level::Low], [Level::High, Level::Low], [Level::High, Level::High], [Level::Low, Level::High]];
 
@@ -59,28 +59,28 @@ const QUADRATURE: [[Level; 2]; 4] =
 pub struct Hardware {
     /// The microcontroller.
     pub chip: Chip,
-    /// The wiring of the board; `None` for a bare chip.
+    /// Wiring of the board; `None` for a bare chip.
     pub wiring: Option<&'static Wiring>,
-    /// The plant on the board's connectors.
+    /// Plant on the board's connectors.
     pub plant: Box<dyn Plant>,
-    /// The fault line is held down from outside, whatever the drivers say.
+    /// True if the fault line is held low from outside.
     pub fault_line_shorted: bool,
-    /// Encoders whose plugs are pulled: their lines stand still.
+    /// True for each encoder with pulled plugs: its lines do not change.
     pub encoders_unplugged: [bool; 3],
-    /// Edges of each encoder that its timer will still miss.
+    /// Number of edges of each encoder that its timer will still miss.
     pub edges_lost: [u32; 3],
-    /// From the next start on the chip's pin at the bus divider has no wire.
+    /// True if the chip's pin at the bus divider has no wire from the next start on.
     pub bus_cut: bool,
-    /// The other faults.
+    /// Other injected errors.
     pub broken: Broken,
-    /// The most current, speed and travel since this was last set to its default.
+    /// Largest current, speed and travel since the last reset of this field.
     pub peaks: Peaks,
     encoders: [EncoderDrive; 3],
-    /// Times that the encoders were looked at.
-    looks: u64,
+    /// Number of samples of the encoders.
+    samples: u64,
     next_step: u64,
     drives: [MotorInput; 3],
-    faults_wired: Option<Level>,
+    break_level: Option<Level>,
     restarts_seen: Option<u64>,
 }
 
@@ -90,15 +90,15 @@ struct EncoderDrive {
     wanted: i32,
 }
 
-/// No snapshots: a run starts at power-on.
+/// Not stored in snapshots, because a run starts at power-on.
 impl Store for Hardware {}
 
 impl Hardware {
-    /// A bare chip with a crystal and a rail, for images that need no board.
+    /// Returns a bare chip with a crystal and a supply, for images that need no board.
     ///
     /// # Errors
     ///
-    /// A wrong description of the part, which is a bug here.
+    /// If the description of the part is wrong, which is a bug here.
     pub fn bare() -> Result<Self, rigless::soc::Error> {
         let mut chip = Chip::new()?;
         chip.rcc.attach_crystals(CRYSTAL_HZ, 0);
@@ -114,48 +114,47 @@ impl Hardware {
             broken: Broken::default(),
             peaks: Peaks::default(),
             encoders: [EncoderDrive::default(); 3],
-            looks: 0,
+            samples: 0,
             next_step: 0,
             drives: [MotorInput::Floating; 3],
-            faults_wired: None,
+            break_level: None,
             restarts_seen: None,
         })
     }
 
-    /// A board with `plant` at its connectors.
+    /// Returns a board with `plant` at its connectors.
     ///
     /// # Errors
     ///
-    /// A wrong description of the part, which is a bug here.
+    /// If the description of the part is wrong, which is a bug here.
     pub fn new(wiring: impl Into<&'static Wiring>, plant: Box<dyn Plant>) -> Result<Self, rigless::soc::Error> {
         let wiring = wiring.into();
         let mut hardware = Self { wiring: Some(wiring), plant, ..Self::bare()? };
         hardware.chip.set_supply(wiring.supply_mv);
         for select in wiring.drivers {
-            let (port, pin) = place(*select);
+            let (port, pin) = port_and_pin(*select);
             let select = Select { port: PORT_NAMES[port], pin, active: Level::Low };
             hardware.chip.spi[SPI3].attach_selected(Drv8301::default(), select);
         }
         Ok(hardware)
     }
 
-    /// The nth gate driver.
+    /// Returns the nth gate driver.
     ///
     /// # Panics
     ///
-    /// On a board without it.
+    /// If the board does not have this driver.
     pub fn driver(&mut self, nth: usize) -> &mut Drv8301 {
         self.chip.spi[SPI3].chip_mut(nth).expect("the board has this driver")
     }
 
-    /// Returns the inputs of the motors over the last step.
+    /// Returns the inputs of the motors in the last step.
     #[must_use]
     pub fn drives(&self) -> [MotorInput; 3] {
         self.drives
     }
 
-    /// Returns true if no bridge drives its motor at this instant: no timer's main output is enabled, and the enable
-    /// line is low.
+    /// Returns true if no bridge drives its motor now: no timer's main output is enabled, and the enable line is low.
     pub fn bridges_float(&mut self) -> bool {
         let driven =
             ["TIM1", "TIM8"].iter().any(|timer| self.chip.register(timer, BREAK_AND_DEAD_TIME) & MAIN_OUTPUT != 0);
@@ -163,26 +162,26 @@ impl Hardware {
         !driven && enable.is_none_or(|enable| self.level(enable) == Level::Low)
     }
 
-    /// The level that the chip or the board puts on `pin`.
+    /// Returns the level that the chip or the board puts on `pin`.
     pub fn level(&mut self, pin: Pin) -> Level {
-        let (port, pin) = place(pin);
+        let (port, pin) = port_and_pin(pin);
         let (model, registers) = self.chip.port(port);
         model.level(pin, registers)
     }
 
-    /// Advances the board at a stop at `at`, and returns the time at which it needs the next one.
+    /// Advances the board at a stop at `at`, and returns the time of the next stop that it needs.
     pub fn step(&mut self, at: VirtualNanos) -> Option<VirtualNanos> {
         let wiring = self.wiring?;
         if self.restarts_seen != Some(self.chip.restarts) {
             self.restarts_seen = Some(self.chip.restarts);
-            self.faults_wired = None;
-            // The encoders stand where they stood; a chip that starts finds their levels there.
+            self.break_level = None;
+            // The encoders have not moved; a chip that starts finds their levels.
             for (axis, wires) in wiring.encoders.iter().enumerate() {
                 self.show_phase(at, axis, wires);
             }
             let held = Level::from(self.plant.bus_voltage() / wiring.bus.1 > wiring.middle());
-            self.hold(wiring.bus_pin(), (!self.bus_cut).then_some(held), at);
-            wiring.held.iter().for_each(|&pin| self.put(pin, Level::High, at));
+            self.drive_pin(wiring.bus_pin(), (!self.bus_cut).then_some(held), at);
+            wiring.held.iter().for_each(|&pin| self.set_pin(pin, Level::High, at));
         }
         if at.0 >= self.next_step {
             self.advance_plant(wiring, at);
@@ -192,13 +191,13 @@ impl Hardware {
         Some(VirtualNanos(if moving { at.0 + EDGE_SPACING } else { self.next_step }))
     }
 
-    /// The first crest or valley of TIM1 after `at`, if it counts.
+    /// Returns the time of the first crest or valley of TIM1 after `at`, if the timer runs.
     fn next_extreme(&self, at: u64) -> Option<u64> {
         let crest = self.chip.advanced[0].hook.crest()?;
         let top = self.chip.register("TIM1", AUTO_RELOAD);
-        // Ticks in 21/125 of a nanosecond: the timer counts at 168 MHz.
+        // Ticks of 125/21 ns: the timer counts at 168 MHz.
         let passed = at.saturating_sub(crest) * 21 / (125 * top.max(1));
-        // After a crest that should have come again two slopes later the timer has stopped.
+        // If the crest did not come again two slopes later, the timer has stopped.
         let next = crest + (((passed + 1) * top + 1) * 125).div_ceil(21);
         (top > 0 && passed < 3 && next > at).then_some(next)
     }
@@ -213,13 +212,13 @@ impl Hardware {
             self.drives[axis] = self.drive(wiring, motor, &spans[usize::from(motor.timer == 8)], enabled);
         }
         self.peaks.driven |= !self.bridges_float();
-        self.peaks.touched = self.peaks.touched || wiring.power.iter().any(|&pin| !self.is_let_alone(pin));
+        self.peaks.touched = self.peaks.touched || wiring.power.iter().any(|&pin| !self.is_untouched(pin));
         if spans[0].whole > 0 {
             self.plant.step(&self.broken.drives(self.drives), spans[0].whole as f64 * 1e-9);
             self.peaks.take(&mut *self.plant);
-            self.looks += 1;
+            self.samples += 1;
         }
-        for (encoder, counts) in self.encoders.iter_mut().zip(self.broken.counts(self.plant.counts(), self.looks)) {
+        for (encoder, counts) in self.encoders.iter_mut().zip(self.broken.counts(self.plant.counts(), self.samples)) {
             encoder.wanted = counts;
         }
         self.show_analog(wiring);
@@ -242,9 +241,9 @@ impl Hardware {
         MotorInput::Duty((share(first) - share(second)) / span.whole as f64)
     }
 
-    /// The alternate function a pin is set to.
+    /// Returns the selected alternate function of a pin.
     fn function(&mut self, pin: Pin) -> Option<u8> {
-        let (port, pin) = place(pin);
+        let (port, pin) = port_and_pin(pin);
         let (_, registers) = self.chip.port(port);
         Gpio::function(pin, registers)
     }
@@ -269,8 +268,8 @@ impl Hardware {
 
     fn show_volts(&mut self, wiring: &Wiring, channel: u8, volts: f64) {
         let channel = AnalogChannel::new(channel).expect("a pin channel");
-        // A float-to-int `as` saturates, as an input clamped to its rails does.
-        // The converters are told of one reference alone: what they see is the share of this board's.
+        // A float-to-int `as` saturates, like an input that is clamped to its rails. The converters have only one
+        // reference voltage, so the input is scaled by this board's reference.
         let share = volts / (1e-3 * f64::from(wiring.supply_mv));
         let microvolts = ((share * f64::from(REFERENCE_UV)) as u32).min(REFERENCE_UV);
         for converter in &mut self.chip.converters {
@@ -280,11 +279,11 @@ impl Hardware {
 
     fn show_levels(&mut self, wiring: &Wiring, at: VirtualNanos) {
         let pulled = self.fault_line_shorted || (0..wiring.drivers.len()).any(|nth| self.driver(nth).pulls_fault());
-        self.put(wiring.fault, Level::from(!pulled), at);
+        self.set_pin(wiring.fault, Level::from(!pulled), at);
         if wiring.fault_breaks {
             let level = Level::from(!pulled);
-            if self.faults_wired != Some(level) && self.function(wiring.fault) == Some(1) {
-                self.faults_wired = Some(level);
+            if self.break_level != Some(level) && self.function(wiring.fault) == Some(1) {
+                self.break_level = Some(level);
                 let slot = self.chip.bus().slot_of("TIM1").expect("the part has TIM1");
                 let (bus, timers) = self.chip.bus_and_timers();
                 let (registers, mut context) = bus.drive(at, slot);
@@ -295,34 +294,34 @@ impl Hardware {
         let index = self.plant.index();
         for (encoder, mark) in wiring.encoders.iter().zip(index) {
             let rises = mark && self.level(encoder.index) == Level::Low;
-            self.put(encoder.index, Level::from(mark), at);
+            self.set_pin(encoder.index, Level::from(mark), at);
             if rises {
-                let (port, line) = place(encoder.index);
+                let (port, line) = port_and_pin(encoder.index);
                 self.chip.rising_edge(at, port, line.bit());
             }
         }
     }
 
-    fn put(&mut self, pin: Pin, level: Level, at: VirtualNanos) {
-        self.hold(pin, Some(level), at);
+    fn set_pin(&mut self, pin: Pin, level: Level, at: VirtualNanos) {
+        self.drive_pin(pin, Some(level), at);
     }
 
-    /// Holds a pin of the chip at a level from outside, or lets it go.
-    fn hold(&mut self, pin: Pin, level: Option<Level>, at: VirtualNanos) {
-        let (port, pin) = place(pin);
+    /// Holds a pin of the chip at a level from outside, or releases the pin.
+    fn drive_pin(&mut self, pin: Pin, level: Option<Level>, at: VirtualNanos) {
+        let (port, pin) = port_and_pin(pin);
         self.chip.drive_port(at, port, |port, registers, context| {
             port.drive(pin, level, registers, context);
         });
     }
 
-    /// Returns true if the chip leaves a pin as its reset does: an input that is not pulled up.
-    fn is_let_alone(&self, Pin(port, number): Pin) -> bool {
+    /// Returns true if a pin is configured as after reset: an input without pull-up.
+    fn is_untouched(&self, Pin(port, number): Pin) -> bool {
         let port = PORT_NAMES[(port as usize) - ('A' as usize)];
         let field = |register| self.chip.register(port, register) >> (2 * number) & 0b11;
         field(PORT_MODE) == 0 && field(PORT_PULLS) != 0b01
     }
 
-    /// Gives each encoder that has counts to show one edge. Answers whether one still has.
+    /// Makes one edge of each encoder with remaining counts. Returns true if counts remain.
     fn drive_encoders(&mut self, wiring: &Wiring, at: VirtualNanos) -> bool {
         let mut moving = false;
         for (axis, wires) in wiring.encoders.iter().enumerate() {
@@ -359,7 +358,7 @@ impl Hardware {
 
 const PORT_NAMES: [&str; 5] = ["GPIOA", "GPIOB", "GPIOC", "GPIOD", "GPIOE"];
 
-fn place(Pin(port, number): Pin) -> (usize, PortPin) {
+fn port_and_pin(Pin(port, number): Pin) -> (usize, PortPin) {
     let port = (port as usize) - ('A' as usize);
     (port, PortPin::new(number).expect("a port has sixteen pins"))
 }

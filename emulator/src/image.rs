@@ -1,4 +1,4 @@
-//! An ELF file for the chip: what the emulator places in memory, and where its symbols are.
+//! An ELF file for the chip: contents for the emulator's memory, and addresses of symbols.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -8,16 +8,16 @@ use std::process::{Command, Stdio};
 
 use object::{Object, ObjectSection, ObjectSymbol, SectionKind, SymbolKind};
 
-/// The flash sectors that memory.x keeps for the settings.
+/// Flash sectors that memory.x reserves for the settings.
 pub const SETTINGS: Range<u64> = 0x0800_4000..0x0800_C000;
 
-/// The flash sectors that the code is in, as far as images go.
+/// Flash sectors of the code.
 pub const CODE: Range<u64> = 0x0800_C000..0x0806_C000;
 
-/// The handler that the vector table names for the control interrupt.
+/// Handler of the control interrupt in the vector table.
 pub const CONTROL_INTERRUPT: &str = "TIM1_UP_TIM10";
 
-/// A firmware image as a build leaves it, never changed on its way into the emulator.
+/// A firmware image from a build, loaded into the emulator without changes.
 #[derive(Clone, Debug)]
 pub struct Firmware {
     path: PathBuf,
@@ -26,25 +26,25 @@ pub struct Firmware {
     text: (u64, u64),
 }
 
-/// One symbol: its address (a function's without the Thumb bit) and its size in bytes.
+/// A symbol: its address (for functions without the Thumb bit) and size.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Symbol {
-    /// The first byte.
+    /// Address of the first byte.
     pub address: u64,
-    /// Bytes, zero where the linker gave none.
+    /// Size in bytes; 0 if the linker gave none.
     pub size: u64,
 }
 
-/// Why an ELF file could not be used.
+/// Reason why an ELF file could not be used.
 #[derive(Debug)]
 pub enum Error {
     /// The file could not be read. Build the image first: `cargo xtask fw`.
     Read(PathBuf, std::io::Error),
-    /// The file is not an ELF file this reads.
+    /// The file is not a readable ELF file.
     Elf(PathBuf, object::Error),
-    /// The image could not be built; what the build said is above.
+    /// The image could not be built; the build's messages are above.
     Build(String),
-    /// The image lacks a symbol that was asked for.
+    /// The image lacks a required symbol.
     Missing(PathBuf, String),
 }
 
@@ -68,7 +68,7 @@ impl Firmware {
     ///
     /// # Errors
     ///
-    /// A file that is not there or is not ELF.
+    /// If the file does not exist or is not ELF.
     pub fn read(path: impl AsRef<Path>) -> Result<Self, Error> {
         let path = path.as_ref().to_owned();
         let bytes = std::fs::read(&path).map_err(|error| Error::Read(path.clone(), error))?;
@@ -88,12 +88,12 @@ impl Firmware {
         Ok(Self { path, symbols, text, bytes })
     }
 
-    /// The release image of the board called `name`, as `cargo xtask fw` leaves it; an up-to-date one is not built
-    /// again. With `HAPTIC_FIRMWARE_DIR` set, the image is taken from that directory.
+    /// Returns the release image of the board called `name`, as `cargo xtask fw` builds it. An up-to-date image is not
+    /// built again. If `HAPTIC_FIRMWARE_DIR` is set, the image is read from that directory.
     ///
     /// # Errors
     ///
-    /// An image that cannot be built or read.
+    /// If the image cannot be built or read.
     pub fn of(name: &str) -> Result<Self, Error> {
         if let Some(directory) = std::env::var_os("HAPTIC_FIRMWARE_DIR") {
             return Self::read(Path::new(&directory).join(format!("haptic-firmware-{name}.elf")));
@@ -113,7 +113,7 @@ impl Firmware {
         }
     }
 
-    /// The file's bytes, for a hash or a decoder of its log.
+    /// Returns the file's bytes, for a hash or a decoder of its log.
     #[must_use]
     pub fn bytes(&self) -> &[u8] {
         &self.bytes
@@ -125,38 +125,39 @@ impl Firmware {
         &self.path
     }
 
-    /// The code, from its first address up to but not including its last.
+    /// Returns the address range of the code, without its end.
     #[must_use]
     pub fn text(&self) -> (u64, u64) {
         self.text
     }
 
-    /// The symbol `name`.
+    /// Returns the symbol `name`.
     ///
     /// # Errors
     ///
-    /// [`Error::Missing`] when the image has none.
+    /// [`Error::Missing`] if the image does not have it.
     pub fn symbol(&self, name: &str) -> Result<Symbol, Error> {
         self.find(name).ok_or_else(|| Error::Missing(self.path.clone(), name.to_owned()))
     }
 
-    /// The symbol `name`, if the image has it.
+    /// Returns the symbol `name`, if the image has it.
     #[must_use]
     pub fn find(&self, name: &str) -> Option<Symbol> {
         self.symbols.get(name).copied()
     }
 
-    /// The one symbol whose name ends with `ending`: a static of the firmware by its mangled path, `5servo7CONTROL`.
+    /// Returns the only symbol whose name ends with `ending`: a static of the firmware by its mangled path, such as
+    /// `9interrupt7CONTROL`.
     #[must_use]
     pub fn find_ending(&self, ending: &str) -> Option<Symbol> {
-        // A static that the compiler took apart has the number of the part behind its name.
+        // If the compiler split a static, the number of the part follows the name.
         let plain =
             |name: &str| name.trim_end_matches(|letter: char| letter.is_ascii_digit()).ends_with(&format!("{ending}."));
         let mut found = self.symbols.iter().filter(|(name, _)| name.ends_with(ending) || plain(name));
         found.next().map(|(_, symbol)| *symbol).filter(|_| found.next().is_none())
     }
 
-    /// The code of the function `symbol`, or `None` where the image has no such code.
+    /// Returns the code of the function `symbol`, or `None` if the image has no code there.
     #[must_use]
     pub fn code(&self, symbol: Symbol) -> Option<Vec<u8>> {
         let elf = object::File::parse(&*self.bytes).ok()?;
@@ -166,7 +167,7 @@ impl Firmware {
         })
     }
 
-    /// Every symbol with its name, by name.
+    /// Returns all symbols with their names, by name.
     pub fn symbols(&self) -> impl Iterator<Item = (&str, Symbol)> {
         self.symbols.iter().map(|(name, &symbol)| (name.as_str(), symbol))
     }

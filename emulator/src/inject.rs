@@ -1,8 +1,8 @@
-//! A way to bring about every fault there is, in the unmodified image on the emulated chip; what came of it is in
-//! provoke.rs, and told in report.rs.
+//! Injections of all faults into the unmodified image on the emulated chip. provoke.rs checks their effect, report.rs
+//! describes it.
 //!
-//! The match over all faults is exhaustive: a fault without an injector does not build. Faults that neither board has a
-//! means to see say so.
+//! The match over all faults is exhaustive: a fault without an injection does not compile. Faults that the boards
+//! cannot detect are marked.
 
 use std::f64::consts::PI;
 
@@ -25,55 +25,55 @@ mod provoke;
 mod report;
 mod stub;
 
-pub use provoke::{Outcome, off, provoke};
-pub use report::{how, row, table};
+pub use provoke::{Outcome, bridges_off, provoke};
+pub use report::{describe, row, table};
 pub use stub::run_instead;
 use stub::{NMI_FLAG, SUPERVISOR, wire_to_nmi};
 
 /// The way to cause a fault.
 pub enum Injection {
-    /// On the emulated chip.
+    /// Caused on the emulated chip.
     Chip {
-        /// In words.
-        how: &'static str,
-        /// A board a moment before.
-        ready: fn() -> Rig,
-        /// The cause of the fault.
+        /// Description of the cause.
+        description: &'static str,
+        /// Creates a board immediately before the fault.
+        create: fn() -> Rig,
+        /// Causes the fault.
         cause: fn(&mut Rig),
-        /// The longest that the fault may take to be seen, ms.
-        within: u64,
+        /// Longest time until the fault is detected, ms.
+        within_ms: u64,
     },
-    /// Neither board can see this.
-    Unseen(&'static str),
+    /// Undetectable on the boards, with the reason.
+    Undetectable(&'static str),
 }
 
 const FIVE_BAR: &str = "pantograph-mk2";
-/// A stiffness, N/m, that no other word of the RAM looks like.
-const MARK: f32 = 517.25;
-/// A word of the stack.
-const SPOILT: u64 = 0x2000_4000;
+/// A stiffness, N/m, whose bits no other word in RAM has.
+const MARKER_STIFFNESS: f32 = 517.25;
+/// Address of a word of the stack.
+const STACK_WORD: u64 = 0x2000_4000;
 
-fn in_contact() -> Rig {
-    pressed(0.8)
+fn rig_in_contact() -> Rig {
+    pressed_rig(0.8)
 }
 
-/// A device that a hand holds in a wall with so many newtons.
-fn pressed(newtons: f64) -> Rig {
+/// Returns a rig whose tip a hand presses into a wall with this force, N.
+fn pressed_rig(newtons: f64) -> Rig {
     Rig::in_contact(BoardKind::OdriveV3, FIVE_BAR, "", &[WallAt::facing([0.0, -1.0, 0.0])], newtons)
 }
 
-fn free_on(kind: BoardKind) -> Rig {
+fn free_rig_on(kind: BoardKind) -> Rig {
     let mut rig = Rig::with_device(kind, FIVE_BAR, |_| ());
     rig.arm_before("", &[WallAt { gap: 0.2, ..WallAt::facing([0.0, -1.0, 0.0]) }]);
     rig.with_simulated(|device| device.set_hand(Hand::none()));
     rig
 }
 
-fn free() -> Rig {
-    free_on(BoardKind::OdriveV3)
+fn free_rig() -> Rig {
+    free_rig_on(BoardKind::OdriveV3)
 }
 
-fn disarmed() -> Rig {
+fn disarmed_rig() -> Rig {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, FIVE_BAR, |_| ());
     rig.load("");
     rig.tool.home().expect("homed");
@@ -81,24 +81,24 @@ fn disarmed() -> Rig {
 }
 
 fn rules(rig: &mut Rig, change: impl FnOnce(&mut Rules)) {
-    let mut rules = rig.tool.rules().expect("the board answers");
+    let mut rules = rig.tool.rules().expect("the board replies");
     change(&mut rules);
     rig.tool.set_rules(&rules).expect("limits are lowered");
 }
 
-fn pushed_by(rig: &Rig, force: [f64; 3]) {
+fn push_tip(rig: &Rig, force: [f64; 3]) {
     rig.with_simulated(move |device| push(device, force, 0.05));
 }
 
-/// An armed board in contact that has a wire from the clock security system to the core.
-fn wired_to_nmi() -> Rig {
-    let rig = in_contact();
+/// Returns an armed rig in contact with a connection from the clock security system to the core.
+fn rig_with_nmi_wire() -> Rig {
+    let rig = rig_in_contact();
     wire_to_nmi(&rig);
     rig
 }
 
-/// Does something to a board and presses its reset button.
-fn restarting(rig: &mut Rig, cause: impl FnOnce(&mut StoppedBoard<'_>) + Send + 'static) {
+/// Changes a board and presses its reset button.
+fn change_and_reset(rig: &mut Rig, cause: impl FnOnce(&mut StoppedBoard<'_>) + Send + 'static) {
     rig.with(cause);
     rig.run(MICROSECOND);
     rig.with(|stopped| stopped.reset());
@@ -107,12 +107,12 @@ fn restarting(rig: &mut Rig, cause: impl FnOnce(&mut StoppedBoard<'_>) + Send + 
 /// Returns the way to cause `fault`.
 #[must_use]
 pub fn injection(fault: Fault) -> Injection {
-    use Injection::{Chip, Unseen};
-    let chip = |how, ready, cause, within| Chip { how, ready, cause, within };
+    use Injection::{Chip, Undetectable};
+    let chip = |description, create, cause, within_ms| Chip { description, create, cause, within_ms };
     match fault {
         Fault::ControlOverrun => chip(
             "the core held for 55 µs within a control step",
-            in_contact,
+            rig_in_contact,
             |rig| {
                 after_crest(rig, 5);
                 rig.with(|stopped| stopped.hold(true));
@@ -124,7 +124,7 @@ pub fn injection(fault: Fault) -> Injection {
         Fault::EncoderJump => chip(
             "0.4 rad of encoder edges, four a microsecond",
             || {
-                let mut rig = in_contact();
+                let mut rig = rig_in_contact();
                 rules(&mut rig, |rules| rules.limits.speed = [20.0; 3]);
                 after_crest(&rig, 10);
                 rig
@@ -139,7 +139,7 @@ pub fn injection(fault: Fault) -> Injection {
         ),
         Fault::EncoderStall => chip(
             "encoders unplugged while a motor pushes at its limit",
-            in_contact,
+            rig_in_contact,
             |rig| {
                 rig.with(|stopped| stopped.hardware().encoders_unplugged = [true; 3]);
                 rules(rig, |rules| rules.limits.current = [0.15; 3]);
@@ -148,39 +148,42 @@ pub fn injection(fault: Fault) -> Injection {
         ),
         Fault::EncoderLoss => chip(
             "encoders unplugged while a hand moves the device",
-            free,
+            free_rig,
             |rig| {
                 rules(rig, |rules| rules.limits.speed = [4.0; 3]);
                 rig.with(|stopped| stopped.hardware().encoders_unplugged = [true; 3]);
-                pushed_by(rig, [3.0, 3.0, 0.0]);
+                push_tip(rig, [3.0, 3.0, 0.0]);
             },
             2_000,
         ),
-        Fault::EncoderIllegal => Unseen("the timers' encoder inputs do not report it"),
+        Fault::EncoderIllegal => Undetectable("the timers' encoder inputs do not report it"),
         Fault::IndexMismatch => chip(
             "20 encoder edges lost between two passes of the index mark",
-            marked,
+            rig_with_index,
             |rig| {
                 rig.with(|stopped| stopped.hardware().edges_lost[0] = 20);
                 rig.with_simulated(|device| sweep(device, -SWEEP, SWEEP));
             },
             2_000,
         ),
-        Fault::JointLimit => {
-            chip("a hand turns a joint past its limit", narrow, |rig| pushed_by(rig, [3.0, 0.0, 0.0]), 2_000)
-        }
+        Fault::JointLimit => chip(
+            "a hand turns a joint past its limit",
+            rig_with_narrow_limits,
+            |rig| push_tip(rig, [3.0, 0.0, 0.0]),
+            2_000,
+        ),
         Fault::SpeedLimit => chip(
             "a hand moves the device faster than 0.5 rad/s",
-            free,
+            free_rig,
             |rig| {
                 rules(rig, |rules| rules.limits.speed = [0.5; 3]);
-                pushed_by(rig, [3.0, 0.0, 0.0]);
+                push_tip(rig, [3.0, 0.0, 0.0]);
             },
             2_000,
         ),
         Fault::OverCurrent => chip(
             "a current sensor shows 8 A more",
-            in_contact,
+            rig_in_contact,
             |rig| {
                 rig.with(|stopped| stopped.hardware().broken.sensor_extra[..2].fill(8.0));
             },
@@ -188,7 +191,7 @@ pub fn injection(fault: Fault) -> Injection {
         ),
         Fault::ThermalBudget => chip(
             "a wall that keeps a motor at 95 % of its current",
-            in_contact,
+            rig_in_contact,
             |rig| {
                 let currents = rig.with_simulated(|device| device.currents());
                 rules(rig, |rules| {
@@ -202,7 +205,7 @@ pub fn injection(fault: Fault) -> Injection {
         ),
         Fault::BusUnderVoltage => chip(
             "the supply falls to 7 V",
-            in_contact,
+            rig_in_contact,
             |rig| {
                 rig.with_simulated(|device| device.set_bus_voltage(7.0));
             },
@@ -210,7 +213,7 @@ pub fn injection(fault: Fault) -> Injection {
         ),
         Fault::BusOverVoltage => chip(
             "the supply rises to 58 V",
-            in_contact,
+            rig_in_contact,
             |rig| {
                 rig.with_simulated(|device| device.set_bus_voltage(58.0));
             },
@@ -218,7 +221,7 @@ pub fn injection(fault: Fault) -> Injection {
         ),
         Fault::GateDriver => chip(
             "a gate driver pulls its fault line",
-            in_contact,
+            rig_in_contact,
             |rig| {
                 rig.with(|stopped| stopped.hardware().driver(1).fail(1 << 2));
             },
@@ -227,16 +230,16 @@ pub fn injection(fault: Fault) -> Injection {
         Fault::NotFinite => chip(
             "a stiffness in RAM overwritten with no number",
             || {
-                let mut rig = in_contact();
+                let mut rig = rig_in_contact();
                 let feed_forward = FeedForward::Full;
-                let gains = Gains { wall: 0, stiffness: MARK, damping: 1.0, feed_forward, washout_hz: 2.0 };
+                let gains = Gains { wall: 0, stiffness: MARKER_STIFFNESS, damping: 1.0, feed_forward, washout_hz: 2.0 };
                 rig.tool.set_wall_gains(gains).expect("gains change");
                 rig
             },
             |rig| {
                 rig.with(|stopped| {
                     for at in (0x2000_0000..0x2002_0000).step_by(4) {
-                        if stopped.word(at) == Some(MARK.to_bits()) {
+                        if stopped.word(at) == Some(MARKER_STIFFNESS.to_bits()) {
                             stopped.poke(at, f32::NAN.to_bits());
                         }
                     }
@@ -245,11 +248,11 @@ pub fn injection(fault: Fault) -> Injection {
             5,
         ),
         Fault::Singularity => {
-            chip("a hand pulls the linkage straight", unlimited, |rig| pushed_by(rig, [0.0, -3.0, 0.0]), 4_000)
+            chip("a hand pulls the linkage straight", rig_without_limits, |rig| push_tip(rig, [0.0, -3.0, 0.0]), 4_000)
         }
         Fault::HostLost => chip(
             "no message for 0.1 s where the rules ask for one",
-            in_contact,
+            rig_in_contact,
             |rig| {
                 rules(rig, |rules| {
                     rules.host_action = HostAction::Disarm;
@@ -260,28 +263,28 @@ pub fn injection(fault: Fault) -> Injection {
         ),
         Fault::Watchdog => chip(
             "a task that never returns",
-            in_contact,
+            rig_in_contact,
             |rig| run_instead(rig, SUPERVISOR, |_| vec![0xE7FE_E7FE]),
             500,
         ),
         Fault::StackOverflow => chip(
             "a task that pushes for ever",
-            in_contact,
+            rig_in_contact,
             |rig| run_instead(rig, SUPERVISOR, |_| vec![0xE7FD_B4FF]),
             500,
         ),
         Fault::HardFault => chip(
             "a task that runs into an undefined instruction",
-            in_contact,
+            rig_in_contact,
             |rig| run_instead(rig, SUPERVISOR, |_| vec![0xDE00_DE00]),
             500,
         ),
         Fault::Panic => chip(
             "a task that jumps into the panic handler",
-            in_contact,
+            rig_in_contact,
             |rig| {
                 let handler =
-                    firmware(rig.kind).find_ending("5reset8panicked").expect("the panic handler").address as u32;
+                    firmware(rig.kind).find_ending("5reset12record_panic").expect("the panic handler").address as u32;
                 // ldr.w pc, [pc, #0], and the address.
                 run_instead(rig, SUPERVISOR, |_| vec![0xF000_F8DF, handler | 1]);
             },
@@ -300,13 +303,13 @@ pub fn injection(fault: Fault) -> Injection {
                 rig
             },
             |rig| {
-                restarting(rig, |stopped| stopped.flip_in_flash(SETTINGS, b"second name"));
+                change_and_reset(rig, |stopped| stopped.flip_in_flash(SETTINGS, b"second name"));
             },
             500,
         ),
         Fault::BreakInput => chip(
             "the break line pulled down",
-            || free_on(BoardKind::HBridgeF405),
+            || free_rig_on(BoardKind::HBridgeF405),
             |rig| {
                 rig.with(|stopped| stopped.hardware().fault_line_shorted = true);
             },
@@ -314,7 +317,7 @@ pub fn injection(fault: Fault) -> Injection {
         ),
         Fault::PowerLimit => chip(
             "a hand that lets go of a wall where 1 mW is allowed",
-            in_contact,
+            rig_in_contact,
             |rig| {
                 rules(rig, |rules| rules.limits.power = 0.001);
                 rig.with_simulated(|device| device.set_hand(Hand::none()));
@@ -323,20 +326,20 @@ pub fn injection(fault: Fault) -> Injection {
         ),
         Fault::KeyReleased => chip(
             "a key that is not seen down again",
-            in_contact,
+            rig_in_contact,
             |rig| {
                 rules(rig, |rules| rules.host_seconds = 0.1);
-                let seen = rig.tool.status().expect("the board answers").step;
+                let seen = rig.tool.status().expect("the board replies").step;
                 rig.tool.hold_key(seen).expect("a beat is never refused");
                 rig.run(60 * MILLISECOND);
-                // The host goes on, and says the same of the key.
+                // The host is alive, but reports the same state of the key.
                 rig.tool.hold_key(seen).expect("a beat is never refused");
             },
             500,
         ),
         Fault::PolarityWrong => chip(
             "a motor's two wires swapped",
-            swapped,
+            rig_with_swapped_motor,
             |rig| {
                 rig.tool.check_polarity().expect("the check starts");
                 rig.run(MILLISECOND);
@@ -345,7 +348,7 @@ pub fn injection(fault: Fault) -> Injection {
         ),
         Fault::PolarityNoMotion => chip(
             "a device that is held fast",
-            disarmed,
+            disarmed_rig,
             |rig| {
                 rig.with_simulated(hold);
                 rig.tool.check_polarity().expect("the check starts");
@@ -355,7 +358,7 @@ pub fn injection(fault: Fault) -> Injection {
         ),
         Fault::TorqueMismatch => chip(
             "current sensors that show two thirds, in the check of polarity",
-            disarmed,
+            disarmed_rig,
             |rig| {
                 rig.with(|stopped| stopped.hardware().broken.sensor_gain[..2].fill(0.67));
                 rig.tool.check_polarity().expect("the check starts");
@@ -364,13 +367,13 @@ pub fn injection(fault: Fault) -> Injection {
         ),
         Fault::ResistanceMismatch => chip(
             "a winding with twice the resistance of the file, in the check of polarity",
-            || with_another_motor(|motor| motor.resistance *= 2.0),
+            || rig_with_other_motor(|motor| motor.resistance *= 2.0),
             |rig| rig.tool.check_polarity().expect("the check starts"),
             30_000,
         ),
         Fault::PolarityUnrest => chip(
             "a hand that moves the tip to and fro",
-            disarmed,
+            disarmed_rig,
             |rig| {
                 rig.with_simulated(|device| wander(device, 0.004, 6.0));
                 rig.tool.check_polarity().expect("the check starts");
@@ -380,7 +383,7 @@ pub fn injection(fault: Fault) -> Injection {
         ),
         Fault::SensorStale => chip(
             "a converter that is no longer triggered",
-            in_contact,
+            rig_in_contact,
             |rig| {
                 rig.with(|stopped| stopped.hardware().chip.converters[0].hook.stopped = true);
             },
@@ -389,7 +392,7 @@ pub fn injection(fault: Fault) -> Injection {
         Fault::ForceLimit => chip(
             "current sensors show 0.5 A more where 0.1 N are allowed at the tip",
             || {
-                let mut rig = free();
+                let mut rig = free_rig();
                 rules(&mut rig, |rules| rules.limits.tip_force = 0.1);
                 rig.run(20 * MILLISECOND);
                 rig
@@ -401,7 +404,7 @@ pub fn injection(fault: Fault) -> Injection {
         ),
         Fault::CurrentSensor => chip(
             "one of a motor's two shunts shows nothing while a hand pushes with 2.5 N",
-            || pressed(2.5),
+            || pressed_rig(2.5),
             |rig| {
                 rig.with(|stopped| stopped.hardware().broken.sensor_gain[0] = 0.0);
             },
@@ -409,7 +412,7 @@ pub fn injection(fault: Fault) -> Injection {
         ),
         Fault::MotorModel => chip(
             "both current sensors of a motor show nothing",
-            in_contact,
+            rig_in_contact,
             |rig| {
                 rig.with(|stopped| {
                     stopped.hardware().broken.sensor_gain[0] = 0.0;
@@ -420,7 +423,7 @@ pub fn injection(fault: Fault) -> Injection {
         ),
         Fault::DriverReset => chip(
             "a gate driver forgets its registers where nothing pushes",
-            free,
+            free_rig,
             |rig| {
                 rig.with(|stopped| stopped.hardware().driver(0).forget());
             },
@@ -428,7 +431,7 @@ pub fn injection(fault: Fault) -> Injection {
         ),
         Fault::StrayCurrent => chip(
             "a bridge that stands at 20 % before arming",
-            disarmed,
+            disarmed_rig,
             |rig| {
                 rig.with(|stopped| stopped.hardware().broken.stuck_on[0] = Some(0.2));
                 let _ = rig.tool.check_polarity();
@@ -437,7 +440,7 @@ pub fn injection(fault: Fault) -> Injection {
         ),
         Fault::ClockFailure => chip(
             "the crystal stops",
-            wired_to_nmi,
+            rig_with_nmi_wire,
             |rig| {
                 rig.with(|stopped| {
                     let at = VirtualNanos(stopped.at);
@@ -450,7 +453,7 @@ pub fn injection(fault: Fault) -> Injection {
         ),
         Fault::SupplyDip => chip(
             "the chip's 3.3 V fall to 2.7 V for 100 µs",
-            in_contact,
+            rig_in_contact,
             |rig| {
                 rig.with(|stopped| stopped.supply(2700));
                 rig.run(100 * MICROSECOND);
@@ -460,25 +463,25 @@ pub fn injection(fault: Fault) -> Injection {
         ),
         Fault::ImageDamaged => chip(
             "one bit of the image in flash flipped, then a reset",
-            disarmed,
-            |rig| restarting(rig, |stopped| stopped.flip_in_flash(CODE, b"odrive-v3")),
+            disarmed_rig,
+            |rig| change_and_reset(rig, |stopped| stopped.flip_in_flash(CODE, b"odrive-v3")),
             500,
         ),
         Fault::WrongBoard => chip(
             "the chip's pin at the bus divider cut off, then a reset",
-            disarmed,
-            |rig| restarting(rig, |stopped| stopped.hardware().bus_cut = true),
+            disarmed_rig,
+            |rig| change_and_reset(rig, |stopped| stopped.hardware().bus_cut = true),
             500,
         ),
         Fault::RamDamaged => chip(
             "one bit of the stack flipped while it is tested at a start",
-            disarmed,
+            disarmed_rig,
             |rig| {
-                restarting(rig, |_| ());
+                change_and_reset(rig, |_| ());
                 rig.run(MILLISECOND);
                 rig.with(|stopped| {
-                    let word = stopped.word(SPOILT).expect("there is RAM");
-                    stopped.poke(SPOILT, word ^ 1 << 7);
+                    let word = stopped.word(STACK_WORD).expect("there is RAM");
+                    stopped.poke(STACK_WORD, word ^ 1 << 7);
                 });
             },
             500,
@@ -486,18 +489,18 @@ pub fn injection(fault: Fault) -> Injection {
     }
 }
 
-/// A device whose joints may turn by 0.1 rad.
-fn narrow() -> Rig {
-    free_within(0.1)
+/// Returns a rig whose joints may turn by 0.1 rad.
+fn rig_with_narrow_limits() -> Rig {
+    free_rig_within(0.1)
 }
 
-/// A device that meets no limit of its joints before its linkage is straight.
-fn unlimited() -> Rig {
-    free_within(PI)
+/// Returns a rig whose linkage gets straight before a joint limit.
+fn rig_without_limits() -> Rig {
+    free_rig_within(PI)
 }
 
-/// An armed device that no hand holds, whose joints may turn by so much (rad) to either side.
-fn free_within(angle: f64) -> Rig {
+/// Returns an armed rig without a hand, whose joints may turn by `angle` (rad) in both directions.
+fn free_rig_within(angle: f64) -> Rig {
     let mut file = device_file(FIVE_BAR);
     let home = file.description.home.expect("a home pose");
     for (joint, home) in file.description.joints.iter_mut().zip(home) {
@@ -509,18 +512,18 @@ fn free_within(angle: f64) -> Rig {
     rig
 }
 
-/// Half of what a hand moves the tip to take a joint over its index mark, m.
+/// Half the distance by which a hand moves the tip to take a joint over its index mark, m.
 const SWEEP: f64 = 0.015;
 
-/// A firm hand that takes the tip sideways, from `from` to `to` (m) of where it stands between the two.
+/// Starts a firm hand that moves the tip sideways, from `from` to `to` (m) relative to their midpoint.
 fn sweep(device: &mut SimulatedDevice, from: f64, to: f64) {
     let [x, y, z] = device.tip();
     let path = [(0.0, x), (0.5, x + to - from)].map(|(time, x)| Waypoint { time, value: [x, y, z] });
     device.set_hand(Hand::new(firm(), Intent::Follow(path.to_vec()), device.tip(), device.time()));
 }
 
-/// An armed device whose hand has taken its first joint over its index mark once.
-fn marked() -> Rig {
+/// Returns an armed rig whose hand has moved its first joint over its index mark once.
+fn rig_with_index() -> Rig {
     let mut file = device_file(FIVE_BAR);
     let home = file.description.home.expect("a home pose");
     let mut period = 0;
@@ -540,16 +543,16 @@ fn marked() -> Rig {
     rig
 }
 
-/// A device whose first motor turns the other way than its file says.
-fn swapped() -> Rig {
-    with_another_motor(|motor| {
+/// Returns a rig whose first motor turns in the opposite direction of its file.
+fn rig_with_swapped_motor() -> Rig {
+    rig_with_other_motor(|motor| {
         motor.torque_constant = -motor.torque_constant;
         motor.back_emf = -motor.back_emf;
     })
 }
 
-/// A board whose first motor is not the one of the device file.
-fn with_another_motor(change: impl FnOnce(&mut Motor<f64>)) -> Rig {
+/// Returns a rig whose first motor differs from the device file.
+fn rig_with_other_motor(change: impl FnOnce(&mut Motor<f64>)) -> Rig {
     let file = device_file(FIVE_BAR);
     let mut wired = file.clone();
     wired.description.joints[0].motor.as_mut().map(change);
@@ -564,7 +567,7 @@ fn with_another_motor(change: impl FnOnce(&mut Motor<f64>)) -> Rig {
 ///
 /// # Panics
 ///
-/// When the carrier stands still.
+/// If the carrier stands still.
 pub fn after_crest(rig: &Rig, microseconds: u64) {
     let now = rig.now();
     let crest = rig.with(|stopped| stopped.hardware().chip.advanced[0].hook.crest()).expect("the carrier runs");

@@ -1,7 +1,8 @@
-//! The virtual board: the unmodified firmware image on an emulated STM32F405, with what a board puts around the chip.
+//! The virtual board: the unmodified firmware image on an emulated STM32F405, with the hardware that a board puts
+//! around the chip.
 //!
-//! [`chip`] is the microcontroller, [`hardware`] the board it sits on, [`image`] the ELF file that runs on it and
-//! [`count`] counts the instructions of marked stretches of a bench image.
+//! [`chip`] is the microcontroller, [`hardware`] the board around it, [`image`] the ELF file that runs on it. [`count`]
+//! counts the instructions between the markers of a counting image.
 
 pub mod boards;
 pub mod campaign;

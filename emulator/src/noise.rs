@@ -1,5 +1,5 @@
-//! Bytes that no tool sends, for as long as is wanted: pure noise, noise in frames, and requests with bytes changed,
-//! cut off and run together. A disarmed board must do nothing with them, and the session after them must work.
+//! Bytes that no tool sends, for any length of time: random bytes, random frames, and requests that are changed,
+//! truncated and concatenated. A disarmed board must do nothing with them, and the session after them must work.
 
 use std::io;
 use std::sync::{Arc, Mutex};
@@ -18,46 +18,46 @@ use crate::run::{MILLISECOND, SECOND};
 
 /// A wall beyond the home pose of the pantograph.
 const SCENE: &str = "[[wall]]\npoint = [0.0, 0.13]\nnormal = [0.0, -1.0]\nstiffness = 2000.0\ndamping = 4.0\n";
-/// Time between two bursts, ns, and the most bytes of one: more than the port takes in that time.
+/// Time between two bursts, ns, and maximum length of a burst, bytes: more than the port transfers in that time.
 const BURST: u64 = 10 * MILLISECOND;
 const LONGEST: usize = 3000;
 
-/// The result of a stretch of noise.
+/// Result of a run of noise.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Noise {
-    /// Bursts written.
+    /// Number of bursts written.
     pub bursts: u64,
-    /// Bytes written.
+    /// Number of bytes written.
     pub bytes: u64,
-    /// Bytes that came back.
-    pub answered: u64,
-    /// Bursts after which some bridge did not float.
+    /// Number of bytes received.
+    pub received: u64,
+    /// Number of bursts after which a bridge did not float.
     pub driven: u64,
-    /// Restarts of the chip.
+    /// Number of restarts of the chip.
     pub restarts: usize,
-    /// Bursts in which the control step did not run.
+    /// Number of bursts without a control step.
     pub stalled: u64,
-    /// Faults that came, but for numbers too large to reckon with in a scene whose bytes were changed.
+    /// Number of faults, except those of a changed scene with numbers too large to compute with.
     pub faults: usize,
 }
 
 impl Noise {
-    /// Returns true if no motor moved, nothing stopped and nothing broke.
+    /// Returns true if no motor moved, nothing stopped and no fault occurred.
     #[must_use]
     pub fn harmless(&self) -> bool {
         (self.driven, self.restarts, self.stalled, self.faults) == (0, 0, 0, 0)
     }
 }
 
-/// A wire that keeps what is sent over it.
-struct Tapped {
+/// A wire that records the sent bytes.
+struct RecordingWire {
     wire: Box<dyn Wire>,
     sent: Arc<Mutex<Vec<u8>>>,
 }
 
-impl Wire for Tapped {
+impl Wire for RecordingWire {
     fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
-        self.sent.lock().expect("nobody panicked").extend(bytes);
+        self.sent.lock().expect("no thread panicked").extend(bytes);
         self.wire.send(bytes)
     }
 
@@ -70,40 +70,39 @@ impl Wire for Tapped {
     }
 }
 
-/// Frames of requests that a tool makes of a disarmed board, as they go over the wire. None of them moves a motor or
-/// writes flash.
+/// Returns frames of requests from a tool to a disarmed board. None of them moves a motor or writes flash.
 fn requests(rig: &mut Rig) -> Vec<Vec<u8>> {
-    recorded(rig, usual_requests)
+    recorded(rig, make_requests)
 }
 
-/// The frames that a tool sends to the board while it gets to know it, and in `work`, as they go over the wire.
+/// Returns the frames that a tool sends to the board while it connects and during `work`.
 ///
 /// # Panics
 ///
-/// When the board does not answer.
+/// If the board does not reply.
 pub fn recorded(rig: &mut Rig, work: impl FnOnce(&mut Rig)) -> Vec<Vec<u8>> {
     let sent = Arc::new(Mutex::new(Vec::new()));
-    let tapped = Tapped { wire: rig.shared.wire(), sent: sent.clone() };
-    rig.tool = Board::over(Box::new(tapped), "tapped").expect("the board answers");
+    let tapped = RecordingWire { wire: rig.shared.wire(), sent: sent.clone() };
+    rig.tool = Board::over(Box::new(tapped), "tapped").expect("the board replies");
     work(rig);
-    let sent = sent.lock().expect("nobody panicked");
+    let sent = sent.lock().expect("no thread panicked");
     sent.split_inclusive(|byte| *byte == 0).filter(|frame| frame.len() > 1).map(<[u8]>::to_vec).collect()
 }
 
-fn usual_requests(rig: &mut Rig) {
+fn make_requests(rig: &mut Rig) {
     rig.load(SCENE);
-    rig.tool.details().expect("the board answers");
-    rig.tool.status().expect("the board answers");
+    rig.tool.details().expect("the board replies");
+    rig.tool.status().expect("the board replies");
     let gains = Gains { wall: 0, stiffness: 500.0, damping: 1.0, feed_forward: FeedForward::Full, washout_hz: 2.0 };
     rig.tool.set_wall_gains(gains).expect("gains change");
-    let rules = rig.tool.rules().expect("the board answers");
+    let rules = rig.tool.rules().expect("the board replies");
     rig.tool.set_rules(&rules).expect("rules change");
-    rig.tool.faults().expect("the board answers");
+    rig.tool.faults().expect("the board replies");
     rig.tool.start_stream(Fields::USUAL, 20).expect("a stream starts");
     rig.tool.stop_stream().expect("the stream stops");
 }
 
-/// Numbers that look random (Marsaglia's xorshift).
+/// Pseudorandom numbers (Marsaglia's xorshift).
 struct Numbers(u32);
 
 impl Numbers {
@@ -118,7 +117,7 @@ impl Numbers {
         self.next() as usize % end.max(1)
     }
 
-    /// One burst: a fifth each of silence, noise, noise in frames, changed requests, whole requests among noise.
+    /// Returns a burst: a fifth each of silence, noise, random frames, changed requests, and requests in noise.
     fn burst(&mut self, requests: &[Vec<u8>]) -> Vec<u8> {
         let length = self.below(LONGEST);
         let mut bytes = Vec::new();
@@ -130,7 +129,7 @@ impl Numbers {
                 while bytes.len() < length {
                     let mut frame = requests[self.below(requests.len())].clone();
                     if kind == 3 || self.below(2) == 0 {
-                        // Not the key at the front every time, or nothing would get past it.
+                        // The key at the front is not changed every time, because then no request would get past it.
                         for _ in 0..1 + self.below(4) {
                             let at = self.below(frame.len());
                             frame[at] ^= 1 << self.below(8);
@@ -145,15 +144,15 @@ impl Numbers {
     }
 }
 
-/// Writes bursts made from `seed` to a board with a device for `seconds` of virtual time, looking at it after each;
-/// `told` hears of every minute.
+/// Writes bursts made from `seed` to a board with a device for `seconds` of virtual time, and checks the board after
+/// each. Calls `report_minute` every minute.
 ///
 /// # Panics
 ///
-/// When the board does not come up, or does not answer afterwards.
-pub fn run(seed: u32, seconds: u64, mut told: impl FnMut(u64)) -> (Rig, Noise) {
+/// If the board does not boot, or does not reply afterwards.
+pub fn run(seed: u32, seconds: u64, mut report_minute: impl FnMut(u64)) -> (Rig, Noise) {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |options| options.substep = 25e-6);
-    let rules = rig.tool.rules().expect("the board answers");
+    let rules = rig.tool.rules().expect("the board replies");
     let requests = requests(&mut rig);
     let mut numbers = Numbers(seed);
     let mut noise = Noise::default();
@@ -163,47 +162,47 @@ pub fn run(seed: u32, seconds: u64, mut told: impl FnMut(u64)) -> (Rig, Noise) {
         let burst = numbers.burst(&requests);
         noise.bursts += 1;
         noise.bytes += burst.len() as u64;
-        rig.with(move |bench| {
-            // Drop the part of the last burst that the port has not taken: the next one may begin in the middle of a
+        rig.with(move |stopped| {
+            // Drop bytes of the last burst that the port has not sent: the next burst may begin in the middle of a
             // frame.
-            bench.usb().discard();
-            bench.usb().write(&burst);
+            stopped.usb().discard();
+            stopped.usb().write(&burst);
         });
         rig.run(BURST);
-        let (answered, drives) = rig.with(|bench| (bench.usb().take().len(), bench.hardware().drives()));
-        noise.answered += answered as u64;
+        let (received, drives) = rig.with(|stopped| (stopped.usb().take().len(), stopped.hardware().drives()));
+        noise.received += received as u64;
         noise.driven += u64::from(drives != [MotorInput::Floating; 3]);
-        // At the lowest rate there is, which a changed scene may have, two steps fall into a burst.
+        // At the lowest rate, which a changed scene may have, a burst lasts two steps.
         let now = rig.steps();
         noise.stalled += u64::from(now == std::mem::replace(&mut steps, now));
         if noise.bursts.is_multiple_of(60 * SECOND / BURST) {
-            told(noise.bursts * BURST / (60 * SECOND));
+            report_minute(noise.bursts * BURST / (60 * SECOND));
         }
     }
-    rig.with(|bench| bench.usb().discard());
+    rig.with(|stopped| stopped.usb().discard());
     rig.run(200 * MILLISECOND);
-    noise.restarts = rig.with(|bench| {
-        bench.usb().take();
-        bench.resets().len()
+    noise.restarts = rig.with(|stopped| {
+        stopped.usb().take();
+        stopped.resets().len()
     });
-    rig.tool = Board::over(rig.shared.wire(), "after the noise").expect("the board answers after the noise");
-    let faults = rig.tool.faults().expect("the board answers");
+    rig.tool = Board::over(rig.shared.wire(), "after the noise").expect("the board replies after the noise");
+    let faults = rig.tool.faults().expect("the board replies");
     noise.faults = faults.iter().filter(|record| record.fault != Fault::NotFinite).count();
-    let state = rig.tool.status().expect("the board answers").state;
+    let state = rig.tool.status().expect("the board replies").state;
     noise.driven += u64::from(state.drives());
-    // A request with a changed byte may have been a sound one that lowers a limit.
+    // A request with a changed byte may have been valid and have lowered a limit.
     rig.tool.set_rules(&rules).expect("rules change");
     (rig, noise)
 }
 
-/// A whole session after the noise, up to armed and disarmed again.
+/// Runs a complete session after the noise, including arming and disarming.
 ///
 /// # Panics
 ///
-/// When anything is refused.
+/// If the board refuses a request.
 pub fn session_after(rig: &mut Rig) {
     rig.load(SCENE);
-    rig.tool.clear().expect("what is latched is cleared");
+    rig.tool.clear().expect("a latched fault can be cleared");
     rig.ready();
     rig.tool.disarm().expect("the board disarms");
 }

@@ -1,18 +1,18 @@
 //! The USB OTG full-speed core in device mode (RM0090 rev 22 chapter 34), as far as `embassy-usb-synopsys-otg` uses it:
-//! registers and FIFOs, seen by the firmware from one side and by a host's transactions from the other.
+//! registers and FIFOs, accessed by the firmware and by a host's transactions.
 //!
-//! A packet is one event: a transaction takes its bus time at 12 Mbit/s and lands at its end. A NAK takes no time here,
-//! since the host waits for an endpoint to be ready where a real one asks again and again.
+//! A packet is one event: a transaction takes its bus time at 12 Mbit/s and takes effect at its end. A NAK takes no
+//! time, because the simulated host waits until an endpoint is ready, where a real host repeats the transaction.
 
 use std::collections::VecDeque;
 
 use rigless::device::Level;
 use rigless::time::VirtualNanos;
 
-/// Endpoints in each direction.
+/// Number of endpoints in each direction.
 pub const ENDPOINTS: usize = 4;
 
-/// The first address of each block, from the core's base.
+/// Offset of each block from the core's base.
 pub const BLOCK_OFFSETS: [u32; 4] = [0x000, 0x400, 0x800, 0xE00];
 
 const GAHBCFG: u32 = 0x008;
@@ -20,7 +20,7 @@ const GRSTCTL: u32 = 0x010;
 const GINTSTS: u32 = 0x014;
 const GINTMSK: u32 = 0x018;
 const GRXSTSR: u32 = 0x01C;
-/// Pops the received status.
+/// Reading this register pops the received status.
 pub const GRXSTSP: u32 = 0x020;
 const GRXFSIZ: u32 = 0x024;
 const DIEPTXF0: u32 = 0x028;
@@ -35,7 +35,7 @@ const DAINTMSK: u32 = 0x81C;
 const DIEPEMPMSK: u32 = 0x834;
 const IN_ENDPOINTS: u32 = 0x900;
 const OUT_ENDPOINTS: u32 = 0xB00;
-/// The first FIFO's address; the others follow.
+/// Offset of the first FIFO; the others follow.
 pub const FIFOS: u32 = 0x1000;
 
 const CTL: u32 = 0x00;
@@ -69,25 +69,25 @@ const OUT_DONE: u32 = 3;
 const SETUP_DONE: u32 = 4;
 const SETUP_DATA: u32 = 6;
 
-/// The core's registers and FIFOs: what the firmware sees and what a host's transactions act on.
+/// The core's registers and FIFOs, accessed by the firmware and by a host's transactions.
 #[derive(Debug)]
 pub struct Core {
     words: Vec<u32>,
     received: VecDeque<u32>,
     receive_fifo: VecDeque<u32>,
     transmit_fifo: [VecDeque<u32>; ENDPOINTS],
-    /// The firmware has reset the core: its pull-up was gone for a moment.
+    /// True if the firmware has reset the core: its pull-up was off for a moment.
     pub soft_reset: bool,
 }
 
-/// The answer of an endpoint.
+/// Reply of an endpoint.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Handshake<T> {
-    /// The packet went through.
+    /// The packet was transferred.
     Ack(T),
-    /// Not now.
+    /// The endpoint is not ready.
     Nak,
-    /// Never, until the host clears it.
+    /// The endpoint is halted until the host clears it.
     Stall,
 }
 
@@ -141,13 +141,13 @@ impl Core {
         self.set(offset, self.get(offset) & !bits);
     }
 
-    /// Returns true if the firmware has its pull-up on: a device is there.
+    /// Returns true if the firmware has enabled the pull-up, which signals a device.
     #[must_use]
     pub fn connected(&self) -> bool {
         self.get(DCTL) & (1 << 1) == 0
     }
 
-    /// The bus goes to reset. What was received before stays in its FIFO until the firmware flushes it.
+    /// Resets the bus. Received packets stay in their FIFO until the firmware flushes it.
     pub fn bus_reset(&mut self) {
         for number in 0..ENDPOINTS {
             for direction in [IN_ENDPOINTS, OUT_ENDPOINTS] {
@@ -161,24 +161,24 @@ impl Core {
         self.raise(GINTSTS, USBRST);
     }
 
-    /// The bus leaves reset; the speed is known.
+    /// Ends the reset of the bus; the speed is known.
     pub fn enumeration_done(&mut self) {
         self.raise(GINTSTS, ENUMDNE);
     }
 
-    /// Nothing has moved on the bus for 3 ms.
+    /// Suspends the device after 3 ms without traffic on the bus.
     pub fn suspend(&mut self) {
         self.raise(DSTS, 1);
         self.raise(GINTSTS, USBSUSP);
     }
 
-    /// The host drives a resume.
+    /// Resumes the device.
     pub fn resume(&mut self) {
         self.lower(DSTS, 1);
         self.raise(GINTSTS, WKUPINT);
     }
 
-    /// A SETUP packet, which a device always takes.
+    /// Receives a SETUP packet, which a device always accepts.
     pub fn setup(&mut self, packet: [u8; 8]) {
         for direction in [IN_ENDPOINTS, OUT_ENDPOINTS] {
             let at = endpoint(direction, 0, CTL);
@@ -195,9 +195,9 @@ impl Core {
     pub fn accepts(&self, number: usize) -> Handshake<()> {
         let control = self.get(endpoint(OUT_ENDPOINTS, number, CTL));
         let packets = (self.get(endpoint(OUT_ENDPOINTS, number, TSIZ)) >> 19) & 0x3FF;
-        // A queued packet takes its words and a status word, RM0090 section 34.13.
+        // A queued packet needs its words and a status word, RM0090 section 34.13.
         let full = self.receive_fifo.len() + self.received.len() + 18 > (self.get(GRXFSIZ) & 0xFFFF) as usize;
-        // The driver arms an endpoint again by clearing NAK alone, and EP0 with no packet count.
+        // The driver re-arms an endpoint by clearing NAK only, and EP0 without a packet count.
         let armed = if number == 0 { control & NAKSTS == 0 } else { packets > 0 };
         if control & STALL != 0 {
             Handshake::Stall
@@ -208,7 +208,7 @@ impl Core {
         }
     }
 
-    /// An OUT packet to `number`.
+    /// Receives an OUT packet for endpoint `number`.
     pub fn out(&mut self, number: usize, data: &[u8]) -> Handshake<()> {
         let answer = self.accepts(number);
         if answer != Handshake::Ack(()) {
@@ -243,7 +243,7 @@ impl Core {
         if armed && (size >> 19) & 3 != 0 && queued { Handshake::Ack(length) } else { Handshake::Nak }
     }
 
-    /// An IN token to `number`.
+    /// Handles an IN token for endpoint `number`.
     pub fn take(&mut self, number: usize) -> Handshake<Vec<u8>> {
         let length = match self.offers(number) {
             Handshake::Ack(length) => length,
@@ -367,7 +367,7 @@ impl Core {
                 _ => {}
             }
         }
-        // The master is always idle, and every action is over at once.
+        // The master is always idle, and every action ends at once.
         self.set(GRSTCTL, 1 << 31 | value & (0x1F << 6));
     }
 

@@ -1,4 +1,4 @@
-//! The plant on the board's connectors: motors that turn something, encoders that see it.
+//! The plant on the board's connectors: motors that turn a device, and encoders.
 
 use std::fmt::Debug;
 
@@ -6,17 +6,17 @@ use haptic_sim::{MotorInput, SimulatedDevice};
 
 /// A device at the board's connectors, with up to three axes.
 pub trait Plant: Debug + Send {
-    /// Lets `dt` seconds pass with each motor driven as said.
+    /// Advances by `dt` seconds with these inputs of the motors.
     fn step(&mut self, drives: &[MotorInput; 3], dt: f64);
-    /// Encoder counts since power-on (quadrature edges).
+    /// Returns the encoder counts since power-on (quadrature edges).
     fn counts(&self) -> [i32; 3];
-    /// Returns, for each encoder, true if its index mark is under its sensor.
+    /// Returns, for each encoder, true if its index mark is at the sensor.
     fn index(&self) -> [bool; 3];
-    /// Winding currents, A, positive with positive duty.
+    /// Returns the winding currents, A, positive with positive duty.
     fn currents(&self) -> [f64; 3];
-    /// Bus voltage, V.
+    /// Returns the bus voltage, V.
     fn bus_voltage(&self) -> f64;
-    /// The simulated device, if that is what it is.
+    /// Returns the simulated device, if the plant is one.
     fn device(&mut self) -> Option<&mut SimulatedDevice> {
         None
     }
@@ -43,18 +43,18 @@ impl Plant for SimulatedDevice {
     }
 }
 
-/// Nothing turns by itself: the encoders stand where they are put, and the drives are remembered.
+/// A plant that does not move: the encoders keep their counts, and the motors' inputs are recorded.
 #[derive(Clone, Debug)]
 pub struct Dummy {
-    /// The positions of the encoders, counts.
+    /// Counts of the encoders.
     pub counts: [i32; 3],
-    /// For each encoder, true if its index mark is under its sensor.
+    /// For each encoder, true if its index mark is at the sensor.
     pub index: [bool; 3],
-    /// The currents the sensors see, A.
+    /// Currents at the sensors, A.
     pub currents: [f64; 3],
-    /// The bus voltage, V.
+    /// Bus voltage, V.
     pub bus_voltage: f64,
-    /// The inputs of the motors in the last step.
+    /// Inputs of the motors in the last step.
     pub drives: [MotorInput; 3],
 }
 
@@ -88,24 +88,24 @@ impl Plant for Dummy {
     }
 }
 
-/// The most that there was since it was last set to nothing.
+/// Largest values since the last reset.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Peaks {
-    /// A winding's current, A.
+    /// Current of a winding, A.
     pub current: f64,
-    /// A joint's speed, rad/s.
+    /// Speed of a joint, rad/s.
     pub speed: f64,
-    /// The tip's way from where it was, m.
+    /// Distance of the tip from its first position, m.
     pub travel: f64,
     /// True if a bridge was on.
     pub driven: bool,
-    /// True if the chip drove a pin of the power stage, or pulled it up.
+    /// True if the chip drove a pin of the power stage or pulled it up.
     pub touched: bool,
     from: Option<[f64; 3]>,
 }
 
 impl Peaks {
-    /// Takes what is.
+    /// Updates the peaks with the present values.
     pub fn take(&mut self, plant: &mut dyn Plant) {
         let currents = plant.currents();
         let Some(device) = plant.device() else { return };

@@ -1,10 +1,10 @@
-//! The paper's experiment on the emulated chip: which walls stay stable on the unmodified image, by
-//! `haptic_predict::measure` through the protocol, beside what the sampled-data theory of `haptic range` says with the
+//! The paper's experiment on the emulated chip: the range of stable walls of the unmodified image, measured by
+//! `haptic_predict::measure` through the protocol and compared with the sampled-data theory of `haptic range` for the
 //! delay that the board reports.
 //!
-//! The rigid device is the shipped coupled-five-bar without friction and with fine encoders, at a pose and along the
-//! normal where its coupling is worst, no hand on it. Other shipped devices stand at their homes with a cable at every
-//! joint. Motors, current sensors and the board's current loops are there.
+//! The rigid device is the shipped coupled-five-bar without friction and with fine encoders, at the pose and normal
+//! with the worst coupling, without a hand. Other shipped devices are measured at their homes with a cable at every
+//! joint. Motors, current sensors and the board's current loops are simulated.
 
 use std::f64::consts::TAU;
 
@@ -33,12 +33,12 @@ use crate::hands::hold;
 use crate::rig::{Rig, device_file};
 use crate::run::MILLISECOND;
 
-/// The pose in which the wall is touched, rad: that of the figures in docs/results.md.
+/// Pose at which the wall is touched, rad: the pose of the figures in docs/results.md.
 pub const POSE: [f64; 3] = [2.6, 1.75, 0.0];
-/// Edges of an encoder in a turn: so many that their steps are no part of what is measured.
+/// Encoder counts per turn, large enough that quantization does not affect the measurement.
 const COUNTS_PER_TURN: f64 = (1 << 20) as f64;
-/// A direct drive in place of the shipped file's placeholder. A step of the board's current sensors, 7 mA, is then 0.2
-/// mN m and not 4, which would keep the softly held tip moving.
+/// A direct drive instead of the placeholder in the shipped file. One step of the board's current sensors, 7 mA, is
+/// then 0.2 mN m instead of 4 mN m, which would keep the softly held tip moving.
 const MOTOR: Motor<f64> = Motor {
     torque_constant: 0.033,
     resistance: 0.5,
@@ -47,56 +47,56 @@ const MOTOR: Motor<f64> = Motor {
     max_current: 12.0,
     verified: true,
 };
-/// The torque of 12 A, N m.
+/// Torque at 12 A, N m.
 const TORQUE_LIMIT: f64 = 0.4;
-/// The torque of 10 A, N m, a current that the board lets flow for ever. Held too quickly, a tip on cables buzzes until
-/// it is held more softly; with more torque its motors would spend their thermal budget before, which is not what is
-/// measured.
+/// Torque at 10 A, N m, a current that the board permits indefinitely. Held too quickly, a tip on cables buzzes until
+/// it is held more softly. With more torque its motors would first use up their thermal budget, which is not measured
+/// here.
 const LASTING_TORQUE: f64 = 0.33;
-/// Most current of motors on the odrive-v3, A. Its shunts show steps of 10 mA and zeros as much off, which on motors of
-/// 2 or 3 A push a device without friction away.
+/// Largest current of motors on the odrive-v3, A. Its shunts have steps of 10 mA and zeros that are equally wrong. With
+/// motors of 2 or 3 A, these errors push a device without friction away.
 const SHUNT_CURRENT: f64 = 10.0;
-/// Its half bridges cost no dead time, which acts on a small swing as friction does.
+/// Half bridges of this board have no dead time, which acts like friction on a small swing.
 const BOARD: BoardKind = BoardKind::HBridgeF405;
 
-/// Frequency of each joint's cable against its motor, Hz, and its share of critical damping: docs/results/complete.md.
+/// Frequency of each joint's cable against its motor, Hz, and damping as a share of critical: docs/results/complete.md.
 const CABLE: (f64, f64) = (400.0, 0.05);
-/// A turret's own body is on the link's side: the motor has this share of its inertia.
+/// Share of a turret's inertia on the motor's side; the turret's body is on the link's side.
 const TURRET_MOTOR: f64 = 0.3;
-/// Of the spatial devices with cables: their longer arms make more of a step, and slower swings, whose edges come in
-/// time. The emulated encoders show one edge every 250 ns.
+/// Encoder counts per turn of the spatial devices with cables: their longer arms make a count scaled_motor, and their slower
+/// swings need fewer edges per second. The emulated encoders make one edge every 250 ns.
 const SPATIAL_COUNTS_PER_TURN: f64 = (1 << 22) as f64;
-/// The damping at which the walls with cables are measured, as a share of that at which the range ends.
+/// Damping at which walls with cables are measured, as a share of the largest damping of the range.
 const CABLE_SHARE: f64 = 0.35;
-/// Of the washout, Hz.
+/// Cutoff of the washout, Hz.
 const WASHOUT_HZ: f64 = 2.0;
 
-/// A device on the bench, and the wall before it.
+/// A device to be measured, and its wall.
 #[derive(Clone, Debug)]
-pub struct Bench {
-    /// The board that drives it.
+pub struct TestDevice {
+    /// The board.
     pub board: BoardKind,
     /// The device.
     pub file: DeviceFile,
     /// The wall's unit normal.
     pub normal: Vec<f64>,
-    /// The most torque that the measurement asks for, N m.
+    /// Largest torque that the measurement commands, N m.
     torque_limit: f64,
 }
 
-impl Bench {
-    /// Returns the pose in which the wall is touched, rad.
+impl TestDevice {
+    /// Returns the pose at which the wall is touched, rad.
     fn pose(&self) -> [f64; 3] {
         self.file.description.home.expect("a device with a home")
     }
 
-    /// Returns true if cables give at its joints.
-    fn gives(&self) -> bool {
+    /// Returns true if the joints have compliant cables.
+    fn is_compliant(&self) -> bool {
         self.file.description.joints.iter().any(|joint| joint.transmission.is_some())
     }
 }
 
-/// The boards and shipped devices that are measured with cables.
+/// Shipped devices that are measured with cables, and their boards.
 pub const CABLED: [(&str, BoardKind); 5] = [
     ("coupled-five-bar", BOARD),
     ("capstan-pantograph", BOARD),
@@ -105,7 +105,7 @@ pub const CABLED: [(&str, BoardKind); 5] = [
     ("woodenhaptics", BOARD),
 ];
 
-/// Control rate and the cutoff of the velocity filter, Hz.
+/// Control rate and cutoff of the velocity filter.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rate {
     /// Control rate, Hz.
@@ -114,25 +114,25 @@ pub struct Rate {
     pub cutoff_hz: f64,
 }
 
-/// The rates that are measured: the tests' rate first, then one at which the drive's lag is an eighth of a sample.
+/// Measured rates: the tests' rate, then a rate at which the drive's lag is an eighth of a sample.
 pub const RATES: [Rate; 2] = [Rate { rate_hz: 1000.0, cutoff_hz: 20.0 }, Rate { rate_hz: 5000.0, cutoff_hz: 100.0 }];
-/// The rates at which walls are measured with cables.
+/// Rates at which walls with cables are measured.
 pub const CABLE_RATES: [Rate; 3] = [
     Rate { rate_hz: 1000.0, cutoff_hz: 100.0 },
     Rate { rate_hz: 5000.0, cutoff_hz: 200.0 },
     Rate { rate_hz: 20_000.0, cutoff_hz: 500.0 },
 ];
-/// A current loop that lags as the board's, which makes a current within a carrier period: the default of `haptic range
-/// --drive current`, Hz.
+/// Bandwidth of a current loop that lags like the board's, which reaches its current within a carrier period, Hz: the
+/// default of `haptic range --drive current`.
 const CURRENT_BANDWIDTH: f64 = 6400.0;
 
-/// The coupled-five-bar, rigid.
+/// Returns the coupled-five-bar, rigid.
 ///
 /// # Panics
 ///
-/// When the shipped file is gone.
+/// If the shipped file is missing.
 #[must_use]
-pub fn rigid() -> Bench {
+pub fn rigid() -> TestDevice {
     let mut file = device_file("coupled-five-bar");
     file.description.home = Some(POSE);
     for joint in &mut file.description.joints[..2] {
@@ -143,15 +143,15 @@ pub fn rigid() -> Bench {
         }
         joint.motor = Some(MOTOR);
     }
-    // The unit normal of the largest Wrr/Weff at the pose.
+    // Unit normal with the largest Wrr/Weff at the pose.
     let any = unit_normal(&[1.0, 0.0], 2, 2).expect("a unit vector");
     let point = map::at_holding(&file.description, &POSE[..2], &any, Admissible::default());
     let normal = point.expect("a sound device").expect("a regular pose").worst_ratio.normal;
-    Bench { board: BOARD, file, normal, torque_limit: TORQUE_LIMIT }
+    TestDevice { board: BOARD, file, normal, torque_limit: TORQUE_LIMIT }
 }
 
-/// A motor that makes the same torque at the same voltage of [`SHUNT_CURRENT`].
-fn larger(motor: &Motor<f64>) -> Motor<f64> {
+/// Returns a motor with the same torque at the same voltage, at [`SHUNT_CURRENT`].
+fn scaled_motor(motor: &Motor<f64>) -> Motor<f64> {
     let share = motor.max_current / SHUNT_CURRENT;
     Motor {
         torque_constant: share * motor.torque_constant,
@@ -163,35 +163,35 @@ fn larger(motor: &Motor<f64>) -> Motor<f64> {
     }
 }
 
-/// A device of [`CABLED`] with a cable at every joint and without dry friction, as in docs/results/complete.md; its
-/// motors have a back-EMF or next to none.
+/// Returns a device of [`CABLED`] with a cable at every joint and without dry friction, as in docs/results/complete.md.
+/// Without `back_emf` its motors have almost none.
 ///
 /// # Panics
 ///
-/// When the shipped file is gone.
+/// If the shipped file is missing.
 #[must_use]
-pub fn cabled((name, board): (&str, BoardKind), back_emf: bool) -> Bench {
-    let mut bench = if name == "coupled-five-bar" {
-        Bench { torque_limit: LASTING_TORQUE, ..rigid() }
+pub fn cabled((name, board): (&str, BoardKind), back_emf: bool) -> TestDevice {
+    let mut test_device = if name == "coupled-five-bar" {
+        TestDevice { torque_limit: LASTING_TORQUE, ..rigid() }
     } else {
         let mut file = device_file(name);
         let normal = [0.6, 0.8, 0.0][..file.spec().task].to_vec();
-        // On either board the same motors.
+        // The motors are equal on both boards.
         let planar = normal.len() == 2;
         for joint in &mut file.description.joints {
             joint.coulomb = 0.0;
             if let Some(motor) = joint.motor.as_mut().filter(|_| planar) {
-                *motor = larger(motor);
+                *motor = scaled_motor(motor);
             }
             if let Some(encoder) = &mut joint.encoder {
                 encoder.counts_per_turn = if planar { COUNTS_PER_TURN } else { SPATIAL_COUNTS_PER_TURN };
             }
         }
-        Bench { board, file, normal, torque_limit: 1.0 }
+        TestDevice { board, file, normal, torque_limit: 1.0 }
     };
     let (hz, damped) = CABLE;
-    let joints = bench.file.spec().joints;
-    for (index, joint) in bench.file.description.joints[..joints].iter_mut().enumerate() {
+    let joints = test_device.file.spec().joints;
+    for (index, joint) in test_device.file.description.joints[..joints].iter_mut().enumerate() {
         let motor_inertia = if joints == 3 && index == 0 { TURRET_MOTOR * joint.inertia } else { joint.inertia };
         let stiffness = motor_inertia * (TAU * hz).powi(2);
         let damping = 2.0 * damped * (stiffness * motor_inertia).sqrt();
@@ -200,58 +200,58 @@ pub fn cabled((name, board): (&str, BoardKind), back_emf: bool) -> Bench {
             motor.back_emf = 1e-6;
         }
     }
-    bench
+    test_device
 }
 
-/// The board with the device at its connectors, homed at the pose, its polarity checked, and a hand that holds it
-/// there.
+/// Returns the board with the device, homed at the pose, with checked polarity and a hand that holds the device at the
+/// pose.
 ///
 /// # Panics
 ///
-/// When the board refuses anything.
+/// If the board refuses a request.
 #[must_use]
-pub fn rig(bench: &Bench) -> Rig {
-    let mut rig = Rig::with_file(bench.board, bench.file.clone(), |options| {
-        options.substep = if bench.gives() { 5e-6 } else { 25e-6 };
-        options.start = bench.file.description.home;
+pub fn rig(test_device: &TestDevice) -> Rig {
+    let mut rig = Rig::with_file(test_device.board, test_device.file.clone(), |options| {
+        options.substep = if test_device.is_compliant() { 5e-6 } else { 25e-6 };
+        options.start = test_device.file.description.home;
     });
     rig.prepare("");
-    // Back to where the polarity check began.
-    let pose = bench.pose();
+    // Return to the pose before the polarity check.
+    let pose = test_device.pose();
     rig.with_simulated(move |device| {
         device.place(pose);
         hold(device);
     });
     rig.run(300 * MILLISECOND);
-    let mut rules = rig.tool.rules().expect("the board answers");
+    let mut rules = rig.tool.rules().expect("the board replies");
     rules.limits.current = [12.0; 3];
     rig.tool.set_rules(&rules).expect("limits are raised while disarmed");
     rig
 }
 
-/// Measures on `rig`, which has the device of `bench`: `job` is handed a bench whose device is free, the wall's motors
-/// alone holding it.
+/// Measures on `rig`, which has the device of `test_device`. `job` receives the prepared board with a device that no hand
+/// holds, only the wall's motors.
 ///
 /// # Errors
 ///
 /// The error that ends a measurement early.
-pub fn on<T>(
+pub fn measure_on<T>(
     rig: &mut Rig,
-    bench: &Bench,
+    test_device: &TestDevice,
     rate: Rate,
     job: impl FnOnce(&mut PreparedBoard<'_>) -> Result<T, MeasureError>,
 ) -> Result<T, MeasureError> {
     let setup = MeasurementSetup {
-        walls: vec![Member::new(bench.normal.clone(), 1.0)],
+        walls: vec![Member::new(test_device.normal.clone(), 1.0)],
         rate_hz: rate.rate_hz,
         cutoff_hz: rate.cutoff_hz,
         washout_hz: WASHOUT_HZ,
-        torque_limit: bench.torque_limit,
+        torque_limit: test_device.torque_limit,
         largest_pull: 1e-3,
         law: Law::default(),
     };
     let shared = rig.shared.clone();
-    let mut prepared = PreparedBoard::new(&mut rig.tool, &bench.file, setup, &|| false)?;
+    let mut prepared = PreparedBoard::new(&mut rig.tool, &test_device.file, setup, &|| false)?;
     shared.board().with(|stopped| {
         stopped.hardware().plant.device().expect("a simulated device").set_hand(Hand::none());
     });
@@ -260,14 +260,14 @@ pub fn on<T>(
     Ok(outcome)
 }
 
-/// Returns the theory's boundary of the same loop at the dampings `kd` (N s/m), or the whole of it; `delay_samples` is
-/// the board's own.
+/// Returns the theory's boundary of the same loop at the dampings `kd` (N s/m), or the entire boundary; `delay_samples`
+/// is the delay that the board reports.
 ///
 /// # Panics
 ///
-/// When the theory refuses the loop.
+/// If the theory rejects the loop.
 #[must_use]
-pub fn predicted(bench: &Bench, rate: Rate, delay_samples: f64, kd: Option<&[f64]>) -> Range {
+pub fn predicted(test_device: &TestDevice, rate: Rate, delay_samples: f64, kd: Option<&[f64]>) -> Range {
     let around = Loop {
         rate_hz: rate.rate_hz,
         delay_samples,
@@ -275,54 +275,63 @@ pub fn predicted(bench: &Bench, rate: Rate, delay_samples: f64, kd: Option<&[f64
         drive: Drive::Current { bandwidth_hz: CURRENT_BANDWIDTH },
         damping_compensation: false,
     };
-    let linear = Linearised::at(&bench.file.description, &bench.pose()[..bench.file.spec().joints], &bench.normal)
-        .expect("a regular pose");
-    let washout = bench.gives().then_some(WASHOUT_HZ);
+    let linear = Linearised::at(
+        &test_device.file.description,
+        &test_device.pose()[..test_device.file.spec().joints],
+        &test_device.normal,
+    )
+    .expect("a regular pose");
+    let washout = test_device.is_compliant().then_some(WASHOUT_HZ);
     predict(&linear, &around, kd, washout).expect("the loop can be analysed")
 }
 
-/// Dampings of the whole measurement, and the pulls at each.
+/// Number of dampings of a complete measurement, and pulls at each damping.
 pub const POINTS: usize = 12;
-/// See [`POINTS`].
+/// Pulls at each damping, see [`POINTS`].
 pub const PULLS: [f64; 5] = [1.0, -1.0, 0.7, -0.7, 0.85];
 
-/// Delay in samples that the board reports at `rate`.
+/// Returns the delay in samples that the board reports at `rate`.
 ///
 /// # Panics
 ///
-/// When the board does not answer.
+/// If the board does not reply.
 #[must_use]
 pub fn delay_samples(rig: &mut Rig, rate: Rate) -> f64 {
     rig.set_scene(&format!("rate_hz = {}\n", rate.rate_hz));
-    f64::from(rig.tool.details().expect("the board answers").delay_samples)
+    f64::from(rig.tool.details().expect("the board replies").delay_samples)
 }
 
-/// The whole range at `rate` with this feed-forward, [`POINTS`] dampings up to where it ends, each pull of [`PULLS`],
-/// and the delay that the board reports. `told` hears how many boundaries are done.
+/// Measures the complete range at `rate` with this feed-forward: [`POINTS`] dampings up to the end of the range, with
+/// all [`PULLS`]. Returns the result and the delay that the board reports. Calls `report` with the number of finished
+/// boundaries.
 ///
 /// # Errors
 ///
 /// The error that ends a measurement early.
-pub fn whole(rate: Rate, mode: FeedForward, mut told: impl FnMut(usize)) -> Result<(Progress, f64), MeasureError> {
-    let bench = rigid();
-    let mut rig = rig(&bench);
+pub fn measure_range(
+    rate: Rate,
+    mode: FeedForward,
+    mut report: impl FnMut(usize),
+) -> Result<(Progress, f64), MeasureError> {
+    let test_device = rigid();
+    let mut rig = rig(&test_device);
     let delay = delay_samples(&mut rig, rate);
     let plan = Plan { modes: vec![mode], kd: None, points: POINTS, repeats: 1, pulls: PULLS.to_vec() };
     let mut progress = Progress::new("the emulated chip");
-    on(&mut rig, &bench, rate, |prepared| {
+    measure_on(&mut rig, &test_device, rate, |prepared| {
         campaign::run(prepared, &plan, &mut progress, |_, done| {
-            told(done);
+            report(done);
             Ok(())
         })
     })?;
     Ok((progress, delay))
 }
 
-/// Shares of the predicted stiffness at which a wall must be stable before the boundary is looked for beside the
+/// Shares of the predicted stiffness at which a wall must be stable before the boundary is searched near the
 /// prediction.
 const BELOW: [f64; 2] = [0.4, 0.7];
 
-/// The head of docs/results/complete-chip.csv, which [`with_cables`] fills.
+/// Head of docs/results/complete-chip.csv, with the rows of [`with_cables`].
 pub const CABLE_HEAD: [&str; 11] = [
     "device",
     "board",
@@ -337,8 +346,8 @@ pub const CABLE_HEAD: [&str; 11] = [
     "off by (%)",
 ];
 
-/// The largest stable stiffness of walls before a device of [`CABLED`] at `rate`, for one damping and each
-/// feed-forward. `told` hears every row of the table.
+/// Measures the largest stable stiffness of walls for a device of [`CABLED`] at `rate`, at one damping and with each
+/// feed-forward. Calls `report` with each row of the table.
 ///
 /// # Errors
 ///
@@ -347,19 +356,19 @@ pub fn with_cables(
     device: (&str, BoardKind),
     rate: Rate,
     back_emf: bool,
-    mut told: impl FnMut(&str),
+    mut report: impl FnMut(&str),
 ) -> Result<(), MeasureError> {
-    let bench = cabled(device, back_emf);
-    let mut rig = rig(&bench);
+    let test_device = cabled(device, back_emf);
+    let mut rig = rig(&test_device);
     let delay = delay_samples(&mut rig, rate);
-    let range = predicted(&bench, rate, delay, None);
-    // In three digits, as the tables have it.
+    let range = predicted(&test_device, rate, delay, None);
+    // Three digits, as in the tables.
     let kd = format!("{:.2e}", CABLE_SHARE * range.off.kd_max.min(range.full.kd_max));
     let kd: f64 = kd.parse().expect("a number");
-    on(&mut rig, &bench, rate, |prepared| {
+    measure_on(&mut rig, &test_device, rate, |prepared| {
         for mode in [FeedForward::Off, FeedForward::Full, FeedForward::Washout] {
-            let expected = predicted(&bench, rate, delay, Some(&[kd])).of(mode).boundary[0].kp;
-            // A search from far below takes three times as long.
+            let expected = predicted(&test_device, rate, delay, Some(&[kd])).of(mode).boundary[0].kp;
+            // A search that starts far below takes three times as long.
             let mut guess = Some(expected);
             for share in BELOW {
                 if prepared.oscillates(mode, share * expected, kd, 1.0)? {
@@ -367,13 +376,13 @@ pub fn with_cables(
                 }
             }
             let found = prepared.boundary(mode, kd, 1.0, guess)?.gain;
-            // The walls that hold the tip make the step longer, and its duties may be late for it.
+            // Held walls make the step longer, so its duties may be late.
             let delay = f64::from(prepared.board().details()?.delay_samples);
-            let expected = predicted(&bench, rate, delay, Some(&[kd])).of(mode).boundary[0].kp;
+            let expected = predicted(&test_device, rate, delay, Some(&[kd])).of(mode).boundary[0].kp;
             let (name, board) = device;
             let Rate { rate_hz, cutoff_hz } = rate;
             let apart = 100.0 * (found / expected - 1.0);
-            told(&csv_line([
+            report(&csv_line([
                 name,
                 board.name(),
                 &rate_hz.to_string(),
@@ -391,13 +400,13 @@ pub fn with_cables(
     })
 }
 
-/// ∫ kp dkd of medians at the middles of even cells, N² s/m².
+/// Returns ∫ kp dkd of medians at the centres of equal cells, N² s/m².
 fn area(progress: &Progress, mode: FeedForward) -> f64 {
     let cell = progress.end(mode).unwrap_or(0.0) / POINTS as f64;
     progress.of(mode).iter().map(|point| point.median() * cell).sum()
 }
 
-/// The head of docs/results/range-chip.csv, which [`section`] fills.
+/// Head of docs/results/range-chip.csv, with the rows of [`section`].
 pub const HEAD: [&str; 9] = [
     "rate (Hz)",
     "cutoff (Hz)",
@@ -410,18 +419,18 @@ pub const HEAD: [&str; 9] = [
     "apart (%)",
 ];
 
-/// The rows for a whole measurement at `rate`, what docs/results.md says of them, and its picture.
+/// Returns the rows of a complete measurement at `rate`, its summary for docs/results.md, and its picture.
 #[must_use]
 pub fn section(rate: Rate, progress: &Progress, delay: f64) -> (String, String, Picture) {
-    let bench = rigid();
+    let test_device = rigid();
     let Rate { rate_hz, cutoff_hz } = rate;
-    let range = predicted(&bench, rate, delay, None);
+    let range = predicted(&test_device, rate, delay, None);
     let mut rows = String::new();
     let mut furthest: f64 = 0.0;
     for mode in [FeedForward::Off, FeedForward::Full] {
         let points = progress.of(mode);
         let kd: Vec<f64> = points.iter().map(|point| point.kd).collect();
-        let at = predicted(&bench, rate, delay, Some(&kd));
+        let at = predicted(&test_device, rate, delay, Some(&kd));
         let top = range.of(mode).boundary.iter().map(|point| point.kp).fold(0.0, f64::max);
         for (point, theory) in points.iter().zip(&at.of(mode).boundary) {
             let (low, high) = point.bounds();
@@ -442,7 +451,7 @@ pub fn section(rate: Rate, progress: &Progress, delay: f64) -> (String, String, 
     }
     let measured = area(progress, FeedForward::Full) / area(progress, FeedForward::Off);
     let inertias = (range.w_rr / range.w_eff).powi(2);
-    let told = format!(
+    let summary = format!(
         "{rate_hz} Hz: area with the feed-forward over without {measured:.3}, {:.3} predicted, (Wrr/Weff)² = \
          {inertias:.3}; furthest apart {furthest:.1} %",
         range.area_ratio,
@@ -469,5 +478,5 @@ pub fn section(rate: Rate, progress: &Progress, delay: f64) -> (String, String, 
         note: None,
         paper: Paper::default(),
     });
-    (rows, told, picture)
+    (rows, summary, picture)
 }

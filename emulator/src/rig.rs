@@ -1,4 +1,4 @@
-//! A board on a test bench: firmware booted, a simulated device at its connectors, and the tool's client on its port.
+//! A test rig: a board with booted firmware, a simulated device at its connectors, and the tool's client on its port.
 
 use haptic_bridge::control::{HostAction, Rules};
 use haptic_bridge::model::device::Device as DeviceData;
@@ -21,11 +21,11 @@ use crate::plant::{Dummy, Plant};
 use crate::run::{MILLISECOND, SECOND, StoppedBoard, VirtualBoard};
 use crate::wire::Shared;
 
-/// The release image of `board`, built once for each process.
+/// Returns the release image of `board`, built once per process.
 ///
 /// # Panics
 ///
-/// When it cannot be built; the reason is printed.
+/// If the image cannot be built; the reason is printed.
 pub fn firmware(board: impl Into<&'static Wiring>) -> &'static Firmware {
     static IMAGES: Mutex<BTreeMap<&str, &Firmware>> = Mutex::new(BTreeMap::new());
     let name = board.into().name;
@@ -35,18 +35,18 @@ pub fn firmware(board: impl Into<&'static Wiring>) -> &'static Firmware {
         .or_insert_with(|| Box::leak(Box::new(Firmware::of(name).unwrap_or_else(|error| panic!("{error}")))))
 }
 
-/// The device files that ship.
+/// Returns the folder of the shipped device files.
 #[must_use]
 pub fn devices() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../devices")
 }
 
-/// The device file called `name`, with motors declared verified and wide joint limits where the file has none, as a
-/// person who has checked them would.
+/// Returns the device file called `name`, with motors declared verified and wide joint limits where the file has none,
+/// as for a person who has checked them.
 ///
 /// # Panics
 ///
-/// When there is no such file.
+/// If there is no such file.
 #[must_use]
 pub fn device_file(name: &str) -> DeviceFile {
     let path = devices().join(format!("{name}.toml"));
@@ -60,44 +60,44 @@ pub fn device_file(name: &str) -> DeviceFile {
     file
 }
 
-/// A board, and the tool connected to it.
+/// A board, and the tool connected to the board.
 pub struct Rig {
-    /// The kind of board that its image is for.
+    /// Board that the image is for.
     pub kind: &'static Wiring,
     /// The board.
     pub shared: Shared,
     /// The tool's client.
     pub tool: Board,
-    /// The device at the board's connectors.
+    /// Device at the board's connectors.
     pub file: Option<DeviceFile>,
 }
 
 impl Rig {
-    /// Boots `kind` with nothing but standing encoders at its connectors.
+    /// Boots `kind` with only encoders at rest at its connectors.
     ///
     /// # Panics
     ///
-    /// When the firmware does not come up on USB within two virtual seconds, or a bridge is on before.
+    /// If USB is not ready within two virtual seconds, or a bridge is on before.
     #[must_use]
     pub fn empty(kind: impl Into<&'static Wiring>) -> Self {
         Self::with_plant(kind.into(), Box::new(Dummy::default()), None)
     }
 
-    /// Boots the image of `kind` on a board of another kind, where nothing but standing encoders is at the connectors.
+    /// Boots the image of `kind` on another board, with only encoders at rest at its connectors.
     ///
     /// # Panics
     ///
     /// As [`Rig::empty`].
     #[must_use]
-    pub fn misplaced(kind: impl Into<&'static Wiring>, board: impl Into<&'static Wiring>, device: &str) -> Self {
+    pub fn on_other_board(kind: impl Into<&'static Wiring>, board: impl Into<&'static Wiring>, device: &str) -> Self {
         Self::boot(kind.into(), board.into(), Box::new(Dummy::default()), Some(device_file(device)))
     }
 
-    /// Boots `kind` with the device of the shipped file `name`, simulated with `change`d options.
+    /// Boots `kind` with the simulated device of the shipped file `name`; `change` sets the options.
     ///
     /// # Panics
     ///
-    /// When there is no such device, or the firmware does not come up.
+    /// If there is no such device, or the firmware does not boot.
     #[must_use]
     pub fn with_device(kind: impl Into<&'static Wiring>, name: &str, change: impl FnOnce(&mut Options)) -> Self {
         Self::with_file(kind, device_file(name), change)
@@ -107,7 +107,7 @@ impl Rig {
     ///
     /// # Panics
     ///
-    /// When the device cannot be simulated, or the firmware does not come up.
+    /// If the device cannot be simulated, or the firmware does not boot.
     #[must_use]
     pub fn with_file(kind: impl Into<&'static Wiring>, file: DeviceFile, change: impl FnOnce(&mut Options)) -> Self {
         let kind = kind.into();
@@ -133,15 +133,15 @@ impl Rig {
         let shared = Shared::new(board);
         let tool = Board::over(shared.wire(), "virtual").unwrap_or_else(|error| panic!("{error}"));
         let mut rig = Self { kind, shared, tool, file };
-        rig.watch_nobody();
+        rig.relax_rules();
         rig
     }
 
-    /// The board after a press of its reset button, the tool connected again.
+    /// Presses the board's reset button and connects the tool again.
     ///
     /// # Panics
     ///
-    /// When the firmware does not come up again.
+    /// If the firmware does not boot again.
     #[must_use]
     pub fn restarted(self) -> Self {
         let Self { kind, shared, file, .. } = self;
@@ -154,18 +154,18 @@ impl Rig {
         }
         let tool = Board::over(shared.wire(), "virtual").unwrap_or_else(|error| panic!("{error}"));
         let mut rig = Self { kind, shared, tool, file };
-        rig.watch_nobody();
+        rig.relax_rules();
         rig
     }
 
-    /// Tells the board what may be said where no person is: not to watch its host, because virtual time passes without
-    /// one, and to push at the tip as hard as it ever may.
+    /// Sets rules that are safe without a person: does not watch the host, because virtual time passes without one, and
+    /// sets the largest force limit at the tip.
     ///
     /// # Panics
     ///
-    /// When the board refuses.
-    pub fn watch_nobody(&mut self) {
-        let rules = self.tool.rules().expect("the board answers");
+    /// If the board refuses the rules.
+    pub fn relax_rules(&mut self) {
+        let rules = self.tool.rules().expect("the board replies");
         let limits = Limits { tip_force: MOST_TIP_FORCE, ..rules.limits };
         self.tool.set_rules(&Rules { limits, host_action: HostAction::Ignore, ..rules }).expect("the motors are off");
     }
@@ -174,7 +174,7 @@ impl Rig {
     ///
     /// # Panics
     ///
-    /// When the board refuses either.
+    /// If the board refuses either.
     pub fn load(&mut self, scene: &str) {
         let file = self.file.as_ref().expect("a device at the connectors");
         let device = DeviceData::new(&file.name, &file.description).expect("a device of the board's size");
@@ -186,18 +186,18 @@ impl Rig {
     ///
     /// # Panics
     ///
-    /// When the board refuses it.
+    /// If the board refuses the scene.
     pub fn set_scene(&mut self, scene: &str) {
         let task = self.file.as_ref().expect("a device at the connectors").spec().task;
         let scene = SceneFile::parse(scene, "scene", task).unwrap_or_else(|error| panic!("{error}"));
         self.tool.set_scene(&scene.scene().expect("the scene fits f32")).expect("the board takes the scene");
     }
 
-    /// Homes the device where it stands, has its polarity checked, arms, and waits until torque has ramped up.
+    /// Homes the device in place, checks its polarity, arms, and waits until torque has ramped up.
     ///
     /// # Panics
     ///
-    /// When the board refuses, or finds a fault.
+    /// If the board refuses a request or latches a fault.
     pub fn ready(&mut self) {
         self.tool.home().expect("the device can be homed");
         self.check_polarity();
@@ -208,24 +208,24 @@ impl Rig {
     ///
     /// # Panics
     ///
-    /// When the board refuses, or finds a fault.
+    /// If the board refuses or latches a fault.
     pub fn arm(&mut self) {
         self.tool.arm().expect("the board arms");
         self.run(SECOND);
-        let status = self.tool.status().expect("the board answers");
+        let status = self.tool.status().expect("the board replies");
         assert_eq!((status.state, status.fault), (State::Armed, None), "{status:?}");
     }
 
-    /// Has the polarity of every joint checked.
+    /// Checks the polarity of every joint.
     ///
     /// # Panics
     ///
-    /// When the board refuses, or the check fails.
+    /// If the board refuses, or the check fails.
     pub fn check_polarity(&mut self) {
         self.tool.check_polarity().expect("the polarity check starts");
         for _ in 0..100 {
             self.run(100 * MILLISECOND);
-            let status = self.tool.status().expect("the board answers");
+            let status = self.tool.status().expect("the board replies");
             if status.state != State::CheckingPolarity {
                 assert!(status.polarity, "{status:?}");
                 return;
@@ -239,21 +239,21 @@ impl Rig {
         self.shared.board().run(span);
     }
 
-    /// Does `job` with the board standing still.
+    /// Runs `job` while the board stands still.
     pub fn with<T: Send + 'static>(&self, job: impl FnOnce(&mut StoppedBoard<'_>) -> T + Send + 'static) -> T {
         self.shared.board().with(job)
     }
 
-    /// Does `job` with the simulated device.
+    /// Runs `job` with the simulated device.
     ///
     /// # Panics
     ///
-    /// On a rig without one.
+    /// If the plant is not a simulated device.
     pub fn with_simulated<T: Send + 'static>(&self, job: impl FnOnce(&mut SimulatedDevice) -> T + Send + 'static) -> T {
         self.with(|stopped| job(stopped.hardware().plant.device().expect("a simulated device")))
     }
 
-    /// Describes a board that does not answer any more: its port's history and restarts.
+    /// Describes a board that no longer replies: the history of its port and its restarts.
     #[must_use]
     pub fn post_mortem(&self) -> String {
         let (at, port, restarts) =
@@ -261,21 +261,21 @@ impl Rig {
         format!("at {at} ns\nport: {port:?}\nrestarts: {restarts:?}")
     }
 
-    /// Virtual nanoseconds since power-on.
+    /// Returns the virtual time since power-on, ns.
     #[must_use]
     pub fn now(&self) -> u64 {
         self.shared.board().now()
     }
 
-    /// Control steps since boot, read from the chip's memory with the board standing still.
+    /// Returns the number of control steps since boot, read from the chip's memory while the board stands still.
     ///
     /// # Panics
     ///
-    /// When the image keeps no such count.
+    /// If the image has no such count.
     #[must_use]
     pub fn steps(&self) -> u32 {
-        // The first of what it shares.
-        let address = firmware(self.kind).find_ending("5servo7CONTROL").expect("the count of steps").address;
+        // The count is the first field of the shared state.
+        let address = firmware(self.kind).find_ending("9interrupt7CONTROL").expect("the count of steps").address;
         self.with(move |stopped| stopped.word(address)).expect("RAM")
     }
 }

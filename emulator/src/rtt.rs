@@ -1,9 +1,9 @@
-//! The firmware's log as a debug probe takes it: RTT up-channel 0, read from RAM, with the read offset written back.
+//! The firmware's log as a debug probe reads it: RTT up-channel 0 in RAM, with the read offset written back.
 
 use rigless::emulator::Memory;
 use rigless::soc::Width;
 
-/// The offset of the first up-channel's descriptor in the control block: after the 16-byte name and the two counts.
+/// Offset of the first up-channel's descriptor in the control block: after the 16-byte name and the two counts.
 const CHANNEL: u64 = 24;
 const BUFFER: u64 = CHANNEL + 4;
 const SIZE: u64 = CHANNEL + 8;
@@ -18,19 +18,19 @@ pub struct Rtt {
 }
 
 impl Rtt {
-    /// A reader of the control block at `block`; without one there is no log.
+    /// Returns a reader of the control block at `block`; `None` for an image without a log.
     #[must_use]
     pub fn new(block: Option<u64>) -> Self {
         Self { block, read: Vec::new() }
     }
 
-    /// Moves what the firmware has written out of its buffer.
+    /// Empties the firmware's buffer.
     pub fn drain(&mut self, memory: &mut (impl Memory + ?Sized)) {
         let Some(block) = self.block else { return };
         let mut word = |offset| memory.read(block + offset, Width::W32).unwrap_or(0);
         let (buffer, size) = (word(BUFFER), word(SIZE));
         let (write, mut read) = (word(WRITE_OFFSET), word(READ_OFFSET));
-        // Before start-up code has run the block holds whatever RAM held.
+        // Before start-up code has run, the control block holds random RAM contents.
         if size == 0 || size > 1 << 16 || write >= size || read >= size {
             return;
         }
@@ -40,11 +40,11 @@ impl Rtt {
             }
             read = (read + 1) % size;
         }
-        // A control block is RAM, so the write lands.
+        // The control block is in RAM, so the write succeeds.
         let _ = memory.write(block + READ_OFFSET, Width::W32, read);
     }
 
-    /// Takes what was read since the last call.
+    /// Takes the bytes read since the last call.
     pub fn take(&mut self) -> Vec<u8> {
         std::mem::take(&mut self.read)
     }

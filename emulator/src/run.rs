@@ -1,7 +1,7 @@
-//! A running virtual board: the emulator on a thread of its own, in lockstep with whoever holds the [`VirtualBoard`].
+//! A running virtual board: the emulator on its own thread, in lockstep with the owner of the [`VirtualBoard`].
 //!
-//! The board stands still unless it is told to run to an instant, so a test that writes, runs and reads sees the same
-//! bytes at the same virtual instants on every machine, however fast the machine is.
+//! The board stands still except during [`VirtualBoard::run`], so a test that writes, runs and reads sees the same
+//! bytes at the same virtual times on every machine, independent of its speed.
 
 use std::fmt;
 use std::ops::Range;
@@ -21,22 +21,22 @@ use crate::shares::Tally;
 use crate::trace::{Code, Run, Tracer};
 use crate::usb;
 
-/// Nanoseconds in a microsecond and a millisecond of virtual time.
+/// Nanoseconds in a microsecond of virtual time.
 pub const MICROSECOND: u64 = 1_000;
 /// Nanoseconds in a millisecond of virtual time.
 pub const MILLISECOND: u64 = 1_000_000;
 /// Nanoseconds in a second of virtual time.
 pub const SECOND: u64 = 1_000_000_000;
 
-/// The interrupt of the chip's supply monitor.
+/// Interrupt of the chip's supply monitor.
 const SUPPLY_MONITOR: InterruptLine = InterruptLine::new(1).expect("a line of the part");
 
-/// Why a board could not be started.
+/// Reason why a board could not be started.
 #[derive(Debug)]
 pub enum Error {
-    /// The image is not there or is not an image.
+    /// The image does not exist or is not an image.
     Image(image::Error),
-    /// The emulator refused it, or stopped.
+    /// The emulator rejected the image, or stopped.
     Emulator(String),
 }
 
@@ -57,7 +57,7 @@ impl From<image::Error> for Error {
     }
 }
 
-/// The board at a stop: everything on it can be looked at and changed.
+/// The board at a stop: everything on it can be inspected and changed.
 pub struct StoppedBoard<'a> {
     session: &'a mut Session<Hardware>,
     memory: &'a mut dyn emulator::Host,
@@ -71,12 +71,12 @@ pub struct StoppedBoard<'a> {
 }
 
 impl StoppedBoard<'_> {
-    /// The board's hardware.
+    /// Returns the board's hardware.
     pub fn hardware(&mut self) -> &mut Hardware {
         self.session.board_mut()
     }
 
-    /// The computer at the other end of the USB cable.
+    /// Returns the computer at the other end of the USB cable.
     pub fn usb(&mut self) -> &mut usb::Host {
         &mut self.session.board_mut().chip.otg.host
     }
@@ -86,104 +86,105 @@ impl StoppedBoard<'_> {
         self.memory.read(address, Width::W32).ok().map(|value| value as u32)
     }
 
-    /// Overwrites the word at `address` of the chip's RAM. Answers whether there is RAM.
+    /// Overwrites the word at `address` of the chip's RAM. Returns true if there is RAM.
     pub fn poke(&mut self, address: u64, value: u32) -> bool {
         self.memory.write(address, Width::W32, u64::from(value)).is_ok()
     }
 
-    /// The words of a `place` of the flash.
+    /// Returns the words in a range of the flash.
     ///
     /// # Panics
     ///
-    /// When there is no memory.
+    /// If there is no memory.
     pub fn flash(&mut self, place: Range<u64>) -> Vec<u32> {
         place.step_by(4).map(|at| self.word(at).expect("there is flash")).collect()
     }
 
-    /// Puts `words` into the flash from `start` on, as a programming tool does. In force when the run goes on.
+    /// Writes `words` to the flash, beginning at `start`, as a programming tool does. Takes effect when the run
+    /// continues.
     ///
     /// # Panics
     ///
-    /// When there is no memory.
+    /// If there is no memory.
     pub fn set_flash(&mut self, start: u64, words: &[u32]) {
         let at = VirtualNanos(self.at);
         for (address, word) in (start..).step_by(4).zip(words) {
             if self.word(address) != Some(*word) {
-                self.hardware().chip.spoil_flash(at, address, *word);
+                self.hardware().chip.corrupt_flash(at, address, *word);
             }
         }
     }
 
-    /// Flips a bit of the first byte of the last `text` in a `place` of the flash. In force when the run goes on.
+    /// Flips a bit of the first byte of the last `text` in a range of the flash. Takes effect when the run continues.
     ///
     /// # Panics
     ///
-    /// When the text is not there.
+    /// If the range does not contain the text.
     pub fn flip_in_flash(&mut self, place: Range<u64>, text: &[u8]) {
         let bytes: Vec<u8> = self.flash(place.clone()).into_iter().flat_map(u32::to_le_bytes).collect();
         let found = bytes.windows(text.len()).rposition(|window| window == text).expect("the text is in flash");
         let word = place.start + found as u64 / 4 * 4;
         let flipped = self.word(word).expect("there is flash") ^ 1 << (8 * (found % 4));
         let at = VirtualNanos(self.at);
-        self.hardware().chip.spoil_flash(at, word, flipped);
+        self.hardware().chip.corrupt_flash(at, word, flipped);
     }
 
-    /// Gives the chip so many millivolts, and its core the supply monitor's request (line 1, RM0090 table 61).
+    /// Sets the chip's supply voltage, and passes the supply monitor's request to the core (line 1, RM0090 table 61).
     pub fn supply(&mut self, millivolts: u32) {
         let at = VirtualNanos(self.at);
         let asks = self.hardware().chip.supply(at, millivolts);
         self.memory.set_interrupt(SUPPLY_MONITOR, Level::from(asks));
     }
 
-    /// Holds the core: it executes nothing while time goes on. Or lets it go on.
+    /// Holds the core, so that it executes nothing while time passes, or releases it.
     pub fn hold(&mut self, held: bool) {
         self.memory.hold(held);
     }
 
-    /// Starts noting every instruction of the handler that starts at `entry`. Slow: a virtual second takes minutes.
+    /// Starts to record every instruction of the handler that starts at `entry`. Slow: a virtual second takes minutes.
     pub fn trace(&mut self, code: &Code, entry: u64) {
         code.addresses().for_each(|address| self.session.watch(Watch::Instruction(address)));
         *self.tracer = Some(Tracer::new(code.clone(), entry as u32));
     }
 
-    /// Ends what [`StoppedBoard::trace`] began and takes the handler's whole runs.
+    /// Ends the recording of [`StoppedBoard::trace`] and returns the handler's complete runs.
     pub fn take_trace(&mut self, code: &Code) -> Vec<Run> {
         code.addresses().for_each(|address| self.session.unwatch(Watch::Instruction(address)));
         self.tracer.take().map(Tracer::finish).unwrap_or_default()
     }
 
-    /// Starts counting every instruction beside the control interrupt that starts at `entry`. As slow as a trace.
+    /// Starts to count every instruction outside the control interrupt, which starts at `entry`. As slow as a trace.
     pub fn tally(&mut self, code: &Code, entry: u64) {
         code.addresses().for_each(|address| self.session.watch(Watch::Instruction(address)));
         *self.tally = Some(Tally::new(code.clone(), entry as u32));
     }
 
-    /// Ends what [`StoppedBoard::tally`] began.
+    /// Ends the count of [`StoppedBoard::tally`] and returns it.
     pub fn take_tally(&mut self, code: &Code) -> Option<Tally> {
         code.addresses().for_each(|address| self.session.unwatch(Watch::Instruction(address)));
         self.tally.take()
     }
 
-    /// Takes the raw log the firmware wrote since the last call (RTT up-channel 0), as a probe would.
+    /// Takes the raw log that the firmware wrote since the last call (RTT up-channel 0), as a debug probe would.
     pub fn take_log(&mut self) -> Vec<u8> {
         self.rtt.drain(self.memory);
         self.rtt.take()
     }
 
-    /// Every restart of the chip so far.
+    /// Returns all restarts of the chip so far.
     #[must_use]
     pub fn resets(&self) -> &[Reset] {
         self.session.resets()
     }
 
-    /// Pulls the reset pin.
+    /// Asserts the reset pin.
     pub fn reset(&mut self) {
         let (at, count) = (VirtualNanos(self.at), self.instructions);
         self.session.reset_by_pin(at, count, self.memory);
     }
 
-    /// Returns the firmware's accesses that the virtual chip has no model for, one line each: an empty list means every
-    /// access was answered by a model.
+    /// Returns the firmware's accesses for which the virtual chip has no model, one line each. If the list is empty, a
+    /// model handled every access.
     #[must_use]
     pub fn gaps(&self) -> Vec<String> {
         let unmapped = self.session.unmapped().into_iter().map(|gap| gap.to_string());
@@ -210,7 +211,7 @@ enum Reply {
     Stopped { at: u64, instructions: u64 },
 }
 
-/// A board that runs when told to.
+/// A board that runs only on request.
 #[derive(Debug)]
 pub struct VirtualBoard {
     commands: Option<Sender<Command>>,
@@ -221,19 +222,19 @@ pub struct VirtualBoard {
 }
 
 impl VirtualBoard {
-    /// Powers a board with `firmware` in its flash. It stands at its first instruction.
+    /// Powers on a board with `firmware` in its flash. The board stops at its first instruction.
     ///
     /// # Errors
     ///
-    /// An image the emulator refuses.
+    /// If the emulator rejects the image.
     pub fn start(firmware: &Firmware, hardware: Hardware) -> Result<Self, Error> {
         let emulator = |error: &dyn fmt::Display| Error::Emulator(error.to_string());
         let session = Session::new(Box::new(hardware), 0, VirtualNanos(1)).map_err(|error| emulator(&error))?;
         let image = firmware.image().map_err(|error| emulator(&error))?;
         let rtt = Rtt::new(firmware.find("_SEGGER_RTT").map(|symbol| symbol.address));
-        let (commands, orders) = channel();
-        let (answers, replies) = channel();
-        let runner = Runner { orders, answers, until: 0, waiting: false, tracer: None, tally: None, rtt };
+        let (commands, requests) = channel();
+        let (replies_out, replies) = channel();
+        let runner = Runner { requests, replies_out, until: 0, waiting: false, tracer: None, tally: None, rtt };
         let thread = std::thread::spawn(move || {
             emulator::run(session, &Start::new(&[image]), runner).map(|_| ()).map_err(|error| error.to_string())
         });
@@ -241,13 +242,13 @@ impl VirtualBoard {
         Ok(board)
     }
 
-    /// Virtual nanoseconds since power-on.
+    /// Returns the virtual time since power-on, ns.
     #[must_use]
     pub fn now(&self) -> u64 {
         self.at
     }
 
-    /// Instructions executed since power-on.
+    /// Returns the number of instructions executed since power-on.
     #[must_use]
     pub fn instructions(&self) -> u64 {
         self.instructions
@@ -257,30 +258,30 @@ impl VirtualBoard {
     ///
     /// # Panics
     ///
-    /// When the emulator stopped, with its reason.
+    /// If the emulator stopped; the message contains the reason.
     pub fn run(&mut self, span: u64) {
         let until = self.at + span;
         match self.order(Command::RunUntil(until)) {
             Reply::Stopped { at, instructions } => (self.at, self.instructions) = (at, instructions),
-            Reply::Done => unreachable!("a run answers where it stopped"),
+            Reply::Done => unreachable!("a run replies with the time of its stop"),
         }
     }
 
-    /// Does `job` with the board standing still, and answers what it answered.
+    /// Runs `job` while the board stands still, and returns its result.
     ///
     /// # Panics
     ///
-    /// When the emulator stopped, with its reason.
+    /// If the emulator stopped; the message contains the reason.
     pub fn with<T: Send + 'static>(&mut self, job: impl FnOnce(&mut StoppedBoard<'_>) -> T + Send + 'static) -> T {
         let (result, taken) = channel();
         self.order(Command::With(Box::new(move |stopped| {
-            // The receiver stands below, so there is someone to take it.
+            // The receiver below outlives the job.
             let _ = result.send(job(stopped));
         })));
         taken.recv().expect("the job was done")
     }
 
-    /// Runs until `done` says so, looking every `step` nanoseconds and for at most `span`. Answers whether it did.
+    /// Runs until `done` returns true, checked every `step` nanoseconds, for at most `span`. Returns true if it did.
     pub fn run_until(
         &mut self,
         span: u64,
@@ -290,8 +291,8 @@ impl VirtualBoard {
         let last = self.at + span;
         while self.at < last {
             self.run(step.min(last - self.at));
-            let mut look = done.clone();
-            let (is_done, kept) = self.with(move |stopped| (look(stopped), look));
+            let mut check = done.clone();
+            let (is_done, kept) = self.with(move |stopped| (check(stopped), check));
             done = kept;
             if is_done {
                 return true;
@@ -305,11 +306,11 @@ impl VirtualBoard {
         let reply = if sent { self.replies.recv().ok() } else { None };
         match reply {
             Some(reply) => reply,
-            None => panic!("the virtual board stopped: {}", self.why()),
+            None => panic!("the virtual board stopped: {}", self.stop_reason()),
         }
     }
 
-    fn why(&mut self) -> String {
+    fn stop_reason(&mut self) -> String {
         match self.thread.take().map(JoinHandle::join) {
             Some(Ok(Ok(()))) => "the run ended".to_owned(),
             Some(Ok(Err(error))) => error,
@@ -323,15 +324,15 @@ impl Drop for VirtualBoard {
     fn drop(&mut self) {
         self.commands = None;
         if let Some(thread) = self.thread.take() {
-            // A panic of the board's thread has been reported where the board was used.
+            // A panic of the board's thread was reported at its use.
             let _ = thread.join();
         }
     }
 }
 
 struct Runner {
-    orders: Receiver<Command>,
-    answers: Sender<Reply>,
+    requests: Receiver<Command>,
+    replies_out: Sender<Reply>,
     until: u64,
     waiting: bool,
     tracer: Option<Tracer>,
@@ -340,19 +341,19 @@ struct Runner {
 }
 
 impl Runner {
-    /// Serves orders at a stop the holder asked for, until one says where to run to; `None` when the holder is gone.
+    /// Serves commands at a requested stop until a command continues the run; `None` if the owner is gone.
     fn serve(&mut self, session: &mut Session<Hardware>, memory: &mut dyn emulator::Host, stop: Stop) -> Option<()> {
         if std::mem::take(&mut self.waiting) {
             let (at, instructions) = (stop.at.0, stop.instruction_count);
-            self.answers.send(Reply::Stopped { at, instructions }).ok()?;
+            self.replies_out.send(Reply::Stopped { at, instructions }).ok()?;
         }
         loop {
-            match self.orders.recv().ok()? {
+            match self.requests.recv().ok()? {
                 Command::With(job) => {
                     let Self { tracer, tally, rtt, .. } = self;
                     let (at, instructions) = (stop.at.0, stop.instruction_count);
                     job(&mut StoppedBoard { session, memory, at, instructions, tracer, tally, rtt });
-                    self.answers.send(Reply::Done).ok()?;
+                    self.replies_out.send(Reply::Done).ok()?;
                 }
                 Command::RunUntil(until) => {
                     self.until = until;
@@ -362,7 +363,7 @@ impl Runner {
                     }
                     self.waiting = false;
                     let (at, instructions) = (stop.at.0, stop.instruction_count);
-                    self.answers.send(Reply::Stopped { at, instructions }).ok()?;
+                    self.replies_out.send(Reply::Stopped { at, instructions }).ok()?;
                 }
             }
         }

@@ -1,5 +1,5 @@
-//! The instructions of a stretch by purpose: the control interrupt's exactly, those of the tasks by the functions of
-//! the source that they came from.
+//! Instructions of a run by purpose: those of the control interrupt exactly, those of the tasks by their source
+//! functions.
 
 use std::collections::HashMap;
 
@@ -9,14 +9,14 @@ use crate::image::Firmware;
 use crate::stages::Stages;
 use crate::trace::{Code, Move, Walker};
 
-/// The control interrupt.
+/// Name of the control interrupt's share.
 pub const CONTROL: &str = "the control interrupt";
-/// A task that waits for the control interrupt's answer.
+/// Name of the share of tasks that wait for the control interrupt's reply.
 pub const WAITING: &str = "waiting for the valley at which it takes a request";
-/// The share that none of [`SHARES`] names.
+/// Name of the remaining share.
 const REST: &str = "everything else";
 
-/// The purposes of tasks, with parts of the paths of their functions: the innermost function that is named decides.
+/// Purposes of the tasks' functions, with parts of their paths: the innermost function with a match decides.
 const SHARES: &[(&str, &[&str])] = &[
     (WAITING, &["Requests::exchange"]),
     ("frames: COBS", &["board::framing"]),
@@ -26,7 +26,7 @@ const SHARES: &[(&str, &[&str])] = &[
     ("tasks and timers", &["embassy_executor", "embassy_time", "embassy_sync", "time_driver", "firmware::link"]),
 ];
 
-/// Counts instructions: those of the control interrupt together, all others one by one.
+/// Counts instructions: those of the control interrupt together, all others by address.
 #[derive(Debug)]
 pub struct Tally {
     code: Code,
@@ -38,13 +38,13 @@ pub struct Tally {
 }
 
 impl Tally {
-    /// For a control interrupt that starts at `entry`.
+    /// Returns a tally for a control interrupt that starts at `entry`.
     #[must_use]
     pub fn new(code: Code, entry: u32) -> Self {
         Self { code, entry, control: None, seen: 0, inside: 0, outside: HashMap::new() }
     }
 
-    /// Takes a hit. A stop of the emulator may report an instruction twice; it counts once.
+    /// Handles a hit. A stop of the emulator may report an instruction twice; it is counted once.
     pub fn feed(&mut self, hit: &Hit) {
         if std::mem::replace(&mut self.seen, hit.instruction_count) == hit.instruction_count {
             return;
@@ -62,11 +62,11 @@ impl Tally {
         }
     }
 
-    /// The instructions of each share, the control interrupt's first.
+    /// Returns the instructions of each share, the control interrupt's first.
     ///
     /// # Panics
     ///
-    /// When the image has no debug information.
+    /// If the image has no debug information.
     #[must_use]
     pub fn shares(self, image: &Firmware) -> Vec<(&'static str, u64)> {
         let stages = Stages::of(image).expect("debug information");

@@ -1,6 +1,6 @@
-//! Hours of contact with telemetry on the unmodified image: no control period is missed, no row is lost, no touch of
-//! the wall is unlike the first ones. `cargo xtask soak --chip` runs it; tool/tests/deep/soak.rs is the same on
-//! the simulated board.
+//! Hours of contact with telemetry on the unmodified image: no control period is missed, no row is lost, and no touch
+//! of the wall differs from the first touches. `cargo xtask soak --chip` runs it; tool/tests/deep/soak.rs does the same
+//! on the simulated board.
 
 use std::fmt::Write as _;
 use std::time::Duration;
@@ -15,29 +15,28 @@ use crate::contact::WallAt;
 use crate::rig::{Rig, device_file};
 use crate::run::SECOND;
 
-/// Control rate, Hz: the lowest at which this wall is still firm. The current loops run at 20 kHz whatever it is.
+/// Control rate, Hz: the lowest rate at which this wall is still firm. The current loops always run at 20 kHz.
 const RATE: u32 = 1_000;
-/// One touch of the wall and back, s.
+/// Duration of one touch of the wall, out and back, s.
 const CYCLE: u32 = 2;
-/// Touches left out at the start, and how many then say what is usual.
-const SETTLED: usize = 5;
-const USUAL: usize = 20;
-/// Largest departure of a later touch from the usual value, as a share of it: a fifth of what a hand can feel (a
-/// tenth).
+/// Number of touches that are skipped at the start, and number of touches that then define the usual range.
+const SKIPPED: usize = 5;
+const REFERENCE: usize = 20;
+/// Largest deviation of a later touch from the usual range, as a share: a fifth of what a hand can feel (a tenth).
 const DRIFT: f64 = 0.02;
-/// Virtual seconds of a row of the report.
+/// Virtual seconds per row of the report.
 const ROW: u32 = 600;
 
 /// Largest force (N) and impulse (N s) of a touch.
 type Touch = [f64; 2];
 
-/// Runs for `seconds` of virtual time and reports; `told` hears of every minute.
+/// Runs for `seconds` of virtual time and returns a report. Calls `report_minute` every minute.
 ///
 /// # Panics
 ///
-/// When anything is lost, missed, or unlike the beginning.
+/// If anything is lost, missed, or different from the start.
 #[must_use]
-pub fn contact(seconds: u64, mut told: impl FnMut(u64)) -> String {
+pub fn contact(seconds: u64, mut report_minute: impl FnMut(u64)) -> String {
     let mut rig = Rig::with_file(BoardKind::OdriveV3, device_file("pantograph-mk2"), |options| options.substep = 25e-6);
     let normal = [0.0, -1.0, 0.0];
     let wall = WallAt { gap: 0.005, stiffness: 800.0, damping: 4.0, feed_forward: "washout", ..WallAt::facing(normal) };
@@ -60,14 +59,14 @@ pub fn contact(seconds: u64, mut told: impl FnMut(u64)) -> String {
     let began = rig.now();
     let (mut first, mut next, mut rows, mut minute) = (None, None, 0_u64, 0);
     let mut touches: Vec<Touch> = Vec::new();
-    let stack = rig.tool.details().expect("the board answers").stack_free;
+    let stack = rig.tool.details().expect("the board replies").stack_free;
     let steps_before = rig.steps();
     let measured_from = rig.now();
     while rig.now() < began + seconds * SECOND {
-        let came = rig.tool.rows(Duration::from_millis(500));
-        let came = came.unwrap_or_else(|error| panic!("{error}\n{}", rig.post_mortem()));
-        for row in came {
-            assert_eq!(*next.get_or_insert(row.step), row.step, "a row is missing or came twice");
+        let received_rows = rig.tool.rows(Duration::from_millis(500));
+        let received_rows = received_rows.unwrap_or_else(|error| panic!("{error}\n{}", rig.post_mortem()));
+        for row in received_rows {
+            assert_eq!(*next.get_or_insert(row.step), row.step, "a row is missing or duplicated");
             next = Some(row.step.wrapping_add(1));
             assert_eq!(row.values[state], f64::from(State::Armed as u8), "step {}", row.step);
             let touch = row.step.wrapping_sub(*first.get_or_insert(row.step)) / (RATE * CYCLE);
@@ -80,7 +79,7 @@ pub fn contact(seconds: u64, mut told: impl FnMut(u64)) -> String {
         let now = (rig.now() - began) / (60 * SECOND);
         if now > minute {
             minute = now;
-            told(minute);
+            report_minute(minute);
         }
     }
     let steps = u64::from(rig.steps().wrapping_sub(steps_before));
@@ -89,25 +88,25 @@ pub fn contact(seconds: u64, mut told: impl FnMut(u64)) -> String {
     rig.tool.stop_stream().expect("the stream stops");
     rows += rig.tool.rows(Duration::ZERO).expect("rows come").len() as u64;
     assert_eq!(rig.tool.losses(), Losses { received: rows, ..Losses::default() });
-    let details = rig.tool.details().expect("the board answers");
-    assert_eq!((details.overruns, rig.with(|bench| bench.resets().len())), (0, 0));
-    assert!(rig.tool.faults().expect("the board answers").is_empty());
-    assert_eq!(rig.tool.status().expect("the board answers").state, State::Armed);
-    // The last touch is not complete.
+    let details = rig.tool.details().expect("the board replies");
+    assert_eq!((details.overruns, rig.with(|stopped| stopped.resets().len())), (0, 0));
+    assert!(rig.tool.faults().expect("the board replies").is_empty());
+    assert_eq!(rig.tool.status().expect("the board replies").state, State::Armed);
+    // The last touch is incomplete.
     touches.pop();
-    let usual = span(&touches[SETTLED..SETTLED + USUAL]);
+    let usual = span(&touches[SKIPPED..SKIPPED + REFERENCE]);
     assert!(usual[0].0 > 0.5, "the wall is touched every time: {} N", usual[0].0);
-    for (nth, touch) in touches.iter().enumerate().skip(SETTLED) {
-        let like = usual
+    for (nth, touch) in touches.iter().enumerate().skip(SKIPPED) {
+        let is_similar = usual
             .iter()
             .zip(touch)
             .all(|((low, high), value)| (low * (1.0 - DRIFT)..=high * (1.0 + DRIFT)).contains(value));
-        assert!(like, "touch {nth}: {touch:?}, usual {usual:?}");
+        assert!(is_similar, "touch {nth}: {touch:?}, usual {usual:?}");
     }
     report(seconds, rows, &touches, (stack, details.stack_free))
 }
 
-/// Smallest and largest of each number.
+/// Returns smallest and largest of each number.
 fn span(touches: &[Touch]) -> [(f64, f64); 2] {
     std::array::from_fn(|i| {
         let values = || touches.iter().map(|touch| touch[i]);
@@ -124,7 +123,7 @@ fn report(seconds: u64, rows: u64, touches: &[Touch], (before, after): (u32, u32
         seconds as f64 / 3600.0,
         touches.len(),
     );
-    let settled = &touches[SETTLED..];
+    let settled = &touches[SKIPPED..];
     let parts: Vec<&[Touch]> = settled.chunks((ROW / CYCLE) as usize).collect();
     for (part, touches) in [("the first", parts[0]), ("the last", parts[parts.len() - 1]), ("all", settled)] {
         let [peak, impulse] = span(touches);

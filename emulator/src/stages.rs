@@ -1,8 +1,8 @@
-//! To which stage of the control interrupt an instruction belongs, told by the functions it is part of.
+//! Assigns instructions to stages of the control interrupt, by the functions that they are part of.
 //!
-//! The compiler inlines most of the interrupt into a few functions; the debug information of the unchanged image says
-//! for every instruction which functions of the source it came from. The innermost one that a stage names decides; code
-//! that names none (memory copies, outlined sequences, iterators) belongs to the stage of whoever called it.
+//! The compiler inlines most of the interrupt into a few functions. The debug information of the unmodified image lists
+//! the source functions of every instruction. The innermost function with a stage decides. Code without such a function
+//! (memory copies, outlined sequences, iterators) belongs to its caller's stage.
 
 use std::borrow::Cow;
 use std::collections::{BTreeSet, HashMap};
@@ -14,17 +14,16 @@ use object::{Object as _, ObjectSection as _};
 use crate::image::Firmware;
 use crate::trace::{Code, Move, Run, Walker};
 
-/// The stage that runs only where a task asked for something.
+/// Stage that runs only if a task sent a request.
 pub const REQUEST: &str = "a request";
 
-/// The stage that every crest goes through and no valley.
+/// Stage that runs at every crest and at no valley.
 pub const ENCODERS: &str = "encoders";
 
-/// The stage that takes time and does nothing.
+/// Stage in which the interrupt only waits.
 pub const WAITING: &str = "waiting for the converters";
 
-/// The stages of a run, in the order in which it goes through them, and the functions each consists of: the ends of
-/// their paths without generic arguments.
+/// Stages of a run in order, and the functions of each: the ends of their paths without generic arguments.
 pub const STAGES: &[(&str, &[&str])] = &[
     ("entry, exit, overrun check", &["TIM1_UP_TIM10", "InterruptState::keep_time", "InterruptState::record_time"]),
     (
@@ -221,12 +220,12 @@ pub const STAGES: &[(&str, &[&str])] = &[
     ),
 ];
 
-/// The prefix of the names of stages that run at a valley.
+/// Prefix of the names of stages that run at a valley.
 pub const AT_VALLEYS: &str = "valley: ";
 
 type Reader<'a> = EndianSlice<'a, LittleEndian>;
 
-/// Attributes instructions to stages.
+/// Assigns instructions to stages.
 pub struct Stages<'a> {
     code: Code,
     context: Context<Reader<'a>>,
@@ -234,7 +233,7 @@ pub struct Stages<'a> {
 }
 
 impl<'a> Stages<'a> {
-    /// Reads the debug information of `firmware`; `None` if it has none that can be read.
+    /// Reads the debug information of `firmware`; `None` if there is no readable one.
     #[must_use]
     pub fn of(firmware: &'a Firmware) -> Option<Self> {
         let elf = object::File::parse(firmware.bytes()).ok()?;
@@ -246,7 +245,7 @@ impl<'a> Stages<'a> {
         Some(Self { code: Code::of(firmware)?, context, known: HashMap::new() })
     }
 
-    /// The functions that the instruction at `address` came from, innermost first, without generic arguments.
+    /// Returns the source functions of the instruction at `address`, innermost first, without generic arguments.
     #[must_use]
     pub fn functions(&self, address: u32) -> Vec<String> {
         let mut names = Vec::new();
@@ -270,8 +269,8 @@ impl<'a> Stages<'a> {
         stage
     }
 
-    /// Functions of the library and the firmware that `run` executes and no stage names: their instructions count for
-    /// whoever called them.
+    /// Returns the functions of the library and the firmware in `run` that have no stage, so that their instructions count
+    /// for their callers.
     #[must_use]
     pub fn unnamed(&mut self, run: &Run) -> BTreeSet<String> {
         let places: BTreeSet<u32> = run.path.iter().copied().collect();
@@ -280,7 +279,7 @@ impl<'a> Stages<'a> {
         outermost.filter(|function| function.starts_with("haptic_bridge")).collect()
     }
 
-    /// The stage of each instruction of `run`, by its place in [`STAGES`].
+    /// Returns the stage of each instruction of `run`, as an index into [`STAGES`].
     #[must_use]
     pub fn of_each(&mut self, run: &Run) -> Vec<usize> {
         let Some(&entry) = run.path.first() else { return Vec::new() };
@@ -306,12 +305,12 @@ impl<'a> Stages<'a> {
     }
 }
 
-/// A path without generic arguments: `<a::B<C> as d::E<F>>::g` becomes `a::B::g`.
+/// Removes generic arguments from a path: `<a::B<C> as d::E<F>>::g` becomes `a::B::g`.
 fn plain(name: &str) -> String {
     let mut out = String::new();
     let mut depth = 0_u32;
     let mut rest = name;
-    // The implementing type stands in angle brackets at the front; what it implements does not matter.
+    // The implementing type is in angle brackets at the front; the trait does not matter.
     while let Some(inner) = rest.strip_prefix('<') {
         rest = inner;
     }
@@ -334,7 +333,7 @@ mod tests {
     use super::{STAGES, plain};
     use std::path::Path;
 
-    /// All sources below a folder, one after another.
+    /// Returns all sources in a folder, concatenated.
     fn sources(folder: &Path) -> String {
         let entries =
             std::fs::read_dir(folder).expect("a readable folder").map(|entry| entry.expect("an entry").path());
@@ -348,20 +347,20 @@ mod tests {
     }
 
     #[test]
-    fn every_function_that_a_stage_names_is_there() {
+    fn every_function_of_a_stage_exists() {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
         let text = sources(&root.join("src")) + &sources(&root.join("firmware/src"));
         assert!(text.len() > 500_000, "only {} bytes of sources", text.len());
         for part in STAGES.iter().flat_map(|(_, parts)| *parts) {
             let name = part.rsplit("::").next().unwrap_or_default();
             let there = ["(", "<"].iter().any(|next| text.contains(&format!("fn {name}{next}")));
-            assert!(there, "{part}: no function is called that");
+            assert!(there, "{part}: no function has this name");
         }
     }
 
-    /// A board's part of the interrupt whose functions no stage names would count as its callers'.
+    /// Functions of a board without a stage would count for their callers.
     #[test]
-    fn the_stages_know_every_boards_part_of_the_interrupt() {
+    fn every_board_has_its_functions_in_stages() {
         let text = sources(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../firmware/src/board"));
         let parts: Vec<&str> = text
             .lines()
@@ -371,7 +370,7 @@ mod tests {
             .collect();
         assert!(parts.len() >= 2, "{parts:?}");
         for part in parts {
-            for function in ["follow", "sample", "fault", "write"] {
+            for function in ["update_counts", "sample", "has_fault", "write"] {
                 let name = format!("{part}::{function}");
                 assert!(STAGES.iter().any(|(_, parts)| parts.contains(&name.as_str())), "no stage has {name}");
             }

@@ -1,8 +1,8 @@
-//! The length of the control interrupt, entry to exit, in instructions of the unmodified image: by stage, mean, worst,
+//! Duration of the control interrupt, entry to exit, in instructions of the unmodified image: by stage, mean, worst,
 //! jitter.
 //!
-//! `cargo xtask timing` measures every [`Case`] and writes the tables of docs/results/timing.md; a test measures some of
-//! them again and compares.
+//! `cargo xtask timing` measures every [`Case`] and writes the tables of docs/results/timing.md; a test measures some
+//! of them again and compares.
 
 use std::collections::BTreeSet;
 
@@ -10,54 +10,55 @@ use haptic_bridge::board::telemetry::Fields;
 use haptic_host::output::csv_line;
 
 use crate::boards::BoardKind;
-use crate::cases::{CASES, Case, Meets, SCENES};
+use crate::cases::{CASES, Case, SCENES, SceneKind};
 use crate::contact::{WallAt, scene};
 use crate::cycles::{Flash, Kind, estimate, kinds};
 use crate::image::CONTROL_INTERRUPT;
 use crate::load::{
-    highest_for, highest_rate, rows_without_loss, set_free_scene, takes_a_plane, takes_cuts, takes_scenes,
+    highest_for, highest_rate, rows_without_loss, set_free_scene, sustains_cuts, sustains_plane, sustains_scenes,
 };
 use crate::rig::{Rig, device_file, firmware};
 use crate::run::MILLISECOND;
 use crate::stages::{AT_VALLEYS, ENCODERS, REQUEST, STAGES, Stages, WAITING};
 use crate::trace::{Code, Run};
 
-/// The state of a row of telemetry.
+/// Value of the state in a row of telemetry while armed.
 const ARMED: f64 = 1.0;
-/// The traced stretch of each case, ns: 500 periods at 20 kHz, with a request of the tasks every 20 ms.
+/// Traced time of each case, ns: 500 periods at 20 kHz, with a request of the tasks every 20 ms.
 pub const SPAN: u64 = 25 * MILLISECOND;
 
-/// A measured case.
+/// Result of a measured case.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Timing {
-    /// Steps measured.
+    /// Number of measured steps.
     pub periods: usize,
-    /// Their mean.
+    /// Mean instructions of the steps.
     pub mean: f64,
-    /// The longest of them.
+    /// Instructions of the longest step.
     pub longest: u64,
-    /// The shortest of them.
+    /// Instructions of the shortest step.
     pub shortest: u64,
-    /// Mean of the valleys that carry out no request of the tasks, and the longest of all.
+    /// Mean instructions of the valleys without a request of the tasks.
     pub valley_mean: f64,
-    /// See there.
+    /// Instructions of the longest valley, with or without a request.
     pub valley: u64,
-    /// Mean of each of [`STAGES`] over the steps, or over those valleys where it is theirs.
+    /// Mean instructions of each of [`STAGES`] over the steps, or, for a stage at valleys, over the valleys without a
+    /// request.
     pub stages: Vec<f64>,
-    /// Cycles that the longest of them is estimated to take, for each [`Flash::ALL`].
+    /// Estimated cycles of the longest step, for each of [`Flash::ALL`].
     pub cycles: [u64; Flash::ALL.len()],
-    /// Its instructions of each of [`Kind::ALL`].
+    /// Instructions of the longest step, for each of [`Kind::ALL`].
     pub kinds: [u64; Kind::ALL.len()],
-    /// Functions of the step that no stage names.
+    /// Functions of the step without a stage.
     pub unnamed: BTreeSet<String>,
 }
 
 impl Case {
-    /// Measures [`SPAN`] of it at its rate.
+    /// Measures [`SPAN`] of the case at its rate.
     ///
     /// # Panics
     ///
-    /// When the image lacks the handler or its debug information, or the device is not in contact all the time.
+    /// If the image lacks the handler or its debug information, or the tip is not in contact all the time.
     #[must_use]
     pub fn measure(&self) -> Timing {
         let mut rig = self.rig(self.rate_hz);
@@ -65,8 +66,9 @@ impl Case {
         rig.run(20 * MILLISECOND);
         let runs = rig.trace_control(SPAN);
         let rows = rig.tool.rows(std::time::Duration::from_millis(10)).expect("rows come");
-        // The last two columns are the state and the number of walls touched.
-        let in_contact = |row: &haptic_host::link::Row| row.values.ends_with(&[ARMED, self.meets.contacts() as f64]);
+        // The last two columns are the state and the number of touched walls.
+        let in_contact =
+            |row: &haptic_host::link::Row| row.values.ends_with(&[ARMED, self.scene_kind.contacts() as f64]);
         let status = rig.tool.status();
         assert!(!rows.is_empty() && rows.iter().all(in_contact), "{} is not in contact: {status:?}", self.name());
         let image = firmware(self.board);
@@ -127,74 +129,74 @@ impl Timing {
 }
 
 impl Rig {
-    /// Every whole run of the control interrupt over `span` ns.
+    /// Returns all complete runs of the control interrupt during `span` ns.
     ///
     /// # Panics
     ///
-    /// When the image has no such handler.
+    /// If the image has no such handler.
     #[must_use]
     pub fn trace_control(&mut self, span: u64) -> Vec<Run> {
-        self.trace_control_while(|rig| rig.run(span))
+        self.trace_control_during(|rig| rig.run(span))
     }
 
-    /// Every whole run of the control interrupt while something is `done`.
+    /// Returns all complete runs of the control interrupt during `work`.
     ///
     /// # Panics
     ///
-    /// When the image has no such handler.
+    /// If the image has no such handler.
     #[must_use]
-    pub fn trace_control_while(&mut self, done: impl FnOnce(&mut Self)) -> Vec<Run> {
+    pub fn trace_control_during(&mut self, work: impl FnOnce(&mut Self)) -> Vec<Run> {
         let image = firmware(self.kind);
         let entry = image.symbol(CONTROL_INTERRUPT).unwrap_or_else(|error| panic!("{error}")).address;
-        self.trace_function_while(entry, done)
+        self.trace_function_during(entry, work)
     }
 
-    /// Every whole run of the function at `entry`, which nothing interrupts, while something is `done`.
-    fn trace_function_while(&mut self, entry: u64, done: impl FnOnce(&mut Self)) -> Vec<Run> {
+    /// Returns all complete runs of the function at `entry`, which must not be interrupted, during `work`.
+    fn trace_function_during(&mut self, entry: u64, work: impl FnOnce(&mut Self)) -> Vec<Run> {
         let code = Code::of(firmware(self.kind)).expect("an image with code");
         let watched = code.clone();
-        self.with(move |bench| bench.trace(&watched, entry));
-        done(self);
-        self.with(move |bench| bench.take_trace(&code))
+        self.with(move |stopped| stopped.trace(&watched, entry));
+        work(self);
+        self.with(move |stopped| stopped.take_trace(&code))
     }
 }
 
-/// The devices and scenes whose control step alone every run of the gate counts again.
-const STEPS: [(&str, Meets); 6] = [
-    ("hapkit-paddle", Meets::Wall),
-    ("haply-2diy", Meets::Wall),
-    ("fictive-five-bar-turret", Meets::Wall),
-    ("phantom-premium-1.5", Meets::Wall),
-    ("serial-3r", Meets::Wall),
-    ("haply-2diy", Meets::Nothing),
+/// Devices and scenes whose control step is counted again in every run of the gate.
+const STEPS: [(&str, SceneKind); 6] = [
+    ("hapkit-paddle", SceneKind::Wall),
+    ("haply-2diy", SceneKind::Wall),
+    ("fictive-five-bar-turret", SceneKind::Wall),
+    ("phantom-premium-1.5", SceneKind::Wall),
+    ("serial-3r", SceneKind::Wall),
+    ("haply-2diy", SceneKind::Nothing),
 ];
 
-/// Instructions of the control step of a release image, motors off and encoders standing still, by device and scene:
-/// timing-steps.csv.
+/// Returns the instructions of the control step of a release image, with motors off and constant encoder counts, by
+/// device and scene: timing-steps.csv.
 ///
 /// # Panics
 ///
-/// When the board refuses anything.
+/// If the board refuses a request.
 #[must_use]
 pub fn steps() -> String {
     let mut text = csv_line(["device", "the tip meets", "instructions"]);
     let mut rig = Rig::empty(BoardKind::HBridgeF405);
     let render = firmware(rig.kind).find_ending("8compiled6render").expect("the control step").address;
-    for (device, meets) in STEPS {
+    for (device, scene_kind) in STEPS {
         rig.file = Some(device_file(device));
         rig.load("");
         rig.tool.home().expect("the device can be homed");
         rig.run(MILLISECOND);
-        let tip = rig.tool.status().expect("the board answers").tip.map(f64::from);
+        let tip = rig.tool.status().expect("the board replies").tip.map(f64::from);
         let task = rig.file.as_ref().map_or(2, |file| file.spec().task);
         let toward = if task == 1 { [1.0, 0.0, 0.0] } else { [0.0, -1.0, 0.0] };
         let wall = WallAt { gap: -0.003, ..WallAt::facing(toward) };
-        let walls = if meets == Meets::Wall { &[wall][..] } else { &[] };
+        let walls = if scene_kind == SceneKind::Wall { &[wall][..] } else { &[] };
         rig.set_scene(&scene("", tip, task, walls));
         rig.run(MILLISECOND);
-        let runs = rig.trace_function_while(render, |rig| rig.run(MILLISECOND));
+        let runs = rig.trace_function_during(render, |rig| rig.run(MILLISECOND));
         let longest = runs.iter().map(|run| run.path.len()).max().expect("control steps");
-        text += &csv_line([device, meets.name(), &longest.to_string()]);
+        text += &csv_line([device, scene_kind.name(), &longest.to_string()]);
     }
     text
 }
@@ -202,7 +204,7 @@ pub fn steps() -> String {
 const LONGEST: &str = "longest";
 const VALLEY: &str = "longest at a valley, a request";
 
-/// The stages by these timings of [`CASES`], a column for each case: timing.csv.
+/// Returns the table of stages from the timings of [`CASES`], one column per case: timing.csv.
 #[must_use]
 pub fn table(timings: &[Timing]) -> String {
     let mut text = csv_line(std::iter::once("instructions".to_owned()).chain(CASES.iter().map(Case::name)));
@@ -243,7 +245,7 @@ pub fn table(timings: &[Timing]) -> String {
     text
 }
 
-/// Every other kind of scene on a five-bar, by these timings of [`SCENES`]: timing-scenes.csv.
+/// Returns the table of all other kinds of scenes on a five-bar, from the timings of [`SCENES`]: timing-scenes.csv.
 #[must_use]
 pub fn scenes(timings: &[Timing]) -> String {
     let mut text = csv_line([
@@ -256,7 +258,7 @@ pub fn scenes(timings: &[Timing]) -> String {
     ]);
     for (case, timing) in SCENES.iter().zip(timings) {
         text += &csv_line([
-            case.meets.name(),
+            case.scene_kind.name(),
             &format!("{:.0}", timing.mean),
             &timing.shortest.to_string(),
             &timing.longest.to_string(),
@@ -274,13 +276,13 @@ impl Case {
     }
 }
 
-/// Measures a new scene that comes with the motors on, for 5 ms from the request on: timing-new-scenes.csv.
+/// Measures the replacement of a scene while the motors are on, for 5 ms from the request: timing-new-scenes.csv.
 #[must_use]
 pub fn replacements() -> String {
     let mut text = csv_line(["case", "longest at a valley", "longest step", "median step"]);
     for case in [&CASES[0], &CASES[2], &CASES[4]] {
         let mut rig = case.rig(case.rate_hz);
-        let runs = rig.trace_control_while(|rig| {
+        let runs = rig.trace_control_during(|rig| {
             set_free_scene(rig, case.rate_hz, 0);
             rig.run(5 * MILLISECOND);
         });
@@ -300,7 +302,7 @@ pub fn replacements() -> String {
     text
 }
 
-/// The rates that a five-bar and two kinds of three joints sustain: timing-rates.csv.
+/// Measures the rates that a five-bar and two three-joint devices sustain: timing-rates.csv.
 #[must_use]
 pub fn rates() -> String {
     let mut text = csv_line([
@@ -316,19 +318,19 @@ pub fn rates() -> String {
     for (case, rate, rows) in [(&CASES[0], "50000", "20000"), (&CASES[2], "35000", ""), (&CASES[4], "35000", "")] {
         let cell = |found: Option<u32>| found.map_or("none".to_owned(), |found| found.to_string());
         let (highest, whole) = (cell(highest_rate(case)), cell(rows_without_loss(case)));
-        let (scenes, plane) = (cell(highest_for(case, takes_scenes)), cell(highest_for(case, takes_a_plane)));
-        let cuts = cell(highest_for(case, takes_cuts));
+        let (scenes, plane) = (cell(highest_for(case, sustains_scenes)), cell(highest_for(case, sustains_plane)));
+        let cuts = cell(highest_for(case, sustains_cuts));
         text += &csv_line([&case.name(), &highest, rate, &scenes, &plane, &cuts, &whole, rows]);
     }
     text
 }
 
-/// The longest step of `case` that [`table`] records in `text`, and the longest run at a valley.
+/// Returns the longest step of `case` in a table `text` from [`table`], and its longest valley.
 #[must_use]
 pub fn recorded(text: &str, case: &Case) -> Option<(u64, u64)> {
     let column = CASES.iter().position(|other| other.name() == case.name())?;
     let number = |name: &str| {
-        // Cells of numbers have no commas.
+        // Numeric cells contain no commas.
         let cells = text.lines().find_map(|line| line.strip_prefix(&csv_line([name]).replace('\n', ",")))?;
         cells.split(',').nth(column)?.parse().ok()
     };

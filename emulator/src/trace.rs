@@ -1,9 +1,9 @@
-//! Every instruction of an interrupt handler, run by run, from its first to the one that returns from the exception.
+//! Records every instruction of an interrupt handler, run by run, from the first to the return from the exception.
 //!
-//! All of the code is watched and the handler's part is kept. Where it ends is seen, not assumed: a return at call
-//! depth zero that goes somewhere else. That covers handlers whose last instructions the compiler put into a shared
-//! function. Instructions of an interrupt that preempts the handler would count too; the control interrupt has the
-//! highest priority, so there are none.
+//! Watches all code and keeps the handler's part. The end of a run is detected, not assumed: a return at call depth
+//! zero that goes to an unexpected address. This covers handlers whose last instructions the compiler moved into a
+//! shared function. Instructions of an interrupt that preempts the handler would be counted as well, but the control
+//! interrupt has the highest priority.
 
 use std::sync::Arc;
 
@@ -14,20 +14,20 @@ use crate::image::Firmware;
 /// One run of a handler.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Run {
-    /// Virtual nanoseconds at its first instruction.
+    /// Virtual time of the first instruction, ns.
     pub at: u64,
     /// The address of every instruction, in order.
     pub path: Vec<u32>,
 }
 
-/// The code of an image, to tell calls and returns from other instructions.
+/// Code of an image, to distinguish calls and returns from other instructions.
 #[derive(Clone, Debug)]
 pub struct Code {
     base: u32,
     bytes: Arc<[u8]>,
 }
 
-/// The property of an instruction that matters to the trace.
+/// Kind of an instruction, as far as the trace needs it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Kind {
     /// BL, BLX.
@@ -38,7 +38,7 @@ enum Kind {
 }
 
 impl Code {
-    /// The code of `firmware`, or `None` for an image without any.
+    /// Returns the code of `firmware`, or `None` for an image without code.
     #[must_use]
     pub fn of(firmware: &Firmware) -> Option<Self> {
         let (from, to) = firmware.text();
@@ -46,25 +46,25 @@ impl Code {
         Some(Self { base: from as u32, bytes: firmware.code(symbol)?.into() })
     }
 
-    /// Code of these half-words from `base` on.
+    /// Returns code that consists of these half-words, starting at `base`.
     #[cfg(test)]
     pub(crate) fn at(base: u32, halves: &[u16]) -> Self {
         Self { base, bytes: halves.iter().flat_map(|half| half.to_le_bytes()).collect() }
     }
 
-    /// Every address at which an instruction could start.
+    /// Returns every address at which an instruction could start.
     pub fn addresses(&self) -> impl Iterator<Item = u64> + use<> {
         let (base, len) = (u64::from(self.base), self.bytes.len() as u64);
         (base..base + len).step_by(2)
     }
 
-    /// The half-word at `at`, or 0 where there is no code.
+    /// Returns the half-word at `at`, or 0 outside the code.
     pub(crate) fn half(&self, at: u32) -> u16 {
         let offset = at.wrapping_sub(self.base) as usize;
         self.bytes.get(offset..offset + 2).map_or(0, |pair| u16::from_le_bytes([pair[0], pair[1]]))
     }
 
-    /// Kind and length in bytes (ARMv7-M Architecture Reference Manual, chapter A5).
+    /// Returns kind and length in bytes (ARMv7-M Architecture Reference Manual, chapter A5).
     fn decode(&self, at: u32) -> (Kind, u32) {
         let first = self.half(at);
         if first >> 11 < 0b11101 {
@@ -87,16 +87,16 @@ impl Code {
     }
 }
 
-/// The effect of stepping from one instruction to the next.
+/// Effect of going from one instruction to the next.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Move {
-    /// Went on, or jumped.
+    /// Continued or jumped.
     Within,
-    /// Called a function.
+    /// Entered a function.
     Called,
-    /// Returned from one.
+    /// Returned from a function.
     Returned,
-    /// Returned from the first function: out of the handler.
+    /// Returned from the first function: left the handler.
     Left,
 }
 
@@ -109,13 +109,13 @@ pub struct Walker {
 }
 
 impl Walker {
-    /// A walk that has just executed nothing and stands at `entry`.
+    /// Returns a walker that stands at `entry` and has executed nothing.
     #[must_use]
     pub fn new(code: Code, entry: u32) -> Self {
         Self { code, last: entry, returns: Vec::new() }
     }
 
-    /// Moves on to the instruction at `next`.
+    /// Advances to the instruction at `next`.
     pub fn step(&mut self, next: u32) -> Move {
         let (kind, length) = self.code.decode(self.last);
         let following = self.last + length;
@@ -147,13 +147,13 @@ pub struct Tracer {
 }
 
 impl Tracer {
-    /// For the handler that starts at `entry`.
+    /// Returns a tracer of the handler that starts at `entry`.
     #[must_use]
     pub fn new(code: Code, entry: u32) -> Self {
         Self { code, entry, open: None, seen: 0, runs: Vec::new() }
     }
 
-    /// Takes a hit. A stop of the emulator may report an instruction twice; it counts once.
+    /// Handles a hit. A stop of the emulator may report an instruction twice; it is counted once.
     pub fn feed(&mut self, hit: &Hit) {
         if std::mem::replace(&mut self.seen, hit.instruction_count) == hit.instruction_count {
             return;
@@ -172,7 +172,7 @@ impl Tracer {
         }
     }
 
-    /// The whole runs so far; one under way is left out.
+    /// Returns the complete runs so far, without an unfinished run.
     #[must_use]
     pub fn finish(self) -> Vec<Run> {
         self.runs
@@ -188,7 +188,7 @@ mod tests {
     }
 
     #[test]
-    fn a_walk_leaves_where_the_first_function_returns() {
+    fn a_walk_ends_when_the_first_function_returns() {
         // 1000: bl 1008; 1004: b.w 100A (a shared ending); 1008: bx lr; 100A: pop {pc}
         let code = code(&[0xF000, 0xF802, 0xF000, 0xB801, 0x4770, 0xBD00]);
         let mut walker = Walker::new(code, 0x1000);
@@ -197,7 +197,7 @@ mod tests {
     }
 
     #[test]
-    fn a_return_that_its_condition_skips_is_no_return() {
+    fn a_return_skipped_by_its_condition_is_not_a_return() {
         // 1000: bx lr, skipped in an IT block; 1002: nop
         let code = code(&[0x4770, 0xBF00]);
         assert_eq!(Walker::new(code, 0x1000).step(0x1002), Move::Within);

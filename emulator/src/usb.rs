@@ -1,6 +1,6 @@
 //! The computer at the other end of the USB cable: it enumerates a device as a PC does, opens its serial port, and
-//! moves bytes both ways. Everything a user can do to a port can be done to it: unplug, suspend, close, stop reading,
-//! write garbage.
+//! transfers bytes in both directions. Tests can do with it everything that a user can do: unplug, suspend, close, stop
+//! reading, write garbage.
 //!
 //! Sources: USB 2.0 chapters 5, 8, 9; CDC PSTN 1.2 section 6.3 (line coding, control line state).
 
@@ -11,38 +11,38 @@ use rigless::time::VirtualNanos;
 use crate::otg_core::{Core, Handshake};
 
 const MILLISECOND: u64 = 1_000_000;
-/// From seeing a pull-up to the first reset, and each reset's length: the least that USB 2.0 sections 7.1.7.3 and
-/// 7.1.7.5 allow, where a PC waits longer.
+/// Time from the pull-up to the first reset, length of each reset, and recovery time: the minimum of USB 2.0 sections
+/// 7.1.7.3 and 7.1.7.5. A PC waits longer.
 const DEBOUNCE: u64 = 100 * MILLISECOND;
 const RESET: u64 = 10 * MILLISECOND;
 const RECOVERY: u64 = 10 * MILLISECOND;
-/// Idle time after which a device counts as suspended, section 7.1.7.6, and the length of a resume, 7.1.7.7.
+/// Idle time after which a device counts as suspended, section 7.1.7.6, and length of a resume, section 7.1.7.7.
 const IDLE: u64 = 3 * MILLISECOND;
 const RESUME: u64 = 20 * MILLISECOND;
 
-/// The address given to the device.
+/// Address of the device.
 const ADDRESS: u8 = 5;
-/// The most a full-speed bulk packet holds.
+/// Maximum length of a full-speed bulk packet, bytes.
 const PACKET: usize = 64;
 
-/// The time of a packet of `bytes` on the bus at 12 Mbit/s, ns: token, data and handshake packets with their gaps take
-/// about 13 bytes more.
+/// Returns the time of a packet of `bytes` on the bus at 12 Mbit/s, ns. Token, data and handshake packets with their
+/// gaps add about 13 bytes.
 fn bus_time(bytes: usize) -> u64 {
     (bytes as u64 + 13) * 8 * 1000 / 12
 }
 
-/// Something the host saw or did, for tests to read.
+/// An event at the host, recorded for tests.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Event {
     /// A pull-up appeared.
     Connected,
-    /// The device left: unplugged, or its pull-up went away.
+    /// The device disconnected: unplugged, or its pull-up disappeared.
     Left,
     /// The bus was reset.
     Reset,
-    /// The device took its address.
+    /// The device accepted its address.
     Addressed,
-    /// The device is configured and its serial port found.
+    /// The device is configured and has a serial port.
     Configured,
     /// The port was opened, with terminal ready set.
     Opened,
@@ -50,25 +50,25 @@ pub enum Event {
     Closed,
     /// The device was suspended.
     Suspended,
-    /// The device was woken.
+    /// The device was resumed.
     Resumed,
-    /// The device stalled a request: the setup packet.
+    /// The device stalled a request with this setup packet.
     Stalled([u8; 8]),
 }
 
-/// The descriptors that enumeration read from the device.
+/// Descriptors read during enumeration.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Descriptors {
     /// The device descriptor, 18 bytes.
     pub device: Vec<u8>,
-    /// The configuration descriptor with everything in it.
+    /// The complete configuration descriptor.
     pub configuration: Vec<u8>,
-    /// Manufacturer, product and serial number, as far as the device has them.
+    /// Manufacturer, product and serial number, if the device has them.
     pub strings: Vec<String>,
 }
 
 impl Descriptors {
-    /// Vendor and product id.
+    /// Returns vendor and product id.
     #[must_use]
     pub fn ids(&self) -> (u16, u16) {
         let word = |at: usize| {
@@ -81,7 +81,7 @@ impl Descriptors {
     }
 }
 
-/// The serial port found in a configuration descriptor.
+/// Serial port of a configuration descriptor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Port {
     communication: u8,
@@ -113,7 +113,7 @@ enum Step {
     SetConfiguration,
     LineCoding,
     LineState(bool),
-    Asked,
+    Requested,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -175,21 +175,21 @@ pub struct Host {
     bus: Bus,
     resets: u32,
     steps: VecDeque<Step>,
-    asked: VecDeque<Control>,
+    requested: VecDeque<Control>,
     control: Option<Control>,
     port: Option<Port>,
     opened: bool,
-    under_way: Option<(Transaction, u64)>,
+    in_progress: Option<(Transaction, u64)>,
     free_at: u64,
     out_last: bool,
     to_device: VecDeque<u8>,
     from_device: Vec<u8>,
-    answers: Vec<Result<Vec<u8>, [u8; 8]>>,
+    replies: Vec<Result<Vec<u8>, [u8; 8]>>,
     descriptors: Descriptors,
     log: Vec<(VirtualNanos, Event)>,
 }
 
-/// A host with its cable in and the port open, reading: a PC with the tool running.
+/// A host with a plugged cable that has opened the port and reads: a PC with the tool running.
 impl Default for Host {
     fn default() -> Self {
         Self {
@@ -200,16 +200,16 @@ impl Default for Host {
             bus: Bus::Detached,
             resets: 0,
             steps: VecDeque::new(),
-            asked: VecDeque::new(),
+            requested: VecDeque::new(),
             control: None,
             port: None,
             opened: false,
-            under_way: None,
+            in_progress: None,
             free_at: 0,
             out_last: false,
             to_device: VecDeque::new(),
             from_device: Vec::new(),
-            answers: Vec::new(),
+            replies: Vec::new(),
             descriptors: Descriptors::default(),
             log: Vec::new(),
         }
@@ -217,7 +217,7 @@ impl Default for Host {
 }
 
 impl Host {
-    /// Puts the cable in or pulls it out.
+    /// Plugs or unplugs the cable.
     pub fn plug(&mut self, plugged: bool) {
         self.plugged = plugged;
     }
@@ -227,80 +227,81 @@ impl Host {
         self.open = open;
     }
 
-    /// Reads the port or leaves what the device sends where it is.
+    /// Reads the port, or leaves the device's data unread.
     pub fn read_port(&mut self, reading: bool) {
         self.reading = reading;
     }
 
-    /// Suspends the bus, as a sleeping PC does, or wakes it.
+    /// Suspends the bus, as a sleeping PC does, or resumes it.
     pub fn suspend(&mut self, idle: bool) {
         self.idle = idle;
     }
 
-    /// Bytes to write to the port.
+    /// Queues bytes to write to the port.
     pub fn write(&mut self, bytes: &[u8]) {
         self.to_device.extend(bytes);
     }
 
-    /// Forgets bytes written to the port that have not left yet.
+    /// Drops bytes that are queued and not sent yet.
     pub fn discard(&mut self) {
         self.to_device.clear();
     }
 
-    /// Takes what the device has sent since the last call.
+    /// Takes the bytes received since the last call.
     pub fn take(&mut self) -> Vec<u8> {
         std::mem::take(&mut self.from_device)
     }
 
-    /// Makes a control request of one's own, sane or not: the setup packet, with `data` for a write.
-    pub fn ask(&mut self, setup: [u8; 8], data: &[u8]) {
-        let (step, data) = (Step::Asked, data.to_vec());
-        self.asked.push_back(Control { step, setup, data, stage: Stage::Setup });
+    /// Queues any control request, valid or not: the setup packet, with `data` for a write.
+    pub fn request(&mut self, setup: [u8; 8], data: &[u8]) {
+        let (step, data) = (Step::Requested, data.to_vec());
+        self.requested.push_back(Control { step, setup, data, stage: Stage::Setup });
     }
 
-    /// Takes the answers to those requests, in order: the data read, or the setup packet of one that was stalled.
-    pub fn take_answers(&mut self) -> Vec<Result<Vec<u8>, [u8; 8]>> {
-        std::mem::take(&mut self.answers)
+    /// Takes the replies to those requests, in order: the data read, or the setup packet of a stalled request.
+    pub fn take_replies(&mut self) -> Vec<Result<Vec<u8>, [u8; 8]>> {
+        std::mem::take(&mut self.replies)
     }
 
-    /// Returns true if the port is open on a configured device: bytes can flow.
+    /// Returns true if the port is open on a configured device, so that bytes can be transferred.
     #[must_use]
     pub fn ready(&self) -> bool {
         self.bus == Bus::Active && self.port.is_some() && self.opened
     }
 
-    /// Returns the descriptors that enumeration read.
+    /// Returns the descriptors read during enumeration.
     #[must_use]
     pub fn descriptors(&self) -> &Descriptors {
         &self.descriptors
     }
 
-    /// Everything that happened, with its instant.
+    /// Returns all events with their times.
     #[must_use]
     pub fn log(&self) -> &[(VirtualNanos, Event)] {
         &self.log
     }
 
-    /// The device is gone from the bus without the cable having moved: its chip restarted.
-    pub fn device_left(&mut self) {
+    /// Handles a disconnect without a movement of the cable: the device's chip restarted.
+    pub fn device_disconnected(&mut self) {
         if self.bus != Bus::Detached {
             let at = self.log.last().map_or(VirtualNanos(0), |&(at, _)| at);
-            self.leave(at);
+            self.disconnect(at);
         }
     }
 
-    fn leave(&mut self, at: VirtualNanos) {
+    fn disconnect(&mut self, at: VirtualNanos) {
         self.bus = Bus::Detached;
         self.control = None;
         self.steps.clear();
-        self.under_way = None;
+        self.in_progress = None;
         self.port = None;
         self.opened = false;
         self.to_device.clear();
         self.log.push((at, Event::Left));
     }
 
-    /// Goes on with what can be done at `now`, and answers when to look again, if time alone decides it.
+    /// Continues with all transactions that are possible at `now`. Returns the time of the next action, if only time
+    /// decides it.
     pub fn advance(&mut self, core: &mut Core, now: VirtualNanos) -> Option<VirtualNanos> {
         self.follow_cable(core, now);
         let due = |at: u64| now.0 >= at;
@@ -354,8 +355,8 @@ impl Host {
             }
             Bus::Detached => {}
             _ if !there => {
-                // A device that does not sense the bus voltage sees nothing but an idle bus.
-                self.leave(now);
+                // A device that does not sense the bus voltage sees only an idle bus.
+                self.disconnect(now);
                 core.suspend();
             }
             Bus::Active if self.idle => self.bus = Bus::GoingIdle(now.0 + IDLE),
@@ -369,8 +370,8 @@ impl Host {
 
     fn start_enumeration(&mut self) {
         self.control = None;
-        self.under_way = None;
-        // A PC reads the head of the device descriptor, resets the bus once more, and then goes on.
+        self.in_progress = None;
+        // A PC reads the start of the device descriptor, resets the bus again, and then continues.
         self.steps = if self.resets == 1 {
             [Step::DeviceHead].into()
         } else {
@@ -393,7 +394,7 @@ impl Host {
                 self.control_of(Step::LineState(self.open))
             });
         }
-        self.asked.pop_front()
+        self.requested.pop_front()
     }
 
     fn control_of(&self, step: Step) -> Control {
@@ -413,17 +414,17 @@ impl Host {
                 let index = self.port.map_or(0, |port| u16::from(port.communication));
                 Control::write(step, 0x21, 0x22, if on { 3 } else { 0 }, index, &[])
             }
-            Step::LineCoding | Step::Asked => unreachable!("made where it is asked for"),
+            Step::LineCoding | Step::Requested => unreachable!("created by next_control and request"),
         }
     }
 
     fn transact(&mut self, core: &mut Core, now: VirtualNanos) -> Option<VirtualNanos> {
         loop {
-            if let Some((transaction, ends)) = self.under_way {
+            if let Some((transaction, ends)) = self.in_progress {
                 if now.0 < ends {
                     return Some(VirtualNanos(ends));
                 }
-                self.under_way = None;
+                self.in_progress = None;
                 self.free_at = ends;
                 self.complete(transaction, core, now);
                 if self.bus != Bus::Active {
@@ -433,20 +434,20 @@ impl Host {
             if self.control.is_none() {
                 self.control = self.next_control();
             }
-            let (transaction, bytes) = self.possible(core)?;
+            let (transaction, bytes) = self.next_transaction(core)?;
             let begins = now.0.max(self.free_at);
-            self.under_way = Some((transaction, begins + bus_time(bytes)));
+            self.in_progress = Some((transaction, begins + bus_time(bytes)));
         }
     }
 
-    /// The next transaction the device would not turn away, with the bytes it moves.
-    fn possible(&mut self, core: &Core) -> Option<(Transaction, usize)> {
+    /// Returns the next transaction that the device would not reject, with its number of bytes.
+    fn next_transaction(&mut self, core: &Core) -> Option<(Transaction, usize)> {
         let willing = |answer: Handshake<usize>| match answer {
             Handshake::Ack(bytes) => Some(bytes),
             Handshake::Stall => Some(0),
             Handshake::Nak => None,
         };
-        let taken = |answer: Handshake<()>, bytes: usize| match answer {
+        let accepted = |answer: Handshake<()>, bytes: usize| match answer {
             Handshake::Ack(()) => willing(Handshake::Ack(bytes)),
             Handshake::Stall => Some(0),
             Handshake::Nak => None,
@@ -455,8 +456,8 @@ impl Host {
             let bytes = match control.stage {
                 Stage::Setup => Some(8),
                 Stage::DataIn | Stage::StatusIn => willing(core.offers(0)),
-                Stage::DataOut => taken(core.accepts(0), control.data.len().min(PACKET)),
-                Stage::StatusOut => taken(core.accepts(0), 0),
+                Stage::DataOut => accepted(core.accepts(0), control.data.len().min(PACKET)),
+                Stage::StatusOut => accepted(core.accepts(0), 0),
             };
             if let Some(bytes) = bytes {
                 return Some((Transaction::Control(control.stage), bytes));
@@ -464,7 +465,7 @@ impl Host {
         }
         let port = self.port.filter(|_| self.opened)?;
         let waiting = self.to_device.len().min(PACKET);
-        let out = (waiting > 0).then(|| taken(core.accepts(port.data_out), waiting)).flatten();
+        let out = (waiting > 0).then(|| accepted(core.accepts(port.data_out), waiting)).flatten();
         let input = self.reading.then(|| willing(core.offers(port.data_in))).flatten();
         match (out, input) {
             (Some(bytes), None) => Some((Transaction::Out, bytes)),
@@ -541,8 +542,8 @@ impl Host {
             Some(stage) => self.control = Some(Control { stage, ..control }),
             None => {
                 self.log.push((now, Event::Stalled(control.setup)));
-                if control.step == Step::Asked {
-                    self.answers.push(Err(control.setup));
+                if control.step == Step::Requested {
+                    self.replies.push(Err(control.setup));
                 }
             }
         }
@@ -578,12 +579,12 @@ impl Host {
                 self.opened = on;
                 self.log.push((now, if on { Event::Opened } else { Event::Closed }));
             }
-            Step::Asked => self.answers.push(Ok(control.data)),
+            Step::Requested => self.replies.push(Ok(control.data)),
         }
     }
 }
 
-/// The first communication interface and the bulk endpoints of the first data interface.
+/// Finds the first communication interface and the bulk endpoints of the first data interface.
 fn find_port(configuration: &[u8]) -> Option<Port> {
     let (mut communication, mut data_in, mut data_out) = (None, None, None);
     let mut class = 0;
@@ -621,8 +622,8 @@ mod tests {
         let configuration = [
             9, 2, 0, 0, 2, 1, 0, 0x80, 50, // configuration
             9, 4, 0, 0, 1, 2, 2, 0, 0, // communication interface 0
-            5, 0x24, 0, 0x10, 1, // its functional descriptor
-            7, 5, 0x81, 3, 8, 0, 255, // its interrupt endpoint
+            5, 0x24, 0, 0x10, 1, // functional descriptor
+            7, 5, 0x81, 3, 8, 0, 255, // interrupt endpoint
             9, 4, 1, 0, 2, 0x0A, 0, 0, 0, // data interface 1
             7, 5, 0x02, 2, 64, 0, 0, 7, 5, 0x82, 2, 64, 0, 0,
         ];
@@ -633,7 +634,7 @@ mod tests {
     }
 
     #[test]
-    fn a_full_packet_fits_nineteen_times_into_a_frame() {
+    fn a_frame_has_room_for_nineteen_full_packets() {
         assert_eq!(1_000_000 / bus_time(PACKET), 19);
     }
 }

@@ -1,5 +1,5 @@
-//! The emulated USB port as the tool's own client knows wires: `haptic_host::link::Board` over it talks to the real
-//! firmware, in lock step and on the board's own clock.
+//! The emulated USB port as a wire of the tool's own client: `haptic_host::link::Board` over it talks to the real
+//! firmware, in lock step and in the board's virtual time.
 
 use std::io;
 use std::sync::{Arc, Mutex, MutexGuard};
@@ -9,10 +9,10 @@ use haptic_host::link::Wire;
 
 use crate::run::{MICROSECOND, VirtualBoard};
 
-/// Time that the board runs between two looks at its port, unless told otherwise: ten looks a millisecond.
-const LOOK: u64 = 100 * MICROSECOND;
+/// Default time between two polls of the port: ten polls per millisecond.
+const POLL_INTERVAL: u64 = 100 * MICROSECOND;
 
-/// A board that a test and a wire hold together.
+/// A board shared by a test and a wire.
 #[derive(Clone, Debug)]
 pub struct Shared(Arc<Mutex<VirtualBoard>>);
 
@@ -23,41 +23,41 @@ impl Shared {
         Self(Arc::new(Mutex::new(board)))
     }
 
-    /// Returns the board, locked, so that no one else runs it meanwhile.
+    /// Returns the board, locked, so that nothing else runs it meanwhile.
     ///
     /// # Panics
     ///
-    /// When a holder panicked with the board in hand.
+    /// If another user of the board panicked while it held the lock.
     pub fn board(&self) -> MutexGuard<'_, VirtualBoard> {
         self.0.lock().expect("no holder of the board panicked")
     }
 
-    /// A wire to its USB port.
+    /// Returns a wire to the board's USB port.
     #[must_use]
     pub fn wire(&self) -> Box<dyn Wire> {
-        self.wire_looking_every(LOOK)
+        self.wire_polled_every(POLL_INTERVAL)
     }
 
-    /// A wire to its USB port for a computer that looks so often, in ns, whether something came: its answer to what
-    /// came is up to that late.
+    /// Returns a wire to the board's USB port for a computer that polls at this interval, ns. Its reaction is late by
+    /// up to the interval.
     #[must_use]
-    pub fn wire_looking_every(&self, look: u64) -> Box<dyn Wire> {
-        Box::new(UsbWire { shared: self.clone(), waiting: Vec::new(), look })
+    pub fn wire_polled_every(&self, interval: u64) -> Box<dyn Wire> {
+        Box::new(UsbWire { shared: self.clone(), waiting: Vec::new(), interval })
     }
 }
 
-/// The serial port of the emulated board.
+/// Serial port of the emulated board.
 struct UsbWire {
     shared: Shared,
     waiting: Vec<u8>,
-    look: u64,
+    interval: u64,
 }
 
 impl Wire for UsbWire {
     fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
         let bytes = bytes.to_vec();
-        let sent = self.shared.board().with(move |bench| {
-            let usb = bench.usb();
+        let sent = self.shared.board().with(move |stopped| {
+            let usb = stopped.usb();
             let ready = usb.ready();
             if ready {
                 usb.write(&bytes);
@@ -73,7 +73,7 @@ impl Wire for UsbWire {
         let until = board.now() + span;
         loop {
             if self.waiting.is_empty() {
-                self.waiting = board.with(|bench| bench.usb().take());
+                self.waiting = board.with(|stopped| stopped.usb().take());
             }
             if !self.waiting.is_empty() {
                 let count = self.waiting.len().min(buffer.len());
@@ -84,7 +84,7 @@ impl Wire for UsbWire {
             if board.now() >= until {
                 return Ok(0);
             }
-            let step = self.look.min(until - board.now());
+            let step = self.interval.min(until - board.now());
             board.run(step);
         }
     }

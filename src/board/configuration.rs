@@ -6,11 +6,11 @@ use crate::model::device::Device;
 use crate::model::precomputed::MassModelData;
 use crate::render::scene::{MAX_RATE_HZ, MIN_RATE_HZ, Scene};
 
-// A scene may ask for any rate that the carrier can give.
+// A scene may have any rate that the carrier supports.
 const _: () = assert!(RATE_HZ.0 as f64 == MIN_RATE_HZ && RATE_HZ.1 as f64 == MAX_RATE_HZ);
 
-/// A whole configuration. The service makes the next one beside the one in force and swaps them once it is accepted, so
-/// a refusal leaves nothing to undo.
+/// A complete configuration. The service builds the next configuration separately and swaps it in once it is accepted,
+/// so that a refusal leaves nothing to undo.
 #[derive(Clone, Debug)]
 pub struct Configuration {
     /// The loaded device.
@@ -23,12 +23,12 @@ pub struct Configuration {
     pub rules: Rules,
 }
 
-/// The scene of a device that has none yet: nothing to feel.
-pub fn nothing_to_feel(device: &Device<f32>) -> Scene<f32> {
+/// Returns the scene of a device for which none is loaded: it has no walls, springs or fields.
+pub fn empty_scene(device: &Device<f32>) -> Scene<f32> {
     Scene { task: task(device) as u8, ..Scene::default() }
 }
 
-/// Dimensions of a device's task space.
+/// Returns the number of dimensions of a device's task space.
 pub fn task(device: &Device<f32>) -> usize {
     device.mechanism.kind().spec().task
 }

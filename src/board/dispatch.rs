@@ -1,8 +1,8 @@
-//! From a frame that came over the link to the frame that answers it: decodes a request, has the [`Service`] do it,
-//! encodes the answer. The same on every board, real, simulated or emulated.
+//! From a request frame to a reply frame: decodes the request, calls the [`Service`], encodes the reply. Identical on
+//! real, simulated and emulated boards.
 //!
-//! A frame is a postcard-rpc header (key, sequence number) and a postcard body. What cannot be understood is answered
-//! by postcard-rpc's own error message; nothing that comes in can do more than that.
+//! A frame is a postcard-rpc header (key, sequence number) and a postcard body. The reply to an invalid request is
+//! postcard-rpc's error message; an invalid frame has no other effect.
 
 use crate::board::machine::{Machine, Measured};
 use crate::board::protocol::*;
@@ -14,20 +14,20 @@ use postcard_rpc::standard_icd::{ERROR_KEY, WireError};
 use postcard_rpc::{Endpoint, Topic};
 use serde::{Serialize, de::DeserializeOwned};
 
-/// A [`Machine`] that can also tell a tool what it is.
+/// A [`Machine`] that can describe itself to a tool.
 pub trait Described: Machine {
-    /// Who it is.
+    /// Returns the board's identity.
     fn info(&self) -> Info;
-    /// Measurements of the machine itself.
+    /// Returns measurements of the machine.
     fn measured(&mut self) -> Measured;
 }
 
-/// The work that is left once the answer is on its way.
+/// Work that remains once the reply has been sent.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum After {
     /// Nothing.
     Nothing,
-    /// Start, change or stop the telemetry stream, for a device of so many axes.
+    /// Start, change or stop the telemetry stream, for a device with this number of axes.
     Stream(StreamRequest, usize),
     /// Enter the boot loader.
     BootLoader,
@@ -35,9 +35,10 @@ pub enum After {
     Restart,
 }
 
-/// Answers the request in `frame` (without COBS), writing a frame into `out` (at least [`MAX_FRAME`] bytes).
+/// Carries out the request in `frame` (without COBS), and writes the reply frame to `out` (at least [`MAX_FRAME`]
+/// bytes).
 ///
-/// Returns the answer (`None` if `frame` is not a frame at all) and what the caller still has to do.
+/// Returns the reply (`None` if `frame` is not a frame) and the remaining work for the caller.
 pub fn answer<'o, M: Described>(
     service: &mut Service,
     machine: &mut M,
@@ -50,7 +51,7 @@ pub fn answer<'o, M: Described>(
     (length.and_then(|length| out.get(..length)), after)
 }
 
-/// Writes a topic message as a frame (without COBS) into `out`; `None` when it does not fit.
+/// Writes a topic message as a frame (without COBS) to `out`; `None` if it does not fit.
 pub fn publish<'o, T: Topic>(sequence: u16, message: &T::Message, out: &'o mut [u8]) -> Option<&'o [u8]>
 where
     T::Message: Serialize + Sized,
@@ -60,7 +61,7 @@ where
     out.get(..length)
 }
 
-/// Writes a batch of telemetry as a frame: compiled here, with this crate's optimisation for speed.
+/// Writes a batch of telemetry as a frame. Compiled here, in a crate that is optimized for speed.
 #[inline(never)]
 pub fn telemetry<'o>(sequence: u16, batch: &Batch, out: &'o mut [u8]) -> Option<&'o [u8]> {
     publish::<Telemetry>(sequence, batch, out)
@@ -76,8 +77,8 @@ impl Request<'_> {
         self.header.key == VarKey::Key8(E::REQ_KEY)
     }
 
-    /// Decodes the request, does the work and encodes the answer. Never inlined: each keeps its own stack frame, or the
-    /// largest messages would all lie on the stack at once.
+    /// Decodes the request, does the work and encodes the reply. Never inlined, so that each endpoint has its own stack
+    /// frame; otherwise the largest messages would all be on the stack together.
     #[inline(never)]
     fn serve<E: Endpoint>(&self, out: &mut [u8], work: impl FnOnce(E::Request) -> E::Response) -> Option<usize>
     where
@@ -93,7 +94,7 @@ impl Request<'_> {
         }
     }
 
-    /// The same of what the host asks the motors for, thousands of times a second.
+    /// Does the same for a host's force requests, of which thousands arrive per second.
     fn serve_force(&self, out: &mut [u8], work: impl FnOnce(&ForceRequest) -> ForceAnswer) -> Option<usize> {
         let Some(request) = &read_force(self.body) else { return self.fail(WireError::DeserFailed, out) };
         let header = VarHeader { key: VarKey::Key8(Force::RESP_KEY), seq_no: self.header.seq_no };
@@ -105,7 +106,8 @@ impl Request<'_> {
     }
 }
 
-// Generic code is compiled where it is used, on a board for size; these functions are compiled here, for speed.
+// Generic code is compiled in the crate that uses it, on a board for size. These functions are compiled here, for
+// speed.
 
 #[inline(never)]
 fn read_force(body: &[u8]) -> Option<ForceRequest> {
@@ -127,7 +129,7 @@ fn encode(header: &VarHeader, message: &impl Serialize, out: &mut [u8]) -> Optio
     Some(head + body)
 }
 
-/// Answers with the arm of the requested endpoint; goes on if there is no such arm.
+/// Replies with the arm of the request's endpoint; continues if no arm matches.
 macro_rules! serve {
     ($request:ident, $out:ident; $($Endpoint:ident: |$message:pat_param| $work:expr;)*) => {
         $(if $request.is::<$Endpoint>() {
@@ -143,7 +145,7 @@ fn route<M: Described>(
     out: &mut [u8],
     after: &mut After,
 ) -> Option<usize> {
-    // Short keys collide; a tool that uses them is told.
+    // Short keys collide, so a tool that uses them receives an error.
     if matches!(request.header.key, VarKey::Key1(_) | VarKey::Key2(_)) {
         return request.fail(WireError::KeyTooSmall, out);
     }
@@ -217,8 +219,8 @@ mod tests {
         request.fail(WireError::UnknownKey, out)
     }
 
-    /// Sends a number to an endpoint; the key of the answer, and its number if it is one.
-    fn asked<E: Endpoint>(number: u32) -> (VarKey, Option<u32>) {
+    /// Sends a number to an endpoint. Returns the key of the reply, and the number in it, if any.
+    fn reply_to<E: Endpoint>(number: u32) -> (VarKey, Option<u32>) {
         let (mut body, mut out) = ([0; 8], [0; 64]);
         let body = postcard::to_slice(&number, &mut body).unwrap();
         let header = VarHeader { key: VarKey::Key8(E::REQ_KEY), seq_no: VarSeq::Seq2(5) };
@@ -229,9 +231,9 @@ mod tests {
     }
 
     #[test]
-    fn a_toy_request_is_a_line_and_an_arm() {
+    fn an_endpoint_needs_one_line_and_one_arm() {
         assert!(TOYS.endpoints.iter().any(|(path, ..)| *path == "toy/double"));
-        assert_eq!(asked::<Double>(21), (VarKey::Key8(Double::RESP_KEY), Some(42)));
-        assert_eq!(asked::<Unserved>(21).0, VarKey::Key8(ERROR_KEY));
+        assert_eq!(reply_to::<Double>(21), (VarKey::Key8(Double::RESP_KEY), Some(42)));
+        assert_eq!(reply_to::<Unserved>(21).0, VarKey::Key8(ERROR_KEY));
     }
 }

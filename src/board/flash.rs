@@ -1,27 +1,31 @@
-//! The configuration on its way to flash: settings are staged, and then committed together.
+//! Writes the configuration to flash: settings are staged, then committed together.
 
-use crate::board::configuration::{Configuration, nothing_to_feel};
+use crate::board::configuration::{Configuration, empty_scene};
 use crate::board::machine::Machine;
 use crate::board::protocol::KeyList;
 use crate::board::settings::{self, Entry, Key, Setting};
 use crate::model::precomputed::MassModelData;
 use crate::safety::refusal::Refusal;
 
-/// Makes what was staged under these keys count, and with it the rest of the configuration: what flash holds of another
-/// would be in force beside it after the next start.
+/// Commits the settings staged under these keys together with the rest of the configuration. Otherwise settings of an
+/// older configuration, left in flash, would apply after the next start.
 #[inline(never)]
-pub(super) fn complete(machine: &mut impl Machine, next: &Configuration, keys: &KeyList) -> Result<(), Refusal> {
+pub(super) fn commit_configuration(
+    machine: &mut impl Machine,
+    next: &Configuration,
+    keys: &KeyList,
+) -> Result<(), Refusal> {
     let mut all = KeyList::new();
     stage_all(machine, next, &mut all)?;
-    // A scene that is no more in force must not come back.
+    // A scene that no longer applies must not come back.
     if let (Some(device), None) = (&next.device, &next.scene)
         && machine.load(Key::Scene).is_some()
     {
-        stage(machine, &nothing_to_feel(device), &mut all)?;
+        stage(machine, &empty_scene(device), &mut all)?;
     }
     for key in keys {
         if !all.contains(key) {
-            // There are as many places as keys.
+            // `all` has room for every key.
             let _ = all.push(*key);
         }
     }
@@ -49,14 +53,14 @@ pub(super) fn stage_all(
     }
 }
 
-/// Returns true if flash holds this value. It is a function of its own, so that the entry is on the stack only while it
-/// is compared.
+/// Returns true if flash holds this value. A separate function, so that the entry is on the stack only during the
+/// comparison.
 #[inline(never)]
 fn is_kept(machine: &mut impl Machine, key: Key, entry: &Entry) -> bool {
     machine.load(key).is_some_and(|old| old == *entry)
 }
 
-/// Stages a setting, unless flash holds this value already, and notes its key.
+/// Stages a setting unless flash holds this value already, and adds its key to `keys`.
 #[inline(never)]
 pub(super) fn stage<S: Setting>(machine: &mut impl Machine, value: &S, keys: &mut KeyList) -> Result<(), Refusal> {
     let entry = settings::encode(value).map_err(|_| Refusal::Flash)?;
@@ -64,7 +68,7 @@ pub(super) fn stage<S: Setting>(machine: &mut impl Machine, value: &S, keys: &mu
         return Ok(());
     }
     machine.stage(S::KEY, &entry)?;
-    // There are as many places as keys.
+    // `keys` has room for every key.
     let _ = keys.push(S::KEY);
     Ok(())
 }

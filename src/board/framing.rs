@@ -1,28 +1,29 @@
-//! Frames on the wire: COBS, which leaves no zero in a frame, and a zero after each.
+//! Frames on the wire: COBS, which removes all zeros from a frame, and a zero after each frame.
 //!
-//! Written for a 32-bit processor with no time to spare: bytes without a zero among them move four at a time, and what
-//! comes in is decoded as it comes, packet by packet. tests/framing.rs holds both to the `cobs` crate.
+//! Written for a 32-bit processor with little time: bytes without zeros are handled four at a time, and received bytes
+//! are decoded packet by packet as they arrive. tests/framing.rs compares both with the `cobs` crate.
 
 use crate::board::protocol::MAX_FRAME;
 use core::cell::Cell;
 
-/// Most bytes in a block: its code says how many follow before the next code, and whether a zero stands between.
+/// Maximum number of bytes in a block. The block's code gives the distance to the next code, and a zero follows unless
+/// the block is full.
 const BLOCK: usize = 254;
 
-/// Most bytes that a frame of so many takes on the wire, its delimiter among them.
+/// Returns the maximum length on the wire of a frame with `length` bytes, its delimiter included.
 pub const fn most_on_wire(length: usize) -> usize {
     length + length / BLOCK + 2
 }
 
-/// The first bit of each of a word's bytes that is zero.
+/// Returns a word in which the top bit of each byte is set if that byte of `word` is zero.
 #[inline(always)]
 fn zeros(word: u32) -> u32 {
     const REST: u32 = 0x7F7F_7F7F;
     !(((word & REST) + REST) | word | REST)
 }
 
-/// Encodes a frame of so many bytes where it lies, from the second place of `wire` on, and ends it with a delimiter:
-/// how many bytes that makes from the first place on, or `None` where the wire is shorter than [`most_on_wire`].
+/// Encodes in place a frame of `length` bytes that starts at the second byte of `wire`, and ends it with a delimiter.
+/// Returns the number of bytes on the wire, or `None` if `wire` is shorter than [`most_on_wire`].
 #[inline(never)]
 pub fn encode(wire: &mut [u8], length: usize) -> Option<usize> {
     wire.get(..most_on_wire(length))?;
@@ -35,15 +36,15 @@ pub fn encode(wire: &mut [u8], length: usize) -> Option<usize> {
             *wire.get_mut(end)? = 0;
             return Some(end + 1);
         }
-        // Behind a full block stands no zero: the next one's code gets its place by moving the rest on.
+        // No zero follows a full block: shift the rest by one byte to make room for the next block's code.
         *wire.get_mut(code)? = u8::MAX;
         wire.copy_within(full..end, full + 1);
         (begin, end) = (full, end + 1);
     }
 }
 
-/// Puts into the first place, and into that of every zero, how far it is to the next zero, as long as that is no
-/// further than a block: the place where this ends.
+/// Writes into the first byte and into each zero the distance to the next zero, as long as no distance exceeds a block.
+/// Returns the position of the last code without a distance.
 #[inline(always)]
 fn link(wire: &mut [u8]) -> usize {
     let Some((first, bytes)) = Cell::from_mut(wire).as_slice_of_cells().split_first() else { return 0 };
@@ -55,7 +56,7 @@ fn link(wire: &mut [u8]) -> usize {
         }
         next += 4;
     }
-    // None of the bytes behind the last is zero.
+    // The padding after the last byte contains no zero.
     let rest = words.remainder();
     let mut last = [u8::MAX; 4];
     last.iter_mut().zip(rest).for_each(|(to, from)| *to = from.get());
@@ -63,14 +64,15 @@ fn link(wire: &mut [u8]) -> usize {
     block.place
 }
 
-/// A block whose end is looked for.
+/// A block whose end is not known yet.
 struct Block<'w> {
     code: &'w Cell<u8>,
     place: usize,
 }
 
 impl<'w> Block<'w> {
-    /// Ends it, and those that begin there, at the zeros of a word from place `next` on; false where one is too far.
+    /// Ends this block and the blocks that begin at the zeros of a word at position `next`. Returns false if a distance
+    /// exceeds a block.
     #[inline(always)]
     fn link(&mut self, word: &'w [Cell<u8>], bytes: [u8; 4], next: usize) -> bool {
         let mut zeros = zeros(u32::from_le_bytes(bytes));
@@ -86,18 +88,18 @@ impl<'w> Block<'w> {
     }
 }
 
-/// Finds frames in what comes in, however that is cut into pieces. Anything else is skipped.
+/// Finds frames in the received bytes, which may arrive in pieces of any size. Skips everything else.
 #[derive(Clone, Debug)]
 pub struct Decoder {
     bytes: [u8; MAX_FRAME],
     length: usize,
-    /// Length of the frame that was completed last.
+    /// Length of the last completed frame.
     completed: usize,
-    /// Bytes of the present block that are yet to come.
+    /// Number of bytes missing in the present block.
     left: usize,
-    /// True if a zero stands between the present block and the next.
+    /// True if a zero follows the present block.
     zero: bool,
-    /// The present frame is longer than any valid frame.
+    /// True if the present frame is longer than any valid frame.
     overlong: bool,
 }
 
@@ -108,13 +110,14 @@ impl Default for Decoder {
 }
 
 impl Decoder {
-    /// Takes bytes in up to the end of the first frame among them: how many those are, and whether there was one.
+    /// Consumes bytes up to the end of the first frame. Returns the number of consumed bytes, and true if a frame
+    /// ended.
     #[inline(never)]
     pub fn take(&mut self, bytes: &[u8]) -> (usize, bool) {
         let (mut length, mut left, mut zero) = (self.length, self.left, self.zero);
         let mut rest = bytes;
         loop {
-            // Four bytes go together if none of them is special.
+            // Four bytes are copied together if none of them is special.
             while let Some((&four, after)) = rest.split_first_chunk::<4>()
                 && let Some(place) = self.bytes.get_mut(length..).and_then(<[u8]>::first_chunk_mut)
             {
@@ -162,12 +165,12 @@ impl Decoder {
         (bytes.len(), false)
     }
 
-    /// The frame that was completed last, until more is taken in.
+    /// Returns the last completed frame. Valid until the next [`Decoder::take`].
     pub fn frame(&self) -> &[u8] {
         self.bytes.get(..self.completed).unwrap_or(&[])
     }
 
-    /// Ends the frame that is under way.
+    /// Drops the unfinished frame.
     pub fn forget(&mut self) {
         (self.length, self.left, self.zero, self.overlong) = (0, 0, false, false);
     }

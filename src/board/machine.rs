@@ -1,4 +1,4 @@
-//! The board around the service: the control loop, its timer and its flash.
+//! The board around the service: control loop, timer and flash.
 
 use crate::board::protocol::{ForceAnswer, ForceRequest};
 use crate::board::settings::{Entry, Key};
@@ -11,52 +11,52 @@ use heapless::Vec;
 
 /// The board around the service.
 pub trait Machine {
-    /// The trigonometry it computes with.
+    /// Trigonometry of the control loop.
     type Math: Math<f32>;
     /// The machine's storage for a program: a box, or a static buffer.
     type Held: DerefMut<Target = Program<Self::Math>>;
 
-    /// Carries a command out between two control steps and waits for the answer.
+    /// Carries out a command between two control steps and waits for the reply.
     fn execute(&mut self, command: Command<Self::Held>) -> Reply<Self::Held>;
-    /// The control loop's state.
+    /// Returns the control loop's state.
     fn status(&mut self) -> Status;
-    /// Carries out what the host asks the motors for between two control steps, see
+    /// Carries out a host's force request between two control steps, see
     /// [`ControlLoop::force`](crate::control::ControlLoop::force).
     fn force(&mut self, request: &ForceRequest) -> ForceAnswer;
-    /// Puts a program where the control loop can use it; refused while the spare place is taken.
+    /// Stores a program where the control loop can use it. Refused while the spare place is in use.
     fn place(&mut self, program: Program<Self::Math>) -> Result<Self::Held, Refusal>;
     /// Takes back a program that the control loop no longer uses.
     fn release(&mut self, held: Self::Held);
     /// Sets carrier and divider for a control rate (Hz). Called with the motors off.
     fn retime(&mut self, rate_hz: f32);
-    /// Writes the next entry of a setting aside, where it does not count yet.
+    /// Stages the next entry of a setting, without making it valid.
     fn stage(&mut self, key: Key, entry: &[u8]) -> Result<(), Refusal>;
-    /// The entry staged for a setting since the start or the last commit.
+    /// Returns the entry staged for a setting since the start or the last commit.
     fn staged(&mut self, key: Key) -> Option<Entry>;
-    /// Makes what was staged for these settings count: all of them or, when the power goes, none.
+    /// Makes the staged entries of these settings valid: all or, after a power cut, none.
     fn commit(&mut self, keys: &[Key]) -> Result<(), Refusal>;
-    /// Reads a setting; an entry without a byte for one that was stored and is damaged.
+    /// Reads a setting. Returns an empty entry if the stored entry is damaged.
     fn load(&mut self, key: Key) -> Option<Entry>;
 }
 
-/// The parts of [`Details`](crate::board::protocol::Details) that only the machine itself can measure.
+/// Parts of [`Details`](crate::board::protocol::Details) that only the machine can measure.
 #[derive(Clone, Debug, Default)]
 pub struct Measured {
     /// Carrier frequency at the present control rate, Hz.
     pub carrier_hz: f32,
     /// Computation delay from sampling to duty, in control samples.
     pub delay_samples: f32,
-    /// Faults (their codes) that this board cannot sense as it is wired.
+    /// Codes of the faults that this board cannot detect with its wiring.
     pub unsensed: Vec<u8, 16>,
-    /// Runs of the control interrupt that reached past the next crest since boot.
+    /// Number of control interrupts since boot that lasted past the next crest.
     pub overruns: u32,
-    /// Longest control interrupt seen, in core cycles; 0 where it is not measured.
+    /// Longest control interrupt, core cycles; 0 if it is not measured.
     pub longest_cycles: u32,
-    /// Stack never used so far, bytes; 0 where it is not measured.
+    /// Stack that was never used so far, bytes; 0 if it is not measured.
     pub stack_free: u32,
 }
 
-/// Refuses while the motors are on.
+/// Returns [`Refusal::Armed`] while the motors are on.
 pub fn must_be_off(machine: &mut impl Machine) -> Result<(), Refusal> {
     if machine.status().state.drives() { Err(Refusal::Armed) } else { Ok(()) }
 }

@@ -1,11 +1,11 @@
-//! Every message between board and host, with its version.
+//! The messages between board and host, and their version.
 //!
 //! postcard-rpc frames (header with key and sequence number, then postcard), COBS-encoded over a byte stream: a USB
-//! CDC-ACM serial port, a pseudo-terminal or TCP. A message's key is a hash of its path and of its types: a
-//! board that has another form of a message does not know its key, and answers that instead of misreading it. Whether
-//! tool and board speak the same protocol is asked first: [`GetInfo`], whose shape never changes, answers with
-//! [`PROTOCOL`]. The request of [`Disarm`] never changes either, nor does the single zero in the body of its answer once
-//! the motors are off: any tool stops any board.
+//! CDC-ACM serial port, a pseudo-terminal or TCP. A message's key is a hash of its path and its types: a board with
+//! another form of a message does not know the key, and replies with an error instead of misreading the message. A tool
+//! first checks that it speaks the board's protocol: [`GetInfo`], whose form never changes, returns [`PROTOCOL`]. The
+//! request of [`Disarm`] never changes either, nor does the single zero in the body of its reply once the motors are
+//! off, so that any tool can stop any board.
 
 use crate::board::settings::{Damage, Entry, Key};
 use crate::board::telemetry::{Batch, StreamRequest};
@@ -25,35 +25,35 @@ use postcard_rpc::{TopicDirection, endpoints, topics};
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
-/// Version of this table. Raised by any change to it.
+/// Version of the protocol, increased with every change of it.
 pub const PROTOCOL: u16 = 11;
 
-/// Longest frame on the link, bytes, before what COBS adds.
+/// Longest frame on the link before COBS encoding, bytes.
 pub const MAX_FRAME: usize = 1536;
 
-/// Most faults the board remembers since it started.
+/// Maximum number of faults in the board's history.
 pub const FAULT_HISTORY: usize = 16;
 
-/// The answer to what changes something.
+/// Reply to a request that changes something.
 pub type Outcome = Result<(), Refusal>;
 
-/// A board's description of itself. Fields are only ever added behind a new [`PROTOCOL`] and another path.
+/// Identity of a board. Fields are added only with a new [`PROTOCOL`] and another path.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct Info {
     /// [`PROTOCOL`] of the firmware.
     pub protocol: u16,
     /// Firmware version.
     pub firmware: String<16>,
-    /// Kind of board: what the firmware is for, or `simulated`.
+    /// Kind of board: the firmware's target, or `simulated`.
     pub board: String<24>,
     /// Serial number.
     pub serial: String<24>,
 }
 
-/// The rest of what a board says of itself.
+/// Further properties of a board.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct Details {
-    /// The name that its owner gave it.
+    /// Name given by the owner.
     pub name: String<32>,
     /// Motor axes.
     pub axes: u8,
@@ -63,50 +63,50 @@ pub struct Details {
     pub carrier_hz: f32,
     /// Computation delay from sampling to duty, in control samples.
     pub delay_samples: f32,
-    /// The loaded device's name.
+    /// Name of the loaded device.
     pub device: Option<String<32>>,
-    /// Control rate, Hz; 20 kHz until a scene says otherwise.
+    /// Control rate, Hz; 20 kHz until a scene is loaded.
     pub rate_hz: f32,
     /// Walls in the scene.
     pub walls: u8,
-    /// Faults (their codes) that this board cannot sense as it is wired.
+    /// Codes of the faults that this board cannot detect with its wiring.
     pub unsensed: Vec<u8, 16>,
-    /// Damage found in the settings at boot.
+    /// Damage of the settings at boot.
     pub damage: Vec<(Key, Damage), { Key::ALL.len() }>,
-    /// Runs of the control interrupt that reached past the next crest since boot.
+    /// Number of control interrupts since boot that lasted past the next crest.
     pub overruns: u32,
-    /// Longest control interrupt seen, in core cycles; 0 where it is not measured.
+    /// Longest control interrupt, core cycles; 0 if it is not measured.
     pub longest_cycles: u32,
-    /// Stack never used so far, bytes; 0 where it is not measured.
+    /// Stack that was never used so far, bytes; 0 if it is not measured.
     pub stack_free: u32,
 }
 
-/// Gains for a wall, and for the estimators of all walls.
+/// Gains of a wall, and velocity estimators of all walls.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct GainsRequest {
-    /// Of one wall.
+    /// Gains of one wall.
     pub wall: Option<Gains<f32>>,
     /// Kind and cutoff (Hz) of the velocity estimators.
     pub estimator: Option<(Estimator, f32)>,
 }
 
-/// A setting's bytes, to put aside until [`CommitEntries`] names its key.
+/// Bytes of a setting, staged until [`CommitEntries`] contains its key.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct WriteEntry {
-    /// Whose it is: a number that the tool draws for each change. What another one has put aside is forgotten.
+    /// Number that the tool draws for each change. Entries that another session has staged are dropped.
     pub session: u32,
-    /// Under which key.
+    /// Key of the setting.
     pub key: Key,
-    /// As [`crate::board::settings::encode`] made it.
+    /// Bytes from [`crate::board::settings::encode`].
     pub entry: Entry,
 }
 
-/// Which of the settings that were put aside are to count.
+/// Staged settings that become valid together.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct Commit {
-    /// As in [`WriteEntry`]: what another session has put aside is refused as [`Refusal::BadEntry`].
+    /// Session of [`WriteEntry`]. Entries staged in another session are refused with [`Refusal::BadEntry`].
     pub session: u32,
-    /// Their keys.
+    /// Keys of the settings.
     pub keys: KeyList,
 }
 
@@ -118,15 +118,15 @@ pub type SceneData = Scene<f32>;
 pub type MaybeDevice = Option<DeviceData>;
 /// The loaded scene, if any.
 pub type MaybeScene = Option<SceneData>;
-/// The faults seen since the board started, oldest first.
+/// Faults since the board started, oldest first.
 pub type FaultList = Vec<FaultRecord, FAULT_HISTORY>;
-/// A setting's bytes, if it is set.
+/// Bytes of a setting, if it is set.
 pub type MaybeEntry = Option<Entry>;
-/// Settings by their keys.
+/// Keys of settings.
 pub type KeyList = Vec<Key, { Key::ALL.len() }>;
-/// The control step at which a request was heard, counted since boot, wrapping.
+/// Control step at which a request arrived, counted since boot, wrapping.
 pub type Step = u32;
-/// A board's name, as people call it.
+/// Name of a board.
 pub type Name = String<32>;
 
 endpoints! {

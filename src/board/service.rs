@@ -1,13 +1,13 @@
-//! The board's answers: every request of the protocol is a plain function here, without the link and without hardware.
+//! The requests of the protocol as plain functions, without link and hardware.
 //!
-//! Firmware and simulated board wrap the same [`Service`] in their own input and output, described by [`Machine`].
-//! Everything is checked here even though the tool has checked it: whatever comes over the link, nothing that the
-//! rules forbid reaches the control loop, and the control loop checks again what depends on the moment.
+//! Firmware and simulated board connect the same [`Service`] to their own input and output, described by [`Machine`].
+//! The service checks everything again that the tool has checked, so that no request over the link can bring the
+//! control loop into a state that the rules forbid. The control loop checks what depends on the moment.
 
 mod backup;
 
-use crate::board::configuration::{Configuration, nothing_to_feel, task};
-use crate::board::flash::complete;
+use crate::board::configuration::{Configuration, empty_scene, task};
+use crate::board::flash::commit_configuration;
 use crate::board::machine::{Machine, Measured, must_be_off};
 use crate::board::protocol::{Beat, Details, FaultList, GainsRequest, KeyList, Name, Press, Step};
 use crate::board::settings::{self, BoardName, Damage, Key, Setting};
@@ -23,42 +23,42 @@ use crate::safety::limits::{BadLimit, GENTLE_FORCE, Limit, Limits};
 use crate::safety::refusal::Refusal;
 use heapless::Vec;
 
-/// The configuration of a board and everything that may be done to it.
+/// Configuration of a board, and the requests that change it.
 #[derive(Debug)]
 pub struct Service {
     hardware: Hardware,
-    most: Limits,
+    max_limits: Limits,
     configuration: Configuration,
     receiving: Receiving,
     name: Name,
-    /// The device whose polarity was found right since the board started. Earlier checks recorded in flash do not
-    /// count: wires are changed while a board is without power. The whole device is kept, because a name can be made up
-    /// that gives another device the same checksum.
+    /// Device whose polarity check succeeded since the board started. Checks recorded in flash do not count, because
+    /// wires may change while a board has no power. The entire device is kept, because a name can be constructed that
+    /// gives another device the same checksum.
     polarity: Option<Device<f32>>,
     damage: Vec<(Key, Damage), { Key::ALL.len() }>,
     faults: FaultList,
     last_fault: Option<FaultRecord>,
-    /// The session that has put entries aside last, and under which keys.
+    /// Last session that staged entries, and their keys.
     staged: (u32, KeyList),
 }
 
 impl Service {
-    /// An empty board whose limits can never be raised above those in `most`, which are also its defaults, but for the
-    /// force at the tip of real motors: [`GENTLE_FORCE`].
-    pub fn new(hardware: Hardware, most: Limits) -> Self {
-        // Simulated motors cannot hurt anyone: their force keeps the board's limit, and a silent host is ignored.
+    /// Returns a board without device. Limits can never exceed `max_limits`. These are also the defaults, except for
+    /// the force at the tip of real motors: [`GENTLE_FORCE`].
+    pub fn new(hardware: Hardware, max_limits: Limits) -> Self {
+        // Simulated motors cannot hurt anyone: the force limit stays that of the board, and a silent host is ignored.
         let (tip_force, host_action) = match hardware.real {
             true => (GENTLE_FORCE, HostAction::Disarm),
-            false => (most.tip_force, HostAction::Ignore),
+            false => (max_limits.tip_force, HostAction::Ignore),
         };
         Self {
             hardware,
-            most,
+            max_limits,
             configuration: Configuration {
                 device: None,
                 scene: None,
                 mass: MassModelData::Exact,
-                rules: Rules { limits: Limits { tip_force, ..most }, host_action, ..Rules::default() },
+                rules: Rules { limits: Limits { tip_force, ..max_limits }, host_action, ..Rules::default() },
             },
             receiving: Receiving::default(),
             name: Name::new(),
@@ -70,10 +70,10 @@ impl Service {
         }
     }
 
-    /// Reads the settings and puts them in force. What is damaged stays at its default and is reported in
-    /// [`Details::damage`]; the rest is kept.
+    /// Reads and applies the settings. A damaged setting stays at its default and is reported in [`Details::damage`];
+    /// the others are kept.
     pub fn boot(&mut self, machine: &mut impl Machine) {
-        // These rules are in force until others are read.
+        // These rules apply until the stored rules are read.
         let _ = self.set_rules(machine, self.configuration.rules);
         if let Some(BoardName(name)) = self.read(machine) {
             self.name = name;
@@ -98,7 +98,7 @@ impl Service {
         }
         let mass = self.configuration.mass.clone();
         let modelled = mass != MassModelData::Exact;
-        // Settings saved beside the scene were made for its walls.
+        // A mass model that was saved with the scene was made for its walls.
         if let (Some(scene), true) = (scene, self.configuration.device.is_some())
             && self.set_scene_and_mass(machine, scene.clone(), mass).is_err()
         {
@@ -121,7 +121,7 @@ impl Service {
         settings::decode(&entry).map_err(|damage| self.damage.push((S::KEY, damage))).ok()
     }
 
-    /// The board's description of itself.
+    /// Returns the board's description.
     pub fn details(&self, measured: Measured) -> Details {
         let Configuration { device, scene, .. } = &self.configuration;
         let Measured { carrier_hz, delay_samples, unsensed, overruns, longest_cycles, stack_free } = measured;
@@ -142,23 +142,22 @@ impl Service {
         }
     }
 
-    /// The loaded device.
+    /// Returns the loaded device.
     pub fn device(&self) -> Option<&Device<f32>> {
         self.configuration.device.as_ref()
     }
 
-    /// The scene in force.
+    /// Returns the loaded scene.
     pub fn scene(&self) -> Option<&Scene<f32>> {
         self.configuration.scene.as_ref()
     }
 
-    /// The rules in force.
+    /// Returns the present rules.
     pub fn rules(&self) -> &Rules {
         &self.configuration.rules
     }
 
-    /// Loads a device. The motors must be off. Homing and the mass model are forgotten, and so is a scene that does not
-    /// fit.
+    /// Loads a device. The motors must be off. Homing, the mass model and a scene that does not fit are dropped.
     pub fn set_device(&mut self, machine: &mut impl Machine, device: Device<f32>) -> Result<(), Refusal> {
         self.set_device_and_mass(machine, device, MassModelData::Exact)
     }
@@ -174,12 +173,12 @@ impl Service {
         let scene = self.configuration.scene.as_ref().filter(|scene| fits(scene, &device)).cloned();
         let mut next = Configuration { device: Some(device), scene, mass, rules: self.configuration.rules };
         self.install(machine, &mut next, false, None)?;
-        self.took_device(machine)
+        self.finish_device_change(machine)
     }
 
-    /// Forgets a table that was on its way for the device before, and tells the control loop when this device's polarity was
-    /// found right already. A device that holds a NaN equals no device, so it counts as unchecked.
-    fn took_device(&mut self, machine: &mut impl Machine) -> Result<(), Refusal> {
+    /// Drops a partly received table of the previous device. If this device's polarity was found correct before, tells
+    /// the control loop. A device that contains a NaN equals no device, so it counts as unchecked.
+    fn finish_device_change(&mut self, machine: &mut impl Machine) -> Result<(), Refusal> {
         self.receiving = Receiving::default();
         match &self.polarity {
             Some(_) if self.polarity == self.configuration.device => machine.execute(Command::PolarityKnown).0,
@@ -187,8 +186,9 @@ impl Service {
         }
     }
 
-    /// Loads a scene for the device, with the closed form of the mass matrix: a prepared one is for the walls it was
-    /// made for. With the motors on it must keep the control rate and must not be touched.
+    /// Loads a scene for the device, with the closed form of the mass matrix, because a prepared matrix is valid only
+    /// for its walls. While the motors are on, the scene must have the present control rate and the tip must not touch
+    /// its walls.
     pub fn set_scene(&mut self, machine: &mut impl Machine, scene: Scene<f32>) -> Result<(), Refusal> {
         self.set_scene_and_mass(machine, scene, MassModelData::Exact)
     }
@@ -205,8 +205,7 @@ impl Service {
         self.install(machine, &mut Configuration { device, scene: Some(scene), mass, rules }, true, None)
     }
 
-    /// Chooses where the step takes its mass matrix from; motors must be off. A table's values must have been sent
-    /// before.
+    /// Selects the source of the mass matrix. The motors must be off. A table's values must have been sent before.
     pub fn set_mass_model(&mut self, machine: &mut impl Machine, mass: MassModelData) -> Result<(), Refusal> {
         must_be_off(machine)?;
         if let MassModelData::Table(grid, crc) = &mass {
@@ -220,8 +219,8 @@ impl Service {
         self.install(machine, &mut next, true, None)
     }
 
-    /// Takes a piece of a table, in order from offset 0; see [`Receiving::take`]. A table that is in use gives way to
-    /// the closed form first: its values are those that the new ones take the place of.
+    /// Receives a piece of a table, in order from offset 0; see [`Receiving::take`]. A table that is in use is first
+    /// replaced by the closed form, because the new values overwrite the table's.
     pub fn receive_table(&mut self, machine: &mut impl Machine, chunk: &TableChunk) -> Result<(), Refusal> {
         must_be_off(machine)?;
         let offset = usize::from(chunk.offset);
@@ -235,8 +234,8 @@ impl Service {
         Ok(())
     }
 
-    /// Puts `next` in force and leaves the configuration before it in its place. On a refusal nothing changes. Settings
-    /// that were staged under `keys` are committed to flash after the last check that can refuse.
+    /// Applies `next` and swaps the previous configuration into its place. A refusal changes nothing. Settings staged
+    /// under `keys` are committed to flash after the last check that can refuse.
     fn install<Mc: Machine>(
         &mut self,
         machine: &mut Mc,
@@ -244,8 +243,8 @@ impl Service {
         same_device: bool,
         keys: Option<&KeyList>,
     ) -> Result<(), Refusal> {
-        let placed = self.placed(machine, next, same_device)?;
-        if let Some(Err(refusal)) = keys.map(|keys| complete(machine, next, keys)) {
+        let placed = self.place_program(machine, next, same_device)?;
+        if let Some(Err(refusal)) = keys.map(|keys| commit_configuration(machine, next, keys)) {
             if let Some((held, _)) = placed {
                 machine.release(held);
             }
@@ -262,7 +261,8 @@ impl Service {
         if keys.is_some() {
             machine.execute(Command::Rules(next.rules)).0?;
         }
-        // A scene that was taken with the motors on keeps the rate. Asked now, because a fault may have come meanwhile.
+        // A scene loaded while the motors are on keeps the rate. Checked now, because a fault may have turned the
+        // motors off.
         if let Some(rate_hz) = rate_hz.filter(|_| must_be_off(machine).is_ok()) {
             machine.retime(rate_hz);
         }
@@ -270,10 +270,10 @@ impl Service {
         Ok(())
     }
 
-    /// A configuration's program where the control loop can use it, and its control rate, Hz; `None` without a device. By
-    /// itself, so that nothing else stands on the stack with a program.
+    /// Places a configuration's program where the control loop can use it, and returns it with its control rate, Hz;
+    /// `None` without a device. A separate function, so that no other large value shares the stack with a program.
     #[inline(never)]
-    fn placed<Mc: Machine>(
+    fn place_program<Mc: Machine>(
         &self,
         machine: &mut Mc,
         next: &Configuration,
@@ -281,14 +281,14 @@ impl Service {
     ) -> Result<Option<(Mc::Held, f32)>, Refusal> {
         let Configuration { device, scene, mass, rules } = next;
         let Some(device) = device else { return Ok(None) };
-        let empty = nothing_to_feel(device);
+        let empty = empty_scene(device);
         let scene = scene.as_ref().unwrap_or(&empty);
         let mut program = Program::<Mc::Math>::new(&self.hardware, &rules.limits, device, scene, same_device)?;
         program.set_mass(mass, self.receiving.values())?;
         Ok(Some((machine.place(program)?, scene.rate_hz)))
     }
 
-    /// Changes gains while the scene runs. Refused as a whole when any part of it cannot be.
+    /// Changes gains while the scene runs. Refuses the entire request if any part is invalid.
     pub fn set_gains<Mc: Machine>(&mut self, machine: &mut Mc, request: &GainsRequest) -> Result<(), Refusal> {
         let Configuration { device, scene, .. } = &mut self.configuration;
         let device = device.as_ref().ok_or(Refusal::NoDevice)?;
@@ -310,7 +310,7 @@ impl Service {
         }
         changed.check(task(device)).map_err(Refusal::Scene)?;
         let rate = changed.rate_hz;
-        // Everything that can be refused comes before anything that acts.
+        // All checks that can refuse come before the first change.
         let coefficients = match request.estimator {
             Some((estimator, cutoff_hz)) => {
                 let found = Coefficients::of_device::<Mc::Math>((estimator, rate, cutoff_hz), device);
@@ -334,7 +334,7 @@ impl Service {
         Ok(())
     }
 
-    /// Sets limits and rules; never above what the board can do, and not higher while the motors are on.
+    /// Sets limits and rules. Limits cannot exceed the board's abilities, and cannot be raised while the motors are on.
     pub fn set_rules(&mut self, machine: &mut impl Machine, rules: Rules) -> Result<(), Refusal> {
         self.check_rules(&rules)?;
         machine.execute(Command::Rules(rules)).0?;
@@ -353,25 +353,25 @@ impl Service {
             most: f32::INFINITY,
         });
         let silence = (!(least..=most).contains(&rules.host_seconds)).then_some(silence);
-        match rules.limits.wrong(&self.most).or(silence).or(period) {
+        match rules.limits.wrong(&self.max_limits).or(silence).or(period) {
             Some(bad) => Err(Refusal::BadLimit(bad)),
             None => Ok(()),
         }
     }
 
-    /// Declares the present pose to be the device's home.
+    /// Takes the present pose as the device's home pose.
     pub fn home(&mut self, machine: &mut impl Machine) -> Result<(), Refusal> {
         machine.execute(Command::Home).0
     }
 
-    /// Starts the polarity check; [`Service::poll`] notes its success. Whatever an earlier one found is forgotten.
+    /// Starts the polarity check and drops earlier results; [`Service::poll`] records its success.
     pub fn check_polarity(&mut self, machine: &mut impl Machine) -> Result<(), Refusal> {
         machine.execute(Command::CheckPolarity).0?;
         self.polarity = None;
         Ok(())
     }
 
-    /// Motors on, for as long as this key is held, if any.
+    /// Turns the motors on, while this key is held, if any.
     pub fn arm(&mut self, machine: &mut impl Machine, key: Option<Press>) -> Result<(), Refusal> {
         if self.configuration.device.is_none() {
             return Err(Refusal::NoDevice);
@@ -382,7 +382,7 @@ impl Service {
         machine.execute(key.map_or(Command::Arm, Command::ArmHeld)).0
     }
 
-    /// Motors off.
+    /// Turns the motors off.
     pub fn disarm(&mut self, machine: &mut impl Machine) -> Result<(), Refusal> {
         machine.execute(Command::Disarm).0
     }
@@ -393,19 +393,19 @@ impl Service {
         machine.execute(Command::Clear).0
     }
 
-    /// The host is there, and says how it is with its user's key. It is told the step, with which it can say when it saw
-    /// that key.
+    /// Receives the host's sign of life with the state of its user's key. Returns the control step, with which the host
+    /// can tell the time of the key's next press.
     pub fn heartbeat(&mut self, machine: &mut impl Machine, beat: Beat) -> Step {
         let _ = machine.execute(Command::Beat(beat));
         machine.status().step
     }
 
-    /// Faults since the board started, oldest first; the oldest give way.
+    /// Returns the faults since the board started, oldest first; the oldest are dropped.
     pub fn faults(&self) -> &FaultList {
         &self.faults
     }
 
-    /// Looks at the control_loop: call a few times a second. Returns a fault that is new.
+    /// Polls the control loop; call a few times a second. Returns a new fault.
     pub fn poll(&mut self, machine: &mut impl Machine) -> Option<FaultRecord> {
         let status = machine.status();
         // A device that is already recorded is not copied again.
@@ -413,7 +413,7 @@ impl Service {
             self.polarity.clone_from(&self.configuration.device);
         }
         let fault = status.fault?;
-        // Values are not compared: NaN differs from itself, and such a fault would be reported again and again.
+        // Values are not compared: NaN differs from itself, and such a fault would be reported repeatedly.
         if self.last_fault.is_some_and(|last| (last.fault, last.step) == (fault.fault, fault.step)) {
             return None;
         }
@@ -421,7 +421,7 @@ impl Service {
         Some(fault)
     }
 
-    /// Adds a fault to the history, also one from before a reset.
+    /// Adds a fault to the history. Also used for a fault from before a reset.
     pub fn note_fault(&mut self, fault: FaultRecord) {
         self.last_fault = Some(fault);
         if self.faults.is_full() {
@@ -430,18 +430,18 @@ impl Service {
         let _ = self.faults.push(fault);
     }
 
-    /// Names the board; kept at the next save.
+    /// Sets the board's name; the next save writes it to flash.
     pub fn set_name(&mut self, name: Name) {
         self.name = name;
     }
 }
 
-/// Returns true if a scene can be felt on a device.
+/// Returns true if a scene can be rendered on a device.
 fn fits(scene: &Scene<f32>, device: &Device<f32>) -> bool {
     usize::from(scene.task) == task(device) && (scene.posture.is_none() || device.axes() > task(device))
 }
 
-/// Returns true if every number that the step will use is usable.
+/// Checks that every number that the control step uses is valid.
 fn check_device<K: Math<f32>>(device: &Device<f32>) -> Result<(), Refusal> {
     let usable = device.joints.iter().take(device.axes()).all(|joint| {
         let limits = joint.limits.is_none_or(|(low, high)| low < high);

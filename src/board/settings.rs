@@ -1,7 +1,7 @@
 //! The settings that the board keeps in flash: one entry each, with its own version and checksum.
 //!
-//! An entry that is damaged or of an unknown version is refused by itself; the others are kept. The bytes are the same
-//! in flash, in a backup file and on the link.
+//! An entry that is damaged or has an unknown version is refused alone; the others are kept. The bytes are identical in
+//! flash, in a backup file and on the link.
 
 use crate::board::storage::DECISION;
 use crate::checksum::crc32;
@@ -16,10 +16,10 @@ use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
 /// Largest entry, bytes.
 pub const LONGEST_SETTING: usize = 1024;
-/// An entry's bytes.
+/// Bytes of an entry.
 pub type Entry = Vec<u8, LONGEST_SETTING>;
 
-/// A setting's key; the numbers never change.
+/// Key of a setting. The numbers never change.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[repr(u8)]
 pub enum Key {
@@ -31,14 +31,14 @@ pub enum Key {
     Rules = 3,
     /// The mass model.
     MassModel = 4,
-    /// The fingerprint of a device whose polarity was checked once. Boards in the field and their backups hold it; it
-    /// does not count as a check any longer.
+    /// Fingerprint of a device whose polarity was checked once. Older boards and their backups contain it; it no longer
+    /// counts as a check.
     Polarity = 5,
     /// The board's name.
     Name = 6,
 }
 
-// Their entries lie in flash between the catalogue's and the decision's, and `ALL` has them in the order of their keys.
+// The settings' entries lie between the catalogue and the decision, and `ALL` is in the order of the keys.
 const _: () = {
     let mut place = 0;
     while place < Key::ALL.len() {
@@ -49,10 +49,10 @@ const _: () = {
 };
 
 impl Key {
-    /// Every key.
+    /// All keys.
     pub const ALL: [Key; 6] = [Key::Device, Key::Scene, Key::Rules, Key::MassModel, Key::Polarity, Key::Name];
 
-    /// Its name in backups and reports.
+    /// Returns the key's name in backups and reports.
     pub const fn name(self) -> &'static str {
         match self {
             Key::Device => "device",
@@ -65,39 +65,39 @@ impl Key {
     }
 }
 
-/// A value that is kept under a key.
+/// A value that is stored under a key.
 pub trait Setting: Serialize + DeserializeOwned {
-    /// Its key.
+    /// Key of the setting.
     const KEY: Key;
-    /// Version of its encoding; raised whenever its fields change.
+    /// Version of the encoding, increased whenever the fields change.
     const VERSION: u8;
-    /// Earlier versions that differ by lacking bytes: the version, where the bytes belong (counted from the value's
-    /// first byte, or `END`), and what the later fields were before there were any.
+    /// Earlier versions that lack bytes: the version, the position of the missing bytes (from the value's first byte, or
+    /// `END`), and the values of the later fields for such an entry.
     const SHORTER: &'static [(u8, usize, &'static [u8])] = &[];
 }
 
-/// Behind everything else.
+/// Position after the last byte.
 const END: usize = usize::MAX;
 
 impl Setting for Device<f32> {
     const KEY: Key = Key::Device;
-    /// 2: a five-bar carries the scale of its rods.
+    /// 2: scale of a five-bar's rods.
     const VERSION: u8 = 2;
 }
 impl Setting for Scene<f32> {
     const KEY: Key = Key::Scene;
-    /// 2: a feed-forward gain, and what a redundant device holds; `velocity_terms` is no longer a flag. 3: estimators
-    /// that watch joints, with their choices. 4: a posture.
+    /// 2: feed-forward gain and controlled quantity of a redundant device; `velocity_terms` is no longer a flag. 3:
+    /// joint-space estimators with their options. 4: posture.
     const VERSION: u8 = 4;
-    /// A gain of 1, the orientation and no posture; the estimators of before are what they were.
+    /// Defaults: a gain of 1, the orientation, no posture. Earlier estimators are unchanged.
     const SHORTER: &'static [(u8, usize, &'static [u8])] =
         &[(1, END, &[0x00, 0x00, 0x80, 0x3f, 0x00, 0x00]), (2, END, &[0x00]), (3, END, &[0x00])];
 }
 impl Setting for Rules {
     const KEY: Key = Key::Rules;
-    /// 2: a largest force at the tip.
+    /// 2: force limit at the tip.
     const VERSION: u8 = 2;
-    /// A gentle one, at the end of the limits, which come first: fifteen numbers of four bytes.
+    /// The gentle force limit, at the end of the limits, which come first: fifteen numbers of four bytes.
     const SHORTER: &'static [(u8, usize, &'static [u8])] = &[(1, 60, &GENTLE_FORCE.to_le_bytes())];
 }
 impl Setting for MassModelData {
@@ -105,8 +105,8 @@ impl Setting for MassModelData {
     const VERSION: u8 = 1;
 }
 
-/// The fingerprint of a device whose polarity was checked once. Read so that old flash and backups stay valid; it
-/// vouches for nothing, as wires are changed while a board is without power.
+/// Fingerprint of a device whose polarity was checked once. Read so that old flash and backups stay valid. It proves
+/// nothing, because wires may change while a board has no power.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Polarity(pub u32);
 impl Setting for Polarity {
@@ -122,22 +122,22 @@ impl Setting for BoardName {
     const VERSION: u8 = 1;
 }
 
-/// Why an entry cannot be used.
+/// Reason why an entry cannot be used.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub enum Damage {
-    /// Checksum or encoding are wrong.
+    /// The checksum or the encoding is wrong.
     Corrupt,
-    /// It was written by a version that this one does not know.
+    /// The entry has a version that this firmware does not know.
     UnknownVersion(u8),
-    /// It belongs to another key.
+    /// The entry belongs to another key.
     OtherKey,
-    /// It does not fit.
+    /// The entry is too long.
     TooLong,
 }
 
-/// An entry: key, version, the value's postcard bytes, CRC-32 of all before.
+/// Encodes an entry: key, version, the value's postcard bytes, CRC-32 of these.
 ///
-/// Errors: [`Damage::TooLong`] when the value takes more than [`LONGEST_SETTING`] bytes.
+/// Errors: [`Damage::TooLong`] if the entry needs more than [`LONGEST_SETTING`] bytes.
 #[inline(never)]
 pub fn encode<S: Setting>(value: &S) -> Result<Entry, Damage> {
     let mut entry = Entry::new();
@@ -152,7 +152,7 @@ pub fn encode<S: Setting>(value: &S) -> Result<Entry, Damage> {
     Ok(entry)
 }
 
-/// The value of an entry. Errors say what is wrong with it.
+/// Decodes the value of an entry.
 #[inline(never)]
 pub fn decode<S: Setting>(entry: &[u8]) -> Result<S, Damage> {
     let Some((body, sum)) = entry.split_last_chunk::<4>() else { return Err(Damage::Corrupt) };
@@ -176,7 +176,7 @@ pub fn decode<S: Setting>(entry: &[u8]) -> Result<S, Damage> {
     }
 }
 
-/// The value whose encoding is exactly these bytes.
+/// Decodes a value from exactly these bytes.
 fn value_of<S: Setting>(bytes: &[u8]) -> Result<S, Damage> {
     match postcard::take_from_bytes(bytes) {
         Ok((value, [])) => Ok(value),

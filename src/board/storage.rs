@@ -1,17 +1,20 @@
-//! The settings in flash: a map of one entry per setting, so that adding or removing a setting never loses the others.
+//! The settings in flash: a map with one entry per setting, so that adding or removing a setting never loses the
+//! others.
 //!
-//! `sequential-storage` appends entries with checksums and moves to the next page when one is full, which keeps the old
-//! or the new value through a power cut at any point; tests/power_cut.rs cuts it at every single flash operation. It
-//! silently skips a damaged entry and returns the one before. So every entry carries its generation, and
-//! after each write a catalogue of the newest generations follows: an entry older than the catalogue knows is not the
-//! one that was saved. A power cut between the two leaves an entry that is newer than that, which is no damage.
+//! `sequential-storage` appends entries with checksums and moves to the next page when a page is full. After a power
+//! cut at any point, either the old or the new value is left; tests/power_cut.rs cuts the power at every flash
+//! operation. A damaged entry is skipped silently, and the entry before it is returned. Every entry therefore carries a
+//! generation, and each write is followed by a catalogue of the newest generations: an entry older than its generation
+//! in the catalogue is not the saved entry. A power cut between the two writes leaves an entry newer than the
+//! catalogue, which is no damage.
 //!
-//! Several settings change together, or none does: they are written aside first ([`Storage::stage`]), then a single
-//! entry decides that they count ([`Storage::commit`]), and only then do they take their settings' places. Power that
-//! goes before the decision leaves the old settings; power that goes after it leaves the decision, which the next
-//! start carries out before it reads anything.
+//! Several settings change together or not at all: they are staged first ([`Storage::stage`]), then a single entry, the
+//! decision, makes them valid ([`Storage::commit`]), and only then are they moved to their settings' keys. A power cut
+//! before the decision leaves the old settings. A power cut after it leaves the decision, which the next start carries
+//! out before it reads anything.
 //!
-//! Nothing here knows a chip: the firmware brings its flash as a [`NorFlash`], tests bring one that fails when told to.
+//! This module does not depend on a chip: the firmware passes its flash as a [`NorFlash`], tests pass a flash with
+//! injected errors.
 
 use core::future::Future;
 use core::ops::Range;
@@ -22,51 +25,51 @@ use sequential_storage::cache::key_pointers::ArrayKeyPointers;
 use sequential_storage::cache::{Cache, Uncached};
 use sequential_storage::map::{MapConfig, MapStorage, SerializationError, Value};
 
-/// Longest entry, bytes, its key included.
+/// Length of the longest entry with its key, bytes.
 pub const LONGEST_STORED: usize = 2048;
 
 /// Key of the catalogue.
 const CATALOGUE: u8 = 0;
-/// Key of the decision: which staged entries count, by their generations; all zeros when none does. Settings have the
-/// keys between the two.
+/// Key of the decision: the generations of the staged entries that are valid; all zeros if there is none. The settings'
+/// keys lie between the two.
 pub(super) const DECISION: u8 = 7;
-/// The bit that a setting's key has while its entry is staged.
+/// Bit that marks the key of a staged entry.
 const STAGED: u8 = 8;
 const _: () = assert!(DECISION < STAGED && (DECISION as usize) < SETTINGS && 2 * SETTINGS <= KEYS);
-/// Keys up to the decision's: places in the catalogue and in the decision.
+/// Number of places in the catalogue and in the decision: the keys up to that of the decision.
 const SETTINGS: usize = 8;
-/// All keys.
+/// Number of keys.
 const KEYS: usize = 16;
 
-/// A generation: the seven lower bits count, round and round. 0 for an entry that has none, or is not there.
+/// A generation: the seven lower bits count and wrap. 0 for an entry without generation and for a missing entry.
 type Generation = u8;
-/// Set in every generation, and not in the first byte of an entry of before there were any, which is its key.
+/// Set in every generation. Entries from before generations start with their key, which does not have this bit.
 const COUNTED: Generation = 0x80;
 
-/// A setting's place in the catalogue and in the decision.
+/// Returns a setting's place in the catalogue and in the decision.
 fn place(key: u8) -> usize {
     usize::from(key) % SETTINGS
 }
 
-/// The bit of a key.
+/// Returns the bit of a key.
 fn bit(key: u8) -> u16 {
     1 << (usize::from(key) % KEYS)
 }
 
-/// The generation after this one.
+/// Returns the following generation.
 fn next(generation: Generation) -> Generation {
     generation.wrapping_add(1) | COUNTED
 }
 
-/// Returns true if `found` is of a generation before `known`.
-fn older(found: Generation, known: Generation) -> bool {
+/// Returns true if generation `found` is before `known`.
+fn is_older(found: Generation, known: Generation) -> bool {
     known != 0 && (found == 0 || found.wrapping_sub(known) & 0x7F >= 64)
 }
 
-/// An entry as it is stored: its generation, then its bytes.
-struct Stamped<'a>(Generation, &'a [u8]);
+/// An entry as stored: its generation, then its bytes.
+struct StampedEntry<'a>(Generation, &'a [u8]);
 
-impl<'a> Value<'a> for Stamped<'a> {
+impl<'a> Value<'a> for StampedEntry<'a> {
     fn serialize_into(&self, buffer: &mut [u8]) -> Result<usize, SerializationError> {
         let Self(generation, entry) = self;
         let (first, rest) = buffer.split_first_mut().ok_or(SerializationError::BufferTooSmall)?;
@@ -83,30 +86,30 @@ impl<'a> Value<'a> for Stamped<'a> {
     }
 }
 
-/// The errors of storing a setting; the chip's log names them by their numbers.
+/// Errors of storing a setting. The chip's log contains their numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum StorageError {
-    /// The flash refused to erase or to write.
+    /// The flash failed to erase or to write.
     Flash = 1,
     /// The entry does not fit.
     Full = 2,
-    /// The entry does not read back as it was written: worn flash, or an emulated one.
+    /// The entry does not read back as written: the flash is worn or emulated.
     NotKept = 3,
-    /// The entry that was saved last is damaged or gone.
+    /// The last saved entry is damaged or missing.
     Damaged = 4,
-    /// The flash failed in the middle of a decision: the next start shows the old settings or the new ones.
+    /// The flash failed during a decision: the next start shows either the old or the new settings.
     Unsettled = 5,
 }
 
 impl core::fmt::Display for StorageError {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         f.write_str(match self {
-            Self::Flash => "the flash refused to erase or to write: try again",
+            Self::Flash => "the flash failed to erase or to write: try again",
             Self::Full => "the entry does not fit",
-            Self::NotKept => "what was written does not read back: the flash is worn",
-            Self::Damaged => "what was saved last is damaged: save again",
-            Self::Unsettled => "the flash failed in the middle of a change: the next start shows what was kept",
+            Self::NotKept => "the written entry does not read back: the flash is worn",
+            Self::Damaged => "the last saved entry is damaged: save again",
+            Self::Unsettled => "the flash failed during a change: the next start shows which settings were kept",
         })
     }
 }
@@ -123,8 +126,8 @@ impl<E> From<sequential_storage::Error<E>> for StorageError {
     }
 }
 
-/// Finishes what only waits for a flash that stalls the program: it is never pending.
-fn finish<T>(work: impl Future<Output = T>) -> T {
+/// Runs a future to its end. Flash operations stall the program, so their futures are never pending.
+fn block_on<T>(work: impl Future<Output = T>) -> T {
     let mut work = pin!(work);
     loop {
         if let Poll::Ready(done) = work.as_mut().poll(&mut Context::from_waker(Waker::noop())) {
@@ -133,22 +136,21 @@ fn finish<T>(work: impl Future<Output = T>) -> T {
     }
 }
 
-/// Caches the places of the newest entries: searching a full sector takes the chip milliseconds for every entry.
-type Known = Cache<Uncached, Uncached, ArrayKeyPointers<u8, KEYS>, u8>;
+/// Cache of the newest entries' places: searching a full sector takes the chip milliseconds per entry.
+type KeyCache = Cache<Uncached, Uncached, ArrayKeyPointers<u8, KEYS>, u8>;
 
-/// A flash that is written only where somebody means it: what reads would otherwise erase and write to mend what it
-/// finds.
-struct Locked<F> {
+/// A flash that can be written only while unlocked. Without the lock, reads would erase and write to repair damage.
+struct LockableFlash<F> {
     flash: F,
     writable: bool,
 }
 
-/// Why a [`Locked`] flash does not do it.
+/// Error of a [`LockableFlash`].
 #[derive(Debug)]
 enum Failure<E> {
     /// The flash itself failed.
     Flash(E),
-    /// Writing has not been unlocked.
+    /// Writing is locked.
     Locked,
 }
 
@@ -161,11 +163,11 @@ impl<E: NorFlashError> NorFlashError for Failure<E> {
     }
 }
 
-impl<F: NorFlash> ErrorType for Locked<F> {
+impl<F: NorFlash> ErrorType for LockableFlash<F> {
     type Error = Failure<F::Error>;
 }
 
-impl<F: NorFlash> ReadNorFlash for Locked<F> {
+impl<F: NorFlash> ReadNorFlash for LockableFlash<F> {
     const READ_SIZE: usize = F::READ_SIZE;
 
     async fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), Self::Error> {
@@ -177,7 +179,7 @@ impl<F: NorFlash> ReadNorFlash for Locked<F> {
     }
 }
 
-impl<F: NorFlash> NorFlash for Locked<F> {
+impl<F: NorFlash> NorFlash for LockableFlash<F> {
     const WRITE_SIZE: usize = F::WRITE_SIZE;
     const ERASE_SIZE: usize = F::ERASE_SIZE;
 
@@ -196,27 +198,27 @@ impl<F: NorFlash> NorFlash for Locked<F> {
     }
 }
 
-/// The settings' place in a flash.
+/// The settings in a range of a flash.
 pub struct Storage<'b, F: NorFlash> {
-    map: MapStorage<u8, Locked<F>, Known>,
-    /// Bits of the keys that were searched for in vain.
+    map: MapStorage<u8, LockableFlash<F>, KeyCache>,
+    /// Bits of the keys that a search did not find.
     absent: u16,
-    /// Bits of the settings that could not be read when they were last looked for: not searched for again.
+    /// Bits of the settings that the last search could not read; they are not searched again.
     lost: u16,
-    /// Generations of what was staged since the start or the last decision.
+    /// Generations of the entries staged since the start or the last decision.
     staged: [Generation; SETTINGS],
-    /// A decision that the power cut short has been looked for, and carried out.
+    /// True once a decision interrupted by a power cut has been searched for and carried out.
     recovered: bool,
     buffer: &'b mut [u8; LONGEST_STORED],
 }
 
 impl<'b, F: NorFlash> Storage<'b, F> {
-    /// The settings in `range` of `flash`, at least two pages; reads nothing yet. Panics when the range is not made of
-    /// whole pages.
+    /// Creates the storage in `range` of `flash`, at least two pages, without reading. Panics if the range does not
+    /// consist of entire pages.
     pub fn new(flash: F, range: Range<u32>, buffer: &'b mut [u8; LONGEST_STORED]) -> Self {
         let known = Cache::new(Uncached, Uncached, ArrayKeyPointers::new());
         Self {
-            map: MapStorage::new(Locked { flash, writable: false }, MapConfig::new(range), known),
+            map: MapStorage::new(LockableFlash { flash, writable: false }, MapConfig::new(range), known),
             absent: 0,
             lost: 0,
             staged: [0; SETTINGS],
@@ -225,28 +227,25 @@ impl<'b, F: NorFlash> Storage<'b, F> {
         }
     }
 
-    /// Mends what a power cut left behind and finds every setting, so that [`Storage::read`] neither writes nor
-    /// searches from then on. May erase a sector and look through both many times, so it is called at the start, before
-    /// anything else, where nothing waits for it.
+    /// Repairs the effects of a power cut and locates every setting, so that [`Storage::read`] neither writes nor
+    /// searches afterwards. May erase a sector and search both sectors many times; call it at the start, before
+    /// anything else runs.
     pub fn start(&mut self) {
-        let _ = self.while_writable(|_| Ok(()));
+        let _ = self.with_writing(|_| Ok(()));
     }
 
-    /// The flash itself.
+    /// Returns the flash.
     pub fn flash(&mut self) -> &mut F {
         &mut self.map.flash().flash
     }
 
-    /// Runs an operation that may write, and then locates every entry again: writing moves entries, and a flash that
-    /// fails loses track of all of them.
-    fn while_writable<T>(
-        &mut self,
-        work: impl FnOnce(&mut Self) -> Result<T, StorageError>,
-    ) -> Result<T, StorageError> {
+    /// Runs an operation that may write, then locates every entry again, because writing moves entries and a flash
+    /// error loses the places of all.
+    fn with_writing<T>(&mut self, work: impl FnOnce(&mut Self) -> Result<T, StorageError>) -> Result<T, StorageError> {
         self.lost = 0;
         self.map.flash().writable = true;
         let result = work(self);
-        // An entry that cannot be read makes the map forget where the rest is: find the rest again, without it.
+        // An unreadable entry makes the map lose all places: locate the other entries again, without this entry.
         loop {
             let before = self.lost;
             for key in 1..DECISION {
@@ -262,31 +261,32 @@ impl<'b, F: NorFlash> Storage<'b, F> {
         result
     }
 
-    fn fetch(&mut self, key: u8) -> Result<Option<Stamped<'_>>, StorageError> {
+    fn fetch(&mut self, key: u8) -> Result<Option<StampedEntry<'_>>, StorageError> {
         if self.absent & bit(key) != 0 {
             return Ok(None);
         }
-        let found = finish(self.map.fetch_item(self.buffer, &key))?;
+        let found = block_on(self.map.fetch_item(self.buffer, &key))?;
         if found.is_none() {
             self.absent |= bit(key);
         }
         Ok(found)
     }
 
-    fn store(&mut self, key: u8, item: &Stamped<'_>) -> Result<(), StorageError> {
+    fn store(&mut self, key: u8, item: &StampedEntry<'_>) -> Result<(), StorageError> {
         self.absent &= !bit(key);
-        Ok(finish(self.map.store_item(self.buffer, &key, item))?)
+        Ok(block_on(self.map.store_item(self.buffer, &key, item))?)
     }
 
-    /// The generations in the entry of the catalogue or the decision.
+    /// Returns the generations in the catalogue or the decision.
     fn generations(&mut self, key: u8) -> Result<[Generation; SETTINGS], StorageError> {
         let found = self.fetch(key)?;
-        Ok(found.and_then(|Stamped(_, known)| known.try_into().ok()).unwrap_or_default())
+        Ok(found.and_then(|StampedEntry(_, known)| known.try_into().ok()).unwrap_or_default())
     }
 
-    /// The entry of a setting, `None` when it was never stored: the staged one where that is decided on and not yet in
-    /// its place. Writes nothing, so that it may be asked at any time. [`StorageError::Damaged`] when only an older one
-    /// is left, or none, or when it could not be read at the start.
+    /// Returns the entry of a setting; `None` if it was never stored. If a decided entry has not been moved yet,
+    /// returns the staged entry. Writes nothing, so it may be called at any time.
+    ///
+    /// Errors: [`StorageError::Damaged`] if only an older entry or no entry is left, or if the start could not read it.
     pub fn read(&mut self, key: u8) -> Result<Option<&[u8]>, StorageError> {
         if self.lost & bit(key) != 0 {
             return Err(StorageError::Damaged);
@@ -296,7 +296,7 @@ impl<'b, F: NorFlash> Storage<'b, F> {
             return self.current(key);
         }
         match self.fetch(STAGED | key)? {
-            Some(Stamped(found, entry)) if found == decided => Ok(Some(entry)),
+            Some(StampedEntry(found, entry)) if found == decided => Ok(Some(entry)),
             _ => Err(StorageError::Damaged),
         }
     }
@@ -304,16 +304,16 @@ impl<'b, F: NorFlash> Storage<'b, F> {
     fn current(&mut self, key: u8) -> Result<Option<&[u8]>, StorageError> {
         let known = self.generations(CATALOGUE)?[place(key)];
         let found = self.fetch(key)?;
-        if older(found.as_ref().map_or(0, |found| found.0), known) {
+        if is_older(found.as_ref().map_or(0, |found| found.0), known) {
             return Err(StorageError::Damaged);
         }
         Ok(found.map(|found| found.1))
     }
 
-    /// Stores an entry, unless the same is there already, and reads it back. Stalls the program while the flash works;
-    /// bridges off.
+    /// Stores an entry unless it is stored already, and reads it back. Stalls the program while the flash works; the
+    /// bridges must be off.
     pub fn write(&mut self, key: u8, value: &[u8]) -> Result<(), StorageError> {
-        self.while_writable(|storage| {
+        self.with_writing(|storage| {
             storage.recover()?;
             storage.put(key, value)
         })
@@ -322,34 +322,34 @@ impl<'b, F: NorFlash> Storage<'b, F> {
     fn put(&mut self, key: u8, value: &[u8]) -> Result<(), StorageError> {
         let mut catalogue = self.generations(CATALOGUE)?;
         let known = &mut catalogue[place(key)];
-        if let Some(Stamped(found, entry)) = self.fetch(key)? {
+        if let Some(StampedEntry(found, entry)) = self.fetch(key)? {
             if found == *known && entry == value {
                 return Ok(());
             }
-            if !older(found, *known) {
+            if !is_older(found, *known) {
                 *known = found;
             }
         }
         *known = next(*known);
-        let stamped = Stamped(*known, value);
+        let stamped = StampedEntry(*known, value);
         self.store(key, &stamped)?;
-        self.store(CATALOGUE, &Stamped(COUNTED, &catalogue))?;
+        self.store(CATALOGUE, &StampedEntry(COUNTED, &catalogue))?;
         if self.current(key)? == Some(value) { Ok(()) } else { Err(StorageError::NotKept) }
     }
 
-    /// Writes the next entry of a setting aside; it counts from the [`Storage::commit`] that names it on. Replaces what
-    /// was staged for this setting before.
+    /// Stages the next entry of a setting; it becomes valid with the [`Storage::commit`] that contains its key.
+    /// Replaces the setting's earlier staged entry.
     pub fn stage(&mut self, key: u8, value: &[u8]) -> Result<(), StorageError> {
-        self.while_writable(|storage| storage.put_aside(key, value))
+        self.with_writing(|storage| storage.put_staged(key, value))
     }
 
-    fn put_aside(&mut self, key: u8, value: &[u8]) -> Result<(), StorageError> {
+    fn put_staged(&mut self, key: u8, value: &[u8]) -> Result<(), StorageError> {
         self.recover()?;
-        let aside = STAGED | key;
-        let generation = next(self.fetch(aside)?.map_or(0, |found| found.0));
-        self.store(aside, &Stamped(generation, value))?;
-        match self.fetch(aside)? {
-            Some(Stamped(found, entry)) if found == generation && entry == value => {
+        let staged_key = STAGED | key;
+        let generation = next(self.fetch(staged_key)?.map_or(0, |found| found.0));
+        self.store(staged_key, &StampedEntry(generation, value))?;
+        match self.fetch(staged_key)? {
+            Some(StampedEntry(found, entry)) if found == generation && entry == value => {
                 self.staged[place(key)] = generation;
                 Ok(())
             }
@@ -357,7 +357,7 @@ impl<'b, F: NorFlash> Storage<'b, F> {
         }
     }
 
-    /// The entry that is staged for a setting.
+    /// Returns the staged entry of a setting.
     pub fn staged(&mut self, key: u8) -> Result<Option<&[u8]>, StorageError> {
         let known = self.staged[place(key)];
         if known == 0 {
@@ -366,11 +366,12 @@ impl<'b, F: NorFlash> Storage<'b, F> {
         Ok(self.fetch(STAGED | key)?.filter(|found| found.0 == known).map(|found| found.1))
     }
 
-    /// Puts what was staged for these settings in their places, all of them or, when the power goes, none. Errors:
-    /// [`StorageError::NotKept`] when one was not staged since the start, [`StorageError::Unsettled`] when the flash
-    /// goes on failing; after any other nothing has changed.
+    /// Makes the staged entries of these settings valid: all or, after a power cut, none.
+    ///
+    /// Errors: [`StorageError::NotKept`] if an entry was not staged since the start, [`StorageError::Unsettled`] if the
+    /// flash keeps failing. After all other errors, nothing has changed.
     pub fn commit(&mut self, keys: &[u8]) -> Result<(), StorageError> {
-        self.while_writable(|storage| storage.decide(keys))
+        self.with_writing(|storage| storage.decide(keys))
     }
 
     fn decide(&mut self, keys: &[u8]) -> Result<(), StorageError> {
@@ -383,17 +384,17 @@ impl<'b, F: NorFlash> Storage<'b, F> {
             }
         }
         self.staged = [0; SETTINGS];
-        // A decision that was not carried out is carried out before anything else is read or written.
+        // From here on, a decision that is not carried out must come before any other read or write.
         self.recovered = false;
-        if let Err(error) = self.store(DECISION, &Stamped(COUNTED, &decision)) {
-            // It may be there all the same.
-            let taken_back = self.store(DECISION, &Stamped(COUNTED, &[0; SETTINGS]));
+        if let Err(error) = self.store(DECISION, &StampedEntry(COUNTED, &decision)) {
+            // The decision may be stored despite the error.
+            let taken_back = self.store(DECISION, &StampedEntry(COUNTED, &[0; SETTINGS]));
             return Err(if taken_back.is_ok() { error } else { StorageError::Unsettled });
         }
         self.recover().or_else(|_| self.recover()).map_err(|_| StorageError::Unsettled)
     }
 
-    /// Carries out a decision that has not been, if there is one.
+    /// Carries out a pending decision, if any.
     fn recover(&mut self) -> Result<(), StorageError> {
         if self.recovered {
             return Ok(());
@@ -403,19 +404,19 @@ impl<'b, F: NorFlash> Storage<'b, F> {
             self.settle(key, decision[place(key)])?;
         }
         if decision != [0; SETTINGS] {
-            self.store(DECISION, &Stamped(COUNTED, &[0; SETTINGS]))?;
+            self.store(DECISION, &StampedEntry(COUNTED, &[0; SETTINGS]))?;
         }
         self.recovered = true;
         Ok(())
     }
 
-    /// Puts a staged entry of this generation in its setting's place. If the staged entry has been damaged since, the
-    /// setting counts as damaged: the change was decided, so its earlier value no longer counts.
+    /// Moves the staged entry of this generation to its setting's key. If the staged entry is damaged, the setting
+    /// counts as damaged, because the decision made its earlier value invalid.
     #[inline(never)]
     fn settle(&mut self, key: u8, generation: Generation) -> Result<(), StorageError> {
         let mut copy = [0; LONGEST_STORED / 2];
         let length = match self.fetch(STAGED | key)? {
-            Some(Stamped(found, entry)) if found == generation => {
+            Some(StampedEntry(found, entry)) if found == generation => {
                 copy.get_mut(..entry.len()).ok_or(StorageError::Full)?.copy_from_slice(entry);
                 entry.len()
             }
@@ -423,7 +424,7 @@ impl<'b, F: NorFlash> Storage<'b, F> {
                 let mut catalogue = self.generations(CATALOGUE)?;
                 let known = &mut catalogue[place(key)];
                 *known = next(*known);
-                return self.store(CATALOGUE, &Stamped(COUNTED, &catalogue));
+                return self.store(CATALOGUE, &StampedEntry(COUNTED, &catalogue));
             }
         };
         self.put(key, copy.get(..length).unwrap_or_default())

@@ -1,9 +1,9 @@
-//! Telemetry: which numbers of a step travel, and how they are packed into batches.
+//! Telemetry: the numbers of a step that can be streamed, and their packing into batches.
 //!
-//! A batch holds consecutive kept steps (every `divider`-th) of the chosen fields, each number in as many bytes as it
-//! needs; a gap starts a new batch, so a reader knows the step of every row and counts losses exactly: missing steps, and
-//! the board's own count of what it had to drop. Every batch carries the number that the tool gave its stream: what a
-//! killed tool left on the link is told from what the next one asked for.
+//! A batch holds consecutive rows (every `divider`-th step) of the selected fields, each number in as many bytes as it
+//! needs. A gap starts a new batch, so a reader knows the step of every row and counts losses exactly: missing steps,
+//! and the board's own count of dropped rows. Every batch carries the number that the tool gave its stream, so that a
+//! tool can ignore batches left on the link by a tool that ended early.
 
 use crate::control::frame::StepRecord;
 use crate::model::catalogue::MAX_JOINTS;
@@ -12,23 +12,23 @@ use heapless::Vec;
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize, Serializer};
 
-/// Most bytes of rows in a batch. Shorter batches cost bytes, longer ones keep answers waiting: twelve packets of USB,
-/// 0.6 ms.
+/// Maximum length of a batch's rows, bytes. Shorter batches need more bytes in total, longer ones delay replies: 728
+/// bytes are twelve USB packets, 0.6 ms.
 pub const BATCH_BYTES: usize = 728;
 
-/// The encoding of a number: so many bytes, the least significant first.
+/// Encoding of a number, least significant byte first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// A float, 4.
+    /// A float, 4 bytes.
     Float,
-    /// A signed integer, 4.
+    /// A signed integer, 4 bytes.
     Integer,
-    /// A small whole number, 1.
+    /// A small unsigned integer, 1 byte.
     Byte,
 }
 
 impl Kind {
-    /// Number of bytes.
+    /// Returns the number of bytes.
     pub const fn bytes(self) -> usize {
         match self {
             Self::Float | Self::Integer => 4,
@@ -37,7 +37,7 @@ impl Kind {
     }
 }
 
-/// A type of numbers that can travel.
+/// A type of numbers in telemetry.
 trait Number {
     const KIND: Kind;
 }
@@ -56,41 +56,42 @@ impl Number for u8 {
 
 macro_rules! fields {
     ($($Name:ident = $bit:literal, $name:literal, $unit:literal, $vector:literal, |$frame:ident, $i:ident| $value:expr => $Type:ty, $meaning:literal;)*) => {
-        /// A number, or one number an axis, of a telemetry row.
+        /// A number, or one number per axis, of a telemetry row.
         #[derive(Clone, Copy, Debug, PartialEq, Eq)]
         pub enum Field { $(#[doc = $meaning] $Name,)* }
 
         impl Field {
-            /// Every field, in the order of the columns.
+            /// All fields, in the order of the columns.
             pub const ALL: &'static [Field] = &[$(Field::$Name),*];
 
-            /// Its bit in [`Fields`].
+            /// Returns the field's bit in [`Fields`].
             pub const fn bit(self) -> u32 {
                 match self { $(Field::$Name => 1 << $bit,)* }
             }
-            /// Its name in tables and options.
+            /// Returns the field's name in tables and options.
             pub const fn name(self) -> &'static str {
                 match self { $(Field::$Name => $name,)* }
             }
-            /// Its unit.
+            /// Returns the field's unit.
             pub const fn unit(self) -> &'static str {
                 match self { $(Field::$Name => $unit,)* }
             }
-            /// Its meaning in plain words: docs/telemetry.md and `haptic stream --help` hold these sentences.
+            /// Returns a sentence that describes the field, for docs/telemetry.md and `haptic stream --help`.
             pub const fn meaning(self) -> &'static str {
                 match self { $(Field::$Name => $meaning,)* }
             }
-            /// Returns true if there is one number for every axis.
+            /// Returns true if the field has one number per axis.
             pub const fn is_vector(self) -> bool {
                 match self { $(Field::$Name => $vector,)* }
             }
-            /// The encoding of its numbers.
+            /// Returns the encoding of the field's numbers.
             pub const fn kind(self) -> Kind {
                 match self { $(Field::$Name => <$Type as Number>::KIND,)* }
             }
-            /// Hands on the bytes of the `wanted` fields' numbers of a device of `axes` joints, in their order.
+            /// Passes the bytes of each number of the `wanted` fields, for a device with `axes` joints, to `number`, in
+            /// the order of the columns.
             #[inline(always)]
-            fn each(wanted: Fields, axes: usize, frame: &StepRecord, mut number: impl FnMut(&[u8])) {
+            fn for_each_number(wanted: Fields, axes: usize, frame: &StepRecord, mut number: impl FnMut(&[u8])) {
                 $(if wanted.0 & Field::$Name.bit() != 0 {
                     for i in 0..if $vector { axes.min($crate::model::catalogue::MAX_JOINTS) } else { 1 } {
                         let value: $Type = (|$frame: &StepRecord, $i: usize| $value)(frame, i);
@@ -106,13 +107,13 @@ fields! {
     Angle = 0, "q", "rad", true, |frame, i| frame.at.q[i] => f32,
         "Joint angles";
     Speed = 1, "qd", "rad/s", true, |frame, i| frame.at.qd[i] => f32,
-        "Joint velocities, filtered as the scene says";
+        "Joint velocities, filtered by the scene's estimator";
     Tip = 2, "tip", "m", true, |frame, i| frame.at.tip[i] => f32,
-        "Tip in the task frame; on a redundant arm the last is its orientation in rad";
+        "Tip in the task frame; on a redundant arm the last number is the orientation in rad";
     Torque = 3, "torque", "N m", true, |frame, i| frame.motors.torque[i] => f32,
-        "Joint torques commanded, after all limits; 0 with the motors off";
+        "Commanded joint torques, after all limits; 0 if the motors are off";
     Current = 4, "current", "A", true, |frame, i| frame.motors.current[i] => f32,
-        "Motor currents: measured, or those commanded where the board senses none";
+        "Motor currents: measured, or commanded if the board has no current sensors";
     Duty = 5, "duty", "", true, |frame, i| frame.motors.duty[i] => f32,
         "Bridge duties of the carrier period after the step, as a signed share of the bus voltage";
     Distance = 6, "distance", "m", false, |frame, _i| frame.at.walls.distance => f32,
@@ -120,24 +121,24 @@ fields! {
     NormalVelocity = 7, "velocity", "m/s", false, |frame, _i| frame.at.walls.normal_velocity => f32,
         "Filtered tip velocity along the normal of the deepest wall, positive out of it";
     WallForce = 8, "force", "N", false, |frame, _i| frame.at.walls.wall_force => f32,
-        "Force that the walls ask for, summed over the walls touched: no motor has been asked yet";
+        "Force of the walls, summed over the touched walls, before ramp and limits";
     RenderedForce = 15, "rendered", "N", false, |frame, _i| frame.motors.rendered_force => f32,
-        "What the limits leave of that force: force less what ramp and the limits of tip force, torque and current took off along the normal of the deepest wall; 0 unless armed";
+        "That force after limits: force less the part along the normal of the deepest wall that ramp and the limits of tip force, torque and current removed; 0 unless armed";
     Saturated = 16, "saturated", "", true, |frame, i| frame.saturation(i) => u8,
-        "Which motors could not do what was asked: 0 none, 1 a limit of torque, current or tip force left another torque than was asked, 2 its duty is at the end of what the bus gives, 3 both";
+        "Saturation of each motor: 0 none, 1 a limit of torque, current or tip force changed the requested torque, 2 the duty is at its maximum, 3 both";
     Shaping = 9, "shaping", "", false, |frame, _i| frame.at.walls.shaping => f32,
         "Share of the feed-forward that acts, 1 away from singular poses";
     Energy = 10, "energy", "J", false, |frame, _i| frame.at.walls.energy => f32,
-        "Energy that the walls, the feed-forward included, have taken up since contact or the stream began; negative: given out";
+        "Energy that the walls, the feed-forward included, have absorbed since contact or the stream began; negative if they generated energy";
     PassivityDamping = 11, "passivity", "N s/m", false, |frame, _i| frame.at.walls.passivity_damping => f32,
         "Damping that the passivity controller added";
     BusVoltage = 12, "bus", "V", false, |frame, _i| frame.motors.bus_voltage => f32,
-        "Bus voltage; 0 where it is not sensed";
+        "Bus voltage; 0 if it is not measured";
     Counts = 13, "counts", "", true, |frame, i| frame.counts[i] => i32,
         "Encoder counts, 32 bits, wrapping, before homing";
-    // 0 disarmed, 1 armed, 2 checking polarity, 3 fault; plus 16 for every wall touched.
+    // 0 disarmed, 1 armed, 2 checking polarity, 3 fault; plus 16 for each touched wall.
     State = 14, "state", "", false, |frame, _i| frame.state as u8 | frame.at.walls.contacts << 4 => u8,
-        "The board's state as a word, and beside it (`contacts`) how many walls are touched";
+        "The board's state as a word, and the number of touched walls (`contacts`)";
 }
 
 /// A set of fields.
@@ -145,7 +146,7 @@ fields! {
 pub struct Fields(pub u32);
 
 impl Fields {
-    /// The fields that people usually want to see.
+    /// Fields that are streamed by default.
     pub const USUAL: Fields = Fields(
         Field::Tip.bit()
             | Field::Torque.bit()
@@ -156,15 +157,15 @@ impl Fields {
             | Field::Saturated.bit()
             | Field::State.bit(),
     );
-    /// Everything.
-    pub const ALL: Fields = Fields(every_bit());
+    /// All fields.
+    pub const ALL: Fields = Fields(all_bits());
 
-    /// Returns true if a field is in the set.
+    /// Returns true if the set contains a field.
     pub const fn has(self, field: Field) -> bool {
         self.0 & field.bit() != 0
     }
 
-    /// Bytes in one row for a device of `axes` joints.
+    /// Returns the number of bytes in one row for a device with `axes` joints.
     pub const fn bytes(self, axes: usize) -> usize {
         let (mut sum, mut i) = (0, 0);
         while i < Field::ALL.len() {
@@ -178,11 +179,13 @@ impl Fields {
     }
 }
 
-const _: () =
-    assert!(Fields::ALL.bytes(MAX_JOINTS) <= BATCH_BYTES && MAX_WALLS < 16, "a row fits, and its byte of state");
+const _: () = assert!(
+    Fields::ALL.bytes(MAX_JOINTS) <= BATCH_BYTES && MAX_WALLS < 16,
+    "a row fits into a batch, and the number of walls into the state's byte"
+);
 
-/// The bits of all fields.
-const fn every_bit() -> u32 {
+/// Returns the bits of all fields.
+const fn all_bits() -> u32 {
     let (mut bits, mut i) = (0, 0);
     while i < Field::ALL.len() {
         bits |= Field::ALL[i].bit();
@@ -194,18 +197,18 @@ const fn every_bit() -> u32 {
 /// A tool's request for a stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct StreamRequest {
-    /// Which fields.
+    /// Fields of a row.
     pub fields: Fields,
-    /// Every how many control steps; 0 stops the stream.
+    /// Number of control steps between rows; 0 stops the stream.
     pub divider: u32,
-    /// A number of the tool's choice that comes back with every batch: what it did not ask for it throws away.
+    /// Number chosen by the tool and repeated in every batch, so that the tool can ignore other streams.
     pub stream: u32,
 }
 
 /// Consecutive rows of telemetry.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, Schema)]
 pub struct Batch {
-    /// The [`StreamRequest`]'s own number.
+    /// Number of the [`StreamRequest`].
     pub stream: u32,
     /// Number of this batch since the stream started: a gap means the link lost some.
     pub number: u32,
@@ -213,37 +216,37 @@ pub struct Batch {
     pub first_step: u32,
     /// Control steps between rows.
     pub divider: u32,
-    /// Rows that the board had to drop since the stream started, because the link was too slow.
+    /// Number of rows that the board dropped since the stream started, because the link was too slow.
     pub dropped: u32,
-    /// Axes a vector field has.
+    /// Number of axes in a vector field.
     pub axes: u8,
     /// Bits of [`Fields`].
     pub fields: u32,
-    /// The rows, one after another, each in the order of [`Field::ALL`], each number as its [`Field::kind`] says.
-    #[serde(serialize_with = "at_once")]
+    /// The rows in sequence, each in the order of [`Field::ALL`], each number encoded as its [`Field::kind`].
+    #[serde(serialize_with = "in_one_piece")]
     pub rows: Vec<u8, BATCH_BYTES>,
 }
 
-/// Writes bytes as postcard writes a sequence of them, but not one by one.
-fn at_once<S: Serializer>(bytes: &Vec<u8, BATCH_BYTES>, serializer: S) -> Result<S::Ok, S::Error> {
+/// Serializes bytes like postcard's sequence of bytes, but in one piece.
+fn in_one_piece<S: Serializer>(bytes: &Vec<u8, BATCH_BYTES>, serializer: S) -> Result<S::Ok, S::Error> {
     serializer.serialize_bytes(bytes)
 }
 
-/// A queue of frames that wait to be packed, the oldest first.
+/// Queue of frames to be packed, oldest first.
 pub trait Frames {
-    /// The oldest.
+    /// Returns the oldest frame.
     fn first(&self) -> Option<&StepRecord>;
-    /// Drops it.
+    /// Drops the oldest frame.
     fn drop_first(&mut self);
 }
 
-/// Packs frames into batches: one is filled while the other is on its way.
+/// Packs frames into batches: one batch is filled while the other is sent.
 #[derive(Clone, Debug, Default)]
 pub struct Packer {
     batches: [Batch; 2],
     filling: usize,
     sent: u32,
-    /// Bytes of a row.
+    /// Length of a row, bytes; 0 without a stream.
     width: usize,
 }
 
@@ -263,27 +266,27 @@ impl Packer {
         self.width = Fields(fields).bytes(axes);
     }
 
-    /// Ends it.
+    /// Ends the stream.
     pub fn stop(&mut self) {
         self.width = 0;
         self.batches.iter_mut().for_each(|batch| batch.rows.clear());
     }
 
-    /// Returns true if a stream is on and wants this step.
+    /// Returns true if a stream is on and includes this step.
     #[inline(always)]
     pub fn wants(&self, step: u32) -> bool {
         self.width > 0 && step.checked_rem(self.batches[0].divider) == Some(0)
     }
 
-    /// Adds a frame that [`Packer::wants`]. `dropped` counts rows lost on the board so far. Returns a batch when this
-    /// frame does not continue the one under way, or fills it.
+    /// Adds a frame for which [`Packer::wants`] is true. `dropped` is the number of rows lost on the board so far.
+    /// Returns a batch if this frame fills it or does not continue it.
     pub fn push(&mut self, frame: &StepRecord, dropped: u32) -> Option<&Batch> {
         let batch = &self.batches[self.filling & 1];
         let rows = batch.rows.len().checked_div(self.width).unwrap_or(0) as u32;
         let due = batch.first_step.wrapping_add(rows.wrapping_mul(batch.divider));
         let mut full = None;
         if rows > 0 && frame.step != due {
-            full = Some(self.turn());
+            full = Some(self.finish_batch());
         }
         let batch = &mut self.batches[self.filling & 1];
         if batch.rows.is_empty() {
@@ -291,17 +294,17 @@ impl Packer {
         }
         batch.dropped = dropped;
         let (fields, bytes) = (Fields(batch.fields), &mut batch.rows);
-        Field::each(fields, batch.axes.into(), frame, |number| {
+        Field::for_each_number(fields, batch.axes.into(), frame, |number| {
             let _ = bytes.extend_from_slice(number);
         });
         if full.is_none() && batch.rows.len() + self.width > BATCH_BYTES {
-            full = Some(self.turn());
+            full = Some(self.finish_batch());
         }
         full.map(|full| &self.batches[full & 1])
     }
 
-    /// Packs what frames wait in a queue, up to the first full batch, which is returned; the batch under way instead,
-    /// if none is full and rows have waited too long (`late`).
+    /// Packs the frames of a queue up to the first full batch and returns this batch. If no batch is full and rows have
+    /// waited too long (`late`), returns the unfinished batch.
     pub fn drain(&mut self, frames: &mut impl Frames, dropped: u32, late: bool) -> Option<&Batch> {
         let mut full = false;
         while !full && let Some(frame) = frames.first() {
@@ -314,17 +317,17 @@ impl Packer {
         full.then(|| &self.batches[!self.filling & 1])
     }
 
-    /// The batch under way, if it holds any row: call when the stream is slow, so that rows do not wait.
+    /// Returns the unfinished batch, if it holds a row. Call on a slow stream, so that rows do not wait.
     pub fn flush(&mut self) -> Option<&Batch> {
         if self.batches[self.filling & 1].rows.is_empty() {
             return None;
         }
-        let full = self.turn();
+        let full = self.finish_batch();
         Some(&self.batches[full & 1])
     }
 
-    /// Ends the batch under way, numbers it, and goes on with the other one; which one was ended.
-    fn turn(&mut self) -> usize {
+    /// Finishes and numbers the present batch, and continues with the other. Returns the index of the finished batch.
+    fn finish_batch(&mut self) -> usize {
         let full = self.filling & 1;
         self.batches[full].number = self.sent;
         self.sent = self.sent.wrapping_add(1);
@@ -348,23 +351,23 @@ mod tests {
         Depth = 6, "depth", "mm", false, |frame, _i| (-1000.0 * frame.at.walls.distance) as i32 => i32, "Depth in the deepest wall";
     }
 
-    /// Everything that is told of a signal follows from its line.
+    /// All properties of a field come from its line in the table.
     #[test]
-    fn a_toy_signal_is_one_line() {
+    fn a_field_needs_only_one_line() {
         let walls = AtWalls { distance: -0.5, ..AtWalls::default() };
         let at = DeviceState { tip: [0.1, 0.2, 0.3], walls, ..DeviceState::default() };
         let motors = Motors { torque: Torques([1.0, 2.0, 3.0]), ..Motors::default() };
         let frame = StepRecord { at, motors, ..StepRecord::default() };
-        let told =
+        let described =
             |field: &Field| (field.bit(), field.name(), field.unit(), field.is_vector(), field.kind(), field.meaning());
-        let told_of_all = [
+        let expected = [
             (8, "height", "m", false, Kind::Float, "How high the tip is"),
             (32, "doubled", "N m", true, Kind::Byte, "Twice the torque"),
             (64, "depth", "mm", false, Kind::Integer, "Depth in the deepest wall"),
         ];
-        assert!(Field::ALL.iter().map(told).eq(told_of_all));
+        assert!(Field::ALL.iter().map(described).eq(expected));
         let mut row = Vec::<u8, 16>::new();
-        Field::each(Fields(8 | 32 | 64), 2, &frame, |number| row.extend_from_slice(number).unwrap());
+        Field::for_each_number(Fields(8 | 32 | 64), 2, &frame, |number| row.extend_from_slice(number).unwrap());
         // 0.2 is 0x3E4CCCCD (IEEE 754), 500 is 0x1F4.
         assert_eq!(row[..], [0xCD, 0xCC, 0x4C, 0x3E, 2, 4, 0xF4, 1, 0, 0]);
     }

@@ -1,7 +1,7 @@
-//! The control loop as the board runs it: in its precision, with its trigonometry, and compiled once, here.
+//! The control loop as the board runs it: with the board's precision and trigonometry, compiled once, here.
 //!
-//! The firmware's image is built for size, but this crate for speed; what is generic would be compiled where it is
-//! used. These functions are what the control interrupt calls, and the only ones of the control loop whose time counts.
+//! The firmware's image is optimized for size and this crate for speed, but generic code is compiled in the crate that
+//! uses it. The control interrupt calls the functions of this module; no others of the control loop are time-critical.
 
 use crate::control::ControlLoop;
 use crate::control::frame::{Outputs, Samples, StepRecord};
@@ -12,29 +12,28 @@ use crate::math::Tabulated;
 use crate::model::catalogue::MAX_JOINTS;
 use core::mem::MaybeUninit;
 
-/// The trigonometry that the board computes with.
+/// The board's trigonometry.
 pub type BoardMath = Tabulated;
 
-/// The board's handle to a program: the buffer it lies in, so handing it over moves a pointer.
+/// The board's handle to a program: a reference to its buffer, so that handing it over moves a pointer.
 pub type BoardProgram = &'static mut Program<BoardMath>;
 
 /// Compare values of each bridge's two legs.
 pub type Legs = [[u16; 2]; MAX_JOINTS];
 
-/// The board's control_loop.
+/// The control loop of the board.
 pub type BoardControlLoop = ControlLoop<BoardProgram>;
 
-/// The part of a control period that needs only counts, see [`ControlLoop::render`].
+/// Computes the scene's joint torques, see [`ControlLoop::render`].
 #[inline(never)]
 pub fn render(control_loop: &mut BoardControlLoop, counts: &Counts) {
     control_loop.render(counts);
 }
 
-/// All that a crest takes beside that, where a control step is due, its duties in time or late: it is held to its limits,
-/// the step is finished, and the compare values of every bridge's legs over the next carrier period follow. Whether the
-/// bridges may drive.
+/// Finishes a crest with a control step after [`render`]: checks the limits, finishes the step and writes the compare
+/// values of every bridge's legs for the next carrier period. Returns true if the bridges may drive.
 ///
-/// `seen` is all sensed: a board that lacks a sensor shows what it knows instead.
+/// `seen` holds a value for every sensor: a board that lacks a sensor fills in what it knows.
 #[inline(always)]
 pub fn crest(control_loop: &mut BoardControlLoop, seen: &Samples, ticks: &Ticks, legs: &mut Legs) -> bool {
     match control_loop.usual {
@@ -45,7 +44,7 @@ pub fn crest(control_loop: &mut BoardControlLoop, seen: &Samples, ticks: &Ticks,
     }
 }
 
-// A function for each number of joints: none saves more registers than it needs.
+// One function per number of joints, so that each saves only the registers it needs.
 
 #[inline(never)]
 fn crest_of_one(control_loop: &mut BoardControlLoop, seen: &Samples, ticks: &Ticks, legs: &mut Legs) -> bool {
@@ -62,7 +61,7 @@ fn crest_of_three(control_loop: &mut BoardControlLoop, seen: &Samples, ticks: &T
     control_loop.crest_of::<3, _>(seen, &seen.currents, &|duty| ticks.legs(duty), legs)
 }
 
-/// The same at any crest, whether a control step is `due` or not, and its duties in time or late.
+/// Does the same at any crest, with a control step if `due`.
 #[cold]
 #[inline(never)]
 pub fn crest_generally(
@@ -75,15 +74,15 @@ pub fn crest_generally(
     control_loop.crest_generally(seen, &seen.currents, due, &|duty| ticks.legs(duty), legs)
 }
 
-/// The checks at the valley, see [`ControlLoop::check_slow_faults`].
+/// Checks for slow faults at the valley, see [`ControlLoop::check_slow_faults`].
 #[inline(never)]
 pub fn check_slow_faults(control_loop: &mut BoardControlLoop, seen: &Samples) -> Outputs {
     control_loop.check_slow_faults_of(seen, Some(seen.bus_voltage), true);
     control_loop.outputs()
 }
 
-/// Notes what the step of the last crest saw, which that did not take the time for, and writes its frame where it is to lie,
-/// if somebody wants it. At the valley after the step, before [`check_slow_faults`] and any command.
+/// Records the samples of the last crest's step, and writes its frame to `frame` when streaming. Call at the valley
+/// after the step, before [`check_slow_faults`] and any command.
 #[inline(never)]
 pub fn note(control_loop: &mut BoardControlLoop, seen: &Samples, frame: Option<&mut MaybeUninit<StepRecord>>) {
     control_loop.note_late(seen);

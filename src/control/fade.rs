@@ -1,11 +1,11 @@
-//! The half second ([`ARM_SECONDS`]) from what acted to what the scene asks for: from nothing after arming, and from the
-//! torques of the scene before where one replaces another with the motors on.
+//! The half second ([`ARM_SECONDS`]) of transition to the scene's torques: from zero after arming, and from the
+//! previous scene's torques if a scene is replaced while the motors are on.
 //!
-//! Those torques are fixed, and the tip is not: towards a stretched elbow the same torques are a larger force. So what
-//! rendered forces is held, in every step, to the limit of the force at the tip, and the feed-forward beside it to the
-//! force that it began with. What a host had a part in also ends with its lease.
+//! The previous torques are fixed while the tip moves: near a stretched elbow the same torques are a larger force. In
+//! every step the torques that rendered forces are therefore cut to the force limit at the tip, and the feed-forward is
+//! cut to its initial force. Torques of a host also end with the host's lease.
 //!
-//! Requests come between two steps, so everything here is what the last step left.
+//! Requests arrive between two steps, so all state here is from the last step.
 
 use super::{ARM_SECONDS, ControlLoop};
 use crate::control::joints::Torques;
@@ -17,71 +17,71 @@ use crate::model::catalogue::MAX_JOINTS;
 use crate::render::step_result::TorqueDemand;
 use core::ops::DerefMut;
 
-/// The torques that a step commanded, by purpose.
+/// Torques that a step commanded, by purpose.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Acted {
-    /// The part that carried the device's weight.
+pub(super) struct CommandedTorques {
+    /// The part that carries the device's weight.
     pub gravity: Torques,
-    /// The part that rendered forces, N m: all but the weight and the feed-forward.
+    /// The part that renders forces, N m: everything except weight and feed-forward.
     pub rendered: Torques,
-    /// The share of the forces asked for that the limits left.
+    /// Share of the requested forces that the limits left.
     pub share: f32,
 }
 
-/// Torques that a host asked for, on their way out.
+/// Torques of a host while they fade out.
 #[derive(Clone, Copy, Debug, Default)]
 struct Lease {
-    /// N m when `life` (s) were left; they fall as `left`, what is left now, does.
+    /// Torques at `life` (s) before the end, N m; they fall in proportion to `remaining`, the time left now (s).
     torque: Torques,
     life: f32,
     remaining: f32,
 }
 
 impl Lease {
-    /// The torques that still act.
+    /// Returns the torques that still act.
     fn acts(&self) -> Torques {
         let part = if self.remaining > 0.0 { self.remaining / self.life } else { 0.0 };
         Torques(self.torque.map(|torque| part * torque))
     }
 }
 
-/// The torques that acted before, on their way out. The default is zero.
+/// Torques of the previous scene while they fade out. The default is zero.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Fade {
-    /// The scene's progress from 0 to 1.
+    /// Progress of the new scene from 0 to 1.
     pub ramp: f32,
-    /// By what the last step multiplied the forces asked for, before torques were limited: the ramp times the share that
-    /// the limit of the force at the tip left.
+    /// Factor of the requested forces in the last step, before torques were limited: the ramp times the share that the
+    /// force limit at the tip left.
     pub share: f32,
-    /// True if a step of the fade has passed.
+    /// True if a step of the fade has run.
     begun: bool,
-    /// True if anything acted before.
+    /// True if torques acted before the fade.
     from_something: bool,
-    /// The share of the device's weight that was carried: what carries it is of the pose now, or torques of another would
-    /// push beside all limits.
+    /// Share of the device's weight that was carried. The weight torques are computed for the present pose, because
+    /// those of another pose would push beyond all limits.
     carried: f32,
-    /// Torques that rendered the scene before.
+    /// Torques that rendered the previous scene.
     scene: Torques,
     host: Lease,
-    /// Torques of the feed-forward, and the square of the force at the tip that they were worth in the first step, N².
+    /// Feed-forward torques, and the square of their force at the tip in the first step, N².
     aside: Torques,
     aside_squared: Option<f32>,
 }
 
 impl Fade {
-    /// Begins from nothing. What an earlier fade left besides is not looked at then.
+    /// Starts from zero. The rest of an earlier fade has no effect then.
     pub fn start_from_nothing(&mut self) {
         (self.ramp, self.share, self.host.remaining) = (0.0, 0.0, 0.0);
         (self.begun, self.from_something) = (false, false);
     }
 
-    /// The torques that render forces before the ramp.
+    /// Returns the previous torques that render forces, before the ramp.
     fn rendered(&self) -> Torques {
         let host = self.host.acts();
         Torques::from_fn(|i| self.scene[i] + host[i])
     }
 
-    /// `from` on its way to `to`.
+    /// Interpolates between `from` and `to` by the ramp.
     fn part(&self, from: f32, to: f32) -> f32 {
         from + (to - from) * self.ramp
     }
@@ -93,22 +93,22 @@ where
     K: Math<f32>,
     S: Stage,
 {
-    /// Lets what the last step commanded fade into what a new program asks for. Call before that takes the old one's place.
+    /// Starts to fade from the last step's torques to those of a new program. Call before the new program is installed.
     pub(super) fn begin_fade(&mut self) {
-        // If no step came between two programs, the earlier torques fade already.
+        // If no step ran between two programs, the earlier torques fade already.
         if !self.fade.begun {
             return;
         }
         let asked = &self.now.found.asked;
-        let Acted { gravity, rendered, share } = if self.was_cut() {
+        let CommandedTorques { gravity, rendered, share } = if self.was_cut() {
             self.cut
         } else {
-            Acted { gravity: Torques(asked.gravity), rendered: Torques(asked.rendered), share: 1.0 }
+            CommandedTorques { gravity: Torques(asked.gravity), rendered: Torques(asked.rendered), share: 1.0 }
         };
         let (torque, life) = self.host_torque();
         let mut host = Lease { torque, life, remaining: life };
         if self.fade.host.remaining > 0.0 {
-            // Of an earlier scene: both end with the one that ends first.
+            // Torques of an earlier scene: both end with the earlier end.
             host.life = if torque == Torques::default() {
                 self.fade.host.remaining
             } else {
@@ -121,7 +121,7 @@ where
             }
         }
         let aside = Torques::from_fn(|i| self.now.motors.torque[i] - gravity[i] - rendered[i]);
-        let carried = self.carries();
+        let carried = self.carried_share();
         self.fade = Fade {
             ramp: 0.0,
             share: 0.0,
@@ -135,21 +135,21 @@ where
         };
     }
 
-    /// One step of the fade: what is to be commanded instead of what is asked, and what that would be without the limit of
-    /// the force at the tip.
+    /// Runs one step of the fade. Returns the demand to command, and its total torques without the force limit at the
+    /// tip.
     #[inline(never)]
     pub(super) fn fade_in(&mut self) -> (TorqueDemand<f32>, [f32; MAX_JOINTS]) {
         let asked = &{ self.now.found.asked };
         self.fade.begun = true;
         self.fade.ramp = (self.fade.ramp + self.period * (1.0 / ARM_SECONDS)).min(1.0);
-        // The limit of the force at the tip holds the present demand by itself, as it does the fading part below.
+        // The force limit at the tip applies separately to the present demand and to the fading part below.
         let share = share_within(asked.force_squared, self.most_force);
         self.fade.share = self.fade.ramp * share;
         if !self.fade.from_something {
-            return self.rise(asked, share);
+            return self.fade_in_from_zero(asked, share);
         }
         self.fade.host.remaining -= self.period;
-        self.hold_what_fades();
+        self.limit_fading_torques();
         let (fade, before, weight) = (&self.fade, self.fade.rendered(), self.weight(asked));
         let faded = TorqueDemand {
             total: self.between(asked, &weight, share),
@@ -160,25 +160,25 @@ where
         (faded, self.between(asked, &weight, 1.0))
     }
 
-    /// The share of the device's weight that this step carries.
-    fn carries(&self) -> f32 {
+    /// Returns the share of the device's weight that this step carries.
+    fn carried_share(&self) -> f32 {
         let before = if self.fade.from_something { self.fade.carried } else { 0.0 };
         self.fade.part(before, if self.weighs { 1.0 } else { 0.0 })
     }
 
-    /// The torques that carry the weight now, N m. A scene that does not carry it cannot tell them.
+    /// Returns the torques that carry the weight now, N m. A scene without gravity compensation does not compute them.
     fn weight(&self, asked: &TorqueDemand<f32>) -> [f32; MAX_JOINTS] {
-        let carries = self.carries();
+        let share = self.carried_share();
         let whole = match &self.program {
-            Some(program) if !self.weighs && carries > 0.0 => program.mechanism.gravity::<K>(&self.now.found.at.q),
+            Some(program) if !self.weighs && share > 0.0 => program.mechanism.gravity::<K>(&self.now.found.at.q),
             _ => asked.gravity,
         };
-        whole.map(|torque| carries * torque)
+        whole.map(|torque| share * torque)
     }
 
-    /// [`ControlLoop::fade_in`] from nothing: with a `share` of what is asked beyond what carries the device.
+    /// [`ControlLoop::fade_in`] from zero, with a `share` of the demand beyond gravity.
     #[inline(always)]
-    fn rise(&self, asked: &TorqueDemand<f32>, share: f32) -> (TorqueDemand<f32>, [f32; MAX_JOINTS]) {
+    fn fade_in_from_zero(&self, asked: &TorqueDemand<f32>, share: f32) -> (TorqueDemand<f32>, [f32; MAX_JOINTS]) {
         let ramp = self.fade.ramp;
         let between = |share: f32| -> [f32; MAX_JOINTS] {
             core::array::from_fn(|i| (asked.gravity[i] + share * (asked.total[i] - asked.gravity[i])) * ramp)
@@ -192,16 +192,17 @@ where
         (risen, between(1.0))
     }
 
-    /// Holds what fades to the forces that it may make where the tip is now.
+    /// Cuts the fading torques to their force limits at the present tip position.
     #[inline(never)]
-    fn hold_what_fades(&mut self) {
+    fn limit_fading_torques(&mut self) {
         let fade = &mut self.fade;
         let Some(program) = self.program.as_ref() else { return };
         let rendered = fade.rendered();
         if rendered == Torques::default() && fade.aside == Torques::default() {
             return;
         }
-        // That of half a millisecond ago would let 4 % too much through: what fades is fixed, and not asked for again here.
+        // Leverage from half a millisecond ago would let 4 % too much through, because the fading torques are not
+        // computed again from the pose.
         let leverage = program.mechanism.leverage::<K>(&self.now.found.at.q);
         let share = share_within(leverage.force_squared(&rendered), self.most_force);
         for part in fade.scene.iter_mut().chain(fade.host.torque.iter_mut()).chain(fade.aside.iter_mut()) {
@@ -215,7 +216,8 @@ where
         }
     }
 
-    /// The `weight`, and a `share` of the rest of the demand.
+    /// Returns the `weight` plus the interpolation between the fading torques and a `share` of the demand beyond
+    /// gravity.
     fn between(&self, asked: &TorqueDemand<f32>, weight: &[f32; MAX_JOINTS], share: f32) -> [f32; MAX_JOINTS] {
         let (fade, rendered) = (&self.fade, self.fade.rendered());
         core::array::from_fn(|i| {

@@ -1,14 +1,13 @@
-//! Force from the host: what a program on a computer asks the motors for, beside the board's own scene.
+//! Force from the host: forces, torques and a contact that a program on a computer adds to the board's own scene.
 //!
-//! A host reads where the tip is, works out a force and sends it, about once a millisecond. The board adds it to its own
-//! walls before the one rule that cuts torques to what the motors can do and to the limit of the force at the tip
-//! (saturation.rs), where joint torques count as the force that they are worth, and under every limit and fault. It
-//! trusts it no longer than it lives: a request acts in full until it is `hold` seconds old, then fades linearly and is
-//! gone after `fade` seconds more. Its age counts from the state that it was computed from, so what came late has less
-//! left to live.
+//! A host reads the tip position, computes a force and sends it, about once a millisecond. The board adds this force to
+//! its own walls before it cuts all torques to the motors' limits and to the force limit at the tip (saturation.rs);
+//! joint torques count there as their force at the tip. All limits and faults apply. A request acts in full until it is
+//! `hold` seconds old, then fades linearly for `fade` seconds. The age counts from the state that the request was
+//! computed from, so a late request has less time left.
 //!
-//! A contact is the host's nearest plane, which the board renders at its own rate. When the host moves it, the board goes
-//! there evenly, in as long as the host took since it moved it last: no force steps where a plane does.
+//! A contact is the host's nearest plane, which the board renders at its own rate. When the host moves the plane, the
+//! board moves its copy evenly, over the time since the host's previous move, so the force does not jump.
 
 use crate::control::ControlLoop;
 use crate::control::joints::{Counts, Torques};
@@ -23,51 +22,51 @@ use core::ops::DerefMut;
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
-/// Longest time for which a request may be held, and longest for it to fade, s.
+/// Longest hold and longest fade of a request, s.
 pub const MOST_LEASE: f32 = 0.2;
-/// Largest force that a request may hold, N; what the motors cannot make is cut to what they can.
+/// Largest force that a request may contain, N. Forces beyond the motors' limits are cut.
 pub const MOST_HELD_FORCE: f32 = 1.0e3;
-/// Largest joint torque that a request may hold, N m.
+/// Largest joint torque that a request may contain, N m.
 pub const MOST_TORQUE: f32 = 1.0e2;
-/// Furthest from the origin that a contact's point may be, m.
+/// Largest distance of a contact's point from the origin, m.
 pub const MOST_DISTANCE: f32 = 10.0;
-/// Stiffest contact, N/m.
+/// Largest stiffness of a contact, N/m.
 pub const MOST_STIFFNESS: f32 = 1.0e5;
-/// Most damped contact, N s/m.
+/// Largest damping of a contact, N s/m.
 pub const MOST_DAMPING: f32 = 1.0e3;
-/// Largest deviation of a contact's normal from a unit vector, as the square of its length.
+/// Largest deviation of the squared length of a contact's normal from 1.
 const UNIT: f32 = 1.0e-3;
-/// Shortest and longest time in which a contact goes from one plane to the next, s. One that appears or goes takes the
-/// shortest.
+/// Shortest and longest time in which a contact moves from one plane to the next, s. A contact that appears or
+/// disappears takes the shortest.
 pub const BLEND_SECONDS: (f32, f32) = (1.0e-3, 20.0e-3);
 
-/// A host's request; it replaces the host's earlier one. Vectors are in the task frame, or one entry a joint, with
-/// zeros in entries that the device does not have. The default requests no force and only reads the device's state.
+/// A host's request; it replaces the host's earlier request. Vectors are in the task frame, or have one entry per
+/// joint; entries that the device does not have are zero. The default requests no force and only reads the device's state.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, Schema)]
 pub struct ForceRequest {
-    /// Rises with every request, wrapping. What is not newer than the last one taken is not taken.
+    /// Increases with every request, wrapping. A request that is not newer than the last accepted one is rejected.
     pub sequence: u32,
-    /// [`ForceAnswer::step`] of the state that this was computed from; `None` for no state in particular.
+    /// [`ForceAnswer::step`] of the state that the request was computed from; `None` if it depends on no state.
     pub seen: Option<u32>,
-    /// For how long it acts in full, s; at most [`MOST_LEASE`].
+    /// Time for which it acts in full, s; at most [`MOST_LEASE`].
     pub hold: f32,
-    /// In how long it then fades to nothing, s; at most [`MOST_LEASE`].
+    /// Time for which it then fades to zero, s; at most [`MOST_LEASE`].
     pub fade: f32,
     /// Force at the tip, N.
     pub force: [f32; 3],
     /// Joint torques, N m.
     pub torque: [f32; MAX_JOINTS],
-    /// A plane to be rendered by the board.
+    /// A plane for the board to render.
     pub contact: Option<HostContact>,
 }
 
-/// A one-sided plane that a host wants rendered: f = -stiffness x - damping ẋ along the normal, where the distance x =
-/// normal·(tip - point) is negative, and never less than 0.
+/// A one-sided plane rendered for the host: f = -stiffness x - damping ẋ along the normal while the distance x =
+/// normal·(tip - point) is negative. The force is never negative.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, Schema)]
 pub struct HostContact {
-    /// A point of it, m.
+    /// A point of the plane, m.
     pub point: [f32; 3],
-    /// Unit normal out of the solid.
+    /// Unit normal, pointing out of the solid.
     pub normal: [f32; 3],
     /// N/m
     pub stiffness: f32,
@@ -75,29 +74,29 @@ pub struct HostContact {
     pub damping: f32,
 }
 
-/// The outcome of a request.
+/// Outcome of a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub enum ForceDone {
-    /// It acts from the next control step on.
+    /// Accepted: it acts from the next control step on.
     Taken,
-    /// Nothing: with `hold` and `fade` 0 it only asks how the device is.
+    /// No force: with `hold` and `fade` 0 the request only reads the device's state.
     Looked,
-    /// Nothing: the motors are off.
+    /// Rejected: the motors are off.
     NotArmed,
-    /// Nothing: one as new or newer has been taken, and still acts.
+    /// Rejected: a request with the same or a later number still acts.
     NotNewer,
-    /// Nothing: it is older than it may become.
+    /// Rejected: its age exceeds hold and fade.
     TooOld,
-    /// Nothing: a number of it cannot be used.
+    /// Rejected: a value in it cannot be used.
     Bad(BadForce),
 }
 
-/// A number of a request that cannot be used.
+/// The value of a request that cannot be used.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub enum BadForce {
     /// `hold` or `fade` is not a number from 0 to [`MOST_LEASE`].
     Lease,
-    /// `seen` is a step that has not been.
+    /// `seen` is a step in the future.
     Seen,
     /// The force is not finite, above [`MOST_HELD_FORCE`], or in a direction that the device does not have.
     Force,
@@ -107,7 +106,7 @@ pub enum BadForce {
     Point,
     /// The contact's normal is not a unit vector of the task frame.
     Normal,
-    /// The contact's stiffness or damping is not a number from 0 to [`MOST_STIFFNESS`] and [`MOST_DAMPING`].
+    /// The contact's stiffness or damping is not a number from 0 to its maximum, [`MOST_STIFFNESS`] or [`MOST_DAMPING`].
     Gains,
 }
 
@@ -115,12 +114,12 @@ impl core::fmt::Display for ForceDone {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         match self {
             Self::Taken => f.write_str("taken"),
-            Self::Looked => f.write_str("not taken: it has no time to live, and only asks how the device is"),
+            Self::Looked => f.write_str("not taken: hold and fade are 0, so it only reads the device's state"),
             Self::NotArmed => f.write_str("not taken: the motors are off; arm them first"),
             Self::NotNewer => f.write_str("not taken: a request with this sequence number or a later one acts"),
             Self::TooOld => f.write_str("not taken: it came later than its hold and fade allow"),
             Self::Bad(BadForce::Lease) => write!(f, "not taken: hold and fade must be from 0 to {MOST_LEASE} s"),
-            Self::Bad(BadForce::Seen) => f.write_str("not taken: it was computed from a step that has not been"),
+            Self::Bad(BadForce::Seen) => f.write_str("not taken: it was computed from a step in the future"),
             Self::Bad(BadForce::Force) => write!(
                 f,
                 "not taken: each entry of the force must be at most {MOST_HELD_FORCE} N, and 0 where the device has no direction"
@@ -143,39 +142,39 @@ impl core::fmt::Display for ForceDone {
     }
 }
 
-/// The state of the device, and the effect of the host's requests, at the control step before the answer.
+/// State of the device and effect of the host's requests at the control step before the reply.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct ForceAnswer {
-    /// Of the request that this answers.
+    /// Sequence number of the request.
     pub sequence: u32,
-    /// The outcome of the request.
+    /// Outcome of the request.
     pub done: ForceDone,
-    /// Disarmed, armed, fault.
+    /// Disarmed, armed or fault.
     pub state: State,
     /// Control steps since boot, wrapping: the board's time, as in telemetry.
     pub step: u32,
-    /// Seconds from one step to the next.
+    /// Time from one step to the next, s.
     pub period: f32,
-    /// Time since the state that the acting request was computed from, s; `None` when none acts.
+    /// Time since the state that the acting request was computed from, s; `None` if no request acts.
     pub age: Option<f32>,
     /// Tip, m.
     pub tip: [f32; 3],
-    /// Tip velocity, filtered as the scene says, m/s.
+    /// Tip velocity, filtered by the scene's estimator, m/s.
     pub velocity: [f32; 3],
     /// Joint angles, rad.
     pub q: [f32; MAX_JOINTS],
-    /// Joint velocities, filtered as the scene says, rad/s.
+    /// Joint velocities, filtered by the scene's estimator, rad/s.
     pub qd: [f32; MAX_JOINTS],
     /// Joint torques commanded, after all limits, N m.
     pub torque: [f32; MAX_JOINTS],
-    /// Force at the tip that the host's force and contact have really added, after lease, ramp and limits, N.
+    /// Force at the tip that the host's force and contact added, after lease, ramp and limits, N.
     pub force: [f32; 3],
-    /// Share of what the host asks for that acts: lease times ramp times limits.
+    /// Share of the host's request that acts: lease times ramp times limits.
     pub share: f32,
 }
 
 impl ForceRequest {
-    /// The first part of it that a device with this many task dimensions and joints cannot use.
+    /// Returns the first value that a device with this many task dimensions and joints cannot use.
     pub fn wrong(&self, task: usize, joints: usize) -> Option<BadForce> {
         let within = |value: &f32, most: f32| value.abs() <= most;
         let only = |values: &[f32; 3], count: usize| values.iter().skip(count).all(|value| *value == 0.0);
@@ -202,7 +201,7 @@ impl ForceRequest {
         if gains { None } else { Some(BadForce::Gains) }
     }
 
-    /// Share that acts at an age (s).
+    /// Returns the share of the request that acts at an age (s).
     fn lease(&self, age: f32) -> f32 {
         if age < self.hold {
             1.0
@@ -221,18 +220,18 @@ impl HostContact {
     }
 }
 
-/// A plane on its way from where it was to where the host has put it.
+/// A plane that moves from its old to its new place.
 #[derive(Clone, Copy, Debug, Default)]
 struct Blend {
     from: PushedPlane<f32>,
     to: PushedPlane<f32>,
-    /// Time since the host has moved it, and in which it is there, s.
+    /// Time since the host moved the plane, and duration of the move, s.
     elapsed: f32,
     duration: f32,
 }
 
 impl Blend {
-    /// Its present plane.
+    /// Returns the present plane.
     fn now(&self) -> PushedPlane<f32> {
         if self.elapsed >= self.duration {
             return self.to;
@@ -241,8 +240,8 @@ impl Blend {
         let part = self.elapsed / self.duration;
         let between = |from: f32, to: f32| from + (to - from) * part;
         let stiffness = between(from.stiffness, to.stiffness);
-        // Each plane's share in the place is its share in the stiffness: then the force is the mean of the two planes' forces, and
-        // not more than either pushes. Half the stiffness half way in could be far more.
+        // The weight of each plane's position is its share of the stiffness. The force is then the mean of the two
+        // planes' forces, and not larger than either. Half the stiffness at half the depth could be far more.
         let weight = if stiffness > 0.0 { part * to.stiffness / stiffness } else { part };
         let placed = |from: f32, to: f32| from + (to - from) * weight;
         PushedPlane {
@@ -253,7 +252,7 @@ impl Blend {
         }
     }
 
-    /// Sends it to the host's contact, or lets it vanish where it is.
+    /// Starts a move to the host's contact, or fades the plane out in place.
     fn go(&mut self, contact: Option<&HostContact>) {
         let now = self.now();
         let gone = |plane: PushedPlane<f32>| PushedPlane { stiffness: 0.0, damping: 0.0, ..plane };
@@ -277,35 +276,35 @@ pub(super) struct HostForce {
     /// True if a request acts.
     pub acts: bool,
     request: ForceRequest,
-    /// Time since the state that it was computed from, s.
+    /// Time since the state that the request was computed from, s.
     age: f32,
-    /// Share of it that acts in this step, the joint torques (N m) that this makes, and how long it may yet act, s.
+    /// Share of the request that acts in this step, the resulting joint torques (N m), and the remaining time, s.
     lease: f32,
     torque: Torques,
     life: f32,
-    /// Share of those that ramp and limits left where they left less than all.
+    /// Share that ramp and limits left in a step that was cut.
     pub granted: f32,
     contact: Blend,
-    /// Share of the contact that acted in the last step; how far that still is from the lease of this request, which
-    /// took the place of another; and how fast the difference shrinks, 1/s.
+    /// Share of the contact that acted in the last step; its difference from the lease of the present request, which
+    /// replaced another; and the rate at which the difference shrinks, 1/s.
     contact_lease: f32,
     beside: f32,
     closing: f32,
 }
 
 impl HostForce {
-    /// Takes a request that is `age` seconds old.
+    /// Accepts a request that is `age` seconds old.
     fn take(&mut self, request: &ForceRequest, age: f32) {
-        // As large a share of the contact acts next as did in the last step. A new one fades in: its plane grows stiff.
+        // The contact's share continues from the last step. A new contact fades in as its stiffness rises.
         let was_there = self.acts && self.contact.now().stiffness + self.contact.now().damping > 0.0;
         self.beside = if was_there { self.contact_lease - request.lease(age) } else { 0.0 };
         self.closing = self.beside.abs() / BLEND_SECONDS.0;
-        // The blend keeps the rest of the earlier contact.
+        // The blend keeps what remains of the earlier contact.
         (self.request, self.age, self.acts) = (ForceRequest { contact: None, ..*request }, age, true);
         self.contact.go(request.contact.as_ref());
     }
 
-    /// Lets a step of `period` (s) pass and returns what it pushes with in that step; `None` once it is gone.
+    /// Advances by a step of `period` (s). Returns the push of this step; `None` if the request has expired.
     #[inline(never)]
     fn step(&mut self, period: f32) -> Option<Push<f32>> {
         self.age += period;
@@ -338,7 +337,7 @@ where
     K: Math<f32>,
     S: Stage,
 {
-    /// Carries out a request between two steps, as far as it can be, and tells how the device is.
+    /// Carries out a request between two steps, if possible, and returns the device's state.
     pub fn force(&mut self, request: &ForceRequest) -> ForceAnswer {
         let done = self.take_force(request);
         let mut answer = ForceAnswer {
@@ -366,7 +365,7 @@ where
         answer
     }
 
-    /// The joint torques (N m) that acted in the last step because of the host, and how long they might (s).
+    /// Returns the joint torques (N m) of the host in the last step, and their remaining time (s).
     #[cold]
     pub(super) fn host_torque(&self) -> (Torques, f32) {
         let granted = self.host_granted();
@@ -378,7 +377,7 @@ where
         (Torques::from_fn(|i| granted * (pushed[i] + self.host.torque[i])), self.host.life)
     }
 
-    /// Share of what acts of it that ramp and limits left.
+    /// Returns the share of the host's force that ramp and limits left.
     fn host_granted(&self) -> f32 {
         if self.was_cut() { self.host.granted } else { 1.0 }
     }
@@ -394,7 +393,7 @@ where
             return ForceDone::Bad(BadForce::Seen);
         }
         if request.hold == 0.0 && request.fade == 0.0 {
-            // Whoever follows the device is there; a look that names no state before it may be anybody's.
+            // A request that names a state comes from a live host. One without a state may come from any tool.
             if request.seen.is_some() {
                 self.hear_host();
             }
@@ -406,7 +405,7 @@ where
         if self.host.acts && request.sequence.wrapping_sub(self.host.request.sequence) as i32 <= 0 {
             return ForceDone::NotNewer;
         }
-        // Steps before a change of rate took another time, so their age is unknown.
+        // The period before a change of rate was different, so the age of earlier steps is unknown.
         let before = age as u32 > self.now.step.wrapping_sub(self.rate_since);
         let age = age as f32 * self.period;
         if before || request.lease(age) <= 0.0 {
@@ -430,8 +429,8 @@ where
         }
     }
 
-    /// Adds the host's joint torques to what the scene and the host's force ask for. They make a force at the tip, too,
-    /// so the resultant of all that is rendered is computed again, from the sum of the torques.
+    /// Adds the host's joint torques to the demand of the scene and the host's force. The torques also make a force at
+    /// the tip, so the resultant is computed again from the sum.
     fn add(&mut self, counts: &Counts) {
         let torque = self.host.torque;
         if torque != Torques::default()
@@ -447,8 +446,8 @@ where
         }
     }
 
-    /// Forgets what the host asked for.
-    pub(super) fn let_go(&mut self) {
+    /// Clears the host's request.
+    pub(super) fn clear_host_force(&mut self) {
         self.host = HostForce::default();
         if let Some(program) = self.program.as_mut() {
             program.controller.set_push(None);

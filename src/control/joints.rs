@@ -1,5 +1,5 @@
-//! The control loop's values of every joint, padded with zeros to [`MAX_JOINTS`]: counts, torques, currents and duties are
-//! types of their own, so that none passes for another.
+//! Values of every joint, padded with zeros to [`MAX_JOINTS`]. Counts, torques, currents and duties are separate types,
+//! so that they cannot be confused.
 
 use crate::model::catalogue::MAX_JOINTS;
 use core::ops::{Deref, DerefMut};
@@ -12,7 +12,7 @@ macro_rules! quantities {
         pub struct $Name(pub [$Number; MAX_JOINTS]);
 
         impl $Name {
-            /// A value for every joint.
+            /// Returns a value for every joint.
             #[inline(always)]
             pub fn from_fn(each: impl FnMut(usize) -> $Number) -> Self {
                 Self(core::array::from_fn(each))

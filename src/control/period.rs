@@ -1,6 +1,6 @@
-//! The order of a carrier period, for every caller but the chip's interrupt: [`ControlLoop::crest`] at the crest, then
-//! [`ControlLoop::check_slow_faults`] at the valley. The interrupt does the same in [`super::compiled`], in pieces between which
-//! the converters work. The parts of a crest can also be called one by one.
+//! The order of a carrier period for all callers except the chip's interrupt: [`ControlLoop::crest`] at the crest, then
+//! [`ControlLoop::check_slow_faults`] at the valley. The interrupt does the same with the functions of
+//! [`super::compiled`], in parts between which the converters work. The parts of a crest can also be called separately.
 
 use super::ControlLoop;
 use crate::control::frame::{Outputs, Samples};
@@ -17,10 +17,10 @@ where
     K: Math<f32>,
     S: Stage,
 {
-    /// One crest, with a control step if one is `due`: the scene is rendered, the samples are checked, the step commands
-    /// torques, and the drives of all motors for the next carrier period follow. Call [`ControlLoop::mark`] before it if index
-    /// pulses were seen, and [`ControlLoop::check_slow_faults`] after it. `samples` are the samples of each motor, see
-    /// [`ControlLoop::duties`].
+    /// Runs one crest, with a control step if `due`: renders the scene, checks the samples, commands torques and
+    /// returns the drives of all motors for the next carrier period. If index pulses were seen, call
+    /// [`ControlLoop::mark`] before. Call [`ControlLoop::check_slow_faults`] after. `samples` are the samples of each
+    /// motor, see [`ControlLoop::duties`].
     pub fn crest(
         &mut self,
         seen: &Samples,
@@ -37,21 +37,22 @@ where
         (outputs, self.duties(seen.bus_voltage, samples, seen.late))
     }
 
-    /// One control period: [`ControlLoop::render`], then [`ControlLoop::act`].
+    /// Runs one control period: [`ControlLoop::render`], then [`ControlLoop::act`].
     pub fn control(&mut self, samples: &Samples) -> Outputs {
         self.render(&samples.counts);
         self.act(samples)
     }
 
-    /// Checks the counts, currents and supply of this crest, and returns whether the bridges may go on driving. Call at
-    /// every crest, before [`ControlLoop::act`] where a step is due and before [`ControlLoop::duties`].
+    /// Checks the counts, currents and supply of this crest, and returns whether the bridges may drive. Call at every
+    /// crest, before [`ControlLoop::act`] (if a step is due) and before [`ControlLoop::duties`].
     pub fn guard(&mut self, seen: &Samples) -> Outputs {
         self.look(&self.known(seen));
         self.check_at_free_crest();
         self.outputs()
     }
 
-    /// The rest of it: watches, and sets what each motor shall do of what was rendered for the same counts.
+    /// Finishes the control step: runs the checks and commands the torques that [`ControlLoop::render`] computed for
+    /// the same counts.
     pub fn act(&mut self, samples: &Samples) -> Outputs {
         self.step(&self.known(samples));
         if !self.hardware.bridge.current_sensed {
@@ -60,10 +61,10 @@ where
         self.outputs()
     }
 
-    /// The drive of each motor's legs over the next carrier period, from the bus voltage (V) and each motor's sample:
-    /// for brushed motors currents (A) to duties, signed, ±[`MAX_DUTY`](crate::drive::stage::MAX_DUTY). No voltage
-    /// unless armed. `late` is true if they apply from the next crest on instead of the next valley, see
-    /// [`Stage::drive`].
+    /// Returns the drive of each motor's legs for the next carrier period, from the bus voltage (V) and each motor's
+    /// sample. For brushed motors the samples are currents (A) and the drives signed duties within
+    /// ±[`MAX_DUTY`](crate::drive::stage::MAX_DUTY). The drives are zero unless armed. `late` is true if they apply
+    /// from the next crest instead of the next valley, see [`Stage::drive`].
     pub fn duties(
         &mut self,
         bus_voltage: f32,
@@ -75,8 +76,8 @@ where
         drives
     }
 
-    /// Completes the samples of a board that lacks sensors: with the commanded currents, and with a bus voltage that is
-    /// not held to any limit.
+    /// Completes the samples of a board that lacks sensors: uses the commanded currents, and a bus voltage without
+    /// limits.
     pub(super) fn known(&self, seen: &Samples) -> Samples {
         let mut seen = *seen;
         if !self.hardware.bridge.current_sensed {

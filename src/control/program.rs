@@ -1,4 +1,4 @@
-//! A device in a scene, ready to run: the controller of whichever mechanism is loaded, and the drives of its motors.
+//! A device in a scene, ready to run: the controller of the loaded mechanism, and the drives of its motors.
 
 use crate::control::frame::Now;
 use crate::control::joints::{Counts, Torques};
@@ -18,7 +18,7 @@ use crate::render::velocity::{Coefficients, Washout};
 use crate::safety::limits::Limits;
 use crate::safety::refusal::Refusal;
 
-/// The properties of a board that the control loop needs.
+/// Properties of a board that the control loop needs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hardware {
     /// Motor axes.
@@ -27,15 +27,15 @@ pub struct Hardware {
     pub real: bool,
     /// True if the bus voltage is measured.
     pub bus_sensed: bool,
-    /// Its bridges.
+    /// Bridges of the motors.
     pub bridge: Bridge,
-    /// Frequency that its PWM timers count at, Hz.
+    /// Clock frequency of the PWM timers, Hz.
     pub timer_hz: u32,
 }
 
 macro_rules! define {
     ($(($Variant:ident, $module:ident, $n:literal))*) => {
-        /// The controller of whichever mechanism is loaded, in the board's precision.
+        /// Controller of the loaded mechanism, in the board's precision.
         #[derive(Clone, Debug)]
         pub enum AnyController<K> {
             $(
@@ -45,7 +45,7 @@ macro_rules! define {
         }
 
         impl<K: Math<f32>> AnyController<K> {
-            /// Builds the run-time form of a device and a scene; designs filters, so not for the interrupt.
+            /// Builds the run-time form of a device and a scene. Designs filters, so it is too slow for the interrupt.
             pub fn new(device: &Device<f32>, scene: &Scene<f32>) -> Result<Self, Refusal> {
                 match &device.mechanism {
                     $(crate::model::mechanism::AnyMechanism::$Variant(mechanism) => {
@@ -54,7 +54,7 @@ macro_rules! define {
                 }
             }
 
-            /// See [`Controller::set_mass`]; refused when the data do not fit the mechanism.
+            /// See [`Controller::set_mass`]. Returns an error if the data do not fit the mechanism.
             pub fn set_mass(&mut self, data: &MassModelData, values: &[f32]) -> Result<(), Refusal> {
                 match self {
                     $(Self::$Variant(controller) => {
@@ -65,16 +65,17 @@ macro_rules! define {
                 Ok(())
             }
 
-            /// Which mechanism.
+            /// Returns the kind of mechanism.
             pub fn kind(&self) -> Kind {
                 match self { $(Self::$Variant(_) => Kind::$Variant,)* }
             }
 
-            /// One control step; writes what it finds but joint angles. `acted`: what the motors gave since the last, N m.
+            /// Runs one control step and writes all of `found` except joint angles. `acted` are the motors' torques
+            /// since the last step, N m.
             #[inline(always)]
             pub(crate) fn render(&mut self, counts: &Counts, acted: &Torques, found: &mut StepResult<f32>) {
                 match self {
-                    // No device has more joints than there are counts.
+                    // No device has more joints than `counts` has entries.
                     $(Self::$Variant(controller) => {
                         controller.render(first(counts).unwrap_or(&[0; $n]), acted, found);
                     })*
@@ -91,12 +92,12 @@ macro_rules! define {
                 match self { $(Self::$Variant(controller) => controller.home(&head(counts), &head(q)),)* }
             }
 
-            /// Counts that homing subtracts.
+            /// Returns the counts that homing subtracts.
             pub fn zero(&self) -> Counts {
                 match self { $(Self::$Variant(controller) => Counts(padded(&controller.zero())),)* }
             }
 
-            /// Takes over homing.
+            /// Sets the counts that homing subtracts.
             pub fn set_zero(&mut self, zero: &Counts) {
                 match self { $(Self::$Variant(controller) => controller.set_zero(head(zero)),)* }
             }
@@ -113,7 +114,7 @@ macro_rules! define {
                 match self { $(Self::$Variant(controller) => controller.set_push(push),)* }
             }
 
-            /// Tip velocity (m/s) and the force (N) that the host's push makes where the last step was, see
+            /// Returns the tip velocity (m/s) and the force (N) of the host's push at the last step, see
             /// [`Controller::pushed`].
             pub(crate) fn pushed(&self, now: &Now) -> ([f32; MAX_JOINTS], [f32; MAX_JOINTS]) {
                 match self {
@@ -143,13 +144,12 @@ macro_rules! define {
 }
 crate::mechanisms!(define);
 
-/// A device in a scene on a board, ready to run: what is handed to the control loop whole. `S` is what stands between a joint's
-/// torque and its motor.
+/// A device and a scene compiled for the control loop. `S` is the motor stage between a joint's torque and its motor.
 #[derive(Clone, Debug)]
 pub struct Program<K, S = Axis> {
     pub(crate) controller: AnyController<K>,
     pub(crate) mechanism: AnyMechanism<f32>,
-    /// The initial state of the control loop's own stages.
+    /// Initial state of the motor stages.
     pub(crate) axes: [S; MAX_JOINTS],
     /// True if gravity is compensated.
     pub(crate) weighs: bool,
@@ -159,9 +159,9 @@ pub struct Program<K, S = Axis> {
     pub(crate) radians_per_count: [f32; MAX_JOINTS],
     /// Angles at count zero, rad.
     pub(crate) offsets: [f32; MAX_JOINTS],
-    /// Same device as the program before: homing and the polarity check stay valid.
+    /// True if the device is that of the previous program: homing and the polarity check stay valid.
     pub(crate) same_device: bool,
-    /// Why this program may not be armed, found once.
+    /// Reason why this program may not be armed, determined once.
     pub(crate) arming_refused: Option<Refusal>,
     pub(crate) rate_hz: f32,
     pub(crate) carrier_hz: f32,
@@ -170,7 +170,7 @@ pub struct Program<K, S = Axis> {
 impl<K: Math<f32>, S: Stage> Program<K, S> {
     /// Builds a program for `hardware` under `limits`. `same_device` keeps homing across a change of scene.
     ///
-    /// Errors: more joints than axes, a joint without encoder scale, or whatever the scene lacks.
+    /// Errors: more joints than axes, a joint without encoder scale, or an error of the scene.
     pub fn new(
         hardware: &Hardware,
         limits: &Limits,
@@ -183,7 +183,7 @@ impl<K: Math<f32>, S: Stage> Program<K, S> {
             return Err(Refusal::TooManyJoints { joints: joints as u8, axes: hardware.axes as u8 });
         }
         let controller = AnyController::new(device, scene)?;
-        // The current loops run once a carrier period, and the carrier follows the control rate.
+        // The current loops run once per carrier period, and the carrier follows the control rate.
         let bridge =
             Bridge { carrier_hz: Carrier::for_rate(hardware.timer_hz, scene.rate_hz).carrier_hz(), ..hardware.bridge };
         let mut axes = [S::default(); MAX_JOINTS];
@@ -224,20 +224,20 @@ impl<K: Math<f32>, S: Stage> Program<K, S> {
         })
     }
 
-    /// Takes the mass matrix from a prepared model instead of the mechanism's closed form; `values` are those sent for
-    /// a table.
+    /// Uses a prepared model of the mass matrix instead of the mechanism's closed form; `values` are the entries sent
+    /// for a table.
     ///
     /// Errors: data that do not fit the mechanism.
     pub fn set_mass(&mut self, data: &MassModelData, values: &[f32]) -> Result<(), Refusal> {
         self.controller.set_mass(data, values)
     }
 
-    /// Its controller.
+    /// Returns the program's controller.
     pub fn controller(&self) -> &AnyController<K> {
         &self.controller
     }
 
-    /// Control rate, Hz.
+    /// Returns the control rate, Hz.
     pub fn rate_hz(&self) -> f32 {
         self.rate_hz
     }

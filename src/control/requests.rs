@@ -1,4 +1,4 @@
-//! The requests to the control loop between two steps, and its answers.
+//! Requests to the control loop between two steps, and their replies.
 
 use super::{ControlLoop, Rules, watch};
 use crate::control::program::Program;
@@ -20,82 +20,82 @@ pub const REST_SPEED: f32 = 0.2;
 /// A change between two control steps. `P` holds a [`Program`]: a box on the PC, a static buffer on the board.
 #[derive(Debug)]
 pub enum Command<P> {
-    /// Replaces device and scene; what was there before comes back in the reply.
+    /// Replaces device and scene; the reply returns the previous program.
     Program(P),
-    /// Gains of one wall, with its washout designed.
+    /// Gains of one wall, with the washout designed for them.
     Gains(Gains<f32>, Washout<f32>),
     /// Coefficients of the velocity estimators.
     Coefficients(Coefficients<f32>),
     /// Rules and limits.
     Rules(Rules),
-    /// The present pose is the home pose.
+    /// Takes the present pose as the home pose.
     Home,
-    /// Motors on.
+    /// Turns the motors on.
     Arm,
-    /// Motors on, for as long as this key is held.
+    /// Turns the motors on while this key is held.
     ArmHeld(Press),
-    /// Answers as [`Command::Arm`] would, and changes nothing: what readies the power stage asks first.
+    /// Replies as to [`Command::Arm`] without changing anything. Sent before the power stage is made ready.
     MayArm,
     /// The same for [`Command::ArmHeld`].
     MayArmHeld(Press),
-    /// Motors off.
+    /// Turns the motors off.
     Disarm,
-    /// Moves each joint by a small torque to see that it turns the right way.
+    /// Moves each joint by a small torque to check its direction.
     CheckPolarity,
-    /// Answers as [`Command::CheckPolarity`] would, and changes nothing.
+    /// Replies as to [`Command::CheckPolarity`] without changing anything.
     MayCheckPolarity,
-    /// The polarity of this device is known from an earlier check.
+    /// Marks the polarity of this device as known from an earlier check.
     PolarityKnown,
     /// Clears a latched fault.
     Clear,
-    /// The host is there, and says how it is with the key that its user holds.
+    /// Sign of life of the host, with the state of its user's key.
     Beat(Beat),
-    /// Latches a fault found elsewhere.
+    /// Latches a fault that was detected elsewhere.
     Fault(FaultRecord),
-    /// Counts the walls' energy from now on because telemetry shows it, or no longer; the passivity controller counts it
-    /// anyway.
+    /// Computes the walls' energy if telemetry needs it. The passivity controller computes it in any case.
     ShowEnergy(bool),
 }
 
-/// A dead man's key that somebody saw down, and not before when. Motors that it holds go off
-/// [`KEY_SECONDS`](super::KEY_SECONDS) after `seen`, however late it comes.
+/// A press of a dead man's key, seen at an unknown time after `seen`. Motors that the key keeps on go off
+/// [`KEY_SECONDS`](super::KEY_SECONDS) after `seen`, even if the press arrives late.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct Press {
-    /// Who holds it: a number that a tool draws. One key has one holder.
+    /// Number that the tool draws at random for the holder of the key. A key has one holder.
     pub holder: u32,
-    /// The newest control step that whoever sees the key had been told of before: in the answer to a [`Beat`], for example.
+    /// Newest control step that the observer of the key knew before the press, for example from the reply to a
+    /// [`Beat`].
     pub seen: u32,
 }
 
 /// A sign of life of a host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub enum Beat {
-    /// It is there. This neither feeds a key that is held nor lets it go.
+    /// The host is alive. Neither confirms nor releases a held key.
     Here,
-    /// A key is down. It feeds the one that holds the motors on; motors that are on without a key are held by it from now
-    /// on.
+    /// A key is down. Confirms the key that keeps the motors on; if the motors are on without a key, they depend on
+    /// this key from now on.
     Held(Press),
-    /// The key was let go: motors off, as by [`Command::Disarm`].
+    /// The key was released: turns the motors off, as [`Command::Disarm`] does.
     Released,
 }
 
-/// The answer to a command, with the program it replaced.
+/// Result of a command, with the program that it replaced.
 pub type Reply<P> = (Result<(), Refusal>, Option<P>);
 
-/// The state that a tool may ask for at any time.
+/// State that a tool may request at any time.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, Schema)]
 pub struct Status {
     /// Disarmed, armed, fault.
     pub state: State,
     /// True if the device is homed.
     pub homed: bool,
-    /// True if its polarity is known.
+    /// True if the device's polarity is known.
     pub polarity: bool,
     /// The latched fault.
     pub fault: Option<FaultRecord>,
     /// Control steps since boot.
     pub step: u32,
-    /// Bus voltage, V; 0 where it is not sensed.
+    /// Bus voltage, V; 0 if it is not measured.
     pub bus_voltage: f32,
     /// Joint angles, rad.
     pub q: [f32; MAX_JOINTS],
@@ -109,7 +109,7 @@ where
     K: Math<f32>,
     S: Stage,
 {
-    /// The state as a tool sees it.
+    /// Returns the state for a tool.
     pub fn status(&self) -> Status {
         Status {
             state: self.state,
@@ -133,8 +133,8 @@ where
         reply
     }
 
-    /// Carries out a [`Command::Program`]: [`ControlLoop::accepts`], then [`ControlLoop::install`]. With the motors on, the control
-    /// interrupt has no time for both at once, and leaves the second to the next carrier period.
+    /// Carries out a [`Command::Program`]: [`ControlLoop::accepts`], then [`ControlLoop::install`]. While the motors
+    /// are on, the control interrupt has no time for both in one carrier period and installs in the next one.
     pub fn replace(&mut self, mut program: P) -> Reply<P> {
         match self.accepts(&mut program) {
             Ok(()) => (Ok(()), self.install(program)),
@@ -142,8 +142,8 @@ where
         }
     }
 
-    /// Carries out any other command, of which new rules are in force for all joints only after [`ControlLoop::settle_next`] has
-    /// been called until it says so.
+    /// Carries out any other command. New rules apply to all joints only once [`ControlLoop::settle_next`] has returned
+    /// true.
     pub fn obey(&mut self, command: &Command<P>) -> Result<(), Refusal> {
         let result = self.carry_out(command);
         self.see_what_is_usual();
@@ -153,7 +153,7 @@ where
     #[inline(always)]
     fn carry_out(&mut self, command: &Command<P>) -> Result<(), Refusal> {
         match command {
-            // It takes its program along: [`ControlLoop::replace`].
+            // A program is moved: see [`ControlLoop::replace`].
             Command::Program(_) => Err(Refusal::Busy),
             Command::Gains(gains, washout) => self.with_program(|p| p.controller.set_gains(gains, washout)),
             Command::Coefficients(coefficients) => self.with_program(|p| p.controller.set_coefficients(coefficients)),
@@ -178,7 +178,7 @@ where
                 if self.state == State::Fault {
                     self.state = State::Disarmed;
                 }
-                // Only the host: what else has been summed up while armed stays, or clearing would lift a limit.
+                // Resets only the host's silence. Other sums of the armed time stay, or clearing would lift a limit.
                 self.hear_host();
                 Ok(())
             }
@@ -209,8 +209,8 @@ where
         self.program.as_mut().map(|program| change(program)).ok_or(Refusal::NoDevice)
     }
 
-    /// Checks if a program may come. While armed it must be of the same device and rate, and its walls must not be
-    /// touched.
+    /// Returns an error if a program may not be installed. While armed it must have the same device and rate, and the
+    /// tip must not touch its walls.
     pub fn accepts(&self, program: &mut P) -> Result<(), Refusal> {
         if !self.state.drives() {
             return Ok(());
@@ -229,14 +229,14 @@ where
         Ok(())
     }
 
-    /// Puts a program in force that was accepted; what it takes the place of. Another device, or another rate, has bounds
-    /// and stages of its own, which take long to make ready; with the motors on neither changes.
+    /// Installs an accepted program and returns the previous one. Another device or rate has its own bounds and stages,
+    /// which take long to prepare; neither changes while the motors are on.
     pub fn install(&mut self, mut program: P) -> Option<P> {
         let period = 1.0 / program.rate_hz.max(1.0);
-        // Rates that differ by a rounding may have the same period, and carriers of their own.
+        // Rates that differ by a rounding error may have the same period but different carriers.
         let same_carrier = self.program.as_ref().is_some_and(|old| old.carrier_hz == program.carrier_hz);
         let same_rate = period == self.period && same_carrier;
-        // The time without a program is unknown, and it had no step at which a host could have seen its device.
+        // The time without a program is unknown, and had no step at which a host could have read the device.
         if period != self.period || self.program.is_none() {
             (self.period, self.rate_since) = (period, self.now.step);
         }
@@ -248,7 +248,7 @@ where
                 self.homed = false;
                 self.polarity_known = false;
                 (self.first_index, self.marks) = ([None; MAX_JOINTS], None);
-                // Of what a device with more joints found, nothing would be written over.
+                // Results of a device with more joints would not all be overwritten.
                 self.now.found = StepResult::default();
                 self.now.found.parallel = 1.0;
             }
@@ -256,7 +256,7 @@ where
         self.begin_fade();
         (self.count, self.weighs) = (program.joints.min(MAX_JOINTS) as u8, program.weighs);
         if !(same_device && same_rate) {
-            // The currents that flow go on.
+            // The present currents continue.
             for (axis, joint) in program.axes.iter().zip(&mut self.joints) {
                 let before = core::mem::replace(&mut joint.stage, *axis);
                 joint.stage.inherit(&before);
@@ -299,7 +299,7 @@ where
         Ok(())
     }
 
-    /// Returns true if none of the device's joints turns faster than `speed`, rad/s.
+    /// Returns true if every joint of the device turns at most at `speed`, rad/s.
     fn slower_than(&self, speed: f32) -> bool {
         self.joints.iter().take(self.count()).all(|joint| joint.speed().abs() <= speed)
     }
@@ -312,7 +312,7 @@ where
         }
     }
 
-    /// The conditions that arming and the polarity check share.
+    /// Checks the conditions that arming and the polarity check share.
     pub(super) fn ready(&self) -> Result<&P, Refusal> {
         self.must_be_off()?;
         let program = self.program.as_ref().ok_or(Refusal::NoDevice)?;
@@ -370,7 +370,7 @@ where
         Ok(())
     }
 
-    /// Starts everything that is summed up while the motors are on.
+    /// Resets everything that is summed up while the motors are on.
     pub(super) fn watch_anew(&mut self) {
         self.hear_host();
         self.joints.iter_mut().for_each(|joint| joint.sums.reset());

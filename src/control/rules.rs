@@ -1,16 +1,16 @@
-//! The rules that a board must keep.
+//! Rules that the control loop enforces.
 
 use crate::model::catalogue::MAX_JOINTS;
 use crate::safety::limits::Limits;
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
-/// The watch over the host, the least watchful first.
+/// Reaction to a silent host, least strict first.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Serialize, Deserialize, Schema)]
 pub enum HostAction {
-    /// A silent host is no fault.
+    /// No fault.
     Ignore,
-    /// The scene goes on; the fault is listed, and the board cannot be armed again until it is cleared.
+    /// The scene continues. The fault is listed, and the board cannot be armed again until it is cleared.
     Hold,
     /// The motors go off.
     #[default]
@@ -23,18 +23,18 @@ impl HostAction {
         [("ignore", Self::Ignore), ("hold", Self::Hold), ("disarm", Self::Disarm)];
 }
 
-/// The part of the board's settings that the control loop obeys.
+/// Settings of the board that the control loop enforces.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct Rules {
     /// Enforced limits.
     pub limits: Limits,
-    /// The reaction to a silent host.
+    /// Reaction to a silent host.
     pub host_action: HostAction,
-    /// The time that a host may be silent, s.
+    /// Time for which a host may be silent, s.
     pub host_seconds: f32,
-    /// True if the passivity controller pays back the energy that walls give out, by damping and less feed-forward.
+    /// True if the passivity controller absorbs the energy that walls generate, with damping and less feed-forward.
     pub passivity: bool,
-    /// Counts between two index pulses of each encoder; 0 without index.
+    /// Counts between two index pulses of each encoder; 0 for an encoder without index.
     pub index_period: [i32; MAX_JOINTS],
 }
 
@@ -51,11 +51,11 @@ impl Default for Rules {
 }
 
 impl Rules {
-    /// Shortest and longest silence of a host that a board may be told to wait for, s. A silence is summed up in single
-    /// steps, which beyond a minute are too small for an f32 to take in.
+    /// Shortest and longest permitted value of `host_seconds`. Silence is summed up in single steps, which an f32 sum
+    /// beyond a minute would round away.
     pub const HOST_SECONDS: (f32, f32) = (0.01, 60.0);
 
-    /// Returns true if nothing that protects is looser than in `other`: such a change is safe at any time.
+    /// Returns true if every protective setting is at least as strict as in `other`: such a change is safe at any time.
     pub fn no_looser_than(&self, other: &Self) -> bool {
         let watched = self.host_action >= other.host_action
             && (other.host_action == HostAction::Ignore || self.host_seconds <= other.host_seconds);

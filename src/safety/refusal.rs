@@ -1,16 +1,16 @@
-//! Why the board will not do what it was asked, each with what to do about it.
+//! Refusals of requests, each with its remedy.
 
 use crate::safety::fault::{CLEARING, Fault};
 use crate::safety::limits::BadLimit;
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
-/// Why the board will not do what it was asked.
+/// Reason why the board did not carry out a request.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub enum Refusal {
-    /// No device has been loaded.
+    /// No device is loaded.
     NoDevice,
-    /// No scene has been loaded.
+    /// No scene is loaded.
     NoScene,
     /// The device has more joints than the board has axes.
     TooManyJoints {
@@ -23,19 +23,19 @@ pub enum Refusal {
     BadDevice,
     /// The scene cannot be used.
     Scene(crate::render::scene::SceneError),
-    /// The precomputed table does not fit the device or the board's memory.
+    /// The precomputed table does not fit the device, or is too large for the board's memory.
     BadTable,
-    /// Homing needs a device with `[home]`.
+    /// The device file has no `[home]`.
     NoHome,
-    /// Not homed since power-on.
+    /// The device has not been homed since power-on.
     NotHomed,
     /// A joint has no limits.
     NoJointLimits(u8),
     /// A joint has no motor.
     NoMotor(u8),
-    /// A joint's motor data have not been verified.
+    /// A motor's data are not verified.
     MotorNotVerified(u8),
-    /// The polarity check has not been made with this device, homed where it is.
+    /// The polarity has not been checked with this device and its present home.
     PolarityUnchecked,
     /// A joint is outside its limits.
     OutsideLimits(u8),
@@ -45,27 +45,27 @@ pub enum Refusal {
     Moving,
     /// A fault is latched.
     Faulted(Fault),
-    /// This needs the motors off.
+    /// The request requires that the motors are off.
     Armed,
     /// The bus voltage is out of range.
     BusVoltage,
-    /// Limits may not exceed what the board can do.
+    /// A limit exceeds the board's abilities.
     BadLimit(BadLimit),
     /// The pose is singular.
     Singular,
-    /// Another request of the kind is under way.
+    /// The board is busy with another request of this kind.
     Busy,
-    /// Another tool holds the board.
+    /// Another tool controls the board.
     HeldByAnother,
-    /// The entry of a setting is damaged, or of another version.
+    /// The entry of a setting is damaged or has another version.
     BadEntry,
     /// Writing to flash failed.
     Flash,
-    /// This board cannot do that.
+    /// This board does not support the request.
     NotSupported,
-    /// The flash failed in the middle of a change: the next start shows the old settings or the new ones.
+    /// The flash failed during a change: after the next start either the old or the new settings apply.
     Unsettled,
-    /// The dead man's key that shall hold the motors on was seen down too long ago.
+    /// The last press of the dead man's key is too old.
     KeyTooOld,
 }
 
@@ -98,7 +98,7 @@ impl core::fmt::Display for Refusal {
             Self::Moving => f.write_str("the device is moving: hold it still"),
             Self::Faulted(fault) => {
                 write!(f, "{fault}; {}", fault.remedy())?;
-                // Some remedies end with it.
+                // Some remedies end with the clearing command.
                 match fault.remedy().contains(CLEARING) {
                     true => Ok(()),
                     false => f.write_str("; then `haptic faults --clear`"),
@@ -109,17 +109,17 @@ impl core::fmt::Display for Refusal {
             Self::BadLimit(bad) => write!(f, "{bad}"),
             Self::Singular => f.write_str("the linkage is in a singular pose: move it by hand"),
             Self::Busy => f.write_str("the board is busy with an earlier request: try again"),
-            Self::HeldByAnother => f.write_str("another tool holds the board: close it first"),
+            Self::HeldByAnother => f.write_str("another tool controls the board: close that tool first"),
             Self::BadEntry => f.write_str("this setting is damaged or of another version: use the tool's own restore"),
             Self::Flash => f.write_str("writing to flash failed: try again; the old settings are kept"),
             Self::Unsettled => f.write_str(
-                "the flash failed in the middle of a change: the old settings are in force until the next start, which \
-                 shows whether the old ones or the new ones were kept",
+                "the flash failed in the middle of a change: the old settings apply until the next start, which \
+                 shows if the old or the new settings were kept",
             ),
             Self::NotSupported => f.write_str("this board cannot do that"),
             Self::KeyTooOld => f.write_str(
-                "the press of the key took longer to come than a key may be silent: press it anew; if that happens again, \
-                 the page, the network or the computer between key and board is too slow",
+                "the press of the key arrived too late: press it again; if that happens again, the page, the network or \
+                 the computer between key and board is too slow",
             ),
         }
     }

@@ -1,8 +1,8 @@
 //! The flash array behind rigless' flash interface: programming clears bits, a sector erase sets them (RM0090 chapter
 //! 3).
 //!
-//! On silicon code running from flash stalls while a sector erases or a word is programmed; here it runs on, and only
-//! the busy flag takes its time.
+//! On silicon, code running from flash stalls during a sector erase and while a word is programmed. Here it runs on,
+//! and only the busy flag stays set for that time.
 
 use std::collections::VecDeque;
 
@@ -19,33 +19,33 @@ const PG: u64 = 1 << 0;
 const SER: u64 = 1 << 1;
 const LOCK: u64 = 1 << 31;
 const BUSY: u64 = 1 << 16;
-/// The answers to our own accesses, apart from any the model asks for.
+/// Tokens of our own accesses, distinct from those of the model.
 const READ: u64 = 1 << 62;
 pub(super) const WRITTEN: u64 = READ + 1;
 
-/// The interface and the array.
+/// The flash interface and its array.
 pub type FlashUnit = Hooked<Flash, Array>;
 
-/// The flash as a power-on finds it. What the array holds is memory, which outlives a reset.
+/// Returns the flash as after power-on. The array's contents are memory, which outlives a reset.
 #[must_use]
 pub fn unit() -> FlashUnit {
     Hooked { inner: Flash::with_clock(HSI_HZ), hook: Array::default() }
 }
 
-/// The operations on the array: waiting, done, and cut by a loss of power.
+/// Operations on the array: pending, done, and interrupted by a loss of power.
 #[derive(Debug, Default)]
 pub struct Array {
     busy: bool,
     stores: VecDeque<(u64, Width, u64)>,
     /// Sectors erased since power-on, in order.
     pub erased: Vec<u64>,
-    /// In which of the operations to come, erasing a sector or programming a word, the power goes: half of that one
-    /// is done, and nothing of those after it. 0 when it has gone; `None` for never.
+    /// Number of the coming operation (sector erase or programmed word) at which the power fails: half of this
+    /// operation is done, and nothing after it. 0 once the power has failed; `None` for never.
     pub cut: Option<u64>,
 }
 
 impl Array {
-    /// Begins an operation; how many parts of two are done.
+    /// Begins an operation. Returns the number of its two halves that are done.
     fn operate(&mut self) -> u64 {
         match &mut self.cut {
             None => 2,

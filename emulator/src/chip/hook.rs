@@ -1,4 +1,4 @@
-//! A model of rigless with something added around it: every call goes to the model, then to the hook.
+//! A model of rigless with an addition: every call goes to the model, then to the hook.
 
 use std::fmt::Debug;
 
@@ -8,18 +8,18 @@ use rigless::time::{EventId, VirtualNanos};
 
 /// An addition to the model `D`.
 pub trait Hook<D>: Debug {
-    /// After every call into the model.
+    /// Called after every call of the model.
     fn after(&mut self, _: &mut D, _: &mut RegisterFile, _: &mut DeviceContext<'_>) {}
 
-    /// A request of another instance, before the model hears it.
+    /// Handles a request of another instance before the model.
     fn request(&mut self, _: RequestChange, _: &mut D, _: &mut RegisterFile, _: &mut DeviceContext<'_>) {}
 
-    /// The answer to an access: true if it was the hook's own.
+    /// Handles the reply to an access. Returns true if the access was the hook's own.
     fn answered(&mut self, _token: u64, _value: u64, _: &mut DeviceContext<'_>) -> bool {
         false
     }
 
-    /// A store of `value` into memory the instance programs: whether it was taken.
+    /// Handles a store of `value` to memory that the instance programs. Returns true if the hook accepted it.
     fn store(&mut self, _: (u64, Width, u64), _: &mut RegisterFile, _: &mut DeviceContext<'_>) -> bool {
         false
     }

@@ -1,4 +1,5 @@
-//! The STM32F405's memory map and the bus that joins its peripherals (RM0090 rev 22: section 2.3, tables 5, 43, 63).
+//! Memory map of the STM32F405 and the bus that connects its peripherals (RM0090 rev 22: section 2.3, tables 5, 43,
+//! 63).
 
 use std::num::{NonZeroU32, NonZeroU64};
 
@@ -28,7 +29,7 @@ const fn blocks(count: u32, kib: u64) -> EraseBlocks {
     }
 }
 
-/// The first address and the bytes of flash sector `number`, 0 to 11.
+/// Returns the first address and the size in bytes of flash sector `number`, 0 to 11.
 #[must_use]
 pub const fn sector(number: u64) -> (u64, u64) {
     const KIB: u64 = 1 << 10;
@@ -40,7 +41,7 @@ pub const fn sector(number: u64) -> (u64, u64) {
     (0x0800_0000 + offset, size)
 }
 
-/// The reset bits that a driver of ours pulses (sections 6.3.5 to 6.3.9).
+/// Reset bits that our drivers pulse (sections 6.3.5 to 6.3.9).
 const RESET_LINES: [(&str, &str, &str); 15] = [
     ("ADC1", "APB2RSTR", "ADCRST"),
     ("ADC2", "APB2RSTR", "ADCRST"),
@@ -59,14 +60,14 @@ const RESET_LINES: [(&str, &str, &str); 15] = [
     ("PWR", "APB1RSTR", "PWRRST"),
 ];
 
-/// A bus of our description whose slots stand in the order of `stock`, the bus rigless builds.
+/// Returns a bus of our description whose slots have the order of `stock`, the bus that rigless builds.
 ///
 /// # Errors
 ///
 /// Any error of [`rigless::soc::Builder::build`], which is a bug in the description.
 pub fn bus(stock: &Bus) -> Result<Bus, Error> {
-    // The clocks and the readers of requests of the stock description; its tables, gates and corrections come along
-    // with the slots, which `Chip` moves over.
+    // Clocks and request readers come from the stock description; tables, gates and corrections come with the slots
+    // that `Chip` moves over.
     let described = builder().build()?;
     let peripherals: Vec<Peripheral> = stock.peripherals().map(with_our_tables).collect();
     let mut builder = Bus::builder(CPU, &MEMORY, peripherals);
@@ -97,11 +98,11 @@ fn with_our_tables(stock: &Peripheral) -> Peripheral {
     }
 }
 
-/// The interrupt line of the USB core, table 63.
+/// Interrupt line of the USB core, table 63.
 const OTG_LINE: u16 = 67;
 
-/// The register table of one of the USB core's blocks: a word at every offset, plain. [`super::otg`] knows what each
-/// is.
+/// Returns the register table of one of the USB core's blocks: a plain word at every offset. [`super::otg`] implements
+/// the registers.
 #[must_use]
 pub fn otg_table(block: usize) -> &'static [RegisterSpec] {
     static GLOBAL: [RegisterSpec; 256] = words();
@@ -139,13 +140,13 @@ const fn words<const N: usize>() -> [RegisterSpec; N] {
     table
 }
 
-/// The external interrupt controller, whose flags are cleared by writing 1: the vendor's file does not say so.
+/// The external interrupt controller. Its flags are cleared by writing 1, which the vendor's file does not contain.
 pub mod exti {
     use super::{RegisterSpec, WriteModify};
 
-    /// IMR: lines whose request is let through.
+    /// IMR: lines whose interrupt request is enabled.
     pub const MASK: u32 = 0x00;
-    /// RTSR: lines that pend at a rising edge.
+    /// RTSR: lines that pend on a rising edge.
     pub const RISING: u32 = 0x08;
 
     pub(super) static TABLE: [RegisterSpec; 6] = [
@@ -162,7 +163,7 @@ pub mod exti {
     }
 }
 
-/// Of the clock controller (RM0090 section 7.3.4).
+/// Registers of the clock controller (RM0090 section 7.3.4).
 pub mod rcc {
     /// CIR.
     pub const INTERRUPTS: u32 = 0x0C;
@@ -170,7 +171,7 @@ pub mod rcc {
     pub const CLOCK_FAILED: u64 = 1 << 7;
 }
 
-/// Of the power controller (section 5.4.2).
+/// Registers of the power controller (section 5.4.2).
 pub mod power {
     /// CSR.
     pub const STATUS: u32 = 0x04;
@@ -178,7 +179,7 @@ pub mod power {
     pub const SUPPLY_LOW: u64 = 1 << 2;
 }
 
-/// The power and clock gating register, and the first word of each endpoint's FIFO window.
+/// Returns the table of the power and clock gating register and the first word of each endpoint's FIFO window.
 const fn power() -> [RegisterSpec; 17] {
     let mut table = [word(0); 17];
     let mut row = 1;
@@ -189,7 +190,7 @@ const fn power() -> [RegisterSpec; 17] {
     table
 }
 
-/// A register by its row in its instance's table, for reading one without naming its layout.
+/// A register by its row in its instance's table, to read a register without its layout type.
 #[derive(Clone, Copy, Debug)]
 pub struct Row(pub usize);
 

@@ -1,5 +1,5 @@
-//! The USB OTG full-speed core at its addresses, with the cable's far end attached: a [`Host`] whose transactions reach
-//! the endpoints at their own instants.
+//! The USB OTG full-speed core at its addresses, with a computer at the cable's other end: the transactions of [`Host`]
+//! reach the endpoints at their own times.
 
 use rigless::device::{DeviceContext, ErasedDevice, Level, RegisterFile, RequestChange};
 use rigless::soc::RegisterSpec;
@@ -9,38 +9,38 @@ use super::map::otg_table;
 use crate::otg_core::{BLOCK_OFFSETS, Core, FIFOS, GRXSTSP};
 use crate::usb::Host;
 
-/// The core with the host on its cable.
+/// The core, connected to the host.
 #[derive(Debug, Default)]
 pub struct Otg {
     core: Core,
-    /// The far end of the cable.
+    /// Computer at the cable's other end.
     pub host: Host,
     block: usize,
     line: Level,
 }
 
 impl Otg {
-    /// The model as it answers for one of the core's four blocks.
+    /// Returns the model for accesses to one of the core's four blocks.
     pub fn answering_for(&mut self, block: usize) -> &mut dyn ErasedDevice {
         self.block = block;
         self
     }
 
-    /// The chip restarted: the pull-up is gone and the host sees a device leave.
+    /// Resets the core, because the chip restarted: the pull-up is gone, and the host sees the device disconnect.
     pub fn chip_reset(&mut self) {
         self.core = Core::default();
         self.line = Level::Low;
-        self.host.device_left();
+        self.host.device_disconnected();
     }
 
-    /// Lets the host look at what was handed to it, and at the device.
-    pub fn look_outside(&mut self, context: &mut DeviceContext<'_>) {
+    /// Lets the host process new requests and the device's state.
+    pub fn update_host(&mut self, context: &mut DeviceContext<'_>) {
         self.advance(context);
     }
 
     fn advance(&mut self, context: &mut DeviceContext<'_>) {
         if std::mem::take(&mut self.core.soft_reset) {
-            self.host.device_left();
+            self.host.device_disconnected();
         }
         if let Some(at) = self.host.advance(&mut self.core, context.now()) {
             context.schedule(at);

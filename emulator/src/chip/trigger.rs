@@ -1,5 +1,5 @@
-//! Wires between peripherals that rigless leaves out: timer triggers that start conversions (RM0090 tables 68 and 69)
-//! and the start of TIM8 by TIM1 (table 93, `ITR0`).
+//! Connections between peripherals that rigless does not model: timer triggers that start conversions (RM0090 tables 68
+//! and 69) and the start of TIM8 by TIM1 (table 93, `ITR0`).
 
 use rigless::device::{Device, DeviceContext, Level, RegisterFile, RequestChange};
 use rigless::soc::stm32f427::generated::adc1::Register;
@@ -12,20 +12,21 @@ use rigless::time::VirtualNanos;
 
 use super::hook::{Hook, Hooked};
 
-/// VREF+ in microvolts: the converters' inputs are set in that unit, since rigless' millivolts are coarser than a bit.
+/// VREF+ in microvolts. Inputs of the converters are set in this unit, because rigless' millivolts are coarser than a
+/// bit.
 pub const REFERENCE_UV: u32 = 3_300_000;
 
-/// The trigger output, as a request no rigless model uses.
+/// Request number of the trigger output, not used by rigless' models.
 const TRGO: usize = 100;
-/// The reference of channel 4, likewise.
+/// Request number of channel 4's reference, not used by rigless' models.
 const CC4: usize = 101;
 
-/// TIM1 or TIM8 with its trigger outputs wired.
+/// TIM1 or TIM8 with connected trigger outputs.
 pub type MasterTimer = Hooked<Tim<Advanced>, Outputs>;
-/// A converter with its external triggers wired.
+/// A converter with connected external triggers.
 pub type Converter = Hooked<Adc, ExternalTrigger>;
 
-/// The nth advanced timer out of reset.
+/// Returns the nth advanced timer as after a reset.
 #[must_use]
 pub fn timer(nth: usize) -> MasterTimer {
     let inner = Tim::with_clock(HSI_HZ, ADVANCED_TIMERS[nth].counter).breaks_on("RCC", rcc::CLOCK_FAILURE);
@@ -33,7 +34,7 @@ pub fn timer(nth: usize) -> MasterTimer {
     Hooked { inner, hook }
 }
 
-/// The nth converter out of reset, with VREF+ and every input in microvolts (see [`crate::hardware`]).
+/// Returns the nth converter as after a reset, with VREF+ and inputs in microvolts (see [`crate::hardware`]).
 #[must_use]
 pub fn converter(nth: usize) -> Converter {
     let mut inner = Adc::with_clock(HSI_HZ / 2);
@@ -41,7 +42,7 @@ pub fn converter(nth: usize) -> Converter {
     Hooked { inner, hook: ExternalTrigger { instance: CONVERTERS[nth], stopped: false } }
 }
 
-/// The last outputs of a timer, and their duration.
+/// Last outputs of a timer, and their durations.
 #[derive(Debug, Default)]
 pub struct Outputs {
     slave_of_tim1: bool,
@@ -55,31 +56,32 @@ pub struct Outputs {
     span: Span,
 }
 
-/// The time for which a timer's channels were active over a stretch of time, in nanoseconds.
+/// On-times of a timer's channels within a time span, ns.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Span {
-    /// The stretch.
+    /// Length of the span.
     pub whole: u64,
-    /// The part of it in which the main output was enabled.
+    /// Time with enabled main output.
     pub driven: u64,
-    /// The part in which channels 1 to 3's references were active and driven: upper switch on, but for dead time.
+    /// Times with active and driven references of channels 1 to 3: the upper switch is on, except for dead time.
     pub active: [u64; 3],
 }
 
 impl Outputs {
-    /// Takes the time the channels were active since the last call, up to `now`.
+    /// Returns the on-times since the last call, up to `now`.
     pub fn take_span(&mut self, now: VirtualNanos) -> Span {
         self.account(now);
         std::mem::take(&mut self.span)
     }
 
-    /// When channel 4's reference last rose, ns: on these boards a tick before the crest of the carrier.
+    /// Returns the time of the last rising edge of channel 4's reference, ns: on these boards a tick before the crest
+    /// of the carrier.
     #[must_use]
     pub fn crest(&self) -> Option<u64> {
         self.crest
     }
 
-    /// Starts counting time at `at`: the timer came out of a reset then.
+    /// Starts to count time at `at`, the end of a reset.
     pub fn begin(&mut self, at: VirtualNanos) {
         self.since = at.0;
     }
@@ -97,7 +99,7 @@ impl Outputs {
     }
 }
 
-/// The main output enable, in `BDTR`.
+/// Main output enable, in `BDTR`.
 const MOE: u64 = 1 << 15;
 
 impl Hook<Tim<Advanced>> for Outputs {
@@ -141,15 +143,15 @@ impl Hook<Tim<Advanced>> for Outputs {
     }
 }
 
-/// The start of a conversion by a timer.
+/// Start of conversions by a timer.
 #[derive(Debug)]
 pub struct ExternalTrigger {
     instance: &'static str,
-    /// Triggers no longer come.
+    /// True if triggers have no effect.
     pub stopped: bool,
 }
 
-/// `JSWSTART` and `SWSTART`, which start a group as its trigger does.
+/// `JSWSTART` and `SWSTART` start a group as its trigger does.
 const JSWSTART: u64 = 1 << 22;
 const SWSTART: u64 = 1 << 30;
 
@@ -197,7 +199,7 @@ fn injected_source(select: u64) -> Option<(&'static str, usize)> {
     }
 }
 
-/// `EXTSEL`, table 68. TIM1's trigger output starts no regular group on this chip.
+/// `EXTSEL`, table 68. TIM1's trigger output does not start a regular group on this chip.
 fn regular_source(select: u64) -> Option<(&'static str, usize)> {
     match select {
         14 => Some(("TIM8", TRGO)),

@@ -1,4 +1,4 @@
-//! Brings a fault about and holds the board to what has to come of it.
+//! Causes a fault and checks the board's reaction.
 
 use std::time::Duration;
 
@@ -11,99 +11,99 @@ use haptic_host::link::{Board, BoardError};
 use super::{Injection, injection};
 use crate::run::{MICROSECOND, MILLISECOND, SECOND, StoppedBoard};
 
-/// The result of provoking a fault.
+/// Result of a provoked fault.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Outcome {
-    /// The fault as it was latched.
+    /// The latched fault.
     pub record: FaultRecord,
-    /// Control periods from the cause to bridges that float.
+    /// Control periods from the cause until the bridges float.
     pub from_cause: u32,
-    /// Control periods from the step that saw it; `None` if the chip restarted, and with it the count.
+    /// Control periods from the step that detected the fault; `None` if the chip restarted, which resets the count.
     pub from_seen: Option<u32>,
 }
 
 /// Returns true if every bridge floats and the power stages are disabled.
-pub fn off(stopped: &mut StoppedBoard<'_>) -> bool {
+pub fn bridges_off(stopped: &mut StoppedBoard<'_>) -> bool {
     stopped.hardware().bridges_float()
 }
 
-/// Brings `fault` about and watches what comes of it: latched, bridges off, arming refused, cleared only when asked
-/// for. `None` for what neither board can see.
+/// Causes `fault` and checks the reaction: latched, bridges off, arming refused, cleared only on request. `None` for
+/// faults that the boards cannot detect.
 ///
 /// # Panics
 ///
-/// When any of that is not so.
+/// If the reaction is wrong.
 #[must_use]
 pub fn provoke(fault: Fault) -> Option<Outcome> {
-    let Injection::Chip { ready, cause, within, .. } = injection(fault) else { return None };
+    let Injection::Chip { create, cause, within_ms, .. } = injection(fault) else { return None };
     let name = fault.name();
-    let mut rig = ready();
+    let mut rig = create();
     let resets = rig.with(|stopped| stopped.resets().len());
     let before = rig.steps();
     let began = rig.now();
     cause(&mut rig);
     let mut seen = None;
-    while rig.now() < began + within * MILLISECOND {
-        if rig.with(off) {
+    while rig.now() < began + within_ms * MILLISECOND {
+        if rig.with(bridges_off) {
             seen = Some((rig.now(), rig.steps()));
             break;
         }
         rig.run(25 * MICROSECOND);
     }
     let (at, steps) =
-        seen.unwrap_or_else(|| panic!("{name}: bridges are still on after {within} ms: {:?}", rig.tool.status()));
+        seen.unwrap_or_else(|| panic!("{name}: bridges are still on after {within_ms} ms: {:?}", rig.tool.status()));
     rig.run(20 * MILLISECOND);
-    // A chip that restarted has to be enumerated again.
+    // A chip that restarted must be enumerated again.
     let ready_again = rig.shared.board().run_until(2 * SECOND, MILLISECOND, |stopped| stopped.usb().ready());
     assert!(ready_again, "{name}: the port is gone");
     let restarted = rig.with(|stopped| stopped.resets().len()) > resets;
     if restarted {
         rig.tool = Board::over(rig.shared.wire(), "again").unwrap_or_else(|error| panic!("{name}: {error}"));
     }
-    let status = rig.tool.status().expect("the board answers");
+    let status = rig.tool.status().expect("the board replies");
     let record = status.fault.unwrap_or_else(|| panic!("{name}: no fault is latched: {status:?}"));
     assert_eq!((record.fault, status.state), (fault, State::Fault), "{name}: {status:?}");
     if fault == Fault::SettingsDamaged {
-        // The name, and not the one of before, is at its default; the other settings are kept.
-        let details = rig.tool.details().expect("the board answers");
+        // The name is at its default, not at the name before; the other settings are kept.
+        let details = rig.tool.details().expect("the board replies");
         assert_eq!(details.damage.as_slice(), [(Key::Name, Damage::Corrupt)]);
         assert_eq!((details.name.as_str(), details.device.is_some()), ("", true), "{details:?}");
-        let backup = Backup::read(&mut rig.tool).expect("the board answers");
+        let backup = Backup::read(&mut rig.tool).expect("the board replies");
         let kept = |key: Key| backup.settings.contains_key(key.name());
         assert!(kept(Key::Device) && !kept(Key::Name), "{:?}", backup.settings.keys());
-        assert!(backup.ready().is_ok(), "what is left can be restored");
+        assert!(backup.ready().is_ok(), "the remaining settings can be restored");
     }
-    let listed = rig.tool.faults().expect("the board answers");
+    let listed = rig.tool.faults().expect("the board replies");
     assert!(listed.iter().any(|listed| listed.fault == fault), "{name}: not listed: {listed:?}");
-    // Latched: it stays, the bridges stay off, and arming is refused.
+    // The fault stays latched, the bridges stay off, and arming is refused.
     let _ = rig.tool.rows(Duration::from_millis(50));
     let refused = rig.tool.arm();
     let named = matches!(refused, Err(BoardError::Refused(Refusal::Faulted(latched))) if latched == fault);
-    // A chip that restarted has forgotten its device as well, and names that.
+    // A chip that restarted has also lost its device, and refuses for that reason.
     let refused_after_restart = restarted && matches!(refused, Err(BoardError::Refused(_)));
     assert!(named || refused_after_restart, "{name}: {refused:?}");
-    assert!(rig.with(off), "{name}: bridges came on again");
+    assert!(rig.with(bridges_off), "{name}: bridges came on again");
     if fault == Fault::NotFinite {
-        // The number is still there: only a new scene is a cure.
+        // The NaN is still there: only a new scene removes it.
         rig.set_scene("");
     }
     rig.tool.clear().unwrap_or_else(|error| panic!("{name}: {error}"));
     rig.run(MILLISECOND);
-    let status = rig.tool.status().expect("the board answers");
+    let status = rig.tool.status().expect("the board replies");
     assert_eq!((status.state, status.fault), (State::Disarmed, None), "{name} is not cleared");
-    assert!(rig.with(off), "{name}: clearing turned the bridges on");
+    assert!(rig.with(bridges_off), "{name}: clearing turned the bridges on");
     if matches!(fault, Fault::ImageDamaged | Fault::RamDamaged | Fault::WrongBoard) {
-        // Clearing it makes nothing whole, and nor does a device in the place of the one that the start forgot.
+        // Clearing repairs nothing, and neither does loading the device again after the restart.
         rig.load("");
         rig.tool.home().unwrap_or_else(|error| panic!("{name}: {error}"));
         let refused = rig.tool.check_polarity();
         let named = matches!(refused, Err(BoardError::Refused(Refusal::Faulted(again))) if again == fault);
-        assert!(named && rig.with(off), "{name}: {refused:?}");
+        assert!(named && rig.with(bridges_off), "{name}: {refused:?}");
     }
     let from_cause = ((at - began) / (50 * MICROSECOND)) as u32;
-    // Seen before the bridges were ever on, and told by an answer that took its time.
+    // The fault was detected before the bridges were ever on, and its reply took some time.
     let never_on = fault == Fault::StrayCurrent;
-    // A step counts itself at its end, when its bridges have long been off.
+    // A step is counted at its end, long after its bridges went off.
     let since = (steps.wrapping_sub(record.step) as i32).max(0) as u32;
     let from_seen = (!restarted).then_some(if never_on { 0 } else { since });
     assert!(before <= steps || restarted, "{name}: steps went back");

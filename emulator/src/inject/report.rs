@@ -1,4 +1,4 @@
-//! The result of every fault, as docs/results/faults.csv has it.
+//! The table of all faults, docs/results/faults.csv.
 
 use haptic_bridge::safety::fault::Fault;
 use haptic_host::output::csv_line;
@@ -7,19 +7,19 @@ use super::{Injection, Outcome, injection};
 
 /// Describes the way to cause `fault`, or the reason why that is impossible.
 #[must_use]
-pub fn how(fault: Fault) -> String {
+pub fn describe(fault: Fault) -> String {
     match injection(fault) {
-        Injection::Chip { how, .. } => how.to_owned(),
-        Injection::Unseen(why) => format!("not possible: {why}"),
+        Injection::Chip { description, .. } => description.to_owned(),
+        Injection::Undetectable(why) => format!("not possible: {why}"),
     }
 }
 
-/// The row for `fault`. Values and periods that hang on how fast the image is, such as the instant at which a moving
-/// hand trips a limit, are left out.
+/// Returns the row for `fault`. Values and periods that depend on the image's speed are omitted, such as the time at
+/// which a moving hand trips a limit.
 #[must_use]
 pub fn row(fault: Fault, outcome: Option<&Outcome>) -> String {
-    let slow = matches!(injection(fault), Injection::Chip { within, .. } if within > 5);
-    let how = how(fault);
+    let slow = matches!(injection(fault), Injection::Chip { within_ms, .. } if within_ms > 5);
+    let description = describe(fault);
     let (cause, seen) = match outcome {
         None => ("", "".to_owned()),
         Some(outcome) => {
@@ -38,10 +38,10 @@ pub fn row(fault: Fault, outcome: Option<&Outcome>) -> String {
             (cause, seen)
         }
     };
-    csv_line([&fault.code().to_string(), fault.name(), &how, cause, &seen])
+    csv_line([&fault.code().to_string(), fault.name(), &description, cause, &seen])
 }
 
-/// The table of what came of every fault.
+/// Returns the table of all faults.
 #[must_use]
 pub fn table(outcomes: &[(Fault, Option<Outcome>)]) -> String {
     let head = csv_line(["code", "fault", "injection", "periods from the cause", "periods from being seen"]);

@@ -1,20 +1,20 @@
-//! Code that runs in the place of one of the firmware's tasks, and where it lies in RAM.
+//! Code in RAM that runs instead of one of the firmware's tasks.
 
 use crate::rig::{Rig, firmware};
 use crate::run::MILLISECOND;
 
-/// The address for a stub of code: above everything that the firmware keeps in RAM.
+/// Address of the stub's code, above all RAM that the firmware uses.
 const FREE_RAM: u64 = 0x2001_F000;
 
-/// The supervisor, which feeds the watchdog.
+/// Mangled name of the supervisor's task, which feeds the watchdog.
 pub(super) const SUPERVISOR: &str = "10supervisor9supervise4POOL";
 
-/// Puts code into free RAM and has the task in `pool` enter it the next time it is polled. `code` is told where the
-/// task itself begins.
+/// Writes code to free RAM and makes the task in `pool` enter it at its next poll. `code` receives the address of the
+/// task's poll function.
 ///
 /// # Panics
 ///
-/// When the image has no such task.
+/// If the image has no such task.
 pub fn run_instead(rig: &Rig, pool: &str, code: impl FnOnce(u32) -> Vec<u32>) {
     let image = firmware(rig.kind);
     let pool = image.find_ending(pool).expect("the task");
@@ -34,12 +34,12 @@ pub fn run_instead(rig: &Rig, pool: &str, code: impl FnOnce(u32) -> Vec<u32>) {
     });
 }
 
-/// The word that a task waits for, and whether it waits.
+/// Word that the stub waits for, and word that is 1 while it waits.
 pub(super) const NMI_FLAG: u64 = FREE_RAM + 0x100;
 const NMI_WAITS: u64 = NMI_FLAG + 4;
 
-/// Has one of the board's tasks stand in for the wire from the clock security system to the core: it waits for the
-/// flag's word and writes that into ICSR, whose top bit pends the non-maskable interrupt.
+/// Makes one of the board's tasks act as the connection from the clock security system to the core: it waits for the
+/// flag's word and writes it to ICSR, whose top bit pends the non-maskable interrupt.
 pub(super) fn wire_to_nmi(rig: &Rig) {
     rig.with(|stopped| [NMI_FLAG, NMI_WAITS].map(|at| assert!(stopped.poke(at, 0), "there is RAM")));
     // ldr r2, =flag; movs r3, #1; str r3, [r2, #4]; again: ldr r3, [r2]; cmp r3, #0; beq again; ldr r2, =ICSR;

@@ -1,5 +1,5 @@
-//! The bridges begin to drive at an extreme of the carrier. Between two extremes a bridge whose ends follow one channel and
-//! its complement would give the motor the rest of one half of the period: most of an ampere for every such microsecond.
+//! The bridges begin to drive at an extreme of the carrier. Between two extremes, a bridge whose ends follow one
+//! channel and its complement would apply the rest of one half period to the motor: almost an ampere per microsecond.
 
 use haptic_bridge::board::telemetry::Fields;
 use haptic_bridge::safety::fault::Fault;
@@ -10,41 +10,41 @@ use haptic_emulator::rig::Rig;
 use haptic_emulator::run::{MILLISECOND, SECOND};
 use haptic_sim::Support;
 
-/// Most current while nothing is asked for yet, A: an interrupt begins some ticks after the extreme.
-const MOST: f64 = 0.2;
+/// Largest current before any torque is commanded, A: the interrupt begins some ticks after the extreme.
+const MAX_CURRENT: f64 = 0.2;
 
 #[test]
 fn no_current_flows_when_the_bridges_begin_to_drive() {
     // Windings of 0.1 mH, in which currents rise quickly.
-    let bench = rigid();
+    let test_device = rigid();
     for rate in [200, 1000, 7000, 20_000] {
-        let mut rig = Rig::with_file(bench.board, bench.file.clone(), |options| {
-            options.start = bench.file.description.home;
+        let mut rig = Rig::with_file(test_device.board, test_device.file.clone(), |options| {
+            options.start = test_device.file.description.home;
         });
         rig.load(&format!("rate_hz = {rate}\n"));
         rig.with_simulated(|device| device.set_support(Support::Held));
         rig.tool.home().expect("the device can be homed");
-        // Not always at the same instant of the carrier and of the step.
+        // At different phases of carrier and step.
         for pause in [0, 3, 11] {
             rig.run(pause * MILLISECOND / 100);
             rig.with(|stopped| stopped.hardware().peaks = haptic_emulator::plant::Peaks::default());
             rig.tool.check_polarity().expect("the polarity check starts");
-            // It has not begun to ramp its torque up before the joint has rested.
+            // The torque ramps up only after the joint has rested.
             rig.run(20 * MILLISECOND);
             let (peak, driven) =
                 rig.with(|stopped| (stopped.hardware().peaks.current, !stopped.hardware().bridges_float()));
-            let status = rig.tool.status().expect("the board answers");
+            let status = rig.tool.status().expect("the board replies");
             assert!(driven && status.fault.is_none(), "at {rate} Hz: {status:?}");
-            assert!(peak < MOST, "{peak} A at {rate} Hz");
+            assert!(peak < MAX_CURRENT, "{peak} A at {rate} Hz");
             rig.tool.disarm().expect("the board disarms");
             rig.run(5 * MILLISECOND);
         }
     }
 }
 
-/// A rate beyond what three joints are told to sustain: while torque ramps up, steps take longer than usual.
+/// A rate above the documented limit for three joints: steps take longer while torque ramps up.
 #[test]
-fn bridges_that_have_no_time_to_connect_are_told_of() {
+fn bridges_without_time_to_connect_cause_an_overrun() {
     let case = CASES[2];
     for gravity in [true, false] {
         let mut rig = Rig::with_device(case.board, case.device, |_| ());
@@ -53,17 +53,16 @@ fn bridges_that_have_no_time_to_connect_are_told_of() {
         rig.tool.arm().expect("the board arms");
         rig.run(SECOND);
         let floats = rig.with(|stopped| stopped.hardware().bridges_float());
-        let status = rig.tool.status().expect("the board answers");
+        let status = rig.tool.status().expect("the board replies");
         let fault = status.fault.map(|record| record.fault);
         let expected = if floats { Some(Fault::ControlOverrun) } else { None };
         assert_eq!(fault, expected, "gravity {gravity}: {status:?}");
     }
 }
 
-/// At the rates that are told to be sustained, with telemetry of every step streaming already, as a tool that looks on
-/// asks for.
+/// At the documented highest rates, while telemetry of every step is streamed.
 #[test]
-fn boards_arm_at_their_highest_rates_while_they_are_looked_at() {
+fn boards_arm_at_their_highest_rates_while_streaming() {
     for (case, rate_hz) in [(CASES[0], 45_000), (CASES[2], 35_000), (CASES[4], 35_000)] {
         let mut rig = Rig::with_device(case.board, case.device, |_| ());
         rig.prepare("rate_hz = 20000\n");

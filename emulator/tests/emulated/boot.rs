@@ -7,17 +7,17 @@ use haptic_emulator::usb::Event;
 use haptic_host::link::{USB_PRODUCT, USB_PRODUCT_NAME, USB_VENDOR};
 
 #[test]
-fn a_board_that_started_is_a_serial_port_with_a_fast_flash_and_a_model_for_every_register() {
+fn a_booted_board_has_usb_a_fast_flash_and_modelled_registers() {
     for kind in BoardKind::ALL {
         let rig = Rig::empty(kind);
-        is_a_serial_port_right_after_enumeration(&rig);
-        has_a_flash_as_fast_as_it_can_be(&rig);
+        check_serial_port(&rig);
+        check_flash_speed(&rig);
         rig.run(SECOND / 10);
-        touches_only_registers_with_a_model(&rig);
+        check_register_models(&rig);
     }
 }
 
-fn is_a_serial_port_right_after_enumeration(rig: &Rig) {
+fn check_serial_port(rig: &Rig) {
     let (descriptors, log) = rig.with(|stopped| (stopped.usb().descriptors().clone(), stopped.usb().log().to_vec()));
     assert_eq!(descriptors.ids(), (USB_VENDOR, USB_PRODUCT));
     assert!(descriptors.strings.iter().any(|text| text == USB_PRODUCT_NAME), "{:?}", descriptors.strings);
@@ -25,15 +25,15 @@ fn is_a_serial_port_right_after_enumeration(rig: &Rig) {
     let at = |wanted: &Event| log.iter().find(|(_, event)| event == wanted).map(|(at, _)| at.0);
     let connected = at(&Event::Connected).expect("a pull-up");
     let opened = at(&Event::Opened).expect("an open port");
-    // RAM and the image are tested before anything else starts: 81 ms as Rust 1.95 compiles it.
+    // RAM and the image are tested first: 81 ms as compiled by Rust 1.95.
     assert!(connected < 100 * MILLISECOND, "the pull-up comes {connected} ns after power-on");
     assert!(opened - connected < 200 * MILLISECOND, "enumeration takes {} ns", opened - connected);
 }
 
-fn touches_only_registers_with_a_model(rig: &Rig) {
+fn check_register_models(rig: &Rig) {
     let gaps = rig.with(|stopped| stopped.gaps());
-    // At boot the bridges are switched off before their clocks run, which a chip ignores. SYSCFG and EXTI hold
-    // values that the hardware around the chip acts on.
+    // At boot the firmware switches the bridges off before their clocks run, which a chip ignores. SYSCFG and EXTI
+    // contain values that the hardware around the chip uses.
     let real: Vec<_> = gaps
         .into_iter()
         .filter(|gap| !["SYSCFG", "EXTI", "BDTR is gated", "BSRR is gated"].iter().any(|known| gap.contains(known)))
@@ -41,9 +41,9 @@ fn touches_only_registers_with_a_model(rig: &Rig) {
     assert!(real.is_empty(), "{real:#?}");
 }
 
-/// RM0090 section 3.9.1: at 168 MHz five wait states, which take twice the time of the program unless they are hidden.
-/// The chip starts with all of this off.
-fn has_a_flash_as_fast_as_it_can_be(rig: &Rig) {
+/// RM0090 section 3.9.1: five wait states at 168 MHz, which double the run time unless they are hidden. After a reset
+/// all of this is off.
+fn check_flash_speed(rig: &Rig) {
     const ACCESS_CONTROL: u32 = 0x00;
     const WAIT_STATES: u64 = 5;
     const PREFETCH_AND_CACHES: u64 = 0b111 << 8;
@@ -52,29 +52,35 @@ fn has_a_flash_as_fast_as_it_can_be(rig: &Rig) {
 }
 
 #[test]
-fn the_clock_of_the_tasks_tells_the_time_since_it_started() {
+fn the_tasks_clock_counts_the_time_since_its_start() {
     let rig = Rig::empty(BoardKind::OdriveV3);
-    let heard = firmware(rig.kind).find_ending("10supervisor13LAST_HEARD_MS").expect("when a task was heard").address;
-    let read = || rig.with(move |stopped| (stopped.word(heard).expect("RAM"), stopped.at / MILLISECOND));
+    let address = firmware(rig.kind)
+        .find_ending("10supervisor14LAST_REPORT_MS")
+        .expect("time of a task's last sign of life")
+        .address;
+    let read = || rig.with(move |stopped| (stopped.word(address).expect("RAM"), stopped.at / MILLISECOND));
     let (mut before, mut signs) = (read().0, 0);
     let mut started = None;
-    // Across some turns of its 16-bit count of microseconds.
+    // Includes several overflows of the clock's 16-bit count of microseconds.
     for _ in 0..1_000 {
         rig.run(MILLISECOND);
-        let (told, now) = read();
-        if told != before {
-            // The RAM is tested before that clock runs.
-            let behind = now - u64::from(told);
+        let (shown, now) = read();
+        if shown != before {
+            // The RAM is tested before the clock runs.
+            let behind = now - u64::from(shown);
             let start = *started.get_or_insert(behind);
-            assert!(start < 50 && behind.abs_diff(start) <= 5, "a task that was heard at {now} ms says {told} ms");
-            (before, signs) = (told, signs + 1);
+            assert!(
+                start < 50 && behind.abs_diff(start) <= 5,
+                "a task's sign of life at {now} ms has the time {shown} ms"
+            );
+            (before, signs) = (shown, signs + 1);
         }
     }
     assert!(signs > 1, "the task gave {signs} signs of life");
 }
 
 #[test]
-fn two_runs_are_the_same_bit_for_bit() {
+fn two_runs_are_equal_bit_for_bit() {
     let run = || {
         let rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
         rig.run(SECOND / 5);

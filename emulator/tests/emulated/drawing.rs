@@ -1,4 +1,4 @@
-//! The pages of the boards are about the wires that the emulated boards have.
+//! The wiring pages agree with the wiring of the emulated boards.
 
 use std::path::{Path, PathBuf};
 
@@ -10,7 +10,7 @@ fn documents() -> PathBuf {
 }
 
 #[test]
-fn the_drawing_of_the_documents_is_of_these_wires() {
+fn the_drawing_agrees_with_the_wiring() {
     let title = "STM32F407G-DISC1 with three H-bridges: the chip's pins";
     let dividers = ["10 kΩ over 15 kΩ", "11 kΩ over 1 kΩ"];
     let picture = draw(Wiring::of(BoardKind::HBridgeF407Disc1), title, dividers);
@@ -19,13 +19,13 @@ fn the_drawing_of_the_documents_is_of_these_wires() {
     if std::env::var_os("UPDATE_DOCS").is_some() {
         std::fs::write(&path, drawn).expect("the drawing can be written");
     }
-    let kept = std::fs::read_to_string(&path).expect("the drawing is there");
+    let kept = std::fs::read_to_string(&path).expect("the drawing exists");
     assert_eq!(kept, drawn, "run UPDATE_DOCS=1 cargo test -p haptic-emulator --test emulated drawing::");
 }
 
-/// A pin of a page that is not a pin of the tests would be wired and never tried.
+/// A pin on a page that differs from the tests would be wired without being tested.
 #[test]
-fn each_page_names_every_pin_in_its_table() {
+fn each_page_contains_every_pin_in_its_table() {
     for kind in BoardKind::ALL {
         let wiring = Wiring::of(kind);
         let page = std::fs::read_to_string(documents().join(format!("wiring-{}.md", wiring.name))).expect("a page");

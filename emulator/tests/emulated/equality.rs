@@ -1,4 +1,5 @@
-//! The board equals the library: the torques computed on the chip are those the same code computes on this computer.
+//! The board agrees with the library: torques computed on the chip equal those that the same code computes on this
+//! computer.
 
 use std::time::Duration;
 
@@ -18,7 +19,7 @@ use haptic_host::link::Row;
 use haptic_host::scene_file::SceneFile;
 use haptic_sim::{Hand, HandSettings, Intent, Waypoint};
 
-/// State, in the stream's first column of [`Field::State`].
+/// Armed state, in the first column of [`Field::State`].
 const ARMED: f64 = 1.0;
 
 fn is_armed(row: &Row) -> bool {
@@ -26,7 +27,7 @@ fn is_armed(row: &Row) -> bool {
 }
 
 #[test]
-fn torques_on_the_chip_are_those_of_the_library_bit_for_bit() {
+fn torques_on_the_chip_equal_the_librarys_bit_for_bit() {
     let cases = [
         (BoardKind::OdriveV3, "pantograph-mk2", [0.0, 0.004, 0.0]),
         (BoardKind::HBridgeF405, "phantom-premium-1.5", [0.0, 0.004, 0.0]),
@@ -46,7 +47,7 @@ fn torques_on_the_chip_are_those_of_the_library_bit_for_bit() {
             axes(&[0.0, -1.0, 0.0])
         );
         rig.set_scene(&scene);
-        // The device stands; its estimators have come to rest.
+        // The device is at rest, and its estimators have settled.
         rig.run(SECOND / 2);
         let fields =
             [Field::Angle, Field::Speed, Field::Tip, Field::Torque, Field::Distance, Field::WallForce, Field::Shaping];
@@ -67,12 +68,12 @@ fn torques_on_the_chip_are_those_of_the_library_bit_for_bit() {
         while rows.len() < 5_000 {
             rows.extend(rig.tool.rows(Duration::from_millis(300)).expect("rows come"));
         }
-        // The link is not served for the 35 ms in which arming readies the gate drivers, while the device stands still:
-        // rows of that time may be lost, and none after it.
+        // Arming takes 35 ms to make the gate drivers ready, during which the link is not served and the device is at
+        // rest. Rows of that time may be lost, but no later rows.
         let arming = rows.iter().position(is_armed).expect("it arms");
-        assert!(rows[arming..].windows(2).all(|pair| pair[1].step == pair[0].step + 1), "{name}: every step is here");
+        assert!(rows[arming..].windows(2).all(|pair| pair[1].step == pair[0].step + 1), "{name}: a step is missing");
 
-        let rules = rig.tool.rules().expect("it answers");
+        let rules = rig.tool.rules().expect("it replies");
         let bridge = Bridge { carrier_hz: 20_000.0, dead_time: 0.0, bandwidth_hz: 1000.0, current_sensed: true };
         let hardware = Hardware {
             axes: Wiring::of(kind).motors.len(),
@@ -96,7 +97,7 @@ fn torques_on_the_chip_are_those_of_the_library_bit_for_bit() {
         };
         let three = |values: Vec<f64>| -> [f64; 3] { std::array::from_fn(|i| values.get(i).copied().unwrap_or(0.0)) };
         control_loop.execute(Command::Program(Box::new(program))).0.expect("loaded");
-        // Homed where it stood; then at rest where the trace begins, until every estimator is at zero.
+        // Homed in place, then at rest at the first row until every estimator is zero.
         control_loop.control(&Samples { counts: Counts(home), bus_voltage: 24.0, ..Samples::default() });
         control_loop.execute(Command::Home).0.expect("homed");
         control_loop.execute(Command::PolarityKnown).0.expect("known");
@@ -134,8 +135,8 @@ fn torques_on_the_chip_are_those_of_the_library_bit_for_bit() {
                 }
             };
             for field in fields {
-                // The remainder on the chip of motions before the trace (the polarity check) has decayed below the
-                // normal numbers; it is no part of what is compared.
+                // What remains on the chip of motions before the trace (the polarity check) has decayed below the
+                // normal numbers and is not compared.
                 let settled = |value: f32| if value.abs() < f32::MIN_POSITIVE { 0 } else { value.to_bits() };
                 let chip = three(of(row, field)).map(|value| settled(value as f32));
                 let pc = here(field).map(settled);

@@ -1,4 +1,4 @@
-//! Gate drivers that fail: what injection.rs, which brings every fault about, does not look at.
+//! Gate drivers that fail, beyond the checks of injection.rs, which causes every fault.
 
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::safety::refusal::Refusal;
@@ -11,45 +11,45 @@ use haptic_sim::MotorInput;
 use crate::session::WALL;
 
 #[test]
-fn a_gate_driver_that_pulls_its_fault_line_takes_both_axes_down() {
+fn the_fault_line_of_one_gate_driver_stops_both_axes() {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
     rig.load(WALL);
     rig.ready();
     rig.with(|stopped| stopped.hardware().driver(1).fail(1 << 2));
     rig.run(50 * MILLISECOND);
-    let status = rig.tool.status().expect("the board answers");
+    let status = rig.tool.status().expect("the board replies");
     assert_eq!((status.state, status.fault.map(|record| record.fault)), (State::Fault, Some(Fault::GateDriver)));
     let drives = rig.with(|stopped| stopped.hardware().drives());
     assert_eq!(drives, [MotorInput::Floating; 3]);
-    // The fault went with EN_GATE, and the board can be armed again.
+    // EN_GATE has cleared the fault, and the board can be armed again.
     rig.tool.clear().expect("the fault clears");
     rig.tool.arm().expect("the board arms");
     rig.run(SECOND);
-    assert_eq!(rig.tool.status().expect("it answers").state, State::Armed);
+    assert_eq!(rig.tool.status().expect("it replies").state, State::Armed);
 }
 
 /// Gate drivers without a supply would latch a fault, but a refused request does not reach them.
 #[test]
-fn what_is_refused_leaves_the_gate_drivers_alone() {
+fn refused_requests_do_not_reach_the_gate_drivers() {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
     rig.load(WALL);
-    rig.with(|bench| bench.hardware().driver(0).stick(true));
+    rig.with(|stopped| stopped.hardware().driver(0).stick(true));
     for outcome in [rig.tool.arm(), rig.tool.check_polarity()] {
         assert!(matches!(outcome, Err(BoardError::Refused(Refusal::NotHomed))), "{outcome:?}");
     }
-    let status = rig.tool.status().expect("it answers");
+    let status = rig.tool.status().expect("it replies");
     assert_eq!((status.state, status.fault), (State::Disarmed, None));
 }
 
 #[test]
-fn a_gate_driver_that_forgets_its_settings_is_never_armed() {
+fn a_gate_driver_that_loses_its_settings_is_never_armed() {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
     rig.load(WALL);
     rig.tool.home().expect("homed");
     rig.with(|stopped| stopped.hardware().driver(0).stick(true));
     let outcome = rig.tool.check_polarity();
     rig.run(SECOND / 2);
-    let status = rig.tool.status().expect("it answers");
+    let status = rig.tool.status().expect("it replies");
     let refused = matches!(outcome, Err(BoardError::Refused(_)));
     assert!(refused || status.state == State::Fault, "{outcome:?} {status:?}");
     assert!(!status.polarity);

@@ -1,4 +1,4 @@
-//! Force from the host: how often the board answers, with a wall at 20 kHz and telemetry running (docs/host-force.md).
+//! Force from the host: rate of the board's replies with a wall at 20 kHz and running telemetry (docs/host-force.md).
 
 use haptic_bridge::board::protocol::HostContact;
 use haptic_bridge::board::telemetry::Fields;
@@ -6,12 +6,12 @@ use haptic_emulator::cases::CASES;
 use haptic_emulator::exchange::{run, shares};
 use haptic_emulator::shares::{CONTROL, WAITING};
 
-/// A plane beside the tip, so that requests carry all that they can.
+/// A plane that is not touched, so that requests have their full length.
 const PLANE: HostContact = HostContact { point: [0.0; 3], normal: [0.0, 1.0, 0.0], stiffness: 300.0, damping: 1.0 };
 
-/// The exchanges that remain beside a stream; the floors are a tenth below what was measured on 2026-11-25.
+/// Rates of exchanges with a stream; the minimums are a tenth below the rates measured on 2026-11-25.
 #[test]
-fn every_force_is_taken_and_no_period_missed_however_often_a_host_pushes() {
+fn fast_force_requests_are_all_accepted_without_missed_periods() {
     let case = CASES[0];
     let mut rig = case.rig(case.rate_hz);
     for (divider, contact, ahead, least) in [
@@ -31,14 +31,14 @@ fn every_force_is_taken_and_no_period_missed_however_often_a_host_pushes() {
             contact.is_some()
         );
         assert!(found.per_second > least, "{found:?}");
-        assert_eq!((found.not_taken, found.overruns, found.losses.missing), (0, 0, 0), "{found:?}");
+        assert_eq!((found.rejected, found.overruns, found.losses.missing), (0, 0, 0), "{found:?}");
         assert!(found.armed && found.steps.abs_diff(found.periods) <= 1, "{found:?}");
     }
 }
 
-/// The instructions of an exchange by purpose; the most is a tenth above what was measured on 2026-11-25.
+/// Instructions of an exchange by purpose; the maximum is a tenth above the count measured on 2026-11-25.
 #[test]
-fn an_exchange_takes_the_tasks_no_more_than_is_told() {
+fn an_exchange_stays_within_its_instructions() {
     let case = CASES[0];
     let mut rig = case.rig(case.rate_hz);
     for ahead in [1, 2] {

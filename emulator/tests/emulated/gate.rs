@@ -1,5 +1,5 @@
-//! One session with each release image, from power-on to a fault: what every test run sees of the chip. The other
-//! modules look at each of these things in all its ways.
+//! One session with each release image, from power-on to a fault: the chip's part of every test run. The other modules
+//! test each of these functions in detail.
 
 use std::time::Duration;
 
@@ -8,10 +8,10 @@ use haptic_bridge::board::telemetry::{Field, Fields};
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::safety::refusal::Refusal;
 use haptic_emulator::boards::{BoardKind, Wiring};
-use haptic_emulator::cases::{CASES, Meets};
+use haptic_emulator::cases::{CASES, SceneKind};
 use haptic_emulator::contact::{WallAt, scene};
 use haptic_emulator::hands::push;
-use haptic_emulator::inject::off;
+use haptic_emulator::inject::bridges_off;
 use haptic_emulator::results;
 use haptic_emulator::rig::Rig;
 use haptic_emulator::run::{MICROSECOND, MILLISECOND, SECOND};
@@ -19,19 +19,19 @@ use haptic_emulator::timing::{recorded, steps};
 use haptic_host::link::{BoardError, Row};
 use haptic_sim::MotorInput;
 
-/// N, with which a hand leans on the wall.
+/// Force of the hand on the wall, N.
 const PUSH: f64 = 1.0;
-/// A row each millisecond, which fits the link whatever else is on it.
+/// A row per millisecond, which fits the link under all conditions.
 const DIVIDER: u32 = 20;
 
-/// A board whose power stage pulls its fault line calls that `fault`.
+/// Runs a session on a board that reports its power stage's fault line as `fault`.
 fn session(kind: BoardKind, device: &str, fault: Fault) {
     let mut rig = Rig::with_device(kind, device, |options| {
         options.friction = false;
         options.substep = 25e-6;
     });
     assert_eq!((rig.tool.info().protocol, rig.tool.info().board.as_str()), (PROTOCOL, kind.name()));
-    let details = rig.tool.details().expect("the board answers");
+    let details = rig.tool.details().expect("the board replies");
     assert_eq!(usize::from(details.axes), Wiring::of(kind).motors.len());
     assert!(details.real && details.device.is_none(), "{details:?}");
 
@@ -52,37 +52,42 @@ fn session(kind: BoardKind, device: &str, fault: Fault) {
     rig.arm();
     rig.with_simulated(|device| push(device, [0.0, PUSH, 0.0], 0.2));
     rig.run(SECOND);
-    if let Some(case) = CASES.iter().find(|case| (case.board, case.device, case.meets) == (kind, device, Meets::Wall)) {
+    if let Some(case) =
+        CASES.iter().find(|case| (case.board, case.device, case.scene_kind) == (kind, device, SceneKind::Wall))
+    {
         let crest = rig.trace_control(MILLISECOND).iter().map(|run| run.path.len() as u64).max();
-        let (kept, _) = recorded(&kept("timing"), case).expect("the case is in the table");
-        assert!(crest.is_some_and(|crest| no_longer(crest, kept)), "a crest takes {crest:?} instructions, {kept} kept");
+        let (limit, _) = recorded(&record("timing"), case).expect("the case is in the table");
+        assert!(
+            crest.is_some_and(|crest| is_within_record(crest, limit)),
+            "a crest takes {crest:?} instructions, {limit} recorded"
+        );
     }
     let depth = rig.with_simulated(|device| device.tip())[1] - start[1] - wall.gap;
-    // The tolerance covers current sensors, encoder steps and a hand that trembles.
+    // The tolerance covers current sensors, encoder steps and a trembling hand.
     assert!((depth * wall.stiffness - PUSH).abs() < 0.08 * PUSH, "{depth} m deep");
 
     rig.with(|stopped| stopped.hardware().fault_line_shorted = true);
     rig.run(100 * MICROSECOND);
-    assert!(rig.with(off), "the bridges are on");
+    assert!(rig.with(bridges_off), "the bridges are on");
     rig.run(10 * MILLISECOND);
     assert_eq!(rig.with(|stopped| stopped.hardware().drives()), [MotorInput::Floating; 3]);
     assert_eq!(refused(rig.tool.arm()), Refusal::Faulted(fault));
-    let status = rig.tool.status().expect("the board answers");
+    let status = rig.tool.status().expect("the board replies");
     assert_eq!((status.state, status.fault.map(|record| record.fault)), (State::Fault, Some(fault)));
 
     rig.tool.stop_stream().expect("the stream stops");
     let rows = rig.tool.rows(Duration::ZERO).expect("rows came");
-    told(&rows, wall.stiffness);
+    check_rows(&rows, wall.stiffness);
     assert!(rows.windows(2).all(|pair| pair[1].step == pair[0].step + DIVIDER), "a row is missing");
-    let (losses, details) = (rig.tool.losses(), rig.tool.details().expect("the board answers"));
+    let (losses, details) = (rig.tool.losses(), rig.tool.details().expect("the board replies"));
     assert_eq!((losses.received, losses.missing, losses.garbled), (rows.len() as u64, 0, 0), "{losses:?}");
     assert_eq!(details.overruns, 0);
     assert!(rig.with(|stopped| stopped.resets().is_empty()), "{}", rig.post_mortem());
 }
 
-/// Checks the telemetry of the whole session: off, armed, off; no force but in the wall, and there what the stiffness
-/// says.
-fn told(rows: &[Row], stiffness: f64) {
+/// Checks the telemetry of the entire session: off, armed, off; no force outside the wall, and the force of the wall's
+/// stiffness inside.
+fn check_rows(rows: &[Row], stiffness: f64) {
     let state = |row: &Row| row.get(Field::State)[0];
     let mut states: Vec<f64> = rows.iter().map(state).collect();
     states.dedup();
@@ -101,29 +106,29 @@ fn told(rows: &[Row], stiffness: f64) {
     }
 }
 
-/// The committed table of docs/results, which `cargo xtask timing` makes.
-fn kept(name: &str) -> String {
-    std::fs::read_to_string(results(name)).expect("the table is there")
+/// Returns a committed table of docs/results, which `cargo xtask timing` writes.
+fn record(name: &str) -> String {
+    std::fs::read_to_string(results(name)).expect("the table exists")
 }
 
-/// Returns true if `now` instructions are at most 1 % more than those `kept`.
-fn no_longer(now: u64, kept: u64) -> bool {
-    100 * now <= 101 * kept
+/// Returns true if `now` exceeds the recorded number of instructions by at most 1 %.
+fn is_within_record(now: u64, recorded: u64) -> bool {
+    100 * now <= 101 * recorded
 }
 
 /// `UPDATE_DOCS=1` or `cargo xtask timing` writes the table again.
 #[test]
-fn control_steps_take_no_more_instructions_than_are_kept() {
+fn control_steps_stay_within_the_recorded_instructions() {
     let now = steps();
     if std::env::var_os("UPDATE_DOCS").is_some() {
         return std::fs::write(results("timing-steps"), now).expect("the table can be written");
     }
-    let kept = kept("timing-steps");
+    let recorded = record("timing-steps");
     let number = |line: &str| line.rsplit(',').next().and_then(|cell| cell.parse::<u64>().ok());
-    assert_eq!(kept.lines().count(), now.lines().count());
-    for (kept, now) in kept.lines().zip(now.lines()).skip(1) {
-        let (before, after) = (number(kept).expect("a number"), number(now).expect("a number"));
-        assert!(no_longer(after, before), "more than 1 % more than kept: {now}, kept: {kept}");
+    assert_eq!(recorded.lines().count(), now.lines().count());
+    for (recorded, now) in recorded.lines().zip(now.lines()).skip(1) {
+        let (before, after) = (number(recorded).expect("a number"), number(now).expect("a number"));
+        assert!(is_within_record(after, before), "more than 1 % above the record: {now}, recorded: {recorded}");
     }
 }
 
@@ -136,16 +141,16 @@ pub fn refused(outcome: Result<(), BoardError>) -> Refusal {
 }
 
 #[test]
-fn the_image_of_odrive_v3_renders_a_wall_and_lets_go_at_a_fault() {
+fn the_odrive_v3_image_renders_a_wall_and_stops_at_a_fault() {
     session(BoardKind::OdriveV3, "pantograph-mk2", Fault::GateDriver);
 }
 
 #[test]
-fn the_image_of_h_bridge_f405_renders_a_wall_and_lets_go_at_a_fault() {
+fn the_h_bridge_f405_image_renders_and_stops_at_a_fault() {
     session(BoardKind::HBridgeF405, "phantom-premium-1.5", Fault::BreakInput);
 }
 
 #[test]
-fn the_image_of_h_bridge_f407_disc1_renders_a_wall_and_lets_go_at_a_fault() {
+fn the_h_bridge_f407_disc1_image_renders_and_stops_at_a_fault() {
     session(BoardKind::HBridgeF407Disc1, "phantom-premium-1.5", Fault::BreakInput);
 }

@@ -1,39 +1,39 @@
-//! Every fault, brought about in the release image: latched, listed, bridges off within a control period of being seen,
-//! cleared only when asked for. docs/results/faults.csv holds what came of each.
+//! Every fault, caused in the release image: latched, listed, bridges off within a control period of its detection,
+//! cleared only on request. docs/results/faults.csv contains the results.
 
 use haptic_bridge::safety::fault::Fault;
 use haptic_emulator::inject::{provoke, row};
 use haptic_emulator::results;
 
-/// Every fourth fault, from the `first` of them on: four tests run side by side.
+/// Causes every fourth fault, starting with `first`: four tests run in parallel.
 fn every_fourth(first: usize) {
-    let text = std::fs::read_to_string(results("faults")).expect("docs/results/faults.csv is there");
+    let text = std::fs::read_to_string(results("faults")).expect("docs/results/faults.csv exists");
     for fault in Fault::ALL.iter().skip(first).step_by(4) {
         let outcome = provoke(*fault);
         println!("{}: {outcome:?}", fault.name());
         let seen = outcome.as_ref().and_then(|outcome| outcome.from_seen);
-        assert!(seen.unwrap_or(0) <= 1, "{}: bridges off {seen:?} periods after it was seen", fault.name());
+        assert!(seen.unwrap_or(0) <= 1, "{}: bridges off {seen:?} periods after its detection", fault.name());
         let row = row(*fault, outcome.as_ref());
         assert!(text.contains(&row), "run `cargo xtask faults`: the table lacks\n{row}");
     }
 }
 
 #[test]
-fn faults_1_5_9_and_so_on_turn_the_motors_off_and_are_told() {
+fn faults_1_5_9_turn_the_motors_off() {
     every_fourth(0);
 }
 
 #[test]
-fn faults_2_6_10_and_so_on_turn_the_motors_off_and_are_told() {
+fn faults_2_6_10_turn_the_motors_off() {
     every_fourth(1);
 }
 
 #[test]
-fn faults_3_7_11_and_so_on_turn_the_motors_off_and_are_told() {
+fn faults_3_7_11_turn_the_motors_off() {
     every_fourth(2);
 }
 
 #[test]
-fn faults_4_8_12_and_so_on_turn_the_motors_off_and_are_told() {
+fn faults_4_8_12_turn_the_motors_off() {
     every_fourth(3);
 }

@@ -1,6 +1,6 @@
 //! The release firmware of every board on the emulated chip, through the real protocol, with a simulated device.
 //!
-//! Virtual time stands still while a test looks, so every run sees the same bytes at the same instants.
+//! Virtual time stands still during a test's checks, so every run sees the same bytes at the same times.
 
 mod arming;
 mod boot;

@@ -1,6 +1,6 @@
-//! The power goes within the flash operations of a save, on the release image: afterwards the board boots, has the old
-//! or the new scene and everything else, and the next save works. tests/power_cut.rs does the same with a model of the
-//! flash alone, in many more states of it.
+//! Power cuts within the flash operations of a save, on the release image. Afterwards the board boots with the old or
+//! the new scene and all other settings, and the next save works. tests/power_cut.rs does the same with only a model of
+//! the flash, in many more of its states.
 
 use haptic_bridge::board::protocol::SceneData;
 use haptic_emulator::boards::BoardKind;
@@ -8,17 +8,17 @@ use haptic_emulator::image::SETTINGS;
 use haptic_emulator::rig::Rig;
 use haptic_emulator::run::MILLISECOND;
 
-/// More flash operations than any save has.
-const FOREVER: u64 = 1 << 40;
+/// A number of flash operations larger than any save has.
+const MANY_OPERATIONS: u64 = 1 << 40;
 
-/// Gives the board a wall and saves; whether the board says that it is saved.
+/// Loads a wall of this stiffness and saves it. Returns true if the board confirms the save.
 fn save(rig: &mut Rig, stiffness: u32) -> bool {
     rig.set_scene(&format!("[[wall]]\npoint = [0.0, 0.13]\nnormal = [0.0, -1.0]\nstiffness = {stiffness}\n"));
     rig.tool.save().is_ok()
 }
 
-/// A board with everything that can be saved in its flash.
-fn saved() -> Rig {
+/// Returns a rig with all settings saved in flash.
+fn saved_rig() -> Rig {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
     rig.load("");
     rig.tool.set_name(&"left hand".try_into().expect("a short name")).expect("the board takes a name");
@@ -26,50 +26,50 @@ fn saved() -> Rig {
     rig
 }
 
-/// The scene of a board that has all the rest.
+/// Returns the scene of a board, and checks that all other settings are kept.
 fn scene(rig: &mut Rig) -> SceneData {
-    let details = rig.tool.details().expect("the board answers");
+    let details = rig.tool.details().expect("the board replies");
     assert!(details.damage.is_empty(), "{:?}", details.damage);
     assert_eq!(details.name.as_str(), "left hand");
-    assert!(rig.tool.device().expect("the board answers").is_some(), "the device is lost");
-    rig.tool.scene().expect("the board answers").expect("a scene")
+    assert!(rig.tool.device().expect("the board replies").is_some(), "the device is lost");
+    rig.tool.scene().expect("the board replies").expect("a scene")
 }
 
-/// The board started with those words in its settings' sectors.
-fn started_with(words: &[u32], rig: Rig) -> Rig {
+/// Restarts the board with `words` in the sectors of its settings.
+fn restart_with(words: &[u32], rig: Rig) -> Rig {
     let words = words.to_vec();
     rig.with(move |stopped| stopped.set_flash(SETTINGS.start, &words));
     rig.run(MILLISECOND);
     rig.restarted()
 }
 
-/// Lets the power go within the flash operation of that number from now on.
+/// Cuts the power within the flash operation of this number, counted from now.
 fn cut(rig: &Rig, operation: u64) {
     rig.with(move |stopped| stopped.hardware().chip.flash.hook.cut = Some(operation));
 }
 
-/// Operations that are left until it goes.
-fn left(rig: &Rig) -> Option<u64> {
+/// Returns the number of operations before the power cut.
+fn remaining(rig: &Rig) -> Option<u64> {
     rig.with(|stopped| stopped.hardware().chip.flash.hook.cut)
 }
 
-/// Cuts the power within every `step`th operation of a save that changes the scene. Answers how many it has.
-fn cut_within(step: usize, mut rig: Rig) -> u64 {
+/// Cuts the power within every `step`th operation of a save that changes the scene. Returns the number of operations.
+fn test_cuts(step: usize, mut rig: Rig) -> u64 {
     let flash = rig.with(|stopped| stopped.flash(SETTINGS));
     let old = scene(&mut rig);
-    cut(&rig, FOREVER);
+    cut(&rig, MANY_OPERATIONS);
     assert!(save(&mut rig, 600));
-    let operations = FOREVER - left(&rig).expect("it was set");
+    let operations = MANY_OPERATIONS - remaining(&rig).expect("it was set");
     let new = scene(&mut rig);
     assert_ne!(old, new);
     let mut found_new = 0;
     for operation in (1..=operations).step_by(step) {
-        rig = started_with(&flash, rig);
+        rig = restart_with(&flash, rig);
         assert_eq!(scene(&mut rig), old);
         cut(&rig, operation);
-        // Without power the answer may be anything.
+        // Without power, the reply may be anything.
         save(&mut rig, 600);
-        assert_eq!(left(&rig), Some(0), "the power never went in operation {operation} of {operations}");
+        assert_eq!(remaining(&rig), Some(0), "the power was not cut in operation {operation} of {operations}");
         rig = rig.restarted();
         let found = scene(&mut rig);
         assert!(found == old || found == new, "after a cut in operation {operation} of {operations}: {found:?}");
@@ -82,18 +82,18 @@ fn cut_within(step: usize, mut rig: Rig) -> u64 {
     operations
 }
 
-/// Every fifth operation, which no pattern of the entries keeps in step with; each one is cut on a PC
-/// (tests/power_cut.rs).
+/// Every fifth operation, which is not in step with any pattern of the entries. tests/power_cut.rs cuts every operation
+/// on a PC.
 #[test]
-fn a_power_cut_within_a_save_leaves_the_old_or_the_new_scene() {
-    assert!(cut_within(5, saved()) > 20);
+fn a_power_cut_in_a_save_leaves_the_old_or_the_new_scene() {
+    assert!(test_cuts(5, saved_rig()) > 20);
 }
 
 #[test]
-fn a_power_cut_within_a_save_that_erases_a_sector_leaves_the_old_or_the_new_scene() {
-    let mut rig = saved();
+fn a_power_cut_in_a_save_with_an_erase_leaves_old_or_new() {
+    let mut rig = saved_rig();
     let erased = |rig: &Rig| rig.with(|stopped| stopped.hardware().chip.flash.hook.erased.len());
-    // Up to where the next save finds its sector full: more saves than anyone would try without this.
+    // Save until the next save needs an erase: more saves than anyone would make without this test.
     let mut before = Vec::new();
     for nth in 0..400 {
         before = rig.with(|stopped| stopped.flash(SETTINGS));
@@ -104,5 +104,5 @@ fn a_power_cut_within_a_save_that_erases_a_sector_leaves_the_old_or_the_new_scen
     }
     assert_eq!(erased(&rig), 1);
     assert!(rig.with(|stopped| stopped.resets().is_empty()), "the board restarted");
-    assert!(cut_within(37, started_with(&before, rig)) > 100);
+    assert!(test_cuts(37, restart_with(&before, rig)) > 100);
 }

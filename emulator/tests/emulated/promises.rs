@@ -1,5 +1,5 @@
-//! The promises of docs/safety.md about the chip itself: off until asked, off without the processor's help, and a
-//! watchdog that no half of the firmware can feed alone.
+//! The promises of docs/safety.md about the chip: off until requested, off without the processor, and a watchdog that
+//! needs all parts of the firmware.
 
 use std::time::Duration;
 
@@ -9,7 +9,7 @@ use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::safety::refusal::Refusal;
 use haptic_emulator::boards::{BoardKind, Pin, Wiring};
 use haptic_emulator::hardware::Hardware;
-use haptic_emulator::inject::{after_crest, off, run_instead};
+use haptic_emulator::inject::{after_crest, bridges_off, run_instead};
 use haptic_emulator::plant::{Dummy, Peaks};
 use haptic_emulator::rig::{Rig, firmware};
 use haptic_emulator::run::{MICROSECOND, MILLISECOND, SECOND, VirtualBoard};
@@ -25,23 +25,23 @@ fn armed(kind: BoardKind) -> Rig {
 }
 
 #[test]
-fn a_reset_of_an_armed_board_turns_the_bridges_off_and_leaves_them_off() {
+fn a_reset_of_an_armed_board_leaves_the_bridges_off() {
     for kind in BoardKind::ALL {
         let rig = armed(kind);
-        assert!(!rig.with(off), "the board was armed");
+        assert!(!rig.with(bridges_off), "the bridges float before the reset");
         rig.with(|stopped| stopped.reset());
         rig.run(20 * MICROSECOND);
-        assert!(rig.with(off), "{}", kind.name());
+        assert!(rig.with(bridges_off), "{}", kind.name());
         rig.with(|stopped| stopped.hardware().peaks = Peaks::default());
         rig.run(40 * MILLISECOND);
         assert!(!rig.with(|stopped| stopped.hardware().peaks.driven), "{}: within 40 ms after the reset", kind.name());
     }
 }
 
-/// A current loop that runs while its bridge floats winds up: at 200 Hz for up to a hundred carrier periods, if the
-/// bridges waited for the next control step.
+/// A current loop that runs while its bridge floats winds up. If the bridges waited for the next control step, it would
+/// run so for up to a hundred carrier periods at 200 Hz.
 #[test]
-fn an_armed_board_drives_from_the_next_crest_on_at_every_rate() {
+fn an_armed_board_drives_from_the_next_crest_at_every_rate() {
     for rate in [200, 1_000] {
         let mut rig = Rig::with_device(BoardKind::HBridgeF405, "pantograph-mk2", |_| ());
         rig.load(&format!("rate_hz = {rate}\ncutoff_hz = 50\n{WALL}"));
@@ -49,22 +49,22 @@ fn an_armed_board_drives_from_the_next_crest_on_at_every_rate() {
         for _ in 0..5 {
             rig.tool.disarm().expect("the board disarms");
             rig.run(7 * MILLISECOND + 300 * MICROSECOND);
-            assert!(rig.with(off), "disarmed");
+            assert!(rig.with(bridges_off), "disarmed");
             rig.tool.arm().expect("the board arms");
             rig.run(60 * MICROSECOND);
-            assert!(!rig.with(off), "{rate} Hz: armed, and the bridges float");
+            assert!(!rig.with(bridges_off), "{rate} Hz: armed, and the bridges float");
         }
     }
 }
 
-/// DBGMCU's freeze registers for the two peripheral buses, and their bits (RM0090 section 38.16.4 and 38.16.5).
+/// DBGMCU's freeze registers of the two peripheral buses, and their bits (RM0090 section 38.16.4 and 38.16.5).
 const APB1_FREEZE: u32 = 0x08;
 const APB2_FREEZE: u32 = 0x0C;
 const WATCHDOG_STOPS: u64 = 1 << 12;
 const CARRIERS_STOP: u64 = 0b11;
 
 #[test]
-fn a_debugger_that_halts_the_core_stops_the_carriers_and_the_watchdog() {
+fn a_halted_core_stops_the_carriers_and_the_watchdog() {
     for kind in BoardKind::ALL {
         let rig = Rig::empty(kind);
         let (first, second) = rig.with(|stopped| {
@@ -81,7 +81,7 @@ const BREAK_AND_DEAD_TIME: u32 = 0x44;
 const OUTPUTS: u64 = 1 << 15;
 
 #[test]
-fn the_break_input_cuts_the_outputs_without_the_processor() {
+fn the_break_input_works_without_the_processor() {
     let rig = armed(BoardKind::HBridgeF405);
     let outputs = || rig.with(|stopped| stopped.hardware().chip.register("TIM1", BREAK_AND_DEAD_TIME) & OUTPUTS);
     let executed = || rig.shared.board().instructions();
@@ -92,14 +92,14 @@ fn the_break_input_cuts_the_outputs_without_the_processor() {
     rig.with(|stopped| stopped.hardware().fault_line_shorted = true);
     rig.run(100 * MICROSECOND);
     assert_eq!(outputs(), 0, "the outputs are on");
-    assert_eq!(executed(), before, "the processor stood still");
+    assert_eq!(executed(), before, "the processor executed instructions");
 }
 
-/// Each image on the wires of every other board: PB12 is EN_GATE on the one and the break input, pulled up, on another; PC6
-/// an axis's gate and the enable line; PA9 a gate, and the cable's 5 V. On a Discovery board whose supply is 3.3 V an
-/// accelerometer may hold the pin that an ODrive's divider holds, and a microphone the one of a module's.
+/// Tests each image on the wires of every other board. PB12 is EN_GATE on one board and the break input, pulled up, on
+/// another; PC6 is an axis's gate or the enable line; PA9 is a gate or has the cable's 5 V. On a Discovery board with a
+/// 3.3 V supply, an accelerometer may hold the pin of an ODrive's divider, and a microphone the pin of a module's.
 #[test]
-fn an_image_on_the_wrong_board_leaves_its_power_stage_alone_and_says_so() {
+fn an_image_on_the_wrong_board_does_not_touch_its_power_stage() {
     let [odrive, module, discovery] = [BoardKind::OdriveV3, BoardKind::HBridgeF405, BoardKind::HBridgeF407Disc1];
     let [odrive_wires, module_wires, discovery_wires] = [odrive, module, discovery].map(Wiring::of);
     let with = |held| -> &'static Wiring { Box::leak(Box::new(Wiring { held, supply_mv: 3300, ..*discovery_wires })) };
@@ -113,32 +113,33 @@ fn an_image_on_the_wrong_board_leaves_its_power_stage_alone_and_says_so() {
         (discovery, odrive_wires, 0x24),
         (discovery, module_wires, 0x24),
     ] {
-        let mut rig = Rig::misplaced(kind, board, "pantograph-mk2");
-        let let_alone = |rig: &Rig| rig.with(|stopped| !stopped.hardware().peaks.touched && off(stopped));
-        assert!(let_alone(&rig), "{} on {}", kind.name(), board.name);
-        let told = |rig: &mut Rig| {
-            let status = rig.tool.status().expect("the board answers");
+        let mut rig = Rig::on_other_board(kind, board, "pantograph-mk2");
+        let untouched = |rig: &Rig| rig.with(|stopped| !stopped.hardware().peaks.touched && bridges_off(stopped));
+        assert!(untouched(&rig), "{} on {}", kind.name(), board.name);
+        let fault_of = |rig: &mut Rig| {
+            let status = rig.tool.status().expect("the board replies");
             status.fault.map(|record| (record.fault, record.value as u8))
         };
-        assert_eq!(told(&mut rig), Some((Fault::WrongBoard, strange)), "{} on {}", kind.name(), board.name);
+        assert_eq!(fault_of(&mut rig), Some((Fault::WrongBoard, strange)), "{} on {}", kind.name(), board.name);
         assert_eq!(rig.tool.info().board.as_str(), kind.name());
         rig.load("");
         assert_eq!(refused(rig.tool.arm()), Refusal::Faulted(Fault::WrongBoard));
-        // Clearing it makes it no other board; an image that takes the wrong pin for the bus may refuse for that.
+        // The board stays wrong after clearing. An image that reads the bus voltage from the wrong pin may also refuse
+        // for that reason.
         rig.tool.clear().expect("the fault clears");
         rig.tool.home().expect("homed");
         let again = refused(rig.tool.check_polarity());
         assert!(matches!(again, Refusal::Faulted(Fault::WrongBoard) | Refusal::BusVoltage), "{again}");
         rig.run(SECOND / 10);
         rig = rig.restarted();
-        assert_eq!(told(&mut rig), Some((Fault::WrongBoard, strange)));
-        assert!(let_alone(&rig), "{} on {}", kind.name(), board.name);
+        assert_eq!(fault_of(&mut rig), Some((Fault::WrongBoard, strange)));
+        assert!(untouched(&rig), "{} on {}", kind.name(), board.name);
     }
 }
 
-/// Images for 3.3 V wait for more than a Discovery board ever has.
+/// Images for 3.3 V wait for a higher voltage than a Discovery board has.
 #[test]
-fn at_three_volts_the_images_of_other_boards_do_not_start() {
+fn images_of_other_boards_do_not_start_at_three_volts() {
     let wires = Wiring::of(BoardKind::HBridgeF407Disc1);
     for kind in [BoardKind::OdriveV3, BoardKind::HBridgeF405] {
         let hardware = Hardware::new(wires, Box::new(Dummy::default())).expect("the board's description is sound");
@@ -149,15 +150,15 @@ fn at_three_volts_the_images_of_other_boards_do_not_start() {
     }
 }
 
-/// The step that it interrupts would take up to a period more.
+/// Without an interrupt for it, the running step could take up to a period.
 #[test]
-fn a_falling_supply_floats_the_bridges_in_the_middle_of_a_control_step() {
+fn a_falling_supply_floats_the_bridges_within_a_control_step() {
     for kind in BoardKind::ALL {
         let rig = armed(kind);
         after_crest(&rig, 3);
         rig.with(|stopped| stopped.supply(2_600));
         let fell = rig.now();
-        while !rig.with(off) {
+        while !rig.with(bridges_off) {
             rig.run(MICROSECOND / 10);
         }
         let took = rig.now() - fell;
@@ -165,24 +166,25 @@ fn a_falling_supply_floats_the_bridges_in_the_middle_of_a_control_step() {
     }
 }
 
-/// A core that is held executes nothing while carrier and duties go on, as one that is locked up.
+/// A held core executes nothing while carrier and duties continue, like a core that is locked up.
 #[test]
-fn a_core_that_stands_still_is_reset_within_twenty_milliseconds() {
+fn a_halted_core_is_reset_within_twenty_milliseconds() {
     for kind in BoardKind::ALL {
         let rig = armed(kind);
         rig.with(|stopped| stopped.hold(true));
         rig.run(20 * MILLISECOND);
         assert_eq!(rig.with(|stopped| stopped.resets().len()), 1, "{}", kind.name());
-        assert!(rig.with(off), "{}", kind.name());
+        assert!(rig.with(bridges_off), "{}", kind.name());
     }
 }
 
-/// Stores each value at its address and goes on where the task begins.
+/// Returns code that stores each value at its address and then continues with the task.
 fn stores(values: &[(u32, u32)], task: u32) -> Vec<u32> {
     let mut code = Vec::new();
     let literals = 2 * values.len() as u32 + 1;
     for nth in 0..values.len() as u32 {
-        // Words from this pair of instructions, and from the next, to the literals: the counter reads a word ahead.
+        // Words from this pair of instructions, and from the next, to the literals: the program counter is a word
+        // ahead.
         let to = literals + 2 * nth - (2 * nth + 1);
         // ldr r2, [pc, #value]; ldr r3, [pc, #address]; str r2, [r3]; nop.
         code.extend([(0x4B00 | (to + 1)) << 16 | 0x4A00 | to, 0xBF00_601A]);
@@ -194,22 +196,22 @@ fn stores(values: &[(u32, u32)], task: u32) -> Vec<u32> {
     code
 }
 
-/// The advanced timers and the ports whose pins drive gates, and where their registers lie.
+/// Addresses of the advanced timers and of the ports with gate pins.
 const TIMERS: [(&str, u32); 2] = [("TIM1", 0x4001_0000), ("TIM8", 0x4001_0400)];
 const PORTS: [(&str, u32); 4] =
     [("GPIOA", 0x4002_0000), ("GPIOB", 0x4002_0400), ("GPIOC", 0x4002_0800), ("GPIOE", 0x4002_1000)];
 /// CCMR1, CCMR2, CCER and BDTR of a timer; MODER and PUPDR of a port.
-const HOW_TIMERS_DRIVE: [u32; 4] = [0x18, 0x1C, 0x20, BREAK_AND_DEAD_TIME];
-const HOW_PINS_DRIVE: [u32; 2] = [0x00, 0x0C];
+const TIMER_DRIVE_REGISTERS: [u32; 4] = [0x18, 0x1C, 0x20, BREAK_AND_DEAD_TIME];
+const PIN_DRIVE_REGISTERS: [u32; 2] = [0x00, 0x0C];
 
 #[test]
-fn nothing_that_runs_changes_how_gates_are_driven() {
+fn no_code_can_change_how_gates_are_driven() {
     for kind in BoardKind::ALL {
         let mut rig = armed(kind);
         rig.tool.disarm().expect("the board disarms");
         let timers = if kind == BoardKind::OdriveV3 { &TIMERS[..] } else { &TIMERS[..1] };
-        let registers = timers.iter().map(|timer| (timer, &HOW_TIMERS_DRIVE[..]));
-        let registers = registers.chain(PORTS.iter().map(|port| (port, &HOW_PINS_DRIVE[..])));
+        let registers = timers.iter().map(|timer| (timer, &TIMER_DRIVE_REGISTERS[..]));
+        let registers = registers.chain(PORTS.iter().map(|port| (port, &PIN_DRIVE_REGISTERS[..])));
         let registers: Vec<(&'static str, u32, u32)> =
             registers.flat_map(|((name, base), all)| all.iter().map(move |at| (*name, *base, *at))).collect();
         let seen = |rig: &Rig| {
@@ -222,17 +224,17 @@ fn nothing_that_runs_changes_how_gates_are_driven() {
         };
         let before = seen(&rig);
         let power = rig.kind.power;
-        let spoilt: Vec<(u32, u32)> = registers
+        let changed: Vec<(u32, u32)> = registers
             .iter()
             .zip(&before)
             .map(|((name, _, at), (address, value))| {
                 let pins = power.iter().filter(|pin| name.ends_with(pin.0)).map(|pin| 0b11 << (2 * pin.1));
                 let fields = pins.fold(0, |all, field| all | field);
                 let value = match *at {
-                    // Inverted outputs; then neither dead time nor break.
+                    // Inverted outputs; then without dead time and break.
                     0x20 => value ^ 0xAAA,
                     BREAK_AND_DEAD_TIME => 0,
-                    // Active whatever the count is.
+                    // Active at every count.
                     at if !name.starts_with("GPIO") => value | if at == 0x18 { 0x5050 } else { 0x0050 },
                     // Outputs, or pulled up.
                     _ => value & !fields | fields & 0x5555_5555,
@@ -240,20 +242,20 @@ fn nothing_that_runs_changes_how_gates_are_driven() {
                 (value, *address)
             })
             .collect();
-        run_instead(&rig, "10supervisor9supervise4POOL", move |task| stores(&spoilt, task));
+        run_instead(&rig, "10supervisor9supervise4POOL", move |task| stores(&changed, task));
         rig.run(50 * MILLISECOND);
         assert_eq!(seen(&rig), before, "{}", kind.name());
     }
 }
 
-/// A board that is armed and whose task is replaced: the watchdog resets it, not before `least` ms and before `most`,
-/// and says so.
-fn bitten(task: &'static str, code: impl FnOnce(u32) -> Vec<u32>, least: u64, most: u64) {
-    bitten_at(20_000, task, code, least, most);
+/// Replaces a task of an armed board: the watchdog must reset the board after `least` to `most` ms, and the board must
+/// report this.
+fn check_watchdog(task: &'static str, code: impl FnOnce(u32) -> Vec<u32>, least: u64, most: u64) {
+    check_watchdog_at(20_000, task, code, least, most);
 }
 
-/// As [`bitten`], at another control rate (Hz).
-fn bitten_at(rate: u32, task: &'static str, code: impl FnOnce(u32) -> Vec<u32>, least: u64, most: u64) {
+/// Like [`check_watchdog`], at another control rate (Hz).
+fn check_watchdog_at(rate: u32, task: &'static str, code: impl FnOnce(u32) -> Vec<u32>, least: u64, most: u64) {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
     rig.load(&format!("rate_hz = {rate}\ncutoff_hz = 50\n{WALL}"));
     rig.ready();
@@ -266,79 +268,79 @@ fn bitten_at(rate: u32, task: &'static str, code: impl FnOnce(u32) -> Vec<u32>, 
     }
     assert!(rig.now() > began + least * MILLISECOND, "a reset after {} ns", rig.now() - began);
     rig.run(MILLISECOND);
-    assert!(rig.with(off), "bridges are on after the reset");
+    assert!(rig.with(bridges_off), "bridges are on after the reset");
     let ready = rig.shared.board().run_until(2 * SECOND, MILLISECOND, |stopped| stopped.usb().ready());
     assert!(ready, "the port is gone");
-    rig.tool = haptic_host::link::Board::over(rig.shared.wire(), "again").expect("the board answers");
-    let status = rig.tool.status().expect("the board answers");
+    rig.tool = haptic_host::link::Board::over(rig.shared.wire(), "again").expect("the board replies");
+    let status = rig.tool.status().expect("the board replies");
     assert_eq!((status.state, status.fault.map(|record| record.fault)), (State::Fault, Some(Fault::Watchdog)));
 }
 
 #[test]
-fn the_watchdog_bites_when_the_control_interrupt_stops_though_every_task_goes_on() {
-    // Disables interrupt 25 of the controller (TIM1's update, RM0090 table 61), then goes on where the task begins:
-    // ldr r2, [pc, #8]; ldr r3, [pc, #12]; str r2, [r3]; nop; ldr.w pc, [pc, #8].
+fn the_watchdog_bites_when_the_control_interrupt_stops() {
+    // Disables interrupt 25 of the controller (TIM1's update, RM0090 table 61), then continues with the task: ldr r2,
+    // [pc, #8]; ldr r3, [pc, #12]; str r2, [r3]; nop; ldr.w pc, [pc, #8].
     let stub = |task| vec![0x4B03_4A02, 0xBF00_601A, 0xF008_F8DF, 1 << 25, 0xE000_E180, task];
-    bitten("10supervisor9supervise4POOL", stub, 3, 30);
+    check_watchdog("10supervisor9supervise4POOL", stub, 3, 30);
 }
 
 #[test]
-fn the_watchdog_bites_when_the_link_is_silent_though_the_control_interrupt_goes_on() {
-    // bx lr: the task returns and is never heard again. It may be silent for a second.
-    bitten("4link5serve4POOL", |_| vec![0x4770_4770], 900, 2_000);
+fn the_watchdog_bites_when_the_link_task_stops() {
+    // bx lr: the task returns without a sign of life. It may be silent for a second.
+    check_watchdog("4link5serve4POOL", |_| vec![0x4770_4770], 900, 2_000);
 }
 
 #[test]
-fn the_watchdog_bites_when_the_control_interrupt_comes_too_often() {
-    // Shortens TIM1's carrier from 20 to 25 kHz by its auto-reload register, and lets the converters start a tick
-    // before its crest by channel 4's compare register (subs r2, #1; str r2, [r3, #20]); then goes on where the task
-    // begins, as above.
+fn the_watchdog_bites_when_the_control_interrupt_is_too_fast() {
+    // Changes TIM1's carrier from 20 to 25 kHz with its auto-reload register, and starts the converters a tick before
+    // the crest with channel 4's compare register (subs r2, #1; str r2, [r3, #20]); then continues with the task, as
+    // above.
     let stub = |task| vec![0x4B04_4A03, 0x3A01_601A, 0xBF00_615A, 0xF008_F8DF, 3360, 0x4001_002C, task];
-    bitten("10supervisor9supervise4POOL", stub, 40, 300);
-    // A look of 20 ms has 20 steps then, 5 too many: told apart over 80.
-    bitten_at(1_000, "10supervisor9supervise4POOL", stub, 40, 400);
+    check_watchdog("10supervisor9supervise4POOL", stub, 40, 300);
+    // A check after 20 ms then has 20 steps, 5 too many: detected over 80 steps.
+    check_watchdog_at(1_000, "10supervisor9supervise4POOL", stub, 40, 400);
 }
 
 #[test]
-fn the_watchdog_bites_when_the_control_interrupt_comes_too_seldom_while_the_motors_are_on() {
+fn the_watchdog_bites_when_the_control_interrupt_is_too_slow() {
     // As above, with a carrier of 16 kHz.
     let stub = |task| vec![0x4B04_4A03, 0x3A01_601A, 0xBF00_615A, 0xF008_F8DF, 5250, 0x4001_002C, task];
-    bitten("10supervisor9supervise4POOL", stub, 40, 300);
-    bitten_at(1_000, "10supervisor9supervise4POOL", stub, 40, 400);
+    check_watchdog("10supervisor9supervise4POOL", stub, 40, 300);
+    check_watchdog_at(1_000, "10supervisor9supervise4POOL", stub, 40, 400);
 }
 
 #[test]
-fn a_board_whose_supply_stays_low_stays_off_and_says_so_once_it_is_back() {
+fn a_board_with_a_low_supply_stays_off_and_reports_it() {
     let mut rig = armed(BoardKind::OdriveV3);
     rig.with(|stopped| stopped.supply(2700));
     rig.run(100 * MICROSECOND);
     let steps = rig.with(|stopped| stopped.resets().len());
     for _ in 0..1_000 {
-        assert!(rig.with(off), "bridges are on after {} ns", rig.now());
+        assert!(rig.with(bridges_off), "bridges are on after {} ns", rig.now());
         rig.run(100 * MICROSECOND);
     }
     let (resets, ready) = rig.with(|stopped| (stopped.resets().len(), stopped.usb().ready()));
-    assert!(resets == steps && !ready, "{resets} resets; the board runs on too little");
+    assert!(resets == steps && !ready, "{resets} resets; the board runs with a low supply");
     rig.with(|stopped| stopped.supply(3300));
     assert!(rig.shared.board().run_until(2 * SECOND, MILLISECOND, |stopped| stopped.usb().ready()), "the port is gone");
-    rig.tool = haptic_host::link::Board::over(rig.shared.wire(), "again").expect("the board answers");
-    let status = rig.tool.status().expect("the board answers");
+    rig.tool = haptic_host::link::Board::over(rig.shared.wire(), "again").expect("the board replies");
+    let status = rig.tool.status().expect("the board replies");
     assert_eq!((status.state, status.fault.map(|record| record.fault)), (State::Fault, Some(Fault::SupplyDip)));
 }
 
 #[test]
-fn a_board_that_is_left_alone_is_not_bitten() {
+fn the_watchdog_does_not_bite_an_idle_board() {
     let mut rig = armed(BoardKind::OdriveV3);
     let _ = rig.tool.rows(Duration::from_millis(10));
     rig.run(2 * SECOND);
     assert_eq!(rig.with(|stopped| stopped.resets().len()), 0);
-    assert_eq!(rig.tool.status().expect("the board answers").state, State::Armed);
+    assert_eq!(rig.tool.status().expect("the board replies").state, State::Armed);
 }
 
-/// The effect of a single count on a velocity is found by trying when a request comes; the watchdog is not fed
-/// meanwhile.
+/// The board computes the effect of a single count on a velocity by trial when the request arrives, without feeding the
+/// watchdog.
 #[test]
-fn a_request_for_the_slowest_velocities_is_not_bitten() {
+fn a_request_for_the_slowest_velocities_is_fast_enough() {
     let slow = |window| Estimator::Difference(Chosen { value: window, filtered: true });
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
     rig.load(&format!("rate_hz = 10000\nestimator = \"difference\"\ndifference_over = 32\ncutoff_hz = 1\n{WALL}"));
@@ -349,13 +351,13 @@ fn a_request_for_the_slowest_velocities_is_not_bitten() {
         rig.run(100 * MILLISECOND);
     }
     assert_eq!(rig.with(|stopped| stopped.resets().len()), 0);
-    assert_eq!(rig.tool.status().expect("the board answers").state, State::Armed);
+    assert_eq!(rig.tool.status().expect("the board replies").state, State::Armed);
 }
 
 #[test]
-fn limits_are_lowered_at_any_time_and_raised_only_with_the_motors_off() {
+fn limits_are_raised_only_while_the_motors_are_off() {
     let mut rig = armed(BoardKind::OdriveV3);
-    let own = rig.tool.rules().expect("the board answers");
+    let own = rig.tool.rules().expect("the board replies");
     let with_torque = |factor: f32| {
         let mut rules = own;
         rules.limits.torque = rules.limits.torque.map(|torque| factor * torque);
@@ -363,18 +365,18 @@ fn limits_are_lowered_at_any_time_and_raised_only_with_the_motors_off() {
     };
     rig.tool.set_rules(&with_torque(0.5)).expect("lowered while armed");
     assert_eq!(refused(rig.tool.set_rules(&own)), Refusal::Armed);
-    assert_eq!(rig.tool.rules().expect("the board answers"), with_torque(0.5), "a refused change changes nothing");
+    assert_eq!(rig.tool.rules().expect("the board replies"), with_torque(0.5), "a refused change changes nothing");
     rig.tool.disarm().expect("the board disarms");
     rig.tool.set_rules(&own).expect("raised with the motors off");
     let raised = refused(rig.tool.set_rules(&with_torque(1.01)));
-    assert!(matches!(raised, Refusal::BadLimit(bad) if bad.joint == Some(0)), "never above the board's own: {raised}");
+    assert!(matches!(raised, Refusal::BadLimit(bad) if bad.joint == Some(0)), "above the board's limits: {raised}");
 }
 
 #[test]
 fn torque_rises_over_half_a_second_after_arming() {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
     rig.prepare("");
-    // A spring to a point 2 cm away from a tip that is held: its torque is constant but for the ramp.
+    // A spring to a point 2 cm away from a held tip: its torque is constant except for the ramp.
     let [x, y, _] = rig.with_simulated(|device| device.tip());
     rig.set_scene(&format!("[[spring]]\npoint = [{:?}, {y:?}]\nstiffness = 20.0\ndamping = 0.0\n", x + 0.02));
     rig.tool.start_stream(Fields(Field::Torque.bit()), 20).expect("a stream starts");
@@ -387,7 +389,7 @@ fn torque_rises_over_half_a_second_after_arming() {
     let armed = torques.iter().position(|torque| *torque > 0.0).expect("torque after arming");
     let full = torques[armed + 600];
     assert!(full > 1e-3, "{full} N m");
-    // A row each millisecond.
+    // One row per millisecond.
     for (after, share) in [(5, 0.01), (50, 0.1), (250, 0.5), (450, 0.9), (550, 1.0)] {
         let found = torques[armed + after] / full;
         assert!((found - share).abs() < 0.02, "{found} of the torque after {after} ms");

@@ -1,23 +1,23 @@
-//! The paper's experiment on the release image: the range of stable walls is the one that theory predicts, and the
-//! feed-forward enlarges it. docs/results.md holds the whole measurement, see `cargo xtask range`.
+//! The paper's experiment on the release image: the range of stable walls agrees with the theory, and the feed-forward
+//! enlarges it. docs/results.md contains the complete measurement, see `cargo xtask range`.
 
 use haptic_bridge::render::scene::FeedForward;
-use haptic_emulator::range::{RATES, delay_samples, on, predicted, rig, rigid};
+use haptic_emulator::range::{RATES, delay_samples, measure_on, predicted, rig, rigid};
 
-/// Largest distance of the boundary from the theory's: where the interrupt falls against the carrier differs from image
-/// to image, and with the feed-forward one point of one image was found between 5 and 7 % below.
+/// Largest deviation of the boundary from the theory. The interrupt's phase against the carrier differs between images;
+/// with the feed-forward, one point of one image was between 5 and 7 % below.
 const AGREEMENT: f64 = 0.07;
-/// Points of the boundary that are measured: shares of the damping at which the range ends.
+/// Measured points of the boundary, as shares of the largest damping of the range.
 const SHARES: [f64; 3] = [0.2, 0.4, 0.6];
 
-fn lies_where_theory_says(feed_forward: FeedForward) {
-    let bench = rigid();
-    let mut rig = rig(&bench);
+fn boundary_agrees_with_theory(feed_forward: FeedForward) {
+    let test_device = rigid();
+    let mut rig = rig(&test_device);
     let delay = delay_samples(&mut rig, RATES[0]);
-    let end = predicted(&bench, RATES[0], delay, None).of(feed_forward).kd_max;
+    let end = predicted(&test_device, RATES[0], delay, None).of(feed_forward).kd_max;
     let kd = SHARES.map(|share| share * end);
-    let theory = predicted(&bench, RATES[0], delay, Some(&kd));
-    on(&mut rig, &bench, RATES[0], |prepared| {
+    let theory = predicted(&test_device, RATES[0], delay, Some(&kd));
+    measure_on(&mut rig, &test_device, RATES[0], |prepared| {
         for point in &theory.of(feed_forward).boundary {
             for strength in [1.0, 0.7] {
                 let below = prepared.oscillates(feed_forward, point.kp * (1.0 - AGREEMENT), point.kd, strength)?;
@@ -31,11 +31,11 @@ fn lies_where_theory_says(feed_forward: FeedForward) {
 }
 
 #[test]
-fn without_feed_forward_walls_are_stable_up_to_where_theory_says() {
-    lies_where_theory_says(FeedForward::Off);
+fn the_range_without_feed_forward_agrees_with_theory() {
+    boundary_agrees_with_theory(FeedForward::Off);
 }
 
 #[test]
-fn with_the_feed_forward_walls_are_stable_up_to_where_theory_says() {
-    lies_where_theory_says(FeedForward::Full);
+fn the_range_with_feed_forward_agrees_with_theory() {
+    boundary_agrees_with_theory(FeedForward::Full);
 }

@@ -1,5 +1,5 @@
-//! A refused request changes nothing: every request that a state refuses, made of the firmware itself. Tests of the
-//! library (tests/service.rs) hold the words of each refusal; here the bridges' pins and what the board holds.
+//! A refused request changes nothing: tests every request that a state refuses with the firmware. Tests of the library
+//! (tests/service.rs) check the text of each refusal; these check the bridges' pins and the board's data.
 
 use haptic_bridge::board::protocol::TableChunk;
 use haptic_bridge::board::settings::{self, Key};
@@ -9,28 +9,28 @@ use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::safety::fault::State;
 use haptic_emulator::boards::BoardKind;
-use haptic_emulator::inject::off;
+use haptic_emulator::inject::bridges_off;
 use haptic_emulator::rig::Rig;
 use haptic_emulator::run::{MICROSECOND, MILLISECOND};
 use haptic_host::link::{Board, BoardError};
 
 use crate::session::WALL;
 
-/// A request, and what it is called.
+/// A request with its name.
 type Request = (&'static str, fn(&mut Board) -> Result<(), BoardError>);
 
 fn gains(wall: u8, stiffness: f32) -> Gains<f32> {
     Gains { wall, stiffness, damping: 1.0, feed_forward: FeedForward::Full, washout_hz: 2.0 }
 }
 
-/// The rules in force with something else about them.
+/// Sends the present rules with a change.
 fn rules_with(board: &mut Board, change: impl Fn(&mut Rules)) -> Result<(), BoardError> {
     let mut rules = board.rules()?;
     change(&mut rules);
     board.set_rules(&rules)
 }
 
-/// The scene in force at another rate.
+/// Sends the present scene with another rate.
 fn another_rate(board: &mut Board) -> Result<(), BoardError> {
     let mut scene = board.scene()?.expect("a scene");
     scene.rate_hz *= 0.5;
@@ -47,25 +47,26 @@ fn stage(board: &mut Board) -> Result<(), BoardError> {
     board.stage_entry(Key::Rules, settings::encode(&rules).expect("rules fit an entry"))
 }
 
-/// Requests that no state allows.
-const NEVER: &[Request] = &[
+/// Requests that every state refuses.
+const ALWAYS_REFUSED: &[Request] = &[
     ("limits above the board's", |board| rules_with(board, |rules| rules.limits.torque = [1.0e6; 3])),
-    ("rules that are no numbers", |board| rules_with(board, |rules| rules.limits.power = f32::NAN)),
-    ("gains of a wall that is not there", |board| board.set_wall_gains(gains(9, 300.0))),
-    ("gains that are no numbers", |board| board.set_wall_gains(gains(0, f32::NAN))),
-    ("a table that never came", table),
-    ("a table from its middle", |board| {
+    ("rules that are not numbers", |board| rules_with(board, |rules| rules.limits.power = f32::NAN)),
+    ("gains of a wall that does not exist", |board| board.set_wall_gains(gains(9, 300.0))),
+    ("gains that are not numbers", |board| board.set_wall_gains(gains(0, f32::NAN))),
+    ("a table that was not sent", table),
+    ("a table that starts in its middle", |board| {
         board.send_table(&TableChunk { offset: 7, values: [1.0].into_iter().collect() })
     }),
     ("entries that were not staged", |board| board.commit_entries(&[Key::Rules].into_iter().collect())),
-    ("an entry that is damaged", |board| board.stage_entry(Key::Rules, [1, 2, 3].into_iter().collect())),
+    ("a damaged entry", |board| board.stage_entry(Key::Rules, [1, 2, 3].into_iter().collect())),
 ];
 
-/// Requests that ready the motors: they need them off, no fault, and a device.
-const READYING: &[Request] = &[("arm", Board::arm), ("check polarity", Board::check_polarity), ("home", Board::home)];
+/// Requests that turn the motors on or prepare for it. They require motors off, no fault, and a device.
+const NEED_READINESS: &[Request] =
+    &[("arm", Board::arm), ("check polarity", Board::check_polarity), ("home", Board::home)];
 
-/// Other requests that need the motors off.
-const OFF: &[Request] = &[
+/// Other requests that require motors off.
+const NEED_MOTORS_OFF: &[Request] = &[
     ("save", Board::save),
     ("device", |board| {
         let device = board.device()?.expect("a device");
@@ -82,30 +83,30 @@ const OFF: &[Request] = &[
     }),
 ];
 
-/// Everything that a tool can read of a board, in words, but for the time.
-fn held(board: &mut Board) -> String {
-    let status = board.status().expect("the board answers");
+/// Returns everything that a tool can read from a board, except the time.
+fn contents(board: &mut Board) -> String {
+    let status = board.status().expect("the board replies");
     let state = (status.state, status.homed, status.polarity, status.fault);
-    let entries = Key::ALL.map(|key| board.read_entry(key).expect("the board answers"));
-    let device = board.device().expect("the board answers");
-    let scene = board.scene().expect("the board answers");
-    let rules = board.rules().expect("the board answers");
+    let entries = Key::ALL.map(|key| board.read_entry(key).expect("the board replies"));
+    let device = board.device().expect("the board replies");
+    let scene = board.scene().expect("the board replies");
+    let rules = board.rules().expect("the board replies");
     format!("{state:?} {device:?} {scene:?} {rules:?} {entries:?}")
 }
 
-/// Makes requests that the board is to refuse, and looks at its pins and its memory after each.
-fn all_refused(rig: &mut Rig, state: State, requests: &[Request]) {
-    assert_eq!(rig.tool.status().expect("the board answers").state, state);
+/// Sends requests that the board must refuse, and checks its pins and data after each.
+fn check_refused(rig: &mut Rig, state: State, requests: &[Request]) {
+    assert_eq!(rig.tool.status().expect("the board replies").state, state);
     let driving = state.drives();
     for (name, request) in requests {
-        let before = held(&mut rig.tool);
+        let before = contents(&mut rig.tool);
         let outcome = request(&mut rig.tool);
         for _ in 0..40 {
-            assert_eq!(!rig.with(off), driving, "{name} while {state:?}");
+            assert_eq!(!rig.with(bridges_off), driving, "{name} while {state:?}");
             rig.run(25 * MICROSECOND);
         }
         assert!(matches!(outcome, Err(BoardError::Refused(_))), "{name} while {state:?}: {outcome:?}");
-        assert_eq!(held(&mut rig.tool), before, "{name} while {state:?}");
+        assert_eq!(contents(&mut rig.tool), before, "{name} while {state:?}");
     }
 }
 
@@ -117,35 +118,35 @@ fn ready(kind: BoardKind) -> Rig {
 }
 
 #[test]
-fn what_a_board_refuses_changes_neither_its_pins_nor_what_it_holds() {
+fn refused_requests_change_neither_pins_nor_data() {
     for kind in BoardKind::ALL {
         let mut bare = Rig::empty(kind);
-        all_refused(&mut bare, State::Disarmed, NEVER);
-        all_refused(&mut bare, State::Disarmed, READYING);
-        all_refused(&mut bare, State::Disarmed, &[("gains", |board| board.set_wall_gains(gains(0, 300.0)))]);
+        check_refused(&mut bare, State::Disarmed, ALWAYS_REFUSED);
+        check_refused(&mut bare, State::Disarmed, NEED_READINESS);
+        check_refused(&mut bare, State::Disarmed, &[("gains", |board| board.set_wall_gains(gains(0, 300.0)))]);
 
         let mut rig = Rig::with_device(kind, "pantograph-mk2", |_| ());
         rig.load(WALL);
-        all_refused(&mut rig, State::Disarmed, &[("arm, not homed", Board::arm)]);
+        check_refused(&mut rig, State::Disarmed, &[("arm, not homed", Board::arm)]);
 
         let mut rig = ready(kind);
-        all_refused(&mut rig, State::Disarmed, NEVER);
+        check_refused(&mut rig, State::Disarmed, ALWAYS_REFUSED);
         rig.tool.check_polarity().expect("the polarity check starts");
         rig.run(20 * MILLISECOND);
-        all_refused(&mut rig, State::CheckingPolarity, READYING);
-        all_refused(&mut rig, State::CheckingPolarity, OFF);
+        check_refused(&mut rig, State::CheckingPolarity, NEED_READINESS);
+        check_refused(&mut rig, State::CheckingPolarity, NEED_MOTORS_OFF);
 
         let mut rig = ready(kind);
         rig.check_polarity();
         rig.arm();
-        all_refused(&mut rig, State::Armed, NEVER);
-        all_refused(&mut rig, State::Armed, READYING);
-        all_refused(&mut rig, State::Armed, OFF);
+        check_refused(&mut rig, State::Armed, ALWAYS_REFUSED);
+        check_refused(&mut rig, State::Armed, NEED_READINESS);
+        check_refused(&mut rig, State::Armed, NEED_MOTORS_OFF);
 
         rig.with(|stopped| stopped.hardware().plant.device().expect("a device").set_bus_voltage(58.0));
         rig.run(20 * MILLISECOND);
         rig.with(|stopped| stopped.hardware().plant.device().expect("a device").set_bus_voltage(24.0));
-        all_refused(&mut rig, State::Fault, READYING);
-        all_refused(&mut rig, State::Fault, NEVER);
+        check_refused(&mut rig, State::Fault, NEED_READINESS);
+        check_refused(&mut rig, State::Fault, ALWAYS_REFUSED);
     }
 }

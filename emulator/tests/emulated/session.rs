@@ -1,4 +1,4 @@
-//! The parts of a session that a board keeps, and the memory that the largest one leaves free.
+//! The parts of a session that a board stores, and the free memory in the largest session.
 
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::precomputed::{Interpolation, TableChunk};
@@ -18,30 +18,30 @@ fn settings_survive_a_reset() {
         let mut rig = Rig::with_device(kind, "pantograph-mk2", |_| ());
         rig.load(WALL);
         rig.tool.set_name(&"left hand".try_into().expect("a short name")).expect("the board takes a name");
-        let (device, scene) = (rig.tool.device().expect("it answers"), rig.tool.scene().expect("it answers"));
+        let (device, scene) = (rig.tool.device().expect("it replies"), rig.tool.scene().expect("it replies"));
         rig.tool.save().expect("the settings are written");
 
         let mut rig = rig.restarted();
-        let details = rig.tool.details().expect("the board answers");
+        let details = rig.tool.details().expect("the board replies");
         assert_eq!(details.name.as_str(), "left hand");
         assert!(details.damage.is_empty(), "{:?}", details.damage);
-        assert_eq!(rig.tool.device().expect("it answers"), device);
-        assert_eq!(rig.tool.scene().expect("it answers"), scene);
-        assert!(!rig.tool.status().expect("it answers").homed, "encoders know nothing after a reset");
+        assert_eq!(rig.tool.device().expect("it replies"), device);
+        assert_eq!(rig.tool.scene().expect("it replies"), scene);
+        assert!(!rig.tool.status().expect("it replies").homed, "a reset loses the home");
     }
 }
 
 #[test]
-fn what_was_not_saved_is_gone_after_a_reset() {
+fn unsaved_changes_are_lost_in_a_reset() {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
     rig.load(WALL);
     rig.run(SECOND / 10);
     let mut rig = rig.restarted();
-    assert_eq!(rig.tool.device().expect("it answers"), None);
+    assert_eq!(rig.tool.device().expect("it replies"), None);
 }
 
-/// A table of masses that leaves no room for another point.
-fn send_the_largest_table(rig: &mut Rig) {
+/// Sends a table of masses of the largest size.
+fn send_largest_table(rig: &mut Rig) {
     let file = rig.file.as_ref().expect("a device at the connectors");
     let device = Device::<f64>::new(&file.name, &file.description).expect("a device");
     let points = precompute::most_points(&device);
@@ -55,18 +55,18 @@ fn send_the_largest_table(rig: &mut Rig) {
     rig.tool.set_mass_model(&table.data).expect("the board takes the table");
 }
 
-/// Putting a whole backup in force decodes, judges and compiles everything at once, which is what needs most stack.
+/// Applying a complete backup decodes, checks and compiles everything at once, which needs the most stack.
 #[test]
-fn a_backup_of_three_joints_is_put_in_force_and_leaves_stack_untouched() {
+fn a_restored_backup_of_three_joints_leaves_stack_free() {
     let mut rig = Rig::with_device(BoardKind::HBridgeF405, "serial-3r", |_| ());
     rig.load(&"[[wall]]\npoint = [0.0, 9.0]\nnormal = [0.0, -1.0]\nstiffness = 2000.0\n".repeat(3));
-    send_the_largest_table(&mut rig);
+    send_largest_table(&mut rig);
     rig.tool.save().expect("the board saves");
-    let backup = Backup::read(&mut rig.tool).expect("the board answers");
+    let backup = Backup::read(&mut rig.tool).expect("the board replies");
     let ready = backup.ready().expect("everything is readable");
     restore(&mut rig.tool, &ready).expect("the board takes its own backup");
-    let details = rig.tool.details().expect("the board answers");
+    let details = rig.tool.details().expect("the board replies");
     assert_eq!(details.walls, 3);
-    assert!(details.stack_free >= 8 * 1024, "{} of 52 KB were never touched", details.stack_free);
+    assert!(details.stack_free >= 8 * 1024, "{} of 52 KB were never used", details.stack_free);
     assert!(rig.with(|stopped| stopped.resets().is_empty()), "{}", rig.post_mortem());
 }

@@ -1,4 +1,4 @@
-//! A board that no image ships: `toy_board.rs` beside this, compiled into the firmware, and its wires.
+//! A board that is not shipped: `toy_board.rs`, compiled into the firmware, with its wiring.
 
 use haptic_emulator::boards::{EncoderWires, HalfBridge, MotorWires, Pin, Wiring};
 use haptic_emulator::contact::WallAt;
@@ -34,9 +34,9 @@ fn a_toy_board_is_one_file_and_renders_a_wall() {
     let pressed = 2.0;
     let mut rig = Rig::in_contact(&TOY, "hapkit-paddle", "", &[wall], pressed);
     assert_eq!(rig.tool.info().board.as_str(), TOY.name);
-    assert_eq!(rig.tool.details().expect("the board answers").axes, 1);
-    assert_eq!(rig.tool.status().expect("the board answers").fault, None);
-    // The motor's force at the tip is the hand's, except for dry friction: 4 mN m on 70 mm.
+    assert_eq!(rig.tool.details().expect("the board replies").axes, 1);
+    assert_eq!(rig.tool.status().expect("the board replies").fault, None);
+    // The motor's force at the tip equals the hand's, except for dry friction: 4 mN m at 70 mm.
     let motor = rig.file.as_ref().and_then(|file| file.description.joints[0].motor).expect("a motor");
     let held = rig.with_simulated(|device| device.currents()[0]) * motor.torque_constant / 0.07;
     assert!((held.abs() - pressed).abs() < 0.06, "the motor holds {held} N");

@@ -1,6 +1,6 @@
 //! The smallest board: one H-bridge on channel 1 of TIM1, one encoder on TIM4, one current sensor. The firmware
-//! compiles this file under its feature `toy-board`; `toy.rs` beside it runs the image. An example of what a board has
-//! to bring, and no wiring for anybody's motor: it has no break input.
+//! compiles this file with its feature `toy-board`; `toy.rs` runs the image. An example of a board's implementation,
+//! not a wiring for real motors: it has no break input.
 
 use embassy_stm32::gpio::{Flex, Level, Output, Speed};
 use embassy_stm32::{Peripherals, pac, peripherals, rcc};
@@ -26,10 +26,10 @@ const AMPERES_PER_COUNT: f32 = adc::REFERENCE_V / adc::FULL_SCALE / 0.2;
 /// Volts per count of the converter: a divider of 11:1.
 const VOLTS_PER_COUNT: f32 = adc::REFERENCE_V / adc::FULL_SCALE * 11.0;
 
-/// Farthest that the current sensor's zero may be from the middle of its range, counts.
+/// Largest deviation of the current sensor's zero from the middle of its range, counts.
 const ZERO_MAX: u16 = 136;
 
-/// The index input: a bit of port C.
+/// Index input: a bit of port C.
 const INDEX_LINES: [u32; 1] = [1 << 9];
 
 /// Bit of the bridge's enable line in port C.
@@ -40,7 +40,7 @@ pub struct ToyBoard;
 
 impl Board for ToyBoard {
     const NAME: &'static str = "toy-board";
-    /// Its bus divider.
+    /// Pin of the bus divider.
     const IDENTITY: IdentityPins = IdentityPins { held: &[Pin::new('C', 3)], open: &[] };
     const AXES: usize = 1;
     const BRIDGE: Bridge =
@@ -90,7 +90,7 @@ impl Board for ToyBoard {
 /// The hardware that the control interrupt owns.
 pub struct Pins {
     zeros: Zeros<1>,
-    /// The offset of the sensor's reading, A.
+    /// Offset of the sensor's reading, A.
     offset: f32,
     carrier: Carrier,
 }
@@ -161,7 +161,7 @@ impl Io for Pins {
     }
 }
 
-/// The hardware that tasks own: only the current sensor's zero has to be readied.
+/// The hardware that tasks own. Only the current sensor's zero must be made ready.
 pub struct EnableLine;
 
 impl Gate for EnableLine {

@@ -1,4 +1,4 @@
-//! Events at the cable and the computer that a board must survive.
+//! Events at the cable and the computer that must not disturb a board.
 
 use std::time::Duration;
 
@@ -15,7 +15,7 @@ use haptic_sim::{MotorInput, SpoiltWire};
 
 use crate::session::WALL;
 
-fn answers(rig: &Rig) -> bool {
+fn replies(rig: &Rig) -> bool {
     Board::over(rig.shared.wire(), "again").is_ok()
 }
 
@@ -25,34 +25,34 @@ fn wait_until_ready(rig: &Rig) {
 }
 
 #[test]
-fn a_board_that_is_plugged_in_again_answers_again() {
+fn a_board_replies_after_each_replug() {
     let rig = Rig::empty(BoardKind::OdriveV3);
     for _ in 0..3 {
         rig.with(|stopped| stopped.usb().plug(false));
         rig.run(200 * MILLISECOND);
         rig.with(|stopped| stopped.usb().plug(true));
         wait_until_ready(&rig);
-        assert!(answers(&rig));
+        assert!(replies(&rig));
     }
     let resets = rig.with(|stopped| stopped.resets().len());
     assert_eq!(resets, 0, "the chip itself never restarted");
 }
 
 #[test]
-fn a_board_wakes_up_with_its_computer() {
+fn a_board_resumes_with_its_computer() {
     let rig = Rig::empty(BoardKind::OdriveV3);
     rig.with(|stopped| stopped.usb().suspend(true));
     rig.run(500 * MILLISECOND);
     rig.with(|stopped| stopped.usb().suspend(false));
     rig.run(100 * MILLISECOND);
-    assert!(answers(&rig));
+    assert!(replies(&rig));
     let log = rig.with(|stopped| stopped.usb().log().to_vec());
     assert!(log.iter().any(|(_, event)| *event == Event::Suspended), "{log:?}");
     assert!(log.iter().any(|(_, event)| *event == Event::Resumed), "{log:?}");
 }
 
 #[test]
-fn garbage_is_answered_by_nothing_and_harms_nothing() {
+fn garbage_has_no_reply_and_no_effect() {
     let rig = Rig::empty(BoardKind::HBridgeF405);
     let mut seed: u32 = 0x2F6E_2B1D;
     println!("seed {seed:#x}");
@@ -69,15 +69,15 @@ fn garbage_is_answered_by_nothing_and_harms_nothing() {
         rig.run(20 * MILLISECOND);
     }
     rig.with(|stopped| stopped.usb().take());
-    // Requests that no serial port knows are stalled, and the port goes on.
+    // Requests unknown to serial ports are stalled, and the port keeps working.
     for setup in [[0xC0, 0x55, 0, 0, 0, 0, 64, 0], [0x80, 6, 9, 9, 0, 0, 255, 0], [0x21, 0x77, 1, 0, 0, 0, 0, 0]] {
-        rig.with(move |stopped| stopped.usb().ask(setup, &[]));
+        rig.with(move |stopped| stopped.usb().request(setup, &[]));
         rig.run(5 * MILLISECOND);
     }
-    let refused = rig.with(|stopped| stopped.usb().take_answers());
+    let refused = rig.with(|stopped| stopped.usb().take_replies());
     assert_eq!(refused.len(), 3);
     assert!(refused.iter().all(Result::is_err), "{refused:?}");
-    assert!(answers(&rig));
+    assert!(replies(&rig));
     assert_eq!(rig.with(|stopped| stopped.resets().len()), 0);
 }
 
@@ -92,21 +92,21 @@ fn a_computer_that_stops_reading_stops_nothing_else() {
     rig.run(SECOND);
     rig.with(|stopped| stopped.usb().read_port(true));
     rig.run(200 * MILLISECOND);
-    let status = rig.tool.status().expect("the board answers");
-    // 1.2 s and more at 20 kHz: the control step never waited.
+    let status = rig.tool.status().expect("the board replies");
+    // At least 1.2 s at 20 kHz: the control step did not wait.
     assert!(status.step - before > 24_000, "{} steps", status.step - before);
     assert_eq!(status.fault, None);
-    assert_eq!(rig.tool.details().expect("it answers").overruns, 0);
+    assert_eq!(rig.tool.details().expect("it replies").overruns, 0);
     rig.tool.rows(Duration::from_millis(100)).expect("rows come again");
     rig.tool.stop_stream().expect("the stream stops");
     let losses = rig.tool.losses();
     assert!(losses.missing > 0, "something had to be lost: {losses:?}");
 }
 
-/// The board gives a whole frame 100 ms: a host that takes one packet every 90 ms would hold up the link task for a
-/// second a frame, and the watchdog would bite.
+/// The board waits at most 100 ms for an entire frame. Without this limit, a host that takes one packet every 90 ms
+/// would hold the link task for a second per frame, and the watchdog would bite.
 #[test]
-fn a_computer_that_reads_a_packet_now_and_then_stops_nothing_else() {
+fn a_computer_that_reads_slowly_stops_nothing_else() {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
     rig.load(WALL);
     rig.ready();
@@ -121,19 +121,19 @@ fn a_computer_that_reads_a_packet_now_and_then_stops_nothing_else() {
     }
     rig.with(|stopped| stopped.usb().read_port(true));
     rig.run(200 * MILLISECOND);
-    let status = rig.tool.status().expect("the board answers");
+    let status = rig.tool.status().expect("the board replies");
     assert_eq!((status.state, status.fault), (State::Armed, None));
-    assert_eq!(rig.tool.details().expect("it answers").overruns, 0);
+    assert_eq!(rig.tool.details().expect("it replies").overruns, 0);
 }
 
-/// Requests that come faster than they are answered leave the other tasks their turns: the watchdog is fed.
+/// Requests that arrive faster than their replies leave time for the other tasks, which feed the watchdog.
 #[test]
-fn a_flood_of_requests_starves_nobody() {
+fn a_flood_of_requests_starves_no_task() {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
     rig.load(WALL);
     rig.ready();
     let frames = noise::recorded(&mut rig, |rig| {
-        rig.tool.status().expect("it answers");
+        rig.tool.status().expect("it replies");
     });
     let flood = frames.last().expect("a request was sent").repeat(3000);
     rig.shared.wire().send(&flood).expect("the port takes it");
@@ -141,15 +141,15 @@ fn a_flood_of_requests_starves_nobody() {
     let resets = rig.with(|stopped| stopped.resets().len());
     assert_eq!(resets, 0, "the watchdog bit");
     rig.with(|stopped| stopped.usb().take());
-    rig.tool = Board::over(rig.shared.wire(), "again").expect("the board answers again");
-    let status = rig.tool.status().expect("it answers");
+    rig.tool = Board::over(rig.shared.wire(), "again").expect("the board replies again");
+    let status = rig.tool.status().expect("it replies");
     assert_eq!((status.state, status.fault), (State::Armed, None));
 }
 
-/// Arming that ends before a control step has connected the bridges leaves nothing up that the next arming would trust:
-/// each reads the drivers back and learns the zeros, 34 ms.
+/// If a board is disarmed before a control step has connected the bridges, the next arming trusts nothing from before:
+/// it reads the drivers' registers and learns the zeros again, 34 ms.
 #[test]
-fn every_arming_readies_the_drivers_anew() {
+fn every_arming_makes_the_drivers_ready_again() {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
     rig.load(&format!("rate_hz = 200\n{WALL}"));
     rig.ready();
@@ -163,7 +163,7 @@ fn every_arming_readies_the_drivers_anew() {
         rig.shared.wire().send(&both).expect("the port takes it");
         rig.run(40 * MILLISECOND + pause);
         rig.with(|stopped| stopped.usb().take());
-        rig.tool = Board::over(rig.shared.wire(), "again").expect("the board answers again");
+        rig.tool = Board::over(rig.shared.wire(), "again").expect("the board replies again");
         let before = rig.now();
         rig.tool.arm().expect("the board arms");
         let took = rig.now() - before;
@@ -174,18 +174,21 @@ fn every_arming_readies_the_drivers_anew() {
 }
 
 #[test]
-fn a_minute_of_random_bytes_moves_nothing_and_the_next_session_works() {
+fn a_minute_of_random_bytes_has_no_effect() {
     let seed = 0x2F6E_2B1D;
     println!("seed {seed:#x}");
     let (mut rig, noise) = noise::run(seed, 60, |_| ());
     println!("{noise:?}");
-    assert!(noise.bytes > 1_000_000 && noise.answered > 10_000, "the board took it and answered some: {noise:?}");
+    assert!(
+        noise.bytes > 1_000_000 && noise.received > 10_000,
+        "the board received the bytes and replied to some: {noise:?}"
+    );
     assert!(noise.harmless(), "{noise:?}");
     noise::session_after(&mut rig);
 }
 
 #[test]
-fn arming_disarming_and_replugging_over_and_over_leaves_a_board_that_works() {
+fn a_board_survives_repeated_arming_and_replugging() {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
     rig.load(WALL);
     rig.ready();
@@ -199,14 +202,14 @@ fn arming_disarming_and_replugging_over_and_over_leaves_a_board_that_works() {
             rig.with(|stopped| stopped.usb().plug(true));
             wait_until_ready(&rig);
             rig.with(|stopped| stopped.usb().take());
-            rig.tool = Board::over(rig.shared.wire(), "again").expect("the board answers again");
-            // Nothing was said of a silent host in the rules, so the wall is still there.
-            assert_eq!(rig.tool.status().expect("it answers").state, State::Armed, "cycle {cycle}");
+            rig.tool = Board::over(rig.shared.wire(), "again").expect("the board replies again");
+            // The rules ignore a silent host, so the wall is still rendered.
+            assert_eq!(rig.tool.status().expect("it replies").state, State::Armed, "cycle {cycle}");
         }
     }
-    let status = rig.tool.status().expect("it answers");
+    let status = rig.tool.status().expect("it replies");
     assert_eq!((status.state, status.fault), (State::Armed, None));
-    assert_eq!(rig.tool.details().expect("it answers").overruns, 0);
+    assert_eq!(rig.tool.details().expect("it replies").overruns, 0);
     rig.tool.disarm().expect("the board disarms");
     rig.run(MILLISECOND);
     let (drives, resets) = rig.with(|stopped| (stopped.hardware().drives(), stopped.resets().len()));
@@ -214,7 +217,7 @@ fn arming_disarming_and_replugging_over_and_over_leaves_a_board_that_works() {
 }
 
 #[test]
-fn spoilt_frames_turn_no_motor_off_for_a_minute() {
+fn damaged_frames_do_not_turn_motors_off_for_a_minute() {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |options| options.substep = 25e-6);
     rig.arm_before("rate_hz = 1000\ncutoff_hz = 100\n", &[WallAt::facing([0.0, -1.0, 0.0])]);
     rig.tool.disarm().expect("it disarms");

@@ -1,4 +1,4 @@
-//! A hand against a wall: what the board renders is what the wall's law and the PC's simulation say.
+//! A hand against a wall: the board's force agrees with the wall's law and with the PC's simulation.
 
 use std::time::Duration;
 
@@ -18,8 +18,8 @@ use haptic_sim::{BoardOptions, Options, SharedBoard, SimulatedBoard};
 use haptic_sim::{Hand, HandSettings, Intent, Waypoint};
 use haptic_stability::analysis::plant::Linearised;
 
-/// Friction off: the wall alone holds the hand.
-fn armed_at_a_wall(feed_forward: &str, inside: f64) -> (Rig, f64) {
+/// Returns a rig armed near a wall, and the wall's height. Friction is off, so that only the wall holds the hand.
+fn armed_near_wall(feed_forward: &str, inside: f64) -> (Rig, f64) {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |options| options.friction = false);
     let tip = rig.with_simulated(|device| device.tip());
     let height = tip[1] + inside;
@@ -31,7 +31,7 @@ fn armed_at_a_wall(feed_forward: &str, inside: f64) -> (Rig, f64) {
     (rig, height)
 }
 
-/// Pushes the tip along +y with `newtons`, reached over half a second.
+/// Lets a hand push the tip along +y with `newtons`, reached within half a second.
 fn push(rig: &Rig, newtons: f64) {
     rig.with_simulated(move |device| {
         let path = vec![Waypoint { time: 0.0, value: [0.0; 3] }, Waypoint { time: 0.5, value: [0.0, newtons, 0.0] }];
@@ -46,24 +46,24 @@ fn gains(feed_forward: FeedForward, stiffness: f32, damping: f32) -> Gains<f32> 
 
 #[test]
 fn a_wall_holds_a_hand_at_the_depth_of_its_stiffness() {
-    let (mut rig, height) = armed_at_a_wall("off", 0.005);
+    let (mut rig, height) = armed_near_wall("off", 0.005);
     push(&rig, 2.0);
     rig.run(3 * SECOND);
     for feed_forward in [FeedForward::Off, FeedForward::Washout, FeedForward::Full] {
         rig.tool.set_wall_gains(gains(feed_forward, 2000.0, 6.0)).expect("gains change in contact");
         rig.run(SECOND);
         let (tip, tip_velocity) = rig.with_simulated(|device| (device.tip(), device.tip_velocity()));
-        let status = rig.tool.status().expect("the board answers");
+        let status = rig.tool.status().expect("the board replies");
         assert_eq!(status.fault, None, "{feed_forward:?}");
         let depth = tip[1] - height;
-        // 2 N over 2000 N/m is 1 mm; what the current sensors and encoder steps leave uncertain is 8 %.
+        // 2 N at 2000 N/m are 1 mm; current sensors and encoder steps leave an uncertainty of 8 %.
         assert!((depth - 0.001).abs() < 8e-5, "{feed_forward:?}: {depth} m deep, tip {tip:?} at {tip_velocity:?}");
     }
 }
 
 #[test]
 fn a_wall_never_pulls() {
-    let (mut rig, height) = armed_at_a_wall("washout", 0.003);
+    let (mut rig, height) = armed_near_wall("washout", 0.003);
     rig.tool.start_stream(Fields(Field::WallForce.bit() | Field::Distance.bit()), 1).expect("a stream starts");
     push(&rig, 3.0);
     rig.run(SECOND);
@@ -73,36 +73,36 @@ fn a_wall_never_pulls() {
         rows.extend(rig.tool.rows(Duration::from_millis(200)).expect("rows come"));
     }
     // Columns: distance, force.
-    assert!(rows.iter().any(|row| row.values[1] > 1.0), "the wall was touched");
-    assert!(rows.iter().all(|row| row.values[1] >= 0.0), "no force pulls");
-    assert!(rows.iter().all(|row| row.values[0] < 0.0 || row.values[1] == 0.0), "no force outside the wall");
+    assert!(rows.iter().any(|row| row.values[1] > 1.0), "the wall was not touched");
+    assert!(rows.iter().all(|row| row.values[1] >= 0.0), "a force pulls");
+    assert!(rows.iter().all(|row| row.values[0] < 0.0 || row.values[1] == 0.0), "a force outside the wall");
     let tip = rig.with_simulated(|device| device.tip());
-    assert!(tip[1] < height, "the hand got away: {tip:?}");
+    assert!(tip[1] < height, "the hand is held back: {tip:?}");
 }
 
-/// Returns the depth of the tip in each of `walls`, m; it stood at `start` before.
+/// Returns the depth of the tip in each of `walls`, m; the tip started at `start`.
 fn depths(walls: &[WallAt], start: [f64; 3], tip: [f64; 3]) -> Vec<f64> {
     let depth =
         |wall: &WallAt| -> f64 { (0..3).map(|i| -wall.normal[i] * (tip[i] - start[i])).sum::<f64>() - wall.gap };
     walls.iter().map(depth).collect()
 }
 
-/// Depths every 10 ms while the same hand pushes the same device into the same walls: on the emulated chip and in the
-/// PC's simulation.
-fn pushed(kind: BoardKind, name: &str, walls: &[WallAt], newtons: f64) -> [Vec<Vec<f64>>; 2] {
-    const LOOKS: usize = 120;
+/// Returns the depths every 10 ms while the same hand pushes the same device into the same walls, on the emulated chip
+/// and in the PC's simulation.
+fn depths_when_pushed(kind: BoardKind, name: &str, walls: &[WallAt], newtons: f64) -> [Vec<Vec<f64>>; 2] {
+    const SAMPLES: usize = 120;
     let force: [f64; 3] = std::array::from_fn(|i| walls.iter().map(|wall| -newtons * wall.normal[i]).sum());
     let mut rig = Rig::with_device(kind, name, |options| options.friction = false);
     let scene = rig.arm_before("gravity_compensation = true\n", walls);
     let (start, q) = rig.with_simulated(move |device| (device.tip(), device.q()));
-    // A firm hand still holds the tip where it stood when the walls were placed.
+    // A firm hand still holds the tip at its position when the walls were placed.
     rig.with_simulated(move |device| push_into(device, force, 0.3));
     let mut chip = Vec::new();
-    for _ in 0..LOOKS {
+    for _ in 0..SAMPLES {
         rig.run(10 * MILLISECOND);
         chip.push(depths(walls, start, rig.with_simulated(|device| device.tip())));
     }
-    let status = rig.tool.status().expect("the board answers");
+    let status = rig.tool.status().expect("the board replies");
     assert_eq!(status.fault, None, "{name}");
 
     let file = rig.file.as_ref().expect("a device");
@@ -113,47 +113,47 @@ fn pushed(kind: BoardKind, name: &str, walls: &[WallAt], newtons: f64) -> [Vec<V
     board.load(&file.name, &file.description, Some(scene)).expect("loaded");
     hold(board.device_mut());
     let shared = SharedBoard::new(board);
-    Board::over(shared.wire(), "simulated").expect("it answers").arm().expect("it arms");
+    Board::over(shared.wire(), "simulated").expect("it replies").arm().expect("it arms");
     let mut board = shared.lock();
     board.run(1.0);
     push_into(board.device_mut(), force, 0.3);
     let mut pc = Vec::new();
-    for _ in 0..LOOKS {
+    for _ in 0..SAMPLES {
         board.run(0.01);
         pc.push(depths(walls, start, board.device().tip()));
     }
     [chip, pc]
 }
 
-/// The chip's depths follow the PC's: within `share` of the deepest the tip ever is, at every look.
-fn agree(kind: BoardKind, name: &str, walls: &[WallAt], newtons: f64, share: f64) {
-    let [chip, pc] = pushed(kind, name, walls, newtons);
+/// Checks that the chip's depths agree with the PC's within `share` of the largest depth.
+fn check_depths(kind: BoardKind, name: &str, walls: &[WallAt], newtons: f64, share: f64) {
+    let [chip, pc] = depths_when_pushed(kind, name, walls, newtons);
     for wall in 0..walls.len() {
-        let deepest = pc.iter().map(|look| look[wall]).fold(0.0, f64::max);
+        let deepest = pc.iter().map(|sample| sample[wall]).fold(0.0, f64::max);
         let apart = chip.iter().zip(&pc).map(|(chip, pc)| (chip[wall] - pc[wall]).abs()).fold(0.0, f64::max);
         println!("{name}, wall {wall}: {deepest:.6} m deep on the PC, the chip at most {apart:.6} m apart");
-        // The force that the hand ends with, over the stiffness.
+        // The hand's final force over the stiffness.
         assert!(deepest > 0.5 * newtons / walls[wall].stiffness, "{name}: {deepest} m is no contact");
         assert!(apart < share * deepest, "{name}, wall {wall}: {apart} m apart, {deepest} m deep");
     }
 }
 
 #[test]
-fn a_wall_before_three_joints_is_as_deep_as_the_pc_simulation_says() {
+fn a_wall_before_three_joints_has_the_simulated_depth() {
     for feed_forward in ["off", "full"] {
         let wall = WallAt { feed_forward, damping: 3.0, ..WallAt::facing([0.0, -1.0, 0.0]) };
-        agree(BoardKind::HBridgeF405, "phantom-premium-1.5", &[wall], 0.8, 0.05);
+        check_depths(BoardKind::HBridgeF405, "phantom-premium-1.5", &[wall], 0.8, 0.05);
     }
 }
 
 #[test]
-fn a_corner_with_the_feed_forward_is_as_deep_as_the_pc_simulation_says() {
+fn a_corner_with_feed_forward_has_the_simulated_depth() {
     let walls = [[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0]].map(|normal| WallAt { damping: 3.0, ..WallAt::facing(normal) });
-    agree(BoardKind::OdriveV3, "pantograph-mk2", &walls, 0.8, 0.08);
+    check_depths(BoardKind::OdriveV3, "pantograph-mk2", &walls, 0.8, 0.08);
 }
 
 #[test]
-fn gains_that_change_in_contact_step_the_torque_by_what_they_explain() {
+fn gains_changed_in_contact_change_the_torque_in_proportion() {
     let wall = WallAt { feed_forward: "full", ..WallAt::facing([0.0, -1.0, 0.0]) };
     let mut rig = Rig::in_contact(BoardKind::OdriveV3, "pantograph-mk2", "", &[wall], 0.8);
     let fields =
@@ -168,8 +168,8 @@ fn gains_that_change_in_contact_step_the_torque_by_what_they_explain() {
         }
     }
     assert_eq!(rig.tool.losses().missing, 0);
-    // Columns: torques, distance, velocity, force. Each force is that of one of the stiffnesses, and the torque follows
-    // it.
+    // Columns: torques, distance, velocity, force. Each force belongs to one of the stiffnesses, and the torque follows
+    // the force.
     let mut steps = 0;
     for pair in rows.windows(2) {
         let [a, b] = [&pair[0].values, &pair[1].values];
@@ -181,14 +181,14 @@ fn gains_that_change_in_contact_step_the_torque_by_what_they_explain() {
             assert!(error < 0.02 * b[joint].abs() + 2e-5, "step {}: {a:?} then {b:?}", pair[1].step);
         }
     }
-    assert_eq!(steps, 3, "three changes of the gains are seen in the force");
+    assert_eq!(steps, 3, "the force does not show three changes of the gains");
 }
 
 #[test]
-fn the_feed_forward_on_the_chip_is_the_torque_that_the_analysis_asks_for() {
+fn the_chips_feed_forward_equals_the_analysis() {
     for (kind, name) in [(BoardKind::OdriveV3, "pantograph-mk2"), (BoardKind::HBridgeF405, "phantom-premium-1.5")] {
         let normal = [-0.6, -0.8, 0.0];
-        // The hand carries the weight too.
+        // The hand also carries the weight.
         let mut rig = Rig::in_contact(kind, name, "gravity_compensation = false\n", &[WallAt::facing(normal)], 1.6);
         let file = rig.file.clone().expect("a device");
         let (joints, task) = (file.spec().joints, file.spec().task);
@@ -197,7 +197,7 @@ fn the_feed_forward_on_the_chip_is_the_torque_that_the_analysis_asks_for() {
             .expect("a stream");
         for feed_forward in [FeedForward::Full, FeedForward::Off] {
             rig.tool.set_wall_gains(gains(feed_forward, 500.0, 1.0)).expect("gains change in contact");
-            // Before the tip has slid away along the wall.
+            // Before the tip slides along the wall.
             rig.run(10 * MILLISECOND);
             let rows = rig.tool.rows(Duration::from_millis(300)).expect("rows come");
             let row = &rows.last().expect("a row").values;
@@ -206,7 +206,7 @@ fn the_feed_forward_on_the_chip_is_the_torque_that_the_analysis_asks_for() {
             let shaped = device.shaped_torque();
             let expected = if feed_forward == FeedForward::Full { &shaped } else { &device.row };
             let apart = (shaped.clone() - &device.row).amax();
-            assert!(apart > 0.05 * device.row.amax(), "{name}: here the feed-forward changes nothing");
+            assert!(apart > 0.05 * device.row.amax(), "{name}: the feed-forward has no effect here");
             for joint in 0..joints {
                 let error = (torque[joint] / force - expected[joint]).abs();
                 println!(
@@ -223,29 +223,35 @@ fn the_feed_forward_on_the_chip_is_the_torque_that_the_analysis_asks_for() {
     }
 }
 
-/// The forces of a wall at one depth, felt and reported, over 80 ms.
+/// Forces of a wall at one depth, measured and reported, over 80 ms.
 #[derive(Clone, Debug, Default)]
-struct Look {
+struct Sample {
     /// Depth of the tip, m.
     depth: f64,
-    /// The force that the wall asks for, and the part of it that is left according to telemetry, N.
+    /// The force of the wall, and the part of it that limits leave according to telemetry, N.
     asked: f64,
     rendered: f64,
     /// The device's force on the hand along the normal and across it, N.
     along: f64,
     across: f64,
-    /// Each joint's `saturated`, from the least to the most told.
+    /// Smallest and largest `saturated` of each joint.
     saturated: Vec<(f64, f64)>,
 }
 
-/// A firm hand leads the tip 6 mm into a wall of 2 kN/m, slowly, on motors that may give `torque` (N m).
-fn pressed(kind: BoardKind, name: &str, normal: [f64; 3], feed_forward: &'static str, torque: f32) -> Vec<Look> {
+/// Measures while a firm hand slowly leads the tip 6 mm into a wall of 2 kN/m, with motors limited to `torque` (N m).
+fn measure_pressed(
+    kind: BoardKind,
+    name: &str,
+    normal: [f64; 3],
+    feed_forward: &'static str,
+    torque: f32,
+) -> Vec<Sample> {
     const DEEP: f64 = 0.006;
-    const LOOKS: usize = 30;
+    const SAMPLES: usize = 30;
     const ROWS: usize = 40;
     let mut rig = Rig::with_device(kind, name, |options| options.friction = false);
     rig.prepare("gravity_compensation = true\n");
-    let rules = rig.tool.rules().expect("the board answers");
+    let rules = rig.tool.rules().expect("the board replies");
     let limits = Limits { torque: [torque; 3], ..rules.limits };
     rig.tool.set_rules(&Rules { limits, ..rules }).expect("the motors are off");
     let start = rig.with_simulated(|device| device.tip());
@@ -255,63 +261,69 @@ fn pressed(kind: BoardKind, name: &str, normal: [f64; 3], feed_forward: &'static
     rig.arm();
     let goal = std::array::from_fn(|i| start[i] - (wall.gap + DEEP) * normal[i]);
     rig.with_simulated(move |device| {
-        let path = vec![Waypoint { time: 0.0, value: start }, Waypoint { time: 0.08 * LOOKS as f64, value: goal }];
+        let path = vec![Waypoint { time: 0.0, value: start }, Waypoint { time: 0.08 * SAMPLES as f64, value: goal }];
         device.set_hand(Hand::new(firm(), Intent::Follow(path), device.tip(), device.time()));
     });
     let fields = Fields(Field::WallForce.bit() | Field::RenderedForce.bit() | Field::Saturated.bit());
-    // Every 2 ms.
+    // A row every 2 ms.
     rig.tool.start_stream(fields, 40).expect("a stream starts");
-    let mut looks = Vec::new();
-    for _ in 0..LOOKS {
-        let mut look = Look { saturated: vec![(f64::INFINITY, 0.0); task], ..Look::default() };
+    let mut samples = Vec::new();
+    for _ in 0..SAMPLES {
+        let mut sample = Sample { saturated: vec![(f64::INFINITY, 0.0); task], ..Sample::default() };
         let (mut rows, mut times) = (0, 0.0);
         let mut force = [0.0; 3];
         while rows < ROWS {
             for row in rig.tool.rows(Duration::from_millis(4)).expect("rows come") {
                 rows += 1;
-                look.asked += row.get(Field::WallForce)[0];
-                look.rendered += row.get(Field::RenderedForce)[0];
-                for (seen, told) in look.saturated.iter_mut().zip(row.get(Field::Saturated)) {
-                    *seen = (seen.0.min(*told), seen.1.max(*told));
+                sample.asked += row.get(Field::WallForce)[0];
+                sample.rendered += row.get(Field::RenderedForce)[0];
+                for (range, value) in sample.saturated.iter_mut().zip(row.get(Field::Saturated)) {
+                    *range = (range.0.min(*value), range.1.max(*value));
                 }
             }
             let (tip, hand) = rig.with_simulated(|device| (device.tip(), device.hand_force()));
             times += 1.0;
-            look.depth += depths(&[wall], start, tip)[0];
+            sample.depth += depths(&[wall], start, tip)[0];
             force = std::array::from_fn(|i| force[i] - hand[i]);
         }
-        look.asked /= rows as f64;
-        look.rendered /= rows as f64;
-        look.depth /= times;
-        look.along = (0..3).map(|i| force[i] * normal[i]).sum::<f64>() / times;
-        look.across = (0..3).map(|i| (force[i] / times - look.along * normal[i]).powi(2)).sum::<f64>().sqrt();
-        looks.push(look);
+        sample.asked /= rows as f64;
+        sample.rendered /= rows as f64;
+        sample.depth /= times;
+        sample.along = (0..3).map(|i| force[i] * normal[i]).sum::<f64>() / times;
+        sample.across = (0..3).map(|i| (force[i] / times - sample.along * normal[i]).powi(2)).sum::<f64>().sqrt();
+        samples.push(sample);
     }
-    assert_eq!(rig.tool.status().expect("the board answers").fault, None, "{name}");
-    looks
+    assert_eq!(rig.tool.status().expect("the board replies").fault, None, "{name}");
+    samples
 }
 
-/// Limited joint by joint, these walls would push sideways with 1 N.
+/// If each joint were limited separately, these walls would push sideways with 1 N.
 #[test]
-fn a_wall_pressed_beyond_the_motors_keeps_its_direction_and_never_lets_go() {
+fn a_wall_pressed_beyond_the_motors_keeps_its_direction() {
     for (kind, name, normal, feed_forward, torque) in [
         (BoardKind::OdriveV3, "pantograph-mk2", [-0.8, -0.6, 0.0], "washout", 0.15),
         (BoardKind::HBridgeF405, "phantom-premium-1.5", [-0.48, -0.64, 0.6], "off", 0.4),
     ] {
-        let looks = pressed(kind, name, normal, feed_forward, torque);
-        let [first, .., last] = &looks[..] else { panic!("many looks") };
+        let samples = measure_pressed(kind, name, normal, feed_forward, torque);
+        let [first, .., last] = &samples[..] else { panic!("many samples") };
         assert!(first.asked == 0.0 && last.rendered < 0.35 * last.asked, "{name}: {last:?}");
-        // The tolerance covers current sensors, encoder steps and the hand's own movement.
+        // The tolerance covers current sensors, encoder steps and the hand's own motion.
         let uncertain = 0.03 * last.rendered;
-        for (index, look) in looks.iter().enumerate() {
-            println!("{name}: {look:?}");
-            assert!((look.along - look.rendered).abs() < uncertain, "{name}: what is told is felt: {look:?}");
-            assert!(look.across < uncertain, "{name}: nothing pulls sideways: {look:?}");
-            let before = looks[index.saturating_sub(1)].along;
-            assert!(look.along > before - 0.3 * uncertain, "{name}: {before} N, then {look:?}");
-            let told = |told: f64| look.saturated.iter().all(|seen| *seen == (told, told));
-            assert!(look.rendered < look.asked * 0.999 || told(0.0), "{name}: all of it: {look:?}");
-            assert!(look.rendered >= look.asked * 0.75 || told(1.0), "{name}: not all of it: {look:?}");
+        for (index, sample) in samples.iter().enumerate() {
+            println!("{name}: {sample:?}");
+            assert!((sample.along - sample.rendered).abs() < uncertain, "{name}: reported force differs: {sample:?}");
+            assert!(sample.across < uncertain, "{name}: a force across the normal: {sample:?}");
+            let before = samples[index.saturating_sub(1)].along;
+            assert!(sample.along > before - 0.3 * uncertain, "{name}: {before} N, then {sample:?}");
+            let all_are = |value: f64| sample.saturated.iter().all(|seen| *seen == (value, value));
+            assert!(
+                sample.rendered < sample.asked * 0.999 || all_are(0.0),
+                "{name}: saturated without a cut: {sample:?}"
+            );
+            assert!(
+                sample.rendered >= sample.asked * 0.75 || all_are(1.0),
+                "{name}: cut without saturation: {sample:?}"
+            );
         }
     }
 }

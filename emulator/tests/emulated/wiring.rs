@@ -1,4 +1,4 @@
-//! Which pin is which: every encoder, motor and sensor of every board, one at a time.
+//! The pins of every encoder, motor and sensor of every board, tested one at a time.
 
 use std::time::Duration;
 
@@ -11,7 +11,7 @@ use haptic_emulator::run::MILLISECOND;
 
 use crate::session::WALL;
 
-/// The device that uses every axis of a board.
+/// Returns a device that uses every axis of a board.
 fn device_of(kind: BoardKind) -> &'static str {
     match kind {
         BoardKind::OdriveV3 => "pantograph-mk2",
@@ -53,7 +53,7 @@ fn each_index_pulse_reaches_its_own_axis() {
         let mut rig = Rig::with_device(kind, device_of(kind), |_| ());
         rig.load(if kind == BoardKind::OdriveV3 { WALL } else { "" });
         for axis in 0..Wiring::of(kind).encoders.len() {
-            let mut rules = rig.tool.rules().expect("the board answers");
+            let mut rules = rig.tool.rules().expect("the board replies");
             rules.index_period = [4_096; 3];
             rig.tool.set_rules(&rules).expect("rules change");
             rig.tool.home().expect("the device is homed");
@@ -65,22 +65,22 @@ fn each_index_pulse_reaches_its_own_axis() {
                     rig.with(move |stopped| stopped.hardware().plant = Box::new(dummy));
                     rig.run(MILLISECOND);
                 }
-                let record = rig.tool.status().expect("it answers").fault;
+                let record = rig.tool.status().expect("it replies").fault;
                 record.map(|record| (record.fault, record.axis, record.value))
             };
             let place = format!("{} axis {axis}", kind.name());
-            assert_eq!(pass(0), None, "{place}: the first pulse is where it is");
+            assert_eq!(pass(0), None, "{place}: the first pulse is the reference");
             assert_eq!(pass(40), Some((Fault::IndexMismatch, Some(axis as u8), 40.0)), "{place}");
             rig.tool.clear().expect("the fault clears");
             rig.with(|stopped| stopped.hardware().plant = Box::new(Dummy::default()));
-            // At rest again, or it could not be homed.
+            // The device must be at rest to be homed.
             rig.run(100 * MILLISECOND);
         }
     }
 }
 
 #[test]
-fn the_bus_voltage_is_read_within_a_converter_step() {
+fn the_bus_voltage_is_exact_within_a_converter_step() {
     for kind in BoardKind::ALL {
         let mut rig = Rig::empty(kind);
         let step = 1e-3 * f64::from(Wiring::of(kind).supply_mv) / 4096.0 * Wiring::of(kind).bus.1;
@@ -89,7 +89,7 @@ fn the_bus_voltage_is_read_within_a_converter_step() {
                 stopped.hardware().plant = Box::new(Dummy { bus_voltage: volts, ..Dummy::default() });
             });
             rig.run(2 * MILLISECOND);
-            let seen = f64::from(rig.tool.status().expect("it answers").bus_voltage);
+            let seen = f64::from(rig.tool.status().expect("it replies").bus_voltage);
             assert!((seen - volts).abs() <= 1.5 * step, "{}: {seen} V for {volts} V", kind.name());
         }
     }

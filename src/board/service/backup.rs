@@ -1,4 +1,4 @@
-//! Settings in flash: saved from the configuration, read for a backup, and put back from one.
+//! Settings in flash: saved from the configuration, read for a backup, and restored from a backup.
 
 use super::{Service, check_device, fits};
 use crate::board::configuration::{Configuration, task};
@@ -13,7 +13,7 @@ use crate::render::scene::Scene;
 use crate::safety::refusal::Refusal;
 
 impl Service {
-    /// Writes every setting to flash, or none; motors must be off, because the processor stalls while flash is erased.
+    /// Writes every setting to flash, or none. The motors must be off, because the processor stalls during an erase.
     pub fn save(&mut self, machine: &mut impl Machine) -> Result<(), Refusal> {
         must_be_off(machine)?;
         let mut keys = KeyList::new();
@@ -22,13 +22,12 @@ impl Service {
         if keys.is_empty() { Ok(()) } else { machine.commit(&keys) }
     }
 
-    /// A setting as it is in flash.
+    /// Returns a setting as it is in flash.
     pub fn read_entry(&self, machine: &mut impl Machine, key: Key) -> Option<Entry> {
         machine.load(key)
     }
 
-    /// Takes a setting from a backup and puts it aside until [`Service::commit_entries`]. A damaged or unknown one is
-    /// refused.
+    /// Stages a setting from a backup until [`Service::commit_entries`]. Refuses a damaged or unknown setting.
     pub fn stage_entry(&mut self, machine: &mut impl Machine, write: &WriteEntry) -> Result<(), Refusal> {
         must_be_off(machine)?;
         let entry = write.entry.as_slice();
@@ -40,44 +39,48 @@ impl Service {
             Key::Polarity => decoded::<Polarity>(entry).map(drop)?,
             Key::Name => decoded::<BoardName>(entry).map(drop)?,
         }
-        // Settings staged by a tool that died are not for another tool to commit.
+        // A tool must not commit settings that another tool staged before it ended early.
         if self.staged.0 != write.session {
             self.staged = (write.session, KeyList::new());
         }
         self.staged.1.retain(|key| *key != write.key);
         machine.stage(write.key, entry)?;
-        // There are as many places as keys.
+        // The list has room for every key.
         let _ = self.staged.1.push(write.key);
         Ok(())
     }
 
-    /// Puts the settings that were staged under these keys in force and into flash: all of them, or none. Settings that
-    /// are not named stay as they are, but another device drops the mass model and a scene that does not fit it, and
-    /// another scene the mass model. Flash then holds the same, so no limit is in force with a device that it was not
-    /// meant for, nor after the next start.
+    /// Applies the settings staged under these keys and writes them to flash: all of them, or none. Other settings
+    /// stay, except that another device drops the mass model and a scene that does not fit, and another scene drops the
+    /// mass model. Flash then holds the same configuration, so that limits never apply to a device for which they were
+    /// not meant, not even after the next start.
     pub fn commit_entries<Mc: Machine>(&mut self, machine: &mut Mc, commit: &Commit) -> Result<(), Refusal> {
         must_be_off(machine)?;
         let keys = &commit.keys;
         if keys.iter().any(|key| commit.session != self.staged.0 || !self.staged.1.contains(key)) {
             return Err(Refusal::BadEntry);
         }
-        let name: Option<BoardName> = self.taken(machine, keys)?;
-        let (mut next, same_device) = self.restored(machine, keys)?;
+        let name: Option<BoardName> = self.staged_value(machine, keys)?;
+        let (mut next, same_device) = self.restored_configuration(machine, keys)?;
         self.install(machine, &mut next, same_device, Some(keys))?;
         if let Some(BoardName(name)) = name {
             self.name = name;
         }
-        if same_device { Ok(()) } else { self.took_device(machine) }
+        if same_device { Ok(()) } else { self.finish_device_change(machine) }
     }
 
-    /// The configuration in force with the settings that were staged under these keys, and whether its device is the
-    /// same. A function of its own, so that the decoded settings have left the stack when they are put in force.
+    /// Returns the present configuration with the settings staged under these keys, and true if the device stays the
+    /// same. A separate function, so that the decoded settings have left the stack when they are applied.
     #[inline(never)]
-    fn restored<Mc: Machine>(&self, machine: &mut Mc, keys: &KeyList) -> Result<(Configuration, bool), Refusal> {
-        let rules: Option<Rules> = self.taken(machine, keys)?;
-        let device: Option<Device<f32>> = self.taken(machine, keys)?;
-        let scene: Option<Scene<f32>> = self.taken(machine, keys)?;
-        let mass: Option<MassModelData> = self.taken(machine, keys)?;
+    fn restored_configuration<Mc: Machine>(
+        &self,
+        machine: &mut Mc,
+        keys: &KeyList,
+    ) -> Result<(Configuration, bool), Refusal> {
+        let rules: Option<Rules> = self.staged_value(machine, keys)?;
+        let device: Option<Device<f32>> = self.staged_value(machine, keys)?;
+        let scene: Option<Scene<f32>> = self.staged_value(machine, keys)?;
+        let mass: Option<MassModelData> = self.staged_value(machine, keys)?;
 
         let rules = rules.unwrap_or(self.configuration.rules);
         self.check_rules(&rules)?;
@@ -95,7 +98,7 @@ impl Service {
                 if let Some(scene) = &scene {
                     scene.check(task(device)).map_err(Refusal::Scene)?;
                 }
-                // A prepared matrix is for the device and the walls that it was made for.
+                // A prepared matrix is valid only for its device and walls.
                 let kept = if same_device && scene.is_none() { before.mass.clone() } else { MassModelData::Exact };
                 let scene = scene.or_else(|| before.scene.clone().filter(|scene| fits(scene, device)));
                 (scene, mass.unwrap_or(kept))
@@ -106,8 +109,8 @@ impl Service {
         Ok((Configuration { device, scene, mass, rules }, same_device))
     }
 
-    /// The staged value of a setting, where its key is among these.
-    fn taken<S: Setting>(&self, machine: &mut impl Machine, keys: &KeyList) -> Result<Option<S>, Refusal> {
+    /// Returns the staged value of a setting if `keys` contains its key.
+    fn staged_value<S: Setting>(&self, machine: &mut impl Machine, keys: &KeyList) -> Result<Option<S>, Refusal> {
         if !keys.contains(&S::KEY) {
             return Ok(None);
         }

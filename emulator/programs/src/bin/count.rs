@@ -1,8 +1,8 @@
-//! `count IMAGE.elf [--seconds N]` prints instruction counts of a bench image's variants as one JSON document:
+//! `count IMAGE.elf [--seconds N]`: prints the instruction counts of a counting image's variants as a JSON document:
 //! `{"image":…,"variants":[{"name":…,"calls":…,"instructions":…,"instructions_min":…,"instructions_mean":…,"results":[[…]]},…]}`.
 //!
-//! `instructions` is the worst case over the calls, less the markers' own cost; `results` holds the words that the
-//! image left in `BENCH_RESULT` at each call. The convention an image follows is in `haptic_emulator::count`.
+//! `instructions` is the worst case over the calls without the markers' cost; `results` contains the words that the
+//! image left in `BENCH_RESULT` at each call. `haptic_emulator::count` describes the convention for images.
 //! Exit code 1: the image could not be counted; 2: the command is wrong.
 
 use std::process::ExitCode;

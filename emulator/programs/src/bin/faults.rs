@@ -1,7 +1,7 @@
-//! `faults`: brings every fault about on the emulated chip and writes docs/results/faults.csv, then what lying sensors
-//! and broken motors do at three control rates into broken.csv beside it. `faults lying` does the second alone,
-//! `faults FAULT …` brings the faults of those codes or names about and only prints what came of them, `faults list`
-//! says how each is brought about, or why it cannot be. `cargo xtask faults` calls it.
+//! `faults`: causes every fault on the emulated chip and writes docs/results/faults.csv, then writes the effects of
+//! injected errors in sensors and motors at three control rates to broken.csv. `faults lying` does only the latter,
+//! `faults FAULT …` causes only the faults with those codes or names and prints their results, `faults list` prints the
+//! cause of each fault, or the reason why it cannot be caused. `cargo xtask faults` runs it.
 //!
 //! Exit code 1: a table could not be written. Exit code 2: there is no such fault.
 
@@ -9,17 +9,17 @@ use std::io;
 use std::process::ExitCode;
 
 use haptic_bridge::safety::fault::Fault;
-use haptic_emulator::inject::{how, provoke, table};
+use haptic_emulator::inject::{describe, provoke, table};
 use haptic_emulator::{campaign, results};
 
 fn main() -> ExitCode {
     let named: Vec<String> = std::env::args().skip(1).collect();
     if named == ["list"] {
-        Fault::ALL.iter().for_each(|fault| println!("{} {}: {}", fault.code(), fault.name(), how(*fault)));
+        Fault::ALL.iter().for_each(|fault| println!("{} {}: {}", fault.code(), fault.name(), describe(*fault)));
         return ExitCode::SUCCESS;
     }
-    let lying_alone = named == ["lying"];
-    if !named.is_empty() && !lying_alone {
+    let is_only_campaign = named == ["lying"];
+    if !named.is_empty() && !is_only_campaign {
         let find = |named: &String| {
             let is = |fault: &&Fault| fault.name() == named || fault.code().to_string() == *named;
             Fault::ALL
@@ -39,7 +39,7 @@ fn main() -> ExitCode {
             }
         };
     }
-    match run(lying_alone) {
+    match run(is_only_campaign) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("faults: a table cannot be written: {error}");
@@ -48,8 +48,8 @@ fn main() -> ExitCode {
     }
 }
 
-fn run(lying_alone: bool) -> io::Result<()> {
-    if !lying_alone {
+fn run(is_only_campaign: bool) -> io::Result<()> {
+    if !is_only_campaign {
         let outcomes: Vec<_> = Fault::ALL
             .iter()
             .map(|fault| {

@@ -1,21 +1,21 @@
-//! `range`: measures the whole range of stable walls on the emulated chip, without and with the feed-forward, and
-//! writes docs/results/range-chip.csv and its pictures. `cargo xtask range` calls it; it takes some ten minutes.
-//! `range cables` writes docs/results/complete-chip.csv; `range cables DEVICE [RATE [no-emf]]` prints the rows of that
-//! device alone, at every rate or at this one, with the motors' back-EMF or without.
+//! `range`: measures the entire range of stable walls on the emulated chip, without and with the feed-forward, and
+//! writes docs/results/range-chip.csv and its pictures. `cargo xtask range` runs it; it takes about ten minutes. `range
+//! cables` writes docs/results/complete-chip.csv. `range cables DEVICE [RATE [no-emf]]` prints only the rows of that
+//! device, at every rate or at this rate, with or without the motors' back-EMF.
 //!
-//! Exit code 1: it could not be measured or written.
+//! Exit code 1: a measurement or a file failed.
 
 use std::process::ExitCode;
 
 use haptic_bridge::render::scene::FeedForward;
 use haptic_emulator::range::{
-    CABLE_HEAD, CABLE_RATES, CABLED, HEAD, POINTS, PULLS, RATES, Rate, section, whole, with_cables,
+    CABLE_HEAD, CABLE_RATES, CABLED, HEAD, POINTS, PULLS, RATES, Rate, measure_range, section, with_cables,
 };
 use haptic_emulator::results;
 use haptic_host::output::csv_line;
 use haptic_predict::measure::progress::Progress;
 
-/// The row of the table of cables that is also measured without back-EMF.
+/// Row of the table of cables that is also measure_both without back-EMF.
 const WITHOUT_EMF: (&str, f64) = ("woodenhaptics", 20_000.0);
 
 fn main() -> ExitCode {
@@ -32,22 +32,22 @@ fn main() -> ExitCode {
 fn run() -> Result<(), Box<dyn std::error::Error>> {
     let mut table = csv_line(HEAD);
     for rate in RATES {
-        let (progress, delay) = measured(rate)?;
-        let (rows, told, picture) = section(rate, &progress, delay);
+        let (progress, delay) = measure_both(rate)?;
+        let (rows, summary, picture) = section(rate, &progress, delay);
         picture.save_svg(&results("range-chip").with_file_name(format!("range-chip-{}hz.svg", rate.rate_hz)))?;
         table += &rows;
-        println!("{told}");
+        println!("{summary}");
     }
     std::fs::write(results("range-chip"), table)?;
     Ok(())
 }
 
-/// Prints what is measured with cables at the joints, row by row, and keeps it; or prints it of `only` a device, at a
-/// rate, without back-EMF.
+/// Measures with cables at the joints and prints the table row by row. Without arguments writes the complete table;
+/// `only` restricts it to a device, a rate and motors without back-EMF.
 fn cables(only: &[String]) -> Result<(), Box<dyn std::error::Error>> {
-    let asked = |nth: usize, name: &str| only.get(nth).is_none_or(|wanted| wanted == name);
-    let devices: Vec<_> = CABLED.into_iter().filter(|(name, _)| asked(0, name)).collect();
-    let rates: Vec<_> = CABLE_RATES.into_iter().filter(|rate| asked(1, &rate.rate_hz.to_string())).collect();
+    let is_selected = |nth: usize, name: &str| only.get(nth).is_none_or(|wanted| wanted == name);
+    let devices: Vec<_> = CABLED.into_iter().filter(|(name, _)| is_selected(0, name)).collect();
+    let rates: Vec<_> = CABLE_RATES.into_iter().filter(|rate| is_selected(1, &rate.rate_hz.to_string())).collect();
     if devices.is_empty() || rates.is_empty() {
         let names = CABLED.map(|(name, _)| name).join(", ");
         let rates = CABLE_RATES.map(|rate| rate.rate_hz.to_string()).join(", ");
@@ -63,12 +63,12 @@ fn cables(only: &[String]) -> Result<(), Box<dyn std::error::Error>> {
     let (mut failed, mut table) = (Vec::new(), csv_line(CABLE_HEAD));
     print!("{table}");
     for (device, rate, back_emf) in runs {
-        let told = |row: &str| {
+        let report = |row: &str| {
             print!("{row}");
             table += row;
         };
-        // A fault of one device leaves the others to be measured.
-        if let Err(error) = with_cables(device, rate, back_emf, told) {
+        // An error of one device does not stop the measurement of the others.
+        if let Err(error) = with_cables(device, rate, back_emf, report) {
             let (name, board) = device;
             failed.push(format!("{name} on {} at {} Hz: {error}", board.name(), rate.rate_hz));
         }
@@ -79,13 +79,14 @@ fn cables(only: &[String]) -> Result<(), Box<dyn std::error::Error>> {
     if failed.is_empty() { Ok(()) } else { Err(failed.join("\n").into()) }
 }
 
-/// Both feed-forwards at `rate`, each on a board of its own, and the delay that the board reports.
-fn measured(rate: Rate) -> Result<(Progress, f64), String> {
+/// Measures both feed-forwards at `rate`, each on its own board. Returns the results and the delay that the board
+/// reports.
+fn measure_both(rate: Rate) -> Result<(Progress, f64), String> {
     let parts = std::thread::scope(|scope| {
         let running = [FeedForward::Off, FeedForward::Full].map(|mode| {
             scope.spawn(move || {
-                let told = |done| eprintln!("{} Hz, {mode:?}: {done} of {}", rate.rate_hz, POINTS * PULLS.len());
-                whole(rate, mode, told).map_err(|error| error.to_string())
+                let report = |done| eprintln!("{} Hz, {mode:?}: {done} of {}", rate.rate_hz, POINTS * PULLS.len());
+                measure_range(rate, mode, report).map_err(|error| error.to_string())
             })
         });
         running.map(|thread| thread.join().unwrap_or_else(|_| Err("the measurement panicked".to_owned())))

@@ -1,14 +1,14 @@
-//! `soak HOURS FILE`: that many virtual hours of contact, and as many of random bytes, side by side on two emulated
-//! boards; writes what came of it into FILE. `cargo xtask soak --chip` calls it.
+//! `soak HOURS FILE`: runs this number of virtual hours of contact, and as many of random bytes, in parallel on two
+//! emulated boards, and writes a report to FILE. `cargo xtask soak --chip` runs it.
 //!
-//! Exit code 1: something was lost, missed or drifted (said above), or the file cannot be written; 2: the command is
-//! wrong.
+//! Exit code 1: something was lost, missed or drifted (with a message), or the file cannot be written; 2: the command
+//! is wrong.
 
 use std::process::ExitCode;
 
 use haptic_emulator::{noise, soak};
 
-/// The seed of the noise.
+/// Seed of the noise.
 const SEED: u32 = 0x2F6E_2B1D;
 
 fn main() -> ExitCode {
@@ -31,9 +31,9 @@ fn main() -> ExitCode {
     let (Ok(contact), Ok(noise)) = (contact, noisy) else { return ExitCode::from(1) };
     let text = format!(
         "{contact}\n{hours:.2} virtual hours of random bytes into the USB port of a disarmed board, seed {SEED:#x}: {} bursts, {} bytes \
-         (noise, noise in frames, requests with bytes changed and cut off), {} bytes answered. Bursts after which a bridge \
-         was on: {}. Restarts: {}. Bursts without a control step: {}. Faults, but for numbers too large to reckon with: {}. The session after it armed and disarmed.\n",
-        noise.bursts, noise.bytes, noise.answered, noise.driven, noise.restarts, noise.stalled, noise.faults
+         (random bytes, random frames, changed and truncated requests), {} bytes received. Bursts after which a bridge \
+         was on: {}. Restarts: {}. Bursts without a control step: {}. Faults, except for numbers too large to compute with: {}. The session after it armed and disarmed.\n",
+        noise.bursts, noise.bytes, noise.received, noise.driven, noise.restarts, noise.stalled, noise.faults
     );
     print!("{text}");
     match std::fs::write(&path, text) {

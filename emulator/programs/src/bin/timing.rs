@@ -1,5 +1,5 @@
-//! `timing`: measures the control interrupt of both boards and writes the tables of
-//! docs/results/timing.md. `cargo xtask timing` calls it.
+//! `timing`: measures the control interrupt of two boards and writes the tables of docs/results/timing.md. `cargo xtask
+//! timing` runs it.
 //!
 //! Exit code 1: a table could not be written.
 
@@ -19,7 +19,7 @@ fn main() -> ExitCode {
         measured.collect()
     };
     let mut tables = vec![("timing", table(&measured(&CASES))), ("timing-scenes", scenes(&measured(&SCENES)))];
-    // An attempt at too high a rate ends in a panic on its own thread, which is the answer.
+    // A rate that is too high ends in a panic on its own thread, which counts as not sustained.
     std::panic::set_hook(Box::new(|_| ()));
     tables.extend([("timing-steps", steps()), ("timing-new-scenes", replacements()), ("timing-rates", rates())]);
     for (name, table) in tables {

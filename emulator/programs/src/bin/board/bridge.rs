@@ -1,4 +1,4 @@
-//! The emulated board for other programs: its serial port as a TCP port and, where the system has them, a
+//! Connects the emulated board to other programs: its serial port as a TCP port and, on systems that have them, as a
 //! pseudo-terminal.
 //!
 //! Virtual time follows the wall clock, as far as the emulator is fast enough.
@@ -11,9 +11,9 @@ use std::time::{Duration, Instant};
 
 use haptic_sim::door::turn_away;
 
-/// Time for which a second tool waits for the first to be gone: one command after another is not two at once.
+/// Time for which a second tool waits for the first to disconnect, so that commands can follow each other directly.
 const GRACE: Duration = Duration::from_millis(500);
-/// Time for which a tool that disarms past the holder of the port receives the board's answer.
+/// Time for which a tool that disarms through another tool's connection receives the board's reply.
 const GUEST: Duration = Duration::from_secs(1);
 
 /// A request to disarm, and the tool that sent it.
@@ -25,11 +25,11 @@ pub trait Outlet {
     fn open(&mut self) -> bool;
     /// Returns the bytes that the program has written since the last call.
     fn read(&mut self) -> Vec<u8>;
-    /// Hands bytes to the program; what it does not take is lost.
+    /// Sends bytes to the program; bytes that it does not accept are lost.
     fn write(&mut self, bytes: &[u8]);
 }
 
-/// A TCP port that one program at a time connects to. A second one is told so; a request of it to disarm gets through.
+/// A TCP port for one program at a time. A second program receives a refusal, but its request to disarm is passed on.
 #[derive(Debug)]
 pub struct TcpOutlet {
     listener: TcpListener,
@@ -41,11 +41,11 @@ pub struct TcpOutlet {
 }
 
 impl TcpOutlet {
-    /// Listens on `port` of this machine alone; 0 takes any free port.
+    /// Listens on `port` of this machine only; 0 selects any free port.
     ///
     /// # Errors
     ///
-    /// A port that is taken.
+    /// If the port is in use.
     pub fn listen(port: u16) -> io::Result<Self> {
         let listener = TcpListener::bind(("127.0.0.1", port))?;
         listener.set_nonblocking(true)?;
@@ -53,11 +53,11 @@ impl TcpOutlet {
         Ok(Self { listener, stream: None, waiting: None, disarm, disarms, guests: Vec::new() })
     }
 
-    /// The port it listens on.
+    /// Returns the port number.
     ///
     /// # Errors
     ///
-    /// A socket that has gone.
+    /// If the socket is closed.
     pub fn port(&self) -> io::Result<u16> {
         Ok(self.listener.local_addr()?.port())
     }
@@ -92,7 +92,7 @@ impl Outlet for TcpOutlet {
         if let Ok((request, guest)) = self.disarms.try_recv() {
             let _ = guest.set_write_timeout(Some(Duration::from_millis(100)));
             self.guests.push((guest, Instant::now()));
-            // A zero ends whatever frame was under way.
+            // A zero ends any unfinished frame.
             return [vec![0], request].concat();
         }
         let mut bytes = vec![0; 4096];
@@ -130,21 +130,21 @@ mod terminal {
     use std::io;
     use std::os::fd::OwnedFd;
 
-    /// A pseudo-terminal, which looks like a serial port to a program.
+    /// A pseudo-terminal, which programs use like a serial port.
     #[derive(Debug)]
     pub struct TerminalOutlet {
         master: OwnedFd,
-        /// Held open, so that a program that leaves does not hang the terminal up.
+        /// Kept open, so that a program that closes the terminal does not hang it up.
         _slave: OwnedFd,
         path: String,
     }
 
     impl TerminalOutlet {
-        /// Makes a terminal.
+        /// Opens a pseudo-terminal.
         ///
         /// # Errors
         ///
-        /// A system without pseudo-terminals, or with none left.
+        /// If the system has no pseudo-terminals, or none is free.
         pub fn new() -> io::Result<Self> {
             let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY)?;
             grantpt(&master)?;
@@ -158,7 +158,7 @@ mod terminal {
             Ok(Self { master, _slave: slave, path })
         }
 
-        /// The device file a program opens.
+        /// Returns the device file for programs to open.
         #[must_use]
         pub fn path(&self) -> &str {
             &self.path
@@ -189,30 +189,30 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_second_program_is_told_and_the_first_goes_on() {
+    fn a_second_program_is_refused_and_the_first_continues() {
         let mut outlet = TcpOutlet::listen(0).expect("a free port");
         let port = outlet.port().expect("it listens");
         let mut first = TcpStream::connect(("127.0.0.1", port)).expect("it listens");
         while !outlet.open() {}
         let mut second = TcpStream::connect(("127.0.0.1", port)).expect("it listens");
         second.set_nonblocking(true).expect("a socket");
-        let mut told = [0; 64];
+        let mut reply = [0; 64];
         let length = loop {
             assert!(outlet.open());
-            match second.read(&mut told) {
+            match second.read(&mut reply) {
                 Ok(length) => break length,
                 Err(error) => assert_eq!(error.kind(), io::ErrorKind::WouldBlock),
             }
             std::thread::sleep(Duration::from_millis(5));
         };
-        assert!(length > 8 && told[length - 1] == 0, "a whole frame: {:?}", &told[..length]);
+        assert!(length > 8 && reply[length - 1] == 0, "a complete frame: {:?}", &reply[..length]);
         first.write_all(b"still here").expect("the first is connected");
         let mut heard = Vec::new();
         while heard.len() < 10 {
             heard.extend(outlet.read());
         }
         assert_eq!(heard, b"still here");
-        // And when the first leaves, the next one has the port.
+        // When the first disconnects, the next gets the port.
         drop(first);
         let mut third = TcpStream::connect(("127.0.0.1", port)).expect("it listens");
         third.write_all(b"!").expect("it is connected");

@@ -1,35 +1,35 @@
-//! The firmware's log in words: defmt frames decoded with the image's own strings.
+//! Decodes the firmware's log: defmt frames with the image's own strings.
 
 use defmt_decoder::{DecodeError, Table};
 
 use haptic_emulator::image::Firmware;
 
-/// The log's strings, taken from an image.
+/// Strings of the log, from an image.
 pub struct Decoder {
     table: Table,
 }
 
 impl Decoder {
-    /// The strings of `firmware`, or `None` for an image that does not log.
+    /// Returns the strings of `firmware`, or `None` for an image without a log.
     #[must_use]
     pub fn new(firmware: &Firmware) -> Option<Self> {
         Table::parse(firmware.bytes()).ok().flatten().map(|table| Self { table })
     }
 
-    /// A reader that is fed raw bytes and hands out lines.
+    /// Returns a reader that converts raw bytes to lines.
     #[must_use]
     pub fn reader(&self) -> Reader<'_> {
         Reader { stream: self.table.new_stream_decoder() }
     }
 }
 
-/// A log on its way.
+/// A log that is being received.
 pub struct Reader<'a> {
     stream: Box<dyn defmt_decoder::StreamDecoder + Send + Sync + 'a>,
 }
 
 impl Reader<'_> {
-    /// Takes bytes in and hands out the lines they complete.
+    /// Receives bytes and returns the lines that they complete.
     pub fn feed(&mut self, raw: &[u8]) -> Vec<String> {
         self.stream.received(raw);
         let mut lines = Vec::new();
@@ -37,7 +37,7 @@ impl Reader<'_> {
             match self.stream.decode() {
                 Ok(frame) => lines.push(frame.display(false).to_string()),
                 Err(DecodeError::UnexpectedEof) => return lines,
-                Err(DecodeError::Malformed) => lines.push("(a part of the log that cannot be read)".to_owned()),
+                Err(DecodeError::Malformed) => lines.push("(unreadable part of the log)".to_owned()),
             }
         }
     }
@@ -51,7 +51,7 @@ mod tests {
     use super::Decoder;
 
     #[test]
-    fn the_log_says_which_board_started() {
+    fn the_log_names_the_board_at_the_start() {
         for kind in BoardKind::ALL {
             let rig = Rig::empty(kind);
             let raw = rig.with(|stopped| stopped.take_log());

@@ -1,9 +1,9 @@
-//! `board [BOARD] [--device FILE.toml] [--tcp PORT] [--fast]`: the real firmware on an emulated board
-//! with a simulated device, for a person. `cargo xtask board` calls it.
+//! `board [BOARD] [--device FILE.toml] [--tcp PORT] [--fast]`: runs the real firmware on an emulated board with a
+//! simulated device, for manual use. `cargo xtask board` runs it.
 //!
-//! It prints the ports that `haptic --port …` connects to, and the firmware's log as it comes. Ctrl-C ends it.
-//! `--fast` lets virtual time run as fast as the emulator goes instead of following the clock.
-//! Exit code 1: it could not be started; 2: the command is wrong.
+//! Prints the ports for `haptic --port …`, and the firmware's log as it arrives. Ctrl-C stops it. With `--fast`,
+//! virtual time runs as fast as the emulator can instead of following the clock.
+//! Exit code 1: the board could not be started; 2: the command is wrong.
 
 mod bridge;
 mod log;
@@ -59,8 +59,8 @@ fn parse(mut words: impl Iterator<Item = String>) -> Option<Arguments> {
     Some(arguments)
 }
 
-/// A copy of the device file at `path` that a real board arms: motor data verified, and limits where it has none. There
-/// is no motor here that could hurt anyone.
+/// Writes a copy of the device file at `path` that can be armed: motor data verified, and limits where it has none. The
+/// board has no real motors that could hurt anyone.
 fn ready_to_arm(path: &Path, file: &DeviceFile) -> std::io::Result<PathBuf> {
     let text = std::fs::read_to_string(path)?;
     let mut joints = file.description.joints.iter();
@@ -94,8 +94,8 @@ fn run(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
     let mut log = decoder.as_ref().map(Decoder::reader);
     let mut board = VirtualBoard::start(&firmware, Hardware::new(wiring, Box::new(device))?)?;
 
-    // Whoever finds a port finds a board that has tested itself and answers.
-    if !board.run_until(2 * SECOND, MILLISECOND, |bench| bench.usb().ready()) {
+    // The ports appear only once the board has tested itself and replies.
+    if !board.run_until(2 * SECOND, MILLISECOND, |stopped| stopped.usb().ready()) {
         return Err("the firmware did not open its USB port within 2 s".into());
     }
 
@@ -128,9 +128,9 @@ fn run(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
                 written.extend(outlet.read());
             }
         }
-        let (sent, raw) = board.with(move |bench| {
-            bench.usb().write(&written);
-            (bench.usb().take(), bench.take_log())
+        let (sent, raw) = board.with(move |stopped| {
+            stopped.usb().write(&written);
+            (stopped.usb().take(), stopped.take_log())
         });
         for outlet in &mut outlets {
             outlet.write(&sent);
