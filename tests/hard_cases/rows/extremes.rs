@@ -10,9 +10,9 @@ use haptic_bridge::model::description::Description;
 use haptic_bridge::model::mechanism::Mechanism;
 use nalgebra::SVector;
 
-/// Poses per row, each with normals of its own.
+/// Poses per row, each with its own normals.
 const POSES: usize = 40;
-/// Normals tried per pose; with a ratio to reach, the one with the largest ratio is measured.
+/// Random normals per pose; the normal with the largest Wrr/Weff is measured.
 const NORMALS: usize = 20;
 
 /// One row of the table.
@@ -26,7 +26,7 @@ pub struct Row {
     pub double: Errors,
 }
 
-/// The errors at regular poses of a device, at the normals with the largest Wrr/Weff.
+/// Computes the errors at regular poses of a device, at the normals with the largest Wrr/Weff.
 fn row<A, B, C, const N: usize>((double, board, reference): (&A, &B, &C), device: &'static str, case: String) -> Row
 where
     A: Mechanism<f64, N>,
@@ -68,7 +68,7 @@ fn measured(name: &'static str, device: &Description, case: String) -> Row {
     in_three_precisions!(device, (a, b, c) => row((&a, &b, &c), name, case))
 }
 
-/// The same device with every length and every mass multiplied.
+/// Multiplies every length and every mass of a device.
 fn scaled(device: &Description, length: f64, mass: f64) -> Description {
     let mut scaled = *device;
     let spec = device.kind.spec();
@@ -96,12 +96,12 @@ fn scaled(device: &Description, length: f64, mass: f64) -> Description {
     scaled
 }
 
-/// The device with its longest link `length` metres and its heaviest link (or handle) `mass` kilograms.
+/// Scales a device to a longest link of `length` (m) and a heaviest link or handle of `mass` (kg).
 fn sized(device: &Description, length: f64, mass: f64) -> Description {
     let lengths = device.kind.spec().joints.max(2) + 2;
     let longest = device.geometry[..lengths.min(5)].iter().fold(0.0_f64, |most, l| most.max(*l));
     let heaviest = device.links.iter().fold(device.handle_mass, |most, link| most.max(link.mass));
-    // A paddle is lumped into its joint: what it weighs is its inertia over its length squared.
+    // A paddle is lumped into its joint: its mass is the inertia over the square of the length.
     let heaviest = if heaviest > 0.0 { heaviest } else { device.joints[0].inertia / (longest * longest) };
     scaled(device, length / longest, mass / heaviest)
 }
@@ -114,10 +114,10 @@ const DEVICES: [(&str, &str); 5] = [
     ("serial-3r", "serial-3r"),
 ];
 
-/// Ratios to reach, by making joint 0 heavier.
+/// Target ratios, reached with a heavier joint 0.
 const RATIOS: [f64; 3] = [1e2, 1e4, 1e6];
 
-/// Every row.
+/// Returns every row.
 pub fn all() -> Vec<Row> {
     let mut rows = Vec::new();
     for (name, file) in DEVICES {
@@ -128,10 +128,10 @@ pub fn all() -> Vec<Row> {
             rows.push(measured(name, &sized(&device, length, mass), format!("{unit}, {weight}")));
         }
         if device.kind.spec().joints == 1 {
-            continue; // A paddle has nothing admissible: Wrr = Weff.
+            continue; // A paddle has no admissible direction: Wrr = Weff.
         }
         for ratio in RATIOS {
-            // Wrr/Weff grows in proportion to the heavy joint once it dominates: one correction reaches it.
+            // Once the heavy joint dominates, Wrr/Weff is proportional to its inertia, so few corrections suffice.
             let heavier = |factor: f64| {
                 let mut heavy = device;
                 heavy.joints[0].inertia *= factor;
