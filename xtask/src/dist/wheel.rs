@@ -1,4 +1,4 @@
-//! The wheel: maturin builds the package in clients/python/ and says for which systems it is; the tool is added as a command.
+//! The wheel: maturin builds the package in clients/python/ and names its systems; the tool is added as a command.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -36,33 +36,33 @@ pub fn write_wheel(place: &Path, tool: &Path) -> Result<PathBuf> {
 
     let wheel = place.join(only(&built)?.file_name().unwrap_or_default());
     ensure!(wheel.exists(), "the tool changed the wheel's name");
-    // maturin has seen to the library alone.
-    serves(&wheel.to_string_lossy(), &fs::read(tool)?)?;
+    // maturin has checked only the library.
+    check_c_library(&wheel.to_string_lossy(), &fs::read(tool)?)?;
     Ok(wheel)
 }
 
-/// The one entry of a folder.
+/// Returns the only entry of a folder.
 fn only(folder: &Path) -> Result<PathBuf> {
     let mut entries = fs::read_dir(folder).with_context(|| format!("cannot read {}", folder.display()))?;
     match (entries.next(), entries.next()) {
         (Some(entry), None) => Ok(entry?.path()),
-        _ => bail!("{} has to hold one entry", folder.display()),
+        _ => bail!("{} must have exactly one entry", folder.display()),
     }
 }
 
-/// Checks that a program runs wherever a wheel of this name is installed: on Linux the name says the oldest C library.
-fn serves(wheel: &str, program: &[u8]) -> Result<()> {
+/// Checks that a program runs on every system of a wheel of this name: on Linux the name contains the oldest C library.
+fn check_c_library(wheel: &str, program: &[u8]) -> Result<()> {
     if cfg!(target_os = "linux") {
         let tag = wheel.split("manylinux_2_").nth(1).and_then(|rest| rest.split('_').next()?.parse::<u32>().ok());
-        let oldest =
-            tag.with_context(|| format!("{wheel} names no C library: what it links to is not on every Linux"))?;
+        let oldest = tag
+            .with_context(|| format!("{wheel} names no version of the C library, so it does not run on every Linux"))?;
         let needed = needed(program);
-        ensure!(needed <= oldest, "the tool needs glibc 2.{needed}, and the wheel says 2.{oldest}");
+        ensure!(needed <= oldest, "the tool needs glibc 2.{needed}, but the wheel's name allows 2.{oldest}");
     }
     Ok(())
 }
 
-/// The newest version 2.N of the C library whose functions a program asks for by name: N.
+/// Returns N of the newest version 2.N of the C library that a program needs, from its symbol versions.
 fn needed(program: &[u8]) -> u32 {
     let name = b"GLIBC_2.";
     let places = program.windows(name.len()).enumerate().filter(|(_, window)| window == name);
@@ -78,12 +78,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_wheel_that_promises_an_older_c_library_than_the_tool_needs_is_refused() {
+    fn a_wheel_for_an_older_c_library_than_needed_is_refused() {
         let program = b"\x7fELF..GLIBC_2.2.5\0GLIBC_2.34\0GLIBC_2.17\0";
         assert_eq!(needed(program), 34);
-        assert!(serves("a-0.1.0-cp311-abi3-manylinux_2_34_x86_64.whl", program).is_ok());
+        assert!(check_c_library("a-0.1.0-cp311-abi3-manylinux_2_34_x86_64.whl", program).is_ok());
         for name in ["a-0.1.0-cp311-abi3-manylinux_2_28_x86_64.whl", "a-0.1.0-cp311-abi3-linux_x86_64.whl"] {
-            assert!(serves(name, program).is_err(), "{name}");
+            assert!(check_c_library(name, program).is_err(), "{name}");
         }
     }
 }
