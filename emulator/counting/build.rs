@@ -1,4 +1,4 @@
-//! The linker's arguments, and its view of the chip: memory.x at the root of the repository.
+//! Sets the linker's arguments and its memory map: memory.x at the root of the repository.
 
 use std::{env, fs, path::PathBuf};
 

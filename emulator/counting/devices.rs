@@ -1,6 +1,6 @@
-//! The devices that the counting image steps: one shipped device file per mechanism, as numbers.
+//! The devices of the counting image: the numbers of one shipped device file per mechanism.
 //!
-//! The image has no TOML reader, so the numbers stand here again; tests/counted_devices.rs holds them to the files.
+//! The image cannot read TOML, so the numbers are repeated here; tests/counted_devices.rs compares them with the files.
 
 use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::catalogue::{MAX_JOINTS, MAX_LINKS};

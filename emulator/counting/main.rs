@@ -1,9 +1,9 @@
-//! The counting image: every variant of the control step on the chip, between the markers of emulator's `count`.
+//! The counting image: every variant of the control step on the chip, between the markers of the emulator's `count`.
 //!
-//! Nothing but the core runs: no board, no clock set-up, no interrupt. `cargo xtask bench` builds it, has it counted on
-//! the emulated chip and keeps the figures in crates/predict/src/bench/counts.json. A variant's name is
-//! `mechanism/trigonometry/mass model/terms`, and that of another velocity estimator ends with its name; each is called
-//! at several poses with the tip inside the walls, after a few steps of motion.
+//! Only the core runs: no board, no clock set-up, no interrupt. `cargo xtask bench` builds the image, counts its
+//! instructions on the emulated chip and stores the counts in crates/predict/src/bench/counts.json. The name of a
+//! variant is `mechanism/trigonometry/mass model/terms`, with the name of a special velocity estimator at its end. Each
+//! variant runs at several poses with the tip inside the walls, after a few steps of motion.
 #![no_std]
 #![no_main]
 
@@ -32,7 +32,7 @@ static mut BENCH_NAME: [u32; 2] = [0; 2];
 #[unsafe(no_mangle)]
 #[inline(never)]
 extern "C" fn bench_begin() {
-    // SAFETY: nothing but an instruction that does nothing; it keeps the three markers different functions.
+    // SAFETY: only an instruction without an effect. It keeps the three markers separate functions.
     unsafe { core::arch::asm!("nop") };
 }
 
@@ -57,24 +57,24 @@ fn panic(_: &PanicInfo<'_>) -> ! {
     }
 }
 
-/// Poses away from home, rad; every pose of every device below is regular.
+/// Offsets of the poses from home, rad; every pose of every device below is regular.
 const POSES: [[f32; MAX_JOINTS]; 6] =
     [[0.0; 3], [0.15, 0.2, -0.1], [-0.2, -0.15, 0.25], [0.3, 0.1, 0.2], [-0.1, 0.25, -0.2], [0.1, -0.2, -0.15]];
-/// The contents of the scene.
+/// Contents of a scene.
 #[derive(Clone, Copy, PartialEq)]
 enum Walls {
     None,
     One,
-    /// Two planes across each other, both touched.
+    /// Two planes at right angles, both touched.
     Two,
     Ball,
-    /// No wall, but a spring.
+    /// A spring without a wall.
     Spring,
-    /// A plane, and a spring beside it.
+    /// A plane and a spring.
     OneAndSpring,
 }
 
-/// The terms, by name: what stands in the scene, whether it is shaped, whether with velocity terms.
+/// Terms by name: contents of the scene, feed-forward, velocity terms.
 const TERMS: &[(&str, Walls, FeedForward, VelocityTerms)] = &[
     ("none", Walls::One, FeedForward::Off, VelocityTerms::Off),
     ("feed-forward", Walls::One, FeedForward::Full, VelocityTerms::Off),
@@ -91,18 +91,19 @@ const TERMS: &[(&str, Walls, FeedForward, VelocityTerms)] = &[
     ("spring beside, none", Walls::OneAndSpring, FeedForward::Off, VelocityTerms::Off),
     ("spring beside, washout", Walls::OneAndSpring, FeedForward::Washout, VelocityTerms::Off),
 ];
-/// A table's points along each coordinate, and how far it reaches from home, rad.
+/// Points of a table along each coordinate.
 const POINTS: u8 = 10;
+/// Distance from home to the edge of a table, rad.
 const RANGE: f32 = 0.6;
-/// Steps before the one that is counted: the joints come from a few counts away, so velocities are not zero. An
-/// estimator's window is full by then.
+/// Number of steps before the counted step. The joints start a few counts away, so that velocities are not zero.
 const RUN_UP: i32 = 3;
+/// Number of steps before the counted step that fill the longest window of an estimator.
 const LONG_RUN_UP: i32 = LONGEST_WINDOW as i32 + RUN_UP;
 
 #[cortex_m_rt::entry]
 fn main() -> ! {
-    // Every variant is set up on the stack, several controllers at once, so it gets the free end of the memory.
-    // SAFETY: nothing of this function is used again, and nothing else lies there (memory.x).
+    // The variants need a large stack for several controllers, so the stack moves to the free end of the memory.
+    // SAFETY: this function's stack is not used again, and nothing else is at the end of the memory (memory.x).
     unsafe { core::arch::asm!("mov sp, {top}", "b {all}", top = in(reg) 0x2002_0000, all = sym all, options(noreturn)) }
 }
 
@@ -158,8 +159,8 @@ fn variants<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
             _ => MassModel::table::<M>(&grid, &values).unwrap_or_default(),
         };
         for (term, walls, feed_forward, velocity_terms) in TERMS {
-            // Other scenes are counted with the board's own functions alone, and all but a ball with the closed form
-            // alone.
+            // Other scenes are counted only with the board's own functions, and except for a ball only with the closed
+            // form.
             let shipped = K::NAME == Tabulated::NAME && (kind == "exact" || *walls == Walls::Ball);
             if *walls != Walls::One && !shipped {
                 continue;
@@ -168,7 +169,7 @@ fn variants<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
             count::<M, K, N>(mechanism, device, &scene, &mass, &home, &[kind, "/", term], RUN_UP);
         }
     }
-    // Estimators of the wall's velocity, with the board's own functions: their windows as long as they can be.
+    // Estimators of the wall's velocity with their longest windows, with the board's own functions.
     if K::NAME == Tabulated::NAME {
         for (estimator, usual) in Estimator::ALL {
             let longest = |chosen| match usual.spec().and_then(|spec| spec.key).filter(|key| key.unit == "samples") {
@@ -183,7 +184,7 @@ fn variants<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
     }
 }
 
-/// Counts the step of a scene, under its mechanism's and trigonometry's name and `rest`, at every pose.
+/// Counts the step of a scene at every pose, under the names of mechanism and trigonometry and `rest`.
 #[inline(never)]
 fn count<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
     mechanism: &M,
@@ -218,34 +219,35 @@ fn step_at<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
         core::array::from_fn(|i| ((home[i] as f32 + offset[i]) / device.joints[i].radians_per_count) as i32);
     let controller = black_box(controller);
     controller.forget();
-    let mut found = StepResult::default();
+    let mut result = StepResult::default();
     for step in 0..=run_up {
         for (i, count) in counts.iter_mut().enumerate() {
             *count += 1 + i as i32;
         }
         let counts = black_box(&counts);
-        let counted = step == run_up;
-        if counted {
+        let is_counted = step == run_up;
+        if is_counted {
             bench_begin();
         }
-        control::<M, K, N>(controller, counts, black_box(&mut found));
-        if counted {
+        control::<M, K, N>(controller, counts, black_box(&mut result));
+        if is_counted {
             bench_end();
         }
     }
 }
 
-/// The control step, which leaves what it finds where the control loop and telemetry read it, out of line as the interrupt has it.
+/// The control step, out of line as in the interrupt. It writes its result where the control loop and telemetry read
+/// it.
 #[inline(never)]
 fn control<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
     controller: &mut Controller<f32, M, K, N>,
     counts: &[i32; N],
-    found: &mut StepResult<f32>,
+    result: &mut StepResult<f32>,
 ) {
-    controller.render(counts, &[0.0; MAX_JOINTS], found);
+    controller.render(counts, &[0.0; MAX_JOINTS], result);
 }
 
-/// A scene whose walls are far enough out that every pose is inside them.
+/// Returns a scene whose walls contain every pose.
 fn scene<M: Mechanism<f32, N>, const N: usize>(
     tip: &SVector<f32, N>,
     walls: Walls,
@@ -271,7 +273,7 @@ fn scene<M: Mechanism<f32, N>, const N: usize>(
         }
     };
     let mut scene = Scene { task: task as u8, velocity_terms, ..Scene::default() };
-    // Walls of different stiffness: where two are alike there is nothing to shape.
+    // Walls of different stiffness, because equal walls leave nothing to shape.
     for (surface, stiffness) in surfaces.into_iter().flatten().zip([1000.0, 500.0]) {
         let _ = scene.walls.push(Wall {
             surface,
@@ -291,6 +293,6 @@ fn scene<M: Mechanism<f32, N>, const N: usize>(
 }
 
 fn name(text: &str) {
-    // SAFETY: one thread; written volatile because it is read from outside.
+    // SAFETY: there is one thread. The write is volatile because the emulator reads the value.
     unsafe { write_volatile(addr_of_mut!(BENCH_NAME), [text.as_ptr() as u32, text.len() as u32]) };
 }
