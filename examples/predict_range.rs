@@ -20,7 +20,7 @@ pub fn main() -> Result<(), Box<dyn std::error::Error>> {
     };
     let range = predict(&plant, &control_loop, Some(&[5.0, 20.0, 80.0]), None)?;
     println!(
-        "the wall acts on {:.1} g without the feed-forward and on {:.1} g with it",
+        "inertia at the wall: {:.1} g without the feed-forward, {:.1} g with it",
         1e3 * range.w_eff,
         1e3 * range.w_rr
     );

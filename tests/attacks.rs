@@ -108,7 +108,7 @@ fn limits_restored_alone_do_not_move_to_another_device() {
 }
 
 #[test]
-fn a_scene_restored_alone_loses_the_frozen_mass_of_another_scene() {
+fn a_scene_restored_alone_loses_the_frozen_mass_matrix() {
     let mut board = Board::ready(false, &rig::device(&five_bar()), &scene(2, &[]));
     board.ask::<SetMassModel>(&MassModelData::Frozen([1e-3, 5e-4, 1e-3, 0.0, 0.0, 0.0])).unwrap().unwrap();
     board.ask::<Save>(&()).unwrap().unwrap();

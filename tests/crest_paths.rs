@@ -170,7 +170,7 @@ impl Pair {
         }
     }
 
-    fn both(&mut self, act: impl Fn(&mut BoardControlLoop)) {
+    fn for_both(&mut self, act: impl Fn(&mut BoardControlLoop)) {
         self.control_loops.iter_mut().for_each(act);
     }
 
@@ -179,7 +179,7 @@ impl Pair {
         self.crests += 1;
         let ticks = self.carrier.ticks();
         if due {
-            self.both(|control_loop| compiled::render(control_loop, &samples.counts));
+            self.for_both(|control_loop| compiled::render(control_loop, &samples.counts));
         }
         let ([one, other], [legs, other_legs]) = (&mut self.control_loops, &mut self.legs);
         let drives = if due {
@@ -190,7 +190,7 @@ impl Pair {
         let others = compiled::crest_generally(other, samples, due, &ticks, other_legs);
         assert_eq!((drives, &legs), (others, &other_legs), "{samples:?} {:?} {:?}", one.status(), other.status());
         // After a usual step the valley records the samples.
-        self.both(|control_loop| compiled::note(control_loop, samples, None));
+        self.for_both(|control_loop| compiled::note(control_loop, samples, None));
         self.assert_equal(samples);
         let [one, other] =
             self.control_loops.each_mut().map(|control_loop| compiled::check_slow_faults(control_loop, samples));
@@ -378,9 +378,11 @@ fn episode(random: &mut Random, trouble: Trouble) -> ([u32; 2], Option<Fault>) {
                 let count = shown.counts[axis] + random.choose(&[0, 1, -3, 60_000]);
                 let mut marks = [None; MAX_JOINTS];
                 marks[axis] = Some(count);
-                pair.both(|control_loop| control_loop.mark(marks));
+                pair.for_both(|control_loop| control_loop.mark(marks));
             }
-            Trouble::Reported if now => pair.both(|control_loop| control_loop.trip(Fault::GateDriver, None, f32::NAN)),
+            Trouble::Reported if now => {
+                pair.for_both(|control_loop| control_loop.trip(Fault::GateDriver, None, f32::NAN))
+            }
             Trouble::Push | Trouble::Power | Trouble::Weight if on && crest % 30 == 0 => {
                 let mut torque = [0.0; MAX_JOINTS];
                 torque[axis] = random.between(-2.0, 2.0) * rules.limits.torque[axis];

@@ -76,7 +76,7 @@ impl Winding {
     }
 }
 
-fn settled(motor: &Motor<f32>, sensed: bool, torque: f32, speed: f32, seconds: f32) -> (f32, Axis) {
+fn settled_current(motor: &Motor<f32>, sensed: bool, torque: f32, speed: f32, seconds: f32) -> (f32, Axis) {
     let mut axis = Axis::new(motor, &bridge(sensed), 10.0);
     let mut winding = Winding { measured_speed: speed, ..Winding::new(*motor, speed) };
     axis.command(torque);
@@ -88,7 +88,7 @@ fn settled(motor: &Motor<f32>, sensed: bool, torque: f32, speed: f32, seconds: f
 fn the_current_loop_makes_the_torque_at_rest_and_in_motion() {
     for torque in [0.1, -0.1, 0.02] {
         for speed in [0.0, 50.0, -50.0] {
-            let (current, _) = settled(&motor(), true, torque, speed, 0.05);
+            let (current, _) = settled_current(&motor(), true, torque, speed, 0.05);
             assert!((current - torque / 0.05).abs() < 1.0e-3, "{torque} N m at {speed} rad/s: {current} A");
         }
     }
@@ -271,7 +271,7 @@ fn a_winding_of_unknown_inductance_does_not_ring() {
 #[test]
 fn without_a_current_sensor_the_model_sets_the_voltage() {
     for (torque, speed) in [(0.1, 0.0), (-0.1, 20.0), (0.15, -60.0)] {
-        let (current, _) = settled(&motor(), false, torque, speed, 0.05);
+        let (current, _) = settled_current(&motor(), false, torque, speed, 0.05);
         assert!((current - torque / 0.05).abs() < 0.1, "{torque} N m at {speed} rad/s: {current} A");
     }
 }

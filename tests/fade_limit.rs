@@ -28,14 +28,14 @@ fn limited(tip_force: f32) -> Rules {
     }
 }
 
-fn at(rate_hz: f32, scene: Scene<f32>) -> Scene<f32> {
+fn at_rate(rate_hz: f32, scene: Scene<f32>) -> Scene<f32> {
     Scene { rate_hz, cutoff_hz: 0.1 * rate_hz, ..scene }
 }
 
 /// Returns the largest tip force (N) while a hand stretches the elbows at `speed` (rad/s). A new scene comes after
 /// `begin` (rad) of motion, and then every `every` steps (0: never).
 fn largest_force(rate: f32, speed: f32, begin: f32, every: u32) -> f64 {
-    let free = at(rate, scene(2, &[]));
+    let free = at_rate(rate, scene(2, &[]));
     let tip = Rig::with(&five_bar(), &free, hardware(), limited(2.0)).control_loop.frame().at.tip;
     let mut pulled = free.clone();
     let point = [tip[0] + 0.19, tip[1] + 0.03, 0.0];
@@ -98,7 +98,7 @@ fn a_fade_is_within_the_limit_from_every_pose() {
 fn a_limit_lowered_just_before_a_scene_holds_at_every_rate() {
     let mut above = Vec::new();
     for rate in [1_000.0, 10_000.0, 20_000.0, 50_000.0] {
-        let free = at(rate, scene(2, &[]));
+        let free = at_rate(rate, scene(2, &[]));
         let tip = Rig::with(&five_bar(), &free, hardware(), limited(5.0)).control_loop.frame().at.tip;
         let mut pulled = free.clone();
         let point = [tip[0] + 0.39, tip[1], 0.0];

@@ -172,7 +172,7 @@ fn one_wall<M: Mechanism<f64, N>, const N: usize>(m: M, device: &Description, q:
 }
 
 #[test]
-fn the_tip_accelerates_along_the_normal_of_flat_and_curved_walls() {
+fn at_any_wall_the_tip_accelerates_along_the_normal_only() {
     let device = shipped("haply-2diy");
     with_five_bar(&device, |m| one_wall(m, &device, &[2.4, 0.7], &[1.5, -1.1]));
     for (file, q, qd) in [

@@ -380,7 +380,7 @@ const HOST: [&str; 7] = [
 const FOREIGN: [&str; 6] = ["odrive", "h-bridge", "stm32", "f405", "cortex", "embassy"];
 
 /// Returns the names of [`FOREIGN`] in a source without its comments.
-fn foreign(text: &str) -> Vec<&'static str> {
+fn foreign_names(text: &str) -> Vec<&'static str> {
     let code: String = text.lines().map(|line| line.split("//").next().unwrap_or_default().to_lowercase()).collect();
     let code = code.replace('_', "-");
     FOREIGN.into_iter().filter(|word| code.contains(word)).collect()
@@ -393,11 +393,11 @@ fn the_library_names_no_board_and_no_chip() {
     sources(&root, &mut found);
     assert!(found.len() > 60, "only {} sources", found.len());
     for path in &found {
-        let words = foreign(&std::fs::read_to_string(path).expect("a readable source"));
+        let words = foreign_names(&std::fs::read_to_string(path).expect("a readable source"));
         assert!(words.is_empty(), "{}: {words:?}", path.display());
     }
     assert_eq!(
-        foreign("const NAME: &str = \"ODrive\"; // stm32\nfn h_bridge_f405() {}"),
+        foreign_names("const NAME: &str = \"ODrive\"; // stm32\nfn h_bridge_f405() {}"),
         ["odrive", "h-bridge", "f405"]
     );
 }
@@ -411,13 +411,13 @@ const WRITERS: [&str; 4] = [
 ];
 
 /// Returns the texts in a source that name an option of a command line, without comments and tests.
-fn options(tokens: TokenStream) -> Vec<String> {
+fn option_texts(tokens: TokenStream) -> Vec<String> {
     let tokens: Vec<TokenTree> = tokens.into_iter().collect();
     let is_comment = |at: usize| at >= 2 && tokens[at - 2].to_string() == "doc";
     let names_option =
         |text: &str| text.split("--").skip(1).any(|rest| rest.starts_with(|c: char| c.is_ascii_lowercase()));
     let found = tokens.iter().enumerate().flat_map(|(at, token)| match token {
-        TokenTree::Group(group) => options(group.stream()),
+        TokenTree::Group(group) => option_texts(group.stream()),
         TokenTree::Literal(text) if !is_comment(at) && names_option(&text.to_string()) => vec![text.to_string()],
         _ => Vec::new(),
     });
@@ -443,7 +443,7 @@ fn no_crate_below_the_tool_names_an_option_of_the_tool() {
         }
         read += 1;
         let text = std::fs::read_to_string(path).expect("a readable source");
-        wrong.extend(options(without_tests(&text)).into_iter().map(|text| format!("{inside}: {text}")));
+        wrong.extend(option_texts(without_tests(&text)).into_iter().map(|text| format!("{inside}: {text}")));
     }
     assert!(read > 100, "only {read} sources");
     assert_eq!(wrong, Vec::<String>::new(), "let main.rs name the option that makes a `Choice`");
@@ -453,5 +453,5 @@ fn no_crate_below_the_tool_names_an_option_of_the_tool() {
 fn an_option_in_a_text_is_found() {
     let text =
         "/// By `--q`.\nfn f() { g(\"another with --q\"); }\n#[cfg(test)]\nmod tests { const T: &str = \"--p\"; }";
-    assert_eq!(options(without_tests(text)), ["\"another with --q\""]);
+    assert_eq!(option_texts(without_tests(text)), ["\"another with --q\""]);
 }

@@ -91,13 +91,13 @@ fn ten_hours_at_1_khz_leave_no_trace() {
     let period: Vec<[i32; 2]> = (0..1_000).map(|step| motion(&q, step)).collect();
     let at = |step: u32| &period[(step % 1_000) as usize];
     // In the last hundred seconds every filter loses its initial state.
-    const LAST: u32 = STEPS - 100_000;
-    for step in 0..LAST {
+    const FIRST_COMPARED: u32 = STEPS - 100_000;
+    for step in 0..FIRST_COMPARED {
         long.step(at(step));
     }
     let mut largest = 0.0_f32;
     let mut worst = 0.0_f32;
-    for step in LAST..STEPS {
+    for step in FIRST_COMPARED..STEPS {
         let (a, b) = (long.step(at(step)), short.step(at(step)));
         if step >= STEPS - 1_000 {
             largest = largest.max(b.torque.amax());
@@ -110,7 +110,7 @@ fn ten_hours_at_1_khz_leave_no_trace() {
 
 /// Moves a device with a constant force of about 1 N on its tip along a path of joint angles. Returns the result of
 /// every step, and the sine that scales its feed-forward.
-fn along<M: Mechanism<f32, N>, const N: usize>(
+fn steps_along<M: Mechanism<f32, N>, const N: usize>(
     mechanism: M,
     device: &Description,
     normal: [f64; 3],
@@ -160,10 +160,13 @@ fn board(file: &str) -> AnyMechanism<f32> {
 fn the_feed_forward_fades_smoothly_near_an_elbow_singularity() {
     let AnyMechanism::Parallelogram(phantom) = board("phantom-premium-1.5") else { panic!("a parallelogram") };
     let folding = path(Vector3::new(0.3, 0.9, -0.3), Vector3::new(0.3, 0.9, 0.895));
-    assert_fades("parallelogram", &along(phantom, &encoded(&shipped("phantom-premium-1.5")), [0.6, 0.8, 0.0], folding));
+    assert_fades(
+        "parallelogram",
+        &steps_along(phantom, &encoded(&shipped("phantom-premium-1.5")), [0.6, 0.8, 0.0], folding),
+    );
     let AnyMechanism::Serial3r(arm) = board("serial-3r") else { panic!("a serial arm") };
     let stretching = path(Vector3::new(0.5, 0.8, 0.7), Vector3::new(0.5, 0.005, 0.7));
-    assert_fades("serial-3r", &along(arm, &encoded(&shipped("serial-3r")), [0.6, 0.8, 0.0], stretching));
+    assert_fades("serial-3r", &steps_along(arm, &encoded(&shipped("serial-3r")), [0.6, 0.8, 0.0], stretching));
 }
 
 #[test]
@@ -171,7 +174,7 @@ fn the_feed_forward_fades_smoothly_near_the_turrets_axis() {
     let AnyMechanism::Parallelogram(phantom) = board("phantom-premium-1.5") else { panic!("a parallelogram") };
     // The tip reaches the axis if both angles are past the vertical by the same amount.
     let over = path(Vector3::new(0.3, 1.2, 0.3), Vector3::new(0.3, 2.1, 0.905));
-    assert_fades("axis", &along(phantom, &encoded(&shipped("phantom-premium-1.5")), [0.6, 0.0, 0.8], over));
+    assert_fades("axis", &steps_along(phantom, &encoded(&shipped("phantom-premium-1.5")), [0.6, 0.0, 0.8], over));
 }
 
 #[test]
@@ -181,7 +184,7 @@ fn the_feed_forward_fades_smoothly_near_a_parallel_singularity() {
     let Ok(AnyMechanism::FiveBar(wide)) = AnyMechanism::<f32>::new(&device) else { panic!("a five-bar") };
     // Both arms swing outwards until the rods are almost in line: base + 2 l cos = 2 r.
     let outwards = path(Vector2::new(2.0, 1.141_592_65), Vector2::new(2.497_592_65, 0.644));
-    assert_fades("rods", &along(wide, &device, [0.6, 0.8, 0.0], outwards));
+    assert_fades("rods", &steps_along(wide, &device, [0.6, 0.8, 0.0], outwards));
 }
 
 #[test]

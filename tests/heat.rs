@@ -10,14 +10,14 @@ use haptic_bridge::safety::fault::Fault;
 use proptest::prelude::*;
 
 /// Returns the heat of a cold motor that may carry `most` (A) for 4 s and `steady` (A) continuously.
-fn motor_of(most: f32, steady: f32) -> Heat {
+fn cold_motor(most: f32, steady: f32) -> Heat {
     let mut heat = Heat::default();
     heat.limit(most, steady);
     heat
 }
 
 /// Returns the heat of the same motor if its heat is unknown.
-fn unknown(most: f32, steady: f32) -> Heat {
+fn unknown_heat(most: f32, steady: f32) -> Heat {
     let mut heat = Heat::UNKNOWN;
     heat.limit(most, steady);
     heat
@@ -35,16 +35,16 @@ fn restart(heat: &Heat) -> Heat {
 
 #[test]
 fn a_motor_carries_its_peak_for_4_s_and_its_continuous_current() {
-    let seconds = time_to_trip(&mut motor_of(4.0, 1.0), 4.0, 10.0).unwrap();
+    let seconds = time_to_trip(&mut cold_motor(4.0, 1.0), 4.0, 10.0).unwrap();
     assert!((seconds - 4.0).abs() < 0.01, "{seconds}");
-    assert_eq!(time_to_trip(&mut motor_of(4.0, 1.0), 0.999, 200.0), None);
+    assert_eq!(time_to_trip(&mut cold_motor(4.0, 1.0), 0.999, 200.0), None);
 }
 
 #[test]
 fn the_smallest_heat_of_a_step_is_counted() {
     // At 50 kHz, a hundredth above the continuous current and with most of the budget used, a step adds less than the
     // last digit of the sum. The budget is (4² - 1²)·4 A² s, 59 are used, and (1.01² - 1) A² use the rest in 50 s.
-    let mut heat = motor_of(4.0, 1.0);
+    let mut heat = cold_motor(4.0, 1.0);
     let dt = 1.0 / 50_000.0;
     for _ in 0..(59.0_f32 / 15.0 / dt) as u32 {
         heat.warm(4.0 * 4.0 * dt, dt);
@@ -58,7 +58,7 @@ fn the_smallest_heat_of_a_step_is_counted() {
 
 #[test]
 fn a_larger_continuous_current_applies_once_the_motor_is_cold() {
-    let mut heat = motor_of(4.0, 1.0);
+    let mut heat = cold_motor(4.0, 1.0);
     // (4² - 1²) A² for a second.
     assert_eq!(time_to_trip(&mut heat, 4.0, 1.0), None);
     let mut next = restart(&heat);
@@ -75,7 +75,7 @@ fn a_larger_continuous_current_applies_once_the_motor_is_cold() {
 #[test]
 fn a_larger_continuous_current_applies_after_a_minute() {
     // The continuous current is 10 mA by mistake: after heat from 0.5 A the motor would take seven hours to cool.
-    let mut heat = motor_of(3.0, 0.01);
+    let mut heat = cold_motor(3.0, 0.01);
     assert_eq!(time_to_trip(&mut heat, 0.5, 10.0), None);
     heat.limit(3.0, 1.0);
     assert!(time_to_trip(&mut heat.clone(), 0.99, 59.0).is_some());
@@ -88,7 +88,7 @@ fn a_larger_continuous_current_applies_after_a_minute() {
 #[test]
 fn a_smaller_continuous_current_does_not_prolong_a_peak() {
     // 0.01 A instead of 2.9 A after half of the time: the other half of 4 s is left.
-    let mut heat = motor_of(3.0, 2.9);
+    let mut heat = cold_motor(3.0, 2.9);
     assert_eq!(time_to_trip(&mut heat, 3.0, 2.0), None);
     let mut next = restart(&heat);
     for heat in [&mut heat, &mut next] {
@@ -97,7 +97,7 @@ fn a_smaller_continuous_current_does_not_prolong_a_peak() {
         assert!((more - 2.0).abs() < 0.01, "{more} s more");
     }
     // The same with many small reductions.
-    let (mut heat, mut current, mut seconds) = (motor_of(3.0, 2.99), 2.99_f32, 0.0_f32);
+    let (mut heat, mut current, mut seconds) = (cold_motor(3.0, 2.99), 2.99_f32, 0.0_f32);
     while !heat.warm(9.0e-3, 1.0e-3) {
         seconds += 1.0e-3;
         current *= 0.998;
@@ -109,7 +109,7 @@ fn a_smaller_continuous_current_does_not_prolong_a_peak() {
 #[test]
 fn unknown_heat_is_half_of_a_budget_once_there_is_a_budget() {
     // Every allowed current may flow continuously, so there is no budget.
-    let heat = unknown(3.0, 3.0);
+    let heat = unknown_heat(3.0, 3.0);
     assert!(heat.held().is_nan());
     assert!(restart(&heat).held().is_nan(), "still unknown after a restart");
     for mut heat in [heat, restart(&heat)] {
@@ -128,7 +128,7 @@ fn unknown_heat_is_half_of_a_budget_once_there_is_a_budget() {
 #[test]
 fn unknown_heat_is_at_most_half_of_the_budget_in_force() {
     // A device with motors of 20 A is loaded first, by mistake.
-    let heat = unknown(20.0, 5.0);
+    let heat = unknown_heat(20.0, 5.0);
     assert_eq!(heat.held(), 0.5 * 4.0 * 375.0);
     for mut heat in [heat, restart(&heat)] {
         heat.limit(3.0, 5.0);
@@ -149,7 +149,7 @@ fn unknown_heat_is_at_most_half_of_the_budget_in_force() {
 #[test]
 fn a_continuous_current_that_was_too_low_leaves_no_heat() {
     for noise in [0.0, 0.03] {
-        let mut heat = motor_of(3.0, 1.0);
+        let mut heat = cold_motor(3.0, 1.0);
         heat.warm(16.0, 0.0);
         heat.limit(3.0, 0.01);
         assert_eq!(time_to_trip(&mut heat, noise, 100.0), None);
@@ -162,7 +162,7 @@ fn a_continuous_current_that_was_too_low_leaves_no_heat() {
 
 #[test]
 fn a_motor_cools_while_a_device_without_it_is_loaded() {
-    let mut heat = motor_of(3.0, 1.0);
+    let mut heat = cold_motor(3.0, 1.0);
     heat.warm(20.0, 0.0);
     heat.limit(0.0, 1.0);
     assert_eq!(time_to_trip(&mut heat, 0.0, 5.0), None);
@@ -172,7 +172,7 @@ fn a_motor_cools_while_a_device_without_it_is_loaded() {
 
 #[test]
 fn an_unlimited_peak_does_not_extend_the_budget() {
-    let mut heat = motor_of(3.0, 1.0);
+    let mut heat = cold_motor(3.0, 1.0);
     heat.warm(31.0, 0.0);
     heat.limit(3.0, 3.0);
     // 1 A² s of 32 is left, at (3² - 1²) A².
@@ -182,7 +182,7 @@ fn an_unlimited_peak_does_not_extend_the_budget() {
 
 #[test]
 fn invalid_words_are_unknown_heat() {
-    let mut sound = motor_of(3.0, 1.0);
+    let mut sound = cold_motor(3.0, 1.0);
     sound.warm(5.0, 0.0);
     assert_eq!(restart(&sound), sound);
     for place in 0..WORDS {
@@ -198,7 +198,7 @@ fn invalid_words_are_unknown_heat() {
 fn heat_is_kept_over_a_restart_completely_or_not_at_all() {
     let memory: [AtomicU32; KEPT] = [const { AtomicU32::new(0) }; KEPT];
     assert_eq!(kept(&memory), [Heat::UNKNOWN; 3], "memory without power");
-    let mut heat = [motor_of(3.0, 1.0), unknown(20.0, 5.0), Heat::default()];
+    let mut heat = [cold_motor(3.0, 1.0), unknown_heat(20.0, 5.0), Heat::default()];
     heat[0].warm(5.0, 0.0);
     keep(&heat, &memory);
     assert_eq!(kept(&memory), heat);
@@ -274,7 +274,7 @@ proptest! {
 }
 
 /// Presses a paddle into a wall at 2.9 A of 3 A until it trips; 1 A may flow continuously.
-fn heated() -> Rig {
+fn tripped_rig() -> Rig {
     let mut rig = Rig::ready(&scene(1, &[wall(-0.005, 290.0)]));
     rig.arm();
     rig.turn(0, -0.15, 1.0);
@@ -283,7 +283,7 @@ fn heated() -> Rig {
     rig
 }
 
-fn raised() -> Rules {
+fn raised_rules() -> Rules {
     let mut raised = rules();
     raised.limits.continuous_current = [2.9; 3];
     raised
@@ -291,11 +291,11 @@ fn raised() -> Rules {
 
 #[test]
 fn a_motor_does_not_cool_faster_after_a_restart() {
-    let mut rig = heated();
+    let mut rig = tripped_rig();
     let heat = *rig.control_loop.heat();
     rig.execute(Command::Clear).unwrap();
-    rig.execute(Command::Rules(raised())).unwrap();
-    let mut again = Rig::bare(hardware(), raised());
+    rig.execute(Command::Rules(raised_rules())).unwrap();
+    let mut again = Rig::bare(hardware(), raised_rules());
     again.control_loop.start_heat(heat);
     again.load(&paddle(), &scene(1, &[wall(-0.05, 100.0)]), false).unwrap();
     for rig in [&mut rig, &mut again] {
@@ -366,7 +366,7 @@ fn unknown_heat_stays_unknown_over_a_restart() {
 
 #[test]
 fn a_hot_motor_cools_while_off_and_stays_hot_through_a_load() {
-    let mut rig = heated();
+    let mut rig = tripped_rig();
     rig.execute(Command::Clear).unwrap();
     rig.turn(0, 0.0, 1.0);
     rig.load(&paddle(), &scene(1, &[wall(-0.005, 290.0)]), false).unwrap();
@@ -392,7 +392,7 @@ fn a_hot_motor_cools_while_off_and_stays_hot_through_a_load() {
 
 /// Returns the seconds until a paddle at 2.9 A of 3 A trips, on a board that starts with this heat in its motors; 1 A
 /// may flow continuously.
-fn lasts(heat: Heat) -> f32 {
+fn pressing_time(heat: Heat) -> f32 {
     let mut rig = Rig::bare(hardware(), rules());
     rig.control_loop.start_heat([heat; 3]);
     rig.load(&paddle(), &scene(1, &[wall(-0.005, 290.0)]), false).unwrap();
@@ -411,12 +411,12 @@ fn lasts(heat: Heat) -> f32 {
 #[test]
 fn a_reset_keeps_the_heat_and_unknown_heat_is_half_the_budget() {
     // (2.9² - 1) A² use up the budget of (3² - 1) A² times 4 s in 4.3 s.
-    let cold = lasts(Heat::default());
+    let cold = pressing_time(Heat::default());
     assert!((4.2..4.5).contains(&cold), "{cold} s");
-    let hot = heated().control_loop.heat()[0];
+    let hot = tripped_rig().control_loop.heat()[0];
     // A second of homing and arming cools by 1 A² s, the heat of 0.14 s at 2.9 A.
-    let after = lasts(hot);
+    let after = pressing_time(hot);
     assert!(after < 0.3, "{after} s");
-    let warm = lasts(Heat::UNKNOWN);
+    let warm = pressing_time(Heat::UNKNOWN);
     assert!((0.45 * cold..0.65 * cold).contains(&warm), "{warm} s of {cold} s");
 }

@@ -16,7 +16,7 @@ use nalgebra::Vector2;
 const ROUNDING: f32 = 1.0e-5;
 
 /// Creates an armed five-bar at rest in free space.
-fn armed() -> Rig {
+fn armed_rig() -> Rig {
     let mut rig = Rig::with(&five_bar(), &scene(2, &[]), hardware(), rules());
     rig.arm();
     rig
@@ -43,7 +43,7 @@ fn poll(rig: &mut Rig) -> ForceAnswer {
 fn a_host_force_is_scaled_to_the_tip_force_limit() {
     let gentle =
         Rules { limits: haptic_bridge::safety::limits::Limits { tip_force: 1.0, ..rules().limits }, ..rules() };
-    let tip = poll(&mut armed()).tip;
+    let tip = poll(&mut armed_rig()).tip;
     // A wall 1 mm deep at the tip that pushes with 0.6 N along x.
     let bilateral = haptic_bridge::render::scene::Wall { bilateral: true, ..wall(tip[0] + 1.0e-3, 600.0) };
     for (walls, push, size) in
@@ -71,8 +71,8 @@ fn a_host_force_is_scaled_to_the_tip_force_limit() {
 }
 
 #[test]
-fn a_lowered_tip_force_limit_acts_at_the_next_step_and_in_a_fade() {
-    let mut rig = armed();
+fn a_lowered_tip_force_limit_acts_at_the_next_step_and_in_fades() {
+    let mut rig = armed_rig();
     let request = ForceRequest { hold: 0.02, fade: 0.02, torque: [0.2, -0.1, 0.0], ..request(1) };
     assert_eq!(rig.control_loop.force(&request).done, ForceDone::Taken);
     let force = |rig: &Rig| {
@@ -99,7 +99,7 @@ fn a_lowered_tip_force_limit_acts_at_the_next_step_and_in_a_fade() {
 
 #[test]
 fn a_request_is_held_then_fades_evenly_and_ends() {
-    let mut rig = armed();
+    let mut rig = armed_rig();
     assert_eq!(rig.control_loop.force(&torque(1, 0.2)).done, ForceDone::Taken);
     let period = 1.0 / RATE;
     let mut before = None;
@@ -125,7 +125,7 @@ fn a_request_is_held_then_fades_evenly_and_ends() {
 
 #[test]
 fn a_late_request_has_only_the_rest_of_its_lease() {
-    let mut rig = armed();
+    let mut rig = armed_rig();
     let seen = poll(&mut rig).step;
     rig.run(0.02);
     // 20 ms of 30 have passed, and half of the fade.
@@ -146,7 +146,7 @@ fn a_late_request_has_only_the_rest_of_its_lease() {
 
 #[test]
 fn repeated_and_reordered_requests_change_nothing() {
-    let mut rig = armed();
+    let mut rig = armed_rig();
     assert_eq!(rig.control_loop.force(&torque(u32::MAX, 0.1)).done, ForceDone::Taken);
     for old in [u32::MAX, u32::MAX - 1, u32::MAX / 2 + 10] {
         let answer = rig.control_loop.force(&torque(old, 0.2));
@@ -165,7 +165,7 @@ fn repeated_and_reordered_requests_change_nothing() {
 
 #[test]
 fn lost_requests_are_bridged_while_the_last_one_is_held() {
-    let mut rig = armed();
+    let mut rig = armed_rig();
     let mut sequence = 0;
     for millisecond in 0..100 {
         // At 1 kHz seven of every eight requests are lost: 8 ms between two requests, each held for 10 ms.
@@ -215,7 +215,7 @@ fn invalid_numbers_are_refused_and_leave_the_present_force() {
         bad.push((BadForce::Gains, with(HostContact { damping: value, ..contact })));
     }
     for (reason, request) in bad {
-        let mut rig = armed();
+        let mut rig = armed_rig();
         assert_eq!(rig.control_loop.force(&torque(1, 0.1)).done, ForceDone::Taken);
         let answer = rig.control_loop.force(&request);
         assert_eq!(answer.done, ForceDone::Bad(reason), "{request:?}");
@@ -227,7 +227,7 @@ fn invalid_numbers_are_refused_and_leave_the_present_force() {
 
 #[test]
 fn the_largest_accepted_numbers_are_harmless() {
-    let mut rig = armed();
+    let mut rig = armed_rig();
     let answer = rig.control_loop.force(&ForceRequest {
         contact: Some(HostContact {
             point: [MOST_DISTANCE, 0.0, 0.0],
@@ -293,7 +293,7 @@ fn a_force_grows_with_the_ramp_after_arming() {
 #[test]
 fn the_torques_of_a_tip_force_do_the_same_virtual_work() {
     for (x, y) in [(1.0, 0.0), (0.0, 1.0), (-0.7, 0.4)] {
-        let mut rig = armed();
+        let mut rig = armed_rig();
         rig.control_loop.force(&force(1, x, y));
         rig.step();
         let answer = poll(&mut rig);
@@ -308,7 +308,7 @@ fn the_torques_of_a_tip_force_do_the_same_virtual_work() {
 #[test]
 fn walls_and_host_are_scaled_by_the_same_share_at_a_limit() {
     // A bilateral wall facing +x pushes the tip, 1 mm deep, with 2 N. The host requests 12 N across.
-    let mut rig = armed();
+    let mut rig = armed_rig();
     let tip = poll(&mut rig).tip;
     let bilateral = haptic_bridge::render::scene::Wall { bilateral: true, ..wall(tip[0] + 1.0e-3, 2_000.0) };
     let mut rig = Rig::with(&five_bar(), &scene(2, &[bilateral]), hardware(), rules());
@@ -330,7 +330,7 @@ fn walls_and_host_are_scaled_by_the_same_share_at_a_limit() {
 
 #[test]
 fn the_reply_reports_the_motion_of_tip_and_joints() {
-    let mut rig = armed();
+    let mut rig = armed_rig();
     let counts = (rig::COUNTS / core::f64::consts::TAU / f64::from(RATE)).round() as i32;
     let mut turn = |steps: u32| {
         for _ in 0..steps {
@@ -353,7 +353,7 @@ fn the_reply_reports_the_motion_of_tip_and_joints() {
 
 #[test]
 fn a_contact_pushes_along_its_normal_and_never_pulls() {
-    let mut rig = armed();
+    let mut rig = armed_rig();
     let tip = poll(&mut rig).tip;
     let normal = [0.6, 0.8, 0.0];
     let at = |depth: f32| core::array::from_fn(|i| tip[i] + normal[i] * depth);
@@ -371,7 +371,7 @@ fn a_contact_pushes_along_its_normal_and_never_pulls() {
 
 #[test]
 fn a_contact_that_jumps_tilts_or_appears_causes_no_force_jump() {
-    let mut rig = armed();
+    let mut rig = armed_rig();
     let tip = poll(&mut rig).tip;
     // From zero to 2 N, then by up to 4 N and 0.4 rad every 5 ms, and finally removed.
     let plane = |depth: f32, angle: f32| {
@@ -412,7 +412,7 @@ fn a_contact_that_jumps_tilts_or_appears_causes_no_force_jump() {
 
 #[test]
 fn a_contact_renewed_while_it_fades_returns_smoothly() {
-    let mut rig = armed();
+    let mut rig = armed_rig();
     let tip = poll(&mut rig).tip;
     let contact = |depth: f32| {
         let point = [tip[0] + depth, tip[1], 0.0];
@@ -436,7 +436,7 @@ fn a_contact_renewed_while_it_fades_returns_smoothly() {
 
 #[test]
 fn a_repeated_contact_continues_its_move() {
-    let mut rig = armed();
+    let mut rig = armed_rig();
     let tip = poll(&mut rig).tip;
     let plane = |depth: f32| {
         let contact =
@@ -479,7 +479,7 @@ fn skip_steps(rig: &mut Rig, mut steps: u64) {
 
 #[test]
 fn a_host_can_push_after_the_count_of_steps_wraps() {
-    let mut rig = armed();
+    let mut rig = armed_rig();
     let push_now = |rig: &mut Rig, sequence: u32| {
         let seen = poll(rig).step;
         rig.step();

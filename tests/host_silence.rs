@@ -69,7 +69,7 @@ impl Rig {
     }
 }
 
-/// Returns a rig that is armed and armed_with_key by a key, with the longest host time that the rules allow, and the
+/// Returns a rig that is armed and held by a key, with the longest host time that the rules allow, and the
 /// last message of the key.
 fn armed_with_key(action: HostAction) -> (Rig, Press) {
     let host_seconds = Rules::HOST_SECONDS.1;
@@ -80,7 +80,7 @@ fn armed_with_key(action: HostAction) -> (Rig, Press) {
 }
 
 #[test]
-fn motors_go_off_without_new_messages_of_the_key_under_all_rules() {
+fn without_new_messages_of_the_key_motors_go_off_under_any_rules() {
     type Sender = fn(&Rig, Press) -> Option<Beat>;
     // A queue or thread that no longer reads the key repeats the last message or sends an earlier one.
     let same: Sender = |_, last| Some(Beat::Held(last));
@@ -125,7 +125,7 @@ fn a_released_key_disarms_without_a_fault() {
 }
 
 /// Creates a disarmed board that can be armed.
-fn ready() -> Rig {
+fn disarmed_rig() -> Rig {
     let mut rig = Rig::armed();
     rig.execute(Command::Disarm).unwrap();
     rig
@@ -134,7 +134,7 @@ fn ready() -> Rig {
 /// A stopped tool or a stalled link can delay the request after the press.
 #[test]
 fn a_press_counts_from_its_reading_and_too_late_it_does_not_arm() {
-    let mut rig = ready();
+    let mut rig = disarmed_rig();
     let press = rig.press();
     rig.run(0.4);
     rig.execute(Command::ArmHeld(press)).unwrap();
@@ -144,7 +144,7 @@ fn a_press_counts_from_its_reading_and_too_late_it_does_not_arm() {
     assert_eq!(rig.fault(), Some(Fault::KeyReleased));
 
     let refused = Err(Refusal::KeyTooOld);
-    let mut rig = ready();
+    let mut rig = disarmed_rig();
     let press = rig.press();
     rig.run(0.51);
     assert_eq!(rig.execute(Command::ArmHeld(press)), refused);
@@ -171,7 +171,7 @@ fn motors_are_off_half_a_second_after_a_release_on_any_link() {
     let steps = |seconds: f32| (seconds * RATE) as u32;
     // Delay of one way, s: in the first second, and later.
     for (at_first, later) in [(0.0, 0.0), (0.1, 0.1), (0.1, 0.2), (0.0, 0.26), (0.05, 2.0), (0.26, 0.26), (2.0, 2.0)] {
-        let mut rig = ready();
+        let mut rig = disarmed_rig();
         let began = rig.control_loop.steps();
         let (released, mut armed, mut off) = (began + steps(3.0), None, None);
         let mut in_transit = VecDeque::new();

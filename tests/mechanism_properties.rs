@@ -3,7 +3,7 @@
 //! Mass matrix, gravity and tip are compared with separate rigid bodies (common/bodies.rs), velocity terms with
 //! derivatives of the mass matrix, and each hand-written kernel of the control step with the matrices that it replaces.
 
-use crate::common::bodies::{derivative, dynamics, place};
+use crate::common::bodies::{derivative, dynamics, place_bodies};
 use crate::common::{Draw, NUMBERS, cases, determinant, device, inverse};
 use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::math::Libm;
@@ -50,7 +50,7 @@ impl<M: Mechanism<f64, N>, const N: usize> Case<M, N> {
     }
 
     /// Returns the pose after motion at `qd` for the time `t`.
-    fn later(&self, t: f64) -> M::Pose {
+    fn pose_after(&self, t: f64) -> M::Pose {
         self.m.pose::<Libm>(&(self.q + self.qd * t))
     }
 }
@@ -70,7 +70,7 @@ fn check_equal<const R: usize, const C: usize>(
 
 fn tip_and_jacobian_are_those_of_the_links<M: Mechanism<f64, N>, const N: usize>(case: &Case<M, N>) -> Outcome {
     let task = |q: &SVector<f64, N>| {
-        let (_, tip) = place(&case.device, q.as_slice());
+        let (_, tip) = place_bodies(&case.device, q.as_slice());
         SVector::<f64, N>::from_fn(|i, _| tip[i])
     };
     check_equal("tip", &case.m.tip(&case.pose()), &task(&case.q), 1e-11, 1e-3)?;
@@ -87,7 +87,7 @@ fn tip_and_jacobian_are_those_of_the_links<M: Mechanism<f64, N>, const N: usize>
 }
 
 fn jacobian_rate_is_the_rate_of_the_jacobian<M: Mechanism<f64, N>, const N: usize>(case: &Case<M, N>) -> Outcome {
-    let differences = derivative(2e-5, |t| case.m.jacobian(&case.later(t)));
+    let differences = derivative(2e-5, |t| case.m.jacobian(&case.pose_after(t)));
     check_equal("J̇", &case.m.jacobian_rate(&case.pose(), &case.qd), &differences, 1e-6, 1e-2)
 }
 
@@ -114,7 +114,7 @@ fn mass_is_symmetric_and_positive_definite<M: Mechanism<f64, N>, const N: usize>
 fn coriolis_forces_agree_with_the_rate_of_m<M: Mechanism<f64, N>, const N: usize>(case: &Case<M, N>) -> Outcome {
     let pose = case.pose();
     let (m, qd) = (&case.m, &case.qd);
-    let mass_rate = derivative(2e-5, |t| m.mass(&case.later(t)));
+    let mass_rate = derivative(2e-5, |t| m.mass(&case.pose_after(t)));
     let scale = mass_rate.amax().max(m.mass(&pose).amax());
     // c is quadratic in q̇. C(q, q̇) x is its polar form, and its columns are C from Christoffel's symbols.
     let mut c = SMatrix::<f64, N, N>::zeros();

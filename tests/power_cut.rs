@@ -181,7 +181,7 @@ fn read(mut flash: Sectors) -> (Values, Sectors) {
 }
 
 /// Returns a flash after `generations` saves.
-fn aged(generations: u8) -> Sectors {
+fn flash_after_saves(generations: u8) -> Sectors {
     (0..generations).fold(Sectors::new(), |flash, generation| save(flash, &values(generation))).reboot()
 }
 
@@ -220,13 +220,13 @@ fn a_cut_in_the_first_save_of_a_new_board_is_harmless() {
 
 #[test]
 fn a_cut_in_a_save_within_a_sector_is_harmless() {
-    check_every_cut(&aged(3), &values(2), &values(9));
+    check_every_cut(&flash_after_saves(3), &values(2), &values(9));
 }
 
 #[test]
 fn a_cut_in_a_save_that_changes_the_sector_is_harmless() {
     // One setting is saved until a save erases a sector and copies all other settings.
-    let (mut old, mut flash) = (values(1), aged(2));
+    let (mut old, mut flash) = (values(1), flash_after_saves(2));
     for generation in 2..=255 {
         let mut new = old.clone();
         new.insert(2, values(generation)[&2].clone());
@@ -272,7 +272,8 @@ fn read_results(mut flash: Sectors) -> (Vec<ReadResult>, Sectors) {
 fn a_flipped_bit_is_reported_and_restores_no_older_value() {
     // With three saves before the last one, and with none: then the damaged setting has no older value.
     for generation in [3, 0] {
-        let (before, flash, now) = (aged(generation), aged(generation + 1), values(generation));
+        let (before, flash, now) =
+            (flash_after_saves(generation), flash_after_saves(generation + 1), values(generation));
         let last = |at: &usize| *at >= 4 && before.bytes[*at] != flash.bytes[*at];
         let (mut damaged, mut intact) = (0, 0);
         for (nth, at) in (0..flash.bytes.len()).filter(last).enumerate() {
@@ -354,7 +355,7 @@ fn check_all_or_none(flash: &Sectors, old: &Values, new: &Values) -> (usize, usi
 
 #[test]
 fn settings_committed_together_are_all_old_or_all_new() {
-    for (flash, old) in [(Sectors::new(), Values::new()), (aged(3), values(2))] {
+    for (flash, old) in [(Sectors::new(), Values::new()), (flash_after_saves(3), values(2))] {
         let (operations, decided) = check_all_or_none(&flash, &old, &values(9));
         assert!(operations > 700, "{operations}");
         assert!(
@@ -382,7 +383,7 @@ fn a_commit_that_erases_a_sector_is_all_or_none() {
 #[test]
 fn staged_settings_without_a_commit_are_not_used() {
     let mut buffer = [0; LONGEST_STORED];
-    let mut flash = aged(1);
+    let mut flash = flash_after_saves(1);
     let mut storage = Storage::new(&mut flash, RANGE, &mut buffer);
     storage.stage(3, &[7; 40]).expect("the flash works");
     assert_eq!(storage.staged(3), Ok(Some(&[7; 40][..])));
@@ -399,7 +400,7 @@ fn a_commit_reports_the_settings_in_force_after_a_flash_failure() {
     let (old, new) = (values(0), values(9));
     let (mut kept, mut completed) = (0, 0);
     for (operation, cut) in (0..).flat_map(|operation| [(operation, Cut::Before), (operation, Cut::Within)]) {
-        let mut flash = Sectors { cut: Some((operation, cut)), keeps_power: true, ..aged(1).reboot() };
+        let mut flash = Sectors { cut: Some((operation, cut)), keeps_power: true, ..flash_after_saves(1).reboot() };
         let mut buffer = [0; LONGEST_STORED];
         let mut storage = Storage::new(&mut flash, RANGE, &mut buffer);
         if new.iter().any(|(key, value)| storage.stage(*key, value).is_err()) {
@@ -442,10 +443,10 @@ fn after_the_start_a_read_needs_no_search_and_no_write() {
     let whole: usize = values(0).values().map(Vec::len).sum();
     // Every entry with the catalogue before it, their headers, and the bytes read to find them.
     let most = 2 * whole;
-    let mut flashes = vec![Sectors::new(), aged(9)];
+    let mut flashes = vec![Sectors::new(), flash_after_saves(9)];
     let is_saved = |key: &u8| *key != 5;
     flashes.push(save(Sectors::new(), &values(3).into_iter().filter(|(key, _)| is_saved(key)).collect()));
-    let (nine, six) = (aged(9), aged(6));
+    let (nine, six) = (flash_after_saves(9), flash_after_saves(6));
     for at in (0..2 * SECTOR).step_by(29) {
         let mut spoilt = nine.clone();
         spoilt.bytes[at] ^= 0x10;
@@ -474,7 +475,7 @@ fn after_the_start_a_read_needs_no_search_and_no_write() {
 #[test]
 fn a_read_does_not_repair_damage_after_the_start() {
     let mut buffer = [0; LONGEST_STORED];
-    let mut flash = aged(3);
+    let mut flash = flash_after_saves(3);
     let mut storage = Storage::new(&mut flash, RANGE, &mut buffer);
     storage.start();
     storage.write(1, &values(4)[&1]).expect("the flash works");
@@ -493,10 +494,10 @@ fn a_read_does_not_repair_damage_after_the_start() {
 
 #[test]
 fn a_staged_entry_damaged_after_the_commit_is_reported() {
-    let complete = save_together(aged(1), &values(9));
+    let complete = save_together(flash_after_saves(1), &values(9));
     let mut reported = 0;
     for operation in (0..complete.operations).rev() {
-        let cut = Sectors { cut: Some((operation, Cut::Before)), ..aged(1) };
+        let cut = Sectors { cut: Some((operation, Cut::Before)), ..flash_after_saves(1) };
         let flash = save_together(cut, &values(9)).reboot();
         if read(flash.clone()).0 != values(9) {
             break;

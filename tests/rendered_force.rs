@@ -9,7 +9,7 @@ use haptic_bridge::render::velocity::Washout;
 use haptic_bridge::safety::limits::Limits;
 
 /// Presses a paddle of 0.1 m `depth` (m) into a wall of 1 kN/m at -0.05 m. Its motor may make 0.3 N m, which is 3 N.
-fn pressed(depth: f64) -> Rig {
+fn pressed_paddle(depth: f64) -> Rig {
     let mut rig = Rig::armed();
     rig.turn(0, -(0.05 + depth) / 0.1, 2.0);
     rig.settle();
@@ -18,7 +18,7 @@ fn pressed(depth: f64) -> Rig {
 
 #[test]
 fn a_wall_within_the_torque_limit_is_rendered_completely() {
-    let frame = pressed(0.002).control_loop.frame();
+    let frame = pressed_paddle(0.002).control_loop.frame();
     assert!((frame.at.walls.wall_force - 2.0).abs() < 0.02, "{frame:?}");
     assert!((frame.motors.rendered_force - frame.at.walls.wall_force).abs() < 1e-5, "{frame:?}");
     assert_eq!(frame.saturation(0), 0);
@@ -26,7 +26,7 @@ fn a_wall_within_the_torque_limit_is_rendered_completely() {
 
 #[test]
 fn a_wall_beyond_the_torque_limit_is_recorded_as_reduced() {
-    let frame = pressed(0.008).control_loop.frame();
+    let frame = pressed_paddle(0.008).control_loop.frame();
     assert!((frame.at.walls.wall_force - 8.0).abs() < 0.02, "requested: {frame:?}");
     assert!((frame.motors.rendered_force - 3.0).abs() < 1e-4, "0.3 N m at 0.1 m: {frame:?}");
     assert_eq!(frame.saturation(0), 1, "the motor is marked");
@@ -35,7 +35,7 @@ fn a_wall_beyond_the_torque_limit_is_recorded_as_reduced() {
 
 #[test]
 fn a_force_beyond_the_tip_force_limit_is_marked_too() {
-    let mut rig = pressed(0.002);
+    let mut rig = pressed_paddle(0.002);
     let limited = rules();
     rig.execute(Command::Rules(Rules { limits: Limits { tip_force: 1.0, ..limited.limits }, ..limited })).unwrap();
     rig.step();
@@ -46,7 +46,7 @@ fn a_force_beyond_the_tip_force_limit_is_marked_too() {
 
 #[test]
 fn the_rendered_force_is_zero_when_off_and_reduced_in_the_ramp() {
-    let mut rig = pressed(0.002);
+    let mut rig = pressed_paddle(0.002);
     rig.execute(Command::Disarm).unwrap();
     rig.step();
     let off = rig.control_loop.frame();
@@ -134,7 +134,7 @@ fn with_two_joints_it_is_the_static_force_of_the_torques() {
 
 #[test]
 fn a_duty_at_its_limit_has_its_own_mark() {
-    let mut rig = pressed(0.001);
+    let mut rig = pressed_paddle(0.001);
     assert_eq!(rig.control_loop.frame().saturation(0), 0);
     // 2 N more within one step would need 44 V across a winding of 1 mH for a carrier period.
     let gains = Gains { wall: 0, stiffness: 2_900.0, damping: 0.0, feed_forward: FeedForward::Off, washout_hz: 2.0 };

@@ -95,7 +95,7 @@ fn every_key_has_a_specimen() {
     assert_eq!(keys, Key::ALL);
 }
 
-fn decoded(key: Key, entry: &[u8]) -> Result<(), Damage> {
+fn decode_entry(key: Key, entry: &[u8]) -> Result<(), Damage> {
     match key {
         Key::Device => decode::<Device<f32>>(entry).map(drop),
         Key::Scene => decode::<Scene<f32>>(entry).map(drop),
@@ -112,7 +112,7 @@ fn an_entry_with_any_bit_wrong_is_refused() {
         for bit in 0..8 * entry.len() {
             let mut damaged = entry.clone();
             damaged[bit / 8] ^= 1 << (bit % 8);
-            assert_eq!(decoded(key, &damaged), Err(Damage::Corrupt), "{key:?}, bit {bit}");
+            assert_eq!(decode_entry(key, &damaged), Err(Damage::Corrupt), "{key:?}, bit {bit}");
         }
     }
 }
@@ -121,15 +121,15 @@ fn an_entry_with_any_bit_wrong_is_refused() {
 fn a_shortened_or_extended_entry_is_refused() {
     for (key, entry) in specimens() {
         for length in 0..entry.len() {
-            assert_eq!(decoded(key, &entry[..length]), Err(Damage::Corrupt), "{key:?}, {length} bytes");
+            assert_eq!(decode_entry(key, &entry[..length]), Err(Damage::Corrupt), "{key:?}, {length} bytes");
         }
         let extended = [&entry[..], &[0]].concat();
-        assert_eq!(decoded(key, &extended), Err(Damage::Corrupt));
+        assert_eq!(decode_entry(key, &extended), Err(Damage::Corrupt));
     }
 }
 
 /// Changes the body of an entry and adds the matching checksum.
-fn resealed(entry: &[u8], change: impl Fn(&mut Vec<u8>)) -> Vec<u8> {
+fn with_changed_body(entry: &[u8], change: impl Fn(&mut Vec<u8>)) -> Vec<u8> {
     let mut body = entry[..entry.len() - 4].to_vec();
     change(&mut body);
     let sum = crc32(&body).to_le_bytes();
@@ -139,17 +139,25 @@ fn resealed(entry: &[u8], change: impl Fn(&mut Vec<u8>)) -> Vec<u8> {
 #[test]
 fn another_version_is_reported_with_its_number() {
     for (key, entry) in specimens() {
-        let newer = resealed(&entry, |body| body[1] = 9);
-        assert_eq!(decoded(key, &newer), Err(Damage::UnknownVersion(9)), "{key:?}");
+        let newer = with_changed_body(&entry, |body| body[1] = 9);
+        assert_eq!(decode_entry(key, &newer), Err(Damage::UnknownVersion(9)), "{key:?}");
     }
 }
 
 #[test]
 fn another_key_and_trailing_bytes_are_refused() {
     for (key, entry) in specimens() {
-        assert_eq!(decoded(key, &resealed(&entry, |body| body[0] ^= 0x40)), Err(Damage::OtherKey), "{key:?}");
-        assert_eq!(decoded(key, &resealed(&entry, |body| body.push(0))), Err(Damage::Corrupt), "{key:?}");
-        assert_eq!(decoded(key, &resealed(&entry, |body| body.truncate(1))), Err(Damage::Corrupt), "{key:?}");
+        assert_eq!(
+            decode_entry(key, &with_changed_body(&entry, |body| body[0] ^= 0x40)),
+            Err(Damage::OtherKey),
+            "{key:?}"
+        );
+        assert_eq!(decode_entry(key, &with_changed_body(&entry, |body| body.push(0))), Err(Damage::Corrupt), "{key:?}");
+        assert_eq!(
+            decode_entry(key, &with_changed_body(&entry, |body| body.truncate(1))),
+            Err(Damage::Corrupt),
+            "{key:?}"
+        );
     }
 }
 
@@ -166,14 +174,14 @@ fn the_checksum_is_the_published_crc_32() {
 
 #[test]
 fn a_scene_of_version_1_keeps_its_velocity_terms() {
-    let entry = earlier(1);
+    let entry = earlier_scene_entry(1);
     let expected =
         Scene { velocity_terms: VelocityTerms::Paper, feed_forward_gain: 1.0, posture: None, ..full_scene() };
     assert_eq!(decode::<Scene<f32>>(&entry), Ok(expected.clone()));
     // The flag of version 1 follows rate, cutoff, estimator and weight.
-    let off = resealed(&entry, |body| body[13] = 0);
+    let off = with_changed_body(&entry, |body| body[13] = 0);
     assert_eq!(decode::<Scene<f32>>(&off), Ok(Scene { velocity_terms: VelocityTerms::Off, ..expected }));
-    let cut = resealed(&entry, |body| body.truncate(body.len() - 1));
+    let cut = with_changed_body(&entry, |body| body.truncate(body.len() - 1));
     assert_eq!(decode::<Scene<f32>>(&cut), Err(Damage::Corrupt));
 }
 
@@ -195,7 +203,7 @@ fn rules_without_a_tip_force_limit_get_a_low_limit() {
 }
 
 /// Reads the entry of a scene of an earlier version from tests/golden.
-fn earlier(version: u8) -> Vec<u8> {
+fn earlier_scene_entry(version: u8) -> Vec<u8> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("tests/golden/scene-{version}.txt"));
     let hex = std::fs::read_to_string(path).expect("the golden file is there");
     let hex = hex.trim();
@@ -208,7 +216,11 @@ fn earlier(version: u8) -> Vec<u8> {
 #[test]
 fn scenes_of_earlier_versions_decode_without_a_posture() {
     for version in [2, 3] {
-        assert_eq!(decode::<Scene<f32>>(&earlier(version)), Ok(Scene { posture: None, ..full_scene() }), "{version}");
+        assert_eq!(
+            decode::<Scene<f32>>(&earlier_scene_entry(version)),
+            Ok(Scene { posture: None, ..full_scene() }),
+            "{version}"
+        );
     }
 }
 

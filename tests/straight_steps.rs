@@ -89,7 +89,7 @@ fn scene<T: Real>(draw: &mut Draw<'_>, place: &[f64], task: usize) -> Scene<T> {
         let normal = direction.map(|x| x / length);
         let depth = draw.within(-0.01, 0.02);
         let on_it = |away: f64| core::array::from_fn(|i| if i < task { place[i] + away * normal[i] } else { 0.0 });
-        let radius = draw.order(0.02, 1.0);
+        let radius = draw.within_log(0.02, 1.0);
         let surface = match (flat, choice(draw, 3)) {
             (0, 0) => Surface::Sphere(Sphere { center: on_it(depth - radius), radius, inside: false }),
             (0, 1) => Surface::Sphere(Sphere { center: on_it(depth + radius), radius, inside: true }),
@@ -97,10 +97,10 @@ fn scene<T: Real>(draw: &mut Draw<'_>, place: &[f64], task: usize) -> Scene<T> {
         };
         let wall = Wall {
             surface,
-            stiffness: draw.order(10.0, 5000.0),
+            stiffness: draw.within_log(10.0, 5000.0),
             damping: draw.within(0.0, 5.0),
             feed_forward: [FeedForward::Off, FeedForward::Full, FeedForward::Washout][choice(draw, 3)],
-            washout_hz: draw.order(0.2, 50.0),
+            washout_hz: draw.within_log(0.2, 50.0),
             damping_compensation: choice(draw, 5) == 0,
             bilateral: choice(draw, 4) == 0,
         };
@@ -115,7 +115,7 @@ fn scene<T: Real>(draw: &mut Draw<'_>, place: &[f64], task: usize) -> Scene<T> {
         let point = core::array::from_fn(|i| place.get(i).map_or(0.0, |x| if i < task { x + away } else { 0.0 }));
         let (turn, to_line) = (draw.within(0.0, core::f64::consts::TAU), choice(draw, 2) == 0 && task > 1);
         let direction = if to_line { [turn.cos(), turn.sin(), 0.0] } else { [0.0; 3] };
-        let stiffness = draw.order(5.0, 2000.0) * [0.0, 1.0, 1.0, 1.0][choice(draw, 4)];
+        let stiffness = draw.within_log(5.0, 2000.0) * [0.0, 1.0, 1.0, 1.0][choice(draw, 4)];
         scene.springs.push(Spring { point, direction, stiffness, damping: 0.5 }).expect("room for a spring");
     }
     scene.cast()
@@ -129,7 +129,7 @@ fn pushed_plane<T: Real>(draw: &mut Draw<'_>, place: &[f64], task: usize) -> Pus
     let size = draw.within(0.5, 1.0) / length;
     let normal: [f64; 3] = core::array::from_fn(|i| if i < task { direction[i] * size } else { 0.0 });
     let at = normal.iter().zip(place).map(|(n, x)| n * x).sum::<f64>() + draw.within(-0.01, 0.02);
-    let stiffness = if draw.within(0.0, 1.0) < 0.2 { 0.0 } else { draw.order(10.0, 2000.0) };
+    let stiffness = if draw.within(0.0, 1.0) < 0.2 { 0.0 } else { draw.within_log(10.0, 2000.0) };
     let [offset, stiffness, damping] = [at, stiffness, draw.within(0.0, 2.0)].map(T::from_f64);
     PushedPlane { normal: normal.map(T::from_f64), offset, stiffness, damping }
 }
@@ -219,7 +219,7 @@ fn compare_steps<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize>(
     let mut straight = Controller::<T, M, K, N>::new(*mechanism, device, &scene).expect("a scene");
     let passivity = draw.within(0.0, 1.0) < 0.5;
     straight.set_passivity(passivity, true);
-    let pace = draw.order(0.1, 60.0);
+    let pace = draw.within_log(0.1, 60.0);
     let plane = pushed_plane::<T>(&mut draw, &place, M::SPEC.task);
     let plane = if draw.within(0.0, 1.0) < 0.5 { plane } else { PushedPlane::default() };
     let (mut push, mut variant) = (None, String::new());

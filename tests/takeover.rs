@@ -27,11 +27,11 @@ fn prepared_values(rig: &Rig) -> String {
         + &part("heat: [", ", first_index")
 }
 
-fn at(rate_hz: f32, scene: Scene<f32>) -> Scene<f32> {
+fn at_rate(rate_hz: f32, scene: Scene<f32>) -> Scene<f32> {
     Scene { rate_hz, cutoff_hz: 0.1 * rate_hz, ..scene }
 }
 
-fn loaded(first: Option<&Scene<f32>>, then: &Scene<f32>, change: impl Fn(&mut Rig)) -> Rig {
+fn load_scenes(first: Option<&Scene<f32>>, then: &Scene<f32>, change: impl Fn(&mut Rig)) -> Rig {
     let description = five_bar();
     let mut rig = Rig::bare(hardware(), rules());
     if let Some(first) = first {
@@ -65,7 +65,8 @@ fn a_scene_has_the_same_prepared_values_after_another_scene() {
     for first in RATES {
         for then in RATES {
             let y = Scene { gravity_compensation: true, ..at(then, scene(2, &[wall(-0.3, 900.0)])) };
-            let (kept, own) = (loaded(Some(&at(first, scene(2, &[]))), &y, |_| ()), loaded(None, &y, |_| ()));
+            let (kept, own) =
+                (load_scenes(Some(&at_rate(first, scene(2, &[]))), &y, |_| ()), load_scenes(None, &y, |_| ()));
             if prepared_values(&kept) != prepared_values(&own) {
                 differ.push((first, then));
             }
@@ -81,11 +82,11 @@ fn limits_changed_between_two_scenes_apply_to_the_second() {
         Limits { current: [0.7; MAX_JOINTS], speed: [3.0; MAX_JOINTS], power: 0.5, tip_force: 2.0, ..limits() };
     other.passivity = true;
     for rate in [200.0, 1_000.0, 7_000.0, 20_000.0, 50_000.0] {
-        let (x, y) = (at(rate, scene(2, &[])), at(rate, scene(2, &[wall(-0.3, 900.0)])));
+        let (x, y) = (at_rate(rate, scene(2, &[])), at_rate(rate, scene(2, &[wall(-0.3, 900.0)])));
         for before in [true, false] {
             // Like a restore: the program is built with the new rules, which are loaded after it.
             let with = |first: Option<&Scene<f32>>| {
-                let mut rig = loaded(first, &y, |rig| {
+                let mut rig = load_scenes(first, &y, |rig| {
                     rig.rules = other;
                     if before {
                         rig.execute(Command::Rules(other)).expect("off");
@@ -107,9 +108,9 @@ fn lowest_tripping_speed(first: Option<f32>, rate: f32) -> f64 {
     let carrier_hz = f64::from(Carrier::for_rate(hardware().timer_hz, rate).carrier_hz());
     for tenths in 150..400 {
         let speed = f64::from(tenths) * 0.1;
-        let mut rig = Rig::with(&description, &at(first.unwrap_or(rate), quiet()), hardware(), limited);
+        let mut rig = Rig::with(&description, &at_rate(first.unwrap_or(rate), quiet()), hardware(), limited);
         if first.is_some() {
-            rig.load(&description, &at(rate, quiet()), true).expect("a scene");
+            rig.load(&description, &at_rate(rate, quiet()), true).expect("a scene");
         }
         rig.execute(Command::Arm).expect("everything is in place");
         let counts_per_crest = COUNTS / std::f64::consts::TAU * speed / carrier_hz;

@@ -19,7 +19,7 @@ pub struct Body {
 }
 
 /// Returns the bodies of a device at joint angles `q` and its task position (φ last on the redundant arm).
-pub fn place(device: &Description, q: &[f64]) -> (Vec<Body>, Vector3<f64>) {
+pub fn place_bodies(device: &Description, q: &[f64]) -> (Vec<Body>, Vector3<f64>) {
     let g = device.geometry;
     let along = |angle: f64| Vector2::new(angle.cos(), angle.sin());
     let (turret, arms) = match device.kind {
@@ -101,9 +101,9 @@ pub fn dynamics(device: &Description, q: &[f64]) -> (Vec<Vec<f64>>, Vec<f64>) {
     let moved = |i: usize, h: f64| {
         let mut q = q.to_vec();
         q[i] += h;
-        place(device, &q).0
+        place_bodies(device, &q).0
     };
-    let (here, _) = place(device, q);
+    let (here, _) = place_bodies(device, q);
     let step = 1.0e-4;
     // Linear and angular velocity of every body per unit velocity of every joint.
     let rates: Vec<Vec<(Vector3<f64>, Vector3<f64>)>> = (0..n)

@@ -24,12 +24,12 @@ pub fn parse(text: &str) -> Description {
     let handle = file.get("handle").and_then(Value::as_table);
     Description {
         kind,
-        gravity: padded(numbers(&file["gravity"])),
-        geometry: padded(keys.iter().flat_map(|key| numbers(&geometry[*key]))),
-        links: padded(tables(&file, "link").map(link)),
-        joints: padded(tables(&file, "joint").map(joint)),
+        gravity: to_array(numbers(&file["gravity"])),
+        geometry: to_array(keys.iter().flat_map(|key| numbers(&geometry[*key]))),
+        links: to_array(tables(&file, "link").map(link)),
+        joints: to_array(tables(&file, "joint").map(joint)),
         handle_mass: handle.map_or(0.0, |handle| number(handle, "mass").expect("a mass")),
-        home: file.get("home").map(|home| padded(numbers(&home["q"]))),
+        home: file.get("home").map(|home| to_array(numbers(&home["q"]))),
     }
 }
 
@@ -108,7 +108,7 @@ fn tables<'a>(file: &'a Table, key: &str) -> impl Iterator<Item = &'a Table> {
 }
 
 /// Fills an array with the values, and the remaining entries with the default.
-fn padded<T: Copy + Default, const N: usize>(values: impl Iterator<Item = T>) -> [T; N] {
+fn to_array<T: Copy + Default, const N: usize>(values: impl Iterator<Item = T>) -> [T; N] {
     let mut array = [T::default(); N];
     values.enumerate().for_each(|(i, value)| array[i] = value);
     array

@@ -38,7 +38,7 @@ impl<'a> Draw<'a> {
     }
 
     /// Maps the next number to `low..high`, logarithmically.
-    pub fn order(&mut self, low: f64, high: f64) -> f64 {
+    pub fn within_log(&mut self, low: f64, high: f64) -> f64 {
         self.within(low.ln(), high.ln()).exp()
     }
 
@@ -54,7 +54,7 @@ pub const NUMBERS: usize = 80;
 /// Draws a link that can be built: its centre of mass lies between a counterweight and the far end, and its inertias
 /// are those of a real body.
 fn link(draw: &mut Draw<'_>, length: f64) -> Link {
-    let mass = draw.order(0.002, 0.5);
+    let mass = draw.within_log(0.002, 0.5);
     let squared = |extent: f64| mass * extent * extent / 12.0;
     let thick = draw.within(0.02, 0.5) * length;
     Link {
@@ -98,9 +98,9 @@ pub fn device(kind: Kind, draw: &mut Draw<'_>) -> Description {
     let gravity = if kind == Kind::Paddle { [0.0; 3] } else { draw.list(-10.0, 10.0) };
     let mut joints = [Joint::default(); MAX_JOINTS];
     for joint in &mut joints {
-        joint.inertia = draw.order(1.0e-5, 1.0e-3);
+        joint.inertia = draw.within_log(1.0e-5, 1.0e-3);
     }
-    Description { kind, gravity, geometry, links, joints, handle_mass: draw.order(1.0e-3, 0.3), home: None }
+    Description { kind, gravity, geometry, links, joints, handle_mass: draw.within_log(1.0e-3, 0.3), home: None }
 }
 
 /// Computes the inverse and the determinant by Gauss-Jordan elimination with pivoting.

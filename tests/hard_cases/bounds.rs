@@ -126,7 +126,7 @@ fn a_hit_at_10_m_per_s_keeps_four_digits_and_never_pulls() {
 }
 
 #[test]
-fn a_wall_of_1e6_n_per_m_is_exact_to_the_tip_positions_last_digit() {
+fn a_stiff_wall_is_exact_to_the_last_digit_of_the_tip_position() {
     // The position of a tip at 0.4 m has an error of 0.1 µm: two units in the last place of f32, and the error of the
     // sines.
     assert_eq!(STEPS.len(), 5);
@@ -136,7 +136,7 @@ fn a_wall_of_1e6_n_per_m_is_exact_to_the_tip_positions_last_digit() {
 }
 
 #[test]
-fn walls_at_small_angles_or_of_unequal_stiffness_keep_five_digits() {
+fn walls_at_small_angles_or_unequal_stiffness_keep_five_digits() {
     assert_eq!(SEVERAL.len(), 16, "four mechanisms, four angles");
     for row in &*SEVERAL {
         for error in row.torque {

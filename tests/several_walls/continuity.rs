@@ -1,7 +1,7 @@
 //! Torques never jump: their slopes over the angle between walls, over the stiffness ratio and over the penetration
 //! stay below bounds that do not depend on the sampling.
 
-use super::{Precision, Shipped, at, device, normalized, torque, torque_of_some};
+use super::{Precision, Shipped, device, normalized, torque, torque_with_flags, unit_vector};
 use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::description::Encoder;
@@ -39,9 +39,9 @@ fn device_poses() -> Vec<(Shipped, Vec<f64>)> {
 }
 
 /// Returns a unit vector that turns with `angle`, in a plane or on a cone.
-fn turned(task: usize, angle: f64, tilt: f64) -> Vec<f64> {
+fn turned_normal(task: usize, angle: f64, tilt: f64) -> Vec<f64> {
     match task {
-        2 => at(0.3 + angle),
+        2 => unit_vector(0.3 + angle),
         _ => normalized(&[angle.cos(), angle.sin() + 0.2, tilt]),
     }
 }
@@ -61,7 +61,7 @@ fn lever(device: &Shipped, q: &[f64]) -> f64 {
     let task = device.spec().task;
     let mut most = 0.0_f64;
     for i in 0..64 {
-        let n = turned(task, 0.1 * f64::from(i), (f64::from(i) * 0.37).sin() * 2.0);
+        let n = turned_normal(task, 0.1 * f64::from(i), (f64::from(i) * 0.37).sin() * 2.0);
         most = most.max(distance(&torque(device, q, &[(n, 1.0, 1.0)], Precision::F64), &vec![0.0; q.len()]));
     }
     most
@@ -74,12 +74,14 @@ fn torque_is_continuous_in_the_angle_between_walls() {
         for ratio in [1.0, 1.3, 30.0, 1.0e4] {
             for (third, with) in WALL_SETS {
                 let f = |angle: f64| {
-                    let mut walls =
-                        vec![(turned(task, 0.0, 0.4), 1.0, 5.0), (turned(task, angle, 0.4 + angle), ratio, 5.0)];
+                    let mut walls = vec![
+                        (turned_normal(task, 0.0, 0.4), 1.0, 5.0),
+                        (turned_normal(task, angle, 0.4 + angle), ratio, 5.0),
+                    ];
                     if third {
-                        walls.push((turned(task, 0.7, -0.3), 0.5 * ratio, 3.0));
+                        walls.push((turned_normal(task, 0.7, -0.3), 0.5 * ratio, 3.0));
                     }
-                    torque_of_some(&device, &q, &walls, &with[..walls.len()], Precision::F64)
+                    torque_with_flags(&device, &q, &walls, &with[..walls.len()], Precision::F64)
                 };
                 // From parallel walls, through 1 mrad, where the span of the normals would jump, to more than 90°.
                 let fine = slope(-2.0e-3, 2.0e-3, 400, f);
@@ -100,12 +102,14 @@ fn torque_is_continuous_in_the_ratio_of_stiffness() {
         for angle in [1.0e-3, 0.05, 0.6, 1.2, std::f64::consts::FRAC_PI_2] {
             for (third, with) in WALL_SETS {
                 let mut f = |log: f64| {
-                    let mut walls =
-                        vec![(turned(task, 0.0, 0.4), 1.0, 5.0), (turned(task, angle, 0.4), log.exp(), 5.0)];
+                    let mut walls = vec![
+                        (turned_normal(task, 0.0, 0.4), 1.0, 5.0),
+                        (turned_normal(task, angle, 0.4), log.exp(), 5.0),
+                    ];
                     if third {
-                        walls.push((turned(task, 0.7, -0.3), 3.0, 3.0));
+                        walls.push((turned_normal(task, 0.7, -0.3), 3.0, 3.0));
                     }
-                    torque_of_some(&device, &q, &walls, &with[..walls.len()], Precision::F64)
+                    torque_with_flags(&device, &q, &walls, &with[..walls.len()], Precision::F64)
                 };
                 let (low, high) = (1.0e-4_f64.ln(), 1.0e4_f64.ln());
                 let whole = slope(low, high, 1_500, &mut f);
@@ -125,7 +129,7 @@ fn step<M: Mechanism<f64, N>, const N: usize>(
     q: &[f64],
     walls: &[(Vec<f64>, f64, f64)],
 ) -> Vec<f64> {
-    step_of_some(m, file, q, walls, &vec![true; walls.len()])
+    step_with_flags(m, file, q, walls, &vec![true; walls.len()])
 }
 
 /// Computes the torque per newton of wall `pushing`, m, from the board's steps at penetrations of 1 and 1.1 mm, where
@@ -140,14 +144,14 @@ pub fn lever_of_the_board(
     let at = |pushed: f64| {
         let depth = |i: usize| if i == pushing { pushed } else { 1.0e-3 };
         let walls: Vec<_> = walls.iter().enumerate().map(|(i, (n, k))| (n.clone(), *k, depth(i))).collect();
-        with_mechanism!(AnyMechanism::<f64>::new(&file.description).unwrap(), m => step_of_some(m, file, q, &walls, with))
+        with_mechanism!(AnyMechanism::<f64>::new(&file.description).unwrap(), m => step_with_flags(m, file, q, &walls, with))
     };
     let newtons = walls[pushing].1 * 1.0e-4;
     at(1.1e-3).iter().zip(at(1.0e-3)).map(|(far, near)| (far - near) / newtons).collect()
 }
 
 /// Like [`step`], with the feed-forward for the walls whose entry in `with` is true.
-fn step_of_some<M: Mechanism<f64, N>, const N: usize>(
+fn step_with_flags<M: Mechanism<f64, N>, const N: usize>(
     m: M,
     file: &Shipped,
     q: &[f64],
@@ -191,12 +195,14 @@ fn torque_is_continuous_in_depth() {
                 for (third, with) in WALL_SETS {
                     // 2 mm deep in the first wall, with a growing penetration of the second.
                     let f = |depth: f64| {
-                        let mut walls =
-                            vec![(turned(task, 0.0, 0.4), soft, 2.0e-3), (turned(task, angle, 0.4), stiff, depth)];
+                        let mut walls = vec![
+                            (turned_normal(task, 0.0, 0.4), soft, 2.0e-3),
+                            (turned_normal(task, angle, 0.4), stiff, depth),
+                        ];
                         if third {
-                            walls.push((turned(task, 0.7, -0.3), 0.3 * stiff, depth - 1.0e-4));
+                            walls.push((turned_normal(task, 0.7, -0.3), 0.3 * stiff, depth - 1.0e-4));
                         }
-                        with_mechanism!(AnyMechanism::<f64>::new(&file.description).unwrap(), m => step_of_some(m, &file, &q, &walls, &with))
+                        with_mechanism!(AnyMechanism::<f64>::new(&file.description).unwrap(), m => step_with_flags(m, &file, &q, &walls, &with))
                     };
                     // Each wall's own force contributes its stiffness times a lever. The shaping of the first wall
                     // changes over the depth in which the weight of the second grows: ∂w/∂x ≤ 2 · 1.5 k₂/k₁ over
@@ -216,8 +222,11 @@ fn torque_is_continuous_in_depth() {
 fn board_and_model_agree_on_walls_with_and_without_feed_forward() {
     for (device, q) in device_poses() {
         let task = device.spec().task;
-        let walls =
-            [(turned(task, 0.0, 0.4), 3_000.0), (turned(task, 0.9, 0.4), 2_000.0), (turned(task, 0.7, -0.3), 1_000.0)];
+        let walls = [
+            (turned_normal(task, 0.0, 0.4), 3_000.0),
+            (turned_normal(task, 0.9, 0.4), 2_000.0),
+            (turned_normal(task, 0.7, -0.3), 1_000.0),
+        ];
         for with in [[true, false, true], [false, true, false], [false, false, true], [true, true, true]] {
             for pushing in 0..3 {
                 let set: Vec<_> = walls
@@ -225,7 +234,7 @@ fn board_and_model_agree_on_walls_with_and_without_feed_forward() {
                     .enumerate()
                     .map(|(i, (n, k))| (n.clone(), *k, f64::from(u8::from(i == pushing))))
                     .collect();
-                let model = torque_of_some(&device, &q, &set, &with, Precision::F64);
+                let model = torque_with_flags(&device, &q, &set, &with, Precision::F64);
                 let board = lever_of_the_board(&device, &q, &walls, &with, pushing);
                 // The board's angles are rounded to counts.
                 let error = distance(&model, &board) / distance(&model, &vec![0.0; q.len()]);
@@ -240,14 +249,14 @@ fn touching_a_second_wall_causes_no_jump_of_torque() {
     for (file, q) in device_poses() {
         let task = file.spec().task;
         let with = |walls: &[(Vec<f64>, f64, f64)]| with_mechanism!(AnyMechanism::<f64>::new(&file.description).unwrap(), m => step(m, &file, &q, walls));
-        let first = (turned(task, 0.0, 0.4), 5_000.0, 2.0e-3);
+        let first = (turned_normal(task, 0.0, 0.4), 5_000.0, 2.0e-3);
         let alone = with(std::slice::from_ref(&first));
         for angle in [0.05, 0.8, std::f64::consts::FRAC_PI_2] {
             // At 10 nm a wall of 5 kN/m pushes with 0.05 mN.
-            let touched = with(&[first.clone(), (turned(task, angle, 0.4), 5_000.0, 1.0e-8)]);
+            let touched = with(&[first.clone(), (turned_normal(task, angle, 0.4), 5_000.0, 1.0e-8)]);
             let step = distance(&alone, &touched) / distance(&alone, &vec![0.0; q.len()]);
             assert!(step < 1.0e-4, "{}: the torque jumps by {step:e}", file.name);
-            let pressed = with(&[first.clone(), (turned(task, angle, 0.4), 5_000.0, 2.0e-3)]);
+            let pressed = with(&[first.clone(), (turned_normal(task, angle, 0.4), 5_000.0, 2.0e-3)]);
             assert!(
                 distance(&alone, &pressed) > 0.01 * distance(&alone, &vec![0.0; q.len()]),
                 "the second wall must act"
@@ -263,9 +272,9 @@ fn single_precision_suffices_up_to_a_stiffness_ratio_of_1e4() {
         for ratio in [1.0, 1.001, 10.0, 1.0e4] {
             for angle in [0.0, 1.0e-3, 0.1, 0.9, std::f64::consts::FRAC_PI_2] {
                 let walls = [
-                    (turned(task, 0.0, 0.4), 1.0, 5.0),
-                    (turned(task, angle, 0.4), ratio, 5.0),
-                    (turned(task, 0.7, -0.3), 0.3 * ratio, 3.0),
+                    (turned_normal(task, 0.0, 0.4), 1.0, 5.0),
+                    (turned_normal(task, angle, 0.4), ratio, 5.0),
+                    (turned_normal(task, 0.7, -0.3), 0.3 * ratio, 3.0),
                 ];
                 for count in [2, 3] {
                     let [double, single] =
@@ -283,11 +292,12 @@ fn single_precision_suffices_up_to_a_stiffness_ratio_of_1e4() {
 fn coplanar_walls_are_one_wall_and_the_order_does_not_matter() {
     for (device, q) in device_poses() {
         let task = device.spec().task;
-        let n = turned(task, 0.4, 0.3);
+        let n = turned_normal(task, 0.4, 0.3);
         let one = torque(&device, &q, &[(n.clone(), 1.0, 8.0)], Precision::F64);
         let cut = torque(&device, &q, &[(n.clone(), 3.0, 5.0), (n.clone(), 0.1, 3.0)], Precision::F64);
         assert!(distance(&one, &cut) < 1.0e-12, "{}: {one:?} {cut:?}", device.name);
-        let mut walls = vec![(n, 1.0, 5.0), (turned(task, 1.5, 0.3), 4.0, 2.0), (turned(task, -0.7, 0.9), 0.2, 3.0)];
+        let mut walls =
+            vec![(n, 1.0, 5.0), (turned_normal(task, 1.5, 0.3), 4.0, 2.0), (turned_normal(task, -0.7, 0.9), 0.2, 3.0)];
         let forth = torque(&device, &q, &walls, Precision::F64);
         walls.reverse();
         let back = torque(&device, &q, &walls, Precision::F64);

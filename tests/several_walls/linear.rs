@@ -1,7 +1,7 @@
 //! Stability of sampled loops with several walls: built from M and J alone, and checked by eigenvalues.
 
 use super::continuity::lever_of_the_board;
-use super::{Precision, Random, Shipped, at, device, normalized, torque_of_some};
+use super::{Precision, Random, Shipped, device, normalized, torque_with_flags, unit_vector};
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::with_mechanism;
@@ -42,11 +42,11 @@ pub struct Case {
 impl Case {
     /// Creates a case of walls (normal, stiffness), all with the feed-forward or all through Jᵀ.
     pub fn new(device: &Shipped, q: &[f64], walls: &[(Vec<f64>, f64)], feed_forward: bool) -> Option<Self> {
-        Self::of_some(device, q, walls, &vec![feed_forward; walls.len()])
+        Self::with_flags(device, q, walls, &vec![feed_forward; walls.len()])
     }
 
     /// Like [`Case::new`], with the feed-forward for the walls whose entry in `with` is true.
-    pub fn of_some(device: &Shipped, q: &[f64], walls: &[(Vec<f64>, f64)], with: &[bool]) -> Option<Self> {
+    pub fn with_flags(device: &Shipped, q: &[f64], walls: &[(Vec<f64>, f64)], with: &[bool]) -> Option<Self> {
         let (mass, jacobian) = matrices(device, q)?;
         let task = jacobian.nrows();
         let normals = DMatrix::from_fn(walls.len(), task, |i, j| walls[i].0[j]);
@@ -60,7 +60,7 @@ impl Case {
                     .enumerate()
                     .map(|(i, (normal, stiffness))| (normal.clone(), *stiffness, f64::from(u8::from(i == pushing))))
                     .collect();
-                DVector::from_vec(torque_of_some(device, q, &set, with, Precision::F64))
+                DVector::from_vec(torque_with_flags(device, q, &set, with, Precision::F64))
             };
             DMatrix::from_columns(&(0..walls.len()).map(column).collect::<Vec<_>>())
         } else {
@@ -229,7 +229,7 @@ fn the_feed_forward_of_some_walls_makes_no_set_less_stable() {
             let mut with: Vec<bool> = walls.iter().map(|_| random.between(0.0, 1.0) < 0.5).collect();
             with[0] = !with[1];
             let plain = Case::new(&device, &q, &walls, false).expect("a regular pose");
-            let some = Case::of_some(&device, &q, &walls, &with).expect("a regular pose");
+            let some = Case::with_flags(&device, &q, &walls, &with).expect("a regular pose");
             let largest = |case: &Case| case.modes().iter().map(|mode| mode.norm()).fold(0.0, f64::max);
             let (without, heaviest) = (largest(&plain), largest(&some));
             for mode in some.modes() {
@@ -276,7 +276,7 @@ fn facets_two_degrees_apart_have_the_range_of_one_wall() {
     let range = |walls: &[(Vec<f64>, f64)], feed_forward| {
         limit(&Case::new(&device, &q, walls, feed_forward).expect("a regular pose"), critical)
     };
-    let facet = |degrees: f64| (at(middle + degrees.to_radians()), 1.0);
+    let facet = |degrees: f64| (unit_vector(middle + degrees.to_radians()), 1.0);
     let (whole, off) = (range(&[facet(0.0)], true), range(&[facet(0.0)], false));
     let cut = range(&[facet(-1.0), facet(1.0)], true);
     assert!(
@@ -331,7 +331,7 @@ fn share_of_less_stable_pairs(w: f64) -> (f64, f64) {
     let mut random = Random(21);
     let (sets, mut worse, mut worst) = (20_000, 0, 0.0_f64);
     for _ in 0..sets {
-        let column = |angle: f64| DVector::from_vec(at(angle));
+        let column = |angle: f64| DVector::from_vec(unit_vector(angle));
         let (turn, light) = (random.between(0.0, 3.2), 4_f64.powf(-random.between(0.0, 1.0)));
         let (u, v) = (column(turn), column(turn + std::f64::consts::FRAC_PI_2));
         let inertia = &u * u.transpose() + &v * v.transpose() * light;

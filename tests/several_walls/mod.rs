@@ -45,7 +45,7 @@ enum Precision {
 }
 
 /// Returns a unit vector at this angle, rad.
-fn at(angle: f64) -> Vec<f64> {
+fn unit_vector(angle: f64) -> Vec<f64> {
     vec![angle.cos(), angle.sin()]
 }
 
@@ -57,11 +57,11 @@ fn normalized(v: &[f64]) -> Vec<f64> {
 
 /// Computes the joint torques for walls (normal, stiffness, force) at rest and without the device's weight.
 fn torque(device: &Shipped, q: &[f64], walls: &[(Vec<f64>, f64, f64)], precision: Precision) -> Vec<f64> {
-    torque_of_some(device, q, walls, &vec![true; walls.len()], precision)
+    torque_with_flags(device, q, walls, &vec![true; walls.len()], precision)
 }
 
 /// Like [`torque`], with the feed-forward for the walls whose entry in `with` is true.
-fn torque_of_some(
+fn torque_with_flags(
     device: &Shipped,
     q: &[f64],
     walls: &[(Vec<f64>, f64, f64)],

@@ -2,7 +2,7 @@
 //! of the board's step.
 
 use super::linear::{devices, matrices, pose};
-use super::{Random, Shipped, at, device, normalized};
+use super::{Random, Shipped, device, normalized, unit_vector};
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::description::Encoder;
 use haptic_bridge::model::device::Device;
@@ -167,7 +167,7 @@ fn the_feed_forward_makes_no_walls_with_springs_less_stable() {
 
 /// Returns the normal n of the demo's wall, and the direction half way between n and Λ n.
 fn normal_and_oblique(file: &Shipped, q: &[f64]) -> (Vec<f64>, Vec<f64>) {
-    let n = at(75_f64.to_radians());
+    let n = unit_vector(75_f64.to_radians());
     let (mass, jacobian) = matrices(file, q).expect("a regular pose");
     let back = jacobian.try_inverse().expect("a square Jacobian");
     let pulled = back.transpose() * mass * &back * DVector::from_vec(n.clone());

@@ -38,7 +38,7 @@ pub fn print() -> Result<()> {
     let total: f64 = seconds.values().sum();
     println!("| part | crates that only it needs | seconds of one core |\n|---|--:|--:|");
     for (part, crates) in PARTS {
-        let own = graph.only(crates);
+        let own = graph.only_needed_by(crates);
         let spent: f64 = own.iter().filter_map(|name| seconds.get(name)).sum();
         println!("| {part} | {} | {spent:.0} |", own.len());
     }
@@ -117,7 +117,7 @@ impl Graph {
     }
 
     /// Returns the crates that the tool would no longer need without these.
-    fn only(&self, crates: &[&str]) -> BTreeSet<String> {
+    fn only_needed_by(&self, crates: &[&str]) -> BTreeSet<String> {
         let without = self.reached(crates);
         self.reached(&[]).difference(&without).map(|name| (*name).to_owned()).collect()
     }
@@ -135,7 +135,7 @@ mod tests {
             ("a".into(), needs(&["shared", "own"])),
             ("b".into(), needs(&["shared"])),
         ]));
-        assert_eq!(graph.only(&["a"]), needs(&["a", "own"]));
+        assert_eq!(graph.only_needed_by(&["a"]), needs(&["a", "own"]));
     }
 
     #[test]

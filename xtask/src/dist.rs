@@ -21,10 +21,10 @@ use crate::toolchain::{Use, cargo, host, run, rust_flags};
 use crate::{images, playground, tools};
 
 /// Time stamp of every file in archive and wheel: 1980-01-01, the earliest that a wheel can store.
-const TIME: u64 = 315_532_800;
+const FILE_TIME: u64 = 315_532_800;
 
 /// Paths of the release files.
-pub struct Made {
+pub struct ReleaseFiles {
     /// Path of the archive.
     pub archive: PathBuf,
     /// Path of the wheel.
@@ -32,18 +32,18 @@ pub struct Made {
 }
 
 /// Builds everything whose source has changed and writes the release files into an empty target/dist.
-pub fn make() -> Result<Made> {
+pub fn make() -> Result<ReleaseFiles> {
     tools::provide(&[Use::Build, Use::Playground, Use::Python])?;
     let version = version()?;
     images::build_all()?;
     let page = playground::build()?;
     let began = Instant::now();
-    run(portable(cargo().current_dir(root()).args(["build", "--release", "--locked", "--package", "haptic"])))?;
+    run(make_portable(cargo().current_dir(root()).args(["build", "--release", "--locked", "--package", "haptic"])))?;
     let tool = target_directory().join("release").join(format!("haptic{}", env::consts::EXE_SUFFIX));
     println!("{}: {}, built in {} s", tool.display(), megabytes(&tool)?, began.elapsed().as_secs());
 
     let place = target_directory().join("dist");
-    empty(&place)?;
+    create_empty(&place)?;
     let archive = archive::write_archive(&place, &format!("haptic-{version}-{}", host()?), &tool, &page)?;
     let wheel = wheel::write_wheel(&place, &tool)?;
     let mut sums = String::new();
@@ -54,12 +54,12 @@ pub fn make() -> Result<Made> {
         println!("{}: {}", file.display(), megabytes(file)?);
     }
     write(&place.join("SHA256SUMS"), sums.as_bytes())?;
-    Ok(Made { archive, wheel })
+    Ok(ReleaseFiles { archive, wheel })
 }
 
 /// Removes from a build everything that differs between computers and days.
-fn portable(command: &mut Command) -> &mut Command {
-    command.env("CARGO_ENCODED_RUSTFLAGS", rust_flags().join("\x1f")).env("SOURCE_DATE_EPOCH", TIME.to_string())
+fn make_portable(command: &mut Command) -> &mut Command {
+    command.env("CARGO_ENCODED_RUSTFLAGS", rust_flags().join("\x1f")).env("SOURCE_DATE_EPOCH", FILE_TIME.to_string())
 }
 
 /// Returns the version of tool, wheel and firmware, which are released together.
@@ -78,7 +78,7 @@ fn megabytes(file: &Path) -> Result<String> {
 }
 
 /// Creates an empty folder.
-fn empty(folder: &Path) -> Result<()> {
+fn create_empty(folder: &Path) -> Result<()> {
     if folder.exists() {
         fs::remove_dir_all(folder).with_context(|| format!("cannot empty {}", folder.display()))?;
     }

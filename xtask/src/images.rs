@@ -15,11 +15,11 @@ use crate::paths::{root, target_directory};
 use crate::toolchain::run;
 
 /// Folder from which crates/flash/build.rs reads the images, relative to the root.
-const PLACE: &str = "crates/flash/images";
+const IMAGES_FOLDER: &str = "crates/flash/images";
 
 /// Builds every image and writes it into the folder.
 pub fn build_all() -> Result<()> {
-    let place = root().join(PLACE);
+    let place = root().join(IMAGES_FOLDER);
     fs::create_dir_all(&place).with_context(|| format!("cannot make {}", place.display()))?;
     let (version, protocol) = (version()?, protocol()?);
     for board in BOARDS {
@@ -85,7 +85,7 @@ pub fn compare_checkouts() -> Result<()> {
         run(&mut command)?;
     }
     let images = |checkout: &PathBuf, board: &str| {
-        let path = checkout.join(PLACE).join(board).with_extension("dfu");
+        let path = checkout.join(IMAGES_FOLDER).join(board).with_extension("dfu");
         fs::read(&path).with_context(|| format!("cannot read {}", path.display()))
     };
     for board in BOARDS {

@@ -160,7 +160,8 @@ fn any_image() -> PossibleValuesParser {
 }
 
 fn main() -> ExitCode {
-    let outcome = wrapper::compiled().unwrap_or_else(|| run(Arguments::parse().command).map(|()| ExitCode::SUCCESS));
+    let outcome =
+        wrapper::compile_if_wrapped().unwrap_or_else(|| run(Arguments::parse().command).map(|()| ExitCode::SUCCESS));
     match outcome {
         Ok(code) => code,
         Err(error) => {

@@ -133,7 +133,7 @@ impl Installed {
     fn toolchain(&self, uses: &[Use]) -> Result<Toolchain> {
         let missing = self.missing(uses);
         if !missing.is_empty() {
-            bail!("{}", self.complaint(uses, &missing));
+            bail!("{}", self.missing_message(uses, &missing));
         }
         Ok(if self.targets(uses).is_empty() { Toolchain::Rustup } else { Toolchain::Debian })
     }
@@ -158,7 +158,7 @@ impl Installed {
     }
 
     /// Returns a message with the missing tools and the commands that install them.
-    fn complaint(&self, uses: &[Use], missing: &[Tool]) -> String {
+    fn missing_message(&self, uses: &[Use], missing: &[Tool]) -> String {
         let mut text = String::from("missing on this computer:\n");
         for tool in missing {
             text += &format!("    {}\n", tool.name());
@@ -273,7 +273,7 @@ mod tests {
     fn all_missing_tools_are_named_with_one_install_command() {
         let bare = installed(&[], None);
         let missing = bare.missing(&DEEP);
-        let text = bare.complaint(&DEEP, &missing);
+        let text = bare.missing_message(&DEEP, &missing);
         for tool in &missing {
             assert!(text.contains(tool.name()), "{tool:?} in\n{text}");
         }
@@ -289,7 +289,7 @@ mod tests {
         assert!(rustup.missing(&TEST).is_empty());
         let both = Installed { browsers: true, ..rustup.clone() };
         assert_eq!(both.missing(&DEEP), [Tool::Cpp, Tool::Browser, Tool::Python]);
-        assert!(!both.complaint(&DEEP, &[Tool::Cpp, Tool::Browser]).contains("rustup"));
+        assert!(!both.missing_message(&DEEP, &[Tool::Cpp, Tool::Browser]).contains("rustup"));
         // The page as a file needs another target.
         let complaint = rustup.toolchain(&[Use::Playground]).unwrap_err().to_string();
         assert!(complaint.contains("rust-web-src") && complaint.ends_with("rustup target add wasm32-unknown-unknown"));

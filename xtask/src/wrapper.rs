@@ -23,7 +23,7 @@ pub fn wrap_compiler(command: &mut Command) {
 }
 
 /// Runs the compiler and returns its exit code if cargo called this program in place of the compiler.
-pub fn compiled() -> Option<Result<ExitCode>> {
+pub fn compile_if_wrapped() -> Option<Result<ExitCode>> {
     env::var_os(WRAPS_COMPILER)?;
     let mut arguments = env::args_os().skip(1);
     let compiler = arguments.next()?;
@@ -31,13 +31,13 @@ pub fn compiled() -> Option<Result<ExitCode>> {
 }
 
 fn compile(compiler: OsString, arguments: Vec<OsString>) -> Result<ExitCode> {
-    let status = Command::new(&compiler).args(renumbered(arguments)).status();
+    let status = Command::new(&compiler).args(renumber_crate(arguments)).status();
     let status = status.with_context(|| format!("cannot run {}", compiler.display()))?;
     Ok(ExitCode::from(status.code().and_then(|code| u8::try_from(code).ok()).unwrap_or(1)))
 }
 
 /// Returns the arguments, with the number of a crate of this repository derived from its name alone.
-fn renumbered(mut arguments: Vec<OsString>) -> Vec<OsString> {
+fn renumber_crate(mut arguments: Vec<OsString>) -> Vec<OsString> {
     let name = arguments.iter().position(|argument| argument == "--crate-name").and_then(|at| arguments.get(at + 1));
     let Some(name) = name.and_then(|name| name.to_str()).filter(|name| name.starts_with("haptic_")) else {
         return arguments;
@@ -60,11 +60,11 @@ mod tests {
         let words = |text: &str| text.split(' ').map(OsString::from).collect::<Vec<_>>();
         let ours = words("--crate-name haptic_bridge src/lib.rs -C metadata=12ab -C extra-filename=-34cd");
         let same = words("--crate-name haptic_bridge src/lib.rs -C metadata=haptic_bridge -C extra-filename=-34cd");
-        assert_eq!(renumbered(ours), same);
+        assert_eq!(renumber_crate(ours), same);
         for other in
             ["--crate-name embassy_usb -C metadata=12ab", "--crate-name build_script_build -C metadata=12ab", "-vV"]
         {
-            assert_eq!(renumbered(words(other)), words(other));
+            assert_eq!(renumber_crate(words(other)), words(other));
         }
     }
 }

@@ -64,12 +64,12 @@ where
     row
 }
 
-fn measured(name: &'static str, device: &Description, case: String) -> Row {
+fn measured_row(name: &'static str, device: &Description, case: String) -> Row {
     in_three_precisions!(device, (a, b, c) => row((&a, &b, &c), name, case))
 }
 
 /// Multiplies every length and every mass of a device.
-fn scaled(device: &Description, length: f64, mass: f64) -> Description {
+fn scale_device(device: &Description, length: f64, mass: f64) -> Description {
     let mut scaled = *device;
     let spec = device.kind.spec();
     let mut index = 0;
@@ -97,13 +97,13 @@ fn scaled(device: &Description, length: f64, mass: f64) -> Description {
 }
 
 /// Scales a device to a longest link of `length` (m) and a heaviest link or handle of `mass` (kg).
-fn sized(device: &Description, length: f64, mass: f64) -> Description {
+fn resize_device(device: &Description, length: f64, mass: f64) -> Description {
     let lengths = device.kind.spec().joints.max(2) + 2;
     let longest = device.geometry[..lengths.min(5)].iter().fold(0.0_f64, |most, l| most.max(*l));
     let heaviest = device.links.iter().fold(device.handle_mass, |most, link| most.max(link.mass));
     // A paddle is lumped into its joint: its mass is the inertia over the square of the length.
     let heaviest = if heaviest > 0.0 { heaviest } else { device.joints[0].inertia / (longest * longest) };
-    scaled(device, length / longest, mass / heaviest)
+    scale_device(device, length / longest, mass / heaviest)
 }
 
 const DEVICES: [(&str, &str); 5] = [
@@ -125,7 +125,7 @@ pub fn all() -> Vec<Row> {
         for (length, mass) in [(1e-3, 1e-6), (1e-3, 1e2), (1e1, 1e-6), (1e1, 1e2)] {
             let unit = if length < 1.0 { "1 mm" } else { "10 m" };
             let weight = if mass < 1.0 { "1 mg" } else { "100 kg" };
-            rows.push(measured(name, &sized(&device, length, mass), format!("{unit}, {weight}")));
+            rows.push(measured_row(name, &resize_device(&device, length, mass), format!("{unit}, {weight}")));
         }
         if device.kind.spec().joints == 1 {
             continue; // A paddle has no admissible direction: Wrr = Weff.
@@ -139,9 +139,9 @@ pub fn all() -> Vec<Row> {
             };
             let mut factor = 10.0 * ratio;
             for _ in 0..3 {
-                factor *= ratio / measured(name, &heavier(factor), String::new()).ratio;
+                factor *= ratio / measured_row(name, &heavier(factor), String::new()).ratio;
             }
-            rows.push(measured(name, &heavier(factor), format!("Wrr/Weff {ratio:.0e}")));
+            rows.push(measured_row(name, &heavier(factor), format!("Wrr/Weff {ratio:.0e}")));
         }
     }
     rows

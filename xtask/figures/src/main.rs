@@ -13,9 +13,9 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 type Error = Box<dyn std::error::Error + Send + Sync>;
 
 /// Device, pose and normal of the wall; the normal has the largest Wrr/Weff at the pose.
-const WHERE: &str = "devices/coupled-five-bar.toml --port sim --q 2.6,1.75 --normal 0.94702228,-0.32116787";
+const SETUP: &str = "devices/coupled-five-bar.toml --port sim --q 2.6,1.75 --normal 0.94702228,-0.32116787";
 /// Options for the idealised device of the linear theory.
-const BARE: &str = "--frictionless --ideal-drive --counts 8388608 --torque-limit 2";
+const IDEAL: &str = "--frictionless --ideal-drive --counts 8388608 --torque-limit 2";
 
 /// A measured range.
 struct Case {
@@ -29,7 +29,7 @@ struct Case {
 }
 
 const fn theory(name: &'static str, rate: &'static str) -> Case {
-    Case { name, picture: Some(name), rate, world: BARE }
+    Case { name, picture: Some(name), rate, world: IDEAL }
 }
 
 const THEORY: [Case; 5] = [
@@ -67,7 +67,7 @@ const WORLDS: [Case; 10] = [
 ];
 
 const fn washed(name: &'static str, rate: &'static str) -> Case {
-    Case { name, picture: None, rate, world: BARE }
+    Case { name, picture: None, rate, world: IDEAL }
 }
 
 const WASHED: [Case; 3] = [
@@ -87,7 +87,7 @@ const PARALLEL: usize = 2;
 /// picture.
 fn line(case: &Case, progress: &str) -> String {
     let picture = case.picture.map_or(String::new(), |name| format!(" --svg docs/results/{name}.svg --force"));
-    format!("haptic measure-range {WHERE} {} {}{picture} --progress {progress}", case.rate, case.world)
+    format!("haptic measure-range {SETUP} {} {}{picture} --progress {progress}", case.rate, case.world)
 }
 
 /// Returns the file for the measurement in the published command line, different for every case.
@@ -175,7 +175,7 @@ fn main() -> Result<(), Error> {
         let mut cells = vec![corner.to_owned()];
         for (case, answer) in theory.iter().filter(|_| wanted.is_empty()) {
             let rate = case.rate.split(" --pull").next().unwrap_or_default();
-            let (place, delay) = (WHERE.replace(" --port sim", ""), &answer["delay_samples"]);
+            let (place, delay) = (SETUP.replace(" --port sim", ""), &answer["delay_samples"]);
             let line = format!("haptic range {place} {rate} --delay {delay} --undamped --washout {corner}");
             let range = run_json(&root, &line)?;
             cells.push(washout_share(|mode| Ok(range[mode]["area"].as_f64().ok_or("no area")?))?);

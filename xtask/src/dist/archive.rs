@@ -8,7 +8,7 @@ use anyhow::{Context as _, Result};
 use flate2::{Compression, GzBuilder};
 use tar::{Builder, Header};
 
-use super::{TIME, empty, licenses, output, write};
+use super::{FILE_TIME, create_empty, licenses, output, write};
 use crate::paths::root;
 
 /// Text of the archive's README.txt.
@@ -60,15 +60,15 @@ const SHELLS: [(&str, &str); 5] = [
 /// Writes the archive that unpacks to the folder `name`. The folder is also left next to the archive.
 pub fn write_archive(place: &Path, name: &str, tool: &Path, page: &Path) -> Result<PathBuf> {
     let folder = place.join(name);
-    empty(&folder)?;
-    gather(&folder, tool, page)?;
+    create_empty(&folder)?;
+    collect_files(&folder, tool, page)?;
     let path = place.join(format!("{name}.tar.gz"));
     pack(&folder, name, &path)?;
     Ok(path)
 }
 
 /// Collects all files in the folder.
-fn gather(folder: &Path, tool: &Path, page: &Path) -> Result<()> {
+fn collect_files(folder: &Path, tool: &Path, page: &Path) -> Result<()> {
     let copy = |from: &Path| {
         let to = folder.join(from.file_name().unwrap_or_default());
         fs::copy(from, &to).with_context(|| format!("cannot copy {} to {}", from.display(), to.display()))
@@ -79,7 +79,7 @@ fn gather(folder: &Path, tool: &Path, page: &Path) -> Result<()> {
     write(&folder.join("README.txt"), README.as_bytes())?;
     write(&folder.join("70-haptic-bridge.rules"), output(Command::new(tool).arg("udev"))?.as_bytes())?;
     let completions = folder.join("completions");
-    empty(&completions)?;
+    create_empty(&completions)?;
     for (shell, name) in SHELLS {
         write(&completions.join(name), output(Command::new(tool).args(["completions", shell]))?.as_bytes())?;
     }
@@ -119,7 +119,7 @@ fn pack(folder: &Path, name: &str, path: &Path) -> Result<()> {
         let mut header = Header::new_gnu();
         header.set_size(bytes.len() as u64);
         header.set_mode(if is_program { 0o755 } else { 0o644 });
-        header.set_mtime(TIME);
+        header.set_mtime(FILE_TIME);
         tar.append_data(&mut header, Path::new(name).join(inside), bytes.as_slice())?;
     }
     tar.into_inner()?.finish()?;

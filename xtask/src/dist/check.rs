@@ -7,7 +7,7 @@ use std::process::Command;
 
 use anyhow::{Context as _, Result, ensure};
 
-use super::{Made, empty, make, output};
+use super::{ReleaseFiles, create_empty, make, output};
 use crate::firmware::BOARDS;
 use crate::paths::target_directory;
 use crate::toolchain::run;
@@ -17,7 +17,7 @@ use crate::{publish, python};
 pub fn check() -> Result<()> {
     let made = make()?;
     let scratch = target_directory().join("dist-check");
-    empty(&scratch)?;
+    create_empty(&scratch)?;
     archive(&made, &scratch.join("archive"))?;
     wheel(&made, &scratch.join("wheel"))?;
     fs::remove_dir_all(&scratch).with_context(|| format!("cannot remove {}", scratch.display()))?;
@@ -25,8 +25,8 @@ pub fn check() -> Result<()> {
 }
 
 /// Unpacks the archive and checks its contents.
-fn archive(made: &Made, place: &Path) -> Result<()> {
-    empty(place)?;
+fn archive(made: &ReleaseFiles, place: &Path) -> Result<()> {
+    create_empty(place)?;
     run(Command::new("tar").arg("-xzf").arg(&made.archive).arg("-C").arg(place))?;
     let entries = fs::read_dir(place)?.map(|entry| Ok(entry?.path())).collect::<Result<Vec<_>>>()?;
     let [folder] = &entries[..] else { anyhow::bail!("the archive unpacks to {entries:?}, not to one folder") };
@@ -47,18 +47,19 @@ fn archive(made: &Made, place: &Path) -> Result<()> {
         ensure!(bytes > 500, "{path} has {bytes} bytes");
     }
     tool(folder, place)?;
-    let known = output(alone(folder, place).args(["check"]).arg(folder.join("devices/haply-2diy.toml")))?;
+    let known = output(isolated_tool(folder, place).args(["check"]).arg(folder.join("devices/haply-2diy.toml")))?;
     ensure!(known.contains("five-bar"), "{known}");
     // For an unknown board the tool lists the boards of its images.
-    let output = alone(folder, place).args(["flash", "no-such-board"]).output().context("cannot run haptic flash")?;
+    let output =
+        isolated_tool(folder, place).args(["flash", "no-such-board"]).output().context("cannot run haptic flash")?;
     let message = String::from_utf8_lossy(&output.stderr).into_owned();
     ensure!(BOARDS.iter().all(|board| message.contains(board)), "images are missing in the tool: {message}");
     Ok(())
 }
 
 /// Installs the wheel into an empty environment and checks the tool and the package.
-fn wheel(made: &Made, place: &Path) -> Result<()> {
-    empty(place)?;
+fn wheel(made: &ReleaseFiles, place: &Path) -> Result<()> {
+    create_empty(place)?;
     let environment = place.join("environment");
     let python = python::environment(&environment, &[made.wheel.to_string_lossy().into_owned()])?;
     let programs = python.parent().context("the interpreter's path has no folder")?;
@@ -72,9 +73,9 @@ fn wheel(made: &Made, place: &Path) -> Result<()> {
 
 /// Runs the tool's demo from a folder.
 fn tool(folder: &Path, place: &Path) -> Result<()> {
-    let version = output(alone(folder, place).arg("--version"))?;
+    let version = output(isolated_tool(folder, place).arg("--version"))?;
     ensure!(version == format!("haptic {}\n", super::version()?), "the tool's version is {version}");
-    let table = output(alone(folder, place).arg("demo"))?;
+    let table = output(isolated_tool(folder, place).arg("demo"))?;
     ensure!(table.contains("picture: "), "the demo printed {table}");
     let picture = fs::read_to_string(place.join("haptic-demo.svg")).context("the demo drew no picture")?;
     ensure!(picture.contains("</svg>"), "the demo's picture has no end");
@@ -83,7 +84,7 @@ fn tool(folder: &Path, place: &Path) -> Result<()> {
 }
 
 /// Returns a call of the tool in a folder, without access to other programs, settings or a home directory.
-fn alone(folder: &Path, place: &Path) -> Command {
+fn isolated_tool(folder: &Path, place: &Path) -> Command {
     let mut command = Command::new(folder.join(format!("haptic{}", env::consts::EXE_SUFFIX)));
     command.current_dir(place).env_clear().env("PATH", folder);
     if let Some(windows) = env::var_os("SYSTEMROOT") {

@@ -58,14 +58,14 @@ pub fn write_into(folder: &Path) -> Result<()> {
     for name in ["LICENSE-MIT", "LICENSE-APACHE"] {
         fs::copy(root().join(name), folder.join(name)).with_context(|| format!("cannot copy {name}"))?;
     }
-    write(&folder.join("LICENSES-OTHERS.txt"), of_dependencies()?.as_bytes())
+    write(&folder.join("LICENSES-OTHERS.txt"), dependency_licenses()?.as_bytes())
 }
 
 /// Returns the license texts, each with the names of its crates.
-fn of_dependencies() -> Result<String> {
-    let mut crates = linked("Cargo.toml", &["haptic", "haptic-python"], &host()?)?;
-    crates.extend(linked("Cargo.toml", &["haptic-page"], BROWSERS)?);
-    crates.extend(linked("firmware/Cargo.toml", &["haptic-firmware"], TARGET)?);
+fn dependency_licenses() -> Result<String> {
+    let mut crates = linked_crates("Cargo.toml", &["haptic", "haptic-python"], &host()?)?;
+    crates.extend(linked_crates("Cargo.toml", &["haptic-page"], BROWSERS)?);
+    crates.extend(linked_crates("firmware/Cargo.toml", &["haptic-firmware"], TARGET)?);
     let mut list = String::from(
         "The tool, the firmware images in it, the page and the library for Python contain the crates below, each under\n\
          its own license, and Rust's standard library (MIT or Apache-2.0, https://github.com/rust-lang/rust).\n\
@@ -95,7 +95,7 @@ struct Crate {
 }
 
 /// Returns the crates of other projects that are linked into packages.
-fn linked(manifest: &str, packages: &[&str], target: &str) -> Result<BTreeSet<Crate>> {
+fn linked_crates(manifest: &str, packages: &[&str], target: &str) -> Result<BTreeSet<Crate>> {
     let mut command = cargo();
     command.args(["metadata", "--locked", "--format-version", "1", "--filter-platform", target, "--manifest-path"]);
     let metadata: Metadata =

@@ -6,7 +6,7 @@ use std::process::Command;
 
 use anyhow::{Context as _, Result, bail, ensure};
 
-use super::{empty, licenses, portable};
+use super::{create_empty, licenses, make_portable};
 use crate::paths::{root, target_directory};
 use crate::python;
 use crate::toolchain::run;
@@ -15,26 +15,26 @@ use crate::toolchain::run;
 pub fn write_wheel(place: &Path, tool: &Path) -> Result<PathBuf> {
     let scratch = target_directory().join("wheel");
     let [built, inside] = ["built", "inside"].map(|name| scratch.join(name));
-    empty(&built)?;
-    empty(&inside)?;
+    create_empty(&built)?;
+    create_empty(&inside)?;
     let python = python::with_build_tools(&scratch.join("environment"))?;
     let mut maturin = Command::new(&python);
     maturin.current_dir(root().join("python")).args(["-m", "maturin", "build", "--release", "--locked"]);
     maturin.arg("--target-dir").arg(target_directory()).arg("--out").arg(&built);
-    run(portable(&mut maturin))?;
+    run(make_portable(&mut maturin))?;
 
-    run(Command::new(&python).args(["-m", "wheel", "unpack", "--dest"]).arg(&inside).arg(only(&built)?))?;
-    let package = only(&inside)?;
+    run(Command::new(&python).args(["-m", "wheel", "unpack", "--dest"]).arg(&inside).arg(only_entry(&built)?))?;
+    let package = only_entry(&inside)?;
     let name = package.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let scripts = package.join(format!("{name}.data/scripts"));
-    empty(&scripts)?;
+    create_empty(&scripts)?;
     fs::copy(tool, scripts.join(tool.file_name().unwrap_or_default())).context("cannot copy the tool")?;
     let notices = package.join(format!("{name}.dist-info/licenses"));
     fs::create_dir_all(&notices).with_context(|| format!("cannot make {}", notices.display()))?;
     licenses::write_into(&notices)?;
-    run(portable(Command::new(&python).args(["-m", "wheel", "pack", "--dest-dir"]).arg(place).arg(&package)))?;
+    run(make_portable(Command::new(&python).args(["-m", "wheel", "pack", "--dest-dir"]).arg(place).arg(&package)))?;
 
-    let wheel = place.join(only(&built)?.file_name().unwrap_or_default());
+    let wheel = place.join(only_entry(&built)?.file_name().unwrap_or_default());
     ensure!(wheel.exists(), "the tool changed the wheel's name");
     // maturin has checked only the library.
     check_c_library(&wheel.to_string_lossy(), &fs::read(tool)?)?;
@@ -42,7 +42,7 @@ pub fn write_wheel(place: &Path, tool: &Path) -> Result<PathBuf> {
 }
 
 /// Returns the only entry of a folder.
-fn only(folder: &Path) -> Result<PathBuf> {
+fn only_entry(folder: &Path) -> Result<PathBuf> {
     let mut entries = fs::read_dir(folder).with_context(|| format!("cannot read {}", folder.display()))?;
     match (entries.next(), entries.next()) {
         (Some(entry), None) => Ok(entry?.path()),
@@ -56,14 +56,14 @@ fn check_c_library(wheel: &str, program: &[u8]) -> Result<()> {
         let tag = wheel.split("manylinux_2_").nth(1).and_then(|rest| rest.split('_').next()?.parse::<u32>().ok());
         let oldest = tag
             .with_context(|| format!("{wheel} names no version of the C library, so it does not run on every Linux"))?;
-        let needed = needed(program);
+        let needed = needed_glibc(program);
         ensure!(needed <= oldest, "the tool needs glibc 2.{needed}, but the wheel's name allows 2.{oldest}");
     }
     Ok(())
 }
 
 /// Returns N of the newest version 2.N of the C library that a program needs, from its symbol versions.
-fn needed(program: &[u8]) -> u32 {
+fn needed_glibc(program: &[u8]) -> u32 {
     let name = b"GLIBC_2.";
     let places = program.windows(name.len()).enumerate().filter(|(_, window)| window == name);
     let number = |(at, _): (usize, _)| {
@@ -80,7 +80,7 @@ mod tests {
     #[test]
     fn a_wheel_for_an_older_c_library_than_needed_is_refused() {
         let program = b"\x7fELF..GLIBC_2.2.5\0GLIBC_2.34\0GLIBC_2.17\0";
-        assert_eq!(needed(program), 34);
+        assert_eq!(needed_glibc(program), 34);
         assert!(check_c_library("a-0.1.0-cp311-abi3-manylinux_2_34_x86_64.whl", program).is_ok());
         for name in ["a-0.1.0-cp311-abi3-manylinux_2_28_x86_64.whl", "a-0.1.0-cp311-abi3-linux_x86_64.whl"] {
             assert!(check_c_library(name, program).is_err(), "{name}");
