@@ -62,7 +62,7 @@ const CASES: [Case; 2] = [
 
 /// Energies of loops, J.
 struct Loops {
-    /// Work of the torques in each loop.
+    /// Net work of the torques in each loop.
     done: Vec<f64>,
     /// The controller's energy at the end of contact in each loop: absorbed, or negative if given out.
     reported: Vec<f64>,
