@@ -42,7 +42,7 @@ struct Optional {
 /// Runs the tests of clients/python/; further arguments go to pytest.
 pub fn test(arguments: &[String]) -> Result<()> {
     tools::provide(&[Use::Python])?;
-    let package = root().join("python");
+    let package = root().join("clients/python");
     // One cargo call, so that the library is built once.
     run(cargo().current_dir(root()).args(["build", "--locked", "--package", "haptic", "--package", "haptic-python"]))?;
     let built = target_directory().join("debug");

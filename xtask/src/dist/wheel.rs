@@ -19,7 +19,7 @@ pub fn write_wheel(place: &Path, tool: &Path) -> Result<PathBuf> {
     create_empty(&inside)?;
     let python = python::with_build_tools(&scratch.join("environment"))?;
     let mut maturin = Command::new(&python);
-    maturin.current_dir(root().join("python")).args(["-m", "maturin", "build", "--release", "--locked"]);
+    maturin.current_dir(root().join("clients/python")).args(["-m", "maturin", "build", "--release", "--locked"]);
     maturin.arg("--target-dir").arg(target_directory()).arg("--out").arg(&built);
     run(make_portable(&mut maturin))?;
 
