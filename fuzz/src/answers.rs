@@ -13,7 +13,8 @@ use std::time::Duration;
 
 /// Runs the link's calls against a board that sends `data`: pieces of an operation, a length and bytes.
 pub fn answers(data: &[u8]) {
-    let wire = RandomBoard { rest: data.to_vec().into(), requests: VecDeque::new(), deframer: Deframer::default(), clock: 0 };
+    let wire =
+        RandomBoard { rest: data.to_vec().into(), requests: VecDeque::new(), deframer: Deframer::default(), clock: 0 };
     let Ok(mut board) = Board::over(Box::new(wire), "fuzz") else { return };
     let _ = board.details();
     let _ = board.status();
@@ -90,7 +91,7 @@ impl Wire for RandomBoard {
         let bytes = match first.filter(|_| self.rest.front().is_some_and(|byte| byte & 1 == 0)) {
             Some(request) => {
                 let header = VarHeader { key: VarKey::Key8(GetInfo::RESP_KEY), seq_no: request.seq_no };
-                                self.requests.pop_front();
+                self.requests.pop_front();
                 self.rest.pop_front();
                 let info = Info {
                     protocol: PROTOCOL,

@@ -4,11 +4,11 @@
 use crate::board::Board;
 use haptic_bridge::board::settings::{BoardName, Entry, Key, Polarity, Setting, decode, encode};
 use haptic_bridge::checksum::crc32;
+use haptic_bridge::control::Rules;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::precomputed::MassModelData;
 use haptic_bridge::render::scene::Scene;
 use haptic_bridge::safety::fault::State;
-use haptic_bridge::control::Rules;
 use std::collections::BTreeMap;
 
 /// Decodes entries, each after a byte for its key and two for its length. The highest bit of the key adds the right

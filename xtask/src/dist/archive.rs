@@ -86,8 +86,7 @@ fn collect_files(folder: &Path, tool: &Path, page: &Path) -> Result<()> {
     output(Command::new(tool).args(["completions", "--man"]).arg(folder.join("man/man1")))?;
     for part in ["devices", "docs"] {
         let from = root().join(part);
-        // Programs that draw the documents' pictures need a checkout.
-        for file in files(&from)?.iter().filter(|file| !file.starts_with(from.join("figures"))) {
+        for file in &files(&from)? {
             let to = folder.join(part).join(file.strip_prefix(&from)?);
             fs::create_dir_all(to.parent().unwrap_or(folder))?;
             fs::copy(file, &to).with_context(|| format!("cannot copy {}", file.display()))?;
