@@ -1,15 +1,15 @@
-//! Follows what a board does and says what was lost: `cargo run -p haptic --example follow_telemetry [PORT]`, by default on a
-//! simulated board. PORT is what `haptic --port` takes.
+//! Prints a board's telemetry and the number of lost rows: `cargo run -p haptic --example follow_telemetry [PORT]`, by
+//! default on a simulated board. PORT is a value of `haptic --port`.
 
 use haptic_host::haptic_bridge::board::telemetry::Field;
 use haptic_host::link::fields;
 use std::time::Duration;
 
-/// Follows the board at a port.
+/// Prints telemetry of the board at a port.
 pub fn follow(port: &str) -> Result<(), Box<dyn std::error::Error>> {
     let mut board = haptic_sim::open(&port.parse()?)?;
     println!("{} {} on {}", board.info().board, board.info().serial, board.port());
-    // Every 100th control step; the board drops whole rows where the link is too slow, and counts them.
+    // Every 100th control step. If the link is too slow, the board drops complete rows and counts them.
     board.start_stream(fields("q,tip,state")?, 100)?;
     for _ in 0..10 {
         for row in board.rows(Duration::from_millis(50))? {

@@ -1,6 +1,6 @@
-//! A program pushes: `cargo run -p haptic --example push_from_the_host [PORT]`, by default on a simulated board. A spring between
-//! the tip and where it was is computed here, and a floor 5 mm below it is handed to the board, which renders it at its
-//! own rate.
+//! A program on the host pushes the tip: `cargo run -p haptic --example push_from_the_host [PORT]`, by default on a
+//! simulated board. This program computes a spring between the tip and its first position. It sends a floor 5 mm below
+//! to the board, which renders it at its own rate.
 
 use haptic_host::device_file::DeviceFile;
 use haptic_host::haptic_bridge::board::protocol::HostContact;
@@ -8,7 +8,7 @@ use haptic_host::haptic_bridge::render::scene::Scene;
 use haptic_host::link::Session;
 use haptic_sim::SHIPPED_DEVICE;
 
-/// Pushes the board at a port for half a second of its time; where the tip was, and is.
+/// Pushes the tip of the board at a port for half a second of the board's time. Returns the tip before and after.
 pub fn push(port: &str) -> Result<([f32; 3], [f32; 3]), Box<dyn std::error::Error>> {
     let device = DeviceFile::parse(SHIPPED_DEVICE, "coupled-five-bar.toml")?;
     let mut session = Session::of(haptic_sim::open(&port.parse()?)?);
@@ -25,12 +25,12 @@ pub fn push(port: &str) -> Result<([f32; 3], [f32; 3]), Box<dyn std::error::Erro
     };
     let mut state = began;
     while state.step.wrapping_sub(began.step) < 10_000 {
-        // 50 N/m back to where it was, and 1 N down.
+        // 50 N/m towards the first position, and 1 N down.
         let spring = [50.0 * (home[0] - state.tip[0]), 50.0 * (home[1] - state.tip[1]) - 1.0, 0.0];
         state = session.push(spring, Some(floor))?;
     }
     println!("tip from {:.4?} to {:.4?} m, {:.3?} N applied: {}", home, state.tip, state.force, state.done);
-    // Here the session is dropped, and the motors go off.
+    // The end of the session turns the motors off.
     Ok((home, state.tip))
 }
 

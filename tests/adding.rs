@@ -1,12 +1,11 @@
-//! The work of adding something, as the table in docs/architecture.md tells it: every file that a row names exists, and
-//! where a test can do the work, one does. Such a test adds a toy through the very table or trait that ships, so it does
-//! not compile where a row leaves a place out.
+//! The table "Adding things" of docs/architecture.md: every file that a row names exists, and for every row but one a
+//! test adds a toy through the table or trait that ships. If a row omits a place, that test does not compile.
 
 use std::path::Path;
 
-/// The rows of the table, each with the test that adds a toy, if one can.
+/// The rows of the table, each with the file and name of the test that adds a toy.
 const ROWS: [(&str, Option<(&str, &str)>); 11] = [
-    ("mechanism", Some(("tests/mechanism.rs", "a_toy_mechanism_is_one_impl_and_renders_walls_with_the_feed_forward"))),
+    ("mechanism", Some(("tests/mechanism.rs", "a_toy_mechanism_is_one_impl_and_renders_walls"))),
     ("straight step", None),
     ("wall shape", Some(("tests/shape.rs", "a_toy_shape_is_one_impl"))),
     ("telemetry signal", Some(("src/board/telemetry.rs", "a_toy_signal_is_one_line"))),
@@ -16,17 +15,11 @@ const ROWS: [(&str, Option<(&str, &str)>); 11] = [
     ("request", Some(("src/board/dispatch.rs", "a_toy_request_is_a_line_and_an_arm"))),
     ("command", Some(("tool/src/commands/mod.rs", "a_toy_command_is_a_file_and_a_line"))),
     ("board", Some(("emulator/tests/emulated/toy.rs", "a_toy_board_is_one_file_and_renders_a_wall"))),
-    (
-        "motor stage",
-        Some((
-            "tests/stages.rs",
-            "an_amplifier_gets_the_current_of_the_walls_torque_and_nothing_once_the_motors_are_off",
-        )),
-    ),
+    ("motor stage", Some(("tests/stages.rs", "an_amplifier_gets_the_current_of_the_walls_torque"))),
 ];
 
-/// Characters of a path.
-fn of_a_path(c: char) -> bool {
+/// Returns true if a path may contain this character.
+fn is_path_char(c: char) -> bool {
     c.is_ascii_alphanumeric() || "_-./".contains(c)
 }
 
@@ -35,7 +28,7 @@ fn read(path: &str) -> String {
     std::fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
 }
 
-/// The rows of the table, by their first cells.
+/// Returns the first cell and the text of every row of the table.
 fn table() -> Vec<(String, String)> {
     let text = read("docs/architecture.md");
     let section = text.split("## Adding things").nth(1).expect("the section");
@@ -43,11 +36,11 @@ fn table() -> Vec<(String, String)> {
     lines.map(|line| (line.split('|').nth(1).expect("a first cell").trim().into(), line.into())).collect()
 }
 
-/// The files that a text names, but for those whose name is the reader's choice.
+/// Returns the files that a text names, except those whose name the reader chooses.
 fn files(text: &str) -> Vec<&str> {
-    let words = text.split(|c: char| !of_a_path(c)).map(|word| word.trim_end_matches('.'));
-    let of_a_file = |word: &&str| word.contains('/') && Path::new(word).extension().is_some();
-    words.filter(of_a_file).filter(|word| !word.contains("NAME")).collect()
+    let words = text.split(|c: char| !is_path_char(c)).map(|word| word.trim_end_matches('.'));
+    let is_file = |word: &&str| word.contains('/') && Path::new(word).extension().is_some();
+    words.filter(is_file).filter(|word| !word.contains("NAME")).collect()
 }
 
 #[test]
@@ -73,7 +66,7 @@ fn every_row_but_one_has_a_test_that_adds_a_toy() {
 }
 
 #[test]
-fn a_file_is_found_in_a_row() {
+fn the_files_of_a_row_are_found() {
     let row = "| a | `src/NAME.rs` | its line in src/lib.rs, and `b` (.cargo/config.toml). | c |";
     assert_eq!(files(row), ["src/lib.rs", ".cargo/config.toml"]);
 }

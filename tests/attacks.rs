@@ -1,4 +1,4 @@
-//! Attacks that once worked: one valid request each, on the whole service or the control_loop.
+//! Attacks that once worked, each with valid requests, on the complete service or on the control loop.
 
 use crate::rig::board::Board;
 use crate::rig::{self, Rig, five_bar, hardware, rules, scene};
@@ -11,9 +11,9 @@ use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::safety::limits::Limits;
 use nalgebra::{Matrix2, Vector2};
 
-// ---- 1: a mass model that is no mass turns two walls round
+// ---- 1: with an indefinite mass matrix two walls pull into their corner
 #[test]
-fn a_mass_matrix_that_is_none_is_refused_or_pushes_out_of_a_corner() {
+fn an_indefinite_mass_matrix_is_refused_or_pushes_outwards() {
     let device = rig::device(&five_bar());
     for direction in 0..24 {
         let a = direction as f32 * 0.2618;
@@ -34,14 +34,14 @@ fn a_mass_matrix_that_is_none_is_refused_or_pushes_out_of_a_corner() {
         let gentle = Rules { limits, host_action: HostAction::Ignore, ..Rules::default() };
         board.ask::<SetRules>(&gentle).unwrap().unwrap();
         board.ask::<Home>(&()).unwrap().unwrap();
-        // Diagonal 1e-3, off it -3e-3 kg m²: determinant -8e-6.
+        // 1e-3 kg m² on the diagonal and -3e-3 off it: the determinant is -8e-6.
         let mass = MassModelData::Frozen([1e-3, -3e-3, 1e-3, 0.0, 0.0, 0.0]);
         if board.ask::<SetMassModel>(&mass).unwrap().is_err() {
             return;
         }
         board.ask::<Arm>(&()).unwrap().unwrap();
         (0..1100).for_each(|_| board.tick());
-        // A hand leads the tip 1.5 mm into the corner.
+        // A hand moves the tip 1.5 mm into the corner.
         let into = Vector2::new(-(a + 0.25).cos(), -(a + 0.25).sin()).map(f64::from);
         let columns = [rig::statics::torques(&at.q, [1.0, 0.0]), rig::statics::torques(&at.q, [0.0, 1.0])];
         let turn = Matrix2::from_columns(&columns).transpose().try_inverse().unwrap() * into * 1.5e-3;
@@ -56,10 +56,10 @@ fn a_mass_matrix_that_is_none_is_refused_or_pushes_out_of_a_corner() {
             }
             let f = board.machine.control_loop.frame();
             let torque = Vector2::new(f.motors.torque[0], f.motors.torque[1]).map(f64::from);
-            let force = rig::statics::worth(&f.at.q, torque);
+            let force = rig::statics::force_at_tip(&f.at.q, torque);
             assert!(
                 force.norm() < 5.05 && -force.dot(&into) > -0.1,
-                "direction {direction}: {:.2} N, {:.2} N of it into the corner; the walls ask for {:.2} N out of it",
+                "direction {direction}: {:.2} N, {:.2} N of it into the corner; the walls request {:.2} N out of it",
                 force.norm(),
                 force.dot(&into),
                 f.at.walls.wall_force
@@ -69,19 +69,19 @@ fn a_mass_matrix_that_is_none_is_refused_or_pushes_out_of_a_corner() {
 }
 
 // ---- 2, 3: flash and memory after a commit
-fn staged<S: settings::Setting>(board: &mut Board, value: &S) {
+fn stage<S: settings::Setting>(board: &mut Board, value: &S) {
     let entry = settings::encode(value).unwrap();
     board.ask::<StageEntry>(&WriteEntry { session: 1, key: S::KEY, entry }).unwrap().unwrap();
 }
 fn commit(board: &mut Board, keys: &[Key]) {
     board.ask::<CommitEntries>(&Commit { session: 1, keys: keys.iter().copied().collect() }).unwrap().unwrap();
 }
-fn restarted(board: &mut Board) -> Board {
+fn restart(board: &mut Board) -> Board {
     Board::with_flash(false, core::mem::take(&mut board.machine.flash.kept))
 }
 
 #[test]
-fn limits_that_are_restored_alone_stay_with_the_device_they_came_into_force_with() {
+fn limits_restored_alone_do_not_move_to_another_device() {
     let mut board = Board::ready(false, &rig::device(&five_bar()), &scene(2, &[]));
     board
         .ask::<SetRules>(&Rules {
@@ -91,51 +91,51 @@ fn limits_that_are_restored_alone_stay_with_the_device_they_came_into_force_with
         .unwrap()
         .unwrap();
     board.ask::<Save>(&()).unwrap().unwrap();
-    // Another device, not saved, and the limits that are meant for it.
+    // Another device, not saved, and limits for it.
     board
         .ask::<SetDevice>(&haptic_bridge::model::device::Device::new("strong", &rig::paddle()).unwrap())
         .unwrap()
         .unwrap();
-    staged(
+    stage(
         &mut board,
         &Rules { limits: Limits { torque: [4.9; 3], tip_force: 100.0, ..Limits::default() }, ..Rules::default() },
     );
     commit(&mut board, &[Key::Rules]);
     let name = |board: &Board| board.service.device().map(|device| device.name.clone());
     let before = (name(&board), board.service.rules().limits.torque[0]);
-    let after = restarted(&mut board);
+    let after = restart(&mut board);
     assert_eq!((name(&after), after.service.rules().limits.torque[0]), before);
 }
 
 #[test]
-fn a_scene_that_is_restored_alone_has_no_mass_that_was_made_for_another_s_walls() {
+fn a_scene_restored_alone_loses_the_frozen_mass_matrix() {
     let mut board = Board::ready(false, &rig::device(&five_bar()), &scene(2, &[]));
     board.ask::<SetMassModel>(&MassModelData::Frozen([1e-3, 5e-4, 1e-3, 0.0, 0.0, 0.0])).unwrap().unwrap();
     board.ask::<Save>(&()).unwrap().unwrap();
-    staged(&mut board, &scene(2, &[rig::wall(0.0, 1_000.0)]));
+    stage(&mut board, &scene(2, &[rig::wall(0.0, 1_000.0)]));
     commit(&mut board, &[Key::Scene]);
     let frozen = |board: &Board| format!("{:?}", board.service).contains("mass: Frozen");
     assert!(!frozen(&board));
-    assert!(!frozen(&restarted(&mut board)));
+    assert!(!frozen(&restart(&mut board)));
 }
 
 #[test]
-fn a_device_that_is_restored_alone_is_the_same_after_a_restart() {
+fn a_device_restored_alone_is_the_same_after_a_restart() {
     let mut board = Board::ready(false, &rig::device(&five_bar()), &scene(2, &[]));
     board.ask::<SetMassModel>(&MassModelData::Frozen([1e-3, 5e-4, 1e-3, 0.0, 0.0, 0.0])).unwrap().unwrap();
     board.ask::<Save>(&()).unwrap().unwrap();
     let mut other = five_bar();
     (other.geometry[3], other.geometry[4]) = (0.11, 0.11);
-    staged(&mut board, &rig::device(&other));
+    stage(&mut board, &rig::device(&other));
     commit(&mut board, &[Key::Device]);
     let frozen = |board: &Board| format!("{:?}", board.service).contains("mass: Frozen");
-    assert!(!frozen(&board), "the other device begins with the closed form");
-    assert!(!frozen(&restarted(&mut board)), "and has the first device's matrix after a restart");
+    assert!(!frozen(&board), "the other device has the first device's matrix");
+    assert!(!frozen(&restart(&mut board)), "after a restart the other device has the first device's matrix");
 }
 
-// ---- 4
+// ---- 4: two renewals between two steps
 #[test]
-fn a_contact_that_is_renewed_twice_between_two_steps_comes_back_without_a_step_of_force() {
+fn a_contact_renewed_twice_between_two_steps_returns_smoothly() {
     let mut fast = scene(2, &[]);
     fast.rate_hz = 5_000.0;
     let mut rig = Rig::with(&five_bar(), &fast, hardware(), rules());
@@ -155,9 +155,9 @@ fn a_contact_that_is_renewed_twice_between_two_steps_comes_back_without_a_step_o
     assert!(now >= before && now - before <= 0.4, "from {before} to {now} N");
 }
 
-// ---- 5
+// ---- 5: a new plane while the lease fades
 #[test]
-fn a_contact_that_is_sent_again_while_its_lease_fades_goes_on_moving_evenly() {
+fn a_contact_sent_again_while_its_lease_fades_moves_evenly() {
     let mut fast = scene(2, &[]);
     fast.rate_hz = 20_000.0;
     let mut rig = Rig::with(&five_bar(), &fast, hardware(), rules());
@@ -177,7 +177,7 @@ fn a_contact_that_is_sent_again_while_its_lease_fades_goes_on_moving_evenly() {
     };
     rig.control_loop.force(&plane(1, 1.0e-3));
     rig.run(0.01);
-    // 4 N further, 10 ms after the last move: 0.02 N a step.
+    // 4 N more, 10 ms after the last move: 0.02 N per step.
     let (mut before, mut most) = (rig.control_loop.force(&ForceRequest::default()).force[0], 0.0_f32);
     for step in 0..200 {
         if step % 10 == 0 {
@@ -188,12 +188,12 @@ fn a_contact_that_is_sent_again_while_its_lease_fades_goes_on_moving_evenly() {
         most = most.max((now - before).abs());
         before = now;
     }
-    assert!(most < 0.03, "a step of {most} N");
+    assert!(most < 0.03, "the force jumps by {most} N");
 }
 
-// ---- 6
+// ---- 6: a late renewal
 #[test]
-fn a_renewal_that_comes_late_makes_no_step_of_a_contacts_force() {
+fn a_late_renewal_causes_no_jump_of_a_contact_force() {
     let mut fast = scene(2, &[]);
     fast.rate_hz = 20_000.0;
     let mut rig = Rig::with(&five_bar(), &fast, hardware(), rules());
@@ -219,9 +219,9 @@ fn a_renewal_that_comes_late_makes_no_step_of_a_contacts_force() {
     assert!((now - before).abs() < 0.3, "from {before} to {now} N in 50 us");
 }
 
-// ---- 7
+// ---- 7: a contact that moves between two planes
 #[test]
-fn on_the_way_between_two_planes_no_more_is_pushed_than_by_either() {
+fn a_contact_between_two_planes_pushes_no_more_than_either() {
     let mut fast = scene(2, &[]);
     fast.rate_hz = 20_000.0;
     let mut gentle = rules();
@@ -241,7 +241,7 @@ fn on_the_way_between_two_planes_no_more_is_pushed_than_by_either() {
         }),
         ..ForceRequest::default()
     };
-    // 1 mm out of a stiff one, then 100 mm in a soft one: 0 N, 1 N.
+    // 1 mm outside a stiff plane, then 100 mm inside a soft one: 0 N, then 1 N.
     rig.control_loop.force(&plane(1, -1.0e-3, 1.0e4));
     rig.run(0.02);
     rig.control_loop.force(&plane(2, 0.1, 10.0));
@@ -256,9 +256,9 @@ fn on_the_way_between_two_planes_no_more_is_pushed_than_by_either() {
     assert!(most <= 1.05, "{most} N, above 1 N for {} ms", f64::from(above) * 0.05);
 }
 
-// ---- 8
+// ---- 8: a change of the control rate
 #[test]
-fn the_age_of_a_force_counts_through_a_change_of_rate() {
+fn the_age_of_a_force_is_right_after_a_change_of_rate() {
     let mut slow = scene(2, &[]);
     (slow.rate_hz, slow.cutoff_hz) = (200.0, 20.0);
     let mut rig = Rig::with(&five_bar(), &slow, hardware(), rules());
@@ -280,12 +280,12 @@ fn the_age_of_a_force_counts_through_a_change_of_rate() {
         ..ForceRequest::default()
     };
     let answer = rig.control_loop.force(&request);
-    assert_eq!(answer.done, ForceDone::TooOld, "a second old, taken for {:?} s", answer.age);
+    assert_eq!(answer.done, ForceDone::TooOld, "one second old, but its age is {:?} s", answer.age);
 }
 
-// ---- 9
+// ---- 9: a device that the present scene does not fit
 #[test]
-fn a_device_loads_whose_present_scene_does_not_fit_it() {
+fn a_device_loads_although_the_present_scene_does_not_fit_it() {
     use haptic_bridge::model::catalogue::{Kind, MAX_GEOMETRY};
     use haptic_bridge::model::description::Description;
     let mut geometry = [0.0; MAX_GEOMETRY];
@@ -297,9 +297,9 @@ fn a_device_loads_whose_present_scene_does_not_fit_it() {
     assert_eq!(board.ask::<SetDevice>(&rig::device(&five_bar())).unwrap(), Ok(()));
 }
 
-// ---- 10
+// ---- 10: a save right after a fault
 #[test]
-fn a_fault_is_published_though_a_save_comes_before_the_next_look() {
+fn a_fault_is_published_although_a_save_precedes_the_next_poll() {
     let mut board = Board::ready(false, &rig::device(&five_bar()), &scene(2, &[]));
     board.told = Some((Fault::GateDriver, None, 1.0));
     board.tick();

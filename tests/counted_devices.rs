@@ -1,5 +1,5 @@
-//! The devices whose instructions are counted are those that ship: emulator/counting/devices.rs has their numbers once more,
-//! because the image on the chip reads no TOML.
+//! Instructions are counted for the shipped devices: emulator/counting/devices.rs repeats their numbers, because the
+//! image on the chip cannot read TOML.
 
 use crate::common::device_file;
 use haptic_bridge::model::description::{Description, Joint};
@@ -7,19 +7,19 @@ use haptic_bridge::model::description::{Description, Joint};
 #[path = "../emulator/counting/devices.rs"]
 mod devices;
 
-/// The parameters of a joint's step: inertia, viscous and dry friction, counts a turn.
-fn stepped(joint: &Joint) -> [f64; 4] {
+/// Returns the parameters of a joint that the control step uses: inertia, viscous and dry friction, counts per turn.
+fn joint_parameters(joint: &Joint) -> [f64; 4] {
     [joint.inertia, joint.viscous, joint.coulomb, joint.encoder.map_or(0.0, |encoder| encoder.counts_per_turn)]
 }
 
-/// Returns true if two numbers are the same but for the last places of a decimal.
-fn same(counted: &[f64], shipped: &[f64]) -> bool {
+/// Returns true if all numbers are equal up to the rounding of their last decimal places.
+fn equal(counted: &[f64], shipped: &[f64]) -> bool {
     counted.len() == shipped.len()
         && counted.iter().zip(shipped).all(|(a, b)| (a - b).abs() <= 8.0 * f64::EPSILON * a.abs().max(b.abs()))
 }
 
 #[test]
-fn the_devices_that_are_counted_are_those_that_ship() {
+fn the_counted_devices_are_the_shipped_devices() {
     let counted: [(&str, Description); 5] = [
         ("hapkit-paddle", devices::PADDLE),
         ("haply-2diy", devices::FIVE_BAR),
@@ -34,13 +34,13 @@ fn the_devices_that_are_counted_are_those_that_ship() {
                 .links
                 .iter()
                 .flat_map(|link| [link.mass, link.com, link.inertia, link.inertia_axial, link.inertia_transverse]);
-            let joints = of.joints.iter().flat_map(stepped);
+            let joints = of.joints.iter().flat_map(joint_parameters);
             let rest = of.gravity.iter().chain(&of.geometry).chain(of.home.iter().flatten()).copied();
             links.chain(joints).chain(rest).chain([of.handle_mass]).collect::<Vec<f64>>()
         };
         assert_eq!(counted.kind, shipped.kind, "{name}");
         assert!(
-            same(&numbers(&counted), &numbers(&shipped)),
+            equal(&numbers(&counted), &numbers(&shipped)),
             "{name}: {:?}\n{:?}",
             numbers(&counted),
             numbers(&shipped)

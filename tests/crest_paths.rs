@@ -1,5 +1,5 @@
-//! The fast paths give the same numbers as the general ones: a crest in one pass against the same crest piece by piece,
-//! and a current loop far from its limits against the one for any time.
+//! The fast paths compute the same numbers as the general paths: a crest in one pass against the same crest stage by
+//! stage, and a current loop far from its limits against the general current loop.
 
 use crate::rig::{self, device, five_bar, hardware, paddle, scene, wall};
 use haptic_bridge::control::compiled::{self, BoardControlLoop, Legs};
@@ -19,11 +19,11 @@ use haptic_bridge::render::velocity::{Coefficients, Estimator};
 use haptic_bridge::safety::fault::{Fault, State};
 use std::collections::BTreeSet;
 
-/// Numbers drawn in turn.
-struct Drawn(u64);
+/// A generator of random numbers.
+struct Random(u64);
 
-impl Drawn {
-    /// From 0 to 1.
+impl Random {
+    /// Draws a number from 0 to 1.
     fn share(&mut self) -> f32 {
         // Xorshift64 (Marsaglia 2003).
         self.0 ^= self.0 << 13;
@@ -36,8 +36,8 @@ impl Drawn {
         least + (most - least) * self.share()
     }
 
-    /// About as often as once in `rarity`.
-    fn once_in(&mut self, rarity: f32) -> bool {
+    /// Returns true with a chance of 1 in `rarity`.
+    fn one_chance_in(&mut self, rarity: f32) -> bool {
         self.share() * rarity < 1.0
     }
 
@@ -45,89 +45,97 @@ impl Drawn {
         (self.share() * end as f32) as usize % end
     }
 
-    fn of<T: Copy>(&mut self, values: &[T]) -> T {
+    fn choose<T: Copy>(&mut self, values: &[T]) -> T {
         values[self.below(values.len())]
     }
 }
 
-const WILD: [f32; 8] = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX, -0.0, 1.0e-40, 1.0e3, -1.0e3];
+/// Values that a sensor or a command should never have.
+const INVALID: [f32; 8] = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX, -0.0, 1.0e-40, 1.0e3, -1.0e3];
 
-/// Every how many crests all of a control loop is told.
-const ASKED: u32 = 50;
+/// Number of crests between two comparisons of complete control loops.
+const COMPARISON_INTERVAL: u32 = 50;
 
-/// All of a value as text, where two floats are the same only if their bits are, or if neither is a number.
-fn told(value: &impl core::fmt::Debug) -> String {
+/// Returns a complete value as text. Two floats have equal texts only if their bits are equal or both are NaN.
+fn as_text(value: &impl core::fmt::Debug) -> String {
     format!("{value:?}")
 }
 
 #[test]
-fn a_current_loop_far_from_its_limits_is_the_general_one() {
-    let mut drawn = Drawn(17);
+fn the_fast_current_loop_equals_the_general_one() {
+    let mut random = Random(17);
     let (mut easy, mut hard) = ([0; 2], [0; 2]);
     for _ in 0..400 {
         let motor = Motor {
-            torque_constant: drawn.of(&[0.05, -0.02, 0.3, 0.0]),
-            resistance: drawn.between(0.05, 5.0),
-            inductance: drawn.of(&[0.0, 1.0e-5, 2.0e-4, 1.0e-3, 5.0e-3]),
-            back_emf: drawn.between(-0.1, 0.3),
-            max_current: drawn.between(0.0, 20.0),
+            torque_constant: random.choose(&[0.05, -0.02, 0.3, 0.0]),
+            resistance: random.between(0.05, 5.0),
+            inductance: random.choose(&[0.0, 1.0e-5, 2.0e-4, 1.0e-3, 5.0e-3]),
+            back_emf: random.between(-0.1, 0.3),
+            max_current: random.between(0.0, 20.0),
             verified: true,
         };
         let bridge = Bridge {
-            carrier_hz: drawn.between(20_000.0, 50_000.0),
-            dead_time: drawn.between(0.0, 500.0e-9),
-            bandwidth_hz: drawn.between(100.0, 2_000.0),
-            current_sensed: !drawn.once_in(5.0),
+            carrier_hz: random.between(20_000.0, 50_000.0),
+            dead_time: random.between(0.0, 500.0e-9),
+            bandwidth_hz: random.between(100.0, 2_000.0),
+            current_sensed: !random.one_chance_in(5.0),
         };
-        let mut axis = Axis::new(&motor, &bridge, drawn.between(0.0, 15.0));
+        let mut axis = Axis::new(&motor, &bridge, random.between(0.0, 15.0));
         let mut current = 0.0;
         for _ in 0..400 {
-            if drawn.once_in(4.0) {
-                if drawn.once_in(100.0) {
-                    axis.limit(drawn.between(0.0, 15.0));
+            if random.one_chance_in(4.0) {
+                if random.one_chance_in(100.0) {
+                    axis.limit(random.between(0.0, 15.0));
                 }
                 let most = 1.5 * axis.max_torque();
-                axis.command(if drawn.once_in(200.0) { drawn.of(&WILD) } else { drawn.between(-most, most) });
+                axis.command(if random.one_chance_in(200.0) {
+                    random.choose(&INVALID)
+                } else {
+                    random.between(-most, most)
+                });
             }
-            let wild = drawn.once_in(300.0);
-            let sample = if wild { drawn.of(&WILD) } else { current + drawn.between(-0.1, 0.1) };
-            let speed = if drawn.once_in(300.0) { drawn.of(&WILD) } else { drawn.between(-30.0, 30.0) };
-            let supply =
-                Supply::of(if drawn.once_in(10.0) { drawn.between(1.0, 10.0) } else { drawn.between(20.0, 50.0) });
-            let (mut soon, mut whole, late) = (axis, axis, drawn.once_in(10.0));
-            let duty = whole.drive(&supply, sample, speed, late);
-            match soon.drive_easily(&supply, sample, speed, late) {
+            let is_invalid = random.one_chance_in(300.0);
+            let sample = if is_invalid { random.choose(&INVALID) } else { current + random.between(-0.1, 0.1) };
+            let speed = if random.one_chance_in(300.0) { random.choose(&INVALID) } else { random.between(-30.0, 30.0) };
+            let supply = Supply::of(if random.one_chance_in(10.0) {
+                random.between(1.0, 10.0)
+            } else {
+                random.between(20.0, 50.0)
+            });
+            let (mut fast, mut general, late) = (axis, axis, random.one_chance_in(10.0));
+            let duty = general.drive(&supply, sample, speed, late);
+            match fast.drive_easily(&supply, sample, speed, late) {
                 Some(other) => {
                     easy[usize::from(late)] += 1;
-                    assert_eq!((told(&other), told(&soon)), (told(&duty), told(&whole)), "from {axis:?}");
+                    assert_eq!((as_text(&other), as_text(&fast)), (as_text(&duty), as_text(&general)), "from {axis:?}");
                 }
                 None => {
                     hard[usize::from(late)] += 1;
-                    assert_eq!(told(&soon), told(&axis), "it changed what it left alone");
+                    assert_eq!(as_text(&fast), as_text(&axis), "the fast path declined but changed the axis");
                 }
             }
-            axis = whole;
+            axis = general;
             axis.settle(supply.volts, speed, speed, speed);
             current += 0.5 * (axis.asked() - current);
-            if wild {
+            if is_invalid {
                 axis.rest();
             }
         }
     }
     let enough = easy[0] > 20_000 && hard[0] > 5_000 && easy[1] > 5_000 && hard[1] > 2_000;
-    assert!(enough, "{easy:?} easy ones in time and late, {hard:?} others");
+    assert!(enough, "{easy:?} fast steps in time and late, {hard:?} general steps");
 }
 
 fn at_rest() -> Samples {
     Samples { bus_voltage: 24.0, ..Samples::default() }
 }
 
-/// Rate of the scenes here, Hz, of which every crest is a control step.
+/// Control rate of the scenes here, Hz. Every crest has a control step.
 const RATE: f32 = 2_000.0;
 
-/// A board whose crests take one pass where they may, and one that takes them all piece by piece.
+/// Two boards: the first runs crests in one pass where it can, the second runs every crest stage by stage.
 struct Pair {
-    servos: [BoardControlLoop; 2],
+    control_loops: [BoardControlLoop; 2],
     legs: [Legs; 2],
     carrier: Carrier,
     crests: u32,
@@ -139,82 +147,83 @@ impl Pair {
             let program = Program::new(&hardware(), &rules.limits, &device(description), scene, false);
             let mut control_loop: BoardControlLoop = ControlLoop::new(hardware(), rules);
             let program = Box::leak(Box::new(program.expect("a program that fits")));
-            control_loop.execute(Command::Program(program)).0.expect("it may be loaded");
+            control_loop.execute(Command::Program(program)).0.expect("the board accepts a program");
             control_loop
         };
         let carrier = Carrier::for_rate(hardware().timer_hz, 20_000.0);
-        Self { servos: [control_loop(), control_loop()], legs: [Legs::default(); 2], carrier, crests: 0 }
+        Self { control_loops: [control_loop(), control_loop()], legs: [Legs::default(); 2], carrier, crests: 0 }
     }
 
-    /// The same command to both.
-    fn ask(&mut self, command: impl Fn() -> Command<compiled::BoardProgram>) {
-        let [one, other] = self.servos.each_mut().map(|control_loop| control_loop.execute(command()).0);
+    /// Sends the same command to both.
+    fn execute(&mut self, command: impl Fn() -> Command<compiled::BoardProgram>) {
+        let [one, other] = self.control_loops.each_mut().map(|control_loop| control_loop.execute(command()).0);
         assert_eq!(one, other);
     }
 
-    /// Homes at rest, and stands there.
+    /// Homes at rest and sets the polarity as known.
     fn home(&mut self) {
         for homes in [true, false] {
             for _ in 0..40 {
                 self.crest(&at_rest(), true);
             }
-            self.ask(|| if homes { Command::Home } else { Command::PolarityKnown });
+            self.execute(|| if homes { Command::Home } else { Command::PolarityKnown });
         }
     }
 
-    fn both(&mut self, act: impl Fn(&mut BoardControlLoop)) {
-        self.servos.iter_mut().for_each(act);
+    fn for_both(&mut self, act: impl Fn(&mut BoardControlLoop)) {
+        self.control_loops.iter_mut().for_each(act);
     }
 
-    /// A crest and its valley, with a control step that is `due`, or not.
-    fn crest(&mut self, seen: &Samples, due: bool) {
+    /// Runs a crest and its valley, with a control step if it is `due`.
+    fn crest(&mut self, samples: &Samples, due: bool) {
         self.crests += 1;
         let ticks = self.carrier.ticks();
         if due {
-            self.both(|control_loop| compiled::render(control_loop, &seen.counts));
+            self.for_both(|control_loop| compiled::render(control_loop, &samples.counts));
         }
-        let ([one, other], [legs, other_legs]) = (&mut self.servos, &mut self.legs);
+        let ([one, other], [legs, other_legs]) = (&mut self.control_loops, &mut self.legs);
         let drives = if due {
-            compiled::crest(one, seen, &ticks, legs)
+            compiled::crest(one, samples, &ticks, legs)
         } else {
-            compiled::crest_generally(one, seen, due, &ticks, legs)
+            compiled::crest_generally(one, samples, due, &ticks, legs)
         };
-        let others = compiled::crest_generally(other, seen, due, &ticks, other_legs);
-        assert_eq!((drives, &legs), (others, &other_legs), "{seen:?} {:?} {:?}", one.status(), other.status());
-        // A usual step leaves it to the valley to note what it saw.
-        self.both(|control_loop| compiled::note(control_loop, seen, None));
-        self.agree(seen);
-        let [one, other] = self.servos.each_mut().map(|control_loop| compiled::check_slow_faults(control_loop, seen));
-        assert_eq!(one, other, "at the valley after {seen:?}");
-        self.agree(seen);
+        let others = compiled::crest_generally(other, samples, due, &ticks, other_legs);
+        assert_eq!((drives, &legs), (others, &other_legs), "{samples:?} {:?} {:?}", one.status(), other.status());
+        // After a usual step the valley records the samples.
+        self.for_both(|control_loop| compiled::note(control_loop, samples, None));
+        self.assert_equal(samples);
+        let [one, other] =
+            self.control_loops.each_mut().map(|control_loop| compiled::check_slow_faults(control_loop, samples));
+        assert_eq!(one, other, "at the valley after {samples:?}");
+        self.assert_equal(samples);
     }
 
-    fn agree(&self, seen: &Samples) {
+    fn assert_equal(&self, samples: &Samples) {
         let [one, other] = self
-            .servos
+            .control_loops
             .each_ref()
             .map(|control_loop| (control_loop.frame(), control_loop.status(), *control_loop.heat()));
-        // Text takes long; but it tells zeros of either sign apart, and compares NaN as equal.
-        if one != other || self.crests.is_multiple_of(ASKED) {
-            assert_eq!(told(&one), told(&other), "{seen:?}");
+        // Texts are slow to compare, but they distinguish 0 from -0, and NaN equals NaN.
+        if one != other || self.crests.is_multiple_of(COMPARISON_INTERVAL) {
+            assert_eq!(as_text(&one), as_text(&other), "{samples:?}");
         }
     }
 
     fn state(&self) -> State {
-        self.servos[0].status().state
+        self.control_loops[0].status().state
     }
 
-    /// Tells if the next crest takes one pass, as far as the control loop knows beforehand, and if it does so after a step that
-    /// the limits cut.
+    /// Returns two flags: the next crest takes one pass, as far as the control loop knows beforehand; and it does so
+    /// after a step whose torques a limit reduced.
     fn is_usual(&self) -> [bool; 2] {
-        let told = told(&self.servos[0]);
-        let usual = !told.contains(" usual: 0,");
-        let steady = told.contains(" steady: 0,");
-        [usual && steady, usual && !steady && told.contains(" in_force: true,")]
+        let text = as_text(&self.control_loops[0]);
+        let usual = !text.contains(" usual: 0,");
+        let steady = text.contains(" steady: 0,");
+        [usual && steady, usual && !steady && text.contains(" in_force: true,")]
     }
 }
 
-/// Devices of one, two and three joints.
+/// Returns devices with one, two and three joints.
 fn devices() -> [Description; 3] {
     let mut geometry = [0.0; MAX_GEOMETRY];
     geometry[..3].copy_from_slice(&[0.1, 0.1, 0.05]);
@@ -237,7 +246,7 @@ enum Trouble {
     Range,
     Power,
     Mark,
-    Told,
+    Reported,
     Push,
     Disarm,
     Silence,
@@ -259,7 +268,7 @@ const TROUBLES: [Trouble; 19] = [
     Trouble::Range,
     Trouble::Power,
     Trouble::Mark,
-    Trouble::Told,
+    Trouble::Reported,
     Trouble::Push,
     Trouble::Disarm,
     Trouble::Silence,
@@ -270,46 +279,46 @@ const TROUBLES: [Trouble; 19] = [
     Trouble::Weight,
 ];
 
-fn drawn_scene(description: &Description, trouble: Trouble, drawn: &mut Drawn) -> Scene<f32> {
+fn random_scene(description: &Description, trouble: Trouble, random: &mut Random) -> Scene<f32> {
     let task = if description.kind == Kind::Paddle { 1 } else { 2 };
-    // A scene without walls tells its position at home.
+    // A scene without walls reports the tip position at home.
     let mut bare = Pair::new(description, &scene(task, &[]), rig::rules());
     bare.home();
-    let tip = bare.servos[0].status().tip;
-    let walls: Vec<Wall<f32>> = (0..drawn.below(3).max(usize::from(trouble == Trouble::Weight)))
+    let tip = bare.control_loops[0].status().tip;
+    let walls: Vec<Wall<f32>> = (0..random.below(3).max(usize::from(trouble == Trouble::Weight)))
         .map(|_| {
-            let point = [tip[0] + drawn.between(-0.002, -0.0002), tip[1], 0.0];
-            let feed_forward = drawn.of(&[FeedForward::Off, FeedForward::Full, FeedForward::Washout]);
+            let point = [tip[0] + random.between(-0.002, -0.0002), tip[1], 0.0];
+            let feed_forward = random.choose(&[FeedForward::Off, FeedForward::Full, FeedForward::Washout]);
             let surface = Surface::Plane(Plane { point, normal: [1.0, 0.0, 0.0] });
-            let damping = drawn.between(0.0, 2.0);
-            Wall { surface, feed_forward, damping, ..wall(0.0, drawn.of(&[100.0, 1_000.0, 5_000.0])) }
+            let damping = random.between(0.0, 2.0);
+            Wall { surface, feed_forward, damping, ..wall(0.0, random.choose(&[100.0, 1_000.0, 5_000.0])) }
         })
         .collect();
-    let velocity_terms = if drawn.once_in(2.0) { VelocityTerms::default() } else { VelocityTerms::Off };
-    let gravity_compensation = trouble == Trouble::Weight || drawn.once_in(2.0);
+    let velocity_terms = if random.one_chance_in(2.0) { VelocityTerms::default() } else { VelocityTerms::Off };
+    let gravity_compensation = trouble == Trouble::Weight || random.one_chance_in(2.0);
     Scene { rate_hz: RATE, velocity_terms, gravity_compensation, ..scene(task, &walls) }
 }
 
-/// One arming of a device, and what comes of it; how many of the crests that were asked about took one pass, and how many
-/// one in which the limits cut.
-fn episode(drawn: &mut Drawn, trouble: Trouble) -> ([u32; 2], Option<Fault>) {
-    let mut description = drawn.of(&devices());
+/// Arms a random device and disturbs it. Returns how many of the examined crests took one pass, how many of these
+/// followed a step that a limit reduced, and the fault.
+fn episode(random: &mut Random, trouble: Trouble) -> ([u32; 2], Option<Fault>) {
+    let mut description = random.choose(&devices());
     if matches!(trouble, Trouble::Stretch | Trouble::Weight) {
         description = devices()[1];
     }
     let joints = description.joints.iter().take_while(|joint| joint.motor.is_some()).count();
     let mut rules = Rules { host_action: HostAction::Ignore, host_seconds: 0.05, ..rig::rules() };
-    rules.limits.tip_force = drawn.of(&[1.0e3, 3.0]);
-    rules.limits.torque = [drawn.of(&[0.3, 0.1, 0.03, 0.01, 0.003]); MAX_JOINTS];
+    rules.limits.tip_force = random.choose(&[1.0e3, 3.0]);
+    rules.limits.torque = [random.choose(&[0.3, 0.1, 0.03, 0.01, 0.003]); MAX_JOINTS];
     if trouble == Trouble::Stretch {
         rules.limits.torque = [0.003; MAX_JOINTS];
     }
     if trouble == Trouble::Weight {
-        // About what its weight takes at home.
-        rules.limits.torque = drawn.of(&[[0.0261, 0.0266, 0.0], [0.032; MAX_JOINTS]]);
+        // About the torques of the device's weight at home.
+        rules.limits.torque = random.choose(&[[0.0261, 0.0266, 0.0], [0.032; MAX_JOINTS]]);
     }
     if trouble == Trouble::Range {
-        let home = description.home.expect("all have one");
+        let home = description.home.expect("every device here has a home");
         for (joint, home) in description.joints.iter_mut().zip(home).take(joints) {
             joint.limits = Some((home - 0.04, home + 0.04));
         }
@@ -318,109 +327,111 @@ fn episode(drawn: &mut Drawn, trouble: Trouble) -> ([u32; 2], Option<Fault>) {
         rules.limits.power = 0.02;
     }
     if trouble == Trouble::Silence {
-        rules.host_action = drawn.of(&[HostAction::Hold, HostAction::Disarm]);
+        rules.host_action = random.choose(&[HostAction::Hold, HostAction::Disarm]);
     }
     if trouble == Trouble::Mark {
         rules.index_period = [60_000; MAX_JOINTS];
     }
-    let mut pair = Pair::new(&description, &drawn_scene(&description, trouble, drawn), rules);
+    let mut pair = Pair::new(&description, &random_scene(&description, trouble, random), rules);
     pair.home();
-    let mut seen = at_rest();
-    let checks = drawn.once_in(10.0);
-    pair.ask(|| if checks { Command::CheckPolarity } else { Command::Arm });
+    let mut samples = at_rest();
+    let checks = random.one_chance_in(10.0);
+    pair.execute(|| if checks { Command::CheckPolarity } else { Command::Arm });
     let (mut velocity, mut at, mut usual) = ([0.0_f32; MAX_JOINTS], [0.0_f32; MAX_JOINTS], [0; 2]);
-    let (begins, axis) = (1_050 + drawn.below(600) as u32, drawn.below(joints));
+    let (begins, axis) = (1_050 + random.below(600) as u32, random.below(joints));
     let mut fault = None;
     for crest in 0..1_800 {
-        // Each joint wanders about its home.
-        let motors = pair.servos[0].frame().motors;
+        // Every joint moves randomly around its home.
+        let motors = pair.control_loops[0].frame().motors;
         for i in 0..joints {
-            velocity[i] = 0.98 * velocity[i] + drawn.between(-0.4, 0.4) - 2.0e-4 * at[i];
+            velocity[i] = 0.98 * velocity[i] + random.between(-0.4, 0.4) - 2.0e-4 * at[i];
             at[i] += velocity[i];
-            let moved = at[i].round() as i32 - seen.counts[i];
-            seen.counts[i] += moved;
+            let moved = at[i].round() as i32 - samples.counts[i];
+            samples.counts[i] += moved;
             // 2 ohms, 1 mH and 0.1 V s.
             let speed = moved as f32 * (core::f32::consts::TAU / 60_000.0 * 20_000.0);
-            let current = &mut seen.currents[i];
-            *current += (motors.duty[i] * seen.bus_voltage - 2.0 * *current - 0.1 * speed) * 50.0e-6 / 1.0e-3;
+            let current = &mut samples.currents[i];
+            *current += (motors.duty[i] * samples.bus_voltage - 2.0 * *current - 0.1 * speed) * 50.0e-6 / 1.0e-3;
         }
         if crest % 20 == 0 && (trouble != Trouble::Silence || crest < begins) {
-            pair.ask(|| Command::Beat(Beat::Here));
+            pair.execute(|| Command::Beat(Beat::Here));
         }
-        let mut shown = seen;
+        let mut shown = samples;
         let (now, on) = (crest == begins, crest >= begins);
         match trouble {
             Trouble::Nothing => {}
-            Trouble::Current if now => shown.currents[axis] = drawn.of(&WILD),
-            Trouble::Bus if now => shown.bus_voltage = drawn.of(&[f32::NAN, f32::INFINITY, -24.0, 5.0, 60.0]),
-            Trouble::LowBus if on => seen.bus_voltage = 10.5,
-            Trouble::Imbalance if now => shown.imbalance[axis] = drawn.of(&[f32::NAN, 5.0, -5.0]),
-            Trouble::Jump if now => shown.counts[axis] = drawn.of(&[i32::MIN, i32::MAX, 100_000, 60, -60]),
-            Trouble::Speed if on => at[axis] += drawn.between(8.0, 14.0),
+            Trouble::Current if now => shown.currents[axis] = random.choose(&INVALID),
+            Trouble::Bus if now => shown.bus_voltage = random.choose(&[f32::NAN, f32::INFINITY, -24.0, 5.0, 60.0]),
+            Trouble::LowBus if on => samples.bus_voltage = 10.5,
+            Trouble::Imbalance if now => shown.imbalance[axis] = random.choose(&[f32::NAN, 5.0, -5.0]),
+            Trouble::Jump if now => shown.counts[axis] = random.choose(&[i32::MIN, i32::MAX, 100_000, 60, -60]),
+            Trouble::Speed if on => at[axis] += random.between(8.0, 14.0),
             Trouble::Range if on => at[axis] += 5.0,
-            // Both cranks outward, until the elbows are in line.
+            // Both cranks turn outwards until the elbows are stretched.
             Trouble::Stretch if crest > 1_050 => (velocity, at) = ([0.0; MAX_JOINTS], [at[0] + 7.0, at[1] - 7.0, 0.0]),
             Trouble::Velocity if now => {
-                let rate = drawn.of(&[f32::NAN, f32::INFINITY]);
+                let rate = random.choose(&[f32::NAN, f32::INFINITY]);
                 let coefficients = Coefficients::new(Estimator::BackwardDifference, rate, 1.0);
-                pair.ask(|| Command::Coefficients(coefficients.expect("it has no cutoff")));
+                pair.execute(|| Command::Coefficients(coefficients.expect("a backward difference has no cutoff")));
             }
-            Trouble::Mark if on && drawn.once_in(20.0) => {
-                let count = shown.counts[axis] + drawn.of(&[0, 1, -3, 60_000]);
+            Trouble::Mark if on && random.one_chance_in(20.0) => {
+                let count = shown.counts[axis] + random.choose(&[0, 1, -3, 60_000]);
                 let mut marks = [None; MAX_JOINTS];
                 marks[axis] = Some(count);
-                pair.both(|control_loop| control_loop.mark(marks));
+                pair.for_both(|control_loop| control_loop.mark(marks));
             }
-            Trouble::Told if now => pair.both(|control_loop| control_loop.trip(Fault::GateDriver, None, f32::NAN)),
+            Trouble::Reported if now => {
+                pair.for_both(|control_loop| control_loop.trip(Fault::GateDriver, None, f32::NAN))
+            }
             Trouble::Push | Trouble::Power | Trouble::Weight if on && crest % 30 == 0 => {
                 let mut torque = [0.0; MAX_JOINTS];
-                torque[axis] = drawn.between(-2.0, 2.0) * rules.limits.torque[axis];
+                torque[axis] = random.between(-2.0, 2.0) * rules.limits.torque[axis];
                 if trouble == Trouble::Weight {
-                    // Of the weight, which alone is too much, it leaves what is not.
-                    torque = [drawn.between(0.0, 0.02), drawn.between(-0.02, 0.0), 0.0];
+                    // The weight alone exceeds the limits; the pushed torque brings the sum back within them.
+                    torque = [random.between(0.0, 0.02), random.between(-0.02, 0.0), 0.0];
                 }
                 let request =
                     ForceRequest { sequence: crest, hold: 0.01, fade: 0.01, torque, ..ForceRequest::default() };
-                let [one, other] = pair.servos.each_mut().map(|control_loop| control_loop.force(&request));
-                assert_eq!(told(&one), told(&other));
+                let [one, other] = pair.control_loops.each_mut().map(|control_loop| control_loop.force(&request));
+                assert_eq!(as_text(&one), as_text(&other));
             }
-            Trouble::Disarm if now => pair.ask(|| Command::Disarm),
-            Trouble::Mismatch if on => shown.currents = Currents([drawn.between(-4.0, 4.0); MAX_JOINTS]),
-            Trouble::Check if now => pair.ask(|| Command::CheckPolarity),
+            Trouble::Disarm if now => pair.execute(|| Command::Disarm),
+            Trouble::Mismatch if on => shown.currents = Currents([random.between(-4.0, 4.0); MAX_JOINTS]),
+            Trouble::Check if now => pair.execute(|| Command::CheckPolarity),
             _ => {}
         }
-        if drawn.once_in(500.0) {
+        if random.one_chance_in(500.0) {
             pair.crest(&shown, false);
         }
-        shown.late = drawn.once_in(20.0);
-        if crest % ASKED == 0 {
+        shown.late = random.one_chance_in(20.0);
+        if crest % COMPARISON_INTERVAL == 0 {
             let is_usual = pair.is_usual();
             usual.iter_mut().zip(is_usual).for_each(|(sum, one)| *sum += u32::from(one));
         }
         pair.crest(&shown, true);
-        fault = fault.or(pair.servos[0].status().fault.map(|record| record.fault));
+        fault = fault.or(pair.control_loops[0].status().fault.map(|record| record.fault));
         if crest > begins + 40 && pair.state() == State::Fault {
-            pair.ask(|| Command::Clear);
+            pair.execute(|| Command::Clear);
             break;
         }
     }
     for _ in 0..40 {
-        pair.crest(&seen, true);
+        pair.crest(&samples, true);
     }
     (usual, fault)
 }
 
 #[test]
-fn a_crest_in_one_pass_is_the_crest_piece_by_piece() {
-    let mut drawn = Drawn(4);
+fn a_crest_in_one_pass_equals_the_crest_stage_by_stage() {
+    let mut random = Random(4);
     let (mut usual, mut cut, mut faults) = (0, 0, BTreeSet::new());
     for nth in 0..342 {
-        let ([whole, part], fault) = episode(&mut drawn, TROUBLES[nth % TROUBLES.len()]);
-        (usual, cut) = (usual + whole, cut + part);
+        let ([one_pass, reduced], fault) = episode(&mut random, TROUBLES[nth % TROUBLES.len()]);
+        (usual, cut) = (usual + one_pass, cut + reduced);
         faults.extend(fault.map(Fault::name));
     }
-    assert!(usual * ASKED > 80_000, "{usual} of every {ASKED}th crest took one pass");
-    assert!(cut * ASKED > 20_000, "{cut} of every {ASKED}th crest took one pass and were cut");
+    assert!(usual * COMPARISON_INTERVAL > 80_000, "only {usual} examined crests took one pass");
+    assert!(cut * COMPARISON_INTERVAL > 20_000, "only {cut} examined crests took one pass with reduced torques");
     for fault in [
         Fault::NotFinite,
         Fault::OverCurrent,

@@ -1,4 +1,4 @@
-//! The drive makes the current that the torque needs, within duties that the bridge can stand.
+//! The drive makes the current for the commanded torque, with duties within the bridge's range.
 
 use haptic_bridge::drive::brushed::{Axis, UNKNOWN_WINDING};
 use haptic_bridge::drive::stage::{Bridge, Duty, MAX_DUTY, Stage, Supply};
@@ -22,24 +22,25 @@ fn bridge(current_sensed: bool) -> Bridge {
     Bridge { carrier_hz: CARRIER, dead_time: 200.0e-9, bandwidth_hz: 1_000.0, current_sensed }
 }
 
-/// A motor's winding at a constant speed (rad/s), with the dead time (s) of its bridge; exact between two duties.
+/// A motor's winding at a constant speed (rad/s), with the dead time (s) of its bridge. The current is exact between
+/// two changes of duty.
 struct Winding {
     motor: Motor<f32>,
     speed: f32,
-    /// The speed that the drive is told of it, rad/s.
-    seen_speed: f32,
+    /// Speed that the drive receives, rad/s.
+    measured_speed: f32,
     dead_time: f32,
     current: f32,
-    /// The voltage across it, as a duty.
+    /// Duty of the voltage across the winding.
     duty: f32,
 }
 
 impl Winding {
     fn new(motor: Motor<f32>, speed: f32) -> Self {
-        Self { motor, speed, seen_speed: 0.0, dead_time: bridge(true).dead_time, current: 0.0, duty: 0.0 }
+        Self { motor, speed, measured_speed: 0.0, dead_time: bridge(true).dead_time, current: 0.0, duty: 0.0 }
     }
 
-    /// Applies a duty for a share of a carrier period.
+    /// Applies a duty for this share of a carrier period.
     fn apply(&mut self, duty: f32, share: f32) {
         let lost = 2.0 * self.dead_time * CARRIER * BUS * self.current.signum();
         let emf = self.motor.back_emf * self.speed;
@@ -48,26 +49,26 @@ impl Winding {
         self.current = goal + (self.current - goal) * fade;
     }
 
-    /// `periods` carrier periods as on a board: sampled at a crest, and the duty applies from the following valley on.
-    /// `seen` is told the current at every valley.
-    fn run(&mut self, axis: &mut Axis, periods: usize, seen: impl FnMut(usize, f32)) {
-        self.run_late(axis, periods, |_| false, seen);
+    /// Runs `periods` carrier periods as on a board: the current is sampled at a crest, and the duty applies from the
+    /// next valley on. Calls `at_valley` with the period and the current at every valley.
+    fn run(&mut self, axis: &mut Axis, periods: usize, at_valley: impl FnMut(usize, f32)) {
+        self.run_late(axis, periods, |_| false, at_valley);
     }
 
-    /// The same, where the duties of the periods that are `late` only apply from the next crest on.
+    /// Like `run`, but the duties of `late` periods apply from the next crest on.
     fn run_late(
         &mut self,
         axis: &mut Axis,
         periods: usize,
         late: impl Fn(usize) -> bool,
-        mut seen: impl FnMut(usize, f32),
+        mut at_valley: impl FnMut(usize, f32),
     ) {
         for period in 0..periods {
             let late = late(period);
-            let next = f32::from(axis.drive(&Supply::of(BUS), self.current, self.seen_speed, late));
-            axis.settle(BUS, self.seen_speed, self.seen_speed, self.seen_speed);
+            let next = f32::from(axis.drive(&Supply::of(BUS), self.current, self.measured_speed, late));
+            axis.settle(BUS, self.measured_speed, self.measured_speed, self.measured_speed);
             self.apply(self.duty, 0.5);
-            seen(period, self.current);
+            at_valley(period, self.current);
             self.duty = if late { self.duty } else { next };
             self.apply(self.duty, 0.5);
             self.duty = next;
@@ -75,26 +76,26 @@ impl Winding {
     }
 }
 
-fn settled(motor: &Motor<f32>, sensed: bool, torque: f32, speed: f32, seconds: f32) -> (f32, Axis) {
+fn settled_current(motor: &Motor<f32>, sensed: bool, torque: f32, speed: f32, seconds: f32) -> (f32, Axis) {
     let mut axis = Axis::new(motor, &bridge(sensed), 10.0);
-    let mut winding = Winding { seen_speed: speed, ..Winding::new(*motor, speed) };
+    let mut winding = Winding { measured_speed: speed, ..Winding::new(*motor, speed) };
     axis.command(torque);
     winding.run(&mut axis, (seconds * CARRIER) as usize, |_, _| {});
     (winding.current, axis)
 }
 
 #[test]
-fn the_current_loop_makes_the_torque_asked_for_at_rest_and_in_motion() {
+fn the_current_loop_makes_the_torque_at_rest_and_in_motion() {
     for torque in [0.1, -0.1, 0.02] {
         for speed in [0.0, 50.0, -50.0] {
-            let (current, _) = settled(&motor(), true, torque, speed, 0.05);
+            let (current, _) = settled_current(&motor(), true, torque, speed, 0.05);
             assert!((current - torque / 0.05).abs() < 1.0e-3, "{torque} N m at {speed} rad/s: {current} A");
         }
     }
 }
 
 #[test]
-fn the_current_loop_is_right_although_the_resistance_is_not() {
+fn the_current_loop_is_right_with_a_wrong_resistance() {
     let mut warm = motor();
     warm.resistance *= 1.4;
     let mut axis = Axis::new(&motor(), &bridge(true), 10.0);
@@ -105,8 +106,8 @@ fn the_current_loop_is_right_although_the_resistance_is_not() {
 }
 
 #[test]
-fn a_current_that_the_bus_can_make_is_there_within_a_carrier_period() {
-    // 0.4 A in 50 µs take 8 V across 1 mH and at most 2.4 V across 6 ohms, whatever the share of the two.
+fn a_current_within_the_bus_takes_one_carrier_period() {
+    // 0.4 A in 50 µs need 8 V across 1 mH and at most 2.4 V across 6 ohm.
     for (resistance, inductance) in
         [(1.5, 1.0e-3), (6.0, 1.0e-3), (1.5, 1.0e-4), (1.5, 2.0e-5), (1.5, 1.0e-9), (0.01, 1.0e-3)]
     {
@@ -115,25 +116,25 @@ fn a_current_that_the_bus_can_make_is_there_within_a_carrier_period() {
         let mut winding = Winding { dead_time: 0.0, ..Winding::new(motor, 0.0) };
         axis.command(0.02);
         winding.run(&mut axis, 50, |period, current| {
-            // Worked out at the crest of period 0, applied from its valley on, complete at the next one.
+            // The duty is computed at the crest of period 0 and applies from its valley to the next valley.
             let wanted = if period == 0 { 0.0 } else { 0.4 };
             assert!((current - wanted).abs() < 0.002, "{resistance} ohm, {inductance} H, period {period}: {current} A");
         });
     }
 }
 
-/// Which duties of a run are late, of a step that is longer than half a carrier period.
+/// A name and a function that returns true for the periods with late duties (steps longer than half a carrier period).
 type Lateness = (&'static str, fn(usize) -> bool);
 
 const LATE: [Lateness; 4] = [
     ("always", |_| true),
     ("at every other crest", |period| period.is_multiple_of(2)),
-    ("now and then", |period| [0, 1, 3].contains(&(period * period % 7))),
-    ("from some time on", |period| period > 3),
+    ("at irregular crests", |period| [0, 1, 3].contains(&(period * period % 7))),
+    ("from the fifth crest on", |period| period > 3),
 ];
 
 #[test]
-fn a_motor_like_its_file_is_never_strained_by_duties_that_apply_late() {
+fn late_duties_do_not_strain_a_motor_that_is_like_its_file() {
     let file = Motor { back_emf: 0.0, ..motor() };
     for inductance in [1.0e-3, 1.0e-4, 2.0e-5] {
         let file = Motor { inductance, ..file };
@@ -162,24 +163,24 @@ fn a_motor_like_its_file_is_never_strained_by_duties_that_apply_late() {
 }
 
 #[test]
-fn no_pattern_of_late_duties_makes_an_over_current_of_a_motor_like_its_file() {
+fn no_pattern_of_late_duties_causes_an_over_current() {
     let limit = 4.0;
     for (resistance, inductance) in [(0.5, 1.0e-4), (0.5, 3.0e-4), (1.5, 1.0e-4), (1.5, 1.0e-3), (0.5, 2.0e-5)] {
         let file = Motor { resistance, inductance, ..motor() };
-        // Reversals every few periods, at every phase of what is late; and a rotor that turns.
+        // Reversals every few periods, at every phase of the late duties, with a turning rotor.
         for (name, late) in LATE {
             for every in 1..9 {
                 let mut axis = Axis::new(&file, &bridge(true), limit);
                 let mut winding = Winding::new(file, 0.0);
                 for nth in 0..200_usize {
                     winding.speed = 60.0 * (nth as f32 * 0.05).sin();
-                    winding.seen_speed = winding.speed;
+                    winding.measured_speed = winding.speed;
                     axis.command(if nth.is_multiple_of(2) { 0.2 } else { -0.2 });
                     winding.run_late(&mut axis, every, |period| late(nth * every + period), |_, _| {});
                     let case = format!("{name}, {resistance} ohm, {inductance} H, every {every}, reversal {nth}");
                     assert!(winding.current.abs() < 1.5 * limit + 1.0, "{case}: {} A", winding.current);
-                    let (strain, doubt) = axis.strain();
-                    assert!(strain.abs() < doubt, "{case}: {strain} V of {doubt} V");
+                    let (strain, tolerance) = axis.strain();
+                    assert!(strain.abs() < tolerance, "{case}: {strain} V of {tolerance} V");
                 }
             }
         }
@@ -187,7 +188,7 @@ fn no_pattern_of_late_duties_makes_an_over_current_of_a_motor_like_its_file() {
 }
 
 #[test]
-fn a_step_beyond_the_bus_takes_longer_and_one_of_another_motor_settles() {
+fn a_current_beyond_the_bus_takes_longer_and_settles() {
     let step = |actual: Motor<f32>| {
         let mut axis = Axis::new(&motor(), &bridge(true), 10.0);
         let (mut most, mut arrived) = (0.0_f32, None);
@@ -198,10 +199,11 @@ fn a_step_beyond_the_bus_takes_longer_and_one_of_another_motor_settles() {
         });
         (most / 2.0, arrived.unwrap_or(usize::MAX))
     };
-    // 2 A in 50 µs would take 43 V; 22 V make them in two periods.
+    // 2 A in 50 µs would need 43 V; 22 V take two periods.
     let (most, arrived) = step(motor());
     assert!(most < 1.01 && arrived == 2, "{most} of the step, {arrived} periods");
-    // An inductance smaller than the file's by a share overshoots by as much; the loop takes it out in its own time.
+    // If the inductance is smaller than the file's by a share, the current overshoots by the same share, and the loop
+    // corrects it.
     for (resistance, inductance) in [(1.4, 1.0), (0.7, 1.0), (1.0, 1.3), (1.0, 0.7), (1.4, 0.7)] {
         let expected = motor();
         let actual = Motor {
@@ -214,14 +216,14 @@ fn a_step_beyond_the_bus_takes_longer_and_one_of_another_motor_settles() {
     }
 }
 
-/// Overshoot of the current of a winding L/R (s) after a step whose voltage is applied at once while a loop of
-/// `bandwidth` (rad/s) integrates the error: with s = L/R d/dt and x = bandwidth L/R the error obeys e'' + e' + x e =
-/// 0, e(0) = 1, e'(0) = -1, and its least value is the overshoot. Found by stepping the equation.
+/// Computes the overshoot of the current of a winding L/R (s) if the final voltage is applied at once while a loop of
+/// `bandwidth` (rad/s) integrates the error. With s = L/R d/dt and x = bandwidth L/R the error obeys
+/// e'' + e' + x e = 0, e(0) = 1, e'(0) = -1. The overshoot is its negative minimum, found by numerical integration.
 fn overshoot(winding: f64, bandwidth: f64) -> f64 {
     let (x, h) = (bandwidth * winding, 1.0e-4);
     let (mut error, mut rate, mut least) = (1.0_f64, -1.0_f64, 0.0_f64);
     for _ in 0..200_000 {
-        // The midpoint rule; its error over these steps is below 1e-7.
+        // Midpoint rule; its error over these steps is below 1e-7.
         let (middle, middle_rate) = (error + 0.5 * h * rate, rate + 0.5 * h * (-rate - x * error));
         (error, rate) = (error + h * middle_rate, rate + h * (-middle_rate - x * middle));
         least = least.min(error);
@@ -230,10 +232,10 @@ fn overshoot(winding: f64, bandwidth: f64) -> f64 {
 }
 
 #[test]
-fn a_winding_that_the_motor_file_knows_nothing_of_overshoots_as_the_loop_integrates() {
+fn a_winding_of_unknown_inductance_overshoots_as_documented() {
     let file = Motor { inductance: 0.0, ..motor() };
     let bandwidth = f64::from(UNKNOWN_WINDING * bridge(true).bandwidth_hz) * core::f64::consts::TAU;
-    for (inductance, said) in [(0.45e-3, 0.07), (1.2e-3, 0.14), (1.5e-3, 0.16)] {
+    for (inductance, documented) in [(0.45e-3, 0.07), (1.2e-3, 0.14), (1.5e-3, 0.16)] {
         let mut axis = Axis::new(&file, &bridge(true), 10.0);
         axis.command(0.1);
         let mut most = 0.0_f32;
@@ -241,15 +243,15 @@ fn a_winding_that_the_motor_file_knows_nothing_of_overshoots_as_the_loop_integra
         winding.run(&mut axis, 1_000, |_, current| most = most.max(current));
         let found = f64::from(most) / 2.0 - 1.0;
         let expected = overshoot(f64::from(inductance / file.resistance), bandwidth);
-        // The loop acts up to three quarters of a carrier period late: 314 rad/s · 37.5 µs = 1.2 % of the integral's
+        // The loop is up to three quarters of a carrier period late: 314 rad/s · 37.5 µs = 1.2 % of the integral's
         // share, which is at most 0.31.
         assert!((found - expected).abs() < 0.004, "{inductance} H: {found}, not {expected}");
-        assert!((found - said).abs() < 0.005, "{inductance} H: {found}, said to be {said}");
+        assert!((found - documented).abs() < 0.005, "{inductance} H: {found}, documented {documented}");
     }
 }
 
 #[test]
-fn a_winding_that_the_motor_file_knows_nothing_of_does_not_ring() {
+fn a_winding_of_unknown_inductance_does_not_ring() {
     let file = Motor { inductance: 0.0, ..motor() };
     for inductance in [1.0e-5, 1.0e-4, 1.0e-3, 1.5e-3] {
         let mut axis = Axis::new(&file, &bridge(true), 10.0);
@@ -260,39 +262,39 @@ fn a_winding_that_the_motor_file_knows_nothing_of_does_not_ring() {
             over |= current > 2.0;
             least = if over { least.min(current) } else { least };
         });
-        // The error above at x = 0.31 swings back by exp(-π/2 / √(x - 1/4)) = 0.2 % of the step.
+        // At x = 0.31 the error of `overshoot` swings back by exp(-π/2 / √(x - 1/4)) = 0.2 % of the change.
         assert!(least > 0.99 * 2.0, "{inductance} H: falls back to {least} A");
         assert!((winding.current - 2.0).abs() < 0.01, "{inductance} H: {} A", winding.current);
     }
 }
 
 #[test]
-fn without_a_current_sensor_the_voltage_makes_the_current() {
+fn without_a_current_sensor_the_model_sets_the_voltage() {
     for (torque, speed) in [(0.1, 0.0), (-0.1, 20.0), (0.15, -60.0)] {
-        let (current, _) = settled(&motor(), false, torque, speed, 0.05);
+        let (current, _) = settled_current(&motor(), false, torque, speed, 0.05);
         assert!((current - torque / 0.05).abs() < 0.1, "{torque} N m at {speed} rad/s: {current} A");
     }
 }
 
-/// The current that a torque asks for, A.
-fn asked(axis: &mut Axis, torque: f32) -> f32 {
+/// Commands a torque and returns the resulting current command, A.
+fn commanded_current(axis: &mut Axis, torque: f32) -> f32 {
     axis.command(torque);
     axis.asked()
 }
 
 #[test]
-fn torque_beyond_the_current_limit_is_not_made() {
+fn the_current_command_stays_within_the_current_limit() {
     let mut axis = Axis::new(&motor(), &bridge(true), 3.0);
-    assert_eq!(asked(&mut axis, 99.0), 3.0);
-    assert_eq!(asked(&mut axis, -99.0), -3.0);
+    assert_eq!(commanded_current(&mut axis, 99.0), 3.0);
+    assert_eq!(commanded_current(&mut axis, -99.0), -3.0);
     let mut axis = Axis::new(&motor(), &bridge(true), 99.0);
-    assert_eq!(asked(&mut axis, 99.0), 4.0, "the motor's own limit");
+    assert_eq!(commanded_current(&mut axis, 99.0), 4.0, "the motor's own limit");
     axis.limit(1.0);
-    assert_eq!(asked(&mut axis, 99.0), 1.0);
+    assert_eq!(commanded_current(&mut axis, 99.0), 1.0);
     axis.limit(99.0);
-    assert_eq!(asked(&mut axis, 99.0), 4.0);
+    assert_eq!(commanded_current(&mut axis, 99.0), 4.0);
     axis.limit(-1.0);
-    assert_eq!(asked(&mut axis, 99.0), 0.0);
+    assert_eq!(commanded_current(&mut axis, 99.0), 0.0);
 }
 
 #[test]
@@ -300,26 +302,27 @@ fn a_motor_without_a_torque_constant_gets_no_current() {
     let mut dead = motor();
     dead.torque_constant = 0.0;
     let mut axis = Axis::new(&dead, &bridge(true), 10.0);
-    assert_eq!(asked(&mut axis, 1.0), 0.0);
+    assert_eq!(commanded_current(&mut axis, 1.0), 0.0);
     axis.limit(10.0);
-    assert_eq!(asked(&mut axis, 1.0), 0.0);
+    assert_eq!(commanded_current(&mut axis, 1.0), 0.0);
 }
 
 #[test]
-fn the_integrator_does_not_wind_up_against_a_voltage_that_is_not_there() {
-    // 4 A need 6 V and 480 rad/s make 24 V: far beyond the bus. Once the motor slows the current is right within 2 ms.
+fn the_integrator_does_not_wind_up_at_a_saturated_bus() {
+    // 4 A need 6 V, and 480 rad/s induce 24 V: together far beyond the bus. Once the motor has stopped, the current is
+    // right within 2 ms.
     let mut axis = Axis::new(&motor(), &bridge(true), 10.0);
-    let mut winding = Winding { seen_speed: 480.0, ..Winding::new(motor(), 480.0) };
+    let mut winding = Winding { measured_speed: 480.0, ..Winding::new(motor(), 480.0) };
     axis.command(0.2);
     winding.run(&mut axis, 20_000, |_, _| {});
-    (winding.speed, winding.seen_speed) = (0.0, 0.0);
+    (winding.speed, winding.measured_speed) = (0.0, 0.0);
     axis.command(0.2);
     winding.run(&mut axis, 40, |_, _| {});
     assert!((winding.current - 4.0).abs() < 0.05, "{}", winding.current);
 }
 
-/// Numbers that come from nowhere.
-const WILD: [f32; 12] = [
+/// Ordinary, extreme and invalid numbers.
+const ANY: [f32; 12] = [
     0.0,
     -0.0,
     1.0,
@@ -335,12 +338,12 @@ const WILD: [f32; 12] = [
 ];
 
 #[test]
-fn whatever_comes_in_each_leg_stays_between_4_and_96_percent() {
+fn each_leg_stays_between_4_and_96_percent_for_any_input() {
     for sensed in [true, false] {
-        for torque in WILD {
-            for speed in WILD {
-                for bus in WILD {
-                    for current in WILD {
+        for torque in ANY {
+            for speed in ANY {
+                for bus in ANY {
+                    for current in ANY {
                         let mut axis = Axis::new(&motor(), &bridge(sensed), 10.0);
                         axis.command(torque);
                         for late in [false, true, true, false] {
@@ -357,11 +360,11 @@ fn whatever_comes_in_each_leg_stays_between_4_and_96_percent() {
 }
 
 #[test]
-fn a_motor_made_of_wild_numbers_still_gets_a_duty_within_bounds() {
-    for a in WILD {
-        for b in WILD {
-            for c in WILD {
-                let wild = Motor {
+fn a_motor_with_any_parameters_gets_a_duty_within_bounds() {
+    for a in ANY {
+        for b in ANY {
+            for c in ANY {
+                let motor = Motor {
                     torque_constant: a,
                     resistance: b,
                     inductance: c,
@@ -369,7 +372,7 @@ fn a_motor_made_of_wild_numbers_still_gets_a_duty_within_bounds() {
                     max_current: b,
                     verified: true,
                 };
-                let mut axis = Axis::new(&wild, &bridge(true), c);
+                let mut axis = Axis::new(&motor, &bridge(true), c);
                 axis.command(1.0);
                 for late in [false, true, true, false] {
                     let duty = f32::from(axis.drive(&Supply::of(BUS), 0.5, 1.0, late));
@@ -381,10 +384,10 @@ fn a_motor_made_of_wild_numbers_still_gets_a_duty_within_bounds() {
 }
 
 #[test]
-fn wild_numbers_are_forgotten_as_soon_as_they_are_gone() {
-    for torque in WILD {
-        for speed in WILD {
-            for bus in WILD {
+fn invalid_numbers_leave_no_trace() {
+    for torque in ANY {
+        for speed in ANY {
+            for bus in ANY {
                 let mut axis = Axis::new(&motor(), &bridge(true), 10.0);
                 axis.command(torque);
                 let drives = [true, false, true].map(|late| axis.drive(&Supply::of(bus), torque, speed, late));
@@ -407,9 +410,9 @@ fn without_supply_there_is_no_duty() {
     }
 }
 
-/// Between two steps, at 200 Hz for a hundred crests, the torque is not commanded again.
+/// Between two control steps (a hundred crests at 200 Hz) the torque is not commanded again.
 #[test]
-fn a_current_limit_that_is_lowered_acts_at_the_next_crest_without_a_step() {
+fn a_lowered_current_limit_acts_at_the_next_crest() {
     let motor = Motor { max_current: 20.0, ..motor() };
     let mut axis = Axis::new(&motor, &bridge(true), 20.0);
     axis.command(axis.torque_of(10.0));
@@ -420,9 +423,9 @@ fn a_current_limit_that_is_lowered_acts_at_the_next_crest_without_a_step() {
     assert_eq!(axis.asked(), -5.0);
 }
 
-/// A limit that is lowered while the device is loaded makes the motor's model as strict as a device loaded under it.
+/// A limit that is lowered after the device was loaded tightens the motor's model as if it had been set before.
 #[test]
-fn a_lower_limit_tightens_the_model_of_a_winding_whose_inductance_nobody_knows() {
+fn a_lowered_limit_tightens_the_model_of_unknown_inductance() {
     for inductance in [0.0, 1.0e-3] {
         let motor = Motor { inductance, max_current: 20.0, ..motor() };
         let mut lowered = Axis::new(&motor, &bridge(true), 20.0);

@@ -1,7 +1,7 @@
-//! A scene that replaces another while the motors are on: what acted before fades out without a step, and is held to
-//! the tip's limit wherever the tip goes meanwhile.
+//! A scene that replaces another while the motors are on: the old torques fade out without a jump and stay within the
+//! tip-force limit wherever the tip moves meanwhile.
 
-use crate::rig::statics::worth;
+use crate::rig::statics::force_at_tip;
 use crate::rig::{Rig, five_bar, hardware, limits, rules, scene, wall};
 use haptic_bridge::board::protocol::{ForceDone, ForceRequest};
 use haptic_bridge::control::{Command, Rules};
@@ -12,20 +12,20 @@ use haptic_bridge::safety::fault::State;
 use haptic_bridge::safety::limits::Limits;
 use nalgebra::Vector2;
 
-/// Torque on its way through a current and back.
+/// Rounding error of a force whose torque is converted to a current and back, N.
 const ROUNDING: f64 = 1.0e-3;
 
-/// The force at the tip that the torques of the last step are worth, N.
+/// Computes the tip force of the torques of the last step, N.
 fn force(rig: &Rig) -> Vector2<f64> {
     let frame = rig.control_loop.frame();
-    worth(&frame.at.q, Vector2::new(frame.motors.torque[0], frame.motors.torque[1]).map(f64::from))
+    force_at_tip(&frame.at.q, Vector2::new(frame.motors.torque[0], frame.motors.torque[1]).map(f64::from))
 }
 
 fn torques(rig: &Rig) -> [f32; MAX_JOINTS] {
     *rig.control_loop.frame().motors.torque
 }
 
-/// Limits that leave a rig room for this tip force (N) alone.
+/// Returns rules in which only the tip force (N) limits the rig.
 fn gentle(tip_force: f32) -> Rules {
     Rules {
         limits: Limits { torque: [3.0; MAX_JOINTS], current: [30.0; MAX_JOINTS], tip_force, ..limits() },
@@ -33,8 +33,8 @@ fn gentle(tip_force: f32) -> Rules {
     }
 }
 
-/// Springs that pull the tip from its home with these forces, N.
-fn pulled(tip: [f32; 3], forces: &[[f32; 2]]) -> Scene<f32> {
+/// Returns a scene with springs that pull the tip at its home with these forces, N.
+fn springs(tip: [f32; 3], forces: &[[f32; 2]]) -> Scene<f32> {
     let mut scene = scene(2, &[]);
     for [x, y] in forces {
         let stiffness = 10.0;
@@ -44,16 +44,16 @@ fn pulled(tip: [f32; 3], forces: &[[f32; 2]]) -> Scene<f32> {
     scene
 }
 
-/// A five-bar at home, armed, whose tip a spring pulls with this force, N.
+/// Creates an armed five-bar at home whose tip a spring pulls with this force, N.
 fn at_home(rules: Rules, pull: [f32; 2]) -> Rig {
     let tip = Rig::with(&five_bar(), &scene(2, &[]), hardware(), rules).control_loop.frame().at.tip;
-    let mut rig = Rig::with(&five_bar(), &pulled(tip, &[pull]), hardware(), rules);
+    let mut rig = Rig::with(&five_bar(), &springs(tip, &[pull]), hardware(), rules);
     rig.arm();
     rig
 }
 
 #[test]
-fn a_tip_that_moves_to_a_stretched_elbow_meanwhile_feels_no_more_than_its_limit() {
+fn the_limit_holds_for_a_fade_while_the_elbow_stretches() {
     for pull in [[1.9, 0.0], [-1.3, 1.3], [1.3, 1.3]] {
         let mut rig = at_home(gentle(2.0), pull);
         assert!((force(&rig).norm() - 1.9).abs() < 0.1, "{} N", force(&rig).norm());
@@ -69,7 +69,7 @@ fn a_tip_that_moves_to_a_stretched_elbow_meanwhile_feels_no_more_than_its_limit(
                 break;
             }
             let left = 1.0 - (step + 1) as f32 / 1_000.0;
-            let old = worth(
+            let old = force_at_tip(
                 &rig.control_loop.frame().at.q,
                 Vector2::new(before[0], before[1]).map(|torque| (torque * left).into()),
             );
@@ -86,7 +86,7 @@ fn a_tip_that_moves_to_a_stretched_elbow_meanwhile_feels_no_more_than_its_limit(
 }
 
 #[test]
-fn a_torque_limit_that_is_lowered_makes_no_more_force_of_what_fades() {
+fn a_lowered_torque_limit_scales_a_fading_force() {
     let mut rig = at_home(gentle(5.0), [4.0, 2.0]);
     let before = force(&rig);
     rig.load(&five_bar(), &scene(2, &[]), true).expect("free space");
@@ -99,7 +99,7 @@ fn a_torque_limit_that_is_lowered_makes_no_more_force_of_what_fades() {
         let left = force(&rig);
         assert!(left.norm() < 0.11 * before.norm(), "{left} of {before}");
         let aside = (left.x * before.y - left.y * before.x).abs() / before.norm();
-        assert!(aside < 0.01 * before.norm(), "it keeps its direction: {left} of {before}");
+        assert!(aside < 0.01 * before.norm(), "the direction changed: {left} of {before}");
         let mut raised = at_home(gentle(5.0), [4.0, 2.0]);
         raised.load(&five_bar(), &scene(2, &[]), true).expect("free space");
         raised.step();
@@ -108,7 +108,7 @@ fn a_torque_limit_that_is_lowered_makes_no_more_force_of_what_fades() {
 }
 
 #[test]
-fn nothing_steps_where_a_wall_that_pushes_sideways_at_the_limit_is_replaced() {
+fn torques_do_not_jump_when_a_wall_at_the_limit_is_replaced() {
     let tip = Rig::with(&five_bar(), &scene(2, &[]), hardware(), gentle(2.0)).control_loop.frame().at.tip;
     let normal = [0.8, 0.6, 0.0];
     let surface = Surface::Plane(Plane { point: [tip[0] + 1.0e-3, tip[1], 0.0], normal });
@@ -118,7 +118,7 @@ fn nothing_steps_where_a_wall_that_pushes_sideways_at_the_limit_is_replaced() {
     let before = torques(&rig);
     assert!(
         (force(&rig).norm() - 2.0).abs() < 1.0e-3,
-        "its feed-forward is within the limit, too: {} N",
+        "with its feed-forward the wall is not at the limit: {} N",
         force(&rig).norm()
     );
     rig.load(&five_bar(), &scene(2, &[]), true).expect("free space");
@@ -137,7 +137,7 @@ fn nothing_steps_where_a_wall_that_pushes_sideways_at_the_limit_is_replaced() {
 }
 
 #[test]
-fn what_a_host_asked_for_ends_with_its_lease_whatever_scene_comes() {
+fn a_host_force_ends_with_its_lease_after_a_new_scene() {
     for (torque, push) in [([0.1, -0.05, 0.0], [0.0; 3]), ([0.0; 3], [1.0, -0.5, 0.0])] {
         let mut rig = at_home(gentle(5.0), [0.6, 0.8]);
         let spring = torques(&rig);
@@ -149,21 +149,23 @@ fn what_a_host_asked_for_ends_with_its_lease_whatever_scene_comes() {
         assert!((0..2).all(|i| (both[i] - spring[i]).abs() > 0.005), "{spring:?} {both:?}");
         rig.load(&five_bar(), &scene(2, &[]), true).expect("free space");
         rig.step();
-        assert!((0..2).all(|i| (torques(&rig)[i] - both[i]).abs() < 0.05 * both[i].abs()), "no step where it begins");
+        assert!(
+            (0..2).all(|i| (torques(&rig)[i] - both[i]).abs() < 0.05 * both[i].abs()),
+            "the torque jumps where the fade begins"
+        );
         rig.run(0.04);
         let left = torques(&rig);
-        // 0.041 s of the half second.
+        // 0.041 s of the fade of 0.5 s have passed.
         for i in 0..2 {
             let expected = (1.0 - 0.041 / 0.5) * spring[i];
-            assert!((left[i] - expected).abs() < 0.01 * spring[i].abs(), "{left:?}, the spring's {spring:?}");
+            assert!((left[i] - expected).abs() < 0.01 * spring[i].abs(), "{left:?}, the spring's torques {spring:?}");
         }
     }
 }
 
-/// So many seconds after a scene that comes together with `request`, nothing of a host acts any more.
 #[test]
-fn requests_and_scenes_between_two_steps_leave_nothing_that_outlives_its_lease_or_pushes_the_other_way() {
-    let asks = |sequence, torque: f32| ForceRequest {
+fn no_force_outlives_its_lease_or_reverses_after_a_new_scene() {
+    let push = |sequence, torque: f32| ForceRequest {
         sequence,
         hold: 0.02,
         fade: 0.02,
@@ -174,10 +176,10 @@ fn requests_and_scenes_between_two_steps_leave_nothing_that_outlives_its_lease_o
     for (first, second) in [(0.005, 1.0), (0.1, 0.0), (0.0, 0.1)] {
         let mut rig = Rig::with(&five_bar(), &free, hardware(), gentle(5.0));
         rig.arm();
-        assert_eq!(rig.control_loop.force(&asks(1, first)).done, ForceDone::Taken);
+        assert_eq!(rig.control_loop.force(&push(1, first)).done, ForceDone::Taken);
         rig.step();
         let before = torques(&rig)[0];
-        assert_eq!(rig.control_loop.force(&asks(2, second)).done, ForceDone::Taken);
+        assert_eq!(rig.control_loop.force(&push(2, second)).done, ForceDone::Taken);
         rig.load(&five_bar(), &free, true).expect("free space");
         for _ in 0..80 {
             rig.step();
@@ -189,7 +191,7 @@ fn requests_and_scenes_between_two_steps_leave_nothing_that_outlives_its_lease_o
 }
 
 #[test]
-fn a_second_scene_within_a_lease_or_a_fade_does_not_prolong_what_a_host_asked_for() {
+fn further_scenes_do_not_prolong_a_host_force() {
     for steps_between in [0, 1, 20] {
         for (torque, push) in [([0.1, -0.05, 0.0], [0.0; 3]), ([0.0; 3], [4.0, 0.0, 0.0])] {
             let free = scene(2, &[]);
@@ -210,7 +212,7 @@ fn a_second_scene_within_a_lease_or_a_fade_does_not_prolong_what_a_host_asked_fo
 }
 
 #[test]
-fn a_limit_that_is_lowered_holds_a_scene_that_comes_before_the_next_step() {
+fn a_lowered_limit_holds_with_a_new_scene_before_the_next_step() {
     for scenes in 1..3 {
         let mut rig = at_home(gentle(5.0), [3.9, 0.0]);
         let free = scene(2, &[]);
@@ -224,14 +226,14 @@ fn a_limit_that_is_lowered_holds_a_scene_that_comes_before_the_next_step() {
 }
 
 #[test]
-fn a_scene_that_comes_on_the_way_to_a_stretched_elbow_lifts_no_limit() {
+fn the_limit_holds_with_a_new_scene_while_the_elbow_stretches() {
     for (rate, speed) in [(200.0, 2.0), (200.0, 5.0), (1_000.0, 5.0)] {
         let at_rate = |scene: Scene<f32>| Scene { rate_hz: rate, cutoff_hz: 0.2 * rate, ..scene };
         let free = at_rate(scene(2, &[]));
         let tip = Rig::with(&five_bar(), &free, hardware(), gentle(2.0)).control_loop.frame().at.tip;
         let moved = (speed / rate * 60_000.0 / std::f32::consts::TAU) as i32;
         for wait in (0..40).map(|nth| nth * 2) {
-            let mut rig = Rig::with(&five_bar(), &at_rate(pulled(tip, &[[1.9, 0.3]])), hardware(), gentle(2.0));
+            let mut rig = Rig::with(&five_bar(), &at_rate(springs(tip, &[[1.9, 0.3]])), hardware(), gentle(2.0));
             rig.arm();
             for step in 0..200 {
                 rig.samples.counts[0] += moved;
@@ -251,7 +253,7 @@ fn a_scene_that_comes_on_the_way_to_a_stretched_elbow_lifts_no_limit() {
 }
 
 #[test]
-fn weight_that_is_compensated_from_a_scene_on_takes_nothing_out_of_the_limit() {
+fn compensated_weight_does_not_count_against_the_limit() {
     let mut heavy = five_bar();
     heavy.gravity = [0.0, -9.81, 0.0];
     for link in &mut heavy.links {
@@ -270,7 +272,7 @@ fn weight_that_is_compensated_from_a_scene_on_takes_nothing_out_of_the_limit() {
     let tip = Rig::with(&heavy, &scene(2, &[]), hardware(), gentle(2.0)).control_loop.frame().at.tip;
     for (before, after) in [(false, true), (true, false), (true, true)] {
         let with = |scene: Scene<f32>, on| Scene { gravity_compensation: on, ..scene };
-        let mut rig = Rig::with(&heavy, &with(pulled(tip, &[[1.9, 0.0]]), before), hardware(), gentle(2.0));
+        let mut rig = Rig::with(&heavy, &with(springs(tip, &[[1.9, 0.0]]), before), hardware(), gentle(2.0));
         rig.arm();
         rig.load(&heavy, &with(scene(2, &[]), after), true).expect("free space");
         for step in 1..=900 {
@@ -285,20 +287,20 @@ fn weight_that_is_compensated_from_a_scene_on_takes_nothing_out_of_the_limit() {
             let share = if before { 1.0 - ramp } else { 0.0 } + if after { ramp } else { 0.0 };
             let held = weight(&frame.at.q) * share;
             let rest = Vector2::new(frame.motors.torque[0], frame.motors.torque[1]).map(f64::from) - held;
-            let force = worth(&frame.at.q, rest).norm();
+            let force = force_at_tip(&frame.at.q, rest).norm();
             assert!(force <= 2.0 + 0.02, "{force} N at step {step}, {before} to {after}: {frame:?}");
         }
     }
 }
 
 #[test]
-fn a_scene_that_comes_as_the_ramp_ends_turns_no_force_round() {
+fn a_new_scene_at_the_end_of_the_ramp_reverses_no_force() {
     for steps in 998..=1_003 {
         let free = scene(2, &[]);
         let mut rig = Rig::with(&five_bar(), &free, hardware(), gentle(5.0));
         rig.execute(Command::Arm).expect("ready");
         for step in 0..steps {
-            // Four times what the tip may have.
+            // Four times the tip-force limit.
             let force = [20.0, 0.0, 0.0];
             let request = ForceRequest { sequence: step + 1, hold: 0.02, fade: 0.05, force, ..ForceRequest::default() };
             assert_eq!(rig.control_loop.force(&request).done, ForceDone::Taken);
@@ -313,10 +315,10 @@ fn a_scene_that_comes_as_the_ramp_ends_turns_no_force_round() {
     }
 }
 
-/// A wall that is dragged about replaces the scene many times a second. What carries the weight is of the pose now
-/// meanwhile: torques of another pose would push beside every limit.
+/// A wall that is dragged replaces the scene many times a second. The compensated weight must follow the pose
+/// meanwhile, because torques of another pose would push outside every limit.
 #[test]
-fn scenes_that_keep_coming_carry_the_weight_where_the_tip_is() {
+fn compensated_weight_follows_the_pose_through_many_scenes() {
     let mut heavy = Description { gravity: [0.0, -9.81, 0.0], ..five_bar() };
     heavy.links.iter_mut().for_each(|link| link.mass = 0.2);
     let scene = Scene { gravity_compensation: true, ..scene(2, &[]) };
@@ -325,21 +327,21 @@ fn scenes_that_keep_coming_carry_the_weight_where_the_tip_is() {
         rig.arm();
         rig
     };
-    let (mut replaced, mut left_alone) = (armed(), armed());
+    let (mut replaced, mut unchanged) = (armed(), armed());
     let began = torques(&replaced);
     for _ in 0..12 {
         replaced.load(&heavy, &scene, true).expect("the same scene");
-        for rig in [&mut replaced, &mut left_alone] {
+        for rig in [&mut replaced, &mut unchanged] {
             let counts = rig.samples.counts[0];
             for step in 1..=20 {
                 rig.samples.counts[0] = counts - step;
                 rig.step();
             }
         }
-        for (one, other) in torques(&replaced).iter().zip(torques(&left_alone)) {
+        for (one, other) in torques(&replaced).iter().zip(torques(&unchanged)) {
             assert!((one - other).abs() < 1e-6, "{one} {other}");
         }
     }
     let moved = (0..2).map(|i| (torques(&replaced)[i] - began[i]).abs()).fold(0.0, f32::max);
-    assert!(moved > 1e-3, "the weight is another one here: {moved}");
+    assert!(moved > 1e-3, "the weight's torque must change: {moved}");
 }

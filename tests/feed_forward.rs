@@ -1,6 +1,5 @@
-//! The promises of equation (4), asked of the whole control step: with the feed-forward nothing accelerates but the
-//! rendered directions, on flat and on curved walls and in corners; with the washout a resting hand feels no sideways
-//! force.
+//! Equation (4) in the complete control step: with the feed-forward the tip accelerates in the rendered directions
+//! only, on flat and curved walls and in corners; with the washout a resting hand gets no sideways force.
 
 use crate::common::device_file;
 use haptic_bridge::control::compiled::BoardMath;
@@ -15,7 +14,7 @@ use nalgebra::SVector;
 
 /// Control rate, Hz.
 const RATE: f64 = 1_000.0;
-/// Counts per turn, so fine that differences of counts are velocities.
+/// Counts per turn, fine enough for velocities from differences of counts.
 const COUNTS: f64 = 1.0e9;
 
 fn shipped(name: &str) -> Description {
@@ -58,7 +57,7 @@ fn controller<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
     Controller::new(mechanism, &device, &scene).expect("a sound scene")
 }
 
-/// x with A x = y, by elimination.
+/// Solves A x = y by elimination.
 fn solve<const N: usize>(matrix: nalgebra::SMatrix<f64, N, N>, mut right: SVector<f64, N>) -> SVector<f64, N> {
     let mut a = matrix;
     for k in 0..N {
@@ -79,14 +78,15 @@ fn solve<const N: usize>(matrix: nalgebra::SMatrix<f64, N, N>, mut right: SVecto
     right
 }
 
-/// The motion of the tip under the torques of a step that follows a steady motion through `q` at `qd`.
+/// Motion of the tip under the torques of a control step.
 struct Outcome<const N: usize> {
-    place: SVector<f64, N>,
+    position: SVector<f64, N>,
     velocity: SVector<f64, N>,
     acceleration: SVector<f64, N>,
     force: f64,
 }
 
+/// Returns the motion of the tip under the torques of the step after a steady motion through `q` at `qd`.
 fn outcome<M: Mechanism<f64, N>, const N: usize>(
     m: M,
     device: &Description,
@@ -95,27 +95,27 @@ fn outcome<M: Mechanism<f64, N>, const N: usize>(
     qd: &SVector<f64, N>,
 ) -> Outcome<N> {
     let mut controller = controller::<f64, Libm, M, N>(m, device, walls);
-    // Steadily through the pose, long enough for the joint filters to know the velocity; they lag behind angles, not
-    // rates.
+    // The motion is steady, and long enough for the joint filters to settle: their lag does not matter at constant
+    // velocity.
     let last = (-60..=0).map(|k| controller.step(&counts(&(q + qd * (f64::from(k) / RATE))))).last();
     let step = last.expect("there are steps");
     let pose = m.pose::<Libm>(q);
     let bias = m.coriolis(&pose, qd) + m.gravity(&pose);
     let qdd = solve(m.mass(&pose), step.torque - bias);
     Outcome {
-        place: m.tip(&pose),
+        position: m.tip(&pose),
         velocity: m.velocity(&pose, qd),
         acceleration: m.jacobian(&pose) * qdd + m.jacobian_rate(&pose, qd) * qd,
         force: step.wall_force,
     }
 }
 
-/// The centre of a round wall from the tip, m.
-const HERE: [f64; 3] = [0.03, -0.04, 0.02];
+/// Offset of the centre of a round wall from the tip, m.
+const OFFSET: [f64; 3] = [0.03, -0.04, 0.02];
 
-/// A sphere or cylinder whose surface passes near `place`, seen from outside or inside.
-fn round<const N: usize>(place: &SVector<f64, N>, offset: [f64; 3], shape: u8, task: usize) -> Surface<f64> {
-    let point = core::array::from_fn(|i| if i < task.min(N) { place[i] + offset[i] } else { 0.0 });
+/// Returns a sphere or cylinder whose surface passes near `tip`, with the tip outside or inside.
+fn round<const N: usize>(tip: &SVector<f64, N>, offset: [f64; 3], shape: u8, task: usize) -> Surface<f64> {
+    let point = core::array::from_fn(|i| if i < task.min(N) { tip[i] + offset[i] } else { 0.0 });
     let radius = 0.06;
     match shape {
         0 => Surface::Sphere(Sphere { center: point, radius, inside: false }),
@@ -133,7 +133,7 @@ fn point<const N: usize>(v: &SVector<f64, N>, task: usize) -> SVector<f64, N> {
     SVector::from_fn(|i, _| if i < task { v[i] } else { 0.0 })
 }
 
-/// Unit vectors across `normal` (and the axes beyond the task), one by one.
+/// Returns orthogonal unit vectors across `normal`, including the axes beyond the task.
 fn across<const N: usize>(normal: &SVector<f64, N>) -> Vec<SVector<f64, N>> {
     let mut found: Vec<SVector<f64, N>> = vec![*normal];
     for i in 0..N {
@@ -152,18 +152,18 @@ fn across<const N: usize>(normal: &SVector<f64, N>) -> Vec<SVector<f64, N>> {
 fn one_wall<M: Mechanism<f64, N>, const N: usize>(m: M, device: &Description, q: &[f64], qd: &[f64]) {
     let task = M::SPEC.task;
     let (q, qd) = (SVector::<f64, N>::from_column_slice(q), SVector::<f64, N>::from_column_slice(qd));
-    let place = m.tip(&m.pose::<Libm>(&q));
+    let tip = m.tip(&m.pose::<Libm>(&q));
     let shapes = if task == 3 { 0..5 } else { 0..3 };
     for shape in shapes {
-        let surface = if shape == 0 { flat(task) } else { round(&place, HERE, shape - 1, task) };
+        let surface = if shape == 0 { flat(task) } else { round(&tip, OFFSET, shape - 1, task) };
         let o = outcome(m, device, &[wall(surface, FeedForward::Full)], &q, &qd);
-        let (p, v) = (point(&o.place, task), point(&o.velocity, task));
+        let (p, v) = (point(&o.position, task), point(&o.velocity, task));
         let n = surface.contact::<Libm, N>(&p).normal;
         let n_rate = surface.normal_rate::<Libm, N>(&p, &v);
         assert!(o.force.abs() > 0.1 && v.norm() > 0.1, "{} N at {} m/s", o.force, v.norm());
         assert!(shape == 0 || n_rate.norm() > 0.5, "the normal turns: {n_rate}");
         for t in across(&n) {
-            // π̇a = t·p̈ + ṫ·ṗ, and t turns with n without spinning about it.
+            // π̇a = t·p̈ + ṫ·ṗ, where t turns with n and does not spin about it.
             let admissible = t.dot(&o.acceleration) - t.dot(&n_rate) * n.dot(&v);
             assert!(admissible.abs() < 2e-3, "{} shape {shape}: {admissible} m/s²", M::SPEC.name);
         }
@@ -172,7 +172,7 @@ fn one_wall<M: Mechanism<f64, N>, const N: usize>(m: M, device: &Description, q:
 }
 
 #[test]
-fn at_flat_and_curved_walls_nothing_but_the_normal_accelerates() {
+fn at_any_wall_the_tip_accelerates_along_the_normal_only() {
     let device = shipped("haply-2diy");
     with_five_bar(&device, |m| one_wall(m, &device, &[2.4, 0.7], &[1.5, -1.1]));
     for (file, q, qd) in [
@@ -185,7 +185,7 @@ fn at_flat_and_curved_walls_nothing_but_the_normal_accelerates() {
             AnyMechanism::FiveBarTurret(m) => one_wall(m, &device, &q, &qd),
             AnyMechanism::Parallelogram(m) => one_wall(m, &device, &q, &qd),
             AnyMechanism::Serial3r(m) => one_wall(m, &device, &q, &qd),
-            other => panic!("{other:?} has not three joints"),
+            other => panic!("{other:?} does not have three joints"),
         }
     }
 }
@@ -195,19 +195,19 @@ fn with_five_bar(device: &Description, f: impl Fn(haptic_bridge::model::mechanis
     f(m);
 }
 
-/// Two walls that both act: what is left is the line along both. Where they are equally stiff and at right angles only
-/// the level of two directions acts, so curved walls show that the line turns with them; flat ones may meet at any
-/// angle and in any ratio.
+/// Checks two walls that act together: the admissible direction is the line along both. Equally stiff walls at right
+/// angles have one level of two directions; there curved walls show that the line turns with them. Flat walls meet at
+/// any angle and with any ratio of stiffness.
 fn edge<M: Mechanism<f64, 3>>(m: M, device: &Description, q: [f64; 3], qd: [f64; 3]) {
     let (q, qd) = (SVector::from(q), SVector::from(qd));
-    let place = m.tip(&m.pose::<Libm>(&q));
+    let tip = m.tip(&m.pose::<Libm>(&q));
     let normals = [SVector::from([0.36, 0.48, 0.8]), SVector::from([0.8, -0.6, 0.0])];
     let plane = |n: &SVector<f64, 3>| Surface::Plane(Plane { point: [0.0; 3], normal: (*n).into() });
-    let beside = |n: &SVector<f64, 3>, reach: f64| (place - n * reach).into();
-    let ball = |n| Surface::Sphere(Sphere { center: beside(n, 0.05), radius: 0.06, inside: false });
-    let bowl = |n| Surface::Sphere(Sphere { center: beside(n, -0.05), radius: 0.06, inside: true });
+    let behind = |n: &SVector<f64, 3>, distance: f64| (tip - n * distance).into();
+    let ball = |n| Surface::Sphere(Sphere { center: behind(n, 0.05), radius: 0.06, inside: false });
+    let bowl = |n| Surface::Sphere(Sphere { center: behind(n, -0.05), radius: 0.06, inside: true });
     let rod = |n, axis: &SVector<f64, 3>| {
-        Surface::Cylinder(Cylinder { point: beside(n, 0.05), axis: (*axis).into(), radius: 0.06, inside: false })
+        Surface::Cylinder(Cylinder { point: behind(n, 0.05), axis: (*axis).into(), radius: 0.06, inside: false })
     };
     let [n1, n2] = &normals;
     let oblique = (n1 + n2 * 0.7).normalize();
@@ -221,9 +221,9 @@ fn edge<M: Mechanism<f64, 3>>(m: M, device: &Description, q: [f64; 3], qd: [f64;
         let mut walls = pair.map(|surface| wall(surface, FeedForward::Full));
         walls[1].stiffness = stiffness;
         let o = outcome(m, device, &walls, &q, &qd);
-        let n = pair.map(|surface| surface.contact::<Libm, 3>(&o.place).normal);
-        let rate = pair.map(|surface| surface.normal_rate::<Libm, 3>(&o.place, &o.velocity));
-        // The line t = n₁ x n₂ / |n₁ x n₂| and its rate by the product rule.
+        let n = pair.map(|surface| surface.contact::<Libm, 3>(&o.position).normal);
+        let rate = pair.map(|surface| surface.normal_rate::<Libm, 3>(&o.position, &o.velocity));
+        // The line is t = n₁ x n₂ / |n₁ x n₂|; its rate follows from the product rule.
         let line = n[0].cross(&n[1]);
         let length = line.norm();
         assert!(length > 0.2, "the walls cross");
@@ -237,7 +237,7 @@ fn edge<M: Mechanism<f64, 3>>(m: M, device: &Description, q: [f64; 3], qd: [f64;
 }
 
 #[test]
-fn along_an_edge_of_flat_and_curved_walls_nothing_accelerates() {
+fn the_tip_does_not_accelerate_along_an_edge_of_two_walls() {
     let device = shipped("fictive-five-bar-turret");
     let Ok(AnyMechanism::FiveBarTurret(m)) = AnyMechanism::new(&device) else { panic!("a turreted five-bar") };
     edge(m, &device, [0.3, 2.4, 1.1], [2.0, -1.0, 0.8]);
@@ -246,7 +246,7 @@ fn along_an_edge_of_flat_and_curved_walls_nothing_accelerates() {
     edge(m, &device, [0.3, 0.9, -0.3], [1.5, -0.7, 1.2]);
 }
 
-/// The sideways force (N per N of wall force) of the board's torques at rest, so many seconds after contact.
+/// Computes the sideways force (N per N of wall force) of the board's torques at rest, `seconds` after contact.
 fn sideways<A, B, const N: usize>(
     double: A,
     board: B,
@@ -276,7 +276,7 @@ where
 }
 
 #[test]
-fn a_hand_that_rests_on_a_wall_feels_no_sideways_force_with_the_washout() {
+fn with_the_washout_a_resting_hand_gets_no_sideways_force() {
     let device = shipped("phantom-premium-1.5");
     let Ok(AnyMechanism::Parallelogram(double)) = AnyMechanism::<f64>::new(&device) else { panic!("a parallelogram") };
     let Ok(AnyMechanism::Parallelogram(board)) = AnyMechanism::<f32>::new(&device) else { panic!("a parallelogram") };
@@ -285,18 +285,18 @@ fn a_hand_that_rests_on_a_wall_feels_no_sideways_force_with_the_washout() {
     for k in 0..24 {
         let angle = f64::from(k) / 24.0 * std::f64::consts::TAU;
         let n = SVector::from([0.8 * angle.cos(), angle.sin(), 0.6 * angle.cos()]);
-        let felt = |feed_forward, seconds| sideways(double, board, &device, &q, &n, feed_forward, seconds);
-        let (full, fresh) = (felt(FeedForward::Full, 3.0), felt(FeedForward::Washout, 0.0));
-        let (early, rested) = (felt(FeedForward::Washout, 0.01), felt(FeedForward::Washout, 3.0));
+        let force = |feed_forward, seconds| sideways(double, board, &device, &q, &n, feed_forward, seconds);
+        let (full, fresh) = (force(FeedForward::Full, 3.0), force(FeedForward::Washout, 0.0));
+        let (early, rested) = (force(FeedForward::Washout, 0.01), force(FeedForward::Washout, 3.0));
         worst_full = worst_full.max(full);
-        // At contact the washout shapes like the full feed-forward, ten milliseconds later nearly so, and then it
-        // leaves.
+        // At contact the washout acts like the full feed-forward, after ten milliseconds almost so, and finally not at
+        // all.
         assert!((fresh - full).abs() <= 0.02 * full + 1e-4, "{fresh} at contact, {full} in full");
         assert!(early <= full + 1e-4 && early >= 0.8 * full - 1e-4, "{early} after 10 ms, {full} in full");
         assert!(rested < 1e-4, "{rested} N per N at rest");
-        assert!(felt(FeedForward::Off, 0.0) < 1e-4);
+        assert!(force(FeedForward::Off, 0.0) < 1e-4);
     }
-    assert!(worst_full > 0.2, "in full it pushes sideways at rest: {worst_full}");
+    assert!(worst_full > 0.2, "the full feed-forward must push sideways at rest: {worst_full}");
 }
 
 #[test]
@@ -304,12 +304,12 @@ fn a_wall_never_pulls() {
     for file in ["hapkit-paddle", "haply-2diy", "fictive-five-bar-turret", "phantom-premium-1.5", "serial-3r"] {
         let device = shipped(file);
         let mechanism = AnyMechanism::<f32>::new(&device).expect("a sound device");
-        with_mechanism!(mechanism, m => shaken(m, &device));
+        with_mechanism!(mechanism, m => shake(m, &device));
     }
 }
 
-/// A tip that is shaken in and out of a damped wall, and the force it feels.
-fn shaken<M: Mechanism<f32, N>, const N: usize>(m: M, device: &Description) {
+/// Shakes the tip in and out of a damped wall and checks the wall's force.
+fn shake<M: Mechanism<f32, N>, const N: usize>(m: M, device: &Description) {
     let home = device.home.expect("shipped devices have a home");
     let home = SVector::<f64, N>::from_fn(|i, _| home[i]);
     let task = M::SPEC.task;
@@ -332,13 +332,13 @@ fn shaken<M: Mechanism<f32, N>, const N: usize>(m: M, device: &Description) {
             let step = controller.step(&counts(&q));
             assert!(step.wall_force >= 0.0, "{step:?}");
             touched |= step.wall_force > 0.0;
-            // Inside, and leaving so fast that damping would pull.
+            // The tip is inside and leaves so fast that damping alone would pull.
             let unclamped = -100.0 * step.distance - 50.0 * step.normal_velocity;
             if step.distance < 0.0 && unclamped < 0.0 {
                 leaving = true;
                 assert_eq!(step.wall_force, 0.0);
             }
         }
-        assert!(touched && leaving, "{}: the wall is hit and left", M::SPEC.name);
+        assert!(touched && leaving, "{}: the tip must hit and leave the wall", M::SPEC.name);
     }
 }

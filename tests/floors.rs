@@ -1,20 +1,21 @@
-//! The library is a house of floors: what lies on one may use its own and those below, and no module is in a circle.
+//! The modules of the library form floors. A module uses modules of its own floor and of lower floors only, and no
+//! modules use each other in a circle.
 
 use proc_macro2::{TokenStream, TokenTree};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use syn::visit::{self, Visit};
 
-/// The floors from the ground up; those that stand on the same level do not know each other.
+/// The floors from the ground up. Floors on the same level do not use each other.
 const LEVELS: [&[&str]; 6] =
     [&["math", "checksum"], &["model"], &["render", "drive"], &["safety"], &["control"], &["board"]];
 
-/// Level of a floor.
+/// Returns the level of a floor.
 fn level(floor: &str) -> Option<usize> {
     LEVELS.iter().position(|floors| floors.contains(&floor))
 }
 
-/// A module's source: its place below `src/`, and every path in it, resolved from the crate's root.
+/// The source of a module: its path below `src/`, and every path in it, resolved from the crate's root.
 struct Source {
     path: Vec<String>,
     paths: Vec<Vec<String>>,
@@ -33,17 +34,17 @@ impl Source {
         &self.path[0]
     }
 
-    /// The module that this file belongs to: a floor's own, or one on it with everything below.
+    /// Returns the module of this file: the floor's own, or a module on the floor with its submodules.
     fn module(&self) -> String {
         self.path[..self.path.len().min(2)].join("::")
     }
 
-    /// This file alone.
+    /// Returns the path of this file's own module.
     fn file(&self) -> String {
         self.path.join("::")
     }
 
-    /// The modules it uses that are not below it.
+    /// Returns the uses of modules on the same or a higher level, outside the source's own floor.
     fn upward(&self) -> Vec<String> {
         let own = level(self.floor()).unwrap_or_else(|| panic!("{} is on no floor", self.floor()));
         let other = |path: &&Vec<String>| path[0] != self.floor() && level(&path[0]).is_none_or(|other| other >= own);
@@ -59,14 +60,14 @@ impl Source {
     }
 }
 
-/// Collects paths that begin with `crate` or `super`; relative ones stay where they are.
+/// Collects paths that begin with `crate` or `super`. Relative paths stay inside the module and are ignored.
 struct Reader {
     module: Vec<String>,
     paths: Vec<Vec<String>>,
 }
 
 impl Reader {
-    /// Takes a path as it is written.
+    /// Resolves a written path and stores it.
     fn take(&mut self, names: &[String]) {
         let mut place = match names.first().map(String::as_str) {
             Some("crate") => Vec::new(),
@@ -80,13 +81,13 @@ impl Reader {
                 name => place.push(name.to_string()),
             }
         }
-        // The exports of the crate's root itself (macros, `super` from a floor's own file) are no module.
+        // Exports of the crate's root (macros, `super` in a floor's own file) are not modules.
         if place.len() > 1 || place.first().is_some_and(|name| level(name).is_some()) {
             self.paths.push(place);
         }
     }
 
-    /// Every path of a `use`.
+    /// Stores every path of a `use`.
     fn tree(&mut self, before: &[String], tree: &syn::UseTree) {
         let and = |name: &dyn ToString| [before, &[name.to_string()]].concat();
         match tree {
@@ -98,7 +99,7 @@ impl Reader {
         }
     }
 
-    /// Paths among the tokens of a macro, which are no code yet.
+    /// Stores the paths in the tokens of a macro, which are not parsed as code.
     fn tokens(&mut self, tokens: TokenStream) {
         let mut names: Vec<String> = Vec::new();
         let mut joined = false;
@@ -113,10 +114,10 @@ impl Reader {
                 }
                 TokenTree::Punct(mark) if mark.as_char() == ':' => joined = true,
                 other => {
-                    // `crate::name!` is a macro, which belongs to no floor.
-                    let called = matches!(&other, TokenTree::Punct(mark) if mark.as_char() == '!');
+                    // `crate::name!` is a macro and belongs to no floor.
+                    let is_macro = matches!(&other, TokenTree::Punct(mark) if mark.as_char() == '!');
                     let names = std::mem::take(&mut names);
-                    if !called {
+                    if !is_macro {
                         self.take(&names);
                     }
                     joined = false;
@@ -142,7 +143,7 @@ impl<'a> Visit<'a> for Reader {
     }
 
     fn visit_macro(&mut self, call: &'a syn::Macro) {
-        // Not the macro's own path.
+        // The macro's own path is not a use of a floor.
         self.tokens(call.tokens.clone());
     }
 
@@ -153,11 +154,11 @@ impl<'a> Visit<'a> for Reader {
     }
 
     fn visit_visibility(&mut self, _: &'a syn::Visibility) {
-        // `pub(super)` uses nothing.
+        // `pub(super)` is not a use.
     }
 
     fn visit_attribute(&mut self, _: &'a syn::Attribute) {
-        // Comments link where they like.
+        // Comments may link to any floor.
     }
 }
 
@@ -172,7 +173,7 @@ fn sources(directory: &Path, found: &mut Vec<PathBuf>) {
     }
 }
 
-/// The sources below a folder of the repository, but for those roots that list the others.
+/// Reads the sources below a folder of the repository, except root files that only list modules.
 fn sources_of(folder: &str) -> Vec<Source> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join(folder);
     let mut found = Vec::new();
@@ -181,8 +182,8 @@ fn sources_of(folder: &str) -> Vec<Source> {
         .iter()
         .filter_map(|path| {
             let inside = path.strip_prefix(&root).expect("below the folder").to_str().expect("a plain name");
-            let listed = ["lib.rs", "main.rs"].contains(&inside) || inside.starts_with("bin/");
-            (!listed).then(|| Source::new(inside, &std::fs::read_to_string(path).expect("a readable source")))
+            let is_root = ["lib.rs", "main.rs"].contains(&inside) || inside.starts_with("bin/");
+            (!is_root).then(|| Source::new(inside, &std::fs::read_to_string(path).expect("a readable source")))
         })
         .collect()
 }
@@ -191,27 +192,28 @@ fn library() -> Vec<Source> {
     sources_of("src")
 }
 
-/// Which modules use which, of those that are in a circle: whatever uses nothing that is left is taken away, until only
-/// circles, and what leads to them, remain. `name` says to which module a source belongs.
+/// Returns the uses among modules in circles. Modules without uses are removed until only circles and their users
+/// remain.
+/// `name` returns the module of a source.
 fn circles(sources: &[Source], name: impl Fn(&Source) -> String) -> BTreeMap<String, BTreeSet<String>> {
     let modules: BTreeSet<String> = sources.iter().map(&name).collect();
     let mut uses: BTreeMap<String, BTreeSet<String>> = modules.iter().map(|m| (m.clone(), BTreeSet::new())).collect();
     for source in sources {
         let own = name(source);
         for path in &source.paths {
-            // The longest beginning of it that is a module.
+            // The longest prefix of the path that is a module.
             let other = (1..=path.len()).rev().map(|end| path[..end].join("::")).find(|name| modules.contains(name));
-            // Files of one module (`a.rs` and what lies in `a/`) hold it together, from above and from below.
+            // Submodules may use their parents (files in `a/` may use `a.rs`).
             let others = other.filter(|other| *other != own && !own.starts_with(&format!("{other}::")));
             uses.entry(own.clone()).or_default().extend(others);
         }
     }
     let links: usize = uses.values().map(BTreeSet::len).sum();
     assert!(links > 0, "no use found");
-    while let Some(free) = uses.iter().find(|(_, others)| others.is_empty()).map(|(module, _)| module.clone()) {
-        uses.remove(&free);
+    while let Some(outside) = uses.iter().find(|(_, others)| others.is_empty()).map(|(module, _)| module.clone()) {
+        uses.remove(&outside);
         for others in uses.values_mut() {
-            others.remove(&free);
+            others.remove(&outside);
         }
     }
     uses
@@ -240,7 +242,7 @@ fn no_module_is_in_a_circle() {
         let sources = sources_of(folder);
         let mut names: Vec<fn(&Source) -> String> = vec![|source| source.floor().to_string()];
         if HOST.contains(&folder) {
-            // Modules here have files in them; those are in no circle either.
+            // Modules here have files in them, which must not be in a circle either.
             names.extend([Source::module as fn(&Source) -> String, Source::file]);
         }
         for name in names {
@@ -250,7 +252,7 @@ fn no_module_is_in_a_circle() {
     }
 }
 
-/// The types that a source declares, and the names in the fields of its structs.
+/// Returns the types that a source declares, and the names in the fields of its structs.
 fn types(text: &str) -> (BTreeSet<String>, BTreeSet<String>) {
     struct Names(BTreeSet<String>);
     impl<'a> Visit<'a> for Names {
@@ -274,8 +276,9 @@ fn types(text: &str) -> (BTreeSet<String>, BTreeSet<String>) {
     (declared, held.0)
 }
 
-/// The children that use their parent's types while the parent's structs hold theirs, of modules by their paths.
-fn holding_circles(texts: &BTreeMap<String, String>) -> Vec<String> {
+/// Returns the child modules that use their parent's types while the parent's structs have fields of the child's types.
+/// `texts` are sources by the paths of their modules.
+fn children_in_circles(texts: &BTreeMap<String, String>) -> Vec<String> {
     let mut found = Vec::new();
     for (child, text) in texts {
         let Some((parent, _)) = child.rsplit_once("::") else { continue };
@@ -294,8 +297,8 @@ fn holding_circles(texts: &BTreeMap<String, String>) -> Vec<String> {
     found
 }
 
-/// Modules of the library that are in such a circle with their parents. The list may only become shorter.
-const HOLDING: [&str; 8] = [
+/// Modules of the library that are in such a circle with their parents. The list may only shrink.
+const CHILDREN_IN_CIRCLES: [&str; 8] = [
     "render::controller::straight",
     "render::velocity::low_pass",
     "control::budgets",
@@ -307,7 +310,7 @@ const HOLDING: [&str; 8] = [
 ];
 
 #[test]
-fn no_more_children_use_a_parent_that_holds_them() {
+fn no_new_child_is_in_a_circle_with_its_parent() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
     let mut paths = Vec::new();
     sources(&root, &mut paths);
@@ -317,18 +320,18 @@ fn no_more_children_use_a_parent_that_holds_them() {
     };
     let read = |path: &PathBuf| std::fs::read_to_string(path).expect("a readable source");
     let texts: BTreeMap<String, String> = paths.iter().map(|path| (name(path), read(path))).collect();
-    assert_eq!(holding_circles(&texts), HOLDING);
+    assert_eq!(children_in_circles(&texts), CHILDREN_IN_CIRCLES);
 }
 
 #[test]
-fn a_child_that_uses_a_parent_that_holds_it_is_found() {
+fn a_child_in_a_circle_with_its_parent_is_found() {
     let text = |of: &str| match of {
         "a" => "mod b; struct A { b: [b::B; 3] } struct C;",
         _ => "use super::A; struct B; impl A {}",
     };
     let texts = |child: &str| ["a", child].map(|name| (name.to_string(), text(name).to_string())).into();
-    assert_eq!(holding_circles(&texts("a::b")), ["a::b"]);
-    assert_eq!(holding_circles(&texts("c::b")), [""; 0]);
+    assert_eq!(children_in_circles(&texts("a::b")), ["a::b"]);
+    assert_eq!(children_in_circles(&texts("c::b")), [""; 0]);
 }
 
 #[test]
@@ -344,7 +347,7 @@ fn a_circle_is_found() {
 }
 
 #[test]
-fn an_import_that_runs_up_or_across_is_found() {
+fn an_import_from_a_higher_or_equal_level_is_found() {
     let wrong = |path: &str, text: &str| Source::new(path, text).upward().len();
     assert_eq!(wrong("model/device.rs", "use crate::control::ControlLoop;"), 1);
     assert_eq!(wrong("model/device.rs", "fn f(x: crate::board::settings::Key) {}"), 1);
@@ -362,7 +365,7 @@ fn an_import_that_runs_up_or_across_is_found() {
     assert_eq!(wrong("model/device.rs", "// see crate::control::ControlLoop"), 0);
 }
 
-/// The crates of this computer's side, the tool last. Cargo sees to it that none imports one above it.
+/// The crates of the computer's side, the tool last. Cargo prevents imports of a crate by a lower crate.
 const HOST: [&str; 7] = [
     "host/src",
     "crates/flash/src",
@@ -373,11 +376,11 @@ const HOST: [&str; 7] = [
     "tool/src",
 ];
 
-/// Names that the library, which boards share, must not know.
+/// Names of boards and chips that the library must not contain, because all boards share it.
 const FOREIGN: [&str; 6] = ["odrive", "h-bridge", "stm32", "f405", "cortex", "embassy"];
 
-/// Which of these words stand in a source, comments aside.
-fn foreign(text: &str) -> Vec<&'static str> {
+/// Returns the names of [`FOREIGN`] in a source without its comments.
+fn foreign_names(text: &str) -> Vec<&'static str> {
     let code: String = text.lines().map(|line| line.split("//").next().unwrap_or_default().to_lowercase()).collect();
     let code = code.replace('_', "-");
     FOREIGN.into_iter().filter(|word| code.contains(word)).collect()
@@ -390,16 +393,16 @@ fn the_library_names_no_board_and_no_chip() {
     sources(&root, &mut found);
     assert!(found.len() > 60, "only {} sources", found.len());
     for path in &found {
-        let words = foreign(&std::fs::read_to_string(path).expect("a readable source"));
+        let words = foreign_names(&std::fs::read_to_string(path).expect("a readable source"));
         assert!(words.is_empty(), "{}: {words:?}", path.display());
     }
     assert_eq!(
-        foreign("const NAME: &str = \"ODrive\"; // stm32\nfn h_bridge_f405() {}"),
+        foreign_names("const NAME: &str = \"ODrive\"; // stm32\nfn h_bridge_f405() {}"),
         ["odrive", "h-bridge", "f405"]
     );
 }
 
-/// The files below the tool that write whole command lines, for people or to another program.
+/// Files below the tool that write complete command lines, for people or for another program.
 const WRITERS: [&str; 4] = [
     "crates/stability/src/analysis/prediction.rs",
     "crates/predict/src/plausible/scene.rs",
@@ -407,25 +410,26 @@ const WRITERS: [&str; 4] = [
     "crates/flash/src/probe.rs",
 ];
 
-/// The texts in a source that name an option of a command line; comments and tests aside.
-fn options(tokens: TokenStream) -> Vec<String> {
+/// Returns the texts in a source that name an option of a command line, without comments and tests.
+fn option_texts(tokens: TokenStream) -> Vec<String> {
     let tokens: Vec<TokenTree> = tokens.into_iter().collect();
-    let of_a_comment = |at: usize| at >= 2 && tokens[at - 2].to_string() == "doc";
-    let named = |text: &str| text.split("--").skip(1).any(|rest| rest.starts_with(|c: char| c.is_ascii_lowercase()));
+    let is_comment = |at: usize| at >= 2 && tokens[at - 2].to_string() == "doc";
+    let names_option =
+        |text: &str| text.split("--").skip(1).any(|rest| rest.starts_with(|c: char| c.is_ascii_lowercase()));
     let found = tokens.iter().enumerate().flat_map(|(at, token)| match token {
-        TokenTree::Group(group) => options(group.stream()),
-        TokenTree::Literal(text) if !of_a_comment(at) && named(&text.to_string()) => vec![text.to_string()],
+        TokenTree::Group(group) => option_texts(group.stream()),
+        TokenTree::Literal(text) if !is_comment(at) && names_option(&text.to_string()) => vec![text.to_string()],
         _ => Vec::new(),
     });
     found.collect()
 }
 
-fn product(text: &str) -> TokenStream {
+fn without_tests(text: &str) -> TokenStream {
     text.split("#[cfg(test)]\nmod tests {").next().unwrap_or_default().parse().expect("a source that compiles")
 }
 
 #[test]
-fn nothing_below_the_tool_names_an_option_of_it() {
+fn no_crate_below_the_tool_names_an_option_of_the_tool() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let mut found = Vec::new();
     for folder in HOST.iter().filter(|folder| **folder != "tool/src") {
@@ -439,15 +443,15 @@ fn nothing_below_the_tool_names_an_option_of_it() {
         }
         read += 1;
         let text = std::fs::read_to_string(path).expect("a readable source");
-        wrong.extend(options(product(&text)).into_iter().map(|text| format!("{inside}: {text}")));
+        wrong.extend(option_texts(without_tests(&text)).into_iter().map(|text| format!("{inside}: {text}")));
     }
     assert!(read > 100, "only {read} sources");
-    assert_eq!(wrong, Vec::<String>::new(), "main.rs says by which option a `Choice` is made");
+    assert_eq!(wrong, Vec::<String>::new(), "let main.rs name the option that makes a `Choice`");
 }
 
 #[test]
 fn an_option_in_a_text_is_found() {
     let text =
         "/// By `--q`.\nfn f() { g(\"another with --q\"); }\n#[cfg(test)]\nmod tests { const T: &str = \"--p\"; }";
-    assert_eq!(options(product(text)), ["\"another with --q\""]);
+    assert_eq!(option_texts(without_tests(text)), ["\"another with --q\""]);
 }

@@ -1,6 +1,6 @@
 //! The model agrees with independently computed cases: twenty random devices and motions of every mechanism
-//! (tests/golden). Required: 1e-9 of the largest entry in f64; in f32, with the board's own code, torques within 2e-4 of
-//! the largest.
+//! (tests/golden). The errors must stay below 1e-9 of the largest entry in f64, and below 2e-4 of the largest torque in
+//! f32 with the board's own code.
 
 use crate::common::device_file::parse;
 use crate::golden::{F32_TOLERANCE, F64_TOLERANCE, Quantity, agree, cases, list, number, text};
@@ -13,7 +13,7 @@ use haptic_bridge::with_mechanism;
 use nalgebra::{SMatrix, SVector};
 use serde_json::Value;
 
-/// Everything that equation (4) is made of; `side` is -1 for the wall's other side, with its force turned round too.
+/// Computes all quantities of equation (4). With a `side` of -1 the wall's normal and force are reversed.
 fn quantities<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
     m: &M,
     case: &Value,
@@ -46,7 +46,7 @@ fn quantities<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
     ]
 }
 
-fn in_double_precision(case: &Value, side: f64) -> Vec<Quantity> {
+fn double_precision(case: &Value, side: f64) -> Vec<Quantity> {
     let mechanism = AnyMechanism::<f64>::new(&parse(text(&case["device"]))).expect("a sound device");
     with_mechanism!(&mechanism, m => quantities::<f64, FineTable, _, _>(m, case, side))
 }
@@ -54,12 +54,12 @@ fn in_double_precision(case: &Value, side: f64) -> Vec<Quantity> {
 #[test]
 fn every_quantity_agrees_in_double_precision() {
     for case in cases() {
-        agree(&case, &in_double_precision(&case, 1.0), F64_TOLERANCE);
+        agree(&case, &double_precision(&case, 1.0), F64_TOLERANCE);
     }
 }
 
 #[test]
-fn the_boards_own_code_gives_the_torques_in_single_precision() {
+fn the_boards_code_computes_the_torques_in_single_precision() {
     for case in cases() {
         let mechanism = AnyMechanism::<f32>::new(&parse(text(&case["device"]))).expect("a sound device");
         let mut found = with_mechanism!(&mechanism, m => quantities::<f32, BoardMath, _, _>(m, &case, 1.0));
@@ -69,9 +69,9 @@ fn the_boards_own_code_gives_the_torques_in_single_precision() {
 }
 
 #[test]
-fn weff_and_wrr_do_not_depend_on_the_side_of_the_wall() {
+fn weff_and_wrr_are_the_same_on_both_sides_of_the_wall() {
     for case in cases() {
-        let mut found = in_double_precision(&case, -1.0);
+        let mut found = double_precision(&case, -1.0);
         found.retain(|(name, _)| ["w_eff", "w_rr", "torque"].contains(name));
         agree(&case, &found, F64_TOLERANCE);
     }

@@ -1,4 +1,5 @@
-//! The control step over long times, far angles, wrapping counters, into singularities, and fed with NaN and infinity.
+//! The control step over long times, at far angles, with wrapping counters, at singularities, and with NaN and
+//! infinity.
 
 use crate::common::device_file::shipped;
 use crate::hard_cases::rows::steps::{controller, counts, encoded, scene, three};
@@ -20,7 +21,7 @@ const COUNTS_PER_TURN: i32 = 1_048_576;
 
 type Board = Controller<f32, FiveBar<f32>, BoardMath, 2>;
 
-/// A Haply that presses into a wall with its tip, all terms on; the pose it starts from.
+/// Returns the controller of a Haply whose tip presses into a wall, with all terms on, and the start pose.
 fn haply(feed_forward: FeedForward) -> (Board, Vector2<f64>) {
     let device = encoded(&shipped("haply-2diy"));
     let Ok(AnyMechanism::FiveBar(mechanism)) = AnyMechanism::<f32>::new(&device) else { panic!("a sound five-bar") };
@@ -31,7 +32,7 @@ fn haply(feed_forward: FeedForward) -> (Board, Vector2<f64>) {
     (controller(mechanism, &device, &scene), q)
 }
 
-/// A motion in and out of that wall, step by step.
+/// Returns the counts of a periodic motion in and out of that wall.
 fn motion(q: &Vector2<f64>, step: u32) -> [i32; 2] {
     let t = f64::from(step % 1_000) / 1_000.0 * std::f64::consts::TAU;
     counts(&Vector2::new(q.x + 0.1 * libm::sin(t), q.y + 0.1 * libm::cos(2.0 * t)))
@@ -42,11 +43,11 @@ fn assert_same(a: &Step<f32, 2>, b: &Step<f32, 2>) {
 }
 
 #[test]
-fn counters_that_wrap_change_nothing() {
+fn wrapping_counters_change_nothing() {
     let (mut plain, q) = haply(FeedForward::Washout);
     let (mut wrapping, _) = haply(FeedForward::Washout);
     let start = motion(&q, 0);
-    // The raw counters overflow, one up and one down, while the tip is in the wall.
+    // One raw counter overflows upwards and the other downwards while the tip is in the wall.
     let shift = [(i32::MAX - 10).wrapping_sub(start[0]), (i32::MIN + 10).wrapping_sub(start[1])];
     let shifted = |c: [i32; 2]| [c[0].wrapping_add(shift[0]), c[1].wrapping_add(shift[1])];
     let home = [(f64::from(start[0]) / f64::from(COUNTS_PER_TURN) * std::f64::consts::TAU) as f32, q.y as f32 + 0.1];
@@ -74,7 +75,7 @@ fn a_pose_many_turns_away_is_the_same_pose() {
             let a = near.step(&c);
             let b = far.step(&c.map(|c| c + turns * COUNTS_PER_TURN));
             assert_eq!((a.torque, a.tip, a.qd), (b.torque, b.tip, b.qd));
-            // Angles on the other side of zero have other last digits.
+            // Angles on the other side of zero round differently.
             let b = behind.step(&c.map(|c| c - turns * COUNTS_PER_TURN));
             assert!((a.tip - b.tip).amax() < 1e-7, "{turns} turns");
             assert!((a.torque - b.torque).amax() < 1e-3, "{turns} turns: {} against {}", a.torque, b.torque);
@@ -89,33 +90,33 @@ fn ten_hours_at_1_khz_leave_no_trace() {
     let (mut short, _) = haply(FeedForward::Washout);
     let period: Vec<[i32; 2]> = (0..1_000).map(|step| motion(&q, step)).collect();
     let at = |step: u32| &period[(step % 1_000) as usize];
-    // The last hundred seconds are enough for every filter to forget its start.
-    const LAST: u32 = STEPS - 100_000;
-    for step in 0..LAST {
+    // In the last hundred seconds every filter loses its initial state.
+    const FIRST_COMPARED: u32 = STEPS - 100_000;
+    for step in 0..FIRST_COMPARED {
         long.step(at(step));
     }
     let mut largest = 0.0_f32;
     let mut worst = 0.0_f32;
-    for step in LAST..STEPS {
+    for step in FIRST_COMPARED..STEPS {
         let (a, b) = (long.step(at(step)), short.step(at(step)));
         if step >= STEPS - 1_000 {
             largest = largest.max(b.torque.amax());
             worst = worst.max((a.torque - b.torque).amax());
         }
     }
-    assert!(largest > 0.01, "the wall was touched: {largest}");
+    assert!(largest > 0.01, "the tip must touch the wall: {largest}");
     assert!(worst <= 1e-6 * largest, "{worst} of {largest}");
 }
 
-/// Steps a device with a constant force of about 1 N on its tip along a path of joint angles; each step's outcome, and the
-/// sine that its feed-forward goes by.
-fn along<M: Mechanism<f32, N>, const N: usize>(
+/// Moves a device with a constant force of about 1 N on its tip along a path of joint angles. Returns the result of
+/// every step, and the sine that scales its feed-forward.
+fn steps_along<M: Mechanism<f32, N>, const N: usize>(
     mechanism: M,
     device: &Description,
     normal: [f64; 3],
     path: impl Iterator<Item = SVector<f64, N>>,
 ) -> Vec<(Step<f32, N>, f32)> {
-    // A wall of 1 N/m whose surface is a metre away: inside it the force hardly changes.
+    // A wall of 1 N/m with its surface a metre away: the force hardly changes along the path.
     let task = M::SPEC.task;
     let scene = scene(task, normal, normal, 1.0, 0.0, FeedForward::Full);
     let mut controller = controller::<f32, BoardMath, M, N>(mechanism, device, &scene);
@@ -127,26 +128,26 @@ fn along<M: Mechanism<f32, N>, const N: usize>(
     .collect()
 }
 
-/// The share of the feed-forward falls from 1 to 0 as the sine does, between its documented edges, and the torque
-/// changes little from step to step.
-fn assert_fades<const N: usize>(what: &str, steps: &[(Step<f32, N>, f32)]) {
+/// Asserts that the share of the feed-forward falls from 1 to 0 between the documented limits of the sine, and that the
+/// torque changes little from step to step.
+fn assert_fades<const N: usize>(name: &str, steps: &[(Step<f32, N>, f32)]) {
     let largest = steps.iter().fold(0.0_f32, |most, (step, _)| most.max(step.torque.amax()));
     for (step, sine) in steps {
-        assert!(step.torque.iter().all(|t| t.is_finite()), "{what}: {step:?}");
-        assert!(*sine < FULL_REGULARITY as f32 || step.shaping == 1.0, "{what} at {sine}: {}", step.shaping);
-        assert!(*sine > NO_REGULARITY as f32 || step.shaping == 0.0, "{what} at {sine}: {}", step.shaping);
+        assert!(step.torque.iter().all(|t| t.is_finite()), "{name}: {step:?}");
+        assert!(*sine < FULL_REGULARITY as f32 || step.shaping == 1.0, "{name} at {sine}: {}", step.shaping);
+        assert!(*sine > NO_REGULARITY as f32 || step.shaping == 0.0, "{name} at {sine}: {}", step.shaping);
     }
-    assert_eq!(steps[0].0.shaping, 1.0, "{what}");
-    assert_eq!(steps[steps.len() - 1].0.shaping, 0.0, "{what}");
+    assert_eq!(steps[0].0.shaping, 1.0, "{name}");
+    assert_eq!(steps[steps.len() - 1].0.shaping, 0.0, "{name}");
     for pair in steps.windows(2).skip(200) {
         let ((before, _), (after, sine)) = (&pair[0], &pair[1]);
         let jump = (after.torque - before.torque).amax();
-        assert!(jump < 0.02 * largest, "{what} at a sine of {sine}: {jump} of {largest}");
-        assert!((after.shaping - before.shaping).abs() < 0.01, "{what}");
+        assert!(jump < 0.02 * largest, "{name} at a sine of {sine}: {jump} of {largest}");
+        assert!((after.shaping - before.shaping).abs() < 0.01, "{name}");
     }
 }
 
-/// From `start` to `end` in steps of a few counts.
+/// Returns a straight path from `start` to `end` in steps of a few counts.
 fn path<const N: usize>(start: SVector<f64, N>, end: SVector<f64, N>) -> impl Iterator<Item = SVector<f64, N>> {
     (0..=40_000).map(move |k| start + (end - start) * (f64::from(k) / 40_000.0))
 }
@@ -156,35 +157,38 @@ fn board(file: &str) -> AnyMechanism<f32> {
 }
 
 #[test]
-fn near_an_elbow_singularity_the_feed_forward_fades_and_the_torque_never_jumps() {
+fn the_feed_forward_fades_smoothly_near_an_elbow_singularity() {
     let AnyMechanism::Parallelogram(phantom) = board("phantom-premium-1.5") else { panic!("a parallelogram") };
     let folding = path(Vector3::new(0.3, 0.9, -0.3), Vector3::new(0.3, 0.9, 0.895));
-    assert_fades("parallelogram", &along(phantom, &encoded(&shipped("phantom-premium-1.5")), [0.6, 0.8, 0.0], folding));
+    assert_fades(
+        "parallelogram",
+        &steps_along(phantom, &encoded(&shipped("phantom-premium-1.5")), [0.6, 0.8, 0.0], folding),
+    );
     let AnyMechanism::Serial3r(arm) = board("serial-3r") else { panic!("a serial arm") };
     let stretching = path(Vector3::new(0.5, 0.8, 0.7), Vector3::new(0.5, 0.005, 0.7));
-    assert_fades("serial-3r", &along(arm, &encoded(&shipped("serial-3r")), [0.6, 0.8, 0.0], stretching));
+    assert_fades("serial-3r", &steps_along(arm, &encoded(&shipped("serial-3r")), [0.6, 0.8, 0.0], stretching));
 }
 
 #[test]
-fn on_the_turrets_axis_the_feed_forward_fades_and_the_torque_never_jumps() {
+fn the_feed_forward_fades_smoothly_near_the_turrets_axis() {
     let AnyMechanism::Parallelogram(phantom) = board("phantom-premium-1.5") else { panic!("a parallelogram") };
-    // With both angles past the vertical by the same amount the tip comes over the axis.
+    // The tip reaches the axis if both angles are past the vertical by the same amount.
     let over = path(Vector3::new(0.3, 1.2, 0.3), Vector3::new(0.3, 2.1, 0.905));
-    assert_fades("axis", &along(phantom, &encoded(&shipped("phantom-premium-1.5")), [0.6, 0.0, 0.8], over));
+    assert_fades("axis", &steps_along(phantom, &encoded(&shipped("phantom-premium-1.5")), [0.6, 0.0, 0.8], over));
 }
 
 #[test]
-fn near_a_parallel_singularity_the_feed_forward_fades_and_the_torque_never_jumps() {
+fn the_feed_forward_fades_smoothly_near_a_parallel_singularity() {
     let mut device = encoded(&shipped("coupled-five-bar"));
     device.geometry[0] = 0.1;
     let Ok(AnyMechanism::FiveBar(wide)) = AnyMechanism::<f32>::new(&device) else { panic!("a five-bar") };
     // Both arms swing outwards until the rods are almost in line: base + 2 l cos = 2 r.
     let outwards = path(Vector2::new(2.0, 1.141_592_65), Vector2::new(2.497_592_65, 0.644));
-    assert_fades("rods", &along(wide, &device, [0.6, 0.8, 0.0], outwards));
+    assert_fades("rods", &steps_along(wide, &device, [0.6, 0.8, 0.0], outwards));
 }
 
 #[test]
-fn any_count_gives_finite_torques() {
+fn torques_are_finite_at_any_count() {
     for feed_forward in [FeedForward::Off, FeedForward::Full, FeedForward::Washout] {
         let (mut controller, _) = haply(feed_forward);
         let extremes = [0, 1, -1, i32::MAX, i32::MIN, i32::MAX / 3, i32::MIN / 7, COUNTS_PER_TURN / 2];
@@ -199,13 +203,13 @@ fn any_count_gives_finite_torques() {
 }
 
 #[test]
-fn every_pose_of_every_shipped_device_gives_finite_torques() {
+fn torques_are_finite_at_every_pose_of_every_shipped_device() {
     fn sweep<M: Mechanism<f32, N>, const N: usize>(mechanism: M, file: &str) {
         let device = encoded(&shipped(file));
         let n = three(&SVector::<f64, N>::from_element(1.0 / (M::SPEC.task as f64).sqrt()), M::SPEC.task);
         let scene = scene(M::SPEC.task, n, n, 1e6, 100.0, FeedForward::Full);
         let mut controller = controller::<f32, BoardMath, M, N>(mechanism, &device, &scene);
-        // Right angles, straight lines and closures that cannot be, singular ones among them to the last bit.
+        // Right angles, straight lines and impossible closures; some poses are exactly singular.
         let angles: Vec<i32> = (0..16).map(|k| k * (COUNTS_PER_TURN / 16)).collect();
         for k in 0..16_usize.pow(N as u32) {
             let at: [i32; N] = core::array::from_fn(|i| angles[k / 16_usize.pow(i as u32) % 16]);
@@ -223,12 +227,12 @@ fn every_pose_of_every_shipped_device_gives_finite_torques() {
     }
 }
 
-/// Values that a sender should never send.
+/// Invalid or extreme values.
 const POISON: [f32; 7] =
     [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX, f32::MIN_POSITIVE / 8.0, -1.0e-45, -0.0];
 
 #[test]
-fn measurements_that_are_no_numbers_never_reach_a_duty() {
+fn invalid_measurements_never_reach_a_duty() {
     for poison in POISON {
         for field in 0..4 {
             let mut rig = Rig::armed();
@@ -249,7 +253,7 @@ fn measurements_that_are_no_numbers_never_reach_a_duty() {
 }
 
 #[test]
-fn a_device_with_any_number_spoilt_is_refused_or_never_spoils_a_duty() {
+fn a_device_with_an_invalid_number_is_refused_or_harmless() {
     let scene = rig::scene(2, &[rig::wall(0.0, 1_000.0)]);
     let sound = rig::device(&rig::five_bar());
     let mut buffer = [0; 1024];

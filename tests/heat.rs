@@ -1,4 +1,4 @@
-//! A motor's thermal budget holds whatever is said about the motor: devices with and without it, rules, restarts.
+//! A motor's thermal budget holds across changes of the device and the rules, and across restarts.
 
 use crate::common::cases;
 use crate::rig::{self, Rig, hardware, paddle, rules, scene, wall};
@@ -9,42 +9,42 @@ use haptic_bridge::model::motor::Motor;
 use haptic_bridge::safety::fault::Fault;
 use proptest::prelude::*;
 
-/// A motor that stands `most` (A) for 4 s and `steady` (A) for ever.
-fn motor_of(most: f32, steady: f32) -> Heat {
+/// Returns the heat of a cold motor that may carry `most` (A) for 4 s and `steady` (A) continuously.
+fn cold_motor(most: f32, steady: f32) -> Heat {
     let mut heat = Heat::default();
     heat.limit(most, steady);
     heat
 }
 
-/// The same motor with unknown heat.
-fn unknown(most: f32, steady: f32) -> Heat {
+/// Returns the heat of the same motor if its heat is unknown.
+fn unknown_heat(most: f32, steady: f32) -> Heat {
     let mut heat = Heat::UNKNOWN;
     heat.limit(most, steady);
     heat
 }
 
-/// After how many seconds of `current` (A) it trips, at most `seconds`.
-fn trips(heat: &mut Heat, current: f32, seconds: f32) -> Option<f32> {
+/// Returns the time after which `current` (A) uses up the budget; `None` if it takes longer than `seconds`.
+fn time_to_trip(heat: &mut Heat, current: f32, seconds: f32) -> Option<f32> {
     let dt = 1.0e-3;
     (0..(seconds / dt).round() as u32).find(|_| heat.warm(current * current * dt, dt)).map(|step| step as f32 * dt)
 }
 
-fn restarted(heat: &Heat) -> Heat {
+fn restart(heat: &Heat) -> Heat {
     Heat::from_words(heat.words())
 }
 
 #[test]
-fn a_motor_stands_its_peak_for_four_seconds_and_its_continuous_current_for_ever() {
-    let seconds = trips(&mut motor_of(4.0, 1.0), 4.0, 10.0).unwrap();
+fn a_motor_carries_its_peak_for_4_s_and_its_continuous_current() {
+    let seconds = time_to_trip(&mut cold_motor(4.0, 1.0), 4.0, 10.0).unwrap();
     assert!((seconds - 4.0).abs() < 0.01, "{seconds}");
-    assert_eq!(trips(&mut motor_of(4.0, 1.0), 0.999, 200.0), None);
+    assert_eq!(time_to_trip(&mut cold_motor(4.0, 1.0), 0.999, 200.0), None);
 }
 
 #[test]
-fn the_heat_of_a_step_is_counted_however_small_it_is() {
-    // 50 kHz, a hundredth above the continuous current and far into the budget: a step adds less than the sum's last
-    // digit. (1.01² - 1) A² and a budget of (4² - 1²)·4 A² s, of which 59 are spent: 50 s are left.
-    let mut heat = motor_of(4.0, 1.0);
+fn the_smallest_heat_of_a_step_is_counted() {
+    // At 50 kHz, a hundredth above the continuous current and with most of the budget used, a step adds less than the
+    // last digit of the sum. The budget is (4² - 1²)·4 A² s, 59 are used, and (1.01² - 1) A² use the rest in 50 s.
+    let mut heat = cold_motor(4.0, 1.0);
     let dt = 1.0 / 50_000.0;
     for _ in 0..(59.0_f32 / 15.0 / dt) as u32 {
         heat.warm(4.0 * 4.0 * dt, dt);
@@ -57,47 +57,47 @@ fn the_heat_of_a_step_is_counted_however_small_it_is() {
 }
 
 #[test]
-fn a_larger_continuous_current_does_not_cool_a_warm_motor_and_counts_once_it_is_cold() {
-    let mut heat = motor_of(4.0, 1.0);
+fn a_larger_continuous_current_applies_once_the_motor_is_cold() {
+    let mut heat = cold_motor(4.0, 1.0);
     // (4² - 1²) A² for a second.
-    assert_eq!(trips(&mut heat, 4.0, 1.0), None);
-    let mut next = restarted(&heat);
+    assert_eq!(time_to_trip(&mut heat, 4.0, 1.0), None);
+    let mut next = restart(&heat);
     for heat in [&mut heat, &mut next] {
         heat.limit(4.0, 3.0);
-        assert_eq!(trips(heat, 0.0, 5.0), None);
+        assert_eq!(time_to_trip(heat, 0.0, 5.0), None);
         let held = heat.held();
-        assert!((held - 10.0).abs() < 0.1, "1 A² s a second: {held} A² s");
-        assert_eq!(trips(heat, 0.0, 11.0), None);
-        assert_eq!(trips(heat, 2.99, 100.0), None, "3 A may flow for ever");
+        assert!((held - 10.0).abs() < 0.1, "1 A² s per second: {held} A² s");
+        assert_eq!(time_to_trip(heat, 0.0, 11.0), None);
+        assert_eq!(time_to_trip(heat, 2.99, 100.0), None, "3 A may flow continuously");
     }
 }
 
 #[test]
-fn a_larger_continuous_current_counts_after_a_minute_whatever_the_one_before_was() {
-    // 10 mA for ever, by mistake: heated by half an ampere, it would be cold after seven hours.
-    let mut heat = motor_of(3.0, 0.01);
-    assert_eq!(trips(&mut heat, 0.5, 10.0), None);
+fn a_larger_continuous_current_applies_after_a_minute() {
+    // The continuous current is 10 mA by mistake: after heat from 0.5 A the motor would take seven hours to cool.
+    let mut heat = cold_motor(3.0, 0.01);
+    assert_eq!(time_to_trip(&mut heat, 0.5, 10.0), None);
     heat.limit(3.0, 1.0);
-    assert!(trips(&mut heat.clone(), 0.99, 59.0).is_some());
-    assert_eq!(trips(&mut heat, 0.0, 59.0), None);
+    assert!(time_to_trip(&mut heat.clone(), 0.99, 59.0).is_some());
+    assert_eq!(time_to_trip(&mut heat, 0.0, 59.0), None);
     assert!(heat.held() > 2.4, "{heat:?}");
-    assert_eq!(trips(&mut heat, 0.0, 5.0), None);
+    assert_eq!(time_to_trip(&mut heat, 0.0, 5.0), None);
     assert_eq!(heat.held(), 0.0);
 }
 
 #[test]
-fn a_smaller_continuous_current_leaves_no_longer_peak() {
-    // 0.01 A instead of 2.9 A, half way: the other half of 4 s is left.
-    let mut heat = motor_of(3.0, 2.9);
-    assert_eq!(trips(&mut heat, 3.0, 2.0), None);
-    let mut next = restarted(&heat);
+fn a_smaller_continuous_current_does_not_prolong_a_peak() {
+    // 0.01 A instead of 2.9 A after half of the time: the other half of 4 s is left.
+    let mut heat = cold_motor(3.0, 2.9);
+    assert_eq!(time_to_trip(&mut heat, 3.0, 2.0), None);
+    let mut next = restart(&heat);
     for heat in [&mut heat, &mut next] {
         heat.limit(3.0, 0.01);
-        let more = trips(heat, 3.0, 20.0).unwrap();
+        let more = time_to_trip(heat, 3.0, 20.0).unwrap();
         assert!((more - 2.0).abs() < 0.01, "{more} s more");
     }
-    // As often as one likes.
-    let (mut heat, mut current, mut seconds) = (motor_of(3.0, 2.99), 2.99_f32, 0.0_f32);
+    // The same with many small reductions.
+    let (mut heat, mut current, mut seconds) = (cold_motor(3.0, 2.99), 2.99_f32, 0.0_f32);
     while !heat.warm(9.0e-3, 1.0e-3) {
         seconds += 1.0e-3;
         current *= 0.998;
@@ -107,84 +107,84 @@ fn a_smaller_continuous_current_leaves_no_longer_peak() {
 }
 
 #[test]
-fn heat_that_nobody_knows_is_half_a_budget_as_soon_as_there_is_one() {
-    // Any current that is allowed may flow for ever: there is no budget.
-    let heat = unknown(3.0, 3.0);
+fn unknown_heat_is_half_of_a_budget_once_there_is_a_budget() {
+    // Every allowed current may flow continuously, so there is no budget.
+    let heat = unknown_heat(3.0, 3.0);
     assert!(heat.held().is_nan());
-    assert!(restarted(&heat).held().is_nan(), "a restart does not tell it");
-    for mut heat in [heat, restarted(&heat)] {
+    assert!(restart(&heat).held().is_nan(), "still unknown after a restart");
+    for mut heat in [heat, restart(&heat)] {
         heat.limit(3.0, 1.0);
         // (3² - 1²) A² for 4 s.
         assert_eq!(heat.held(), 16.0);
     }
-    // A device that leaves the motor out says nothing of it.
+    // A device without the motor does not change the motor's heat.
     let mut absent = Heat::UNKNOWN;
     absent.limit(0.0, 1.0);
-    assert_eq!(trips(&mut absent, 0.01, 10.0), None);
+    assert_eq!(time_to_trip(&mut absent, 0.01, 10.0), None);
     absent.limit(3.0, 1.0);
     assert_eq!(absent.held(), 16.0);
 }
 
 #[test]
-fn heat_that_nobody_knows_is_never_more_than_half_of_the_budget_in_force() {
-    // A device with motors of 20 A was loaded first, by mistake.
-    let heat = unknown(20.0, 5.0);
+fn unknown_heat_is_at_most_half_of_the_budget_in_force() {
+    // A device with motors of 20 A is loaded first, by mistake.
+    let heat = unknown_heat(20.0, 5.0);
     assert_eq!(heat.held(), 0.5 * 4.0 * 375.0);
-    for mut heat in [heat, restarted(&heat)] {
+    for mut heat in [heat, restart(&heat)] {
         heat.limit(3.0, 5.0);
         heat.limit(3.0, 1.0);
-        assert!((heat.held() - 16.0).abs() < 0.01, "or it trips until it is switched off: {heat:?}");
-        // Its cooling counts, also where there is more to guess at.
-        assert_eq!(trips(&mut heat, 0.0, 4.0), None);
+        assert!((heat.held() - 16.0).abs() < 0.01, "more heat would trip until a power cycle: {heat:?}");
+        // Cooling counts, also when a larger budget raises the estimate.
+        assert_eq!(time_to_trip(&mut heat, 0.0, 4.0), None);
         assert!((heat.held() - 12.0).abs() < 0.01, "{heat:?}");
         heat.limit(4.0, 1.0);
         assert!((heat.held() - 26.0).abs() < 0.01, "{heat:?}");
-        // Known heat stays: 6 A² s more, of which no budget takes any away.
-        assert_eq!(trips(&mut heat, 2.0, 2.0), None);
+        // 6 A² s of known heat are added; no budget reduces them.
+        assert_eq!(time_to_trip(&mut heat, 2.0, 2.0), None);
         heat.limit(2.0, 1.0);
         assert!((heat.held() - 12.0).abs() < 0.01, "half of 12, and 6: {heat:?}");
     }
 }
 
 #[test]
-fn a_continuous_current_set_too_low_for_a_while_leaves_no_warm_motor_behind() {
+fn a_continuous_current_that_was_too_low_leaves_no_heat() {
     for noise in [0.0, 0.03] {
-        let mut heat = motor_of(3.0, 1.0);
+        let mut heat = cold_motor(3.0, 1.0);
         heat.warm(16.0, 0.0);
         heat.limit(3.0, 0.01);
-        assert_eq!(trips(&mut heat, noise, 100.0), None);
+        assert_eq!(time_to_trip(&mut heat, noise, 100.0), None);
         heat.limit(3.0, 1.0);
-        assert_eq!(trips(&mut heat, 0.0, 17.0), None);
-        assert_eq!(heat.held(), 0.0, "1 A² s a second, as when it was warmed");
-        assert_eq!(trips(&mut heat, 0.99, 600.0), None);
+        assert_eq!(time_to_trip(&mut heat, 0.0, 17.0), None);
+        assert_eq!(heat.held(), 0.0, "1 A² s per second, as when the heat was added");
+        assert_eq!(time_to_trip(&mut heat, 0.99, 600.0), None);
     }
 }
 
 #[test]
-fn a_motor_that_a_device_leaves_out_cools_on() {
-    let mut heat = motor_of(3.0, 1.0);
+fn a_motor_cools_while_a_device_without_it_is_loaded() {
+    let mut heat = cold_motor(3.0, 1.0);
     heat.warm(20.0, 0.0);
     heat.limit(0.0, 1.0);
-    assert_eq!(trips(&mut heat, 0.0, 5.0), None);
+    assert_eq!(time_to_trip(&mut heat, 0.0, 5.0), None);
     heat.limit(3.0, 1.0);
     assert!((heat.held() - 15.0).abs() < 0.1, "{heat:?}");
 }
 
 #[test]
-fn a_motor_near_its_budget_has_no_more_because_its_peak_is_allowed_for_ever() {
-    let mut heat = motor_of(3.0, 1.0);
+fn an_unlimited_peak_does_not_extend_the_budget() {
+    let mut heat = cold_motor(3.0, 1.0);
     heat.warm(31.0, 0.0);
     heat.limit(3.0, 3.0);
-    // 1 A² s of its 32 are left, at (3² - 1²) A².
-    let lasted = trips(&mut heat, 3.0, 10.0).unwrap();
+    // 1 A² s of 32 is left, at (3² - 1²) A².
+    let lasted = time_to_trip(&mut heat, 3.0, 10.0).unwrap();
     assert!((0.12..0.13).contains(&lasted), "{lasted} s");
 }
 
 #[test]
-fn words_that_are_no_heat_are_one_that_nobody_knows() {
-    let mut sound = motor_of(3.0, 1.0);
+fn invalid_words_are_unknown_heat() {
+    let mut sound = cold_motor(3.0, 1.0);
     sound.warm(5.0, 0.0);
-    assert_eq!(restarted(&sound), sound);
+    assert_eq!(restart(&sound), sound);
     for place in 0..WORDS {
         for bits in [f32::NAN.to_bits(), u32::MAX] {
             let mut words = sound.words();
@@ -195,14 +195,14 @@ fn words_that_are_no_heat_are_one_that_nobody_knows() {
 }
 
 #[test]
-fn what_is_kept_over_a_restart_is_all_of_it_or_nothing() {
+fn heat_is_kept_over_a_restart_completely_or_not_at_all() {
     let memory: [AtomicU32; KEPT] = [const { AtomicU32::new(0) }; KEPT];
     assert_eq!(kept(&memory), [Heat::UNKNOWN; 3], "memory without power");
-    let mut heat = [motor_of(3.0, 1.0), unknown(20.0, 5.0), Heat::default()];
+    let mut heat = [cold_motor(3.0, 1.0), unknown_heat(20.0, 5.0), Heat::default()];
     heat[0].warm(5.0, 0.0);
     keep(&heat, &memory);
     assert_eq!(kept(&memory), heat);
-    // A restart in the middle of the next writing.
+    // A restart during the next write.
     for place in 0..KEPT {
         let before = memory[place].fetch_xor(1 << (place % 32), Ordering::Relaxed);
         assert_eq!(kept(&memory), [Heat::UNKNOWN; 3], "word {place}");
@@ -231,10 +231,10 @@ fn event() -> impl Strategy<Value = Event> {
 proptest! {
     #![proptest_config(cases(500))]
 
-    /// Beside it the most that a motor can have cooled whatever counted when: the integral of i² - c² with the largest
-    /// continuous current c that was allowed so far.
+    /// The oracle is a lower bound of the heat: the integral of i² - c² with the largest continuous current c that was
+    /// allowed so far.
     #[test]
-    fn nothing_that_is_said_cools_a_motor_sooner(events in proptest::collection::vec(event(), 1..60)) {
+    fn no_request_cools_a_motor_sooner(events in proptest::collection::vec(event(), 1..60)) {
         let (mut heat, mut rules, mut motor) = (Heat::default(), (3.0_f32, 1.0_f32), Some(3.0_f32));
         heat.limit(3.0, 1.0);
         let (mut least, mut largest) = (0.0_f64, 1.0_f64);
@@ -243,15 +243,15 @@ proptest! {
             match event {
                 Event::Rules { most, steady } => rules = (most, steady),
                 Event::Motor(of) => motor = of,
-                Event::Restart => heat = restarted(&heat),
+                Event::Restart => heat = restart(&heat),
                 Event::Flows { share, seconds } => {
                     let current = share * motor.unwrap_or(0.0).min(rules.0);
                     for _ in 0..(seconds / dt) as u32 {
-                        let trips = heat.warm(current * current * dt, dt);
+                        let is_tripped = heat.warm(current * current * dt, dt);
                         least = (least + (f64::from(current).powi(2) - largest * largest) * f64::from(dt)).max(0.0);
                         let held = f64::from(heat.held());
                         prop_assert!(held >= least - 0.02 - 1.0e-3 * least, "{held} A² s, at least {least}");
-                        if trips {
+                        if is_tripped {
                             break;
                         }
                     }
@@ -261,20 +261,20 @@ proptest! {
             heat.limit(most, rules.1);
             largest = largest.max(f64::from(rules.1.min(most)));
         }
-        // And nothing makes it warm for ever: a minute after the last word, what is said counts.
+        // The heat also ends: a minute after the last change the present limits apply.
         heat.limit(3.0, 1.0);
         let rest = |heat: &mut Heat, seconds: f32| (0..(seconds / dt) as u32).for_each(|_| _ = heat.warm(0.0, dt));
         rest(&mut heat, 61.0);
-        // 1 A² s a second, worth (3² - 2.9²) / (3² - 1²) of it where 2.9 A were allowed while it was warmed.
+        // 1 A² s per second, times (3² - 2.9²) / (3² - 1²) if 2.9 A were allowed while the heat was added.
         let seconds = heat.held() / 0.0737 + 1.0;
         rest(&mut heat, seconds);
         prop_assert_eq!(heat.held(), 0.0);
-        prop_assert_eq!(trips(&mut heat, 0.99, 60.0), None);
+        prop_assert_eq!(time_to_trip(&mut heat, 0.99, 60.0), None);
     }
 }
 
-/// A paddle pressed into a wall at 2.9 A of 3 A until it trips; 1 A may flow for ever.
-fn heated() -> Rig {
+/// Presses a paddle into a wall at 2.9 A of 3 A until it trips; 1 A may flow continuously.
+fn tripped_rig() -> Rig {
     let mut rig = Rig::ready(&scene(1, &[wall(-0.005, 290.0)]));
     rig.arm();
     rig.turn(0, -0.15, 1.0);
@@ -283,31 +283,31 @@ fn heated() -> Rig {
     rig
 }
 
-fn raised() -> Rules {
+fn raised_rules() -> Rules {
     let mut raised = rules();
     raised.limits.continuous_current = [2.9; 3];
     raised
 }
 
 #[test]
-fn a_restart_does_not_let_a_motor_cool_faster() {
-    let mut rig = heated();
+fn a_motor_does_not_cool_faster_after_a_restart() {
+    let mut rig = tripped_rig();
     let heat = *rig.control_loop.heat();
     rig.execute(Command::Clear).unwrap();
-    rig.execute(Command::Rules(raised())).unwrap();
-    let mut again = Rig::bare(hardware(), raised());
+    rig.execute(Command::Rules(raised_rules())).unwrap();
+    let mut again = Rig::bare(hardware(), raised_rules());
     again.control_loop.start_heat(heat);
     again.load(&paddle(), &scene(1, &[wall(-0.05, 100.0)]), false).unwrap();
     for rig in [&mut rig, &mut again] {
         let before = rig.control_loop.heat()[0].held();
         rig.run(4.0);
         let held = rig.control_loop.heat()[0].held();
-        assert!((before - held - 4.0).abs() < 0.1, "1 A² s a second: {before} to {held}");
+        assert!((before - held - 4.0).abs() < 0.1, "1 A² s per second: {before} to {held}");
     }
 }
 
 #[test]
-fn noise_of_sensors_is_no_heat_and_a_device_without_motors_no_motor_to_heat() {
+fn sensor_noise_without_a_motor_does_not_count_as_heat() {
     let mut rig = Rig::bare(hardware(), rules());
     rig.control_loop.start_heat([Heat::UNKNOWN; 3]);
     let mut bare = paddle();
@@ -318,11 +318,11 @@ fn noise_of_sensors_is_no_heat_and_a_device_without_motors_no_motor_to_heat() {
     rig.load(&paddle(), &scene(1, &[wall(-0.05, 100.0)]), false).unwrap();
     rig.run(0.1);
     rig.run(20.0);
-    assert_eq!(rig.control_loop.heat()[0].held(), 0.0, "half of 32 A² s at 1 A² s a second");
+    assert_eq!(rig.control_loop.heat()[0].held(), 0.0, "half of 32 A² s at 1 A² s per second");
 }
 
 #[test]
-fn a_tighter_continuous_current_while_armed_gives_no_longer_peak() {
+fn a_tighter_continuous_current_while_armed_prolongs_no_peak() {
     let lasts = |tighten: bool| {
         let mut rules = rules();
         rules.limits.continuous_current = [2.7; 3];
@@ -345,7 +345,7 @@ fn a_tighter_continuous_current_while_armed_gives_no_longer_peak() {
 }
 
 #[test]
-fn heat_that_nobody_knows_stays_unknown_over_a_restart() {
+fn unknown_heat_stays_unknown_over_a_restart() {
     let mut strong = paddle();
     strong.joints[0].motor = Some(Motor { max_current: 20.0, ..strong.joints[0].motor.unwrap() });
     let boot = |heat, current: f32| {
@@ -365,8 +365,8 @@ fn heat_that_nobody_knows_stays_unknown_over_a_restart() {
 }
 
 #[test]
-fn a_hot_motor_cools_while_it_is_off_and_stays_hot_when_a_device_is_loaded_anew() {
-    let mut rig = heated();
+fn a_hot_motor_cools_while_off_and_stays_hot_through_a_load() {
+    let mut rig = tripped_rig();
     rig.execute(Command::Clear).unwrap();
     rig.turn(0, 0.0, 1.0);
     rig.load(&paddle(), &scene(1, &[wall(-0.005, 290.0)]), false).unwrap();
@@ -380,19 +380,19 @@ fn a_hot_motor_cools_while_it_is_off_and_stays_hot_when_a_device_is_loaded_anew(
         rig.tremble(seconds);
     };
     press(&mut rig, 0.5);
-    assert_eq!(rig.fault(), Some(Fault::ThermalBudget), "it had no time to cool");
+    assert_eq!(rig.fault(), Some(Fault::ThermalBudget), "the motor had no time to cool");
 
-    // The budget is (3² - 1²) A² for 4 s; at rest it gains 1 A² every second.
+    // The budget is (3² - 1²) A² for 4 s; at rest it regains 1 A² s per second.
     rig.execute(Command::Clear).unwrap();
     rig.turn(0, 0.0, 1.0);
     rig.run(33.0);
     press(&mut rig, 2.0);
-    assert_eq!(rig.fault(), None, "it has cooled");
+    assert_eq!(rig.fault(), None, "the motor has cooled");
 }
 
-/// Seconds for which a paddle at 2.9 A of 3 A goes on, on a board that starts with this heat in its motors; 1 A may
-/// flow for ever.
-fn lasts(heat: Heat) -> f32 {
+/// Returns the seconds until a paddle at 2.9 A of 3 A trips, on a board that starts with this heat in its motors; 1 A
+/// may flow continuously.
+fn pressing_time(heat: Heat) -> f32 {
     let mut rig = Rig::bare(hardware(), rules());
     rig.control_loop.start_heat([heat; 3]);
     rig.load(&paddle(), &scene(1, &[wall(-0.005, 290.0)]), false).unwrap();
@@ -409,14 +409,14 @@ fn lasts(heat: Heat) -> f32 {
 }
 
 #[test]
-fn a_motor_is_as_hot_after_a_reset_as_before_and_warm_where_nobody_knows() {
-    // (2.9² - 1) A² fill the budget of (3² - 1) A² times 4 s in 4.3 s.
-    let cold = lasts(Heat::default());
+fn a_reset_keeps_the_heat_and_unknown_heat_is_half_the_budget() {
+    // (2.9² - 1) A² use up the budget of (3² - 1) A² times 4 s in 4.3 s.
+    let cold = pressing_time(Heat::default());
     assert!((4.2..4.5).contains(&cold), "{cold} s");
-    let hot = heated().control_loop.heat()[0];
-    // A second of homing and arming cools by 1 A² s, which 0.14 s at 2.9 A make up for.
-    let after = lasts(hot);
+    let hot = tripped_rig().control_loop.heat()[0];
+    // A second of homing and arming cools by 1 A² s, the heat of 0.14 s at 2.9 A.
+    let after = pressing_time(hot);
     assert!(after < 0.3, "{after} s");
-    let warm = lasts(Heat::UNKNOWN);
+    let warm = pressing_time(Heat::UNKNOWN);
     assert!((0.45 * cold..0.65 * cold).contains(&warm), "{warm} s of {cold} s");
 }

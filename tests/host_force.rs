@@ -1,7 +1,7 @@
-//! Force from the host: how long it lives, what is not taken and why, that it shares the limits with the walls, and
-//! that contacts move without a step of force.
+//! Force from the host: its lease, the refusals and their reasons, the limits that it shares with the walls, and
+//! contacts that move without jumps of force.
 
-use crate::rig::statics::{torques, worth};
+use crate::rig::statics::{force_at_tip, torques};
 use crate::rig::{self, RATE, Rig, five_bar, hardware, rules, scene, wall};
 use haptic_bridge::board::protocol::{BadForce, ForceAnswer, ForceDone, ForceRequest, HostContact};
 use haptic_bridge::control::host_force::{
@@ -12,11 +12,11 @@ use haptic_bridge::control::{Command, HostAction, Rules};
 use haptic_bridge::safety::fault::{Fault, State};
 use nalgebra::Vector2;
 
-/// Rounding of a torque on its way through a current and back.
+/// Rounding error of a torque that is converted to a current and back, N m.
 const ROUNDING: f32 = 1.0e-5;
 
-/// A five-bar in free space, armed, standing still.
-fn armed() -> Rig {
+/// Creates an armed five-bar at rest in free space.
+fn armed_rig() -> Rig {
     let mut rig = Rig::with(&five_bar(), &scene(2, &[]), hardware(), rules());
     rig.arm();
     rig
@@ -34,16 +34,16 @@ fn force(sequence: u32, x: f32, y: f32) -> ForceRequest {
     ForceRequest { force: [x, y, 0.0], hold: MOST_LEASE, ..request(sequence) }
 }
 
-/// Asks how the device is.
-fn look(rig: &mut Rig) -> ForceAnswer {
+/// Requests the state of the device without a force.
+fn poll(rig: &mut Rig) -> ForceAnswer {
     rig.control_loop.force(&ForceRequest::default())
 }
 
 #[test]
-fn whatever_a_host_asks_for_is_cut_to_the_tips_limit_and_keeps_its_direction() {
+fn a_host_force_is_scaled_to_the_tip_force_limit() {
     let gentle =
         Rules { limits: haptic_bridge::safety::limits::Limits { tip_force: 1.0, ..rules().limits }, ..rules() };
-    let tip = look(&mut armed()).tip;
+    let tip = poll(&mut armed_rig()).tip;
     // A wall 1 mm deep at the tip that pushes with 0.6 N along x.
     let bilateral = haptic_bridge::render::scene::Wall { bilateral: true, ..wall(tip[0] + 1.0e-3, 600.0) };
     for (walls, push, size) in
@@ -58,26 +58,26 @@ fn whatever_a_host_asks_for_is_cut_to_the_tips_limit_and_keeps_its_direction() {
                 ForceRequest { torque: [size * cos, size * sin, 0.0], ..force(nth + 1, push * sin, -push * cos) };
             assert_eq!(rig.control_loop.force(&both).done, ForceDone::Taken);
             rig.step();
-            let answer = look(&mut rig);
+            let answer = poll(&mut rig);
             let forces = [wall + push * sin, -push * cos].map(f64::from);
-            let asked =
-                worth(&answer.q, Vector2::new(both.torque[0], both.torque[1]).map(f64::from)) + Vector2::from(forces);
-            let left = worth(&answer.q, Vector2::new(answer.torque[0], answer.torque[1]).map(f64::from));
-            let share = (1.0 / asked.norm()).min(1.0);
-            assert!((left - asked * share).norm() < 2.0e-3, "{left} of {asked}, {both:?}, {answer:?}");
+            let requested = force_at_tip(&answer.q, Vector2::new(both.torque[0], both.torque[1]).map(f64::from))
+                + Vector2::from(forces);
+            let left = force_at_tip(&answer.q, Vector2::new(answer.torque[0], answer.torque[1]).map(f64::from));
+            let share = (1.0 / requested.norm()).min(1.0);
+            assert!((left - requested * share).norm() < 2.0e-3, "{left} of {requested}, {both:?}, {answer:?}");
             assert!((f64::from(answer.share) - share).abs() < 2.0e-3, "{share}: {answer:?}");
         }
     }
 }
 
 #[test]
-fn a_tips_limit_that_is_lowered_holds_joint_torques_at_the_next_step_and_all_the_while_that_they_fade() {
-    let mut rig = armed();
+fn a_lowered_tip_force_limit_acts_at_the_next_step_and_in_fades() {
+    let mut rig = armed_rig();
     let request = ForceRequest { hold: 0.02, fade: 0.02, torque: [0.2, -0.1, 0.0], ..request(1) };
     assert_eq!(rig.control_loop.force(&request).done, ForceDone::Taken);
     let force = |rig: &Rig| {
         let frame = rig.control_loop.frame();
-        worth(&frame.at.q, Vector2::new(frame.motors.torque[0], frame.motors.torque[1]).map(f64::from)).norm()
+        force_at_tip(&frame.at.q, Vector2::new(frame.motors.torque[0], frame.motors.torque[1]).map(f64::from)).norm()
     };
     rig.step();
     assert!(force(&rig) > 2.0, "{} N", force(&rig));
@@ -98,8 +98,8 @@ fn a_tips_limit_that_is_lowered_holds_joint_torques_at_the_next_step_and_all_the
 }
 
 #[test]
-fn a_request_is_held_then_fades_evenly_and_is_gone() {
-    let mut rig = armed();
+fn a_request_is_held_then_fades_evenly_and_ends() {
+    let mut rig = armed_rig();
     assert_eq!(rig.control_loop.force(&torque(1, 0.2)).done, ForceDone::Taken);
     let period = 1.0 / RATE;
     let mut before = None;
@@ -108,14 +108,14 @@ fn a_request_is_held_then_fades_evenly_and_is_gone() {
         let age = step as f32 * period;
         let share = ((0.03 - age) / 0.02).clamp(0.0, 1.0);
         let now = rig.control_loop.frame().motors.torque[0];
-        // A step's period is rounded, and ages are sums of periods.
+        // The period of a step is rounded, and ages are sums of periods.
         assert!((now - 0.2 * share).abs() < 0.2 * 1.0e-3, "{now} at {age} s");
         let most = 0.2 * period / 0.02 * 1.001;
         assert!(before.is_none_or(|before: f32| (now - before).abs() < most), "{before:?} to {now} at {age} s");
         before = Some(now);
-        let answer = look(&mut rig);
+        let answer = poll(&mut rig);
         assert!((answer.share - share).abs() < 1.0e-3);
-        // At the very end rounding decides.
+        // At the end of the lease rounding decides.
         let ending = (age - 0.03).abs() < 0.5 * period;
         assert!(ending || answer.age.is_some() == (age < 0.03), "{age} s: {answer:?}");
     }
@@ -124,11 +124,11 @@ fn a_request_is_held_then_fades_evenly_and_is_gone() {
 }
 
 #[test]
-fn what_comes_late_has_only_the_rest_of_its_life() {
-    let mut rig = armed();
-    let seen = look(&mut rig).step;
+fn a_late_request_has_only_the_rest_of_its_lease() {
+    let mut rig = armed_rig();
+    let seen = poll(&mut rig).step;
     rig.run(0.02);
-    // 20 ms old of 30, half of it faded.
+    // 20 ms of 30 have passed, and half of the fade.
     let half = ForceRequest { seen: Some(seen), ..torque(1, 0.2) };
     assert_eq!(rig.control_loop.force(&half).done, ForceDone::Taken);
     rig.step();
@@ -146,7 +146,7 @@ fn what_comes_late_has_only_the_rest_of_its_life() {
 
 #[test]
 fn repeated_and_reordered_requests_change_nothing() {
-    let mut rig = armed();
+    let mut rig = armed_rig();
     assert_eq!(rig.control_loop.force(&torque(u32::MAX, 0.1)).done, ForceDone::Taken);
     for old in [u32::MAX, u32::MAX - 1, u32::MAX / 2 + 10] {
         let answer = rig.control_loop.force(&torque(old, 0.2));
@@ -154,21 +154,21 @@ fn repeated_and_reordered_requests_change_nothing() {
         rig.step();
         assert!((rig.control_loop.frame().motors.torque[0] - 0.1).abs() < ROUNDING);
     }
-    // It wraps.
+    // The sequence number wraps.
     assert_eq!(rig.control_loop.force(&torque(0, 0.2)).done, ForceDone::Taken);
     rig.step();
     assert!((rig.control_loop.frame().motors.torque[0] - 0.2).abs() < ROUNDING);
-    // Another program counts as it likes, once the last request of this one is gone.
+    // Another host program may use any sequence number once the last lease has ended.
     rig.run(0.05);
     assert_eq!(rig.control_loop.force(&torque(u32::MAX - 7, 0.1)).done, ForceDone::Taken);
 }
 
 #[test]
-fn lost_requests_are_bridged_for_as_long_as_the_last_one_is_held() {
-    let mut rig = armed();
+fn lost_requests_are_bridged_while_the_last_one_is_held() {
+    let mut rig = armed_rig();
     let mut sequence = 0;
     for millisecond in 0..100 {
-        // At 1 kHz, seven of every eight lost: 8 ms between two, which are held for 10.
+        // At 1 kHz seven of every eight requests are lost: 8 ms between two requests, each held for 10 ms.
         if millisecond % 8 == 0 {
             sequence += 1;
             assert_eq!(rig.control_loop.force(&torque(sequence, 0.1)).done, ForceDone::Taken);
@@ -181,17 +181,17 @@ fn lost_requests_are_bridged_for_as_long_as_the_last_one_is_held() {
 }
 
 #[test]
-fn no_absurd_number_is_taken_and_none_disturbs_what_acts() {
+fn invalid_numbers_are_refused_and_leave_the_present_force() {
     let contact = HostContact { point: [0.0; 3], normal: [0.6, 0.8, 0.0], stiffness: 100.0, damping: 1.0 };
     let with = |contact: HostContact| ForceRequest { contact: Some(contact), ..request(2) };
     let mut bad: Vec<(BadForce, ForceRequest)> = Vec::new();
-    let wild = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX];
-    let above = |most: f32| wild.into_iter().chain([most * 1.000_01, -most * 1.000_01]);
+    let invalid = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX];
+    let above = |most: f32| invalid.into_iter().chain([most * 1.000_01, -most * 1.000_01]);
     for value in above(MOST_HELD_FORCE) {
         bad.push((BadForce::Force, force(2, value, 0.0)));
         bad.push((BadForce::Force, force(2, 0.0, value)));
     }
-    // A plane device has no third direction and no third joint.
+    // A planar device has no third direction and no third joint.
     bad.push((BadForce::Force, ForceRequest { force: [0.0, 0.0, 1.0], ..request(2) }));
     bad.push((BadForce::Torque, ForceRequest { torque: [0.0, 0.0, 0.1], ..request(2) }));
     bad.push((BadForce::Normal, with(HostContact { normal: [0.0, 0.0, 1.0], ..contact })));
@@ -214,11 +214,11 @@ fn no_absurd_number_is_taken_and_none_disturbs_what_acts() {
     for value in above(MOST_DAMPING).chain([-1.0]) {
         bad.push((BadForce::Gains, with(HostContact { damping: value, ..contact })));
     }
-    for (what, request) in bad {
-        let mut rig = armed();
+    for (reason, request) in bad {
+        let mut rig = armed_rig();
         assert_eq!(rig.control_loop.force(&torque(1, 0.1)).done, ForceDone::Taken);
         let answer = rig.control_loop.force(&request);
-        assert_eq!(answer.done, ForceDone::Bad(what), "{request:?}");
+        assert_eq!(answer.done, ForceDone::Bad(reason), "{request:?}");
         assert!(answer.done.to_string().contains("not taken"), "{}", answer.done);
         rig.step();
         assert!((rig.control_loop.frame().motors.torque[0] - 0.1).abs() < ROUNDING, "{request:?}");
@@ -226,8 +226,8 @@ fn no_absurd_number_is_taken_and_none_disturbs_what_acts() {
 }
 
 #[test]
-fn the_largest_numbers_that_are_taken_are_harmless() {
-    let mut rig = armed();
+fn the_largest_accepted_numbers_are_harmless() {
+    let mut rig = armed_rig();
     let answer = rig.control_loop.force(&ForceRequest {
         contact: Some(HostContact {
             point: [MOST_DISTANCE, 0.0, 0.0],
@@ -247,12 +247,12 @@ fn the_largest_numbers_that_are_taken_are_harmless() {
 }
 
 #[test]
-fn only_armed_motors_take_force_and_disarming_or_a_fault_forgets_it() {
+fn only_armed_motors_take_force_and_turning_them_off_ends_it() {
     let mut rig = Rig::with(&five_bar(), &scene(2, &[]), hardware(), rules());
     let answer = rig.control_loop.force(&torque(1, 0.1));
     assert_eq!((answer.done, answer.state), (ForceDone::NotArmed, State::Disarmed));
-    assert_eq!(look(&mut rig).done, ForceDone::Looked);
-    assert_eq!(answer.tip, rig.control_loop.status().tip, "how the device is, it tells all the same");
+    assert_eq!(poll(&mut rig).done, ForceDone::Looked);
+    assert_eq!(answer.tip, rig.control_loop.status().tip, "a disarmed board reports its state too");
     for by_fault in [false, true] {
         rig.arm();
         assert_eq!(rig.control_loop.force(&force(1, 1.0, 0.0)).done, ForceDone::Taken);
@@ -263,11 +263,11 @@ fn only_armed_motors_take_force_and_disarming_or_a_fault_forgets_it() {
         } else {
             rig.execute(Command::Disarm).unwrap();
         }
-        let answer = look(&mut rig);
+        let answer = poll(&mut rig);
         assert_eq!((answer.age, answer.force, answer.share), (None, [0.0; 3], 0.0));
         rig.step();
         assert!(rig.motors_off());
-        // Armed at once, well within what the request had left to live.
+        // Armed again at once, well within the request's lease.
         rig.execute(Command::Clear).unwrap();
         rig.execute(Command::Arm).unwrap();
         for _ in 0..20 {
@@ -283,20 +283,20 @@ fn a_force_grows_with_the_ramp_after_arming() {
     let mut rig = Rig::with(&five_bar(), &scene(2, &[]), hardware(), rules());
     rig.execute(Command::Arm).unwrap();
     assert_eq!(rig.control_loop.force(&force(1, 1.0, 0.0)).done, ForceDone::Taken);
-    // A fifth of half a second.
+    // A fifth of the ramp of 0.5 s.
     rig.run(0.1);
-    let answer = look(&mut rig);
+    let answer = poll(&mut rig);
     assert!((answer.share - 0.2).abs() < 0.01, "{answer:?}");
     assert!((answer.force[0] - answer.share).abs() < 1.0e-6);
 }
 
 #[test]
-fn a_force_at_the_tip_is_the_torque_of_virtual_work() {
+fn the_torques_of_a_tip_force_do_the_same_virtual_work() {
     for (x, y) in [(1.0, 0.0), (0.0, 1.0), (-0.7, 0.4)] {
-        let mut rig = armed();
+        let mut rig = armed_rig();
         rig.control_loop.force(&force(1, x, y));
         rig.step();
-        let answer = look(&mut rig);
+        let answer = poll(&mut rig);
         let expected = torques(&answer.q, [x, y].map(f64::from));
         for i in 0..2 {
             assert!((f64::from(answer.torque[i]) - expected[i]).abs() < 1.0e-6, "{answer:?}, {expected}");
@@ -306,40 +306,40 @@ fn a_force_at_the_tip_is_the_torque_of_virtual_work() {
 }
 
 #[test]
-fn what_the_motors_cannot_make_walls_and_host_give_up_in_the_same_share() {
-    // A wall 1 mm deep at the tip, facing +x, that also pulls: 2 N. The host asks for 12 N across.
-    let mut rig = armed();
-    let tip = look(&mut rig).tip;
+fn walls_and_host_are_scaled_by_the_same_share_at_a_limit() {
+    // A bilateral wall facing +x pushes the tip, 1 mm deep, with 2 N. The host requests 12 N across.
+    let mut rig = armed_rig();
+    let tip = poll(&mut rig).tip;
     let bilateral = haptic_bridge::render::scene::Wall { bilateral: true, ..wall(tip[0] + 1.0e-3, 2_000.0) };
     let mut rig = Rig::with(&five_bar(), &scene(2, &[bilateral]), hardware(), rules());
     rig.arm();
     rig.control_loop.force(&force(1, 0.0, 12.0));
     rig.step();
-    let answer = look(&mut rig);
+    let answer = poll(&mut rig);
     assert!((rig.control_loop.frame().at.walls.wall_force - 2.0).abs() < 1.0e-3);
-    let asked = torques(&answer.q, [2.0, 12.0]);
-    let share = 0.3 / asked.amax();
-    assert!(share < 0.9, "they ask for more than 0.3 N m: {asked}");
+    let requested = torques(&answer.q, [2.0, 12.0]);
+    let share = 0.3 / requested.amax();
+    assert!(share < 0.9, "the requested torques must exceed 0.3 N m: {requested}");
     for i in 0..2 {
         let left = f64::from(answer.torque[i]);
-        assert!((left - share * asked[i]).abs() < 1.0e-4, "{left} of {asked}, share {share}");
+        assert!((left - share * requested[i]).abs() < 1.0e-4, "{left} of {requested}, share {share}");
     }
     assert!((f64::from(answer.share) - share).abs() < 1.0e-3);
     assert!((f64::from(answer.force[1]) - 12.0 * share).abs() < 1.0e-2);
 }
 
 #[test]
-fn the_answer_tells_how_tip_and_joints_move() {
-    let mut rig = armed();
+fn the_reply_reports_the_motion_of_tip_and_joints() {
+    let mut rig = armed_rig();
     let counts = (rig::COUNTS / core::f64::consts::TAU / f64::from(RATE)).round() as i32;
     let mut turn = |steps: u32| {
         for _ in 0..steps {
             rig.samples.counts[0] += counts;
             rig.step();
         }
-        look(&mut rig)
+        poll(&mut rig)
     };
-    // At 1 rad/s, long enough for the filters to have caught up.
+    // At 1 rad/s, long enough for the filters to settle.
     let (before, now) = (turn(200), turn(5));
     assert_eq!(now.step, before.step + 5);
     let passed = (now.step - before.step) as f32 * now.period;
@@ -352,9 +352,9 @@ fn the_answer_tells_how_tip_and_joints_move() {
 }
 
 #[test]
-fn a_contact_pushes_as_its_plane_says_and_never_pulls() {
-    let mut rig = armed();
-    let tip = look(&mut rig).tip;
+fn a_contact_pushes_along_its_normal_and_never_pulls() {
+    let mut rig = armed_rig();
+    let tip = poll(&mut rig).tip;
     let normal = [0.6, 0.8, 0.0];
     let at = |depth: f32| core::array::from_fn(|i| tip[i] + normal[i] * depth);
     for (sequence, depth, expected) in [(1, 1.0e-3, 1.5), (2, -1.0e-3, 0.0)] {
@@ -362,7 +362,7 @@ fn a_contact_pushes_as_its_plane_says_and_never_pulls() {
         let request = ForceRequest { contact: Some(contact), hold: MOST_LEASE, ..request(sequence) };
         assert_eq!(rig.control_loop.force(&request).done, ForceDone::Taken);
         rig.run(0.05);
-        let answer = look(&mut rig);
+        let answer = poll(&mut rig);
         for (force, normal) in answer.force.iter().zip(&normal) {
             assert!((force - expected * normal).abs() < 1.0e-3, "{answer:?}");
         }
@@ -370,10 +370,10 @@ fn a_contact_pushes_as_its_plane_says_and_never_pulls() {
 }
 
 #[test]
-fn a_contact_that_jumps_tilts_appears_or_goes_makes_no_step_of_force() {
-    let mut rig = armed();
-    let tip = look(&mut rig).tip;
-    // From nothing to 2 N, then by 2 N and 0.4 rad each 5 ms, at last away.
+fn a_contact_that_jumps_tilts_or_appears_causes_no_force_jump() {
+    let mut rig = armed_rig();
+    let tip = poll(&mut rig).tip;
+    // From zero to 2 N, then by up to 4 N and 0.4 rad every 5 ms, and finally removed.
     let plane = |depth: f32, angle: f32| {
         let normal = [angle.cos(), angle.sin(), 0.0];
         let point = core::array::from_fn(|i| tip[i] + normal[i] * depth);
@@ -388,13 +388,13 @@ fn a_contact_that_jumps_tilts_appears_or_goes_makes_no_step_of_force() {
         None,
         None,
     ];
-    let mut before = look(&mut rig).force;
+    let mut before = poll(&mut rig).force;
     let mut largest: f32 = 0.0;
     for (sequence, contact) in (1..).zip(planes) {
         rig.control_loop.force(&ForceRequest { contact, ..request(sequence) });
         for _ in 0..10 {
             rig.step();
-            let now = look(&mut rig).force;
+            let now = poll(&mut rig).force;
             let moved = (now[0] - before[0]).hypot(now[1] - before[1]);
             largest = largest.max(moved);
             before = now;
@@ -406,27 +406,27 @@ fn a_contact_that_jumps_tilts_appears_or_goes_makes_no_step_of_force() {
         }
     }
     assert_eq!(before, [0.0; 3]);
-    // The first takes 1 ms for its 2 N, two steps of this rig; the others 5 ms for at most 4 N.
-    assert!(largest <= 1.0 + 1.0e-3, "a step of {largest} N");
+    // The first contact takes 1 ms (two steps of this rig) for its 2 N; the others take 5 ms for at most 4 N.
+    assert!(largest <= 1.0 + 1.0e-3, "the force jumps by {largest} N");
 }
 
 #[test]
-fn a_contact_that_is_renewed_while_it_fades_comes_back_without_a_step_of_force() {
-    let mut rig = armed();
-    let tip = look(&mut rig).tip;
+fn a_contact_renewed_while_it_fades_returns_smoothly() {
+    let mut rig = armed_rig();
+    let tip = poll(&mut rig).tip;
     let contact = |depth: f32| {
         let point = [tip[0] + depth, tip[1], 0.0];
         let contact = HostContact { point, normal: [1.0, 0.0, 0.0], stiffness: 1e3, damping: 0.0 };
         ForceRequest { contact: Some(contact), hold: 0.01, fade: 0.05, ..request(0) }
     };
-    // Held for 10 ms, then for 35 of 50 ms on its way to nothing; renewed where it is and a millimetre further.
+    // Held for 10 ms, then 35 of 50 ms of its fade; renewed at the same place, then a millimetre further.
     for (sequence, depth) in [(1, 2.0e-3), (2, 2.0e-3), (3, 3.0e-3)] {
-        let mut before = look(&mut rig).force[0];
+        let mut before = poll(&mut rig).force[0];
         rig.control_loop.force(&ForceRequest { sequence, ..contact(depth) });
         for _ in 0..(0.045 * RATE) as usize {
             rig.step();
-            let now = look(&mut rig).force[0];
-            // 2 N in 1 ms, two steps of this rig, or 3 N in 20.
+            let now = poll(&mut rig).force[0];
+            // 2 N in 1 ms (two steps of this rig), or 3 N in 20 ms.
             assert!((now - before).abs() <= 1.0 + 1.0e-3, "{sequence}: from {before} to {now} N");
             before = now;
         }
@@ -435,9 +435,9 @@ fn a_contact_that_is_renewed_while_it_fades_comes_back_without_a_step_of_force()
 }
 
 #[test]
-fn a_contact_that_is_sent_again_as_it_is_goes_on_moving_to_where_it_was_going() {
-    let mut rig = armed();
-    let tip = look(&mut rig).tip;
+fn a_repeated_contact_continues_its_move() {
+    let mut rig = armed_rig();
+    let tip = poll(&mut rig).tip;
     let plane = |depth: f32| {
         let contact =
             HostContact { point: [tip[0] + depth, tip[1], 0.0], normal: [1.0, 0.0, 0.0], stiffness: 1e3, damping: 0.0 };
@@ -445,16 +445,16 @@ fn a_contact_that_is_sent_again_as_it_is_goes_on_moving_to_where_it_was_going() 
     };
     rig.control_loop.force(&ForceRequest { sequence: 1, ..plane(1.0e-3) });
     rig.run(0.01);
-    // 10 ms since the first, so 10 ms to the second, whatever is sent meanwhile.
+    // The second contact comes 10 ms after the first, so the move takes 10 ms, whatever is sent meanwhile.
     for sequence in 2..22 {
         rig.control_loop.force(&ForceRequest { sequence, ..plane(3.0e-3) });
         rig.step();
     }
-    assert!((look(&mut rig).force[0] - 3.0).abs() < 2.0e-3);
+    assert!((poll(&mut rig).force[0] - 3.0).abs() < 2.0e-3);
 }
 
 #[test]
-fn forces_tell_that_the_host_is_there_and_their_end_that_it_is_not() {
+fn force_requests_count_as_signs_of_life() {
     let watched = Rules { host_action: HostAction::Disarm, host_seconds: 0.1, ..rules() };
     let mut rig = Rig::with(&five_bar(), &scene(2, &[]), hardware(), watched);
     rig.arm();
@@ -467,8 +467,8 @@ fn forces_tell_that_the_host_is_there_and_their_end_that_it_is_not() {
     assert_eq!((rig.state(), rig.fault()), (State::Fault, Some(Fault::HostLost)));
 }
 
-/// Lets about so many control steps pass, in hops far below what the board itself looks at again.
-fn let_pass(rig: &mut Rig, mut steps: u64) {
+/// Advances the step count by about `steps`, in parts that are small for the board's own age checks.
+fn skip_steps(rig: &mut Rig, mut steps: u64) {
     while steps > 0 {
         let hop = steps.min(1 << 28) as u32;
         rig.control_loop.skip_steps(hop);
@@ -478,33 +478,33 @@ fn let_pass(rig: &mut Rig, mut steps: u64) {
 }
 
 #[test]
-fn a_host_pushes_on_however_long_the_rate_has_been_the_same() {
-    let mut rig = armed();
+fn a_host_can_push_after_the_count_of_steps_wraps() {
+    let mut rig = armed_rig();
     let push_now = |rig: &mut Rig, sequence: u32| {
-        let seen = look(rig).step;
+        let seen = poll(rig).step;
         rig.step();
         let answer = rig.control_loop.force(&ForceRequest { seen: Some(seen), ..torque(sequence, 0.1) });
-        assert_eq!(answer.done, ForceDone::Taken, "at step {}, of one before", answer.step);
+        assert_eq!(answer.done, ForceDone::Taken, "at step {}", answer.step);
         rig.run(0.05);
         let late = ForceRequest { seen: Some(seen), ..torque(sequence + 1, 0.1) };
-        assert_eq!(rig.control_loop.force(&late).done, ForceDone::TooOld, "50 ms where 30 are its life");
+        assert_eq!(rig.control_loop.force(&late).done, ForceDone::TooOld, "50 ms is more than the lease of 30 ms");
     };
     push_now(&mut rig, 1);
-    // 29.8 h at 20 kHz, then 59.7 h, where the count of steps begins again, and as much once more.
+    // 29.8 h at 20 kHz, then 59.7 h, when the count of steps wraps, and then the same again.
     for sequence in [3, 5, 7, 9] {
         let left = (1 << 31) - u64::from(rig.control_loop.steps() & ((1 << 31) - 1));
-        let_pass(&mut rig, left - 1_000);
+        skip_steps(&mut rig, left - 1_000);
         push_now(&mut rig, sequence);
-        let_pass(&mut rig, 1_000);
+        skip_steps(&mut rig, 1_000);
         push_now(&mut rig, sequence + 10);
     }
     assert_eq!(rig.state(), State::Armed);
 }
 
-/// A refused request steers nothing: a program whose every request comes too late, or is wrong, has lost the device.
-/// One that only looks is counted as present if it names the state that it saw before.
+/// A refused request does not count as a sign of life: a host whose requests are all late or wrong has lost the device.
+/// A poll counts if it names the step of an earlier reply.
 #[test]
-fn a_request_that_is_taken_and_a_look_that_follows_another_tell_the_board_that_its_host_is_there() {
+fn only_taken_requests_and_following_polls_are_signs_of_life() {
     let watched = Rules { host_action: HostAction::Disarm, host_seconds: 0.5, ..rules() };
     let scene = scene(2, &[]);
     for (refused, why) in [
@@ -522,7 +522,7 @@ fn a_request_that_is_taken_and_a_look_that_follows_another_tell_the_board_that_i
         assert_eq!(rig.state(), State::Armed, "taken");
         assert_eq!(rig.control_loop.force(&force(1, 0.0, 0.0)).done, ForceDone::Taken);
         for _ in 0..6 {
-            if why != ForceDone::NotNewer || look(&mut rig).age.is_some() {
+            if why != ForceDone::NotNewer || poll(&mut rig).age.is_some() {
                 assert_eq!(rig.control_loop.force(&refused).done, why);
             }
             rig.run(0.09);

@@ -1,5 +1,4 @@
-//! A host that falls silent, and what the rules say about it; a dead man's key that a host tells of, of which they say
-//! nothing.
+//! A silent host, on which the board acts as the rules say, and a dead man's key, which acts under all rules.
 
 use crate::rig::{RATE, Rig, paddle, quiet};
 use haptic_bridge::control::{Beat, Command, HostAction, KEY_SECONDS, Press, Rules};
@@ -9,7 +8,7 @@ use haptic_bridge::safety::refusal::Refusal;
 use std::collections::VecDeque;
 
 #[test]
-fn a_fault_while_the_host_is_only_listed_as_silent_is_told_as_itself() {
+fn a_fault_replaces_the_entry_of_a_silent_host() {
     let mut rig = Rig::armed_with(|rules| rules.host_action = HostAction::Hold);
     rig.run(0.6);
     assert_eq!((rig.state(), rig.fault()), (State::Armed, Some(Fault::HostLost)));
@@ -19,7 +18,7 @@ fn a_fault_while_the_host_is_only_listed_as_silent_is_told_as_itself() {
 }
 
 #[test]
-fn a_silent_host_does_nothing_unless_the_rules_say_so() {
+fn a_silent_host_has_no_effect_unless_the_rules_say_so() {
     let mut rig = Rig::armed();
     rig.run(5.0);
     assert_eq!((rig.state(), rig.fault()), (State::Armed, None));
@@ -36,7 +35,7 @@ fn a_heartbeat_keeps_the_motors_on() {
 }
 
 #[test]
-fn a_silent_host_held_over_clears_and_comes_again_only_after_its_time() {
+fn clearing_restarts_the_time_of_a_silent_host() {
     let mut rig = Rig::armed_with(|rules| rules.host_action = HostAction::Hold);
     rig.run(0.6);
     rig.execute(Command::Clear).unwrap();
@@ -45,7 +44,7 @@ fn a_silent_host_held_over_clears_and_comes_again_only_after_its_time() {
     rig.run(0.3);
     assert_eq!(rig.fault(), Some(Fault::HostLost));
     rig.execute(Command::Disarm).unwrap();
-    assert!(rig.execute(Command::Arm).is_err(), "arming waits until it is cleared");
+    assert!(rig.execute(Command::Arm).is_err(), "arming waits until the fault is cleared");
 }
 
 impl Rig {
@@ -53,13 +52,13 @@ impl Rig {
         self.execute(Command::Beat(beat)).expect("never refused");
     }
 
-    /// A tool's message of its key that is down, told at this very step.
+    /// Returns the message of a tool that sees its key pressed at this step.
     fn press(&self) -> Press {
         Press { holder: 1, seen: self.control_loop.steps() }
     }
 
-    /// Lets so many tenths of a second pass, the key seen down at the beginning of each; what was said of it last.
-    fn holding(&mut self, tenths: u32) -> Press {
+    /// Holds the key for `tenths` tenths of a second, with a message at the start of each. Returns the last message.
+    fn hold_key(&mut self, tenths: u32) -> Press {
         let mut press = self.press();
         for _ in 0..tenths {
             press = self.press();
@@ -70,34 +69,35 @@ impl Rig {
     }
 }
 
-/// However long the rules let a host be silent.
-fn held(action: HostAction) -> (Rig, Press) {
+/// Returns a rig that is armed and held by a key, with the longest host time that the rules allow, and the
+/// last message of the key.
+fn armed_with_key(action: HostAction) -> (Rig, Press) {
     let host_seconds = Rules::HOST_SECONDS.1;
     let mut rig = Rig::armed_with(|rules| (rules.host_action, rules.host_seconds) = (action, host_seconds));
-    let press = rig.holding(20);
+    let press = rig.hold_key(20);
     assert_eq!((rig.state(), rig.fault()), (State::Armed, None), "{action:?}");
     (rig, press)
 }
 
 #[test]
-fn motors_that_a_key_holds_go_off_when_it_is_not_seen_again_whatever_the_rules_say_of_hosts() {
-    type Says = fn(&Rig, Press) -> Option<Beat>;
-    // The messages of a queue or a thread that has lost sight of the key: the same again, or an earlier sight.
-    let same: Says = |_, last| Some(Beat::Held(last));
-    let earlier: Says = |_, last| Some(Beat::Held(Press { seen: last.seen - 10, ..last }));
-    // One key has one holder, and tools without a key neither feed it nor let it go.
-    let another: Says = |rig, _| Some(Beat::Held(Press { holder: 2, ..rig.press() }));
-    let nobody: Says = |_, _| Some(Beat::Here);
-    let silence: Says = |_, _| None;
+fn without_new_messages_of_the_key_motors_go_off_under_any_rules() {
+    type Sender = fn(&Rig, Press) -> Option<Beat>;
+    // A queue or thread that no longer reads the key repeats the last message or sends an earlier one.
+    let same: Sender = |_, last| Some(Beat::Held(last));
+    let earlier: Sender = |_, last| Some(Beat::Held(Press { seen: last.seen - 10, ..last }));
+    // A key has one holder; messages of other holders, and of tools without a key, do not count for it.
+    let another: Sender = |rig, _| Some(Beat::Held(Press { holder: 2, ..rig.press() }));
+    let keyless: Sender = |_, _| Some(Beat::Here);
+    let silence: Sender = |_, _| None;
     for (name, action) in HostAction::ALL {
-        for says in [[same; 3], [another; 3], [nobody; 3], [silence; 3], [same, earlier, another]] {
-            let (mut rig, last) = held(action);
+        for senders in [[same; 3], [another; 3], [keyless; 3], [silence; 3], [same, earlier, another]] {
+            let (mut rig, last) = armed_with_key(action);
             for tenth in 0..4 {
-                says[tenth % 3](&rig, last).into_iter().for_each(|beat| rig.beat(beat));
+                senders[tenth % 3](&rig, last).into_iter().for_each(|beat| rig.beat(beat));
                 rig.run(0.1);
             }
             assert_eq!(rig.state(), State::Armed, "{name}");
-            says[1](&rig, last).into_iter().for_each(|beat| rig.beat(beat));
+            senders[1](&rig, last).into_iter().for_each(|beat| rig.beat(beat));
             rig.run(0.01);
             assert_eq!((rig.state(), rig.fault()), (State::Fault, Some(Fault::KeyReleased)), "{name}");
         }
@@ -105,36 +105,36 @@ fn motors_that_a_key_holds_go_off_when_it_is_not_seen_again_whatever_the_rules_s
 }
 
 #[test]
-fn a_key_may_be_silent_no_longer_than_a_host() {
+fn a_key_may_not_be_silent_longer_than_a_host() {
     let mut rig = Rig::armed_with(|rules| rules.host_seconds = 0.2);
-    rig.holding(5);
+    rig.hold_key(5);
     rig.run(0.11);
     assert_eq!(rig.fault(), Some(Fault::KeyReleased));
 }
 
 #[test]
-fn a_key_that_is_let_go_of_disarms_and_leaves_no_fault() {
-    let (mut rig, _) = held(HostAction::Disarm);
+fn a_released_key_disarms_without_a_fault() {
+    let (mut rig, _) = armed_with_key(HostAction::Disarm);
     rig.beat(Beat::Released);
     assert_eq!((rig.state(), rig.fault()), (State::Disarmed, None));
-    // The key belongs to that arming: the next one, without a key, has none to lose.
-    rig.holding(1);
+    // The key belongs to one arming. The next arming, without a key, does not need it.
+    rig.hold_key(1);
     rig.execute(Command::Arm).unwrap();
     rig.run(2.0);
     assert_eq!((rig.state(), rig.fault()), (State::Armed, None));
 }
 
-/// A disarmed board, ready to arm.
-fn ready() -> Rig {
+/// Creates a disarmed board that can be armed.
+fn disarmed_rig() -> Rig {
     let mut rig = Rig::armed();
     rig.execute(Command::Disarm).unwrap();
     rig
 }
 
-/// A tool that is stopped, or a link that stands still, between the press and the request.
+/// A stopped tool or a stalled link can delay the request after the press.
 #[test]
-fn a_press_that_comes_late_does_not_arm_and_one_that_arms_holds_from_when_it_was_seen() {
-    let mut rig = ready();
+fn a_press_counts_from_its_reading_and_too_late_it_does_not_arm() {
+    let mut rig = disarmed_rig();
     let press = rig.press();
     rig.run(0.4);
     rig.execute(Command::ArmHeld(press)).unwrap();
@@ -144,15 +144,15 @@ fn a_press_that_comes_late_does_not_arm_and_one_that_arms_holds_from_when_it_was
     assert_eq!(rig.fault(), Some(Fault::KeyReleased));
 
     let refused = Err(Refusal::KeyTooOld);
-    let mut rig = ready();
+    let mut rig = disarmed_rig();
     let press = rig.press();
     rig.run(0.51);
     assert_eq!(rig.execute(Command::ArmHeld(press)), refused);
-    // Telling of it again makes it no younger.
+    // A repeated message does not make the press newer.
     rig.beat(Beat::Held(press));
     assert_eq!(rig.execute(Command::ArmHeld(press)), refused);
-    assert_eq!(rig.execute(Command::ArmHeld(Press { seen: rig.press().seen + 1, ..press })), refused, "not yet been");
-    // The duration of steps at another rate is unknown.
+    assert_eq!(rig.execute(Command::ArmHeld(Press { seen: rig.press().seen + 1, ..press })), refused, "in the future");
+    // After a change of rate the age of the press is unknown.
     let press = rig.press();
     rig.run(0.1);
     rig.load(&paddle(), &Scene { rate_hz: 2.0 * RATE, ..quiet() }, true).unwrap();
@@ -160,28 +160,28 @@ fn a_press_that_comes_late_does_not_arm_and_one_that_arms_holds_from_when_it_was
     assert_eq!(rig.execute(Command::ArmHeld(press)), refused);
     assert!(rig.motors_off());
     rig.execute(Command::ArmHeld(rig.press())).unwrap();
-    rig.holding(10);
+    rig.hold_key(10);
     assert_eq!(rig.state(), State::Armed);
 }
 
-/// A link that is slow both ways. What its user sees is as old as the way there, what the board hears of the key as old as
-/// the way there and back.
+/// The link is slow in both directions. The tool's view of the board is late by one way, and the board's view of the
+/// key by both ways.
 #[test]
-fn motors_are_off_half_a_second_after_a_key_was_let_go_however_slow_the_link_is() {
+fn motors_are_off_half_a_second_after_a_release_on_any_link() {
     let steps = |seconds: f32| (seconds * RATE) as u32;
-    // One way, s, at first and from a second after arming on.
+    // Delay of one way, s: in the first second, and later.
     for (at_first, later) in [(0.0, 0.0), (0.1, 0.1), (0.1, 0.2), (0.0, 0.26), (0.05, 2.0), (0.26, 0.26), (2.0, 2.0)] {
-        let mut rig = ready();
+        let mut rig = disarmed_rig();
         let began = rig.control_loop.steps();
-        let (let_go, mut armed, mut off) = (began + steps(3.0), None, None);
-        let mut under_way = VecDeque::new();
-        while rig.control_loop.steps() < let_go + steps(5.0) {
+        let (released, mut armed, mut off) = (began + steps(3.0), None, None);
+        let mut in_transit = VecDeque::new();
+        while rig.control_loop.steps() < released + steps(5.0) {
             let now = rig.control_loop.steps();
-            let way = if now < began + steps(1.0) { at_first } else { later };
-            if now < let_go && (now - began).is_multiple_of(steps(0.02)) {
-                under_way.push_back((now + steps(way), Press { holder: 1, seen: now.saturating_sub(steps(way)) }));
+            let delay = if now < began + steps(1.0) { at_first } else { later };
+            if now < released && (now - began).is_multiple_of(steps(0.02)) {
+                in_transit.push_back((now + steps(delay), Press { holder: 1, seen: now.saturating_sub(steps(delay)) }));
             }
-            while let Some((_, press)) = under_way.pop_front_if(|(due, _)| *due <= now) {
+            while let Some((_, press)) = in_transit.pop_front_if(|(due, _)| *due <= now) {
                 match armed {
                     None if rig.execute(Command::ArmHeld(press)).is_ok() => armed = Some(now),
                     None => assert!(rig.motors_off()),
@@ -196,8 +196,8 @@ fn motors_are_off_half_a_second_after_a_key_was_let_go_however_slow_the_link_is(
         let case = format!("{at_first} s, {later} s");
         assert_eq!(armed.is_some(), 2.0 * at_first < KEY_SECONDS, "{case}");
         if let Some(off) = off {
-            assert!(off <= let_go + steps(KEY_SECONDS) + 1, "{case}: {} steps late", off - let_go);
-            assert_eq!(off > let_go, 2.0 * later < KEY_SECONDS, "{case}: a link that is fast enough holds them on");
+            assert!(off <= released + steps(KEY_SECONDS) + 1, "{case}: {} steps late", off - released);
+            assert_eq!(off > released, 2.0 * later < KEY_SECONDS, "{case}: a fast link must keep the motors on");
         }
         assert_eq!((armed.is_some(), rig.motors_off()), (off.is_some(), true), "{case}");
     }

@@ -1,4 +1,4 @@
-//! The behaviour of the shared control library: one statement about the device in each module's name.
+//! Tests of the shared control library. Each module is named after the subject that it tests.
 
 mod common;
 mod golden;
@@ -13,7 +13,7 @@ mod crest_paths;
 mod drive;
 mod estimators;
 mod fade;
-mod fade_holds;
+mod fade_limit;
 mod feed_forward;
 mod floors;
 mod framing;
@@ -32,6 +32,7 @@ mod posture;
 mod power_cut;
 mod precomputed_mass;
 mod rendered_force;
+mod rendered_inertia;
 mod service;
 mod settings;
 mod several_walls;
@@ -43,4 +44,3 @@ mod telemetry;
 mod trigonometry;
 mod velocity;
 mod wall_energy;
-mod what_a_wall_meets;

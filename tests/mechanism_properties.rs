@@ -1,9 +1,9 @@
-//! Properties of every mechanism at every regular pose, on devices drawn at random.
+//! Properties of every mechanism at regular poses of random devices.
 //!
-//! Mass matrix, gravity and tip are compared with rigid bodies placed one by one (common/bodies.rs); velocity terms
-//! with derivatives of the mass matrix; each hand-written kernel of the control step with the matrices it stands for.
+//! Mass matrix, gravity and tip are compared with separate rigid bodies (common/bodies.rs), velocity terms with
+//! derivatives of the mass matrix, and each hand-written kernel of the control step with the matrices that it replaces.
 
-use crate::common::bodies::{derivative, dynamics, place};
+use crate::common::bodies::{derivative, dynamics, place_bodies};
 use crate::common::{Draw, NUMBERS, cases, determinant, device, inverse};
 use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::math::Libm;
@@ -19,16 +19,16 @@ use proptest::test_runner::TestCaseError;
 
 type Outcome = Result<(), TestCaseError>;
 
-/// Poses nearer to a singularity than this (sine) belong to tests/hard_cases.
+/// Smallest sine of a regular pose. tests/hard_cases tests poses nearer to a singularity.
 const REGULAR: f64 = 0.15;
 
-/// One mechanism, moving, with a unit vector and a vector of its task.
+/// A moving mechanism, with a unit vector and a vector of its task space.
 struct Case<M, const N: usize> {
     m: M,
     device: Description,
     q: SVector<f64, N>,
     qd: SVector<f64, N>,
-    /// Unit, zero beyond the task dimension.
+    /// Unit vector, zero beyond the task dimension.
     n: SVector<f64, N>,
     v: SVector<f64, N>,
 }
@@ -49,31 +49,31 @@ impl<M: Mechanism<f64, N>, const N: usize> Case<M, N> {
         self.m.pose::<Libm>(&self.q)
     }
 
-    /// The pose after moving for the time `t` at `qd`.
-    fn later(&self, t: f64) -> M::Pose {
+    /// Returns the pose after motion at `qd` for the time `t`.
+    fn pose_after(&self, t: f64) -> M::Pose {
         self.m.pose::<Libm>(&(self.q + self.qd * t))
     }
 }
 
-/// `a` is `b` within `tolerance` of the largest entry of `b` (at least `floor`).
-fn same<const R: usize, const C: usize>(
-    what: &str,
+/// Checks that `a` equals `b` within `tolerance` of the largest entry of `b` (at least `floor`).
+fn check_equal<const R: usize, const C: usize>(
+    name: &str,
     a: &SMatrix<f64, R, C>,
     b: &SMatrix<f64, R, C>,
     tolerance: f64,
     floor: f64,
 ) -> Outcome {
     let error = (a - b).amax() / b.amax().max(floor);
-    prop_assert!(error <= tolerance, "{what}: {a} against {b}, error {error:e}");
+    prop_assert!(error <= tolerance, "{name}: {a} against {b}, error {error:e}");
     Ok(())
 }
 
-fn tip_and_jacobian_are_where_the_links_are<M: Mechanism<f64, N>, const N: usize>(case: &Case<M, N>) -> Outcome {
+fn tip_and_jacobian_are_those_of_the_links<M: Mechanism<f64, N>, const N: usize>(case: &Case<M, N>) -> Outcome {
     let task = |q: &SVector<f64, N>| {
-        let (_, tip) = place(&case.device, q.as_slice());
+        let (_, tip) = place_bodies(&case.device, q.as_slice());
         SVector::<f64, N>::from_fn(|i, _| tip[i])
     };
-    same("tip", &case.m.tip(&case.pose()), &task(&case.q), 1e-11, 1e-3)?;
+    check_equal("tip", &case.m.tip(&case.pose()), &task(&case.q), 1e-11, 1e-3)?;
     let mut differences = SMatrix::<f64, N, N>::zeros();
     for i in 0..N {
         let column = derivative(1e-4, |h| {
@@ -83,25 +83,25 @@ fn tip_and_jacobian_are_where_the_links_are<M: Mechanism<f64, N>, const N: usize
         });
         differences.set_column(i, &column);
     }
-    same("J", &case.m.jacobian(&case.pose()), &differences, 1e-6, 1e-3)
+    check_equal("J", &case.m.jacobian(&case.pose()), &differences, 1e-6, 1e-3)
 }
 
 fn jacobian_rate_is_the_rate_of_the_jacobian<M: Mechanism<f64, N>, const N: usize>(case: &Case<M, N>) -> Outcome {
-    let differences = derivative(2e-5, |t| case.m.jacobian(&case.later(t)));
-    same("J̇", &case.m.jacobian_rate(&case.pose(), &case.qd), &differences, 1e-6, 1e-2)
+    let differences = derivative(2e-5, |t| case.m.jacobian(&case.pose_after(t)));
+    check_equal("J̇", &case.m.jacobian_rate(&case.pose(), &case.qd), &differences, 1e-6, 1e-2)
 }
 
 fn mass_and_gravity_are_those_of_the_bodies<M: Mechanism<f64, N>, const N: usize>(case: &Case<M, N>) -> Outcome {
     let (mass, gravity) = dynamics(&case.device, case.q.as_slice());
     let pose = case.pose();
-    same("M", &case.m.mass(&pose), &SMatrix::from_fn(|i, j| mass[i][j]), 1e-6, 0.0)?;
-    same("g", &case.m.gravity(&pose), &SVector::from_fn(|i, _| gravity[i]), 1e-6, 1e-3)
+    check_equal("M", &case.m.mass(&pose), &SMatrix::from_fn(|i, j| mass[i][j]), 1e-6, 0.0)?;
+    check_equal("g", &case.m.gravity(&pose), &SVector::from_fn(|i, _| gravity[i]), 1e-6, 1e-3)
 }
 
 fn mass_is_symmetric_and_positive_definite<M: Mechanism<f64, N>, const N: usize>(case: &Case<M, N>) -> Outcome {
     let mass = case.m.mass(&case.pose());
     prop_assert_eq!(mass, mass.transpose());
-    // Sylvester: every leading minor is positive.
+    // Sylvester's criterion: every leading minor is positive.
     for size in 1..=N {
         let minor = SMatrix::<f64, N, N>::from_fn(|i, j| {
             if i < size && j < size { mass[(i, j)] } else { f64::from(u8::from(i == j)) }
@@ -111,12 +111,12 @@ fn mass_is_symmetric_and_positive_definite<M: Mechanism<f64, N>, const N: usize>
     Ok(())
 }
 
-fn coriolis_forces_do_no_work_beyond_the_rate_of_m<M: Mechanism<f64, N>, const N: usize>(case: &Case<M, N>) -> Outcome {
+fn coriolis_forces_agree_with_the_rate_of_m<M: Mechanism<f64, N>, const N: usize>(case: &Case<M, N>) -> Outcome {
     let pose = case.pose();
     let (m, qd) = (&case.m, &case.qd);
-    let mass_rate = derivative(2e-5, |t| m.mass(&case.later(t)));
+    let mass_rate = derivative(2e-5, |t| m.mass(&case.pose_after(t)));
     let scale = mass_rate.amax().max(m.mass(&pose).amax());
-    // c is quadratic in q̇; C(q, q̇) x is its polar form, whose columns are C by Christoffel's symbols.
+    // c is quadratic in q̇. C(q, q̇) x is its polar form, and its columns are C from Christoffel's symbols.
     let mut c = SMatrix::<f64, N, N>::zeros();
     for i in 0..N {
         let mut unit = SVector::<f64, N>::zeros();
@@ -125,7 +125,7 @@ fn coriolis_forces_do_no_work_beyond_the_rate_of_m<M: Mechanism<f64, N>, const N
         c.set_column(i, &(both * 0.5));
     }
     let skew = mass_rate - c * 2.0;
-    same("Ṁ - 2C", &(skew + skew.transpose()), &SMatrix::zeros(), 1e-6, scale)?;
+    check_equal("Ṁ - 2C", &(skew + skew.transpose()), &SMatrix::zeros(), 1e-6, scale)?;
     // Lagrange: c = Ṁ q̇ - ½ ∂(q̇ᵀ M q̇)/∂q.
     let gradient = SVector::<f64, N>::from_fn(|i, _| {
         derivative(1e-4, |h| {
@@ -134,7 +134,7 @@ fn coriolis_forces_do_no_work_beyond_the_rate_of_m<M: Mechanism<f64, N>, const N
             qd.dot(&(m.mass(&m.pose::<Libm>(&q)) * qd))
         })
     });
-    same("c", &m.coriolis(&pose, qd), &(mass_rate * qd - gradient * 0.5), 1e-6, scale)
+    check_equal("c", &m.coriolis(&pose, qd), &(mass_rate * qd - gradient * 0.5), 1e-6, scale)
 }
 
 fn free_motion_keeps_its_energy<M: Mechanism<f64, N>, const N: usize>(case: &Case<M, N>) -> Outcome {
@@ -146,7 +146,7 @@ fn free_motion_keeps_its_energy<M: Mechanism<f64, N>, const N: usize>(case: &Cas
     let energy = |q: &SVector<f64, N>, qd: &SVector<f64, N>| 0.5 * qd.dot(&(m.mass(&m.pose::<Libm>(q)) * qd));
     let (mut q, mut qd) = (case.q, case.qd);
     let before = energy(&q, &qd);
-    // Runge and Kutta's fourth order, as long as the motion stays clear of singularities.
+    // Fourth-order Runge-Kutta, until the motion comes near a singularity.
     let h = 2e-5;
     for _ in 0..500 {
         let Regularity { serial, parallel } = m.regularity(&m.pose::<Libm>(&q));
@@ -168,47 +168,47 @@ fn free_motion_keeps_its_energy<M: Mechanism<f64, N>, const N: usize>(case: &Cas
     Ok(())
 }
 
-fn kernels_are_the_matrices_they_stand_for<M: Mechanism<f64, N>, const N: usize>(case: &Case<M, N>) -> Outcome {
+fn kernels_agree_with_the_matrices<M: Mechanism<f64, N>, const N: usize>(case: &Case<M, N>) -> Outcome {
     let (m, pose, qd, n, v) = (&case.m, case.pose(), &case.qd, &case.n, &case.v);
     let (jacobian, mass) = (m.jacobian(&pose), m.mass(&pose));
     let jacobian_inverse = inverse(&jacobian);
     let rate = m.jacobian_rate(&pose, qd);
     let c = m.coriolis(&pose, qd);
-    same("Jᵀ f", &m.transpose(&pose, v), &jacobian.tr_mul(v), 1e-10, 0.0)?;
-    same("J q̇", &m.velocity(&pose, qd), &(jacobian * qd), 1e-10, 0.0)?;
-    same("J⁻¹ v", &m.inverse(&pose, v), &(jacobian_inverse * v), 1e-9, 0.0)?;
-    same("J⁻¹", &m.jacobian_inverse(&pose), &jacobian_inverse, 1e-9, 0.0)?;
+    check_equal("Jᵀ f", &m.transpose(&pose, v), &jacobian.tr_mul(v), 1e-10, 0.0)?;
+    check_equal("J q̇", &m.velocity(&pose, qd), &(jacobian * qd), 1e-10, 0.0)?;
+    check_equal("J⁻¹ v", &m.inverse(&pose, v), &(jacobian_inverse * v), 1e-9, 0.0)?;
+    check_equal("J⁻¹", &m.jacobian_inverse(&pose), &jacobian_inverse, 1e-9, 0.0)?;
     let shaping = m.shaping(&pose, n);
     let e = jacobian_inverse * n;
-    same("E", &shaping.e, &e, 1e-9, 0.0)?;
-    same("M E", &shaping.me, &(mass * e), 1e-9, 0.0)?;
-    same("Wrr", &[[shaping.w_rr]].into(), &[[e.dot(&(mass * e))]].into(), 1e-9, 0.0)?;
-    same("Λ", &m.operational_inertia(&pose), &(jacobian_inverse.tr_mul(&mass) * jacobian_inverse), 1e-9, 0.0)?;
+    check_equal("E", &shaping.e, &e, 1e-9, 0.0)?;
+    check_equal("M E", &shaping.me, &(mass * e), 1e-9, 0.0)?;
+    check_equal("Wrr", &[[shaping.w_rr]].into(), &[[e.dot(&(mass * e))]].into(), 1e-9, 0.0)?;
+    check_equal("Λ", &m.operational_inertia(&pose), &(jacobian_inverse.tr_mul(&mass) * jacobian_inverse), 1e-9, 0.0)?;
     let expected = c - mass * (jacobian_inverse * (rate * qd));
-    same("velocity torque", &m.velocity_torque(&pose, qd), &expected, 1e-8, 1e-4)?;
+    check_equal("velocity torque", &m.velocity_torque(&pose, qd), &expected, 1e-8, 1e-4)?;
     Ok(())
 }
 
-/// The paper's equations (1) to (4) for one wall in matrices, against every field of [`Inertia`].
-fn inertia_is_what_the_paper_says<M: Mechanism<f64, N>, const N: usize>(case: &Case<M, N>) -> Outcome {
+/// Compares every field of [`Inertia`] with the paper's equations (1) to (4) for one wall, in matrices.
+fn inertia_agrees_with_the_paper<M: Mechanism<f64, N>, const N: usize>(case: &Case<M, N>) -> Outcome {
     let (m, pose, qd) = (&case.m, case.pose(), &case.qd);
     let (jacobian, mass) = (m.jacobian(&pose), m.mass(&pose));
     let force = 2.5;
     let wall = Pull { normal: case.n, across: false, stiffness: 1.0, feed_forward: true };
     let found = Inertia::new::<Libm, M>(m, &pose, qd, &[wall], &(case.n * force));
     let basis = found.split.basis;
-    same("n", &basis.column(0).into_owned(), &case.n, 1e-15, 0.0)?;
-    same("Bᵀ B", &basis.tr_mul(&basis), &SMatrix::identity(), 1e-15, 0.0)?;
+    check_equal("n", &basis.column(0).into_owned(), &case.n, 1e-15, 0.0)?;
+    check_equal("Bᵀ B", &basis.tr_mul(&basis), &SMatrix::identity(), 1e-15, 0.0)?;
     prop_assert!(N == 1 || determinant(&basis) > 0.0, "{basis}");
     let (t, t_rate) = (basis.tr_mul(&jacobian), basis.tr_mul(&m.jacobian_rate(&pose, qd)));
     let t_inverse = inverse(&t);
     let w = t_inverse.tr_mul(&(mass * t_inverse));
-    same("W", &found.w, &w, 1e-9, 0.0)?;
+    check_equal("W", &found.w, &w, 1e-9, 0.0)?;
     let z = t_inverse.tr_mul(&(m.coriolis(&pose, qd) + m.gravity(&pose))) - w * (t_rate * qd);
-    same("z", &found.z, &z, 1e-8, 1e-3)?;
+    check_equal("z", &found.z, &z, 1e-8, 1e-3)?;
     let row = jacobian.tr_mul(&case.n);
     let w_eff = 1.0 / row.dot(&(inverse(&mass) * row));
-    same("Weff", &[[found.w_eff[(0, 0)]]].into(), &[[w_eff]].into(), 1e-9, 0.0)?;
+    check_equal("Weff", &[[found.w_eff[(0, 0)]]].into(), &[[w_eff]].into(), 1e-9, 0.0)?;
     prop_assert_eq!(found.w_eff.sum(), found.w_eff[(0, 0)]);
     let mut forces = SVector::<f64, N>::zeros();
     forces[0] = force;
@@ -216,25 +216,27 @@ fn inertia_is_what_the_paper_says<M: Mechanism<f64, N>, const N: usize>(case: &C
         forces[i] = w[(i, 0)] / w[(0, 0)] * (force - z[0]) + z[i];
     }
     let f_a = SVector::<f64, N>::from_fn(|i, _| if i + 1 < N { forces[i + 1] } else { 0.0 });
-    same("f_a", &found.f_a, &f_a, 1e-8, forces.amax())?;
-    same("τ", &found.torque, &t.tr_mul(&forces), 1e-8, 0.0)?;
-    same("τ without", &found.torque_without_feed_forward, &(row * force), 1e-10, 0.0)
+    check_equal("f_a", &found.f_a, &f_a, 1e-8, forces.amax())?;
+    check_equal("τ", &found.torque, &t.tr_mul(&forces), 1e-8, 0.0)?;
+    check_equal("τ without", &found.torque_without_feed_forward, &(row * force), 1e-10, 0.0)
 }
 
-/// The same of walls along the axes with the first joint at 0: across the plane of a turret's arms, which then do not
-/// move.
-fn inertia_is_what_the_paper_says_along_the_axes<M: Mechanism<f64, N>, const N: usize>(case: &Case<M, N>) -> Outcome {
+/// Checks the same for walls along the axes with the first joint at 0. One of these walls is across the plane of a
+/// turret's arms, which then do not move.
+fn inertia_agrees_with_the_paper_along_the_axes<M: Mechanism<f64, N>, const N: usize>(case: &Case<M, N>) -> Outcome {
     let mut q = case.q;
     q[0] = 0.0;
     let Regularity { serial, parallel } = case.m.regularity(&case.m.pose::<Libm>(&q));
     for axis in (0..M::SPEC.task).filter(|_| serial.min(parallel) > REGULAR) {
         let n = SVector::from_fn(|i, _| if i == axis { 1.0 } else { 0.0 });
-        inertia_is_what_the_paper_says(&Case { q, n, ..*case })?;
+        inertia_agrees_with_the_paper(&Case { q, n, ..*case })?;
     }
     Ok(())
 }
 
-fn effective_inertia_is_at_most_what_is_rendered<M: Mechanism<f64, N>, const N: usize>(case: &Case<M, N>) -> Outcome {
+fn effective_inertia_is_at_most_the_rendered_inertia<M: Mechanism<f64, N>, const N: usize>(
+    case: &Case<M, N>,
+) -> Outcome {
     let (m, pose) = (&case.m, case.pose());
     let row = m.transpose(&pose, &case.n);
     let mobility = row.dot(&(inverse(&m.mass(&pose)) * row));
@@ -243,7 +245,7 @@ fn effective_inertia_is_at_most_what_is_rendered<M: Mechanism<f64, N>, const N: 
     Ok(())
 }
 
-fn with_feed_forward_the_tip_leaves_along_the_normal<M: Mechanism<f64, N>, const N: usize>(
+fn with_feed_forward_the_tip_accelerates_along_the_normal<M: Mechanism<f64, N>, const N: usize>(
     case: &Case<M, N>,
 ) -> Outcome {
     let (m, pose, qd, n) = (&case.m, case.pose(), &case.qd, &case.n);
@@ -255,7 +257,7 @@ fn with_feed_forward_the_tip_leaves_along_the_normal<M: Mechanism<f64, N>, const
     let qdd = inverse(&m.mass(&pose)) * (torque - bias);
     let acceleration = m.jacobian(&pose) * qdd + m.jacobian_rate(&pose, qd) * qd;
     let expected = n * ((force - shaping.e.dot(&b)) / shaping.w_rr);
-    same("acceleration", &acceleration, &expected, 1e-7, 1e-1)
+    check_equal("acceleration", &acceleration, &expected, 1e-7, 1e-1)
 }
 
 fn torque_does_not_depend_on_the_admissible_directions<M: Mechanism<f64, N>, const N: usize>(
@@ -264,8 +266,7 @@ fn torque_does_not_depend_on_the_admissible_directions<M: Mechanism<f64, N>, con
     let (m, pose, qd, n) = (&case.m, case.pose(), &case.qd, &case.n);
     let b = m.velocity_torque(&pose, qd) + m.gravity(&pose);
     let torque = m.shaping(&pose, n).torque(case.v[0], &b, &b);
-    // Equation (4) to the letter, with directions across n that are neither orthogonal to each other nor of unit
-    // length.
+    // Equation (4) as written, with directions across n that are neither orthogonal to each other nor unit vectors.
     let mut directions = SMatrix::<f64, N, N>::identity();
     directions.set_column(0, n);
     for i in 1..N {
@@ -283,29 +284,29 @@ fn torque_does_not_depend_on_the_admissible_directions<M: Mechanism<f64, N>, con
     for i in 1..N {
         f[i] += w[(i, 0)] / w[(0, 0)] * (case.v[0] - z[0]);
     }
-    same("τ", &torque, &t.tr_mul(&f), 1e-7, 1e-3)
+    check_equal("τ", &torque, &t.tr_mul(&f), 1e-7, 1e-3)
 }
 
 fn every_property<M: Mechanism<f64, N>, const N: usize>(m: M, device: Description, draw: &mut Draw<'_>) -> Outcome {
     let Some(case) = Case::new(m, device, draw) else {
         return Err(TestCaseError::reject("too near a singularity"));
     };
-    tip_and_jacobian_are_where_the_links_are(&case)?;
+    tip_and_jacobian_are_those_of_the_links(&case)?;
     jacobian_rate_is_the_rate_of_the_jacobian(&case)?;
     mass_and_gravity_are_those_of_the_bodies(&case)?;
     mass_is_symmetric_and_positive_definite(&case)?;
-    coriolis_forces_do_no_work_beyond_the_rate_of_m(&case)?;
+    coriolis_forces_agree_with_the_rate_of_m(&case)?;
     free_motion_keeps_its_energy(&case)?;
-    kernels_are_the_matrices_they_stand_for(&case)?;
-    inertia_is_what_the_paper_says(&case)?;
-    inertia_is_what_the_paper_says_along_the_axes(&case)?;
-    effective_inertia_is_at_most_what_is_rendered(&case)?;
-    with_feed_forward_the_tip_leaves_along_the_normal(&case)?;
+    kernels_agree_with_the_matrices(&case)?;
+    inertia_agrees_with_the_paper(&case)?;
+    inertia_agrees_with_the_paper_along_the_axes(&case)?;
+    effective_inertia_is_at_most_the_rendered_inertia(&case)?;
+    with_feed_forward_the_tip_accelerates_along_the_normal(&case)?;
     torque_does_not_depend_on_the_admissible_directions(&case)
 }
 
-/// The board's numbers: f32, minimax sines, angles rounded to f32; the torque of (4) against f64, as a share of the
-/// largest entry.
+/// Computes the error of the torque of (4) on the board (f32, minimax sines, angles rounded to f32) against f64, as a
+/// share of the largest entry.
 fn board_error<A, B, const N: usize>(exact: &A, board: &B, case: &Case<A, N>) -> f64
 where
     A: Mechanism<f64, N>,
@@ -338,9 +339,9 @@ where
     let Some(case) = Case::new(exact, device, draw) else {
         return Err(TestCaseError::reject("too near a singularity"));
     };
-    let board = as_board(board).expect("both precisions are of one kind");
+    let board = as_board(board).expect("both precisions have the same mechanism");
     let error = board_error(&exact, &board, &case);
-    prop_assert!(error < 2e-4, "the board is off by {error:e}");
+    prop_assert!(error < 2e-4, "the board's error is {error:e}");
     Ok(())
 }
 
@@ -348,7 +349,7 @@ fn check(kind: Kind, numbers: &[f64]) -> Outcome {
     let draw = &mut Draw::new(numbers);
     let device = device(kind, draw);
     let Ok(mechanism) = AnyMechanism::<f64>::new(&device) else {
-        return Err(TestCaseError::reject("cannot close"));
+        return Err(TestCaseError::reject("the mechanism cannot close"));
     };
     with_mechanism!(mechanism, m => every_property(m, device, draw))
 }
@@ -357,7 +358,7 @@ fn check_board(kind: Kind, numbers: &[f64]) -> Outcome {
     let draw = &mut Draw::new(numbers);
     let device = device(kind, draw);
     let (Ok(exact), Ok(board)) = (AnyMechanism::<f64>::new(&device), AnyMechanism::<f32>::new(&device)) else {
-        return Err(TestCaseError::reject("cannot close"));
+        return Err(TestCaseError::reject("the mechanism cannot close"));
     };
     macro_rules! pair {
         ($($Variant:ident)*) => {
@@ -391,14 +392,14 @@ macro_rules! properties {
 }
 
 properties! {
-    Paddle: a_paddle_obeys_mechanics on_the_board_a_paddle_keeps_four_digits;
-    FiveBar: a_five_bar_obeys_mechanics on_the_board_a_five_bar_keeps_four_digits;
-    FiveBarTurret: a_turreted_five_bar_obeys_mechanics on_the_board_a_turreted_five_bar_keeps_four_digits;
-    Parallelogram: a_parallelogram_obeys_mechanics on_the_board_a_parallelogram_keeps_four_digits;
-    Serial3r: a_redundant_arm_obeys_mechanics on_the_board_a_redundant_arm_keeps_four_digits;
+    Paddle: a_paddle_obeys_mechanics a_paddle_keeps_four_digits_on_the_board;
+    FiveBar: a_five_bar_obeys_mechanics a_five_bar_keeps_four_digits_on_the_board;
+    FiveBarTurret: a_turreted_five_bar_obeys_mechanics a_turreted_five_bar_keeps_four_digits_on_the_board;
+    Parallelogram: a_parallelogram_obeys_mechanics a_parallelogram_keeps_four_digits_on_the_board;
+    Serial3r: a_redundant_arm_obeys_mechanics a_redundant_arm_keeps_four_digits_on_the_board;
 }
 
 #[test]
-fn every_mechanism_is_tried_here() {
+fn every_mechanism_has_its_line() {
     assert_eq!(Kind::ALL.len(), 5, "a new mechanism needs its line in `properties!`");
 }

@@ -1,12 +1,12 @@
-//! The model of a motor finds faults and does not mistake other things for them: sensors that lie or are missing, open
-//! and warm windings, encoders that stand still.
+//! The model of a motor finds faults (wrong current sensors, open windings) and accepts sound motors: warm windings,
+//! missing sensors, encoders at rest.
 
 use crate::rig::{RATES, Rig, hardware, paddle, quiet, rules, scene, wall};
 use haptic_bridge::control::Command;
 use haptic_bridge::safety::fault::{Fault, State};
 
-/// The largest current of motor 0 from here until the bridges float, A, and the fault; `None` where they do not within
-/// 50 ms.
+/// Returns the largest current of motor 0 until the bridges are off, A, and the fault; `None` if they stay on for 50
+/// ms.
 fn worst_current(rig: &mut Rig) -> (f32, Option<Fault>) {
     let mut most = 0.0_f32;
     for _ in 0..(0.05 * rig.rate) as u32 {
@@ -20,7 +20,7 @@ fn worst_current(rig: &mut Rig) -> (f32, Option<Fault>) {
 }
 
 #[test]
-fn a_current_sensor_that_lies_does_not_let_the_motor_run_beyond_its_limit() {
+fn a_wrong_current_sensor_does_not_let_the_motor_pass_its_limit() {
     for rate in RATES {
         for shown in [0.0_f32, 1.0, -2.0] {
             let mut scene = scene(1, &[wall(-0.005, 250.0)]);
@@ -31,14 +31,14 @@ fn a_current_sensor_that_lies_does_not_let_the_motor_run_beyond_its_limit() {
             rig.shown_current = Some(shown);
             let (most, fault) = worst_current(&mut rig);
             assert_eq!(fault, Some(Fault::MotorModel), "{shown} A at {rate} Hz");
-            // Half again the limit of 3 A and an ampere: what a current that is seen may reach.
+            // 1.5 times the limit of 3 A, plus 1 A: the bound of a measured current.
             assert!(most < 5.5, "{shown} A at {rate} Hz: {most} A");
         }
     }
 }
 
 #[test]
-fn an_open_winding_is_seen_as_soon_as_it_should_carry_current() {
+fn an_open_winding_is_found_when_it_should_carry_current() {
     for rate in RATES {
         let mut scene = scene(1, &[wall(-0.005, 250.0)]);
         (scene.rate_hz, scene.cutoff_hz) = (rate, 0.2 * rate);
@@ -52,8 +52,8 @@ fn an_open_winding_is_seen_as_soon_as_it_should_carry_current() {
 }
 
 #[test]
-fn a_sound_motor_is_never_called_strange() {
-    // Hot and cold windings, walls hit and left at speed, at every rate.
+fn a_sound_motor_never_trips() {
+    // Hot and cold windings that hit and leave walls at speed, at every rate.
     for rate in RATES {
         for resistance in [1.7, 2.0, 2.8] {
             let mut scene = scene(1, &[wall(-0.005, 250.0)]);
@@ -70,8 +70,8 @@ fn a_sound_motor_is_never_called_strange() {
 }
 
 #[test]
-fn a_stall_is_judged_by_the_torque_that_acts() {
-    // A torque limit of a tenth of the motor's: pressing against it for long is no sign of a dead encoder.
+fn a_stall_is_judged_by_the_limited_torque() {
+    // The torque limit is a tenth of the motor's torque: a long press at this limit does not indicate a lost encoder.
     let mut rules = rules();
     rules.limits.torque = [0.03; 3];
     let mut rig = Rig::with(&paddle(), &scene(1, &[wall(-0.005, 10_000.0)]), hardware(), rules);
@@ -82,7 +82,7 @@ fn a_stall_is_judged_by_the_torque_that_acts() {
 }
 
 #[test]
-fn a_warm_winding_pressed_against_a_wall_is_no_lost_encoder() {
+fn a_warm_winding_pressed_against_a_wall_does_not_trip() {
     // Copper at 100 °C has a third more resistance than the 2 ohm of the data sheet.
     let mut rig = Rig::ready(&scene(1, &[wall(-0.005, 250.0)]));
     rig.resistance = 2.7;
@@ -90,11 +90,11 @@ fn a_warm_winding_pressed_against_a_wall_is_no_lost_encoder() {
     rig.turn(0, -0.15, 1.0);
     rig.run(1.0);
     assert_eq!((rig.state(), rig.fault()), (State::Armed, None));
-    assert!((rig.currents[0] - 2.5).abs() < 0.05, "the loop makes 2.5 A all the same: {:?}", rig.currents);
+    assert!((rig.currents[0] - 2.5).abs() < 0.05, "the loop must still make 2.5 A: {:?}", rig.currents);
 }
 
 #[test]
-fn voltages_and_currents_that_a_board_does_not_sense_are_ignored() {
+fn unmeasured_voltages_and_currents_are_ignored() {
     let mut board = hardware();
     board.bus_sensed = false;
     board.bridge.current_sensed = false;
@@ -107,7 +107,7 @@ fn voltages_and_currents_that_a_board_does_not_sense_are_ignored() {
 }
 
 #[test]
-fn a_board_without_bus_voltage_does_not_mistake_that_for_a_lost_encoder() {
+fn a_board_without_bus_voltage_reports_no_lost_encoder() {
     let mut board = hardware();
     board.bus_sensed = false;
     let mut rig = Rig::with(&paddle(), &quiet(), board, rules());

@@ -1,6 +1,6 @@
-//! The posture of a redundant arm: held by a spring that leaves no force at the tip.
+//! The posture of a redundant arm: a spring holds it without a force at the tip.
 //!
-//! Expectations are Newton's law solved here, M q̈ + c + g = τ with the controller's torque, by elimination.
+//! The oracle solves M q̈ + c + g = τ with the controller's torque by elimination.
 
 use crate::common::{device_file, inverse};
 use core::f64::consts::TAU;
@@ -40,16 +40,16 @@ fn counts(q: &Vector3<f64>) -> [i32; 3] {
     core::array::from_fn(|i| (q[i] / TAU * COUNTS_PER_TURN).round() as i32)
 }
 
-/// The torques after a steady motion through `q` at `qd`.
+/// Returns the torques after a steady motion through `q` at `qd`.
 fn torque(scene: &Scene<f64>, q: &Vector3<f64>, qd: &Vector3<f64>) -> Vector3<f64> {
     let (arm, device) = arm();
     let mut steps = Steps::new(arm, &device, scene).expect("a sound scene");
     (-80..=0).map(|k| steps.step(&counts(&(q + qd * (f64::from(k) / RATE)))).torque).last().expect("steps")
 }
 
-/// Its effect by virtual work: φ = q₀ + q₁ + q₂, so a moment f on the last link is f at every joint, stretched or not.
+/// By virtual work with φ = q₀ + q₁ + q₂, a moment f on the last link is the torque f at every joint, in any pose.
 #[test]
-fn it_is_a_moment_on_the_last_link() {
+fn the_posture_spring_is_a_moment_on_the_last_link() {
     let held = Posture { orientation: 2.6, stiffness: 0.4, damping: 0.03 };
     for (q, qd) in
         [([0.5, 0.8, 0.7], [0.0; 3]), ([-0.8, 1.4, -2.0], [0.2, 0.5, 0.6]), ([0.4, 0.0, 0.3], [0.1, 0.0, 0.2])]
@@ -61,9 +61,9 @@ fn it_is_a_moment_on_the_last_link() {
     }
 }
 
-/// Torques along the null motion alone would drive it: the shipped joints are damped unevenly.
+/// Torques along the null motion alone would keep the arm moving, because the shipped joints have unequal friction.
 #[test]
-fn an_arm_that_nobody_holds_comes_to_rest() {
+fn a_free_arm_comes_to_rest() {
     let (arm, device) = arm();
     for damping in [0.0, 0.03] {
         let scene = scene(Some(Posture { orientation: 2.3, stiffness: 0.5, damping }));
@@ -82,7 +82,7 @@ fn an_arm_that_nobody_holds_comes_to_rest() {
 }
 
 #[test]
-fn an_arm_that_presses_a_wall_takes_its_posture_and_stays_in_it() {
+fn an_arm_that_presses_a_wall_reaches_and_keeps_its_posture() {
     let (arm, device) = arm();
     let start = Vector3::new(0.5, 0.8, 0.7);
     let pose = arm.pose::<Libm>(&start);
@@ -96,13 +96,13 @@ fn an_arm_that_presses_a_wall_takes_its_posture_and_stays_in_it() {
         damping_compensation: false,
         bilateral: false,
     };
-    // In full, (4) itself pushes a resting arm along its null motion.
+    // The full feed-forward is left out, because (4) itself pushes a resting arm along its null motion.
     for feed_forward in [FeedForward::Off, FeedForward::Washout] {
         let mut scene = scene(Some(Posture { orientation: 2.2, stiffness: 0.5, damping: 0.15 }));
         scene.walls.push(wall(feed_forward)).expect("room");
         let mut steps = Steps::new(arm, &device, &scene).expect("a sound scene");
         let (mut q, mut qd) = (start, Vector3::<f64>::zeros());
-        // A hand presses with 6 N, holds the tip against sliding along the wall, and damps it.
+        // A hand presses with 6 N, prevents sliding along the wall, and damps the tip.
         let hand = Vector3::new(-0.6, -0.8, 0.0) * 6.0;
         for _ in 0..(3.0 * RATE) as usize {
             let step = steps.step(&counts(&q));
@@ -117,15 +117,15 @@ fn an_arm_that_presses_a_wall_takes_its_posture_and_stays_in_it() {
         }
         let pose = arm.pose::<Libm>(&q);
         let depth = (tip - arm.tip(&pose)).dot(&Vector3::from(normal));
-        assert!((q.sum() - 2.2).abs() < 0.002, "{feed_forward:?}: held at {}", q.sum());
-        // The wall is as deep as the hand presses, whatever holds the posture.
+        assert!((q.sum() - 2.2).abs() < 0.002, "{feed_forward:?}: the orientation is {}", q.sum());
+        // The penetration is the hand's force over the stiffness, with any posture spring.
         assert!((depth - 0.002).abs() < 4e-5, "{feed_forward:?}: {depth} m");
-        assert!(qd.norm() < 1e-2, "{feed_forward:?}: it rests, {qd:?}");
+        assert!(qd.norm() < 1e-2, "{feed_forward:?}: the arm moves, {qd:?}");
     }
 }
 
 #[test]
-fn what_cannot_be_held_is_refused() {
+fn a_posture_that_cannot_be_held_is_refused() {
     let held = Posture { orientation: 0.3, stiffness: 0.2, damping: 0.0 };
     let device = Device::<f64>::new("five-bar", &shipped("coupled-five-bar")).expect("a sound device");
     let AnyMechanism::FiveBar(five_bar) = device.mechanism else { panic!("a five-bar") };

@@ -1,9 +1,9 @@
-//! The power goes at every single flash operation of a save: afterwards each setting is the old or the new one, and the
+//! The power is cut at every flash operation of a save. Afterwards every setting has its old or its new value, and the
 //! next save works.
 //!
-//! The flash is a model of the board's two 16 KB sectors: erasing sets a sector to ones, a write works word by word and
-//! can only clear bits. Two kinds of cut are tried at each operation: nothing of it happens (all of the one before
-//! did), or half of it happens (half a sector erased, half a word written).
+//! The flash is a model of the board's two 16 KB sectors: an erase sets a sector to ones, and a write works word by
+//! word and can only clear bits. Two kinds of cut are tested at each operation: before it (the previous one is
+//! complete), or within it (half a sector erased, half a word written).
 
 use embedded_storage_async::nor_flash::{ErrorType, NorFlash, NorFlashError, NorFlashErrorKind, ReadNorFlash};
 use haptic_bridge::board::storage::{LONGEST_STORED, Storage, StorageError};
@@ -24,11 +24,11 @@ struct Sectors {
     bytes: Vec<u8>,
     operations: usize,
     erases: usize,
-    /// Bytes that were read.
+    /// Number of bytes that were read.
     bytes_read: usize,
     cut: Option<(usize, Cut)>,
-    /// The flash goes on after the cut: it failed, the power did not.
-    goes_on: bool,
+    /// True if the flash works again after the cut: the operation failed, and the power stayed on.
+    keeps_power: bool,
     dead: bool,
 }
 
@@ -49,12 +49,12 @@ impl Sectors {
             erases: 0,
             bytes_read: 0,
             cut: None,
-            goes_on: false,
+            keeps_power: false,
             dead: false,
         }
     }
 
-    /// Counts an operation; how much of it happens.
+    /// Counts an operation. Returns the cut that acts on it; `None` if it is completed.
     fn operate(&mut self) -> Option<Cut> {
         let number = self.operations;
         self.operations += 1;
@@ -63,14 +63,14 @@ impl Sectors {
         }
         match self.cut {
             Some((at, cut)) if at == number => {
-                self.dead = !self.goes_on;
+                self.dead = !self.keeps_power;
                 Some(cut)
             }
             _ => None,
         }
     }
 
-    /// Power is back.
+    /// Restores the power and resets the counters.
     fn reboot(mut self) -> Self {
         self.dead = false;
         self.cut = None;
@@ -147,7 +147,7 @@ impl NorFlash for Sectors {
 
 type Values = BTreeMap<u8, Vec<u8>>;
 
-/// Settings as large as the board's are, of this generation.
+/// Returns settings of this generation, as large as the board's settings.
 fn values(generation: u8) -> Values {
     let sizes = [(1, 420), (2, 760), (3, 100), (4, 40), (5, 12), (6, 24)];
     sizes
@@ -180,16 +180,17 @@ fn read(mut flash: Sectors) -> (Values, Sectors) {
     (found, flash)
 }
 
-/// A flash with `generations` saves behind it.
-fn aged(generations: u8) -> Sectors {
+/// Returns a flash after `generations` saves.
+fn flash_after_saves(generations: u8) -> Sectors {
     (0..generations).fold(Sectors::new(), |flash, generation| save(flash, &values(generation))).reboot()
 }
 
-/// Cuts the power at every operation of the next save; returns how many there are, and how many of them erase.
-fn survives(flash: &Sectors, old: &Values, new: &Values) -> (usize, usize) {
-    let whole = save(flash.clone(), new);
-    let (operations, erases) = (whole.operations, whole.erases);
-    assert_eq!(read(whole.reboot()).0, *new);
+/// Cuts the power at every operation of the next save and checks the settings. Returns the number of operations and the
+/// number of erases among them.
+fn check_every_cut(flash: &Sectors, old: &Values, new: &Values) -> (usize, usize) {
+    let complete = save(flash.clone(), new);
+    let (operations, erases) = (complete.operations, complete.erases);
+    assert_eq!(read(complete.reboot()).0, *new);
     for operation in 0..operations {
         for cut in [Cut::Before, Cut::Within] {
             let mut trial = flash.clone();
@@ -199,12 +200,12 @@ fn survives(flash: &Sectors, old: &Values, new: &Values) -> (usize, usize) {
                 let value = found.get(&key);
                 assert!(
                     value == old.get(&key) || value == new.get(&key),
-                    "operation {operation}, {cut:?}: setting {key} is neither the old nor the new one"
+                    "operation {operation}, {cut:?}: setting {key} has neither its old nor its new value"
                 );
             }
             if cut == Cut::Within {
-                let (mended, _) = read(save(after.reboot(), new).reboot());
-                assert_eq!(mended, *new, "operation {operation}: the next save");
+                let (saved, _) = read(save(after.reboot(), new).reboot());
+                assert_eq!(saved, *new, "operation {operation}: the next save");
             }
         }
     }
@@ -212,26 +213,26 @@ fn survives(flash: &Sectors, old: &Values, new: &Values) -> (usize, usize) {
 }
 
 #[test]
-fn the_first_save_of_a_new_board_may_be_cut_anywhere() {
-    let (operations, _) = survives(&Sectors::new(), &Values::new(), &values(1));
+fn a_cut_in_the_first_save_of_a_new_board_is_harmless() {
+    let (operations, _) = check_every_cut(&Sectors::new(), &Values::new(), &values(1));
     assert!(operations > 300, "{operations}");
 }
 
 #[test]
-fn a_save_into_half_a_sector_may_be_cut_anywhere() {
-    survives(&aged(3), &values(2), &values(9));
+fn a_cut_in_a_save_within_a_sector_is_harmless() {
+    check_every_cut(&flash_after_saves(3), &values(2), &values(9));
 }
 
 #[test]
-fn a_save_that_moves_to_the_other_sector_may_be_cut_anywhere() {
-    // One setting is saved until its next save erases a sector and carries all the others over.
-    let (mut old, mut flash) = (values(1), aged(2));
+fn a_cut_in_a_save_that_changes_the_sector_is_harmless() {
+    // One setting is saved until a save erases a sector and copies all other settings.
+    let (mut old, mut flash) = (values(1), flash_after_saves(2));
     for generation in 2..=255 {
         let mut new = old.clone();
         new.insert(2, values(generation)[&2].clone());
         let next = save(flash.clone(), &new);
         if next.erases > 0 {
-            let (operations, erases) = survives(&flash, &old, &new);
+            let (operations, erases) = check_every_cut(&flash, &old, &new);
             assert!(operations > 300 && erases > 0, "{operations} operations");
             return;
         }
@@ -241,7 +242,7 @@ fn a_save_that_moves_to_the_other_sector_may_be_cut_anywhere() {
 }
 
 #[test]
-fn two_hundred_saves_wear_both_sectors_alike_and_lose_nothing() {
+fn two_hundred_saves_wear_both_sectors_equally_and_lose_nothing() {
     let mut flash = Sectors::new();
     for generation in 0..200_u32 {
         let now = values(generation as u8);
@@ -255,11 +256,11 @@ fn two_hundred_saves_wear_both_sectors_alike_and_lose_nothing() {
     assert!((14..28).contains(&flash.erases), "{} erases in two hundred saves", flash.erases);
 }
 
-/// A flash's answer for a setting.
-type Asked = Result<Option<Vec<u8>>, StorageError>;
+/// Result of reading a setting.
+type ReadResult = Result<Option<Vec<u8>>, StorageError>;
 
-/// The answers of a flash with one bit flipped for each setting, and the flash afterwards.
-fn asked(mut flash: Sectors) -> (Vec<Asked>, Sectors) {
+/// Reads every setting after a start. Returns the results and the flash.
+fn read_results(mut flash: Sectors) -> (Vec<ReadResult>, Sectors) {
     let mut buffer = [0; LONGEST_STORED];
     let mut storage = Storage::new(&mut flash, RANGE, &mut buffer);
     storage.start();
@@ -268,50 +269,51 @@ fn asked(mut flash: Sectors) -> (Vec<Asked>, Sectors) {
 }
 
 #[test]
-fn a_flipped_bit_is_reported_and_never_brings_back_what_was_saved_before() {
-    // With three saves behind the last one, and with none: then nothing is left of what is damaged.
+fn a_flipped_bit_is_reported_and_restores_no_older_value() {
+    // With three saves before the last one, and with none: then the damaged setting has no older value.
     for generation in [3, 0] {
-        let (before, flash, now) = (aged(generation), aged(generation + 1), values(generation));
+        let (before, flash, now) =
+            (flash_after_saves(generation), flash_after_saves(generation + 1), values(generation));
         let last = |at: &usize| *at >= 4 && before.bytes[*at] != flash.bytes[*at];
-        let (mut damaged, mut whole) = (0, 0);
+        let (mut damaged, mut intact) = (0, 0);
         for (nth, at) in (0..flash.bytes.len()).filter(last).enumerate() {
             let mut spoilt = flash.clone();
             spoilt.bytes[at] ^= 1 << (nth % 8);
-            let (found, after) = asked(spoilt);
+            let (found, after) = read_results(spoilt);
             for (key, found) in (1..).zip(&found) {
                 match found {
                     Err(StorageError::Damaged) => damaged += 1,
-                    Ok(Some(value)) if *value == now[&key] => whole += 1,
+                    Ok(Some(value)) if *value == now[&key] => intact += 1,
                     other => panic!("byte {at}: setting {key} is silently {other:?}"),
                 }
             }
             let reports = found.iter().filter(|found| found.is_err()).count();
-            assert!(reports <= 1, "byte {at}: {reports} settings are lost");
-            // The next save puts it right.
+            assert!(reports <= 1, "byte {at}: {reports} settings are damaged");
+            // The next save repairs the setting.
             if nth % 50 == 0 {
                 assert_eq!(read(save(after.reboot(), &now).reboot()).0, now, "byte {at}");
             }
         }
-        // Most bytes belong to one setting; the rest to the catalogue, which is not needed.
-        assert!(damaged > 1_300 && whole > 5 * damaged, "{damaged} damaged, {whole} whole");
+        // Most bytes belong to one setting, the others to the catalogue, which is not needed.
+        assert!(damaged > 1_300 && intact > 5 * damaged, "{damaged} damaged, {intact} intact");
     }
 }
 
 #[test]
-fn a_setting_from_before_there_were_generations_is_read_and_replaced() {
+fn a_setting_without_a_generation_is_read_and_replaced() {
     use embassy_futures::block_on;
     use sequential_storage::cache::Cache;
     use sequential_storage::map::{MapConfig, MapStorage};
     let mut map = MapStorage::<u8, _, _>::new(Sectors::new(), MapConfig::new(RANGE), Cache::new_uncached());
     let old: &[u8] = &[1, 2, 40, 41, 42, 43];
     block_on(map.store_item(&mut [0; LONGEST_STORED], &1, &old)).expect("the flash works");
-    let (found, flash) = asked(map.destroy().0);
+    let (found, flash) = read_results(map.destroy().0);
     assert_eq!(found[0], Ok(Some(old.to_vec())));
-    let (found, _) = asked(save(flash, &values(5)));
+    let (found, _) = read_results(save(flash, &values(5)));
     assert_eq!(found[0], Ok(Some(values(5)[&1].clone())));
 }
 
-/// Stages all of these and decides that they count.
+/// Stages all of these values and commits them together.
 fn save_together(mut flash: Sectors, values: &Values) -> Sectors {
     let mut buffer = [0; LONGEST_STORED];
     let mut storage = Storage::new(&mut flash, RANGE, &mut buffer);
@@ -322,11 +324,12 @@ fn save_together(mut flash: Sectors, values: &Values) -> Sectors {
     flash
 }
 
-/// Cuts the power at every operation of a joint save; how many there are, and after how many the new values were found.
-fn all_or_none(flash: &Sectors, old: &Values, new: &Values) -> (usize, usize) {
-    let whole = save_together(flash.clone(), new);
-    let operations = whole.operations;
-    assert_eq!(read(whole.reboot()).0, *new);
+/// Cuts the power at every operation of a joint save and checks that all values are old or all are new. Returns the
+/// number of operations, and the number of cuts after which the new values were read.
+fn check_all_or_none(flash: &Sectors, old: &Values, new: &Values) -> (usize, usize) {
+    let complete = save_together(flash.clone(), new);
+    let operations = complete.operations;
+    assert_eq!(read(complete.reboot()).0, *new);
     let mut decided = 0;
     for operation in 0..operations {
         for cut in [Cut::Before, Cut::Within] {
@@ -335,7 +338,7 @@ fn all_or_none(flash: &Sectors, old: &Values, new: &Values) -> (usize, usize) {
             let (found, after) = read(save_together(trial, new).reboot());
             assert!(found == *old || found == *new, "operation {operation}, {cut:?}: some settings are old, some new");
             decided += usize::from(found == *new);
-            // A second cut while the first one's rest is carried out changes nothing about that.
+            // A second cut, while the board completes the first save, does not change the result.
             if operation % 7 == 0 && cut == Cut::Within {
                 let mut again = save_together(Sectors { cut: Some((operation, cut)), ..flash.clone() }, new).reboot();
                 again.cut = Some((operation % 50, Cut::Within));
@@ -351,22 +354,25 @@ fn all_or_none(flash: &Sectors, old: &Values, new: &Values) -> (usize, usize) {
 }
 
 #[test]
-fn settings_that_change_together_are_all_old_or_all_new_wherever_the_power_goes() {
-    for (flash, old) in [(Sectors::new(), Values::new()), (aged(3), values(2))] {
-        let (operations, decided) = all_or_none(&flash, &old, &values(9));
+fn settings_committed_together_are_all_old_or_all_new() {
+    for (flash, old) in [(Sectors::new(), Values::new()), (flash_after_saves(3), values(2))] {
+        let (operations, decided) = check_all_or_none(&flash, &old, &values(9));
         assert!(operations > 700, "{operations}");
-        assert!(decided > operations / 4 && decided < 2 * operations, "{decided} of {operations} found the new ones");
+        assert!(
+            decided > operations / 4 && decided < 2 * operations,
+            "the new values were read after {decided} cuts of {operations} operations"
+        );
     }
 }
 
 #[test]
-fn what_changes_together_while_a_sector_is_erased_is_still_all_or_none() {
+fn a_commit_that_erases_a_sector_is_all_or_none() {
     let (mut old, mut flash) = (values(1), save_together(Sectors::new(), &values(1)).reboot());
     for generation in 2..=255 {
         let new = values(generation);
         let next = save_together(flash.clone(), &new);
         if next.erases > 0 {
-            all_or_none(&flash, &old, &new);
+            check_all_or_none(&flash, &old, &new);
             return;
         }
         (old, flash) = (new, next.reboot());
@@ -375,9 +381,9 @@ fn what_changes_together_while_a_sector_is_erased_is_still_all_or_none() {
 }
 
 #[test]
-fn what_was_staged_and_never_decided_never_counts() {
+fn staged_settings_without_a_commit_are_not_used() {
     let mut buffer = [0; LONGEST_STORED];
-    let mut flash = aged(1);
+    let mut flash = flash_after_saves(1);
     let mut storage = Storage::new(&mut flash, RANGE, &mut buffer);
     storage.stage(3, &[7; 40]).expect("the flash works");
     assert_eq!(storage.staged(3), Ok(Some(&[7; 40][..])));
@@ -385,43 +391,43 @@ fn what_was_staged_and_never_decided_never_counts() {
     let mut flash = flash.reboot();
     assert_eq!(read(flash.clone()).0, values(0));
     let mut storage = Storage::new(&mut flash, RANGE, &mut buffer);
-    assert_eq!(storage.staged(3), Ok(None), "what an earlier run staged is forgotten");
+    assert_eq!(storage.staged(3), Ok(None), "entries that were staged before a reboot are discarded");
     assert_eq!(storage.commit(&[3]), Err(StorageError::NotKept));
 }
 
 #[test]
-fn a_flash_that_fails_once_says_which_settings_count_and_reading_writes_nothing() {
+fn a_commit_reports_the_settings_in_force_after_a_flash_failure() {
     let (old, new) = (values(0), values(9));
-    let (mut kept, mut went_on) = (0, 0);
+    let (mut kept, mut completed) = (0, 0);
     for (operation, cut) in (0..).flat_map(|operation| [(operation, Cut::Before), (operation, Cut::Within)]) {
-        let mut flash = Sectors { cut: Some((operation, cut)), goes_on: true, ..aged(1).reboot() };
+        let mut flash = Sectors { cut: Some((operation, cut)), keeps_power: true, ..flash_after_saves(1).reboot() };
         let mut buffer = [0; LONGEST_STORED];
         let mut storage = Storage::new(&mut flash, RANGE, &mut buffer);
         if new.iter().any(|(key, value)| storage.stage(*key, value).is_err()) {
             continue;
         }
-        let answer = storage.commit(&new.keys().copied().collect::<Vec<_>>());
+        let result = storage.commit(&new.keys().copied().collect::<Vec<_>>());
         if flash.operations <= operation {
             break;
         }
         let operations = flash.operations;
-        let (found, flash) = asked(flash);
+        let (found, flash) = read_results(flash);
         assert_eq!(flash.operations, operations, "operation {operation}: a reader wrote");
-        let same =
+        let equal =
             |wanted: &Values| wanted.values().zip(&found).all(|(value, found)| found == &Ok(Some(value.clone())));
-        assert!(same(if answer.is_ok() { &new } else { &old }), "operation {operation}, {cut:?}: {answer:?}");
-        match answer {
-            Ok(()) => went_on += 1,
+        assert!(equal(if result.is_ok() { &new } else { &old }), "operation {operation}, {cut:?}: {result:?}");
+        match result {
+            Ok(()) => completed += 1,
             Err(error) => {
                 assert_eq!(error, StorageError::Flash);
                 kept += 1;
             }
         }
     }
-    assert!(went_on > 100 && kept > 1, "{went_on} went on, {kept} kept what was there");
+    assert!(completed > 100 && kept > 1, "{completed} commits completed, {kept} kept the old settings");
 }
 
-/// The reads of the flash that all settings take once.
+/// Reads all settings once. Returns the number of write operations and of bytes read.
 fn reads(storage: &mut Storage<'_, &mut Sectors>) -> (usize, usize) {
     let so_far = |storage: &mut Storage<'_, &mut Sectors>| (storage.flash().operations, storage.flash().bytes_read);
     let before = so_far(storage);
@@ -430,17 +436,17 @@ fn reads(storage: &mut Storage<'_, &mut Sectors>) -> (usize, usize) {
     (after.0 - before.0, after.1 - before.1)
 }
 
-/// With the motors on the watchdog waits for no search, and nothing may be written: also where a bit has flipped, where
-/// a save was cut short, and where some settings were never saved.
+/// While the motors are on, the watchdog leaves no time for a search, and flash must not be written: also after a
+/// flipped bit, after a save that was cut short, and if some settings were never saved.
 #[test]
-fn after_the_start_reading_takes_no_search_and_no_write_whatever_the_flash_holds() {
+fn after_the_start_a_read_needs_no_search_and_no_write() {
     let whole: usize = values(0).values().map(Vec::len).sum();
-    // Every entry with the catalogue before it, their headers, and what looking for them takes.
+    // Every entry with the catalogue before it, their headers, and the bytes read to find them.
     let most = 2 * whole;
-    let mut flashes = vec![Sectors::new(), aged(9)];
-    let aside = |key: &u8| *key != 5;
-    flashes.push(save(Sectors::new(), &values(3).into_iter().filter(|(key, _)| aside(key)).collect()));
-    let (nine, six) = (aged(9), aged(6));
+    let mut flashes = vec![Sectors::new(), flash_after_saves(9)];
+    let is_saved = |key: &u8| *key != 5;
+    flashes.push(save(Sectors::new(), &values(3).into_iter().filter(|(key, _)| is_saved(key)).collect()));
+    let (nine, six) = (flash_after_saves(9), flash_after_saves(6));
     for at in (0..2 * SECTOR).step_by(29) {
         let mut spoilt = nine.clone();
         spoilt.bytes[at] ^= 0x10;
@@ -458,17 +464,18 @@ fn after_the_start_reading_takes_no_search_and_no_write_whatever_the_flash_holds
         for round in 0..3 {
             let (written, read) = reads(&mut storage);
             assert_eq!(written, 0, "flash {nth} of {count}, round {round}: a reader wrote");
-            assert!(read < most, "flash {nth} of {count}, round {round}: {read} bytes read, where {most} hold it all");
+            assert!(read < most, "flash {nth} of {count}, round {round}: {read} bytes read, at most {most} are needed");
         }
     }
 }
 
-/// A reader does not mend damage that came after the start: neither entries nor sectors that end before they begin,
+/// A read does not repair damage after the start: neither entries, nor sectors that have an end mark without a start
+/// mark,
 /// which a start would erase.
 #[test]
-fn a_flash_that_goes_bad_while_the_board_runs_is_not_mended_by_reading_it() {
+fn a_read_does_not_repair_damage_after_the_start() {
     let mut buffer = [0; LONGEST_STORED];
-    let mut flash = aged(3);
+    let mut flash = flash_after_saves(3);
     let mut storage = Storage::new(&mut flash, RANGE, &mut buffer);
     storage.start();
     storage.write(1, &values(4)[&1]).expect("the flash works");
@@ -480,27 +487,27 @@ fn a_flash_that_goes_bad_while_the_board_runs_is_not_mended_by_reading_it() {
     assert_eq!(reads(&mut storage).0, 0, "a reader wrote");
     assert_eq!(storage.read(1), Err(StorageError::Flash));
     let mut storage = Storage::new(&mut flash, RANGE, &mut buffer);
-    let mended = storage.flash().operations;
+    let before = storage.flash().operations;
     storage.start();
-    assert!(storage.flash().operations > mended, "a start mends it");
+    assert!(storage.flash().operations > before, "a start repairs the damage");
 }
 
 #[test]
-fn a_staged_entry_that_is_damaged_after_the_decision_is_reported() {
-    let whole = save_together(aged(1), &values(9));
+fn a_staged_entry_damaged_after_the_commit_is_reported() {
+    let complete = save_together(flash_after_saves(1), &values(9));
     let mut reported = 0;
-    for operation in (0..whole.operations).rev() {
-        let cut = Sectors { cut: Some((operation, Cut::Before)), ..aged(1) };
+    for operation in (0..complete.operations).rev() {
+        let cut = Sectors { cut: Some((operation, Cut::Before)), ..flash_after_saves(1) };
         let flash = save_together(cut, &values(9)).reboot();
         if read(flash.clone()).0 != values(9) {
             break;
         }
-        // More bytes in a row than any other setting has: where the scene was staged.
+        // 500 bytes in a row identify the staged scene, because the other settings are shorter.
         let scene = &values(9)[&2];
         let Some(at) = flash.bytes.windows(500).position(|window| window == &scene[..500]) else { continue };
         let mut spoilt = flash.clone();
         spoilt.bytes[at] ^= 1;
-        let (found, _) = asked(spoilt);
+        let (found, _) = read_results(spoilt);
         assert!(found[1] != Ok(Some(values(0)[&2].clone())), "operation {operation}: the old scene came back");
         reported += usize::from(found[1] == Err(StorageError::Damaged));
     }

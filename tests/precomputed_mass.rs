@@ -1,5 +1,4 @@
-//! Frozen and tabulated mass matrices: what they are worth against the closed form, and what a damaged one is refused
-//! for.
+//! Frozen and tabulated mass matrices: their error against the closed form, and the refusal of damaged ones.
 
 use crate::common::device_file::shipped;
 use haptic_bridge::control::compiled::BoardMath;
@@ -17,9 +16,10 @@ fn mechanism(name: &str) -> AnyMechanism<f64> {
     AnyMechanism::new(&shipped(name)).expect("a sound device")
 }
 
-/// Largest difference of M E, relative to the largest entry, between a table and the closed form on a net of 63 x 63
-/// poses around home, which has the middle of every cell of 4 x 4 and of 8 x 8.
-fn worst<M: Mechanism<f64, N>, const N: usize>(
+/// Returns the largest difference of M E between a table and the closed form, relative to the largest entry, on a grid
+/// of
+/// 63 x 63 poses around home. The grid includes the centres of all cells of 4 x 4 and of 8 x 8 cells.
+fn worst_error<M: Mechanism<f64, N>, const N: usize>(
     mechanism: &M,
     home: &[f64; 3],
     interpolation: Interpolation,
@@ -57,36 +57,41 @@ fn worst<M: Mechanism<f64, N>, const N: usize>(
     worst
 }
 
-fn every(interpolation: Interpolation, points: u8) -> Vec<f64> {
+/// Returns the worst error for every device.
+fn worst_errors(interpolation: Interpolation, points: u8) -> Vec<f64> {
     DEVICES
         .iter()
         .map(|name| {
             let home = shipped(name).home.expect("a shipped device has a home");
-            with_mechanism!(&mechanism(name), m => worst(m, &home, interpolation, points))
+            with_mechanism!(&mechanism(name), m => worst_error(m, &home, interpolation, points))
         })
         .collect()
 }
 
 #[test]
-fn a_finer_bilinear_table_is_better_in_the_square_of_its_spacing() {
-    for (coarse, fine) in every(Interpolation::Bilinear, 5).into_iter().zip(every(Interpolation::Bilinear, 9)) {
-        // Half the spacing is a quarter of the error, less what the fourth derivatives add: measured 3.38 to 3.81. The
-        // first order would be 2, the third 8.
+fn the_error_of_a_bilinear_table_is_of_second_order() {
+    for (coarse, fine) in
+        worst_errors(Interpolation::Bilinear, 5).into_iter().zip(worst_errors(Interpolation::Bilinear, 9))
+    {
+        // Half the spacing divides the error by four, less an effect of the fourth derivatives: measured 3.38 to 3.81.
+        // A first-order error would have the ratio 2, a third-order error 8.
         assert!(fine > 0.0 && (3.3..4.0).contains(&(coarse / fine)), "{coarse} against {fine}");
     }
 }
 
 #[test]
-fn a_bicubic_table_is_better_than_a_bilinear_one_with_as_many_cells() {
-    for (linear, cubic) in every(Interpolation::Bilinear, 8).into_iter().zip(every(Interpolation::Bicubic, 10)) {
+fn a_bicubic_table_is_better_than_a_bilinear_table() {
+    for (linear, cubic) in
+        worst_errors(Interpolation::Bilinear, 8).into_iter().zip(worst_errors(Interpolation::Bicubic, 10))
+    {
         assert!(cubic < 0.2 * linear, "{cubic} against {linear}");
     }
 }
 
 #[test]
-fn a_table_within_the_memory_keeps_the_torque_of_every_device_within_a_thousandth() {
-    // A mechanism with six distinct entries has room for this table.
-    for error in every(Interpolation::Bicubic, 10) {
+fn a_table_that_fits_the_memory_has_an_error_below_a_thousandth() {
+    // This table fits even for a mechanism with six distinct entries.
+    for error in worst_errors(Interpolation::Bicubic, 10) {
         assert!(error < 1.0e-3, "{error}");
     }
 }
@@ -104,12 +109,12 @@ fn outside_its_grid_a_table_is_the_closed_form() {
         let (found, exact) = (table.shaping(&m, &q, &pose, &n).me, m.shaping(&pose, &n).me);
         assert!((found - exact).amax() < 1.0e-12 * exact.amax(), "{found} against {exact}");
     }
-    // Angles that are NaN cause no panic.
+    // NaN and infinite angles cause no panic.
     let pose = m.pose::<Libm>(&SVector::from([2.3, 0.8]));
     for broken in [f64::NAN, f64::INFINITY, -1.0e300] {
         table.shaping(&m, &SVector::from([broken, 0.8]), &pose, &n);
     }
-    // One value less or more than the grid has is no table.
+    // A table must have exactly as many values as its grid.
     assert!(MassModel::table::<FiveBar<f64>>(&grid, &values[1..]).is_none());
     assert!(MassModel::table::<FiveBar<f64>>(&grid, &vec![1.0; values.len() + 1]).is_none());
 }
@@ -123,9 +128,9 @@ fn the_edges_of_the_grid_belong_to_it() {
         let grid = Grid { spacing: [0.125; 2], low: grid.low.map(|x: f64| (x * 8.0).round() / 8.0), ..grid };
         let mut values = vec![0.0; grid.values(3)];
         tabulate::<f64, Libm, _, 2>(&m, &grid, |index, value| values[index] = value);
-        // Values moved by a tenth show that it is the table that answers.
-        let moved: Vec<f64> = values.iter().map(|value| value * 1.1).collect();
-        let table = MassModel::table::<FiveBar<f64>>(&grid, &moved).unwrap();
+        // Values increased by a tenth show that the result comes from the table.
+        let increased: Vec<f64> = values.iter().map(|value| value * 1.1).collect();
+        let table = MassModel::table::<FiveBar<f64>>(&grid, &increased).unwrap();
         let margin = if interpolation == Interpolation::Bicubic { 1 } else { 0 };
         for corner in [[margin, margin], [5 - margin, 5 - margin], [margin, 5 - margin]] {
             let at = grid.at(corner[0], corner[1]);
@@ -139,7 +144,7 @@ fn the_edges_of_the_grid_belong_to_it() {
 }
 
 #[test]
-fn a_table_that_does_not_fit_the_boards_memory_or_has_no_cells_is_refused() {
+fn a_table_too_large_or_without_cells_is_refused() {
     let make = |points, entries| Grid::<f32>::new(Interpolation::Bilinear, points, [0.0; 2], [1.0; 2], entries);
     assert!(make([15, 15], 3).is_some());
     assert!(make([16, 15], 3).is_none(), "720 values are more than {TABLE_VALUES}");
@@ -150,7 +155,7 @@ fn a_table_that_does_not_fit_the_boards_memory_or_has_no_cells_is_refused() {
 }
 
 #[test]
-fn a_frozen_matrix_must_be_one() {
+fn a_frozen_matrix_must_be_a_mass_matrix() {
     let model = |triangle| MassModel::<f32, 2>::new::<FiveBar<f32>>(&MassModelData::Frozen(triangle), &[]);
     assert!(model([1.0, 0.1, 1.0, 0.0, 0.0, 0.0]).is_some());
     assert!(model([0.0, 0.1, 1.0, 0.0, 0.0, 0.0]).is_none());
@@ -158,7 +163,7 @@ fn a_frozen_matrix_must_be_one() {
 }
 
 #[test]
-fn a_table_is_complete_only_when_every_chunk_came_in_order_and_unchanged() {
+fn a_table_needs_all_chunks_in_order_and_unchanged() {
     let values: Vec<f32> = (0..150).map(|n| n as f32 * 0.1).collect();
     let crc = checksum(&values);
     let mut receiving = Receiving::default();
@@ -179,13 +184,13 @@ fn a_table_is_complete_only_when_every_chunk_came_in_order_and_unchanged() {
     assert!(!changed.is_complete(150, crc));
     assert!(!Receiving::default().take(0, &[f32::NAN]));
     assert!(!Receiving::default().take(0, &vec![0.0; TABLE_VALUES + 1]));
-    // A transfer that restarts forgets the old one.
+    // A new transfer discards the old one.
     assert!(receiving.take(0, &values[..64]));
     assert!(!receiving.is_complete(150, crc));
 }
 
 #[test]
-fn the_boards_precision_costs_a_table_nothing() {
+fn a_table_is_accurate_in_the_boards_precision() {
     let Ok(AnyMechanism::FiveBar(m)) = AnyMechanism::<f32>::new(&shipped("haply-2diy")) else { panic!() };
     let AnyMechanism::FiveBar(exact) = mechanism("haply-2diy") else { panic!() };
     let grid = Grid::<f32>::new(Interpolation::Bicubic, [15, 15], [2.0, 0.5], [2.6, 1.1], 3).unwrap();

@@ -1,4 +1,4 @@
-//! The recorded force is the one that was asked for, the part that remained, and the motor that fell short.
+//! The record contains the requested wall force, the rendered force, and the motors that saturated.
 
 use crate::rig::{COUNTS, RATE, Rig, five_bar, hardware, rules, scene, wall};
 use haptic_bridge::control::frame::{Motors, StepRecord};
@@ -8,8 +8,8 @@ use haptic_bridge::render::scene::{FeedForward, Plane, Surface};
 use haptic_bridge::render::velocity::Washout;
 use haptic_bridge::safety::limits::Limits;
 
-/// A paddle of 0.1 m in a wall of 1 kN/m at -0.05 m, so many metres deep; its motor may push with 0.3 N m, so 3 N.
-fn pressed(depth: f64) -> Rig {
+/// Presses a paddle of 0.1 m `depth` (m) into a wall of 1 kN/m at -0.05 m. Its motor may make 0.3 N m, which is 3 N.
+fn pressed_paddle(depth: f64) -> Rig {
     let mut rig = Rig::armed();
     rig.turn(0, -(0.05 + depth) / 0.1, 2.0);
     rig.settle();
@@ -17,25 +17,25 @@ fn pressed(depth: f64) -> Rig {
 }
 
 #[test]
-fn a_wall_within_the_motors_means_is_rendered_as_asked() {
-    let frame = pressed(0.002).control_loop.frame();
+fn a_wall_within_the_torque_limit_is_rendered_completely() {
+    let frame = pressed_paddle(0.002).control_loop.frame();
     assert!((frame.at.walls.wall_force - 2.0).abs() < 0.02, "{frame:?}");
     assert!((frame.motors.rendered_force - frame.at.walls.wall_force).abs() < 1e-5, "{frame:?}");
     assert_eq!(frame.saturation(0), 0);
 }
 
 #[test]
-fn a_wall_beyond_the_motors_means_is_recorded_as_what_they_can() {
-    let frame = pressed(0.008).control_loop.frame();
-    assert!((frame.at.walls.wall_force - 8.0).abs() < 0.02, "asked for: {frame:?}");
+fn a_wall_beyond_the_torque_limit_is_recorded_as_reduced() {
+    let frame = pressed_paddle(0.008).control_loop.frame();
+    assert!((frame.at.walls.wall_force - 8.0).abs() < 0.02, "requested: {frame:?}");
     assert!((frame.motors.rendered_force - 3.0).abs() < 1e-4, "0.3 N m at 0.1 m: {frame:?}");
-    assert_eq!(frame.saturation(0), 1, "and the motor is marked");
-    assert_eq!((frame.saturation(1), frame.saturation(2)), (0, 0), "no other is");
+    assert_eq!(frame.saturation(0), 1, "the motor is marked");
+    assert_eq!((frame.saturation(1), frame.saturation(2)), (0, 0), "no other motor is marked");
 }
 
 #[test]
-fn a_force_beyond_the_limit_of_the_tip_is_marked_too() {
-    let mut rig = pressed(0.002);
+fn a_force_beyond_the_tip_force_limit_is_marked_too() {
+    let mut rig = pressed_paddle(0.002);
     let limited = rules();
     rig.execute(Command::Rules(Rules { limits: Limits { tip_force: 1.0, ..limited.limits }, ..limited })).unwrap();
     rig.step();
@@ -45,8 +45,8 @@ fn a_force_beyond_the_limit_of_the_tip_is_marked_too() {
 }
 
 #[test]
-fn nothing_is_rendered_with_the_motors_off_nor_in_full_while_torque_ramps_up() {
-    let mut rig = pressed(0.002);
+fn the_rendered_force_is_zero_when_off_and_reduced_in_the_ramp() {
+    let mut rig = pressed_paddle(0.002);
     rig.execute(Command::Disarm).unwrap();
     rig.step();
     let off = rig.control_loop.frame();
@@ -54,14 +54,14 @@ fn nothing_is_rendered_with_the_motors_off_nor_in_full_while_torque_ramps_up() {
 
     let mut rig = Rig::ready(&scene(1, &[wall(-0.05, 1_000.0)]));
     rig.execute(Command::Arm).unwrap();
-    // In 0.03 s of the half second's ramp the tip is 2 mm deep.
+    // After 0.03 s of the ramp of 0.5 s the tip is 2 mm deep.
     rig.turn(0, -0.52, 18.0);
     let ramp = rig.control_loop.frame();
     assert!(ramp.at.walls.wall_force > 1.9 && ramp.motors.rendered_force > 0.0, "{ramp:?}");
     assert!(ramp.motors.rendered_force < 0.2 * ramp.at.walls.wall_force, "{ramp:?}");
 }
 
-/// The tip (m) of `five_bar` at two joint angles (rad), from the circles about its elbows.
+/// Computes the tip (m) of `five_bar` at two joint angles (rad) from the circles around its elbows.
 fn tip(q: [f64; 2]) -> [f64; 2] {
     let c = [-0.025 + 0.07 * q[0].cos(), 0.07 * q[0].sin()];
     let d = [0.025 + 0.07 * q[1].cos(), 0.07 * q[1].sin()];
@@ -71,8 +71,8 @@ fn tip(q: [f64; 2]) -> [f64; 2] {
     [0.5 * (c[0] + d[0]) - dy * height, 0.5 * (c[1] + d[1]) + dx * height]
 }
 
-/// The force (N) along `n` that joint torques (N m) hold against a tip that cannot move: n·F of τ = Jᵀ F.
-fn held(q: [f64; 2], n: [f64; 2], torque: [f64; 2]) -> f64 {
+/// Computes the force (N) along `n` of joint torques (N m) on a fixed tip: n·F with τ = Jᵀ F.
+fn static_force(q: [f64; 2], n: [f64; 2], torque: [f64; 2]) -> f64 {
     let h = 1e-6;
     let mut j = [[0.0; 2]; 2];
     for k in 0..2 {
@@ -93,7 +93,7 @@ fn held(q: [f64; 2], n: [f64; 2], torque: [f64; 2]) -> f64 {
 }
 
 #[test]
-fn on_two_joints_it_is_the_force_that_the_recorded_torques_hold() {
+fn with_two_joints_it_is_the_static_force_of_the_torques() {
     for feed_forward in [FeedForward::Off, FeedForward::Full] {
         let n = [0.28, 0.96];
         let home = tip([2.4, 0.7]);
@@ -105,27 +105,27 @@ fn on_two_joints_it_is_the_force_that_the_recorded_torques_hold() {
         rig.arm();
         let mut saturated = 0;
         for _ in 0..40 {
-            // Down into the wall: the left arm outward, the right arm inward.
+            // Into the wall: the left arm turns outwards and the right arm inwards.
             for (i, turn) in [(0, 30), (1, -30)] {
                 rig.samples.counts[i] += turn;
             }
             rig.run(0.02);
             let frame = rig.control_loop.frame();
-            // The counts' own angles: 2.4 and 0.7 rad at home.
+            // Angles from the counts: 2.4 and 0.7 rad at home.
             let angle = |i: usize| f64::from(frame.counts[i]) / COUNTS * core::f64::consts::TAU + [2.4, 0.7][i];
             let torque = [f64::from(frame.motors.torque[0]), f64::from(frame.motors.torque[1])];
-            let expected = held([angle(0), angle(1)], n, torque);
+            let expected = static_force([angle(0), angle(1)], n, torque);
             let got = f64::from(frame.motors.rendered_force);
             if frame.motors.rendered_force < 0.999 * frame.at.walls.wall_force {
-                assert_eq!((frame.saturation(0), frame.saturation(1)), (1, 1), "one factor cuts both: {frame:?}");
+                assert_eq!((frame.saturation(0), frame.saturation(1)), (1, 1), "one factor reduces both: {frame:?}");
             }
-            // 1e-4: f32 in the step (2e-5 of the torque), and the differences' own 1e-7.
+            // 1e-4 allows for f32 in the step (2e-5 of the torque) and for the differences (1e-7).
             assert!((got - expected).abs() < 1e-4 * (1.0 + expected.abs()), "{got} for {expected}: {frame:?}");
             if frame.saturation(0) + frame.saturation(1) > 0 {
                 saturated += 1;
-                // The feed-forward is cut before the force is.
-                let cut = frame.motors.rendered_force < 0.999 * frame.at.walls.wall_force;
-                assert!(cut || feed_forward == FeedForward::Full, "{frame:?}");
+                // The feed-forward is reduced before the force.
+                let reduced = frame.motors.rendered_force < 0.999 * frame.at.walls.wall_force;
+                assert!(reduced || feed_forward == FeedForward::Full, "{frame:?}");
             }
         }
         assert!((5..35).contains(&saturated), "{saturated} of 40 saturated with {feed_forward:?}");
@@ -133,10 +133,10 @@ fn on_two_joints_it_is_the_force_that_the_recorded_torques_hold() {
 }
 
 #[test]
-fn a_duty_at_its_end_is_marked_by_itself() {
-    let mut rig = pressed(0.001);
+fn a_duty_at_its_limit_has_its_own_mark() {
+    let mut rig = pressed_paddle(0.001);
     assert_eq!(rig.control_loop.frame().saturation(0), 0);
-    // 2 N more within one step: a winding of 1 mH would need 44 V for that in a carrier period.
+    // 2 N more within one step would need 44 V across a winding of 1 mH for a carrier period.
     let gains = Gains { wall: 0, stiffness: 2_900.0, damping: 0.0, feed_forward: FeedForward::Off, washout_hz: 2.0 };
     rig.execute(Command::Gains(gains, Washout::new(2.0, RATE).unwrap())).unwrap();
     rig.control_loop.control(&rig.samples);

@@ -1,4 +1,4 @@
-//! Settings come back as they were, or are refused; a layout that changes without its version turns these tests red.
+//! Settings decode to the encoded value or are refused. The tests fail if a layout changes without its version.
 
 use crate::rig;
 use haptic_bridge::board::settings::{BoardName, Damage, Key, LONGEST_SETTING, Polarity, Setting, decode, encode};
@@ -50,18 +50,18 @@ fn full_rules() -> Rules {
     }
 }
 
-/// A device as the first firmware stored it: its joints' angles at count 0 are the description's, wherever home lies
-/// between two counts. Boards in the field hold such entries.
+/// Returns a device as the first firmware stored it: its joint angles at count 0 are those of the description, even if
+/// home is between two counts. Boards in the field have such entries.
 fn stored_device() -> Device<f32> {
     let five_bar = rig::five_bar();
     let home = five_bar.home.map(|home| home.map(|q| q as f32));
     Device { home, ..rig::device(&Description { home: None, ..five_bar }) }
 }
 
-/// One value of every setting, under the name of its key.
+/// Returns one encoded value of every setting with its key.
 fn specimens() -> Vec<(Key, Vec<u8>)> {
     fn entry<S: Setting>(value: &S) -> (Key, Vec<u8>) {
-        (S::KEY, encode(value).expect("it fits").to_vec())
+        (S::KEY, encode(value).expect("the value fits an entry").to_vec())
     }
     vec![
         entry(&stored_device()),
@@ -73,20 +73,20 @@ fn specimens() -> Vec<(Key, Vec<u8>)> {
     ]
 }
 
-fn comes_back<S: Setting + PartialEq + Debug>(value: &S) {
+fn assert_round_trip<S: Setting + PartialEq + Debug>(value: &S) {
     assert_eq!(decode::<S>(&encode(value).unwrap()).as_ref(), Ok(value));
 }
 
 #[test]
-fn every_setting_comes_back_as_it_was() {
-    comes_back(&rig::device(&rig::five_bar()));
-    comes_back(&rig::device(&rig::paddle()));
-    comes_back(&full_scene());
-    comes_back(&full_rules());
-    comes_back(&MassModelData::Exact);
-    comes_back(&MassModelData::Frozen([1.0, 0.25, 2.0, 0.125, 0.5, 4.0]));
-    comes_back(&Polarity(7));
-    comes_back(&BoardName::default());
+fn every_setting_decodes_to_the_encoded_value() {
+    assert_round_trip(&rig::device(&rig::five_bar()));
+    assert_round_trip(&rig::device(&rig::paddle()));
+    assert_round_trip(&full_scene());
+    assert_round_trip(&full_rules());
+    assert_round_trip(&MassModelData::Exact);
+    assert_round_trip(&MassModelData::Frozen([1.0, 0.25, 2.0, 0.125, 0.5, 4.0]));
+    assert_round_trip(&Polarity(7));
+    assert_round_trip(&BoardName::default());
 }
 
 #[test]
@@ -95,7 +95,7 @@ fn every_key_has_a_specimen() {
     assert_eq!(keys, Key::ALL);
 }
 
-fn decoded(key: Key, entry: &[u8]) -> Result<(), Damage> {
+fn decode_entry(key: Key, entry: &[u8]) -> Result<(), Damage> {
     match key {
         Key::Device => decode::<Device<f32>>(entry).map(drop),
         Key::Scene => decode::<Scene<f32>>(entry).map(drop),
@@ -112,24 +112,24 @@ fn an_entry_with_any_bit_wrong_is_refused() {
         for bit in 0..8 * entry.len() {
             let mut damaged = entry.clone();
             damaged[bit / 8] ^= 1 << (bit % 8);
-            assert_eq!(decoded(key, &damaged), Err(Damage::Corrupt), "{key:?}, bit {bit}");
+            assert_eq!(decode_entry(key, &damaged), Err(Damage::Corrupt), "{key:?}, bit {bit}");
         }
     }
 }
 
 #[test]
-fn an_entry_cut_short_or_grown_is_refused() {
+fn a_shortened_or_extended_entry_is_refused() {
     for (key, entry) in specimens() {
         for length in 0..entry.len() {
-            assert_eq!(decoded(key, &entry[..length]), Err(Damage::Corrupt), "{key:?}, {length} bytes");
+            assert_eq!(decode_entry(key, &entry[..length]), Err(Damage::Corrupt), "{key:?}, {length} bytes");
         }
-        let grown = [&entry[..], &[0]].concat();
-        assert_eq!(decoded(key, &grown), Err(Damage::Corrupt));
+        let extended = [&entry[..], &[0]].concat();
+        assert_eq!(decode_entry(key, &extended), Err(Damage::Corrupt));
     }
 }
 
-/// The entry with its body changed and a checksum that fits.
-fn resealed(entry: &[u8], change: impl Fn(&mut Vec<u8>)) -> Vec<u8> {
+/// Changes the body of an entry and adds the matching checksum.
+fn with_changed_body(entry: &[u8], change: impl Fn(&mut Vec<u8>)) -> Vec<u8> {
     let mut body = entry[..entry.len() - 4].to_vec();
     change(&mut body);
     let sum = crc32(&body).to_le_bytes();
@@ -137,19 +137,27 @@ fn resealed(entry: &[u8], change: impl Fn(&mut Vec<u8>)) -> Vec<u8> {
 }
 
 #[test]
-fn another_version_is_told_by_its_number() {
+fn another_version_is_reported_with_its_number() {
     for (key, entry) in specimens() {
-        let newer = resealed(&entry, |body| body[1] = 9);
-        assert_eq!(decoded(key, &newer), Err(Damage::UnknownVersion(9)), "{key:?}");
+        let newer = with_changed_body(&entry, |body| body[1] = 9);
+        assert_eq!(decode_entry(key, &newer), Err(Damage::UnknownVersion(9)), "{key:?}");
     }
 }
 
 #[test]
-fn an_entry_of_another_key_and_trailing_bytes_are_refused_although_the_checksum_fits() {
+fn another_key_and_trailing_bytes_are_refused() {
     for (key, entry) in specimens() {
-        assert_eq!(decoded(key, &resealed(&entry, |body| body[0] ^= 0x40)), Err(Damage::OtherKey), "{key:?}");
-        assert_eq!(decoded(key, &resealed(&entry, |body| body.push(0))), Err(Damage::Corrupt), "{key:?}");
-        assert_eq!(decoded(key, &resealed(&entry, |body| body.truncate(1))), Err(Damage::Corrupt), "{key:?}");
+        assert_eq!(
+            decode_entry(key, &with_changed_body(&entry, |body| body[0] ^= 0x40)),
+            Err(Damage::OtherKey),
+            "{key:?}"
+        );
+        assert_eq!(decode_entry(key, &with_changed_body(&entry, |body| body.push(0))), Err(Damage::Corrupt), "{key:?}");
+        assert_eq!(
+            decode_entry(key, &with_changed_body(&entry, |body| body.truncate(1))),
+            Err(Damage::Corrupt),
+            "{key:?}"
+        );
     }
 }
 
@@ -165,21 +173,21 @@ fn the_checksum_is_the_published_crc_32() {
 }
 
 #[test]
-fn a_scene_stored_before_it_had_a_gain_comes_back_with_its_terms_as_they_were() {
-    let entry = earlier(1);
+fn a_scene_of_version_1_keeps_its_velocity_terms() {
+    let entry = earlier_scene_entry(1);
     let expected =
         Scene { velocity_terms: VelocityTerms::Paper, feed_forward_gain: 1.0, posture: None, ..full_scene() };
     assert_eq!(decode::<Scene<f32>>(&entry), Ok(expected.clone()));
-    // The flag stood behind rate, cutoff, estimator and weight.
-    let off = resealed(&entry, |body| body[13] = 0);
+    // The flag of version 1 follows rate, cutoff, estimator and weight.
+    let off = with_changed_body(&entry, |body| body[13] = 0);
     assert_eq!(decode::<Scene<f32>>(&off), Ok(Scene { velocity_terms: VelocityTerms::Off, ..expected }));
-    let cut = resealed(&entry, |body| body.truncate(body.len() - 1));
+    let cut = with_changed_body(&entry, |body| body.truncate(body.len() - 1));
     assert_eq!(decode::<Scene<f32>>(&cut), Err(Damage::Corrupt));
 }
 
 #[test]
-fn rules_stored_before_a_tip_had_a_limit_come_back_with_a_gentle_one() {
-    // `rules 1` of tests/golden/settings.txt while it was the newest.
+fn rules_without_a_tip_force_limit_get_a_low_limit() {
+    // The entry `rules 1` of tests/golden/settings.txt when version 1 was the newest.
     let hex = "03019a99993e9a99993e9a99993e0000404000004040000040400000803f0000803f0000803f0000a0410000a0410000a041\
                00000040000020410000e041010000803e01c0a907018040cea6abd0";
     let entry: Vec<u8> =
@@ -187,15 +195,15 @@ fn rules_stored_before_a_tip_had_a_limit_come_back_with_a_gentle_one() {
     let rules = full_rules();
     let expected = Rules { limits: Limits { tip_force: 5.0, ..rules.limits }, ..rules };
     assert_eq!(decode::<Rules>(&entry), Ok(expected));
-    let words = serde_json::to_value(rules).expect("rules in words");
-    let mut old = words.clone();
+    let json = serde_json::to_value(rules).expect("rules as JSON");
+    let mut old = json.clone();
     old["limits"].as_object_mut().expect("fields").remove("tip_force").expect("a field");
-    assert_eq!(serde_json::from_value::<Rules>(old).expect("it reads"), expected);
-    assert_eq!(serde_json::from_value::<Rules>(words).expect("it reads"), rules);
+    assert_eq!(serde_json::from_value::<Rules>(old).expect("readable rules"), expected);
+    assert_eq!(serde_json::from_value::<Rules>(json).expect("readable rules"), rules);
 }
 
-/// An entry of a scene of an earlier version, from tests/golden.
-fn earlier(version: u8) -> Vec<u8> {
+/// Reads the entry of a scene of an earlier version from tests/golden.
+fn earlier_scene_entry(version: u8) -> Vec<u8> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("tests/golden/scene-{version}.txt"));
     let hex = std::fs::read_to_string(path).expect("the golden file is there");
     let hex = hex.trim();
@@ -206,44 +214,48 @@ fn earlier(version: u8) -> Vec<u8> {
 }
 
 #[test]
-fn a_scene_stored_before_there_were_estimators_of_joints_or_a_posture_comes_back_as_it_was() {
+fn scenes_of_earlier_versions_decode_without_a_posture() {
     for version in [2, 3] {
-        assert_eq!(decode::<Scene<f32>>(&earlier(version)), Ok(Scene { posture: None, ..full_scene() }), "{version}");
+        assert_eq!(
+            decode::<Scene<f32>>(&earlier_scene_entry(version)),
+            Ok(Scene { posture: None, ..full_scene() }),
+            "{version}"
+        );
     }
 }
 
 #[test]
-fn every_estimator_comes_back_with_its_choices() {
+fn every_estimator_keeps_its_options() {
     for (_, estimator) in Estimator::ALL {
         let chosen = estimator.chosen().map(|chosen| Chosen { value: chosen.value + 1, filtered: true });
         let estimator = chosen.map_or(*estimator, |chosen| estimator.choosing(chosen));
-        comes_back(&Scene { estimator, ..full_scene() });
+        assert_round_trip(&Scene { estimator, ..full_scene() });
     }
 }
 
 #[test]
-fn a_backup_in_words_of_that_time_reads_too() {
-    let words = serde_json::to_value(full_scene()).expect("a scene in words");
-    assert_eq!(words["velocity_terms"], "rendered");
-    for (said, meant) in [(true, VelocityTerms::Paper), (false, VelocityTerms::Off)] {
-        let mut old = words.clone();
+fn a_scene_of_version_1_reads_from_a_json_backup() {
+    let json = serde_json::to_value(full_scene()).expect("a scene as JSON");
+    assert_eq!(json["velocity_terms"], "rendered");
+    for (stored, expected) in [(true, VelocityTerms::Paper), (false, VelocityTerms::Off)] {
+        let mut old = json.clone();
         let fields = old.as_object_mut().expect("fields");
-        fields.insert("velocity_terms".into(), said.into());
+        fields.insert("velocity_terms".into(), stored.into());
         fields.remove("feed_forward_gain").expect("a field");
         fields.remove("admissible").expect("a field");
         fields.remove("posture").expect("a field");
-        let read: Scene<f32> = serde_json::from_value(old).expect("it reads");
-        assert_eq!(read, Scene { velocity_terms: meant, posture: None, ..full_scene() });
+        let read: Scene<f32> = serde_json::from_value(old).expect("a readable scene");
+        assert_eq!(read, Scene { velocity_terms: expected, posture: None, ..full_scene() });
     }
-    let mut wrong = words;
+    let mut wrong = json;
     wrong.as_object_mut().expect("fields").insert("velocity_terms".into(), "some".into());
     assert!(serde_json::from_value::<Scene<f32>>(wrong).is_err());
 }
 
-/// The bytes that boards in the field hold: they were written once and must decode to the same values for ever, or
-/// their version must change. `UPDATE_GOLDEN=1 cargo test settings` rewrites them after a version was raised.
+/// Boards in the field have these bytes. They must always decode to the same values, or their version must change.
+/// `UPDATE_GOLDEN=1 cargo test settings` rewrites the file after a version was raised.
 #[test]
-fn entries_written_by_earlier_firmware_are_byte_for_byte_what_this_one_writes() {
+fn entries_are_byte_for_byte_those_of_earlier_firmware() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden/settings.txt");
     let mut now = String::from("# key version: the entry, in hexadecimal. See tests/settings.rs.\n");
     for (key, entry) in specimens() {

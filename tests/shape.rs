@@ -1,11 +1,11 @@
-//! A wall's shape needs nothing but its own file: a toy one, and what follows from its list of keys.
+//! A shape of a wall needs only its own file: a toy shape, and functions that follow from a shape's list of keys.
 
 use haptic_bridge::math::{Libm, Math, Real};
 use haptic_bridge::render::scene::shape::{Meaning, Shape, ShapeSpec, Values};
 use haptic_bridge::render::scene::{Contact, Cylinder, Plane, Sphere, Surface};
 use nalgebra::{SVector, Vector3};
 
-/// A slab: solid within half its thickness of a plane.
+/// A slab: all points within half the thickness of a plane.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Slab<T> {
     middle: [T; 3],
@@ -53,7 +53,7 @@ fn a_toy_shape_is_one_impl() {
 }
 
 #[test]
-fn every_shape_is_made_by_its_name_and_values_in_either_precision() {
+fn every_shape_is_made_from_its_name_and_values() {
     let shapes = [
         Surface::Plane(Plane { point: [0.5, -0.25, 0.125], normal: [0.0, 1.0, 0.0] }),
         Surface::Sphere(Sphere { center: [0.5, -0.25, 0.125], radius: 0.0625, inside: true }),
@@ -68,9 +68,9 @@ fn every_shape_is_made_by_its_name_and_values_in_either_precision() {
     for shape in shapes {
         let spec = shape.spec();
         assert_eq!(Surface::from_values(spec.name, &shape.values()), Some(shape));
-        let wide: usize = spec.keys.iter().map(|(_, meaning)| meaning.width()).sum();
-        assert!(shape.values()[wide..].iter().all(|rest| *rest == 0.0), "{}: a value without a key", spec.name);
-        // Numbers that f32 has as well come back the same.
+        let width: usize = spec.keys.iter().map(|(_, meaning)| meaning.width()).sum();
+        assert!(shape.values()[width..].iter().all(|value| *value == 0.0), "{}: a value without a key", spec.name);
+        // These numbers are exact in f32.
         assert_eq!(shape.cast::<f32>().cast::<f64>(), shape);
     }
     assert_eq!(Surface::<f64>::from_values("slab", &[0.0; 8]), None);

@@ -1,5 +1,5 @@
-//! Anything that implements `Stage` can stand between a joint's torque and its motor: two toys run here in the control loop
-//! that ships. Limits, watch and thermal budget hold for them as for a brushed motor.
+//! Any implementation of `Stage` can be between a joint's torque and its motor: two toy stages run in the shipped
+//! control loop. Limits, fault checks and the thermal budget hold for them as for a brushed motor.
 
 use crate::rig::{COUNTS, device, hardware, limits, paddle, rules, scene, wall};
 use haptic_bridge::control::compiled::BoardMath;
@@ -13,11 +13,11 @@ use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::model::motor::Motor;
 use haptic_bridge::safety::fault::{Fault, State};
 
-/// An amplifier that closes the current loop itself: its set-point is all that it is told.
+/// An amplifier that closes the current loop itself and receives only a set-point.
 #[derive(Clone, Copy, Debug, Default)]
 struct SetPoint {
     torque_constant: f32,
-    /// The current of a set-point of 1, A.
+    /// Current of a set-point of 1, A.
     full_scale: f32,
     max_current: f32,
     target: f32,
@@ -65,14 +65,14 @@ impl Stage for SetPoint {
     }
 }
 
-/// The samples of a motor with three phases: two currents, A, and the rotor's electrical angle, rad.
+/// Samples of a motor with three phases: two currents, A, and the rotor's electrical angle, rad.
 #[derive(Clone, Copy, Debug, Default)]
 struct Phases {
     currents: [f32; 2],
     angle: f32,
 }
 
-/// A synchronous motor, its current kept across the rotor's field: a proportional loop in the rotor's frame.
+/// A synchronous motor with its current across the rotor's field: a proportional loop in the rotor's frame.
 #[derive(Clone, Copy, Debug, Default)]
 struct FieldOriented {
     set_point: SetPoint,
@@ -104,14 +104,14 @@ impl Stage for FieldOriented {
     fn command(&mut self, torque: f32) {
         self.set_point.command(torque);
     }
-    fn drive(&mut self, supply: &Supply, seen: Phases, _: f32, _: bool) -> [f32; 3] {
-        let (sin, cos) = BoardMath::sin_cos(seen.angle);
-        let [a, b] = seen.currents;
-        // Clarke and Park, amplitudes kept.
+    fn drive(&mut self, supply: &Supply, phases: Phases, _: f32, _: bool) -> [f32; 3] {
+        let (sin, cos) = BoardMath::sin_cos(phases.angle);
+        let [a, b] = phases.currents;
+        // Amplitude-invariant Clarke and Park transforms.
         let beta = (a + 2.0 * b) / 3.0_f32.sqrt();
         let (direct, across) = (cos * a + sin * beta, cos * beta - sin * a);
-        let loop_of = |target: f32, is: f32| self.resistance * (target + (target - is)) * supply.inverse;
-        let (direct, across) = (loop_of(0.0, direct), loop_of(self.set_point.target, across));
+        let control = |target: f32, current: f32| self.resistance * (target + (target - current)) * supply.inverse;
+        let (direct, across) = (control(0.0, direct), control(self.set_point.target, across));
         let (alpha, beta) = (cos * direct - sin * across, sin * direct + cos * across);
         let half = 0.5 * 3.0_f32.sqrt() * beta;
         [alpha, half - 0.5 * alpha, -half - 0.5 * alpha]
@@ -127,7 +127,7 @@ impl Stage for FieldOriented {
     }
 }
 
-/// A paddle on motors of a kind, armed, its tip 1 cm deep in a wall.
+/// An armed paddle with this kind of motor stage, its tip 1 cm deep in a wall.
 struct Pressed<S: Stage> {
     control_loop: ControlLoop<Box<Program<BoardMath, S>>, S>,
     samples: Samples,
@@ -158,12 +158,12 @@ impl<S: Stage> Pressed<S> {
         assert_eq!(self.control_loop.execute(command).0, Ok(()));
     }
 
-    /// So many control periods.
+    /// Runs `steps` control steps.
     fn run(&mut self, steps: u32) {
         for _ in 0..steps {
-            // The current that was asked for flows.
+            // The commanded current flows.
             self.samples.currents = Currents(self.control_loop.frame().motors.torque.map(|torque| torque / 0.1));
-            // 20 kHz and 2 kHz.
+            // A carrier of 20 kHz and a control rate of 2 kHz.
             for _ in 0..10 {
                 self.control_loop.guard(&self.samples);
                 self.control_loop.check_slow_faults(&self.samples);
@@ -174,7 +174,7 @@ impl<S: Stage> Pressed<S> {
 }
 
 #[test]
-fn an_amplifier_gets_the_current_of_the_walls_torque_and_nothing_once_the_motors_are_off() {
+fn an_amplifier_gets_the_current_of_the_walls_torque() {
     // 1 cm at 250 N/m and an arm of 0.1 m: 0.25 N m, 2.5 A of 3 A.
     let mut rig = Pressed::<SetPoint>::into_a_wall(250.0);
     let drives = rig.control_loop.duties(24.0, &[(); MAX_JOINTS], false);
@@ -184,7 +184,7 @@ fn an_amplifier_gets_the_current_of_the_walls_torque_and_nothing_once_the_motors
 }
 
 #[test]
-fn limits_and_the_thermal_budget_hold_for_it_as_for_any() {
+fn limits_and_the_thermal_budget_hold_for_an_amplifier() {
     let mut rig = Pressed::<SetPoint>::into_a_wall(1.0e6);
     let most = limits().torque[0];
     assert!(
@@ -192,7 +192,7 @@ fn limits_and_the_thermal_budget_hold_for_it_as_for_any() {
         "{:?}",
         rig.control_loop.frame().motors.torque
     );
-    // (3² - 1²) A² for 4 s, at 2 kHz; it trembles, so that no encoder stands still.
+    // (3² - 1²) A² for 4 s at 2 kHz; the count alternates, so that the encoder does not look stuck.
     for step in 0..8_400 {
         rig.samples.counts[0] += if step % 2 == 0 { 1 } else { -1 };
         rig.run(1);
@@ -202,17 +202,17 @@ fn limits_and_the_thermal_budget_hold_for_it_as_for_any() {
 }
 
 #[test]
-fn a_field_oriented_motor_has_its_voltage_across_the_field_at_any_angle() {
+fn a_field_oriented_motor_has_its_voltage_across_the_field() {
     let mut rig = Pressed::<FieldOriented>::into_a_wall(250.0);
     for angle in [0.0_f32, 1.0, 2.5, -2.0] {
         let current = rig.control_loop.frame().motors.torque[0] / 0.1;
-        // 2.5 A across the field flow already.
+        // 2.5 A flow across the field.
         let phase = |shift: f32| -current * (angle - shift).sin();
         let third = std::f32::consts::TAU / 3.0;
         let mut phases = [Phases::default(); MAX_JOINTS];
         phases[0] = Phases { currents: [phase(0.0), phase(third)], angle };
         let drives = rig.control_loop.duties(24.0, &phases, false);
-        // 2 ohm.
+        // The resistance is 2 ohm.
         let expected = [0.0, third, -third].map(|shift| 2.0 * phase(shift) / 24.0);
         for (drive, expected) in drives[0].iter().zip(expected) {
             assert!((drive - expected).abs() < 1.0e-5, "{angle}: {:?} {expected:?}", drives[0]);

@@ -1,5 +1,5 @@
-//! A program that takes the place of another keeps what does not change with a scene. Whatever it keeps is what the same
-//! program has that comes first.
+//! A program that replaces another keeps the values that do not change with a scene. They are the same as if the
+//! program had been the first.
 
 use crate::rig::{COUNTS, Rig, five_bar, hardware, limits, paddle, quiet, rules, scene, wall};
 use haptic_bridge::control::frame::Samples;
@@ -11,11 +11,11 @@ use haptic_bridge::render::scene::Scene;
 use haptic_bridge::safety::fault::Fault;
 use haptic_bridge::safety::limits::Limits;
 
-/// Everything that is held ready of stages, bounds and limits.
-fn ready(rig: &Rig) -> String {
+/// Returns the prepared values of stages, bounds and limits as text.
+fn prepared_values(rig: &Rig) -> String {
     let all = format!("{:?}", rig.control_loop);
     let part = |from: &str, to: &str| {
-        // The program has fields of the same names: what comes last is the control loop's own.
+        // The program has fields of the same names; the last ones belong to the control loop.
         let begin = all.rfind(from).unwrap_or_else(|| panic!("{from}"));
         let end = begin + all[begin..].find(to).unwrap_or_else(|| panic!("{to}"));
         format!("{}\n", &all[begin..end])
@@ -27,11 +27,11 @@ fn ready(rig: &Rig) -> String {
         + &part("heat: [", ", first_index")
 }
 
-fn at(rate_hz: f32, scene: Scene<f32>) -> Scene<f32> {
+fn at_rate(rate_hz: f32, scene: Scene<f32>) -> Scene<f32> {
     Scene { rate_hz, cutoff_hz: 0.1 * rate_hz, ..scene }
 }
 
-fn loaded(first: Option<&Scene<f32>>, then: &Scene<f32>, change: impl Fn(&mut Rig)) -> Rig {
+fn load_scenes(first: Option<&Scene<f32>>, then: &Scene<f32>, change: impl Fn(&mut Rig)) -> Rig {
     let description = five_bar();
     let mut rig = Rig::bare(hardware(), rules());
     if let Some(first) = first {
@@ -60,13 +60,14 @@ const RATES: [f32; 14] = [
 ];
 
 #[test]
-fn what_is_kept_of_a_scene_is_what_the_next_has_by_itself() {
+fn a_scene_has_the_same_prepared_values_after_another_scene() {
     let mut differ = Vec::new();
     for first in RATES {
         for then in RATES {
             let y = Scene { gravity_compensation: true, ..at(then, scene(2, &[wall(-0.3, 900.0)])) };
-            let (kept, own) = (loaded(Some(&at(first, scene(2, &[]))), &y, |_| ()), loaded(None, &y, |_| ()));
-            if ready(&kept) != ready(&own) {
+            let (kept, own) =
+                (load_scenes(Some(&at_rate(first, scene(2, &[]))), &y, |_| ()), load_scenes(None, &y, |_| ()));
+            if prepared_values(&kept) != prepared_values(&own) {
                 differ.push((first, then));
             }
         }
@@ -75,17 +76,17 @@ fn what_is_kept_of_a_scene_is_what_the_next_has_by_itself() {
 }
 
 #[test]
-fn limits_that_change_between_two_scenes_are_in_force_with_the_second() {
+fn limits_changed_between_two_scenes_apply_to_the_second() {
     let mut other = rules();
     other.limits =
         Limits { current: [0.7; MAX_JOINTS], speed: [3.0; MAX_JOINTS], power: 0.5, tip_force: 2.0, ..limits() };
     other.passivity = true;
     for rate in [200.0, 1_000.0, 7_000.0, 20_000.0, 50_000.0] {
-        let (x, y) = (at(rate, scene(2, &[])), at(rate, scene(2, &[wall(-0.3, 900.0)])));
+        let (x, y) = (at_rate(rate, scene(2, &[])), at_rate(rate, scene(2, &[wall(-0.3, 900.0)])));
         for before in [true, false] {
-            // As a restore does: the program is built with the new rules, which come after it.
+            // Like a restore: the program is built with the new rules, which are loaded after it.
             let with = |first: Option<&Scene<f32>>| {
-                let mut rig = loaded(first, &y, |rig| {
+                let mut rig = load_scenes(first, &y, |rig| {
                     rig.rules = other;
                     if before {
                         rig.execute(Command::Rules(other)).expect("off");
@@ -94,27 +95,27 @@ fn limits_that_change_between_two_scenes_are_in_force_with_the_second() {
                 rig.execute(Command::Rules(other)).expect("off");
                 rig
             };
-            assert_eq!(ready(&with(Some(&x))), ready(&with(None)), "{rate} Hz, before {before}");
+            assert_eq!(prepared_values(&with(Some(&x))), prepared_values(&with(None)), "{rate} Hz, before {before}");
         }
     }
 }
 
-/// The slowest speed (rad/s) that the limit of 20 rad/s turns the motors off at, seen at every crest of the true carrier.
-fn slowest_refused(first: Option<f32>, rate: f32) -> f64 {
-    let held = Rules { limits: Limits { power: 1.0e3, ..limits() }, ..rules() };
+/// Returns the lowest speed (rad/s) that trips the limit of 20 rad/s, sampled at every crest of the true carrier.
+fn lowest_tripping_speed(first: Option<f32>, rate: f32) -> f64 {
+    let limited = Rules { limits: Limits { power: 1.0e3, ..limits() }, ..rules() };
     let mut description = paddle();
     description.joints[0].limits = Some((-100.0, 100.0));
     let carrier_hz = f64::from(Carrier::for_rate(hardware().timer_hz, rate).carrier_hz());
     for tenths in 150..400 {
         let speed = f64::from(tenths) * 0.1;
-        let mut rig = Rig::with(&description, &at(first.unwrap_or(rate), quiet()), hardware(), held);
+        let mut rig = Rig::with(&description, &at_rate(first.unwrap_or(rate), quiet()), hardware(), limited);
         if first.is_some() {
-            rig.load(&description, &at(rate, quiet()), true).expect("a scene");
+            rig.load(&description, &at_rate(rate, quiet()), true).expect("a scene");
         }
         rig.execute(Command::Arm).expect("everything is in place");
-        let perpetual = COUNTS / std::f64::consts::TAU * speed / carrier_hz;
+        let counts_per_crest = COUNTS / std::f64::consts::TAU * speed / carrier_hz;
         for crest in 0..(0.05 * carrier_hz) as i32 {
-            let counts = Counts([(perpetual * f64::from(crest)) as i32, 0, 0]);
+            let counts = Counts([(counts_per_crest * f64::from(crest)) as i32, 0, 0]);
             rig.control_loop.guard(&Samples { counts, ..rig.samples });
         }
         if rig.fault() == Some(Fault::SpeedLimit) {
@@ -126,10 +127,10 @@ fn slowest_refused(first: Option<f32>, rate: f32) -> f64 {
 }
 
 #[test]
-fn a_rate_by_a_rounding_lower_leaves_the_speed_limit_where_it_is() {
+fn a_rounding_of_the_rate_does_not_move_the_speed_limit() {
     let mut wrong = Vec::new();
     for (first, then) in [(1_000.0, 999.999_94), (2_000.0, 1_999.999_9), (4_000.0, 3_999.999_8)] {
-        let (own, kept) = (slowest_refused(None, then), slowest_refused(Some(first), then));
+        let (own, kept) = (lowest_tripping_speed(None, then), lowest_tripping_speed(Some(first), then));
         println!("{first:?} then {then:?}: {own:.1} rad/s by itself, {kept:.1} rad/s after the other");
         if (kept - own).abs() > 0.15 {
             wrong.push((first, then, own, kept));

@@ -1,4 +1,4 @@
-//! Telemetry tells every step it holds, and what it does not hold can be counted exactly.
+//! Telemetry has a row for every step that it keeps, and the number of missing rows is known exactly.
 
 use crate::common::cases;
 use haptic_bridge::board::telemetry::{BATCH_BYTES, Batch, Field, Fields, Frames, Packer, StreamRequest};
@@ -42,7 +42,7 @@ fn a_row_holds_its_fields_in_their_order() {
     let mut packer = packer(Fields(Field::Angle.bit() | Field::Counts.bit() | Field::State.bit()), 1, 2);
     assert!(packer.push(&frame(9), 0).is_none());
     let batch = packer.flush().unwrap().clone();
-    assert_eq!(batch.stream, 41, "whose rows these are");
+    assert_eq!(batch.stream, 41, "the stream of the rows");
     assert_eq!((batch.first_step, batch.axes, width(&batch)), (9, 2, 4 + 4 + 4 + 4 + 1));
     // IEEE 754: 9 = 1.125 * 2^3, 0.5 = 1 * 2^-1.
     assert_eq!(batch.rows[..8], [0, 0, 0x10, 0x41, 0, 0, 0, 0x3F]);
@@ -51,9 +51,8 @@ fn a_row_holds_its_fields_in_their_order() {
     assert_eq!(batch.rows[16..], [0x21], "armed, two walls");
 }
 
-/// A batch is written at once, with the same bytes that a reader takes apart one by one.
 #[test]
-fn a_batch_is_what_postcard_says() {
+fn a_batch_has_the_bytes_of_postcard() {
     let mut packer = packer(Fields::USUAL, 1, 2);
     packer.push(&frame(9), 3);
     let batch = packer.flush().unwrap();
@@ -61,12 +60,12 @@ fn a_batch_is_what_postcard_says() {
     let mut bytes = [0; 100];
     let written = postcard::to_slice(batch, &mut bytes).unwrap();
     assert_eq!(written[..2], [41, 0], "stream and number");
-    assert_eq!(written[written.len() - 40], 39, "so many bytes follow");
+    assert_eq!(written[written.len() - 40], 39, "number of bytes that follow");
     assert_eq!(&postcard::from_bytes::<Batch>(written).unwrap(), batch);
 }
 
 #[test]
-fn a_stream_keeps_every_so_many_steps_and_zero_stops_it() {
+fn a_stream_keeps_every_nth_step_and_zero_stops_it() {
     let packer_of_three = packer(Fields::USUAL, 3, 2);
     let kept: Vec<u32> = (0..10).filter(|step| packer_of_three.wants(*step)).collect();
     assert_eq!(kept, [0, 3, 6, 9]);
@@ -76,7 +75,7 @@ fn a_stream_keeps_every_so_many_steps_and_zero_stops_it() {
 }
 
 #[test]
-fn a_full_batch_leaves_at_once_and_nothing_is_cut_off() {
+fn a_full_batch_leaves_at_once_with_complete_rows() {
     for axes in 1..=3 {
         let mut packer = packer(Fields::ALL, 1, axes);
         let mut step = 0;
@@ -86,8 +85,8 @@ fn a_full_batch_leaves_at_once_and_nothing_is_cut_off() {
                 break batch;
             }
         };
-        assert_eq!(batch.rows.len() % width(&batch), 0, "whole rows");
-        assert!(batch.rows.len() + width(&batch) > BATCH_BYTES, "as many as fit");
+        assert_eq!(batch.rows.len() % width(&batch), 0, "complete rows");
+        assert!(batch.rows.len() + width(&batch) > BATCH_BYTES, "as many rows as fit");
         assert_eq!(rows(&batch).last(), Some(step));
     }
 }
@@ -109,8 +108,8 @@ proptest! {
         divider in 1_u32..5,
         start in prop_oneof![Just(0_u32), Just(u32::MAX - 100), any::<u32>()],
         fields in 1_u32..(1 << 17),
-        // For each row: whether the board had to drop it, and whether the link loses the batch that leaves there.
-        fate in proptest::collection::vec((0_u8..8, 0_u8..6), 1..300),
+        // For each row: 0 if the board drops it, and 0 if the link loses a batch that leaves with it.
+        events in proptest::collection::vec((0_u8..8, 0_u8..6), 1..300),
     ) {
         let mut packer = packer(Fields(fields), divider, 2);
         let first = start - start % divider;
@@ -122,7 +121,7 @@ proptest! {
                 arrived.push(batch.clone());
             }
         };
-        for (i, (drop, lose)) in fate.iter().enumerate() {
+        for (i, (drop, lose)) in events.iter().enumerate() {
             let step = first.wrapping_add(i as u32 * divider);
             if *drop == 0 {
                 dropped += 1;
@@ -138,8 +137,8 @@ proptest! {
         }
         let received: usize = arrived.iter().map(|batch| batch.rows.len() / width(batch)).sum();
         prop_assert_eq!(received + lost_on_link, sent);
-        prop_assert_eq!(sent + dropped as usize, fate.len());
-        // A reader can tell that rows are where they say they are, and that batches that the link lost leave a gap.
+        prop_assert_eq!(sent + dropped as usize, events.len());
+        // Rows have the steps that the batch states, and lost batches leave a gap in the numbers.
         for batch in &arrived {
             if Fields(fields).has(Field::Angle) {
                 for (row, step) in (0..).zip(0..batch.rows.len() / width(batch)) {
@@ -158,10 +157,10 @@ proptest! {
     }
 }
 
-/// Frames on their way to a task.
-struct Waiting(VecDeque<StepRecord>);
+/// Queue of frames for a task.
+struct Queue(VecDeque<StepRecord>);
 
-impl Frames for Waiting {
+impl Frames for Queue {
     fn first(&self) -> Option<&StepRecord> {
         self.0.front()
     }
@@ -172,28 +171,28 @@ impl Frames for Waiting {
 }
 
 #[test]
-fn what_waits_in_a_queue_leaves_in_order_and_the_rest_when_it_is_late() {
+fn queued_frames_leave_in_order_and_the_rest_when_late() {
     let mut packer = packer(Fields(Field::Angle.bit()), 2, 1);
-    let mut waiting = Waiting((0..400).map(frame).collect());
-    let full = packer.drain(&mut waiting, 7, false).expect("200 rows are more than a batch").clone();
+    let mut queue = Queue((0..400).map(frame).collect());
+    let full = packer.drain(&mut queue, 7, false).expect("200 rows are more than a batch").clone();
     assert_eq!((full.number, full.first_step, full.rows.len(), full.dropped), (0, 0, BATCH_BYTES, 7));
-    assert!(packer.drain(&mut waiting, 7, false).is_none());
-    assert!(waiting.0.is_empty());
-    let rest = packer.drain(&mut waiting, 7, true).expect("late").clone();
+    assert!(packer.drain(&mut queue, 7, false).is_none());
+    assert!(queue.0.is_empty());
+    let rest = packer.drain(&mut queue, 7, true).expect("late").clone();
     assert_eq!((rest.number, rest.first_step), (1, 2 * BATCH_BYTES as u32 / 4));
     assert!(rows(&full).chain(rows(&rest)).eq((0..400).step_by(2)));
-    assert!(packer.drain(&mut waiting, 7, true).is_none());
+    assert!(packer.drain(&mut queue, 7, true).is_none());
 }
 
 #[test]
-fn the_table_in_the_docs_is_the_declaration() {
+fn the_table_in_the_docs_agrees_with_the_fields() {
     let page = include_str!("../docs/telemetry.md");
     let rows: Vec<Vec<&str>> = page
         .lines()
         .filter(|line| line.starts_with("| `"))
         .map(|line| line.trim_matches('|').split('|').map(str::trim).collect())
         .collect();
-    assert_eq!(rows.len(), Field::ALL.len(), "one row a field");
+    assert_eq!(rows.len(), Field::ALL.len(), "one row per field");
     for (row, field) in rows.iter().zip(Field::ALL) {
         assert_eq!(row[0], format!("`{}`", field.name()));
         assert_eq!((row[1], row[3]), (field.unit(), field.meaning()), "{field:?}");

@@ -3,8 +3,8 @@
 use haptic_bridge::math::{Angle, BinaryAngle, FineTable, Libm, Math, Minimax, Tabulated};
 use std::f64::consts::FRAC_PI_2;
 
-/// Largest absolute error of sine and cosine over angles from -`turns` to `turns` turns.
-fn worst_angle<K: Math<f32>>(turns: f32) -> f64 {
+/// Returns the largest absolute error of sine and cosine for angles from -`turns` to `turns` turns.
+fn worst_error<K: Math<f32>>(turns: f32) -> f64 {
     let steps = 200_000;
     (-steps..=steps)
         .map(|step| {
@@ -17,34 +17,34 @@ fn worst_angle<K: Math<f32>>(turns: f32) -> f64 {
 }
 
 #[test]
-fn the_polynomials_are_within_one_and_a_fifth_of_ten_millionths() {
-    assert!(worst_angle::<Minimax>(1.0) < 1.2e-7, "{}", worst_angle::<Minimax>(1.0));
-    assert!(worst_angle::<Libm>(1.0) < 1.2e-7, "{}", worst_angle::<Libm>(1.0));
+fn the_polynomials_have_errors_below_1_2e_7() {
+    assert!(worst_error::<Minimax>(1.0) < 1.2e-7, "{}", worst_error::<Minimax>(1.0));
+    assert!(worst_error::<Libm>(1.0) < 1.2e-7, "{}", worst_error::<Libm>(1.0));
 }
 
-/// Sine and cosine as the board has them of an encoder's angle, and how far they are from the right ones.
-fn tabulated(parts: u32) -> f64 {
-    // The radians are of no use to it, and wrong here.
+/// Computes the error of the board's sine and cosine of an encoder's angle.
+fn table_error(parts: u32) -> f64 {
+    // The table ignores the radians, which are wrong here.
     let (sine, cosine) = Tabulated::sin_cos_of(Angle { radians: 7.0, binary: Some(BinaryAngle(parts)) });
     let exact = f64::from(parts) / 4_294_967_296.0 * core::f64::consts::TAU;
     (f64::from(sine) - exact.sin()).abs().max((f64::from(cosine) - exact.cos()).abs())
 }
 
 #[test]
-fn the_table_and_its_series_are_within_a_ten_millionth_all_around() {
-    // Every 4099th angle, and the nearest ones to where one place of the table ends and another begins.
-    let between = (0..256_u32).flat_map(|place| {
-        let end = (place << 24) + (1 << 23);
-        [end - 1, end, end + 1, place << 24]
+fn the_table_with_its_series_has_errors_below_1e_7() {
+    // Every 4099th angle, and the angles around the limits between entries of the table.
+    let limits = (0..256_u32).flat_map(|entry| {
+        let end = (entry << 24) + (1 << 23);
+        [end - 1, end, end + 1, entry << 24]
     });
-    let worst = (0..=u32::MAX).step_by(4099).chain(between).map(tabulated).fold(0.0, f64::max);
+    let worst = (0..=u32::MAX).step_by(4099).chain(limits).map(table_error).fold(0.0, f64::max);
     assert!(worst < 1.0e-7, "{worst}");
-    // Half a unit in the last place of what is next to 1 is 3e-8: a table alone would be off by 1.2e-2.
-    assert!(worst > 1.0e-8, "{worst}: nothing was looked at");
+    // Half a unit in the last place below 1 is 3e-8. A table without the series would have an error of 1.2e-2.
+    assert!(worst > 1.0e-8, "{worst}: no angle was checked");
 }
 
 #[test]
-fn an_angle_without_parts_of_a_turn_is_taken_in_radians() {
+fn an_angle_without_parts_of_a_turn_is_in_radians() {
     for angle in [-6.0_f32, -1.0, 0.0, 0.3, 2.0, 6.0] {
         assert_eq!(Tabulated::sin_cos_of(Angle::of_radians(angle)), Minimax::sin_cos(angle));
         let binary = BinaryAngle::of_radians(f64::from(angle));
@@ -52,12 +52,12 @@ fn an_angle_without_parts_of_a_turn_is_taken_in_radians() {
         assert!((sine - angle.sin()).abs() < 2.0e-7 && (cosine - angle.cos()).abs() < 2.0e-7, "{angle}");
     }
     let known = |parts: u32| Angle { radians: 0.0_f32, binary: Some(BinaryAngle(parts)) };
-    assert_eq!((known(5) - known(7)).binary, Some(BinaryAngle(u32::MAX - 1)), "a turn is taken off");
+    assert_eq!((known(5) - known(7)).binary, Some(BinaryAngle(u32::MAX - 1)), "the difference wraps");
     assert_eq!((known(5) - Angle::of_radians(1.0)).binary, None);
 }
 
-/// Error of the analysis' sine and cosine: absolute, and as a share of them.
-fn fine(angle: f64) -> [f64; 2] {
+/// Computes the error of the analysis' sine and cosine: absolute, and relative.
+fn fine_errors(angle: f64) -> [f64; 2] {
     let (sine, cosine) = FineTable::sin_cos(angle);
     let (exact_sine, exact_cosine) = angle.sin_cos();
     let errors = [(sine - exact_sine).abs(), (cosine - exact_cosine).abs()];
@@ -65,19 +65,23 @@ fn fine(angle: f64) -> [f64; 2] {
 }
 
 #[test]
-fn the_analysis_has_its_sines_and_cosines_to_the_last_digits() {
-    // Measured against 50 digits: 1.6e-16. What it is held to here is off by half a unit itself, 1.1e-16.
+fn sines_of_the_analysis_are_right_to_the_last_digits() {
+    // The error measured against 50 digits is 1.6e-16. The oracle here has an error of half a unit itself, 1.1e-16.
     let all_around = (-200_000..=200_000).map(|step| f64::from(step) * 1.5e-2);
-    let worst = all_around.map(|angle| fine(angle)[0]).fold(0.0, f64::max);
+    let worst = all_around.map(|angle| fine_errors(angle)[0]).fold(0.0, f64::max);
     assert!(worst < 2.7e-16, "{worst:e}");
-    assert!(worst > 1.0e-17, "{worst:e}: nothing was looked at");
-    // Next to a zero, where a mechanism divides by a sine, the digits are those of the sine.
+    assert!(worst > 1.0e-17, "{worst:e}: no angle was checked");
+    // Near a zero the relative error counts, because a mechanism divides by the sine.
     for quarter in -64..=64 {
         for step in 1..=10_000 {
-            let beside = f64::from(step) * 1.0e-6;
-            for angle in [beside, -beside, beside * 1.0e-3] {
+            let offset = f64::from(step) * 1.0e-6;
+            for angle in [offset, -offset, offset * 1.0e-3] {
                 let angle = f64::from(quarter) * FRAC_PI_2 + angle;
-                assert!(fine(angle)[1] < 6.7e-16, "three units in the last place: {angle}, {:?}", fine(angle));
+                assert!(
+                    fine_errors(angle)[1] < 6.7e-16,
+                    "three units in the last place: {angle}, {:?}",
+                    fine_errors(angle)
+                );
             }
         }
     }
@@ -85,11 +89,11 @@ fn the_analysis_has_its_sines_and_cosines_to_the_last_digits() {
 }
 
 #[test]
-fn angles_beyond_the_fine_table_are_left_to_libm() {
+fn libm_computes_angles_beyond_the_fine_table() {
     for angle in [3000.1, -3000.1, 1.0e6, -1.0e15, 1.0e300] {
         assert_eq!(FineTable::sin_cos(angle), <Libm as Math<f64>>::sin_cos(angle), "{angle}");
     }
-    assert!(fine(3000.0)[0] < 2.7e-16 && fine(-3000.0)[0] < 2.7e-16);
+    assert!(fine_errors(3000.0)[0] < 2.7e-16 && fine_errors(-3000.0)[0] < 2.7e-16);
     for angle in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
         let (sine, cosine) = FineTable::sin_cos(angle);
         assert!(sine.is_nan() && cosine.is_nan(), "{angle}: {sine}, {cosine}");
@@ -97,7 +101,7 @@ fn angles_beyond_the_fine_table_are_left_to_libm() {
 }
 
 #[test]
-fn what_is_not_a_number_stays_one() {
+fn invalid_angles_have_no_finite_sine() {
     for angle in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
         let (sine, cosine) = Minimax::sin_cos(angle);
         assert!(!sine.is_finite() && !cosine.is_finite(), "{angle}: {sine}, {cosine}");
@@ -108,8 +112,8 @@ fn what_is_not_a_number_stays_one() {
 
 #[test]
 fn the_square_root_is_correctly_rounded() {
-    // Every 1009th number that is not negative, subnormal ones and infinity too. Rounding a root of double precision
-    // once more does no harm: it has more than twice the digits.
+    // Every 1009th non-negative number, including subnormal ones and infinity. A root in double precision can be
+    // rounded again without an error, because it has more than twice the digits.
     for bits in (0..=f32::INFINITY.to_bits()).step_by(1009).chain([1, f32::INFINITY.to_bits()]) {
         let value = f32::from_bits(bits);
         assert_eq!(<Minimax as Math<f32>>::sqrt(value), f64::from(value).sqrt() as f32, "{value:e}");

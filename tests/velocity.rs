@@ -1,4 +1,4 @@
-//! The velocity estimators: the transfer function of the usual digital designs, in single precision as in double.
+//! The velocity estimators have the transfer functions of the usual digital designs, in single and double precision.
 
 use crate::rig;
 use haptic_bridge::math::Libm;
@@ -7,8 +7,8 @@ use haptic_bridge::render::velocity::{
     Chosen, Coefficients, Estimator, JointVelocity, LowPass, Seen, Velocity, Washout,
 };
 
-/// The direct-form coefficients (b0, b1, b2, a1, a2) of a 2nd-order digital Butterworth low-pass, from its definition:
-/// bilinear transform of 1/(s² + √2 s + 1), prewarped.
+/// Computes the direct-form coefficients (b0, b1, b2, a1, a2) of a 2nd-order digital Butterworth low-pass from its
+/// definition: the prewarped bilinear transform of 1/(s² + √2 s + 1).
 fn butter(cutoff: f64, rate: f64) -> [f64; 5] {
     let g = (std::f64::consts::PI * cutoff / rate).tan();
     let norm = 1.0 / (1.0 + std::f64::consts::SQRT_2 * g + g * g);
@@ -17,7 +17,7 @@ fn butter(cutoff: f64, rate: f64) -> [f64; 5] {
 }
 
 #[test]
-fn the_butterworth_is_the_usual_digital_one() {
+fn the_butterworth_filter_agrees_with_the_direct_form() {
     for (rate, cutoff) in [(200.0, 20.0), (1000.0, 20.0), (20_000.0, 500.0), (50_000.0, 20_000.0)] {
         let coefficients = Coefficients::<f64>::new(Estimator::Butterworth, rate, cutoff).unwrap();
         let [b0, b1, b2, a1, a2] = butter(cutoff, rate);
@@ -42,7 +42,7 @@ fn single_precision_keeps_the_gain_at_a_thousandth_of_the_rate() {
 }
 
 #[test]
-fn a_ramp_has_its_slope_as_velocity_under_every_estimator() {
+fn every_estimator_finds_the_slope_of_a_ramp() {
     for kind in [Estimator::Butterworth, Estimator::FirstOrder, Estimator::BackwardDifference] {
         let coefficients = Coefficients::<f64>::new(kind, 1000.0, 50.0).unwrap();
         let mut velocity = Velocity::resting_at(3.0);
@@ -52,27 +52,30 @@ fn a_ramp_has_its_slope_as_velocity_under_every_estimator() {
 }
 
 #[test]
-fn a_velocity_that_grows_steadily_is_known_as_late_as_said() {
+fn the_lag_at_constant_acceleration_is_as_reported() {
     for kind in [Estimator::Butterworth, Estimator::FirstOrder, Estimator::BackwardDifference] {
         for (rate, cutoff) in [(200.0, 20.0), (1_000.0, 100.0), (1_000.0, 400.0), (20_000.0, 500.0)] {
             let coefficients = Coefficients::<f64>::new(kind, rate, cutoff).unwrap();
             let mut filter = LowPass::default();
-            // x = t²/2, so the velocity is the time.
-            let place = |k: f64| 0.5 * (k / rate).powi(2);
+            // x = t²/2, so the velocity equals the time.
+            let position = |k: f64| 0.5 * (k / rate).powi(2);
             let last = 2_000.0;
             let mut estimate = 0.0;
             for k in 1..=2_000 {
                 let k = f64::from(k);
-                estimate = filter.step(&coefficients, (place(k) - place(k - 1.0)) * rate);
+                estimate = filter.step(&coefficients, (position(k) - position(k - 1.0)) * rate);
             }
-            let (late, said) = (last / rate - estimate, coefficients.lag());
-            assert!((late / said - 1.0).abs() < 1e-6, "{kind:?}, {rate} Hz, {cutoff} Hz: {late} s, said {said}");
+            let (late, reported) = (last / rate - estimate, coefficients.lag());
+            assert!(
+                (late / reported - 1.0).abs() < 1e-6,
+                "{kind:?}, {rate} Hz, {cutoff} Hz: {late} s, reported {reported}"
+            );
         }
     }
 }
 
 #[test]
-fn where_it_begins_is_not_a_motion() {
+fn the_first_position_is_not_a_motion() {
     let coefficients = Coefficients::<f32>::new(Estimator::BackwardDifference, 1000.0, 50.0).unwrap();
     let mut velocity = Velocity::resting_at(0.4);
     assert_eq!(velocity.step(&coefficients, 0.4), 0.0);
@@ -87,43 +90,43 @@ fn a_cutoff_at_or_above_half_the_rate_is_refused() {
 }
 
 #[test]
-fn the_washout_forgets_a_constant_force_also_when_slow_and_in_single_precision() {
+fn a_slow_washout_removes_a_constant_force_in_single_precision() {
     let mut washout = Washout::<f32>::new(0.2, 50_000.0).unwrap();
     assert!((washout.step(5.0) - 5.0).abs() < 1e-3);
-    // Twelve time constants of 1/(2π 0.2 Hz) leave 6e-6 of it.
+    // After twelve time constants of 1/(2π 0.2 Hz) 6e-6 of the force is left.
     let left = (0..(12.0 * 0.8 * 50_000.0) as u32).map(|_| washout.step(5.0)).last().unwrap();
     assert!(left.abs() < 1e-4, "{left}");
 }
 
-/// A single count seen for four seconds, every period of it, shows no more than what was found in less.
+/// The estimated response to a single count is computed over a shorter time than the four seconds of this test.
 #[test]
-fn a_count_that_was_not_followed_to_its_end_is_known_as_well() {
+fn the_response_to_one_count_is_right_although_truncated() {
     let device: Device<f64> = rig::device(&rig::five_bar()).cast();
-    let of = |value| Chosen { value, filtered: true };
-    let watching = [
-        Estimator::Difference(of(32)),
-        Estimator::Difference(of(3)),
+    let filtered = |value| Chosen { value, filtered: true };
+    let estimators = [
+        Estimator::Difference(filtered(32)),
+        Estimator::Difference(filtered(3)),
         Estimator::Predicted(Chosen { value: 0, filtered: false }),
     ];
-    for (kind, cutoff) in watching.into_iter().flat_map(|kind| [1.0, 30.0, 500.0].map(|cutoff| (kind, cutoff))) {
+    for (kind, cutoff) in estimators.into_iter().flat_map(|kind| [1.0, 30.0, 500.0].map(|cutoff| (kind, cutoff))) {
         let rate = 20_000.0;
         let found = Coefficients::of_device::<Libm>((kind, rate, cutoff), &device).unwrap();
         for (joint, known) in device.joints.iter().zip(found.one_count()).take(device.axes()) {
             let speed = joint.radians_per_count.abs() * rate;
             let mut velocity = JointVelocity::default();
-            let whole = (0..80_000).map(|period| {
+            let response = (0..80_000).map(|period| {
                 let moved = if period == 7 { 1.0 } else { 0.0 };
                 let seen = Seen { moved, pushed: 0.0, unit: 1.0 / (speed * rate) };
                 velocity.step::<Libm>(&found, &seen, 0.0).abs()
             });
-            let most = speed * whole.fold(0.0, f64::max);
+            let most = speed * response.fold(0.0, f64::max);
             assert!(most > 0.0, "{kind:?}");
             assert!((known - most).abs() <= 1e-9 * most, "{kind:?} at {cutoff} Hz: {known} for {most}");
         }
     }
-    // Behind a window that is short beside it, a low-pass shows the peak of its impulse response: for a 2nd-order
-    // Butterworth √2 e^(-π/4) sin(π/4) 2πf counts a second.
-    let found = Coefficients::of_device::<Libm>((Estimator::Difference(of(3)), 20_000.0, 20.0), &device).unwrap();
+    // If the window is much shorter than the low-pass, the peak is that of the low-pass's impulse response: for a
+    // 2nd-order Butterworth √2 e^(-π/4) sin(π/4) 2πf counts per second.
+    let found = Coefficients::of_device::<Libm>((Estimator::Difference(filtered(3)), 20_000.0, 20.0), &device).unwrap();
     let peak = 2f64.sqrt() * (-std::f64::consts::FRAC_PI_4).exp() * (0.5f64.sqrt()) * 40.0 * std::f64::consts::PI;
     let expected = device.joints[0].radians_per_count.abs() * peak;
     assert!((found.one_count()[0] / expected - 1.0).abs() < 0.01, "{} for {expected}", found.one_count()[0]);

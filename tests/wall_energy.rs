@@ -1,9 +1,9 @@
-//! The energy that a wall gives out while a hand slides along it: derived from Λ, done by the torques, and told as
-//! `energy`.
+//! The energy that a hand gains while it slides along a wall: derived from Λ, computed from the torques, and reported
+//! as `energy`.
 //!
-//! At rest a wall with the feed-forward in full is the force field f(x) Λn/(nᵀΛn). Its normal part has a potential; the
-//! rest of it is f γ along the wall, γ = tᵀΛn/(nᵀΛn), and so a loop that presses to the depth d, slides, lets go and
-//! returns gains f(d) ∫ γ ds.
+//! At rest a wall with the full feed-forward is the force field f(x) Λn/(nᵀΛn). Its normal part has a potential. The
+//! rest is f γ along the wall with γ = tᵀΛn/(nᵀΛn). A loop that presses to the depth d, slides, releases and returns
+//! gains f(d) ∫ γ ds.
 
 use crate::common::{device_file, inverse};
 use haptic_bridge::math::Libm;
@@ -15,26 +15,27 @@ use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, VelocityT
 use haptic_bridge::with_mechanism;
 use nalgebra::SVector;
 
-/// So fine that its steps count for nothing.
+/// Counts per turn, fine enough that quantisation does not matter.
 const COUNTS_PER_TURN: f64 = 1.0e9;
 const RATE: f64 = 1_000.0;
 /// Steps of each leg of a loop.
 const STEPS: u32 = 1_000;
-/// Debt from which on the passivity controller leaves no feed-forward, J (src/render/controller/passivity.rs).
+/// Debt above which the passivity controller removes all feed-forward, J (src/render/controller/passivity.rs).
 const MOST_OWED: f64 = 1.0e-3;
 
-/// A loop at the home of a shipped device.
+/// A loop near the home of a shipped device.
 struct Case {
     device: &'static str,
     normal: [f64; 3],
-    /// N/m
+    /// Stiffness of the wall, N/m.
     stiffness: f64,
-    /// m
+    /// Penetration while sliding, m.
     depth: f64,
-    /// The beginning of the slide, by its distance from home, and its length, m.
+    /// Start of the slide as a distance from home, m.
     from: f64,
+    /// Length of the slide, m.
     slide: f64,
-    /// The gain in an independent simulation, whose slide may have begun elsewhere, J.
+    /// Gain in an independent simulation, whose slide may start elsewhere, J.
     gained: f64,
 }
 
@@ -59,12 +60,12 @@ const CASES: [Case; 2] = [
     },
 ];
 
-/// Energies (J) of loops, one entry for each.
+/// Energies of loops, J.
 struct Loops {
-    /// The work of the torques, less the work they took.
+    /// Net work of the torques in each loop.
     done: Vec<f64>,
-    /// The controller's sum at the end of contact: taken up, negative where given out.
-    told: Vec<f64>,
+    /// The controller's energy at the end of contact in each loop: absorbed, or negative if given out.
+    reported: Vec<f64>,
     /// f(d) ∫ γ ds of one loop.
     derived: f64,
 }
@@ -97,14 +98,14 @@ impl Case {
         let mut q = SVector::<f64, N>::from_fn(|i, _| home[i]);
         let start = m.tip(&m.pose::<Libm>(&q));
         let n = SVector::<f64, N>::from_fn(|i, _| self.normal[i]).normalize();
-        // Λn/(nᵀΛn), where the field points.
-        let points = |q: &SVector<f64, N>| {
+        // Direction of the field, Λn/(nᵀΛn).
+        let field = |q: &SVector<f64, N>| {
             let pose = m.pose::<Libm>(q);
             let back = inverse(&m.jacobian(&pose));
             let push = back.transpose() * m.mass(&pose) * back * n;
             push / n.dot(&push)
         };
-        let aside = points(&q) - n;
+        let aside = field(&q) - n;
         let t = aside.normalize();
 
         let mut scene = Scene::<f64> {
@@ -131,55 +132,59 @@ impl Case {
 
         let (from, to) = (self.from, self.from + self.slide);
         let corners = [(1e-6, to), (1e-6, from), (-self.depth, from), (-self.depth, to), (1e-6, to)];
-        let mut loops = Loops { done: Vec::new(), told: Vec::new(), derived: 0.0 };
+        let mut loops = Loops { done: Vec::new(), reported: Vec::new(), derived: 0.0 };
         let mut torque = SVector::<f64, N>::zeros();
         for nth in 0..times {
-            let (mut done, mut told) = (0.0, 0.0);
+            let (mut done, mut reported) = (0.0, 0.0);
             for leg in corners.windows(2) {
                 for k in 1..=STEPS {
                     let share = f64::from(k) / f64::from(STEPS);
                     let between = |a: f64, b: f64| a + (b - a) * share;
                     let (x, s) = (between(leg[0].0, leg[1].0), between(leg[0].1, leg[1].1));
-                    let (place, before) = (start + n * x + t * s, q);
+                    let (target, before) = (start + n * x + t * s, q);
                     for _ in 0..3 {
                         let pose = m.pose::<Libm>(&q);
-                        q += m.inverse(&pose, &(place - m.tip(&pose)));
+                        q += m.inverse(&pose, &(target - m.tip(&pose)));
                     }
                     done += torque.dot(&(q - before));
                     let count = |i: usize| (q[i] / core::f64::consts::TAU * COUNTS_PER_TURN).round() as i32;
                     let step = controller.step(&core::array::from_fn(count));
                     torque = step.torque;
                     if step.contacts > 0 {
-                        told = step.energy;
+                        reported = step.energy;
                     }
                     if nth == 0 && leg[0].1 != leg[1].1 && x < 0.0 {
                         loops.derived +=
-                            self.stiffness * self.depth * t.dot(&points(&q)) * self.slide / f64::from(STEPS);
+                            self.stiffness * self.depth * t.dot(&field(&q)) * self.slide / f64::from(STEPS);
                     }
                 }
             }
             loops.done.push(done);
-            loops.told.push(told);
+            loops.reported.push(reported);
         }
         loops
     }
 }
 
 #[test]
-fn a_hand_gains_what_the_sideways_push_does_along_its_slide_and_telemetry_tells_it() {
+fn the_energy_gain_of_a_slide_is_as_derived_and_reported() {
     for case in &CASES {
-        let Loops { done, told, derived } = case.loops(FeedForward::Full, false, 2);
+        let Loops { done, reported, derived } = case.loops(FeedForward::Full, false, 2);
         assert!((derived / case.gained - 1.0).abs() < 0.1, "{}: {derived} J derived", case.device);
-        // Torques that are held through each step are behind by half a step.
+        // Torques are constant during a step and so lag by half a step.
         assert!(done.iter().all(|done| (done / derived - 1.0).abs() < 0.005), "{}: {done:?} J done", case.device);
-        // The debt of one loop is not forgotten in the next.
-        assert!((told[0] + done[0]).abs() < 1e-2 * done[0], "{}: {told:?} told of {done:?}", case.device);
-        assert!((told[1] + done[0] + done[1]).abs() < 1e-2 * done[0], "{}: {told:?} told of {done:?}", case.device);
+        // The debt of one loop remains in the next.
+        assert!((reported[0] + done[0]).abs() < 1e-2 * done[0], "{}: {reported:?} reported for {done:?}", case.device);
+        assert!(
+            (reported[1] + done[0] + done[1]).abs() < 1e-2 * done[0],
+            "{}: {reported:?} reported for {done:?}",
+            case.device
+        );
     }
 }
 
 #[test]
-fn without_the_feed_forward_or_at_rest_behind_a_washout_a_slide_gains_nothing() {
+fn a_slide_gains_nothing_without_feed_forward_or_with_a_washout() {
     for case in &CASES {
         for (feed_forward, share) in [(FeedForward::Off, 0.005), (FeedForward::Washout, 0.02)] {
             let Loops { done, derived, .. } = case.loops(feed_forward, false, 1);
@@ -189,13 +194,13 @@ fn without_the_feed_forward_or_at_rest_behind_a_washout_a_slide_gains_nothing() 
 }
 
 #[test]
-fn with_the_passivity_controller_all_loops_gain_no_more_than_a_wall_stores_and_may_owe() {
+fn the_passivity_controller_bounds_the_energy_of_all_loops() {
     for case in &CASES {
-        let Loops { done, told, derived } = case.loops(FeedForward::Full, true, 5);
+        let Loops { done, reported, derived } = case.loops(FeedForward::Full, true, 5);
         let most = 0.5 * case.stiffness * case.depth * case.depth + MOST_OWED;
         assert!(derived > 3.0 * most, "{}", case.device);
         assert!(done.iter().sum::<f64>() < 1.02 * most, "{}: {done:?} J", case.device);
-        assert!(told.iter().all(|told| *told > -1.02 * most), "{}: {told:?} J", case.device);
-        assert!(done[0] > 0.5 * most, "{}: it acts until then: {done:?} J", case.device);
+        assert!(reported.iter().all(|reported| *reported > -1.02 * most), "{}: {reported:?} J", case.device);
+        assert!(done[0] > 0.5 * most, "{}: the feed-forward must act up to the bound: {done:?} J", case.device);
     }
 }

@@ -1,4 +1,4 @@
-//! The tool's end of the link: a board that answers anything. Every call ends with a value or an error.
+//! The tool's end of the link: a board that replies with random bytes. Every call must end with a value or an error.
 
 use haptic_bridge::board::protocol::{ENDPOINTS, GetInfo, Info, PROTOCOL, TOPICS_OUT};
 use haptic_bridge::board::settings::Key;
@@ -11,9 +11,10 @@ use std::collections::VecDeque;
 use std::io;
 use std::time::Duration;
 
-/// What the board says: pieces, each an operation, a length and bytes.
+/// Runs the link's calls against a board that sends `data`: pieces of an operation, a length and bytes.
 pub fn answers(data: &[u8]) {
-    let wire = Wild { rest: data.to_vec().into(), asked: VecDeque::new(), deframer: Deframer::default(), clock: 0 };
+    let wire =
+        RandomBoard { rest: data.to_vec().into(), requests: VecDeque::new(), deframer: Deframer::default(), clock: 0 };
     let Ok(mut board) = Board::over(Box::new(wire), "fuzz") else { return };
     let _ = board.details();
     let _ = board.status();
@@ -37,32 +38,34 @@ pub fn answers(data: &[u8]) {
     }
 }
 
-struct Wild {
+/// A wire to a board that sends pieces of the input.
+struct RandomBoard {
     rest: VecDeque<u8>,
-    asked: VecDeque<VarHeader>,
+    /// Headers of requests without a reply.
+    requests: VecDeque<VarHeader>,
     deframer: Deframer,
     clock: u64,
 }
 
-impl Wild {
-    /// The next piece as bytes on the wire.
+impl RandomBoard {
+    /// Returns the next piece as bytes on the wire.
     fn piece(&mut self) -> Option<Vec<u8>> {
         let operation = self.rest.pop_front()?;
         let length = usize::from(self.rest.pop_front().unwrap_or(0)) * if operation & 0x80 == 0 { 1 } else { 4 };
         let body: Vec<u8> = self.rest.drain(..length.min(self.rest.len())).collect();
-        let asked = self.asked.pop_front();
+        let request = self.requests.pop_front();
         Some(match operation & 0x7F {
-            // An answer to what was asked.
-            0..=63 => match asked {
+            // A reply to the oldest request.
+            0..=63 => match request {
                 Some(VarHeader { key, seq_no }) => {
-                    let answer = ENDPOINTS.endpoints.iter().find(|(_, request, _)| VarKey::Key8(*request) == key);
-                    let key = VarKey::Key8(answer.map_or(ERROR_KEY, |(_, _, answer)| *answer));
+                    let endpoint = ENDPOINTS.endpoints.iter().find(|(_, request, _)| VarKey::Key8(*request) == key);
+                    let key = VarKey::Key8(endpoint.map_or(ERROR_KEY, |(_, _, reply)| *reply));
                     encode(&VarHeader { key, seq_no }, &body)
                 }
                 None => body,
             },
             64..=71 => {
-                let seq_no = asked.map_or(VarSeq::Seq2(0), |asked| asked.seq_no);
+                let seq_no = request.map_or(VarSeq::Seq2(0), |request| request.seq_no);
                 encode(&VarHeader { key: VarKey::Key8(ERROR_KEY), seq_no }, &body)
             }
             72..=111 => {
@@ -74,21 +77,21 @@ impl Wild {
     }
 }
 
-impl Wire for Wild {
+impl Wire for RandomBoard {
     fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
-        let asked = &mut self.asked;
-        self.deframer.feed(bytes, |frame| asked.push_back(frame.header));
+        let requests = &mut self.requests;
+        self.deframer.feed(bytes, |frame| requests.push_back(frame.header));
         Ok(())
     }
 
     fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> io::Result<usize> {
         self.clock += timeout.as_micros() as u64 + 1;
-        // Most inputs get past the first question, whose answer would be too much to guess.
-        let first = self.asked.front().filter(|asked| asked.key == VarKey::Key8(GetInfo::REQ_KEY));
+        // Half of the inputs get a valid reply to the first request, which the fuzzer could hardly guess.
+        let first = self.requests.front().filter(|request| request.key == VarKey::Key8(GetInfo::REQ_KEY));
         let bytes = match first.filter(|_| self.rest.front().is_some_and(|byte| byte & 1 == 0)) {
-            Some(asked) => {
-                let header = VarHeader { key: VarKey::Key8(GetInfo::RESP_KEY), seq_no: asked.seq_no };
-                self.asked.pop_front();
+            Some(request) => {
+                let header = VarHeader { key: VarKey::Key8(GetInfo::RESP_KEY), seq_no: request.seq_no };
+                self.requests.pop_front();
                 self.rest.pop_front();
                 let info = Info {
                     protocol: PROTOCOL,

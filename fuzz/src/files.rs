@@ -1,5 +1,5 @@
-//! What a person hands the tool: device and scene files, backups, recordings and campaigns, command lines. Read or
-//! refused, never a panic.
+//! Input of the tool from a user: device and scene files, backups, recordings and campaigns, command lines. It must be
+//! read or refused without a panic.
 
 use crate::cli;
 use haptic_bridge::model::device::Device;
@@ -10,7 +10,7 @@ use haptic_host::scene_file::SceneFile;
 use haptic_predict::measure::progress::Progress;
 use haptic_show::recorder::Recording;
 
-/// A device file; what is accepted makes a device.
+/// Parses a device file. An accepted file must make a device.
 pub fn device_file(data: &[u8]) {
     let Ok(text) = core::str::from_utf8(data) else { return };
     match DeviceFile::parse(text, "fuzz.toml") {
@@ -22,27 +22,27 @@ pub fn device_file(data: &[u8]) {
     }
 }
 
-/// A scene file, for each task dimension; what is accepted makes a scene that the board accepts.
+/// Parses a scene file for each task dimension. An accepted file must make a scene that the board accepts.
 pub fn scene_file(data: &[u8]) {
     let Ok(text) = core::str::from_utf8(data) else { return };
     for task in 1..=3 {
         match SceneFile::parse(text, "fuzz.toml", task) {
             Ok(file) => {
                 let scene = file.scene::<f32>().expect("an accepted file makes a scene");
-                assert_eq!(scene.check(task), Ok(()), "the board accepts what the tool accepted");
+                assert_eq!(scene.check(task), Ok(()), "the board refuses a scene that the tool accepted");
             }
             Err(error) => assert!(!error.to_string().is_empty()),
         }
     }
 }
 
-/// Files that the tool itself wrote and reads again.
+/// Parses files that the tool writes and reads again.
 pub fn kept_file(data: &[u8]) {
     let Ok(text) = core::str::from_utf8(data) else { return };
     if let Ok(backup) = Backup::parse(text) {
         let ready = backup.ready();
-        let again = Backup::parse(&backup.to_text()).expect("what was written is read");
-        assert_eq!(again.ready(), ready, "a backup changes by being copied");
+        let again = Backup::parse(&backup.to_text()).expect("a written backup is readable");
+        assert_eq!(again.ready(), ready, "the copy of a backup differs");
     }
     if let Ok(recording) = Recording::parse(text) {
         assert!(recording.rows.iter().all(|row| row.len() == recording.columns.len()));
@@ -57,7 +57,7 @@ pub fn kept_file(data: &[u8]) {
     }
 }
 
-/// Arguments separated by zeros or line breaks.
+/// Parses arguments separated by zeros or line breaks.
 pub fn command_line(data: &[u8]) {
     let Ok(text) = core::str::from_utf8(data) else { return };
     let words = core::iter::once("haptic").chain(text.split(['\0', '\n'])).map(Into::into).collect();

@@ -1,5 +1,5 @@
-//! The board's end of the link: any bytes, and any requests in any order, while anything happens to encoders, supply
-//! and motors. What must hold all along stands in tests/rig/board.rs.
+//! The board's end of the link: random bytes, and random requests in any order, with random events at encoders, supply
+//! and motors. tests/rig/board.rs asserts the invariants.
 
 use super::board::{Board, frame};
 use super::shipped::shipped;
@@ -15,34 +15,34 @@ use haptic_host::link::Deframer;
 use postcard_rpc::Endpoint;
 use serde::Serialize;
 
-/// Control periods that one input may take, so that long inputs stay fast.
-const MOST_TICKS: u32 = 2_000;
+/// Maximum number of control steps per input, so that long inputs stay fast.
+const MAX_TICKS: u32 = 2_000;
 
-/// Bytes as they come: a board with a device behind its decoder, and the tool's, which finds the same frames. The first
-/// byte chooses the device.
+/// Feeds bytes to a board with a device, and to the tool's decoder, which must find the same frames. The first byte
+/// selects the device.
 pub fn bytes(data: &[u8]) {
     let [which, data @ ..] = data else { return };
-    let mut board = a_board(*which);
+    let mut board = board_with_device(*which);
     let (mut decoder, mut deframer) = (Decoder::default(), Deframer::default());
     for packet in data.chunks(64) {
-        let mut frames = found(&mut decoder, packet);
+        let mut frames = completed_frames(&mut decoder, packet);
         for frame in &frames {
             board.answer(frame);
             board.tick();
         }
-        // Frames a few bytes too long are the tool's to take or not.
+        // The tool may accept or skip frames that are a few bytes too long.
         frames.retain(|frame| frame.len() <= MAX_FRAME - 8);
         deframer.feed_plain(packet, |frame| assert!(frame.len() > MAX_FRAME - 8 || frame == frames.remove(0)));
-        assert!(frames.is_empty(), "the tool finds what the board does: {frames:?}");
+        assert!(frames.is_empty(), "the tool missed frames: {frames:?}");
     }
-    // Whatever came before: after a zero the next request is understood.
-    found(&mut decoder, &[0]);
-    let asked = found(&mut decoder, &haptic_host::link::envelope(&frame(GetStatus::REQ_KEY, &[])));
-    assert!(matches!(&asked[..], [frame] if board.answer(frame).is_some()), "the board still answers");
+    // After a zero the next request is understood, whatever came before.
+    completed_frames(&mut decoder, &[0]);
+    let request = completed_frames(&mut decoder, &haptic_host::link::envelope(&frame(GetStatus::REQ_KEY, &[])));
+    assert!(matches!(&request[..], [frame] if board.answer(frame).is_some()), "the board does not reply");
 }
 
-/// The frames that a packet completes.
-fn found(decoder: &mut Decoder, mut packet: &[u8]) -> Vec<Vec<u8>> {
+/// Returns the frames that a packet completes.
+fn completed_frames(decoder: &mut Decoder, mut packet: &[u8]) -> Vec<Vec<u8>> {
     let mut frames = Vec::new();
     while !packet.is_empty() {
         let (taken, completed) = decoder.take(packet);
@@ -54,37 +54,37 @@ fn found(decoder: &mut Decoder, mut packet: &[u8]) -> Vec<Vec<u8>> {
     frames
 }
 
-/// A script: each step is an operation and what it needs, read from the input until that ends. Returns how many of them
-/// ended with the motors on.
+/// Runs a script of operations with their arguments, read from the input until it ends. Returns the number of
+/// operations after which the motors were on.
 pub fn requests(data: &[u8]) -> u32 {
     let mut input = Input(data);
-    let mut board = a_board(input.byte());
+    let mut board = board_with_device(input.byte());
     let (mut ticks, mut driven) = (0, 0);
-    while !input.0.is_empty() && ticks < MOST_TICKS {
-        ticks += step(&mut board, &mut input);
+    while !input.0.is_empty() && ticks < MAX_TICKS {
+        ticks += run_operation(&mut board, &mut input);
         driven += u32::from(board.state().drives());
     }
-    // Whatever was asked: disarming works at once, and the board still says how it is.
-    board.ask::<Disarm>(&()).expect("it can be disarmed").expect("which is never refused");
+    // After any script, disarming works at once and the board reports its state.
+    board.ask::<Disarm>(&()).expect("a reply").expect("disarming is never refused");
     assert!(!board.state().drives());
     board.tick();
     assert!(!board.bridges);
-    board.ask::<GetStatus>(&()).expect("it has a state");
-    board.ask::<GetDetails>(&()).expect("it describes itself");
+    board.ask::<GetStatus>(&()).expect("a status");
+    board.ask::<GetDetails>(&()).expect("a description");
     driven
 }
 
-fn a_board(which: u8) -> Board {
+fn board_with_device(which: u8) -> Board {
     let all = shipped();
     let shipped = &all[usize::from(which & 0x7F) % all.len()];
     Board::ready(which & 0x80 != 0, &shipped.device, &shipped.scenes[0])
 }
 
-/// One step of a script; the control periods that it took.
-fn step(board: &mut Board, input: &mut Input) -> u32 {
+/// Runs one operation of a script. Returns the number of its control steps.
+fn run_operation(board: &mut Board, input: &mut Input) -> u32 {
     let operation = usize::from(input.byte());
     let Some(extra) = operation.checked_sub(TEMPLATES.len()) else {
-        let body = patched(TEMPLATES[operation].1(input.byte()), input);
+        let body = patch(TEMPLATES[operation].1(input.byte()), input);
         return send(board, TEMPLATES[operation].0, &body);
     };
     match extra % 9 {
@@ -133,13 +133,13 @@ fn step(board: &mut Board, input: &mut Input) -> u32 {
     }
 }
 
-/// Turns a joint at twice its speed limit for 10 ms and a dozen counts: whatever was asked for before, no armed board
-/// may go on with that. The control periods that it took.
+/// Turns a joint at twice its speed limit for at least 10 ms and a dozen counts. After any requests an armed board must
+/// turn its motors off. Returns the number of control steps.
 fn spin(board: &mut Board, which: usize) -> u32 {
     let Some(device) = board.service.device() else { return 0 };
     let axis = which % device.axes().max(1);
     let (step, limit) = (device.joints[axis].radians_per_count.abs(), board.service.rules().limits.speed[axis]);
-    // The bench's guard is called once a crest of 20 kHz or more.
+    // The rig calls the guard once per crest of 20 kHz or more.
     let counts = 2.0 * limit / step / 20_000.0;
     let ticks = (12.0 / counts).max(500.0);
     if board.state() != State::Armed || !ticks.is_finite() || ticks >= 2_000.0 {
@@ -157,20 +157,19 @@ fn spin(board: &mut Board, which: usize) -> u32 {
 fn send(board: &mut Board, key: postcard_rpc::Key, body: &[u8]) -> u32 {
     let before = board.state().drives();
     let answer = board.answer(&frame(key, body));
-    assert!(answer.is_some(), "every frame with a header is answered");
-    let asked_to_move = [Arm::REQ_KEY, ArmHeld::REQ_KEY, CheckPolarity::REQ_KEY].contains(&key);
-    assert!(before || asked_to_move || !board.state().drives(), "motors on without being asked");
+    assert!(answer.is_some(), "every frame with a header has a reply");
+    let may_drive = [Arm::REQ_KEY, ArmHeld::REQ_KEY, CheckPolarity::REQ_KEY].contains(&key);
+    assert!(before || may_drive || !board.state().drives(), "motors on without a request");
     // The next request may come before the next control step.
     let ticks = body.first().map_or(2, |byte| byte % 3);
     (0..ticks).for_each(|_| board.tick());
     ticks.into()
 }
 
-/// A message with some bytes of it changed: how many, and whether its end is cut off or something is appended, say the
-/// bits of one byte.
-fn patched(mut body: Vec<u8>, input: &mut Input) -> Vec<u8> {
-    let how = input.byte();
-    for _ in 0..how & 0x0F {
+/// Changes some bytes of a message, and may cut its end or append bytes, as the bits of one input byte say.
+fn patch(mut body: Vec<u8>, input: &mut Input) -> Vec<u8> {
+    let changes = input.byte();
+    for _ in 0..changes & 0x0F {
         let at = usize::from(u16::from_le_bytes([input.byte(), input.byte()]));
         let to = input.byte();
         let length = body.len().max(1);
@@ -178,17 +177,17 @@ fn patched(mut body: Vec<u8>, input: &mut Input) -> Vec<u8> {
             *byte = to;
         }
     }
-    if how & 0x10 != 0 {
+    if changes & 0x10 != 0 {
         body.truncate(usize::from(input.byte()));
     }
-    if how & 0x20 != 0 {
+    if changes & 0x20 != 0 {
         let length = usize::from(input.byte());
         body.extend((0..length).map(|_| input.byte()));
     }
     body
 }
 
-/// What is left of the input; zeros when it has ended.
+/// Rest of the input; zeros after its end.
 struct Input<'d>(&'d [u8]);
 
 impl Input<'_> {
@@ -230,7 +229,7 @@ fn table(count: usize) -> Vec<f32> {
     (0..count).map(|place| if place % 3 == 1 { 1e-4 } else { 2e-3 }).collect()
 }
 
-/// A sound message for every endpoint, in several variants.
+/// A valid message for every endpoint, in several variants.
 pub const TEMPLATES: &[Template] = &[
     (Arm::REQ_KEY, nothing),
     (Disarm::REQ_KEY, nothing),
@@ -261,7 +260,7 @@ pub const TEMPLATES: &[Template] = &[
         bytes_of(&match which % 4 {
             0 => MassModelData::Exact,
             1 => MassModelData::Frozen([2e-3, 1e-4, 2e-3, 1e-4, 1e-4, 2e-3]),
-            // Of as many values a point as there are devices for; their values are those of the template below.
+            // One to three values per point, as some devices need; SendTable below sends the same values.
             entries => MassModelData::Table(grid, checksum(&table(16 * usize::from(entries)))),
         })
     }),
@@ -280,16 +279,16 @@ pub const TEMPLATES: &[Template] = &[
         let cutoff = [200.0, 1e-6, 1.0, 50.0, 99.0, 900.0, 9_999.0, 0.0][usize::from(which >> 5)];
         bytes_of(&GainsRequest { wall, estimator: Some((scene(which).estimator, cutoff)) })
     }),
-    // One thing tighter than a board's own, so that the next of these asks for the first to be loosened.
+    // Each variant tightens one rule, so that the next variant loosens the rule of the last.
     (SetRules::REQ_KEY, |which| {
         let mut rules = Rules::default();
         let share = 1.0 / f32::from(2 + (which >> 3) % 8);
-        let less = |limit: [f32; MAX_JOINTS]| limit.map(|limit| limit * share);
+        let tighter = |limit: [f32; MAX_JOINTS]| limit.map(|limit| limit * share);
         let limits = &mut rules.limits;
         match which % 8 {
-            0 => limits.torque = less(limits.torque),
-            1 => limits.current = less(limits.current),
-            2 => limits.speed = less(limits.speed),
+            0 => limits.torque = tighter(limits.torque),
+            1 => limits.current = tighter(limits.current),
+            2 => limits.speed = tighter(limits.speed),
             3 => limits.tip_force = share,
             4 => limits.power *= share,
             5 => rules.passivity = true,

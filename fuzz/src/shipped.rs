@@ -1,4 +1,4 @@
-//! Devices and scenes that ship, read once: what the wild input starts from.
+//! Shipped devices and scenes for the scripts, read once.
 
 use haptic_bridge::model::device::Device;
 use haptic_bridge::render::scene::Scene;
@@ -6,7 +6,7 @@ use haptic_host::device_file::DeviceFile;
 use haptic_host::scene_file::SceneFile;
 use std::sync::OnceLock;
 
-/// A device, and scenes for it.
+/// A device with scenes for it.
 pub struct Shipped {
     pub device: Device<f32>,
     pub scenes: Vec<Scene<f32>>,
@@ -21,7 +21,7 @@ macro_rules! shipped {
     };
 }
 
-/// One of one, two and three joints, in series and in parallel.
+/// Returns devices with one, two and three joints, serial and parallel.
 pub fn shipped() -> &'static [Shipped; 5] {
     static SHIPPED: OnceLock<[Shipped; 5]> = OnceLock::new();
     SHIPPED.get_or_init(|| {
@@ -37,13 +37,13 @@ pub fn shipped() -> &'static [Shipped; 5] {
 
 impl Shipped {
     fn read(device: &str, scenes: &[&str]) -> Self {
-        let file = DeviceFile::parse(device, "device.toml").expect("a device that ships");
+        let file = DeviceFile::parse(device, "device.toml").expect("a valid device");
         let scene = |text: &&str| {
-            let file = SceneFile::parse(text, "scene.toml", file.spec().task).expect("a scene that ships");
-            file.scene().expect("a scene that ships")
+            let file = SceneFile::parse(text, "scene.toml", file.spec().task).expect("a valid scene");
+            file.scene().expect("a valid scene")
         };
         Self {
-            device: Device::new(&file.name, &file.description).expect("a device that ships"),
+            device: Device::new(&file.name, &file.description).expect("a valid device"),
             scenes: scenes.iter().map(scene).collect(),
         }
     }

@@ -1,15 +1,15 @@
-//! The mechanics of rigid bodies from first principles, as slow and as plain as they come.
+//! The mechanics of rigid bodies from first principles: slow and simple.
 //!
-//! Every link of a description is placed in space (centre of mass, principal axes) straight from MODEL's section on
-//! mechanisms, distal angles and all; velocities are differences of placements, the mass matrix is
-//! Σ m JvᵀJv + JωᵀIJω, gravity's torques are the gradient of potential energy. Nothing here is lumped or closed form,
-//! so it shares no algebra with the library.
+//! Every link of a description is placed in space (centre of mass, principal axes) directly from the section on
+//! mechanisms in docs/model.md, distal angles included. Velocities are differences of placements, the mass matrix is Σ
+//! m JvᵀJv + JωᵀIJω, and gravity's torques are the gradient of potential energy. No term is lumped or in closed form,
+//! so the code shares no algebra with the library.
 
 use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::description::Description;
 use nalgebra::{Matrix3, Vector2, Vector3};
 
-/// A rigid body: its mass, where its centre of mass is, its principal axes as columns, its inertia about each.
+/// A rigid body: mass, position of the centre of mass, principal axes (columns), and the inertia about each axis.
 #[derive(Clone, Copy, Debug)]
 pub struct Body {
     mass: f64,
@@ -18,8 +18,8 @@ pub struct Body {
     inertia: Vector3<f64>,
 }
 
-/// The bodies of a device at joint angles `q`, and its task position (φ last on the redundant arm).
-pub fn place(device: &Description, q: &[f64]) -> (Vec<Body>, Vector3<f64>) {
+/// Returns the bodies of a device at joint angles `q` and its task position (φ last on the redundant arm).
+pub fn place_bodies(device: &Description, q: &[f64]) -> (Vec<Body>, Vector3<f64>) {
     let g = device.geometry;
     let along = |angle: f64| Vector2::new(angle.cos(), angle.sin());
     let (turret, arms) = match device.kind {
@@ -57,7 +57,7 @@ pub fn place(device: &Description, q: &[f64]) -> (Vec<Body>, Vector3<f64>) {
             (links, end)
         }
     };
-    // The plane's own axes in the world.
+    // Axes of the arms' plane in the world.
     let (s, c) = turret.sin_cos();
     let plane = match device.kind {
         Kind::FiveBarTurret => Matrix3::new(1.0, 0.0, 0.0, 0.0, c, -s, 0.0, s, c),
@@ -85,7 +85,8 @@ pub fn place(device: &Description, q: &[f64]) -> (Vec<Body>, Vector3<f64>) {
     (bodies, task)
 }
 
-/// The derivative of `f` at 0 by central differences with Richardson's extrapolation: error of order step⁴.
+/// Computes the derivative of `f` at 0 by central differences with Richardson extrapolation; the error is of order
+/// step⁴.
 pub fn derivative<V>(step: f64, f: impl Fn(f64) -> V) -> V
 where
     V: std::ops::Sub<Output = V> + std::ops::Mul<f64, Output = V>,
@@ -94,17 +95,17 @@ where
     central(0.5 * step) * (4.0 / 3.0) - central(step) * (1.0 / 3.0)
 }
 
-/// The mass matrix (rows) and gravity's torques of a device at `q`.
+/// Computes the mass matrix (rows) and gravity's torques of a device at `q`.
 pub fn dynamics(device: &Description, q: &[f64]) -> (Vec<Vec<f64>>, Vec<f64>) {
     let n = q.len();
     let moved = |i: usize, h: f64| {
         let mut q = q.to_vec();
         q[i] += h;
-        place(device, &q).0
+        place_bodies(device, &q).0
     };
-    let (here, _) = place(device, q);
+    let (here, _) = place_bodies(device, q);
     let step = 1.0e-4;
-    // Linear and angular velocity of every body per unit rate of every joint.
+    // Linear and angular velocity of every body per unit velocity of every joint.
     let rates: Vec<Vec<(Vector3<f64>, Vector3<f64>)>> = (0..n)
         .map(|i| {
             (0..here.len())

@@ -1,46 +1,47 @@
-//! Device files (docs/files.md), as far as the shipped and the golden ones go, taken at their word. tool/tests/quick/golden_model.rs holds this against the tool's own reader.
+//! A reader of the shipped and golden device files (docs/files.md) that does not check values.
+//! tool/tests/quick/golden_model.rs compares it with the tool's own reader.
 
 use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::description::{Description, Encoder, EncoderAt, Joint, Link, Transmission};
 use haptic_bridge::model::motor::Motor;
 use toml::{Table, Value};
 
-/// The device that ships under this name.
+/// Reads the shipped device of this name.
 pub fn shipped(name: &str) -> Description {
     let path = format!("{}/devices/{name}.toml", env!("CARGO_MANIFEST_DIR"));
     parse(&std::fs::read_to_string(&path).unwrap_or_else(|error| panic!("{path}: {error}")))
 }
 
-/// The device of a file's text.
+/// Reads a device from the text of a file.
 pub fn parse(text: &str) -> Description {
     let file: Table = text.parse().expect("a device file is TOML");
-    known(&file, &["name", "mechanism", "gravity", "geometry", "link", "joint", "handle", "home"]);
+    assert_known_keys(&file, &["name", "mechanism", "gravity", "geometry", "link", "joint", "handle", "home"]);
     let mechanism = file["mechanism"].as_str();
     let kind = *Kind::ALL.iter().find(|kind| Some(kind.spec().name) == mechanism).expect("a mechanism");
     let keys: Vec<&str> = kind.spec().geometry.iter().map(|(key, _)| *key).collect();
     let geometry = file["geometry"].as_table().expect("a table");
-    known(geometry, &keys);
+    assert_known_keys(geometry, &keys);
     let handle = file.get("handle").and_then(Value::as_table);
     Description {
         kind,
-        gravity: padded(numbers(&file["gravity"])),
-        geometry: padded(keys.iter().flat_map(|key| numbers(&geometry[*key]))),
-        links: padded(tables(&file, "link").map(link)),
-        joints: padded(tables(&file, "joint").map(joint)),
+        gravity: to_array(numbers(&file["gravity"])),
+        geometry: to_array(keys.iter().flat_map(|key| numbers(&geometry[*key]))),
+        links: to_array(tables(&file, "link").map(link)),
+        joints: to_array(tables(&file, "joint").map(joint)),
         handle_mass: handle.map_or(0.0, |handle| number(handle, "mass").expect("a mass")),
-        home: file.get("home").map(|home| padded(numbers(&home["q"]))),
+        home: file.get("home").map(|home| to_array(numbers(&home["q"]))),
     }
 }
 
 fn link(table: &Table) -> Link {
-    known(table, &["mass", "com", "inertia", "inertia_axial", "inertia_transverse"]);
+    assert_known_keys(table, &["mass", "com", "inertia", "inertia_axial", "inertia_transverse"]);
     let [mass, com, inertia] = ["mass", "com", "inertia"].map(|key| number(table, key).expect(key));
     let inertia_transverse = number(table, "inertia_transverse").unwrap_or(inertia);
     Link { mass, com, inertia, inertia_axial: number(table, "inertia_axial").unwrap_or(0.0), inertia_transverse }
 }
 
 fn joint(table: &Table) -> Joint {
-    known(table, &["inertia", "viscous", "coulomb", "limits", "encoder", "motor", "transmission"]);
+    assert_known_keys(table, &["inertia", "viscous", "coulomb", "limits", "encoder", "motor", "transmission"]);
     let limits: Option<Vec<f64>> = table.get("limits").map(|limits| numbers(limits).collect());
     Joint {
         inertia: number(table, "inertia").expect("an inertia"),
@@ -50,13 +51,13 @@ fn joint(table: &Table) -> Joint {
         encoder: table.get("encoder").and_then(Value::as_table).map(encoder),
         motor: table.get("motor").and_then(Value::as_table).map(motor),
         rigid: table.get("transmission").is_some_and(|word| word.as_str() == Some("rigid")),
-        transmission: table.get("transmission").and_then(Value::as_table).map(|gives| transmission(gives, table)),
+        transmission: table.get("transmission").and_then(Value::as_table).map(|values| transmission(values, table)),
         ..Joint::default()
     }
 }
 
 fn transmission(table: &Table, joint: &Table) -> Transmission {
-    known(table, &["stiffness", "damping", "motor_inertia"]);
+    assert_known_keys(table, &["stiffness", "damping", "motor_inertia"]);
     Transmission {
         stiffness: number(table, "stiffness").expect("a stiffness"),
         damping: number(table, "damping").unwrap_or(0.0),
@@ -66,13 +67,13 @@ fn transmission(table: &Table, joint: &Table) -> Transmission {
 }
 
 fn encoder(table: &Table) -> Encoder {
-    known(table, &["counts_per_turn", "offset", "inverted"]);
+    assert_known_keys(table, &["counts_per_turn", "offset", "inverted"]);
     let [counts_per_turn, offset] = ["counts_per_turn", "offset"].map(|key| number(table, key).expect(key));
     Encoder { counts_per_turn, offset, inverted: table["inverted"].as_bool().expect("a flag") }
 }
 
 fn motor(table: &Table) -> Motor<f64> {
-    known(table, &["torque_constant", "resistance", "inductance", "back_emf", "max_current", "verified"]);
+    assert_known_keys(table, &["torque_constant", "resistance", "inductance", "back_emf", "max_current", "verified"]);
     let [torque_constant, resistance, max_current] =
         ["torque_constant", "resistance", "max_current"].map(|key| number(table, key).expect(key));
     Motor {
@@ -85,17 +86,17 @@ fn motor(table: &Table) -> Motor<f64> {
     }
 }
 
-/// Refuses what would be passed over.
-fn known(table: &Table, keys: &[&str]) {
+/// Panics if the table has a key that the reader would ignore.
+fn assert_known_keys(table: &Table, keys: &[&str]) {
     let unknown = table.keys().find(|key| !keys.contains(&key.as_str()));
-    assert!(unknown.is_none(), "{unknown:?} is none of {keys:?}");
+    assert!(unknown.is_none(), "unknown key {unknown:?}; known keys: {keys:?}");
 }
 
 fn number(table: &Table, key: &str) -> Option<f64> {
     table.get(key).map(|value| numbers(value).next().expect("a number"))
 }
 
-/// The entries of a list, or the number itself.
+/// Returns the entries of a list, or the number itself.
 fn numbers(value: &Value) -> impl Iterator<Item = f64> {
     let list = value.as_array().map_or(std::slice::from_ref(value), Vec::as_slice);
     list.iter().map(|value| value.as_float().or(value.as_integer().map(|whole| whole as f64)).expect("a number"))
@@ -106,8 +107,8 @@ fn tables<'a>(file: &'a Table, key: &str) -> impl Iterator<Item = &'a Table> {
     list.iter().map(|value| value.as_table().expect("a table"))
 }
 
-/// The rest at its default.
-fn padded<T: Copy + Default, const N: usize>(values: impl Iterator<Item = T>) -> [T; N] {
+/// Fills an array with the values, and the remaining entries with the default.
+fn to_array<T: Copy + Default, const N: usize>(values: impl Iterator<Item = T>) -> [T; N] {
     let mut array = [T::default(); N];
     values.enumerate().for_each(|(i, value)| array[i] = value);
     array

@@ -1,5 +1,4 @@
-//! Helpers of several tests: devices that ship and devices drawn at random, the mechanics of bodies from first
-//! principles, and the seeds of random cases.
+//! Helpers of several tests: shipped and random devices, the mechanics of rigid bodies, and the seeds of random cases.
 
 pub mod bodies;
 pub mod device_file;
@@ -11,50 +10,51 @@ use nalgebra::SMatrix;
 use proptest::test_runner::{Config, RngSeed};
 use std::hash::{BuildHasher, RandomState};
 
-/// So many cases of a property, the same in every run; with `HAPTIC_FRESH_SEEDS` set, others in each, and
-/// `PROPTEST_RNG_SEED` brings those of a printed seed back.
+/// Configures a property test with `cases` cases, the same in every run. If `HAPTIC_FRESH_SEEDS` is set, every run has
+/// other cases. `PROPTEST_RNG_SEED` repeats the cases of a printed seed.
 pub fn cases(cases: u32) -> Config {
     let default = Config::default();
     let rng_seed = match default.rng_seed {
         RngSeed::Random if std::env::var_os("HAPTIC_FRESH_SEEDS").is_none() => RngSeed::Fixed(34),
         RngSeed::Random => RngSeed::Fixed(RandomState::new().hash_one(0)),
-        asked => asked,
+        given => given,
     };
     println!("PROPTEST_RNG_SEED={rng_seed}");
     Config { cases, rng_seed, failure_persistence: None, ..default }
 }
 
-/// A stream of numbers in [0, 1) handed out one by one; a test case is a list of them, so that it can be shrunk.
+/// A stream of numbers in [0, 1). A test case is a list of such numbers, so that proptest can shrink it.
 pub struct Draw<'a>(pub std::slice::Iter<'a, f64>);
 
 impl<'a> Draw<'a> {
-    /// From the numbers of one test case.
+    /// Starts with the first number of a test case.
     pub fn new(numbers: &'a [f64]) -> Self {
         Self(numbers.iter())
     }
 
-    /// The next number, spread over `low..high`.
+    /// Maps the next number to `low..high`, linearly.
     pub fn within(&mut self, low: f64, high: f64) -> f64 {
         low + (high - low) * self.0.next().copied().expect("a test case has enough numbers")
     }
 
-    /// The next number, spread over `low..high` by orders of magnitude.
-    pub fn order(&mut self, low: f64, high: f64) -> f64 {
+    /// Maps the next number to `low..high`, logarithmically.
+    pub fn within_log(&mut self, low: f64, high: f64) -> f64 {
         self.within(low.ln(), high.ln()).exp()
     }
 
-    /// One of `low..high` per entry.
+    /// Draws every entry from `low..high`.
     pub fn list<const N: usize>(&mut self, low: f64, high: f64) -> [f64; N] {
         core::array::from_fn(|_| self.within(low, high))
     }
 }
 
-/// Numbers one device and one pose of it take, with some to spare.
+/// Count of numbers that suffices for one device and one pose.
 pub const NUMBERS: usize = 80;
 
-/// A link that could be built: com anywhere from a counterweight's place to the far end, inertias of a real body.
+/// Draws a link that can be built: its centre of mass lies between a counterweight and the far end, and its inertias
+/// are those of a real body.
 fn link(draw: &mut Draw<'_>, length: f64) -> Link {
-    let mass = draw.order(0.002, 0.5);
+    let mass = draw.within_log(0.002, 0.5);
     let squared = |extent: f64| mass * extent * extent / 12.0;
     let thick = draw.within(0.02, 0.5) * length;
     Link {
@@ -66,7 +66,7 @@ fn link(draw: &mut Draw<'_>, length: f64) -> Link {
     }
 }
 
-/// A device of this kind, hand-sized, whose every term of the equations of motion matters.
+/// Draws a hand-sized device of this kind for which every term of the equations of motion matters.
 pub fn device(kind: Kind, draw: &mut Draw<'_>) -> Description {
     let mut geometry = [0.0; MAX_GEOMETRY];
     let mut links = [Link::default(); MAX_LINKS];
@@ -98,12 +98,12 @@ pub fn device(kind: Kind, draw: &mut Draw<'_>) -> Description {
     let gravity = if kind == Kind::Paddle { [0.0; 3] } else { draw.list(-10.0, 10.0) };
     let mut joints = [Joint::default(); MAX_JOINTS];
     for joint in &mut joints {
-        joint.inertia = draw.order(1.0e-5, 1.0e-3);
+        joint.inertia = draw.within_log(1.0e-5, 1.0e-3);
     }
-    Description { kind, gravity, geometry, links, joints, handle_mass: draw.order(1.0e-3, 0.3), home: None }
+    Description { kind, gravity, geometry, links, joints, handle_mass: draw.within_log(1.0e-3, 0.3), home: None }
 }
 
-/// Gauss and Jordan's elimination with pivoting: the inverse and the determinant.
+/// Computes the inverse and the determinant by Gauss-Jordan elimination with pivoting.
 fn eliminate<const N: usize>(matrix: &SMatrix<f64, N, N>) -> (SMatrix<f64, N, N>, f64) {
     let (mut a, mut inverse, mut determinant) = (*matrix, SMatrix::<f64, N, N>::identity(), 1.0);
     for k in 0..N {
@@ -130,12 +130,12 @@ fn eliminate<const N: usize>(matrix: &SMatrix<f64, N, N>) -> (SMatrix<f64, N, N>
     (inverse, determinant)
 }
 
-/// The inverse of a regular matrix.
+/// Returns the inverse of a regular matrix.
 pub fn inverse<const N: usize>(matrix: &SMatrix<f64, N, N>) -> SMatrix<f64, N, N> {
     eliminate(matrix).0
 }
 
-/// The determinant of a regular matrix.
+/// Returns the determinant of a regular matrix.
 pub fn determinant<const N: usize>(matrix: &SMatrix<f64, N, N>) -> f64 {
     eliminate(matrix).1
 }

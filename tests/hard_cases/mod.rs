@@ -1,11 +1,12 @@
-//! Cases that are hard to compute: the board's f32 against f64. tool/tests/deep/hard_cases asserts the same of 106
-//! bits, and of f64 too.
+//! Cases that are hard to compute: the board's f32 against f64. tool/tests/deep/hard_cases asserts the same bounds
+//! against a reference of 106 bits, also for f64.
 
 mod bounds;
 pub mod rows;
 
 use crate::common::device_file::shipped;
 
-/// The reference's numbers, and their trigonometry.
+/// Number type of the reference.
 type Exact = f64;
+/// Trigonometry of the reference.
 type ExactMath = haptic_bridge::math::Libm;

@@ -1,8 +1,8 @@
-//! The control step of every mechanism and nothing else, for the chip.
+//! An image for the chip with the control step of every mechanism and nothing else.
 //!
-//! The panic handler calls a function that does not exist. If any way from the step to a panic is left after
-//! optimisation, the handler is needed, the function is missing and linking fails. `cargo xtask no-panic` builds this
-//! image and then reads its machine code: no indirect calls, no recursion, a bounded stack.
+//! The panic handler calls a function that does not exist. If a path from the step to a panic is left after
+//! optimisation, the handler needs the missing function and linking fails. `cargo xtask no-panic` builds this image and
+//! then checks its machine code: no indirect calls, no recursion, a bounded stack.
 #![no_std]
 #![no_main]
 
@@ -14,7 +14,7 @@ use haptic_bridge::control::joints::Counts;
 use haptic_bridge::drive::carrier::Ticks;
 
 unsafe extern "C" {
-    /// Exists nowhere: its name is the linker's message.
+    /// Does not exist; its name appears in the linker's error.
     safe fn the_control_step_can_panic() -> !;
 }
 
@@ -23,21 +23,21 @@ fn panic(_: &core::panic::PanicInfo) -> ! {
     the_control_step_can_panic()
 }
 
-/// One control period, as the simulated board calls it.
+/// One control step, as the simulated board calls it.
 // SAFETY: no other symbol of the image has this name.
 #[unsafe(no_mangle)]
 pub extern "C" fn control_step(control_loop: &mut OnBoard, samples: &Samples, outputs: &mut Outputs) {
     *outputs = control_loop.control(samples);
 }
 
-/// The interrupt's call while only the encoder counts are known.
+/// The interrupt's call when only the encoder counts are known.
 // SAFETY: no other symbol of the image has this name.
 #[unsafe(no_mangle)]
 pub extern "C" fn carrier_render(control_loop: &mut OnBoard, counts: &Counts) {
     compiled::render(control_loop, counts);
 }
 
-/// The rest of a crest with a step, as the interrupt calls it.
+/// The rest of a crest with a control step, as the interrupt calls it.
 // SAFETY: no other symbol of the image has this name.
 #[unsafe(no_mangle)]
 pub extern "C" fn carrier_crest(control_loop: &mut OnBoard, seen: &Samples, ticks: &Ticks, legs: &mut Legs) -> bool {
@@ -62,7 +62,7 @@ pub extern "C" fn carrier_generally(
     compiled::crest_generally(control_loop, seen, due, ticks, legs)
 }
 
-/// The interrupt's call at a valley that notes the step before.
+/// The interrupt's call at a valley that records the last step.
 // SAFETY: no other symbol of the image has this name.
 #[unsafe(no_mangle)]
 pub extern "C" fn carrier_notes(

@@ -1,7 +1,6 @@
-//! A board that is the control loop, the service and the dispatcher, and nothing else: frames in, frames out, one call a
-//! control period. What the safety tests and the fuzzer drive; after every call it holds itself to what no request may
-//! change.
-#![allow(dead_code, reason = "the library's tests, the tool's and the fuzzer each use their part")]
+//! A board made of the control loop, the service and the dispatcher: frames in, frames out, one call per control step.
+//! The safety tests and the fuzzer use it. After every step and every request it asserts the safety invariants.
+#![allow(dead_code, reason = "the library's tests, the tool's tests and the fuzzer each use a part")]
 
 use haptic_bridge::board::dispatch::{self, After, Described};
 use haptic_bridge::board::machine::{Machine, Measured};
@@ -26,33 +25,33 @@ use postcard_rpc::standard_icd::{ERROR_KEY, WireError};
 use serde::{Serialize, de::DeserializeOwned};
 use std::collections::BTreeMap;
 
-/// Settings in memory, by their keys.
+/// Settings in memory, by key.
 #[derive(Default)]
 pub struct Flash {
-    /// Those that count: what the next start reads.
+    /// Committed settings, which the next start reads.
     pub kept: BTreeMap<u8, Entry>,
-    /// Writing fails from now on.
+    /// True if every write fails.
     pub broken: bool,
     staged: BTreeMap<u8, Entry>,
 }
 
-/// The service's machine: the control loop itself, and settings in memory. It panics if the service does something that it
-/// must not do while the motors are on.
-pub struct Bench {
+/// The service's machine: the control loop, and settings in memory. It panics if the service writes flash or sets the
+/// timer while the motors are on.
+pub struct RigMachine {
     pub control_loop: ControlLoop<Box<Program<BoardMath>>>,
     pub flash: Flash,
-    /// Number of times that the carrier was set: once for every program that came in force.
+    /// Number of times that the carrier was set: once for every program that came into force.
     pub retimed: u32,
 }
 
-impl Bench {
-    fn writes(&self) -> Result<(), Refusal> {
+impl RigMachine {
+    fn check_writable(&self) -> Result<(), Refusal> {
         assert!(!self.control_loop.status().state.drives(), "flash is written while the motors are on");
         if self.flash.broken { Err(Refusal::Flash) } else { Ok(()) }
     }
 }
 
-impl Machine for Bench {
+impl Machine for RigMachine {
     type Math = BoardMath;
     type Held = Box<Program<BoardMath>>;
 
@@ -74,7 +73,7 @@ impl Machine for Bench {
         self.retimed += 1;
     }
     fn stage(&mut self, key: Key, entry: &[u8]) -> Result<(), Refusal> {
-        self.writes()?;
+        self.check_writable()?;
         self.flash.staged.insert(key as u8, Entry::from_slice(entry).map_err(|_| Refusal::Flash)?);
         Ok(())
     }
@@ -82,7 +81,7 @@ impl Machine for Bench {
         self.flash.staged.get(&(key as u8)).cloned()
     }
     fn commit(&mut self, keys: &[Key]) -> Result<(), Refusal> {
-        self.writes()?;
+        self.check_writable()?;
         let mut staged = core::mem::take(&mut self.flash.staged);
         let named: Option<Vec<_>> = keys.iter().map(|key| staged.remove_entry(&(*key as u8))).collect();
         self.flash.kept.extend(named.ok_or(Refusal::Flash)?);
@@ -93,7 +92,7 @@ impl Machine for Bench {
     }
 }
 
-impl Described for Bench {
+impl Described for RigMachine {
     fn info(&self) -> Info {
         Info {
             protocol: PROTOCOL,
@@ -107,8 +106,8 @@ impl Described for Bench {
     }
 }
 
-/// Returns true if anything that protects is looser in these rules than it was `before`.
-fn looser(now: &Rules, before: &Rules) -> bool {
+/// Returns true if any protection is weaker in the rules `now` than in the rules `before`.
+fn is_looser(now: &Rules, before: &Rules) -> bool {
     let higher = |now: &[f32; MAX_JOINTS], before: &[f32; MAX_JOINTS]| now.iter().zip(before).any(|(a, b)| a > b);
     let (limits, old) = (&now.limits, &before.limits);
     let watch = |rules: &Rules| match rules.host_action {
@@ -131,37 +130,37 @@ fn looser(now: &Rules, before: &Rules) -> bool {
         || now.index_period.iter().zip(&before.index_period).any(|(now, before)| *before != 0 && now != before)
 }
 
-/// The board.
+/// A board without hardware.
 pub struct Board {
-    pub machine: Bench,
+    pub machine: RigMachine,
     pub service: Service,
     pub samples: Samples,
-    /// Index pulses that are seen until the next control period.
+    /// Index pulses that arrive before the next control step.
     pub marks: Option<[Option<i32>; MAX_JOINTS]>,
-    /// A fault that the firmware tells in the next control period.
+    /// Fault that the firmware reports at the next control step.
     pub told: Option<(Fault, Option<u8>, f32)>,
     pub bridges: bool,
     pub duties: [f32; MAX_JOINTS],
     pub packer: Packer,
     hardware: Hardware,
     most: Limits,
-    /// See [`Board::renders_plainly`].
-    plain: bool,
+    /// See [`Board::renders_forces_only`].
+    forces_only: bool,
 }
 
 impl Board {
-    /// A board without settings. `real` motors ask for everything before they arm.
+    /// Creates a board without settings. With `real` motors, arming has all its conditions.
     pub fn new(real: bool) -> Self {
         Self::with_flash(real, BTreeMap::new())
     }
 
-    /// A board that boots from these settings.
+    /// Creates a board that boots from these settings.
     pub fn with_flash(real: bool, flash: BTreeMap<u8, Entry>) -> Self {
         let bridge = Bridge { carrier_hz: 20_000.0, dead_time: 200e-9, bandwidth_hz: 1_000.0, current_sensed: true };
         let hardware = Hardware { axes: MAX_JOINTS, real, bus_sensed: true, bridge, timer_hz: 168_000_000 };
         let most = Limits::default();
         let mut board = Self {
-            machine: Bench {
+            machine: RigMachine {
                 control_loop: ControlLoop::new(hardware, Rules::default()),
                 flash: Flash { kept: flash, ..Flash::default() },
                 retimed: 0,
@@ -175,14 +174,14 @@ impl Board {
             packer: Packer::default(),
             hardware,
             most,
-            plain: false,
+            forces_only: false,
         };
         board.service.boot(&mut board.machine);
         board.tick();
         board
     }
 
-    /// With a device and a scene, not armed.
+    /// Creates a board with a device and a scene, not armed.
     pub fn ready(real: bool, device: &Device<f32>, scene: &Scene<f32>) -> Self {
         let mut board = Self::new(real);
         board.service.set_device(&mut board.machine, device.clone()).expect("a device that fits");
@@ -195,9 +194,9 @@ impl Board {
         self.machine.control_loop.status().state
     }
 
-    /// One control period.
+    /// Runs one control step.
     pub fn tick(&mut self) {
-        let samples = self.seen();
+        let samples = self.measured_samples();
         if let Some((fault, axis, value)) = self.told.take() {
             self.machine.control_loop.trip(fault, axis, value);
         }
@@ -211,36 +210,35 @@ impl Board {
         if self.packer.wants(frame.step) {
             let _ = self.packer.push(&frame, 0);
         }
-        self.keeps_its_promises();
+        self.check_invariants();
         self.check_slow_faults(&samples);
-        // Not after a request: a limit that was lowered acts at the next control step.
+        // Checked here and not after a request, because a lowered limit acts at the next control step.
         let (torque, limits) = (frame.motors.torque, self.service.rules().limits);
         let within = torque.iter().zip(&limits.torque).all(|(torque, limit)| torque.abs() <= limit * 1.000_01);
         assert!(within, "torque {torque:?} above {limits:?}");
-        if self.renders_plainly() {
+        if self.renders_forces_only() {
             let mechanism = self.service.device().map(|device| device.mechanism);
             let force = mechanism.map_or(0.0, |it| it.leverage::<BoardMath>(&frame.at.q).force_squared(&torque).sqrt());
-            // Where the device is stretched, only rounding remains of a force.
+            // In a stretched pose only rounding error is left of the force.
             let rounding = 1.0e-3 * limits.tip_force + 1.0e-3;
             assert!(force <= limits.tip_force + rounding, "{force} N at the tip, {torque:?} N m, above {limits:?}");
         }
     }
 
-    /// Returns true if its torques are those of rendered forces and of nothing else since it was armed: no weight to
-    /// hold, no feed-forward, nothing compensated.
-    fn renders_plainly(&mut self) -> bool {
+    /// Returns true if all torques since arming come from rendered forces: no weight, no feed-forward, no compensation.
+    fn renders_forces_only(&mut self) -> bool {
         let (device, scene) = (self.service.device(), self.service.scene());
-        let plain = device.is_some_and(|device| !device.weight)
+        let forces_only = device.is_some_and(|device| !device.weight)
             && scene.is_some_and(|scene| {
                 let mut walls = scene.walls.iter();
                 walls.all(|wall| wall.feed_forward == FeedForward::Off && !wall.damping_compensation)
             });
-        self.plain = plain && (self.plain || self.state() != State::Armed);
-        self.plain && self.state() == State::Armed
+        self.forces_only = forces_only && (self.forces_only || self.state() != State::Armed);
+        self.forces_only && self.state() == State::Armed
     }
 
-    /// The samples, with currents that flow as they were asked for on top of what a sensor is off by.
-    fn seen(&self) -> Samples {
+    /// Returns the samples, in which every current is the commanded current plus the sensor's offset.
+    fn measured_samples(&self) -> Samples {
         let mut samples = self.samples;
         let torque = self.machine.control_loop.frame().motors.torque;
         for (axis, joint) in self.service.device().iter().flat_map(|device| &device.joints).enumerate() {
@@ -251,14 +249,14 @@ impl Board {
         samples
     }
 
-    /// The valley after a crest: a fault found there lets the bridges float, whatever their duties are.
+    /// Runs the valley after a crest. A fault found there turns the bridges off, whatever their duties are.
     fn check_slow_faults(&mut self, samples: &Samples) {
         self.bridges &= self.machine.control_loop.check_slow_faults(samples).bridges;
         assert!(!self.bridges || self.state().drives(), "bridges drive while {:?}", self.state());
     }
 
-    /// The checks after every control period and every request.
-    pub fn keeps_its_promises(&self) {
+    /// Asserts what must hold after every control step and every request.
+    pub fn check_invariants(&self) {
         let state = self.state();
         let limits = self.service.rules().limits;
         assert!(limits.within(&self.most), "limits above the board's own: {limits:?}");
@@ -274,7 +272,8 @@ impl Board {
         }
     }
 
-    /// Answers a frame, decoded from COBS, and carries out what is left to do.
+    /// Replies to a frame that was decoded from COBS, and carries out the action that the request leaves to the
+    /// firmware.
     pub fn answer(&mut self, frame: &[u8]) -> Option<Vec<u8>> {
         let mut out = [0; MAX_FRAME];
         let before = (self.state(), *self.service.rules());
@@ -282,41 +281,41 @@ impl Board {
         let answer = answer.map(<[u8]>::to_vec);
         if before.0.drives() && self.state().drives() {
             let now = self.service.rules();
-            assert!(!looser(now, &before.1), "rules loosened while the motors are on: {:?} to {now:?}", before.1);
+            assert!(!is_looser(now, &before.1), "rules loosened while the motors are on: {:?} to {now:?}", before.1);
         }
-        let seen = self.seen();
-        self.duties = self.machine.control_loop.duties(seen.bus_voltage, &seen.currents, false).map(f32::from);
-        self.keeps_its_promises();
-        self.check_slow_faults(&seen);
+        let samples = self.measured_samples();
+        self.duties = self.machine.control_loop.duties(samples.bus_voltage, &samples.currents, false).map(f32::from);
+        self.check_invariants();
+        self.check_slow_faults(&samples);
         match after {
             After::Nothing => {}
             After::Stream(request, axes) => self.packer.start(&request, axes),
             After::BootLoader | After::Restart => {
-                assert!(!self.state().drives(), "the board leaves with its motors on");
+                assert!(!self.state().drives(), "the board restarts with its motors on");
                 *self = Self::with_flash(self.hardware.real, core::mem::take(&mut self.machine.flash.kept));
             }
         }
         answer
     }
 
-    /// One request of the protocol, with its answer or the dispatcher's own error.
+    /// Sends one request of the protocol. Returns its reply or the dispatcher's error.
     pub fn ask<E: Endpoint>(&mut self, request: &E::Request) -> Result<E::Response, WireError>
     where
         E::Request: Serialize + Sized,
         E::Response: DeserializeOwned,
     {
         let body = postcard::to_stdvec(request).expect("a request has bytes");
-        let answer = self.answer(&frame(E::REQ_KEY, &body)).expect("every request is answered");
-        let (header, body) = VarHeader::take_from_slice(&answer).expect("an answer has a header");
+        let answer = self.answer(&frame(E::REQ_KEY, &body)).expect("every request has a reply");
+        let (header, body) = VarHeader::take_from_slice(&answer).expect("a reply has a header");
         if header.key == VarKey::Key8(ERROR_KEY) {
-            return Err(postcard::from_bytes(body).expect("an error says which"));
+            return Err(postcard::from_bytes(body).expect("a readable error"));
         }
         assert_eq!(header.key, VarKey::Key8(E::RESP_KEY));
-        Ok(postcard::from_bytes(body).expect("an answer that can be read"))
+        Ok(postcard::from_bytes(body).expect("a readable reply"))
     }
 }
 
-/// A frame with this key and body, not yet encoded.
+/// Returns a frame with this key and body, not yet encoded.
 pub fn frame(key: postcard_rpc::Key, body: &[u8]) -> Vec<u8> {
     let header = VarHeader { key: VarKey::Key8(key), seq_no: VarSeq::Seq2(7) };
     let mut head = [0; 16];

@@ -1,6 +1,5 @@
-//! A control loop with a device and a scene in hand, for the tests of the safety logic: no hardware, one call a control
-//! period.
-#![allow(dead_code, reason = "every test file uses its own part")]
+//! A control loop with a device and a scene for the tests of the safety logic: no hardware, one call per control step.
+#![allow(dead_code, reason = "every test file uses a part")]
 
 use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::control::frame::{Outputs, Samples};
@@ -28,12 +27,12 @@ pub type Held = Box<Program<BoardMath>>;
 
 /// Control rate of the scenes here, Hz.
 pub const RATE: f32 = 2_000.0;
-/// Control rates, Hz, that limits and watches have to hold at alike.
+/// Control rates at which limits and checks are tested, Hz.
 pub const RATES: [f32; 3] = [200.0, 1_000.0, 20_000.0];
-/// Counts in a turn of a joint here.
+/// Encoder counts per turn of a joint.
 pub const COUNTS: f64 = 60_000.0;
 
-/// A board with three axes that measures everything.
+/// Returns a board with three axes and all sensors.
 pub fn hardware() -> Hardware {
     Hardware {
         axes: 3,
@@ -44,7 +43,7 @@ pub fn hardware() -> Hardware {
     }
 }
 
-/// Rules with every limit in reach of a test.
+/// Returns rules whose every limit a test can reach.
 pub fn rules() -> Rules {
     Rules { limits: limits(), host_action: HostAction::Ignore, ..Rules::default() }
 }
@@ -79,7 +78,7 @@ fn joint() -> Joint {
     }
 }
 
-/// A paddle 0.1 m long, so that 1 rad is 0.1 m and 1 N is 0.1 N m. Gravity does not act.
+/// Returns a paddle of 0.1 m, so that 1 rad is 0.1 m and 1 N is 0.1 N m. Gravity does not act.
 pub fn paddle() -> Description {
     let mut geometry = [0.0; MAX_GEOMETRY];
     geometry[0] = 0.1;
@@ -94,7 +93,7 @@ pub fn paddle() -> Description {
     }
 }
 
-/// A five-bar whose elbows stretch at joint angles well within its limits.
+/// Returns a five-bar whose elbows stretch at joint angles well within its limits.
 pub fn five_bar() -> Description {
     let link = haptic_bridge::model::description::Link { mass: 0.02, com: 0.03, inertia: 1.0e-5, ..Default::default() };
     let joint = Joint { limits: Some((-3.2, 3.2)), ..joint() };
@@ -109,7 +108,7 @@ pub fn five_bar() -> Description {
     }
 }
 
-/// A device that its motors move from home on: M q̈ = τ - B q̇, with 2 mN m s/rad in every joint.
+/// A device that its motors move, starting at home: M q̈ = τ - B q̇, with B = 2 mN m s/rad in every joint.
 pub struct Body {
     mechanism: AnyMechanism<f32>,
     home: [f64; MAX_JOINTS],
@@ -126,7 +125,7 @@ impl Body {
         Self { mechanism, home, joints, q: home, qd: [0.0; MAX_JOINTS] }
     }
 
-    /// One control period, in which a motor makes `factor` times the torque that its file says.
+    /// Runs one control step, in which every motor makes `factor` times the torque of its file.
     pub fn step(&mut self, rig: &mut Rig, factor: f64) {
         let q = self.q.map(|angle| angle as f32);
         let inertia = self.mechanism.inertia::<Libm>(&q);
@@ -146,7 +145,7 @@ impl Body {
         rig.step();
     }
 
-    /// Until the polarity check waits for the joint after the first.
+    /// Runs until the polarity check waits for the second joint.
     pub fn check_first(&mut self, rig: &mut Rig) {
         let (mut pushed, mut waits) = (false, 0);
         while waits < 50 {
@@ -158,7 +157,7 @@ impl Body {
         }
     }
 
-    /// Until the polarity check is over.
+    /// Runs until the polarity check ends.
     pub fn check(&mut self, rig: &mut Rig, factor: f64) {
         for _ in 0..(20.0 * rig.rate) as u32 {
             if rig.state() != State::CheckingPolarity {
@@ -170,7 +169,7 @@ impl Body {
     }
 }
 
-/// A plane wall facing +x with its surface at `x` (m).
+/// Returns a plane wall facing +x with its surface at `x` (m).
 pub fn wall(x: f32, stiffness: f32) -> Wall<f32> {
     Wall {
         surface: Surface::Plane(Plane { point: [x, 0.0, 0.0], normal: [1.0, 0.0, 0.0] }),
@@ -183,12 +182,12 @@ pub fn wall(x: f32, stiffness: f32) -> Wall<f32> {
     }
 }
 
-/// A scene for task dimension `task` with these walls.
+/// Returns a scene for task dimension `task` with these walls.
 pub fn scene(task: u8, walls: &[Wall<f32>]) -> Scene<f32> {
     Scene { task, rate_hz: RATE, cutoff_hz: 200.0, walls: walls.iter().copied().collect(), ..Scene::default() }
 }
 
-/// A stiff wall at -0.05 m, far from the paddle's home.
+/// Returns a scene with a stiff wall at -0.05 m, far from the paddle's home.
 pub fn quiet() -> Scene<f32> {
     scene(1, &[wall(-0.05, 1_000.0)])
 }
@@ -197,13 +196,13 @@ pub fn device(description: &Description) -> Device<f32> {
     Device::new("test", description).expect("a sound device")
 }
 
-/// The control loop, what it is shown at the next step, and what it decided at the last.
+/// The control loop, its inputs at the next step, and its outputs of the last step.
 pub struct Rig {
     pub control_loop: ControlLoop<Held>,
     pub samples: Samples,
-    /// Index pulses that are seen until the next step.
+    /// Index pulses that arrive before the next step.
     pub marks: Option<[Option<i32>; MAX_JOINTS]>,
-    /// A fault that the firmware tells in the next step.
+    /// Fault that the firmware reports at the next step.
     pub told: Option<(Fault, Option<u8>, f32)>,
     pub outputs: Outputs,
     pub duties: [f32; MAX_JOINTS],
@@ -213,18 +212,18 @@ pub struct Rig {
     pub shown_current: Option<f32>,
     /// The motors' currents, A.
     pub currents: [f32; MAX_JOINTS],
-    /// Their windings, ohm.
+    /// Resistance of the motors' windings, ohm.
     pub resistance: f32,
     /// Difference of the two sensors of each current, A.
     pub imbalance: [f32; MAX_JOINTS],
-    /// The largest current of motor 0 in the last step, A.
+    /// Largest current of motor 0 in the last step, A.
     pub peak: f32,
     /// Control rate of the scene, Hz.
     pub rate: f32,
 }
 
 impl Rig {
-    /// A board without a device.
+    /// Creates a board without a device.
     pub fn bare(hardware: Hardware, rules: Rules) -> Self {
         let samples = Samples { bus_voltage: 24.0, ..Samples::default() };
         let control_loop = ControlLoop::new(hardware, rules);
@@ -246,12 +245,12 @@ impl Rig {
         }
     }
 
-    /// A board with a paddle, homed and polarity known, and this scene; disarmed.
+    /// Creates a disarmed board with a paddle and this scene, homed and with known polarity.
     pub fn ready(scene: &Scene<f32>) -> Self {
         Self::with(&paddle(), scene, hardware(), rules())
     }
 
-    /// As [`Rig::ready`] for any device, board and rules.
+    /// Like [`Rig::ready`], for any device, board and rules.
     pub fn with(description: &Description, scene: &Scene<f32>, hardware: Hardware, rules: Rules) -> Self {
         let mut rig = Self::bare(hardware, rules);
         rig.load(description, scene, false).expect("a program that fits");
@@ -262,12 +261,12 @@ impl Rig {
         rig
     }
 
-    /// A paddle in free space far from a stiff wall at -0.05 m, armed, ramp over.
+    /// Creates an armed paddle in free space, far from a stiff wall at -0.05 m, after the ramp.
     pub fn armed() -> Self {
         Self::armed_with(|_| ())
     }
 
-    /// As [`Rig::armed`], with other rules.
+    /// Like [`Rig::armed`], with changed rules.
     pub fn armed_with(change: impl Fn(&mut Rules)) -> Self {
         let mut rules = rules();
         change(&mut rules);
@@ -276,7 +275,7 @@ impl Rig {
         rig
     }
 
-    /// Arms and waits for the ramp's end.
+    /// Arms and waits for the end of the ramp.
     pub fn arm(&mut self) {
         self.execute(Command::Arm).expect("everything is in place");
         for _ in 0..(0.6 * self.rate) as u32 {
@@ -297,7 +296,7 @@ impl Rig {
         self.control_loop.execute(command).0
     }
 
-    /// One control period, in which the motors' windings answer to ten duties.
+    /// Runs one control step, in which the currents of the windings follow the duties of every carrier period.
     pub fn step(&mut self) {
         let first = self.control_loop.frame().step == 0;
         let before = if first { self.samples.counts } else { self.control_loop.frame().counts };
@@ -307,14 +306,14 @@ impl Rig {
         for nth in 1..=carriers {
             let mut measured = self.currents;
             measured[0] = self.shown_current.unwrap_or(measured[0]);
-            // The joint turns evenly from sample to sample; the last crest is the one that is due for a step.
+            // The joint turns evenly from sample to sample. A control step is due at the last crest.
             let counts = Counts::from_fn(|i| {
                 let moved = i64::from(self.samples.counts[i].wrapping_sub(before[i]));
                 before[i].wrapping_add((moved * i64::from(nth) / i64::from(carriers)) as i32)
             });
             let (bus_voltage, imbalance) = (self.samples.bus_voltage, Currents(self.imbalance));
             let measured = Currents(measured);
-            let seen = Samples { counts, bus_voltage, currents: measured, imbalance, late: false };
+            let crest = Samples { counts, bus_voltage, currents: measured, imbalance, late: false };
             let due = nth == carriers;
             if due {
                 self.samples.currents = measured;
@@ -325,8 +324,8 @@ impl Rig {
                     self.control_loop.mark(marks);
                 }
             }
-            self.duties = self.control_loop.crest(&seen, &measured, due).1.map(f32::from);
-            self.outputs = self.control_loop.check_slow_faults(&seen);
+            self.duties = self.control_loop.crest(&crest, &measured, due).1.map(f32::from);
+            self.outputs = self.control_loop.check_slow_faults(&crest);
             for (i, current) in self.currents.iter_mut().enumerate() {
                 let turned = self.samples.counts[i].wrapping_sub(before[i]) as f32 * core::f32::consts::TAU;
                 let voltage = self.duties[i] * 24.0 - 0.1 * turned / COUNTS as f32 * self.rate;
@@ -339,19 +338,19 @@ impl Rig {
         }
     }
 
-    /// Runs for so many seconds of nothing new.
+    /// Runs for this many seconds with unchanged inputs.
     pub fn run(&mut self, seconds: f32) {
         for _ in 0..(seconds * self.rate).round() as u32 {
             self.step();
         }
     }
 
-    /// Long enough for the filters to come to rest.
+    /// Runs until the filters are at rest.
     pub fn settle(&mut self) {
         self.run(0.05);
     }
 
-    /// Turns joint `i` to `angle` (rad) from home, as fast as `speed` (rad/s).
+    /// Turns joint `i` to `angle` (rad) from home at `speed` (rad/s).
     pub fn turn(&mut self, i: usize, angle: f64, speed: f64) {
         let target = (angle / core::f64::consts::TAU * COUNTS).round() as i32;
         let most = (speed / f64::from(self.rate) / core::f64::consts::TAU * COUNTS).max(1.0) as i32;
@@ -361,8 +360,8 @@ impl Rig {
         }
     }
 
-    /// Rests where joint 0 is for so many seconds, or until a fault. The encoder moves, so that it is the motor's heat
-    /// and nothing else.
+    /// Keeps joint 0 in place for this many seconds, or until a fault. The encoder moves by one count, so that only the
+    /// motor's heat can cause a fault.
     pub fn tremble(&mut self, seconds: f32) {
         let there = self.samples.counts[0];
         for step in 0..(seconds * RATE) as i32 {
@@ -383,7 +382,7 @@ impl Rig {
         self.control_loop.status().fault.map(|record| record.fault)
     }
 
-    /// Returns true if nothing acts: bridges off, no duty, no torque asked for.
+    /// Returns true if the bridges are off and all duties and torques are zero.
     pub fn motors_off(&self) -> bool {
         !self.outputs.bridges
             && self.duties == [0.0; MAX_JOINTS]

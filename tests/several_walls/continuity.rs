@@ -1,7 +1,7 @@
-//! Torques never jump: their slopes over the angle between walls, over their stiffness ratio and over depth stay below
-//! bounds that do not depend on how finely one looks.
+//! Torques never jump: their slopes over the angle between walls, over the stiffness ratio and over the penetration
+//! stay below bounds that do not depend on the sampling.
 
-use super::{Precision, Shipped, at, device, scaled, torque, torque_of_some};
+use super::{Precision, Shipped, device, normalized, torque, torque_with_flags, unit_vector};
 use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::description::Encoder;
@@ -12,24 +12,24 @@ use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};
 use haptic_bridge::with_mechanism;
 use nalgebra::SVector;
 
-fn apart(a: &[f64], b: &[f64]) -> f64 {
+fn distance(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum::<f64>().sqrt()
 }
 
-/// The largest slope of `f` from `low` to `high`, looked at `steps` times.
+/// Returns the largest slope of `f` from `low` to `high` in `steps` steps.
 fn slope(low: f64, high: f64, steps: u32, mut f: impl FnMut(f64) -> Vec<f64>) -> f64 {
     let step = (high - low) / f64::from(steps);
     let mut last = f(low);
     (1..=steps).fold(0.0, |worst: f64, i| {
         let next = f(low + step * f64::from(i));
-        let found = apart(&next, &last) / step;
+        let found = distance(&next, &last) / step;
         last = next;
         worst.max(found)
     })
 }
 
-/// Devices, poses and bases (three directions across each other) to turn normals in.
-fn stages() -> Vec<(Shipped, Vec<f64>)> {
+/// Returns devices and poses.
+fn device_poses() -> Vec<(Shipped, Vec<f64>)> {
     vec![
         (device("coupled-five-bar"), vec![2.6, 1.75]),
         (device("serial-3r"), vec![0.4, 0.9, 0.7]),
@@ -38,16 +38,16 @@ fn stages() -> Vec<(Shipped, Vec<f64>)> {
     ]
 }
 
-/// A unit vector that turns with `angle`, in a plane or on a cone.
-fn turned(task: usize, angle: f64, tilt: f64) -> Vec<f64> {
+/// Returns a unit vector that turns with `angle`, in a plane or on a cone.
+fn turned_normal(task: usize, angle: f64, tilt: f64) -> Vec<f64> {
     match task {
-        2 => at(0.3 + angle),
-        _ => scaled(&[angle.cos(), angle.sin() + 0.2, tilt]),
+        2 => unit_vector(0.3 + angle),
+        _ => normalized(&[angle.cos(), angle.sin() + 0.2, tilt]),
     }
 }
 
-/// Cases: with a third wall or not, and the walls that have the feed-forward.
-const SOME: [(bool, [bool; 3]); 6] = [
+/// Cases: true if there is a third wall, and true for each wall with the feed-forward.
+const WALL_SETS: [(bool, [bool; 3]); 6] = [
     (false, [true, true, true]),
     (true, [true, true, true]),
     (false, [true, false, true]),
@@ -56,36 +56,38 @@ const SOME: [(bool, [bool; 3]); 6] = [
     (true, [true, false, true]),
 ];
 
-/// N m for each newton straight through Jᵀ or by (4) along any one direction: what slopes are measured in.
+/// Returns the largest torque per newton by (4) along one direction, m. Slopes are multiples of this lever.
 fn lever(device: &Shipped, q: &[f64]) -> f64 {
     let task = device.spec().task;
     let mut most = 0.0_f64;
     for i in 0..64 {
-        let n = turned(task, 0.1 * f64::from(i), (f64::from(i) * 0.37).sin() * 2.0);
-        most = most.max(apart(&torque(device, q, &[(n, 1.0, 1.0)], Precision::F64), &vec![0.0; q.len()]));
+        let n = turned_normal(task, 0.1 * f64::from(i), (f64::from(i) * 0.37).sin() * 2.0);
+        most = most.max(distance(&torque(device, q, &[(n, 1.0, 1.0)], Precision::F64), &vec![0.0; q.len()]));
     }
     most
 }
 
 #[test]
 fn torque_is_continuous_in_the_angle_between_walls() {
-    for (device, q) in stages() {
+    for (device, q) in device_poses() {
         let (task, lever) = (device.spec().task, lever(&device, &q));
         for ratio in [1.0, 1.3, 30.0, 1.0e4] {
-            for (third, with) in SOME {
+            for (third, with) in WALL_SETS {
                 let f = |angle: f64| {
-                    let mut walls =
-                        vec![(turned(task, 0.0, 0.4), 1.0, 5.0), (turned(task, angle, 0.4 + angle), ratio, 5.0)];
+                    let mut walls = vec![
+                        (turned_normal(task, 0.0, 0.4), 1.0, 5.0),
+                        (turned_normal(task, angle, 0.4 + angle), ratio, 5.0),
+                    ];
                     if third {
-                        walls.push((turned(task, 0.7, -0.3), 0.5 * ratio, 3.0));
+                        walls.push((turned_normal(task, 0.7, -0.3), 0.5 * ratio, 3.0));
                     }
-                    torque_of_some(&device, &q, &walls, &with[..walls.len()], Precision::F64)
+                    torque_with_flags(&device, &q, &walls, &with[..walls.len()], Precision::F64)
                 };
-                // From walls in one plane, through 1 mrad, where the span of the normals would jump, to beyond 90°.
+                // From parallel walls, through 1 mrad, where the span of the normals would jump, to more than 90°.
                 let fine = slope(-2.0e-3, 2.0e-3, 400, f);
                 let coarse = slope(-0.3, 2.0, 800, f);
-                // The normals themselves turn the torque of 13 N with a slope of 13 levers; e₁ turns at most so many
-                // times faster as the shares allow: 8 levers per newton, where the old rule made 4e4.
+                // The normals turn the torque of 13 N with a slope of 13 levers. The shares limit the turning of e₁ to
+                // 8 levers per newton.
                 let bound = 8.0 * 13.0 * lever;
                 assert!(fine < bound && coarse < bound, "{} {ratio}: {fine}, {coarse} > {bound}", device.name);
             }
@@ -95,21 +97,23 @@ fn torque_is_continuous_in_the_angle_between_walls() {
 
 #[test]
 fn torque_is_continuous_in_the_ratio_of_stiffness() {
-    for (device, q) in stages() {
+    for (device, q) in device_poses() {
         let (task, lever) = (device.spec().task, lever(&device, &q));
         for angle in [1.0e-3, 0.05, 0.6, 1.2, std::f64::consts::FRAC_PI_2] {
-            for (third, with) in SOME {
+            for (third, with) in WALL_SETS {
                 let mut f = |log: f64| {
-                    let mut walls =
-                        vec![(turned(task, 0.0, 0.4), 1.0, 5.0), (turned(task, angle, 0.4), log.exp(), 5.0)];
+                    let mut walls = vec![
+                        (turned_normal(task, 0.0, 0.4), 1.0, 5.0),
+                        (turned_normal(task, angle, 0.4), log.exp(), 5.0),
+                    ];
                     if third {
-                        walls.push((turned(task, 0.7, -0.3), 3.0, 3.0));
+                        walls.push((turned_normal(task, 0.7, -0.3), 3.0, 3.0));
                     }
-                    torque_of_some(&device, &q, &walls, &with[..walls.len()], Precision::F64)
+                    torque_with_flags(&device, &q, &walls, &with[..walls.len()], Precision::F64)
                 };
                 let (low, high) = (1.0e-4_f64.ln(), 1.0e4_f64.ln());
                 let whole = slope(low, high, 1_500, &mut f);
-                // Around equal stiffness, where eigenvectors change places.
+                // Around equal stiffness the eigenvectors exchange their order.
                 let equal = slope(-1.0e-4, 1.0e-4, 200, &mut f);
                 let bound = 4.0 * 13.0 * lever;
                 assert!(whole < bound && equal < bound, "{} {angle}: {whole}, {equal} > {bound}", device.name);
@@ -118,18 +122,18 @@ fn torque_is_continuous_in_the_ratio_of_stiffness() {
     }
 }
 
-/// Torques of a scene's first step at a fixed pose: walls (normal, stiffness, depth in m).
+/// Computes the torques of a scene's first step at a fixed pose for walls (normal, stiffness, penetration in m).
 fn step<M: Mechanism<f64, N>, const N: usize>(
     m: M,
     file: &Shipped,
     q: &[f64],
     walls: &[(Vec<f64>, f64, f64)],
 ) -> Vec<f64> {
-    step_of_some(m, file, q, walls, &vec![true; walls.len()])
+    step_with_flags(m, file, q, walls, &vec![true; walls.len()])
 }
 
-/// Torque for each newton of wall `pushing`, m: by the board's step, 1 and 1.1 mm deep, where all of them count in
-/// full.
+/// Computes the torque per newton of wall `pushing`, m, from the board's steps at penetrations of 1 and 1.1 mm, where
+/// all walls count in full.
 pub fn lever_of_the_board(
     file: &Shipped,
     q: &[f64],
@@ -137,17 +141,17 @@ pub fn lever_of_the_board(
     with: &[bool],
     pushing: usize,
 ) -> Vec<f64> {
-    let at = |deep: f64| {
-        let depth = |i: usize| if i == pushing { deep } else { 1.0e-3 };
+    let at = |pushed: f64| {
+        let depth = |i: usize| if i == pushing { pushed } else { 1.0e-3 };
         let walls: Vec<_> = walls.iter().enumerate().map(|(i, (n, k))| (n.clone(), *k, depth(i))).collect();
-        with_mechanism!(AnyMechanism::<f64>::new(&file.description).unwrap(), m => step_of_some(m, file, q, &walls, with))
+        with_mechanism!(AnyMechanism::<f64>::new(&file.description).unwrap(), m => step_with_flags(m, file, q, &walls, with))
     };
     let newtons = walls[pushing].1 * 1.0e-4;
     at(1.1e-3).iter().zip(at(1.0e-3)).map(|(far, near)| (far - near) / newtons).collect()
 }
 
-/// As [`step`], some of the walls without the feed-forward.
-fn step_of_some<M: Mechanism<f64, N>, const N: usize>(
+/// Like [`step`], with the feed-forward for the walls whose entry in `with` is true.
+fn step_with_flags<M: Mechanism<f64, N>, const N: usize>(
     m: M,
     file: &Shipped,
     q: &[f64],
@@ -184,23 +188,25 @@ fn step_of_some<M: Mechanism<f64, N>, const N: usize>(
 
 #[test]
 fn torque_is_continuous_in_depth() {
-    for (file, q) in stages() {
+    for (file, q) in device_poses() {
         let (task, lever) = (file.spec().task, lever(&file, &q));
         for (soft, stiff) in [(2_000.0, 2_000.0), (5_000.0, 20_000.0), (20.0, 200_000.0), (20_000.0, 2.0)] {
             for angle in [0.05, 0.8, std::f64::consts::FRAC_PI_2] {
-                for (third, with) in SOME {
-                    // 2 mm deep in the first wall, and gradually touching the second.
+                for (third, with) in WALL_SETS {
+                    // 2 mm deep in the first wall, with a growing penetration of the second.
                     let f = |depth: f64| {
-                        let mut walls =
-                            vec![(turned(task, 0.0, 0.4), soft, 2.0e-3), (turned(task, angle, 0.4), stiff, depth)];
+                        let mut walls = vec![
+                            (turned_normal(task, 0.0, 0.4), soft, 2.0e-3),
+                            (turned_normal(task, angle, 0.4), stiff, depth),
+                        ];
                         if third {
-                            walls.push((turned(task, 0.7, -0.3), 0.3 * stiff, depth - 1.0e-4));
+                            walls.push((turned_normal(task, 0.7, -0.3), 0.3 * stiff, depth - 1.0e-4));
                         }
-                        with_mechanism!(AnyMechanism::<f64>::new(&file.description).unwrap(), m => step_of_some(m, &file, &q, &walls, &with))
+                        with_mechanism!(AnyMechanism::<f64>::new(&file.description).unwrap(), m => step_with_flags(m, &file, &q, &walls, &with))
                     };
-                    // The walls' own forces give each its stiffness times a lever. The shaping of the first changes
-                    // over the depth in which the second grows, the sooner the stiffer it is: ∂w/∂x ≤ 2 · 1.5 k₂/k₁
-                    // over TOUCH_DEPTH, times its force.
+                    // Each wall's own force contributes its stiffness times a lever. The shaping of the first wall
+                    // changes over the depth in which the weight of the second grows: ∂w/∂x ≤ 2 · 1.5 k₂/k₁ over
+                    // TOUCH_DEPTH, times the first wall's force.
                     let first = soft * 2.0e-3;
                     let bound = 3.0 * lever * (1.6 * stiff + 3.0 * first / TOUCH_DEPTH * (stiff / soft).max(1.0));
                     let whole = slope(-1.0e-4, 5.0e-4, 300, f);
@@ -213,11 +219,14 @@ fn torque_is_continuous_in_depth() {
 }
 
 #[test]
-fn the_board_and_the_model_agree_on_sets_of_which_some_have_the_feed_forward() {
-    for (device, q) in stages() {
+fn board_and_model_agree_on_walls_with_and_without_feed_forward() {
+    for (device, q) in device_poses() {
         let task = device.spec().task;
-        let walls =
-            [(turned(task, 0.0, 0.4), 3_000.0), (turned(task, 0.9, 0.4), 2_000.0), (turned(task, 0.7, -0.3), 1_000.0)];
+        let walls = [
+            (turned_normal(task, 0.0, 0.4), 3_000.0),
+            (turned_normal(task, 0.9, 0.4), 2_000.0),
+            (turned_normal(task, 0.7, -0.3), 1_000.0),
+        ];
         for with in [[true, false, true], [false, true, false], [false, false, true], [true, true, true]] {
             for pushing in 0..3 {
                 let set: Vec<_> = walls
@@ -225,10 +234,10 @@ fn the_board_and_the_model_agree_on_sets_of_which_some_have_the_feed_forward() {
                     .enumerate()
                     .map(|(i, (n, k))| (n.clone(), *k, f64::from(u8::from(i == pushing))))
                     .collect();
-                let model = torque_of_some(&device, &q, &set, &with, Precision::F64);
+                let model = torque_with_flags(&device, &q, &set, &with, Precision::F64);
                 let board = lever_of_the_board(&device, &q, &walls, &with, pushing);
-                // The angles are those of whole counts.
-                let error = apart(&model, &board) / apart(&model, &vec![0.0; q.len()]);
+                // The board's angles are rounded to counts.
+                let error = distance(&model, &board) / distance(&model, &vec![0.0; q.len()]);
                 assert!(error < 1.0e-6, "{} {with:?} {pushing}: {board:?} is not {model:?}", device.name);
             }
         }
@@ -236,39 +245,42 @@ fn the_board_and_the_model_agree_on_sets_of_which_some_have_the_feed_forward() {
 }
 
 #[test]
-fn touching_a_second_wall_does_not_step_the_shaping_of_the_first() {
-    for (file, q) in stages() {
+fn touching_a_second_wall_causes_no_jump_of_torque() {
+    for (file, q) in device_poses() {
         let task = file.spec().task;
         let with = |walls: &[(Vec<f64>, f64, f64)]| with_mechanism!(AnyMechanism::<f64>::new(&file.description).unwrap(), m => step(m, &file, &q, walls));
-        let first = (turned(task, 0.0, 0.4), 5_000.0, 2.0e-3);
+        let first = (turned_normal(task, 0.0, 0.4), 5_000.0, 2.0e-3);
         let alone = with(std::slice::from_ref(&first));
         for angle in [0.05, 0.8, std::f64::consts::FRAC_PI_2] {
-            // 10 nm deep: a wall of 5 kN/m pushes with 0.05 mN.
-            let touched = with(&[first.clone(), (turned(task, angle, 0.4), 5_000.0, 1.0e-8)]);
-            let step = apart(&alone, &touched) / apart(&alone, &vec![0.0; q.len()]);
-            assert!(step < 1.0e-4, "{}: {step:e} of the torque", file.name);
-            let pressed = with(&[first.clone(), (turned(task, angle, 0.4), 5_000.0, 2.0e-3)]);
-            assert!(apart(&alone, &pressed) > 0.01 * apart(&alone, &vec![0.0; q.len()]), "the second wall acts");
+            // At 10 nm a wall of 5 kN/m pushes with 0.05 mN.
+            let touched = with(&[first.clone(), (turned_normal(task, angle, 0.4), 5_000.0, 1.0e-8)]);
+            let step = distance(&alone, &touched) / distance(&alone, &vec![0.0; q.len()]);
+            assert!(step < 1.0e-4, "{}: the torque jumps by {step:e}", file.name);
+            let pressed = with(&[first.clone(), (turned_normal(task, angle, 0.4), 5_000.0, 2.0e-3)]);
+            assert!(
+                distance(&alone, &pressed) > 0.01 * distance(&alone, &vec![0.0; q.len()]),
+                "the second wall must act"
+            );
         }
     }
 }
 
 #[test]
-fn the_board_computes_what_double_precision_does_up_to_a_ratio_of_ten_thousand() {
-    for (device, q) in stages() {
+fn single_precision_suffices_up_to_a_stiffness_ratio_of_1e4() {
+    for (device, q) in device_poses() {
         let (task, lever) = (device.spec().task, lever(&device, &q));
         for ratio in [1.0, 1.001, 10.0, 1.0e4] {
             for angle in [0.0, 1.0e-3, 0.1, 0.9, std::f64::consts::FRAC_PI_2] {
                 let walls = [
-                    (turned(task, 0.0, 0.4), 1.0, 5.0),
-                    (turned(task, angle, 0.4), ratio, 5.0),
-                    (turned(task, 0.7, -0.3), 0.3 * ratio, 3.0),
+                    (turned_normal(task, 0.0, 0.4), 1.0, 5.0),
+                    (turned_normal(task, angle, 0.4), ratio, 5.0),
+                    (turned_normal(task, 0.7, -0.3), 0.3 * ratio, 3.0),
                 ];
                 for count in [2, 3] {
                     let [double, single] =
                         [Precision::F64, Precision::F32].map(|p| torque(&device, &q, &walls[..count], p));
-                    let error = apart(&double, &single) / (13.0 * lever);
-                    // Rounding of 6e-8 turns the soft directions by up to the root of the ratio times as much.
+                    let error = distance(&double, &single) / (13.0 * lever);
+                    // A rounding of 6e-8 turns the soft directions by up to the root of the ratio times as much.
                     assert!(error < 5.0e-5, "{} {ratio} {angle} {count}: {error:e}", device.name);
                 }
             }
@@ -277,28 +289,29 @@ fn the_board_computes_what_double_precision_does_up_to_a_ratio_of_ten_thousand()
 }
 
 #[test]
-fn walls_in_one_plane_are_one_wall_and_their_order_does_not_matter() {
-    for (device, q) in stages() {
+fn coplanar_walls_are_one_wall_and_the_order_does_not_matter() {
+    for (device, q) in device_poses() {
         let task = device.spec().task;
-        let n = turned(task, 0.4, 0.3);
+        let n = turned_normal(task, 0.4, 0.3);
         let one = torque(&device, &q, &[(n.clone(), 1.0, 8.0)], Precision::F64);
         let cut = torque(&device, &q, &[(n.clone(), 3.0, 5.0), (n.clone(), 0.1, 3.0)], Precision::F64);
-        assert!(apart(&one, &cut) < 1.0e-12, "{}: {one:?} {cut:?}", device.name);
-        let mut walls = vec![(n, 1.0, 5.0), (turned(task, 1.5, 0.3), 4.0, 2.0), (turned(task, -0.7, 0.9), 0.2, 3.0)];
+        assert!(distance(&one, &cut) < 1.0e-12, "{}: {one:?} {cut:?}", device.name);
+        let mut walls =
+            vec![(n, 1.0, 5.0), (turned_normal(task, 1.5, 0.3), 4.0, 2.0), (turned_normal(task, -0.7, 0.9), 0.2, 3.0)];
         let forth = torque(&device, &q, &walls, Precision::F64);
         walls.reverse();
         let back = torque(&device, &q, &walls, Precision::F64);
-        assert!(apart(&forth, &back) < 1.0e-10, "{}: {forth:?} {back:?}", device.name);
-        // Linear in the forces.
+        assert!(distance(&forth, &back) < 1.0e-10, "{}: {forth:?} {back:?}", device.name);
+        // Torques are linear in the forces.
         let doubled: Vec<_> = walls.iter().map(|(n, k, f)| (n.clone(), *k, 2.0 * f)).collect();
         let twice: Vec<f64> = back.iter().map(|t| 2.0 * t).collect();
-        assert!(apart(&twice, &torque(&device, &q, &doubled, Precision::F64)) < 1.0e-10, "{}", device.name);
+        assert!(distance(&twice, &torque(&device, &q, &doubled, Precision::F64)) < 1.0e-10, "{}", device.name);
     }
 }
 
 #[test]
 fn the_feed_forward_of_several_walls_fades_near_a_singularity() {
-    // On the way to a stretched elbow the share is below one, and the torque between Jᵀ F and the shaped one.
+    // Near a stretched elbow the share is below one, and the torque is between Jᵀ F and the shaped torque.
     let file = device("coupled-five-bar");
     let Ok(AnyMechanism::FiveBar(m)) = AnyMechanism::<f32>::new(&file.description) else { panic!("a five-bar") };
     let mut description = file.description;
@@ -324,7 +337,7 @@ fn the_feed_forward_of_several_walls_fades_near_a_singularity() {
         controller.step(&q.map(|q| (q / std::f64::consts::TAU * 1_048_576.0).round() as i32))
     };
     let (mut last, mut shares, mut changed) = (None::<SVector<f32, 2>>, Vec::new(), 0.0_f32);
-    // The right arm is turned until its elbow stretches.
+    // The right arm turns until its elbow stretches.
     for k in 0..600 {
         let q = [2.6, 1.75 + 1.0e-3 * f64::from(k)];
         let (full, off) = (step(q, FeedForward::Full), step(q, FeedForward::Off));
@@ -343,6 +356,10 @@ fn the_feed_forward_of_several_walls_fades_near_a_singularity() {
         last = Some(full.torque);
     }
     let partly = shares.iter().filter(|share| **share > 0.0 && **share < 1.0).count();
-    assert!(changed > 0.01 && shares.first() == Some(&1.0), "the walls are shaped: {changed} {:?}", shares.first());
+    assert!(
+        changed > 0.01 && shares.first() == Some(&1.0),
+        "the feed-forward must act: {changed} {:?}",
+        shares.first()
+    );
     assert!(partly > 3, "{partly} poses in the fade of {}", shares.len());
 }

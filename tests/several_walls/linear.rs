@@ -1,20 +1,22 @@
-//! Sampled loops of sets of walls, built here from M and J alone and judged by their eigenvalues.
+//! Stability of sampled loops with several walls: built from M and J alone, and checked by eigenvalues.
 
 use super::continuity::lever_of_the_board;
-use super::{Precision, Random, Shipped, at, device, scaled, torque_of_some};
+use super::{Precision, Random, Shipped, device, normalized, torque_with_flags, unit_vector};
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::with_mechanism;
 use nalgebra::{DMatrix, DVector, SVector};
 
-/// 1 kHz, velocities through a Butterworth low-pass at 100 Hz, and damping of 3 ms times the stiffness.
+/// Control period, s.
 const PERIOD: f64 = 1.0e-3;
+/// Cutoff of the velocities' Butterworth low-pass, Hz.
 const CUTOFF: f64 = 100.0;
+/// Damping over stiffness, s.
 const DAMPING_SECONDS: f64 = 3.0e-3;
 
-/// M and the tip rows of J at a pose, if it is well away from singularities.
+/// Computes M and the tip rows of J at a pose; `None` near a singularity.
 pub fn matrices(device: &Shipped, q: &[f64]) -> Option<(DMatrix<f64>, DMatrix<f64>)> {
-    fn of<const N: usize, M: Mechanism<f64, N>>(m: &M, q: &[f64]) -> Option<(DMatrix<f64>, DMatrix<f64>)> {
+    fn compute<const N: usize, M: Mechanism<f64, N>>(m: &M, q: &[f64]) -> Option<(DMatrix<f64>, DMatrix<f64>)> {
         let pose = m.pose::<Libm>(&SVector::from_column_slice(q));
         let regularity = m.regularity(&pose);
         let (mass, jacobian) = (m.mass(&pose), m.jacobian(&pose));
@@ -22,14 +24,14 @@ pub fn matrices(device: &Shipped, q: &[f64]) -> Option<(DMatrix<f64>, DMatrix<f6
             (DMatrix::from_fn(N, N, |i, j| mass[(i, j)]), DMatrix::from_fn(M::SPEC.task, N, |i, j| jacobian[(i, j)]))
         })
     }
-    with_mechanism!(&device.mechanism, m => of(m, q))
+    with_mechanism!(&device.mechanism, m => compute(m, q))
 }
 
-/// One set of walls on one device, undamped, without friction.
+/// A set of walls on a device without friction.
 #[derive(Clone)]
 pub struct Case {
     mass: DMatrix<f64>,
-    /// Distance of each wall per joint angle, m/rad.
+    /// Derivative of each wall's distance by the joint angles, m/rad.
     rows: DMatrix<f64>,
     /// Torques per newton of each wall, m.
     pub levers: DMatrix<f64>,
@@ -38,13 +40,13 @@ pub struct Case {
 }
 
 impl Case {
-    /// Walls (normal, stiffness) with the feed-forward, or plainly through Jᵀ.
+    /// Creates a case of walls (normal, stiffness), all with the feed-forward or all through Jᵀ.
     pub fn new(device: &Shipped, q: &[f64], walls: &[(Vec<f64>, f64)], feed_forward: bool) -> Option<Self> {
-        Self::of_some(device, q, walls, &vec![feed_forward; walls.len()])
+        Self::with_flags(device, q, walls, &vec![feed_forward; walls.len()])
     }
 
-    /// As [`Case::new`], the feed-forward being that of the walls that are `with` it.
-    pub fn of_some(device: &Shipped, q: &[f64], walls: &[(Vec<f64>, f64)], with: &[bool]) -> Option<Self> {
+    /// Like [`Case::new`], with the feed-forward for the walls whose entry in `with` is true.
+    pub fn with_flags(device: &Shipped, q: &[f64], walls: &[(Vec<f64>, f64)], with: &[bool]) -> Option<Self> {
         let (mass, jacobian) = matrices(device, q)?;
         let task = jacobian.nrows();
         let normals = DMatrix::from_fn(walls.len(), task, |i, j| walls[i].0[j]);
@@ -58,7 +60,7 @@ impl Case {
                     .enumerate()
                     .map(|(i, (normal, stiffness))| (normal.clone(), *stiffness, f64::from(u8::from(i == pushing))))
                     .collect();
-                DVector::from_vec(torque_of_some(device, q, &set, with, Precision::F64))
+                DVector::from_vec(torque_with_flags(device, q, &set, with, Precision::F64))
             };
             DMatrix::from_columns(&(0..walls.len()).map(column).collect::<Vec<_>>())
         } else {
@@ -67,7 +69,7 @@ impl Case {
         Some(Self { mass, rows, levers, share })
     }
 
-    /// Eigenvalues of the walls' mobility times their shares, 1/kg: what one mass of each mode would be inverse to.
+    /// Returns the eigenvalues of the walls' mobility times their shares, 1/kg: the inverse mass of each mode.
     pub fn modes(&self) -> Vec<nalgebra::Complex<f64>> {
         let inverse = self.mass.clone().try_inverse().expect("a mass matrix");
         let mobility =
@@ -75,13 +77,14 @@ impl Case {
         mobility.complex_eigenvalues().iter().copied().collect()
     }
 
-    /// Largest |z| of the sampled loop at a total stiffness (N/m), motions that no wall sees (z = 1) left out.
+    /// Returns the largest |z| of the sampled loop at a total stiffness (N/m), without the motions along all walls (z =
+    /// 1).
     pub fn radius(&self, stiffness: f64) -> f64 {
         let (walls, joints) = self.rows.shape();
-        // q, q̇ T, and for every wall its last distance and two filter states.
+        // The states are q, q̇ T, and for every wall the last distance and two filter states.
         let size = 2 * joints + 3 * walls;
         let inverse = self.mass.clone().try_inverse().expect("a mass matrix");
-        // The usual design: bilinear, prewarped, in transposed direct form II.
+        // The usual design: prewarped bilinear transform, in transposed direct form II.
         let warped = (std::f64::consts::PI * CUTOFF * PERIOD).tan();
         let scale = 1.0 / (1.0 + std::f64::consts::SQRT_2 * warped + warped * warped);
         let b0 = warped * warped * scale;
@@ -117,8 +120,8 @@ impl Case {
     }
 }
 
-/// Total stiffness (N/m) at which a mode of a mass of 1 kg leaves the unit circle: found on one wall of a paddle.
-fn critical() -> f64 {
+/// Returns the total stiffness (N/m) at which a mode with a mass of 1 kg leaves the unit circle.
+fn critical_stiffness() -> f64 {
     let one = Case {
         mass: DMatrix::from_element(1, 1, 1.0),
         rows: DMatrix::from_element(1, 1, 1.0),
@@ -134,11 +137,15 @@ fn critical() -> f64 {
     low
 }
 
-/// Largest stable total stiffness, N/m, from the modes; the sampled loop confirms it on both sides.
+/// Returns the largest stable total stiffness, N/m, from the modes, and checks it against the sampled loop on both
+/// sides.
 pub fn limit(case: &Case, critical: f64) -> f64 {
     let largest = case.modes().iter().map(|mode| mode.norm()).fold(0.0, f64::max);
     let found = critical / largest;
-    assert!(case.radius(found * 0.995) < 1.0 + 1.0e-9 && case.radius(found * 1.005) > 1.0, "the modes tell the limit");
+    assert!(
+        case.radius(found * 0.995) < 1.0 + 1.0e-9 && case.radius(found * 1.005) > 1.0,
+        "the sampled loop has another limit"
+    );
     found
 }
 
@@ -156,7 +163,7 @@ pub fn devices() -> Vec<Shipped> {
     .into()
 }
 
-/// A regular pose near the device's home.
+/// Draws a regular pose near the device's home.
 pub fn pose(device: &Shipped, random: &mut Random) -> Vec<f64> {
     let home = device.description.home.expect("a shipped device has a home");
     loop {
@@ -168,9 +175,9 @@ pub fn pose(device: &Shipped, random: &mut Random) -> Vec<f64> {
 }
 
 #[test]
-fn no_set_of_walls_is_less_stable_with_the_feed_forward_than_without() {
+fn the_feed_forward_makes_no_set_of_walls_less_stable() {
     let mut random = Random(3);
-    let critical = critical();
+    let critical = critical_stiffness();
     let (mut most, mut cases) = (0.0_f64, 0);
     for device in devices() {
         let task = device.spec().task;
@@ -187,7 +194,11 @@ fn no_set_of_walls_is_less_stable_with_the_feed_forward_than_without() {
             let shaped = Case::new(&device, &q, &walls, true).expect("a regular pose");
             let largest = plain.modes().iter().map(|mode| mode.norm()).fold(0.0, f64::max);
             for mode in shaped.modes() {
-                assert!(mode.im.abs() <= 1.0e-7 * largest, "{} {q:?} {walls:?}: {mode} is no mass", device.name);
+                assert!(
+                    mode.im.abs() <= 1.0e-7 * largest,
+                    "{} {q:?} {walls:?}: {mode} is not the inverse of a mass",
+                    device.name
+                );
                 assert!(mode.re <= largest * (1.0 + 1.0e-9), "{} {q:?} {walls:?}: {mode}, {largest}", device.name);
             }
             let (without, with) = (limit(&plain, critical), limit(&shaped, critical));
@@ -196,11 +207,11 @@ fn no_set_of_walls_is_less_stable_with_the_feed_forward_than_without() {
             cases += 1;
         }
     }
-    assert!(cases == 420 && most > 1.5, "the feed-forward does something: {most}");
+    assert!(cases == 420 && most > 1.5, "the feed-forward has too little effect: {most}");
 }
 
 #[test]
-fn no_set_of_walls_is_less_stable_with_the_feed_forward_of_some_of_them_than_without() {
+fn the_feed_forward_of_some_walls_makes_no_set_less_stable() {
     let mut random = Random(9);
     let (mut most, mut cases) = (0.0_f64, 0);
     for device in devices() {
@@ -214,16 +225,16 @@ fn no_set_of_walls_is_less_stable_with_the_feed_forward_of_some_of_them_than_wit
                     (normal, 10_f64.powf(random.between(0.0, if set % 4 < 2 { 1.0 } else { 4.0 })))
                 })
                 .collect();
-            // Neither all of them nor none.
+            // At least one wall with the feed-forward and at least one without.
             let mut with: Vec<bool> = walls.iter().map(|_| random.between(0.0, 1.0) < 0.5).collect();
             with[0] = !with[1];
             let plain = Case::new(&device, &q, &walls, false).expect("a regular pose");
-            let some = Case::of_some(&device, &q, &walls, &with).expect("a regular pose");
+            let some = Case::with_flags(&device, &q, &walls, &with).expect("a regular pose");
             let largest = |case: &Case| case.modes().iter().map(|mode| mode.norm()).fold(0.0, f64::max);
             let (without, heaviest) = (largest(&plain), largest(&some));
             for mode in some.modes() {
                 let real = mode.im.abs() <= 1.0e-7 * without && mode.re >= -1.0e-9 * without;
-                assert!(real, "{} {q:?} {walls:?} {with:?}: {mode} is no mass", device.name);
+                assert!(real, "{} {q:?} {walls:?} {with:?}: {mode} is not the inverse of a mass", device.name);
             }
             let name = &device.name;
             assert!(heaviest <= without * (1.0 + 1.0e-9), "{name} {q:?} {walls:?} {with:?}: {without}, {heaviest}");
@@ -231,13 +242,13 @@ fn no_set_of_walls_is_less_stable_with_the_feed_forward_of_some_of_them_than_wit
             cases += 1;
         }
     }
-    assert!(cases == 840 && most > 1.5, "the feed-forward of some does something: {most}");
+    assert!(cases == 840 && most > 1.5, "the feed-forward has too little effect: {most}");
 }
 
 #[test]
-fn facets_within_ten_degrees_are_as_stable_as_the_wall_in_one_piece() {
+fn facets_within_ten_degrees_are_as_stable_as_one_wall() {
     let mut random = Random(5);
-    let critical = critical();
+    let critical = critical_stiffness();
     for device in devices() {
         let task = device.spec().task;
         for set in 0..24 {
@@ -246,38 +257,41 @@ fn facets_within_ten_degrees_are_as_stable_as_the_wall_in_one_piece() {
             let shares: Vec<f64> = (0..2 + set % 2).map(|_| random.between(0.2, 1.0)).collect();
             let facets: Vec<(Vec<f64>, f64)> =
                 shares.iter().map(|share| (random.near(&n, 5_f64.to_radians()), *share)).collect();
-            // In one piece: all of the stiffness along the facets' mean normal.
+            // One wall: the sum of the stiffness along the facets' mean normal.
             let mean = (0..task).map(|j| facets.iter().map(|(n, k)| n[j] * k).sum()).collect::<Vec<f64>>();
-            let whole = [(scaled(&mean), shares.iter().sum())];
+            let one_wall = [(normalized(&mean), shares.iter().sum())];
             let cut = limit(&Case::new(&device, &q, &facets, true).expect("a regular pose"), critical);
-            let uncut = limit(&Case::new(&device, &q, &whole, true).expect("a regular pose"), critical);
-            assert!(cut >= 0.97 * uncut, "{} {q:?} {facets:?}: {uncut} in one piece, {cut} cut", device.name);
+            let uncut = limit(&Case::new(&device, &q, &one_wall, true).expect("a regular pose"), critical);
+            assert!(cut >= 0.97 * uncut, "{} {q:?} {facets:?}: {uncut} as one wall, {cut} as facets", device.name);
         }
     }
 }
 
 #[test]
-fn the_range_of_facets_two_degrees_apart_is_that_of_the_wall() {
-    // The case that swung with 48 N: 2 x 10 kN/m around the demo's normal.
-    let critical = critical();
+fn facets_two_degrees_apart_have_the_range_of_one_wall() {
+    // 2 x 10 kN/m around the demo's normal, a case that once oscillated with 48 N.
+    let critical = critical_stiffness();
     let (device, q) = (device("coupled-five-bar"), [2.6, 1.75]);
     let middle = 75_f64.to_radians();
-    let of = |walls: &[(Vec<f64>, f64)], feed_forward| {
+    let range = |walls: &[(Vec<f64>, f64)], feed_forward| {
         limit(&Case::new(&device, &q, walls, feed_forward).expect("a regular pose"), critical)
     };
-    let facet = |degrees: f64| (at(middle + degrees.to_radians()), 1.0);
-    let (whole, off) = (of(&[facet(0.0)], true), of(&[facet(0.0)], false));
-    let cut = of(&[facet(-1.0), facet(1.0)], true);
-    assert!(whole > 1.2 * off && (cut / whole - 1.0).abs() < 1.0e-3, "{off} plain, {whole} in one piece, {cut} cut");
+    let facet = |degrees: f64| (unit_vector(middle + degrees.to_radians()), 1.0);
+    let (whole, off) = (range(&[facet(0.0)], true), range(&[facet(0.0)], false));
+    let cut = range(&[facet(-1.0), facet(1.0)], true);
+    assert!(
+        whole > 1.2 * off && (cut / whole - 1.0).abs() < 1.0e-3,
+        "{off} without feed-forward, {whole} as one wall, {cut} as facets"
+    );
 }
 
-/// Two walls of which the first alone has the feed-forward, and whose torques are the board's own. Were the force of
-/// the second sent straight through Jᵀ, the stiffest motion would meet 1.0566 times less mass than without any
-/// feed-forward: the worst of 3 000 random pairs that code of another kind tried.
+/// Of two walls only the first has the feed-forward; the torques are the board's. If the force of the second acted
+/// through Jᵀ alone, the stiffest mode would have 1.0566 times less mass than without any feed-forward: the worst of
+/// 3,000 random pairs in an independent computation.
 #[test]
-fn a_wall_without_the_feed_forward_beside_one_with_it_is_as_stable_as_two_without() {
+fn one_wall_with_feed_forward_does_not_destabilise_the_other() {
     let (device, q) = (device("coupled-five-bar"), [2.6, 1.75]);
-    let walls = [(scaled(&[-0.194_558, -0.980_891]), 5_967.2), (scaled(&[0.706_391, -0.707_822]), 10_000.0)];
+    let walls = [(normalized(&[-0.194_558, -0.980_891]), 5_967.2), (normalized(&[0.706_391, -0.707_822]), 10_000.0)];
     let largest = |case: &Case| case.modes().iter().map(|mode| mode.norm()).fold(0.0, f64::max);
     let plain = Case::new(&device, &q, &walls, false).expect("a regular pose");
     let mut previous = f64::INFINITY;
@@ -288,26 +302,36 @@ fn a_wall_without_the_feed_forward_beside_one_with_it_is_as_stable_as_two_withou
                 .levers
                 .set_column(pushing, &DVector::from_vec(lever_of_the_board(&device, &q, &walls, &with, pushing)));
         }
-        let met = largest(&board);
-        assert!(met <= largest(&plain) * (1.0 + 1.0e-6), "{with:?}: {}", met / largest(&plain));
-        // The more walls have it, the more mass there is.
-        assert!(met <= previous * (1.0 + 1.0e-6), "{with:?}: {met}, {previous} before");
-        previous = met;
+        let mode = largest(&board);
+        assert!(mode <= largest(&plain) * (1.0 + 1.0e-6), "{with:?}: {}", mode / largest(&plain));
+        // Every further wall with the feed-forward adds mass.
+        assert!(mode <= previous * (1.0 + 1.0e-6), "{with:?}: {mode}, {previous} before");
+        previous = mode;
     }
-    assert!(previous < 0.9995 * largest(&plain), "the feed-forward does something: {}", previous / largest(&plain));
-    let mut beside = plain.clone();
-    beside.levers.set_column(0, &Case::new(&device, &q, &walls[..1], true).expect("a regular pose").levers.column(0));
-    assert!((largest(&beside) / largest(&plain) - 1.0566).abs() < 1.0e-3, "{}", largest(&beside) / largest(&plain));
+    assert!(
+        previous < 0.9995 * largest(&plain),
+        "the feed-forward has too little effect: {}",
+        previous / largest(&plain)
+    );
+    let mut through_jacobian = plain.clone();
+    through_jacobian
+        .levers
+        .set_column(0, &Case::new(&device, &q, &walls[..1], true).expect("a regular pose").levers.column(0));
+    assert!(
+        (largest(&through_jacobian) / largest(&plain) - 1.0566).abs() < 1.0e-3,
+        "{}",
+        largest(&through_jacobian) / largest(&plain)
+    );
 }
 
-/// The statement of docs/model.md about a second wall that acts with its full stiffness and counts with `w` of it, in
-/// the plane: the share of pairs that are more than 1 % less stable than without the feed-forward, and the worst of
-/// them.
-fn counting(w: f64) -> (f64, f64) {
+/// Checks a statement of docs/model.md about a second wall, in the plane, that acts with its full stiffness and has the
+/// weight `w`. Returns the share of random pairs that are more than 1 % less stable than without the feed-forward, and
+/// the worst ratio.
+fn share_of_less_stable_pairs(w: f64) -> (f64, f64) {
     let mut random = Random(21);
     let (sets, mut worse, mut worst) = (20_000, 0, 0.0_f64);
     for _ in 0..sets {
-        let column = |angle: f64| DVector::from_vec(at(angle));
+        let column = |angle: f64| DVector::from_vec(unit_vector(angle));
         let (turn, light) = (random.between(0.0, 3.2), 4_f64.powf(-random.between(0.0, 1.0)));
         let (u, v) = (column(turn), column(turn + std::f64::consts::FRAC_PI_2));
         let inertia = &u * u.transpose() + &v * v.transpose() * light;
@@ -319,25 +343,25 @@ fn counting(w: f64) -> (f64, f64) {
         let (e, k1) = (counted.eigenvectors.column(stiff).into_owned(), counted.eigenvalues[stiff]);
         let share = 1.0 - (counted.eigenvalues[1 - stiff] / k1).powi(2);
         let along = &e * e.transpose();
-        let met = (e.transpose() * &inertia * &e)[(0, 0)];
-        let shaped = &mobility - &mobility * &along * share + &along * (share / met);
+        let inertia_along = (e.transpose() * &inertia * &e)[(0, 0)];
+        let shaped = &mobility - &mobility * &along * share + &along * (share / inertia_along);
         let largest = |map: &DMatrix<f64>| {
             let modes = (map * (&first + &second)).complex_eigenvalues();
             modes.iter().map(|mode| mode.norm()).fold(0.0, f64::max)
         };
-        let less = largest(&shaped) / largest(&mobility);
-        worse += u32::from(less > 1.01);
-        worst = worst.max(less);
+        let ratio = largest(&shaped) / largest(&mobility);
+        worse += u32::from(ratio > 1.01);
+        worst = worst.max(ratio);
     }
     (f64::from(worse) / f64::from(sets), worst)
 }
 
 #[test]
-fn a_wall_that_counts_with_half_costs_little_and_one_that_counts_in_full_nothing() {
-    let (touched, most) = counting(0.0);
+fn half_the_weight_costs_little_stability_and_full_weight_none() {
+    let (touched, most) = share_of_less_stable_pairs(0.0);
     assert!((0.12..0.20).contains(&touched) && most < 1.4, "{touched} {most}");
-    let (half, most) = counting(0.5);
+    let (half, most) = share_of_less_stable_pairs(0.5);
     assert!(half < 0.01 && most < 1.09, "{half} {most}");
-    let (full, most) = counting(1.0);
+    let (full, most) = share_of_less_stable_pairs(1.0);
     assert!(full == 0.0 && most < 1.0 + 1.0e-9, "{full} {most}");
 }

@@ -1,6 +1,6 @@
-//! Walls that meet at an angle: what docs/model.md section 2 promises of them, held by loops and bounds that do not use
-//! the code under test. The feed-forward's torques alone come from it. Simulated devices that press such walls are in
-//! tool/tests/deep/ranges/sets_of_walls.rs.
+//! Walls that meet at an angle, as in docs/model.md section 2. The loops and bounds here are independent of the code
+//! under test, except for the torques of the feed-forward. tool/tests/deep/ranges/sets_of_walls.rs has simulated
+//! devices that press such walls.
 
 mod continuity;
 mod linear;
@@ -30,43 +30,45 @@ impl Shipped {
     }
 }
 
+/// Reads the shipped device of this name.
 fn device(name: &'static str) -> Shipped {
     let description = device_file::shipped(name);
     Shipped { name, description, mechanism: AnyMechanism::new(&description).expect("a sound device") }
 }
 
-/// In which arithmetic to compute.
+/// Floating-point precision of a computation.
 #[derive(Clone, Copy)]
 enum Precision {
-    /// The board's.
+    /// The board's precision.
     F32,
     F64,
 }
 
-/// A unit vector at this angle, rad.
-fn at(angle: f64) -> Vec<f64> {
+/// Returns a unit vector at this angle, rad.
+fn unit_vector(angle: f64) -> Vec<f64> {
     vec![angle.cos(), angle.sin()]
 }
 
-fn scaled(v: &[f64]) -> Vec<f64> {
+/// Returns the unit vector along `v`.
+fn normalized(v: &[f64]) -> Vec<f64> {
     let length = v.iter().map(|x| x * x).sum::<f64>().sqrt();
     v.iter().map(|x| x / length).collect()
 }
 
-/// Joint torques for walls of these normals, stiffness and forces, at rest and without what the device weighs.
+/// Computes the joint torques for walls (normal, stiffness, force) at rest and without the device's weight.
 fn torque(device: &Shipped, q: &[f64], walls: &[(Vec<f64>, f64, f64)], precision: Precision) -> Vec<f64> {
-    torque_of_some(device, q, walls, &vec![true; walls.len()], precision)
+    torque_with_flags(device, q, walls, &vec![true; walls.len()], precision)
 }
 
-/// As [`torque`], some of the walls without the feed-forward.
-fn torque_of_some(
+/// Like [`torque`], with the feed-forward for the walls whose entry in `with` is true.
+fn torque_with_flags(
     device: &Shipped,
     q: &[f64],
     walls: &[(Vec<f64>, f64, f64)],
     with: &[bool],
     precision: Precision,
 ) -> Vec<f64> {
-    fn of<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
+    fn compute<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
         m: &M,
         q: &[f64],
         walls: &[(Vec<f64>, f64, f64)],
@@ -81,19 +83,19 @@ fn torque_of_some(
             force += normal * T::from_f64(*newtons);
             pulls.push(Pull { normal, across: false, stiffness, feed_forward: *feed_forward });
         }
-        let of = |force| Inertia::new::<K, M>(m, &pose, &SVector::zeros(), &pulls, &force).torque;
-        (of(force) - of(SVector::zeros())).iter().map(|torque| torque.to_f64()).collect()
+        let torque = |force| Inertia::new::<K, M>(m, &pose, &SVector::zeros(), &pulls, &force).torque;
+        (torque(force) - torque(SVector::zeros())).iter().map(|torque| torque.to_f64()).collect()
     }
     match precision {
-        Precision::F64 => with_mechanism!(&device.mechanism, m => of::<f64, FineTable, _, _>(m, q, walls, with)),
+        Precision::F64 => with_mechanism!(&device.mechanism, m => compute::<f64, FineTable, _, _>(m, q, walls, with)),
         Precision::F32 => {
             let mechanism = AnyMechanism::<f32>::new(&device.description).expect("a sound device");
-            with_mechanism!(&mechanism, m => of::<f32, BoardMath, _, _>(m, q, walls, with))
+            with_mechanism!(&mechanism, m => compute::<f32, BoardMath, _, _>(m, q, walls, with))
         }
     }
 }
 
-/// Numbers that look random and are the same on every machine.
+/// A generator of pseudo-random numbers, the same on every machine.
 struct Random(u64);
 
 impl Random {
@@ -107,17 +109,17 @@ impl Random {
             let v: Vec<f64> = (0..task).map(|_| self.between(-1.0, 1.0)).collect();
             let square: f64 = v.iter().map(|x| x * x).sum();
             if (0.01..1.0).contains(&square) {
-                return scaled(&v);
+                return normalized(&v);
             }
         }
     }
 
-    /// A unit vector within `angle` (rad) of `n`.
+    /// Draws a unit vector within `angle` (rad) of `n`.
     fn near(&mut self, n: &[f64], angle: f64) -> Vec<f64> {
         loop {
             let side = self.direction(n.len());
             let v: Vec<f64> = n.iter().zip(&side).map(|(a, b)| a + angle.tan() * b).collect();
-            let v = scaled(&v);
+            let v = normalized(&v);
             if v.iter().zip(n).map(|(a, b)| a * b).sum::<f64>() >= angle.cos() {
                 return v;
             }

@@ -1,8 +1,8 @@
-//! Springs, and planes that the host sends, beside walls that have the feed-forward: loops put together here from M, J
-//! and the torques of the board's own step.
+//! Springs and planes of the host together with walls that have the feed-forward: loops built from M, J and the torques
+//! of the board's step.
 
 use super::linear::{devices, matrices, pose};
-use super::{Random, Shipped, at, device, scaled};
+use super::{Random, Shipped, device, normalized, unit_vector};
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::description::Encoder;
 use haptic_bridge::model::device::Device;
@@ -12,12 +12,12 @@ use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Spring, Surface, W
 use haptic_bridge::with_mechanism;
 use nalgebra::{Complex, DMatrix, DVector, SVector};
 
-/// The forces at the tip: bilateral walls, springs, and a plane of the host's.
+/// Forces at the tip: bilateral walls, springs, and a plane of the host.
 #[derive(Clone, Debug, Default)]
 struct Set {
-    /// Normal, stiffness, and whether it has the feed-forward.
+    /// Normal, stiffness, and true with the feed-forward.
     walls: Vec<(Vec<f64>, f64, bool)>,
-    /// Line (none: a point) and stiffness.
+    /// Direction of the line (`None` for a point) and stiffness.
     springs: Vec<(Option<Vec<f64>>, f64)>,
     /// Normal and stiffness.
     plane: Option<(Vec<f64>, f64)>,
@@ -27,10 +27,10 @@ fn three(v: &[f64]) -> [f64; 3] {
     core::array::from_fn(|i| v.get(i).copied().unwrap_or(0.0))
 }
 
-/// Torques of the board's first step where all of the set lies `shift` (m) from the tip; the plane 1 cm further along
-/// its normal.
+/// Computes the torques of the board's first step with the set at `shift` (m) from the tip, and the plane 1 cm further
+/// along its normal.
 fn torque(file: &Shipped, q: &[f64], set: &Set, shift: &[f64]) -> DVector<f64> {
-    fn of<M: Mechanism<f64, N>, const N: usize>(
+    fn compute<M: Mechanism<f64, N>, const N: usize>(
         m: M,
         file: &Shipped,
         q: &[f64],
@@ -77,10 +77,10 @@ fn torque(file: &Shipped, q: &[f64], set: &Set, shift: &[f64]) -> DVector<f64> {
         }
         DVector::from_iterator(N, controller.step(&counts).torque.iter().copied())
     }
-    with_mechanism!(AnyMechanism::<f64>::new(&file.description).unwrap(), m => of(m, file, q, set, shift))
+    with_mechanism!(AnyMechanism::<f64>::new(&file.description).unwrap(), m => compute(m, file, q, set, shift))
 }
 
-/// K of the set, N/m.
+/// Computes K of the set, N/m.
 fn stiffness(set: &Set, task: usize) -> DMatrix<f64> {
     let along = |n: &Vec<f64>| DVector::from_vec(n.clone()) * DVector::from_vec(n.clone()).transpose();
     let mut sum = DMatrix::zeros(task, task);
@@ -97,8 +97,8 @@ fn stiffness(set: &Set, task: usize) -> DMatrix<f64> {
     sum
 }
 
-/// Eigenvalues of the loop at a stiffness of 1 N/m: of the tip's acceleration per displacement, 1/s². The first by the
-/// board's torques, the second by Jᵀ alone.
+/// Returns the eigenvalues of the tip's acceleration per displacement, 1/s²: first with the board's torques, then with
+/// Jᵀ alone.
 fn modes(file: &Shipped, q: &[f64], set: &Set) -> [Vec<Complex<f64>>; 2] {
     let (mass, jacobian) = matrices(file, q).expect("a regular pose");
     let task = jacobian.nrows();
@@ -120,21 +120,21 @@ fn largest(modes: &[Complex<f64>]) -> f64 {
     modes.iter().map(|mode| mode.norm()).fold(0.0, f64::max)
 }
 
-/// Asserts that the set is as real masses, none lighter than without the feed-forward, and returns how much heavier the
-/// lightest is.
-fn heavier(file: &Shipped, q: &[f64], set: &Set) -> f64 {
+/// Asserts that the modes are those of real masses, and not lighter than without the feed-forward. Returns the ratio of
+/// the lightest masses with and without.
+fn mass_ratio(file: &Shipped, q: &[f64], set: &Set) -> f64 {
     let [board, plain] = modes(file, q, set);
     let without = largest(&plain);
     for mode in &board {
         let real = mode.im.abs() <= 1.0e-5 * without && mode.re >= -1.0e-6 * without;
-        assert!(real, "{} {q:?} {set:?}: {mode} is no mass, {without}", file.name);
+        assert!(real, "{} {q:?} {set:?}: {mode} is not the inverse of a mass, {without}", file.name);
         assert!(mode.re <= without * (1.0 + 1.0e-6), "{} {q:?} {set:?}: {mode}, {without} plain", file.name);
     }
     without / largest(&board)
 }
 
 #[test]
-fn no_set_of_walls_and_springs_is_less_stable_with_the_feed_forward_than_without() {
+fn the_feed_forward_makes_no_walls_with_springs_less_stable() {
     let mut random = Random(17);
     let (mut most, mut cases) = (0.0_f64, 0);
     for device in devices() {
@@ -158,30 +158,30 @@ fn no_set_of_walls_and_springs_is_less_stable_with_the_feed_forward_than_without
                 })
                 .collect();
             let plane = (set % 3 == 0 || set % 5 == 0).then(|| (random.direction(task), gain(&mut random)));
-            most = most.max(heavier(&device, &q, &Set { walls, springs, plane }));
+            most = most.max(mass_ratio(&device, &q, &Set { walls, springs, plane }));
             cases += 1;
         }
     }
-    assert!(cases == 420 && most > 1.5, "the feed-forward does something: {most}");
+    assert!(cases == 420 && most > 1.5, "the feed-forward has too little effect: {most}");
 }
 
-/// The demo's wall, and a direction half way between its normal and Λ times that.
-fn between(file: &Shipped, q: &[f64]) -> (Vec<f64>, Vec<f64>) {
-    let n = at(75_f64.to_radians());
+/// Returns the normal n of the demo's wall, and the direction half way between n and Λ n.
+fn normal_and_oblique(file: &Shipped, q: &[f64]) -> (Vec<f64>, Vec<f64>) {
+    let n = unit_vector(75_f64.to_radians());
     let (mass, jacobian) = matrices(file, q).expect("a regular pose");
     let back = jacobian.try_inverse().expect("a square Jacobian");
     let pulled = back.transpose() * mass * &back * DVector::from_vec(n.clone());
-    let pulled = scaled(pulled.as_slice());
-    let m = scaled(&[n[0] + pulled[0], n[1] + pulled[1]]);
+    let pulled = normalized(pulled.as_slice());
+    let m = normalized(&[n[0] + pulled[0], n[1] + pulled[1]]);
     (n, m)
 }
 
 #[test]
-fn a_spring_or_a_plane_beside_a_wall_leaves_no_motion_that_runs_away() {
+fn a_spring_or_plane_with_a_wall_leaves_no_unstable_motion() {
     let (file, q) = (device("coupled-five-bar"), [2.6, 1.75]);
-    let (n, m) = between(&file, &q);
+    let (n, m) = normal_and_oblique(&file, &q);
     let walls = vec![(n.clone(), 5_000.0, true)];
-    // Straight through Jᵀ beside the wall's own (4): one eigenvalue is negative, whatever the gains are.
+    // If the other force acted through Jᵀ and the wall by (4), one eigenvalue would be negative for any gains.
     let (mass, jacobian) = matrices(&file, &q).expect("a regular pose");
     let alone = modes(&file, &q, &Set { walls: walls.clone(), ..Set::default() })[0].clone();
     let (n, m) = (DVector::from_vec(n), DVector::from_vec(m));
@@ -193,7 +193,7 @@ fn a_spring_or_a_plane_beside_a_wall_leaves_no_motion_that_runs_away() {
         let spring = Set { walls: walls.clone(), springs: vec![(Some(across), stiffness)], plane: None };
         let plane = Set { walls: walls.clone(), springs: vec![], plane: Some((m.as_slice().to_vec(), stiffness)) };
         for set in [spring, plane] {
-            heavier(&file, &q, &set);
+            mass_ratio(&file, &q, &set);
         }
     }
 }
@@ -203,11 +203,11 @@ fn torque_is_continuous_in_the_stiffness_of_a_spring() {
     for (name, q) in [("coupled-five-bar", vec![2.6, 1.75]), ("phantom-premium-1.5", vec![0.3, 0.9, -0.3])] {
         let file = device(name);
         let task = file.spec().task;
-        let wall = (scaled(&[0.3, 1.0, 0.2][..task]), 2_000.0, true);
-        let line = scaled(&[1.0, -0.5, 0.4][..task]);
+        let wall = (normalized(&[0.3, 1.0, 0.2][..task]), 2_000.0, true);
+        let line = normalized(&[1.0, -0.5, 0.4][..task]);
         let shift = vec![2.0e-3; task];
         for (spring, plane) in [(Some(None), false), (Some(Some(line.clone())), false), (None, true)] {
-            // Forces of a few newtons whatever the stiffness is, so the torque for each of them is what may step.
+            // The torque is divided by the stiffness, so that a jump at any stiffness is found.
             let at = |log: f64| {
                 let k = log.exp();
                 let springs = spring.iter().map(|line| (line.clone(), k)).collect();
@@ -215,7 +215,10 @@ fn torque_is_continuous_in_the_stiffness_of_a_spring() {
                 torque(&file, &q, &Set { walls: vec![wall.clone()], springs, plane }, &shift) / (k + 2_000.0)
             };
             let none = torque(&file, &q, &Set { walls: vec![wall.clone()], ..Set::default() }, &shift) / 2_000.0;
-            assert!((at(-7.0) - &none).norm() < 1.0e-5 * none.norm(), "{name}: a soft spring changes nothing");
+            assert!(
+                (at(-7.0) - &none).norm() < 1.0e-5 * none.norm(),
+                "{name}: a soft spring must not change the torque"
+            );
             let (steps, low, high) = (3_000, -7.0, 14.0);
             let step = (high - low) / f64::from(steps);
             let mut last = at(low);
@@ -231,7 +234,7 @@ fn torque_is_continuous_in_the_stiffness_of_a_spring() {
 }
 
 #[test]
-fn springs_alone_and_beside_walls_without_the_feed_forward_go_straight_through_the_jacobian() {
+fn springs_without_feed_forward_act_through_the_jacobian() {
     let mut random = Random(4);
     for device in devices() {
         let task = device.spec().task;

@@ -1,5 +1,5 @@
-//! Instructions of every variant of the control step: counted on the emulated chip, kept in
-//! crates/predict/src/bench/counts.json, held there.
+//! Instruction counts of every variant of the control step: counted on the emulated chip, stored in
+//! crates/predict/src/bench/counts.json, and compared with that file.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -15,15 +15,15 @@ use crate::toolchain::{TARGET, Use, cargo, haptic_emulator, run};
 use crate::tools;
 
 const BINARY: &str = "haptic-counting";
-/// By how much a variant may grow over the committed figure.
+/// Largest allowed ratio of a variant's instructions to the stored count.
 const GROWTH: f64 = 1.01;
 
-/// Inside the package that brings the figures along.
-fn kept() -> PathBuf {
+/// Returns the file of the stored counts, in the package that includes it.
+fn counts_file() -> PathBuf {
     root().join("crates/predict/src/bench/counts.json")
 }
 
-/// Builds the counting image; its path.
+/// Builds the counting image and returns its path.
 fn image() -> Result<PathBuf> {
     let mut command = tools::provide(&[Use::Build])?.cargo(Use::Build);
     command.current_dir(root().join("firmware")).arg("--target-dir").arg(target_directory());
@@ -31,7 +31,7 @@ fn image() -> Result<PathBuf> {
     Ok(target_directory().join(TARGET).join("firmware").join(BINARY))
 }
 
-/// Instructions by variant, as the emulated chip counts them, in the image's order.
+/// Counts the instructions of every variant on the emulated chip, in the image's order.
 fn count() -> Result<Vec<(String, u64)>> {
     let image = image()?;
     let output =
@@ -49,7 +49,7 @@ fn count() -> Result<Vec<(String, u64)>> {
         .collect()
 }
 
-/// Counts everything, keeps the figures, and makes the report from them.
+/// Counts everything, stores the counts, and writes the report.
 pub fn refresh() -> Result<()> {
     let counted = count()?;
     let variants: Vec<String> = counted
@@ -57,8 +57,9 @@ pub fn refresh() -> Result<()> {
         .map(|(name, instructions)| format!("    {}", json!({"name": name, "instructions": instructions})))
         .collect();
     let text = format!("{{\n  \"target\": \"cortex-m4f\",\n  \"variants\": [\n{}\n  ]\n}}\n", variants.join(",\n"));
-    fs::write(kept(), text).with_context(|| format!("cannot write {}", kept().display()))?;
-    println!("{}: {} variants", kept().display(), counted.len());
+    let file = counts_file();
+    fs::write(&file, text).with_context(|| format!("cannot write {}", file.display()))?;
+    println!("{}: {} variants", file.display(), counted.len());
     report::record("counts", "cargo xtask bench")?;
     run(cargo().current_dir(root()).args([
         "run",
@@ -74,10 +75,11 @@ pub fn refresh() -> Result<()> {
     ]))
 }
 
-/// Counts everything again and fails when a variant has grown by more than 1 % over the kept figure.
+/// Counts everything again. Fails if a variant has over 1 % more instructions than stored.
 pub fn check() -> Result<()> {
-    let kept: Value = serde_json::from_str(&fs::read_to_string(kept()).context("counts.json cannot be read")?)?;
-    let kept: BTreeMap<&str, u64> = kept["variants"]
+    let stored: Value =
+        serde_json::from_str(&fs::read_to_string(counts_file()).context("counts.json cannot be read")?)?;
+    let stored: BTreeMap<&str, u64> = stored["variants"]
         .as_array()
         .context("counts.json lists no variants")?
         .iter()
@@ -87,24 +89,24 @@ pub fn check() -> Result<()> {
     let mut wrong = Vec::new();
     let mut less = 0;
     for (name, now) in &counted {
-        match kept.get(name.as_str()) {
+        match stored.get(name.as_str()) {
             None => wrong.push(format!("{name}: not in counts.json")),
             Some(then) if *now as f64 > *then as f64 * GROWTH => {
-                wrong.push(format!("{name}: {then} have become {now}"))
+                wrong.push(format!("{name}: {then} before, {now} now"))
             }
             Some(then) => less += usize::from(now < then),
         }
     }
-    for name in kept.keys().filter(|name| counted.iter().all(|(there, _)| there != *name)) {
+    for name in stored.keys().filter(|name| counted.iter().all(|(other, _)| other != *name)) {
         wrong.push(format!("{name}: no longer counted"));
     }
     if !wrong.is_empty() {
         bail!(
             "instructions of the control step grew by more than 1 %, or the variants changed:\n  {}\n\
-             if that is meant, `cargo xtask bench` keeps the new figures",
+             if this is intended, store the new counts with `cargo xtask bench`",
             wrong.join("\n  ")
         );
     }
-    println!("{} variants within 1 % of counts.json, {less} of them below", counted.len());
+    println!("{} variants within 1 % of counts.json, {less} of them lower", counted.len());
     Ok(())
 }

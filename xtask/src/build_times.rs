@@ -1,5 +1,5 @@
-//! The time that each format, view and interface adds to building the tool: cargo's own record of a clean build, summed
-//! over the crates that only this one brings.
+//! The time that each format, view and interface adds to a build of the tool: cargo's timings of a clean build, summed
+//! over the crates that only this part needs.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -10,7 +10,7 @@ use serde_json::Value;
 use crate::paths::{root, target_directory};
 use crate::toolchain::{cargo, run};
 
-/// The tool's dependencies, by purpose.
+/// Dependencies of the tool by purpose.
 const PARTS: &[(&str, &[&str])] = &[
     ("PNG pictures", &["resvg", "dejavu"]),
     ("command line, help, manual", &["clap", "clap_complete", "clap_mangen", "indicatif", "ctrlc"]),
@@ -21,7 +21,7 @@ const PARTS: &[(&str, &[&str])] = &[
     ("device and scene files", &["toml", "serde_json"]),
 ];
 
-/// Builds the tool from nothing, in a directory of its own, and prints a table in Markdown.
+/// Builds the tool from nothing in a separate directory and prints a table in Markdown.
 pub fn print() -> Result<()> {
     let fresh = target_directory().join("build-times");
     if fresh.exists() {
@@ -36,9 +36,9 @@ pub fn print() -> Result<()> {
     let seconds = durations(&page)?;
     let graph = Graph::read()?;
     let total: f64 = seconds.values().sum();
-    println!("| part | crates that only it brings | seconds of one core |\n|---|--:|--:|");
+    println!("| part | crates that only it needs | seconds of one core |\n|---|--:|--:|");
     for (part, crates) in PARTS {
-        let own = graph.only(crates);
+        let own = graph.only_needed_by(crates);
         let spent: f64 = own.iter().filter_map(|name| seconds.get(name)).sum();
         println!("| {part} | {} | {spent:.0} |", own.len());
     }
@@ -47,16 +47,16 @@ pub fn print() -> Result<()> {
     Ok(())
 }
 
-/// Returns true if a crate is one of this repository's.
+/// Returns true if a crate belongs to this repository.
 fn is_ours(name: &str) -> bool {
     name == "haptic" || name.starts_with("haptic-")
 }
 
-/// Seconds by crate, from the list of units in cargo's report.
+/// Reads the seconds of every crate from the list of units in cargo's report.
 fn durations(page: &str) -> Result<BTreeMap<String, f64>> {
     let list = page.split_once("UNIT_DATA = ").and_then(|(_, rest)| rest.split_once("];")).map(|(list, _)| list);
     let list = list.context("cargo's report has no list of units")?;
-    let units: Vec<Value> = serde_json::from_str(&format!("{list}]")).context("cargo's list of units is no JSON")?;
+    let units: Vec<Value> = serde_json::from_str(&format!("{list}]")).context("cargo's list of units is not JSON")?;
     let mut seconds = BTreeMap::new();
     for unit in &units {
         let (name, spent) = (unit["name"].as_str(), unit["duration"].as_f64());
@@ -66,7 +66,7 @@ fn durations(page: &str) -> Result<BTreeMap<String, f64>> {
     Ok(seconds)
 }
 
-/// Which crate needs which, by name; two versions of a crate are one.
+/// Dependencies between crates, by name; two versions of a crate are one.
 struct Graph(BTreeMap<String, BTreeSet<String>>);
 
 impl Graph {
@@ -102,7 +102,7 @@ impl Graph {
         Ok(Self(graph))
     }
 
-    /// Returns the crates that the tool needs, without those dependencies `except` of its own crates.
+    /// Returns the crates that the tool needs if this repository's crates did not depend on the crates in `except`.
     fn reached(&self, except: &[&str]) -> BTreeSet<&str> {
         let mut found = BTreeSet::new();
         let mut open = vec!["haptic"];
@@ -116,8 +116,8 @@ impl Graph {
         found
     }
 
-    /// The crates that the tool would do without if it did without these.
-    fn only(&self, crates: &[&str]) -> BTreeSet<String> {
+    /// Returns the crates that the tool would no longer need without these.
+    fn only_needed_by(&self, crates: &[&str]) -> BTreeSet<String> {
         let without = self.reached(crates);
         self.reached(&[]).difference(&without).map(|name| (*name).to_owned()).collect()
     }
@@ -128,14 +128,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_another_needs_too_is_not_counted() {
+    fn crates_that_another_part_needs_are_not_counted() {
         let needs = |names: &[&str]| names.iter().map(|name| (*name).to_owned()).collect();
         let graph = Graph(BTreeMap::from([
             ("haptic".into(), needs(&["a", "b"])),
             ("a".into(), needs(&["shared", "own"])),
             ("b".into(), needs(&["shared"])),
         ]));
-        assert_eq!(graph.only(&["a"]), needs(&["a", "own"]));
+        assert_eq!(graph.only_needed_by(&["a"]), needs(&["a", "own"]));
     }
 
     #[test]

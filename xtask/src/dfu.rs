@@ -1,16 +1,16 @@
-//! DfuSe update files: an image written in segments, so that what lies between them (the settings) is neither sent nor
-//! erased.
+//! DfuSe update files: an image in segments, so that the flash between them (the settings) is neither sent nor erased.
 //!
 //! Format: STMicroelectronics UM0391, "DfuSe file format specification". All numbers are little-endian.
 
 use crate::checksum::crc32;
 use crate::image::Segment;
 
-/// USB numbers of the STM32's boot loader.
+/// USB vendor and product id of the STM32's boot loader.
 const VENDOR_ID: u16 = 0x0483;
 const PRODUCT_ID: u16 = 0xDF11;
 
-/// An update file of these segments for the boot loader's internal flash (alternate setting 0), named after the board.
+/// Returns an update file of these segments for the boot loader's internal flash (alternate setting 0), with the
+/// board's name.
 pub fn file(segments: &[Segment], name: &str) -> Vec<u8> {
     let mut elements = Vec::new();
     for segment in segments {
@@ -45,7 +45,7 @@ pub fn file(segments: &[Segment], name: &str) -> Vec<u8> {
     file.extend(0x011A_u16.to_le_bytes());
     file.extend(b"UFD");
     file.push(16);
-    // The suffix wants it without the last inversion.
+    // The suffix has the CRC without the final inversion.
     let check = !crc32(&file);
     file.extend(check.to_le_bytes());
     file
@@ -56,7 +56,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_file_holds_every_segment_at_its_address_and_nothing_between_them() {
+    fn a_file_has_every_segment_at_its_address() {
         let segments =
             [Segment { address: 0x0800_0000, bytes: vec![1; 8] }, Segment { address: 0x0800_C000, bytes: vec![2; 4] }];
         let file = file(&segments, "odrive-v3");
@@ -68,6 +68,6 @@ mod tests {
         assert_eq!(file[11 + 274 + 16..][..4], 0x0800_C000_u32.to_le_bytes());
         assert_eq!(&file[file.len() - 8..file.len() - 4], b"UFD\x10");
         let (checked, check) = file.split_at(file.len() - 4);
-        assert_eq!(check, (!crc32(checked)).to_le_bytes(), "without the last inversion");
+        assert_eq!(check, (!crc32(checked)).to_le_bytes(), "without the final inversion");
     }
 }

@@ -1,5 +1,5 @@
-//! What somebody installs who has no compiler, made for this computer: an archive of the tool with all that belongs to
-//! it, a wheel for Python that holds the tool as well, and their sums. Paths and times of this computer are in neither.
+//! Release files for users without a compiler, for this kind of computer: an archive of the tool with its files, a
+//! wheel for Python that also contains the tool, and their checksums. Neither contains paths or times of this computer.
 
 mod archive;
 mod check;
@@ -20,30 +20,30 @@ use crate::paths::{root, target_directory};
 use crate::toolchain::{Use, cargo, host, run, rust_flags};
 use crate::{images, playground, tools};
 
-/// The time of every file in archive and wheel: the first that a wheel can hold, 1980-01-01.
-const TIME: u64 = 315_532_800;
+/// Time stamp of every file in archive and wheel: 1980-01-01, the earliest that a wheel can store.
+const FILE_TIME: u64 = 315_532_800;
 
-/// What was made.
-pub struct Made {
-    /// The archive.
+/// Paths of the release files.
+pub struct ReleaseFiles {
+    /// Path of the archive.
     pub archive: PathBuf,
-    /// The wheel.
+    /// Path of the wheel.
     pub wheel: PathBuf,
 }
 
-/// Builds everything anew where the source has changed, and puts it into target/dist, alone.
-pub fn make() -> Result<Made> {
+/// Builds everything whose source has changed and writes the release files into an empty target/dist.
+pub fn make() -> Result<ReleaseFiles> {
     tools::provide(&[Use::Build, Use::Playground, Use::Python])?;
     let version = version()?;
-    images::take_in()?;
+    images::build_all()?;
     let page = playground::build()?;
     let began = Instant::now();
-    run(portable(cargo().current_dir(root()).args(["build", "--release", "--locked", "--package", "haptic"])))?;
+    run(make_portable(cargo().current_dir(root()).args(["build", "--release", "--locked", "--package", "haptic"])))?;
     let tool = target_directory().join("release").join(format!("haptic{}", env::consts::EXE_SUFFIX));
     println!("{}: {}, built in {} s", tool.display(), megabytes(&tool)?, began.elapsed().as_secs());
 
     let place = target_directory().join("dist");
-    empty(&place)?;
+    create_empty(&place)?;
     let archive = archive::write_archive(&place, &format!("haptic-{version}-{}", host()?), &tool, &page)?;
     let wheel = wheel::write_wheel(&place, &tool)?;
     let mut sums = String::new();
@@ -54,15 +54,15 @@ pub fn make() -> Result<Made> {
         println!("{}: {}", file.display(), megabytes(file)?);
     }
     write(&place.join("SHA256SUMS"), sums.as_bytes())?;
-    Ok(Made { archive, wheel })
+    Ok(ReleaseFiles { archive, wheel })
 }
 
-/// Has a build leave out what differs between computers and days.
-fn portable(command: &mut Command) -> &mut Command {
-    command.env("CARGO_ENCODED_RUSTFLAGS", rust_flags().join("\x1f")).env("SOURCE_DATE_EPOCH", TIME.to_string())
+/// Removes from a build everything that differs between computers and days.
+fn make_portable(command: &mut Command) -> &mut Command {
+    command.env("CARGO_ENCODED_RUSTFLAGS", rust_flags().join("\x1f")).env("SOURCE_DATE_EPOCH", FILE_TIME.to_string())
 }
 
-/// The version of tool, wheel and firmware, which are released together.
+/// Returns the version of tool, wheel and firmware, which are released together.
 fn version() -> Result<String> {
     let version = images::declared_version("Cargo.toml", &["workspace", "package"])?;
     for (path, table) in [("firmware/Cargo.toml", "package"), ("clients/python/pyproject.toml", "project")] {
@@ -77,8 +77,8 @@ fn megabytes(file: &Path) -> Result<String> {
     Ok(format!("{:.1} MB", 1e-6 * bytes as f64))
 }
 
-/// Makes a folder that has nothing in it.
-fn empty(folder: &Path) -> Result<()> {
+/// Creates an empty folder.
+fn create_empty(folder: &Path) -> Result<()> {
     if folder.exists() {
         fs::remove_dir_all(folder).with_context(|| format!("cannot empty {}", folder.display()))?;
     }
@@ -89,18 +89,18 @@ fn write(path: &Path, bytes: &[u8]) -> Result<()> {
     fs::write(path, bytes).with_context(|| format!("cannot write {}", path.display()))
 }
 
-/// What a program prints.
+/// Returns the standard output of a program.
 fn output(command: &mut Command) -> Result<String> {
     let name = command.get_program().display().to_string();
     let output = command.output().with_context(|| format!("cannot run {name}"))?;
     ensure!(output.status.success(), "{name}: {}", String::from_utf8_lossy(&output.stderr).trim());
-    String::from_utf8(output.stdout).with_context(|| format!("{name} prints no text"))
+    String::from_utf8(output.stdout).with_context(|| format!("{name}: its output is not UTF-8"))
 }
 
 #[cfg(test)]
 mod tests {
     #[test]
-    fn tool_wheel_and_firmware_have_one_version() {
+    fn tool_wheel_and_firmware_have_the_same_version() {
         super::version().unwrap();
     }
 }

@@ -1,5 +1,5 @@
-//! The time of the equations of motion and of the whole of equation (4) on this computer, beside that of Pinocchio,
-//! which computes the same at the same states (tool/benches/pinocchio.cpp).
+//! The time of the equations of motion and of equation (4) on this computer, compared with Pinocchio, which computes
+//! the same at the same states (tool/benches/pinocchio.cpp).
 
 use std::collections::BTreeMap;
 use std::env;
@@ -13,22 +13,22 @@ use serde_json::Value;
 use crate::paths::{root, target_directory};
 use crate::toolchain::{cargo, run};
 
-/// As often the two take turns.
+/// Number of rounds; in each round both programs run once.
 const ROUNDS: usize = 7;
 
-/// By mechanism and row, the nanoseconds of the fastest round.
+/// Time of the fastest round by mechanism and row, ns.
 type Times = BTreeMap<(String, String), f64>;
 
-/// Prints a table in Markdown: nanoseconds of one state, and how many times as long Pinocchio takes. `pinocchio` is
-/// where its headers and library are.
+/// Prints a table in Markdown: nanoseconds for one state, and the ratio of Pinocchio's time. `pinocchio` is the folder
+/// of its headers and library.
 pub fn compare(pinocchio: &Path) -> Result<()> {
-    let (ours, theirs) = (bench()?, peer(pinocchio)?);
+    let (ours, theirs) = (benchmark()?, build_pinocchio(pinocchio)?);
     let states = target_directory().join("dynamics-states.txt");
     run(Command::new(&ours).current_dir(root()).arg("--states").stdout(File::create(&states)?))?;
     let (mut our_times, mut their_times) = (Times::new(), Times::new());
     for _ in 0..ROUNDS {
-        take(Command::new(&ours).current_dir(root()), &mut our_times)?;
-        take(Command::new(&theirs).stdin(File::open(&states)?), &mut their_times)?;
+        add_times(Command::new(&ours).current_dir(root()), &mut our_times)?;
+        add_times(Command::new(&theirs).stdin(File::open(&states)?), &mut their_times)?;
     }
     println!("| mechanism | row | ns | Pinocchio: ns | times |\n|---|---|--:|--:|--:|");
     for ((mechanism, row), ours) in &our_times {
@@ -40,33 +40,33 @@ pub fn compare(pinocchio: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Builds the benchmark as `cargo bench` does and says where it is.
-fn bench() -> Result<PathBuf> {
+/// Builds the benchmark as `cargo bench` does and returns its path.
+fn benchmark() -> Result<PathBuf> {
     let build =
         ["bench", "--locked", "--package", "haptic", "--bench", "dynamics", "--no-run", "--message-format", "json"];
     let output = cargo().current_dir(root()).args(build).stderr(Stdio::inherit()).output()?;
     ensure!(output.status.success(), "the benchmark does not compile");
     let messages = String::from_utf8(output.stdout)?;
     let executable = messages.lines().filter_map(|line| serde_json::from_str::<Value>(line).ok()).find_map(|message| {
-        let of_bench = message["target"]["name"] == "dynamics";
-        of_bench.then(|| message["executable"].as_str().map(PathBuf::from)).flatten()
+        let is_benchmark = message["target"]["name"] == "dynamics";
+        is_benchmark.then(|| message["executable"].as_str().map(PathBuf::from)).flatten()
     });
-    executable.context("cargo names no benchmark `dynamics`")
+    executable.context("cargo reports no executable of the benchmark `dynamics`")
 }
 
-/// Builds Pinocchio's part, for this very processor, which the benchmark is not.
-fn peer(pinocchio: &Path) -> Result<PathBuf> {
+/// Builds Pinocchio's program with the instructions of this processor; the benchmark is built without them.
+fn build_pinocchio(pinocchio: &Path) -> Result<PathBuf> {
     ensure!(
         ["pinocchio", "eigen3"].iter().all(|headers| pinocchio.join("include").join(headers).is_dir()),
-        "no Pinocchio with Eigen's headers at {}: `pip install pin==4.1.0 cmeel-eigen` in a virtual environment brings \
-         them, below lib/python3.*/site-packages/cmeel.prefix",
+        "no Pinocchio with Eigen's headers at {}: `pip install pin==4.1.0 cmeel-eigen` in a virtual environment installs \
+         them in lib/python3.*/site-packages/cmeel.prefix",
         pinocchio.display()
     );
     let (include, library) = (pinocchio.join("include"), pinocchio.canonicalize()?.join("lib"));
     let executable = target_directory().join("pinocchio");
     run(Command::new(env::var("CXX").unwrap_or_else(|_| "c++".into()))
         .args(["-std=c++17", "-O3", "-march=native", "-DNDEBUG", "-w"])
-        // For its variant of all joints.
+        // Needed by Pinocchio's variant of all joints.
         .args(["-DBOOST_MPL_LIMIT_LIST_SIZE=30", "-DBOOST_MPL_CFG_NO_PREPROCESSED_HEADERS"])
         .arg("-I")
         .arg(&include)
@@ -82,8 +82,8 @@ fn peer(pinocchio: &Path) -> Result<PathBuf> {
     Ok(executable)
 }
 
-/// Runs either and adds what it prints: lines of a mechanism, nanoseconds and a row, which ends at a colon.
-fn take(command: &mut Command, times: &mut Times) -> Result<()> {
+/// Runs a program and adds its times. It prints lines of a mechanism, nanoseconds and a row, which ends at a colon.
+fn add_times(command: &mut Command, times: &mut Times) -> Result<()> {
     let output = command.stderr(Stdio::inherit()).output()?;
     ensure!(output.status.success(), "{} failed", command.get_program().display());
     for line in String::from_utf8(output.stdout)?.lines() {

@@ -11,10 +11,10 @@ use crate::paths::{root, target_directory};
 use crate::toolchain::{TARGET, Toolchain, Use, run};
 use crate::tools;
 
-/// All boards, by the name of their Cargo feature.
+/// All boards by the names of their Cargo features.
 pub const BOARDS: [&str; 3] = ["odrive-v3", "h-bridge-f405", "h-bridge-f407-disc1"];
 
-/// The board that a test on the emulated chip adds to them: one file, compiled into an image that is not released.
+/// The toy board of a test on the emulated chip: one file, compiled into an image that is not released.
 pub const TOY: &str = "toy-board";
 
 const BINARY: &str = "haptic-firmware";
@@ -32,7 +32,7 @@ pub fn directory() -> PathBuf {
     target_directory().join(TARGET).join("firmware")
 }
 
-/// Builds one image and keeps it under its board's name, with its checksum in it; its path.
+/// Builds one image, stores it under its board's name with its checksum, and returns its path.
 pub fn build(board: &str) -> Result<PathBuf> {
     let toolchain = tools::provide(&[Use::Build])?;
     run(&mut cargo(toolchain, Use::Build, board))?;
@@ -49,7 +49,7 @@ pub fn build_all() -> Result<Vec<PathBuf>> {
     BOARDS.into_iter().map(build).collect()
 }
 
-/// Prints what the images occupy; an error when one is too large.
+/// Prints the flash and RAM of the images. Fails if an image is too large.
 pub fn size() -> Result<()> {
     let mut over = Vec::new();
     let mut lines = Vec::new();
@@ -73,12 +73,12 @@ pub fn size() -> Result<()> {
     Ok(())
 }
 
-/// Lints what is compiled for the chip: the library, the firmware, the image that counts instructions.
+/// Lints the code for the chip: the library, the firmware, the image that counts instructions.
 pub fn clippy() -> Result<()> {
     let toolchain = tools::provide(&[Use::Clippy])?;
     for board in BOARDS.into_iter().chain([TOY]) {
-        let with_it = ["--package", "haptic-bridge", "--package", "haptic-counting"];
-        run(cargo(toolchain, Use::Clippy, board).args(with_it).args(["--", "-D", "warnings"]))?;
+        let packages = ["--package", "haptic-bridge", "--package", "haptic-counting"];
+        run(cargo(toolchain, Use::Clippy, board).args(packages).args(["--", "-D", "warnings"]))?;
     }
     Ok(())
 }
@@ -86,9 +86,8 @@ pub fn clippy() -> Result<()> {
 /// Builds and flashes through a debug probe, then shows the log.
 pub fn flash(board: &str) -> Result<()> {
     let image = build(board)?;
-    run(Command::new("probe-rs").args(["run", "--chip", CHIP]).arg(image)).context(
-        "probe-rs flashes the chip; `cargo install probe-rs-tools --locked` installs it, docs/flashing.md says the rest",
-    )
+    run(Command::new("probe-rs").args(["run", "--chip", CHIP]).arg(image))
+        .context("flashing needs probe-rs; `cargo install probe-rs-tools --locked` installs it, see docs/flashing.md")
 }
 
 /// Builds and writes an update file for the chip's USB boot loader.

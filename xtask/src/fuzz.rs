@@ -1,6 +1,5 @@
-//! Fuzzing: the targets of fuzz/ under libFuzzer, guided by coverage. The instrumentation is a pass of the compiler
-//! that stable versions have too, so no other toolchain is needed; libFuzzer itself is C++, and needs a compiler for
-//! that.
+//! Fuzzing: the targets of fuzz/ under libFuzzer, guided by coverage. Stable compilers have the pass for the
+//! instrumentation, so no other toolchain is needed. libFuzzer itself needs a C++ compiler.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -16,20 +15,20 @@ use crate::report;
 use crate::toolchain::{Use, cargo, host, run as run_command};
 use crate::tools;
 
-/// The names in fuzz/src/main.rs.
+/// Names of the targets in fuzz/src/main.rs.
 const TARGETS: [&str; 8] =
     ["bytes", "requests", "answers", "settings", "device_file", "scene_file", "kept_file", "command_line"];
 
-/// The document's text about the targets; fuzz/src describes each.
-const HELD_TO: &str = "\
-Targets panic nowhere. After every request and every control period of the firmware's service, dispatcher and control_loop
-(tests/rig/board.rs) no duty and no torque is there unless armed, motors come on only by the two requests that ask for
-it, limits hold and are not raised while the motors are on, no flash is written meanwhile, and disarming works. Files are
-refused with a line or accepted by the board as well. fuzz/src has each target.
+/// Text of the document about the targets; fuzz/src describes each.
+const INVARIANTS: &str = "\
+No target panics. After every request and every control step of the firmware's service, dispatcher and control loop
+(tests/rig/board.rs): duties and torques are zero unless the motors are on, motors turn on only by the requests for it,
+limits hold and are not raised while the motors are on, no flash is written meanwhile, and disarming works. Files are
+refused with a message, or the board accepts them as well. fuzz/src describes each target.
 ";
 
-/// The compiler options for the instrumentation that libFuzzer needs (its documentation, "Advanced features"; as
-/// cargo-fuzz does).
+/// Compiler options for libFuzzer's instrumentation (its documentation, "Advanced features"; the same as in
+/// cargo-fuzz).
 const INSTRUMENTATION: &str = "-Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-level=4 \
     -Cllvm-args=-sanitizer-coverage-inline-8bit-counters -Cllvm-args=-sanitizer-coverage-pc-table \
     -Cllvm-args=-sanitizer-coverage-trace-compares";
@@ -37,10 +36,10 @@ const INSTRUMENTATION: &str = "-Cpasses=sancov-module -Cllvm-args=-sanitizer-cov
 /// The targets and the time for each.
 #[derive(Debug, PartialEq, clap::Args)]
 pub struct Options {
-    /// What is fed; everything when none is named
+    /// Targets to fuzz [default: all]
     #[arg(value_name = "TARGET", value_parser = PossibleValuesParser::new(TARGETS))]
     targets: Vec<String>,
-    /// Seconds that each target gets
+    /// Seconds for each target
     #[arg(long, default_value_t = 60, value_parser = clap::value_parser!(u32).range(1..))]
     seconds: u32,
     /// Write docs/results/fuzz.md
@@ -49,7 +48,7 @@ pub struct Options {
 }
 
 impl Options {
-    /// Every target for so many seconds.
+    /// Options for every target with this many seconds for each.
     pub fn short(seconds: u32) -> Self {
         Self { targets: Vec::new(), seconds, record: false }
     }
@@ -59,20 +58,19 @@ impl Options {
     }
 }
 
-/// The result of fuzzing a target.
+/// Result of fuzzing a target without a crash.
 struct Outcome {
     executions: u64,
-    /// Edges of the program's flow that were reached.
+    /// Number of control-flow edges that were reached.
     covered: u64,
-    /// Inputs that each reached something that no other did.
+    /// Number of inputs that each reached something new.
     corpus: u64,
 }
 
-/// Builds the targets and runs them, as many at a time as there are processors. A finding is an error, with its input
-/// kept.
+/// Builds the targets and runs them, one per processor at a time. A crash is an error, and its input is stored.
 pub fn run(options: &Options) -> Result<()> {
     tools::provide(&[Use::Fuzz])?;
-    let occasion = report::occasion();
+    let date_and_commit = report::date_and_commit();
     let out = target_directory().join("fuzz");
     let program = build(&out)?;
     let queue = Mutex::new(options.targets());
@@ -94,41 +92,41 @@ pub fn run(options: &Options) -> Result<()> {
     let mut table = String::from("| target | executions | edges reached | inputs kept |\n|---|--:|--:|--:|\n");
     let mut outcomes = outcomes.into_inner().unwrap_or_default();
     outcomes.sort_by_key(|(target, _)| TARGETS.iter().position(|known| known == target));
-    let mut found = Vec::new();
+    let mut crashes = Vec::new();
     for (target, outcome) in outcomes {
         match outcome {
             Ok(Outcome { executions, covered, corpus }) => {
                 table += &format!("| {target} | {executions} | {covered} | {corpus} |\n");
             }
-            Err(error) => found.push(format!("{target}: {error:#}")),
+            Err(error) => crashes.push(format!("{target}: {error:#}")),
         }
     }
     println!("{table}");
-    if !found.is_empty() {
-        bail!("{}", found.join("\n"));
+    if !crashes.is_empty() {
+        bail!("{}", crashes.join("\n"));
     }
     if options.record {
         let text = format!(
-            "# Fuzzing\n\n{}. `cargo xtask fuzz --seconds {} --record`: {} s a target, no finding.\n\n{HELD_TO}\n{table}",
-            occasion, options.seconds, options.seconds
+            "# Fuzzing\n\n{}. `cargo xtask fuzz --seconds {} --record`: {} s per target, no crash.\n\n{INVARIANTS}\n{table}",
+            date_and_commit, options.seconds, options.seconds
         );
         report::write("fuzz.md", &text)?;
     }
     Ok(())
 }
 
-/// Builds the targets' program; its path.
+/// Builds the program with the targets and returns its path.
 fn build(out: &Path) -> Result<PathBuf> {
     let host = host()?;
     let mut build = cargo();
     build.current_dir(root().join("fuzz")).args(["build", "--locked", "--release", "--target", &host, "--target-dir"]);
-    // With a target named, the flags reach neither build scripts nor macros.
+    // With `--target` the flags do not apply to build scripts and macros.
     build.arg(out).env("RUSTFLAGS", INSTRUMENTATION).env_remove("CARGO_ENCODED_RUSTFLAGS");
     run_command(&mut build)?;
     Ok(out.join(host).join("release/haptic-fuzz"))
 }
 
-/// One target.
+/// Runs one target.
 fn fuzz(program: &Path, target: &str, out: &Path, options: &Options) -> Result<Outcome> {
     let corpus = out.join("corpus").join(target);
     fs::create_dir_all(&corpus).with_context(|| format!("cannot make {}", corpus.display()))?;
@@ -146,14 +144,14 @@ fn fuzz(program: &Path, target: &str, out: &Path, options: &Options) -> Result<O
         .with_context(|| format!("cannot run {}", program.display()))?;
     let log = String::from_utf8_lossy(&output.stderr);
     if !output.status.success() {
-        let told: Vec<&str> =
+        let lines: Vec<&str> =
             log.lines().filter(|line| line.contains("panicked") || !line.starts_with(['#', '\t'])).collect();
-        bail!("a finding\n{}", told[told.len().saturating_sub(60)..].join("\n"));
+        bail!("a crash\n{}", lines[lines.len().saturating_sub(60)..].join("\n"));
     }
-    outcome(&log).with_context(|| format!("libFuzzer's report was not understood:\n{log}"))
+    outcome(&log).with_context(|| format!("cannot read libFuzzer's report:\n{log}"))
 }
 
-/// Returns the folder with the inputs that the fuzzer starts from: for files, those that ship.
+/// Returns the folder with the initial inputs of a target: for files, the shipped ones.
 fn seeds(target: &str) -> PathBuf {
     match target {
         "device_file" | "scene_file" => root().join("devices"),
@@ -161,7 +159,7 @@ fn seeds(target: &str) -> PathBuf {
     }
 }
 
-/// Reads libFuzzer's log: its last `cov:` and `corp:`, and its final statistics.
+/// Reads the last `cov:` and `corp:` and the final statistics from libFuzzer's log.
 fn outcome(log: &str) -> Option<Outcome> {
     let after = |line: &str, name: &str| -> Option<u64> {
         let rest = line.split_once(name)?.1.trim_start();
@@ -177,7 +175,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn no_target_is_every_target() {
+    fn without_a_target_all_targets_run() {
         assert_eq!(Options::short(5).targets(), TARGETS);
         assert_eq!(Options { targets: vec!["requests".into()], ..Options::short(5) }.targets(), ["requests"]);
     }
@@ -191,7 +189,7 @@ mod tests {
     }
 
     #[test]
-    fn every_target_is_known_to_the_program_and_has_seeds() {
+    fn every_target_exists_in_the_program_and_has_seeds() {
         let program = fs::read_to_string(root().join("fuzz/src/main.rs")).unwrap();
         for target in TARGETS {
             assert!(program.contains(&format!("(\"{target}\",")), "{target}");

@@ -1,4 +1,5 @@
-//! Reads from an image's ELF file the flash and RAM that it occupies, and checks that it leaves the settings alone.
+//! Reads the flash and RAM that an image occupies from its ELF file, and checks that it does not overwrite the
+//! settings.
 
 use std::fs;
 use std::ops::Range;
@@ -13,20 +14,20 @@ use crate::checksum::crc32;
 
 /// Flash of the STM32F405RG.
 const FLASH: Range<u64> = 0x0800_0000..0x0810_0000;
-/// Its RAM, without the core-coupled part.
+/// RAM of the STM32F405RG without the core-coupled memory.
 const RAM: Range<u64> = 0x2000_0000..0x2002_0000;
-/// Sectors 1 and 2, where the settings are.
+/// Sectors 1 and 2, which contain the settings.
 const SETTINGS: Range<u64> = 0x0800_4000..0x0800_C000;
 
-/// Most flash that an image may take: less than half of the chip's, quick to send over USB, and large enough that the
-/// code need not be bent for it.
+/// Maximum flash of an image: less than half of the chip's flash, quick to send over USB, and large enough for readable
+/// code.
 pub const FLASH_LIMIT: u64 = 384 * 1024;
-/// Most that statics and the reserved stack may take together: three quarters of the chip's SRAM.
+/// Maximum RAM of statics and reserved stack together: three quarters of the chip's SRAM.
 pub const RAM_LIMIT: u64 = 96 * 1024;
 
-/// Writes an image's checksum into the word that memory.x keeps for it, which the firmware compares at every start: the
-/// CRC-32 over the vectors up to that word, then over all from the first instruction to the last initial value of a
-/// static.
+/// Writes an image's checksum into the word that memory.x reserves for it; the firmware checks it at every start. It is
+/// the CRC-32 of the vectors up to that word and of everything from the first instruction to the last initial value of
+/// a static.
 pub fn seal(path: &Path) -> Result<()> {
     let mut data = fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
     let image = Image::read(path)?;
@@ -41,30 +42,30 @@ pub fn seal(path: &Path) -> Result<()> {
         symbol("__stext")?..symbol("__sidata")? + symbol("__edata")? - symbol("__sdata")?,
     ];
     let place = file.section_by_name(".image_check").and_then(|section| section.file_range());
-    let (offset, _) = place.context("the image keeps no place for its checksum")?;
+    let (offset, _) = place.context("the image has no section .image_check for its checksum")?;
     let bytes: Vec<u8> = parts.into_iter().flatten().map(|address| image.byte(address)).collect();
     let at = offset as usize;
     data[at..at + 4].copy_from_slice(&crc32(&bytes).to_le_bytes());
     fs::write(path, data).with_context(|| format!("cannot write {}", path.display()))
 }
 
-/// One piece of an image and where it goes.
+/// A contiguous part of an image.
 pub struct Segment {
     /// First address in flash.
     pub address: u32,
-    /// Its bytes.
+    /// Contents.
     pub bytes: Vec<u8>,
 }
 
-/// The parts of an image.
+/// Segments and sizes of an image.
 pub struct Image {
-    /// The pieces that go to flash, ascending, gaps between them kept.
+    /// Segments in flash, by ascending address.
     pub segments: Vec<Segment>,
-    /// Bytes of flash that it fills.
+    /// Flash of the segments, bytes.
     pub flash: u64,
-    /// Bytes of RAM that its statics take.
+    /// RAM of the statics, bytes.
     pub statics: u64,
-    /// Bytes of RAM that its linker script reserves for the stack.
+    /// RAM that the linker script reserves for the stack, bytes.
     pub stack: u64,
 }
 
@@ -79,7 +80,7 @@ impl Image {
             if segment.p_type(endian) != PT_LOAD || segment.p_filesz(endian) == 0 {
                 continue;
             }
-            let bytes = segment.data(endian, &*data).ok().context("a segment lies outside the file")?;
+            let bytes = segment.data(endian, &*data).ok().context("a segment is outside the file")?;
             segments.push(Segment { address: segment.p_paddr(endian), bytes: bytes.to_vec() });
         }
         segments.sort_by_key(|segment| segment.address);
@@ -103,17 +104,17 @@ impl Image {
         let symbol =
             |name: &str| file.symbols().find(|symbol| symbol.name() == Ok(name)).map(|symbol| symbol.address());
         let (top, bottom) = (symbol("_stack_start"), symbol("_stack_end"));
-        let stack = top.zip(bottom).context("the image does not say where its stack is")?;
+        let stack = top.zip(bottom).context("the image has no symbols _stack_start and _stack_end")?;
         Ok(Self { segments, flash, statics, stack: stack.0 - stack.1 })
     }
 
-    /// A byte of flash once the image is in it; erased between segments.
+    /// Returns a byte of flash with the image in it; bytes between segments are erased.
     fn byte(&self, address: u32) -> u8 {
         let inside = |segment: &&Segment| address.wrapping_sub(segment.address) < segment.bytes.len() as u32;
         self.segments.iter().find(inside).map_or(0xFF, |segment| segment.bytes[(address - segment.address) as usize])
     }
 
-    /// RAM that is taken: statics and the reserved stack.
+    /// Returns the RAM of statics and reserved stack, bytes.
     pub fn ram(&self) -> u64 {
         self.statics + self.stack
     }

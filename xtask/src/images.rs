@@ -1,5 +1,5 @@
-//! The images that the tool brings along: each an update file with its version, protocol and SHA-256 beside it. The
-//! source does not hold them; `cargo xtask images` makes them, and the tool that is built after that has them.
+//! The images that the tool contains: update files, each with a file of its version, protocol and SHA-256. They are not
+//! in the source; `cargo xtask images` makes them, and the next build of the tool includes them.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -14,12 +14,12 @@ use crate::image::Image;
 use crate::paths::{root, target_directory};
 use crate::toolchain::run;
 
-/// The folder where crates/flash/build.rs looks for them, from the root.
-const PLACE: &str = "crates/flash/images";
+/// Folder from which crates/flash/build.rs reads the images, relative to the root.
+const IMAGES_FOLDER: &str = "crates/flash/images";
 
-/// Builds every image and puts it in its place.
-pub fn take_in() -> Result<()> {
-    let place = root().join(PLACE);
+/// Builds every image and writes it into the folder.
+pub fn build_all() -> Result<()> {
+    let place = root().join(IMAGES_FOLDER);
     fs::create_dir_all(&place).with_context(|| format!("cannot make {}", place.display()))?;
     let (version, protocol) = (version()?, protocol()?);
     for board in BOARDS {
@@ -31,29 +31,29 @@ pub fn take_in() -> Result<()> {
         write(&place.join(board).with_extension("toml"), about.as_bytes())?;
         println!("{board}: {} bytes, version {version}, protocol {protocol}, SHA-256 {sum}", file.len());
     }
-    println!("a tool that is built now brings them: cargo build --release --package haptic");
+    println!("a build of the tool now includes them: cargo build --release --package haptic");
     Ok(())
 }
 
 fn write(path: &Path, bytes: &[u8]) -> Result<()> {
-    // An unchanged file keeps its time, so the tool is not built again.
-    if fs::read(path).is_ok_and(|there| there == bytes) {
+    // An unchanged file keeps its time stamp, so that the tool is not built again.
+    if fs::read(path).is_ok_and(|present| present == bytes) {
         return Ok(());
     }
     fs::write(path, bytes).with_context(|| format!("cannot write {}", path.display()))
 }
 
-/// The SHA-256, in hexadecimal.
+/// Computes the SHA-256 in hexadecimal.
 pub fn sha256(bytes: &[u8]) -> String {
     Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// The firmware's version.
+/// Reads the firmware's version.
 fn version() -> Result<String> {
     declared_version("firmware/Cargo.toml", &["package"])
 }
 
-/// The version in a table of a manifest, whose path is from the root.
+/// Reads the version from a table of a manifest; the path is relative to the root.
 pub fn declared_version(path: &str, table: &[&str]) -> Result<String> {
     let text = fs::read_to_string(root().join(path)).with_context(|| format!("cannot read {path}"))?;
     let manifest: toml::Value = toml::from_str(&text).with_context(|| format!("bad manifest {path}"))?;
@@ -61,7 +61,7 @@ pub fn declared_version(path: &str, table: &[&str]) -> Result<String> {
     Ok(found.and_then(toml::Value::as_str).with_context(|| format!("{path} has no version"))?.into())
 }
 
-/// The version of the protocol, as the library's source declares it.
+/// Reads the version of the protocol from the library's source.
 fn protocol() -> Result<u16> {
     let path = root().join("src/board/protocol.rs");
     let text = fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))?;
@@ -69,10 +69,9 @@ fn protocol() -> Result<u16> {
     number.and_then(|number| number.parse().ok()).with_context(|| format!("{} has no PROTOCOL", path.display()))
 }
 
-/// Builds this commit's images from two clean checkouts at paths of different lengths; an error where a byte differs.
-/// Nothing that is compiled reads the clock, and the compiler does not run under a faked one: for another day, compare
-/// the sums that this prints.
-pub fn twice() -> Result<()> {
+/// Builds this commit's images in two clean checkouts at paths of different lengths. Fails if a byte differs. The date
+/// is not varied: to compare builds of different days, compare the printed checksums.
+pub fn compare_checkouts() -> Result<()> {
     let place = target_directory().join("twice");
     if place.exists() {
         fs::remove_dir_all(&place).with_context(|| format!("cannot remove {}", place.display()))?;
@@ -86,7 +85,7 @@ pub fn twice() -> Result<()> {
         run(&mut command)?;
     }
     let images = |checkout: &PathBuf, board: &str| {
-        let path = checkout.join(PLACE).join(board).with_extension("dfu");
+        let path = checkout.join(IMAGES_FOLDER).join(board).with_extension("dfu");
         fs::read(&path).with_context(|| format!("cannot read {}", path.display()))
     };
     for board in BOARDS {
@@ -100,7 +99,7 @@ pub fn twice() -> Result<()> {
             );
         }
         ensure!(one.len() == other.len(), "{board}: {} and {} bytes", one.len(), other.len());
-        println!("{board}: the same to the byte, SHA-256 {}", sha256(&one));
+        println!("{board}: both images are equal, SHA-256 {}", sha256(&one));
     }
     fs::remove_dir_all(&place).with_context(|| format!("cannot remove {}", place.display()))
 }
@@ -116,7 +115,7 @@ mod tests {
     }
 
     #[test]
-    fn the_sum_is_that_of_sha256sum() {
+    fn the_sha256_agrees_with_its_standard() {
         // FIPS 180-4, the example "abc".
         assert_eq!(sha256(b"abc"), "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad");
     }

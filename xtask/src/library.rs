@@ -1,5 +1,5 @@
-//! Checks the crates that programs build on: they compile without the tool, and bring along nothing that only the tool
-//! needs.
+//! Checks the crates on which other programs build: they compile without the tool and do not depend on crates that only
+//! the tool needs.
 
 use std::collections::BTreeSet;
 
@@ -12,20 +12,21 @@ use crate::toolchain::{cargo, run};
 pub const CRATES: [&str; 6] =
     ["haptic-host", "haptic-flash", "haptic-sim", "haptic-stability", "haptic-predict", "haptic-show"];
 
-/// Crates that only the tool needs.
+/// Dependencies that only the tool needs.
 const TOOL: &[&str] =
     &["clap", "clap_complete", "clap_mangen", "ctrlc", "dejavu", "indicatif", "ratatui", "resvg", "tungstenite"];
-/// Crates that recordings, drawings and the page need.
+/// Dependencies of recordings, drawings and the page.
 const SHOWING: &[&str] = &["haptic-show", "mcap", "prost-reflect"];
-/// Crates that compute which walls are stable, and that measure, tune and design with it.
+/// Crate that computes the stable walls.
 const THEORY: &[&str] = &["haptic-stability"];
+/// Crate that measures, tunes and designs.
 const PREDICTING: &[&str] = &["haptic-predict"];
-/// Crates that take the place of a board.
+/// Crate of simulated boards.
 const SIMULATING: &[&str] = &["haptic-sim"];
-/// Crates that flash boards.
+/// Crates for flashing boards.
 const FLASHING: &[&str] = &["haptic-flash", "nusb"];
 
-/// Who does without what.
+/// Packages, and the dependencies that each must not have.
 const WITHOUT: [(&str, &[&[&str]]); 9] = [
     ("haptic-host", &[TOOL, SHOWING, PREDICTING, THEORY, SIMULATING, FLASHING]),
     ("haptic-flash", &[TOOL, SHOWING, PREDICTING, THEORY, SIMULATING]),
@@ -38,16 +39,16 @@ const WITHOUT: [(&str, &[&[&str]]); 9] = [
     ("haptic-python", &[TOOL, FLASHING]),
 ];
 
-/// Checks both.
-pub fn alone() -> Result<()> {
+/// Checks that the crates compile alone and lack the forbidden dependencies.
+pub fn check() -> Result<()> {
     let tool = dependencies("haptic")?;
     for name in [TOOL, SHOWING, PREDICTING, THEORY, SIMULATING, FLASHING].concat() {
-        ensure!(tool.contains(name), "the tool does without {name} now: xtask/src/library.rs names it");
+        ensure!(tool.contains(name), "the tool no longer needs {name}: remove it from xtask/src/library.rs");
     }
     for (package, without) in WITHOUT {
         let found = dependencies(package)?;
         if let Some(name) = without.iter().copied().flatten().find(|name| found.contains(**name)) {
-            bail!("{package} brings {name}, which it does not need");
+            bail!("{package} depends on {name}, which it does not need");
         }
     }
     for name in CRATES {
@@ -56,7 +57,7 @@ pub fn alone() -> Result<()> {
     Ok(())
 }
 
-/// Names of everything that is linked or built for a package.
+/// Returns the names of all dependencies that are linked or built for a package.
 fn dependencies(package: &str) -> Result<BTreeSet<String>> {
     let mut command = cargo();
     command.current_dir(root()).args(["tree", "--locked", "--edges", "normal,build", "--prefix", "none", "--package"]);

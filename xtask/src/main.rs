@@ -1,4 +1,4 @@
-//! Entry points that need more than one cargo call. `cargo xtask help` lists them.
+//! Development tasks that need more than one cargo call. `cargo xtask help` lists them.
 
 mod bench;
 mod build_times;
@@ -37,7 +37,7 @@ use clap::{Parser, Subcommand};
 
 use crate::firmware::{BOARDS, TOY};
 
-/// What takes more than one cargo call.
+/// Development tasks that need more than one cargo call.
 #[derive(Parser)]
 #[command(name = "cargo xtask", bin_name = "cargo xtask", max_term_width = 120)]
 struct Arguments {
@@ -66,81 +66,81 @@ enum Command {
         #[arg(value_parser = PossibleValuesParser::new(BOARDS))]
         board: String,
     },
-    /// Build every image and put it where the tool takes it in: crates/flash/images, with version and SHA-256 beside it
+    /// Build every image into crates/flash/images with its version and SHA-256, where the build of the tool includes it
     Images {
-        /// Instead build this commit from two clean checkouts at two paths, and compare to the byte (half an hour)
+        /// Instead build this commit from two clean checkouts at two paths, and compare every byte (half an hour)
         #[arg(long)]
         twice: bool,
     },
-    /// Make what others install, for this computer: an archive, a wheel and their sums, into target/dist
+    /// Make the release files for this computer in target/dist: an archive, a wheel and their checksums
     Dist,
     /// Prove that the control step cannot panic, and bound its stack
     NoPanic,
-    /// Count instructions of every variant of the control step, remake the report
+    /// Count the instructions of every variant of the control step and rewrite the report
     Bench {
-        /// Only fail where a variant's instructions grew by more than 1 % over the kept figures
+        /// Only compare: fail if a variant has over 1 % more instructions than in the stored counts
         #[arg(long)]
         check: bool,
     },
-    /// Time the equations of motion and equation (4) on this computer, beside Pinocchio
+    /// Time the equations of motion and equation (4) on this computer, compared with Pinocchio
     Dynamics {
-        /// Where Pinocchio is: the folder with its include and lib
+        /// Folder of Pinocchio with its include and lib folders
         pinocchio: PathBuf,
     },
-    /// The library, the tool, all images, each on the emulated board once; ten minutes from nothing
+    /// Test the library, the tool and all images, each once on the emulated board; ten minutes from a clean checkout
     Test {
-        /// Instead what takes longer: everything, or one part
+        /// Instead run the longer tests: all parts, or one part
         #[arg(long, value_name = "PART", num_args = 0..=1, value_parser = deep_part())]
         deep: Option<Option<String>>,
-        /// With one part: further arguments of its program
+        /// With one part: further arguments for its program
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         rest: Vec<String>,
     },
     /// Count the control interrupt's instructions, stage by stage, into the tables of docs/results/timing.md
     Timing,
-    /// Wild input for everything that reads any, guided by coverage
+    /// Fuzz everything that reads input, guided by coverage
     Fuzz(fuzz::Options),
-    /// The library's tests under the address sanitizer
+    /// Run the library's tests under the address sanitizer
     Sanitize {
         /// Further arguments of `cargo test`
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         rest: Vec<String>,
     },
-    /// Some of them under Miri, which needs a nightly toolchain
+    /// Run some of the library's tests under Miri, which needs a nightly toolchain
     Miri,
-    /// Build the page of `haptic view` as a file that needs no tool
+    /// Build the page of `haptic view` as a file that works without the tool
     Playground,
-    /// Check the formatting of every source here, whatever declares it
+    /// Check the formatting of every source in the repository
     Fmt,
-    /// Build the tool anew and say what each format, view and interface adds to the time (some minutes)
+    /// Build the tool from nothing and print the time that each format, view and interface adds (some minutes)
     BuildTimes,
-    /// Simulated hours of contact with telemetry: nothing lost, no drift, no growth
+    /// Simulate hours of contact with telemetry: no losses, no drift, no growth
     Soak(soak::Options),
     /// Measure ranges of stable walls on simulated boards and draw them, into docs/results (some minutes)
     Figures {
-        /// The cases to run; all, and the files, when none is named
+        /// Cases to run and print [default: all, and write the files]
         cases: Vec<String>,
     },
     /// Measure the range of stable walls on the emulated board, into docs/results/range-chip.csv (half an hour)
     Range {
-        /// Instead what it is with cables at the joints, into docs/results/complete-chip.csv (half an hour)
+        /// Instead measure it with cables at the joints, into docs/results/complete-chip.csv (half an hour)
         #[arg(value_parser = PossibleValuesParser::new(["cables"]))]
         part: Option<String>,
-        /// With cables: only this device, printed alone
+        /// With cables: only this device, printed and not written
         device: Option<String>,
         /// With cables: only at this control rate, Hz
         rate: Option<String>,
-        /// With cables: the motors without back-EMF
+        /// With cables: motors without back-EMF
         #[arg(value_parser = PossibleValuesParser::new(["no-emf"]))]
         motors: Option<String>,
     },
-    /// Bring every fault about on the emulated board, into docs/results/faults.csv and broken.csv (an hour)
+    /// Cause every fault on the emulated board, into docs/results/faults.csv and broken.csv (an hour)
     Faults {
-        /// Only these, by code or name, and only print what came of them; `list`: how each is brought about, or why it
-        /// cannot be; `lying`: broken.csv alone
+        /// Only these faults, by code or name, and only print the results; `list`: print how each fault is caused, or
+        /// why it cannot be; `lying`: only broken.csv
         faults: Vec<String>,
     },
-    /// The real firmware on an emulated board with a simulated device, to talk to
+    /// Run the real firmware on an emulated board with a simulated device, for a host to connect to
     Board {
         /// `[BOARD] [--device FILE] [--tcp PORT] [--fast]`
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
@@ -148,19 +148,20 @@ enum Command {
     },
 }
 
-/// The parts of the deep tests, with what each one does.
+/// Returns the parts of the deep tests with their descriptions.
 fn deep_part() -> PossibleValuesParser {
-    PossibleValuesParser::new(tests::PARTS.iter().map(|part| PossibleValue::new(part.name).help(part.what)))
+    PossibleValuesParser::new(tests::PARTS.iter().map(|part| PossibleValue::new(part.name).help(part.description)))
 }
 
-/// The boards that ship, and the toy board of a test, which help does not show.
+/// Returns the shipped boards, and the toy board of a test, which help does not show.
 fn any_image() -> PossibleValuesParser {
     let shipped = BOARDS.into_iter().map(PossibleValue::new);
     PossibleValuesParser::new(shipped.chain([PossibleValue::new(TOY).hide(true)]))
 }
 
 fn main() -> ExitCode {
-    let outcome = wrapper::asked().unwrap_or_else(|| run(Arguments::parse().command).map(|()| ExitCode::SUCCESS));
+    let outcome =
+        wrapper::compile_if_wrapped().unwrap_or_else(|| run(Arguments::parse().command).map(|()| ExitCode::SUCCESS));
     match outcome {
         Ok(code) => code,
         Err(error) => {
@@ -178,8 +179,8 @@ fn run(command: Command) -> Result<()> {
         Command::ClippyFw => firmware::clippy(),
         Command::Flash { board } => firmware::flash(&board),
         Command::Dfu { board } => firmware::dfu(&board),
-        Command::Images { twice: false } => images::take_in(),
-        Command::Images { twice: true } => images::twice(),
+        Command::Images { twice: false } => images::build_all(),
+        Command::Images { twice: true } => images::compare_checkouts(),
         Command::Dist => dist::make().map(drop),
         Command::NoPanic => no_panic::prove(),
         Command::Bench { check: false } => bench::refresh(),
@@ -197,11 +198,11 @@ fn run(command: Command) -> Result<()> {
         Command::Soak(options) => soak::run(&options),
         Command::Figures { cases } => report::figures(&cases),
         Command::Range { part, device, rate, motors } => {
-            let asked: Vec<String> = [part, device, rate, motors].into_iter().flatten().collect();
-            tests::measure("range", &asked)
+            let arguments: Vec<String> = [part, device, rate, motors].into_iter().flatten().collect();
+            tests::measure("range", &arguments)
         }
         Command::Faults { faults } => tests::measure("faults", &faults),
-        Command::Board { rest } => tests::play(&rest),
+        Command::Board { rest } => tests::run_board(&rest),
     }
 }
 
@@ -211,12 +212,12 @@ mod arguments {
     use clap::CommandFactory as _;
 
     #[test]
-    fn the_command_line_is_sound() {
+    fn the_command_line_is_valid() {
         Arguments::command().debug_assert();
     }
 
     #[test]
-    fn what_follows_goes_on_to_cargo() {
+    fn further_arguments_go_to_cargo() {
         let parsed = Arguments::parse_from(["xtask", "test", "--deep", "emulated", "walls", "--nocapture"]);
         let Command::Test { deep: Some(Some(part)), rest } = parsed.command else { panic!("a part") };
         assert_eq!((part.as_str(), &rest[..]), ("emulated", &["walls".into(), "--nocapture".into()][..]));

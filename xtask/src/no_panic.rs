@@ -1,4 +1,4 @@
-//! The proof that the control step cannot panic, and what its machine code shows besides: no indirect calls, no
+//! The proof that the control step cannot panic, with further properties of its machine code: no indirect calls, no
 //! recursion, a bounded stack.
 
 use std::process::Command;
@@ -10,26 +10,25 @@ use crate::thumb::Image;
 use crate::toolchain::{TARGET, Toolchain, Use, run};
 use crate::tools;
 
-/// Most stack the control step may take, bytes: a nineteenth of what memory.x reserves.
+/// Maximum stack of the control step, bytes: a nineteenth of the reservation in memory.x.
 const STACK_LIMIT: u32 = 2800;
 
-/// The function that does not exist; its name is in the linker's message.
+/// Name of the function that does not exist; it appears in the linker's message.
 const MISSING: &str = "the_control_step_can_panic";
 
 fn cargo(toolchain: Toolchain, feature: &str) -> Command {
     let mut command = toolchain.cargo(Use::Build);
     command.current_dir(root().join("firmware")).arg("--target-dir").arg(target_directory());
     command.args(["--locked", "--bin", "no-panic", "--profile", "firmware", "--features", feature]);
-    // As fast as the library that it is made of.
+    // The same optimisation as for the library.
     command.args(["--", "-Copt-level=3"]);
     command
 }
 
-/// Links the step alone, and reads the result.
+/// Links the step alone and checks the image.
 pub fn prove() -> Result<()> {
     let toolchain = tools::provide(&[Use::Build])?;
-    run(&mut cargo(toolchain, "no-panic"))
-        .context("a panic is left in the control step; the linker's message above says so")?;
+    run(&mut cargo(toolchain, "no-panic")).context("the control step can panic, see the linker's message above")?;
     let image = Image::read(&target_directory().join(TARGET).join("firmware/no-panic"))?;
     let reach = image.reach(&[
         "control_step",
@@ -47,10 +46,10 @@ pub fn prove() -> Result<()> {
     ensure!(reach.indirect.is_empty(), "indirect jumps in the control step:\n    {}", reach.indirect.join("\n    "));
     println!("no indirect calls");
 
-    // The proof must be able to fail: with one index that nothing bounds, the same image must not link.
+    // The proof must be able to fail: with one unbounded index the same image must not link.
     let broken = cargo(toolchain, "broken").output().context("cannot run cargo")?;
     let message = String::from_utf8_lossy(&broken.stderr);
-    ensure!(!broken.status.success() && message.contains(MISSING), "a step that can panic was not found out");
-    println!("and a step with one unbounded index does not link");
+    ensure!(!broken.status.success() && message.contains(MISSING), "the proof does not find a step that can panic");
+    println!("a step with one unbounded index does not link, as it should");
     Ok(())
 }

@@ -9,14 +9,15 @@ use crate::paths::{root, target_directory};
 use crate::toolchain::{BROWSERS, Use, run};
 use crate::tools;
 
-/// The file's permissions: it may run its own contents, worker and library included, and may not use the network.
+/// Content security policy of the file: it may run its own contents, including worker and library, and may not use the
+/// network.
 const POLICY: &str = "default-src 'none'; script-src 'unsafe-inline' 'wasm-unsafe-eval'; worker-src blob:; \
                       style-src 'unsafe-inline'; img-src data:; base-uri 'none'; form-action 'none'";
 
 /// The page's folder.
 const PAGE: &str = "crates/show/src/view/page";
 
-/// Builds the file, and says where it is.
+/// Builds the file and returns its path.
 pub fn build() -> Result<PathBuf> {
     let toolchain = tools::provide(&[Use::Playground])?;
     let mut command = toolchain.cargo_for_browsers("rustc");
@@ -37,17 +38,17 @@ fn read(path: &str) -> Result<String> {
     fs::read_to_string(root().join(path)).with_context(|| format!("cannot read {path}"))
 }
 
-/// The page that the tool serves: its style and scripts are put where it names them.
+/// Assembles the page as the tool serves it, with its styles and scripts.
 fn page() -> Result<String> {
     let named = read(&format!("{PAGE}/page.html"))?;
     let mut page = named.clone();
     for name in named.lines().filter_map(|line| line.strip_prefix("/* ")?.strip_suffix(" */")) {
-        page = put(&page, &format!("/* {name} */\n"), &read(&format!("{PAGE}/{name}"))?)?;
+        page = replace_mark(&page, &format!("/* {name} */\n"), &read(&format!("{PAGE}/{name}"))?)?;
     }
     Ok(page)
 }
 
-/// The page with everything in it.
+/// Adds scripts, worker and library to the page.
 fn assemble(page: &str, script: &str, worker: &str, library: &[u8]) -> Result<String> {
     let inside = format!(
         "<script type=\"text/plain\" id=\"worker\">{worker}</script>\n<script type=\"text/plain\" id=\"library\">{}</script>\n\
@@ -56,11 +57,11 @@ fn assemble(page: &str, script: &str, worker: &str, library: &[u8]) -> Result<St
     );
     let charset = "<meta charset=\"utf-8\">";
     let policy = format!("{charset}\n<meta http-equiv=\"Content-Security-Policy\" content=\"{POLICY}\">");
-    put(&put(page, charset, &policy)?, "<!-- playground -->", &inside)
+    replace_mark(&replace_mark(page, charset, &policy)?, "<!-- playground -->", &inside)
 }
 
-fn put(page: &str, mark: &str, text: &str) -> Result<String> {
-    ensure!(page.matches(mark).count() == 1, "{PAGE}/page.html has to have {mark} once");
+fn replace_mark(page: &str, mark: &str, text: &str) -> Result<String> {
+    ensure!(page.matches(mark).count() == 1, "{PAGE}/page.html must contain {mark} once");
     Ok(page.replacen(mark, text, 1))
 }
 
@@ -83,7 +84,7 @@ mod tests {
 
     /// RFC 4648, section 10.
     #[test]
-    fn base64_is_that_of_its_standard() {
+    fn base64_agrees_with_its_standard() {
         for (bytes, text) in [("", ""), ("f", "Zg=="), ("fo", "Zm8="), ("foo", "Zm9v"), ("foobar", "Zm9vYmFy")] {
             assert_eq!(base64(bytes.as_bytes()), text);
         }
@@ -91,13 +92,13 @@ mod tests {
     }
 
     #[test]
-    fn the_page_has_a_place_for_what_is_put_in_and_ends_no_script_early() {
+    fn the_page_has_all_marks_and_no_script_ends_early() {
         let [script, worker] =
             ["clients/page/src/page.js", "clients/page/src/worker.js"].map(|path| read(path).unwrap());
         let page = page().unwrap();
         assert!(!script.contains("</script") && !worker.contains("</script"));
-        let whole = assemble(&page, &script, &worker, b"foobar").unwrap();
-        assert!(whole.contains("id=\"library\">Zm9vYmFy</script>") && whole.contains("wasm-unsafe-eval"));
+        let assembled = assemble(&page, &script, &worker, b"foobar").unwrap();
+        assert!(assembled.contains("id=\"library\">Zm9vYmFy</script>") && assembled.contains("wasm-unsafe-eval"));
         assert!(assemble("", "", "", b"").is_err());
     }
 }

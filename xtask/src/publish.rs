@@ -1,4 +1,4 @@
-//! The packages that are published: what each has to say of itself, and whether all of them build as others get them.
+//! The published packages: their metadata, and a dry run of publishing.
 
 use anyhow::Result;
 
@@ -6,10 +6,10 @@ use crate::images;
 use crate::paths::root;
 use crate::toolchain::{cargo, run};
 
-/// Packs all of them and builds each from its package and the others', as after publishing; uploads nothing. The tool's
-/// images go along.
+/// Packs all packages, including the tool's images, and builds each from the packed sources as after publishing.
+/// Uploads nothing.
 pub fn dry_run() -> Result<()> {
-    images::take_in()?;
+    images::build_all()?;
     run(cargo().current_dir(root()).args(["publish", "--workspace", "--dry-run", "--locked", "--allow-dirty"]))
 }
 
@@ -20,17 +20,17 @@ mod tests {
     use serde_json::Value;
     use std::collections::BTreeMap;
 
-    /// The packages here, by name.
+    /// Returns the packages of the workspace by name.
     fn packages() -> BTreeMap<String, Value> {
         let mut command = cargo();
         command.current_dir(root()).args(["metadata", "--no-deps", "--offline", "--format-version", "1"]);
-        let said: Value = serde_json::from_slice(&command.output().unwrap().stdout).unwrap();
-        let packages = said["packages"].as_array().unwrap().iter();
+        let metadata: Value = serde_json::from_slice(&command.output().unwrap().stdout).unwrap();
+        let packages = metadata["packages"].as_array().unwrap().iter();
         packages.map(|package| (package["name"].as_str().unwrap().to_string(), package.clone())).collect()
     }
 
     #[test]
-    fn what_is_published_is_the_library_the_crates_on_it_and_the_tool() {
+    fn the_library_its_crates_and_the_tool_are_published() {
         let published = |package: &Value| package["publish"].as_array().is_none_or(|registries| !registries.is_empty());
         let mut found: Vec<String> =
             packages().into_iter().filter(|(_, package)| published(package)).map(|(name, _)| name).collect();
@@ -41,10 +41,10 @@ mod tests {
     }
 
     #[test]
-    fn published_packages_say_what_a_registry_shows_and_name_versions_of_each_other() {
+    fn published_packages_have_metadata_and_versions_of_each_other() {
         let all = packages();
         let version = &all["haptic"]["version"];
-        let mut seen = 0;
+        let mut checked = 0;
         for (name, package) in &all {
             assert_eq!(&package["version"], version, "{name}");
             if package["publish"].as_array().is_some_and(Vec::is_empty) {
@@ -54,16 +54,16 @@ mod tests {
                 assert!(package[key].as_str().is_some_and(|text| !text.is_empty()), "{name} has no {key}");
             }
             let keywords = package["keywords"].as_array().unwrap().len();
-            assert!((1..=5).contains(&keywords), "{name}: a registry takes up to five keywords");
+            assert!((1..=5).contains(&keywords), "{name}: a registry accepts one to five keywords");
             assert!(!package["categories"].as_array().unwrap().is_empty(), "{name} has no categories");
             let metadata = &package["metadata"];
             match name.as_str() {
                 "haptic" => assert!(metadata["binstall"]["pkg-url"].as_str().unwrap().ends_with(".tar.gz")),
-                _ => assert!(metadata["docs"]["rs"].is_object(), "{name} does not say how docs.rs builds it"),
+                _ => assert!(metadata["docs"]["rs"].is_object(), "{name} has no metadata for docs.rs"),
             }
             for needed in package["dependencies"].as_array().unwrap().iter().filter(|needed| needed["path"].is_string())
             {
-                seen += 1;
+                checked += 1;
                 let wanted = format!("^{}", version.as_str().unwrap());
                 assert_eq!(needed["req"], wanted, "{name} needs {}", needed["name"]);
                 let published = all[needed["name"].as_str().unwrap()]["publish"].is_null();
@@ -74,6 +74,6 @@ mod tests {
                 );
             }
         }
-        assert!(seen > 20, "{seen}");
+        assert!(checked > 20, "{checked}");
     }
 }

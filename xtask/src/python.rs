@@ -1,4 +1,4 @@
-//! The package for Python: built as the tests are, and tried in an environment of its own.
+//! The tests of the Python package, in a separate virtual environment.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -11,7 +11,7 @@ use crate::paths::{root, target_directory};
 use crate::toolchain::{Use, cargo, run};
 use crate::tools;
 
-/// The parts of clients/python/pyproject.toml that are used here.
+/// The parts of clients/python/pyproject.toml that this program uses.
 #[derive(Deserialize)]
 struct Manifest {
     #[serde(rename = "build-system")]
@@ -19,7 +19,7 @@ struct Manifest {
     project: Project,
 }
 
-/// What builds the package.
+/// Build requirements of the package.
 #[derive(Deserialize)]
 struct Build {
     requires: Vec<String>,
@@ -32,7 +32,7 @@ struct Project {
     optional: Optional,
 }
 
-/// pytest, and what the package is held against.
+/// Requirements of the tests, and packages for comparisons.
 #[derive(Deserialize)]
 struct Optional {
     test: Vec<String>,
@@ -42,8 +42,8 @@ struct Optional {
 /// Runs the tests of clients/python/; further arguments go to pytest.
 pub fn test(arguments: &[String]) -> Result<()> {
     tools::provide(&[Use::Python])?;
-    let package = root().join("python");
-    // Together, so that the library is built once.
+    let package = root().join("clients/python");
+    // One cargo call, so that the library is built once.
     run(cargo().current_dir(root()).args(["build", "--locked", "--package", "haptic", "--package", "haptic-python"]))?;
     let built = target_directory().join("debug");
     let place = target_directory().join("python");
@@ -57,8 +57,8 @@ pub fn test(arguments: &[String]) -> Result<()> {
     }
     fs::copy(built.join("lib_native.so"), inside.join("_native.abi3.so")).context("no lib_native.so")?;
     let project = manifest()?.project;
-    let wanted = [project.dependencies, project.optional.test, project.optional.peers].concat();
-    let python = environment(&place.join("environment"), &wanted)?;
+    let requirements = [project.dependencies, project.optional.test, project.optional.peers].concat();
+    let python = environment(&place.join("environment"), &requirements)?;
     let mut tests = Command::new(python);
     tests.current_dir(&package).env("PYTHONPATH", &place).env("PYTHONDONTWRITEBYTECODE", "1");
     tests.env("HAPTIC_TOOL", built.join("haptic"));
@@ -70,20 +70,22 @@ fn manifest() -> Result<Manifest> {
     toml::from_str(&text).context("clients/python/pyproject.toml")
 }
 
-/// Returns an interpreter with what builds the package, and what opens and closes wheels.
+/// Returns an interpreter with the build requirements of the package and the `wheel` program.
 pub fn with_build_tools(place: &Path) -> Result<PathBuf> {
     environment(place, &[manifest()?.build.requires, vec!["wheel>=0.45,<1".into()]].concat())
 }
 
-/// Returns an interpreter with these packages and no other; it is set up again when they have changed.
-pub fn environment(place: &Path, wanted: &[String]) -> Result<PathBuf> {
+/// Returns an interpreter with exactly these packages. The environment is created again if the list has changed.
+pub fn environment(place: &Path, requirements: &[String]) -> Result<PathBuf> {
     let python = place.join(if cfg!(windows) { "Scripts/python.exe" } else { "bin/python" });
     let note = place.join("wanted");
-    if fs::read_to_string(&note).is_ok_and(|had| had == wanted.join("\n")) {
+    if fs::read_to_string(&note).is_ok_and(|present| present == requirements.join("\n")) {
         return Ok(python);
     }
     run(Command::new("python3").args(["-m", "venv", "--clear"]).arg(place))?;
-    run(Command::new(&python).args(["-m", "pip", "install", "--quiet", "--disable-pip-version-check"]).args(wanted))?;
-    fs::write(note, wanted.join("\n"))?;
+    run(Command::new(&python)
+        .args(["-m", "pip", "install", "--quiet", "--disable-pip-version-check"])
+        .args(requirements))?;
+    fs::write(note, requirements.join("\n"))?;
     Ok(python)
 }

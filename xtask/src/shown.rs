@@ -1,4 +1,4 @@
-//! Documents that show rows of the CSV files that they link to: the program that writes a file also updates those rows.
+//! Documents with tables of rows from linked CSV files: the program that writes a file also updates the tables.
 
 use std::fs;
 
@@ -7,7 +7,7 @@ use anyhow::Result;
 mod blocks {
     pub use crate::paths::root;
 }
-#[allow(dead_code, reason = "the tests of the documents use the rest")]
+#[allow(dead_code, reason = "only the tests of the documents use the rest")]
 #[path = "../../tool/tests/common/documents/tables.rs"]
 mod tables;
 
@@ -26,8 +26,8 @@ pub fn refresh() -> Result<()> {
     Ok(())
 }
 
-/// Returns `text` with every row of a table whose columns are all columns of a file replaced by the row of the file that
-/// agrees in the most cells from the left, at least one.
+/// Updates the tables in `text` whose columns are all columns of a file. Each row is replaced by the row of the file
+/// that agrees in the most cells from the left, at least in one.
 fn with_rows_of(files: &[tables::Table], text: &str) -> String {
     let (mut in_table, mut source) = (false, None);
     let lines = text.lines().map(|line| {

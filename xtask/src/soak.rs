@@ -1,5 +1,5 @@
-//! The soaks, with their figures as dated reports: tool/tests/deep/soak.rs on the simulated board, or the release
-//! image on the emulated chip (emulator/src/soak.rs), for as long as is wanted.
+//! Long soak tests with dated reports: tool/tests/deep/soak.rs on the simulated board, or the release image on the
+//! emulated chip (emulator/src/soak.rs).
 
 use std::fs;
 
@@ -9,13 +9,13 @@ use crate::paths::{root, target_directory};
 use crate::toolchain::{cargo, run as run_command};
 use crate::{report, tests};
 
-/// Simulated hours when nothing else is said: on the simulated board, and on the emulated chip.
+/// Default number of simulated hours: on the simulated board, and on the emulated chip.
 const HOURS: (f64, f64) = (24.0, 1.0);
 
-/// The duration and the board.
+/// Duration and board.
 #[derive(clap::Args)]
 pub struct Options {
-    /// On the emulated chip, random bytes into another one beside it
+    /// Use the emulated chip, with a second one that receives random bytes
     #[arg(long)]
     chip: bool,
     /// Simulated hours, 0.05 to 1000 [default: 24, with --chip 1]
@@ -26,17 +26,17 @@ pub struct Options {
     record: bool,
 }
 
-/// A twentieth of an hour is what the test needs to know what is usual.
+/// Parses the duration. The test needs a twentieth of an hour to learn the normal values.
 fn hours(text: &str) -> Result<f64, String> {
     let number = text.parse().ok().filter(|hours| (0.05..=1000.0).contains(hours));
-    number.ok_or_else(|| "it takes 0.05 to 1000".into())
+    number.ok_or_else(|| "must be a number from 0.05 to 1000".into())
 }
 
 /// Runs a soak.
 pub fn run(options: &Options) -> Result<()> {
     let Options { chip, record, .. } = *options;
     let hours = options.hours.unwrap_or(if chip { HOURS.1 } else { HOURS.0 });
-    let occasion = report::occasion();
+    let date_and_commit = report::date_and_commit();
     let figures = target_directory().join("soak.md");
     if chip {
         tests::measure("soak", &[hours.to_string(), figures.to_string_lossy().into_owned()])?;
@@ -54,7 +54,7 @@ pub fn run(options: &Options) -> Result<()> {
     if record {
         let (name, what, option) =
             if chip { ("soak-chip.md", "Soak on the emulated chip", " --chip") } else { ("soak.md", "Soak", "") };
-        let heading = format!("# {what}\n\n{occasion}. `cargo xtask soak{option} --hours {hours} --record`\n\n");
+        let heading = format!("# {what}\n\n{date_and_commit}. `cargo xtask soak{option} --hours {hours} --record`\n\n");
         report::write(name, &(heading + &text))?;
     }
     Ok(())

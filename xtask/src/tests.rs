@@ -1,5 +1,5 @@
-//! The test runs: the gate (`cargo xtask test`), which every change passes, and everything else in named parts that run
-//! alone (`cargo xtask test --deep [PART]`). `cargo test` is the first stage of the gate.
+//! The test runs: the gate (`cargo xtask test`), which every change must pass, and the longer tests in named parts
+//! (`cargo xtask test --deep [PART]`). `cargo test` is the first stage of the gate.
 
 use std::env;
 use std::process::Command;
@@ -10,73 +10,69 @@ use anyhow::{Result, anyhow, ensure};
 use crate::toolchain::{Use, cargo, haptic_emulator, run};
 use crate::{bench, dist, firmware, fuzz, library, no_panic, paths, playground, python, report, tools};
 
-/// The tests of the tool, of flashing, of C and of CHAI3D, as cargo is asked for them.
+/// Arguments of cargo for the tests of the tool, flashing, C and CHAI3D.
 const TOOL: [&str; 10] =
     ["--lib", "--bins", "--test", "quick", "--test", "flash", "--test", "c", "--test", "as_chai3d_does"];
-/// The variable that tells tests and programs of the virtual board the folder of the images.
+/// Environment variable with the folder of the images, for tests and programs of the virtual board.
 const IMAGES: &str = "HAPTIC_FIRMWARE_DIR";
-/// Seconds of fuzzing that each target gets in the deep tests.
+/// Seconds of fuzzing for each target in the deep tests.
 const FUZZ_SECONDS: u32 = 20;
 
 /// A named part of the deep tests.
 pub struct Part {
-    /// The name on the command line.
+    /// Name on the command line.
     pub name: &'static str,
-    /// A description of the test.
-    pub what: &'static str,
-    /// Runs it, with further arguments for the program that it is.
+    /// Description for the help text.
+    pub description: &'static str,
+    /// Runs the part with further arguments for its program.
     run: fn(&[String]) -> Result<()>,
 }
 
-/// A part that is a module of tool/tests/deep.
+/// Declares a part that is a module of tool/tests/deep.
 macro_rules! module {
-    ($name:literal, $what:literal) => {
-        Part { name: $name, what: $what, run: |arguments| tool(concat!($name, "::"), arguments) }
+    ($name:literal, $description:literal) => {
+        Part { name: $name, description: $description, run: |arguments| tool(concat!($name, "::"), arguments) }
     };
 }
 
 /// All parts of the deep tests, cheapest first.
 pub const PARTS: [Part; 16] = [
-    Part { name: "clients", what: "What programs build on: what it brings along, and its examples", run: clients },
-    Part { name: "properties", what: "The library's tests from seeds drawn anew", run: properties },
+    Part { name: "clients", description: "The crates for other programs: dependencies and examples", run: clients },
+    Part { name: "properties", description: "The library's tests with new random seeds", run: properties },
     module!("hard_cases", "Single precision against 106 bits"),
     module!("claims", "The figures of docs/claims/"),
-    module!("lies", "Files, wires and sensors that are wrong, and forces in scenes drawn anew"),
-    module!("tune", "What `tune` and `design` find, against brute force"),
+    module!("lies", "Wrong files, wires and sensors, and forces in new random scenes"),
+    module!("tune", "Results of `tune` and `design` against brute force"),
     module!("ranges", "Measured ranges of stable walls"),
     module!("soak", "Minutes of contact with telemetry"),
-    module!("processes", "Tools that come second, are killed or flood"),
-    module!("documents", "What the documents say to type, and their pictures and tables made again"),
-    Part { name: "browser", what: "The page, served and as a file, in Chromium", run: browser },
-    Part { name: "python", what: "The package for Python, with MuJoCo and Dask", run: python::test },
+    module!("processes", "Second tools, killed tools and floods of requests"),
+    module!("documents", "Commands in the documents, and their pictures and tables"),
+    Part { name: "browser", description: "The page, served and as a file, in Chromium", run: browser },
+    Part { name: "python", description: "The package for Python, with MuJoCo and Dask", run: python::test },
     Part {
         name: "dist",
-        what: "Archive, wheel and published packages, installed as others do",
+        description: "Archive, wheel and published packages, installed as a user does",
         run: |_| dist::check(),
     },
-    Part { name: "fuzzing", what: "Wild input for everything that reads any", run: fuzzing },
-    Part { name: "counts", what: "Instructions of the control step", run: |_| bench::check() },
-    Part {
-        name: "emulated",
-        what: "Everything that is tested of the images on the emulated chip",
-        run: emulated_suite,
-    },
+    Part { name: "fuzzing", description: "Fuzzing of everything that reads input", run: fuzzing },
+    Part { name: "counts", description: "Instructions of the control step", run: |_| bench::check() },
+    Part { name: "emulated", description: "All tests of the images on the emulated chip", run: emulated_suite },
 ];
 
 /// Runs the tests that every change must pass.
 pub fn gate(arguments: &[String]) -> Result<()> {
     ensure!(arguments.is_empty(), "`cargo xtask test` takes no arguments but --deep: {}", arguments.join(" "));
-    // Before the first compile: what only a late stage needs would else be missed minutes later.
+    // Checked before the first compile, because a missing tool of a late stage would be found minutes later.
     tools::provide(&tools::TEST)?;
     let began = Instant::now();
-    // The images take a compiler's one thread for minutes, which the other tests leave free.
+    // The images occupy one compiler thread for minutes, so they are built in parallel with the other tests.
     std::thread::scope(|scope| {
         let images = scope.spawn(|| {
             stage("images and their sizes", firmware::size)?;
             stage("no panic in the control step", no_panic::prove)
         });
         stage("library", || run(cargo().current_dir(paths::root()).args(["test", "--locked"])))?;
-        // The emulated chip with them: what cargo is asked for together it compiles once.
+        // Together with the emulated chip, so that cargo compiles common dependencies once.
         stage("compiling tool, C, CHAI3D and emulated chip", || run(gate_tests().arg("--no-run")))?;
         stage("tool, C and CHAI3D", || run(&mut tests(&TOOL)))?;
         images.join().map_err(|_| anyhow!("the images' stages panicked"))?
@@ -84,11 +80,11 @@ pub fn gate(arguments: &[String]) -> Result<()> {
     stage("images on the emulated chip", || {
         run(gate_tests().args(["--", "gate::"]).env(IMAGES, firmware::directory()))
     })?;
-    println!("-- all of it: {} s", began.elapsed().as_secs());
+    println!("-- all stages: {} s", began.elapsed().as_secs());
     Ok(())
 }
 
-/// One part of what takes longer, or all of them: then the others go on after one has failed.
+/// Runs one part of the deep tests, or all parts; with all parts, the others run even if one fails.
 pub fn deep(part: Option<&str>, arguments: &[String]) -> Result<()> {
     if let Some(part) = PARTS.iter().find(|known| Some(known.name) == part) {
         stage(part.name, || (part.run)(arguments))?;
@@ -106,12 +102,12 @@ pub fn deep(part: Option<&str>, arguments: &[String]) -> Result<()> {
             failed.push(part.name);
         }
     }
-    println!("-- all of it: {} s", began.elapsed().as_secs());
+    println!("-- all parts: {} s", began.elapsed().as_secs());
     ensure!(failed.is_empty(), "failed: {}", failed.join(", "));
     Ok(())
 }
 
-/// Does something, and says what it took.
+/// Runs a stage and prints its duration.
 fn stage(name: &str, work: impl FnOnce() -> Result<()>) -> Result<()> {
     println!("== {name}");
     let began = Instant::now();
@@ -120,13 +116,13 @@ fn stage(name: &str, work: impl FnOnce() -> Result<()>) -> Result<()> {
     outcome
 }
 
-/// A module of tool/tests/deep.
+/// Runs a module of tool/tests/deep.
 fn tool(module: &str, arguments: &[String]) -> Result<()> {
     run(tests(&["--test", "deep", "--", module]).args(arguments).env("HAPTIC_FRESH_SEEDS", "1"))
 }
 
 fn clients(arguments: &[String]) -> Result<()> {
-    library::alone()?;
+    library::check()?;
     let crates = library::CRATES.iter().flat_map(|name| ["--package", *name]);
     run(cargo().current_dir(paths::root()).args(["test", "--locked", "--doc"]).args(crates).args(arguments))
 }
@@ -149,7 +145,7 @@ fn browser(arguments: &[String]) -> Result<()> {
     tools::provide(&[Use::Page, Use::Build])?;
     let page = playground::build()?;
     run(cargo().current_dir(paths::root()).args(["test", "--locked", "--package", "haptic-page"]))?;
-    // The page also opens the real image, on the emulated chip.
+    // A test of the page connects to the real image on the emulated chip.
     firmware::build("odrive-v3")?;
     let board =
         ["build", "--locked", "--ignore-rust-version", "--package", "haptic-emulator-programs", "--bin", "board"];
@@ -165,22 +161,22 @@ fn fuzzing(_: &[String]) -> Result<()> {
     fuzz::run(&fuzz::Options::short(FUZZ_SECONDS))
 }
 
-/// All tests of the release images, and of one with a toy board. Further arguments go to `cargo test`.
+/// Runs all tests of the release images and of an image with a toy board. Further arguments go to `cargo test`.
 fn emulated_suite(arguments: &[String]) -> Result<()> {
     firmware::build_all()?;
     firmware::build(firmware::TOY)?;
     run(tests(&["--test", "emulated"]).args(arguments).env(IMAGES, firmware::directory()))
 }
 
-/// All that the gate compiles for the tool and the emulated chip.
+/// Returns the cargo call for all tests of the gate except the library's.
 fn gate_tests() -> Command {
     let mut all = tests(&TOOL);
     all.args(["--test", "emulated"]);
     all
 }
 
-/// Tests of the tool and of the virtual board. The packages are always the same, and so are then their dependencies'
-/// features: each is compiled once.
+/// Returns the cargo call for tests of the tool and the virtual board. The packages are always the same, so that the
+/// features of their dependencies are the same and each is compiled once.
 fn tests(targets: &[&str]) -> Command {
     let others = ["haptic", "haptic-c", "haptic-chai3d", "haptic-emulator", "xtask"];
     let packages = library::CRATES.iter().chain(&others).flat_map(|name| ["--package", *name]);
@@ -189,18 +185,18 @@ fn tests(targets: &[&str]) -> Command {
     test
 }
 
-/// The real firmware on an emulated board, for a person. Further arguments go to the board.
-pub fn play(arguments: &[String]) -> Result<()> {
+/// Runs the real firmware on an emulated board for a user. Further arguments go to the board's program.
+pub fn run_board(arguments: &[String]) -> Result<()> {
     run(program("board")?.args(arguments))
 }
 
-/// A program of the virtual board's that measures on the emulated chip and writes a document.
+/// Runs a program of the virtual board that measures on the emulated chip and writes a document.
 pub fn measure(name: &str, arguments: &[String]) -> Result<()> {
     run(program(name)?.args(arguments))?;
     if arguments.is_empty() { report::record(name, &format!("cargo xtask {name}")) } else { Ok(()) }
 }
 
-/// A program of the virtual board's that runs the images of the boards, which this builds.
+/// Builds the boards' images and returns the call of a program of the virtual board that runs them.
 fn program(name: &str) -> Result<Command> {
     firmware::build_all()?;
     let mut command = haptic_emulator(name);

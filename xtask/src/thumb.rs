@@ -1,5 +1,5 @@
-//! Just enough of the Thumb-2 instruction set (ARMv7-M Architecture Reference Manual, chapter A7.7) to know of a linked
-//! image who calls whom, where a call's target is not in the code, and how far each function pushes the stack.
+//! A decoder of the part of the Thumb-2 instruction set (ARMv7-M Architecture Reference Manual, chapter A7.7) that
+//! shows the calls in a linked image, the indirect calls, and the stack of each function.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -10,21 +10,21 @@ use object::{Object as _, ObjectSection as _, ObjectSymbol as _, SymbolKind};
 /// A function's stack use and calls.
 #[derive(Debug, Default, PartialEq)]
 pub struct Function {
-    /// Its name as the linker knows it.
+    /// Symbol name.
     pub name: String,
-    /// Addresses it calls or jumps to outside itself.
+    /// Addresses of calls and jumps to other functions.
     pub calls: BTreeSet<u32>,
     /// Addresses of its calls and jumps through a register or a pointer.
     pub indirect: Vec<u32>,
-    /// Bytes by which it lowers the stack pointer, all ways through it added up: never too little.
+    /// Upper bound of the stack, bytes: the sum over all instructions that lower the stack pointer.
     pub stack: u32,
 }
 
-/// The functions of an image by their address.
+/// The functions of an image by address.
 pub struct Image(BTreeMap<u32, Function>);
 
 impl Image {
-    /// Reads the code of an ELF file that still has its symbols.
+    /// Reads the code of an ELF file with symbols.
     pub fn read(path: &Path) -> Result<Self> {
         let data = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
         let file = object::File::parse(&*data).context("not an ELF file")?;
@@ -45,7 +45,7 @@ impl Image {
         let mut functions = BTreeMap::new();
         for section in file.sections().filter(|section| section.kind() == object::SectionKind::Text) {
             let base = section.address() as u32;
-            let bytes = section.data().context("code that is not in the file")?;
+            let bytes = section.data().context("the file does not contain the code")?;
             let end = base + bytes.len() as u32;
             for (start, (size, name)) in starts.range(base..end) {
                 let stop = (start + size).min(end);
@@ -59,9 +59,8 @@ impl Image {
         Ok(Self(functions))
     }
 
-    /// Follows the calls from the functions of these names: returns the number of functions reached, the indirect jumps
-    /// among them, and the deepest stack of each root. Recursion is an error, and so is a call to an address without a
-    /// function.
+    /// Follows the calls from the functions of these names. Returns the number of functions, their indirect jumps, and
+    /// the deepest stack of each root. Fails on recursion, and on a call to an address without a function.
     pub fn reach(&self, roots: &[&str]) -> Result<Reach> {
         let mut depths = BTreeMap::new();
         let mut stack = Vec::new();
@@ -82,9 +81,10 @@ impl Image {
         if let Some(depth) = depths.get(&address) {
             return Ok(*depth);
         }
-        let function = self.0.get(&address).with_context(|| format!("a call to {address:#x}, where no function is"))?;
+        let function =
+            self.0.get(&address).with_context(|| format!("a call to {address:#x}, which is not a function"))?;
         if path.contains(&address) {
-            bail!("{} calls itself: its stack has no bound", function.name);
+            bail!("{} is recursive: its stack has no bound", function.name);
         }
         path.push(address);
         let mut below = 0;
@@ -99,15 +99,15 @@ impl Image {
 
 /// See [`Image::reach`].
 pub struct Reach {
-    /// Functions reached.
+    /// Number of functions.
     pub functions: usize,
-    /// Jumps through a register or a pointer, by function and address.
+    /// Jumps through a register or a pointer: function and address.
     pub indirect: Vec<String>,
     /// Deepest stack of each root, bytes.
     pub stack: Vec<(String, u32)>,
 }
 
-/// Reads one function's code at `start`; `is_code` tells instructions from tables between them.
+/// Decodes the code of one function at `start`. `is_code` returns false for the tables between instructions.
 fn decode(code: &[u8], start: u32, is_code: impl Fn(u32) -> bool) -> Function {
     let mut function = Function::default();
     let end = start + code.len() as u32;
@@ -136,7 +136,7 @@ fn decode(code: &[u8], start: u32, is_code: impl Fn(u32) -> bool) -> Function {
                 _ if first & 0xF000 == 0xD000 && first & 0x0F00 < 0x0E00 => {
                     jump(offset(at, sign(first & 0xFF, 8) * 2), false);
                 }
-                // BLX register, BX register but for the link register, MOV to the program counter
+                // BLX register, BX register except the link register, MOV to the program counter
                 _ if first & 0xFF87 == 0x4780 => function.indirect.push(at),
                 _ if first & 0xFF87 == 0x4700 && first >> 3 & 0xF != 14 => function.indirect.push(at),
                 _ if first & 0xFF87 == 0x4687 => function.indirect.push(at),
@@ -168,7 +168,7 @@ fn decode(code: &[u8], start: u32, is_code: impl Fn(u32) -> bool) -> Function {
                 0xE96D => function.stack += 4 * (second & 0xFF),          // STRD before sp
                 _ if first & 0xFBEF == 0xF1AD && second & 0x0F00 == 0x0D00 => function.stack += expand(modified),
                 _ if first & 0xFBFF == 0xF2AD && second & 0x0F00 == 0x0D00 => function.stack += modified,
-                // LDR to the program counter, but for a return from the stack
+                // LDR to the program counter, except a return from the stack
                 _ if first & 0xFF70 == 0xF850 && second >> 12 == 15 && first & 0xF != 13 => function.indirect.push(at),
                 _ => {}
             }
@@ -178,7 +178,7 @@ fn decode(code: &[u8], start: u32, is_code: impl Fn(u32) -> bool) -> Function {
     function
 }
 
-/// The program counter reads four bytes ahead.
+/// Returns the target of a branch; the program counter is four bytes ahead.
 fn offset(at: u32, by: i32) -> u32 {
     at.wrapping_add(4).wrapping_add_signed(by)
 }
@@ -187,7 +187,7 @@ fn sign(value: u32, bits: u32) -> i32 {
     (value << (32 - bits)) as i32 >> (32 - bits)
 }
 
-/// A modified immediate constant (ARMv7-M ARM, A5.3.2).
+/// Expands a modified immediate constant (ARMv7-M ARM, A5.3.2).
 fn expand(modified: u32) -> u32 {
     let byte = modified & 0xFF;
     match modified >> 8 {
@@ -209,21 +209,21 @@ mod tests {
     }
 
     #[test]
-    fn stack_is_what_pushes_and_subtractions_take() {
+    fn the_stack_is_the_sum_of_pushes_and_subtractions() {
         // push {r4, lr}; sub sp, #8; push.w {r4-r11, lr}; vpush {d8-d9}; sub.w sp, sp, #512; subw sp, sp, #4095
         let found = function(&[0xB510, 0xB082, 0xE92D, 0x4FF0, 0xED2D, 0x8B04, 0xF5AD, 0x7D00, 0xF6AD, 0x7DFF]);
         assert_eq!(found.stack, 8 + 8 + 36 + 16 + 512 + 4095);
     }
 
     #[test]
-    fn jumps_through_registers_are_found_and_returns_are_not() {
+    fn jumps_through_registers_are_found_without_returns() {
         // blx r3; bx r3; mov pc, r1; ldr.w pc, [r0]; bx lr; pop {pc}
         let found = function(&[0x4798, 0x4718, 0x468F, 0xF8D0, 0xF000, 0x4770, 0xBD00]);
         assert_eq!(found.indirect, [0x1000, 0x1002, 0x1004, 0x1006]);
     }
 
     #[test]
-    fn calls_and_jumps_to_other_functions_are_calls() {
+    fn calls_and_jumps_to_other_functions_are_found() {
         // bl +0x100; b.w +0x200; b -2 (inside); beq to 0x1100
         let found = function(&[0xF000, 0xF87E, 0xF000, 0xB8FC, 0xE7FD, 0xD079]);
         assert_eq!(found.calls, BTreeSet::from([0x1100, 0x1200]), "{found:x?}");

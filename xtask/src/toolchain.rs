@@ -1,11 +1,11 @@
-//! The one place that decides how code for the chip and for browsers is compiled.
+//! Chooses the toolchain that compiles code for the chip and for browsers.
 //!
-//! 1. The rustup target `thumbv7em-none-eabihf` or `wasm32-unknown-unknown`, when the running toolchain has it.
-//! 2. Else Debian's own packages: a compiler in /usr/bin with the source of the core library, which is then built along
-//!    (`-Zbuild-std`), and the linker that /usr/bin/rust-lld points to. For browsers that is the whole standard
-//!    library, whose own dependencies cargo fetches from crates.io.
+//! 1. The rustup target `thumbv7em-none-eabihf` or `wasm32-unknown-unknown`, if the running toolchain has it.
+//! 2. Otherwise Debian's packages: a compiler in /usr/bin with the source of the core library, which is built too
+//!    (`-Zbuild-std`), and the linker to which /usr/bin/rust-lld points. For browsers the complete standard library is
+//!    built, and cargo fetches its dependencies from crates.io.
 //!
-//! `tools` looks whether they are there.
+//! The module `tools` checks that they are installed.
 
 use std::env;
 use std::fs;
@@ -24,53 +24,54 @@ pub const BROWSERS: &str = "wasm32-unknown-unknown";
 
 /// Debian's compiler.
 pub const DEBIAN_RUSTC: &str = "/usr/bin/rustc";
-/// Its cargo.
+/// Debian's cargo.
 pub const DEBIAN_CARGO: &str = "/usr/bin/cargo";
-/// Its core library's source.
+/// Debian's source of the core library.
 pub const DEBIAN_CORE: &str = "/usr/lib/rustlib/src/rust/library/core/Cargo.toml";
-/// Its linker.
+/// Debian's linker.
 pub const DEBIAN_LINKER: &str = "/usr/bin/rust-lld";
-/// Its clippy.
+/// Debian's clippy.
 pub const DEBIAN_CLIPPY: &str = "/usr/bin/cargo-clippy";
 
-/// The purpose of a stage.
+/// Purpose of a stage.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Use {
     /// Builds for the chip.
     Build,
     /// Lints for the chip.
     Clippy,
-    /// Builds libFuzzer, which is C++.
+    /// Builds libFuzzer, which needs C++.
     Fuzz,
-    /// Opens the page of `haptic view` in a browser.
+    /// Tests the page of `haptic view` in a browser.
     Page,
     /// Builds the page as a file, for browsers.
     Playground,
-    /// Tries the package for Python.
+    /// Tests the Python package.
     Python,
 }
 
-/// The toolchain on this computer that compiles for the chip, or for browsers.
+/// Toolchain on this computer that compiles for the chip or for browsers.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Toolchain {
     /// The toolchain that runs this program, which has the target.
     Rustup,
-    /// Debian's compiler, building the target's libraries along.
+    /// Debian's compiler, which also builds the target's libraries.
     Debian,
 }
 
 impl Toolchain {
-    /// A cargo call for the chip: `cargo SUBCOMMAND …` with the target and, where needed, the core library's source.
+    /// Returns a cargo call for the chip: `cargo SUBCOMMAND …` with the target and, if needed, a build of the core
+    /// library.
     pub fn cargo(self, purpose: Use) -> Command {
         let subcommand = if purpose == Use::Clippy { "clippy" } else { "rustc" };
         let mut command = self.cargo_with(subcommand, "-Zbuild-std=core,alloc", TARGET);
         if purpose != Use::Clippy {
-            wrapper::stand_between(&mut command);
+            wrapper::wrap_compiler(&mut command);
         }
         command
     }
 
-    /// A cargo call for browsers.
+    /// Returns a cargo call for browsers.
     pub fn cargo_for_browsers(self, subcommand: &str) -> Command {
         self.cargo_with(subcommand, "-Zbuild-std=std,panic_abort", BROWSERS)
     }
@@ -99,8 +100,8 @@ impl Toolchain {
     }
 }
 
-/// Flags of the caller, and paths of dependencies without the part that differs between computers: an image or a tool
-/// names the file of a panic, and shall be the same wherever it is built.
+/// Returns the caller's flags, and flags that remove the computer-dependent part of source paths: an image or a tool
+/// contains the paths of files with panics, and must be the same on every computer.
 pub fn rust_flags() -> Vec<String> {
     let mut flags: Vec<String> = match env::var("CARGO_ENCODED_RUSTFLAGS") {
         Ok(flags) => flags.split('\x1f').map(String::from).collect(),
@@ -115,21 +116,21 @@ pub fn rust_flags() -> Vec<String> {
         flags.push(format!("--remap-path-prefix={}=", index.path().join("").display()));
     }
     flags.push("--remap-path-prefix=/usr/lib/rustlib/src/rust/library/=".into());
-    // The library as seen from firmware/, whose own files cargo names that way.
+    // The library relative to firmware/, as cargo names the firmware's own files.
     flags.push(format!("--remap-path-prefix={}=..", root().display()));
-    // The emulator's tests find functions and statics by these names; compilers differ in which they take by themselves.
+    // The emulator's tests find functions and statics by these names; the default differs between compilers.
     flags.push("-Csymbol-mangling-version=v0".into());
-    // Code that build scripts write lies below the target directory.
+    // Build scripts write code below the target directory.
     flags.push(format!("--remap-path-prefix={}=target", target_directory().display()));
     flags
 }
 
-/// The cargo that runs this program.
+/// Returns a call of the cargo that runs this program.
 pub fn cargo() -> Command {
     Command::new(env::var_os("CARGO").unwrap_or_else(|| "cargo".into()))
 }
 
-/// A program of the virtual board's. The emulator declares a newer compiler than it needs.
+/// Returns a cargo call of a program of the virtual board. The emulator declares a newer compiler than it needs.
 pub fn haptic_emulator(name: &str) -> Command {
     let mut command = cargo();
     command.current_dir(root()).args(["run", "--quiet", "--locked", "--ignore-rust-version"]);
@@ -137,7 +138,7 @@ pub fn haptic_emulator(name: &str) -> Command {
     command
 }
 
-/// Runs a command to its end, naming it when it fails.
+/// Runs a command to its end. The error names the command.
 pub fn run(command: &mut Command) -> Result<()> {
     let name = format!("{} {}", command.get_program().display(), join(command));
     let status = command.status().with_context(|| format!("cannot run {name}"))?;
@@ -151,11 +152,11 @@ fn join(command: &Command) -> String {
     command.get_args().map(|a| a.to_string_lossy().into_owned()).collect::<Vec<_>>().join(" ")
 }
 
-/// The triple of this computer.
+/// Returns the target triple of this computer.
 pub fn host() -> Result<String> {
     let rustc = env::var_os("RUSTC").unwrap_or_else(|| "rustc".into());
     let output = Command::new(rustc).arg("-vV").output().context("cannot run rustc")?;
     let text = String::from_utf8_lossy(&output.stdout).into_owned();
     let line = text.lines().find_map(|line| line.strip_prefix("host: "));
-    Ok(line.context("rustc does not say what it runs on")?.to_string())
+    Ok(line.context("rustc -vV prints no host")?.to_string())
 }

@@ -1,8 +1,7 @@
-//! The tools that the tests need on this computer: whether each one runs, and how to install it. Checked before
-//! anything is compiled.
+//! The programs that the tests need on this computer: checks that each runs, and installs missing ones or explains how.
+//! The check comes before the first compile.
 //!
-//! The check runs the tool itself and does not ask for the package that usually brings it: a linker is there if it
-//! runs.
+//! The check runs the program itself and does not look for its package: a linker is present if it runs.
 
 use std::env;
 use std::fs;
@@ -16,7 +15,7 @@ use crate::toolchain::{
     BROWSERS, DEBIAN_CARGO, DEBIAN_CLIPPY, DEBIAN_CORE, DEBIAN_LINKER, DEBIAN_RUSTC, TARGET, Toolchain, Use, run,
 };
 
-/// Something that a stage cannot do without.
+/// A program or file that a stage needs.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 enum Tool {
     Compiler,
@@ -48,7 +47,8 @@ impl Tool {
         }
     }
 
-    /// Debian's package. The linker's is two: the one of this name has a link to what the other one brings.
+    /// Returns Debian's package. The linker needs two packages: this package has a link to the linker of the other
+    /// package.
     fn package(self) -> &'static str {
         match self {
             Self::Compiler => "rustc-web",
@@ -80,20 +80,20 @@ impl Tool {
     }
 }
 
-/// The tools found on a computer.
+/// The tools on a computer.
 #[derive(Clone, PartialEq, Eq, Debug)]
-struct Found {
-    /// Rustup's toolchain compiles and links for the chip.
+struct Installed {
+    /// True if rustup's toolchain compiles and links for the chip.
     chip: bool,
-    /// It does so for browsers.
+    /// True if rustup's toolchain compiles and links for browsers.
     browsers: bool,
-    /// The other tools that run.
+    /// Other tools that run.
     runs: Vec<Tool>,
-    /// The name of the package that /usr/bin/rust-lld links to, even if its target is missing.
+    /// Package to whose linker /usr/bin/rust-lld links, even if the linker is missing.
     linker: Option<String>,
 }
 
-impl Found {
+impl Installed {
     fn now() -> Self {
         let target = fs::read_link(DEBIAN_LINKER).ok();
         Self {
@@ -117,7 +117,7 @@ impl Found {
         needed.filter(|tool| !self.runs.contains(tool)).collect()
     }
 
-    /// The targets that these uses compile for and that rustup's toolchain does not have.
+    /// Returns the targets of these uses that rustup's toolchain does not have.
     fn targets(&self, uses: &[Use]) -> Vec<&'static str> {
         let mut targets = Vec::new();
         if !self.chip && (uses.contains(&Use::Build) || uses.contains(&Use::Clippy)) {
@@ -133,12 +133,12 @@ impl Found {
     fn toolchain(&self, uses: &[Use]) -> Result<Toolchain> {
         let missing = self.missing(uses);
         if !missing.is_empty() {
-            bail!("{}", self.complaint(uses, &missing));
+            bail!("{}", self.missing_message(uses, &missing));
         }
         Ok(if self.targets(uses).is_empty() { Toolchain::Rustup } else { Toolchain::Debian })
     }
 
-    /// The packages that bring these. What the linker is a link to is known only once the link is there.
+    /// Returns the packages of these tools. The linker's second package is known only once the link exists.
     fn packages(&self, missing: &[Tool]) -> Vec<String> {
         let package = |tool: &Tool| match (&self.linker, tool) {
             (Some(linker), Tool::Linker) => linker.clone(),
@@ -147,7 +147,7 @@ impl Found {
         missing.iter().map(package).collect()
     }
 
-    /// One line for a shell that brings them.
+    /// Returns a shell command that installs these tools.
     fn install_line(&self, missing: &[Tool]) -> String {
         let apt = "apt-get install -y --no-install-recommends";
         let mut line = format!("apt-get update && {apt} {}", self.packages(missing).join(" "));
@@ -157,8 +157,8 @@ impl Found {
         line
     }
 
-    /// Names the missing tools and the way to get them.
-    fn complaint(&self, uses: &[Use], missing: &[Tool]) -> String {
+    /// Returns a message with the missing tools and the commands that install them.
+    fn missing_message(&self, uses: &[Use], missing: &[Tool]) -> String {
         let mut text = String::from("missing on this computer:\n");
         for tool in missing {
             text += &format!("    {}\n", tool.name());
@@ -167,26 +167,26 @@ impl Found {
         let by_hand = |tool: &&Tool| matches!(tool, Tool::Cpp | Tool::Browser | Tool::Python);
         let rest: Vec<&str> = missing.iter().filter(by_hand).map(|tool| tool.name()).collect();
         if rest.len() < missing.len() {
-            text += &format!("Elsewhere:\n    rustup target add {}", self.targets(uses).join(" "));
+            text += &format!("On other systems:\n    rustup target add {}", self.targets(uses).join(" "));
             rest.iter().for_each(|name| text += &format!("\nand {name}"));
         }
         text.trim_end().into()
     }
 }
 
-/// Makes sure that everything these uses need is there. As root on Debian it installs what is missing: targets by rustup
-/// where that can download them, all else from Debian's packages. Returns the toolchain for the chip.
+/// Checks that all tools for these uses are present. As root on Debian it installs missing ones: targets with rustup if
+/// possible, everything else from Debian's packages. Returns the toolchain for the chip.
 pub fn provide(uses: &[Use]) -> Result<Toolchain> {
     let install = Path::new("/etc/debian_version").exists() && is_root();
-    let mut found = Found::now();
+    let mut found = Installed::now();
     if install && !found.targets(uses).is_empty() && !found.missing(uses).is_empty() {
         let targets = found.targets(uses);
         eprintln!("installing {} with rustup", targets.join(" "));
         if succeeds("rustup", &[&["target", "add"], &targets[..]].concat()) {
-            found = Found::now();
+            found = Installed::now();
         }
     }
-    // The link to the linker comes first and says which package brings the linker itself: two rounds.
+    // Two rounds, because the link of the first package names the package of the linker itself.
     for _ in 0..2 {
         let missing = found.missing(uses);
         if missing.is_empty() || !install {
@@ -197,7 +197,7 @@ pub fn provide(uses: &[Use]) -> Result<Toolchain> {
         run(Command::new("apt-get").args(["update", "-q"]))?;
         let flags = ["install", "-y", "-q", "--no-install-recommends"];
         run(Command::new("apt-get").env("DEBIAN_FRONTEND", "noninteractive").args(flags).args(&packages))?;
-        found = Found::now();
+        found = Installed::now();
     }
     found.toolchain(uses)
 }
@@ -211,7 +211,7 @@ fn succeeds(program: &str, arguments: &[&str]) -> bool {
     Command::new(program).args(arguments).output().is_ok_and(|output| output.status.success())
 }
 
-/// lld under this name is several linkers in one, and wants to be told which, as the compiler does.
+/// Returns true if this lld runs. It contains several linkers, and the flavor selects one, as the compiler does.
 fn linker_runs(program: &str) -> bool {
     succeeds(program, &["-flavor", "gnu", "--version"])
 }
@@ -221,13 +221,13 @@ fn compiler_is_new_enough(program: &str) -> bool {
     output.is_ok_and(|output| output.status.success() && new_enough(&String::from_utf8_lossy(&output.stdout)))
 }
 
-fn new_enough(said: &str) -> bool {
+fn new_enough(version: &str) -> bool {
     let least = Version::parse(concat!(env!("CARGO_PKG_RUST_VERSION"), ".0"));
-    let found = said.split_whitespace().nth(1).and_then(|number| Version::parse(number).ok());
+    let found = version.split_whitespace().nth(1).and_then(|number| Version::parse(number).ok());
     found.zip(least.ok()).is_some_and(|(found, least)| found >= least)
 }
 
-/// Returns true if the toolchain that runs this program has a target's core library and a linker beside it.
+/// Returns true if the toolchain that runs this program has a target's core library and a linker.
 fn rustup_has(target: &str) -> bool {
     let rustc = env::var("RUSTC").unwrap_or_else(|_| "rustc".into());
     let directory = |arguments: &[&str]| -> Result<String> {
@@ -249,31 +249,31 @@ fn is_root() -> bool {
 mod tests {
     use super::*;
 
-    fn found(runs: &[Tool], linker: Option<&str>) -> Found {
-        Found { chip: false, browsers: false, runs: runs.to_vec(), linker: linker.map(Into::into) }
+    fn installed(runs: &[Tool], linker: Option<&str>) -> Installed {
+        Installed { chip: false, browsers: false, runs: runs.to_vec(), linker: linker.map(Into::into) }
     }
 
-    /// A fresh Debian after the first packages: everything but the linker, on which nothing depends.
+    /// A new Debian after the first packages: no package depends on the linker, which is missing.
     #[test]
-    fn a_compiler_without_a_linker_is_found_out_before_it_compiles() {
-        let after = found(&[Tool::Compiler, Tool::Cargo, Tool::Core, Tool::Cpp, Tool::Browser, Tool::Python], None);
+    fn a_missing_linker_is_found_before_the_first_compile() {
+        let after = installed(&[Tool::Compiler, Tool::Cargo, Tool::Core, Tool::Cpp, Tool::Browser, Tool::Python], None);
         let missing = after.missing(&DEEP);
         assert_eq!(missing, [Tool::Linker]);
         assert_eq!(after.packages(&missing), ["rust-web-llvm"]);
-        // With that the link is there, and leads nowhere.
-        let then = found(&after.runs, Some("lld-22"));
+        // This package has the link, and the link's target is missing.
+        let then = installed(&after.runs, Some("lld-22"));
         assert_eq!(then.packages(&then.missing(&DEEP)), ["lld-22"]);
-        let at_last = found(&[&after.runs[..], &[Tool::Linker]].concat(), Some("lld-22"));
-        assert!(at_last.missing(&DEEP).is_empty());
-        // Lints need one tool more, and say so before they begin.
-        assert_eq!(at_last.missing(&[Use::Clippy]), [Tool::Clippy]);
+        let complete = installed(&[&after.runs[..], &[Tool::Linker]].concat(), Some("lld-22"));
+        assert!(complete.missing(&DEEP).is_empty());
+        // Lints need one more tool.
+        assert_eq!(complete.missing(&[Use::Clippy]), [Tool::Clippy]);
     }
 
     #[test]
-    fn everything_that_is_missing_is_named_at_once_with_one_line_that_brings_it() {
-        let bare = found(&[], None);
+    fn all_missing_tools_are_named_with_one_install_command() {
+        let bare = installed(&[], None);
         let missing = bare.missing(&DEEP);
-        let text = bare.complaint(&DEEP, &missing);
+        let text = bare.missing_message(&DEEP, &missing);
         for tool in &missing {
             assert!(text.contains(tool.name()), "{tool:?} in\n{text}");
         }
@@ -283,34 +283,34 @@ mod tests {
     }
 
     #[test]
-    fn what_rustup_has_is_not_asked_of_debian_and_nobody_needs_what_no_stage_uses() {
-        let rustup = Found { chip: true, ..found(&[], None) };
+    fn only_needed_tools_that_rustup_lacks_are_installed() {
+        let rustup = Installed { chip: true, ..installed(&[], None) };
         assert!(rustup.missing(&[Use::Build, Use::Clippy]).is_empty());
         assert!(rustup.missing(&TEST).is_empty());
-        let both = Found { browsers: true, ..rustup.clone() };
+        let both = Installed { browsers: true, ..rustup.clone() };
         assert_eq!(both.missing(&DEEP), [Tool::Cpp, Tool::Browser, Tool::Python]);
-        assert!(!both.complaint(&DEEP, &[Tool::Cpp, Tool::Browser]).contains("rustup"));
-        // The page as a file takes another target.
+        assert!(!both.missing_message(&DEEP, &[Tool::Cpp, Tool::Browser]).contains("rustup"));
+        // The page as a file needs another target.
         let complaint = rustup.toolchain(&[Use::Playground]).unwrap_err().to_string();
         assert!(complaint.contains("rust-web-src") && complaint.ends_with("rustup target add wasm32-unknown-unknown"));
-        let browsers = Found { browsers: true, ..found(&[], None) };
+        let browsers = Installed { browsers: true, ..installed(&[], None) };
         assert!(matches!(browsers.toolchain(&[Use::Playground]), Ok(Toolchain::Rustup)));
-        assert_eq!(found(&[], None).missing(&[Use::Fuzz]), [Tool::Cpp]);
+        assert_eq!(installed(&[], None).missing(&[Use::Fuzz]), [Tool::Cpp]);
     }
 
     #[test]
-    fn an_old_compiler_is_none() {
+    fn an_old_compiler_is_rejected() {
         assert!(new_enough("rustc 1.95.0 (abc 2026-01-01)") && new_enough("rustc 1.96.0 (def) (built from a source)"));
         assert!(!new_enough("rustc 1.85.0 (Debian)") && !new_enough("rustc 1.63.0") && !new_enough(""));
     }
 
     #[test]
-    fn a_link_to_nowhere_is_no_linker() {
+    fn a_broken_link_is_not_a_linker() {
         let directory = env::temp_dir().join(format!("haptic-xtask-{}", std::process::id()));
         fs::create_dir_all(&directory).unwrap();
         let link = directory.join("rust-lld");
         #[cfg(unix)]
-        std::os::unix::fs::symlink("lld-of-another-time", &link).unwrap();
+        std::os::unix::fs::symlink("missing-lld", &link).unwrap();
         assert!(!linker_runs(&link.to_string_lossy()));
         fs::remove_dir_all(&directory).unwrap();
     }

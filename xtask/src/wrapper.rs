@@ -1,9 +1,10 @@
-//! The compiler as cargo calls it for the chip, with one argument made the same everywhere.
+//! A wrapper of the compiler for the chip that makes one argument the same on every computer.
 //!
-//! Cargo gives every crate a number (`-C metadata`) that becomes part of its symbols, and with them decides the order of
-//! functions in an image. For a crate inside the workspace or from a registry the number is the same on every computer.
-//! The library lies beside firmware/, outside of its workspace: its number is made of its whole path, and the firmware's
-//! of that. So this program stands between cargo and the compiler and numbers the crates here by their names.
+//! Cargo gives every crate a number (`-C metadata`) that becomes part of its symbols and so decides the order of
+//! functions in an image. For a crate in the workspace or from a registry the number is the same on every computer. The
+//! library is outside the firmware's workspace: its number depends on its absolute path, and the firmware's number
+//! depends on the library's. So cargo calls this program in place of the compiler, and it derives the numbers of this
+//! repository's crates from their names.
 
 use std::env;
 use std::ffi::OsString;
@@ -11,32 +12,32 @@ use std::process::{Command, ExitCode};
 
 use anyhow::{Context as _, Result};
 
-/// Set where cargo calls this program in the compiler's place.
-const ASKED: &str = "HAPTIC_XTASK_AS_RUSTC";
+/// Environment variable that is set if cargo calls this program in place of the compiler.
+const WRAPS_COMPILER: &str = "HAPTIC_XTASK_AS_RUSTC";
 
-/// Has a cargo call compile by way of this program. A system that does not tell where this program is builds without.
-pub fn stand_between(command: &mut Command) {
+/// Makes a cargo call compile through this program. If the system does not report this program's path, nothing changes.
+pub fn wrap_compiler(command: &mut Command) {
     if let Ok(this) = env::current_exe() {
-        command.env("RUSTC_WRAPPER", this).env(ASKED, "1");
+        command.env("RUSTC_WRAPPER", this).env(WRAPS_COMPILER, "1");
     }
 }
 
-/// The compiler's exit code where cargo calls this program in its place.
-pub fn asked() -> Option<Result<ExitCode>> {
-    env::var_os(ASKED)?;
+/// Runs the compiler and returns its exit code if cargo called this program in place of the compiler.
+pub fn compile_if_wrapped() -> Option<Result<ExitCode>> {
+    env::var_os(WRAPS_COMPILER)?;
     let mut arguments = env::args_os().skip(1);
     let compiler = arguments.next()?;
     Some(compile(compiler, arguments.collect()))
 }
 
 fn compile(compiler: OsString, arguments: Vec<OsString>) -> Result<ExitCode> {
-    let status = Command::new(&compiler).args(renumbered(arguments)).status();
+    let status = Command::new(&compiler).args(renumber_crate(arguments)).status();
     let status = status.with_context(|| format!("cannot run {}", compiler.display()))?;
     Ok(ExitCode::from(status.code().and_then(|code| u8::try_from(code).ok()).unwrap_or(1)))
 }
 
-/// The arguments, with the number of a crate of this repository made of its name alone.
-fn renumbered(mut arguments: Vec<OsString>) -> Vec<OsString> {
+/// Returns the arguments, with the number of a crate of this repository derived from its name alone.
+fn renumber_crate(mut arguments: Vec<OsString>) -> Vec<OsString> {
     let name = arguments.iter().position(|argument| argument == "--crate-name").and_then(|at| arguments.get(at + 1));
     let Some(name) = name.and_then(|name| name.to_str()).filter(|name| name.starts_with("haptic_")) else {
         return arguments;
@@ -55,15 +56,15 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_crates_here_are_numbered_by_their_names_and_no_other() {
+    fn only_this_repositorys_crates_are_numbered_by_name() {
         let words = |text: &str| text.split(' ').map(OsString::from).collect::<Vec<_>>();
         let ours = words("--crate-name haptic_bridge src/lib.rs -C metadata=12ab -C extra-filename=-34cd");
         let same = words("--crate-name haptic_bridge src/lib.rs -C metadata=haptic_bridge -C extra-filename=-34cd");
-        assert_eq!(renumbered(ours), same);
+        assert_eq!(renumber_crate(ours), same);
         for other in
             ["--crate-name embassy_usb -C metadata=12ab", "--crate-name build_script_build -C metadata=12ab", "-vV"]
         {
-            assert_eq!(renumbered(words(other)), words(other));
+            assert_eq!(renumber_crate(words(other)), words(other));
         }
     }
 }

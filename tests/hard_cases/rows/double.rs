@@ -1,4 +1,4 @@
-//! Both kinds of singularity at once: an elbow near stretched or folded while the rods are near one line.
+//! Both kinds of singularity at once: the elbow is almost stretched or folded and the rods are almost in one line.
 
 use super::routes::{Errors, routes};
 use super::shipped;
@@ -11,7 +11,7 @@ use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::render::controller::{FULL_REGULARITY, PARALLEL_REGULARITY};
 use nalgebra::SVector;
 
-/// Both sines over those at which the feed-forward begins to fade.
+/// Both sines as multiples of the sines at which the feed-forward begins to fade.
 pub const SHARES: [f64; 3] = [1.0, 0.4, 0.1];
 const POSES: usize = 30;
 const NORMALS: usize = 5;
@@ -20,15 +20,16 @@ const NORMALS: usize = 5;
 #[derive(Clone, Debug)]
 pub struct Row {
     pub device: &'static str,
-    /// Of the sines at which the feed-forward begins to fade, 0.05 and 0.15.
+    /// Ratio of the sines to those at which the feed-forward begins to fade, 0.05 and 0.15.
     pub share: f64,
     pub poses: usize,
-    /// In f32 with minimax sines, and in f64.
+    /// Errors of f32 with minimax sines.
     pub board: Errors,
+    /// Errors of f64.
     pub double: Errors,
 }
 
-/// A pose with both sines within 5 % of their targets; `None` where a random search finds none.
+/// Searches at random for a pose with both sines within 5 % of their targets.
 fn pose_near<M: Mechanism<f64, N>, const N: usize>(
     m: &M,
     targets: [f64; 2],
@@ -97,7 +98,7 @@ fn rows(name: &'static str, device: &Description) -> Vec<Row> {
         .to_vec()
 }
 
-/// Every closed loop.
+/// Returns the rows of every closed loop.
 pub fn all() -> Vec<Row> {
     let turret = shipped("fictive-five-bar-turret");
     rows("five-bar (wide base)", &wide_five_bar()).into_iter().chain(rows("five-bar-turret", &turret)).collect()

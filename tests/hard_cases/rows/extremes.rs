@@ -10,9 +10,9 @@ use haptic_bridge::model::description::Description;
 use haptic_bridge::model::mechanism::Mechanism;
 use nalgebra::SVector;
 
-/// Poses per row, each with normals of its own.
+/// Poses per row, each with its own normals.
 const POSES: usize = 40;
-/// Normals tried per pose; with a ratio to reach, the one with the largest ratio is measured.
+/// Random normals per pose; the normal with the largest Wrr/Weff is measured.
 const NORMALS: usize = 20;
 
 /// One row of the table.
@@ -26,7 +26,7 @@ pub struct Row {
     pub double: Errors,
 }
 
-/// The errors at regular poses of a device, at the normals with the largest Wrr/Weff.
+/// Computes the errors at regular poses of a device, at the normals with the largest Wrr/Weff.
 fn row<A, B, C, const N: usize>((double, board, reference): (&A, &B, &C), device: &'static str, case: String) -> Row
 where
     A: Mechanism<f64, N>,
@@ -64,12 +64,12 @@ where
     row
 }
 
-fn measured(name: &'static str, device: &Description, case: String) -> Row {
+fn measured_row(name: &'static str, device: &Description, case: String) -> Row {
     in_three_precisions!(device, (a, b, c) => row((&a, &b, &c), name, case))
 }
 
-/// The same device with every length and every mass multiplied.
-fn scaled(device: &Description, length: f64, mass: f64) -> Description {
+/// Multiplies every length and every mass of a device.
+fn scale_device(device: &Description, length: f64, mass: f64) -> Description {
     let mut scaled = *device;
     let spec = device.kind.spec();
     let mut index = 0;
@@ -96,14 +96,14 @@ fn scaled(device: &Description, length: f64, mass: f64) -> Description {
     scaled
 }
 
-/// The device with its longest link `length` metres and its heaviest link (or handle) `mass` kilograms.
-fn sized(device: &Description, length: f64, mass: f64) -> Description {
+/// Scales a device to a longest link of `length` (m) and a heaviest link or handle of `mass` (kg).
+fn resize_device(device: &Description, length: f64, mass: f64) -> Description {
     let lengths = device.kind.spec().joints.max(2) + 2;
     let longest = device.geometry[..lengths.min(5)].iter().fold(0.0_f64, |most, l| most.max(*l));
     let heaviest = device.links.iter().fold(device.handle_mass, |most, link| most.max(link.mass));
-    // A paddle is lumped into its joint: what it weighs is its inertia over its length squared.
+    // A paddle is lumped into its joint: its mass is the inertia over the square of the length.
     let heaviest = if heaviest > 0.0 { heaviest } else { device.joints[0].inertia / (longest * longest) };
-    scaled(device, length / longest, mass / heaviest)
+    scale_device(device, length / longest, mass / heaviest)
 }
 
 const DEVICES: [(&str, &str); 5] = [
@@ -114,10 +114,10 @@ const DEVICES: [(&str, &str); 5] = [
     ("serial-3r", "serial-3r"),
 ];
 
-/// Ratios to reach, by making joint 0 heavier.
+/// Target ratios, reached with a heavier joint 0.
 const RATIOS: [f64; 3] = [1e2, 1e4, 1e6];
 
-/// Every row.
+/// Returns every row.
 pub fn all() -> Vec<Row> {
     let mut rows = Vec::new();
     for (name, file) in DEVICES {
@@ -125,13 +125,13 @@ pub fn all() -> Vec<Row> {
         for (length, mass) in [(1e-3, 1e-6), (1e-3, 1e2), (1e1, 1e-6), (1e1, 1e2)] {
             let unit = if length < 1.0 { "1 mm" } else { "10 m" };
             let weight = if mass < 1.0 { "1 mg" } else { "100 kg" };
-            rows.push(measured(name, &sized(&device, length, mass), format!("{unit}, {weight}")));
+            rows.push(measured_row(name, &resize_device(&device, length, mass), format!("{unit}, {weight}")));
         }
         if device.kind.spec().joints == 1 {
-            continue; // A paddle has nothing admissible: Wrr = Weff.
+            continue; // A paddle has no admissible direction: Wrr = Weff.
         }
         for ratio in RATIOS {
-            // Wrr/Weff grows in proportion to the heavy joint once it dominates: one correction reaches it.
+            // Once the heavy joint dominates, Wrr/Weff is proportional to its inertia, so few corrections suffice.
             let heavier = |factor: f64| {
                 let mut heavy = device;
                 heavy.joints[0].inertia *= factor;
@@ -139,9 +139,9 @@ pub fn all() -> Vec<Row> {
             };
             let mut factor = 10.0 * ratio;
             for _ in 0..3 {
-                factor *= ratio / measured(name, &heavier(factor), String::new()).ratio;
+                factor *= ratio / measured_row(name, &heavier(factor), String::new()).ratio;
             }
-            rows.push(measured(name, &heavier(factor), format!("Wrr/Weff {ratio:.0e}")));
+            rows.push(measured_row(name, &heavier(factor), format!("Wrr/Weff {ratio:.0e}")));
         }
     }
     rows

@@ -1,7 +1,7 @@
-//! Velocity estimators with cutoffs from a ten-thousandth to almost half of the rate, in f32.
+//! Velocity estimators in f32, with cutoffs from a ten-thousandth to almost half of the rate.
 //!
-//! The library's state-variable form against the usual direct form of the same transfer function, both in f32, both fed
-//! the same positions as f32 holds them; the truth is the direct form in the reference.
+//! The library's state-variable form is compared with the usual direct form of the same transfer function. Both are in
+//! f32 and receive the same rounded positions. The oracle is the direct form in the reference's numbers.
 
 use super::{Exact, ExactMath};
 use haptic_bridge::math::{Math, Real};
@@ -10,14 +10,15 @@ use haptic_bridge::render::velocity::{Coefficients, Estimator, Velocity};
 /// One row of the table.
 #[derive(Clone, Debug)]
 pub struct Row {
-    /// cutoff/rate
+    /// Cutoff as a share of the rate.
     pub ratio: f64,
-    /// Share of the largest velocity by which the board's estimate is off, in a swing across the workspace.
+    /// Error of the board's estimate in a swing across the workspace, as a share of the largest velocity.
     pub swing: f64,
-    /// The same at constant speed, once settled: the error of the gain.
+    /// The same at constant speed, after settling: the error of the gain.
     pub gain: f64,
-    /// Their result in the direct form in f32.
+    /// `swing` of the direct form in f32.
     pub direct_swing: f64,
+    /// `gain` of the direct form in f32.
     pub direct_gain: f64,
     /// Difference of the two forms in the reference.
     pub reference: f64,
@@ -26,7 +27,7 @@ pub struct Row {
 /// Control rate, Hz.
 const RATE: f64 = 20_000.0;
 
-/// Butterworth's second order by the bilinear transform, prewarped, in direct form II transposed.
+/// Second-order Butterworth low-pass by the prewarped bilinear transform, in direct form II transposed.
 struct Direct<T> {
     b: [T; 3],
     a: [T; 2],
@@ -35,7 +36,7 @@ struct Direct<T> {
 }
 
 impl<T: Real> Direct<T> {
-    /// With the exact coefficients in the numbers of the filter.
+    /// Computes the coefficients in the reference's numbers and rounds them.
     fn new(ratio: f64, rounded: impl Fn(Exact) -> T) -> Self {
         let exact = Exact::from_f64;
         let one = exact(1.0);
@@ -58,8 +59,8 @@ impl<T: Real> Direct<T> {
     }
 }
 
-/// Largest errors over the last half of a motion, as shares of the largest velocity: (state variable in f32, direct
-/// form in f32, state variable in the reference).
+/// Computes the largest errors over the last half of a motion, as shares of the largest velocity: state variable in
+/// f32, direct form in f32, state variable in the reference.
 fn errors(ratio: f64, motion: impl Fn(f64) -> f64) -> [f64; 3] {
     let steps = (20.0 / ratio).clamp(4_000.0, 100_000.0) as u32;
     let kind = Estimator::Butterworth;
@@ -86,7 +87,7 @@ fn errors(ratio: f64, motion: impl Fn(f64) -> f64) -> [f64; 3] {
     worst.map(|error| error / largest)
 }
 
-/// Every row.
+/// Returns every row.
 pub fn all() -> Vec<Row> {
     [1e-4, 3e-4, 1e-3, 1e-2, 0.025, 0.1, 0.3, 0.45]
         .into_iter()

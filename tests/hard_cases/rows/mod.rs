@@ -1,18 +1,17 @@
-//! The rows that are asserted in bounds.rs and kept in docs/hard-cases/. What a device gives in f32 with the
-//! coefficients that a board is sent, and in f64, is compared with the reference: the library's own code in the numbers
-//! of whoever includes this.
-#![allow(dead_code, reason = "only the tables have all of them")]
+//! The rows that bounds.rs asserts and docs/hard-cases/ lists. The results of f32 with the board's coefficients, and of
+//! f64, are compared with a reference: the library's own code in the `Exact` numbers of the including module.
+#![allow(dead_code, reason = "only the tables use all of them")]
 
 use super::{Exact, ExactMath, shipped};
 use std::sync::LazyLock;
 
-/// A device's results in f64, in f32 and in the reference's numbers.
+/// Evaluates an expression with the mechanism of a device in f64, in f32 and in the reference's numbers.
 macro_rules! in_three_precisions {
-    ($description:expr, ($double:ident, $board:ident, $reference:ident) => $what:expr) => {{
+    ($description:expr, ($double:ident, $board:ident, $reference:ident) => $result:expr) => {{
         let exact = haptic_bridge::model::mechanism::AnyMechanism::<super::Exact>::new($description);
         haptic_bridge::with_mechanism!(exact.expect("a sound device"), $reference => {
             let ($double, $board) = ($reference.cast::<f64>(), $reference.cast::<f32>());
-            $what
+            $result
         })
     }};
 }

@@ -1,6 +1,6 @@
-//! The ways to the rendered and the effective inertia, side by side, in any precision.
+//! The ways to compute the rendered and the effective inertia, in any precision.
 //!
-//! All are the same in exact arithmetic (docs/model.md section 2) and lose different digits in f32.
+//! In exact arithmetic all are equal (docs/model.md section 2). In f32 they lose different digits.
 
 use haptic_bridge::math::{Math, Real};
 use haptic_bridge::model::inertia::Split;
@@ -8,7 +8,7 @@ use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::model::solve::solve_symmetric;
 use nalgebra::{SMatrix, SVector};
 
-/// Inertias along one normal by every route, kg, and the torques that the board commands.
+/// Inertias along one normal by every route, kg, and the torques of the board.
 #[derive(Clone, Copy, Debug)]
 pub struct Routes<T: Real, const N: usize> {
     /// Wrr from W = T⁻ᵀ M T⁻¹ with T⁻¹ by elimination: the joint-space route.
@@ -27,11 +27,11 @@ pub struct Routes<T: Real, const N: usize> {
     pub plain: SVector<T, N>,
     /// (4) for a wall force of 1 N at rest, N m.
     pub torque: SVector<T, N>,
-    /// (4) with z for a wall force of 1 N, moving, N m.
+    /// (4) with z for a wall force of 1 N, in motion, N m.
     pub torque_moving: SVector<T, N>,
 }
 
-/// A⁻¹ by Gauss and Jordan's elimination with pivoting, as a general-purpose library does it.
+/// Computes A⁻¹ by Gauss-Jordan elimination with pivoting, as a general-purpose library does.
 pub fn inverse<T: Real, const N: usize>(matrix: &SMatrix<T, N, N>) -> SMatrix<T, N, N> {
     let (mut a, mut inverse) = (*matrix, SMatrix::<T, N, N>::identity());
     for k in 0..N {
@@ -55,7 +55,8 @@ pub fn inverse<T: Real, const N: usize>(matrix: &SMatrix<T, N, N>) -> SMatrix<T,
     inverse
 }
 
-/// Every route at the pose `q` for the unit normal `n`, moving at `qd` (rad/s) where it counts.
+/// Computes every route at the pose `q` for the unit normal `n`. `torque_moving` is at the joint velocities `qd`
+/// (rad/s).
 pub fn routes<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
     m: &M,
     q: &SVector<T, N>,
@@ -64,13 +65,13 @@ pub fn routes<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
 ) -> Routes<T, N> {
     let pose = m.pose::<K>(q);
     let (mass, jacobian) = (m.mass(&pose), m.jacobian(&pose));
-    // A unit vector to the last digit of this precision, the same for every route.
+    // Normalised in this precision, the same for every route.
     let n = &(n / K::sqrt(n.dot(n)));
     let split = Split::new::<K>(n, M::SPEC.task);
 
     let t_inverse = inverse(&(split.basis.transpose() * jacobian));
     let w = t_inverse.transpose() * mass * t_inverse;
-    // Waa alone in a matrix of its own, the rendered row decoupled with a unit diagonal.
+    // Waa in a separate matrix; the rendered row is decoupled, with 1 on the diagonal.
     let (mut w_aa, mut w_ar) = (w, SVector::<T, N>::zeros());
     for i in 1..N {
         w_ar[i] = w[(i, 0)];
@@ -113,7 +114,7 @@ pub struct Errors {
 }
 
 impl Errors {
-    /// Of `found` against `exact`; torques as a share of the largest entry.
+    /// Computes the errors of `found` against `exact`, for torques as a share of the largest entry.
     pub fn new<A: Real, B: Real, const N: usize>(found: &Routes<A, N>, exact: &Routes<B, N>) -> Self {
         let relative = |a: A, b: B| worst((a.to_f64() - b.to_f64()).abs() / b.to_f64().abs());
         let share = |a: &SVector<A, N>, b: &SVector<B, N>| {
@@ -133,7 +134,7 @@ impl Errors {
         }
     }
 
-    /// All of them, in the order of the table's columns.
+    /// Returns all errors in the order of the table's columns.
     pub fn all(&self) -> [f64; 9] {
         [
             self.w_eff_schur,
@@ -148,7 +149,7 @@ impl Errors {
         ]
     }
 
-    /// Entry by entry the larger.
+    /// Keeps the larger error of each entry.
     pub fn grow(&mut self, other: &Self) {
         let larger = |a: &mut f64, b: f64| *a = a.max(b);
         larger(&mut self.w_rr_joint, other.w_rr_joint);
@@ -163,7 +164,7 @@ impl Errors {
     }
 }
 
-/// NaN counts as infinitely wrong.
+/// Replaces NaN with an infinite error.
 fn worst(error: f64) -> f64 {
     if error.is_nan() { f64::INFINITY } else { error }
 }

@@ -1,6 +1,6 @@
-//! Two walls at a small angle, or of very different stiffness: the control step in f32 against the law of docs/model.md
-//! section 2 written down once more, in accelerations, with the eigenvectors of two walls in closed form, in the
-//! reference.
+//! Two walls at a small angle or of very different stiffness: the control step in f32 against the law of docs/model.md
+//! section 2. The oracle computes the law in accelerations, with the eigenvectors of two walls in closed form, in the
+//! reference's numbers.
 
 use super::routes::inverse;
 use super::shipped;
@@ -16,7 +16,7 @@ use nalgebra::SVector;
 
 /// Angles between the walls, rad.
 pub const ANGLES: [f64; 4] = [1e-4, 1e-3, 1e-2, 1e-1];
-/// Stiffness of the first wall, as a multiple of the second's.
+/// Stiffness of the first wall as a multiple of the stiffness of the second wall.
 pub const RATIOS: [f64; 3] = [1.0, 1e2, 1e4];
 const POSES: usize = 40;
 
@@ -24,15 +24,15 @@ const POSES: usize = 40;
 #[derive(Clone, Debug)]
 pub struct Row {
     pub device: &'static str,
-    /// rad
+    /// Angle between the walls, rad.
     pub angle: f64,
     /// Largest torque error as a share of the largest torque, for each of [`RATIOS`].
     pub torque: [f64; 3],
-    /// Least share of the torque that the law, and no Jᵀ F, is responsible for: what the row would show without it.
+    /// Smallest share of the torque that differs from Jᵀ F: the error of the row if the step used Jᵀ F.
     pub shaped: f64,
 }
 
-/// Joint torques for two walls (normal, stiffness, force), at rest: M J⁻¹ A F.
+/// Computes the joint torques for two walls (normal, stiffness, force) at rest: M J⁻¹ A F.
 fn law<M: Mechanism<Exact, N>, const N: usize>(
     m: &M,
     q: &SVector<Exact, N>,
@@ -44,7 +44,7 @@ fn law<M: Mechanism<Exact, N>, const N: usize>(
     let lambda = back.transpose() * mass * back;
     let mobility = inverse(&lambda);
 
-    // K = k₁ n₁ n₁ᵀ + k₂ n₂ n₂ᵀ in the frame (a, b) that the two normals span.
+    // K = k₁ n₁ n₁ᵀ + k₂ n₂ n₂ᵀ in the frame (a, b) of the plane of the two normals.
     let [(n1, k1, f1), (n2, k2, f2)] = *walls;
     let length = |v: &SVector<Exact, N>| ExactMath::sqrt(v.dot(v));
     let a = n1 / length(&n1);
@@ -60,7 +60,7 @@ fn law<M: Mechanism<Exact, N>, const N: usize>(
     let e1 = e1 / length(&e1);
     let e2 = b * a.dot(&e1) - a * b.dot(&e1);
 
-    // A_R = Q (Qᵀ Λ Q)⁻¹ Qᵀ; a third direction has no stiffness, so s₂ = 1, and in the plane there is no level 2.
+    // A_R = Q (Qᵀ Λ Q)⁻¹ Qᵀ. A third direction has no stiffness, so s₂ = 1; a planar device has no level 2.
     let s1 = one - soft / stiff * (soft / stiff);
     let first = e1 / e1.dot(&(lambda * e1));
     let second = |e: &SVector<Exact, N>| {
@@ -105,8 +105,8 @@ where
                 n /= n.norm();
                 t -= n * n.dot(&t);
                 t /= t.norm();
-                // Surfaces a metre away and stiffnesses in N/m up to one: what is lost is lost by the law, not by the
-                // depth (the page's last table has that).
+                // Surfaces are a metre away and stiffnesses at most 1 N/m, so that errors come from the law and not
+                // from the penetration, which has its own table.
                 let normals = [n, n * angle.cos() + t * angle.sin()].map(|n| cast::<f64, f32, N>(&n));
                 let tip = double.tip(&pose);
                 for (index, ratio) in RATIOS.into_iter().enumerate() {
@@ -135,15 +135,15 @@ where
                         ..Scene::default()
                     };
                     let step = controller::<f32, BoardMath, _, N>(board, device, &scene).step(&counts(&q));
-                    // The truth is at the angles and for the planes that the board was given.
+                    // The oracle uses the same rounded angles and planes as the board.
                     let angles: SVector<Exact, N> = cast(&step.q);
-                    let place = reference.tip(&reference.pose::<ExactMath>(&angles));
+                    let tip = reference.tip(&reference.pose::<ExactMath>(&angles));
                     let given = [0, 1].map(|i| {
                         let Surface::Plane(plane) = walls[i].surface else { unreachable!("a plane") };
                         let normal: SVector<Exact, N> = cast(&normals[i]);
                         let mut distance = Exact::from_f64(0.0);
                         for k in 0..task {
-                            distance += normal[k] * (place[k] - Exact::from_f64(f64::from(plane.point[k])));
+                            distance += normal[k] * (tip[k] - Exact::from_f64(f64::from(plane.point[k])));
                         }
                         let stiffness = Exact::from_f64(f64::from(stiffness[i]));
                         (normal, stiffness, -(stiffness * distance))
@@ -160,7 +160,7 @@ where
         .to_vec()
 }
 
-/// Every mechanism that has more than one direction.
+/// Returns the rows of every mechanism with more than one direction.
 pub fn all() -> Vec<Row> {
     [
         ("five-bar", "haply-2diy"),

@@ -1,4 +1,4 @@
-//! Poses at a chosen conditioning of J on the way into each kind of singularity, and the routes' errors there.
+//! Poses with a chosen condition number of J near each kind of singularity, and the errors of the routes there.
 
 use super::routes::{Errors, routes};
 use super::shipped;
@@ -11,43 +11,43 @@ use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::render::controller::{FULL_REGULARITY, NO_REGULARITY, PARALLEL_REGULARITY};
 use nalgebra::{DMatrix, SVector};
 
-/// The part that degenerates.
+/// Kind of singularity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Singularity {
     /// An arm stretches or folds: serial.
     Elbow,
-    /// The tip comes onto the turret's axis: serial.
+    /// The tip reaches the turret's axis: serial.
     Axis,
     /// The closed loop stretches: parallel.
     Rods,
 }
 
-/// The distance to come to.
+/// Target distance to a singularity.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Target {
-    /// cond J.
+    /// Condition number of J.
     Condition(f64),
-    /// The sine by which the board judges (`Regularity`).
+    /// Sine that the board checks (`Regularity`).
     Sine(f64),
 }
 
 impl Singularity {
-    /// The sine at which the board's feed-forward begins to fade, and at which it is off.
+    /// Returns the sine at which the board's feed-forward begins to fade, and the sine at which it is off.
     pub fn fade(self) -> [f64; 2] {
         let scale = if self == Self::Rods { PARALLEL_REGULARITY } else { 1.0 };
         [FULL_REGULARITY, NO_REGULARITY].map(|sine| sine * scale)
     }
 
-    /// Rows of the table: the two edges of the fade, then ever worse conditioning.
+    /// Returns the targets of the table's rows: the two ends of the fade, then growing condition numbers.
     fn targets(self) -> Vec<Target> {
         let conditions = [1e1, 1e2, 1e3, 1e4, 1e5].map(Target::Condition);
         self.fade().map(Target::Sine).into_iter().chain(conditions).collect()
     }
 }
 
-/// Poses tried per row.
+/// Maximum number of poses per row.
 const POSES: usize = 60;
-/// Random paths tried to find them.
+/// Maximum number of random paths per row.
 const TRIES: usize = 4_000;
 /// Normals per pose.
 const NORMALS: usize = 5;
@@ -58,25 +58,25 @@ pub struct Row {
     pub device: &'static str,
     pub singularity: Singularity,
     pub target: Target,
-    /// Poses found.
+    /// Number of poses.
     pub poses: usize,
     /// Smallest regularity (sine) among them.
     pub regularity: f64,
-    /// Of the board's numbers: f32 with minimax sines.
+    /// Errors of the board's numbers: f32 with minimax sines.
     pub board: Errors,
-    /// Of double precision.
+    /// Errors of double precision.
     pub double: Errors,
-    /// Difference of the routes in the reference.
+    /// Largest difference of the routes in the reference's numbers.
     pub reference: f64,
-    /// Of the whole of (4) in double precision.
+    /// Errors of all quantities of (4) in double precision.
     pub whole: WholeErrors,
 }
 
-/// A reproducible stream of numbers (Steele, Lea and Flood's SplitMix64).
+/// A reproducible stream of random numbers (SplitMix64 by Steele, Lea and Flood).
 pub struct Random(pub u64);
 
 impl Random {
-    /// Evenly from `low..high`.
+    /// Draws a number from `low..high`.
     pub fn within(&mut self, low: f64, high: f64) -> f64 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let mut z = self.0;
@@ -85,13 +85,13 @@ impl Random {
         low + (high - low) * ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
     }
 
-    /// Each entry from `-bound..bound`.
+    /// Draws every entry from `-bound..bound`.
     pub fn vector<const N: usize>(&mut self, bound: f64) -> SVector<f64, N> {
         SVector::from_fn(|_, _| self.within(-bound, bound))
     }
 }
 
-/// Largest over smallest singular value of J; φ, where there is one, in lengths of `scale` metres.
+/// Computes the ratio of the largest to the smallest singular value of J. A row of φ is in lengths of `scale` metres.
 fn condition<M: Mechanism<f64, N>, const N: usize>(m: &M, q: &SVector<f64, N>, scale: f64) -> f64 {
     let jacobian = m.jacobian(&m.pose::<Libm>(q));
     let unit = |row: usize| if row < M::SPEC.task { 1.0 } else { scale };
@@ -99,7 +99,7 @@ fn condition<M: Mechanism<f64, N>, const N: usize>(m: &M, q: &SVector<f64, N>, s
     values.max() / values.min()
 }
 
-/// The distance of a pose from its target: 1 there, more beyond.
+/// Returns a number that is 1 at the target and larger nearer to the singularity.
 fn nearness<M: Mechanism<f64, N>, const N: usize>(m: &M, q: &SVector<f64, N>, target: Target, scale: f64) -> f64 {
     match target {
         Target::Condition(most) => condition(m, q, scale) / most,
@@ -110,7 +110,7 @@ fn nearness<M: Mechanism<f64, N>, const N: usize>(m: &M, q: &SVector<f64, N>, ta
     }
 }
 
-/// A number whose sign changes where `singularity` is met.
+/// Returns a number whose sign changes at the singularity.
 fn side<M: Mechanism<f64, N>, const N: usize>(m: &M, q: &SVector<f64, N>, singularity: Singularity) -> f64 {
     let mut q = *q;
     let turret = M::SPEC.task == 3;
@@ -118,7 +118,7 @@ fn side<M: Mechanism<f64, N>, const N: usize>(m: &M, q: &SVector<f64, N>, singul
         q[0] = 0.0;
     }
     let pose = m.pose::<Libm>(&q);
-    // With the turret at zero the tip's distance from its axis is the world's y or x; J's turret column is along Z.
+    // With the turret at zero the tip's distance from the axis is the world's y or x, and J's turret column is along z.
     let radius = m.jacobian(&pose)[(N - 1, 0)];
     match singularity {
         Singularity::Axis => radius,
@@ -136,8 +136,7 @@ fn side<M: Mechanism<f64, N>, const N: usize>(m: &M, q: &SVector<f64, N>, singul
     }
 }
 
-/// A pose of the given conditioning near a singularity of the given kind, and no other; `None` when the random path
-/// from a random regular pose meets none.
+/// Searches along a random path from a regular pose for a pose at the target near this kind of singularity only.
 fn pose_near<M: Mechanism<f64, N>, const N: usize>(
     m: &M,
     singularity: Singularity,
@@ -168,7 +167,7 @@ fn pose_near<M: Mechanism<f64, N>, const N: usize>(
     };
     let singular = bisect(crossing - step, crossing, &|t| side(m, &at(t), singularity) * before <= 0.0);
     let pose = bisect(0.0, singular, &|t| nearness(m, &at(t), target, scale) > 1.0);
-    // One singularity at a time: whatever else there is must be far away.
+    // One singularity at a time: all others must be far away.
     let r = m.regularity(&m.pose::<Libm>(&at(pose)));
     let clear = |other: Singularity| {
         other == singularity || side(m, &at(pose), other).abs() > 0.2 * side(m, &start, other).abs()
@@ -181,8 +180,8 @@ fn pose_near<M: Mechanism<f64, N>, const N: usize>(
     (alone && (nearness(m, &at(pose), target, scale) - 1.0).abs() < 0.01).then(|| at(pose))
 }
 
-/// Joint velocities, slowed down until the tip moves no faster than a hand does (0.5 m/s): near a parallel singularity
-/// a slow joint moves the tip fast.
+/// Scales joint velocities down to a tip speed of at most 0.5 m/s, the speed of a hand: near a parallel singularity a
+/// slow joint moves the tip fast.
 pub fn at_hand_speed<M: Mechanism<f64, N>, const N: usize>(
     m: &M,
     q: &SVector<f64, N>,
@@ -193,13 +192,13 @@ pub fn at_hand_speed<M: Mechanism<f64, N>, const N: usize>(
     qd * (0.5 / speed).min(1.0)
 }
 
-/// A vector in another precision.
+/// Converts a vector to another precision.
 pub fn cast<A: Real, B: Real, const N: usize>(v: &SVector<A, N>) -> SVector<B, N> {
     v.map(|x| B::from_f64(x.to_f64()))
 }
 
-/// The errors near one kind of singularity. A pose's truth is the angles as f32 holds them; poses that this rounding
-/// takes elsewhere (nearer than f32 angles can say) are left out.
+/// Computes the errors near one kind of singularity. The exact pose has angles rounded to f32. Poses that this rounding
+/// moves too far from the target are left out.
 fn row<A, B, C, const N: usize>(
     (double, board, reference): (&A, &B, &C),
     device: &'static str,
@@ -245,15 +244,15 @@ where
             let exact = routes::<_, ExactMath, _, N>(reference, &cast(&q), &cast(&qd), &cast(&n));
             row.board.grow(&Errors::new(&routes::<_, BoardMath, _, N>(board, &q, &qd, &n), &exact));
             row.double.grow(&Errors::new(&routes::<_, Libm, _, N>(double, &cast(&q), &cast(&qd), &cast(&n)), &exact));
-            let held = whole::<_, FineTable, _, N>(double, &cast(&q), &cast(&qd), &cast(&n));
-            row.whole.grow(&held, &whole::<_, ExactMath, _, N>(reference, &cast(&q), &cast(&qd), &cast(&n)));
+            let found = whole::<_, FineTable, _, N>(double, &cast(&q), &cast(&qd), &cast(&n));
+            row.whole.grow(&found, &whole::<_, ExactMath, _, N>(reference, &cast(&q), &cast(&qd), &cast(&n)));
             row.reference = Errors::new(&exact, &exact).all().into_iter().fold(row.reference, f64::max);
         }
     }
     row
 }
 
-/// All rows of one device and singularity.
+/// Returns all rows of one device and singularity.
 pub fn rows(name: &'static str, device: &Description, singularity: Singularity) -> Vec<Row> {
     let scale = device.geometry[..3].iter().sum::<f64>() / 3.0;
     let targets = singularity.targets().into_iter();
@@ -263,14 +262,14 @@ pub fn rows(name: &'static str, device: &Description, singularity: Singularity) 
     })
 }
 
-/// A five-bar whose rods can stretch into one line, which the shipped ones cannot.
+/// Returns a five-bar whose rods can stretch into one line, unlike those of the shipped devices.
 pub fn wide_five_bar() -> Description {
     let mut device = shipped("coupled-five-bar");
     device.geometry[0] = 0.1;
     device
 }
 
-/// Every singularity of every mechanism that has one.
+/// Returns the rows of every singularity of every mechanism.
 pub fn all() -> Vec<Row> {
     [
         ("five-bar (haply-2diy)", shipped("haply-2diy"), Singularity::Elbow),

@@ -1,4 +1,4 @@
-//! The whole control step where it is hard: a hit at 10 m/s on a wall of 1e6 N/m, and a press on one.
+//! The complete control step in hard cases: a hit at 10 m/s on a wall of 1e6 N/m, and a press into such a wall.
 
 use super::shipped;
 use super::singular::Random;
@@ -19,25 +19,25 @@ pub struct Row {
     pub hit: f64,
     /// Largest wall force of the hit, N.
     pub force: f64,
-    /// Largest speed along the normal that the estimator showed, m/s.
+    /// Largest estimated speed along the normal, m/s.
     pub speed: f64,
     /// Smallest wall force, N: a wall never pulls.
     pub least: f64,
-    /// Error of the wall's force at rest, pressed in by up to 1 mm, N.
+    /// Error of the wall's force at rest at penetrations of up to 1 mm, N.
     pub press: f64,
 }
 
 /// Control rate, Hz.
 pub const RATE: f64 = 20_000.0;
-/// N/m
+/// Stiffness of the wall, N/m.
 const STIFFNESS: f64 = 1e6;
-/// m/s
+/// Speed of the hit, m/s.
 const SPEED: f64 = 10.0;
-/// Counts per turn: fine enough that a press moves in micrometres.
+/// Counts per turn, fine enough for penetrations in micrometres.
 const COUNTS: f64 = 1_048_576.0;
 
-/// The device with such an encoder at every joint, whose count 0 is the angle 0: without a home that would move it to
-/// the nearest count.
+/// Returns the device with such an encoder at every joint. Count 0 is the angle 0, because the device has no home that
+/// would shift the angles to the nearest count.
 pub fn encoded(device: &Description) -> Description {
     let mut device = Description { home: None, ..*device };
     for joint in &mut device.joints {
@@ -46,12 +46,12 @@ pub fn encoded(device: &Description) -> Description {
     device
 }
 
-/// Encoder counts of joint angles.
+/// Returns the encoder counts of joint angles.
 pub fn counts<const N: usize>(q: &SVector<f64, N>) -> [i32; N] {
     core::array::from_fn(|i| (q[i] * COUNTS / std::f64::consts::TAU).round() as i32)
 }
 
-/// One plane wall through `point` (m) facing along `normal`, all terms on.
+/// Returns a scene with one plane wall through `point` (m) facing along `normal`, with all terms on.
 pub fn scene<T: Real>(
     task: usize,
     point: [f64; 3],
@@ -79,7 +79,7 @@ pub fn scene<T: Real>(
     }
 }
 
-/// A controller of `mechanism` in `scene`.
+/// Creates a controller of `mechanism` in `scene`.
 pub fn controller<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
     mechanism: M,
     device: &Description,
@@ -89,19 +89,19 @@ pub fn controller<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
     Controller::new(mechanism, &device, scene).expect("a sound scene")
 }
 
-/// The first three entries, the missing ones zero.
+/// Returns the entries of the task, padded with zeros.
 pub fn three<const N: usize>(v: &SVector<f64, N>, task: usize) -> [f64; 3] {
     core::array::from_fn(|i| if i < task.min(N) { v[i] } else { 0.0 })
 }
 
-/// Returns true if the feed-forward acts in full here.
-fn usable<M: Mechanism<f64, N>, const N: usize>(m: &M, q: &SVector<f64, N>) -> bool {
+/// Returns true if the feed-forward acts in full at this pose.
+fn is_usable<M: Mechanism<f64, N>, const N: usize>(m: &M, q: &SVector<f64, N>) -> bool {
     let r = m.regularity(&m.pose::<Libm>(q));
     r.serial.min(r.parallel / PARALLEL_REGULARITY) > 2.0 * FULL_REGULARITY
 }
 
-/// Joint angles at every step of a straight run against `n` at [`SPEED`], 2 cm to the wall's surface and 1 cm beyond;
-/// with the surface's point. `None` where the run leaves the regular workspace.
+/// Returns the joint angles at every step of a straight run against `n` at [`SPEED`], from 2 cm outside the surface to
+/// 1 cm inside, and a point of the surface. `None` if the run leaves the regular workspace.
 fn run_up<M: Mechanism<f64, N>, const N: usize>(
     m: &M,
     start: &SVector<f64, N>,
@@ -115,7 +115,7 @@ fn run_up<M: Mechanism<f64, N>, const N: usize>(
         for _ in 0..fine {
             q += m.inverse(&m.pose::<Libm>(&q), &(n * (-SPEED / RATE / fine as f64)));
         }
-        if !usable(m, &q) {
+        if !is_usable(m, &q) {
             return None;
         }
     }
@@ -138,7 +138,7 @@ where
             n[i] = 0.0;
         }
         n /= n.dot(&n).sqrt();
-        if !usable(&double, &start) {
+        if !is_usable(&double, &start) {
             continue;
         }
         let Some((run, surface)) = run_up(&double, &start, &n) else { continue };
@@ -159,7 +159,7 @@ where
         }
         row.hit = row.hit.max(worst / largest);
 
-        // The same wall at rest, without damping: a fresh controller at poses up to 1 mm inside.
+        // The same wall at rest without damping: a new controller at every penetration up to 1 mm.
         let off = FeedForward::Off;
         for depth in (0..100).map(|k| 1e-5 * f64::from(k)) {
             let mut q = start;
@@ -177,7 +177,7 @@ where
     row
 }
 
-/// Every mechanism.
+/// Returns the rows of every mechanism.
 pub fn all() -> Vec<Row> {
     [
         ("paddle", "hapkit-paddle"),
@@ -196,7 +196,7 @@ pub fn all() -> Vec<Row> {
             ($($Variant:ident)*) => {
                 match (double, board) {
                     $((AnyMechanism::$Variant(a), AnyMechanism::$Variant(b)) => row(a, b, name, &device),)*
-                    _ => unreachable!("both precisions of one device are of one kind"),
+                    _ => unreachable!("both precisions have the same mechanism"),
                 }
             };
         }

@@ -1,5 +1,5 @@
-//! Fractional counts per turn over thousands of turns: the tip as the f32 step finds it, against angles n 2π/C that are
-//! reduced nowhere but in the sines.
+//! Fractional counts per turn over thousands of turns: the tip position of the f32 step, against angles n 2π/C that
+//! only the sines reduce.
 
 use super::shipped;
 use super::singular::{Random, cast};
@@ -12,7 +12,7 @@ use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::render::scene::FeedForward;
 use nalgebra::SVector;
 
-/// A half count a turn, 20 000 behind 7:3 and behind √1.1:1, and what somebody measured.
+/// Half a count per turn, 20,000 counts behind gears of 7:3 and √1.1:1, and a measured value.
 pub const COUNTS: [f64; 4] = [10_752.5, 140_000.0 / 3.0, 20_976.176_963_403_03, 16_384.07];
 /// Whole turns from home.
 pub const TURNS: [i32; 4] = [0, 100, 1_000, 10_000];
@@ -26,7 +26,7 @@ pub struct Row {
     pub tip: [f64; 4],
 }
 
-/// 2π to more than the digits of f64.
+/// Returns 2π with more digits than f64.
 fn turn() -> Exact {
     Exact::from_f64(std::f64::consts::TAU) + Exact::from_f64(2.449_293_598_294_706_4e-16)
 }
@@ -49,8 +49,8 @@ where
             }
             let far = three(&SVector::<f64, N>::from_element(10.0), task);
             let up = [1.0, 0.0, 0.0];
-            let nothing = scene(task, far.map(|x| -x), up, 1.0, 0.0, FeedForward::Off);
-            let mut controller = controller::<f32, BoardMath, _, N>(board, &device, &nothing);
+            let far_wall = scene(task, far.map(|x| -x), up, 1.0, 0.0, FeedForward::Off);
+            let mut controller = controller::<f32, BoardMath, _, N>(board, &device, &far_wall);
             let mut row = Row { device: name, counts_per_turn, tip: [0.0; 4] };
             for (index, turns) in TURNS.into_iter().enumerate() {
                 let mut random = Random(13);
@@ -79,7 +79,7 @@ where
         .to_vec()
 }
 
-/// A closed loop and an open one.
+/// Returns the rows of a closed loop and of a serial arm.
 pub fn all() -> Vec<Row> {
     [("five-bar", "haply-2diy"), ("serial-3r", "serial-3r")]
         .into_iter()

@@ -1,4 +1,4 @@
-//! The whole of equation (4) as the analysis computes it, in double precision: everything that an `Inertia` holds.
+//! All quantities of equation (4) in double precision, as the analysis computes them (`Inertia`).
 
 use haptic_bridge::math::{Math, Real};
 use haptic_bridge::model::inertia::Inertia;
@@ -6,7 +6,8 @@ use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::model::principal::Pull;
 use nalgebra::{SMatrix, SVector};
 
-/// Everything of one wall of unit normal `n` that pushes with 1 N, at the pose `q` moving at `qd` (rad/s).
+/// Computes all quantities for one wall with the unit normal `n` and a force of 1 N, at the pose `q` and the joint
+/// velocities `qd` (rad/s).
 pub fn whole<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
     m: &M,
     q: &SVector<T, N>,
@@ -18,7 +19,7 @@ pub fn whole<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
     Inertia::new::<K, M>(m, &m.pose::<K>(q), qd, &[wall], &n)
 }
 
-/// Largest errors: of Weff relative to it, of all else as a share of the largest entry.
+/// Largest errors as shares of the largest entry of each quantity.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct WholeErrors {
     pub w: f64,
@@ -29,7 +30,7 @@ pub struct WholeErrors {
 }
 
 impl WholeErrors {
-    /// Takes in the errors of `found` against `exact`.
+    /// Adds the errors of `found` against `exact`.
     pub fn grow<A: Real, B: Real, const N: usize>(&mut self, found: &Inertia<A, N>, exact: &Inertia<B, N>) {
         self.w = self.w.max(share(&found.w, &exact.w));
         self.w_eff = self.w_eff.max(share(&found.w_eff, &exact.w_eff));

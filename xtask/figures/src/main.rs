@@ -1,6 +1,6 @@
-//! Regenerates the impedance-range and map figures of docs/results.md and their tables, by running the very command
-//! lines that it writes into docs/results/ranges.sh: `cargo xtask figures`. It takes some minutes. With names of cases it
-//! runs these and prints their rows.
+//! Regenerates the impedance-range and map figures of docs/results.md and their tables: `cargo xtask figures` (some
+//! minutes). It runs the same command lines that it writes into docs/results/ranges.sh. With names of cases it runs
+//! only these and prints their rows.
 
 use haptic_host::output::csv_line;
 use serde_json::Value;
@@ -12,21 +12,24 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 type Error = Box<dyn std::error::Error + Send + Sync>;
 
-/// Where the wall is touched: the normal is that of the largest Wrr/Weff at the pose.
-const WHERE: &str = "devices/coupled-five-bar.toml --port sim --q 2.6,1.75 --normal 0.94702228,-0.32116787";
-/// What linear theory is about.
-const BARE: &str = "--frictionless --ideal-drive --counts 8388608 --torque-limit 2";
+/// Device, pose and normal of the wall; the normal has the largest Wrr/Weff at the pose.
+const SETUP: &str = "devices/coupled-five-bar.toml --port sim --q 2.6,1.75 --normal 0.94702228,-0.32116787";
+/// Options for the idealised device of the linear theory.
+const IDEAL: &str = "--frictionless --ideal-drive --counts 8388608 --torque-limit 2";
 
-/// A measured range: its name, which picture it makes if any, and what is added to `haptic measure-range WHERE`.
+/// A measured range.
 struct Case {
     name: &'static str,
+    /// Name of its picture, if it has one.
     picture: Option<&'static str>,
+    /// Options of `haptic measure-range` for rate and estimator.
     rate: &'static str,
+    /// Options of `haptic measure-range` for the simulated device.
     world: &'static str,
 }
 
 const fn theory(name: &'static str, rate: &'static str) -> Case {
-    Case { name, picture: Some(name), rate, world: BARE }
+    Case { name, picture: Some(name), rate, world: IDEAL }
 }
 
 const THEORY: [Case; 5] = [
@@ -64,7 +67,7 @@ const WORLDS: [Case; 10] = [
 ];
 
 const fn washed(name: &'static str, rate: &'static str) -> Case {
-    Case { name, picture: None, rate, world: BARE }
+    Case { name, picture: None, rate, world: IDEAL }
 }
 
 const WASHED: [Case; 3] = [
@@ -77,28 +80,29 @@ const CORNERS: [&str; 6] = ["0.5", "1", "2", "5", "10", "20"];
 /// Devices and normals of the maps.
 const MAPS: [(&str, &str); 2] = [("coupled-five-bar", "1,0"), ("phantom-premium-1.5", "1,1,0")];
 
-/// Processes that run at a time.
-const AT_A_TIME: usize = 2;
+/// Number of processes that run in parallel.
+const PARALLEL: usize = 2;
 
-/// The command line of a case, which keeps what was measured in this file and replaces the published picture.
+/// Returns the command line of a case. It stores the measurement in the file `progress` and replaces the published
+/// picture.
 fn line(case: &Case, progress: &str) -> String {
     let picture = case.picture.map_or(String::new(), |name| format!(" --svg docs/results/{name}.svg --force"));
-    format!("haptic measure-range {WHERE} {} {}{picture} --progress {progress}", case.rate, case.world)
+    format!("haptic measure-range {SETUP} {} {}{picture} --progress {progress}", case.rate, case.world)
 }
 
-/// Where a reader keeps what was measured: no two cases share a file.
-fn typed_file(case: &Case) -> String {
+/// Returns the file for the measurement in the published command line, different for every case.
+fn progress_file(case: &Case) -> String {
     let kind = if WASHED.iter().any(|washed| washed.name == case.name) { "washout-" } else { "" };
     format!("{kind}{}.json", case.name.replace([' ', '.'], "-").replace(',', ""))
 }
 
-/// The command line of a map.
+/// Returns the command line of a map.
 fn map_line((device, normal): (&str, &str)) -> String {
     format!("haptic map devices/{device}.toml --normal {normal} --png docs/results/map-{device}.png --force")
 }
 
-/// What the tool answers to a line in JSON.
-fn asked(root: &Path, line: &str) -> Result<Value, Error> {
+/// Runs this command line with `--json` and returns the parsed output.
+fn run_json(root: &Path, line: &str) -> Result<Value, Error> {
     let mut command = Command::new(env!("CARGO"));
     command.current_dir(root).args(["run", "--quiet", "--package", "haptic"]);
     if !cfg!(debug_assertions) {
@@ -111,19 +115,19 @@ fn asked(root: &Path, line: &str) -> Result<Value, Error> {
     Ok(serde_json::from_slice(&output.stdout)?)
 }
 
-/// Measures the cases of a group, some at a time.
-fn measured(root: &Path, group: &'static [Case], wanted: &[String]) -> Result<Vec<(&'static Case, Value)>, Error> {
-    // Relative to the repository: no blank of another path splits a line.
+/// Measures the cases of a group, [`PARALLEL`] at a time.
+fn measure(root: &Path, group: &'static [Case], wanted: &[String]) -> Result<Vec<(&'static Case, Value)>, Error> {
+    // The path is relative to the repository, so that blanks in its absolute path do not split the command line.
     let folder = format!("target/figures-{}", std::process::id());
     std::fs::create_dir_all(root.join(&folder))?;
     let cases: Vec<&Case> =
         group.iter().filter(|case| wanted.is_empty() || wanted.iter().any(|name| name == case.name)).collect();
     let (next, found) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
     std::thread::scope(|scope| {
-        for _ in 0..AT_A_TIME {
+        for _ in 0..PARALLEL {
             scope.spawn(|| {
                 while let Some(case) = cases.get(next.fetch_add(1, Ordering::SeqCst)) {
-                    let answer = asked(root, &line(case, &format!("{folder}/{}", typed_file(case))));
+                    let answer = run_json(root, &line(case, &format!("{folder}/{}", progress_file(case))));
                     eprintln!("{}: done", case.name);
                     found.lock().unwrap_or_else(std::sync::PoisonError::into_inner).push((*case, answer));
                 }
@@ -137,23 +141,23 @@ fn measured(root: &Path, group: &'static [Case], wanted: &[String]) -> Result<Ve
     Ok(found)
 }
 
-/// A figure of a mode's area.
+/// Reads a value of a mode's area.
 fn area(answer: &Value, mode: &str, key: &str) -> Result<f64, Error> {
     let areas = answer["areas"].as_array().ok_or("no areas")?;
     let found = areas.iter().find(|area| area["mode"] == mode).and_then(|area| area[key].as_f64());
-    Ok(found.ok_or_else(|| format!("no {key} of {mode}: a boundary was not found"))?)
+    Ok(found.ok_or_else(|| format!("no {key} of {mode}, because a boundary was not found"))?)
 }
 
 fn main() -> Result<(), Error> {
     let root = PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../.."));
     let wanted: Vec<String> = std::env::args().skip(1).collect();
-    let theory = measured(&root, &THEORY, &wanted)?;
+    let theory = measure(&root, &THEORY, &wanted)?;
     let mut cases = csv_line(["case", "deviation off (%)", "deviation full (%)", "area ratio predicted", "measured"]);
     for (_, answer) in &theory {
         let (off, full) = ("off", "full");
         let [cutoff, rate] = ["cutoff_hz", "rate_hz"].map(|key| answer[key].to_string());
         let ratio = |key| Ok::<f64, Error>(area(answer, full, key)? / area(answer, off, key)?);
-        told(
+        add_row(
             &mut cases,
             &[
                 format!("{} Hz, cutoff {} Hz", rate.trim_end_matches(".0"), cutoff.trim_end_matches(".0")),
@@ -164,24 +168,24 @@ fn main() -> Result<(), Error> {
             ],
         );
     }
-    let washed = measured(&root, &WASHED, &wanted)?;
+    let washed = measure(&root, &WASHED, &wanted)?;
     let mut washout =
         csv_line(["corner (Hz)", "200 Hz", "1000 Hz", "10000 Hz", "20000 Hz", "50000 Hz", "1000 Hz measured"]);
     for corner in CORNERS {
         let mut cells = vec![corner.to_owned()];
         for (case, answer) in theory.iter().filter(|_| wanted.is_empty()) {
             let rate = case.rate.split(" --pull").next().unwrap_or_default();
-            let (place, delay) = (WHERE.replace(" --port sim", ""), &answer["delay_samples"]);
+            let (place, delay) = (SETUP.replace(" --port sim", ""), &answer["delay_samples"]);
             let line = format!("haptic range {place} {rate} --delay {delay} --undamped --washout {corner}");
-            let range = asked(&root, &line)?;
-            cells.push(kept(|mode| Ok(range[mode]["area"].as_f64().ok_or("no area")?))?);
+            let range = run_json(&root, &line)?;
+            cells.push(washout_share(|mode| Ok(range[mode]["area"].as_f64().ok_or("no area")?))?);
         }
         let measured = washed.iter().find(|(case, _)| case.name == corner);
-        let measured = measured.map(|(_, answer)| kept(|mode| area(answer, mode, "measured"))).transpose()?;
+        let measured = measured.map(|(_, answer)| washout_share(|mode| area(answer, mode, "measured"))).transpose()?;
         cells.push(measured.unwrap_or_default());
-        told(&mut washout, &cells);
+        add_row(&mut washout, &cells);
     }
-    let worlds = measured(&root, &WORLDS, &wanted)?;
+    let worlds = measure(&root, &WORLDS, &wanted)?;
     let mut added = csv_line(["added", "area off", "area full", "full over off", "widest spread (%)"]);
     for (case, answer) in &worlds {
         let bare = &worlds[0].1;
@@ -195,11 +199,11 @@ fn main() -> Result<(), Error> {
             ],
             (Err(why), _) | (_, Err(why)) => [why.to_string(), String::new(), String::new(), String::new()],
         };
-        told(&mut added, &[&[case.name.to_owned()], &cells[..]].concat());
+        add_row(&mut added, &[&[case.name.to_owned()], &cells[..]].concat());
     }
     if wanted.is_empty() {
         for map in MAPS {
-            asked(&root, &map_line(map))?;
+            run_json(&root, &map_line(map))?;
         }
         let results = root.join("docs/results");
         for (name, text) in [
@@ -214,19 +218,19 @@ fn main() -> Result<(), Error> {
     Ok(())
 }
 
-/// Adds a row to a table, and prints it.
-fn told(table: &mut String, cells: &[String]) {
+/// Adds a row to a table and prints it.
+fn add_row(table: &mut String, cells: &[String]) {
     let row = csv_line(cells);
     print!("{row}");
     table.push_str(&row);
 }
 
-/// The share of the gained area that a washout keeps, %.
-fn kept(area: impl Fn(&str) -> Result<f64, Error>) -> Result<String, Error> {
+/// Computes the share of the feed-forward's additional area that a washout keeps, %.
+fn washout_share(area: impl Fn(&str) -> Result<f64, Error>) -> Result<String, Error> {
     Ok(format!("{:.1}", 100.0 * (area("washout")? - area("off")?) / (area("full")? - area("off")?)))
 }
 
-/// Every command line.
+/// Returns the text of ranges.sh with every command line.
 fn lines() -> String {
     let mut text = String::from(
         "# The command line of every row of \"The impedance range\" in docs/results.md, and of the maps, as `cargo xtask\n\
@@ -236,7 +240,7 @@ fn lines() -> String {
         [("the cases", &THEORY), ("washouts, measured", &WASHED), ("what the theory leaves out", &WORLDS)];
     for (what, cases) in groups {
         let _ = writeln!(text, "\n# {what}");
-        cases.iter().for_each(|case| text += &(line(case, &typed_file(case)) + "\n"));
+        cases.iter().for_each(|case| text += &(line(case, &progress_file(case)) + "\n"));
     }
     text.push_str("\n# the maps\n");
     MAPS.into_iter().for_each(|map| text += &(map_line(map) + "\n"));

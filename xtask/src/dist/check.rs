@@ -1,4 +1,4 @@
-//! Installs what was made as its user does, and runs the demo from each with nothing else to be found.
+//! Installs the release files as a user does, and runs the demo from each without access to other programs.
 
 use std::env;
 use std::fs;
@@ -7,26 +7,26 @@ use std::process::Command;
 
 use anyhow::{Context as _, Result, ensure};
 
-use super::{Made, empty, make, output};
+use super::{ReleaseFiles, create_empty, make, output};
 use crate::firmware::BOARDS;
 use crate::paths::target_directory;
 use crate::toolchain::run;
 use crate::{publish, python};
 
-/// Makes archive and wheel, and tries both; then the packages for the registry.
+/// Makes and checks archive and wheel, then the packages for the registry.
 pub fn check() -> Result<()> {
     let made = make()?;
     let scratch = target_directory().join("dist-check");
-    empty(&scratch)?;
+    create_empty(&scratch)?;
     archive(&made, &scratch.join("archive"))?;
     wheel(&made, &scratch.join("wheel"))?;
     fs::remove_dir_all(&scratch).with_context(|| format!("cannot remove {}", scratch.display()))?;
     publish::dry_run()
 }
 
-/// Unpacks the archive and tries what is in it.
-fn archive(made: &Made, place: &Path) -> Result<()> {
-    empty(place)?;
+/// Unpacks the archive and checks its contents.
+fn archive(made: &ReleaseFiles, place: &Path) -> Result<()> {
+    create_empty(place)?;
     run(Command::new("tar").arg("-xzf").arg(&made.archive).arg("-C").arg(place))?;
     let entries = fs::read_dir(place)?.map(|entry| Ok(entry?.path())).collect::<Result<Vec<_>>>()?;
     let [folder] = &entries[..] else { anyhow::bail!("the archive unpacks to {entries:?}, not to one folder") };
@@ -47,34 +47,35 @@ fn archive(made: &Made, place: &Path) -> Result<()> {
         ensure!(bytes > 500, "{path} has {bytes} bytes");
     }
     tool(folder, place)?;
-    let known = output(alone(folder, place).args(["check"]).arg(folder.join("devices/haply-2diy.toml")))?;
+    let known = output(isolated_tool(folder, place).args(["check"]).arg(folder.join("devices/haply-2diy.toml")))?;
     ensure!(known.contains("five-bar"), "{known}");
-    // The images' boards are what the tool says that it has when it is asked for another.
-    let asked = alone(folder, place).args(["flash", "no-such-board"]).output().context("cannot run haptic flash")?;
-    let said = String::from_utf8_lossy(&asked.stderr).into_owned();
-    ensure!(BOARDS.iter().all(|board| said.contains(board)), "images are missing in the tool: {said}");
+    // For an unknown board the tool lists the boards of its images.
+    let output =
+        isolated_tool(folder, place).args(["flash", "no-such-board"]).output().context("cannot run haptic flash")?;
+    let message = String::from_utf8_lossy(&output.stderr).into_owned();
+    ensure!(BOARDS.iter().all(|board| message.contains(board)), "images are missing in the tool: {message}");
     Ok(())
 }
 
-/// Installs the wheel into an environment that has nothing, and tries both parts of it.
-fn wheel(made: &Made, place: &Path) -> Result<()> {
-    empty(place)?;
+/// Installs the wheel into an empty environment and checks the tool and the package.
+fn wheel(made: &ReleaseFiles, place: &Path) -> Result<()> {
+    create_empty(place)?;
     let environment = place.join("environment");
     let python = python::environment(&environment, &[made.wheel.to_string_lossy().into_owned()])?;
-    let programs = python.parent().context("an interpreter lies in a folder")?;
+    let programs = python.parent().context("the interpreter's path has no folder")?;
     tool(programs, place)?;
     let program =
         "import haptic_bridge as hb\nwith hb.Board('sim') as board: print(len(board.look().tip), hb.__version__)";
-    let said = output(Command::new(&python).current_dir(place).args(["-c", program]))?;
-    ensure!(said == format!("3 {}\n", super::version()?), "the package said {said}");
+    let printed = output(Command::new(&python).current_dir(place).args(["-c", program]))?;
+    ensure!(printed == format!("3 {}\n", super::version()?), "the package printed {printed}");
     Ok(())
 }
 
-/// Runs the demo with the tool of a folder.
+/// Runs the tool's demo from a folder.
 fn tool(folder: &Path, place: &Path) -> Result<()> {
-    let said = output(alone(folder, place).arg("--version"))?;
-    ensure!(said == format!("haptic {}\n", super::version()?), "the tool says it is {said}");
-    let table = output(alone(folder, place).arg("demo"))?;
+    let version = output(isolated_tool(folder, place).arg("--version"))?;
+    ensure!(version == format!("haptic {}\n", super::version()?), "the tool's version is {version}");
+    let table = output(isolated_tool(folder, place).arg("demo"))?;
     ensure!(table.contains("picture: "), "the demo printed {table}");
     let picture = fs::read_to_string(place.join("haptic-demo.svg")).context("the demo drew no picture")?;
     ensure!(picture.contains("</svg>"), "the demo's picture has no end");
@@ -82,8 +83,8 @@ fn tool(folder: &Path, place: &Path) -> Result<()> {
     Ok(())
 }
 
-/// The tool of a folder, which finds nothing but itself: no other program, no settings, no home.
-fn alone(folder: &Path, place: &Path) -> Command {
+/// Returns a call of the tool in a folder, without access to other programs, settings or a home directory.
+fn isolated_tool(folder: &Path, place: &Path) -> Command {
     let mut command = Command::new(folder.join(format!("haptic{}", env::consts::EXE_SUFFIX)));
     command.current_dir(place).env_clear().env("PATH", folder);
     if let Some(windows) = env::var_os("SYSTEMROOT") {

@@ -1,4 +1,4 @@
-//! The licenses of everything that is linked into what is handed out, which have to be handed out with it.
+//! The licenses of all crates that are linked into the release files, which must be distributed with them.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -11,7 +11,7 @@ use super::{output, write};
 use crate::paths::root;
 use crate::toolchain::{BROWSERS, TARGET, cargo, host};
 
-/// What cargo says of a workspace.
+/// Output of `cargo metadata`.
 #[derive(Deserialize)]
 struct Metadata {
     packages: Vec<Package>,
@@ -26,7 +26,7 @@ struct Package {
     license: Option<String>,
     repository: Option<String>,
     manifest_path: String,
-    /// None of a package that lies here.
+    /// Registry of the package; `None` for packages of this repository.
     source: Option<String>,
 }
 
@@ -47,29 +47,29 @@ struct Dependency {
     dep_kinds: Vec<Kind>,
 }
 
-/// Null for what is linked, `dev` and `build` for what is not.
+/// Kind of a dependency: null if it is linked, otherwise `dev` or `build`.
 #[derive(Deserialize)]
 struct Kind {
     kind: Option<String>,
 }
 
-/// Puts them all into a folder, and those of this project.
+/// Writes the licenses of this project and of all dependencies into a folder.
 pub fn write_into(folder: &Path) -> Result<()> {
     for name in ["LICENSE-MIT", "LICENSE-APACHE"] {
         fs::copy(root().join(name), folder.join(name)).with_context(|| format!("cannot copy {name}"))?;
     }
-    write(&folder.join("LICENSES-OTHERS.txt"), of_dependencies()?.as_bytes())
+    write(&folder.join("LICENSES-OTHERS.txt"), dependency_licenses()?.as_bytes())
 }
 
-/// The texts, each with the crates that have it.
-fn of_dependencies() -> Result<String> {
-    let mut crates = linked("Cargo.toml", &["haptic", "haptic-python"], &host()?)?;
-    crates.extend(linked("Cargo.toml", &["haptic-page"], BROWSERS)?);
-    crates.extend(linked("firmware/Cargo.toml", &["haptic-firmware"], TARGET)?);
+/// Returns the license texts, each with the names of its crates.
+fn dependency_licenses() -> Result<String> {
+    let mut crates = linked_crates("Cargo.toml", &["haptic", "haptic-python"], &host()?)?;
+    crates.extend(linked_crates("Cargo.toml", &["haptic-page"], BROWSERS)?);
+    crates.extend(linked_crates("firmware/Cargo.toml", &["haptic-firmware"], TARGET)?);
     let mut list = String::from(
-        "The tool, the firmware images in it, the page and the library for Python hold the crates below, each under\n\
+        "The tool, the firmware images in it, the page and the library for Python contain the crates below, each under\n\
          its own license, and Rust's standard library (MIT or Apache-2.0, https://github.com/rust-lang/rust).\n\
-         Their sources, unchanged: https://crates.io/crates/NAME/VERSION\n\n",
+         Their unchanged sources: https://crates.io/crates/NAME/VERSION\n\n",
     );
     let mut texts: BTreeMap<String, Vec<String>> = BTreeMap::new();
     for Crate { name, license, repository, texts: own } in crates {
@@ -94,15 +94,15 @@ struct Crate {
     texts: Vec<String>,
 }
 
-/// The crates of others that are linked into packages.
-fn linked(manifest: &str, packages: &[&str], target: &str) -> Result<BTreeSet<Crate>> {
+/// Returns the crates of other projects that are linked into packages.
+fn linked_crates(manifest: &str, packages: &[&str], target: &str) -> Result<BTreeSet<Crate>> {
     let mut command = cargo();
     command.args(["metadata", "--locked", "--format-version", "1", "--filter-platform", target, "--manifest-path"]);
-    let said: Metadata =
+    let metadata: Metadata =
         serde_json::from_str(&output(command.arg(root().join(manifest)))?).context("cargo metadata")?;
-    let nodes: BTreeMap<&str, &Node> = said.resolve.nodes.iter().map(|node| (node.id.as_str(), node)).collect();
+    let nodes: BTreeMap<&str, &Node> = metadata.resolve.nodes.iter().map(|node| (node.id.as_str(), node)).collect();
     let ours = |found: &&Package| found.source.is_none() && packages.contains(&found.name.as_str());
-    let mut open: Vec<&str> = said.packages.iter().filter(ours).map(|found| found.id.as_str()).collect();
+    let mut open: Vec<&str> = metadata.packages.iter().filter(ours).map(|found| found.id.as_str()).collect();
     ensure!(open.len() == packages.len(), "{manifest} does not have all of {}", packages.join(", "));
     let mut seen = BTreeSet::new();
     while let Some(id) = open.pop() {
@@ -112,7 +112,7 @@ fn linked(manifest: &str, packages: &[&str], target: &str) -> Result<BTreeSet<Cr
             open.extend(needs.map(|need| need.pkg.as_str()));
         }
     }
-    let others = said.packages.iter().filter(|found| found.source.is_some() && seen.contains(found.id.as_str()));
+    let others = metadata.packages.iter().filter(|found| found.source.is_some() && seen.contains(found.id.as_str()));
     others
         .map(|found| {
             let name = format!("{} {}", found.name, found.version);
@@ -123,9 +123,9 @@ fn linked(manifest: &str, packages: &[&str], target: &str) -> Result<BTreeSet<Cr
         .collect()
 }
 
-/// The license files beside a manifest.
+/// Reads the license files in the folder of a manifest.
 fn texts(manifest: &Path) -> Result<Vec<String>> {
-    let folder = manifest.parent().context("a manifest lies in a folder")?;
+    let folder = manifest.parent().context("the manifest's path has no folder")?;
     let mut found = Vec::new();
     for entry in fs::read_dir(folder).with_context(|| format!("cannot read {}", folder.display()))? {
         let path = entry?.path();

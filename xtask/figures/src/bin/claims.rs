@@ -1,6 +1,6 @@
 //! Prints the tables in docs/claims/: `cargo run --package figures --bin claims`.
 
-#[allow(dead_code, reason = "the test asserts more than the page shows")]
+#[allow(dead_code, reason = "only the test uses the rest")]
 #[path = "../../../../tool/tests/deep/claims/page.rs"]
 mod page;
 

@@ -1,4 +1,4 @@
-//! What the tip feels of a wall that is pressed beyond its motors: the board's control loop, and for comparison the same
+//! Tip forces of a wall that needs more than the motors' torque: with the board's control loop, and for comparison with
 //! torques limited joint by joint. Draws docs/results/saturation.svg: `cargo run --package figures --bin saturation`.
 
 use haptic_bridge::model::catalogue::MAX_JOINTS;
@@ -11,14 +11,16 @@ use haptic_show::plot::colour::{FAINT, FULL, OFF};
 use haptic_sim::{Felt, Held, Press, WIDE};
 use std::path::Path;
 
-/// The demo's pose, rad, and the angle of its wall's normal, rad.
+/// Pose of the demo, rad.
 const POSE: [f64; 3] = [2.6, 1.75, 0.0];
+/// Angle of the wall's normal, rad.
 const NORMAL: f64 = 75.0 * std::f64::consts::PI / 180.0;
+/// Stiffness of the wall, N/m.
 const STIFFNESS: f64 = 20_000.0;
-/// What each motor makes, N m.
+/// Torque limit of each motor, N m.
 const LIMIT: f64 = 2.0;
 
-/// Forces at the tip, N, along the normal and sideways, over depth, m.
+/// Tip forces along the normal and sideways, N, over the depth, m.
 type Forces = Vec<(f64, [f64; 2])>;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -69,7 +71,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// The demo's device held ever deeper in its wall, its motors limited to `limit` (N m).
+/// Holds the demo's device at growing depths in its wall, with motors limited to `limit` (N m).
 fn pressed(file: &DeviceFile, limit: f32) -> Result<(Held, Vec<Felt>), Box<dyn std::error::Error>> {
     let mut device = file.description;
     for motor in device.joints.iter_mut().filter_map(|joint| joint.motor.as_mut()) {

@@ -1,7 +1,8 @@
-//! A wall's effects beyond the paper's (4) as it stands: moving linkages, gains other than 1, other coordinates held.
+//! The inertia that a wall renders beyond the paper's (4): moving linkages, gains other than 1, and other held
+//! coordinates.
 //!
-//! Expectations are equations of motion solved here: M q̈ + c + g = τ with the controller's torque, and inertias from
-//! J and M by elimination. Nothing of the library's inertia module is asked.
+//! The oracle solves M q̈ + c + g = τ with the controller's torque, and computes inertias from J and M by elimination.
+//! It does not use the library's inertia module.
 
 use crate::common::{device_file, inverse};
 use haptic_bridge::math::Libm;
@@ -15,11 +16,11 @@ use haptic_bridge::render::scene::{
 use haptic_bridge::with_mechanism;
 use nalgebra::SVector;
 
-/// So fine that its steps count for nothing.
+/// Counts per turn, fine enough that quantisation does not matter.
 const COUNTS_PER_TURN: f64 = 1.0e9;
 const RATE: f64 = 50_000.0;
 
-/// Weightless, so that the walls' forces are all there is.
+/// Reads a shipped device and removes gravity, so that only the walls' forces act.
 fn shipped(name: &str) -> Description {
     let mut description = device_file::shipped(name);
     description.gravity = [0.0; 3];
@@ -39,7 +40,7 @@ const CASES: [Case; 4] = [
     ("serial-3r", [0.5, 0.8, 0.7], [1.0, -0.8, 1.3], [0.6, 0.8, 0.0]),
 ];
 
-/// A wall through the tip's neighbourhood, touched from either side.
+/// Returns a bilateral wall with this surface.
 fn wall(surface: Surface<f64>) -> Wall<f64> {
     Wall {
         surface,
@@ -63,9 +64,9 @@ struct Outcome {
     /// Weff and Wrr with φ held, kg.
     w_eff: f64,
     w_rr: f64,
-    /// (eₖ or the row of φ)·q̈ for every coordinate that can be held, rad/s², and the torque along the null motion, N
-    /// m.
+    /// Accelerations of the coordinates that can be held (joints 0 to 2 and φ), rad/s².
     held: [f64; 4],
+    /// Torque along the null motion, N m.
     null_torque: f64,
 }
 
@@ -93,7 +94,7 @@ fn outcome(
         scene.walls.push(wall(surface)).expect("room");
         with(&mut scene);
         let mut controller = Controller::<f64, M, Libm, N>::new(m, device, &scene).expect("a sound scene");
-        // Steadily through the pose, long enough for the joint filters to know the velocity.
+        // A steady motion through the pose, long enough for the joint filters to settle.
         let counts = |k: i32| {
             (q + qd * (f64::from(k) / RATE)).map(|a| (a / core::f64::consts::TAU * COUNTS_PER_TURN).round() as i32)
         };
@@ -102,14 +103,14 @@ fn outcome(
         let (jacobian, rate, mass) = (m.jacobian(&pose), m.jacobian_rate(&pose, &qd), m.mass(&pose));
         let bias = m.coriolis(&pose, &qd);
         let qdd = inverse(&mass) * (step.torque - bias);
-        let mut place = tip;
+        let mut position = tip;
         let mut velocity = jacobian * qd;
         for i in task..N {
-            (place[i], velocity[i]) = (0.0, 0.0);
+            (position[i], velocity[i]) = (0.0, 0.0);
         }
-        let n = surface.contact::<Libm, N>(&place).normal;
-        let n_rate = surface.normal_rate::<Libm, N>(&place, &velocity);
-        // φ is no place, and its acceleration is not rendered: n has no part there.
+        let n = surface.contact::<Libm, N>(&position).normal;
+        let n_rate = surface.normal_rate::<Libm, N>(&position, &velocity);
+        // φ is not a position and its acceleration is not rendered, so n has no component along φ.
         let acceleration = jacobian * qdd + rate * qd;
         let mut without_phi = rate * qd;
         (task..N).for_each(|i| without_phi[i] = 0.0);
@@ -133,7 +134,7 @@ fn outcome(
     with_mechanism!(&mechanism, m => run(*m, &device, q, qd, &surface, &with))
 }
 
-/// A plane 2 cm off the tip.
+/// Returns a plane 2 cm from the tip.
 fn flat(normal: [f64; 3]) -> impl Fn([f64; 3], usize) -> Surface<f64> {
     move |tip, task| {
         let normal = core::array::from_fn(|i| if i < task { normal[i] } else { 0.0 });
@@ -141,7 +142,7 @@ fn flat(normal: [f64; 3]) -> impl Fn([f64; 3], usize) -> Surface<f64> {
     }
 }
 
-/// A ball of 6 cm whose surface passes near the tip.
+/// Returns a sphere with a radius of 6 cm whose surface passes near the tip.
 fn ball(tip: [f64; 3], task: usize) -> Surface<f64> {
     let offset = [0.03, -0.04, 0.02];
     let center = core::array::from_fn(|i| if i < task { tip[i] + offset[i] } else { 0.0 });
@@ -149,58 +150,59 @@ fn ball(tip: [f64; 3], task: usize) -> Surface<f64> {
 }
 
 #[test]
-fn a_moving_tip_meets_the_rendered_force_and_nothing_else() {
-    let mut left_by_the_paper = 0.0_f64;
+fn only_the_rendered_force_accelerates_a_moving_tip() {
+    let mut largest_z_r = 0.0_f64;
     for (name, q, qd, normal) in CASES {
         for round in [false, true] {
             let surface = |tip, task| if round { ball(tip, task) } else { flat(normal)(tip, task) };
-            let met = |terms| {
+            let force_error = |terms| {
                 let o = outcome(name, q, qd, surface, |scene| scene.velocity_terms = terms);
                 (o.w_rr * o.rendered - o.force, o.z_r)
             };
-            // The joint filters follow a motion whose tip speeds up and down: 2e-3 m/s², as in tests/feed_forward.rs.
-            let (error, _) = met(VelocityTerms::Rendered);
+            // The bound is 2e-3 m/s² as in tests/feed_forward.rs, because the tip's acceleration disturbs the joint
+            // filters.
+            let (error, _) = force_error(VelocityTerms::Rendered);
             assert!(error.abs() < 2e-3, "{name}, round {round}: {error} N");
             if !round {
-                let (error, z_r) = met(VelocityTerms::Paper);
+                let (error, z_r) = force_error(VelocityTerms::Paper);
                 assert!((error + z_r).abs() < 2e-3, "{name}: (4) leaves {error} N, zr is {z_r} N");
-                left_by_the_paper = left_by_the_paper.max(z_r.abs());
+                largest_z_r = largest_z_r.max(z_r.abs());
             }
         }
     }
-    // Ten times the tolerance.
-    assert!(left_by_the_paper > 0.02, "there is something to leave: {left_by_the_paper} N");
+    // The effect must be ten times the tolerance.
+    assert!(largest_z_r > 0.02, "zr is too small to test: {largest_z_r} N");
 }
 
 #[test]
-fn a_gain_changes_the_inertia_as_said_and_is_held_below_its_pole() {
-    let mut held_back = 0;
+fn a_gain_changes_the_inertia_and_is_limited_below_its_pole() {
+    let mut limited = 0;
     for (name, q, _, normal) in CASES {
         for gain in [0.0, 0.5, 1.0, 1.1, 2.0, 3.0] {
             let o = outcome(name, q, [0.0; 3], flat(normal), |scene| scene.feed_forward_gain = gain);
             let coupling = 1.0 - o.w_eff / o.w_rr;
             let pole = 1.0 / coupling;
-            let acts = gain.min(0.5 * (1.0 + pole));
-            held_back += usize::from(acts < gain);
-            let met = o.force / o.rendered;
-            let said = o.w_eff / (1.0 - acts * coupling);
-            assert!((met / said - 1.0).abs() < 1e-6, "{name}, gain {gain}: {met} kg, not {said}");
-            assert!(met > 0.0 && met < 2.0 * o.w_rr * (1.0 + 1e-6), "{name}, gain {gain}: {met} kg");
+            let effective = gain.min(0.5 * (1.0 + pole));
+            limited += usize::from(effective < gain);
+            let rendered = o.force / o.rendered;
+            let expected = o.w_eff / (1.0 - effective * coupling);
+            assert!((rendered / expected - 1.0).abs() < 1e-6, "{name}, gain {gain}: {rendered} kg, not {expected}");
+            assert!(rendered > 0.0 && rendered < 2.0 * o.w_rr * (1.0 + 1e-6), "{name}, gain {gain}: {rendered} kg");
         }
     }
-    assert!(held_back >= 2, "the redundant arm's gain is held back");
+    assert!(limited >= 2, "the redundant arm's gain must be limited");
 }
 
 #[test]
-fn the_demos_wall_gains_what_a_gain_of_two_is_said_to_give() {
-    // 0.2116 kg without, 0.2659 with; 0.357 with α = 2, found by independent computation.
+fn the_demos_wall_has_the_documented_inertias() {
+    // Independent computation: 0.2116 kg without the feed-forward, 0.2659 kg with it, 0.357 kg with α = 2.
     let (name, q, _, normal) = CASES[0];
-    let met = |gain| {
+    let inertia = |gain| {
         let o = outcome(name, q, [0.0; 3], flat(normal), |scene| scene.feed_forward_gain = gain);
         o.force / o.rendered
     };
     for (gain, kilograms) in [(0.0, 0.211), (1.0, 0.265), (2.0, 0.357)] {
-        assert!((met(gain) - kilograms).abs() < 1e-3, "gain {gain}: {} kg", met(gain));
+        assert!((inertia(gain) - kilograms).abs() < 1e-3, "gain {gain}: {} kg", inertia(gain));
     }
 }
 
@@ -221,7 +223,7 @@ fn a_gain_beyond_its_limits_is_refused() {
 }
 
 #[test]
-fn a_redundant_arm_holds_the_coordinate_that_the_scene_names() {
+fn a_redundant_arm_holds_the_coordinate_of_the_scene() {
     let (name, q, qd, normal) = CASES[3];
     // Wrr/Weff by independent computation.
     for (admissible, held, ratio) in [
@@ -240,28 +242,29 @@ fn a_redundant_arm_holds_the_coordinate_that_the_scene_names() {
                 Some(coordinate) => assert!(o.held[coordinate].abs() < 0.02, "{admissible:?}: {:?}", o.held),
                 None => assert!(o.null_torque.abs() < 1e-6, "{admissible:?}: {} N m", o.null_torque),
             }
-            let met = o.force / (ratio * o.w_eff);
-            assert!((o.rendered - met).abs() < 0.01 * met.abs(), "{admissible:?}: {} m/s², not {met}", o.rendered);
+            let expected = o.force / (ratio * o.w_eff);
+            let error = (o.rendered - expected).abs();
+            assert!(error < 0.01 * expected.abs(), "{admissible:?}: {} m/s², not {expected}", o.rendered);
         }
     }
 }
 
 #[test]
-fn a_joint_that_the_null_motion_does_not_move_is_let_go_smoothly() {
-    // If the third link is in line with the second, or the arm bends the other way, some joint's share of the null
-    // motion passes zero; the torque stays bounded.
+fn a_joint_without_null_motion_is_released_smoothly() {
+    // If the third link is in line with the second, or the arm bends the other way, a joint's share of the null motion
+    // passes zero. The torque must stay bounded.
     let (name, _, _, normal) = CASES[3];
     for admissible in [Admissible::Joint0, Admissible::Joint1, Admissible::Joint2] {
-        let met = |third: f64| {
+        let share = |third: f64| {
             let q = [0.5, 0.8, third];
             let o = outcome(name, q, [0.0; 3], flat(normal), |scene| scene.admissible = admissible);
-            let met = o.rendered / o.force * o.w_eff;
-            assert!(met > 0.0 && met <= 1.0 + 1e-9, "{admissible:?} at {q:?}: Weff/Wrr is {met}");
-            met
+            let share = o.rendered / o.force * o.w_eff;
+            assert!(share > 0.0 && share <= 1.0 + 1e-9, "{admissible:?} at {q:?}: Weff/Wrr is {share}");
+            share
         };
-        // The largest change over a grid, and over a grid fifty times as fine where that was found.
+        // The largest change over a grid, and then over a grid fifty times as fine at that place.
         let steepest = |low: f64, step: f64, count: i32| {
-            let values: Vec<f64> = (0..=count).map(|k| met(low + step * f64::from(k))).collect();
+            let values: Vec<f64> = (0..=count).map(|k| share(low + step * f64::from(k))).collect();
             let changes = values.windows(2).enumerate().map(|(k, pair)| ((pair[1] - pair[0]).abs(), k));
             let (change, k) = changes.max_by(|a, b| a.0.total_cmp(&b.0)).expect("some");
             (change, low + step * k as f64)
