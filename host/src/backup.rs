@@ -89,7 +89,8 @@ pub enum Restored {
     Unchanged,
     /// Encoded again from the value, because the backup's bytes are of another version.
     Translated,
-    /// Not restored: a polarity check is valid only for the wiring that was checked, and the present wiring is unchecked.
+    /// Not restored: a polarity check is valid only for the wiring that was checked, and the present wiring is
+    /// unchecked.
     NotRestored,
 }
 
@@ -182,8 +183,8 @@ pub fn restore(board: &mut Board, ready: &[Ready]) -> Result<(), BoardError> {
     board.commit_entries(&keys)
 }
 
-/// Names the settings that a board would lose in a restart: an unsaved device, scene or name, and rules that differ from
-/// the saved rules.
+/// Names the settings that a board would lose in a restart: an unsaved device, scene or name, and rules that differ
+/// from the saved rules.
 pub fn unsaved(board: &mut Board) -> Result<Vec<&'static str>, BoardError> {
     fn differs<S: Setting + PartialEq>(board: &mut Board, now: &S) -> Result<bool, BoardError> {
         let saved = board.read_entry(S::KEY)?.and_then(|entry| decode::<S>(&entry).ok());

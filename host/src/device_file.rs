@@ -1,7 +1,8 @@
 //! Device files (docs/files.md): TOML in, a checked [`Description`] out, or an error that names the line.
 //!
-//! A mechanism's [`Spec`] lists the contents of its file, so a new mechanism needs no change here. [`AnyMechanism::new`]
-//! accepts every description that this module returns: the geometry closes, and every joint has inertia.
+//! A mechanism's [`Spec`] lists the contents of its file, so a new mechanism needs no change here.
+//! [`AnyMechanism::new`] accepts every description that this module returns: the geometry closes, and every joint has
+//! inertia.
 
 use crate::toml_file::{Document, FileError, Must, Problem, Table};
 use crate::vectors::padded;
@@ -33,8 +34,8 @@ pub struct DeviceFile {
     pub description: Description,
     /// The device's lumped coefficients in double precision.
     pub mechanism: AnyMechanism<f64>,
-    /// Supply voltage of the board, V, if the file gives one. It limits every motor's `max_current` in `description` to the
-    /// current that it can drive through the motor at rest.
+    /// Supply voltage of the board, V, if the file gives one. It limits every motor's `max_current` in `description` to
+    /// the current that it can drive through the motor at rest.
     pub supply: Option<f64>,
     /// `max_current` of each joint in the file, A, if `supply` can drive only less.
     pub max_current_in_file: [Option<f64>; MAX_JOINTS],
@@ -297,8 +298,8 @@ fn joint_of(table: &Table<'_>, includes_body: bool) -> Joint {
     }
 }
 
-/// Returns true if the joint's own inertia includes that of the body it turns, in addition to its rotor's: a paddle's and
-/// a turret's joint.
+/// Returns true if the joint's own inertia includes that of the body it turns, in addition to its rotor's: a paddle's
+/// and a turret's joint.
 pub fn includes_body_inertia(spec: &Spec, joint: usize) -> bool {
     joint == 0 && (spec.links.is_empty() || spec.task == 3)
 }
@@ -428,7 +429,8 @@ fn home(top: &Table<'_>, spec: &Spec, joints: &[Joint]) -> Result<Option<[f64; M
     Ok(Some(padded(&q)))
 }
 
-/// Returns the first joint whose modes, with the modes of the joints before it, leave the links no inertia at angles `q`.
+/// Returns the first joint whose modes, with the modes of the joints before it, leave the links no inertia at angles
+/// `q`.
 fn joint_without_remaining_inertia(description: &Description, q: &[f64; MAX_JOINTS]) -> Option<usize> {
     fn first<const N: usize, M: Mechanism<f64, N>>(
         mechanism: &M,

@@ -124,8 +124,8 @@ impl fmt::Display for Failure {
 
 impl std::error::Error for Failure {}
 
-/// Makes a text safe for a terminal: control characters, such as the ESC in a name from a file or a board, are escaped as
-/// in JSON. Newlines and tabs stay.
+/// Makes a text safe for a terminal: control characters, such as the ESC in a name from a file or a board, are escaped
+/// as in JSON. Newlines and tabs stay.
 pub fn visible(text: &str) -> Cow<'_, str> {
     escaped(text, &['\n', '\t'])
 }

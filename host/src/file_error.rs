@@ -195,7 +195,8 @@ impl Problem {
     }
 }
 
-/// Words of data sheets and other projects, a part of the name of the tables where they have this meaning, and the remedy.
+/// Words of data sheets and other projects, a part of the name of the tables where they have this meaning, and the
+/// remedy.
 const SHEET_WORDS: &[(&[&str], &str, &str)] = &[
     (
         &[

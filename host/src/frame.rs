@@ -1,5 +1,5 @@
-//! Converts between a device's task frame and the operator's frame, which other programs use: CHAI3D's has x towards the
-//! operator, y to the right and z up.
+//! Converts between a device's task frame and the operator's frame, which other programs use: CHAI3D's has x towards
+//! the operator, y to the right and z up.
 
 use haptic_bridge::model::catalogue::Kind;
 use std::str::FromStr;
@@ -9,8 +9,8 @@ use std::str::FromStr;
 pub struct Axes(pub [Option<(usize, f64)>; 3]);
 
 impl Axes {
-    /// Returns the axes of a mechanism in its usual position. A planar device stands upright if it has weight and otherwise
-    /// lies on the table.
+    /// Returns the axes of a mechanism in its usual position. A planar device stands upright if it has weight and
+    /// otherwise lies on the table.
     pub fn of(kind: Kind, weight: bool) -> Self {
         let (x, y, z) = (Some((0, 1.0)), Some((1, 1.0)), Some((2, 1.0)));
         let back = |axis: Option<(usize, f64)>| axis.map(|(index, sign)| (index, -sign));
@@ -30,7 +30,8 @@ impl Axes {
         self.0.map(|axis| axis.map_or(0.0, |(index, sign)| sign * task[index]))
     }
 
-    /// Converts a vector from CHAI3D's frame to the task frame; drops components along axes that the device does not have.
+    /// Converts a vector from CHAI3D's frame to the task frame; drops components along axes that the device does not
+    /// have.
     pub fn to_task(self, chai3d: [f64; 3]) -> [f64; 3] {
         let mut task = [0.0; 3];
         for (axis, value) in self.0.iter().zip(chai3d) {

@@ -15,10 +15,11 @@ const EDGE_TOLERANCE: f64 = 1.0e-6;
 pub struct Latency {
     /// Exchanges per second of the wire's clock.
     pub per_second: f64,
-    /// Time from the first byte of a request to the last byte of its reply, on the computer's clock; for a board simulated
-    /// in this process, on that board's.
+    /// Time from the first byte of a request to the last byte of its reply, on the computer's clock; for a board
+    /// simulated in this process, on that board's.
     pub round_trip: Spread,
-    /// Age of a state when the board receives the request computed from it: time between two states, on the board's clock.
+    /// Age of a state when the board receives the request computed from it: time between two states, on the board's
+    /// clock.
     pub age: Spread,
 }
 
@@ -52,8 +53,8 @@ pub struct Bin {
     pub count: usize,
 }
 
-/// Exchanges `exchanges` requests (at least 2) without a force, as fast as the board replies. Ends early if `stop`, which
-/// is called before each request, returns true.
+/// Exchanges `exchanges` requests (at least 2) without a force, as fast as the board replies. Ends early if `stop`,
+/// which is called before each request, returns true.
 pub fn measure(board: &mut Board, exchanges: usize, stop: impl Fn() -> bool) -> Result<Latency, LinkError> {
     let (mut round_trips, mut ages) = (Vec::new(), Vec::new());
     let began = board.now();

@@ -30,10 +30,10 @@
 //! | convert to the axes of another program | [`frame`] |
 //!
 //! Crates on top of this one: `haptic-flash` (firmware on a board), `haptic-sim` (a board without hardware),
-//! `haptic-stability` (which walls are stable), `haptic-predict` (measuring, tuning, design), `haptic-show` (recordings,
-//! drawings, the page) and the tool `haptic`. The programs in `examples/` press a wall, follow telemetry, push and
-//! predict a range in about twenty lines each. [`haptic_bridge`] is the code that runs on the board itself; this crate
-//! uses its types (scenes, gains, faults).
+//! `haptic-stability` (which walls are stable), `haptic-predict` (measuring, tuning, design), `haptic-show`
+//! (recordings, drawings, the page) and the tool `haptic`. The programs in `examples/` press a wall, follow telemetry,
+//! push and predict a range in about twenty lines each. [`haptic_bridge`] is the code that runs on the board itself;
+//! this crate uses its types (scenes, gains, faults).
 #![forbid(unsafe_code)]
 
 pub use haptic_bridge;

@@ -1,9 +1,9 @@
 //! The link to a board: finding its port, opening it, calling the endpoints, receiving telemetry.
 //!
 //! The bytes are `postcard-rpc`'s (its header, its keys, COBS frames ended by a zero), over a USB serial port, a
-//! pseudo-terminal, TCP, or in memory to a simulated board. Unlike postcard-rpc's own client, this one is synchronous and
-//! has no threads: a simulated board runs in lock step with its caller, so tests do not depend on a scheduler, and this
-//! side of the wire drops no telemetry (docs/protocol.md).
+//! pseudo-terminal, TCP, or in memory to a simulated board. Unlike postcard-rpc's own client, this one is synchronous
+//! and has no threads: a simulated board runs in lock step with its caller, so tests do not depend on a scheduler, and
+//! this side of the wire drops no telemetry (docs/protocol.md).
 
 mod board;
 mod client;

@@ -28,7 +28,8 @@ enum Place {
     Special,
 }
 
-/// Checks a path before the work for its file: refuses a file that may not be replaced, and a path that cannot be a file.
+/// Checks a path before the work for its file: refuses a file that may not be replaced, and a path that cannot be a
+/// file.
 pub fn check(path: &Path, overwrite: Overwrite) -> Result<(), Failure> {
     match place(path, overwrite)? {
         Place::Special => Ok(()),

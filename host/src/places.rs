@@ -1,5 +1,6 @@
-//! Places for unauthenticated connections. A new connection always gets a place: if all are taken, the oldest connection
-//! is closed. Strangers can therefore not block others, and they use a bounded number of threads and sockets.
+//! Places for unauthenticated connections. A new connection always gets a place: if all are taken, the oldest
+//! connection is closed. Strangers can therefore not block others, and they use a bounded number of threads and
+//! sockets.
 
 use std::net::{IpAddr, Ipv4Addr, Shutdown, TcpStream};
 use std::sync::atomic::{AtomicU64, Ordering};

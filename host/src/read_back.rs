@@ -1,7 +1,7 @@
 //! Writes a board's device and scene as files (docs/files.md), and lists the differences between two of them.
 //!
-//! A board that reads such a file gets the same numbers to the bit. A board stores less than a device file: the links of
-//! a mechanism are lumped into the coefficients of its equations of motion. A [`Description`] for [`device()`] must
+//! A board that reads such a file gets the same numbers to the bit. A board stores less than a device file: the links
+//! of a mechanism are lumped into the coefficients of its equations of motion. A [`Description`] for [`device()`] must
 //! therefore be computed first; [`joints`] and [`home`] return the parts that the board stores.
 
 use crate::digits::shorten;
@@ -239,8 +239,8 @@ pub fn rounds_to(number: f32) -> (f64, f64) {
     (middle(number.next_down()), middle(number.next_up()))
 }
 
-/// Returns a vector whose unit vector, computed in double precision, rounds to `rounded`. The length of `rounded` is not
-/// exactly 1, so all entries move by the same share of their rounding intervals until the length is 1.
+/// Returns a vector whose unit vector, computed in double precision, rounds to `rounded`. The length of `rounded` is
+/// not exactly 1, so all entries move by the same share of their rounding intervals until the length is 1.
 fn direction(rounded: &[f32; 3], task: usize) -> Vec<f64> {
     let rounded = &rounded[..task];
     let short = wide(rounded);
@@ -418,8 +418,8 @@ fn put_joint(entries: &mut Vec<Entry>, index: usize, joint: &description::Joint,
     }
 }
 
-/// Returns all that a board stores of a device, for comparisons: for its mechanism, the coefficients of the equations of
-/// motion ([`coefficients`]).
+/// Returns all that a board stores of a device, for comparisons: for its mechanism, the coefficients of the equations
+/// of motion ([`coefficients`]).
 pub fn running(device: &Device<f32>) -> Vec<Entry> {
     let spec = device.mechanism.kind().spec();
     let mut entries = Vec::new();

@@ -1,7 +1,7 @@
 //! Scene files (docs/files.md): TOML in, a checked [`Scene`] out, or an error that names the line.
 //!
-//! A scene uses the task coordinates of a device, so it is read for a task dimension: normals, points and directions must
-//! have exactly that many entries. Directions become unit vectors. Defaults:
+//! A scene uses the task coordinates of a device, so it is read for a task dimension: normals, points and directions
+//! must have exactly that many entries. Directions become unit vectors. Defaults:
 //! | key | default |
 //! |---|---|
 //! | `rate_hz` | 20000 |
@@ -163,8 +163,8 @@ fn rate(top: &Table<'_>) -> Result<f64, FileError> {
     Ok(rate_hz)
 }
 
-/// Reads the value of the estimator's own key and, for an estimator that a low-pass may follow, adds the low-pass if the
-/// file has a cutoff.
+/// Reads the value of the estimator's own key and, for an estimator that a low-pass may follow, adds the low-pass if
+/// the file has a cutoff.
 fn chosen(top: &Table<'_>, estimator: Estimator) -> Result<Estimator, FileError> {
     let (Some(spec), Some(usual)) = (estimator.spec(), estimator.chosen()) else { return Ok(estimator) };
     let mut value = usual.value;

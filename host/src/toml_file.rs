@@ -1,8 +1,8 @@
 //! TOML files whose values know their positions, so that every error names the file, the line and the remedy.
 //!
-//! [`Document`] parses a text; [`Table`] returns typed values and refuses unknown keys. Device files and scene files are
-//! read with both. [`Table::keep`] stores an error and lets reading continue, so that all errors of a file are reported
-//! at once.
+//! [`Document`] parses a text; [`Table`] returns typed values and refuses unknown keys. Device files and scene files
+//! are read with both. [`Table::keep`] stores an error and lets reading continue, so that all errors of a file are
+//! reported at once.
 
 pub use crate::file_error::{FileError, Problem};
 use crate::file_error::{Foreign, nearest};
@@ -81,8 +81,8 @@ impl Document {
         FileError::together(errors).map_or(found, Err)
     }
 
-    /// Returns line and column of a key's value: in `part` of the `index`-th table `table` (either may be empty). If the key
-    /// is missing, returns the position of the table.
+    /// Returns line and column of a key's value: in `part` of the `index`-th table `table` (either may be empty). If
+    /// the key is missing, returns the position of the table.
     pub fn find(&self, table: &str, index: Option<usize>, part: &str, key: &str) -> Option<(usize, usize)> {
         let root = DeTable::parse(&self.text).ok()?;
         let mut here = root.get_ref();
@@ -172,7 +172,8 @@ impl<'a> Table<'a> {
         }
     }
 
-    /// Returns the value; stores an error and returns `instead`, so that reading continues. The file is refused at the end.
+    /// Returns the value; stores an error and returns `instead`, so that reading continues. The file is refused at the
+    /// end.
     pub fn keep<T>(&self, value: Result<T, FileError>, instead: T) -> T {
         value.unwrap_or_else(|error| {
             self.shared.borrow_mut().errors.push(error);

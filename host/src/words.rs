@@ -3,8 +3,8 @@
 use haptic_bridge::render::scene::{FeedForward, Wall};
 use haptic_bridge::safety::fault::FaultRecord;
 
-/// Rewrites a message for users of a programming interface: replaces each command of the tool by the function that `calls`
-/// lists for it.
+/// Rewrites a message for users of a programming interface: replaces each command of the tool by the function that
+/// `calls` lists for it.
 pub fn commands_to_calls(text: &str, calls: &[(&str, &str)]) -> String {
     calls.iter().fold(text.into(), |text, (command, call)| text.replace(&format!("`haptic {command}`"), call))
 }
@@ -63,8 +63,8 @@ pub fn digits(value: f64) -> String {
     format!("{value:.5e}").parse::<f64>().unwrap_or(value).to_string()
 }
 
-/// Formats a ratio in per cent with `decimals` decimals and, if `signed`, its sign; a result that rounds to zero is never
-/// negative.
+/// Formats a ratio in per cent with `decimals` decimals and, if `signed`, its sign; a result that rounds to zero is
+/// never negative.
 pub fn percent(share: f64, decimals: i32, signed: bool) -> String {
     let shown = decimals.max(0) as usize;
     let rounded = (100.0 * share * 10.0_f64.powi(decimals)).round() / 10.0_f64.powi(decimals) + 0.0;

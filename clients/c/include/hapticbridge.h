@@ -1,8 +1,8 @@
 /* haptic-bridge boards for programs in C: libhapticbridge.
  *
  * Functions that can fail return HB_OK or another code; hb_error() then returns the message. Every function may
- * be called from any thread; calls on one board wait for each other. SI units; vectors are in the task frame or have one
- * entry per joint, with zeros in entries that the device does not have.
+ * be called from any thread; calls on one board wait for each other. SI units; vectors are in the task frame or have
+ * one entry per joint, with zeros in entries that the device does not have.
  *
  * Generated from clients/c/src/lib.rs by cbindgen. */
 
@@ -211,8 +211,8 @@ extern "C" {
 uint32_t hb_version(void);
 
 /*
- Returns the message of the last failed call of this thread; after hb_exchange() also the number of a HB_BAD request, or
- the latched fault. Never NULL; the pointer stays the same for the life of the thread.
+ Returns the message of the last failed call of this thread; after hb_exchange() also the number of a HB_BAD request,
+ or the latched fault. Never NULL; the pointer stays the same for the life of the thread.
  */
 const char *hb_error(void);
 
@@ -233,8 +233,8 @@ hb_board *hb_open(const char *port);
 void hb_close(hb_board *board);
 
 /*
- Loads a device file and a scene file; a NULL scene is free space. Motors must be off. The device must be homed again. The
- polarity check stays valid if the same device is loaded again and homed close to its earlier home.
+ Loads a device file and a scene file; a NULL scene is free space. Motors must be off. The device must be homed
+ again. The polarity check stays valid if the same device is loaded again and homed close to its earlier home.
  */
 int32_t hb_load(const hb_board *board, const char *device_file, const char *scene_file);
 
@@ -249,14 +249,14 @@ int32_t hb_set_scene(const hb_board *board, const char *scene_file);
 int32_t hb_home(const hb_board *board);
 
 /*
- Checks that every motor turns its joint in the direction that its encoder counts. Moves each joint a little and waits
- for the end of the check; returns HB_OK only if all joints pass.
+ Checks that every motor turns its joint in the direction that its encoder counts. Moves each joint a little and
+ waits for the end of the check; returns HB_OK only if all joints pass.
  */
 int32_t hb_check_polarity(const hb_board *board);
 
 /*
- Turns the motors on; torque ramps up over half a second. hb_exchange(), also with NULL, must then be called as often as
- the board's rules require a heartbeat: by default every half second.
+ Turns the motors on; torque ramps up over half a second. hb_exchange(), also with NULL, must then be called as often
+ as the board's rules require a heartbeat: by default every half second.
  */
 int32_t hb_arm(const hb_board *board);
 
@@ -271,15 +271,15 @@ int32_t hb_disarm(const hb_board *board);
 int32_t hb_clear(const hb_board *board);
 
 /*
- Sets the time for which hb_exchange() waits for its reply, s. By default it waits for 0.1 and retries for one second in
- total. A program with a faster loop sets a shorter time, which then is the most that a lost frame costs.
+ Sets the time for which hb_exchange() waits for its reply, s. By default it waits for 0.1 and retries for one second
+ in total. A program with a faster loop sets a shorter time, which then is the most that a lost frame costs.
  */
 int32_t hb_wait_for_forces(const hb_board *board, double seconds);
 
 /*
- Sends a request (NULL only reads the state) and waits for the reply, usually less than a millisecond. Without a reply it
- returns HB_UNANSWERED, see hb_wait_for_forces(), and the next request is independent. A refused request is not a
- failure: hb_state.done gives the reason. Allocates no memory after the first calls, except for messages for
+ Sends a request (NULL only reads the state) and waits for the reply, usually less than a millisecond. Without a
+ reply it returns HB_UNANSWERED, see hb_wait_for_forces(), and the next request is independent. A refused request is
+ not a failure: hb_state.done gives the reason. Allocates no memory after the first calls, except for messages for
  hb_error().
  */
 int32_t hb_exchange(const hb_board *board, const hb_request *request, hb_state *state);

@@ -276,8 +276,8 @@ pub extern "C" fn hb_version() -> u32 {
     HB_VERSION
 }
 
-/// Returns the message of the last failed call of this thread; after hb_exchange() also the number of a HB_BAD request, or
-/// the latched fault. Never NULL; the pointer stays the same for the life of the thread.
+/// Returns the message of the last failed call of this thread; after hb_exchange() also the number of a HB_BAD request,
+/// or the latched fault. Never NULL; the pointer stays the same for the life of the thread.
 #[unsafe(no_mangle)]
 pub extern "C" fn hb_error() -> *const c_char {
     ERROR.with(|error| error.get().cast_const().cast())
@@ -322,8 +322,8 @@ pub unsafe extern "C" fn hb_close(board: *mut Board) {
     }
 }
 
-/// Loads a device file and a scene file; a NULL scene is free space. Motors must be off. The device must be homed again. The
-/// polarity check stays valid if the same device is loaded again and homed close to its earlier home.
+/// Loads a device file and a scene file; a NULL scene is free space. Motors must be off. The device must be homed
+/// again. The polarity check stays valid if the same device is loaded again and homed close to its earlier home.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn hb_load(board: *const Board, device_file: *const c_char, scene_file: *const c_char) -> i32 {
     // SAFETY: as the caller promises.
@@ -368,8 +368,8 @@ pub unsafe extern "C" fn hb_home(board: *const Board) -> i32 {
     unsafe { with(board, |session| Ok(session.home()?)) }
 }
 
-/// Checks that every motor turns its joint in the direction that its encoder counts. Moves each joint a little and waits
-/// for the end of the check; returns HB_OK only if all joints pass.
+/// Checks that every motor turns its joint in the direction that its encoder counts. Moves each joint a little and
+/// waits for the end of the check; returns HB_OK only if all joints pass.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn hb_check_polarity(board: *const Board) -> i32 {
     let check = |session: &mut Session| {
@@ -380,8 +380,8 @@ pub unsafe extern "C" fn hb_check_polarity(board: *const Board) -> i32 {
     unsafe { with(board, check) }
 }
 
-/// Turns the motors on; torque ramps up over half a second. hb_exchange(), also with NULL, must then be called as often as
-/// the board's rules require a heartbeat: by default every half second.
+/// Turns the motors on; torque ramps up over half a second. hb_exchange(), also with NULL, must then be called as often
+/// as the board's rules require a heartbeat: by default every half second.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn hb_arm(board: *const Board) -> i32 {
     // SAFETY: as the caller promises.
@@ -402,8 +402,8 @@ pub unsafe extern "C" fn hb_clear(board: *const Board) -> i32 {
     unsafe { with(board, |session| Ok(session.clear()?)) }
 }
 
-/// Sets the time for which hb_exchange() waits for its reply, s. By default it waits for 0.1 and retries for one second in
-/// total. A program with a faster loop sets a shorter time, which then is the most that a lost frame costs.
+/// Sets the time for which hb_exchange() waits for its reply, s. By default it waits for 0.1 and retries for one second
+/// in total. A program with a faster loop sets a shorter time, which then is the most that a lost frame costs.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn hb_wait_for_forces(board: *const Board, seconds: f64) -> i32 {
     // SAFETY: as the caller promises.
@@ -417,9 +417,9 @@ pub unsafe extern "C" fn hb_wait_for_forces(board: *const Board, seconds: f64) -
     }
 }
 
-/// Sends a request (NULL only reads the state) and waits for the reply, usually less than a millisecond. Without a reply it
-/// returns HB_UNANSWERED, see hb_wait_for_forces(), and the next request is independent. A refused request is not a
-/// failure: hb_state.done gives the reason. Allocates no memory after the first calls, except for messages for
+/// Sends a request (NULL only reads the state) and waits for the reply, usually less than a millisecond. Without a
+/// reply it returns HB_UNANSWERED, see hb_wait_for_forces(), and the next request is independent. A refused request is
+/// not a failure: hb_state.done gives the reason. Allocates no memory after the first calls, except for messages for
 /// hb_error().
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn hb_exchange(board: *const Board, request: *const Request, state: *mut State) -> i32 {

@@ -5,8 +5,8 @@ use std::path::Path;
 const BEGIN: &str = "/* haptic-bridge boards for programs in C: libhapticbridge.
  *
  * Functions that can fail return HB_OK or another code; hb_error() then returns the message. Every function may
- * be called from any thread; calls on one board wait for each other. SI units; vectors are in the task frame or have one
- * entry per joint, with zeros in entries that the device does not have.
+ * be called from any thread; calls on one board wait for each other. SI units; vectors are in the task frame or have
+ * one entry per joint, with zeros in entries that the device does not have.
  *
  * Generated from clients/c/src/lib.rs by cbindgen. */";
 

@@ -156,8 +156,8 @@ impl HdDevice {
         Some(self.axes.to_chai3d(self.last.velocity.map(f64::from)))
     }
 
-    /// Sends a force (N), waits for the next tick and reads the state. An invalid force is replaced by zero, and the call
-    /// fails. While the board is gone, tries to reopen it from time to time.
+    /// Sends a force (N), waits for the next tick and reads the state. An invalid force is replaced by zero, and the
+    /// call fails. While the board is gone, tries to reopen it from time to time.
     pub fn force(&mut self, force: [f64; 3]) -> bool {
         let usable = force.iter().all(|newtons| newtons.abs() <= f64::from(MOST_HELD_FORCE));
         if !usable && !self.is_absurd_reported {
@@ -218,7 +218,8 @@ impl HdDevice {
         false
     }
 
-    /// Reopens a lost board if it is back. Its motors stay as they are, because the user who plugs it in may be holding it.
+    /// Reopens a lost board if it is back. Its motors stay as they are, because the user who plugs it in may be holding
+    /// it.
     fn reopen(&mut self) {
         let Ok(mut session) = (self.open)() else { return };
         match read_device(&mut session) {

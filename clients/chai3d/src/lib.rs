@@ -25,7 +25,8 @@ static CONNECTION: Mutex<Connection> = Mutex::new(Connection::NotYet);
 const DONE: c_int = 0;
 const FAILED: c_int = -1;
 
-/// Runs `work` with the board and opens the board first if necessary. After a panic the board is dropped, which disarms it.
+/// Runs `work` with the board and opens the board first if necessary. After a panic the board is dropped, which disarms
+/// it.
 fn with(id: c_int, work: impl FnOnce(&mut HdDevice) -> bool) -> c_int {
     if id != 0 {
         return FAILED;

@@ -127,9 +127,10 @@ struct OpenBoard {
 
 /// A board that this program holds.
 ///
-/// Board(port): a serial port or serial number, "tcp:HOST:PORT", "sim" or "sim:DEVICE.toml"; by default the only connected
-/// board. Use it in a `with` block: the motors go off when the block ends for any reason, and when the Board is deleted.
-/// Calls from several threads wait for each other; none holds the interpreter's lock while it waits for the board.
+/// Board(port): a serial port or serial number, "tcp:HOST:PORT", "sim" or "sim:DEVICE.toml"; by default the only
+/// connected board. Use it in a `with` block: the motors go off when the block ends for any reason, and when the Board
+/// is deleted. Calls from several threads wait for each other; none holds the interpreter's lock while it waits for the
+/// board.
 #[pyclass(frozen, module = "haptic_bridge")]
 pub struct Board(Mutex<Option<OpenBoard>>);
 
@@ -239,8 +240,8 @@ impl Board {
         self.with(py, |open| Ok(open.session.status()?.fault.as_ref().map(fault_text)))
     }
 
-    /// Loads a device and a scene; without a scene, free space. Motors must be off. The device must be homed again; the polarity
-    /// check stays valid if the same device is loaded again and homed close to its earlier home.
+    /// Loads a device and a scene; without a scene, free space. Motors must be off. The device must be homed again; the
+    /// polarity check stays valid if the same device is loaded again and homed close to its earlier home.
     #[pyo3(signature = (device, scene = None))]
     fn load(&self, py: Python<'_>, device: &PyDevice, scene: Option<&Scene>) -> PyResult<()> {
         let data = device.file.device().map_err(|error| RequestError::new_err(error.to_string()))?;
@@ -265,8 +266,8 @@ impl Board {
         self.with(py, |open| open.session.home())
     }
 
-    /// Checks that every motor turns its joint in the direction that its encoder counts. Moves each joint a little and waits
-    /// for the end of the check. Raises RefusedError if a joint fails or the check was ended early.
+    /// Checks that every motor turns its joint in the direction that its encoder counts. Moves each joint a little and
+    /// waits for the end of the check. Raises RefusedError if a joint fails or the check was ended early.
     fn check_polarity(&self, py: Python<'_>) -> PyResult<()> {
         let outcome = self.with(py, |open| {
             open.session.check_polarity()?;
@@ -275,8 +276,8 @@ impl Board {
         outcome.passed().map_err(|failure| errors::refused(&failure.to_string()))
     }
 
-    /// Turns the motors on; torque ramps up over half a second. Then call look, force or torque as often as the board's rules
-    /// require a heartbeat: by default every half second.
+    /// Turns the motors on; torque ramps up over half a second. Then call look, force or torque as often as the board's
+    /// rules require a heartbeat: by default every half second.
     fn arm(&self, py: Python<'_>) -> PyResult<()> {
         self.with(py, |open| open.session.arm())
     }
@@ -306,8 +307,8 @@ impl Board {
             .map_err(|walls| RequestError::new_err(format!("the scene has {walls} walls, so there is no wall {wall}")))
     }
 
-    /// Sets the time for which look, force and torque wait for their reply, s. By default they wait for 0.1 and retry for one
-    /// second in total. Without a reply they raise UnansweredError, and the next request is independent.
+    /// Sets the time for which look, force and torque wait for their reply, s. By default they wait for 0.1 and retry
+    /// for one second in total. Without a reply they raise UnansweredError, and the next request is independent.
     fn wait_for_forces(&self, py: Python<'_>, seconds: f64) -> PyResult<()> {
         let patience = Duration::try_from_secs_f64(seconds)
             .map_err(|_| RequestError::new_err(format!("a time must be at least 0 s, not {seconds}")))?;
@@ -324,9 +325,10 @@ impl Board {
 
     /// Pushes with a force (N) at the tip, up to 3 entries in the task frame, which replaces the previous request.
     ///
-    /// hold_s: time for which it acts in full; fade_s: time in which it then fades to zero; 0 to 0.2 s each. contact: (point
-    /// (m), unit normal, stiffness (N/m), damping (N s/m)) of a plane that the board renders at its own rate. An invalid number
-    /// raises RequestError; a request that is refused for another reason raises nothing: State.done gives the reason.
+    /// hold_s: time for which it acts in full; fade_s: time in which it then fades to zero; 0 to 0.2 s each. contact:
+    /// (point (m), unit normal, stiffness (N/m), damping (N s/m)) of a plane that the board renders at its own rate. An
+    /// invalid number raises RequestError; a request that is refused for another reason raises nothing: State.done
+    /// gives the reason.
     #[pyo3(signature = (force, *, contact = None, hold_s = link::HOLD, fade_s = link::FADE))]
     fn force(
         &self,
@@ -357,8 +359,8 @@ impl Board {
         self.exchange(py, ForceRequest { hold: hold_s, fade: fade_s, torque, ..ForceRequest::default() })
     }
 
-    /// Starts a stream of every `divider`-th control period's fields (names of docs/telemetry.md separated by commas, or
-    /// "usual", "all"). Returns the column names of `rows`.
+    /// Starts a stream of every `divider`-th control period's fields (names of docs/telemetry.md separated by commas,
+    /// or "usual", "all"). Returns the column names of `rows`.
     #[pyo3(signature = (fields = "usual", divider = 1))]
     fn start_stream(&self, py: Python<'_>, fields: &str, divider: u32) -> PyResult<Vec<String>> {
         let fields = link::fields(fields).map_err(RequestError::new_err)?;

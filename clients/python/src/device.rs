@@ -63,8 +63,8 @@ fn unwrap_poses<T>(found: Vec<Result<T, Failure>>, keep: bool) -> PyResult<Vec<O
 /// takes longer, and a controller asks for one pose at a time.
 const MAX_IN_CALLER: usize = 64;
 
-/// Computes the results of `count` poses with the interpreter's lock released: at most `alone` poses in this thread, more on
-/// all cores, where Ctrl-C ends the computation.
+/// Computes the results of `count` poses with the interpreter's lock released: at most `alone` poses in this thread,
+/// more on all cores, where Ctrl-C ends the computation.
 fn compute_poses<T: Send>(
     py: Python<'_>,
     count: usize,
@@ -203,8 +203,9 @@ impl PyDevice {
 
     /// Computes the model at poses, like `haptic model`.
     ///
-    /// q: (..., N) rad. qd: (..., N) rad/s, zero by default. With a wall's normal (d,) or (..., d) of any length and its
-    /// force in N, the result includes the terms of equation (4). precision "f32" uses a board's mechanism and sines.
+    /// q: (..., N) rad. qd: (..., N) rad/s, zero by default. With a wall's normal (d,) or (..., d) of any length and
+    /// its force in N, the result includes the terms of equation (4). precision "f32" uses a board's mechanism and
+    /// sines.
     ///
     /// Returns a dict of arrays: position (..., d) m, jacobian (..., d, N) m/rad, mass (..., N, N) kg m², bias (..., N)
     /// N m: c + g; condition_jacobian, condition_mass (...). With a normal: w_rr, w_eff, coupling (...) kg, w_ra (...,
@@ -271,13 +272,14 @@ impl PyDevice {
         Ok(columns.into)
     }
 
-    /// Predicts which walls are stable at poses, like `haptic range` (rates and cutoffs in Hz, delay in control samples).
+    /// Predicts which walls are stable at poses, like `haptic range` (rates and cutoffs in Hz, delay in control
+    /// samples).
     ///
-    /// q: (..., N) rad; normal: (d,) or (..., d). kd: the k dampings (N s/m) of the boundary's points; by default k is 200, in
-    /// even steps up to kd_max. estimator: butterworth, first-order, backward-difference or predicted. drive: ideal, voltage
-    /// or current. hand: (kg, N s/m, N/m). posture: stiffness and damping that hold a redundant device's posture,
-    /// (N m/rad, N m s/rad). host_rate_hz and host_delay_s (s, by default one request's time) add the analysis of a wall that
-    /// a program on a computer renders.
+    /// q: (..., N) rad; normal: (d,) or (..., d). kd: the k dampings (N s/m) of the boundary's points; by default k is
+    /// 200, in even steps up to kd_max. estimator: butterworth, first-order, backward-difference or predicted. drive:
+    /// ideal, voltage or current. hand: (kg, N s/m, N/m). posture: stiffness and damping that hold a redundant device's
+    /// posture, (N m/rad, N m s/rad). host_rate_hz and host_delay_s (s, by default one request's time) add the analysis
+    /// of a wall that a program on a computer renders.
     ///
     /// Returns a dict: w_eff, w_rr (...) kg, area_ratio (...), and for each of "off", "full", "washout" (with
     /// washout_hz) and "host" a dict of area (...) N² s/m², kd_max (...) N s/m, kd and kp (..., k) in N s/m and N/m.
@@ -412,8 +414,8 @@ impl PyDevice {
         Ok(columns.into)
     }
 
-    /// Computes the inertia over the reachable workspace, like `haptic map`, on a grid of about `points` poses, M of which are
-    /// reachable.
+    /// Computes the inertia over the reachable workspace, like `haptic map`, on a grid of about `points` poses, M of
+    /// which are reachable.
     ///
     /// Returns a dict of arrays: q (M, N) rad, position (M, d) m, w_eff, w_rr, coupling (M,) kg along the normal (d,),
     /// condition_jacobian, condition_mass (M,), worst_ratio (M,), worst_ratio_normal (M, d), worst_coupling (M,) kg,

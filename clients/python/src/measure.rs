@@ -47,30 +47,31 @@ struct Measured {
 /// Measures which walls are stable on a board, like `haptic measure-range`; moves the motors.
 ///
 /// For every damping the stiffness is raised until the telemetry shows a motion that grows or continues as a vibration.
-/// The stiffness is then reduced at once, and the boundary is bisected. No theory is used. The board's earlier scene and
-/// rules are restored. Take the hand off the device. Ctrl-C and any exception turn the motors off.
+/// The stiffness is then reduced at once, and the boundary is bisected. No theory is used. The board's earlier scene
+/// and rules are restored. Take the hand off the device. Ctrl-C and any exception turn the motors off.
 ///
-/// Without a board the device is simulated in this process, as fast as the computer can, with: q, its pose, shape (N,) rad
-/// (default: home); friction "all", "viscous", "coulomb" or "none"; ideal_drive, whose torques act at once; counts per
-/// turn of every encoder (default: the device file's); grip, a relaxed hand at the tip. A board is measured in its present
-/// pose and state: it must hold this device, and a real one needs yes=True, which confirms that you know that it will move.
+/// Without a board the device is simulated in this process, as fast as the computer can, with: q, its pose, shape (N,)
+/// rad (default: home); friction "all", "viscous", "coulomb" or "none"; ideal_drive, whose torques act at once; counts
+/// per turn of every encoder (default: the device file's); grip, a relaxed hand at the tip. A board is measured in its
+/// present pose and state: it must hold this device, and a real one needs yes=True, which confirms that you know that
+/// it will move.
 ///
-/// normal: (d,), a wall at the tip; or (W, d), walls that act together with the shares share, shape (W,) (default: equal),
-/// those listed in no_feed_forward (counted from 0) without feed-forward; stiffness and damping are then the totals.
-/// feed_forward: "both" (off and full), "all" (washout as well), "off", "full" or "washout". kd: the dampings, N s/m
-/// (default: `points` even steps up to the end of the range). torque_limit_nm: largest joint torque, N m; pull_m: largest
-/// distance to which the tip is pulled aside, m; every repeat pulls in the same direction.
+/// normal: (d,), a wall at the tip; or (W, d), walls that act together with the shares share, shape (W,) (default:
+/// equal), those listed in no_feed_forward (counted from 0) without feed-forward; stiffness and damping are then the
+/// totals. feed_forward: "both" (off and full), "all" (washout as well), "off", "full" or "washout". kd: the dampings,
+/// N s/m (default: `points` even steps up to the end of the range). torque_limit_nm: largest joint torque, N m; pull_m:
+/// largest distance to which the tip is pulled aside, m; every repeat pulls in the same direction.
 ///
 /// progress: a file that is written after every repeat; the same call with it continues an interrupted measurement.
 /// told: called with (repeats done, total repeats); it must not use the board.
 ///
 /// Returns a dict: q (N,) rad; encoder_step_m; loop, the keywords with which Device.range predicts the same loop, as in
-/// device.range(found["q"], normal, kd=found["off"]["kd"], **found["loop"]); and for each measured one of "off", "full",
-/// "washout" a dict over its k dampings, ascending: kd (k,) N s/m; kp (k,) N/m, the median of repeats (k, R), with R the
-/// largest number of repeats of any damping; low, high (k,) their bounds; vibration_m (k,), the peak-to-peak vibration just
-/// beyond, NaN if the motion grew; stable_up_to (k,) N/m and why (k texts, otherwise None) if the boundary was not found,
-/// and kp may then be NaN; kd_max, the end of the range, NaN if it was not measured; and kd_max_open, the reason why it was
-/// not found, or None.
+/// device.range(found["q"], normal, kd=found["off"]["kd"], **found["loop"]); and for each measured one of "off",
+/// "full", "washout" a dict over its k dampings, ascending: kd (k,) N s/m; kp (k,) N/m, the median of repeats (k, R),
+/// with R the largest number of repeats of any damping; low, high (k,) their bounds; vibration_m (k,), the peak-to-peak
+/// vibration just beyond, NaN if the motion grew; stable_up_to (k,) N/m and why (k texts, otherwise None) if the
+/// boundary was not found, and kp may then be NaN; kd_max, the end of the range, NaN if it was not measured; and
+/// kd_max_open, the reason why it was not found, or None.
 ///
 /// Raises ImpossibleError if no boundary was found at all, LinkError, RefusedError.
 #[pyfunction]

@@ -16,9 +16,9 @@ const SIGNAL_INTERVAL: f64 = 0.02;
 
 /// A simulated board with a device: the firmware's code with a simulated linkage, motors and encoders.
 ///
-/// Simulation(device, scene=None, *, ideal=False, friction=True, strict=False): without a scene, free space; ideal motors
-/// make the commanded torque at once; a strict board requires homing, the polarity check and verified motors, like a real
-/// one. Time passes only in `run`, in `drive` and while a Board of the simulation waits for a reply.
+/// Simulation(device, scene=None, *, ideal=False, friction=True, strict=False): without a scene, free space; ideal
+/// motors make the commanded torque at once; a strict board requires homing, the polarity check and verified motors,
+/// like a real one. Time passes only in `run`, in `drive` and while a Board of the simulation waits for a reply.
 #[pyclass(frozen, module = "haptic_bridge")]
 pub struct Simulation {
     shared: SharedBoard,
@@ -75,9 +75,9 @@ impl Simulation {
         format!("<Simulation: {} s, tip {:?} m>", board.time(), &board.device().tip()[..self.task])
     }
 
-    /// Runs one control period with the device at rest at q (N,) rad, and returns the motors' torques, N m, shape (N,), so
-    /// that another program can simulate the device. The encoders round q to their counts; the velocities are the board's
-    /// estimates.
+    /// Runs one control period with the device at rest at q (N,) rad, and returns the motors' torques, N m, shape (N,),
+    /// so that another program can simulate the device. The encoders round q to their counts; the velocities are the
+    /// board's estimates.
     fn drive<'py>(&self, py: Python<'py>, q: Vec<f64>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
         let q = self.angles(&q)?;
         let torque = py.detach(|| {

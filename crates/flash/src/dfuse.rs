@@ -1,8 +1,8 @@
 //! One session with a DfuSe boot loader: set the address, erase, write, read, leave.
 //!
-//! A command is sent with one request. The first status request afterwards starts it, and a later status reports its end;
-//! each status contains the time to wait before the next one (AN2662). Numbers of requests, states and statuses: DFU 1.1,
-//! sections 3 and 6.1.
+//! A command is sent with one request. The first status request afterwards starts it, and a later status reports its
+//! end; each status contains the time to wait before the next one (AN2662). Numbers of requests, states and statuses:
+//! DFU 1.1, sections 3 and 6.1.
 
 use std::time::Duration;
 
@@ -131,8 +131,8 @@ const FIRST_BLOCK: u16 = 2;
 const SET_ADDRESS: u8 = 0x21;
 const ERASE: u8 = 0x41;
 
-/// Longer than any command takes: a sector of 128 KB is erased in 4 s at the chip's lowest supply (STM32F405 data sheet,
-/// table "Flash memory programming").
+/// Longer than any command takes: a sector of 128 KB is erased in 4 s at the chip's lowest supply (STM32F405 data
+/// sheet, table "Flash memory programming").
 const LONGEST: Duration = Duration::from_secs(20);
 /// Shortest interval between two status requests.
 const PAUSE: Duration = Duration::from_millis(2);
@@ -183,8 +183,8 @@ impl<T: Transport> Dfuse<T> {
         self.wait_for_end(|| format!("write {} bytes at {address:#010x}", bytes.len()))
     }
 
-    /// Reads flash. The address of a block is its number times the requested length (AN2662), so a shorter last block needs
-    /// its own address.
+    /// Reads flash. The address of a block is its number times the requested length (AN2662), so a shorter last block
+    /// needs its own address.
     pub fn read(&mut self, address: u32, length: usize) -> Result<Vec<u8>, DfuError> {
         let mut bytes = Vec::with_capacity(length);
         let whole = length - length % self.transfer();
@@ -267,7 +267,8 @@ impl<T: Transport> Dfuse<T> {
         }
     }
 
-    /// Waits before the next status request, or fails if the command has taken too long since it `began`, replies included.
+    /// Waits before the next status request, or fails if the command has taken too long since it `began`, replies
+    /// included.
     fn pause(&mut self, requested: Duration, began: Duration, doing: impl Fn() -> String) -> Result<(), DfuError> {
         let pause = requested.max(PAUSE);
         if self.transport.now() - began + pause > LONGEST {

@@ -1,8 +1,8 @@
 //! The flash sequence: which sectors are erased, and which blocks are written and compared, in which order.
 //!
 //! The sector of the vectors is erased first and written last. Until the end, the chip finds no vectors and starts no
-//! program, so an interrupted board keeps its bridges off. After a power cut while the vectors are written, the checksum
-//! behind them is missing, and the firmware refuses to arm (`ImageDamaged`).
+//! program, so an interrupted board keeps its bridges off. After a power cut while the vectors are written, the
+//! checksum behind them is missing, and the firmware refuses to arm (`ImageDamaged`).
 
 use crate::image::{FLASH_START, Image, SETTINGS};
 use crate::layout::{Layout, Sector};
@@ -38,7 +38,8 @@ pub enum Misfit {
     OtherChip,
 }
 
-/// Start addresses of the chip's first sectors, four of 16 KB and one of 64 KB (RM0090, table "Flash module organization").
+/// Start addresses of the chip's first sectors, four of 16 KB and one of 64 KB (RM0090, table "Flash module
+/// organization").
 const FIRST_SECTORS: [u32; 6] = [FLASH_START, 0x0800_4000, 0x0800_8000, 0x0800_C000, 0x0801_0000, 0x0802_0000];
 
 /// Returns the flash sequence of an image, with blocks of at most `transfer` bytes.

@@ -1,5 +1,5 @@
-//! Flashes a board that runs or is in its boot loader: finds it, identifies it, reads its settings, enters the boot loader,
-//! erases, writes, reads back, leaves, waits for the board, compares versions, restores settings.
+//! Flashes a board that runs or is in its boot loader: finds it, identifies it, reads its settings, enters the boot
+//! loader, erases, writes, reads back, leaves, waits for the board, compares versions, restores settings.
 //!
 //! At any interruption the board has its complete old image, its complete new image, or no image that starts and arms
 //! ([`crate::flash_sequence`]); the error says which, with the remedy.

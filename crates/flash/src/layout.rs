@@ -1,7 +1,7 @@
 //! The sectors of a memory, as the boot loader describes them in the name of its interface.
 //!
-//! `@Internal Flash  /0x08000000/04*016Kg,01*064Kg,07*128Kg`: a name, then an address and the sectors from there; further
-//! pairs of address and sectors may follow. Format: UM0424 section 10.3.2.
+//! `@Internal Flash  /0x08000000/04*016Kg,01*064Kg,07*128Kg`: a name, then an address and the sectors from there;
+//! further pairs of address and sectors may follow. Format: UM0424 section 10.3.2.
 
 /// One sector.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -1,5 +1,5 @@
-//! Flashes through a debug probe with an installed probe-rs. The image is passed as Intel HEX, which contains addresses, so
-//! the settings between its segments stay.
+//! Flashes through a debug probe with an installed probe-rs. The image is passed as Intel HEX, which contains
+//! addresses, so the settings between its segments stay.
 
 use std::io::{self, Write as _};
 use std::process::{Command, Stdio};

@@ -29,8 +29,8 @@ impl Bus {
     }
 }
 
-/// Returns true if the motors of a running board are on, with the names of settings that a restart would lose. `None` if
-/// the board has another version of the protocol, in which it cannot be asked.
+/// Returns true if the motors of a running board are on, with the names of settings that a restart would lose. `None`
+/// if the board has another version of the protocol, in which it cannot be asked.
 pub fn motors_and_unsaved(serial: &str) -> Result<Option<(bool, Vec<&'static str>)>, BoardError> {
     let Some(mut board) = open_same_protocol(serial)? else { return Ok(None) };
     let drives = board.status()?.state.drives();

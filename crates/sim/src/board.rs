@@ -1,7 +1,7 @@
 //! The simulated board: the firmware's control loop, service and protocol around a simulated device.
 //!
-//! Time is a count of carrier periods, so a run is the same on every machine. A period runs as on the chip: samples at the
-//! carrier's crest, control at every `divider`-th crest, duties in force half a carrier period later.
+//! Time is a count of carrier periods, so a run is the same on every machine. A period runs as on the chip: samples at
+//! the carrier's crest, control at every `divider`-th crest, duties in force half a carrier period later.
 
 use super::device::{DeviceError, Options, SimulatedDevice, Support};
 use super::faults::BoardFaults;
@@ -49,11 +49,11 @@ pub struct BoardOptions {
     pub drive: DriveModel,
     /// Time from sampling to the duty in force, in carrier periods, 0 to 1. The real boards have 0.5.
     pub delay: f64,
-    /// True if the board requires the same steps as a real one: verified motors, limits, homing, polarity check. Its encoders
-    /// then start at zero in any pose of the device; otherwise they know their angle.
+    /// True if the board requires the same steps as a real one: verified motors, limits, homing, polarity check. Its
+    /// encoders then start at zero in any pose of the device; otherwise they know their angle.
     pub strict: bool,
-    /// Support by a user from power-on until the motors carry the device, as docs/bring-up.md asks: the user carries its
-    /// weight during a polarity check, then returns it, and holds it while the torque ramps up after arming.
+    /// Support by a user from power-on until the motors carry the device, as docs/bring-up.md asks: the user carries
+    /// its weight during a polarity check, then returns it, and holds it while the torque ramps up after arming.
     pub support: Support,
     /// Number of motor axes.
     pub axes: usize,
@@ -289,8 +289,8 @@ impl SimulatedBoard {
         }
     }
 
-    /// Puts a hand on the tip that follows a loop whenever the motors are armed, from the loop's start. While they are off, it
-    /// waits outside the walls, because a board whose tip is inside a wall does not arm.
+    /// Puts a hand on the tip that follows a loop whenever the motors are armed, from the loop's start. While they are
+    /// off, it waits outside the walls, because a board whose tip is inside a wall does not arm.
     pub fn set_hand_loop(&mut self, settings: HandSettings, hand_loop: HandLoop) {
         let hand = Hand::new(settings, hand_loop.wait(), self.device.tip(), self.device.time());
         self.device.set_hand(hand);
@@ -369,8 +369,8 @@ impl SimulatedBoard {
         self.last_counts = samples.counts;
     }
 
-    /// Adds the step to the stream. A row that the link has no room for is dropped before it is packed, as on the chip, so
-    /// that every numbered batch is sent.
+    /// Adds the step to the stream. A row that the link has no room for is dropped before it is packed, as on the chip,
+    /// so that every numbered batch is sent.
     fn record(&mut self) {
         let frame = self.machine.control_loop.frame();
         if !self.packer.wants(frame.step) {
@@ -435,8 +435,8 @@ impl SimulatedBoard {
         self.injected = Some((fault, axis, value));
     }
 
-    /// Returns the time since the host's last heartbeat, or since its key was seen down, and the time allowed before the board
-    /// acts, s; `None` while the board would not act.
+    /// Returns the time since the host's last heartbeat, or since its key was seen down, and the time allowed before
+    /// the board acts, s; `None` while the board would not act.
     pub fn host_silence(&self) -> Option<(f64, f64)> {
         let (rules, control_loop) = (self.service.rules(), &self.machine.control_loop);
         let host = (rules.host_action != HostAction::Ignore).then(|| (control_loop.host_silent(), rules.host_seconds));

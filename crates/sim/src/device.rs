@@ -22,8 +22,8 @@ pub struct Options {
     pub substep: f64,
     /// Distance of a joint's mechanical stop beyond its limits, rad; joints without limits have no stop.
     pub stop_margin: f64,
-    /// True if the linkage has a soft stop before every singularity, as if a user were careful: a simulated hand would fold a
-    /// device whose file gives its joints no limits.
+    /// True if the linkage has a soft stop before every singularity, as if a user were careful: a simulated hand would
+    /// fold a device whose file gives its joints no limits.
     pub soft_stop: bool,
 }
 

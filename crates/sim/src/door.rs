@@ -1,7 +1,7 @@
 //! The ports of a served board: a pseudo-terminal or a TCP address.
 //!
-//! A second tool on TCP receives the message that the board is taken; on a pseudo-terminal a lock refuses it. A tool that
-//! holds the board in silence loses it to the second tool, and a request to disarm is always carried out.
+//! A second tool on TCP receives the message that the board is taken; on a pseudo-terminal a lock refuses it. A tool
+//! that holds the board in silence loses it to the second tool, and a request to disarm is always carried out.
 
 use haptic_bridge::board::protocol::Disarm;
 use haptic_host::link::{Deframer, Occupied, encode, nothing_yet};
@@ -49,8 +49,8 @@ pub(super) const DISARM_ANSWER: Duration = Duration::from_secs(1);
 /// Waiting times of a TCP port.
 #[derive(Clone, Copy, Debug)]
 pub struct Patience {
-    /// Longest silence of a holder when another tool requests the board. This project's tools send something twenty times a
-    /// second while they listen.
+    /// Longest silence of a holder when another tool requests the board. This project's tools send something twenty
+    /// times a second while they listen.
     pub silence: Duration,
     /// Time for which a second tool waits for the first one to leave, because one command may follow another quickly.
     pub handover: Duration,
@@ -210,8 +210,8 @@ impl Holder {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Gives the board to this connection if it becomes free in time. A connection that sends bytes also gets a board whose
-    /// holder is silent.
+    /// Gives the board to this connection if it becomes free in time. A connection that sends bytes also gets a board
+    /// whose holder is silent.
     fn admit(&self, stream: &TcpStream, place: &Place, patience: Patience) -> Admission {
         static SEATS: AtomicU64 = AtomicU64::new(0);
         let began = Instant::now();

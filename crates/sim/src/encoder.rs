@@ -3,8 +3,8 @@
 use haptic_bridge::model::description::Encoder;
 use std::f64::consts::TAU;
 
-/// One joint's encoder. It counts from the angle where its counter was zero: for an incremental encoder, the joint's angle
-/// at power-on.
+/// One joint's encoder. It counts from the angle where its counter was zero: for an incremental encoder, the joint's
+/// angle at power-on.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EncoderModel {
     /// Counts per radian, negative when inverted.

@@ -9,8 +9,8 @@ pub struct BoardFaults {
     pub motors: [usize; 3],
     /// Axes with swapped motor leads.
     pub reversed: [bool; 3],
-    /// Gain of each current sensor, in the order of the board's sensors; 0 for a stuck sensor. The simulated board has one
-    /// sensor per axis.
+    /// Gain of each current sensor, in the order of the board's sensors; 0 for a stuck sensor. The simulated board has
+    /// one sensor per axis.
     pub sensor_gain: [f64; 4],
     /// Offset of each current sensor, A, in the same order.
     pub sensor_offset: [f64; 4],
@@ -26,8 +26,8 @@ pub struct BoardFaults {
     pub shake: [i32; 3],
     /// Offset of an encoder, counts.
     pub count_offset: [i32; 3],
-    /// Scale error of an encoder: from this count on it shows this share of its joint's motion; 0 for a dead encoder, -1 for a
-    /// backward one.
+    /// Scale error of an encoder: from this count on it shows this share of its joint's motion; 0 for a dead encoder,
+    /// -1 for a backward one.
     pub share: [Option<(i32, f64)>; 3],
     /// Drift of an encoder: from this reading on it gains this number of counts per reading.
     pub drift: [Option<(u64, f64)>; 3],

@@ -28,8 +28,8 @@ pub enum Intent {
     Lead([f64; 3]),
 }
 
-/// Rate at which the aim of a led hand approaches its goal, rad/s: a critically damped second-order lag of 50 ms. An arm
-/// follows a mouse about that closely, and the lag smooths a mouse's 60 positions a second.
+/// Rate at which the aim of a led hand approaches its goal, rad/s: a critically damped second-order lag of 50 ms. An
+/// arm follows a mouse about that closely, and the lag smooths a mouse's 60 positions a second.
 const LEAD: f64 = 40.0;
 
 /// The mechanics of a hand.

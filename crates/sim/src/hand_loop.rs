@@ -1,5 +1,5 @@
-//! The path of the hand of `haptic sim --hand loop`: a circle on a wall that the hand can reach, otherwise a circle at its
-//! present position.
+//! The path of the hand of `haptic sim --hand loop`: a circle on a wall that the hand can reach, otherwise a circle at
+//! its present position.
 
 use super::{Intent, Waypoint};
 use haptic_bridge::math::Libm;

@@ -1,9 +1,9 @@
 //! A brushed motor behind an H-bridge: duty to voltage, voltage to current, current to torque.
 //!
-//! V = R i + L di/dt + Kₑ ω, solved exactly over a step at the mean speed; torque = Kₜ i. The bridge is averaged over its
-//! carrier, but its dead time is simulated: in both half bridges it takes 2 · dead time · carrier of the bus voltage,
-//! against the current. The effect fades to zero for a current smaller than its ripple, which changes sign in every
-//! period.
+//! V = R i + L di/dt + Kₑ ω, solved exactly over a step at the mean speed; torque = Kₜ i. The bridge is averaged over
+//! its carrier, but its dead time is simulated: in both half bridges it takes 2 · dead time · carrier of the bus
+//! voltage, against the current. The effect fades to zero for a current smaller than its ripple, which changes sign in
+//! every period.
 
 use haptic_bridge::model::motor::Motor;
 
@@ -55,8 +55,8 @@ impl MotorModel {
         self.current
     }
 
-    /// Advances by `h` at the speed `omega` (rad/s). Returns the torque (N m) and an additional damping (N m s/rad): without
-    /// inductance, the back-EMF is passed to the integrator as damping, so that any step is stable.
+    /// Advances by `h` at the speed `omega` (rad/s). Returns the torque (N m) and an additional damping (N m s/rad):
+    /// without inductance, the back-EMF is passed to the integrator as damping, so that any step is stable.
     pub fn step(&mut self, drive: MotorInput, omega: f64, bridge: &PowerStage, h: f64) -> (f64, f64) {
         let Motor { torque_constant, inductance, back_emf, .. } = self.motor;
         match drive {
@@ -89,13 +89,13 @@ impl MotorModel {
         }
     }
 
-    /// Returns the effective voltage and resistance of the winding: for a current above its ripple the dead time acts as a
-    /// voltage against the current, below it as a resistance.
+    /// Returns the effective voltage and resistance of the winding: for a current above its ripple the dead time acts
+    /// as a voltage against the current, below it as a resistance.
     fn with_dead_time(&self, voltage: f64, bridge: &PowerStage) -> (f64, f64) {
         let Motor { resistance, inductance, .. } = self.motor;
         let lost = 2.0 * bridge.dead_time * bridge.carrier_hz * bridge.bus_voltage;
-        // Half the peak-to-peak ripple of two-level modulation at zero duty. In a winding without inductance the current
-        // follows the carrier completely.
+        // Half the peak-to-peak ripple of two-level modulation at zero duty. In a winding without inductance the
+        // current follows the carrier completely.
         let ripple = bridge.bus_voltage / (4.0 * inductance * bridge.carrier_hz).max(resistance);
         if self.current.abs() < ripple {
             (voltage, resistance + lost / ripple)

@@ -3,12 +3,12 @@
 //! One step is Moreau's midpoint rule (J. J. Moreau 1988, "Unilateral contact and dry friction in finite freedom
 //! dynamics"): drift half a step, solve for the velocity at the end, drift the other half. It is second order and
 //! symplectic for position-dependent forces, and exact for a constant torque on a constant inertia. Dry friction is a
-//! *set* of admissible impulses rather than a sign function, so a joint that friction can hold does not creep or chatter.
-//! A transmission (docs/model.md section 4) is a spring and a damper between a motor and its link, integrated by the
-//! same rule's implicit mean: stable at any stiffness, and without numerical loss. A structural mode is a body on such a
-//! spring. Its end velocity is eliminated from the same equations before they are solved, which costs a few products.
-//! Stribeck friction is dry friction bounded by the speed at the step's start; cogging acts at the angle at the step's
-//! middle.
+//! *set* of admissible impulses rather than a sign function, so a joint that friction can hold does not creep or
+//! chatter. A transmission (docs/model.md section 4) is a spring and a damper between a motor and its link, integrated
+//! by the same rule's implicit mean: stable at any stiffness, and without numerical loss. A structural mode is a body
+//! on such a spring. Its end velocity is eliminated from the same equations before they are solved, which costs a few
+//! products. Stribeck friction is dry friction bounded by the speed at the step's start; cogging acts at the angle at
+//! the step's middle.
 
 use haptic_bridge::control::TRIPPING_SINE;
 use haptic_bridge::math::Libm;
@@ -70,9 +70,9 @@ struct ModeState {
 }
 
 impl ModeState {
-    /// Eliminates the mode from a step of `h` of its joint, which is at `q` (rad) with velocity `qd` (rad/s). Returns the
-    /// inertia (kg m²) and momentum (N m s) to add to the two sides of M v⁺ = …, the mode's end velocity for a joint that
-    /// ends at rest, and the increase of that velocity per unit of the joint's.
+    /// Eliminates the mode from a step of `h` of its joint, which is at `q` (rad) with velocity `qd` (rad/s). Returns
+    /// the inertia (kg m²) and momentum (N m s) to add to the two sides of M v⁺ = …, the mode's end velocity for a
+    /// joint that ends at rest, and the increase of that velocity per unit of the joint's.
     fn eliminate(&self, q: f64, qd: f64, h: f64) -> (f64, f64, f64, f64) {
         let inertia = self.mode.inertia;
         let mean = 0.5 * h * self.mode.viscous() + 0.25 * h * h * self.mode.stiffness();
@@ -83,12 +83,12 @@ impl ModeState {
     }
 }
 
-/// Maximum number of sweeps of the friction solver. It starts from the previous step's result, and two sweeps suffice for
-/// N ≤ 3 joints; more are needed only in steps in which a joint starts or stops.
+/// Maximum number of sweeps of the friction solver. It starts from the previous step's result, and two sweeps suffice
+/// for N ≤ 3 joints; more are needed only in steps in which a joint starts or stops.
 const SWEEPS: usize = 20;
 
-/// A stop at the distance `nearest` from singularities. It limits the approach to a speed that would arrive in `softness`
-/// (s), and returns a linkage beyond it at that rate. It absorbs energy and never adds any.
+/// A stop at the distance `nearest` from singularities. It limits the approach to a speed that would arrive in
+/// `softness` (s), and returns a linkage beyond it at that rate. It absorbs energy and never adds any.
 #[derive(Clone, Copy, Debug)]
 struct SingularityStop {
     nearest: f64,
@@ -98,9 +98,9 @@ struct SingularityStop {
 }
 
 impl SingularityStop {
-    /// The stop of every simulated linkage before a parallel singularity, where inertia is unbounded; it is closer than where
-    /// a board turns its motors off. In a millisecond the remaining distance shrinks to a third at most, so a step of 5 µs is
-    /// short in comparison.
+    /// The stop of every simulated linkage before a parallel singularity, where inertia is unbounded; it is closer than
+    /// where a board turns its motors off. In a millisecond the remaining distance shrinks to a third at most, so a
+    /// step of 5 µs is short in comparison.
     const HARD: Self =
         Self { nearest: 0.5 * TRIPPING_SINE as f64 / PARALLEL_REGULARITY, softness: 1e-3, serial: false };
     /// A stop that a hand may hit. A harder one would be a blow that no motor model explains, and the board would trip.
@@ -113,7 +113,8 @@ impl SingularityStop {
     }
 }
 
-/// Step of the finite difference of that distance, rad: a tenth of the turn from [`SingularityStop::HARD`] into the singularity.
+/// Step of the finite difference of that distance, rad: a tenth of the turn from [`SingularityStop::HARD`] into the
+/// singularity.
 const TINY_TURN: f64 = 1e-7;
 
 fn vector<const N: usize>(values: &[f64; 3]) -> SVector<f64, N> {
@@ -125,8 +126,8 @@ fn array<const N: usize>(values: &SVector<f64, N>) -> [f64; 3] {
 }
 
 impl Plant {
-    /// Creates a device at rest at `q` (rad). `friction` enables viscous and Coulomb friction; `stops` are the angles (low,
-    /// high) of each joint's mechanical stops, infinite without stops.
+    /// Creates a device at rest at `q` (rad). `friction` enables viscous and Coulomb friction; `stops` are the angles
+    /// (low, high) of each joint's mechanical stops, infinite without stops.
     pub fn new(
         description: &Description,
         q: [f64; 3],
@@ -162,8 +163,8 @@ impl Plant {
         Ok(plant)
     }
 
-    /// Adds a soft stop before every singularity: at the distance where a board's feed-forward just acts in full, or at the
-    /// present distance if that is closer.
+    /// Adds a soft stop before every singularity: at the distance where a board's feed-forward just acts in full, or at
+    /// the present distance if that is closer.
     pub fn add_soft_stop(&mut self) {
         self.stop_at(SingularityStop::SOFT);
     }

@@ -58,8 +58,8 @@ impl Port {
         self.out.push_back(0);
     }
 
-    /// Sends a reply. The buffer holds more replies than a tool requests before it reads; beyond that, replies are dropped, as
-    /// on a board.
+    /// Sends a reply. The buffer holds more replies than a tool requests before it reads; beyond that, replies are
+    /// dropped, as on a board.
     pub(super) fn send(&mut self, frame: &[u8]) {
         if self.out.len() < self.capacity + REPLY_ROOM {
             self.out.extend(envelope(frame));

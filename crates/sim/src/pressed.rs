@@ -75,8 +75,8 @@ pub struct PressForces {
 }
 
 impl PressForces {
-    /// Returns the share of the wall's force that the board's limits leave, as the board reports it; 1 if the wall's force is
-    /// zero.
+    /// Returns the share of the wall's force that the board's limits leave, as the board reports it; 1 if the wall's
+    /// force is zero.
     pub fn share(&self) -> f64 {
         if self.asked > 0.0 { self.rendered / self.asked } else { 1.0 }
     }
@@ -166,8 +166,8 @@ impl PressedBoard {
         }
     }
 
-    /// Returns the tip force of joint torques (N m) less gravity's, along the normal and across it, N. On a redundant arm the
-    /// torque about the handle is not included.
+    /// Returns the tip force of joint torques (N m) less gravity's, along the normal and across it, N. On a redundant
+    /// arm the torque about the handle is not included.
     pub fn force(&self, q: &[f64; 3], torque: &[f64; 3]) -> (f64, f64) {
         with_mechanism!(&self.mechanism, m => tip_force(m, q, torque, &self.normal))
     }

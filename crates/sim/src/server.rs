@@ -1,7 +1,7 @@
 //! Serves a simulated board to other programs on a pseudo-terminal or a TCP address.
 //!
-//! One thread runs the board and owns it. Other threads only carry bytes (`sim/door.rs`) through queues of bounded length,
-//! so a tool that floods or does not read cannot exhaust memory.
+//! One thread runs the board and owns it. Other threads only carry bytes (`sim/door.rs`) through queues of bounded
+//! length, so a tool that floods or does not read cannot exhaust memory.
 
 use super::board::SimulatedBoard;
 use super::door::{BLOCK, DISARM_ANSWER, Event, Outgoing, STOPS, Stop, ToolListener};
@@ -12,12 +12,12 @@ use std::time::{Duration, Instant};
 /// The relation of simulated time to the wall clock.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Pace {
-    /// With the wall clock. The board is ahead by at most one request or control period; if the computer is too slow, it is
-    /// late.
+    /// With the wall clock. The board is ahead by at most one request or control period; if the computer is too slow,
+    /// it is late.
     RealTime,
     /// As fast as the computer can while a tool is connected and reads; no telemetry is dropped. If the board turns its
-    /// motors off because of a silent tool, simulated time must not outrun the tool: after a quarter of the allowed silence
-    /// it runs no faster than the wall clock, so that only a truly silent tool is detected as silent.
+    /// motors off because of a silent tool, simulated time must not outrun the tool: after a quarter of the allowed
+    /// silence it runs no faster than the wall clock, so that only a truly silent tool is detected as silent.
     AsFastAsItCan,
 }
 
@@ -161,8 +161,8 @@ impl Tools {
         self.guests.is_empty() && (self.holder.is_none() || self.waiting.is_some())
     }
 
-    /// Sends the board's bytes to the tools as far as the holder accepts them. While a guest listens, blocks that the holder
-    /// does not accept are dropped.
+    /// Sends the board's bytes to the tools as far as the holder accepts them. While a guest listens, blocks that the
+    /// holder does not accept are dropped.
     fn send_blocks(&mut self, board: &mut SimulatedBoard) {
         while self.holder.is_some() || !self.guests.is_empty() {
             let block = self.waiting.take().unwrap_or_else(|| {

@@ -23,8 +23,8 @@ use std::time::Duration;
 
 /// Number of values of a table in one message.
 const TABLE_CHUNK: usize = 64;
-/// Retry interval and longest wait for a reply. The interval allows several retries within the half second after which a
-/// board may consider its host lost. A board that is a process also waits for the CPU ([`Wire::slack`]).
+/// Retry interval and longest wait for a reply. The interval allows several retries within the half second after which
+/// a board may consider its host lost. A board that is a process also waits for the CPU ([`Wire::slack`]).
 const REPLY: Patience = (Duration::from_millis(100), Duration::from_secs(2));
 /// Patience for a flash write: two sector erases of 16 KB and the writing (STM32F405 data sheet).
 const FLASH_REPLY: Patience = (Duration::from_secs(3), Duration::from_secs(6));
@@ -97,8 +97,8 @@ impl Board {
         Ok(client)
     }
 
-    /// Turns the motors of the board on an open wire off with the first request. Works with any version of the protocol, and
-    /// with a server that lets only this request pass while another tool holds the board.
+    /// Turns the motors of the board on an open wire off with the first request. Works with any version of the
+    /// protocol, and with a server that lets only this request pass while another tool holds the board.
     pub fn stop_over(wire: Box<dyn Wire>, port: impl Into<String>) -> Result<Stopped, BoardError> {
         let (mut client, port) = (Self::reach(wire)?, port.into());
         match client.call::<p::Disarm>(&(), STOP_REPLY) {
@@ -163,8 +163,8 @@ impl Board {
         Ok(self.call::<E>(request, REPLY)??)
     }
 
-    /// Returns the outcome of a request to turn the motors on. If its reply was lost, the repeated request is refused because
-    /// they are already on.
+    /// Returns the outcome of a request to turn the motors on. If its reply was lost, the repeated request is refused
+    /// because they are already on.
     fn allow_armed(&self, outcome: Result<(), BoardError>) -> Result<(), BoardError> {
         match outcome {
             Err(BoardError::Refused(Refusal::Armed)) if self.client.repeats > 0 => Ok(()),
@@ -227,8 +227,8 @@ impl Board {
     pub fn home(&mut self) -> Result<(), BoardError> {
         self.change::<p::Home>(&())
     }
-    /// Homes as soon as the device is at rest; gives up after one second of the board's time. The user may still be about to
-    /// hold the device, and a simulated hand returns it after a polarity check.
+    /// Homes as soon as the device is at rest; gives up after one second of the board's time. The user may still be
+    /// about to hold the device, and a simulated hand returns it after a polarity check.
     pub fn home_at_rest(&mut self) -> Result<(), BoardError> {
         let until = self.now() + Duration::from_secs(1) + self.client.slack();
         while let Err(error) = self.home() {
@@ -253,36 +253,38 @@ impl Board {
     pub fn disarm(&mut self) -> Result<(), BoardError> {
         self.change::<p::Disarm>(&())
     }
-    /// Returns the latest control step that the board has reported in reply to a heartbeat, see [`Board::keep_alive`]. It is
-    /// the time stamp of an observation of a dead man's key.
+    /// Returns the latest control step that the board has reported in reply to a heartbeat, see [`Board::keep_alive`].
+    /// It is the time stamp of an observation of a dead man's key.
     pub fn step(&self) -> u32 {
         self.step
     }
-    /// Turns the motors on for as long as a dead man's key is held. `seen` is the latest [`Board::step`] known to the observer
-    /// of the key before the key was seen down. Half a second after that step the board turns its motors off with a fault,
-    /// unless [`Board::hold_key`] has sent a newer step. If the half second has already passed, the board refuses to arm.
+    /// Turns the motors on for as long as a dead man's key is held. `seen` is the latest [`Board::step`] known to the
+    /// observer of the key before the key was seen down. Half a second after that step the board turns its motors off
+    /// with a fault, unless [`Board::hold_key`] has sent a newer step. If the half second has already passed, the board
+    /// refuses to arm.
     pub fn arm_held(&mut self, seen: u32) -> Result<(), BoardError> {
         let outcome = self.change::<p::ArmHeld>(&p::Press { holder: self.session, seen });
         self.allow_armed(outcome)
     }
-    /// Reports that the key is still down, see [`Board::arm_held`]. Only this `Board` can report the key that it armed with.
+    /// Reports that the key is still down, see [`Board::arm_held`]. Only this `Board` can report the key that it armed
+    /// with.
     pub fn hold_key(&mut self, seen: u32) -> Result<(), LinkError> {
         self.heartbeat(p::Beat::Held(p::Press { holder: self.session, seen }))
     }
-    /// Requests a force at the tip, joint torques or a contact, for the duration of its lease, and reads the device's state.
-    /// The reply names a request that was not carried out.
+    /// Requests a force at the tip, joint torques or a contact, for the duration of its lease, and reads the device's
+    /// state. The reply names a request that was not carried out.
     pub fn force(&mut self, request: &p::ForceRequest) -> Result<p::ForceAnswer, LinkError> {
         let sent = self.send_force(request)?;
         self.force_answer(sent)
     }
-    /// Sends the request of [`Board::force`] and does not wait, so that the round trip does not slow down a program that
-    /// sends its next request before this reply. Two pending requests are enough, and at most eight are kept. Replies come in
-    /// the order of the requests. Telemetry may be read in between.
+    /// Sends the request of [`Board::force`] and does not wait, so that the round trip does not slow down a program
+    /// that sends its next request before this reply. Two pending requests are enough, and at most eight are kept.
+    /// Replies come in the order of the requests. Telemetry may be read in between.
     pub fn send_force(&mut self, request: &p::ForceRequest) -> Result<Sent, LinkError> {
         self.client.send::<p::Force>(request)
     }
-    /// Waits for the reply to [`Board::send_force`], at most as long as [`Board::wait_for_forces`] allows. Does not wait if
-    /// the reply to a later request has come.
+    /// Waits for the reply to [`Board::send_force`], at most as long as [`Board::wait_for_forces`] allows. Does not
+    /// wait if the reply to a later request has come.
     pub fn force_answer(&mut self, sent: Sent) -> Result<p::ForceAnswer, LinkError> {
         let (began, patience) = (self.now(), self.force_patience);
         let reply = self.client.reply::<p::Force>(sent, patience);
@@ -309,7 +311,8 @@ impl Board {
     pub fn take_reported_faults(&mut self) -> Vec<haptic_bridge::safety::fault::FaultRecord> {
         std::mem::take(&mut self.faults)
     }
-    /// Writes device, scene, rules and the other settings to flash. Only while disarmed; the board pauses for up to a second.
+    /// Writes device, scene, rules and the other settings to flash. Only while disarmed; the board pauses for up to a
+    /// second.
     pub fn save(&mut self) -> Result<(), BoardError> {
         Ok(self.call::<p::Save>(&(), FLASH_REPLY)??)
     }
@@ -317,8 +320,8 @@ impl Board {
     pub fn read_entry(&mut self, key: Key) -> Result<Option<Entry>, LinkError> {
         self.call::<p::ReadEntry>(&key, REPLY)
     }
-    /// Stages a setting's bytes until [`Board::commit_entries`] names its key. Only this `Board` can commit them, and only
-    /// until another one stages an entry.
+    /// Stages a setting's bytes until [`Board::commit_entries`] names its key. Only this `Board` can commit them, and
+    /// only until another one stages an entry.
     pub fn stage_entry(&mut self, key: Key, entry: Entry) -> Result<(), BoardError> {
         Ok(self.call::<p::StageEntry>(&p::WriteEntry { session: self.session, key, entry }, FLASH_REPLY)??)
     }

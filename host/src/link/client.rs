@@ -136,9 +136,9 @@ impl Client {
         self.topics.iter().any(|topic| topic.key == VarKey::Key8(Occupied::TOPIC_KEY))
     }
 
-    /// Sends a request of endpoint `E` and waits for its reply. To make up for corrupted frames, the request is sent again
-    /// with the same number, after the retry interval or half of the time waited, whichever is longer. Topic messages that
-    /// come meanwhile are kept.
+    /// Sends a request of endpoint `E` and waits for its reply. To make up for corrupted frames, the request is sent
+    /// again with the same number, after the retry interval or half of the time waited, whichever is longer. Topic
+    /// messages that come meanwhile are kept.
     pub fn call<E: Endpoint>(&mut self, request: &E::Request, patience: Patience) -> Result<E::Response, LinkError>
     where
         E::Request: Serialize,
@@ -204,8 +204,8 @@ impl Client {
         Ok((sent, frame, count))
     }
 
-    /// Waits for the reply to a request of endpoint `E`. Replies come in the order of the requests: if a later request has
-    /// its reply, this request's was lost. Replies to other pending requests are kept.
+    /// Waits for the reply to a request of endpoint `E`. Replies come in the order of the requests: if a later request
+    /// has its reply, this request's was lost. Replies to other pending requests are kept.
     pub fn reply<E: Endpoint>(&mut self, sent: Sent, timeout: Duration) -> Result<E::Response, LinkError>
     where
         E::Response: DeserializeOwned,
@@ -278,8 +278,8 @@ impl Client {
         }
     }
 
-    /// Receives bytes from the wire. Replies to pending requests wait for [`Self::reply`]; all other messages are topics,
-    /// except replies to heartbeats that were sent during a request.
+    /// Receives bytes from the wire. Replies to pending requests wait for [`Self::reply`]; all other messages are
+    /// topics, except replies to heartbeats that were sent during a request.
     fn pump(&mut self, timeout: Duration) -> Result<(), LinkError> {
         let count = self.wire.receive(&mut self.buffer, timeout).map_err(LinkError::Lost)?;
         let (pending, waiting, topics) = (&self.pending, &mut self.replies, &mut self.topics);

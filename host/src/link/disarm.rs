@@ -2,8 +2,8 @@
 //!
 //! Over TCP the simulated board accepts and carries out this one request. A pseudo-terminal can be opened by a second
 //! tool; both tools then read the board's bytes, so the other tool may take the reply, and the request is sent again. A
-//! real serial port belongs to the other tool alone: end that tool (Ctrl-C), or pull the USB cable, which disarms a board
-//! that watches its host.
+//! real serial port belongs to the other tool alone: end that tool (Ctrl-C), or pull the USB cable, which disarms a
+//! board that watches its host.
 
 use super::client::{Client, Patience};
 use super::error::{BoardError, LinkError};

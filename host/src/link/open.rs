@@ -7,15 +7,15 @@ use super::ports::{PortSpec, open_serial, open_tcp};
 use super::wire::Wire;
 
 impl Board {
-    /// Finds and opens the board at `port`, and checks its protocol version. A program that should also open simulated boards
-    /// calls `haptic_sim::open` instead.
+    /// Finds and opens the board at `port`, and checks its protocol version. A program that should also open simulated
+    /// boards calls `haptic_sim::open` instead.
     pub fn open(port: &PortSpec) -> Result<Self, LinkError> {
         let (wire, name) = wire(port)?;
         Self::over(wire, name)
     }
 
-    /// Turns the motors of the board at `port` off, in any version of the protocol. Fails if another tool holds the port
-    /// itself; then use [`super::disarm_held_board`].
+    /// Turns the motors of the board at `port` off, in any version of the protocol. Fails if another tool holds the
+    /// port itself; then use [`super::disarm_held_board`].
     pub fn stop(port: &PortSpec) -> Result<Stopped, BoardError> {
         let (wire, name) = wire(port)?;
         Self::stop_over(wire, name)

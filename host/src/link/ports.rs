@@ -68,8 +68,8 @@ pub fn boards() -> (Vec<BoardPort>, Vec<String>) {
 /// The directory in which Linux lists its serial ports.
 const PORTS: &str = "/sys/class/tty";
 
-/// Lists the serial ports; empty if the system cannot list them. Checks `place` first, because the listing panics without
-/// it, as in a container that has no /sys.
+/// Lists the serial ports; empty if the system cannot list them. Checks `place` first, because the listing panics
+/// without it, as in a container that has no /sys.
 fn serial_ports(place: &Path) -> Vec<serialport::SerialPortInfo> {
     if cfg!(target_os = "linux") && !place.is_dir() {
         return Vec::new();

@@ -1,5 +1,5 @@
-//! A board that a program pushes through: requests are numbered and stamped, and the motors go off when the program drops
-//! the session.
+//! A board that a program pushes through: requests are numbered and stamped, and the motors go off when the program
+//! drops the session.
 
 use super::board::Board;
 use super::error::{BoardError, LinkError};
@@ -15,8 +15,8 @@ pub const HOLD: f32 = 0.02;
 pub const FADE: f32 = 0.05;
 
 /// Time for which a request is repeated, each time that its reply does not come within
-/// [`FORCE_PATIENCE`](super::FORCE_PATIENCE), before it counts as unanswered. A briefly busy computer or board therefore
-/// does not end a program's loop.
+/// [`FORCE_PATIENCE`](super::FORCE_PATIENCE), before it counts as unanswered. A briefly busy computer or board
+/// therefore does not end a program's loop.
 pub const PATIENCE: Duration = Duration::from_secs(1);
 
 /// A board that this program holds, with all methods of [`Board`]. Dropping it disarms the board, also when the program
@@ -55,8 +55,8 @@ impl Session {
         Self { board, sequence: 0, seen: None, fault: None, patience: PATIENCE, lease: (HOLD, FADE) }
     }
 
-    /// Turns the motors on and starts heartbeats, which this session sends whenever it waits for telemetry. Forces and state
-    /// requests act as heartbeats too.
+    /// Turns the motors on and starts heartbeats, which this session sends whenever it waits for telemetry. Forces and
+    /// state requests act as heartbeats too.
     pub fn arm(&mut self) -> Result<(), BoardError> {
         self.board.keep_alive();
         self.board.arm()
@@ -84,8 +84,8 @@ impl Session {
         self.exchange(ForceRequest::default())
     }
 
-    /// Pushes with a force (N) at the tip, in the task frame, which replaces the previous request. A refused force is not an
-    /// error: [`ForceAnswer::done`] gives the reason.
+    /// Pushes with a force (N) at the tip, in the task frame, which replaces the previous request. A refused force is
+    /// not an error: [`ForceAnswer::done`] gives the reason.
     pub fn force(&mut self, force: [f32; 3]) -> Result<ForceAnswer, LinkError> {
         self.push(force, None)
     }

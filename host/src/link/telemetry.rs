@@ -42,8 +42,8 @@ pub struct Column {
     pub label: String,
 }
 
-/// Returns the columns of a stream of `fields` from a device of `axes` joints, in the order of [`Row::values`]. The state
-/// has two columns: the state and the number of touched walls.
+/// Returns the columns of a stream of `fields` from a device of `axes` joints, in the order of [`Row::values`]. The
+/// state has two columns: the state and the number of touched walls.
 pub fn columns(fields: Fields, axes: usize) -> Vec<Column> {
     let mut columns = Vec::new();
     for field in Field::ALL.iter().copied().filter(|field| fields.has(*field)) {
@@ -70,8 +70,8 @@ pub fn columns(fields: Fields, axes: usize) -> Vec<Column> {
 /// Telemetry that a full-speed USB serial port carries with a margin, bytes/s.
 const USB: f64 = 600e3;
 
-/// Returns the rows of `fields` per second that the link to a board carries with a margin, at most one per control step.
-/// The link to a simulated board, which is this computer's memory, carries all of them.
+/// Returns the rows of `fields` per second that the link to a board carries with a margin, at most one per control
+/// step. The link to a simulated board, which is this computer's memory, carries all of them.
 pub fn max_rows_per_second(board: &str, fields: Fields, axes: usize, rate_hz: f64) -> f64 {
     let most = if board.starts_with("simulated") { rate_hz } else { USB / fields.bytes(axes).max(1) as f64 };
     rate_hz / (rate_hz / most).ceil().max(1.0)
@@ -158,8 +158,9 @@ impl Rows {
         self.losses
     }
 
-    /// Appends the rows of a batch. Rejects a batch that contradicts the previous ones: it was corrupted, and its rows count
-    /// as missing. Rows may only be missing because the board dropped them, or with lost batches of at least one row.
+    /// Appends the rows of a batch. Rejects a batch that contradicts the previous ones: it was corrupted, and its rows
+    /// count as missing. Rows may only be missing because the board dropped them, or with lost batches of at least one
+    /// row.
     pub(super) fn take(&mut self, batch: &Batch, rows: &mut Vec<Row>) {
         let fields = Fields(batch.fields);
         let width = fields.bytes(usize::from(batch.axes));

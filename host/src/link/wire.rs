@@ -13,8 +13,8 @@ pub trait Wire: Send {
     fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> io::Result<usize>;
     /// Returns the time since a fixed instant.
     fn now(&self) -> Duration;
-    /// Returns the extra time that a reply may take: zero, except for a board that is a process on a computer that may be
-    /// busy.
+    /// Returns the extra time that a reply may take: zero, except for a board that is a process on a computer that may
+    /// be busy.
     fn slack(&self) -> Duration {
         Duration::ZERO
     }

@@ -1,6 +1,6 @@
-//! A scripted copy of the boot loader in the chip's ROM, from the USB forum's DFU 1.1 and ST's AN2662 (its AN3156 was not
-//! available). It is stricter than the ROM: a request that the documents do not allow is an error here, such as a status
-//! request before the reported time is over.
+//! A scripted copy of the boot loader in the chip's ROM, from the USB forum's DFU 1.1 and ST's AN2662 (its AN3156 was
+//! not available). It is stricter than the ROM: a request that the documents do not allow is an error here, such as a
+//! status request before the reported time is over.
 
 use std::time::Duration;
 

@@ -16,8 +16,8 @@ pub const SERIAL: &str = "3852395C3038";
 const CHECK: usize = 0x188;
 const CODE: u32 = 0x0800_C000;
 
-/// Creates an image whose code begins with its own length and its identity. It reaches into sector 4 and does not end at a
-/// word boundary.
+/// Creates an image whose code begins with its own length and its identity. It reaches into sector 4 and does not end
+/// at a word boundary.
 pub fn image(board: &str, version: &str, protocol: u16) -> Image {
     let mut code = vec![0; 4];
     code.extend(format!("{board}\0{version}\0{protocol}\0").bytes());
