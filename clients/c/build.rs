@@ -1,5 +1,5 @@
-//! Gives the shared library its name, so that a program that was linked with it does not remember where it lay, and asks for
-//! the version whose header it was compiled with: HB_VERSION.
+//! Sets the name of the shared library, so that a linked program does not store its path and loads the version of its
+//! header: HB_VERSION.
 
 fn main() {
     println!("cargo:rerun-if-changed=build.rs");

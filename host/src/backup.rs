@@ -1,8 +1,8 @@
 //! Backups of a board's settings: one JSON file, readable by people and by later versions of this tool.
 //!
-//! Every setting stands in it twice: its bytes as the board keeps them, and its value with names. The bytes go back
-//! unchanged to a board of the same version; a board whose firmware keeps the setting in another version gets the
-//! value, encoded again. Nothing is sent before the whole file has been understood.
+//! The file holds every setting twice: its bytes as the board stores them, and its decoded value with names. A board of
+//! the same version gets the bytes unchanged; a board whose firmware stores the setting in another version gets the
+//! value, encoded again. Nothing is sent before the complete file has been decoded.
 
 use crate::digits::shortest;
 use crate::link::{Board, BoardError};
@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::collections::BTreeMap;
 
-/// Version of the file's own layout.
+/// Version of the file layout.
 pub const FORMAT: u32 = 1;
 
 /// The content of a backup file.
@@ -25,95 +25,96 @@ pub struct Backup {
     /// [`FORMAT`].
     #[serde(rename = "haptic-backup")]
     pub format: u32,
-    /// Firmware it was read from.
+    /// Version of the board's firmware.
     pub firmware: String,
     /// Kind of board.
     pub board: String,
-    /// Its serial number.
+    /// Serial number of the board.
     pub serial: String,
-    /// The settings by name; those that were never saved are not there.
+    /// The settings by name, without those that were never saved.
     pub settings: BTreeMap<String, SavedSetting>,
 }
 
 /// One setting.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SavedSetting {
-    /// Version of its bytes.
+    /// Version of the encoding of `bytes`.
     pub version: u8,
-    /// The decoded value; `None` when this tool could not read the bytes.
+    /// The decoded value; `None` if this tool could not decode the bytes.
     pub value: Option<Value>,
     /// The bytes, in hexadecimal.
     pub bytes: String,
 }
 
 impl SavedSetting {
-    /// A value as the board would keep it; none where it is too long for that.
+    /// Encodes a value as the board stores it; `None` if it is too long.
     pub fn of<S: Setting>(value: &S) -> Option<Self> {
-        Some(kept(S::KEY, &encode(value).ok()?))
+        Some(saved_setting(S::KEY, &encode(value).ok()?))
     }
 
-    /// The value again, from bytes of this version or else from what they mean.
+    /// Decodes the bytes if they are of this version, otherwise reads the JSON value.
     pub fn read<S: Setting>(&self) -> Result<S, BackupError> {
         let (entry, _) = usable_as::<S>(self)?;
         decode(&entry).map_err(|damage| damaged(S::KEY, damage))
     }
 }
 
-/// Why a backup cannot be used.
+/// The reason why a backup cannot be used.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum BackupError {
-    /// Not JSON, or not of this shape.
+    /// Not JSON, or JSON of another structure.
     #[error("this is not a backup of a board: {0}")]
     NotABackup(String),
-    /// Of a later tool.
+    /// A format of a later tool.
     #[error("the backup has format {0}, and this tool knows {FORMAT}: update the tool")]
     Format(u32),
-    /// A setting that this tool does not know.
+    /// An unknown setting.
     #[error("the backup holds a setting {0:?} that this tool does not know: update the tool")]
     UnknownSetting(String),
-    /// Its value and its bytes do not say the same: somebody edited one of them.
+    /// The value and the bytes of a setting differ because one of them was edited.
     #[error(
-        "the setting {0:?} in the backup has a \"value\" that is not what its \"bytes\" hold, and these go back to the board: \
-         undo the edit, or change the setting with a device file, a scene file or `haptic rules`"
+        "the setting {0:?} in the backup has a \"value\" that differs from its \"bytes\", and the board would get the bytes: \
+        undo the edit, or change the setting with a device file, a scene file or `haptic rules`"
     )]
     Disagree(&'static str),
-    /// Neither its bytes nor its value can be used.
+    /// Neither the bytes nor the value of a setting can be used.
     #[error("the setting {0:?} in the backup is damaged: {1}")]
     Damaged(&'static str, String),
 }
 
-/// The outcome for one setting.
+/// The way a setting is restored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Restored {
-    /// The very bytes of the backup.
-    AsItWas,
-    /// Encoded again from its value, because the backup's bytes are of another version.
+    /// The bytes of the backup, unchanged.
+    Unchanged,
+    /// Encoded again from the value, because the backup's bytes are of another version.
     Translated,
-    /// Left out: a polarity check is valid only for the wiring it was made with, and the present wiring is unchecked.
-    MadeAnew,
+    /// Not restored: a polarity check is valid only for the wiring that was checked, and the present wiring is
+    /// unchecked.
+    NotRestored,
 }
 
 /// A setting ready to be sent.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Ready {
-    /// Which.
+    /// Key of the setting.
     pub key: Key,
-    /// Its bytes in this version.
+    /// Bytes of the setting in this version.
     pub entry: Entry,
-    /// The way its bytes were obtained.
+    /// Source of the bytes.
     pub how: Restored,
 }
 
-/// The order in which settings go back: a device resets what belongs to the one before.
+/// The order in which settings are restored, because a new device resets the settings that depend on it.
 const ORDER: [Key; Key::ALL.len()] = [Key::Rules, Key::Device, Key::MassModel, Key::Scene, Key::Name, Key::Polarity];
 
 impl Backup {
-    /// Reads everything that a board keeps in flash. A setting of which only damage is left is left out.
+    /// Reads all settings in a board's flash. Skips a setting of which only a damaged copy exists.
     pub fn read(board: &mut Board) -> Result<Self, BoardError> {
         let mut settings = BTreeMap::new();
         for key in Key::ALL {
             if let Some(entry) = board.read_entry(key)?.filter(|entry| !entry.is_empty()) {
-                settings.insert(key.name().to_string(), kept(key, &entry));
+                settings.insert(key.name().to_string(), saved_setting(key, &entry));
             }
         }
         let info = board.info();
@@ -126,13 +127,13 @@ impl Backup {
         })
     }
 
-    /// The file's text.
+    /// Returns the text of the file.
     pub fn to_text(&self) -> String {
-        // A map with names for keys always becomes JSON.
+        // A map with string keys always serialises to JSON.
         serde_json::to_string_pretty(self).unwrap_or_default() + "\n"
     }
 
-    /// Reads a file's text.
+    /// Parses the text of a file.
     pub fn parse(text: &str) -> Result<Self, BackupError> {
         let value: Value = serde_json::from_str(text).map_err(|error| BackupError::NotABackup(error.to_string()))?;
         match value.get("haptic-backup").and_then(Value::as_u64) {
@@ -143,7 +144,7 @@ impl Backup {
         serde_json::from_value(value).map_err(|error| BackupError::NotABackup(error.to_string()))
     }
 
-    /// Every setting in this version's bytes, in the order to send them.
+    /// Returns every setting in this version's encoding, in the order to send them.
     pub fn ready(&self) -> Result<Vec<Ready>, BackupError> {
         if let Some(unknown) = self.settings.keys().find(|name| Key::ALL.iter().all(|key| key.name() != **name)) {
             return Err(BackupError::UnknownSetting(unknown.clone()));
@@ -151,17 +152,17 @@ impl Backup {
         let mut ready = Vec::new();
         for key in ORDER {
             match self.settings.get(key.name()) {
-                Some(kept) => {
-                    let (entry, mut how) = usable(key, kept)?;
+                Some(saved) => {
+                    let (entry, mut how) = usable(key, saved)?;
                     if key == Key::Polarity {
-                        how = Restored::MadeAnew;
+                        how = Restored::NotRestored;
                     }
                     ready.push(Ready { key, entry, how });
                 }
-                // A device must not meet the mass model that the board kept for another one.
+                // Prevents a restored device from using the mass model that the board keeps for another device.
                 None if key == Key::MassModel && self.settings.contains_key(Key::Device.name()) => {
                     let entry = encode(&MassModelData::Exact).map_err(|error| damaged(key, error))?;
-                    ready.push(Ready { key, entry, how: Restored::AsItWas });
+                    ready.push(Ready { key, entry, how: Restored::Unchanged });
                 }
                 None => {}
             }
@@ -170,11 +171,11 @@ impl Backup {
     }
 }
 
-/// Sends settings made ready to a board and puts them in force and into flash, as one change: wherever the link or the
-/// power goes, the board has all of them or none. Motors must be off.
+/// Sends prepared settings to a board and applies and saves them as one change: if the link or the power fails, the
+/// board has all of them or none. Motors must be off.
 pub fn restore(board: &mut Board, ready: &[Ready]) -> Result<(), BoardError> {
     let mut keys = KeyList::new();
-    for setting in ready.iter().filter(|setting| setting.how != Restored::MadeAnew) {
+    for setting in ready.iter().filter(|setting| setting.how != Restored::NotRestored) {
         board.stage_entry(setting.key, setting.entry.clone())?;
         // A backup has each key once.
         let _ = keys.push(setting.key);
@@ -182,8 +183,8 @@ pub fn restore(board: &mut Board, ready: &[Ready]) -> Result<(), BoardError> {
     board.commit_entries(&keys)
 }
 
-/// Names the settings on a board that a restart would lose: a device, a scene or a name other than what was saved, and
-/// rules other than those saved, where any were.
+/// Names the settings that a board would lose in a restart: an unsaved device, scene or name, and rules that differ
+/// from the saved rules.
 pub fn unsaved(board: &mut Board) -> Result<Vec<&'static str>, BoardError> {
     fn differs<S: Setting + PartialEq>(board: &mut Board, now: &S) -> Result<bool, BoardError> {
         let saved = board.read_entry(S::KEY)?.and_then(|entry| decode::<S>(&entry).ok());
@@ -221,7 +222,7 @@ fn damaged(key: Key, damage: Damage) -> BackupError {
     BackupError::Damaged(key.name(), reason)
 }
 
-fn kept(key: Key, entry: &[u8]) -> SavedSetting {
+fn saved_setting(key: Key, entry: &[u8]) -> SavedSetting {
     fn value<S: Setting>(entry: &[u8]) -> Option<Value> {
         serde_json::to_value(decode::<S>(entry).ok()?).ok().map(shortest)
     }
@@ -237,31 +238,31 @@ fn kept(key: Key, entry: &[u8]) -> SavedSetting {
     SavedSetting { version: entry.get(1).copied().unwrap_or(0), value, bytes }
 }
 
-fn usable(key: Key, kept: &SavedSetting) -> Result<(Entry, Restored), BackupError> {
+fn usable(key: Key, saved: &SavedSetting) -> Result<(Entry, Restored), BackupError> {
     match key {
-        Key::Device => usable_as::<Device<f32>>(kept),
-        Key::Scene => usable_as::<Scene<f32>>(kept),
-        Key::Rules => usable_as::<Rules>(kept),
-        Key::MassModel => usable_as::<MassModelData>(kept),
-        Key::Polarity => usable_as::<Polarity>(kept),
-        Key::Name => usable_as::<BoardName>(kept),
+        Key::Device => usable_as::<Device<f32>>(saved),
+        Key::Scene => usable_as::<Scene<f32>>(saved),
+        Key::Rules => usable_as::<Rules>(saved),
+        Key::MassModel => usable_as::<MassModelData>(saved),
+        Key::Polarity => usable_as::<Polarity>(saved),
+        Key::Name => usable_as::<BoardName>(saved),
     }
 }
 
-/// Returns the bytes if this version understands them, otherwise the value in this version's encoding.
-fn usable_as<S: Setting>(kept: &SavedSetting) -> Result<(Entry, Restored), BackupError> {
-    let bytes = from_hex(&kept.bytes).ok_or_else(|| damaged(S::KEY, Damage::Corrupt))?;
+/// Returns the bytes if this version can decode them, otherwise the value in this version's encoding.
+fn usable_as<S: Setting>(saved: &SavedSetting) -> Result<(Entry, Restored), BackupError> {
+    let bytes = from_hex(&saved.bytes).ok_or_else(|| damaged(S::KEY, Damage::Corrupt))?;
     match decode::<S>(&bytes) {
         Ok(value) => {
-            let said = serde_json::to_value(&value).ok().map(shortest);
-            if kept.value.clone().is_some_and(|written| Some(shortest(written)) != said) {
+            let decoded = serde_json::to_value(&value).ok().map(shortest);
+            if saved.value.clone().is_some_and(|written| Some(shortest(written)) != decoded) {
                 return Err(BackupError::Disagree(S::KEY.name()));
             }
             let entry = Entry::from_slice(&bytes).map_err(|_| damaged(S::KEY, Damage::TooLong))?;
-            Ok((entry, Restored::AsItWas))
+            Ok((entry, Restored::Unchanged))
         }
         Err(Damage::UnknownVersion(version)) => {
-            let value = kept.value.clone().ok_or_else(|| damaged(S::KEY, Damage::UnknownVersion(version)))?;
+            let value = saved.value.clone().ok_or_else(|| damaged(S::KEY, Damage::UnknownVersion(version)))?;
             let value: S = serde_json::from_value(value)
                 .map_err(|error| BackupError::Damaged(S::KEY.name(), error.to_string()))?;
             Ok((encode(&value).map_err(|error| damaged(S::KEY, error))?, Restored::Translated))

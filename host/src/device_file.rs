@@ -1,7 +1,7 @@
 //! Device files (docs/files.md): TOML in, a checked [`Description`] out, or an error that names the line.
 //!
-//! The contents of a mechanism's file are given by its [`Spec`], so a new mechanism needs nothing here. A description
-//! that comes out of this module is one that [`AnyMechanism::new`] accepts: the geometry closes, every joint has
+//! A mechanism's [`Spec`] lists the contents of its file, so a new mechanism needs no change here.
+//! [`AnyMechanism::new`] accepts every description that this module returns: the geometry closes, and every joint has
 //! inertia.
 
 use crate::toml_file::{Document, FileError, Must, Problem, Table};
@@ -23,22 +23,22 @@ use haptic_bridge::with_mechanism;
 use nalgebra::SVector;
 use std::path::{Path, PathBuf};
 
-/// A device file that was read and found sound.
+/// A checked device file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DeviceFile {
-    /// The file it came from.
+    /// Path of the file.
     pub path: PathBuf,
-    /// The device's name.
+    /// Name of the device.
     pub name: String,
     /// The device.
     pub description: Description,
     /// The device's lumped coefficients in double precision.
     pub mechanism: AnyMechanism<f64>,
-    /// The voltage that the board is fed with, V, where the file says it. It bounds every motor's `max_current` in
-    /// `description` to what it drives through the motor at rest.
+    /// Supply voltage of the board, V, if the file gives one. It limits every motor's `max_current` in `description` to
+    /// the current that it can drive through the motor at rest.
     pub supply: Option<f64>,
-    /// `max_current` of each joint as the file has it, A, where `supply` drives less.
-    pub beyond_supply: [Option<f64>; MAX_JOINTS],
+    /// `max_current` of each joint in the file, A, if `supply` can drive only less.
+    pub max_current_in_file: [Option<f64>; MAX_JOINTS],
 }
 
 impl DeviceFile {
@@ -47,67 +47,67 @@ impl DeviceFile {
         Self::read(&Document::load(path.as_ref())?)
     }
 
-    /// Checks text that is already there; `origin` is what messages call it.
+    /// Checks a text; messages call its file `origin`.
     pub fn parse(text: &str, origin: impl Into<PathBuf>) -> Result<Self, FileError> {
         Self::read(&Document::new(text, origin))
     }
 
-    /// The shape of a file for this device's mechanism: numbers of joints and links, task dimension.
+    /// Returns the number of joints and links, and the task dimension, of this device's mechanism.
     pub fn spec(&self) -> Spec {
         self.description.kind.spec()
     }
 
-    /// The device as a board takes it: lumped in double precision, rounded once.
+    /// Returns the device as a board receives it: lumped in double precision, rounded once.
     ///
-    /// Errors never occur for a device that was read by this module; they are those of [`AnyMechanism::new`].
+    /// Errors: those of [`AnyMechanism::new`], which never occur for a device that this module has read.
     pub fn device<T: Real>(&self) -> Result<Device<T>, DescriptionError> {
         Device::new(&self.name, &self.description)
     }
 
-    /// Lists the entries that a real board still needs before it arms, each with the key to write. Empty when complete.
-    pub fn lacks_for_a_board(&self) -> Vec<String> {
-        let mut lacks = Vec::new();
+    /// Lists the entries that a real board still needs before it arms, each with the key to write. Empty if complete.
+    pub fn missing_for_board(&self) -> Vec<String> {
+        let mut missing = Vec::new();
         for (index, joint) in self.description.joints.iter().take(self.spec().joints).enumerate() {
             let place = format!("[[joint]] {index}");
             if joint.limits.is_none() {
-                lacks.push(format!("{place} needs limits = [lowest, highest]"));
+                missing.push(format!("{place} needs limits = [lowest, highest]"));
             }
             if joint.encoder.is_none() {
-                lacks.push(format!("{place} needs [joint.encoder]"));
+                missing.push(format!("{place} needs [joint.encoder]"));
             }
             match joint.motor {
-                None => lacks.push(format!("{place} needs [joint.motor]")),
+                None => missing.push(format!("{place} needs [joint.motor]")),
                 Some(motor) if !motor.verified => {
-                    lacks.push(format!("check the motor data of {place}, then write verified = true"));
+                    missing.push(format!("check the motor data of {place}, then write verified = true"));
                 }
                 Some(_) => {}
             }
         }
         if self.description.home.is_none() {
-            lacks.push("[home] needs q, the pose that homing declares".into());
+            missing.push("[home] needs q, the pose that homing declares".into());
         }
-        lacks
+        missing
     }
 
     /// Checks a document.
     pub fn read(document: &Document) -> Result<Self, FileError> {
         document.read(|top| {
             let (name, mut description, mechanism, supply) = device(top)?;
-            let mut beyond_supply = [None; MAX_JOINTS];
-            for (joint, beyond) in description.joints.iter_mut().zip(&mut beyond_supply) {
+            let mut max_current_in_file = [None; MAX_JOINTS];
+            for (joint, in_file) in description.joints.iter_mut().zip(&mut max_current_in_file) {
                 let Some((motor, supply)) = joint.motor.as_mut().zip(supply) else { continue };
-                let most = supply * f64::from(MAX_DUTY) / motor.resistance;
-                if motor.max_current > most {
-                    *beyond = Some(motor.max_current);
-                    motor.max_current = most;
+                let drivable = supply * f64::from(MAX_DUTY) / motor.resistance;
+                if motor.max_current > drivable {
+                    *in_file = Some(motor.max_current);
+                    motor.max_current = drivable;
                 }
             }
-            Ok(Self { path: document.path().into(), name, description, mechanism, supply, beyond_supply })
+            Ok(Self { path: document.path().into(), name, description, mechanism, supply, max_current_in_file })
         })
     }
 }
 
-/// Name, description, lumped coefficients and supply (V).
+/// Reads name, description, lumped coefficients and supply (V).
 fn device(top: &Table<'_>) -> Result<(String, Description, AnyMechanism<f64>, Option<f64>), FileError> {
     if !top.has("mechanism") && ["wall", "spring", "field", "rate_hz", "cutoff_hz"].iter().any(|key| top.has(key)) {
         let reason = "this looks like a scene file, not a device file";
@@ -135,26 +135,25 @@ fn device(top: &Table<'_>) -> Result<(String, Description, AnyMechanism<f64>, Op
         handle.needed("mass", Must::NotBeNegative, "mass = 0.01")
     });
     let home = top.keep(home(top, &spec, &joints), None);
-    // The rest asks whether these numbers can be together.
+    // The checks below combine several values.
     top.sound()?;
     let geometry_table = geometry_table.unwrap_or_else(|| top.clone());
 
     let description = Description { kind, gravity: padded(&gravity), geometry, links, joints, handle_mass, home };
     let mechanism = AnyMechanism::new(&description).map_err(|error| refusal(error, top, &geometry_table, &spec))?;
     if description.is_flexible() && AnyMechanism::<f64>::new(&description.link_side()).is_err() {
-        let reason =
-            "without the motors' inertia a link would move without any: behind a transmission it needs its own";
+        let reason = "without the motors' inertia a link has no inertia: a link behind a transmission needs its own";
         let remedy = "give the links masses, or a smaller motor_inertia in [joint.transmission]";
         return Err(top.error_here(impossible(reason, remedy)));
     }
-    if let Some(joint) = swings_with_all(&description, &home.unwrap_or_default()) {
+    if let Some(joint) = joint_without_remaining_inertia(&description, &home.unwrap_or_default()) {
         let reason = format!("the modes of joint {joint} swing with more inertia than the links have about it at home");
         let remedy = "write the part of the inertia about the joint that swings, in kg m²";
         return Err(top.tables("joint")?[joint].error_at("mode", impossible(reason, remedy)));
     }
     let at = home.unwrap_or_default().map(|angle| angle as f32);
     if !AnyMechanism::<f32>::new(&description).is_ok_and(|board| board.is_finite_at::<BoardMath>(&at)) {
-        let reason = "some number is so large that the device overflows the board's 32-bit floats";
+        let reason = "a number overflows the board's 32-bit floats";
         return Err(top.error_here(impossible(reason, "check the numbers and their units (SI: m, kg, s)")));
     }
     if let Some(q) = home
@@ -180,7 +179,7 @@ fn impossible(reason: impl Into<String>, remedy: impl Into<String>) -> Problem {
     Problem::Impossible { reason: reason.into(), remedy: remedy.into() }
 }
 
-/// The geometry's numbers, flattened in the order of the mechanism.
+/// Reads the geometry's numbers in the order of the mechanism.
 fn geometry(table: &Table<'_>, spec: &Spec) -> [f64; MAX_GEOMETRY] {
     let known: Vec<&str> = spec.geometry.iter().map(|(key, _)| *key).collect();
     table.refuse_unknown_keys(&known);
@@ -205,7 +204,7 @@ fn links(top: &Table<'_>, spec: &Spec) -> Result<[Link; MAX_LINKS], FileError> {
     } else {
         spec.links.join(", ")
     };
-    top.keep(counted(top, &tables, "link", spec.links.len(), meaning), ());
+    top.keep(check_count(top, &tables, "link", spec.links.len(), meaning), ());
     let mut links = [Link::default(); MAX_LINKS];
     for ((index, table), name) in tables.into_iter().enumerate().zip(spec.links) {
         let table = table.called(format!("[[link]] {index} ({name})"));
@@ -222,8 +221,8 @@ fn links(top: &Table<'_>, spec: &Spec) -> Result<[Link; MAX_LINKS], FileError> {
     Ok(links)
 }
 
-/// Refuses the wrong number of `[[key]]` tables, at the first surplus one or at the last there is.
-fn counted(
+/// Refuses a wrong number of `[[key]]` tables, at the first surplus table or else at the last table.
+fn check_count(
     top: &Table<'_>,
     tables: &[Table<'_>],
     key: &str,
@@ -247,17 +246,17 @@ fn counted(
 
 fn joints(top: &Table<'_>, spec: &Spec) -> Result<[Joint; MAX_JOINTS], FileError> {
     let tables = top.tables("joint")?;
-    top.keep(counted(top, &tables, "joint", spec.joints, "one per actuated joint, joint 0 first".into()), ());
+    top.keep(check_count(top, &tables, "joint", spec.joints, "one per actuated joint, joint 0 first".into()), ());
     let mut joints = [Joint::default(); MAX_JOINTS];
     for ((index, table), joint) in tables.into_iter().enumerate().zip(&mut joints).take(spec.joints) {
         let place = format!("[[joint]] {index}");
-        *joint = joint_of(&table.called(place), carries_its_body(spec, index));
+        *joint = joint_of(&table.called(place), includes_body_inertia(spec, index));
     }
     Ok(joints)
 }
 
-/// `carries`: see [`carries_its_body`].
-fn joint_of(table: &Table<'_>, carries: bool) -> Joint {
+/// Reads a joint. `includes_body` is the result of [`includes_body_inertia`].
+fn joint_of(table: &Table<'_>, includes_body: bool) -> Joint {
     table.refuse_unknown_keys(&[
         "inertia",
         "viscous",
@@ -270,7 +269,7 @@ fn joint_of(table: &Table<'_>, carries: bool) -> Joint {
         "cogging",
         "mode",
     ]);
-    // A table of the joint, where it is there.
+    // An optional table of the joint.
     let part = |key: &str| {
         let place = format!("[joint.{key}] of {}", table.place());
         table.keep(table.table(key), None).map(|part| part.called(place))
@@ -281,7 +280,7 @@ fn joint_of(table: &Table<'_>, carries: bool) -> Joint {
         true => (table.keep(table.word("transmission", &[("rigid", true)]), None).is_some(), None),
         false => (false, part("transmission")),
     };
-    let transmission = transmission.map(|part| transmission_of(&part, inertia, carries));
+    let transmission = transmission.map(|part| transmission_of(&part, inertia, includes_body));
     let transmission = transmission.and_then(|found| table.keep(found.map(Some), None));
     let friction = part("friction").and_then(|part| table.keep(friction_of(&part, coulomb).map(Some), None));
     Joint {
@@ -299,22 +298,22 @@ fn joint_of(table: &Table<'_>, carries: bool) -> Joint {
     }
 }
 
-/// Returns true if the body that a joint turns counts in the joint's own inertia, beside its rotor: a paddle's and a
-/// turret's.
-pub fn carries_its_body(spec: &Spec, joint: usize) -> bool {
+/// Returns true if the joint's own inertia includes that of the body it turns, in addition to its rotor's: a paddle's
+/// and a turret's joint.
+pub fn includes_body_inertia(spec: &Spec, joint: usize) -> bool {
     joint == 0 && (spec.links.is_empty() || spec.task == 3)
 }
 
-/// `inertia` is the joint's. The motor has a part of it, or the whole unless the joint `carries_its_body`.
-fn transmission_of(table: &Table<'_>, inertia: f64, carries_its_body: bool) -> Result<Transmission, FileError> {
+/// Reads a transmission. `inertia` is the joint's. The motor's part of it defaults to all, except if `includes_body`.
+fn transmission_of(table: &Table<'_>, inertia: f64, includes_body: bool) -> Result<Transmission, FileError> {
     table.refuse_unknown_keys(&["stiffness", "damping", "motor_inertia", "encoder_at"]);
     let stiffness = table.needed("stiffness", Must::BePositive, "stiffness = 50.0");
     let damping = table.number_or("damping", Must::NotBeNegative, 0.0);
     let given = table.number("motor_inertia", Must::BePositive)?;
     let motor_inertia = match given {
-        None if carries_its_body => table.required("motor_inertia", None, "motor_inertia = 1.0e-5")?,
+        None if includes_body => table.required("motor_inertia", None, "motor_inertia = 1.0e-5")?,
         None if inertia == 0.0 => {
-            let reason = "a transmission needs a motor with inertia on one side, and this joint has none";
+            let reason = "a transmission needs a motor with inertia on one side, and this joint has no inertia";
             let remedy = "write the rotor's reflected inertia as the joint's `inertia`";
             return Err(table.error_here(impossible(reason, remedy)));
         }
@@ -331,14 +330,14 @@ fn transmission_of(table: &Table<'_>, inertia: f64, carries_its_body: bool) -> R
     Ok(Transmission { stiffness, damping, motor_inertia, encoder_at })
 }
 
-/// `coulomb` is the joint's, N m.
+/// Reads friction at rest. `coulomb` is the joint's, N m.
 fn friction_of(table: &Table<'_>, coulomb: f64) -> Result<Stribeck, FileError> {
     table.refuse_unknown_keys(&["static", "stribeck_speed"]);
     let rest = table.needed("static", Must::NotBeNegative, format!("static = {:?}", 1.5 * coulomb));
     let stribeck_speed = table.needed("stribeck_speed", Must::BePositive, "stribeck_speed = 0.1");
     if rest < coulomb {
         let reason =
-            format!("static is {rest} N m, less than the joint's coulomb ({coulomb}): at rest friction is most");
+            format!("static is {rest} N m, less than the joint's coulomb ({coulomb}): friction is largest at rest");
         return Err(table.error_at("static", impossible(reason, "write at least as much as `coulomb`")));
     }
     Ok(Stribeck { rest, stribeck_speed })
@@ -352,7 +351,7 @@ fn cogging_of(table: &Table<'_>) -> Cogging {
     }
 }
 
-/// The `[[joint.mode]]` tables of a joint.
+/// Reads the `[[joint.mode]]` tables of a joint.
 fn modes(joint: &Table<'_>) -> Result<[Option<StructuralMode>; MAX_MODES], FileError> {
     let tables = joint.tables("mode")?;
     if let Some(surplus) = tables.get(MAX_MODES) {
@@ -430,8 +429,9 @@ fn home(top: &Table<'_>, spec: &Spec, joints: &[Joint]) -> Result<Option<[f64; M
     Ok(Some(padded(&q)))
 }
 
-/// The first joint whose modes, with those of the joints before it, leave the links without inertia at these angles.
-fn swings_with_all(description: &Description, q: &[f64; MAX_JOINTS]) -> Option<usize> {
+/// Returns the first joint whose modes, with the modes of the joints before it, leave the links no inertia at angles
+/// `q`.
+fn joint_without_remaining_inertia(description: &Description, q: &[f64; MAX_JOINTS]) -> Option<usize> {
     fn first<const N: usize, M: Mechanism<f64, N>>(
         mechanism: &M,
         description: &Description,
@@ -440,7 +440,7 @@ fn swings_with_all(description: &Description, q: &[f64; MAX_JOINTS]) -> Option<u
         let pose = mechanism.pose::<Libm>(&SVector::<f64, N>::from_fn(|index, _| q[index]));
         let mut mass = mechanism.mass(&pose);
         if mass.iter().any(|entry| !entry.is_finite()) {
-            // Not a pose of this device, which others say.
+            // Not a pose of this device; another check reports it.
             return None;
         }
         (0..N).find(|&joint| {
@@ -465,7 +465,7 @@ fn reachable(mechanism: &AnyMechanism<f64>, q: &[f64; MAX_JOINTS]) -> bool {
     with_mechanism!(mechanism, m => regular(m, q))
 }
 
-/// A refusal by the mechanism itself, at the key that causes it.
+/// Converts an error of the mechanism to an error at the key that causes it.
 fn refusal(error: DescriptionError, top: &Table<'_>, geometry: &Table<'_>, spec: &Spec) -> FileError {
     let problem = |remedy: &str| impossible(error.to_string(), remedy);
     match error {

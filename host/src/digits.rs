@@ -1,4 +1,4 @@
-//! Numbers of the board's single precision in documents.
+//! Shortest decimal form of the board's single-precision numbers in JSON documents.
 
 use crate::error::{Failure, print};
 use serde::Serialize;
@@ -6,9 +6,9 @@ use serde_json::ser::{CompactFormatter, Formatter};
 use serde_json::{Number, Value};
 use std::io;
 
-/// The same number in the fewest digits that mean it where single precision holds it: an `f32` that was widened to
-/// `f64` has digits that were never measured. A number that is shorter in double precision stays.
-pub(crate) fn fewest(number: f64) -> f64 {
+/// Returns the number with the fewest digits that round to the same `f32`: an `f32` widened to `f64` has digits without
+/// meaning. Returns the number unchanged if it is not an `f32` or is shorter in double precision.
+pub(crate) fn shorten(number: f64) -> f64 {
     let single = number as f32;
     if f64::from(single) != number {
         return number;
@@ -17,11 +17,11 @@ pub(crate) fn fewest(number: f64) -> f64 {
     if short.to_string().len() < number.to_string().len() { short } else { number }
 }
 
-/// The same document with every number in the fewest digits that mean it where single precision holds it.
+/// Returns the document with every number shortened to the fewest digits of its single-precision value.
 pub fn shortest(document: Value) -> Value {
     match document {
         Value::Number(number) if number.is_f64() => {
-            let short = number.as_f64().and_then(|wide| Number::from_f64(fewest(wide)));
+            let short = number.as_f64().and_then(|wide| Number::from_f64(shorten(wide)));
             Value::Number(short.unwrap_or(number))
         }
         Value::Array(values) => values.into_iter().map(shortest).collect(),
@@ -30,23 +30,25 @@ pub fn shortest(document: Value) -> Value {
     }
 }
 
-/// Writes numbers in the fewest digits.
-struct Fewest;
+/// A JSON formatter that writes numbers in the fewest digits.
+struct ShortNumbers;
 
-impl Formatter for Fewest {
+impl Formatter for ShortNumbers {
     fn write_f64<W: ?Sized + io::Write>(&mut self, writer: &mut W, value: f64) -> io::Result<()> {
-        CompactFormatter.write_f64(writer, fewest(value))
+        CompactFormatter.write_f64(writer, shorten(value))
     }
 }
 
-/// A JSON document on one line, its numbers in the fewest digits that mean them.
+/// Formats a JSON document on one line, with numbers in the fewest digits.
 fn line(document: impl Serialize) -> Result<String, Failure> {
     let mut text = Vec::new();
-    document.serialize(&mut serde_json::Serializer::with_formatter(&mut text, Fewest)).map_err(Failure::impossible)?;
+    document
+        .serialize(&mut serde_json::Serializer::with_formatter(&mut text, ShortNumbers))
+        .map_err(Failure::impossible)?;
     Ok(String::from_utf8(text).map_err(Failure::impossible)? + "\n")
 }
 
-/// Writes one JSON document to standard output, its numbers in the fewest digits that mean them.
+/// Writes one JSON document to standard output, with numbers in the fewest digits.
 pub fn print_json(document: impl Serialize) -> Result<(), Failure> {
     print(&line(document)?)
 }
@@ -57,7 +59,7 @@ mod tests {
     use serde_json::json;
 
     #[test]
-    fn numbers_of_a_board_have_the_digits_that_they_mean_and_others_keep_theirs() {
+    fn single_precision_numbers_are_written_in_the_fewest_digits() {
         let document =
             json!({ "single": [0.08f32, 2.3f32, -1.862_645_1e-9f32, 24.0f32], "double": 0.1 + 0.2, "count": 3 });
         let expected = r#"{"count":3,"double":0.30000000000000004,"single":[0.08,2.3,-1.8626451e-9,24.0]}"#;

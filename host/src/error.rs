@@ -1,52 +1,51 @@
-//! The failure of a command: an exit code, one line that says why, and a remedy. A file with several mistakes gets a
-//! line for each.
+//! The failure of a command: an exit code, a reason on one line, and a remedy. A file with several errors gets one line
+//! for each.
 //!
-//! Exit codes (docs/files.md): 0 done, 1 it could not be done, 2 the command or a file is wrong, 3 what was compared
-//! differs.
+//! Exit codes (docs/files.md): 0 done, 1 not possible, 2 the command or a file is wrong, 3 the compared things differ.
 
 use core::fmt;
 use std::borrow::Cow;
 use std::process::ExitCode;
 
-/// Whose fault it was.
+/// The cause of a failure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Blame {
-    /// The request was sound, but the world did not play along: no board, a singular pose, a full disk. Exit code 1.
+    /// The request was valid but could not be carried out: no board, a singular pose, a full disk. Exit code 1.
     World,
-    /// The command line or a file is wrong, and would be wrong again. Exit code 2.
+    /// The command line or a file is wrong; repeating the command does not help. Exit code 2.
     Request,
-    /// Nobody's: two things were compared, and differ. Exit code 3.
+    /// Two things that were compared differ. Exit code 3.
     Difference,
 }
 
-/// A choice that the user may change to get further; each program knows it under its own name.
+/// An option that the user may change to avoid the failure; each program has its own name for it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Choice {
     /// The joint angles of the pose.
     Pose,
-    /// The distance that a pose must keep from singularities.
+    /// The required distance of a pose from singularities.
     Clearance,
     /// The size of the wall.
     Patch,
-    /// The ripple that a wall may have.
+    /// The largest ripple of a wall.
     Ripple,
-    /// Which wall is tried.
+    /// The wall to test.
     Wall,
     /// Permission to overwrite files.
     Overwriting,
-    /// Which board.
+    /// The board.
     Board,
-    /// The place where results are kept between runs.
+    /// The file that keeps results between runs.
     Kept,
-    /// Which of a recording's signals are drawn.
+    /// The signals of a recording to draw.
     Shown,
     /// The contents of a recording.
     Fields,
-    /// Which firmware is flashed.
+    /// The firmware to flash.
     Image,
 }
 
-/// A command that did not do what was asked, on one line; a file with several mistakes, a line each.
+/// A failed command: a reason on one line, and further lines for a file with several errors.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Failure {
     blame: Blame,
@@ -58,50 +57,50 @@ pub struct Failure {
 }
 
 impl Failure {
-    /// It could not be done (exit code 1).
+    /// Creates a failure of a valid request (exit code 1).
     pub fn impossible(reason: impl fmt::Display) -> Self {
         Self { blame: Blame::World, reason: reason.to_string(), remedy: None, choice: None, also: Vec::new() }
     }
 
-    /// The command or a file is wrong (exit code 2).
+    /// Creates a failure of a wrong command or file (exit code 2).
     pub fn wrong(reason: impl fmt::Display) -> Self {
         Self { blame: Blame::Request, reason: reason.to_string(), remedy: None, choice: None, also: Vec::new() }
     }
 
-    /// What was compared differs (exit code 3).
+    /// Creates the failure of a comparison (exit code 3).
     pub fn different(reason: impl fmt::Display) -> Self {
         Self { blame: Blame::Difference, ..Self::impossible(reason) }
     }
 
-    /// Adds what the user can do about it.
+    /// Adds the remedy.
     pub fn remedy(mut self, remedy: impl fmt::Display) -> Self {
         self.remedy = Some(remedy.to_string());
         self
     }
 
-    /// Adds what the user may choose otherwise for the remedy.
+    /// Adds the option that the user may change.
     pub fn choose(mut self, choice: Choice) -> Self {
         self.choice = Some(choice);
         self
     }
 
-    /// Adds what is wrong beside, a line each.
+    /// Adds further errors, one line each.
     pub fn also(mut self, lines: impl IntoIterator<Item = String>) -> Self {
         self.also.extend(lines);
         self
     }
 
-    /// Returns the choice that the user may change.
+    /// Returns the option that the user may change.
     pub fn choice(&self) -> Option<Choice> {
         self.choice
     }
 
-    /// Whose fault it was.
+    /// Returns the cause of the failure.
     pub fn blame(&self) -> Blame {
         self.blame
     }
 
-    /// The process's exit code.
+    /// Returns the exit code of the process.
     pub fn exit_code(&self) -> ExitCode {
         ExitCode::from(match self.blame {
             Blame::World => 1,
@@ -112,7 +111,7 @@ impl Failure {
 }
 
 impl fmt::Display for Failure {
-    /// The reason is a single line, whatever it was made of.
+    /// Joins the lines of a reason with several lines.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let one_line = |text: &str| text.split_whitespace().collect::<Vec<_>>().join(" ");
         f.write_str(&one_line(&self.reason))?;
@@ -125,36 +124,36 @@ impl fmt::Display for Failure {
 
 impl std::error::Error for Failure {}
 
-/// Returns a text that is safe to show in a terminal: characters that a terminal would obey, such as the ESC in a name
-/// from a file or a board, are written as in JSON. Lines and tabs stay.
+/// Makes a text safe for a terminal: control characters, such as the ESC in a name from a file or a board, are escaped
+/// as in JSON. Newlines and tabs stay.
 pub fn visible(text: &str) -> Cow<'_, str> {
     escaped(text, &['\n', '\t'])
 }
 
-/// The same of a name that stands in a line and shall begin none of its own.
+/// Like [`visible`], but also escapes newlines and tabs, for a name within a line.
 pub fn on_one_line(name: &str) -> Cow<'_, str> {
     escaped(name, &[])
 }
 
-fn escaped<'t>(text: &'t str, kept: &[char]) -> Cow<'t, str> {
-    // Control characters, and marks that turn the direction of what follows or separate lines.
+fn escaped<'t>(text: &'t str, allowed: &[char]) -> Cow<'t, str> {
+    // Control characters, direction marks and line separators.
     let marks = |c: char| matches!(c, '\u{200e}' | '\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
-    let obeyed = |c: char| (c.is_control() || marks(c)) && !kept.contains(&c);
-    if !text.contains(obeyed) {
+    let is_unsafe = |c: char| (c.is_control() || marks(c)) && !allowed.contains(&c);
+    if !text.contains(is_unsafe) {
         return text.into();
     }
     let mut shown = String::with_capacity(text.len() + 16);
     for c in text.chars() {
         match c {
-            c if obeyed(c) => shown.push_str(&format!("\\u{:04x}", u32::from(c))),
+            c if is_unsafe(c) => shown.push_str(&format!("\\u{:04x}", u32::from(c))),
             c => shown.push(c),
         }
     }
     shown.into()
 }
 
-/// Writes a finished document to standard output, as [`visible`] shows it. A reader that went away (`haptic … | head`) is
-/// not an error.
+/// Writes a complete document to standard output, escaped by [`visible`]. A closed pipe (`haptic … | head`) is not an
+/// error.
 pub fn print(document: &str) -> Result<(), Failure> {
     use std::io::Write;
     let mut out = std::io::stdout().lock();
@@ -167,14 +166,14 @@ pub fn print(document: &str) -> Result<(), Failure> {
     }
 }
 
-/// Writes to standard error, as [`visible`] shows it. A reader that went away (`haptic … 2>&1 | head`) or a full disk stops
-/// no command, least of all one that has motors to turn off: what cannot be said is not said.
+/// Writes to standard error, escaped by [`visible`]. Ignores write errors: a closed pipe (`haptic … 2>&1 | head`) or a
+/// full disk must not stop a command that still has to turn motors off.
 pub fn say(text: fmt::Arguments<'_>) {
     write_error(&visible(&text.to_string()));
 }
 
-/// The same over what the line of the terminal holds; `clear` leaves the line empty.
-pub fn say_over(text: fmt::Arguments<'_>, clear: bool) {
+/// Like [`say`], but overwrites the terminal's present line; `clear` leaves the line empty afterwards.
+pub fn overwrite_line(text: fmt::Arguments<'_>, clear: bool) {
     let end = if clear { "\x1b[2K\r" } else { "" };
     write_error(&format!("\r{}{end}", visible(&text.to_string())));
 }
@@ -185,7 +184,7 @@ fn write_error(text: &str) {
     let _ = err.write_all(text.as_bytes()).and_then(|()| err.flush());
 }
 
-/// A line on standard error, as `eprintln` but by [`say`]: it never panics.
+/// Writes a line to standard error by [`say`]. Unlike `eprintln`, it never panics.
 #[macro_export]
 macro_rules! tell {
     ($($text:tt)*) => { $crate::error::say(format_args!("{}\n", format_args!($($text)*))) };
@@ -202,12 +201,12 @@ mod tests {
     }
 
     #[test]
-    fn what_a_terminal_would_obey_is_written_as_in_json() {
+    fn control_characters_are_escaped_as_in_json() {
         let name = "a\u{1b}[2J\u{9b}31m\r\u{7}\tb\nµ";
         let shown = visible(name);
         assert_eq!(shown, "a\\u001b[2J\\u009b31m\\u000d\\u0007\tb\nµ");
         assert_eq!(on_one_line(name), "a\\u001b[2J\\u009b31m\\u000d\\u0007\\u0009b\\u000aµ");
         let json = format!("\"{}\"", visible("\u{9b}\u{7f}"));
-        assert_eq!(serde_json::from_str::<String>(&json).unwrap(), "\u{9b}\u{7f}", "a JSON text means the same");
+        assert_eq!(serde_json::from_str::<String>(&json).unwrap(), "\u{9b}\u{7f}", "JSON decodes it to the same text");
     }
 }

@@ -1,16 +1,16 @@
-//! Why a file is refused: every mistake a device or scene file can hold, in words, with what to do about it.
+//! Errors in files: every error that a device or scene file can contain, with its remedy.
 //!
-//! One line each: `file:line:column: what is wrong; what to do`. A file is told all its mistakes that can be seen at once.
+//! One line each: `file:line:column: problem; remedy`. All errors that can be found in one pass are reported at once.
 
 use core::fmt;
 use std::path::PathBuf;
 
-/// Why a file was refused, where, and what to do about it.
+/// An error in a file, with its position.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FileError {
     /// The file.
     pub path: PathBuf,
-    /// Line and column, both from 1; none when the file as a whole is meant.
+    /// Line and column, both from 1; `None` if the error concerns the complete file.
     pub position: Option<(usize, usize)>,
     /// The first problem.
     pub problem: Box<Problem>,
@@ -19,13 +19,13 @@ pub struct FileError {
 }
 
 impl FileError {
-    /// One mistake.
+    /// Creates an error without others.
     pub fn new(path: PathBuf, position: Option<(usize, usize)>, problem: Problem) -> Self {
         Self { path, position, problem: Box::new(problem), others: Vec::new() }
     }
 
-    /// The mistakes of one file as one, in the order of the file; none where there are none. A key that is missed only
-    /// because it is misspelt or stands in the wrong table is one mistake.
+    /// Joins the errors of one file in the order of their lines; `None` if there are no errors. Drops the error about a
+    /// missing key if the key is only misspelt or in the wrong table.
     pub fn together(mut errors: Vec<Self>) -> Option<Self> {
         let unknown: Vec<Problem> = errors.iter().map(|error| (*error.problem).clone()).collect();
         let explained = |missing: &Problem| unknown.iter().any(|problem| problem.explains(missing));
@@ -42,40 +42,39 @@ impl FileError {
     }
 }
 
-/// Everything a file can be refused for. `place` is the table, such as `[geometry]` or `[[link]] 1 (proximal-2)`:
-/// counted from 0.
+/// A problem in a file. `place` is the table, such as `[geometry]` or `[[link]] 1 (proximal-2)`, counted from 0.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Problem {
-    /// The file cannot be read at all.
+    /// The file cannot be read.
     Unreadable(String),
-    /// Nothing that such a file can be: a pipe, a device, far too long.
+    /// Not a file of this kind: a pipe, a device, too long.
     Unfit(String),
     /// Not UTF-8 text.
     NotText,
     /// Not TOML.
     Syntax(String),
-    /// A description in another format.
+    /// A file in another format.
     Foreign(&'static Foreign),
-    /// A key that is not known in its table.
+    /// An unknown key in a table.
     UnknownKey {
         /// The key as written.
         key: String,
         /// Its table.
         place: String,
-        /// The known key it resembles.
+        /// The most similar known key.
         nearest: Option<String>,
-        /// Every key that may stand here.
+        /// All known keys of the table.
         known: Vec<String>,
-        /// It belongs at the top of the file.
+        /// True if the key belongs at the top of the file.
         on_top: bool,
     },
-    /// A key that must be there is not.
+    /// A missing key.
     MissingKey {
         /// The key.
         key: String,
         /// Its table.
         place: String,
-        /// A line that would do.
+        /// An example of the missing line.
         example: String,
     },
     /// A value of the wrong type.
@@ -86,7 +85,7 @@ pub enum Problem {
         place: String,
         /// A description of the expected value.
         expected: String,
-        /// The type of the value that stands there.
+        /// The type of the value in the file.
         found: &'static str,
     },
     /// A list of the wrong length.
@@ -95,14 +94,14 @@ pub enum Problem {
         key: String,
         /// Its table.
         place: String,
-        /// The required number of numbers.
+        /// The required length.
         expected: usize,
-        /// The number of numbers found.
+        /// The length in the file.
         found: usize,
         /// The meaning of the numbers.
         meaning: String,
     },
-    /// Infinite, not a number, or beyond what the board's 32-bit floats hold.
+    /// A number that is infinite, NaN or too large for the board's 32-bit floats.
     NotFinite {
         /// The key.
         key: String,
@@ -117,10 +116,10 @@ pub enum Problem {
         place: String,
         /// The number.
         found: f64,
-        /// The condition that it must meet, with the unit or the reason.
+        /// The condition on the number, with the unit or the reason.
         must: String,
     },
-    /// A word that is not one of a fixed set.
+    /// An unknown word for a key with a fixed set of words.
     UnknownWord {
         /// The key.
         key: String,
@@ -128,7 +127,7 @@ pub enum Problem {
         place: String,
         /// The word as written.
         found: String,
-        /// Every word that may stand here.
+        /// All known words.
         known: Vec<String>,
     },
     /// The wrong number of repeated tables.
@@ -142,7 +141,7 @@ pub enum Problem {
         /// The meaning of the entries, in order.
         meaning: String,
     },
-    /// Every value is fine by itself, but together they cannot be.
+    /// Values that are valid alone but contradict each other.
     Impossible {
         /// The contradiction.
         reason: String,
@@ -152,7 +151,7 @@ pub enum Problem {
 }
 
 impl Problem {
-    /// Returns true if this unknown key is the missing one, misspelt or in the wrong table.
+    /// Returns true if this unknown key is the `missing` key, misspelt or in the wrong table.
     fn explains(&self, missing: &Self) -> bool {
         let (Self::UnknownKey { key: unknown, place, on_top, .. }, Self::MissingKey { key, place: lacking, .. }) =
             (self, missing)
@@ -163,13 +162,13 @@ impl Problem {
         misspelt || *on_top && lacking.is_empty() && unknown == key
     }
 
-    /// Returns the advice that goes with the problem.
+    /// Returns the remedy.
     pub fn remedy(&self) -> String {
         match self {
             Self::Unreadable(_) => "check the path and its permissions".into(),
-            Self::Unfit(_) => "name the TOML file that is meant".into(),
+            Self::Unfit(_) => "name a TOML file".into(),
             Self::NotText => "save the file as UTF-8 text".into(),
-            Self::Syntax(_) => "mend the TOML at this place".into(),
+            Self::Syntax(_) => "correct the TOML at this place".into(),
             Self::Foreign(format) => format.instead.into(),
             Self::UnknownKey { on_top: true, .. } => "it belongs at the top of the file, above the first table".into(),
             Self::UnknownKey { key, place, .. } if let Some(instead) = instead_of(key, place) => instead.into(),
@@ -196,8 +195,8 @@ impl Problem {
     }
 }
 
-/// Words of data sheets and of other projects' files, a part of the name of the tables in which they are meant so, and the
-/// keys to write instead.
+/// Words of data sheets and other projects, a part of the name of the tables where they have this meaning, and the
+/// remedy.
 const SHEET_WORDS: &[(&[&str], &str, &str)] = &[
     (
         &[
@@ -263,7 +262,7 @@ const SHEET_WORDS: &[(&[&str], &str, &str)] = &[
     (
         &["noise", "jitter", "backlash", "play", "slip", "hysteresis"],
         "",
-        "leave it out: noise, backlash and slip cannot be described yet, and simulation and predictions are without them",
+        "leave it out: noise, backlash and slip cannot be described yet, and simulation and predictions ignore them",
     ),
     (
         &["rotor_inertia", "armature", "reflected_inertia"],
@@ -278,19 +277,19 @@ const SHEET_WORDS: &[(&[&str], &str, &str)] = &[
     (
         &["stall_current", "nominal_current", "continuous_current", "current_limit"],
         "",
-        "write max_current, in A: what motor, board and supply stand continuously",
+        "write max_current, in A: the current that motor, board and supply stand continuously",
     ),
     (&["no_load_current"], "", "write the joint's coulomb = no-load current x torque_constant, in N m"),
 ];
 
-/// The keys to write instead of a data sheet's word.
+/// Returns the remedy for a data sheet's word.
 fn instead_of(key: &str, place: &str) -> Option<&'static str> {
     let key = key.to_lowercase().replace('-', "_");
     let meant = |(words, part, _): &&(&[&str], &str, &str)| words.contains(&key.as_str()) && place.contains(part);
     SHEET_WORDS.iter().find(meant).map(|(_, _, instead)| *instead)
 }
 
-/// A format in which people have descriptions of their devices, or other data.
+/// Another file format.
 #[derive(Debug, PartialEq, Eq)]
 pub struct Foreign {
     name: &'static str,
@@ -298,7 +297,7 @@ pub struct Foreign {
 }
 
 impl Foreign {
-    /// The format of a text that is no TOML, by its first line.
+    /// Detects the format of a text that is not TOML by its first line.
     pub fn of(text: &str) -> Option<&'static Self> {
         const DESCRIBE: &str = "begin with `haptic new KIND -o mine.toml` and take lengths, masses, centres of mass, inertias and \
                                 limits from this file (docs/devices.md)";
@@ -328,7 +327,7 @@ impl Foreign {
     }
 }
 
-/// `key` in `place`, or `key` alone at the top of the file.
+/// Formats `key` in `place`, or `key` alone at the top of the file.
 fn at(key: &str, place: &str) -> String {
     if place.is_empty() { format!("`{key}`") } else { format!("`{key}` in {place}") }
 }
@@ -377,7 +376,7 @@ impl From<FileError> for crate::error::Failure {
     }
 }
 
-/// The known word that `word` was probably meant to be.
+/// Returns the known word that is most similar to `word`; `None` if no word is similar enough.
 pub(crate) fn nearest(word: &str, known: &[String]) -> Option<String> {
     let lower = word.to_lowercase();
     known

@@ -1,16 +1,16 @@
-//! From a device's task frame to the operator's, in which other people's programs compute: CHAI3D's has x towards the
-//! operator, y to the right and z up.
+//! Converts between a device's task frame and the operator's frame, which other programs use: CHAI3D's has x towards
+//! the operator, y to the right and z up.
 
 use haptic_bridge::model::catalogue::Kind;
 use std::str::FromStr;
 
-/// For each of CHAI3D's axes, which task axis it is and which way; none where the device does not move.
+/// For each of CHAI3D's axes, the index and sign of the task axis; `None` if the device does not move along it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Axes(pub [Option<(usize, f64)>; 3]);
 
 impl Axes {
-    /// Those of a mechanism as it usually stands; a planar device that has weight stands upright, another lies on the
-    /// table.
+    /// Returns the axes of a mechanism in its usual position. A planar device stands upright if it has weight and
+    /// otherwise lies on the table.
     pub fn of(kind: Kind, weight: bool) -> Self {
         let (x, y, z) = (Some((0, 1.0)), Some((1, 1.0)), Some((2, 1.0)));
         let back = |axis: Option<(usize, f64)>| axis.map(|(index, sign)| (index, -sign));
@@ -18,19 +18,20 @@ impl Axes {
             Kind::Paddle => Self([None, x, None]),
             Kind::FiveBar | Kind::Serial3r if weight => Self([None, x, y]),
             Kind::FiveBar | Kind::Serial3r => Self([y, back(x), None]),
-            // Its vertical is y, and the arm reaches along x towards who holds it.
+            // The y axis is vertical, and the arm reaches along x towards the operator.
             Kind::Parallelogram => Self([x, back(z), y]),
-            // The motors are away from the operator, who is where y points to.
+            // The motors are on the far side from the operator, and y points to the operator.
             Kind::FiveBarTurret => Self([y, back(x), z]),
         }
     }
 
-    /// A vector of the task frame in CHAI3D's.
+    /// Converts a vector from the task frame to CHAI3D's.
     pub fn to_chai3d(self, task: [f64; 3]) -> [f64; 3] {
         self.0.map(|axis| axis.map_or(0.0, |(index, sign)| sign * task[index]))
     }
 
-    /// And back; what the device does not have is left out.
+    /// Converts a vector from CHAI3D's frame to the task frame; drops components along axes that the device does not
+    /// have.
     pub fn to_task(self, chai3d: [f64; 3]) -> [f64; 3] {
         let mut task = [0.0; 3];
         for (axis, value) in self.0.iter().zip(chai3d) {
@@ -45,10 +46,13 @@ impl Axes {
 impl FromStr for Axes {
     type Err = String;
 
-    /// Such as `y,-x,0`: what CHAI3D's x, y and z are.
+    /// Parses the task axes of CHAI3D's x, y and z, such as `y,-x,0`.
     fn from_str(text: &str) -> Result<Self, String> {
-        let wrong =
-            || format!("`{text}` are no axes: write three of x, y, z, -x, -y, -z and 0, none twice, such as y,-x,0");
+        let wrong = || {
+            format!(
+                "`{text}` is not a list of axes: write three of x, y, z, -x, -y, -z and 0, no axis twice, such as y,-x,0"
+            )
+        };
         let words: Vec<&str> = text.split(',').map(str::trim).collect();
         let [a, b, c] = words[..] else { return Err(wrong()) };
         let mut axes = [None; 3];
@@ -75,7 +79,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_axes_are_right_handed_and_go_there_and_back() {
+    fn axes_are_right_handed_and_convert_both_ways() {
         for kind in Kind::ALL {
             for weight in [false, true] {
                 let axes = Axes::of(*kind, weight);

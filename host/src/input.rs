@@ -1,51 +1,51 @@
-//! Files that a person names: read whole, so only regular ones of a sane size are.
+//! Reads files that the user names. Accepts only regular files up to a size limit, because they are read into memory.
 
 use std::io::{Error, Read};
 use std::path::Path;
 
-/// Largest file that is read, bytes. The largest shipped one has four thousand.
+/// Size limit of a file, bytes. The largest shipped file has four thousand.
 pub const LARGEST: u64 = 1 << 20;
 
-/// Largest recording that is read, bytes: a quarter of an hour of all fields at 20 kHz.
+/// Size limit of a recording, bytes: 15 minutes of all fields at 20 kHz.
 pub const LARGEST_RECORDING: u64 = 2 << 30;
 
-/// Reads a regular file (following links) of at most [`LARGEST`] bytes. A pipe or a device is refused before it is
-/// opened: it might never end, or never begin.
+/// Reads a regular file (following links) of at most [`LARGEST`] bytes. Refuses a pipe or a device before opening it,
+/// because reading it might block or never end.
 pub fn read(path: &Path) -> Result<Vec<u8>, Error> {
-    let bytes = read_most(path, LARGEST + 1)?;
+    let bytes = read_limited(path, LARGEST + 1)?;
     if bytes.len() as u64 > LARGEST {
-        return Err(Error::other("it has more than 1 MiB, which no file of this kind has"));
+        return Err(Error::other("it has more than 1 MiB, too much for a file of this kind"));
     }
     Ok(bytes)
 }
 
-/// Reads a recording of at most [`LARGEST_RECORDING`] bytes. A larger one is refused before it is read.
+/// Reads a recording of at most [`LARGEST_RECORDING`] bytes. Refuses a larger one before reading it.
 pub fn read_recording(path: &Path) -> Result<Vec<u8>, Error> {
     if std::fs::metadata(path)?.len() > LARGEST_RECORDING {
         return Err(Error::other(
-            "it has more than 2 GiB, and is read into memory: record fewer fields or every nth row, or plot a part of it",
+            "it has more than 2 GiB, too much to read into memory: record fewer fields or every nth row, or plot a part of it",
         ));
     }
-    read_most(path, LARGEST_RECORDING)
+    read_limited(path, LARGEST_RECORDING)
 }
 
-/// Reads a regular file of any size: for those that this tool wrote.
-pub fn read_own(path: &Path) -> Result<Vec<u8>, Error> {
-    read_most(path, u64::MAX)
+/// Reads a regular file of any size that this tool wrote.
+pub fn read_any_size(path: &Path) -> Result<Vec<u8>, Error> {
+    read_limited(path, u64::MAX)
 }
 
-fn read_most(path: &Path, most: u64) -> Result<Vec<u8>, Error> {
-    let found = std::fs::metadata(path)?;
-    if !found.is_file() && !found.is_dir() {
+fn read_limited(path: &Path, limit: u64) -> Result<Vec<u8>, Error> {
+    let about = std::fs::metadata(path)?;
+    if !about.is_file() && !about.is_dir() {
         return Err(Error::other("it is a pipe or a device, not a file"));
     }
     let mut bytes = Vec::new();
-    // A file may grow, or hide its size as those in /proc do.
-    std::fs::File::open(path)?.take(most).read_to_end(&mut bytes)?;
+    // A file may grow while it is read, or report no size, like those in /proc.
+    std::fs::File::open(path)?.take(limit).read_to_end(&mut bytes)?;
     Ok(bytes)
 }
 
-/// As [`read`], as text.
+/// Like [`read`], but returns text.
 pub fn read_to_string(path: &Path) -> Result<String, Error> {
     String::from_utf8(read(path)?).map_err(|_| Error::other("it is not UTF-8 text"))
 }

@@ -1,25 +1,25 @@
-//! The round-trip time to a board, which limits a wall that a program on the computer renders.
+//! The round-trip time to a board, which limits the walls that a program on the computer can render.
 
 use crate::link::{Board, LinkError};
 use haptic_bridge::board::protocol::ForceRequest;
 use serde::Serialize;
 
-/// Edges of a histogram's bins go 1, 2, 5 in every decade, from here on, s.
+/// Lowest bin edge, s. The edges follow a 1-2-5 series.
 const FIRST_EDGE: f64 = 1.0e-5;
 
-/// Whole control periods fall on edges, and a board tells its period in single precision.
+/// Relative tolerance of an edge: whole control periods fall on edges, and the board's period is in single precision.
 const EDGE_TOLERANCE: f64 = 1.0e-6;
 
-/// Times of many exchanges.
+/// Statistics of many exchanges.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Latency {
-    /// Exchanges in a second of the wire's clock.
+    /// Exchanges per second of the wire's clock.
     pub per_second: f64,
-    /// From a request's first byte to its answer's last, on the computer's clock (on a simulated board's in this
-    /// process).
+    /// Time from the first byte of a request to the last byte of its reply, on the computer's clock; for a board
+    /// simulated in this process, on that board's.
     pub round_trip: Spread,
-    /// From the state that an answer tells to the board taking the request that follows on it, on the board's clock:
-    /// how old what a program computes is when it begins to act.
+    /// Age of a state when the board receives the request computed from it: time between two states, on the board's
+    /// clock.
     pub age: Spread,
 }
 
@@ -30,41 +30,41 @@ pub struct Spread {
     pub count: usize,
     /// The shortest.
     pub min: f64,
-    /// Half are no longer.
+    /// The median.
     pub median: f64,
-    /// 99 of 100 are no longer.
+    /// The 99 % quantile.
     pub p99: f64,
-    /// 999 of 1000 are no longer.
+    /// The 99.9 % quantile.
     pub p999: f64,
     /// The longest.
     pub max: f64,
-    /// Bins without gaps, from the first to the last that holds any.
+    /// Adjacent bins, from the first to the last that is not empty.
     pub histogram: Vec<Bin>,
 }
 
 /// A bin of a histogram: times t with from < t ≤ to, s.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Bin {
-    /// s
+    /// Lower edge, s.
     pub from: f64,
-    /// s
+    /// Upper edge, s.
     pub to: f64,
-    /// Number of occurrences.
+    /// Number of times in the bin.
     pub count: usize,
 }
 
-/// Exchanges so many requests (at least 2) that ask nothing of the motors, as fast as the board answers; `stop` is
-/// asked before each.
+/// Exchanges `exchanges` requests (at least 2) without a force, as fast as the board replies. Ends early if `stop`,
+/// which is called before each request, returns true.
 pub fn measure(board: &mut Board, exchanges: usize, stop: impl Fn() -> bool) -> Result<Latency, LinkError> {
     let (mut round_trips, mut ages) = (Vec::new(), Vec::new());
     let began = board.now();
     let mut last: Option<u32> = None;
     while round_trips.len() < exchanges.max(2) && !(stop() && round_trips.len() > 1) {
-        let asked = board.now();
-        let answer = board.force(&ForceRequest::default())?;
-        round_trips.push((board.now() - asked).as_secs_f64());
-        if let Some(last) = last.replace(answer.step) {
-            ages.push(f64::from(answer.step.wrapping_sub(last)) * f64::from(answer.period));
+        let sent = board.now();
+        let reply = board.force(&ForceRequest::default())?;
+        round_trips.push((board.now() - sent).as_secs_f64());
+        if let Some(last) = last.replace(reply.step) {
+            ages.push(f64::from(reply.step.wrapping_sub(last)) * f64::from(reply.period));
         }
     }
     let seconds = (board.now() - began).as_secs_f64();
@@ -76,23 +76,24 @@ pub fn measure(board: &mut Board, exchanges: usize, stop: impl Fn() -> bool) -> 
 }
 
 impl Spread {
-    /// Of times (s), at least one.
+    /// Computes the distribution of `times` (s, not empty).
     fn of(mut times: Vec<f64>) -> Self {
         times.sort_by(f64::total_cmp);
-        let share = |share: f64| times[((times.len() as f64 * share).ceil() as usize).clamp(1, times.len()) - 1];
+        let quantile =
+            |quantile: f64| times[((times.len() as f64 * quantile).ceil() as usize).clamp(1, times.len()) - 1];
         Self {
             count: times.len(),
             min: times[0],
-            median: share(0.5),
-            p99: share(0.99),
-            p999: share(0.999),
-            max: share(1.0),
+            median: quantile(0.5),
+            p99: quantile(0.99),
+            p999: quantile(0.999),
+            max: quantile(1.0),
             histogram: histogram(&times),
         }
     }
 }
 
-/// Bins for sorted times.
+/// Counts sorted times in bins.
 fn histogram(times: &[f64]) -> Vec<Bin> {
     let mut bins = Vec::new();
     let mut from = 0.0;
@@ -116,7 +117,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn times_are_put_into_bins_of_1_2_5() {
+    fn bins_follow_a_1_2_5_series() {
         let spread = Spread::of(vec![3e-5, 1.5e-4, 6e-5, 1.7e-4]);
         assert_eq!((spread.min, spread.median, spread.p99, spread.max), (3e-5, 6e-5, 1.7e-4, 1.7e-4));
         let counts: Vec<usize> = spread.histogram.iter().map(|bin| bin.count).collect();

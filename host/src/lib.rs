@@ -1,7 +1,7 @@
-//! Talks to a haptic-bridge board: finds its port, asks and tells it what its protocol allows, follows its telemetry,
-//! and reads and writes the files that describe devices and scenes. Programs build on it, in C, Python and CHAI3D too,
-//! so it brings nothing that draws, predicts or simulates. A board is a [`link::Board`], one method for every request;
-//! a program that holds one while it pushes takes a [`link::Session`].
+//! Talks to a haptic-bridge board: finds its port, sends the requests of its protocol, receives its telemetry, and
+//! reads and writes device and scene files. The bindings for C, Python and CHAI3D are built on this crate too, so it
+//! contains no code that draws, predicts or simulates. A [`link::Board`] has one method for every request; a program
+//! that pushes through a board uses a [`link::Session`].
 //!
 //! ```no_run
 //! use haptic_host::{device_file::DeviceFile, link::Board, scene_file::SceneFile};
@@ -22,18 +22,18 @@
 //! | to | begin at |
 //! |---|---|
 //! | talk to a board | [`link`] |
-//! | push through one, 1000 times a second | [`link::Session`] |
+//! | push through a board, 1000 times a second | [`link::Session`] |
 //! | read device and scene files | [`device_file`], [`scene_file`] |
-//! | keep a board's settings | [`backup`] |
-//! | write a board's scene as a file, tell what differs | [`read_back`] |
-//! | measure the way to one and back | [`latency`] |
-//! | have the axes of another program | [`frame`] |
+//! | back up a board's settings | [`backup`] |
+//! | write a board's scene as a file, list differences | [`read_back`] |
+//! | measure the round-trip time to a board | [`latency`] |
+//! | convert to the axes of another program | [`frame`] |
 //!
-//! On it stand `haptic-flash` (firmware on a board), `haptic-sim` (a board without hardware), `haptic-stability` (which
-//! walls are stable), `haptic-predict` (measuring, tuning, design), `haptic-show` (recordings, drawings, the page) and
-//! the tool `haptic`. The programs in `examples/` press a wall, follow telemetry, push and predict a range in about
-//! twenty lines each. [`haptic_bridge`] is the code that runs on the board itself; its types (scenes, gains, faults) are
-//! those used here.
+//! Crates on top of this one: `haptic-flash` (firmware on a board), `haptic-sim` (a board without hardware),
+//! `haptic-stability` (which walls are stable), `haptic-predict` (measuring, tuning, design), `haptic-show`
+//! (recordings, drawings, the page) and the tool `haptic`. The programs in `examples/` press a wall, follow telemetry,
+//! push and predict a range in about twenty lines each. [`haptic_bridge`] is the code that runs on the board itself;
+//! this crate uses its types (scenes, gains, faults).
 #![forbid(unsafe_code)]
 
 pub use haptic_bridge;

@@ -1,8 +1,8 @@
-//! Files that the tool writes: it never replaces a file unasked and never leaves half of one.
+//! Writes files. An existing file is replaced only if the caller allows it, and no partial file remains.
 //!
-//! A document is written to a temporary file beside its place and then moved there, so a full disk or a killed tool
-//! leaves the old file as it was. A link is refused: what it leads to was not named. A device node or a pipe is written
-//! to directly, also through a link such as /dev/stdout.
+//! A document is written to a temporary file in the same folder and then moved to its name, so a full disk or a killed
+//! tool leaves the old file unchanged. A link is refused, because the user did not name its target. A device node or a
+//! pipe is written directly, also through a link such as /dev/stdout.
 
 use crate::error::{Choice, Failure};
 use std::fs::{File, OpenOptions};
@@ -10,25 +10,26 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use tempfile::NamedTempFile;
 
-/// Permission for a file to replace an existing one.
+/// Permission to replace an existing file.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Overwrite {
-    /// A file that exists is refused.
+    /// Refuses a file that exists.
     #[default]
     Never,
-    /// It is replaced.
+    /// Replaces a file that exists.
     Replace,
 }
 
-/// The kind of place that a file is written to.
+/// The kind of a path to write to.
 enum Place {
-    /// Nothing yet, or an ordinary file that is replaced.
+    /// A new file, or a regular file to replace.
     File,
     /// A device node or a pipe.
     Special,
 }
 
-/// Refuses a path whose file would be overwritten unasked, or that cannot be one: before any work is done for it.
+/// Checks a path before the work for its file: refuses a file that may not be replaced, and a path that cannot be a
+/// file.
 pub fn check(path: &Path, overwrite: Overwrite) -> Result<(), Failure> {
     match place(path, overwrite)? {
         Place::Special => Ok(()),
@@ -36,12 +37,12 @@ pub fn check(path: &Path, overwrite: Overwrite) -> Result<(), Failure> {
     }
 }
 
-/// Refuses a path where files are to go later and that is not a folder.
+/// Checks that a path for later files is a folder.
 pub fn check_folder(folder: &Path) -> Result<(), Failure> {
     let why = match std::fs::metadata(folder) {
         Ok(about) if about.is_dir() => return Ok(()),
-        Ok(_) => "is no folder".into(),
-        Err(error) if error.kind() == io::ErrorKind::NotFound => "is not there".into(),
+        Ok(_) => "is not a folder".into(),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => "does not exist".into(),
         Err(error) => format!("cannot be used: {error}"),
     };
     Err(Failure::impossible(format!("the folder {} {why}", folder.display()))
@@ -52,7 +53,7 @@ fn folder_of(target: &Path) -> &Path {
     target.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
-/// A line of a table in CSV (RFC 4180): what holds a comma or a quote stands between quotes.
+/// Formats a line of a CSV table (RFC 4180): quotes cells that contain a comma or a quote.
 pub fn csv_line<C: AsRef<str>>(cells: impl IntoIterator<Item = C>) -> String {
     let quoted = |cell: C| match cell.as_ref() {
         text if text.contains([',', '"']) => format!("\"{}\"", text.replace('"', "\"\"")),
@@ -61,7 +62,7 @@ pub fn csv_line<C: AsRef<str>>(cells: impl IntoIterator<Item = C>) -> String {
     cells.into_iter().map(quoted).collect::<Vec<_>>().join(",") + "\n"
 }
 
-/// Writes a whole document.
+/// Writes a complete document.
 pub fn write(path: &Path, bytes: &[u8], overwrite: Overwrite) -> Result<(), Failure> {
     match place(path, overwrite)? {
         Place::Special => {
@@ -69,30 +70,30 @@ pub fn write(path: &Path, bytes: &[u8], overwrite: Overwrite) -> Result<(), Fail
                 file.write_all(bytes)?;
                 file.flush()
             });
-            // A reader that went away (`--svg /dev/stdout | head`) has what he wanted.
+            // A closed pipe (`--svg /dev/stdout | head`) is not an error.
             written.or_else(|error| if error.kind() == io::ErrorKind::BrokenPipe { Ok(()) } else { Err(error) })
         }
-        Place::File => beside(path, bytes).and_then(|beside| put(beside, path, overwrite)),
+        Place::File => temporary(path, bytes).and_then(|temporary| put(temporary, path, overwrite)),
     }
     .map_err(|error| refused(path, &error))
 }
 
-/// Writes documents that belong together: all of them or none, as far as room and permissions go.
+/// Writes several documents, all or none: all are stored in temporary files before the first one gets its name.
 pub fn write_together(files: &[(&Path, &[u8])], overwrite: Overwrite) -> Result<(), Failure> {
     let mut ready = Vec::new();
     for (path, bytes) in files {
         match place(path, overwrite)? {
             Place::Special => write(path, bytes, overwrite)?,
-            Place::File => ready.push((path, beside(path, bytes).map_err(|error| refused(path, &error))?)),
+            Place::File => ready.push((path, temporary(path, bytes).map_err(|error| refused(path, &error))?)),
         }
     }
-    for (path, beside) in ready {
-        put(beside, path, overwrite).map_err(|error| refused(path, &error))?;
+    for (path, temporary) in ready {
+        put(temporary, path, overwrite).map_err(|error| refused(path, &error))?;
     }
     Ok(())
 }
 
-/// Opens a file to which rows are appended as they come; and whether it can be cut back to its last whole row.
+/// Opens a file for appending rows. Returns the file, and true if it can be truncated to its last complete row.
 pub fn open(path: &Path, overwrite: Overwrite) -> Result<(File, bool), Failure> {
     let opened = match place(path, overwrite)? {
         Place::Special => OpenOptions::new().write(true).open(path).map(|file| (file, false)),
@@ -109,7 +110,7 @@ pub fn open(path: &Path, overwrite: Overwrite) -> Result<(File, bool), Failure> 
     opened.map_err(|error| refused(path, &error))
 }
 
-/// A name like this one that no file has yet: `name.svg`, `name-2.svg`, `name-3.svg`.
+/// Returns an unused name: `name.svg`, `name-2.svg`, `name-3.svg`.
 pub fn unused(path: &Path) -> PathBuf {
     let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     let ending = path.extension().map_or(String::new(), |ending| format!(".{}", ending.to_string_lossy()));
@@ -121,8 +122,8 @@ pub fn unused(path: &Path) -> PathBuf {
 fn place(path: &Path, overwrite: Overwrite) -> Result<Place, Failure> {
     let shown = path.display();
     if path == Path::new("-") {
-        return Err(Failure::wrong("- is not written to: here it would be a file of that name")
-            .remedy("write /dev/stdout for the standard output, or ./- for the file"));
+        return Err(Failure::wrong("cannot write to -: here it names a file")
+            .remedy("use /dev/stdout for the standard output, or ./- for the file"));
     }
     match std::fs::metadata(path) {
         Ok(about) if about.is_dir() => {
@@ -130,7 +131,7 @@ fn place(path: &Path, overwrite: Overwrite) -> Result<Place, Failure> {
         }
         Ok(about) if !about.is_file() => Ok(Place::Special),
         Ok(_) if overwrite == Overwrite::Never => {
-            let reason = format!("{shown} exists, and is not overwritten");
+            let reason = format!("{shown} already exists");
             Err(Failure::impossible(reason)
                 .remedy("choose another name, or allow it to be overwritten")
                 .choose(Choice::Overwriting))
@@ -145,37 +146,36 @@ fn place(path: &Path, overwrite: Overwrite) -> Result<Place, Failure> {
     }
 }
 
-/// A file beside `target` that holds these bytes.
-fn beside(target: &Path, bytes: &[u8]) -> io::Result<NamedTempFile> {
+/// Writes the bytes to a temporary file in the folder of `target`.
+fn temporary(target: &Path, bytes: &[u8]) -> io::Result<NamedTempFile> {
     let mut builder = tempfile::Builder::new();
     builder.prefix(".haptic-").suffix(".partial");
     #[cfg(unix)]
     {
         use std::os::unix::fs::PermissionsExt;
-        // As any new file's, less the user's mask.
+        // The usual permissions of a new file, reduced by the user's mask.
         builder.permissions(std::fs::Permissions::from_mode(0o666));
     }
-    let mut beside = builder.tempfile_in(folder_of(target))?;
-    // Write through the temporary file itself: errors from the named one would show a name that the user has never
-    // seen.
-    beside.as_file_mut().write_all(bytes)?;
-    beside.as_file().sync_all()?;
+    let mut temporary = builder.tempfile_in(folder_of(target))?;
+    // Write to the unnamed file: errors of `NamedTempFile` contain the temporary name, which means nothing to the user.
+    temporary.as_file_mut().write_all(bytes)?;
+    temporary.as_file().sync_all()?;
     if let Ok(about) = std::fs::metadata(target) {
-        beside.as_file().set_permissions(about.permissions())?;
+        temporary.as_file().set_permissions(about.permissions())?;
     }
-    Ok(beside)
+    Ok(temporary)
 }
 
-/// Puts it in the place of `target`.
-fn put(beside: NamedTempFile, target: &Path, overwrite: Overwrite) -> io::Result<()> {
+/// Moves the temporary file to `target`.
+fn put(temporary: NamedTempFile, target: &Path, overwrite: Overwrite) -> io::Result<()> {
     match overwrite {
-        Overwrite::Never => beside.persist_noclobber(target).map_err(|error| error.error)?,
-        Overwrite::Replace => beside.persist(target).map_err(|error| error.error)?,
+        Overwrite::Never => temporary.persist_noclobber(target).map_err(|error| error.error)?,
+        Overwrite::Replace => temporary.persist(target).map_err(|error| error.error)?,
     };
     Ok(())
 }
 
-/// Why a file could not be written, with what helps.
+/// Describes why a file could not be written, with the remedy.
 pub fn refused(path: &Path, error: &io::Error) -> Failure {
     let remedy = match error.kind() {
         io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded | io::ErrorKind::FileTooLarge => {
@@ -184,7 +184,7 @@ pub fn refused(path: &Path, error: &io::Error) -> Failure {
         io::ErrorKind::NotFound => "make the folder first, or choose another",
         _ => "check the path and its permissions",
     };
-    // An error that wraps another one names the temporary file, which the user has never seen.
+    // An error that wraps another one contains the temporary name, which means nothing to the user.
     let why = match error.raw_os_error() {
         _ if error.kind() == io::ErrorKind::NotFound => "there is no such folder".into(),
         None if error.kind() != io::ErrorKind::Other => error.kind().to_string(),
@@ -193,7 +193,7 @@ pub fn refused(path: &Path, error: &io::Error) -> Failure {
     Failure::impossible(format!("{} cannot be written: {why}", path.display())).remedy(remedy)
 }
 
-/// The date and time now, in UTC, as recordings carry it (RFC 3339).
+/// Returns the present date and time in UTC, in the format of recordings (RFC 3339).
 pub fn date() -> String {
     humantime::format_rfc3339_seconds(std::time::SystemTime::now()).to_string()
 }
@@ -204,47 +204,47 @@ mod tests {
 
     #[cfg(target_os = "linux")]
     #[test]
-    fn a_reader_that_goes_away_before_a_document_ends_is_no_error() {
+    fn a_closed_pipe_is_no_error() {
         use std::io::Read;
         use std::os::fd::AsRawFd;
         let (mut reader, writer) = io::pipe().unwrap();
         let path = format!("/proc/self/fd/{}", writer.as_raw_fd());
-        // More than a pipe holds: whoever writes waits until the reader has gone.
-        let gone = std::thread::spawn(move || reader.read_exact(&mut [0; 300]).unwrap());
+        // More than a pipe holds: the writer blocks until the reader has gone.
+        let reader = std::thread::spawn(move || reader.read_exact(&mut [0; 300]).unwrap());
         write(Path::new(&path), &vec![b'x'; 1 << 20], Overwrite::Never).unwrap();
-        gone.join().unwrap();
+        reader.join().unwrap();
     }
 
     #[test]
-    fn a_folder_that_is_missing_is_told_before_any_work() {
+    fn a_missing_folder_is_reported_before_any_work() {
         let folder = tempfile::tempdir().unwrap();
         let missing = folder.path().join("missing");
         let refused = check(&missing.join("p.json"), Overwrite::Replace).unwrap_err().to_string();
         assert!(refused.contains("there is no such folder; make the folder first"), "{refused}");
         let refused = check_folder(&missing).unwrap_err().to_string();
-        assert!(refused.contains("missing is not there; make the folder first"), "{refused}");
+        assert!(refused.contains("missing does not exist; make the folder first"), "{refused}");
         check(&folder.path().join("p.json"), Overwrite::Never).unwrap();
         check(Path::new("p-that-is-not-there.json"), Overwrite::Never).unwrap();
         check_folder(folder.path()).unwrap();
     }
 
     #[test]
-    fn a_file_that_exists_is_kept_unless_it_may_be_replaced() {
+    fn an_existing_file_is_replaced_only_with_permission() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.txt");
         write(&path, b"one", Overwrite::Never).unwrap();
         let refused = write(&path, b"two", Overwrite::Never).unwrap_err().to_string();
-        assert!(refused.contains("a.txt exists") && refused.contains("overwritten"), "{refused}");
+        assert!(refused.contains("a.txt already exists") && refused.contains("overwritten"), "{refused}");
         assert!(check(&path, Overwrite::Never).is_err() && open(&path, Overwrite::Never).is_err());
         assert_eq!(std::fs::read(&path).unwrap(), b"one");
         write(&path, b"two", Overwrite::Replace).unwrap();
         assert_eq!(std::fs::read(&path).unwrap(), b"two");
-        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "nothing is left beside it");
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "the temporary file is gone");
         assert_eq!(unused(&path), folder.path().join("a-2.txt"));
     }
 
     #[test]
-    fn directories_and_folders_that_are_not_there_are_refused_with_what_helps() {
+    fn directories_and_missing_folders_are_refused_with_a_remedy() {
         let folder = tempfile::tempdir().unwrap();
         let refused = write(folder.path(), b"", Overwrite::Replace).unwrap_err().to_string();
         assert!(refused.contains("is a directory"), "{refused}");
@@ -254,7 +254,7 @@ mod tests {
 
     #[cfg(unix)]
     #[test]
-    fn links_are_refused_and_what_they_lead_to_is_kept() {
+    fn links_are_refused_and_their_targets_stay_unchanged() {
         let folder = tempfile::tempdir().unwrap();
         let (target, link) = (folder.path().join("target"), folder.path().join("link"));
         std::os::unix::fs::symlink("target", &link).unwrap();
@@ -271,7 +271,7 @@ mod tests {
 
     #[cfg(target_os = "linux")]
     #[test]
-    fn device_nodes_and_pipes_are_written_through_and_stay_what_they_are() {
+    fn device_nodes_and_pipes_are_written_and_stay_in_place() {
         use std::os::unix::fs::FileTypeExt;
         write(Path::new("/dev/null"), b"gone", Overwrite::Never).unwrap();
         let full = write(Path::new("/dev/full"), b"no", Overwrite::Never).unwrap_err().to_string();

@@ -1,11 +1,10 @@
-//! A board's device and scene as files (docs/files.md), and what is different between two of them.
+//! Writes a board's device and scene as files (docs/files.md), and lists the differences between two of them.
 //!
-//! Numbers are written so that the file, read again, gives the board the same ones to the bit. A board keeps less of a
-//! device than its file says: a mechanism's links are lumped into the coefficients of its equations of motion, so a
-//! [`Description`] that goes into [`device()`] has to be found first; [`joints`] and [`home`] give the parts that are
-//! kept.
+//! A board that reads such a file gets the same numbers to the bit. A board stores less than a device file: the links
+//! of a mechanism are lumped into the coefficients of its equations of motion. A [`Description`] for [`device()`] must
+//! therefore be computed first; [`joints`] and [`home`] return the parts that the board stores.
 
-use crate::digits::fewest;
+use crate::digits::shorten;
 use crate::error::on_one_line;
 use core::f64::consts::TAU;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
@@ -32,13 +31,13 @@ pub enum Value {
     Flag(bool),
 }
 
-/// As TOML has it.
+/// Formats the value as TOML.
 impl fmt::Display for Value {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Number(number) => write!(f, "{number:?}"),
             Self::Numbers(numbers) => write!(f, "{numbers:?}"),
-            // JSON's escapes are TOML's, too, and leave a text on one line.
+            // JSON's escapes are valid in TOML too, and keep the text on one line.
             Self::Text(text) => write!(f, "{}", on_one_line(&serde_json::Value::from(text.as_str()).to_string())),
             Self::Flag(flag) => write!(f, "{flag}"),
         }
@@ -48,9 +47,9 @@ impl fmt::Display for Value {
 /// A key in a file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Entry {
-    /// Its table as the file writes it, such as `[[wall]]`; empty at the top.
+    /// Table as in the file, such as `[[wall]]`; empty at the top.
     table: &'static str,
-    /// Which of the tables of that name.
+    /// Index among the tables of this name.
     index: usize,
     key: String,
     value: Value,
@@ -58,7 +57,7 @@ pub struct Entry {
 }
 
 impl Entry {
-    /// Where it stands, in words such as `[[wall]] 1 stiffness`.
+    /// Returns the key with its table, such as `[[wall]] 1 stiffness`.
     fn place(&self) -> String {
         match self.table {
             "" => self.key.clone(),
@@ -68,19 +67,19 @@ impl Entry {
     }
 }
 
-/// Not a table of any file: the coefficients of a device's equations of motion.
+/// Table name of the coefficients of a device's equations of motion, which no file contains.
 const LUMPED: &str = "lumped";
 
-/// A key that two files do not agree about.
+/// A key whose values differ in two files.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Difference {
-    /// Where it stands.
+    /// The key with its table.
     pub key: String,
-    /// Unit of a number.
+    /// Unit of a number, otherwise empty.
     pub unit: &'static str,
-    /// The first file's value, `None` where it has none.
+    /// Value in the first file, `None` if it is missing there.
     pub from: Option<Value>,
-    /// The second's.
+    /// Value in the second file, `None` if it is missing there.
     pub to: Option<Value>,
 }
 
@@ -92,7 +91,7 @@ impl fmt::Display for Difference {
     }
 }
 
-/// What is different in the second of two lists of entries, in their order.
+/// Returns the differences between two lists of entries, in their order.
 pub fn differences(from: &[Entry], to: &[Entry]) -> Vec<Difference> {
     let same = |a: &Entry, b: &Entry| (a.table, a.index, &a.key) == (b.table, b.index, &b.key);
     let difference = |entry: &Entry, from: Option<&Entry>, to: Option<&Entry>| Difference {
@@ -101,19 +100,19 @@ pub fn differences(from: &[Entry], to: &[Entry]) -> Vec<Difference> {
         from: from.map(|entry| entry.value.clone()),
         to: to.map(|entry| entry.value.clone()),
     };
-    let mut found = Vec::new();
+    let mut differences = Vec::new();
     for entry in from {
         let other = to.iter().find(|other| same(entry, other));
         if other.is_none_or(|other| other.value != entry.value) {
-            found.push(difference(entry, Some(entry), other));
+            differences.push(difference(entry, Some(entry), other));
         }
     }
     let new = to.iter().filter(|entry| !from.iter().any(|other| same(entry, other)));
-    found.extend(new.map(|entry| difference(entry, None, Some(entry))));
-    found
+    differences.extend(new.map(|entry| difference(entry, None, Some(entry))));
+    differences
 }
 
-/// The file with these entries; lines of `about` begin it, as comments.
+/// Formats the entries as a file that begins with the lines of `about` as comments.
 pub fn to_toml(about: &[String], entries: &[Entry]) -> String {
     let mut text: String = about.iter().map(|line| format!("# {}\n", on_one_line(line))).collect();
     let mut table = ("", 0);
@@ -144,10 +143,10 @@ impl Writer<'_> {
         self.entries.push(Entry { table, index, key: key.into(), value, unit });
     }
     fn number(&mut self, key: &str, value: f64, unit: &'static str) {
-        self.put(key, Value::Number(fewest(value)), unit);
+        self.put(key, Value::Number(shorten(value)), unit);
     }
     fn numbers(&mut self, key: &str, values: &[f64], unit: &'static str) {
-        self.put(key, Value::Numbers(values.iter().map(|value| fewest(*value)).collect()), unit);
+        self.put(key, Value::Numbers(values.iter().map(|value| shorten(*value)).collect()), unit);
     }
     fn word(&mut self, key: &str, word: &str) {
         self.put(key, Value::Text(word.into()), "");
@@ -162,10 +161,10 @@ fn table<'a>(entries: &'a mut Vec<Entry>, table: &'static str, index: usize) -> 
 }
 
 fn wide(values: &[f32]) -> Vec<f64> {
-    values.iter().map(|value| fewest(f64::from(*value))).collect()
+    values.iter().map(|value| shorten(f64::from(*value))).collect()
 }
 
-/// A scene as its file.
+/// Returns the entries of a scene's file.
 pub fn scene(scene: &Scene<f32>) -> Vec<Entry> {
     let mut entries = Vec::new();
     let task = usize::from(scene.task).min(3);
@@ -176,7 +175,7 @@ pub fn scene(scene: &Scene<f32>) -> Vec<Entry> {
     if let (Some(key), Some(chosen)) = (spec.and_then(|spec| spec.key), chosen) {
         top.number(key.name, chosen.value.into(), key.unit);
     }
-    // To name it puts a low-pass behind such an estimator.
+    // In a file, the cutoff of such an estimator adds a low-pass.
     let unfiltered = spec.is_some_and(|spec| spec.cutoff == CutoffMeans::LowPassBehind)
         && chosen.is_some_and(|chosen| !chosen.filtered);
     if !unfiltered {
@@ -234,67 +233,68 @@ fn put_wall(into: &mut Writer, wall: &Wall<f32>, task: usize) {
     into.flag("bilateral", wall.bilateral);
 }
 
-/// The interval of the numbers that single precision rounds to this one.
+/// Returns the interval of numbers that round to this single-precision number.
 pub fn rounds_to(number: f32) -> (f64, f64) {
     let middle = |other: f32| 0.5 * (f64::from(number) + f64::from(other));
     (middle(number.next_down()), middle(number.next_up()))
 }
 
-/// A vector whose direction, made a unit vector in double precision, rounds to this one. The rounded one is not quite
-/// of length 1, so every entry moves by the same share of what rounds to it, until the length is.
+/// Returns a vector whose unit vector, computed in double precision, rounds to `rounded`. The length of `rounded` is
+/// not exactly 1, so all entries move by the same share of their rounding intervals until the length is 1.
 fn direction(rounded: &[f32; 3], task: usize) -> Vec<f64> {
     let rounded = &rounded[..task];
     let short = wide(rounded);
-    let reads = |values: &[f64]| {
+    let rounds_back = |values: &[f64]| {
         crate::vectors::unit(values).is_some_and(|unit| unit.iter().zip(rounded).all(|(a, b)| *a as f32 == *b))
     };
-    if reads(&short) {
+    if rounds_back(&short) {
         return short;
     }
     let length = |values: &[f64]| values.iter().map(|value| value * value).sum::<f64>();
     let exact: Vec<f64> = rounded.iter().map(|value| f64::from(*value)).collect();
-    let outwards = length(&exact) < 1.0;
-    let room = rounded.iter().map(|value| {
+    let grows = length(&exact) < 1.0;
+    let interval = rounded.iter().map(|value| {
         let (low, high) = rounds_to(*value);
-        let end = if outwards == (*value > 0.0) { high } else { low };
+        let end = if grows == (*value > 0.0) { high } else { low };
         if *value == 0.0 { 0.0 } else { end - f64::from(*value) }
     });
-    let room: Vec<f64> = room.collect();
-    let moved = |share: f64| exact.iter().zip(&room).map(|(value, room)| value + share * room).collect::<Vec<_>>();
+    let interval: Vec<f64> = interval.collect();
+    let at_share =
+        |share: f64| exact.iter().zip(&interval).map(|(value, interval)| value + share * interval).collect::<Vec<_>>();
     let (mut low, mut high) = (0.0, 1.0);
     for _ in 0..60 {
         let middle = 0.5 * (low + high);
-        if (length(&moved(middle)) < 1.0) == outwards { low = middle } else { high = middle }
+        if (length(&at_share(middle)) < 1.0) == grows { low = middle } else { high = middle }
     }
-    moved(low)
+    at_share(low)
 }
 
-/// The joints as a board knows them; their inertia is a part of the mechanism's, and 0 here.
+/// Returns the joints as a board stores them; their inertia is part of the mechanism's and 0 here.
 pub fn joints(device: &Device<f32>) -> [description::Joint; MAX_JOINTS] {
     let home = home(device);
     core::array::from_fn(|index| joint(&device.joints[index], home.map(|at| at[index])))
 }
 
-/// The pose that homing declares, rad.
+/// Returns the pose that homing declares, rad.
 pub fn home(device: &Device<f32>) -> Option<[f64; MAX_JOINTS]> {
     let home = device.home?;
-    let mut found = home.map(|angle| fewest(angle.into()));
-    for (angle, joint) in found.iter_mut().zip(&device.joints) {
+    let mut angles = home.map(|angle| shorten(angle.into()));
+    for (angle, joint) in angles.iter_mut().zip(&device.joints) {
         let Some((_, scale)) = encoder(joint) else { continue };
-        if reads_as(joint.offset.into(), *angle, scale) == joint.offset {
+        if offset_on_board(joint.offset.into(), *angle, scale) == joint.offset {
             continue;
         }
-        // Home stands a whole number of counts from the offset, so it lies where both round to what the board has.
+        // Home is a whole number of counts from the offset. Choose an angle where both round to the board's values.
         let counts = ((*angle - f64::from(joint.offset)) / scale).round();
         let (of_home, of_offset) = (rounds_to(*angle as f32), rounds_to(joint.offset));
         let low = of_home.0.max(of_offset.0 + counts * scale);
         let high = of_home.1.min(of_offset.1 + counts * scale);
         *angle = 0.5 * (low + high);
     }
-    Some(found)
+    Some(angles)
 }
 
-/// Counts per turn and the angle of one count, rad, of a joint that has an encoder.
+/// Returns counts per turn and the angle of one count, rad, of a joint with an encoder.
 fn encoder(joint: &device::Joint<f32>) -> Option<(f64, f64)> {
     let size = f64::from(joint.radians_per_count.abs());
     if size == 0.0 {
@@ -306,20 +306,20 @@ fn encoder(joint: &device::Joint<f32>) -> Option<(f64, f64)> {
     Some((per_turn, f64::from(joint.radians_per_count).signum() * TAU / per_turn))
 }
 
-/// The offset that a board gets from a file's, beside a home pose.
-fn reads_as(offset: f64, home: f64, radians_per_count: f64) -> f32 {
+/// Returns the offset that a board gets from a file's offset and home angle.
+fn offset_on_board(offset: f64, home: f64, radians_per_count: f64) -> f32 {
     let counts = (home - offset) / radians_per_count;
     let whole = (counts + if counts < 0.0 { -0.5 } else { 0.5 }).trunc();
     (home - whole * radians_per_count) as f32
 }
 
-/// `home` is the joint's angle there, as it is written.
+/// Converts a joint; `home` is its home angle in the file.
 fn joint(joint: &device::Joint<f32>, home: Option<f64>) -> description::Joint {
-    let short = |value: f32| fewest(value.into());
+    let short = |value: f32| shorten(value.into());
     let encoder = encoder(joint).map(|(counts_per_turn, scale)| {
         let offset = match home {
-            Some(home) if reads_as(0.0, home, scale) == joint.offset => 0.0,
-            Some(home) if reads_as(short(joint.offset), home, scale) != joint.offset => {
+            Some(home) if offset_on_board(0.0, home, scale) == joint.offset => 0.0,
+            Some(home) if offset_on_board(short(joint.offset), home, scale) != joint.offset => {
                 home - ((home - f64::from(joint.offset)) / scale).round() * scale
             }
             _ => short(joint.offset),
@@ -340,7 +340,7 @@ fn joint(joint: &device::Joint<f32>, home: Option<f64>) -> description::Joint {
                 &mut wide.back_emf,
                 &mut wide.max_current,
             ] {
-                *value = fewest(*value);
+                *value = shorten(*value);
             }
             wide
         }),
@@ -348,7 +348,8 @@ fn joint(joint: &device::Joint<f32>, home: Option<f64>) -> description::Joint {
     }
 }
 
-/// A device as its file. What a board does not keep is not written: transmissions, friction at rest, cogging, modes.
+/// Returns the entries of a device's file, without those that a board does not store: transmissions, friction at rest,
+/// cogging, modes.
 pub fn device(name: &str, description: &Description) -> Vec<Entry> {
     let spec = description.kind.spec();
     let mut entries = Vec::new();
@@ -375,7 +376,7 @@ pub fn device(name: &str, description: &Description) -> Vec<Entry> {
     entries
 }
 
-/// The entries of `[geometry]`.
+/// Adds the entries of `[geometry]`.
 fn geometry(entries: &mut Vec<Entry>, description: &Description) {
     let mut into = table(entries, "[geometry]", 0);
     let mut rest = &description.geometry[..];
@@ -417,8 +418,8 @@ fn put_joint(entries: &mut Vec<Entry>, index: usize, joint: &description::Joint,
     }
 }
 
-/// Everything that a board has of a device, to compare two: of its mechanism the coefficients of the equations of
-/// motion ([`coefficients`]).
+/// Returns all that a board stores of a device, for comparisons: for its mechanism, the coefficients of the equations
+/// of motion ([`coefficients`]).
 pub fn running(device: &Device<f32>) -> Vec<Entry> {
     let spec = device.mechanism.kind().spec();
     let mut entries = Vec::new();
@@ -438,7 +439,7 @@ pub fn running(device: &Device<f32>) -> Vec<Entry> {
     entries
 }
 
-/// The coefficients of a mechanism by their names in src/model/mechanism, such as `arm_inertia 0`.
+/// Returns the coefficients of a mechanism by their names in src/model/mechanism, such as `arm_inertia 0`.
 pub fn coefficients<T: haptic_bridge::math::Real + Serialize>(mechanism: &AnyMechanism<T>) -> Vec<(String, f64)> {
     fn collect(name: &str, value: &serde_json::Value, into: &mut Vec<(String, f64)>) {
         let under = |key: &str| if name.is_empty() { key.to_string() } else { format!("{name} {key}") };
@@ -450,14 +451,14 @@ pub fn coefficients<T: haptic_bridge::math::Real + Serialize>(mechanism: &AnyMec
             value => into.push((name.to_string(), value.as_f64().unwrap_or(f64::NAN))),
         }
     }
-    let mut found = Vec::new();
+    let mut coefficients = Vec::new();
     let whole = serde_json::to_value(mechanism).unwrap_or_default();
-    // The name of the mechanism is the outermost key.
-    whole.as_object().into_iter().flatten().for_each(|(_, fields)| collect("", fields, &mut found));
-    found
+    // The outermost key is the name of the mechanism.
+    whole.as_object().into_iter().flatten().for_each(|(_, fields)| collect("", fields, &mut coefficients));
+    coefficients
 }
 
-/// The unit of a coefficient, where it is known by its name.
+/// Returns the unit of a coefficient; empty if the name is unknown.
 fn unit(coefficient: &str) -> &'static str {
     let name = coefficient.trim_start_matches("plane ").split(' ').next().unwrap_or_default();
     match name {

@@ -1,23 +1,22 @@
 //! Scene files (docs/files.md): TOML in, a checked [`Scene`] out, or an error that names the line.
 //!
-//! A scene is written in the task coordinates of a device, so it is read for a task dimension: normals, points and
-//! directions must have exactly that many entries. Directions are made unit vectors here. Defaults:
-//!
+//! A scene uses the task coordinates of a device, so it is read for a task dimension: normals, points and directions
+//! must have exactly that many entries. Directions become unit vectors. Defaults:
 //! | key | default |
 //! |---|---|
 //! | `rate_hz` | 20000 |
-//! | `cutoff_hz` | 500, or a tenth of the rate where that is less |
-//! | `estimator` | `"butterworth"` (also `"first-order"`, `"backward-difference"`, and those of [`Estimator::SPECS`]: each with its own key; behind some a Butterworth low-pass stands if `cutoff_hz` is given) |
+//! | `cutoff_hz` | 500, or a tenth of the rate if that is less |
+//! | `estimator` | `"butterworth"` (also `"first-order"`, `"backward-difference"`, and [`Estimator::SPECS`], each with its own key; with some of them, `cutoff_hz` adds a Butterworth low-pass) |
 //! | `velocity_terms` | `"rendered"` (also `"paper"`, `"off"`) |
 //! | `feed_forward_gain` | 1 |
 //! | `admissible` | `"orientation"` (also `"joint-0"`, `"joint-1"`, `"joint-2"`, `"consistent"`; redundant devices only) |
-//! | `gravity_compensation` | true (nothing happens on a device without gravity) |
+//! | `gravity_compensation` | true (no effect on a device without gravity) |
 //! | wall `shape` | `"plane"` (also `"sphere"`, `"cylinder"`) |
 //! | wall `damping`, spring `damping` | 0 |
 //! | wall `feed_forward`, `washout_hz` | `"washout"`, 2 |
 //! | wall `damping_compensation`, `bilateral`, `inside` | false |
 //! | `[posture]` `damping` | 0 (with `orientation`, rad, and `stiffness`, N m/rad; redundant devices only) |
-//! | spring `direction` | none: the spring pulls to its point, else to the line through it |
+//! | spring `direction` | none: the spring pulls to its point; with a direction, to the line through the point |
 
 use crate::device_file::DeviceFile;
 use crate::toml_file::{Document, FileError, Must, Problem, Table};
@@ -35,19 +34,19 @@ use haptic_bridge::with_mechanism;
 use nalgebra::SVector;
 use std::path::{Path, PathBuf};
 
-/// Default cutoff, Hz, at rates of ten times that and more; below, a tenth of the rate (the paper's 20 Hz at 200 Hz).
+/// Default cutoff, Hz, at rates from 5 kHz; below, the default is a tenth of the rate (the paper's 20 Hz at 200 Hz).
 pub const DEFAULT_CUTOFF_HZ: f64 = 500.0;
 /// Default corner of the washout, Hz: keeps 99 % of the gained stable area at 20 kHz (docs/model.md section 3).
 pub const DEFAULT_WASHOUT_HZ: f64 = 2.0;
 
-/// A scene file that was read and found sound.
+/// A checked scene file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SceneFile {
-    /// The file it came from.
+    /// Path of the file.
     pub path: PathBuf,
     /// The scene in double precision.
     pub scene: Scene<f64>,
-    /// The speed of the hand in the scene, m/s, which a plan assumes.
+    /// Speed of the hand that a plan assumes for the scene, m/s.
     pub hand_speed: Option<f64>,
 }
 
@@ -57,12 +56,12 @@ impl SceneFile {
         Self::read(&Document::load(path.as_ref())?, task)
     }
 
-    /// Checks text that is already there; `origin` is what messages call it.
+    /// Checks a text; messages call its file `origin`.
     pub fn parse(text: &str, origin: impl Into<PathBuf>, task: usize) -> Result<Self, FileError> {
         Self::read(&Document::new(text, origin), task)
     }
 
-    /// The one-sided walls (from 0) that the tip would be inside of at joint angles `q` (rad).
+    /// Returns the indices of the one-sided walls that contain the tip at joint angles `q` (rad).
     pub fn walls_entered(&self, device: &DeviceFile, q: &[f64; MAX_JOINTS]) -> Vec<usize> {
         fn entered<const N: usize, M: Mechanism<f64, N>>(
             m: &M,
@@ -85,9 +84,9 @@ impl SceneFile {
         Ok(Self { path: document.path().into(), scene, hand_speed })
     }
 
-    /// The scene in the precision it is to run in: f32 on a board.
+    /// Converts the scene to the precision of the control loop: f32 on a board.
     ///
-    /// Errors only where rounding makes a number impossible, such as a radius that vanishes.
+    /// Errors: only if rounding makes a number invalid, such as a radius that becomes 0.
     pub fn scene<T: Real>(&self) -> Result<Scene<T>, SceneError> {
         let scene = self.scene.cast::<T>();
         scene.check(usize::from(scene.task)).map(|()| scene)
@@ -102,7 +101,7 @@ fn scene(top: &Table<'_>, task: usize) -> Result<Scene<f64>, FileError> {
     }
     let estimator = top.word("estimator", Estimator::ALL)?.unwrap_or_default();
     let own = estimator.spec().and_then(|spec| spec.key).map(|key| key.name);
-    let every = [
+    let common = [
         "rate_hz",
         "cutoff_hz",
         "estimator",
@@ -116,8 +115,8 @@ fn scene(top: &Table<'_>, task: usize) -> Result<Scene<f64>, FileError> {
         "spring",
         "field",
     ];
-    top.refuse_unknown_keys(&[&every[..], own.as_slice()].concat());
-    // NaN where it is wrong: nothing is held against it then.
+    top.refuse_unknown_keys(&[&common[..], own.as_slice()].concat());
+    // NaN if the rate is wrong: comparisons with it then report no further errors.
     let rate_hz = top.keep(rate(top), f64::NAN);
     let cutoff_hz = top.number_or("cutoff_hz", Must::BePositive, DEFAULT_CUTOFF_HZ.min(0.1 * rate_hz));
     top.keep(below_half_the_rate(top, "cutoff_hz", cutoff_hz, rate_hz), ());
@@ -164,8 +163,8 @@ fn rate(top: &Table<'_>) -> Result<f64, FileError> {
     Ok(rate_hz)
 }
 
-/// The estimator with the value of its own key and, if it is of a kind that a low-pass may follow and there is a
-/// cutoff, with that low-pass.
+/// Reads the value of the estimator's own key and, for an estimator that a low-pass may follow, adds the low-pass if
+/// the file has a cutoff.
 fn chosen(top: &Table<'_>, estimator: Estimator) -> Result<Estimator, FileError> {
     let (Some(spec), Some(usual)) = (estimator.spec(), estimator.chosen()) else { return Ok(estimator) };
     let mut value = usual.value;
@@ -183,7 +182,7 @@ fn chosen(top: &Table<'_>, estimator: Estimator) -> Result<Estimator, FileError>
     Ok(estimator.choosing(Chosen { value, filtered }))
 }
 
-/// α, 1 unless the file says otherwise. How many walls it is for is checked with the scene.
+/// Reads α, by default 1. Its limit for several walls is checked with the scene.
 fn feed_forward_gain(top: &Table<'_>) -> Result<f64, FileError> {
     let gain = top.number("feed_forward_gain", Must::NotBeNegative)?.unwrap_or(1.0);
     if gain > MAX_FEED_FORWARD_GAIN {
@@ -197,7 +196,7 @@ fn too_many(table: &Table<'_>, name: &str, found: usize, most: usize) -> FileErr
         table: name.into(),
         expected: format!("at most {most}"),
         found,
-        meaning: "a board holds no more".into(),
+        meaning: "the limit of a board".into(),
     })
 }
 
@@ -213,21 +212,21 @@ fn below_half_the_rate(table: &Table<'_>, key: &str, found: f64, rate_hz: f64) -
     Err(out_of_range(table, key, found, &format!("below half the rate of {rate_hz} Hz")))
 }
 
-/// None where an unknown key keeps it from being read.
+/// Reads a wall; `None` if an unknown key makes its contents uncertain.
 fn wall(table: &Table<'_>, task: usize, rate_hz: f64) -> Result<Option<Wall<f64>>, FileError> {
     let shapes: Vec<(&str, ShapeSpec)> = Surface::<f64>::SPECS.iter().map(|spec| (spec.name, *spec)).collect();
     let shape = table.word("shape", &shapes)?.unwrap_or(shapes[0].1);
     let table = table.clone().called(format!("{} ({})", table.place(), shape.name));
-    let every = ["shape", "stiffness", "damping", "feed_forward", "washout_hz", "damping_compensation", "bilateral"];
+    let common = ["shape", "stiffness", "damping", "feed_forward", "washout_hz", "damping_compensation", "bilateral"];
     let own: Vec<&str> = shape.keys.iter().map(|(key, _)| *key).collect();
-    // An unknown key may be one of another shape's, or the shape itself, misspelt: what else is wrong is not known then.
-    if !table.refuse_unknown_keys(&[&own[..], &every].concat()) {
+    // An unknown key may belong to another shape, or be `shape` misspelt: the rest of the table is then uncertain.
+    if !table.refuse_unknown_keys(&[&own[..], &common].concat()) {
         return Ok(None);
     }
     if task < shape.least_task {
         let name = shape.name;
         let problem = Problem::Impossible {
-            reason: format!("a {name} needs a device that moves in space, this one has {task} task directions"),
+            reason: format!("a {name} needs a device that moves in space, and this device has {task} task directions"),
             remedy: "use shape = \"sphere\", which is a disc in the plane".into(),
         };
         return Err(table.error_at("shape", problem));
@@ -246,7 +245,7 @@ fn wall(table: &Table<'_>, task: usize, rate_hz: f64) -> Result<Option<Wall<f64>
     }))
 }
 
-/// The shape that the table's own keys describe.
+/// Reads the shape from the table's own keys.
 fn surface(table: &Table<'_>, shape: &ShapeSpec, task: usize) -> Surface<f64> {
     let mut values = Vec::with_capacity(SHAPE_VALUES);
     for (key, meaning) in shape.keys {
@@ -258,10 +257,10 @@ fn surface(table: &Table<'_>, shape: &ShapeSpec, task: usize) -> Surface<f64> {
         }
     }
     Surface::from_values(shape.name, &padded(&values))
-        .expect("a shape is made by its own name, of at most as many values as there is room for")
+        .expect("the name comes from the shape's own spec, and the values fit into SHAPE_VALUES")
 }
 
-/// The first key of a shape that means this, and where its numbers begin among the shape's values.
+/// Returns the first key of a shape with this meaning, and the index of its first number among the shape's values.
 pub fn place_of(shape: &ShapeSpec, meaning: Meaning) -> Option<(&'static str, usize)> {
     let mut next = 0;
     shape.keys.iter().find_map(|(key, of)| {
@@ -294,7 +293,7 @@ fn point(table: &Table<'_>, key: &str, task: usize) -> [f64; 3] {
     table.keep(vector(table, key, &vec![0.0; task], "a point in metres"), [f64::NAN; 3])
 }
 
-/// A task vector, padded with zeros; `example` has as many entries.
+/// Reads a task vector and pads it with zeros; `example` has the length of the vector.
 fn vector(table: &Table<'_>, key: &str, example: &[f64], meaning: &str) -> Result<[f64; 3], FileError> {
     let task = example.len();
     let axes = ["x", "x, y", "x, y, z"][task.clamp(1, 3) - 1];
@@ -302,7 +301,7 @@ fn vector(table: &Table<'_>, key: &str, example: &[f64], meaning: &str) -> Resul
     Ok(padded(&table.required(key, values, format!("{key} = {example:?}"))?))
 }
 
-/// A unit vector along the one in the file; zero is refused.
+/// Reads a direction as a unit vector; refuses zero.
 fn direction(table: &Table<'_>, key: &str, task: usize) -> [f64; 3] {
     let mut example = vec![0.0; task];
     example[usize::from(task > 1)] = 1.0;

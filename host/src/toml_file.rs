@@ -1,8 +1,8 @@
-//! TOML files whose every value knows where it stands, so that each refusal names the file, the line and the remedy.
+//! TOML files whose values know their positions, so that every error names the file, the line and the remedy.
 //!
-//! [`Document`] parses once; [`Table`] hands out typed values and refuses what it does not know. Device files and
-//! scene files are written in terms of it. What is wrong with one value is kept ([`Table::keep`]) while the others are
-//! read, so that a file is told all at once.
+//! [`Document`] parses a text; [`Table`] returns typed values and refuses unknown keys. Device files and scene files
+//! are read with both. [`Table::keep`] stores an error and lets reading continue, so that all errors of a file are
+//! reported at once.
 
 pub use crate::file_error::{FileError, Problem};
 use crate::file_error::{Foreign, nearest};
@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-/// The condition that a number must meet.
+/// The condition on a number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Must {
     /// Any finite number.
@@ -23,7 +23,7 @@ pub enum Must {
     BePositive,
 }
 
-/// A file's text and where it came from.
+/// The text of a file, and its path.
 #[derive(Clone, Debug)]
 pub struct Document {
     path: PathBuf,
@@ -49,22 +49,22 @@ impl Document {
         })
     }
 
-    /// Takes text that is already there; `origin` is what messages call it.
+    /// Creates a document from a text; messages call its file `origin`.
     pub fn new(text: impl Into<String>, origin: impl Into<PathBuf>) -> Self {
         Self { path: origin.into(), text: text.into() }
     }
 
-    /// Returns the file that the text came from.
+    /// Returns the path of the file.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// The text.
+    /// Returns the text.
     pub fn text(&self) -> &str {
         &self.text
     }
 
-    /// Parses the text and hands its top table to `read`.
+    /// Parses the text and calls `read` with its top table.
     pub fn read<T>(&self, read: impl FnOnce(&Table<'_>) -> Result<T, FileError>) -> Result<T, FileError> {
         let root = DeTable::parse(&self.text).map_err(|error| {
             if let Some(format) = Foreign::of(&self.text) {
@@ -73,16 +73,16 @@ impl Document {
             let span = error.span().unwrap_or(0..0);
             self.error(span, Problem::Syntax(error.message().to_string()))
         })?;
-        let kept = RefCell::default();
+        let shared = RefCell::default();
         let entries = root.get_ref();
-        let found = read(&Table { document: self, kept: &kept, place: String::new(), span: 0..0, entries });
-        let mut errors = kept.into_inner().errors;
+        let found = read(&Table { document: self, shared: &shared, place: String::new(), span: 0..0, entries });
+        let mut errors = shared.into_inner().errors;
         errors.extend(found.as_ref().err().cloned());
         FileError::together(errors).map_or(found, Err)
     }
 
-    /// Line and column of a key's value: in `part` of the `index`-th table `table` (either may be empty). The table's
-    /// own place where the key is not written.
+    /// Returns line and column of a key's value: in `part` of the `index`-th table `table` (either may be empty). If
+    /// the key is missing, returns the position of the table.
     pub fn find(&self, table: &str, index: Option<usize>, part: &str, key: &str) -> Option<(usize, usize)> {
         let root = DeTable::parse(&self.text).ok()?;
         let mut here = root.get_ref();
@@ -107,7 +107,7 @@ impl Document {
     }
 }
 
-/// Line and column (in characters), both from 1, of a byte offset.
+/// Returns line and column (in characters), both from 1, of a byte offset.
 fn position(text: &str, offset: usize) -> (usize, usize) {
     let mut offset = offset.min(text.len());
     while !text.is_char_boundary(offset) {
@@ -118,12 +118,12 @@ fn position(text: &str, offset: usize) -> (usize, usize) {
     (before.matches('\n').count() + 1, before[line_start..].chars().count() + 1)
 }
 
-/// The state that the tables of a document share.
+/// State that all tables of a document share.
 #[derive(Debug, Default)]
-struct Kept {
+struct Shared {
     /// The errors found so far.
     errors: Vec<FileError>,
-    /// Keys that may stand at the top of the file.
+    /// Known keys at the top of the file.
     on_top: Vec<String>,
 }
 
@@ -131,30 +131,30 @@ struct Kept {
 #[derive(Clone, Debug)]
 pub struct Table<'a> {
     document: &'a Document,
-    kept: &'a RefCell<Kept>,
+    shared: &'a RefCell<Shared>,
     place: String,
     span: Range<usize>,
     entries: &'a DeTable<'a>,
 }
 
 impl<'a> Table<'a> {
-    /// The same table under a name that says more, such as `[[link]] 1 (proximal-2)`.
+    /// Renames the table for messages, such as to `[[link]] 1 (proximal-2)`.
     pub fn called(mut self, place: impl Into<String>) -> Self {
         self.place = place.into();
         self
     }
 
-    /// Returns the table's name in messages.
+    /// Returns the table's name for messages.
     pub fn place(&self) -> &str {
         &self.place
     }
 
-    /// An error at the table's own line.
+    /// Creates an error at the table's own line.
     pub fn error_here(&self, problem: Problem) -> FileError {
         self.document.error(self.span.clone(), problem)
     }
 
-    /// An error at the value of `key`, or at the table when the key is not there.
+    /// Creates an error at the value of `key`, or at the table if the key is missing.
     pub fn error_at(&self, key: &str, problem: Problem) -> FileError {
         match self.entries.get(key) {
             Some(value) => self.document.error(value.span(), problem),
@@ -162,7 +162,7 @@ impl<'a> Table<'a> {
         }
     }
 
-    /// An error at one number of the list `key`.
+    /// Creates an error at one number of the list `key`.
     pub fn error_at_element(&self, key: &str, element: usize, problem: Problem) -> FileError {
         match self.entries.get(key).map(|value| value.get_ref()) {
             Some(DeValue::Array(values)) if element < values.len() => {
@@ -172,26 +172,27 @@ impl<'a> Table<'a> {
         }
     }
 
-    /// The value; or where it is wrong `instead`, to read on with: the file is refused for it all the same.
+    /// Returns the value; stores an error and returns `instead`, so that reading continues. The file is refused at the
+    /// end.
     pub fn keep<T>(&self, value: Result<T, FileError>, instead: T) -> T {
         value.unwrap_or_else(|error| {
-            self.kept.borrow_mut().errors.push(error);
+            self.shared.borrow_mut().errors.push(error);
             instead
         })
     }
 
-    /// An error where something was wrong so far: what follows takes the values for sound.
+    /// Returns an error if an error was stored so far: the checks that follow need valid values.
     pub fn sound(&self) -> Result<(), FileError> {
-        self.kept.borrow_mut().errors.pop().map_or(Ok(()), Err)
+        self.shared.borrow_mut().errors.pop().map_or(Ok(()), Err)
     }
 
-    /// Keeps an error for every key that is not in `known`; returns true if every key is known.
+    /// Stores an error for every key that is not in `known`; returns true if every key is known.
     pub fn refuse_unknown_keys(&self, known: &[&str]) -> bool {
-        let mut kept = self.kept.borrow_mut();
-        let before = kept.errors.len();
+        let mut shared = self.shared.borrow_mut();
+        let before = shared.errors.len();
         let all: Vec<String> = known.iter().map(ToString::to_string).collect();
         if self.place.is_empty() {
-            kept.on_top.clone_from(&all);
+            shared.on_top.clone_from(&all);
         }
         for (key, value) in self.entries.iter().filter(|(key, _)| !known.contains(&key.get_ref().as_ref())) {
             let is_table = |value: &DeValue<'_>| matches!(value, DeValue::Table(_));
@@ -204,41 +205,41 @@ impl<'a> Table<'a> {
                 place: self.place.clone(),
                 nearest: nearest(key.get_ref(), &all),
                 known: all.clone(),
-                on_top: !tables && kept.on_top.iter().any(|known| known == key.get_ref()),
+                on_top: !tables && shared.on_top.iter().any(|known| known == key.get_ref()),
             };
-            kept.errors.push(self.document.error(key.span(), problem));
+            shared.errors.push(self.document.error(key.span(), problem));
         }
-        kept.errors.len() == before
+        shared.errors.len() == before
     }
 
-    /// Returns true if the key is there.
+    /// Returns true if the table has the key.
     pub fn has(&self, key: &str) -> bool {
         self.entries.contains_key(key)
     }
 
-    /// Returns true if the key is there with a string.
+    /// Returns true if the value of the key is a string.
     pub fn is_string(&self, key: &str) -> bool {
         self.entries.get(key).is_some_and(|value| matches!(value.get_ref(), DeValue::String(_)))
     }
 
-    /// The value, or an error that shows the `example` to add.
+    /// Returns the value, or an error with `example` as the line to add if it is `None`.
     pub fn required<T>(&self, key: &str, value: Option<T>, example: impl Into<String>) -> Result<T, FileError> {
         value.ok_or_else(|| {
             self.error_here(Problem::MissingKey { key: key.into(), place: self.place.clone(), example: example.into() })
         })
     }
 
-    /// A number that must be there, NaN where it is wrong (see [`Table::keep`]).
+    /// Reads a required number; NaN if it is missing or wrong (see [`Table::keep`]).
     pub fn needed(&self, key: &str, must: Must, example: impl Into<String>) -> f64 {
         self.keep(self.number(key, must).and_then(|value| self.required(key, value, example)), f64::NAN)
     }
 
-    /// A number, `usual` where it is not there or wrong (see [`Table::keep`]).
+    /// Reads a number; `usual` if it is missing or wrong (see [`Table::keep`]).
     pub fn number_or(&self, key: &str, must: Must, usual: f64) -> f64 {
         self.keep(self.number(key, must), None).unwrap_or(usual)
     }
 
-    /// `true` or `false`, `usual` where it is not there or wrong (see [`Table::keep`]).
+    /// Reads `true` or `false`; `usual` if it is missing or wrong (see [`Table::keep`]).
     pub fn flag_or(&self, key: &str, usual: bool) -> bool {
         self.keep(self.flag(key), None).unwrap_or(usual)
     }
@@ -248,12 +249,12 @@ impl<'a> Table<'a> {
             key: key.into(),
             place: self.place.clone(),
             expected: expected.into(),
-            found: described(value.get_ref()),
+            found: type_name(value.get_ref()),
         };
         self.document.error(value.span(), problem)
     }
 
-    /// A string.
+    /// Reads a string.
     pub fn string(&self, key: &str) -> Result<Option<&'a str>, FileError> {
         match self.entries.get(key) {
             None => Ok(None),
@@ -264,7 +265,7 @@ impl<'a> Table<'a> {
         }
     }
 
-    /// One word of a fixed set, as what it stands for.
+    /// Reads a word of a fixed set and returns its meaning.
     pub fn word<T: Copy>(&self, key: &str, words: &[(&str, T)]) -> Result<Option<T>, FileError> {
         let Some(found) = self.string(key)? else { return Ok(None) };
         match words.iter().find(|(word, _)| *word == found) {
@@ -281,7 +282,7 @@ impl<'a> Table<'a> {
         }
     }
 
-    /// `true` or `false`.
+    /// Reads `true` or `false`.
     pub fn flag(&self, key: &str) -> Result<Option<bool>, FileError> {
         match self.entries.get(key) {
             None => Ok(None),
@@ -292,12 +293,12 @@ impl<'a> Table<'a> {
         }
     }
 
-    /// A number; whole numbers count as numbers.
+    /// Reads a number; integers are numbers too.
     pub fn number(&self, key: &str, must: Must) -> Result<Option<f64>, FileError> {
         self.entries.get(key).map(|value| self.numeric(key, value, must, "a number")).transpose()
     }
 
-    /// A list of exactly `count` numbers; `meaning` says what they are.
+    /// Reads a list of exactly `count` numbers; `meaning` describes them.
     pub fn numbers(&self, key: &str, count: usize, must: Must, meaning: &str) -> Result<Option<Vec<f64>>, FileError> {
         let Some(value) = self.entries.get(key) else { return Ok(None) };
         let expected = || match count {
@@ -333,7 +334,7 @@ impl<'a> Table<'a> {
             _ => return Err(self.wrong_type(key, expected, value)),
         };
         let error = |problem| Err(self.document.error(value.span(), problem));
-        // The board computes in 32-bit floats: what they cannot hold is infinite there.
+        // The board computes in 32-bit floats; larger numbers would be infinite there.
         if !(number as f32).is_finite() {
             return error(Problem::NotFinite { key: key.into(), place: self.place.clone() });
         }
@@ -345,20 +346,20 @@ impl<'a> Table<'a> {
         };
         match must {
             Must::NotBeNegative if number < 0.0 => error(out_of_range("zero or more")),
-            // Also what vanishes in the board's 32-bit floats.
+            // A number that rounds to 0 in the board's 32-bit floats is refused too.
             Must::BePositive if number as f32 <= 0.0 => error(out_of_range("more than zero")),
             _ => Ok(number),
         }
     }
 
-    /// The one table `[key]`.
+    /// Returns the table `[key]`.
     pub fn table(&self, key: &str) -> Result<Option<Table<'a>>, FileError> {
         match self.entries.get(key) {
             None => Ok(None),
             Some(value) => match value.get_ref() {
                 DeValue::Table(entries) => Ok(Some(Table {
                     document: self.document,
-                    kept: self.kept,
+                    shared: self.shared,
                     place: if self.place.is_empty() {
                         format!("[{key}]")
                     } else {
@@ -372,7 +373,7 @@ impl<'a> Table<'a> {
         }
     }
 
-    /// Every table `[[key]]`, in the order of the file; none when there is no such key.
+    /// Returns the tables `[[key]]` in the order of the file; empty if the key is missing.
     pub fn tables(&self, key: &str) -> Result<Vec<Table<'a>>, FileError> {
         let Some(value) = self.entries.get(key) else { return Ok(Vec::new()) };
         let expected = || format!("[[{key}]] tables");
@@ -383,7 +384,7 @@ impl<'a> Table<'a> {
             .map(|(index, value)| match value.get_ref() {
                 DeValue::Table(entries) => Ok(Table {
                     document: self.document,
-                    kept: self.kept,
+                    shared: self.shared,
                     place: format!("[[{key}]] {index}"),
                     span: value.span(),
                     entries,
@@ -394,7 +395,7 @@ impl<'a> Table<'a> {
     }
 }
 
-fn described(value: &DeValue<'_>) -> &'static str {
+fn type_name(value: &DeValue<'_>) -> &'static str {
     match value {
         DeValue::String(_) => "a string",
         DeValue::Integer(_) | DeValue::Float(_) => "a number",

@@ -1,28 +1,28 @@
-//! The wording of walls and numbers in messages.
+//! Text for walls, faults and numbers in messages.
 
 use haptic_bridge::render::scene::{FeedForward, Wall};
 use haptic_bridge::safety::fault::FaultRecord;
 
-/// Rewrites a message of a board or of this library for people who call functions: `calls` names the function for each
-/// command of the tool.
-pub fn for_a_program(text: &str, calls: &[(&str, &str)]) -> String {
+/// Rewrites a message for users of a programming interface: replaces each command of the tool by the function that
+/// `calls` lists for it.
+pub fn commands_to_calls(text: &str, calls: &[(&str, &str)]) -> String {
     calls.iter().fold(text.into(), |text, (command, call)| text.replace(&format!("`haptic {command}`"), call))
 }
 
-/// A fault, its joint, and what to do about it.
+/// Formats a fault with its joint and its remedy.
 pub fn fault_and_remedy(record: &FaultRecord) -> String {
     let joint = record.axis.map_or(String::new(), |axis| format!(" (joint {axis})"));
     format!("{}{joint}; {}", record.fault, record.fault.remedy())
 }
 
-/// A wall in words.
+/// Describes a wall.
 pub fn wall_in_words(wall: &Wall<f32>) -> String {
     let shape = wall.surface.spec().name;
     let (stiffness, damping) = (short(wall.stiffness), short(wall.damping));
     format!("{shape}, {stiffness} N/m, {damping} N s/m, feed-forward {}", feed_forward_in_words(wall))
 }
 
-/// Its feed-forward in words.
+/// Describes the feed-forward of a wall.
 pub fn feed_forward_in_words(wall: &Wall<f32>) -> String {
     match wall.feed_forward {
         FeedForward::Washout => format!("washout at {} Hz", short(wall.washout_hz)),
@@ -30,7 +30,7 @@ pub fn feed_forward_in_words(wall: &Wall<f32>) -> String {
     }
 }
 
-/// A number to five digits, without zeros that say nothing.
+/// Formats a number to five significant digits, without trailing zeros.
 pub fn short(value: f32) -> String {
     let digits = match value.abs() {
         size if size > 0.0 && size.is_finite() => (4 - f64::from(size).log10().floor() as i32).max(0) as usize,
@@ -43,12 +43,12 @@ pub fn short(value: f32) -> String {
         let rounded: f32 = format!("{value:.4e}").parse().unwrap_or(value);
         return format!("{rounded:e}");
     }
-    // Display gives a float the fewest digits that mean it, where a precision would write out those it does not have.
+    // `Display` writes the fewest digits that round to the value; a precision would add digits without meaning.
     let text = if digits == 0 { value.round().to_string() } else { format!("{value:.digits$}") };
     if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').into() } else { text }
 }
 
-/// So many bytes, for people.
+/// Formats a number of bytes with a prefix.
 pub fn bytes_in_words(bytes: u64) -> String {
     match bytes as f64 {
         size if size < 1e3 => format!("{size} bytes"),
@@ -58,26 +58,27 @@ pub fn bytes_in_words(bytes: u64) -> String {
     }
 }
 
-/// A number as it was meant, to six significant digits: without what arithmetic left behind them.
+/// Formats a number to six significant digits, which removes rounding errors of arithmetic.
 pub fn digits(value: f64) -> String {
     format!("{value:.5e}").parse::<f64>().unwrap_or(value).to_string()
 }
 
-/// A share in per cent to so many decimals, with its sign where `signed`; what rounds to zero has none of its own.
+/// Formats a ratio in per cent with `decimals` decimals and, if `signed`, its sign; a result that rounds to zero is
+/// never negative.
 pub fn percent(share: f64, decimals: i32, signed: bool) -> String {
     let shown = decimals.max(0) as usize;
     let rounded = (100.0 * share * 10.0_f64.powi(decimals)).round() / 10.0_f64.powi(decimals) + 0.0;
     if signed { format!("{rounded:+.shown$} %") } else { format!("{rounded:.shown$} %") }
 }
 
-/// So many of a thing.
+/// Formats a count with its noun in the singular or plural.
 pub fn counted(count: impl std::fmt::Display, noun: &str) -> String {
     let count = count.to_string();
     let plural = if count == "1" { "" } else { "s" };
     format!("{count} {noun}{plural}")
 }
 
-/// "0", "0 and 1", "0, 1 and 2".
+/// Joins items: "0", "0 and 1", "0, 1 and 2".
 pub fn listed(items: &[String]) -> String {
     match items {
         [others @ .., before, last] => [others, &[format!("{before} and {last}")]].concat().join(", "),
@@ -85,7 +86,7 @@ pub fn listed(items: &[String]) -> String {
     }
 }
 
-/// A number for people: three significant digits, and a prefix where the unit takes one.
+/// Formats a number to three significant digits, with a prefix if the unit takes one.
 pub fn with_unit(value: f64, unit: &str) -> String {
     let size = value.abs();
     let (factor, prefix) = match unit {
@@ -103,7 +104,7 @@ pub fn with_unit(value: f64, unit: &str) -> String {
     format!("{scaled:.decimals$} {prefix}{unit}")
 }
 
-/// "3rd step".
+/// Formats a divider as an ordinal: "3rd step".
 pub fn nth_step(divider: u32) -> String {
     let ending = match (divider % 10, divider % 100) {
         (_, 11..=13) => "th",
@@ -121,27 +122,27 @@ mod tests {
 
     #[test]
     fn five_digits_are_enough_at_any_size() {
-        let told = [0.0, 0.12345678, 12345.678, 1_234_567.8, 1e12, 1.2345678e9].map(short);
-        assert_eq!(told.join(", "), "0, 0.12346, 12346, 1234568, 1e12, 1.2346e9");
+        let texts = [0.0, 0.12345678, 12345.678, 1_234_567.8, 1e12, 1.2345678e9].map(short);
+        assert_eq!(texts.join(", "), "0, 0.12346, 12346, 1234568, 1e12, 1.2346e9");
     }
 
     #[test]
-    fn things_are_listed_as_people_do() {
-        let told = |count: usize| listed(&(0..count).map(|i| i.to_string()).collect::<Vec<_>>());
-        assert_eq!([0, 1, 2, 3].map(told), ["", "0", "0 and 1", "0, 1 and 2"]);
+    fn items_are_joined_with_commas_and_and() {
+        let texts = |count: usize| listed(&(0..count).map(|i| i.to_string()).collect::<Vec<_>>());
+        assert_eq!([0, 1, 2, 3].map(texts), ["", "0", "0 and 1", "0, 1 and 2"]);
     }
 
     #[test]
-    fn a_share_that_rounds_to_nothing_has_no_sign() {
-        let told = [-1e-5, 0.0, 0.0123, -0.5].map(|share| percent(share, 1, false));
+    fn a_ratio_that_rounds_to_zero_has_no_minus_sign() {
+        let texts = [-1e-5, 0.0, 0.0123, -0.5].map(|share| percent(share, 1, false));
         assert_eq!(
-            (told.join(", "), percent(-1e-9, 2, true)),
+            (texts.join(", "), percent(-1e-9, 2, true)),
             ("0.0 %, 0.0 %, 1.2 %, -50.0 %".into(), "+0.00 %".into())
         );
     }
 
     #[test]
-    fn steps_are_counted_as_people_do() {
+    fn ordinals_end_as_in_english() {
         assert_eq!(
             [1, 2, 3, 4, 11, 21, 22, 112].map(nth_step).join(", "),
             "step, 2nd step, 3rd step, 4th step, 11th step, 21st step, 22nd step, 112th step"
@@ -149,8 +150,8 @@ mod tests {
     }
 
     #[test]
-    fn sizes_are_told_in_the_unit_that_fits() {
-        let told = [17, 1_234, 3_600_000, 2_500_000_000].map(bytes_in_words);
-        assert_eq!(told.join(", "), "17 bytes, 1.2 kB, 3.6 MB, 2.50 GB");
+    fn sizes_get_the_prefix_that_fits() {
+        let texts = [17, 1_234, 3_600_000, 2_500_000_000].map(bytes_in_words);
+        assert_eq!(texts.join(", "), "17 bytes, 1.2 kB, 3.6 MB, 2.50 GB");
     }
 }

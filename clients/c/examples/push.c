@@ -1,4 +1,4 @@
-/* Pushes a tip to the side against a spring that this program computes: push PORT DEVICE.toml
+/* Pushes a tip sideways against a spring that this program computes: push PORT DEVICE.toml
  *
  *     gcc push.c $(pkg-config --cflags --libs hapticbridge) -lm -o push
  */
@@ -38,11 +38,11 @@ int main(int count, char **arguments) {
     }
     const double moved[2] = {(double)(state.tip_m[0] - from[0]), (double)(state.tip_m[1] - from[1])};
     printf("moved %.5f %.5f done %d state %d\n", moved[0], moved[1], state.done, state.state);
-    /* For the test that holds this header to the library. */
+    /* For the test that compares this header with the library. */
     printf("sizes %zu %zu offsets %zu %zu\n", sizeof(hb_request), sizeof(hb_state), offsetof(hb_request, damping_ns_m),
            offsetof(hb_state, fault));
     hb_close(board);
-    /* What cannot be opened says why. */
+    /* A port that cannot be opened has an error message. */
     if (hb_open("tcp:127.0.0.1:1")) return 1;
     printf("%s\n", hb_error());
     return 0;

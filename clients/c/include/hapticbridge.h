@@ -1,10 +1,10 @@
 /* haptic-bridge boards for programs in C: libhapticbridge.
  *
- * Functions that can fail return HB_OK or another code; hb_error() then says what went wrong, in words. Every function may
- * be called from any thread; calls on one board wait for each other. SI units; vectors are in the task frame or one entry
- * a joint, with zeros in entries that the device does not have.
+ * Functions that can fail return HB_OK or another code; hb_error() then returns the message. Every function may
+ * be called from any thread; calls on one board wait for each other. SI units; vectors are in the task frame or have
+ * one entry per joint, with zeros in entries that the device does not have.
  *
- * Made of clients/c/src/lib.rs by cbindgen. */
+ * Generated from clients/c/src/lib.rs by cbindgen. */
 
 #ifndef HAPTICBRIDGE_H
 #define HAPTICBRIDGE_H
@@ -12,47 +12,47 @@
 #include <stdint.h>
 
 /*
- Of this header. A library of another number has other structures: compare with hb_version().
+ Version of this header. A library of another version has other structures: compare with hb_version().
  */
 #define HB_VERSION 2
 
 /*
- What a function returns: it was done.
+ Return value of a function: success.
  */
 #define HB_OK 0
 
 /*
- It could not be done: no board, a refusal, a file that is wrong.
+ Not possible: no board, a refusal, a wrong file.
  */
 #define HB_FAILED 1
 
 /*
- NULL, text that is not UTF-8, or a number that is not finite or out of range.
+ An argument is NULL, not UTF-8, not finite or out of range.
  */
 #define HB_BAD_ARGUMENT 2
 
 /*
- A defect of the library; the board was told to disarm.
+ A defect of the library; it has disarmed the board.
  */
 #define HB_BROKEN 3
 
 /*
- No answer in time: the board or the computer was busy, or a frame was lost. The next call goes on.
+ No reply in time: the board or the computer was busy, or a frame was lost. The next call is independent.
  */
 #define HB_UNANSWERED 4
 
 /*
- The board was unplugged, or the connection to it ended: close it, and open it again once it is back.
+ The board was unplugged or the connection was lost: close the board, and open it again once it is back.
  */
 #define HB_LOST 5
 
 /*
- hb_state.done: what was done with a request (docs/host-force.md). It acts.
+ hb_state.done, the outcome of a request (docs/host-force.md): it acts.
  */
 #define HB_TAKEN 0
 
 /*
- hold and fade 0: it only asked.
+ hold and fade are 0: the request only read the state.
  */
 #define HB_LOOKED 1
 
@@ -62,17 +62,17 @@
 #define HB_NOT_ARMED 2
 
 /*
- A request with this number or a later one acts.
+ A request with this or a later number already acts.
  */
 #define HB_NOT_NEWER 3
 
 /*
- More time than hold and fade since the last call.
+ More time than hold and fade has passed since the last call.
  */
 #define HB_TOO_OLD 4
 
 /*
- A number that cannot be used: hb_error() says which.
+ An invalid number: hb_error() says which.
  */
 #define HB_BAD 5
 
@@ -82,17 +82,17 @@
 #define HB_DISARMED 0
 
 /*
- They are on.
+ The motors are on.
  */
 #define HB_ARMED 1
 
 /*
- They are on, a little, one after the other.
+ The motors are on with a small torque, one after the other.
  */
 #define HB_CHECKING_POLARITY 2
 
 /*
- They are off until hb_clear(): hb_state.fault and hb_error() say why.
+ The motors are off until hb_clear(): hb_state.fault and hb_error() give the reason.
  */
 #define HB_FAULT 3
 
@@ -102,81 +102,81 @@
 typedef struct hb_board hb_board;
 
 /*
- What the motors are asked for, in the place of what was asked for before. All zeros only asks how the device is.
+ A request to the motors, which replaces the previous request. All zeros only reads the state.
  */
 typedef struct {
   /*
-   For how long it acts in full, 0 to 0.2.
+   Time for which it acts in full, 0 to 0.2.
    */
   float hold_s;
   /*
-   In how long it then fades to nothing, 0 to 0.2.
+   Time in which it then fades to zero, 0 to 0.2.
    */
   float fade_s;
   /*
-   At the tip.
+   Force at the tip.
    */
   float force_n[3];
   /*
-   At the joints.
+   Joint torques.
    */
   float torque_nm[3];
   /*
-   1: the board renders the plane below; 0: none.
+   1 if the board renders the plane below, otherwise 0.
    */
   int32_t has_contact;
   /*
-   A point of it.
+   A point on the plane.
    */
   float point_m[3];
   /*
-   Its unit normal, out of the solid.
+   Unit normal of the plane, out of the solid.
    */
   float normal[3];
   /*
-   Its stiffness.
+   Stiffness of the plane.
    */
   float stiffness_n_m;
   /*
-   Its damping.
+   Damping of the plane.
    */
   float damping_ns_m;
 } hb_request;
 
 /*
- How the device is.
+ State of the device.
  */
 typedef struct {
   /*
-   HB_TAKEN or why not.
+   HB_TAKEN, or the reason why the request does not act.
    */
   int32_t done;
   /*
-   HB_DISARMED and so on.
+   HB_DISARMED, HB_ARMED, HB_CHECKING_POLARITY or HB_FAULT.
    */
   int32_t state;
   /*
-   Control steps since boot, wrapping.
+   Number of control steps since boot; wraps.
    */
   uint32_t step;
   /*
-   From step to step.
+   Period of the control steps.
    */
   float period_s;
   /*
-   Of the state that the acting request was computed from; negative when none acts.
+   Age of the state from which the acting request was computed; negative if no request acts.
    */
   float age_s;
   /*
-   Of what is asked for that acts.
+   Share of the request that acts.
    */
   float share;
   /*
-   Where the tip is.
+   Position of the tip.
    */
   float tip_m[3];
   /*
-   How fast it is.
+   Velocity of the tip.
    */
   float velocity_m_s[3];
   /*
@@ -184,11 +184,11 @@ typedef struct {
    */
   float q_rad[3];
   /*
-   Commanded, after all limits.
+   Commanded joint torques, after all limits.
    */
   float torque_nm[3];
   /*
-   That the host's force and contact have really added at the tip.
+   Force that the host's force and contact have added at the tip.
    */
   float force_n[3];
   /*
@@ -196,7 +196,7 @@ typedef struct {
    */
   float qd_rad_s[3];
   /*
-   Code of the fault that is latched, see hb_fault_text(); 0 without one.
+   Code of the latched fault, see hb_fault_text(); 0 without a fault.
    */
   int32_t fault;
 } hb_state;
@@ -206,62 +206,62 @@ extern "C" {
 #endif // __cplusplus
 
 /*
- HB_VERSION of the library.
+ Returns the HB_VERSION of the library.
  */
 uint32_t hb_version(void);
 
 /*
- What went wrong in the last call of this thread that failed; after hb_exchange() also which number of a request was
- HB_BAD, or which fault is latched. Never NULL; the same pointer for as long as the thread lives.
+ Returns the message of the last failed call of this thread; after hb_exchange() also the number of a HB_BAD request,
+ or the latched fault. Never NULL; the pointer stays the same for the life of the thread.
  */
 const char *hb_error(void);
 
 /*
- What a fault means and what to do about it, of its code in hb_state.fault. Valid for ever; empty for what is no code.
+ Returns the meaning and the remedy of a fault code from hb_state.fault. Always valid; empty for an unknown code.
  */
 const char *hb_fault_text(int32_t fault);
 
 /*
- Opens a board: a serial port or serial number, tcp:HOST:PORT, sim, sim:DEVICE.toml, or NULL for the only one
- connected. NULL when it cannot be opened.
+ Opens a board. `port` is a serial port or serial number, tcp:HOST:PORT, sim, sim:DEVICE.toml, or NULL for the only
+ connected board. Returns NULL if the board cannot be opened.
  */
 hb_board *hb_open(const char *port);
 
 /*
- Disarms the board and lets go of it. NULL is allowed.
+ Disarms the board and closes it. NULL is allowed.
  */
 void hb_close(hb_board *board);
 
 /*
- Loads a device file and a scene file; a NULL scene is free space. Motors must be off. Homing is forgotten. The polarity
- check still counts where the same device is loaded again and then homed near where it was homed before.
+ Loads a device file and a scene file; a NULL scene is free space. Motors must be off. The device must be homed
+ again. The polarity check stays valid if the same device is loaded again and homed close to its earlier home.
  */
 int32_t hb_load(const hb_board *board, const char *device_file, const char *scene_file);
 
 /*
- Loads a scene file for the device that the board has, which stays homed; NULL is free space. Motors must be off.
+ Loads a scene file for the present device, which stays homed; NULL is free space. Motors must be off.
  */
 int32_t hb_set_scene(const hb_board *board, const char *scene_file);
 
 /*
- The device stands in its home pose.
+ Declares that the device is in its home pose.
  */
 int32_t hb_home(const hb_board *board);
 
 /*
- Checks that every motor turns its joint the way its encoder counts, which moves each joint a little; returns when
- that is known, HB_OK only where all of them do.
+ Checks that every motor turns its joint in the direction that its encoder counts. Moves each joint a little and
+ waits for the end of the check; returns HB_OK only if all joints pass.
  */
 int32_t hb_check_polarity(const hb_board *board);
 
 /*
- Motors on; torque ramps up over half a second. hb_exchange(), also with NULL, must then be called at least as often as
- the board's rules ask for a sign of the host: every half second, unless they say otherwise.
+ Turns the motors on; torque ramps up over half a second. hb_exchange(), also with NULL, must then be called as often
+ as the board's rules require a heartbeat: by default every half second.
  */
 int32_t hb_arm(const hb_board *board);
 
 /*
- Motors off.
+ Turns the motors off.
  */
 int32_t hb_disarm(const hb_board *board);
 
@@ -271,15 +271,16 @@ int32_t hb_disarm(const hb_board *board);
 int32_t hb_clear(const hb_board *board);
 
 /*
- For how long hb_exchange() waits for its answer, s. Unless this says otherwise it waits for 0.1 and asks again, for a
- second in all. A program whose loop has less time asks for less: a lost frame then costs it no more.
+ Sets the time for which hb_exchange() waits for its reply, s. By default it waits for 0.1 and retries for one second
+ in total. A program with a faster loop sets a shorter time, which then is the most that a lost frame costs.
  */
 int32_t hb_wait_for_forces(const hb_board *board, double seconds);
 
 /*
- Sends a request (NULL only asks) and waits for the answer, usually below a millisecond. Where none comes it returns
- HB_UNANSWERED, see hb_wait_for_forces(), and the next request goes on. A request that was not taken is no failure:
- hb_state.done says why. Allocates no memory after the first calls, unless it has words for hb_error().
+ Sends a request (NULL only reads the state) and waits for the reply, usually less than a millisecond. Without a
+ reply it returns HB_UNANSWERED, see hb_wait_for_forces(), and the next request is independent. A refused request is
+ not a failure: hb_state.done gives the reason. Allocates no memory after the first calls, except for messages for
+ hb_error().
  */
 int32_t hb_exchange(const hb_board *board, const hb_request *request, hb_state *state);
 

@@ -1,4 +1,4 @@
-//! A program in C, compiled against the header and run with the shared library.
+//! A program in C, compiled with the header and run with the shared library.
 
 mod header;
 
@@ -19,14 +19,14 @@ use std::process::Command;
 use std::ptr::null;
 use std::sync::atomic::AtomicBool;
 
-/// The folder in which cargo has put the shared library: beside this test.
+/// Returns the folder of the shared library: that of this test.
 fn libraries() -> std::path::PathBuf {
     std::env::current_exe().unwrap().parent().unwrap().to_path_buf()
 }
 
 #[test]
 #[cfg(target_os = "linux")]
-fn the_example_compiles_without_a_warning_and_pushes_a_simulated_board() {
+fn the_example_compiles_without_warnings_and_pushes_a_board() {
     let here = Path::new(env!("CARGO_MANIFEST_DIR"));
     let folder = libraries();
     let program = folder.join("capi-push");
@@ -42,25 +42,25 @@ fn the_example_compiles_without_a_warning_and_pushes_a_simulated_board() {
         .output()
         .expect("gcc: `apt-get install gcc`");
     assert!(compiled.status.success(), "{}", String::from_utf8_lossy(&compiled.stderr));
-    // Installing the library makes this link.
+    // Installing the library creates this link.
     let soname = format!("libhapticbridge.so.{HB_VERSION}");
     let _ = std::fs::remove_file(folder.join(&soname));
     std::os::unix::fs::symlink("libhapticbridge.so", folder.join(&soname)).unwrap();
     let device = here.join("../../devices/coupled-five-bar.toml");
     let ran = Command::new(&program).arg("sim").arg(device).output().unwrap();
-    let said = String::from_utf8_lossy(&ran.stdout);
-    assert!(ran.status.success(), "{said}{}", String::from_utf8_lossy(&ran.stderr));
-    let lines: Vec<&str> = said.lines().collect();
+    let output = String::from_utf8_lossy(&ran.stdout);
+    assert!(ran.status.success(), "{output}{}", String::from_utf8_lossy(&ran.stderr));
+    let lines: Vec<&str> = output.lines().collect();
     let numbers: Vec<f64> = lines[0].split(' ').filter_map(|word| word.parse().ok()).collect();
-    // 0.5 N against 100 N/m, less what joint friction holds (0.005 N m on 0.1 m arms, twice); taken, armed.
-    assert!((numbers[0] - 0.005).abs() < 0.001 && numbers[1].abs() < 0.001, "{said}");
-    assert_eq!(numbers[2..], [0.0, 1.0], "{said}");
+    // 0.5 N against 100 N/m, less friction of the joints (0.005 N m on 0.1 m arms, twice); taken, armed.
+    assert!((numbers[0] - 0.005).abs() < 0.001 && numbers[1].abs() < 0.001, "{output}");
+    assert_eq!(numbers[2..], [0.0, 1.0], "{output}");
     let sizes = [size_of::<Request>(), size_of::<State>()];
     let offsets = [offset_of!(Request, damping_ns_m), offset_of!(State, fault)];
     let expected = format!("sizes {} {} offsets {} {}", sizes[0], sizes[1], offsets[0], offsets[1]);
     assert_eq!(lines[1], expected, "header and library have the same structures");
-    assert!(lines[2].starts_with("cannot connect to 127.0.0.1:1"), "{said}");
-    // A program that was linked with the library finds it by its name, wherever it lay then.
+    assert!(lines[2].starts_with("cannot connect to 127.0.0.1:1"), "{output}");
+    // A linked program finds the library by its name, independent of its earlier path.
     let dynamic = Command::new("readelf").arg("-d").arg(folder.join("libhapticbridge.so")).output().unwrap();
     assert!(String::from_utf8_lossy(&dynamic.stdout).contains(&format!("soname: [{soname}]")));
     let package = std::fs::read_to_string(here.join("hapticbridge.pc")).unwrap();
@@ -68,7 +68,7 @@ fn the_example_compiles_without_a_warning_and_pushes_a_simulated_board() {
 }
 
 fn words(text: *const c_char) -> String {
-    // SAFETY: what the library tells is never NULL and ends with a zero.
+    // SAFETY: pointers from the library are never NULL and their strings end with a zero.
     unsafe { CStr::from_ptr(text) }.to_str().unwrap().into()
 }
 
@@ -77,7 +77,7 @@ fn error() -> String {
 }
 
 #[test]
-fn a_program_brings_up_a_board_that_watches_its_host_and_reads_names_and_clears_its_fault() {
+fn a_program_starts_a_strict_board_and_clears_its_fault() {
     let mut file = DeviceFile::parse(SHIPPED_DEVICE, "coupled-five-bar.toml").unwrap();
     for joint in &mut file.description.joints[..2] {
         joint.motor.as_mut().unwrap().verified = true;
@@ -87,49 +87,49 @@ fn a_program_brings_up_a_board_that_watches_its_host_and_reads_names_and_clears_
     let shared = SharedBoard::new(ready_board(&file, options).unwrap());
     let board = Board::of(Session::of(Linked::over(shared.wire(), "sim").unwrap()));
     let mut state = State::default();
-    // SAFETY: the board is closed last, and the pointers are to what they say.
+    // SAFETY: every pointer is valid for its type, and no call uses the board after hb_close().
     unsafe {
-        let mut look = || {
+        let mut read_state = || {
             assert_eq!(hb_exchange(board, null(), &mut state), HB_OK, "{}", error());
             state
         };
         assert_eq!((hb_set_scene(board, null()), hb_home(board)), (HB_OK, HB_OK), "{}", error());
         assert_eq!(hb_check_polarity(board), HB_OK, "{}", error());
-        // Another scene leaves home and polarity as they are.
+        // Another scene keeps homing and polarity.
         assert_eq!((hb_set_scene(board, null()), hb_arm(board)), (HB_OK, HB_OK), "{}", error());
         for _ in 0..4 {
             shared.lock().run(0.4);
-            assert_eq!((look().state, look().fault), (HB_ARMED, 0), "{}", error());
+            assert_eq!((read_state().state, read_state().fault), (HB_ARMED, 0), "{}", error());
         }
         let push = Request { hold_s: 0.1, force_n: [0.5, 0.0, 0.0], ..Request::default() };
         assert_eq!(hb_exchange(board, &push, &mut State::default()), HB_OK);
         shared.lock().run(0.05);
-        let now = look();
+        let now = read_state();
         assert!(now.qd_rad_s[0].hypot(now.qd_rad_s[1]) > 0.02, "{now:?}");
         shared.lock().run(0.6);
-        let fault = look();
+        let fault = read_state();
         assert_eq!((fault.state, fault.fault), (HB_FAULT, 16));
         assert_eq!(error(), words(hb_fault_text(16)));
         assert!(error().starts_with("HostLost (16): the host has not been heard"), "{}", error());
         assert_eq!(words(hb_fault_text(0)), "");
         assert!(words(hb_fault_text(7)).contains("then hb_clear() and arm again"), "{}", words(hb_fault_text(7)));
-        assert_eq!((hb_clear(board), look().state, look().fault), (HB_OK, HB_DISARMED, 0));
+        assert_eq!((hb_clear(board), read_state().state, read_state().fault), (HB_OK, HB_DISARMED, 0));
         hb_close(board);
     }
 }
 
 #[test]
-fn errors_name_functions_and_numbers() {
+fn errors_name_functions_and_arguments() {
     let device = concat!(env!("CARGO_MANIFEST_DIR"), "/../../devices/coupled-five-bar.toml");
     let device = CString::new(device).unwrap();
-    // SAFETY: pointers are NULL or to what they say, and the board is closed last.
+    // SAFETY: every pointer is NULL or valid for its type, and no call uses the board after hb_close().
     unsafe {
-        // The same text whichever of the two a compiler evaluates first.
+        // The same text in either order of evaluation.
         let before = hb_error();
         assert_eq!((hb_arm(null()), words(before)), (HB_BAD_ARGUMENT, "the board is NULL".into()));
         let board = hb_open(c"sim".as_ptr());
         assert_eq!((hb_load(board, device.as_ptr(), null()), hb_home(board)), (HB_OK, HB_OK), "{}", error());
-        // The check is over when the call returns: a board that still checks would refuse to arm.
+        // The check has ended when the call returns: otherwise the board would refuse to arm.
         assert_eq!((hb_check_polarity(board), hb_arm(board)), (HB_OK, HB_OK), "{}", error());
         assert_eq!(hb_load(board, device.as_ptr(), null()), HB_FAILED);
         assert_eq!(error(), "the board refuses: the motors are armed: hb_disarm() first");
@@ -140,14 +140,14 @@ fn errors_name_functions_and_numbers() {
         assert_eq!(hb_wait_for_forces(board, f64::NAN), HB_BAD_ARGUMENT);
         assert_eq!(error(), "the time is no number of seconds from 0 up");
         assert_eq!(hb_wait_for_forces(board, 0.0), HB_OK);
-        assert_eq!(hb_exchange(board, null(), &mut state), HB_UNANSWERED, "nothing is waited for");
+        assert_eq!(hb_exchange(board, null(), &mut state), HB_UNANSWERED, "there is no wait");
         assert_eq!(hb_wait_for_forces(board, 0.1), HB_OK);
-        assert_eq!(hb_exchange(board, null(), &mut state), HB_OK, "and the next goes on");
+        assert_eq!(hb_exchange(board, null(), &mut state), HB_OK, "the next request succeeds");
         hb_close(board);
     }
 }
 
-/// The system's allocator; counts what each thread allocates.
+/// The system's allocator, which counts the allocations of each thread.
 struct Counting;
 
 thread_local! {
@@ -176,18 +176,18 @@ fn an_exchange_allocates_nothing() {
     let mut simulated = ready_board(&file, BoardOptions::default()).unwrap();
     let door = door::tcp(([127, 0, 0, 1], 0).into(), door::Patience::default()).unwrap();
     let port = CString::new(door.port.as_str()).unwrap();
-    // It has a thread of its own.
+    // The board runs in its own thread.
     std::thread::spawn(move || server::serve(&mut simulated, &door, server::Pace::RealTime, &AtomicBool::new(false)));
-    // SAFETY: the name of a port.
+    // SAFETY: the pointer is a zero-terminated string.
     let board = unsafe { hb_open(port.as_ptr()) };
     let push = Request { hold_s: 0.02, fade_s: 0.05, force_n: [0.1, 0.0, 0.0], ..Request::default() };
     let exchange = || {
         let mut state = State::default();
-        // SAFETY: pointers to what is there.
+        // SAFETY: all pointers are valid.
         let code = unsafe { hb_exchange(board, &push, &mut state) };
         assert_eq!((code, state.state), (HB_OK, HB_ARMED));
     };
-    // SAFETY: the board is closed last.
+    // SAFETY: no call uses the board after hb_close().
     unsafe {
         assert_eq!((hb_set_scene(board, null()), hb_arm(board)), (HB_OK, HB_OK), "{}", error());
         exchange();

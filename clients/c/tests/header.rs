@@ -1,17 +1,17 @@
-//! The header is what cbindgen makes of the source.
+//! The header must be cbindgen's output for the source.
 
 use std::path::Path;
 
 const BEGIN: &str = "/* haptic-bridge boards for programs in C: libhapticbridge.
  *
- * Functions that can fail return HB_OK or another code; hb_error() then says what went wrong, in words. Every function may
- * be called from any thread; calls on one board wait for each other. SI units; vectors are in the task frame or one entry
- * a joint, with zeros in entries that the device does not have.
+ * Functions that can fail return HB_OK or another code; hb_error() then returns the message. Every function may
+ * be called from any thread; calls on one board wait for each other. SI units; vectors are in the task frame or have
+ * one entry per joint, with zeros in entries that the device does not have.
  *
- * Made of clients/c/src/lib.rs by cbindgen. */";
+ * Generated from clients/c/src/lib.rs by cbindgen. */";
 
 #[test]
-fn the_header_is_made_of_the_source() {
+fn the_header_is_generated_from_the_source() {
     let here = Path::new(env!("CARGO_MANIFEST_DIR"));
     let mut config = cbindgen::Config {
         language: cbindgen::Language::C,
@@ -30,14 +30,14 @@ fn the_header_is_made_of_the_source() {
     }
     let source = here.join("src/lib.rs");
     let bindings = cbindgen::Builder::new().with_src(source).with_config(config).generate().expect("cbindgen reads it");
-    let mut made = Vec::new();
-    bindings.write(&mut made);
-    let made = String::from_utf8(made).unwrap();
+    let mut generated = Vec::new();
+    bindings.write(&mut generated);
+    let generated = String::from_utf8(generated).unwrap();
     let header = here.join("include/hapticbridge.h");
     if std::env::var_os("UPDATE_DOCS").is_some() {
-        std::fs::write(&header, &made).unwrap();
+        std::fs::write(&header, &generated).unwrap();
     }
-    let kept = std::fs::read_to_string(header).unwrap();
-    assert_eq!(kept, made, "run UPDATE_DOCS=1 cargo test -p haptic-c header");
-    assert_eq!(made.matches("hb_board *").count(), 11, "every function is there");
+    let header_file = std::fs::read_to_string(header).unwrap();
+    assert_eq!(header_file, generated, "run UPDATE_DOCS=1 cargo test -p haptic-c header");
+    assert_eq!(generated.matches("hb_board *").count(), 11, "all functions are in the header");
 }

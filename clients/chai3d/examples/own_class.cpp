@@ -11,7 +11,7 @@ int main() {
     cHapticDeviceInfo info = device->getSpecifications();
     printf("%s: %g N, %g N/m, radius %g m\n", info.m_modelName.c_str(), info.m_maxLinearForce, info.m_maxLinearStiffness, info.m_workspaceRadius);
     if (!device->open() || !device->calibrate()) return 1;
-    // A sphere that pushes out, 0.3 N that pull to its middle, and syrup.
+    // A sphere that pushes outwards, 0.3 N towards its middle, and viscous damping.
     cVector3d middle(0.0, 0.01, 0.0), position, velocity, force;
     cPrecisionClock clock; clock.start(true);
     for (int tick = 0; tick < 2000; tick++) {

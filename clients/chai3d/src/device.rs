@@ -1,4 +1,4 @@
-//! The one device that CHAI3D gets to see: a board, in CHAI3D's frame, at a tick of a millisecond.
+//! The only device that CHAI3D sees: a board, in CHAI3D's frame, with a tick of a millisecond.
 
 use haptic_host::frame::Axes;
 use haptic_host::haptic_bridge::board::protocol::{DeviceData, ForceAnswer};
@@ -8,71 +8,71 @@ use haptic_host::haptic_bridge::render::scene::Scene;
 use haptic_host::haptic_bridge::safety::fault::{Fault, State};
 use haptic_host::link::{BoardError, LinkError, PortSpec, Session};
 use haptic_host::vectors::padded;
-use haptic_host::words::{fault_and_remedy, for_a_program};
+use haptic_host::words::{commands_to_calls, fault_and_remedy};
 use haptic_stability::analysis::map::Reachable;
 use haptic_stability::analysis::pose::TaskPose;
 use std::time::{Duration, Instant};
 
-/// From one tick of the control loop to the next: what CHAI3D's devices have.
+/// Period of a tick, as for CHAI3D's other devices.
 pub const TICK: Duration = Duration::from_millis(1);
 
-/// Angles of each joint that are tried to find out how large the workspace is.
+/// Number of angles per joint that are sampled for the size of the workspace.
 const ANGLES: usize = 24;
-/// CHAI3D divides by the radius, m.
+/// Smallest radius, m, because CHAI3D divides by it.
 const LEAST_RADIUS: f64 = 0.01;
 
-/// Ticks between two attempts to open a board that went away: half a second.
+/// Ticks between two attempts to reopen a lost board: half a second.
 const RETRY: u32 = 500;
-/// Commands that a person would type, and what a program does instead.
+/// Commands of the tool, and the actions of a program that replace them.
 const CALLS: [(&str, &str); 1] = [("faults --clear", "close and open the device")];
 
-/// Opens the board, also once more.
+/// Opens or reopens the board.
 type Opener = Box<dyn FnMut() -> Result<Session, String> + Send>;
 
-/// A board that a program made with CHAI3D uses.
+/// A board for a program made with CHAI3D.
 pub struct HdDevice {
     open: Opener,
-    /// None while the board is gone.
+    /// `None` while the board is gone.
     session: Option<Session>,
-    /// The board's device: a board with another one in its place is not this device.
-    held: DeviceData,
+    /// The board's device: a board with another device later is refused.
+    device_data: DeviceData,
     axes: Axes,
-    /// The tip that is CHAI3D's origin, m.
+    /// Tip position at CHAI3D's origin, m.
     centre: [f64; 3],
-    /// As far as the tip goes in every direction that it has, about, m.
+    /// Approximate radius of the workspace in every direction of the device, m.
     pub radius: f64,
-    /// The name of the device.
+    /// Name of the device.
     pub name: String,
     last: ForceAnswer,
     tick: Instant,
-    /// Ticks since the board went away.
+    /// Ticks since the board was lost.
     gone: u32,
-    /// Simulated time passes only while somebody waits for it.
+    /// True for a simulated board, whose time passes only while a caller waits for it.
     simulated: bool,
-    /// Why the motors are off was said.
-    told: bool,
-    /// A force that no board accepts was reported.
-    told_absurd: bool,
-    /// The program has the motors on, as far as it knows.
+    /// True if the present state of the motors has been reported.
+    is_reported: bool,
+    /// True if an invalid force has been reported.
+    is_absurd_reported: bool,
+    /// True if the motors are on, as far as the program knows.
     armed: bool,
-    /// A fault that came while it had is cleared when it opens the device again; no other fault is.
+    /// True if a fault occurred while the motors were on: opening the device again clears this fault, but no other.
     tripped: bool,
 }
 
-/// The board's device, in a scene, and how it is.
-fn look(session: &mut Session) -> Result<(DeviceData, ForceAnswer), String> {
+/// Reads the board's device and state, and loads free space if the board has no scene.
+fn read_device(session: &mut Session) -> Result<(DeviceData, ForceAnswer), String> {
     let device = session.device().map_err(|error| error.to_string())?;
     let device = device.ok_or("the board has no device; load one with `haptic device`")?;
     if session.scene().map_err(|error| error.to_string())?.is_none() {
         let task = device.mechanism.kind().spec().task as u8;
         session.set_scene(&Scene { task, ..Scene::default() }).map_err(|error| error.to_string())?;
     }
-    let state = session.look().map_err(|error| error.to_string())?;
+    let state = session.read_state().map_err(|error| error.to_string())?;
     Ok((device, state))
 }
 
 impl HdDevice {
-    /// Opens the board at HAPTIC_PORT, or a simulated one. Errors are words for a person.
+    /// Opens the board at HAPTIC_PORT, by default a simulated one. An error is a message for the user.
     pub fn open() -> Result<Self, String> {
         let port = std::env::var("HAPTIC_PORT").unwrap_or_else(|_| "sim".into());
         let spec = port.parse::<PortSpec>()?;
@@ -85,8 +85,8 @@ impl HdDevice {
 
     fn with(mut open: Opener, simulated: bool) -> Result<Self, String> {
         let mut session = open()?;
-        let (held, last) = look(&mut session)?;
-        let device = held.cast::<f64>();
+        let (device_data, last) = read_device(&mut session)?;
+        let device = device_data.cast::<f64>();
         let task = device.mechanism.kind().spec().task;
         let axes = match std::env::var("HAPTIC_AXES") {
             Ok(text) => text.parse().map_err(|error| format!("HAPTIC_AXES: {error}"))?,
@@ -100,7 +100,7 @@ impl HdDevice {
             open,
             session: Some(session),
             name: format!("haptic-bridge {}", device.name.as_str()),
-            held,
+            device_data,
             axes,
             centre,
             radius,
@@ -108,69 +108,69 @@ impl HdDevice {
             tick: Instant::now(),
             gone: 0,
             simulated,
-            told: false,
-            told_absurd: false,
+            is_reported: false,
+            is_absurd_reported: false,
             armed: false,
             tripped: false,
         })
     }
 
-    /// Motors on; why they stay off goes to standard error, once.
+    /// Turns the motors on. If they stay off, reports the reason once on standard error.
     pub fn arm(&mut self) -> bool {
         if self.session.is_none() {
-            self.open_anew();
+            self.reopen();
         }
         let Some(session) = &mut self.session else { return false };
         let cleared = if self.tripped { session.clear() } else { Ok(()) };
         match cleared.and_then(|()| session.arm()) {
             Ok(()) => {
-                (self.tick, self.told, self.armed, self.tripped) = (Instant::now(), false, true, false);
+                (self.tick, self.is_reported, self.armed, self.tripped) = (Instant::now(), false, true, false);
                 true
             }
-            // Nobody knows whether they are on.
+            // It is unknown whether the motors are on.
             Err(BoardError::Link(error)) => self.lost(&error),
             Err(refused) => {
-                self.tell(format!("the motors stay off: {refused}"));
+                self.report(format!("the motors stay off: {refused}"));
                 false
             }
         }
     }
 
-    /// Motors off.
+    /// Turns the motors off.
     pub fn disarm(&mut self) -> bool {
         let off = self.session.as_mut().is_some_and(|session| session.disarm().is_ok());
         self.armed &= !off;
         off
     }
 
-    /// The position of the tip at the last tick, m; `None` while the board is gone.
+    /// Returns the position of the tip at the last tick, m; `None` while the board is gone.
     pub fn position(&self) -> Option<[f64; 3]> {
         let tip = self.last.tip.map(f64::from);
         self.session.as_ref()?;
         Some(self.axes.to_chai3d(std::array::from_fn(|i| tip[i] - self.centre[i])))
     }
 
-    /// The velocity of the tip, m/s; `None` while the board is gone.
+    /// Returns the velocity of the tip, m/s; `None` while the board is gone.
     pub fn velocity(&self) -> Option<[f64; 3]> {
         self.session.as_ref()?;
         Some(self.axes.to_chai3d(self.last.velocity.map(f64::from)))
     }
 
-    /// Sends a force (N), waits for the next tick and reads how the device is then. A force that no board accepts is
-    /// replaced by none, and the call reports failure. Where the board is gone, it is looked for now and then.
+    /// Sends a force (N), waits for the next tick and reads the state. An invalid force is replaced by zero, and the
+    /// call fails. While the board is gone, tries to reopen it from time to time.
     pub fn force(&mut self, force: [f64; 3]) -> bool {
         let usable = force.iter().all(|newtons| newtons.abs() <= f64::from(MOST_HELD_FORCE));
-        if !usable && !self.told_absurd {
-            haptic_host::tell!("haptic-bridge: a force of {force:?} N is none: the motors get 0 N");
-            self.told_absurd = true;
+        if !usable && !self.is_absurd_reported {
+            haptic_host::tell!("haptic-bridge: a force of {force:?} N is invalid: the motors get 0 N");
+            self.is_absurd_reported = true;
         }
         let force = self.axes.to_task(if usable { force } else { [0.0; 3] });
         let Some(session) = &mut self.session else {
-            // A program whose device is gone must not spin.
+            // Without the wait, a program without a device would spin.
             std::thread::sleep(TICK);
             self.gone += 1;
             if self.gone.is_multiple_of(RETRY) {
-                self.open_anew();
+                self.reopen();
             }
             return false;
         };
@@ -182,9 +182,9 @@ impl HdDevice {
             self.tripped |= std::mem::take(&mut self.armed);
             let how = if self.tripped { "; closing and opening the device clears it" } else { "" };
             let why = session.fault().map_or_else(String::new, |record| {
-                format!(": {}{how}", for_a_program(&fault_and_remedy(&record), &CALLS))
+                format!(": {}{how}", commands_to_calls(&fault_and_remedy(&record), &CALLS))
             });
-            self.tell(format!("the board has turned its motors off{why}"));
+            self.report(format!("the board has turned its motors off{why}"));
         }
         if let Some(session) = self.session.as_mut().filter(|_| self.simulated)
             && let Err(error) = session.rows(TICK)
@@ -195,10 +195,10 @@ impl HdDevice {
         let now = Instant::now();
         match self.tick.checked_duration_since(now) {
             Some(left) => std::thread::sleep(left),
-            // Who is late does not hurry afterwards.
+            // A late tick is not made up for.
             None => self.tick = now,
         }
-        match self.session.as_mut().map(Session::look) {
+        match self.session.as_mut().map(Session::read_state) {
             Some(Ok(state)) => {
                 self.last = state;
                 usable
@@ -209,44 +209,45 @@ impl HdDevice {
     }
 
     fn lost(&mut self, error: &LinkError) -> bool {
-        // After a lost frame the next force goes on.
+        // After a lost frame the next force is independent.
         if matches!(error, LinkError::Unanswered { .. }) {
             return false;
         }
-        (self.session, self.gone, self.told) = (None, 0, false);
-        self.tell("the board is gone; once it is back it is found again".into());
+        (self.session, self.gone, self.is_reported) = (None, 0, false);
+        self.report("the board is gone; once it is back it is opened again".into());
         false
     }
 
-    /// Opens a board that went away, if it is back. Its motors stay as they are: whoever plugs it in may hold it.
-    fn open_anew(&mut self) {
+    /// Reopens a lost board if it is back. Its motors stay as they are, because the user who plugs it in may be holding
+    /// it.
+    fn reopen(&mut self) {
         let Ok(mut session) = (self.open)() else { return };
-        match look(&mut session) {
-            Ok((held, last)) if held == self.held => {
-                // That the board lost this program is its own to clear; what else came meanwhile, somebody has to look at.
+        match read_device(&mut session) {
+            Ok((device_data, last)) if device_data == self.device_data => {
+                // The program may clear HostLost, which its own absence caused; the user must check any other fault.
                 if let Some(record) = session.status().ok().and_then(|status| status.fault) {
                     self.tripped = std::mem::take(&mut self.armed) && record.fault == Fault::HostLost;
                 }
-                (self.session, self.last, self.told) = (Some(session), last, false);
-                self.tell("the board is back; closing and opening the device turns its motors on".into());
-                self.told = false;
+                (self.session, self.last, self.is_reported) = (Some(session), last, false);
+                self.report("the board is back; closing and opening the device turns its motors on".into());
+                self.is_reported = false;
             }
-            Ok(_) => self.tell("another device is on the board now: start the program again".into()),
+            Ok(_) => self.report("another device is on the board now: start the program again".into()),
             Err(_) => {}
         }
     }
 
-    /// Says something to a person, once until it has changed.
-    fn tell(&mut self, words: String) {
-        if !self.told {
+    /// Reports a message to the user, once until the state changes.
+    fn report(&mut self, words: String) {
+        if !self.is_reported {
             haptic_host::tell!("haptic-bridge: {words}");
-            self.told = true;
+            self.is_reported = true;
         }
     }
 }
 
-/// The tip at home (without a home, `here`), and how far the tip goes from there in the direction where that is least,
-/// m.
+/// Returns the tip at home (without a home, `here`), and the smallest distance from there to the edge of the workspace
+/// along an axis, m.
 fn workspace(device: &BoardDevice<f64>, here: [f64; 3]) -> ([f64; 3], f64) {
     let task = device.mechanism.kind().spec().task;
     let tip = |q: &[f64]| TaskPose::of(&device.mechanism, q).map(|pose| pose.position);
@@ -274,22 +275,22 @@ mod tests {
     use std::sync::Arc;
     use std::sync::atomic::{AtomicBool, Ordering};
 
-    /// A wire that can be pulled.
+    /// A wire that can be unplugged.
     struct Cable(Box<dyn Wire>, Arc<AtomicBool>);
 
     impl Cable {
-        fn there(&self) -> io::Result<()> {
+        fn check_plugged(&self) -> io::Result<()> {
             if self.1.load(Ordering::Relaxed) { Ok(()) } else { Err(io::ErrorKind::UnexpectedEof.into()) }
         }
     }
 
     impl Wire for Cable {
         fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
-            self.there()?;
+            self.check_plugged()?;
             self.0.send(bytes)
         }
         fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> io::Result<usize> {
-            self.there()?;
+            self.check_plugged()?;
             self.0.receive(buffer, timeout)
         }
         fn now(&self) -> Duration {
@@ -297,7 +298,7 @@ mod tests {
         }
     }
 
-    /// A board that asks what a real one asks, ready to arm; the program's device; and its cable.
+    /// Creates a strict board that is ready to arm, the program's device, and the cable's state.
     fn device() -> (SharedBoard, HdDevice, Arc<AtomicBool>) {
         let mut file = DeviceFile::parse(SHIPPED_DEVICE, "coupled-five-bar.toml").unwrap();
         for joint in &mut file.description.joints[..2] {
@@ -327,14 +328,14 @@ mod tests {
         let (board, mut device, _) = device();
         assert!(device.force([0.0; 3]));
         board.lock().run(0.6);
-        assert!(device.force([0.0; 3]), "positions go on");
+        assert!(device.force([0.0; 3]), "positions stay available");
         assert_eq!(board.lock().status().state, State::Fault);
         assert!(device.disarm() && device.arm());
         assert_eq!(board.lock().status().state, State::Armed);
     }
 
     #[test]
-    fn a_fault_that_came_while_the_motors_were_off_is_not_the_programs_to_clear() {
+    fn a_fault_while_disarmed_is_not_cleared_by_the_program() {
         let (board, mut device, _) = device();
         assert!(device.disarm());
         board.lock().inject(Fault::GateDriver, None, 0.0);
@@ -345,7 +346,7 @@ mod tests {
     }
 
     #[test]
-    fn a_board_that_is_lost_while_it_arms_is_gone_and_not_told_to_be_off() {
+    fn a_board_lost_while_arming_has_no_position() {
         let (_, mut device, plugged) = device();
         assert!(device.disarm());
         plugged.store(false, Ordering::Relaxed);
@@ -354,14 +355,14 @@ mod tests {
     }
 
     #[test]
-    fn a_board_that_comes_back_is_found_again_and_armed_by_opening_the_device() {
+    fn a_board_that_is_back_is_reopened_and_armed_by_opening_the_device() {
         let (board, mut device, plugged) = device();
         plugged.store(false, Ordering::Relaxed);
         assert!(!device.force([0.0; 3]));
-        assert_eq!((device.position(), device.velocity()), (None, None), "the last place is not where it is");
+        assert_eq!((device.position(), device.velocity()), (None, None), "the last position is outdated");
         assert!(!device.disarm() && !device.arm());
         plugged.store(true, Ordering::Relaxed);
-        // Its watch has let go meanwhile.
+        // Meanwhile the board has detected the lost host.
         board.lock().run(0.6);
         while device.position().is_none() {
             assert!(!device.force([0.0; 3]));

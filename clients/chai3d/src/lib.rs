@@ -1,8 +1,8 @@
 //! haptic-bridge boards for programs made with CHAI3D 3.3, which need not be changed or rebuilt: the 14 functions that
 //! its `CPhantomDevices.cpp` looks up in `libhdPhantom.so`, with its units, axes and order (docs/chai3d.md).
 //!
-//! HAPTIC_PORT says which board; without it there is a simulated one. Functions return 0, or -1 where they could not;
-//! words go to standard error. Nothing unwinds across the border, and the motors go off when the program ends.
+//! HAPTIC_PORT names the board; by default it is a simulated one. Functions return 0, or -1 on failure; messages go to
+//! standard error. No panic crosses the C interface, and the motors go off when the program ends.
 
 #![allow(non_snake_case, reason = "CHAI3D's names")]
 
@@ -13,61 +13,64 @@ use std::ffi::{c_char, c_int};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Mutex, PoisonError};
 
-/// The board: not looked for yet, looked for in vain, or open.
-enum Found {
+/// The state of the board: not opened yet, failed to open, or open.
+enum Connection {
     NotYet,
-    None,
+    Failed,
     Open(Box<HdDevice>),
 }
 
-static FOUND: Mutex<Found> = Mutex::new(Found::NotYet);
+static CONNECTION: Mutex<Connection> = Mutex::new(Connection::NotYet);
 
 const DONE: c_int = 0;
 const FAILED: c_int = -1;
 
-/// Has the board do something, and opens it first if it is not open. After a panic it is let go of, which disarms it.
+/// Runs `work` with the board and opens the board first if necessary. After a panic the board is dropped, which disarms
+/// it.
 fn with(id: c_int, work: impl FnOnce(&mut HdDevice) -> bool) -> c_int {
     if id != 0 {
         return FAILED;
     }
     let done = catch_unwind(AssertUnwindSafe(|| {
-        let mut found = FOUND.lock().unwrap_or_else(PoisonError::into_inner);
-        if matches!(*found, Found::NotYet) {
-            *found = match HdDevice::open() {
-                Ok(device) => Found::Open(Box::new(device)),
-                Err(words) => {
-                    haptic_host::tell!("haptic-bridge: {words}");
-                    Found::None
+        let mut connection = CONNECTION.lock().unwrap_or_else(PoisonError::into_inner);
+        if matches!(*connection, Connection::NotYet) {
+            *connection = match HdDevice::open() {
+                Ok(device) => Connection::Open(Box::new(device)),
+                Err(message) => {
+                    haptic_host::tell!("haptic-bridge: {message}");
+                    Connection::Failed
                 }
             };
         }
-        let Found::Open(mut device) = std::mem::replace(&mut *found, Found::None) else { return false };
+        let Connection::Open(mut device) = std::mem::replace(&mut *connection, Connection::Failed) else {
+            return false;
+        };
         let done = work(&mut device);
-        *found = Found::Open(device);
+        *connection = Connection::Open(device);
         done
     }));
     if done.unwrap_or(false) { DONE } else { FAILED }
 }
 
-/// Motors off when the program ends, also where it closes nothing. A program that is killed leaves it to the board's
-/// watch of its host.
-extern "C" fn at_the_end() {
+/// Turns the motors off when the program ends, even if it closes no device. If the program is killed, the board disarms
+/// because it watches its host.
+extern "C" fn disarm_at_exit() {
     let _ = catch_unwind(|| {
-        if let Ok(mut found) = FOUND.try_lock() {
-            *found = Found::None;
+        if let Ok(mut connection) = CONNECTION.try_lock() {
+            *connection = Connection::Failed;
         }
     });
 }
 #[cfg(target_os = "linux")]
 #[used]
 #[unsafe(link_section = ".fini_array")]
-static AT_THE_END: extern "C" fn() = at_the_end;
+static DISARM_AT_EXIT: extern "C" fn() = disarm_at_exit;
 
 /// Writes three numbers.
 ///
 /// # Safety
-/// The pointers are NULL or each has room for one.
-unsafe fn put(to: [*mut f64; 3], values: [f64; 3]) -> bool {
+/// Each pointer is NULL or valid for writing a number.
+unsafe fn write_numbers(to: [*mut f64; 3], values: [f64; 3]) -> bool {
     for (to, value) in to.into_iter().zip(values) {
         // SAFETY: as the caller promises.
         match unsafe { to.as_mut() } {
@@ -81,8 +84,8 @@ unsafe fn put(to: [*mut f64; 3], values: [f64; 3]) -> bool {
 /// Reads three numbers.
 ///
 /// # Safety
-/// The pointers are NULL or each points to one.
-unsafe fn get(from: [*const f64; 3]) -> Option<[f64; 3]> {
+/// Each pointer is NULL or valid for reading a number.
+unsafe fn read_numbers(from: [*const f64; 3]) -> Option<[f64; 3]> {
     let mut values = [0.0; 3];
     for (from, value) in from.into_iter().zip(&mut values) {
         // SAFETY: as the caller promises.
@@ -91,13 +94,13 @@ unsafe fn get(from: [*const f64; 3]) -> Option<[f64; 3]> {
     Some(values)
 }
 
-/// The number of devices: 1 if the board can be opened, else 0.
+/// Returns the number of devices: 1 if the board can be opened, otherwise 0.
 #[unsafe(no_mangle)]
 pub extern "C" fn hdPhantomGetNumDevices() -> c_int {
     c_int::from(with(0, |_| true) == DONE)
 }
 
-/// Opens the device, and turns its motors on. Where the board refuses that, positions are there and forces are not.
+/// Opens the device and turns its motors on. If the board refuses, positions work but forces do not.
 #[unsafe(no_mangle)]
 pub extern "C" fn hdPhantomOpen(id: c_int) -> c_int {
     with(id, HdDevice::arm)
@@ -109,30 +112,30 @@ pub extern "C" fn hdPhantomClose(id: c_int) -> c_int {
     with(id, HdDevice::disarm)
 }
 
-/// The tip, m; none while the board is gone.
+/// Reads the tip, m; fails while the board is gone.
 ///
 /// # Safety
-/// The pointers are NULL or each has room for one number.
+/// Each pointer is NULL or valid for writing a number.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn hdPhantomGetPosition(id: c_int, x: *mut f64, y: *mut f64, z: *mut f64) -> c_int {
     // SAFETY: as the caller promises.
-    with(id, |device| device.position().is_some_and(|position| unsafe { put([x, y, z], position) }))
+    with(id, |device| device.position().is_some_and(|position| unsafe { write_numbers([x, y, z], position) }))
 }
 
-/// Its velocity, m/s; none while the board is gone.
+/// Reads the tip's velocity, m/s; fails while the board is gone.
 ///
 /// # Safety
-/// The pointers are NULL or each has room for one number.
+/// Each pointer is NULL or valid for writing a number.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn hdPhantomGetLinearVelocity(id: c_int, x: *mut f64, y: *mut f64, z: *mut f64) -> c_int {
     // SAFETY: as the caller promises.
-    with(id, |device| device.velocity().is_some_and(|velocity| unsafe { put([x, y, z], velocity) }))
+    with(id, |device| device.velocity().is_some_and(|velocity| unsafe { write_numbers([x, y, z], velocity) }))
 }
 
-/// The orientation, as rows: none of our devices has any but the identity.
+/// Reads the rows of the orientation: the identity, because no device measures orientation.
 ///
 /// # Safety
-/// The pointers are NULL or each has room for one number.
+/// Each pointer is NULL or valid for writing a number.
 #[unsafe(no_mangle)]
 #[allow(clippy::too_many_arguments, reason = "CHAI3D's")]
 pub unsafe extern "C" fn hdPhantomGetRotation(
@@ -149,41 +152,41 @@ pub unsafe extern "C" fn hdPhantomGetRotation(
 ) -> c_int {
     // SAFETY: as the caller promises.
     with(id, |_| unsafe {
-        put([r00, r01, r02], [1.0, 0.0, 0.0])
-            && put([r10, r11, r12], [0.0, 1.0, 0.0])
-            && put([r20, r21, r22], [0.0, 0.0, 1.0])
+        write_numbers([r00, r01, r02], [1.0, 0.0, 0.0])
+            && write_numbers([r10, r11, r12], [0.0, 1.0, 0.0])
+            && write_numbers([r20, r21, r22], [0.0, 0.0, 1.0])
     })
 }
 
-/// The buttons that are pressed, one bit each: no board has any.
+/// Returns the pressed buttons as bits: always 0, because no board has buttons.
 #[unsafe(no_mangle)]
 pub extern "C" fn hdPhantomGetButtons(_id: c_int) -> c_int {
     0
 }
 
-/// Pushes with a force (N) and returns at the next tick, a millisecond after the one before.
+/// Pushes with a force (N) and returns at the next tick, a millisecond after the previous one.
 ///
 /// # Safety
-/// The pointers are NULL or each points to a number.
+/// Each pointer is NULL or valid for reading a number.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn hdPhantomSetForce(id: c_int, x: *const f64, y: *const f64, z: *const f64) -> c_int {
     // SAFETY: as the caller promises.
-    with(id, |device| unsafe { get([x, y, z]) }.is_some_and(|force| device.force(force)))
+    with(id, |device| unsafe { read_numbers([x, y, z]) }.is_some_and(|force| device.force(force)))
 }
 
-/// Torques at the handle: no device has any, so this does nothing.
+/// Does nothing, because no device makes torques at the handle.
 ///
 /// # Safety
-/// None is needed.
+/// No requirements.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn hdPhantomSetTorque(id: c_int, _x: *const f64, _y: *const f64, _z: *const f64) -> c_int {
     with(id, |_| true)
 }
 
-/// As [`hdPhantomSetForce`]; the torques do nothing.
+/// Like [`hdPhantomSetForce`]; ignores the torques.
 ///
 /// # Safety
-/// As of [`hdPhantomSetForce`].
+/// As for [`hdPhantomSetForce`].
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn hdPhantomSetForceAndTorque(
     id: c_int,
@@ -198,20 +201,20 @@ pub unsafe extern "C" fn hdPhantomSetForceAndTorque(
     unsafe { hdPhantomSetForce(id, x, y, z) }
 }
 
-/// The distance that the tip goes from the middle, about, m.
+/// Reads the approximate radius of the workspace, m.
 ///
 /// # Safety
-/// `radius` is NULL or has room for one number.
+/// `radius` is NULL or valid for writing a number.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn hdPhantomGetWorkspaceRadius(id: c_int, radius: *mut f64) -> c_int {
     // SAFETY: as the caller promises.
-    with(id, |device| unsafe { put([radius; 3], [device.radius; 3]) })
+    with(id, |device| unsafe { write_numbers([radius; 3], [device.radius; 3]) })
 }
 
-/// The name of the device, at most 254 bytes and a zero: CHAI3D has room for 255.
+/// Reads the name of the device, at most 254 bytes and a zero: CHAI3D's buffer has 255.
 ///
 /// # Safety
-/// `name` is NULL or has room for 255 bytes.
+/// `name` is NULL or valid for writing 255 bytes.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn hdPhantomGetType(id: c_int, name: *mut c_char) -> c_int {
     with(id, |device| {
@@ -219,7 +222,7 @@ pub unsafe extern "C" fn hdPhantomGetType(id: c_int, name: *mut c_char) -> c_int
             return false;
         }
         let bytes = &device.name.as_bytes()[..device.name.len().min(254)];
-        // SAFETY: as the caller promises, and no more than 255 are written.
+        // SAFETY: as the caller promises; at most 255 bytes are written.
         unsafe {
             std::ptr::copy_nonoverlapping(bytes.as_ptr(), name.cast(), bytes.len());
             *name.add(bytes.len()) = 0;
@@ -228,7 +231,7 @@ pub unsafe extern "C" fn hdPhantomGetType(id: c_int, name: *mut c_char) -> c_int
     })
 }
 
-/// The control loop is the board's own.
+/// Does nothing, because the board has its own control loop.
 #[unsafe(no_mangle)]
 pub extern "C" fn hdPhantomStartServo() {}
 

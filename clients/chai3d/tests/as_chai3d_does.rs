@@ -1,10 +1,10 @@
-//! A program that loads the library as CHAI3D does, against simulated boards.
+//! A program that loads the library like CHAI3D, with simulated boards.
 #![cfg(target_os = "linux")]
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-/// Compiles the program and puts the library where it finds it, under both names.
+/// Compiles the program and puts the library next to it, under both names.
 fn prepare(name: &str) -> (PathBuf, PathBuf) {
     // Refers to the crate, so that cargo builds it.
     assert_eq!(hdPhantom::hdPhantomGetButtons(0), 0);
@@ -34,15 +34,15 @@ fn run(program: &Path, folder: &Path, port: &str, axes: Option<&str>) -> Output 
     command.envs(axes.map(|axes| ("HAPTIC_AXES", axes))).output().unwrap()
 }
 
-/// Its output: name, radius, distance from the sphere's middle at first and at last, tip, seconds, buttons.
-fn said(output: &Output) -> Vec<String> {
+/// Returns the program's output: name, radius, first and last distance from the sphere's middle, tip, seconds, buttons.
+fn output_fields(output: &Output) -> Vec<String> {
     let text = String::from_utf8_lossy(&output.stdout).into_owned();
     assert!(output.status.success(), "{:?}: {text}{}", output.status, String::from_utf8_lossy(&output.stderr));
     text.trim().split('|').map(str::to_owned).collect()
 }
 
 #[test]
-fn a_sphere_pushes_the_tip_out_at_a_thousand_ticks_a_second() {
+fn a_sphere_pushes_the_tip_out_at_1000_ticks_per_second() {
     let (program, folder) = prepare("sphere");
     let phantom = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../devices/phantom-premium-1.5.toml");
     let phantom = format!("sim:{}", phantom.display());
@@ -51,45 +51,45 @@ fn a_sphere_pushes_the_tip_out_at_a_thousand_ticks_a_second() {
         ("sim", "haptic-bridge coupled-five-bar", Some("-x,y,0")),
         (&phantom, "haptic-bridge phantom-premium-1.5", None),
     ];
-    // Each waits for its ticks, so they run side by side.
+    // Each program waits for its ticks, so they run in parallel.
     let outputs = std::thread::scope(|scope| {
         let (program, folder) = (&program, &folder);
         all.map(|(port, _, axes)| scope.spawn(move || run(program, folder, port, axes))).map(|run| run.join().unwrap())
     });
     for ((port, name, _), output) in all.into_iter().zip(outputs) {
-        let said = said(&output);
-        let number = |field: usize| said[field].parse::<f64>().unwrap();
-        assert_eq!(said[0], name);
-        assert!((0.02..0.4).contains(&number(1)), "radius {}", said[1]);
-        // The tip begins at the origin, which is its home, 10 mm from the middle of a sphere of 20 mm.
-        assert!((number(2) - 0.01).abs() < 1e-4, "{said:?}");
-        // A tick is a millisecond, never less; a busy computer may be late.
-        assert!(number(5) > 1.499, "{said:?}");
-        assert_eq!(said[6], "0");
+        let output_fields = output_fields(&output);
+        let number = |field: usize| output_fields[field].parse::<f64>().unwrap();
+        assert_eq!(output_fields[0], name);
+        assert!((0.02..0.4).contains(&number(1)), "radius {}", output_fields[1]);
+        // The tip begins at the origin (its home), 10 mm from the middle of a sphere of 20 mm.
+        assert!((number(2) - 0.01).abs() < 1e-4, "{output_fields:?}");
+        // A tick takes at least a millisecond; on a busy computer it may be late.
+        assert!(number(5) > 1.499, "{output_fields:?}");
+        assert_eq!(output_fields[6], "0");
         if port != "sim" {
-            // No hand holds this one up before its motors do.
+            // No hand holds this device before its motors do.
             continue;
         }
-        // It ends where 0.3 N press it into 300 N/m, but for what friction holds: up to 0.2 N.
-        assert!((number(3) - 0.019).abs() < 0.7e-3, "{said:?}");
-        // Straight away from the middle.
-        let tip: Vec<f64> = said[4].split(' ').map(|number| number.parse().unwrap()).collect();
+        // At the end 0.3 N press the tip into 300 N/m, less friction of up to 0.2 N.
+        assert!((number(3) - 0.019).abs() < 0.7e-3, "{output_fields:?}");
+        // Radially away from the middle.
+        let tip: Vec<f64> = output_fields[4].split(' ').map(|number| number.parse().unwrap()).collect();
         let (along, across) = (0.6 * tip[0] - 0.8 * tip[1], 0.8 * tip[0] + 0.6 * tip[1]);
-        assert!((along - 0.009).abs() < 2e-3 && across.abs() < 4e-3 && tip[2].abs() < 4e-3, "{said:?}");
+        assert!((along - 0.009).abs() < 2e-3 && across.abs() < 4e-3 && tip[2].abs() < 4e-3, "{output_fields:?}");
     }
 }
 
 #[test]
-fn a_force_that_no_board_takes_is_not_done() {
+fn an_invalid_force_fails() {
     assert_eq!(hdPhantom::hdPhantomOpen(0), 0);
-    // SAFETY: the pointers are to numbers.
+    // SAFETY: the pointers are valid.
     let set = |x: f64| unsafe { hdPhantom::hdPhantomSetForce(0, &x, &0.0, &0.0) };
     assert_eq!([0.1, f64::NAN, 1e30, f64::INFINITY, 0.1].map(set), [0, -1, -1, -1, 0]);
     assert_eq!(hdPhantom::hdPhantomClose(0), 0);
 }
 
 #[test]
-fn a_board_that_is_not_there_is_no_device_and_says_why() {
+fn a_missing_board_is_no_device_and_reports_the_reason() {
     let (program, folder) = prepare("none");
     for (port, axes, words) in [
         ("tcp:127.0.0.1:1", None, "cannot connect"),

@@ -1,5 +1,5 @@
-/* Uses libhdPhantom.so as CHAI3D 3.3 does (src/devices/CPhantomDevices.cpp): the same libraries, symbols and order of calls, and
- * a loop of its haptics thread with a sphere that pushes the tip out. */
+/* Uses libhdPhantom.so like CHAI3D 3.3 (src/devices/CPhantomDevices.cpp): the same libraries, symbols and order of calls, and a
+ * loop like its haptics thread with a sphere that pushes the tip out. */
 #include <dlfcn.h>
 #include <math.h>
 #include <stdio.h>
@@ -58,13 +58,13 @@ int main(void) {
     look_up(library, "hdPhantomStopServo", &StopServo);
     if (missing) return 2;
 
-    /* cHapticDeviceHandler counts the devices, cPhantomDevice's constructor asks what this one is, before it is opened. */
+    /* cHapticDeviceHandler counts the devices, and cPhantomDevice's constructor reads the type before it opens the device. */
     char name[255];
     double radius, turned[9];
     if (GetNumDevices() != 1 || GetWorkspaceRadius(0, &radius) || GetType(0, name)) return 3;
     if (Open(0)) return 4;
-    /* The sphere's middle is 10 mm to the side of where the tip begins, its surface another 10 mm on; something pulls the tip
-     * to the middle with 0.3 N, through syrup. */
+    /* The sphere's middle is 10 mm beside the tip's start, and its surface another 10 mm beyond. A damped force of 0.3 N pulls
+     * the tip to the middle. */
     const double middle[3] = {-0.006, 0.008, 0.0}, sphere = 0.02, stiffness = 300.0, damping = 8.0, pull = 0.3;
     const int ticks = 1500;
     const double began = now();
@@ -86,7 +86,7 @@ int main(void) {
     }
     const double took = now() - began;
     printf("%s|%g|%g|%g|%g %g %g|%g|%d\n", name, radius, first, away, at[0], at[1], at[2], took, GetButtons(0));
-    /* Another device there is not; NULL is no place for a number. */
+    /* There is no other device, and NULL is an error. */
     if (Open(1) != -1 || GetPosition(1, &at[0], &at[1], &at[2]) != -1 || GetPosition(0, NULL, NULL, NULL) != -1) return 7;
     if (SetForce(0, NULL, NULL, NULL) != -1 || SetTorque(0, &torque[0], &torque[1], &torque[2])) return 7;
     StartServo();

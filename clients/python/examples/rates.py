@@ -1,4 +1,4 @@
-"""How many exchanges a second a Python program has with a board, and how long they take: python rates.py [PORT]."""
+"""Measures the exchanges per second between a Python program and a board, and their duration: python rates.py [PORT]."""
 
 import sys
 import time

@@ -1,10 +1,10 @@
-"""How much stiffer the feed-forward makes walls, over poses and normals, on as many computers as there are.
+"""Computes how much the feed-forward increases the stable area of walls, over poses and normals, on one or more computers.
 
     python sweep_dask.py devices/coupled-five-bar.toml                   # on two processes of this computer
-    python sweep_dask.py devices/coupled-five-bar.toml tcp://HOST:8786   # on a cluster that runs already
+    python sweep_dask.py devices/coupled-five-bar.toml tcp://HOST:8786   # on a running cluster
 
-The work goes out in chunks of poses. A chunk depends on nothing but its arguments, so one that a worker took along when it died
-is computed again elsewhere, to the same numbers.
+The work is distributed in chunks of poses. A chunk depends only on its arguments, so a chunk of a killed worker is computed
+again elsewhere with the same result.
 """
 
 import sys
@@ -18,7 +18,7 @@ CHUNK = 16
 
 
 def grid(device, points, angles):
-    """Poses (M A, N) of the reachable workspace, and at each of them normals (M A, 2) all around."""
+    """Returns poses (M A, N) of the reachable workspace, and normals (M A, 2) in all directions at each pose."""
     q = device.map([1.0, 0.0], points=points)["q"]
     around = np.linspace(0.0, np.pi, angles, endpoint=False)
     normals = np.stack([np.cos(around), np.sin(around)], axis=-1)
@@ -26,22 +26,22 @@ def grid(device, points, angles):
 
 
 def chunk(device_text, q, normals):
-    """(n, 3): Weff, Wrr and the gain in area. Runs on a worker, which needs haptic_bridge and no files."""
+    """Returns (n, 3): Weff, Wrr and the gain in area. Runs on a worker, which needs haptic_bridge but no files."""
     device = hb.Device.parse(device_text)
     found = device.range(q, normals, rate_hz=20_000, cutoff_hz=500, delay=0.5, kd=[], singular="nan")
     return np.stack([found["w_eff"], found["w_rr"], found["area_ratio"]], axis=-1)
 
 
-def pieces(q, normals):
+def chunks(q, normals):
     return [(q[i : i + CHUNK], normals[i : i + CHUNK]) for i in range(0, len(q), CHUNK)]
 
 
 def on_one_process(device_text, q, normals):
-    return np.concatenate([chunk(device_text, *piece) for piece in pieces(q, normals)])
+    return np.concatenate([chunk(device_text, *arguments) for arguments in chunks(q, normals)])
 
 
 def on_a_cluster(client, device_text, q, normals):
-    jobs = [client.submit(chunk, device_text, *piece, pure=False, retries=3) for piece in pieces(q, normals)]
+    jobs = [client.submit(chunk, device_text, *arguments, pure=False, retries=3) for arguments in chunks(q, normals)]
     return np.concatenate(client.gather(jobs))
 
 
@@ -57,7 +57,7 @@ def main(path, address=None):
     with open(path) as file:
         text = file.read()
     q, normals = grid(hb.Device.parse(text), points=100, angles=12)
-    # A cluster that runs already is left running.
+    # A cluster that was already running keeps running.
     with (nullcontext(address) if address else local()) as cluster, Client(cluster) as client:
         found = on_a_cluster(client, text, q, normals)
     median, most = np.nanquantile(found[:, 2], [0.5, 0.9])

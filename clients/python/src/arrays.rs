@@ -1,19 +1,19 @@
-//! Between numpy and plain numbers.
+//! Conversion between numpy arrays and plain numbers.
 
 use crate::errors::RequestError;
 use numpy::{IxDyn, PyArray, PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 
-/// Rows of numbers with a shape in front: `shape` of [..., width].
+/// Rows of `width` numbers; `shape` is the leading part of the array's shape [..., width].
 pub struct Rows {
     pub shape: Vec<usize>,
     pub rows: Vec<Vec<f64>>,
 }
 
-/// Reads a caller's rows of `width` numbers, from anything that numpy makes numbers of.
-pub fn rows(what: &str, given: &Bound<'_, PyAny>, width: usize) -> PyResult<Rows> {
-    // Arrays that came over a wire need not lie where a processor likes its numbers.
-    let array = given.py().import("numpy")?.call_method1("require", (given, "float64", ["C", "A"]))?;
+/// Reads rows of `width` numbers from anything that numpy can convert.
+pub fn rows(what: &str, input: &Bound<'_, PyAny>, width: usize) -> PyResult<Rows> {
+    // Arrays that were received over a network may be unaligned.
+    let array = input.py().import("numpy")?.call_method1("require", (input, "float64", ["C", "A"]))?;
     let array: PyReadonlyArrayDyn<'_, f64> = array.extract()?;
     let shape = array.shape().to_vec();
     match shape.split_last() {
@@ -23,31 +23,31 @@ pub fn rows(what: &str, given: &Bound<'_, PyAny>, width: usize) -> PyResult<Rows
             Ok(Rows { shape: leading.to_vec(), rows })
         }
         _ => Err(RequestError::new_err(format!(
-            "{what} has the shape {shape:?}, and its last dimension must be {width}"
+            "{what} has the shape {shape:?}, but its last dimension must be {width}"
         ))),
     }
 }
 
 impl Rows {
-    /// One row for each of `poses`: as many as there are, or one for all.
-    pub fn along(self, what: &str, poses: &Rows) -> PyResult<Vec<Vec<f64>>> {
+    /// Returns one row for each of `poses`; a single row applies to all.
+    pub fn broadcast_to(self, what: &str, poses: &Rows) -> PyResult<Vec<Vec<f64>>> {
         match self.rows.len() {
             1 if self.shape.is_empty() => Ok(vec![self.rows[0].clone(); poses.rows.len()]),
             _ if self.shape == poses.shape => Ok(self.rows),
             _ => Err(RequestError::new_err(format!(
-                "{what} goes over {:?} and the poses over {:?}; give one, or one for each pose",
+                "{what} has the shape {:?} but the poses {:?}; give one, or one for each pose",
                 self.shape, poses.shape
             ))),
         }
     }
 }
 
-/// An array of this shape, in C order.
+/// Creates an array of this shape, in C order.
 pub fn array<'py>(py: Python<'py>, values: Vec<f64>, shape: &[usize]) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
     PyArray::from_vec(py, values).reshape(IxDyn(shape))
 }
 
-/// An array of one dimension.
+/// Creates an array of one dimension.
 pub fn list<'py, T: Copy + Into<f64>>(py: Python<'py>, values: &[T]) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
     array(py, values.iter().map(|value| (*value).into()).collect(), &[values.len()])
 }

@@ -19,169 +19,169 @@ use pyo3::types::PyDict;
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
-/// Longest wait for telemetry before Ctrl-C is looked for.
-const LOOK: Duration = Duration::from_millis(100);
+/// Longest wait for telemetry between two checks for Ctrl-C.
+const SIGNAL_INTERVAL: Duration = Duration::from_millis(100);
 
-/// The device's state in the answer to a request (docs/host-force.md). Arrays have three entries, 0 where the device
-/// has none.
+/// The device's state in the reply to a request (docs/host-force.md). Arrays have three entries, 0 for axes that the
+/// device does not have.
 #[pyclass(frozen, module = "haptic_bridge")]
 pub struct State {
-    answer: ForceAnswer,
+    reply: ForceAnswer,
     fault: Option<FaultRecord>,
 }
 
 #[pymethods]
 impl State {
-    /// The outcome of the request, in words: it begins with "taken" or "not taken".
+    /// Outcome of the request, a text that begins with "taken" or "not taken".
     #[getter]
     fn done(&self) -> String {
-        self.answer.done.to_string()
+        self.reply.done.to_string()
     }
     /// True if the request acts.
     #[getter]
     fn taken(&self) -> bool {
-        self.answer.done == ForceDone::Taken
+        self.reply.done == ForceDone::Taken
     }
     /// Disarmed, Armed, CheckingPolarity or Fault.
     #[getter]
     fn state(&self) -> &'static str {
-        STATES[self.answer.state as usize]
+        STATES[self.reply.state as usize]
     }
-    /// Control periods since the board started, wrapping at 2³².
+    /// Number of control periods since the board started; wraps at 2³².
     #[getter]
     fn step(&self) -> u32 {
-        self.answer.step
+        self.reply.step
     }
-    /// From one control period to the next, s.
+    /// Control period, s.
     #[getter]
     fn period_s(&self) -> f32 {
-        self.answer.period
+        self.reply.period
     }
-    /// Since the state that the acting request was computed from, s; None when none acts.
+    /// Age of the state from which the acting request was computed, s; None if no request acts.
     #[getter]
     fn age_s(&self) -> Option<f32> {
-        self.answer.age
+        self.reply.age
     }
-    /// The part of what was asked for that acts, 0 to 1.
+    /// Share of the request that acts, 0 to 1.
     #[getter]
     fn share(&self) -> f32 {
-        self.answer.share
+        self.reply.share
     }
     /// Tip, m, shape (3,).
     #[getter]
     fn tip<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
-        list(py, &self.answer.tip)
+        list(py, &self.reply.tip)
     }
-    /// Velocity of the tip, m/s, shape (3,), filtered as the scene says.
+    /// Velocity of the tip, m/s, shape (3,), filtered by the scene's estimator.
     #[getter]
     fn velocity<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
-        list(py, &self.answer.velocity)
+        list(py, &self.reply.velocity)
     }
     /// Joint angles, rad, shape (3,).
     #[getter]
     fn q<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
-        list(py, &self.answer.q)
+        list(py, &self.reply.q)
     }
-    /// Joint velocities, rad/s, shape (3,), filtered as the scene says.
+    /// Joint velocities, rad/s, shape (3,), filtered by the scene's estimator.
     #[getter]
     fn qd<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
-        list(py, &self.answer.qd)
+        list(py, &self.reply.qd)
     }
-    /// Joint torques commanded, after all limits, N m, shape (3,).
+    /// Commanded joint torques, after all limits, N m, shape (3,).
     #[getter]
     fn torque<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
-        list(py, &self.answer.torque)
+        list(py, &self.reply.torque)
     }
-    /// Force at the tip that the host's requests really added, N, shape (3,).
+    /// Force that the host's requests have added at the tip, N, shape (3,).
     #[getter]
     fn force<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
-        list(py, &self.answer.force)
+        list(py, &self.reply.force)
     }
-    /// The latched fault, with what to do about it; None without one.
+    /// Latched fault with its remedy; None without a fault.
     #[getter]
     fn fault(&self) -> Option<String> {
-        self.fault.as_ref().map(words)
+        self.fault.as_ref().map(fault_text)
     }
     fn __repr__(&self) -> String {
-        let done =
-            if self.answer.done == ForceDone::Looked { String::new() } else { format!(", {}", self.answer.done) };
-        format!("<State {}, tip {:?} m{done}>", self.state(), self.answer.tip)
+        let done = if self.reply.done == ForceDone::Looked { String::new() } else { format!(", {}", self.reply.done) };
+        format!("<State {}, tip {:?} m{done}>", self.state(), self.reply.tip)
     }
 }
 
-fn words(fault: &FaultRecord) -> String {
+fn fault_text(fault: &FaultRecord) -> String {
     errors::in_calls(&fault_and_remedy(fault))
 }
 
-/// The stream that is followed.
+/// The present stream.
 #[derive(Clone, Copy)]
 struct Stream {
     fields: Fields,
     axes: usize,
 }
 
-/// Everything that is held while a board is open.
-struct Held {
+/// The state of an open board.
+struct OpenBoard {
     session: Session,
     stream: Option<Stream>,
 }
 
-/// A board while this program holds it.
+/// A board that this program holds.
 ///
-/// Board(port): a serial port or serial number, "tcp:HOST:PORT", "sim" or "sim:DEVICE.toml"; without one the only board
-/// connected. Use it in a `with` block: the motors go off at its end, however it ends, and when the board is let go of.
-/// Calls from several threads wait for each other; none holds the interpreter's lock while it waits for the board.
+/// Board(port): a serial port or serial number, "tcp:HOST:PORT", "sim" or "sim:DEVICE.toml"; by default the only
+/// connected board. Use it in a `with` block: the motors go off when the block ends for any reason, and when the Board
+/// is deleted. Calls from several threads wait for each other; none holds the interpreter's lock while it waits for the
+/// board.
 #[pyclass(frozen, module = "haptic_bridge")]
-pub struct Board(Mutex<Option<Held>>);
+pub struct Board(Mutex<Option<OpenBoard>>);
 
 impl Board {
     pub fn of(session: Session) -> Self {
-        Self(Mutex::new(Some(Held { session, stream: None })))
+        Self(Mutex::new(Some(OpenBoard { session, stream: None })))
     }
 
     fn with<T: Send>(
         &self,
         py: Python<'_>,
-        work: impl FnOnce(&mut Held) -> Result<T, BoardError> + Send,
+        work: impl FnOnce(&mut OpenBoard) -> Result<T, BoardError> + Send,
     ) -> PyResult<T> {
         py.detach(|| {
-            let mut held = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-            let held = held.as_mut().ok_or_else(|| LinkError::new_err("the board was closed; open it again"))?;
-            work(held).map_err(errors::board)
+            let mut open = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+            let open = open.as_mut().ok_or_else(|| LinkError::new_err("the board was closed; open it again"))?;
+            work(open).map_err(errors::board)
         })
     }
 
-    /// Works with the whole board, whose stream is over afterwards.
-    pub fn whole<T: Send>(
+    /// Runs `work` with the board; the stream ends.
+    pub fn with_board<T: Send>(
         &self,
         py: Python<'_>,
         work: impl FnOnce(&mut link::Board) -> PyResult<T> + Send,
     ) -> PyResult<T> {
-        self.with(py, |held| {
-            held.stream = None;
-            Ok(work(&mut held.session))
+        self.with(py, |open| {
+            open.stream = None;
+            Ok(work(&mut open.session))
         })?
     }
 
-    fn exchanged(&self, py: Python<'_>, request: ForceRequest) -> PyResult<State> {
-        let state = self.with(py, |held| {
-            let answer = held.session.exchange(request)?;
-            Ok(State { answer, fault: held.session.fault() })
+    fn exchange(&self, py: Python<'_>, request: ForceRequest) -> PyResult<State> {
+        let state = self.with(py, |open| {
+            let reply = open.session.exchange(request)?;
+            Ok(State { reply, fault: open.session.fault() })
         })?;
-        match state.answer.done {
-            // A step that the board has not been at: it has restarted, and the next request goes on.
-            ForceDone::Bad(bad) if bad != BadForce::Seen => Err(RequestError::new_err(state.answer.done.to_string())),
+        match state.reply.done {
+            // The board has restarted, so it does not know the step; the next request is independent.
+            ForceDone::Bad(bad) if bad != BadForce::Seen => Err(RequestError::new_err(state.reply.done.to_string())),
             _ => Ok(state),
         }
     }
 }
 
-/// Three entries, of which the device's own must be there.
-fn vector(what: &str, given: &[f64]) -> PyResult<[f32; 3]> {
-    if given.is_empty() || given.len() > 3 {
-        return Err(RequestError::new_err(format!("{what} has {} entries, and must have 1 to 3", given.len())));
+/// Pads a vector to three entries; it must have 1 to 3.
+fn vector(what: &str, entries: &[f64]) -> PyResult<[f32; 3]> {
+    if entries.is_empty() || entries.len() > 3 {
+        return Err(RequestError::new_err(format!("{what} has {} entries, but must have 1 to 3", entries.len())));
     }
-    Ok(std::array::from_fn(|i| given.get(i).map_or(0.0, |value| *value as f32)))
+    Ok(std::array::from_fn(|i| entries.get(i).map_or(0.0, |value| *value as f32)))
 }
 
 #[pymethods]
@@ -206,19 +206,19 @@ impl Board {
     }
 
     fn __repr__(&self, py: Python<'_>) -> String {
-        let port = self.with(py, |held| Ok(held.session.port().to_owned()));
+        let port = self.with(py, |open| Ok(open.session.port().to_owned()));
         port.map_or_else(|_| "<Board, closed>".into(), |port| format!("<Board at {port}>"))
     }
 
-    /// Disarms the board and lets go of it. Twice is once.
+    /// Disarms the board and closes it. Closing it again has no effect.
     fn close(&self, py: Python<'_>) {
         py.detach(|| drop(self.0.lock().unwrap_or_else(PoisonError::into_inner).take()));
     }
 
-    /// The board's description: a dict of board, serial, firmware, protocol and port.
+    /// Description of the board: a dict of board, serial, firmware, protocol and port.
     #[getter]
     fn info<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        let (info, port) = self.with(py, |held| Ok((held.session.info().clone(), held.session.port().to_owned())))?;
+        let (info, port) = self.with(py, |open| Ok((open.session.info().clone(), open.session.port().to_owned())))?;
         let dict = PyDict::new(py);
         dict.set_item("board", info.board.as_str())?;
         dict.set_item("serial", info.serial.as_str())?;
@@ -231,103 +231,104 @@ impl Board {
     /// Disarmed, Armed, CheckingPolarity or Fault.
     #[getter]
     fn state(&self, py: Python<'_>) -> PyResult<&'static str> {
-        self.with(py, |held| Ok(STATES[held.session.status()?.state as usize]))
+        self.with(py, |open| Ok(STATES[open.session.status()?.state as usize]))
     }
 
-    /// The latched fault, with what to do about it; None without one.
+    /// Latched fault with its remedy; None without a fault.
     #[getter]
     fn fault(&self, py: Python<'_>) -> PyResult<Option<String>> {
-        self.with(py, |held| Ok(held.session.status()?.fault.as_ref().map(words)))
+        self.with(py, |open| Ok(open.session.status()?.fault.as_ref().map(fault_text)))
     }
 
-    /// Loads a device and a scene; without a scene, free space. Motors must be off. Homing is forgotten; the polarity check
-    /// still counts where the same device is loaded again and then homed near where it was homed before.
+    /// Loads a device and a scene; without a scene, free space. Motors must be off. The device must be homed again; the
+    /// polarity check stays valid if the same device is loaded again and homed close to its earlier home.
     #[pyo3(signature = (device, scene = None))]
     fn load(&self, py: Python<'_>, device: &PyDevice, scene: Option<&Scene>) -> PyResult<()> {
         let data = device.file.device().map_err(|error| RequestError::new_err(error.to_string()))?;
-        self.with(py, |held| held.session.set_device(&data))?;
+        self.with(py, |open| open.session.set_device(&data))?;
         self.set_scene(py, scene)
     }
 
-    /// Loads a scene for the device that the board has, which stays homed; without one, free space. Motors must be off.
+    /// Loads a scene for the present device, which stays homed; without a scene, free space. Motors must be off.
     #[pyo3(signature = (scene = None))]
     fn set_scene(&self, py: Python<'_>, scene: Option<&Scene>) -> PyResult<()> {
         let scene = scene.map(|scene| scene.file.scene()).transpose();
         let scene = scene.map_err(|error| RequestError::new_err(error.to_string()))?;
-        self.with(py, |held| {
-            let device = held.session.device()?.ok_or(Refusal::NoDevice)?;
+        self.with(py, |open| {
+            let device = open.session.device()?.ok_or(Refusal::NoDevice)?;
             let task = device.mechanism.kind().spec().task as u8;
-            held.session.set_scene(&scene.unwrap_or(BoardScene { task, ..BoardScene::default() }))
+            open.session.set_scene(&scene.unwrap_or(BoardScene { task, ..BoardScene::default() }))
         })
     }
 
-    /// The device stands in its home pose.
+    /// Declares that the device is in its home pose.
     fn home(&self, py: Python<'_>) -> PyResult<()> {
-        self.with(py, |held| held.session.home())
+        self.with(py, |open| open.session.home())
     }
 
-    /// Checks that every motor turns its joint the way its encoder counts, which moves each joint a little; returns
-    /// when that is known. Raises RefusedError where one does not, or where the check was ended before.
+    /// Checks that every motor turns its joint in the direction that its encoder counts. Moves each joint a little and
+    /// waits for the end of the check. Raises RefusedError if a joint fails or the check was ended early.
     fn check_polarity(&self, py: Python<'_>) -> PyResult<()> {
-        let outcome = self.with(py, |held| {
-            held.session.check_polarity()?;
-            held.session.wait_for_polarity()
+        let outcome = self.with(py, |open| {
+            open.session.check_polarity()?;
+            open.session.wait_for_polarity()
         })?;
         outcome.passed().map_err(|failure| errors::refused(&failure.to_string()))
     }
 
-    /// Motors on; torque ramps up over half a second. The board must then hear from this program as often as its rules
-    /// ask, every half second unless they say otherwise: look, force and torque tell it.
+    /// Turns the motors on; torque ramps up over half a second. Then call look, force or torque as often as the board's
+    /// rules require a heartbeat: by default every half second.
     fn arm(&self, py: Python<'_>) -> PyResult<()> {
-        self.with(py, |held| held.session.arm())
+        self.with(py, |open| open.session.arm())
     }
 
-    /// Motors off.
+    /// Turns the motors off.
     fn disarm(&self, py: Python<'_>) -> PyResult<()> {
-        self.with(py, |held| held.session.disarm())
+        self.with(py, |open| open.session.disarm())
     }
 
     /// Clears a latched fault.
     fn clear(&self, py: Python<'_>) -> PyResult<()> {
-        self.with(py, |held| held.session.clear())
+        self.with(py, |open| open.session.clear())
     }
 
-    /// Changes one wall's stiffness (N/m) and damping (N s/m), also while it is touched.
+    /// Changes one wall's stiffness (N/m) and damping (N s/m), also while it is in contact.
     fn set_gains(&self, py: Python<'_>, wall: u8, stiffness: f32, damping: f32) -> PyResult<()> {
-        let there = self.with(py, |held| {
-            let scene = held.session.scene()?;
+        let result = self.with(py, |open| {
+            let scene = open.session.scene()?;
             let Some(now) = scene.as_ref().and_then(|scene| scene.walls.get(usize::from(wall))) else {
                 return Ok(Err(scene.map_or(0, |scene| scene.walls.len())));
             };
             let (feed_forward, washout_hz) = (now.feed_forward, now.washout_hz);
             let gains = Gains { wall, stiffness, damping, feed_forward, washout_hz };
-            held.session.set_wall_gains(gains).map(Ok)
+            open.session.set_wall_gains(gains).map(Ok)
         })?;
-        there.map_err(|walls| RequestError::new_err(format!("the scene has {walls} walls, so there is no wall {wall}")))
+        result
+            .map_err(|walls| RequestError::new_err(format!("the scene has {walls} walls, so there is no wall {wall}")))
     }
 
-    /// For how long look, force and torque wait for their answer, s. Unless this says otherwise they wait for 0.1 and ask
-    /// again, for a second in all. Where none comes they raise UnansweredError, and the next one goes on.
+    /// Sets the time for which look, force and torque wait for their reply, s. By default they wait for 0.1 and retry
+    /// for one second in total. Without a reply they raise UnansweredError, and the next request is independent.
     fn wait_for_forces(&self, py: Python<'_>, seconds: f64) -> PyResult<()> {
         let patience = Duration::try_from_secs_f64(seconds)
-            .map_err(|_| RequestError::new_err(format!("a time is no less than 0 s, not {seconds}")))?;
-        self.with(py, |held| {
-            held.session.wait_for_forces(patience);
+            .map_err(|_| RequestError::new_err(format!("a time must be at least 0 s, not {seconds}")))?;
+        self.with(py, |open| {
+            open.session.wait_for_forces(patience);
             Ok::<_, BoardError>(())
         })
     }
 
-    /// The device's state; asks nothing of the motors, and tells the board that this program is there.
+    /// Reads the device's state without a request to the motors; counts as a heartbeat.
     fn look(&self, py: Python<'_>) -> PyResult<State> {
-        self.exchanged(py, ForceRequest::default())
+        self.exchange(py, ForceRequest::default())
     }
 
-    /// Pushes with a force (N) at the tip, up to 3 entries in the task frame, in the place of what was asked for
-    /// before.
+    /// Pushes with a force (N) at the tip, up to 3 entries in the task frame, which replaces the previous request.
     ///
-    /// hold_s: how long it acts in full, fade_s: in how long it then fades to nothing, 0 to 0.2 s each. contact: (point
-    /// (m), unit normal, stiffness (N/m), damping (N s/m)) of a plane that the board renders at its own rate. A number
-    /// that no board takes raises RequestError; what was not taken for another reason raises nothing: State.done says why.
+    /// hold_s: time for which it acts in full; fade_s: time in which it then fades to zero; 0 to 0.2 s each. contact:
+    /// (point (m), unit normal, stiffness (N/m), damping (N s/m)) of a plane that the board renders at its own rate. An
+    /// invalid number raises RequestError; a request that is refused for another reason raises nothing: State.done
+    /// gives the reason.
     #[pyo3(signature = (force, *, contact = None, hold_s = link::HOLD, fade_s = link::FADE))]
     fn force(
         &self,
@@ -348,41 +349,40 @@ impl Board {
             })
             .transpose()?;
         let force = vector("the force", &force)?;
-        self.exchanged(py, ForceRequest { hold: hold_s, fade: fade_s, force, contact, ..ForceRequest::default() })
+        self.exchange(py, ForceRequest { hold: hold_s, fade: fade_s, force, contact, ..ForceRequest::default() })
     }
 
-    /// Pushes with torques (N m) at the joints, in the place of what was asked for before; hold_s and fade_s as of
-    /// force.
+    /// Pushes with torques (N m) at the joints, which replaces the previous request; hold_s and fade_s as for force.
     #[pyo3(signature = (torque, *, hold_s = link::HOLD, fade_s = link::FADE))]
     fn torque(&self, py: Python<'_>, torque: Vec<f64>, hold_s: f32, fade_s: f32) -> PyResult<State> {
         let torque = vector("the torques", &torque)?;
-        self.exchanged(py, ForceRequest { hold: hold_s, fade: fade_s, torque, ..ForceRequest::default() })
+        self.exchange(py, ForceRequest { hold: hold_s, fade: fade_s, torque, ..ForceRequest::default() })
     }
 
-    /// Starts a stream of every `divider`-th control period's fields (names of docs/telemetry.md with commas between,
-    /// or "usual", "all"). Returns the names of the columns that `rows` will have.
+    /// Starts a stream of every `divider`-th control period's fields (names of docs/telemetry.md separated by commas,
+    /// or "usual", "all"). Returns the column names of `rows`.
     #[pyo3(signature = (fields = "usual", divider = 1))]
     fn start_stream(&self, py: Python<'_>, fields: &str, divider: u32) -> PyResult<Vec<String>> {
         let fields = link::fields(fields).map_err(RequestError::new_err)?;
-        self.with(py, |held| {
-            let axes = held.session.device()?.map_or(0, |device| device.axes());
-            held.session.start_stream(fields, divider)?;
-            held.stream = Some(Stream { fields, axes });
+        self.with(py, |open| {
+            let axes = open.session.device()?.map_or(0, |device| device.axes());
+            open.session.start_stream(fields, divider)?;
+            open.stream = Some(Stream { fields, axes });
             Ok(names(fields, axes))
         })
     }
 
-    /// The rows that have come, waiting at most timeout_s for the first: shape (rows, columns), `step` first.
+    /// Returns the rows that have come, shape (rows, columns), `step` first; waits at most timeout_s for the first.
     #[pyo3(signature = (timeout_s = 0.1))]
     fn rows<'py>(&self, py: Python<'py>, timeout_s: f64) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
         let timeout =
             Duration::try_from_secs_f64(timeout_s).map_err(|error| RequestError::new_err(error.to_string()))?;
         let (mut rows, mut left) = (Vec::new(), timeout);
         let width =
-            self.with(py, |held| Ok(held.stream.map_or(0, |stream| names(stream.fields, stream.axes).len())))?;
+            self.with(py, |open| Ok(open.stream.map_or(0, |stream| names(stream.fields, stream.axes).len())))?;
         loop {
-            let wait = left.min(LOOK);
-            rows.append(&mut self.with(py, |held| Ok(held.session.rows(wait)?))?);
+            let wait = left.min(SIGNAL_INTERVAL);
+            rows.append(&mut self.with(py, |open| Ok(open.session.rows(wait)?))?);
             left -= wait;
             if !rows.is_empty() || left.is_zero() {
                 break;
@@ -395,13 +395,13 @@ impl Board {
 
     /// Stops the stream.
     fn stop_stream(&self, py: Python<'_>) -> PyResult<()> {
-        self.with(py, |held| held.session.stop_stream())
+        self.with(py, |open| open.session.stop_stream())
     }
 
-    /// The losses of the stream so far: a dict of received, missing, dropped_by_board, batches_lost, garbled.
+    /// Losses of the stream so far: a dict of received, missing, dropped_by_board, batches_lost, garbled.
     #[getter]
     fn losses<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        let losses = self.with(py, |held| Ok(held.session.losses()))?;
+        let losses = self.with(py, |open| Ok(open.session.losses()))?;
         let dict = PyDict::new(py);
         dict.set_item("received", losses.received)?;
         dict.set_item("missing", losses.missing)?;
@@ -411,25 +411,25 @@ impl Board {
         Ok(dict)
     }
 
-    /// Follows the board for so many seconds of its own time and returns a Recording, with `step` as first column.
+    /// Records the board for `seconds` of its own time and returns a Recording, with `step` as first column.
     #[pyo3(signature = (seconds, fields = "usual", divider = 1))]
     fn record(&self, py: Python<'_>, seconds: f64, fields: &str, divider: u32) -> PyResult<Recording> {
         let columns = self.start_stream(py, fields, divider)?;
         let mut rows = Vec::new();
-        let now = |held: &mut Held| Ok(held.session.now().as_secs_f64());
+        let now = |open: &mut OpenBoard| Ok(open.session.now().as_secs_f64());
         let end = self.with(py, now)? + seconds;
         loop {
             let left = end - self.with(py, now)?;
             if left <= 0.0 {
                 break;
             }
-            let wait = Duration::from_secs_f64(left.min(LOOK.as_secs_f64()));
-            let came = self.with(py, |held| Ok(held.session.rows(wait)?))?;
+            let wait = Duration::from_secs_f64(left.min(SIGNAL_INTERVAL.as_secs_f64()));
+            let came = self.with(py, |open| Ok(open.session.rows(wait)?))?;
             rows.extend(came.iter().map(with_step));
             py.check_signals()?;
         }
         self.stop_stream(py)?;
-        let about = vec![format!("{}", self.with(py, |held| Ok(held.session.losses()))?)];
+        let about = vec![format!("{}", self.with(py, |open| Ok(open.session.losses()))?)];
         Ok(Recording { columns, rows, about, torn: false })
     }
 }
@@ -443,7 +443,7 @@ fn with_step(row: &Row) -> Vec<f64> {
     std::iter::once(f64::from(row.step)).chain(row.values.iter().copied()).collect()
 }
 
-/// The boards that are connected: a list of dicts with port, serial and board.
+/// Lists the connected boards: dicts with port, serial and board.
 #[pyfunction]
 pub fn boards(py: Python<'_>) -> PyResult<Vec<Bound<'_, PyDict>>> {
     let (found, _) = py.detach(link::boards);

@@ -25,19 +25,19 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::Duration;
 
-/// Time between two looks for Ctrl-C.
-const LOOK: Duration = Duration::from_millis(50);
+/// Interval between checks for Ctrl-C.
+const SIGNAL_INTERVAL: Duration = Duration::from_millis(50);
 
-/// One of a few words, or the words there are.
-pub fn word<T: Copy>(what: &str, given: &str, all: &[(&str, T)]) -> PyResult<T> {
+/// Returns the value of a word, or an error with the known words.
+pub fn parse_word<T: Copy>(what: &str, given: &str, all: &[(&str, T)]) -> PyResult<T> {
     all.iter().find(|(name, _)| *name == given).map(|(_, value)| *value).ok_or_else(|| {
         let known: Vec<&str> = all.iter().map(|(name, _)| *name).collect();
         RequestError::new_err(format!("{what} cannot be {given:?}; choose among {}", known.join(", ")))
     })
 }
 
-/// The result of each pose, or `None` for one that is impossible if `keep`; a pose that is wrong ends the call.
-fn each<T>(found: Vec<Result<T, Failure>>, keep: bool) -> PyResult<Vec<Option<T>>> {
+/// Unwraps the result of each pose. If `keep`, an impossible pose becomes `None`; any other error ends the call.
+fn unwrap_poses<T>(found: Vec<Result<T, Failure>>, keep: bool) -> PyResult<Vec<Option<T>>> {
     let many = found.len() > 1;
     found
         .into_iter()
@@ -59,32 +59,32 @@ fn each<T>(found: Vec<Result<T, Failure>>, keep: bool) -> PyResult<Vec<Option<T>
         .collect()
 }
 
-/// Most poses of which the caller's own thread computes the model, some microseconds each: two threads take longer to
-/// start, and a controller asks for one pose at a time.
-const ALONE: usize = 64;
+/// Maximum number of poses whose model is computed in the caller's thread, in microseconds each: starting two threads
+/// takes longer, and a controller asks for one pose at a time.
+const MAX_IN_CALLER: usize = 64;
 
-/// The results of `count` poses, with the interpreter's lock released: of at most `alone` in this thread, of more on all
-/// cores, where Ctrl-C ends it.
-fn of_poses<T: Send>(
+/// Computes the results of `count` poses with the interpreter's lock released: at most `alone` poses in this thread,
+/// more on all cores, where Ctrl-C ends the computation.
+fn compute_poses<T: Send>(
     py: Python<'_>,
     count: usize,
     alone: usize,
-    one: impl Fn(usize) -> Result<T, Failure> + Sync,
+    compute: impl Fn(usize) -> Result<T, Failure> + Sync,
 ) -> PyResult<Vec<Result<T, Failure>>> {
     if count <= alone {
-        return Ok(py.detach(|| (0..count).map(&one).collect()));
+        return Ok(py.detach(|| (0..count).map(&compute).collect()));
     }
     let all: Vec<usize> = (0..count).collect();
-    until_ctrl_c(py, |stop| {
+    run_until_ctrl_c(py, |stop| {
         cores::map(&all, &|_, _| {}, |pose| match stop.load(Ordering::Relaxed) {
             true => Err(Failure::impossible("interrupted")),
-            false => one(*pose),
+            false => compute(*pose),
         })
     })
 }
 
-/// The result of `work`, with the interpreter's lock released; Ctrl-C asks it to stop and ends the call.
-fn until_ctrl_c<T: Send>(py: Python<'_>, work: impl FnOnce(&AtomicBool) -> T + Send) -> PyResult<T> {
+/// Runs `work` with the interpreter's lock released; Ctrl-C sets its stop flag and ends the call.
+fn run_until_ctrl_c<T: Send>(py: Python<'_>, work: impl FnOnce(&AtomicBool) -> T + Send) -> PyResult<T> {
     let (stop, done) = (AtomicBool::new(false), AtomicBool::new(false));
     py.detach(|| {
         let caller = thread::current();
@@ -96,7 +96,7 @@ fn until_ctrl_c<T: Send>(py: Python<'_>, work: impl FnOnce(&AtomicBool) -> T + S
                 found
             });
             while !done.load(Ordering::Acquire) && !worker.is_finished() {
-                thread::park_timeout(LOOK);
+                thread::park_timeout(SIGNAL_INTERVAL);
                 if let Err(interrupted) = Python::attach(|py| py.check_signals()) {
                     stop.store(true, Ordering::Relaxed);
                     return Err(interrupted);
@@ -107,7 +107,7 @@ fn until_ctrl_c<T: Send>(py: Python<'_>, work: impl FnOnce(&AtomicBool) -> T + S
     })
 }
 
-/// A column over the poses: `tail` numbers each, NaN where a pose has none.
+/// Collects columns over the poses: `tail` numbers each, NaN for a pose without a result.
 struct Columns<'py, 'a, T> {
     into: Bound<'py, PyDict>,
     shape: &'a [usize],
@@ -116,22 +116,22 @@ struct Columns<'py, 'a, T> {
 
 impl<T> Columns<'_, '_, T> {
     fn add(&self, name: &str, tail: &[usize], pick: impl Fn(&T) -> Vec<f64>) -> PyResult<()> {
-        let each: usize = tail.iter().product();
-        let values = self.found.iter().flat_map(|found| found.as_ref().map_or_else(|| vec![f64::NAN; each], &pick));
+        let width: usize = tail.iter().product();
+        let values = self.found.iter().flat_map(|found| found.as_ref().map_or_else(|| vec![f64::NAN; width], &pick));
         let shape: Vec<usize> = self.shape.iter().chain(tail).copied().collect();
         self.into.set_item(name, array(self.into.py(), values.collect(), &shape)?)
     }
 }
 
-/// A device, read from a device file (docs/files.md) and found sound.
+/// A device from a checked device file (docs/files.md).
 ///
 /// N joints, d task dimensions; SI units, angles in rad. Poses are arrays of shape (..., N): one pose (N,) or any
-/// number of them; results have the same leading shape. The interpreter's lock is released while they are computed, many
-/// on all cores.
+/// number of them; results have the same leading shape. The interpreter's lock is released during the computation; many
+/// poses are computed on all cores.
 #[pyclass(name = "Device", frozen, module = "haptic_bridge")]
 pub struct PyDevice {
     pub file: DeviceFile,
-    /// The document that the file was read from, for pickling.
+    /// Text of the file, for pickling.
     document: Document,
 }
 
@@ -148,69 +148,70 @@ impl PyDevice {
         read(Document::load(&path).map_err(failure)?)
     }
 
-    /// Reads the text of a device file; `origin` is what messages call it.
+    /// Reads a device from a text; messages call its file `origin`.
     #[staticmethod]
     #[pyo3(signature = (text, origin = "device.toml"))]
     fn parse(text: &str, origin: &str) -> PyResult<Self> {
         read(Document::new(text, origin))
     }
 
-    /// For pickle: the text of the device file, so that it may be read elsewhere.
+    /// For pickle: the text of the device file, which can be unpickled on another computer.
     fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, (String, String))> {
         let parse = py.get_type::<Self>().getattr("parse")?;
         Ok((parse, (self.document.text().to_owned(), self.document.path().display().to_string())))
     }
 
-    /// The device's name.
+    /// Name of the device.
     #[getter]
     fn name(&self) -> &str {
         &self.file.name
     }
 
-    /// Which mechanism: paddle, five-bar, five-bar-turret, parallelogram or serial-3r.
+    /// Kind of mechanism: paddle, five-bar, five-bar-turret, parallelogram or serial-3r.
     #[getter]
     fn mechanism(&self) -> &'static str {
         self.file.spec().name
     }
 
-    /// N.
+    /// Number of joints N.
     #[getter]
     fn joints(&self) -> usize {
         self.file.spec().joints
     }
 
-    /// d.
+    /// Task dimension d.
     #[getter]
     fn task(&self) -> usize {
         self.file.spec().task
     }
 
-    /// The pose that homing declares, rad, shape (N,); None where the file has none.
+    /// Pose that homing declares, rad, shape (N,); None if the file has none.
     #[getter]
     fn home<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArrayDyn<f64>>>> {
         self.file.description.home.map(|home| list(py, &home[..self.joints()])).transpose()
     }
 
-    /// The settings that must still be added before a real board arms; empty when nothing is missing.
+    /// Entries that must be added before a real board arms; empty if the file is complete.
     #[getter]
     fn lacks(&self) -> Vec<String> {
-        self.file.lacks_for_a_board()
+        self.file.missing_for_board()
     }
 
     fn __repr__(&self) -> String {
         format!("<Device {}: {}, {} joints>", self.file.name, self.mechanism(), self.joints())
     }
 
-    /// The model at poses, as `haptic model` prints it.
+    /// Computes the model at poses, like `haptic model`.
     ///
-    /// q: (..., N) rad. qd: (..., N) rad/s, zero by default. With a wall's normal (d,) or (..., d), any length, and its
-    /// force in N there is what equation (4) is made of as well. precision "f32" has a board's mechanism and sines.
+    /// q: (..., N) rad. qd: (..., N) rad/s, zero by default. With a wall's normal (d,) or (..., d) of any length and
+    /// its force in N, the result includes the terms of equation (4). precision "f32" uses a board's mechanism and
+    /// sines.
     ///
     /// Returns a dict of arrays: position (..., d) m, jacobian (..., d, N) m/rad, mass (..., N, N) kg m², bias (..., N)
     /// N m: c + g; condition_jacobian, condition_mass (...). With a normal: w_rr, w_eff, coupling (...) kg, w_ra (...,
     /// N-1), w_aa (..., N-1, N-1), z_r (...) N, z_a, f_a (..., N-1), torque, torque_without_feed_forward (..., N) N m.
     ///
-    /// A singular pose raises ImpossibleError, or has NaN with singular="nan".
+    /// A singular pose raises ImpossibleError, or becomes NaN with singular="nan".
     #[pyo3(signature = (q, *, qd = None, normal = None, force = 0.0, precision = "f64", admissible = "orientation", singular = "raise"))]
     #[allow(clippy::too_many_arguments, reason = "keywords of Python")]
     fn model<'py>(
@@ -227,14 +228,14 @@ impl PyDevice {
         let (n, d) = (self.joints(), self.task());
         let poses = rows("q", q, n)?;
         let speeds = match qd {
-            Some(qd) => rows("qd", qd, n)?.along("qd", &poses)?,
+            Some(qd) => rows("qd", qd, n)?.broadcast_to("qd", &poses)?,
             None => vec![vec![0.0; n]; poses.rows.len()],
         };
-        let normals = normal.map(|normal| self.units_along(normal, &poses)).transpose()?;
-        let precision = word("precision", precision, &Precision::ALL)?;
-        let admissible = word("admissible", admissible, &Admissible::ALL)?;
-        let keep = keeps(singular)?;
-        let one = |pose: usize| -> Result<Report, Failure> {
+        let normals = normal.map(|normal| self.unit_normals(normal, &poses)).transpose()?;
+        let precision = parse_word("precision", precision, &Precision::ALL)?;
+        let admissible = parse_word("admissible", admissible, &Admissible::ALL)?;
+        let keep = keeps_singular(singular)?;
+        let compute = |pose: usize| -> Result<Report, Failure> {
             let wall = normals.as_ref().map(|normals| WallForce {
                 normal: normals[pose].clone(),
                 force,
@@ -247,7 +248,7 @@ impl PyDevice {
             }
             Ok(evaluate_holding(&self.file, &poses.rows[pose], &speeds[pose], &walls, precision, admissible)?)
         };
-        let found = each(of_poses(py, poses.rows.len(), ALONE, one)?, keep)?;
+        let found = unwrap_poses(compute_poses(py, poses.rows.len(), MAX_IN_CALLER, compute)?, keep)?;
         let columns = Columns { into: PyDict::new(py), shape: &poses.shape, found: &found };
         columns.add("position", &[d], |report| report.position.clone())?;
         columns.add("jacobian", &[d, n], |report| report.jacobian.concat())?;
@@ -271,20 +272,20 @@ impl PyDevice {
         Ok(columns.into)
     }
 
-    /// Which walls are stable at poses, as `haptic range` predicts it (rates and cutoffs in Hz, delay in control
+    /// Predicts which walls are stable at poses, like `haptic range` (rates and cutoffs in Hz, delay in control
     /// samples).
     ///
-    /// q: (..., N) rad; normal: (d,) or (..., d). kd: the dampings (N s/m) at which the boundary is wanted, k of them;
-    /// by default k is 200, even ones up to kd_max. estimator: butterworth, first-order, backward-difference
-    /// or predicted. drive: ideal, voltage or current. hand: (kg, N s/m, N/m). posture: what a
-    /// redundant device is held in, (N m/rad, N m s/rad). host_rate_hz and host_delay_s (s, by default one request's
-    /// time) analyse the wall rendered by a program on a computer as well.
+    /// q: (..., N) rad; normal: (d,) or (..., d). kd: the k dampings (N s/m) of the boundary's points; by default k is
+    /// 200, in even steps up to kd_max. estimator: butterworth, first-order, backward-difference or predicted. drive:
+    /// ideal, voltage or current. hand: (kg, N s/m, N/m). posture: stiffness and damping that hold a redundant device's
+    /// posture, (N m/rad, N m s/rad). host_rate_hz and host_delay_s (s, by default one request's time) add the analysis
+    /// of a wall that a program on a computer renders.
     ///
     /// Returns a dict: w_eff, w_rr (...) kg, area_ratio (...), and for each of "off", "full", "washout" (with
     /// washout_hz) and "host" a dict of area (...) N² s/m², kd_max (...) N s/m, kd and kp (..., k) in N s/m and N/m.
-    /// Stable islands above the boundary are not in it.
+    /// Stable islands above the boundary are not included.
     ///
-    /// A singular pose raises ImpossibleError, or has NaN with singular="nan".
+    /// A singular pose raises ImpossibleError, or becomes NaN with singular="nan".
     #[pyo3(signature = (
         q, normal, *, rate_hz = 1000.0, cutoff_hz = 20.0, delay = 0.0, estimator = "butterworth", difference_over = 1,
         kd = None, washout_hz = None, damping_compensation = false, feed_forward_gain = 1.0, admissible = "orientation",
@@ -317,15 +318,15 @@ impl PyDevice {
         singular: &str,
     ) -> PyResult<Bound<'py, PyDict>> {
         let poses = rows("q", q, self.joints())?;
-        let normals = self.units_along(normal, &poses)?;
+        let normals = self.unit_normals(normal, &poses)?;
         let named = LinearEstimator::named();
         let estimators: Vec<(&str, LinearEstimator)> =
             named.filter_map(|(name, kind)| Some((name, LinearEstimator::of(kind, cutoff_hz)?))).collect();
-        let estimator = word("estimator", estimator, &estimators)?;
+        let estimator = parse_word("estimator", estimator, &estimators)?;
         if difference_over != 1 && !estimator.takes_difference() {
             return Err(RequestError::new_err("difference_over needs an estimator that takes a difference"));
         }
-        let drive = match word("drive", drive, &[("ideal", 0), ("voltage", 1), ("current", 2)])? {
+        let drive = match parse_word("drive", drive, &[("ideal", 0), ("voltage", 1), ("current", 2)])? {
             0 => Drive::Ideal,
             1 => Drive::Voltage(motors(&self.file.description).ok_or_else(|| {
                 RequestError::new_err(format!("{} has joints without [joint.motor]", self.file.name))
@@ -339,7 +340,7 @@ impl PyDevice {
             drive,
             damping_compensation,
         };
-        let admissible = word("admissible", admissible, &Admissible::ALL)?;
+        let admissible = parse_word("admissible", admissible, &Admissible::ALL)?;
         let hand = hand.map_or(Hand::default(), |(mass, damping, stiffness)| Hand { mass, damping, stiffness });
         if [hand.mass, hand.damping, hand.stiffness].iter().any(|number| !(number.is_finite() && *number >= 0.0)) {
             return Err(RequestError::new_err(
@@ -355,20 +356,22 @@ impl PyDevice {
             }
             if self.joints() == self.task() {
                 let name = self.mechanism();
-                return Err(RequestError::new_err(format!("a {name} has one posture at each place of its tip")));
+                return Err(RequestError::new_err(format!(
+                    "a {name} is not redundant: it has one posture at each position of its tip"
+                )));
             }
         }
         if host_delay_s.is_some() && host_rate_hz.is_none() {
             return Err(RequestError::new_err("host_delay_s without host_rate_hz"));
         }
         let host = host_rate_hz.map(|hz| Host { rate_hz: hz, delay_s: host_delay_s.unwrap_or(1.0 / hz) });
-        let keep = keeps(singular)?;
+        let keep = keeps_singular(singular)?;
         let points = kd.as_ref().map_or(BOUNDARY_POINTS, Vec::len);
         let subject = Subject::new(&self.file.description).map_err(|error| failure(Failure::wrong(error)))?;
         let subject = if undamped { subject.undamped() } else { subject };
         let prediction =
             Prediction { admissible, gain: feed_forward_gain, posture, hand, ..Prediction::new(subject, around) };
-        let one = |pose: usize| -> Result<Range, Failure> {
+        let compute = |pose: usize| -> Result<Range, Failure> {
             let device = prediction.seen(&poses.rows[pose], &normals[pose])?;
             let most = device.most_gain().unwrap_or(1.0);
             if !(0.0..=most).contains(&feed_forward_gain) {
@@ -381,7 +384,7 @@ impl PyDevice {
             let host = host.map(|host| host.domain(&device, around, kd.as_deref())).transpose()?;
             Ok(Range { host, ..range })
         };
-        let found = each(of_poses(py, poses.rows.len(), 0, one)?, keep)?;
+        let found = unwrap_poses(compute_poses(py, poses.rows.len(), 0, compute)?, keep)?;
         let columns = Columns { into: PyDict::new(py), shape: &poses.shape, found: &found };
         columns.add("w_eff", &[], |range| vec![range.w_eff])?;
         columns.add("w_rr", &[], |range| vec![range.w_rr])?;
@@ -411,8 +414,8 @@ impl PyDevice {
         Ok(columns.into)
     }
 
-    /// Inertia over the reachable workspace, as `haptic map` prints it: about `points` grid poses, M of which are
-    /// reached.
+    /// Computes the inertia over the reachable workspace, like `haptic map`, on a grid of about `points` poses, M of
+    /// which are reachable.
     ///
     /// Returns a dict of arrays: q (M, N) rad, position (M, d) m, w_eff, w_rr, coupling (M,) kg along the normal (d,),
     /// condition_jacobian, condition_mass (M,), worst_ratio (M,), worst_ratio_normal (M, d), worst_coupling (M,) kg,
@@ -426,8 +429,8 @@ impl PyDevice {
         admissible: &str,
     ) -> PyResult<Bound<'py, PyDict>> {
         let (n, d) = (self.joints(), self.task());
-        let admissible = word("admissible", admissible, &Admissible::ALL)?;
-        let found = until_ctrl_c(py, |stop| {
+        let admissible = parse_word("admissible", admissible, &Admissible::ALL)?;
+        let found = run_until_ctrl_c(py, |stop| {
             map_until(&self.file.description, &normal, points, admissible, &|| stop.load(Ordering::Relaxed))
         })?;
         let found = found.map_err(failure)?;
@@ -451,13 +454,13 @@ impl PyDevice {
 }
 
 impl PyDevice {
-    /// Unit normals, one for each pose.
-    fn units_along(&self, given: &Bound<'_, PyAny>, poses: &Rows) -> PyResult<Vec<Vec<f64>>> {
-        self.units(rows("normal", given, self.task())?.along("normal", poses)?)
+    /// Reads unit normals, one for each pose.
+    fn unit_normals(&self, given: &Bound<'_, PyAny>, poses: &Rows) -> PyResult<Vec<Vec<f64>>> {
+        self.to_unit_vectors(rows("normal", given, self.task())?.broadcast_to("normal", poses)?)
     }
 
-    /// The same directions, each of length 1.
-    pub fn units(&self, normals: Vec<Vec<f64>>) -> PyResult<Vec<Vec<f64>>> {
+    /// Converts normals to unit vectors.
+    pub fn to_unit_vectors(&self, normals: Vec<Vec<f64>>) -> PyResult<Vec<Vec<f64>>> {
         let (n, d) = (self.joints(), self.task());
         let unit = |normal: Vec<f64>| {
             let unit = unit_normal(&normal, d, n).map_err(failure)?;
@@ -467,8 +470,8 @@ impl PyDevice {
     }
 }
 
-fn keeps(singular: &str) -> PyResult<bool> {
-    word("singular", singular, &[("raise", false), ("nan", true)])
+fn keeps_singular(singular: &str) -> PyResult<bool> {
+    parse_word("singular", singular, &[("raise", false), ("nan", true)])
 }
 
 /// A scene: walls, springs and fields, read from a scene file (docs/files.md).
@@ -485,20 +488,20 @@ impl Scene {
         Ok(Self { file: SceneFile::load(path, task).map_err(failure)? })
     }
 
-    /// Reads the text of a scene file; `origin` is what messages call it.
+    /// Reads a scene from a text; messages call its file `origin`.
     #[staticmethod]
     #[pyo3(signature = (text, task, origin = "scene.toml"))]
     fn parse(text: &str, task: usize, origin: &str) -> PyResult<Self> {
         Ok(Self { file: SceneFile::parse(text, origin, task).map_err(failure)? })
     }
 
-    /// The number of its walls.
+    /// Number of walls.
     #[getter]
     fn walls(&self) -> usize {
         self.file.scene.walls.len()
     }
 
-    /// Control steps a second, Hz.
+    /// Rate of the control steps, Hz.
     #[getter]
     fn rate_hz(&self) -> f64 {
         self.file.scene.rate_hz

@@ -1,8 +1,8 @@
-//! Exceptions, in the words of the tool.
+//! Exceptions with the messages of the tool.
 
 use haptic_host::error::{Blame, Failure};
-use haptic_host::link::{BoardError, LinkError as NoLink};
-use haptic_host::words::for_a_program;
+use haptic_host::link::{BoardError, LinkError as HostLinkError};
+use haptic_host::words::commands_to_calls;
 use pyo3::PyErr;
 use pyo3::create_exception;
 use pyo3::exceptions::PyException;
@@ -11,30 +11,30 @@ create_exception!(
     haptic_bridge,
     HapticError,
     PyException,
-    "Something that haptic-bridge could not do; its text says why."
+    "A failed operation of haptic-bridge; its text gives the reason."
 );
 create_exception!(
     haptic_bridge,
     RequestError,
     HapticError,
-    "A file or an argument is wrong, and would be wrong again."
+    "A file or an argument is wrong; repeating the call does not help."
 );
 create_exception!(
     haptic_bridge,
     ImpossibleError,
     HapticError,
-    "A sound request that has no answer, such as at a singular pose."
+    "A valid request without a result, such as at a singular pose."
 );
-create_exception!(haptic_bridge, LinkError, HapticError, "No board can be reached, or it went away.");
+create_exception!(haptic_bridge, LinkError, HapticError, "No board can be reached, or the board was lost.");
 create_exception!(
     haptic_bridge,
     UnansweredError,
     LinkError,
-    "One answer did not come in time: the board or the computer was busy. The next request goes on."
+    "A reply did not come in time: the board or the computer was busy. The next request is independent."
 );
-create_exception!(haptic_bridge, RefusedError, HapticError, "The board refuses.");
+create_exception!(haptic_bridge, RefusedError, HapticError, "The board refused the request.");
 
-/// Commands that a person would type, and what a program calls instead.
+/// Commands of the tool, and the calls that replace them.
 const CALLS: [(&str, &str); 6] = [
     ("device FILE", "Board.load()"),
     ("scene FILE", "Board.set_scene()"),
@@ -44,7 +44,7 @@ const CALLS: [(&str, &str); 6] = [
     ("faults --clear", "Board.clear()"),
 ];
 
-/// Of anything that the tool ends with.
+/// Converts a failure of the tool.
 pub fn failure(failure: impl Into<Failure>) -> PyErr {
     let failure = failure.into();
     match failure.blame() {
@@ -53,7 +53,7 @@ pub fn failure(failure: impl Into<Failure>) -> PyErr {
     }
 }
 
-/// Of a board.
+/// Converts an error of a board.
 pub fn board(error: BoardError) -> PyErr {
     match error {
         BoardError::Link(error) => link(error),
@@ -61,21 +61,21 @@ pub fn board(error: BoardError) -> PyErr {
     }
 }
 
-/// Of what a board does not do.
-pub fn refused(words: &str) -> PyErr {
-    RefusedError::new_err(in_calls(words))
+/// Creates a RefusedError.
+pub fn refused(message: &str) -> PyErr {
+    RefusedError::new_err(in_calls(message))
 }
 
-/// The tool's words, with a program's calls in the place of commands.
-pub fn in_calls(words: &str) -> String {
-    for_a_program(words, &CALLS)
+/// Replaces the tool's commands in a message by calls.
+pub fn in_calls(message: &str) -> String {
+    commands_to_calls(message, &CALLS)
 }
 
-/// Of the way to one.
-pub fn link(error: NoLink) -> PyErr {
+/// Converts an error of the link to a board.
+pub fn link(error: HostLinkError) -> PyErr {
     match error {
-        NoLink::CannotSimulate(_) => RequestError::new_err(error.to_string()),
-        NoLink::Unanswered { .. } => UnansweredError::new_err(error.to_string()),
+        HostLinkError::CannotSimulate(_) => RequestError::new_err(error.to_string()),
+        HostLinkError::Unanswered { .. } => UnansweredError::new_err(error.to_string()),
         _ => LinkError::new_err(error.to_string()),
     }
 }

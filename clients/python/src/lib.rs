@@ -1,5 +1,5 @@
 //! haptic-bridge for Python: the module `haptic_bridge._native`, whose classes and functions `haptic_bridge` exports.
-//! Their arguments and results are documented where they are, and typed in `haptic_bridge/__init__.pyi`.
+//! Arguments and results are documented at their functions and typed in `haptic_bridge/_native.pyi`.
 #![forbid(unsafe_code)]
 
 mod arrays;
@@ -12,7 +12,7 @@ mod simulation;
 
 use pyo3::prelude::*;
 
-/// Everything that `haptic_bridge` exports.
+/// The exports of `haptic_bridge`.
 #[pymodule]
 fn _native(module: &Bound<'_, PyModule>) -> PyResult<()> {
     let py = module.py();

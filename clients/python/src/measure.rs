@@ -1,8 +1,8 @@
-//! The stable range as a board has it, measured.
+//! Measurement of the stable range on a board.
 
 use crate::arrays::{array, list, rows};
 use crate::board::Board;
-use crate::device::{PyDevice, word};
+use crate::device::{PyDevice, parse_word};
 use crate::errors::{self, ImpossibleError, RequestError, failure};
 use haptic_host::device_file::DeviceFile;
 use haptic_host::haptic_bridge::model::admissible::Admissible;
@@ -23,11 +23,11 @@ use std::cell::{Cell, OnceCell};
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-/// Time between two looks for Ctrl-C.
-const LOOK: Duration = Duration::from_millis(50);
+/// Interval between checks for Ctrl-C.
+const SIGNAL_INTERVAL: Duration = Duration::from_millis(50);
 
-/// Everything that is asked for.
-struct Order {
+/// The arguments of a measurement.
+struct MeasurementRequest {
     file: DeviceFile,
     setup: MeasurementSetup,
     plan: Plan,
@@ -40,41 +40,40 @@ struct Order {
 struct Measured {
     progress: Progress,
     around: Loop,
-    /// Smallest step of the tip that the encoders show, m.
+    /// Smallest motion of the tip that the encoders detect, m.
     encoder_step: f64,
 }
 
-/// Measures on a board which walls stay stable, as `haptic measure-range` does it; moves the motors.
+/// Measures which walls are stable on a board, like `haptic measure-range`; moves the motors.
 ///
-/// For every damping the stiffness is raised until the telemetry shows a motion that builds up or goes on as a
-/// vibration; it is taken back at once, and the boundary bisected. The theory is not consulted. What the board held
-/// before (scene, rules) is put back. Take the hand off the device. Ctrl-C turns the motors off, and so does any
-/// exception.
+/// For every damping the stiffness is raised until the telemetry shows a motion that grows or continues as a vibration.
+/// The stiffness is then reduced at once, and the boundary is bisected. No theory is used. The board's earlier scene
+/// and rules are restored. Take the hand off the device. Ctrl-C and any exception turn the motors off.
 ///
-/// Without a board the device is simulated in this process, as fast as the computer can, with: q, shape (N,) rad, where
-/// it stands (default: its home); friction "all", "viscous", "coulomb" or "none"; ideal_drive, whose torques act at
-/// once; counts per turn of every encoder (default: the device file's); grip, a relaxed hand at the tip. A board is
-/// measured where and as it is: it must hold this device, and a real one needs yes=True, which says that you know that
+/// Without a board the device is simulated in this process, as fast as the computer can, with: q, its pose, shape (N,)
+/// rad (default: home); friction "all", "viscous", "coulomb" or "none"; ideal_drive, whose torques act at once; counts
+/// per turn of every encoder (default: the device file's); grip, a relaxed hand at the tip. A board is measured in its
+/// present pose and state: it must hold this device, and a real one needs yes=True, which confirms that you know that
 /// it will move.
 ///
-/// normal: (d,), a wall where the tip is; or (W, d), walls that act together in the parts share, shape (W,) (default:
-/// equal ones), those listed in no_feed_forward (counted from 0) without it; stiffness and damping are then the totals.
-/// feed_forward: "both" (off and full), "all" (washout as well), "off", "full" or "washout". kd: the dampings, N s/m
-/// (default: `points` even ones up to where the range ends). torque_limit_nm: largest joint torque, N m; pull_m:
-/// farthest the tip is pulled aside, m: every repeat pulls the same way.
+/// normal: (d,), a wall at the tip; or (W, d), walls that act together with the shares share, shape (W,) (default:
+/// equal), those listed in no_feed_forward (counted from 0) without feed-forward; stiffness and damping are then the
+/// totals. feed_forward: "both" (off and full), "all" (washout as well), "off", "full" or "washout". kd: the dampings,
+/// N s/m (default: `points` even steps up to the end of the range). torque_limit_nm: largest joint torque, N m; pull_m:
+/// largest distance to which the tip is pulled aside, m; every repeat pulls in the same direction.
 ///
-/// progress: a file that is written after every repeat; the same call with it goes on where the last one was
-/// interrupted. told: called with (repeats done, repeats in all); it must leave the board alone.
+/// progress: a file that is written after every repeat; the same call with it continues an interrupted measurement.
+/// told: called with (repeats done, total repeats); it must not use the board.
 ///
-/// Returns a dict: q (N,) rad; encoder_step_m; loop, the keywords with which Device.range predicts the same, as in
-/// device.range(found["q"], normal, kd=found["off"]["kd"], **found["loop"]); and for each of "off", "full", "washout"
-/// that was measured a dict over its k dampings, ascending: kd (k,) N s/m; kp (k,) N/m, the median of the repeats (k,
-/// R), R the most that any damping has; low, high (k,) their bounds; vibration_m (k,), from peak to peak just beyond,
-/// NaN where the motion grew; stable_up_to (k,) N/m and why (k texts, None without) where nothing more could be told,
-/// and kp may be NaN; kd_max, where the range ends, NaN unless that was measured, and kd_max_open, why it was not
-/// found, or None.
+/// Returns a dict: q (N,) rad; encoder_step_m; loop, the keywords with which Device.range predicts the same loop, as in
+/// device.range(found["q"], normal, kd=found["off"]["kd"], **found["loop"]); and for each measured one of "off",
+/// "full", "washout" a dict over its k dampings, ascending: kd (k,) N s/m; kp (k,) N/m, the median of repeats (k, R),
+/// with R the largest number of repeats of any damping; low, high (k,) their bounds; vibration_m (k,), the peak-to-peak
+/// vibration just beyond, NaN if the motion grew; stable_up_to (k,) N/m and why (k texts, otherwise None) if the
+/// boundary was not found, and kp may then be NaN; kd_max, the end of the range, NaN if it was not measured; and
+/// kd_max_open, the reason why it was not found, or None.
 ///
-/// Raises ImpossibleError where nothing could be told at all, LinkError, RefusedError.
+/// Raises ImpossibleError if no boundary was found at all, LinkError, RefusedError.
 #[pyfunction]
 #[pyo3(signature = (
     device, normal, *, board = None, rate_hz = 1000.0, cutoff_hz = 20.0, kd = None, points = 12, repeats = 5, feed_forward = "both",
@@ -114,14 +113,14 @@ pub fn measure_range<'py>(
         ("full", &[FeedForward::Full]),
         ("washout", &[FeedForward::Washout]),
     ];
-    let modes = word("feed_forward", feed_forward, &modes)?.to_vec();
+    let modes = parse_word("feed_forward", feed_forward, &modes)?.to_vec();
     let frictions = [
         ("all", Friction::All),
         ("viscous", Friction::Viscous),
         ("coulomb", Friction::Coulomb),
         ("none", Friction::None),
     ];
-    let friction = word("friction", friction, &frictions)?;
+    let friction = parse_word("friction", friction, &frictions)?;
     let wrong = |reason: &str| Err(RequestError::new_err(reason.to_owned()));
     let positive = |number: f64| number > 0.0 && number.is_finite();
     if ![rate_hz, cutoff_hz, washout_hz, torque_limit_nm, pull_m].into_iter().all(positive) || pull_m > 5e-3 {
@@ -159,22 +158,28 @@ pub fn measure_range<'py>(
         torque_limit: torque_limit_nm,
         largest_pull: pull_m,
     };
-    let order =
-        Order { file, setup, plan: Plan { modes, kd, points, repeats, pulls: vec![1.0] }, world, progress, yes };
+    let request = MeasurementRequest {
+        file,
+        setup,
+        plan: Plan { modes, kd, points, repeats, pulls: vec![1.0] },
+        world,
+        progress,
+        yes,
+    };
 
     let measured = match board {
-        Some(board) => board.whole(py, |board| order.measure(board, told.as_ref(), true))?,
+        Some(board) => board.with_board(py, |board| request.measure(board, told.as_ref(), true))?,
         None => py.detach(|| {
-            let shared = order.world.board(&order.file, rate_hz);
+            let shared = request.world.board(&request.file, rate_hz);
             let shared = shared.map_err(|error| RequestError::new_err(error.to_string()))?;
             let mut board = Linked::over(shared.wire(), "sim").map_err(errors::link)?;
-            order.measure(&mut board, told.as_ref(), false)
+            request.measure(&mut board, told.as_ref(), false)
         })?,
     };
-    as_arrays(py, &order, &measured)
+    as_arrays(py, &request, &measured)
 }
 
-/// The walls that are measured together.
+/// Returns the walls that are measured together.
 fn walls(
     device: &PyDevice,
     normal: &Bound<'_, PyAny>,
@@ -196,12 +201,12 @@ fn walls(
     if without.iter().any(|wall| *wall >= count) || (0..count).all(|wall| without.contains(&wall)) {
         return wrong("no_feed_forward counts walls from 0, and leaves one with the feed-forward".into());
     }
-    let normals = device.units(normals.rows)?;
+    let normals = device.to_unit_vectors(normals.rows)?;
     let member = |(wall, (normal, share))| Member { normal, share, feed_forward: !without.contains(&wall) };
     Ok(normals.into_iter().zip(share).enumerate().map(member).collect())
 }
 
-/// The pose of a simulated device.
+/// Checks the pose of a simulated device.
 fn pose(file: &DeviceFile, q: &[f64], walls: &[Member]) -> PyResult<[f64; 3]> {
     let joints = file.spec().joints;
     if q.len() != joints || q.iter().any(|angle| !angle.is_finite()) {
@@ -211,28 +216,28 @@ fn pose(file: &DeviceFile, q: &[f64], walls: &[Member]) -> PyResult<[f64; 3]> {
     Ok(std::array::from_fn(|i| q.get(i).copied().unwrap_or(0.0)))
 }
 
-impl Order {
-    fn measure(&self, board: &mut Linked, told: Option<&Py<PyAny>>, outside: bool) -> PyResult<Measured> {
+impl MeasurementRequest {
+    fn measure(&self, board: &mut Linked, told: Option<&Py<PyAny>>, is_external: bool) -> PyResult<Measured> {
         let what = occasion::what(&self.file.name, &self.setup, &self.plan.pulls, &self.world);
         let path = self.progress.as_deref();
         let wrong = |error| measurement(MeasureError::Progress(error));
         let mut progress = path.map_or(Ok(Progress::new(&what)), |path| Progress::open(path, &what)).map_err(wrong)?;
-        if outside {
-            self.agreed(board)?;
+        if is_external {
+            self.check_agreement(board)?;
         }
         let before = occasion::before(board, &progress).map_err(errors::board)?;
-        let remembers = outside && path.is_some();
-        // An exception that Python raised meanwhile: Ctrl-C, or one of the function that is told of the repeats.
+        let remembers = is_external && path.is_some();
+        // An exception in Python: Ctrl-C, or an exception of the function `told`.
         let raised = OnceCell::new();
-        let looked = Cell::new(Instant::now());
+        let last_check = Cell::new(Instant::now());
         let call = |work: &dyn Fn(Python<'_>) -> PyResult<()>| {
             if let Err(error) = Python::attach(work) {
                 let _ = raised.set(error);
             }
         };
         let stop = || {
-            if looked.get().elapsed() >= LOOK {
-                looked.set(Instant::now());
+            if last_check.get().elapsed() >= SIGNAL_INTERVAL {
+                last_check.set(Instant::now());
                 call(&|py| py.check_signals());
             }
             raised.get().is_some()
@@ -243,22 +248,22 @@ impl Order {
                 call(&|py| told.call1(py, (done, total)).map(drop));
             }
         };
-        let mut seen = None;
+        let mut loop_and_step = None;
         let setup = &self.setup;
         let mut occasion = Occasion { board, file: &self.file, before, progress: &mut progress, path, remembers };
-        let begun = |prepared: &mut haptic_predict::measure::PreparedBoard<'_>, _: &[f64]| {
+        let on_begin = |prepared: &mut haptic_predict::measure::PreparedBoard<'_>, _: &[f64]| {
             let (info, details) = (prepared.board().info().clone(), prepared.board().details()?);
-            seen = Some((occasion::around(setup, &info, &details), prepared.excitation().quantum));
+            loop_and_step = Some((occasion::around(setup, &info, &details), prepared.excitation().quantum));
             Ok(())
         };
-        let ended = occasion.measure(setup.clone(), &self.plan, &stop, begun, done);
-        let back = occasion.put_back();
+        let outcome = occasion.measure(setup.clone(), &self.plan, &stop, on_begin, done);
+        let restored = occasion.put_back();
         if let Some(error) = raised.into_inner() {
             return Err(error);
         }
-        ended.map_err(measurement)?;
-        back.map_err(wrong)?;
-        match seen {
+        outcome.map_err(measurement)?;
+        restored.map_err(wrong)?;
+        match loop_and_step {
             Some((around, encoder_step)) if progress.points.iter().any(|point| !point.repeats.is_empty()) => {
                 Ok(Measured { progress, around, encoder_step })
             }
@@ -270,8 +275,8 @@ impl Order {
         }
     }
 
-    /// The board holds the device, and whoever asks knows what a real one will do.
-    fn agreed(&self, board: &mut Linked) -> PyResult<()> {
+    /// Checks that the board holds the device, and that the user has agreed to move a real one.
+    fn check_agreement(&self, board: &mut Linked) -> PyResult<()> {
         let device = DeviceData::new(&self.file.name, &self.file.description)
             .map_err(|error| RequestError::new_err(error.to_string()))?;
         if let Some(found) = occasion::another(board, &device).map_err(errors::link)? {
@@ -287,7 +292,7 @@ impl Order {
     }
 }
 
-/// Why a measurement ended.
+/// Converts the error of a measurement.
 fn measurement(error: MeasureError) -> PyErr {
     match error {
         MeasureError::Board(error) => errors::board(error),
@@ -299,15 +304,15 @@ fn measurement(error: MeasureError) -> PyErr {
     }
 }
 
-/// The measurement as arrays.
-fn as_arrays<'py>(py: Python<'py>, order: &Order, measured: &Measured) -> PyResult<Bound<'py, PyDict>> {
+/// Converts the measurement to arrays.
+fn as_arrays<'py>(py: Python<'py>, request: &MeasurementRequest, measured: &Measured) -> PyResult<Bound<'py, PyDict>> {
     let Measured { progress, around, encoder_step } = measured;
     let found = PyDict::new(py);
     found.set_item("q", list(py, &progress.q)?)?;
     found.set_item("encoder_step_m", encoder_step)?;
     let keywords = PyDict::new(py);
     keywords.set_item("rate_hz", around.rate_hz)?;
-    keywords.set_item("cutoff_hz", order.setup.cutoff_hz)?;
+    keywords.set_item("cutoff_hz", request.setup.cutoff_hz)?;
     keywords.set_item("delay", around.delay_samples)?;
     match around.drive {
         Drive::Current { bandwidth_hz } => {
@@ -316,13 +321,13 @@ fn as_arrays<'py>(py: Python<'py>, order: &Order, measured: &Measured) -> PyResu
         }
         _ => keywords.set_item("drive", "ideal")?,
     }
-    keywords.set_item("undamped", order.file.description.joints.iter().all(|joint| joint.viscous == 0.0))?;
-    if order.plan.modes.contains(&FeedForward::Washout) {
-        keywords.set_item("washout_hz", order.setup.washout_hz)?;
+    keywords.set_item("undamped", request.file.description.joints.iter().all(|joint| joint.viscous == 0.0))?;
+    if request.plan.modes.contains(&FeedForward::Washout) {
+        keywords.set_item("washout_hz", request.setup.washout_hz)?;
     }
     found.set_item("loop", keywords)?;
     for (name, mode) in FeedForward::ALL {
-        if !order.plan.modes.contains(&mode) {
+        if !request.plan.modes.contains(&mode) {
             continue;
         }
         let points = progress.all(mode);

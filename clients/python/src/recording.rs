@@ -1,19 +1,19 @@
-//! Telemetry as arrays.
+//! Recorded telemetry as arrays.
 
 use crate::arrays::array;
 use crate::errors::failure;
-use haptic_show::recorder::Recording as Read;
+use haptic_show::recorder::Recording as HostRecording;
 use numpy::PyArrayDyn;
 use pyo3::exceptions::PyKeyError;
 use pyo3::prelude::*;
 use pyo3::types::{PyIterator, PyList};
 use std::path::PathBuf;
 
-/// Rows of telemetry with names.
+/// Rows of telemetry with named columns.
 ///
-/// `recording["tip_x_m"]` is one column, shape (rows,); `recording.data` all of them, shape (rows, columns). Column
+/// `recording["tip_x_m"]` is one column, shape (rows,); `recording.data` is all of them, shape (rows, columns). Column
 /// names end with their unit; `step` counts control periods since the board started. A state is 0 disarmed, 1 armed, 2
-/// checking polarity, 3 fault. `pandas.DataFrame(dict(recording))` is the same with pandas.
+/// checking polarity, 3 fault. `pandas.DataFrame(dict(recording))` converts to pandas.
 #[pyclass(frozen, module = "haptic_bridge")]
 pub struct Recording {
     pub columns: Vec<String>,
@@ -24,7 +24,7 @@ pub struct Recording {
 
 #[pymethods]
 impl Recording {
-    /// Names of the columns, each with its unit.
+    /// Names of the columns, with units.
     #[getter]
     fn columns(&self) -> Vec<String> {
         self.columns.clone()
@@ -42,7 +42,7 @@ impl Recording {
         self.about.clone()
     }
 
-    /// True if the file ended within a line, which was left out.
+    /// True if the file ended within a line, which is left out.
     #[getter]
     fn torn(&self) -> bool {
         self.torn
@@ -77,11 +77,11 @@ impl Recording {
     }
 }
 
-/// Reads what `haptic record` wrote, MCAP or CSV.
+/// Reads a recording of `haptic record`, MCAP or CSV.
 ///
-/// A file whose writer was killed is read up to its last whole line or chunk (`torn`).
+/// If its writer was killed, a file is read up to its last complete line or chunk (`torn`).
 #[pyfunction]
 pub fn read_recording(py: Python<'_>, path: PathBuf) -> PyResult<Recording> {
-    let Read { about, columns, rows, torn } = py.detach(|| Read::load(&path)).map_err(failure)?;
+    let HostRecording { about, columns, rows, torn } = py.detach(|| HostRecording::load(&path)).map_err(failure)?;
     Ok(Recording { columns, rows, about, torn })
 }

@@ -1,4 +1,4 @@
-//! A simulated board whose device can be seen and moved.
+//! A simulated board whose device can be read and moved.
 
 use crate::arrays::list;
 use crate::board::Board;
@@ -11,14 +11,14 @@ use haptic_sim::{BoardOptions, DriveModel, Hand, HandSettings, Intent, Options, 
 use numpy::PyArrayDyn;
 use pyo3::prelude::*;
 
-/// Simulated time between two looks for Ctrl-C, s: a few milliseconds of a computer's.
-const LOOK: f64 = 0.02;
+/// Simulated time between two checks for Ctrl-C, s: a few milliseconds of computing.
+const SIGNAL_INTERVAL: f64 = 0.02;
 
-/// A simulated board with a device on it: the firmware's code around a simulated linkage, motors and encoders.
+/// A simulated board with a device: the firmware's code with a simulated linkage, motors and encoders.
 ///
-/// Simulation(device, scene=None, *, ideal=False, friction=True, strict=False): no scene is free space; ideal motors
-/// make the commanded torque at once; a strict board asks for homing, the polarity check and verified motors, as a real
-/// one does. Time passes only in `run`, `drive` and while a Board of it waits for an answer.
+/// Simulation(device, scene=None, *, ideal=False, friction=True, strict=False): without a scene, free space; ideal
+/// motors make the commanded torque at once; a strict board requires homing, the polarity check and verified motors,
+/// like a real one. Time passes only in `run`, in `drive` and while a Board of the simulation waits for a reply.
 #[pyclass(frozen, module = "haptic_bridge")]
 pub struct Simulation {
     shared: SharedBoard,
@@ -50,17 +50,17 @@ impl Simulation {
         Ok(Self { shared, joints: spec.joints, task: spec.task })
     }
 
-    /// The board, to talk to; one at a time.
+    /// Opens the board; one at a time.
     fn board(&self) -> PyResult<Board> {
         Ok(Board::of(Session::of(Linked::over(self.shared.wire(), "sim").map_err(errors::link)?)))
     }
 
-    /// Lets so many seconds pass; Ctrl-C ends it before.
+    /// Advances by `seconds`; Ctrl-C ends it earlier.
     fn run(&self, py: Python<'_>, seconds: f64) -> PyResult<()> {
         let end = self.shared.lock().time() + seconds;
         let slice = || {
             let mut board = self.shared.lock();
-            let until = end.min(board.time() + LOOK);
+            let until = end.min(board.time() + SIGNAL_INTERVAL);
             board.run_until(until);
             board.time() < end
         };
@@ -75,9 +75,9 @@ impl Simulation {
         format!("<Simulation: {} s, tip {:?} m>", board.time(), &board.device().tip()[..self.task])
     }
 
-    /// Runs one control period with the device at rest at q (N,) rad, and returns the motors' torques, N m, shape (N,):
-    /// the board's code in somebody else's world. Its encoders round q to their steps; its velocities are those it
-    /// estimates.
+    /// Runs one control period with the device at rest at q (N,) rad, and returns the motors' torques, N m, shape (N,),
+    /// so that another program can simulate the device. The encoders round q to their counts; the velocities are the
+    /// board's estimates.
     fn drive<'py>(&self, py: Python<'py>, q: Vec<f64>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
         let q = self.angles(&q)?;
         let torque = py.detach(|| {
@@ -89,15 +89,15 @@ impl Simulation {
         list(py, &torque[..self.joints])
     }
 
-    /// Puts the device at rest at q (N,) rad; its encoders see it move there.
+    /// Moves the device to rest at q (N,) rad, with its encoders.
     fn place(&self, q: Vec<f64>) -> PyResult<()> {
         let q = self.angles(&q)?;
         self.shared.lock().device_mut().place(q);
         Ok(())
     }
 
-    /// Takes the tip in a hand that goes through waypoints [(seconds from now, x, y, ..), ...], in m, in smooth
-    /// strokes; with push=True they are forces in N. An empty list lets go.
+    /// Puts a hand on the tip that follows waypoints [(seconds from now, x, y, ..), ...], in m, in smooth strokes; with
+    /// push=True they are forces in N. An empty list lets go.
     #[pyo3(signature = (waypoints, *, push = false))]
     fn hand(&self, waypoints: Vec<Vec<f64>>, push: bool) -> PyResult<()> {
         let point = |numbers: Vec<f64>| match numbers.split_first() {
@@ -116,17 +116,17 @@ impl Simulation {
         Ok(())
     }
 
-    /// Seconds that have passed.
+    /// Simulated time, s.
     #[getter]
     fn time(&self) -> f64 {
         self.shared.lock().time()
     }
-    /// True joint angles, rad, shape (N,).
+    /// Joint angles without measurement error, rad, shape (N,).
     #[getter]
     fn q<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
         list(py, &self.shared.lock().device().q()[..self.joints])
     }
-    /// True tip, m, shape (d,).
+    /// Tip without measurement error, m, shape (d,).
     #[getter]
     fn tip<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
         list(py, &self.shared.lock().device().tip()[..self.task])

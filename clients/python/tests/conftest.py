@@ -23,7 +23,7 @@ def five_bar():
 
 @pytest.fixture
 def vouched():
-    """The same, with what a board that asks for what a real one asks needs of a file."""
+    """The five-bar with verified motors and joint limits, which a strict board requires."""
     text = (DEVICES / "coupled-five-bar.toml").read_text()
     text = text.replace("[joint.motor]\n", "[joint.motor]\nverified = true\n")
     return hb.Device.parse(text.replace("[[joint]]\n", "[[joint]]\nlimits = [-3.14, 3.14]\n"))
@@ -31,7 +31,7 @@ def vouched():
 
 @pytest.fixture
 def ctrl_c():
-    """Presses Ctrl-C during a call, also where whoever started the tests ignores it; a call that goes on ends them."""
+    """Presses Ctrl-C during a call, even if the parent process ignores it; a call that does not end aborts the tests."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     faulthandler.dump_traceback_later(120, exit=True)
 

@@ -1,4 +1,4 @@
-"""Boards: simulated ones in this process, and one behind a port."""
+"""Boards: simulated ones in this process, and one on a port."""
 
 import gc
 import os
@@ -40,7 +40,7 @@ def test_a_force_moves_the_tip_and_ends_with_its_lease(five_bar):
 
 
 @pytest.mark.parametrize("how", ["with", "raise", "close", "drop"])
-def test_the_motors_go_off_however_the_board_is_let_go_of(five_bar, how):
+def test_the_motors_go_off_for_any_end_of_the_board(five_bar, how):
     simulation = hb.Simulation(five_bar)
     board = armed(simulation)
     if how == "with":
@@ -57,7 +57,7 @@ def test_the_motors_go_off_however_the_board_is_let_go_of(five_bar, how):
     assert simulation.board().state == "Disarmed"
 
 
-def test_a_contact_stops_the_tip_where_its_stiffness_says(five_bar):
+def test_a_contact_holds_the_tip_with_its_stiffness(five_bar):
     simulation = hb.Simulation(five_bar, friction=False, ideal=True)
     with armed(simulation) as board:
         place = board.look().tip
@@ -68,7 +68,7 @@ def test_a_contact_stops_the_tip_where_its_stiffness_says(five_bar):
         np.testing.assert_allclose(state.tip[0] - place[0], 1.0 / 2000.0, rtol=0.05)
 
 
-def test_a_polarity_check_is_over_when_it_returns(five_bar):
+def test_a_polarity_check_has_ended_when_it_returns(five_bar):
     with hb.Simulation(five_bar).board() as board:
         board.home()
         board.check_polarity()
@@ -77,12 +77,12 @@ def test_a_polarity_check_is_over_when_it_returns(five_bar):
         assert board.state == "Armed"
 
 
-def test_a_board_that_watches_its_host_is_brought_up_and_its_fault_read_and_cleared(vouched):
+def test_the_fault_of_a_strict_board_is_read_and_cleared(vouched):
     simulation = hb.Simulation(vouched, strict=True)
     with simulation.board() as board:
         board.home()
         board.check_polarity()
-        board.set_scene()  # homed and checked it stays
+        board.set_scene()  # homing and polarity stay valid
         board.arm()
         for _ in range(4):
             simulation.run(0.4)
@@ -99,7 +99,7 @@ def test_a_board_that_watches_its_host_is_brought_up_and_its_fault_read_and_clea
         assert np.abs(board.look().qd).max() > 0
 
 
-def test_numbers_that_no_board_takes_and_answers_that_do_not_come_are_exceptions(five_bar):
+def test_invalid_numbers_and_missing_replies_raise(five_bar):
     with armed(hb.Simulation(five_bar)) as board:
         for force in ([np.nan, 0.0], [2000.0, 0.0], [0.0, np.inf]):
             with pytest.raises(hb.RequestError, match="each entry of the force must be at most 1000 N"):
@@ -111,7 +111,7 @@ def test_numbers_that_no_board_takes_and_answers_that_do_not_come_are_exceptions
         assert board.look().state == "Armed"
 
 
-def test_what_a_board_refuses_is_an_exception_in_its_words(five_bar, devices):
+def test_a_refusal_raises_with_the_board_s_message(five_bar, devices):
     simulation = hb.Simulation(five_bar, strict=True)
     with simulation.board() as board, pytest.raises(hb.RefusedError, match="the board refuses"):
         board.arm()
@@ -133,7 +133,7 @@ def test_a_recording_has_every_step_by_name(five_bar, tmp_path):
     with armed(hb.Simulation(five_bar)) as board:
         recording = board.record(0.1, "tip,torque,state", 10)
         assert recording.columns == ["step", "tip_x_m", "tip_y_m", "torque0_n_m", "torque1_n_m", "state", "contacts"]
-        # 20 kHz, every tenth step; the last few are still on their way.
+        # 20 kHz, every tenth step; the last few rows are still on their way.
         assert len(recording) > 180 and recording.data.shape == (len(recording), 7)
         assert set(np.diff(recording["step"])) == {10}
         assert board.losses["missing"] == 0 and (recording["state"] == 1).all()
@@ -168,11 +168,11 @@ def test_recordings_of_either_format_are_read(tmp_path):
     assert set(np.diff(read[0]["step"])) == {1} and "time_s" in read[0]
 
 
-def test_a_hand_that_presses_a_wall_is_held(five_bar):
+def test_a_wall_holds_a_pressing_hand(five_bar):
     simulation = hb.Simulation(five_bar)
     with simulation.board() as board:
         tip = simulation.tip
-        # In front of the tip, so that it arms.
+        # In front of the tip, so that the board arms.
         scene = hb.Scene.parse(
             f"[[wall]]\npoint = [0.0, {tip[1] + 0.005}]\nnormal = [0.0, -1.0]\nstiffness = 3000.0\ndamping = 10.0\n", 2
         )
@@ -191,8 +191,8 @@ def test_boards_are_listed():
     assert isinstance(hb.boards(), list)
 
 
-def test_a_board_behind_a_port(five_bar):
-    """`haptic sim --tcp`, where the tool was built."""
+def test_a_board_on_a_port(five_bar):
+    """Uses `haptic sim --tcp` if the tool was built."""
     tool = os.environ.get("HAPTIC_TOOL")
     if not tool:
         pytest.skip("HAPTIC_TOOL does not say where `haptic` is")

@@ -1,4 +1,4 @@
-"""The example of a sweep: the same numbers on a cluster as in one process, also when a worker dies."""
+"""The sweep example computes the same numbers on a cluster as in one process, even if a worker dies."""
 
 import os
 import pathlib
@@ -18,8 +18,8 @@ sys.path.insert(0, EXAMPLES)
 import sweep_dask as sweep  # noqa: E402
 
 
-class Unlucky:
-    """A client one of whose workers is killed as soon as everything has been handed out."""
+class KillingClient:
+    """A client that kills one of its workers after all jobs were submitted."""
 
     def __init__(self, client):
         self.client, self.killed = client, None
@@ -34,16 +34,16 @@ class Unlucky:
         return self.client.gather(jobs)
 
 
-def test_a_sweep_has_the_same_numbers_on_a_cluster_whose_workers_die(devices, monkeypatch):
-    # A script's own functions travel to the workers by themselves; those of a module are imported there.
+def test_a_sweep_has_the_same_numbers_although_a_worker_dies(devices, monkeypatch):
+    # A script's own functions are sent to the workers; functions of a module are imported there.
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([EXAMPLES, os.environ.get("PYTHONPATH", "")]))
     text = (devices / "coupled-five-bar.toml").read_text()
     q, normals = sweep.grid(hb.Device.parse(text), points=49, angles=8)
     with sweep.local() as cluster, distributed.Client(cluster) as client:
-        unlucky = Unlucky(client)
-        found = sweep.on_a_cluster(unlucky, text, q, normals)
+        killing_client = KillingClient(client)
+        found = sweep.on_a_cluster(killing_client, text, q, normals)
         client.wait_for_workers(2, timeout=600)
-        assert unlucky.killed not in client.run(os.getpid), "another worker took its place"
+        assert killing_client.killed not in client.run(os.getpid), "another worker took its place"
     assert len(found) == len(q) > 100
     np.testing.assert_array_equal(found, sweep.on_one_process(text, q, normals))
     assert np.nanmax(found[:, 2]) > 1.2

@@ -1,4 +1,4 @@
-"""Model, range and map: shapes, the paper's relations between the numbers, and what is refused."""
+"""Model, range and map: shapes, the paper's relations between the numbers, and refused arguments."""
 
 import json
 import pickle
@@ -19,7 +19,7 @@ def poses(device, count):
 
 
 @pytest.mark.parametrize("name", ["coupled-five-bar", "phantom-premium-1.5", "serial-3r", "fictive-five-bar-turret"])
-def test_model_of_many_poses_is_what_the_equations_say(devices, name):
+def test_the_model_of_many_poses_satisfies_the_equations(devices, name):
     device = hb.Device(devices / f"{name}.toml")
     n, d = device.joints, device.task
     q = poses(device, 12).reshape(3, 4, n)
@@ -46,14 +46,14 @@ def test_model_of_many_poses_is_what_the_equations_say(devices, name):
         np.testing.assert_array_equal(value, model[key][1, 2], err_msg=key)
 
 
-def test_single_precision_is_the_boards_and_near(five_bar):
+def test_single_precision_is_close_to_double(five_bar):
     q = poses(five_bar, 5)
     exact, board = five_bar.model(q, normal=NORMAL), five_bar.model(q, normal=NORMAL, precision="f32")
     assert not np.array_equal(exact["mass"], board["mass"])
     np.testing.assert_allclose(board["mass"], exact["mass"], rtol=2e-6)
 
 
-def test_range_has_the_paper_s_ratio_and_the_same_numbers_alone_and_together(five_bar):
+def test_range_has_the_paper_s_ratio_for_one_and_many_poses(five_bar):
     q = poses(five_bar, 4)
     found = five_bar.range(q, NORMAL, undamped=True, kd=[0.5, 1.0, 2.0], washout_hz=2.0)
     assert found["off"]["kp"].shape == (4, 3) and found["washout"]["area"].shape == (4,)
@@ -63,12 +63,12 @@ def test_range_has_the_paper_s_ratio_and_the_same_numbers_alone_and_together(fiv
     np.testing.assert_array_equal(alone["full"]["kp"], found["full"]["kp"][2])
 
 
-def test_a_wall_that_a_computer_renders_is_softer(five_bar):
+def test_a_wall_rendered_by_a_computer_is_softer(five_bar):
     found = five_bar.range(five_bar.home, NORMAL, rate_hz=20000, cutoff_hz=500, host_rate_hz=1000)
     assert found["host"]["area"] < 0.03 * found["off"]["area"]
 
 
-def test_map_is_the_model_at_its_poses(five_bar):
+def test_the_map_equals_the_model_at_its_poses(five_bar):
     found = five_bar.map(NORMAL, points=300)
     assert len(found["q"]) > 50
     model = five_bar.model(found["q"], normal=NORMAL)
@@ -77,7 +77,7 @@ def test_map_is_the_model_at_its_poses(five_bar):
     assert found["eigenvectors"].shape == (len(found["q"]), 2, 2)
 
 
-def test_poses_may_lie_anywhere_in_memory(five_bar):
+def test_poses_may_have_any_memory_layout(five_bar):
     q = poses(five_bar, 6)
     expected = five_bar.model(q)["mass"]
     shifted = np.frombuffer(b"x" + q.tobytes(), dtype=np.uint8)[1:].view(np.float64).reshape(q.shape)
@@ -87,7 +87,7 @@ def test_poses_may_lie_anywhere_in_memory(five_bar):
         np.testing.assert_array_equal(five_bar.model(same)["mass"], expected)
 
 
-def test_singular_poses_raise_with_the_tool_s_words_or_are_nan(devices):
+def test_singular_poses_raise_or_become_nan(devices):
     arm = hb.Device(devices / "serial-3r.toml")
     q = [[0.6, 0.9, -0.7], [0.0, 0.0, 0.0]]
     with pytest.raises(hb.ImpossibleError, match="pose 1: serial singularity"):
@@ -116,14 +116,14 @@ def test_singular_poses_raise_with_the_tool_s_words_or_are_nan(devices):
         (lambda d: hb.Device("no-such.toml"), "no-such.toml"),
     ],
 )
-def test_what_is_wrong_is_refused_in_words_without_options_of_a_command(five_bar, call, words):
+def test_wrong_arguments_are_refused_without_command_options(five_bar, call, words):
     with pytest.raises(hb.RequestError, match=words) as error:
         call(five_bar)
     assert "--" not in str(error.value)
 
 
 def test_the_lock_is_released_while_poses_are_computed(five_bar):
-    """Another thread goes on: with the lock held it would not run once."""
+    """Another thread runs meanwhile; with the lock held it would not run once."""
     q = np.tile(five_bar.home, (24, 1))
     ticks, busy = 0, threading.Event()
 
@@ -140,7 +140,7 @@ def test_the_lock_is_released_while_poses_are_computed(five_bar):
     assert ticks > 20
 
 
-def test_the_range_is_what_others_computed(devices):
+def test_the_range_equals_the_independent_reference(devices):
     cases = json.loads((devices.parent / "tests/golden/range.json").read_text())["cases"]
     for case in cases[::20]:
         device = hb.Device.parse(case["device"])
@@ -153,7 +153,7 @@ def test_the_range_is_what_others_computed(devices):
         np.testing.assert_allclose(found["full"]["area"], expected["full"]["area"], rtol=1e-4, err_msg=case["id"])
 
 
-def test_a_device_is_pickled_as_its_file(five_bar):
+def test_a_device_is_pickled_with_its_file(five_bar):
     copy = pickle.loads(pickle.dumps(five_bar))
     q = poses(five_bar, 3)
     np.testing.assert_array_equal(copy.model(q)["mass"], five_bar.model(q)["mass"])
@@ -173,8 +173,8 @@ def test_ctrl_c_ends_a_call(five_bar, ctrl_c, call):
 
 
 @pytest.mark.parametrize("count, waits", [(1, False), (64, False), (65, True)])
-def test_the_model_of_some_poses_is_computed_where_it_is_asked_for(five_bar, count, waits):
-    """A caller that waits for another thread gives up its processor; one that computes does not."""
+def test_the_model_of_a_few_poses_is_computed_in_the_caller(five_bar, count, waits):
+    """A caller that waits for another thread yields its processor; a caller that computes does not."""
     resource = pytest.importorskip("resource")
     q = np.tile(five_bar.home, (count, 1))
     before = resource.getrusage(resource.RUSAGE_THREAD).ru_nvcsw
@@ -183,7 +183,7 @@ def test_the_model_of_some_poses_is_computed_where_it_is_asked_for(five_bar, cou
     assert (resource.getrusage(resource.RUSAGE_THREAD).ru_nvcsw - before > 50) == waits
 
 
-def test_a_posture_is_in_the_range_of_a_redundant_arm_alone(devices, five_bar):
+def test_a_posture_applies_only_to_a_redundant_arm(devices, five_bar):
     arm = hb.Device(devices / "serial-3r.toml")
     loop = {"rate_hz": 20000, "cutoff_hz": 500, "kd": [8.0]}
     plain = arm.range(arm.home, [0.42, -0.91], **loop)

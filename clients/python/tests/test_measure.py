@@ -1,4 +1,4 @@
-"""The range measured on simulated boards: against the prediction, interrupted, taken up again, refused."""
+"""Measured ranges on simulated boards: compared with the prediction, interrupted, continued, refused."""
 
 import _thread
 import signal
@@ -14,7 +14,7 @@ POSE, NORMAL = [2.6, 1.75], [0.94, -0.34]
 GENTLE = {"rate_hz": 1000.0, "cutoff_hz": 20.0, "kd": [15.0], "feed_forward": "off", "pull_m": 2e-3}
 
 
-def test_what_is_measured_on_an_ideal_device_is_what_range_predicts(five_bar):
+def test_measurement_and_prediction_agree_on_an_ideal_device(five_bar):
     found = hb.measure_range(
         five_bar, NORMAL, q=POSE, kd=[15.0, 4.0], repeats=2, friction="none", ideal_drive=True, counts=2**23, pull_m=1e-4
     )
@@ -26,13 +26,13 @@ def test_what_is_measured_on_an_ideal_device_is_what_range_predicts(five_bar):
         assert measured["repeats"].shape == (2, 2) and measured["why"] == [None, None]
         assert (measured["low"] <= measured["kp"]).all() and (measured["kp"] <= measured["high"]).all()
         predicted = five_bar.range(POSE, NORMAL, kd=measured["kd"], **found["loop"])[mode]["kp"]
-        # 0.2 to 1.2 % were seen: two repeats, pulled differently far, lie up to 4 % apart with the feed-forward. The
-        # board's delay of 25 us left out of the prediction makes 1.3 to 1.9 %.
+        # Measured: 0.2 to 1.2 %. With the feed-forward, two repeats with different pulls differ by up to 4 %. Without the
+        # board's delay of 25 us, the prediction is off by 1.3 to 1.9 %.
         np.testing.assert_allclose(measured["kp"], predicted, rtol=0.0125)
     assert (found["full"]["kp"] > 1.05 * found["off"]["kp"]).all()
 
 
-def test_ctrl_c_ends_it_with_the_motors_off_and_other_threads_have_run(five_bar):
+def test_ctrl_c_turns_the_motors_off_and_other_threads_run(five_bar):
     # A shell's background jobs ignore Ctrl-C.
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     simulation = hb.Simulation(five_bar)
@@ -58,10 +58,10 @@ def test_ctrl_c_ends_it_with_the_motors_off_and_other_threads_have_run(five_bar)
     assert ticks[0] > 20
 
 
-def test_what_was_measured_is_kept_and_the_board_has_its_scene_again(five_bar, tmp_path):
+def test_progress_is_kept_and_the_scene_is_restored(five_bar, tmp_path):
     scene = hb.Scene.parse("[[wall]]\npoint = [0.0, 0.2]\nnormal = [0.0, -1.0]\nstiffness = 1000.0\ndamping = 4.0\n", 2)
     simulation = hb.Simulation(five_bar, scene)
-    kept = tmp_path / "progress.json"
+    progress_file = tmp_path / "progress.json"
     calls = []
 
     def once(done, of):
@@ -70,19 +70,19 @@ def test_what_was_measured_is_kept_and_the_board_has_its_scene_again(five_bar, t
 
     with simulation.board() as board:
         with pytest.raises(ZeroDivisionError):
-            hb.measure_range(five_bar, [0.6, 0.8], board=board, repeats=2, progress=kept, told=once, **GENTLE)
+            hb.measure_range(five_bar, [0.6, 0.8], board=board, repeats=2, progress=progress_file, told=once, **GENTLE)
         assert calls == [(1, 2)] and board.state == "Disarmed"
         board.set_gains(0, 900.0, 4.0)
         again = []
         found = hb.measure_range(
-            five_bar, [0.6, 0.8], board=board, repeats=2, progress=kept, told=lambda *count: again.append(count), **GENTLE
+            five_bar, [0.6, 0.8], board=board, repeats=2, progress=progress_file, told=lambda *count: again.append(count), **GENTLE
         )
         assert again == [(1, 2), (2, 2)] and found["off"]["repeats"].shape == (1, 2)
         assert "full" not in found and 1e3 < found["off"]["kp"][0] < 1e5
         with pytest.raises(hb.RequestError, match="there is no wall 1"):
             board.set_gains(1, 900.0, 4.0)
         with pytest.raises(hb.RequestError, match="holds another measurement"):
-            hb.measure_range(five_bar, [0.0, 1.0], board=board, progress=kept, **GENTLE)
+            hb.measure_range(five_bar, [0.0, 1.0], board=board, progress=progress_file, **GENTLE)
 
 
 @pytest.mark.parametrize(
@@ -100,12 +100,12 @@ def test_what_was_measured_is_kept_and_the_board_has_its_scene_again(five_bar, t
         (NORMAL, {"no_feed_forward": [0]}, "leaves one"),
     ],
 )
-def test_what_makes_no_sense_is_refused(five_bar, normal, more, words):
+def test_invalid_arguments_are_refused(five_bar, normal, more, words):
     with pytest.raises(hb.RequestError, match=words):
         hb.measure_range(five_bar, normal, **more)
 
 
-def test_what_cannot_be_told_and_what_is_not_on_the_board_is_said(five_bar, devices):
+def test_impossible_measurements_and_other_devices_are_reported(five_bar, devices):
     with pytest.raises(hb.ImpossibleError, match="the motors saturate before the encoders can tell"):
         hb.measure_range(five_bar, [0.0, 1.0], rate_hz=20000, cutoff_hz=500)
     with hb.Simulation(hb.Device(devices / "haply-2diy.toml")).board() as board:

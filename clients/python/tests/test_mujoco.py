@@ -1,4 +1,4 @@
-"""MuJoCo as an independent plant: its linkage for our device file, and our board's wall in its world."""
+"""MuJoCo as an independent plant: its linkage for a device file, and the board's wall in its simulation."""
 
 import numpy as np
 import pytest
@@ -21,13 +21,13 @@ def placed(path, q, **options):
 
 
 def reduced(model, data, joints):
-    """(G, M): what all hinges do when the actuated ones move and the linkage stays closed, and the inertia of that."""
+    """Returns (G, M): the motion of all hinges per motion of the actuated ones with a closed linkage, and its inertia."""
     driven = [model.joint(f"q{joint}").dofadr[0] for joint in range(joints)]
     rest = [dof for dof in range(model.nv) if dof not in driven]
     g = np.zeros((model.nv, joints))
     g[driven, range(joints)] = 1.0
     if rest:
-        # The two sites that a constraint holds together move alike.
+        # The two sites of a constraint move together.
         first, second = np.zeros((3, model.nv)), np.zeros((3, model.nv))
         names = ("tip", "end") if has(model, "distal1") else ("rear", "end")
         mujoco.mj_jacSite(model, data, first, None, model.site(names[0]).id)
@@ -47,7 +47,7 @@ def has(model, joint):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_the_same_linkage_has_the_same_tip_inertia_and_forces(devices, name):
+def test_both_models_have_the_same_tip_inertia_and_forces(devices, name):
     path = devices / f"{name}.toml"
     device = hb.Device(path)
     n, d = device.joints, device.task
@@ -58,19 +58,19 @@ def test_the_same_linkage_has_the_same_tip_inertia_and_forces(devices, name):
         ours = device.model(q)
         g, mass = reduced(model, data, n)
         np.testing.assert_allclose(mass, ours["mass"], rtol=2e-6, atol=1e-6 * np.abs(mass).max())
-        if name != "hapkit-paddle":  # whose task is the length of its arc
+        if name != "hapkit-paddle":  # its task coordinate is arc length
             np.testing.assert_allclose(data.site("tip").xpos[:d], ours["position"], atol=1e-12)
             jacobian = np.zeros((3, model.nv))
             mujoco.mj_jacSite(model, data, jacobian, None, model.site("tip").id)
             np.testing.assert_allclose(jacobian[:d] @ g, ours["jacobian"], atol=1e-10)
-        # Gravity, at rest: the same torques hold it.
+        # Gravity at rest is held by the same torques.
         np.testing.assert_allclose(g.T @ data.qfrc_bias, ours["bias"], atol=1e-8 + 1e-6 * np.abs(ours["bias"]).max())
 
 
 @pytest.mark.parametrize("name", ["serial-3r", "coupled-five-bar"])
-def test_the_board_holds_a_wall_in_mujoco_s_world(devices, name):
-    """The board's code gets MuJoCo's angles through its encoders, and MuJoCo its torques: 1 N into a wall of 2000 N/m comes
-    to rest half a millimetre inside."""
+def test_the_board_renders_a_wall_in_mujoco(devices, name):
+    """The board's code gets MuJoCo's angles through its encoders, and MuJoCo its torques: 1 N into a wall of 2000 N/m rests
+    half a millimetre inside."""
     path = devices / f"{name}.toml"
     device = hb.Device(path)
     period, ramp, steps = 1e-4, 6000, 16000
@@ -90,7 +90,7 @@ def test_the_board_holds_a_wall_in_mujoco_s_world(devices, name):
         board.arm()
         for step in range(steps):
             data.ctrl[:] = simulation.drive(data.qpos[driven])
-            if step < ramp:  # Somebody holds the device while the torque ramps up.
+            if step < ramp:  # The device is held while the torque ramps up.
                 continue
             if step % 100 == 0:
                 assert board.look().state == "Armed"

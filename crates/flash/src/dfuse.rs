@@ -1,44 +1,44 @@
-//! One conversation with a DfuSe boot loader: point, erase, write, read, leave.
+//! One session with a DfuSe boot loader: set the address, erase, write, read, leave.
 //!
-//! A command is sent with one request, carried out at the first question for the status that follows it, and done when
-//! a later answer says so; in between the boot loader says how long not to ask again (AN2662). Numbers of
-//! requests, states and statuses: DFU 1.1, sections 3 and 6.1.
+//! A command is sent with one request. The first status request afterwards starts it, and a later status reports its
+//! end; each status contains the time to wait before the next one (AN2662). Numbers of requests, states and statuses:
+//! DFU 1.1, sections 3 and 6.1.
 
 use std::time::Duration;
 
 /// The requests of the DFU class.
 pub mod request {
-    /// Data or a command to the boot loader.
+    /// Sends data or a command to the boot loader.
     pub const DNLOAD: u8 = 1;
-    /// Memory from it.
+    /// Reads memory.
     pub const UPLOAD: u8 = 2;
-    /// What it does, and whether that went well.
+    /// Reads state and status.
     pub const GETSTATUS: u8 = 3;
-    /// Out of the error.
+    /// Leaves the error state.
     pub const CLRSTATUS: u8 = 4;
-    /// Back to idle.
+    /// Returns to idle.
     pub const ABORT: u8 = 6;
 }
 
-/// What went wrong with a transfer.
+/// A failed transfer.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum UsbError {
-    /// The other side refused this request.
+    /// The device refused the request.
     #[error("it refused the request")]
     Stalled,
-    /// It is no longer there.
+    /// The device is gone.
     #[error("it left USB")]
     Gone,
-    /// It did not answer in time.
+    /// The device did not reply in time.
     #[error("it does not answer")]
     Silent,
-    /// The operating system does not let this user open it.
+    /// The user has no permission to open the device.
     #[error("this user may not open it")]
     Forbidden,
-    /// Another program has it open.
+    /// Another program has the device open.
     #[error("another program has it open")]
     Busy,
-    /// Anything else that the operating system says.
+    /// Any other error of the operating system.
     #[error("{0}")]
     Other(String),
 }
@@ -51,49 +51,49 @@ pub trait Transport {
     fn receive(&mut self, request: u8, value: u16, length: u16) -> Result<Vec<u8>, UsbError>;
     /// Lets time pass.
     fn wait(&mut self, time: Duration);
-    /// Time since some moment.
+    /// Returns the time since a fixed instant.
     fn now(&self) -> Duration;
 }
 
-/// Why a boot loader did not do what it was told.
+/// A failed command of the boot loader.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum DfuError {
     /// A transfer failed.
     #[error("the boot loader is lost: {0}")]
     Usb(#[from] UsbError),
-    /// It has no access to its flash.
+    /// The flash is protected.
     #[error("the chip's flash is protected against being read")]
     Protected,
-    /// It could not do it.
+    /// The command failed.
     #[error("the boot loader could not {doing}: {}", status_text(*.status))]
     Failed {
-        /// What it was told to do.
+        /// The command.
         doing: String,
-        /// The class's number of what went wrong.
+        /// Status number of the DFU class.
         status: u8,
     },
-    /// It is in a state where it has no business to be.
-    #[error("the boot loader is in state {state} and should be ready after it was told to {doing}")]
+    /// The boot loader is in an unexpected state.
+    #[error("the boot loader is in state {state} after the command to {doing}, but should be ready")]
     Lost {
-        /// What it was told to do.
+        /// The command.
         doing: String,
-        /// The class's number of its state.
+        /// State number of the DFU class.
         state: u8,
     },
-    /// It works longer than anything can take.
-    #[error("the boot loader does not finish: it was told to {0}")]
+    /// The command takes longer than any command can.
+    #[error("the boot loader does not finish the command to {0}")]
     Endless(String),
-    /// An answer that is too short.
+    /// A short reply.
     #[error("the boot loader sent {got} bytes instead of {wanted}")]
     Short {
-        /// What came.
+        /// Number of received bytes.
         got: usize,
-        /// What should have.
+        /// Number of expected bytes.
         wanted: usize,
     },
 }
 
-/// The words of DFU 1.1, section 6.1.2, for its numbers.
+/// Describes a status (DFU 1.1, section 6.1.2).
 fn status_text(status: u8) -> &'static str {
     match status {
         0x01 => "it has no such memory (errTARGET)",
@@ -104,9 +104,9 @@ fn status_text(status: u8) -> &'static str {
         0x07 => "what was written is not there (errVERIFY)",
         0x08 => "the address is out of range (errADDRESS)",
         0x0A => "its firmware is broken (errFIRMWARE)",
-        VENDOR => "it may not (errVENDOR)",
-        0x0F => "it did not expect that (errSTALLEDPKT)",
-        _ => "it does not say why",
+        VENDOR => "it has no permission (errVENDOR)",
+        0x0F => "it did not expect the request (errSTALLEDPKT)",
+        _ => "it gives no reason",
     }
 }
 
@@ -125,48 +125,48 @@ mod state {
     pub const ERROR: u8 = 10;
 }
 
-/// The block number at which memory begins: the ones before it are commands.
+/// The block number at which memory begins; lower numbers are commands.
 const FIRST_BLOCK: u16 = 2;
 /// ST's commands, as the first byte of block 0.
 const SET_ADDRESS: u8 = 0x21;
 const ERASE: u8 = 0x41;
 
-/// More than any command takes: a sector of 128 KB is erased in 4 s at the chip's lowest supply (STM32F405 data sheet,
-/// table "Flash memory programming").
+/// Longer than any command takes: a sector of 128 KB is erased in 4 s at the chip's lowest supply (STM32F405 data
+/// sheet, table "Flash memory programming").
 const LONGEST: Duration = Duration::from_secs(20);
-/// What is waited between two questions where the boot loader asks for nothing.
+/// Shortest interval between two status requests.
 const PAUSE: Duration = Duration::from_millis(2);
 
-/// The answer to a question for the status.
+/// The reply to a status request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Status {
     status: u8,
-    /// How long not to ask again.
+    /// Time to wait before the next status request.
     pause: Duration,
     state: u8,
 }
 
-/// A boot loader that is being talked to.
+/// A session with a boot loader.
 pub struct Dfuse<T> {
     transport: T,
-    /// Most bytes of one transfer.
+    /// Maximum size of one transfer, bytes.
     transfer: u16,
 }
 
 impl<T: Transport> Dfuse<T> {
-    /// Begins a conversation, whatever an earlier one left; `transfer` is the boot loader's `wTransferSize`.
+    /// Begins a session in any state of the boot loader; `transfer` is its `wTransferSize`.
     pub fn begin(transport: T, transfer: u16) -> Result<Self, DfuError> {
-        // The chip's own has 2048. Two is the smallest piece that it takes.
-        let mut it = Self { transport, transfer: transfer.max(4) & !3 };
-        // One that was told to start its program would do so at the first question for its status.
-        match it.transport.send(request::ABORT, 0, &[]) {
-            Ok(()) | Err(UsbError::Stalled) => it.settle()?,
+        // The chip's own boot loader has 2048. Its smallest transfer is two bytes.
+        let mut dfuse = Self { transport, transfer: transfer.max(4) & !3 };
+        // Abort first: a status request would start the program if an earlier session had commanded it.
+        match dfuse.transport.send(request::ABORT, 0, &[]) {
+            Ok(()) | Err(UsbError::Stalled) => dfuse.go_to_idle()?,
             Err(error) => return Err(error.into()),
         }
-        Ok(it)
+        Ok(dfuse)
     }
 
-    /// Most bytes of one [`Dfuse::write`].
+    /// Returns the maximum number of bytes of one [`Dfuse::write`].
     pub fn transfer(&self) -> usize {
         usize::from(self.transfer)
     }
@@ -176,15 +176,15 @@ impl<T: Transport> Dfuse<T> {
         self.command(ERASE, address, || format!("erase the sector at {address:#010x}"))
     }
 
-    /// Writes erased flash, at most [`Dfuse::transfer`] bytes.
+    /// Writes at most [`Dfuse::transfer`] bytes to erased flash.
     pub fn write(&mut self, address: u32, bytes: &[u8]) -> Result<(), DfuError> {
-        self.point(address)?;
+        self.set_address(address)?;
         self.transport.send(request::DNLOAD, FIRST_BLOCK, bytes).or_else(|error| self.explain(error))?;
-        self.finish(|| format!("write {} bytes at {address:#010x}", bytes.len()))
+        self.wait_for_end(|| format!("write {} bytes at {address:#010x}", bytes.len()))
     }
 
-    /// Reads flash. The address of a block is its number times the length that is asked for (AN2662), so
-    /// that a shorter last block is pointed at by itself.
+    /// Reads flash. The address of a block is its number times the requested length (AN2662), so a shorter last block
+    /// needs its own address.
     pub fn read(&mut self, address: u32, length: usize) -> Result<Vec<u8>, DfuError> {
         let mut bytes = Vec::with_capacity(length);
         let whole = length - length % self.transfer();
@@ -192,8 +192,8 @@ impl<T: Transport> Dfuse<T> {
             if from == to {
                 continue;
             }
-            self.point(address + from as u32)?;
-            // Memory is read from idle, not from between two writes.
+            self.set_address(address + from as u32)?;
+            // Memory can be read from idle, but not between two writes.
             self.transport.send(request::ABORT, 0, &[])?;
             for (number, start) in (FIRST_BLOCK..=u16::MAX).zip((from..to).step_by(self.transfer())) {
                 let wanted = (to - start).min(self.transfer());
@@ -209,14 +209,14 @@ impl<T: Transport> Dfuse<T> {
         Ok(bytes)
     }
 
-    /// Leaves the boot loader for the program whose vectors are at this address. The boot loader goes from USB.
+    /// Starts the program whose vectors are at this address. The boot loader leaves USB.
     pub fn leave(mut self, address: u32) -> Result<(), DfuError> {
-        self.point(address)?;
+        self.set_address(address)?;
         self.transport.send(request::DNLOAD, FIRST_BLOCK, &[])?;
         let doing = || "start the program".to_string();
         match self.status() {
             Ok(Status { state: state::MANIFEST | state::MANIFEST_SYNC, .. }) => Ok(()),
-            // It is off already.
+            // The boot loader has already left.
             Err(DfuError::Usb(UsbError::Gone | UsbError::Silent)) => Ok(()),
             Ok(Status { state: state::ERROR, status, .. }) => Err(failed(status, doing)),
             Ok(Status { state, .. }) => Err(DfuError::Lost { doing: doing(), state }),
@@ -224,8 +224,8 @@ impl<T: Transport> Dfuse<T> {
         }
     }
 
-    /// To idle from wherever it is.
-    fn settle(&mut self) -> Result<(), DfuError> {
+    /// Brings the boot loader to idle from any state.
+    fn go_to_idle(&mut self) -> Result<(), DfuError> {
         let doing = || "get ready".to_string();
         let began = self.transport.now();
         loop {
@@ -241,8 +241,8 @@ impl<T: Transport> Dfuse<T> {
         }
     }
 
-    /// Where the next write, read or start is.
-    fn point(&mut self, address: u32) -> Result<(), DfuError> {
+    /// Sets the address of the next write, read or start.
+    fn set_address(&mut self, address: u32) -> Result<(), DfuError> {
         self.command(SET_ADDRESS, address, || format!("go to address {address:#010x}"))
     }
 
@@ -250,11 +250,11 @@ impl<T: Transport> Dfuse<T> {
         let mut data = vec![command];
         data.extend(address.to_le_bytes());
         self.transport.send(request::DNLOAD, 0, &data).or_else(|error| self.explain(error))?;
-        self.finish(doing)
+        self.wait_for_end(doing)
     }
 
-    /// Has what was sent last carried out, and waits for its end.
-    fn finish(&mut self, doing: impl Fn() -> String) -> Result<(), DfuError> {
+    /// Starts the last command and waits for its end.
+    fn wait_for_end(&mut self, doing: impl Fn() -> String) -> Result<(), DfuError> {
         let began = self.transport.now();
         loop {
             let status = self.status()?;
@@ -267,9 +267,10 @@ impl<T: Transport> Dfuse<T> {
         }
     }
 
-    /// Waits before the next question, if the command has not taken too long since it `began`, answers included.
-    fn pause(&mut self, asked: Duration, began: Duration, doing: impl Fn() -> String) -> Result<(), DfuError> {
-        let pause = asked.max(PAUSE);
+    /// Waits before the next status request, or fails if the command has taken too long since it `began`, replies
+    /// included.
+    fn pause(&mut self, requested: Duration, began: Duration, doing: impl Fn() -> String) -> Result<(), DfuError> {
+        let pause = requested.max(PAUSE);
         if self.transport.now() - began + pause > LONGEST {
             return Err(DfuError::Endless(doing()));
         }
@@ -278,17 +279,17 @@ impl<T: Transport> Dfuse<T> {
     }
 
     fn status(&mut self) -> Result<Status, DfuError> {
-        let answer = self.transport.receive(request::GETSTATUS, 0, 6)?;
-        match answer[..] {
+        let reply = self.transport.receive(request::GETSTATUS, 0, 6)?;
+        match reply[..] {
             [status, low, middle, high, state, _] => {
                 let pause = u32::from_le_bytes([low, middle, high, 0]);
                 Ok(Status { status, pause: Duration::from_millis(pause.into()), state })
             }
-            _ => Err(DfuError::Short { got: answer.len(), wanted: 6 }),
+            _ => Err(DfuError::Short { got: reply.len(), wanted: 6 }),
         }
     }
 
-    /// The reason why a request was refused, which the status tells where the boot loader still answers.
+    /// Converts a refusal to the reason that the status gives, if the boot loader still replies.
     fn explain<O>(&mut self, error: UsbError) -> Result<O, DfuError> {
         if error == UsbError::Stalled
             && let Ok(Status { state: state::ERROR, status, .. }) = self.status()

@@ -1,5 +1,5 @@
-//! The images that this program was built with: `cargo xtask images` puts them into crates/flash/images, and the build
-//! script takes in what is there.
+//! The images that are embedded in this program: `cargo xtask images` puts them into crates/flash/images, and the build
+//! script embeds them.
 
 use serde::Deserialize;
 use sha2::{Digest as _, Sha256};
@@ -9,22 +9,22 @@ use crate::update_file::parse;
 
 include!(concat!(env!("OUT_DIR"), "/images.rs"));
 
-/// What a program says that has none.
+/// Message of a program without images.
 pub const WITHOUT_IMAGES: &str = "this tool was built without images: in a checkout of its source, run `cargo xtask \
                                   images` and build it again, or name an update file";
 
-/// An image in this program.
+/// An embedded image.
 #[derive(Clone, Copy, Debug)]
 pub struct Embedded {
-    /// The kind of board that it is for.
+    /// Kind of board.
     pub board: &'static str,
     /// The update file.
     pub file: &'static [u8],
-    /// What stands beside it, as TOML.
+    /// Description of the image, TOML.
     about: &'static str,
 }
 
-/// What stands beside an image.
+/// The description of an image.
 #[derive(Deserialize)]
 struct About {
     version: String,
@@ -32,13 +32,13 @@ struct About {
     sha256: String,
 }
 
-/// The images in this program; none where it was built without.
+/// Returns the embedded images; empty if the program was built without images.
 pub fn embedded() -> &'static [Embedded] {
     IMAGES
 }
 
 impl Embedded {
-    /// The image, once it matches its sum. `Err` says what is wrong with it, which only a broken build brings about.
+    /// Checks the checksum and returns the image. An error occurs only in a broken build.
     pub fn image(&self) -> Result<Image, String> {
         let about: About = toml::from_str(self.about).map_err(|error| error.to_string())?;
         if sha256(self.file) != about.sha256 {
@@ -51,7 +51,7 @@ impl Embedded {
         Ok(Image { version: Some(about.version), protocol: Some(about.protocol), ..image })
     }
 
-    /// Its SHA-256, in hexadecimal.
+    /// Returns the SHA-256 of the update file, in hexadecimal.
     pub fn sha256(&self) -> String {
         sha256(self.file)
     }

@@ -1,73 +1,73 @@
-//! A firmware image: whose it is, and which bytes go where.
+//! A firmware image: its board, and its bytes with their addresses.
 
 use std::ops::Range;
 
-/// Where flash begins, and with it every image: the chip looks for its vectors there.
+/// First address of flash and of every image, where the chip reads its vectors.
 pub const FLASH_START: u32 = 0x0800_0000;
-/// Where the settings are, which no image touches (memory.x): sectors 1 and 2.
+/// Addresses of the settings, which no image touches (memory.x): sectors 1 and 2.
 pub const SETTINGS: Range<u32> = 0x0800_4000..0x0800_C000;
 
-/// Bytes that belong together.
+/// Consecutive bytes of an image.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Segment {
-    /// The address of the first.
+    /// Address of the first byte.
     pub address: u32,
     /// The bytes.
     pub bytes: Vec<u8>,
 }
 
 impl Segment {
-    /// The addresses that it fills.
+    /// Returns the addresses of the bytes.
     pub fn range(&self) -> Range<u32> {
         self.address..self.address.saturating_add(self.bytes.len() as u32)
     }
 }
 
-/// An image and what is known of it.
+/// An image with its known properties.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Image {
-    /// The kind of board that it is for.
+    /// Kind of board.
     pub board: String,
-    /// The firmware's version, where it is known.
+    /// Version of the firmware, if known.
     pub version: Option<String>,
-    /// Its version of the protocol, where it is known.
+    /// Version of its protocol, if known.
     pub protocol: Option<u16>,
-    /// Its pieces, ascending.
+    /// Segments in ascending order.
     pub segments: Vec<Segment>,
 }
 
-/// Why an image cannot be flashed.
+/// An image that cannot be flashed.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum BadImage {
-    /// Nothing is in it.
+    /// The image has no bytes.
     #[error("the image is empty")]
     Empty,
-    /// It would not start.
-    #[error("the image has no vectors at {FLASH_START:#010x}, where the chip begins")]
+    /// The image would not start.
+    #[error("the image has no vectors at {FLASH_START:#010x}, where the chip starts")]
     NoVectors,
-    /// It reaches into the settings.
+    /// The image overlaps the settings.
     #[error("the image would overwrite the board's settings at {:#010x}", SETTINGS.start)]
     OverSettings,
-    /// Two pieces want the same place.
-    #[error("two pieces of the image overlap at {0:#010x}")]
+    /// Two segments overlap.
+    #[error("two segments of the image overlap at {0:#010x}")]
     Overlap(u32),
-    /// A piece that flash cannot take.
-    #[error("a piece of the image at {0:#010x} does not fit into a chip's addresses")]
+    /// A segment exceeds the address range.
+    #[error("a segment of the image at {0:#010x} does not fit into a chip's addresses")]
     TooLong(u32),
 }
 
 impl Image {
-    /// Whether it can be flashed at all; sorts its pieces.
+    /// Sorts the segments and checks that the image can be flashed.
     pub fn checked(mut self) -> Result<Self, BadImage> {
         self.segments.retain(|segment| !segment.bytes.is_empty());
         self.segments.sort_by_key(|segment| segment.address);
         let first = self.segments.first().ok_or(BadImage::Empty)?;
-        // The stack's first address and where to begin are two words.
+        // The initial stack pointer and the reset vector are two words.
         if first.address != FLASH_START || first.bytes.len() < 8 {
             return Err(BadImage::NoVectors);
         }
         for segment in &self.segments {
-            // The bytes are padded to words.
+            // The bytes will be padded to words.
             if u64::from(segment.address) + segment.bytes.len() as u64 + 4 > u64::from(u32::MAX) {
                 return Err(BadImage::TooLong(segment.address));
             }
@@ -84,7 +84,7 @@ impl Image {
         Ok(self)
     }
 
-    /// Bytes that it fills.
+    /// Returns the number of bytes in the image.
     pub fn size(&self) -> usize {
         self.segments.iter().map(|segment| segment.bytes.len()).sum()
     }

@@ -1,45 +1,45 @@
 //! The sectors of a memory, as the boot loader describes them in the name of its interface.
 //!
-//! `@Internal Flash  /0x08000000/04*016Kg,01*064Kg,07*128Kg`: a name, then an address and the sectors from there on;
-//! another address and its sectors may follow. UM0424 section 10.3.2 gives the form.
+//! `@Internal Flash  /0x08000000/04*016Kg,01*064Kg,07*128Kg`: a name, then an address and the sectors from there;
+//! further pairs of address and sectors may follow. Format: UM0424 section 10.3.2.
 
 /// One sector.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Sector {
-    /// Its first address.
+    /// First address.
     pub start: u32,
-    /// Its length, bytes.
+    /// Length, bytes.
     pub length: u32,
-    /// Whether it can be read, erased and written.
+    /// True if the sector can be read, erased and written.
     pub usable: bool,
 }
 
 impl Sector {
-    /// The address after its last.
+    /// Returns the address after the sector.
     pub fn end(&self) -> u32 {
         self.start + self.length
     }
 }
 
-/// The sectors of one memory, in the order told.
+/// The sectors of one memory, in the order of the description.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Layout {
-    /// The memory's name.
+    /// Name of the memory.
     pub name: String,
-    /// Its sectors.
+    /// The sectors.
     pub sectors: Vec<Sector>,
 }
 
-/// A description that is none.
+/// A description that cannot be parsed.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("the boot loader describes its memory as {0:?}, which is no description of sectors")]
+#[error("the boot loader describes its memory as {0:?}, which is not a list of sectors")]
 pub struct BadLayout(pub String);
 
-/// No chip has as many sectors in one memory.
-const MOST_SECTORS: usize = 4096;
+/// Maximum number of sectors in a description, more than any chip has.
+const MAX_SECTORS: usize = 4096;
 
 impl Layout {
-    /// Reads a description.
+    /// Parses a description.
     pub fn parse(text: &str) -> Result<Self, BadLayout> {
         read(text).ok_or_else(|| BadLayout(text.to_string()))
     }
@@ -63,10 +63,10 @@ fn read(text: &str) -> Option<Layout> {
             };
             let length = size.parse::<u32>().ok()?.checked_mul(factor).filter(|length| *length > 0)?;
             for _ in 0..count.parse::<u32>().ok()? {
-                if sectors.len() == MOST_SECTORS {
+                if sectors.len() == MAX_SECTORS {
                     return None;
                 }
-                // 'a' to 'g': bit 0 says readable, bit 1 erasable, bit 2 writable.
+                // 'a' to 'g': bit 0 means readable, bit 1 erasable, bit 2 writable.
                 sectors.push(Sector { start, length, usable: kind == b'g' });
                 start = start.checked_add(length)?;
             }
@@ -80,7 +80,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_chip_has_twelve_sectors_that_fill_its_megabyte() {
+    fn the_chip_has_twelve_sectors_in_one_megabyte() {
         let layout = Layout::parse("@Internal Flash  /0x08000000/04*016Kg,01*064Kg,07*128Kg").unwrap();
         assert_eq!(layout.name, "Internal Flash");
         assert_eq!(layout.sectors.len(), 12);
@@ -90,7 +90,7 @@ mod tests {
     }
 
     #[test]
-    fn other_memories_are_read_as_well() {
+    fn other_memories_are_parsed() {
         let bytes = Layout::parse("@Option Bytes  /0x1FFFC000/01*016 e").unwrap();
         assert_eq!(bytes.sectors, [Sector { start: 0x1FFF_C000, length: 16, usable: false }]);
         let two = Layout::parse("@Two/0x0/1*1Kg/0x08000000/2*1Ma").unwrap();
@@ -99,7 +99,7 @@ mod tests {
     }
 
     #[test]
-    fn nonsense_is_refused() {
+    fn invalid_descriptions_are_refused() {
         let bad = [
             "",
             "@",

@@ -1,38 +1,38 @@
-//! Through a debug probe, by probe-rs where that is installed: the image as Intel HEX, which says what goes where, so
-//! that the settings between its pieces stay.
+//! Flashes through a debug probe with an installed probe-rs. The image is passed as Intel HEX, which contains
+//! addresses, so the settings between its segments stay.
 
 use std::io::{self, Write as _};
 use std::process::{Command, Stdio};
 
 use crate::image::Image;
 
-/// The chip of the boards, as probe-rs calls it.
+/// probe-rs's name for the boards' chip.
 const CHIP: &str = "STM32F405RGTx";
 
-/// Why a probe did not flash.
+/// A failure to flash with a probe.
 #[derive(Debug, thiserror::Error)]
 pub enum ProbeError {
-    /// The program is not there.
+    /// probe-rs is not installed.
     #[error(
-        "probe-rs is not installed; `cargo install probe-rs-tools --locked` does that, or leave the probe out to flash \
+        "probe-rs is not installed; `cargo install probe-rs-tools --locked` installs it, or leave the probe out to flash \
          over USB"
     )]
     NotInstalled,
-    /// It ended otherwise than well.
+    /// probe-rs failed.
     #[error(
-        "probe-rs {step} failed; its own words are above. A board with half an image does not arm: look at the probe's \
+        "probe-rs {step} failed; its own message is above. A board with half an image does not arm: check the probe's \
          cable and the board's power, and run this again"
     )]
     Failed {
-        /// Its subcommand.
+        /// Subcommand of probe-rs.
         step: &'static str,
     },
-    /// The image cannot be handed over.
+    /// The image could not be written to a file.
     #[error("the image cannot be written for probe-rs: {0}")]
     File(#[from] io::Error),
 }
 
-/// The image in Intel HEX (Intel, "Hexadecimal Object File Format Specification", 1988).
+/// Formats the image as Intel HEX (Intel, "Hexadecimal Object File Format Specification", 1988).
 pub fn hex(image: &Image) -> String {
     let mut text = String::new();
     let mut record = |kind: u8, offset: u16, data: &[u8]| {
@@ -55,7 +55,7 @@ pub fn hex(image: &Image) -> String {
                 upper = Some(at >> 16);
                 record(4, 0, &((at >> 16) as u16).to_be_bytes());
             }
-            // No record crosses 64 KB.
+            // No record crosses a 64 KB boundary.
             let length = rest.len().min(16).min(0x1_0000 - (at & 0xFFFF) as usize);
             let (now, after) = rest.split_at(length);
             record(0, at as u16, now);
@@ -66,7 +66,7 @@ pub fn hex(image: &Image) -> String {
     text
 }
 
-/// Flashes, compares and restarts. `program` is probe-rs.
+/// Flashes, verifies and restarts. `program` is the probe-rs executable.
 pub fn flash(program: &str, image: &Image) -> Result<(), ProbeError> {
     let mut file = tempfile::Builder::new().suffix(".hex").tempfile()?;
     file.write_all(hex(image).as_bytes())?;
@@ -99,7 +99,7 @@ mod tests {
     }
 
     #[test]
-    fn every_byte_has_its_address_and_every_record_its_sum() {
+    fn hex_records_have_addresses_and_checksums() {
         let text = hex(&image());
         let expected =
             ":020000040800F2\n:0300000002337A4E\n:02FFFE000102FE\n:020000040801F1\n:0100000003FC\n:00000001FF\n";
@@ -107,7 +107,7 @@ mod tests {
     }
 
     #[test]
-    fn a_program_that_is_not_there_is_told_as_that() {
+    fn a_missing_probe_rs_is_reported() {
         let error = flash("no-such-probe-rs", &image()).unwrap_err();
         assert!(matches!(error, ProbeError::NotInstalled) && error.to_string().contains("cargo install"), "{error}");
         assert!(matches!(flash("false", &image()), Err(ProbeError::Failed { step: "download" })));

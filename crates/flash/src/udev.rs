@@ -1,13 +1,13 @@
-//! The rule by which Linux lets whoever sits at the computer open boards and boot loaders.
+//! The udev rule with which Linux lets the local user open boards and boot loaders.
 
-/// ST's numbers for the boot loader in its chips (AN2606).
+/// USB vendor and product id of the boot loader in ST's chips (AN2606).
 pub const BOOT_LOADER: (u16, u16) = (0x0483, 0xDF11);
-/// The numbers of boards, and the name by which they are told from others that test with the same.
+/// USB vendor and product id of the boards, and the product name that separates them from others with the test id.
 pub const BOARD: (u16, u16, &str) = (0x1209, 0x0001, "haptic-bridge");
-/// Where such a rule goes: before the 73 that reads its tag.
+/// Path of the rule; its number must be lower than that of the rules that read its tag (73).
 pub const PLACE: &str = "/etc/udev/rules.d/70-haptic-bridge.rules";
 
-/// The rule's file.
+/// Returns the contents of the rule file.
 pub fn rule() -> String {
     let (vendor, product) = BOOT_LOADER;
     let (board_vendor, board_product, name) = BOARD;
@@ -29,7 +29,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_line_is_a_remark_or_matches_and_gives() {
+    fn every_line_is_a_comment_or_key_value_pairs() {
         let rule = rule();
         assert!(rule.contains("ATTR{idVendor}==\"0483\", ATTR{idProduct}==\"df11\", TAG+=\"uaccess\""), "{rule}");
         for line in rule.lines() {
@@ -43,7 +43,7 @@ mod tests {
 
     #[cfg(feature = "usb")]
     #[test]
-    fn the_numbers_are_those_that_the_tool_looks_for() {
+    fn the_ids_are_those_of_the_host_crate() {
         use haptic_host::link::{USB_PRODUCT, USB_PRODUCT_NAME, USB_VENDOR};
         assert_eq!(BOARD, (USB_VENDOR, USB_PRODUCT, USB_PRODUCT_NAME));
     }

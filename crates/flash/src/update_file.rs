@@ -7,27 +7,27 @@ use haptic_bridge::checksum::crc32;
 
 use crate::image::{BadImage, Image, Segment};
 
-/// Why a file is no update file.
+/// A file that is not a valid update file.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum BadFile {
-    /// Another kind of file, or another version of this one.
+    /// Another kind of file, or another version of the format.
     #[error("it is not a DfuSe update file (.dfu), such as `cargo xtask dfu BOARD` writes")]
     NotDfuse,
-    /// It does not match its own checksum.
+    /// The checksum is wrong.
     #[error("it is damaged: its checksum is wrong")]
     Damaged,
-    /// It ends too early, or says more than it holds.
+    /// The file is too short, or its lengths contradict its contents.
     #[error("it is damaged: its lengths do not fit")]
     Lengths,
-    /// It is for more than one memory, and these boards have one.
-    #[error("it is for {0} memories and not for one")]
+    /// The file is for several memories, but these boards have one.
+    #[error("it is for {0} memories, not for one")]
     Targets(u8),
-    /// The image in it cannot be flashed.
+    /// The image cannot be flashed.
     #[error(transparent)]
     Image(#[from] BadImage),
 }
 
-/// Reads a file. The board is the name that the file has for it; versions are not in it.
+/// Parses a file. The board is the name in the file; the file does not contain versions.
 pub fn parse(file: &[u8]) -> Result<Image, BadFile> {
     if !file.starts_with(b"DfuSe\x01") {
         return Err(BadFile::NotDfuse);
@@ -37,7 +37,7 @@ pub fn parse(file: &[u8]) -> Result<Image, BadFile> {
         return Err(BadFile::NotDfuse);
     }
     let (summed, sum) = file.split_last_chunk::<4>().ok_or(BadFile::Lengths)?;
-    // The suffix has the sum without its last inversion.
+    // The suffix contains the CRC without its final inversion.
     if !crc32(summed) != u32::from_le_bytes(*sum) {
         return Err(BadFile::Damaged);
     }
@@ -55,7 +55,7 @@ pub fn parse(file: &[u8]) -> Result<Image, BadFile> {
     if !prefix.starts_with(b"Target") || size as usize != rest.len() {
         return Err(BadFile::Lengths);
     }
-    // "Target", the alternate setting, whether it has a name, the name.
+    // "Target", the alternate setting, the flag for a name, the name.
     let board = prefix[11..].split(|byte| *byte == 0).next().unwrap_or_default();
     let mut segments = Vec::new();
     for _ in 0..elements {

@@ -1,5 +1,5 @@
-//! Boot loaders on USB, by `nusb`: Linux and macOS need no library and no driver; on Windows the boot loader needs
-//! WinUSB.
+//! Access to boot loaders on USB by `nusb`: Linux and macOS need no library and no driver; on Windows the boot loader
+//! needs WinUSB.
 
 use std::time::{Duration, Instant};
 
@@ -7,26 +7,26 @@ use nusb::transfer::{ControlIn, ControlOut, ControlType, Recipient, TransferErro
 use nusb::{DeviceInfo, ErrorKind, Interface, MaybeFuture as _};
 
 use crate::dfuse::{Transport, UsbError};
-use crate::sequence::{BootLoader, Opened};
+use crate::flashing::{BootLoader, Opened};
 use crate::udev::BOOT_LOADER;
 
-/// Its only interface; alternate setting 0 is the internal flash.
+/// The boot loader's only interface; alternate setting 0 is the internal flash.
 const INTERFACE: u8 = 0;
 const FLASH: u8 = 0;
-/// How long one request may take. The boot loader answers while it works; only its first answer to an erase is late in
-/// some versions.
-const ANSWER: Duration = Duration::from_secs(5);
-/// The type of the descriptor that tells the size of a transfer (DFU 1.1, section 4.1.3).
+/// Timeout of one request. The boot loader replies while it works; only its first reply to an erase is late in some
+/// versions.
+const TIMEOUT: Duration = Duration::from_secs(5);
+/// Type of the descriptor with the transfer size (DFU 1.1, section 4.1.3).
 const FUNCTIONAL: u8 = 0x21;
-/// The size that ST's boot loaders have, should one not tell.
+/// Transfer size of ST's boot loaders, if the descriptor is missing.
 const TRANSFER: u16 = 2048;
 
-/// The boot loaders that are there.
+/// Lists the boot loaders on USB.
 pub fn boot_loaders() -> Result<Vec<BootLoader>, UsbError> {
     Ok(devices()?.map(|device| BootLoader { serial: serial(&device) }).collect())
 }
 
-/// Opens one.
+/// Opens a boot loader.
 pub fn open(which: &BootLoader) -> Result<Opened<UsbBootLoader>, UsbError> {
     let device = devices()?.find(|device| serial(device) == which.serial).ok_or(UsbError::Gone)?;
     let device = device.open().wait().map_err(from_system)?;
@@ -35,9 +35,9 @@ pub fn open(which: &BootLoader) -> Result<Opened<UsbBootLoader>, UsbError> {
     let descriptor = interface.descriptor().ok_or_else(|| UsbError::Other("it describes no interface".into()))?;
     let name = descriptor.string_index().ok_or_else(|| UsbError::Other("it does not name its flash".into()))?;
     let english = nusb::descriptors::language_id::US_ENGLISH;
-    let memory = device.get_string_descriptor(name, english, ANSWER).wait();
+    let memory = device.get_string_descriptor(name, english, TIMEOUT).wait();
     let memory = memory.map_err(|error| UsbError::Other(error.to_string()))?;
-    // The descriptor stands behind the last alternate setting alone.
+    // The descriptor follows only the last alternate setting.
     let functional = interface.descriptors().find_map(|setting| {
         setting.descriptors().find(|it| it.descriptor_type() == FUNCTIONAL).map(|it| it.as_bytes().to_vec())
     });
@@ -75,7 +75,7 @@ fn from_transfer(error: TransferError) -> UsbError {
     }
 }
 
-/// The way to a boot loader.
+/// An open boot loader.
 pub struct UsbBootLoader {
     interface: Interface,
     began: Instant,
@@ -85,13 +85,13 @@ impl Transport for UsbBootLoader {
     fn send(&mut self, request: u8, value: u16, data: &[u8]) -> Result<(), UsbError> {
         let (control_type, recipient, index) = (ControlType::Class, Recipient::Interface, INTERFACE.into());
         let out = ControlOut { control_type, recipient, request, value, index, data };
-        self.interface.control_out(out, ANSWER).wait().map_err(from_transfer)
+        self.interface.control_out(out, TIMEOUT).wait().map_err(from_transfer)
     }
 
     fn receive(&mut self, request: u8, value: u16, length: u16) -> Result<Vec<u8>, UsbError> {
         let (control_type, recipient, index) = (ControlType::Class, Recipient::Interface, INTERFACE.into());
-        let question = ControlIn { control_type, recipient, request, value, index, length };
-        self.interface.control_in(question, ANSWER).wait().map_err(from_transfer)
+        let request = ControlIn { control_type, recipient, request, value, index, length };
+        self.interface.control_in(request, TIMEOUT).wait().map_err(from_transfer)
     }
 
     fn wait(&mut self, time: Duration) {

@@ -1,12 +1,12 @@
 //! The simulated board: the firmware's control loop, service and protocol around a simulated device.
 //!
-//! Time is a count of carrier periods, so a run is the same on every machine. A period goes as on the chip: sample at
+//! Time is a count of carrier periods, so a run is the same on every machine. A period runs as on the chip: samples at
 //! the carrier's crest, control at every `divider`-th crest, duties in force half a carrier period later.
 
-use super::around::Around;
-use super::broken::Broken;
 use super::device::{DeviceError, Options, SimulatedDevice, Support};
+use super::faults::BoardFaults;
 use super::hand::{Hand, HandSettings};
+use super::hand_loop::HandLoop;
 use super::machine::LocalMachine;
 use super::motor::{MotorInput, PowerStage};
 use super::port::Port;
@@ -27,40 +27,39 @@ use haptic_bridge::safety::fault::{Fault, FaultRecord, State};
 use haptic_bridge::safety::limits::{Limits, MOST_TIP_FORCE};
 use haptic_bridge::safety::refusal::Refusal;
 
-/// Frequency that the PWM timers count at, as those of the real boards do, Hz.
+/// Frequency of the PWM timers, as on the real boards, Hz.
 pub const TIMER_HZ: u32 = 168_000_000;
 
 /// The model of the motor drives.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum DriveModel {
-    /// Duty, bus, winding: the current loop runs and is as good as it is.
+    /// Duty, bus and winding are simulated, and the current loop has its real performance.
     #[default]
     Electric,
-    /// The commanded torque acts at once; what linear theory and the golden values assume.
+    /// The commanded torque acts at once, as linear theory and the golden values assume.
     Ideal,
 }
 
 /// The options of a simulated board.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BoardOptions {
-    /// The device behind it.
+    /// The device.
     pub device: Options,
-    /// The model of its motor drives.
+    /// The model of the motor drives.
     pub drive: DriveModel,
-    /// From sampling to the duty in force, in carrier periods, 0 to 1. The boards have 0.5.
+    /// Time from sampling to the duty in force, in carrier periods, 0 to 1. The real boards have 0.5.
     pub delay: f64,
-    /// Asks of a user what a real board asks: verified motors, limits, homing, polarity check. Its encoders then
-    /// start at zero wherever the device stands; otherwise they know their angle.
+    /// True if the board requires the same steps as a real one: verified motors, limits, homing, polarity check. Its
+    /// encoders then start at zero in any pose of the device; otherwise they know their angle.
     pub strict: bool,
-    /// Help by a user from power-on until the motors carry the device, as docs/bring-up.md asks: its weight is carried
-    /// while a polarity check moves it; after that it is carried back; and it is held while the torque ramps up after
-    /// arming.
+    /// Support by a user from power-on until the motors carry the device, as docs/bring-up.md asks: the user carries
+    /// its weight during a polarity check, then returns it, and holds it while the torque ramps up after arming.
     pub support: Support,
-    /// Motor axes.
+    /// Number of motor axes.
     pub axes: usize,
     /// The faults present at power-on.
-    pub broken: Broken,
-    /// Bytes that wait for a host to read them; what comes on top of it is dropped and counted.
+    pub faults: BoardFaults,
+    /// Size of the send buffer, bytes; telemetry beyond it is dropped and counted.
     pub send_buffer: usize,
     /// Serial number.
     pub serial: String,
@@ -75,30 +74,30 @@ impl Default for BoardOptions {
             strict: false,
             support: Support::None,
             axes: 3,
-            broken: Broken::default(),
+            faults: BoardFaults::default(),
             send_buffer: 256 * 1024,
             serial: "SIM0001".into(),
         }
     }
 }
 
-/// Speed of the joint that has the longest way while a device is carried back that a polarity check has moved, rad/s:
-/// so fast that the board does not take it for one at rest.
+/// Speed of the joint with the longest way while a device is returned after a polarity check, rad/s: so fast that the
+/// board does not consider the device at rest.
 const BACK_SPEED: f64 = 1.0;
 
-/// Interval at which the service looks at the control loop, s.
+/// Interval at which the service polls the control loop, s.
 const POLL_SECONDS: f64 = 0.02;
 
-/// The name of a board with torque that acts at once: whoever predicts its range must know.
+/// The name of a board whose torque acts at once, because predictions of its range must know.
 pub const IDEAL_BOARD: &str = "simulated-ideal";
 
-/// The identification of a board with these options.
+/// Returns the identification of a board with these options.
 fn info(options: &BoardOptions) -> Info {
     let board = match options.drive {
         DriveModel::Electric => "simulated",
         DriveModel::Ideal => IDEAL_BOARD,
     };
-    // Longer text is cut; these are short names of this tool's own.
+    // `take` cuts longer text, but these names are short.
     Info {
         protocol: PROTOCOL,
         firmware: env!("CARGO_PKG_VERSION").chars().take(16).collect(),
@@ -107,11 +106,11 @@ fn info(options: &BoardOptions) -> Info {
     }
 }
 
-/// The limits that no setting can raise: those of a simulation fed with `supply` (V), with a real board's tip force
-/// where its motors count as real.
-fn most(hardware: Hardware, supply: f64) -> Limits {
+/// Returns the hard limits of a simulation with this supply (V), with a real board's tip force if its motors count as
+/// real.
+fn hard_limits(hardware: Hardware, supply: f64) -> Limits {
     let limits = Limits::default();
-    // As far below and above the supply as the usual limits are of the usual supply.
+    // The same ratios to the supply as the usual limits have to the usual supply.
     let share = (supply / PowerStage::default().bus_voltage) as f32;
     let (bus_min, bus_max) = (limits.bus_min * share.min(1.0), limits.bus_max * share.max(1.0));
     let tip_force = if hardware.real { MOST_TIP_FORCE } else { limits.tip_force };
@@ -127,10 +126,10 @@ pub struct SimulatedBoard {
     device: SimulatedDevice,
     hardware: Hardware,
     countdown: u32,
-    /// Number of times that the encoders were read.
-    looks: u64,
+    /// Returns the number of encoder readings: one each carrier period.
+    readings: u64,
     /// Counts at the last crest.
-    seen: Counts,
+    last_counts: Counts,
     drive: [MotorInput; 3],
     bridges: bool,
     injected: Option<(Fault, Option<u8>, f32)>,
@@ -138,17 +137,17 @@ pub struct SimulatedBoard {
     packer: Packer,
     dropped: u32,
     link: Port,
-    /// The path of the hand while the motors are on, and whether the hand follows it now.
-    rounds: Option<Around>,
-    going: bool,
-    /// Since when the motors are armed, s.
-    armed: Option<f64>,
-    /// From where and since when (s) the device is carried back to where it stood at power-on.
-    carried_back: Option<([f64; 3], f64)>,
+    /// The path of the hand while the motors are on, and true if the hand follows it now.
+    hand_loop: Option<HandLoop>,
+    follows_loop: bool,
+    /// Time at which the motors were armed, s.
+    armed_at: Option<f64>,
+    /// Pose and time (s) at which the return of the device to its power-on pose began.
+    return_from: Option<([f64; 3], f64)>,
 }
 
 impl SimulatedBoard {
-    /// A board fresh from the factory, with the device of `description` wired to it.
+    /// Creates a board without settings, with the device of `description` wired to it.
     pub fn new(description: &Description, options: BoardOptions) -> Result<Self, DeviceError> {
         let device = SimulatedDevice::new(
             description,
@@ -163,41 +162,41 @@ impl SimulatedBoard {
             bridge: Bridge {
                 carrier_hz: bridge.carrier_hz as f32,
                 dead_time: bridge.dead_time as f32,
-                // The drive is slower where it knows no inductance; a simulated winding then really has none.
+                // The drive is slower if it knows no inductance; a simulated winding then really has none.
                 bandwidth_hz: if wound { 1_500.0 } else { 1_500.0 / UNKNOWN_WINDING },
                 // An ideal drive has neither voltage nor winding that a model could be held against.
                 current_sensed: options.drive == DriveModel::Electric,
             },
             timer_hz: TIMER_HZ,
         };
-        let seen = Counts(device.counts());
+        let last_counts = Counts(device.counts());
         let mut board = Self {
-            service: Service::new(hardware, most(hardware, bridge.bus_voltage)),
+            service: Service::new(hardware, hard_limits(hardware, bridge.bus_voltage)),
             machine: LocalMachine::new(hardware, info(&options), options.delay),
             options: options.clone(),
             device,
             link: Port::new(options.send_buffer),
             hardware,
             countdown: 0,
-            looks: 0,
-            seen,
+            readings: 0,
+            last_counts,
             drive: [MotorInput::Floating; 3],
             bridges: false,
             injected: None,
             since_poll: 0.0,
             packer: Packer::default(),
             dropped: 0,
-            rounds: None,
-            going: false,
-            armed: None,
-            carried_back: None,
+            hand_loop: None,
+            follows_loop: false,
+            armed_at: None,
+            return_from: None,
         };
-        board.support_anew();
+        board.reset_support();
         board.service.boot(&mut board.machine);
         Ok(board)
     }
 
-    /// Loads a device and a scene as the tool would, so that the board is ready to arm.
+    /// Loads a device and a scene as the tool does, so that the board is ready to arm.
     pub fn load(&mut self, name: &str, description: &Description, scene: Option<Scene<f32>>) -> Result<(), Refusal> {
         let device = Device::new(name, description).map_err(|_| Refusal::BadDevice)?;
         self.service.set_device(&mut self.machine, device)?;
@@ -207,18 +206,17 @@ impl SimulatedBoard {
         }
     }
 
-    /// Lets one carrier period pass; call it alone, without [`SimulatedBoard::control_period`], while a control period
-    /// is under way.
+    /// Advances by one carrier period. Do not mix with [`SimulatedBoard::control_period`] within a control period.
     pub fn carrier(&mut self) {
         self.carrier_period(1);
     }
 
-    /// Frequency of the carrier, Hz.
+    /// Returns the carrier frequency, Hz.
     pub fn carrier_hz(&self) -> f64 {
         self.machine.carrier.carrier_hz().into()
     }
 
-    /// Lets one control period pass.
+    /// Advances by one control period.
     pub fn control_period(&mut self) {
         match self.options.drive {
             DriveModel::Electric => {
@@ -230,19 +228,19 @@ impl SimulatedBoard {
         }
     }
 
-    /// `carriers` periods of the carrier as one, with one sample and one set of duties.
+    /// Advances by `carriers` carrier periods as one, with one sample and one set of duties.
     fn carrier_period(&mut self, carriers: u32) {
         let carrier = 1.0 / f64::from(self.machine.carrier.carrier_hz());
         let period = carrier * f64::from(carriers);
         let flowing = self.device.currents();
-        let broken = &self.options.broken;
-        let currents = Currents::from_fn(|axis| broken.current(&flowing, axis, axis) as f32);
-        let bus_voltage = broken.bus_shown.unwrap_or(self.device.bus_voltage()) as f32;
+        let faults = &self.options.faults;
+        let currents = Currents::from_fn(|axis| faults.current(&flowing, axis, axis) as f32);
+        let bus_voltage = faults.bus_reading.unwrap_or(self.device.bus_voltage()) as f32;
         let due = self.countdown == 0;
-        let counts = Counts(broken.counts(self.device.counts(), self.looks));
-        self.looks += 1;
+        let counts = Counts(faults.counts(self.device.counts(), self.readings));
+        self.readings += 1;
         let samples = Samples { counts, bus_voltage, currents, ..Samples::default() };
-        self.guard_before(&samples, carriers);
+        self.guard_between(&samples, carriers);
         if due {
             self.countdown = self.machine.carrier.divider.into();
             let index = self.device.index();
@@ -257,7 +255,7 @@ impl SimulatedBoard {
         let (outputs, duties) = self.machine.control_loop.crest(&samples, &currents, due);
         self.bridges = outputs.bridges;
         if due {
-            self.send_around();
+            self.update_hand();
             self.support();
         }
         self.countdown = self.countdown.saturating_sub(carriers);
@@ -280,7 +278,7 @@ impl SimulatedBoard {
         if delay > 0.0 {
             self.device.step(&self.drive, delay);
         }
-        self.drive = self.options.broken.drives(next);
+        self.drive = self.options.faults.drives(next);
         if period > delay {
             self.device.step(&self.drive, period - delay);
         }
@@ -291,87 +289,88 @@ impl SimulatedBoard {
         }
     }
 
-    /// Puts a hand on the tip that goes around whenever the motors are armed, from its start on. While they are not, it
-    /// waits out of the walls: a board whose tip is inside one does not arm.
-    pub fn set_rounds(&mut self, settings: HandSettings, around: Around) {
-        let hand = Hand::new(settings, around.wait(), self.device.tip(), self.device.time());
+    /// Puts a hand on the tip that follows a loop whenever the motors are armed, from the loop's start. While they are
+    /// off, it waits outside the walls, because a board whose tip is inside a wall does not arm.
+    pub fn set_hand_loop(&mut self, settings: HandSettings, hand_loop: HandLoop) {
+        let hand = Hand::new(settings, hand_loop.wait(), self.device.tip(), self.device.time());
         self.device.set_hand(hand);
-        (self.rounds, self.going) = (Some(around), false);
+        (self.hand_loop, self.follows_loop) = (Some(hand_loop), false);
     }
 
-    fn send_around(&mut self) {
+    fn update_hand(&mut self) {
         let armed = self.machine.control_loop.frame().state == State::Armed;
-        if let Some(around) = &self.rounds
-            && armed != self.going
+        if let Some(hand_loop) = &self.hand_loop
+            && armed != self.follows_loop
         {
-            self.going = armed;
+            self.follows_loop = armed;
             let now = self.device.time();
-            self.device.hand_mut().turn_to(if armed { around.intent() } else { around.wait() }, now);
+            self.device.hand_mut().set_intent(if armed { hand_loop.intent() } else { hand_loop.wait() }, now);
         }
     }
 
-    /// The device as it is supported when the board starts; held, where it is to be homed.
-    fn support_anew(&mut self) {
+    /// Resets the support of the device to that at power-on; a held device returns to its start.
+    fn reset_support(&mut self) {
         let support = self.options.support;
         if support == Support::Held {
             self.device.place(self.device.start());
-            self.seen = Counts(self.device.counts());
+            self.last_counts = Counts(self.device.counts());
         }
-        self.carried_back = None;
+        self.return_from = None;
         self.device.set_support(support);
     }
 
-    /// Gives the device the user's help that this state of the board calls for.
+    /// Sets the user's support of the device for the board's state.
     fn support(&mut self) {
         let now = self.device.support();
         let state = self.machine.control_loop.frame().state;
         let time = self.device.time();
-        self.armed = (state == State::Armed).then(|| self.armed.unwrap_or(time));
-        let ramped = self.armed.is_some_and(|armed| time >= armed + f64::from(ARM_SECONDS));
-        let wanted = match (now, state) {
+        self.armed_at = (state == State::Armed).then(|| self.armed_at.unwrap_or(time));
+        let ramped = self.armed_at.is_some_and(|armed_at| time >= armed_at + f64::from(ARM_SECONDS));
+        let required = match (now, state) {
             (Support::None, _) => Support::None,
             (_, State::Armed) if ramped => Support::None,
             (_, State::Armed) => Support::Held,
             (_, State::CheckingPolarity) => Support::Carried,
             (_, State::Disarmed | State::Fault) => self.options.support,
         };
-        if wanted != now {
-            self.device.set_support(wanted);
+        if required != now {
+            self.device.set_support(required);
         }
         let off = !state.drives();
-        if (now, wanted) == (Support::Carried, Support::Held) && off {
-            // The check has moved it, and homing again would take that for home.
-            self.carried_back = Some((self.device.q(), time));
+        if (now, required) == (Support::Carried, Support::Held) && off {
+            // The check has moved the device, and homing would take its present pose for home.
+            self.return_from = Some((self.device.q(), time));
         }
-        self.carried_back = self.carried_back.filter(|_| off);
-        if let Some((from, since)) = self.carried_back {
+        self.return_from = self.return_from.filter(|_| off);
+        if let Some((from, since)) = self.return_from {
             let to = self.device.start();
-            let way: [f64; 3] = core::array::from_fn(|i| to[i] - from[i]);
-            let longest = way.iter().fold(0.0_f64, |longest, way| longest.max(way.abs()));
+            let distance: [f64; 3] = core::array::from_fn(|i| to[i] - from[i]);
+            let longest = distance.iter().fold(0.0_f64, |longest, distance| longest.max(distance.abs()));
             let share = (time - since) * BACK_SPEED / longest.max(1e-9);
             if share < 1.0 {
-                self.device.place(core::array::from_fn(|i| from[i] + share * way[i]));
+                self.device.place(core::array::from_fn(|i| from[i] + share * distance[i]));
             } else {
                 self.device.place(to);
-                self.carried_back = None;
+                self.return_from = None;
             }
         }
     }
 
-    /// Shows the control loop the crests of `carriers` periods but the last, between which the joints have turned evenly.
-    fn guard_before(&mut self, seen: &Samples, carriers: u32) {
-        let moved: [i64; 3] = core::array::from_fn(|axis| i64::from(seen.counts[axis].wrapping_sub(self.seen[axis])));
+    /// Shows the control loop all but the last crest of `carriers` periods, with evenly turning joints in between.
+    fn guard_between(&mut self, samples: &Samples, carriers: u32) {
+        let moved: [i64; 3] =
+            core::array::from_fn(|axis| i64::from(samples.counts[axis].wrapping_sub(self.last_counts[axis])));
         for nth in 1..carriers {
             let counts = Counts::from_fn(|axis| {
-                self.seen[axis].wrapping_add((moved[axis] * i64::from(nth) / i64::from(carriers)) as i32)
+                self.last_counts[axis].wrapping_add((moved[axis] * i64::from(nth) / i64::from(carriers)) as i32)
             });
-            self.machine.control_loop.guard(&Samples { counts, ..*seen });
+            self.machine.control_loop.guard(&Samples { counts, ..*samples });
         }
-        self.seen = seen.counts;
+        self.last_counts = samples.counts;
     }
 
-    /// Adds the step to the stream. A row that the host is too slow for is dropped before it is packed, as on the
-    /// chip, so that a batch once numbered is also sent.
+    /// Adds the step to the stream. A row that the link has no room for is dropped before it is packed, as on the chip,
+    /// so that every numbered batch is sent.
     fn record(&mut self) {
         let frame = self.machine.control_loop.frame();
         if !self.packer.wants(frame.step) {
@@ -393,29 +392,29 @@ impl SimulatedBoard {
         }
     }
 
-    /// Lets simulated time pass up to `until` (s since power-on).
+    /// Advances simulated time to `until` (s since power-on).
     pub fn run_until(&mut self, until: f64) {
         while self.device.time() < until {
             self.control_period();
         }
     }
 
-    /// Lets `seconds` pass.
+    /// Advances by `seconds`.
     pub fn run(&mut self, seconds: f64) {
         self.run_until(self.device.time() + seconds);
     }
 
-    /// Takes bytes from a host. Every request they complete is answered between two control periods; as on a real
-    /// link, control goes on while it is on its way.
+    /// Receives bytes from a host and carries out every completed request after two control periods: as on a real link,
+    /// control continues while a request is on its way.
     pub fn receive(&mut self, bytes: &[u8]) {
         for frame in self.link.take_in(bytes) {
             self.control_period();
             self.control_period();
-            self.answer(&frame);
+            self.reply(&frame);
         }
     }
 
-    /// Bytes for the host, as many as fit; returns how many.
+    /// Moves bytes for the host to `buffer` and returns their number.
     pub fn take_bytes(&mut self, buffer: &mut [u8]) -> usize {
         self.link.take_out(buffer)
     }
@@ -425,19 +424,19 @@ impl SimulatedBoard {
         !self.link.is_empty()
     }
 
-    /// Forgets bytes that will never be read and stops the stream: the host is gone.
+    /// Disconnects the host: drops its bytes and stops the stream.
     pub fn hang_up(&mut self) {
         self.packer = Packer::default();
         self.link.clear();
     }
 
-    /// Lets the hardware report a fault at the next sample.
+    /// Makes the hardware report a fault at the next sample.
     pub fn inject(&mut self, fault: Fault, axis: Option<u8>, value: f32) {
         self.injected = Some((fault, axis, value));
     }
 
-    /// For how long the host has sent no heartbeat, or how long ago the key that it tells of was seen down, and for how
-    /// long that may be before the board acts, s; none while the board would not.
+    /// Returns the time since the host's last heartbeat, or since its key was seen down, and the time allowed before
+    /// the board acts, s; `None` while the board would not act.
     pub fn host_silence(&self) -> Option<(f64, f64)> {
         let (rules, control_loop) = (self.service.rules(), &self.machine.control_loop);
         let host = (rules.host_action != HostAction::Ignore).then(|| (control_loop.host_silent(), rules.host_seconds));
@@ -445,44 +444,44 @@ impl SimulatedBoard {
         Some((f64::from(silent), f64::from(allowed)))
     }
 
-    /// The faults, to be added or repaired.
-    pub fn broken_mut(&mut self) -> &mut Broken {
-        &mut self.options.broken
+    /// Returns the faults of the board, to add or repair them.
+    pub fn faults_mut(&mut self) -> &mut BoardFaults {
+        &mut self.options.faults
     }
 
-    /// Number of times that the encoders were read: once each carrier period.
-    pub fn looks(&self) -> u64 {
-        self.looks
+    /// Number of encoder readings.
+    pub fn readings(&self) -> u64 {
+        self.readings
     }
 
-    /// The device behind the board.
+    /// Returns the device.
     pub fn device(&self) -> &SimulatedDevice {
         &self.device
     }
-    /// The device behind the board, to put a hand on it or move it.
+    /// Returns the device, to put a hand on it or move it.
     pub fn device_mut(&mut self) -> &mut SimulatedDevice {
         &mut self.device
     }
-    /// Seconds since power-on.
+    /// Returns the time since power-on, s.
     pub fn time(&self) -> f64 {
         self.device.time()
     }
-    /// The control loop's state.
+    /// Returns the control loop's state.
     pub fn status(&self) -> Status {
         self.machine.control_loop.status()
     }
 
-    fn answer(&mut self, frame: &[u8]) {
+    fn reply(&mut self, frame: &[u8]) {
         let mut out = [0; MAX_FRAME];
-        let (answer, after) = dispatch::answer(&mut self.service, &mut self.machine, frame, &mut out);
-        // Rows of the stream so far go out before the answer that ends it.
+        let (reply, after) = dispatch::answer(&mut self.service, &mut self.machine, frame, &mut out);
+        // Rows of the present stream are sent before the reply that ends it.
         if matches!(after, After::Stream(..))
             && let Some(batch) = self.packer.flush()
         {
             self.link.publish::<Telemetry>(batch);
         }
-        if let Some(answer) = answer {
-            self.link.send(answer);
+        if let Some(reply) = reply {
+            self.link.send(reply);
         }
         match after {
             After::Nothing => {}
@@ -490,23 +489,23 @@ impl SimulatedBoard {
                 self.packer.start(&request, axes);
                 self.dropped = 0;
             }
-            // There is no boot loader here to enter: what comes after one is a restart.
+            // There is no boot loader to enter; a real one would end with a restart.
             After::BootLoader | After::Restart => self.restart(),
         }
     }
 
-    /// Acts as the reset button does: flash stays, everything else starts again, motors off.
+    /// Resets the board: flash stays, all other state starts again, motors off.
     fn restart(&mut self) {
         self.machine.flash.restart();
-        // RAM is not cleared, and motors do not cool by a reset.
+        // A reset does not clear RAM or cool the motors.
         let heat = *self.machine.control_loop.heat();
         self.machine.control_loop = ControlLoop::new(self.hardware, Rules::default());
         self.machine.control_loop.start_heat(heat);
-        self.service = Service::new(self.hardware, most(self.hardware, self.device.bus_voltage()));
+        self.service = Service::new(self.hardware, hard_limits(self.hardware, self.device.bus_voltage()));
         self.drive = [MotorInput::Floating; 3];
         self.bridges = false;
         self.packer = Packer::default();
-        self.support_anew();
+        self.reset_support();
         self.service.boot(&mut self.machine);
     }
 

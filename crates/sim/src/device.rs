@@ -6,25 +6,25 @@ use super::motor::{MotorInput, MotorModel, PowerStage};
 use super::plant::{Load, Plant};
 use haptic_bridge::model::description::{Description, DescriptionError};
 
-/// The aspects of a device that are simulated, and how finely.
+/// Options of the simulation of a device.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Options {
-    /// Viscous and Coulomb friction of the joints act.
+    /// True if viscous and Coulomb friction of the joints act.
     pub friction: bool,
     /// The supply and the bridges.
     pub bridge: PowerStage,
-    /// The joint angles at power-on, rad; the description's home when `None`.
+    /// Joint angles at power-on, rad; `None` for the description's home.
     pub start: Option<[f64; 3]>,
-    /// The encoders know their angle at power-on, as if homed; otherwise they start at zero wherever the device stands.
+    /// True if the encoders know their angle at power-on, as if homed; otherwise they start at zero in any pose.
     pub absolute_encoders: bool,
     /// Longest integration step, s. At 5 µs a five-bar's energy drifts by less than 1e-9 in a second
     /// (tool/tests/quick/simulated_device.rs).
     pub substep: f64,
-    /// The distance beyond its limits at which each joint hits a stop, rad; joints without limits have none.
+    /// Distance of a joint's mechanical stop beyond its limits, rad; joints without limits have no stop.
     pub stop_margin: f64,
-    /// The linkage has a soft stop short of every singularity, as a device in somebody's hand has: where its file gives
-    /// its joints no limits, a simulated hand would fold it.
-    pub stops_short: bool,
+    /// True if the linkage has a soft stop before every singularity, as if a user were careful: a simulated hand would
+    /// fold a device whose file gives its joints no limits.
+    pub soft_stop: bool,
 }
 
 impl Default for Options {
@@ -36,43 +36,43 @@ impl Default for Options {
             absolute_encoders: false,
             substep: 5e-6,
             stop_margin: 0.02,
-            stops_short: false,
+            soft_stop: false,
         }
     }
 }
 
 impl Options {
-    /// A device without friction, for comparison with linear theory.
+    /// Returns the options of a device without friction, for comparison with linear theory.
     pub fn frictionless() -> Self {
         Self { friction: false, ..Self::default() }
     }
 }
 
-/// The help that somebody gives a device that its motors do not hold.
+/// Support by a user of a device that its motors do not hold.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Support {
-    /// Nothing: what has weight falls.
+    /// No support: a device with weight falls.
     #[default]
     None,
-    /// Carries its weight and lets it move.
+    /// The user carries the device's weight and lets it move.
     Carried,
-    /// Holds it still.
+    /// The user holds the device still.
     Held,
 }
 
-/// Why a description cannot be simulated.
+/// A description that cannot be simulated.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum DeviceError {
     /// The description itself is wrong.
     #[error(transparent)]
     Description(#[from] DescriptionError),
-    /// No encoder on this joint.
-    #[error("joint {0} has no [joint.encoder]: a board cannot see it move; add one to the device file")]
+    /// A joint without an encoder.
+    #[error("joint {0} has no [joint.encoder]: a board cannot measure its motion; add one to the device file")]
     NoEncoder(usize),
-    /// No motor on this joint.
+    /// A joint without a motor.
     #[error("joint {0} has no [joint.motor]: a board cannot drive it; add one to the device file")]
     NoMotor(usize),
-    /// Nowhere to start.
+    /// No pose to start from.
     #[error(
         "the device has no [home]: the simulation does not know in which pose it starts; add one to the device file"
     )]
@@ -99,7 +99,7 @@ pub struct SimulatedDevice {
 }
 
 impl SimulatedDevice {
-    /// A device at rest, its bridges floating, no hand on it.
+    /// Creates a device at rest with floating bridges and without a hand.
     pub fn new(description: &Description, options: &Options) -> Result<Self, DeviceError> {
         if !(options.substep > 0.0 && options.substep.is_finite()) {
             return Err(DeviceError::Substep);
@@ -112,8 +112,8 @@ impl SimulatedDevice {
             })
         });
         let mut plant = Plant::new(description, start, options.friction, stops)?;
-        if options.stops_short {
-            plant.stop_short();
+        if options.soft_stop {
+            plant.add_soft_stop();
         }
         let mut motors = Vec::with_capacity(joints);
         let mut encoders = Vec::with_capacity(joints);
@@ -138,11 +138,11 @@ impl SimulatedDevice {
         })
     }
 
-    /// Lets `dt` seconds pass with each axis driven as `drive` says.
+    /// Advances by `dt` seconds with each axis driven by `drive`.
     pub fn step(&mut self, drive: &[MotorInput; 3], dt: f64) {
-        let pieces = (dt / self.substep).ceil().max(1.0);
-        let h = dt / pieces;
-        for _ in 0..pieces as u64 {
+        let substeps = (dt / self.substep).ceil().max(1.0);
+        let h = dt / substeps;
+        for _ in 0..substeps as u64 {
             let qd = self.plant.motor_velocity();
             let mut load = Load::default();
             for (axis, motor) in self.motors.iter_mut().enumerate() {
@@ -159,7 +159,7 @@ impl SimulatedDevice {
             if self.support != Support::Held {
                 let q = self.plant.q();
                 self.plant.step(&load, h);
-                // A linkage that falls onto a singularity jams there: its equations have nothing to say beyond.
+                // A linkage that falls onto a singularity jams there, because its equations have no solution beyond.
                 if !self.plant.q().iter().chain(&self.plant.qd()).all(|number| number.is_finite()) {
                     self.plant.place(q, [0.0; 3]);
                 }
@@ -168,12 +168,12 @@ impl SimulatedDevice {
         }
     }
 
-    /// The user's help for the device.
+    /// Returns the user's support of the device.
     pub fn support(&self) -> Support {
         self.support
     }
 
-    /// Supports the device from now on, at rest where it is held.
+    /// Changes the support; a held device stops at once.
     pub fn set_support(&mut self, support: Support) {
         if support == Support::Held {
             self.place(self.plant.q());
@@ -181,23 +181,23 @@ impl SimulatedDevice {
         self.support = support;
     }
 
-    /// Puts a hand on the tip, or takes it off.
+    /// Puts a hand on the tip, or removes it.
     pub fn set_hand(&mut self, hand: Hand) {
         self.hand = hand;
     }
-    /// The hand on the tip.
+    /// Returns the hand on the tip.
     pub fn hand(&self) -> &Hand {
         &self.hand
     }
-    /// The hand on the tip, to lead it.
+    /// Returns the hand on the tip, to lead it.
     pub fn hand_mut(&mut self) -> &mut Hand {
         &mut self.hand
     }
-    /// Puts the device at rest at `q` (rad); its encoders see it move there.
+    /// Moves the device to rest at `q` (rad), with its encoders.
     pub fn place(&mut self, q: [f64; 3]) {
         self.plant.place(q, [0.0; 3]);
     }
-    /// Gives the tip a velocity, m/s.
+    /// Sets the tip's velocity, m/s.
     pub fn push(&mut self, velocity: [f64; 3]) {
         self.plant.push(velocity);
     }
@@ -206,20 +206,20 @@ impl SimulatedDevice {
         self.bridge.bus_voltage = volts;
     }
 
-    /// The joint angles at power-on, rad.
+    /// Returns the joint angles at power-on, rad.
     pub fn start(&self) -> [f64; 3] {
         self.start
     }
 
-    /// Number of joints N.
+    /// Returns the number of joints N.
     pub fn joints(&self) -> usize {
         self.plant.joints()
     }
-    /// Seconds since power-on.
+    /// Returns the time since power-on, s.
     pub fn time(&self) -> f64 {
         self.time
     }
-    /// Encoder counts since power-on; axes without a joint stay at 0.
+    /// Returns encoder counts since power-on; 0 for axes without a joint.
     pub fn counts(&self) -> [i32; 3] {
         let q = self.plant.measured();
         core::array::from_fn(|i| self.encoders.get(i).map_or(0, |encoder| encoder.counts(q[i])))
@@ -229,39 +229,39 @@ impl SimulatedDevice {
         let q = self.plant.measured();
         core::array::from_fn(|i| self.encoders.get(i).is_some_and(|encoder| encoder.at_index(q[i])))
     }
-    /// Winding currents, A.
+    /// Returns the winding currents, A.
     pub fn currents(&self) -> [f64; 3] {
         core::array::from_fn(|i| self.motors.get(i).map_or(0.0, MotorModel::current))
     }
-    /// Bus voltage, V.
+    /// Returns the bus voltage, V.
     pub fn bus_voltage(&self) -> f64 {
         self.bridge.bus_voltage
     }
-    /// Torques of the motors in the last step, N m.
+    /// Returns the motors' torques in the last step, N m.
     pub fn torque(&self) -> [f64; 3] {
         self.torque
     }
-    /// Force of the hand on the tip in the last step, N.
+    /// Returns the hand's force on the tip in the last step, N.
     pub fn hand_force(&self) -> [f64; 3] {
         self.hand_force
     }
-    /// Tip, m.
+    /// Returns the tip, m.
     pub fn tip(&self) -> [f64; 3] {
         self.plant.tip()
     }
-    /// Tip velocity, m/s.
+    /// Returns the tip velocity, m/s.
     pub fn tip_velocity(&self) -> [f64; 3] {
         self.plant.tip_velocity()
     }
-    /// Joint angles of the links, rad.
+    /// Returns the joint angles of the links, rad.
     pub fn q(&self) -> [f64; 3] {
         self.plant.q()
     }
-    /// Joint velocities, rad/s.
+    /// Returns the joint velocities, rad/s.
     pub fn qd(&self) -> [f64; 3] {
         self.plant.qd()
     }
-    /// The linkage itself.
+    /// Returns the linkage.
     pub fn plant(&self) -> &Plant {
         &self.plant
     }

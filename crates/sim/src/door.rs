@@ -1,7 +1,7 @@
-//! The door through which tools reach a board that is served: a pseudo-terminal or a TCP address.
+//! The ports of a served board: a pseudo-terminal or a TCP address.
 //!
-//! A second tool on TCP is told that the board is taken; on a pseudo-terminal a lock tells it. One that has held the
-//! board in silence gives way to it, and a request to disarm gets through in any case.
+//! A second tool on TCP receives the message that the board is taken; on a pseudo-terminal a lock refuses it. A tool
+//! that holds the board in silence loses it to the second tool, and a request to disarm is always carried out.
 
 use haptic_bridge::board::protocol::Disarm;
 use haptic_host::link::{Deframer, Occupied, encode, nothing_yet};
@@ -17,43 +17,42 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// An event at a door.
+/// An event on a port.
 pub(super) enum Event {
     Connected(Outgoing),
     Bytes(Vec<u8>),
     Gone,
 }
 
-/// A tool that found the board taken asks it to disarm: its request, and the way back. This has a queue of its own,
-/// which is looked at first: what the holder says, and how much of it, keeps it waiting for no longer than one block.
+/// A request to disarm from a tool that does not hold the board, and the way back. These requests have their own queue,
+/// which is polled first, so the holder's traffic delays them by one block at most.
 pub(super) type Stop = (Vec<u8>, Outgoing);
 
-/// Bytes to the tool, carried by a thread of their own so that a tool that does not read holds up nothing else.
+/// Bytes to the tool. A separate thread writes them, so that a tool that does not read blocks nothing else.
 pub(super) type Outgoing = SyncSender<Vec<u8>>;
 
-/// Blocks of bytes under way to the tool.
+/// Maximum number of blocks on their way to the tool.
 const BLOCKS: usize = 8;
-/// Bytes in a block.
+/// Size of a block, bytes.
 pub(super) const BLOCK: usize = 4096;
-/// Blocks from a tool that wait for the board.
+/// Maximum number of blocks from a tool that wait for the board.
 const EVENTS: usize = 16;
-/// Connections that are looked at while one holds the board; for more one is closed, see [`Places`].
-const KNOCKING: usize = 16;
-/// Requests to disarm that wait for the board.
-pub(super) const STOPS: usize = KNOCKING;
-/// Time for which a connection that is turned away may take to make its request. One that says nothing keeps no other
-/// out.
+/// Maximum number of connections in addition to the holder; a further one closes another, see [`Places`].
+const MAX_PENDING: usize = 16;
+/// Maximum number of disarm requests that wait for the board.
+pub(super) const STOPS: usize = MAX_PENDING;
+/// Time for a refused connection to send its request. A silent connection does not block others.
 const REQUEST: Duration = Duration::from_secs(10);
-/// Time for which a tool that disarms past another one receives the board's answer.
+/// Time for which a tool that disarms the board without holding it receives the board's bytes.
 pub(super) const DISARM_ANSWER: Duration = Duration::from_secs(1);
 
-/// The times for which a TCP door waits for tools.
+/// Waiting times of a TCP port.
 #[derive(Clone, Copy, Debug)]
 pub struct Patience {
-    /// Time for which a tool may hold the board without a byte when another one asks for it: ours say something twenty
+    /// Longest silence of a holder when another tool requests the board. This project's tools send something twenty
     /// times a second while they listen.
     pub silence: Duration,
-    /// Time for which a second tool waits for the first one to leave: one command after another is not two at once.
+    /// Time for which a second tool waits for the first one to leave, because one command may follow another quickly.
     pub handover: Duration,
 }
 
@@ -63,9 +62,9 @@ impl Default for Patience {
     }
 }
 
-/// A door that tools come through.
+/// A port that tools connect to.
 pub struct ToolListener {
-    /// The word that a tool writes after `--port`.
+    /// The port's name for `--port`.
     pub port: String,
     pub(super) events: Receiver<Event>,
     pub(super) stops: Receiver<Stop>,
@@ -77,13 +76,13 @@ pub fn pseudo_terminal() -> io::Result<ToolListener> {
     use serialport::{SerialPort, TTYPort};
     let (mut master, slave) = TTYPort::pair()?;
     let port = slave.name().unwrap_or_default();
-    // With no end of our own open, reads fail while no tool is connected: that is how a hang-up shows.
+    // Without an open slave of this process, reads fail while no tool is connected, which detects a hang-up.
     drop(slave);
     master.set_timeout(Duration::from_millis(100))?;
-    // One for all tools: it outlasts them, because a tool that comes right after another may come unnoticed.
+    // One writer serves all tools, because a tool that follows another one at once may go unnoticed.
     let writer = outgoing(master.try_clone_native()?, Lost::Block);
     let (send, events) = sync_channel(EVENTS);
-    // Who disarms past another tool opens the terminal beside it: its request comes among that one's bytes.
+    // No separate queue: a tool that disarms opens the same terminal, and its request comes among the holder's bytes.
     let (_, stops) = sync_channel(STOPS);
     thread::spawn(move || {
         let mut connected = false;
@@ -114,7 +113,7 @@ pub fn pseudo_terminal() -> io::Result<ToolListener> {
     Ok(ToolListener { port, events, stops })
 }
 
-/// Listens on a TCP address; port 0 takes any that is free. Only this computer is let in unless the address says more.
+/// Listens on a TCP address; port 0 chooses a free port. Only this computer can connect unless the address allows more.
 pub fn tcp(address: SocketAddr, patience: Patience) -> io::Result<ToolListener> {
     let listener = TcpListener::bind(address)?;
     let port = format!("tcp:{}", listener.local_addr()?);
@@ -122,14 +121,14 @@ pub fn tcp(address: SocketAddr, patience: Patience) -> io::Result<ToolListener> 
     let (stop, stops) = sync_channel(STOPS);
     thread::spawn(move || {
         let holder = Holder::default();
-        // Whom a tool on another computer comes from says nothing about it: there may be a relay between.
-        let places = Places::new(KNOCKING, KNOCKING);
+        // A remote tool's address does not identify it (there may be a relay), so one address may take all places.
+        let places = Places::new(MAX_PENDING, MAX_PENDING);
         for stream in listener.incoming() {
             let Ok(stream) = stream else { continue };
             let Some(place) = places.enter(&stream) else { continue };
             let (send, stop, holder) = (send.clone(), stop.clone(), holder.clone());
             thread::spawn(move || {
-                let request = match holder.admits(&stream, &place, patience) {
+                let request = match holder.admit(&stream, &place, patience) {
                     Admission::Holds(seat) => {
                         drop(place);
                         return carry(stream, &send, &holder, seat);
@@ -146,117 +145,117 @@ pub fn tcp(address: SocketAddr, patience: Patience) -> io::Result<ToolListener> 
     Ok(ToolListener { port, events, stops })
 }
 
-/// The bytes of a new connection so far, classified.
-enum Heard {
+/// The first bytes of a new connection.
+enum FirstBytes {
     Nothing,
-    /// Something, but no request to disarm.
-    Something,
-    /// That request.
+    /// Bytes other than a request to disarm.
+    Other,
+    /// A request to disarm.
     Disarm(Vec<u8>),
-    /// It is closed.
+    /// The connection is closed.
     Gone,
 }
 
-/// Waits for the first bytes of a connection, for 10 ms, and leaves them unread.
-fn hears(stream: &TcpStream, place: &Place) -> Heard {
+/// Waits 10 ms for the first bytes of a connection, and leaves them unread.
+fn wait_for_first_bytes(stream: &TcpStream, place: &Place) -> FirstBytes {
     let pause = Duration::from_millis(10);
     let _ = stream.set_read_timeout(Some(pause));
     let mut bytes = [0; 64];
     match stream.peek(&mut bytes) {
-        Ok(0) => Heard::Gone,
+        Ok(0) => FirstBytes::Gone,
         Ok(count) => {
-            place.spoke();
-            if let Some(request) = disarm_in(&bytes[..count]) {
-                return Heard::Disarm(request);
+            place.mark_active();
+            if let Some(request) = disarm_request(&bytes[..count]) {
+                return FirstBytes::Disarm(request);
             }
             thread::sleep(pause);
-            Heard::Something
+            FirstBytes::Other
         }
-        Err(error) if nothing_yet(&error) => Heard::Nothing,
-        Err(_) => Heard::Gone,
+        Err(error) if nothing_yet(&error) => FirstBytes::Nothing,
+        Err(_) => FirstBytes::Gone,
     }
 }
 
-/// The request to disarm, where that is the first that is asked for.
-fn disarm_in(bytes: &[u8]) -> Option<Vec<u8>> {
+/// Returns the request to disarm if it is the first request.
+fn disarm_request(bytes: &[u8]) -> Option<Vec<u8>> {
     let mut first = None;
     Deframer::default().feed(bytes, |frame| first = first.take().or(Some(frame)));
-    let asked = first.filter(|frame| frame.header.key == VarKey::Key8(Disarm::REQ_KEY))?;
-    Some(encode(&asked.header, &asked.body))
+    let request = first.filter(|frame| frame.header.key == VarKey::Key8(Disarm::REQ_KEY))?;
+    Some(encode(&request.header, &request.body))
 }
 
 /// The connection that holds the board.
 #[derive(Clone, Default)]
-struct Holder(Arc<Mutex<Option<Held>>>);
+struct Holder(Arc<Mutex<Option<Connection>>>);
 
-struct Held {
-    /// Tells this connection from the ones before and after it.
+struct Connection {
+    /// Number of this connection.
     seat: u64,
     stream: TcpStream,
-    heard: Instant,
+    last_received: Instant,
 }
 
-/// The outcome of a connection's wish for the board.
+/// The result for a connection that requests the board.
 enum Admission {
-    /// It does, under this number.
+    /// The connection holds the board under this number.
     Holds(u64),
-    /// It does not, and asks for the motors to go off.
+    /// The connection only wants the motors off.
     Stops(Vec<u8>),
-    /// It does not.
+    /// The connection is refused.
     Refused,
 }
 
 impl Holder {
-    fn lock(&self) -> MutexGuard<'_, Option<Held>> {
+    fn lock(&self) -> MutexGuard<'_, Option<Connection>> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Gives the board to this connection if it becomes free in time; one that says something gets it as well where it
-    /// is held in silence.
-    fn admits(&self, stream: &TcpStream, place: &Place, patience: Patience) -> Admission {
+    /// Gives the board to this connection if it becomes free in time. A connection that sends bytes also gets a board
+    /// whose holder is silent.
+    fn admit(&self, stream: &TcpStream, place: &Place, patience: Patience) -> Admission {
         static SEATS: AtomicU64 = AtomicU64::new(0);
         let began = Instant::now();
-        let mut spoke = false;
+        let mut is_active = false;
         loop {
             {
-                let mut held = self.lock();
-                match &*held {
+                let mut holder = self.lock();
+                match &*holder {
                     None => {
                         let _ = stream.set_read_timeout(None);
                         let Ok(stream) = stream.try_clone() else { return Admission::Refused };
                         let seat = SEATS.fetch_add(1, Ordering::SeqCst);
-                        *held = Some(Held { seat, stream, heard: Instant::now() });
+                        *holder = Some(Connection { seat, stream, last_received: Instant::now() });
                         return Admission::Holds(seat);
                     }
-                    // Its reading thread sees the end, and frees the board.
-                    Some(silent) if spoke && silent.heard.elapsed() > patience.silence => {
-                        let _ = silent.stream.shutdown(Shutdown::Both);
+                    // The holder's reading thread detects the shutdown and frees the board.
+                    Some(connection) if is_active && connection.last_received.elapsed() > patience.silence => {
+                        let _ = connection.stream.shutdown(Shutdown::Both);
                     }
                     Some(_) => {}
                 }
             }
-            match hears(stream, place) {
-                Heard::Disarm(request) => return Admission::Stops(request),
-                Heard::Gone => return Admission::Refused,
+            match wait_for_first_bytes(stream, place) {
+                FirstBytes::Disarm(request) => return Admission::Stops(request),
+                FirstBytes::Gone => return Admission::Refused,
                 _ if began.elapsed() > patience.handover => return Admission::Refused,
-                Heard::Nothing => spoke = false,
-                Heard::Something => spoke = true,
+                FirstBytes::Nothing => is_active = false,
+                FirstBytes::Other => is_active = true,
             }
         }
     }
 
-    fn heard(&self, seat: u64) {
-        if let Some(held) = self.lock().as_mut().filter(|held| held.seat == seat) {
-            held.heard = Instant::now();
+    fn mark_received(&self, seat: u64) {
+        if let Some(holder) = self.lock().as_mut().filter(|holder| holder.seat == seat) {
+            holder.last_received = Instant::now();
         }
     }
 
-    fn leaves(&self, seat: u64) {
-        self.lock().take_if(|held| held.seat == seat);
+    fn release(&self, seat: u64) {
+        self.lock().take_if(|holder| holder.seat == seat);
     }
 }
 
-/// Carries the bytes of the connection that holds the board, until it ends.
+/// Forwards the bytes of the connection that holds the board, until it ends.
 fn carry(mut stream: TcpStream, send: &SyncSender<Event>, holder: &Holder, seat: u64) {
     let outgoing = tcp_outgoing(&stream);
     let mut alive = outgoing.is_ok_and(|outgoing| send.send(Event::Connected(outgoing)).is_ok());
@@ -265,13 +264,13 @@ fn carry(mut stream: TcpStream, send: &SyncSender<Event>, holder: &Holder, seat:
         alive = match stream.read(&mut buffer) {
             Ok(0) | Err(_) => false,
             Ok(count) => {
-                holder.heard(seat);
+                holder.mark_received(seat);
                 send.send(Event::Bytes(buffer[..count].to_vec())).is_ok()
             }
         };
     }
     let _ = send.send(Event::Gone);
-    holder.leaves(seat);
+    holder.release(seat);
 }
 
 fn tcp_outgoing(stream: &TcpStream) -> io::Result<Outgoing> {
@@ -281,8 +280,8 @@ fn tcp_outgoing(stream: &TcpStream) -> io::Result<Outgoing> {
     Ok(outgoing(writer, Lost::Sink))
 }
 
-/// Hears what a second tool wants: `Some` request when it is to disarm, which gets through; else it is told that the
-/// board is taken. What it sends is read first: unread, it would make the system throw away what was written.
+/// Reads the request of a second tool: returns a request to disarm, otherwise replies that the board is taken. Reads
+/// first, because closing a socket with unread bytes would discard the reply.
 pub fn turn_away(stream: &TcpStream) -> Option<Vec<u8>> {
     let _ = stream.set_read_timeout(Some(REQUEST));
     let mut disarm = None;
@@ -290,11 +289,11 @@ pub fn turn_away(stream: &TcpStream) -> Option<Vec<u8>> {
     let mut buffer = [0; BLOCK];
     let mut reader = stream;
     let began = Instant::now();
-    let mut asked = false;
-    while !asked && began.elapsed() < REQUEST {
+    let mut is_complete = false;
+    while !is_complete && began.elapsed() < REQUEST {
         let Ok(count @ 1..) = reader.read(&mut buffer) else { break };
         deframer.feed(&buffer[..count], |frame| {
-            asked = true;
+            is_complete = true;
             if frame.header.key == VarKey::Key8(Disarm::REQ_KEY) {
                 disarm = Some(encode(&frame.header, &frame.body));
             }
@@ -310,13 +309,13 @@ pub fn turn_away(stream: &TcpStream) -> Option<Vec<u8>> {
     disarm
 }
 
-/// Has the board disarm for a tool that does not hold it, and lets that tool hear the answer.
+/// Disarms the board for a tool that does not hold it, and sends it the reply.
 fn disarm_for(stream: TcpStream, request: Vec<u8>, stop: &SyncSender<Stop>) -> io::Result<()> {
     let answers = tcp_outgoing(&stream)?;
     let _ = stop.send((request, answers));
     stream.set_read_timeout(Some(DISARM_ANSWER))?;
     let mut reader = stream;
-    // The request may still be unread: what follows it is the end.
+    // The request may still be unread: the frame after it is the end.
     let (mut buffer, mut deframer, mut after) = ([0; BLOCK], Deframer::default(), 0);
     while after < 2 {
         let Ok(count @ 1..) = reader.read(&mut buffer) else { break };
@@ -325,14 +324,14 @@ fn disarm_for(stream: TcpStream, request: Vec<u8>, stop: &SyncSender<Stop>) -> i
     Ok(())
 }
 
-/// The loss when a sink refuses a block: the block alone, or the sink for good.
+/// What is lost when a sink refuses a block: the block alone, or the sink for good.
 #[derive(Clone, Copy, PartialEq)]
 enum Lost {
     Block,
     Sink,
 }
 
-/// A thread that writes blocks to `sink` until the sender is dropped or the sink is lost.
+/// Starts a thread that writes blocks to `sink` until the sender is dropped or the sink is lost.
 fn outgoing(mut sink: impl Write + Send + 'static, lost: Lost) -> Outgoing {
     let (send, blocks) = sync_channel::<Vec<u8>>(BLOCKS);
     thread::spawn(move || {

@@ -1,10 +1,10 @@
-//! An incremental encoder: angle to counts since power-on, with the edges half a count to either side of zero.
+//! An incremental encoder: converts an angle to counts since power-on. Edges are half a count to either side of zero.
 
 use haptic_bridge::model::description::Encoder;
 use std::f64::consts::TAU;
 
-/// One joint's encoder: it counts from the angle where its counter was zero, which for an incremental encoder is
-/// wherever the joint stood at power-on.
+/// One joint's encoder. It counts from the angle where its counter was zero: for an incremental encoder, the joint's
+/// angle at power-on.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EncoderModel {
     /// Counts per radian, negative when inverted.
@@ -16,13 +16,13 @@ pub struct EncoderModel {
 }
 
 impl EncoderModel {
-    /// An encoder whose count is 0 at `origin` (rad).
+    /// Creates an encoder whose count is 0 at `origin` (rad).
     pub fn new(encoder: &Encoder, origin: f64) -> Self {
         let sign = if encoder.inverted { -1.0 } else { 1.0 };
         Self { counts_per_rad: sign * encoder.counts_per_turn / TAU, origin, index: encoder.offset }
     }
 
-    /// The count at the angle `q` (rad).
+    /// Returns the count at the angle `q` (rad).
     pub fn counts(&self, q: f64) -> i32 {
         // A float-to-int `as` saturates, and NaN gives 0.
         ((q - self.origin) * self.counts_per_rad).round() as i32
@@ -35,12 +35,12 @@ impl EncoderModel {
         ((turns - turns.round()) * TAU * self.counts_per_rad).abs() <= 0.5
     }
 
-    /// The same with its counts moved on by a share of one.
+    /// Returns the encoder with its counts shifted by a share of one count.
     pub fn moved(&self, share: f64) -> Self {
         Self { origin: self.origin + share * self.resolution(), ..*self }
     }
 
-    /// The angle that one count stands for, rad.
+    /// Returns the angle of one count, rad.
     pub fn resolution(&self) -> f64 {
         1.0 / self.counts_per_rad.abs()
     }
@@ -51,7 +51,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn counts_start_at_zero_where_the_encoder_was_powered_on_and_follow_its_sense() {
+    fn counts_start_at_zero_at_power_on_and_follow_the_direction() {
         let encoder = Encoder { counts_per_turn: 4000.0, offset: 0.0, inverted: false };
         let plain = EncoderModel::new(&encoder, 1.0);
         let inverted = EncoderModel::new(&Encoder { inverted: true, ..encoder }, 1.0);

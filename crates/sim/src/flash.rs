@@ -4,23 +4,23 @@ use haptic_bridge::board::settings::{Entry, Key};
 use haptic_bridge::safety::refusal::Refusal;
 use std::collections::BTreeMap;
 
-/// The entries that count, by their keys, and those that were staged and do not count yet.
+/// The committed entries by key, and staged entries.
 #[derive(Clone, Debug, Default)]
 pub struct SettingsFlash {
-    /// The entries that count: what the next start reads.
+    /// The committed entries, which the next start reads.
     pub kept: BTreeMap<u8, Entry>,
-    /// Writing fails from now on.
+    /// True if writing fails.
     pub broken: bool,
     staged: BTreeMap<u8, Entry>,
 }
 
 impl SettingsFlash {
-    /// A flash that holds these entries.
+    /// Creates a flash with these entries.
     pub fn holding(kept: BTreeMap<u8, Entry>) -> Self {
         Self { kept, ..Self::default() }
     }
 
-    /// Puts an entry aside.
+    /// Stages an entry.
     pub fn stage(&mut self, key: Key, entry: &[u8]) -> Result<(), Refusal> {
         if self.broken {
             return Err(Refusal::Flash);
@@ -29,12 +29,12 @@ impl SettingsFlash {
         Ok(())
     }
 
-    /// The entry put aside for a setting.
+    /// Returns the staged entry of a setting.
     pub fn staged(&self, key: Key) -> Option<Entry> {
         self.staged.get(&(key as u8)).cloned()
     }
 
-    /// Makes the staged entries of these settings count, all of them or none, and forgets the others.
+    /// Commits the staged entries of these settings, all or none, and drops the others.
     pub fn commit(&mut self, keys: &[Key]) -> Result<(), Refusal> {
         if self.broken || keys.iter().any(|key| !self.staged.contains_key(&(*key as u8))) {
             return Err(Refusal::Flash);
@@ -44,12 +44,12 @@ impl SettingsFlash {
         Ok(())
     }
 
-    /// The entry that counts for a setting.
+    /// Returns the committed entry of a setting.
     pub fn load(&self, key: Key) -> Option<Entry> {
         self.kept.get(&(key as u8)).cloned()
     }
 
-    /// Forgets what was staged, as a restart does.
+    /// Drops staged entries, as a restart does.
     pub fn restart(&mut self) {
         self.staged.clear();
     }

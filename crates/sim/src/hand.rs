@@ -1,36 +1,35 @@
 //! A hand that holds the tip: a mass between two spring-dampers, the grip (tip to hand) and the arm (hand to intent).
 //!
 //! The intent is a path to follow or a force to push with, both along minimum-jerk segments (Flash and Hogan 1985).
-//! Physiological tremor, when asked for, is a few sinusoids of 8-12 Hz whose phases come from the seed.
+//! Physiological tremor, if enabled, is a sum of sinusoids of 8-12 Hz whose phases come from the seed.
 
 use super::random::Random;
 use std::f64::consts::TAU;
 
-/// The point at which the intent arrives at a time, and rests until the next segment: m when following, N when pushing.
+/// A value that the intent reaches at a time and keeps until the next segment: m when following, N when pushing.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Waypoint {
-    /// Seconds since the hand took hold.
+    /// Time since the hand took hold, s.
     pub time: f64,
-    /// m or N; the first d entries count.
+    /// Value, m or N; only the first d entries are used.
     pub value: [f64; 3],
 }
 
 /// The hand's intention.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Intent {
-    /// Nothing: no hand force at all.
+    /// No hand force.
     LetGo,
     /// Follow a path through these points, in order of time.
     Follow(Vec<Waypoint>),
     /// Push with these forces, in order of time; the arm then only damps.
     Push(Vec<Waypoint>),
-    /// Go to this place (m), wherever it is moved: what a mouse does. [`Hand::lead`] moves it.
+    /// Go to this position (m), which [`Hand::lead`] may move, as a mouse does.
     Lead([f64; 3]),
 }
 
-/// The rate at which the aim of a led hand approaches the place where it is led, rad/s: a critically damped
-/// second-order lag of 50 ms, which is about how closely an arm follows a mouse, and smooths the steps of a mouse's 60
-/// places a second.
+/// Rate at which the aim of a led hand approaches its goal, rad/s: a critically damped second-order lag of 50 ms. An
+/// arm follows a mouse about that closely, and the lag smooths a mouse's 60 positions a second.
 const LEAD: f64 = 40.0;
 
 /// The mechanics of a hand.
@@ -48,7 +47,7 @@ pub struct HandSettings {
     pub arm_damping: f64,
     /// Amplitude of the tremor of the arm's aim, m per axis.
     pub tremor: f64,
-    /// The seed of the tremor's phases.
+    /// Seed of the tremor's phases.
     pub seed: u64,
 }
 
@@ -87,11 +86,11 @@ struct Wave {
     phase: f64,
 }
 
-/// Sinusoids of tremor per axis.
+/// Number of sinusoids of tremor per axis.
 const WAVES: usize = 3;
 
 impl Hand {
-    /// A hand that takes hold of the tip at `tip` (m) at the time `now` (s).
+    /// Creates a hand that takes hold of the tip at `tip` (m) at the time `now` (s).
     pub fn new(settings: HandSettings, intent: Intent, tip: [f64; 3], now: f64) -> Self {
         let mut random = Random::new(settings.seed);
         let tremor = (0..3 * WAVES)
@@ -101,7 +100,7 @@ impl Hand {
         Self { settings, intent, began: now, position: tip, velocity: at_rest, aim: tip, aim_velocity: at_rest, tremor }
     }
 
-    /// Leads the hand to `goal` (m), starting from where it is.
+    /// Leads the hand to `goal` (m) from its present position.
     pub fn lead(&mut self, goal: [f64; 3]) {
         if !matches!(self.intent, Intent::Lead(_)) {
             (self.aim, self.aim_velocity) = (self.position, [0.0; 3]);
@@ -109,23 +108,23 @@ impl Hand {
         self.intent = Intent::Lead(goal);
     }
 
-    /// Gives the hand, where it is, something else to do from the time `now` (s) on.
-    pub fn turn_to(&mut self, intent: Intent, now: f64) {
+    /// Changes the intent of the hand from the time `now` (s) on.
+    pub fn set_intent(&mut self, intent: Intent, now: f64) {
         (self.intent, self.began) = (intent, now);
         (self.aim, self.aim_velocity) = (self.position, [0.0; 3]);
     }
 
-    /// The position of the hand itself, m, unless it holds nothing.
+    /// Returns the position of the hand, m; `None` if it holds nothing.
     pub fn position(&self) -> Option<[f64; 3]> {
         (self.intent != Intent::LetGo).then_some(self.position)
     }
 
-    /// A hand that holds nothing.
+    /// Creates a hand that holds nothing.
     pub fn none() -> Self {
         Self::new(HandSettings::default(), Intent::LetGo, [0.0; 3], 0.0)
     }
 
-    /// Force on the tip, N, and the hand moved on by `h`; `task` is d.
+    /// Advances the hand by `h` and returns its force on the tip, N; `task` is d.
     pub fn step(&mut self, tip: &[f64; 3], tip_velocity: &[f64; 3], task: usize, now: f64, h: f64) -> [f64; 3] {
         let mut force = [0.0; 3];
         if self.intent == Intent::LetGo {
@@ -140,7 +139,7 @@ impl Hand {
             let arm = match &self.intent {
                 Intent::LetGo => 0.0,
                 Intent::Follow(path) => {
-                    let (aim, aim_velocity) = along(path, axis, time);
+                    let (aim, aim_velocity) = minimum_jerk(path, axis, time);
                     s.arm_stiffness * (aim + tremor[axis] - self.position[axis])
                         + s.arm_damping * (aim_velocity - self.velocity[axis])
                 }
@@ -152,7 +151,8 @@ impl Hand {
                         + s.arm_damping * (self.aim_velocity[axis] - self.velocity[axis])
                 }
                 Intent::Push(forces) => {
-                    along(forces, axis, time).0 + s.arm_stiffness * tremor[axis] - s.arm_damping * self.velocity[axis]
+                    minimum_jerk(forces, axis, time).0 + s.arm_stiffness * tremor[axis]
+                        - s.arm_damping * self.velocity[axis]
                 }
             };
             force[axis] = grip;
@@ -171,8 +171,8 @@ impl Hand {
     }
 }
 
-/// Value and rate at `time` of the minimum-jerk segments through `points`, along one axis.
-fn along(points: &[Waypoint], axis: usize, time: f64) -> (f64, f64) {
+/// Returns value and rate at `time` of the minimum-jerk segments through `points`, along one axis.
+fn minimum_jerk(points: &[Waypoint], axis: usize, time: f64) -> (f64, f64) {
     let next = points.partition_point(|point| point.time <= time);
     let Some(to) = points.get(next) else {
         return (points.last().map_or(0.0, |last| last.value[axis]), 0.0);
@@ -196,18 +196,18 @@ mod tests {
         [Waypoint { time: 1.0, value: [0.0, 2.0, 0.0] }, Waypoint { time: 3.0, value: [1.0, 2.0, 0.0] }];
 
     #[test]
-    fn a_minimum_jerk_segment_starts_and_ends_at_rest_and_is_fastest_in_the_middle() {
-        assert_eq!(along(&PATH, 0, 0.5), (0.0, 0.0));
-        assert_eq!(along(&PATH, 0, 1.0), (0.0, 0.0));
+    fn a_minimum_jerk_segment_is_at_rest_at_its_ends() {
+        assert_eq!(minimum_jerk(&PATH, 0, 0.5), (0.0, 0.0));
+        assert_eq!(minimum_jerk(&PATH, 0, 1.0), (0.0, 0.0));
         // Flash and Hogan: half way at half time, at 15/8 of the mean speed.
-        let (value, rate) = along(&PATH, 0, 2.0);
+        let (value, rate) = minimum_jerk(&PATH, 0, 2.0);
         assert!((value - 0.5).abs() < 1e-15 && (rate - 0.5 * 15.0 / 8.0).abs() < 1e-15);
-        assert_eq!(along(&PATH, 0, 3.5), (1.0, 0.0));
-        assert_eq!(along(&PATH, 1, 2.2), (2.0, 0.0));
+        assert_eq!(minimum_jerk(&PATH, 0, 3.5), (1.0, 0.0));
+        assert_eq!(minimum_jerk(&PATH, 1, 2.2), (2.0, 0.0));
     }
 
     #[test]
-    fn a_push_on_a_blocked_tip_settles_at_the_force_intended() {
+    fn a_push_on_a_blocked_tip_settles_at_its_force() {
         let push = Intent::Push(vec![Waypoint { time: 0.0, value: [0.0, -3.0, 0.0] }]);
         let mut hand = Hand::new(HandSettings::default(), push, [0.1, 0.2, 0.0], 0.0);
         let mut force = [0.0; 3];
@@ -218,7 +218,7 @@ mod tests {
     }
 
     #[test]
-    fn a_hand_that_is_led_pulls_with_its_arm_once_it_has_come_to_rest() {
+    fn a_led_hand_at_rest_pulls_with_arm_and_grip_in_series() {
         let mut hand = Hand::new(HandSettings::default(), Intent::LetGo, [0.1, 0.2, 0.0], 0.0);
         assert_eq!(hand.position(), None);
         hand.lead([0.1, 0.19, 0.0]);
@@ -233,7 +233,7 @@ mod tests {
     }
 
     #[test]
-    fn the_same_seed_trembles_the_same_way_and_another_does_not() {
+    fn tremor_depends_only_on_its_seed() {
         let hand = |seed| {
             let settings = HandSettings { tremor: 1e-3, seed, ..HandSettings::default() };
             let mut hand = Hand::new(settings, Intent::Follow(PATH.to_vec()), [0.0; 3], 0.0);

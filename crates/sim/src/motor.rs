@@ -1,21 +1,21 @@
 //! A brushed motor behind an H-bridge: duty to voltage, voltage to current, current to torque.
 //!
 //! V = R i + L di/dt + Kₑ ω, solved exactly over a step at the mean speed; torque = Kₜ i. The bridge is averaged over
-//! its carrier; what its dead time takes away is kept: in both half bridges, 2 · dead time · carrier of the bus
-//! voltage, against the current, fading to zero where the current is smaller than its ripple and changes sign in every
-//! period.
+//! its carrier, but its dead time is simulated: in both half bridges it takes 2 · dead time · carrier of the bus
+//! voltage, against the current. The effect fades to zero for a current smaller than its ripple, which changes sign in
+//! every period.
 
 use haptic_bridge::model::motor::Motor;
 
 /// The drive of one axis.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum MotorInput {
-    /// The bridge is off: no current, no torque, the joint turns freely.
+    /// The bridge is off: no current, no torque; the joint turns freely.
     #[default]
     Floating,
     /// The bridge applies this share of the bus voltage, in [-1, 1].
     Duty(f64),
-    /// An ideal drive: this torque, N m, whatever the speed.
+    /// An ideal drive makes this torque, N m, at any speed.
     Torque(f64),
 }
 
@@ -31,7 +31,7 @@ pub struct PowerStage {
 }
 
 impl Default for PowerStage {
-    /// 24 V; 20 kHz and 120 ns, as the ODrive's gate driver inserts.
+    /// 24 V, 20 kHz, and the 120 ns of the ODrive's gate driver.
     fn default() -> Self {
         Self { bus_voltage: 24.0, dead_time: 120e-9, carrier_hz: 20_000.0 }
     }
@@ -45,24 +45,23 @@ pub struct MotorModel {
 }
 
 impl MotorModel {
-    /// A motor without current.
+    /// Creates a motor without current.
     pub fn new(motor: Motor<f64>) -> Self {
         Self { motor, current: 0.0 }
     }
 
-    /// Winding current, A.
+    /// Returns the winding current, A.
     pub fn current(&self) -> f64 {
         self.current
     }
 
-    /// Advances by `h` at the speed `omega` (rad/s). Returns the torque that acts (N m) and the damping (N m s/rad)
-    /// that acts *beside* it: where there is no inductance, the back-EMF is handed to the integrator as damping, so
-    /// that any step is stable.
+    /// Advances by `h` at the speed `omega` (rad/s). Returns the torque (N m) and an additional damping (N m s/rad):
+    /// without inductance, the back-EMF is passed to the integrator as damping, so that any step is stable.
     pub fn step(&mut self, drive: MotorInput, omega: f64, bridge: &PowerStage, h: f64) -> (f64, f64) {
         let Motor { torque_constant, inductance, back_emf, .. } = self.motor;
         match drive {
             MotorInput::Floating => {
-                // The diodes put the whole bus against what current is left.
+                // The diodes apply the full bus voltage against the remaining current.
                 let fall = if inductance > 0.0 { bridge.bus_voltage / inductance * h } else { f64::INFINITY };
                 let before = self.current;
                 self.current = before.signum() * (before.abs() - fall).max(0.0);
@@ -74,7 +73,7 @@ impl MotorModel {
             }
             MotorInput::Duty(duty) => {
                 let duty = if duty.is_finite() { duty.clamp(-1.0, 1.0) } else { 0.0 };
-                let (voltage, resistance) = self.behind_dead_time(duty * bridge.bus_voltage, bridge);
+                let (voltage, resistance) = self.with_dead_time(duty * bridge.bus_voltage, bridge);
                 if inductance > 0.0 {
                     let settled = (voltage - back_emf * omega) / resistance;
                     let x = h * resistance / inductance;
@@ -90,13 +89,13 @@ impl MotorModel {
         }
     }
 
-    /// The voltage and resistance that the winding sees: beyond its ripple the dead time is a voltage against the
-    /// current, within it a resistance.
-    fn behind_dead_time(&self, voltage: f64, bridge: &PowerStage) -> (f64, f64) {
+    /// Returns the effective voltage and resistance of the winding: for a current above its ripple the dead time acts
+    /// as a voltage against the current, below it as a resistance.
+    fn with_dead_time(&self, voltage: f64, bridge: &PowerStage) -> (f64, f64) {
         let Motor { resistance, inductance, .. } = self.motor;
         let lost = 2.0 * bridge.dead_time * bridge.carrier_hz * bridge.bus_voltage;
-        // Half the peak-to-peak ripple of two-level modulation at zero duty; a winding without inductance follows the
-        // carrier all the way.
+        // Half the peak-to-peak ripple of two-level modulation at zero duty. In a winding without inductance the
+        // current follows the carrier completely.
         let ripple = bridge.bus_voltage / (4.0 * inductance * bridge.carrier_hz).max(resistance);
         if self.current.abs() < ripple {
             (voltage, resistance + lost / ripple)
@@ -121,7 +120,7 @@ mod tests {
     const IDEAL: PowerStage = PowerStage { bus_voltage: 24.0, dead_time: 0.0, carrier_hz: 20_000.0 };
 
     #[test]
-    fn a_blocked_motor_rises_to_its_stall_current_with_its_time_constant() {
+    fn the_current_of_a_blocked_motor_rises_with_l_over_r() {
         let mut motor = MotorModel::new(MOTOR);
         for _ in 0..100 {
             motor.step(MotorInput::Duty(0.25), 0.0, &IDEAL, 5e-6);
@@ -148,7 +147,7 @@ mod tests {
         assert_eq!(motor.step(MotorInput::Floating, 50.0, &IDEAL, 1e-4), (0.0, 0.0));
     }
 
-    /// The current of a motor at rest, long after its duty was set, A.
+    /// Returns the steady current of a motor at rest, A.
     fn settled(duty: f64, bridge: &PowerStage) -> f64 {
         let mut motor = MotorModel::new(MOTOR);
         for _ in 0..1000 {
@@ -158,25 +157,25 @@ mod tests {
     }
 
     #[test]
-    fn dead_time_takes_voltage_against_the_current() {
+    fn dead_time_reduces_the_voltage_against_the_current() {
         let bridge = PowerStage { dead_time: 1e-6, ..IDEAL };
         // 2 x 1 us x 20 kHz x 24 V = 0.96 V of 6 V.
         assert!((settled(0.25, &bridge) - (6.0 - 0.96) / 2.0).abs() < 1e-9);
     }
 
     #[test]
-    fn dead_time_is_a_resistance_to_a_current_that_changes_its_sign_in_every_period() {
+    fn dead_time_acts_as_a_resistance_within_the_ripple() {
         let bridge = PowerStage { dead_time: 1e-6, ..IDEAL };
-        // A ripple of 24 V / (4 x 1 mH x 20 kHz) = 0.3 A, to which 0.96 V are 3.2 ohm.
+        // The ripple is 24 V / (4 x 1 mH x 20 kHz) = 0.3 A; the lost 0.96 V act like 0.96 V / 0.3 A = 3.2 ohm.
         assert!((settled(0.01, &bridge) - 0.24 / (2.0 + 3.2)).abs() < 1e-9);
-        // Without inductance the current is 12 A one way and 12 A the other: 0.96 V of 24 V are missing from each.
+        // Without inductance the current is 12 A one way and 12 A the other, and each loses 0.96 V of 24 V.
         let mut motor = MotorModel::new(Motor { inductance: 0.0, ..MOTOR });
         motor.step(MotorInput::Duty(0.25), 0.0, &bridge, 5e-6);
         assert!((motor.current() - 6.0 / 2.08).abs() < 1e-9);
     }
 
     #[test]
-    fn a_duty_that_is_not_a_number_is_no_voltage() {
+    fn a_nan_duty_applies_no_voltage() {
         let mut motor = MotorModel::new(MOTOR);
         motor.step(MotorInput::Duty(f64::NAN), 0.0, &IDEAL, 1e-4);
         assert_eq!(motor.current(), 0.0);

@@ -1,11 +1,11 @@
-//! Opening the board that `--port` names: a simulated board in this process, or one on a wire.
+//! Opens the board that `--port` names: a simulated board in this process, or a board on a wire.
 
 use crate::{BoardOptions, SHIPPED_DEVICE, SharedBoard, ready_board};
 use haptic_host::device_file::DeviceFile;
 use haptic_host::link::{Board, BoardError, LinkError, PortSpec, Stopped, Wire};
 use std::path::Path;
 
-/// Finds and opens the board that `port` means, simulated ones too, and checks its protocol version.
+/// Finds and opens the board at `port`, which may be simulated, and checks its protocol version.
 pub fn open(port: &PortSpec) -> Result<Board, LinkError> {
     match port {
         PortSpec::Sim(device) => Board::over(simulated(device.as_deref())?, NAME),
@@ -13,7 +13,7 @@ pub fn open(port: &PortSpec) -> Result<Board, LinkError> {
     }
 }
 
-/// Turns the motors of the board that `port` means off, see [`Board::stop`].
+/// Turns the motors of the board at `port` off, see [`Board::stop`].
 pub fn stop(port: &PortSpec) -> Result<Stopped, BoardError> {
     match port {
         PortSpec::Sim(device) => Board::stop_over(simulated(device.as_deref())?, NAME),
@@ -24,7 +24,7 @@ pub fn stop(port: &PortSpec) -> Result<Stopped, BoardError> {
 /// The name of a simulated board in messages.
 const NAME: &str = "sim";
 
-/// Opens `--port sim` (the shipped device) or `--port sim:FILE`: a board with that device on it and loaded.
+/// Opens `--port sim` (the shipped device) or `--port sim:FILE`: a board with that device, wired and loaded.
 fn simulated(device: Option<&Path>) -> Result<Box<dyn Wire>, LinkError> {
     let file = match device {
         Some(path) => DeviceFile::load(path),

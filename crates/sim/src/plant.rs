@@ -2,13 +2,13 @@
 //!
 //! One step is Moreau's midpoint rule (J. J. Moreau 1988, "Unilateral contact and dry friction in finite freedom
 //! dynamics"): drift half a step, solve for the velocity at the end, drift the other half. It is second order and
-//! symplectic for position-dependent forces, exact for a constant torque on a constant inertia, and dry friction is a
-//! *set* of admissible impulses rather than a sign function: a joint that friction can hold does not creep or chatter.
-//! A transmission (docs/model.md section 4) is a spring and a damper between a motor and its link, integrated by the
-//! same rule's implicit mean: stable however stiff it is, and without a loss of its own. A structural mode is a body on
-//! such a spring whose end velocity is eliminated from the same equations before they are solved: it costs a few
-//! products. Stribeck friction is dry friction of the bound that the speed at the step's start gives; cogging acts at
-//! the angle at its middle.
+//! symplectic for position-dependent forces, and exact for a constant torque on a constant inertia. Dry friction is a
+//! *set* of admissible impulses rather than a sign function, so a joint that friction can hold does not creep or
+//! chatter. A transmission (docs/model.md section 4) is a spring and a damper between a motor and its link, integrated
+//! by the same rule's implicit mean: stable at any stiffness, and without numerical loss. A structural mode is a body
+//! on such a spring. Its end velocity is eliminated from the same equations before they are solved, which costs a few
+//! products. Stribeck friction is dry friction bounded by the speed at the step's start; cogging acts at the angle at
+//! the step's middle.
 
 use haptic_bridge::control::TRIPPING_SINE;
 use haptic_bridge::math::Libm;
@@ -20,7 +20,7 @@ use haptic_bridge::render::controller::{FULL_REGULARITY, PARALLEL_REGULARITY};
 use haptic_bridge::with_mechanism;
 use nalgebra::{SMatrix, SVector};
 
-/// The forces on the device during one step; the first N (or d) entries count.
+/// Forces on the device during one step; only the first N (or d) entries are used.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Load {
     /// Motor torques, N m.
@@ -38,42 +38,42 @@ pub struct Plant {
     joints: usize,
     task: usize,
     viscous: [f64; 3],
-    /// The joints, with the part of their dry friction and cogging that acts.
+    /// The joints, for their dry friction; without friction all zero.
     dry: [Joint; 3],
     cogging: [Option<Cogging>; 3],
     stops: [(f64, f64); 3],
-    /// The stop short of singularities, and how far from them the linkage is.
-    short: ShortStop,
+    /// The stop before singularities, and the linkage's distance from them.
+    singularity_stop: SingularityStop,
     distance: f64,
     q: [f64; 3],
     qd: [f64; 3],
-    /// The acceleration of the last step, rad/s²: centres the velocity terms of the next.
+    /// Acceleration in the last step, rad/s², which centres the velocity terms of the next step.
     qdd: [f64; 3],
     transmissions: [Option<Transmission>; 3],
-    /// Motor angles (rad) and velocities (rad/s) of the joints that have a transmission; the others' are the joint's.
+    /// Motor angles (rad) and velocities (rad/s) of joints with a transmission; otherwise unused.
     theta: [f64; 3],
     theta_d: [f64; 3],
-    /// The masses that swing on each joint's link: the mode, its angle (rad) and velocity (rad/s).
-    modes: [[Option<Swinging>; MAX_MODES]; 3],
-    /// Friction impulse of the last step, N m s: where the solver starts.
+    /// The structural modes of each joint's link, with their states.
+    modes: [[Option<ModeState>; MAX_MODES]; 3],
+    /// Friction impulse of the last step, N m s: the solver's initial value.
     friction: [f64; 3],
     tip: [f64; 3],
     tip_velocity: [f64; 3],
 }
 
-/// A structural mode and its state.
+/// A structural mode with its angle (rad) and velocity (rad/s).
 #[derive(Clone, Copy, Debug)]
-struct Swinging {
+struct ModeState {
     mode: StructuralMode,
     angle: f64,
     velocity: f64,
 }
 
-impl Swinging {
-    /// The mass's part in a step of `h` of its joint, which is at `q` (rad) and moves with `qd` (rad/s): inertia (kg
-    /// m²) and momentum (N m s) on the two sides of M v⁺ = …, then its velocity at the end if the joint's is zero then,
-    /// and the increase of that velocity for each unit of the joint's.
-    fn over(&self, q: f64, qd: f64, h: f64) -> (f64, f64, f64, f64) {
+impl ModeState {
+    /// Eliminates the mode from a step of `h` of its joint, which is at `q` (rad) with velocity `qd` (rad/s). Returns
+    /// the inertia (kg m²) and momentum (N m s) to add to the two sides of M v⁺ = …, the mode's end velocity for a
+    /// joint that ends at rest, and the increase of that velocity per unit of the joint's.
+    fn eliminate(&self, q: f64, qd: f64, h: f64) -> (f64, f64, f64, f64) {
         let inertia = self.mode.inertia;
         let mean = 0.5 * h * self.mode.viscous() + 0.25 * h * h * self.mode.stiffness();
         let pulled = h * self.mode.stiffness() * (q - self.angle);
@@ -83,38 +83,38 @@ impl Swinging {
     }
 }
 
-/// Sweeps of the friction solver. It starts from the previous step's answer, and two sweeps already settle N ≤ 3
-/// joints; the rest is for the steps in which a joint starts or stops.
+/// Maximum number of sweeps of the friction solver. It starts from the previous step's result, and two sweeps suffice
+/// for N ≤ 3 joints; more are needed only in steps in which a joint starts or stops.
 const SWEEPS: usize = 20;
 
-/// A stop at a distance `nearest` from singularities: towards it the linkage is no faster than would reach it in
-/// `softness` (s), and from beyond it comes back so fast. So it takes energy and gives none.
+/// A stop at the distance `nearest` from singularities. It limits the approach to a speed that would arrive in
+/// `softness` (s), and returns a linkage beyond it at that rate. It absorbs energy and never adds any.
 #[derive(Clone, Copy, Debug)]
-struct ShortStop {
+struct SingularityStop {
     nearest: f64,
     softness: f64,
-    /// Serial singularities count as well, through which a linkage goes as through any pose.
+    /// True if serial singularities count as well, which a linkage can otherwise pass like any pose.
     serial: bool,
 }
 
-impl ShortStop {
-    /// The stop of every simulated linkage: short of a parallel singularity, where inertia has no bound, and nearer to it
-    /// than where a board turns its motors off. What is left of the way shrinks to no less than a third in a millisecond:
-    /// a step of 5 µs stays short beside it.
+impl SingularityStop {
+    /// The stop of every simulated linkage before a parallel singularity, where inertia is unbounded; it is closer than
+    /// where a board turns its motors off. In a millisecond the remaining distance shrinks to a third at most, so a
+    /// step of 5 µs is short in comparison.
     const HARD: Self =
         Self { nearest: 0.5 * TRIPPING_SINE as f64 / PARALLEL_REGULARITY, softness: 1e-3, serial: false };
-    /// A stop that a hand runs into: a harder one is a blow that no model of a motor explains, a fault.
+    /// A stop that a hand may hit. A harder one would be a blow that no motor model explains, and the board would trip.
     const SOFT: Self = Self { nearest: FULL_REGULARITY, softness: 0.05, serial: true };
 
-    /// Distance from the nearest singularity, as a board's feed-forward counts it.
+    /// Returns the distance from the nearest singularity, in the measure of a board's feed-forward.
     fn distance(&self, regularity: &Regularity<f64>) -> f64 {
         let parallel = regularity.parallel / PARALLEL_REGULARITY;
         if self.serial { regularity.serial.min(parallel) } else { parallel }
     }
 }
 
-/// Turn of a joint over which the way from a singularity is measured, rad: a tenth of the turn that leads from
-/// [`ShortStop::HARD`] into the singularity.
+/// Step of the finite difference of that distance, rad: a tenth of the turn from [`SingularityStop::HARD`] into the
+/// singularity.
 const TINY_TURN: f64 = 1e-7;
 
 fn vector<const N: usize>(values: &[f64; 3]) -> SVector<f64, N> {
@@ -126,8 +126,8 @@ fn array<const N: usize>(values: &SVector<f64, N>) -> [f64; 3] {
 }
 
 impl Plant {
-    /// A device at rest at `q` (rad). `friction` false leaves out viscous and Coulomb friction; `stops` are the angles
-    /// (low, high) beyond which a joint cannot go, infinite where there are none.
+    /// Creates a device at rest at `q` (rad). `friction` enables viscous and Coulomb friction; `stops` are the angles
+    /// (low, high) of each joint's mechanical stops, infinite without stops.
     pub fn new(
         description: &Description,
         q: [f64; 3],
@@ -144,7 +144,7 @@ impl Plant {
             dry: if friction { description.joints } else { [Joint::default(); 3] },
             cogging: description.joints.map(|joint| joint.cogging),
             stops,
-            short: ShortStop::HARD,
+            singularity_stop: SingularityStop::HARD,
             distance: 0.0,
             q,
             qd: [0.0; 3],
@@ -153,85 +153,85 @@ impl Plant {
             theta: q,
             theta_d: [0.0; 3],
             modes: core::array::from_fn(|i| {
-                description.joints[i].modes.map(|mode| mode.map(|mode| Swinging { mode, angle: q[i], velocity: 0.0 }))
+                description.joints[i].modes.map(|mode| mode.map(|mode| ModeState { mode, angle: q[i], velocity: 0.0 }))
             }),
             friction: [0.0; 3],
             tip: [0.0; 3],
             tip_velocity: [0.0; 3],
         };
-        plant.stop_at(ShortStop::HARD);
+        plant.stop_at(SingularityStop::HARD);
         Ok(plant)
     }
 
-    /// Gives the linkage a stop short of every singularity: where a board's feed-forward just acts in full, or where it
-    /// stands if that is nearer.
-    pub fn stop_short(&mut self) {
-        self.stop_at(ShortStop::SOFT);
+    /// Adds a soft stop before every singularity: at the distance where a board's feed-forward just acts in full, or at
+    /// the present distance if that is closer.
+    pub fn add_soft_stop(&mut self) {
+        self.stop_at(SingularityStop::SOFT);
     }
 
-    fn stop_at(&mut self, stop: ShortStop) {
-        self.short = stop;
+    fn stop_at(&mut self, stop: SingularityStop) {
+        self.singularity_stop = stop;
         self.refresh();
-        self.short.nearest = stop.nearest.min(self.distance);
+        self.singularity_stop.nearest = stop.nearest.min(self.distance);
     }
 
-    /// Number of joints N.
+    /// Returns the number of joints N.
     pub fn joints(&self) -> usize {
         self.joints
     }
-    /// Task dimension d.
+    /// Returns the task dimension d.
     pub fn task(&self) -> usize {
         self.task
     }
-    /// Returns true if any joint has a transmission that gives or a structural mode.
+    /// Returns true if any joint has a compliant transmission or a structural mode.
     pub fn is_flexible(&self) -> bool {
         self.transmissions.iter().any(Option::is_some) || self.modes.iter().flatten().any(Option::is_some)
     }
-    /// Joint angles, rad.
+    /// Returns the joint angles, rad.
     pub fn q(&self) -> [f64; 3] {
         self.q
     }
-    /// Joint velocities, rad/s.
+    /// Returns the joint velocities, rad/s.
     pub fn qd(&self) -> [f64; 3] {
         self.qd
     }
-    /// Velocities of the motors, at the joints, rad/s.
+    /// Returns the motors' velocities, referred to the joints, rad/s.
     pub fn motor_velocity(&self) -> [f64; 3] {
         core::array::from_fn(|i| if self.transmissions[i].is_some() { self.theta_d[i] } else { self.qd[i] })
     }
-    /// Angles of the motors, at the joints, rad.
+    /// Returns the motors' angles, referred to the joints, rad.
     fn motor_angle(&self) -> [f64; 3] {
         core::array::from_fn(|i| if self.transmissions[i].is_some() { self.theta[i] } else { self.q[i] })
     }
-    /// Angles that the encoders measure, rad.
+    /// Returns the angles that the encoders measure, rad.
     pub fn measured(&self) -> [f64; 3] {
         core::array::from_fn(|i| match self.transmissions[i] {
             Some(Transmission { encoder_at: EncoderAt::Motor, .. }) => self.theta[i],
             _ => self.q[i],
         })
     }
-    /// Tip, m (the first d entries).
+    /// Returns the tip, m (the first d entries).
     pub fn tip(&self) -> [f64; 3] {
         self.tip
     }
-    /// Tip velocity, m/s.
+    /// Returns the tip velocity, m/s.
     pub fn tip_velocity(&self) -> [f64; 3] {
         self.tip_velocity
     }
 
-    /// Puts the device at `q` (rad) with velocities `qd` (rad/s).
+    /// Moves the device to `q` (rad) with velocities `qd` (rad/s).
     pub fn place(&mut self, q: [f64; 3], qd: [f64; 3]) {
         self.q = q;
         self.qd = qd;
         self.qdd = [0.0; 3];
         (self.theta, self.theta_d) = (q, qd);
         self.friction = [0.0; 3];
-        self.swing_along();
+        self.reset_modes();
         self.refresh();
     }
 
-    /// Lets what swings move with its joint.
-    fn swing_along(&mut self) {
+    /// Sets the structural modes to the motion of their joints.
+    fn reset_modes(&mut self) {
         for (joint, modes) in self.modes.iter_mut().enumerate() {
             for mode in modes.iter_mut().flatten() {
                 (mode.angle, mode.velocity) = (self.q[joint], self.qd[joint]);
@@ -239,51 +239,51 @@ impl Plant {
         }
     }
 
-    /// Gives the tip the velocity `velocity` (m/s), with no other motion where the device is redundant.
+    /// Sets the tip's velocity, m/s, without motion in the null space of a redundant device.
     pub fn push(&mut self, velocity: [f64; 3]) {
         with_mechanism!(&self.mechanism, m => self.qd = array(&m.inverse(&m.pose::<Libm>(&vector(&self.q)), &vector(&velocity))));
         self.theta_d = self.qd;
-        self.swing_along();
+        self.reset_modes();
         self.refresh();
     }
 
-    /// Kinetic energy ½ q̇ᵀ M q̇ and what the springs of transmissions and modes and the magnets of the motors hold, J.
+    /// Returns the energy, J: kinetic energy ½ q̇ᵀ M q̇, and that of transmissions, modes and the motors' magnets.
     pub fn energy(&self) -> f64 {
-        fn moving<M: Mechanism<f64, N>, const N: usize>(m: &M, q: &[f64; 3], qd: &[f64; 3]) -> f64 {
+        fn kinetic_energy<M: Mechanism<f64, N>, const N: usize>(m: &M, q: &[f64; 3], qd: &[f64; 3]) -> f64 {
             let qd: SVector<f64, N> = vector(qd);
             0.5 * qd.dot(&(m.mass(&m.pose::<Libm>(&vector(q))) * qd))
         }
-        let links = with_mechanism!(&self.mechanism, m => moving(m, &self.q, &self.qd));
+        let links = with_mechanism!(&self.mechanism, m => kinetic_energy(m, &self.q, &self.qd));
         let turned = self.motor_angle();
-        let besides = |joint: usize| {
-            let swinging = self.modes[joint].iter().flatten().map(|swinging| {
-                let Swinging { mode, angle, velocity } = swinging;
-                let moving = velocity.powi(2) - self.qd[joint].powi(2);
-                0.5 * (mode.inertia * moving + mode.stiffness() * (angle - self.q[joint]).powi(2))
+        let mode_and_cogging_energy = |joint: usize| {
+            let state = self.modes[joint].iter().flatten().map(|state| {
+                let ModeState { mode, angle, velocity } = state;
+                let speed_squared = velocity.powi(2) - self.qd[joint].powi(2);
+                0.5 * (mode.inertia * speed_squared + mode.stiffness() * (angle - self.q[joint]).powi(2))
             });
             let magnets = self.cogging[joint].map_or(0.0, |cogging| {
                 cogging.amplitude / cogging.per_turn * (1.0 + (cogging.per_turn * turned[joint]).cos())
             });
-            swinging.sum::<f64>() + magnets
+            state.sum::<f64>() + magnets
         };
-        let behind = |joint: usize| {
+        let transmission_energy = |joint: usize| {
             self.transmissions[joint].map_or(0.0, |transmission| {
                 let twist = self.theta[joint] - self.q[joint];
                 0.5 * (transmission.motor_inertia * self.theta_d[joint].powi(2)
                     + transmission.stiffness * twist.powi(2))
             })
         };
-        links + (0..self.joints).map(|joint| behind(joint) + besides(joint)).sum::<f64>()
+        links + (0..self.joints).map(|joint| transmission_energy(joint) + mode_and_cogging_energy(joint)).sum::<f64>()
     }
 
-    /// The torques that hold the device against gravity here, N m.
+    /// Returns the torques that hold the device against gravity at its present pose, N m.
     pub fn gravity(&self) -> [f64; 3] {
         with_mechanism!(&self.mechanism, m => array(&m.gravity(&m.pose::<Libm>(&vector(&self.q)))))
     }
 
     /// Advances by `h` seconds under a constant load.
     pub fn step(&mut self, load: &Load, h: f64) {
-        // The mechanism is copied out so that its arm of the match may change the rest of the plant; it is plain data.
+        // A copy (plain data), so that the match arm may change the rest of the plant.
         let mechanism = self.mechanism;
         with_mechanism!(&mechanism, m => self.advance(m, load, h));
     }
@@ -297,35 +297,35 @@ impl Plant {
     }
 
     fn observe<M: Mechanism<f64, N>, const N: usize>(&mut self, m: &M, pose: &M::Pose) {
-        self.distance = self.short.distance(&m.regularity(pose));
+        self.distance = self.singularity_stop.distance(&m.regularity(pose));
         self.tip = array(&m.tip(pose));
         self.tip_velocity = array(&m.velocity(pose, &vector(&self.qd)));
         self.tip[self.task..].fill(0.0);
         self.tip_velocity[self.task..].fill(0.0);
     }
 
-    /// Updates what follows from the pose after a step of `h`, and applies the stop short of singularities.
-    fn arrive<M: Mechanism<f64, N>, const N: usize>(&mut self, m: &M, h: f64) {
+    /// Updates the values that depend on the pose after a step of `h`, and applies the stop before singularities.
+    fn finish_step<M: Mechanism<f64, N>, const N: usize>(&mut self, m: &M, h: f64) {
         let (before, q) = (self.distance, vector(&self.q));
         let pose = m.pose::<Libm>(&q);
         self.observe(m, &pose);
-        let back = (self.short.nearest - self.distance) / self.short.softness;
+        let back = (self.singularity_stop.nearest - self.distance) / self.singularity_stop.softness;
         if self.distance - before >= h * back {
             return;
         }
-        // The square of the distance is smooth where the distance has a corner or an infinite slope.
+        // The square is smooth even where the distance itself has a corner or an infinite slope.
         let away = SVector::<f64, N>::from_fn(|i, _| {
             let mut turned = q;
             turned[i] += TINY_TURN;
-            let there = self.short.distance(&m.regularity(&m.pose::<Libm>(&turned)));
+            let there = self.singularity_stop.distance(&m.regularity(&m.pose::<Libm>(&turned)));
             (there.powi(2) - self.distance.powi(2)) / (2.0 * self.distance * TINY_TURN)
         });
-        let given = m.mass(&pose).try_inverse().unwrap_or_else(SMatrix::zeros) * away;
+        let response = m.mass(&pose).try_inverse().unwrap_or_else(SMatrix::zeros) * away;
         let qd: SVector<f64, N> = vector(&self.qd);
-        let lacks = back - away.dot(&qd);
-        let share = lacks / away.dot(&given);
-        if lacks > 0.0 && share.is_finite() {
-            self.qd = array(&(qd + given * share));
+        let missing_speed = back - away.dot(&qd);
+        let share = missing_speed / away.dot(&response);
+        if missing_speed > 0.0 && share.is_finite() {
+            self.qd = array(&(qd + response * share));
             self.observe(m, &pose);
         }
     }
@@ -338,8 +338,8 @@ impl Plant {
 
         let mut mass = m.mass(&pose);
         for i in 0..N {
-            for swinging in self.modes[i].iter().flatten() {
-                mass[(i, i)] -= swinging.mode.inertia;
+            for state in self.modes[i].iter().flatten() {
+                mass[(i, i)] -= state.mode.inertia;
             }
         }
         let (angle, speed) = (self.motor_angle(), self.motor_velocity());
@@ -367,30 +367,31 @@ impl Plant {
             let half = 0.5 * h * (self.viscous[i] + load.damping[i]);
             damped[(i, i)] += half;
             momentum[i] -= half * qd[i];
-            for swinging in self.modes[i].iter().flatten() {
-                let (inertia, given, ..) = swinging.over(self.q[i], qd[i], h);
+            for state in self.modes[i].iter().flatten() {
+                let (inertia, extra, ..) = state.eliminate(self.q[i], qd[i], h);
                 damped[(i, i)] += inertia;
-                momentum[i] += given;
+                momentum[i] += extra;
             }
         }
-        // Not invertible only when the state is already not finite; the old velocity is then as good as any.
+        // Not invertible only if the state is already not finite; zero is then as good as any value.
         let inverse = damped.try_inverse().unwrap_or_else(SMatrix::zeros);
-        let free = inverse * momentum;
+        let unconstrained = inverse * momentum;
         let bounds = core::array::from_fn(|i| bounds[i]);
         let outside = core::array::from_fn(|i| self.outside(i, middle[i]));
         let mut friction = vector(&self.friction);
-        let after = free - inverse * reactions::<N>(&inverse, &free, &bounds, &outside, &mut friction);
+        let after =
+            unconstrained - inverse * reactions::<N>(&inverse, &unconstrained, &bounds, &outside, &mut friction);
         self.friction = array(&friction);
 
-        self.swing(&array(&after), h);
+        self.advance_modes(&array(&after), h);
         self.q = array(&(middle + after * (0.5 * h)));
         self.qdd = array(&((after - qd) / h));
         self.qd = array(&after);
-        self.arrive(m, h);
+        self.finish_step(m, h);
     }
 
-    /// The same with motors behind transmissions: joints first, then the motors of those that have one. `drive` are the
-    /// joint torques without the motors'.
+    /// Like `advance`, with motors behind transmissions: coordinates are the joints, then the motors of joints with a
+    /// transmission. `drive` are the joint torques without the motors'.
     fn advance_flexible<M: Mechanism<f64, N>, const N: usize>(
         &mut self,
         m: &M,
@@ -428,26 +429,27 @@ impl Plant {
             damping[(turned, turned)] += self.viscous[i] + load.damping[i];
             bounds[turned] = dry[i];
         }
-        // The spring's mean force over the step is that of its mean deflection, h/4 (v + v⁺) further than now.
+        // The spring's mean force over the step belongs to its mean deflection, h/4 (v + v⁺) beyond the present one.
         let mean = damping * (0.5 * h) + stiffness * (0.25 * h * h);
         let (mut before, mut momentum) = (inertia + mean, (inertia - mean) * velocity + force * h);
         for i in 0..N {
-            for swinging in self.modes[i].iter().flatten() {
-                let (inertia, given, ..) = swinging.over(self.q[i], self.qd[i], h);
+            for state in self.modes[i].iter().flatten() {
+                let (inertia, extra, ..) = state.eliminate(self.q[i], self.qd[i], h);
                 before[(i, i)] += inertia;
-                momentum[i] += given;
+                momentum[i] += extra;
             }
         }
         let inverse = before.try_inverse().unwrap_or_else(SMatrix::zeros);
-        let free = inverse * momentum;
+        let unconstrained = inverse * momentum;
         let turned = |i: usize| if self.transmissions[i].is_some() { 3 + i } else { i };
         let mut friction = SVector::<f64, BOTH>::zeros();
         for i in 0..N {
             friction[turned(i)] = self.friction[i];
         }
-        let after = free - inverse * reactions::<BOTH>(&inverse, &free, &bounds, &outside, &mut friction);
+        let after =
+            unconstrained - inverse * reactions::<BOTH>(&inverse, &unconstrained, &bounds, &outside, &mut friction);
         self.friction = core::array::from_fn(|i| if i < N { friction[turned(i)] } else { 0.0 });
-        self.swing(&core::array::from_fn(|i| after[i]), h);
+        self.advance_modes(&core::array::from_fn(|i| after[i]), h);
         for i in 0..N {
             self.q[i] += 0.5 * h * (velocity[i] + after[i]);
             self.qdd[i] = (after[i] - velocity[i]) / h;
@@ -455,17 +457,17 @@ impl Plant {
             self.theta[i] += 0.5 * h * (velocity[3 + i] + after[3 + i]);
             self.theta_d[i] = after[3 + i];
         }
-        self.arrive(m, h);
+        self.finish_step(m, h);
     }
 
-    /// Moves what swings on by `h`, before its joints, whose velocities at the end are `after`.
-    fn swing(&mut self, after: &[f64; 3], h: f64) {
+    /// Advances the structural modes by `h`, before their joints, whose velocities at the end are `after`.
+    fn advance_modes(&mut self, after: &[f64; 3], h: f64) {
         for (joint, modes) in self.modes.iter_mut().enumerate() {
-            for swinging in modes.iter_mut().flatten() {
-                let (_, _, alone, share) = swinging.over(self.q[joint], self.qd[joint], h);
+            for state in modes.iter_mut().flatten() {
+                let (_, _, alone, share) = state.eliminate(self.q[joint], self.qd[joint], h);
                 let velocity = alone + share * after[joint];
-                swinging.angle += 0.5 * h * (swinging.velocity + velocity);
-                swinging.velocity = velocity;
+                state.angle += 0.5 * h * (state.velocity + velocity);
+                state.velocity = velocity;
             }
         }
     }
@@ -476,12 +478,12 @@ impl Plant {
     }
 }
 
-/// Impulses of dry friction and end stops, N m s, by projected Gauss-Seidel: each coordinate's friction takes what it
-/// can of the velocity, within ± `bounds`; a stop takes what moves further out. `friction` is where the solver starts,
-/// and its answer.
+/// Computes the impulses of dry friction and end stops, N m s, by projected Gauss-Seidel: friction of each coordinate
+/// opposes its velocity within ± `bounds`; a stop prevents motion further out. `friction` is the solver's initial value
+/// and its result.
 fn reactions<const S: usize>(
     inverse: &SMatrix<f64, S, S>,
-    free: &SVector<f64, S>,
+    unconstrained: &SVector<f64, S>,
     bounds: &[f64; S],
     outside: &[(bool, bool); S],
     friction: &mut SVector<f64, S>,
@@ -495,7 +497,7 @@ fn reactions<const S: usize>(
         let mut change: f64 = 0.0;
         for i in 0..S {
             let mut take = |impulse: &mut SVector<f64, S>, low: f64, high: f64, other: &SVector<f64, S>| {
-                let velocity = free[i] - (inverse.row(i) * (*impulse + other))[0];
+                let velocity = unconstrained[i] - (inverse.row(i) * (*impulse + other))[0];
                 let before = impulse[i];
                 impulse[i] = (before + velocity / inverse[(i, i)]).clamp(low, high);
                 change = change.max((impulse[i] - before).abs());

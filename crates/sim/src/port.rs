@@ -1,4 +1,4 @@
-//! The simulated board's end of the link: bytes in, frames out of them; frames in, bytes out of them.
+//! The simulated board's end of the link: converts bytes to frames and frames to bytes.
 
 use haptic_bridge::board::dispatch;
 use haptic_bridge::board::protocol::MAX_FRAME;
@@ -7,10 +7,10 @@ use postcard_rpc::Topic;
 use serde::Serialize;
 use std::collections::VecDeque;
 
-/// Room for answers beside the telemetry that was not read, bytes.
-const ANSWERS: usize = 64 * 1024;
+/// Buffer for replies in addition to unread telemetry, bytes.
+const REPLY_ROOM: usize = 64 * 1024;
 
-/// Bytes on their way in and out.
+/// Incoming and outgoing bytes.
 #[derive(Debug)]
 pub(super) struct Port {
     deframer: Deframer,
@@ -20,19 +20,19 @@ pub(super) struct Port {
 }
 
 impl Port {
-    /// A port with room for `capacity` bytes of telemetry that the host has not read.
+    /// Creates a port with a buffer of `capacity` bytes for telemetry.
     pub(super) fn new(capacity: usize) -> Self {
         Self { deframer: Deframer::default(), out: VecDeque::new(), capacity, sequence: 0 }
     }
 
-    /// Frames that these bytes complete.
+    /// Returns the frames that these bytes complete.
     pub(super) fn take_in(&mut self, bytes: &[u8]) -> Vec<Vec<u8>> {
         let mut frames = Vec::new();
         self.deframer.feed_plain(bytes, |frame| frames.push(frame.to_vec()));
         frames
     }
 
-    /// Bytes for the host, as many as fit; returns how many.
+    /// Moves bytes for the host to `buffer` and returns their number.
     pub(super) fn take_out(&mut self, buffer: &mut [u8]) -> usize {
         let count = buffer.len().min(self.out.len());
         for (to, from) in buffer.iter_mut().zip(self.out.drain(..count)) {
@@ -46,22 +46,22 @@ impl Port {
         self.out.is_empty()
     }
 
-    /// Returns true if the host reads fast enough for more telemetry.
+    /// Returns true if the buffer has room for more telemetry.
     pub(super) fn has_room(&self) -> bool {
         self.out.len() < self.capacity
     }
 
-    /// Forgets everything on its way. What goes out next begins with a delimiter: the host may hold half a frame.
+    /// Drops all bytes. The next output begins with a delimiter, because the host may hold a partial frame.
     pub(super) fn clear(&mut self) {
         self.deframer = Deframer::default();
         self.out.clear();
         self.out.push_back(0);
     }
 
-    /// Sends an answer. There is room for more of them than a tool asks for before it reads; to one that asks and does
-    /// not read, the rest is lost, as it is on a board.
+    /// Sends a reply. The buffer holds more replies than a tool requests before it reads; beyond that, replies are
+    /// dropped, as on a board.
     pub(super) fn send(&mut self, frame: &[u8]) {
-        if self.out.len() < self.capacity + ANSWERS {
+        if self.out.len() < self.capacity + REPLY_ROOM {
             self.out.extend(envelope(frame));
         }
     }

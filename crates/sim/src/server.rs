@@ -1,7 +1,7 @@
-//! A simulated board behind a port that other programs open: a pseudo-terminal or a TCP address.
+//! Serves a simulated board to other programs on a pseudo-terminal or a TCP address.
 //!
-//! One thread runs the board and owns it; others only carry bytes (`sim/door.rs`), through queues of a bounded length,
-//! so that a tool that floods or does not read costs no memory.
+//! One thread runs the board and owns it. Other threads only carry bytes (`sim/door.rs`) through queues of bounded
+//! length, so a tool that floods or does not read cannot exhaust memory.
 
 use super::board::SimulatedBoard;
 use super::door::{BLOCK, DISARM_ANSWER, Event, Outgoing, STOPS, Stop, ToolListener};
@@ -12,21 +12,21 @@ use std::time::{Duration, Instant};
 /// The relation of simulated time to the wall clock.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Pace {
-    /// With the wall clock and never ahead of it, but for what one request or control period takes; when the computer
-    /// is too slow, later.
+    /// With the wall clock. The board is ahead by at most one request or control period; if the computer is too slow,
+    /// it is late.
     RealTime,
-    /// As fast as the computer can while a tool is connected and reads; no telemetry is dropped. Where the board turns
-    /// its motors off when the tool is silent, simulated time does not run away from the tool: from a quarter of that
-    /// silence on it passes no faster than the wall clock, so that only a silence that is one is taken for one.
+    /// As fast as the computer can while a tool is connected and reads; no telemetry is dropped. If the board turns its
+    /// motors off because of a silent tool, simulated time must not outrun the tool: after a quarter of the allowed
+    /// silence it runs no faster than the wall clock, so that only a truly silent tool is detected as silent.
     AsFastAsItCan,
 }
 
-/// Simulated time between two looks at the link, s.
+/// Simulated time between two polls of the link, s.
 const SLICE: f64 = 1e-3;
-/// The most that a board in real time catches up after the computer was busy, s.
+/// Largest delay that a board in real time catches up after the computer was busy, s.
 const CATCH_UP: f64 = 0.1;
 
-/// Runs `board` behind `door` until `stop` is set.
+/// Serves `board` on `door` until `disarm_for_guest` is set.
 pub fn serve(board: &mut SimulatedBoard, door: &ToolListener, pace: Pace, stop: &AtomicBool) {
     let slice = Duration::from_secs_f64(SLICE);
     let began = Instant::now();
@@ -34,7 +34,7 @@ pub fn serve(board: &mut SimulatedBoard, door: &ToolListener, pace: Pace, stop: 
     while !stop.load(Ordering::SeqCst) {
         let now = began.elapsed().as_secs_f64();
         if let Ok(stop) = door.stops.try_recv() {
-            server.stop(now, stop);
+            server.disarm_for_guest(now, stop);
         }
         let due = server.due(now);
         let event = match due {
@@ -51,40 +51,40 @@ pub fn serve(board: &mut SimulatedBoard, door: &ToolListener, pace: Pace, stop: 
         if matches!(event, Err(RecvTimeoutError::Disconnected)) {
             return;
         }
-        server.turn(now, due, event.ok());
+        server.advance(now, due, event.ok());
     }
 }
 
 /// The server's next action.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Due {
-    /// The board is ahead of the clock. The tools wait too, because a request takes some of the board's time.
+    /// Wait: the board is ahead of the clock. Events wait too, because a request takes some of the board's time.
     Nothing,
-    /// The tools are heard.
+    /// Handle events.
     Events,
-    /// They are, and a slice of the board's time passes.
+    /// Handle events and advance the board by a slice.
     Time,
 }
 
-/// A board and who talks to it. It reads no clock: whoever calls it says what time it is, s since it began.
+/// A board and the tools connected to it. It reads no clock: the caller passes the time in seconds since the start.
 struct Server<'a> {
     board: &'a mut SimulatedBoard,
     pace: Pace,
     tools: Tools,
-    /// The board's time when it began, and what it was too slow for since, s.
+    /// The board's time at the start, and the time skipped because the computer was too slow, s.
     start: f64,
     skipped: f64,
-    /// Since when the host is silent on the wall clock, and for how long it was by the board's.
-    heard: (f64, f64),
+    /// Wall-clock time of the start of the host's silence, and its length on the board's clock at the last check, s.
+    silent_since: (f64, f64),
 }
 
 impl<'a> Server<'a> {
     fn new(board: &'a mut SimulatedBoard, pace: Pace) -> Self {
         let start = board.time();
-        Self { board, pace, tools: Tools::default(), start, skipped: 0.0, heard: (0.0, 0.0) }
+        Self { board, pace, tools: Tools::default(), start, skipped: 0.0, silent_since: (0.0, 0.0) }
     }
 
-    /// By how much the board is behind, by its own time: requests take some, and a slice ends with a control period.
+    /// Returns how late the board is. It may be early: requests take time, and a slice ends with a control period.
     fn behind(&self, now: f64) -> f64 {
         now - self.skipped - (self.board.time() - self.start)
     }
@@ -93,27 +93,27 @@ impl<'a> Server<'a> {
         let idle = match self.pace {
             Pace::RealTime if self.behind(now) < -SLICE => return Due::Nothing,
             Pace::RealTime => self.behind(now) < SLICE,
-            Pace::AsFastAsItCan => self.runs_away(now) || self.tools.none_reads(),
+            Pace::AsFastAsItCan => self.outruns_host(now) || self.tools.has_no_reader(),
         };
         if idle { Due::Events } else { Due::Time }
     }
 
-    fn runs_away(&mut self, now: f64) -> bool {
+    fn outruns_host(&mut self, now: f64) -> bool {
         self.board.host_silence().is_some_and(|(silent, allowed)| {
-            if silent < self.heard.1 {
-                self.heard.0 = now;
+            if silent < self.silent_since.1 {
+                self.silent_since.0 = now;
             }
-            self.heard.1 = silent;
-            silent > (0.25 * allowed).max(now - self.heard.0)
+            self.silent_since.1 = silent;
+            silent > (0.25 * allowed).max(now - self.silent_since.0)
         })
     }
 
-    /// Does what was due at `now`.
-    fn turn(&mut self, now: f64, due: Due, event: Option<Event>) {
+    /// Carries out the action that was due at `now`.
+    fn advance(&mut self, now: f64, due: Due, event: Option<Event>) {
         match event {
             Some(Event::Connected(outgoing)) => {
                 self.tools.holder = Some(outgoing);
-                self.heard = (now, 0.0);
+                self.silent_since = (now, 0.0);
             }
             Some(Event::Bytes(bytes)) => self.board.receive(&bytes),
             Some(Event::Gone) => {
@@ -130,40 +130,40 @@ impl<'a> Server<'a> {
             self.board.run(SLICE);
         }
         self.tools.guests.retain(|(_, since)| now - since < DISARM_ANSWER.as_secs_f64());
-        self.tools.pass_on(self.board);
+        self.tools.send_blocks(self.board);
     }
 
-    /// Has the board disarm for a tool that does not hold it.
-    fn stop(&mut self, now: f64, (request, answers): Stop) {
-        // Ends whatever the holder was in the middle of.
+    /// Disarms the board for a tool that does not hold it.
+    fn disarm_for_guest(&mut self, now: f64, (request, answers): Stop) {
+        // Ends a partial frame of the holder.
         self.board.receive(&[0]);
         self.board.receive(&request);
         if self.tools.guests.len() >= STOPS {
             self.tools.guests.remove(0);
         }
         self.tools.guests.push((answers, now));
-        self.tools.pass_on(self.board);
+        self.tools.send_blocks(self.board);
     }
 }
 
-/// Who hears what the board says.
+/// The tools that receive the board's bytes.
 #[derive(Default)]
 struct Tools {
     holder: Option<Outgoing>,
-    /// A block that the holder has not taken yet.
+    /// A block that the holder has not accepted yet.
     waiting: Option<Vec<u8>>,
-    /// Tools that disarmed past the holder, and since when they listen, s.
+    /// Tools that disarmed the board without holding it, and the time at which they began to listen, s.
     guests: Vec<(Outgoing, f64)>,
 }
 
 impl Tools {
-    fn none_reads(&self) -> bool {
+    fn has_no_reader(&self) -> bool {
         self.guests.is_empty() && (self.holder.is_none() || self.waiting.is_some())
     }
 
-    /// Hands the tools what the board has for them, as far as the holder takes it. While a guest listens nothing waits
-    /// for a holder that does not read.
-    fn pass_on(&mut self, board: &mut SimulatedBoard) {
+    /// Sends the board's bytes to the tools as far as the holder accepts them. While a guest listens, blocks that the
+    /// holder does not accept are dropped.
+    fn send_blocks(&mut self, board: &mut SimulatedBoard) {
         while self.holder.is_some() || !self.guests.is_empty() {
             let block = self.waiting.take().unwrap_or_else(|| {
                 let mut block = vec![0; BLOCK];
@@ -185,7 +185,7 @@ impl Tools {
                     self.waiting = Some(block);
                     return;
                 }
-                // The reading side will say that the tool is gone.
+                // The reading thread will report that the tool is gone.
                 Err(TrySendError::Disconnected(_)) => self.holder = None,
             }
         }
@@ -222,47 +222,47 @@ mod tests {
         encode(&header, &postcard::to_stdvec(body).unwrap())
     }
 
-    /// A tool that has come, and what it is told.
+    /// Connects a tool; returns the blocks for it.
     fn connect(server: &mut Server<'_>) -> Receiver<Vec<u8>> {
-        let (outgoing, told) = sync_channel(8);
-        server.turn(0.0, Due::Events, Some(Event::Connected(outgoing)));
-        told
+        let (outgoing, received) = sync_channel(8);
+        server.advance(0.0, Due::Events, Some(Event::Connected(outgoing)));
+        received
     }
 
     #[test]
-    fn in_real_time_it_is_never_ahead_of_the_clock_however_long_its_periods_and_however_much_it_is_asked() {
-        for asked in [false, true] {
+    fn in_real_time_the_board_follows_the_clock_under_any_load() {
+        for with_requests in [false, true] {
             let mut board = board(200.0);
             let mut server = Server::new(&mut board, Pace::RealTime);
-            let told = connect(&mut server);
+            let received = connect(&mut server);
             for turn in 1..2_000 {
                 let now = 0.25e-3 * f64::from(turn);
                 let due = server.due(now);
                 if due != Due::Nothing {
                     // Every request takes two control periods of the board's time.
-                    server.turn(now, due, asked.then(|| Event::Bytes(request::<GetStatus>(&()))));
+                    server.advance(now, due, with_requests.then(|| Event::Bytes(request::<GetStatus>(&()))));
                 }
-                let _ = told.try_recv();
+                let _ = received.try_recv();
                 let passed = server.board.time() - server.start;
                 // The board is ahead by at most one slice and one request, and behind by at most one turn.
-                assert!((now - 0.003..now + 0.021).contains(&passed), "{passed} s in {now} s, asked: {asked}");
+                assert!((now - 0.003..now + 0.021).contains(&passed), "{passed} s in {now} s, asked: {with_requests}");
             }
         }
     }
 
     #[test]
-    fn what_a_busy_computer_was_too_slow_for_is_skipped() {
+    fn time_lost_on_a_busy_computer_is_skipped() {
         let mut board = board(1_000.0);
         let mut server = Server::new(&mut board, Pace::RealTime);
         while server.due(5.0) == Due::Time {
-            server.turn(5.0, Due::Time, None);
+            server.advance(5.0, Due::Time, None);
         }
         let passed = server.board.time() - server.start;
         assert!((passed - CATCH_UP).abs() < 3.0 * SLICE, "{passed} s");
     }
 
     #[test]
-    fn as_fast_as_it_can_it_waits_for_a_reader_and_does_not_take_its_own_haste_for_silence() {
+    fn fast_mode_waits_for_a_reader_and_never_outruns_the_host() {
         for (start, state) in
             [(request::<Arm>(&()), State::Armed), (request::<CheckPolarity>(&()), State::CheckingPolarity)]
         {
@@ -271,11 +271,11 @@ mod tests {
             board.receive(&request::<SetRules>(&rules));
             board.receive(&start);
             let mut server = Server::new(&mut board, Pace::AsFastAsItCan);
-            assert_eq!(server.due(0.0), Due::Events, "nobody is there");
-            let _told = connect(&mut server);
+            assert_eq!(server.due(0.0), Due::Events, "no tool is connected");
+            let _received = connect(&mut server);
             let play = |server: &mut Server<'_>, now: f64| {
                 while server.due(now) == Due::Time && server.board.status().state == state {
-                    server.turn(now, Due::Time, None);
+                    server.advance(now, Due::Time, None);
                 }
                 server.board.time() - server.start
             };
@@ -289,18 +289,18 @@ mod tests {
     }
 
     #[test]
-    fn a_tool_that_disarms_past_the_holder_hears_the_answer_although_the_holder_does_not_read() {
+    fn a_guest_gets_its_reply_despite_a_blocked_holder() {
         let mut board = board(1_000.0);
         board.receive(&request::<Arm>(&()));
         let mut server = Server::new(&mut board, Pace::RealTime);
         let _holder = connect(&mut server);
-        let (guest, told) = sync_channel(8);
-        // In the middle of what the holder says.
-        server.turn(0.0, Due::Events, Some(Event::Bytes(vec![1, 2, 3])));
-        server.stop(0.0, (request::<Disarm>(&()), guest));
+        let (guest, received) = sync_channel(8);
+        // Within a frame of the holder.
+        server.advance(0.0, Due::Events, Some(Event::Bytes(vec![1, 2, 3])));
+        server.disarm_for_guest(0.0, (request::<Disarm>(&()), guest));
         assert_eq!(server.board.status().state, State::Disarmed);
-        assert!(!told.try_recv().unwrap().is_empty());
-        server.turn(1.5, Due::Events, None);
-        assert!(server.tools.guests.is_empty(), "it has heard what it came for");
+        assert!(!received.try_recv().unwrap().is_empty());
+        server.advance(1.5, Due::Events, None);
+        assert!(server.tools.guests.is_empty(), "the guest has received its reply");
     }
 }

@@ -1,4 +1,4 @@
-//! A simulated board in this process, in lock step with its caller: time passes for it only while the caller waits.
+//! A simulated board in this process, in lock step with its caller: its time passes only while the caller waits.
 
 use super::board::{BoardOptions, SimulatedBoard};
 use super::device::DeviceError;
@@ -8,10 +8,10 @@ use std::io;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-/// The device behind `--port sim`.
+/// The device of `--port sim`.
 pub use haptic_bridge::model::shipped::COUPLED_FIVE_BAR as SHIPPED_DEVICE;
 
-/// A simulated board that its wire and its owner share.
+/// A simulated board that is shared by its wire and its owner.
 #[derive(Clone, Debug)]
 pub struct SharedBoard(Arc<Mutex<SimulatedBoard>>);
 
@@ -21,13 +21,13 @@ impl SharedBoard {
         Self(Arc::new(Mutex::new(board)))
     }
 
-    /// The board, until the guard is dropped.
+    /// Locks the board until the guard is dropped.
     pub fn lock(&self) -> MutexGuard<'_, SimulatedBoard> {
-        // A panic elsewhere leaves a board that is still only numbers.
+        // After a panic elsewhere the board is still valid: it is only numbers.
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// A wire to it.
+    /// Returns a wire to the board.
     pub fn wire(&self) -> Box<dyn Wire> {
         Box::new(SimulatedWire(self.clone()))
     }
@@ -55,11 +55,11 @@ impl Wire for SimulatedWire {
     }
 }
 
-/// A simulated board, fed with the supply of `file`, with its device wired to it and, when it takes it, loaded.
+/// Creates a simulated board with the supply and the device of `file`, and loads the device if the board accepts it.
 pub fn ready_board(file: &DeviceFile, mut options: BoardOptions) -> Result<SimulatedBoard, DeviceError> {
     options.device.bridge.bus_voltage = file.supply.unwrap_or(options.device.bridge.bus_voltage);
     let mut board = SimulatedBoard::new(&file.description, options)?;
-    // A device that the board refuses is refused again, in words, when the tool loads it.
+    // The tool reports the refusal when it loads the device again.
     let _ = board.load(&file.name, &file.description, None);
     Ok(board)
 }

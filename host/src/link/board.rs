@@ -21,19 +21,19 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::time::Duration;
 
-/// Values of a table that travel in one message.
-const TABLE_PIECE: usize = 64;
-/// Time after which a request is sent again, some times within the half second after which a board may take its host for
-/// lost, and time a board may take to answer; a board that is a process also waits for its turn ([`Wire::slack`]).
-const ANSWER: Patience = (Duration::from_millis(100), Duration::from_secs(2));
-/// The same when it writes flash: two sector erases of 16 KB and the writing (STM32F405 data sheet).
-const FLASH_ANSWER: Patience = (Duration::from_secs(3), Duration::from_secs(6));
-/// The same when it is to turn its motors off: who asks for that is told soon that they may be on.
-const STOP_ANSWER: Patience = (Duration::from_millis(100), Duration::from_secs(4));
-/// Batches in a row that cannot be read before a stream ends with an error: fewer may be spoilt frames.
+/// Number of values of a table in one message.
+const TABLE_CHUNK: usize = 64;
+/// Retry interval and longest wait for a reply. The interval allows several retries within the half second after which
+/// a board may consider its host lost. A board that is a process also waits for the CPU ([`Wire::slack`]).
+const REPLY: Patience = (Duration::from_millis(100), Duration::from_secs(2));
+/// Patience for a flash write: two sector erases of 16 KB and the writing (STM32F405 data sheet).
+const FLASH_REPLY: Patience = (Duration::from_secs(3), Duration::from_secs(6));
+/// Patience for a disarm request: the user learns soon that the motors may still be on.
+const STOP_REPLY: Patience = (Duration::from_millis(100), Duration::from_secs(4));
+/// Number of consecutive unreadable batches after which a stream ends with an error; fewer may be corrupted frames.
 const UNREADABLE: u32 = 50;
-/// Time to wait for the answer to a force, unless a program says otherwise: until then its lease has run out by itself,
-/// as [`super::Session`] sets it.
+/// Default wait for the reply to a force. After this time the lease of the force has expired, as [`super::Session`]
+/// sets it.
 pub const FORCE_PATIENCE: Duration = Duration::from_millis(100);
 
 /// The result of a polarity check.
@@ -41,31 +41,31 @@ pub const FORCE_PATIENCE: Duration = Duration::from_millis(100);
 pub enum PolarityOutcome {
     /// Every motor turns its joint the right way.
     Right,
-    /// A fault ended it.
+    /// A fault ended the check.
     Fault(FaultRecord),
-    /// Somebody else turned the motors off.
+    /// Another program turned the motors off.
     Stopped,
 }
 
 impl PolarityOutcome {
-    /// Nothing more where it passed; else what ended it before.
+    /// Returns an error with the cause if the check did not pass.
     pub fn passed(self) -> Result<(), Failure> {
         match self {
             Self::Right => Ok(()),
             Self::Fault(record) => Err(Failure::impossible(fault_and_remedy(&record))),
-            Self::Stopped => Err(Failure::impossible("the check was ended from outside").remedy("start it again")),
+            Self::Stopped => Err(Failure::impossible("another program ended the check").remedy("start it again")),
         }
     }
 }
 
 /// A board whose motors [`Board::stop`] has turned off.
 pub enum Stopped {
-    /// It is this tool's now.
+    /// The board is open.
     Open(Box<Board>),
-    /// It speaks this version of the protocol, so nothing more can be asked of it.
-    Unlike(u16),
-    /// Another tool holds it.
-    Past,
+    /// The board speaks another version of the protocol, so it accepts no further requests.
+    OtherProtocol(u16),
+    /// Another tool holds the board.
+    Held,
 }
 
 /// An open board of this tool's protocol version.
@@ -76,45 +76,45 @@ pub struct Board {
     rows: Rows,
     garbled_before: u64,
     last_heartbeat: Option<Duration>,
-    /// The step that the board told in answer to the newest heartbeat.
+    /// The step in the reply to the latest heartbeat.
     step: u32,
     force_patience: Duration,
-    /// By which the board tells what this tool has put aside, and whose key it holds, from what another has and does.
+    /// Identifies this tool: separates its staged settings and its key from another tool's.
     session: u32,
     faults: Vec<FaultRecord>,
 }
 
 impl Board {
-    /// A board behind an open wire; `port` is what messages call it.
+    /// Opens the board on an open wire; `port` is its name in messages.
     pub fn over(wire: Box<dyn Wire>, port: impl Into<String>) -> Result<Self, LinkError> {
         Self::greet(Self::reach(wire)?, port.into())
     }
 
     fn reach(wire: Box<dyn Wire>) -> Result<Client, LinkError> {
         let mut client = Client::new(wire);
-        // A tool that was killed may have left half a request in the board's buffer: end it first.
+        // A killed tool may have left a partial request in the board's buffer: end it first.
         client.end_frame()?;
         Ok(client)
     }
 
-    /// Turns the motors of a board behind an open wire off, before anything else is asked of it: of any version of the
-    /// protocol, and also where a server lets only this request past the tool that holds the board.
+    /// Turns the motors of the board on an open wire off with the first request. Works with any version of the
+    /// protocol, and with a server that lets only this request pass while another tool holds the board.
     pub fn stop_over(wire: Box<dyn Wire>, port: impl Into<String>) -> Result<Stopped, BoardError> {
         let (mut client, port) = (Self::reach(wire)?, port.into());
-        match client.call::<p::Disarm>(&(), STOP_ANSWER) {
-            Err(_) if client.was_told_occupied() => return Err(LinkError::HeldByAnother(port).into()),
+        match client.call::<p::Disarm>(&(), STOP_REPLY) {
+            Err(_) if client.is_occupied() => return Err(LinkError::HeldByAnother(port).into()),
             outcome => outcome??,
         }
         Ok(match Self::greet(client, port) {
             Ok(board) => Stopped::Open(Box::new(board)),
-            Err(LinkError::Version { board, .. }) => Stopped::Unlike(board),
-            Err(_) => Stopped::Past,
+            Err(LinkError::Version { board, .. }) => Stopped::OtherProtocol(board),
+            Err(_) => Stopped::Held,
         })
     }
 
     fn greet(mut client: Client, port: String) -> Result<Self, LinkError> {
-        let info = match client.call::<p::GetInfo>(&(), (ANSWER.0, ANSWER.1 + client.slack())) {
-            Err(_) if client.was_told_occupied() => return Err(LinkError::HeldByAnother(port)),
+        let info = match client.call::<p::GetInfo>(&(), (REPLY.0, REPLY.1 + client.slack())) {
+            Err(_) if client.is_occupied() => return Err(LinkError::HeldByAnother(port)),
             other => other?,
         };
         if info.protocol != PROTOCOL {
@@ -135,20 +135,20 @@ impl Board {
         })
     }
 
-    /// The port's name.
+    /// Returns the port's name.
     pub fn port(&self) -> &str {
         &self.port
     }
-    /// The board's description of itself.
+    /// Returns the board's description of itself.
     pub fn info(&self) -> &Info {
         &self.info
     }
-    /// The wire's clock: simulated time on a simulated board.
+    /// Returns the time of the wire's clock: simulated time on a simulated board.
     pub fn now(&self) -> Duration {
         self.client.now()
     }
 
-    fn ask<E: Endpoint>(&mut self, request: &E::Request, patience: Patience) -> Result<E::Response, LinkError>
+    fn call<E: Endpoint>(&mut self, request: &E::Request, patience: Patience) -> Result<E::Response, LinkError>
     where
         E::Request: Serialize,
         E::Response: DeserializeOwned,
@@ -160,43 +160,43 @@ impl Board {
     where
         E::Request: Serialize,
     {
-        Ok(self.ask::<E>(request, ANSWER)??)
+        Ok(self.call::<E>(request, REPLY)??)
     }
 
-    /// The outcome of a request to turn the motors on. One whose answer was lost is refused when it is repeated, because
-    /// they are on.
-    fn on(&self, outcome: Result<(), BoardError>) -> Result<(), BoardError> {
+    /// Returns the outcome of a request to turn the motors on. If its reply was lost, the repeated request is refused
+    /// because they are already on.
+    fn allow_armed(&self, outcome: Result<(), BoardError>) -> Result<(), BoardError> {
         match outcome {
             Err(BoardError::Refused(Refusal::Armed)) if self.client.repeats > 0 => Ok(()),
             outcome => outcome,
         }
     }
 
-    /// The rest of what the board says of itself.
+    /// Reads further details of the board.
     pub fn details(&mut self) -> Result<Details, LinkError> {
-        self.ask::<p::GetDetails>(&(), ANSWER)
+        self.call::<p::GetDetails>(&(), REPLY)
     }
-    /// State, homing, latched fault.
+    /// Reads state, homing and latched fault.
     pub fn status(&mut self) -> Result<Status, LinkError> {
-        self.ask::<p::GetStatus>(&(), ANSWER)
+        self.call::<p::GetStatus>(&(), REPLY)
     }
-    /// Loads a device; homing and the polarity check are forgotten.
+    /// Loads a device; homing and the polarity check become invalid.
     pub fn set_device(&mut self, device: &p::DeviceData) -> Result<(), BoardError> {
         self.change::<p::SetDevice>(device)
     }
-    /// The loaded device.
+    /// Reads the loaded device.
     pub fn device(&mut self) -> Result<Option<p::DeviceData>, LinkError> {
-        self.ask::<p::GetDevice>(&(), ANSWER)
+        self.call::<p::GetDevice>(&(), REPLY)
     }
     /// Loads a scene.
     pub fn set_scene(&mut self, scene: &Scene<f32>) -> Result<(), BoardError> {
         self.change::<p::SetScene>(scene)
     }
-    /// The loaded scene.
+    /// Reads the loaded scene.
     pub fn scene(&mut self) -> Result<Option<p::SceneData>, LinkError> {
-        self.ask::<p::GetScene>(&(), ANSWER)
+        self.call::<p::GetScene>(&(), REPLY)
     }
-    /// Says where the control step takes its mass matrix from.
+    /// Sets the source of the control step's mass matrix.
     pub fn set_mass_model(
         &mut self,
         model: &haptic_bridge::model::precomputed::MassModelData,
@@ -207,7 +207,7 @@ impl Board {
     pub fn send_table(&mut self, chunk: &p::TableChunk) -> Result<(), BoardError> {
         self.change::<p::SendTable>(chunk)
     }
-    /// Changes the gains of one wall, also while it is touched.
+    /// Changes the gains of one wall, also while it is in contact.
     pub fn set_wall_gains(&mut self, gains: Gains<f32>) -> Result<(), BoardError> {
         self.change::<p::SetGains>(&GainsRequest { wall: Some(gains), estimator: None })
     }
@@ -219,16 +219,16 @@ impl Board {
     pub fn set_rules(&mut self, rules: &Rules) -> Result<(), BoardError> {
         self.change::<p::SetRules>(rules)
     }
-    /// Limits and rules.
+    /// Reads limits and rules.
     pub fn rules(&mut self) -> Result<Rules, LinkError> {
-        self.ask::<p::GetRules>(&(), ANSWER)
+        self.call::<p::GetRules>(&(), REPLY)
     }
     /// Declares the present pose to be the device's home pose.
     pub fn home(&mut self) -> Result<(), BoardError> {
         self.change::<p::Home>(&())
     }
-    /// Homes as soon as the device is at rest, for which it has a second of the board's time: somebody may be about to
-    /// hold it still, and a simulated hand carries it back after a polarity check.
+    /// Homes as soon as the device is at rest; gives up after one second of the board's time. The user may still be
+    /// about to hold the device, and a simulated hand returns it after a polarity check.
     pub fn home_at_rest(&mut self) -> Result<(), BoardError> {
         let until = self.now() + Duration::from_secs(1) + self.client.slack();
         while let Err(error) = self.home() {
@@ -242,58 +242,60 @@ impl Board {
     /// Starts the polarity check: each joint is moved by a small torque.
     pub fn check_polarity(&mut self) -> Result<(), BoardError> {
         let outcome = self.change::<p::CheckPolarity>(&());
-        self.on(outcome)
+        self.allow_armed(outcome)
     }
-    /// Motors on.
+    /// Turns the motors on.
     pub fn arm(&mut self) -> Result<(), BoardError> {
         let outcome = self.change::<p::Arm>(&());
-        self.on(outcome)
+        self.allow_armed(outcome)
     }
-    /// Motors off.
+    /// Turns the motors off.
     pub fn disarm(&mut self) -> Result<(), BoardError> {
         self.change::<p::Disarm>(&())
     }
-    /// The newest control step that the board has told in answer to a heartbeat, see [`Board::keep_alive`]: with it,
-    /// whoever sees a dead man's key says when.
+    /// Returns the latest control step that the board has reported in reply to a heartbeat, see [`Board::keep_alive`].
+    /// It is the time stamp of an observation of a dead man's key.
     pub fn step(&self) -> u32 {
         self.step
     }
-    /// Motors on for as long as a dead man's key is held. `seen` is the newest [`Board::step`] that whoever sees the key
-    /// knew of before the key was seen down. Half a second after that step the board turns its motors off, as a fault,
-    /// unless [`Board::hold_key`] has told of a newer one; it refuses to arm where that is over already.
+    /// Turns the motors on for as long as a dead man's key is held. `seen` is the latest [`Board::step`] known to the
+    /// observer of the key before the key was seen down. Half a second after that step the board turns its motors off
+    /// with a fault, unless [`Board::hold_key`] has sent a newer step. If the half second has already passed, the board
+    /// refuses to arm.
     pub fn arm_held(&mut self, seen: u32) -> Result<(), BoardError> {
         let outcome = self.change::<p::ArmHeld>(&p::Press { holder: self.session, seen });
-        self.on(outcome)
+        self.allow_armed(outcome)
     }
-    /// The key is still down, see [`Board::arm_held`]. Only this `Board` can say so of the key that it armed with.
+    /// Reports that the key is still down, see [`Board::arm_held`]. Only this `Board` can report the key that it armed
+    /// with.
     pub fn hold_key(&mut self, seen: u32) -> Result<(), LinkError> {
         self.heartbeat(p::Beat::Held(p::Press { holder: self.session, seen }))
     }
-    /// Asks for a force at the tip, joint torques or a contact, for as long as its lease runs; reads how the device is.
-    /// The answer names what was not done.
+    /// Requests a force at the tip, joint torques or a contact, for the duration of its lease, and reads the device's
+    /// state. The reply names a request that was not carried out.
     pub fn force(&mut self, request: &p::ForceRequest) -> Result<p::ForceAnswer, LinkError> {
         let sent = self.send_force(request)?;
         self.force_answer(sent)
     }
-    /// Sends what [`Board::force`] sends, and does not wait: a program that sends its next request before it has this
-    /// one's answer is not slowed down by the way to the board and back. Two on their way are enough, and more than
-    /// eight are not kept; answers come in the order of the requests. Telemetry may be read in between.
+    /// Sends the request of [`Board::force`] and does not wait, so that the round trip does not slow down a program
+    /// that sends its next request before this reply. Two pending requests are enough, and at most eight are kept.
+    /// Replies come in the order of the requests. Telemetry may be read in between.
     pub fn send_force(&mut self, request: &p::ForceRequest) -> Result<Sent, LinkError> {
         self.client.send::<p::Force>(request)
     }
-    /// The answer to a [`Board::send_force`], waited for no longer than [`Board::wait_for_forces`] says, and not at all
-    /// where a later one's has come.
+    /// Waits for the reply to [`Board::send_force`], at most as long as [`Board::wait_for_forces`] allows. Does not
+    /// wait if the reply to a later request has come.
     pub fn force_answer(&mut self, sent: Sent) -> Result<p::ForceAnswer, LinkError> {
         let (began, patience) = (self.now(), self.force_patience);
-        let answer = self.client.answer::<p::Force>(sent, patience);
-        answer.map_err(|error| match error {
+        let reply = self.client.reply::<p::Force>(sent, patience);
+        reply.map_err(|error| match error {
             LinkError::Silent { .. } | LinkError::Rejected { .. } | LinkError::Unreadable { .. } => {
                 LinkError::Unanswered { waited: patience.min(self.now() - began) }
             }
             error => error,
         })
     }
-    /// For how long the answer to a force is waited for: [`FORCE_PATIENCE`] unless this says otherwise.
+    /// Sets the longest wait for the reply to a force; the default is [`FORCE_PATIENCE`].
     pub fn wait_for_forces(&mut self, patience: Duration) {
         self.force_patience = patience;
     }
@@ -301,37 +303,38 @@ impl Board {
     pub fn clear(&mut self) -> Result<(), BoardError> {
         self.change::<p::Clear>(&())
     }
-    /// The faults seen since the board started, oldest first.
+    /// Reads the faults since the board started, oldest first.
     pub fn faults(&mut self) -> Result<p::FaultList, LinkError> {
-        self.ask::<p::GetFaults>(&(), ANSWER)
+        self.call::<p::GetFaults>(&(), REPLY)
     }
-    /// Faults the board has reported by itself since the last call.
+    /// Returns the faults that the board has reported unasked since the last call.
     pub fn take_reported_faults(&mut self) -> Vec<haptic_bridge::safety::fault::FaultRecord> {
         std::mem::take(&mut self.faults)
     }
-    /// Writes device, scene, rules and the rest to flash. Only while disarmed; the board pauses for up to a second.
+    /// Writes device, scene, rules and the other settings to flash. Only while disarmed; the board pauses for up to a
+    /// second.
     pub fn save(&mut self) -> Result<(), BoardError> {
-        Ok(self.ask::<p::Save>(&(), FLASH_ANSWER)??)
+        Ok(self.call::<p::Save>(&(), FLASH_REPLY)??)
     }
-    /// The bytes of a setting as they are kept.
+    /// Reads the bytes of a stored setting.
     pub fn read_entry(&mut self, key: Key) -> Result<Option<Entry>, LinkError> {
-        self.ask::<p::ReadEntry>(&key, ANSWER)
+        self.call::<p::ReadEntry>(&key, REPLY)
     }
-    /// Puts a setting's bytes aside until [`Board::commit_entries`] names its key. Only this `Board` can, and only
-    /// until another one puts something aside.
+    /// Stages a setting's bytes until [`Board::commit_entries`] names its key. Only this `Board` can commit them, and
+    /// only until another one stages an entry.
     pub fn stage_entry(&mut self, key: Key, entry: Entry) -> Result<(), BoardError> {
-        Ok(self.ask::<p::StageEntry>(&p::WriteEntry { session: self.session, key, entry }, FLASH_ANSWER)??)
+        Ok(self.call::<p::StageEntry>(&p::WriteEntry { session: self.session, key, entry }, FLASH_REPLY)??)
     }
-    /// Puts the staged settings of these keys in force and into flash, as one change.
+    /// Applies the staged settings of these keys and writes them to flash, as one change.
     pub fn commit_entries(&mut self, keys: &p::KeyList) -> Result<(), BoardError> {
         let commit = p::Commit { session: self.session, keys: keys.clone() };
-        Ok(self.ask::<p::CommitEntries>(&commit, FLASH_ANSWER)??)
+        Ok(self.call::<p::CommitEntries>(&commit, FLASH_REPLY)??)
     }
-    /// Gives the board a name.
+    /// Sets the board's name.
     pub fn set_name(&mut self, name: &p::Name) -> Result<(), BoardError> {
-        Ok(self.ask::<p::SetName>(name, FLASH_ANSWER)??)
+        Ok(self.call::<p::SetName>(name, FLASH_REPLY)??)
     }
-    /// Restarts into the chip's own boot loader, to be flashed over USB.
+    /// Restarts the board into the chip's own boot loader, for flashing over USB.
     pub fn enter_dfu(&mut self) -> Result<(), BoardError> {
         self.change::<p::EnterDfu>(&())
     }
@@ -340,14 +343,13 @@ impl Board {
         self.change::<p::Restart>(&())
     }
 
-    /// From now on says several times a second that the host is there, whenever it waits for telemetry
-    /// or for an answer.
+    /// From now on sends heartbeats, several a second, whenever this `Board` waits for telemetry or a reply.
     pub fn keep_alive(&mut self) {
         self.client.alive = true;
     }
 
-    /// Waits for the end of the polarity check that [`Board::check_polarity`] started, and says how it ended. Meanwhile
-    /// the board is told that the host is there.
+    /// Waits for the end of the polarity check that [`Board::check_polarity`] started, and returns its outcome. Sends
+    /// heartbeats meanwhile.
     pub fn wait_for_polarity(&mut self) -> Result<PolarityOutcome, BoardError> {
         let before = std::mem::replace(&mut self.client.alive, true);
         let outcome = self.polarity_outcome();
@@ -357,7 +359,7 @@ impl Board {
 
     fn polarity_outcome(&mut self) -> Result<PolarityOutcome, BoardError> {
         loop {
-            // No telemetry comes: this only waits, and lets a simulated board's time pass.
+            // No telemetry comes: this call only waits and advances a simulated board's time.
             self.rows(Duration::from_millis(100))?;
             let status = self.status()?;
             match (status.state, status.fault) {
@@ -369,13 +371,13 @@ impl Board {
         }
     }
 
-    /// Sends a prepared mass matrix and puts it in force; motors must be off. The closed form is what a scene comes
-    /// with, so there is nothing to send of it.
+    /// Sends a prepared mass matrix and applies it; motors must be off. Sends nothing for the closed form, which is the
+    /// default of every scene.
     pub fn send_mass(&mut self, mass: &MassModelData, values: &[f32]) -> Result<(), BoardError> {
         if *mass == MassModelData::Exact {
             return Ok(());
         }
-        for (offset, values) in (0_u16..).step_by(TABLE_PIECE).zip(values.chunks(TABLE_PIECE)) {
+        for (offset, values) in (0_u16..).step_by(TABLE_CHUNK).zip(values.chunks(TABLE_CHUNK)) {
             self.send_table(&TableChunk { offset, values: values.iter().copied().collect() })?;
         }
         self.set_mass_model(mass)
@@ -383,25 +385,25 @@ impl Board {
 
     /// Starts a stream of every `divider`-th step's `fields`; losses count from here.
     pub fn start_stream(&mut self, fields: Fields, divider: u32) -> Result<(), BoardError> {
-        // Drawn, not counted: whatever a tool before this one left on the link has another.
+        // A random number separates this stream from one that an earlier tool left on the link.
         let stream = self.client.draw();
         self.rows = Rows::of(stream, fields, divider);
         self.garbled_before = self.client.garbled();
         self.change::<p::Stream>(&StreamRequest { fields, divider, stream })
     }
 
-    /// Stops the stream. Rows that were still on their way are in the next [`Board::rows`].
+    /// Stops the stream. The next [`Board::rows`] returns rows that were still on their way.
     pub fn stop_stream(&mut self) -> Result<(), BoardError> {
         self.change::<p::Stream>(&StreamRequest { fields: Fields(0), divider: 0, stream: 0 })
     }
 
-    /// The rows that have come, waiting at most `timeout` for the first. Faults that the board reports are kept for
+    /// Returns the rows that have come; waits at most `timeout` for the first. Stores faults that the board reports for
     /// [`Board::take_reported_faults`].
     pub fn rows(&mut self, timeout: Duration) -> Result<Vec<Row>, LinkError> {
         let deadline = self.client.now() + timeout;
         let mut rows = Vec::new();
         loop {
-            self.beat()?;
+            self.heartbeat_if_due()?;
             let left = deadline.saturating_sub(self.client.now());
             let wait = if rows.is_empty() { left.min(HEARTBEAT) } else { Duration::ZERO };
             match self.client.topic(wait)? {
@@ -409,11 +411,11 @@ impl Board {
                     if let Some(batch) = frame.message::<p::Telemetry>() {
                         match batch {
                             Ok(batch) => self.rows.take(&batch, &mut rows),
-                            Err(error) if self.rows.spoilt() > UNREADABLE => return Err(error),
+                            Err(error) if self.rows.count_corrupted() > UNREADABLE => return Err(error),
                             Err(_) => {}
                         }
                     } else if let Some(record) = frame.message::<p::FaultSeen>() {
-                        // One that was spoilt on its way is still in the board's list.
+                        // A corrupted fault record is still in the board's list.
                         self.faults.extend(record);
                     }
                 }
@@ -423,13 +425,13 @@ impl Board {
         }
     }
 
-    /// The losses of the stream so far.
+    /// Returns the losses of the stream so far.
     pub fn losses(&self) -> Losses {
         let losses = self.rows.losses();
         Losses { garbled: losses.garbled + self.client.garbled() - self.garbled_before, ..losses }
     }
 
-    fn beat(&mut self) -> Result<(), LinkError> {
+    fn heartbeat_if_due(&mut self) -> Result<(), LinkError> {
         let now = self.client.now();
         if self.client.alive && self.last_heartbeat.is_none_or(|last| now.saturating_sub(last) >= HEARTBEAT) {
             self.heartbeat(p::Beat::Here)?;
@@ -439,7 +441,7 @@ impl Board {
 
     fn heartbeat(&mut self, beat: p::Beat) -> Result<(), LinkError> {
         self.last_heartbeat = Some(self.now());
-        self.step = self.ask::<p::Heartbeat>(&beat, (HEARTBEAT, ANSWER.1))?;
+        self.step = self.call::<p::Heartbeat>(&beat, (HEARTBEAT, REPLY.1))?;
         Ok(())
     }
 }

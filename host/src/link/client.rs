@@ -1,4 +1,4 @@
-//! Requests and their answers, and the topic messages that come between them.
+//! Requests with their replies, and topic messages, which may come at any time.
 
 use super::error::LinkError;
 use super::framing::{Deframer, Packet};
@@ -17,48 +17,48 @@ use std::time::Duration;
 #[derive(Clone, Debug, PartialEq)]
 pub struct TopicFrame {
     key: VarKey,
-    /// The sender's count of messages, as wide as it sends it.
+    /// The sender's message counter, in the width that it uses.
     pub sequence: VarSeq,
     body: Vec<u8>,
 }
 
 impl TopicFrame {
-    /// The message, when it is one of topic `T`; `None` when it is of another.
+    /// Decodes the message if it belongs to topic `T`, otherwise returns `None`.
     pub fn message<T: Topic>(&self) -> Option<Result<T::Message, LinkError>>
     where
         T::Message: DeserializeOwned,
     {
-        (self.key == VarKey::Key8(T::TOPIC_KEY)).then(|| whole(&self.body, T::PATH))
+        (self.key == VarKey::Key8(T::TOPIC_KEY)).then(|| decode_all(&self.body, T::PATH))
     }
 }
 
-/// A connection that speaks frames.
+/// A connection that exchanges frames.
 pub struct Client {
     wire: Box<dyn Wire>,
     deframer: Deframer,
-    /// Requests that were sent, and neither answered nor given up: their number, and the key of their answer.
-    under_way: VecDeque<(VarSeq, VarKey)>,
-    answers: VecDeque<Packet>,
+    /// Pending requests: sequence number, and key of the reply.
+    pending: VecDeque<(VarSeq, VarKey)>,
+    replies: VecDeque<Packet>,
     topics: VecDeque<TopicFrame>,
     sequence: u16,
     buffer: Vec<u8>,
-    /// True if heartbeats go out while an answer is waited for.
+    /// True if heartbeats are sent while the client waits for a reply.
     pub(super) alive: bool,
-    /// Times that the last request of [`Client::call`] was sent again: it may have been carried out before.
+    /// Number of retries of the last [`Client::call`]; an earlier copy may have been carried out.
     pub(super) repeats: u32,
-    /// Bodies of answers that were read: their memory is used again, so that an exchange of forces allocates none.
+    /// Bodies of earlier replies, whose memory is used again: an exchange of forces allocates none.
     spare: Vec<Vec<u8>>,
 }
 
-/// Time after which a request that was not answered is sent again, and after which it is given up.
+/// Retry interval of a request, and longest wait for its reply.
 pub type Patience = (Duration, Duration);
-/// Interval at which the host sends heartbeats, where it was asked to.
+/// Interval between heartbeats, if they are enabled.
 pub(super) const HEARTBEAT: Duration = Duration::from_millis(50);
-/// Times that a request is sent again whose answer rejects it or cannot be read: fewer may be spoilt frames.
+/// Maximum number of retries after rejected or unreadable replies; fewer may be corrupted frames.
 const UNREADABLE: u32 = 3;
 
-/// A message that takes all of these bytes: what is longer was spoilt on its way.
-fn whole<M: DeserializeOwned>(body: &[u8], path: &'static str) -> Result<M, LinkError> {
+/// Decodes a message from all of `body`; a body with further bytes was corrupted.
+fn decode_all<M: DeserializeOwned>(body: &[u8], path: &'static str) -> Result<M, LinkError> {
     match postcard::take_from_bytes(body) {
         Ok((message, [])) => Ok(message),
         _ => Err(LinkError::Unreadable { what: path }),
@@ -68,18 +68,18 @@ fn whole<M: DeserializeOwned>(body: &[u8], path: &'static str) -> Result<M, Link
 /// Length of the longest encoded frame, bytes.
 const MAX_ENCODED: usize = most_on_wire(MAX_FRAME);
 
-/// Largest number of requests under way: the oldest beyond that are given up.
-const MOST_UNDER_WAY: usize = 8;
+/// Maximum number of pending requests: beyond it, the oldest is given up.
+const MAX_PENDING: usize = 8;
 
-/// A request on its way.
+/// A request that was sent.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sent(VarSeq);
 
-/// The answer to a request to disarm once the motors are off, whatever the protocol's version: its key is of that
-/// version's refusals, its body this.
-const STOPPED: &[u8] = &[0];
+/// Body of the reply to a disarm request once the motors are off, in every version of the protocol; its key belongs to
+/// that version's refusals.
+const DISARMED: &[u8] = &[0];
 
-/// The message that the server of a simulated board sends a second tool before it hangs up.
+/// The message with which the server of a simulated board turns away a second tool.
 pub struct Occupied;
 
 impl Topic for Occupied {
@@ -89,15 +89,15 @@ impl Topic for Occupied {
 }
 
 impl Client {
-    /// A client on an open wire.
+    /// Creates a client on an open wire.
     pub fn new(mut wire: Box<dyn Wire>) -> Self {
         Self {
-            // An answer to an earlier tool must not pass for an answer to this one.
+            // Random, so that a reply to an earlier tool does not match.
             sequence: wire.draw() as u16,
             wire,
             deframer: Deframer::default(),
-            under_way: VecDeque::new(),
-            answers: VecDeque::new(),
+            pending: VecDeque::new(),
+            replies: VecDeque::new(),
             topics: VecDeque::new(),
             buffer: vec![0; 16 * 1024],
             alive: false,
@@ -106,51 +106,51 @@ impl Client {
         }
     }
 
-    /// The wire's clock.
+    /// Returns the time of the wire's clock.
     pub fn now(&self) -> Duration {
         self.wire.now()
     }
 
-    /// Extra time that an answer may take beyond the board's own, see [`Wire::slack`].
+    /// Returns the extra time that a reply may take, see [`Wire::slack`].
     pub fn slack(&self) -> Duration {
         self.wire.slack()
     }
 
-    /// A number that is most likely not the one drawn last, see [`Wire::draw`].
+    /// Draws a random number, see [`Wire::draw`].
     pub fn draw(&mut self) -> u32 {
         self.wire.draw()
     }
 
-    /// Stretches of bytes that were not frames.
+    /// Returns the number of byte sequences between delimiters that were not frames.
     pub fn garbled(&self) -> u64 {
         self.deframer.garbled
     }
 
-    /// Ends whatever frame a tool before this one left unfinished.
+    /// Ends a partial frame that an earlier tool may have left.
     pub fn end_frame(&mut self) -> Result<(), LinkError> {
         self.wire.send(&[0]).map_err(LinkError::Lost)
     }
 
-    /// Returns true if the other side has said that another tool is connected.
-    pub fn was_told_occupied(&self) -> bool {
+    /// Returns true if the server has reported that another tool is connected.
+    pub fn is_occupied(&self) -> bool {
         self.topics.iter().any(|topic| topic.key == VarKey::Key8(Occupied::TOPIC_KEY))
     }
 
-    /// Sends a request of endpoint `E` and waits for its answer. A spoilt frame costs little: the request is sent again,
-    /// under its number, after the first of the two times or half of what was waited, whichever is longer. Topic messages
-    /// that come meanwhile are kept.
+    /// Sends a request of endpoint `E` and waits for its reply. To make up for corrupted frames, the request is sent
+    /// again with the same number, after the retry interval or half of the time waited, whichever is longer. Topic
+    /// messages that come meanwhile are kept.
     pub fn call<E: Endpoint>(&mut self, request: &E::Request, patience: Patience) -> Result<E::Response, LinkError>
     where
         E::Request: Serialize,
         E::Response: DeserializeOwned,
     {
         let (sent, frame, length) = self.send_frame::<E>(request)?;
-        let (again, began) = (patience.0, self.now());
-        let (mut asked, end) = (began, began + patience.1);
+        let (retry_interval, began) = (patience.0, self.now());
+        let (mut last_sent, end) = (began, began + patience.1);
         self.repeats = 0;
-        let answer = loop {
+        let reply = loop {
             let before = self.now();
-            let due = end.min(asked + again.max((before - began) / 2));
+            let due = end.min(last_sent + retry_interval.max((before - began) / 2));
             match self.read::<E>(sent, due.saturating_sub(before).min(HEARTBEAT)) {
                 Err(LinkError::Rejected { .. } | LinkError::Unreadable { .. }) if self.repeats < UNREADABLE => {}
                 Err(LinkError::Silent { .. }) if self.now() < end => {
@@ -162,17 +162,17 @@ impl Client {
                         continue;
                     }
                 }
-                answer => break answer,
+                reply => break reply,
             }
-            // The board may hold a part of the last one.
+            // The delimiter ends a partial frame at the board.
             self.wire.send(&[&[0], &frame[..length]].concat()).map_err(LinkError::Lost)?;
-            (self.repeats, asked) = (self.repeats + 1, self.now());
+            (self.repeats, last_sent) = (self.repeats + 1, self.now());
         };
         self.forget(sent);
-        answer
+        reply
     }
 
-    /// Sends a request of endpoint `E`; what [`Client::answer`] wants to know of it.
+    /// Sends a request of endpoint `E`. Returns its handle for [`Client::reply`].
     pub fn send<E: Endpoint>(&mut self, request: &E::Request) -> Result<Sent, LinkError>
     where
         E::Request: Serialize,
@@ -196,28 +196,28 @@ impl Client {
         };
         let count = write(&mut frame).ok_or(LinkError::Unreadable { what: E::PATH })?;
         self.wire.send(&frame[..count]).map_err(LinkError::Lost)?;
-        self.under_way.push_back((sent.0, VarKey::Key8(E::RESP_KEY)));
-        if self.under_way.len() > MOST_UNDER_WAY {
-            let given_up = self.under_way.pop_front();
-            self.answers.retain(|frame| given_up.is_none_or(|(number, _)| frame.header.seq_no != number));
+        self.pending.push_back((sent.0, VarKey::Key8(E::RESP_KEY)));
+        if self.pending.len() > MAX_PENDING {
+            let given_up = self.pending.pop_front();
+            self.replies.retain(|frame| given_up.is_none_or(|(number, _)| frame.header.seq_no != number));
         }
         Ok((sent, frame, count))
     }
 
-    /// Waits for the answer to a request of endpoint `E`. Requests are answered in their order: where one that was sent
-    /// after it is answered, its own answer was lost. Answers to others that are under way are kept.
-    pub fn answer<E: Endpoint>(&mut self, sent: Sent, timeout: Duration) -> Result<E::Response, LinkError>
+    /// Waits for the reply to a request of endpoint `E`. Replies come in the order of the requests: if a later request
+    /// has its reply, this request's was lost. Replies to other pending requests are kept.
+    pub fn reply<E: Endpoint>(&mut self, sent: Sent, timeout: Duration) -> Result<E::Response, LinkError>
     where
         E::Response: DeserializeOwned,
     {
-        let answer = self.read::<E>(sent, timeout);
+        let reply = self.read::<E>(sent, timeout);
         self.forget(sent);
-        answer
+        reply
     }
 
     fn forget(&mut self, sent: Sent) {
-        self.under_way.retain(|(number, _)| *number != sent.0);
-        self.answers.retain(|frame| frame.header.seq_no != sent.0);
+        self.pending.retain(|(number, _)| *number != sent.0);
+        self.replies.retain(|frame| frame.header.seq_no != sent.0);
     }
 
     fn read<E: Endpoint<Response: DeserializeOwned>>(
@@ -225,34 +225,34 @@ impl Client {
         sent: Sent,
         timeout: Duration,
     ) -> Result<E::Response, LinkError> {
-        let Packet { header, body } = self.answered(sent, E::PATH, timeout)?;
-        let stopped = E::REQ_KEY == Disarm::REQ_KEY && body == STOPPED;
+        let Packet { header, body } = self.wait_for_reply(sent, E::PATH, timeout)?;
+        let stopped = E::REQ_KEY == Disarm::REQ_KEY && body == DISARMED;
         let reply = if header.key == VarKey::Key8(E::RESP_KEY) || stopped {
-            whole(&body, E::PATH)
+            decode_all(&body, E::PATH)
         } else {
-            whole::<WireError>(&body, E::PATH)
+            decode_all::<WireError>(&body, E::PATH)
                 .and_then(|error| Err(LinkError::Rejected { what: E::PATH, error: error.to_string() }))
         };
-        if self.spare.len() < MOST_UNDER_WAY {
+        if self.spare.len() < MAX_PENDING {
             self.spare.push(body);
         }
         reply
     }
 
-    /// Returns the index of a request among those that are under way.
-    fn place(&self, number: VarSeq) -> Option<usize> {
-        self.under_way.iter().position(|(other, _)| *other == number)
+    /// Returns the index of a pending request.
+    fn index_of(&self, number: VarSeq) -> Option<usize> {
+        self.pending.iter().position(|(other, _)| *other == number)
     }
 
-    /// The answer to a request, or the error in its place.
-    fn answered(&mut self, sent: Sent, path: &'static str, timeout: Duration) -> Result<Packet, LinkError> {
+    /// Waits for the reply to a request, or the error in its place.
+    fn wait_for_reply(&mut self, sent: Sent, path: &'static str, timeout: Duration) -> Result<Packet, LinkError> {
         let deadline = self.wire.now() + timeout;
         loop {
-            let own = self.answers.iter().position(|frame| frame.header.seq_no == sent.0);
-            if let Some(frame) = own.and_then(|at| self.answers.remove(at)) {
+            let own = self.replies.iter().position(|frame| frame.header.seq_no == sent.0);
+            if let Some(frame) = own.and_then(|at| self.replies.remove(at)) {
                 return Ok(frame);
             }
-            if self.answers.iter().any(|frame| self.place(frame.header.seq_no) > self.place(sent.0)) {
+            if self.replies.iter().any(|frame| self.index_of(frame.header.seq_no) > self.index_of(sent.0)) {
                 return Err(LinkError::Silent { what: path });
             }
             let left = deadline.saturating_sub(self.wire.now());
@@ -263,7 +263,7 @@ impl Client {
         }
     }
 
-    /// The next topic message, waiting at most `timeout` for it.
+    /// Returns the next topic message; waits at most `timeout` for it.
     pub fn topic(&mut self, timeout: Duration) -> Result<Option<TopicFrame>, LinkError> {
         let deadline = self.wire.now() + timeout;
         loop {
@@ -278,29 +278,29 @@ impl Client {
         }
     }
 
-    /// Takes in what the wire has; answers to what is under way wait for [`Self::answer`], the others are topics,
-    /// except the answers to heartbeats that went out beside a request.
+    /// Receives bytes from the wire. Replies to pending requests wait for [`Self::reply`]; all other messages are
+    /// topics, except replies to heartbeats that were sent during a request.
     fn pump(&mut self, timeout: Duration) -> Result<(), LinkError> {
         let count = self.wire.receive(&mut self.buffer, timeout).map_err(LinkError::Lost)?;
-        let (under_way, waiting, topics) = (&self.under_way, &mut self.answers, &mut self.topics);
+        let (pending, waiting, topics) = (&self.pending, &mut self.replies, &mut self.topics);
         let (spare, mut headless) = (&mut self.spare, 0);
         self.deframer.feed_plain(&self.buffer[..count], |plain| {
-            let Some((header, read)) = VarHeader::take_from_slice(plain) else {
+            let Some((header, remaining)) = VarHeader::take_from_slice(plain) else {
                 headless += 1;
                 return;
             };
             let VarHeader { key, seq_no } = header;
-            let stopped = |to: VarKey| to == VarKey::Key8(Disarm::RESP_KEY) && read == STOPPED;
-            let answers = |to: &(VarSeq, VarKey)| {
+            let stopped = |to: VarKey| to == VarKey::Key8(Disarm::RESP_KEY) && remaining == DISARMED;
+            let is_reply = |to: &(VarSeq, VarKey)| {
                 to.0 == seq_no && (to.1 == key || key == VarKey::Key8(ERROR_KEY) || stopped(to.1))
             };
-            if under_way.iter().any(answers) {
+            if pending.iter().any(is_reply) {
                 let mut body = spare.pop().unwrap_or_default();
                 body.clear();
-                body.extend_from_slice(read);
+                body.extend_from_slice(remaining);
                 waiting.push_back(Packet { header, body });
             } else if key != VarKey::Key8(Heartbeat::RESP_KEY) {
-                topics.push_back(TopicFrame { key, sequence: seq_no, body: read.to_vec() });
+                topics.push_back(TopicFrame { key, sequence: seq_no, body: remaining.to_vec() });
             }
         });
         self.deframer.garbled += headless;

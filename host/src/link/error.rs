@@ -4,7 +4,7 @@ use crate::error::{Choice, Failure};
 use haptic_bridge::safety::refusal::Refusal;
 use std::io;
 
-/// Why a board could not be reached, or stopped being reachable.
+/// A failure to reach a board, or a lost connection.
 #[derive(Debug, thiserror::Error)]
 pub enum LinkError {
     /// No board among the serial ports.
@@ -16,29 +16,29 @@ pub enum LinkError {
         /// Serial ports that are not boards.
         others: Vec<String>,
     },
-    /// Several boards, and none was chosen.
+    /// Several boards, and the user chose none of them.
     #[error("several boards found: {}; choose one by its port or its serial number", .0.join(", "))]
     SeveralBoards(Vec<String>),
-    /// The port's name means nothing.
+    /// No port or board has this name.
     #[error(
         "no port {name}, and no board on USB has that serial number: {reason}; `haptic board list` shows the boards that \
          are connected, and a simulated one is on the port that `haptic sim` prints"
     )]
     NoSuchPort {
-        /// The port that was asked for.
+        /// The requested port.
         name: String,
         /// The operating system's message.
         reason: String,
     },
-    /// Someone else has the port open.
+    /// Another program has the port open.
     #[error(
         "port {0} is in use by another program (another `haptic`, a serial monitor, ModemManager); close it first. `haptic view` turns gains and records at once"
     )]
     PortBusy(String),
-    /// Not allowed to open the port.
+    /// No permission to open the port.
     #[error("no permission to open {0}; add yourself to its group: sudo usermod -aG dialout $USER, then log in again")]
     Forbidden(String),
-    /// A TCP connection was not made.
+    /// A TCP connection failed.
     #[error("cannot connect to {address}: {error}; is a board served there?")]
     NotListening {
         /// The address that was tried.
@@ -46,7 +46,7 @@ pub enum LinkError {
         /// The operating system's error.
         error: io::Error,
     },
-    /// The board or the wire went away.
+    /// The board or the wire is gone.
     #[error("the board was unplugged or the connection was lost ({0}); plug it in again")]
     Lost(io::Error),
     /// Another tool is connected to the simulated board.
@@ -55,20 +55,20 @@ pub enum LinkError {
     /// The device of `sim:FILE` cannot be simulated.
     #[error("{0}")]
     CannotSimulate(String),
-    /// The board does not answer.
+    /// The board does not reply.
     #[error("the board does not answer ({what}); is this a haptic-bridge board? If it is, power-cycle it")]
     Silent {
         /// The request's path.
         what: &'static str,
     },
-    /// A force was sent and its answer did not come: a frame was lost, or somebody else had the computer. What was
-    /// asked for before ends with its lease; the next request goes on.
+    /// No reply to a force: a frame was lost, or the computer was busy. The earlier force ends with its lease; the next
+    /// request is independent.
     #[error("no answer to a force within {} ms: it or its answer was lost; send the next one", waited.as_millis())]
     Unanswered {
-        /// For how long it was waited for.
+        /// Time waited.
         waited: std::time::Duration,
     },
-    /// The board understood the frame but not the message.
+    /// The board decoded the frame but not the message.
     #[error(
         "the board rejected the message {what}: {error}; flash the firmware that came with this tool: haptic flash"
     )]
@@ -78,7 +78,7 @@ pub enum LinkError {
         /// postcard-rpc's reason.
         error: String,
     },
-    /// A message that could not be read or written.
+    /// A message that could not be encoded or decoded.
     #[error("the message {what} could not be decoded; flash the firmware that came with this tool: haptic flash")]
     Unreadable {
         /// The message's path.
@@ -91,20 +91,20 @@ pub enum LinkError {
         if board < tool { "flash it: haptic flash" } else { "update this tool: it is older than the board's firmware" }
     )]
     Version {
-        /// The board's.
+        /// The board's version.
         board: u16,
-        /// The tool's.
+        /// The tool's version.
         tool: u16,
     },
 }
 
-/// Why a board did not do what it was asked.
+/// A request that a board did not carry out.
 #[derive(Debug, thiserror::Error)]
 pub enum BoardError {
-    /// It could not be asked.
+    /// The board could not be reached.
     #[error(transparent)]
     Link(#[from] LinkError),
-    /// It refused.
+    /// The board refused the request.
     #[error("the board refuses: {0}")]
     Refused(Refusal),
 }

@@ -4,7 +4,7 @@ use haptic_bridge::board::framing::most_on_wire;
 pub use haptic_bridge::board::protocol::MAX_FRAME;
 use postcard_rpc::header::VarHeader;
 
-/// One message: which, in answer to what, and its postcard bytes.
+/// One message with its header.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Packet {
     /// Key of endpoint or topic, and sequence number.
@@ -13,7 +13,7 @@ pub struct Packet {
     pub body: Vec<u8>,
 }
 
-/// The bytes of a frame on the wire.
+/// Encodes a message as a frame on the wire.
 pub fn encode(header: &VarHeader, body: &[u8]) -> Vec<u8> {
     // A header is at most 1 + 8 + 4 bytes.
     let mut head = [0; 16];
@@ -24,24 +24,24 @@ pub fn encode(header: &VarHeader, body: &[u8]) -> Vec<u8> {
     envelope(&plain)
 }
 
-/// The bytes on the wire of a frame that already has its header.
+/// Encodes a frame that already has its header.
 pub fn envelope(plain: &[u8]) -> Vec<u8> {
     let mut bytes = cobs::encode_vec(plain);
     bytes.push(0);
     bytes
 }
 
-/// Finds frames in a stream of bytes, however that is cut into pieces; anything else is skipped and counted.
+/// Finds frames in a byte stream that is cut anywhere; skips and counts other bytes.
 #[derive(Clone, Debug, Default)]
 pub struct Deframer {
     partial: Vec<u8>,
     overlong: bool,
-    /// Stretches of bytes between zeros that were not frames.
+    /// Number of byte sequences between zeros that were not frames.
     pub garbled: u64,
 }
 
 impl Deframer {
-    /// Takes bytes in and hands out every message they complete.
+    /// Decodes bytes and passes every completed message to `found`.
     pub fn feed(&mut self, bytes: &[u8], mut found: impl FnMut(Packet)) {
         let mut headless = 0;
         self.feed_plain(bytes, |plain| match VarHeader::take_from_slice(plain) {
@@ -51,7 +51,7 @@ impl Deframer {
         self.garbled += headless;
     }
 
-    /// Takes bytes in and hands out every frame they complete, without its COBS encoding.
+    /// Decodes bytes and passes every completed frame, without its COBS encoding, to `found`.
     pub fn feed_plain(&mut self, bytes: &[u8], mut found: impl FnMut(&[u8])) {
         for piece in bytes.split_inclusive(|byte| *byte == 0) {
             let (content, ended) = match piece.split_last() {
@@ -96,7 +96,7 @@ mod tests {
         // Two-byte key and sequence number: discriminant 0b0101_0000, then key, then sequence number little endian.
         let mut key = VarKey::Key8(Key::for_path::<u32>("some/path"));
         key.shrink_to(postcard_rpc::header::VarKeyKind::Key2);
-        let VarKey::Key2(short) = key else { panic!("two bytes asked for") };
+        let VarKey::Key2(short) = key else { panic!("a key of two bytes") };
         let [a, b] = short.to_bytes();
         let bytes = encode(&VarHeader { key, seq_no: VarSeq::Seq2(0x0201) }, &[0, 9]);
         // COBS by hand: six bytes up to the zero, then two.
@@ -104,7 +104,7 @@ mod tests {
     }
 
     #[test]
-    fn frames_survive_any_cut() {
+    fn frames_are_found_in_a_stream_cut_anywhere() {
         let mut stream = encode(&header(1), &[1, 0, 2]);
         stream.extend(encode(&header(2), &[0; 300]));
         for size in 1..40 {
@@ -120,7 +120,7 @@ mod tests {
     }
 
     #[test]
-    fn the_longest_frame_comes_whole_with_what_cobs_adds() {
+    fn the_longest_frame_fits_with_its_cobs_overhead() {
         let (mut deframer, mut lengths) = (Deframer::default(), Vec::new());
         for length in [MAX_FRAME, MAX_FRAME + 9] {
             deframer.feed_plain(&envelope(&vec![1; length]), |plain| lengths.push(plain.len()));

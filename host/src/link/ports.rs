@@ -1,4 +1,4 @@
-//! Which port: what the user wrote, or the one board among the serial ports.
+//! Chooses the port: the one that the user named, or the only board among the serial ports.
 
 use super::error::LinkError;
 use super::wire::{SerialWire, TcpWire, Wire};
@@ -10,12 +10,12 @@ use std::time::Duration;
 
 /// USB vendor identifier: pid.codes, for open hardware and firmware.
 pub const USB_VENDOR: u16 = 0x1209;
-/// USB product identifier: the one pid.codes leaves to testing; a maker who sells boards gets one of their own.
+/// USB product identifier: the pid.codes identifier for tests; a manufacturer of boards gets its own.
 pub const USB_PRODUCT: u16 = 0x0001;
-/// The product string by which the tool tells these boards from others that test with the same identifier.
+/// The product string, which distinguishes these boards from others with the test identifier.
 pub const USB_PRODUCT_NAME: &str = "haptic-bridge";
 
-/// The location of a board, as `--port` gives it.
+/// A port in the syntax of `--port`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum PortSpec {
     /// The only board connected.
@@ -56,11 +56,11 @@ pub struct BoardPort {
     pub path: String,
     /// The board's serial number.
     pub serial: String,
-    /// The board's kind, as it names itself.
+    /// The kind of board that it reports.
     pub kind: String,
 }
 
-/// The boards that are connected, and the other serial ports.
+/// Returns the connected boards, and the paths of the other serial ports.
 pub fn boards() -> (Vec<BoardPort>, Vec<String>) {
     sort(serial_ports(Path::new(PORTS)))
 }
@@ -68,7 +68,7 @@ pub fn boards() -> (Vec<BoardPort>, Vec<String>) {
 /// The directory in which Linux lists its serial ports.
 const PORTS: &str = "/sys/class/tty";
 
-/// The serial ports; none where the system cannot list them. `place` is looked at first, because the listing panics
+/// Lists the serial ports; empty if the system cannot list them. Checks `place` first, because the listing panics
 /// without it, as in a container that has no /sys.
 fn serial_ports(place: &Path) -> Vec<serialport::SerialPortInfo> {
     if cfg!(target_os = "linux") && !place.is_dir() {
@@ -77,8 +77,8 @@ fn serial_ports(place: &Path) -> Vec<serialport::SerialPortInfo> {
     serialport::available_ports().unwrap_or_default()
 }
 
-/// Returns true if a USB product string is one of these boards', or if the system does not report one.
-fn names_itself(product: Option<&str>) -> bool {
+/// Returns true if a USB product string is that of these boards, or if the system does not report one.
+fn is_board_product(product: Option<&str>) -> bool {
     product.is_none_or(|name| name.to_lowercase().replace([' ', '_'], "-").contains(USB_PRODUCT_NAME))
 }
 
@@ -87,12 +87,12 @@ fn sort(ports: Vec<serialport::SerialPortInfo>) -> (Vec<BoardPort>, Vec<String>)
     for port in ports {
         match port.port_type {
             SerialPortType::UsbPort(usb)
-                if usb.vid == USB_VENDOR && usb.pid == USB_PRODUCT && names_itself(usb.product.as_deref()) =>
+                if usb.vid == USB_VENDOR && usb.pid == USB_PRODUCT && is_board_product(usb.product.as_deref()) =>
             {
                 boards.push(BoardPort {
                     path: port.port_name,
                     serial: usb.serial_number.unwrap_or_default(),
-                    // The product string is the same for all of them; the kind of board is in the manufacturer's.
+                    // All boards have the same product string; the manufacturer string names the kind.
                     kind: usb.manufacturer.unwrap_or_default(),
                 });
             }
@@ -102,9 +102,9 @@ fn sort(ports: Vec<serialport::SerialPortInfo>) -> (Vec<BoardPort>, Vec<String>)
     (boards, others)
 }
 
-/// The path of the port to open: the one asked for by path or serial number, or the only board there is.
-fn choose(asked: Option<&str>, boards: &[BoardPort], others: Vec<String>) -> Result<String, LinkError> {
-    match (asked, boards) {
+/// Returns the path of the port to open: the requested one, by path or serial number, or the only board.
+fn choose(requested: Option<&str>, boards: &[BoardPort], others: Vec<String>) -> Result<String, LinkError> {
+    match (requested, boards) {
         (Some(name), _) => {
             Ok(boards.iter().find(|board| board.serial == name).map_or(name, |board| &board.path).into())
         }
@@ -119,20 +119,20 @@ fn choose(asked: Option<&str>, boards: &[BoardPort], others: Vec<String>) -> Res
     }
 }
 
-/// Opens a serial port: `asked` by path or serial number, or the only board there is. Returns its path as well.
-pub(super) fn open_serial(asked: Option<&str>) -> Result<(Box<dyn Wire>, String), LinkError> {
+/// Opens a serial port: `requested` by path or serial number, or the only board. Returns its path as well.
+pub(super) fn open_serial(requested: Option<&str>) -> Result<(Box<dyn Wire>, String), LinkError> {
     let (boards, others) = boards();
-    let path = choose(asked, &boards, others)?;
+    let path = choose(requested, &boards, others)?;
     match SerialWire::open(&path) {
         Ok(wire) => Ok((Box::new(wire), path)),
         Err(error) => Err(refused(path, &error)),
     }
 }
 
-/// Opens the port that another tool holds beside it, which only a pseudo-terminal allows.
-pub(super) fn open_beside(asked: Option<&str>) -> Result<Box<dyn Wire>, LinkError> {
+/// Opens a port that another tool holds, which only a pseudo-terminal allows.
+pub(super) fn open_shared(requested: Option<&str>) -> Result<Box<dyn Wire>, LinkError> {
     let (boards, others) = boards();
-    let path = choose(asked, &boards, others)?;
+    let path = choose(requested, &boards, others)?;
     #[cfg(unix)]
     if super::wire::is_pseudo_terminal(&path) {
         let opened = super::wire::SharedWire::open(&path);
@@ -185,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn a_port_is_what_it_looks_like() {
+    fn port_names_are_parsed_by_their_form() {
         assert_eq!("sim".parse(), Ok(PortSpec::Sim(None)));
         assert_eq!("sim:a/b.toml".parse(), Ok(PortSpec::Sim(Some("a/b.toml".into()))));
         assert_eq!("tcp:localhost:7710".parse(), Ok(PortSpec::Tcp("localhost:7710".into())));
@@ -198,12 +198,12 @@ mod tests {
     }
 
     #[test]
-    fn a_system_that_lists_no_ports_has_none() {
+    fn a_system_without_a_port_list_has_no_ports() {
         assert_eq!(serial_ports(Path::new("/no/such/place")), []);
     }
 
     #[test]
-    fn boards_are_told_from_other_serial_ports() {
+    fn boards_are_separated_from_other_serial_ports() {
         let ports = vec![
             usb("/dev/ttyACM0", USB_VENDOR, USB_PRODUCT_NAME, "A1"),
             usb("/dev/ttyACM1", USB_VENDOR, "Arduino", "B2"),
@@ -215,7 +215,7 @@ mod tests {
     }
 
     #[test]
-    fn one_board_is_found_several_are_named_and_a_serial_number_chooses() {
+    fn a_serial_number_chooses_among_several_boards() {
         let board =
             |path: &str, serial: &str| BoardPort { path: path.into(), serial: serial.into(), kind: "odrive-v3".into() };
         let one = [board("/dev/ttyACM0", "A1")];

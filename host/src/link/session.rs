@@ -1,5 +1,5 @@
-//! A board while a program uses it: what the program asks for is counted and stamped, and the motors go off when it
-//! lets go of it.
+//! A board that a program pushes through: requests are numbered and stamped, and the motors go off when the program
+//! drops the session.
 
 use super::board::Board;
 use super::error::{BoardError, LinkError};
@@ -9,25 +9,25 @@ use haptic_bridge::safety::fault::{FaultRecord, State};
 use std::ops::{Deref, DerefMut};
 use std::time::Duration;
 
-/// Time for which a request acts in full, s: it bridges two frames of a game in which the computer is busy.
+/// Time for which a request acts in full, s: bridges two frames of a game on a busy computer.
 pub const HOLD: f32 = 0.02;
-/// Time over which it then fades to nothing, s.
+/// Time over which the request then fades to zero, s.
 pub const FADE: f32 = 0.05;
 
-/// For how long a request is sent again, each time that its answer does not come within
-/// [`FORCE_PATIENCE`](super::FORCE_PATIENCE), before it counts as unanswered: a computer or a board that was busy for a
-/// moment ends no program's loop.
+/// Time for which a request is repeated, each time that its reply does not come within
+/// [`FORCE_PATIENCE`](super::FORCE_PATIENCE), before it counts as unanswered. A briefly busy computer or board
+/// therefore does not end a program's loop.
 pub const PATIENCE: Duration = Duration::from_secs(1);
 
-/// A board that this program holds. Everything that a [`Board`] does it does as well; dropping it disarms the board,
-/// also when the program panics. A program that is killed leaves that to the board's watch of its host.
+/// A board that this program holds, with all methods of [`Board`]. Dropping it disarms the board, also when the program
+/// panics. If the program is killed, the board disarms because it watches its host.
 ///
 /// ```no_run
 /// use haptic_host::link::Session;
 ///
 /// # fn main() -> Result<(), Box<dyn std::error::Error>> {
 /// let mut session = Session::open(&"tcp:localhost:7710".parse()?)?;
-/// let state = session.look()?;
+/// let state = session.read_state()?;
 /// println!("the tip is at {:?} m, step {}", state.tip, state.step);
 /// # Ok(())
 /// # }
@@ -35,9 +35,9 @@ pub const PATIENCE: Duration = Duration::from_secs(1);
 pub struct Session {
     board: Board,
     sequence: u32,
-    /// Step of the state that was told last.
+    /// Step of the latest state that was received.
     seen: Option<u32>,
-    /// The fault that had turned the motors off when that state was reported.
+    /// The fault that had turned the motors off at that step.
     fault: Option<FaultRecord>,
     patience: Duration,
     /// Times for which a request acts in full and then fades, s; at most 0.2 each.
@@ -50,13 +50,13 @@ impl Session {
         Ok(Self::of(Board::open(port)?))
     }
 
-    /// Holds a board that is open already.
+    /// Creates a session with an open board.
     pub fn of(board: Board) -> Self {
         Self { board, sequence: 0, seen: None, fault: None, patience: PATIENCE, lease: (HOLD, FADE) }
     }
 
-    /// Motors on. Whenever this session waits for telemetry it tells the board that somebody is there; forces and looks
-    /// tell it as well.
+    /// Turns the motors on and starts heartbeats, which this session sends whenever it waits for telemetry. Forces and
+    /// state requests act as heartbeats too.
     pub fn arm(&mut self) -> Result<(), BoardError> {
         self.board.keep_alive();
         self.board.arm()
@@ -68,24 +68,24 @@ impl Session {
         self.board.clear()
     }
 
-    /// The latched fault, where the last answer told of one.
+    /// Returns the latched fault according to the latest reply.
     pub fn fault(&self) -> Option<FaultRecord> {
         self.fault
     }
 
-    /// For how long an answer is waited for, and that its request is sent once; without this, see [`PATIENCE`].
+    /// Sets the wait for a reply, and sends each request only once; for the default, see [`PATIENCE`].
     pub fn wait_for_forces(&mut self, patience: Duration) {
         self.patience = patience;
         self.board.wait_for_forces(patience);
     }
 
     /// Reads the device's state: tip (m), velocity (m/s), joint angles (rad).
-    pub fn look(&mut self) -> Result<ForceAnswer, LinkError> {
+    pub fn read_state(&mut self) -> Result<ForceAnswer, LinkError> {
         self.exchange(ForceRequest::default())
     }
 
-    /// Pushes with a force (N) at the tip, in the task frame, in the place of what was asked for before. A force that
-    /// was not taken is no error: [`ForceAnswer::done`] says why.
+    /// Pushes with a force (N) at the tip, in the task frame, which replaces the previous request. A refused force is
+    /// not an error: [`ForceAnswer::done`] gives the reason.
     pub fn force(&mut self, force: [f32; 3]) -> Result<ForceAnswer, LinkError> {
         self.push(force, None)
     }
@@ -96,34 +96,34 @@ impl Session {
         self.exchange(ForceRequest { hold, fade, force, contact, ..ForceRequest::default() })
     }
 
-    /// Pushes with torques (N m) at the joints, in the place of what was asked for before.
+    /// Pushes with torques (N m) at the joints, which replaces the previous request.
     pub fn torque(&mut self, torque: [f32; 3]) -> Result<ForceAnswer, LinkError> {
         let (hold, fade) = self.lease;
         self.exchange(ForceRequest { hold, fade, torque, ..ForceRequest::default() })
     }
 
-    /// Sends any request, counted and stamped with the state that was told last.
+    /// Sends any request, numbered and stamped with the latest received state.
     pub fn exchange(&mut self, request: ForceRequest) -> Result<ForceAnswer, LinkError> {
         let began = self.board.now();
-        let answer = loop {
+        let reply = loop {
             self.sequence = self.sequence.wrapping_add(1);
             match self.board.force(&ForceRequest { sequence: self.sequence, seen: self.seen, ..request }) {
                 Err(LinkError::Unanswered { .. }) if self.board.now() - began < self.patience => {}
                 Err(LinkError::Unanswered { .. }) => return Err(LinkError::Unanswered { waited: self.patience }),
-                answered => break answered?,
+                reply => break reply?,
             }
         };
-        if self.seen.replace(answer.step).is_none() && request.hold + request.fade == 0.0 {
-            // Only a look that follows another is a sign of the host.
+        if self.seen.replace(reply.step).is_none() && request.hold + request.fade == 0.0 {
+            // Only a state request that follows another one counts as a heartbeat.
             return self.exchange(request);
         }
-        self.fault = match (answer.state, self.fault) {
-            // If the board does not report the fault now, the next answer asks again.
+        self.fault = match (reply.state, self.fault) {
+            // If the status request fails, the next reply reads the fault again.
             (State::Fault, None) => self.board.status().ok().and_then(|status| status.fault),
             (State::Fault, known) => known,
             _ => None,
         };
-        Ok(answer)
+        Ok(reply)
     }
 }
 
@@ -142,7 +142,7 @@ impl DerefMut for Session {
 
 impl Drop for Session {
     fn drop(&mut self) {
-        // A board that cannot be reached any more sees to it itself.
+        // A board that cannot be reached disarms by itself.
         let _ = self.board.disarm();
     }
 }

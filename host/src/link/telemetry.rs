@@ -1,9 +1,9 @@
-//! Telemetry as it arrives: rows with their step, columns with name and unit, and exact accounts of what was lost.
+//! Received telemetry: rows with their step, columns with name and unit, and exact counts of losses.
 
 use crate::words::counted;
 use haptic_bridge::board::telemetry::{BATCH_BYTES, Batch, Field, Fields, Kind};
 
-/// One kept control step.
+/// The telemetry of one control step.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Row {
     /// Control steps since the board's boot.
@@ -12,12 +12,12 @@ pub struct Row {
     pub values: Vec<f64>,
     /// The fields of the stream.
     pub fields: Fields,
-    /// Axes that a vector field has.
+    /// Number of axes of a vector field.
     pub axes: usize,
 }
 
 impl Row {
-    /// The numbers of one field, one for each of its columns; none where the stream has no such field.
+    /// Returns the numbers of one field, one for each of its columns; empty if the stream does not have the field.
     pub fn get(&self, wanted: Field) -> &[f64] {
         let columns = |field: Field| match field {
             Field::State => 2,
@@ -34,16 +34,16 @@ impl Row {
 /// A column of telemetry.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Column {
-    /// Which field; the state's two columns share theirs.
+    /// The field; the state has two columns.
     pub field: Field,
-    /// Which axis, for vectors.
+    /// The axis, for vectors.
     pub axis: usize,
-    /// The name with its unit, fit for a CSV header: `tip_x_m`, `torque1_n_m`.
+    /// Name with unit, for a CSV header: `tip_x_m`, `torque1_n_m`.
     pub label: String,
 }
 
-/// The columns of a stream of `fields` from a device of `axes` joints, in the order of [`Row::values`]. The state
-/// makes two: the state and the number of walls touched.
+/// Returns the columns of a stream of `fields` from a device of `axes` joints, in the order of [`Row::values`]. The
+/// state has two columns: the state and the number of touched walls.
 pub fn columns(fields: Fields, axes: usize) -> Vec<Column> {
     let mut columns = Vec::new();
     for field in Field::ALL.iter().copied().filter(|field| fields.has(*field)) {
@@ -67,18 +67,18 @@ pub fn columns(fields: Fields, axes: usize) -> Vec<Column> {
     columns
 }
 
-/// The load that a full-speed USB serial port carries with room to spare, bytes of telemetry a second.
+/// Telemetry that a full-speed USB serial port carries with a margin, bytes/s.
 const USB: f64 = 600e3;
 
-/// Rows of `fields` a second that the link to a board carries with room to spare, at most one every control step: every
-/// one where the board is simulated, whose link is this computer's memory.
-pub fn rows_that_fit(board: &str, fields: Fields, axes: usize, rate_hz: f64) -> f64 {
+/// Returns the rows of `fields` per second that the link to a board carries with a margin, at most one per control
+/// step. The link to a simulated board, which is this computer's memory, carries all of them.
+pub fn max_rows_per_second(board: &str, fields: Fields, axes: usize, rate_hz: f64) -> f64 {
     let most = if board.starts_with("simulated") { rate_hz } else { USB / fields.bytes(axes).max(1) as f64 };
     rate_hz / (rate_hz / most).ceil().max(1.0)
 }
 
-/// The set of fields named in a comma-separated list; `all` and `usual` are sets of their own. Errors name the
-/// word that is no field, and the fields there are.
+/// Parses a comma-separated list of fields; `all` and `usual` are predefined sets. An error names the unknown word and
+/// lists the known fields.
 pub fn fields(names: &str) -> Result<Fields, String> {
     let mut set = 0;
     for name in names.split(',').map(str::trim) {
@@ -100,15 +100,15 @@ pub fn fields(names: &str) -> Result<Fields, String> {
 /// The losses of a stream.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Losses {
-    /// Rows that came.
+    /// Received rows.
     pub received: u64,
-    /// Rows that did not come, whoever lost them: counted from the steps that are missing.
+    /// Rows that did not arrive for any reason, counted from the missing steps.
     pub missing: u64,
-    /// Of these, rows that the board itself dropped because the link was too slow.
+    /// Those of the missing rows that the board dropped because the link was too slow.
     pub dropped_by_board: u64,
-    /// Batches that the board sent and that did not arrive.
+    /// Batches that were sent but did not arrive.
     pub batches_lost: u64,
-    /// Stretches of bytes that were no frames.
+    /// Byte sequences between delimiters that were not frames.
     pub garbled: u64,
 }
 
@@ -123,48 +123,49 @@ impl std::fmt::Display for Losses {
     }
 }
 
-/// Unpacks batches and keeps account.
+/// Unpacks batches and counts losses.
 #[derive(Clone, Debug)]
 pub(super) struct Rows {
-    /// The stream that is followed; batches of any other are left over from a tool that is gone.
+    /// Number of the stream; batches of other streams were left by an earlier tool.
     stream: u32,
-    /// The fields and the steps between rows that were asked for.
+    /// The requested fields, and the number of steps between rows.
     fields: Fields,
     divider: u32,
     losses: Losses,
     /// Step and number of the next batch, if none is lost.
     next: Option<(u32, u32)>,
-    /// Spoilt batches since the last good one.
-    spoilt: u32,
+    /// Corrupted batches since the last valid one.
+    corrupted: u32,
 }
 
-/// Spoilt batches in a row after which the next one is believed: the one before them was spoilt then.
-const BELIEVED: u32 = 3;
+/// Number of consecutive rejected batches after which the next one is accepted: the batch before them was corrupted.
+const ACCEPT_AFTER: u32 = 3;
 
 impl Rows {
-    /// Those of one stream with these fields of every `divider`-th step.
+    /// Creates the account of a stream of these fields of every `divider`-th step.
     pub(super) fn of(stream: u32, fields: Fields, divider: u32) -> Self {
-        Self { stream, fields, divider, losses: Losses::default(), next: None, spoilt: 0 }
+        Self { stream, fields, divider, losses: Losses::default(), next: None, corrupted: 0 }
     }
 
-    /// Counts a batch that was spoilt on its way; how many were in a row.
-    pub(super) fn spoilt(&mut self) -> u32 {
+    /// Counts a corrupted batch and returns the number of consecutive ones.
+    pub(super) fn count_corrupted(&mut self) -> u32 {
         self.losses.garbled += 1;
-        self.spoilt += 1;
-        self.spoilt
+        self.corrupted += 1;
+        self.corrupted
     }
 
     pub(super) fn losses(&self) -> Losses {
         self.losses
     }
 
-    /// Appends the rows of a batch. One that contradicts those before it was spoilt: its rows count as missing. Rows are
-    /// missing because the board dropped them, or with batches of one row at least.
+    /// Appends the rows of a batch. Rejects a batch that contradicts the previous ones: it was corrupted, and its rows
+    /// count as missing. Rows may only be missing because the board dropped them, or with lost batches of at least one
+    /// row.
     pub(super) fn take(&mut self, batch: &Batch, rows: &mut Vec<Row>) {
         let fields = Fields(batch.fields);
         let width = fields.bytes(usize::from(batch.axes));
-        let asked = (self.stream, self.fields, self.divider);
-        if width == 0 || batch.axes == 0 || batch.divider == 0 || (batch.stream, fields, batch.divider) != asked {
+        let requested = (self.stream, self.fields, self.divider);
+        if width == 0 || batch.axes == 0 || batch.divider == 0 || (batch.stream, fields, batch.divider) != requested {
             return;
         }
         let mut fits = batch.rows.len().is_multiple_of(width);
@@ -173,18 +174,18 @@ impl Rows {
             let ahead = u64::from(behind / batch.divider);
             let lost = u64::from(batch.number.wrapping_sub(number));
             let most = u64::from(batch.dropped) + lost * (BATCH_BYTES / width) as u64;
-            let restarted = batch.number == 0 || self.spoilt >= BELIEVED;
+            let restarted = batch.number == 0 || self.corrupted >= ACCEPT_AFTER;
             fits &= restarted || (behind.is_multiple_of(batch.divider) && (lost..=most).contains(&ahead));
-            // A step counter that went back means that the board restarted: nothing can be said of what lies between.
+            // If the step counter went back, the board has restarted, and the losses in between are unknown.
             if fits && behind < u32::MAX / 2 {
                 self.losses.missing += ahead;
             }
         }
         if !fits {
-            self.spoilt();
+            self.count_corrupted();
             return;
         }
-        self.spoilt = 0;
+        self.corrupted = 0;
         let number = self.next.map_or(0, |(_, number)| number);
         self.losses.batches_lost += u64::from(batch.number.saturating_sub(number));
         self.losses.dropped_by_board = u64::from(batch.dropped);
@@ -214,7 +215,7 @@ fn unpack(fields: Fields, axes: usize, mut packed: &[u8]) -> Vec<f64> {
     values
 }
 
-/// A number as it travelled.
+/// Decodes a number.
 fn number(kind: Kind, bytes: &[u8]) -> f64 {
     let mut four = [0; 4];
     four.iter_mut().zip(bytes).for_each(|(to, from)| *to = *from);
@@ -237,7 +238,7 @@ mod tests {
     }
 
     #[test]
-    fn every_missing_row_is_counted_once_and_blamed() {
+    fn every_missing_row_is_counted_once_with_its_cause() {
         let (mut stream, mut rows) = (Rows::of(0, WALL, 4), Vec::new());
         stream.take(&batch(0, 100, 3, 0), &mut rows);
         stream.take(&batch(1, 112, 2, 0), &mut rows);
@@ -253,11 +254,11 @@ mod tests {
     }
 
     #[test]
-    fn batches_of_another_stream_are_no_rows_and_no_losses() {
+    fn batches_of_another_stream_are_ignored() {
         let (mut stream, mut rows) = (Rows::of(7, WALL, 4), Vec::new());
         stream.take(&Batch { stream: 6, ..batch(9, 100, 3, 5) }, &mut rows);
         stream.take(&Batch { stream: 7, ..batch(0, 40, 2, 0) }, &mut rows);
-        // A number that went back is no loss of four thousand million batches.
+        // A batch number that went back must not count as a loss of 4e9 batches.
         stream.take(&Batch { stream: 7, ..batch(0, 48, 1, 0) }, &mut rows);
         assert_eq!(stream.losses(), Losses { received: 3, ..Losses::default() });
     }
@@ -271,7 +272,7 @@ mod tests {
     }
 
     #[test]
-    fn counts_keep_all_their_bits_and_the_state_is_taken_apart() {
+    fn counts_keep_all_bits_and_the_state_is_split() {
         let fields = fields("counts,state").unwrap();
         // -123456789 is 0xF8A4_32EB in two's complement; 0x21: armed, two walls.
         let packed = [0xEB, 0x32, 0xA4, 0xF8, 7, 0, 0, 0, 0x21];
@@ -281,7 +282,7 @@ mod tests {
     }
 
     #[test]
-    fn a_field_is_found_among_the_others() {
+    fn a_row_returns_the_numbers_of_one_field() {
         let row =
             Row { step: 0, values: vec![1.0, 2.0, 3.0, 4.0, 5.0], fields: fields("tip,force,state").unwrap(), axes: 2 };
         assert_eq!(row.get(Field::Tip), [1.0, 2.0]);

@@ -4,38 +4,38 @@ use std::io::{self, Read, Write};
 use std::net::TcpStream;
 use std::time::{Duration, Instant};
 
-/// A byte stream with a clock. The clock is the board's world's: real time for real wires, simulated time for a
-/// simulated board in this process, so that a timeout means the same in both.
+/// A byte stream with a clock. A real wire's clock is real time, and that of a simulated board in this process is
+/// simulated time, so a timeout means the same in both.
 pub trait Wire: Send {
     /// Sends all of `bytes`.
     fn send(&mut self, bytes: &[u8]) -> io::Result<()>;
-    /// Waits at most `timeout` for bytes and returns how many came; 0 when none did. An error means the wire is gone.
+    /// Waits at most `timeout` for bytes. Returns their number, which may be 0. An error means that the wire is gone.
     fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> io::Result<usize>;
-    /// Time since some moment.
+    /// Returns the time since a fixed instant.
     fn now(&self) -> Duration;
-    /// Extra time that an answer may take on its way: zero, except where a process on a computer that may be busy
-    /// answers in the board's place.
+    /// Returns the extra time that a reply may take: zero, except for a board that is a process on a computer that may
+    /// be busy.
     fn slack(&self) -> Duration {
         Duration::ZERO
     }
-    /// A number that is most likely not the one drawn last, in this process or another.
+    /// Draws a random number, almost certainly different from earlier ones in this and other processes.
     fn draw(&mut self) -> u32 {
         use std::hash::{BuildHasher, RandomState};
         RandomState::new().hash_one(0) as u32
     }
 }
 
-/// The slack of a simulated or emulated board in a process of its own.
+/// Slack of a simulated or emulated board in its own process.
 const PROCESS: Duration = Duration::from_secs(10);
 
-/// Time for which a board may leave a request unread before the wire counts as stuck. A flash erase stalls a board for
-/// half a second (STM32F405 data sheet, table 40: 16 KB sector).
+/// Time after which a wire that accepts no bytes counts as stuck. A flash erase stalls a board for half a second
+/// (STM32F405 data sheet, table 40: 16 KB sector).
 const SEND_TIMEOUT: Duration = Duration::from_secs(3);
 
-/// Shortest timeout that the operating system is asked for: zero means "for ever" to sockets.
+/// Shortest timeout for the operating system: sockets take zero as infinite.
 const SHORTEST: Duration = Duration::from_millis(1);
 
-/// Returns true if a reader only has to wait again: its time ran out, or a signal interrupted it.
+/// Returns true if a read should be repeated: it timed out, or a signal interrupted it.
 pub fn nothing_yet(error: &io::Error) -> bool {
     matches!(error.kind(), io::ErrorKind::TimedOut | io::ErrorKind::WouldBlock | io::ErrorKind::Interrupted)
 }
@@ -52,17 +52,16 @@ pub struct SerialWire {
 }
 
 impl SerialWire {
-    /// Opens the port at `path`; the baud rate means nothing to a USB serial port.
+    /// Opens the port at `path`; a USB serial port ignores the baud rate.
     pub fn open(path: &str) -> Result<Self, serialport::Error> {
-        // Of a pseudo-terminal only the lock keeps other tools out: `haptic disarm` must be able to open it all the
-        // same.
+        // On a pseudo-terminal, only the lock keeps other tools out; the exclusive mode is cleared for `haptic disarm`.
         let process = is_pseudo_terminal(path);
         #[cfg(unix)]
-        let beside = if process { open_terminal(path).ok() } else { None };
+        let terminal = if process { open_terminal(path).ok() } else { None };
         let port = serialport::new(path, 115_200).timeout(SEND_TIMEOUT).dtr_on_open(true).open()?;
         #[cfg(unix)]
-        if let Some(beside) = beside {
-            let _ = rustix::termios::ioctl_tiocnxcl(beside);
+        if let Some(terminal) = terminal {
+            let _ = rustix::termios::ioctl_tiocnxcl(terminal);
         }
         Ok(Self { port, began: Instant::now(), slack: if process { PROCESS } else { Duration::ZERO } })
     }
@@ -94,8 +93,8 @@ impl Wire for SerialWire {
     }
 }
 
-/// Returns true if this path is a pseudo-terminal's: a simulated or emulated board, which the operating system shows as
-/// a serial port.
+/// Returns true if the path is a pseudo-terminal: a simulated or emulated board, which the operating system shows as a
+/// serial port.
 pub(super) fn is_pseudo_terminal(path: &str) -> bool {
     std::fs::canonicalize(path).is_ok_and(|path| path.starts_with("/dev/pts") || path.starts_with("/dev/ttys"))
 }
@@ -106,7 +105,7 @@ fn open_terminal(path: &str) -> io::Result<std::fs::File> {
     Ok(rustix::fs::open(path, OFlags::RDWR | OFlags::NOCTTY | OFlags::CLOEXEC, Mode::empty())?.into())
 }
 
-/// A pseudo-terminal that another tool holds, opened beside it.
+/// A pseudo-terminal that another tool also holds.
 #[cfg(unix)]
 pub(super) struct SharedWire {
     terminal: std::fs::File,
@@ -145,7 +144,7 @@ pub struct TcpWire {
 }
 
 impl TcpWire {
-    /// A connection that is already there.
+    /// Creates the wire of an open connection.
     pub fn new(stream: TcpStream) -> io::Result<Self> {
         stream.set_nodelay(true)?;
         stream.set_write_timeout(Some(SEND_TIMEOUT))?;

@@ -8,8 +8,8 @@
 ...     board.arm()
 ...     board.force([0.5, 0.0])
 
-Exceptions are HapticError and its kinds, in the words of the `haptic` tool. SI units everywhere, angles in rad. `mjcf` writes a
-device file as a model of MuJoCo.
+Exceptions are HapticError and its subclasses, with the messages of the `haptic` tool. SI units everywhere, angles in rad.
+`mjcf` converts a device file to a MuJoCo model.
 """
 
 from . import mjcf

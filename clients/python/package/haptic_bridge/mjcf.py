@@ -1,6 +1,6 @@
-"""A device file as a model of MuJoCo: another engine's linkage for the same device.
+"""Converts a device file to a MuJoCo model: the same device in another engine.
 
-Read from the file by itself, without the code that the board runs, so that the two can be held against each other.
+Reads the file independently of the board's code, so that the two can be compared.
 """
 
 import math
@@ -14,10 +14,11 @@ Z = "0 0 1"
 
 
 def from_device(path: str | os.PathLike[str], *, timestep: float = 5e-5) -> str:
-    """The MJCF of a device file: hinges q0, q1, .. are its actuated joints, the site `tip` is its tip.
+    """Returns the MJCF of a device file: hinges q0, q1, .. are its actuated joints, the site `tip` is its tip.
 
-    A motor actuator with gear 1 (N m) is at each, in that order. Joint friction is there; transmissions, limits and motors are not. Linkages that
-    close are closed by a constraint that gives a little; their other hinges start where `joint_angles` puts them.
+    Each joint has a motor actuator with gear 1 (N m), in that order. Joint friction is included; transmissions, limits and
+    motors are not. Closed linkages are closed by a slightly compliant constraint; `joint_angles` returns the start angles of
+    their other hinges.
     """
     with open(path, "rb") as file:
         device = tomllib.load(file)
@@ -42,14 +43,14 @@ def from_device(path: str | os.PathLike[str], *, timestep: float = 5e-5) -> str:
 
 
 def joint_angles(path: str | os.PathLike[str], q: Any) -> dict[str, float]:
-    """The angle of every hinge of `from_device` with the actuated joints at q (rad)."""
+    """Returns the angle of every hinge of `from_device` with the actuated joints at q (rad)."""
     with open(path, "rb") as file:
         device = tomllib.load(file)
     q = [float(angle) for angle in q]
     angles = {f"q{joint}": angle for joint, angle in enumerate(q)}
     kind = device["mechanism"]
     if kind == "parallelogram":
-        # Absolute angles: the crank leaves along -(cos q2, sin q2), and what hangs on both is parallel to the other.
+        # Absolute angles: the crank points along -(cos q2, sin q2), and opposite links are parallel.
         angles["fore"] = q[2] - q[1]
         angles["coupler"] = q[1] - q[2] - math.pi
     if kind in ("five-bar", "five-bar-turret"):
@@ -86,7 +87,7 @@ def _hinge(name: str, axis: str, joint: dict[str, float] | None) -> str:
 
 def _inertial(link: dict[str, float]) -> str:
     normal = link["inertia"]
-    # MuJoCo wants every body to have some inertia in every direction; in a plane the others turn nothing.
+    # MuJoCo requires inertia about every axis of a body; in a plane only the normal axis matters.
     axial = link.get("inertia_axial", 0.0) or 1e-3 * normal
     across = link.get("inertia_transverse", normal)
     return f'<inertial pos="{_numbers(link["com"], 0, 0)}" mass="{link["mass"]!r}" diaginertia="{_numbers(axial, across, normal)}"/>'
@@ -149,13 +150,13 @@ def _five_bar_turret(device: dict[str, Any]) -> tuple[str, str]:
 def _parallelogram(device: dict[str, Any]) -> tuple[str, str]:
     geometry, joints = device["geometry"], device["joint"]
     upper, fore, crank, coupler = device["link"]
-    # The forearm's own end behind E is the crank's length away: the coupler is as long as the upper arm.
+    # The forearm's rear end is a crank's length behind E, and the coupler is as long as the upper arm.
     forearm = _hinge("fore", Z, None) + _inertial(fore) + _body("handle", geometry["fore"], _handle(device))
     forearm += f'<site name="rear" pos="{_numbers(-geometry["crank"], 0, 0)}"/>'
     first = _hinge("q1", Z, joints[1]) + _inertial(upper) + _body("forearm", geometry["upper"], forearm)
     rod = _hinge("coupler", Z, None) + _inertial(coupler)
     rod += f'<site name="end" pos="{_numbers(geometry["upper"], 0, 0)}"/>'
-    # Joint 2's angle is the forearm's; the crank points the other way.
+    # Joint 2's angle is the forearm's; the crank points in the opposite direction.
     second = _hinge("q2", Z, joints[2]) + _inertial(crank) + _body("rod", geometry["crank"], rod)
     arms = _body("upper", 0.0, first)
     arms += f'<body name="crank" euler="0 0 {math.pi!r}">{second}</body>'

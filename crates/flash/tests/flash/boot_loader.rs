@@ -1,12 +1,12 @@
-//! The boot loader in the chip's ROM, written from the USB forum's DFU 1.1 and ST's AN2662 (its AN3156
-//! was not at hand), and stricter than the ROM: what the documents do not allow, such as a
-//! question before the time that it asked for is over, is an error here.
+//! A scripted copy of the boot loader in the chip's ROM, from the USB forum's DFU 1.1 and ST's AN2662 (its AN3156 was
+//! not available). It is stricter than the ROM: a request that the documents do not allow is an error here, such as a
+//! status request before the reported time is over.
 
 use std::time::Duration;
 
-/// Where the flash begins and ends.
+/// Addresses of the flash.
 pub const FLASH: std::ops::Range<u32> = 0x0800_0000..0x0810_0000;
-/// How it describes its flash.
+/// The description of the flash.
 pub const MEMORY: &str = "@Internal Flash  /0x08000000/04*016Kg,01*064Kg,07*128Kg";
 
 // DFU 1.1, table 3.2.
@@ -17,7 +17,7 @@ const CLRSTATUS: u8 = 4;
 const GETSTATE: u8 = 5;
 const ABORT: u8 = 6;
 
-/// The states that a boot loader can be in, DFU 1.1 section 6.1.2.
+/// States of the boot loader, DFU 1.1 section 6.1.2.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum State {
     Idle = 2,
@@ -30,7 +30,7 @@ pub enum State {
     Error = 10,
 }
 
-/// What went wrong, same place.
+/// Statuses, DFU 1.1 section 6.1.2.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Status {
     Ok = 0,
@@ -40,7 +40,7 @@ pub enum Status {
     StalledPacket = 15,
 }
 
-/// What was sent and is carried out at the next question for the status.
+/// An operation that the next status request starts.
 #[derive(Clone, Debug)]
 enum Pending {
     SetAddress(u32),
@@ -51,14 +51,14 @@ enum Pending {
     Write { address: u32, bytes: Vec<u8> },
 }
 
-/// What came of a request.
+/// The result of a request.
 #[derive(Debug, PartialEq)]
 pub enum Answer {
     Bytes(Vec<u8>),
     Stall,
-    /// It leaves USB for the program at this address.
+    /// The boot loader leaves USB and starts the program at this address.
     Leaves(Vec<u8>, u32),
-    /// It leaves USB and resets.
+    /// The boot loader leaves USB and resets.
     Resets,
 }
 
@@ -67,16 +67,16 @@ pub struct BootLoader {
     pub status: Status,
     pointer: u32,
     pending: Option<Pending>,
-    /// Until when it does not want to be asked, and what comes then.
+    /// Time before which a status request is an error, and the outcome of the operation.
     busy: Duration,
     outcome: Status,
-    /// How often it is busy once more than it said.
+    /// Number of times that an operation takes longer than reported.
     pub late: u32,
     late_left: u32,
-    /// Sectors it erased, by number, in order.
+    /// Numbers of the erased sectors, in order.
     pub erased: Vec<usize>,
     pub protected: bool,
-    /// The next operation of this number fails.
+    /// Number of the operation that fails.
     pub fail: Option<usize>,
     operations: usize,
 }
@@ -100,7 +100,7 @@ impl BootLoader {
         }
     }
 
-    /// One class request. Of an erase or a write that begins in it, only this share is done in `flash`.
+    /// Carries out one class request. An erase or a write that begins in it is done to this share in `flash`.
     pub fn request(
         &mut self,
         (request, value): (u8, u16),
@@ -116,7 +116,7 @@ impl BootLoader {
         match (request, self.state) {
             (DNLOAD, State::Idle | State::DnloadIdle) => self.download(value, data),
             (UPLOAD, State::Idle | State::UploadIdle) => self.upload(value, length, flash),
-            (GETSTATUS, _) => self.tell(flash, now, share),
+            (GETSTATUS, _) => self.report_status(flash, now, share),
             (GETSTATE, _) => Answer::Bytes(vec![self.state as u8]),
             (CLRSTATUS, State::Error) => self.idle(),
             (ABORT, State::Idle | State::DnloadIdle | State::DnloadSync | State::UploadIdle | State::ManifestSync) => {
@@ -151,7 +151,7 @@ impl BootLoader {
             (1, _) => return self.stall(Status::StalledPacket),
             // 2 to 2048 bytes for internal flash.
             (_, data) if !(2..=2048).contains(&data.len()) => return self.stall(Status::StalledPacket),
-            // The size of a transfer is the length of the buffer that was sent.
+            // The transfer size is the length of the data.
             (block, data) => Pending::Write {
                 address: self.pointer.wrapping_add(u32::from(block - 2) * data.len() as u32),
                 bytes: data.to_vec(),
@@ -181,13 +181,13 @@ impl BootLoader {
         Answer::Bytes(flash[(start - FLASH.start) as usize..][..usize::from(length)].to_vec())
     }
 
-    fn tell(&mut self, flash: &mut [u8], now: Duration, share: f32) -> Answer {
+    fn report_status(&mut self, flash: &mut [u8], now: Duration, share: f32) -> Answer {
         let mut pause = 0;
         match self.state {
             State::DnloadSync => {
                 let Some(pending) = self.pending.take() else { return self.stall(Status::StalledPacket) };
                 if matches!(pending, Pending::Unprotect) {
-                    // Everything is erased, then the chip resets.
+                    // Erases everything, then the chip resets.
                     flash.fill(0xFF);
                     self.protected = false;
                     return Answer::Resets;
@@ -213,19 +213,19 @@ impl BootLoader {
             State::Dnbusy => (self.state, self.status) = (State::Error, self.outcome),
             State::ManifestSync => {
                 self.state = State::Manifest;
-                return Answer::Leaves(self.message(0), self.pointer);
+                return Answer::Leaves(self.status_bytes(0), self.pointer);
             }
             _ => {}
         }
-        Answer::Bytes(self.message(pause))
+        Answer::Bytes(self.status_bytes(pause))
     }
 
-    fn message(&self, pause: u32) -> Vec<u8> {
+    fn status_bytes(&self, pause: u32) -> Vec<u8> {
         let [low, middle, high, _] = pause.to_le_bytes();
         vec![self.status as u8, low, middle, high, self.state as u8, 0]
     }
 
-    /// What came of it, and how long it takes, ms (STM32F405 data sheet, typical times).
+    /// Carries out an operation. Returns its status and duration, ms (STM32F405 data sheet, typical times).
     fn carry_out(&mut self, pending: Pending, flash: &mut [u8], share: f32) -> (Status, u32) {
         let part = |length: usize| (length as f32 * share) as usize;
         match pending {
@@ -262,7 +262,7 @@ impl BootLoader {
     }
 }
 
-/// The number, start and length of the sector with this address: RM0090, table "Flash module organization".
+/// Returns number, start and length of the sector with this address: RM0090, table "Flash module organization".
 pub fn sector(address: u32) -> Option<(usize, u32, usize)> {
     let lengths = [16, 16, 16, 16, 64, 128, 128, 128, 128, 128, 128, 128].map(|kilobytes| kilobytes * 1024);
     let mut start = FLASH.start;

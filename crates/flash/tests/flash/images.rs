@@ -1,23 +1,23 @@
-//! The images that this build took in, if it did.
+//! The images embedded in this build, if any.
 
-use haptic_flash::{Layout, SETTINGS, WITHOUT_IMAGES, embedded, plan};
+use haptic_flash::{Layout, SETTINGS, WITHOUT_IMAGES, embedded, flash_sequence};
 
 use crate::boot_loader::MEMORY;
 
 #[test]
-fn every_image_in_this_build_is_whole_and_has_its_board_and_version() {
+fn every_embedded_image_is_valid_and_has_board_and_version() {
     for image in embedded() {
-        let whole = image.image().unwrap_or_else(|error| panic!("{}: {error}", image.board));
-        assert_eq!(whole.board, image.board);
-        assert!(whole.version.is_some() && whole.protocol.is_some());
-        assert!(whole.size() > 100_000, "{} bytes", whole.size());
-        let plan = plan(&whole, &Layout::parse(MEMORY).unwrap(), 2048).unwrap();
-        assert!(plan.erase.iter().all(|sector| sector.end() <= SETTINGS.start || SETTINGS.end <= sector.start));
-        assert_eq!(plan.vectors.len(), 1, "with the checksum behind them, in one piece");
+        let image_file = image.image().unwrap_or_else(|error| panic!("{}: {error}", image.board));
+        assert_eq!(image_file.board, image.board);
+        assert!(image_file.version.is_some() && image_file.protocol.is_some());
+        assert!(image_file.size() > 100_000, "{} bytes", image_file.size());
+        let sequence = flash_sequence(&image_file, &Layout::parse(MEMORY).unwrap(), 2048).unwrap();
+        assert!(sequence.erase.iter().all(|sector| sector.end() <= SETTINGS.start || SETTINGS.end <= sector.start));
+        assert_eq!(sequence.vectors.len(), 1, "one block with the checksum behind the vectors");
     }
 }
 
 #[test]
-fn a_build_without_images_says_how_to_get_them() {
+fn a_build_without_images_names_the_remedy() {
     assert!(WITHOUT_IMAGES.contains("cargo xtask images") && WITHOUT_IMAGES.contains("update file"));
 }

@@ -1,10 +1,9 @@
-//! A board that is taken away at any request: it never starts half an image, its settings are there, and another
-//! attempt goes through.
+//! A board that is interrupted at any request never starts half an image, keeps its settings, and can be flashed again.
 
-use crate::bench::{Cut, Site, image};
-use crate::steps::attempt;
+use crate::phases::attempt;
+use crate::rig::{Cut, Site, image};
 
-/// Requests of an attempt that goes well, told again where this fails.
+/// Returns the number of requests of a successful attempt.
 fn requests() -> usize {
     let site = Site::running(&image("odrive-v3", "0.1.0", 10));
     attempt(&site, None, &image("odrive-v3", "0.2.0", 11)).unwrap();
@@ -12,11 +11,11 @@ fn requests() -> usize {
 }
 
 #[test]
-fn a_board_that_is_taken_away_at_any_request_runs_whole_images_alone() {
+fn an_interrupted_board_only_runs_complete_images() {
     let (old, new) = (image("odrive-v3", "0.1.0", 10), image("odrive-v3", "0.2.0", 11));
     let all = requests();
     assert!(all > 150, "{all}");
-    let (mut as_before, mut nothing, mut damaged, mut done) = (0, 0, 0, 0);
+    let (mut unchanged, mut nothing, mut damaged, mut done) = (0, 0, 0, 0);
     for at in 1..=all {
         for cut in [Cut::Cable, Cut::Power, Cut::PowerWithin(0.0), Cut::PowerWithin(0.4), Cut::PowerWithin(1.0)] {
             let site = Site::running(&old);
@@ -28,7 +27,7 @@ fn a_board_that_is_taken_away_at_any_request_runs_whole_images_alone() {
                 let board = site.0.borrow();
                 assert_eq!(board.settings(), settings, "{case}");
                 assert!(!board.arms() || board.holds(&old.segments) || board.holds(&new.segments), "{case}");
-                // Even what starts and does not arm is the code of one image.
+                // Even firmware that starts but does not arm is the code of one image.
                 let one_code = board.holds(&old.segments[1..]) || board.holds(&new.segments[1..]);
                 assert!(!board.starts() || one_code, "{case}");
                 (board.holds(&old.segments), board.holds(&new.segments), board.starts())
@@ -36,9 +35,9 @@ fn a_board_that_is_taken_away_at_any_request_runs_whole_images_alone() {
             match &outcome {
                 Ok(_) => done += 1,
                 Err(error) if whole_old => {
-                    as_before += 1;
+                    unchanged += 1;
                     assert!(starts, "{case}");
-                    // The first erase may not have begun: the tool cannot know.
+                    // The first erase may not have begun, but the tool cannot know this.
                     assert!(error.to_string().contains("nothing was changed") || error.erased(), "{case}");
                 }
                 Err(error) if whole_new => {
@@ -51,7 +50,7 @@ fn a_board_that_is_taken_away_at_any_request_runs_whole_images_alone() {
                 }
             }
 
-            // The same once more: out of the boot loader where its power stayed on, else by its switch.
+            // Try again: from the boot loader if its power stayed on, otherwise after setting its switch.
             site.change(|board| {
                 (board.cut, board.plugged) = (None, true);
                 board.now += std::time::Duration::from_secs(2);
@@ -67,12 +66,12 @@ fn a_board_that_is_taken_away_at_any_request_runs_whole_images_alone() {
             assert_eq!(site.0.borrow().settings(), settings, "{case}");
         }
     }
-    // Each kind of ending was seen; a part of the vectors starts code that finds itself damaged.
-    assert!(as_before > 0 && nothing > 0 && damaged > 0 && done > 0, "{as_before} {nothing} {damaged} {done}");
+    // Every kind of outcome occurred; partial vectors start code that detects its own damage.
+    assert!(unchanged > 0 && nothing > 0 && damaged > 0 && done > 0, "{unchanged} {nothing} {damaged} {done}");
 }
 
 #[test]
-fn a_command_that_fails_is_told_and_the_next_attempt_goes_through() {
+fn a_failed_command_is_reported_and_the_next_attempt_succeeds() {
     let (old, new) = (image("odrive-v3", "0.1.0", 10), image("odrive-v3", "0.2.0", 11));
     let mut failures = 0;
     for operation in 1.. {
@@ -87,7 +86,7 @@ fn a_command_that_fails_is_told_and_the_next_attempt_goes_through() {
         site.change(|board| {
             board.fail = None;
             match &mut board.chip {
-                crate::bench::Chip::BootLoader(boot_loader) => boot_loader.fail = None,
+                crate::rig::Chip::BootLoader(boot_loader) => boot_loader.fail = None,
                 _ => unreachable!(),
             }
         });
@@ -97,10 +96,10 @@ fn a_command_that_fails_is_told_and_the_next_attempt_goes_through() {
 }
 
 #[test]
-fn a_byte_that_does_not_take_is_found_before_the_vectors_are_written() {
+fn a_stuck_byte_is_found_before_the_vectors_are_written() {
     let (old, new) = (image("odrive-v3", "0.1.0", 10), image("odrive-v3", "0.2.0", 11));
     let site = Site::running(&old);
-    site.change(|board| board.stuck = Some((0x0800_C123, 0xFF)));
+    site.change(|board| board.stuck_byte = Some((0x0800_C123, 0xFF)));
     let error = attempt(&site, None, &new).unwrap_err();
     assert!(error.to_string().starts_with("reading back: the flash at 0x0800c123 holds 0xff"), "{error}");
     assert!(error.erased() && !site.0.borrow().starts());

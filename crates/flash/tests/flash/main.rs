@@ -1,17 +1,17 @@
-//! Flashing without a USB stack: the steps against a scripted boot loader on a board with a cable and a power switch.
+//! Flashing without a USB stack: a scripted boot loader on a board with a cable and a power switch.
 
-mod bench;
 mod boot_loader;
-mod conversation;
 mod images;
 mod interrupted;
+mod phases;
 mod refusals;
+mod rig;
+mod session;
 #[cfg(feature = "usb")]
 mod settings;
-mod steps;
 mod update_files;
 
-/// The writer of update files, with what it expects around itself.
+/// The writer of update files, with the modules that it imports.
 #[path = "../../../../xtask/src/dfu.rs"]
 mod dfu;
 mod checksum {

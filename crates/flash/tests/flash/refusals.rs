@@ -1,9 +1,9 @@
-//! What is not flashed, and what is said then.
+//! Refused flash requests and their messages.
 
-use haptic_flash::{Cause, Misfit, SETTINGS, Segment, Step, UsbError};
+use haptic_flash::{Cause, Misfit, Phase, SETTINGS, Segment, UsbError};
 
-use crate::bench::{Site, image};
-use crate::steps::attempt;
+use crate::phases::attempt;
+use crate::rig::{Site, image};
 
 fn old() -> haptic_flash::Image {
     image("odrive-v3", "0.1.0", 10)
@@ -13,7 +13,7 @@ fn new() -> haptic_flash::Image {
     image("odrive-v3", "0.2.0", 11)
 }
 
-/// An attempt that fails and leaves flash as it was; what it says.
+/// Makes an attempt that must fail and leave the flash unchanged. Returns the error.
 fn refused(site: &Site, image: &haptic_flash::Image) -> haptic_flash::FlashError {
     let before = site.0.borrow().flash.clone();
     let error = attempt(site, None, image).unwrap_err();
@@ -23,12 +23,12 @@ fn refused(site: &Site, image: &haptic_flash::Image) -> haptic_flash::FlashError
 }
 
 #[test]
-fn an_image_for_another_board_is_refused_by_what_the_firmware_says_of_itself() {
+fn an_image_for_another_board_is_refused() {
     let site = Site::running(&old());
     let error = refused(&site, &image("h-bridge-f405", "0.2.0", 11));
     assert_eq!(
         error.to_string(),
-        "asking the board what it is: the image is for h-bridge-f405 and this board is odrive-v3; flash what is for \
+        "asking the board what it is: the image is for h-bridge-f405 and this board is odrive-v3; flash the image for \
          it: haptic flash odrive-v3; nothing was changed"
     );
     assert_eq!(site.0.borrow().requests, 0, "its boot loader is not entered");
@@ -36,24 +36,26 @@ fn an_image_for_another_board_is_refused_by_what_the_firmware_says_of_itself() {
 
 #[test]
 fn images_that_cannot_be_flashed_are_refused() {
-    let broken = |change: fn(&mut Vec<Segment>)| {
+    let error_of = |change: fn(&mut Vec<Segment>)| {
         let mut image = new();
         change(&mut image.segments);
         refused(&Site::running(&old()), &image).to_string()
     };
-    let text = broken(|segments| segments.push(Segment { address: SETTINGS.end - 4, bytes: vec![0; 4] }));
+    let text = error_of(|segments| segments.push(Segment { address: SETTINGS.end - 4, bytes: vec![0; 4] }));
     assert!(text.contains("overwrite the board's settings"), "{text}");
-    assert!(broken(|segments| segments.clear()).contains("empty"));
-    assert!(broken(|segments| segments.retain(|segment| segment.address != 0x0800_0000)).contains("no vectors"));
-    assert!(broken(|segments| segments.push(Segment { address: 0x0800_C100, bytes: vec![0; 4] })).contains("overlap"));
-    assert!(broken(|segments| segments[1].address = 0xFFFF_F000).contains("does not fit"));
-    assert!(broken(|segments| segments[1].address = 0x0810_0000).contains("needs flash at 0x08100000"));
-    assert!(broken(|segments| segments[1].bytes.resize(1 << 20, 0)).contains("needs flash at 0x08100000"));
+    assert!(error_of(|segments| segments.clear()).contains("empty"));
+    assert!(error_of(|segments| segments.retain(|segment| segment.address != 0x0800_0000)).contains("no vectors"));
+    assert!(
+        error_of(|segments| segments.push(Segment { address: 0x0800_C100, bytes: vec![0; 4] })).contains("overlap")
+    );
+    assert!(error_of(|segments| segments[1].address = 0xFFFF_F000).contains("does not fit"));
+    assert!(error_of(|segments| segments[1].address = 0x0810_0000).contains("needs flash at 0x08100000"));
+    assert!(error_of(|segments| segments[1].bytes.resize(1 << 20, 0)).contains("needs flash at 0x08100000"));
 }
 
 #[test]
 fn another_chip_is_refused() {
-    // An STM32L4, an STM32F7 and one that describes nothing.
+    // An STM32L4, an STM32F7 and a chip without a description.
     for memory in
         ["@Internal Flash  /0x08000000/512*0002Kg", "@Internal Flash  /0x08000000/04*032Kg,01*128Kg,03*256Kg", "flash"]
     {
@@ -61,7 +63,7 @@ fn another_chip_is_refused() {
         site.change(|board| board.memory = memory);
         let error = refused(&site, &new());
         assert!(matches!(error.cause, Cause::Misfit(Misfit::OtherChip) | Cause::Layout(_)), "{error}");
-        assert!(error.to_string().contains("the power off and on starts the firmware that it has"), "{error}");
+        assert!(error.to_string().contains("switch the power off and on to start the present firmware"), "{error}");
     }
 }
 
@@ -77,26 +79,26 @@ fn a_protected_chip_is_left_alone() {
 }
 
 #[test]
-fn a_boot_loader_that_cannot_be_opened_says_what_to_do() {
+fn a_boot_loader_that_cannot_be_opened_names_the_remedy() {
     for (error, word) in [(UsbError::Forbidden, "haptic udev"), (UsbError::Busy, "dfu-util")] {
         let site = Site::running(&old());
         site.change(|board| board.opening = Some(error));
         let error = refused(&site, &new());
-        assert!(error.step == Step::Open && error.to_string().contains(word), "{error}");
+        assert!(error.phase == Phase::Open && error.to_string().contains(word), "{error}");
     }
 }
 
 #[test]
-fn a_board_that_does_not_enter_its_boot_loader_is_brought_there_by_hand() {
+fn a_board_that_stays_out_of_its_boot_loader_names_the_remedy() {
     let site = Site::running(&old());
-    site.change(|board| board.deaf = true);
+    site.change(|board| board.ignores_restart = true);
     let error = refused(&site, &new());
-    assert_eq!((error.step, &error.cause), (Step::Enter, &Cause::NoBootLoader));
+    assert_eq!((error.phase, &error.cause), (Phase::Enter, &Cause::NoBootLoader));
     assert!(error.to_string().contains("DIP switch"), "{error}");
 }
 
 #[test]
-fn nothing_there_and_a_wrong_number_are_told_apart() {
+fn a_missing_board_and_a_wrong_number_are_distinguished() {
     let site = Site::running(&old());
     let error = attempt(&site, Some("ABC"), &new()).unwrap_err();
     assert_eq!(error.cause, Cause::NotThere("ABC".into()));
@@ -105,11 +107,11 @@ fn nothing_there_and_a_wrong_number_are_told_apart() {
 }
 
 #[test]
-fn a_board_that_comes_back_with_another_version_is_told() {
+fn a_board_that_restarts_with_another_version_is_reported() {
     let site = Site::running(&old());
-    site.change(|board| board.lies = Some("0.0.9"));
+    site.change(|board| board.reported_version = Some("0.0.9"));
     let error = attempt(&site, None, &new()).unwrap_err();
-    assert_eq!(error.step, Step::Compare);
+    assert_eq!(error.phase, Phase::Compare);
     let text = error.to_string();
     assert!(text.contains("odrive-v3 0.0.9, protocol 11") && text.contains("odrive-v3 0.2.0, protocol 11"), "{text}");
 }

@@ -1,25 +1,25 @@
-//! Settings that a board keeps over its update, or gets back after it: on a simulated board.
+//! Settings that survive a firmware update or are restored after it, on a simulated board.
 
-use haptic_flash::put_back;
+use haptic_flash::restore_lost_settings;
 use haptic_host::backup::Backup;
 use haptic_host::link::PortSpec;
 
 #[test]
-fn settings_are_put_back_where_one_is_not_as_it_was_and_left_alone_else() {
+fn settings_are_restored_only_if_one_has_changed() {
     let mut board = haptic_sim::open(&PortSpec::Sim(None)).unwrap();
     let rules = board.rules().unwrap();
     board.save().unwrap();
-    let kept = Backup::read(&mut board).unwrap();
-    assert!(kept.settings.len() >= 3, "{:?}", kept.settings.keys());
-    assert_eq!(put_back(&mut board, &kept), Ok(Vec::new()), "nothing is lost");
+    let saved = Backup::read(&mut board).unwrap();
+    assert!(saved.settings.len() >= 3, "{:?}", saved.settings.keys());
+    assert_eq!(restore_lost_settings(&mut board, &saved), Ok(Vec::new()), "nothing is lost");
 
     let mut lower = rules;
     lower.limits.tip_force /= 2.0;
     board.set_rules(&lower).unwrap();
     board.save().unwrap();
-    let back = put_back(&mut board, &kept).unwrap();
-    assert!(back.contains(&"rules".to_string()) && back.contains(&"device".to_string()), "{back:?}");
+    let restored = restore_lost_settings(&mut board, &saved).unwrap();
+    assert!(restored.contains(&"rules".to_string()) && restored.contains(&"device".to_string()), "{restored:?}");
     assert_eq!(board.rules().unwrap(), rules);
-    assert_eq!(Backup::read(&mut board).unwrap().settings, kept.settings);
-    assert_eq!(put_back(&mut board, &kept), Ok(Vec::new()));
+    assert_eq!(Backup::read(&mut board).unwrap().settings, saved.settings);
+    assert_eq!(restore_lost_settings(&mut board, &saved), Ok(Vec::new()));
 }

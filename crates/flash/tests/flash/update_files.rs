@@ -1,10 +1,10 @@
-//! Update files, as `cargo xtask` writes them.
+//! Update files that `cargo xtask` writes.
 
 use haptic_bridge::checksum::crc32;
 use haptic_flash::{BadFile, BadImage, Image, parse};
 
-use crate::bench::image;
 use crate::dfu;
+use crate::rig::image;
 
 fn written() -> (Image, Vec<u8>) {
     let image = image("odrive-v3", "0.1.0", 10);
@@ -12,8 +12,8 @@ fn written() -> (Image, Vec<u8>) {
     (image, file)
 }
 
-/// With a checksum that is right again.
-fn summed(mut file: Vec<u8>) -> Vec<u8> {
+/// Corrects the checksum of a changed file.
+fn with_checksum(mut file: Vec<u8>) -> Vec<u8> {
     let end = file.len() - 4;
     let sum = !crc32(&file[..end]);
     file[end..].copy_from_slice(&sum.to_le_bytes());
@@ -21,13 +21,13 @@ fn summed(mut file: Vec<u8>) -> Vec<u8> {
 }
 
 #[test]
-fn what_the_build_writes_is_read() {
+fn update_files_of_the_build_are_parsed() {
     let (image, file) = written();
     assert_eq!(parse(&file), Ok(Image { version: None, protocol: None, ..image }));
 }
 
 #[test]
-fn a_changed_byte_anywhere_is_found() {
+fn any_changed_byte_is_detected() {
     let (_, file) = written();
     for at in (0..400).chain(file.len() - 40..file.len()) {
         let mut changed = file.clone();
@@ -37,27 +37,27 @@ fn a_changed_byte_anywhere_is_found() {
 }
 
 #[test]
-fn no_file_panics_and_none_that_lies_about_its_lengths_is_read() {
+fn wrong_lengths_are_refused_without_a_panic() {
     let (_, file) = written();
     for length in (0..400).chain([file.len() - 1]) {
         assert!(parse(&file[..length]).is_err());
         if length >= 20 {
-            assert!(parse(&summed(file[..length].to_vec())).is_err(), "{length}");
+            assert!(parse(&with_checksum(file[..length].to_vec())).is_err(), "{length}");
         }
     }
-    // The length of the file, of the target and of an element, and how many there are.
+    // The length of the file, of the target and of an element, and the number of elements.
     for at in [6, 277, 281, 289] {
         for wrong in [0_u32, 1, 7, u32::MAX] {
             let mut changed = file.clone();
             changed[at..at + 4].copy_from_slice(&wrong.to_le_bytes());
-            assert_eq!(parse(&summed(changed)), Err(BadFile::Lengths), "{at}: {wrong}");
+            assert_eq!(parse(&with_checksum(changed)), Err(BadFile::Lengths), "{at}: {wrong}");
         }
     }
     assert_eq!(parse(b"\x7FELF").unwrap_err(), BadFile::NotDfuse);
     let two = {
         let mut file = file.clone();
         file[10] = 2;
-        summed(file)
+        with_checksum(file)
     };
     assert_eq!(parse(&two), Err(BadFile::Targets(2)));
 }

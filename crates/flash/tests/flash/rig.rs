@@ -1,21 +1,23 @@
-//! A board with a chip in it, its USB cable and its switches; and images that such a board can run.
+//! A rig: a board with a chip, a USB cable and switches; and images for the board.
 
 use std::cell::RefCell;
 use std::rc::Rc;
 use std::time::Duration;
 
 use haptic_bridge::checksum::Crc32;
-use haptic_flash::{BootLoader as There, Image, Opened, SETTINGS, Said, Segment, Surroundings, Transport, UsbError};
+use haptic_flash::{
+    BootLoader as BootLoaderOnUsb, Identity, Image, Opened, SETTINGS, Segment, Surroundings, Transport, UsbError,
+};
 
 use crate::boot_loader::{Answer, BootLoader, FLASH, MEMORY};
 
 pub const SERIAL: &str = "3852395C3038";
-/// Where the word is that sums the image up, behind the vectors.
+/// Offset of the image's checksum, behind the vectors.
 const CHECK: usize = 0x188;
 const CODE: u32 = 0x0800_C000;
 
-/// An image whose code begins with its own length and what it says of itself. It reaches into sector 4 and does not end
-/// at a word.
+/// Creates an image whose code begins with its own length and its identity. It reaches into sector 4 and does not end
+/// at a word boundary.
 pub fn image(board: &str, version: &str, protocol: u16) -> Image {
     let mut code = vec![0; 4];
     code.extend(format!("{board}\0{version}\0{protocol}\0").bytes());
@@ -35,21 +37,21 @@ pub fn image(board: &str, version: &str, protocol: u16) -> Image {
     Image { board: board.into(), version: Some(version.into()), protocol: Some(protocol), segments }
 }
 
-/// What takes the board away in the middle of something.
+/// An interruption.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Cut {
-    /// The cable is pulled; the chip goes on.
+    /// The cable is pulled; the chip continues.
     Cable,
-    /// The power goes, before this request.
+    /// The power fails before this request.
     Power,
-    /// The power goes when this share of what the request begins is done.
+    /// The power fails when this share of the request's operation is done.
     PowerWithin(f32),
 }
 
 pub enum Chip {
     Firmware,
     BootLoader(BootLoader),
-    /// No power, or a program that is none.
+    /// No power, or no valid program.
     Dead,
 }
 
@@ -57,40 +59,40 @@ pub struct Board {
     pub flash: Vec<u8>,
     pub chip: Chip,
     pub now: Duration,
-    /// From when on the system sees it.
-    seen_from: Duration,
-    /// Time that the boot loader takes to answer.
+    /// Time from which the operating system sees the device.
+    visible_from: Duration,
+    /// Reply time of the boot loader.
     pub answers_after: Duration,
     pub plugged: bool,
     pub boot_pins: bool,
     pub protected: bool,
     pub memory: &'static str,
-    /// Requests so far, and at which of them what happens.
+    /// Number of requests so far, and the interruption with its request number.
     pub requests: usize,
     pub cut: Option<(usize, Cut)>,
-    /// The firmware does not follow the request to restart into the boot loader.
-    pub deaf: bool,
-    /// The boot loader's jump leads nowhere; the power off and on does.
-    pub lost_jump: bool,
-    /// What the firmware says instead of its version.
-    pub lies: Option<&'static str>,
-    /// An address that holds this byte, whatever is written.
-    pub stuck: Option<(u32, u8)>,
+    /// The firmware ignores the request to restart into the boot loader.
+    pub ignores_restart: bool,
+    /// The boot loader fails to start the program; a power cycle starts it.
+    pub fails_to_start: bool,
+    /// The version that the firmware reports instead of its own.
+    pub reported_version: Option<&'static str>,
+    /// An address that always holds this byte.
+    pub stuck_byte: Option<(u32, u8)>,
     pub opening: Option<UsbError>,
-    /// Handed to every boot loader that starts.
+    /// Passed to every boot loader that starts.
     pub late: u32,
     pub fail: Option<usize>,
-    /// Settings that were given back.
-    pub given_back: Option<Vec<u8>>,
+    /// Restored settings.
+    pub restored_settings: Option<Vec<u8>>,
     pub erased: Vec<usize>,
 }
 
-/// A hand on it.
+/// Access to the board.
 #[derive(Clone)]
 pub struct Site(pub Rc<RefCell<Board>>);
 
 impl Site {
-    /// A board that runs this image.
+    /// Creates a board that runs this image.
     pub fn running(image: &Image) -> Self {
         let mut flash = vec![0xFF; (FLASH.end - FLASH.start) as usize];
         for segment in &image.segments {
@@ -98,38 +100,38 @@ impl Site {
         }
         let settings = (SETTINGS.start - FLASH.start) as usize..(SETTINGS.end - FLASH.start) as usize;
         flash[settings].iter_mut().zip(0_u32..).for_each(|(byte, index)| *byte = (index % 251) as u8);
-        // What is left of something longer.
+        // The rest of a longer image.
         flash[0x2_0000..0x2_0100].fill(0x33);
         Self(Rc::new(RefCell::new(Board {
             flash,
             chip: Chip::Firmware,
             now: Duration::ZERO,
-            seen_from: Duration::ZERO,
+            visible_from: Duration::ZERO,
             plugged: true,
             boot_pins: false,
             protected: false,
             memory: MEMORY,
             requests: 0,
             cut: None,
-            deaf: false,
-            lost_jump: false,
-            lies: None,
-            stuck: None,
+            ignores_restart: false,
+            fails_to_start: false,
+            reported_version: None,
+            stuck_byte: None,
             opening: None,
             answers_after: Duration::ZERO,
             late: 0,
             fail: None,
-            given_back: None,
+            restored_settings: None,
             erased: Vec::new(),
         })))
     }
 
-    /// One in its boot loader.
+    /// Creates a board in its boot loader.
     pub fn in_boot_loader(image: &Image) -> Self {
-        let it = Self::running(image);
-        it.0.borrow_mut().boot_pins = true;
-        it.0.borrow_mut().power_cycle();
-        it
+        let site = Self::running(image);
+        site.0.borrow_mut().boot_pins = true;
+        site.0.borrow_mut().power_cycle();
+        site
     }
 
     pub fn change(&self, change: impl FnOnce(&mut Board)) -> &Self {
@@ -139,10 +141,10 @@ impl Site {
 }
 
 impl Board {
-    /// Power off and on, with the cable in.
+    /// Switches power off and on, with the cable plugged in.
     pub fn power_cycle(&mut self) {
         self.plugged = true;
-        self.lost_jump = false;
+        self.fails_to_start = false;
         if self.boot_pins { self.boot() } else { self.start() }
     }
 
@@ -150,12 +152,12 @@ impl Board {
         let mut boot_loader = BootLoader::new(self.protected);
         (boot_loader.late, boot_loader.fail) = (self.late, self.fail);
         self.chip = Chip::BootLoader(boot_loader);
-        self.seen_from = self.now + Duration::from_millis(700);
+        self.visible_from = self.now + Duration::from_millis(700);
     }
 
     fn start(&mut self) {
-        self.chip = if self.starts() && !self.lost_jump { Chip::Firmware } else { Chip::Dead };
-        self.seen_from = self.now + Duration::from_millis(900);
+        self.chip = if self.starts() && !self.fails_to_start { Chip::Firmware } else { Chip::Dead };
+        self.visible_from = self.now + Duration::from_millis(900);
     }
 
     fn word(&self, address: u32) -> u32 {
@@ -163,13 +165,13 @@ impl Board {
         u32::from_le_bytes([self.flash[at], self.flash[at + 1], self.flash[at + 2], self.flash[at + 3]])
     }
 
-    /// Whether the chip finds a stack and a first instruction.
+    /// Returns true if the chip finds a stack pointer and a reset vector.
     pub fn starts(&self) -> bool {
         let (stack, entry) = (self.word(FLASH.start), self.word(FLASH.start + 4));
         (0x2000_0000..=0x2002_0000).contains(&stack) && FLASH.contains(&entry) && entry % 2 == 1
     }
 
-    /// Whether firmware that starts would ever arm: it compares its own checksum.
+    /// Returns true if the started firmware would arm: it compares its own checksum.
     pub fn arms(&self) -> bool {
         let (code, length) = ((CODE - FLASH.start) as usize, self.word(CODE) as usize);
         let Some(code) = self.flash.get(code..code.saturating_add(length)) else { return false };
@@ -179,7 +181,7 @@ impl Board {
         self.starts() && sum.sum() == self.word(FLASH.start + CHECK as u32)
     }
 
-    /// Whether an image is in flash; of two segments, the second is its code.
+    /// Returns true if the flash holds these segments; of two segments, the second is the code.
     pub fn holds(&self, segments: &[Segment]) -> bool {
         segments.iter().all(|segment| {
             self.flash[(segment.address - FLASH.start) as usize..][..segment.bytes.len()] == segment.bytes
@@ -190,25 +192,25 @@ impl Board {
         self.flash[(SETTINGS.start - FLASH.start) as usize..(SETTINGS.end - FLASH.start) as usize].to_vec()
     }
 
-    fn said(&self) -> Option<Said> {
-        if !self.plugged || self.now < self.seen_from || !matches!(self.chip, Chip::Firmware) {
+    fn identity(&self) -> Option<Identity> {
+        if !self.plugged || self.now < self.visible_from || !matches!(self.chip, Chip::Firmware) {
             return None;
         }
         let text = &self.flash[(CODE - FLASH.start) as usize + 4..][..64];
         let mut parts = text.split(|byte| *byte == 0).map(|part| String::from_utf8_lossy(part).into_owned());
         let (board, firmware) = (parts.next()?, parts.next()?);
         let protocol = parts.next()?.parse().ok()?;
-        let firmware = self.lies.map(String::from).unwrap_or(firmware);
-        Some(Said { board, firmware, protocol, serial: SERIAL.into() })
+        let firmware = self.reported_version.map(String::from).unwrap_or(firmware);
+        Some(Identity { board, firmware, protocol, serial: SERIAL.into() })
     }
 
     fn request(&mut self, request: (u8, u16), data: &[u8], length: u16) -> Result<Vec<u8>, UsbError> {
-        if !self.plugged || self.now < self.seen_from {
+        if !self.plugged || self.now < self.visible_from {
             return Err(UsbError::Gone);
         }
         self.requests += 1;
         let mut share = 1.0;
-        let mut power_goes = false;
+        let mut power_fails = false;
         match self.cut.filter(|(at, _)| *at == self.requests) {
             Some((_, Cut::Cable)) => {
                 self.plugged = false;
@@ -218,16 +220,16 @@ impl Board {
                 (self.chip, self.plugged) = (Chip::Dead, false);
                 return Err(UsbError::Gone);
             }
-            Some((_, Cut::PowerWithin(part))) => (share, power_goes) = (part, true),
+            Some((_, Cut::PowerWithin(part))) => (share, power_fails) = (part, true),
             None => {}
         }
         let Chip::BootLoader(boot_loader) = &mut self.chip else { return Err(UsbError::Gone) };
         let answer = boot_loader.request(request, data, length, &mut self.flash, self.now, share);
         self.erased = boot_loader.erased.clone();
-        if let Some((address, byte)) = self.stuck {
+        if let Some((address, byte)) = self.stuck_byte {
             self.flash[(address - FLASH.start) as usize] = byte;
         }
-        if power_goes {
+        if power_fails {
             (self.chip, self.plugged) = (Chip::Dead, false);
             return Err(UsbError::Gone);
         }
@@ -273,15 +275,15 @@ impl Transport for Cable {
 
 impl Surroundings for Site {
     type Loader = Cable;
-    type Kept = Vec<u8>;
+    type Settings = Vec<u8>;
 
-    fn boot_loaders(&mut self) -> Result<Vec<There>, UsbError> {
+    fn boot_loaders(&mut self) -> Result<Vec<BootLoaderOnUsb>, UsbError> {
         let board = self.0.borrow();
-        let there = board.plugged && board.now >= board.seen_from && matches!(board.chip, Chip::BootLoader(_));
-        Ok(if there { vec![There { serial: SERIAL.into() }] } else { Vec::new() })
+        let is_there = board.plugged && board.now >= board.visible_from && matches!(board.chip, Chip::BootLoader(_));
+        Ok(if is_there { vec![BootLoaderOnUsb { serial: SERIAL.into() }] } else { Vec::new() })
     }
 
-    fn open(&mut self, which: &There) -> Result<Opened<Cable>, UsbError> {
+    fn open(&mut self, which: &BootLoaderOnUsb) -> Result<Opened<Cable>, UsbError> {
         if let Some(error) = &self.0.borrow().opening {
             return Err(error.clone());
         }
@@ -292,27 +294,27 @@ impl Surroundings for Site {
     }
 
     fn boards(&mut self) -> Vec<String> {
-        self.0.borrow().said().map(|said| said.serial).into_iter().collect()
+        self.0.borrow().identity().map(|identity| identity.serial).into_iter().collect()
     }
 
-    fn ask(&mut self, _: &str) -> Result<Said, String> {
-        self.0.borrow().said().ok_or("the board does not answer".into())
+    fn identify(&mut self, _: &str) -> Result<Identity, String> {
+        self.0.borrow().identity().ok_or("the board does not answer".into())
     }
 
-    fn keep(&mut self, _: &str) -> Result<Option<Vec<u8>>, String> {
+    fn read_settings(&mut self, _: &str) -> Result<Option<Vec<u8>>, String> {
         Ok(Some(self.0.borrow().settings()))
     }
 
-    fn enter(&mut self, _: &str) -> Result<(), String> {
+    fn enter_boot_loader(&mut self, _: &str) -> Result<(), String> {
         let mut board = self.0.borrow_mut();
-        if !board.deaf {
+        if !board.ignores_restart {
             board.boot();
         }
         Ok(())
     }
 
-    fn give_back(&mut self, _: &str, kept: &Vec<u8>) -> Result<Vec<String>, String> {
-        self.0.borrow_mut().given_back = Some(kept.clone());
+    fn restore_settings(&mut self, _: &str, settings: &Vec<u8>) -> Result<Vec<String>, String> {
+        self.0.borrow_mut().restored_settings = Some(settings.clone());
         Ok(vec!["rules".into()])
     }
 

@@ -1,5 +1,5 @@
-//! The path of the hand of `haptic sim --hand loop`: a circle on a wall that it can reach, otherwise a circle where it
-//! is.
+//! The path of the hand of `haptic sim --hand loop`: a circle on a wall that the hand can reach, otherwise a circle at
+//! its present position.
 
 use super::{Intent, Waypoint};
 use haptic_bridge::math::Libm;
@@ -11,17 +11,17 @@ use nalgebra::{DMatrix, DVector, SVector, Vector3};
 
 /// Half the length and half the width of the loop, m.
 const REACH: f64 = 0.015;
-/// Worst conditioned Jacobian that the hand goes through: nearer to a singular pose a board may trip.
+/// Largest condition number of the Jacobian on the path: closer to a singular pose, a board may trip.
 const CONDITION: f64 = 30.0;
-/// Farthest that a path may miss its goal, m.
+/// Largest distance of a path's end from its goal, m.
 const MISSED: f64 = 1e-5;
 
-/// A loop that never ends, three centimetres across and four seconds around.
+/// An endless loop, 3 cm across, that takes 4 s per round.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Around {
-    /// The tip's position at home, m: the hand waits there while the motors are off.
+pub struct HandLoop {
+    /// The tip's position at home, m, where the hand waits while the motors are off.
     rest: [f64; 3],
-    /// Its middle, m.
+    /// Centre of the loop, m.
     pub centre: Vector3<f64>,
     /// Unit vectors across and along the wall.
     across: Vector3<f64>,
@@ -30,8 +30,8 @@ pub struct Around {
     pub on_a_wall: bool,
 }
 
-impl Around {
-    /// The loop in this scene, for a tip that starts at the device's home.
+impl HandLoop {
+    /// Finds a loop in the scene for a tip that starts at the device's home.
     pub fn find(file: &DeviceFile, scene: Option<&Scene<f64>>, tip: [f64; 3]) -> Self {
         let rest = tip;
         let tip = Vector3::from(tip);
@@ -68,12 +68,12 @@ impl Around {
         self.corners().iter().all(|corner| is_within_reach(file, corner))
     }
 
-    /// The intent of the hand while the motors are off: it stays or goes back home, out of the walls.
+    /// Returns the intent of the hand while the motors are off: it returns home, outside the walls, and stays there.
     pub fn wait(&self) -> Intent {
         Intent::Lead(self.rest)
     }
 
-    /// The path that the hand follows from home on, for an hour.
+    /// Returns the path of the hand, from home, for an hour.
     pub fn intent(&self) -> Intent {
         let corners = self.corners().map(Into::into);
         let places = std::iter::once(self.rest).chain(corners.into_iter().cycle());
@@ -82,7 +82,7 @@ impl Around {
     }
 }
 
-/// Returns true if the tip gets from home straight to `goal` without coming near a singular pose or a joint limit.
+/// Returns true if the straight path from home to `goal` avoids singular poses and joint limits.
 fn is_within_reach(file: &DeviceFile, goal: &Vector3<f64>) -> bool {
     const STEPS: u32 = 20;
     let Some(home) = file.description.home else { return false };
@@ -93,11 +93,11 @@ fn is_within_reach(file: &DeviceFile, goal: &Vector3<f64>) -> bool {
     let goal = DVector::from_column_slice(&goal.as_slice()[..start.len()]);
     (1..=STEPS).all(|step| {
         let aim = &start + (&goal - &start) * (f64::from(step) / f64::from(STEPS));
-        // Newton's method, which a twentieth of the way brings close enough to converge within a few rounds.
+        // Newton's method. From a twentieth of the path it converges within a few iterations.
         (0..8).any(|_| {
             let (tip, jacobian) = at(&q);
             let stretch = jacobian.singular_values();
-            // Also refuses what is no number: links that cannot close.
+            // False also for NaN, which links that cannot close produce.
             let regular = stretch.max() <= CONDITION * stretch.min();
             if !regular {
                 return false;
@@ -119,7 +119,7 @@ fn is_within_reach(file: &DeviceFile, goal: &Vector3<f64>) -> bool {
     })
 }
 
-/// The tip, m, and its motion by each joint, m/rad.
+/// Returns the tip, m, and its Jacobian, m/rad.
 fn tip_and_jacobian<M: Mechanism<f64, N>, const N: usize>(m: &M, q: &DVector<f64>) -> (DVector<f64>, DMatrix<f64>) {
     let task = M::SPEC.task;
     let pose = m.pose::<Libm>(&SVector::from_fn(|i, _| q[i]));
@@ -134,7 +134,7 @@ mod tests {
     use std::fs;
     use std::path::Path;
 
-    /// Every scene that ships is felt by the hand on the device that it ships for.
+    /// Checks every shipped scene on its device.
     #[test]
     fn the_hand_reaches_a_wall_of_every_shipped_scene() {
         let devices = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../devices");
@@ -153,9 +153,9 @@ mod tests {
                 if scene.walls.is_empty() {
                     continue;
                 }
-                let around = Around::find(&file, Some(&scene), tip);
-                assert!(around.on_a_wall, "{}", path.display());
-                let corners = around.corners();
+                let hand_loop = HandLoop::find(&file, Some(&scene), tip);
+                assert!(hand_loop.on_a_wall, "{}", path.display());
+                let corners = hand_loop.corners();
                 let inside = |surface: &Surface<f64>| {
                     corners.iter().any(|corner| surface.contact::<Libm, 3>(corner).distance < -0.01)
                 };
@@ -167,7 +167,7 @@ mod tests {
     }
 
     #[test]
-    fn what_lies_outside_of_the_workspace_is_not_reached() {
+    fn a_goal_outside_the_workspace_is_out_of_reach() {
         let file = DeviceFile::parse(super::super::SHIPPED_DEVICE, "coupled-five-bar.toml").unwrap();
         assert!(is_within_reach(&file, &Vector3::new(-0.1, 0.18, 0.0)));
         // The arms are 23 cm long.

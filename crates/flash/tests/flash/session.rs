@@ -1,10 +1,10 @@
-//! One conversation with the boot loader, and what the script itself refuses.
+//! A session with the boot loader, and the requests that the scripted boot loader refuses.
 
 use haptic_flash::dfuse::{Dfuse, request};
 use haptic_flash::{DfuError, Surroundings as _, Transport as _, UsbError};
 
-use crate::bench::{Cable, Chip, Site, image};
 use crate::boot_loader::{FLASH, State, Status};
+use crate::rig::{Cable, Chip, Site, image};
 
 fn cable() -> (Site, Cable) {
     let mut site = Site::in_boot_loader(&image("odrive-v3", "0.1.0", 10));
@@ -22,21 +22,25 @@ fn state(site: &Site) -> (State, Status) {
 }
 
 #[test]
-fn the_script_refuses_what_the_documents_refuse() {
+fn the_script_refuses_requests_that_the_documents_forbid() {
     let (site, mut cable) = cable();
     assert_eq!(cable.receive(request::UPLOAD, 0, 4), Ok(vec![0x00, 0x21, 0x41, 0x92]), "the commands it knows");
-    assert_eq!(cable.send(request::DNLOAD, 0, &[0x41, 0, 0, 0, 8]), Err(UsbError::Stalled), "erase while it is read");
+    assert_eq!(cable.send(request::DNLOAD, 0, &[0x41, 0, 0, 0, 8]), Err(UsbError::Stalled), "erase while reading");
     assert_eq!(state(&site), (State::Error, Status::StalledPacket));
-    assert_eq!(cable.send(request::ABORT, 0, &[]), Err(UsbError::Stalled), "only one way out of an error");
+    assert_eq!(cable.send(request::ABORT, 0, &[]), Err(UsbError::Stalled), "only CLRSTATUS leaves the error state");
     cable.send(request::CLRSTATUS, 0, &[]).unwrap();
     assert_eq!(state(&site), (State::Idle, Status::Ok));
-    assert_eq!(cable.send(request::CLRSTATUS, 0, &[]), Err(UsbError::Stalled), "clear what is no error");
+    assert_eq!(cable.send(request::CLRSTATUS, 0, &[]), Err(UsbError::Stalled), "clear without an error");
     cable.send(request::CLRSTATUS, 0, &[]).unwrap();
 
     cable.send(request::DNLOAD, 0, &[0x41, 0, 0, 1, 8]).unwrap();
     let busy = cable.receive(request::GETSTATUS, 0, 6).unwrap();
-    assert_eq!((busy[4], &site.0.borrow().erased[..]), (State::Dnbusy as u8, &[4][..]), "carried out when asked");
-    assert_eq!(cable.receive(request::GETSTATUS, 0, 6), Err(UsbError::Stalled), "asked before its time");
+    assert_eq!(
+        (busy[4], &site.0.borrow().erased[..]),
+        (State::Dnbusy as u8, &[4][..]),
+        "carried out at the status request"
+    );
+    assert_eq!(cable.receive(request::GETSTATUS, 0, 6), Err(UsbError::Stalled), "a status request too early");
     cable.send(request::CLRSTATUS, 0, &[]).unwrap();
     assert_eq!(cable.send(request::DNLOAD, 1, &[0; 8]), Err(UsbError::Stalled), "a reserved block");
     cable.send(request::CLRSTATUS, 0, &[]).unwrap();
@@ -45,7 +49,7 @@ fn the_script_refuses_what_the_documents_refuse() {
 }
 
 #[test]
-fn what_is_written_is_read_whole_blocks_and_ends() {
+fn flash_reads_back_full_and_partial_blocks() {
     for length in [4, 2044, 2048, 2052, 5000] {
         let (site, cable) = cable();
         let mut dfuse = Dfuse::begin(cable, 2048).unwrap();
@@ -62,7 +66,7 @@ fn what_is_written_is_read_whole_blocks_and_ends() {
 }
 
 #[test]
-fn a_conversation_begins_wherever_another_one_stopped() {
+fn a_session_begins_in_any_state_of_an_earlier_one() {
     let before: [&[(u8, u16, &[u8])]; 5] = [
         &[],
         &[(request::DNLOAD, 1, &[0; 4])],
@@ -78,7 +82,7 @@ fn a_conversation_begins_wherever_another_one_stopped() {
                 _ => cable.receive(*request, *value, 6).map(|_| ()),
             };
         }
-        // Whoever comes next has had to start first.
+        // The next session starts later, because its program must start first.
         cable.wait(std::time::Duration::from_millis(50));
         let mut dfuse = Dfuse::begin(cable, 2048).unwrap_or_else(|error| panic!("{requests:?}: {error}"));
         dfuse.erase(0x0802_0000).unwrap();
@@ -86,19 +90,19 @@ fn a_conversation_begins_wherever_another_one_stopped() {
 }
 
 #[test]
-fn a_busy_boot_loader_is_waited_for_and_one_that_never_ends_is_given_up() {
+fn a_busy_boot_loader_is_given_up_after_a_timeout() {
     for answers_after in [0.0, 4.9].map(std::time::Duration::from_secs_f64) {
         let (site, cable) = cable();
-        let late = |rounds| {
+        let set_late = |rounds| {
             site.change(|board| match &mut board.chip {
                 Chip::BootLoader(boot_loader) => boot_loader.late = rounds,
                 _ => unreachable!(),
             });
         };
-        late(30);
+        set_late(30);
         let mut dfuse = Dfuse::begin(cable, 2048).unwrap();
         dfuse.erase(0x0802_0000).unwrap();
-        late(u32::MAX);
+        set_late(u32::MAX);
         site.change(|board| board.answers_after = answers_after);
         let began = site.0.borrow().now;
         let error = dfuse.erase(0x0802_0000).unwrap_err();
@@ -108,7 +112,7 @@ fn a_busy_boot_loader_is_waited_for_and_one_that_never_ends_is_given_up() {
 }
 
 #[test]
-fn an_address_without_memory_is_told_as_that() {
+fn an_address_without_memory_is_reported() {
     let (_, cable) = cable();
     let mut dfuse = Dfuse::begin(cable, 2048).unwrap();
     let error = dfuse.erase(FLASH.end).unwrap_err().to_string();

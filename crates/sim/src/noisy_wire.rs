@@ -1,4 +1,4 @@
-//! A wire that spoils frames, for tests of what talks to a board.
+//! A wire that corrupts frames, for tests of programs that talk to a board.
 
 use super::random::Random;
 use haptic_bridge::board::telemetry::{Field, Fields};
@@ -8,24 +8,24 @@ use haptic_host::link::{Board, Losses, Wire};
 use std::io;
 use std::time::Duration;
 
-/// A wire on which one frame in a hundred, either way, has stray bytes injected, or one byte dropped, doubled or swapped
-/// with the next.
-pub struct SpoiltWire {
+/// A wire that corrupts one frame in a hundred, in both directions: injects stray bytes, or drops, doubles or swaps one
+/// byte.
+pub struct NoisyWire {
     wire: Box<dyn Wire>,
     random: Random,
-    /// Frames that still pass unspoilt: a number that changes in a request to arm, say, is not seen.
-    clean: u32,
+    /// Number of frames to pass unchanged first: a number changed in a request to arm, say, would not be detected.
+    unchanged: u32,
 }
 
-impl SpoiltWire {
-    /// Arms the board at the other end, has it watch its host, and follows it for so many control steps.
+impl NoisyWire {
+    /// Arms the board at the other end, has it watch its host, and follows it for `steps` control steps.
     ///
     /// # Panics
     ///
-    /// When the motors go off, a row is neither received nor counted as missing, or no frame was spoilt.
+    /// If the motors go off, a row is neither received nor counted as missing, or no frame was corrupted.
     pub fn follow(wire: Box<dyn Wire>, steps: u32) -> Losses {
-        let spoilt = Self { wire, random: Random::new(7), clean: 16 };
-        let mut board = Board::over(Box::new(spoilt), "spoilt").expect("a board");
+        let noisy = Self { wire, random: Random::new(7), unchanged: 16 };
+        let mut board = Board::over(Box::new(noisy), "noisy").expect("a board");
         let rules = board.rules().expect("it has rules");
         let watched = Rules { host_action: HostAction::Disarm, host_seconds: 0.5, ..rules };
         board.set_rules(&watched).expect("it watches its host");
@@ -48,12 +48,12 @@ impl SpoiltWire {
         losses
     }
 
-    fn pass(&mut self, bytes: &[u8]) -> Vec<u8> {
+    fn corrupt(&mut self, bytes: &[u8]) -> Vec<u8> {
         let mut passed = Vec::new();
         for frame in bytes.split_inclusive(|byte| *byte == 0) {
             let mut frame = frame.to_vec();
-            self.clean = self.clean.saturating_sub(1);
-            if self.clean == 0 && self.random.uniform() < 0.01 {
+            self.unchanged = self.unchanged.saturating_sub(1);
+            if self.unchanged == 0 && self.random.uniform() < 0.01 {
                 let at = self.random.bits() as usize % frame.len();
                 let (byte, next) = (frame[at], (at + 1) % frame.len());
                 match self.random.bits() % 4 {
@@ -69,16 +69,16 @@ impl SpoiltWire {
     }
 }
 
-impl Wire for SpoiltWire {
+impl Wire for NoisyWire {
     fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
-        let passed = self.pass(bytes);
+        let passed = self.corrupt(bytes);
         self.wire.send(&passed)
     }
     fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> io::Result<usize> {
-        // Injected bytes take room.
+        // Half of the buffer stays free for injected bytes.
         let half = buffer.len() / 2;
         let count = self.wire.receive(&mut buffer[..half], timeout)?;
-        let passed = self.pass(&buffer[..count]);
+        let passed = self.corrupt(&buffer[..count]);
         buffer[..passed.len()].copy_from_slice(&passed);
         Ok(passed.len())
     }

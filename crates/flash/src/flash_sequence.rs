@@ -1,48 +1,49 @@
-//! What is erased, written and compared, and in which order.
+//! The flash sequence: which sectors are erased, and which blocks are written and compared, in which order.
 //!
-//! The sector of the vectors is erased first and written last. While anything is missing, the chip finds no vectors and
-//! starts nothing: a board that is interrupted has its bridges off, because nobody turns them on. A power cut within
-//! the vectors leaves the checksum behind them unwritten, and the firmware then refuses to arm (`ImageDamaged`).
+//! The sector of the vectors is erased first and written last. Until the end, the chip finds no vectors and starts no
+//! program, so an interrupted board keeps its bridges off. After a power cut while the vectors are written, the
+//! checksum behind them is missing, and the firmware refuses to arm (`ImageDamaged`).
 
 use crate::image::{FLASH_START, Image, SETTINGS};
 use crate::layout::{Layout, Sector};
 
-/// Bytes for one write.
+/// The bytes of one write.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Block {
-    /// The address of the first.
+    /// Address of the first byte.
     pub address: u32,
-    /// The bytes, whole words.
+    /// The bytes, padded to words.
     pub bytes: Vec<u8>,
 }
 
-/// All that is done to the flash.
+/// All operations on the flash.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Plan {
+pub struct FlashSequence {
     /// Sectors to erase, in this order.
     pub erase: Vec<Sector>,
-    /// What to write and compare first, ascending.
+    /// Blocks to write and compare first, ascending.
     pub code: Vec<Block>,
-    /// What to write and compare last: the vectors' sector, and in it the vectors after what follows them.
+    /// Blocks to write and compare last: the sector of the vectors in descending order, so that the vectors come last.
     pub vectors: Vec<Block>,
 }
 
-/// Why an image does not go into a chip.
+/// An image that does not fit a chip.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Misfit {
-    /// There is no flash there.
+    /// The chip has no flash at this address.
     #[error("the image needs flash at {0:#010x}, and this chip has none there: it is not the chip of this board")]
     NoFlash(u32),
-    /// Sectors of another size, so that erasing for the image could erase settings.
+    /// The sectors differ from the expected ones, so that erasing them could erase settings.
     #[error("the sectors of this chip are not those of an STM32F405: it is not the chip of this board")]
     OtherChip,
 }
 
-/// Where the chip's first sectors begin, four of 16 KB and one of 64 KB (RM0090, table "Flash module organization").
+/// Start addresses of the chip's first sectors, four of 16 KB and one of 64 KB (RM0090, table "Flash module
+/// organization").
 const FIRST_SECTORS: [u32; 6] = [FLASH_START, 0x0800_4000, 0x0800_8000, 0x0800_C000, 0x0801_0000, 0x0802_0000];
 
-/// Plans for blocks of at most `transfer` bytes.
-pub fn plan(image: &Image, layout: &Layout, transfer: usize) -> Result<Plan, Misfit> {
+/// Returns the flash sequence of an image, with blocks of at most `transfer` bytes.
+pub fn flash_sequence(image: &Image, layout: &Layout, transfer: usize) -> Result<FlashSequence, Misfit> {
     if !layout.sectors.iter().map(|sector| sector.start).take(FIRST_SECTORS.len()).eq(FIRST_SECTORS) {
         return Err(Misfit::OtherChip);
     }
@@ -70,9 +71,10 @@ pub fn plan(image: &Image, layout: &Layout, transfer: usize) -> Result<Plan, Mis
         }
     }
     let vectors = erase.iter().find(|sector| (sector.start..sector.end()).contains(&FLASH_START)).copied();
-    let beside = |address: u32| vectors.is_some_and(|sector| (sector.start..sector.end()).contains(&address));
-    erase.sort_by_key(|sector| (!beside(sector.start), sector.start));
-    let (mut vectors, code): (Vec<Block>, Vec<Block>) = write.into_iter().partition(|block| beside(block.address));
+    let in_vector_sector = |address: u32| vectors.is_some_and(|sector| (sector.start..sector.end()).contains(&address));
+    erase.sort_by_key(|sector| (!in_vector_sector(sector.start), sector.start));
+    let (mut vectors, code): (Vec<Block>, Vec<Block>) =
+        write.into_iter().partition(|block| in_vector_sector(block.address));
     vectors.reverse();
-    Ok(Plan { erase, code, vectors })
+    Ok(FlashSequence { erase, code, vectors })
 }

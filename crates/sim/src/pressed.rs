@@ -1,5 +1,5 @@
-//! A board whose device somebody holds still in one wall, at whatever depth: what its limits leave of the wall's force,
-//! free of what a device would do with it. The control loop is the firmware's own; nothing moves, and only its steps pass.
+//! A board whose device is held still in one wall at a chosen depth: measures how the board's limits reduce the wall's
+//! force, without the device's own dynamics. The control loop is the firmware's own; the device never moves.
 
 use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::control::frame::Samples;
@@ -19,30 +19,30 @@ use haptic_bridge::safety::refusal::Refusal;
 use haptic_bridge::with_mechanism;
 use nalgebra::SVector;
 
-/// Encoder counts in a turn: so many that their steps count for nothing.
+/// Encoder counts per turn, so many that quantisation is negligible.
 const FINE_COUNTS: f64 = 1.0e8;
-/// Control steps in which a control loop that was just armed brings up its torque.
+/// Number of control steps in which a newly armed control loop ramps up its torque.
 const RAMP: u32 = 1_000;
 
-/// A wall that acts on both sides, at 1 kHz, and a device held in it.
+/// A bilateral wall at 1 kHz, and a device held in it.
 #[derive(Clone, Copy, Debug)]
 pub struct Press<'a> {
-    /// The device; its encoders and its joints' limits count for nothing, its motors' largest currents do.
+    /// The device; its encoders and joint limits are ignored, its motors' largest currents are not.
     pub device: &'a Description,
-    /// The pose whose tip is on the wall, rad.
+    /// Joint angles with the tip on the wall, rad.
     pub q: [f64; 3],
     /// The wall's unit normal.
     pub normal: [f64; 3],
-    /// N/m
+    /// Wall stiffness, N/m.
     pub stiffness: f64,
-    /// The feed-forward that the wall adds to its push.
+    /// Feed-forward of the wall.
     pub feed_forward: FeedForward,
     /// The board's limits.
     pub limits: Limits,
 }
 
-/// Limits so wide that none of them acts.
-pub const WIDE: Limits = Limits {
+/// Limits that never act.
+pub const WIDE_LIMITS: Limits = Limits {
     torque: [1.0e3; MAX_JOINTS],
     current: [1.0e4; MAX_JOINTS],
     continuous_current: [1.0e4; MAX_JOINTS],
@@ -55,49 +55,49 @@ pub const WIDE: Limits = Limits {
 
 /// The forces on a hand that holds the device at one depth.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Felt {
+pub struct PressForces {
     /// Depth, m.
     pub depth: f64,
     /// Joint angles, rad.
     pub q: [f64; 3],
     /// Joint torques, N m.
     pub torque: [f64; 3],
-    /// Force that the wall asks for, N.
+    /// Force of the wall without limits, N.
     pub asked: f64,
-    /// The force that the board's limits leave of it, as the board reports it, N.
+    /// Force within the board's limits, as the board reports it, N.
     pub rendered: f64,
     /// Force at the tip of the torques less gravity's, along the normal, N.
     pub along: f64,
     /// The same force across the normal, N.
     pub across: f64,
-    /// The board's state: armed, unless something is wrong.
+    /// State of the board: armed, unless a fault occurred.
     pub state: State,
 }
 
-impl Felt {
-    /// The share of the force asked for that the board's limits leave, as the board reports it; 1 when none is asked
-    /// for.
+impl PressForces {
+    /// Returns the share of the wall's force that the board's limits leave, as the board reports it; 1 if the wall's
+    /// force is zero.
     pub fn share(&self) -> f64 {
         if self.asked > 0.0 { self.rendered / self.asked } else { 1.0 }
     }
 }
 
-/// The board.
+/// A board with a held device.
 #[derive(Debug)]
-pub struct Held {
+pub struct PressedBoard {
     control_loop: ControlLoop<Box<Program<BoardMath>>>,
     mechanism: AnyMechanism<f64>,
     q: [f64; 3],
     /// Joint angles per metre into the wall, rad/m.
     inward: [f64; 3],
-    /// The normal as the board has it.
+    /// The normal in the board's precision.
     normal: [f64; 3],
 }
 
-impl Held {
-    /// An armed board with its device on the wall's surface.
+impl PressedBoard {
+    /// Creates an armed board with its device on the wall's surface.
     ///
-    /// Errors: a description, a wall or limits that a board does not take.
+    /// Errors: a description, a wall or limits that a board refuses.
     pub fn new(press: &Press<'_>) -> Result<Self, Refusal> {
         let mut description = *press.device;
         for joint in &mut description.joints {
@@ -136,25 +136,25 @@ impl Held {
         let mut control_loop = ControlLoop::new(hardware, rules);
         control_loop.execute(Command::Program(Box::new(program))).0?;
         let mut held = Self { control_loop, mechanism, q: press.q, inward, normal: normal.map(f64::from) };
-        held.rest(&press.q, 1);
+        held.hold(&press.q, 1);
         held.control_loop.execute(Command::Arm).0?;
-        held.rest(&press.q, RAMP);
+        held.hold(&press.q, RAMP);
         Ok(held)
     }
 
-    /// Joint angles at a depth (m), rad: from the surface straight on in joint angles, J⁻¹ n.
+    /// Returns the joint angles at a depth (m), rad: from the surface along J⁻¹ n.
     pub fn pose(&self, depth: f64) -> [f64; 3] {
         core::array::from_fn(|i| self.q[i] + self.inward[i] * depth)
     }
 
-    /// Measures the forces after so many control steps at a depth (m).
-    pub fn felt(&mut self, depth: f64, steps: u32) -> Felt {
+    /// Measures the forces after `steps` control steps at a depth (m).
+    pub fn forces_at(&mut self, depth: f64, steps: u32) -> PressForces {
         let q = self.pose(depth);
-        self.rest(&q, steps);
+        self.hold(&q, steps);
         let frame = self.control_loop.frame();
         let torque = frame.motors.torque.map(f64::from);
         let (along, across) = self.force(&q, &torque);
-        Felt {
+        PressForces {
             depth,
             q,
             torque,
@@ -166,13 +166,13 @@ impl Held {
         }
     }
 
-    /// Force at the tip along the normal and across it, N, of joint torques (N m) less gravity's. On a redundant arm
-    /// the torque about the handle is not one.
+    /// Returns the tip force of joint torques (N m) less gravity's, along the normal and across it, N. On a redundant
+    /// arm the torque about the handle is not included.
     pub fn force(&self, q: &[f64; 3], torque: &[f64; 3]) -> (f64, f64) {
-        with_mechanism!(&self.mechanism, m => at_the_tip(m, q, torque, &self.normal))
+        with_mechanism!(&self.mechanism, m => tip_force(m, q, torque, &self.normal))
     }
 
-    fn rest(&mut self, q: &[f64; 3], steps: u32) {
+    fn hold(&mut self, q: &[f64; 3], steps: u32) {
         let counts = Counts(q.map(|q| (q / std::f64::consts::TAU * FINE_COUNTS).round() as i32));
         for _ in 0..steps {
             self.control_loop.control(&Samples { counts, bus_voltage: 24.0, ..Samples::default() });
@@ -181,7 +181,7 @@ impl Held {
     }
 }
 
-/// The tip, and joint angles per metre against the normal.
+/// Returns the tip, and joint angles per metre against the normal.
 fn surface<M: Mechanism<f64, N>, const N: usize>(m: &M, q: &[f64; 3], normal: &[f32; 3]) -> ([f64; 3], [f64; 3]) {
     let task = M::SPEC.task;
     let pose = m.pose::<Libm>(&SVector::from_fn(|i, _| q[i]));
@@ -191,15 +191,15 @@ fn surface<M: Mechanism<f64, N>, const N: usize>(m: &M, q: &[f64; 3], normal: &[
     (three(&tip, task), three(&inward, N))
 }
 
-fn at_the_tip<M: Mechanism<f64, N>, const N: usize>(
+fn tip_force<M: Mechanism<f64, N>, const N: usize>(
     m: &M,
     q: &[f64; 3],
     torque: &[f64; 3],
     normal: &[f64; 3],
 ) -> (f64, f64) {
     let pose = m.pose::<Libm>(&SVector::from_fn(|i, _| q[i]));
-    let pushing = SVector::<f64, N>::from_fn(|i, _| torque[i]) - m.gravity(&pose);
-    let force = m.jacobian_inverse(&pose).tr_mul(&pushing);
+    let contact_torque = SVector::<f64, N>::from_fn(|i, _| torque[i]) - m.gravity(&pose);
+    let force = m.jacobian_inverse(&pose).tr_mul(&contact_torque);
     let square: f64 = normal.iter().map(|n| n * n).sum();
     let along = (0..M::SPEC.task).map(|i| normal[i] * force[i]).sum::<f64>() / square;
     let across = (0..M::SPEC.task).map(|i| (force[i] - normal[i] * along).powi(2)).sum::<f64>().sqrt();

@@ -1,0 +1,37 @@
+//! Disarms a board that another tool holds.
+//!
+//! Over TCP the simulated board accepts and carries out this one request. A pseudo-terminal can be opened by a second
+//! tool; both tools then read the board's bytes, so the other tool may take the reply, and the request is sent again. A
+//! real serial port belongs to the other tool alone: end that tool (Ctrl-C), or pull the USB cable, which disarms a
+//! board that watches its host.
+
+use super::client::{Client, Patience};
+use super::error::{BoardError, LinkError};
+use super::ports::{self, PortSpec};
+use haptic_bridge::board::protocol::Disarm;
+use std::time::Duration;
+
+/// Retry interval, because another tool may read the reply, and longest wait.
+const PATIENCE: Patience = (Duration::from_millis(100), Duration::from_secs(4));
+/// Number of connection attempts: with many clients, a TCP server may close one of them early.
+const TRIES: usize = 25;
+
+/// Disarms the board at `port` while another tool holds it.
+///
+/// Errors: [`LinkError::PortBusy`] if the port cannot be opened a second time; [`LinkError::Silent`] if the request was
+/// sent and no reply came.
+pub fn disarm_held_board(port: &PortSpec) -> Result<(), BoardError> {
+    let open = || match port {
+        PortSpec::Tcp(address) => ports::open_tcp(address),
+        PortSpec::Serial(name) => ports::open_shared(Some(name)),
+        PortSpec::Find | PortSpec::Sim(_) => ports::open_shared(None),
+    };
+    let mut client = Client::new(open()?);
+    for _ in 1..TRIES {
+        match client.call::<Disarm>(&(), PATIENCE) {
+            Err(LinkError::Lost(_)) => client = Client::new(open()?),
+            outcome => return Ok(outcome??),
+        }
+    }
+    Ok(client.call::<Disarm>(&(), PATIENCE)??)
+}
