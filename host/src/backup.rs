@@ -106,7 +106,8 @@ pub struct Ready {
 }
 
 /// The order in which settings are restored, because a new device resets the settings that depend on it.
-const ORDER: [Key; Key::ALL.len()] = [Key::Rules, Key::Device, Key::MassModel, Key::Scene, Key::Name, Key::Polarity];
+const RESTORE_ORDER: [Key; Key::ALL.len()] =
+    [Key::Rules, Key::Device, Key::MassModel, Key::Scene, Key::Name, Key::Polarity];
 
 impl Backup {
     /// Reads all settings in a board's flash. Skips a setting of which only a damaged copy exists.
@@ -150,7 +151,7 @@ impl Backup {
             return Err(BackupError::UnknownSetting(unknown.clone()));
         }
         let mut ready = Vec::new();
-        for key in ORDER {
+        for key in RESTORE_ORDER {
             match self.settings.get(key.name()) {
                 Some(saved) => {
                     let (entry, mut how) = usable(key, saved)?;

@@ -356,7 +356,7 @@ fn modes(joint: &Table<'_>) -> Result<[Option<StructuralMode>; MAX_MODES], FileE
     let tables = joint.tables("mode")?;
     if let Some(surplus) = tables.get(MAX_MODES) {
         let reason = format!("{} has {} modes, and a joint has {MAX_MODES} at most", joint.place(), tables.len());
-        return Err(surplus.error_here(impossible(reason, "keep those of the lowest frequencies")));
+        return Err(surplus.error_here(impossible(reason, "keep the modes with the lowest frequencies")));
     }
     let mut modes = [None; MAX_MODES];
     for (index, table) in tables.into_iter().enumerate() {

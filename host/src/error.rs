@@ -53,18 +53,24 @@ pub struct Failure {
     remedy: Option<String>,
     choice: Option<Choice>,
     /// Further lines.
-    also: Vec<String>,
+    further_lines: Vec<String>,
 }
 
 impl Failure {
     /// Creates a failure of a valid request (exit code 1).
     pub fn impossible(reason: impl fmt::Display) -> Self {
-        Self { blame: Blame::World, reason: reason.to_string(), remedy: None, choice: None, also: Vec::new() }
+        Self { blame: Blame::World, reason: reason.to_string(), remedy: None, choice: None, further_lines: Vec::new() }
     }
 
     /// Creates a failure of a wrong command or file (exit code 2).
     pub fn wrong(reason: impl fmt::Display) -> Self {
-        Self { blame: Blame::Request, reason: reason.to_string(), remedy: None, choice: None, also: Vec::new() }
+        Self {
+            blame: Blame::Request,
+            reason: reason.to_string(),
+            remedy: None,
+            choice: None,
+            further_lines: Vec::new(),
+        }
     }
 
     /// Creates the failure of a comparison (exit code 3).
@@ -86,7 +92,7 @@ impl Failure {
 
     /// Adds further errors, one line each.
     pub fn also(mut self, lines: impl IntoIterator<Item = String>) -> Self {
-        self.also.extend(lines);
+        self.further_lines.extend(lines);
         self
     }
 
@@ -118,7 +124,7 @@ impl fmt::Display for Failure {
         if let Some(remedy) = &self.remedy {
             write!(f, "; {}", one_line(remedy))?;
         }
-        self.also.iter().try_for_each(|line| write!(f, "\n{}", one_line(line)))
+        self.further_lines.iter().try_for_each(|line| write!(f, "\n{}", one_line(line)))
     }
 }
 

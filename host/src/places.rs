@@ -41,7 +41,6 @@ impl Places {
     ///
     /// If no place is free, another connection is closed: one from the same address if that address is at its limit,
     /// otherwise one from the address with the most places. Silent connections are closed first, then the oldest.
-    /// `None` for a connection that has gone already.
     pub fn enter(&self, stream: &TcpStream) -> Option<Place> {
         static NUMBERS: AtomicU64 = AtomicU64::new(0);
         let address = stream.peer_addr().ok()?.ip();

@@ -17,21 +17,21 @@ use std::time::{Duration, Instant};
 pub const TICK: Duration = Duration::from_millis(1);
 
 /// Number of angles per joint that are sampled for the size of the workspace.
-const ANGLES: usize = 24;
+const ANGLES_PER_JOINT: usize = 24;
 /// Smallest radius, m, because CHAI3D divides by it.
-const LEAST_RADIUS: f64 = 0.01;
+const MIN_RADIUS: f64 = 0.01;
 
 /// Ticks between two attempts to reopen a lost board: half a second.
-const RETRY: u32 = 500;
+const RETRY_TICKS: u32 = 500;
 /// Commands of the tool, and the actions of a program that replace them.
 const CALLS: [(&str, &str); 1] = [("faults --clear", "close and open the device")];
 
 /// Opens or reopens the board.
-type Opener = Box<dyn FnMut() -> Result<Session, String> + Send>;
+type OpenBoard = Box<dyn FnMut() -> Result<Session, String> + Send>;
 
 /// A board for a program made with CHAI3D.
 pub struct HdDevice {
-    open: Opener,
+    open: OpenBoard,
     /// `None` while the board is gone.
     session: Option<Session>,
     /// The board's device: a board with another device later is refused.
@@ -83,7 +83,7 @@ impl HdDevice {
         )
     }
 
-    fn with(mut open: Opener, simulated: bool) -> Result<Self, String> {
+    fn with(mut open: OpenBoard, simulated: bool) -> Result<Self, String> {
         let mut session = open()?;
         let (device_data, last) = read_device(&mut session)?;
         let device = device_data.cast::<f64>();
@@ -169,7 +169,7 @@ impl HdDevice {
             // Without the wait, a program without a device would spin.
             std::thread::sleep(TICK);
             self.gone += 1;
-            if self.gone.is_multiple_of(RETRY) {
+            if self.gone.is_multiple_of(RETRY_TICKS) {
                 self.reopen();
             }
             return false;
@@ -254,7 +254,7 @@ fn workspace(device: &BoardDevice<f64>, here: [f64; 3]) -> ([f64; 3], f64) {
     let home = device.home.and_then(|home| tip(&home[..device.axes()]).ok());
     let centre = home.map_or(here, |tip| padded(&tip));
     let (mut low, mut high) = (centre, centre);
-    if let Ok(reachable) = Reachable::of(device, ANGLES, None) {
+    if let Ok(reachable) = Reachable::of(device, ANGLES_PER_JOINT, None) {
         for tip in reachable.indices().filter_map(|index| tip(&reachable.angles(index)).ok()) {
             for (i, place) in tip.into_iter().enumerate().take(3) {
                 (low[i], high[i]) = (low[i].min(place), high[i].max(place));
@@ -262,7 +262,7 @@ fn workspace(device: &BoardDevice<f64>, here: [f64; 3]) -> ([f64; 3], f64) {
         }
     }
     let spans = (0..task).map(|i| (high[i] - centre[i]).min(centre[i] - low[i]));
-    (centre, spans.fold(f64::INFINITY, f64::min).max(LEAST_RADIUS))
+    (centre, spans.fold(f64::INFINITY, f64::min).max(MIN_RADIUS))
 }
 
 #[cfg(test)]
@@ -355,7 +355,7 @@ mod tests {
     }
 
     #[test]
-    fn a_board_that_is_back_is_reopened_and_armed_by_opening_the_device() {
+    fn a_board_that_is_back_is_armed_by_opening_the_device() {
         let (board, mut device, plugged) = device();
         plugged.store(false, Ordering::Relaxed);
         assert!(!device.force([0.0; 3]));

@@ -49,7 +49,7 @@ pub trait Transport {
     fn send(&mut self, request: u8, value: u16, data: &[u8]) -> Result<(), UsbError>;
     /// Sends a request and reads at most `length` bytes.
     fn receive(&mut self, request: u8, value: u16, length: u16) -> Result<Vec<u8>, UsbError>;
-    /// Lets time pass.
+    /// Waits.
     fn wait(&mut self, time: Duration);
     /// Returns the time since a fixed instant.
     fn now(&self) -> Duration;
@@ -133,7 +133,7 @@ const ERASE: u8 = 0x41;
 
 /// Longer than any command takes: a sector of 128 KB is erased in 4 s at the chip's lowest supply (STM32F405 data
 /// sheet, table "Flash memory programming").
-const LONGEST: Duration = Duration::from_secs(20);
+const MAX_COMMAND_TIME: Duration = Duration::from_secs(20);
 /// Shortest interval between two status requests.
 const PAUSE: Duration = Duration::from_millis(2);
 
@@ -271,7 +271,7 @@ impl<T: Transport> Dfuse<T> {
     /// included.
     fn pause(&mut self, requested: Duration, began: Duration, doing: impl Fn() -> String) -> Result<(), DfuError> {
         let pause = requested.max(PAUSE);
-        if self.transport.now() - began + pause > LONGEST {
+        if self.transport.now() - began + pause > MAX_COMMAND_TIME {
             return Err(DfuError::Endless(doing()));
         }
         self.transport.wait(pause);

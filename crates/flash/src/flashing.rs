@@ -74,7 +74,7 @@ pub trait Surroundings {
     fn restore_settings(&mut self, serial: &str, saved: &Self::Settings) -> Result<Vec<String>, String>;
     /// Returns the time since a fixed instant.
     fn now(&mut self) -> Duration;
-    /// Lets time pass.
+    /// Waits.
     fn wait(&mut self, time: Duration);
 }
 
@@ -205,9 +205,7 @@ impl FlashError {
                 "`haptic list` shows the running boards; a boot loader has the serial number of its board".into()
             }
             Cause::OtherBoard { board, .. } => format!("flash the image for it: haptic flash {board}"),
-            Cause::Image(_) | Cause::Misfit(_) | Cause::Layout(_) => {
-                "this image and this chip do not go together".into()
-            }
+            Cause::Image(_) | Cause::Misfit(_) | Cause::Layout(_) => "this image does not fit this chip".into(),
             Cause::Board(_) if self.phase != Phase::RestoreSettings => {
                 format!("bring it into its boot loader {BY_HAND}")
             }
@@ -273,9 +271,9 @@ pub struct FlashSummary {
 }
 
 /// Longest time for a board to enter or leave its boot loader, including the operating system.
-const CHANGE: Duration = Duration::from_secs(10);
+const RESTART_TIMEOUT: Duration = Duration::from_secs(10);
 /// Longest time for the user to switch the power off and on.
-const POWER_CYCLE: Duration = Duration::from_secs(60);
+const POWER_CYCLE_TIMEOUT: Duration = Duration::from_secs(60);
 /// Interval between polls.
 const POLL: Duration = Duration::from_millis(100);
 
@@ -335,7 +333,7 @@ pub fn flash<S: Surroundings>(
                 .map_err(|why| at(Phase::Enter, Flash::Untouched)(Cause::Board(why)))?;
             let loader = BootLoader { serial: identity.serial.clone() };
             let is_there = |site: &mut S| site.boot_loaders().is_ok_and(|all| all.contains(&loader));
-            if !wait_until(site, CHANGE, is_there) {
+            if !wait_until(site, RESTART_TIMEOUT, is_there) {
                 return Err(at(Phase::Enter, Flash::Entered)(Cause::NoBootLoader));
             }
             (loader, saved, Flash::Entered)
@@ -397,9 +395,9 @@ pub fn flash<S: Surroundings>(
     dfuse.leave(FLASH_START).map_err(|error| leaving(error.into()))?;
     tell(Progress::Begins(Phase::Return));
     let is_back = |site: &mut S| site.boards().contains(&loader.serial);
-    if !wait_until(site, CHANGE, is_back) {
+    if !wait_until(site, RESTART_TIMEOUT, is_back) {
         tell(Progress::PowerCycle);
-        if !wait_until(site, POWER_CYCLE, is_back) {
+        if !wait_until(site, POWER_CYCLE_TIMEOUT, is_back) {
             return Err(at(Phase::Return, Flash::Written)(Cause::NoReturn));
         }
     }

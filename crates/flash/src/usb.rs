@@ -12,14 +12,14 @@ use crate::udev::BOOT_LOADER;
 
 /// The boot loader's only interface; alternate setting 0 is the internal flash.
 const INTERFACE: u8 = 0;
-const FLASH: u8 = 0;
+const FLASH_SETTING: u8 = 0;
 /// Timeout of one request. The boot loader replies while it works; only its first reply to an erase is late in some
 /// versions.
 const TIMEOUT: Duration = Duration::from_secs(5);
 /// Type of the descriptor with the transfer size (DFU 1.1, section 4.1.3).
 const FUNCTIONAL: u8 = 0x21;
 /// Transfer size of ST's boot loaders, if the descriptor is missing.
-const TRANSFER: u16 = 2048;
+const DEFAULT_TRANSFER: u16 = 2048;
 
 /// Lists the boot loaders on USB.
 pub fn boot_loaders() -> Result<Vec<BootLoader>, UsbError> {
@@ -31,7 +31,7 @@ pub fn open(which: &BootLoader) -> Result<Opened<UsbBootLoader>, UsbError> {
     let device = devices()?.find(|device| serial(device) == which.serial).ok_or(UsbError::Gone)?;
     let device = device.open().wait().map_err(from_system)?;
     let interface = device.claim_interface(INTERFACE).wait().map_err(from_system)?;
-    interface.set_alt_setting(FLASH).wait().map_err(from_system)?;
+    interface.set_alt_setting(FLASH_SETTING).wait().map_err(from_system)?;
     let descriptor = interface.descriptor().ok_or_else(|| UsbError::Other("it describes no interface".into()))?;
     let name = descriptor.string_index().ok_or_else(|| UsbError::Other("it does not name its flash".into()))?;
     let english = nusb::descriptors::language_id::US_ENGLISH;
@@ -43,7 +43,7 @@ pub fn open(which: &BootLoader) -> Result<Opened<UsbBootLoader>, UsbError> {
     });
     let transfer = match functional.as_deref() {
         Some([_, _, _, _, _, low, high, ..]) => u16::from_le_bytes([*low, *high]),
-        _ => TRANSFER,
+        _ => DEFAULT_TRANSFER,
     };
     Ok(Opened { loader: UsbBootLoader { interface, began: Instant::now() }, memory, transfer })
 }

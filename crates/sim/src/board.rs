@@ -164,7 +164,7 @@ impl SimulatedBoard {
                 dead_time: bridge.dead_time as f32,
                 // The drive is slower if it knows no inductance; a simulated winding then really has none.
                 bandwidth_hz: if wound { 1_500.0 } else { 1_500.0 / UNKNOWN_WINDING },
-                // An ideal drive has neither voltage nor winding that a model could be held against.
+                // An ideal drive has no voltage or winding to compare with a model.
                 current_sensed: options.drive == DriveModel::Electric,
             },
             timer_hz: TIMER_HZ,

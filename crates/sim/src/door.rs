@@ -32,17 +32,17 @@ pub(super) type Stop = (Vec<u8>, Outgoing);
 pub(super) type Outgoing = SyncSender<Vec<u8>>;
 
 /// Maximum number of blocks on their way to the tool.
-const BLOCKS: usize = 8;
+const MAX_BLOCKS: usize = 8;
 /// Size of a block, bytes.
 pub(super) const BLOCK: usize = 4096;
 /// Maximum number of blocks from a tool that wait for the board.
-const EVENTS: usize = 16;
+const MAX_EVENTS: usize = 16;
 /// Maximum number of connections in addition to the holder; a further one closes another, see [`Places`].
 const MAX_PENDING: usize = 16;
 /// Maximum number of disarm requests that wait for the board.
-pub(super) const STOPS: usize = MAX_PENDING;
+pub(super) const MAX_STOPS: usize = MAX_PENDING;
 /// Time for a refused connection to send its request. A silent connection does not block others.
-const REQUEST: Duration = Duration::from_secs(10);
+const REQUEST_TIMEOUT: Duration = Duration::from_secs(10);
 /// Time for which a tool that disarms the board without holding it receives the board's bytes.
 pub(super) const DISARM_ANSWER: Duration = Duration::from_secs(1);
 
@@ -80,10 +80,10 @@ pub fn pseudo_terminal() -> io::Result<ToolListener> {
     drop(slave);
     master.set_timeout(Duration::from_millis(100))?;
     // One writer serves all tools, because a tool that follows another one at once may go unnoticed.
-    let writer = outgoing(master.try_clone_native()?, Lost::Block);
-    let (send, events) = sync_channel(EVENTS);
+    let writer = outgoing(master.try_clone_native()?, LossPolicy::Block);
+    let (send, events) = sync_channel(MAX_EVENTS);
     // No separate queue: a tool that disarms opens the same terminal, and its request comes among the holder's bytes.
-    let (_, stops) = sync_channel(STOPS);
+    let (_, stops) = sync_channel(MAX_STOPS);
     thread::spawn(move || {
         let mut connected = false;
         let mut buffer = [0; BLOCK];
@@ -117,8 +117,8 @@ pub fn pseudo_terminal() -> io::Result<ToolListener> {
 pub fn tcp(address: SocketAddr, patience: Patience) -> io::Result<ToolListener> {
     let listener = TcpListener::bind(address)?;
     let port = format!("tcp:{}", listener.local_addr()?);
-    let (send, events) = sync_channel(EVENTS);
-    let (stop, stops) = sync_channel(STOPS);
+    let (send, events) = sync_channel(MAX_EVENTS);
+    let (stop, stops) = sync_channel(MAX_STOPS);
     thread::spawn(move || {
         let holder = Holder::default();
         // A remote tool's address does not identify it (there may be a relay), so one address may take all places.
@@ -131,7 +131,7 @@ pub fn tcp(address: SocketAddr, patience: Patience) -> io::Result<ToolListener> 
                 let request = match holder.admit(&stream, &place, patience) {
                     Admission::Holds(seat) => {
                         drop(place);
-                        return carry(stream, &send, &holder, seat);
+                        return forward(stream, &send, &holder, seat);
                     }
                     Admission::Stops(request) => Some(request),
                     Admission::Refused => turn_away(&stream),
@@ -256,7 +256,7 @@ impl Holder {
 }
 
 /// Forwards the bytes of the connection that holds the board, until it ends.
-fn carry(mut stream: TcpStream, send: &SyncSender<Event>, holder: &Holder, seat: u64) {
+fn forward(mut stream: TcpStream, send: &SyncSender<Event>, holder: &Holder, seat: u64) {
     let outgoing = tcp_outgoing(&stream);
     let mut alive = outgoing.is_ok_and(|outgoing| send.send(Event::Connected(outgoing)).is_ok());
     let mut buffer = [0; BLOCK];
@@ -277,20 +277,20 @@ fn tcp_outgoing(stream: &TcpStream) -> io::Result<Outgoing> {
     stream.set_nodelay(true)?;
     let writer = stream.try_clone()?;
     writer.set_write_timeout(Some(Duration::from_millis(100)))?;
-    Ok(outgoing(writer, Lost::Sink))
+    Ok(outgoing(writer, LossPolicy::Sink))
 }
 
 /// Reads the request of a second tool: returns a request to disarm, otherwise replies that the board is taken. Reads
 /// first, because closing a socket with unread bytes would discard the reply.
 pub fn turn_away(stream: &TcpStream) -> Option<Vec<u8>> {
-    let _ = stream.set_read_timeout(Some(REQUEST));
+    let _ = stream.set_read_timeout(Some(REQUEST_TIMEOUT));
     let mut disarm = None;
     let mut deframer = Deframer::default();
     let mut buffer = [0; BLOCK];
     let mut reader = stream;
     let began = Instant::now();
     let mut is_complete = false;
-    while !is_complete && began.elapsed() < REQUEST {
+    while !is_complete && began.elapsed() < REQUEST_TIMEOUT {
         let Ok(count @ 1..) = reader.read(&mut buffer) else { break };
         deframer.feed(&buffer[..count], |frame| {
             is_complete = true;
@@ -326,14 +326,14 @@ fn disarm_for(stream: TcpStream, request: Vec<u8>, stop: &SyncSender<Stop>) -> i
 
 /// What is lost when a sink refuses a block: the block alone, or the sink for good.
 #[derive(Clone, Copy, PartialEq)]
-enum Lost {
+enum LossPolicy {
     Block,
     Sink,
 }
 
 /// Starts a thread that writes blocks to `sink` until the sender is dropped or the sink is lost.
-fn outgoing(mut sink: impl Write + Send + 'static, lost: Lost) -> Outgoing {
-    let (send, blocks) = sync_channel::<Vec<u8>>(BLOCKS);
+fn outgoing(mut sink: impl Write + Send + 'static, loss_policy: LossPolicy) -> Outgoing {
+    let (send, blocks) = sync_channel::<Vec<u8>>(MAX_BLOCKS);
     thread::spawn(move || {
         for block in blocks {
             let mut rest = block.as_slice();
@@ -341,7 +341,7 @@ fn outgoing(mut sink: impl Write + Send + 'static, lost: Lost) -> Outgoing {
                 match sink.write(rest) {
                     Ok(count @ 1..) => rest = &rest[count..],
                     Err(error) if nothing_yet(&error) => {}
-                    _ if lost == Lost::Block => break,
+                    _ if loss_policy == LossPolicy::Block => break,
                     _ => return,
                 }
             }

@@ -30,7 +30,7 @@ pub enum Intent {
 
 /// Rate at which the aim of a led hand approaches its goal, rad/s: a critically damped second-order lag of 50 ms. An
 /// arm follows a mouse about that closely, and the lag smooths a mouse's 60 positions a second.
-const LEAD: f64 = 40.0;
+const LEAD_RATE: f64 = 40.0;
 
 /// The mechanics of a hand.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -144,7 +144,7 @@ impl Hand {
                         + s.arm_damping * (aim_velocity - self.velocity[axis])
                 }
                 Intent::Lead(goal) => {
-                    let lag = LEAD * (LEAD * (goal[axis] - self.aim[axis]) - 2.0 * self.aim_velocity[axis]);
+                    let lag = LEAD_RATE * (LEAD_RATE * (goal[axis] - self.aim[axis]) - 2.0 * self.aim_velocity[axis]);
                     self.aim_velocity[axis] += h * lag;
                     self.aim[axis] += h * self.aim_velocity[axis];
                     s.arm_stiffness * (self.aim[axis] + tremor[axis] - self.position[axis])

@@ -10,11 +10,11 @@ use haptic_host::device_file::DeviceFile;
 use nalgebra::{DMatrix, DVector, SVector, Vector3};
 
 /// Half the length and half the width of the loop, m.
-const REACH: f64 = 0.015;
+const HALF_SIZE: f64 = 0.015;
 /// Largest condition number of the Jacobian on the path: closer to a singular pose, a board may trip.
-const CONDITION: f64 = 30.0;
+const MAX_CONDITION: f64 = 30.0;
 /// Largest distance of a path's end from its goal, m.
-const MISSED: f64 = 1e-5;
+const MAX_MISS: f64 = 1e-5;
 
 /// An endless loop, 3 cm across, that takes 4 s per round.
 #[derive(Clone, Debug, PartialEq)]
@@ -53,7 +53,7 @@ impl HandLoop {
         });
         places.find(|place| place.is_within_reach(file)).unwrap_or(Self {
             rest,
-            centre: tip + Vector3::y() * REACH,
+            centre: tip + Vector3::y() * HALF_SIZE,
             across: Vector3::y(),
             along: Vector3::x(),
             on_a_wall: false,
@@ -61,7 +61,7 @@ impl HandLoop {
     }
 
     fn corners(&self) -> [Vector3<f64>; 4] {
-        [self.along, -self.across, -self.along, self.across].map(|way| self.centre + way * REACH)
+        [self.along, -self.across, -self.along, self.across].map(|direction| self.centre + direction * HALF_SIZE)
     }
 
     fn is_within_reach(&self, file: &DeviceFile) -> bool {
@@ -92,18 +92,18 @@ fn is_within_reach(file: &DeviceFile, goal: &Vector3<f64>) -> bool {
     let (start, _) = at(&q);
     let goal = DVector::from_column_slice(&goal.as_slice()[..start.len()]);
     (1..=STEPS).all(|step| {
-        let aim = &start + (&goal - &start) * (f64::from(step) / f64::from(STEPS));
+        let target = &start + (&goal - &start) * (f64::from(step) / f64::from(STEPS));
         // Newton's method. From a twentieth of the path it converges within a few iterations.
         (0..8).any(|_| {
             let (tip, jacobian) = at(&q);
             let stretch = jacobian.singular_values();
             // False also for NaN, which links that cannot close produce.
-            let regular = stretch.max() <= CONDITION * stretch.min();
+            let regular = stretch.max() <= MAX_CONDITION * stretch.min();
             if !regular {
                 return false;
             }
-            let missing = &aim - tip;
-            if missing.norm() < MISSED {
+            let error = &target - tip;
+            if error.norm() < MAX_MISS {
                 let limits = file.description.joints.iter().map(|joint| joint.limits);
                 return q
                     .iter()
@@ -111,7 +111,7 @@ fn is_within_reach(file: &DeviceFile, goal: &Vector3<f64>) -> bool {
                     .all(|(q, limits)| limits.is_none_or(|(low, high)| (low..=high).contains(q)));
             }
             match jacobian.pseudo_inverse(1e-9) {
-                Ok(inverse) => q += inverse * missing,
+                Ok(inverse) => q += inverse * error,
                 Err(_) => return false,
             }
             false

@@ -377,10 +377,10 @@ impl Plant {
         let inverse = damped.try_inverse().unwrap_or_else(SMatrix::zeros);
         let unconstrained = inverse * momentum;
         let bounds = core::array::from_fn(|i| bounds[i]);
-        let outside = core::array::from_fn(|i| self.outside(i, middle[i]));
+        let beyond_stops = core::array::from_fn(|i| self.beyond_stops(i, middle[i]));
         let mut friction = vector(&self.friction);
         let after =
-            unconstrained - inverse * reactions::<N>(&inverse, &unconstrained, &bounds, &outside, &mut friction);
+            unconstrained - inverse * reactions::<N>(&inverse, &unconstrained, &bounds, &beyond_stops, &mut friction);
         self.friction = array(&friction);
 
         self.advance_modes(&array(&after), h);
@@ -406,12 +406,12 @@ impl Plant {
         let (mut inertia, mut damping) = (SMatrix::<f64, BOTH, BOTH>::identity(), SMatrix::<f64, BOTH, BOTH>::zeros());
         let (mut stiffness, mut force) = (damping, velocity);
         let mut bounds = [0.0; BOTH];
-        let mut outside = [(false, false); BOTH];
+        let mut beyond_stops = [(false, false); BOTH];
         inertia.view_mut((0, 0), (N, N)).copy_from(&mass);
         for i in 0..N {
             velocity[i] = self.qd[i];
             force[i] = drive[i];
-            outside[i] = self.outside(i, self.q[i] + 0.5 * h * self.qd[i]);
+            beyond_stops[i] = self.beyond_stops(i, self.q[i] + 0.5 * h * self.qd[i]);
             let mut turned = i;
             if let Some(transmission) = self.transmissions[i] {
                 turned = 3 + i;
@@ -446,8 +446,8 @@ impl Plant {
         for i in 0..N {
             friction[turned(i)] = self.friction[i];
         }
-        let after =
-            unconstrained - inverse * reactions::<BOTH>(&inverse, &unconstrained, &bounds, &outside, &mut friction);
+        let after = unconstrained
+            - inverse * reactions::<BOTH>(&inverse, &unconstrained, &bounds, &beyond_stops, &mut friction);
         self.friction = core::array::from_fn(|i| if i < N { friction[turned(i)] } else { 0.0 });
         self.advance_modes(&core::array::from_fn(|i| after[i]), h);
         for i in 0..N {
@@ -473,7 +473,7 @@ impl Plant {
     }
 
     /// Returns two flags for a joint at `q` (rad): true if it is at or beyond its lower stop, and its upper stop.
-    fn outside(&self, joint: usize, q: f64) -> (bool, bool) {
+    fn beyond_stops(&self, joint: usize, q: f64) -> (bool, bool) {
         (q <= self.stops[joint].0, q >= self.stops[joint].1)
     }
 }
@@ -485,10 +485,10 @@ fn reactions<const S: usize>(
     inverse: &SMatrix<f64, S, S>,
     unconstrained: &SVector<f64, S>,
     bounds: &[f64; S],
-    outside: &[(bool, bool); S],
+    beyond_stops: &[(bool, bool); S],
     friction: &mut SVector<f64, S>,
 ) -> SVector<f64, S> {
-    if bounds.iter().all(|bound| *bound == 0.0) && outside.iter().all(|&(low, high)| !low && !high) {
+    if bounds.iter().all(|bound| *bound == 0.0) && beyond_stops.iter().all(|&(low, high)| !low && !high) {
         *friction = SVector::zeros();
         return SVector::zeros();
     }
@@ -503,7 +503,7 @@ fn reactions<const S: usize>(
                 change = change.max((impulse[i] - before).abs());
             };
             take(friction, -bounds[i], bounds[i], &stop);
-            match outside[i] {
+            match beyond_stops[i] {
                 (true, _) => take(&mut stop, f64::NEG_INFINITY, 0.0, friction),
                 (_, true) => take(&mut stop, 0.0, f64::INFINITY, friction),
                 _ => {}

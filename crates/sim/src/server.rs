@@ -4,7 +4,7 @@
 //! length, so a tool that floods or does not read cannot exhaust memory.
 
 use super::board::SimulatedBoard;
-use super::door::{BLOCK, DISARM_ANSWER, Event, Outgoing, STOPS, Stop, ToolListener};
+use super::door::{BLOCK, DISARM_ANSWER, Event, MAX_STOPS, Outgoing, Stop, ToolListener};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, TryRecvError, TrySendError};
 use std::time::{Duration, Instant};
@@ -24,7 +24,7 @@ pub enum Pace {
 /// Simulated time between two polls of the link, s.
 const SLICE: f64 = 1e-3;
 /// Largest delay that a board in real time catches up after the computer was busy, s.
-const CATCH_UP: f64 = 0.1;
+const MAX_CATCH_UP: f64 = 0.1;
 
 /// Serves `board` on `door` until `disarm_for_guest` is set.
 pub fn serve(board: &mut SimulatedBoard, door: &ToolListener, pace: Pace, stop: &AtomicBool) {
@@ -36,14 +36,14 @@ pub fn serve(board: &mut SimulatedBoard, door: &ToolListener, pace: Pace, stop: 
         if let Ok(stop) = door.stops.try_recv() {
             server.disarm_for_guest(now, stop);
         }
-        let due = server.due(now);
-        let event = match due {
-            Due::Nothing => {
+        let next_action = server.next_action(now);
+        let event = match next_action {
+            NextAction::Nothing => {
                 std::thread::sleep(slice);
                 continue;
             }
-            Due::Events => door.events.recv_timeout(slice),
-            Due::Time => door.events.try_recv().map_err(|error| match error {
+            NextAction::Events => door.events.recv_timeout(slice),
+            NextAction::Time => door.events.try_recv().map_err(|error| match error {
                 TryRecvError::Empty => RecvTimeoutError::Timeout,
                 TryRecvError::Disconnected => RecvTimeoutError::Disconnected,
             }),
@@ -51,13 +51,13 @@ pub fn serve(board: &mut SimulatedBoard, door: &ToolListener, pace: Pace, stop: 
         if matches!(event, Err(RecvTimeoutError::Disconnected)) {
             return;
         }
-        server.advance(now, due, event.ok());
+        server.advance(now, next_action, event.ok());
     }
 }
 
 /// The server's next action.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Due {
+enum NextAction {
     /// Wait: the board is ahead of the clock. Events wait too, because a request takes some of the board's time.
     Nothing,
     /// Handle events.
@@ -85,17 +85,17 @@ impl<'a> Server<'a> {
     }
 
     /// Returns how late the board is. It may be early: requests take time, and a slice ends with a control period.
-    fn behind(&self, now: f64) -> f64 {
+    fn delay(&self, now: f64) -> f64 {
         now - self.skipped - (self.board.time() - self.start)
     }
 
-    fn due(&mut self, now: f64) -> Due {
+    fn next_action(&mut self, now: f64) -> NextAction {
         let idle = match self.pace {
-            Pace::RealTime if self.behind(now) < -SLICE => return Due::Nothing,
-            Pace::RealTime => self.behind(now) < SLICE,
+            Pace::RealTime if self.delay(now) < -SLICE => return NextAction::Nothing,
+            Pace::RealTime => self.delay(now) < SLICE,
             Pace::AsFastAsItCan => self.outruns_host(now) || self.tools.has_no_reader(),
         };
-        if idle { Due::Events } else { Due::Time }
+        if idle { NextAction::Events } else { NextAction::Time }
     }
 
     fn outruns_host(&mut self, now: f64) -> bool {
@@ -109,7 +109,7 @@ impl<'a> Server<'a> {
     }
 
     /// Carries out the action that was due at `now`.
-    fn advance(&mut self, now: f64, due: Due, event: Option<Event>) {
+    fn advance(&mut self, now: f64, next_action: NextAction, event: Option<Event>) {
         match event {
             Some(Event::Connected(outgoing)) => {
                 self.tools.holder = Some(outgoing);
@@ -123,9 +123,9 @@ impl<'a> Server<'a> {
             }
             None => {}
         }
-        if due == Due::Time {
+        if next_action == NextAction::Time {
             if self.pace == Pace::RealTime {
-                self.skipped += (self.behind(now) - CATCH_UP).max(0.0);
+                self.skipped += (self.delay(now) - MAX_CATCH_UP).max(0.0);
             }
             self.board.run(SLICE);
         }
@@ -138,7 +138,7 @@ impl<'a> Server<'a> {
         // Ends a partial frame of the holder.
         self.board.receive(&[0]);
         self.board.receive(&request);
-        if self.tools.guests.len() >= STOPS {
+        if self.tools.guests.len() >= MAX_STOPS {
             self.tools.guests.remove(0);
         }
         self.tools.guests.push((answers, now));
@@ -225,7 +225,7 @@ mod tests {
     /// Connects a tool; returns the blocks for it.
     fn connect(server: &mut Server<'_>) -> Receiver<Vec<u8>> {
         let (outgoing, received) = sync_channel(8);
-        server.advance(0.0, Due::Events, Some(Event::Connected(outgoing)));
+        server.advance(0.0, NextAction::Events, Some(Event::Connected(outgoing)));
         received
     }
 
@@ -237,10 +237,10 @@ mod tests {
             let received = connect(&mut server);
             for turn in 1..2_000 {
                 let now = 0.25e-3 * f64::from(turn);
-                let due = server.due(now);
-                if due != Due::Nothing {
+                let next_action = server.next_action(now);
+                if next_action != NextAction::Nothing {
                     // Every request takes two control periods of the board's time.
-                    server.advance(now, due, with_requests.then(|| Event::Bytes(request::<GetStatus>(&()))));
+                    server.advance(now, next_action, with_requests.then(|| Event::Bytes(request::<GetStatus>(&()))));
                 }
                 let _ = received.try_recv();
                 let passed = server.board.time() - server.start;
@@ -254,11 +254,11 @@ mod tests {
     fn time_lost_on_a_busy_computer_is_skipped() {
         let mut board = board(1_000.0);
         let mut server = Server::new(&mut board, Pace::RealTime);
-        while server.due(5.0) == Due::Time {
-            server.advance(5.0, Due::Time, None);
+        while server.next_action(5.0) == NextAction::Time {
+            server.advance(5.0, NextAction::Time, None);
         }
         let passed = server.board.time() - server.start;
-        assert!((passed - CATCH_UP).abs() < 3.0 * SLICE, "{passed} s");
+        assert!((passed - MAX_CATCH_UP).abs() < 3.0 * SLICE, "{passed} s");
     }
 
     #[test]
@@ -271,11 +271,11 @@ mod tests {
             board.receive(&request::<SetRules>(&rules));
             board.receive(&start);
             let mut server = Server::new(&mut board, Pace::AsFastAsItCan);
-            assert_eq!(server.due(0.0), Due::Events, "no tool is connected");
+            assert_eq!(server.next_action(0.0), NextAction::Events, "no tool is connected");
             let _received = connect(&mut server);
             let play = |server: &mut Server<'_>, now: f64| {
-                while server.due(now) == Due::Time && server.board.status().state == state {
-                    server.advance(now, Due::Time, None);
+                while server.next_action(now) == NextAction::Time && server.board.status().state == state {
+                    server.advance(now, NextAction::Time, None);
                 }
                 server.board.time() - server.start
             };
@@ -296,11 +296,11 @@ mod tests {
         let _holder = connect(&mut server);
         let (guest, received) = sync_channel(8);
         // Within a frame of the holder.
-        server.advance(0.0, Due::Events, Some(Event::Bytes(vec![1, 2, 3])));
+        server.advance(0.0, NextAction::Events, Some(Event::Bytes(vec![1, 2, 3])));
         server.disarm_for_guest(0.0, (request::<Disarm>(&()), guest));
         assert_eq!(server.board.status().state, State::Disarmed);
         assert!(!received.try_recv().unwrap().is_empty());
-        server.advance(1.5, Due::Events, None);
+        server.advance(1.5, NextAction::Events, None);
         assert!(server.tools.guests.is_empty(), "the guest has received its reply");
     }
 }

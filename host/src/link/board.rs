@@ -31,7 +31,7 @@ const FLASH_REPLY: Patience = (Duration::from_secs(3), Duration::from_secs(6));
 /// Patience for a disarm request: the user learns soon that the motors may still be on.
 const STOP_REPLY: Patience = (Duration::from_millis(100), Duration::from_secs(4));
 /// Number of consecutive unreadable batches after which a stream ends with an error; fewer may be corrupted frames.
-const UNREADABLE: u32 = 50;
+const MAX_UNREADABLE: u32 = 50;
 /// Default wait for the reply to a force. After this time the lease of the force has expired, as [`super::Session`]
 /// sets it.
 pub const FORCE_PATIENCE: Duration = Duration::from_millis(100);
@@ -87,10 +87,10 @@ pub struct Board {
 impl Board {
     /// Opens the board on an open wire; `port` is its name in messages.
     pub fn over(wire: Box<dyn Wire>, port: impl Into<String>) -> Result<Self, LinkError> {
-        Self::greet(Self::reach(wire)?, port.into())
+        Self::handshake(Self::connect(wire)?, port.into())
     }
 
-    fn reach(wire: Box<dyn Wire>) -> Result<Client, LinkError> {
+    fn connect(wire: Box<dyn Wire>) -> Result<Client, LinkError> {
         let mut client = Client::new(wire);
         // A killed tool may have left a partial request in the board's buffer: end it first.
         client.end_frame()?;
@@ -100,19 +100,19 @@ impl Board {
     /// Turns the motors of the board on an open wire off with the first request. Works with any version of the
     /// protocol, and with a server that lets only this request pass while another tool holds the board.
     pub fn stop_over(wire: Box<dyn Wire>, port: impl Into<String>) -> Result<Stopped, BoardError> {
-        let (mut client, port) = (Self::reach(wire)?, port.into());
+        let (mut client, port) = (Self::connect(wire)?, port.into());
         match client.call::<p::Disarm>(&(), STOP_REPLY) {
             Err(_) if client.is_occupied() => return Err(LinkError::HeldByAnother(port).into()),
             outcome => outcome??,
         }
-        Ok(match Self::greet(client, port) {
+        Ok(match Self::handshake(client, port) {
             Ok(board) => Stopped::Open(Box::new(board)),
             Err(LinkError::Version { board, .. }) => Stopped::OtherProtocol(board),
             Err(_) => Stopped::Held,
         })
     }
 
-    fn greet(mut client: Client, port: String) -> Result<Self, LinkError> {
+    fn handshake(mut client: Client, port: String) -> Result<Self, LinkError> {
         let info = match client.call::<p::GetInfo>(&(), (REPLY.0, REPLY.1 + client.slack())) {
             Err(_) if client.is_occupied() => return Err(LinkError::HeldByAnother(port)),
             other => other?,
@@ -411,7 +411,7 @@ impl Board {
                     if let Some(batch) = frame.message::<p::Telemetry>() {
                         match batch {
                             Ok(batch) => self.rows.take(&batch, &mut rows),
-                            Err(error) if self.rows.count_corrupted() > UNREADABLE => return Err(error),
+                            Err(error) if self.rows.count_corrupted() > MAX_UNREADABLE => return Err(error),
                             Err(_) => {}
                         }
                     } else if let Some(record) = frame.message::<p::FaultSeen>() {

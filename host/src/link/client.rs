@@ -55,7 +55,7 @@ pub type Patience = (Duration, Duration);
 /// Interval between heartbeats, if they are enabled.
 pub(super) const HEARTBEAT: Duration = Duration::from_millis(50);
 /// Maximum number of retries after rejected or unreadable replies; fewer may be corrupted frames.
-const UNREADABLE: u32 = 3;
+const MAX_UNREADABLE: u32 = 3;
 
 /// Decodes a message from all of `body`; a body with further bytes was corrupted.
 fn decode_all<M: DeserializeOwned>(body: &[u8], path: &'static str) -> Result<M, LinkError> {
@@ -152,7 +152,7 @@ impl Client {
             let before = self.now();
             let due = end.min(last_sent + retry_interval.max((before - began) / 2));
             match self.read::<E>(sent, due.saturating_sub(before).min(HEARTBEAT)) {
-                Err(LinkError::Rejected { .. } | LinkError::Unreadable { .. }) if self.repeats < UNREADABLE => {}
+                Err(LinkError::Rejected { .. } | LinkError::Unreadable { .. }) if self.repeats < MAX_UNREADABLE => {}
                 Err(LinkError::Silent { .. }) if self.now() < end => {
                     if self.alive {
                         let beat = self.send::<Heartbeat>(&Beat::Here)?;

@@ -14,7 +14,7 @@ use std::time::Duration;
 /// Retry interval, because another tool may read the reply, and longest wait.
 const PATIENCE: Patience = (Duration::from_millis(100), Duration::from_secs(4));
 /// Number of connection attempts: with many clients, a TCP server may close one of them early.
-const TRIES: usize = 25;
+const MAX_TRIES: usize = 25;
 
 /// Disarms the board at `port` while another tool holds it.
 ///
@@ -27,7 +27,7 @@ pub fn disarm_held_board(port: &PortSpec) -> Result<(), BoardError> {
         PortSpec::Find | PortSpec::Sim(_) => ports::open_shared(None),
     };
     let mut client = Client::new(open()?);
-    for _ in 1..TRIES {
+    for _ in 1..MAX_TRIES {
         match client.call::<Disarm>(&(), PATIENCE) {
             Err(LinkError::Lost(_)) => client = Client::new(open()?),
             outcome => return Ok(outcome??),

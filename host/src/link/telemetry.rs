@@ -68,12 +68,13 @@ pub fn columns(fields: Fields, axes: usize) -> Vec<Column> {
 }
 
 /// Telemetry that a full-speed USB serial port carries with a margin, bytes/s.
-const USB: f64 = 600e3;
+const USB_BYTES_PER_SECOND: f64 = 600e3;
 
 /// Returns the rows of `fields` per second that the link to a board carries with a margin, at most one per control
 /// step. The link to a simulated board, which is this computer's memory, carries all of them.
 pub fn max_rows_per_second(board: &str, fields: Fields, axes: usize, rate_hz: f64) -> f64 {
-    let most = if board.starts_with("simulated") { rate_hz } else { USB / fields.bytes(axes).max(1) as f64 };
+    let most =
+        if board.starts_with("simulated") { rate_hz } else { USB_BYTES_PER_SECOND / fields.bytes(axes).max(1) as f64 };
     rate_hz / (rate_hz / most).ceil().max(1.0)
 }
 

@@ -26,28 +26,28 @@ pub trait Wire: Send {
 }
 
 /// Slack of a simulated or emulated board in its own process.
-const PROCESS: Duration = Duration::from_secs(10);
+const PROCESS_SLACK: Duration = Duration::from_secs(10);
 
 /// Time after which a wire that accepts no bytes counts as stuck. A flash erase stalls a board for half a second
 /// (STM32F405 data sheet, table 40: 16 KB sector).
 const SEND_TIMEOUT: Duration = Duration::from_secs(3);
 
 /// Shortest timeout for the operating system: sockets take zero as infinite.
-const SHORTEST: Duration = Duration::from_millis(1);
+const MIN_TIMEOUT: Duration = Duration::from_millis(1);
 
 /// Returns true if a read should be repeated: it timed out, or a signal interrupted it.
 pub fn nothing_yet(error: &io::Error) -> bool {
     matches!(error.kind(), io::ErrorKind::TimedOut | io::ErrorKind::WouldBlock | io::ErrorKind::Interrupted)
 }
 
-fn gone(what: &str) -> io::Error {
+fn closed_error(what: &str) -> io::Error {
     io::Error::new(io::ErrorKind::UnexpectedEof, what)
 }
 
 /// A serial port, held exclusively.
 pub struct SerialWire {
     port: Box<dyn serialport::SerialPort>,
-    began: Instant,
+    start: Instant,
     slack: Duration,
 }
 
@@ -63,7 +63,7 @@ impl SerialWire {
         if let Some(terminal) = terminal {
             let _ = rustix::termios::ioctl_tiocnxcl(terminal);
         }
-        Ok(Self { port, began: Instant::now(), slack: if process { PROCESS } else { Duration::ZERO } })
+        Ok(Self { port, start: Instant::now(), slack: if process { PROCESS_SLACK } else { Duration::ZERO } })
     }
 }
 
@@ -75,9 +75,9 @@ impl Wire for SerialWire {
     }
 
     fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> io::Result<usize> {
-        self.port.set_timeout(timeout.max(SHORTEST))?;
+        self.port.set_timeout(timeout.max(MIN_TIMEOUT))?;
         match self.port.read(buffer) {
-            Ok(0) => Err(gone("the port has closed")),
+            Ok(0) => Err(closed_error("the port has closed")),
             Ok(count) => Ok(count),
             Err(error) if nothing_yet(&error) => Ok(0),
             Err(error) => Err(error),
@@ -85,7 +85,7 @@ impl Wire for SerialWire {
     }
 
     fn now(&self) -> Duration {
-        self.began.elapsed()
+        self.start.elapsed()
     }
 
     fn slack(&self) -> Duration {
@@ -109,13 +109,13 @@ fn open_terminal(path: &str) -> io::Result<std::fs::File> {
 #[cfg(unix)]
 pub(super) struct SharedWire {
     terminal: std::fs::File,
-    began: Instant,
+    start: Instant,
 }
 
 #[cfg(unix)]
 impl SharedWire {
     pub(super) fn open(path: &str) -> io::Result<Self> {
-        Ok(Self { terminal: open_terminal(path)?, began: Instant::now() })
+        Ok(Self { terminal: open_terminal(path)?, start: Instant::now() })
     }
 }
 
@@ -133,14 +133,14 @@ impl Wire for SharedWire {
     }
 
     fn now(&self) -> Duration {
-        self.began.elapsed()
+        self.start.elapsed()
     }
 }
 
 /// A TCP connection.
 pub struct TcpWire {
     stream: TcpStream,
-    began: Instant,
+    start: Instant,
 }
 
 impl TcpWire {
@@ -148,7 +148,7 @@ impl TcpWire {
     pub fn new(stream: TcpStream) -> io::Result<Self> {
         stream.set_nodelay(true)?;
         stream.set_write_timeout(Some(SEND_TIMEOUT))?;
-        Ok(Self { stream, began: Instant::now() })
+        Ok(Self { stream, start: Instant::now() })
     }
 }
 
@@ -158,9 +158,9 @@ impl Wire for TcpWire {
     }
 
     fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> io::Result<usize> {
-        self.stream.set_read_timeout(Some(timeout.max(SHORTEST)))?;
+        self.stream.set_read_timeout(Some(timeout.max(MIN_TIMEOUT)))?;
         match self.stream.read(buffer) {
-            Ok(0) => Err(gone("the connection was closed")),
+            Ok(0) => Err(closed_error("the connection was closed")),
             Ok(count) => Ok(count),
             Err(error) if nothing_yet(&error) => Ok(0),
             Err(error) => Err(error),
@@ -168,9 +168,9 @@ impl Wire for TcpWire {
     }
 
     fn now(&self) -> Duration {
-        self.began.elapsed()
+        self.start.elapsed()
     }
     fn slack(&self) -> Duration {
-        PROCESS
+        PROCESS_SLACK
     }
 }
