@@ -200,7 +200,7 @@ fn geometry(table: &Table<'_>, spec: &Spec) -> [f64; MAX_GEOMETRY] {
 fn links(top: &Table<'_>, spec: &Spec) -> Result<[Link; MAX_LINKS], FileError> {
     let tables = top.tables("link")?;
     let meaning = if spec.links.is_empty() {
-        format!("a {} has no links, its body counts in the joint's inertia", spec.name)
+        format!("a {} has no links: the joint's inertia includes its body", spec.name)
     } else {
         spec.links.join(", ")
     };
@@ -476,7 +476,7 @@ fn refusal(error: DescriptionError, top: &Table<'_>, geometry: &Table<'_>, spec:
             geometry.error_at_element(key, element, impossible(reason, "write the length in metres"))
         }
         DescriptionError::Assembly => {
-            geometry.error_at("assembly", problem("write 1 for the tip left of the way from C to D, else -1"))
+            geometry.error_at("assembly", problem("write 1 if the tip is left of the line from C to D, otherwise -1"))
         }
         DescriptionError::CannotClose => {
             geometry.error_here(problem("check the lengths, in metres: each link must reach from one end to the other"))

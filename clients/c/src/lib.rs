@@ -410,7 +410,7 @@ pub unsafe extern "C" fn hb_wait_for_forces(board: *const Board, seconds: f64) -
     unsafe {
         with(board, |session| {
             let patience = Duration::try_from_secs_f64(seconds)
-                .map_err(|_| Failure::argument("the time", "no number of seconds from 0 up"))?;
+                .map_err(|_| Failure::argument("the time", "not a number of seconds, 0 or more"))?;
             session.wait_for_forces(patience);
             Ok(())
         })

@@ -138,7 +138,7 @@ fn errors_name_functions_and_arguments() {
         assert_eq!((hb_exchange(board, &absurd, &mut state), state.done), (HB_OK, HB_BAD));
         assert!(error().starts_with("not taken: each entry of the force must be at most"), "{}", error());
         assert_eq!(hb_wait_for_forces(board, f64::NAN), HB_BAD_ARGUMENT);
-        assert_eq!(error(), "the time is no number of seconds from 0 up");
+        assert_eq!(error(), "the time is not a number of seconds, 0 or more");
         assert_eq!(hb_wait_for_forces(board, 0.0), HB_OK);
         assert_eq!(hb_exchange(board, null(), &mut state), HB_UNANSWERED, "there is no wait");
         assert_eq!(hb_wait_for_forces(board, 0.1), HB_OK);

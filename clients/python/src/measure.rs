@@ -129,7 +129,7 @@ pub fn measure_range<'py>(
         );
     }
     if kd.as_ref().is_some_and(|kd| kd.is_empty() || kd.iter().any(|kd| !(*kd >= 0.0 && kd.is_finite()))) {
-        return wrong("kd takes dampings that are not negative, one at least");
+        return wrong("kd must have at least one damping, and each must be not negative");
     }
     if !(1..=200).contains(&points) || !(1..=100).contains(&repeats) {
         return wrong("points must be 1 to 200, and repeats 1 to 100");
@@ -145,7 +145,7 @@ pub fn measure_range<'py>(
         world.apply(&mut file);
     } else if world != World::default() {
         return wrong(
-            "q, friction, ideal_drive, counts and grip change a simulation; a board is measured where and as it is",
+            "q, friction, ideal_drive, counts and grip change a simulation; a board is measured in its present state",
         );
     }
     let law = Law::default();
@@ -191,7 +191,9 @@ fn walls(
     let (count, most) = (normals.rows.len(), most_tested(task));
     let wrong = |reason: String| Err(RequestError::new_err(reason));
     if normals.shape.len() > 1 || count == 0 || count > most {
-        return wrong(format!("normal must be one wall or up to {most}: a board holds the tip with walls, too"));
+        return wrong(format!(
+            "normal must be one wall or up to {most}: the board needs further walls to hold the tip"
+        ));
     }
     let share = share.unwrap_or_else(|| vec![1.0; count]);
     if share.len() != count || share.iter().any(|part| !(*part > 0.0 && part.is_finite())) {
@@ -199,7 +201,7 @@ fn walls(
     }
     let without = no_feed_forward.unwrap_or_default();
     if without.iter().any(|wall| *wall >= count) || (0..count).all(|wall| without.contains(&wall)) {
-        return wrong("no_feed_forward counts walls from 0, and leaves one with the feed-forward".into());
+        return wrong("no_feed_forward counts walls from 0 and must leave a wall with the feed-forward".into());
     }
     let normals = device.to_unit_vectors(normals.rows)?;
     let member = |(wall, (normal, share))| Member { normal, share, feed_forward: !without.contains(&wall) };

@@ -90,14 +90,14 @@ def test_progress_is_kept_and_the_scene_is_restored(five_bar, tmp_path):
     [
         ([0.0, 0.0], {}, "finite and not zero"),
         ([1.0, 0.0, 0.0], {}, "last dimension must be 2"),
-        (np.eye(2)[[0, 1, 0, 1, 0, 1, 0, 1]], {}, "holds the tip with walls"),
+        (np.eye(2)[[0, 1, 0, 1, 0, 1, 0, 1]], {}, "needs further walls"),
         (NORMAL, {"feed_forward": "half"}, "choose among both, all"),
         (NORMAL, {"pull_m": 0.1}, "at most 0.005"),
         (NORMAL, {"kd": [-1.0]}, "not negative"),
         (NORMAL, {"repeats": 0}, "repeats 1 to 100"),
         (NORMAL, {"q": [1.0]}, "2 finite angles"),
         (NORMAL, {"share": [1.0, 1.0]}, "1 positive number"),
-        (NORMAL, {"no_feed_forward": [0]}, "leaves one"),
+        (NORMAL, {"no_feed_forward": [0]}, "must leave a wall"),
     ],
 )
 def test_invalid_arguments_are_refused(five_bar, normal, more, words):

@@ -101,7 +101,7 @@ fn status_text(status: u8) -> &'static str {
         0x04 => "erasing failed (errERASE)",
         0x05 => "it is not empty after being erased (errCHECK_ERASED)",
         0x06 => "programming failed (errPROG)",
-        0x07 => "what was written is not there (errVERIFY)",
+        0x07 => "the written bytes differ (errVERIFY)",
         0x08 => "the address is out of range (errADDRESS)",
         0x0A => "its firmware is broken (errFIRMWARE)",
         VENDOR => "it has no permission (errVENDOR)",

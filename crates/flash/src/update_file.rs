@@ -17,7 +17,7 @@ pub enum BadFile {
     #[error("it is damaged: its checksum is wrong")]
     Damaged,
     /// The file is too short, or its lengths contradict its contents.
-    #[error("it is damaged: its lengths do not fit")]
+    #[error("it is damaged: its lengths contradict its contents")]
     Lengths,
     /// The file is for several memories, but these boards have one.
     #[error("it is for {0} memories, not for one")]

@@ -99,7 +99,7 @@ struct SingularityStop {
 
 impl SingularityStop {
     /// The stop of every simulated linkage before a parallel singularity, where inertia is unbounded; it is closer than
-    /// where a board turns its motors off. In a millisecond the remaining distance shrinks to a third at most, so a
+    /// where a board turns its motors off. The remaining distance takes at least a millisecond to shrink to a third, so a
     /// step of 5 µs is short in comparison.
     const HARD: Self =
         Self { nearest: 0.5 * TRIPPING_SINE as f64 / PARALLEL_REGULARITY, softness: 1e-3, serial: false };
