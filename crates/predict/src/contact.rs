@@ -20,11 +20,11 @@ const FAR_M: f64 = 0.02;
 /// A control law that renders a wall.
 pub(crate) trait Law {
     /// Evaluates one control period from the encoders' angles, rad.
-    fn answer(&mut self, measured: &[f64; MAX_JOINTS]) -> Answer;
+    fn evaluate(&mut self, measured: &[f64; MAX_JOINTS]) -> LawOutput;
 }
 
 /// Force of the wall, N, and commanded torques, N m.
-pub(crate) struct Answer {
+pub(crate) struct LawOutput {
     pub force: f64,
     pub torque: [f64; MAX_JOINTS],
 }
@@ -76,7 +76,7 @@ impl<'a> Contact<'a> {
         let (mut acting, mut torque) = (self.before, self.before);
         for n in 0..(seconds * rate_hz).round() as usize {
             let grip_now = grip(n as f64 * period);
-            let Answer { force, torque: commanded } = law.answer(&self.plant.measured());
+            let LawOutput { force, torque: commanded } = law.evaluate(&self.plant.measured());
             delayed.push_back(commanded);
             let next = delayed.pop_front().unwrap_or(commanded);
             for (torques, time) in [(acting, fraction * period), (next, (1.0 - fraction) * period)] {

@@ -1,10 +1,10 @@
-//! One joint moved a little while somebody holds a key: the board's part is a joint torque that lasts 70 ms, and the
-//! rest is here. [`Plan`] refuses what must not be begun, [`ControlLoop`] turns angles into a torque without a board, and
-//! [`run`] arms, asks the control loop a hundred times a second, and always ends with the motors off.
+//! Moves one joint a little while a person holds a key. The board applies a joint torque that lasts 70 ms; this module
+//! does the rest. [`Plan`] rejects an unsafe jog, [`ControlLoop`] computes torques from angles without a board, and
+//! [`run`] arms, evaluates the control loop a hundred times a second, and always ends with the motors off.
 //!
-//! A joint at rest is pushed harder and harder until it moves, then a PI controller holds its speed. Its gains follow
-//! from the inertia that the board's device has there; whatever they do, the torque stays below a share of its limit,
-//! and a joint that is faster than twice the speed asked for, or goes the other way, ends it.
+//! The push on a joint at rest grows until the joint moves; then a PI controller holds its speed. Its gains follow from
+//! the joint's inertia on the board's device. In every case the torque stays below a share of its limit, and a joint
+//! that is faster than twice the requested speed, or moves backward, ends the jog.
 
 use haptic_bridge::board::protocol::{DeviceData, ForceAnswer, ForceDone};
 use haptic_bridge::control::ARM_SECONDS;
@@ -19,44 +19,42 @@ use std::collections::VecDeque;
 use std::io;
 use std::time::Duration;
 
-/// Between two torques: half of the time for which one acts in full.
+/// Time between two torques: half of the time for which a torque acts in full.
 const PERIOD: Duration = Duration::from_millis(10);
-/// The speed is the mean over this time, s: slow enough for encoders of 2000 counts a turn.
+/// Averaging time of the speed, s: long enough for encoders of 2000 counts a turn.
 const WINDOW: f64 = 0.05;
-/// Bandwidth of the speed controller, rad/s: its delay, half the window and two periods, then takes 26 degrees of
-/// phase.
+/// Bandwidth of the speed controller, rad/s: its delay of half the window and two periods costs 26 degrees of phase.
 const BANDWIDTH: f64 = 10.0;
-/// The push on a joint at rest grows from nothing to the largest in no less and no more than these times, s.
+/// Shortest and longest time in which the push on a joint at rest grows from zero to the largest, s.
 const RAMP: (f64, f64) = (2.0, 20.0);
-/// Between them no faster than inertia times speed times this, 1/s²: until it is seen to move, the joint has gained
-/// less speed than it was asked for. A coarse encoder sees later ([`ControlLoop::onset`]).
+/// Factor that limits the growth of the push to inertia times speed times this, 1/s²: until the motion is detected, the
+/// joint gains less than the requested speed. A coarse encoder detects motion later ([`ControlLoop::onset`]).
 const ONSET: f64 = 500.0;
-/// A joint that stands still for so long against the largest push stands against something, s.
-const STUCK: f64 = 0.5;
-/// The speed that ends it, over the speed asked for.
+/// Time at rest against the largest push after which the joint counts as blocked, s.
+const BLOCKED_S: f64 = 0.5;
+/// Speed that ends the jog, as a ratio to the requested speed.
 const TOO_FAST: f64 = 2.0;
-/// The same of the other joints: they are free, and a moved link turns the next one's joint by up to three times as
-/// much.
+/// The same for the other joints: they are free, and a moved link turns the next joint by up to three times as much.
 const OTHER_TOO_FAST: f64 = 5.0;
-/// The way back that ends it, as a share of the way asked for.
+/// Backward motion that ends the jog, as a share of the requested motion.
 const BACKWARD: f64 = 0.1;
-/// Counts beyond which an encoder shows a motion: at rest it may show one more or less.
+/// Counts beyond which an encoder shows a motion: at rest it may vary by one count.
 const SHAKE: f64 = 1.5;
-/// Torques that come too late are given up after this time, s.
+/// Time after which torques that arrive too late end the jog, s.
 const LATE: f64 = 0.5;
-/// The largest share of the torque limit, way (rad) and speed (rad/s).
-const MOST: (f64, f64, f64) = (0.5, 1.0, 1.0);
+/// Largest share of the torque limit, motion (rad) and speed (rad/s).
+const LARGEST: (f64, f64, f64) = (0.5, 1.0, 1.0);
 
-/// What is asked for.
+/// A requested jog.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Jog {
-    /// Which joint.
+    /// Index of the joint.
     pub joint: usize,
-    /// How far and which way, rad.
+    /// Distance with sign, rad.
     pub by: f64,
-    /// How fast, rad/s; positive.
+    /// Speed, rad/s; positive.
     pub speed: f64,
-    /// The largest push as a share of the joint's torque limit.
+    /// Largest push as a share of the joint's torque limit.
     pub share: f64,
 }
 
@@ -65,19 +63,19 @@ pub struct Jog {
 pub struct Plan {
     jog: Jog,
     device: DeviceData,
-    /// The largest push, N m.
+    /// Largest push, N m.
     pub most: f64,
-    /// The scene holds the device's weight.
+    /// True if the scene holds the device's weight.
     carried: bool,
-    /// The scene of free space that a board gets which has none: it arms with none.
+    /// Scene of free space for a board without a scene, because a board arms only with one.
     free: Option<Scene<f32>>,
 }
 
 impl Plan {
-    /// Asks the board whether this may begin, and refuses in words.
+    /// Checks with the board that the jog may begin.
     pub fn new(board: &mut Board, jog: Jog) -> Result<Self, Failure> {
         let Jog { joint, by, speed, share } = jog;
-        let (most_share, most_by, most_speed) = MOST;
+        let (most_share, most_by, most_speed) = LARGEST;
         let inside = |value: f64, most: f64| value > 0.0 && value <= most;
         if !inside(by.abs(), most_by) {
             return Err(Failure::wrong(format!(
@@ -99,7 +97,10 @@ impl Plan {
         })?;
         if joint >= device.axes() {
             let last = device.axes() - 1;
-            return Err(Failure::wrong(format!("no joint {joint}: the joints of {} are 0 to {last}", device.name)));
+            return Err(Failure::wrong(format!(
+                "joint {joint} does not exist: the joints of {} are 0 to {last}",
+                device.name
+            )));
         }
         let status = board.status()?;
         match (status.state, status.fault) {
@@ -119,7 +120,7 @@ impl Plan {
                 && scene.field_damping == 0.0)
         });
         if renders {
-            return Err(Failure::impossible("the board's scene would push as well: a jog wants free space").remedy(
+            return Err(Failure::impossible("the board's scene renders forces, and a jog needs free space").remedy(
                 "load a scene without walls, springs, field and posture, or the device again (`haptic device FILE`)",
             ));
         }
@@ -145,8 +146,7 @@ impl Plan {
         Ok(plan)
     }
 
-    /// Refuses to start at these angles (rad), if the way ends beyond the joint's limits or where the linkage cannot
-    /// be.
+    /// Rejects a jog from these angles (rad) that ends beyond the joint's limits or where the linkage cannot close.
     fn check_goal(&self, q: &[f32; MAX_JOINTS]) -> Result<(), Failure> {
         let (joint, mut goal) = (self.jog.joint, *q);
         goal[joint] += self.jog.by as f32;
@@ -169,11 +169,11 @@ impl Plan {
         Ok(())
     }
 
-    /// What it will do.
+    /// Describes the jog in a sentence.
     pub fn in_words(&self) -> String {
         let Jog { joint, by, speed, share } = self.jog;
         let free = match (self.device.weight, self.carried) {
-            (true, true) => "get no torque but what carries the device's weight",
+            (true, true) => "get only the torque that carries the device's weight",
             (true, false) => "get no torque, and nothing carries the device's weight",
             (false, _) => "get no torque",
         };
@@ -187,11 +187,15 @@ impl Plan {
 
     fn control_loop(&self, start: &ForceAnswer) -> ControlLoop {
         ControlLoop::new(
-            Aim {
+            JogParameters {
                 jog: self.jog,
                 joints: self.device.axes(),
                 most: self.most,
-                inertia: felt(&self.device.mechanism.inertia::<Libm>(&start.q), self.device.axes(), self.jog.joint),
+                inertia: inertia_with_others_free(
+                    &self.device.mechanism.inertia::<Libm>(&start.q),
+                    self.device.axes(),
+                    self.jog.joint,
+                ),
                 count: self.device.joints.map(|joint| f64::from(joint.radians_per_count).abs()),
             },
             start.q.map(f64::from),
@@ -199,8 +203,8 @@ impl Plan {
     }
 }
 
-/// The inertia that a torque at `joint` meets while the other joints are free, kg m²: 1/(M⁻¹)ᵢᵢ.
-fn felt(mass: &[[f32; MAX_JOINTS]; MAX_JOINTS], joints: usize, joint: usize) -> f64 {
+/// Returns the inertia that a torque at `joint` accelerates while the other joints are free, kg m²: 1/(M⁻¹)ᵢᵢ.
+fn inertia_with_others_free(mass: &[[f32; MAX_JOINTS]; MAX_JOINTS], joints: usize, joint: usize) -> f64 {
     let mut mass = mass.map(|row| row.map(f64::from));
     for other in (0..joints).filter(|other| *other != joint) {
         let pivot = mass[other];
@@ -212,46 +216,46 @@ fn felt(mass: &[[f32; MAX_JOINTS]; MAX_JOINTS], joints: usize, joint: usize) -> 
     mass[joint][joint]
 }
 
-/// What a [`ControlLoop`] knows of the joint.
+/// Parameters of a [`ControlLoop`].
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Aim {
-    /// What is asked for.
+pub struct JogParameters {
+    /// The requested jog.
     pub jog: Jog,
-    /// Joints of the device.
+    /// Number of joints of the device.
     pub joints: usize,
     /// The largest push, N m.
     pub most: f64,
-    /// The inertia that it moves, kg m².
+    /// Inertia of the moving joint, kg m².
     pub inertia: f64,
-    /// Of each joint, rad in a count.
+    /// Angle per encoder count of each joint, rad.
     pub count: [f64; MAX_JOINTS],
 }
 
-/// How a jog ended.
+/// The reason for a jog's end.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Ended {
-    /// The joint went its way.
+pub enum JogEnd {
+    /// The joint completed its motion.
     Arrived,
-    /// The key was let go.
+    /// The key was released.
     Released,
-    /// Somebody asked for the end.
+    /// A person requested the end.
     Stopped,
-    /// The joint moved faster than twice what was asked for.
+    /// The joint exceeded twice the requested speed.
     TooFast,
-    /// It moved the other way.
+    /// The joint moved backward.
     Backward,
     /// Another joint moved by itself.
     Other(usize),
-    /// It stands still against the largest push.
+    /// The joint stood still against the largest push.
     Stuck,
 }
 
-impl Ended {
-    /// In words where it ended as somebody wanted; else the failure.
+impl JogEnd {
+    /// Returns a sentence for an expected end, and an error otherwise.
     pub fn in_words(self) -> Result<&'static str, Failure> {
         let failed = |why: &str, remedy: &str| Err(Failure::impossible(why).remedy(remedy));
         match self {
-            Self::Arrived => Ok("it has gone its way"),
+            Self::Arrived => Ok("it has recent_motion its way"),
             Self::Released => Ok("the key was let go"),
             Self::Stopped => Ok("ended as asked"),
             Self::TooFast => failed(
@@ -259,7 +263,7 @@ impl Ended {
                 "let nothing push it, see that its weight is carried, and try a smaller share of the torque limit",
             ),
             Self::Backward => failed(
-                "the joint moved the other way than it was pushed",
+                "the joint moved against the push",
                 "let nothing push it and see that its weight is carried; else motor and encoder disagree: run \
                  `haptic polarity`",
             ),
@@ -267,55 +271,56 @@ impl Ended {
                 "let nothing push it, see that its weight is carried, and that each motor has its own encoder",
             )),
             Self::Stuck => failed(
-                "the joint stands still against the largest push: it stands against something, or friction is more",
-                "see what holds it; if nothing does, a larger share of the torque limit pushes harder",
+                "the joint stands still against the largest push: something blocks it, or its friction is larger",
+                "find what blocks it; if nothing does, use a larger share of the torque limit",
             ),
         }
     }
 }
 
-/// The torque for a joint that is to move, from its angles.
+/// Computes the torque of a jog from the joint angles.
 #[derive(Clone, Debug)]
 pub struct ControlLoop {
-    aim: Aim,
+    aim: JogParameters,
     from: [f64; MAX_JOINTS],
-    /// The last angles, each with its time (s since the start) and the push then (N m).
+    /// Recent angles, each with its time (s since the start) and the push at that time (N m).
     seen: VecDeque<(f64, [f64; MAX_JOINTS], f64)>,
     push: f64,
     moves: bool,
-    /// Since when the largest push has moved nothing.
+    /// Time since which the largest push has moved nothing.
     pushed: Option<f64>,
 }
 
 impl ControlLoop {
-    /// Begins at these angles (rad) and time 0, as the motors go on.
-    pub fn new(aim: Aim, from: [f64; MAX_JOINTS]) -> Self {
+    /// Begins at these angles (rad) and time 0, when the motors are switched on.
+    pub fn new(aim: JogParameters, from: [f64; MAX_JOINTS]) -> Self {
         Self { aim, from, seen: VecDeque::from([(0.0, from, 0.0)]), push: 0.0, moves: false, pushed: None }
     }
 
-    /// The torque at a time (s) and these angles (rad), or how it ends. Times rise from call to call.
-    pub fn step(&mut self, time: f64, q: [f64; MAX_JOINTS]) -> Result<f64, Ended> {
-        let Aim { jog: Jog { joint, by, speed, .. }, most, inertia, count, .. } = self.aim;
+    /// Returns the torque at a time (s) and these angles (rad), or the reason for the end. Times must increase from
+    /// call to call.
+    pub fn step(&mut self, time: f64, q: [f64; MAX_JOINTS]) -> Result<f64, JogEnd> {
+        let JogParameters { jog: Jog { joint, by, speed, .. }, most, inertia, count, .. } = self.aim;
         let way = by.signum();
         let moved = way * (q[joint] - self.from[joint]);
         self.guard(time, &q, moved)?;
         if moved >= by.abs() {
-            return Err(Ended::Arrived);
+            return Err(JogEnd::Arrived);
         }
         let last = self.seen.back().map_or(0.0, |(before, ..)| time - before);
         while self.seen.get(1).is_some_and(|(before, ..)| time - before >= WINDOW) {
             self.seen.pop_front();
         }
         let (before, there, push) = self.seen.front().copied().unwrap_or((0.0, self.from, 0.0));
-        let gone = way * (q[joint] - there[joint]);
-        // While torque ramps up after arming, the guards alone are at work.
+        let recent_motion = way * (q[joint] - there[joint]);
+        // While torque ramps up after arming, only the guards act.
         if time >= f64::from(ARM_SECONDS) {
-            let velocity = gone / (time - before).max(1e-3);
-            // It comes to its end slowly, for nothing brakes it once the motors are off.
+            let velocity = recent_motion / (time - before).max(1e-3);
+            // The joint slows down at the end, because nothing brakes it once the motors are off.
             let wanted = speed * (4.0 * (1.0 - moved / by.abs())).clamp(0.2, 1.0);
-            let moves = gone.abs() > SHAKE * count[joint];
+            let moves = recent_motion.abs() > SHAKE * count[joint];
             if moves && !self.moves {
-                // What was added since it began to move is more than it takes.
+                // Remove the push that was added since the motion began.
                 self.push = push;
             }
             self.moves = moves;
@@ -332,8 +337,8 @@ impl ControlLoop {
             let since = *self.pushed.get_or_insert(time);
             if !holds {
                 self.pushed = None;
-            } else if time - since >= STUCK {
-                return Err(Ended::Stuck);
+            } else if time - since >= BLOCKED_S {
+                return Err(JogEnd::Stuck);
             }
             self.seen.push_back((time, q, self.push));
             return Ok(way * torque);
@@ -342,30 +347,30 @@ impl ControlLoop {
         Ok(0.0)
     }
 
-    /// How fast the push on a joint at rest may grow, N m/s. A joint that is free gains jt²/2 of speed and jt³/6 of
-    /// way, with j this over its inertia; it is seen after two to three counts, and is to have gained no more than it is
-    /// asked for.
+    /// Returns the largest growth of the push on a joint at rest, N m/s. A free joint reaches the speed jt²/2 and the
+    /// angle jt³/6, where j is the growth over its inertia. Motion is detected after two to three counts, and the joint
+    /// must not exceed the requested speed by then.
     fn onset(&self) -> f64 {
-        let Aim { jog: Jog { joint, speed, .. }, inertia, count, .. } = self.aim;
+        let JogParameters { jog: Jog { joint, speed, .. }, inertia, count, .. } = self.aim;
         let way = 3.0 * count[joint];
         inertia * (ONSET * speed).min(2.0 * speed.powi(3) / (9.0 * way * way))
     }
 
-    /// Ends what goes too fast or the wrong way.
-    fn guard(&self, time: f64, q: &[f64; MAX_JOINTS], moved: f64) -> Result<(), Ended> {
-        let Aim { jog: Jog { joint, by, speed, .. }, joints, count, .. } = self.aim;
+    /// Ends motions that are too fast or backward.
+    fn guard(&self, time: f64, q: &[f64; MAX_JOINTS], moved: f64) -> Result<(), JogEnd> {
+        let JogParameters { jog: Jog { joint, by, speed, .. }, joints, count, .. } = self.aim;
         if moved < -(BACKWARD * by.abs()).max(4.0 * count[joint]) {
-            return Err(Ended::Backward);
+            return Err(JogEnd::Backward);
         }
         for (before, there, _) in &self.seen {
             for i in 0..joints {
                 let most = if i == joint { TOO_FAST } else { OTHER_TOO_FAST } * speed;
-                // What is not a number is no slow joint.
+                // The comparison is false for NaN, so NaN counts as too fast.
                 let slow = (q[i] - there[i]).abs() <= most * (time - before) + 2.0 * count[i];
                 match slow {
                     true => {}
-                    false if i == joint => return Err(Ended::TooFast),
-                    false => return Err(Ended::Other(i)),
+                    false if i == joint => return Err(JogEnd::TooFast),
+                    false => return Err(JogEnd::Other(i)),
                 }
             }
         }
@@ -373,35 +378,35 @@ impl ControlLoop {
     }
 }
 
-/// What a key says.
+/// State of the key.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Key {
-    /// It is down, and was not when the board told this control step ([`Board::step`]).
+    /// The key is down, and was not yet down at this control step of the board ([`Board::step`]).
     Down(u32),
-    /// It is let go.
+    /// The key is up.
     Up,
-    /// Whoever holds it wants the end.
+    /// The person at the key wants to end.
     End,
 }
 
-/// How a jog went.
+/// Result of a jog.
 #[derive(Debug)]
-pub struct Jogged {
-    /// How it ended; an error where the board or the way to it ended it.
-    pub ended: Result<Ended, Failure>,
-    /// How far the joint went, rad, as it stands with the motors off; `None` if they were never on, or nobody can say.
+pub struct JogResult {
+    /// Reason for the end; an error if the board or the connection ended it.
+    pub ended: Result<JogEnd, Failure>,
+    /// Motion of the joint, rad, once the motors are off; `None` if they were never on, or the board did not report it.
     pub moved: Option<f64>,
 }
 
-/// Waits for the key, moves the joint while it is held, and leaves the motors off. `key` is asked a hundred times a
-/// second, with the newest control step that the board has told.
-pub fn run(session: &mut Session, plan: &Plan, key: impl FnMut(u32) -> io::Result<Option<Key>>) -> Jogged {
+/// Waits for the key, moves the joint while it is held, and leaves the motors off. `key` is called a hundred times a
+/// second with the newest control step that the board reported.
+pub fn run(session: &mut Session, plan: &Plan, key: impl FnMut(u32) -> io::Result<Option<Key>>) -> JogResult {
     let mut from = None;
     let ended = while_held(session, plan, key, &mut from);
     let off = session.disarm();
     let joint = plan.jog.joint;
     let moved = from.and_then(|from: f32| session.status().ok().map(|status| f64::from(status.q[joint] - from)));
-    Jogged { ended: ended.and_then(|ended| Ok(off.map(|()| ended)?)), moved }
+    JogResult { ended: ended.and_then(|ended| Ok(off.map(|()| ended)?)), moved }
 }
 
 fn while_held(
@@ -409,7 +414,7 @@ fn while_held(
     plan: &Plan,
     mut key: impl FnMut(u32) -> io::Result<Option<Key>>,
     from: &mut Option<f32>,
-) -> Result<Ended, Failure> {
+) -> Result<JogEnd, Failure> {
     if let Some(scene) = &plan.free {
         session.set_scene(scene)?;
     }
@@ -418,7 +423,7 @@ fn while_held(
         session.rows(PERIOD)?;
         match key(session.step()).map_err(Failure::impossible)? {
             Some(Key::Down(seen)) => break seen,
-            Some(Key::End) => return Ok(Ended::Stopped),
+            Some(Key::End) => return Ok(JogEnd::Stopped),
             _ => {}
         }
     };
@@ -432,8 +437,8 @@ fn while_held(
     loop {
         session.rows(PERIOD)?;
         match key(session.step()).map_err(Failure::impossible)? {
-            Some(Key::Up) => return Ok(Ended::Released),
-            Some(Key::End) => return Ok(Ended::Stopped),
+            Some(Key::Up) => return Ok(JogEnd::Released),
+            Some(Key::End) => return Ok(JogEnd::Stopped),
             Some(Key::Down(seen)) => session.hold_key(seen)?,
             None => {}
         }
@@ -452,7 +457,7 @@ fn while_held(
         match answer.done {
             ForceDone::Taken => taken = seconds(&answer),
             ForceDone::Bad(_) => return Err(Failure::impossible(answer.done)),
-            // Whether the motors are still on shows at the next look.
+            // The next poll shows if the motors are still on.
             _ if seconds(&answer) - taken < LATE => {}
             _ => return Err(Failure::impossible(format!("the way to the board is too slow: {}", answer.done))),
         }
@@ -465,18 +470,18 @@ mod tests {
     use nalgebra::Matrix3;
 
     #[test]
-    fn a_joint_is_as_heavy_as_it_is_while_the_others_are_free() {
+    fn joint_inertia_is_that_with_the_other_joints_free() {
         let mass = [[3.0, 1.0, 0.5], [1.0, 2.0, 0.3], [0.5, 0.3, 1.0]];
         let inverse = Matrix3::from_fn(|i, j| f64::from(mass[i][j])).try_inverse().unwrap();
         for joint in 0..3 {
-            assert!((felt(&mass, 3, joint) * inverse[(joint, joint)] - 1.0).abs() < 1e-6);
+            assert!((inertia_with_others_free(&mass, 3, joint) * inverse[(joint, joint)] - 1.0).abs() < 1e-6);
         }
-        assert_eq!(felt(&mass, 1, 0), 3.0);
+        assert_eq!(inertia_with_others_free(&mass, 1, 0), 3.0);
     }
 
-    /// A mass (kg m²) with dry friction (N m) behind an encoder, pushed every 12 ms; `drive` turns the torque asked for
-    /// into the one that acts. How it ended, the angle then (rad) and the fastest on the way (rad/s).
-    fn pushed(aim: Aim, friction: f64, drive: impl Fn(f64) -> f64) -> (Ended, f64, f64) {
+    /// Simulates a mass (kg m²) with dry friction (N m) behind an encoder, pushed every 12 ms; `drive` turns the
+    /// commanded torque into the one that acts. Returns the end, the final angle (rad) and the highest speed (rad/s).
+    fn pushed(aim: JogParameters, friction: f64, drive: impl Fn(f64) -> f64) -> (JogEnd, f64, f64) {
         let (mut angle, mut speed, mut fastest) = (0.0_f64, 0.0_f64, 0.0_f64);
         let (mut control_loop, step) = (ControlLoop::new(aim, [0.0; 3]), 1e-4);
         for period in 1..10_000 {
@@ -494,28 +499,28 @@ mod tests {
                 fastest = fastest.max(speed.abs());
             }
         }
-        panic!("without end at {angle} rad");
+        panic!("still moving at {angle} rad");
     }
 
-    fn aim(inertia: f64, by: f64, counts: f64) -> Aim {
+    fn parameters(inertia: f64, by: f64, counts: f64) -> JogParameters {
         let jog = Jog { joint: 0, by, speed: 0.2, share: 0.2 };
-        Aim { jog, joints: 2, most: 0.05, inertia, count: [std::f64::consts::TAU / counts; 3] }
+        JogParameters { jog, joints: 2, most: 0.05, inertia, count: [std::f64::consts::TAU / counts; 3] }
     }
 
     #[test]
-    fn light_and_heavy_joints_with_much_and_no_friction_go_their_way_and_no_faster_than_guarded() {
+    fn every_joint_and_friction_arrives_within_the_speed_guard() {
         for inertia in [5e-5, 2e-4, 1e-3, 1e-2] {
             for friction in [0.0, 0.002, 0.03] {
                 for counts in [2000.0, 20_000.0] {
                     for by in [0.1, -0.1, 0.4] {
-                        let aim = aim(inertia, by, counts);
+                        let aim = parameters(inertia, by, counts);
                         let (ended, angle, fastest) = pushed(aim, friction, |torque| torque);
-                        let said =
+                        let case =
                             format!("{inertia} kg m², {friction} N m, {counts}, {by}: {angle} rad, {fastest} rad/s");
-                        assert_eq!(ended, Ended::Arrived, "{said}");
-                        // A count in the window is what the encoder cannot tell.
+                        assert_eq!(ended, JogEnd::Arrived, "{case}");
+                        // The encoder does not resolve one count in the window.
                         let most = TOO_FAST * 0.2 + aim.count[0] / WINDOW;
-                        assert!((angle - by).abs() < 0.006 && fastest < most, "{said}");
+                        assert!((angle - by).abs() < 0.006 && fastest < most, "{case}");
                     }
                 }
             }
@@ -523,14 +528,14 @@ mod tests {
     }
 
     #[test]
-    fn a_motor_the_wrong_way_and_friction_that_is_more_end_it() {
+    fn inverted_motors_and_high_friction_end_the_jog() {
         for inertia in [1e-4, 1e-3, 1e-2] {
             for by in [0.1, -0.1] {
-                let aim = aim(inertia, by, 20_000.0);
+                let aim = parameters(inertia, by, 20_000.0);
                 let (ended, angle, _) = pushed(aim, 0.01, |torque| -torque);
-                assert!(matches!(ended, Ended::Backward | Ended::TooFast), "{ended:?}");
+                assert!(matches!(ended, JogEnd::Backward | JogEnd::TooFast), "{ended:?}");
                 assert!(angle.abs() < 0.1, "{angle}");
-                assert_eq!(pushed(aim, 0.06, |torque| torque).0, Ended::Stuck);
+                assert_eq!(pushed(aim, 0.06, |torque| torque).0, JogEnd::Stuck);
             }
         }
     }

@@ -1,5 +1,5 @@
-//! Files to start from: a device file for each mechanism, with every key, what it is, and numbers of a device that
-//! exists only to be replaced; and a scene file for a device.
+//! Files to start from: a device file for each mechanism, with every key, its meaning, and example numbers to replace;
+//! and a scene file for a device.
 
 use crate::plausible::scene::Ripple;
 use crate::tune::{USUAL_RIPPLE_N, three_digits};
@@ -10,14 +10,14 @@ use haptic_host::device_file::DeviceFile;
 use haptic_host::error::Failure;
 use haptic_host::words::with_unit;
 
-/// The part of a template that a mechanism's [`Spec`](haptic_bridge::model::catalogue::Spec) does not contain.
+/// Part of a template that a mechanism's [`Spec`](haptic_bridge::model::catalogue::Spec) does not contain.
 struct Example {
-    /// A description of the mechanism, with the pose at which its angles are zero.
+    /// Description of the mechanism, with the pose of zero angles.
     about: &'static str,
     gravity: &'static str,
     /// Lines of `[geometry]`: key, value, comment.
     geometry: &'static [(&'static str, &'static str, &'static str)],
-    /// Mass (kg), centre of mass (m) and inertia (kg m²) of each link, and what the centre of mass counts from.
+    /// Mass (kg), centre of mass (m) and inertia (kg m²) of each link, and the reference of the centre of mass.
     links: &'static [(f64, f64, f64, &'static str)],
     /// Inertia of each joint, kg m², and its limits, rad.
     joints: &'static [(f64, [f64; 2], &'static str)],
@@ -120,11 +120,11 @@ fn example(kind: Kind) -> Example {
     }
 }
 
-/// The motors and encoders that boards work with, in a sentence without its final stop.
+/// Motors and encoders that boards work with: a sentence without its full stop.
 pub const MOTORS_AND_ENCODERS: &str = "boards drive brushed motors and read incremental encoders (A and B): two of each at 10 to 50 V (odrive-v3), three at 6 to \
      34 V (H-bridges)";
 
-/// The text of a device file of this mechanism that passes every check and lacks only a person's word for its motors.
+/// Returns a device file of this mechanism that passes every check; only a person must still confirm the motors.
 pub fn device_file(kind: Kind, name: &str) -> String {
     let spec = kind.spec();
     let example = example(kind);
@@ -238,12 +238,12 @@ pub fn device_file(kind: Kind, name: &str) -> String {
     text
 }
 
-/// The text of a scene file for a device, with one wall in front of its home pose and every other key as a comment.
+/// Returns a scene file for a device, with one wall in front of its home pose and every other key as a comment.
 pub fn scene_file(device: &DeviceFile) -> Result<String, Failure> {
     let FirstWall { scene, ripple } = first_wall(device)?;
     let task = device.spec().task;
     let list = |values: &[f32]| {
-        // Tenths of a millimetre, and no zero with a sign.
+        // Tenths of a millimetre, without a negative zero.
         let tenths = values.iter().take(task).map(|value| (1e4 * f64::from(*value)).round() / 1e4 + 0.0);
         let values: Vec<String> = tenths.map(|value| format!("{value:?}")).collect();
         format!("[{}]", values.join(", "))
@@ -266,7 +266,7 @@ pub fn scene_file(device: &DeviceFile) -> Result<String, Failure> {
         line("\n[[wall]]  # 0; up to eight\nshape", "\"plane\"", "default; docs/files.md has the round ones");
         line("point", &list(&plane.point), &format!("m, {axes}: a point of the surface"));
         line("normal", &list(&plane.normal), &format!("{axes}, out of the solid towards the hand; any length"));
-        let rippling = match ripple {
+        let ripple_note = match ripple {
             None => String::new(),
             Some(Ripple { ripple_n, allowed_n }) => format!(
                 "; its force ripples by {} under a hand{}",
@@ -274,7 +274,7 @@ pub fn scene_file(device: &DeviceFile) -> Result<String, Failure> {
                 if allowed_n > USUAL_RIPPLE_N { ", the least that these encoders allow" } else { "" }
             ),
         };
-        let comment = format!("N/m; well within what is predicted stable{rippling}");
+        let comment = format!("N/m; well within what is predicted stable{ripple_note}");
         line("stiffness", &number(three_digits(wall.stiffness.into(), false)), &comment);
         line("damping", &number(three_digits(wall.damping.into(), false)), "N s/m; default 0");
         let law = format!("{:?}", wall.feed_forward.name());
@@ -293,9 +293,9 @@ pub fn scene_file(device: &DeviceFile) -> Result<String, Failure> {
     Ok(text)
 }
 
-/// A line of a file: a key, its value, and what it is.
+/// Formats a line of a file: key, value and comment.
 fn line(key: &str, value: &str, comment: &str) -> String {
-    // A key may bring the lines before it along.
+    // A key may contain preceding lines.
     let begins = key.rfind('\n').map_or(0, |newline| newline + 1);
     let (before, key) = key.split_at(begins);
     let pair = format!("{key} = {value}");
@@ -307,7 +307,7 @@ fn prefixed(unit: &str, comment: &str) -> String {
     if comment.is_empty() { String::new() } else { format!("{unit}: {comment}") }
 }
 
-/// As TOML wants it: a float, in powers of ten where that is shorter.
+/// Formats a TOML float, in powers of ten if that is shorter.
 fn number(value: f64) -> String {
     if value.abs() < 1e-2 && value != 0.0 { format!("{value:.3e}") } else { format!("{value:?}") }
 }
@@ -315,22 +315,22 @@ fn number(value: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::{Kind, device_file, scene_file};
-    use crate::plausible::device::doubts;
+    use crate::plausible::device::file_warnings;
     use haptic_host::device_file::DeviceFile;
     use haptic_host::scene_file::SceneFile;
     use haptic_stability::analysis::prediction::Subject;
 
     #[test]
-    fn every_template_is_sound_plausible_and_lacks_only_a_persons_word() {
+    fn every_template_lacks_only_the_confirmation_of_its_motors() {
         for kind in Kind::ALL {
             let text = device_file(*kind, "mine");
             let file = DeviceFile::parse(&text, "mine.toml").unwrap_or_else(|error| panic!("{error}\n{text}"));
             assert_eq!(file.description.kind, *kind);
-            // Only its maker knows what lies between motor and link.
-            let [silent] = &doubts(&file)[..] else { panic!("{:?}", doubts(&file)) };
-            assert!(silent.text.contains("transmission = \"rigid\""), "{}", silent.text);
-            let said = text.replace("# transmission = \"rigid\"", "transmission = \"rigid\"");
-            assert_eq!(doubts(&DeviceFile::parse(&said, "mine.toml").unwrap()), []);
+            // The template leaves out the transmission, because only the device's maker knows it.
+            let [unspecified] = &file_warnings(&file)[..] else { panic!("{:?}", file_warnings(&file)) };
+            assert!(unspecified.text.contains("transmission = \"rigid\""), "{}", unspecified.text);
+            let rigid = text.replace("# transmission = \"rigid\"", "transmission = \"rigid\"");
+            assert_eq!(file_warnings(&DeviceFile::parse(&rigid, "mine.toml").unwrap()), []);
             let lacks = file.lacks_for_a_board();
             assert!(lacks.iter().all(|lack| lack.contains("verified")), "{lacks:?}");
             assert_eq!(lacks.len(), kind.spec().joints);
@@ -338,7 +338,7 @@ mod tests {
     }
 
     #[test]
-    fn every_key_that_a_device_file_knows_is_in_a_template() {
+    fn the_template_contains_every_key_of_device_files() {
         let text = device_file(Kind::Parallelogram, "mine");
         for key in [
             "name",
@@ -386,7 +386,7 @@ mod tests {
     }
 
     #[test]
-    fn a_scene_is_sound_and_not_doubted_with_all_that_it_offers() {
+    fn a_scene_template_is_valid_with_every_optional_key() {
         for kind in Kind::ALL {
             let file = DeviceFile::parse(&device_file(*kind, "mine"), "mine.toml").unwrap();
             let task = file.spec().task;
@@ -415,14 +415,14 @@ mod tests {
                 );
             }
             let scene = SceneFile::parse(&text, "scene.toml", task).unwrap().scene;
-            let (doubted, contacts) =
-                crate::plausible::scene::doubts(&Subject::new(&file.description).unwrap(), &scene);
-            assert_eq!((doubted.as_slice(), contacts.len()), (&[][..], 1), "{text}");
+            let (warnings, contacts) =
+                crate::plausible::scene::file_warnings(&Subject::new(&file.description).unwrap(), &scene);
+            assert_eq!((warnings.as_slice(), contacts.len()), (&[][..], 1), "{text}");
         }
     }
 
     #[test]
-    fn a_template_is_sound_with_all_that_it_offers() {
+    fn a_device_template_is_valid_with_every_optional_key() {
         for kind in Kind::ALL {
             let keys = ["[joint.", "[[joint.", "stiffness", "damping", "motor_inertia", "encoder_at", "static"];
             let more = ["stribeck_speed", "amplitude", "per_turn", "frequency", "inertia", "supply"];
