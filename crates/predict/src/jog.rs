@@ -255,7 +255,7 @@ impl JogEnd {
     pub fn in_words(self) -> Result<&'static str, Failure> {
         let failed = |why: &str, remedy: &str| Err(Failure::impossible(why).remedy(remedy));
         match self {
-            Self::Arrived => Ok("it has recent_motion its way"),
+            Self::Arrived => Ok("it has gone its way"),
             Self::Released => Ok("the key was let go"),
             Self::Stopped => Ok("ended as asked"),
             Self::TooFast => failed(
@@ -271,8 +271,8 @@ impl JogEnd {
                 "let nothing push it, see that its weight is carried, and that each motor has its own encoder",
             )),
             Self::Stuck => failed(
-                "the joint stands still against the largest push: something blocks it, or its friction is larger",
-                "find what blocks it; if nothing does, use a larger share of the torque limit",
+                "the joint stands still against the largest push: it stands against something, or friction is more",
+                "see what holds it; if nothing does, use a larger share of the torque limit",
             ),
         }
     }

@@ -120,11 +120,11 @@ pub fn angles(q: &[f64], what: &str, kind: Kind) -> Vec<FileWarning> {
 }
 
 /// Returns warnings about joint angles outside the device's limits.
-pub fn beyond_limits(q: &[f64], description: &Description) -> Vec<FileWarning> {
+pub fn pose_limit_warnings(q: &[f64], description: &Description) -> Vec<FileWarning> {
     let outside = |(joint, angle): (usize, &f64)| {
         let (low, high) = description.joints[joint].limits?;
         let text = format!(
-            "the pose puts joint {joint} at {angle} rad, outside its limits [{low}, {high}]: the device never stands so"
+            "the pose puts joint {joint} at {angle} rad, outside its limits [{low}, {high}]: the device never takes this pose"
         );
         (!(low..=high).contains(angle)).then_some(FileWarning { key: None, text })
     };

@@ -236,7 +236,7 @@ pub fn tune(question: &Question<'_>, sweep: &Sweep) -> Result<TuneResult, Failur
             "no wall here keeps a ripple of {} N within the margins",
             question.ripple_n
         ))
-        .remedy("ask at another pose or normal (`haptic design`), or allow more")
+        .remedy("choose another pose or normal (`haptic design`), or allow more ripple")
         .choose(Choice::Ripple));
     };
     let (active, limits, beside) = sweep.during("what limits it", || limits(&context, &best))?;

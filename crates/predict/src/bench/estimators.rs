@@ -1,4 +1,4 @@
-//! Compares velocity estimators on a device, in simulation with encoder steps: the area of comes_to_rest walls, the ripple of a
+//! Compares velocity estimators on a device, in simulation with encoder steps: the area of quiet walls, the ripple of a
 //! pressed wall's force, and the delay and noise of the velocity.
 //!
 //! Every wall is simulated by [`super::wall`]: the board's own step with the device's complete equations.
@@ -25,11 +25,11 @@ const RECORD_S: f64 = 0.3;
 /// Speed (m/s) and duration (s) of the slow motion for the noise of the velocity estimate.
 const SLOW: f64 = 0.01;
 const SLOW_S: f64 = 0.2;
-/// Number of dampings at which the largest comes_to_rest stiffness is searched.
+/// Number of dampings at which the largest quiet stiffness is searched.
 const DAMPINGS: usize = 8;
 /// Precision of a largest stiffness, as a ratio.
 const PRECISION: f64 = 1.05;
-/// Amplitude of the tip in counts when a wall is struck, and the amplitude below which the wall counts as comes_to_rest.
+/// Amplitude of the tip in counts when a wall is struck, and the amplitude below which the wall counts as quiet.
 const STRIKE_COUNTS: f64 = 40.0;
 const QUIET_COUNTS: f64 = 6.0;
 /// Time within which a struck wall must come to rest, s.
@@ -76,7 +76,7 @@ pub struct Row {
     pub value: Option<u32>,
     /// Cutoff, Hz, if the estimator has one.
     pub cutoff_hz: Option<f64>,
-    /// ∫ largest comes_to_rest stiffness over damping, N²s/m²: simulated, with encoder steps and friction. The search ends at
+    /// ∫ largest quiet stiffness over damping, N²s/m²: simulated, with encoder steps and friction. The search ends at
     /// 1e7 N/m and at five times the damping that is predicted stable with the Butterworth, so the area may be larger.
     pub area: f64,
     /// Root mean square of the wall's force under a hand that presses ever harder, about its fitted line, N: without
@@ -213,8 +213,8 @@ impl<'a> Trials<'a> {
         })
     }
 
-    /// Computes ∫ largest comes_to_rest stiffness over damping by the trapezoidal rule on even dampings, until no wall is
-    /// comes_to_rest. `damping` (N s/m) is the largest that is predicted stable with the Butterworth.
+    /// Computes ∫ largest quiet stiffness over damping by the trapezoidal rule on even dampings, until no wall is
+    /// quiet. `damping` (N s/m) is the largest that is predicted stable with the Butterworth.
     fn area(&self, wall: &Rendered, damping: f64) -> Result<f64, Failure> {
         let step = damping * 1.25 / DAMPINGS as f64;
         let (mut area, mut last) = (0.0, 0.0);

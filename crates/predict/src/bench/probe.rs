@@ -1,5 +1,5 @@
 //! Situations in which errors are computed: a pose, a wall's normal, a hand motion, and the largest force of the motors
-//! along the normal in addition to weight and motion. Motions that need more than the motors' torque are remaining_force out.
+//! along the normal in addition to weight and motion. Motions that need more than the motors' torque are left out.
 
 use crate::boards::torque_at_rest;
 use haptic_bridge::math::Libm;
@@ -134,7 +134,7 @@ fn push<M: Mechanism<f64, N>, const N: usize>(
     let weight = m.gravity(&pose);
     let (plain, shaping) = (m.transpose(&pose, &n), m.shaping(&pose, &n));
     let per_newton = SVector::<f64, N>::from_fn(|i, _| plain[i].abs().max((shaping.me[i] / shaping.w_rr).abs()));
-    // Force that the motors have remaining_force after weight and motion; not positive if these need all of the torque.
+    // Force that the motors have left after weight and motion; not positive if these need all of the torque.
     let remaining_force = |b: &SVector<f64, N>| {
         let joints = (0..N).filter_map(|i| device.joints[i].motor.map(|motor| (i, torque_at_rest(&motor, N))));
         let share = joints.map(|(i, most)| (most - weight[i].abs() - b[i].abs()) / per_newton[i].max(1.0e-9));

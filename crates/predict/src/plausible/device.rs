@@ -66,7 +66,7 @@ pub fn file_warnings(file: &DeviceFile) -> Vec<FileWarning> {
     warnings.extend(missing_transmission(description));
     let gravity = description.gravity.iter().take(spec.task).map(|g| g * g).sum::<f64>().sqrt();
     if gravity != 0.0 && !(1.0..12.0).contains(&gravity) {
-        let text = format!("gravity is {gravity:.3} m/s² in all: 9.81 on earth");
+        let text = format!("gravity is {gravity:.3} m/s² in total: on earth it is 9.81");
         warnings.push(FileWarning::new(key("", None, "", "gravity"), text));
     }
     warnings.extend(home_warnings(description));
@@ -178,8 +178,8 @@ fn link_warnings(link: &Link, index: usize, place: &str, longest: f64, heaviest:
     let sum: f64 = three.iter().sum();
     if three.iter().any(|one| *one > 1.01 * (sum - one)) {
         let text = format!(
-            "the three inertias of {place} ({}, axial {}, transverse {}) belong to no body: one is more than the other \
-             two together",
+            "the three inertias of {place} ({}, axial {}, transverse {}) fit no body: one exceeds the sum of the \
+             other two",
             link.inertia, link.inertia_axial, link.inertia_transverse
         );
         warnings.push(FileWarning::new(at("inertia_axial"), text));
@@ -235,7 +235,7 @@ fn current_shortfall(file: &DeviceFile, index: usize) -> Option<FileWarning> {
     let text = if let Some((supply, written)) = file.supply.zip(file.beyond_supply[index]) {
         format!(
             "the supply of {supply} V drives {given} through the motor of joint {index} at rest ({MAX_DUTY} of it over its \
-             resistance), not its max_current of {}: its torque is reckoned with {given}",
+             resistance), not its max_current of {}: predictions use {given}",
             with_unit(written, "A")
         )
     } else if file.supply.is_none() && volts > supply * f64::from(MAX_DUTY) && volts <= LARGEST_SUPPLY_V {

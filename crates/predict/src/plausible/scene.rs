@@ -146,7 +146,7 @@ pub fn file_warnings(subject: &Subject, scene: &Scene<f64>) -> (Vec<FileWarning>
 /// Warns of a wall on a compliant device whose feed-forward compensates damping: its stability is not predicted.
 fn without_prediction(subject: &Subject, index: usize, wall: &Wall<f64>) -> Option<FileWarning> {
     let shaped = wall.damping_compensation && wall.feed_forward != FeedForward::Off;
-    let text = format!("whether wall {index} is stable is not predicted: {}", AnalysisError::CompensatedFlexible);
+    let text = format!("the stability of wall {index} is not predicted: {}", AnalysisError::CompensatedFlexible);
     let key = Key { table: "wall", index: Some(index), part: "", name: "damping_compensation" };
     (shaped && subject.is_flexible()).then(|| FileWarning::new(key, text))
 }

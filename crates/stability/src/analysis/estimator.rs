@@ -73,7 +73,7 @@ impl LinearEstimator {
         }
     }
 
-    /// Returns the estimators of scenes without a window of their states_part, by name. One filter represents each;
+    /// Returns the estimators of scenes without a window of their own, by name. One filter represents each;
     /// [`LinearEstimator::over`] adds a window to any estimator with a difference.
     pub fn named() -> impl Iterator<Item = (&'static str, Kind)> {
         let windowless = |kind: Kind| kind.spec().is_none_or(|spec| spec.key.is_none());

@@ -175,7 +175,7 @@ pub(crate) fn reduce(
     let directions = DMatrix::from_columns(std::slice::from_ref(&flexible.normal));
     let observed = ObservedDevice { mass, viscous, flexible, rows: &rows, directions: &directions };
     let ReducedDevice { a, b, seen } = reduce_observed(&observed, lags, inputs, sample_s, reference_mass)?;
-    Some(ContinuousPlant::of_a_flexible_device(a, b, seen.row(0).transpose()))
+    Some(ContinuousPlant::of_flexible_device(a, b, seen.row(0).transpose()))
 }
 
 /// The same with walls along several directions.

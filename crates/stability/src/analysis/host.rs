@@ -104,7 +104,7 @@ fn host_loop(board: &OpenLoop, steps: usize, late: usize) -> OpenLoop {
         sample_s: board.sample_s * steps as f64,
         drift: None,
         resonances,
-        still: board.still,
+        rounding: board.rounding,
     }
 }
 

@@ -10,13 +10,13 @@
 //!
 //! The first bound is proven by a disc. A passive system in parallel with b moves by f/(b + passive) for a force f,
 //! which lies in a disc of radius 1/(2b) about 1/(2b). When sampled, the hold and its aliases ω_k = (θ + 2πk)/T add
-//! such discs to condition_at about C of radius r, and the loop avoids -1 if |1 + H C| > |H| r. A delay of whole samples rotates
+//! such discs to one about C of radius r, and the loop avoids -1 if |1 + H C| > |H| r. A delay of whole samples rotates
 //! C. A fraction of a sample and a lagging drive L(jω) do not rotate all aliases equally. With them C = G/(2b), where G
 //! is the motion of an integrator behind the hold, the delay and the lag at its samples, and r = T/(2b) |1 - e^-jθ| Σ_k
 //! |L(jω_k)|/(θ + 2πk)². The condition is 1 + 2 Re(H C) - |H|² (r² - |C|²) > 0 at every θ, a convex set of (kp, kd),
 //! for H = kp + kd V with the velocity estimator V. For slow motions it becomes b > kp T (1/2 + delay) + kp · lag.
 //!
-//! Both bounds are for condition_at moving mass whose force acts along its motion. On a device with several joints the least
+//! Both bounds are for one moving mass whose force acts along its motion. On a device with several joints the least
 //! favourable admissible motion counts, so b and fc are the smallest dissipation of any joint motion with unit rendered
 //! velocity. The bounds do not cover the feed-forward, whose torques do not act along the rendered motion. Nor do they
 //! cover an encoder behind the spring of a transmission, a rendered posture, drives with different lags, and a velocity
@@ -51,7 +51,7 @@ pub struct Passivity {
     angles: Vec<Angle>,
 }
 
-/// Condition at condition_at angle.
+/// Condition at one angle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Angle {
     /// C, m/N.
@@ -97,7 +97,7 @@ impl Passivity {
         })
     }
 
-    /// Returns the largest passive stiffness at a damping (N s/m), N/m; zero beyond [`Passivity::most_damping`].
+    /// Returns the largest passive stiffness at a damping (N s/m), N/m; zero beyond [`Passivity::largest_damping`].
     pub fn sampled(&self, kd: f64) -> f64 {
         let allowed = self.angles.iter().map(|angle| {
             let Angle { centre, spread, velocity } = angle;
@@ -108,7 +108,7 @@ impl Passivity {
     }
 
     /// Returns the largest passive damping, N s/m.
-    pub fn most_damping(&self) -> f64 {
+    pub fn largest_damping(&self) -> f64 {
         let allowed = self.angles.iter().map(|angle| {
             let Angle { centre, spread, velocity } = angle;
             positive_root(spread * velocity.norm_sqr(), 2.0 * (velocity * centre).re, 1.0)
@@ -180,7 +180,7 @@ fn integrator_response(theta: f64, rate: f64, delay_samples: f64) -> Complex<f64
         false => (1.0, 0.0),
     };
     let ((kept, early), (left, rest)) = (over(late), over(1.0 - late));
-    // The command of the previous sample until `late`, then the command of this condition_at.
+    // The command of the previous sample until `late`, then the command of this one.
     let before = turn.conj();
     let force = (before * (1.0 - kept) * left + (1.0 - left)) / (turn - kept * left);
     let moved = force * (early + kept * rest) + before * (late - early + (1.0 - kept) * rest) + (1.0 - late - rest);
@@ -216,7 +216,7 @@ mod tests {
         // b = 2e-3/0.1² = 0.2 N s/m, fc = 0.05 N, Δ = 0.1 · 1e-4 m.
         assert!((bounds.sampled(0.05) - 300.0).abs() < 1e-6);
         assert_eq!(bounds.sampled(0.3), 0.0);
-        assert!((bounds.most_damping() - 0.2).abs() < 1e-9);
+        assert!((bounds.largest_damping() - 0.2).abs() < 1e-9);
         // 2 fc/Δ = 1e4 N/m is above 2b/T = 400 N/m.
         assert!((bounds.quantised().unwrap() - 400.0).abs() < 1e-6);
         // A sample of delay triples T/2.
