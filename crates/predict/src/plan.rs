@@ -7,7 +7,7 @@
 //! result is a scene (with `velocity_terms` and `feed_forward` set) and a mass model, and the board runs exactly that.
 
 use crate::bench::counts;
-use crate::bench::error::{Errors, Law, StepVariant, Terms, Trigonometry, VariantErrors, errors};
+use crate::bench::error::{Errors, Law, Terms, TorqueVariant, Trigonometry, VariantErrors, errors};
 use crate::bench::precompute::{Precomputed, frozen, most_points, range, table};
 use crate::bench::probe::{Probe, on_surface};
 use haptic_bridge::model::device::Device;
@@ -154,7 +154,7 @@ fn plan_on(
     let mut candidates: Vec<Candidate> = Vec::new();
     let mut chosen = None;
     for (instructions, terms, mass) in variants {
-        let variant = StepVariant { model: &mass, terms, trigonometry: Trigonometry::Tabulated, law };
+        let variant = TorqueVariant { model: &mass, terms, trigonometry: Trigonometry::Tabulated, law };
         let VariantErrors { whole: errors, given } = errors(device, &probes, &variant);
         let used = budget.used(&given);
         candidates.push(Candidate { model: mass.name(), terms: terms.name(), instructions, errors, given, used });

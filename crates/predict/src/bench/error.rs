@@ -113,7 +113,7 @@ pub enum Trigonometry {
 
 /// A variant of the torque computation.
 #[derive(Clone, Copy, Debug)]
-pub struct StepVariant<'a> {
+pub struct TorqueVariant<'a> {
     /// Mass matrix.
     pub model: &'a Precomputed,
     /// Terms of equation (4).
@@ -232,14 +232,14 @@ macro_rules! with_trigonometry {
 pub(super) use with_trigonometry;
 
 /// Computes the errors of a variant over `probes`.
-pub fn errors(device: &Device<f64>, probes: &[Probe], way: &StepVariant<'_>) -> VariantErrors {
+pub fn errors(device: &Device<f64>, probes: &[Probe], way: &TorqueVariant<'_>) -> VariantErrors {
     with_mechanism!(&device.mechanism, exact => {
         with_trigonometry!(way.trigonometry, K => compare::<K, _, _, _>(device, exact, &exact.cast(), probes, way))
     })
 }
 
 /// Returns the sources of a variant's error over `probes`.
-pub fn parts(device: &Device<f64>, probes: &[Probe], way: &StepVariant<'_>) -> Parts {
+pub fn parts(device: &Device<f64>, probes: &[Probe], way: &TorqueVariant<'_>) -> Parts {
     with_mechanism!(&device.mechanism, exact => {
         with_trigonometry!(way.trigonometry, K => parts_of::<K, _, _, _>(exact, &exact.cast(), probes, way))
     })
@@ -250,7 +250,7 @@ fn compare<K: Math<f32>, E: Mechanism<f64, N>, B: Mechanism<f32, N>, const N: us
     exact: &E,
     board: &B,
     probes: &[Probe],
-    &StepVariant { model, terms, law, .. }: &StepVariant<'_>,
+    &TorqueVariant { model, terms, law, .. }: &TorqueVariant<'_>,
 ) -> VariantErrors {
     let Some(mass) = MassModel::<f32, N>::new::<B>(&model.data, &model.values) else { return VariantErrors::default() };
     let torques: Vec<_> = probes.iter().map(|probe| torque::<f32, K, B, N>(board, &mass, terms, law, probe)).collect();
@@ -334,7 +334,7 @@ fn parts_of<K: Math<f32>, E: Mechanism<f64, N>, B: Mechanism<f32, N>, const N: u
     exact: &E,
     board: &B,
     probes: &[Probe],
-    &StepVariant { model, terms, law, .. }: &StepVariant<'_>,
+    &TorqueVariant { model, terms, law, .. }: &TorqueVariant<'_>,
 ) -> Parts {
     let Some(mass) = MassModel::<f32, N>::new::<B>(&model.data, &model.values) else { return Parts::default() };
     let mut parts = Parts { area: f64::INFINITY, ..Parts::default() };

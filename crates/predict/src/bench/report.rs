@@ -2,7 +2,7 @@
 
 use crate::bench::counts;
 use crate::bench::error::{
-    Errors, Law, Parts, STIFFNESS, Terms, Trigonometry, Way, encoder_step, errors, parts, with_trigonometry,
+    Errors, Law, Parts, STIFFNESS, Terms, TorqueVariant, Trigonometry, encoder_step, errors, parts, with_trigonometry,
 };
 use crate::bench::precompute::{Precomputed, frozen, most_points, range, table};
 use crate::bench::probe::{HAND_SPEED, Probe, workspace};
@@ -109,7 +109,7 @@ pub fn variants(device: &Device<f64>, timed: bool) -> Result<Vec<Variant>, Failu
                 if terms == Terms::None && model.name() != "exact" {
                     continue;
                 }
-                let way = Way { model, terms, trigonometry, law };
+                let way = TorqueVariant { model, terms, trigonometry, law };
                 let (errors, parts) = (errors(device, &probes, &way), parts(device, &probes, &way));
                 let variant = |target, instructions, nanoseconds| Variant {
                     name: format!("{}/{name}/{}/{}", spec.name, model.name(), terms.name()),
@@ -157,7 +157,7 @@ fn mark_front(variants: &mut [Variant]) {
 }
 
 /// Returns the time of one torque on this computer, ns: the best of several runs over the probes.
-fn nanoseconds(device: &Device<f64>, probes: &[Probe], way: &Way<'_>) -> f64 {
+fn nanoseconds(device: &Device<f64>, probes: &[Probe], way: &TorqueVariant<'_>) -> f64 {
     with_mechanism!(device.mechanism.cast::<f32>(), m => {
         with_trigonometry!(way.trigonometry, K => time::<K, _, _>(&m, probes, way))
     })
@@ -166,7 +166,7 @@ fn nanoseconds(device: &Device<f64>, probes: &[Probe], way: &Way<'_>) -> f64 {
 fn time<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(
     m: &M,
     probes: &[Probe],
-    &Way { model, terms, law, .. }: &Way<'_>,
+    &TorqueVariant { model, terms, law, .. }: &TorqueVariant<'_>,
 ) -> f64 {
     let Some(mass) = MassModel::<f32, N>::new::<M>(&model.data, &model.values) else { return f64::NAN };
     let some = &probes[..probes.len().min(1000)];
