@@ -156,19 +156,19 @@ pub(crate) fn deviation_from_line(values: &[f64]) -> (f64, f64) {
 
 /// The part of a force above [`RIPPLE_HZ`]: the force minus a trend of two poles in series.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Fast {
+pub(crate) struct RippleFilter {
     share: f64,
     trends: [f64; 2],
 }
 
-impl Fast {
+impl RippleFilter {
     /// Starts a filter for a force at this sample rate that was zero before.
     pub fn new(rate_hz: f64) -> Self {
         Self { share: 1.0 - (-std::f64::consts::TAU * RIPPLE_HZ / rate_hz).exp(), trends: [0.0; 2] }
     }
 
     /// Filters the next sample.
-    pub fn of(&mut self, force: f64) -> f64 {
+    pub fn filter(&mut self, force: f64) -> f64 {
         self.trends.iter_mut().fold(force, |left, trend| {
             *trend += self.share * (left - *trend);
             left - *trend

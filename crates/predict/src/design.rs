@@ -56,7 +56,7 @@ fn task_position(pose: &TaskPose, q: &[f64]) -> DVector<f64> {
 /// Returns joint angles near `from` (rad) at which a device is at a task position (tip in m, then φ), by Newton's
 /// method. `None` if the position is out of reach.
 #[must_use]
-pub fn reaching(device: &Device<f64>, from: &[f64], place: &DVector<f64>) -> Option<Vec<f64>> {
+pub fn angles_at(device: &Device<f64>, from: &[f64], place: &DVector<f64>) -> Option<Vec<f64>> {
     with_mechanism!(&device.mechanism, m => newton(m, from, place))
 }
 
@@ -85,6 +85,6 @@ pub fn singular() -> Failure {
 }
 
 /// Builds a device for analysis only.
-fn lumped(description: &Description) -> Result<Device<f64>, Failure> {
+fn build_device(description: &Description) -> Result<Device<f64>, Failure> {
     Device::new("", description).map_err(Failure::wrong)
 }

@@ -29,7 +29,7 @@ pub fn device_file(device: &Device<f32>, near: Option<&Description>) -> Option<S
         "an offset only to half a count.",
     ];
     let about = about.map(String::from);
-    starts.flat_map(|start| Search::near(device, start)).find_map(|description| {
+    starts.flat_map(|start| Search::find_near(device, start)).find_map(|description| {
         let text = read_back::to_toml(&about, &read_back::device(&device.name, &description));
         let read = DeviceFile::parse(&text, "read back").ok()?.device::<f32>().ok()?;
         (read == *device).then_some(text)
@@ -88,7 +88,7 @@ fn size(unknown: usize) -> f64 {
     }
 }
 
-fn may_be_negative(unknown: usize) -> bool {
+fn can_be_negative(unknown: usize) -> bool {
     unknown < GEOMETRY || ((LINKS..JOINTS).contains(&unknown) && (unknown - LINKS) % 5 == 1)
 }
 
@@ -101,7 +101,7 @@ struct Search {
 
 impl Search {
     /// Finds a description near `start`, with the home pose, friction, encoders and motors of the device.
-    fn near(device: &Device<f32>, mut start: Description) -> Option<Description> {
+    fn find_near(device: &Device<f32>, mut start: Description) -> Option<Description> {
         let targets: Vec<_> = coefficients(&device.mechanism)
             .into_iter()
             .map(|(_, value)| (value as f32, rounds_to(value as f32)))
@@ -196,7 +196,7 @@ impl Search {
                 let mut next = x;
                 for (at, step) in free.iter().zip(step.iter()) {
                     next[*at] += share * step;
-                    if !may_be_negative(*at) {
+                    if !can_be_negative(*at) {
                         next[*at] = next[*at].max(0.0);
                     }
                 }
@@ -235,7 +235,7 @@ impl Search {
             let scaled = svd.solve(&miss, least).ok()?;
             // An unknown at zero that would become negative is held.
             let stuck = |column: usize| {
-                !held[column] && !may_be_negative(free[column]) && x[free[column]] <= 0.0 && scaled[column] < 0.0
+                !held[column] && !can_be_negative(free[column]) && x[free[column]] <= 0.0 && scaled[column] < 0.0
             };
             let new: Vec<usize> = (0..free.len()).filter(|column| stuck(*column)).collect();
             if new.is_empty() {

@@ -402,14 +402,14 @@ pub struct JogResult {
 /// second with the newest control step that the board reported.
 pub fn run(session: &mut Session, plan: &Plan, key: impl FnMut(u32) -> io::Result<Option<Key>>) -> JogResult {
     let mut from = None;
-    let ended = while_held(session, plan, key, &mut from);
+    let ended = jog_while_held(session, plan, key, &mut from);
     let off = session.disarm();
     let joint = plan.jog.joint;
     let moved = from.and_then(|from: f32| session.status().ok().map(|status| f64::from(status.q[joint] - from)));
     JogResult { ended: ended.and_then(|ended| Ok(off.map(|()| ended)?)), moved }
 }
 
-fn while_held(
+fn jog_while_held(
     session: &mut Session,
     plan: &Plan,
     mut key: impl FnMut(u32) -> io::Result<Option<Key>>,
@@ -481,7 +481,7 @@ mod tests {
 
     /// Simulates a mass (kg m²) with dry friction (N m) behind an encoder, pushed every 12 ms; `drive` turns the
     /// commanded torque into the one that acts. Returns the end, the final angle (rad) and the highest speed (rad/s).
-    fn pushed(aim: JogParameters, friction: f64, drive: impl Fn(f64) -> f64) -> (JogEnd, f64, f64) {
+    fn simulate_push(aim: JogParameters, friction: f64, drive: impl Fn(f64) -> f64) -> (JogEnd, f64, f64) {
         let (mut angle, mut speed, mut fastest) = (0.0_f64, 0.0_f64, 0.0_f64);
         let (mut control_loop, step) = (ControlLoop::new(aim, [0.0; 3]), 1e-4);
         for period in 1..10_000 {
@@ -514,7 +514,7 @@ mod tests {
                 for counts in [2000.0, 20_000.0] {
                     for by in [0.1, -0.1, 0.4] {
                         let aim = parameters(inertia, by, counts);
-                        let (ended, angle, fastest) = pushed(aim, friction, |torque| torque);
+                        let (ended, angle, fastest) = simulate_push(aim, friction, |torque| torque);
                         let case =
                             format!("{inertia} kg m², {friction} N m, {counts}, {by}: {angle} rad, {fastest} rad/s");
                         assert_eq!(ended, JogEnd::Arrived, "{case}");
@@ -532,10 +532,10 @@ mod tests {
         for inertia in [1e-4, 1e-3, 1e-2] {
             for by in [0.1, -0.1] {
                 let aim = parameters(inertia, by, 20_000.0);
-                let (ended, angle, _) = pushed(aim, 0.01, |torque| -torque);
+                let (ended, angle, _) = simulate_push(aim, 0.01, |torque| -torque);
                 assert!(matches!(ended, JogEnd::Backward | JogEnd::TooFast), "{ended:?}");
                 assert!(angle.abs() < 0.1, "{angle}");
-                assert_eq!(pushed(aim, 0.06, |torque| torque).0, JogEnd::Stuck);
+                assert_eq!(simulate_push(aim, 0.06, |torque| torque).0, JogEnd::Stuck);
             }
         }
     }

@@ -103,7 +103,7 @@ impl Pressed<'_> {
     /// Returns the largest force of a single count: the response of the wall's stiffness, and of its damping through
     /// the estimator, to a step of the position, N.
     pub fn step_n(&self, kp: f64, kd: f64) -> Option<f64> {
-        Some(self.count_m()? * (kp + kd * self.around.estimator.quickest(self.around.rate_hz)))
+        Some(self.count_m()? * (kp + kd * self.around.estimator.peak_step_response(self.around.rate_hz)))
     }
 
     fn resolutions(&self) -> Option<Vec<f64>> {
@@ -176,7 +176,7 @@ impl Pressed<'_> {
         let mobility = self.device.mass.clone().cholesky()?.inverse();
         let shaped = self.device.shaped_torque();
         let holding: [f64; MAX_JOINTS] = padded(self.holding_force(mode, &mobility, &shaped)?.as_slice());
-        let mut law = Linear::new(self, steps, mode, (kp, kd), offset, &mobility, &shaped);
+        let mut law = LinearLaw::new(self, steps, mode, (kp, kd), offset, &mobility, &shaped);
         let before = padded((&self.device.row * self.push_n).as_slice());
         let contact =
             Contact { carried: weight, before, ..Contact::new(plant, padded(&self.normal), self.around, self.hand) };
@@ -215,7 +215,7 @@ impl Pressed<'_> {
 
 /// The control loop of a prediction: its estimator, feed-forward and posture, linearised at the pose, with encoder
 /// steps.
-struct Linear<'a> {
+struct LinearLaw<'a> {
     steps: &'a [f64],
     q0: [f64; MAX_JOINTS],
     offset: f64,
@@ -270,7 +270,7 @@ impl EstimatedMotion {
     }
 }
 
-impl<'a> Linear<'a> {
+impl<'a> LinearLaw<'a> {
     fn new(
         pressed: &'a Pressed<'_>,
         steps: &'a [f64],
@@ -283,7 +283,7 @@ impl<'a> Linear<'a> {
         let (device, joints) = (pressed.device, steps.len());
         let estimator = pressed.around.estimator.matrix(pressed.around.rate_hz);
         let q0 = padded(&pressed.q);
-        let angles = stepped(&q0, &q0, steps, offset);
+        let angles = encoder_angles(&q0, &q0, steps, offset);
         let estimated = |row: DVector<f64>| EstimatedMotion::new(row, &estimator, &angles);
         let unit = &device.unit_motion;
         let compensated = (pressed.around.damping_compensation && mode != Mode::Off).then(|| {
@@ -315,7 +315,7 @@ impl<'a> Linear<'a> {
 }
 
 /// Returns the angles of the joints relative to `q0` by their encoders, rad.
-fn stepped(q: &[f64; MAX_JOINTS], q0: &[f64; MAX_JOINTS], steps: &[f64], offset: f64) -> DVector<f64> {
+fn encoder_angles(q: &[f64; MAX_JOINTS], q0: &[f64; MAX_JOINTS], steps: &[f64], offset: f64) -> DVector<f64> {
     DVector::from_fn(steps.len(), |j, _| {
         // A separate offset for each joint, so that joints do not step together.
         let origin = (offset + 0.37 * j as f64).fract();
@@ -323,10 +323,10 @@ fn stepped(q: &[f64; MAX_JOINTS], q0: &[f64; MAX_JOINTS], steps: &[f64], offset:
     })
 }
 
-impl Law for Linear<'_> {
+impl Law for LinearLaw<'_> {
     fn evaluate(&mut self, measured: &[f64; MAX_JOINTS]) -> LawOutput {
         let (period, estimator) = (self.period, &self.estimator);
-        let angles = stepped(measured, &self.q0, self.steps, self.offset);
+        let angles = encoder_angles(measured, &self.q0, self.steps, self.offset);
         let given = self.mobility * &self.commanded * (period * period);
         let (x, moved) = self.wall.estimate(&angles, estimator, &given);
         let force = (-self.kp * (self.surface + x) - self.kd * moved / period).max(0.0);

@@ -169,7 +169,7 @@ pub fn device_file(kind: Kind, name: &str) -> String {
     for (index, (inertia, limits, comment)) in example.joints.iter().enumerate() {
         let first = index == 0;
         let note = |comment: &'static str| if first { comment } else { "" };
-        line(&format!("\n[[joint]]  # {index}\ninertia"), number(*inertia), &prefixed("kg m²", comment));
+        line(&format!("\n[[joint]]  # {index}\ninertia"), number(*inertia), &with_prefix("kg m²", comment));
         line("viscous", "3.0e-4".into(), note("N m s/rad, friction that grows with speed; default 0"));
         line("coulomb", "2.0e-3".into(), note("N m, friction that does not; default 0"));
         line(
@@ -303,7 +303,7 @@ fn line(key: &str, value: &str, comment: &str) -> String {
     format!("{before}{}\n", format!("{pair:<36} {comment}").trim_end())
 }
 
-fn prefixed(unit: &str, comment: &str) -> String {
+fn with_prefix(unit: &str, comment: &str) -> String {
     if comment.is_empty() { String::new() } else { format!("{unit}: {comment}") }
 }
 

@@ -239,7 +239,7 @@ impl Sweep {
         let found: Option<BTreeMap<usize, R>> = kept.done.iter().map(read).collect();
         found
             .filter(|_| kept.of == of)
-            .ok_or_else(|| damaged(file, &format!("its part \"{stage}\" is of another kind")))
+            .ok_or_else(|| damaged_file(file, &format!("its part \"{stage}\" is of another kind")))
     }
 
     fn lock(&self) -> std::sync::MutexGuard<'_, State> {
@@ -283,11 +283,11 @@ fn read_checkpoint(file: &Path) -> Result<Option<Checkpoint>, Failure> {
     match haptic_host::input::read_own(file) {
         Err(error) if error.kind() == ErrorKind::NotFound => Ok(None),
         Err(error) => Err(Failure::impossible(format!("{} cannot be read: {error}", file.display()))),
-        Ok(bytes) => serde_json::from_slice(&bytes).map(Some).map_err(|error| damaged(file, &error)),
+        Ok(bytes) => serde_json::from_slice(&bytes).map(Some).map_err(|error| damaged_file(file, &error)),
     }
 }
 
-fn damaged(file: &Path, why: &dyn std::fmt::Display) -> Failure {
+fn damaged_file(file: &Path, why: &dyn std::fmt::Display) -> Failure {
     Failure::wrong(format!("{} is not what a search keeps: {why}", file.display()))
         .remedy("name another file")
         .choose(Choice::Kept)

@@ -170,7 +170,7 @@ pub fn compare(comparison: &Comparison<'_>, sweep: &Sweep) -> Result<Vec<Row>, F
 
 /// Returns the root mean square of the pressed wall's force with one estimator, as [`Row::ripple_n`], N.
 pub fn ripple_of(comparison: &Comparison<'_>, kind: Estimator) -> Result<Option<f64>, Failure> {
-    let sweep = Sweep::comes_to_rest();
+    let sweep = Sweep::quiet();
     Ok(Trials::new(comparison, &sweep)?.ripple(&comparison.rendered(kind, comparison.cutoff_hz))?.0)
 }
 

@@ -91,14 +91,14 @@ pub fn table(
     points: [u8; 2],
     range: [[f64; 2]; 2],
 ) -> Option<Precomputed> {
-    fn filled<M: Mechanism<f64, N>, const N: usize>(m: &M, grid: &Grid<f64>) -> Vec<f32> {
+    fn tabulated_values<M: Mechanism<f64, N>, const N: usize>(m: &M, grid: &Grid<f64>) -> Vec<f32> {
         let mut values = vec![0.0; grid.values(M::MASS_ENTRIES.len())];
         tabulate::<f64, Libm, M, N>(m, grid, |index, value| values[index] = value as f32);
         values
     }
     let entries = device.mechanism.mass_entries().len();
     let grid = Grid::<f64>::new(interpolation, points, range[0], range[1], entries)?;
-    let values = with_mechanism!(&device.mechanism, m => filled(m, &grid));
+    let values = with_mechanism!(&device.mechanism, m => tabulated_values(m, &grid));
     if values.iter().any(|value| !value.is_finite()) {
         return None;
     }

@@ -78,7 +78,7 @@ pub fn on_surface(
     for index in reachable.indices() {
         let q = padded(&reachable.angles(index));
         with_mechanism!(&device.mechanism, m => {
-            if let Some((q, normal)) = moved_onto(m, device, surface, &q, &spacing) {
+            if let Some((q, normal)) = move_onto(m, device, surface, &q, &spacing) {
                 push_situations(m, device, &q, &normal, Some(surface), speed, &mut probes);
             }
         });
@@ -92,7 +92,7 @@ fn task_part<M: Mechanism<f64, N>, const N: usize>(task: &SVector<f64, N>) -> SV
 
 /// Moves a pose onto the surface by Newton's method along the normal; `None` if the surface is more than about a grid
 /// cell away.
-fn moved_onto<M: Mechanism<f64, N>, const N: usize>(
+fn move_onto<M: Mechanism<f64, N>, const N: usize>(
     m: &M,
     device: &Device<f64>,
     surface: &Surface<f64>,
@@ -114,7 +114,7 @@ fn moved_onto<M: Mechanism<f64, N>, const N: usize>(
     None
 }
 
-fn push<M: Mechanism<f64, N>, const N: usize>(
+fn push_situations<M: Mechanism<f64, N>, const N: usize>(
     m: &M,
     device: &Device<f64>,
     q: &[f64; MAX_JOINTS],

@@ -5,7 +5,7 @@
 //! estimator. `haptic tune estimators` compares estimators with this simulation ([`super::estimators`]), and
 //! [`mod@crate::tune`] searches with it.
 
-use crate::contact::{Contact, Fast, Grip, Law, LawOutput};
+use crate::contact::{Contact, Grip, Law, LawOutput, RippleFilter};
 use crate::measure::complement;
 use crate::ripple::{LIGHT_HAND, PUSH_N, RISE};
 use haptic_bridge::control::compiled::BoardMath;
@@ -172,11 +172,11 @@ impl WallSimulation {
         let rate_hz = self.around.rate_hz;
         let (settle, all) = ((SETTLE_S * rate_hz) as usize, ((SETTLE_S + SLIDE_S) * rate_hz).round() as usize);
         let recorded = (all - settle) as f64;
-        let mut fast = Fast::new(rate_hz);
+        let mut fast = RippleFilter::new(rate_hz);
         let (mut n, mut force_sum, mut square) = (0, 0.0, 0.0);
         let enough = bound_n * bound_n * recorded;
         let kept = self.run(wall, Trial::SlidAlong, SETTLE_S + SLIDE_S, |force, _| {
-            let fast = fast.of(force);
+            let fast = fast.filter(force);
             if n >= settle {
                 force_sum += force;
                 square += fast * fast;
@@ -233,7 +233,7 @@ impl WallSimulation {
         };
         let contact = Contact::new(plant, self.normal, &self.around, LIGHT_HAND);
         with_mechanism!(&self.board.mechanism, m => {
-            let mut law = Board::new(self, *m, &scene)?;
+            let mut law = BoardLaw::new(self, *m, &scene)?;
             Ok(contact.run(&mut law, seconds, grip, seen))
         })
     }
@@ -268,7 +268,7 @@ impl WallSimulation {
         let scene = self.scene(wall, true);
         let rate_hz = self.around.rate_hz;
         with_mechanism!(&self.board.mechanism, m => {
-            let mut board = Board::new(self, *m, &scene)?;
+            let mut board = BoardLaw::new(self, *m, &scene)?;
             let moved = (0..(seconds * rate_hz) as usize).map(|n| speed * n as f64 / rate_hz);
             Ok(moved.map(|moved| {
                 let q = core::array::from_fn(|i| self.q[i] + self.motion[i] * moved);
@@ -295,13 +295,13 @@ fn plant(description: &Description, q: [f64; MAX_JOINTS]) -> Result<Plant, Failu
 }
 
 /// The board's own step with its encoders.
-struct Board<'a, M: Mechanism<f32, N>, const N: usize> {
+struct BoardLaw<'a, M: Mechanism<f32, N>, const N: usize> {
     controller: Controller<f32, M, BoardMath, N>,
     encoders: &'a [EncoderModel],
     before: [f32; MAX_JOINTS],
 }
 
-impl<'a, M: Mechanism<f32, N>, const N: usize> Board<'a, M, N> {
+impl<'a, M: Mechanism<f32, N>, const N: usize> BoardLaw<'a, M, N> {
     fn new(simulation: &'a WallSimulation, mechanism: M, scene: &Scene<f32>) -> Result<Self, Failure> {
         let controller = Controller::new(mechanism, &simulation.board, scene).map_err(Failure::wrong)?;
         Ok(Self { controller, encoders: &simulation.encoders, before: [0.0; MAX_JOINTS] })
@@ -312,7 +312,7 @@ impl<'a, M: Mechanism<f32, N>, const N: usize> Board<'a, M, N> {
     }
 }
 
-impl<M: Mechanism<f32, N>, const N: usize> Law for Board<'_, M, N> {
+impl<M: Mechanism<f32, N>, const N: usize> Law for BoardLaw<'_, M, N> {
     fn evaluate(&mut self, measured: &[f64; MAX_JOINTS]) -> LawOutput {
         let step = self.controller.step_after(&self.before, &self.counts(measured));
         self.before = core::array::from_fn(|i| if i < N { step.torque[i] } else { 0.0 });

@@ -1,6 +1,6 @@
 //! Directions at a pose and places in the workspace.
 
-use super::{Stiffest, clearance, lumped, reaching, singular, task_position, within_limits};
+use super::{Stiffest, angles_at, build_device, clearance, singular, task_position, within_limits};
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device;
@@ -239,7 +239,7 @@ pub fn places(
     sweep: &Sweep,
 ) -> Result<Places, Failure> {
     let spec = description.kind.spec();
-    let device: Device<f64> = lumped(description)?;
+    let device: Device<f64> = build_device(description)?;
     let per_joint = (points as f64).powf(1.0 / spec.joints as f64).round().max(2.0) as usize;
     let reachable = Reachable::of(&device, per_joint, None)?;
     let all: Vec<Vec<f64>> = reachable.indices().map(|index| reachable.angles(index)).collect();
@@ -287,7 +287,7 @@ pub fn places(
         let mut found = place_wall(&pose, q, normal)?;
         let middle = task_position(&pose, q);
         for aside in &edge {
-            let there = reaching(&device, q, &(&middle + aside))?;
+            let there = angles_at(&device, q, &(&middle + aside))?;
             if !reachable.walkable(&there) {
                 return None;
             }

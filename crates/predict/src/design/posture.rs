@@ -5,7 +5,7 @@
 //! posture. Wrr depends on the held coordinate ([`Admissible`]) as well, and grows without bound towards postures in
 //! which that coordinate cannot be held; `clear` limits how near to them the arm may come.
 
-use super::{clearance, lumped, reaching, singular, task_position, within_limits};
+use super::{angles_at, build_device, clearance, singular, task_position, within_limits};
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device;
@@ -69,7 +69,7 @@ pub fn postures(
     if spec.joints == spec.task {
         return Ok(None);
     }
-    let device = lumped(description)?;
+    let device = build_device(description)?;
     let n = unit_normal(normal, spec.task, spec.joints)?;
     let start = TaskPose::of(&device.mechanism, q)?.regular()?;
     let here = posture(&device, q, &n, admissible).ok_or_else(singular)?;
@@ -80,7 +80,7 @@ pub fn postures(
         // At most a full turn of φ.
         for _ in 0..(std::f64::consts::TAU / STEP) as usize {
             place[spec.task] += direction;
-            let Some(next) = reaching(&device, &at, &place) else { break };
+            let Some(next) = angles_at(&device, &at, &place) else { break };
             let far = next.iter().zip(&at).any(|(next, at)| (next - at).abs() > 0.3);
             let Some(found) = posture(&device, &next, &n, admissible) else { break };
             if far || found.clearance < clear || !within_limits(&device, &next) {

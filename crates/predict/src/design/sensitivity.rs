@@ -1,7 +1,7 @@
 //! Effect of each number of a device on one wall: the wall stays at the same tip position while one number becomes a
 //! tenth larger or smaller.
 
-use super::{reaching, singular, task_position};
+use super::{angles_at, singular, task_position};
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::description::{Description, Joint};
@@ -232,7 +232,7 @@ pub fn sensitivities(
         let mut other = *description;
         change(&mut other, factor);
         let prediction = predicted(&other).ok()?;
-        let there = reaching(&prediction.subject.device, q, &place)?;
+        let there = angles_at(&prediction.subject.device, q, &place)?;
         Some(relative_to(results_at(&prediction, &there, normal)?, before))
     };
     let mut found: Vec<Sensitivity> = changes(description)

@@ -279,7 +279,7 @@ pub fn meets(
         buzz: buzz(wall.stiffness),
         force: force_along(device, &pose, &normal),
         count,
-        step_n: count * (wall.stiffness + wall.damping * estimator.quickest(scene.rate_hz)),
+        step_n: count * (wall.stiffness + wall.damping * estimator.peak_step_response(scene.rate_hz)),
         ripple_n: None,
         options: format!("{options} --kd {}", wall.damping),
         taken_for_rigid: subject.joints.is_none(),
@@ -351,7 +351,7 @@ pub fn beyond(wall: &Wall<f64>, contact: &Contact, in_file: bool) -> Vec<FileWar
              (`haptic range DEVICE {}`)",
             digits(wall.damping),
             with_unit(contact.damping_to, "N s/m"),
-            outlook(wall, contact),
+            instability_text(wall, contact),
             contact.options
         );
         warnings.push(warning("damping", text));
@@ -372,7 +372,7 @@ pub fn beyond(wall: &Wall<f64>, contact: &Contact, in_file: bool) -> Vec<FileWar
             with_unit(wall.stiffness, "N/m"),
             with_unit(contact.stable_to, "N/m"),
             two_digits(wall.stiffness / contact.stable_to),
-            outlook(wall, contact),
+            instability_text(wall, contact),
             contact.options
         );
         warnings.push(warning("stiffness", text));
@@ -381,7 +381,7 @@ pub fn beyond(wall: &Wall<f64>, contact: &Contact, in_file: bool) -> Vec<FileWar
             "the stiffness of wall {index}, {}, is predicted stable{rigid} only where nothing holds the tip: {} (`haptic \
              range DEVICE {}`)",
             with_unit(wall.stiffness, "N/m"),
-            outlook(wall, contact),
+            instability_text(wall, contact),
             contact.options
         );
         warnings.push(warning("stiffness", text));
@@ -409,7 +409,7 @@ pub fn beyond(wall: &Wall<f64>, contact: &Contact, in_file: bool) -> Vec<FileWar
 }
 
 /// Describes the behaviour of a wall that is unstable with or without a hand on the tip.
-fn outlook(wall: &Wall<f64>, contact: &Contact) -> String {
+fn instability_text(wall: &Wall<f64>, contact: &Contact) -> String {
     let Some(held) = contact.in_hand else { return "it will vibrate unless friction damps it".into() };
     let (limit, end) = match wall.damping > held.damping_to {
         true => (with_unit(held.damping_to, "N s/m"), "damping"),

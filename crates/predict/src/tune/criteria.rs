@@ -29,11 +29,11 @@ const LEAST_RATIO: f64 = 0.04;
 /// Simulates the ripple of a wall with these settings: the largest of the device in the file and the deviating ones.
 /// The hand counts as held if it is held on all of them.
 pub fn ripple(question: &Question<'_>, settings: &Settings) -> Result<Pressed, Failure> {
-    pressed(question, settings, f64::INFINITY)
+    ripple_of_deviations(question, settings, f64::INFINITY)
 }
 
 /// The same, but stops once the ripple exceeds `bound_n`, N.
-fn pressed(question: &Question<'_>, settings: &Settings, bound_n: f64) -> Result<Pressed, Failure> {
+fn ripple_of_deviations(question: &Question<'_>, settings: &Settings, bound_n: f64) -> Result<Pressed, Failure> {
     let Question { file, q, normal, margins, admissible, .. } = question;
     let mut worst = Pressed { ripple_n: Some(0.0), holds: true };
     for (believed, moving) in margins.deviations(&file.description) {
@@ -178,7 +178,7 @@ impl<'a> SearchContext<'a> {
     pub fn ripple_under_hand(&self, settings: &Settings) -> Result<Option<f64>, Failure> {
         self.sweep.go_on()?;
         let bound = self.question.ripple_n;
-        let Pressed { ripple_n, holds } = pressed(self.question, settings, bound)?;
+        let Pressed { ripple_n, holds } = ripple_of_deviations(self.question, settings, bound)?;
         Ok(ripple_n.filter(|ripple| holds && *ripple <= bound))
     }
 

@@ -65,7 +65,7 @@ pub(super) fn limits(
         let felt = stiffness.and_then(|stiffness| context.felt(&Settings { stiffness, ..*settings }));
         limits.push(Limit { limit, stiffness, felt });
     };
-    for (limit, margins) in question.margins.alone() {
+    for (limit, margins) in question.margins.each_alone() {
         let corners =
             margins.corners(&question.file.description, &question.q, &question.normal, question.admissible, shaped)?;
         let mut least = f64::INFINITY;

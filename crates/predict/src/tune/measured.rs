@@ -2,7 +2,7 @@
 //! friction, and encoder steps.
 
 use super::{Question, Settings};
-use crate::contact::Fast;
+use crate::contact::RippleFilter;
 use crate::measure::simulated::World;
 use crate::measure::{Law, MeasureError, MeasurementSetup, PreparedBoard, complement};
 use haptic_bridge::board::telemetry::Field;
@@ -159,7 +159,7 @@ pub fn ripple(question: &Question<'_>, settings: &Settings, sweep: &Sweep) -> Re
     // The trend needs a tenth of a second to settle.
     let from = (0.1 * row_hz) as usize;
     let mean = forces.iter().sum::<f64>() / forces.len() as f64;
-    let mut fast = Fast::new(row_hz);
-    let square = forces.iter().map(|force| fast.of(*force).powi(2)).skip(from).sum::<f64>();
+    let mut fast = RippleFilter::new(row_hz);
+    let square = forces.iter().map(|force| fast.filter(*force).powi(2)).skip(from).sum::<f64>();
     Ok((mean > HELD && forces.len() > from).then(|| (square / (forces.len() - from) as f64).sqrt()))
 }

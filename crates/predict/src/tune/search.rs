@@ -57,7 +57,7 @@ fn gains(found: TunedWall) -> Gains {
     ([found.settings.stiffness, found.settings.damping, found.ripple_n], found.board_ripple_n)
 }
 
-fn restored(settings: &Settings, ([stiffness, damping, ripple_n], board_ripple_n): Gains) -> TunedWall {
+fn restore(settings: &Settings, ([stiffness, damping, ripple_n], board_ripple_n): Gains) -> TunedWall {
     TunedWall { settings: Settings { stiffness, damping, ..*settings }, ripple_n, board_ripple_n, felt: None }
 }
 
@@ -91,15 +91,15 @@ impl SearchContext<'_> {
             }
             all.extend(found);
         }
-        let mut all = self.softened_for_board(all)?;
+        let mut all = self.soften_for_board(all)?;
         if let Some((best, _)) = choose(&all) {
-            all.push(self.stiffened(best)?);
+            all.push(self.stiffen(best)?);
         }
         Ok((all, looked_at))
     }
 
     /// Reduces the stiffness of the best wall of each estimator and feed-forward until it passes on the board.
-    fn softened_for_board(&self, all: Vec<TunedWall>) -> Result<Vec<TunedWall>, Failure> {
+    fn soften_for_board(&self, all: Vec<TunedWall>) -> Result<Vec<TunedWall>, Failure> {
         if self.question.board_ripple_n.is_none() {
             return Ok(all);
         }
@@ -123,13 +123,13 @@ impl SearchContext<'_> {
                 Ok(None)
             })?;
             let each = some.iter().zip(results);
-            done.extend(each.filter_map(|(found, result)| Some(restored(&found.settings, result?))));
+            done.extend(each.filter_map(|(found, result)| Some(restore(&found.settings, result?))));
         }
         Ok(done)
     }
 
     /// Makes a wall stiffer until no step meets all criteria.
-    fn stiffened(&self, mut found: TunedWall) -> Result<TunedWall, Failure> {
+    fn stiffen(&self, mut found: TunedWall) -> Result<TunedWall, Failure> {
         let most = self.largest_stiffness(&found.settings)?;
         let mut round = 0;
         loop {
@@ -141,7 +141,7 @@ impl SearchContext<'_> {
                 Ok(self.check_all(&Settings { stiffness: *stiffness, ..settings })?.map(gains))
             })?;
             match kept.into_iter().flatten().next() {
-                Some(stiffer) => found = restored(&settings, stiffer),
+                Some(stiffer) => found = restore(&settings, stiffer),
                 None => return Ok(found),
             }
         }
@@ -152,7 +152,7 @@ impl SearchContext<'_> {
         let Some(known) = self.question.known.filter(|known| known.stiffness > 0.0) else { return Ok(None) };
         self.sweep
             .map("the wall that is there", &[known], |known| Ok(self.check_all(known)?.map(gains)))
-            .map(|found| found.into_iter().flatten().next().map(|found| restored(&known, found)))
+            .map(|found| found.into_iter().flatten().next().map(|found| restore(&known, found)))
     }
 
     /// Returns every combination of rate, estimator and cutoff with one feed-forward.
@@ -207,7 +207,7 @@ impl SearchContext<'_> {
             for stiffness in ladder.take_while(|stiffness| *stiffness <= most) {
                 let wall = Settings { stiffness: three_digits(stiffness, true), damping, ..*settings };
                 if let Some(found) = self.check_ripple(&wall)? {
-                    best = Some(self.raised_to_limit(found, most)?);
+                    best = Some(self.raise_to_limit(found, most)?);
                     break;
                 }
             }
@@ -216,7 +216,7 @@ impl SearchContext<'_> {
     }
 
     /// Makes a wall as stiff as the ripple check allows, up to `most`, N/m.
-    fn raised_to_limit(&self, mut found: TunedWall, most: f64) -> Result<TunedWall, Failure> {
+    fn raise_to_limit(&self, mut found: TunedWall, most: f64) -> Result<TunedWall, Failure> {
         let mut high = None;
         loop {
             let low = found.settings.stiffness;
@@ -266,7 +266,7 @@ impl SearchContext<'_> {
             Ok(self.best_of_candidate(settings, curve, floor)?.map(gains))
         })?;
         let each = candidates.iter().zip(results);
-        Ok(each.filter_map(|((settings, _), result)| Some(restored(settings, result?))).collect())
+        Ok(each.filter_map(|((settings, _), result)| Some(restore(settings, result?))).collect())
     }
 
     /// Refines cutoff and damping between the grid's values, then chooses the highest corner of the washout that keeps

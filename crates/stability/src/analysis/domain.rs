@@ -14,7 +14,7 @@ use super::error::AnalysisError;
 use super::flexible::felt;
 use super::oscillation::Oscillation;
 use super::plant::Linearised;
-use super::several::{Loops, WallSet, open_loop};
+use super::several::{WallLoops, WallSet, open_loop};
 
 /// Default number of damping values on a boundary.
 pub const BOUNDARY_POINTS: usize = 200;
@@ -105,7 +105,7 @@ pub fn domain_of_several(
     if let Some(&refused) = kd.unwrap_or_default().iter().find(|kd| !(kd.is_finite() && **kd >= 0.0)) {
         return Err(AnalysisError::Damping(refused));
     }
-    let mut loops = Loops::new(set, around, mode)?;
+    let mut loops = WallLoops::new(set, around, mode)?;
     let (mass, sample_s) = (loops.mass, loops.sample_s);
     domain_from_intervals(&mut loops, mass, sample_s, kd)
 }
@@ -129,15 +129,15 @@ impl StableIntervals for Circle<'_> {
     }
 }
 
-impl StableIntervals for Loops {
+impl StableIntervals for WallLoops {
     fn stiffness_intervals(&mut self, kd: f64) -> Result<Vec<Interval>, AnalysisError> {
-        Loops::stiffness_intervals(self, kd)
+        WallLoops::stiffness_intervals(self, kd)
     }
     fn damping_intervals(&mut self) -> Result<Vec<Interval>, AnalysisError> {
-        Loops::damping_intervals(self)
+        WallLoops::damping_intervals(self)
     }
     fn oscillation(&self, kp: f64, kd: f64) -> Option<Oscillation> {
-        Loops::oscillation(self, kp, kd)
+        WallLoops::oscillation(self, kp, kd)
     }
 }
 
@@ -222,7 +222,7 @@ pub fn oscillation_of_several(
     kp: f64,
     kd: f64,
 ) -> Result<Option<Oscillation>, AnalysisError> {
-    let loops = Loops::new(set, around, mode)?;
+    let loops = WallLoops::new(set, around, mode)?;
     let (kp, kd) = in_sample_units(kp, kd, loops.mass, loops.sample_s)?;
     Ok(loops.oscillation(kp, kd))
 }

@@ -28,7 +28,7 @@ const STEP: f64 = 0.1;
 
 /// A normal and its effect on the inertia.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Worst {
+pub struct WorstNormal {
     /// Unit normal in the task frame.
     pub normal: Vec<f64>,
     /// Wrr/Weff (for the ratio) or Wrr - Weff in kg (for the coupling).
@@ -51,9 +51,9 @@ pub struct MapPoint {
     /// Condition numbers of the tip Jacobian and of M.
     pub condition: Condition,
     /// Normal of the largest Wrr/Weff here.
-    pub worst_ratio: Worst,
+    pub worst_ratio: WorstNormal,
     /// Normal of the largest Wrr - Weff here.
-    pub worst_coupling: Worst,
+    pub worst_coupling: WorstNormal,
     /// Eigenvalues of the tip's operational-space inertia, ascending, kg.
     pub eigenvalues: Vec<f64>,
     /// Unit eigenvectors: entry k belongs to eigenvalue k.
@@ -151,16 +151,16 @@ fn evaluate(pose: &TaskPose, q: &[f64], normal: &DVector<f64>) -> Option<MapPoin
 
 /// Returns both worst normals, in the plane of the eigenvectors of the smallest and largest eigenvalue (docs/model.md
 /// section 2).
-fn closed_form(eigenvalues: &[f64], eigenvectors: &[DVector<f64>]) -> (Worst, Worst) {
+fn closed_form(eigenvalues: &[f64], eigenvectors: &[DVector<f64>]) -> (WorstNormal, WorstNormal) {
     let (low, high) = (eigenvalues[0], eigenvalues[eigenvalues.len() - 1]);
     let (e_low, e_high) = (&eigenvectors[0], &eigenvectors[eigenvectors.len() - 1]);
     if eigenvalues.len() == 1 {
-        let only = |value| Worst { normal: e_low.iter().copied().collect(), value };
+        let only = |value| WorstNormal { normal: e_low.iter().copied().collect(), value };
         return (only(1.0), only(0.0));
     }
     let mixed = |on_low: f64, value: f64| {
         let n = e_low * on_low.sqrt() + e_high * (1.0 - on_low).sqrt();
-        Worst { normal: n.iter().copied().collect(), value }
+        WorstNormal { normal: n.iter().copied().collect(), value }
     };
     let (root_low, root_high) = (low.sqrt(), high.sqrt());
     (
@@ -170,7 +170,7 @@ fn closed_form(eigenvalues: &[f64], eigenvectors: &[DVector<f64>]) -> (Worst, Wo
 }
 
 /// Searches the planar direction of the largest `value`, by a scan refined with golden sections.
-fn search_worst(value: impl Fn(&DVector<f64>) -> f64) -> Worst {
+fn search_worst(value: impl Fn(&DVector<f64>) -> f64) -> WorstNormal {
     let along = |angle: f64| DVector::from_vec(vec![angle.cos(), angle.sin()]);
     let steps = 180;
     let step = std::f64::consts::PI / f64::from(steps);
@@ -185,7 +185,7 @@ fn search_worst(value: impl Fn(&DVector<f64>) -> f64) -> Worst {
         if value(&along(left)) > value(&along(right)) { high = right } else { low = left }
     }
     let normal = along((low + high) / 2.0);
-    Worst { value: value(&normal), normal: normal.iter().copied().collect() }
+    WorstNormal { value: value(&normal), normal: normal.iter().copied().collect() }
 }
 
 /// Returns the highest `value` that a device reaches from the pose `from` (rad) without crossing a singularity or a
@@ -444,14 +444,14 @@ pub fn map_swept(
 }
 
 /// Computes the map of one piece of the poses.
-type Piece<'a> = &'a (dyn Fn(&Vec<Vec<f64>>) -> Vec<MapPoint> + Sync);
+type PieceWork<'a> = &'a (dyn Fn(&Vec<Vec<f64>>) -> Vec<MapPoint> + Sync);
 
 fn evaluate_pieces<E: From<PoseError>>(
     description: &Description,
     normal: &[f64],
     points: usize,
     admissible: Admissible,
-    sweep: impl FnOnce(&[Vec<Vec<f64>>], Piece<'_>) -> Result<Vec<MapPoint>, E>,
+    sweep: impl FnOnce(&[Vec<Vec<f64>>], PieceWork<'_>) -> Result<Vec<MapPoint>, E>,
 ) -> Result<Vec<MapPoint>, E> {
     let spec = description.kind.spec();
     let normal = unit_normal(normal, spec.task, spec.joints)?;

@@ -79,7 +79,7 @@ pub(super) fn open_loop(
     mode: Mode,
 ) -> Result<OpenLoop, AnalysisError> {
     match device.flexible.posture {
-        Some(_) => Ok(Loops::new(&WallSet::of_one(device, believed), around, mode)?.single_loop()),
+        Some(_) => Ok(WallLoops::new(&WallSet::of_one(device, believed), around, mode)?.single_loop()),
         None => OpenLoop::believing(device, believed, around, mode),
     }
 }
@@ -247,8 +247,8 @@ fn linearised<const N: usize, M: Mechanism<f64, N>>(
     })
 }
 
-/// Loops cut at the walls' forces, in sample units: the change per sample of every state is `f` s + `input` φ.
-pub(crate) struct Loops {
+/// WallLoops cut at the walls' forces, in sample units: the change per sample of every state is `f` s + `input` φ.
+pub(crate) struct WallLoops {
     f: DMatrix<f64>,
     input: DMatrix<f64>,
     position: DMatrix<f64>,
@@ -268,7 +268,7 @@ const SMALLEST: f64 = 1.0e-6;
 const STEP: f64 = 1.15;
 const LARGEST: f64 = 40.0;
 
-impl Loops {
+impl WallLoops {
     /// Builds the loops of the device.
     pub fn new(set: &WallSet, around: &Loop, mode: Mode) -> Result<Self, AnalysisError> {
         around.check()?;

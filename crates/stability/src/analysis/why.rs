@@ -51,7 +51,7 @@ pub struct Both {
 
 /// The control loop without one effect.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Without {
+pub struct WithoutEffect {
     /// Name of the effect.
     pub effect: &'static str,
     /// Condition that replaces the effect.
@@ -79,7 +79,7 @@ pub struct Why {
     /// Limits with all effects.
     pub limits: Both,
     /// The share of each effect.
-    pub effects: Vec<Without>,
+    pub effects: Vec<WithoutEffect>,
 }
 
 /// A device and a control loop.
@@ -174,7 +174,7 @@ pub fn why(device: &Linearised, around: &Loop, sweep: &Sweep) -> Result<Why, Fai
             off: share(limits.off, without.off, of),
             full: share(limits.full, without.full, of),
         };
-        Without {
+        WithoutEffect {
             effect,
             instead,
             limits: without,
