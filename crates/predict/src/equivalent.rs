@@ -17,11 +17,11 @@ use nalgebra::{DMatrix, DVector};
 /// Returns the text of a device file that loads onto a board as exactly this device. The search starts from a
 /// description of the same mechanism or from its template. `None` if no file is found, for example for a device that no
 /// file described.
-pub fn device_file(device: &Device<f32>, near: Option<&Description>) -> Option<String> {
+pub fn device_file(device: &Device<f32>, similar: Option<&Description>) -> Option<String> {
     let kind = device.mechanism.kind();
     let template = DeviceFile::parse(&template::device_file(kind, "template"), "template").ok()?.description;
-    let near = near.filter(|near| near.kind == kind).copied();
-    let starts = near.into_iter().chain([1.0, 0.1, 10.0, 0.01, 100.0].map(|factor| scaled(&template, factor)));
+    let similar = similar.filter(|similar| similar.kind == kind).copied();
+    let starts = similar.into_iter().chain([1.0, 0.1, 10.0, 0.01, 100.0].map(|factor| scaled(&template, factor)));
     let about = [
         "Read back from a board. It keeps the coefficients of the equations of motion, not the links they came from:",
         "masses, centres of mass, inertias and what they share with [handle] and the joints' inertia are one choice of",
@@ -65,16 +65,16 @@ fn unknowns(of: &Description) -> Unknowns {
 }
 
 fn description_with(of: &Description, x: &Unknowns) -> Description {
-    let mut found = *of;
-    found.gravity.copy_from_slice(&x[..GEOMETRY]);
-    found.geometry.copy_from_slice(&x[GEOMETRY..LINKS]);
-    for (link, x) in found.links.iter_mut().zip(x[LINKS..JOINTS].as_chunks::<5>().0) {
+    let mut result = *of;
+    result.gravity.copy_from_slice(&x[..GEOMETRY]);
+    result.geometry.copy_from_slice(&x[GEOMETRY..LINKS]);
+    for (link, x) in result.links.iter_mut().zip(x[LINKS..JOINTS].as_chunks::<5>().0) {
         let [mass, com, inertia, inertia_axial, inertia_transverse] = *x;
         *link = Link { mass, com, inertia, inertia_axial, inertia_transverse };
     }
-    found.joints.iter_mut().zip(&x[JOINTS..HANDLE]).for_each(|(joint, x)| joint.inertia = *x);
-    found.handle_mass = x[HANDLE];
-    found
+    result.joints.iter_mut().zip(&x[JOINTS..HANDLE]).for_each(|(joint, x)| joint.inertia = *x);
+    result.handle_mass = x[HANDLE];
+    result
 }
 
 /// Returns the size below which a change of an unknown is small at any value.
@@ -118,11 +118,11 @@ impl Search {
         // The assembly sign cannot be approached in steps, so both signs are tried.
         let place =
             assembly.map(|at| GEOMETRY + start.kind.spec().geometry[..at].iter().map(|(_, n)| n).sum::<usize>());
-        let ways: &[f64] = if place.is_some() { &[1.0, -1.0] } else { &[1.0] };
-        ways.iter().find_map(|way| {
+        let signs: &[f64] = if place.is_some() { &[1.0, -1.0] } else { &[1.0] };
+        signs.iter().find_map(|sign| {
             let mut x = unknowns(&start);
             if let Some(place) = place {
-                x[place] = *way;
+                x[place] = *sign;
             }
             search.find(x, place)
         })
@@ -154,8 +154,8 @@ impl Search {
     }
 
     fn at(&self, x: &Unknowns) -> Option<Vec<f64>> {
-        let found = coefficients(&AnyMechanism::<f64>::new(&description_with(&self.start, x)).ok()?);
-        let values: Vec<f64> = found.into_iter().map(|(_, value)| value).collect();
+        let result = coefficients(&AnyMechanism::<f64>::new(&description_with(&self.start, x)).ok()?);
+        let values: Vec<f64> = result.into_iter().map(|(_, value)| value).collect();
         values.iter().all(|value| value.is_finite()).then_some(values)
     }
 

@@ -301,8 +301,8 @@ impl ControlLoop {
     /// call to call.
     pub fn step(&mut self, time: f64, q: [f64; MAX_JOINTS]) -> Result<f64, JogEnd> {
         let JogParameters { jog: Jog { joint, by, speed, .. }, most, inertia, count, .. } = self.aim;
-        let way = by.signum();
-        let moved = way * (q[joint] - self.from[joint]);
+        let sign = by.signum();
+        let moved = sign * (q[joint] - self.from[joint]);
         self.guard(time, &q, moved)?;
         if moved >= by.abs() {
             return Err(JogEnd::Arrived);
@@ -311,13 +311,13 @@ impl ControlLoop {
         while self.seen.get(1).is_some_and(|(before, ..)| time - before >= WINDOW) {
             self.seen.pop_front();
         }
-        let (before, there, push) = self.seen.front().copied().unwrap_or((0.0, self.from, 0.0));
-        let recent_motion = way * (q[joint] - there[joint]);
+        let (before, earlier, push) = self.seen.front().copied().unwrap_or((0.0, self.from, 0.0));
+        let recent_motion = sign * (q[joint] - earlier[joint]);
         // While torque ramps up after arming, only the guards act.
         if time >= f64::from(ARM_SECONDS) {
             let velocity = recent_motion / (time - before).max(1e-3);
             // The joint slows down at the end, because nothing brakes it once the motors are off.
-            let wanted = speed * (4.0 * (1.0 - moved / by.abs())).clamp(0.2, 1.0);
+            let target_speed = speed * (4.0 * (1.0 - moved / by.abs())).clamp(0.2, 1.0);
             let moves = recent_motion.abs() > SHAKE * count[joint];
             if moves && !self.moves {
                 // Remove the push that was added since the motion began.
@@ -326,7 +326,7 @@ impl ControlLoop {
             self.moves = moves;
             let (slope, proportional) = match moves {
                 true => {
-                    let proportional = BANDWIDTH * inertia * (wanted - velocity);
+                    let proportional = BANDWIDTH * inertia * (target_speed - velocity);
                     (0.25 * BANDWIDTH * proportional, proportional)
                 }
                 false => (self.onset().clamp(most / RAMP.1, most / RAMP.0), 0.0),
@@ -341,7 +341,7 @@ impl ControlLoop {
                 return Err(JogEnd::Stuck);
             }
             self.seen.push_back((time, q, self.push));
-            return Ok(way * torque);
+            return Ok(sign * torque);
         }
         self.seen.push_back((time, q, 0.0));
         Ok(0.0)
@@ -352,8 +352,8 @@ impl ControlLoop {
     /// must not exceed the requested speed by then.
     fn onset(&self) -> f64 {
         let JogParameters { jog: Jog { joint, speed, .. }, inertia, count, .. } = self.aim;
-        let way = 3.0 * count[joint];
-        inertia * (ONSET * speed).min(2.0 * speed.powi(3) / (9.0 * way * way))
+        let angle = 3.0 * count[joint];
+        inertia * (ONSET * speed).min(2.0 * speed.powi(3) / (9.0 * angle * angle))
     }
 
     /// Ends motions that are too fast or backward.
@@ -362,11 +362,11 @@ impl ControlLoop {
         if moved < -(BACKWARD * by.abs()).max(4.0 * count[joint]) {
             return Err(JogEnd::Backward);
         }
-        for (before, there, _) in &self.seen {
+        for (before, earlier, _) in &self.seen {
             for i in 0..joints {
                 let most = if i == joint { TOO_FAST } else { OTHER_TOO_FAST } * speed;
                 // The comparison is false for NaN, so NaN counts as too fast.
-                let slow = (q[i] - there[i]).abs() <= most * (time - before) + 2.0 * count[i];
+                let slow = (q[i] - earlier[i]).abs() <= most * (time - before) + 2.0 * count[i];
                 match slow {
                     true => {}
                     false if i == joint => return Err(JogEnd::TooFast),

@@ -119,12 +119,14 @@ impl Pressed<'_> {
         let lost = Ripple { kp, kd, rms_n: None, peak_n: None, motion_m: None };
         let mut worst = Ripple { rms_n: Some(0.0), peak_n: Some(0.0), motion_m: Some(0.0), ..lost };
         for offset in 0..OFFSETS {
-            let Some(found) = self.run(&steps, mode, kp, kd, offset as f64 / OFFSETS as f64) else { return Some(lost) };
+            let Some(result) = self.run(&steps, mode, kp, kd, offset as f64 / OFFSETS as f64) else {
+                return Some(lost);
+            };
             let most = |a: Option<f64>, b: f64| a.map(|a| a.max(b));
             worst = Ripple {
-                rms_n: most(worst.rms_n, found[0]),
-                peak_n: most(worst.peak_n, found[1]),
-                motion_m: most(worst.motion_m, found[2]),
+                rms_n: most(worst.rms_n, result[0]),
+                peak_n: most(worst.peak_n, result[1]),
+                motion_m: most(worst.motion_m, result[2]),
                 ..lost
             };
         }
@@ -182,7 +184,7 @@ impl Pressed<'_> {
             Contact { carried: weight, before, ..Contact::new(plant, padded(&self.normal), self.around, self.hand) };
         let settle = (SETTLE_S * self.around.rate_hz).round() as usize;
         let (mut forces, mut tips, mut n) = (Vec::new(), Vec::new(), 0);
-        let kept = contact.run(
+        let tip_stays = contact.run(
             &mut law,
             SETTLE_S + LOOK_S,
             |time| Some(Grip { goal: tip, push: holding.map(|share| -(share * (self.push_n + RISE * time))) }),
@@ -196,7 +198,7 @@ impl Pressed<'_> {
             },
         );
         let (rms, force) = deviation_from_line(&forces);
-        kept.then(|| [rms, 0.5 * force, deviation_from_line(&tips).1])
+        tip_stays.then(|| [rms, 0.5 * force, deviation_from_line(&tips).1])
     }
 
     /// Returns the force of a hand that keeps the tip in place, per newton of wall, d entries: along the normal, and

@@ -230,7 +230,7 @@ fn check(question: &Question<'_>) -> Result<(), Failure> {
 pub fn tune(question: &Question<'_>, sweep: &Sweep) -> Result<TuneResult, Failure> {
     let context = SearchContext::new(question, sweep)?;
     let (mut all, looked_at) = context.all()?;
-    all.iter_mut().for_each(|found| found.felt = context.felt(&found.settings));
+    all.iter_mut().for_each(|candidate| candidate.felt = context.felt(&candidate.settings));
     let Some((best, passed_over)) = choose(&all) else {
         return Err(Failure::impossible(format!(
             "no wall here keeps a ripple of {} N within the margins",
@@ -255,16 +255,16 @@ pub fn tune(question: &Question<'_>, sweep: &Sweep) -> Result<TuneResult, Failur
 }
 
 /// Returns the stiffest wall, the first of equals.
-fn stiffest<'a>(found: impl IntoIterator<Item = &'a TunedWall>) -> Option<TunedWall> {
+fn stiffest<'a>(walls: impl IntoIterator<Item = &'a TunedWall>) -> Option<TunedWall> {
     let stiffer = |other: &TunedWall, best: &TunedWall| other.settings.stiffness > best.settings.stiffness;
-    found.into_iter().copied().reduce(|best, other| if stiffer(&other, &best) { other } else { best })
+    walls.into_iter().copied().reduce(|best, other| if stiffer(&other, &best) { other } else { best })
 }
 
 /// Returns the chosen wall, and the stiffest if that is a different one. A feed-forward needs a correct model and
 /// pushes along the wall, so it is left out if it makes no difference.
 fn choose(all: &[TunedWall]) -> Option<(TunedWall, Option<TunedWall>)> {
     let top = stiffest(all)?;
-    let plain = stiffest(all.iter().filter(|found| found.settings.feed_forward == FeedForward::Off));
+    let plain = stiffest(all.iter().filter(|candidate| candidate.settings.feed_forward == FeedForward::Off));
     match plain {
         Some(plain) if plain.settings.stiffness * STIFFNESS_RATIO >= top.settings.stiffness => {
             Some((plain, (plain != top).then_some(top)))
@@ -277,6 +277,6 @@ fn choose(all: &[TunedWall]) -> Option<(TunedWall, Option<TunedWall>)> {
 fn best_of_each_estimator(mut all: Vec<TunedWall>) -> Vec<TunedWall> {
     all.sort_by(|a, b| b.settings.stiffness.total_cmp(&a.settings.stiffness));
     let mut seen = BTreeSet::new();
-    all.retain(|found| seen.insert(found.settings.estimator));
+    all.retain(|candidate| seen.insert(candidate.settings.estimator));
     all
 }

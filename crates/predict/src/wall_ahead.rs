@@ -85,7 +85,7 @@ fn without_rattle(file: &DeviceFile, mut scene: Scene<f32>, contact: &Contact) -
     weaken(&mut scene, factor, factor);
     for _ in 0..REDUCTIONS {
         let Some(ripple) = ripple(&file.description, &scene.cast(), contact) else { break };
-        let over = ripple.ripple_n.map_or(f64::INFINITY, |found| found / (RIPPLE_SHARE * ripple.allowed_n));
+        let over = ripple.ripple_n.map_or(f64::INFINITY, |ripple_rms| ripple_rms / (RIPPLE_SHARE * ripple.allowed_n));
         if over <= 1.0 {
             break;
         }

@@ -29,7 +29,7 @@ pub fn map<T: Sync, R: Send>(
         }
     });
     drop(send);
-    let mut found: Vec<(usize, R)> = receive.into_iter().collect();
-    found.sort_by_key(|(index, _)| *index);
-    found.into_iter().map(|(_, result)| result).collect()
+    let mut results: Vec<(usize, R)> = receive.into_iter().collect();
+    results.sort_by_key(|(index, _)| *index);
+    results.into_iter().map(|(_, result)| result).collect()
 }

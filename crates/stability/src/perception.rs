@@ -62,7 +62,7 @@ fn eigenvalues(matrix: &DMatrix<f64>) -> Vec<f64> {
     if matrix.iter().any(|entry| !entry.is_finite()) {
         return vec![f64::NAN; matrix.nrows()];
     }
-    let mut found: Vec<f64> = matrix.symmetric_eigenvalues().iter().copied().collect();
-    found.sort_by(f64::total_cmp);
-    found
+    let mut values: Vec<f64> = matrix.symmetric_eigenvalues().iter().copied().collect();
+    values.sort_by(f64::total_cmp);
+    values
 }

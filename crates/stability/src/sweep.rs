@@ -94,15 +94,15 @@ impl Sweep {
             stages: BTreeMap::new(),
         };
         if let Some(path) = file {
-            if let Some(found) = read_checkpoint(path)? {
-                if found.matches(&kept) {
-                    kept = found;
-                } else if !found.stages.is_empty() {
+            if let Some(earlier) = read_checkpoint(path)? {
+                if earlier.matches(&kept) {
+                    kept = earlier;
+                } else if !earlier.stages.is_empty() {
                     let reason = format!(
                         "{} holds results of `haptic {}` {} with another device file or other options",
                         path.display(),
-                        found.command,
-                        found.version
+                        earlier.command,
+                        earlier.version
                     );
                     return Err(Failure::wrong(reason).remedy("delete it, or name another file").choose(Choice::Kept));
                 }
@@ -180,9 +180,9 @@ impl Sweep {
         items: &[T],
         work: impl Fn(&T) -> Result<R, Failure> + Sync,
     ) -> Result<Vec<R>, Failure> {
-        let mut found = self.begin::<R>(stage, items.len())?;
-        let missing: Vec<usize> = (0..items.len()).filter(|index| !found.contains_key(index)).collect();
-        let before = found.len();
+        let mut results = self.begin::<R>(stage, items.len())?;
+        let missing: Vec<usize> = (0..items.len()).filter(|index| !results.contains_key(index)).collect();
+        let before = results.len();
         let progress = |done: usize, _: usize| {
             // Skipped items count as done after an interruption, which clears the line.
             if self.display == Display::InPlace || !(self.interrupted)() {
@@ -207,7 +207,7 @@ impl Sweep {
         });
         for (index, result) in missing.into_iter().zip(done) {
             match result {
-                Some(Ok(result)) => drop(found.insert(index, result)),
+                Some(Ok(result)) => drop(results.insert(index, result)),
                 Some(Err(failure)) => {
                     self.save()?;
                     return Err(failure);
@@ -215,11 +215,11 @@ impl Sweep {
                 None => {}
             }
         }
-        if found.len() == items.len() {
-            return Ok(found.into_values().collect());
+        if results.len() == items.len() {
+            return Ok(results.into_values().collect());
         }
         self.save()?;
-        Err(self.interrupted_failure(format!("interrupted with {} of {} done ({stage})", found.len(), items.len())))
+        Err(self.interrupted_failure(format!("interrupted with {} of {} done ({stage})", results.len(), items.len())))
     }
 
     /// Removes the stored results once the final result has been printed.
@@ -236,8 +236,8 @@ impl Sweep {
         let mut state = self.lock();
         let kept = state.kept.stages.entry(stage.into()).or_insert_with(|| Stage { of, done: BTreeMap::new() });
         let read = |(index, text): (&usize, &String)| Some((*index, read(text).filter(|_| *index < of)?));
-        let found: Option<BTreeMap<usize, R>> = kept.done.iter().map(read).collect();
-        found
+        let results: Option<BTreeMap<usize, R>> = kept.done.iter().map(read).collect();
+        results
             .filter(|_| kept.of == of)
             .ok_or_else(|| damaged_file(file, &format!("its part \"{stage}\" is of another kind")))
     }

@@ -43,15 +43,15 @@ mod tests {
                 for model in ["exact", "bilinear", "bicubic", "frozen"] {
                     for terms in ["none", "feed-forward", "feed-forward+z", "washout", "washout+z"] {
                         let name = mechanism.spec().name;
-                        let found = instructions(name, trigonometry, model, terms);
-                        assert!(found.is_some(), "{name}/{trigonometry}/{model}/{terms}");
+                        let result = instructions(name, trigonometry, model, terms);
+                        assert!(result.is_some(), "{name}/{trigonometry}/{model}/{terms}");
                     }
                 }
             }
             for (estimator, _) in haptic_bridge::render::velocity::Estimator::ALL {
                 let terms = format!("feed-forward, {estimator}");
-                let found = instructions(mechanism.spec().name, "table", "exact", &terms);
-                assert!(found.is_some(), "{}, {estimator}", mechanism.spec().name);
+                let result = instructions(mechanism.spec().name, "table", "exact", &terms);
+                assert!(result.is_some(), "{}, {estimator}", mechanism.spec().name);
             }
         }
     }

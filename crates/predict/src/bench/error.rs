@@ -263,13 +263,13 @@ fn errors_against<E: Mechanism<f64, N>, const N: usize>(
     device: &Device<f64>,
     exact: &E,
     probes: &[Probe],
-    found: &[[f64; MAX_JOINTS]],
+    actual: &[[f64; MAX_JOINTS]],
     law: Law,
 ) -> Errors {
     let steps = duty_steps(device);
     let (mut torques, mut forces, mut shares, mut duties) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-    for (probe, found) in probes.iter().zip(found) {
-        let off = difference(*found, reference::<E, N>(exact, Terms::FeedForwardZ, law, probe));
+    for (probe, actual) in probes.iter().zip(actual) {
+        let off = difference(*actual, reference::<E, N>(exact, Terms::FeedForwardZ, law, probe));
         let whole = largest(reference::<E, N>(exact, Terms::None, law, probe));
         let share = |i: usize| {
             off[i].abs() / device.joints[i].motor.map_or(whole, |motor| torque_at_rest(&motor, device.axes()))
@@ -292,9 +292,9 @@ fn reference<E: Mechanism<f64, N>, const N: usize>(
 }
 
 /// Returns the error of each torque, N m; infinite if the error is not finite.
-fn difference(found: [f64; MAX_JOINTS], right: [f64; MAX_JOINTS]) -> [f64; MAX_JOINTS] {
+fn difference(actual: [f64; MAX_JOINTS], right: [f64; MAX_JOINTS]) -> [f64; MAX_JOINTS] {
     std::array::from_fn(|i| {
-        let off = found[i] - right[i];
+        let off = actual[i] - right[i];
         if off.is_finite() { off } else { f64::INFINITY }
     })
 }

@@ -99,8 +99,8 @@ pub const RESOLUTION_N: f64 = 1e-3;
 /// Returns every estimator with its default parameter and its longest window. If the cutoff is the bandwidth, a
 /// quarter, a sixteenth and a thirty-second of it are added; the low-pass is left out where it is optional.
 fn candidates(comparison: &Comparison<'_>) -> Vec<Rendered> {
-    let mut found = Vec::new();
-    let mut add = |kind, share| found.push(comparison.rendered(kind, share * comparison.cutoff_hz));
+    let mut results = Vec::new();
+    let mut add = |kind, share| results.push(comparison.rendered(kind, share * comparison.cutoff_hz));
     for (_, kind) in Estimator::ALL {
         let (Some(spec), Some(usual)) = (kind.spec(), kind.chosen()) else {
             add(*kind, 1.0);
@@ -115,7 +115,7 @@ fn candidates(comparison: &Comparison<'_>) -> Vec<Rendered> {
             shares.iter().for_each(|share| add(kind, *share));
         }
     }
-    found
+    results
 }
 
 /// Returns a wall that shows differences between estimators, N/m and N s/m: half of the damping and a quarter of the
@@ -264,14 +264,14 @@ impl<'a> Trials<'a> {
         let speed = (STRIKE_COUNTS * count * (wall.stiffness / mass).sqrt()).min(0.5);
         let late = (REST_S * self.rate_hz) as usize * 3 / 4;
         let (mut n, mut low, mut high) = (0, f64::INFINITY, f64::NEG_INFINITY);
-        let kept = self.simulation.run(wall, Trial::Struck(speed), REST_S, |_, along| {
+        let tip_stays = self.simulation.run(wall, Trial::Struck(speed), REST_S, |_, along| {
             if n >= late {
                 (low, high) = (along.min(low), along.max(high));
             }
             n += 1;
             high - low < QUIET_COUNTS * count
         })?;
-        Ok(kept && high - low < QUIET_COUNTS * count)
+        Ok(tip_stays && high - low < QUIET_COUNTS * count)
     }
 
     /// Returns the wall's force in the last `recorded` of `seconds` s of a trial, N; `None` if the tip flies off.
@@ -285,12 +285,12 @@ impl<'a> Trials<'a> {
     ) -> Result<Option<Vec<f64>>, Failure> {
         self.sweep.go_on()?;
         let mut forces = Vec::new();
-        let kept = simulation.run(wall, trial, seconds, |force, _| {
+        let tip_stays = simulation.run(wall, trial, seconds, |force, _| {
             forces.push(force);
             true
         })?;
         let begin = (forces.len() as f64 * (seconds - recorded) / seconds) as usize;
-        Ok(kept.then(|| forces.split_off(begin)))
+        Ok(tip_stays.then(|| forces.split_off(begin)))
     }
 
     /// Returns the ripple of the force under a hand that presses, and true if the wall holds the hand.
@@ -324,8 +324,8 @@ impl<'a> Trials<'a> {
     /// Returns the root mean square of the velocity's error while the joints turn slowly and steadily, m/s.
     fn noise(&self, wall: &Rendered) -> Result<f64, Failure> {
         let still = Rendered { stiffness: 0.0, damping: 0.0, ..*wall };
-        let found = self.simulation.velocities(&still, SLOW, SLOW_S)?;
-        let late = &found[found.len() / 2 + 1..];
-        Ok((late.iter().map(|found| (found - SLOW).powi(2)).sum::<f64>() / late.len() as f64).sqrt())
+        let velocities = self.simulation.velocities(&still, SLOW, SLOW_S)?;
+        let late = &velocities[velocities.len() / 2 + 1..];
+        Ok((late.iter().map(|velocity| (velocity - SLOW).powi(2)).sum::<f64>() / late.len() as f64).sqrt())
     }
 }

@@ -102,7 +102,7 @@ pub fn variants(device: &Device<f64>, timed: bool) -> Result<Vec<Variant>, Failu
         (Trigonometry::Micromath, "micromath"),
         (Trigonometry::Libm, "libm"),
     ];
-    let mut found = Vec::new();
+    let mut results = Vec::new();
     for (trigonometry, name) in back_ends {
         for model in &models {
             for terms in Terms::ALL {
@@ -125,15 +125,15 @@ pub fn variants(device: &Device<f64>, timed: bool) -> Result<Vec<Variant>, Failu
                     pareto: false,
                 };
                 let count = counts::instructions(spec.name, name, model.name(), terms.name());
-                found.push(variant("cortex-m4f", count, None));
+                results.push(variant("cortex-m4f", count, None));
                 if timed {
-                    found.push(variant("host", None, Some(nanoseconds(device, &probes, &way))));
+                    results.push(variant("host", None, Some(nanoseconds(device, &probes, &way))));
                 }
             }
         }
     }
-    mark_front(&mut found);
-    Ok(found)
+    mark_front(&mut results);
+    Ok(results)
 }
 
 impl Variant {

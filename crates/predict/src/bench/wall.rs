@@ -175,7 +175,7 @@ impl WallSimulation {
         let mut fast = RippleFilter::new(rate_hz);
         let (mut n, mut force_sum, mut square) = (0, 0.0, 0.0);
         let enough = bound_n * bound_n * recorded;
-        let kept = self.run(wall, Trial::SlidAlong, SETTLE_S + SLIDE_S, |force, _| {
+        let tip_stays = self.run(wall, Trial::SlidAlong, SETTLE_S + SLIDE_S, |force, _| {
             let fast = fast.filter(force);
             if n >= settle {
                 force_sum += force;
@@ -184,7 +184,7 @@ impl WallSimulation {
             n += 1;
             square <= enough
         })?;
-        if !kept {
+        if !tip_stays {
             return Ok(Pressed { ripple_n: None, holds: false });
         }
         // A soft wall gives way, and the hand's own stiffness carries a part.
@@ -199,12 +199,12 @@ impl WallSimulation {
     /// Counts the rebounds of a tip that arrives at 0.2 m/s, pushed with 3 N; `None` if the tip flies off.
     pub fn rebounds(&self, wall: &Rendered) -> Result<Option<usize>, Failure> {
         let (mut inside, mut left) = (false, 0);
-        let kept = self.run(wall, Trial::Tapped(TAP), TAP_S, |_, along| {
+        let tip_stays = self.run(wall, Trial::Tapped(TAP), TAP_S, |_, along| {
             left += usize::from(inside && along > 0.0);
             inside = along < 0.0;
             true
         })?;
-        Ok(kept.then_some(left))
+        Ok(tip_stays.then_some(left))
     }
 
     /// Simulates `seconds` of a trial, until `seen` returns false. `seen` receives the wall's force (N) and the tip's

@@ -136,14 +136,14 @@ fn search_starts(poses: &[Vec<f64>], rating: PoseRating<'_>) -> Vec<Vec<f64>> {
     let mut valued: Vec<(f64, &Vec<f64>)> = poses.iter().filter_map(|q| Some((rating(q)?.0, q))).collect();
     // The sort is stable: equals keep the order of the grid.
     valued.sort_by(|a, b| b.0.total_cmp(&a.0));
-    let mut found: Vec<Vec<f64>> = Vec::new();
+    let mut result: Vec<Vec<f64>> = Vec::new();
     for (_, q) in valued {
-        let far = |other: &Vec<f64>| q.iter().zip(other).any(|(a, b)| (a - b).abs() > APART);
-        if found.len() < STARTS && found.iter().all(far) {
-            found.push(q.clone());
+        let is_far = |other: &Vec<f64>| q.iter().zip(other).any(|(a, b)| (a - b).abs() > APART);
+        if result.len() < STARTS && result.iter().all(is_far) {
+            result.push(q.clone());
         }
     }
-    found
+    result
 }
 
 /// Searches from some poses: in coarse steps from all of them, in fine steps from the best ends. Returns the best
@@ -153,8 +153,8 @@ fn best(starts: &[Vec<f64>], allowed: &dyn Fn(&[f64]) -> bool, rating: PoseRatin
         starts.iter().filter_map(|start| climb(start, COARSE, allowed, rating)).collect();
     // The sort is stable: equals keep their order.
     ends.sort_by(|a, b| b.0.total_cmp(&a.0));
-    let found = ends.iter().take(ENDS).filter_map(|(_, end)| climb(&end.q, FINE, allowed, rating));
-    found.reduce(|best, other| if other.0 > best.0 { other } else { best })
+    let result = ends.iter().take(ENDS).filter_map(|(_, end)| climb(&end.q, FINE, allowed, rating));
+    result.reduce(|best, other| if other.0 > best.0 { other } else { best })
 }
 
 /// Step sizes of a search between the poses of a grid.
@@ -179,7 +179,7 @@ fn climb(
     allowed: &dyn Fn(&[f64]) -> bool,
     rating: PoseRating<'_>,
 ) -> Option<(f64, WallPlace)> {
-    let (mut value, mut found) = rating(start)?;
+    let (mut value, mut result) = rating(start)?;
     let mut q = start.to_vec();
     let mut step = steps.from;
     // A fixed seed: the numbers are the same every time.
@@ -197,7 +197,7 @@ fn climb(
                 continue;
             }
             if let Some((other, placed)) = rating(&next).filter(|(other, _)| *other > value) {
-                (value, found, better) = (other, placed, Some(next));
+                (value, result, better) = (other, placed, Some(next));
             }
         }
         match better {
@@ -205,7 +205,7 @@ fn climb(
             None => step *= 0.5,
         }
     }
-    Some((value, found))
+    Some((value, result))
 }
 
 /// Returns points on the edge of a wall's patch, relative to its middle.
@@ -284,7 +284,7 @@ pub fn places(
     let least = |q: &[f64]| -> Option<WallPlace> {
         let normal = along.as_ref()?;
         let pose = at(q)?;
-        let mut found = place_wall(&pose, q, normal)?;
+        let mut result = place_wall(&pose, q, normal)?;
         let middle = task_position(&pose, q);
         for aside in &edge {
             let there = angles_at(&device, q, &(&middle + aside))?;
@@ -292,15 +292,15 @@ pub fn places(
                 return None;
             }
             let other = place_wall(&at(&there)?, &there, normal)?;
-            found.w_eff = found.w_eff.min(other.w_eff);
-            found.w_rr = found.w_rr.min(other.w_rr);
-            found.clearance = found.clearance.min(other.clearance);
+            result.w_eff = result.w_eff.min(other.w_eff);
+            result.w_rr = result.w_rr.min(other.w_rr);
+            result.clearance = result.clearance.min(other.clearance);
         }
-        Some(found)
+        Some(result)
     };
-    let off = |q: &[f64]| least(q).map(|found| (found.w_eff, found));
-    let full = |q: &[f64]| least(q).map(|found| (found.w_rr, found));
-    let worst = |q: &[f64]| least(q).map(|found| (-found.w_eff, found));
+    let off = |q: &[f64]| least(q).map(|result| (result.w_eff, result));
+    let full = |q: &[f64]| least(q).map(|result| (result.w_rr, result));
+    let worst = |q: &[f64]| least(q).map(|result| (-result.w_eff, result));
 
     let mut jobs: Vec<PoseRating<'_>> = vec![&heaviest, &lightest, &multiplied];
     if along.is_some() {
@@ -313,7 +313,7 @@ pub fn places(
     })?;
     // A search that begins at the end of another one may find more than from its own start.
     let ends: Vec<Vec<f64>> = first.into_iter().flatten().collect();
-    let found = sweep.map("between them", &indices, |job| {
+    let refined = sweep.map("between them", &indices, |job| {
         let rating = jobs[*job];
         let better = ends.iter().filter_map(|q| Some((rating(q)?.0, q)));
         let start = better.reduce(|best, other| if other.0 > best.0 { other } else { best });
@@ -321,7 +321,7 @@ pub fn places(
     })?;
     let final_place = |index: usize| -> Result<WallPlace, Failure> {
         let nowhere = || Failure::impossible("the wall fits nowhere").remedy("make it smaller").choose(Choice::Patch);
-        let q = found[index].clone().ok_or_else(nowhere)?;
+        let q = refined[index].clone().ok_or_else(nowhere)?;
         jobs[index](&q).map(|(_, placed)| placed).ok_or_else(nowhere)
     };
     let along = match along {

@@ -81,12 +81,12 @@ pub fn postures(
         for _ in 0..(std::f64::consts::TAU / STEP) as usize {
             place[spec.task] += direction;
             let Some(next) = angles_at(&device, &at, &place) else { break };
-            let far = next.iter().zip(&at).any(|(next, at)| (next - at).abs() > 0.3);
-            let Some(found) = posture(&device, &next, &n, admissible) else { break };
-            if far || found.clearance < clear || !within_limits(&device, &next) {
+            let is_far = next.iter().zip(&at).any(|(next, at)| (next - at).abs() > 0.3);
+            let Some(result) = posture(&device, &next, &n, admissible) else { break };
+            if is_far || result.clearance < clear || !within_limits(&device, &next) {
                 break;
             }
-            all.push(found);
+            all.push(result);
             at = next;
         }
     }

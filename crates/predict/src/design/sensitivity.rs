@@ -174,10 +174,10 @@ const DAMPINGS: usize = 40;
 /// Computes the results at a pose of a device, absolute.
 fn results_at(prediction: &Prediction, q: &[f64], normal: &[f64]) -> Option<Effect> {
     let (device, admissible) = (&prediction.subject.device, prediction.admissible);
-    let seen = prediction.seen(q, normal).ok()?;
+    let linearised = prediction.seen(q, normal).ok()?;
     let stiffest = |mode| {
         let shares = |end: f64| (0..DAMPINGS).map(|i| end * (i as f64 + 0.5) / DAMPINGS as f64).collect();
-        let boundary = boundary_of(&seen, &seen, &prediction.around, mode, shares).ok()?;
+        let boundary = boundary_of(&linearised, &linearised, &prediction.around, mode, shares).ok()?;
         Some(boundary.iter().map(|point| point.kp).fold(0.0, f64::max))
     };
     let pose = TaskPose::of(&device.mechanism, q).ok()?.regular().ok()?.holding(admissible);
@@ -199,16 +199,16 @@ fn results_at(prediction: &Prediction, q: &[f64], normal: &[f64]) -> Option<Effe
     })
 }
 
-fn relative_to(found: Effect, before: Effect) -> Effect {
+fn relative_to(after: Effect, before: Effect) -> Effect {
     let ratio = |a: Option<f64>, b: Option<f64>| a.zip(b).map(|(a, b)| a / b);
     Effect {
-        w_eff: found.w_eff / before.w_eff,
-        w_rr: found.w_rr / before.w_rr,
-        off: found.off / before.off,
-        full: found.full / before.full,
-        force: ratio(found.force, before.force),
-        count: ratio(found.count, before.count),
-        weight: found.weight,
+        w_eff: after.w_eff / before.w_eff,
+        w_rr: after.w_rr / before.w_rr,
+        off: after.off / before.off,
+        full: after.full / before.full,
+        force: ratio(after.force, before.force),
+        count: ratio(after.count, before.count),
+        weight: after.weight,
     }
 }
 
@@ -235,7 +235,7 @@ pub fn sensitivities(
         let there = angles_at(&prediction.subject.device, q, &place)?;
         Some(relative_to(results_at(&prediction, &there, normal)?, before))
     };
-    let mut found: Vec<Sensitivity> = changes(description)
+    let mut results: Vec<Sensitivity> = changes(description)
         .into_iter()
         .map(|(part, change, both)| Sensitivity {
             part,
@@ -247,8 +247,8 @@ pub fn sensitivities(
         let sides = [one.more, one.less].into_iter().flatten();
         sides.map(|effect| effect.full.ln().abs().max(effect.off.ln().abs())).fold(0.0, f64::max)
     };
-    found.sort_by(|a, b| most(b).total_cmp(&most(a)));
-    Ok(found)
+    results.sort_by(|a, b| most(b).total_cmp(&most(a)));
+    Ok(results)
 }
 
 /// A change that improves a quantity.

@@ -370,8 +370,9 @@ fn arms_cross(description: &Description, q: &[f64]) -> bool {
     let [base, first, second, ..] = description.geometry;
     // Elbows relative to the left motor. Arms on one axis do not cross.
     let (c, d) = ((first * q[0].cos(), first * q[0].sin()), (base + second * q[1].cos(), second * q[1].sin()));
-    let beside = |p: (f64, f64), q: (f64, f64), r: (f64, f64)| (q.0 - p.0) * (r.1 - p.1) - (q.1 - p.1) * (r.0 - p.0);
-    let apart = |p, q, r, s| beside(p, q, r) * beside(p, q, s) < 0.0;
+    let cross_product =
+        |p: (f64, f64), q: (f64, f64), r: (f64, f64)| (q.0 - p.0) * (r.1 - p.1) - (q.1 - p.1) * (r.0 - p.0);
+    let apart = |p, q, r, s| cross_product(p, q, r) * cross_product(p, q, s) < 0.0;
     let (a, b) = ((0.0, 0.0), (base, 0.0));
     base > 0.0 && apart(a, c, b, d) && apart(b, d, a, c)
 }

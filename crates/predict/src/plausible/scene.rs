@@ -243,14 +243,14 @@ pub fn meets(
     let pose = TaskPose::of(&device.mechanism, &q).ok()?.regular().ok()?;
     let prediction = Prediction::in_scene(subject, scene, Some(wall), path)?;
     let mode = Mode::of(wall.feed_forward, wall.washout_hz);
-    let seen = prediction.seen(&q, &normal).ok()?;
-    let (stable_to, damping_to) = stiffness_at(&seen, &prediction.around, mode, wall.damping).ok()?;
+    let linearised = prediction.seen(&q, &normal).ok()?;
+    let (stable_to, damping_to) = stiffness_at(&linearised, &prediction.around, mode, wall.damping).ok()?;
     let off_to = match mode {
         Mode::Off => None,
-        _ => stiffness_at(&seen, &prediction.around, Mode::Off, wall.damping).ok().map(|(off_to, _)| off_to),
+        _ => stiffness_at(&linearised, &prediction.around, Mode::Off, wall.damping).ok().map(|(off_to, _)| off_to),
     };
     let hand = usual_hand();
-    let held = seen.clone().held(hand);
+    let held = linearised.clone().held(hand);
     let in_hand = stiffness_at(&held, &prediction.around, mode, wall.damping).ok().map(|(stable_to, damping_to)| {
         InHand { hand: [hand.mass, hand.damping, hand.stiffness], stable_to, damping_to }
     });
@@ -271,8 +271,8 @@ pub fn meets(
         stiffness: wall.stiffness,
         stable_to,
         off_to,
-        felt_to: seen.felt(mode, stable_to),
-        felt: seen.felt(mode, wall.stiffness),
+        felt_to: linearised.felt(mode, stable_to),
+        felt: linearised.felt(mode, wall.stiffness),
         damping_to,
         in_hand,
         hz: buzz(wall.stiffness.max(beyond)).map(|swing| swing.hz),
@@ -549,8 +549,8 @@ fn first_touch(device: &Device<f64>, surface: &Surface<f64>) -> FirstTouch {
     let per_joint = PER_JOINT[spec.joints - 1];
     let home = device.home.unwrap_or_default();
     let far = |q: &[f64]| q.iter().zip(home).map(|(q, home)| (q - home).powi(2)).sum::<f64>();
-    let Ok(found) = on_surface(device, surface, per_joint, 0.0) else { return FirstTouch::Unknown };
-    if let Some(nearest) = found.iter().min_by(|a, b| far(&a.q[..spec.joints]).total_cmp(&far(&b.q[..spec.joints]))) {
+    let Ok(poses) = on_surface(device, surface, per_joint, 0.0) else { return FirstTouch::Unknown };
+    if let Some(nearest) = poses.iter().min_by(|a, b| far(&a.q[..spec.joints]).total_cmp(&far(&b.q[..spec.joints]))) {
         return FirstTouch::At(nearest.q[..spec.joints].to_vec(), nearest.normal[..spec.task].to_vec());
     }
     let Some((low, high)) = distances(device, surface) else { return FirstTouch::Unknown };

@@ -65,13 +65,13 @@ pub fn baseline(question: &Question<'_>, written: &Settings, sweep: &Sweep) -> R
         }
         while low == 0.0 && step > 1e-3 * most {
             step /= 2.0;
-            let found = at(step)?;
-            if passes(&found) { (low, best) = (step, found) } else { high = step }
+            let candidate = at(step)?;
+            if passes(&candidate) { (low, best) = (step, candidate) } else { high = step }
         }
         while low > 0.0 && high / low > 1.03 {
             let middle = (low * high).sqrt();
-            let found = at(middle)?;
-            if passes(&found) { (low, best) = (middle, found) } else { high = middle }
+            let candidate = at(middle)?;
+            if passes(&candidate) { (low, best) = (middle, candidate) } else { high = middle }
         }
     }
     let nothing = Settings { stiffness: 0.0, ..*written };

@@ -38,9 +38,9 @@ fn ripple_of_deviations(question: &Question<'_>, settings: &Settings, bound_n: f
     let mut worst = Pressed { ripple_n: Some(0.0), holds: true };
     for (believed, moving) in margins.deviations(&file.description) {
         let simulation = WallSimulation::new(&believed, &moving, q, normal, settings.rate_hz)?;
-        let found = simulation.slid_along(&settings.rendered(*admissible), bound_n)?;
-        worst.ripple_n = worst.ripple_n.zip(found.ripple_n).map(|(one, other)| one.max(other));
-        worst.holds &= found.holds;
+        let result = simulation.slid_along(&settings.rendered(*admissible), bound_n)?;
+        worst.ripple_n = worst.ripple_n.zip(result.ripple_n).map(|(one, other)| one.max(other));
+        worst.holds &= result.holds;
         if worst.ripple_n.is_none_or(|ripple| ripple > bound_n) {
             break;
         }
@@ -162,7 +162,7 @@ impl<'a> SearchContext<'a> {
             self.sweep.go_on()?;
             let around = corner.adjusted_loop(&around);
             match stiffnesses(&corner.device, &corner.believed, &around, settings.mode(), dampings) {
-                Ok(found) => least.iter_mut().zip(found).for_each(|(least, found)| *least = least.min(found)),
+                Ok(result) => least.iter_mut().zip(result).for_each(|(least, result)| *least = least.min(result)),
                 Err(_) => return Ok(None),
             }
         }
@@ -208,8 +208,8 @@ impl<'a> SearchContext<'a> {
 
     /// The same, with the ripple on the simulated board: all criteria that are simulated.
     pub fn check_all(&self, settings: &Settings) -> Result<Option<TunedWall>, Failure> {
-        let Some(found) = self.check_ripple(settings)? else { return Ok(None) };
-        let Some(bound) = self.question.board_ripple_n else { return Ok(Some(found)) };
-        Ok(self.ripple_on_board(settings, bound)?.map(|ripple| TunedWall { board_ripple_n: Some(ripple), ..found }))
+        let Some(result) = self.check_ripple(settings)? else { return Ok(None) };
+        let Some(bound) = self.question.board_ripple_n else { return Ok(Some(result)) };
+        Ok(self.ripple_on_board(settings, bound)?.map(|ripple| TunedWall { board_ripple_n: Some(ripple), ..result }))
     }
 }

@@ -71,10 +71,10 @@ pub(super) fn limits(
         let mut least = f64::INFINITY;
         for corner in corners {
             let around = corner.adjusted_loop(&around);
-            let found = stiffnesses(&corner.device, &corner.believed, &around, settings.mode(), &[settings.damping]);
-            match found {
+            let result = stiffnesses(&corner.device, &corner.believed, &around, settings.mode(), &[settings.damping]);
+            match result {
                 Err(AnalysisError::Unbounded) => {}
-                found => least = least.min(found?[0]),
+                result => least = least.min(result?[0]),
             }
         }
         push(limit, least.is_finite().then_some(least));

@@ -117,16 +117,16 @@ pub fn vertex(
     let torque = if shaped { believed.shaped_torque() } else { believed.row.clone() };
     let nominal = inertia_along(&believed, &torque);
     let spec = description.kind.spec();
-    let mut found = *description;
+    let mut result = *description;
     for part in 0..spec.links.len() + spec.joints + 1 {
         let more = inertia_along(
             &Linearised::holding(&scaled(description, part, 1.0 + 1e-4), q, normal, admissible)?,
             &torque,
         );
         let grows = (more > nominal) == heavier;
-        found = scaled(&found, part, if grows { 1.0 + share } else { 1.0 - share });
+        result = scaled(&result, part, if grows { 1.0 + share } else { 1.0 - share });
     }
-    Ok(found)
+    Ok(result)
 }
 
 impl Margins {

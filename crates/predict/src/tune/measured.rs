@@ -46,9 +46,9 @@ pub struct Measured {
 /// Raises the stiffness on a simulated board until the wall oscillates, and simulates the ripple of the wall of the
 /// settings.
 pub fn measure(question: &Question<'_>, settings: &Settings, sweep: &Sweep) -> Result<Measured, Failure> {
-    let found = boundary(question, settings, &|| sweep.go_on().is_err());
+    let result = boundary(question, settings, &|| sweep.go_on().is_err());
     sweep.go_on()?;
-    let (stiffness, open) = match found {
+    let (stiffness, open) = match result {
         Ok(stiffness) => (stiffness, None),
         Err(MeasureError::Open { stable, why }) => (stable, Some(why.to_string())),
         Err(error) if error.is_local() => (0.0, Some(error.to_string())),
@@ -78,9 +78,9 @@ fn boundary(question: &Question<'_>, settings: &Settings, stop: &dyn Fn() -> boo
         largest_pull: PULL,
     };
     let mut prepared = PreparedBoard::new(&mut board, question.file, setup, stop)?;
-    let found = prepared.boundary(settings.feed_forward, settings.damping, 1.0, None)?.gain;
+    let result = prepared.boundary(settings.feed_forward, settings.damping, 1.0, None)?.gain;
     prepared.finish()?;
-    Ok(found)
+    Ok(result)
 }
 
 /// Returns the scene of one wall with these settings, its surface through `point` (m).

@@ -39,7 +39,7 @@ pub(super) fn compare_feed_forwards(
                 ..result.settings
             };
             let allowed = context.largest_stiffness(&settings)?;
-            let best = stiffest(all.iter().filter(|found| found.settings.feed_forward == feed_forward));
+            let best = stiffest(all.iter().filter(|candidate| candidate.settings.feed_forward == feed_forward));
             Ok(OtherFeedForward {
                 feed_forward,
                 best,

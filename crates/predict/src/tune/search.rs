@@ -53,8 +53,8 @@ const KEPT_SHARE: f64 = 0.98;
 /// Results of a search without the settings: stiffness, damping and ripple, and the ripple on the board.
 type Gains = ([f64; 3], Option<f64>);
 
-fn gains(found: TunedWall) -> Gains {
-    ([found.settings.stiffness, found.settings.damping, found.ripple_n], found.board_ripple_n)
+fn gains(tuned: TunedWall) -> Gains {
+    ([tuned.settings.stiffness, tuned.settings.damping, tuned.ripple_n], tuned.board_ripple_n)
 }
 
 fn restore(settings: &Settings, ([stiffness, damping, ripple_n], board_ripple_n): Gains) -> TunedWall {
@@ -83,13 +83,13 @@ impl SearchContext<'_> {
             candidates.sort_by(|(one, a), (other, b)| {
                 b.top().total_cmp(&a.top()).then_with(|| other.rate_hz.total_cmp(&one.rate_hz))
             });
-            let floor = stiffest(&all).map_or(0.0, |found| found.settings.stiffness);
+            let floor = stiffest(&all).map_or(0.0, |tuned| tuned.settings.stiffness);
             let share = if feed_forward == FeedForward::Off { NEAR_SHARE } else { COMPARED_SHARE };
-            let mut found = self.simulate(&candidates, name, share * floor, &mut looked_at.1)?;
-            for (place, one) in promising(&found).into_iter().enumerate() {
-                found.push(self.refine(one, &format!("feed-forward {name}, {}", place + 1))?);
+            let mut tuned = self.simulate(&candidates, name, share * floor, &mut looked_at.1)?;
+            for (place, one) in promising(&tuned).into_iter().enumerate() {
+                tuned.push(self.refine(one, &format!("feed-forward {name}, {}", place + 1))?);
             }
-            all.extend(found);
+            all.extend(tuned);
         }
         let mut all = self.soften_for_board(all)?;
         if let Some((best, _)) = choose(&all) {
@@ -104,45 +104,45 @@ impl SearchContext<'_> {
             return Ok(all);
         }
         let (mut done, mut waiting): (Vec<TunedWall>, Vec<TunedWall>) =
-            all.into_iter().partition(|found| found.board_ripple_n.is_some());
+            all.into_iter().partition(|tuned| tuned.board_ripple_n.is_some());
         waiting.sort_by(|a, b| b.settings.stiffness.total_cmp(&a.settings.stiffness));
         let mut seen = BTreeSet::new();
-        waiting.retain(|found| seen.insert((found.settings.estimator, found.settings.feed_forward.name())));
+        waiting.retain(|tuned| seen.insert((tuned.settings.estimator, tuned.settings.feed_forward.name())));
         waiting.truncate(MOST_PRESSED);
         for (round, some) in waiting.chunks(PRESSED_AT_ONCE).enumerate() {
             // Results well below the stiffest so far need not be exact.
-            let floor = COMPARED_SHARE * stiffest(&done).map_or(0.0, |found| found.settings.stiffness);
-            let results = self.sweep.map(&format!("on the board, round {}", round + 1), some, |found| {
-                let top = found.settings.stiffness;
+            let floor = COMPARED_SHARE * stiffest(&done).map_or(0.0, |tuned| tuned.settings.stiffness);
+            let results = self.sweep.map(&format!("on the board, round {}", round + 1), some, |tuned| {
+                let top = tuned.settings.stiffness;
                 let softer = (0..24).map(|i| three_digits(top / SOFTER.powi(i), true));
                 for stiffness in softer.take_while(|stiffness| *stiffness > floor) {
-                    if let Some(kept) = self.check_all(&Settings { stiffness, ..found.settings })? {
+                    if let Some(kept) = self.check_all(&Settings { stiffness, ..tuned.settings })? {
                         return Ok(Some(gains(kept)));
                     }
                 }
                 Ok(None)
             })?;
             let each = some.iter().zip(results);
-            done.extend(each.filter_map(|(found, result)| Some(restore(&found.settings, result?))));
+            done.extend(each.filter_map(|(tuned, result)| Some(restore(&tuned.settings, result?))));
         }
         Ok(done)
     }
 
     /// Makes a wall stiffer until no step meets all criteria.
-    fn stiffen(&self, mut found: TunedWall) -> Result<TunedWall, Failure> {
-        let most = self.largest_stiffness(&found.settings)?;
+    fn stiffen(&self, mut tuned: TunedWall) -> Result<TunedWall, Failure> {
+        let most = self.largest_stiffness(&tuned.settings)?;
         let mut round = 0;
         loop {
             round += 1;
-            let higher = STIFFER_FACTORS.map(|factor| three_digits(factor * found.settings.stiffness, false));
+            let higher = STIFFER_FACTORS.map(|factor| three_digits(factor * tuned.settings.stiffness, false));
             let walls: Vec<f64> = higher.into_iter().filter(|stiffness| *stiffness <= most).collect();
-            let settings = found.settings;
+            let settings = tuned.settings;
             let kept = self.sweep.map(&format!("stiffer, round {round}"), &walls, |stiffness| {
                 Ok(self.check_all(&Settings { stiffness: *stiffness, ..settings })?.map(gains))
             })?;
             match kept.into_iter().flatten().next() {
-                Some(stiffer) => found = restore(&settings, stiffer),
-                None => return Ok(found),
+                Some(stiffer) => tuned = restore(&settings, stiffer),
+                None => return Ok(tuned),
             }
         }
     }
@@ -152,7 +152,7 @@ impl SearchContext<'_> {
         let Some(known) = self.question.known.filter(|known| known.stiffness > 0.0) else { return Ok(None) };
         self.sweep
             .map("the wall that is there", &[known], |known| Ok(self.check_all(known)?.map(gains)))
-            .map(|found| found.into_iter().flatten().next().map(|found| restore(&known, found)))
+            .map(|tuned| tuned.into_iter().flatten().next().map(|tuned| restore(&known, tuned)))
     }
 
     /// Returns every combination of rate, estimator and cutoff with one feed-forward.
@@ -162,11 +162,11 @@ impl SearchContext<'_> {
         let rigid = !description.is_flexible();
         let compensations: &[bool] =
             if feed_forward != FeedForward::Off && viscous && rigid { &[false, true] } else { &[false] };
-        let mut found = Vec::new();
+        let mut combinations = Vec::new();
         for &rate_hz in &self.question.rates_hz {
             let usual_cutoff = (0.1 * rate_hz).min(500.0);
             let mut add = |kind: Estimator, cutoff_hz: f64| {
-                found.extend(compensations.iter().map(|&damping_compensation| Settings {
+                combinations.extend(compensations.iter().map(|&damping_compensation| Settings {
                     rate_hz,
                     kind,
                     estimator: kind.name(),
@@ -193,7 +193,7 @@ impl SearchContext<'_> {
                 }
             }
         }
-        found
+        combinations
     }
 
     /// Returns the stiffest wall of a candidate that passes the ripple check and is stiffer than `floor`, N/m.
@@ -206,8 +206,8 @@ impl SearchContext<'_> {
             let ladder = (0..if known { 1 } else { 40 }).map(|i| STEP.powi(i) * least);
             for stiffness in ladder.take_while(|stiffness| *stiffness <= most) {
                 let wall = Settings { stiffness: three_digits(stiffness, true), damping, ..*settings };
-                if let Some(found) = self.check_ripple(&wall)? {
-                    best = Some(self.raise_to_limit(found, most)?);
+                if let Some(tuned) = self.check_ripple(&wall)? {
+                    best = Some(self.raise_to_limit(tuned, most)?);
                     break;
                 }
             }
@@ -216,19 +216,19 @@ impl SearchContext<'_> {
     }
 
     /// Makes a wall as stiff as the ripple check allows, up to `most`, N/m.
-    fn raise_to_limit(&self, mut found: TunedWall, most: f64) -> Result<TunedWall, Failure> {
+    fn raise_to_limit(&self, mut tuned: TunedWall, most: f64) -> Result<TunedWall, Failure> {
         let mut high = None;
         loop {
-            let low = found.settings.stiffness;
+            let low = tuned.settings.stiffness;
             // Ripple grows roughly in proportion to stiffness.
-            let ahead = (self.question.ripple_n / found.ripple_n).clamp(1.06, STEP);
+            let ahead = (self.question.ripple_n / tuned.ripple_n).clamp(1.06, STEP);
             let factor = high.map_or(ahead, |high: f64| (high / low).sqrt());
             let stiffness = three_digits((factor * low).min(most), true);
             if stiffness <= low || high.is_some_and(|high| high / low < STIFFNESS_RATIO) {
-                return Ok(found);
+                return Ok(tuned);
             }
-            match self.check_ripple(&Settings { stiffness, ..found.settings })? {
-                Some(stiffer) => found = stiffer,
+            match self.check_ripple(&Settings { stiffness, ..tuned.settings })? {
+                Some(stiffer) => tuned = stiffer,
                 None => high = Some(stiffness),
             }
         }
@@ -242,17 +242,17 @@ impl SearchContext<'_> {
         floor: f64,
         count: &mut usize,
     ) -> Result<Vec<TunedWall>, Failure> {
-        let mut found: Vec<TunedWall> = Vec::new();
+        let mut tuned: Vec<TunedWall> = Vec::new();
         for (round, some) in candidates.chunks(ROUND).enumerate() {
-            let floor = stiffest(&found).map_or(floor, |best| floor.max(NEAR_SHARE * best.settings.stiffness));
+            let floor = stiffest(&tuned).map_or(floor, |best| floor.max(NEAR_SHARE * best.settings.stiffness));
             if some[0].1.top() <= floor {
                 break;
             }
             let stage = format!("ripple, feed-forward {feed_forward}, round {}", round + 1);
-            found.extend(self.best_of_each(some, floor, &stage)?);
+            tuned.extend(self.best_of_each(some, floor, &stage)?);
             *count += some.len();
         }
-        Ok(found)
+        Ok(tuned)
     }
 
     /// Returns the best wall of each candidate, if it is stiffer than `floor`, N/m.
@@ -271,8 +271,8 @@ impl SearchContext<'_> {
 
     /// Refines cutoff and damping between the grid's values, then chooses the highest corner of the washout that keeps
     /// the stiffness.
-    fn refine(&self, found: TunedWall, stage: &str) -> Result<TunedWall, Failure> {
-        let mut best = found;
+    fn refine(&self, tuned: TunedWall, stage: &str) -> Result<TunedWall, Failure> {
+        let mut best = tuned;
         for round in 0..REFINEMENT_ROUNDS {
             let Settings { stiffness, damping, .. } = best.settings;
             let candidates = self.around_damping(neighbours(&best.settings), damping)?;
@@ -286,8 +286,8 @@ impl SearchContext<'_> {
             let corners = WASHOUTS_HZ.map(|washout_hz| Settings { washout_hz, ..best.settings });
             let candidates = self.around_damping(corners.to_vec(), best.settings.damping)?;
             let there = self.best_of_each(&candidates, 0.8 * best.settings.stiffness, &format!("washouts, {stage}"))?;
-            let most = stiffest([&best].into_iter().chain(&there)).map_or(0.0, |found| found.settings.stiffness);
-            best = there.into_iter().find(|found| found.settings.stiffness >= KEPT_SHARE * most).unwrap_or(best);
+            let most = stiffest([&best].into_iter().chain(&there)).map_or(0.0, |tuned| tuned.settings.stiffness);
+            best = there.into_iter().find(|tuned| tuned.settings.stiffness >= KEPT_SHARE * most).unwrap_or(best);
         }
         Ok(best)
     }
@@ -306,25 +306,26 @@ impl SearchContext<'_> {
 /// Returns the same settings and others with a cutoff or a window between the grid's values.
 fn neighbours(settings: &Settings) -> Vec<Settings> {
     if settings.has_cutoff() {
-        let near = CUTOFFS.iter().map(|factor| three_digits(settings.cutoff_hz * factor, false));
-        let near = near.filter(|hz| *hz <= 0.4 * settings.rate_hz);
-        return near.map(|cutoff_hz| Settings { cutoff_hz, ..*settings }).collect();
+        let nearby = CUTOFFS.iter().map(|factor| three_digits(settings.cutoff_hz * factor, false));
+        let nearby = nearby.filter(|hz| *hz <= 0.4 * settings.rate_hz);
+        return nearby.map(|cutoff_hz| Settings { cutoff_hz, ..*settings }).collect();
     }
     let Some(key) = settings.kind.spec().and_then(|spec| spec.key) else { return vec![*settings] };
-    let near = WIDTHS.iter().map(|factor| (f64::from(settings.value) * factor).round() as u32);
-    let near = near.filter(|value| (key.range.0..=key.range.1).contains(value));
-    near.map(|value| {
-        let kind = settings.kind.choosing(Chosen { value, filtered: false });
-        Settings { kind, value, ..*settings }
-    })
-    .collect()
+    let nearby = WIDTHS.iter().map(|factor| (f64::from(settings.value) * factor).round() as u32);
+    let nearby = nearby.filter(|value| (key.range.0..=key.range.1).contains(value));
+    nearby
+        .map(|value| {
+            let kind = settings.kind.choosing(Chosen { value, filtered: false });
+            Settings { kind, value, ..*settings }
+        })
+        .collect()
 }
 
 /// Returns the best of each estimator that is near the best of all, the stiffest first.
-fn promising(found: &[TunedWall]) -> Vec<TunedWall> {
-    let best = stiffest(found).map_or(0.0, |best| best.settings.stiffness);
-    let mut near = super::best_of_each_estimator(found.to_vec());
-    near.retain(|found| found.settings.stiffness >= NEAR_SHARE * best);
-    near.truncate(REFINED_ESTIMATORS);
-    near
+fn promising(tuned: &[TunedWall]) -> Vec<TunedWall> {
+    let best = stiffest(tuned).map_or(0.0, |best| best.settings.stiffness);
+    let mut nearby = super::best_of_each_estimator(tuned.to_vec());
+    nearby.retain(|tuned| tuned.settings.stiffness >= NEAR_SHARE * best);
+    nearby.truncate(REFINED_ESTIMATORS);
+    nearby
 }

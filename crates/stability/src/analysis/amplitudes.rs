@@ -108,12 +108,12 @@ mod tests {
         let signal: Vec<(f64, f64)> = (0..64_u64).map(|i| ((i * i % 17) as f64, (i * 7 % 5) as f64)).collect();
         let mut fast = signal.clone();
         transform(&mut fast);
-        for (k, found) in fast.iter().enumerate() {
+        for (k, result) in fast.iter().enumerate() {
             let sum = signal.iter().enumerate().fold((0.0, 0.0), |sum: (f64, f64), (n, (re, im))| {
                 let (sin, cos) = (-TAU * (k * n) as f64 / 64.0).sin_cos();
                 (sum.0 + re * cos - im * sin, sum.1 + re * sin + im * cos)
             });
-            assert!((found.0 - sum.0).hypot(found.1 - sum.1) < 1e-9, "{k}");
+            assert!((result.0 - sum.0).hypot(result.1 - sum.1) < 1e-9, "{k}");
         }
     }
 
@@ -123,12 +123,12 @@ mod tests {
         for (hz, amplitude) in [(61.035_156_25, 3.0), (1_000.0, 0.02)] {
             let signal: Vec<f64> =
                 (0..50_000).map(|i| 7.0 + amplitude * (TAU * hz * f64::from(i) / rate).sin()).collect();
-            let found = spectrum(&[&signal], rate).unwrap();
-            let top = found.lines.iter().max_by(|a, b| a.amplitude.total_cmp(&b.amplitude)).unwrap();
+            let result = spectrum(&[&signal], rate).unwrap();
+            let top = result.lines.iter().max_by(|a, b| a.amplitude.total_cmp(&b.amplitude)).unwrap();
             assert!((top.frequency - hz).abs() < rate / LONGEST as f64, "{top:?}");
             // Between two lines the Hann window shows at most 15 % less.
             assert!(top.amplitude <= 1.001 * amplitude && top.amplitude > 0.84 * amplitude, "{top:?}");
-            let ripple = found.ripple() / (amplitude * 0.5_f64.sqrt());
+            let ripple = result.ripple() / (amplitude * 0.5_f64.sqrt());
             assert!((ripple - 1.0).abs() < 0.01, "{hz} Hz: {ripple} of the root mean square");
         }
         assert_eq!(spectrum(&[&[0.0; 63]], 1.0), None);
@@ -142,14 +142,14 @@ mod tests {
             for swings in [0..count / 5, count - count / 5..count] {
                 let sine = |i: usize| if swings.contains(&i) { (TAU * 100.0 * i as f64 / rate).sin() } else { 0.0 };
                 let signal: Vec<f64> = (0..count).map(sine).collect();
-                let found = spectrum(&[&signal], rate).unwrap();
-                let top = found.lines.iter().max_by(|a, b| a.amplitude.total_cmp(&b.amplitude)).unwrap();
+                let result = spectrum(&[&signal], rate).unwrap();
+                let top = result.lines.iter().max_by(|a, b| a.amplitude.total_cmp(&b.amplitude)).unwrap();
                 assert!((top.frequency - 100.0).abs() < 2.0 * rate / 64.0 && top.amplitude > 0.01, "{count}: {top:?}");
-                assert_eq!(found.samples, count);
+                assert_eq!(result.samples, count);
             }
         }
         // With several stretches, all that hold a piece count.
-        let found = spectrum(&[&[1.0; 100], &[1.0; 63], &[1.0; 64]], rate).unwrap();
-        assert_eq!((found.samples, found.lines.len()), (164, 33));
+        let result = spectrum(&[&[1.0; 100], &[1.0; 63], &[1.0; 64]], rate).unwrap();
+        assert_eq!((result.samples, result.lines.len()), (164, 33));
     }
 }

@@ -157,27 +157,27 @@ impl<'a> Circle<'a> {
 
     /// Returns the positive real gains at which a mode lies on the unit circle, in ascending order.
     fn crossings(&mut self, searched: SearchedGain, held: f64) -> Vec<f64> {
-        let mut found = Vec::new();
+        let mut gains = Vec::new();
         let values: Vec<f64> = self.samples.iter().map(|r| r.mismatch(searched, held)).collect();
         for i in 1..values.len() {
             if (values[i] > 0.0) != (values[i - 1] > 0.0) {
-                found.push(self.refine(searched, held, i - 1, i, values[i - 1]));
+                gains.push(self.refine(searched, held, i - 1, i, values[i - 1]));
             }
             // Two crossings between samples: an extremum near zero that does not reach zero on the grid.
             if i >= 2 {
                 let (a, b, c) = (values[i - 2], values[i - 1], values[i]);
                 let same_side = (a > 0.0) == (b > 0.0) && (b > 0.0) == (c > 0.0);
                 if same_side && b.abs() < a.abs() && b.abs() < c.abs() && b.abs() < (a - b).abs().max((c - b).abs()) {
-                    found.extend(self.refine_pair(searched, held, i - 2, i, b));
+                    gains.extend(self.refine_pair(searched, held, i - 2, i, b));
                 }
             }
         }
         if self.own_at_nyquist(searched).norm() > 1e-14 {
-            found.push(self.at_nyquist.gain(searched, held).re);
+            gains.push(self.at_nyquist.gain(searched, held).re);
         }
-        found.retain(|gain| gain.is_finite() && *gain > 0.0);
-        found.sort_by(f64::total_cmp);
-        found
+        gains.retain(|gain| gain.is_finite() && *gain > 0.0);
+        gains.sort_by(f64::total_cmp);
+        gains
     }
 
     fn own_at_nyquist(&self, searched: SearchedGain) -> Complex<f64> {

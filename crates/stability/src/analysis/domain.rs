@@ -91,8 +91,8 @@ pub fn domain(device: &Linearised, around: &Loop, mode: Mode, kd: Option<&[f64]>
         return Err(AnalysisError::Damping(refused));
     }
     let open = open_loop(device, device, around, mode)?;
-    let found = domain_from_intervals(&mut Circle::new(&open, around.delay_samples), open.mass, open.sample_s, kd)?;
-    Ok(found.with_compliance(device.compliance(mode)))
+    let result = domain_from_intervals(&mut Circle::new(&open, around.delay_samples), open.mass, open.sample_s, kd)?;
+    Ok(result.with_compliance(device.compliance(mode)))
 }
 
 /// Like [`domain`], for walls that act together.
@@ -155,7 +155,7 @@ pub(super) fn domain_from_intervals(
     let mut stable_at = |kd: f64| match circle.stiffness_intervals(kd) {
         // At exactly the largest damping the stiffness may be unbounded; no gain counts there.
         Err(AnalysisError::Unbounded) if !is_supported(&support, kd) => Ok(Vec::new()),
-        found => found,
+        result => result,
     };
     let area = area(kd_max, |kd| Ok(supported_stiffness(&support, kd, &stable_at(kd)?)))?;
 
@@ -289,8 +289,8 @@ pub fn boundary_of(
 
 /// Returns the dampings at which the smallest stiffness is stable, in units of m/T; none if they are negligible.
 fn support(circle: &mut impl StableIntervals) -> Result<Vec<Interval>, AnalysisError> {
-    let found = circle.damping_intervals()?;
-    Ok(if found.last().is_some_and(|last| last.high > SMALLEST_DAMPING) { found } else { Vec::new() })
+    let result = circle.damping_intervals()?;
+    Ok(if result.last().is_some_and(|last| last.high > SMALLEST_DAMPING) { result } else { Vec::new() })
 }
 
 /// Returns true if the smallest stiffness is stable at this damping.
@@ -401,8 +401,8 @@ mod tests {
             (1000.0, 20.0, 0.008215, 0.1520, 7.699e-4),
             (20000.0, 500.0, 0.01184, 0.1838, 1.351e-3),
         ] {
-            let found = in_sample_units_of_a_mass(rate, cutoff, 0.0);
-            for (got, known) in [(found.0, kp), (found.1, kd), (found.2, area)] {
+            let result = in_sample_units_of_a_mass(rate, cutoff, 0.0);
+            for (got, known) in [(result.0, kp), (result.1, kd), (result.2, area)] {
                 assert!((got / known - 1.0).abs() < 1e-3, "{rate}/{cutoff}: {got} is not {known}");
             }
         }
@@ -412,13 +412,13 @@ mod tests {
     fn the_top_is_refined_between_the_dampings_of_the_grid() {
         // Without filter and delay the boundary is 2β(2 - β)/(2 + β), with its maximum 12 - 8√2 at β = 2(√2 - 1).
         let around = Loop { estimator: LinearEstimator::BackwardDifference, ..around(1000.0, 1.0, 0.0) };
-        let found = domain(&mass(1.0, 0.0), &around, Mode::Off, None).unwrap();
-        let (kp, kd) = (found.top.kp * 1e-6, found.top.kd * 1e-3);
+        let result = domain(&mass(1.0, 0.0), &around, Mode::Off, None).unwrap();
+        let (kp, kd) = (result.top.kp * 1e-6, result.top.kd * 1e-3);
         assert!((kp / (12.0 - 8.0 * 2.0_f64.sqrt()) - 1.0).abs() < 1e-8, "{kp}");
         assert!((kd - 2.0 * (2.0_f64.sqrt() - 1.0)).abs() < 1e-4, "{kd}");
         // The two neighbouring points of the grid are 3e-6 lower; with a kink, as soft transmissions make, they would
         // be up to 3e-3 lower.
-        let grid = found.boundary.iter().map(|point| point.kp).fold(0.0, f64::max) * 1e-6;
+        let grid = result.boundary.iter().map(|point| point.kp).fold(0.0, f64::max) * 1e-6;
         assert!(grid < kp - 1e-7, "{grid}");
         // With requested dampings the top is the largest of theirs.
         let requested = domain(&mass(1.0, 0.0), &around, Mode::Off, Some(&[300.0, 700.0])).unwrap();
@@ -439,7 +439,7 @@ mod tests {
         // polynomial
         // z(z-1)² + (k/2) z (z+1) + (d/2)(z+1)(z-1) = z³ + (k/2 + d/2 - 2) z² + (1 + k/2) z - d/2.
         let around = Loop { estimator: LinearEstimator::BackwardDifference, ..around(1000.0, 1.0, 0.0) };
-        let found = domain(&mass(1.0, 0.0), &around, Mode::Off, Some(&[200.0])).unwrap();
+        let result = domain(&mass(1.0, 0.0), &around, Mode::Off, Some(&[200.0])).unwrap();
         // Jury for a cubic with a0 = -d/2: |a0² - 1| > |a0 a2 - a1| gives the limit at d = 0.2.
         let d = 0.2;
         let stable = |k: f64| {
@@ -454,9 +454,9 @@ mod tests {
             let middle = (low + high) / 2.0;
             if stable(middle) { low = middle } else { high = middle }
         }
-        assert!((found.boundary[0].kp * 1e-6 / low - 1.0).abs() < 1e-9);
+        assert!((result.boundary[0].kp * 1e-6 / low - 1.0).abs() < 1e-9);
         // At k = 0 the double root at one leaves 1: kd_max T/m of the rate loop (z² - (1 - d/2) z + d/2) is 2.
-        assert!((found.kd_max * 1e-3 - 2.0).abs() < 1e-6, "{}", found.kd_max);
+        assert!((result.kd_max * 1e-3 - 2.0).abs() < 1e-6, "{}", result.kd_max);
     }
 
     const RATE: f64 = 1000.0;
@@ -479,11 +479,11 @@ mod tests {
         let (device, around) = joint();
         // Without damping one root is 0, and the pair has |z|² = 1 + k/2 and the sum 2 - k/2.
         for k in [1e-6, 0.01, 1.0, 3.0] {
-            let found = oscillation(&device, &around, Mode::Off, k * RATE * RATE, 0.0).unwrap().unwrap();
+            let result = oscillation(&device, &around, Mode::Off, k * RATE * RATE, 0.0).unwrap().unwrap();
             let size = (1.0 + k / 2.0_f64).sqrt();
             let hz = ((1.0 - k / 4.0) / size).acos() * RATE / TAU;
-            assert!((found.hz / hz - 1.0).abs() < 1e-6, "{k}: {found:?} is not {hz} Hz");
-            assert!((found.growth_per_s / (size.ln() * RATE) - 1.0).abs() < 1e-6, "{k}: {found:?}");
+            assert!((result.hz / hz - 1.0).abs() < 1e-6, "{k}: {result:?} is not {hz} Hz");
+            assert!((result.growth_per_s / (size.ln() * RATE) - 1.0).abs() < 1e-6, "{k}: {result:?}");
         }
         // With d = 0.4 and the pair at 0.9 e^{±iθ}, the third root is r = d/2/0.81. The sum of all roots and the sum of
         // their products in pairs give θ and k.
@@ -491,9 +491,9 @@ mod tests {
         let r = d / 2.0 / (size * size);
         let cosine = (3.0 - d / 2.0 - r - size * size) / (2.0 * size * (1.0 + r));
         let k = 2.0 * (2.0 * r * size * cosine + size * size - 1.0);
-        let found = oscillation(&device, &around, Mode::Off, k * RATE * RATE, d * RATE).unwrap().unwrap();
-        assert!((found.hz - cosine.acos() * RATE / TAU).abs() < 1e-9 && k > 0.0, "{found:?}");
-        assert!((found.growth_per_s - size.ln() * RATE).abs() < 1e-9, "{found:?}");
+        let result = oscillation(&device, &around, Mode::Off, k * RATE * RATE, d * RATE).unwrap().unwrap();
+        assert!((result.hz - cosine.acos() * RATE / TAU).abs() < 1e-9 && k > 0.0, "{result:?}");
+        assert!((result.growth_per_s - size.ln() * RATE).abs() < 1e-9, "{result:?}");
     }
 
     #[test]
@@ -501,13 +501,13 @@ mod tests {
         let (device, around) = joint();
         // On the circle the third root is d/2 and cos θ = (2 - d)/(2 + d).
         let requested: Vec<f64> = [0.0, 0.1, 0.5, 1.9, 2.5].iter().map(|d| d * RATE).collect();
-        let found = domain(&device, &around, Mode::Off, Some(&requested)).unwrap();
-        for (point, d) in found.boundary.iter().zip(&requested).skip(1).take(3) {
+        let result = domain(&device, &around, Mode::Off, Some(&requested)).unwrap();
+        for (point, d) in result.boundary.iter().zip(&requested).skip(1).take(3) {
             let d = d / RATE;
             let hz = ((2.0 - d) / (2.0 + d)).acos() * RATE / TAU;
             assert!((point.hz.unwrap() / hz - 1.0).abs() < 1e-6, "{point:?} is not at {hz} Hz");
         }
-        assert_eq!([found.boundary[0].hz, found.boundary[4].hz], [None; 2], "nothing is stable there");
+        assert_eq!([result.boundary[0].hz, result.boundary[4].hz], [None; 2], "nothing is stable there");
         assert!(oscillation(&device, &around, Mode::Off, -1.0, 0.0).is_err());
     }
 }

@@ -55,7 +55,7 @@ fn hessenberg(a: &mut DMatrix<f64>) {
 /// Runs the QR iteration on a Hessenberg matrix (`hqr`).
 fn quotient_iteration(a: &mut DMatrix<f64>) -> Option<Vec<Complex<f64>>> {
     let n = a.nrows();
-    let mut found = Vec::with_capacity(n);
+    let mut result = Vec::with_capacity(n);
     let norm: f64 = a.iter().map(|v| v.abs()).sum();
     let mut shifted = 0.0;
     let mut left = n;
@@ -76,14 +76,14 @@ fn quotient_iteration(a: &mut DMatrix<f64>) -> Option<Vec<Complex<f64>>> {
             }
             let x = a[(hi, hi)];
             if l == hi {
-                found.push(Complex::new(x + shifted, 0.0));
+                result.push(Complex::new(x + shifted, 0.0));
                 left -= 1;
                 break;
             }
             let y = a[(hi - 1, hi - 1)];
             let w = a[(hi, hi - 1)] * a[(hi - 1, hi)];
             if l + 1 == hi {
-                found.extend(pair(x, y, w, shifted));
+                result.extend(pair(x, y, w, shifted));
                 left -= 2;
                 break;
             }
@@ -104,7 +104,7 @@ fn quotient_iteration(a: &mut DMatrix<f64>) -> Option<Vec<Complex<f64>>> {
             sweep(a, l, hi, x, y, w);
         }
     }
-    Some(found)
+    Some(result)
 }
 
 /// Returns the eigenvalues of the trailing 2 x 2 block.
@@ -223,19 +223,19 @@ mod tests {
         for i in 1..5 {
             companion[(i, i - 1)] = 1.0;
         }
-        let found = eigenvalues(companion).unwrap();
-        assert_eq!(found.len(), 5);
+        let result = eigenvalues(companion).unwrap();
+        assert_eq!(result.len(), 5);
         for (re, im) in [(1.0, -2.0), (1.0, 0.0), (1.0, 2.0), (2.0, 0.0), (3.0, 0.0)] {
-            assert!(found.iter().any(|got| (got - Complex::new(re, im)).norm() < 1e-9), "{found:?}");
+            assert!(result.iter().any(|got| (got - Complex::new(re, im)).norm() < 1e-9), "{result:?}");
         }
     }
 
     #[test]
     fn exceptional_shifts_solve_a_permutation() {
         let cycle = DMatrix::from_row_slice(4, 4, &[0., 0., 0., 1., 1., 0., 0., 0., 0., 1., 0., 0., 0., 0., 1., 0.]);
-        let found = eigenvalues(cycle).unwrap();
-        assert!(found.iter().all(|v| (v.norm() - 1.0).abs() < 1e-12));
-        assert!(found.iter().all(|v| (v.powi(4) - 1.0).norm() < 1e-11));
+        let result = eigenvalues(cycle).unwrap();
+        assert!(result.iter().all(|v| (v.norm() - 1.0).abs() < 1e-12));
+        assert!(result.iter().all(|v| (v.powi(4) - 1.0).norm() < 1e-11));
     }
 
     #[test]
@@ -247,9 +247,9 @@ mod tests {
             let known: Vec<f64> = (0..n).map(|_| -size(&mut random)).collect();
             let basis = DMatrix::from_fn(n, n, |_, _| random.between(-1.0, 1.0)).qr().q();
             let matrix = &basis * DMatrix::from_diagonal(&known.clone().into()) * basis.transpose();
-            let found = sorted(eigenvalues(matrix).unwrap());
+            let result = sorted(eigenvalues(matrix).unwrap());
             let known = sorted(known.into_iter().map(|v| Complex::new(v, 0.0)).collect());
-            for (got, known) in found.iter().zip(&known) {
+            for (got, known) in result.iter().zip(&known) {
                 assert!((got - known).norm() < 1e-13 * 10.0 * n as f64, "{got} {known}");
             }
         }

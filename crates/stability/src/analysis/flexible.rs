@@ -77,7 +77,7 @@ impl Flexible {
         let joints = self.transmissions.iter().zip(row.iter().zip(torque.iter()));
         let compliance: f64 = joints
             .filter_map(|(transmission, (lever, torque))| {
-                let transmission = transmission.filter(|found| found.encoder_at == EncoderAt::Motor)?;
+                let transmission = transmission.filter(|candidate| candidate.encoder_at == EncoderAt::Motor)?;
                 Some(lever * torque / transmission.stiffness)
             })
             .sum();

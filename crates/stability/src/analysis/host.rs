@@ -182,7 +182,7 @@ mod tests {
             for (steps, late, delay) in [(20.0, 0.0, 0.0), (20.0, 20.0, 0.5), (20.0, 33.0, 0.5), (7.0, 24.0, 1.5)] {
                 let around = around(20_000.0, delay, drive.clone());
                 let host = Host { rate_hz: 20_000.0 / steps, delay_s: late / 20_000.0 };
-                let found = host.domain(&device, &around, Some(&[0.0])).unwrap().domain.boundary[0].kp;
+                let result = host.domain(&device, &around, Some(&[0.0])).unwrap().domain.boundary[0].kp;
                 let slow = Loop {
                     rate_hz: 20_000.0 / steps,
                     delay_samples: (late + delay) / steps,
@@ -190,7 +190,7 @@ mod tests {
                     ..around
                 };
                 let expected = domain(&device, &slow, Mode::Off, Some(&[0.0])).unwrap().boundary[0].kp;
-                assert!(close(found, expected, 1e-7), "{steps} {late} {delay}: {found} is not {expected}");
+                assert!(close(result, expected, 1e-7), "{steps} {late} {delay}: {result} is not {expected}");
             }
         }
     }
@@ -203,9 +203,9 @@ mod tests {
         let (m, t) = (0.2, 0.01);
         let host = Host { rate_hz: 1.0 / t, delay_s: 0.0 };
         for beta in [0.2, 0.8, 1.5] {
-            let found = host.domain(&mass(m, 0.0), &around, Some(&[beta * m / t])).unwrap().domain;
-            assert!(close(found.boundary[0].kp * t * t / m, 2.0 * beta, 5e-3), "{beta}: {found:?}");
-            assert!(close(found.kd_max * t / m, 2.0, 5e-3), "{}", found.kd_max);
+            let result = host.domain(&mass(m, 0.0), &around, Some(&[beta * m / t])).unwrap().domain;
+            assert!(close(result.boundary[0].kp * t * t / m, 2.0 * beta, 5e-3), "{beta}: {result:?}");
+            assert!(close(result.kd_max * t / m, 2.0, 5e-3), "{}", result.kd_max);
         }
     }
 
@@ -245,8 +245,8 @@ mod tests {
         for (steps, late, beta) in [(4, 0, 0.4), (4, 3, 0.4), (4, 4, 0.3), (4, 7, 0.2), (10, 25, 0.1)] {
             let host_s = steps as f64 / rate;
             let host = Host { rate_hz: 1.0 / host_s, delay_s: late as f64 / rate };
-            let found = host.domain(&mass(m, 0.0), &around, Some(&[beta * m / host_s])).unwrap().domain;
-            let alpha = found.boundary[0].kp * host_s * host_s / m;
+            let result = host.domain(&mass(m, 0.0), &around, Some(&[beta * m / host_s])).unwrap().domain;
+            let alpha = result.boundary[0].kp * host_s * host_s / m;
             assert!(alpha > 0.01, "{alpha}");
             assert!(!grows(steps, late, 0.99 * alpha, beta), "{steps} {late} {beta}: grows below {alpha}");
             assert!(grows(steps, late, 1.01 * alpha, beta), "{steps} {late} {beta}: decays above {alpha}");

@@ -75,7 +75,7 @@ mod tests {
     fn a_line_of_one_damping_ends_at_the_boundary() {
         let file = DeviceFile::load(concat!(env!("CARGO_MANIFEST_DIR"), "/../../devices/coupled-five-bar.toml"))
             .expect("a shipped file");
-        let seen = Linearised::at(&file.description, &[2.6, 1.75], &[0.6, 0.8]).expect("a regular pose");
+        let linearised = Linearised::at(&file.description, &[2.6, 1.75], &[0.6, 0.8]).expect("a regular pose");
         let around = Loop {
             rate_hz: 20_000.0,
             delay_samples: 0.5,
@@ -83,12 +83,12 @@ mod tests {
             drive: Drive::Ideal,
             damping_compensation: false,
         };
-        let range = predict(&seen, &around, Some(&[20.0]), None).expect("a loop that can be analysed");
+        let range = predict(&linearised, &around, Some(&[20.0]), None).expect("a loop that can be analysed");
         for (mode, boundary) in [(Mode::Off, &range.off.boundary), (Mode::Full, &range.full.boundary)] {
-            let line = StableLine::of(&seen, &around, mode, DampingRule::Damping(20.0)).expect("the same loop");
-            let off = line.kp / boundary[0].kp - 1.0;
+            let line = StableLine::of(&linearised, &around, mode, DampingRule::Damping(20.0)).expect("the same loop");
+            let deviation = line.kp / boundary[0].kp - 1.0;
             // The line is searched to a precision of 1e-6.
-            assert!(off.abs() < 2e-6, "{mode:?}: {} N/m, by {off:e} off", line.kp);
+            assert!(deviation.abs() < 2e-6, "{mode:?}: {} N/m, by {deviation:e} off", line.kp);
         }
     }
 }

@@ -343,23 +343,23 @@ impl Reachable {
 
     /// Returns true if `q` (rad) lies on the reached side of the singularities and within the limits.
     pub fn walkable(&self, q: &[f64]) -> bool {
-        self.side.is_some() && side(&self.device, q, WALKABLE_SINE).is_ok_and(|found| found == self.side)
+        self.side.is_some() && side(&self.device, q, WALKABLE_SINE).is_ok_and(|result| result == self.side)
     }
 
     /// Returns true if no singularity lies between two neighbours of the grid.
     fn is_connected(&self, from: usize, to: usize) -> bool {
         let (from, to) = (self.angles(from), self.angles(to));
         let turn = std::f64::consts::TAU;
-        let way = |joint: usize| {
-            let way = to[joint] - from[joint];
-            if self.wraps[joint] { way - turn * (way / turn).round() } else { way }
+        let travel = |joint: usize| {
+            let travel = to[joint] - from[joint];
+            if self.wraps[joint] { travel - turn * (travel / turn).round() } else { travel }
         };
-        let ways: Vec<f64> = (0..from.len()).map(way).collect();
-        let swept = ways.iter().zip(&self.axes).filter(|(_, axis)| axis.len() > 1);
-        let steps = (swept.map(|(way, _)| way.abs()).fold(0.0, f64::max) / STEP).ceil() as usize;
+        let travels: Vec<f64> = (0..from.len()).map(travel).collect();
+        let swept = travels.iter().zip(&self.axes).filter(|(_, axis)| axis.len() > 1);
+        let steps = (swept.map(|(travel, _)| travel.abs()).fold(0.0, f64::max) / STEP).ceil() as usize;
         (1..steps).all(|i| {
             let mut q: Vec<f64> =
-                from.iter().zip(&ways).map(|(from, way)| from + way * i as f64 / steps as f64).collect();
+                from.iter().zip(&travels).map(|(from, travel)| from + travel * i as f64 / steps as f64).collect();
             self.complete(&mut q);
             self.walkable(&q)
         })
@@ -376,25 +376,25 @@ impl Reachable {
     }
 
     fn neighbours(&self, index: usize) -> Vec<usize> {
-        let mut found = Vec::new();
+        let mut result = Vec::new();
         let mut stride = 1;
         for joint in (0..self.axes.len()).rev() {
             let length = self.axes[joint].len();
             let place = (index / stride) % length;
             let base = index - place * stride;
             if place + 1 < length {
-                found.push(base + (place + 1) * stride);
+                result.push(base + (place + 1) * stride);
             } else if self.wraps[joint] {
-                found.push(base);
+                result.push(base);
             }
             if place > 0 {
-                found.push(base + (place - 1) * stride);
+                result.push(base + (place - 1) * stride);
             } else if self.wraps[joint] {
-                found.push(base + (length - 1) * stride);
+                result.push(base + (length - 1) * stride);
             }
             stride *= length;
         }
-        found
+        result
     }
 }
 

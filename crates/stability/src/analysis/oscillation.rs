@@ -63,8 +63,8 @@ mod tests {
         assert_eq!(Oscillation::least_damped(creep, 1e-3), None);
         // A mode that changes its sign with every sample oscillates at half the rate.
         let alternates = DMatrix::from_diagonal(&DVector::from_vec(vec![-1.9, -0.5]));
-        let found = Oscillation::least_damped(alternates, 1e-3).unwrap();
-        assert!((found.hz - 500.0).abs() < 1e-9 && (found.growth_per_s - 1e3 * 0.9_f64.ln()).abs() < 1e-9);
-        assert_eq!(found.sustained_hz(1e-3), None);
+        let result = Oscillation::least_damped(alternates, 1e-3).unwrap();
+        assert!((result.hz - 500.0).abs() < 1e-9 && (result.growth_per_s - 1e3 * 0.9_f64.ln()).abs() < 1e-9);
+        assert_eq!(result.sustained_hz(1e-3), None);
     }
 }

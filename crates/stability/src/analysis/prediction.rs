@@ -69,10 +69,10 @@ impl Prediction {
 
     /// Returns the device linearised for one wall at `q` (rad) along `normal` (d entries, any length but zero).
     pub fn seen(&self, q: &[f64], normal: &[f64]) -> Result<Linearised, PoseError> {
-        let mut seen = self.subject.along(q, normal, self.admissible)?.held(self.hand);
-        seen.gain = self.gain.min(seen.largest_gain().unwrap_or(1.0));
-        seen.flexible.posture = self.posture_row(q)?;
-        Ok(seen)
+        let mut linearised = self.subject.along(q, normal, self.admissible)?.held(self.hand);
+        linearised.gain = self.gain.min(linearised.largest_gain().unwrap_or(1.0));
+        linearised.flexible.posture = self.posture_row(q)?;
+        Ok(linearised)
     }
 
     /// Returns the device linearised for these walls at `q` (rad).
@@ -87,7 +87,7 @@ impl Prediction {
     /// Returns α as the board applies it here: several walls use the plain equation (4).
     fn gain_at(&self, q: &[f64], members: &[Member]) -> f64 {
         match self.walls(q, members) {
-            Ok(Walls::One(seen)) => seen.gain,
+            Ok(Walls::One(linearised)) => linearised.gain,
             _ => 1.0,
         }
     }

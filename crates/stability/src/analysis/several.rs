@@ -465,22 +465,22 @@ impl WallLoops {
     /// Returns the stable intervals of the total stiffness at one damping; sample units. An interval that begins at the
     /// smallest analysed stiffness is taken to begin at [`SMALLEST_STIFFNESS`].
     pub fn stiffness_intervals(&self, kd: f64) -> Result<Vec<Interval>, AnalysisError> {
-        let mut found = intervals(|kp| self.is_stable(kp, kd))?;
-        if let Some(first) = found.first_mut().filter(|first| first.low <= SMALLEST) {
+        let mut result = intervals(|kp| self.is_stable(kp, kd))?;
+        if let Some(first) = result.first_mut().filter(|first| first.low <= SMALLEST) {
             first.low = SMALLEST_STIFFNESS;
         }
-        Ok(found)
+        Ok(result)
     }
 
     /// Returns the stable intervals of the total damping at the smallest stiffness; sample units.
     pub fn damping_intervals(&self) -> Result<Vec<Interval>, AnalysisError> {
-        let mut found = intervals(|kd| self.is_stable(SMALLEST, kd))?;
-        if let Some(first) = found.first_mut().filter(|first| first.low <= SMALLEST)
+        let mut result = intervals(|kd| self.is_stable(SMALLEST, kd))?;
+        if let Some(first) = result.first_mut().filter(|first| first.low <= SMALLEST)
             && self.is_stable(SMALLEST, 0.0)
         {
             first.low = 0.0;
         }
-        Ok(found)
+        Ok(result)
     }
 }
 
@@ -545,19 +545,19 @@ fn intervals(is_stable: impl Fn(f64) -> bool) -> Result<Vec<Interval>, AnalysisE
         }
         stable
     };
-    let mut found: Vec<Interval> = Vec::new();
+    let mut result: Vec<Interval> = Vec::new();
     let (mut last, mut last_stable) = (SMALLEST, is_stable(SMALLEST));
     if last_stable {
-        found.push(Interval { low: SMALLEST, high: f64::INFINITY });
+        result.push(Interval { low: SMALLEST, high: f64::INFINITY });
     }
     while last < LARGEST {
         let next = last * STEP;
         let stable = is_stable(next);
         match (last_stable, stable) {
-            (false, true) => found.push(Interval { low: edge(next, last), high: f64::INFINITY }),
+            (false, true) => result.push(Interval { low: edge(next, last), high: f64::INFINITY }),
             (true, false) => {
                 let high = edge(last, next);
-                if let Some(open) = found.last_mut() {
+                if let Some(open) = result.last_mut() {
                     open.high = high;
                 }
             }
@@ -565,5 +565,5 @@ fn intervals(is_stable: impl Fn(f64) -> bool) -> Result<Vec<Interval>, AnalysisE
         }
         (last, last_stable) = (next, stable);
     }
-    if last_stable { Err(AnalysisError::Unbounded) } else { Ok(found) }
+    if last_stable { Err(AnalysisError::Unbounded) } else { Ok(result) }
 }

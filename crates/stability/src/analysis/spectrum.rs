@@ -31,7 +31,7 @@ pub(crate) fn exp_minus_identity(x: &DMatrix<f64>) -> DMatrix<f64> {
 /// be computed.
 pub(crate) fn growth(f: DMatrix<f64>) -> f64 {
     match eigenvalues(f) {
-        Some(found) => found.iter().map(|g| 2.0 * g.re + g.norm_sqr()).fold(f64::NEG_INFINITY, f64::max),
+        Some(values) => values.iter().map(|g| 2.0 * g.re + g.norm_sqr()).fold(f64::NEG_INFINITY, f64::max),
         None => f64::INFINITY,
     }
 }

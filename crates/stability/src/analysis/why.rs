@@ -30,10 +30,10 @@ pub struct Limits {
 
 impl Limits {
     /// Returns the limits of a domain; `None` if no limit was found.
-    fn of(found: Result<Domain, AnalysisError>) -> Result<Option<Self>, AnalysisError> {
-        let domain = match found {
+    fn of(result: Result<Domain, AnalysisError>) -> Result<Option<Self>, AnalysisError> {
+        let domain = match result {
             Err(AnalysisError::Unbounded) => return Ok(None),
-            found => found?,
+            result => result?,
         };
         let Domain { top, .. } = domain;
         Ok(Some(Self { kp_max: top.kp, kd: top.kd, kd_max: domain.kd_max, area: domain.area }))
@@ -159,10 +159,10 @@ pub fn why(device: &Linearised, around: &Loop, sweep: &Sweep) -> Result<Why, Fai
     all.extend(cases(device, around));
     let jobs: Vec<(&Case, Mode)> =
         all.iter().flat_map(|(_, _, case)| [Mode::Off, Mode::Full].map(|mode| (case, mode))).collect();
-    let found = sweep.map("loops without one effect", &jobs, |((device, around), mode)| {
+    let results = sweep.map("loops without one effect", &jobs, |((device, around), mode)| {
         Ok(Limits::of(domain(device, around, *mode, None))?)
     })?;
-    let both = |at: usize| Both { off: found[2 * at], full: found[2 * at + 1] };
+    let both = |at: usize| Both { off: results[2 * at], full: results[2 * at + 1] };
     let limits = both(0);
     let share = |with: Option<Limits>, without: Option<Limits>, of: fn(&Limits) -> f64| {
         let (with, without) = (of(&with?), of(&without?));
