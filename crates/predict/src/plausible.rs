@@ -112,10 +112,7 @@ pub fn warn(warnings: &[Warning]) {
 pub fn angles(q: &[f64], what: &str, kind: Kind) -> Vec<FileWarning> {
     let implausible = q.iter().enumerate().filter(|(_, angle)| in_degrees(kind, **angle));
     implausible
-        .map(|(joint, angle)| FileWarning {
-            key: None,
-            text: more_than_a_turn(&format!("{what} of joint {joint}"), *angle),
-        })
+        .map(|(joint, angle)| FileWarning { key: None, text: full_turns(&format!("{what} of joint {joint}"), *angle) })
         .collect()
 }
 
@@ -124,7 +121,7 @@ pub fn pose_limit_warnings(q: &[f64], description: &Description) -> Vec<FileWarn
     let outside = |(joint, angle): (usize, &f64)| {
         let (low, high) = description.joints[joint].limits?;
         let text = format!(
-            "the pose puts joint {joint} at {angle} rad, outside its limits [{low}, {high}]: the device never takes this pose"
+            "the pose puts joint {joint} at {angle} rad, outside its limits [{low}, {high}], so the device never takes it"
         );
         (!(low..=high).contains(angle)).then_some(FileWarning { key: None, text })
     };
@@ -139,7 +136,7 @@ fn in_degrees(kind: Kind, angle: f64) -> bool {
 }
 
 /// Describes an angle of more than one turn.
-fn more_than_a_turn(what: &str, angle: f64) -> String {
+fn full_turns(what: &str, angle: f64) -> String {
     format!(
         "{what} is {angle} rad, {:.1} turns: angles are in radians ({angle} degrees are {:.4} rad)",
         (angle / core::f64::consts::TAU).abs(),

@@ -8,20 +8,21 @@
 //! ([`measured`]). A tip that taps the wall may rebound at most [`MOST_REBOUNDS`] times. `criteria` contains all
 //! criteria, and `search` finds the stiffest wall that meets them.
 
+mod alternatives;
 mod baseline;
 mod criteria;
 mod limits;
 mod margins;
 pub mod measured;
-mod otherwise;
+
 mod scene;
 mod search;
 
+pub use alternatives::Alternative;
 pub use baseline::{Baseline, LEAST_RIPPLE_N, USUAL_RIPPLE_N, baseline, ripple_like};
 pub use criteria::{MOST_REBOUNDS, keeps, ripple};
 pub use limits::{Limit, NeighbourWall};
 pub use margins::{Margins, vertex};
-pub use otherwise::OtherFeedForward;
 pub use scene::to_toml;
 
 use crate::bench::wall::Rendered;
@@ -190,7 +191,7 @@ pub struct TuneResult {
     /// The best wall of each estimator, the stiffest first.
     pub others: Vec<TunedWall>,
     /// The results with the other feed-forwards.
-    pub feed_forwards: Vec<OtherFeedForward>,
+    pub feed_forwards: Vec<Alternative>,
     /// Number of combinations of rate, estimator, cutoff and feed-forward, and number of those whose ripple was
     /// simulated.
     pub looked_at: (usize, usize),
@@ -240,8 +241,7 @@ pub fn tune(question: &Question<'_>, sweep: &Sweep) -> Result<TuneResult, Failur
         .choose(Choice::Ripple));
     };
     let (active, limits, beside) = sweep.during("what limits it", || limits(&context, &best))?;
-    let feed_forwards =
-        sweep.during("other feed-forwards", || otherwise::compare_feed_forwards(&context, &best, &all))?;
+    let feed_forwards = sweep.during("other feed-forwards", || alternatives::alternatives(&context, &best, &all))?;
     Ok(TuneResult {
         best,
         passed_over,

@@ -265,7 +265,7 @@ pub struct Buys {
 /// Smallest improvement that is reported, as a ratio.
 const WORTHWHILE_RATIO: f64 = 1.01;
 
-/// Returns the change that improves a quantity most; `None` if that is by less than [`WORTHWHILE_RATIO`].
+/// Returns the change that improves a quantity most; `None` if that is by less than 1 %.
 #[must_use]
 pub fn buys_most(all: &[Sensitivity], of: impl Fn(&Effect) -> f64) -> Option<Buys> {
     let sides = all.iter().flat_map(|one| {

@@ -1,6 +1,6 @@
 //! Warnings about a device file.
 
-use super::{FileWarning, Key, in_degrees, more_than_a_turn};
+use super::{FileWarning, Key, full_turns, in_degrees};
 use crate::boards::torque_at_rest;
 use core::f64::consts::{PI, TAU};
 use haptic_bridge::drive::stage::MAX_DUTY;
@@ -202,7 +202,7 @@ fn joint_warnings(joint: &Joint, index: usize, kind: Kind) -> Vec<FileWarning> {
     if let Some((low, high)) = joint.limits
         && let Some(angle) = [low, high].into_iter().find(|angle| in_degrees(kind, *angle))
     {
-        warning("", "limits", more_than_a_turn(&format!("a limit of joint {index}"), angle));
+        warning("", "limits", full_turns(&format!("a limit of joint {index}"), angle));
     }
     if let Some(encoder) = joint.encoder {
         if encoder.counts_per_turn < LEAST_COUNTS {
@@ -217,11 +217,7 @@ fn joint_warnings(joint: &Joint, index: usize, kind: Kind) -> Vec<FileWarning> {
             warning("encoder", "counts_per_turn", text);
         }
         if in_degrees(kind, encoder.offset) {
-            warning(
-                "encoder",
-                "offset",
-                more_than_a_turn(&format!("the encoder offset of joint {index}"), encoder.offset),
-            );
+            warning("encoder", "offset", full_turns(&format!("the encoder offset of joint {index}"), encoder.offset));
         }
     }
     warnings
@@ -323,7 +319,7 @@ fn home_warnings(description: &Description) -> Vec<FileWarning> {
     let home = &home[..joints];
     let degrees = home.iter().enumerate().filter(|(_, angle)| in_degrees(description.kind, **angle));
     let mut warnings: Vec<FileWarning> = degrees
-        .map(|(joint, angle)| FileWarning::new(at, more_than_a_turn(&format!("home of joint {joint}"), *angle)))
+        .map(|(joint, angle)| FileWarning::new(at, full_turns(&format!("home of joint {joint}"), *angle)))
         .collect();
     let Ok(device) = Device::<f64>::new("", description) else { return warnings };
     let Ok(pose) = TaskPose::of(&device.mechanism, home) else { return warnings };

@@ -19,8 +19,8 @@ use serde::{Deserialize, Serialize};
 pub const MOST_REBOUNDS: usize = 1;
 
 /// Number of dampings of a curve. The largest is the share `HIGHEST` of the damping limit. The smallest is the share
-/// `LOWEST` of the largest, but at least gives a damping ratio of `LEAST_RATIO` to a wall a quarter as stiff as the
-/// encoders' rule of thumb, because such a wall rebounds.
+/// `LOWEST` of the largest, but gives a wall a quarter as stiff as the encoders' rule of thumb at least a damping ratio
+/// of `LEAST_RATIO`, because with less damping it rebounds.
 const DAMPINGS: usize = 9;
 const HIGHEST: f64 = 0.9;
 const LOWEST: f64 = 0.003;
@@ -29,11 +29,11 @@ const LEAST_RATIO: f64 = 0.04;
 /// Simulates the ripple of a wall with these settings: the largest of the device in the file and the deviating ones.
 /// The hand counts as held if it is held on all of them.
 pub fn ripple(question: &Question<'_>, settings: &Settings) -> Result<Pressed, Failure> {
-    ripple_of_deviations(question, settings, f64::INFINITY)
+    worst_ripple(question, settings, f64::INFINITY)
 }
 
 /// The same, but stops once the ripple exceeds `bound_n`, N.
-fn ripple_of_deviations(question: &Question<'_>, settings: &Settings, bound_n: f64) -> Result<Pressed, Failure> {
+fn worst_ripple(question: &Question<'_>, settings: &Settings, bound_n: f64) -> Result<Pressed, Failure> {
     let Question { file, q, normal, margins, admissible, .. } = question;
     let mut worst = Pressed { ripple_n: Some(0.0), holds: true };
     for (believed, moving) in margins.deviations(&file.description) {
@@ -127,25 +127,20 @@ impl<'a> SearchContext<'a> {
     /// Computes kp over damping within margins and motors. `None` if a corner is unstable at every gain or has no
     /// bound.
     pub fn curve(&self, settings: &Settings) -> Result<Option<Curve>, Failure> {
-        let (Some(around), Some(first_corner)) = (settings.loop_settings(), self.corners(settings).first()) else {
+        let (Some(around), Some(corner)) = (settings.loop_settings(), self.corners(settings).first()) else {
             return Ok(None);
         };
         let stiffness = 0.25 * self.steps.min(self.motors.0);
         let least_damping = 2.0 * LEAST_RATIO * (stiffness * self.nominal.w_eff().unwrap_or_default()).sqrt();
-        let points = boundary_of(
-            &first_corner.device,
-            &first_corner.believed,
-            &first_corner.adjusted_loop(&around),
-            settings.mode(),
-            |end| {
+        let points =
+            boundary_of(&corner.device, &corner.believed, &corner.adjusted_loop(&around), settings.mode(), |end| {
                 let high = (HIGHEST * end).min(self.motors.1);
                 let low = least_damping.max(LOWEST * high).min(0.5 * high);
                 let share = |i: usize| (high / low).powf(i as f64 / (DAMPINGS - 1) as f64);
                 let mut dampings: Vec<f64> = (0..DAMPINGS).map(|i| three_digits(low * share(i), true)).collect();
                 dampings.retain(|damping| *damping > 0.0);
                 dampings
-            },
-        );
+            });
         let Ok(points) = points else { return Ok(None) };
         let dampings: Vec<f64> = points.iter().map(|point| point.kd).collect();
         let Some(most) = self.allowed(settings, &dampings)? else { return Ok(None) };
@@ -175,10 +170,10 @@ impl<'a> SearchContext<'a> {
     }
 
     /// Simulates the ripple under a sliding hand, N; `None` if it exceeds the limit or the wall does not hold the hand.
-    pub fn ripple_under_hand(&self, settings: &Settings) -> Result<Option<f64>, Failure> {
+    pub fn slide_ripple(&self, settings: &Settings) -> Result<Option<f64>, Failure> {
         self.sweep.go_on()?;
         let bound = self.question.ripple_n;
-        let Pressed { ripple_n, holds } = ripple_of_deviations(self.question, settings, bound)?;
+        let Pressed { ripple_n, holds } = worst_ripple(self.question, settings, bound)?;
         Ok(ripple_n.filter(|ripple| holds && *ripple <= bound))
     }
 
@@ -191,13 +186,13 @@ impl<'a> SearchContext<'a> {
     }
 
     /// Simulates the ripple on the simulated board, N; `None` if it exceeds `bound_n`.
-    pub fn ripple_on_board(&self, settings: &Settings, bound_n: f64) -> Result<Option<f64>, Failure> {
+    pub fn board_ripple(&self, settings: &Settings, bound_n: f64) -> Result<Option<f64>, Failure> {
         Ok(measured::ripple(self.question, settings, self.sweep)?.filter(|ripple| *ripple <= bound_n))
     }
 
     /// Returns the wall if it meets the limits of ripple and rebounds. The cheaper simulation comes first.
     pub fn check_ripple(&self, settings: &Settings) -> Result<Option<TunedWall>, Failure> {
-        let Some(ripple_n) = self.ripple_under_hand(settings)? else { return Ok(None) };
+        let Some(ripple_n) = self.slide_ripple(settings)? else { return Ok(None) };
         Ok(self.passes_tap(settings)?.then_some(TunedWall {
             settings: *settings,
             ripple_n,
@@ -210,6 +205,6 @@ impl<'a> SearchContext<'a> {
     pub fn check_all(&self, settings: &Settings) -> Result<Option<TunedWall>, Failure> {
         let Some(result) = self.check_ripple(settings)? else { return Ok(None) };
         let Some(bound) = self.question.board_ripple_n else { return Ok(Some(result)) };
-        Ok(self.ripple_on_board(settings, bound)?.map(|ripple| TunedWall { board_ripple_n: Some(ripple), ..result }))
+        Ok(self.board_ripple(settings, bound)?.map(|ripple| TunedWall { board_ripple_n: Some(ripple), ..result }))
     }
 }

@@ -80,12 +80,12 @@ pub(super) fn limits(
         push(limit, least.is_finite().then_some(least));
     }
     push(MOTORS, Some(context.motors.0));
-    let passes_ripple = |wall: &Settings| Ok(context.ripple_under_hand(wall)?.is_some());
+    let passes_ripple = |wall: &Settings| Ok(context.slide_ripple(wall)?.is_some());
     push(RIPPLE, largest_passing(settings, &TRIED, &passes_ripple)?);
     let passes_tap = |wall: &Settings| context.passes_tap(wall);
     push(REBOUNDS, largest_passing(settings, &TRIED, &passes_tap)?);
     if let Some(bound) = question.board_ripple_n {
-        let passes_on_board = |wall: &Settings| Ok(context.ripple_on_board(wall, bound)?.is_some());
+        let passes_on_board = |wall: &Settings| Ok(context.board_ripple(wall, bound)?.is_some());
         push(ON_BOARD, largest_passing(settings, &TRIED_ON_BOARD, &passes_on_board)?);
     }
     push(RULE_OF_THUMB, Some(context.steps));

@@ -8,7 +8,7 @@ use serde::Serialize;
 
 /// A feed-forward that was not chosen, compared with the result.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct OtherFeedForward {
+pub struct Alternative {
     /// The feed-forward.
     pub feed_forward: FeedForward,
     /// The stiffest wall with it; `None` if that wall is softer than the result by a third, or fails the margins or the
@@ -21,11 +21,11 @@ pub struct OtherFeedForward {
 }
 
 /// Compares each of the other allowed feed-forwards; returns none if no coupling exists.
-pub(super) fn compare_feed_forwards(
+pub(super) fn alternatives(
     context: &SearchContext<'_>,
     result: &TunedWall,
     all: &[TunedWall],
-) -> Result<Vec<OtherFeedForward>, Failure> {
+) -> Result<Vec<Alternative>, Failure> {
     if !context.is_coupled() {
         return Ok(Vec::new());
     }
@@ -40,12 +40,7 @@ pub(super) fn compare_feed_forwards(
             };
             let allowed = context.largest_stiffness(&settings)?;
             let best = stiffest(all.iter().filter(|candidate| candidate.settings.feed_forward == feed_forward));
-            Ok(OtherFeedForward {
-                feed_forward,
-                best,
-                allowed,
-                ripple_n: ripple(context.question, &settings)?.ripple_n,
-            })
+            Ok(Alternative { feed_forward, best, allowed, ripple_n: ripple(context.question, &settings)?.ripple_n })
         })
         .collect()
 }
