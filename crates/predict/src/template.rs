@@ -72,7 +72,7 @@ fn example(kind: Kind) -> Example {
                 (0.03, 0.06, 4.0e-5, ROD),
             ],
             joints: &[
-                (4.0e-4, [-0.8, 0.8], "turret: rotor times the ratio squared, and what turns with it beside the links"),
+                (4.0e-4, [-0.8, 0.8], "turret: rotor times the ratio squared, and other parts that turn with it"),
                 (8.0e-5, [1.2, 3.3], "rotor times the ratio squared"),
                 (8.0e-5, [-0.2, 1.9], ""),
             ],
@@ -94,7 +94,7 @@ fn example(kind: Kind) -> Example {
                 (0.04, 0.105, 1.4e-4, "from the crank's tip, along the upper arm"),
             ],
             joints: &[
-                (2.0e-3, [-0.8, 0.8], "turret: rotor times the ratio squared, and what turns with it beside the links"),
+                (2.0e-3, [-0.8, 0.8], "turret: rotor times the ratio squared, and other parts that turn with it"),
                 (3.0e-4, [0.2, 2.0], "rotor times the ratio squared"),
                 (3.0e-4, [-1.2, 0.8], ""),
             ],
@@ -131,13 +131,13 @@ pub fn device_file(kind: Kind, name: &str) -> String {
     let turret = spec.task == 3;
     let mut text = format!(
         "# {about}\n\
-         # Every number here is an example: replace it by your device's. SI units throughout (m, kg, s, N, rad).\n\
-         # docs/devices.md has a drawing and says where each number comes from; `haptic check FILE` says what it describes.\n\
+         # Every number here is an example: replace it with your device's value. SI units throughout (m, kg, s, N, rad).\n\
+         # docs/devices.md has a drawing and the source of each number; `haptic check FILE` summarises the device.\n\
          # Motors and encoders: {MOTORS_AND_ENCODERS}.\n\n\
          name = {name:?}\n\
          mechanism = \"{}\"\n\
          gravity = {}\n\
-         # supply = 24.0                      # V, what feeds the board: bounds what the motors give\n\n\
+         # supply = 24.0                      # V, supply of the board: bounds the motors' torque\n\n\
          [geometry]                           # m, between axes\n",
         spec.name,
         example.gravity,
@@ -171,7 +171,7 @@ pub fn device_file(kind: Kind, name: &str) -> String {
         let note = |comment: &'static str| if first { comment } else { "" };
         line(&format!("\n[[joint]]  # {index}\ninertia"), number(*inertia), &with_prefix("kg m²", comment));
         line("viscous", "3.0e-4".into(), note("N m s/rad, friction that grows with speed; default 0"));
-        line("coulomb", "2.0e-3".into(), note("N m, friction that does not; default 0"));
+        line("coulomb", "2.0e-3".into(), note("N m, dry friction; default 0"));
         line(
             "limits",
             format!("[{:?}, {:?}]", limits[0], limits[1]),
@@ -180,7 +180,7 @@ pub fn device_file(kind: Kind, name: &str) -> String {
         line(
             "# transmission",
             "\"rigid\"".into(),
-            note("write this where the motor sits on the joint; else [joint.transmission]"),
+            note("write this if the motor sits on the joint; otherwise [joint.transmission]"),
         );
         line(
             "\n[joint.encoder]\ncounts_per_turn",
@@ -191,17 +191,17 @@ pub fn device_file(kind: Kind, name: &str) -> String {
         line("inverted", "false".into(), note("true when the counts fall as the angle grows; default false"));
         line("\n[joint.motor]\ntorque_constant", "0.2".into(), note("N m/A at the joint: motor's x ratio"));
         line("resistance", "2.0".into(), note("ohm, between the terminals"));
-        line("inductance", "0.001".into(), note("H; default 0: not known, and the current loop is slow"));
+        line("inductance", "0.001".into(), note("H; default 0: unknown, and the current loop is slow"));
         line("back_emf", "0.2".into(), note("V s/rad at the joint; default torque_constant, the same in SI"));
-        line("max_current", "3.0".into(), note("A, what motor and supply stand continuously"));
+        line("max_current", "3.0".into(), note("A, continuous limit of motor and supply"));
         line(
             "verified",
             "false".into(),
-            note("true once you vouch for these numbers: a real board does not arm before"),
+            note("true once you have verified these numbers: a real board does not arm before"),
         );
         if first {
             line(
-                "\n# [joint.transmission]              # a belt or cable that gives; without this table it is rigid\n# stiffness",
+                "\n# [joint.transmission]              # a compliant belt or cable; without this table it is rigid\n# stiffness",
                 "50.0".into(),
                 "N m/rad at the joint, between motor and link",
             );
@@ -213,28 +213,28 @@ pub fn device_file(kind: Kind, name: &str) -> String {
             );
             line("# encoder_at", "\"motor\"".into(), "or \"joint\": the side that the encoder is on");
             line(
-                "\n# [joint.friction]                  # dry friction that is more at rest than in motion\n# static",
+                "\n# [joint.friction]                  # dry friction that is larger at rest than in motion\n# static",
                 "0.003".into(),
-                "N m, what holds the joint at rest; at least `coulomb`",
+                "N m, friction at rest; at least `coulomb`",
             );
-            line("# stribeck_speed", "0.1".into(), "rad/s, where most of the difference is gone");
+            line("# stribeck_speed", "0.1".into(), "rad/s, speed at which most of the difference is gone");
             line(
-                "\n# [joint.cogging]                   # what the motor's magnets do\n# amplitude",
+                "\n# [joint.cogging]                   # torque of the motor's magnets\n# amplitude",
                 "0.001".into(),
                 "N m",
             );
             line("# per_turn", "24".into(), "periods in a turn of the joint");
             line(
-                "\n# [[joint.mode]]                    # a part of the link that swings on it, up to two\n# frequency",
+                "\n# [[joint.mode]]                    # a part that swings on the link, up to two\n# frequency",
                 "150.0".into(),
                 "Hz, with the joint held still",
             );
             line("# damping", "0.01".into(), "of critical damping; default 0");
-            line("# inertia", number(0.05 * inertia), "kg m², the part of the inertia about the joint that swings");
+            line("# inertia", number(0.05 * inertia), "kg m², inertia of the swinging part about the joint");
         }
     }
     line("\n[handle]\nmass", "0.02".into(), "kg, a point at the tip; default none");
-    line("\n[home]\nq", example.home.into(), "rad, the pose you hold the device in when you type `haptic home`");
+    line("\n[home]\nq", example.home.into(), "rad, the pose in which you hold the device for `haptic home`");
     text
 }
 
@@ -251,7 +251,7 @@ pub fn scene_file(device: &DeviceFile) -> Result<String, Failure> {
     let axes = ["along the arc", "x, y", "x, y, z"][task - 1];
     let mut text = format!(
         "# A scene for {}: a wall in front of its home pose. SI units throughout (m, kg, s, N, rad).\n\
-         # Lines that begin with `# ` and a key show what else there is. `haptic check DEVICE FILE` says what each wall meets,\n\
+         # Lines that begin with `# ` and a key are optional. `haptic check DEVICE FILE` predicts the limits of each wall,\n\
          # `haptic tune` finds the stiffest one.\n\n",
         device.name
     );
@@ -260,7 +260,7 @@ pub fn scene_file(device: &DeviceFile) -> Result<String, Failure> {
     line("cutoff_hz", &number(scene.cutoff_hz.into()), "Hz, of the velocity's low-pass, below half the rate");
     line("# estimator", "\"butterworth\"", "of the velocity; docs/model.md section 3 lists them");
     line("# gravity_compensation", "true", "the motors carry the device's weight");
-    line("# hand_speed", "0.5", "m/s, how fast a hand moves here");
+    line("# hand_speed", "0.5", "m/s, speed of a hand here");
     for wall in &scene.walls {
         let Surface::Plane(plane) = &wall.surface else { continue };
         line("\n[[wall]]  # 0; up to eight\nshape", "\"plane\"", "default; docs/files.md has the round ones");
@@ -284,7 +284,7 @@ pub fn scene_file(device: &DeviceFile) -> Result<String, Failure> {
             "default \"washout\"; \"full\": the paper's, which pushes sideways at rest; \"off\"",
         );
         line("# washout_hz", "2.0", "Hz, below which a washed-out feed-forward fades");
-        line("# bilateral", "false", "true: it acts on both sides and may pull");
+        line("# bilateral", "false", "true: the wall acts on both sides and may pull");
     }
     line("\n# [[spring]]                        # up to four; a pull to a point\n# point", &list(&[0.0; 3]), "m");
     line("# stiffness", "200.0", "N/m");
