@@ -1,14 +1,16 @@
-//! Speed against error: what each way of computing the control step costs on the chip, and what error it leaves.
+//! Speed against error: the cost of each variant of the control step on the chip, and its error.
 //!
-//! - [`counts`]: instructions on the Cortex-M4F, counted on the emulated chip and kept in bench/counts.json
-//! - [`estimators`]: velocity estimators compared on a device, in simulation with the steps of its encoders
-//! - [`precompute`]: frozen matrices and tables of a device, made here and sent ready to use
-//! - [`probe`]: where errors are looked at: poses, normals, forces and hand motions over the workspace or along a wall
-//! - [`report`]: every variant of every mechanism with both, its Pareto front, and the tables made of them
-//! - [`error`]: the torque a variant renders, in the board's precision, against f64 and the closed form
+//! - [`counts`]: instructions on the Cortex-M4F, counted on the emulated chip and stored in bench/counts.json
+//! - [`estimators`]: velocity estimators compared on a device, in simulation with encoder steps
+//! - [`precompute`]: frozen matrices and tables of a device, computed in advance and ready to send
+//! - [`probe`]: situations in which errors are computed: poses, normals, forces and hand motions over the workspace or
+//!   on a wall
+//! - [`report`]: every variant of every mechanism with cost and error, the Pareto front, and the tables
+//! - [`error`]: the torque of a variant in the board's precision, compared with f64 and the closed form
 //! - [`wall`]: one wall rendered by the board's own step, pressed, slid along, struck or tapped
 //!
-//! Error is always against the whole of equation (4) with its velocity terms: what a variant leaves out counts.
+//! Error is always relative to the complete equation (4) with its velocity terms, so terms that a variant leaves out
+//! count.
 
 pub mod counts;
 pub mod error;

@@ -1,4 +1,4 @@
-//! The boards there is firmware for, as a program that plans for one needs to know them.
+//! The boards with firmware, and the properties that predictions need.
 
 use haptic_bridge::board::protocol::{Details, Info};
 use haptic_bridge::model::device::Device;
@@ -8,7 +8,7 @@ use haptic_stability::analysis::control_loop::{CARRIER_HZ, CURRENT_LOOP_HZ, Torq
 use haptic_stability::analysis::plant::Drive;
 use haptic_stability::analysis::pose::TaskPose;
 
-/// The delay and lag between the encoders and the torque of the board that reports this, at the rate that it runs at.
+/// Returns the delay and lag from encoders to torque of a connected board, at its current rate.
 #[must_use]
 pub fn torque_path(info: &Info, details: &Details) -> TorquePath {
     let bandwidth_hz = (CURRENT_LOOP_HZ * f64::from(details.carrier_hz) / CARRIER_HZ).round();
@@ -19,7 +19,7 @@ pub fn torque_path(info: &Info, details: &Details) -> TorquePath {
     }
 }
 
-/// A board there is firmware for.
+/// A board with firmware.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum BoardKind {
     /// ODrive v3.6 and its clones.
@@ -31,10 +31,10 @@ pub enum BoardKind {
 }
 
 impl BoardKind {
-    /// All of them, the one with the fewest axes first.
+    /// All boards, the one with the fewest axes first.
     pub const ALL: [Self; 3] = [Self::OdriveV3, Self::HBridgeF405, Self::HBridgeF407Disc1];
 
-    /// The name that the board reports, which is also that of its image.
+    /// Name that the board reports, and of its firmware image.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -44,7 +44,7 @@ impl BoardKind {
         }
     }
 
-    /// Number of motors that it drives.
+    /// Number of motors that the board drives.
     #[must_use]
     pub fn axes(self) -> usize {
         match self {
@@ -53,7 +53,7 @@ impl BoardKind {
         }
     }
 
-    /// The largest current in a motor, A: the limit that the board begins with, and that no setting raises.
+    /// Largest motor current, A: the board's default limit, which no setting raises.
     #[must_use]
     pub fn most_current(self) -> f64 {
         match self {
@@ -62,22 +62,22 @@ impl BoardKind {
         }
     }
 
-    /// The board called `name`.
+    /// Returns the board called `name`.
     #[must_use]
     pub fn named(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|kind| kind.name() == name)
     }
 
-    /// The smallest that drives a device of so many joints.
+    /// Returns the smallest board that drives a device with this number of joints.
     #[must_use]
     pub fn with_axes(joints: usize) -> Option<Self> {
         Self::ALL.into_iter().find(|kind| kind.axes() >= joints)
     }
 }
 
-/// The torque that a motor of a device of so many joints gives at rest, N m at the joint: within its `max_current`, which
-/// the file's `supply` bounds already ([`haptic_host::device_file::DeviceFile`]), and within the current of the smallest
-/// board with as many axes. Every force and torque that is predicted comes from here.
+/// Returns the torque of a motor at rest in a device with this number of joints, N m at the joint. It is limited by the
+/// motor's `max_current`, which the file's `supply` already bounds ([`haptic_host::device_file::DeviceFile`]), and by
+/// the current of the smallest board with as many axes. Every predicted force and torque uses this function.
 #[must_use]
 pub fn torque_at_rest(motor: &Motor<f64>, joints: usize) -> f64 {
     let board = BoardKind::with_axes(joints).map_or(f64::INFINITY, BoardKind::most_current);

@@ -1,8 +1,8 @@
-//! A device in a hand against a rendered wall, simulated with the steps of its encoders.
+//! Simulates a device in a hand against a rendered wall, with encoder steps.
 //!
-//! The device moves by its full equations with its friction, cogging, transmissions and modes ([`Plant`]). Around it
-//! are the delay and the drives of a loop. A `Law` renders the wall: that of a prediction ([`crate::ripple`]), or the
-//! board's own step ([`crate::bench::wall`]). All that is said of encoder steps by simulation comes from here.
+//! The device moves by its complete equations with friction, cogging, transmissions and modes ([`Plant`]). The delay
+//! and the drives are those of a control loop. A `Law` renders the wall: that of a prediction ([`crate::ripple`]), or
+//! the board's own step ([`crate::bench::wall`]). All simulations of encoder steps use this module.
 
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_sim::{Load, Plant};
@@ -12,53 +12,53 @@ use haptic_stability::analysis::flexible::Hand;
 use haptic_stability::analysis::plant::Lags;
 use std::collections::VecDeque;
 
-/// Longest steps of the simulation, s: of a rigid device, and of one that gives.
+/// Longest integration times, s: of a rigid device, and of a compliant one.
 const STEP_S: (f64, f64) = (50e-6, 25e-6);
-/// A tip this far from where it began, along the normal, is lost, m.
+/// Distance from the start along the normal beyond which the tip counts as lost, m.
 const FAR_M: f64 = 0.02;
 
 /// A control law that renders a wall.
 pub(crate) trait Law {
-    /// The answer in one control period to the angles at the encoders, rad.
-    fn answer(&mut self, measured: &[f64; MAX_JOINTS]) -> Answer;
+    /// Evaluates one control period from the encoders' angles, rad.
+    fn evaluate(&mut self, measured: &[f64; MAX_JOINTS]) -> LawOutput;
 }
 
-/// The wall's force, N, and the torques that are commanded, N m.
-pub(crate) struct Answer {
+/// Force of the wall, N, and commanded torques, N m.
+pub(crate) struct LawOutput {
     pub force: f64,
     pub torque: [f64; MAX_JOINTS],
 }
 
-/// The position that a hand aims at, m, and the force with which it pushes besides, N.
+/// Target position of a hand, m, and its additional push, N.
 pub(crate) struct Grip {
     pub goal: [f64; MAX_JOINTS],
     pub push: [f64; MAX_JOINTS],
 }
 
-/// Everything about a contact but the wall.
+/// Everything about a contact except the wall.
 pub(crate) struct Contact<'a> {
     pub plant: Plant,
     /// Unit normal of the wall.
     pub normal: [f64; MAX_JOINTS],
     pub around: &'a Loop,
-    /// The torques that were commanded before the first period, N m.
+    /// Torques that were commanded before the first period, N m.
     pub before: [f64; MAX_JOINTS],
-    /// The torques that the motors give besides, without delay, N m.
+    /// Additional motor torques without delay, N m.
     pub carried: [f64; MAX_JOINTS],
-    /// Its damping and its spring; its mass is the plant's.
+    /// Damping and stiffness of the hand; its mass is in the plant.
     pub hand: Hand,
 }
 
 impl<'a> Contact<'a> {
-    /// Of a plant at rest in a loop.
+    /// Sets up a plant at rest in a control loop.
     pub fn new(plant: Plant, normal: [f64; MAX_JOINTS], around: &'a Loop, hand: Hand) -> Self {
         let none = [0.0; MAX_JOINTS];
         Self { plant, normal, around, before: none, carried: none, hand }
     }
 
-    /// Runs so many seconds under a law and what `grip` holds at each time (s), until `seen` says false. It sees each
-    /// period: the wall's force (N) and how far the tip is along the normal at the period's end (m). False where the
-    /// tip flies off.
+    /// Simulates `seconds` under a law and the hand's `grip` at each time (s), until `seen` returns false. `seen`
+    /// receives the wall's force (N) of each period and the tip's displacement along the normal at its end (m). Returns
+    /// false if the tip flies off.
     pub fn run(
         mut self,
         law: &mut dyn Law,
@@ -72,15 +72,15 @@ impl<'a> Contact<'a> {
         let tip0 = self.plant.tip();
         let whole = delay_samples.floor();
         let fraction = delay_samples - whole;
-        let mut waiting: VecDeque<_> = (0..whole as usize).map(|_| self.before).collect();
+        let mut delayed: VecDeque<_> = (0..whole as usize).map(|_| self.before).collect();
         let (mut acting, mut torque) = (self.before, self.before);
         for n in 0..(seconds * rate_hz).round() as usize {
-            let held = grip(n as f64 * period);
-            let Answer { force, torque: asked } = law.answer(&self.plant.measured());
-            waiting.push_back(asked);
-            let next = waiting.pop_front().unwrap_or(asked);
+            let grip_now = grip(n as f64 * period);
+            let LawOutput { force, torque: commanded } = law.evaluate(&self.plant.measured());
+            delayed.push_back(commanded);
+            let next = delayed.pop_front().unwrap_or(commanded);
             for (torques, time) in [(acting, fraction * period), (next, (1.0 - fraction) * period)] {
-                self.advance(&torques, &mut torque, &lags, held.as_ref(), time, period);
+                self.advance(&torques, &mut torque, &lags, grip_now.as_ref(), time, period);
             }
             acting = next;
             let tip = self.plant.tip();
@@ -95,13 +95,13 @@ impl<'a> Contact<'a> {
         true
     }
 
-    /// Lets `time` (s) pass under commanded torques, N m; `torque` is what the drives give.
+    /// Simulates `time` (s) under commanded torques, N m; `torque` is the state of the drives.
     fn advance(
         &mut self,
         torques: &[f64; MAX_JOINTS],
         torque: &mut [f64; MAX_JOINTS],
         lags: &Lags,
-        held: Option<&Grip>,
+        grip_now: Option<&Grip>,
         time: f64,
         period: f64,
     ) {
@@ -130,7 +130,7 @@ impl<'a> Contact<'a> {
                 };
                 load.torque[j] = mean + self.carried[j];
             }
-            if let Some(Grip { goal, push }) = held {
+            if let Some(Grip { goal, push }) = grip_now {
                 for i in 0..self.plant.task() {
                     load.force[i] = push[i] - self.hand.stiffness * (tip[i] - goal[i]) - self.hand.damping * speed[i];
                 }
@@ -140,9 +140,8 @@ impl<'a> Contact<'a> {
     }
 }
 
-/// The deviation of evenly spaced values from the straight line through them: root mean square, and from the smallest
-/// to the largest.
-pub(crate) fn about_its_line(values: &[f64]) -> (f64, f64) {
+/// Returns the deviation of evenly spaced values from their fitted line: root mean square, and peak to peak.
+pub(crate) fn deviation_from_line(values: &[f64]) -> (f64, f64) {
     let count = values.len() as f64;
     let middle = 0.5 * (count - 1.0);
     let mean = values.iter().sum::<f64>() / count;
@@ -155,21 +154,21 @@ pub(crate) fn about_its_line(values: &[f64]) -> (f64, f64) {
     ((square / count).sqrt(), high - low)
 }
 
-/// The part of a force above [`RIPPLE_HZ`]: the force less a trend that two poles in series make of it.
+/// The part of a force above [`RIPPLE_HZ`]: the force minus a trend of two poles in series.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Fast {
+pub(crate) struct RippleFilter {
     share: f64,
     trends: [f64; 2],
 }
 
-impl Fast {
-    /// Of a force that is sampled at this rate and was zero before.
+impl RippleFilter {
+    /// Starts a filter for a force at this sample rate that was zero before.
     pub fn new(rate_hz: f64) -> Self {
         Self { share: 1.0 - (-std::f64::consts::TAU * RIPPLE_HZ / rate_hz).exp(), trends: [0.0; 2] }
     }
 
-    /// The part of the next sample.
-    pub fn of(&mut self, force: f64) -> f64 {
+    /// Filters the next sample.
+    pub fn filter(&mut self, force: f64) -> f64 {
         self.trends.iter_mut().fold(force, |left, trend| {
             *trend += self.share * (left - *trend);
             left - *trend

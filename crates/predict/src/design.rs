@@ -1,13 +1,14 @@
-//! The places and directions in which a device renders walls best: directions at a pose, places in the workspace, what
-//! each link, rotor and gear is worth, and the posture of a redundant arm.
+//! Finds the places and directions in which a device renders walls best: directions at a pose, places in the workspace,
+//! the effect of each link, rotor and gear, and the posture of a redundant arm.
 //!
-//! Places, directions and postures are searched by inertia, Weff without the feed-forward and Wrr with it: without
-//! joint damping the stable boundary of a rigid device is that of a single mass, so that the stiffest wall is in
-//! proportion to it (docs/model.md). The stiffness beside each, and what each change of the device does to it, is the
-//! prediction of `haptic range`, with joint damping and transmissions. Friction and ripple are for `haptic tune`.
+//! Places, directions and postures are searched by inertia: Weff without the feed-forward and Wrr with it. Without
+//! joint damping the stable boundary of a rigid device is that of a single mass, so the stiffest wall is in proportion
+//! to the inertia (docs/model.md). The stiffness at each place, and the effect of each change of the device on it, is
+//! the prediction of `haptic range`, with joint damping and transmissions. `haptic tune` covers friction and ripple.
 //!
-//! Inertia grows without bound towards a singular pose along the direction that is lost there. So the best place lies
-//! at the edge of what is allowed, which is said: poses nearer to a singularity than a given sine are left out.
+//! Inertia grows without bound towards a singular pose, along the direction that is lost there. So the best place lies
+//! at the edge of the allowed poses, and the output says so. Poses nearer to a singularity than a given sine are left
+//! out.
 
 pub mod place;
 pub mod posture;
@@ -24,16 +25,16 @@ use haptic_stability::analysis::range::BoundaryPoint;
 use nalgebra::{DVector, SVector};
 use serde::Serialize;
 
-/// The stiffest walls at a place that stay stable, of all dampings, as `haptic range` predicts them.
+/// The stiffest stable walls at a place, over all dampings, as `haptic range` predicts them.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Stiffest {
-    /// Without the feed-forward.
+    /// Wall without the feed-forward.
     pub off: BoundaryPoint,
-    /// With it.
+    /// Wall with the feed-forward.
     pub full: BoundaryPoint,
 }
 
-/// The distance of a pose from the nearest singularity: the lesser sine.
+/// Returns the distance of a pose from the nearest singularity: the smaller sine.
 #[must_use]
 pub fn clearance(pose: &TaskPose) -> f64 {
     pose.regularity.serial.min(pose.regularity.parallel)
@@ -47,15 +48,15 @@ pub fn within_limits(device: &Device<f64>, q: &[f64]) -> bool {
     joints.filter_map(|(q, joint)| joint.limits.map(|(low, high)| (*q, low, high))).all(inside)
 }
 
-/// The whole task position of a pose: the tip, and on a redundant arm its orientation.
+/// Returns the complete task position of a pose: the tip, and on a redundant arm its orientation.
 fn task_position(pose: &TaskPose, q: &[f64]) -> DVector<f64> {
     DVector::from_fn(q.len(), |i, _| pose.position.get(i).copied().unwrap_or_else(|| q.iter().sum()))
 }
 
-/// Joint angles near `from` (rad) that bring a device to a task position (tip in m, then φ): Newton's method. `None`
-/// where that is out of reach.
+/// Returns joint angles near `from` (rad) at which a device is at a task position (tip in m, then φ), by Newton's
+/// method. `None` if the position is out of reach.
 #[must_use]
-pub fn reaching(device: &Device<f64>, from: &[f64], place: &DVector<f64>) -> Option<Vec<f64>> {
+pub fn angles_at(device: &Device<f64>, from: &[f64], place: &DVector<f64>) -> Option<Vec<f64>> {
     with_mechanism!(&device.mechanism, m => newton(m, from, place))
 }
 
@@ -78,12 +79,12 @@ fn newton<M: Mechanism<f64, N>, const N: usize>(m: &M, from: &[f64], place: &DVe
     ((place - there).norm() < 1e-9).then(|| q.as_slice().to_vec())
 }
 
-/// Of a pose where a question about a direction has no answer.
+/// Returns the error for a pose at which no direction can be analysed.
 pub fn singular() -> Failure {
     Failure::impossible("this pose is singular").remedy("choose another").choose(Choice::Pose)
 }
 
-/// A device that is analysed, not sent.
-fn lumped(description: &Description) -> Result<Device<f64>, Failure> {
+/// Builds a device for analysis only.
+fn build_device(description: &Description) -> Result<Device<f64>, Failure> {
     Device::new("", description).map_err(Failure::wrong)
 }

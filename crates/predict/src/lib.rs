@@ -1,7 +1,8 @@
-//! Work with a device at hand: measure which walls it renders, on a board or a simulated one, and find the settings,
-//! place, posture and links with which it renders the stiffest. It also says what is doubtful about a device or a
-//! scene, what encoder steps make of a wall, and which control step is the cheapest that is good enough. The theory
-//! comes from [`haptic_stability`]; [`measure`] knows none of it, so that both can be compared.
+//! Tools for a device at hand. They measure the walls that it renders, on a board or a simulated one, and find the
+//! settings, place, posture and links with which it renders the stiffest wall. They also warn of implausible values in
+//! a device or a scene, simulate the effect of encoder steps on a wall, and choose the cheapest sufficient control
+//! step. The theory comes from [`haptic_stability`]; [`measure`] does not use it, so measurement and theory can be
+//! compared.
 //!
 //! ```
 //! use haptic_bridge::model::admissible::Admissible;
@@ -12,7 +13,7 @@
 //! let device = DeviceFile::load("../../devices/coupled-five-bar.toml")?;
 //! // At these joint angles (rad).
 //! let found = directions(&device.description, &[2.6, 1.75], Admissible::default())?;
-//! // Without the feed-forward the stiffest wall stands where the tip is heaviest, kg.
+//! Without the feed-forward the stiffest wall is along the direction in which the tip is heaviest, kg.
 //! assert!(found.stiffest.w_eff > found.softest.w_eff);
 //! # Ok(())
 //! # }
@@ -21,11 +22,11 @@
 //! | to | begin at |
 //! |---|---|
 //! | measure stable walls on a board | [`measure`] |
-//! | hear what is doubtful about a device or a scene | [`plausible`] |
-//! | see what encoder steps make of a pressed wall | [`ripple`] |
-//! | find the cheapest step that is good enough | [`plan`], [`mod@bench`] |
+//! | warn of implausible values in a device or a scene | [`plausible`] |
+//! | simulate encoder steps at a pressed wall | [`ripple`] |
+//! | find the cheapest sufficient control step | [`plan`], [`mod@bench`] |
 //! | find the settings of the stiffest wall | [`mod@tune`] |
-//! | find the best place, direction, posture and links for one | [`mod@design`] |
+//! | find the best place, direction, posture and links for a wall | [`mod@design`] |
 //! | write a device's first files | [`template`], [`wall_ahead`] |
 //! | write the file of a device that a board runs | [`equivalent`] |
 #![forbid(unsafe_code)]

@@ -1,14 +1,13 @@
-//! Only what a scene needs: the cheapest way to compute the control step that stays inside an error budget.
+//! Plans a scene: finds the cheapest control step that stays within an error budget.
 //!
-//! The planner looks at where the scene's walls can be touched, with which normals, how hard the motors can push there
-//! and how fast a hand can move; it tries every mass model with and without velocity terms from the cheapest on, in the
-//! board's own precision, and takes the first whose error stays inside [`MARGIN`] of the budget. Where the board lets
-//! its velocity terms fade no choice brings them back: what stays there is told, and not held against the budget. What
-//! it decides is a scene (with `velocity_terms` and `feed_forward` set) and a mass model, and the board runs exactly
-//! that.
+//! The planner considers the poses in which the scene's walls can be touched, with their normals, the motors' force
+//! there and the speed of a hand. It tries every mass model with and without velocity terms, the cheapest first, in the
+//! board's own precision, and chooses the first whose error stays within [`MARGIN`] of the budget. Velocity terms that
+//! the board fades are lost with every choice, so that error is reported but does not count against the budget. The
+//! result is a scene (with `velocity_terms` and `feed_forward` set) and a mass model, and the board runs exactly that.
 
 use crate::bench::counts;
-use crate::bench::error::{Errors, Found, Law, Terms, Trigonometry, Way, errors};
+use crate::bench::error::{Errors, Law, Terms, TorqueVariant, Trigonometry, VariantErrors, errors};
 use crate::bench::precompute::{Precomputed, frozen, most_points, range, table};
 use crate::bench::probe::{Probe, on_surface};
 use haptic_bridge::model::device::Device;
@@ -18,25 +17,25 @@ use haptic_host::error::Failure;
 use haptic_host::link::{Board, BoardError};
 use serde::Serialize;
 
-/// Share of the budget that the poses looked at may use up: between them the error may be larger.
+/// Share of the budget for the error at the computed poses: between them the error may be larger.
 pub const MARGIN: f64 = 0.6;
-/// The budget when nothing is said, percent.
+/// Default budget, percent.
 pub const DEFAULT_PERCENT: f64 = 1.0;
 /// Trigonometry of the firmware.
 const SHIPPED: &str = "table";
 
-/// The error that a plan may leave.
+/// Error that a plan may leave.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Budget {
-    /// Percent of what the motors give at the same pose: of the worst joint's torque, and so of the largest force at
+    /// Percentage of the motors' torque at the worst joint of the same pose, which equals that of the largest force at
     /// the tip in the direction of the error.
     Percent(f64),
-    /// An error that the duty's resolution hides anyway.
+    /// An error that is hidden by the resolution of the duty.
     OneDutyStep,
 }
 
 impl Budget {
-    /// The error of a variant as a share of this budget.
+    /// Returns the error of a variant as a share of this budget.
     pub fn used(self, errors: &Errors) -> f64 {
         match self {
             Budget::Percent(percent) => 100.0 * errors.share.max / percent,
@@ -45,7 +44,7 @@ impl Budget {
     }
 }
 
-/// One way that was looked at.
+/// A variant that was considered.
 #[derive(Clone, Debug, Serialize)]
 pub struct Candidate {
     /// Mass model.
@@ -54,36 +53,36 @@ pub struct Candidate {
     pub terms: &'static str,
     /// Instructions of the slowest control step on the Cortex-M4F.
     pub instructions: u32,
-    /// Its error, with what fades whatever is chosen.
+    /// Error, including the part that fades in every variant.
     pub errors: Errors,
-    /// The part of the error that another choice could take away.
+    /// Part of the error that depends on the choice.
     #[serde(skip)]
     pub given: Errors,
-    /// That as a share of the budget.
+    /// That part as a share of the budget.
     pub used: f64,
 }
 
-/// The settings that the board shall run.
+/// The result of planning.
 #[derive(Clone, Debug)]
 pub struct Plan {
-    /// The scene with its feed-forward and velocity terms as decided.
+    /// The scene with the chosen feed-forward and velocity terms.
     pub scene: Scene<f64>,
-    /// The source of the mass matrix.
+    /// The mass model.
     pub mass: Precomputed,
     /// The terms of the walls' feed-forward.
     pub terms: Terms,
     /// Instructions of the slowest control step on the Cortex-M4F.
     pub instructions: u32,
-    /// Error left, at the poses looked at.
+    /// Remaining error at the computed poses.
     pub errors: Errors,
-    /// Everything that was looked at, from the cheapest.
+    /// All variants that were considered, the cheapest first.
     pub candidates: Vec<Candidate>,
-    /// Why, in sentences.
+    /// The reasons, in sentences.
     pub reasons: Vec<String>,
 }
 
 impl Plan {
-    /// Loads the planned scene and its mass matrix onto a board whose motors are off; returns the scene as it was sent.
+    /// Loads the planned scene and its mass model onto a disarmed board. Returns the scene as it was sent.
     pub fn load(&self, board: &mut Board) -> Result<Scene<f32>, BoardError> {
         let scene = self.scene.cast();
         board.set_scene(&scene)?;
@@ -92,7 +91,7 @@ impl Plan {
     }
 }
 
-/// Angles per joint of the grid that is looked at.
+/// Returns the angles per joint of the grid.
 fn density(joints: usize) -> usize {
     match joints {
         1 => 41,
@@ -103,12 +102,13 @@ fn density(joints: usize) -> usize {
 
 /// Plans `scene` on `device` for hands of up to `speed` m/s.
 ///
-/// Errors: a device that cannot be analysed; or no way stays inside the budget, which names the best there is.
+/// Errors if the device cannot be analysed, or if no variant stays within the budget; the message then states the best
+/// one.
 pub fn plan(device: &Device<f64>, scene: &Scene<f64>, budget: Budget, speed: f64) -> Result<Plan, Failure> {
     plan_on(device, scene, budget, speed, density(device.mechanism.kind().spec().joints))
 }
 
-/// As [`plan`], looking at `per_joint` angles per joint.
+/// Like [`plan`], with `per_joint` angles per joint.
 fn plan_on(
     device: &Device<f64>,
     scene: &Scene<f64>,
@@ -121,15 +121,13 @@ fn plan_on(
     let mut reasons = Vec::new();
     let shaped = scene.walls.iter().filter(|wall| wall.feed_forward != FeedForward::Off).count();
     if shaped == 0 {
-        reasons.push("no wall asks for the feed-forward, so no mass matrix and no velocity terms".into());
+        reasons.push("no wall has feed-forward, so no mass matrix and no velocity terms are computed".into());
     } else if spec.joints == 1 {
-        reasons.push(
-            "with one joint nothing is left to move freely, so the feed-forward changes nothing and is left out".into(),
-        );
+        reasons.push("with one joint the feed-forward has no effect, so it is left out".into());
     }
     let probes = if shaped == 0 || spec.joints == 1 { Vec::new() } else { touched(device, &scene, per_joint, speed)? };
     if probes.is_empty() && shaped > 0 && spec.joints > 1 {
-        reasons.push("no wall with feed-forward can be reached, so none is computed".into());
+        reasons.push("no wall with feed-forward can be reached, so no feed-forward is computed".into());
     }
     if probes.is_empty() {
         scene.walls.iter_mut().for_each(|wall| wall.feed_forward = FeedForward::Off);
@@ -141,23 +139,23 @@ fn plan_on(
 
     let (wanted, law) = (scene.velocity_terms, Law::of(&scene, device)?);
     let used_of = |terms| if terms == Terms::FeedForwardZ { wanted } else { VelocityTerms::Off };
-    let mut ways = Vec::new();
+    let mut variants = Vec::new();
     for mass in models(device, &probes) {
         for terms in [Terms::FeedForward, Terms::FeedForwardZ] {
             if terms == Terms::FeedForwardZ && wanted == VelocityTerms::Off {
                 continue;
             }
             let with = Scene { velocity_terms: used_of(terms), ..scene.clone() };
-            ways.push((cost(device, &with, mass.name()), terms, mass.clone()));
+            variants.push((cost(device, &with, mass.name()), terms, mass.clone()));
         }
     }
-    ways.sort_by_key(|(instructions, _, mass)| (*instructions, mass.bytes()));
+    variants.sort_by_key(|(instructions, _, mass)| (*instructions, mass.bytes()));
 
     let mut candidates: Vec<Candidate> = Vec::new();
     let mut chosen = None;
-    for (instructions, terms, mass) in ways {
-        let way = Way { model: &mass, terms, trigonometry: Trigonometry::Tabulated, law };
-        let Found { whole: errors, given } = errors(device, &probes, &way);
+    for (instructions, terms, mass) in variants {
+        let variant = TorqueVariant { model: &mass, terms, trigonometry: Trigonometry::Tabulated, law };
+        let VariantErrors { whole: errors, given } = errors(device, &probes, &variant);
         let used = budget.used(&given);
         candidates.push(Candidate { model: mass.name(), terms: terms.name(), instructions, errors, given, used });
         if chosen.is_none() && used <= MARGIN {
@@ -186,7 +184,7 @@ fn plan_on(
     Ok(Plan { scene, mass, terms, instructions, errors, candidates, reasons })
 }
 
-/// Situations at every wall with feed-forward.
+/// Returns situations at every wall with feed-forward.
 pub fn touched(device: &Device<f64>, scene: &Scene<f64>, per_joint: usize, speed: f64) -> Result<Vec<Probe>, Failure> {
     let mut probes = Vec::new();
     for wall in scene.walls.iter().filter(|wall| wall.feed_forward != FeedForward::Off) {
@@ -203,8 +201,8 @@ fn models(device: &Device<f64>, probes: &[Probe]) -> Vec<Precomputed> {
     models
 }
 
-/// Instructions of the slowest control step of a scene: counted for one wall, a pair of walls, a ball and nothing.
-/// Each further wall adds what one of its kind adds.
+/// Returns the instructions of the slowest control step of a scene, from counts for one wall, a pair of walls, a ball
+/// and no wall. Each further wall adds the difference that a wall of its kind makes.
 pub fn cost(device: &Device<f64>, scene: &Scene<f64>, model: &str) -> u32 {
     let name = device.mechanism.kind().spec().name;
     let counted = |model: &str, terms: &str| counts::instructions(name, SHIPPED, model, terms).unwrap_or(0);
@@ -231,7 +229,7 @@ pub fn cost(device: &Device<f64>, scene: &Scene<f64>, model: &str) -> u32 {
     one + more + plain * per_wall
 }
 
-/// `fading`: the share of the situations in which velocity terms fade, and by how much the estimate lags, s.
+/// Explains the choice. `fading`: the share of situations in which velocity terms fade, and the lag of the estimate, s.
 fn explain(
     candidates: &[Candidate],
     terms: Terms,
@@ -241,7 +239,7 @@ fn explain(
     fading: Option<(f64, f64)>,
 ) -> Vec<String> {
     let find = |model: &str, terms: Terms| candidates.iter().find(|c| c.model == model && c.terms == terms.name());
-    // As a person feels it; 99 of 100 situations, because the last of them are those next to singularities.
+    // As a person feels it: in 99 % of the situations, because the rest are next to singularities.
     let size = |errors: &Errors| {
         let Errors { force, share, duty, .. } = errors;
         let most = match budget {
@@ -253,9 +251,9 @@ fn explain(
     let mut reasons = Vec::new();
     if let Some(without) = find("exact", Terms::FeedForward) {
         let verdict = match terms {
-            Terms::FeedForward if budget.used(&without.errors) <= MARGIN => "too little to compute",
-            Terms::FeedForward => "where they do not fade anyway, too little to compute",
-            _ if fading.is_some() => "they are compensated but for what fades",
+            Terms::FeedForward if budget.used(&without.errors) <= MARGIN => "too small to compute",
+            Terms::FeedForward => "too small to compute where they do not fade anyway",
+            _ if fading.is_some() => "they are compensated, except where they fade",
             _ => "they are compensated",
         };
         reasons.push(format!("at {speed} m/s the forces of motion are {}: {verdict}", size(&without.errors)));
@@ -271,8 +269,8 @@ fn explain(
     }
     if let Some(one) = find("frozen", terms) {
         let verdict = match mass.name() {
-            "frozen" => "so one matrix does",
-            _ => "so the matrix has to follow the pose",
+            "frozen" => "so one matrix is enough",
+            _ => "so the matrix must follow the pose",
         };
         reasons.push(format!("one mass matrix for all of the walls is wrong by {}, {verdict}", size(&one.given)));
     }
@@ -287,7 +285,7 @@ fn explain(
     reasons
 }
 
-/// A force in the digits that count.
+/// Formats a force with the significant digits.
 pub fn newtons(force: f64) -> String {
     match force {
         f if f >= 10.0 => format!("{f:.0} N"),
@@ -297,7 +295,7 @@ pub fn newtons(force: f64) -> String {
     }
 }
 
-/// A share in percent; beyond the whole it has no meaning of its own.
+/// Formats a share in percent; above 100 % the number has no meaning.
 pub fn percent(share: f64) -> String {
     match 100.0 * share {
         p if p > 100.0 => "more than all".into(),

@@ -1,8 +1,8 @@
-//! Finds values that a file may contain but can hardly mean. Lengths in millimetres, masses in grams, angles in degrees
-//! and walls beyond what is stable all parse, and all are doubted here, with the number that gives them away.
+//! Warns of values that a file may contain but that are hardly meant. Lengths in millimetres, masses in grams, angles
+//! in degrees and walls outside the stable range all parse; each gets a warning with the number that shows the mistake.
 //!
-//! Nothing here refuses: a device may be stranger than these rules. Bounds come from solid steel, from what one file
-//! says in two places, and from the prediction of `haptic range`.
+//! A warning rejects nothing: a device may be stranger than these rules. The bounds come from solid steel, from two
+//! statements of one file that disagree, and from the prediction of `haptic range`.
 //!
 //! - [`device`]: a device file by itself
 //! - [`scene`]: walls on a device
@@ -15,33 +15,33 @@ use haptic_bridge::model::description::Description;
 use haptic_host::toml_file::Document;
 use serde::Serialize;
 
-/// The place of a doubt in a file: a table (with its place in a list of tables, from 0), perhaps a table in it, and a
-/// key.
+/// Place of a warning in a file: a table (with its index in a list of tables, from 0), optionally a table inside it,
+/// and a key.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Key {
-    /// `geometry`, `link`, `joint`, `wall`, …; empty at the top of the file.
+    /// `geometry`, `link`, `joint`, `wall`, ...; empty at the top level of the file.
     pub table: &'static str,
-    /// Which of several.
+    /// Index in a list of tables.
     pub index: Option<usize>,
-    /// `encoder` or `motor` in a joint; else empty.
+    /// `encoder` or `motor` in a joint; otherwise empty.
     pub part: &'static str,
     /// The key.
     pub name: &'static str,
 }
 
-/// Something that parses but can hardly be meant.
+/// A warning about a value that parses but is hardly meant; its line is not yet known.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Doubt {
+pub struct FileWarning {
     /// The place in a file.
     pub key: Option<Key>,
-    /// The doubt, and what was probably meant: one sentence without its final stop.
+    /// The problem and the probable meaning: one sentence without its full stop.
     pub text: String,
 }
 
-/// A doubt about a file, as programs read it.
+/// A warning with its line and column, as it is written to JSON.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Warning {
-    /// The file; empty for what was typed.
+    /// The file; empty for a value from the command line.
     pub path: String,
     /// Line, from 1.
     pub line: Option<usize>,
@@ -51,12 +51,12 @@ pub struct Warning {
     pub text: String,
 }
 
-impl Doubt {
+impl FileWarning {
     fn new(key: Key, text: String) -> Self {
         Self { key: Some(key), text }
     }
 
-    /// With its place in the file that it is about.
+    /// Adds the place in `document`, the file that the warning concerns.
     pub fn about(self, document: &Document) -> Warning {
         let at = self.key.and_then(|key| document.find(key.table, key.index, key.part, key.name));
         Warning {
@@ -67,7 +67,7 @@ impl Doubt {
         }
     }
 
-    /// Of something that was typed.
+    /// Makes a warning about a value from the command line.
     pub fn typed(self) -> Warning {
         Warning { path: String::new(), line: None, column: None, text: self.text }
     }
@@ -86,57 +86,57 @@ impl core::fmt::Display for Warning {
     }
 }
 
-/// A result and what is doubted about it: one JSON document, with the doubts, where there are any, under `warnings`.
+/// A result together with its warnings: one JSON document. The key `warnings` is left out if there are none.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Warned<'a, T> {
     /// The result.
     #[serde(flatten)]
     pub result: &'a T,
-    /// The doubts.
-    #[serde(skip_serializing_if = "none")]
+    /// The warnings.
+    #[serde(skip_serializing_if = "is_empty")]
     pub warnings: &'a [Warning],
 }
 
-fn none(warnings: &&[Warning]) -> bool {
+fn is_empty(warnings: &&[Warning]) -> bool {
     warnings.is_empty()
 }
 
-/// Says doubts on standard error, one line each.
+/// Prints warnings on standard error, one line each.
 pub fn warn(warnings: &[Warning]) {
     for warning in warnings {
         haptic_host::tell!("haptic: warning: {warning}");
     }
 }
 
-/// Doubts about joint angles that were typed: degrees, mostly.
-pub fn angles(q: &[f64], what: &str, kind: Kind) -> Vec<Doubt> {
-    let doubted = q.iter().enumerate().filter(|(_, angle)| in_degrees(kind, **angle));
-    doubted
-        .map(|(joint, angle)| Doubt { key: None, text: turns(&format!("{what} of joint {joint}"), *angle) })
+/// Returns warnings about joint angles from the command line that are probably in degrees.
+pub fn angles(q: &[f64], what: &str, kind: Kind) -> Vec<FileWarning> {
+    let implausible = q.iter().enumerate().filter(|(_, angle)| in_degrees(kind, **angle));
+    implausible
+        .map(|(joint, angle)| FileWarning { key: None, text: full_turns(&format!("{what} of joint {joint}"), *angle) })
         .collect()
 }
 
-/// Doubts about joint angles that the device's limits leave out.
-pub fn beyond_limits(q: &[f64], description: &Description) -> Vec<Doubt> {
-    let beyond = |(joint, angle): (usize, &f64)| {
+/// Returns warnings about joint angles outside the device's limits.
+pub fn pose_limit_warnings(q: &[f64], description: &Description) -> Vec<FileWarning> {
+    let outside = |(joint, angle): (usize, &f64)| {
         let (low, high) = description.joints[joint].limits?;
         let text = format!(
-            "the pose puts joint {joint} at {angle} rad, outside its limits [{low}, {high}]: the device never stands so"
+            "the pose puts joint {joint} at {angle} rad, outside its limits [{low}, {high}], so the device never takes it"
         );
-        (!(low..=high).contains(angle)).then_some(Doubt { key: None, text })
+        (!(low..=high).contains(angle)).then_some(FileWarning { key: None, text })
     };
-    q.iter().enumerate().filter_map(beyond).collect()
+    q.iter().enumerate().filter_map(outside).collect()
 }
 
-/// Returns true if an angle is probably in degrees. The joints of a linkage turn less than once. A wheel or a knob turns
-/// often: its angles are in degrees if they are round as such.
+/// Returns true if an angle is probably in degrees. The joints of a linkage turn less than one turn. A wheel or a knob
+/// may turn many times: its angle is taken for degrees if it is a round number of degrees.
 fn in_degrees(kind: Kind, angle: f64) -> bool {
     let round = angle.abs() >= 15.0 && angle % 5.0 == 0.0;
     angle.abs() > core::f64::consts::TAU && (kind != Kind::Paddle || round)
 }
 
-/// An angle that is more than a turn.
-fn turns(what: &str, angle: f64) -> String {
+/// Describes an angle of more than one turn.
+fn full_turns(what: &str, angle: f64) -> String {
     format!(
         "{what} is {angle} rad, {:.1} turns: angles are in radians ({angle} degrees are {:.4} rad)",
         (angle / core::f64::consts::TAU).abs(),

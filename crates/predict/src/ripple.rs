@@ -1,20 +1,20 @@
-//! The effect of encoder steps on a wall that is pressed: by simulation, because a quantiser is not linear.
+//! Effect of encoder steps on a pressed wall, by simulation, because a quantiser is not linear.
 //!
-//! A hand presses the wall with a steady force, in the one simulation of such contacts (`contact`). The wall is
-//! rendered by the loop of the prediction: its delay, drive, estimator and feed-forward, linearised at the pose, with
-//! one thing more: each joint's angle comes in steps of its encoder. A prediction has drives, delays and filters that
-//! no board has; the board's own step, with estimators that are not linear, renders the walls of
-//! [`crate::bench::wall`]. A static wall is unilateral. Without friction there is no equilibrium between two counts, so
-//! there always is a limit cycle; where friction holds more than a count's force, it does not arise (Abbott and Okamura
-//! 2005). Its size depends on where in a count the pose lies, so each wall is tried with several offsets of the counts,
-//! and the largest ripple is taken.
+//! A hand presses the wall with a steady force, in the simulation of contacts (`contact`). The wall is rendered by the
+//! control loop of the prediction, with its delay, drive, estimator and feed-forward, linearised at the pose; in
+//! addition each joint's angle comes in steps of its encoder. A prediction has drives, delays and filters that boards
+//! do not have; for the board's own step, with nonlinear estimators, see [`crate::bench::wall`]. A static wall is
+//! unilateral. Without friction there is no equilibrium between two counts, so there always is a limit cycle; if
+//! friction holds more than a count's force, the limit cycle does not arise (Abbott and Okamura 2005). Its size depends
+//! on the position of the pose within a count, so each wall is tried with several offsets of the counts, and the
+//! largest ripple counts.
 
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::model::description::Description;
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
-use crate::contact::{Answer, Contact, Grip, Law, about_its_line};
+use crate::contact::{Contact, Grip, Law, LawOutput, deviation_from_line};
 use haptic_host::error::Failure;
 use haptic_host::vectors::padded;
 use haptic_sim::Plant;
@@ -24,35 +24,35 @@ use haptic_stability::analysis::plant::Linearised;
 use haptic_stability::analysis::sampled::{Loop, Mode};
 use haptic_stability::sweep::Sweep;
 
-/// A light hand that is there where none is asked for; it presses with [`PUSH_N`].
+/// Default light hand; it presses with [`PUSH_N`].
 pub const LIGHT_HAND: Hand = Hand { mass: 0.05, damping: 3.0, stiffness: 200.0 };
-/// The force with which the hand presses, N.
+/// Force with which the hand presses, N.
 pub const PUSH_N: f64 = 3.0;
-/// The hand presses ever harder, N/s: what friction holds only where nothing moves is no wall at rest.
+/// Rate at which the hand presses harder, N/s: friction that holds only a resting tip does not make a wall quiet.
 pub(crate) const RISE: f64 = 1.0;
-/// Time in which the motion settles, and in which it is looked at, s.
+/// Time for the motion to settle, and time of recording, s.
 pub(crate) const SETTLE_S: f64 = 0.5;
 pub(crate) const LOOK_S: f64 = 0.3;
-/// Number of offsets of the counts that are tried.
+/// Number of count offsets that are tried.
 pub(crate) const OFFSETS: usize = 4;
-/// Walls along a line: how far below the stiffest, and how many in a decade.
+/// Walls along a line: number of decades below the stiffest, and walls per decade.
 const DECADES: usize = 4;
 const PER_DECADE: usize = 5;
-/// Ratio to which the stiffness is found from which the ripple exceeds a bound.
-const CLOSE: f64 = 1.05;
+/// Precision of the stiffness from which the ripple exceeds a bound, as a ratio.
+const PRECISION: f64 = 1.05;
 
-/// The ripple of a pressed wall.
+/// Ripple of a pressed wall.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Ripple {
-    /// N/m
+    /// Stiffness, N/m.
     pub kp: f64,
-    /// N s/m
+    /// Damping, N s/m.
     pub kd: f64,
-    /// Root mean square of the wall's force about its mean, N; none where the tip flies off.
+    /// Root mean square of the wall's force about its fitted line, N; `None` if the tip flies off.
     pub rms_n: Option<f64>,
-    /// Half of what lies between its largest and its smallest value, N.
+    /// Half of the difference between the force's largest and smallest value, N.
     pub peak_n: Option<f64>,
-    /// The motion of the tip along the normal, from one side to the other, m.
+    /// Motion of the tip along the normal, peak to peak, m.
     pub motion_m: Option<f64>,
 }
 
@@ -63,47 +63,47 @@ impl Ripple {
     }
 }
 
-/// The point on a line of walls from which the ripple exceeds a bound.
+/// Walls along a line, with the first stiffness at which the ripple exceeds a bound.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Along {
-    /// The largest stiffness up to which every wall on the line is stable by linear theory, N/m.
+    /// Largest stiffness up to which every wall on the line is stable by linear theory, N/m.
     pub kp_stable: f64,
-    /// The stiffness from which the ripple exceeds the bound, N/m; none where no wall tried does.
+    /// Stiffness from which the ripple exceeds the bound, N/m; `None` if no wall exceeds it.
     pub kp_from: Option<f64>,
-    /// The walls that were tried, by stiffness.
+    /// The simulated walls, by stiffness.
     pub points: Vec<Ripple>,
 }
 
 /// A device and the hand that presses its wall.
 #[derive(Clone, Debug)]
 pub struct Pressed<'a> {
-    /// The device as the wall sees it.
+    /// The linearised device.
     pub device: &'a Linearised,
-    /// The same with all that is not linear about it.
+    /// The same device with its nonlinear effects.
     pub description: Description,
     /// Pose, rad.
     pub q: Vec<f64>,
     /// Unit normal, d entries.
     pub normal: Vec<f64>,
-    /// The loop.
+    /// Control loop.
     pub around: &'a Loop,
-    /// Who presses.
+    /// The hand that presses.
     pub hand: Hand,
-    /// The force with which the hand presses, N.
+    /// Force with which the hand presses, N.
     pub push_n: f64,
 }
 
 impl Pressed<'_> {
-    /// The motion along the normal in one count of the coarsest joint, m; `None` where a joint has no encoder.
+    /// Returns the motion along the normal per count of the coarsest joint, m; `None` if a joint has no encoder.
     pub fn count_m(&self) -> Option<f64> {
         let steps = self.resolutions()?;
         Some(steps.iter().zip(self.device.row.iter()).map(|(step, lever)| (step * lever).abs()).fold(0.0, f64::max))
     }
 
-    /// The largest force that one count alone makes: what the wall's spring and its damper, through the estimator,
-    /// answer to a step of the position, N.
+    /// Returns the largest force of a single count: the response of the wall's stiffness, and of its damping through
+    /// the estimator, to a step of the position, N.
     pub fn step_n(&self, kp: f64, kd: f64) -> Option<f64> {
-        Some(self.count_m()? * (kp + kd * self.around.estimator.quickest(self.around.rate_hz)))
+        Some(self.count_m()? * (kp + kd * self.around.estimator.peak_step_response(self.around.rate_hz)))
     }
 
     fn resolutions(&self) -> Option<Vec<f64>> {
@@ -113,26 +113,27 @@ impl Pressed<'_> {
         counts.map(|counts| counts.map(|counts| std::f64::consts::TAU / counts)).collect()
     }
 
-    /// The ripple of a wall under the hand; `None` where a joint has no encoder.
+    /// Simulates the ripple of a wall under the hand; `None` if a joint has no encoder.
     pub fn ripple(&self, mode: Mode, kp: f64, kd: f64) -> Option<Ripple> {
         let steps = self.resolutions()?;
         let lost = Ripple { kp, kd, rms_n: None, peak_n: None, motion_m: None };
         let mut worst = Ripple { rms_n: Some(0.0), peak_n: Some(0.0), motion_m: Some(0.0), ..lost };
         for offset in 0..OFFSETS {
-            let Some(found) = self.run(&steps, mode, kp, kd, offset as f64 / OFFSETS as f64) else { return Some(lost) };
+            let Some(result) = self.run(&steps, mode, kp, kd, offset as f64 / OFFSETS as f64) else {
+                return Some(lost);
+            };
             let most = |a: Option<f64>, b: f64| a.map(|a| a.max(b));
             worst = Ripple {
-                rms_n: most(worst.rms_n, found[0]),
-                peak_n: most(worst.peak_n, found[1]),
-                motion_m: most(worst.motion_m, found[2]),
+                rms_n: most(worst.rms_n, result[0]),
+                peak_n: most(worst.peak_n, result[1]),
+                motion_m: most(worst.motion_m, result[2]),
                 ..lost
             };
         }
         Some(worst)
     }
 
-    /// The walls along `line` and where their ripple exceeds `bound_n`. `None`
-    /// where a joint has no encoder.
+    /// Simulates walls along `line` and finds where their ripple exceeds `bound_n`. `None` if a joint has no encoder.
     pub fn along(&self, mode: Mode, line: DampingRule, bound_n: f64, sweep: &Sweep) -> Result<Option<Along>, Failure> {
         if self.resolutions().is_none() {
             return Ok(None);
@@ -150,7 +151,7 @@ impl Pressed<'_> {
             let mut high = points[at].kp;
             let Some(before) = at.checked_sub(1) else { return high };
             let mut low = points[before].kp;
-            while high / low > CLOSE {
+            while high / low > PRECISION {
                 let middle = (low * high).sqrt();
                 let Some(point) = wall(&middle) else { break };
                 if point.within(bound_n) {
@@ -166,8 +167,8 @@ impl Pressed<'_> {
         Ok(Some(Along { kp_stable, kp_from, points }))
     }
 
-    /// Simulates a wall: root mean square and peak of its force, N, and how far the tip moves, m. `None` where it flies
-    /// off.
+    /// Simulates a wall. Returns root mean square and peak of its force, N, and the motion of the tip, m; `None` if the
+    /// tip flies off.
     fn run(&self, steps: &[f64], mode: Mode, kp: f64, kd: f64, offset: f64) -> Option<[f64; 3]> {
         let mut held = self.description;
         held.handle_mass += self.hand.mass;
@@ -176,17 +177,17 @@ impl Pressed<'_> {
         let (tip, weight) = (plant.tip(), plant.gravity());
         let mobility = self.device.mass.clone().cholesky()?.inverse();
         let shaped = self.device.shaped_torque();
-        let against: [f64; MAX_JOINTS] = padded(self.against(mode, &mobility, &shaped)?.as_slice());
-        let mut law = Linear::new(self, steps, mode, (kp, kd), offset, &mobility, &shaped);
+        let holding: [f64; MAX_JOINTS] = padded(self.holding_force(mode, &mobility, &shaped)?.as_slice());
+        let mut law = LinearLaw::new(self, steps, mode, (kp, kd), offset, &mobility, &shaped);
         let before = padded((&self.device.row * self.push_n).as_slice());
         let contact =
             Contact { carried: weight, before, ..Contact::new(plant, padded(&self.normal), self.around, self.hand) };
         let settle = (SETTLE_S * self.around.rate_hz).round() as usize;
         let (mut forces, mut tips, mut n) = (Vec::new(), Vec::new(), 0);
-        let kept = contact.run(
+        let tip_stays = contact.run(
             &mut law,
             SETTLE_S + LOOK_S,
-            |time| Some(Grip { goal: tip, push: against.map(|share| -(share * (self.push_n + RISE * time))) }),
+            |time| Some(Grip { goal: tip, push: holding.map(|share| -(share * (self.push_n + RISE * time))) }),
             |force, along| {
                 if n >= settle {
                     forces.push(force);
@@ -196,14 +197,14 @@ impl Pressed<'_> {
                 true
             },
         );
-        let (rms, force) = about_its_line(&forces);
-        kept.then(|| [rms, 0.5 * force, about_its_line(&tips).1])
+        let (rms, force) = deviation_from_line(&forces);
+        tip_stays.then(|| [rms, 0.5 * force, deviation_from_line(&tips).1])
     }
 
-    /// The force of a hand that keeps the tip where it is, per newton of wall, d entries: along the normal, and against
-    /// the feed-forward's steady push sideways, Λ J M⁻¹ of its torques. If the hand let the tip be pushed aside, it
-    /// would press another wall: its spring would give way by millimetres, too far for the linearised loop.
-    fn against(&self, mode: Mode, mobility: &DMatrix<f64>, shaped: &DVector<f64>) -> Option<DVector<f64>> {
+    /// Returns the force of a hand that keeps the tip in place, per newton of wall, d entries: along the normal, and
+    /// against the feed-forward's steady push sideways, Λ J M⁻¹ of its torques. A tip that is pushed aside would press
+    /// another wall: the hand's stiffness gives way by millimetres, too far for the linearised loop.
+    fn holding_force(&self, mode: Mode, mobility: &DMatrix<f64>, shaped: &DVector<f64>) -> Option<DVector<f64>> {
         let normal = DVector::from_column_slice(&self.normal);
         // A washout has no steady push.
         if mode != Mode::Full {
@@ -214,8 +215,9 @@ impl Pressed<'_> {
     }
 }
 
-/// The loop of a prediction: its estimator, feed-forward and posture, linearised at the pose, behind encoders that step.
-struct Linear<'a> {
+/// The control loop of a prediction: its estimator, feed-forward and posture, linearised at the pose, with encoder
+/// steps.
+struct LinearLaw<'a> {
     steps: &'a [f64],
     q0: [f64; MAX_JOINTS],
     offset: f64,
@@ -223,40 +225,40 @@ struct Linear<'a> {
     shaped: &'a DVector<f64>,
     mobility: &'a DMatrix<f64>,
     estimator: DMatrix<f64>,
-    wall: Watched,
-    held: Option<(Posture, Watched)>,
-    /// Of each joint, where its damping is compensated, and what b of (4) becomes in torques.
-    compensated: Option<(Vec<Watched>, DMatrix<f64>)>,
+    wall: EstimatedMotion,
+    held: Option<(Posture, EstimatedMotion)>,
+    /// Each joint, and the map from b of (4) to torques, if the joints' damping is compensated.
+    compensated: Option<(Vec<EstimatedMotion>, DMatrix<f64>)>,
     mode: Mode,
-    /// The slow part of the force, of a washout.
+    /// Slow part of the force, for a washout.
     slow: f64,
     kp: f64,
     kd: f64,
-    /// The position of the wall's surface, m along the normal.
+    /// Position of the wall's surface along the normal, m.
     surface: f64,
     period: f64,
-    /// The last command, N m.
+    /// Last command, N m.
     commanded: DVector<f64>,
 }
 
 /// A motion of the joints whose velocity is estimated.
-struct Watched {
-    /// Its Jacobian.
+struct EstimatedMotion {
+    /// Jacobian of the motion.
     row: DVector<f64>,
     before: f64,
-    /// States of the estimator, then how far it moved in the last period and what the last command gives.
+    /// States of the estimator, then the motion in the last period and the motion that the last command predicts.
     memory: DVector<f64>,
 }
 
-impl Watched {
-    /// At rest at these angles, rad.
+impl EstimatedMotion {
+    /// Starts at rest at these angles, rad.
     fn new(row: DVector<f64>, estimator: &DMatrix<f64>, angles: &DVector<f64>) -> Self {
         Self { before: row.dot(angles), row, memory: DVector::zeros(estimator.nrows() + 1) }
     }
 
-    /// Its position and its velocity per sample; `given` is the velocity per sample that the last command gave each
+    /// Returns position and velocity per sample; `given` is the velocity per sample that the last command gave each
     /// joint, rad.
-    fn seen(&mut self, angles: &DVector<f64>, estimator: &DMatrix<f64>, given: &DVector<f64>) -> (f64, f64) {
+    fn estimate(&mut self, angles: &DVector<f64>, estimator: &DMatrix<f64>, given: &DVector<f64>) -> (f64, f64) {
         let x = self.row.dot(angles);
         let states = estimator.nrows() - 1;
         self.memory[states] = x - self.before;
@@ -270,7 +272,7 @@ impl Watched {
     }
 }
 
-impl<'a> Linear<'a> {
+impl<'a> LinearLaw<'a> {
     fn new(
         pressed: &'a Pressed<'_>,
         steps: &'a [f64],
@@ -283,12 +285,12 @@ impl<'a> Linear<'a> {
         let (device, joints) = (pressed.device, steps.len());
         let estimator = pressed.around.estimator.matrix(pressed.around.rate_hz);
         let q0 = padded(&pressed.q);
-        let angles = stepped(&q0, &q0, steps, offset);
-        let watched = |row: DVector<f64>| Watched::new(row, &estimator, &angles);
+        let angles = encoder_angles(&q0, &q0, steps, offset);
+        let estimated = |row: DVector<f64>| EstimatedMotion::new(row, &estimator, &angles);
         let unit = &device.unit_motion;
         let compensated = (pressed.around.damping_compensation && mode != Mode::Off).then(|| {
             let each = DMatrix::identity(joints, joints);
-            let joints = each.column_iter().map(|joint| watched(joint.into_owned())).collect();
+            let joints = each.column_iter().map(|joint| estimated(joint.into_owned())).collect();
             (joints, each - &device.mass * unit * unit.transpose() / device.w_rr())
         });
         Self {
@@ -298,8 +300,8 @@ impl<'a> Linear<'a> {
             device,
             shaped,
             mobility,
-            wall: watched(device.row.clone()),
-            held: device.flexible.posture.as_ref().map(|(held, row)| (*held, watched(row.clone()))),
+            wall: estimated(device.row.clone()),
+            held: device.flexible.posture.as_ref().map(|(held, row)| (*held, estimated(row.clone()))),
             compensated,
             estimator,
             mode,
@@ -314,21 +316,21 @@ impl<'a> Linear<'a> {
     }
 }
 
-/// How far the joints are from `q0` by their encoders, rad.
-fn stepped(q: &[f64; MAX_JOINTS], q0: &[f64; MAX_JOINTS], steps: &[f64], offset: f64) -> DVector<f64> {
+/// Returns the angles of the joints relative to `q0` by their encoders, rad.
+fn encoder_angles(q: &[f64; MAX_JOINTS], q0: &[f64; MAX_JOINTS], steps: &[f64], offset: f64) -> DVector<f64> {
     DVector::from_fn(steps.len(), |j, _| {
-        // Half a turn of each joint's count by itself, so that joints do not step together.
+        // A separate offset for each joint, so that joints do not step together.
         let origin = (offset + 0.37 * j as f64).fract();
         (((q[j] - q0[j]) / steps[j] - origin).round() + origin) * steps[j]
     })
 }
 
-impl Law for Linear<'_> {
-    fn answer(&mut self, measured: &[f64; MAX_JOINTS]) -> Answer {
+impl Law for LinearLaw<'_> {
+    fn evaluate(&mut self, measured: &[f64; MAX_JOINTS]) -> LawOutput {
         let (period, estimator) = (self.period, &self.estimator);
-        let angles = stepped(measured, &self.q0, self.steps, self.offset);
+        let angles = encoder_angles(measured, &self.q0, self.steps, self.offset);
         let given = self.mobility * &self.commanded * (period * period);
-        let (x, moved) = self.wall.seen(&angles, estimator, &given);
+        let (x, moved) = self.wall.estimate(&angles, estimator, &given);
         let force = (-self.kp * (self.surface + x) - self.kd * moved / period).max(0.0);
         let [plain, shaped] = match self.mode {
             Mode::Off => [force, 0.0],
@@ -343,15 +345,15 @@ impl Law for Linear<'_> {
         };
         let mut torque = &self.device.row * plain + self.shaped * shaped;
         if let Some((posture, turn)) = &mut self.held {
-            let (angle, moved) = turn.seen(&angles, estimator, &given);
+            let (angle, moved) = turn.estimate(&angles, estimator, &given);
             torque -= &turn.row * (posture.stiffness * angle + posture.damping * moved / period);
         }
         if let Some((joints, bias)) = &mut self.compensated {
-            let moved = joints.iter_mut().map(|joint| joint.seen(&angles, estimator, &given).1 / period);
+            let moved = joints.iter_mut().map(|joint| joint.estimate(&angles, estimator, &given).1 / period);
             let moved = DVector::from_iterator(self.steps.len(), moved);
             torque += &*bias * self.device.viscous.component_mul(&moved);
         }
         self.commanded.copy_from(&torque);
-        Answer { force, torque: padded(torque.as_slice()) }
+        LawOutput { force, torque: padded(torque.as_slice()) }
     }
 }

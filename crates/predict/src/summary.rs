@@ -1,5 +1,5 @@
-//! A summary of a device file in the terms in which a person would notice that it describes another device: how far the
-//! tip reaches, where it is at home, how hard it can push, what it weighs.
+//! Summary of a device file, in terms that show a person if it describes another device: the reach of the tip, its
+//! place at home, its force, its mass.
 
 use crate::plausible::device::force_at;
 use haptic_bridge::model::device::Device;
@@ -9,12 +9,12 @@ use haptic_stability::analysis::map::{MapPoint, climb, map};
 use haptic_stability::analysis::pose::{PoseError, TaskPose};
 use serde::Serialize;
 
-/// Poses of the grid that the reach and the inertia are taken from.
+/// Grid poses for the reach and the inertia.
 const POSES: usize = 3000;
-/// First step from there on towards the reach, rad.
+/// First step from the grid's pose towards the reach, rad.
 const STEP: f64 = 0.1;
 
-/// Lowest and highest of something.
+/// Range of a quantity.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Span {
     /// Lowest.
@@ -34,25 +34,25 @@ impl Span {
 /// A summary of the device that a file describes.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Summary {
-    /// The range of the tip along each task coordinate, m: the poses reached from home.
+    /// Range of the tip along each task coordinate, m, over the poses that are connected with home.
     pub reach: Vec<Span>,
     /// Tip at home, m.
     pub tip_at_home: Option<Vec<f64>>,
     /// Largest force at the tip at home in its weakest and its strongest direction, N: max_current times
     /// torque_constant through Jᵀ.
     pub force_at_home: Option<Span>,
-    /// The largest motion of the tip at home in one encoder count of one joint, m; `None` where a joint has no encoder.
+    /// Largest motion of the tip at home per count of one encoder, m; `None` if a joint has no encoder.
     pub count_at_home: Option<f64>,
-    /// Links and handle, kg.
+    /// Mass of links and handle, kg.
     pub moving_mass: f64,
-    /// Effective inertia that a wall meets at home over all normals, kg.
+    /// Effective inertia at home over all normals, kg.
     pub w_eff_at_home: Option<Span>,
     /// The same over the workspace.
     pub w_eff: Option<Span>,
 }
 
-/// The range of the tip along a task coordinate: from the grid's farthest poses on, to where limits or a singularity
-/// end the way.
+/// Returns the range of the tip along a task coordinate: from the grid's farthest poses to the limit or singularity
+/// that ends the motion.
 fn reach(device: &Device<f64>, points: &[MapPoint], axis: usize) -> Result<Option<Span>, PoseError> {
     let place = |point: &&MapPoint| point.position[axis];
     let farthest = |sign: f64| {
@@ -64,7 +64,7 @@ fn reach(device: &Device<f64>, points: &[MapPoint], axis: usize) -> Result<Optio
 }
 
 impl Summary {
-    /// Of a device file.
+    /// Computes the summary of a device file.
     pub fn of(file: &DeviceFile) -> Result<Self, PoseError> {
         let description = &file.description;
         let spec = file.spec();
@@ -102,7 +102,7 @@ impl Summary {
         })
     }
 
-    /// For people, a line each.
+    /// Formats the summary for people, one line per item.
     pub fn lines(&self) -> Vec<String> {
         let millimetres = |v: f64| format!("{:.1}", (1e4 * v).round() / 10.0 + 0.0);
         let mut lines = Vec::new();

@@ -1,5 +1,5 @@
-//! Files to start from: a device file for each mechanism, with every key, what it is, and numbers of a device that
-//! exists only to be replaced; and a scene file for a device.
+//! Files to start from: a device file for each mechanism, with every key, its meaning, and example numbers to replace;
+//! and a scene file for a device.
 
 use crate::plausible::scene::Ripple;
 use crate::tune::{USUAL_RIPPLE_N, three_digits};
@@ -10,14 +10,14 @@ use haptic_host::device_file::DeviceFile;
 use haptic_host::error::Failure;
 use haptic_host::words::with_unit;
 
-/// The part of a template that a mechanism's [`Spec`](haptic_bridge::model::catalogue::Spec) does not contain.
+/// Part of a template that a mechanism's [`Spec`](haptic_bridge::model::catalogue::Spec) does not contain.
 struct Example {
-    /// A description of the mechanism, with the pose at which its angles are zero.
+    /// Description of the mechanism, with the pose of zero angles.
     about: &'static str,
     gravity: &'static str,
     /// Lines of `[geometry]`: key, value, comment.
     geometry: &'static [(&'static str, &'static str, &'static str)],
-    /// Mass (kg), centre of mass (m) and inertia (kg m²) of each link, and what the centre of mass counts from.
+    /// Mass (kg), centre of mass (m) and inertia (kg m²) of each link, and the reference of the centre of mass.
     links: &'static [(f64, f64, f64, &'static str)],
     /// Inertia of each joint, kg m², and its limits, rad.
     joints: &'static [(f64, [f64; 2], &'static str)],
@@ -72,7 +72,7 @@ fn example(kind: Kind) -> Example {
                 (0.03, 0.06, 4.0e-5, ROD),
             ],
             joints: &[
-                (4.0e-4, [-0.8, 0.8], "turret: rotor times the ratio squared, and what turns with it beside the links"),
+                (4.0e-4, [-0.8, 0.8], "turret: rotor times the ratio squared, and other parts that turn with it"),
                 (8.0e-5, [1.2, 3.3], "rotor times the ratio squared"),
                 (8.0e-5, [-0.2, 1.9], ""),
             ],
@@ -94,7 +94,7 @@ fn example(kind: Kind) -> Example {
                 (0.04, 0.105, 1.4e-4, "from the crank's tip, along the upper arm"),
             ],
             joints: &[
-                (2.0e-3, [-0.8, 0.8], "turret: rotor times the ratio squared, and what turns with it beside the links"),
+                (2.0e-3, [-0.8, 0.8], "turret: rotor times the ratio squared, and other parts that turn with it"),
                 (3.0e-4, [0.2, 2.0], "rotor times the ratio squared"),
                 (3.0e-4, [-1.2, 0.8], ""),
             ],
@@ -120,24 +120,24 @@ fn example(kind: Kind) -> Example {
     }
 }
 
-/// The motors and encoders that boards work with, in a sentence without its final stop.
+/// Motors and encoders that boards work with: a sentence without its full stop.
 pub const MOTORS_AND_ENCODERS: &str = "boards drive brushed motors and read incremental encoders (A and B): two of each at 10 to 50 V (odrive-v3), three at 6 to \
      34 V (H-bridges)";
 
-/// The text of a device file of this mechanism that passes every check and lacks only a person's word for its motors.
+/// Returns a device file of this mechanism that passes every check; only a person must still confirm the motors.
 pub fn device_file(kind: Kind, name: &str) -> String {
     let spec = kind.spec();
     let example = example(kind);
     let turret = spec.task == 3;
     let mut text = format!(
         "# {about}\n\
-         # Every number here is an example: replace it by your device's. SI units throughout (m, kg, s, N, rad).\n\
-         # docs/devices.md has a drawing and says where each number comes from; `haptic check FILE` says what it describes.\n\
+         # Every number here is an example: replace it with your device's value. SI units throughout (m, kg, s, N, rad).\n\
+         # docs/devices.md has a drawing and the source of each number; `haptic check FILE` summarises the device.\n\
          # Motors and encoders: {MOTORS_AND_ENCODERS}.\n\n\
          name = {name:?}\n\
          mechanism = \"{}\"\n\
          gravity = {}\n\
-         # supply = 24.0                      # V, what feeds the board: bounds what the motors give\n\n\
+         # supply = 24.0                      # V, supply of the board: bounds the motors' torque\n\n\
          [geometry]                           # m, between axes\n",
         spec.name,
         example.gravity,
@@ -169,9 +169,9 @@ pub fn device_file(kind: Kind, name: &str) -> String {
     for (index, (inertia, limits, comment)) in example.joints.iter().enumerate() {
         let first = index == 0;
         let note = |comment: &'static str| if first { comment } else { "" };
-        line(&format!("\n[[joint]]  # {index}\ninertia"), number(*inertia), &prefixed("kg m²", comment));
+        line(&format!("\n[[joint]]  # {index}\ninertia"), number(*inertia), &with_prefix("kg m²", comment));
         line("viscous", "3.0e-4".into(), note("N m s/rad, friction that grows with speed; default 0"));
-        line("coulomb", "2.0e-3".into(), note("N m, friction that does not; default 0"));
+        line("coulomb", "2.0e-3".into(), note("N m, dry friction; default 0"));
         line(
             "limits",
             format!("[{:?}, {:?}]", limits[0], limits[1]),
@@ -180,7 +180,7 @@ pub fn device_file(kind: Kind, name: &str) -> String {
         line(
             "# transmission",
             "\"rigid\"".into(),
-            note("write this where the motor sits on the joint; else [joint.transmission]"),
+            note("write this if the motor sits on the joint; otherwise [joint.transmission]"),
         );
         line(
             "\n[joint.encoder]\ncounts_per_turn",
@@ -191,17 +191,17 @@ pub fn device_file(kind: Kind, name: &str) -> String {
         line("inverted", "false".into(), note("true when the counts fall as the angle grows; default false"));
         line("\n[joint.motor]\ntorque_constant", "0.2".into(), note("N m/A at the joint: motor's x ratio"));
         line("resistance", "2.0".into(), note("ohm, between the terminals"));
-        line("inductance", "0.001".into(), note("H; default 0: not known, and the current loop is slow"));
+        line("inductance", "0.001".into(), note("H; default 0: unknown, and the current loop is slow"));
         line("back_emf", "0.2".into(), note("V s/rad at the joint; default torque_constant, the same in SI"));
-        line("max_current", "3.0".into(), note("A, what motor and supply stand continuously"));
+        line("max_current", "3.0".into(), note("A, continuous limit of motor and supply"));
         line(
             "verified",
             "false".into(),
-            note("true once you vouch for these numbers: a real board does not arm before"),
+            note("true once you have verified these numbers: a real board does not arm before"),
         );
         if first {
             line(
-                "\n# [joint.transmission]              # a belt or cable that gives; without this table it is rigid\n# stiffness",
+                "\n# [joint.transmission]              # a compliant belt or cable; without this table it is rigid\n# stiffness",
                 "50.0".into(),
                 "N m/rad at the joint, between motor and link",
             );
@@ -213,37 +213,37 @@ pub fn device_file(kind: Kind, name: &str) -> String {
             );
             line("# encoder_at", "\"motor\"".into(), "or \"joint\": the side that the encoder is on");
             line(
-                "\n# [joint.friction]                  # dry friction that is more at rest than in motion\n# static",
+                "\n# [joint.friction]                  # dry friction that is larger at rest than in motion\n# static",
                 "0.003".into(),
-                "N m, what holds the joint at rest; at least `coulomb`",
+                "N m, friction at rest; at least `coulomb`",
             );
-            line("# stribeck_speed", "0.1".into(), "rad/s, where most of the difference is gone");
+            line("# stribeck_speed", "0.1".into(), "rad/s, speed at which most of the difference is gone");
             line(
-                "\n# [joint.cogging]                   # what the motor's magnets do\n# amplitude",
+                "\n# [joint.cogging]                   # torque of the motor's magnets\n# amplitude",
                 "0.001".into(),
                 "N m",
             );
             line("# per_turn", "24".into(), "periods in a turn of the joint");
             line(
-                "\n# [[joint.mode]]                    # a part of the link that swings on it, up to two\n# frequency",
+                "\n# [[joint.mode]]                    # a part that swings on the link, up to two\n# frequency",
                 "150.0".into(),
                 "Hz, with the joint held still",
             );
             line("# damping", "0.01".into(), "of critical damping; default 0");
-            line("# inertia", number(0.05 * inertia), "kg m², the part of the inertia about the joint that swings");
+            line("# inertia", number(0.05 * inertia), "kg m², inertia of the swinging part about the joint");
         }
     }
     line("\n[handle]\nmass", "0.02".into(), "kg, a point at the tip; default none");
-    line("\n[home]\nq", example.home.into(), "rad, the pose you hold the device in when you type `haptic home`");
+    line("\n[home]\nq", example.home.into(), "rad, the pose in which you hold the device for `haptic home`");
     text
 }
 
-/// The text of a scene file for a device, with one wall in front of its home pose and every other key as a comment.
+/// Returns a scene file for a device, with one wall in front of its home pose and every other key as a comment.
 pub fn scene_file(device: &DeviceFile) -> Result<String, Failure> {
     let FirstWall { scene, ripple } = first_wall(device)?;
     let task = device.spec().task;
     let list = |values: &[f32]| {
-        // Tenths of a millimetre, and no zero with a sign.
+        // Tenths of a millimetre, without a negative zero.
         let tenths = values.iter().take(task).map(|value| (1e4 * f64::from(*value)).round() / 1e4 + 0.0);
         let values: Vec<String> = tenths.map(|value| format!("{value:?}")).collect();
         format!("[{}]", values.join(", "))
@@ -251,7 +251,7 @@ pub fn scene_file(device: &DeviceFile) -> Result<String, Failure> {
     let axes = ["along the arc", "x, y", "x, y, z"][task - 1];
     let mut text = format!(
         "# A scene for {}: a wall in front of its home pose. SI units throughout (m, kg, s, N, rad).\n\
-         # Lines that begin with `# ` and a key show what else there is. `haptic check DEVICE FILE` says what each wall meets,\n\
+         # Lines that begin with `# ` and a key are optional. `haptic check DEVICE FILE` predicts the limits of each wall,\n\
          # `haptic tune` finds the stiffest one.\n\n",
         device.name
     );
@@ -260,13 +260,13 @@ pub fn scene_file(device: &DeviceFile) -> Result<String, Failure> {
     line("cutoff_hz", &number(scene.cutoff_hz.into()), "Hz, of the velocity's low-pass, below half the rate");
     line("# estimator", "\"butterworth\"", "of the velocity; docs/model.md section 3 lists them");
     line("# gravity_compensation", "true", "the motors carry the device's weight");
-    line("# hand_speed", "0.5", "m/s, how fast a hand moves here");
+    line("# hand_speed", "0.5", "m/s, speed of a hand here");
     for wall in &scene.walls {
         let Surface::Plane(plane) = &wall.surface else { continue };
         line("\n[[wall]]  # 0; up to eight\nshape", "\"plane\"", "default; docs/files.md has the round ones");
         line("point", &list(&plane.point), &format!("m, {axes}: a point of the surface"));
         line("normal", &list(&plane.normal), &format!("{axes}, out of the solid towards the hand; any length"));
-        let rippling = match ripple {
+        let ripple_note = match ripple {
             None => String::new(),
             Some(Ripple { ripple_n, allowed_n }) => format!(
                 "; its force ripples by {} under a hand{}",
@@ -274,7 +274,7 @@ pub fn scene_file(device: &DeviceFile) -> Result<String, Failure> {
                 if allowed_n > USUAL_RIPPLE_N { ", the least that these encoders allow" } else { "" }
             ),
         };
-        let comment = format!("N/m; well within what is predicted stable{rippling}");
+        let comment = format!("N/m; well within what is predicted stable{ripple_note}");
         line("stiffness", &number(three_digits(wall.stiffness.into(), false)), &comment);
         line("damping", &number(three_digits(wall.damping.into(), false)), "N s/m; default 0");
         let law = format!("{:?}", wall.feed_forward.name());
@@ -284,7 +284,7 @@ pub fn scene_file(device: &DeviceFile) -> Result<String, Failure> {
             "default \"washout\"; \"full\": the paper's, which pushes sideways at rest; \"off\"",
         );
         line("# washout_hz", "2.0", "Hz, below which a washed-out feed-forward fades");
-        line("# bilateral", "false", "true: it acts on both sides and may pull");
+        line("# bilateral", "false", "true: the wall acts on both sides and may pull");
     }
     line("\n# [[spring]]                        # up to four; a pull to a point\n# point", &list(&[0.0; 3]), "m");
     line("# stiffness", "200.0", "N/m");
@@ -293,9 +293,9 @@ pub fn scene_file(device: &DeviceFile) -> Result<String, Failure> {
     Ok(text)
 }
 
-/// A line of a file: a key, its value, and what it is.
+/// Formats a line of a file: key, value and comment.
 fn line(key: &str, value: &str, comment: &str) -> String {
-    // A key may bring the lines before it along.
+    // A key may contain preceding lines.
     let begins = key.rfind('\n').map_or(0, |newline| newline + 1);
     let (before, key) = key.split_at(begins);
     let pair = format!("{key} = {value}");
@@ -303,11 +303,11 @@ fn line(key: &str, value: &str, comment: &str) -> String {
     format!("{before}{}\n", format!("{pair:<36} {comment}").trim_end())
 }
 
-fn prefixed(unit: &str, comment: &str) -> String {
+fn with_prefix(unit: &str, comment: &str) -> String {
     if comment.is_empty() { String::new() } else { format!("{unit}: {comment}") }
 }
 
-/// As TOML wants it: a float, in powers of ten where that is shorter.
+/// Formats a TOML float, in powers of ten if that is shorter.
 fn number(value: f64) -> String {
     if value.abs() < 1e-2 && value != 0.0 { format!("{value:.3e}") } else { format!("{value:?}") }
 }
@@ -315,22 +315,22 @@ fn number(value: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::{Kind, device_file, scene_file};
-    use crate::plausible::device::doubts;
+    use crate::plausible::device::file_warnings;
     use haptic_host::device_file::DeviceFile;
     use haptic_host::scene_file::SceneFile;
     use haptic_stability::analysis::prediction::Subject;
 
     #[test]
-    fn every_template_is_sound_plausible_and_lacks_only_a_persons_word() {
+    fn every_template_lacks_only_the_confirmation_of_its_motors() {
         for kind in Kind::ALL {
             let text = device_file(*kind, "mine");
             let file = DeviceFile::parse(&text, "mine.toml").unwrap_or_else(|error| panic!("{error}\n{text}"));
             assert_eq!(file.description.kind, *kind);
-            // Only its maker knows what lies between motor and link.
-            let [silent] = &doubts(&file)[..] else { panic!("{:?}", doubts(&file)) };
-            assert!(silent.text.contains("transmission = \"rigid\""), "{}", silent.text);
-            let said = text.replace("# transmission = \"rigid\"", "transmission = \"rigid\"");
-            assert_eq!(doubts(&DeviceFile::parse(&said, "mine.toml").unwrap()), []);
+            // The template leaves out the transmission, because only the device's maker knows it.
+            let [unspecified] = &file_warnings(&file)[..] else { panic!("{:?}", file_warnings(&file)) };
+            assert!(unspecified.text.contains("transmission = \"rigid\""), "{}", unspecified.text);
+            let rigid = text.replace("# transmission = \"rigid\"", "transmission = \"rigid\"");
+            assert_eq!(file_warnings(&DeviceFile::parse(&rigid, "mine.toml").unwrap()), []);
             let lacks = file.lacks_for_a_board();
             assert!(lacks.iter().all(|lack| lack.contains("verified")), "{lacks:?}");
             assert_eq!(lacks.len(), kind.spec().joints);
@@ -338,7 +338,7 @@ mod tests {
     }
 
     #[test]
-    fn every_key_that_a_device_file_knows_is_in_a_template() {
+    fn the_template_contains_every_key_of_device_files() {
         let text = device_file(Kind::Parallelogram, "mine");
         for key in [
             "name",
@@ -386,7 +386,7 @@ mod tests {
     }
 
     #[test]
-    fn a_scene_is_sound_and_not_doubted_with_all_that_it_offers() {
+    fn a_scene_template_is_valid_with_every_optional_key() {
         for kind in Kind::ALL {
             let file = DeviceFile::parse(&device_file(*kind, "mine"), "mine.toml").unwrap();
             let task = file.spec().task;
@@ -415,14 +415,14 @@ mod tests {
                 );
             }
             let scene = SceneFile::parse(&text, "scene.toml", task).unwrap().scene;
-            let (doubted, contacts) =
-                crate::plausible::scene::doubts(&Subject::new(&file.description).unwrap(), &scene);
-            assert_eq!((doubted.as_slice(), contacts.len()), (&[][..], 1), "{text}");
+            let (warnings, contacts) =
+                crate::plausible::scene::file_warnings(&Subject::new(&file.description).unwrap(), &scene);
+            assert_eq!((warnings.as_slice(), contacts.len()), (&[][..], 1), "{text}");
         }
     }
 
     #[test]
-    fn a_template_is_sound_with_all_that_it_offers() {
+    fn a_device_template_is_valid_with_every_optional_key() {
         for kind in Kind::ALL {
             let keys = ["[joint.", "[[joint.", "stiffness", "damping", "motor_inertia", "encoder_at", "static"];
             let more = ["stribeck_speed", "amplitude", "per_turn", "frequency", "inertia", "supply"];

@@ -1,4 +1,4 @@
-//! The hazards for a person at the tip: the largest force and the energy of motion that limits leave a device.
+//! Hazards for a person at the tip: the largest force and the largest kinetic energy that a device's limits allow.
 
 use crate::boards::torque_at_rest;
 use crate::plausible::device::weight;
@@ -7,16 +7,16 @@ use haptic_bridge::model::device::Device;
 use haptic_stability::analysis::pose::{PoseError, TaskPose};
 use nalgebra::DVector;
 
-/// A device at one pose, to ask what its limits leave.
+/// A device at one pose whose hazards are computed.
 #[derive(Clone, Debug)]
 pub struct Tip {
     pose: TaskPose,
-    /// Joint torques that hold the device up there, N m.
+    /// Joint torques that hold the device up at the pose, N m.
     weight: Vec<f64>,
 }
 
 impl Tip {
-    /// Of a device at a pose (rad), by default its home pose; `None` without one. Errors where the pose is singular.
+    /// Returns the device at its home pose; `None` without one. Errors if the pose is singular.
     pub fn at_home(description: &Description) -> Option<Result<Self, PoseError>> {
         let home = description.home.as_ref()?;
         let joints = description.kind.spec().joints;
@@ -25,18 +25,18 @@ impl Tip {
         Some(pose.map(|pose| Self { pose, weight }))
     }
 
-    /// The largest force (N) at the tip that joint torques within ±`torque` (N m) make, whatever their signs.
+    /// Returns the largest force (N) at the tip from joint torques within ±`torque` (N m), with any signs.
     pub fn force(&self, torque: &[f64]) -> f64 {
-        self.worst(torque, |torque| self.pose.inverse.tr_mul(&torque).rows(0, self.pose.task).norm())
+        self.largest_at_corners(torque, |torque| self.pose.inverse.tr_mul(&torque).rows(0, self.pose.task).norm())
     }
 
-    /// The largest energy (J) of motion with joint speeds within ±`speed` (rad/s).
+    /// Returns the largest kinetic energy (J) with joint speeds within ±`speed` (rad/s).
     pub fn energy(&self, speed: &[f64]) -> f64 {
-        self.worst(speed, |speed| 0.5 * speed.dot(&(&self.pose.mass * &speed)))
+        self.largest_at_corners(speed, |speed| 0.5 * speed.dot(&(&self.pose.mass * &speed)))
     }
 
-    /// Torque limits (N m), one a joint, under which no torque makes more than `newtons` at the tip: in proportion to
-    /// what each joint needs for that force in its own direction.
+    /// Returns torque limits (N m), one per joint, that bound the tip force to `newtons`. They are in proportion to the
+    /// torque that each joint needs for that force in its own direction.
     pub fn torques_for(&self, newtons: f64) -> Vec<f64> {
         let jacobian = self.pose.jacobian.rows(0, self.pose.task);
         let shares: Vec<f64> = jacobian.column_iter().map(|column| column.norm()).collect();
@@ -44,13 +44,13 @@ impl Tip {
         shares.iter().map(|share| share * newtons / force).collect()
     }
 
-    /// The same, with what holds the device up on top.
+    /// The same plus the torques that hold the device up.
     pub fn limits_for(&self, newtons: f64) -> Vec<f64> {
         self.torques_for(newtons).iter().zip(&self.weight).map(|(torque, weight)| torque + weight.abs()).collect()
     }
 
-    /// The largest `value` over the corners of a box.
-    fn worst(&self, half: &[f64], value: impl Fn(DVector<f64>) -> f64) -> f64 {
+    /// Returns the largest `value` over the corners of a box.
+    fn largest_at_corners(&self, half: &[f64], value: impl Fn(DVector<f64>) -> f64) -> f64 {
         let joints = self.pose.mass.nrows();
         let corner = |signs: usize| {
             DVector::from_fn(joints, |i, _| {
@@ -62,10 +62,10 @@ impl Tip {
     }
 }
 
-/// Joint speed, rad/s, that the boards' firmware allows until it is told otherwise.
+/// Default limit of joint speed in the boards' firmware, rad/s.
 pub const BOARD_SPEED: f64 = 100.0;
 
-/// The most that each motor can give at rest, N m at the joint; 0 without one.
+/// Returns the largest torque of each motor at rest, N m at the joint; 0 for a joint without motor.
 pub fn motor_torques(description: &Description) -> Vec<f64> {
     let joints = description.kind.spec().joints;
     description.joints.iter().map(|joint| joint.motor.map_or(0.0, |motor| torque_at_rest(&motor, joints))).collect()
@@ -78,7 +78,7 @@ mod tests {
     use haptic_bridge::model::catalogue::MAX_JOINTS;
     use haptic_host::device_file::DeviceFile;
 
-    /// The devices that ship, with a home pose, by their file's name.
+    /// Returns the shipped devices that have a home pose, by the name of their file.
     fn shipped() -> Vec<(String, DeviceFile, Tip)> {
         let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../devices");
         let files = std::fs::read_dir(folder).expect("devices ship").map(|entry| entry.expect("a file").path());
@@ -93,7 +93,7 @@ mod tests {
     }
 
     #[test]
-    fn the_table_in_the_documentation_is_what_is_computed() {
+    fn documented_tip_hazards_match_the_computed_ones() {
         use std::fmt::Write as _;
         let gentle = f64::from(haptic_bridge::safety::limits::GENTLE_FORCE);
         let mut table = String::from(
@@ -131,14 +131,14 @@ mod tests {
     }
 
     #[test]
-    fn no_torque_within_the_limits_for_a_force_makes_more_of_it() {
-        let mut tried = 0;
+    fn torque_limits_for_a_force_bound_the_tip_force() {
+        let mut checked = 0;
         for (name, file, tip) in shipped() {
             let limits = tip.torques_for(5.0);
             let inverse = &tip.pose.inverse;
             assert_eq!(limits.len(), file.spec().joints);
             let mut most = 0.0_f64;
-            // Torques all over the box, not only where the largest is looked for.
+            // Torques throughout the box, not only at its corners.
             for nth in 0..1000_u32 {
                 let share = |i: u32| f64::from((nth / 10_u32.pow(i)) % 10) / 4.5 - 1.0;
                 let torque = DVector::from_fn(limits.len(), |i, _| share(i as u32) * limits[i]);
@@ -146,8 +146,8 @@ mod tests {
                 most = most.max(force.sqrt());
             }
             assert!((4.999..5.001).contains(&most), "{name}: {most} N");
-            tried += 1;
+            checked += 1;
         }
-        assert!(tried >= 3, "{tried} devices with a home pose");
+        assert!(checked >= 3, "{checked} devices with a home pose");
     }
 }

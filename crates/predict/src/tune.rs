@@ -1,27 +1,28 @@
-//! The settings that render the stiffest wall on a device: rate, velocity estimator, cutoff, damping, stiffness,
-//! washout and feed-forward, within margins, a ripple and what the motors have.
+//! Finds the settings that render the stiffest wall on a device: rate, velocity estimator, cutoff, damping, stiffness,
+//! washout and feed-forward, within margins, a ripple limit and the motors' torque.
 //!
-//! Stability is that of the exact sampled loop ([`haptic_stability::analysis`]), for a device that is not quite the one
-//! in the file ([`Margins`]). Ripple is what encoder steps make of a pressed wall, by simulation
-//! ([`crate::bench::wall`]), on that device and on others a little off it: the analysis is linear and knows no steps.
-//! One simulated hand is easily pleased, so the wall is pressed once more by another one, with everything that a board
-//! has ([`measured`]). And a tip that taps it leaves it no more than [`MOST_REBOUNDS`] times. `criteria` has them all,
-//! and `search` finds the stiffest wall that keeps them.
+//! Stability is that of the exact sampled loop ([`haptic_stability::analysis`]), for a device that deviates from its
+//! file ([`Margins`]). Ripple is the effect of encoder steps on a pressed wall. It is simulated
+//! ([`crate::bench::wall`]) on that device and on deviating ones, because the analysis is linear and does not know
+//! steps. A single simulated hand may hide ripple, so a second hand presses the wall on a complete simulated board
+//! ([`measured`]). A tip that taps the wall may rebound at most [`MOST_REBOUNDS`] times. `criteria` contains all
+//! criteria, and `search` finds the stiffest wall that meets them.
 
+mod alternatives;
 mod baseline;
 mod criteria;
 mod limits;
 mod margins;
 pub mod measured;
-mod otherwise;
+
 mod scene;
 mod search;
 
+pub use alternatives::Alternative;
 pub use baseline::{Baseline, LEAST_RIPPLE_N, USUAL_RIPPLE_N, baseline, ripple_like};
 pub use criteria::{MOST_REBOUNDS, keeps, ripple};
-pub use limits::{Beside, Limit};
+pub use limits::{Limit, NeighbourWall};
 pub use margins::{Margins, vertex};
-pub use otherwise::Otherwise;
 pub use scene::to_toml;
 
 use crate::bench::wall::Rendered;
@@ -38,15 +39,15 @@ use limits::limits;
 use serde::Serialize;
 use std::collections::BTreeSet;
 
-/// The highest rate at which a board was seen to miss no period in contact, Hz (docs/results/timing.md): of the
-/// emulated chip, with the shipped estimator.
+/// Highest rate at which the emulated chip missed no period in contact with the shipped estimator, Hz
+/// (docs/results/timing.md).
 pub const FASTEST_HZ: f64 = 30_000.0;
-/// Rates that are searched where none are named, Hz.
+/// Rates that are searched by default, Hz.
 pub const RATES_HZ: [f64; 4] = [1_000.0, 5_000.0, 10_000.0, 20_000.0];
-/// Stiffness is found to this ratio, and of walls that differ by less the one without a feed-forward is taken.
+/// Precision of the stiffness, as a ratio. Of walls that differ by less, the one without feed-forward is chosen.
 const STIFFNESS_RATIO: f64 = 1.03;
 
-/// The question to answer.
+/// The request for a search.
 #[derive(Clone, Debug)]
 pub struct Question<'a> {
     /// The device.
@@ -57,39 +58,40 @@ pub struct Question<'a> {
     pub normal: Vec<f64>,
     /// The coordinate that a redundant device holds.
     pub admissible: Admissible,
-    /// The deviations of the device from its file that are allowed for.
+    /// The deviations of the device from its file that the wall must tolerate.
     pub margins: Margins,
-    /// Largest root mean square of what the force of a wall has above 20 Hz under a hand that slides along it, N.
+    /// Limit of the ripple: root mean square of the wall's force above 20 Hz under a hand that slides along it, N.
     pub ripple_n: f64,
-    /// The same on the simulated board, under its hand, N; `None` leaves that press out.
+    /// The same limit on the simulated board with its hand, N; `None` skips that simulation.
     pub board_ripple_n: Option<f64>,
-    /// Encoder counts into the wall at which the motors may give all that they have; more is finer.
+    /// Smallest penetration in encoder counts at which the wall may need all of the motors' torque; a larger value is
+    /// finer.
     pub counts: f64,
-    /// Speed at which the wall's damping alone may take all that the motors have, m/s.
+    /// Speed at which the wall's damping alone may need all of the motors' torque, m/s.
     pub speed: f64,
     /// Control rates, Hz.
     pub rates_hz: Vec<f64>,
-    /// Velocity estimators; their own values and cutoffs are sought.
+    /// Velocity estimators; the search chooses their parameters and cutoffs.
     pub estimators: Vec<Estimator>,
-    /// Which feed-forwards may be taken.
+    /// Feed-forwards that are allowed.
     pub feed_forwards: Vec<FeedForward>,
-    /// Settings with stiffness and damping that are there already and keep the margins: no answer is softer.
+    /// Known settings with stiffness and damping that keep the margins: the result is at least as stiff.
     pub known: Option<Settings>,
 }
 
-/// Everything about a wall that is not where it is.
+/// Everything about a wall except its place.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Settings {
     /// Control rate, Hz.
     pub rate_hz: f64,
-    /// Velocity estimator, with its own value.
+    /// Velocity estimator with its parameter.
     #[serde(skip)]
     pub kind: Estimator,
-    /// Its word.
+    /// Name of the estimator.
     pub estimator: &'static str,
-    /// Its own value, 0 where it takes none.
+    /// Parameter of the estimator, 0 if it has none.
     pub value: u32,
-    /// Hz.
+    /// Cutoff of the estimator, Hz.
     pub cutoff_hz: f64,
     /// The wall's feed-forward.
     pub feed_forward: FeedForward,
@@ -97,14 +99,14 @@ pub struct Settings {
     pub washout_hz: f64,
     /// True if the joints' own damping is compensated.
     pub damping_compensation: bool,
-    /// N/m
+    /// Stiffness, N/m.
     pub stiffness: f64,
-    /// N s/m
+    /// Damping, N s/m.
     pub damping: f64,
 }
 
 impl Settings {
-    /// Those of a wall in a scene.
+    /// Returns the settings of a wall in a scene.
     #[must_use]
     pub fn of(scene: &Scene<f64>, wall: usize) -> Option<Self> {
         let wall = scene.walls.get(wall)?;
@@ -139,7 +141,7 @@ impl Settings {
         Mode::of(self.feed_forward, self.washout_hz)
     }
 
-    /// Returns true if its cutoff has an effect.
+    /// Returns true if the estimator uses the cutoff.
     #[must_use]
     pub fn has_cutoff(&self) -> bool {
         let filtered = self.kind.chosen().is_some_and(|chosen| chosen.filtered);
@@ -149,54 +151,53 @@ impl Settings {
         }
     }
 
-    /// The loop of the boards around it; none where the estimator has no linear one.
-    fn around(&self) -> Option<Loop> {
+    /// Returns the control loop of the usual board with these settings; `None` if the estimator has no linear model.
+    fn loop_settings(&self) -> Option<Loop> {
         let estimator = LinearEstimator::of(self.kind, self.cutoff_hz)?;
         let around = Loop::through(&TorquePath::usual(self.rate_hz), self.rate_hz, estimator);
         Some(Loop { damping_compensation: self.damping_compensation, ..around })
     }
 }
 
-/// A wall that keeps everything that was asked for.
+/// A wall that meets all criteria.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Found {
+pub struct TunedWall {
     /// The settings.
     #[serde(flatten)]
     pub settings: Settings,
-    /// Root mean square of its force above 20 Hz under a hand that slides along it, N: the largest of the device in the
-    /// file and those that are a little off it.
+    /// Root mean square of the force above 20 Hz under a hand that slides along the wall, N: the largest of the device
+    /// in the file and the deviating ones.
     pub ripple_n: f64,
-    /// The same on the simulated board with the device in the file, under its hand, N; none where that was not looked
-    /// at.
+    /// The same on the simulated board with the device in the file and its hand, N; `None` if it was not simulated.
     pub board_ripple_n: Option<f64>,
-    /// The stiffness that a hand at the tip feels of it at rest, N/m; `None` where no transmission gives.
+    /// Stiffness that a hand at the tip feels at rest, N/m; `None` if no transmission is compliant.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub felt: Option<f64>,
 }
 
-/// The answer.
+/// The result of a search.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Answer {
-    /// The stiffest; of those within three hundredths of it the stiffest without a feed-forward.
-    pub best: Found,
-    /// The stiffest of all, where it is another.
-    pub passed_over: Option<Found>,
-    /// The limit that comes first when the wall is made stiffer.
+pub struct TuneResult {
+    /// The stiffest wall; of those within 3 % of it the stiffest without feed-forward.
+    pub best: TunedWall,
+    /// The stiffest wall of all, if `best` is a different one.
+    pub passed_over: Option<TunedWall>,
+    /// The limit that a stiffer wall exceeds first.
     pub active: &'static str,
-    /// The gains that every limit alone would allow.
+    /// The gains that each limit alone would allow.
     pub limits: Vec<Limit>,
-    /// The walls beside it: stiffer, with more damping, with less.
-    pub beside: Vec<Beside>,
-    /// The best of each estimator that was found, the stiffest first.
-    pub others: Vec<Found>,
+    /// Neighbouring walls: stiffer, with more damping, with less damping.
+    pub beside: Vec<NeighbourWall>,
+    /// The best wall of each estimator, the stiffest first.
+    pub others: Vec<TunedWall>,
     /// The results with the other feed-forwards.
-    pub feed_forwards: Vec<Otherwise>,
-    /// Number of combinations of rate, estimator, cutoff and feed-forward, and the number of those for which ripple was
+    pub feed_forwards: Vec<Alternative>,
+    /// Number of combinations of rate, estimator, cutoff and feed-forward, and number of those whose ripple was
     /// simulated.
     pub looked_at: (usize, usize),
 }
 
-/// `value` rounded to three digits, down where `down`.
+/// Rounds `value` to three digits; `down` rounds towards zero.
 pub(crate) fn three_digits(value: f64, down: bool) -> f64 {
     if value <= 0.0 || !value.is_finite() {
         return value;
@@ -206,14 +207,14 @@ pub(crate) fn three_digits(value: f64, down: bool) -> f64 {
     (if down { (scaled + 1e-9).floor() } else { scaled.round() }) / unit
 }
 
-/// The velocity estimators that can be searched, each as it is where no more than its name is said.
+/// Returns the velocity estimators that can be searched, each with its default parameter.
 #[must_use]
 pub fn estimators() -> Vec<Estimator> {
     let all = Estimator::ALL.iter().map(|(_, kind)| *kind);
     all.filter(|kind| LinearEstimator::of(*kind, 1.0).is_some()).collect()
 }
 
-/// Refuses what no board does.
+/// Rejects requests beyond every board.
 fn check(question: &Question<'_>) -> Result<(), Failure> {
     if let Some(rate) = question.rates_hz.iter().find(|rate| !(200.0..=FASTEST_HZ).contains(*rate)) {
         return Err(Failure::wrong(format!("no board was seen to hold {rate} Hz in contact"))
@@ -226,35 +227,44 @@ fn check(question: &Question<'_>) -> Result<(), Failure> {
     question.margins.check()
 }
 
-/// Searches. The same in any order of work.
-pub fn tune(question: &Question<'_>, sweep: &Sweep) -> Result<Answer, Failure> {
+/// Searches for the stiffest wall. The result does not depend on the number of cores.
+pub fn tune(question: &Question<'_>, sweep: &Sweep) -> Result<TuneResult, Failure> {
     let context = SearchContext::new(question, sweep)?;
     let (mut all, looked_at) = context.all()?;
-    all.iter_mut().for_each(|found| found.felt = context.felt(&found.settings));
-    let Some((best, passed_over)) = chosen(&all) else {
+    all.iter_mut().for_each(|candidate| candidate.felt = context.felt(&candidate.settings));
+    let Some((best, passed_over)) = choose(&all) else {
         return Err(Failure::impossible(format!(
             "no wall here keeps a ripple of {} N within the margins",
             question.ripple_n
         ))
-        .remedy("ask at another pose or normal (`haptic design`), or allow more")
+        .remedy("choose another pose or normal (`haptic design`), or allow more ripple")
         .choose(Choice::Ripple));
     };
     let (active, limits, beside) = sweep.during("what limits it", || limits(&context, &best))?;
-    let feed_forwards = sweep.during("other feed-forwards", || otherwise::otherwise(&context, &best, &all))?;
-    Ok(Answer { best, passed_over, active, limits, beside, others: of_each_estimator(all), feed_forwards, looked_at })
+    let feed_forwards = sweep.during("other feed-forwards", || alternatives::alternatives(&context, &best, &all))?;
+    Ok(TuneResult {
+        best,
+        passed_over,
+        active,
+        limits,
+        beside,
+        others: best_of_each_estimator(all),
+        feed_forwards,
+        looked_at,
+    })
 }
 
-/// The stiffest, the earlier of equals.
-fn stiffest<'a>(found: impl IntoIterator<Item = &'a Found>) -> Option<Found> {
-    let stiffer = |other: &Found, best: &Found| other.settings.stiffness > best.settings.stiffness;
-    found.into_iter().copied().reduce(|best, other| if stiffer(&other, &best) { other } else { best })
+/// Returns the stiffest wall, the first of equals.
+fn stiffest<'a>(walls: impl IntoIterator<Item = &'a TunedWall>) -> Option<TunedWall> {
+    let stiffer = |other: &TunedWall, best: &TunedWall| other.settings.stiffness > best.settings.stiffness;
+    walls.into_iter().copied().reduce(|best, other| if stiffer(&other, &best) { other } else { best })
 }
 
-/// The settings that are chosen, and the stiffest where they are others: a feed-forward asks for a model that is right
-/// and pushes along the wall, so one that makes no difference is left out.
-fn chosen(all: &[Found]) -> Option<(Found, Option<Found>)> {
+/// Returns the chosen wall, and the stiffest if that is a different one. A feed-forward needs a correct model and
+/// pushes along the wall, so it is left out if it makes no difference.
+fn choose(all: &[TunedWall]) -> Option<(TunedWall, Option<TunedWall>)> {
     let top = stiffest(all)?;
-    let plain = stiffest(all.iter().filter(|found| found.settings.feed_forward == FeedForward::Off));
+    let plain = stiffest(all.iter().filter(|candidate| candidate.settings.feed_forward == FeedForward::Off));
     match plain {
         Some(plain) if plain.settings.stiffness * STIFFNESS_RATIO >= top.settings.stiffness => {
             Some((plain, (plain != top).then_some(top)))
@@ -263,10 +273,10 @@ fn chosen(all: &[Found]) -> Option<(Found, Option<Found>)> {
     }
 }
 
-/// The stiffest of each estimator, the stiffest first; equals stay in their order.
-fn of_each_estimator(mut all: Vec<Found>) -> Vec<Found> {
+/// Returns the stiffest wall of each estimator, the stiffest first; equals keep their order.
+fn best_of_each_estimator(mut all: Vec<TunedWall>) -> Vec<TunedWall> {
     all.sort_by(|a, b| b.settings.stiffness.total_cmp(&a.settings.stiffness));
     let mut seen = BTreeSet::new();
-    all.retain(|found| seen.insert(found.settings.estimator));
+    all.retain(|candidate| seen.insert(candidate.settings.estimator));
     all
 }

@@ -1,6 +1,6 @@
-//! The wall that stands before a device when no scene is named.
+//! The default wall in front of a device without a scene.
 
-use crate::plausible::scene::{Contact, Ripple, SOFTEST_WALL, doubts, ripple};
+use crate::plausible::scene::{Contact, Ripple, SOFTEST_WALL, file_warnings, ripple};
 use crate::tune::three_digits;
 use haptic_bridge::render::scene::{DEFAULT_RATE_HZ, FeedForward, Plane, Scene, Surface, Wall};
 use haptic_host::device_file::DeviceFile;
@@ -16,29 +16,30 @@ use haptic_stability::analysis::sampled::Mode;
 /// Distance of the wall from the tip, m.
 const AHEAD: f64 = 0.006;
 
-/// Depth at which a first wall may ask for all that the motors have, m: a hand feels a wall there and no switch.
+/// Penetration at which a first wall may need all of the motors' torque, m: a hand then feels a wall and not a switch.
 const FULL_FORCE_DEPTH: f64 = 1e-3;
-/// Share of the ripple that a wall may have at which a first one stops: other hands press it as well.
+/// Share of the allowed ripple that a first wall may have, because other hands press it as well.
 const RIPPLE_SHARE: f64 = 0.7;
-/// Largest number of times that gains are lowered before a wall is taken as it is.
-const MOST_STEPS: usize = 12;
+/// Largest number of times that gains are reduced before a wall is accepted as it is.
+const REDUCTIONS: usize = 12;
 
-/// A scene of one wall, and what it ripples under a hand; none where the device has no encoders.
+/// A scene of one wall, and the wall's ripple under a hand; `None` if the device has no encoders.
 #[derive(Clone, Debug)]
 pub struct FirstWall {
     /// The scene.
     pub scene: Scene<f32>,
-    /// The ripple of its wall.
+    /// Ripple of the wall.
     pub ripple: Option<Ripple>,
 }
 
-/// The scene of [`first_wall`].
+/// Returns the scene of [`first_wall`].
 pub fn wall_ahead(file: &DeviceFile) -> Result<Scene<f32>, Failure> {
     first_wall(file).map(|first| first.scene)
 }
 
-/// A wall in front of the tip at home that `haptic check` doubts nothing about: stable, within the motors, and so soft
-/// that it does not rattle. It is on the other side of the tip where a hand does not get around on this one.
+/// Returns a wall in front of the tip at home without any warning of `haptic check`: stable, within the motors' torque,
+/// and so soft that it does not rattle. It is on the other side of the tip if a hand cannot reach the wall on this
+/// side.
 pub fn first_wall(file: &DeviceFile) -> Result<FirstWall, Failure> {
     let first = first_wall_on(file, 1.0)?;
     if is_touched(file, &first.scene) {
@@ -48,7 +49,7 @@ pub fn first_wall(file: &DeviceFile) -> Result<FirstWall, Failure> {
     Ok(if is_touched(file, &other.scene) { other } else { first })
 }
 
-/// Returns true if a hand that moves around as that of `haptic sim` gets to a wall of the scene from home.
+/// Returns true if a hand that moves around like that of `haptic sim` reaches a wall of the scene from home.
 fn is_touched(file: &DeviceFile, scene: &Scene<f32>) -> bool {
     let home = file.description.home.unwrap_or_default();
     let pose = TaskPose::at(&file.description, &home[..file.spec().joints]);
@@ -59,15 +60,15 @@ fn is_touched(file: &DeviceFile, scene: &Scene<f32>) -> bool {
 fn first_wall_on(file: &DeviceFile, side: f64) -> Result<FirstWall, Failure> {
     let stable = stable_wall(file, side)?;
     let subject = Subject::new(&file.description).map_err(Failure::wrong)?;
-    // On a redundant arm a washout may let next to nothing be stable.
+    // On a redundant arm almost no stiffness may be stable with a washout.
     for feed_forward in [FeedForward::Washout, FeedForward::Off] {
         let mut scene = stable.clone();
         scene.walls.iter_mut().for_each(|wall| wall.feed_forward = feed_forward);
-        for _ in 0..MOST_STEPS {
-            let (doubted, contacts) = doubts(&subject, &scene.cast());
+        for _ in 0..REDUCTIONS {
+            let (warnings, contacts) = file_warnings(&subject, &scene.cast());
             match contacts.first() {
-                Some(contact) if doubted.is_empty() => return Ok(quieted(file, scene, contact)),
-                None if doubted.is_empty() => return Ok(FirstWall { scene, ripple: None }),
+                Some(contact) if warnings.is_empty() => return Ok(without_rattle(file, scene, contact)),
+                None if warnings.is_empty() => return Ok(FirstWall { scene, ripple: None }),
                 _ => weaken(&mut scene, 0.5, 0.5),
             }
         }
@@ -75,19 +76,21 @@ fn first_wall_on(file: &DeviceFile, side: f64) -> Result<FirstWall, Failure> {
     Ok(FirstWall { scene: stable, ripple: None })
 }
 
-/// The scene with a wall that is within the motors and does not rattle where it is touched, if it can be had.
-fn quieted(file: &DeviceFile, mut scene: Scene<f32>, contact: &Contact) -> FirstWall {
+/// Returns the scene with a wall that is within the motors' torque and does not rattle where it is touched, if
+/// possible.
+fn without_rattle(file: &DeviceFile, mut scene: Scene<f32>, contact: &Contact) -> FirstWall {
     let stiffness = |scene: &Scene<f32>| scene.walls.first().map_or(0.0, |wall| f64::from(wall.stiffness));
     let most = contact.force.map_or(f64::INFINITY, |force| force / FULL_FORCE_DEPTH).max(SOFTEST_WALL);
     let factor = (most / stiffness(&scene)).min(1.0);
     weaken(&mut scene, factor, factor);
-    for _ in 0..MOST_STEPS {
+    for _ in 0..REDUCTIONS {
         let Some(ripple) = ripple(&file.description, &scene.cast(), contact) else { break };
-        let over = ripple.ripple_n.map_or(f64::INFINITY, |found| found / (RIPPLE_SHARE * ripple.allowed_n));
+        let over = ripple.ripple_n.map_or(f64::INFINITY, |ripple_rms| ripple_rms / (RIPPLE_SHARE * ripple.allowed_n));
         if over <= 1.0 {
             break;
         }
-        // Ripple grows about as the gains do; a wall as soft as a wall can be is damped less.
+        // Ripple grows roughly in proportion to the gains. Only damping is reduced once a wall has the smallest
+        // stiffness.
         let factor = (0.95 / over).clamp(0.25, 0.85);
         let softer = factor.max(SOFTEST_WALL / stiffness(&scene)).min(1.0);
         weaken(&mut scene, softer, factor);
@@ -95,7 +98,7 @@ fn quieted(file: &DeviceFile, mut scene: Scene<f32>, contact: &Contact) -> First
     FirstWall { ripple: ripple(&file.description, &scene.cast(), contact), scene }
 }
 
-/// Multiplies stiffness and damping of every wall, to three digits, which is all that a prediction means.
+/// Multiplies stiffness and damping of every wall and rounds to three digits, the precision of a prediction.
 fn weaken(scene: &mut Scene<f32>, stiffness: f64, damping: f64) {
     for wall in &mut scene.walls {
         wall.stiffness = three_digits(stiffness * f64::from(wall.stiffness), true) as f32;
@@ -103,8 +106,8 @@ fn weaken(scene: &mut Scene<f32>, stiffness: f64, damping: f64) {
     }
 }
 
-/// A wall in front of the tip at home, below or above it where the device moves in a plane or in space, of half the
-/// stiffness that is predicted stable.
+/// Returns a wall in front of the tip at home (below or above the tip in a plane or in space), with half the stiffness
+/// that is predicted stable.
 fn stable_wall(file: &DeviceFile, side: f64) -> Result<Scene<f32>, Failure> {
     let task = file.spec().task;
     let none = || {
@@ -139,11 +142,11 @@ fn stable_wall(file: &DeviceFile, side: f64) -> Result<Scene<f32>, Failure> {
     let (subject, path) =
         (Subject::new(&file.description).map_err(Failure::wrong)?, TorquePath::usual(DEFAULT_RATE_HZ));
     let Some(prediction) = Prediction::in_scene(&subject, &scene.cast(), None, &path) else { return Ok(scene) };
-    let (_, most_damping) = prediction.stiffness_at(q, &normal, Mode::Off, 0.0)?;
-    let damping = 0.2 * most_damping;
-    let (most_stiffness, _) = prediction.stiffness_at(q, &normal, Mode::Off, damping)?;
-    (wall.stiffness, wall.damping) = ((0.5 * most_stiffness) as f32, damping as f32);
-    // A scene holds eight walls.
+    let (_, largest_damping) = prediction.stiffness_at(q, &normal, Mode::Off, 0.0)?;
+    let damping = 0.2 * largest_damping;
+    let (largest_stiffness, _) = prediction.stiffness_at(q, &normal, Mode::Off, damping)?;
+    (wall.stiffness, wall.damping) = ((0.5 * largest_stiffness) as f32, damping as f32);
+    // Cannot fail: a scene holds eight walls.
     let _ = scene.walls.push(wall);
     Ok(scene)
 }

@@ -1,29 +1,32 @@
-//! Sampled-data analysis: which walls a device can render before the loop starts to oscillate, and how its inertia is
-//! spread.
+//! Sampled-data analysis: which walls a device renders before the control loop oscillates, and how its inertia is
+//! distributed.
 //!
-//! Nothing here talks to a board: a pose, a direction and a few numbers about the loop go in, predictions come out.
+//! The analysis uses no board. Its input is a pose, a direction and a few numbers about the control loop; its output
+//! are predictions.
 //!
-//! - [`amplitudes`]: how much of a recorded signal swings at which frequency
-//! - [`control`]: rate, delay, estimator, drives and feed-forward: everything about a loop that is not the device
-//! - [`cut`]: the plane of that map that is drawn, in tiles
+//! - [`amplitudes`]: amplitude spectrum of a recorded signal
+//! - [`control_loop`]: rate, delay, estimator, drives and feed-forward: everything about a control loop except the
+//!   device
+//! - [`cut`]: the plane of the inertia map that is drawn, in tiles
 //! - [`estimator`]: the velocity estimators as linear filters
-//! - [`flexible`]: what is not rigid about it and what holds it: transmissions, a hand on the tip, a posture
+//! - [`flexible`]: compliant parts and what holds the device: transmissions, a hand on the tip, a posture
 //! - [`host`]: the same wall rendered by a program on a computer
-//! - [`mod@line`]: walls along a line, their damping by a rule, and how far they are stable
-//! - [`map`]: inertia over the workspace: what `haptic map` prints
-//! - [`oscillation`]: the frequency at which a wall swings at given gains, and how fast that grows
+//! - [`mod@line`]: walls along a line with a rule for their damping, and their largest stable stiffness
+//! - [`map`]: inertia over the workspace, the output of `haptic map`
+//! - [`oscillation`]: frequency and growth of a wall's oscillation at given gains
 //! - [`passivity`]: the classical bounds of walls that no hand can make oscillate
 //! - [`plant`]: the device linearised at a pose, its joint damping and its drives, in continuous time
-//! - [`sampled`]: zero-order hold, fractional delay, velocity estimator and feed-forward around it, in delta form
-//! - [`spectrum`]: the small dense linear algebra this needs (matrix exponential, resolvent, growth), with its own
-//!   eigenvalue iteration
+//! - [`sampled`]: the sampled loop with zero-order hold, fractional delay, velocity estimator and feed-forward, in
+//!   delta form
+//! - [`spectrum`]: small dense linear algebra (matrix exponential, resolvent, growth), with its own eigenvalue
+//!   iteration
 //! - [`boundary`]: the stiffness at which a mode leaves the unit circle, and every other stable interval
-//! - [`pose`]: from a device description and joint angles to the matrices all of this works on
+//! - [`pose`]: matrices of the analysis from a device description and joint angles
 //! - [`domain`]: boundary, area and islands of one device with one feed-forward
-//! - [`prediction`]: a device in a loop: the one question that every command asks, and its answer
-//! - [`range`]: the domains of every feed-forward side by side: what `haptic range` prints
-//! - [`several`]: the same loop around walls that act together
-//! - [`why`]: what each effect takes from the boundary
+//! - [`prediction`]: a device in a control loop, the prediction that every command uses
+//! - [`range`]: the domains of every feed-forward side by side, the output of `haptic range`
+//! - [`several`]: the same loop with walls that act together
+//! - [`why`]: the share of the boundary that each effect takes
 //!
 //! Source: "Inertia Properties and Their Role in Haptic Rendering", the stable domain of virtual walls; sampled-data
 //! theory as in Åström and Wittenmark, *Computer-Controlled Systems*, chapters 2 and 3.

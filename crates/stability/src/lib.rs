@@ -1,6 +1,6 @@
-//! Which walls a device renders stably, by theory alone: the exact sampled loop of device, drives, velocity estimator
-//! and delay, linearised at a pose, in double precision. The crate also evaluates and maps the device's inertia, if
-//! asked in the board's own precision. It asks no board, simulates nothing and draws nothing.
+//! Predicts which walls a device renders stably, by theory alone: the exact sampled loop of device, drives, velocity
+//! estimator and delay, linearised at a pose, in double precision. The crate also evaluates and maps the device's
+//! inertia, on request in the board's own precision. It uses no board, simulates nothing and draws nothing.
 //!
 //! ```
 //! use haptic_host::device_file::DeviceFile;
@@ -30,10 +30,10 @@
 //! |---|---|
 //! | evaluate the inertia of a pose | [`model`], [`perception`] |
 //! | predict which walls are stable | [`analysis`] |
-//! | know where a mechanism's links lie | [`skeleton`] |
+//! | get the positions of a mechanism's links | [`skeleton`] |
 //!
-//! Long work goes through a [`sweep`], which uses every core ([`cores`]), shows its progress and goes on where it was
-//! stopped.
+//! Long work goes through a [`sweep`], which uses every core ([`cores`]), shows progress and resumes after an
+//! interruption.
 #![forbid(unsafe_code)]
 
 pub mod analysis;

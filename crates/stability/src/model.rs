@@ -1,7 +1,7 @@
-//! The paper's quantities of a device at one configuration, as `haptic model` prints them (docs/files.md).
+//! Quantities of the paper for a device at one configuration, as `haptic model` prints them (docs/files.md).
 //!
 //! The numbers come from the shared library: in double precision, or in single precision with the mechanism and the
-//! trigonometry that the board runs.
+//! trigonometry of the board.
 
 use crate::perception::Perception;
 use haptic_bridge::control::compiled::BoardMath;
@@ -18,12 +18,12 @@ use serde::{Deserialize, Serialize};
 /// A list of rows.
 pub type Rows = Vec<Vec<f64>>;
 
-/// In which arithmetic to compute.
+/// Arithmetic of a computation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Precision {
-    /// The board's: 32-bit floats and its own trigonometry.
+    /// Arithmetic of the board: 32-bit floats and its own trigonometry.
     F32,
-    /// The analysis': 64-bit floats.
+    /// Arithmetic of the analysis: 64-bit floats.
     #[default]
     F64,
 }
@@ -33,33 +33,33 @@ impl Precision {
     pub const ALL: [(&'static str, Self); 2] = [("f64", Self::F64), ("f32", Self::F32)];
 }
 
-/// One wall: its unit normal (task dimension entries) and its force along it, N.
+/// A wall: its unit normal (task dimension entries) and its force along it, N.
 #[derive(Clone, Debug, PartialEq)]
 pub struct WallForce {
     /// Unit normal, d entries.
     pub normal: Vec<f64>,
     /// Force along the normal, N.
     pub force: f64,
-    /// Its stiffness in any unit that all walls share: with several walls it decides what is rendered.
+    /// Stiffness in any unit that all walls share: with several walls it decides what is rendered.
     pub stiffness: f64,
-    /// True if it has the feed-forward; one of several walls may be without.
+    /// True if the wall has the feed-forward; one of several walls may be without.
     pub feed_forward: bool,
 }
 
-/// One direction of the stiffness of several walls (docs/model.md section 2).
+/// One principal direction of the stiffness of several walls (docs/model.md section 2).
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Direction {
     /// Unit vector, d entries.
     pub along: Vec<f64>,
-    /// Stiffness along it over that of the stiffest wall.
+    /// Stiffness along it, as a ratio to that of the stiffest wall.
     pub stiffness: f64,
-    /// Share of the level that renders this direction and the stiffer ones; none for the last, where nothing is left
-    /// to shape.
+    /// Share of the level that renders this direction and the stiffer ones; `None` for the last direction, because
+    /// nothing remains to shape.
     pub share: Option<f64>,
 }
 
-/// Everything equation (4) is made of. R rendered directions, N joints, d task dimensions; the rendered basis is the
-/// normal itself for one wall, and for several the directions of their stiffness, the stiffest first.
+/// All quantities of equation (4). R rendered directions, N joints, d task dimensions. The rendered basis is the normal
+/// itself for one wall, and the principal directions of their stiffness for several, the stiffest first.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Report {
     /// Tip, m (d).
@@ -86,15 +86,15 @@ pub struct Report {
     pub coupling: Rows,
     /// fa of (4) (N-R).
     pub f_a: Vec<f64>,
-    /// τ of (4) with g in z, N m (N); of several walls by the levels of docs/model.md section 2.
+    /// τ of (4) with g in z, N m (N); with several walls by the levels of docs/model.md section 2.
     pub torque: Vec<f64>,
     /// Jrᵀ fr, N m (N).
     pub torque_without_feed_forward: Vec<f64>,
     /// Condition numbers.
     pub condition: Condition,
-    /// The inertia that a hand feels at the tip.
+    /// Inertia that a hand feels at the tip.
     pub perception: Perception,
-    /// The directions that several walls render, the stiffest first; empty for one wall.
+    /// Directions that several walls render, the stiffest first; empty for one wall.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub directions: Vec<Direction>,
 }
@@ -102,20 +102,20 @@ pub struct Report {
 /// Condition numbers in the 2-norm.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Condition {
-    /// Of the tip Jacobian (d x N).
+    /// Condition of the tip Jacobian (d x N).
     pub jacobian: f64,
-    /// Of M.
+    /// Condition of M.
     pub mass: f64,
 }
 
-/// Why there are no numbers at a configuration.
+/// Reason why a configuration has no numbers.
 #[derive(Clone, Debug, PartialEq)]
 pub enum ModelError {
     /// J loses rank: joint velocities along `joints` do not move the tip (on a redundant arm, nor turn it).
     Serial {
         /// True if the task has the orientation φ as its last entry.
         oriented: bool,
-        /// The joint motion that moves nothing, a unit vector (N).
+        /// The joint motion that does not move the tip, a unit vector (N).
         joints: Vec<f64>,
         /// The task direction that no joint motion reaches, a unit vector (N).
         lost: Vec<f64>,
@@ -125,7 +125,7 @@ pub enum ModelError {
         /// The task direction that the joints do not hold, a unit vector (N).
         free: Vec<f64>,
     },
-    /// The links do not reach each other at these angles, or just touch in one line.
+    /// The links do not reach each other at these angles, or only touch in one line.
     CannotClose,
     /// A result is infinite or not a number.
     NotFinite,
@@ -171,7 +171,7 @@ fn vector(values: &[f64]) -> String {
     format!("[{}]", entries.join(", "))
 }
 
-/// "joint 0 turns", or which joints turn together.
+/// Describes which joint turns, or which joints turn together.
 fn moving_joints(direction: &[f64]) -> String {
     let moving: Vec<String> =
         (0..direction.len()).filter(|joint| direction[*joint].abs() > 1.0e-3).map(|joint| joint.to_string()).collect();
@@ -184,11 +184,11 @@ fn moving_joints(direction: &[f64]) -> String {
     }
 }
 
-/// A pose this close to a singularity (sine of the angle that vanishes there) counts as singular: the library clamps
-/// its reciprocals from here on.
+/// Sine of the angle to a singularity below which a pose counts as singular. The library clamps its reciprocals below
+/// it.
 pub const SINGULAR: f64 = 1.0e-6;
 
-/// Everything equation (4) says at joint angles `q` (rad) and velocities `qd` (rad/s) against `walls`.
+/// Evaluates equation (4) at joint angles `q` (rad) and velocities `qd` (rad/s) against `walls`.
 ///
 /// `q` and `qd` have N entries, each normal d. Errors name the singularity.
 pub fn evaluate(
@@ -201,7 +201,7 @@ pub fn evaluate(
     evaluate_holding(device, q, qd, walls, precision, Admissible::default())
 }
 
-/// As [`evaluate`], a redundant device holding `admissible` instead of φ.
+/// Like [`evaluate`], but a redundant device holds `admissible` instead of φ.
 pub fn evaluate_holding(
     device: &DeviceFile,
     q: &[f64],
@@ -216,7 +216,7 @@ pub fn evaluate_holding(
             with_mechanism!(&device.mechanism, m => report::<f64, FineTable, _, _>(m, q, qd, walls, admissible))
         }
         Precision::F32 => {
-            // The controller hands the step angles within a turn, where the board's trigonometry is accurate.
+            // The controller passes angles within a turn to the step, where the board's trigonometry is accurate.
             let turn = core::f64::consts::TAU;
             let wrap =
                 |angle: &f64| if device.spec().periodic { angle - turn * (angle / turn).round() } else { *angle };
@@ -228,7 +228,7 @@ pub fn evaluate_holding(
     if report.is_finite() { Ok(report) } else { Err(ModelError::NotFinite) }
 }
 
-/// An error that names the singularity at `q`, if there is one.
+/// Returns an error that names the singularity at `q`, if there is one.
 fn regular<const N: usize, M: Mechanism<f64, N>>(mechanism: &M, q: &[f64]) -> Result<(), ModelError> {
     let pose = mechanism.pose::<FineTable>(&vector_of(q));
     let regularity = mechanism.regularity(&pose);
@@ -248,7 +248,7 @@ fn regular<const N: usize, M: Mechanism<f64, N>>(mechanism: &M, q: &[f64]) -> Re
     Ok(())
 }
 
-/// The (left, right) singular vectors of the smallest singular value, their largest entries positive.
+/// Returns the (left, right) singular vectors of the smallest singular value, with their largest entries positive.
 fn weakest(matrix: DMatrix<f64>) -> (Vec<f64>, Vec<f64>) {
     let size = matrix.nrows();
     let svd = matrix.svd(true, true);
@@ -339,7 +339,7 @@ fn rows<T: Real, const N: usize>(
     rows.map(|i| columns.clone().map(|j| matrix[(i, j)].to_f64()).collect()).collect()
 }
 
-/// Largest over smallest singular value.
+/// Returns the ratio of the largest to the smallest singular value.
 fn condition(rows: &Rows) -> f64 {
     let columns = rows.first().map_or(0, Vec::len);
     let values = DMatrix::from_fn(rows.len(), columns, |i, j| rows[i][j]).singular_values();
@@ -358,7 +358,7 @@ impl Report {
             && self.perception.is_finite()
     }
 
-    /// Wrr/Weff - 1 of one wall; 0 without a wall.
+    /// Returns Wrr/Weff - 1 of one wall; 0 without a wall.
     pub fn gain(&self) -> f64 {
         match (self.w_rr.as_slice(), self.w_eff.as_slice()) {
             ([w_rr], [w_eff]) => w_rr[0] / w_eff[0] - 1.0,

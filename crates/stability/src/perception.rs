@@ -1,22 +1,20 @@
-//! The inertia that a hand feels at the tip: in the air, and along a wall that holds it (docs/model.md section 2).
+//! Inertia that a hand feels at the tip: in free motion, and along a wall that holds it (docs/model.md section 2).
 //!
-//! A hand that pushes the tip along a wall with F_t while the wall keeps it from moving along n has Λ p̈ = F_t + f n
-//! without the feed-forward, so it feels the block of Λ along the wall: the paper's Waa. With (4) the wall's force
-//! moves nothing along the wall, and it feels what it feels in the air, the inverse of the block of Λ⁻¹: Waa - War
-//! Wrr⁻¹ Wra.
+//! A hand pushes the tip along a wall with F_t while the wall prevents motion along n. Without the feed-forward Λ p̈ =
+//! F_t + f n, so the hand feels the block of Λ along the wall: the paper's Waa. With (4) the wall's force moves nothing
+//! along the wall, and the hand feels the inertia of free motion, the inverse of the block of Λ⁻¹: Waa - War Wrr⁻¹ Wra.
 
 use nalgebra::{DMatrix, DVector};
 use serde::Serialize;
 
-/// See the module.
+/// Inertia that a hand feels at one pose.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Perception {
-    /// Eigenvalues of Λ = (J M⁻¹ Jᵀ)⁻¹, the smallest first, kg (d). On a redundant arm what does not move the tip is
-    /// free.
+    /// Eigenvalues of Λ = (J M⁻¹ Jᵀ)⁻¹, the smallest first, kg (d). On a redundant arm the null motion is free.
     pub tip: Vec<f64>,
-    /// The largest over the smallest.
+    /// Ratio of the largest to the smallest.
     pub ratio: f64,
-    /// Along one wall, where that leaves a direction.
+    /// Inertia along one wall; `None` if no direction remains.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub along_wall: Option<AlongWall>,
 }
@@ -24,15 +22,15 @@ pub struct Perception {
 /// Principal inertias along a wall, the smallest first, kg (d - 1).
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct AlongWall {
-    /// Without the feed-forward.
+    /// Inertia without the feed-forward.
     pub off: Vec<f64>,
-    /// With the full feed-forward.
+    /// Inertia with the full feed-forward.
     pub full: Vec<f64>,
 }
 
 impl Perception {
-    /// From the tip's Jacobian (d x N), M (N x N) and the unit normal of a wall; not finite where these are not
-    /// regular.
+    /// Computes the inertia from the tip's Jacobian (d x N), M (N x N) and the unit normal of a wall. The result is not
+    /// finite at a singularity.
     pub fn new(jacobian: &[Vec<f64>], mass: &[Vec<f64>], normal: Option<&[f64]>) -> Self {
         let matrix = |rows: &[Vec<f64>]| DMatrix::from_fn(rows.len(), rows[0].len(), |i, j| rows[i][j]);
         let (jacobian, mass) = (matrix(jacobian), matrix(mass));
@@ -41,7 +39,7 @@ impl Perception {
         let inertia = mobility.clone().try_inverse().unwrap_or_else(none);
         let tip = eigenvalues(&inertia);
         let along_wall = normal.filter(|normal| normal.len() > 1).map(|normal| {
-            // Across n both have an eigenvalue of zero, the smallest.
+            // Across n both matrices have an eigenvalue of zero, the smallest.
             let along = |of: &DMatrix<f64>| {
                 let n = DVector::from_column_slice(normal);
                 let along = DMatrix::identity(n.len(), n.len()) - &n * n.transpose();
@@ -59,12 +57,12 @@ impl Perception {
     }
 }
 
-/// Of a symmetric matrix, the smallest first; no numbers where it has none.
+/// Returns the eigenvalues of a symmetric matrix, the smallest first; NaN if an entry is not finite.
 fn eigenvalues(matrix: &DMatrix<f64>) -> Vec<f64> {
     if matrix.iter().any(|entry| !entry.is_finite()) {
         return vec![f64::NAN; matrix.nrows()];
     }
-    let mut found: Vec<f64> = matrix.symmetric_eigenvalues().iter().copied().collect();
-    found.sort_by(f64::total_cmp);
-    found
+    let mut values: Vec<f64> = matrix.symmetric_eigenvalues().iter().copied().collect();
+    values.sort_by(f64::total_cmp);
+    values
 }

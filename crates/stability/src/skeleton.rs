@@ -1,6 +1,6 @@
-//! The links and joints of a mechanism in its own plane, from which the device is drawn.
+//! Links and joints of a mechanism in its own plane, for drawings of the device.
 //!
-//! A device on a turret is looked at in the plane that joint 0 turns, x and y as at joint 0 = 0.
+//! A device on a turret is drawn in the plane that joint 0 turns, with x and y as at joint 0 = 0.
 
 use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::description::Description;
@@ -8,31 +8,31 @@ use haptic_bridge::model::description::Description;
 /// A point of the linkage's plane, m.
 pub type Point = (f64, f64);
 
-/// One rigid link, drawn as a straight bar.
+/// A rigid link, drawn as a straight bar.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Bar {
-    /// Its name, as in device files.
+    /// Name of the link, as in device files.
     pub name: &'static str,
     /// End at the joint nearer to the base.
     pub from: Point,
     /// Other end.
     pub to: Point,
-    /// Its length as the device file has it, m.
+    /// Length in the device file, m.
     pub length: f64,
 }
 
-/// The place at which an actuated joint's angle can be seen.
+/// An actuated joint's angle in the drawing.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Angle {
-    /// The joint, from 0.
+    /// Index of the joint, from 0.
     pub joint: usize,
-    /// Corner of the angle.
+    /// Vertex of the angle.
     pub at: Point,
     /// Direction in which the joint's angle is zero, rad from +x.
     pub zero: f64,
-    /// The joint's angle, rad, counter-clockwise from `zero`.
+    /// Angle of the joint, rad, counter-clockwise from `zero`.
     pub angle: f64,
-    /// Length of the link that stands at this angle, m.
+    /// Length of the link at this angle, m.
     pub arm: f64,
 }
 
@@ -65,7 +65,7 @@ pub struct Skeleton {
     pub angles: Vec<Angle>,
     /// Pivots that are fixed to the base.
     pub base: Vec<Point>,
-    /// Points with a letter that the docs call them by.
+    /// Points with the letters that the documentation uses.
     pub letters: Vec<(&'static str, Point)>,
     /// The tip.
     pub tip: Point,
@@ -75,7 +75,7 @@ fn along(from: Point, length: f64, angle: f64) -> Point {
     (from.0 + length * angle.cos(), from.1 + length * angle.sin())
 }
 
-/// The device at joint angles `q` (rad); `None` where its linkage does not close, or `q` has too few angles.
+/// Returns the device at joint angles `q` (rad); `None` if its linkage does not close, or `q` has too few angles.
 pub fn skeleton(description: &Description, q: &[f64]) -> Option<Skeleton> {
     if q.len() < description.kind.spec().joints {
         return None;
@@ -107,7 +107,7 @@ fn five_bar(description: &Description, q: [f64; 2], first: usize) -> Option<Skel
     let (c, d) = (along(a, l1, q[0]), along(b, l2, q[1]));
     let (dx, dy) = (d.0 - c.0, d.1 - c.1);
     let apart = dx.hypot(dy);
-    // The tip's foot on the line from C to D, and its height above it.
+    // The tip's foot on the line from C to D, and its height above the line.
     let foot = (r1 * r1 - r2 * r2 + apart * apart) / (2.0 * apart);
     let height = (r1 * r1 - foot * foot).sqrt() * assembly;
     let tip = (c.0 + (foot * dx - height * dy) / apart, c.1 + (foot * dy + height * dx) / apart);

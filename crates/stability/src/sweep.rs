@@ -1,8 +1,8 @@
-//! Long work on many things, on all cores: it shows progress, ends in order at Ctrl-C, and goes on where it stopped.
-//! On a terminal progress is one line that changes; elsewhere those that take minutes print a line for each stage.
+//! Long work on many items, on all cores: it shows progress, ends properly at Ctrl-C, and resumes. On a terminal
+//! progress is one line that changes; elsewhere, work of minutes prints a line per stage.
 //!
-//! Results are in the order of the things whoever was first, and what was kept is what would be computed again, to the
-//! bit. So an answer is the same on any number of cores, in any order, with any number of interruptions.
+//! Results are in the order of the items, and stored results are equal to recomputed ones to the bit. So the result
+//! does not depend on the number of cores, on the order of the work or on interruptions.
 
 use haptic_host::error::{Choice, Failure};
 use haptic_host::output::{self, Overwrite};
@@ -15,22 +15,22 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
-/// Results are written down this often, so a crash costs no more than that,
+/// Interval between writes of the checkpoint: a crash loses at most this time.
 const WRITE_INTERVAL: Duration = Duration::from_secs(2);
-/// but after a pause of at least this many times as long as the last writing took.
+/// Smallest pause after a write, as a multiple of the time that the write took.
 const LEAST_PAUSE: u32 = 20;
 
-/// Stages of so many things are told in quarters.
+/// Number of items from which progress lines come at every quarter.
 const LONG_STAGE: usize = 16;
 
-/// The state that is kept between runs.
+/// State that is stored between runs.
 #[derive(Debug, Default, Deserialize, Serialize)]
 struct Checkpoint {
-    /// The tool's version: another one may come to other numbers.
+    /// Version of the tool: another version may compute other numbers.
     version: String,
     /// The command.
     command: String,
-    /// Everything that decides the results.
+    /// All inputs that decide the results.
     question: String,
     stages: BTreeMap<String, Stage>,
 }
@@ -38,48 +38,49 @@ struct Checkpoint {
 /// One round of work.
 #[derive(Debug, Default, Deserialize, Serialize)]
 struct Stage {
-    /// Number of things to work on.
+    /// Number of items.
     of: usize,
-    /// Results by their thing's place, in postcard's bytes as hex: decimals would lose what is not finite.
+    /// Results by the index of their item, in postcard's bytes as hex: decimals would lose values that are not finite.
     done: BTreeMap<usize, String>,
 }
 
 impl Checkpoint {
     /// Returns true if both belong to the same question.
-    fn is_of(&self, other: &Self) -> bool {
+    fn matches(&self, other: &Self) -> bool {
         (&self.version, &self.command, &self.question) == (&other.version, &other.command, &other.question)
     }
 }
 
-/// A long piece of work with the question that it answers.
+/// Long work, with the inputs that decide its results.
 pub struct Sweep {
     interrupted: Box<dyn Fn() -> bool + Send + Sync>,
     file: Option<PathBuf>,
-    shown: Shown,
+    display: Display,
     state: Mutex<State>,
 }
 
-/// The way in which progress is shown.
+/// Display of progress.
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Shown {
+enum Display {
     Never,
     InPlace,
     Lines,
 }
 
-/// A program that shows what its commands say on standard error sets this, so that they say nothing of progress.
+/// Environment variable that suppresses progress lines. A program sets it if it shows the standard error of its
+/// commands.
 pub const QUIET: &str = "HAPTIC_NO_PROGRESS";
 
 struct State {
     kept: Checkpoint,
-    /// When it is to be written again.
+    /// Time of the next write.
     due: Instant,
 }
 
 impl Sweep {
-    /// Keeps results in `file`, where one is given, and begins with those of an earlier run of the same `command` with
-    /// the same `question`, which is everything that decides the results; a file with those of another one is refused.
-    /// Once `interrupted` says so, the work ends in order.
+    /// Stores results in `file`, if given, and loads those of an earlier run of the same `command` with the same
+    /// `question`, which contains all inputs that decide the results. Rejects a file with the results of another
+    /// question. The work ends once `interrupted` returns true.
     pub fn new(
         command: &str,
         question: &str,
@@ -93,63 +94,63 @@ impl Sweep {
             stages: BTreeMap::new(),
         };
         if let Some(path) = file {
-            if let Some(found) = earlier(path)? {
-                if found.is_of(&kept) {
-                    kept = found;
-                } else if !found.stages.is_empty() {
+            if let Some(earlier) = read_checkpoint(path)? {
+                if earlier.matches(&kept) {
+                    kept = earlier;
+                } else if !earlier.stages.is_empty() {
                     let reason = format!(
                         "{} holds results of `haptic {}` {} with another device file or other options",
                         path.display(),
-                        found.command,
-                        found.version
+                        earlier.command,
+                        earlier.version
                     );
                     return Err(Failure::wrong(reason).remedy("delete it, or name another file").choose(Choice::Kept));
                 }
             }
-            // A place that cannot be written is told before the work, not after it.
+            // A file that cannot be written is reported before the work, not after it.
             write(path, &kept)?;
         }
-        let shown = if std::io::stderr().is_terminal() { Shown::InPlace } else { Shown::Never };
+        let display = if std::io::stderr().is_terminal() { Display::InPlace } else { Display::Never };
         let state = Mutex::new(State { kept, due: Instant::now() + WRITE_INTERVAL });
-        Ok(Self { interrupted: Box::new(interrupted), file: file.map(Path::to_path_buf), shown, state })
+        Ok(Self { interrupted: Box::new(interrupted), file: file.map(Path::to_path_buf), display, state })
     }
 
-    /// A sweep that cannot be interrupted and neither shows nor keeps anything.
+    /// Creates a sweep that cannot be interrupted and neither shows nor stores anything.
     #[must_use]
     pub fn quiet() -> Self {
         let state = Mutex::new(State { kept: Checkpoint::default(), due: Instant::now() });
-        Self { interrupted: Box::new(|| false), file: None, shown: Shown::Never, state }
+        Self { interrupted: Box::new(|| false), file: None, display: Display::Never, state }
     }
 
-    /// The same with a line for each stage where standard error is no terminal.
+    /// Shows a line for each stage if standard error is not a terminal.
     #[must_use]
     pub fn in_lines(mut self) -> Self {
-        if self.shown == Shown::Never && std::env::var_os(QUIET).is_none() {
-            self.shown = Shown::Lines;
+        if self.display == Display::Never && std::env::var_os(QUIET).is_none() {
+            self.display = Display::Lines;
         }
         self
     }
 
-    /// An error once the user has asked for the end: for work that takes longer than a moment.
+    /// Returns an error once the user has interrupted the work: for work that takes longer than a moment.
     pub fn go_on(&self) -> Result<(), Failure> {
-        if (self.interrupted)() { Err(self.ended("interrupted".into())) } else { Ok(()) }
+        if (self.interrupted)() { Err(self.interrupted_failure("interrupted".into())) } else { Ok(()) }
     }
 
-    /// Tells of work that is not done in parts.
+    /// Shows work that is not divided into items.
     pub fn during<R>(&self, stage: &str, work: impl FnOnce() -> R) -> R {
-        match self.shown {
-            Shown::InPlace => haptic_host::error::say_over(format_args!("{stage}"), false),
-            Shown::Lines => haptic_host::error::say(format_args!("{stage}\n")),
-            Shown::Never => {}
+        match self.display {
+            Display::InPlace => haptic_host::error::say_over(format_args!("{stage}"), false),
+            Display::Lines => haptic_host::error::say(format_args!("{stage}\n")),
+            Display::Never => {}
         }
         let done = work();
-        if self.shown == Shown::InPlace {
+        if self.display == Display::InPlace {
             haptic_host::error::say_over(format_args!(""), true);
         }
         done
     }
 
-    fn ended(&self, how: String) -> Failure {
+    fn interrupted_failure(&self, how: String) -> Failure {
         let failure = Failure::impossible(how);
         match &self.file {
             Some(file) => failure.remedy(format!("the same command goes on from there, out of {}", file.display())),
@@ -159,33 +160,33 @@ impl Sweep {
     }
 
     fn show(&self, stage: &str, done: usize, of: usize) {
-        match self.shown {
-            Shown::InPlace if of > 1 => {
+        match self.display {
+            Display::InPlace if of > 1 => {
                 haptic_host::error::say_over(format_args!("{stage}: {done} of {of}"), done == of);
             }
-            // Of many things every quarter.
-            Shown::Lines if done == of || of >= LONG_STAGE && done * 4 / of > (done - 1) * 4 / of => {
+            // With many items a line for each quarter.
+            Display::Lines if done == of || of >= LONG_STAGE && done * 4 / of > (done - 1) * 4 / of => {
                 haptic_host::error::say(format_args!("{stage}: {done} of {of}\n"));
             }
             _ => {}
         }
     }
 
-    /// `work` on each of `things`; what an earlier run has of this `stage`, a name of its own, is not done again. Of
-    /// several that fail the first in the order of the things is told.
+    /// Applies `work` to each item, except those with a stored result of this `stage`, which needs a unique name. If
+    /// several items fail, the failure of the first item is returned.
     pub fn map<T: Sync, R: Serialize + DeserializeOwned + Send>(
         &self,
         stage: &str,
-        things: &[T],
+        items: &[T],
         work: impl Fn(&T) -> Result<R, Failure> + Sync,
     ) -> Result<Vec<R>, Failure> {
-        let mut found = self.begin::<R>(stage, things.len())?;
-        let missing: Vec<usize> = (0..things.len()).filter(|index| !found.contains_key(index)).collect();
-        let before = found.len();
+        let mut results = self.begin::<R>(stage, items.len())?;
+        let missing: Vec<usize> = (0..items.len()).filter(|index| !results.contains_key(index)).collect();
+        let before = results.len();
         let progress = |done: usize, _: usize| {
-            // Skipped things count as done once the user has asked for the end, which clears the line.
-            if self.shown == Shown::InPlace || !(self.interrupted)() {
-                self.show(stage, before + done, things.len());
+            // Skipped items count as done after an interruption, which clears the line.
+            if self.display == Display::InPlace || !(self.interrupted)() {
+                self.show(stage, before + done, items.len());
             }
         };
         let failing = AtomicUsize::new(usize::MAX);
@@ -193,8 +194,8 @@ impl Sweep {
             if (self.interrupted)() || failing.load(Ordering::Relaxed) < index {
                 return None;
             }
-            let result = work(&things[index]);
-            // A point that was cut short is no result.
+            let result = work(&items[index]);
+            // A result that was cut short is not valid.
             if (self.interrupted)() {
                 return None;
             }
@@ -206,7 +207,7 @@ impl Sweep {
         });
         for (index, result) in missing.into_iter().zip(done) {
             match result {
-                Some(Ok(result)) => drop(found.insert(index, result)),
+                Some(Ok(result)) => drop(results.insert(index, result)),
                 Some(Err(failure)) => {
                     self.save()?;
                     return Err(failure);
@@ -214,31 +215,31 @@ impl Sweep {
                 None => {}
             }
         }
-        if found.len() == things.len() {
-            return Ok(found.into_values().collect());
+        if results.len() == items.len() {
+            return Ok(results.into_values().collect());
         }
         self.save()?;
-        Err(self.ended(format!("interrupted with {} of {} done ({stage})", found.len(), things.len())))
+        Err(self.interrupted_failure(format!("interrupted with {} of {} done ({stage})", results.len(), items.len())))
     }
 
-    /// The answer is there, and told: nothing is kept any more.
+    /// Removes the stored results once the final result has been printed.
     pub fn finish(self) {
         if let Some(file) = self.file {
-            // One that somebody has taken away is gone as well.
+            // The file may already have been removed.
             let _ = std::fs::remove_file(file);
         }
     }
 
-    /// The results that there are of a stage.
+    /// Begins a stage and returns the results that are already stored for it.
     fn begin<R: DeserializeOwned>(&self, stage: &str, of: usize) -> Result<BTreeMap<usize, R>, Failure> {
         let Some(file) = &self.file else { return Ok(BTreeMap::new()) };
         let mut state = self.lock();
         let kept = state.kept.stages.entry(stage.into()).or_insert_with(|| Stage { of, done: BTreeMap::new() });
         let read = |(index, text): (&usize, &String)| Some((*index, read(text).filter(|_| *index < of)?));
-        let found: Option<BTreeMap<usize, R>> = kept.done.iter().map(read).collect();
-        found
+        let results: Option<BTreeMap<usize, R>> = kept.done.iter().map(read).collect();
+        results
             .filter(|_| kept.of == of)
-            .ok_or_else(|| damaged(file, &format!("its part \"{stage}\" is of another kind")))
+            .ok_or_else(|| damaged_file(file, &format!("its part \"{stage}\" is of another kind")))
     }
 
     fn lock(&self) -> std::sync::MutexGuard<'_, State> {
@@ -248,7 +249,8 @@ impl Sweep {
     fn keep<R: Serialize + DeserializeOwned>(&self, stage: &str, index: usize, result: &R) -> Result<(), Failure> {
         let Some(file) = &self.file else { return Ok(()) };
         let bytes = postcard::to_allocvec(result).map_err(Failure::impossible)?;
-        // A type that leaves fields out, or reads other things than it writes, would come back as something else.
+        // Reject a type that leaves out fields or reads back differently, because it would be restored as something
+        // else.
         let back = postcard::take_from_bytes::<R>(&bytes).ok().filter(|(_, rest)| rest.is_empty());
         if back.and_then(|(back, _)| postcard::to_allocvec(&back).ok()).as_ref() != Some(&bytes) {
             return Err(Failure::impossible(format!("a result of \"{stage}\" cannot be kept as it is"))
@@ -260,7 +262,7 @@ impl Sweep {
         state.kept.stages.entry(stage.into()).or_default().done.insert(index, text);
         if Instant::now() > state.due {
             let begun = Instant::now();
-            // A file that cannot be written now is told of when the work is interrupted.
+            // A write error is reported when the work is interrupted.
             let _ = write(file, &state.kept);
             state.due = Instant::now() + WRITE_INTERVAL.max(begun.elapsed() * LEAST_PAUSE);
         }
@@ -276,22 +278,22 @@ fn write(file: &Path, kept: &Checkpoint) -> Result<(), Failure> {
     output::write(file, &serde_json::to_vec(kept).map_err(Failure::impossible)?, Overwrite::Replace)
 }
 
-/// The state that an earlier run has left.
-fn earlier(file: &Path) -> Result<Option<Checkpoint>, Failure> {
+/// Reads the checkpoint of an earlier run.
+fn read_checkpoint(file: &Path) -> Result<Option<Checkpoint>, Failure> {
     match haptic_host::input::read_own(file) {
         Err(error) if error.kind() == ErrorKind::NotFound => Ok(None),
         Err(error) => Err(Failure::impossible(format!("{} cannot be read: {error}", file.display()))),
-        Ok(bytes) => serde_json::from_slice(&bytes).map(Some).map_err(|error| damaged(file, &error)),
+        Ok(bytes) => serde_json::from_slice(&bytes).map(Some).map_err(|error| damaged_file(file, &error)),
     }
 }
 
-fn damaged(file: &Path, why: &dyn std::fmt::Display) -> Failure {
+fn damaged_file(file: &Path, why: &dyn std::fmt::Display) -> Failure {
     Failure::wrong(format!("{} is not what a search keeps: {why}", file.display()))
         .remedy("name another file")
         .choose(Choice::Kept)
 }
 
-/// A result from its hex; none from text that is not one.
+/// Decodes a result from its hex; `None` if the text is not valid.
 fn read<R: DeserializeOwned>(text: &str) -> Option<R> {
     let digits = |at: usize| u8::from_str_radix(text.get(at..at + 2)?, 16).ok();
     let bytes: Option<Vec<u8>> = (0..text.len()).step_by(2).map(digits).collect();
@@ -303,7 +305,7 @@ mod tests {
     use super::*;
     use std::sync::Arc;
 
-    /// A sweep that is interrupted after so many results.
+    /// A folder for the checkpoint, and a count of the items that were computed.
     struct Case {
         folder: tempfile::TempDir,
         worked: Arc<AtomicUsize>,
@@ -324,11 +326,11 @@ mod tests {
         }
     }
 
-    fn things() -> Vec<f64> {
+    fn items() -> Vec<f64> {
         (0..200).map(|i| 0.1 + f64::from(i) / 7.0).collect()
     }
 
-    /// Numbers that take all digits, and some that have none.
+    /// Numbers that need all digits, and values that are not finite.
     fn work(x: &f64) -> (Vec<f64>, Option<f64>) {
         let odd = f64::from_bits(f64::NAN.to_bits() ^ 0x8000_0000_0000_0001);
         (vec![x.sin(), 1.0 / x, x * 1e-300, f64::NEG_INFINITY, -0.0, odd], (*x > 9.0).then(|| x.sqrt()))
@@ -339,11 +341,11 @@ mod tests {
     }
 
     #[test]
-    fn work_goes_on_where_it_stopped_with_the_same_numbers_to_the_bit() {
+    fn interrupted_work_resumes_with_identical_numbers() {
         let case = Case::new();
-        let whole = Sweep::quiet().map("stage", &things(), |x| Ok(work(x))).unwrap();
+        let whole = Sweep::quiet().map("stage", &items(), |x| Ok(work(x))).unwrap();
         let run = |sweep: &Sweep| {
-            sweep.map("stage", &things(), |x| {
+            sweep.map("stage", &items(), |x| {
                 case.worked.fetch_add(1, Ordering::SeqCst);
                 Ok(work(x))
             })
@@ -363,12 +365,12 @@ mod tests {
     }
 
     #[test]
-    fn what_belongs_to_another_question_or_is_damaged_is_refused() {
+    fn checkpoints_of_other_questions_or_damaged_ones_are_rejected() {
         let case = Case::new();
         // A file without results does not block another question.
         drop(case.sweep("one", usize::MAX).unwrap());
         let sweep = case.sweep("two", usize::MAX).unwrap();
-        sweep.map("stage", &things(), |x| Ok(work(x))).unwrap();
+        sweep.map("stage", &items(), |x| Ok(work(x))).unwrap();
         sweep.save().unwrap();
         let refused = case.sweep("one", usize::MAX).err().unwrap().to_string();
         assert!(
@@ -377,7 +379,7 @@ mod tests {
         );
 
         let text = std::fs::read_to_string(case.file()).unwrap();
-        let others = |of: usize| case.sweep("two", usize::MAX).unwrap().map("stage", &things()[..of], |x| Ok(work(x)));
+        let others = |of: usize| case.sweep("two", usize::MAX).unwrap().map("stage", &items()[..of], |x| Ok(work(x)));
         assert_eq!(others(200).unwrap().len(), 200);
         assert!(others(100).unwrap_err().to_string().contains("is of another kind"));
         let hex = text.find("\":\"06").unwrap();
@@ -391,23 +393,23 @@ mod tests {
     }
 
     #[test]
-    fn the_first_failure_in_the_order_of_the_things_is_told_and_what_is_done_stays() {
+    fn the_first_failing_item_is_reported_and_results_stay() {
         let case = Case::new();
-        let things: Vec<usize> = (0..64).collect();
+        let items: Vec<usize> = (0..64).collect();
         for _ in 0..20 {
-            let failure = Sweep::quiet().map("stage", &things, |thing| match thing % 8 {
-                5 => Err::<u8, _>(Failure::wrong(thing)),
+            let failure = Sweep::quiet().map("stage", &items, |item| match item % 8 {
+                5 => Err::<u8, _>(Failure::wrong(item)),
                 _ => Ok(0),
             });
             assert_eq!(failure.unwrap_err().to_string(), "5");
         }
         let sweep = case.sweep("question", usize::MAX).unwrap();
-        sweep.map("stage", &things, |thing| if *thing < 9 { Ok(0) } else { Err(Failure::wrong("no")) }).unwrap_err();
+        sweep.map("stage", &items, |item| if *item < 9 { Ok(0) } else { Err(Failure::wrong("no")) }).unwrap_err();
         assert_eq!(case.sweep("question", usize::MAX).unwrap().lock().kept.stages["stage"].done.len(), 9);
     }
 
     #[test]
-    fn a_result_that_would_not_come_back_is_not_kept() {
+    fn results_that_do_not_round_trip_are_rejected() {
         #[derive(Debug, Serialize, Deserialize)]
         struct Leaves {
             #[serde(skip_serializing_if = "Option::is_none", default)]

@@ -4,8 +4,8 @@ use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::sync::OnceLock;
 
-/// The figures of this version of the source.
-const KEPT: &str = include_str!("counts.json");
+/// The counts for this version of the source.
+const COUNTS_JSON: &str = include_str!("counts.json");
 
 #[derive(Deserialize)]
 struct File {
@@ -18,18 +18,18 @@ struct Variant {
     instructions: u32,
 }
 
-/// Instructions by name, `mechanism/trigonometry/mass model/terms`.
-fn figures() -> &'static BTreeMap<String, u32> {
-    static FIGURES: OnceLock<BTreeMap<String, u32>> = OnceLock::new();
-    FIGURES.get_or_init(|| {
-        let variants = serde_json::from_str::<File>(KEPT).map(|file| file.variants).unwrap_or_default();
+/// Returns instructions by name, `mechanism/trigonometry/mass model/terms`.
+fn counts_by_name() -> &'static BTreeMap<String, u32> {
+    static COUNTS: OnceLock<BTreeMap<String, u32>> = OnceLock::new();
+    COUNTS.get_or_init(|| {
+        let variants = serde_json::from_str::<File>(COUNTS_JSON).map(|file| file.variants).unwrap_or_default();
         variants.into_iter().map(|variant| (variant.name, variant.instructions)).collect()
     })
 }
 
-/// Instructions of a whole control step at its slowest pose; `None` for what was not counted.
+/// Returns the instructions of a complete control step at its slowest pose; `None` if the variant was not counted.
 pub fn instructions(mechanism: &str, trigonometry: &str, model: &str, terms: &str) -> Option<u32> {
-    figures().get(&format!("{mechanism}/{trigonometry}/{model}/{terms}")).copied()
+    counts_by_name().get(&format!("{mechanism}/{trigonometry}/{model}/{terms}")).copied()
 }
 
 #[cfg(test)]
@@ -37,21 +37,21 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_mechanism_has_been_counted_in_every_variant() {
+    fn every_variant_of_every_mechanism_is_counted() {
         for mechanism in haptic_bridge::model::catalogue::Kind::ALL {
             for trigonometry in ["table", "minimax", "micromath", "libm"] {
                 for model in ["exact", "bilinear", "bicubic", "frozen"] {
                     for terms in ["none", "feed-forward", "feed-forward+z", "washout", "washout+z"] {
                         let name = mechanism.spec().name;
-                        let found = instructions(name, trigonometry, model, terms);
-                        assert!(found.is_some(), "{name}/{trigonometry}/{model}/{terms}");
+                        let result = instructions(name, trigonometry, model, terms);
+                        assert!(result.is_some(), "{name}/{trigonometry}/{model}/{terms}");
                     }
                 }
             }
             for (estimator, _) in haptic_bridge::render::velocity::Estimator::ALL {
                 let terms = format!("feed-forward, {estimator}");
-                let found = instructions(mechanism.spec().name, "table", "exact", &terms);
-                assert!(found.is_some(), "{}, {estimator}", mechanism.spec().name);
+                let result = instructions(mechanism.spec().name, "table", "exact", &terms);
+                assert!(result.is_some(), "{}, {estimator}", mechanism.spec().name);
             }
         }
     }

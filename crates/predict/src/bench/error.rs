@@ -1,8 +1,8 @@
-//! The torque a variant renders, by the board's own code in the board's precision, against f64 and the closed form.
+//! Torque of a variant, by the board's own code in the board's precision, compared with f64 and the closed form.
 //!
-//! The reference is the scene's law with all its velocity terms (docs/model.md section 2), so what a variant leaves
-//! out counts, and so does what the board lets fade because its estimates of velocities lag. Torques are told as forces
-//! at the tip, J⁻ᵀ Δτ: what a hand there would have to hold.
+//! The reference is the scene's law with all its velocity terms (docs/model.md section 2). So terms that a variant
+//! leaves out count as error, and so do terms that the board fades because its velocity estimates lag. Torque errors
+//! are expressed as forces at the tip, J⁻ᵀ Δτ: the force that a hand would have to hold.
 
 use crate::bench::precompute::Precomputed;
 use crate::bench::probe::Probe;
@@ -22,27 +22,27 @@ use haptic_host::error::Failure;
 use nalgebra::SVector;
 use serde::Serialize;
 
-/// Bus voltage that duty steps are reckoned with, V.
+/// Bus voltage for duty steps, V.
 pub const BUS_VOLTAGE: f64 = 24.0;
-/// Steps of the duty: a centre-aligned carrier of 20 kHz from 168 MHz counts to 4200.
+/// Number of duty steps: a centre-aligned carrier of 20 kHz from 168 MHz counts to 4200.
 pub const DUTY_STEPS: f64 = 4200.0;
 
-/// Which terms of equation (4) a variant computes.
+/// Terms of equation (4) that a variant computes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Terms {
     /// Jᵀ f alone.
     None,
     /// The feed-forward without velocity terms.
     FeedForward,
-    /// All of it.
+    /// All terms.
     FeedForwardZ,
 }
 
 impl Terms {
-    /// All, from the cheapest.
+    /// All choices, the cheapest first.
     pub const ALL: [Terms; 3] = [Terms::None, Terms::FeedForward, Terms::FeedForwardZ];
 
-    /// The name in reports and counts.
+    /// Name in reports and counts.
     pub fn name(self) -> &'static str {
         match self {
             Terms::None => "none",
@@ -52,36 +52,36 @@ impl Terms {
     }
 }
 
-/// The law of the velocity terms, and what the estimated velocities are like from which they are computed.
+/// Law of the velocity terms, and the properties of the velocity estimates that they are computed from.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Law {
-    /// Which; `Off` is judged as `Rendered`, by what it leaves out.
+    /// Choice of terms; the reference of `Off` is `Rendered`, so the terms left out count.
     pub terms: VelocityTerms,
-    /// The time by which the estimates lag, s.
+    /// Lag of the estimates, s.
     pub lag: f64,
-    /// The largest change of each estimate by one encoder count, rad/s.
+    /// Largest change of each estimate by one encoder count, rad/s.
     pub one_count: [f64; MAX_JOINTS],
 }
 
 impl Law {
-    /// Of a scene on a device. Fails where its cutoff does not go with its rate.
+    /// Returns the law of a scene on a device. Errors if the cutoff does not fit the rate.
     pub fn of(scene: &Scene<f64>, device: &Device<f64>) -> Result<Self, Failure> {
         let estimator = Coefficients::of_device::<Libm>((scene.estimator, scene.rate_hz, scene.cutoff_hz), device)
             .map_err(|_| Failure::wrong("the cutoff must lie between 0 and half the control rate"))?;
         Ok(Self { terms: scene.velocity_terms, lag: estimator.lag(), one_count: *estimator.one_count() })
     }
 
-    /// The same from velocities that are known at once and exactly, where nothing fades.
-    fn whole(self) -> Self {
+    /// Returns the same law with exact velocities without lag, so that nothing fades.
+    fn without_fading(self) -> Self {
         Self { lag: 0.0, one_count: [0.0; MAX_JOINTS], ..self }
     }
 
-    /// The joint velocities of `probe` from which the velocity terms are computed, rad/s.
+    /// Returns the joint velocities of `probe` that the velocity terms use, rad/s.
     fn velocities<T: Real, const N: usize>(self, probe: &Probe) -> SVector<T, N> {
         SVector::from_fn(|i, _| beyond(T::from_f64(probe.qd[i]), T::from_f64(self.one_count[i])))
     }
 
-    /// The shares of `probes` in which the velocity terms act with less than their whole, and not at all.
+    /// Returns the shares of `probes` in which the velocity terms are faded, and in which they are off.
     pub fn fading(self, device: &Device<f64>, probes: &[Probe]) -> [f64; 2] {
         let shares: Vec<f64> =
             with_mechanism!(&device.mechanism, m => probes.iter().map(|probe| self.share(m, probe)).collect());
@@ -91,47 +91,47 @@ impl Law {
         })
     }
 
-    /// The share of the velocity terms that acts in a situation.
+    /// Returns the share of the velocity terms that acts in a situation.
     fn share<M: Mechanism<f64, N>, const N: usize>(self, mechanism: &M, probe: &Probe) -> f64 {
         let pose = mechanism.pose::<Libm>(&SVector::from_fn(|i, _| probe.q[i]));
         known_share(&mechanism.regularity(&pose), &self.velocities::<f64, N>(probe), self.lag)
     }
 }
 
-/// Sines, cosines and square roots as the variant computes them.
+/// Implementation of sines, cosines and square roots.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Trigonometry {
-    /// A table and two terms of a series, and the FPU's square root: what ships.
+    /// A table and two terms of a series, and the FPU's square root: the shipped one.
     Tabulated,
     /// Minimax polynomials.
     Minimax,
-    /// The micromath crate.
+    /// The crate micromath.
     Micromath,
-    /// libm.
+    /// The crate libm.
     Libm,
 }
 
-/// The way in which a variant computes its torques.
+/// A variant of the torque computation.
 #[derive(Clone, Copy, Debug)]
-pub struct Way<'a> {
-    /// With which mass matrix.
+pub struct TorqueVariant<'a> {
+    /// Mass matrix.
     pub model: &'a Precomputed,
-    /// With which terms of equation (4).
+    /// Terms of equation (4).
     pub terms: Terms,
-    /// With which sines, cosines and square roots.
+    /// Sines, cosines and square roots.
     pub trigonometry: Trigonometry,
-    /// By which law of the velocity terms.
+    /// Law of the velocity terms.
     pub law: Law,
 }
 
 /// Size of a set of errors.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Size {
-    /// The largest.
+    /// Largest error.
     pub max: f64,
-    /// Their 99th percentile.
+    /// 99th percentile.
     pub most: f64,
-    /// Root of their mean square.
+    /// Root mean square.
     pub rms: f64,
 }
 
@@ -148,31 +148,31 @@ impl Size {
     }
 }
 
-/// The error of a variant over a set of situations; of each the worst joint counts.
+/// Errors of a variant over a set of situations; the worst joint of each situation counts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Errors {
-    /// N m
+    /// Torque, N m.
     pub torque: Size,
-    /// At the tip, N.
+    /// Force at the tip, N.
     pub force: Size,
-    /// In shares of the torque that the motor of the worst joint gives: the same share as of the largest force that
-    /// the motors give at the tip in the direction of the error.
+    /// Share of the motor's torque at the worst joint. It equals the share of the motors' largest force at the tip in
+    /// the direction of the error.
     pub share: Size,
-    /// In steps of the duty: torque / torque constant · resistance, on a 24 V bus.
+    /// Duty steps: torque / torque constant · resistance, on a 24 V bus.
     pub duty: Size,
 }
 
-/// A variant's errors, by what they are held against.
+/// Errors of a variant against two references.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Found {
-    /// Against the whole law: what is wrong with the force.
+pub struct VariantErrors {
+    /// Against the complete law: the error of the force.
     pub whole: Errors,
-    /// Against what a board gives of it that computes without error and lets its velocity terms fade: what the choice
-    /// of a variant can change.
+    /// Against a board that computes without error but fades its velocity terms: the part that depends on the choice of
+    /// a variant.
     pub given: Errors,
 }
 
-/// The joint torques (N m) of `probe` under a mass model and terms, in the precision `T`.
+/// Computes the joint torques (N m) of `probe` with a mass model and terms, in the precision `T`.
 pub fn torque<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
     mechanism: &M,
     mass: &MassModel<T, N>,
@@ -182,7 +182,7 @@ pub fn torque<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
 ) -> [f64; MAX_JOINTS] {
     let vector = |values: &[f64; MAX_JOINTS]| SVector::<T, N>::from_fn(|i, _| T::from_f64(values[i]));
     let (q, n, force) = (vector(&probe.q), vector(&probe.normal), T::from_f64(probe.force));
-    // As an encoder has them: the board knows angles as parts of a turn.
+    // The board represents encoder angles as parts of a turn.
     let angles = std::array::from_fn(|i| Angle { radians: q[i], binary: Some(BinaryAngle::of_radians(probe.q[i])) });
     let pose = mechanism.pose_at::<K>(&angles);
     let torque = if terms == Terms::None {
@@ -198,14 +198,14 @@ pub fn torque<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
             b = mechanism.velocity_torque(&pose, &qd) + mechanism.shaping(&pose, &turning).me;
             b *= known_share(&mechanism.regularity(&pose), &qd, T::from_f64(law.lag));
         }
-        // The paper leaves the rendered part of b for the wall to meet; the rendered law none of it.
+        // The paper leaves the rendered part of b to the wall; the rendered law leaves nothing.
         let met = if law.terms == VelocityTerms::Paper { b } else { SVector::zeros() };
         shaping.torque(force, &b, &met)
     };
     std::array::from_fn(|i| if i < N { torque[i].to_f64() } else { 0.0 })
 }
 
-/// Runs this with the functions that the trigonometry stands for as the type `K`.
+/// Evaluates an expression with `K` as the type of the trigonometry.
 macro_rules! with_trigonometry {
     ($trigonometry:expr, $K:ident => $run:expr) => {{
         use $crate::bench::error::Trigonometry;
@@ -231,15 +231,15 @@ macro_rules! with_trigonometry {
 }
 pub(super) use with_trigonometry;
 
-/// The error of a variant over `probes`.
-pub fn errors(device: &Device<f64>, probes: &[Probe], way: &Way<'_>) -> Found {
+/// Computes the errors of a variant over `probes`.
+pub fn errors(device: &Device<f64>, probes: &[Probe], way: &TorqueVariant<'_>) -> VariantErrors {
     with_mechanism!(&device.mechanism, exact => {
         with_trigonometry!(way.trigonometry, K => compare::<K, _, _, _>(device, exact, &exact.cast(), probes, way))
     })
 }
 
 /// Returns the sources of a variant's error over `probes`.
-pub fn parts(device: &Device<f64>, probes: &[Probe], way: &Way<'_>) -> Parts {
+pub fn parts(device: &Device<f64>, probes: &[Probe], way: &TorqueVariant<'_>) -> Parts {
     with_mechanism!(&device.mechanism, exact => {
         with_trigonometry!(way.trigonometry, K => parts_of::<K, _, _, _>(exact, &exact.cast(), probes, way))
     })
@@ -250,32 +250,32 @@ fn compare<K: Math<f32>, E: Mechanism<f64, N>, B: Mechanism<f32, N>, const N: us
     exact: &E,
     board: &B,
     probes: &[Probe],
-    &Way { model, terms, law, .. }: &Way<'_>,
-) -> Found {
-    let Some(mass) = MassModel::<f32, N>::new::<B>(&model.data, &model.values) else { return Found::default() };
+    &TorqueVariant { model, terms, law, .. }: &TorqueVariant<'_>,
+) -> VariantErrors {
+    let Some(mass) = MassModel::<f32, N>::new::<B>(&model.data, &model.values) else { return VariantErrors::default() };
     let torques: Vec<_> = probes.iter().map(|probe| torque::<f32, K, B, N>(board, &mass, terms, law, probe)).collect();
-    let against = |law: Law| errors_of::<E, N>(device, exact, probes, &torques, law);
-    Found { whole: against(law.whole()), given: against(law) }
+    let against = |law: Law| errors_against::<E, N>(device, exact, probes, &torques, law);
+    VariantErrors { whole: against(law.without_fading()), given: against(law) }
 }
 
-/// The errors of `torques` against a law.
-fn errors_of<E: Mechanism<f64, N>, const N: usize>(
+/// Computes the errors of `torques` against a law.
+fn errors_against<E: Mechanism<f64, N>, const N: usize>(
     device: &Device<f64>,
     exact: &E,
     probes: &[Probe],
-    found: &[[f64; MAX_JOINTS]],
+    actual: &[[f64; MAX_JOINTS]],
     law: Law,
 ) -> Errors {
     let steps = duty_steps(device);
     let (mut torques, mut forces, mut shares, mut duties) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-    for (probe, found) in probes.iter().zip(found) {
-        let off = difference(*found, reference::<E, N>(exact, Terms::FeedForwardZ, law, probe));
+    for (probe, actual) in probes.iter().zip(actual) {
+        let off = difference(*actual, reference::<E, N>(exact, Terms::FeedForwardZ, law, probe));
         let whole = largest(reference::<E, N>(exact, Terms::None, law, probe));
         let share = |i: usize| {
             off[i].abs() / device.joints[i].motor.map_or(whole, |motor| torque_at_rest(&motor, device.axes()))
         };
         torques.push(largest(off));
-        forces.push(at_the_tip::<E, N>(exact, probe, off));
+        forces.push(force_at_tip::<E, N>(exact, probe, off));
         shares.push((0..N).map(share).fold(0.0, f64::max));
         duties.push(largest(std::array::from_fn(|i| off[i] * steps[i])));
     }
@@ -291,10 +291,10 @@ fn reference<E: Mechanism<f64, N>, const N: usize>(
     torque::<f64, Libm, E, N>(exact, &MassModel::Exact, terms, law, probe)
 }
 
-/// By how much each torque is off, N m; infinite where one is not finite.
-fn difference(found: [f64; MAX_JOINTS], right: [f64; MAX_JOINTS]) -> [f64; MAX_JOINTS] {
+/// Returns the error of each torque, N m; infinite if the error is not finite.
+fn difference(actual: [f64; MAX_JOINTS], right: [f64; MAX_JOINTS]) -> [f64; MAX_JOINTS] {
     std::array::from_fn(|i| {
-        let off = found[i] - right[i];
+        let off = actual[i] - right[i];
         if off.is_finite() { off } else { f64::INFINITY }
     })
 }
@@ -303,30 +303,30 @@ fn largest(values: [f64; MAX_JOINTS]) -> f64 {
     values.into_iter().fold(0.0, |most, value| most.max(value.abs()))
 }
 
-/// The force at the tip that these joint torques make, N.
-fn at_the_tip<E: Mechanism<f64, N>, const N: usize>(exact: &E, probe: &Probe, torque: [f64; MAX_JOINTS]) -> f64 {
+/// Returns the force at the tip of these joint torques, N.
+fn force_at_tip<E: Mechanism<f64, N>, const N: usize>(exact: &E, probe: &Probe, torque: [f64; MAX_JOINTS]) -> f64 {
     let pose = exact.pose::<Libm>(&SVector::from_fn(|i, _| probe.q[i]));
     let force = exact.jacobian_inverse(&pose).tr_mul(&SVector::from_fn(|i, _| torque[i]));
     force.iter().take(E::SPEC.task).map(|entry| entry * entry).sum::<f64>().sqrt()
 }
 
-/// Stiffness by which an error of the tip's position becomes one of force, N/m.
+/// Stiffness that turns an error of the tip's position into one of force, N/m.
 pub const STIFFNESS: f64 = 20_000.0;
 
-/// The sources of a variant's error, each the largest over the situations and by itself.
+/// Sources of a variant's error, each by itself and the largest over the situations.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Parts {
-    /// Terms left out or faded, computed exactly: N at the tip.
+    /// Terms left out or faded, computed exactly, N at the tip.
     pub dropped: f64,
     /// The 90th percentile of `dropped` over the situations.
     pub dropped_mostly: f64,
-    /// The mass model instead of the closed form: N at the tip.
+    /// Mass model instead of the closed form, N at the tip.
     pub model: f64,
-    /// Rounding in f32 and the trigonometry, of the torque of a given force: N at the tip.
+    /// Rounding in f32 and the trigonometry, in the torque of a given force, N at the tip.
     pub rounding: f64,
-    /// The same, of the tip's position, times [`STIFFNESS`]: N.
+    /// The same in the tip's position, times [`STIFFNESS`], N.
     pub tip: f64,
-    /// Least share of the stable area of the exact feed-forward that is left: (inertia met / Wrr)².
+    /// Smallest remaining share of the exact feed-forward's stable area: (effective inertia / Wrr)².
     pub area: f64,
 }
 
@@ -334,30 +334,30 @@ fn parts_of<K: Math<f32>, E: Mechanism<f64, N>, B: Mechanism<f32, N>, const N: u
     exact: &E,
     board: &B,
     probes: &[Probe],
-    &Way { model, terms, law, .. }: &Way<'_>,
+    &TorqueVariant { model, terms, law, .. }: &TorqueVariant<'_>,
 ) -> Parts {
     let Some(mass) = MassModel::<f32, N>::new::<B>(&model.data, &model.values) else { return Parts::default() };
     let mut parts = Parts { area: f64::INFINITY, ..Parts::default() };
     let more = |most: &mut f64, value: f64| *most = most.max(value);
     let mut dropped = Vec::new();
     for probe in probes {
-        let felt = |a, b| at_the_tip::<E, N>(exact, probe, difference(a, b));
+        let tip_error = |a, b| force_at_tip::<E, N>(exact, probe, difference(a, b));
         let closed = torque::<f32, K, B, N>(board, &MassModel::Exact, terms, law, probe);
         let same = reference::<E, N>(exact, terms, law, probe);
-        dropped.push(felt(same, reference::<E, N>(exact, Terms::FeedForwardZ, law.whole(), probe)));
-        more(&mut parts.rounding, felt(closed, same));
+        dropped.push(tip_error(same, reference::<E, N>(exact, Terms::FeedForwardZ, law.without_fading(), probe)));
+        more(&mut parts.rounding, tip_error(closed, same));
         let prepared = torque::<f32, K, B, N>(board, &mass, terms, law, probe);
-        more(&mut parts.model, felt(prepared, closed));
+        more(&mut parts.model, tip_error(prepared, closed));
 
         let (q, q32) = (SVector::<f64, N>::from_fn(|i, _| probe.q[i]), SVector::from_fn(|i, _| probe.q[i] as f32));
         let pose = exact.pose::<Libm>(&q);
         let seen = board.tip(&board.pose::<K>(&q32));
-        // The angles as f32 has them are what both are told.
-        let told = exact.tip(&exact.pose::<Libm>(&q32.map(f64::from)));
-        let off = (0..E::SPEC.task).map(|i| (f64::from(seen[i]) - told[i]).powi(2)).sum::<f64>().sqrt();
+        // Both use the angles as rounded to f32.
+        let expected = exact.tip(&exact.pose::<Libm>(&q32.map(f64::from)));
+        let off = (0..E::SPEC.task).map(|i| (f64::from(seen[i]) - expected[i]).powi(2)).sum::<f64>().sqrt();
         more(&mut parts.tip, STIFFNESS * off);
 
-        // The inertia met at rest: a newton's torque on the real mobility.
+        // Effective inertia at rest: the torque of one newton on the real mobility.
         let resting = Probe { qd: [0.0; MAX_JOINTS], force: 1.0, ..*probe };
         let without = if terms == Terms::None { Terms::None } else { Terms::FeedForward };
         let newton = torque::<f32, K, B, N>(board, &mass, without, law, &resting);
@@ -373,7 +373,7 @@ fn parts_of<K: Math<f32>, E: Mechanism<f64, N>, B: Mechanism<f32, N>, const N: u
     parts
 }
 
-/// The farthest that one encoder step moves the tip over `probes`, m; 0 without encoders.
+/// Returns the largest motion of the tip by one encoder count over `probes`, m; 0 without encoders.
 pub fn encoder_step(device: &Device<f64>, probes: &[Probe]) -> f64 {
     fn farthest<M: Mechanism<f64, N>, const N: usize>(m: &M, device: &Device<f64>, probes: &[Probe]) -> f64 {
         let moves = |probe: &Probe| {
@@ -388,7 +388,7 @@ pub fn encoder_step(device: &Device<f64>, probes: &[Probe]) -> f64 {
     with_mechanism!(&device.mechanism, m => farthest(m, device, probes))
 }
 
-/// Duty steps per N m at each joint; 0 where the device file names no motor.
+/// Returns duty steps per N m at each joint; 0 if the device file has no motor there.
 pub fn duty_steps(device: &Device<f64>) -> [f64; MAX_JOINTS] {
     device.joints.map(|joint| {
         joint.motor.map_or(0.0, |motor| motor.resistance / motor.torque_constant.abs() / BUS_VOLTAGE * DUTY_STEPS)

@@ -1,10 +1,10 @@
-//! Velocity estimators compared on a device, in simulation with the steps of its encoders: how large a range of walls
-//! stays quiet, how much a pressed wall's force ripples, how late and how noisy the velocity is.
+//! Compares velocity estimators on a device, in simulation with encoder steps: the area of quiet walls, the ripple of a
+//! pressed wall's force, and the delay and noise of the velocity.
 //!
-//! Every wall is that of [`super::wall`]: the board's own step around the device's full equations.
+//! Every wall is simulated by [`super::wall`]: the board's own step with the device's complete equations.
 
 use super::wall::{Rendered, Trial, WallSimulation};
-use crate::contact::about_its_line;
+use crate::contact::deviation_from_line;
 use crate::ripple::{self, PUSH_N};
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::render::scene::FeedForward;
@@ -19,24 +19,23 @@ use haptic_stability::analysis::sampled::{LinearEstimator, Loop, Mode};
 use haptic_stability::sweep::Sweep;
 use serde::{Deserialize, Serialize};
 
-/// Time to settle before the ripple is looked at, and time in which it is, s.
+/// Time to settle before the ripple is recorded, and time of recording, s.
 const SETTLE_S: f64 = 0.3;
-const LOOK_S: f64 = 0.3;
-/// Speed of the motion whose velocity estimate is judged, m/s, and for how long, s.
+const RECORD_S: f64 = 0.3;
+/// Speed (m/s) and duration (s) of the slow motion for the noise of the velocity estimate.
 const SLOW: f64 = 0.01;
 const SLOW_S: f64 = 0.2;
-/// Dampings at which the largest quiet stiffness is sought.
+/// Number of dampings at which the largest quiet stiffness is searched.
 const DAMPINGS: usize = 8;
-/// Ratio to which a largest stiffness is found.
-const CLOSE: f64 = 1.05;
-/// Number of counts that the tip moves along the normal when a wall is tried, and the number that it may keep moving
-/// for the wall to count as quiet.
-const STRUCK: f64 = 40.0;
-const QUIET: f64 = 6.0;
-/// Time in which a struck wall must come to rest, s.
+/// Precision of a largest stiffness, as a ratio.
+const PRECISION: f64 = 1.05;
+/// Amplitude of the tip in counts when a wall is struck, and the amplitude below which the wall counts as quiet.
+const STRIKE_COUNTS: f64 = 40.0;
+const QUIET_COUNTS: f64 = 6.0;
+/// Time within which a struck wall must come to rest, s.
 const REST_S: f64 = 0.25;
 
-/// The device, wall and estimators that are compared.
+/// Device and wall on which the estimators are compared.
 pub struct Comparison<'a> {
     /// The device.
     pub file: &'a DeviceFile,
@@ -53,7 +52,7 @@ pub struct Comparison<'a> {
 }
 
 impl Comparison<'_> {
-    /// Its wall with another estimator, without a feed-forward.
+    /// Returns the wall with another estimator, without feed-forward.
     fn rendered(&self, kind: Estimator, cutoff_hz: f64) -> Rendered {
         Rendered {
             kind,
@@ -68,40 +67,40 @@ impl Comparison<'_> {
     }
 }
 
-/// The results with one estimator.
+/// Results of one estimator.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Row {
-    /// Its word in scene files.
+    /// Name in scene files.
     pub estimator: String,
-    /// Its own value, where it takes one.
+    /// Parameter of the estimator, if it has one.
     pub value: Option<u32>,
-    /// Its cutoff, Hz, where it has one.
+    /// Cutoff, Hz, if the estimator has one.
     pub cutoff_hz: Option<f64>,
-    /// ∫ largest quiet stiffness over damping, N²s/m²: simulated, with encoder steps and friction. Sought up to 1e7 N/m
-    /// and to five times the damping that is predicted stable with the Butterworth; beyond, the area is at least this.
+    /// ∫ largest quiet stiffness over damping, N²s/m²: simulated, with encoder steps and friction. The search ends at
+    /// 1e7 N/m and at five times the damping that is predicted stable with the Butterworth, so the area may be larger.
     pub area: f64,
-    /// Root mean square of the force of the wall under a hand that presses ever harder, about its straight line, N:
-    /// without the feed-forward and with the full one; `None` where the tip flies off.
+    /// Root mean square of the wall's force under a hand that presses ever harder, about its fitted line, N: without
+    /// feed-forward and with the full one; `None` if the tip flies off.
     pub press_n: [Option<f64>; 2],
-    /// The same under a hand at rest, about its mean, without the feed-forward: friction may hold the tip between two
+    /// The same under a hand at rest, about its mean, without feed-forward: friction may hold the tip between two
     /// counts.
     pub ripple_n: Option<f64>,
-    /// True if the pressed wall pushed on average as hard as the hand, within a tenth.
+    /// True if the mean force of the pressed wall equals the hand's within a tenth.
     pub holds: bool,
     /// Delay of the velocity, s.
     pub delay_s: f64,
-    /// Root mean square of its error at a slow steady motion, m/s.
+    /// Root mean square of the velocity error in a slow steady motion, m/s.
     pub noise_m_s: f64,
 }
 
-/// A press below this is zero beside what a board's arithmetic and a hand are, N: such rows are equal.
+/// Press ripples below this count as equal, because a board's arithmetic and a hand vary more, N.
 pub const RESOLUTION_N: f64 = 1e-3;
 
-/// Every estimator with its usual value and its longest window; where the cutoff is its bandwidth also at a quarter, a
-/// sixteenth and a thirty-second of it, and without a low-pass where that is a choice.
+/// Returns every estimator with its default parameter and its longest window. If the cutoff is the bandwidth, a
+/// quarter, a sixteenth and a thirty-second of it are added; the low-pass is left out where it is optional.
 fn candidates(comparison: &Comparison<'_>) -> Vec<Rendered> {
-    let mut found = Vec::new();
-    let mut add = |kind, share| found.push(comparison.rendered(kind, share * comparison.cutoff_hz));
+    let mut results = Vec::new();
+    let mut add = |kind, share| results.push(comparison.rendered(kind, share * comparison.cutoff_hz));
     for (_, kind) in Estimator::ALL {
         let (Some(spec), Some(usual)) = (kind.spec(), kind.chosen()) else {
             add(*kind, 1.0);
@@ -116,11 +115,11 @@ fn candidates(comparison: &Comparison<'_>) -> Vec<Rendered> {
             shares.iter().for_each(|share| add(kind, *share));
         }
     }
-    found
+    results
 }
 
-/// A wall on which estimators differ, N/m and N s/m: half of the damping and a quarter of the stiffness that
-/// `haptic range --board` predicts stable with the Butterworth.
+/// Returns a wall that shows differences between estimators, N/m and N s/m: half of the damping and a quarter of the
+/// stiffness that `haptic range --board` predicts stable with the Butterworth.
 pub fn telling_wall(
     file: &DeviceFile,
     q: &[f64],
@@ -139,14 +138,14 @@ pub fn telling_wall(
         "{}: no wall here is predicted stable with the Butterworth at {cutoff_hz} Hz and {rate_hz} Hz",
         file.name
     ))
-    .remedy("name the wall that is to be pressed, or choose another rate and cutoff")
+    .remedy("name the wall to press, or choose another rate and cutoff")
     .choose(Choice::Wall))
 }
 
-/// Compares every estimator. Those with at least the Butterworth's area come first, by their ripple under a hand that
-/// presses ever harder; the others follow by area. The same in any order of work: nothing is random.
+/// Compares every estimator. Estimators with at least the Butterworth's area come first, sorted by their ripple under a
+/// hand that presses ever harder; the others follow by area. The result does not depend on the number of cores.
 pub fn compare(comparison: &Comparison<'_>, sweep: &Sweep) -> Result<Vec<Row>, Failure> {
-    let tried = Tried::new(comparison, sweep)?;
+    let tried = Trials::new(comparison, sweep)?;
     let (rate_hz, butterworth) = (comparison.rate_hz, LinearEstimator::Butterworth(comparison.cutoff_hz));
     let path = TorquePath { drive: Drive::Ideal, ..TorquePath::usual(rate_hz) };
     let around = Loop::through(&path, rate_hz, butterworth);
@@ -169,21 +168,21 @@ pub fn compare(comparison: &Comparison<'_>, sweep: &Sweep) -> Result<Vec<Row>, F
     Ok(rows)
 }
 
-/// Root mean square of the force of the pressed wall with one estimator, as [`Row::ripple_n`], N.
+/// Returns the root mean square of the pressed wall's force with one estimator, as [`Row::ripple_n`], N.
 pub fn ripple_of(comparison: &Comparison<'_>, kind: Estimator) -> Result<Option<f64>, Failure> {
     let sweep = Sweep::quiet();
-    Ok(Tried::new(comparison, &sweep)?.ripple(&comparison.rendered(kind, comparison.cutoff_hz))?.0)
+    Ok(Trials::new(comparison, &sweep)?.ripple(&comparison.rendered(kind, comparison.cutoff_hz))?.0)
 }
 
-/// The device with its walls.
-struct Tried<'a> {
+/// The simulation and the linearised device of a comparison.
+struct Trials<'a> {
     rate_hz: f64,
     simulation: WallSimulation,
     linearised: Linearised,
     sweep: &'a Sweep,
 }
 
-impl<'a> Tried<'a> {
+impl<'a> Trials<'a> {
     fn new(comparison: &Comparison<'_>, sweep: &'a Sweep) -> Result<Self, Failure> {
         let Comparison { file, q, normal, rate_hz, .. } = *comparison;
         let description = &file.description;
@@ -214,13 +213,13 @@ impl<'a> Tried<'a> {
         })
     }
 
-    /// ∫ largest quiet stiffness over damping: the trapezoidal rule on even dampings from the first up, until nothing
-    /// is quiet any more. `damping` (N s/m) is the most that is predicted stable with the Butterworth.
+    /// Computes ∫ largest quiet stiffness over damping by the trapezoidal rule on even dampings, until no wall is
+    /// quiet. `damping` (N s/m) is the largest that is predicted stable with the Butterworth.
     fn area(&self, wall: &Rendered, damping: f64) -> Result<f64, Failure> {
         let step = damping * 1.25 / DAMPINGS as f64;
         let (mut area, mut last) = (0.0, 0.0);
         let mut i = 1.0;
-        // An estimator without lag is stable to more damping; four times as far is far enough.
+        // An estimator without lag is stable with more damping; four times the range is enough.
         while step > 0.0 && i <= 4.0 * DAMPINGS as f64 {
             let most = self.stiffest(&Rendered { damping: i * step, ..*wall })?;
             area += step * 0.5 * (last + most);
@@ -233,15 +232,15 @@ impl<'a> Tried<'a> {
         Ok(area)
     }
 
-    /// The largest stiffness (N/m) up to which every tried wall with this damping comes to rest; 0 where none does.
+    /// Returns the largest stiffness (N/m) up to which every wall with this damping comes to rest; 0 if none does.
     fn stiffest(&self, wall: &Rendered) -> Result<f64, Failure> {
-        // The least that is looked at swings back in the time a wall has.
-        let quiet = |stiffness: f64| self.comes_to_rest(&Rendered { stiffness, ..*wall });
+        // The smallest stiffness swings back within the time that a wall has.
+        let comes_to_rest = |stiffness: f64| self.is_quiet_when_struck(&Rendered { stiffness, ..*wall });
         let (mut low, mut high) = (100.0, 100.0);
-        if !quiet(low)? {
+        if !comes_to_rest(low)? {
             return Ok(0.0);
         }
-        while quiet(high * 2.0)? {
+        while comes_to_rest(high * 2.0)? {
             high *= 2.0;
             if high > 1.0e7 {
                 return Ok(high);
@@ -249,81 +248,84 @@ impl<'a> Tried<'a> {
         }
         low = high.max(low);
         high *= 2.0;
-        while high / low > CLOSE {
+        while high / low > PRECISION {
             let middle = (low * high).sqrt();
-            if quiet(middle)? { low = middle } else { high = middle }
+            if comes_to_rest(middle)? { low = middle } else { high = middle }
         }
         Ok(low)
     }
 
-    /// Returns true if the tip, struck along the normal in the wall, is quiet in the end.
-    fn comes_to_rest(&self, wall: &Rendered) -> Result<bool, Failure> {
+    /// Returns true if the tip, struck along the normal in the wall, comes to rest.
+    fn is_quiet_when_struck(&self, wall: &Rendered) -> Result<bool, Failure> {
         self.sweep.go_on()?;
         let mass = self.linearised.w_eff().ok_or_else(|| Failure::impossible("the device has no inertia here"))?;
         let count = self.simulation.count;
-        // As fast as the wall's own swing of so many counts, but no faster than a hand strikes.
-        let speed = (STRUCK * count * (wall.stiffness / mass).sqrt()).min(0.5);
+        // The speed of the wall's own swing with this amplitude, but at most that of a hand's strike.
+        let speed = (STRIKE_COUNTS * count * (wall.stiffness / mass).sqrt()).min(0.5);
         let late = (REST_S * self.rate_hz) as usize * 3 / 4;
         let (mut n, mut low, mut high) = (0, f64::INFINITY, f64::NEG_INFINITY);
-        let kept = self.simulation.run(wall, Trial::Struck(speed), REST_S, |_, along| {
+        let tip_stays = self.simulation.run(wall, Trial::Struck(speed), REST_S, |_, along| {
             if n >= late {
                 (low, high) = (along.min(low), along.max(high));
             }
             n += 1;
-            high - low < QUIET * count
+            high - low < QUIET_COUNTS * count
         })?;
-        Ok(kept && high - low < QUIET * count)
+        Ok(tip_stays && high - low < QUIET_COUNTS * count)
     }
 
-    /// The wall's force in the last `look` of `seconds` s of a trial, N; none where the tip flies off.
-    fn late(
+    /// Returns the wall's force in the last `recorded` of `seconds` s of a trial, N; `None` if the tip flies off.
+    fn last_forces(
         &self,
         simulation: &WallSimulation,
         wall: &Rendered,
         trial: Trial,
         seconds: f64,
-        look: f64,
+        recorded: f64,
     ) -> Result<Option<Vec<f64>>, Failure> {
         self.sweep.go_on()?;
         let mut forces = Vec::new();
-        let kept = simulation.run(wall, trial, seconds, |force, _| {
+        let tip_stays = simulation.run(wall, trial, seconds, |force, _| {
             forces.push(force);
             true
         })?;
-        let begin = (forces.len() as f64 * (seconds - look) / seconds) as usize;
-        Ok(kept.then(|| forces.split_off(begin)))
+        let begin = (forces.len() as f64 * (seconds - recorded) / seconds) as usize;
+        Ok(tip_stays.then(|| forces.split_off(begin)))
     }
 
-    /// Ripple of the force under a hand that presses, and whether the wall holds it.
+    /// Returns the ripple of the force under a hand that presses, and true if the wall holds the hand.
     fn ripple(&self, wall: &Rendered) -> Result<(Option<f64>, bool), Failure> {
-        let late = self.late(&self.simulation, wall, Trial::Pressed, SETTLE_S + LOOK_S, LOOK_S)?;
+        let late = self.last_forces(&self.simulation, wall, Trial::Pressed, SETTLE_S + RECORD_S, RECORD_S)?;
         let Some(late) = late else { return Ok((None, false)) };
         let mean = late.iter().sum::<f64>() / late.len() as f64;
         let square = late.iter().map(|force| (force - mean).powi(2)).sum::<f64>() / late.len() as f64;
-        // The hand's own spring and friction bear part of the push, so the wall need not.
+        // The hand's own stiffness and friction carry a part of the push.
         let friction = self.simulation.friction();
         Ok((Some(square.sqrt()), (mean / PUSH_N - 1.0).abs() < 0.1 + friction / PUSH_N))
     }
 
-    /// Ripple of the force under a hand that presses ever harder, N: the largest of several offsets of the encoders.
+    /// Returns the ripple of the force under a hand that presses ever harder, N: the largest of several encoder
+    /// offsets.
     fn press(&self, wall: &Rendered, feed_forward: FeedForward) -> Result<Option<f64>, Failure> {
         let wall = Rendered { feed_forward, ..*wall };
         let mut most: f64 = 0.0;
         for offset in 0..ripple::OFFSETS {
-            let moved = self.simulation.moved(|j| (offset as f64 / ripple::OFFSETS as f64 + 0.37 * j as f64).fract());
+            let moved = self
+                .simulation
+                .with_count_offsets(|j| (offset as f64 / ripple::OFFSETS as f64 + 0.37 * j as f64).fract());
             let seconds = ripple::SETTLE_S + ripple::LOOK_S;
-            let late = self.late(&moved, &wall, Trial::PressedHarder, seconds, ripple::LOOK_S)?;
+            let late = self.last_forces(&moved, &wall, Trial::PressedHarder, seconds, ripple::LOOK_S)?;
             let Some(late) = late else { return Ok(None) };
-            most = most.max(about_its_line(&late).0);
+            most = most.max(deviation_from_line(&late).0);
         }
         Ok(Some(most))
     }
 
-    /// Root mean square of the velocity's error where the joints turn slowly and steadily, m/s.
+    /// Returns the root mean square of the velocity's error while the joints turn slowly and steadily, m/s.
     fn noise(&self, wall: &Rendered) -> Result<f64, Failure> {
         let still = Rendered { stiffness: 0.0, damping: 0.0, ..*wall };
-        let found = self.simulation.velocities(&still, SLOW, SLOW_S)?;
-        let late = &found[found.len() / 2 + 1..];
-        Ok((late.iter().map(|found| (found - SLOW).powi(2)).sum::<f64>() / late.len() as f64).sqrt())
+        let velocities = self.simulation.velocities(&still, SLOW, SLOW_S)?;
+        let late = &velocities[velocities.len() / 2 + 1..];
+        Ok((late.iter().map(|velocity| (velocity - SLOW).powi(2)).sum::<f64>() / late.len() as f64).sqrt())
     }
 }

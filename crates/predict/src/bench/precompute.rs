@@ -1,4 +1,4 @@
-//! Mass matrices made before the step: the closed form, a frozen matrix, or a table that fits the board's memory.
+//! Mass matrices computed in advance: the closed form, a frozen matrix, or a table that fits the board's memory.
 
 use crate::bench::probe::Probe;
 use haptic_bridge::math::Libm;
@@ -9,17 +9,17 @@ use haptic_bridge::model::precomputed::{Grid, Interpolation, MassModelData, TABL
 use haptic_bridge::with_mechanism;
 use nalgebra::SVector;
 
-/// A mass model ready to be sent, with the values of its table.
+/// A mass model ready to send, with the values of its table.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Precomputed {
     /// The model as it is sent to the board.
     pub data: MassModelData,
-    /// The table's values, to be sent before; empty for other models.
+    /// Values of the table, which are sent first; empty for other models.
     pub values: Vec<f32>,
 }
 
 impl Precomputed {
-    /// The name its instruction counts go by.
+    /// Name of the model in the instruction counts.
     pub fn name(&self) -> &'static str {
         match &self.data {
             MassModelData::Exact => "exact",
@@ -31,13 +31,13 @@ impl Precomputed {
         }
     }
 
-    /// Bytes of its values on the board.
+    /// Size of the values on the board, bytes.
     pub fn bytes(&self) -> usize {
         4 * self.values.len()
     }
 }
 
-/// One matrix for everything: the mean of M over the poses of `probes`.
+/// Returns one matrix for all poses: the mean of M over `probes`.
 pub fn frozen(device: &Device<f64>, probes: &[Probe]) -> Precomputed {
     fn mean<M: Mechanism<f64, N>, const N: usize>(m: &M, probes: &[Probe]) -> [f32; 6] {
         let mut triangle = [0.0; 6];
@@ -53,13 +53,13 @@ pub fn frozen(device: &Device<f64>, probes: &[Probe]) -> Precomputed {
     Precomputed { data: MassModelData::Frozen(triangle), values: Vec::new() }
 }
 
-/// The most points along each coordinate of a square grid that the board's memory holds.
+/// Returns the largest number of points along each coordinate of a square grid that fits the board's memory.
 pub fn most_points(device: &Device<f64>) -> u8 {
     let entries = device.mechanism.mass_entries().len();
     ((TABLE_VALUES / entries) as f64).sqrt().floor().min(255.0) as u8
 }
 
-/// The range of the two coordinates that M depends on, over the poses of `probes`, widened by a hundredth; rad.
+/// Returns the range of the two coordinates that M depends on, over `probes`, widened by 1 %; rad.
 pub fn range(device: &Device<f64>, probes: &[Probe]) -> [[f64; 2]; 2] {
     let [mut low, mut high] = [[f64::INFINITY; 2], [f64::NEG_INFINITY; 2]];
     for probe in probes {
@@ -83,21 +83,22 @@ fn shape(device: &Device<f64>, q: &[f64; MAX_JOINTS]) -> [f64; 2] {
     with_mechanism!(&device.mechanism, m => of(m, q))
 }
 
-/// A table over a range of the two shape coordinates (lowest, highest; rad). `None` when it does not fit the board.
+/// Computes a table over a range of the two shape coordinates (lowest, highest; rad). `None` if it does not fit the
+/// board.
 pub fn table(
     device: &Device<f64>,
     interpolation: Interpolation,
     points: [u8; 2],
     range: [[f64; 2]; 2],
 ) -> Option<Precomputed> {
-    fn filled<M: Mechanism<f64, N>, const N: usize>(m: &M, grid: &Grid<f64>) -> Vec<f32> {
+    fn tabulated_values<M: Mechanism<f64, N>, const N: usize>(m: &M, grid: &Grid<f64>) -> Vec<f32> {
         let mut values = vec![0.0; grid.values(M::MASS_ENTRIES.len())];
         tabulate::<f64, Libm, M, N>(m, grid, |index, value| values[index] = value as f32);
         values
     }
     let entries = device.mechanism.mass_entries().len();
     let grid = Grid::<f64>::new(interpolation, points, range[0], range[1], entries)?;
-    let values = with_mechanism!(&device.mechanism, m => filled(m, &grid));
+    let values = with_mechanism!(&device.mechanism, m => tabulated_values(m, &grid));
     if values.iter().any(|value| !value.is_finite()) {
         return None;
     }

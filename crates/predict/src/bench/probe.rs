@@ -1,5 +1,5 @@
-//! The situations in which errors are computed: poses with a wall's normal, a hand motion, and the largest force the
-//! motors give along the normal beside it. Motions that take more than the motors give are left out.
+//! Situations in which errors are computed: a pose, a wall's normal, a hand motion, and the largest force of the motors
+//! along the normal in addition to weight and motion. Motions that need more than the motors' torque are left out.
 
 use crate::boards::torque_at_rest;
 use haptic_bridge::math::Libm;
@@ -15,31 +15,31 @@ use haptic_stability::analysis::map::Reachable;
 use haptic_stability::analysis::pose::PoseError;
 use nalgebra::SVector;
 
-/// Force where a device file names no motors, N.
+/// Force if a device file has no motors, N.
 const FORCE_WITHOUT_MOTORS: f64 = 5.0;
-/// Speed of a hand where none is given, m/s.
+/// Default speed of a hand, m/s.
 pub const HAND_SPEED: f64 = 0.5;
 /// Turning rate of the redundant arm's last link per speed of the hand, rad/m.
 const TURNING: f64 = 4.0;
 
-/// One situation. Entries beyond the device's joints are zero.
+/// A situation. Entries beyond the device's joints are zero.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Probe {
     /// Joint angles, rad.
     pub q: [f64; MAX_JOINTS],
     /// Joint velocities, rad/s.
     pub qd: [f64; MAX_JOINTS],
-    /// The wall's unit normal.
+    /// Unit normal of the wall.
     pub normal: [f64; MAX_JOINTS],
     /// Rate of change of the normal, 1/s.
     pub normal_rate: [f64; MAX_JOINTS],
     /// Task velocity, m/s (and rad/s for φ).
     pub velocity: [f64; MAX_JOINTS],
-    /// The most that the motors give along the normal here beside the weight and the motion, N.
+    /// Largest force of the motors along the normal in addition to weight and motion, N.
     pub force: f64,
 }
 
-/// Normals that cover the directions of a task space.
+/// Returns normals that cover the directions of a task space.
 fn directions(task: usize) -> Vec<[f64; MAX_JOINTS]> {
     match task {
         1 => vec![[1.0, 0.0, 0.0]],
@@ -51,21 +51,21 @@ fn directions(task: usize) -> Vec<[f64; MAX_JOINTS]> {
     }
 }
 
-/// Situations all over the reachable workspace: `per_joint` angles per joint, normals in every direction, the hand
-/// moving at `speed` (m/s) along and across them.
+/// Returns situations throughout the reachable workspace: `per_joint` angles per joint, normals in every direction, and
+/// hand motions at `speed` (m/s) along and across them.
 pub fn workspace(device: &Device<f64>, per_joint: usize, speed: f64) -> Result<Vec<Probe>, PoseError> {
     let reachable = Reachable::of(device, per_joint, None)?;
     let mut probes = Vec::new();
     for index in reachable.indices() {
         let q = padded(&reachable.angles(index));
         for normal in directions(device.mechanism.kind().spec().task) {
-            with_mechanism!(&device.mechanism, m => push(m, device, &q, &normal, None, speed, &mut probes));
+            with_mechanism!(&device.mechanism, m => push_situations(m, device, &q, &normal, None, speed, &mut probes));
         }
     }
     Ok(probes)
 }
 
-/// Situations on a surface wherever the tip can be on it: grid poses near it, moved onto it.
+/// Returns situations on a surface where the tip can touch it: grid poses near the surface, moved onto it.
 pub fn on_surface(
     device: &Device<f64>,
     surface: &Surface<f64>,
@@ -78,20 +78,21 @@ pub fn on_surface(
     for index in reachable.indices() {
         let q = padded(&reachable.angles(index));
         with_mechanism!(&device.mechanism, m => {
-            if let Some((q, normal)) = moved_onto(m, device, surface, &q, &spacing) {
-                push(m, device, &q, &normal, Some(surface), speed, &mut probes);
+            if let Some((q, normal)) = move_onto(m, device, surface, &q, &spacing) {
+                push_situations(m, device, &q, &normal, Some(surface), speed, &mut probes);
             }
         });
     }
     Ok(probes)
 }
 
-fn place<M: Mechanism<f64, N>, const N: usize>(task: &SVector<f64, N>) -> SVector<f64, N> {
+fn task_part<M: Mechanism<f64, N>, const N: usize>(task: &SVector<f64, N>) -> SVector<f64, N> {
     SVector::from_fn(|i, _| if i < M::SPEC.task { task[i] } else { 0.0 })
 }
 
-/// Newton's method along the normal; `None` when the surface is farther than about a grid cell.
-fn moved_onto<M: Mechanism<f64, N>, const N: usize>(
+/// Moves a pose onto the surface by Newton's method along the normal; `None` if the surface is more than about a grid
+/// cell away.
+fn move_onto<M: Mechanism<f64, N>, const N: usize>(
     m: &M,
     device: &Device<f64>,
     surface: &Surface<f64>,
@@ -102,7 +103,7 @@ fn moved_onto<M: Mechanism<f64, N>, const N: usize>(
     let mut q = start;
     for _ in 0..6 {
         let pose = m.pose::<Libm>(&q);
-        let contact = surface.contact::<Libm, N>(&place::<M, N>(&m.tip(&pose)));
+        let contact = surface.contact::<Libm, N>(&task_part::<M, N>(&m.tip(&pose)));
         if contact.distance.abs() < 1.0e-7 {
             let allowed = |i: usize| device.joints[i].limits.is_none_or(|(low, high)| (low..=high).contains(&q[i]));
             let near = (0..N).all(|i| (q[i] - start[i]).abs() <= 1.5 * spacing[i]);
@@ -113,7 +114,7 @@ fn moved_onto<M: Mechanism<f64, N>, const N: usize>(
     None
 }
 
-fn push<M: Mechanism<f64, N>, const N: usize>(
+fn push_situations<M: Mechanism<f64, N>, const N: usize>(
     m: &M,
     device: &Device<f64>,
     q: &[f64; MAX_JOINTS],
@@ -126,21 +127,21 @@ fn push<M: Mechanism<f64, N>, const N: usize>(
     let n = SVector::<f64, N>::from_fn(|i, _| normal[i]);
     let pose = m.pose::<Libm>(&joints);
     let regularity = m.regularity(&pose);
-    // Nearer to a singularity the step fades the feed-forward out, whatever computes it.
+    // Nearer to a singularity the step fades the feed-forward out in every variant.
     if regularity.serial < FULL_REGULARITY || regularity.parallel < FULL_REGULARITY * PARALLEL_REGULARITY {
         return;
     }
     let weight = m.gravity(&pose);
     let (plain, shaping) = (m.transpose(&pose, &n), m.shaping(&pose, &n));
     let per_newton = SVector::<f64, N>::from_fn(|i, _| plain[i].abs().max((shaping.me[i] / shaping.w_rr).abs()));
-    // The force that the motors have left beside the weight and the motion; none where these alone are too much.
-    let left = |b: &SVector<f64, N>| {
+    // Force that the motors have left after weight and motion; not positive if these need all of the torque.
+    let remaining_force = |b: &SVector<f64, N>| {
         let joints = (0..N).filter_map(|i| device.joints[i].motor.map(|motor| (i, torque_at_rest(&motor, N))));
         let share = joints.map(|(i, most)| (most - weight[i].abs() - b[i].abs()) / per_newton[i].max(1.0e-9));
         share.fold(f64::INFINITY, f64::min)
     };
-    let here = place::<M, N>(&m.tip(&pose));
-    // Faster joints trip the guard: no torque is rendered then.
+    let here = task_part::<M, N>(&m.tip(&pose));
+    // Faster joints trip the guard, and no torque is rendered.
     let fastest = f64::from(Limits::default().speed[0]);
     for velocity in motions::<M, N>(normal) {
         let velocity = SVector::<f64, N>::from_fn(|i, _| speed * velocity[i]);
@@ -148,12 +149,12 @@ fn push<M: Mechanism<f64, N>, const N: usize>(
         if qd.iter().any(|rate| rate.abs() > fastest) {
             continue;
         }
-        let force = left(&m.velocity_torque(&pose, &qd));
+        let force = remaining_force(&m.velocity_torque(&pose, &qd));
         if force <= 0.0 {
             continue;
         }
         let force = if force.is_finite() { force } else { FORCE_WITHOUT_MOTORS };
-        let rate = surface.map_or(SVector::zeros(), |s| s.normal_rate::<Libm, N>(&here, &place::<M, N>(&velocity)));
+        let rate = surface.map_or(SVector::zeros(), |s| s.normal_rate::<Libm, N>(&here, &task_part::<M, N>(&velocity)));
         probes.push(Probe {
             q: *q,
             qd: padded(qd.as_slice()),
@@ -165,7 +166,7 @@ fn push<M: Mechanism<f64, N>, const N: usize>(
     }
 }
 
-/// Hand motions per m/s: into the wall, along it, and askew.
+/// Returns hand motions per m/s: into the wall, along it, and oblique.
 fn motions<M: Mechanism<f64, N>, const N: usize>(n: &[f64; MAX_JOINTS]) -> Vec<[f64; MAX_JOINTS]> {
     let d = std::f64::consts::FRAC_1_SQRT_2;
     match (M::SPEC.task, N) {

@@ -1,8 +1,8 @@
-//! Every variant of every mechanism with its cost and its error; the tables made of them.
+//! Cost and error of every variant of every mechanism, and tables of them.
 
 use crate::bench::counts;
 use crate::bench::error::{
-    Errors, Law, Parts, STIFFNESS, Terms, Trigonometry, Way, encoder_step, errors, parts, with_trigonometry,
+    Errors, Law, Parts, STIFFNESS, Terms, TorqueVariant, Trigonometry, encoder_step, errors, parts, with_trigonometry,
 };
 use crate::bench::precompute::{Precomputed, frozen, most_points, range, table};
 use crate::bench::probe::{HAND_SPEED, Probe, workspace};
@@ -23,7 +23,7 @@ use serde::Serialize;
 use std::hint::black_box;
 use std::time::Instant;
 
-/// The device file of each mechanism that the figures are of, the same that the counting image steps.
+/// Returns the device file of each mechanism for the figures; the counting image steps the same devices.
 fn example_of(kind: Kind) -> &'static str {
     match kind {
         Kind::Paddle => shipped::HAPKIT_PADDLE,
@@ -49,9 +49,9 @@ pub struct Variant {
     pub mechanism: &'static str,
     /// `cortex-m4f` or `host`.
     pub target: &'static str,
-    /// Of a whole control step in contact with one wall; counted on the emulated chip, null elsewhere.
+    /// Instructions of a complete control step in contact with one wall, counted on the emulated chip; null elsewhere.
     pub instructions: Option<u32>,
-    /// Of the torque alone; measured on this computer, null elsewhere.
+    /// Time of the torque alone, measured on this computer; null elsewhere.
     pub nanoseconds: Option<f64>,
     /// Largest torque error, N m.
     pub error_max: f64,
@@ -59,17 +59,17 @@ pub struct Variant {
     pub error_rms: f64,
     /// All errors.
     pub errors: Errors,
-    /// The same beside what fades whatever is chosen.
+    /// Errors without the part that fades in every variant.
     #[serde(skip)]
     pub given: Errors,
     /// The sources of the errors.
     pub parts: Parts,
-    /// Nothing of the same mechanism is both cheaper and better: instructions against what is wrong with the force at
-    /// the tip, the wall's own error of the tip's position included.
+    /// True if no variant of the same mechanism is both cheaper and better: instructions against the error of the force
+    /// at the tip, including the force from the error of the tip's position.
     pub pareto: bool,
 }
 
-/// Angles per joint of the grid over the workspace.
+/// Returns the angles per joint of the grid over the workspace.
 fn density(joints: usize) -> usize {
     match joints {
         1 => 41,
@@ -78,17 +78,17 @@ fn density(joints: usize) -> usize {
     }
 }
 
-/// The situations of a device's variants; none where it cannot be analysed.
+/// Returns the situations of a device; none if it cannot be analysed.
 fn probes(device: &Device<f64>) -> Vec<Probe> {
     workspace(device, density(device.mechanism.kind().spec().joints), HAND_SPEED).unwrap_or_default()
 }
 
-/// As a scene has it that says nothing.
+/// Returns the law of a default scene.
 fn law(device: &Device<f64>) -> Result<Law, Failure> {
     Law::of(&Scene::default(), device)
 }
 
-/// Every variant of `device`; `timed` adds what this computer takes.
+/// Computes every variant of `device`; `timed` adds the time on this computer.
 pub fn variants(device: &Device<f64>, timed: bool) -> Result<Vec<Variant>, Failure> {
     let spec = device.mechanism.kind().spec();
     let (probes, law) = (probes(device), law(device)?);
@@ -102,14 +102,14 @@ pub fn variants(device: &Device<f64>, timed: bool) -> Result<Vec<Variant>, Failu
         (Trigonometry::Micromath, "micromath"),
         (Trigonometry::Libm, "libm"),
     ];
-    let mut found = Vec::new();
+    let mut results = Vec::new();
     for (trigonometry, name) in back_ends {
         for model in &models {
             for terms in Terms::ALL {
                 if terms == Terms::None && model.name() != "exact" {
                     continue;
                 }
-                let way = Way { model, terms, trigonometry, law };
+                let way = TorqueVariant { model, terms, trigonometry, law };
                 let (errors, parts) = (errors(device, &probes, &way), parts(device, &probes, &way));
                 let variant = |target, instructions, nanoseconds| Variant {
                     name: format!("{}/{name}/{}/{}", spec.name, model.name(), terms.name()),
@@ -125,20 +125,20 @@ pub fn variants(device: &Device<f64>, timed: bool) -> Result<Vec<Variant>, Failu
                     pareto: false,
                 };
                 let count = counts::instructions(spec.name, name, model.name(), terms.name());
-                found.push(variant("cortex-m4f", count, None));
+                results.push(variant("cortex-m4f", count, None));
                 if timed {
-                    found.push(variant("host", None, Some(nanoseconds(device, &probes, &way))));
+                    results.push(variant("host", None, Some(nanoseconds(device, &probes, &way))));
                 }
             }
         }
     }
-    mark_front(&mut found);
-    Ok(found)
+    mark_front(&mut results);
+    Ok(results)
 }
 
 impl Variant {
-    /// The error of the force at the tip, N: of the torque, without what fades in every variant, and of the wall's
-    /// force at 20 kN/m.
+    /// Error of the force at the tip, N: from the torque, without the part that fades in every variant, and from the
+    /// wall's position at 20 kN/m.
     pub fn felt(&self) -> f64 {
         self.given.force.max + self.parts.tip
     }
@@ -156,8 +156,8 @@ fn mark_front(variants: &mut [Variant]) {
     }
 }
 
-/// Time that one torque takes on this computer, ns: the best of several runs over the probes.
-fn nanoseconds(device: &Device<f64>, probes: &[Probe], way: &Way<'_>) -> f64 {
+/// Returns the time of one torque on this computer, ns: the best of several runs over the probes.
+fn nanoseconds(device: &Device<f64>, probes: &[Probe], way: &TorqueVariant<'_>) -> f64 {
     with_mechanism!(device.mechanism.cast::<f32>(), m => {
         with_trigonometry!(way.trigonometry, K => time::<K, _, _>(&m, probes, way))
     })
@@ -166,7 +166,7 @@ fn nanoseconds(device: &Device<f64>, probes: &[Probe], way: &Way<'_>) -> f64 {
 fn time<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(
     m: &M,
     probes: &[Probe],
-    &Way { model, terms, law, .. }: &Way<'_>,
+    &TorqueVariant { model, terms, law, .. }: &TorqueVariant<'_>,
 ) -> f64 {
     let Some(mass) = MassModel::<f32, N>::new::<M>(&model.data, &model.values) else { return f64::NAN };
     let some = &probes[..probes.len().min(1000)];
@@ -182,7 +182,7 @@ fn time<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(
     (0..5).map(|_| run()).fold(f64::INFINITY, f64::min)
 }
 
-/// Every variant on the chip, mechanism by mechanism, the cheapest first: docs/results/speed-against-error.csv.
+/// Writes every variant on the chip, by mechanism, the cheapest first: docs/results/speed-against-error.csv.
 pub fn by_variant(every: &[(Device<f64>, Vec<Variant>)]) -> String {
     let mut text = csv_line([
         "mechanism",
@@ -217,9 +217,9 @@ pub fn by_variant(every: &[(Device<f64>, Vec<Variant>)]) -> String {
     text
 }
 
-/// The numbers of a mechanism that do not depend on the variant: how far one encoder step moves the tip, in how many
-/// situations the velocity terms fade and are off, and the instructions of the step with a wall and its feed-forward by
-/// velocity estimator, windows at their longest: docs/results/speed-by-mechanism.csv.
+/// Writes the numbers of a mechanism that do not depend on the variant: the motion of the tip by one encoder count, the
+/// share of situations in which the velocity terms fade and are off, and the instructions of the step with a wall and
+/// its feed-forward by velocity estimator, windows at their longest: docs/results/speed-by-mechanism.csv.
 pub fn by_mechanism(every: &[(Device<f64>, Vec<Variant>)]) -> Result<String, Failure> {
     let head = ["mechanism", "device", "encoder step (µm)", "encoder step (N)", "terms fade (%)", "terms off (%)"];
     let mut text = csv_line(head.into_iter().chain(Estimator::ALL.iter().map(|(name, _)| *name)));

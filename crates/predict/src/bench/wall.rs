@@ -1,10 +1,11 @@
-//! One wall on a device, rendered by the board's own control step in its precision: pressed, slid along, struck or
-//! tapped, by simulation (`contact`).
+//! Simulates one wall on a device, rendered by the board's own control step in its precision: pressed, slid along,
+//! struck or tapped (`contact`).
 //!
-//! Torque follows half a carrier period late, and nothing limits it: motors and their limits are the same for every
-//! estimator. `haptic tune estimators` compares with it ([`super::estimators`]), and [`mod@crate::tune`] searches.
+//! Torque follows half a carrier period late and is not limited: motors and their limits are the same for every
+//! estimator. `haptic tune estimators` compares estimators with this simulation ([`super::estimators`]), and
+//! [`mod@crate::tune`] searches with it.
 
-use crate::contact::{Answer, Contact, Fast, Grip, Law};
+use crate::contact::{Contact, Grip, Law, LawOutput, RippleFilter};
 use crate::measure::complement;
 use crate::ripple::{LIGHT_HAND, PUSH_N, RISE};
 use haptic_bridge::control::compiled::BoardMath;
@@ -26,22 +27,22 @@ use haptic_stability::analysis::plant::Drive;
 use haptic_stability::analysis::pose::TaskPose;
 use haptic_stability::analysis::sampled::LinearEstimator;
 
-/// Time to settle before a wall that is slid along is looked at, and time in which it is, s.
+/// Time to settle before a slide is recorded, and time of the slide, s.
 const SETTLE_S: f64 = 0.3;
 const SLIDE_S: f64 = 0.5;
-/// Speed along the wall, m/s, and how the push of a hand that slides swings, as a share of it and in Hz.
+/// Speed along the wall, m/s, and swing of a sliding hand's push: share of the push, and frequency, Hz.
 const SLIDE: f64 = 0.03;
 const SWINGS: (f64, f64) = (0.5, 1.0);
-/// Speed of a tap, m/s, and how long is waited for its last rebound, s.
+/// Speed of a tap, m/s, and time in which its rebounds are counted, s.
 pub const TAP: f64 = 0.2;
 const TAP_S: f64 = 0.3;
 
-/// The settings with which a wall is rendered.
+/// Settings of a rendered wall.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rendered {
     /// Velocity estimator.
     pub kind: Estimator,
-    /// Hz.
+    /// Cutoff of the estimator, Hz.
     pub cutoff_hz: f64,
     /// The wall's feed-forward.
     pub feed_forward: FeedForward,
@@ -51,41 +52,41 @@ pub struct Rendered {
     pub damping_compensation: bool,
     /// The coordinate that a redundant device holds.
     pub admissible: Admissible,
-    /// N/m
+    /// Stiffness, N/m.
     pub stiffness: f64,
-    /// N s/m
+    /// Damping, N s/m.
     pub damping: f64,
 }
 
-/// The way in which a wall is tried.
+/// Motion by which a wall is tried.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Trial {
-    /// A hand pushes steadily. Friction may then lock the tip between two encoder steps, and a wall that would rattle
-    /// is quiet.
+    /// A hand pushes steadily. Friction may lock the tip between two encoder counts, so a wall that would rattle may be
+    /// quiet.
     Pressed,
-    /// A hand pushes ever harder, as in [`crate::ripple`]: friction cannot hold the tip for good.
+    /// A hand pushes ever harder, as in [`crate::ripple`]: friction cannot hold the tip permanently.
     PressedHarder,
-    /// A hand pushes now more, now less, and slides along the wall.
+    /// A hand pushes with varying force and slides along the wall.
     SlidAlong,
-    /// The tip of a `bilateral` wall is given this speed (m/s) into it, without a hand.
+    /// The tip of a `bilateral` wall starts with this speed (m/s) into the wall, without a hand.
     Struck(f64),
-    /// The tip, pushed by a hand, arrives at this speed, m/s.
+    /// The tip arrives at this speed, pushed by a hand, m/s.
     Tapped(f64),
 }
 
-/// The behaviour of a wall under a hand that presses it and slides along it.
+/// Behaviour of a wall under a hand that presses and slides.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pressed {
-    /// Root mean square of what its force has above 20 Hz, N; none where the tip flies off.
+    /// Root mean square of the force above 20 Hz, N; `None` if the tip flies off.
     pub ripple_n: Option<f64>,
-    /// True if it pushes on average as hard as the hand does there, within a tenth and friction.
+    /// True if the mean force equals the expected push of the hand within a tenth and friction.
     pub holds: bool,
 }
 
-/// A device with a wall through its tip.
+/// A device with a wall at its tip.
 #[derive(Clone)]
 pub struct WallSimulation {
-    /// The device as a hand of the light kind holds it, and alone.
+    /// The device with the mass of a light hand, and alone.
     held: Description,
     alone: Description,
     board: Device<f32>,
@@ -94,16 +95,16 @@ pub struct WallSimulation {
     pub(super) q: [f64; MAX_JOINTS],
     normal: [f64; MAX_JOINTS],
     tip: [f64; MAX_JOINTS],
-    /// A unit vector along the wall; zero where there is only one direction.
+    /// Unit vector along the wall; zero if the task has only one direction.
     across: [f64; MAX_JOINTS],
     /// Joint motion per metre of tip motion along the normal, rad/m.
     pub(super) motion: [f64; MAX_JOINTS],
-    /// Tip motion along the normal in one count of the coarsest joint, m.
+    /// Motion of the tip along the normal per count of the coarsest joint, m.
     pub(super) count: f64,
 }
 
 impl WallSimulation {
-    /// The device that a board believes it has, and the one that moves, at a pose (rad), with a wall across the unit
+    /// Sets up the device that the board models and the device that moves, at a pose (rad), with a wall across the unit
     /// normal, at a control rate, Hz.
     pub fn new(
         believed: &Description,
@@ -118,10 +119,10 @@ impl WallSimulation {
             .collect::<Option<Vec<_>>>()
             .ok_or_else(|| {
                 Failure::wrong("the device has joints without [joint.encoder]")
-                    .remedy("walls are tried with what encoder steps make of them: add them")
+                    .remedy("add the encoders: walls are simulated with their steps")
             })?;
         let pose = TaskPose::at(believed, q)?.regular()?;
-        // The device as it was sent has home where count 0 may not be; here counts begin at the encoders' offset.
+        // Home of the device may not be at count 0; here counts begin at the encoders' offset.
         let board = Device::<f32>::new("tried", &Description { home: None, ..*believed }).map_err(Failure::wrong)?;
         let alone = *moving;
         let mut held = alone;
@@ -138,7 +139,7 @@ impl WallSimulation {
             alone,
             board,
             encoders,
-            // The board's step has an estimator of its own.
+            // The board's step has its own estimator.
             around: Loop::through(
                 &TorquePath { drive: Drive::Ideal, ..TorquePath::usual(rate_hz) },
                 rate_hz,
@@ -153,28 +154,29 @@ impl WallSimulation {
         })
     }
 
-    /// The same with each encoder's counts moved by its share of one.
-    pub(super) fn moved(&self, share: impl Fn(usize) -> f64) -> Self {
+    /// Returns the same with each encoder's counts shifted by a share of one count.
+    pub(super) fn with_count_offsets(&self, share: impl Fn(usize) -> f64) -> Self {
         let moved = self.encoders.iter().enumerate().map(|(j, encoder)| encoder.moved(share(j))).collect();
         Self { encoders: moved, ..self.clone() }
     }
 
-    /// The largest force along the normal that dry friction can hold, N.
+    /// Returns the largest force along the normal that dry friction can hold, N.
     pub(super) fn friction(&self) -> f64 {
         let joints = self.alone.joints;
         joints.iter().zip(self.motion).map(|(joint, motion)| joint.dry_friction(0.0) * motion.abs()).sum()
     }
 
-    /// Slides along a wall. Once the ripple is more than `bound_n` (N) whatever follows, that much is told.
+    /// Slides along a wall. Stops early once the ripple exceeds `bound_n` (N) in any case; the returned ripple then
+    /// exceeds it, too.
     pub fn slid_along(&self, wall: &Rendered, bound_n: f64) -> Result<Pressed, Failure> {
         let rate_hz = self.around.rate_hz;
         let (settle, all) = ((SETTLE_S * rate_hz) as usize, ((SETTLE_S + SLIDE_S) * rate_hz).round() as usize);
-        let look = (all - settle) as f64;
-        let mut fast = Fast::new(rate_hz);
+        let recorded = (all - settle) as f64;
+        let mut fast = RippleFilter::new(rate_hz);
         let (mut n, mut force_sum, mut square) = (0, 0.0, 0.0);
-        let enough = bound_n * bound_n * look;
-        let kept = self.run(wall, Trial::SlidAlong, SETTLE_S + SLIDE_S, |force, _| {
-            let fast = fast.of(force);
+        let enough = bound_n * bound_n * recorded;
+        let tip_stays = self.run(wall, Trial::SlidAlong, SETTLE_S + SLIDE_S, |force, _| {
+            let fast = fast.filter(force);
             if n >= settle {
                 force_sum += force;
                 square += fast * fast;
@@ -182,32 +184,31 @@ impl WallSimulation {
             n += 1;
             square <= enough
         })?;
-        if !kept {
+        if !tip_stays {
             return Ok(Pressed { ripple_n: None, holds: false });
         }
-        // A soft wall gives way, and the hand's own spring holds a part.
+        // A soft wall gives way, and the hand's own stiffness carries a part.
         let pushes = (settle..all).map(|n| push(Trial::SlidAlong, n as f64 / rate_hz));
-        let expected = pushes.sum::<f64>() / look * wall.stiffness / (wall.stiffness + LIGHT_HAND.stiffness);
+        let expected = pushes.sum::<f64>() / recorded * wall.stiffness / (wall.stiffness + LIGHT_HAND.stiffness);
         Ok(Pressed {
-            ripple_n: Some((square / look).sqrt()),
-            holds: n == all && (force_sum / look / expected - 1.0).abs() < 0.1 + self.friction() / expected,
+            ripple_n: Some((square / recorded).sqrt()),
+            holds: n == all && (force_sum / recorded / expected - 1.0).abs() < 0.1 + self.friction() / expected,
         })
     }
 
-    /// Number of times that a tip that arrives at 0.2 m/s, pushed with 3 N, leaves a wall again; `None` where it flies
-    /// off.
+    /// Counts the rebounds of a tip that arrives at 0.2 m/s, pushed with 3 N; `None` if the tip flies off.
     pub fn rebounds(&self, wall: &Rendered) -> Result<Option<usize>, Failure> {
         let (mut inside, mut left) = (false, 0);
-        let kept = self.run(wall, Trial::Tapped(TAP), TAP_S, |_, along| {
+        let tip_stays = self.run(wall, Trial::Tapped(TAP), TAP_S, |_, along| {
             left += usize::from(inside && along > 0.0);
             inside = along < 0.0;
             true
         })?;
-        Ok(kept.then_some(left))
+        Ok(tip_stays.then_some(left))
     }
 
-    /// Simulates so many seconds of a trial, until `seen` says false: it sees the wall's force (N) and how far the tip
-    /// is along the normal (m) in each period. False where the tip flies off.
+    /// Simulates `seconds` of a trial, until `seen` returns false. `seen` receives the wall's force (N) and the tip's
+    /// position along the normal (m) in each period. Returns false if the tip flies off.
     pub(super) fn run(
         &self,
         wall: &Rendered,
@@ -232,12 +233,12 @@ impl WallSimulation {
         };
         let contact = Contact::new(plant, self.normal, &self.around, LIGHT_HAND);
         with_mechanism!(&self.board.mechanism, m => {
-            let mut law = Board::new(self, *m, &scene)?;
+            let mut law = BoardLaw::new(self, *m, &scene)?;
             Ok(contact.run(&mut law, seconds, grip, seen))
         })
     }
 
-    /// A wall through the tip.
+    /// Returns a scene of one wall through the tip.
     fn scene(&self, wall: &Rendered, bilateral: bool) -> Scene<f32> {
         let surface =
             Surface::Plane(Plane { point: self.tip.map(|v| v as f32), normal: self.normal.map(|v| v as f32) });
@@ -262,12 +263,12 @@ impl WallSimulation {
         }
     }
 
-    /// The velocity that the board sees, m/s, while the joints turn steadily so that the tip goes at `speed`, m/s.
+    /// Returns the board's velocity estimates, m/s, while the joints turn steadily with the tip at `speed`, m/s.
     pub(super) fn velocities(&self, wall: &Rendered, speed: f64, seconds: f64) -> Result<Vec<f64>, Failure> {
         let scene = self.scene(wall, true);
         let rate_hz = self.around.rate_hz;
         with_mechanism!(&self.board.mechanism, m => {
-            let mut board = Board::new(self, *m, &scene)?;
+            let mut board = BoardLaw::new(self, *m, &scene)?;
             let moved = (0..(seconds * rate_hz) as usize).map(|n| speed * n as f64 / rate_hz);
             Ok(moved.map(|moved| {
                 let q = core::array::from_fn(|i| self.q[i] + self.motion[i] * moved);
@@ -277,7 +278,7 @@ impl WallSimulation {
     }
 }
 
-/// The force with which a hand pushes, N.
+/// Returns the force of the hand's push, N.
 fn push(trial: Trial, time: f64) -> f64 {
     match trial {
         Trial::PressedHarder => PUSH_N + RISE * time,
@@ -293,14 +294,14 @@ fn plant(description: &Description, q: [f64; MAX_JOINTS]) -> Result<Plant, Failu
     Plant::new(description, q, true, [(f64::NEG_INFINITY, f64::INFINITY); 3]).map_err(Failure::wrong)
 }
 
-/// The board's own step behind the encoders.
-struct Board<'a, M: Mechanism<f32, N>, const N: usize> {
+/// The board's own step with its encoders.
+struct BoardLaw<'a, M: Mechanism<f32, N>, const N: usize> {
     controller: Controller<f32, M, BoardMath, N>,
     encoders: &'a [EncoderModel],
     before: [f32; MAX_JOINTS],
 }
 
-impl<'a, M: Mechanism<f32, N>, const N: usize> Board<'a, M, N> {
+impl<'a, M: Mechanism<f32, N>, const N: usize> BoardLaw<'a, M, N> {
     fn new(simulation: &'a WallSimulation, mechanism: M, scene: &Scene<f32>) -> Result<Self, Failure> {
         let controller = Controller::new(mechanism, &simulation.board, scene).map_err(Failure::wrong)?;
         Ok(Self { controller, encoders: &simulation.encoders, before: [0.0; MAX_JOINTS] })
@@ -311,10 +312,10 @@ impl<'a, M: Mechanism<f32, N>, const N: usize> Board<'a, M, N> {
     }
 }
 
-impl<M: Mechanism<f32, N>, const N: usize> Law for Board<'_, M, N> {
-    fn answer(&mut self, measured: &[f64; MAX_JOINTS]) -> Answer {
+impl<M: Mechanism<f32, N>, const N: usize> Law for BoardLaw<'_, M, N> {
+    fn evaluate(&mut self, measured: &[f64; MAX_JOINTS]) -> LawOutput {
         let step = self.controller.step_after(&self.before, &self.counts(measured));
         self.before = core::array::from_fn(|i| if i < N { step.torque[i] } else { 0.0 });
-        Answer { force: f64::from(step.wall_force), torque: self.before.map(f64::from) }
+        LawOutput { force: f64::from(step.wall_force), torque: self.before.map(f64::from) }
     }
 }

@@ -1,11 +1,11 @@
-//! The posture of a redundant arm at one tip position: what its null motion makes of the inertia.
+//! Postures of a redundant arm at one tip position, and the inertia in each.
 //!
-//! The arm is moved along its null motion, a joint motion that leaves the tip where it is, both ways from where it
-//! stands until a joint limit or a singularity is near, or it is back. Weff depends on the posture. Wrr depends on the
-//! held coordinate ([`Admissible`]) as well, and grows without bound towards postures in which that cannot be held;
-//! `clear` says how near they may come.
+//! The arm moves along its null motion, a joint motion that keeps the tip in place. It moves in both directions from
+//! the given posture, until a joint limit or a singularity is near or it has made a full turn. Weff depends on the
+//! posture. Wrr depends on the held coordinate ([`Admissible`]) as well, and grows without bound towards postures in
+//! which that coordinate cannot be held; `clear` limits how near to them the arm may come.
 
-use super::{clearance, lumped, reaching, singular, task_position, within_limits};
+use super::{angles_at, build_device, clearance, singular, task_position, within_limits};
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device;
@@ -15,38 +15,38 @@ use haptic_stability::analysis::pose::{TaskPose, unit_normal};
 use nalgebra::DVector;
 use serde::Serialize;
 
-/// Orientation from one posture to the next, rad.
+/// Difference in orientation between two postures, rad.
 const STEP: f64 = 0.001;
 
-/// A posture.
+/// A posture of the arm.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Posture {
     /// Joint angles, rad.
     pub q: Vec<f64>,
-    /// φ, the sum of them: what tells postures of one tip position apart.
+    /// Sum of the joint angles, φ: it distinguishes the postures at one tip position, rad.
     pub orientation: f64,
-    /// Met without the feed-forward, kg.
+    /// Effective inertia without the feed-forward, kg.
     pub w_eff: f64,
-    /// Met with it, kg.
+    /// Effective inertia with it, kg.
     pub w_rr: f64,
     /// Sine of the nearest singular angle.
     pub clearance: f64,
 }
 
-/// The postures that stand out.
+/// The most notable postures.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Postures {
-    /// The posture of the arm as it stands.
+    /// The given posture of the arm.
     pub here: Posture,
-    /// The largest Weff, and the smallest.
+    /// The posture with the largest Weff.
     pub heaviest: Posture,
-    /// See `heaviest`.
+    /// The posture with the smallest Weff.
     pub lightest: Posture,
-    /// The largest Wrr, and the smallest.
+    /// The posture with the largest Wrr.
     pub most_held: Posture,
-    /// See `most_held`.
+    /// The posture with the smallest Wrr.
     pub least_held: Posture,
-    /// Number of postures that were looked at.
+    /// Number of postures that were computed.
     pub postures: usize,
 }
 
@@ -56,8 +56,8 @@ fn posture(device: &Device<f64>, q: &[f64], normal: &DVector<f64>, admissible: A
     Some(Posture { q: q.to_vec(), orientation: q.iter().sum(), w_eff, w_rr, clearance: clearance(&pose) })
 }
 
-/// The postures of a redundant device whose tip is where it is at `q` (rad), for a wall along `normal`; `None` for a
-/// device that is not redundant.
+/// Returns the postures of a redundant device that keep the tip position of `q` (rad), for a wall along `normal`;
+/// `None` for a device that is not redundant.
 pub fn postures(
     description: &Description,
     q: &[f64],
@@ -69,24 +69,24 @@ pub fn postures(
     if spec.joints == spec.task {
         return Ok(None);
     }
-    let device = lumped(description)?;
+    let device = build_device(description)?;
     let n = unit_normal(normal, spec.task, spec.joints)?;
     let start = TaskPose::of(&device.mechanism, q)?.regular()?;
     let here = posture(&device, q, &n, admissible).ok_or_else(singular)?;
     let mut all = vec![here.clone()];
-    for way in [STEP, -STEP] {
+    for direction in [STEP, -STEP] {
         let mut at = q.to_vec();
         let mut place = task_position(&start, q);
-        // A whole turn of φ at most.
+        // At most a full turn of φ.
         for _ in 0..(std::f64::consts::TAU / STEP) as usize {
-            place[spec.task] += way;
-            let Some(next) = reaching(&device, &at, &place) else { break };
-            let far = next.iter().zip(&at).any(|(next, at)| (next - at).abs() > 0.3);
-            let Some(found) = posture(&device, &next, &n, admissible) else { break };
-            if far || found.clearance < clear || !within_limits(&device, &next) {
+            place[spec.task] += direction;
+            let Some(next) = angles_at(&device, &at, &place) else { break };
+            let is_far = next.iter().zip(&at).any(|(next, at)| (next - at).abs() > 0.3);
+            let Some(result) = posture(&device, &next, &n, admissible) else { break };
+            if is_far || result.clearance < clear || !within_limits(&device, &next) {
                 break;
             }
-            all.push(found);
+            all.push(result);
             at = next;
         }
     }

@@ -1,7 +1,7 @@
-//! The effect of each number of a device on one wall: the same tip position, with one of them a tenth larger or
-//! smaller.
+//! Effect of each number of a device on one wall: the wall stays at the same tip position while one number becomes a
+//! tenth larger or smaller.
 
-use super::{reaching, singular, task_position};
+use super::{angles_at, singular, task_position};
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::description::{Description, Joint};
@@ -13,43 +13,43 @@ use haptic_stability::analysis::prediction::{Prediction, Subject};
 use haptic_stability::analysis::range::boundary_of;
 use serde::Serialize;
 
-/// The share by which a number is made larger and smaller.
+/// Relative change of a number, up and down.
 pub const CHANGE: f64 = 0.1;
 
-/// The ratios of a changed device's results for the wall to those of the original.
+/// Results of a changed device at the wall, as ratios to those of the original.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Effect {
-    /// Weff, which is also what is felt in free motion.
+    /// Weff, which is also the inertia felt in free motion.
     pub w_eff: f64,
-    /// Wrr.
+    /// Wrr, the inertia with the feed-forward.
     pub w_rr: f64,
-    /// The stiffest wall that is predicted stable without the feed-forward.
+    /// Stiffness of the stiffest wall that is predicted stable without the feed-forward.
     pub off: f64,
-    /// The stiffest wall with it.
+    /// The same with the feed-forward.
     pub full: f64,
-    /// The force of the motors along the normal; none without motors.
+    /// Largest force of the motors along the normal; `None` without motors.
     pub force: Option<f64>,
-    /// The motion of the tip in one encoder count; `None` without encoders.
+    /// Motion of the tip per encoder count; `None` without encoders.
     pub count: Option<f64>,
-    /// The largest joint torque that holds the device's weight, N m.
+    /// Largest joint torque that holds the device's weight, N m; not a ratio.
     pub weight: f64,
 }
 
-/// One number of the device.
+/// One number of the device, with the effect of a change.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Sensitivity {
-    /// Which, in words.
+    /// Description of the number.
     pub part: String,
-    /// With a tenth more of it (of a counterweight: with one); none where the tip does not get to the same place.
+    /// Effect of a tenth more (for a counterweight: of adding one); `None` if the tip cannot reach the same place.
     pub more: Option<Effect>,
-    /// With a tenth less of it; `None` also for a counterweight, which the device does not have yet.
+    /// Effect of a tenth less; also `None` for a counterweight, because the device has none yet.
     pub less: Option<Effect>,
 }
 
 /// A change of a device.
 type Change = Box<dyn Fn(&mut Description, f64)>;
 
-/// The links that a length of a mechanism's geometry belongs to, by its place there.
+/// Returns the links that an entry of a mechanism's geometry belongs to.
 fn links_of(kind: Kind, entry: usize) -> &'static [usize] {
     let of_each: &[&[usize]] = match kind {
         Kind::Paddle => &[],
@@ -61,7 +61,7 @@ fn links_of(kind: Kind, entry: usize) -> &'static [usize] {
     of_each.get(entry).copied().unwrap_or_default()
 }
 
-/// A counterweight of a tenth of the link's mass, as far behind its joint as the centre of mass is before it.
+/// Adds a counterweight of a tenth of the link's mass, as far behind its joint as the centre of mass is in front of it.
 fn counterweight(description: &mut Description, link: usize) {
     let link = &mut description.links[link];
     let (added, place) = (CHANGE * link.mass, -link.com);
@@ -73,7 +73,7 @@ fn counterweight(description: &mut Description, link: usize) {
     (link.mass, link.com) = (mass, com);
 }
 
-/// Scales the inertia on the motor's side: all of the joint's, where its transmission does not say less.
+/// Scales the inertia on the motor's side: all of the joint's, unless the transmission states its motor inertia.
 fn scale_motor(joint: &mut Joint, factor: f64) {
     let motor = joint.transmission.map_or(joint.inertia, |transmission| transmission.motor_inertia);
     joint.inertia += (factor - 1.0) * motor;
@@ -82,7 +82,7 @@ fn scale_motor(joint: &mut Joint, factor: f64) {
     }
 }
 
-/// Everything that is changed, one after the other.
+/// Returns every change: its description, the change itself, and true if it applies in both directions.
 fn changes(description: &Description) -> Vec<(String, Change, bool)> {
     let spec = description.kind.spec();
     let mut all: Vec<(String, Change, bool)> = Vec::new();
@@ -168,17 +168,16 @@ fn changes(description: &Description) -> Vec<(String, Change, bool)> {
     all
 }
 
-/// Dampings at which the boundary is looked at, at even shares of where it ends: the same shares before and after a
-/// change.
+/// Number of dampings on the boundary, at even shares of its end: the same shares before and after a change.
 const DAMPINGS: usize = 40;
 
-/// The quantities that matter at a pose of a device.
-fn worth(prediction: &Prediction, q: &[f64], normal: &[f64]) -> Option<Effect> {
+/// Computes the results at a pose of a device, absolute.
+fn results_at(prediction: &Prediction, q: &[f64], normal: &[f64]) -> Option<Effect> {
     let (device, admissible) = (&prediction.subject.device, prediction.admissible);
-    let seen = prediction.seen(q, normal).ok()?;
+    let linearised = prediction.seen(q, normal).ok()?;
     let stiffest = |mode| {
         let shares = |end: f64| (0..DAMPINGS).map(|i| end * (i as f64 + 0.5) / DAMPINGS as f64).collect();
-        let boundary = boundary_of(&seen, &seen, &prediction.around, mode, shares).ok()?;
+        let boundary = boundary_of(&linearised, &linearised, &prediction.around, mode, shares).ok()?;
         Some(boundary.iter().map(|point| point.kp).fold(0.0, f64::max))
     };
     let pose = TaskPose::of(&device.mechanism, q).ok()?.regular().ok()?.holding(admissible);
@@ -200,21 +199,21 @@ fn worth(prediction: &Prediction, q: &[f64], normal: &[f64]) -> Option<Effect> {
     })
 }
 
-fn over(found: Effect, before: Effect) -> Effect {
+fn relative_to(after: Effect, before: Effect) -> Effect {
     let ratio = |a: Option<f64>, b: Option<f64>| a.zip(b).map(|(a, b)| a / b);
     Effect {
-        w_eff: found.w_eff / before.w_eff,
-        w_rr: found.w_rr / before.w_rr,
-        off: found.off / before.off,
-        full: found.full / before.full,
-        force: ratio(found.force, before.force),
-        count: ratio(found.count, before.count),
-        weight: found.weight,
+        w_eff: after.w_eff / before.w_eff,
+        w_rr: after.w_rr / before.w_rr,
+        off: after.off / before.off,
+        full: after.full / before.full,
+        force: ratio(after.force, before.force),
+        count: ratio(after.count, before.count),
+        weight: after.weight,
     }
 }
 
-/// The effect of every number on a wall along `normal` where the tip is at `q` (rad), in this loop; those of most effect
-/// on the stiffest wall first.
+/// Returns the effect of every number on a wall along `normal` with the tip at `q` (rad), in this control loop, sorted
+/// by effect on the stiffest wall.
 pub fn sensitivities(
     description: &Description,
     q: &[f64],
@@ -227,16 +226,16 @@ pub fn sensitivities(
         Ok(Prediction { admissible, ..Prediction::new(subject, around.clone()) })
     };
     let as_it_is = predicted(description)?;
-    let before = worth(&as_it_is, q, normal).ok_or_else(singular)?;
+    let before = results_at(&as_it_is, q, normal).ok_or_else(singular)?;
     let place = task_position(&TaskPose::of(&as_it_is.subject.device.mechanism, q)?, q);
     let changed = |change: &Change, factor: f64| -> Option<Effect> {
         let mut other = *description;
         change(&mut other, factor);
         let prediction = predicted(&other).ok()?;
-        let there = reaching(&prediction.subject.device, q, &place)?;
-        Some(over(worth(&prediction, &there, normal)?, before))
+        let there = angles_at(&prediction.subject.device, q, &place)?;
+        Some(relative_to(results_at(&prediction, &there, normal)?, before))
     };
-    let mut found: Vec<Sensitivity> = changes(description)
+    let mut results: Vec<Sensitivity> = changes(description)
         .into_iter()
         .map(|(part, change, both)| Sensitivity {
             part,
@@ -248,14 +247,14 @@ pub fn sensitivities(
         let sides = [one.more, one.less].into_iter().flatten();
         sides.map(|effect| effect.full.ln().abs().max(effect.off.ln().abs())).fold(0.0, f64::max)
     };
-    found.sort_by(|a, b| most(b).total_cmp(&most(a)));
-    Ok(found)
+    results.sort_by(|a, b| most(b).total_cmp(&most(a)));
+    Ok(results)
 }
 
-/// A change that buys something.
+/// A change that improves a quantity.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Buys {
-    /// Which number.
+    /// Description of the number.
     pub part: String,
     /// True if the number is made larger, false if smaller.
     pub more: bool,
@@ -263,10 +262,10 @@ pub struct Buys {
     pub effect: Effect,
 }
 
-/// The smallest gain by a change that is reported.
+/// Smallest improvement that is reported, as a ratio.
 const WORTHWHILE_RATIO: f64 = 1.01;
 
-/// The change that buys most of something, and a hundredth of it at least.
+/// Returns the change that improves a quantity most; `None` if that is by less than 1 %.
 #[must_use]
 pub fn buys_most(all: &[Sensitivity], of: impl Fn(&Effect) -> f64) -> Option<Buys> {
     let sides = all.iter().flat_map(|one| {

@@ -1,6 +1,6 @@
-//! Doubts about a device file.
+//! Warnings about a device file.
 
-use super::{Doubt, Key, in_degrees, turns};
+use super::{FileWarning, Key, full_turns, in_degrees};
 use crate::boards::torque_at_rest;
 use core::f64::consts::{PI, TAU};
 use haptic_bridge::drive::stage::MAX_DUTY;
@@ -16,123 +16,130 @@ use haptic_sim::PowerStage;
 use haptic_stability::analysis::pose::TaskPose;
 use nalgebra::{DMatrix, DVector, SVector};
 
-/// kg/m³
+/// Density of steel, kg/m³.
 const STEEL_DENSITY: f64 = 7850.0;
-/// Links outside these lengths (m) are no desktop device's, and no exoskeleton's.
+/// Lengths of links of desktop devices and exoskeletons, m.
 const LINK_LENGTHS_M: (f64, f64) = (1e-3, 3.0);
-/// A rotor and gear of more than this are those of a machine tool: 20 kg at 10 cm, kg m².
+/// Inertia of 20 kg at 10 cm, kg m²: a larger rotor and gear belong to a machine tool.
 const JOINT_INERTIA: f64 = 0.2;
-/// Fewer counts per turn than this are lines, before x4 decoding and the ratio: the encoders of devices that render a
-/// wall have 700 and more at the joint.
+/// Fewest plausible counts per turn at the joint. A smaller number is probably lines, before x4 decoding and the ratio:
+/// encoders of devices that render a wall have at least 700 counts.
 const LEAST_COUNTS: f64 = 600.0;
-/// Resistance times inertia over the torque constant's square is the same before and behind a ratio, s: 2 to 30 ms in
-/// motors, and times the ratio's square where the torque constant alone was left without it.
+/// Largest plausible ratio of resistance times inertia to the torque constant squared, s. A gear ratio does not change
+/// it. Motors have 2 to 30 ms; if only the torque constant lacks the gear ratio, the value is larger by the ratio
+/// squared.
 const MOTOR_SECONDS: f64 = 0.25;
-/// Largest angle by which a motor may wind up its transmission, rad: cables and belts give by hundredths.
+/// Largest plausible angle by which a motor winds up its transmission, rad: cables and belts wind up by hundredths.
 const WOUND_UP: f64 = 0.1;
-/// The voltage that resistance and largest current ask of a supply, V; the boards take up to 56 V.
+/// Largest plausible voltage of resistance times largest current, V; the boards take up to 56 V.
 const LARGEST_SUPPLY_V: f64 = 120.0;
-/// Windings of desktop motors have 0.01 to 10 mH.
+/// Smallest implausible inductance, H: windings of desktop motors have 0.01 to 10 mH.
 const INDUCTANCE: f64 = 0.1;
-/// More force than a hand can hold, N.
+/// Force that exceeds what a hand can hold, N.
 const LARGEST_FORCE_N: f64 = 500.0;
-/// Nearer to a singularity than this sine a device cannot do much at home.
+/// Sine of the singular angle at home below which a device can hardly work there.
 const HOME_SINE: f64 = 0.02;
 
 fn key(table: &'static str, index: Option<usize>, part: &'static str, name: &'static str) -> Key {
     Key { table, index, part, name }
 }
 
-/// Everything that is doubtful about a device.
-pub fn doubts(file: &DeviceFile) -> Vec<Doubt> {
+/// Returns all warnings about a device.
+pub fn file_warnings(file: &DeviceFile) -> Vec<FileWarning> {
     let (description, spec) = (&file.description, file.spec());
-    let mut doubts = lengths(description);
+    let mut warnings = length_warnings(description);
     let longest = longest(description);
     let heaviest = STEEL_DENSITY * (longest / 2.0).powi(3);
     for (index, link) in description.links.iter().enumerate().take(spec.links.len()) {
         let place = format!("[[link]] {index} ({})", spec.links[index]);
-        doubts.extend(of_link(link, index, &place, longest, heaviest));
+        warnings.extend(link_warnings(link, index, &place, longest, heaviest));
     }
     if description.handle_mass > heaviest {
-        doubts.push(too_heavy(key("handle", None, "", "mass"), "[handle]", description.handle_mass, heaviest));
+        warnings.push(too_heavy(key("handle", None, "", "mass"), "[handle]", description.handle_mass, heaviest));
     }
     for (index, joint) in description.joints.iter().enumerate().take(spec.joints) {
-        doubts.extend(of_joint(joint, index, description.kind));
-        doubts.extend(of_motor(joint, index, spec.joints, carries_its_body(&spec, index)));
-        doubts.extend(out_of_current(file, index));
+        warnings.extend(joint_warnings(joint, index, description.kind));
+        warnings.extend(motor_warnings(joint, index, spec.joints, carries_its_body(&spec, index)));
+        warnings.extend(current_shortfall(file, index));
     }
-    doubts.extend(forgotten(description));
+    warnings.extend(missing_transmission(description));
     let gravity = description.gravity.iter().take(spec.task).map(|g| g * g).sum::<f64>().sqrt();
     if gravity != 0.0 && !(1.0..12.0).contains(&gravity) {
-        let text = format!("gravity is {gravity:.3} m/s² in all: 9.81 on earth");
-        doubts.push(Doubt::new(key("", None, "", "gravity"), text));
+        let text = format!("gravity is {gravity:.3} m/s² in total: on earth it is 9.81");
+        warnings.push(FileWarning::new(key("", None, "", "gravity"), text));
     }
-    doubts.extend(at_home(description));
-    doubts
+    warnings.extend(home_warnings(description));
+    warnings
 }
 
-/// Doubts a file that leaves out the compliance between motor and link, which decides how stiff a wall can be.
-fn forgotten(description: &Description) -> Option<Doubt> {
+/// Warns if the file leaves out the compliance between motor and link, which decides how stiff a wall can be.
+fn missing_transmission(description: &Description) -> Option<FileWarning> {
     let joints = &description.joints[..description.kind.spec().joints];
-    let silent = |joint: &Joint| joint.motor.is_some() && joint.transmission.is_none() && !joint.rigid;
-    let first = joints.iter().position(silent)?;
-    let silent: Vec<String> =
-        joints.iter().enumerate().filter(|(_, joint)| silent(joint)).map(|(index, _)| index.to_string()).collect();
+    let is_unspecified = |joint: &Joint| joint.motor.is_some() && joint.transmission.is_none() && !joint.rigid;
+    let first = joints.iter().position(is_unspecified)?;
+    let unspecified: Vec<String> = joints
+        .iter()
+        .enumerate()
+        .filter(|(_, joint)| is_unspecified(joint))
+        .map(|(index, _)| index.to_string())
+        .collect();
     let text = format!(
         "nothing says what lies between motor and link of joint {}: predictions take it for rigid, and a cable or a belt \
          decides how stiff a wall can be; write [joint.transmission], or transmission = \"rigid\" where the motor sits on \
          the joint",
-        listed(&silent)
+        listed(&unspecified)
     );
-    Some(Doubt::new(key("joint", Some(first), "", "transmission"), text))
+    Some(FileWarning::new(key("joint", Some(first), "", "transmission"), text))
 }
 
-/// The mechanism's longest link, m.
+/// Returns the length of the mechanism's longest link, m.
 fn longest(description: &Description) -> f64 {
     named_lengths(description).map(|(_, length)| length).fold(0.0, f64::max)
 }
 
-/// The lengths of the geometry with their keys, without signs such as `assembly`.
+/// Returns the lengths of the geometry with their keys, without signs such as `assembly`.
 fn named_lengths(description: &Description) -> impl Iterator<Item = (&'static str, f64)> + '_ {
     let keys = description.kind.spec().geometry.iter().flat_map(|(key, count)| (0..*count).map(move |_| *key));
     keys.zip(description.geometry).filter(|(key, _)| *key != "assembly")
 }
 
-fn lengths(description: &Description) -> Vec<Doubt> {
-    let mut doubts: Vec<Doubt> = Vec::new();
+fn length_warnings(description: &Description) -> Vec<FileWarning> {
+    let mut warnings: Vec<FileWarning> = Vec::new();
     for (name, length) in named_lengths(description) {
-        // Two motors may share an axis.
+        // The base may be zero: two motors may share an axis.
         let short = length < LINK_LENGTHS_M.0 && name != "base";
         let at = key("geometry", None, "", name);
-        if (short || length > LINK_LENGTHS_M.1) && doubts.iter().all(|doubt| doubt.key != Some(at)) {
+        if (short || length > LINK_LENGTHS_M.1) && warnings.iter().all(|warning| warning.key != Some(at)) {
             let meant = if short {
                 format!("{} mm?", digits(length * 1e3))
             } else {
                 format!("{length} mm are {} m", digits(length / 1e3))
             };
-            doubts
-                .push(Doubt::new(at, format!("`{name}` in [geometry] is {length} m: lengths are in metres ({meant})")));
+            warnings.push(FileWarning::new(
+                at,
+                format!("`{name}` in [geometry] is {length} m: lengths are in metres ({meant})"),
+            ));
         }
     }
-    doubts
+    warnings
 }
 
-fn too_heavy(at: Key, place: &str, mass: f64, heaviest: f64) -> Doubt {
+fn too_heavy(at: Key, place: &str, mass: f64, heaviest: f64) -> FileWarning {
     let text = format!(
         "{place} weighs {mass} kg, more than a steel cube half as wide as the longest link ({}): masses are in kg \
          ({mass} g are {} kg)",
         with_unit(heaviest, "kg"),
         digits(mass / 1e3)
     );
-    Doubt::new(at, text)
+    FileWarning::new(at, text)
 }
 
-/// Doubts about values that no body of this mass and length can have.
-fn of_link(link: &Link, index: usize, place: &str, longest: f64, heaviest: f64) -> Vec<Doubt> {
+/// Warns of values that no body of this mass and length can have.
+fn link_warnings(link: &Link, index: usize, place: &str, longest: f64, heaviest: f64) -> Vec<FileWarning> {
     let at = |name| key("link", Some(index), "", name);
-    let mut doubts = Vec::new();
+    let mut warnings = Vec::new();
     if link.mass > heaviest {
-        doubts.push(too_heavy(at("mass"), place, link.mass, heaviest));
+        warnings.push(too_heavy(at("mass"), place, link.mass, heaviest));
     }
     if link.com.abs() > 2.0 * longest {
         let text = format!(
@@ -140,11 +147,11 @@ fn of_link(link: &Link, index: usize, place: &str, longest: f64, heaviest: f64) 
              in metres",
             link.com
         );
-        doubts.push(Doubt::new(at("com"), text));
+        warnings.push(FileWarning::new(at("com"), text));
     }
-    // Zero means a point mass.
+    // Zero stands for a point mass.
     if link.mass == 0.0 || link.inertia == 0.0 {
-        return doubts;
+        return warnings;
     }
     let gyration = (link.inertia / link.mass).sqrt();
     // A solid ball is the most compact body of its mass.
@@ -163,37 +170,38 @@ fn of_link(link: &Link, index: usize, place: &str, longest: f64, heaviest: f64) 
             digits(link.inertia),
             with_unit(link.mass, "kg")
         );
-        doubts.push(Doubt::new(at("inertia"), text));
+        warnings.push(FileWarning::new(at("inertia"), text));
     }
-    // The perpendicular axes of any body: none of the three is more than the other two together.
+    // About the perpendicular axes of any body, no inertia exceeds the sum of the other two.
     let three = [link.inertia, link.inertia_axial, link.inertia_transverse];
     let sum: f64 = three.iter().sum();
     if three.iter().any(|one| *one > 1.01 * (sum - one)) {
         let text = format!(
-            "the three inertias of {place} ({}, axial {}, transverse {}) belong to no body: one is more than the other \
-             two together",
+            "the three inertias of {place} ({}, axial {}, transverse {}) fit no body: one exceeds the sum of the \
+             other two",
             link.inertia, link.inertia_axial, link.inertia_transverse
         );
-        doubts.push(Doubt::new(at("inertia_axial"), text));
+        warnings.push(FileWarning::new(at("inertia_axial"), text));
     }
-    doubts
+    warnings
 }
 
-fn of_joint(joint: &Joint, index: usize, kind: Kind) -> Vec<Doubt> {
-    let mut doubts = Vec::new();
-    let mut doubt = |part, name, text: String| doubts.push(Doubt::new(key("joint", Some(index), part, name), text));
+fn joint_warnings(joint: &Joint, index: usize, kind: Kind) -> Vec<FileWarning> {
+    let mut warnings = Vec::new();
+    let mut warning =
+        |part, name, text: String| warnings.push(FileWarning::new(key("joint", Some(index), part, name), text));
     if joint.inertia > JOINT_INERTIA {
         let text = format!(
             "`inertia` of joint {index} is {} kg m², as much as {:.0} kg at 10 cm: 1 g cm² is 1e-7 kg m²",
             digits(joint.inertia),
             100.0 * joint.inertia
         );
-        doubt("", "inertia", text);
+        warning("", "inertia", text);
     }
     if let Some((low, high)) = joint.limits
         && let Some(angle) = [low, high].into_iter().find(|angle| in_degrees(kind, *angle))
     {
-        doubt("", "limits", turns(&format!("a limit of joint {index}"), angle));
+        warning("", "limits", full_turns(&format!("a limit of joint {index}"), angle));
     }
     if let Some(encoder) = joint.encoder {
         if encoder.counts_per_turn < LEAST_COUNTS {
@@ -205,24 +213,24 @@ fn of_joint(joint: &Joint, index: usize, kind: Kind) -> Vec<Doubt> {
                 encoder.counts_per_turn,
                 4.0 * encoder.counts_per_turn
             );
-            doubt("encoder", "counts_per_turn", text);
+            warning("encoder", "counts_per_turn", text);
         }
         if in_degrees(kind, encoder.offset) {
-            doubt("encoder", "offset", turns(&format!("the encoder offset of joint {index}"), encoder.offset));
+            warning("encoder", "offset", full_turns(&format!("the encoder offset of joint {index}"), encoder.offset));
         }
     }
-    doubts
+    warnings
 }
 
-/// A `max_current` that the supply or the board does not give.
-fn out_of_current(file: &DeviceFile, index: usize) -> Option<Doubt> {
+/// Warns of a `max_current` that the supply or the board cannot drive.
+fn current_shortfall(file: &DeviceFile, index: usize) -> Option<FileWarning> {
     let motor = file.description.joints[index].motor?;
     let (volts, supply) = (motor.resistance * motor.max_current, PowerStage::default().bus_voltage);
     let given = with_unit(motor.max_current, "A");
     let text = if let Some((supply, written)) = file.supply.zip(file.beyond_supply[index]) {
         format!(
             "the supply of {supply} V drives {given} through the motor of joint {index} at rest ({MAX_DUTY} of it over its \
-             resistance), not its max_current of {}: its torque is reckoned with {given}",
+             resistance), not its max_current of {}: predictions use {given}",
             with_unit(written, "A")
         )
     } else if file.supply.is_none() && volts > supply * f64::from(MAX_DUTY) && volts <= LARGEST_SUPPLY_V {
@@ -234,14 +242,15 @@ fn out_of_current(file: &DeviceFile, index: usize) -> Option<Doubt> {
     } else {
         return None;
     };
-    Some(Doubt::new(key("joint", Some(index), "motor", "max_current"), text))
+    Some(FileWarning::new(key("joint", Some(index), "motor", "max_current"), text))
 }
 
-/// `carries_body`: the joint's inertia is not the motor's alone.
-fn of_motor(joint: &Joint, index: usize, joints: usize, carries_body: bool) -> Vec<Doubt> {
-    let mut doubts = Vec::new();
-    let mut doubt = |part, name, text: String| doubts.push(Doubt::new(key("joint", Some(index), part, name), text));
-    let Some(motor) = joint.motor else { return doubts };
+/// Warns of implausible motor values. `carries_body`: the joint's inertia includes more than the motor's.
+fn motor_warnings(joint: &Joint, index: usize, joints: usize, carries_body: bool) -> Vec<FileWarning> {
+    let mut warnings = Vec::new();
+    let mut warning =
+        |part, name, text: String| warnings.push(FileWarning::new(key("joint", Some(index), part, name), text));
+    let Some(motor) = joint.motor else { return warnings };
     let torque = torque_at_rest(&motor, joints);
     let volts = motor.resistance * motor.max_current;
     if volts > LARGEST_SUPPLY_V {
@@ -249,18 +258,18 @@ fn of_motor(joint: &Joint, index: usize, joints: usize, carries_body: bool) -> V
             "the motor of joint {index} would need {} for its max_current: resistance is in ohm, current in A",
             with_unit(volts, "V")
         );
-        doubt("motor", "max_current", text);
+        warning("motor", "max_current", text);
     }
     if motor.back_emf > 0.0 && !(0.5..2.0).contains(&(motor.back_emf / motor.torque_constant)) {
         let text = format!(
             "back_emf of joint {index} is {} V s/rad and torque_constant {} N m/A: in SI both are the same number",
             motor.back_emf, motor.torque_constant
         );
-        doubt("motor", "back_emf", text);
+        warning("motor", "back_emf", text);
     }
     if motor.inductance >= INDUCTANCE {
         let text = format!("`inductance` of joint {index} is {} H: 1 mH is 0.001", motor.inductance);
-        doubt("motor", "inductance", text);
+        warning("motor", "inductance", text);
     }
     let seconds = motor.resistance * joint.inertia / motor.torque_constant.powi(2);
     if seconds > MOTOR_SECONDS && !carries_body {
@@ -270,7 +279,7 @@ fn of_motor(joint: &Joint, index: usize, joints: usize, carries_body: bool) -> V
              inertia is the rotor's times the ratio squared",
             motor.torque_constant
         );
-        doubt("motor", "torque_constant", text);
+        warning("motor", "torque_constant", text);
     }
     if let Some(wound) = joint.transmission.map(|between| torque / between.stiffness).filter(|wound| *wound > WOUND_UP)
     {
@@ -280,7 +289,7 @@ fn of_motor(joint: &Joint, index: usize, joints: usize, carries_body: bool) -> V
             wound.to_degrees(),
             with_unit(torque, "N m")
         );
-        doubt("transmission", "stiffness", text);
+        warning("transmission", "stiffness", text);
     }
     if joint.coulomb > torque {
         let text = format!(
@@ -288,38 +297,40 @@ fn of_motor(joint: &Joint, index: usize, joints: usize, carries_body: bool) -> V
             joint.coulomb,
             with_unit(torque, "N m")
         );
-        doubt("", "coulomb", text);
+        warning("", "coulomb", text);
     } else if joint.viscous * TAU > torque {
         let text = format!(
             "viscous friction of joint {index} takes {} at one turn a second, more than its motor has ({})",
             with_unit(joint.viscous * TAU, "N m"),
             with_unit(torque, "N m")
         );
-        doubt("", "viscous", text);
+        warning("", "viscous", text);
     }
-    doubts
+    warnings
 }
 
-/// The pose of home: angles in degrees, a singular pose, motors that cannot hold the device up, far too much force.
-fn at_home(description: &Description) -> Vec<Doubt> {
+/// Warns of angles in degrees at home, a singular home pose, motors too weak to hold the device up, and excessive
+/// force.
+fn home_warnings(description: &Description) -> Vec<FileWarning> {
     let joints = description.kind.spec().joints;
     let at = key("home", None, "", "q");
     let Some(home) = description.home else { return Vec::new() };
     let home = &home[..joints];
     let degrees = home.iter().enumerate().filter(|(_, angle)| in_degrees(description.kind, **angle));
-    let mut doubts: Vec<Doubt> =
-        degrees.map(|(joint, angle)| Doubt::new(at, turns(&format!("home of joint {joint}"), *angle))).collect();
-    let Ok(device) = Device::<f64>::new("", description) else { return doubts };
-    let Ok(pose) = TaskPose::of(&device.mechanism, home) else { return doubts };
-    if doubts.is_empty() && pose.regularity.serial.min(pose.regularity.parallel) < HOME_SINE {
+    let mut warnings: Vec<FileWarning> = degrees
+        .map(|(joint, angle)| FileWarning::new(at, full_turns(&format!("home of joint {joint}"), *angle)))
+        .collect();
+    let Ok(device) = Device::<f64>::new("", description) else { return warnings };
+    let Ok(pose) = TaskPose::of(&device.mechanism, home) else { return warnings };
+    if warnings.is_empty() && pose.regularity.serial.min(pose.regularity.parallel) < HOME_SINE {
         let text = "home is a singular pose: the device can hardly push there; home it elsewhere".into();
-        doubts.push(Doubt::new(at, text));
+        warnings.push(FileWarning::new(at, text));
     }
     if arms_cross(description, home) {
         let text = "the arms cross at home, each between its motor and its elbow: joint 0 is the motor at -base/2, joint 1 the \
                     one at +base/2; exchange them, or write the other angles"
             .into();
-        doubts.push(Doubt::new(at, text));
+        warnings.push(FileWarning::new(at, text));
     }
     for (joint, weight) in weight(&device, home).iter().enumerate().take(joints) {
         let Some(motor) = device.joints[joint].motor else { continue };
@@ -330,7 +341,7 @@ fn at_home(description: &Description) -> Vec<Doubt> {
                 with_unit(weight.abs(), "N m"),
                 with_unit(torque, "N m")
             );
-            doubts.push(Doubt::new(key("joint", Some(joint), "motor", "torque_constant"), text));
+            warnings.push(FileWarning::new(key("joint", Some(joint), "motor", "torque_constant"), text));
         }
     }
     if let Some((weakest, _)) = force_at(&device, &pose).filter(|(weakest, _)| *weakest > LARGEST_FORCE_N) {
@@ -339,9 +350,9 @@ fn at_home(description: &Description) -> Vec<Doubt> {
              mN m/A are thousandths), currents in A",
             with_unit(weakest, "N")
         );
-        doubts.push(Doubt::new(key("joint", Some(0), "motor", "torque_constant"), text));
+        warnings.push(FileWarning::new(key("joint", Some(0), "motor", "torque_constant"), text));
     }
-    doubts
+    warnings
 }
 
 /// Returns true if the proximal arms of a five-bar cross at these joint angles, rad.
@@ -352,15 +363,16 @@ fn arms_cross(description: &Description, q: &[f64]) -> bool {
         _ => return false,
     };
     let [base, first, second, ..] = description.geometry;
-    // Elbows as seen from the left motor; arms on one axis do not cross.
+    // Elbows relative to the left motor. Arms on one axis do not cross.
     let (c, d) = ((first * q[0].cos(), first * q[0].sin()), (base + second * q[1].cos(), second * q[1].sin()));
-    let beside = |p: (f64, f64), q: (f64, f64), r: (f64, f64)| (q.0 - p.0) * (r.1 - p.1) - (q.1 - p.1) * (r.0 - p.0);
-    let apart = |p, q, r, s| beside(p, q, r) * beside(p, q, s) < 0.0;
+    let cross_product =
+        |p: (f64, f64), q: (f64, f64), r: (f64, f64)| (q.0 - p.0) * (r.1 - p.1) - (q.1 - p.1) * (r.0 - p.0);
+    let apart = |p, q, r, s| cross_product(p, q, r) * cross_product(p, q, s) < 0.0;
     let (a, b) = ((0.0, 0.0), (base, 0.0));
     base > 0.0 && apart(a, c, b, d) && apart(b, d, a, c)
 }
 
-/// The joint torques that hold the device up, N m.
+/// Returns the joint torques that hold the device up, N m.
 pub(crate) fn weight(device: &Device<f64>, q: &[f64]) -> Vec<f64> {
     fn of<const N: usize, M: Mechanism<f64, N>>(m: &M, q: &[f64]) -> Vec<f64> {
         m.gravity(&m.pose::<Libm>(&SVector::<f64, N>::from_column_slice(q))).iter().copied().collect()
@@ -368,12 +380,12 @@ pub(crate) fn weight(device: &Device<f64>, q: &[f64]) -> Vec<f64> {
     with_mechanism!(&device.mechanism, m => of(m, q))
 }
 
-/// The most that the motors give at a pose along their weakest and strongest direction, N. Along a direction alone: on
-/// a redundant device without a moment on the tip.
+/// Returns the largest force of the motors at a pose along their weakest and strongest direction, N. The force is along
+/// that direction only: on a redundant device without a moment on the tip.
 ///
-/// Forces f with |Jᵀ f| within the motors' torques fill a polytope. Its nearest boundary is the nearest of its faces,
-/// one pair a joint, and its farthest is a corner, where as many joints as there are directions give all that they
-/// have.
+/// Forces f with |Jᵀ f| within the motors' torques fill a polytope. Its nearest boundary point lies on a face, one pair
+/// of faces per joint. Its farthest is a corner, where as many joints as there are directions give their largest
+/// torque.
 pub fn force_at(device: &Device<f64>, pose: &TaskPose) -> Option<(f64, f64)> {
     let jacobian = pose.jacobian.rows(0, pose.task);
     let motors = device.joints.iter().take(jacobian.ncols()).map(|joint| joint.motor);

@@ -1,7 +1,7 @@
-//! Doubts about a scene on a device: walls out of reach, beyond what is stable there or beyond the motors, springs and
+//! Warnings about a scene on a device: walls out of reach, beyond their stable range or beyond the motors, springs and
 //! fields beyond what is stable at home.
 
-use super::{Doubt, Key};
+use super::{FileWarning, Key};
 use crate::bench::probe::on_surface;
 use crate::bench::wall::WallSimulation;
 use crate::boards::force_along;
@@ -31,67 +31,67 @@ use nalgebra::{DVector, SVector};
 use serde::Serialize;
 use std::convert::Infallible;
 
-/// Hand speed (m/s) at which a wall's damping alone should not take all of the motors.
+/// Hand speed (m/s) at which a wall's damping alone should not need all of the motors' torque.
 const SLOW_HAND: f64 = 0.1;
-/// A wall whose force one encoder count changes by more than this is felt to buzz, N: its ripple is about half of it,
-/// root mean square (docs/encoder-steps.md).
+/// Change of a wall's force by one encoder count above which it buzzes, N: its ripple is about half of that, root mean
+/// square (docs/encoder-steps.md).
 const BUZZ_N: f64 = 1.0;
-/// A stiffness too small to be felt, N/m.
+/// Stiffness too small to be felt, N/m.
 const NO_WALL: f64 = 1.0;
-/// Poses of each joint in which a device with so many joints is looked at.
+/// Grid poses per joint, by number of joints.
 const PER_JOINT: [usize; 3] = [400, 60, 16];
-/// The limits of a wall where the tip touches it.
+/// Limits of a wall where the tip touches it.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Contact {
-    /// The wall, from 0.
+    /// Index of the wall, from 0.
     pub wall: usize,
-    /// A pose of the device on the wall, rad.
+    /// Pose of the device on the wall, rad.
     pub q: Vec<f64>,
-    /// The wall's normal there.
+    /// Normal of the wall at that pose.
     pub normal: Vec<f64>,
-    /// Its stiffness, N/m.
+    /// Stiffness of the wall, N/m.
     pub stiffness: f64,
-    /// Largest stiffness that is stable with this wall's damping and feed-forward by prediction, N/m.
+    /// Largest stiffness that is predicted stable with this wall's damping and feed-forward, N/m.
     pub stable_to: f64,
-    /// The same without its feed-forward, N/m; none where it has none.
+    /// The same without the feed-forward, N/m; `None` if the wall has none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub off_to: Option<f64>,
-    /// The stiffness that a hand at the tip would feel of that at rest, N/m; `None` where no transmission gives.
+    /// Stiffness that a hand at the tip feels at rest at `stable_to`, N/m; `None` if no transmission is compliant.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub felt_to: Option<f64>,
-    /// The same of this wall as it is, N/m.
+    /// The same at the wall's own stiffness, N/m.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub felt: Option<f64>,
-    /// Largest damping with which anything is stable, N s/m.
+    /// Largest damping with which any stiffness is stable, N s/m.
     pub damping_to: f64,
-    /// The same limits in a hand; `None` where they are not predicted, as with compensated damping.
+    /// The same limits in a hand; `None` if they are not predicted, as with compensated damping.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub in_hand: Option<InHand>,
-    /// The frequency at which this wall buzzes in that hand, Hz; of a stable wall, the frequency at which it would with
-    /// more stiffness.
+    /// Frequency at which this wall oscillates in that hand, Hz; for a stable wall, the frequency just beyond the
+    /// boundary.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub hz: Option<f64>,
-    /// The swing that builds up with this wall's gains in that hand; `None` where none does.
+    /// Growing oscillation with this wall's gains in that hand; `None` if none grows.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub buzz: Option<Oscillation>,
-    /// The most that the motors give along the normal, N; none where a joint has no motor.
+    /// Largest force of the motors along the normal, N; `None` if a joint has no motor.
     pub force: Option<f64>,
-    /// The motion of the tip along the normal in one encoder count, m.
+    /// Motion of the tip along the normal per encoder count, m.
     pub count: f64,
-    /// The largest force that one count alone makes with this wall's gains and this scene's estimator, N.
+    /// Largest force of a single count with this wall's gains and this scene's estimator, N.
     pub step_n: f64,
-    /// Root mean square of what its force has above 20 Hz under a hand that slides along it, simulated, N; none where
-    /// that was not looked at ([`rippling`]), or the tip flies off.
+    /// Root mean square of the force above 20 Hz under a hand that slides along the wall, simulated, N; `None` if it
+    /// was not simulated ([`simulate_ripple`]) or the tip flies off.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub ripple_n: Option<f64>,
-    /// The options with which `haptic range DEVICE` predicts the same.
+    /// Options with which `haptic range DEVICE` predicts the same limits.
     pub options: String,
     /// True if the device was read from a board, which does not know its compliant parts.
     #[serde(skip)]
     pub taken_for_rigid: bool,
 }
 
-/// What a hand on the tip makes of a wall's limits: behind cables it may take from them.
+/// Limits of a wall with a hand on the tip: behind cables a hand may reduce them.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct InHand {
     /// Mass (kg), damping (N s/m) and stiffness (N/m) of the hand.
@@ -109,50 +109,50 @@ impl core::fmt::Display for InHand {
     }
 }
 
-/// The hand that walls are predicted in where none is named: that of `haptic sim --hand loop`.
+/// Returns the default hand of predictions: that of `haptic sim --hand loop`.
 #[must_use]
 pub fn usual_hand() -> Hand {
     let HandSettings { mass, grip_damping, grip_stiffness, .. } = HandSettings::default();
     Hand { mass, damping: grip_damping, stiffness: grip_stiffness }
 }
 
-/// Everything doubtful about a scene, and what each wall meets where the device touches it, on a board of which nothing
-/// else is known.
-pub fn doubts(subject: &Subject, scene: &Scene<f64>) -> (Vec<Doubt>, Vec<Contact>) {
-    let (mut doubts, mut contacts) = (Vec::new(), Vec::new());
+/// Returns all warnings about a scene, and the limits of each wall where the device touches it, on a board with the
+/// usual torque path.
+pub fn file_warnings(subject: &Subject, scene: &Scene<f64>) -> (Vec<FileWarning>, Vec<Contact>) {
+    let (mut warnings, mut contacts) = (Vec::new(), Vec::new());
     let (device, path) = (&subject.device, TorquePath::usual(scene.rate_hz));
     for (index, wall) in scene.walls.iter().enumerate() {
-        match touched(device, &wall.surface) {
-            Touched::At(q, normal) => {
+        match first_touch(device, &wall.surface) {
+            FirstTouch::At(q, normal) => {
                 let Some(contact) = meets(subject, scene, index, &q, &normal, &path) else {
-                    doubts.extend(unpredicted(subject, index, wall));
+                    warnings.extend(without_prediction(subject, index, wall));
                     continue;
                 };
-                doubts.extend(beyond(wall, &contact, true));
-                doubts.extend(too_soft(device, wall, &contact));
-                doubts.extend(buzzing(scene, &contact));
-                doubts.extend(washed_away(subject, scene, &path, &contact));
+                warnings.extend(beyond(wall, &contact, true));
+                warnings.extend(soft_wall_warning(device, wall, &contact));
+                warnings.extend(buzz_warning(scene, &contact));
+                warnings.extend(costly_washout(subject, scene, &path, &contact));
                 contacts.push(contact);
             }
-            Touched::Never(nearest) => doubts.push(out_of_reach(index, &wall.surface, nearest)),
-            Touched::Unknown => {}
+            FirstTouch::Never(nearest) => warnings.push(reach_warning(index, &wall.surface, nearest)),
+            FirstTouch::Unknown => {}
         }
     }
-    doubts.extend(held(subject, scene, &path));
-    doubts.extend(at_home(subject, scene, &path).into_iter().flatten());
-    (doubts, contacts)
+    warnings.extend(posture_warning(subject, scene, &path));
+    warnings.extend(home_warnings(subject, scene, &path).into_iter().flatten());
+    (warnings, contacts)
 }
 
-/// A wall whose feed-forward compensates a damping that is not the links'.
-fn unpredicted(subject: &Subject, index: usize, wall: &Wall<f64>) -> Option<Doubt> {
+/// Warns of a wall on a compliant device whose feed-forward compensates damping: its stability is not predicted.
+fn without_prediction(subject: &Subject, index: usize, wall: &Wall<f64>) -> Option<FileWarning> {
     let shaped = wall.damping_compensation && wall.feed_forward != FeedForward::Off;
-    let text = format!("whether wall {index} is stable is not predicted: {}", AnalysisError::CompensatedFlexible);
+    let text = format!("the stability of wall {index} is not predicted: {}", AnalysisError::CompensatedFlexible);
     let key = Key { table: "wall", index: Some(index), part: "", name: "damping_compensation" };
-    (shaped && subject.is_flexible()).then(|| Doubt::new(key, text))
+    (shaped && subject.is_flexible()).then(|| FileWarning::new(key, text))
 }
 
-/// Springs and fields beyond what is stable at home in the direction in which the device is lightest.
-fn at_home(subject: &Subject, scene: &Scene<f64>, path: &TorquePath) -> Option<Vec<Doubt>> {
+/// Warns of springs and fields beyond what is stable at home in the direction in which the device is lightest.
+fn home_warnings(subject: &Subject, scene: &Scene<f64>, path: &TorquePath) -> Option<Vec<FileWarning>> {
     let device = &subject.device;
     let spec = device.mechanism.kind().spec();
     let q = &device.home?[..spec.joints];
@@ -163,34 +163,34 @@ fn at_home(subject: &Subject, scene: &Scene<f64>, path: &TorquePath) -> Option<V
     let lightest = motions.eigenvectors.column(motions.eigenvalues.imax());
     let prediction = Prediction::in_scene(subject, scene, None, path)?;
     let stable = |damping| prediction.stiffness_at(q, lightest.as_slice(), Mode::Off, damping).ok();
-    let mut doubts = Vec::new();
-    let mut doubt = |table, index: usize, name, what: &str, has: f64, most: f64, unit| {
+    let mut warnings = Vec::new();
+    let mut warning = |table, index: usize, name, what: &str, has: f64, most: f64, unit| {
         let text = format!(
             "the {name} of {what}, {}, is beyond what is predicted stable at home: up to {}; it will vibrate unless \
              friction damps it",
             with_unit(has, unit),
             with_unit(most, unit)
         );
-        doubts.push(Doubt::new(Key { table, index: Some(index), part: "", name }, text));
+        warnings.push(FileWarning::new(Key { table, index: Some(index), part: "", name }, text));
     };
     for (index, spring) in scene.springs.iter().enumerate() {
         let (stable_to, damping_to) = stable(spring.damping)?;
         let what = format!("spring {index}");
         if spring.damping > damping_to {
-            doubt("spring", index, "damping", &what, spring.damping, damping_to, "N s/m");
+            warning("spring", index, "damping", &what, spring.damping, damping_to, "N s/m");
         } else if spring.stiffness > stable_to {
-            doubt("spring", index, "stiffness", &what, spring.stiffness, stable_to, "N/m");
+            warning("spring", index, "stiffness", &what, spring.stiffness, stable_to, "N/m");
         }
     }
     let (_, damping_to) = stable(0.0)?;
     if scene.field_damping > damping_to {
-        doubt("field", 0, "damping", "the fields", scene.field_damping, damping_to, "N s/m");
+        warning("field", 0, "damping", "the fields", scene.field_damping, damping_to, "N s/m");
     }
-    Some(doubts)
+    Some(warnings)
 }
 
-/// A posture that the device cannot be held in, or whose spring sampling makes unstable.
-fn held(subject: &Subject, scene: &Scene<f64>, path: &TorquePath) -> Option<Doubt> {
+/// Warns of a posture that the device cannot hold, or whose spring is unstable when sampled.
+fn posture_warning(subject: &Subject, scene: &Scene<f64>, path: &TorquePath) -> Option<FileWarning> {
     let (device, posture) = (&subject.device, scene.posture?);
     let key = |name| Key { table: "posture", index: None, part: "", name };
     let spec = device.mechanism.kind().spec();
@@ -199,7 +199,7 @@ fn held(subject: &Subject, scene: &Scene<f64>, path: &TorquePath) -> Option<Doub
             "a {} has one posture at each place of its tip: a board refuses this scene; leave [posture] out",
             spec.name
         );
-        return Some(Doubt::new(key("orientation"), text));
+        return Some(FileWarning::new(key("orientation"), text));
     }
     let q = &device.home?[..spec.joints];
     let pose = TaskPose::of(&device.mechanism, q).ok()?.regular().ok()?;
@@ -223,11 +223,11 @@ fn held(subject: &Subject, scene: &Scene<f64>, path: &TorquePath) -> Option<Doub
         with_unit(has, unit),
         with_unit(most, unit)
     );
-    Some(Doubt::new(key(name), text))
+    Some(FileWarning::new(key(name), text))
 }
 
-/// The limits of wall `index` of a scene at a pose, through this torque path; `None` at a singularity, with an
-/// estimator that has no linear analysis, and where damping is compensated through a transmission that gives.
+/// Returns the limits of wall `index` of a scene at a pose, through this torque path. `None` at a singularity, with an
+/// estimator that has no linear analysis, and with compensated damping on a compliant device.
 pub fn meets(
     subject: &Subject,
     scene: &Scene<f64>,
@@ -237,20 +237,20 @@ pub fn meets(
     path: &TorquePath,
 ) -> Option<Contact> {
     let (device, wall) = (&subject.device, scene.walls.get(index)?);
-    // As the options print them.
+    // Round the values as the options print them.
     let rounded = |values: &[f64]| values.iter().map(|value| printed(*value)).collect::<Vec<_>>();
     let (q, normal) = (rounded(q), rounded(normal));
     let pose = TaskPose::of(&device.mechanism, &q).ok()?.regular().ok()?;
     let prediction = Prediction::in_scene(subject, scene, Some(wall), path)?;
     let mode = Mode::of(wall.feed_forward, wall.washout_hz);
-    let seen = prediction.seen(&q, &normal).ok()?;
-    let (stable_to, damping_to) = stiffness_at(&seen, &prediction.around, mode, wall.damping).ok()?;
+    let linearised = prediction.seen(&q, &normal).ok()?;
+    let (stable_to, damping_to) = stiffness_at(&linearised, &prediction.around, mode, wall.damping).ok()?;
     let off_to = match mode {
         Mode::Off => None,
-        _ => stiffness_at(&seen, &prediction.around, Mode::Off, wall.damping).ok().map(|(off_to, _)| off_to),
+        _ => stiffness_at(&linearised, &prediction.around, Mode::Off, wall.damping).ok().map(|(off_to, _)| off_to),
     };
     let hand = usual_hand();
-    let held = seen.clone().held(hand);
+    let held = linearised.clone().held(hand);
     let in_hand = stiffness_at(&held, &prediction.around, mode, wall.damping).ok().map(|(stable_to, damping_to)| {
         InHand { hand: [hand.mass, hand.damping, hand.stiffness], stable_to, damping_to }
     });
@@ -258,7 +258,7 @@ pub fn meets(
         let swing = oscillation(&held, &prediction.around, mode, stiffness, wall.damping).ok().flatten();
         swing.filter(Oscillation::grows)
     };
-    // Just beyond the boundary, where the swing grows.
+    // Just beyond the boundary, where the oscillation grows.
     let beyond = in_hand.map_or(0.0, |held| 1.001 * held.stable_to);
     let count = count_along(device, &pose, &normal);
     let estimator = prediction.around.estimator;
@@ -271,15 +271,15 @@ pub fn meets(
         stiffness: wall.stiffness,
         stable_to,
         off_to,
-        felt_to: seen.felt(mode, stable_to),
-        felt: seen.felt(mode, wall.stiffness),
+        felt_to: linearised.felt(mode, stable_to),
+        felt: linearised.felt(mode, wall.stiffness),
         damping_to,
         in_hand,
         hz: buzz(wall.stiffness.max(beyond)).map(|swing| swing.hz),
         buzz: buzz(wall.stiffness),
         force: force_along(device, &pose, &normal),
         count,
-        step_n: count * (wall.stiffness + wall.damping * estimator.quickest(scene.rate_hz)),
+        step_n: count * (wall.stiffness + wall.damping * estimator.peak_step_response(scene.rate_hz)),
         ripple_n: None,
         options: format!("{options} --kd {}", wall.damping),
         taken_for_rigid: subject.joints.is_none(),
@@ -288,30 +288,30 @@ pub fn meets(
     })
 }
 
-/// The largest motion of the tip along a normal in one encoder count, m.
+/// Returns the largest motion of the tip along a normal per encoder count, m.
 pub fn count_along(device: &Device<f64>, pose: &TaskPose, normal: &[f64]) -> f64 {
     let per_radian = pose.jacobian.tr_mul(&padded_to(pose.jacobian.nrows(), normal));
     let moved = per_radian.iter().zip(&device.joints).map(|(move_, joint)| (move_ * joint.radians_per_count).abs());
     moved.fold(0.0, f64::max)
 }
 
-/// Gains beyond which a wall is only on or off, at a pose and within a board's limits.
+/// Gains beyond which a wall can only be on or off, at a pose and within a board's limits.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct MostGains {
-    /// N/m: one encoder count asks for all of the force.
+pub struct LargestGains {
+    /// Stiffness at which one encoder count needs the full force, N/m.
     pub stiffness: f64,
-    /// N s/m: a hand that creeps at 1 cm/s does.
+    /// Damping at which a hand at 1 cm/s needs the full force, N s/m.
     pub damping: f64,
-    /// The most that motors and limits give along the normal, N.
+    /// Largest force that motors and limits allow along the normal, N.
     pub force: f64,
 }
 
-/// A hand that hardly moves, m/s.
+/// Speed of a hand that hardly moves, m/s.
 const CREEPING: f64 = 0.01;
 
-/// The most that a wall's gains can mean where it is touched at joint angles `q` (rad); `None` at a singularity, or
-/// where a joint has no motor.
-pub fn most_gains(device: &Device<f64>, surface: &Surface<f64>, q: &[f64], limits: &Limits) -> Option<MostGains> {
+/// Returns the largest useful gains of a wall that is touched at joint angles `q` (rad). `None` at a singularity, or if
+/// a joint has no motor.
+pub fn largest_gains(device: &Device<f64>, surface: &Surface<f64>, q: &[f64], limits: &Limits) -> Option<LargestGains> {
     let pose = TaskPose::of(&device.mechanism, q).ok()?.regular().ok()?;
     let tip = SVector::from(padded::<3>(&pose.position));
     let normal = surface.contact::<Libm, 3>(&tip).normal;
@@ -324,10 +324,10 @@ pub fn most_gains(device: &Device<f64>, surface: &Surface<f64>, q: &[f64], limit
     }
     let force = force_along(&limited, &pose, normal)?.min(limits.tip_force.into());
     let stiffness = force / count_along(device, &pose, normal).max(f64::MIN_POSITIVE);
-    Some(MostGains { stiffness, damping: force / CREEPING, force })
+    Some(LargestGains { stiffness, damping: force / CREEPING, force })
 }
 
-/// The limits of wall `index` of a scene if it is touched at a pose, wherever the wall is.
+/// Returns the limits of wall `index` of a scene as if it were touched at this pose.
 pub fn at(subject: &Subject, scene: &Scene<f64>, index: usize, q: &[f64], path: &TorquePath) -> Option<Contact> {
     let pose = TaskPose::of(&subject.device.mechanism, q).ok()?;
     let tip = SVector::from(padded::<3>(&pose.position));
@@ -335,26 +335,26 @@ pub fn at(subject: &Subject, scene: &Scene<f64>, index: usize, q: &[f64], path: 
     meets(subject, scene, index, q, &normal.as_slice()[..pose.task], path)
 }
 
-/// Doubts about a wall's gains: more than the loop or the motors can render. `in_file`: the doubts have a place in a
+/// Warns of a wall's gains beyond what the loop or the motors can render. `in_file`: the warnings have a place in a
 /// scene file.
-pub fn beyond(wall: &Wall<f64>, contact: &Contact, in_file: bool) -> Vec<Doubt> {
+pub fn beyond(wall: &Wall<f64>, contact: &Contact, in_file: bool) -> Vec<FileWarning> {
     let index = contact.wall;
     let rigid = if contact.taken_for_rigid { ", if nothing in the device gives" } else { "" };
-    let doubt = |name: &'static str, text: String| Doubt {
+    let warning = |name: &'static str, text: String| FileWarning {
         key: in_file.then_some(Key { table: "wall", index: Some(index), part: "", name }),
         text,
     };
-    let mut doubts = Vec::new();
+    let mut warnings = Vec::new();
     if wall.damping > contact.damping_to {
         let text = format!(
             "the damping of wall {index}, {} N s/m, is beyond what is predicted stable{rigid}: up to {} here; {} \
              (`haptic range DEVICE {}`)",
             digits(wall.damping),
             with_unit(contact.damping_to, "N s/m"),
-            outlook(wall, contact),
+            instability_text(wall, contact),
             contact.options
         );
-        doubts.push(doubt("damping", text));
+        warnings.push(warning("damping", text));
     } else if wall.stiffness > contact.stable_to && contact.stable_to < NO_WALL {
         let text = format!(
             "no stiffness of wall {index} is predicted stable with {} of damping, nor is its {}; write a damping of up to \
@@ -364,29 +364,29 @@ pub fn beyond(wall: &Wall<f64>, contact: &Contact, in_file: bool) -> Vec<Doubt> 
             with_unit(0.5 * contact.damping_to, "N s/m"),
             contact.options
         );
-        doubts.push(doubt("damping", text));
+        warnings.push(warning("damping", text));
     } else if wall.stiffness > contact.stable_to {
         let text = format!(
             "the stiffness of wall {index}, {}, is beyond what is predicted stable{rigid}: up to {} here; this is {} times \
              that, and {} (`haptic range DEVICE {}`)",
             with_unit(wall.stiffness, "N/m"),
             with_unit(contact.stable_to, "N/m"),
-            times(wall.stiffness / contact.stable_to),
-            outlook(wall, contact),
+            two_digits(wall.stiffness / contact.stable_to),
+            instability_text(wall, contact),
             contact.options
         );
-        doubts.push(doubt("stiffness", text));
+        warnings.push(warning("stiffness", text));
     } else if contact.buzz.is_some() {
         let text = format!(
             "the stiffness of wall {index}, {}, is predicted stable{rigid} only where nothing holds the tip: {} (`haptic \
              range DEVICE {}`)",
             with_unit(wall.stiffness, "N/m"),
-            outlook(wall, contact),
+            instability_text(wall, contact),
             contact.options
         );
-        doubts.push(doubt("stiffness", text));
+        warnings.push(warning("stiffness", text));
     }
-    let Some(force) = contact.force else { return doubts };
+    let Some(force) = contact.force else { return warnings };
     let per_count = wall.stiffness * contact.count;
     if per_count > force {
         let text = format!(
@@ -395,7 +395,7 @@ pub fn beyond(wall: &Wall<f64>, contact: &Contact, in_file: bool) -> Vec<Doubt> 
             with_unit(per_count, "N"),
             with_unit(force, "N")
         );
-        doubts.push(doubt("stiffness", text));
+        warnings.push(warning("stiffness", text));
     }
     if wall.damping * SLOW_HAND > force {
         let text = format!(
@@ -403,13 +403,13 @@ pub fn beyond(wall: &Wall<f64>, contact: &Contact, in_file: bool) -> Vec<Doubt> 
             with_unit(wall.damping * SLOW_HAND, "N"),
             with_unit(force, "N")
         );
-        doubts.push(doubt("damping", text));
+        warnings.push(warning("damping", text));
     }
-    doubts
+    warnings
 }
 
-/// What becomes of a wall that is unstable with or without a hand on the tip.
-fn outlook(wall: &Wall<f64>, contact: &Contact) -> String {
+/// Describes the behaviour of a wall that is unstable with or without a hand on the tip.
+fn instability_text(wall: &Wall<f64>, contact: &Contact) -> String {
     let Some(held) = contact.in_hand else { return "it will vibrate unless friction damps it".into() };
     let (limit, end) = match wall.damping > held.damping_to {
         true => (with_unit(held.damping_to, "N s/m"), "damping"),
@@ -424,10 +424,10 @@ fn outlook(wall: &Wall<f64>, contact: &Contact) -> String {
     }
 }
 
-/// A doubt about a wall that encoder steps make buzz at this rate.
-fn buzzing(scene: &Scene<f64>, contact: &Contact) -> Option<Doubt> {
+/// Warns of a wall that encoder steps make buzz at this rate.
+fn buzz_warning(scene: &Scene<f64>, contact: &Contact) -> Option<FileWarning> {
     let wall = scene.walls.get(contact.wall)?;
-    // The wall that cannot be had anyway has its own doubt.
+    // An unstable wall has its own warning.
     if contact.step_n <= BUZZ_N || wall.stiffness > contact.stable_to || wall.damping > contact.damping_to {
         return None;
     }
@@ -441,24 +441,23 @@ fn buzzing(scene: &Scene<f64>, contact: &Contact) -> Option<Doubt> {
         wall.stiffness,
         wall.damping
     );
-    Some(Doubt::new(Key { table: "wall", index: Some(contact.wall), part: "", name: "damping" }, text))
+    Some(FileWarning::new(Key { table: "wall", index: Some(contact.wall), part: "", name: "damping" }, text))
 }
 
-/// Stiffness of the softest wall that is one, N/m: that of a light hand's own spring. Without damping it ripples as
-/// little as a device's encoders allow.
+/// Stiffness of the softest useful wall, N/m: that of a light hand's own spring. Without damping its ripple is the
+/// smallest that the encoders of a device allow.
 pub const SOFTEST_WALL: f64 = LIGHT_HAND.stiffness;
 
-/// The ripple of a wall under a hand, by the simulation with which `haptic tune` searches.
+/// Ripple of a wall under a hand, by the simulation with which `haptic tune` searches.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ripple {
-    /// Root mean square of what the wall's force has above 20 Hz while a hand slides along it, N; none where the tip
-    /// flies off.
+    /// Root mean square of the wall's force above 20 Hz while a hand slides along it, N; `None` if the tip flies off.
     pub ripple_n: Option<f64>,
-    /// The ripple that a wall may have here, N: [`USUAL_RIPPLE_N`], or the least that the encoders allow.
+    /// Allowed ripple of a wall here, N: [`USUAL_RIPPLE_N`], or the smallest that the encoders allow if that is larger.
     pub allowed_n: f64,
 }
 
-/// The ripple of a wall where it is touched; none where a joint has no encoder.
+/// Simulates the ripple of a wall where it is touched; `None` if a joint has no encoder.
 pub fn ripple(description: &Description, scene: &Scene<f64>, contact: &Contact) -> Option<Ripple> {
     let wall = Settings::of(scene, contact.wall)?;
     let simulation = WallSimulation::new(description, description, &contact.q, &contact.normal, scene.rate_hz).ok()?;
@@ -472,10 +471,10 @@ pub fn ripple(description: &Description, scene: &Scene<f64>, contact: &Contact) 
     Some(Ripple { ripple_n, allowed_n: least.max(USUAL_RIPPLE_N) })
 }
 
-/// Simulates the ripple of a wall that is stable, keeps it in `contact`, and doubts a wall that rattles.
-pub fn rippling(description: &Description, scene: &Scene<f64>, contact: &mut Contact) -> Option<Doubt> {
+/// Simulates the ripple of a stable wall, stores it in `contact`, and warns if the wall rattles.
+pub fn simulate_ripple(description: &Description, scene: &Scene<f64>, contact: &mut Contact) -> Option<FileWarning> {
     let wall = scene.walls.get(contact.wall)?;
-    // The wall that cannot be had anyway has its own doubt.
+    // An unstable wall has its own warning.
     if wall.stiffness > contact.stable_to || wall.damping > contact.damping_to {
         return None;
     }
@@ -497,15 +496,15 @@ pub fn rippling(description: &Description, scene: &Scene<f64>, contact: &mut Con
         with_unit(allowed_n, "N"),
         if allowed_n > USUAL_RIPPLE_N { "is the least that the encoders allow" } else { "is hardly felt" },
     );
-    Some(Doubt::new(Key { table: "wall", index: Some(contact.wall), part: "", name: "damping" }, text))
+    Some(FileWarning::new(Key { table: "wall", index: Some(contact.wall), part: "", name: "damping" }, text))
 }
 
-/// A wall is near its limit from this share of the stable stiffness on.
+/// Share of the stable stiffness from which on a wall counts as near its limit.
 const NEAR_SHARE: f64 = 0.25;
 
-/// A washout with which less stiffness is stable than without any feed-forward, at the wall's own damping: one whose
-/// corner is not far below what the loop does.
-fn washed_away(subject: &Subject, scene: &Scene<f64>, path: &TorquePath, contact: &Contact) -> Option<Doubt> {
+/// Warns of a washout that reduces the stable stiffness below that without feed-forward, at the wall's own damping: its
+/// corner is not far enough below the frequencies of the loop.
+fn costly_washout(subject: &Subject, scene: &Scene<f64>, path: &TorquePath, contact: &Contact) -> Option<FileWarning> {
     let wall = scene.walls.get(contact.wall)?;
     if wall.feed_forward != FeedForward::Washout || wall.stiffness <= NEAR_SHARE * contact.stable_to {
         return None;
@@ -527,11 +526,11 @@ fn washed_away(subject: &Subject, scene: &Scene<f64>, path: &TorquePath, contact
         with_unit(contact.stable_to, "N/m"),
         with_unit(without, "N/m")
     );
-    Some(Doubt::new(Key { table: "wall", index: Some(contact.wall), part: "", name: "washout_hz" }, text))
+    Some(FileWarning::new(Key { table: "wall", index: Some(contact.wall), part: "", name: "washout_hz" }, text))
 }
 
-/// A ratio with two significant digits.
-fn times(ratio: f64) -> String {
+/// Formats a ratio with two significant digits.
+fn two_digits(ratio: f64) -> String {
     if ratio < 10.0 {
         return format!("{ratio:.1}");
     }
@@ -539,35 +538,35 @@ fn times(ratio: f64) -> String {
     format!("{:.0}", (ratio / last).round() * last)
 }
 
-enum Touched {
+enum FirstTouch {
     /// At these joint angles, with this normal.
     At(Vec<f64>, Vec<f64>),
-    /// Nowhere; the nearest distance of a tip outside, m, or none when the tip is always inside.
+    /// Never; the smallest distance of a tip outside, m, or `None` if the tip is always inside.
     Never(Option<f64>),
-    /// The workspace could not be walked.
+    /// The workspace has no grid.
     Unknown,
 }
 
-/// The pose on a surface that is nearest to home.
-fn touched(device: &Device<f64>, surface: &Surface<f64>) -> Touched {
+/// Finds the pose on a surface that is nearest to home.
+fn first_touch(device: &Device<f64>, surface: &Surface<f64>) -> FirstTouch {
     let spec = device.mechanism.kind().spec();
     let per_joint = PER_JOINT[spec.joints - 1];
     let home = device.home.unwrap_or_default();
     let far = |q: &[f64]| q.iter().zip(home).map(|(q, home)| (q - home).powi(2)).sum::<f64>();
-    let Ok(found) = on_surface(device, surface, per_joint, 0.0) else { return Touched::Unknown };
-    if let Some(nearest) = found.iter().min_by(|a, b| far(&a.q[..spec.joints]).total_cmp(&far(&b.q[..spec.joints]))) {
-        return Touched::At(nearest.q[..spec.joints].to_vec(), nearest.normal[..spec.task].to_vec());
+    let Ok(poses) = on_surface(device, surface, per_joint, 0.0) else { return FirstTouch::Unknown };
+    if let Some(nearest) = poses.iter().min_by(|a, b| far(&a.q[..spec.joints]).total_cmp(&far(&b.q[..spec.joints]))) {
+        return FirstTouch::At(nearest.q[..spec.joints].to_vec(), nearest.normal[..spec.task].to_vec());
     }
-    let Some((low, high)) = distances(device, surface) else { return Touched::Unknown };
+    let Some((low, high)) = distances(device, surface) else { return FirstTouch::Unknown };
     match (low, high) {
-        (low, _) if low > 0.0 && low.is_finite() => Touched::Never(Some(low)),
-        (_, high) if high < 0.0 && high.is_finite() => Touched::Never(None),
-        _ => Touched::Unknown,
+        (low, _) if low > 0.0 && low.is_finite() => FirstTouch::Never(Some(low)),
+        (_, high) if high < 0.0 && high.is_finite() => FirstTouch::Never(None),
+        _ => FirstTouch::Unknown,
     }
 }
 
-/// The smallest distance of the tip from a surface, negative inside it, and the largest, m; `None` where the workspace
-/// could not be walked.
+/// Returns the smallest and the largest distance of the tip from a surface, negative inside it, m. `None` if the
+/// workspace has no grid.
 fn distances(device: &Device<f64>, surface: &Surface<f64>) -> Option<(f64, f64)> {
     let grid = Reachable::of(device, PER_JOINT[device.mechanism.kind().spec().joints - 1], None).ok()?;
     let distances = grid.indices().filter_map(|index| {
@@ -578,12 +577,12 @@ fn distances(device: &Device<f64>, surface: &Surface<f64>) -> Option<(f64, f64)>
     Some(distances.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), d| (l.min(d), h.max(d))))
 }
 
-/// A wall that gives a gentle force, or what the motors have, only at a depth beyond all that the tip moves towards and
-/// away from it. One without stiffness is meant to damp.
-fn too_soft(device: &Device<f64>, wall: &Wall<f64>, contact: &Contact) -> Option<Doubt> {
+/// Warns of a wall that reaches a gentle force, or the largest of the motors, only at a depth beyond the whole range of
+/// the tip along its normal. A wall without stiffness is meant to damp and gets no warning.
+fn soft_wall_warning(device: &Device<f64>, wall: &Wall<f64>, contact: &Contact) -> Option<FileWarning> {
     let force = contact.force.unwrap_or(f64::INFINITY).min(GENTLE_FORCE.into());
     let depth = force / wall.stiffness;
-    // Reach is not looked for where any device has it.
+    // Reach is not computed if every device has enough.
     if !(wall.stiffness > 0.0 && depth > 0.01) {
         return None;
     }
@@ -599,10 +598,10 @@ fn too_soft(device: &Device<f64>, wall: &Wall<f64>, contact: &Contact) -> Option
         digits(1e3 * wall.stiffness),
     );
     let key = Key { table: "wall", index: Some(contact.wall), part: "", name: "stiffness" };
-    (depth > high - low).then(|| Doubt::new(key, text))
+    (depth > high - low).then(|| FileWarning::new(key, text))
 }
 
-fn out_of_reach(index: usize, surface: &Surface<f64>, nearest: Option<f64>) -> Doubt {
+fn reach_warning(index: usize, surface: &Surface<f64>, nearest: Option<f64>) -> FileWarning {
     let (name, at) = place_of(&surface.spec(), Meaning::Point).unwrap_or(("shape", 0));
     let far = surface.values().iter().skip(at).take(Meaning::Point.width()).any(|p| p.abs() > 3.0);
     let metres = if far { ": points are in metres" } else { "" };
@@ -612,5 +611,5 @@ fn out_of_reach(index: usize, surface: &Surface<f64>, nearest: Option<f64>) -> D
         }
         None => format!("the whole workspace is inside wall {index}{metres}; does its normal point out of the solid?"),
     };
-    Doubt::new(Key { table: "wall", index: Some(index), part: "", name }, text)
+    FileWarning::new(Key { table: "wall", index: Some(index), part: "", name }, text)
 }

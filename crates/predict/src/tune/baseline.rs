@@ -1,74 +1,77 @@
-//! The wall that a scene has already, held to what the search holds walls to.
+//! Checks the wall that a scene already has against the criteria of the search.
 
 use super::criteria::SearchContext;
-use super::{Found, Question, Settings, measured, ripple, three_digits};
+use super::{Question, Settings, TunedWall, measured, ripple, three_digits};
 use haptic_host::error::Failure;
 use haptic_stability::sweep::Sweep;
 use serde::Serialize;
 
-/// The wall's settings that came before, held to the same margins.
+/// The settings of the scene's wall with the stiffness that meets the criteria.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Baseline {
-    /// Rate, estimator, cutoff, damping and feed-forward of the scene, with the largest stiffness that keeps
-    /// everything; 0 if no stiffness does.
+    /// Rate, estimator, cutoff, damping and feed-forward of the scene, with the largest stiffness that meets all
+    /// criteria; 0 if no stiffness does.
     #[serde(flatten)]
     pub settings: Settings,
-    /// The stiffness that a hand feels of that, N/m; `None` where no transmission gives.
+    /// Stiffness that a hand feels at rest, N/m; `None` if no transmission is compliant.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub felt: Option<f64>,
     /// Ripple at that stiffness, N.
     pub ripple_n: Option<f64>,
-    /// The largest stiffness within the margins, whatever it ripples, N/m.
+    /// Largest stiffness within the margins, without regard to ripple, N/m.
     pub within_margins: f64,
-    /// The stiffness that the scene has, N/m.
+    /// Stiffness in the scene, N/m.
     pub as_written: f64,
 }
 
-/// The ripple that a wall may have where nothing else is said, N: what the estimators were made to come below.
+/// Default limit of a wall's ripple, N: the estimators were designed to stay below it.
 pub const USUAL_RIPPLE_N: f64 = 0.1;
 
-/// The least ripple that is asked for where a scene's wall has less, N.
+/// Smallest ripple limit if a scene's wall has less, N.
 pub const LEAST_RIPPLE_N: f64 = 0.002;
 
-/// The ripple that settings like these may have, in the search and on the simulated board: as much as the wall as it is
-/// written, and no less than the least.
+/// Returns the ripple limits in the search and on the simulated board: the ripple of the wall as written, but at least
+/// [`LEAST_RIPPLE_N`].
 pub fn ripple_like(question: &Question<'_>, written: &Settings, sweep: &Sweep) -> Result<(f64, f64), Failure> {
     let bound = |ripple_n: Option<f64>| ripple_n.unwrap_or(USUAL_RIPPLE_N).max(LEAST_RIPPLE_N);
     Ok((bound(ripple(question, written)?.ripple_n), bound(measured::ripple(question, written, sweep)?)))
 }
 
-/// The settings of a scene's wall, as stiff as they keep everything.
+/// Returns the settings of a scene's wall with the largest stiffness that meets all criteria.
 pub fn baseline(question: &Question<'_>, written: &Settings, sweep: &Sweep) -> Result<Baseline, Failure> {
     let context = SearchContext::new(question, sweep)?;
-    if written.around().is_none() {
-        return Err(Failure::wrong(format!("`{}` has no linear analysis to hold it to margins", written.estimator))
-            .remedy("compare with a scene that has another estimator"));
+    if written.loop_settings().is_none() {
+        return Err(Failure::wrong(format!(
+            "`{}` has no linear analysis, so margins cannot be checked",
+            written.estimator
+        ))
+        .remedy("compare with a scene that has another estimator"));
     }
-    let most = three_digits(context.most(written)?, true);
-    let at = |stiffness: f64| -> Result<Option<Found>, Failure> {
+    let most = three_digits(context.largest_stiffness(written)?, true);
+    let at = |stiffness: f64| -> Result<Option<TunedWall>, Failure> {
         let settings = Settings { stiffness: three_digits(stiffness, true), ..*written };
-        if stiffness > 0.0 { context.kept(&settings) } else { Ok(None) }
+        if stiffness > 0.0 { context.check_all(&settings) } else { Ok(None) }
     };
-    let keeps = Option::is_some;
+    let passes = Option::is_some;
     let mut best = at(most)?;
-    if most > 0.0 && !keeps(&best) {
-        // Go down from there until it keeps the limit, but not below the scene as written where that keeps it.
+    if most > 0.0 && !passes(&best) {
+        // Reduce the stiffness until it meets the criteria, but not below the scene's own if that meets them.
         let (mut low, mut high) = (0.0_f64, most);
         let mut step = most;
         best = None;
         let as_written = if written.stiffness <= most { at(written.stiffness)? } else { None };
-        if keeps(&as_written) {
+        if passes(&as_written) {
             (low, best) = (written.stiffness, as_written);
         }
         while low == 0.0 && step > 1e-3 * most {
             step /= 2.0;
-            let found = at(step)?;
-            if keeps(&found) { (low, best) = (step, found) } else { high = step }
+            let candidate = at(step)?;
+            if passes(&candidate) { (low, best) = (step, candidate) } else { high = step }
         }
         while low > 0.0 && high / low > 1.03 {
             let middle = (low * high).sqrt();
-            let found = at(middle)?;
-            if keeps(&found) { (low, best) = (middle, found) } else { high = middle }
+            let candidate = at(middle)?;
+            if passes(&candidate) { (low, best) = (middle, candidate) } else { high = middle }
         }
     }
     let nothing = Settings { stiffness: 0.0, ..*written };

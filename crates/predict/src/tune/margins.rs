@@ -1,13 +1,13 @@
-//! The deviations of a device from its file, as loops that must be stable as well, and as devices on which a wall must
-//! not ripple more.
+//! Deviations of a device from its file: as loops that must be stable, and as devices on which a wall must not ripple
+//! more.
 //!
-//! A torque constant that is larger than the file says is a device that is lighter by the same factor, which the
-//! controller does not know; so is a device whose every mass is smaller. An error of its distribution, some links and
-//! rotors too heavy and others too light in the file, changes Weff and spoils the feed-forward, which is computed from
-//! the file's: each of them is taken on the side on which the wall meets less. All margins act together, at both ends:
-//! light and strong, heavy and weak.
+//! A torque constant larger than in the file acts like a device that is lighter by the same factor and whose controller
+//! does not know it. A device with smaller masses acts the same way. An error of the mass distribution, with some links
+//! and rotors too heavy and others too light in the file, changes Weff and spoils the feed-forward, which is computed
+//! from the file. Each such error is applied in the direction that reduces the effective inertia. All margins act
+//! together, at both ends: light and strong, heavy and weak.
 //!
-//! A hand makes a wall calmer where the controller knows nothing of the device's inertia; one that predicts takes the
+//! A hand calms a wall if the controller does not use the device's inertia. A controller with feed-forward takes the
 //! hand's mass for an error of its model. So the device of the file must be stable in hands, too ([`HANDS`]).
 
 use haptic_bridge::model::admissible::Admissible;
@@ -19,39 +19,39 @@ use haptic_stability::analysis::pose::PoseError;
 use haptic_stability::analysis::sampled::Loop;
 use serde::Serialize;
 
-/// Hands in which a wall must be stable: two fingers, and a whole hand that holds firmly.
+/// Hands in which a wall must be stable: two fingers, and a firm grip.
 pub const HANDS: [Hand; 2] =
     [Hand { mass: 0.05, damping: 3.0, stiffness: 200.0 }, Hand { mass: 0.3, damping: 10.0, stiffness: 1000.0 }];
 
-/// The deviations of the device from its file that are allowed for.
+/// The deviations of the device from its file that a wall must tolerate.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Margins {
-    /// Factor by which the motors may be stronger or weaker; 1 for none.
+    /// Factor by which the motors may be stronger or weaker; 1 for no margin.
     pub gain: f64,
-    /// Delay beyond the board's own, s.
+    /// Delay in addition to the board's own, s.
     pub delay_s: f64,
-    /// Share by which the whole device may be lighter or heavier.
+    /// Relative error of the mass of the complete device, in both directions.
     pub mass: f64,
-    /// Share by which every link and rotor may be, on its own, on the worse side.
+    /// Relative error of each link and rotor, each in the worse direction.
     pub inertia: f64,
-    /// Share by which friction, viscous and dry, may be less or more.
+    /// Relative error of viscous and dry friction, in both directions.
     pub friction: f64,
-    /// Share by which a count may be coarser or finer.
+    /// Relative error of the encoder counts per turn, in both directions.
     pub counts: f64,
-    /// True if it must be stable in `HANDS` as well.
+    /// True if the wall must be stable in `HANDS` as well.
     pub hand: bool,
 }
 
 impl Default for Margins {
-    /// A torque constant from a data sheet (±10 %) that a magnet's warmth changes (another ±10 %), half a carrier
-    /// period, masses that were computed and not weighed, friction that comes and goes with warmth and grease, and a
-    /// cable's radius that was taken for the pulley's.
+    /// A torque constant from a data sheet (±10 %) that varies with the magnet's temperature (another ±10 %), half a
+    /// carrier period of delay, computed instead of weighed masses, friction that varies with temperature and grease,
+    /// and a cable's radius that was measured at the pulley.
     fn default() -> Self {
         Self { gain: 1.25, delay_s: 25.0e-6, mass: 0.1, inertia: 0.1, friction: 0.25, counts: 0.03, hand: true }
     }
 }
 
-/// A device, what the controller takes it for, and how much later its torque comes.
+/// A device, the controller's model of it, and an additional delay of the torque.
 #[derive(Clone, Debug)]
 pub(super) struct Corner {
     pub device: Linearised,
@@ -60,8 +60,9 @@ pub(super) struct Corner {
 }
 
 impl Corner {
-    /// The loop around it. Compensated damping is analysed without a hand; in a hand it is small beside the hand's.
-    pub fn around(&self, around: &Loop) -> Loop {
+    /// Returns the control loop with this corner's delay. Compensated damping is analysed without a hand; in a hand it
+    /// is small compared with the hand's.
+    pub fn adjusted_loop(&self, around: &Loop) -> Loop {
         Loop {
             delay_samples: around.delay_samples + self.delay_s * around.rate_hz,
             damping_compensation: around.damping_compensation && !self.device.flexible.hand.is_there(),
@@ -70,13 +71,14 @@ impl Corner {
     }
 }
 
-/// The inertia that a wall meets with torque in proportion to `torque` (m), kg.
-fn met(device: &Linearised, torque: &nalgebra::DVector<f64>) -> f64 {
+/// Returns the effective inertia along the device's direction if the joint torques are in proportion to `torque` (m),
+/// kg.
+fn inertia_along(device: &Linearised, torque: &nalgebra::DVector<f64>) -> f64 {
     let per_newton = device.mass.clone().cholesky().map(|mass| device.row.dot(&mass.solve(torque)));
     per_newton.map_or(f64::INFINITY, |per_newton| 1.0 / per_newton)
 }
 
-/// Scales what a description weighs, one part after the other: each link, each rotor, the handle.
+/// Scales the mass of one part of a description. Parts are the links, the rotors and the handle, in this order.
 fn scaled(description: &Description, part: usize, factor: f64) -> Description {
     let spec = description.kind.spec();
     let mut other = *description;
@@ -99,8 +101,9 @@ fn scaled(description: &Description, part: usize, factor: f64) -> Description {
     other
 }
 
-/// The description with every link, rotor and the handle off by `share`, each on the side on which a wall along
-/// `normal` meets less (or, `heavier`, more) with a controller that believes the file.
+/// Returns the description with every link, every rotor and the handle changed by `share`, each in the direction that
+/// reduces (or, if `heavier`, increases) the effective inertia of a wall along `normal` with a controller that uses the
+/// file.
 pub fn vertex(
     description: &Description,
     q: &[f64],
@@ -112,39 +115,42 @@ pub fn vertex(
 ) -> Result<Description, PoseError> {
     let believed = Linearised::holding(description, q, normal, admissible)?;
     let torque = if shaped { believed.shaped_torque() } else { believed.row.clone() };
-    let nominal = met(&believed, &torque);
+    let nominal = inertia_along(&believed, &torque);
     let spec = description.kind.spec();
-    let mut found = *description;
+    let mut result = *description;
     for part in 0..spec.links.len() + spec.joints + 1 {
-        let more = met(&Linearised::holding(&scaled(description, part, 1.0 + 1e-4), q, normal, admissible)?, &torque);
+        let more = inertia_along(
+            &Linearised::holding(&scaled(description, part, 1.0 + 1e-4), q, normal, admissible)?,
+            &torque,
+        );
         let grows = (more > nominal) == heavier;
-        found = scaled(&found, part, if grows { 1.0 + share } else { 1.0 - share });
+        result = scaled(&result, part, if grows { 1.0 + share } else { 1.0 - share });
     }
-    Ok(found)
+    Ok(result)
 }
 
 impl Margins {
-    /// None.
+    /// No margins.
     pub const NONE: Self =
         Self { gain: 1.0, delay_s: 0.0, mass: 0.0, inertia: 0.0, friction: 0.0, counts: 0.0, hand: false };
 
-    /// Refuses values that are not margins.
+    /// Rejects values that are not margins.
     pub(super) fn check(&self) -> Result<(), Failure> {
         let share = |share: f64| (0.0..0.9).contains(&share);
-        let fine = (1.0..=10.0).contains(&self.gain) && (0.0..=0.01).contains(&self.delay_s);
-        if fine && [self.mass, self.inertia, self.friction, self.counts].into_iter().all(share) {
+        let is_valid = (1.0..=10.0).contains(&self.gain) && (0.0..=0.01).contains(&self.delay_s);
+        if is_valid && [self.mass, self.inertia, self.friction, self.counts].into_iter().all(share) {
             return Ok(());
         }
-        Err(Failure::wrong(format!("these are no margins: {self:?}"))
+        Err(Failure::wrong(format!("margins out of range: {self:?}"))
             .remedy("write a gain from 1 to 10, a delay up to 0.01 s, and errors from 0 to 0.9"))
     }
 
-    /// The devices on which a wall must not ripple more than it may, each as the board believes it and as it moves: a
-    /// light one that little friction holds behind coarse counts, where most walls ripple most, that of the file, and
-    /// the opposite. The board knows its counts, but neither weight nor friction.
+    /// Returns the devices on which a wall must keep its ripple limit, each as the board models it and as it moves: a
+    /// light one with little friction and coarse counts, on which most walls ripple most, that of the file, and the
+    /// opposite. The board knows its counts, but neither its mass nor its friction.
     pub(super) fn deviations(self, description: &Description) -> Vec<(Description, Description)> {
         let Self { mass, friction, counts, .. } = self;
-        let off = |sign: f64| {
+        let deviation = |sign: f64| {
             let mut believed = *description;
             for encoder in believed.joints.iter_mut().filter_map(|joint| joint.encoder.as_mut()) {
                 encoder.counts_per_turn *= 1.0 + sign * counts;
@@ -161,11 +167,11 @@ impl Margins {
             (believed, moving)
         };
         let signs: &[f64] = if [mass, friction, counts] == [0.0; 3] { &[0.0] } else { &[-1.0, 0.0, 1.0] };
-        signs.iter().map(|sign| off(*sign)).collect()
+        signs.iter().map(|sign| deviation(*sign)).collect()
     }
 
-    /// Each margin without the others, by name, beside none and all.
-    pub(super) fn alone(self) -> [(&'static str, Self); 7] {
+    /// Returns each margin without the others, by name, together with no margins and all margins.
+    pub(super) fn each_alone(self) -> [(&'static str, Self); 7] {
         let Self { gain, delay_s, mass, inertia, hand, .. } = self;
         [
             ("stability, no margin", Self::NONE),
@@ -178,7 +184,7 @@ impl Margins {
         ]
     }
 
-    /// The loops that must be stable: light and strong first, heavy and weak after it.
+    /// Returns the loops that must be stable: light and strong first, heavy and weak second, then those in hands.
     pub(super) fn corners(
         self,
         description: &Description,
@@ -201,8 +207,8 @@ impl Margins {
                 transmission.motor_inertia *= gain * mass;
             }
             let mut believed = believed.clone();
-            // Damping that is compensated by more than there is drives the device: no margin on that is kept by any
-            // wall.
+            // Compensation that exceeds the real damping drives the device. No wall tolerates that, so there is no
+            // margin on damping.
             believed.viscous.clone_from(&device.viscous);
             Ok(Corner { device, believed, delay_s: self.delay_s })
         };

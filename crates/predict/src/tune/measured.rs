@@ -1,8 +1,8 @@
-//! Settings tried on the simulated board, with everything switched on: the firmware's own step behind the protocol,
-//! bridges and windings, friction, encoder steps.
+//! Tries settings on the simulated board with all effects: the firmware's own step, the protocol, bridges and windings,
+//! friction, and encoder steps.
 
 use super::{Question, Settings};
-use crate::contact::Fast;
+use crate::contact::RippleFilter;
 use crate::measure::simulated::World;
 use crate::measure::{Law, MeasureError, MeasurementSetup, PreparedBoard, complement};
 use haptic_bridge::board::telemetry::Field;
@@ -17,37 +17,38 @@ use haptic_stability::sweep::Sweep;
 use serde::Serialize;
 use std::time::Duration;
 
-/// Depth at which the hand aims (m), which its arm of 250 N/m makes 3 N, the distance that it slides (m), and the times
-/// for which it is waited for and watched, s.
+/// Depth of the hand's target (m), at which its stiffness of 250 N/m pushes with 3 N; the distance that the hand slides
+/// (m); the times to settle and to record, s.
 const DEPTH: f64 = 0.012;
 const SLIDE: f64 = 0.02;
 const SETTLE: f64 = 1.5;
 const WATCH: f64 = 1.0;
-/// A hand that is pushed back with less than this on average is not held, N.
+/// Mean force below which the hand does not count as held by the wall, N.
 const HELD: f64 = 1.0;
-/// The measurement's own limits, N m and m: as `haptic measure-range` has them.
+/// Limits of the measurement, N m and m: those of `haptic measure-range`.
 const TORQUE: f64 = 1.0;
 const PULL: f64 = 0.5e-3;
-/// Frequency of the hold of the tip between trials, Hz: softly, whatever the encoders.
+/// Bandwidth of the hold of the tip between trials, Hz: soft with any encoder.
 const HOLD_HZ: f64 = 40.0;
 
-/// The measurements of the board.
+/// Measurements on the simulated board.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Measured {
-    /// Largest stiffness that came to rest at this damping when the tip was pulled aside and let go, N/m.
+    /// Largest stiffness at this damping that came to rest after the tip was pulled aside and released, N/m.
     pub stiffness: f64,
-    /// Why it may be more, where no end could be seen.
+    /// Reason why the boundary may be higher, if it was not found.
     pub open: Option<String>,
-    /// Root mean square of what the force has above 20 Hz under a hand that presses with about 3 N and slides, at the
-    /// stiffness of the settings, N; none where the hand is not held.
+    /// Root mean square of the force above 20 Hz under a hand that presses with about 3 N and slides, at the stiffness
+    /// of the settings, N; `None` if the wall does not hold the hand.
     pub ripple_n: Option<f64>,
 }
 
-/// Raises the stiffness on a simulated board until the wall oscillates, and presses the wall of the settings.
+/// Raises the stiffness on a simulated board until the wall oscillates, and simulates the ripple of the wall of the
+/// settings.
 pub fn measure(question: &Question<'_>, settings: &Settings, sweep: &Sweep) -> Result<Measured, Failure> {
-    let found = boundary(question, settings, &|| sweep.go_on().is_err());
+    let result = boundary(question, settings, &|| sweep.go_on().is_err());
     sweep.go_on()?;
-    let (stiffness, open) = match found {
+    let (stiffness, open) = match result {
         Ok(stiffness) => (stiffness, None),
         Err(MeasureError::Open { stable, why }) => (stable, Some(why.to_string())),
         Err(error) if error.is_local() => (0.0, Some(error.to_string())),
@@ -77,12 +78,12 @@ fn boundary(question: &Question<'_>, settings: &Settings, stop: &dyn Fn() -> boo
         largest_pull: PULL,
     };
     let mut prepared = PreparedBoard::new(&mut board, question.file, setup, stop)?;
-    let found = prepared.boundary(settings.feed_forward, settings.damping, 1.0, None)?.gain;
+    let result = prepared.boundary(settings.feed_forward, settings.damping, 1.0, None)?.gain;
     prepared.finish()?;
-    Ok(found)
+    Ok(result)
 }
 
-/// The scene of one wall with these settings, its surface through `point` (m).
+/// Returns the scene of one wall with these settings, its surface through `point` (m).
 #[must_use]
 pub fn scene(question: &Question<'_>, settings: &Settings, point: &[f64]) -> Scene<f64> {
     let wall = Wall {
@@ -105,14 +106,14 @@ pub fn scene(question: &Question<'_>, settings: &Settings, point: &[f64]) -> Sce
     }
 }
 
-/// Ripple of the wall's force on the board, N; none where the hand is not held.
+/// Simulates the ripple of the wall's force on the board, N; `None` if the wall does not hold the hand.
 pub fn ripple(question: &Question<'_>, settings: &Settings, sweep: &Sweep) -> Result<Option<f64>, Failure> {
     let device = Options { start: Some(padded(&question.q)), ..Options::default() };
     let mut simulated = ready_board(question.file, BoardOptions { device, ..BoardOptions::default() })
         .map_err(|error| Failure::wrong(format!("{}: {error}", question.file.path.display())))?;
     let tip = simulated.device().tip();
     let task = question.normal.len();
-    // A board does not arm inside a wall: the surface is a little beyond the tip, and the hand goes there.
+    // A board does not arm inside a wall: the surface is slightly beyond the tip, and the hand moves there.
     let point: Vec<f64> = (0..task).map(|i| tip[i] - 2e-4 * question.normal[i]).collect();
     let normal = nalgebra::DVector::from_column_slice(&question.normal);
     let across = complement(&normal).first().map_or([0.0; MAX_JOINTS], |across| padded(across.as_slice()));
@@ -155,10 +156,10 @@ pub fn ripple(question: &Question<'_>, settings: &Settings, sweep: &Sweep) -> Re
         return Ok(None);
     }
     let row_hz = settings.rate_hz / f64::from(divider);
-    // The trend needs a tenth of a second to be one.
+    // The trend needs a tenth of a second to settle.
     let from = (0.1 * row_hz) as usize;
     let mean = forces.iter().sum::<f64>() / forces.len() as f64;
-    let mut fast = Fast::new(row_hz);
-    let square = forces.iter().map(|force| fast.of(*force).powi(2)).skip(from).sum::<f64>();
+    let mut fast = RippleFilter::new(row_hz);
+    let square = forces.iter().map(|force| fast.filter(*force).powi(2)).skip(from).sum::<f64>();
     Ok((mean > HELD && forces.len() > from).then(|| (square / (forces.len() - from) as f64).sqrt()))
 }

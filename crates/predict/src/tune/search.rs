@@ -1,69 +1,71 @@
-//! The search for the stiffest wall that keeps everything.
+//! Searches for the stiffest wall that meets all criteria.
 //!
-//! For each estimator at each rate and cutoff the largest stiffness over damping is a curve. At each of its dampings a
-//! wall that is near the best so far is tried, and one that keeps what is asked for is made stiffer. Candidates whose
-//! curve lies below are not simulated. They are looked at in rounds of a fixed size, so the answer does not depend on
-//! the number of cores. Around the best of each estimator the search goes on between the values of the grid. What it
-//! finds is pressed on the simulated board, which takes longest, and made softer until it is quiet there as well; and
-//! the best of all is made stiffer by steps until none keeps everything.
+//! For each estimator, rate and cutoff, the largest stable stiffness over damping is a curve. At each damping of a
+//! curve the search tries a wall near the best so far, and makes it stiffer if it meets the criteria. It does not
+//! simulate candidates whose curve lies below the best. Candidates are simulated in rounds of fixed size, so the result
+//! does not depend on the number of cores. Around the best of each estimator the search continues between the grid's
+//! values. Its results are pressed on the simulated board, which takes longest, and made softer until they pass there
+//! as well. Finally the best wall is made stiffer in steps until no step meets all criteria.
 
 use super::criteria::{Curve, SearchContext};
 use super::limits::MORE;
-use super::{Found, STIFFNESS_RATIO, Settings, chosen, stiffest, three_digits};
+use super::{STIFFNESS_RATIO, Settings, TunedWall, choose, stiffest, three_digits};
 use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::render::velocity::{Chosen, CutoffMeans, Estimator};
 use haptic_host::error::Failure;
 use std::collections::BTreeSet;
 
-/// Cutoffs of the low-passes, and of what has a bandwidth of its own, Hz.
+/// Cutoffs of the low-passes, and bandwidths of estimators that have one, Hz.
 const CUTOFFS_HZ: [f64; 8] = [20.0, 50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0, 4000.0];
 const BANDWIDTHS_HZ: [f64; 8] = [10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0, 3000.0];
-/// Samples of the differences.
+/// Window lengths of the difference estimators, samples.
 const WINDOWS: [u32; 4] = [4, 8, 16, 32];
-/// Candidates that are simulated at once.
+/// Number of candidates in one round of simulations.
 const ROUND: usize = 8;
-/// A candidate is looked at down to this share of the best so far: between the values of the grid it may be the better.
-const NEAR: f64 = 0.85;
-/// With another feed-forward, and on the board, the search goes down to this share of the stiffest wall so far, so that
-/// there is a result to compare.
+/// Share of the best stiffness down to which candidates are simulated: between the grid's values such a candidate may
+/// be the best.
+const NEAR_SHARE: f64 = 0.85;
+/// The same share with another feed-forward, and on the board: it is lower so that there is a result to compare.
 const COMPARED_SHARE: f64 = 0.7;
-/// Without a result so far, walls from this share of the encoders' rule of thumb on are tried, in such steps.
-const BEGIN: f64 = 0.1;
+/// Without a result so far, stiffness starts at this share of the encoders' rule of thumb and grows by this ratio.
+const FIRST_SHARE: f64 = 0.1;
 const STEP: f64 = 1.5;
-/// The best of all is made stiffer by these factors until none keeps everything: friction or a limit cycle may make a
-/// stiffer wall the quieter.
-const HIGHER: [f64; 5] = [1.5, 1.25, MORE, 1.06, STIFFNESS_RATIO];
-/// Around the best of how many estimators the search goes on, how often, and by which factors of cutoff or window, and
-/// damping.
-const REFINED: usize = 4;
-const REFINEMENTS: usize = 5;
+/// The best wall is made stiffer by these factors until none meets all criteria: friction or a limit cycle may make a
+/// stiffer wall quieter.
+const STIFFER_FACTORS: [f64; 5] = [1.5, 1.25, MORE, 1.06, STIFFNESS_RATIO];
+/// The search continues around the best of at most this many estimators, for at most this many rounds, with these
+/// factors of the cutoff or window and of the damping.
+const REFINED_ESTIMATORS: usize = 4;
+const REFINEMENT_ROUNDS: usize = 5;
 const CUTOFFS: [f64; 5] = [1.0, 0.7, 1.4, 0.5, 2.0];
 const WIDTHS: [f64; 3] = [1.0, 0.75, 1.5];
 const DAMPINGS: [f64; 7] = [1.0, 0.87, 1.15, 0.74, 1.35, 0.55, 1.8];
-/// Number of walls that are pressed on the board at once and at most, and the ratio from one press to the next softer
-/// one.
+/// Number of walls that are pressed on the board at once, their maximum number, and the ratio of stiffness from one
+/// press to the next.
 const PRESSED_AT_ONCE: usize = 4;
 const MOST_PRESSED: usize = 12;
 const SOFTER: f64 = 1.12;
-/// Corners of the washout, Hz: the highest that keeps nearly all of the stiffness.
+/// Corners of the washout, Hz, and the share of the stiffness that the chosen corner must keep; the highest such corner
+/// is chosen.
 const WASHOUTS_HZ: [f64; 5] = [20.0, 10.0, 5.0, 2.0, 1.0];
-const KEEPS: f64 = 0.98;
+const KEPT_SHARE: f64 = 0.98;
 
-/// The results of a search beside the settings that it began with: stiffness, damping, and both ripples.
+/// Results of a search without the settings: stiffness, damping and ripple, and the ripple on the board.
 type Gains = ([f64; 3], Option<f64>);
 
-fn gains(found: Found) -> Gains {
-    ([found.settings.stiffness, found.settings.damping, found.ripple_n], found.board_ripple_n)
+fn gains(tuned: TunedWall) -> Gains {
+    ([tuned.settings.stiffness, tuned.settings.damping, tuned.ripple_n], tuned.board_ripple_n)
 }
 
-fn restored(settings: &Settings, ([stiffness, damping, ripple_n], board_ripple_n): Gains) -> Found {
-    Found { settings: Settings { stiffness, damping, ..*settings }, ripple_n, board_ripple_n, felt: None }
+fn restore(settings: &Settings, ([stiffness, damping, ripple_n], board_ripple_n): Gains) -> TunedWall {
+    TunedWall { settings: Settings { stiffness, damping, ..*settings }, ripple_n, board_ripple_n, felt: None }
 }
 
 impl SearchContext<'_> {
-    /// Walls that keep everything, the best of all among them, and how many combinations there were and were simulated.
-    pub fn all(&self) -> Result<(Vec<Found>, (usize, usize)), Failure> {
-        let mut all: Vec<Found> = self.known()?.into_iter().collect();
+    /// Searches for walls that meet all criteria. Returns them, with the best among them, and the numbers of
+    /// combinations and of simulated ones.
+    pub fn all(&self) -> Result<(Vec<TunedWall>, (usize, usize)), Failure> {
+        let mut all: Vec<TunedWall> = self.known_wall()?.into_iter().collect();
         let mut looked_at = (0, 0);
         for &feed_forward in &self.question.feed_forwards {
             if feed_forward != FeedForward::Off && !self.is_coupled() {
@@ -76,95 +78,95 @@ impl SearchContext<'_> {
             let mut candidates: Vec<(Settings, Curve)> =
                 combinations.into_iter().zip(curves).filter_map(|(settings, curve)| Some((settings, curve?))).collect();
             looked_at.0 += candidates.len();
-            // Of equal promise, the faster comes first, which has more in reserve. The sort is stable: equals stay in
-            // their order.
+            // Of equal curves, the faster rate comes first, because it has more reserve. The sort is stable: equals
+            // keep their order.
             candidates.sort_by(|(one, a), (other, b)| {
                 b.top().total_cmp(&a.top()).then_with(|| other.rate_hz.total_cmp(&one.rate_hz))
             });
-            let floor = stiffest(&all).map_or(0.0, |found| found.settings.stiffness);
-            let share = if feed_forward == FeedForward::Off { NEAR } else { COMPARED_SHARE };
-            let mut found = self.simulated(&candidates, name, share * floor, &mut looked_at.1)?;
-            for (place, one) in promising(&found).into_iter().enumerate() {
-                found.push(self.refined(one, &format!("feed-forward {name}, {}", place + 1))?);
+            let floor = stiffest(&all).map_or(0.0, |tuned| tuned.settings.stiffness);
+            let share = if feed_forward == FeedForward::Off { NEAR_SHARE } else { COMPARED_SHARE };
+            let mut tuned = self.simulate(&candidates, name, share * floor, &mut looked_at.1)?;
+            for (place, one) in promising(&tuned).into_iter().enumerate() {
+                tuned.push(self.refine(one, &format!("feed-forward {name}, {}", place + 1))?);
             }
-            all.extend(found);
+            all.extend(tuned);
         }
-        let mut all = self.on_board_too(all)?;
-        if let Some((best, _)) = chosen(&all) {
-            all.push(self.finished(best)?);
+        let mut all = self.soften_for_board(all)?;
+        if let Some((best, _)) = choose(&all) {
+            all.push(self.stiffen(best)?);
         }
         Ok((all, looked_at))
     }
 
-    /// Of what was found the best of each estimator and feed-forward, as stiff as the board lets it be.
-    fn on_board_too(&self, all: Vec<Found>) -> Result<Vec<Found>, Failure> {
+    /// Reduces the stiffness of the best wall of each estimator and feed-forward until it passes on the board.
+    fn soften_for_board(&self, all: Vec<TunedWall>) -> Result<Vec<TunedWall>, Failure> {
         if self.question.board_ripple_n.is_none() {
             return Ok(all);
         }
-        let (mut done, mut waiting): (Vec<Found>, Vec<Found>) =
-            all.into_iter().partition(|found| found.board_ripple_n.is_some());
+        let (mut done, mut waiting): (Vec<TunedWall>, Vec<TunedWall>) =
+            all.into_iter().partition(|tuned| tuned.board_ripple_n.is_some());
         waiting.sort_by(|a, b| b.settings.stiffness.total_cmp(&a.settings.stiffness));
         let mut seen = BTreeSet::new();
-        waiting.retain(|found| seen.insert((found.settings.estimator, found.settings.feed_forward.name())));
+        waiting.retain(|tuned| seen.insert((tuned.settings.estimator, tuned.settings.feed_forward.name())));
         waiting.truncate(MOST_PRESSED);
         for (round, some) in waiting.chunks(PRESSED_AT_ONCE).enumerate() {
-            // Results well below the stiffest so far need not be known exactly.
-            let floor = COMPARED_SHARE * stiffest(&done).map_or(0.0, |found| found.settings.stiffness);
-            let results = self.sweep.map(&format!("on the board, round {}", round + 1), some, |found| {
-                let top = found.settings.stiffness;
+            // Results well below the stiffest so far need not be exact.
+            let floor = COMPARED_SHARE * stiffest(&done).map_or(0.0, |tuned| tuned.settings.stiffness);
+            let results = self.sweep.map(&format!("on the board, round {}", round + 1), some, |tuned| {
+                let top = tuned.settings.stiffness;
                 let softer = (0..24).map(|i| three_digits(top / SOFTER.powi(i), true));
                 for stiffness in softer.take_while(|stiffness| *stiffness > floor) {
-                    if let Some(kept) = self.kept(&Settings { stiffness, ..found.settings })? {
+                    if let Some(kept) = self.check_all(&Settings { stiffness, ..tuned.settings })? {
                         return Ok(Some(gains(kept)));
                     }
                 }
                 Ok(None)
             })?;
             let each = some.iter().zip(results);
-            done.extend(each.filter_map(|(found, result)| Some(restored(&found.settings, result?))));
+            done.extend(each.filter_map(|(tuned, result)| Some(restore(&tuned.settings, result?))));
         }
         Ok(done)
     }
 
-    /// The same wall, stiffer until it keeps everything at none of some steps.
-    fn finished(&self, mut found: Found) -> Result<Found, Failure> {
-        let most = self.most(&found.settings)?;
+    /// Makes a wall stiffer until no step meets all criteria.
+    fn stiffen(&self, mut tuned: TunedWall) -> Result<TunedWall, Failure> {
+        let most = self.largest_stiffness(&tuned.settings)?;
         let mut round = 0;
         loop {
             round += 1;
-            let higher = HIGHER.map(|factor| three_digits(factor * found.settings.stiffness, false));
+            let higher = STIFFER_FACTORS.map(|factor| three_digits(factor * tuned.settings.stiffness, false));
             let walls: Vec<f64> = higher.into_iter().filter(|stiffness| *stiffness <= most).collect();
-            let settings = found.settings;
+            let settings = tuned.settings;
             let kept = self.sweep.map(&format!("stiffer, round {round}"), &walls, |stiffness| {
-                Ok(self.kept(&Settings { stiffness: *stiffness, ..settings })?.map(gains))
+                Ok(self.check_all(&Settings { stiffness: *stiffness, ..settings })?.map(gains))
             })?;
             match kept.into_iter().flatten().next() {
-                Some(stiffer) => found = restored(&settings, stiffer),
-                None => return Ok(found),
+                Some(stiffer) => tuned = restore(&settings, stiffer),
+                None => return Ok(tuned),
             }
         }
     }
 
-    /// The known settings, if they keep everything.
-    fn known(&self) -> Result<Option<Found>, Failure> {
+    /// Returns the known settings if they meet all criteria.
+    fn known_wall(&self) -> Result<Option<TunedWall>, Failure> {
         let Some(known) = self.question.known.filter(|known| known.stiffness > 0.0) else { return Ok(None) };
         self.sweep
-            .map("the wall that is there", &[known], |known| Ok(self.kept(known)?.map(gains)))
-            .map(|found| found.into_iter().flatten().next().map(|found| restored(&known, found)))
+            .map("the wall that is there", &[known], |known| Ok(self.check_all(known)?.map(gains)))
+            .map(|tuned| tuned.into_iter().flatten().next().map(|tuned| restore(&known, tuned)))
     }
 
-    /// Every combination of rate, estimator and cutoff with one feed-forward.
+    /// Returns every combination of rate, estimator and cutoff with one feed-forward.
     fn combinations(&self, feed_forward: FeedForward) -> Vec<Settings> {
         let description = &self.question.file.description;
         let viscous = description.joints.iter().any(|joint| joint.viscous > 0.0);
         let rigid = !description.is_flexible();
         let compensations: &[bool] =
             if feed_forward != FeedForward::Off && viscous && rigid { &[false, true] } else { &[false] };
-        let mut found = Vec::new();
+        let mut combinations = Vec::new();
         for &rate_hz in &self.question.rates_hz {
             let usual_cutoff = (0.1 * rate_hz).min(500.0);
             let mut add = |kind: Estimator, cutoff_hz: f64| {
-                found.extend(compensations.iter().map(|&damping_compensation| Settings {
+                combinations.extend(compensations.iter().map(|&damping_compensation| Settings {
                     rate_hz,
                     kind,
                     estimator: kind.name(),
@@ -191,21 +193,21 @@ impl SearchContext<'_> {
                 }
             }
         }
-        found
+        combinations
     }
 
-    /// The stiffest wall of a candidate that is quiet and stiffer than `floor`, N/m.
-    fn best_on(&self, settings: &Settings, curve: &Curve, floor: f64) -> Result<Option<Found>, Failure> {
-        let mut best: Option<Found> = None;
+    /// Returns the stiffest wall of a candidate that passes the ripple check and is stiffer than `floor`, N/m.
+    fn best_of_candidate(&self, settings: &Settings, curve: &Curve, floor: f64) -> Result<Option<TunedWall>, Failure> {
+        let mut best: Option<TunedWall> = None;
         for &(damping, most) in curve.points.iter().filter(|point| point.1 > 0.0) {
             let floor = best.map_or(floor, |best| best.settings.stiffness);
             let known = floor > 0.0;
-            let least = if known { STIFFNESS_RATIO * floor } else { BEGIN * self.steps.min(most) };
+            let least = if known { STIFFNESS_RATIO * floor } else { FIRST_SHARE * self.steps.min(most) };
             let ladder = (0..if known { 1 } else { 40 }).map(|i| STEP.powi(i) * least);
             for stiffness in ladder.take_while(|stiffness| *stiffness <= most) {
                 let wall = Settings { stiffness: three_digits(stiffness, true), damping, ..*settings };
-                if let Some(found) = self.quiet(&wall)? {
-                    best = Some(self.climbed(found, most)?);
+                if let Some(tuned) = self.check_ripple(&wall)? {
+                    best = Some(self.raise_to_limit(tuned, most)?);
                     break;
                 }
             }
@@ -213,62 +215,68 @@ impl SearchContext<'_> {
         Ok(best)
     }
 
-    /// A wall that is quiet, as stiff as it stays so, up to `most`, N/m.
-    fn climbed(&self, mut found: Found, most: f64) -> Result<Found, Failure> {
+    /// Makes a wall as stiff as the ripple check allows, up to `most`, N/m.
+    fn raise_to_limit(&self, mut tuned: TunedWall, most: f64) -> Result<TunedWall, Failure> {
         let mut high = None;
         loop {
-            let low = found.settings.stiffness;
-            // Ripple grows about as stiffness does.
-            let ahead = (self.question.ripple_n / found.ripple_n).clamp(1.06, STEP);
+            let low = tuned.settings.stiffness;
+            // Ripple grows roughly in proportion to stiffness.
+            let ahead = (self.question.ripple_n / tuned.ripple_n).clamp(1.06, STEP);
             let factor = high.map_or(ahead, |high: f64| (high / low).sqrt());
             let stiffness = three_digits((factor * low).min(most), true);
             if stiffness <= low || high.is_some_and(|high| high / low < STIFFNESS_RATIO) {
-                return Ok(found);
+                return Ok(tuned);
             }
-            match self.quiet(&Settings { stiffness, ..found.settings })? {
-                Some(stiffer) => found = stiffer,
+            match self.check_ripple(&Settings { stiffness, ..tuned.settings })? {
+                Some(stiffer) => tuned = stiffer,
                 None => high = Some(stiffness),
             }
         }
     }
 
-    /// Simulates candidates from the most promising on, until none can be near the best, or stiffer than `floor`, N/m.
-    fn simulated(
+    /// Simulates candidates, the most promising first, until no more can be near the best or stiffer than `floor`, N/m.
+    fn simulate(
         &self,
         candidates: &[(Settings, Curve)],
         feed_forward: &str,
         floor: f64,
         count: &mut usize,
-    ) -> Result<Vec<Found>, Failure> {
-        let mut found: Vec<Found> = Vec::new();
+    ) -> Result<Vec<TunedWall>, Failure> {
+        let mut tuned: Vec<TunedWall> = Vec::new();
         for (round, some) in candidates.chunks(ROUND).enumerate() {
-            let floor = stiffest(&found).map_or(floor, |best| floor.max(NEAR * best.settings.stiffness));
+            let floor = stiffest(&tuned).map_or(floor, |best| floor.max(NEAR_SHARE * best.settings.stiffness));
             if some[0].1.top() <= floor {
                 break;
             }
             let stage = format!("ripple, feed-forward {feed_forward}, round {}", round + 1);
-            found.extend(self.better(some, floor, &stage)?);
+            tuned.extend(self.best_of_each(some, floor, &stage)?);
             *count += some.len();
         }
-        Ok(found)
+        Ok(tuned)
     }
 
-    /// The best of each candidate that has one above `floor`, N/m.
-    fn better(&self, candidates: &[(Settings, Curve)], floor: f64, stage: &str) -> Result<Vec<Found>, Failure> {
-        let results = self
-            .sweep
-            .map(stage, candidates, |(settings, curve)| Ok(self.best_on(settings, curve, floor)?.map(gains)))?;
+    /// Returns the best wall of each candidate, if it is stiffer than `floor`, N/m.
+    fn best_of_each(
+        &self,
+        candidates: &[(Settings, Curve)],
+        floor: f64,
+        stage: &str,
+    ) -> Result<Vec<TunedWall>, Failure> {
+        let results = self.sweep.map(stage, candidates, |(settings, curve)| {
+            Ok(self.best_of_candidate(settings, curve, floor)?.map(gains))
+        })?;
         let each = candidates.iter().zip(results);
-        Ok(each.filter_map(|((settings, _), result)| Some(restored(settings, result?))).collect())
+        Ok(each.filter_map(|((settings, _), result)| Some(restore(settings, result?))).collect())
     }
 
-    /// Cutoffs and dampings between those of the grid, then the highest corner of the washout that keeps the stiffness.
-    fn refined(&self, found: Found, stage: &str) -> Result<Found, Failure> {
-        let mut best = found;
-        for round in 0..REFINEMENTS {
+    /// Refines cutoff and damping between the grid's values, then chooses the highest corner of the washout that keeps
+    /// the stiffness.
+    fn refine(&self, tuned: TunedWall, stage: &str) -> Result<TunedWall, Failure> {
+        let mut best = tuned;
+        for round in 0..REFINEMENT_ROUNDS {
             let Settings { stiffness, damping, .. } = best.settings;
             let candidates = self.around_damping(neighbours(&best.settings), damping)?;
-            let there = self.better(&candidates, stiffness, &format!("between, {stage}, {}", round + 1))?;
+            let there = self.best_of_each(&candidates, stiffness, &format!("between, {stage}, {}", round + 1))?;
             best = stiffest([&best].into_iter().chain(&there)).unwrap_or(best);
             if best.settings.stiffness <= STIFFNESS_RATIO * stiffness {
                 break;
@@ -277,14 +285,14 @@ impl SearchContext<'_> {
         if best.settings.feed_forward == FeedForward::Washout {
             let corners = WASHOUTS_HZ.map(|washout_hz| Settings { washout_hz, ..best.settings });
             let candidates = self.around_damping(corners.to_vec(), best.settings.damping)?;
-            let there = self.better(&candidates, 0.8 * best.settings.stiffness, &format!("washouts, {stage}"))?;
-            let most = stiffest([&best].into_iter().chain(&there)).map_or(0.0, |found| found.settings.stiffness);
-            best = there.into_iter().find(|found| found.settings.stiffness >= KEEPS * most).unwrap_or(best);
+            let there = self.best_of_each(&candidates, 0.8 * best.settings.stiffness, &format!("washouts, {stage}"))?;
+            let most = stiffest([&best].into_iter().chain(&there)).map_or(0.0, |tuned| tuned.settings.stiffness);
+            best = there.into_iter().find(|tuned| tuned.settings.stiffness >= KEPT_SHARE * most).unwrap_or(best);
         }
         Ok(best)
     }
 
-    /// These settings with their curves about a damping, N s/m.
+    /// Returns these settings with their curves around a damping, N s/m.
     fn around_damping(&self, settings: Vec<Settings>, damping: f64) -> Result<Vec<(Settings, Curve)>, Failure> {
         let dampings = DAMPINGS.map(|factor| three_digits(damping * factor, false));
         let each = settings.into_iter().map(|settings| {
@@ -295,28 +303,29 @@ impl SearchContext<'_> {
     }
 }
 
-/// The same settings and others with a cutoff or a window between those of the grid.
+/// Returns the same settings and others with a cutoff or a window between the grid's values.
 fn neighbours(settings: &Settings) -> Vec<Settings> {
     if settings.has_cutoff() {
-        let near = CUTOFFS.iter().map(|factor| three_digits(settings.cutoff_hz * factor, false));
-        let near = near.filter(|hz| *hz <= 0.4 * settings.rate_hz);
-        return near.map(|cutoff_hz| Settings { cutoff_hz, ..*settings }).collect();
+        let nearby = CUTOFFS.iter().map(|factor| three_digits(settings.cutoff_hz * factor, false));
+        let nearby = nearby.filter(|hz| *hz <= 0.4 * settings.rate_hz);
+        return nearby.map(|cutoff_hz| Settings { cutoff_hz, ..*settings }).collect();
     }
     let Some(key) = settings.kind.spec().and_then(|spec| spec.key) else { return vec![*settings] };
-    let near = WIDTHS.iter().map(|factor| (f64::from(settings.value) * factor).round() as u32);
-    let near = near.filter(|value| (key.range.0..=key.range.1).contains(value));
-    near.map(|value| {
-        let kind = settings.kind.choosing(Chosen { value, filtered: false });
-        Settings { kind, value, ..*settings }
-    })
-    .collect()
+    let nearby = WIDTHS.iter().map(|factor| (f64::from(settings.value) * factor).round() as u32);
+    let nearby = nearby.filter(|value| (key.range.0..=key.range.1).contains(value));
+    nearby
+        .map(|value| {
+            let kind = settings.kind.choosing(Chosen { value, filtered: false });
+            Settings { kind, value, ..*settings }
+        })
+        .collect()
 }
 
-/// The best of each estimator that is near the best of all, the stiffest first.
-fn promising(found: &[Found]) -> Vec<Found> {
-    let best = stiffest(found).map_or(0.0, |best| best.settings.stiffness);
-    let mut near = super::of_each_estimator(found.to_vec());
-    near.retain(|found| found.settings.stiffness >= NEAR * best);
-    near.truncate(REFINED);
-    near
+/// Returns the best of each estimator that is near the best of all, the stiffest first.
+fn promising(tuned: &[TunedWall]) -> Vec<TunedWall> {
+    let best = stiffest(tuned).map_or(0.0, |best| best.settings.stiffness);
+    let mut nearby = super::best_of_each_estimator(tuned.to_vec());
+    nearby.retain(|tuned| tuned.settings.stiffness >= NEAR_SHARE * best);
+    nearby.truncate(REFINED_ESTIMATORS);
+    nearby
 }

@@ -1,16 +1,16 @@
-//! The amplitude spectrum of a recorded signal.
+//! Amplitude spectrum of a recorded signal.
 
 use std::f64::consts::TAU;
 
-/// Longest piece of a signal that is transformed at once, samples.
+/// Longest piece of a signal for one transform, samples.
 const LONGEST: usize = 16_384;
-/// Shortest that is worth it.
+/// Shortest useful piece, samples.
 const SHORTEST: usize = 64;
 
 /// A line of a spectrum.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct SpectralLine {
-    /// Hz
+    /// Frequency, Hz.
     pub frequency: f64,
     /// Amplitude of a sine at that frequency, in the signal's unit.
     pub amplitude: f64,
@@ -19,19 +19,19 @@ pub struct SpectralLine {
 /// The spectrum of a signal.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Spectrum {
-    /// From 0 Hz to half of the signal's rate.
+    /// Lines from 0 Hz to half of the signal's rate.
     pub lines: Vec<SpectralLine>,
     /// Number of samples in the signal.
     pub samples: usize,
 }
 
-/// From this frequency on (Hz) a force is ripple and no longer what the hand does.
+/// Lowest frequency of ripple, Hz: below it a force is the hand's.
 pub const RIPPLE_HZ: f64 = 20.0;
-/// A sine under a Hann window has this many lines' worth of power: the window's equivalent noise bandwidth.
+/// Power of a sine under a Hann window, in lines: the window's equivalent noise bandwidth.
 const HANN_LINES: f64 = 1.5;
 
 impl Spectrum {
-    /// Root mean square of what the signal has from [`RIPPLE_HZ`] on, in its unit.
+    /// Returns the root mean square of the signal from [`RIPPLE_HZ`] on, in its unit.
     #[must_use]
     pub fn ripple(&self) -> f64 {
         let fast = self.lines.iter().filter(|line| line.frequency >= RIPPLE_HZ);
@@ -39,10 +39,11 @@ impl Spectrum {
     }
 }
 
-/// The amplitudes of a signal's sines, from its even `stretches` (Welch 1967): pieces of the largest power of two of
-/// samples that the longest stretch holds, 16384 at most, each less its mean and under a Hann window, averaged by their
-/// power. The pieces of a stretch overlap by half or more, so that the first begins with it and the last ends with it;
-/// stretches shorter than a piece are left out. None where the longest has fewer than 64 samples.
+/// Computes the amplitudes of a signal's sines from evenly sampled `stretches` (Welch 1967). The pieces have the
+/// largest power of two of samples that the longest stretch holds, 16384 at most. Each has its mean removed and a Hann
+/// window, and their powers are averaged. The pieces of a stretch overlap by at least half, so that the first begins
+/// and the last ends with the stretch; stretches shorter than a piece are left out. `None` if the longest stretch has
+/// fewer than 64 samples.
 pub fn spectrum(stretches: &[&[f64]], rate_hz: f64) -> Option<Spectrum> {
     let longest = stretches.iter().map(|stretch| stretch.len()).max().filter(|longest| *longest >= SHORTEST)?;
     let size = (1 << longest.ilog2()).min(LONGEST);
@@ -57,9 +58,10 @@ pub fn spectrum(stretches: &[&[f64]], rate_hz: f64) -> Option<Spectrum> {
         for step in 0..=steps {
             let piece = &stretch[room * step / steps.max(1)..][..size];
             let mean = piece.iter().sum::<f64>() / size as f64;
-            let mut turned: Vec<(f64, f64)> = piece.iter().zip(&window).map(|(v, w)| ((v - mean) * w, 0.0)).collect();
-            transform(&mut turned);
-            for (sum, (re, im)) in power.iter_mut().zip(turned) {
+            let mut transformed: Vec<(f64, f64)> =
+                piece.iter().zip(&window).map(|(v, w)| ((v - mean) * w, 0.0)).collect();
+            transform(&mut transformed);
+            for (sum, (re, im)) in power.iter_mut().zip(transformed) {
                 *sum += re * re + im * im;
             }
             pieces += 1.0;
@@ -72,7 +74,7 @@ pub fn spectrum(stretches: &[&[f64]], rate_hz: f64) -> Option<Spectrum> {
     Some(Spectrum { lines: power.into_iter().enumerate().map(line).collect(), samples })
 }
 
-/// Fourier transform in place of a power of two of complex numbers (Cooley and Tukey 1965).
+/// Transforms a power of two of complex numbers in place (FFT, Cooley and Tukey 1965).
 fn transform(values: &mut [(f64, f64)]) {
     let count = values.len();
     let bits = count.trailing_zeros();
@@ -88,9 +90,9 @@ fn transform(values: &mut [(f64, f64)]) {
             let (sin, cos) = (-TAU * i as f64 / (2 * half) as f64).sin_cos();
             for k in (i..count).step_by(2 * half) {
                 let (a, b) = (values[k], values[k + half]);
-                let turned = (b.0 * cos - b.1 * sin, b.0 * sin + b.1 * cos);
-                values[k] = (a.0 + turned.0, a.1 + turned.1);
-                values[k + half] = (a.0 - turned.0, a.1 - turned.1);
+                let transformed = (b.0 * cos - b.1 * sin, b.0 * sin + b.1 * cos);
+                values[k] = (a.0 + transformed.0, a.1 + transformed.1);
+                values[k + half] = (a.0 - transformed.0, a.1 - transformed.1);
             }
         }
         half *= 2;
@@ -102,52 +104,52 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_transform_is_the_sum_that_defines_it() {
+    fn transform_equals_its_defining_sum() {
         let signal: Vec<(f64, f64)> = (0..64_u64).map(|i| ((i * i % 17) as f64, (i * 7 % 5) as f64)).collect();
         let mut fast = signal.clone();
         transform(&mut fast);
-        for (k, found) in fast.iter().enumerate() {
+        for (k, result) in fast.iter().enumerate() {
             let sum = signal.iter().enumerate().fold((0.0, 0.0), |sum: (f64, f64), (n, (re, im))| {
                 let (sin, cos) = (-TAU * (k * n) as f64 / 64.0).sin_cos();
                 (sum.0 + re * cos - im * sin, sum.1 + re * sin + im * cos)
             });
-            assert!((found.0 - sum.0).hypot(found.1 - sum.1) < 1e-9, "{k}");
+            assert!((result.0 - sum.0).hypot(result.1 - sum.1) < 1e-9, "{k}");
         }
     }
 
     #[test]
-    fn a_sine_shows_its_amplitude_at_its_frequency_and_its_mean_not_at_all() {
+    fn spectrum_shows_the_amplitude_of_a_sine_without_its_mean() {
         let rate = 20_000.0;
         for (hz, amplitude) in [(61.035_156_25, 3.0), (1_000.0, 0.02)] {
             let signal: Vec<f64> =
                 (0..50_000).map(|i| 7.0 + amplitude * (TAU * hz * f64::from(i) / rate).sin()).collect();
-            let found = spectrum(&[&signal], rate).unwrap();
-            let top = found.lines.iter().max_by(|a, b| a.amplitude.total_cmp(&b.amplitude)).unwrap();
+            let result = spectrum(&[&signal], rate).unwrap();
+            let top = result.lines.iter().max_by(|a, b| a.amplitude.total_cmp(&b.amplitude)).unwrap();
             assert!((top.frequency - hz).abs() < rate / LONGEST as f64, "{top:?}");
-            // Between two lines the Hann window shows 15 % less at most.
+            // Between two lines the Hann window shows at most 15 % less.
             assert!(top.amplitude <= 1.001 * amplitude && top.amplitude > 0.84 * amplitude, "{top:?}");
-            let ripple = found.ripple() / (amplitude * 0.5_f64.sqrt());
+            let ripple = result.ripple() / (amplitude * 0.5_f64.sqrt());
             assert!((ripple - 1.0).abs() < 0.01, "{hz} Hz: {ripple} of the root mean square");
         }
         assert_eq!(spectrum(&[&[0.0; 63]], 1.0), None);
     }
 
-    /// Of 1000 samples a power of two leaves nearly half, and of 767 a third, where pieces only follow from the front.
+    /// A power of two leaves out nearly half of 1000 samples, and a third of 767, if pieces only follow from the start.
     #[test]
-    fn no_sample_of_a_stretch_is_left_out() {
+    fn every_sample_of_a_stretch_counts() {
         let rate = 1000.0;
         for count in [767, 1000, 20_000, 40_000] {
             for swings in [0..count / 5, count - count / 5..count] {
                 let sine = |i: usize| if swings.contains(&i) { (TAU * 100.0 * i as f64 / rate).sin() } else { 0.0 };
                 let signal: Vec<f64> = (0..count).map(sine).collect();
-                let found = spectrum(&[&signal], rate).unwrap();
-                let top = found.lines.iter().max_by(|a, b| a.amplitude.total_cmp(&b.amplitude)).unwrap();
+                let result = spectrum(&[&signal], rate).unwrap();
+                let top = result.lines.iter().max_by(|a, b| a.amplitude.total_cmp(&b.amplitude)).unwrap();
                 assert!((top.frequency - 100.0).abs() < 2.0 * rate / 64.0 && top.amplitude > 0.01, "{count}: {top:?}");
-                assert_eq!(found.samples, count);
+                assert_eq!(result.samples, count);
             }
         }
-        // Of several stretches all that hold a piece.
-        let found = spectrum(&[&[1.0; 100], &[1.0; 63], &[1.0; 64]], rate).unwrap();
-        assert_eq!((found.samples, found.lines.len()), (164, 33));
+        // With several stretches, all that hold a piece count.
+        let result = spectrum(&[&[1.0; 100], &[1.0; 63], &[1.0; 64]], rate).unwrap();
+        assert_eq!((result.samples, result.lines.len()), (164, 33));
     }
 }

@@ -1,10 +1,10 @@
-//! The gains at which modes leave the unit circle: the exact crossings of one gain with the other held, and the stable
-//! intervals between.
+//! Gains at which modes leave the unit circle: the exact crossings of one gain with the other held, and the stable
+//! intervals between them.
 //!
-//! On the unit circle, z = e^{iθ}, the loop 1 + kp Gx(z) + kd Gv(z) = 0 fixes the gain as a function of θ; it must be
-//! real, which leaves the zeros of one real function of θ. Its two parts do not depend on the gains, so they are
-//! tabulated once per loop; for each gain the sign changes (and the near misses) are refined. Which intervals between
-//! crossings are stable is decided by eigenvalues, not by counting.
+//! On the unit circle, z = e^{iθ}, the loop 1 + kp Gx(z) + kd Gv(z) = 0 fixes the gain as a function of θ. The gain
+//! must be real, which leaves the zeros of one real function of θ. Its two parts do not depend on the gains, so they
+//! are tabulated once per loop; for each gain the sign changes (and the near misses) are refined. Eigenvalues decide
+//! which intervals between crossings are stable.
 //!
 //! This is Neimark's D-decomposition; see Gryazina and Polyak, "Stability regions in the parameter space:
 //! D-decomposition revisited", Automatica 42 (2006) 13-26.
@@ -14,10 +14,10 @@ use nalgebra::Complex;
 use super::sampled::{AnalysisError, OpenLoop};
 use super::spectrum::Resolvent;
 
-/// Smallest stiffness that is looked at, in units of m/T².
+/// Smallest stiffness that is analysed, in units of m/T².
 pub(crate) const SMALLEST_STIFFNESS: f64 = 1e-9;
 
-/// Lowest frequency at which a mode can cross, rad per sample: the smallest stiffness on the mass alone makes 3e-5.
+/// Lowest frequency at which a mode can cross, rad per sample: the smallest stiffness on the mass alone gives 3e-5.
 const LOWEST_ANGLE: f64 = 3e-6;
 
 /// A stable interval of a gain.
@@ -27,7 +27,7 @@ pub(crate) struct Interval {
     pub high: f64,
 }
 
-/// The responses to the wall force around the unit circle.
+/// Responses to the wall force around the unit circle.
 pub(crate) struct Circle<'a> {
     open: &'a OpenLoop,
     resolvent: Resolvent,
@@ -43,37 +43,37 @@ struct Response {
     velocity: Complex<f64>,
 }
 
-/// Which gain is being looked for.
+/// The gain whose crossings are searched.
 #[derive(Clone, Copy, PartialEq)]
-enum Sought {
+enum SearchedGain {
     Stiffness,
     Damping,
 }
 
-/// Neighbours may differ in their responses by this much of phase (rad).
-const TURNS: f64 = 0.25;
+/// Largest phase difference between the responses of neighbours, rad.
+const LARGEST_TURN: f64 = 0.25;
 
 impl Response {
-    /// Returns true if the response turns so far between the two that a crossing between them could be overlooked.
+    /// Returns true if the response turns so far between the two that a crossing between them could be missed.
     fn is_far_from(&self, other: &Response) -> bool {
-        let turned = |a: Complex<f64>, b: Complex<f64>| (b * a.conj()).arg().abs() > TURNS;
+        let turned = |a: Complex<f64>, b: Complex<f64>| (b * a.conj()).arg().abs() > LARGEST_TURN;
         turned(self.position, other.position) || turned(self.velocity, other.velocity)
     }
 
-    /// The complex gain that puts a mode at this angle with the other gain `held`; a crossing where it is real.
-    fn gain(&self, sought: Sought, held: f64) -> Complex<f64> {
-        let (own, other) = match sought {
-            Sought::Stiffness => (self.position, self.velocity),
-            Sought::Damping => (self.velocity, self.position),
+    /// Returns the complex gain that puts a mode at this angle with the other gain `held`; a real gain is a crossing.
+    fn gain(&self, searched: SearchedGain, held: f64) -> Complex<f64> {
+        let (own, other) = match searched {
+            SearchedGain::Stiffness => (self.position, self.velocity),
+            SearchedGain::Damping => (self.velocity, self.position),
         };
         -(other * held + 1.0) / own
     }
 
-    /// Imaginary part of that gain up to a positive factor, finite where the own response vanishes.
-    fn mismatch(&self, sought: Sought, held: f64) -> f64 {
-        let (own, other) = match sought {
-            Sought::Stiffness => (self.position, self.velocity),
-            Sought::Damping => (self.velocity, self.position),
+    /// Returns the imaginary part of that gain up to a positive factor; it is finite even if the own response vanishes.
+    fn mismatch(&self, searched: SearchedGain, held: f64) -> f64 {
+        let (own, other) = match searched {
+            SearchedGain::Stiffness => (self.position, self.velocity),
+            SearchedGain::Damping => (self.velocity, self.position),
         };
         ((other * held + 1.0) * own.conj()).im / (own.norm() * (1.0 + own.norm()))
     }
@@ -110,8 +110,8 @@ impl<'a> Circle<'a> {
         circle
     }
 
-    /// Adds samples where the responses turn quickly: a cluster at every resonance, then halves of what still turns too
-    /// far between neighbours.
+    /// Adds samples where the responses turn quickly: a cluster at every resonance, then midpoints between neighbours
+    /// whose responses differ too much.
     fn refine_resonances(&mut self) {
         let top = self.samples.last().map_or(0.0, |last| last.angle);
         for &(radius, centre) in self.open.resonances() {
@@ -155,53 +155,54 @@ impl<'a> Circle<'a> {
         Response { angle, position: along(&self.open.position), velocity: along(&self.open.velocity) }
     }
 
-    /// Positive real gains at which a mode lies on the unit circle, ascending.
-    fn crossings(&mut self, sought: Sought, held: f64) -> Vec<f64> {
-        let mut found = Vec::new();
-        let values: Vec<f64> = self.samples.iter().map(|r| r.mismatch(sought, held)).collect();
+    /// Returns the positive real gains at which a mode lies on the unit circle, in ascending order.
+    fn crossings(&mut self, searched: SearchedGain, held: f64) -> Vec<f64> {
+        let mut gains = Vec::new();
+        let values: Vec<f64> = self.samples.iter().map(|r| r.mismatch(searched, held)).collect();
         for i in 1..values.len() {
             if (values[i] > 0.0) != (values[i - 1] > 0.0) {
-                found.push(self.refine(sought, held, i - 1, i, values[i - 1]));
+                gains.push(self.refine(searched, held, i - 1, i, values[i - 1]));
             }
-            // Two crossings between samples: an extremum near zero that does not reach it on the grid.
+            // Two crossings between samples: an extremum near zero that does not reach zero on the grid.
             if i >= 2 {
                 let (a, b, c) = (values[i - 2], values[i - 1], values[i]);
                 let same_side = (a > 0.0) == (b > 0.0) && (b > 0.0) == (c > 0.0);
                 if same_side && b.abs() < a.abs() && b.abs() < c.abs() && b.abs() < (a - b).abs().max((c - b).abs()) {
-                    found.extend(self.refine_pair(sought, held, i - 2, i, b));
+                    gains.extend(self.refine_pair(searched, held, i - 2, i, b));
                 }
             }
         }
-        if self.own_at_nyquist(sought).norm() > 1e-14 {
-            found.push(self.at_nyquist.gain(sought, held).re);
+        if self.own_at_nyquist(searched).norm() > 1e-14 {
+            gains.push(self.at_nyquist.gain(searched, held).re);
         }
-        found.retain(|gain| gain.is_finite() && *gain > 0.0);
-        found.sort_by(f64::total_cmp);
-        found
+        gains.retain(|gain| gain.is_finite() && *gain > 0.0);
+        gains.sort_by(f64::total_cmp);
+        gains
     }
 
-    fn own_at_nyquist(&self, sought: Sought) -> Complex<f64> {
-        match sought {
-            Sought::Stiffness => self.at_nyquist.position,
-            Sought::Damping => self.at_nyquist.velocity,
+    fn own_at_nyquist(&self, searched: SearchedGain) -> Complex<f64> {
+        match searched {
+            SearchedGain::Stiffness => self.at_nyquist.position,
+            SearchedGain::Damping => self.at_nyquist.velocity,
         }
     }
 
-    /// Bisection with secant steps (Illinois) between two angles of opposite sign; returns the gain there.
-    fn refine(&mut self, sought: Sought, held: f64, from: usize, to: usize, at_from: f64) -> f64 {
+    /// Refines a crossing between two angles of opposite sign by bisection with secant steps (Illinois). Returns the
+    /// gain.
+    fn refine(&mut self, searched: SearchedGain, held: f64, from: usize, to: usize, at_from: f64) -> f64 {
         let (a, b) = (self.samples[from].angle, self.samples[to].angle);
-        let at_to = self.samples[to].mismatch(sought, held);
-        self.root_between(sought, held, (a, at_from), (b, at_to))
+        let at_to = self.samples[to].mismatch(searched, held);
+        self.root_between(searched, held, (a, at_from), (b, at_to))
     }
 
-    fn root_between(&mut self, sought: Sought, held: f64, from: (f64, f64), to: (f64, f64)) -> f64 {
+    fn root_between(&mut self, searched: SearchedGain, held: f64, from: (f64, f64), to: (f64, f64)) -> f64 {
         let ((mut a, mut fa), (mut b, mut fb)) = (from, to);
         let mut last = self.respond((a + b) / 2.0);
         for _ in 0..60 {
             let guess = (a * fb - b * fa) / (fb - fa);
             let guess = if guess > a.min(b) && guess < a.max(b) { guess } else { (a + b) / 2.0 };
             last = self.respond(guess);
-            let value = last.mismatch(sought, held);
+            let value = last.mismatch(searched, held);
             if value == 0.0 || (b - a).abs() < 1e-13 * b.abs() {
                 break;
             }
@@ -216,11 +217,11 @@ impl<'a> Circle<'a> {
                 break;
             }
         }
-        last.gain(sought, held).re
+        last.gain(searched, held).re
     }
 
-    /// Looks for the extremum between two samples and, where it crosses zero, refines the crossings on both sides.
-    fn refine_pair(&mut self, sought: Sought, held: f64, from: usize, to: usize, middle: f64) -> Vec<f64> {
+    /// Finds the extremum between two samples and, if it crosses zero, refines the crossings on both sides.
+    fn refine_pair(&mut self, searched: SearchedGain, held: f64, from: usize, to: usize, middle: f64) -> Vec<f64> {
         let sign = middle.signum();
         let (mut low, mut high) = (self.samples[from].angle, self.samples[to].angle);
         let (edge_low, edge_high) = (low, high);
@@ -228,16 +229,16 @@ impl<'a> Circle<'a> {
         for _ in 0..40 {
             let left = high - GOLDEN * (high - low);
             let right = low + GOLDEN * (high - low);
-            let at_left = sign * self.respond(left).mismatch(sought, held);
-            let at_right = sign * self.respond(right).mismatch(sought, held);
+            let at_left = sign * self.respond(left).mismatch(searched, held);
+            let at_right = sign * self.respond(right).mismatch(searched, held);
             let (angle, value) = if at_left < at_right { (left, at_left) } else { (right, at_right) };
             if value < 0.0 {
-                let at_low = self.respond(edge_low).mismatch(sought, held);
-                let at_high = self.respond(edge_high).mismatch(sought, held);
+                let at_low = self.respond(edge_low).mismatch(searched, held);
+                let at_high = self.respond(edge_high).mismatch(searched, held);
                 let inner = (angle, sign * value);
                 return vec![
-                    self.root_between(sought, held, (edge_low, at_low), inner),
-                    self.root_between(sought, held, inner, (edge_high, at_high)),
+                    self.root_between(searched, held, (edge_low, at_low), inner),
+                    self.root_between(searched, held, inner, (edge_high, at_high)),
                 ];
             }
             if at_left < at_right {
@@ -249,27 +250,27 @@ impl<'a> Circle<'a> {
         Vec::new()
     }
 
-    /// Stable intervals of the stiffness from [`SMALLEST_STIFFNESS`] up, at one damping; sample units.
+    /// Returns the stable intervals of the stiffness from [`SMALLEST_STIFFNESS`] up, at one damping; sample units.
     pub fn stiffness_intervals(&mut self, kd: f64) -> Result<Vec<Interval>, AnalysisError> {
-        let crossings = self.crossings(Sought::Stiffness, kd);
+        let crossings = self.crossings(SearchedGain::Stiffness, kd);
         let open = self.open;
         stable_between(SMALLEST_STIFFNESS, &crossings, |kp| open.is_stable(kp, kd))
     }
 
-    /// Stable intervals of the damping from zero up, at the smallest stiffness; sample units.
+    /// Returns the stable intervals of the damping from zero up, at the smallest stiffness; sample units.
     pub fn damping_intervals(&mut self) -> Result<Vec<Interval>, AnalysisError> {
-        let crossings = self.crossings(Sought::Damping, SMALLEST_STIFFNESS);
+        let crossings = self.crossings(SearchedGain::Damping, SMALLEST_STIFFNESS);
         let open = self.open;
         stable_between(0.0, &crossings, |kd| open.is_stable(SMALLEST_STIFFNESS, kd))
     }
 
-    /// The loop whose responses these are.
+    /// The loop of these responses.
     pub fn open(&self) -> &OpenLoop {
         self.open
     }
 }
 
-/// Splits [start, ∞) at the crossings and keeps what is stable, neighbours joined.
+/// Splits [start, ∞) at the crossings and keeps the stable intervals, with neighbours joined.
 fn stable_between(
     start: f64,
     crossings: &[f64],
@@ -285,7 +286,7 @@ fn stable_between(
         if high - low <= 1e-12 * high || !is_stable((low + high) / 2.0) {
             continue;
         }
-        // "Unstable at the smallest stiffness" is zero, whatever comes above.
+        // If the smallest stiffness is unstable, the first interval does not count.
         if i == 0 && start > 0.0 && !is_stable(start) {
             continue;
         }
@@ -309,7 +310,7 @@ mod tests {
     use haptic_sim::Random;
     use nalgebra::{DMatrix, DVector};
 
-    /// A device of random inertia, damping (sometimes none, sometimes on some joints only) and direction.
+    /// Returns a device of random inertia, damping (sometimes none, sometimes on some joints only) and direction.
     fn random_device(random: &mut Random, joints: usize) -> Linearised {
         let factor = DMatrix::from_fn(joints, joints, |_, _| random.between(-1.0, 1.0));
         let mass = (&factor * factor.transpose() + DMatrix::identity(joints, joints) * 0.05) * 1e-3;
@@ -354,7 +355,7 @@ mod tests {
     }
 
     #[test]
-    fn everything_below_the_boundary_is_stable_and_nothing_just_above() {
+    fn every_gain_below_the_boundary_is_stable_and_none_above() {
         let mut random = Random::new(7);
         let mut stable_somewhere = 0;
         for case in 0..300 {

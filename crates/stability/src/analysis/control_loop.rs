@@ -1,4 +1,4 @@
-//! The loop around a wall: its rate and delay, its estimator and drives, and which torque the wall's force becomes.
+//! The control loop of a wall: rate, delay, estimator, drives, and the torque that renders the wall's force.
 
 use haptic_bridge::render::scene::FeedForward;
 
@@ -7,15 +7,14 @@ use super::estimator::LinearEstimator;
 use super::flexible::felt;
 use super::plant::{Drive, Linearised};
 
-/// Longest delay that can be analysed, in samples.
+/// Longest delay that can be analysed, samples.
 pub const LONGEST_DELAY: f64 = 64.0;
-/// Bandwidth (Hz) of the first-order lag that stands for a board's current loop (docs/results.md) where nothing else is
-/// known.
+/// Default bandwidth (Hz) of the first-order lag that represents a board's current loop (docs/results.md).
 pub const CURRENT_LOOP_HZ: f64 = 6400.0;
-/// Carrier of the boards, Hz: torque follows the encoders by half a period of it.
+/// Carrier frequency of the boards, Hz: torque follows the encoders by half a carrier period.
 pub const CARRIER_HZ: f64 = 20_000.0;
 
-/// Which torque the wall force becomes: a wall's feed-forward with the numbers that it needs.
+/// Torque that renders the wall force: a wall's feed-forward with its parameters.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Mode {
     /// τ = Jrᵀ fr.
@@ -27,7 +26,7 @@ pub enum Mode {
 }
 
 impl Mode {
-    /// The mode of a wall with this feed-forward and this corner of its washout (Hz).
+    /// Returns the mode of a wall with this feed-forward and this corner of its washout (Hz).
     #[must_use]
     pub fn of(feed_forward: FeedForward, washout_hz: f64) -> Self {
         match feed_forward {
@@ -38,12 +37,12 @@ impl Mode {
     }
 }
 
-/// Everything about the loop that is not the device.
+/// Everything about the control loop except the device.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Loop {
     /// Control steps per second, Hz.
     pub rate_hz: f64,
-    /// Samples between reading the position and the torque that answers it; fractions allowed.
+    /// Samples from reading the position to the torque; fractions allowed.
     pub delay_samples: f64,
     /// Velocity estimator of every wall.
     pub estimator: LinearEstimator,
@@ -54,14 +53,14 @@ pub struct Loop {
 }
 
 impl Loop {
-    /// A loop at this rate (Hz) with this estimator, through a board's torque path.
+    /// Returns a control loop at this rate (Hz) with this estimator, through a board's torque path.
     #[must_use]
     pub fn through(path: &TorquePath, rate_hz: f64, estimator: LinearEstimator) -> Self {
         let TorquePath { delay_samples, drive } = path.clone();
         Self { rate_hz, delay_samples, estimator, drive, damping_compensation: false }
     }
 
-    /// Refuses what cannot be sampled.
+    /// Rejects values that cannot be analysed.
     pub fn check(&self) -> Result<(), AnalysisError> {
         if !(self.rate_hz.is_finite() && self.rate_hz > 0.0) {
             return Err(AnalysisError::Rate(self.rate_hz));
@@ -90,32 +89,32 @@ impl Loop {
     }
 }
 
-/// The delay and lag of a board, from the reading of its encoders to the torque that answers.
+/// Delay and lag of a board, from reading its encoders to the torque.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TorquePath {
-    /// Control samples, fractions allowed.
+    /// Delay in control samples, fractions allowed.
     pub delay_samples: f64,
     /// Motor drives.
     pub drive: Drive,
 }
 
 impl TorquePath {
-    /// That of a board at this control rate when nothing else is known.
+    /// Returns the default torque path of a board at this control rate.
     #[must_use]
     pub fn usual(rate_hz: f64) -> Self {
         Self { delay_samples: usual_delay(rate_hz), drive: Drive::Current { bandwidth_hz: CURRENT_LOOP_HZ } }
     }
 }
 
-/// The delay of a board at a control rate when nothing else is known, control samples: half a period of the carrier.
+/// Returns the default delay of a board at a control rate, control samples: half a carrier period.
 pub fn usual_delay(rate_hz: f64) -> f64 {
     0.5 / (CARRIER_HZ / rate_hz).round().max(1.0)
 }
 
 impl Linearised {
-    /// How far the tip gives way along the normal at rest beyond what the wall sees, m/N: Σⱼ Jrⱼ τⱼ/kⱼ with the joint
-    /// torques τ per newton of wall, those of (4) with the full feed-forward and Jrᵀ without it or behind a washout.
-    /// `None` where no transmission gives.
+    /// Returns the additional displacement of the tip along the normal at rest that the wall does not measure, m/N: Σⱼ
+    /// Jrⱼ τⱼ/kⱼ with the joint torques τ per newton of wall. These are those of (4) with the full feed-forward, and
+    /// Jrᵀ without it or behind a washout. `None` if no transmission is compliant.
     #[must_use]
     pub fn compliance(&self, mode: Mode) -> Option<f64> {
         match mode {
@@ -124,7 +123,7 @@ impl Linearised {
         }
     }
 
-    /// The stiffness (N/m) that a hand feels at rest of a wall of this stiffness; `None` where no transmission gives.
+    /// Returns the stiffness (N/m) that a hand feels at rest; `None` if no transmission is compliant.
     #[must_use]
     pub fn felt(&self, mode: Mode, stiffness: f64) -> Option<f64> {
         felt(stiffness, self.compliance(mode)?)

@@ -1,11 +1,11 @@
-//! The plane of the workspace that a map shows, in tiles fine enough to see: the numbers of [`super::map`] between its
-//! grid poses.
+//! The plane of the workspace that a map shows, in tiles fine enough to see: the quantities of [`super::map`] between
+//! its grid poses.
 //!
-//! Two joints sweep the plane from home, within their limits and up to the singularities, exactly as the map's grid is
-//! flooded. Every corner of a tile is a pose that was evaluated; nothing is interpolated between tiles.
+//! Two joints sweep the plane from home, within their limits and up to the singularities, exactly like the map's grid.
+//! Every corner of a tile is an evaluated pose; nothing is interpolated between tiles.
 //!
-//! A device on a turret is cut at joint 0 = 0 (or, if its limits exclude that, at home's joint 0) and looked at in its
-//! linkage's plane. The redundant arm keeps the orientation it has at home.
+//! A device on a turret is cut at joint 0 = 0 (or, if its limits exclude that, at home's joint 0) and drawn in its
+//! linkage's plane. The redundant arm keeps its orientation at home.
 
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::description::Description;
@@ -18,12 +18,13 @@ use crate::skeleton::{Point, Turret};
 
 /// Grid angles per swept joint before tiles are divided.
 const GRID: usize = 64;
-/// Largest number of times that a tile is halved; at its last size a tile on the edge is cut where the workspace ends.
+/// Largest number of times that a tile is halved; at the smallest size a tile on the edge is cut where the workspace
+/// ends.
 const DEPTH: usize = 4;
-/// The same for tiles on the edge: two halvings leave 1.4° of a whole turn, which a straight cut follows.
+/// The same for tiles on the edge: two halvings leave 1.4° of a full turn, which a straight cut follows.
 const EDGE_DEPTH: usize = 2;
 
-/// One pose of the plane.
+/// A pose of the plane.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Node {
     /// Angles of the two swept joints, rad.
@@ -37,14 +38,14 @@ pub struct Node {
 /// A piece of the plane.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Tile {
-    /// Its outline, m.
+    /// Outline, m.
     pub outline: Vec<Point>,
     /// Mean share at its corners.
     pub share: f64,
 }
 
 impl Tile {
-    /// m²
+    /// Area, m².
     pub fn area(&self) -> f64 {
         let next = self.outline.iter().cycle().skip(1);
         let twice: f64 = self.outline.iter().zip(next).map(|(a, b)| a.0 * b.1 - b.0 * a.1).sum();
@@ -52,16 +53,16 @@ impl Tile {
     }
 }
 
-/// The fineness with which the plane is divided.
+/// Fineness of the division into tiles.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Fineness {
     /// Largest side of a tile, m.
     pub side: f64,
-    /// Tiles of this size are not divided for their shares' sake, m.
+    /// Size below which tiles are not divided because of their shares, m.
     pub least: f64,
-    /// Largest difference of the share between a tile's corners, where it is below `top`.
+    /// Largest difference of the share between a tile's corners, for shares below `top`.
     pub step: f64,
-    /// Shares above this are all the same.
+    /// Share above which all shares count as equal.
     pub top: f64,
 }
 
@@ -72,7 +73,7 @@ pub struct Cut {
     device: Device<f64>,
     reachable: Reachable,
     swept: [usize; 2],
-    /// Says what is held; empty if nothing is.
+    /// Description of the held coordinate; empty if none is held.
     pub caption: String,
     normal: DVector<f64>,
     admissible: Admissible,
@@ -81,8 +82,8 @@ pub struct Cut {
 }
 
 impl Cut {
-    /// The plane of a device with at least two joints, for a normal of d entries; a redundant device's feed-forward
-    /// holds `admissible`.
+    /// Sets up the plane of a device with at least two joints, for a normal of d entries; a redundant device's
+    /// feed-forward holds `admissible`.
     pub fn new(description: &Description, normal: &[f64], admissible: Admissible) -> Result<Self, PoseError> {
         let spec = description.kind.spec();
         let device = Device::new("", description)?;
@@ -116,13 +117,13 @@ impl Cut {
         Ok(Self { description: *description, device, reachable, swept, caption, normal, admissible, axes })
     }
 
-    /// A task vector as seen in the plane.
+    /// Projects a task vector onto the plane.
     pub fn seen(&self, vector: &[f64]) -> Point {
         let on = |axis: &[f64; 3]| vector.iter().zip(axis).map(|(v, a)| v * a).sum();
         (on(&self.axes[0]), on(&self.axes[1]))
     }
 
-    /// Joint angles of two swept ones, rad.
+    /// Returns the joint angles for two swept ones, rad.
     pub fn q(&self, swept: [f64; 2]) -> Vec<f64> {
         let mut q: Vec<f64> = self.reachable.axes.iter().map(|axis| axis[0]).collect();
         q[self.swept[0]] = swept[0];
@@ -131,30 +132,30 @@ impl Cut {
         q
     }
 
-    /// The pose at two swept angles, where the device can be.
+    /// Returns the pose at two swept angles; `None` if the device cannot reach it.
     pub fn node(&self, swept: [f64; 2]) -> Option<Node> {
         let q = self.q(swept);
-        self.reachable.walkable(&q).then(|| self.evaluated(&q, swept)).flatten()
+        self.reachable.walkable(&q).then(|| self.evaluate(&q, swept)).flatten()
     }
 
-    fn evaluated(&self, q: &[f64], swept: [f64; 2]) -> Option<Node> {
+    fn evaluate(&self, q: &[f64], swept: [f64; 2]) -> Option<Node> {
         let pose = TaskPose::of(&self.device.mechanism, q).ok()?.holding(self.admissible);
         let (w_eff, w_rr) = along(&pose, &self.normal)?;
         Some(Node { swept, place: self.seen(&pose.position), share: ((w_rr - w_eff) / w_rr).max(0.0) })
     }
 
-    /// Everything about the reached grid poses at the places that are `wanted`.
+    /// Evaluates the reached grid poses at the `wanted` places.
     pub fn points(&self, wanted: impl Fn(Point) -> bool) -> Result<Vec<MapPoint>, PoseError> {
         let angles = self.reachable.indices().map(|index| self.reachable.angles(index));
-        let there =
+        let is_wanted =
             |q: &Vec<f64>| TaskPose::of(&self.device.mechanism, q).is_ok_and(|pose| wanted(self.seen(&pose.position)));
         angles
-            .filter(there)
+            .filter(is_wanted)
             .filter_map(|q| at_holding(&self.description, &q, &self.normal, self.admissible).transpose())
             .collect()
     }
 
-    /// The plane in tiles.
+    /// Divides the plane into tiles.
     pub fn tiles(&self, fineness: Fineness) -> Vec<Tile> {
         let mut tiles = Vec::new();
         for corners in self.cells() {
@@ -163,20 +164,20 @@ impl Cut {
         tiles
     }
 
-    /// The cells of the grid with at least one reached corner: the swept angles of the corners, and what is there.
+    /// Returns the cells of the grid with at least one reached corner.
     fn cells(&self) -> Vec<[Corner; 4]> {
         let [first, second] = self.swept.map(|joint| &self.reachable.axes[joint]);
         let ends =
             |axis: &Vec<f64>, joint: usize| if self.reachable.wraps[joint] { axis.len() } else { axis.len() - 1 };
         let angle = |axis: &Vec<f64>, i: usize| match axis.get(i) {
             Some(angle) => *angle,
-            // Once round: the first angle again, a turn on.
+            // After a full turn: the first angle plus a turn.
             None => axis[0] + std::f64::consts::TAU,
         };
         let corner = |i: usize, j: usize| {
             let swept = [angle(first, i), angle(second, j)];
             let index = (i % first.len()) * second.len() + j % second.len();
-            let node = self.reachable.is_reached(index).then(|| self.evaluated(&self.q(swept), swept)).flatten();
+            let node = self.reachable.is_reached(index).then(|| self.evaluate(&self.q(swept), swept)).flatten();
             Corner { swept, node }
         };
         let mut cells = Vec::new();
@@ -213,8 +214,8 @@ impl Cut {
         let mut outline = Vec::with_capacity(6);
         for (corner, next) in corners.iter().zip(corners.iter().cycle().skip(1)) {
             match (corner.node, next.node) {
-                (Some(here), None) => outline.extend([Some(here), self.last_before(here, next.swept)]),
-                (None, Some(there)) => outline.push(self.last_before(there, corner.swept)),
+                (Some(here), None) => outline.extend([Some(here), self.last_reachable(here, next.swept)]),
+                (None, Some(is_wanted)) => outline.push(self.last_reachable(is_wanted, corner.swept)),
                 (here, _) => outline.push(here),
             }
         }
@@ -223,8 +224,8 @@ impl Cut {
         tiles.push(Tile { outline: outline.iter().map(|n| n.place).collect(), share });
     }
 
-    /// The last pose on the way from `inside` to swept angles where the device cannot be.
-    fn last_before(&self, inside: Node, outside: [f64; 2]) -> Option<Node> {
+    /// Returns the last pose between `inside` and swept angles that the device cannot reach.
+    fn last_reachable(&self, inside: Node, outside: [f64; 2]) -> Option<Node> {
         let mut last = inside;
         let mut beyond = outside;
         for _ in 0..12 {
@@ -238,7 +239,7 @@ impl Cut {
     }
 }
 
-/// A corner of a cell: swept angles, and the pose there if the device can take it.
+/// A corner of a cell: swept angles, and the pose is_wanted if the device can reach it.
 #[derive(Clone, Copy, Debug)]
 struct Corner {
     swept: [f64; 2],

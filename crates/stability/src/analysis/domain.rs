@@ -1,10 +1,10 @@
-//! The stable domain of a wall on one device: boundary, area and islands.
+//! Stable domain of a wall on one device: boundary, area and islands.
 //!
-//! The area is ∫ kp_max dkd, what lies above the first crossing is an island: reported, not counted. The integral is
-//! taken the way the reference cases take theirs (tests/golden/range.json, reproduced to 1e-8): the trapezoidal rule on
-//! dampings spaced like Chebyshev points. Against the exact integral that is 5e-4 low on a smooth boundary, whatever
-//! its shape, and up to 2e-2 off where kp_max jumps (tool/tests/quick/range_golden.rs); ratios of areas of the
-//! same shape have no such error.
+//! The area is ∫ kp_max dkd. A stable interval above the first crossing is an island: it is reported but does not
+//! count. The integral is computed like that of the reference cases (tests/golden/range.json, reproduced to 1e-8), by
+//! the trapezoidal rule on dampings spaced like Chebyshev points. Compared with the exact integral it is 5e-4 low on a
+//! smooth boundary of any shape, and up to 2e-2 off if kp_max jumps (tool/tests/quick/range_golden.rs). Ratios of areas
+//! of the same shape have no such error.
 
 use serde::Serialize;
 
@@ -14,35 +14,35 @@ use super::error::AnalysisError;
 use super::flexible::felt;
 use super::oscillation::Oscillation;
 use super::plant::Linearised;
-use super::several::{Loops, WallSet, open_loop};
+use super::several::{WallLoops, WallSet, open_loop};
 
-/// Damping values on a boundary when none are asked for.
+/// Default number of damping values on a boundary.
 pub const BOUNDARY_POINTS: usize = 200;
 
-/// Nothing is stable where all ends below this damping, in units of m/T: what is left there is what the smallest
-/// stiffness that is looked at leaves.
+/// Damping limit below which nothing counts as stable, in units of m/T: such a limit only reflects the smallest
+/// stiffness that is analysed.
 const SMALLEST_DAMPING: f64 = 1e-7;
-/// From where to where stable islands are looked for where nothing is stable from zero up, in the same units.
+/// Range of dampings in which islands are searched if nothing is stable from zero up, in the same units.
 const ISLANDS: (f64, f64) = (1e-5, 2.0);
 
-/// One point of the boundary.
+/// A point of the boundary.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, serde::Deserialize)]
 pub struct BoundaryPoint {
     /// Damping, N s/m.
     pub kd: f64,
-    /// Largest stiffness that is stable from zero up, N/m; zero where nothing is.
+    /// Largest stiffness that is stable from zero up, N/m; zero if none is.
     pub kp: f64,
-    /// The stiffness that a hand at the tip feels where transmissions give, N/m ([`super::flexible::felt`]).
+    /// Stiffness that a hand at the tip feels if transmissions are compliant, N/m ([`super::flexible::felt`]).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub felt: Option<f64>,
-    /// The frequency at which a stiffer wall begins to swing there, Hz; `None` where nothing is stable, or where it
-    /// creeps instead.
+    /// Frequency at which a stiffer wall begins to oscillate, Hz; `None` if nothing is stable, or if the wall creeps
+    /// instead.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub hz: Option<f64>,
 }
 
 impl BoundaryPoint {
-    /// This stiffness (N/m) at this damping (N s/m).
+    /// Creates a point from a damping (N s/m) and a stiffness (N/m).
     pub(super) fn new(kd: f64, kp: f64) -> Self {
         Self { kd, kp, felt: None, hz: None }
     }
@@ -66,18 +66,18 @@ pub struct Domain {
     pub area: f64,
     /// Damping at which kp_max reaches zero, N s/m.
     pub kd_max: f64,
-    /// The largest stiffness of all dampings; where dampings were asked for, of those.
+    /// The point of largest stiffness; with requested dampings, among them.
     #[serde(skip)]
     pub top: BoundaryPoint,
     /// kp_max over damping.
     pub boundary: Vec<BoundaryPoint>,
-    /// Stable intervals above the boundary, at the same damping values and a little beyond.
+    /// Stable intervals above the boundary, at the same damping values and slightly beyond.
     pub islands: Vec<Island>,
 }
 
 impl Domain {
-    /// The same with what a hand feels behind parts of this compliance (m/N), where anything gives.
-    pub(super) fn behind(mut self, compliance: Option<f64>) -> Self {
+    /// Adds the stiffness that a hand feels with this compliance (m/N).
+    pub(super) fn with_compliance(mut self, compliance: Option<f64>) -> Self {
         for point in self.boundary.iter_mut().chain([&mut self.top]) {
             point.felt = compliance.and_then(|compliance| felt(point.kp, compliance));
         }
@@ -91,11 +91,11 @@ pub fn domain(device: &Linearised, around: &Loop, mode: Mode, kd: Option<&[f64]>
         return Err(AnalysisError::Damping(refused));
     }
     let open = open_loop(device, device, around, mode)?;
-    let found = bounded(&mut Circle::new(&open, around.delay_samples), open.mass, open.sample_s, kd)?;
-    Ok(found.behind(device.compliance(mode)))
+    let result = domain_from_intervals(&mut Circle::new(&open, around.delay_samples), open.mass, open.sample_s, kd)?;
+    Ok(result.with_compliance(device.compliance(mode)))
 }
 
-/// As [`domain`] of walls that act together.
+/// Like [`domain`], for walls that act together.
 pub fn domain_of_several(
     set: &WallSet,
     around: &Loop,
@@ -105,19 +105,19 @@ pub fn domain_of_several(
     if let Some(&refused) = kd.unwrap_or_default().iter().find(|kd| !(kd.is_finite() && **kd >= 0.0)) {
         return Err(AnalysisError::Damping(refused));
     }
-    let mut loops = Loops::new(set, around, mode)?;
+    let mut loops = WallLoops::new(set, around, mode)?;
     let (mass, sample_s) = (loops.mass, loops.sample_s);
-    bounded(&mut loops, mass, sample_s, kd)
+    domain_from_intervals(&mut loops, mass, sample_s, kd)
 }
 
 /// Stable intervals of one gain with the other held, in sample units.
-pub(super) trait Bounded {
+pub(super) trait StableIntervals {
     fn stiffness_intervals(&mut self, kd: f64) -> Result<Vec<Interval>, AnalysisError>;
     fn damping_intervals(&mut self) -> Result<Vec<Interval>, AnalysisError>;
     fn oscillation(&self, kp: f64, kd: f64) -> Option<Oscillation>;
 }
 
-impl Bounded for Circle<'_> {
+impl StableIntervals for Circle<'_> {
     fn stiffness_intervals(&mut self, kd: f64) -> Result<Vec<Interval>, AnalysisError> {
         Circle::stiffness_intervals(self, kd)
     }
@@ -129,20 +129,20 @@ impl Bounded for Circle<'_> {
     }
 }
 
-impl Bounded for Loops {
+impl StableIntervals for WallLoops {
     fn stiffness_intervals(&mut self, kd: f64) -> Result<Vec<Interval>, AnalysisError> {
-        Loops::stiffness_intervals(self, kd)
+        WallLoops::stiffness_intervals(self, kd)
     }
     fn damping_intervals(&mut self) -> Result<Vec<Interval>, AnalysisError> {
-        Loops::damping_intervals(self)
+        WallLoops::damping_intervals(self)
     }
     fn oscillation(&self, kp: f64, kd: f64) -> Option<Oscillation> {
-        Loops::oscillation(self, kp, kd)
+        WallLoops::oscillation(self, kp, kd)
     }
 }
 
-pub(super) fn bounded(
-    circle: &mut impl Bounded,
+pub(super) fn domain_from_intervals(
+    circle: &mut impl StableIntervals,
     mass: f64,
     sample_s: f64,
     kd: Option<&[f64]>,
@@ -153,15 +153,15 @@ pub(super) fn bounded(
     let support = support(circle)?;
     let kd_max = support.last().map_or(0.0, |last| last.high);
     let mut stable_at = |kd: f64| match circle.stiffness_intervals(kd) {
-        // At the very damping where all ends nothing need end with stiffness; no gain there counts.
-        Err(AnalysisError::Unbounded) if !supports(&support, kd) => Ok(Vec::new()),
-        found => found,
+        // At exactly the largest damping the stiffness may be unbounded; no gain counts there.
+        Err(AnalysisError::Unbounded) if !is_supported(&support, kd) => Ok(Vec::new()),
+        result => result,
     };
     let area = area(kd_max, |kd| Ok(supported_stiffness(&support, kd, &stable_at(kd)?)))?;
 
     let share = |i: usize| i as f64 / (BOUNDARY_POINTS - 1) as f64;
     let at: Vec<f64> = match kd {
-        Some(asked) => asked.iter().map(|kd| kd / damping_unit).collect(),
+        Some(requested) => requested.iter().map(|kd| kd / damping_unit).collect(),
         None if kd_max > 0.0 => (0..BOUNDARY_POINTS).map(|i| kd_max * share(i)).collect(),
         None => (0..BOUNDARY_POINTS).map(|i| ISLANDS.0 * (ISLANDS.1 / ISLANDS.0).powf(share(i))).collect(),
     };
@@ -177,7 +177,7 @@ pub(super) fn bounded(
     let mut top = highest.map_or(BoundaryPoint::new(0.0, 0.0), |(_, point)| *point);
     if let (None, Some((place, _)), true) = (kd, highest, kd_max > 0.0) {
         let around = (at[place.saturating_sub(1)], at[(place + 1).min(at.len() - 1)]);
-        narrow(around, |kd_hat| {
+        maximise(around, |kd_hat| {
             let kp = supported_stiffness(&support, kd_hat, &stable_at(kd_hat)?) * stiffness_unit;
             if kp > top.kp {
                 top = BoundaryPoint::new(kd_hat * damping_unit, kp);
@@ -186,7 +186,7 @@ pub(super) fn bounded(
         })?;
     }
     if kd.is_none() && kd_max > 0.0 {
-        // Islands may lie beyond the domain; look as far again as it reaches.
+        // Islands may lie beyond the domain; search as far again as the domain extends.
         for i in 1..=32 {
             let kd_hat = kd_max + kd_max * f64::from(i) / 32.0;
             let stable = stable_at(kd_hat)?;
@@ -201,7 +201,7 @@ pub(super) fn bounded(
     Ok(Domain { area, kd_max: kd_max * damping_unit, top, boundary, islands })
 }
 
-/// The least damped swing of a wall of `kp` (N/m) and `kd` (N s/m); `None` where nothing swings.
+/// Returns the least damped oscillation of a wall of `kp` (N/m) and `kd` (N s/m); `None` if no mode oscillates.
 pub fn oscillation(
     device: &Linearised,
     around: &Loop,
@@ -214,7 +214,7 @@ pub fn oscillation(
     Ok(open.oscillation(kp, kd))
 }
 
-/// As [`oscillation`] of walls that act together, in the totals of stiffness and damping.
+/// Like [`oscillation`], for walls that act together, with total stiffness and damping.
 pub fn oscillation_of_several(
     set: &WallSet,
     around: &Loop,
@@ -222,7 +222,7 @@ pub fn oscillation_of_several(
     kp: f64,
     kd: f64,
 ) -> Result<Option<Oscillation>, AnalysisError> {
-    let loops = Loops::new(set, around, mode)?;
+    let loops = WallLoops::new(set, around, mode)?;
     let (kp, kd) = in_sample_units(kp, kd, loops.mass, loops.sample_s)?;
     Ok(loops.oscillation(kp, kd))
 }
@@ -232,8 +232,8 @@ fn in_sample_units(kp: f64, kd: f64, mass: f64, sample_s: f64) -> Result<(f64, f
     refused.map_or(Ok((kp * sample_s * sample_s / mass, kd * sample_s / mass)), |gain| Err(AnalysisError::Gain(gain)))
 }
 
-/// The largest stiffness (N/m) that is stable with damping `kd` (N s/m), zero where none is, and the damping at which
-/// that ends.
+/// Returns the largest stiffness (N/m) that is stable with damping `kd` (N s/m), zero if none is, and the largest
+/// damping with which any stiffness is stable.
 pub fn stiffness_at(device: &Linearised, around: &Loop, mode: Mode, kd: f64) -> Result<(f64, f64), AnalysisError> {
     let open = open_loop(device, device, around, mode)?;
     let damping_unit = open.mass / open.sample_s;
@@ -241,15 +241,15 @@ pub fn stiffness_at(device: &Linearised, around: &Loop, mode: Mode, kd: f64) -> 
     let support = support(&mut circle)?;
     let kd_max = support.last().map_or(0.0, |last| last.high);
     let kd_hat = kd / damping_unit;
-    let kp = match supports(&support, kd_hat) {
+    let kp = match is_supported(&support, kd_hat) {
         true => supported_stiffness(&support, kd_hat, &circle.stiffness_intervals(kd_hat)?),
         false => 0.0,
     };
     Ok((kp * damping_unit / open.sample_s, kd_max * damping_unit))
 }
 
-/// The largest stiffness (N/m) that is stable at each damping of `kd` (N s/m), zero where none is, on a device that the
-/// controller takes for `believed`.
+/// Returns the largest stiffness (N/m) that is stable at each damping of `kd` (N s/m), zero if none is, on a device
+/// whose controller uses the model `believed`.
 pub fn stiffnesses(
     device: &Linearised,
     believed: &Linearised,
@@ -261,8 +261,8 @@ pub fn stiffnesses(
     Ok(points.into_iter().map(|point| point.kp).collect())
 }
 
-/// The boundary of such a device at the dampings (N s/m) that `kd` chooses from the largest one with which anything is
-/// stable.
+/// Returns the boundary of such a device at the dampings (N s/m) that `kd` chooses, given the largest damping with
+/// which any stiffness is stable.
 pub fn boundary_of(
     device: &Linearised,
     believed: &Linearised,
@@ -278,7 +278,7 @@ pub fn boundary_of(
     let mut points = Vec::new();
     for kd in kd(kd_max) {
         let kd_hat = kd / damping_unit;
-        let kp_hat = match supports(&support, kd_hat) {
+        let kp_hat = match is_supported(&support, kd_hat) {
             true => supported_stiffness(&support, kd_hat, &circle.stiffness_intervals(kd_hat)?),
             false => 0.0,
         };
@@ -287,39 +287,39 @@ pub fn boundary_of(
     Ok(points)
 }
 
-/// The dampings at which the smallest stiffness is stable, in units of m/T; none where nothing is to speak of.
-fn support(circle: &mut impl Bounded) -> Result<Vec<Interval>, AnalysisError> {
-    let found = circle.damping_intervals()?;
-    Ok(if found.last().is_some_and(|last| last.high > SMALLEST_DAMPING) { found } else { Vec::new() })
+/// Returns the dampings at which the smallest stiffness is stable, in units of m/T; none if they are negligible.
+fn support(circle: &mut impl StableIntervals) -> Result<Vec<Interval>, AnalysisError> {
+    let result = circle.damping_intervals()?;
+    Ok(if result.last().is_some_and(|last| last.high > SMALLEST_DAMPING) { result } else { Vec::new() })
 }
 
 /// Returns true if the smallest stiffness is stable at this damping.
-fn supports(support: &[Interval], kd_hat: f64) -> bool {
+fn is_supported(support: &[Interval], kd_hat: f64) -> bool {
     support.iter().any(|interval| interval.low <= kd_hat && kd_hat < interval.high)
 }
 
-/// kp_max of one damping value: the end of the interval that starts at the smallest stiffness; zero outside the
+/// Returns kp_max at one damping: the end of the interval that starts at the smallest stiffness; zero outside the
 /// support.
 fn supported_stiffness(support: &[Interval], kd_hat: f64, stable: &[Interval]) -> f64 {
     match stable.first() {
-        Some(first) if supports(support, kd_hat) && first.low <= super::boundary::SMALLEST_STIFFNESS => first.high,
+        Some(first) if is_supported(support, kd_hat) && first.low <= super::boundary::SMALLEST_STIFFNESS => first.high,
         _ => 0.0,
     }
 }
 
-/// Times that the bracket of the largest stiffness is narrowed, to 0.3 % of the two intervals of the grid that it was:
-/// where the boundary has a kink there, it is found within 1e-5.
-const NARROWED: usize = 12;
+/// Number of times that the bracket of the largest stiffness is narrowed, to 0.3 % of the two grid intervals that it
+/// starts with. If the boundary has a kink there, the result is within 1e-5.
+const NARROWINGS: usize = 12;
 
-/// Looks for the largest value between the ends of a bracket by golden section.
-fn narrow(
+/// Searches the largest value between the ends of a bracket by golden section.
+fn maximise(
     (mut low, mut high): (f64, f64),
     mut value: impl FnMut(f64) -> Result<f64, AnalysisError>,
 ) -> Result<(), AnalysisError> {
     let golden = (5.0_f64.sqrt() - 1.0) / 2.0;
     let mut inner = [high - golden * (high - low), low + golden * (high - low)];
     let mut values = [value(inner[0])?, value(inner[1])?];
-    for _ in 0..NARROWED {
+    for _ in 0..NARROWINGS {
         if values[0] > values[1] {
             high = inner[1];
             (inner[1], values[1]) = (inner[0], values[0]);
@@ -335,10 +335,10 @@ fn narrow(
     Ok(())
 }
 
-/// Intervals of the trapezoidal rule for the area.
+/// Number of intervals of the trapezoidal rule for the area.
 const AREA_INTERVALS: u32 = 60;
 
-/// ∫₀^end value: trapezoids between end (1 - cos φ)/2 at even φ.
+/// Computes ∫₀^end value by trapezoids between end (1 - cos φ)/2 at even φ.
 fn area(end: f64, mut value: impl FnMut(f64) -> Result<f64, AnalysisError>) -> Result<f64, AnalysisError> {
     let at = |i: u32| end * (1.0 - (std::f64::consts::PI * f64::from(i) / f64::from(AREA_INTERVALS)).cos()) / 2.0;
     let mut total = 0.0;
@@ -386,7 +386,7 @@ mod tests {
         }
     }
 
-    fn hat(rate: f64, cutoff: f64, delay: f64) -> (f64, f64, f64) {
+    fn in_sample_units_of_a_mass(rate: f64, cutoff: f64, delay: f64) -> (f64, f64, f64) {
         let m = 0.2;
         let d = domain(&mass(m, 0.0), &around(rate, cutoff, delay), Mode::Off, None).unwrap();
         let t = 1.0 / rate;
@@ -401,44 +401,45 @@ mod tests {
             (1000.0, 20.0, 0.008215, 0.1520, 7.699e-4),
             (20000.0, 500.0, 0.01184, 0.1838, 1.351e-3),
         ] {
-            let found = hat(rate, cutoff, 0.0);
-            for (got, known) in [(found.0, kp), (found.1, kd), (found.2, area)] {
+            let result = in_sample_units_of_a_mass(rate, cutoff, 0.0);
+            for (got, known) in [(result.0, kp), (result.1, kd), (result.2, area)] {
                 assert!((got / known - 1.0).abs() < 1e-3, "{rate}/{cutoff}: {got} is not {known}");
             }
         }
     }
 
     #[test]
-    fn the_stiffest_wall_is_not_one_of_the_grid() {
-        // Without filter and delay the boundary is 2β(2 - β)/(2 + β), with its top 12 - 8√2 at β = 2(√2 - 1).
+    fn the_top_is_refined_between_the_dampings_of_the_grid() {
+        // Without filter and delay the boundary is 2β(2 - β)/(2 + β), with its maximum 12 - 8√2 at β = 2(√2 - 1).
         let around = Loop { estimator: LinearEstimator::BackwardDifference, ..around(1000.0, 1.0, 0.0) };
-        let found = domain(&mass(1.0, 0.0), &around, Mode::Off, None).unwrap();
-        let (kp, kd) = (found.top.kp * 1e-6, found.top.kd * 1e-3);
+        let result = domain(&mass(1.0, 0.0), &around, Mode::Off, None).unwrap();
+        let (kp, kd) = (result.top.kp * 1e-6, result.top.kd * 1e-3);
         assert!((kp / (12.0 - 8.0 * 2.0_f64.sqrt()) - 1.0).abs() < 1e-8, "{kp}");
         assert!((kd - 2.0 * (2.0_f64.sqrt() - 1.0)).abs() < 1e-4, "{kd}");
-        // The two points of the grid beside it are 3e-6 lower; a kink, as soft transmissions make, loses up to 3e-3
-        // there.
-        let grid = found.boundary.iter().map(|point| point.kp).fold(0.0, f64::max) * 1e-6;
+        // The two neighbouring points of the grid are 3e-6 lower; with a kink, as soft transmissions make, they would
+        // be up to 3e-3 lower.
+        let grid = result.boundary.iter().map(|point| point.kp).fold(0.0, f64::max) * 1e-6;
         assert!(grid < kp - 1e-7, "{grid}");
-        // At dampings that were asked for it is the largest of theirs.
-        let asked = domain(&mass(1.0, 0.0), &around, Mode::Off, Some(&[300.0, 700.0])).unwrap();
-        assert_eq!(asked.top, asked.boundary[1]);
+        // With requested dampings the top is the largest of theirs.
+        let requested = domain(&mass(1.0, 0.0), &around, Mode::Off, Some(&[300.0, 700.0])).unwrap();
+        assert_eq!(requested.top, requested.boundary[1]);
     }
 
     #[test]
     fn a_sample_of_delay_costs_most_of_the_domain() {
         for (rate, cutoff, lost) in [(200.0, 20.0, 0.67), (20000.0, 500.0, 0.43)] {
-            let share = hat(rate, cutoff, 1.0).2 / hat(rate, cutoff, 0.0).2;
+            let share = in_sample_units_of_a_mass(rate, cutoff, 1.0).2 / in_sample_units_of_a_mass(rate, cutoff, 0.0).2;
             assert!((1.0 - share - lost).abs() < 0.006, "{share}");
         }
     }
 
     #[test]
-    fn without_filter_or_delay_the_domain_is_the_textbook_one() {
-        // Backward difference, double integrator: 1 + K (z+1)/(2(z-1)²) + D (z+1)/(2z(z-1)) ... by Jury: see below.
+    fn domain_without_filter_or_delay_equals_the_textbook() {
+        // Backward difference, double integrator: 1 + K (z+1)/(2(z-1)²) + D (z+1)/(2z(z-1)), by Jury with the
+        // polynomial
         // z(z-1)² + (k/2) z (z+1) + (d/2)(z+1)(z-1) = z³ + (k/2 + d/2 - 2) z² + (1 + k/2) z - d/2.
         let around = Loop { estimator: LinearEstimator::BackwardDifference, ..around(1000.0, 1.0, 0.0) };
-        let found = domain(&mass(1.0, 0.0), &around, Mode::Off, Some(&[200.0])).unwrap();
+        let result = domain(&mass(1.0, 0.0), &around, Mode::Off, Some(&[200.0])).unwrap();
         // Jury for a cubic with a0 = -d/2: |a0² - 1| > |a0 a2 - a1| gives the limit at d = 0.2.
         let d = 0.2;
         let stable = |k: f64| {
@@ -453,15 +454,15 @@ mod tests {
             let middle = (low + high) / 2.0;
             if stable(middle) { low = middle } else { high = middle }
         }
-        assert!((found.boundary[0].kp * 1e-6 / low - 1.0).abs() < 1e-9);
+        assert!((result.boundary[0].kp * 1e-6 / low - 1.0).abs() < 1e-9);
         // At k = 0 the double root at one leaves 1: kd_max T/m of the rate loop (z² - (1 - d/2) z + d/2) is 2.
-        assert!((found.kd_max * 1e-3 - 2.0).abs() < 1e-6, "{}", found.kd_max);
+        assert!((result.kd_max * 1e-3 - 2.0).abs() < 1e-6, "{}", result.kd_max);
     }
 
     const RATE: f64 = 1000.0;
 
-    /// A joint of 1 kg with a backward difference, no filter and no delay. In units of m/T² and m/T its characteristic
-    /// polynomial is z³ + (k/2 + d/2 - 2) z² + (1 + k/2) z - d/2.
+    /// Returns a joint of 1 kg with a backward difference, no filter and no delay. In units of m/T² and m/T its
+    /// characteristic polynomial is z³ + (k/2 + d/2 - 2) z² + (1 + k/2) z - d/2.
     fn joint() -> (Linearised, Loop) {
         let around = Loop {
             rate_hz: RATE,
@@ -474,39 +475,39 @@ mod tests {
     }
 
     #[test]
-    fn a_joint_swings_as_the_roots_of_its_polynomial_say() {
+    fn oscillation_of_a_joint_matches_its_polynomial() {
         let (device, around) = joint();
         // Without damping one root is 0, and the pair has |z|² = 1 + k/2 and the sum 2 - k/2.
         for k in [1e-6, 0.01, 1.0, 3.0] {
-            let found = oscillation(&device, &around, Mode::Off, k * RATE * RATE, 0.0).unwrap().unwrap();
+            let result = oscillation(&device, &around, Mode::Off, k * RATE * RATE, 0.0).unwrap().unwrap();
             let size = (1.0 + k / 2.0_f64).sqrt();
             let hz = ((1.0 - k / 4.0) / size).acos() * RATE / TAU;
-            assert!((found.hz / hz - 1.0).abs() < 1e-6, "{k}: {found:?} is not {hz} Hz");
-            assert!((found.growth_per_s / (size.ln() * RATE) - 1.0).abs() < 1e-6, "{k}: {found:?}");
+            assert!((result.hz / hz - 1.0).abs() < 1e-6, "{k}: {result:?} is not {hz} Hz");
+            assert!((result.growth_per_s / (size.ln() * RATE) - 1.0).abs() < 1e-6, "{k}: {result:?}");
         }
-        // With d = 0.4 and the pair at 0.9 e^{±iθ}, the third root is r = d/2/0.81; the sum of all roots and that of
+        // With d = 0.4 and the pair at 0.9 e^{±iθ}, the third root is r = d/2/0.81. The sum of all roots and the sum of
         // their products in pairs give θ and k.
         let (size, d) = (0.9_f64, 0.4_f64);
         let r = d / 2.0 / (size * size);
         let cosine = (3.0 - d / 2.0 - r - size * size) / (2.0 * size * (1.0 + r));
         let k = 2.0 * (2.0 * r * size * cosine + size * size - 1.0);
-        let found = oscillation(&device, &around, Mode::Off, k * RATE * RATE, d * RATE).unwrap().unwrap();
-        assert!((found.hz - cosine.acos() * RATE / TAU).abs() < 1e-9 && k > 0.0, "{found:?}");
-        assert!((found.growth_per_s - size.ln() * RATE).abs() < 1e-9, "{found:?}");
+        let result = oscillation(&device, &around, Mode::Off, k * RATE * RATE, d * RATE).unwrap().unwrap();
+        assert!((result.hz - cosine.acos() * RATE / TAU).abs() < 1e-9 && k > 0.0, "{result:?}");
+        assert!((result.growth_per_s - size.ln() * RATE).abs() < 1e-9, "{result:?}");
     }
 
     #[test]
-    fn the_boundary_says_at_which_frequency_it_buzzes() {
+    fn the_boundary_reports_its_frequency() {
         let (device, around) = joint();
         // On the circle the third root is d/2 and cos θ = (2 - d)/(2 + d).
-        let asked: Vec<f64> = [0.0, 0.1, 0.5, 1.9, 2.5].iter().map(|d| d * RATE).collect();
-        let found = domain(&device, &around, Mode::Off, Some(&asked)).unwrap();
-        for (point, d) in found.boundary.iter().zip(&asked).skip(1).take(3) {
+        let requested: Vec<f64> = [0.0, 0.1, 0.5, 1.9, 2.5].iter().map(|d| d * RATE).collect();
+        let result = domain(&device, &around, Mode::Off, Some(&requested)).unwrap();
+        for (point, d) in result.boundary.iter().zip(&requested).skip(1).take(3) {
             let d = d / RATE;
             let hz = ((2.0 - d) / (2.0 + d)).acos() * RATE / TAU;
             assert!((point.hz.unwrap() / hz - 1.0).abs() < 1e-6, "{point:?} is not at {hz} Hz");
         }
-        assert_eq!([found.boundary[0].hz, found.boundary[4].hz], [None; 2], "nothing is stable there");
+        assert_eq!([result.boundary[0].hz, result.boundary[4].hz], [None; 2], "nothing is stable there");
         assert!(oscillation(&device, &around, Mode::Off, -1.0, 0.0).is_err());
     }
 }

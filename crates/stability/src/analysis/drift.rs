@@ -1,27 +1,27 @@
-//! Motions that no feedback sees: with the joints' damping exactly compensated a device drifts, and the loop's analysis
-//! takes these motions out instead of telling modes at rest on the unit circle from unstable ones.
+//! Motions without feedback: if the joints' damping is exactly compensated, a device drifts. The analysis of the loop
+//! removes these motions, because modes that rest on the unit circle cannot be told from unstable ones.
 
 use nalgebra::{DMatrix, DVector};
 
 use super::control_loop::{Loop, Mode};
 use super::plant::{ContinuousPlant, Linearised};
 
-/// States at which the loop rests whatever the gains: one column per motion for the states, and the force it needs.
+/// States at which the loop rests at any gains: one column of states per motion, and the force that the motion needs.
 #[derive(Clone, Debug)]
 pub(super) struct Drift {
     /// States per unit of motion, without the rendered position.
     states: DMatrix<f64>,
     /// Wall force per unit of motion, in force units: the rendered position settles at -force/kp.
     force: DVector<f64>,
-    /// The state that is one for each motion and zero for the others.
+    /// State of each motion that is one for this motion and zero for the others.
     pivot: Vec<usize>,
     /// Index of the rendered position.
     position: usize,
 }
 
 impl Drift {
-    /// F on the states that are left when the constant motions are taken out.
-    pub fn removed(&self, f: DMatrix<f64>, kp: f64) -> DMatrix<f64> {
+    /// Returns F on the remaining states after the constant motions are removed.
+    pub fn remove_from(&self, f: DMatrix<f64>, kp: f64) -> DMatrix<f64> {
         let mut motion = self.states.clone();
         for column in 0..motion.ncols() {
             motion[(self.position, column)] = -self.force[column] / kp;
@@ -35,21 +35,21 @@ impl Drift {
     }
 }
 
-/// (velocities of the damped joints, share of the undamped ones, lagging torques, wall force) of one constant motion.
-pub(super) type Constant = (Vec<f64>, f64, Vec<f64>, f64);
+/// One constant motion: (velocities of the damped joints, share of the undamped ones, lagging torques, wall force).
+pub(super) type ConstantMotion = (Vec<f64>, f64, Vec<f64>, f64);
 
-/// The constant motions that damping compensation leaves without any restoring force.
+/// Finds the constant motions that damping compensation leaves without any restoring force.
 ///
-/// With the joints' damping exactly compensated, every constant joint velocity with no rendered part is at rest: under
-/// full feed-forward the wall holds EᵀB q̇ against it, under washout only where that is zero. A drive that damps by
-/// itself (back-EMF) has none.
-pub(super) fn drifting(
+/// If the joints' damping is exactly compensated, every constant joint velocity without rendered part is at rest. With
+/// full feed-forward the wall holds EᵀB q̇ against it; with washout only motions with EᵀB q̇ = 0 rest. Drives that damp
+/// by themselves (back-EMF) leave no such motion.
+pub(super) fn find_drift(
     device: &Linearised,
     around: &Loop,
     mode: Mode,
     plant: &ContinuousPlant,
     mass: f64,
-    states: impl Fn(&[Constant]) -> DMatrix<f64>,
+    states: impl Fn(&[ConstantMotion]) -> DMatrix<f64>,
 ) -> Option<Drift> {
     if plant.sensed.is_empty() || plant.electrically_damped {
         return None;
@@ -71,7 +71,7 @@ pub(super) fn drifting(
     if basis.is_empty() {
         return None;
     }
-    let constants: Vec<Constant> = basis
+    let constants: Vec<ConstantMotion> = basis
         .iter()
         .map(|v| {
             let share = -(0..d).map(|i| device.row[plant.damped[i]] * v[i]).sum::<f64>();
@@ -91,8 +91,8 @@ pub(super) fn drifting(
     Some(Drift { states: states(&constants), force, pivot, position: plant.position })
 }
 
-/// Basis of the vectors orthogonal to all conditions, by Gauss-Jordan elimination: each is one at its own pivot
-/// coordinate and zero at the others'.
+/// Returns a basis of the vectors orthogonal to all conditions, by Gauss-Jordan elimination: each is one at its own
+/// pivot coordinate and zero at the others'.
 fn null_space(dimension: usize, conditions: &[DVector<f64>]) -> (Vec<DVector<f64>>, Vec<usize>) {
     let mut rows: Vec<DVector<f64>> = Vec::new();
     let mut bound = Vec::new();

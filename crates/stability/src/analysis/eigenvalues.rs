@@ -1,17 +1,17 @@
 //! Eigenvalues of a small real matrix: balancing, Hessenberg form, and the double-shift QR iteration with exceptional
 //! shifts.
 //!
-//! nalgebra's Schur decomposition does not converge on some of the graded, nearly defective matrices that a sampled
-//! loop makes (one in a few hundred); the exceptional shifts after 10 and 20 iterations are what it lacks. Algorithm:
-//! Wilkinson and Reinsch, *Handbook for Automatic Computation II: Linear Algebra* (1971), contributions II/11, II/13
-//! and II/14 (`balance`, `elmhes`, `hqr`).
+//! nalgebra's Schur decomposition has no exceptional shifts after 10 and 20 iterations. Therefore it does not converge
+//! on some of the graded, nearly defective matrices of a sampled loop (one in a few hundred). Algorithm: Wilkinson and
+//! Reinsch, *Handbook for Automatic Computation II: Linear Algebra* (1971), contributions II/11, II/13 and II/14
+//! (`balance`, `elmhes`, `hqr`).
 
 use nalgebra::{Complex, DMatrix, linalg::balancing};
 
-/// Iterations for one eigenvalue before giving up.
-const MOST_ITERATIONS: usize = 100;
+/// Largest number of iterations for one eigenvalue.
+const MAX_ITERATIONS: usize = 100;
 
-/// All eigenvalues of a square matrix; `None` where they cannot be found or the matrix is not finite.
+/// Returns all eigenvalues of a square matrix; `None` if the iteration does not converge or the matrix is not finite.
 pub(crate) fn eigenvalues(mut a: DMatrix<f64>) -> Option<Vec<Complex<f64>>> {
     if a.iter().any(|v| !v.is_finite()) {
         return None;
@@ -52,10 +52,10 @@ fn hessenberg(a: &mut DMatrix<f64>) {
     }
 }
 
-/// QR iteration on a Hessenberg matrix (`hqr`).
+/// Runs the QR iteration on a Hessenberg matrix (`hqr`).
 fn quotient_iteration(a: &mut DMatrix<f64>) -> Option<Vec<Complex<f64>>> {
     let n = a.nrows();
-    let mut found = Vec::with_capacity(n);
+    let mut result = Vec::with_capacity(n);
     let norm: f64 = a.iter().map(|v| v.abs()).sum();
     let mut shifted = 0.0;
     let mut left = n;
@@ -63,12 +63,12 @@ fn quotient_iteration(a: &mut DMatrix<f64>) -> Option<Vec<Complex<f64>>> {
         let hi = left - 1;
         let mut iterations = 0;
         loop {
-            // A subdiagonal entry that is negligible beside its neighbours splits the matrix.
+            // A subdiagonal entry that is negligible compared with its neighbours splits the matrix.
             let mut l = hi;
             while l > 0 {
-                let beside = a[(l - 1, l - 1)].abs() + a[(l, l)].abs();
-                let beside = if beside == 0.0 { norm } else { beside };
-                if a[(l, l - 1)].abs() <= f64::EPSILON * beside {
+                let neighbours = a[(l - 1, l - 1)].abs() + a[(l, l)].abs();
+                let neighbours = if neighbours == 0.0 { norm } else { neighbours };
+                if a[(l, l - 1)].abs() <= f64::EPSILON * neighbours {
                     a[(l, l - 1)] = 0.0;
                     break;
                 }
@@ -76,18 +76,18 @@ fn quotient_iteration(a: &mut DMatrix<f64>) -> Option<Vec<Complex<f64>>> {
             }
             let x = a[(hi, hi)];
             if l == hi {
-                found.push(Complex::new(x + shifted, 0.0));
+                result.push(Complex::new(x + shifted, 0.0));
                 left -= 1;
                 break;
             }
             let y = a[(hi - 1, hi - 1)];
             let w = a[(hi, hi - 1)] * a[(hi - 1, hi)];
             if l + 1 == hi {
-                found.extend(pair(x, y, w, shifted));
+                result.extend(pair(x, y, w, shifted));
                 left -= 2;
                 break;
             }
-            if iterations == MOST_ITERATIONS {
+            if iterations == MAX_ITERATIONS {
                 return None;
             }
             let (mut x, mut y, mut w) = (x, y, w);
@@ -104,10 +104,10 @@ fn quotient_iteration(a: &mut DMatrix<f64>) -> Option<Vec<Complex<f64>>> {
             sweep(a, l, hi, x, y, w);
         }
     }
-    Some(found)
+    Some(result)
 }
 
-/// The eigenvalues of the trailing 2 x 2 block.
+/// Returns the eigenvalues of the trailing 2 x 2 block.
 fn pair(x: f64, y: f64, w: f64, shifted: f64) -> [Complex<f64>; 2] {
     let p = 0.5 * (y - x);
     let q = p * p + w;
@@ -122,7 +122,7 @@ fn pair(x: f64, y: f64, w: f64, shifted: f64) -> [Complex<f64>; 2] {
     }
 }
 
-/// One double-shift sweep over rows and columns `l` to `hi`.
+/// Performs one double-shift sweep over rows and columns `l` to `hi`.
 fn sweep(a: &mut DMatrix<f64>, l: usize, hi: usize, x: f64, y: f64, w: f64) {
     let start = |m: usize, a: &DMatrix<f64>| -> (f64, f64, f64) {
         let z = a[(m, m)];
@@ -133,7 +133,7 @@ fn sweep(a: &mut DMatrix<f64>, l: usize, hi: usize, x: f64, y: f64, w: f64) {
         let scale = p.abs() + q.abs() + r.abs();
         (p / scale, q / scale, r / scale)
     };
-    // Two consecutive small subdiagonal entries let the sweep begin further down.
+    // Two consecutive small subdiagonal entries allow the sweep to begin further down.
     let mut m = hi - 2;
     let (mut p, mut q, mut r) = start(m, a);
     while m > l {
@@ -206,14 +206,14 @@ mod tests {
     use super::*;
     use haptic_sim::Random;
 
-    /// Sorted by real part, then imaginary.
+    /// Sorts by real part, then imaginary part.
     fn sorted(mut values: Vec<Complex<f64>>) -> Vec<Complex<f64>> {
         values.sort_by(|a, b| (a.re, a.im).partial_cmp(&(b.re, b.im)).unwrap());
         values
     }
 
     #[test]
-    fn a_companion_matrix_gives_back_its_roots() {
+    fn eigenvalues_of_a_companion_matrix_are_its_roots() {
         // (x - 1)(x - 2)(x - 3)(x² - 2x + 5)
         let expanded = [-8.0, 28.0, -58.0, 67.0, -30.0];
         let mut companion = DMatrix::zeros(5, 5);
@@ -223,23 +223,23 @@ mod tests {
         for i in 1..5 {
             companion[(i, i - 1)] = 1.0;
         }
-        let found = eigenvalues(companion).unwrap();
-        assert_eq!(found.len(), 5);
+        let result = eigenvalues(companion).unwrap();
+        assert_eq!(result.len(), 5);
         for (re, im) in [(1.0, -2.0), (1.0, 0.0), (1.0, 2.0), (2.0, 0.0), (3.0, 0.0)] {
-            assert!(found.iter().any(|got| (got - Complex::new(re, im)).norm() < 1e-9), "{found:?}");
+            assert!(result.iter().any(|got| (got - Complex::new(re, im)).norm() < 1e-9), "{result:?}");
         }
     }
 
     #[test]
-    fn a_permutation_needs_an_exceptional_shift_and_gets_it() {
+    fn exceptional_shifts_solve_a_permutation() {
         let cycle = DMatrix::from_row_slice(4, 4, &[0., 0., 0., 1., 1., 0., 0., 0., 0., 1., 0., 0., 0., 0., 1., 0.]);
-        let found = eigenvalues(cycle).unwrap();
-        assert!(found.iter().all(|v| (v.norm() - 1.0).abs() < 1e-12));
-        assert!(found.iter().all(|v| (v.powi(4) - 1.0).norm() < 1e-11));
+        let result = eigenvalues(cycle).unwrap();
+        assert!(result.iter().all(|v| (v.norm() - 1.0).abs() < 1e-12));
+        assert!(result.iter().all(|v| (v.powi(4) - 1.0).norm() < 1e-11));
     }
 
     #[test]
-    fn similar_matrices_have_the_eigenvalues_they_were_made_from() {
+    fn similar_matrices_keep_their_eigenvalues() {
         let mut random = Random::new(3);
         for _ in 0..500 {
             let n = 2 + random.between(0.0, 12.0) as usize;
@@ -247,9 +247,9 @@ mod tests {
             let known: Vec<f64> = (0..n).map(|_| -size(&mut random)).collect();
             let basis = DMatrix::from_fn(n, n, |_, _| random.between(-1.0, 1.0)).qr().q();
             let matrix = &basis * DMatrix::from_diagonal(&known.clone().into()) * basis.transpose();
-            let found = sorted(eigenvalues(matrix).unwrap());
+            let result = sorted(eigenvalues(matrix).unwrap());
             let known = sorted(known.into_iter().map(|v| Complex::new(v, 0.0)).collect());
-            for (got, known) in found.iter().zip(&known) {
+            for (got, known) in result.iter().zip(&known) {
                 assert!((got - known).norm() < 1e-13 * 10.0 * n as f64, "{got} {known}");
             }
         }

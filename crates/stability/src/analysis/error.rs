@@ -1,43 +1,43 @@
-//! Why a loop cannot be analysed, in words.
+//! Errors of the analysis of a control loop.
 
 use thiserror::Error;
 
-/// Why a loop cannot be analysed.
+/// Reason why a control loop cannot be analysed.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum AnalysisError {
-    /// Rate outside what makes sense.
+    /// Rate that is not positive or not finite.
     #[error("the rate must be a positive number of hertz, not {0}")]
     Rate(f64),
     /// Low-pass or washout at or above the Nyquist frequency, or not positive.
     #[error("a cutoff of {cutoff} Hz cannot be had at {rate} Hz: it must lie above 0 and below half the rate")]
     Cutoff {
-        /// Hz.
+        /// Frequency, Hz.
         cutoff: f64,
-        /// Hz.
+        /// Control rate, Hz.
         rate: f64,
     },
     /// Negative, not finite, or longer than [`super::control_loop::LONGEST_DELAY`].
     #[error("the delay must lie between 0 and 64 samples, not {0}")]
     Delay(f64),
-    /// Requests of a program that renders the wall.
-    #[error("a host asks {rate} times a second, and it must be 1 to {board}, the board's own rate")]
+    /// Request rate of a program that renders the wall.
+    #[error("a host sends {rate} requests a second, but the rate must be 1 to {board}, the board's own rate")]
     HostRate {
-        /// Hz.
+        /// Request rate, Hz.
         rate: f64,
-        /// Hz.
+        /// Control rate of the board, Hz.
         board: f64,
     },
-    /// Age of a force that a program sends.
+    /// Age of a force from a program.
     #[error(
         "a force from the host may be 0 to {longest} s old when it begins to act (64 of its requests), not {delay} s"
     )]
     HostDelay {
-        /// s
+        /// Age, s.
         delay: f64,
-        /// s
+        /// Longest age, s.
         longest: f64,
     },
-    /// Samples of the difference.
+    /// Window of the difference, samples.
     #[error("a difference can be taken over 1 to 64 samples, not {0}")]
     Difference(usize),
     /// Bandwidth of the current loop.
@@ -46,17 +46,17 @@ pub enum AnalysisError {
     /// Motor data missing or without resistance.
     #[error("a voltage drive needs the resistance of every joint's motor ([joint.motor] in the device file)")]
     Motor,
-    /// Jr, M or B not what a device has.
+    /// Jr, M or B is not that of a device.
     #[error("the device has no inertia in this direction here: its mass matrix or Jacobian is singular or not finite")]
     Singular,
-    /// A damping value of the boundary.
+    /// Damping value of the boundary.
     #[error("damping values must be finite and not negative, not {0}")]
     Damping(f64),
-    /// A gain of a wall.
+    /// Gain of a wall.
     #[error("a wall's stiffness and damping must be finite and not negative, not {0}")]
     Gain(f64),
     /// Damping compensation is analysed only for a rigid device without a hand.
-    #[error("damping compensation is analysed for rigid joints that nobody holds")]
+    #[error("damping compensation is analysed only for rigid joints without a hand")]
     CompensatedFlexible,
     /// No upper limit of stiffness was found.
     #[error("no stiffness was found at which this loop becomes unstable")]

@@ -1,19 +1,19 @@
-//! The velocity estimators of the control step as linear filters, for the analysis of the loop around them.
+//! Velocity estimators of the control step as linear filters, for the analysis of the loop.
 //!
-//! Each takes the change of position over the last sample and gives a velocity per sample. Its states are chosen so
-//! that their change over a sample is computed directly, not as the difference of two nearly equal numbers.
+//! Each filter takes the change of position over the last sample and returns a velocity per sample. Its states are
+//! chosen so that their change over a sample is computed directly, not as the difference of two nearly equal numbers.
 
 use super::error::AnalysisError;
 use haptic_bridge::render::velocity::{Chosen, Estimator as Kind};
 use nalgebra::{Complex, DMatrix, DVector};
 
-/// Most samples that a difference can be taken over.
+/// Longest window of a difference, samples.
 pub const LONGEST_DIFFERENCE: usize = 64;
 
-/// The linear velocity estimators, which take velocity from sampled positions.
+/// A linear velocity estimator.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum LinearEstimator {
-    /// The backward difference as it is.
+    /// Backward difference without filter.
     BackwardDifference,
     /// Backward difference, then one pole, bilinear, prewarped at the cutoff (Hz).
     FirstOrder(f64),
@@ -23,17 +23,17 @@ pub enum LinearEstimator {
     Over {
         /// k, from 1 to [`LONGEST_DIFFERENCE`].
         samples: usize,
-        /// The low-pass after it.
+        /// Low-pass after the difference.
         then: LowPass,
     },
-    /// α-β-γ filter with its poles there (Hz), which knows the acceleration that the last sample's command gives.
+    /// α-β-γ filter with its poles at this frequency (Hz); it uses the acceleration from the last sample's command.
     Predicted(f64),
 }
 
-/// The low-pass that follows a difference over several samples.
+/// Low-pass after a difference over several samples.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum LowPass {
-    /// Nothing.
+    /// No low-pass.
     None,
     /// See [`LinearEstimator::FirstOrder`].
     FirstOrder(f64),
@@ -41,14 +41,15 @@ pub enum LowPass {
     Butterworth(f64),
 }
 
-/// A filter's answer to a sample: the velocity per sample, and the change of each of its states.
-struct Answer {
+/// Output of a filter for one sample: the velocity per sample, and the change of each state.
+struct FilterOutput {
     velocity: f64,
     change: Vec<f64>,
 }
 
 impl LinearEstimator {
-    /// The same with the difference taken over `samples` samples; those that take none stay as they are.
+    /// Returns the estimator with the difference taken over `samples` samples; estimators without a difference stay
+    /// unchanged.
     pub fn over(self, samples: usize) -> Self {
         let then = match self {
             Self::BackwardDifference => LowPass::None,
@@ -60,7 +61,7 @@ impl LinearEstimator {
         Self::Over { samples, then }
     }
 
-    /// The linear form of a scene's estimator near rest; `None` where it has none.
+    /// Returns the linear form of a scene's estimator near rest; `None` if it has none.
     pub fn of(kind: Kind, cutoff_hz: f64) -> Option<Self> {
         let behind = |chosen: Chosen| if chosen.filtered { LowPass::Butterworth(cutoff_hz) } else { LowPass::None };
         match kind {
@@ -72,20 +73,20 @@ impl LinearEstimator {
         }
     }
 
-    /// Those of scenes that one filter stands for whatever else is chosen, by their names there: they have no window of
-    /// their own, which [`LinearEstimator::over`] gives to any that takes a difference.
+    /// Returns the estimators of scenes without a window of their own, by name. One filter represents each;
+    /// [`LinearEstimator::over`] adds a window to any estimator with a difference.
     pub fn named() -> impl Iterator<Item = (&'static str, Kind)> {
         let windowless = |kind: Kind| kind.spec().is_none_or(|spec| spec.key.is_none());
         let all = Kind::ALL.iter().copied();
         all.filter(move |(_, kind)| windowless(*kind) && Self::of(*kind, 1.0).is_some())
     }
 
-    /// Returns true if it begins with a difference, which can be taken over more samples.
+    /// Returns true if the estimator begins with a difference, which can be taken over more samples.
     pub fn takes_difference(self) -> bool {
         !matches!(self, Self::Predicted(_))
     }
 
-    /// Its cutoff, Hz.
+    /// Returns the cutoff, Hz, if the estimator has one.
     pub fn cutoff_hz(self) -> Option<f64> {
         match self {
             Self::BackwardDifference | Self::Over { then: LowPass::None, .. } => None,
@@ -96,7 +97,7 @@ impl LinearEstimator {
         }
     }
 
-    /// Over how many samples the difference is taken.
+    /// Returns the window of the difference, samples.
     pub(super) fn samples(self) -> usize {
         match self {
             Self::Over { samples, .. } => samples,
@@ -104,7 +105,7 @@ impl LinearEstimator {
         }
     }
 
-    /// Refuses a cutoff at or above half the rate, and windows that no board has.
+    /// Rejects a cutoff at or above half the rate, and windows beyond those of boards.
     pub(super) fn check(self, rate_hz: f64) -> Result<(), AnalysisError> {
         let cutoff = self.cutoff_hz();
         match (self, cutoff) {
@@ -118,7 +119,7 @@ impl LinearEstimator {
         }
     }
 
-    /// Number of states.
+    /// Returns the number of states.
     pub(super) fn states(self) -> usize {
         match self {
             Self::BackwardDifference => 0,
@@ -129,39 +130,39 @@ impl LinearEstimator {
         }
     }
 
-    /// Returns true if it takes the command into account.
+    /// Returns true if the estimator uses the command.
     pub(super) fn predicts(self) -> bool {
         matches!(self, Self::Predicted(_))
     }
 
-    /// One sample from these states, after the joint moved by `moved` and the commanded torque added `pushed` to its
-    /// velocity per sample.
-    fn answer(self, rate_hz: f64, states: &[f64], moved: f64, pushed: f64) -> Answer {
+    /// Computes one sample from these states, after the joint moved by `moved` and the commanded torque added `pushed`
+    /// to its velocity per sample.
+    fn filter_sample(self, rate_hz: f64, states: &[f64], moved: f64, pushed: f64) -> FilterOutput {
         let warped = |hz: f64| (std::f64::consts::PI * hz / rate_hz).tan();
         match (self, states) {
             (Self::FirstOrder(hz), [low]) => {
                 let step = (moved - low) * warped(hz) / (1.0 + warped(hz));
-                Answer { velocity: low + step, change: vec![2.0 * step] }
+                FilterOutput { velocity: low + step, change: vec![2.0 * step] }
             }
             (Self::Butterworth(hz), [s1, s2]) => {
                 // Trapezoidal state-variable filter: the bilinear Butterworth, exactly.
                 let (g, damping) = (warped(hz), std::f64::consts::SQRT_2);
                 let high = (moved - (damping + g) * s1 - s2) / (1.0 + g * (damping + g));
                 let band = s1 + g * high;
-                Answer { velocity: s2 + g * band, change: vec![2.0 * g * high, 2.0 * g * band] }
+                FilterOutput { velocity: s2 + g * band, change: vec![2.0 * g * high, 2.0 * g * band] }
             }
             (Self::Over { samples, then }, states) => {
                 let (past, rest) = states.split_at(samples - 1);
                 let mean = (moved + past.iter().sum::<f64>()) / samples as f64;
-                let mut after = then.alone().answer(rate_hz, rest, mean, 0.0);
+                let mut after = then.alone().filter_sample(rate_hz, rest, mean, 0.0);
                 let mut change = Vec::with_capacity(states.len());
                 let mut newer = moved;
-                for own in past {
-                    change.push(newer - own);
-                    newer = *own;
+                for states_part in past {
+                    change.push(newer - states_part);
+                    newer = *states_part;
                 }
                 change.append(&mut after.change);
-                Answer { velocity: after.velocity, change }
+                FilterOutput { velocity: after.velocity, change }
             }
             (Self::Predicted(hz), [ahead, velocity, unknown]) => {
                 let left = 2.0 * warped(hz) / (1.0 + warped(hz));
@@ -172,14 +173,14 @@ impl LinearEstimator {
                 let beyond = ahead + unexpected;
                 let gained = expected + 1.5 * left * left * (1.0 + pole) * beyond;
                 let change = vec![unexpected - alpha * beyond, gained, left * left * left * beyond];
-                Answer { velocity: velocity + gained, change }
+                FilterOutput { velocity: velocity + gained, change }
             }
-            _ => Answer { velocity: moved, change: Vec::new() },
+            _ => FilterOutput { velocity: moved, change: Vec::new() },
         }
     }
 
-    /// Velocity per sample that a position of amplitude 1 gives at an angle per sample, rad; of one that predicts,
-    /// without what it knows of the commands.
+    /// Returns the velocity per sample for a position of amplitude 1, as a function of the angle per sample, rad. A
+    /// predicting estimator is evaluated without commands.
     pub(super) fn response(self, rate_hz: f64) -> impl Fn(f64) -> Complex<f64> {
         let (samples, filter) = match self {
             Self::Over { samples, then } => (samples, then.alone()),
@@ -189,27 +190,27 @@ impl LinearEstimator {
         move |angle: f64| {
             let back = |steps: f64| Complex::from_polar(1.0, -angle * steps);
             let difference = (1.0 - back(samples as f64)) / samples as f64;
-            // z - 1 times the states is their change.
-            let mut own = matrix.view((0, 0), (states, states)).map(|value| Complex::from(-value));
-            own.iter_mut().step_by(states + 1).for_each(|entry| *entry += back(-1.0) - 1.0);
+            // The states times z - 1 are their change.
+            let mut states_part = matrix.view((0, 0), (states, states)).map(|value| Complex::from(-value));
+            states_part.iter_mut().step_by(states + 1).for_each(|entry| *entry += back(-1.0) - 1.0);
             let driven = matrix.view((0, states), (states, 1)).map(Complex::from);
-            let rest = if states == 0 { None } else { own.lu().solve(&driven) };
+            let rest = if states == 0 { None } else { states_part.lu().solve(&driven) };
             let through: Complex<f64> =
                 rest.iter().flat_map(|rest| rest.iter().enumerate()).map(|(i, s)| s * matrix[(states, i)]).sum();
             difference * (through + matrix[(states, states)])
         }
     }
 
-    /// The filter as a matrix: over its states, the change of position and the velocity given by the command, each a
-    /// column; the change of each state and the velocity, each a row.
+    /// Returns the filter as a matrix. Columns: its states, the change of position and the velocity from the command.
+    /// Rows: the change of each state and the velocity.
     pub fn matrix(self, rate_hz: f64) -> DMatrix<f64> {
         let states = self.states();
         let mut matrix = DMatrix::zeros(states + 1, states + 2);
         let mut unit = vec![0.0; states + 2];
         for column in 0..states + 2 {
             unit[column] = 1.0;
-            let answer = self.answer(rate_hz, &unit[..states], unit[states], unit[states + 1]);
-            for (row, value) in answer.change.iter().chain([&answer.velocity]).enumerate() {
+            let output = self.filter_sample(rate_hz, &unit[..states], unit[states], unit[states + 1]);
+            for (row, value) in output.change.iter().chain([&output.velocity]).enumerate() {
                 matrix[(row, column)] = *value;
             }
             unit[column] = 0.0;
@@ -217,7 +218,7 @@ impl LinearEstimator {
         matrix
     }
 
-    /// Its name on a command line, and the number of samples over which it takes the difference.
+    /// Returns the name on a command line, and the number of samples of the difference.
     pub fn name_and_window(self) -> (&'static str, usize) {
         match self {
             Self::BackwardDifference => ("backward-difference", 1),
@@ -232,13 +233,13 @@ impl LinearEstimator {
 }
 
 impl LinearEstimator {
-    /// The largest velocity that it says of a step of the position, for each metre of the step, 1/s.
-    pub fn quickest(self, rate_hz: f64) -> f64 {
+    /// Returns the largest velocity after a step of the position, per metre of the step, 1/s.
+    pub fn peak_step_response(self, rate_hz: f64) -> f64 {
         let matrix: DMatrix<f64> = self.matrix(rate_hz);
         let states = matrix.nrows() - 1;
         let mut memory = DVector::zeros(states + 2);
         let mut most: f64 = 0.0;
-        // The answer of a low-pass to a step ends before ten of its periods have passed.
+        // The step response of a low-pass ends within ten of its periods.
         let cutoff = self.cutoff_hz().unwrap_or(rate_hz);
         let samples = (10.0 * rate_hz / cutoff).ceil() as usize + self.samples();
         for n in 0..samples {
@@ -252,21 +253,22 @@ impl LinearEstimator {
         most * rate_hz
     }
 
-    /// Its states where it has seen this velocity per sample, given by commands to this part per sample, for long.
+    /// Returns the states after a long time at this velocity per sample, of which `pushed` per sample comes from
+    /// commands.
     pub(super) fn rest(self, rate_hz: f64, moved: f64, pushed: f64) -> DVector<f64> {
         let (matrix, states) = (self.matrix(rate_hz), self.states());
         if states == 0 {
             return DVector::zeros(0);
         }
-        let own = matrix.view((0, 0), (states, states)).into_owned();
+        let states_part = matrix.view((0, 0), (states, states)).into_owned();
         let driven =
             matrix.view((0, states), (states, 1)) * -moved - matrix.view((0, states + 1), (states, 1)) * pushed;
-        own.lu().solve(&driven).map_or_else(|| DVector::zeros(states), |rest| rest.column(0).into_owned())
+        states_part.lu().solve(&driven).map_or_else(|| DVector::zeros(states), |rest| rest.column(0).into_owned())
     }
 }
 
 impl LowPass {
-    /// Behind a backward difference.
+    /// Returns the low-pass after a backward difference.
     fn alone(self) -> LinearEstimator {
         match self {
             Self::None => LinearEstimator::BackwardDifference,

@@ -1,18 +1,18 @@
-//! The parts of a device that are not rigid: transmissions between motors and links, structural modes of the links, and
-//! a hand on the tip (docs/model.md section 4), linearised at a pose in continuous time.
+//! Compliant parts of a device: transmissions between motors and links, structural modes of the links, and a hand on
+//! the tip (docs/model.md section 4), linearised at a pose in continuous time.
 
 use nalgebra::{DMatrix, DVector};
 
 use haptic_bridge::model::description::{EncoderAt, Joint, StructuralMode, Transmission};
 
-/// A hand as a mass, a damper and a spring to where it wants to be, at the tip and the same in every direction.
+/// A hand as a mass, a damper and a spring to its target position, at the tip and equal in every direction.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Hand {
-    /// kg
+    /// Mass, kg.
     pub mass: f64,
-    /// N s/m
+    /// Damping, N s/m.
     pub damping: f64,
-    /// N/m
+    /// Stiffness, N/m.
     pub stiffness: f64,
 }
 
@@ -23,36 +23,36 @@ impl Hand {
     }
 }
 
-/// The spring and the damper that hold the orientation of a redundant device's last link: a scene's `[posture]` where
-/// it is at rest.
+/// Spring and damper that hold the orientation of a redundant device's last link: a scene's `[posture]` at rest.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Posture {
-    /// N m/rad
+    /// Stiffness, N m/rad.
     pub stiffness: f64,
-    /// N m s/rad
+    /// Damping, N m s/rad.
     pub damping: f64,
 }
 
-/// The parts of a device that are not rigid at a pose, and the hand that holds it beside the wall. The default is a
-/// rigid device that nothing holds.
+/// Compliant parts of a device at a pose, the hand on its tip and the posture that holds it. The default is a rigid
+/// device without hand and posture.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Flexible {
-    /// Of each joint; empty where all are rigid.
+    /// Transmission of each joint; empty if all are rigid.
     pub transmissions: Vec<Option<Transmission>>,
     /// Structural modes, each with its joint.
     pub modes: Vec<(usize, StructuralMode)>,
-    /// On the tip.
+    /// Hand on the tip.
     pub hand: Hand,
     /// The posture that the board renders, with the row of the orientation's Jacobian, N.
     pub posture: Option<(Posture, DVector<f64>)>,
-    /// The tip's Jacobian, d x N, m/rad: what the hand moves with.
+    /// Jacobian of the tip, d x N, m/rad, for the hand's motion.
     pub tip: DMatrix<f64>,
-    /// The wall's unit normal, d entries.
+    /// Unit normal of the wall, d entries.
     pub normal: DVector<f64>,
 }
 
-/// The stiffness that a hand feels at rest of a wall of `stiffness` (N/m) behind parts of this compliance (m/N): both in
-/// series. `None` where the wall holds no hand at rest: the torques of its feed-forward move the tip into it.
+/// Returns the stiffness that a hand feels at rest of a wall of `stiffness` (N/m) behind parts of this compliance
+/// (m/N): both in series. `None` if the wall cannot hold a hand at rest, because the torques of its feed-forward move
+/// the tip into it.
 #[must_use]
 pub fn felt(stiffness: f64, compliance: f64) -> Option<f64> {
     let share = 1.0 + stiffness * compliance;
@@ -60,7 +60,7 @@ pub fn felt(stiffness: f64, compliance: f64) -> Option<f64> {
 }
 
 impl Flexible {
-    /// The same with the transmissions and the structural modes of these joints.
+    /// Adds the transmissions and the structural modes of these joints.
     pub fn of_joints(mut self, joints: &[Joint]) -> Self {
         self.transmissions = joints.iter().map(|joint| joint.transmission).collect();
         let modes = joints.iter().enumerate();
@@ -68,24 +68,24 @@ impl Flexible {
         self
     }
 
-    /// How far the transmissions let the tip move along a direction whose Jacobian is `row` (m/rad, N) when the motors,
-    /// held where their encoders see them, give `torque` (N m per newton of wall, N): Σⱼ rowⱼ torqueⱼ/kⱼ, m/N. A joint
-    /// whose encoder is on the link's side does not count, because its wall sees what the transmission gives. `None`
-    /// where nothing gives.
+    /// Returns the displacement of the tip along a direction with Jacobian `row` (m/rad, N) by the transmissions, while
+    /// the motors are held at their encoders and give `torque` (N m per newton of wall, N): Σⱼ rowⱼ torqueⱼ/kⱼ, m/N. A
+    /// joint with its encoder on the link's side does not count, because its wall measures that displacement. `None` if
+    /// no such transmission is compliant.
     #[must_use]
     pub fn compliance_at_tip(&self, row: &DVector<f64>, torque: &DVector<f64>) -> Option<f64> {
         let joints = self.transmissions.iter().zip(row.iter().zip(torque.iter()));
         let compliance: f64 = joints
             .filter_map(|(transmission, (lever, torque))| {
-                let transmission = transmission.filter(|found| found.encoder_at == EncoderAt::Motor)?;
+                let transmission = transmission.filter(|candidate| candidate.encoder_at == EncoderAt::Motor)?;
                 Some(lever * torque / transmission.stiffness)
             })
             .sum();
         (compliance != 0.0).then_some(compliance)
     }
 
-    /// Returns true if an encoder sits on the link's side of a transmission that gives: its motor then pushes through a
-    /// spring on what it sees.
+    /// Returns true if an encoder is on the link's side of a compliant transmission: its motor then acts through a
+    /// spring on the measured angle.
     #[must_use]
     pub fn is_sensed_behind_a_spring(&self) -> bool {
         self.transmissions.iter().flatten().any(|transmission| transmission.encoder_at == EncoderAt::Joint)

@@ -1,15 +1,15 @@
-//! A device that is not rigid, reduced to what the wall can see.
+//! Reduces a compliant device to the part that affects the wall.
 //!
-//! Generalised coordinates are the links' joint angles q, behind each transmission its motor's angle θ, and of each
-//! mode the angle of what swings. The states are scaled by their energy: velocities by a Cholesky factor of the mass
-//! matrix, every spring's deflection by the root of its stiffness. A lossless device is then a rotation, however far
-//! apart its frequencies lie.
+//! Generalised coordinates are the links' joint angles q, the motor's angle θ behind each transmission, and the angle
+//! of the swinging part of each mode. The states are scaled by their energy: velocities by a Cholesky factor of the
+//! mass matrix, every spring's deflection by the root of its stiffness. A lossless device is then a rotation, however
+//! far apart its frequencies lie.
 //!
-//! The walls see the rendered positions alone, x = Jr (the angles that the encoders measure). What they cannot see, and
-//! what no torque of theirs can move, is left out exactly: the basis of what is left is built by Arnoldi's method,
-//! which ends where the next power of the system matrix adds nothing (the staircase form; Paige, "Properties of
-//! numerical algorithms related to computing controllability", IEEE TAC 26, 1981). An undamped motion along the wall is
-//! thus never told from a stable one by its rounding.
+//! The walls measure only the rendered positions, x = Jr (the angles at the encoders). Motions that the walls cannot
+//! measure, and motions that their torques cannot cause, are removed exactly. Arnoldi's method builds the basis of the
+//! rest and ends when the next power of the system matrix adds nothing (the staircase form; Paige, "Properties of
+//! numerical algorithms related to computing controllability", IEEE TAC 26, 1981). So rounding never decides if an
+//! undamped motion along the wall counts as stable.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -18,15 +18,15 @@ use haptic_bridge::model::description::{EncoderAt, StructuralMode, Transmission}
 use super::flexible::Flexible;
 use super::plant::{ContinuousPlant, Lags, Linearised};
 
-/// A transmission that turns back and forth this often (rad) in one sample is rigid: what it would change is smaller by
+/// Angle (rad per sample) of a transmission's own oscillation above which it counts as rigid: its effect is smaller by
 /// the square of that.
 const RIGID_PER_SAMPLE: f64 = 1e5;
 
-/// A new direction shorter than this share of the system matrix is rounding.
-const NOTHING_NEW: f64 = 1e-13;
+/// Length of a new direction, as a share of the system matrix, below which it is rounding.
+const ROUNDING: f64 = 1e-13;
 
-/// A device that is not rigid, and the directions along which its walls see it.
-pub(crate) struct Watched<'a> {
+/// A compliant device, and the directions along which its walls measure it.
+pub(crate) struct ObservedDevice<'a> {
     /// M of the rigid device, N x N, kg m².
     pub mass: &'a DMatrix<f64>,
     /// B of each joint, N m s/rad.
@@ -38,39 +38,38 @@ pub(crate) struct Watched<'a> {
     pub directions: &'a DMatrix<f64>,
 }
 
-/// The reduced device: ẋ = a x + b u, and the rendered positions, R rows over the states.
-pub(crate) struct Reduced {
+/// The reduced device: ẋ = a x + b u, and the rendered positions as R rows over the states.
+pub(crate) struct ReducedDevice {
     pub a: DMatrix<f64>,
     pub b: DMatrix<f64>,
     pub seen: DMatrix<f64>,
 }
 
-/// The matrices of the device in generalised coordinates, in sample units (see [`super::plant`]): time in samples,
-/// forces in m/T². Links first, then the motors of the joints that have a transmission, then
-/// what swings on the links.
+/// Matrices of the device in generalised coordinates, in sample units (see [`super::plant`]): time in samples, forces
+/// in m/T². Links come first, then the motors of the joints with a transmission, then the swinging parts of the links.
 struct Bodies {
     mass: DMatrix<f64>,
     damping: DMatrix<f64>,
     /// Deflection of each spring per motion, and its stiffness.
     deflection: DMatrix<f64>,
     stiffness: DVector<f64>,
-    /// The coordinate that each joint's motor turns, and that which its encoder measures.
+    /// Coordinate of each joint's motor, and coordinate that its encoder measures.
     motor: Vec<usize>,
     encoder: Vec<usize>,
-    /// The spring of each joint's transmission.
+    /// Spring of each joint's transmission.
     twist: Vec<Option<usize>>,
-    /// The first spring of the hand, when it has one.
+    /// First spring of the hand, if it has one.
     held: Option<usize>,
 }
 
 impl Bodies {
-    fn new(device: &Watched<'_>, lags: &Lags, t: f64, m: f64) -> Option<Self> {
+    fn new(device: &ObservedDevice<'_>, lags: &Lags, t: f64, m: f64) -> Option<Self> {
         let joints = device.mass.nrows();
         let flexible = device.flexible;
         let mut links = device.mass.clone();
-        let gives = |joint: usize| flexible.transmissions.get(joint).copied().flatten();
+        let transmission_of = |joint: usize| flexible.transmissions.get(joint).copied().flatten();
         for joint in 0..joints {
-            if let Some(transmission) = gives(joint) {
+            if let Some(transmission) = transmission_of(joint) {
                 links[(joint, joint)] -= transmission.motor_inertia;
             }
         }
@@ -87,14 +86,14 @@ impl Bodies {
             links[(*joint, *joint)] += mode.inertia;
         }
         let compliant: Vec<(usize, Transmission)> = (0..joints)
-            .filter_map(|joint| gives(joint).map(|transmission| (joint, transmission)))
+            .filter_map(|joint| transmission_of(joint).map(|transmission| (joint, transmission)))
             .filter(|(joint, transmission)| {
                 let ease = 1.0 / transmission.motor_inertia + mobility[(*joint, *joint)];
                 (transmission.stiffness * ease).sqrt() * t < RIGID_PER_SAMPLE
             })
             .collect();
         for joint in 0..joints {
-            if let Some(rigid) = gives(joint).filter(|_| compliant.iter().all(|(other, _)| *other != joint)) {
+            if let Some(rigid) = transmission_of(joint).filter(|_| compliant.iter().all(|(other, _)| *other != joint)) {
                 links[(joint, joint)] += rigid.motor_inertia;
             }
         }
@@ -162,8 +161,8 @@ impl Bodies {
     }
 }
 
-/// The continuous plant of a device that is not rigid, for torque `inputs` (N x p, units of m/T² times metres). `None`
-/// where a mass matrix is not positive definite.
+/// Returns the continuous plant of a compliant device, for torque `inputs` (N x p, units of m/T² times metres). `None`
+/// if a mass matrix is not positive definite.
 pub(crate) fn reduce(
     device: &Linearised,
     lags: &Lags,
@@ -174,25 +173,25 @@ pub(crate) fn reduce(
     let Linearised { mass, viscous, flexible, row, .. } = device;
     let rows = DMatrix::from_rows(&[row.transpose()]);
     let directions = DMatrix::from_columns(std::slice::from_ref(&flexible.normal));
-    let watched = Watched { mass, viscous, flexible, rows: &rows, directions: &directions };
-    let Reduced { a, b, seen } = reduce_seen(&watched, lags, inputs, sample_s, reference_mass)?;
-    Some(ContinuousPlant::of_a_flexible_device(a, b, seen.row(0).transpose()))
+    let observed = ObservedDevice { mass, viscous, flexible, rows: &rows, directions: &directions };
+    let ReducedDevice { a, b, seen } = reduce_observed(&observed, lags, inputs, sample_s, reference_mass)?;
+    Some(ContinuousPlant::of_flexible_device(a, b, seen.row(0).transpose()))
 }
 
-/// The same seen by walls along several directions.
-pub(crate) fn reduce_seen(
-    device: &Watched<'_>,
+/// The same with walls along several directions.
+pub(crate) fn reduce_observed(
+    device: &ObservedDevice<'_>,
     lags: &Lags,
     inputs: &DMatrix<f64>,
     sample_s: f64,
     reference_mass: f64,
-) -> Option<Reduced> {
+) -> Option<ReducedDevice> {
     let (rendered, joints) = device.rows.shape();
     let bodies = Bodies::new(device, lags, sample_s, reference_mass)?;
     let (moving, springs) = (bodies.mass.nrows(), bodies.stiffness.len());
     let lagging: Vec<usize> = (0..joints).filter(|&joint| lags.rate[joint].is_some()).collect();
-    // States: scaled velocities L' v, scaled deflections, torques of the drives that lag, every x where no spring holds
-    // it.
+    // States: scaled velocities L' v, scaled deflections, torques of the lagging drives, and every x that no spring
+    // holds.
     let (torques, position) = (moving + springs, moving + springs + lagging.len());
     // A hand's springs hold the tip, not its orientation.
     let held = |k: usize| bodies.held.filter(|_| k < device.directions.ncols());
@@ -200,7 +199,7 @@ pub(crate) fn reduce_seen(
     let size = position + integrated.len();
     let (mut a, mut b) = (DMatrix::zeros(size, size), DMatrix::zeros(size, inputs.ncols()));
     let lower = bodies.mass.cholesky()?.l();
-    // From generalised forces to the change of the scaled velocities, L⁻¹; its transpose gives the velocities back.
+    // L⁻¹ maps generalised forces to the change of the scaled velocities; its transpose maps these to velocities.
     let inverse = lower.solve_lower_triangular(&DMatrix::identity(moving, moving))?;
     let velocities = inverse.transpose();
     let roots = bodies.stiffness.map(f64::sqrt);
@@ -225,7 +224,7 @@ pub(crate) fn reduce_seen(
             }
         }
     }
-    // As columns.
+    // Rendered positions as columns.
     let mut seen = DMatrix::zeros(size, rendered);
     for k in 0..rendered {
         let Some(held) = held(k) else {
@@ -237,7 +236,8 @@ pub(crate) fn reduce_seen(
             seen[(state, k)] = 1.0;
             continue;
         };
-        // Jr q is the tip's own displacement, which the hand's springs hold; an encoder on a motor sees the twist too.
+        // Jr q is the tip's own displacement, which the hand's springs hold; an encoder on a motor measures the twist
+        // as well.
         for (direction, along) in device.directions.column(k).iter().enumerate() {
             seen[(moving + held + direction, k)] += along / roots[held + direction];
         }
@@ -248,30 +248,30 @@ pub(crate) fn reduce_seen(
         }
     }
 
-    let basis = reached(&a.transpose(), &seen);
+    let basis = krylov_basis(&a.transpose(), &seen);
     let (a, b, seen) = (basis.tr_mul(&(&a * &basis)), basis.tr_mul(&b), basis.tr_mul(&seen));
-    let basis = reached(&a, &b);
+    let basis = krylov_basis(&a, &b);
     let (a, b, seen) = if basis.ncols() < a.nrows() {
         (basis.tr_mul(&(&a * &basis)), basis.tr_mul(&b), basis.tr_mul(&seen))
     } else {
         (a, b, seen)
     };
-    Some(Reduced { a, b, seen: seen.transpose() })
+    Some(ReducedDevice { a, b, seen: seen.transpose() })
 }
 
-/// An orthonormal basis of what `from` reaches under powers of `a`: span(from, a from, a² from, …).
-fn reached(a: &DMatrix<f64>, from: &DMatrix<f64>) -> DMatrix<f64> {
+/// Returns an orthonormal basis of the Krylov space of `from`: span(from, a from, a² from, …).
+fn krylov_basis(a: &DMatrix<f64>, from: &DMatrix<f64>) -> DMatrix<f64> {
     let size = a.nrows();
     let mut basis: Vec<DVector<f64>> = Vec::new();
     let add = |basis: &mut Vec<DVector<f64>>, mut candidate: DVector<f64>, scale: f64| {
-        // Twice is enough (Kahan and Parlett).
+        // Orthogonalising twice is enough (Kahan and Parlett).
         for _ in 0..2 {
             for known in basis.iter() {
                 candidate -= known * known.dot(&candidate);
             }
         }
         let length = candidate.norm();
-        if basis.len() < size && length > NOTHING_NEW * scale {
+        if basis.len() < size && length > ROUNDING * scale {
             basis.push(candidate / length);
         }
     };

@@ -1,39 +1,39 @@
-//! The same wall rendered by a program on a computer instead of by the board: sampled at the program's rate, its force
-//! held by the board in between.
+//! The same wall rendered by a program on a computer instead of the board: sampled at the program's rate, with its
+//! force held by the board in between.
 //!
-//! The program reads position and velocity in the answer to its last request, the velocity as the board estimates it,
-//! and sends the force with its next. What the board shapes it does not shape: τ = Jᵀ f. So the loop is the board's
-//! own, cut at the force and taken over as many control periods as lie between two requests.
+//! The program reads position and velocity (as the board estimates it) in the reply to its last request, and sends the
+//! force with the next request. The board does not shape this force: τ = Jᵀ f. So the loop is the board's own, cut at
+//! the force and taken over the number of control periods between two requests.
 
 use super::boundary::Circle;
-use super::domain::{Domain, bounded};
+use super::domain::{Domain, domain_from_intervals};
 use super::plant::Linearised;
 use super::sampled::{AnalysisError, LONGEST_DELAY, Loop, Mode, OpenLoop};
 use super::several::open_loop;
 use nalgebra::{DMatrix, DVector};
 use serde::Serialize;
 
-/// Fewest requests in a second that are analysed.
+/// Lowest request rate that is analysed, Hz.
 pub const SLOWEST_HZ: f64 = 1.0;
 
 /// A program that renders the wall.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Host {
-    /// Requests in a second, Hz.
+    /// Request rate, Hz.
     pub rate_hz: f64,
-    /// From the state that the program was told to its force being taken by the board, s: the age that `haptic board
-    /// latency` measures.
+    /// Age of a force, s: from the state that the program received to the board accepting the force.
+    /// `haptic board latency` measures it.
     pub delay_s: f64,
 }
 
 /// The stable domain of a wall that a program renders.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct HostWall {
-    /// Requests in a second, Hz: what was asked for, rounded to whole control periods.
+    /// Request rate, Hz: the requested one, rounded to whole control periods.
     pub rate_hz: f64,
-    /// Age of a force when it begins to act, s, in whole control periods; the board's own delay comes on top.
+    /// Age of a force when it begins to act, s, in whole control periods; the board's own delay is added.
     pub delay_s: f64,
-    /// Its boundary and area.
+    /// Boundary and area.
     #[serde(flatten)]
     pub domain: Domain,
 }
@@ -51,31 +51,31 @@ impl Host {
             let longest = LONGEST_DELAY * steps as f64 / around.rate_hz;
             return Err(AnalysisError::HostDelay { delay: self.delay_s, longest });
         }
-        // A hair above whole periods is rounding.
+        // The difference of 1e-6 to whole periods is rounding.
         let late = (self.delay_s * around.rate_hz - 1e-6).ceil().max(0.0) as usize;
         let board = open_loop(device, device, around, Mode::Off)?;
-        let open = held(&board, steps, late);
+        let open = host_loop(&board, steps, late);
         let delay = (late as f64 + around.delay_samples) / steps as f64;
-        let domain = bounded(&mut Circle::new(&open, delay), open.mass, open.sample_s, kd)?;
-        let domain = domain.behind(device.compliance(Mode::Off));
+        let domain = domain_from_intervals(&mut Circle::new(&open, delay), open.mass, open.sample_s, kd)?;
+        let domain = domain.with_compliance(device.compliance(Mode::Off));
         Ok(HostWall { rate_hz: around.rate_hz / steps as f64, delay_s: late as f64 / around.rate_hz, domain })
     }
 }
 
-/// `board` seen once in `steps` samples, its force held in between and taken `late` samples after it was asked for; in
-/// units of the longer sample.
-fn held(board: &OpenLoop, steps: usize, late: usize) -> OpenLoop {
+/// Returns the loop of `board` sampled once in `steps` samples, with its force held in between and applied `late`
+/// samples after its sample; in units of the longer sample.
+fn host_loop(board: &OpenLoop, steps: usize, late: usize) -> OpenLoop {
     let states = board.input.len();
     let (whole, rest) = (late / steps, late % steps);
-    let (until, pushed_until) = over(board, rest);
-    let (after, pushed_after) = over(board, steps - rest);
+    let (until, pushed_until) = advance(board, rest);
+    let (after, pushed_after) = advance(board, steps - rest);
     let slots = whole + usize::from(rest > 0);
     let size = states + slots;
     let mut f = DMatrix::zeros(size, size);
     let mut input = DVector::zeros(size);
-    // A^{N-r} A^r - I, without taking the difference.
+    // A^{N-r} A^r - I, without forming the difference.
     f.view_mut((0, 0), (states, states)).copy_from(&(&until + &after + &after * &until));
-    // A force in units of m/T² is smaller in those of the shorter sample.
+    // A force in units of m/T² is smaller in units of the shorter sample.
     let unit = 1.0 / (steps * steps) as f64;
     let early = (&pushed_until + &after * &pushed_until) * unit;
     let mut acts = |asked: usize, by: &DVector<f64>| match asked {
@@ -104,12 +104,12 @@ fn held(board: &OpenLoop, steps: usize, late: usize) -> OpenLoop {
         sample_s: board.sample_s * steps as f64,
         drift: None,
         resonances,
-        still: board.still,
+        rounding: board.rounding,
     }
 }
 
-/// A^n - I and what a unit force held for n samples adds.
-fn over(board: &OpenLoop, samples: usize) -> (DMatrix<f64>, DVector<f64>) {
+/// Returns A^n - I and the effect of a unit force held for n samples.
+fn advance(board: &OpenLoop, samples: usize) -> (DMatrix<f64>, DVector<f64>) {
     let size = board.input.len();
     let mut change = DMatrix::zeros(size, size);
     let mut pushed = DVector::zeros(size);
@@ -159,7 +159,7 @@ mod tests {
     }
 
     #[test]
-    fn a_host_as_fast_as_the_board_is_the_board_with_more_delay() {
+    fn host_at_the_board_rate_equals_a_board_with_more_delay() {
         let device = mass(0.2, 0.3);
         for (late, delay) in [(0.0, 0.5), (2.0, 0.5), (3.0, 0.0)] {
             let around = around(2000.0, delay, Drive::Current { bandwidth_hz: 900.0 });
@@ -171,8 +171,8 @@ mod tests {
     }
 
     #[test]
-    fn a_spring_alone_meets_the_loop_that_is_sampled_at_the_rate_of_the_host() {
-        // Without damping no velocity is estimated, so nothing but the sampling at 20 or 7 board periods is left.
+    fn undamped_wall_equals_the_loop_sampled_at_the_host_rate() {
+        // Without damping no velocity is estimated, so only the sampling at 20 or 7 board periods remains.
         let held = mass(0.2, 0.3).held(Hand { mass: 0.1, damping: 2.0, stiffness: 300.0 });
         for (device, drive) in [
             (mass(0.2, 0.3), Drive::Ideal),
@@ -182,7 +182,7 @@ mod tests {
             for (steps, late, delay) in [(20.0, 0.0, 0.0), (20.0, 20.0, 0.5), (20.0, 33.0, 0.5), (7.0, 24.0, 1.5)] {
                 let around = around(20_000.0, delay, drive.clone());
                 let host = Host { rate_hz: 20_000.0 / steps, delay_s: late / 20_000.0 };
-                let found = host.domain(&device, &around, Some(&[0.0])).unwrap().domain.boundary[0].kp;
+                let result = host.domain(&device, &around, Some(&[0.0])).unwrap().domain.boundary[0].kp;
                 let slow = Loop {
                     rate_hz: 20_000.0 / steps,
                     delay_samples: (late + delay) / steps,
@@ -190,27 +190,27 @@ mod tests {
                     ..around
                 };
                 let expected = domain(&device, &slow, Mode::Off, Some(&[0.0])).unwrap().boundary[0].kp;
-                assert!(close(found, expected, 1e-7), "{steps} {late} {delay}: {found} is not {expected}");
+                assert!(close(result, expected, 1e-7), "{steps} {late} {delay}: {result} is not {expected}");
             }
         }
     }
 
     #[test]
-    fn a_wall_with_damping_has_the_closed_form_of_a_velocity_that_is_known() {
-        // x⁺ = x + v + f/2, v⁺ = v + f, f = -α x - β v: by Jury α < 2β and β < 2. What a difference over one board
-        // period knows late is a five-hundredth of the host's.
+    fn damped_wall_has_the_closed_form_of_exact_velocity() {
+        // x⁺ = x + v + f/2, v⁺ = v + f, f = -α x - β v: by Jury α < 2β and β < 2. The lag of a difference over one
+        // board period is a five-hundredth of the host's period.
         let around = Loop { estimator: LinearEstimator::BackwardDifference, ..around(50_000.0, 0.0, Drive::Ideal) };
         let (m, t) = (0.2, 0.01);
         let host = Host { rate_hz: 1.0 / t, delay_s: 0.0 };
         for beta in [0.2, 0.8, 1.5] {
-            let found = host.domain(&mass(m, 0.0), &around, Some(&[beta * m / t])).unwrap().domain;
-            assert!(close(found.boundary[0].kp * t * t / m, 2.0 * beta, 5e-3), "{beta}: {found:?}");
-            assert!(close(found.kd_max * t / m, 2.0, 5e-3), "{}", found.kd_max);
+            let result = host.domain(&mass(m, 0.0), &around, Some(&[beta * m / t])).unwrap().domain;
+            assert!(close(result.boundary[0].kp * t * t / m, 2.0 * beta, 5e-3), "{beta}: {result:?}");
+            assert!(close(result.kd_max * t / m, 2.0, 5e-3), "{}", result.kd_max);
         }
     }
 
-    /// A free mass with the difference of two board samples for velocity, the force computed every `steps` samples and
-    /// taken `late` samples after: the state after each host sample, without a word of the analysis.
+    /// Simulates a free mass with the difference of two board samples as velocity, and the force computed every `steps`
+    /// samples and applied `late` samples later, independently of the analysis. Returns true if the motion grows.
     fn grows(steps: usize, late: usize, alpha: f64, beta: f64) -> bool {
         let one = Matrix3::new(1.0, 1.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0); // x, v, x before
         let (alpha, beta) = (alpha / (steps * steps) as f64, beta / steps as f64);
@@ -239,14 +239,14 @@ mod tests {
     }
 
     #[test]
-    fn a_mass_that_is_let_go_of_agrees_with_the_boundary() {
+    fn simulation_of_a_free_mass_agrees_with_the_boundary() {
         let (m, rate) = (0.2, 4000.0);
         let around = Loop { estimator: LinearEstimator::BackwardDifference, ..around(rate, 0.0, Drive::Ideal) };
         for (steps, late, beta) in [(4, 0, 0.4), (4, 3, 0.4), (4, 4, 0.3), (4, 7, 0.2), (10, 25, 0.1)] {
             let host_s = steps as f64 / rate;
             let host = Host { rate_hz: 1.0 / host_s, delay_s: late as f64 / rate };
-            let found = host.domain(&mass(m, 0.0), &around, Some(&[beta * m / host_s])).unwrap().domain;
-            let alpha = found.boundary[0].kp * host_s * host_s / m;
+            let result = host.domain(&mass(m, 0.0), &around, Some(&[beta * m / host_s])).unwrap().domain;
+            let alpha = result.boundary[0].kp * host_s * host_s / m;
             assert!(alpha > 0.01, "{alpha}");
             assert!(!grows(steps, late, 0.99 * alpha, beta), "{steps} {late} {beta}: grows below {alpha}");
             assert!(grows(steps, late, 1.01 * alpha, beta), "{steps} {late} {beta}: decays above {alpha}");
@@ -254,7 +254,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_host_is_refused() {
+    fn wrong_host_rates_and_delays_are_rejected() {
         let (device, around) = (mass(0.2, 0.0), around(1000.0, 0.0, Drive::Ideal));
         for (rate_hz, delay_s) in [(0.0, 0.0), (1001.0, 0.0), (f64::NAN, 0.0), (100.0, -0.001), (100.0, 1.0)] {
             assert!(Host { rate_hz, delay_s }.domain(&device, &around, None).is_err(), "{rate_hz} {delay_s}");

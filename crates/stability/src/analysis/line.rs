@@ -1,25 +1,25 @@
-//! Walls along a line: their stiffness grows, and a rule says which damping goes with it.
+//! Walls along a line: their stiffness grows, and a rule gives the damping of each.
 
 use super::control_loop::{Loop, Mode};
 use super::error::AnalysisError;
 use super::plant::Linearised;
 use super::several::open_loop;
 
-/// Stiffnesses tried in a decade, and over how many decades.
+/// Stiffnesses tried per decade, and number of decades.
 const PER_DECADE: u32 = 64;
 const DECADES: u32 = 8;
 
-/// Which damping goes with a stiffness.
+/// Rule for the damping at a stiffness.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum DampingRule {
-    /// This share of the critical damping of what the wall meets, kd = 2 ζ √(kp m).
+    /// This share of the critical damping with the effective inertia, kd = 2 ζ √(kp m).
     Ratio(f64),
     /// This damping, N s/m.
     Damping(f64),
 }
 
 impl DampingRule {
-    /// The damping (N s/m) of a wall of this stiffness (N/m) that meets this mass (kg).
+    /// Returns the damping (N s/m) of a wall with this stiffness (N/m) and effective inertia (kg).
     #[must_use]
     pub fn damping(self, kp: f64, mass: f64) -> f64 {
         match self {
@@ -32,19 +32,19 @@ impl DampingRule {
 /// The stable part of a line of walls.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StableLine {
-    /// The inertia that the walls meet, kg.
+    /// Effective inertia, kg.
     pub mass: f64,
-    /// The largest stiffness up to which every wall on the line is stable, N/m.
+    /// Largest stiffness up to which every wall on the line is stable, N/m.
     pub kp: f64,
 }
 
 impl StableLine {
-    /// Of walls on `device` in the loop `around`.
+    /// Computes the stable part for walls on `device` in the control loop `around`.
     pub fn of(device: &Linearised, around: &Loop, mode: Mode, rule: DampingRule) -> Result<Self, AnalysisError> {
         let open = open_loop(device, device, around, mode)?;
         let (mass, t) = (open.mass, open.sample_s);
         let stable = |kp: f64| open.is_stable(kp * t * t / mass, rule.damping(kp, mass) * t / mass);
-        // The largest that any loop of this rate can hold is of the order of m/T².
+        // The largest stable stiffness at this rate is of the order of m/T².
         let largest = 4.0 * mass / (t * t);
         let (mut low, mut high) = (0.0, largest);
         for i in 0..=DECADES * PER_DECADE {
@@ -75,7 +75,7 @@ mod tests {
     fn a_line_of_one_damping_ends_at_the_boundary() {
         let file = DeviceFile::load(concat!(env!("CARGO_MANIFEST_DIR"), "/../../devices/coupled-five-bar.toml"))
             .expect("a shipped file");
-        let seen = Linearised::at(&file.description, &[2.6, 1.75], &[0.6, 0.8]).expect("a regular pose");
+        let linearised = Linearised::at(&file.description, &[2.6, 1.75], &[0.6, 0.8]).expect("a regular pose");
         let around = Loop {
             rate_hz: 20_000.0,
             delay_samples: 0.5,
@@ -83,12 +83,12 @@ mod tests {
             drive: Drive::Ideal,
             damping_compensation: false,
         };
-        let range = predict(&seen, &around, Some(&[20.0]), None).expect("a loop that can be analysed");
+        let range = predict(&linearised, &around, Some(&[20.0]), None).expect("a loop that can be analysed");
         for (mode, boundary) in [(Mode::Off, &range.off.boundary), (Mode::Full, &range.full.boundary)] {
-            let line = StableLine::of(&seen, &around, mode, DampingRule::Damping(20.0)).expect("the same loop");
-            let off = line.kp / boundary[0].kp - 1.0;
-            // The line is searched to a millionth.
-            assert!(off.abs() < 2e-6, "{mode:?}: {} N/m, by {off:e} off", line.kp);
+            let line = StableLine::of(&linearised, &around, mode, DampingRule::Damping(20.0)).expect("the same loop");
+            let deviation = line.kp / boundary[0].kp - 1.0;
+            // The line is searched to a precision of 1e-6.
+            assert!(deviation.abs() < 2e-6, "{mode:?}: {} N/m, by {deviation:e} off", line.kp);
         }
     }
 }

@@ -1,11 +1,11 @@
-//! Inertia over the workspace: what a wall of one normal meets, the worst normals, and the axes of Λ, pose by pose.
+//! Inertia over the workspace at each pose: effective inertias along one normal, the worst normals, and the axes of Λ.
 //!
-//! Poses are those that can be reached from the home pose without crossing a singularity: a grid over the joints'
-//! ranges, flooded from home through regular poses of the same orientation of J. So each tip position appears once, in
-//! the device's own working mode.
+//! The poses are those that the device reaches from the home pose without crossing a singularity: a grid over the
+//! joints' ranges, flooded from home through regular poses of the same orientation of J. So each tip position appears
+//! once, in the device's own working mode.
 //!
-//! With one full task (J square) both worst normals are closed forms in the eigenvalues of Λ (docs/model.md section 2).
-//! The redundant arm's tip meets two different matrices, Λ's own block and the inverse of the mobility's block; there
+//! With a full task (J square) both worst normals are closed forms in the eigenvalues of Λ (docs/model.md section 2).
+//! The tip of a redundant arm has two different matrices, Λ's own block and the inverse of the mobility's block. There
 //! the normal is searched, and the axes are those of the tip's inertia (J M⁻¹ Jᵀ)⁻¹.
 
 use haptic_bridge::model::admissible::Admissible;
@@ -20,22 +20,22 @@ use crate::model::Condition;
 use crate::sweep::Sweep;
 use haptic_host::error::Failure;
 
-/// Regular enough to walk through when flooding: the sine of the nearest singular angle.
+/// Smallest sine of the singular angle at which a pose counts as regular when flooding.
 const WALKABLE_SINE: f64 = 0.08;
-/// Longest step while flooding, rad. A singularity is farther across than that, by [`WALKABLE_SINE`] on either side, so
-/// no step leads over one; not even where two meet and the sign of J's determinant is the same behind both.
+/// Longest step while flooding, rad. A singularity is wider than that, by [`WALKABLE_SINE`] on either side, so no step
+/// crosses one; not even where two meet and the sign of J's determinant is the same behind both.
 const STEP: f64 = 0.1;
 
-/// A normal and what it makes of the inertia.
+/// A normal and its effect on the inertia.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Worst {
+pub struct WorstNormal {
     /// Unit normal in the task frame.
     pub normal: Vec<f64>,
     /// Wrr/Weff (for the ratio) or Wrr - Weff in kg (for the coupling).
     pub value: f64,
 }
 
-/// One pose of the map.
+/// A pose of the map.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MapPoint {
     /// Joint angles, rad.
@@ -51,10 +51,10 @@ pub struct MapPoint {
     /// Condition numbers of the tip Jacobian and of M.
     pub condition: Condition,
     /// Normal of the largest Wrr/Weff here.
-    pub worst_ratio: Worst,
+    pub worst_ratio: WorstNormal,
     /// Normal of the largest Wrr - Weff here.
-    pub worst_coupling: Worst,
-    /// Of the tip's operational-space inertia, ascending, kg.
+    pub worst_coupling: WorstNormal,
+    /// Eigenvalues of the tip's operational-space inertia, ascending, kg.
     pub eigenvalues: Vec<f64>,
     /// Unit eigenvectors: entry k belongs to eigenvalue k.
     pub eigenvectors: Vec<Vec<f64>>,
@@ -65,26 +65,27 @@ pub struct MapPoint {
 pub enum Held {
     /// A joint at an angle, rad.
     Joint(usize, f64),
-    /// The redundant arm's orientation φ, rad: its last joint follows the others, so that each tip appears once.
+    /// The redundant arm's orientation φ, rad: its last joint follows the others, so that each tip position appears
+    /// once.
     Orientation(f64),
 }
 
-/// A grid over the joints, and which of its poses can be reached.
+/// A grid over the joints, with the poses that can be reached.
 #[derive(Clone, Debug)]
 pub struct Reachable {
-    /// Angles of the grid along each joint, rad; one angle where a joint does not sweep.
+    /// Angles of the grid along each joint, rad; a single angle for a joint that does not sweep.
     pub axes: Vec<Vec<f64>>,
     /// The joints whose grid closes on itself.
     pub wraps: Vec<bool>,
-    /// Reached, by flat index, joint 0 slowest.
+    /// True for reached poses, by flat index, joint 0 slowest.
     reached: Vec<bool>,
     held: Option<Held>,
     device: Device<f64>,
-    /// On which side of the singularities the reached poses lie.
+    /// Side of the singularities of the reached poses.
     side: Option<bool>,
 }
 
-/// Evaluates one pose of a device that holds `admissible`; `None` where it is singular.
+/// Evaluates one pose of a device that holds `admissible`; `None` if it is singular.
 pub fn at_holding(
     description: &Description,
     q: &[f64],
@@ -94,7 +95,7 @@ pub fn at_holding(
     Ok(evaluate(&TaskPose::at(description, q)?.holding(admissible), q, normal))
 }
 
-/// Weff and Wrr (kg) along a normal of N entries; `None` where a singularity makes them infinite.
+/// Returns Weff and Wrr (kg) along a normal of N entries; `None` if a singularity makes them infinite.
 pub fn along(pose: &TaskPose, normal: &DVector<f64>) -> Option<(f64, f64)> {
     let force = pose.jacobian.tr_mul(normal);
     let w_eff = 1.0 / force.dot(&pose.mass.clone().cholesky()?.solve(&force));
@@ -120,7 +121,7 @@ fn evaluate(pose: &TaskPose, q: &[f64], normal: &DVector<f64>) -> Option<MapPoin
     let (worst_ratio, worst_coupling) = if redundant {
         let ratio = |n: &DVector<f64>| quadratic(&held, n) * quadratic(&free, n);
         let coupling = |n: &DVector<f64>| quadratic(&held, n) - 1.0 / quadratic(&free, n);
-        (searched(ratio), searched(coupling))
+        (search_worst(ratio), search_worst(coupling))
     } else {
         closed_form(&eigenvalues, &eigenvectors)
     };
@@ -133,7 +134,7 @@ fn evaluate(pose: &TaskPose, q: &[f64], normal: &DVector<f64>) -> Option<MapPoin
         position: pose.position.clone(),
         w_eff,
         w_rr,
-        // Rounding aside it is not negative.
+        // Negative only by rounding.
         coupling: (w_rr - w_eff).max(0.0),
         condition: Condition {
             jacobian: condition(&pose.jacobian.rows(0, d).into_owned()),
@@ -148,18 +149,18 @@ fn evaluate(pose: &TaskPose, q: &[f64], normal: &DVector<f64>) -> Option<MapPoin
     numbers.iter().all(|v| v.is_finite()).then_some(point)
 }
 
-/// Both worst normals in the plane of the eigenvectors of the smallest and largest eigenvalue (docs/model.md section
-/// 2).
-fn closed_form(eigenvalues: &[f64], eigenvectors: &[DVector<f64>]) -> (Worst, Worst) {
+/// Returns both worst normals, in the plane of the eigenvectors of the smallest and largest eigenvalue (docs/model.md
+/// section 2).
+fn closed_form(eigenvalues: &[f64], eigenvectors: &[DVector<f64>]) -> (WorstNormal, WorstNormal) {
     let (low, high) = (eigenvalues[0], eigenvalues[eigenvalues.len() - 1]);
     let (e_low, e_high) = (&eigenvectors[0], &eigenvectors[eigenvectors.len() - 1]);
     if eigenvalues.len() == 1 {
-        let only = |value| Worst { normal: e_low.iter().copied().collect(), value };
+        let only = |value| WorstNormal { normal: e_low.iter().copied().collect(), value };
         return (only(1.0), only(0.0));
     }
     let mixed = |on_low: f64, value: f64| {
         let n = e_low * on_low.sqrt() + e_high * (1.0 - on_low).sqrt();
-        Worst { normal: n.iter().copied().collect(), value }
+        WorstNormal { normal: n.iter().copied().collect(), value }
     };
     let (root_low, root_high) = (low.sqrt(), high.sqrt());
     (
@@ -168,8 +169,8 @@ fn closed_form(eigenvalues: &[f64], eigenvectors: &[DVector<f64>]) -> (Worst, Wo
     )
 }
 
-/// The planar direction in which `value` is largest, by a scan refined with golden sections.
-fn searched(value: impl Fn(&DVector<f64>) -> f64) -> Worst {
+/// Searches the planar direction of the largest `value`, by a scan refined with golden sections.
+fn search_worst(value: impl Fn(&DVector<f64>) -> f64) -> WorstNormal {
     let along = |angle: f64| DVector::from_vec(vec![angle.cos(), angle.sin()]);
     let steps = 180;
     let step = std::f64::consts::PI / f64::from(steps);
@@ -184,19 +185,20 @@ fn searched(value: impl Fn(&DVector<f64>) -> f64) -> Worst {
         if value(&along(left)) > value(&along(right)) { high = right } else { low = left }
     }
     let normal = along((low + high) / 2.0);
-    Worst { value: value(&normal), normal: normal.iter().copied().collect() }
+    WorstNormal { value: value(&normal), normal: normal.iter().copied().collect() }
 }
 
-/// The highest `value` that a device gets to from the pose `from` (rad) without crossing a singularity or a limit, by
-/// steps of at most `step` rad: a compass search over all directions of the grid, whose steps halve to 1e-5 rad. It
-/// goes on to within the sine 1e-3 of a singularity, which takes a stretched arm to within a millionth of its length.
+/// Returns the highest `value` that a device reaches from the pose `from` (rad) without crossing a singularity or a
+/// limit. The search is a compass search over all directions of the grid, with steps of at most `step` rad that halve
+/// to 1e-5 rad. It continues to within the sine 1e-3 of a singularity, which brings a stretched arm to within a
+/// millionth of its length.
 pub fn climb(
     device: &Device<f64>,
     from: &[f64],
     step: f64,
     value: impl Fn(&TaskPose) -> f64,
 ) -> Result<f64, PoseError> {
-    // A mechanism that is not the same after a turn, such as a paddle's arc, ends where the grid does.
+    // A mechanism that is not periodic, such as a paddle's arc, ends where the grid does.
     let periodic = device.mechanism.kind().spec().periodic;
     let at = |q: &[f64]| -> Result<Option<(bool, f64)>, PoseError> {
         if !periodic && q.iter().any(|angle| angle.abs() > std::f64::consts::PI) {
@@ -226,9 +228,9 @@ pub fn climb(
     Ok(best)
 }
 
-/// The side of the singularities on which a pose lies; `None` if it is nearer to one than `sine` or beyond the limits.
+/// Returns the side of the singularities of a pose; `None` if it is nearer to one than `sine` or beyond the limits.
 fn side(device: &Device<f64>, q: &[f64], sine: f64) -> Result<Option<bool>, PoseError> {
-    // A grid angle that is meant to lie on a limit may be rounded to beyond it.
+    // A grid angle on a limit may be rounded to just beyond it.
     let allowed = |(angle, joint): (&f64, &Joint<f64>)| {
         joint.limits.is_none_or(|(low, high)| (low - 1e-9..=high + 1e-9).contains(angle))
     };
@@ -240,13 +242,13 @@ fn side(device: &Device<f64>, q: &[f64], sine: f64) -> Result<Option<bool>, Pose
 }
 
 impl Reachable {
-    /// Floods a grid of `per_joint` angles per joint from the home pose (or, without one, the most regular pose).
-    /// `held` leaves a plane of them.
+    /// Floods a grid of `per_joint` angles per joint from the home pose (or, without one, from the most regular pose).
+    /// `held` restricts it to a plane.
     pub fn from_home(description: &Description, per_joint: usize, held: Option<Held>) -> Result<Self, PoseError> {
         Self::of(&Device::new("", description)?, per_joint, held)
     }
 
-    /// As [`Reachable::from_home`], of a device that is lumped already.
+    /// Like [`Reachable::from_home`], for a device that is already built.
     pub fn of(device: &Device<f64>, per_joint: usize, held: Option<Held>) -> Result<Self, PoseError> {
         let spec = device.mechanism.kind().spec();
         let mut axes = Vec::new();
@@ -262,8 +264,8 @@ impl Reachable {
                     wraps.push(false);
                 }
                 (_, Some((low, high))) if spec.periodic && high - low > std::f64::consts::TAU => {
-                    // More than a turn says nothing new, and would take the grid's fineness. Where there are two, no
-                    // end of one is an end of the way.
+                    // Angles beyond a turn add nothing and would make the grid coarser. With at least two turns the
+                    // grid closes on itself.
                     let (pi, turn) = (std::f64::consts::PI, std::f64::consts::TAU);
                     let first = 0.0_f64.clamp(low + pi, high - pi) - pi;
                     let step = turn / per_joint as f64;
@@ -276,7 +278,7 @@ impl Reachable {
                     wraps.push(false);
                 }
                 (_, None) => {
-                    // A whole turn, cell by cell, so that -π is not there twice.
+                    // A full turn in cells, so that -π does not appear twice.
                     let step = std::f64::consts::TAU / per_joint as f64;
                     axes.push((0..per_joint).map(|i| -std::f64::consts::PI + (i as f64 + 0.5) * step).collect());
                     wraps.push(spec.periodic && per_joint > 2);
@@ -305,20 +307,20 @@ impl Reachable {
             return Ok(());
         };
         self.side = sides[start];
-        let mut waiting = vec![start];
+        let mut pending = vec![start];
         self.reached[start] = true;
-        while let Some(index) = waiting.pop() {
+        while let Some(index) = pending.pop() {
             for neighbour in self.neighbours(index) {
-                if !self.reached[neighbour] && sides[neighbour] == sides[start] && self.clear(index, neighbour) {
+                if !self.reached[neighbour] && sides[neighbour] == sides[start] && self.is_connected(index, neighbour) {
                     self.reached[neighbour] = true;
-                    waiting.push(neighbour);
+                    pending.push(neighbour);
                 }
             }
         }
         Ok(())
     }
 
-    /// Joint angles of a flat index.
+    /// Returns the joint angles of a flat index.
     pub fn angles(&self, mut index: usize) -> Vec<f64> {
         let mut q = vec![0.0; self.axes.len()];
         for joint in (0..self.axes.len()).rev() {
@@ -329,7 +331,7 @@ impl Reachable {
         q
     }
 
-    /// Fills in the joint that follows the others, within its limits where a whole turn brings it there.
+    /// Sets the joint that follows the others, within its limits if a full turn brings it there.
     pub fn complete(&self, q: &mut [f64]) {
         let Some(Held::Orientation(phi)) = self.held else { return };
         let Some((last, others)) = q.split_last_mut() else { return };
@@ -341,23 +343,23 @@ impl Reachable {
 
     /// Returns true if `q` (rad) lies on the reached side of the singularities and within the limits.
     pub fn walkable(&self, q: &[f64]) -> bool {
-        self.side.is_some() && side(&self.device, q, WALKABLE_SINE).is_ok_and(|found| found == self.side)
+        self.side.is_some() && side(&self.device, q, WALKABLE_SINE).is_ok_and(|result| result == self.side)
     }
 
     /// Returns true if no singularity lies between two neighbours of the grid.
-    fn clear(&self, from: usize, to: usize) -> bool {
+    fn is_connected(&self, from: usize, to: usize) -> bool {
         let (from, to) = (self.angles(from), self.angles(to));
         let turn = std::f64::consts::TAU;
-        let way = |joint: usize| {
-            let way = to[joint] - from[joint];
-            if self.wraps[joint] { way - turn * (way / turn).round() } else { way }
+        let travel = |joint: usize| {
+            let travel = to[joint] - from[joint];
+            if self.wraps[joint] { travel - turn * (travel / turn).round() } else { travel }
         };
-        let ways: Vec<f64> = (0..from.len()).map(way).collect();
-        let swept = ways.iter().zip(&self.axes).filter(|(_, axis)| axis.len() > 1);
-        let steps = (swept.map(|(way, _)| way.abs()).fold(0.0, f64::max) / STEP).ceil() as usize;
+        let travels: Vec<f64> = (0..from.len()).map(travel).collect();
+        let swept = travels.iter().zip(&self.axes).filter(|(_, axis)| axis.len() > 1);
+        let steps = (swept.map(|(travel, _)| travel.abs()).fold(0.0, f64::max) / STEP).ceil() as usize;
         (1..steps).all(|i| {
             let mut q: Vec<f64> =
-                from.iter().zip(&ways).map(|(from, way)| from + way * i as f64 / steps as f64).collect();
+                from.iter().zip(&travels).map(|(from, travel)| from + travel * i as f64 / steps as f64).collect();
             self.complete(&mut q);
             self.walkable(&q)
         })
@@ -368,40 +370,40 @@ impl Reachable {
         self.reached.get(index) == Some(&true)
     }
 
-    /// Flat indices of the reached poses.
+    /// Returns the flat indices of the reached poses.
     pub fn indices(&self) -> impl Iterator<Item = usize> + '_ {
         (0..self.reached.len()).filter(|&i| self.reached[i])
     }
 
     fn neighbours(&self, index: usize) -> Vec<usize> {
-        let mut found = Vec::new();
+        let mut result = Vec::new();
         let mut stride = 1;
         for joint in (0..self.axes.len()).rev() {
             let length = self.axes[joint].len();
             let place = (index / stride) % length;
             let base = index - place * stride;
             if place + 1 < length {
-                found.push(base + (place + 1) * stride);
+                result.push(base + (place + 1) * stride);
             } else if self.wraps[joint] {
-                found.push(base);
+                result.push(base);
             }
             if place > 0 {
-                found.push(base + (place - 1) * stride);
+                result.push(base + (place - 1) * stride);
             } else if self.wraps[joint] {
-                found.push(base + (length - 1) * stride);
+                result.push(base + (length - 1) * stride);
             }
             stride *= length;
         }
-        found
+        result
     }
 }
 
-/// The map of a device for one normal (d entries, any length but zero), over about `points` grid poses.
+/// Computes the map of a device for one normal (d entries, any length but zero), over about `points` grid poses.
 pub fn map(description: &Description, normal: &[f64], points: usize) -> Result<Vec<MapPoint>, PoseError> {
     map_holding(description, normal, points, Admissible::default())
 }
 
-/// As [`map`], a redundant device holding `admissible` instead of φ.
+/// Like [`map`], but a redundant device holds `admissible` instead of φ.
 pub fn map_holding(
     description: &Description,
     normal: &[f64],
@@ -411,7 +413,7 @@ pub fn map_holding(
     map_until(description, normal, points, admissible, &|| false)
 }
 
-/// As [`map_holding`], but poses that are left once `stop` says so are left out.
+/// Like [`map_holding`], but leaves out the remaining poses once `stop` returns true.
 pub fn map_until(
     description: &Description,
     normal: &[f64],
@@ -419,16 +421,16 @@ pub fn map_until(
     admissible: Admissible,
     stop: &(dyn Fn() -> bool + Sync),
 ) -> Result<Vec<MapPoint>, PoseError> {
-    swept(description, normal, points, admissible, |pieces, work| {
+    evaluate_pieces(description, normal, points, admissible, |pieces, work| {
         let until = |piece: &Vec<Vec<f64>>| if stop() { Vec::new() } else { work(piece) };
         Ok(crate::cores::map(pieces, &|_, _| {}, until).into_iter().flatten().collect())
     })
 }
 
-/// Poses that a sweep does at a time.
+/// Number of poses per item of a sweep.
 const PIECE: usize = 256;
 
-/// As [`map_holding`], as a sweep that can be interrupted and continued.
+/// Like [`map_holding`], as a sweep that can be interrupted and resumed.
 pub fn map_swept(
     description: &Description,
     normal: &[f64],
@@ -436,20 +438,20 @@ pub fn map_swept(
     admissible: Admissible,
     sweep: &Sweep,
 ) -> Result<Vec<MapPoint>, Failure> {
-    swept(description, normal, points, admissible, |pieces, work| {
+    evaluate_pieces(description, normal, points, admissible, |pieces, work| {
         Ok(sweep.map("poses, in pieces", pieces, |piece| Ok(work(piece)))?.into_iter().flatten().collect())
     })
 }
 
-/// The work on one piece of the poses.
-type Piece<'a> = &'a (dyn Fn(&Vec<Vec<f64>>) -> Vec<MapPoint> + Sync);
+/// Computes the map of one piece of the poses.
+type PieceWork<'a> = &'a (dyn Fn(&Vec<Vec<f64>>) -> Vec<MapPoint> + Sync);
 
-fn swept<E: From<PoseError>>(
+fn evaluate_pieces<E: From<PoseError>>(
     description: &Description,
     normal: &[f64],
     points: usize,
     admissible: Admissible,
-    sweep: impl FnOnce(&[Vec<Vec<f64>>], Piece<'_>) -> Result<Vec<MapPoint>, E>,
+    sweep: impl FnOnce(&[Vec<Vec<f64>>], PieceWork<'_>) -> Result<Vec<MapPoint>, E>,
 ) -> Result<Vec<MapPoint>, E> {
     let spec = description.kind.spec();
     let normal = unit_normal(normal, spec.task, spec.joints)?;
@@ -459,7 +461,7 @@ fn swept<E: From<PoseError>>(
     let poses: Vec<Vec<f64>> = reachable.indices().map(|index| reachable.angles(index)).collect();
     let pieces: Vec<Vec<Vec<f64>>> = poses.chunks(PIECE).map(<[Vec<f64>]>::to_vec).collect();
     sweep(&pieces, &|piece| {
-        // Each was a pose of this device when it was reached.
+        // Every pose was valid for this device when it was reached.
         let at = |q: &Vec<f64>| evaluate(&TaskPose::of(&device, q).ok()?.holding(admissible), q, &normal);
         piece.iter().filter_map(at).collect()
     })
@@ -475,15 +477,15 @@ mod tests {
         DeviceFile::load(path).unwrap().description
     }
 
-    /// Wrr/Weff and Wrr - Weff along any normal, from M and J alone.
-    fn meets(description: &Description, q: &[f64], normal: &[f64]) -> (f64, f64) {
+    /// Returns Wrr/Weff and Wrr - Weff along any normal, from M and J alone.
+    fn inertia_ratio_and_coupling(description: &Description, q: &[f64], normal: &[f64]) -> (f64, f64) {
         let device = super::super::plant::Linearised::at(description, q, normal).unwrap();
         let (held, free) = (device.w_rr(), device.w_eff().unwrap());
         (held / free, held - free)
     }
 
     #[test]
-    fn no_normal_is_worse_than_the_worst() {
+    fn the_worst_normals_are_the_worst() {
         for (name, q) in [
             ("coupled-five-bar", vec![2.6, 1.75]),
             ("phantom-premium-1.5", vec![0.3, 0.9, -0.3]),
@@ -494,15 +496,15 @@ mod tests {
             let task = description.kind.spec().task;
             let n = unit_normal(&vec![1.0; task], task, q.len()).unwrap();
             let point = at_holding(&description, &q, &n, Admissible::default()).unwrap().unwrap();
-            let (ratio, _) = meets(&description, &q, &point.worst_ratio.normal);
-            let (_, coupling) = meets(&description, &q, &point.worst_coupling.normal);
+            let (ratio, _) = inertia_ratio_and_coupling(&description, &q, &point.worst_ratio.normal);
+            let (_, coupling) = inertia_ratio_and_coupling(&description, &q, &point.worst_coupling.normal);
             assert!((ratio / point.worst_ratio.value - 1.0).abs() < 1e-9, "{name}");
             assert!((coupling / point.worst_coupling.value - 1.0).abs() < 1e-7, "{name}");
             for i in 0..40 {
                 for j in 0..if task == 3 { 40 } else { 1 } {
                     let (a, b) = (f64::from(i) * 0.0785, f64::from(j) * 0.157);
                     let normal = [a.cos(), a.sin() * b.cos(), a.sin() * b.sin()];
-                    let (other_ratio, other_coupling) = meets(&description, &q, &normal[..task]);
+                    let (other_ratio, other_coupling) = inertia_ratio_and_coupling(&description, &q, &normal[..task]);
                     assert!(other_ratio <= ratio * (1.0 + 1e-9), "{name}");
                     assert!(other_coupling <= coupling * (1.0 + 1e-9), "{name}");
                 }

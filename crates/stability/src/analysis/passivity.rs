@@ -1,27 +1,26 @@
-//! Passivity beside stability: walls that no hand at all can make oscillate.
+//! Passivity: the bounds within which no passive hand can make a wall oscillate.
 //!
 //! - J. E. Colgate and G. G. Schenkel, "Passivity of a class of sampled-data systems: application to haptic
 //!   interfaces", Journal of Robotic Systems 14 (1997) 37-47: the wall H(z) is passive on a device with the physical
-//!   damping b, in whatever passive hand, where b > T/2 Re((1 - e^-jθ) H)/(1 - cos θ) at every θ. With
-//!   backward-difference damping that is **b > kp T/2 + |kd|**.
+//!   damping b, in any passive hand, if b > T/2 Re((1 - e^-jθ) H)/(1 - cos θ) at every θ. With backward-difference
+//!   damping that is **b > kp T/2 + |kd|**.
 //! - J. J. Abbott and A. M. Okamura, "Effects of position quantization and sampling rate on virtual-wall passivity",
 //!   IEEE Transactions on Robotics 21 (2005) 952-964: **kp ≤ min(2b/T, 2 fc/Δ)** for a pure spring, with Coulomb
 //!   friction fc and position quantum Δ.
 //!
-//! The first is proven by a disc. Whatever is passive beside b moves by f/(b + passive) for a force f, which lies in a
-//! disc of radius 1/(2b) about 1/(2b). Sampled, the hold and its aliases ω_k = (θ + 2πk)/T add up such discs to one
-//! about C of radius r, and the loop keeps off -1 where |1 + H C| > |H| r. A delay of whole samples turns C. A fraction
-//! of a sample and a drive that lags, L(jω), do not turn all aliases alike: with them
-//! C = G/(2b), G what an integrator behind the hold, the delay and the lag moves by at its samples, and
-//! r = T/(2b) |1 - e^-jθ| Σ_k |L(jω_k)|/(θ + 2πk)². That is 1 + 2 Re(H C) - |H|² (r² - |C|²) > 0 at every θ, a convex
-//! set of (kp, kd), for H = kp + kd V with V the velocity estimator. For slow motions it comes to
-//! b > kp T (1/2 + delay) + kp · lag.
+//! The first bound is proven by a disc. A passive system in parallel with b moves by f/(b + passive) for a force f,
+//! which lies in a disc of radius 1/(2b) about 1/(2b). When sampled, the hold and its aliases ω_k = (θ + 2πk)/T add
+//! such discs to one about C of radius r, and the loop avoids -1 if |1 + H C| > |H| r. A delay of whole samples rotates
+//! C. A fraction of a sample and a lagging drive L(jω) do not rotate all aliases equally. With them C = G/(2b), where G
+//! is the motion of an integrator behind the hold, the delay and the lag at its samples, and r = T/(2b) |1 - e^-jθ| Σ_k
+//! |L(jω_k)|/(θ + 2πk)². The condition is 1 + 2 Re(H C) - |H|² (r² - |C|²) > 0 at every θ, a convex set of (kp, kd),
+//! for H = kp + kd V with the velocity estimator V. For slow motions it becomes b > kp T (1/2 + delay) + kp · lag.
 //!
-//! Both are for one moving mass whose force acts along its motion. On a device with several joints the least favourable
-//! admissible motion counts, so b and fc are the smallest that any joint motion with unit rendered velocity dissipates.
-//! They say nothing about the feed-forward, whose torques do not act along the rendered motion; nor where the encoder
-//! of a transmission sits behind its spring, where a posture is rendered beside the wall, where drives lag differently,
-//! and where the velocity is predicted from the commands.
+//! Both bounds are for one moving mass whose force acts along its motion. On a device with several joints the least
+//! favourable admissible motion counts, so b and fc are the smallest dissipation of any joint motion with unit rendered
+//! velocity. The bounds do not cover the feed-forward, whose torques do not act along the rendered motion. Nor do they
+//! cover an encoder behind the spring of a transmission, a rendered posture, drives with different lags, and a velocity
+//! that is predicted from commands.
 
 use haptic_bridge::model::description::Description;
 use nalgebra::{Complex, DVector};
@@ -29,30 +28,30 @@ use nalgebra::{Complex, DVector};
 use super::control_loop::Loop;
 use super::plant::{Drive, Linearised};
 
-/// Angles up to where the even ones begin, and the even ones of a loop without delay: each sample of it turns the
-/// response once more. Slower motions have a limit of their own.
+/// Number of slow angles, up to the even ones, and of even angles for a loop without delay: each sample of delay turns
+/// the response once more. Still slower motions have a limit of their own.
 const SLOW_ANGLES: usize = 200;
 const EVEN_ANGLES: usize = 400;
 const SLOWEST: f64 = 1e-3;
 const EVEN_FROM: f64 = 0.1;
-/// Aliases whose lag is reckoned with; those beyond count as if they had none, which makes r larger.
+/// Aliases with exact lag; those beyond count as without lag, which makes r larger.
 const ALIASES: i32 = 60;
 
-/// The dissipation along the rendered direction, and the dissipation that a wall there needs.
+/// Dissipation of the device along the rendered direction, and the condition for a passive wall.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Passivity {
-    /// Smallest viscous damping of unit rendered motion, (Jr B⁻¹ Jrᵀ)⁻¹, N s/m; zero when a joint that moves has none.
+    /// Smallest viscous damping of unit rendered motion, (Jr B⁻¹ Jrᵀ)⁻¹, N s/m; zero if a moving joint has none.
     pub damping: f64,
     /// Smallest Coulomb friction, minⱼ Cⱼ/|Jrⱼ|, N.
     pub coulomb: f64,
-    /// Largest step of the rendered position when every encoder steps once, Σⱼ |Jrⱼ| Δⱼ, m; `None` without encoders.
+    /// Largest step of the rendered position if every encoder steps once, Σⱼ |Jrⱼ| Δⱼ, m; `None` without encoders.
     pub quantum: Option<f64>,
     /// Average delay of a force, s.
     lateness: f64,
     angles: Vec<Angle>,
 }
 
-/// The condition at one angle.
+/// Condition at one angle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Angle {
     /// C, m/N.
@@ -64,7 +63,7 @@ struct Angle {
 }
 
 impl Passivity {
-    /// Of a device at a pose, as `device` sees it, behind this loop; `None` where no bound is known.
+    /// Computes the bounds of a device at a pose in this control loop; `None` if no bound is known.
     pub fn new(device: &Linearised, description: &Description, around: &Loop) -> Option<Self> {
         let flexible = &device.flexible;
         if flexible.is_sensed_behind_a_spring() || flexible.posture.is_some() || around.estimator.predicts() {
@@ -78,7 +77,7 @@ impl Passivity {
             }
         }
         let row: &DVector<f64> = &device.row;
-        // A joint that the rendered direction does not move dissipates nothing and costs nothing.
+        // A joint without motion along the rendered direction neither dissipates nor costs anything.
         let moving = || (0..joints).filter(|&j| row[j].abs() > 1e-9 * row.amax());
         let damping = 1.0 / moving().map(|j| row[j] * row[j] / viscous[j]).sum::<f64>();
         let coulomb = moving().map(|j| description.joints[j].coulomb / row[j].abs()).fold(f64::INFINITY, f64::min);
@@ -98,7 +97,7 @@ impl Passivity {
         })
     }
 
-    /// Largest passive stiffness at a damping (N s/m), N/m; zero beyond [`Passivity::most_damping`].
+    /// Returns the largest passive stiffness at a damping (N s/m), N/m; zero beyond [`Passivity::largest_damping`].
     pub fn sampled(&self, kd: f64) -> f64 {
         let allowed = self.angles.iter().map(|angle| {
             let Angle { centre, spread, velocity } = angle;
@@ -108,8 +107,8 @@ impl Passivity {
         allowed.reduce(f64::min).map_or(0.0, |least| least.min((self.damping + kd) / self.lateness))
     }
 
-    /// Largest passive damping, N s/m.
-    pub fn most_damping(&self) -> f64 {
+    /// Returns the largest passive damping, N s/m.
+    pub fn largest_damping(&self) -> f64 {
         let allowed = self.angles.iter().map(|angle| {
             let Angle { centre, spread, velocity } = angle;
             positive_root(spread * velocity.norm_sqr(), 2.0 * (velocity * centre).re, 1.0)
@@ -117,19 +116,19 @@ impl Passivity {
         allowed.reduce(f64::min).unwrap_or(0.0)
     }
 
-    /// Largest passive stiffness of a pure spring by Abbott and Okamura, N/m; `None` without encoder data.
+    /// Returns the largest passive stiffness without damping by Abbott and Okamura, N/m; `None` without encoder data.
     pub fn quantised(&self) -> Option<f64> {
         let friction = 2.0 * self.coulomb / self.quantum?;
         Some(friction.min(self.sampled(0.0)))
     }
 }
 
-/// Up to where -a x² + b x + c is positive from zero on; a is not negative.
+/// Returns the x up to which -a x² + b x + c is positive from zero on; a is not negative.
 fn positive_root(a: f64, b: f64, c: f64) -> f64 {
     if c > 0.0 { 2.0 * c / ((b * b + 4.0 * a * c).sqrt() - b).max(0.0) } else { 0.0 }
 }
 
-/// By how much every drive lags, s; `None` where they differ.
+/// Returns the common lag of all drives, s; `None` if their lags differ.
 fn lag_s(drive: &Drive) -> Option<f64> {
     match drive {
         Drive::Ideal => Some(0.0),
@@ -142,7 +141,7 @@ fn lag_s(drive: &Drive) -> Option<f64> {
     }
 }
 
-/// The condition at every angle that is looked at, for physical damping `b` (N s/m).
+/// Computes the condition at every analysed angle, for physical damping `b` (N s/m).
 fn angles(b: f64, lag_s: f64, around: &Loop) -> Vec<Angle> {
     let decades = (EVEN_FROM / SLOWEST).powf(1.0 / SLOW_ANGLES as f64);
     let slow = (0..SLOW_ANGLES).map(|i| SLOWEST * decades.powi(i as i32));
@@ -154,8 +153,9 @@ fn angles(b: f64, lag_s: f64, around: &Loop) -> Vec<Angle> {
     // Lag rate per sample.
     let rate = t / lag_s;
     let velocity = around.estimator.response(around.rate_hz);
-    let one = |theta: f64| {
-        let (turn, centre) = (Complex::from_polar(1.0, theta), moved(theta, rate, around.delay_samples) * scale);
+    let condition_at = |theta: f64| {
+        let (turn, centre) =
+            (Complex::from_polar(1.0, theta), integrator_response(theta, rate, around.delay_samples) * scale);
         let hold = (1.0 - turn.conj()).norm();
         let lost: f64 = (-ALIASES..=ALIASES)
             .map(|k| {
@@ -166,21 +166,21 @@ fn angles(b: f64, lag_s: f64, around: &Loop) -> Vec<Angle> {
         let radius = scale * hold * (1.0 / (hold * hold) - lost);
         Angle { centre, spread: (radius * radius - centre.norm_sqr()).max(0.0), velocity: velocity(theta) / t }
     };
-    slow.chain(even).map(one).collect()
+    slow.chain(even).map(condition_at).collect()
 }
 
-/// The motion of an integrator, at its samples and in samples, for a force that is held, delayed and lags at this rate
-/// per sample.
-fn moved(theta: f64, rate: f64, delay_samples: f64) -> Complex<f64> {
+/// Returns the motion of an integrator, at its samples and in samples, for a force that is held, delayed and lags at
+/// this rate per sample.
+fn integrator_response(theta: f64, rate: f64, delay_samples: f64) -> Complex<f64> {
     let turn = Complex::from_polar(1.0, theta);
     let (whole, late) = (delay_samples.floor(), delay_samples.fract());
-    // Over part of a sample: what is left of a difference between force and command, and what that moves.
+    // Over part of a sample: the remaining difference between force and command, and the motion that it causes.
     let over = |part: f64| match part > 0.0 {
         true => ((-rate * part).exp(), -(-rate * part).exp_m1() / rate),
         false => (1.0, 0.0),
     };
     let ((kept, early), (left, rest)) = (over(late), over(1.0 - late));
-    // The command of the sample before until `late`, then this one's.
+    // The command of the previous sample until `late`, then the command of this one.
     let before = turn.conj();
     let force = (before * (1.0 - kept) * left + (1.0 - left)) / (turn - kept * left);
     let moved = force * (early + kept * rest) + before * (late - early + (1.0 - kept) * rest) + (1.0 - late - rest);
@@ -216,17 +216,18 @@ mod tests {
         // b = 2e-3/0.1² = 0.2 N s/m, fc = 0.05 N, Δ = 0.1 · 1e-4 m.
         assert!((bounds.sampled(0.05) - 300.0).abs() < 1e-6);
         assert_eq!(bounds.sampled(0.3), 0.0);
-        assert!((bounds.most_damping() - 0.2).abs() < 1e-9);
+        assert!((bounds.largest_damping() - 0.2).abs() < 1e-9);
         // 2 fc/Δ = 1e4 N/m is above 2b/T = 400 N/m.
         assert!((bounds.quantised().unwrap() - 400.0).abs() < 1e-6);
-        // A sample of delay makes T/2 three times that.
+        // A sample of delay triples T/2.
         assert!((paddle(&around(1.0, Drive::Ideal)).sampled(0.0) - 400.0 / 3.0).abs() < 1e-5);
     }
 
     #[test]
-    fn a_lag_and_a_fraction_of_a_sample_take_more_than_their_time() {
+    fn lag_and_fractional_delay_cost_more_than_their_time() {
         let limit = |delay: f64, drive: Drive| paddle(&around(delay, drive)).sampled(0.0);
-        // b/(T (1/2 + d) + lag) is the limit of slow motions; aliases that a hand may answer otherwise take the rest.
+        // b/(T (1/2 + d) + lag) is the limit of slow motions; aliases, to which a hand may react differently, take the
+        // rest.
         let slow = |delay: f64, lag_s: f64| 0.2 / (1e-3 * (0.5 + delay) + lag_s);
         let half = limit(0.5, Drive::Ideal) / slow(0.5, 0.0);
         assert!((0.94..0.95).contains(&half), "1 - x - x²/16 = 0 at x = 0.944: {half}");
@@ -239,8 +240,8 @@ mod tests {
         assert!((limit(0.3, Drive::Current { bandwidth_hz: 1e9 }) / ideal - 1.0).abs() < 1e-3);
     }
 
-    /// The condition of Colgate and Schenkel in their own terms, over a fine grid of frequencies: whether a wall is
-    /// passive.
+    /// Returns true if a wall is passive by the condition of Colgate and Schenkel in its original form, over a fine
+    /// grid of frequencies.
     fn passive(b: f64, kp: f64, kd: f64, t: f64, delay: f64) -> bool {
         (1..4000).all(|i| {
             let theta = std::f64::consts::PI * f64::from(i) / 4000.0;
@@ -252,7 +253,7 @@ mod tests {
     }
 
     #[test]
-    fn the_bound_is_that_of_the_whole_condition_with_every_delay() {
+    fn the_bound_equals_the_full_condition_at_every_delay() {
         let (b, t) = (0.2, 1e-3);
         for delay in [0.0, 1.0, 2.0, 5.0] {
             let bounds = paddle(&around(delay, Drive::Ideal));

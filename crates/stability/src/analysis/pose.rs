@@ -1,4 +1,4 @@
-//! From a device description and joint angles to the matrices the analysis works on.
+//! Matrices of the analysis from a device description and joint angles.
 
 use haptic_bridge::math::FineTable;
 use haptic_bridge::model::admissible::Admissible;
@@ -15,29 +15,29 @@ use super::plant::{Linearised, MotorElectrics};
 use super::subject::Subject;
 use haptic_host::vectors::{padded_to, unit};
 
-/// Poses closer to a singularity than this sine are refused.
+/// Sine of the singular angle below which poses are rejected.
 pub const LEAST_ANALYSED_SINE: f64 = 1e-6;
 
-/// Why a pose cannot be analysed.
+/// Reason why a pose cannot be analysed.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum PoseError {
     /// Wrong number of joint angles.
     #[error("this device has {joints} joints, so a pose has {joints} angles, not {found}")]
     Joints {
-        /// N of the device.
+        /// Number of joints of the device, N.
         joints: usize,
-        /// Given.
+        /// Number of given angles.
         found: usize,
     },
     /// Wrong number of entries of a normal.
     #[error("this device's task has {task} dimensions, so a normal has {task} entries, not {found}")]
     Normal {
-        /// d of the device.
+        /// Task dimension of the device, d.
         task: usize,
-        /// Given.
+        /// Number of given entries.
         found: usize,
     },
-    /// Zero, infinite or NaN.
+    /// A normal that is zero, infinite or NaN.
     #[error("a normal must be finite and not zero")]
     NoDirection,
     /// An angle is not a number.
@@ -49,7 +49,7 @@ pub enum PoseError {
     /// The closed loop is stretched, or cannot close at all.
     #[error("this pose is singular or cannot be reached: the closed linkage is stretched to a line or does not close")]
     Parallel,
-    /// The description is not a device.
+    /// The description is not that of a device.
     #[error(transparent)]
     Description(#[from] DescriptionError),
 }
@@ -65,7 +65,7 @@ impl From<PoseError> for haptic_host::error::Failure {
     }
 }
 
-/// The device at one pose, in task coordinates: what both the range and the map start from.
+/// The device at one pose, in task coordinates: the common start of range and map.
 #[derive(Clone, Debug)]
 pub struct TaskPose {
     /// Task position: tip in metres (d entries).
@@ -80,23 +80,22 @@ pub struct TaskPose {
     pub operational: DMatrix<f64>,
     /// Distance from singularities.
     pub regularity: Regularity<f64>,
-    /// d.
+    /// Task dimension, d.
     pub task: usize,
 }
 
 impl TaskPose {
-    /// Computes it; errors on wrong lengths, not on singular poses (see [`TaskPose::regular`]).
+    /// Computes the pose. Errors on wrong lengths, not on singular poses (see [`TaskPose::regular`]).
     pub fn at(description: &Description, q: &[f64]) -> Result<Self, PoseError> {
         Self::of(&AnyMechanism::new(description)?, q)
     }
 
-    /// As [`TaskPose::at`], of a mechanism that is lumped already.
+    /// Like [`TaskPose::at`], for a mechanism that is already built.
     pub fn of(mechanism: &AnyMechanism<f64>, q: &[f64]) -> Result<Self, PoseError> {
         with_mechanism!(mechanism, m => evaluate(m, q))
     }
 
-    /// The pose with another coordinate than φ as the last of a redundant device's task: its row of J, and with it J⁻¹
-    /// and Λ.
+    /// Replaces φ by another coordinate as the last of a redundant device's task: its row of J, and with it J⁻¹ and Λ.
     pub fn holding(mut self, admissible: Admissible) -> Self {
         let joints = self.mass.nrows();
         if self.task == joints || admissible == Admissible::Orientation {
@@ -110,7 +109,7 @@ impl TaskPose {
             let held = admissible.hold(&shaping(column(i)), &null);
             inverse.column_mut(i).copy_from(&held.e);
         }
-        // The row that goes with these columns, in the scale of a joint's angle or of the null motion's own.
+        // The row that matches these columns, in the scale of a joint's angle or of the null motion's own.
         if let Some(joint) = admissible.joint() {
             let scaled = inverse.column(joints - 1) / inverse[(joint, joints - 1)];
             inverse.set_column(joints - 1, &scaled);
@@ -122,24 +121,24 @@ impl TaskPose {
         self
     }
 
-    /// The pose, unless it is singular.
+    /// Returns the pose, or an error if it is singular.
     pub fn regular(self) -> Result<Self, PoseError> {
         regular(&self.regularity)?;
         Ok(self)
     }
 }
 
-/// The few numbers that a walk over many poses needs of each, without a matrix that outlives it.
+/// The few numbers of a pose that a search over many poses needs, without matrices.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Stance {
     /// Distance from singularities.
     pub regularity: Regularity<f64>,
-    /// On which side of the singularities it is: the sign of J's determinant.
+    /// Side of the singularities: true if J's determinant is positive.
     pub positive: bool,
 }
 
 impl Stance {
-    /// That at joint angles `q` (rad); errors on wrong lengths, not on singular poses.
+    /// Computes the numbers at joint angles `q` (rad). Errors on wrong lengths, not on singular poses.
     pub fn of(mechanism: &AnyMechanism<f64>, q: &[f64]) -> Result<Self, PoseError> {
         angles(q, mechanism.kind().spec().joints)?;
         Ok(with_mechanism!(mechanism, m => {
@@ -148,13 +147,13 @@ impl Stance {
         }))
     }
 
-    /// Returns true if it is as far as `sine` from all singularities.
+    /// Returns true if the pose is at least as far as `sine` from all singularities.
     pub fn is_clear(&self, sine: f64) -> bool {
         self.regularity.serial >= sine && self.regularity.parallel >= sine
     }
 }
 
-/// An error where these are not the angles of so many joints.
+/// Checks number and finiteness of joint angles.
 pub fn angles(q: &[f64], joints: usize) -> Result<(), PoseError> {
     if q.len() != joints {
         return Err(PoseError::Joints { joints, found: q.len() });
@@ -165,7 +164,7 @@ pub fn angles(q: &[f64], joints: usize) -> Result<(), PoseError> {
     Ok(())
 }
 
-/// An error where a pose is singular.
+/// Checks that a pose is not singular.
 pub fn regular(regularity: &Regularity<f64>) -> Result<(), PoseError> {
     if regularity.parallel.is_nan() || regularity.parallel < LEAST_ANALYSED_SINE {
         Err(PoseError::Parallel)
@@ -191,7 +190,7 @@ fn evaluate<const N: usize, M: Mechanism<f64, N>>(mechanism: &M, q: &[f64]) -> R
     })
 }
 
-/// `normal` with unit length, filled up with zeros to N entries.
+/// Normalises `normal` and pads it with zeros to N entries.
 pub fn unit_normal(normal: &[f64], task: usize, joints: usize) -> Result<DVector<f64>, PoseError> {
     if normal.len() != task {
         return Err(PoseError::Normal { task, found: normal.len() });
@@ -200,13 +199,13 @@ pub fn unit_normal(normal: &[f64], task: usize, joints: usize) -> Result<DVector
 }
 
 impl Linearised {
-    /// The device at rest at `q` (rad), seen along `normal` (d entries, any length but zero), with its joint damping,
-    /// its transmissions and its structural modes.
+    /// Linearises the device at rest at `q` (rad), along `normal` (d entries, any length but zero), with its joint
+    /// damping, its transmissions and its structural modes.
     pub fn at(description: &Description, q: &[f64], normal: &[f64]) -> Result<Self, PoseError> {
         Self::holding(description, q, normal, Admissible::default())
     }
 
-    /// As [`Linearised::at`], a redundant device holding `admissible`.
+    /// Like [`Linearised::at`], but a redundant device holds `admissible`.
     pub fn holding(
         description: &Description,
         q: &[f64],
@@ -216,8 +215,8 @@ impl Linearised {
         Subject::new(description)?.along(q, normal, admissible)
     }
 
-    /// As [`Linearised::holding`], of a device that is lumped already, without what gives in it: what a wall stands on
-    /// is predicted by [`super::prediction`].
+    /// Like [`Linearised::holding`], for a device that is already built, without its compliant parts.
+    /// [`super::prediction`] includes them.
     pub fn of(device: &Device<f64>, q: &[f64], normal: &[f64], admissible: Admissible) -> Result<Self, PoseError> {
         let pose = TaskPose::of(&device.mechanism, q)?.regular()?.holding(admissible);
         let joints = q.len();
@@ -236,13 +235,13 @@ impl Linearised {
         })
     }
 
-    /// The same in a hand.
+    /// Adds a hand.
     pub fn held(mut self, hand: Hand) -> Self {
         self.flexible.hand = hand;
         self
     }
 
-    /// The same without joint damping.
+    /// Removes joint damping.
     pub fn undamped(mut self) -> Self {
         self.viscous.fill(0.0);
         self
@@ -250,16 +249,16 @@ impl Linearised {
 }
 
 impl Subject {
-    /// The device at rest at `q` (rad), seen along `normal` (d entries, any length but zero).
+    /// Linearises the device at rest at `q` (rad), along `normal` (d entries, any length but zero).
     pub fn along(&self, q: &[f64], normal: &[f64], admissible: Admissible) -> Result<Linearised, PoseError> {
-        let mut seen = Linearised::of(&self.device, q, normal, admissible)?;
+        let mut linearised = Linearised::of(&self.device, q, normal, admissible)?;
         let Flexible { transmissions, modes, .. } = self.gives();
-        (seen.flexible.transmissions, seen.flexible.modes) = (transmissions, modes);
-        Ok(seen)
+        (linearised.flexible.transmissions, linearised.flexible.modes) = (transmissions, modes);
+        Ok(linearised)
     }
 }
 
-/// The motors of all joints, when every joint has one.
+/// Returns the motors of all joints, if every joint has one.
 pub fn motors(description: &Description) -> Option<Vec<MotorElectrics>> {
     let joints = description.kind.spec().joints;
     description.joints[..joints]

@@ -1,7 +1,7 @@
-//! The one prediction: how stiff a wall can be on a device, behind a board, in a hand. Whoever asks, asks here.
+//! The prediction of stable walls on a device, with a board and a hand. Every command uses it.
 //!
-//! A [`Subject`] is the device with what gives between its motors and links; a [`Prediction`] puts it into a loop: the
-//! scene's rate, estimator, feed-forward and posture, the board's delay and drives, a hand.
+//! A [`Subject`] is the device with its compliant parts. A [`Prediction`] puts it into a control loop: the scene's
+//! rate, estimator, feed-forward and posture, the board's delay and drives, and a hand.
 
 use super::control_loop::{CURRENT_LOOP_HZ, Loop, Mode, TorquePath};
 use super::domain::{oscillation, oscillation_of_several, stiffness_at};
@@ -20,33 +20,34 @@ use haptic_host::error::Failure;
 use haptic_host::words::digits;
 use std::fmt::Write;
 
-/// A device in a loop.
+/// A device in a control loop.
 #[derive(Clone, Debug)]
 pub struct Prediction {
     /// The device.
     pub subject: Subject,
-    /// Rate, delay, estimator, drives.
+    /// Rate, delay, estimator and drives.
     pub around: Loop,
     /// The coordinate that a redundant device holds.
     pub admissible: Admissible,
-    /// α of the feed-forward; a board gives no more than [`Linearised::most_gain`].
+    /// α of the feed-forward; a board limits it to [`Linearised::largest_gain`].
     pub gain: f64,
-    /// The posture that the board holds a redundant device in.
+    /// Posture in which the board holds a redundant device.
     pub posture: Option<Posture>,
-    /// On the tip.
+    /// Hand on the tip.
     pub hand: Hand,
 }
 
 impl Prediction {
-    /// The prediction for this device in this loop, without a hand or a posture, with equation (4) as it stands.
+    /// Creates the prediction for this device in this control loop, without a hand or a posture, with the plain
+    /// equation (4).
     #[must_use]
     pub fn new(subject: Subject, around: Loop) -> Self {
         let (admissible, hand) = (Admissible::default(), Hand::default());
         Self { subject, around, admissible, gain: 1.0, posture: None, hand }
     }
 
-    /// Of this device in a scene on a board, before `wall` or any other of it; `None` with an estimator that has no
-    /// linear analysis.
+    /// Creates the prediction for this device in a scene on a board, for `wall` or for any wall; `None` if the
+    /// estimator has no linear model.
     #[must_use]
     pub fn in_scene(
         subject: &Subject,
@@ -66,15 +67,15 @@ impl Prediction {
         })
     }
 
-    /// The device as one wall sees it at `q` (rad) along `normal` (d entries, any length but zero).
+    /// Returns the device linearised for one wall at `q` (rad) along `normal` (d entries, any length but zero).
     pub fn seen(&self, q: &[f64], normal: &[f64]) -> Result<Linearised, PoseError> {
-        let mut seen = self.subject.along(q, normal, self.admissible)?.held(self.hand);
-        seen.gain = self.gain.min(seen.most_gain().unwrap_or(1.0));
-        seen.flexible.posture = self.posture_row(q)?;
-        Ok(seen)
+        let mut linearised = self.subject.along(q, normal, self.admissible)?.held(self.hand);
+        linearised.gain = self.gain.min(linearised.largest_gain().unwrap_or(1.0));
+        linearised.flexible.posture = self.posture_row(q)?;
+        Ok(linearised)
     }
 
-    /// The device as these walls see it at `q` (rad).
+    /// Returns the device linearised for these walls at `q` (rad).
     pub fn walls(&self, q: &[f64], members: &[Member]) -> Result<Walls, PoseError> {
         if let [only] = members {
             return Ok(Walls::One(self.seen(q, &only.normal)?));
@@ -83,17 +84,17 @@ impl Prediction {
         Ok(Walls::Several(set.in_posture(self.posture_row(q)?)))
     }
 
-    /// α as the board gives it here: several walls have (4) as it stands.
+    /// Returns α as the board applies it here: several walls use the plain equation (4).
     fn gain_at(&self, q: &[f64], members: &[Member]) -> f64 {
         match self.walls(q, members) {
-            Ok(Walls::One(seen)) => seen.gain,
+            Ok(Walls::One(linearised)) => linearised.gain,
             _ => 1.0,
         }
     }
 
-    /// The posture with the row of the orientation's Jacobian.
+    /// Returns the posture with the row of the orientation's Jacobian.
     fn posture_row(&self, q: &[f64]) -> Result<Option<(Posture, nalgebra::DVector<f64>)>, PoseError> {
-        // Neither spring nor damper holds nothing.
+        // Without stiffness and damping a posture has no effect.
         let acts = |held: &Posture| held.stiffness > 0.0 || held.damping > 0.0;
         let Some(held) = self.posture.filter(acts) else { return Ok(None) };
         let pose = TaskPose::of(&self.subject.device.mechanism, q)?;
@@ -101,8 +102,8 @@ impl Prediction {
         Ok(redundant.then(|| (held, pose.jacobian.row(pose.task).transpose())))
     }
 
-    /// The stable domain of these walls at `q` (rad) in the totals of stiffness and damping: without, with, and (at
-    /// `washout_hz`) with washed-out feed-forward; at these dampings (N s/m), or at even ones.
+    /// Predicts the stable domain of these walls at `q` (rad) in the totals of stiffness and damping: without, with,
+    /// and (at `washout_hz`) with washed-out feed-forward; at these dampings (N s/m), or at even ones.
     pub fn range(
         &self,
         q: &[f64],
@@ -113,14 +114,14 @@ impl Prediction {
         Ok(self.walls(q, members)?.range(&self.around, kd, washout_hz)?)
     }
 
-    /// The largest stiffness (N/m) of a wall with damping `kd` (N s/m) that is stable, zero where none is, and the
-    /// damping at which all ends.
+    /// Returns the largest stiffness (N/m) of a wall that is stable with damping `kd` (N s/m), zero if none is, and the
+    /// largest damping with which any stiffness is stable.
     pub fn stiffness_at(&self, q: &[f64], normal: &[f64], mode: Mode, kd: f64) -> Result<(f64, f64), Failure> {
         Ok(stiffness_at(&self.seen(q, normal)?, &self.around, mode, kd)?)
     }
 
-    /// The swing of these walls at `q` (rad) that dies out most slowly, or grows, with `kp` (N/m) and `kd` (N s/m) in
-    /// total: beyond the boundary it is the buzz. `None` where nothing swings.
+    /// Returns the least damped oscillation of these walls at `q` (rad) with the totals `kp` (N/m) and `kd` (N s/m):
+    /// beyond the boundary it is the buzz. `None` if no mode oscillates.
     pub fn buzz(
         &self,
         q: &[f64],
@@ -135,8 +136,8 @@ impl Prediction {
         }?)
     }
 
-    /// The options with which `haptic range DEVICE` predicts the same for these walls, except dampings and washout. A
-    /// number is there in all its digits: round before predicting.
+    /// Returns the options with which `haptic range DEVICE` predicts the same for these walls, except dampings and
+    /// washout. Numbers are printed with all digits: round them before predicting.
     #[must_use]
     pub fn options(&self, q: &[f64], members: &[Member]) -> String {
         let list = |values: &[f64]| values.iter().map(f64::to_string).collect::<Vec<_>>().join(",");
@@ -160,7 +161,7 @@ impl Prediction {
         line + &self.loop_options(self.gain_at(q, members))
     }
 
-    /// Those of the loop alone, with this α of the feed-forward, each after a space.
+    /// Returns the options of the control loop alone, with this α of the feed-forward, each after a space.
     #[must_use]
     pub fn loop_options(&self, gain: f64) -> String {
         let Loop { rate_hz, delay_samples, estimator, drive, damping_compensation } = &self.around;
@@ -188,7 +189,7 @@ impl Prediction {
     }
 }
 
-/// The options of `haptic range` that ask for a drive.
+/// Returns the options of `haptic range` for a drive.
 fn drive_options(drive: &Drive) -> String {
     match drive {
         Drive::Ideal => String::new(),
@@ -198,25 +199,25 @@ fn drive_options(drive: &Drive) -> String {
     }
 }
 
-/// The options of `haptic range` that ask for an estimator, beside `--cutoff`.
+/// Returns the options of `haptic range` for an estimator, except `--cutoff`.
 fn estimator_options(estimator: LinearEstimator) -> String {
     let (name, samples) = estimator.name_and_window();
     let kind = if name == "butterworth" { String::new() } else { format!(" --estimator {name}") };
     if samples > 1 { format!("{kind} --difference-over {samples}") } else { kind }
 }
 
-/// A value to the six digits in which it is printed: prediction and printed line then agree in every digit.
+/// Rounds a value to the six digits that are printed, so that prediction and printed line agree in every digit.
 #[must_use]
 pub fn printed(value: f64) -> f64 {
     digits(value).parse().unwrap_or(value)
 }
 
-/// One wall, whose boundary is known exactly, or several that act together.
+/// One wall, whose boundary is exact, or several that act together.
 #[derive(Clone, Debug)]
 pub enum Walls {
-    /// One.
+    /// One wall.
     One(Linearised),
-    /// Several.
+    /// Several walls.
     Several(WallSet),
 }
 

@@ -1,5 +1,4 @@
-//! The answer of `haptic range`: the stable domain of a wall on one device for each way of feeding forward, side by
-//! side.
+//! The result of `haptic range`: the stable domain of a wall on one device with each kind of feed-forward.
 
 use serde::Serialize;
 
@@ -14,19 +13,19 @@ use super::plant::Linearised;
 use super::several::WallSet;
 use haptic_bridge::render::scene::FeedForward;
 
-/// Area gained by the feed-forward below which it is not worth its cost.
+/// Smallest ratio of areas with and without the feed-forward that is worth its cost.
 pub const WORTHWHILE_RATIO: f64 = 1.05;
 
-/// A feed-forward that leaves less than this share of the stable area or stiffness costs more than it brings; the last
-/// percent is rounding.
+/// Share of the stable area or stiffness below which a feed-forward costs more than it gains; the last percent is
+/// rounding.
 pub const COSTLY_RATIO: f64 = 0.99;
 
-/// Number of times that the search for a washout's corner halves it.
-const HALVED: i32 = 10;
+/// Largest number of times that the search for a washout's corner halves it.
+const HALVINGS: i32 = 10;
 
-/// The first corner below `corner` (Hz), halved again and again, that is `free`.
+/// Returns the first corner that is `free`, by halving `corner` (Hz) repeatedly.
 pub fn lower_corner<E>(corner: f64, free: impl Fn(f64) -> Result<bool, E>) -> Result<Option<f64>, E> {
-    for lower in (1..=HALVED).map(|halved| corner / 2.0_f64.powi(halved)) {
+    for lower in (1..=HALVINGS).map(|halvings| corner / 2.0_f64.powi(halvings)) {
         if free(lower)? {
             return Ok(Some(lower));
         }
@@ -34,40 +33,40 @@ pub fn lower_corner<E>(corner: f64, free: impl Fn(f64) -> Result<bool, E>) -> Re
     Ok(None)
 }
 
-/// The answer of `haptic range`.
+/// The result of `haptic range`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Range {
-    /// Effective inertia, kg: what the wall meets without the feed-forward; of several walls, what their total
-    /// stiffness meets in the stiffest motion, without and with it.
+    /// Effective inertia without the feed-forward, kg. With several walls: the effective inertia of their total
+    /// stiffness in the stiffest motion; `w_rr` is the same with the feed-forward.
     pub w_eff: f64,
-    /// Rendered inertia, kg: what it meets with it.
+    /// Rendered inertia, kg: the effective inertia with the feed-forward.
     pub w_rr: f64,
-    /// α and what the wall meets with that much of the feed-forward (kg), where it is not 1.
+    /// Gain α of the feed-forward, if it is not 1.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub feed_forward_gain: Option<f64>,
-    /// See `feed_forward_gain`.
+    /// Effective inertia with that gain, kg.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub inertia_met: Option<f64>,
-    /// Stiffness of the transmissions at the tip along the wall, N/m, where any gives: a hand feels a wall without the
-    /// feed-forward behind it.
+    /// Stiffness of the transmissions at the tip along the wall, N/m, if any is compliant: a hand feels a wall without
+    /// the feed-forward in series with it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub transmissions: Option<f64>,
-    /// Without feed-forward.
+    /// Domain without feed-forward.
     pub off: Domain,
-    /// With equation (4).
+    /// Domain with equation (4).
     pub full: Domain,
-    /// With equation (4) behind a washout, when asked for.
+    /// Domain with equation (4) behind a washout, if requested.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub washout: Option<Domain>,
-    /// Area with the feed-forward over area without; zero where nothing is stable.
+    /// Area with the feed-forward over area without; zero if nothing is stable.
     pub area_ratio: f64,
-    /// The same wall rendered by a program on a computer, when asked for.
+    /// The same wall rendered by a program on a computer, if requested.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub host: Option<HostWall>,
 }
 
 impl Range {
-    /// The domain with this feed-forward; that of equation (4) for a washout that was not asked for.
+    /// Returns the domain with this feed-forward; that of equation (4) for a washout that was not requested.
     #[must_use]
     pub fn of(&self, feed_forward: FeedForward) -> &Domain {
         match feed_forward {
@@ -81,7 +80,7 @@ impl Range {
 /// Predicts the stable domain of `device` in `around`: without, with, and (at `washout_hz`) with washed-out
 /// feed-forward.
 ///
-/// `kd` asks for the boundary at exactly these damping values (N s/m); else it has [`BOUNDARY_POINTS`] even ones.
+/// `kd` requests the boundary at exactly these damping values (N s/m); otherwise it has [`BOUNDARY_POINTS`] even ones.
 pub fn predict(
     device: &Linearised,
     around: &Loop,

@@ -1,18 +1,18 @@
-//! A device with its drives, reduced to what the wall can see (see [`super::plant`]): the rigid one; what is flexible
-//! is reduced in [`super::flexible_reduction`].
+//! Reduces a device with its drives to the part that affects the wall (see [`super::plant`]). This module handles rigid
+//! devices, [`super::flexible_reduction`] compliant ones.
 
 use nalgebra::{DMatrix, DVector};
 
 use super::flexible_reduction;
 use super::plant::{ContinuousPlant, Drive, Lags, Linearised};
 
-/// A joint whose own damping would need more samples than this to act counts as undamped.
+/// Decay time in samples above which a joint's own damping counts as none.
 const SLOWEST_DECAY_SAMPLES: f64 = 1e10;
 
-/// Builds the reduced plant. `inputs` is N x p: torque of each input in units of m/T² times metres. `sensed` must be
-/// damped joints.
+/// Builds the reduced plant. `inputs` is N x p: torque of each input in units of m/T² times metres. `sense_damped` adds
+/// the positions of the damped joints.
 ///
-/// `None` where M is not positive definite.
+/// `None` if M is not positive definite.
 pub(crate) fn reduce(
     device: &Linearised,
     drive: &Drive,
@@ -47,7 +47,7 @@ pub(crate) fn reduce(
     let mut a = DMatrix::zeros(size, size);
     let mut b = DMatrix::zeros(size, inputs.ncols());
 
-    // Acceleration of a joint, or of a weighted sum of joints: weights · M⁻¹ (τ - B q̇), written into one row.
+    // Writes the acceleration of a joint, or of a weighted sum of joints, into one row: weights · M⁻¹ (τ - B q̇).
     let mut accelerate = |into: usize, weights: &DVector<f64>, b: &mut DMatrix<f64>| {
         let pull = &mobility * weights; // M⁻¹ is symmetric
         for (column, &joint) in damped.iter().enumerate() {

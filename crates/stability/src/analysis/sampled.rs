@@ -1,16 +1,15 @@
-//! The sampled loop around a wall: zero-order hold, computation delay, velocity estimator and feed-forward, in delta
-//! form.
+//! The sampled loop of a wall: zero-order hold, computation delay, velocity estimator and feed-forward, in delta form.
 //!
 //! The loop is cut at the wall force of one sample: s⁺ = s + F s + b f, with the rendered position x and the estimated
 //! velocity v as outputs. A wall closes it with f = -kp x - kd v, so both gains are rank-one changes of F.
 //!
-//! Every state is chosen so that its change over a sample is computed directly and not as a difference of near-equal
+//! Every state is chosen so that its change over a sample is computed directly and not as a difference of nearly equal
 //! numbers: the change of position is a state of its own, and filters are trapezoidal integrators.
 
 use nalgebra::{DMatrix, DVector};
 
 pub use super::control_loop::{CARRIER_HZ, CURRENT_LOOP_HZ, LONGEST_DELAY, Loop, Mode, usual_delay};
-use super::drift::{Drift, drifting};
+use super::drift::{Drift, find_drift};
 use super::eigenvalues::eigenvalues;
 pub use super::error::AnalysisError;
 pub use super::estimator::{LONGEST_DIFFERENCE, LinearEstimator, LowPass};
@@ -34,11 +33,11 @@ pub(crate) struct OpenLoop {
     pub mass: f64,
     /// Sample period, s.
     pub sample_s: f64,
-    /// Motions that no feedback sees by construction (damping compensation alone has any).
+    /// Motions without feedback by construction (only damping compensation has any).
     pub(super) drift: Option<Drift>,
     pub(super) resonances: Vec<(f64, f64)>,
-    /// |z|² - 1 below this is rounding.
-    pub(super) still: f64,
+    /// Bound of |z|² - 1 below which it is rounding.
+    pub(super) rounding: f64,
 }
 
 /// A signal as a linear form over the states and the wall force.
@@ -86,8 +85,8 @@ impl Assembly {
         self.input[state] += by.force;
     }
 
-    /// An estimator's states from `first` on, driven by the change of position `moved` and by `pushed`, the velocity
-    /// per sample that the last command gave; returns the velocity per sample.
+    /// Adds an estimator with its states from `first` on, driven by the change of position `moved` and by `pushed`, the
+    /// velocity per sample from the last command. Returns the velocity per sample.
     fn estimate(&mut self, estimator: &DMatrix<f64>, first: usize, moved: &Signal, pushed: &Signal) -> Signal {
         let size = self.size();
         let states = estimator.nrows() - 1;
@@ -104,7 +103,7 @@ impl Assembly {
     }
 }
 
-/// Trapezoidal one-pole low-pass: its output, and the change of its state.
+/// Returns the output of a trapezoidal one-pole low-pass, and the change of its state.
 fn one_pole(hz: f64, rate_hz: f64, signal: &Signal, state: &Signal) -> (Signal, Signal) {
     let g = (std::f64::consts::PI * hz / rate_hz).tan();
     let step = signal.plus(-1.0, state).times(g / (1.0 + g));
@@ -112,8 +111,8 @@ fn one_pole(hz: f64, rate_hz: f64, signal: &Signal, state: &Signal) -> (Signal, 
 }
 
 impl OpenLoop {
-    /// Puts the loop around the device, without a held posture, with a controller whose model of the device is
-    /// `believed`: it takes feed-forward, damping compensation and predictions from there.
+    /// Builds the loop of the device, without a held posture. The controller uses the model `believed` for
+    /// feed-forward, damping compensation and predictions.
     pub fn believing(
         device: &Linearised,
         believed: &Linearised,
@@ -144,7 +143,7 @@ impl OpenLoop {
             return Err(AnalysisError::CompensatedFlexible);
         }
 
-        // Torque directions, in metres: what one force unit of each input becomes.
+        // Torque directions, in metres: the torque of one force unit of each input.
         let shaped = believed.shaped_torque();
         let mut directions = match mode {
             Mode::Off => vec![device.row.clone()],
@@ -155,7 +154,7 @@ impl OpenLoop {
         let projected = &believed.mass * &believed.unit_motion / believed.w_rr();
         if compensated {
             // τ += (I - M E Wrr⁻¹ Eᵀ) B q̇, one input per damped joint, its velocity per sample.
-            for joint in (0..joints).filter(|&j| damps(device, j, sample_s)) {
+            for joint in (0..joints).filter(|&j| is_damped(device, j, sample_s)) {
                 let mut column = &projected * -believed.unit_motion[joint];
                 column[joint] += 1.0;
                 directions.push(column * (believed.viscous[joint] * sample_s / mass));
@@ -164,7 +163,7 @@ impl OpenLoop {
         let inputs = DMatrix::from_columns(&directions);
         let plant =
             reduce(device, &around.drive, &inputs, sample_s, mass, compensated).ok_or(AnalysisError::Singular)?;
-        // Acceleration per sample² that one unit of each input gives: along the normal, then of each joint.
+        // Acceleration per sample² of one unit of each input: along the normal, then of each joint.
         let inverse = believed.mass.clone().cholesky().ok_or(AnalysisError::Singular)?.inverse();
         let given = inverse * &inputs * mass;
         let pushes = DMatrix::from_fn(joints + 1, inputs.ncols(), |i, input| match i {
@@ -174,38 +173,38 @@ impl OpenLoop {
         Ok(assemble(device, around, mode, &plant, walls, mass, &pushes))
     }
 
-    /// F of the closed loop for gains in sample units.
+    /// Returns F of the closed loop for gains in sample units.
     pub fn closed(&self, kp: f64, kd: f64) -> DMatrix<f64> {
         let feedback = &self.position * kp + &self.velocity * kd;
         let f = &self.f - &self.input * feedback.transpose();
         match &self.drift {
-            Some(drift) => drift.removed(f, kp),
+            Some(drift) => drift.remove_from(f, kp),
             None => f,
         }
     }
 
-    /// The modes of a flexible device without the wall, |z| and its angle (rad) where that is not 0: around them the
-    /// loop's responses turn quickly.
+    /// Returns the modes of a compliant device without the wall, |z| and its angle (rad) if that is not 0: the loop's
+    /// responses turn quickly around them.
     pub fn resonances(&self) -> &[(f64, f64)] {
         &self.resonances
     }
 
-    /// The least damped swing; gains in sample units.
+    /// Returns the least damped oscillation; gains in sample units.
     pub fn oscillation(&self, kp: f64, kd: f64) -> Option<Oscillation> {
         Oscillation::least_damped(self.closed(kp, kd), self.sample_s)
     }
 
     /// Returns true if all modes decay; gains in sample units.
     pub fn is_stable(&self, kp: f64, kd: f64) -> bool {
-        growth(self.closed(kp, kd)) < self.still
+        growth(self.closed(kp, kd)) < self.rounding
     }
 }
 
-/// |z|² - 1 below this is rounding: a mode this slow needs 10¹² samples to show.
-const STILL: f64 = 1e-12;
+/// Bound of |z|² - 1 below which it is rounding: a mode this slow needs 10¹² samples to show.
+const ROUNDING: f64 = 1e-12;
 
-/// Returns true if a joint's own damping acts within the time that [`reduce`] looks at.
-fn damps(device: &Linearised, joint: usize, sample_s: f64) -> bool {
+/// Returns true if a joint's own damping acts within the time that [`reduce`] considers.
+fn is_damped(device: &Linearised, joint: usize, sample_s: f64) -> bool {
     let inverse = device.mass.clone().cholesky().map(|c| c.inverse()[(joint, joint)]);
     inverse.is_some_and(|mobility| device.viscous[joint] * sample_s * mobility >= 1e-10)
 }
@@ -237,7 +236,7 @@ fn assemble(
     let acted = held + if fraction > 0.0 { inputs } else { 0 };
     let size = acted + if around.estimator.predicts() { inputs } else { 0 };
     let estimator = around.estimator.matrix(around.rate_hz);
-    // The velocity per sample that the last command gave, along the normal and of each joint.
+    // Velocity per sample from the last command, along the normal and of each joint.
     let pushed = |row: usize| {
         (acted..size).enumerate().fold(Signal { state: DVector::zeros(size), force: 0.0 }, |sum, (input, state)| {
             sum.plus(pushes[(row, input)], &Signal::of_state(size, state))
@@ -248,32 +247,32 @@ fn assemble(
     // The controller's inputs and its command at this sample.
     let velocity = loop_.estimate(&estimator, filter, &Signal::of_state(size, moved), &pushed(0));
     let force = Signal { state: DVector::zeros(size), force: 1.0 };
-    let mut asked = vec![force.clone()];
+    let mut commands = vec![force.clone()];
     if let Mode::Washout(hz) = mode {
         let (low, step) = one_pole(hz, around.rate_hz, &force, &Signal::of_state(size, washout));
         loop_.change(washout, &step);
-        asked.push(force.plus(-1.0, &low));
+        commands.push(force.plus(-1.0, &low));
     }
-    debug_assert_eq!(asked.len(), walls);
+    debug_assert_eq!(commands.len(), walls);
     for joint in 0..plant.sensed.len() {
-        let seen = Signal::of_state(size, joint_moved + joint);
+        let sensed_motion = Signal::of_state(size, joint_moved + joint);
         let first = joint_filter + per_estimate * joint;
-        asked.push(loop_.estimate(&estimator, first, &seen, &pushed(plant.sensed[joint] + 1)));
+        commands.push(loop_.estimate(&estimator, first, &sensed_motion, &pushed(plant.sensed[joint] + 1)));
     }
 
-    // Delay: whole samples in a queue, the rest splits the interval between the last command and this one.
-    let steps = Stepped::new(plant, fraction);
+    // Delay: whole samples in a queue; the fraction splits the interval between the last command and this one.
+    let steps = DiscretePlant::new(plant, fraction);
     let mut change = vec![Signal { state: DVector::zeros(size), force: 0.0 }; plant.a.nrows()];
     for (row, change) in change.iter_mut().enumerate() {
         for column in 0..plant_states {
             change.state[column] += steps.free[(row, column)];
         }
     }
-    for (input, asked) in asked.iter().enumerate() {
+    for (input, commands) in commands.iter().enumerate() {
         if around.estimator.predicts() {
-            loop_.change(acted + input, &asked.plus(-1.0, &Signal::of_state(size, acted + input)));
+            loop_.change(acted + input, &commands.plus(-1.0, &Signal::of_state(size, acted + input)));
         }
-        let mut now = asked.clone();
+        let mut now = commands.clone();
         for place in 0..whole {
             let slot = queue + input * whole + place;
             let waiting = Signal::of_state(size, slot);
@@ -298,14 +297,14 @@ fn assemble(
         loop_.change(state, &change.plus(-1.0, &Signal::of_state(size, state)));
     };
     let nothing = Signal { state: DVector::zeros(size), force: 0.0 };
-    let seen =
+    let rendered_change =
         |sum: Signal, (change, share): (&Signal, &f64)| if *share == 0.0 { sum } else { sum.plus(*share, change) };
-    follow(&mut loop_, moved, &change.iter().zip(&plant.seen).fold(nothing, seen));
+    follow(&mut loop_, moved, &change.iter().zip(&plant.seen).fold(nothing, rendered_change));
     for joint in 0..plant.sensed.len() {
         follow(&mut loop_, joint_moved + joint, &change[plant_states + joint]);
     }
 
-    let drift = drifting(device, around, mode, plant, mass, |columns| {
+    let drift = find_drift(device, around, mode, plant, mass, |columns| {
         let mut states = DMatrix::zeros(size, columns.len());
         for (column, (velocity, share, torque, force)) in columns.iter().enumerate() {
             for (state, v) in velocity.iter().enumerate() {
@@ -327,7 +326,7 @@ fn assemble(
                 constant.push(v);
                 states[(joint_moved + slot, column)] = v;
             }
-            // The estimators' memory of constant velocities (none along the normal) and commands.
+            // States of the estimators at constant velocities (none along the normal) and commands.
             let commands = DVector::from_column_slice(&constant);
             let given = |row: usize| if around.estimator.predicts() { pushes.row(row).tr_dot(&commands) } else { 0.0 };
             let mut remember = |first: usize, v: f64, given: f64| {
@@ -363,7 +362,7 @@ fn assemble(
         sample_s: 1.0 / around.rate_hz,
         drift,
         resonances,
-        still: STILL,
+        rounding: ROUNDING,
     }
 }
 
@@ -373,14 +372,14 @@ pub(super) fn resonances(free: &DMatrix<f64>, states: usize) -> Vec<(f64, f64)> 
     polar.filter(|(_, angle)| *angle > 0.0 && *angle < std::f64::consts::PI).collect()
 }
 
-/// The plant over one sample: its free change, and what the present and the previous command add.
-struct Stepped {
+/// The plant over one sample: its free change, and the effects of the present and the previous command.
+struct DiscretePlant {
     free: DMatrix<f64>,
     now: DMatrix<f64>,
     before: DMatrix<f64>,
 }
 
-impl Stepped {
+impl DiscretePlant {
     fn new(plant: &ContinuousPlant, fraction: f64) -> Self {
         let (n, p) = (plant.a.nrows(), plant.b.ncols());
         let over = |time: f64| {

@@ -1,12 +1,12 @@
-//! Walls that act together: which of them stay stable, in the totals of stiffness and damping.
+//! Walls that act together: the totals of stiffness and damping at which they stay stable.
 //!
-//! Each wall has a share of both. In the basis of the principal directions of the walls' stiffness their forces are
-//! φ_k = -κ_k (kp x_k + kd v_k) for each direction k, with κ the eigenvalues of Σ shareᵢ nᵢ nᵢᵀ; so the walls are as
-//! many feedback loops as they have directions, whatever their number. The torques of φ are those of the board's own
-//! law (docs/model.md section 2), or Jᵀ. The device has its transmissions, its modes and a hand, as one wall's has.
+//! Each wall has a share of both totals. In the basis of the principal directions of the walls' stiffness their forces
+//! are φ_k = -κ_k (kp x_k + kd v_k) for each direction k, with κ the eigenvalues of Σ shareᵢ nᵢ nᵢᵀ. So the walls are
+//! one feedback loop per direction, whatever their number. The torques of φ are those of the board's own law
+//! (docs/model.md section 2), or Jᵀ. The device has its transmissions, its modes and a hand, as with one wall.
 //!
-//! One loop has exact crossings ([`super::boundary`]); several that are coupled by joint damping have not. Here the
-//! stable intervals of a gain are looked for on a fine grid and refined by bisection of the eigenvalues.
+//! A single loop has exact crossings ([`super::boundary`]); several loops that are coupled by joint damping have none.
+//! Here the stable intervals of a gain are searched on a fine grid and refined by bisection of the eigenvalues.
 
 use nalgebra::{DMatrix, DVector, SVector};
 
@@ -20,7 +20,7 @@ use haptic_bridge::with_mechanism;
 
 use super::boundary::{Interval, SMALLEST_STIFFNESS};
 use super::flexible::{Flexible, Hand, Posture};
-use super::flexible_reduction::{Reduced, Watched, reduce_seen};
+use super::flexible_reduction::{ObservedDevice, ReducedDevice, reduce_observed};
 use super::oscillation::Oscillation;
 use super::plant::{Drive, Lags, Linearised};
 use super::pose::{PoseError, TaskPose, unit_normal};
@@ -33,14 +33,14 @@ use super::subject::Subject;
 pub struct Member {
     /// Normal in the task frame, d entries, any length but zero.
     pub normal: Vec<f64>,
-    /// Its part of the whole stiffness and damping: positive, in any unit that all share.
+    /// Share of the total stiffness and damping: positive, in any unit that all walls share.
     pub share: f64,
-    /// True if this wall has the feed-forward where the others have it.
+    /// True if this wall has the feed-forward when the others have it.
     pub feed_forward: bool,
 }
 
 impl Member {
-    /// A wall that has the feed-forward.
+    /// Creates a wall with the feed-forward.
     #[must_use]
     pub fn new(normal: Vec<f64>, share: f64) -> Self {
         Self { normal, share, feed_forward: true }
@@ -60,18 +60,18 @@ pub struct WallSet {
     directions: DMatrix<f64>,
     /// Rendered directions as rows, R x N, m/rad.
     rows: DMatrix<f64>,
-    /// κ, R: the share of the total stiffness along each direction.
+    /// κ, R: share of the total stiffness along each direction.
     stiffness: DVector<f64>,
     /// Torques of a unit force along each direction with the feed-forward, N x R, m.
     shaped: DMatrix<f64>,
-    /// The torques that the feed-forward commands for the joint torques b, N x N: those of b and of what the walls meet
-    /// of it.
+    /// Torques that the feed-forward commands for the joint torques b, N x N, including those for the part of b at the
+    /// walls.
     bias: DMatrix<f64>,
-    /// The parts of the device that are not rigid, and the hand that holds it.
+    /// Compliant parts of the device, and the hand that holds it.
     flexible: Flexible,
 }
 
-/// The loop around one wall, with whatever posture holds the device, of a controller that takes it for `believed`.
+/// Builds the loop of one wall, with any posture that holds the device, for a controller with the model `believed`.
 pub(super) fn open_loop(
     device: &Linearised,
     believed: &Linearised,
@@ -79,13 +79,13 @@ pub(super) fn open_loop(
     mode: Mode,
 ) -> Result<OpenLoop, AnalysisError> {
     match device.flexible.posture {
-        Some(_) => Ok(Loops::new(&WallSet::of_one(device, believed), around, mode)?.alone()),
+        Some(_) => Ok(WallLoops::new(&WallSet::of_one(device, believed), around, mode)?.single_loop()),
         None => OpenLoop::believing(device, believed, around, mode),
     }
 }
 
 impl WallSet {
-    /// These walls. A redundant device holds `admissible`.
+    /// Linearises the device for these walls. A redundant device holds `admissible`.
     pub fn at(
         description: &Description,
         q: &[f64],
@@ -95,14 +95,14 @@ impl WallSet {
         Self::of(&Subject::new(description)?, q, walls, admissible)
     }
 
-    /// As [`WallSet::at`], of a device that is lumped already.
+    /// Like [`WallSet::at`], for a device that is already built.
     pub fn of(subject: &Subject, q: &[f64], walls: &[Member], admissible: Admissible) -> Result<Self, PoseError> {
         let mechanism = &subject.device.mechanism;
         TaskPose::of(mechanism, q)?.regular()?;
         with_mechanism!(mechanism, m => linearised(m, subject, q, walls, admissible))
     }
 
-    /// One wall on a device that the controller takes for `believed`, with what holds it.
+    /// Creates a set of one wall on a device whose controller uses the model `believed`.
     fn of_one(device: &Linearised, believed: &Linearised) -> Self {
         let joints = device.mass.nrows();
         let unit = &believed.unit_motion;
@@ -120,36 +120,36 @@ impl WallSet {
         }
     }
 
-    /// The same in a posture, with the row of the orientation's Jacobian.
+    /// Adds a posture, with the row of the orientation's Jacobian.
     pub(super) fn in_posture(mut self, posture: Option<(Posture, DVector<f64>)>) -> Self {
         self.flexible.posture = posture;
         self
     }
 
-    /// The same without joint damping.
+    /// Removes joint damping.
     pub fn undamped(mut self) -> Self {
         self.viscous.fill(0.0);
         self
     }
 
-    /// The same in a hand.
+    /// Adds a hand.
     pub fn held(mut self, hand: Hand) -> Self {
         self.flexible.hand = hand;
         self
     }
 
-    /// The mass that the walls' total stiffness meets: of the stiffest motion that the walls allow, with or without
-    /// the feed-forward, kg. For one wall Weff or Wrr.
+    /// Returns the effective inertia for the walls' total stiffness in the stiffest motion that they allow, with or
+    /// without the feed-forward, kg. For one wall it is Weff or Wrr.
     pub fn met(&self, feed_forward: bool) -> Option<f64> {
-        let stiffest = self.answer(feed_forward)?.complex_eigenvalues();
+        let stiffest = self.acceleration(feed_forward)?.complex_eigenvalues();
         let largest = stiffest.iter().map(|value| value.norm()).fold(0.0, f64::max);
         (largest > 0.0 && largest.is_finite()).then(|| 1.0 / largest)
     }
 
-    /// The motion of the tip in the stiffest direction that the walls allow, with or without the feed-forward: a unit
-    /// vector, d entries, on the first wall's side. For one wall its normal.
+    /// Returns the motion of the tip in the stiffest direction that the walls allow, with or without the feed-forward:
+    /// a unit vector, d entries, on the first wall's side. For one wall it is the normal.
     pub fn stiffest(&self, feed_forward: bool) -> Option<DVector<f64>> {
-        let answer = self.answer(feed_forward)?;
+        let answer = self.acceleration(feed_forward)?;
         let fastest = 1.0 / self.met(feed_forward)?;
         let rest = &answer - DMatrix::identity(answer.nrows(), answer.ncols()) * fastest;
         let still = rest.svd(false, true);
@@ -158,32 +158,33 @@ impl WallSet {
         Some(if along.dot(&self.first) < 0.0 { -along } else { along })
     }
 
-    /// Half way between [`WallSet::stiffest`] without and with the feed-forward: at most 45 degrees from either.
+    /// Returns the direction half way between [`WallSet::stiffest`] without and with the feed-forward: at most 45
+    /// degrees from either.
     pub fn between_stiffest(&self) -> Option<DVector<f64>> {
         let (without, with) = (self.stiffest(false)?, self.stiffest(true)?);
         let turned = if with.dot(&without) < 0.0 { -with } else { with };
         Some((without + turned).normalize())
     }
 
-    /// The walls' force while the tip stands 1 m along `direction` (d entries) from walls of 1 N/m in total, N (d).
+    /// Returns the walls' force while the tip is 1 m along `direction` (d entries) from walls of 1 N/m in total, N (d).
     pub fn force(&self, direction: &DVector<f64>) -> DVector<f64> {
         &self.directions * self.parts(direction)
     }
 
-    /// Joint torques of [`WallSet::force`], N m (N), without or with the feed-forward.
+    /// Returns the joint torques of [`WallSet::force`], N m (N), without or with the feed-forward.
     pub fn torque(&self, direction: &DVector<f64>, feed_forward: bool) -> DVector<f64> {
         let force = self.parts(direction);
         if feed_forward { &self.shaped * force } else { self.rows.tr_mul(&force) }
     }
 
-    /// [`WallSet::force`] along each rendered direction, R.
+    /// Returns [`WallSet::force`] along each rendered direction, R.
     fn parts(&self, direction: &DVector<f64>) -> DVector<f64> {
         self.directions.tr_mul(direction).component_mul(&self.stiffness)
     }
 
-    /// Acceleration of every rendered direction per displacement along another at a total stiffness of 1 N/m, R x R,
-    /// 1/kg.
-    fn answer(&self, feed_forward: bool) -> Option<DMatrix<f64>> {
+    /// Returns the acceleration of every rendered direction per displacement along another at a total stiffness of 1
+    /// N/m, R x R, 1/kg.
+    fn acceleration(&self, feed_forward: bool) -> Option<DMatrix<f64>> {
         let levers = if feed_forward { self.shaped.clone() } else { self.rows.transpose() };
         let mobility = &self.rows * self.mass.clone().cholesky()?.solve(&levers);
         Some(mobility * DMatrix::from_diagonal(&self.stiffness))
@@ -246,8 +247,8 @@ fn linearised<const N: usize, M: Mechanism<f64, N>>(
     })
 }
 
-/// The loops cut at the walls' forces, in sample units: the change per sample of every state is `f` s + `input` φ.
-pub(crate) struct Loops {
+/// WallLoops cut at the walls' forces, in sample units: the change per sample of every state is `f` s + `input` φ.
+pub(crate) struct WallLoops {
     f: DMatrix<f64>,
     input: DMatrix<f64>,
     position: DMatrix<f64>,
@@ -258,17 +259,17 @@ pub(crate) struct Loops {
     pub sample_s: f64,
 }
 
-/// |z|² - 1 below this is rounding. Constant motions that no wall sees rest on the unit circle by construction, and
-/// eigenvalues are found to 1e-15 of the fastest change.
-const STILL: f64 = 1.0e-11;
+/// Bound of |z|² - 1 below which it is rounding. Constant motions that no wall measures rest on the unit circle by
+/// construction, and eigenvalues are exact to 1e-15 of the fastest change.
+const ROUNDING: f64 = 1.0e-11;
 
-/// Gains are looked at from this share of their unit up, in steps of [`STEP`], as far as [`FARTHEST`].
+/// Smallest gain that is analysed, as a share of its unit, ratio of the grid, and largest gain.
 const SMALLEST: f64 = 1.0e-6;
 const STEP: f64 = 1.15;
-const FARTHEST: f64 = 40.0;
+const LARGEST: f64 = 40.0;
 
-impl Loops {
-    /// Puts the loops around the device.
+impl WallLoops {
+    /// Builds the loops of the device.
     pub fn new(set: &WallSet, around: &Loop, mode: Mode) -> Result<Self, AnalysisError> {
         around.check()?;
         if let Mode::Washout(hz) = mode {
@@ -294,21 +295,21 @@ impl Loops {
             return Err(AnalysisError::CompensatedFlexible);
         }
         let lags = Lags::new(&around.drive, joints, t);
-        // A device in a posture is reduced as a flexible one is: a motion that nothing sees is no mode.
+        // A device with a posture is reduced like a compliant one, so that unmeasured motions are not modes.
         let seen = match set.flexible.is_rigid() && (set.flexible.posture.is_none() || compensated) {
             true => rigid(set, &rows, &lags, &inverse, t, mass, compensated),
             false => {
                 let WallSet { mass: m, viscous, flexible, directions, .. } = set;
-                let watched = Watched { mass: m, viscous, flexible, rows: &rows, directions };
+                let observed = ObservedDevice { mass: m, viscous, flexible, rows: &rows, directions };
                 // Torques in units of m/T² times metres.
-                let reduced = reduce_seen(&watched, &lags, &DMatrix::identity(joints, joints), t, mass);
-                let Reduced { a, b, seen } = reduced.ok_or(AnalysisError::Singular)?;
+                let reduced = reduce_observed(&observed, &lags, &DMatrix::identity(joints, joints), t, mass);
+                let ReducedDevice { a, b, seen } = reduced.ok_or(AnalysisError::Singular)?;
                 let turning = DMatrix::zeros(0, a.nrows());
-                Seen { a, b, positions: seen, turning }
+                RenderedPlant { a, b, positions: seen, turning }
             }
         };
-        // Beside the plant's states, how far the joints whose damping is compensated turn, which nothing else depends
-        // on.
+        // In addition to the plant's states, the angles of the joints with compensated damping. Nothing else depends on
+        // them.
         let (plant, sensed) = (seen.a.nrows(), seen.turning.nrows());
         let all = plant + sensed;
         let mut joined = DMatrix::zeros(all + joints, all + joints);
@@ -331,7 +332,7 @@ impl Loops {
             now = late;
         }
 
-        // States beside the plant's: what filters remember of each direction (and joint), and commands on their way.
+        // States in addition to the plant's: the filters of each direction (and joint), and commands in the delay.
         let per = around.estimator.states();
         let moved = plant;
         let filters = moved + directions + sensed;
@@ -361,7 +362,7 @@ impl Loops {
             };
             command += rows.rows(walls, directions - walls).tr_mul(&forces.rows(walls, directions - walls));
             let mut estimates = DVector::zeros(directions + sensed);
-            // The effect of the last command: on the directions, then on the joints.
+            // Effect of the last command: on the directions, then on the joints.
             let given = &inverse * s.rows(acted, size - acted).into_owned().resize_vertically(joints, 0.0) * mass;
             let along = &rows * &given;
             for k in 0..directions + sensed {
@@ -427,8 +428,8 @@ impl Loops {
         Ok(Self { f, input, position, velocity, stiffness: set.stiffness.clone(), mass, sample_s: t })
     }
 
-    /// The loop of one wall.
-    fn alone(self) -> OpenLoop {
+    /// Returns the loop of a single wall.
+    fn single_loop(self) -> OpenLoop {
         let first = |rows: &DMatrix<f64>| rows.row(0).transpose();
         OpenLoop {
             resonances: resonances(&self.f, self.f.nrows()),
@@ -439,11 +440,11 @@ impl Loops {
             mass: self.mass,
             sample_s: self.sample_s,
             drift: None,
-            still: STILL,
+            rounding: ROUNDING,
         }
     }
 
-    /// F of the closed loops for totals in sample units.
+    /// Returns F of the closed loops for totals in sample units.
     fn closed(&self, kp: f64, kd: f64) -> DMatrix<f64> {
         let mut feedback = &self.position * kp + &self.velocity * kd;
         for (mut row, stiffness) in feedback.row_iter_mut().zip(self.stiffness.iter()) {
@@ -453,46 +454,47 @@ impl Loops {
     }
 
     fn is_stable(&self, kp: f64, kd: f64) -> bool {
-        growth(self.closed(kp, kd)) < STILL
+        growth(self.closed(kp, kd)) < ROUNDING
     }
 
-    /// The least damped swing at these totals; sample units.
+    /// Returns the least damped oscillation at these totals; sample units.
     pub fn oscillation(&self, kp: f64, kd: f64) -> Option<Oscillation> {
         Oscillation::least_damped(self.closed(kp, kd), self.sample_s)
     }
 
-    /// Stable intervals of the total stiffness at one damping; sample units. One that begins at the smallest stiffness
-    /// looked at counts as beginning at [`SMALLEST_STIFFNESS`].
+    /// Returns the stable intervals of the total stiffness at one damping; sample units. An interval that begins at the
+    /// smallest analysed stiffness is taken to begin at [`SMALLEST_STIFFNESS`].
     pub fn stiffness_intervals(&self, kd: f64) -> Result<Vec<Interval>, AnalysisError> {
-        let mut found = intervals(|kp| self.is_stable(kp, kd))?;
-        if let Some(first) = found.first_mut().filter(|first| first.low <= SMALLEST) {
+        let mut result = intervals(|kp| self.is_stable(kp, kd))?;
+        if let Some(first) = result.first_mut().filter(|first| first.low <= SMALLEST) {
             first.low = SMALLEST_STIFFNESS;
         }
-        Ok(found)
+        Ok(result)
     }
 
-    /// Stable intervals of the total damping at the smallest stiffness; sample units.
+    /// Returns the stable intervals of the total damping at the smallest stiffness; sample units.
     pub fn damping_intervals(&self) -> Result<Vec<Interval>, AnalysisError> {
-        let mut found = intervals(|kd| self.is_stable(SMALLEST, kd))?;
-        if let Some(first) = found.first_mut().filter(|first| first.low <= SMALLEST)
+        let mut result = intervals(|kd| self.is_stable(SMALLEST, kd))?;
+        if let Some(first) = result.first_mut().filter(|first| first.low <= SMALLEST)
             && self.is_stable(SMALLEST, 0.0)
         {
             first.low = 0.0;
         }
-        Ok(found)
+        Ok(result)
     }
 }
 
 /// The continuous plant per sample: ẋ = a x + b τ of all joint torques (m/T² times metres), the rendered positions, and
-/// the velocities of the joints whose damping is compensated, rad per sample, as rows over the states.
-struct Seen {
+/// the velocities of the joints with compensated damping, rad per sample, as rows over the states.
+struct RenderedPlant {
     a: DMatrix<f64>,
     b: DMatrix<f64>,
     positions: DMatrix<f64>,
     turning: DMatrix<f64>,
 }
 
-/// The states of a rigid device without a hand: joint velocities (rad per sample), lagging torques, positions (m).
+/// Returns the plant of a rigid device without a hand. States: joint velocities (rad per sample), lagging torques,
+/// positions (m).
 fn rigid(
     set: &WallSet,
     rows: &DMatrix<f64>,
@@ -501,7 +503,7 @@ fn rigid(
     t: f64,
     mass: f64,
     compensated: bool,
-) -> Seen {
+) -> RenderedPlant {
     let (directions, joints) = rows.shape();
     let Lags { rate: lag, emf } = lags;
     let lagging: Vec<usize> = (0..joints).filter(|j| lag[*j].is_some()).collect();
@@ -530,10 +532,10 @@ fn rigid(
     a.view_mut((positions, 0), (directions, joints)).copy_from(rows);
     let pick = |rows: usize, from: usize| DMatrix::from_fn(rows, plant, |i, j| f64::from(u8::from(j == from + i)));
     let turning = pick(if compensated { joints } else { 0 }, 0);
-    Seen { a, b, positions: pick(directions, positions), turning }
+    RenderedPlant { a, b, positions: pick(directions, positions), turning }
 }
 
-/// Stable intervals of a gain on the grid, their ends bisected.
+/// Returns the stable intervals of a gain on the grid, with their ends bisected.
 fn intervals(is_stable: impl Fn(f64) -> bool) -> Result<Vec<Interval>, AnalysisError> {
     let edge = |stable: f64, unstable: f64| {
         let (mut stable, mut unstable) = (stable, unstable);
@@ -543,19 +545,19 @@ fn intervals(is_stable: impl Fn(f64) -> bool) -> Result<Vec<Interval>, AnalysisE
         }
         stable
     };
-    let mut found: Vec<Interval> = Vec::new();
+    let mut result: Vec<Interval> = Vec::new();
     let (mut last, mut last_stable) = (SMALLEST, is_stable(SMALLEST));
     if last_stable {
-        found.push(Interval { low: SMALLEST, high: f64::INFINITY });
+        result.push(Interval { low: SMALLEST, high: f64::INFINITY });
     }
-    while last < FARTHEST {
+    while last < LARGEST {
         let next = last * STEP;
         let stable = is_stable(next);
         match (last_stable, stable) {
-            (false, true) => found.push(Interval { low: edge(next, last), high: f64::INFINITY }),
+            (false, true) => result.push(Interval { low: edge(next, last), high: f64::INFINITY }),
             (true, false) => {
                 let high = edge(last, next);
-                if let Some(open) = found.last_mut() {
+                if let Some(open) = result.last_mut() {
                     open.high = high;
                 }
             }
@@ -563,5 +565,5 @@ fn intervals(is_stable: impl Fn(f64) -> bool) -> Result<Vec<Interval>, AnalysisE
         }
         (last, last_stable) = (next, stable);
     }
-    if last_stable { Err(AnalysisError::Unbounded) } else { Ok(found) }
+    if last_stable { Err(AnalysisError::Unbounded) } else { Ok(result) }
 }

@@ -1,14 +1,13 @@
-//! Small dense linear algebra for delta-form systems: exp(X) - I, how fast modes grow, and solutions of (γ I - F) s =
-//! b.
+//! Small dense linear algebra for delta-form systems: exp(X) - I, growth of modes, and solutions of (γ I - F) s = b.
 //!
-//! Everything is about F = A - I, never A: at 50 kHz the modes of a device sit 1e-5 from z = 1, and differences from 1
-//! are what decides stability.
+//! Everything uses F = A - I, never A: at 50 kHz the modes of a device are 1e-5 from z = 1, and differences from 1
+//! decide stability.
 
 use nalgebra::{Complex, DMatrix, DVector};
 
 use super::eigenvalues::eigenvalues;
 
-/// exp(X) - I without the cancellation of forming exp(X) first.
+/// Computes exp(X) - I without the cancellation of forming exp(X) first.
 ///
 /// Taylor series on X/2ˢ (norm at most 1/4, truncation below rounding), then E ← 2E + E² s times.
 pub(crate) fn exp_minus_identity(x: &DMatrix<f64>) -> DMatrix<f64> {
@@ -28,10 +27,11 @@ pub(crate) fn exp_minus_identity(x: &DMatrix<f64>) -> DMatrix<f64> {
     e
 }
 
-/// Largest |z|² - 1 over the modes z = 1 + γ of a delta-form matrix F. Infinite when the eigenvalues cannot be found.
+/// Returns the largest |z|² - 1 over the modes z = 1 + γ of a delta-form matrix F. Infinite if the eigenvalues cannot
+/// be computed.
 pub(crate) fn growth(f: DMatrix<f64>) -> f64 {
     match eigenvalues(f) {
-        Some(found) => found.iter().map(|g| 2.0 * g.re + g.norm_sqr()).fold(f64::NEG_INFINITY, f64::max),
+        Some(values) => values.iter().map(|g| 2.0 * g.re + g.norm_sqr()).fold(f64::NEG_INFINITY, f64::max),
         None => f64::INFINITY,
     }
 }
@@ -44,14 +44,14 @@ pub(crate) struct Resolvent {
 }
 
 impl Resolvent {
-    /// For repeated solves with one F.
+    /// Prepares repeated solves with one F.
     pub fn new(f: DMatrix<f64>) -> Self {
         let n = f.nrows();
         let zero = Complex::new(0.0, 0.0);
         Self { f, work: vec![zero; n * n], solution: vec![zero; n] }
     }
 
-    /// The state response to `b` at γ.
+    /// Returns the state response to `b` at γ.
     pub fn solve(&mut self, gamma: Complex<f64>, b: &DVector<f64>) -> &[Complex<f64>] {
         let n = self.f.nrows();
         let (a, s) = (&mut self.work, &mut self.solution);
@@ -101,7 +101,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_slow_decay_keeps_all_its_digits() {
+    fn a_slow_decay_keeps_all_digits() {
         let e = exp_minus_identity(&DMatrix::from_element(1, 1, -1e-12));
         assert!((e[(0, 0)] / (-1e-12f64).exp_m1() - 1.0).abs() < 1e-15);
     }

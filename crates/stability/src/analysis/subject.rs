@@ -1,4 +1,4 @@
-//! The device that a prediction is about: what a board knows of it, and what gives between its motors and its links.
+//! The device of a prediction: the board's device and the compliant parts between its motors and links.
 
 use super::flexible::Flexible;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
@@ -6,44 +6,44 @@ use haptic_bridge::model::description::{Description, DescriptionError, Joint};
 use haptic_bridge::model::device::Device;
 use haptic_host::device_file::DeviceFile;
 
-/// A device as predictions know it.
+/// A device for predictions.
 #[derive(Clone, Debug)]
 pub struct Subject {
-    /// As a board has it.
+    /// The device as a board has it.
     pub device: Device<f64>,
-    /// Its joints as the file describes them: their transmissions and structural modes are what a board's device lacks.
-    /// `None` where only a board is known; then nothing gives.
+    /// Joints as the file describes them, with the transmissions and structural modes that a board's device lacks.
+    /// `None` if only a board is known; then the device counts as rigid.
     pub joints: Option<[Joint; MAX_JOINTS]>,
 }
 
 impl Subject {
-    /// The device that a file describes.
+    /// Creates the subject of a device that a file describes.
     pub fn new(description: &Description) -> Result<Self, DescriptionError> {
         Ok(Self { device: Device::new("", description)?, joints: Some(description.joints) })
     }
 
-    /// The device that a board holds, with what gives in it where `file` describes the same device.
+    /// Creates the subject of a board's device, with its compliant parts if `file` describes the same device.
     #[must_use]
     pub fn on_board(device: Device<f64>, file: Option<&DeviceFile>) -> Self {
         let same = |file: &&DeviceFile| file.device::<f32>().is_ok_and(|described| described == device.cast());
         Self { joints: file.filter(same).map(|file| file.description.joints), device }
     }
 
-    /// The same without joint damping.
+    /// Removes joint damping.
     #[must_use]
     pub fn undamped(mut self) -> Self {
         self.device.joints.iter_mut().for_each(|joint| joint.viscous = 0.0);
         self
     }
 
-    /// Its compliant parts.
+    /// Returns the compliant parts.
     #[must_use]
     pub fn gives(&self) -> Flexible {
         let joints = self.joints.as_ref().map(|joints| &joints[..self.device.axes()]);
         joints.map_or_else(Flexible::default, |joints| Flexible::default().of_joints(joints))
     }
 
-    /// Returns true if it has compliant parts.
+    /// Returns true if the device has compliant parts.
     #[must_use]
     pub fn is_flexible(&self) -> bool {
         !self.gives().is_rigid()

@@ -1,7 +1,7 @@
-//! Why the boundary lies where it lies: the same loop with one effect taken away, each in turn.
+//! Explains the boundary: the same loop with one effect removed, each in turn.
 //!
-//! An effect's share is 1 - (limit with everything)/(limit without it): negative where it helps, as a hand does.
-//! Effects do not add up: two lags that each take half leave a quarter or nothing.
+//! An effect's share is 1 - (limit with everything)/(limit without it); it is negative if the effect helps, as a hand
+//! does. Effects do not add up: without one of two lags that each take half, a quarter or nothing may remain.
 
 use serde::{Deserialize, Serialize};
 
@@ -12,15 +12,15 @@ use super::sampled::{AnalysisError, LONGEST_DELAY, LONGEST_DIFFERENCE, LinearEst
 use crate::sweep::Sweep;
 use haptic_host::error::Failure;
 
-/// Factor by which the loop that stands for one without sampling is faster.
+/// Factor by which the rate of the comparison without sampling is higher.
 pub const FASTER: usize = 10;
 
 /// The limits of a boundary.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Limits {
-    /// Largest stiffness of all dampings, N/m.
+    /// Largest stiffness over all dampings, N/m.
     pub kp_max: f64,
-    /// The damping that it needs, N s/m.
+    /// Damping at that stiffness, N s/m.
     pub kd: f64,
     /// Largest damping, N s/m.
     pub kd_max: f64,
@@ -29,70 +29,70 @@ pub struct Limits {
 }
 
 impl Limits {
-    /// Of a domain; `None` where no limit was found.
-    fn of(found: Result<Domain, AnalysisError>) -> Result<Option<Self>, AnalysisError> {
-        let domain = match found {
+    /// Returns the limits of a domain; `None` if no limit was found.
+    fn of(result: Result<Domain, AnalysisError>) -> Result<Option<Self>, AnalysisError> {
+        let domain = match result {
             Err(AnalysisError::Unbounded) => return Ok(None),
-            found => found?,
+            result => result?,
         };
         let Domain { top, .. } = domain;
         Ok(Some(Self { kp_max: top.kp, kd: top.kd, kd_max: domain.kd_max, area: domain.area }))
     }
 }
 
-/// The limits without and with the feed-forward; none where there is no limit.
+/// Limits without and with the feed-forward; `None` if there is no limit.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Both {
-    /// Without the feed-forward.
+    /// Limits without the feed-forward.
     pub off: Option<Limits>,
-    /// With equation (4).
+    /// Limits with equation (4).
     pub full: Option<Limits>,
 }
 
-/// The loop without one effect.
+/// The control loop without one effect.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Without {
-    /// Which effect.
+pub struct WithoutEffect {
+    /// Name of the effect.
     pub effect: &'static str,
-    /// The condition that replaces the effect.
+    /// Condition that replaces the effect.
     pub instead: &'static str,
-    /// The limits then.
+    /// Limits without the effect.
     pub limits: Both,
-    /// The share that the effect takes of the largest stiffness without the effect: negative where it helps.
+    /// Share of the largest stiffness that the effect takes: negative if it helps.
     pub takes: Shares,
-    /// The same of the area.
+    /// The same for the area.
     pub takes_area: Shares,
 }
 
-/// A share without and with the feed-forward; `None` where either limit is missing or zero.
+/// A share without and with the feed-forward; `None` if either limit is missing or zero.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Shares {
-    /// Without the feed-forward.
+    /// Share without the feed-forward.
     pub off: Option<f64>,
-    /// With equation (4).
+    /// Share with equation (4).
     pub full: Option<f64>,
 }
 
-/// The answer of `haptic range --why`.
+/// The result of `haptic range --why`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Why {
-    /// The limits with everything.
+    /// Limits with all effects.
     pub limits: Both,
     /// The share of each effect.
-    pub effects: Vec<Without>,
+    pub effects: Vec<WithoutEffect>,
 }
 
-/// A loop and a device.
+/// A device and a control loop.
 type Case = (Linearised, Loop);
 
-/// The cases without each effect that is there.
+/// Returns the case without each present effect.
 fn cases(device: &Linearised, around: &Loop) -> Vec<(&'static str, &'static str, Case)> {
     let mut cases = Vec::new();
     let mut add = |effect, instead, device: Linearised, around: Loop| cases.push((effect, instead, (device, around)));
     let samples = around.estimator.samples();
     let delay_samples = around.delay_samples * FASTER as f64;
     if delay_samples <= LONGEST_DELAY && (samples == 1 || samples * FASTER <= LONGEST_DIFFERENCE) {
-        // Everything else stays in seconds: the delay, the filter, the difference.
+        // Everything else stays equal in seconds: the delay, the filter, the difference.
         let estimator = if samples > 1 { around.estimator.over(samples * FASTER) } else { around.estimator };
         let faster = Loop { rate_hz: around.rate_hz * FASTER as f64, delay_samples, estimator, ..around.clone() };
         add("sampling", "ten times the rate", device.clone(), faster);
@@ -136,10 +136,11 @@ fn cases(device: &Linearised, around: &Loop) -> Vec<(&'static str, &'static str,
     cases
 }
 
-/// The name of an effect, the condition that replaces it, and the limits then.
+/// Name of an effect, the condition that replaces it, and the limits without it.
 pub type LimitsWithout = (&'static str, &'static str, Option<Limits>);
 
-/// The limits for one kind of feed-forward with everything, and without each effect in turn, in the order of [`why`].
+/// Returns the limits for one kind of feed-forward with all effects, and without each effect in turn, in the order of
+/// [`why`].
 pub fn limits_without(
     device: &Linearised,
     around: &Loop,
@@ -152,16 +153,16 @@ pub fn limits_without(
     Ok((limits(device, around)?, without.collect::<Result<_, AnalysisError>>()?))
 }
 
-/// The share that each effect takes of the boundary of `device` in `around`; the order is always the same.
+/// Computes the share of the boundary of `device` in `around` that each effect takes; the order is always the same.
 pub fn why(device: &Linearised, around: &Loop, sweep: &Sweep) -> Result<Why, Failure> {
     let mut all = vec![("", "", (device.clone(), around.clone()))];
     all.extend(cases(device, around));
     let jobs: Vec<(&Case, Mode)> =
         all.iter().flat_map(|(_, _, case)| [Mode::Off, Mode::Full].map(|mode| (case, mode))).collect();
-    let found = sweep.map("loops without one effect", &jobs, |((device, around), mode)| {
+    let results = sweep.map("loops without one effect", &jobs, |((device, around), mode)| {
         Ok(Limits::of(domain(device, around, *mode, None))?)
     })?;
-    let both = |at: usize| Both { off: found[2 * at], full: found[2 * at + 1] };
+    let both = |at: usize| Both { off: results[2 * at], full: results[2 * at + 1] };
     let limits = both(0);
     let share = |with: Option<Limits>, without: Option<Limits>, of: fn(&Limits) -> f64| {
         let (with, without) = (of(&with?), of(&without?));
@@ -173,7 +174,7 @@ pub fn why(device: &Linearised, around: &Loop, sweep: &Sweep) -> Result<Why, Fai
             off: share(limits.off, without.off, of),
             full: share(limits.full, without.full, of),
         };
-        Without {
+        WithoutEffect {
             effect,
             instead,
             limits: without,

@@ -1,0 +1,46 @@
+//! Effects of the feed-forwards that were not chosen.
+
+use super::criteria::SearchContext;
+use super::{Settings, TunedWall, ripple, stiffest};
+use haptic_bridge::render::scene::FeedForward;
+use haptic_host::error::Failure;
+use serde::Serialize;
+
+/// A feed-forward that was not chosen, compared with the result.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Alternative {
+    /// The feed-forward.
+    pub feed_forward: FeedForward,
+    /// The stiffest wall with it; `None` if that wall is softer than the result by a third, or fails the margins or the
+    /// ripple limit.
+    pub best: Option<TunedWall>,
+    /// Largest stiffness within margins and motors with the result's rate, estimator, cutoff and damping, N/m.
+    pub allowed: f64,
+    /// Ripple of the result's wall with this feed-forward, N; `None` if the tip flies off.
+    pub ripple_n: Option<f64>,
+}
+
+/// Compares each of the other allowed feed-forwards; returns none if no coupling exists.
+pub(super) fn alternatives(
+    context: &SearchContext<'_>,
+    result: &TunedWall,
+    all: &[TunedWall],
+) -> Result<Vec<Alternative>, Failure> {
+    if !context.is_coupled() {
+        return Ok(Vec::new());
+    }
+    let others = context.question.feed_forwards.iter().filter(|other| **other != result.settings.feed_forward);
+    others
+        .map(|&feed_forward| {
+            let off = feed_forward == FeedForward::Off;
+            let settings = Settings {
+                feed_forward,
+                damping_compensation: result.settings.damping_compensation && !off,
+                ..result.settings
+            };
+            let allowed = context.largest_stiffness(&settings)?;
+            let best = stiffest(all.iter().filter(|candidate| candidate.settings.feed_forward == feed_forward));
+            Ok(Alternative { feed_forward, best, allowed, ripple_n: ripple(context.question, &settings)?.ripple_n })
+        })
+        .collect()
+}
