@@ -1,4 +1,4 @@
-//! The command line as it is read: `--port` ahead of the command, and what to type where something could not be read.
+//! Reads the command line: allows `--port` before the command, and suggests what to type after a mistake.
 
 use crate::commands::Command;
 use crate::commands::help::{Cli, command};
@@ -9,31 +9,31 @@ use std::error::Error;
 use std::ffi::OsString;
 use std::num::{IntErrorKind, ParseFloatError, ParseIntError};
 
-/// Parses the process's arguments; prints help or what is wrong with them and exits, as clap does.
+/// Parses the arguments of the process. Prints help or an error and exits, as clap does.
 pub fn parse() -> Command {
-    match read(std::env::args_os().collect()) {
+    match parse_words(std::env::args_os().collect()) {
         Ok(command) => command,
         Err(error) => error.exit(),
     }
 }
 
-/// The command that these words, the program's own name first, ask for. Errors are clap's, and so are help and version.
-pub fn read(words: Vec<OsString>) -> Result<Command, clap::Error> {
-    let words = port_after_command(words);
+/// Parses a command line that begins with the program's name. Errors are clap's; help and version are errors too.
+pub fn parse_words(words: Vec<OsString>) -> Result<Command, clap::Error> {
+    let words = move_port_after_command(words);
     if let Some(error) = renamed(&words) {
         return Err(error);
     }
-    let asked = words.get(1).map(|word| word.to_string_lossy().into_owned()).unwrap_or_default();
-    let unread = |error| what_to_type(without_wrong_tip(error, &asked));
-    let matches = command().try_get_matches_from(words).map_err(unread)?;
+    let typed = words.get(1).map(|word| word.to_string_lossy().into_owned()).unwrap_or_default();
+    let helpful = |error| explain_number(correct_tips(error, &typed));
+    let matches = command().try_get_matches_from(words).map_err(helpful)?;
     if let Some(error) = input_overwritten(&matches) {
         return Err(error);
     }
     Ok(Cli::from_arg_matches(&matches)?.command)
 }
 
-/// The error for `--force` where two of a command's values name one file: the command would overwrite its own input, or
-/// one of its outputs with another.
+/// Returns an error if `--force` is given and two values name the same file: the command would overwrite its own input,
+/// or one of its outputs with another.
 fn input_overwritten(matches: &ArgMatches) -> Option<clap::Error> {
     if let Some((_, matches)) = matches.subcommand() {
         return input_overwritten(matches);
@@ -41,7 +41,7 @@ fn input_overwritten(matches: &ArgMatches) -> Option<clap::Error> {
     if !matches.try_get_one::<bool>("force").ok()?.is_some_and(|force| *force) {
         return None;
     }
-    // A group's values are the names of its options.
+    // The values of a group are the names of its options, not files.
     let named = matches.ids().filter(|id| matches.try_get_many::<clap::Id>(id.as_str()).is_err());
     let values = named.filter_map(|id| matches.try_get_raw(id.as_str()).ok()?).flatten();
     let mut files = values.filter_map(|value| std::fs::canonicalize(value).ok().filter(|path| path.is_file()));
@@ -55,7 +55,7 @@ fn input_overwritten(matches: &ArgMatches) -> Option<clap::Error> {
     Some(clap::Error::raw(clap::error::ErrorKind::ArgumentConflict, message).with_cmd(&command()))
 }
 
-/// Commands that had another name in the version before, each with what to type now.
+/// Commands that had another name in the previous version, each with its present spelling.
 const RENAMED: &[(&str, &str)] = &[
     ("backup", "haptic board backup"),
     ("clear", "haptic faults --clear"),
@@ -71,24 +71,24 @@ const RENAMED: &[(&str, &str)] = &[
     ("save", "haptic board save"),
 ];
 
-/// The error that says what to type instead of a spelling of the previous version.
+/// Returns an error with the present spelling of a command or option that was renamed.
 fn renamed(words: &[OsString]) -> Option<clap::Error> {
     let mut words = words.iter().skip(1).filter_map(|word| word.to_str());
-    let asked = words.next()?;
-    let asked = if asked == "help" { words.next()? } else { asked };
-    let told = |old: &str, now: &str| {
+    let typed = words.next()?;
+    let typed = if typed == "help" { words.next()? } else { typed };
+    let renamed_to = |old: &str, now: &str| {
         let message = format!("`haptic {old}` is now called `{now}`\n");
         Some(clap::Error::raw(clap::error::ErrorKind::InvalidSubcommand, message).with_cmd(&command()))
     };
-    if asked == "stream" && words.any(|word| word == "--csv" || word.starts_with("--csv=")) {
-        return told("stream --csv", "haptic record FILE.csv");
+    if typed == "stream" && words.any(|word| word == "--csv" || word.starts_with("--csv=")) {
+        return renamed_to("stream --csv", "haptic record FILE.csv");
     }
-    RENAMED.iter().find(|(old, _)| *old == asked).and_then(|(old, now)| told(old, now))
+    RENAMED.iter().find(|(old, _)| *old == typed).and_then(|(old, now)| renamed_to(old, now))
 }
 
-/// No tip to pass an option that a command has not got as a value, which it would then take for the name of a file; and
-/// the option where a file to write stands without it.
-fn without_wrong_tip(mut error: clap::Error, asked: &str) -> clap::Error {
+/// Replaces clap's suggestions: removes the one to pass an unknown option as a value, because it would become a file
+/// name, and suggests the option if a file to write was named without it.
+fn correct_tips(mut error: clap::Error, typed: &str) -> clap::Error {
     if error.kind() != clap::error::ErrorKind::UnknownArgument {
         return error;
     }
@@ -105,7 +105,7 @@ fn without_wrong_tip(mut error: clap::Error, asked: &str) -> clap::Error {
         let tip = "numbers that belong together are written with commas: '--normal 0,1'".to_string().into();
         error.insert(ContextKind::Suggested, ContextValue::StyledStrs(vec![tip]));
     }
-    if let (Some(ContextValue::String(word)), "new") = (error.get(ContextKind::InvalidArg), asked)
+    if let (Some(ContextValue::String(word)), "new") = (error.get(ContextKind::InvalidArg), typed)
         && !word.starts_with('-')
     {
         let tip = format!("to write this file, use '-o {word}'").into();
@@ -114,29 +114,29 @@ fn without_wrong_tip(mut error: clap::Error, asked: &str) -> clap::Error {
     error
 }
 
-/// Replaces the parser's own message by words on what to type, if a number could not be read.
-fn what_to_type(error: clap::Error) -> clap::Error {
-    let stumbled = error.source();
-    let wanted = match stumbled.and_then(|source| source.downcast_ref::<ParseIntError>()).map(ParseIntError::kind) {
+/// Replaces clap's message by an example if a number cannot be parsed.
+fn explain_number(error: clap::Error) -> clap::Error {
+    let source = error.source();
+    let wanted = match source.and_then(|source| source.downcast_ref::<ParseIntError>()).map(ParseIntError::kind) {
         Some(IntErrorKind::InvalidDigit | IntErrorKind::Empty) => "write a whole number, such as 12",
-        _ if stumbled.is_some_and(|source| source.is::<ParseFloatError>()) => "write a number, such as 0.5 or 2e3",
+        _ if source.is_some_and(|source| source.is::<ParseFloatError>()) => "write a number, such as 0.5 or 2e3",
         _ => return error,
     };
-    let about = |kind| error.get(kind).map(ToString::to_string).unwrap_or_default();
-    let (value, option) = (about(ContextKind::InvalidValue), about(ContextKind::InvalidArg));
+    let context = |kind| error.get(kind).map(ToString::to_string).unwrap_or_default();
+    let (value, option) = (context(ContextKind::InvalidValue), context(ContextKind::InvalidArg));
     let message = format!("invalid value '{value}' for '{option}': {wanted}");
     clap::Error::raw(error.kind(), message).with_cmd(&command())
 }
 
-/// Lets `--port` stand before the command as well: `haptic --port sim info` is `haptic info --port sim`.
-fn port_after_command(mut words: Vec<OsString>) -> Vec<OsString> {
-    let ahead = match words.get(1).and_then(|word| word.to_str()) {
+/// Moves a `--port` before the command behind it: `haptic --port sim info` becomes `haptic info --port sim`.
+fn move_port_after_command(mut words: Vec<OsString>) -> Vec<OsString> {
+    let length = match words.get(1).and_then(|word| word.to_str()) {
         Some("--port") => 2,
         Some(word) if word.starts_with("--port=") => 1,
         _ => return words,
     };
-    if words.len() > 1 + ahead {
-        words[1..2 + ahead].rotate_right(1);
+    if words.len() > 1 + length {
+        words[1..2 + length].rotate_right(1);
     }
     words
 }
@@ -147,61 +147,61 @@ mod tests {
     use crate::commands::help::examples;
 
     #[test]
-    fn the_command_line_is_consistent() {
+    fn clap_accepts_the_command_line() {
         command().debug_assert();
     }
 
     #[test]
-    fn every_command_stands_under_a_heading_and_says_what_it_is_for() {
+    fn help_lists_every_command_with_a_description() {
         let help = command().render_long_help().to_string();
         let mut shown = 0;
-        for found in command().get_subcommands() {
-            let about = found.get_about().map(ToString::to_string).unwrap_or_default();
-            assert!(about.len() > 10 && !about.ends_with('.'), "{}: \"{about}\"", found.get_name());
-            assert_eq!(help.contains(&about), !found.is_hide_set(), "{} on the help page", found.get_name());
-            shown += usize::from(!found.is_hide_set());
+        for command in super::command().get_subcommands() {
+            let about = command.get_about().map(ToString::to_string).unwrap_or_default();
+            assert!(about.len() > 10 && !about.ends_with('.'), "{}: \"{about}\"", command.get_name());
+            assert_eq!(help.contains(&about), !command.is_hide_set(), "{} on the help page", command.get_name());
+            shown += usize::from(!command.is_hide_set());
         }
-        assert!(shown <= 30, "{shown} commands are more than a person keeps in mind");
+        assert!(shown <= 30, "{shown} commands are too many for one help page");
     }
 
-    /// The words of every command, and of those under it.
-    fn every_command() -> Vec<String> {
-        let mut left = vec![(String::new(), command())];
-        let mut all = Vec::new();
-        while let Some((above, command)) = left.pop() {
-            for under in command.get_subcommands() {
-                let words = format!("{above}{}", under.get_name());
-                all.push(words.clone());
-                left.push((words + " ", under.clone()));
+    /// Names of all commands and subcommands.
+    fn command_names() -> Vec<String> {
+        let mut pending = vec![(String::new(), command())];
+        let mut names = Vec::new();
+        while let Some((above, command)) = pending.pop() {
+            for sub in command.get_subcommands() {
+                let words = format!("{above}{}", sub.get_name());
+                names.push(words.clone());
+                pending.push((words + " ", sub.clone()));
             }
         }
-        all
+        names
     }
 
     #[test]
-    fn every_example_is_understood() {
-        for command in every_command() {
+    fn every_example_parses() {
+        for command in command_names() {
             for line in examples(&command) {
                 // The rest of the line belongs to the shell.
                 let words = line.split(['|', '>']).next().unwrap_or_default().split_whitespace();
-                let read = read(words.map(OsString::from).collect());
-                assert!(read.is_ok(), "{line}: {}", read.err().unwrap());
+                let parsed = parse_words(words.map(OsString::from).collect());
+                assert!(parsed.is_ok(), "{line}: {}", parsed.err().unwrap());
                 assert!(line.starts_with(&format!("haptic {command}")), "{line} under {command}");
             }
         }
     }
 
     #[test]
-    fn a_spelling_of_the_version_before_is_answered_with_todays() {
-        let all = every_command();
+    fn old_spellings_are_answered_with_the_present_ones() {
+        let names = command_names();
         for (old, now) in RENAMED {
-            assert!(!all.iter().any(|command| command == old), "{old}");
+            assert!(!names.iter().any(|command| command == old), "{old}");
             let words = now.trim_start_matches("haptic ").split(" --").next().unwrap();
-            assert!(all.iter().any(|command| command == words), "{now}");
+            assert!(names.iter().any(|command| command == words), "{now}");
             for line in
                 [format!("haptic {old} --json"), format!("haptic help {old}"), format!("haptic --port sim {old}")]
             {
-                let error = read(line.split(' ').map(OsString::from).collect()).err().unwrap();
+                let error = parse_words(line.split(' ').map(OsString::from).collect()).err().unwrap();
                 assert_eq!(error.exit_code(), 2);
                 assert!(error.to_string().contains(&format!("`haptic {old}` is now called `{now}`")), "{error}");
             }
@@ -214,8 +214,8 @@ mod tests {
         let [input, other] = ["a.toml", "b.toml"].map(|name| folder.path().join(name).display().to_string());
         std::fs::write(&input, "").unwrap();
         std::fs::write(&other, "").unwrap();
-        // One folder up and down again is the same file.
-        let around = format!("{}/../{}/a.toml", folder.path().display(), folder.path().file_name().unwrap().display());
+        // A path through the folder's parent names the same file.
+        let detour = format!("{}/../{}/a.toml", folder.path().display(), folder.path().file_name().unwrap().display());
         let lines = [
             "check IN --svg OUT",
             "report IN --out OUT",
@@ -229,27 +229,28 @@ mod tests {
             "device --read IN -o OUT",
         ];
         for line in lines {
-            let read = |output: &str| {
+            let parse = |output: &str| {
                 let words = format!("haptic {line} --force").replace("IN", &input).replace("OUT", output);
-                read(words.split(' ').map(OsString::from).collect())
+                parse_words(words.split(' ').map(OsString::from).collect())
             };
-            for output in [&input, &around] {
-                let error = read(output).err().unwrap_or_else(|| panic!("{line}")).to_string();
+            for output in [&input, &detour] {
+                let error = parse(output).err().unwrap_or_else(|| panic!("{line}")).to_string();
                 assert!(error.contains("is named twice"), "{line}: {error}");
             }
-            assert!(!read(&other).err().is_some_and(|error| error.to_string().contains("twice")), "{line}");
+            assert!(!parse(&other).err().is_some_and(|error| error.to_string().contains("twice")), "{line}");
         }
     }
 
     #[test]
-    fn tips_say_what_helps() {
-        let said = |line: &str| read(line.split_whitespace().map(OsString::from).collect()).err().unwrap().to_string();
+    fn suggestions_name_the_right_option() {
+        let error =
+            |line: &str| parse_words(line.split_whitespace().map(OsString::from).collect()).err().unwrap().to_string();
         for line in ["haptic view --json", "haptic check a.toml --jsn", "haptic new --json"] {
-            assert!(!said(line).contains("'-- "), "{line}: {}", said(line));
+            assert!(!error(line).contains("'-- "), "{line}: {}", error(line));
         }
-        assert!(said("haptic check a.toml --jsn").contains("'--json'"), "{}", said("haptic check a.toml --jsn"));
-        assert!(said("haptic range a.toml --rate 1000 --cutoff 20 --normal 0 1").contains("commas: '--normal 0,1'"));
-        assert!(said("haptic new five-bar mine.toml").contains("use '-o mine.toml'"));
+        assert!(error("haptic check a.toml --jsn").contains("'--json'"), "{}", error("haptic check a.toml --jsn"));
+        assert!(error("haptic range a.toml --rate 1000 --cutoff 20 --normal 0 1").contains("commas: '--normal 0,1'"));
+        assert!(error("haptic new five-bar mine.toml").contains("use '-o mine.toml'"));
     }
 
     #[test]
@@ -268,7 +269,7 @@ mod tests {
         ];
         for case in cases {
             let words = format!("haptic {case}");
-            let Err(error) = read(words.split_whitespace().map(OsString::from).collect()) else { continue };
+            let Err(error) = parse_words(words.split_whitespace().map(OsString::from).collect()) else { continue };
             assert!(error.to_string().contains("invalid value '-"), "{case}: {error}");
         }
     }

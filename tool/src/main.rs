@@ -1,6 +1,5 @@
-//! The `haptic` command: parses the command line, runs one command, and turns what went wrong into one line on
-//! standard error and an exit code (0 done, 1 it could not be done, 2 the command or a file is wrong, 3 what was compared
-//! differs).
+//! The `haptic` command: parses the command line, runs one command, and reports a failure as one line on standard error
+//! and an exit code (0 done, 1 it could not be done, 2 the command or a file is wrong, 3 what was compared differs).
 #![forbid(unsafe_code)]
 #![deny(clippy::print_stderr, clippy::print_stdout)]
 
@@ -10,7 +9,7 @@ mod commands;
 use haptic_host::error::Choice;
 use std::process::ExitCode;
 
-/// The option by which a choice is made.
+/// Returns the option that makes a choice.
 fn option(choice: Choice) -> &'static str {
     match choice {
         Choice::Pose => "--q",

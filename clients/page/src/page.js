@@ -1,22 +1,22 @@
 "use strict";
-// What carries the messages of this page: a worker in the place of a WebSocket, and between the worker and a board a
+// Carries the messages of this page: to a worker instead of a WebSocket, and between the worker and a board over a
 // serial port of this browser.
 {
-  const CANNOT = "This browser cannot open a board: Chrome or Edge on a desktop can. The simulation goes on.";
-  const REAL = "A board with real motors: Space turns them on. Have an emergency stop in their supply.";
-  // As USB shows the boards (host/src/link/ports.rs).
+  const CANNOT = "This browser cannot open a board: Chrome or Edge on a desktop can. The simulation continues.";
+  const REAL = "A board with real motors: Space turns them on. Keep an emergency stop in their supply.";
+  // USB numbers of the boards (host/src/link/ports.rs).
   const BOARDS = { filters: [{ usbVendorId: 0x1209, usbProductId: 0x0001 }] };
   const library = Uint8Array.from(atob($text("library")), c => c.charCodeAt(0));
   const worker = URL.createObjectURL(new Blob([$text("worker")], { type: "text/javascript" }));
   function $text(id) { const element = document.getElementById(id), text = element.textContent; element.remove(); return text; }
   const device = document.createElement("select"), lesson = document.createElement("select"), open = document.createElement("button");
-  // The list of devices says which one it is.
+  // The list of devices shows the name.
   document.getElementById("device").hidden = true;
   device.id = "choice"; lesson.id = "lesson"; open.id = "open"; open.textContent = "Open a board";
   device.setAttribute("aria-label", "Device"); lesson.setAttribute("aria-label", "Set-up of a lesson");
   document.querySelector("header .grow").before(device, lesson, open);
-  // The open port of the board that is looked at, if one is; how to leave what is looked at; what is said once there is
-  // something to see.
+  // The port of the open board, if there is one; the function that closes the present world; the notice to show after
+  // the first picture.
   let port = null, leave = () => {}, news = null;
   window.playground = () => {
     const choice = Math.max(0, device.selectedIndex), board = port !== null, thread = new Worker(worker);
@@ -29,13 +29,13 @@
       if (before === 1) up();
       carrier.readyState = 3;
       if (!board) { close(); console.error(why); carrier.onclose(); }
-      // A board that was shown is not replaced by a simulation that nobody asked for.
+      // A board that was shown is not replaced by a simulation without a request.
       else if (before === 1) {
         port = null;
         open.textContent = "Open a board";
         lost(view.last ? `${why}; ${view.last.if_lost}` : why);
       }
-      else if (before === 0) { news = [`${why}. The simulation goes on.`]; begin(null); }
+      else if (before === 0) { news = [`${why}. The simulation continues.`]; begin(null); }
     };
     thread.onmessage = ({ data }) => {
       if (data.sent) cable.send(data.sent);
@@ -63,18 +63,18 @@
     thread.postMessage({ library, choice, board });
     return carrier;
   };
-  // A link's device, or the first scene of it; -1 where none is wanted or known.
+  // Returns the index of a link's device, or of its first scene; -1 if it is not requested or not known.
   function wanted() {
     const name = view.wanted?.device;
     if (!name) return -1;
     const found = [...device.options].findIndex(({ value }) => [":", "/"].some(end => value.startsWith(name + end)));
-    if (found < 0) { const why = [`The link's device ${name} is none of this page: nothing was changed.`, { of: "link" }]; view.wanted = null; if (view.last) notice(...why); else news = why; }
+    if (found < 0) { const why = [`This page does not have the link's device ${name}: nothing was changed.`, { of: "link" }]; view.wanted = null; if (view.last) notice(...why); else news = why; }
     return found;
   }
   const lessonShown = () => { lesson.selectedIndex = +(/lesson=(\d)/.exec(location.hash)?.[1] || 0); };
   window.playground.follow = () => { lessonShown(); if (!port && wanted() >= 0 && wanted() !== device.selectedIndex) { device.selectedIndex = wanted(); begin(null); } };
-  // Carries bytes between an open port and a worker. After an error that passes a port has another stream; once it is
-  // unplugged it has none.
+  // Carries bytes between an open port and a worker. After a temporary error a port has a new stream; an unplugged port
+  // has none.
   function connected(port, thread) {
     const writer = port.writable.getWriter();
     let reader = null, stream = null, pulled = false;
@@ -93,11 +93,11 @@
       pull: async () => {
         pulled = true;
         const steps = [() => reader.cancel(), () => writer.abort(), () => writer.releaseLock(), () => port.close()];
-        for (const step of steps) try { await step(); } catch { /* It was unplugged. */ }
+        for (const step of steps) try { await step(); } catch { /* The port was unplugged. */ }
       },
     };
   }
-  // Another device or board begins anew.
+  // Starts with another device or board.
   function begin(board) {
     up();
     leave();
@@ -112,16 +112,16 @@
     if (port) return begin(null);
     if (!navigator.serial || !WebAssembly.Suspending) return notice(CANNOT);
     let chosen;
-    // Whoever closes the browser's list has chosen none.
+    // Closing the browser's list means no choice.
     try { chosen = await navigator.serial.requestPort(BOARDS); } catch { return; }
     try {
       await chosen.open({ baudRate: 115200, bufferSize: 1 << 18 });
       await chosen.setSignals({ dataTerminalReady: true });
     } catch (error) {
-      // An open port that is not used would keep everybody else out.
+      // An open port that is not used would lock out other programs.
       await chosen.close().catch(() => {});
       const why = `The port cannot be opened (${error.message}): close the program that uses it.`;
-      return notice(`${why} The simulation goes on.`);
+      return notice(`${why} The simulation continues.`);
     }
     begin(chosen);
   };

@@ -1,32 +1,32 @@
 //! The serial port of a board that the page has opened: the worker (src/worker.js) carries its bytes.
 
-use crate::{BUFFER, answer};
+use crate::{BUFFER, set_buffer};
 use haptic_host::link::Wire;
 use std::io;
 use std::time::Duration;
 
-/// How much longer than over the tool's own ports an answer may take: the page's thread hands the bytes on, and may be
-/// busy with something else.
+/// Extra time for a reply in addition to that of the tool's own ports, because the page's thread carries the bytes and
+/// may be busy.
 const PAGE: Duration = Duration::from_secs(3);
 
-/// The port; there is one.
+/// The only port.
 pub struct PagePort;
 
 impl Wire for PagePort {
     fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
-        answer(bytes);
+        set_buffer(bytes);
         worker::send();
         Ok(())
     }
 
     fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> io::Result<usize> {
-        let there = worker::receive(buffer.len(), 1e3 * timeout.as_secs_f64());
-        let came = BUFFER.take();
-        if !there {
-            return Err(io::Error::new(io::ErrorKind::UnexpectedEof, String::from_utf8_lossy(&came)));
+        let is_open = worker::receive(buffer.len(), 1e3 * timeout.as_secs_f64());
+        let bytes = BUFFER.take();
+        if !is_open {
+            return Err(io::Error::new(io::ErrorKind::UnexpectedEof, String::from_utf8_lossy(&bytes)));
         }
-        let count = came.len().min(buffer.len());
-        buffer[..count].copy_from_slice(&came[..count]);
+        let count = bytes.len().min(buffer.len());
+        buffer[..count].copy_from_slice(&bytes[..count]);
         Ok(count)
     }
 
@@ -38,39 +38,39 @@ impl Wire for PagePort {
         PAGE
     }
 
-    // The standard library draws the same numbers in every browser.
+    // The standard library draws the same numbers in every browser, so the worker draws them.
     fn draw(&mut self) -> u32 {
         worker::draw()
     }
 }
 
-/// What the worker does for the port.
+/// Functions of the worker.
 #[cfg(target_arch = "wasm32")]
 mod worker {
     #[link(wasm_import_module = "port")]
     unsafe extern "C" {
-        /// Sends what is in the buffer.
+        /// Sends the contents of the buffer.
         pub safe fn send();
-        /// Waits at most so many milliseconds for bytes, and puts what has come into the buffer, at most so many bytes.
-        /// False where the port is lost: the buffer says why.
+        /// Waits at most `milliseconds` for bytes and puts at most `most` bytes into the buffer. Returns false if the
+        /// port is lost: the buffer has the reason.
         pub safe fn receive(most: usize, milliseconds: f64) -> bool;
-        /// The time, in milliseconds.
+        /// Returns the time, ms.
         pub safe fn now() -> f64;
-        /// A number drawn by chance.
+        /// Draws a random number.
         pub safe fn draw() -> u32;
     }
 }
 
-/// In tests another port stands in for the page's.
+/// Another port for tests.
 #[cfg(not(target_arch = "wasm32"))]
 pub mod worker {
-    use crate::{BUFFER, answer};
+    use crate::{BUFFER, set_buffer};
     use haptic_host::link::Wire;
     use std::cell::RefCell;
     use std::time::Duration;
 
     thread_local! {
-        /// What is plugged in.
+        /// The port that is plugged in.
         pub static PLUGGED: RefCell<Option<Box<dyn Wire>>> = const { RefCell::new(None) };
     }
 
@@ -84,7 +84,7 @@ pub mod worker {
         let timeout = Duration::from_secs_f64(1e-3 * milliseconds);
         let count = PLUGGED.with_borrow_mut(|port| port.as_mut()?.receive(&mut bytes, timeout).ok());
         bytes.truncate(count.unwrap_or(0));
-        answer(if count.is_some() { bytes } else { b"nothing is plugged in".into() });
+        set_buffer(if count.is_some() { bytes } else { b"nothing is plugged in".into() });
         count.is_some()
     }
 

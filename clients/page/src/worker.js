@@ -1,9 +1,10 @@
 "use strict";
-// The worker: lets the library play by the browser's clock, and carries what it says: to the page, and to the port of a
-// board that the page has opened.
+// The worker runs the library by the browser's clock and carries its messages to the page, and its bytes to the port of
+// a board that the page has opened.
 onmessage = async first => {
   const { library: code, choice, board } = first.data;
-  // What has come from the port and was not fetched, who waits for it, and why the port is gone.
+  // Bytes from the port that were not fetched, the function that ends a wait for them, and the reason why the port is
+  // gone.
   const came = [];
   let wake = () => {}, gone = null, over = false;
   let library;
@@ -14,7 +15,7 @@ onmessage = async first => {
     new Uint8Array(library.memory.buffer, at, what.length).set(what);
   };
   const putWords = text => put(new TextEncoder().encode(text));
-  // The library stands still in this until bytes have come; meanwhile the page is heard.
+  // Suspends the library until bytes arrive; the page's messages are still received meanwhile.
   const receive = async (most, milliseconds) => {
     if (!came.length && gone === null) {
       let timer;
@@ -34,7 +35,7 @@ onmessage = async first => {
     receive: board ? new WebAssembly.Suspending(receive) : () => 0,
   };
   const waiting = name => board ? WebAssembly.promising(library[name]) : library[name];
-  // From the beginning: a board may be talking already.
+  // Set first, because a board may already be sending.
   onmessage = ({ data }) => {
     if (data.said) { putWords(data.said); library.said(data.at); }
     else if (data.came) { came.push(data.came); wake(); }
@@ -50,7 +51,7 @@ onmessage = async first => {
     const began = performance.now(), turn = waiting("turn");
     const play = async () => {
       try {
-        // Not longer than most of a picture, or what the page says would wait.
+        // The limit is below the interval of pictures, so that the page's messages do not wait long.
         const until = performance.now() + 12;
         let turned;
         do turned = await turn(performance.now() - began); while (turned === 1 && performance.now() < until);
@@ -61,11 +62,11 @@ onmessage = async first => {
     };
     play();
   } catch (error) { stopped(error); }
-  // The page hears of it first: a board that does not answer takes its time.
+  // The page gets the reason first, because a board that does not reply takes time.
   async function stopped(error) {
     postMessage({ stopped: String(error) });
     if (!board) return;
-    try { await waiting("finish")(1); } catch { /* It watches its host by itself. */ }
+    try { await waiting("finish")(1); } catch { /* The board watches its host itself. */ }
     postMessage({ ended: true });
   }
 };

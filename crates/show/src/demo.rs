@@ -1,8 +1,9 @@
-//! The benefit of the feed-forward, shown on a simulated board over the real protocol (`haptic demo`).
+//! Demonstrates the benefit of the feed-forward on a simulated board over the real protocol (`haptic demo`).
 //!
-//! Twice the same: a hand presses onto a wall and slides along it, once without and once with the feed-forward, with
-//! the same tremor. And twice: the stiffness is raised until the loop oscillates, beside what theory predicts. Only
-//! the simulated device's truth is hidden from the board; everything else goes through the link.
+//! A hand presses onto a wall and slides along it, once without and once with the feed-forward, with the same tremor.
+//! Then the stiffness is raised until the loop oscillates, also without and with the feed-forward, and compared with
+//! the prediction. Only the true state of the simulated device is hidden from the board; everything else goes through
+//! the link.
 
 pub mod comparison;
 pub mod crossing;
@@ -18,15 +19,15 @@ use haptic_sim::DeviceError;
 use haptic_stability::analysis::plant::Linearised;
 use haptic_stability::analysis::pose::PoseError;
 
-/// The device of the demo: strongly coupled, so the feed-forward matters.
+/// Device of the demo: strongly coupled, so that the feed-forward matters.
 pub use haptic_bridge::model::shipped::COUPLED_FIVE_BAR as DEVICE;
 
 /// The demonstration.
 #[derive(Clone, Debug)]
 pub struct Demo {
-    /// The device.
+    /// Device file.
     pub file: DeviceFile,
-    /// The pose in which the tip touches the wall, rad.
+    /// Pose in which the tip touches the wall, rad.
     pub pose: [f64; 3],
     /// The wall's unit normal, out of the solid.
     pub normal: [f64; 2],
@@ -34,9 +35,9 @@ pub struct Demo {
     pub rate_hz: f64,
     /// Cutoff of the velocity filter, Hz.
     pub cutoff_hz: f64,
-    /// Stiffness of the wall that is pressed, N/m.
+    /// Stiffness of the pressed wall, N/m.
     pub stiffness: f64,
-    /// Its damping, and that at which the stable stiffness is sought, N s/m.
+    /// Damping of the pressed wall, and damping in the search for the stable stiffness, N s/m.
     pub damping: f64,
     /// Corner of the washout, Hz.
     pub washout_hz: f64,
@@ -44,19 +45,19 @@ pub struct Demo {
     pub seed: u64,
 }
 
-/// Why the demo did not come to its end.
+/// Reason why the demo failed.
 #[derive(Debug, thiserror::Error)]
 pub enum DemoError {
     /// The device cannot be simulated.
     #[error(transparent)]
     Device(#[from] DeviceError),
-    /// The board could not be asked, or refused.
+    /// The board could not be reached, or refused.
     #[error(transparent)]
     Board(#[from] BoardError),
     /// The search for the stable stiffness failed.
     #[error(transparent)]
     Measure(#[from] MeasureError),
-    /// The pose is no good.
+    /// The pose cannot be used.
     #[error(transparent)]
     Pose(#[from] PoseError),
     /// The prediction failed.
@@ -76,20 +77,21 @@ impl From<DemoError> for Failure {
     }
 }
 
-/// The inertia that the wall meets, kg.
+/// Inertia that the wall meets, kg.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Inertia {
     /// Weff: without feed-forward.
     pub effective: f64,
-    /// Wrr: with it.
+    /// Wrr: with feed-forward.
     pub rendered: f64,
 }
 
 impl Demo {
-    /// The demo that ships.
+    /// Returns the demo of this tool.
     ///
-    /// The pose is the device's good working pose and the normal one of its worst (`haptic map`). 1 kHz and 100 Hz are
-    /// what a computer-controlled device usually has; there the loop, not the motors, limits how hard a wall can be.
+    /// The pose is a good working pose of the device, and the normal is one of the worst there (`haptic map`). 1 kHz
+    /// and 100 Hz are typical of computer-controlled devices; at these rates the loop, not the motors, limits the
+    /// stiffness.
     pub fn shipped(seed: u64) -> Result<Self, Failure> {
         let (sine, cosine) = 75.0_f64.to_radians().sin_cos();
         Ok(Self {
@@ -105,24 +107,24 @@ impl Demo {
         })
     }
 
-    /// Joint angles of the pose, as many as there are.
+    /// Returns the joint angles of the pose.
     pub fn q(&self) -> &[f64] {
         &self.pose[..self.file.spec().joints]
     }
 
-    /// The inertia that the wall meets.
+    /// Computes the inertia that the wall meets.
     pub fn inertia(&self) -> Result<Inertia, DemoError> {
-        let seen = Linearised::at(&self.file.description, self.q(), &self.normal)?;
-        let rendered = seen.w_rr();
-        Ok(Inertia { effective: seen.w_eff().unwrap_or(rendered), rendered })
+        let linearised = Linearised::at(&self.file.description, self.q(), &self.normal)?;
+        let rendered = linearised.w_rr();
+        Ok(Inertia { effective: linearised.w_eff().unwrap_or(rendered), rendered })
     }
 
-    /// The command line that prints what the wall meets, Weff and Wrr.
+    /// Returns the command line that prints Weff and Wrr.
     pub fn model_line(&self) -> String {
         format!("haptic model devices/{}.toml {}", self.file.name, self.pose_options())
     }
 
-    /// The command line that prints the predicted stiffness: its highest kp without feed-forward and with the washout.
+    /// Returns the command line that prints the predicted highest stiffness without feed-forward and with the washout.
     pub fn range_line(&self, delay_samples: f64) -> String {
         format!(
             "haptic range devices/{}.toml {} --rate {} --cutoff {} --delay {delay_samples:.6} --undamped --kd {} --washout {}",
@@ -141,7 +143,7 @@ impl Demo {
         format!("--q {} --normal {nx:.6},{ny:.6}", q.join(","))
     }
 
-    /// A scene with the demo's wall through `point`.
+    /// Returns a scene with the demo's wall through `point`.
     pub fn scene(&self, point: [f64; 2], feed_forward: FeedForward) -> Scene<f32> {
         let flat = |v: [f64; 2]| [v[0] as f32, v[1] as f32, 0.0];
         let wall = Wall {
@@ -155,7 +157,7 @@ impl Demo {
         };
         let mut scene =
             Scene { task: 2, rate_hz: self.rate_hz as f32, cutoff_hz: self.cutoff_hz as f32, ..Scene::default() };
-        // A scene holds eight walls.
+        // A scene has room for eight walls.
         let _ = scene.walls.push(wall);
         scene
     }

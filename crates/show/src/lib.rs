@@ -1,7 +1,7 @@
-//! Shows devices and what was measured on them: drawings, the page of `haptic view`, the monitor in a terminal, and
-//! recordings. Recordings are read and written without any feature; PNG (feature `png`), the doors to browsers and to
-//! programs made for other devices (`serve`) and the monitor (`monitor`) each bring what they need. The demonstration
-//! is here as well: a wall that buzzes without the feed-forward and stands with it, with its picture.
+//! Shows devices and measurements on them: drawings, the page of `haptic view`, the monitor in a terminal, and
+//! recordings. Recordings are read and written without any feature; PNG (feature `png`), the servers for browsers and
+//! for programs made for other devices (`serve`) and the monitor (`monitor`) each bring their own dependencies. The
+//! demonstration is also here: a wall that buzzes without the feed-forward and is quiet with it, with its picture.
 //!
 //! ```
 //! use haptic_show::recorder::Recording;
@@ -13,11 +13,11 @@
 //! assert_eq!(recording.rows[1][force], 1.25);
 //! ```
 //!
-//! | to | begin at |
+//! | to | see |
 //! |---|---|
-//! | record, and play a recording once more | [`recorder`], [`replay`] |
+//! | record, and replay a recording | [`recorder`], [`replay`] |
 //! | draw | [`plot`] |
-//! | show a device in the browser, in a terminal | [`view`], `monitor` |
+//! | show a device in the browser or in a terminal | [`view`], `monitor` |
 //! | let programs made for other devices use one | `haply` |
 #![forbid(unsafe_code)]
 

@@ -1,36 +1,36 @@
-//! The outline of a wall in a drawing of the plane of x and y: the one place that knows it for every shape, used by the
-//! page and by the terminal.
+//! The outline of a wall in a drawing of the xy plane, for every shape. The page and the terminal share this code.
 
 use haptic_bridge::render::scene::Surface;
 use serde::{Deserialize, Serialize};
 
-/// A direction this close to square on the plane, or along it, is so: its sine.
+/// Sine of the largest angle from the plane (or its normal) at which a direction still counts as in the plane (or
+/// normal to it).
 const SQUARE_SINE: f64 = 1e-3;
 
-/// The section of a wall's surface.
+/// The intersection of a wall's surface with the drawing plane.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "is", rename_all = "kebab-case")]
 pub enum Outline {
-    /// A straight line without ends.
+    /// An infinite straight line.
     Line {
-        /// A point of it, m.
+        /// A point on the line, m.
         at: [f64; 2],
-        /// Out of the solid.
+        /// Direction out of the solid.
         normal: [f64; 2],
     },
     /// A circle.
     Circle {
-        /// Its centre, m.
+        /// Centre, m.
         at: [f64; 2],
-        /// m
+        /// Radius, m.
         radius: f64,
-        /// The tip moves inside; the solid is around it.
+        /// True if the tip moves inside and the solid is around it.
         inside: bool,
     },
 }
 
-/// The outline of a surface; `None` if that is neither a line nor a circle, as of an oblique cylinder or of a plane
-/// seen face on: callers have to say so.
+/// Returns the outline of a surface; `None` if the outline is neither a line nor a circle, for example of an oblique
+/// cylinder or of a plane parallel to the drawing. Callers must report `None`.
 pub fn outline(surface: &Surface<f64>) -> Option<Outline> {
     let flat = |point: [f64; 3]| [point[0], point[1]];
     match surface {
@@ -49,7 +49,8 @@ pub fn outline(surface: &Surface<f64>) -> Option<Outline> {
     }
 }
 
-/// The same for a device whose task is the length of an arc with this radius (m) about the origin: a wall across the arc.
+/// Returns the outline for a device whose task is the length of an arc with this radius (m) about the origin: a wall
+/// across the arc.
 pub fn on_an_arc(surface: &Surface<f64>, radius: f64) -> Option<Outline> {
     let Surface::Plane(plane) = surface else { return None };
     let (sin, cos) = (plane.point[0] / radius).sin_cos();
@@ -58,7 +59,7 @@ pub fn on_an_arc(surface: &Surface<f64>, radius: f64) -> Option<Outline> {
 }
 
 impl Outline {
-    /// A point of it, or its centre, m.
+    /// Returns a point on the line, or the centre of the circle, m.
     pub fn at(&self) -> [f64; 2] {
         match self {
             Self::Line { at, .. } | Self::Circle { at, .. } => *at,
@@ -72,7 +73,7 @@ mod tests {
     use haptic_bridge::render::scene::{Cylinder, Plane, Sphere};
 
     #[test]
-    fn what_is_neither_line_nor_circle_has_no_outline() {
+    fn oblique_cylinders_and_facing_planes_have_no_outline() {
         let point = [0.1, 0.2, 0.3];
         let plane = |normal| outline(&Surface::Plane(Plane { point, normal }));
         let rod = |axis| outline(&Surface::Cylinder(Cylinder { point, axis, radius: 0.05, inside: true }));

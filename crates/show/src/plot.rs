@@ -1,20 +1,20 @@
-//! Pictures for papers and bench notes: SVG by hand, PNG from the same SVG.
+//! Pictures for papers and notes: SVG by hand, PNG from the same SVG.
 //!
-//! - [`canvas`]: an SVG document and its few shapes
+//! - [`canvas`]: an SVG document and its shapes
 //! - [`axes`]: a framed coordinate system with round ticks, curves, dots with error bars, and a legend
-//! - [`colour`]: the palette, and a colour scale that reads the same in print
+//! - [`colour`]: the palette, and a colour scale that also works in print
 //! - [`coupling`]: a device moved along a normal, and its coupling over all directions (the paper's Fig. 1)
 //! - [`device`]: a device at home, with its joints
 //! - [`linkage`]: a device's links and joints
 //! - [`map`]: inertia over the workspace (the paper's Fig. 1)
-//! - [`paddle`]: what a map is to a device with one joint
-//! - [`paper`]: how wide a picture is on a screen and on paper, and text that fits it
+//! - [`paddle`]: the counterpart of a map for a device with one joint
+//! - [`paper`]: the width of a picture on a screen and on paper, and text that fits it
 //! - [`range`]: the stable domain of a device (the paper's Fig. 3)
 //! - [`signals`]: a recording over time, over penetration, as a spectrum, as a phase portrait
-//! - [`speed`]: what each way of computing the control step costs, over its error
-//! - [`why`]: what each effect takes from it
+//! - [`speed`]: the cost of each way to compute the control step, over its error
+//! - [`why`]: the reduction of the stable range by each effect
 //!
-//! PNG is rendered by resvg with the DejaVu fonts compiled in, so a picture looks the same on every machine.
+//! PNG is rendered by resvg with the DejaVu fonts compiled in, so a picture is the same on every machine.
 
 pub mod axes;
 pub mod canvas;
@@ -39,18 +39,18 @@ use thiserror::Error;
 /// Pixels of a PNG per unit of its SVG.
 #[cfg(feature = "png")]
 const PNG_SCALE: f32 = 2.0;
-/// The same where the SVG has a size on paper, whose units are 96 to the inch: 600 pixels to the inch.
+/// The same for an SVG with a size on paper, whose units are 96 to the inch: 600 pixels to the inch.
 #[cfg(feature = "png")]
 const PRINTED_SCALE: f32 = 600.0 / 96.0;
 
-/// Why a picture could not be written.
+/// Reason why a picture could not be written.
 #[derive(Debug, Error)]
 pub enum PictureError {
     /// The file could not be written.
     #[error(transparent)]
     File(#[from] Failure),
-    /// The drawing could not be turned into pixels.
-    #[error("the picture could not be drawn: {0}")]
+    /// The drawing could not be converted to pixels.
+    #[error("the picture cannot be drawn: {0}")]
     Drawing(String),
 }
 
@@ -67,31 +67,31 @@ impl From<PictureError> for Failure {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Picture {
     svg: String,
-    /// It has a size on paper, which says how many pixels it takes.
+    /// True if the picture has a size on paper, which determines its number of pixels.
     #[cfg_attr(not(feature = "png"), allow(dead_code, reason = "pixels are PNG's"))]
     printed: bool,
 }
 
 impl Picture {
-    /// The SVG document.
+    /// Returns the SVG document.
     pub fn svg(&self) -> &str {
         &self.svg
     }
 
-    /// Writes it as SVG, in the place of what is there: whether it may be is asked before the work is done
-    /// ([`output::check`]).
+    /// Writes the picture as SVG and replaces an existing file: callers check that before the work ([`output::check`]).
     pub fn save_svg(&self, path: &Path) -> Result<(), PictureError> {
         Ok(output::write(path, self.svg.as_bytes(), Overwrite::Replace)?)
     }
 
     #[cfg(feature = "png")]
-    /// Writes it as PNG, two pixels per unit, or 600 to the inch of one with a size on paper; as [`Picture::save_svg`].
+    /// Writes the picture as PNG, with two pixels per unit, or with 600 per inch if it has a size on paper; as
+    /// [`Picture::save_svg`].
     pub fn save_png(&self, path: &Path) -> Result<(), PictureError> {
         Ok(output::write(path, &self.png()?, Overwrite::Replace)?)
     }
 
     #[cfg(feature = "png")]
-    /// The PNG's bytes.
+    /// Returns the bytes of the PNG.
     pub fn png(&self) -> Result<Vec<u8>, PictureError> {
         use resvg::{tiny_skia, usvg};
         let drawing = |reason: String| PictureError::Drawing(reason);

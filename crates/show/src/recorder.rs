@@ -1,8 +1,8 @@
-//! Recordings: telemetry rows in a file that is whole at every moment, CSV or MCAP ([`mcap`]) by its ending.
+//! Recordings: telemetry rows in a file that is consistent at every moment, CSV or MCAP ([`mcap`]) by its extension.
 //!
-//! Rows of a CSV file reach the file in blocks of whole lines. What does not fit onto a disk that is full is taken back
-//! to the last whole line, and the rows that are there are counted. A file whose writer was killed in the middle of a
-//! block is still read up to its last whole line.
+//! Rows of a CSV file reach the file in blocks of complete lines. On a full disk the file is truncated to its last
+//! complete line, and the rows in it are counted. A file whose writer was killed in the middle of a block is readable
+//! up to its last complete line.
 
 pub mod about;
 pub mod mcap;
@@ -23,22 +23,22 @@ use std::path::{Path, PathBuf};
 /// Bytes gathered before they are written; `flush` writes them earlier.
 const BLOCK: usize = 64 * 1024;
 
-/// The states' words in a recording, by their numbers.
+/// Names of the states in a recording, by their numbers.
 pub const STATES: [&str; 4] = ["Disarmed", "Armed", "CheckingPolarity", "Fault"];
 
-/// A number, or what it is called.
+/// A number or a name in a recording.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Value {
-    /// As it is.
+    /// A number in double precision.
     Number(f64),
-    /// As the board has it, in the fewest digits that mean it.
+    /// A number in the board's single precision, with the fewest digits that identify it.
     Single(f32),
-    /// One of a few.
+    /// One of a fixed set of words.
     Word(&'static str),
 }
 
 impl Value {
-    /// A column's number: a state by its name, what the board measured in its own precision.
+    /// Converts a column's number: a state to its name, a measured value to the board's precision.
     pub fn of(column: &Column, value: f64) -> Self {
         let state = (column.field == Field::State && column.axis == 0).then(|| STATES.get(value as usize)).flatten();
         match (state, column.field) {
@@ -63,10 +63,10 @@ impl std::fmt::Display for Value {
 /// Destination of the lines.
 #[derive(Debug)]
 enum Sink {
-    /// `whole`: bytes of the file in whole lines; none where it cannot be cut (a pipe).
+    /// `complete`: bytes of complete lines in the file; `None` if it cannot be truncated (a pipe).
     File {
         file: File,
-        whole: Option<u64>,
+        complete: Option<u64>,
     },
     StandardOutput,
 }
@@ -81,16 +81,16 @@ pub struct Recorder {
     /// Rows in the file, and in the block.
     rows: u64,
     gathered: u64,
-    /// Bytes that were written.
+    /// Written bytes.
     bytes: u64,
 }
 
-/// Why rows could not be written.
+/// Reason why rows could not be written.
 #[derive(Debug)]
 pub enum RecordError {
     /// The reader has closed the pipe, which is no error.
     ReaderGone,
-    /// Anything else.
+    /// Any other failure.
     Failed(Failure),
 }
 
@@ -101,8 +101,8 @@ impl Recorder {
         let sink = if path == Path::new("-") {
             Sink::StandardOutput
         } else {
-            let (file, cut) = output::open(path, overwrite)?;
-            Sink::File { file, whole: cut.then_some(0) }
+            let (file, can_truncate) = output::open(path, overwrite)?;
+            Sink::File { file, complete: can_truncate.then_some(0) }
         };
         let mut recorder = Self {
             sink,
@@ -118,18 +118,19 @@ impl Recorder {
         recorder.block.push('\n');
         match recorder.flush() {
             Err(RecordError::Failed(failure)) => {
-                // Without its head it is of no use to anybody.
-                if let (Sink::File { whole: Some(_), .. }, Ok(file)) = (&recorder.sink, std::fs::canonicalize(path)) {
+                // A file without its head is useless.
+                if let (Sink::File { complete: Some(_), .. }, Ok(file)) = (&recorder.sink, std::fs::canonicalize(path))
+                {
                     let _ = std::fs::remove_file(file);
                 }
                 Err(failure)
             }
-            // Said again, and then acted on, at the first row.
+            // The first row returns this error again, and the caller handles it there.
             Ok(()) | Err(RecordError::ReaderGone) => Ok(recorder),
         }
     }
 
-    /// Adds lines that are no rows.
+    /// Adds comment lines.
     pub fn comment(&mut self, text: &str) {
         for line in text.lines() {
             self.block.push_str("# ");
@@ -138,7 +139,7 @@ impl Recorder {
         }
     }
 
-    /// Adds a row of as many values as there are columns; missing ones are left empty, further ones left out.
+    /// Adds a row with one value per column; missing values are left empty, extra ones ignored.
     pub fn row(&mut self, values: &[Value]) -> Result<(), RecordError> {
         for column in 0..self.columns {
             if column > 0 {
@@ -154,7 +155,7 @@ impl Recorder {
         if self.block.len() >= BLOCK { self.flush() } else { Ok(()) }
     }
 
-    /// Writes the gathered rows. If not all of them fit, those that fit are kept, in whole lines.
+    /// Writes the gathered rows. If not all of them fit, keeps the complete lines that fit.
     pub fn flush(&mut self) -> Result<(), RecordError> {
         let block = std::mem::take(&mut self.block);
         let gathered = std::mem::take(&mut self.gathered);
@@ -172,44 +173,45 @@ impl Recorder {
                 self.bytes += block.len() as u64;
                 Ok(())
             }
-            Sink::File { file, whole } => {
+            Sink::File { file, complete } => {
                 let Err(error) = file.write_all(block.as_bytes()) else {
                     self.rows += gathered;
                     self.bytes += block.len() as u64;
-                    whole.iter_mut().for_each(|whole| *whole += block.len() as u64);
+                    complete.iter_mut().for_each(|complete| *complete += block.len() as u64);
                     return Ok(());
                 };
-                if let Some(whole) = whole {
-                    let mut at = *whole;
-                    let cut = |file: &mut File, at: u64| file.set_len(at).and_then(|()| file.seek(SeekFrom::Start(at)));
-                    let _ = cut(file, at);
+                if let Some(complete) = complete {
+                    let mut end = *complete;
+                    let truncate =
+                        |file: &mut File, end: u64| file.set_len(end).and_then(|()| file.seek(SeekFrom::Start(end)));
+                    let _ = truncate(file, end);
                     for line in block.split_inclusive('\n') {
                         if file.write_all(line.as_bytes()).is_err() {
-                            let _ = cut(file, at);
+                            let _ = truncate(file, end);
                             break;
                         }
-                        at += line.len() as u64;
+                        end += line.len() as u64;
                         self.rows += u64::from(line.starts_with(|c: char| c.is_ascii_digit()));
                     }
-                    *whole = at;
-                    self.bytes = at;
+                    *complete = end;
+                    self.bytes = end;
                 }
                 Err(failed(&self.path, error))
             }
         }
     }
 
-    /// Rows that are in the file.
+    /// Returns the number of rows in the file.
     pub fn rows(&self) -> u64 {
         self.rows
     }
 
-    /// Bytes that are in the file.
+    /// Returns the number of bytes in the file.
     pub fn bytes(&self) -> u64 {
         self.bytes
     }
 
-    /// The place of the rows, in words.
+    /// Describes the destination of the rows.
     pub fn place(&self) -> String {
         match self.sink {
             Sink::StandardOutput => "standard output".into(),
@@ -224,22 +226,22 @@ impl Drop for Recorder {
     }
 }
 
-/// Telemetry on its way into a file.
+/// A writer of telemetry in either format.
 #[derive(Debug)]
 pub enum RowWriter {
-    /// CSV, and what its columns are.
+    /// CSV, with its columns.
     Csv(Box<Recorder>, Vec<Column>),
     /// MCAP.
     Mcap(Box<McapRecorder>),
 }
 
-/// Returns true if a file of this name is to be MCAP.
+/// Returns true if a file of this name is MCAP.
 pub fn is_mcap(path: &Path) -> bool {
-    path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("mcap"))
+    path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mcap"))
 }
 
 impl RowWriter {
-    /// Creates the file, of the format that its ending says (`-`: CSV to standard output).
+    /// Creates the file in the format of its extension (`-`: CSV to standard output).
     pub fn create(path: &Path, about: &About, columns: &[Column], overwrite: Overwrite) -> Result<Self, Failure> {
         if is_mcap(path) {
             return Ok(Self::Mcap(Box::new(McapRecorder::create(path, about, columns, overwrite)?)));
@@ -249,7 +251,7 @@ impl RowWriter {
         Ok(Self::Csv(Box::new(Recorder::create(path, about.text(), &names, overwrite)?), columns.to_vec()))
     }
 
-    /// Adds a row: its step, its time since the first (s), and a number for each column.
+    /// Adds a row: its step, its time since the first row (s), and a number for each column.
     pub fn row(&mut self, step: u32, time: f64, row: &[f64]) -> Result<(), RecordError> {
         match self {
             Self::Mcap(recorder) => recorder.row(step, time, row),
@@ -262,7 +264,7 @@ impl RowWriter {
         }
     }
 
-    /// Adds what happened at a time since the first row (s), in words.
+    /// Adds an event at a time since the first row (s).
     pub fn event(&mut self, time: f64, words: &str) -> Result<(), RecordError> {
         match self {
             Self::Mcap(recorder) => recorder.event(time, words),
@@ -273,7 +275,7 @@ impl RowWriter {
         }
     }
 
-    /// Writes what was gathered.
+    /// Writes the gathered rows.
     pub fn flush(&mut self) -> Result<(), RecordError> {
         match self {
             Self::Mcap(recorder) => recorder.flush(),
@@ -281,7 +283,7 @@ impl RowWriter {
         }
     }
 
-    /// Says what came of it; nothing more is written then.
+    /// Writes the summary, which ends the file.
     pub fn end(&mut self, words: &str, losses: &Losses) -> Result<(), RecordError> {
         match self {
             Self::Mcap(recorder) => recorder.end(words, losses),
@@ -292,7 +294,7 @@ impl RowWriter {
         }
     }
 
-    /// Rows that are in the file.
+    /// Returns the number of rows in the file.
     pub fn rows(&self) -> u64 {
         match self {
             Self::Mcap(recorder) => recorder.rows(),
@@ -300,7 +302,7 @@ impl RowWriter {
         }
     }
 
-    /// Bytes that are in the file.
+    /// Returns the number of bytes in the file.
     pub fn bytes(&self) -> u64 {
         match self {
             Self::Mcap(recorder) => recorder.bytes(),
@@ -308,7 +310,7 @@ impl RowWriter {
         }
     }
 
-    /// The place of the rows, in words.
+    /// Describes the destination of the rows.
     pub fn place(&self) -> String {
         match self {
             Self::Mcap(recorder) => recorder.path().display().to_string(),
@@ -320,22 +322,22 @@ impl RowWriter {
 /// A recording that was read.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Recording {
-    /// The comment lines, without their `# `.
+    /// Comment lines, without their `# `.
     pub about: Vec<String>,
     /// Names of the columns.
     pub columns: Vec<String>,
-    /// The rows; a state's word is its number.
+    /// The rows; a state is its number.
     pub rows: Vec<Vec<f64>>,
-    /// The file ended within a line, which was left out.
+    /// True if the file ended within a line, which was left out.
     pub torn: bool,
 }
 
 impl Recording {
-    /// Reads a file of either format. Errors name it.
+    /// Reads a file of either format. Errors name the file.
     pub fn load(path: &Path) -> Result<Self, Failure> {
-        let shown = path.display();
+        let name = path.display();
         let bytes = haptic_host::input::read_recording(path).map_err(|error| {
-            Failure::wrong(format!("{shown} cannot be read: {error}")).remedy("name a recording: a .mcap or .csv file")
+            Failure::wrong(format!("{name} cannot be read: {error}")).remedy("name a recording, a .mcap or .csv file")
         })?;
         let read = if bytes.starts_with(mcap::MAGIC) {
             mcap::parse(&bytes)
@@ -343,40 +345,39 @@ impl Recording {
             String::from_utf8(bytes).map_err(|_| "neither MCAP nor text".into()).and_then(|text| Self::parse(&text))
         };
         let recording = read.map_err(|why| {
-            Failure::wrong(format!("{shown}: {why}"))
-                .remedy("name a file that `haptic record` or `haptic stream` wrote")
+            Failure::wrong(format!("{name}: {why}")).remedy("name a file that `haptic record` or `haptic stream` wrote")
         })?;
         if recording.columns.is_empty() {
-            return Err(Failure::wrong(format!("{shown} holds no recording")).remedy("name a file of `haptic record`"));
+            return Err(Failure::wrong(format!("{name} is not a recording")).remedy("name a file of `haptic record`"));
         }
         Ok(recording)
     }
 
-    /// The text that follows this word at the beginning of a line about the recording.
+    /// Returns the text that follows this word at the beginning of a comment line.
     pub fn told(&self, word: &str) -> Option<&str> {
         self.about.iter().find_map(|line| line.strip_prefix(word)?.strip_prefix(' '))
     }
 
-    /// The control rate of the board, Hz.
+    /// Returns the control rate of the board, Hz.
     pub fn rate_hz(&self) -> Option<f64> {
         self.told("control rate")?.split(' ').next()?.parse().ok()
     }
 
-    /// The place of a column.
+    /// Returns the index of a column.
     pub fn column(&self, name: &str) -> Option<usize> {
         self.columns.iter().position(|column| column == name)
     }
 
-    /// Reads the text of a recording up to its last whole line. Errors name the line.
+    /// Parses the text of a recording up to its last complete line. Errors name the line.
     pub fn parse(text: &str) -> Result<Self, String> {
         let mut recording = Self::default();
-        let whole = text.rfind('\n').map_or(0, |end| end + 1);
-        recording.torn = whole < text.len();
+        let complete = text.rfind('\n').map_or(0, |end| end + 1);
+        recording.torn = complete < text.len();
         let number = |field: &str| {
             let state = STATES.iter().position(|state| *state == field);
             state.map_or_else(|| field.parse().ok(), |state| Some(state as f64))
         };
-        for (line_number, line) in text[..whole].lines().enumerate() {
+        for (line_number, line) in text[..complete].lines().enumerate() {
             if let Some(comment) = line.strip_prefix('#') {
                 recording.about.push(comment.trim().into());
             } else if recording.columns.is_empty() {
@@ -390,7 +391,7 @@ impl Recording {
                     Some(row) if row.len() == recording.columns.len() => recording.rows.push(row),
                     _ => {
                         let values = counted(recording.columns.len(), "value");
-                        return Err(format!("line {}: not {values}", line_number + 1));
+                        return Err(format!("line {}: expected {values}", line_number + 1));
                     }
                 }
             }
@@ -408,7 +409,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_recorded_is_read_back_exactly() {
+    fn recorded_values_are_read_back_exactly() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("a.csv");
         let mut recorder = Recorder::create(&path, "a device\n20 kHz", &columns(), Overwrite::Never).unwrap();
@@ -430,7 +431,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_board_measured_is_written_in_the_digits_that_it_has() {
+    fn single_precision_is_written_with_its_own_digits() {
         for (value, text) in [(0.1, "0.1"), (-1.862_645_1e-9, "-1.8626451e-9"), (0.0, "0"), (2.5e7, "25000000")] {
             assert_eq!(Value::Single(value).to_string(), text);
             assert_eq!(text.parse::<f32>().unwrap(), value);
@@ -438,7 +439,7 @@ mod tests {
     }
 
     #[test]
-    fn a_torn_recording_is_read_up_to_its_last_whole_line() {
+    fn torn_recordings_are_read_up_to_the_last_complete_line() {
         let recording = Recording::parse("# x\nstep,force_n\n1,2\n3,4\n5,6.1").unwrap();
         assert_eq!(recording.rows, [[1.0, 2.0], [3.0, 4.0]]);
         assert!(recording.torn);

@@ -1,9 +1,9 @@
-//! A recording played once more: its encoder counts into the simulated board's control code, torques beside torques.
+//! Replays a recording: plays its encoder counts into the simulated board's control code and compares the torques.
 //!
-//! Device, scene and rules are those of the recording. The control code is deterministic, so from the same counts at
-//! every step the same torques come, to the bit. What is not in a recording makes a difference: gains that were changed
-//! while it was made, forces that a host asked for, and what the velocity estimators remembered from before its first
-//! row, which fades within the first rows.
+//! Device, scene and rules are the recording's. The control code is deterministic, so the same counts at every step
+//! give the same torques to the bit. Inputs that are not in the recording cause differences: gains that changed during
+//! the recording, forces from a host, and the state of the velocity estimators before the first row, which fades within
+//! the first rows.
 
 use crate::recorder::{Recording, STATES};
 use haptic_bridge::board::settings::Setting;
@@ -23,42 +23,42 @@ use haptic_host::words::counted;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
-/// A torque that differs, and by how much.
+/// A torque difference.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Difference {
     /// Control step of the board.
     pub step: u64,
-    /// Since the recording's first row, s.
+    /// Time since the recording's first row, s.
     pub time_s: f64,
     /// Joint, from 0.
     pub joint: usize,
-    /// N m
+    /// Torque in the recording, N m.
     pub recorded: f32,
-    /// N m
+    /// Torque of the replay, N m.
     pub replayed: f32,
-    /// Steps of single precision from one to the other: 1 for neighbouring numbers.
+    /// Number of single-precision steps between the two: 1 for neighbouring numbers.
     pub steps_of_precision: u64,
 }
 
-/// The result of a replay.
+/// Result of a replay.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Replayed {
     /// Rows that were played.
     pub rows: u64,
-    /// Of these, rows with the motors on.
+    /// Played rows with the motors on.
     pub armed: u64,
     /// Rows in which a torque differs.
     pub differing: u64,
     /// The first difference.
     pub first: Option<Difference>,
-    /// The largest.
+    /// The largest difference.
     pub largest: Option<Difference>,
-    /// Why not all rows were played.
+    /// Reason why the replay stopped early; `None` if all rows were played.
     pub stopped: Option<String>,
 }
 
 impl Replayed {
-    /// Every row was played, and every torque is the same to the bit.
+    /// Returns true if every row was played and every torque is the same to the bit.
     pub fn is_same(&self) -> bool {
         self.differing == 0 && self.stopped.is_none()
     }
@@ -66,13 +66,13 @@ impl Replayed {
 
 fn setting<S: Setting>(settings: &BTreeMap<String, SavedSetting>, name: &str) -> Result<S, Failure> {
     let missing = || {
-        Failure::wrong(format!("the recording says nothing of the board's {name}"))
+        Failure::wrong(format!("the recording does not have the board's {name}"))
             .remedy("record with a device and a scene loaded, by haptic record")
     };
     settings.get(name).ok_or_else(missing)?.read().map_err(Failure::wrong)
 }
 
-/// The numbers of the recording's columns, by their contents.
+/// Indices of the recording's columns.
 struct Columns {
     step: usize,
     time: usize,
@@ -91,24 +91,24 @@ impl Columns {
                     .choose(Choice::Fields)
             })
         };
-        let each = |name: &str, unit: &str| {
+        let per_joint = |name: &str, unit: &str| {
             (0..joints).map(|i| column(format!("{name}{i}{unit}"))).collect::<Result<Vec<usize>, Failure>>()
         };
         Ok(Self {
             step: column("step".into())?,
             time: column("time_s".into())?,
             state: column("state".into())?,
-            counts: each("counts", "")?,
-            torque: each("torque", "_n_m")?,
-            q: each("q", "_rad")?,
+            counts: per_joint("counts", "")?,
+            torque: per_joint("torque", "_n_m")?,
+            q: per_joint("q", "_rad")?,
         })
     }
 }
 
-/// Plays a recording.
+/// Replays a recording.
 pub fn replay(recording: &Recording) -> Result<Replayed, Failure> {
     let settings = recording.told("settings").ok_or_else(|| {
-        Failure::wrong("the recording does not hold the board's settings").remedy("record with haptic record")
+        Failure::wrong("the recording does not have the board's settings").remedy("record with haptic record")
     })?;
     let settings: BTreeMap<String, SavedSetting> = serde_json::from_str(settings).map_err(Failure::wrong)?;
     let (device, scene): (Device<f32>, Scene<f32>) = (setting(&settings, "device")?, setting(&settings, "scene")?);
@@ -121,16 +121,14 @@ pub fn replay(recording: &Recording) -> Result<Replayed, Failure> {
     if rows.get(1).is_some_and(|second| second[columns.step] - first[columns.step] > 1.5) {
         let every = rows[1][columns.step] - first[columns.step];
         return Err(Failure::wrong(format!(
-            "the recording holds one control step in {every}, and a replay needs every one"
+            "the recording has one control step in {every}, and a replay needs every step"
         ))
-        .remedy("record at the control rate: haptic record does where the link carries it, with fewer fields")
+        .remedy("record at the control rate: haptic record does if the link carries it, with fewer fields")
         .choose(Choice::Fields));
     }
     if drives(first[columns.state] as usize) {
-        return Err(Failure::wrong(
-            "the motors are on in the first row: what the control step remembered is not known",
-        )
-        .remedy("begin to record before arming, as haptic record does where it arms itself"));
+        return Err(Failure::wrong("the motors are on in the first row: the state of the controller is not known")
+            .remedy("begin to record before arming, as haptic record does with --arm"));
     }
 
     let hardware = Hardware {
@@ -144,29 +142,29 @@ pub fn replay(recording: &Recording) -> Result<Replayed, Failure> {
     let program = Program::new(&hardware, &rules.limits, &device, &scene, false).map_err(Failure::wrong)?;
     control_loop.execute(Command::Program(Box::new(program))).0.map_err(Failure::wrong)?;
 
-    // Counts at angle zero as homing set them: what the recorded angle leaves of the recorded count.
+    // Counts at angle zero, as homing set them: the recorded count minus the count of the recorded angle.
     let zero: Vec<i64> = (0..joints)
         .map(|i| {
             let joint = &device.joints[i];
-            let turned = (first[columns.q[i]] - f64::from(joint.offset)) / f64::from(joint.radians_per_count);
-            first[columns.counts[i]] as i64 - turned.round() as i64
+            let counted_angle = (first[columns.q[i]] - f64::from(joint.offset)) / f64::from(joint.radians_per_count);
+            first[columns.counts[i]] as i64 - counted_angle.round() as i64
         })
         .collect();
     let mut replayed = Replayed::default();
-    let mut due = first[columns.step];
+    let mut expected = first[columns.step];
     for row in rows {
         let (step, time_s) = (row[columns.step], row[columns.time]);
-        if step != due {
-            let lost = counted((step - due).max(0.0), "row");
+        if step != expected {
+            let lost = counted((step - expected).max(0.0), "row");
             replayed.stopped = Some(format!("{lost} missing before step {step}; played up to there"));
             break;
         }
-        due = (step + 1.0) % 4_294_967_296.0;
+        expected = (step + 1.0) % 4_294_967_296.0;
         let recorded = row[columns.state] as usize;
-        if let Err(refusal) = follow(&mut control_loop, recorded) {
+        if let Err(refusal) = enter_state(&mut control_loop, recorded) {
             replayed.stopped = Some(format!(
                 "at step {step} the recording is {}, and the simulated board refuses: {refusal}",
-                STATES.get(recorded).unwrap_or(&"in no state that is known")
+                STATES.get(recorded).unwrap_or(&"in an unknown state")
             ));
             break;
         }
@@ -180,8 +178,8 @@ pub fn replay(recording: &Recording) -> Result<Replayed, Failure> {
         replayed.armed += u64::from(drives(recorded));
         let mut differs = false;
         for (joint, column) in columns.torque.iter().enumerate() {
-            let (recorded, found) = (row[*column] as f32, frame.motors.torque[joint]);
-            if recorded.to_bits() == found.to_bits() {
+            let (recorded, torque) = (row[*column] as f32, frame.motors.torque[joint]);
+            if recorded.to_bits() == torque.to_bits() {
                 continue;
             }
             differs = true;
@@ -190,8 +188,8 @@ pub fn replay(recording: &Recording) -> Result<Replayed, Failure> {
                 time_s,
                 joint,
                 recorded,
-                replayed: found,
-                steps_of_precision: apart(recorded, found),
+                replayed: torque,
+                steps_of_precision: precision_steps(recorded, torque),
             };
             replayed.first = replayed.first.or(Some(difference));
             let size = |d: &Difference| f64::from(d.recorded - d.replayed).abs();
@@ -209,8 +207,8 @@ fn drives(recorded: usize) -> bool {
     State::ALL.get(recorded).is_some_and(|state| state.drives())
 }
 
-/// Brings the control loop into the state that the row was recorded in.
-fn follow(
+/// Brings the control loop into the state of the recorded row.
+fn enter_state(
     control_loop: &mut ControlLoop<Box<Program<BoardMath>>>,
     recorded: usize,
 ) -> Result<(), haptic_bridge::safety::refusal::Refusal> {
@@ -218,7 +216,7 @@ fn follow(
     if now as usize == recorded || !now.drives() && !drives(recorded) {
         return Ok(());
     }
-    // A check that has ended turns the motors off by itself, in the step that shows it.
+    // A polarity check that ends turns the motors off by itself, in the step that shows the new state.
     if now == State::CheckingPolarity {
         return Ok(());
     }
@@ -228,18 +226,18 @@ fn follow(
     match recorded {
         armed if armed == State::Armed as usize => control_loop.execute(Command::Arm).0,
         check if check == State::CheckingPolarity as usize => control_loop.execute(Command::CheckPolarity).0,
-        // A fault that turns the motors off shows in the step that finds it.
+        // A fault turns the motors off in the step that detects it.
         _ => control_loop.execute(Command::Disarm).0,
     }
 }
 
-/// Number of steps of single precision from one to the other.
-fn apart(a: f32, b: f32) -> u64 {
-    let place = |value: f32| {
+/// Counts the single-precision steps between two numbers.
+fn precision_steps(a: f32, b: f32) -> u64 {
+    let index = |value: f32| {
         let bits = i64::from(value.to_bits() & 0x7fff_ffff);
         if value.is_sign_negative() { -bits } else { bits }
     };
-    place(a).abs_diff(place(b))
+    index(a).abs_diff(index(b))
 }
 
 #[cfg(test)]
@@ -247,10 +245,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_are_apart_by_what_lies_between_them() {
-        assert_eq!(apart(1.0, 1.0 + f32::EPSILON), 1);
-        assert_eq!(apart(-1.0, -1.0 - 2.0 * f32::EPSILON), 2);
-        assert_eq!(apart(f32::from_bits(1), -f32::from_bits(1)), 2);
-        assert_eq!(apart(0.0, -0.0), 0);
+    fn precision_steps_count_the_numbers_between() {
+        assert_eq!(precision_steps(1.0, 1.0 + f32::EPSILON), 1);
+        assert_eq!(precision_steps(-1.0, -1.0 - 2.0 * f32::EPSILON), 2);
+        assert_eq!(precision_steps(f32::from_bits(1), -f32::from_bits(1)), 2);
+        assert_eq!(precision_steps(0.0, -0.0), 0);
     }
 }

@@ -1,10 +1,10 @@
-//! A page in the browser: a device to look at, walls to drag, gains to turn, and a hand where the device is simulated
-//! (`haptic view`, docs/view.md).
+//! A page in the browser: a device, walls to drag, gains to change, and a hand if the device is simulated (`haptic
+//! view`, docs/view.md).
 //!
-//! One thread owns the board ([`stage`]); each page has a thread that carries messages ([`door`]) and a place where the
-//! newest picture waits for it ([`hub`]), so that a slow page sees fewer pictures and delays no other. Everything that
-//! a page shows is inside the tool: it loads nothing from elsewhere. Of this only [`door`] needs a network, and only
-//! [`Stage::run`] a clock: clients/page/ puts the rest into the page itself.
+//! One thread owns the board ([`stage`]). Each page has a thread that carries messages ([`door`]) and a slot for its
+//! newest picture ([`hub`]), so that a slow page gets fewer pictures and does not delay others. The complete page is
+//! inside the tool and loads nothing from elsewhere. Only [`door`] needs a network, and only [`Stage::run`] a clock;
+//! clients/page/ runs everything else inside the page itself.
 
 #[cfg(feature = "serve")]
 pub mod door;

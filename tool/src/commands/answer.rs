@@ -1,4 +1,4 @@
-//! A command's answer: words, or with `--json` one document; and pictures of it.
+//! The output of a command: words, or one document with `--json`; and pictures.
 
 use super::force::Force;
 use haptic_host::digits::print_json;
@@ -8,7 +8,7 @@ use haptic_show::plot::{Picture, PictureError};
 use serde::Serialize;
 use std::path::PathBuf;
 
-/// `--json`, which every command takes that has more to say than that it is done.
+/// `--json`, an option of every command that has results to print.
 #[derive(Clone, Copy, clap::Args)]
 pub struct Json {
     /// Print one JSON document
@@ -17,18 +17,18 @@ pub struct Json {
 }
 
 impl Json {
-    /// Returns true if the document was asked for.
+    /// Returns true if the document was requested.
     pub fn asked(self) -> bool {
         self.asked
     }
 
-    /// Prints the document where that was asked for, else these words.
+    /// Prints the document with `--json`, otherwise these words.
     pub fn answer(self, document: impl Serialize, words: &str) -> Result<(), Failure> {
         if self.asked { print_json(document) } else { print(words) }
     }
 }
 
-/// `--svg` and `--png`, with `--width` and `--force`: which every command takes that draws its results.
+/// `--svg` and `--png`, with `--width` and `--force`: options of every command that draws its results.
 #[derive(clap::Args)]
 pub struct Pictures {
     /// Draw the picture into this SVG file
@@ -44,32 +44,32 @@ pub struct Pictures {
     force: Force,
 }
 
-/// Narrower than the numbers along an axis take, and wider than any page.
+/// Limits of the width: narrower pictures have no room for the numbers along an axis, wider ones fit no page.
 const WIDTHS_MM: (f64, f64) = (60.0, 400.0);
 
 fn width(text: &str) -> Result<f64, String> {
-    let (least, most) = WIDTHS_MM;
-    let width = text.parse().ok().filter(|mm| (least..=most).contains(mm));
-    width.ok_or_else(|| format!("write {least} to {most} mm; a column of a paper has 85, its page 170"))
+    let (min, max) = WIDTHS_MM;
+    let width = text.parse().ok().filter(|mm| (min..=max).contains(mm));
+    width.ok_or_else(|| format!("write {min} to {max} mm; a column of a paper has 85, its page 170"))
 }
 
 impl Pictures {
     /// Refuses, before any work is done, files that could not be written after it.
     pub fn check(&self) -> Result<(), Failure> {
-        self.force.pictures(self.svg.as_ref(), self.png.as_ref())
+        self.force.check_pictures(self.svg.as_ref(), self.png.as_ref())
     }
 
-    /// Returns true if a picture was asked for.
+    /// Returns true if a picture was requested.
     pub fn asked(&self) -> bool {
         self.svg.is_some() || self.png.is_some()
     }
 
-    /// The width that they were asked for.
+    /// Returns the requested width.
     pub fn paper(&self) -> Paper {
         Paper(self.width)
     }
 
-    /// Writes the files that were asked for.
+    /// Writes the requested files.
     pub fn save(&self, picture: &Picture) -> Result<(), PictureError> {
         self.svg.as_deref().map_or(Ok(()), |path| picture.save_svg(path))?;
         self.png.as_deref().map_or(Ok(()), |path| picture.save_png(path))

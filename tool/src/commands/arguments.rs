@@ -1,4 +1,4 @@
-//! Readers of numbers, directions and words from the command line.
+//! Parsers of numbers, directions and words of the command line.
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use haptic_bridge::model::admissible::Admissible;
@@ -41,7 +41,7 @@ impl std::fmt::Display for Numbers {
 }
 
 impl Numbers {
-    /// The numbers, if there are exactly `count`; `option` and `meaning` are for the message.
+    /// Returns the numbers if there are exactly `count`; `option` and `meaning` are for the message.
     pub fn exactly(&self, count: usize, option: &str, meaning: &str) -> Result<Vec<f64>, Failure> {
         if self.0.len() == count {
             return Ok(self.0.clone());
@@ -51,7 +51,7 @@ impl Numbers {
         Err(Failure::wrong(reason).remedy("separate them with commas, without spaces"))
     }
 
-    /// One positive number for each of `walls` walls.
+    /// Returns one positive number for each of `walls` walls.
     pub fn per_wall(&self, walls: usize, option: &str) -> Result<Vec<f64>, Failure> {
         if self.0.len() != walls {
             let numbers = counted(self.0.len(), "number");
@@ -64,7 +64,8 @@ impl Numbers {
         Ok(self.0.clone())
     }
 
-    /// Which of `walls` walls have the feed-forward: all but those that `without` counts, from 0, and some.
+    /// Returns which of `walls` walls have the feed-forward: all except the indices in `without`, which count from 0.
+    /// At least one must remain.
     pub fn with_feed_forward(without: Option<&Self>, walls: usize, option: &str) -> Result<Vec<bool>, Failure> {
         let mut with = vec![true; walls];
         for index in without.iter().flat_map(|without| &without.0) {
@@ -77,12 +78,14 @@ impl Numbers {
         }
         if walls > 0 && !with.contains(&true) {
             let reason = format!("{option} leaves no wall with a feed-forward");
-            return Err(Failure::wrong(reason).remedy("leave one out: results without any stand beside those with it"));
+            return Err(
+                Failure::wrong(reason).remedy("leave one out: results without any feed-forward are printed too")
+            );
         }
         Ok(with)
     }
 
-    /// A direction of `task` entries, made a unit vector.
+    /// Returns a direction of `task` entries as a unit vector.
     pub fn unit(&self, task: usize, option: &str) -> Result<Vec<f64>, Failure> {
         let values = self.exactly(task, option, "task directions")?;
         unit(&values).ok_or_else(|| {
@@ -91,7 +94,7 @@ impl Numbers {
     }
 }
 
-/// A device file, and where the device stands.
+/// A device file and the pose of the device.
 #[derive(clap::Args)]
 pub struct DeviceAt {
     /// Device file (TOML)
@@ -102,16 +105,16 @@ pub struct DeviceAt {
 }
 
 impl DeviceAt {
-    /// The joint angles that were typed, or else those of the file's home.
+    /// Returns the joint angles that were typed, or else the home of the file.
     pub fn pose(&self, file: &DeviceFile) -> Result<Vec<f64>, Failure> {
         pose(self.q.as_ref(), file)
     }
 }
 
-/// What a redundant device holds.
+/// The coordinate that a redundant device holds.
 #[derive(clap::Args)]
 pub struct Holding {
-    /// What a redundant device holds
+    /// Coordinate that a redundant device holds
     #[arg(long, value_name = "COORDINATE", default_value = "orientation", value_parser = admissible())]
     pub admissible: Admissible,
 }
@@ -119,13 +122,13 @@ pub struct Holding {
 /// Walls that act together.
 #[derive(clap::Args)]
 pub struct WallArgs {
-    /// Normal of a wall at the tip, any length; once per wall that acts
+    /// Normal of a wall at the tip, of any length; once for each wall that acts
     #[arg(long, value_name = "X,Y,..", required = true, allow_hyphen_values = true)]
     normal: Vec<Numbers>,
-    /// Each wall's part of stiffness and damping, with several --normal; results are the totals [default: equal parts]
+    /// Part of each wall in stiffness and damping, with several --normal; results are the totals [default: equal parts]
     #[arg(long, value_name = "A,B,..", allow_hyphen_values = true)]
     share: Option<Numbers>,
-    /// Walls whose feed-forward is off beside others that have it, counted from 0 in the order of --normal
+    /// Walls whose feed-forward is off while others have it, counted from 0 in the order of --normal
     #[arg(long, value_name = "I,J,..")]
     no_feed_forward: Option<Numbers>,
 }
@@ -141,12 +144,12 @@ impl WallArgs {
         self.normal.iter()
     }
 
-    /// Each wall's part, as it was typed, where several share.
+    /// Returns each wall's part as it was typed; `None` for one wall.
     pub fn parts(&self) -> Option<&Numbers> {
         self.share.as_ref().filter(|_| self.normal.len() > 1)
     }
 
-    /// Each wall with its part, at a tip of `task` dimensions.
+    /// Returns each wall with its part, at a tip of `task` dimensions.
     pub fn members(&self, task: usize) -> Result<Vec<Member>, Failure> {
         let shares = match &self.share {
             Some(share) => share.per_wall(self.count(), "--share")?,
@@ -160,7 +163,7 @@ impl WallArgs {
         self.normal.iter().zip(parts).map(member).collect()
     }
 
-    /// The options that ask for the same walls.
+    /// Returns the options that describe the same walls.
     pub fn line(&self) -> String {
         let mut line: String = self.normal.iter().map(|normal| format!(" --normal={normal}")).collect();
         if let Some(parts) = self.parts() {
@@ -173,35 +176,35 @@ impl WallArgs {
     }
 }
 
-/// The joint angles that were typed after --q, or else those of the file's home.
+/// Returns the joint angles of --q, or else the home of the file.
 pub fn pose(q: Option<&Numbers>, file: &DeviceFile) -> Result<Vec<f64>, Failure> {
     let joints = file.spec().joints;
     match (q, file.description.home) {
         (Some(q), _) => q.exactly(joints, "--q", "joint angles"),
         (None, Some(home)) => Ok(home[..joints].to_vec()),
         (None, None) => Err(Failure::wrong(format!("{} has no [home], so there is no pose", file.path.display()))
-            .remedy("say which with --q")),
+            .remedy("give the joint angles with --q")),
     }
 }
 
-/// A device file, with what is doubtful about it. What lies between motor and link is left out where `for_a_loop` is
-/// false: inertia does not depend on it.
+/// Loads a device file with warnings about implausible values. If `for_a_loop` is false, warnings about the
+/// transmission are left out, because inertia does not depend on it.
 pub fn device(path: &Path, for_a_loop: bool) -> Result<(DeviceFile, Vec<Warning>), Failure> {
     let document = Document::load(path)?;
     let file = DeviceFile::read(&document)?;
-    let mut doubts = plausible::device::doubts(&file);
-    doubts.retain(|doubt| for_a_loop || doubt.key.is_none_or(|key| key.name != "transmission"));
-    let warnings = doubts.into_iter().map(|doubt| doubt.about(&document)).collect();
+    let mut warnings = plausible::device::doubts(&file);
+    warnings.retain(|warning| for_a_loop || warning.key.is_none_or(|key| key.name != "transmission"));
+    let warnings = warnings.into_iter().map(|warning| warning.about(&document)).collect();
     Ok((file, warnings))
 }
 
-/// Warnings about doubtful joint angles: most likely in degrees, or beyond the joints' limits.
-pub fn pose_doubts(q: &[f64], file: &DeviceFile) -> Vec<Warning> {
-    let mut doubts = plausible::angles(q, "--q", file.description.kind);
-    if doubts.is_empty() {
-        doubts = plausible::beyond_limits(q, &file.description);
+/// Returns warnings about implausible joint angles: probably in degrees, or beyond the joints' limits.
+pub fn pose_warnings(q: &[f64], file: &DeviceFile) -> Vec<Warning> {
+    let mut warnings = plausible::angles(q, "--q", file.description.kind);
+    if warnings.is_empty() {
+        warnings = plausible::beyond_limits(q, &file.description);
     }
-    doubts.into_iter().map(Doubt::typed).collect()
+    warnings.into_iter().map(Doubt::typed).collect()
 }
 
 /// Refuses a control rate that no board has.
@@ -213,72 +216,72 @@ pub fn check_rate(rate_hz: f64) -> Result<(), Failure> {
     Err(Failure::wrong(reason).remedy(format!("write {MIN_RATE_HZ} to {MAX_RATE_HZ} Hz")))
 }
 
-/// Reads one of these words as what it stands for; each comes with what it is, for the help page.
+/// Parses one of these words to its value. Each word has a description for the help page.
 pub fn one_of<T: Copy + Send + Sync + 'static>(
     words: impl IntoIterator<Item = (&'static str, &'static str, T)>,
 ) -> impl TypedValueParser<Value = T> {
     let words: Vec<_> = words.into_iter().collect();
     let listed = words.iter().map(|(word, about, _)| PossibleValue::new(word).help(*about)).collect();
-    meant(listed, words.into_iter().map(|(word, _, meaning)| (word, meaning)).collect())
+    parse_words(listed, words.into_iter().map(|(word, _, meaning)| (word, meaning)).collect())
 }
 
-/// Reads one of these words as what it stands for, where the words say enough.
-fn named<T: Copy + Send + Sync + 'static>(
+/// Parses one of these words to its value, without descriptions.
+fn one_of_names<T: Copy + Send + Sync + 'static>(
     words: impl IntoIterator<Item = (&'static str, T)>,
 ) -> impl TypedValueParser<Value = T> {
     let words: Vec<_> = words.into_iter().collect();
-    meant(words.iter().map(|(word, _)| PossibleValue::new(word)).collect(), words)
+    parse_words(words.iter().map(|(word, _)| PossibleValue::new(word)).collect(), words)
 }
 
-fn meant<T: Copy + Send + Sync + 'static>(
+fn parse_words<T: Copy + Send + Sync + 'static>(
     listed: Vec<PossibleValue>,
     words: Vec<(&'static str, T)>,
 ) -> impl TypedValueParser<Value = T> {
     PossibleValuesParser::new(listed).try_map(move |word| {
         let known = words.iter().find(|(other, _)| *other == word);
-        known.map(|(_, meaning)| *meaning).ok_or("this word stands for nothing")
+        known.map(|(_, meaning)| *meaning).ok_or("this word has no meaning")
     })
 }
 
-/// A feed-forward, by its name.
+/// Parses the name of a feed-forward.
 pub fn feed_forward() -> impl TypedValueParser<Value = FeedForward> {
     one_of(FeedForward::ALL.map(|(name, kind)| (name, what(kind), kind)))
 }
 
-/// The meaning of a kind of feed-forward, in words.
+/// Describes a kind of feed-forward.
 pub fn what(kind: FeedForward) -> &'static str {
     match kind {
         FeedForward::Off => "None",
         FeedForward::Full => "The paper's equation (4)",
-        FeedForward::Washout => "The same, gone at rest, so that a resting hand is not pushed sideways",
+        FeedForward::Washout => "The same with a high-pass filter, so that a resting hand is not pushed sideways",
     }
 }
 
-/// A velocity estimator that has a linear analysis, by its name in scene files.
+/// Parses the name, as in scene files, of a velocity estimator that has a linear analysis.
 pub fn linear_estimator() -> impl TypedValueParser<Value = Estimator> {
-    let what = |kind| match kind {
+    let describe = |kind| match kind {
         Estimator::Butterworth => "Backward difference and a 2nd-order Butterworth low-pass",
         Estimator::FirstOrder => "Backward difference and a 1st-order low-pass",
         Estimator::BackwardDifference => "Backward difference alone",
-        Estimator::Predicted(_) => "Observer that knows the motors' torques, with its poles at the cutoff",
+        Estimator::Predicted(_) => "Observer with the motors' torques as inputs and its poles at the cutoff",
         _ => "As in scene files",
     };
-    one_of(LinearEstimator::named().map(move |(name, kind)| (name, what(kind), kind)))
+    one_of(LinearEstimator::named().map(move |(name, kind)| (name, describe(kind), kind)))
 }
 
-/// The arithmetic to compute in, by its name.
+/// Parses the name of an arithmetic.
 pub fn precision() -> impl TypedValueParser<Value = Precision> {
-    named(Precision::ALL)
+    one_of_names(Precision::ALL)
 }
 
-/// A board there is firmware for, by its name.
+/// Parses the name of a board that has firmware.
 pub fn board() -> impl TypedValueParser<Value = BoardKind> {
-    named(BoardKind::ALL.map(|kind| (kind.name(), kind)))
+    one_of_names(BoardKind::ALL.map(|kind| (kind.name(), kind)))
 }
 
-/// The parser of what a redundant device holds, by its name.
+/// Parses the name of the coordinate that a redundant device holds.
 pub fn admissible() -> impl TypedValueParser<Value = Admissible> {
-    named(Admissible::ALL)
+    one_of_names(Admissible::ALL)
 }
 
 #[cfg(test)]
@@ -286,13 +289,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_linear_estimators_are_those_without_a_window_of_their_own() {
+    fn linear_estimators_have_no_window() {
         let names: Vec<&str> = LinearEstimator::named().map(|(name, _)| name).collect();
         assert_eq!(names, ["butterworth", "first-order", "backward-difference", "predicted"]);
     }
 
     #[test]
-    fn numbers_parse_with_signs_and_spaces_but_not_with_gaps() {
+    fn numbers_parse_with_signs_and_spaces_but_without_gaps() {
         assert_eq!("-0.3,1.2".parse(), Ok(Numbers(vec![-0.3, 1.2])));
         assert_eq!(" 1e-3, -2 ".parse(), Ok(Numbers(vec![1.0e-3, -2.0])));
         for wrong in ["", ",", "1,,2", "1;2", "nan", "1,inf"] {

@@ -1,4 +1,4 @@
-//! `haptic arm`: motors on, and somebody there while they are.
+//! `haptic arm`: switches the motors on, and reports to the board while they are on.
 
 use super::answer::Json;
 use super::held_key::{HeldKey, in_raw_terminal};
@@ -13,16 +13,16 @@ use serde_json::json;
 use std::io::IsTerminal;
 use std::time::{Duration, Instant};
 
-/// Switch the motors on and render the scene, until Ctrl-C where the board watches its host
+/// Switch the motors on and render the scene, until Ctrl-C if the board watches its host
 ///
-/// Torque ramps up over half a second. The board refuses, with the reason, while anything that it needs is missing. If
-/// the board's rules watch the host, as a real board's do unless told otherwise, this command stays, keeps telling the
-/// board that it is there, and switches the motors off at Ctrl-C; if it is killed or unplugged, the board does that.
-/// `haptic stream --arm` does the same and shows telemetry. If they do not (`haptic rules --host ignore`), it returns
-/// at once, and the motors stay on until somebody switches them off.
+/// Torque ramps up over half a second. The board refuses, with the reason, if a requirement is missing. If the board's
+/// rules watch the host, which is the default of a real board, this command stays, reports to the board regularly, and
+/// switches the motors off at Ctrl-C; if it is killed or unplugged, the board switches them off. `haptic stream --arm`
+/// does the same and shows telemetry. If the rules do not watch the host (`haptic rules --host ignore`), the command
+/// returns at once, and the motors stay on until they are switched off.
 ///
-/// With --key the motors are on only while Space is held in this terminal, and the board turns them off by itself half a
-/// second after the last Space that reached it, whatever its rules say and however slow the way to it is.
+/// With --key the motors are on only while Space is held in this terminal. The board turns them off by itself half a
+/// second after the last Space that reached it, with any rules and any delay of the link.
 #[derive(clap::Args)]
 pub struct Args {
     #[command(flatten)]
@@ -32,23 +32,23 @@ pub struct Args {
     key: bool,
 }
 
-/// Arms, and stays for as long as the board wants somebody there.
+/// Arms, and stays if the board watches its host.
 pub fn run(args: Args) -> Result<(), Failure> {
     let mut board = args.on.open_to_stay()?;
-    let watched = board.rules()?.host_action;
+    let host_action = board.rules()?.host_action;
     let stop = interrupt::watch();
     if args.key {
         return hold(&mut board, args.on.json, stop);
     }
     board.arm()?;
-    let document = json!({ "state": "Armed", "ramp_seconds": ARM_SECONDS, "host_action": watched });
+    let document = json!({ "state": "Armed", "ramp_seconds": ARM_SECONDS, "host_action": host_action });
     let ramp = format!("armed: torque ramps up over {ARM_SECONDS} s");
-    if watched == HostAction::Ignore {
-        let said = format!(
-            "{ramp}; nobody is watched (`haptic rules --host disarm` changes that): `haptic disarm` or the supply's \
+    if host_action == HostAction::Ignore {
+        let words = format!(
+            "{ramp}; the board does not watch its host (`haptic rules --host disarm` changes that): `haptic disarm` or the supply's \
              switch turns the motors off\n"
         );
-        return args.on.answer(document, &said);
+        return args.on.answer(document, &words);
     }
     args.on.answer(document, &format!("{ramp}; Ctrl-C turns the motors off\n"))?;
     board.keep_alive();
@@ -59,31 +59,31 @@ pub fn run(args: Args) -> Result<(), Failure> {
         match status.fault {
             Some(record) if status.state == State::Fault => return Err(motors_off(&record, rate)),
             _ if status.state != State::Armed => {
-                return told(args.on.json, "disarmed from elsewhere: the motors are off\n");
+                return print_end(args.on.json, "disarmed by another tool: the motors are off\n");
             }
             _ => {}
         }
     }
     board.disarm()?;
-    told(args.on.json, "disarmed: the motors are off\n")
+    print_end(args.on.json, "disarmed: the motors are off\n")
 }
 
-/// Between two looks at the keys.
-const LOOK: Duration = Duration::from_millis(20);
-/// Between two looks at the board.
-const STATUS: Duration = Duration::from_millis(200);
+/// Interval between polls of the keys.
+const KEY_INTERVAL: Duration = Duration::from_millis(20);
+/// Interval between polls of the board's status.
+const STATUS_INTERVAL: Duration = Duration::from_millis(200);
 
-/// Motors on while Space is held, until `q`.
+/// Keeps the motors on while Space is held, until `q`.
 fn hold(board: &mut Board, json: Json, stop: Interrupt) -> Result<(), Failure> {
     if json.asked() {
-        return Err(Failure::wrong("--key and --json: nobody holds a key for a program"));
+        return Err(Failure::wrong("--key does not apply with --json: it needs a person at the terminal"));
     }
     if !std::io::stdin().is_terminal() {
-        return Err(Failure::wrong("--key needs a terminal, in which somebody holds Space"));
+        return Err(Failure::wrong("--key needs a terminal, for the Space key"));
     }
     print("hold Space: motors on; let go: motors off; q ends\n")?;
     board.keep_alive();
-    let ended = in_raw_terminal(|| while_held(board, stop)).map_err(Failure::impossible);
+    let ended = in_raw_terminal(|| follow_key(board, stop)).map_err(Failure::impossible);
     haptic_host::error::say_over(format_args!(""), true);
     let off = board.disarm();
     ended??;
@@ -91,36 +91,36 @@ fn hold(board: &mut Board, json: Json, stop: Interrupt) -> Result<(), Failure> {
     print("disarmed: the motors are off\n")
 }
 
-fn while_held(board: &mut Board, stop: Interrupt) -> Result<(), Failure> {
+fn follow_key(board: &mut Board, stop: Interrupt) -> Result<(), Failure> {
     let rate = board.details()?.rate_hz;
-    let (mut key, mut on, mut looked) = (HeldKey::default(), false, Instant::now());
-    let shown = |words: &str| haptic_host::error::say_over(format_args!("{words:40}"), false);
+    let (mut key, mut on, mut polled) = (HeldKey::default(), false, Instant::now());
+    let show = |words: &str| haptic_host::error::say_over(format_args!("{words:40}"), false);
     while !stop.is_set() {
-        board.rows(LOOK)?;
-        let Some(said) = key.listen(board.step()).map_err(Failure::impossible)? else { return Ok(()) };
-        match said {
+        board.rows(KEY_INTERVAL)?;
+        let Some(message) = key.listen(board.step()).map_err(Failure::impossible)? else { return Ok(()) };
+        match message {
             Some(FromPage::Arm { seen }) => {
                 board.arm_held(seen)?;
                 on = true;
-                shown("motors on");
+                show("motors on");
             }
             Some(FromPage::Hold { seen }) if on => board.hold_key(seen)?,
             Some(FromPage::Release {}) => {
                 board.disarm()?;
                 on = false;
-                shown("motors off");
+                show("motors off");
             }
             _ => {}
         }
-        if on && looked.elapsed() > STATUS {
-            looked = Instant::now();
+        if on && polled.elapsed() > STATUS_INTERVAL {
+            polled = Instant::now();
             let status = board.status()?;
             match status.fault {
                 Some(record) if status.state == State::Fault => return Err(motors_off(&record, rate)),
                 _ if status.state != State::Armed => {
                     key.forget();
                     on = false;
-                    shown("disarmed from elsewhere");
+                    show("disarmed by another tool");
                 }
                 _ => {}
             }
@@ -129,7 +129,7 @@ fn while_held(board: &mut Board, stop: Interrupt) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Says how it ended, where that is not a second JSON document.
-fn told(json: Json, sentence: &str) -> Result<(), Failure> {
+/// Prints how the command ended, except after a JSON document.
+fn print_end(json: Json, sentence: &str) -> Result<(), Failure> {
     if json.asked() { Ok(()) } else { print(sentence) }
 }

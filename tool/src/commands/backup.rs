@@ -1,4 +1,4 @@
-//! `haptic board backup`: writes everything a board keeps in flash into one file.
+//! `haptic board backup`: writes a board's saved settings to a file.
 
 use super::force::Force;
 use super::port::OnBoard;
@@ -10,10 +10,10 @@ use std::path::PathBuf;
 
 /// Write everything the board keeps in flash to a file
 ///
-/// What was loaded and not yet saved (`haptic board save`) is not part of it.
+/// Settings that were loaded and not yet saved (`haptic board save`) are not part of it.
 #[derive(clap::Args)]
 pub struct Args {
-    /// The file to write (JSON)
+    /// File to write (JSON)
     file: PathBuf,
     #[command(flatten)]
     force: Force,
@@ -27,13 +27,13 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let mut board = args.on.open_to_stay()?;
     let backup = Backup::read(&mut board)?;
     if backup.settings.is_empty() {
-        return Err(Failure::impossible("the board keeps nothing in flash").remedy("`haptic board save` first"));
+        return Err(Failure::impossible("the board keeps nothing in flash").remedy("run `haptic board save` first"));
     }
     for (key, _) in board.details()?.damage.iter().filter(|(key, _)| !backup.settings.contains_key(key.name())) {
         haptic_host::tell!("left out: the stored {} is damaged", key.name());
     }
     output::write(&args.file, backup.to_text().as_bytes(), args.force.overwrite())?;
     let names: Vec<&str> = backup.settings.keys().map(String::as_str).collect();
-    let said = format!("{}: {}\n", args.file.display(), names.join(", "));
-    args.on.answer(json!({ "file": args.file, "settings": names }), &said)
+    let words = format!("{}: {}\n", args.file.display(), names.join(", "));
+    args.on.answer(json!({ "file": args.file, "settings": names }), &words)
 }

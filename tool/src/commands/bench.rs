@@ -1,4 +1,4 @@
-//! `haptic bench`: every variant of the control step with its cost and its error.
+//! `haptic bench`: the cost and the error of every variant of the control step.
 
 use super::answer::Json;
 use super::force::Force;
@@ -12,10 +12,10 @@ use haptic_show::plot::speed;
 use serde_json::json;
 use std::path::PathBuf;
 
-/// Show what each way of computing the control step costs and what error it leaves
+/// Show the cost and the error of each way to compute the control step
 ///
-/// Instructions on the chip were counted on the emulated chip (`cargo xtask bench`); errors are computed here and now;
-/// what this computer takes is measured now and is no result to quote.
+/// Instructions on the chip were counted on the emulated chip (`cargo xtask bench`); errors are computed now. The time
+/// on this computer is also measured now and is no result to quote.
 #[derive(clap::Args)]
 pub struct Args {
     /// Device files (TOML) instead of one shipped device per mechanism
@@ -29,17 +29,17 @@ pub struct Args {
     json: Json,
 }
 
-/// The meaning of the columns and of the words of a variant's name.
+/// Explanation of the columns and of the parts of a variant's name.
 const LEGEND: &str = "
 variant: mechanism/trigonometry/mass matrix/terms
-  trigonometry: table (and two terms of a series, what the firmware runs), minimax (polynomials), micromath, libm
+  trigonometry: table (and two terms of a series, as in the firmware), minimax (polynomials), micromath, libm
   mass matrix: exact (closed form), frozen (one for the workspace), bilinear and bicubic (tables)
   terms: none (Jᵀ f alone), feed-forward, feed-forward+z (with the forces of motion)
-errors, N at the tip at the worst of the poses and speeds that the motors can make, each by itself:
-  left out: terms that are not computed, or fade near singular poses (20 kHz, 500 Hz); matrix: the mass matrix instead of the closed form;
+errors, N at the tip at the worst of the poses and speeds that the motors can reach, each alone:
+  left out: terms that are not computed, or that fade near singular poses (20 kHz, 500 Hz); matrix: the mass matrix instead of the closed form;
   rounding: f32 and trigonometry in the torque; tip: the same in the tip's position, times 20 kN/m
-area: stable area of stiffness and damping that is left of the exact feed-forward's, at the worst of the poses
-front: nothing of the same mechanism is both cheaper and nearer to the force that should be felt, beside the fade
+area: remaining share of the exact feed-forward's stable area of stiffness and damping, at the worst pose
+front: no variant of the same mechanism is both cheaper and nearer to the ideal force, the fade not counted
 ";
 
 /// Computes and prints, or writes the report.
@@ -54,10 +54,10 @@ pub fn run(args: Args) -> Result<(), Failure> {
             .map(|path| DeviceFile::load(path)?.device().map_err(Failure::wrong))
             .collect::<Result<_, Failure>>()?,
     };
-    let timed = args.report.is_none();
+    let has_timing = args.report.is_none();
     let every = devices
         .into_iter()
-        .map(|device| variants(&device, timed).map(|variants| (device, variants)))
+        .map(|device| variants(&device, has_timing).map(|variants| (device, variants)))
         .collect::<Result<Vec<_>, Failure>>()?;
     if let (Some(folder), Some([table, variants, drawing])) = (&args.report, &files) {
         std::fs::create_dir_all(folder).map_err(|error| output::refused(folder, &error))?;

@@ -1,17 +1,17 @@
-//! `haptic board`: the board itself, its flash, its name, its way to this computer.
+//! `haptic board`: commands about the board itself: its flash, its name, its link to this computer.
 
 use super::{backup, bug_report, dfu, latency, list, name, restart, restore, save};
 use haptic_host::error::Failure;
 
-/// Find boards, examine one, time the way to it; save, back up, restore, name, restart or reflash it
+/// Find boards, examine one, measure its latency; save, back up, restore, name, restart or reflash it
 #[derive(clap::Args)]
 pub struct Args {
     #[command(subcommand)]
-    what: What,
+    command: Command,
 }
 
 #[derive(clap::Subcommand)]
-enum What {
+enum Command {
     List(list::Args),
     Latency(latency::Args),
     Report(bug_report::Args),
@@ -23,17 +23,17 @@ enum What {
     Dfu(dfu::Args),
 }
 
-/// Runs what was asked for.
+/// Runs the subcommand.
 pub fn run(args: Args) -> Result<(), Failure> {
-    match args.what {
-        What::List(args) => list::run(args),
-        What::Latency(args) => latency::run(args),
-        What::Report(args) => bug_report::run(args),
-        What::Save(args) => save::run(args),
-        What::Backup(args) => backup::run(args),
-        What::Restore(args) => restore::run(args),
-        What::Name(args) => name::run(args),
-        What::Restart(args) => restart::run(args),
-        What::Dfu(args) => dfu::run(args),
+    match args.command {
+        Command::List(args) => list::run(args),
+        Command::Latency(args) => latency::run(args),
+        Command::Report(args) => bug_report::run(args),
+        Command::Save(args) => save::run(args),
+        Command::Backup(args) => backup::run(args),
+        Command::Restore(args) => restore::run(args),
+        Command::Name(args) => name::run(args),
+        Command::Restart(args) => restart::run(args),
+        Command::Dfu(args) => dfu::run(args),
     }
 }

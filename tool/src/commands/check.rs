@@ -1,5 +1,5 @@
-//! `haptic check`: checks a device file and scene files for it without a board: whether they are sound, what they
-//! describe, what looks like a mistake, and how a board will compute them.
+//! `haptic check`: checks a device file and its scene files without a board: errors, description, probable mistakes,
+//! and the board's computation.
 
 use super::answer::{Json, Pictures};
 use super::port::counted;
@@ -28,12 +28,12 @@ use std::path::{Path, PathBuf};
 
 /// Check a device file, and scene files for that device
 ///
-/// Stops at the first file that is wrong and names the line and the remedy. Of a sound file it also says what it
-/// describes (reach, force and inertia at the tip), what looks like a mistake (on standard error; the exit code stays
-/// 0), and what is missing before a real board arms. Of a sound scene it says up to where its walls are predicted
-/// stable, and how the board will compute it: the way that takes the fewest instructions and is good enough, where its
-/// walls can be touched and as fast as a hand moves. --svg draws the device at home: links, joints with their zero
-/// angles and directions, reach.
+/// Stops at the first file that is wrong and prints the line and the remedy. For a correct device file it also prints
+/// the description (reach, force and inertia at the tip), probable mistakes (on standard error; the exit code stays 0),
+/// and what is missing before a real board arms. For a correct scene it prints the stiffness up to which its walls are
+/// predicted stable, and the board's computation: the one with the fewest instructions that is accurate enough, at the
+/// poses in which its walls can be touched and at the speed of a hand. --svg draws the device at home: links, joints
+/// with their zero angles and directions, reach.
 #[derive(clap::Args)]
 pub struct Args {
     /// Device file (TOML)
@@ -61,13 +61,13 @@ struct Report {
     warnings: Vec<Warning>,
 }
 
-/// One scene of it.
+/// One scene of the report.
 #[derive(serde::Serialize)]
 struct SceneReport {
     path: String,
     walls: usize,
     springs: usize,
-    /// N s/m, of all fields together.
+    /// Damping of all fields together, N s/m.
     field_damping: f64,
     rate_hz: f64,
     entered_at_home: Vec<usize>,
@@ -88,9 +88,9 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let mut warnings: Vec<Warning> = device::doubts(&file).into_iter().map(|doubt| doubt.about(&document)).collect();
     let mut scenes = Vec::new();
     for path in &args.scenes {
-        let (scene, doubts) = scene_report(path, &file)?;
+        let (scene, scene_warnings) = scene_report(path, &file)?;
         scenes.push(scene);
-        warnings.extend(doubts);
+        warnings.extend(scene_warnings);
     }
     let summary = Summary::of(&file)?;
     if args.pictures.asked() {
@@ -116,9 +116,9 @@ fn scene_report(path: &Path, device: &DeviceFile) -> Result<(SceneReport, Vec<Wa
     let file = SceneFile::read(&document, device.spec().task)?;
     file.scene::<f32>().map_err(|error| Failure::wrong(format!("{}: {error}", path.display())))?;
     let subject = Subject::new(&device.description).map_err(Failure::wrong)?;
-    let (mut doubts, mut contacts) = scene::doubts(&subject, &file.scene);
+    let (mut warnings, mut contacts) = scene::doubts(&subject, &file.scene);
     for contact in &mut contacts {
-        doubts.extend(scene::rippling(&device.description, &file.scene, contact));
+        warnings.extend(scene::rippling(&device.description, &file.scene, contact));
     }
     let speed = file.hand_speed.unwrap_or(HAND_SPEED);
     let planned = device
@@ -140,7 +140,7 @@ fn scene_report(path: &Path, device: &DeviceFile) -> Result<(SceneReport, Vec<Wa
         plan,
         planned,
     };
-    Ok((report, doubts.into_iter().map(|doubt| doubt.about(&document)).collect()))
+    Ok((report, warnings.into_iter().map(|warning| warning.about(&document)).collect()))
 }
 
 fn plan_as_json(plan: &Plan) -> Value {
@@ -151,7 +151,7 @@ fn plan_as_json(plan: &Plan) -> Value {
     })
 }
 
-/// The choice with its cost, its error and the reasons for it.
+/// Describes the chosen computation with its cost, its error and the reasons.
 fn plan_in_words(plan: &Plan) -> String {
     let table = match plan.mass.bytes() {
         0 => String::new(),
@@ -159,7 +159,7 @@ fn plan_in_words(plan: &Plan) -> String {
     };
     let mut text = format!(
         "  a board will compute terms {}, mass matrix {}{table}: {} instructions a control step at the slowest pose\n  \
-         error left: {} at the tip nearly everywhere, at worst {} of what the motors give ({:.1} steps of the duty)\n",
+         error left: {} at the tip nearly everywhere, at worst {} of the motors' torque ({:.1} steps of the duty)\n",
         plan.terms.name(),
         plan.mass.name(),
         plan.instructions,
@@ -173,7 +173,7 @@ fn plan_in_words(plan: &Plan) -> String {
     text
 }
 
-/// The device at home.
+/// Draws the device at home.
 fn picture(file: &DeviceFile, summary: &Summary, paper: Paper) -> Result<Picture, Failure> {
     let no_pose = || Failure::wrong(format!("{} has no [home], so there is no pose to draw", file.path.display()));
     let home = file.description.home.ok_or_else(|| no_pose().remedy("add [home] q"))?;
@@ -212,7 +212,7 @@ fn readable(report: &Report, tip: &str) -> String {
         ));
         for contact in &scene.contacts {
             let force =
-                contact.force.map_or(String::new(), |force| format!("; the motors have {}", with_unit(force, "N")));
+                contact.force.map_or(String::new(), |force| format!("; the motors allow {}", with_unit(force, "N")));
             let felt = |felt: Option<f64>| {
                 felt.map_or(String::new(), |felt| format!(" (felt at the tip: {})", with_unit(felt, "N/m")))
             };
@@ -242,7 +242,7 @@ fn readable(report: &Report, tip: &str) -> String {
                 };
                 text.push_str(&format!("    in {held} up to {}{buzz}\n", with_unit(held.stable_to, "N/m")));
             }
-            text.push_str(&format!("    the same: haptic range {} {}\n", report.path, contact.options));
+            text.push_str(&format!("    the same with: haptic range {} {}\n", report.path, contact.options));
         }
         text.push_str(&scene.planned);
         for wall in &scene.entered_at_home {
@@ -252,19 +252,19 @@ fn readable(report: &Report, tip: &str) -> String {
     text
 }
 
-/// The force and the energy that a person at the tip can meet, in words.
+/// Describes the force and the energy that a person at the tip can meet.
 fn tip_in_words(description: &Description) -> String {
     let motors = motor_torques(description);
     match Tip::at_home(description) {
         Some(Ok(tip)) if motors.iter().any(|torque| *torque > 0.0) => {
             let speed = [BOARD_SPEED; MAX_JOINTS];
             let spec = description.kind.spec();
-            let moment = if spec.joints > spec.task { ", with a moment on it beside" } else { "" };
+            let moment = if spec.joints > spec.task { ", with a moment in addition" } else { "" };
             let joints: Vec<String> =
                 tip.limits_for(GENTLE_FORCE.into()).iter().map(|torque| format!("{torque:.3}")).collect();
             format!(
-                "  at the home pose its motors make up to {:.1} N at the tip{moment}; a real board lets walls push with \
-                 {GENTLE_FORCE} N until told otherwise, and `haptic device` sets its torque limits for as much and the device's weight ({} N m); at {} rad/s, the speed limit that a real board starts with, its links carry {:.2} J\n",
+                "  at the home pose its motors make up to {:.1} N at the tip{moment}; a real board limits walls to \
+                 {GENTLE_FORCE} N by default, and `haptic device` sets its torque limits for that force and the device's weight ({} N m); at {} rad/s, the default speed limit of a real board, its links carry {:.2} J\n",
                 tip.force(&motors),
                 joints.join(", "),
                 BOARD_SPEED,

@@ -1,4 +1,4 @@
-//! `haptic completions`: shell completions, and the manual.
+//! `haptic completions`: prints shell completions, or the manual.
 
 use super::help;
 use clap::builder::{Resettable, StyledStr};
@@ -11,14 +11,14 @@ use std::path::PathBuf;
 
 /// Print shell completions, or the manual
 ///
-/// --man alone prints the page of `haptic`; with a directory it writes that page and one for every command there, and
-/// replaces those of another version.
+/// --man alone prints the page of `haptic`; with a directory it writes that page and one page for every command there,
+/// and replaces the pages of another version.
 #[derive(clap::Args)]
 pub struct Args {
-    /// For which shell
+    /// Shell for the completions
     #[arg(required_unless_present = "man")]
     shell: Option<Shell>,
-    /// The manual instead: to standard output, or all of its pages into this directory
+    /// Print the manual instead, or write all of its pages into this directory
     #[arg(long, value_name = "DIRECTORY", num_args = 0..=1, conflicts_with = "shell")]
     man: Option<Option<PathBuf>>,
 }
@@ -30,33 +30,33 @@ pub fn run(args: Args) -> Result<(), Failure> {
         clap_complete::generate(shell, &mut help::command(), "haptic", &mut document);
         return print(&String::from_utf8_lossy(&document));
     }
-    let mut whole = help::command();
-    whole.build();
+    let mut haptic = help::command();
+    haptic.build();
     let Some(folder) = args.man.flatten() else {
-        return print(&page(&whole, "haptic")?);
+        return print(&page(&haptic, "haptic")?);
     };
     std::fs::create_dir_all(&folder).map_err(|error| output::refused(&folder, &error))?;
     let write = |name: &str, command: &clap::Command| {
         let text = page(command, name)?;
         output::write(&folder.join(format!("{name}.1")), text.as_bytes(), Overwrite::Replace)
     };
-    let mut left = vec![("haptic".to_string(), &whole)];
-    while let Some((name, command)) = left.pop() {
+    let mut pending = vec![("haptic".to_string(), &haptic)];
+    while let Some((name, command)) = pending.pop() {
         write(&name, command)?;
-        let under = command.get_subcommands().filter(|under| under.get_name() != "help" && !under.is_hide_set());
-        left.extend(under.map(|under| (format!("{name}-{}", under.get_name()), under)));
+        let subs = command.get_subcommands().filter(|sub| sub.get_name() != "help" && !sub.is_hide_set());
+        pending.extend(subs.map(|sub| (format!("{name}-{}", sub.get_name()), sub)));
     }
     Ok(())
 }
 
-/// A page of the manual, with what clap does not know: exit codes, examples, files.
+/// Renders a manual page, with the parts that clap does not know: exit codes, examples, files.
 fn page(command: &clap::Command, name: &str) -> Result<String, Failure> {
     let words = command.get_bin_name().unwrap_or_default();
     let examples = help::examples(words.strip_prefix("haptic ").unwrap_or_default());
-    // Examples have a section of their own here.
+    // Examples have their own section in the manual.
     let man = Man::new(command.clone().after_help(Resettable::<StyledStr>::Reset).display_name(name));
     let mut text = Vec::new();
-    man.render(&mut text).map_err(|error| Failure::impossible(format!("the manual page cannot be made: {error}")))?;
+    man.render(&mut text).map_err(|error| Failure::impossible(format!("cannot render the manual page: {error}")))?;
     let mut roff = Roff::new();
     let mut section = |heading: &str, lines: &[&str]| {
         roff.control("SH", [heading]);

@@ -1,20 +1,21 @@
-//! `--continue`, which every command that works for long takes.
+//! `--continue`, an option of every command that takes long.
 
 use super::interrupt;
 use haptic_host::error::Failure;
 use haptic_stability::sweep::Sweep;
 use std::path::PathBuf;
 
-/// Where unfinished work is kept.
+/// File for unfinished work.
 #[derive(clap::Args)]
 pub struct Continue {
-    /// Keep unfinished work in this file: after Ctrl-C the same command goes on from there
+    /// Keep unfinished work in this file: after Ctrl-C the same command continues from there
     #[arg(long = "continue", value_name = "FILE")]
     file: Option<PathBuf>,
 }
 
 impl Continue {
-    /// The work of a command that Ctrl-C ends in order; `question` is everything that decides its results.
+    /// Creates the sweep of a command, which Ctrl-C ends in order; `question` holds all inputs that determine the
+    /// results.
     pub fn sweep(&self, command: &str, question: &str) -> Result<Sweep, Failure> {
         let interrupt = interrupt::watch();
         Sweep::new(command, question, self.file.as_deref(), move || interrupt.is_set())

@@ -1,4 +1,4 @@
-//! `haptic demo`: what the feed-forward buys, in a few seconds, without hardware.
+//! `haptic demo`: the benefit of the feed-forward, in a few seconds, without hardware.
 
 use super::answer::Json;
 use super::force::Force;
@@ -14,13 +14,13 @@ use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
 use std::path::PathBuf;
 
-/// Let a simulated hand press on a wall, without and with the feed-forward, and see what it buys
+/// Let a simulated hand press on a wall, without and with the feed-forward, and see the benefit
 ///
 /// Runs a simulated board with the firmware's own control code over the real protocol: no hardware needed, a few
 /// seconds. Prints a table and draws position, force and duty into an SVG file.
 #[derive(clap::Args)]
 pub struct Args {
-    /// Where the picture goes [default: haptic-demo.svg, or with a number where that exists]
+    /// File for the picture [default: haptic-demo.svg, or with a number if that exists]
     #[arg(long, value_name = "FILE")]
     svg: Option<PathBuf>,
     #[command(flatten)]
@@ -29,16 +29,16 @@ pub struct Args {
     json: Json,
 }
 
-/// Of the hand's tremor, the same for both runs.
+/// Seed of the hand's tremor, the same for both runs.
 const SEED: u64 = 1;
 
-/// Steps of the bar in a part of the work.
+/// Units of the progress bar in one part of the work.
 const PART: u64 = 100;
 
-/// A bar on standard error, which draws itself only where there is somebody to see it.
+/// A progress bar on standard error, which is drawn only on a terminal.
 struct Bar {
     bar: ProgressBar,
-    /// The parts that are done.
+    /// Number of finished parts.
     done: u64,
 }
 
@@ -51,7 +51,7 @@ impl Bar {
         Self { bar, done: 0 }
     }
 
-    /// This share of the present part is done.
+    /// Shows that this share of the present part is done.
     fn show(&self, share: f64, doing: &'static str) {
         self.bar.set_message(doing);
         self.bar.set_position(self.done * PART + (share * PART as f64) as u64);
@@ -66,32 +66,32 @@ impl Bar {
     }
 }
 
-/// Both settings, side by side.
+/// Results without and with the feed-forward.
 struct Results {
     inertia: Inertia,
     crossings: [Crossing; 2],
     limits: [Limit; 2],
 }
 
-/// Runs, reports, draws.
+/// Runs the demo, prints the report and draws the picture.
 pub fn run(args: Args) -> Result<(), Failure> {
-    args.force.pictures(args.svg.as_ref(), None)?;
+    args.force.check_pictures(args.svg.as_ref(), None)?;
     let demo = Demo::shipped(SEED)?;
     let mut bar = Bar::new(4);
-    let mut crossing = |feed_forward, what: &'static str| {
-        let done = cross(&demo, feed_forward, &mut |share| bar.show(share, what));
+    let mut crossing = |feed_forward, doing: &'static str| {
+        let result = cross(&demo, feed_forward, &mut |share| bar.show(share, doing));
         bar.next();
-        done
+        result
     };
     let crossings = [
         crossing(FeedForward::Off, "the hand crosses the wall without feed-forward")?,
         crossing(FeedForward::Washout, "the hand crosses the wall with feed-forward")?,
     ];
-    let mut search = |feed_forward, what: &'static str| {
-        bar.show(0.0, what);
-        let found = limit(&demo, feed_forward);
+    let mut search = |feed_forward, doing: &'static str| {
+        bar.show(0.0, doing);
+        let result = limit(&demo, feed_forward);
         bar.next();
-        found
+        result
     };
     let limits = [
         search(FeedForward::Off, "raising the stiffness without feed-forward")?,
@@ -103,11 +103,11 @@ pub fn run(args: Args) -> Result<(), Failure> {
     draw(&demo, &results.crossings[0], &results.crossings[1]).save_svg(&svg)?;
     let place = std::path::absolute(&svg).unwrap_or(svg);
     let place = place.display().to_string();
-    let said = format!("{}picture: {place}\n", report(&demo, &results));
-    args.json.answer(document(&demo, &results, &place), &said)
+    let words = format!("{}picture: {place}\n", report(&demo, &results));
+    args.json.answer(document(&demo, &results, &place), &words)
 }
 
-/// The contents of `report` for programs: SI units, `without` the feed-forward and `with` it.
+/// Returns the contents of `report` as JSON: SI units, `without` the feed-forward and `with` it.
 fn document(demo: &Demo, results: &Results, picture: &str) -> serde_json::Value {
     let run = |crossing: &Crossing, inertia: f64, limit: &Limit| {
         json!({
@@ -140,7 +140,7 @@ fn document(demo: &Demo, results: &Results, picture: &str) -> serde_json::Value 
 fn report(demo: &Demo, results: &Results) -> String {
     let Results { inertia, crossings: [without, with], limits: [low, high] } = results;
     let mut text = format!(
-        "{}: a simulated board at {:.0} Hz, spoken to over the board's own protocol.\n\
+        "{}: a simulated board at {:.0} Hz, over the board's own protocol.\n\
          A hand presses onto a wall of {:.1} kN/m and {:.0} N s/m, slides {:.0} mm along it and lifts off; twice, with the same\n\
          tremor (seed {}). The feed-forward is the paper's equation (4) behind a {} Hz washout.\n\n",
         demo.file.name,
@@ -156,8 +156,8 @@ fn report(demo: &Demo, results: &Results) -> String {
     row("penetration, mm", format!("{:.3}", 1e3 * without.penetration), format!("{:.3}", 1e3 * with.penetration));
     row("peak force, N", format!("{:.2}", without.peak_force), format!("{:.2}", with.peak_force));
     row("vibration under the resting hand, N rms", format!("{:.2}", without.ripple), format!("{:.2}", with.ripple));
-    let meets = |kilograms: f64| format!("{:.1}", 1e3 * kilograms);
-    row("inertia that the wall meets, g", meets(inertia.effective), meets(inertia.rendered));
+    let grams = |kilograms: f64| format!("{:.1}", 1e3 * kilograms);
+    row("inertia that the wall meets, g", grams(inertia.effective), grams(inertia.rendered));
     let stiffness = |newtons: f64| format!("{:.2}", newtons / 1000.0);
     row("highest stable stiffness, kN/m: measured", stiffness(low.measured), stiffness(high.measured));
     row("                                predicted", stiffness(low.predicted), stiffness(high.predicted));
@@ -169,30 +169,30 @@ fn report(demo: &Demo, results: &Results) -> String {
         1e3 * inertia.rendered,
         1e3 * (inertia.rendered - inertia.effective)
     ));
-    text.push_str(&bought(demo, results));
+    text.push_str(&benefit(demo, results));
     for crossing in [without, with] {
         if let Some(fault) = &crossing.fault {
             text.push_str(&format!("The board stopped a run: {fault}.\n"));
         }
     }
     text.push_str(&format!(
-        "Weff and Wrr, and what is predicted, are also printed by (beside the folder devices/)\n    {}\n    {}\n",
+        "Weff, Wrr and the predictions are also printed by (run next to the folder devices/)\n    {}\n    {}\n",
         demo.model_line(),
         demo.range_line(low.delay_samples)
     ));
     text.push_str(
-        "The stable stiffness is measured with friction, hand and encoder steps left out, as in the theory; with them the\n\
+        "The stable stiffness is measured without friction, hand and encoder steps, as in the theory; with them the\n\
          limit lies higher, several times with a hand (docs/results.md).\n\n",
     );
     text
 }
 
-/// The benefit of the feed-forward, from the numbers of this very run.
-fn bought(demo: &Demo, results: &Results) -> String {
+/// Describes the benefit of the feed-forward, from the numbers of this run.
+fn benefit(demo: &Demo, results: &Results) -> String {
     let Results { inertia, crossings: [without, with], limits: [low, high] } = results;
     let gain = 100.0 * (high.measured / low.measured - 1.0);
     let mut text = format!(
-        "What the feed-forward bought: the wall meets {:.0} % more inertia, and stays stable up to a {gain:.0} % higher stiffness.\n",
+        "Benefit of the feed-forward: the wall meets {:.0} % more inertia, and stays stable up to a {gain:.0} % higher stiffness.\n",
         100.0 * (inertia.rendered / inertia.effective - 1.0)
     );
     if low.measured < demo.stiffness && demo.stiffness < high.measured {

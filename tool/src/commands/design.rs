@@ -1,4 +1,4 @@
-//! `haptic design`: where, in which direction and with which links and posture a device renders walls best.
+//! `haptic design`: finds the place, direction, links and posture with which a device renders walls best.
 
 use super::answer::{Json, Pictures};
 use super::arguments::{self, DeviceAt, Holding, Numbers};
@@ -21,35 +21,36 @@ use haptic_stability::analysis::several::Member;
 use serde::Serialize;
 use std::fmt::Write;
 
-/// Find where, in which direction and with which links a device renders walls best
+/// Find the place, direction and links with which a device renders walls best
 ///
-/// At one pose: the directions of the stiffest and the softest wall, and the one in which the feed-forward buys most.
-/// Over the workspace: the best places of a wall, of one with the normal that is given, and of a surface that turns
-/// every way. What a tenth more or less of each length, mass, inertia, rotor and gear ratio does to the wall at the
-/// pose, and a counterweight. On a redundant arm: the best posture at the same tip position. Places and postures are
-/// searched by the inertia that a wall meets; the stiffest walls beside them, and what each change does to them, are
-/// predicted as `haptic range` does, with joint damping, transmissions and a board's delay and drive. --svg draws the device with its motion
-/// along the normal, and its coupling over all directions.
+/// At one pose: the directions of the stiffest and the softest wall, and the direction in which the feed-forward has
+/// the largest benefit. Over the workspace: the best places of a wall, of a wall with the given normal, and of a
+/// surface with all directions. Also the effect of a tenth more or less of each length, mass, inertia, rotor and gear
+/// ratio on the wall at the pose, and of a counterweight. On a redundant arm: the best posture at the same tip
+/// position. Places and postures are searched by the inertia that a wall meets; the stiffest walls there, and the
+/// effects of changes, are predicted as `haptic range` does, with joint damping, transmissions and a board's delay and
+/// drive. --svg draws the device with its motion along the normal, and its coupling over all directions.
 #[derive(clap::Args)]
 pub struct Args {
     #[command(flatten)]
     at: DeviceAt,
-    /// Normal of the wall, any length [default: that in which the feed-forward buys most at the pose]
+    /// Normal of the wall, of any length [default: the direction with the largest benefit of the feed-forward at the
+    /// pose]
     #[arg(long, value_name = "X,Y,..", allow_hyphen_values = true)]
     normal: Option<Numbers>,
-    /// Half the width of the wall that is placed, in m
+    /// Half the width of the wall to place, in m
     #[arg(long, value_name = "M", default_value_t = 0.01)]
     patch: f64,
     /// Smallest allowed sine of the angle to a singular pose, towards which inertia grows without bound
     #[arg(long, value_name = "SINE", default_value_t = 0.3)]
     clear: f64,
-    /// Poses of the joint grid, before those that cannot be reached are left out
+    /// Poses of the joint grid, before unreachable poses are left out
     #[arg(long, value_name = "N", default_value_t = 1000, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     points: u32,
-    /// Control rate in Hz of the walls that are predicted
+    /// Control rate of the predicted walls, in Hz
     #[arg(long, value_name = "HZ", default_value_t = DEFAULT_RATE_HZ)]
     rate: f64,
-    /// Cutoff in Hz of their velocity filter
+    /// Cutoff of their velocity filter, in Hz
     #[arg(long, value_name = "HZ", default_value_t = 500.0)]
     cutoff: f64,
     #[command(flatten)]
@@ -71,14 +72,14 @@ struct Document {
     clear: f64,
     /// Options with which `haptic range DEVICE` predicts the walls at the pose.
     options: String,
-    /// The stable area at the pose with the feed-forward over that without.
+    /// Stable area at the pose with the feed-forward, relative to that without.
     area_ratio: f64,
     here: Placed,
     directions: Directions,
     places: Places,
     sensitivities: Vec<Sensitivity>,
-    /// The change that buys most: of the stiffest wall without the feed-forward, of that with it, and of that with it
-    /// for each kilogram of Weff.
+    /// Change with the largest benefit for the stiffest wall without the feed-forward, for the one with it, and for the
+    /// one with it per kilogram of Weff.
     buys_most: [Option<Buys>; 3],
     #[serde(skip_serializing_if = "Option::is_none")]
     postures: Option<Postures>,
@@ -94,20 +95,20 @@ pub fn run(args: Args) -> Result<(), Failure> {
         return Err(Failure::wrong("--clear is a sine from 0 to below 1, --patch a length up to 1 m"));
     }
     let q = args.at.pose(&file)?;
-    warnings.extend(arguments::pose_doubts(&q, &file));
+    warnings.extend(arguments::pose_warnings(&q, &file));
     warn(&warnings);
-    let asked = args.normal.clone().map(|normal| normal.unit(spec.task, "--normal")).transpose()?;
+    let requested = args.normal.clone().map(|normal| normal.unit(spec.task, "--normal")).transpose()?;
     let description = &file.description;
     let mut directions = directions(description, &q, args.holding.admissible)?;
-    let normal = asked.clone().unwrap_or_else(|| directions.feed_forward_buys_most.normal.clone());
+    let normal = requested.clone().unwrap_or_else(|| directions.feed_forward_buys_most.normal.clone());
     let question = format!(
-        "{} {description:?} {q:?} {asked:?} {} {} {} {:?} {} {}",
+        "{} {description:?} {q:?} {requested:?} {} {} {} {:?} {} {}",
         file.name, args.patch, args.clear, args.points, args.holding.admissible, args.rate, args.cutoff
     );
     let sweep = args.continued.sweep("design", &question)?;
     let mut places = places(
         description,
-        asked.as_deref(),
+        requested.as_deref(),
         args.patch,
         args.clear,
         args.points as usize,
@@ -115,8 +116,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
         &sweep,
     )?;
     let (path, subject) = (TorquePath::usual(args.rate), Subject::new(description).map_err(Failure::wrong)?);
-    let around = Loop::through(&path, args.rate, LinearEstimator::Butterworth(args.cutoff));
-    let prediction = Prediction { admissible: args.holding.admissible, ..Prediction::new(subject, around) };
+    let control_loop = Loop::through(&path, args.rate, LinearEstimator::Butterworth(args.cutoff));
+    let prediction = Prediction { admissible: args.holding.admissible, ..Prediction::new(subject, control_loop) };
     let sensitivities = sensitivities(description, &q, &normal, args.holding.admissible, &prediction.around)?;
     let pose = TaskPose::at(description, &q)?.regular()?.holding(args.holding.admissible);
     let unit = haptic_stability::analysis::pose::unit_normal(&normal, spec.task, spec.joints)?;
@@ -132,10 +133,10 @@ pub fn run(args: Args) -> Result<(), Failure> {
     };
     let area_ratio = here.predict(&prediction)?.area_ratio;
     let Directions { stiffest, softest, feed_forward_buys_most, couples_most } = &mut directions;
-    let mut found = vec![stiffest, softest, feed_forward_buys_most, couples_most];
-    found.extend([&mut places.stiffest, &mut places.every_direction, &mut places.feed_forward_buys_most]);
-    found.extend(places.along.iter_mut().flat_map(|along| [&mut along.off, &mut along.full, &mut along.worst]));
-    for placed in found {
+    let mut placements = vec![stiffest, softest, feed_forward_buys_most, couples_most];
+    placements.extend([&mut places.stiffest, &mut places.every_direction, &mut places.feed_forward_buys_most]);
+    placements.extend(places.along.iter_mut().flat_map(|along| [&mut along.off, &mut along.full, &mut along.worst]));
+    for placed in placements {
         placed.predict(&prediction)?;
     }
     let document = Document {
@@ -163,17 +164,17 @@ pub fn run(args: Args) -> Result<(), Failure> {
         args.pictures.save(&picture)?;
     }
     let result = Warned { result: &document, warnings: &warnings };
-    args.json.answer(result, &readable(&document, asked.is_some(), &args))?;
+    args.json.answer(result, &readable(&document, requested.is_some(), &args))?;
     sweep.finish();
     Ok(())
 }
 
 fn list(values: &[f64]) -> String {
-    // A number that rounds to zero has no sign.
+    // Removes the sign of a number that rounds to zero.
     values.iter().map(|v| format!("{:.3}", (1e3 * v).round() / 1e3 + 0.0)).collect::<Vec<_>>().join(", ")
 }
 
-fn readable(document: &Document, asked: bool, args: &Args) -> String {
+fn readable(document: &Document, has_normal: bool, args: &Args) -> String {
     let mut text = String::new();
     let mut line = |content: String| {
         let _ = writeln!(text, "{content}");
@@ -184,8 +185,8 @@ fn readable(document: &Document, asked: bool, args: &Args) -> String {
         args.at.device.display(),
         document.options
     ));
-    let gives = document.here.walls.is_some_and(|walls| walls.off.felt.is_some());
-    if gives {
+    let is_compliant = document.here.walls.is_some_and(|walls| walls.off.felt.is_some());
+    if is_compliant {
         line("  felt: at the tip, behind the transmissions".into());
     }
     let wall = |name: &str, at: &Placed| {
@@ -204,7 +205,7 @@ fn readable(document: &Document, asked: bool, args: &Args) -> String {
             list(&at.normal)
         )
     };
-    let felt = if gives { format!("{:>11}", "felt N/m") } else { String::new() };
+    let felt = if is_compliant { format!("{:>11}", "felt N/m") } else { String::new() };
     let placed = |name: &str, at: &Placed| {
         format!("{}  q ({}), tip ({}) m, sine {:.2}", wall(name, at), list(&at.q), list(&at.position), at.clearance)
     };
@@ -215,19 +216,19 @@ fn readable(document: &Document, asked: bool, args: &Args) -> String {
     line(wall("along n", &document.here));
     line(wall("stiffest direction", &document.directions.stiffest));
     line(wall("softest direction", &document.directions.softest));
-    line(wall("where the feed-forward buys most", &document.directions.feed_forward_buys_most));
-    line(wall("where it couples most", &document.directions.couples_most));
+    line(wall("largest benefit of feed-forward", &document.directions.feed_forward_buys_most));
+    line(wall("largest coupling", &document.directions.couples_most));
     let places = &document.places;
     line(format!(
-        "\n  over the workspace, in home's working mode: {} poses with a sine of {} and more, and between them",
+        "\n  over the workspace, in home's working mode: {} poses with a sine of {} or more, and between them",
         places.poses, document.clear
     ));
     line(placed("stiffest wall", &places.stiffest));
     line(placed("any direction: stiffest softest", &places.every_direction));
-    line(placed("where the feed-forward buys most", &places.feed_forward_buys_most));
+    line(placed("largest benefit of feed-forward", &places.feed_forward_buys_most));
     if let Some(along) = &places.along {
         line(format!(
-            "  a wall {:.0} mm wide with this normal, by what it meets at its worst point; N/m in its middle",
+            "  a wall {:.0} mm wide with this normal, by the inertia at its worst point; N/m at its middle",
             2e3 * along.patch
         ));
         line(placed("best without the feed-forward", &along.off));
@@ -235,7 +236,7 @@ fn readable(document: &Document, asked: bool, args: &Args) -> String {
         line(placed("worst without it", &along.worst));
     }
     line(format!(
-        "\n  what {:.0} % more and less of each does to the stiffest wall along n, the tip where it is",
+        "\n  effect of {:.0} % more and less of each on the stiffest wall along n, at the same tip position",
         100.0 * CHANGE
     ));
     line(format!(
@@ -243,46 +244,47 @@ fn readable(document: &Document, asked: bool, args: &Args) -> String {
         "", "off +", "full +", "Weff +", "Wrr +", "force +", "count +", "off -", "full -"
     ));
     let percent = |value: Option<f64>| value.map_or("-".into(), |value| percent(value - 1.0, 2, true));
-    for one in &document.sensitivities {
-        let of = |effect: &Option<Effect>, pick: fn(&Effect) -> Option<f64>| percent(effect.as_ref().and_then(pick));
+    for sensitivity in &document.sensitivities {
+        let change =
+            |effect: &Option<Effect>, pick: fn(&Effect) -> Option<f64>| percent(effect.as_ref().and_then(pick));
         line(format!(
             "  {:<46}{:>9}{:>9}{:>9}{:>9}{:>9}{:>11}{:>9}{:>9}",
-            one.part,
-            of(&one.more, |e| Some(e.off)),
-            of(&one.more, |e| Some(e.full)),
-            of(&one.more, |e| Some(e.w_eff)),
-            of(&one.more, |e| Some(e.w_rr)),
-            of(&one.more, |e| e.force),
-            of(&one.more, |e| e.count),
-            of(&one.less, |e| Some(e.off)),
-            of(&one.less, |e| Some(e.full))
+            sensitivity.part,
+            change(&sensitivity.more, |e| Some(e.off)),
+            change(&sensitivity.more, |e| Some(e.full)),
+            change(&sensitivity.more, |e| Some(e.w_eff)),
+            change(&sensitivity.more, |e| Some(e.w_rr)),
+            change(&sensitivity.more, |e| e.force),
+            change(&sensitivity.more, |e| e.count),
+            change(&sensitivity.less, |e| Some(e.off)),
+            change(&sensitivity.less, |e| Some(e.full))
         ));
     }
     for (what, buys) in [
         "the stiffest wall without the feed-forward",
         "the stiffest wall with it",
-        "a stiffer wall with it at the same inertia felt without",
+        "a stiffer wall with it at the same inertia felt without it",
     ]
     .iter()
     .zip(&document.buys_most)
     {
         let Some(buys) = buys else {
-            line(format!("  no change of {:.0} % buys 1 % of {what}", 100.0 * CHANGE));
+            line(format!("  no change of {:.0} % improves {what} by 1 %", 100.0 * CHANGE));
             continue;
         };
         let by = if buys.more { "more" } else { "less" };
         line(format!(
-            "  buys most of {what}: {by} {} (off {}, full {}, Weff {})",
+            "  largest improvement of {what}: {by} {} (off {}, full {}, Weff {})",
             buys.part,
             percent(Some(buys.effect.off)),
             percent(Some(buys.effect.full)),
             percent(Some(buys.effect.w_eff))
         ));
     }
-    if let Some(found) = &document.postures {
+    if let Some(postures) = &document.postures {
         line(format!(
-            "\n  postures with the tip where it is: {} by null motion, with a sine of {} and more",
-            found.postures, document.clear
+            "\n  postures at the same tip position: {} by null motion, with a sine of {} or more",
+            postures.postures, document.clear
         ));
         let posture = |name: &str, at: &Posture| {
             format!(
@@ -294,29 +296,29 @@ fn readable(document: &Document, asked: bool, args: &Args) -> String {
                 at.clearance
             )
         };
-        line(posture("as it stands", &found.here));
-        line(posture("largest Weff", &found.heaviest));
-        line(posture("smallest Weff", &found.lightest));
-        line(posture("largest Wrr", &found.most_held));
-        line(posture("smallest Wrr", &found.least_held));
+        line(posture("as it stands", &postures.here));
+        line(posture("largest Weff", &postures.heaviest));
+        line(posture("smallest Weff", &postures.lightest));
+        line(posture("largest Wrr", &postures.most_held));
+        line(posture("smallest Wrr", &postures.least_held));
         line(format!(
             "  the posture makes Weff up to {:.2} times as large, Wrr up to {:.2} times",
-            found.heaviest.w_eff / found.lightest.w_eff,
-            found.most_held.w_rr / found.least_held.w_rr
+            postures.heaviest.w_eff / postures.lightest.w_eff,
+            postures.most_held.w_rr / postures.least_held.w_rr
         ));
         line(format!(
-            "  a scene holds one with a [posture] table: orientation = {:.3} for the largest Weff, {:.3} for the largest Wrr",
-            found.heaviest.orientation, found.most_held.orientation
+            "  a [posture] table in a scene holds a posture: orientation = {:.3} for the largest Weff, {:.3} for the largest Wrr",
+            postures.heaviest.orientation, postures.most_held.orientation
         ));
     }
     let gain = document.area_ratio;
     line(String::new());
     line(match gain >= WORTHWHILE_RATIO {
         true => format!("Along n the feed-forward makes the stable area {gain:.2} times as large."),
-        false => "Along n the feed-forward buys next to nothing.".into(),
+        false => "Along n the feed-forward has almost no benefit.".into(),
     });
-    if !asked {
-        line("With --normal also the best place of a wall with that normal.".into());
+    if !has_normal {
+        line("--normal adds the best place of a wall with that normal.".into());
     }
     text
 }

@@ -1,14 +1,14 @@
-//! `haptic device`: loads a device file onto a board, or reads the board's back.
+//! `haptic device`: loads a device file onto a board, or reads back the board's device.
 
 use super::port::{OnBoard, warn_of_weaker};
-use super::read_back::{Read, needed};
+use super::read_back::{Read, required_file};
 use haptic_bridge::model::device::Device;
 use haptic_bridge::safety::limits::{GENTLE_FORCE, Limit};
 use haptic_bridge::safety::refusal::Refusal;
 use haptic_host::device_file::DeviceFile;
 use haptic_host::error::Failure;
 use haptic_host::link::{Board, BoardError};
-use haptic_host::read_back::{differences, running};
+use haptic_host::read_back::{differences as compare, running};
 use haptic_host::toml_file::Document;
 use haptic_predict::equivalent::device_file;
 use haptic_predict::plausible::{device::doubts, warn};
@@ -18,12 +18,12 @@ use std::path::{Path, PathBuf};
 
 /// Load a device onto a board, or read it back
 ///
-/// The board forgets homing and the polarity check, because they belong to the device before. `haptic board save` keeps
-/// the device over a power cycle.
+/// The board forgets homing and the polarity check, because they belong to the previous device. `haptic board save`
+/// keeps the device over a power cycle.
 ///
-/// What --read writes gives a board the same device to the bit. A board keeps the coefficients of the equations of
-/// motion and not the links they came from, so the links in it are one choice of many, near those of FILE where one is
-/// given.
+/// The output of --read gives a board the same device to the bit. A board keeps the coefficients of the equations of
+/// motion and not the links that they came from, so the links in the output are one choice of many, near those of FILE
+/// if it is given.
 #[derive(clap::Args)]
 pub struct Args {
     /// Device file (TOML)
@@ -31,9 +31,8 @@ pub struct Args {
     file: Option<PathBuf>,
     #[command(flatten)]
     read: Read,
-    /// Largest force that walls, springs and fields render at the tip, N [default: what the board has, at most 5
-    /// with real motors].
-    /// Lowers the board's torque limits as well, so that no torque makes more in the home pose
+    /// Largest force of walls, springs and fields at the tip, N [default: the board's, at most 5 with real motors].
+    /// Also lowers the board's torque limits, so that no torque makes more in the home pose
     #[arg(long, value_name = "N", value_parser = newtons, conflicts_with = "read")]
     tip_force: Option<f32>,
     #[command(flatten)]
@@ -51,14 +50,14 @@ fn newtons(text: &str) -> Result<f32, String> {
 /// Checks the file, then the board, then loads.
 pub fn run(args: Args) -> Result<(), Failure> {
     if args.read.asked()? {
-        return read(&args);
+        return read_back(&args);
     }
-    let path = needed(args.file.as_ref(), "device")?;
+    let path = required_file(args.file.as_ref(), "device")?;
     let document = Document::load(&path)?;
     let file = DeviceFile::read(&document)?;
     let device = Device::new(&file.name, &file.description)
         .map_err(|error| Failure::wrong(format!("{}: {error}", path.display())))?;
-    let warnings: Vec<_> = doubts(&file).into_iter().map(|doubt| doubt.about(&document)).collect();
+    let warnings: Vec<_> = doubts(&file).into_iter().map(|warning| warning.about(&document)).collect();
     warn(&warnings);
     let mut board = args.on.open()?;
     let details = board.details()?;
@@ -72,7 +71,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     board.set_device(&device)?;
     let mut report = format!("{} is loaded on {}; it is not homed\n", file.name, board.port());
     if details.real || args.tip_force.is_some() {
-        report.push_str(&soften(&mut board, &file, args.tip_force)?);
+        report.push_str(&limit_force(&mut board, &file, args.tip_force)?);
     }
     if details.real {
         for lack in file.lacks_for_a_board() {
@@ -83,9 +82,9 @@ pub fn run(args: Args) -> Result<(), Failure> {
             report.push_str("  worth measuring: `inductance`; without it the current loop of a motor is slow\n");
         }
     }
-    let ends = args.on.what_is_left();
-    report.push_str(ends);
-    if ends.is_empty() && board.scene()?.is_none() {
+    let temporary = args.on.warn_if_temporary();
+    report.push_str(temporary);
+    if temporary.is_empty() && board.scene()?.is_none() {
         report.push_str("next: `haptic scene FILE`, then `haptic home`\n");
     }
     let lacks = if details.real { file.lacks_for_a_board() } else { Vec::new() };
@@ -93,34 +92,34 @@ pub fn run(args: Args) -> Result<(), Failure> {
     args.on.answer(document, &report)
 }
 
-/// The board's device as a file, or what differs there from a file.
-fn read(args: &Args) -> Result<(), Failure> {
+/// Writes the board's device as a file, or reports how it differs from a file.
+fn read_back(args: &Args) -> Result<(), Failure> {
     let file = args.file.as_deref().map(DeviceFile::load).transpose()?;
     let device = args.on.open()?.device()?.ok_or(BoardError::Refused(Refusal::NoDevice))?;
     let text = device_file(&device, file.as_ref().map(|file| &file.description)).ok_or_else(|| {
-        Failure::impossible("no device file was found that gives a board exactly this device")
-            .remedy("`haptic board backup` keeps it as it is")
+        Failure::impossible("no device file gives a board exactly this device")
+            .remedy("`haptic board backup` keeps it unchanged")
     });
     let compared = match &file {
         Some(file) => {
             let written = file.device::<f32>().map_err(Failure::wrong)?;
-            let found = differences(&running(&written), &running(&device));
-            if found.is_empty() && written != device {
+            let differences = compare(&running(&written), &running(&device));
+            if differences.is_empty() && written != device {
                 let path = file.path.display();
                 return Err(Failure::different(format!(
-                    "the board's device is not that of {path}: it differs in numbers that no device file holds"
+                    "the board's device is not the same as in {path}: it differs in numbers that no device file holds"
                 ))
-                .remedy("load a device file again, or keep the board's as it is with `haptic board backup`"));
+                .remedy("load a device file again, or keep the board's unchanged with `haptic board backup`"));
             }
-            Some((&*file.path as &Path, found))
+            Some((&*file.path as &Path, differences))
         }
         None => None,
     };
-    args.read.answer(&args.on, "device", text, compared)
+    args.read.report(&args.on, "device", text, compared)
 }
 
-/// The highest torque limit (N m) that the board allows, found by asking for a limit that every board refuses.
-fn most_torque(board: &mut Board) -> Option<f32> {
+/// Returns the highest torque limit (N m) that the board allows, found by requesting a limit that every board refuses.
+fn max_torque(board: &mut Board) -> Option<f32> {
     let mut rules = board.rules().ok()?;
     rules.limits.torque[0] = f32::INFINITY;
     match board.set_rules(&rules) {
@@ -129,13 +128,13 @@ fn most_torque(board: &mut Board) -> Option<f32> {
     }
 }
 
-/// Limits the force at the tip, lowers the torque limits to what it takes in the home pose, and says so.
-fn soften(board: &mut Board, file: &DeviceFile, newtons: Option<f32>) -> Result<String, Failure> {
+/// Limits the force at the tip, lowers the torque limits to match it in the home pose, and describes the result.
+fn limit_force(board: &mut Board, file: &DeviceFile, newtons: Option<f32>) -> Result<String, Failure> {
     let before = board.rules()?;
     let newtons = newtons.unwrap_or(before.limits.tip_force.min(GENTLE_FORCE));
     let mut rules = before;
     rules.limits.tip_force = newtons;
-    // Torques that make so many newtons and carry the device as well.
+    // Torques that make this force and also carry the device.
     let needs: Vec<f32> = match Tip::at_home(&file.description) {
         Some(Ok(tip)) => tip.limits_for(newtons.into()).into_iter().map(|torque| torque as f32).collect(),
         _ => Vec::new(),
@@ -148,24 +147,24 @@ fn soften(board: &mut Board, file: &DeviceFile, newtons: Option<f32>) -> Result<
         warn_of_weaker(&before, &rules);
     }
     let tip =
-        format!("  tip force: walls, springs and fields push with at most {newtons} N; `--tip-force` says how much\n");
+        format!("  tip force: walls, springs and fields push with at most {newtons} N; `--tip-force` changes it\n");
     let joints = file.spec().joints;
-    let three = |torques: &[f32]| {
+    let list = |torques: &[f32]| {
         let each: Vec<String> = torques.iter().take(joints).map(|torque| format!("{torque:.3}")).collect();
         each.join(", ")
     };
-    let limits = three(&rules.limits.torque);
-    // A limit that was lower before stays: it may have been set on purpose.
+    let limits = list(&rules.limits.torque);
+    // A limit that was lower before stays, because it may have been set on purpose.
     if rules.limits.torque.iter().zip(&needs).any(|(limit, needed)| *limit < 0.99 * needed) {
         let needs_in_words =
-            format!("{newtons} N at the tip in the home pose, and what carries the device, take {}", three(&needs));
-        return Ok(match most_torque(board) {
-            Some(most) if needs.iter().any(|needed| *needed > most) => format!(
-                "{tip}  torque limits: {limits} N m; {needs_in_words}, and the board allows no more than {most}: are lengths in \
-                 the file in m and masses in kg? `--tip-force` asks for less\n"
+            format!("{newtons} N at the tip in the home pose, and the weight of the device, take {}", list(&needs));
+        return Ok(match max_torque(board) {
+            Some(max) if needs.iter().any(|needed| *needed > max) => format!(
+                "{tip}  torque limits: {limits} N m; {needs_in_words}, and the board allows at most {max}: are lengths in \
+                 the file in m and masses in kg? use a smaller `--tip-force`\n"
             ),
             _ => format!(
-                "{tip}  torque limits: {limits} N m, of which some were lower before; {needs_in_words}: \
+                "{tip}  torque limits: {limits} N m, some were lower before; {needs_in_words}: \
                  `haptic rules --torque` raises them\n"
             ),
         });
@@ -174,7 +173,7 @@ fn soften(board: &mut Board, file: &DeviceFile, newtons: Option<f32>) -> Result<
         return Ok(tip);
     }
     Ok(format!(
-        "{tip}  torque limits: {limits} N m, for at most {newtons} N at the tip in the home pose beside what carries the device; \
+        "{tip}  torque limits: {limits} N m, for at most {newtons} N at the tip in the home pose in addition to its weight; \
          `haptic rules --torque` raises them\n"
     ))
 }

@@ -6,8 +6,8 @@ use serde_json::json;
 
 /// Restart a board into its boot loader, to be flashed over USB
 ///
-/// The motors go off. The board is gone from `haptic board list` until it is flashed (`haptic flash`, which does
-/// this by itself) or switched off and on.
+/// The motors go off. The board is missing from `haptic board list` until it is flashed (`haptic flash`, which enters
+/// the boot loader by itself) or switched off and on.
 #[derive(clap::Args)]
 pub struct Args {
     #[command(flatten)]
@@ -17,13 +17,13 @@ pub struct Args {
     yes: bool,
 }
 
-/// Asks for the restart.
+/// Restarts the board into its boot loader, after asking if motors are on.
 pub fn run(args: Args) -> Result<(), Failure> {
     let mut board = args.on.open()?;
     if board.status()?.state.drives() {
         confirm(args.yes, GOES_OFF)?;
     }
     board.enter_dfu()?;
-    let said = "the board restarts into its boot loader: flash it with `haptic flash`, or switch it off and on\n";
-    args.on.answer(json!({ "restarts": "boot-loader" }), said)
+    let words = "the board restarts into its boot loader: flash it with `haptic flash`, or switch it off and on\n";
+    args.on.answer(json!({ "restarts": "boot-loader" }), words)
 }

@@ -1,4 +1,4 @@
-//! `haptic disarm`: motors off.
+//! `haptic disarm`: switches the motors off.
 
 use super::answer::Json;
 use super::port::{OnBoard, fault_in_words};
@@ -8,31 +8,31 @@ use serde_json::json;
 
 /// Switch the motors off; the device then moves freely (and falls, if it has weight)
 ///
-/// Also of a board whose firmware is of another version than this tool. Gets through to a simulated or emulated board
-/// that another tool holds. A board on USB belongs to the tool that has its port open: end that tool, pull the cable, or
-/// use the emergency stop.
+/// Also disarms a board with firmware of another version than this tool, and a simulated or emulated board that another
+/// tool holds. A board on USB belongs to the tool that has its port open: end that tool, pull the cable, or use the
+/// emergency stop.
 #[derive(clap::Args)]
 pub struct Args {
     #[command(flatten)]
     on: OnBoard,
 }
 
-/// Disarms, and says so when a fault stays latched.
+/// Disarms, and reports a fault that is latched.
 pub fn run(args: Args) -> Result<(), Failure> {
     let port = args.on.spec();
     let mut board = match Board::stop(port) {
         Ok(Stopped::Open(board)) => board,
         Ok(Stopped::Unlike(version)) => {
-            let said = format!("disarmed: the motors are off; the board speaks protocol version {version}\n");
-            return args.on.answer(json!({ "state": "Disarmed" }), &said);
+            let words = format!("disarmed: the motors are off; the board uses protocol version {version}\n");
+            return args.on.answer(json!({ "state": "Disarmed" }), &words);
         }
-        // A tool that was about to leave has left by now, and more can be told.
+        // A tool that was about to end may have closed the port by now; an open board allows a complete report.
         Ok(Stopped::Past) => match haptic_sim::open(port) {
             Ok(board) => Box::new(board),
-            Err(_) => return said_past(args.on.json),
+            Err(_) => return report_past(args.on.json),
         },
         Err(BoardError::Link(held @ (LinkError::HeldByAnother(_) | LinkError::PortBusy(_) | LinkError::Lost(_)))) => {
-            return past(port, args.on.json, held);
+            return disarm_held(port, args.on.json, held);
         }
         Err(other) => return Err(other.into()),
     };
@@ -46,10 +46,10 @@ pub fn run(args: Args) -> Result<(), Failure> {
     args.on.answer(json!({ "state": format!("{:?}", status.state), "fault": fault }), &report)
 }
 
-/// Disarms past the tool that holds the board.
-fn past(port: &PortSpec, json: Json, held: LinkError) -> Result<(), Failure> {
+/// Disarms the board although another tool holds it.
+fn disarm_held(port: &PortSpec, json: Json, held: LinkError) -> Result<(), Failure> {
     match disarm_past(port) {
-        Ok(()) => said_past(json),
+        Ok(()) => report_past(json),
         Err(BoardError::Link(LinkError::PortBusy(_))) => Err(Failure::from(held).remedy(
             "to disarm at once end that tool (Ctrl-C), pull the USB cable of a board whose rules watch the host, or use the \
              emergency stop",
@@ -58,7 +58,7 @@ fn past(port: &PortSpec, json: Json, held: LinkError) -> Result<(), Failure> {
     }
 }
 
-fn said_past(json: Json) -> Result<(), Failure> {
-    let said = "disarmed past the tool that holds the board: the motors are off\n";
-    json.answer(json!({ "state": "Disarmed" }), said)
+fn report_past(json: Json) -> Result<(), Failure> {
+    let words = "disarmed, although another tool holds the board: the motors are off\n";
+    json.answer(json!({ "state": "Disarmed" }), words)
 }

@@ -1,4 +1,4 @@
-//! `haptic tune estimators`: which velocity estimator suits a device, by simulation with its encoder steps.
+//! `haptic tune estimators`: compares velocity estimators on a device, by simulation with its encoder steps.
 
 use super::answer::Json;
 use super::arguments::{self, DeviceAt, Numbers};
@@ -16,25 +16,25 @@ use std::fmt::Write;
 
 /// Compare velocity estimators on a device, by simulation with its encoder steps
 ///
-/// For each: the area of walls (stiffness over damping) that come to rest, the ripple of the force of a wall under a
-/// hand that presses ever harder, without and with the feed-forward (4), and under one at rest, how late and how noisy
-/// the velocity is. Those with at least the Butterworth's area come first, by their ripple under the growing press: a
-/// hand at rest is no test, as friction may hold the tip between two counts. Takes a minute. Put the word of the first
-/// column into a scene file as `estimator`.
+/// Prints for each estimator the area of walls (stiffness over damping) that come to rest; the ripple of a wall's force
+/// under a hand that presses with growing force, without and with the feed-forward (4), and under a hand at rest; the
+/// delay and the noise of the velocity. Estimators with at least the Butterworth's area come first, ordered by their
+/// ripple under the growing force: a hand at rest is no test, because friction may hold the tip between two counts.
+/// Takes a minute. Put the word of the first column into a scene file as `estimator`.
 #[derive(clap::Args)]
 pub struct Args {
     #[command(flatten)]
     at: DeviceAt,
-    /// Normal of the wall, any length
+    /// Normal of the wall, of any length
     #[arg(long, value_name = "X,Y,..", required = true, allow_hyphen_values = true)]
     normal: Numbers,
     /// Control rate in Hz
     #[arg(long, value_name = "HZ", default_value_t = DEFAULT_RATE_HZ)]
     rate: f64,
-    /// Cutoff in Hz [default: 500, or a tenth of the rate where that is less]
+    /// Cutoff in Hz [default: 500, or a tenth of the rate if that is less]
     #[arg(long, value_name = "HZ")]
     cutoff: Option<f64>,
-    /// Stiffness and damping of the wall that is pressed, in N/m and N s/m [default: a quarter and half of what
+    /// Stiffness and damping of the pressed wall, in N/m and N s/m [default: a quarter and half of the range that
     /// `range --board` predicts stable with the Butterworth]
     #[arg(long, value_name = "KP,KD")]
     wall: Option<Numbers>,
@@ -69,8 +69,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let sweep = args.continued.sweep("estimators", &question)?.in_lines();
     let rows = compare(&comparison, &sweep)?;
     let path = TorquePath::usual(args.rate);
-    let around = Loop::through(&path, args.rate, LinearEstimator::Butterworth(cutoff));
-    let options = Prediction::new(Subject::new(&file.description).map_err(Failure::wrong)?, around)
+    let control_loop = Loop::through(&path, args.rate, LinearEstimator::Butterworth(cutoff));
+    let options = Prediction::new(Subject::new(&file.description).map_err(Failure::wrong)?, control_loop)
         .options(&q, &[Member::new(normal.clone(), 1.0)]);
     let document = json!({
         "device": file.name, "options": options, "q": q, "normal": normal, "rate_hz": args.rate, "cutoff_hz": cutoff,
@@ -85,7 +85,7 @@ fn readable(comparison: &Comparison<'_>, rows: &[Row]) -> String {
     let mut text = String::new();
     let _ = writeln!(
         text,
-        "{}: control at {} Hz; ripple on a wall of {:.0} N/m and {:.1} N s/m under a hand that presses with 3 N and 1 N/s more, and at rest\n",
+        "{}: control at {} Hz; ripple on a wall of {:.0} N/m and {:.1} N s/m under a hand that presses with 3 N growing by 1 N/s, and at rest\n",
         comparison.file.name, comparison.rate_hz, comparison.wall.0, comparison.wall.1
     );
     let _ = writeln!(
@@ -122,7 +122,7 @@ fn readable(comparison: &Comparison<'_>, rows: &[Row]) -> String {
     if rows.iter().all(|row| row.press_n[0].is_some_and(|press| press < RESOLUTION_N)) {
         let _ = writeln!(
             text,
-            "  every press is below {RESOLUTION_N} N, so this wall ranks nothing: choose a stiffer one with more damping by --wall"
+            "  every ripple is below {RESOLUTION_N} N, so this wall cannot rank them: choose a stiffer wall with more damping with --wall"
         );
     }
     text

@@ -1,4 +1,4 @@
-//! `haptic faults`: what went wrong since the board started, in plain words, and the latched fault cleared.
+//! `haptic faults`: lists the faults since the board started; with `--clear` it clears the latched fault.
 
 use super::port::{OnBoard, fault_in_words, state_in_words};
 use haptic_bridge::control::Status;
@@ -9,8 +9,8 @@ use serde_json::json;
 
 /// List the faults since the board started, each with its remedy, or clear a latched one
 ///
-/// --clear is for after the cause has been removed. It says which joints are outside their limits: the board does not
-/// arm before they are moved back.
+/// Use --clear after the cause has been removed. It lists the joints outside their limits: the board does not arm
+/// before they are moved back.
 #[derive(clap::Args)]
 pub struct Args {
     /// Clear the latched fault instead
@@ -20,7 +20,7 @@ pub struct Args {
     on: OnBoard,
 }
 
-/// Asks and reports.
+/// Reads the faults and reports them.
 pub fn run(args: Args) -> Result<(), Failure> {
     if args.clear {
         return clear(&args);
@@ -63,18 +63,18 @@ fn clear(args: &Args) -> Result<(), Failure> {
     let outside = outside_limits(&mut board, &status)?;
     let cleared = before.map(|record| record.fault.name());
     let done = cleared.map_or("no fault was latched".into(), |name| format!("cleared {name}"));
-    let mut said = format!("{done}; the board is {}\n", state_in_words(status.state));
+    let mut words = format!("{done}; the board is {}\n", state_in_words(status.state));
     for joint in &outside {
-        said.push_str(&format!(
+        words.push_str(&format!(
             "joint {joint} is outside its limits, at {:.3} rad: move it back by hand, or the board will not arm\n",
             status.q[*joint]
         ));
     }
     let document = json!({ "cleared": cleared, "state": format!("{:?}", status.state), "outside_limits": outside });
-    args.on.answer(document, &said)
+    args.on.answer(document, &words)
 }
 
-/// The joints that stand outside their limits, where the board knows their angles.
+/// Returns the joints outside their limits, if the board knows their angles.
 fn outside_limits(board: &mut Board, status: &Status) -> Result<Vec<usize>, Failure> {
     let known = status.homed || !board.details()?.real;
     let Some(device) = board.device()?.filter(|_| known) else { return Ok(Vec::new()) };

@@ -1,4 +1,4 @@
-//! `haptic flash`: firmware on a board, over USB or through a debug probe.
+//! `haptic flash`: writes firmware to a board, over USB or through a debug probe.
 
 use super::answer::Json;
 use super::port::{GOES_OFF, Port, confirm};
@@ -12,12 +12,13 @@ use std::path::PathBuf;
 
 /// Put the firmware of this tool on a board, over USB
 ///
-/// The board restarts into the boot loader in its chip, or is there already; only the sectors of the image are erased,
-/// every byte is read back, and the settings stay. A board that is interrupted starts no firmware, and its motors stay
-/// off: run the same again. On Linux, `haptic udev` writes the rule that lets you open boot loaders.
+/// The board restarts into the boot loader in its chip, unless it is already there. Only the sectors of the image are
+/// erased, every byte is read back, and the settings stay. After an interruption the board starts no firmware and its
+/// motors stay off: run the same command again. On Linux, `haptic udev` writes the rule that lets you open boot
+/// loaders.
 #[derive(clap::Args)]
 pub struct Args {
-    /// The kind of board, such as odrive-v3, which nothing but a boot loader has to be told
+    /// Kind of board, such as odrive-v3; required only for a board that is in its boot loader
     board: Option<String>,
     #[command(flatten)]
     port: Port,
@@ -37,7 +38,7 @@ pub struct Args {
 /// Finds the board, then its image, then flashes.
 pub fn run(args: Args) -> Result<(), Failure> {
     let serial = serial(args.port.spec())?;
-    let file = args.file.as_ref().map(read).transpose()?;
+    let file = args.file.as_ref().map(read_image).transpose()?;
     if file.is_none() && embedded().is_empty() {
         return Err(Failure::impossible(WITHOUT_IMAGES).choose(Choice::Image));
     }
@@ -45,32 +46,32 @@ pub fn run(args: Args) -> Result<(), Failure> {
         image(&file, board)?;
     }
     if args.probe {
-        return by_probe(&args, &file);
+        return flash_by_probe(&args, &file);
     }
-    let found = look(&mut Bus::here(), serial.as_deref()).map_err(Failure::impossible)?;
-    let image = match &found {
-        Found::Running(said) => {
+    let target = look(&mut Bus::here(), serial.as_deref()).map_err(Failure::impossible)?;
+    let image = match &target {
+        Found::Running(board) => {
             haptic_host::tell!(
                 "found {}, serial number {}, with firmware {} (protocol {})",
-                on_one_line(&said.board),
-                on_one_line(&said.serial),
-                on_one_line(&said.firmware),
-                said.protocol
+                on_one_line(&board.board),
+                on_one_line(&board.serial),
+                on_one_line(&board.firmware),
+                board.protocol
             );
-            let image = image(&file, args.board.as_deref().unwrap_or(&said.board))?;
-            // Another board's image is refused below, without a question before.
-            if image.board == said.board {
-                ask_running(&said.serial, args.yes)?;
+            let image = image(&file, args.board.as_deref().unwrap_or(&board.board))?;
+            // The image of another board is refused below, without a question first.
+            if image.board == board.board {
+                confirm_restart(&board.serial, args.yes)?;
             }
             image
         }
         Found::BootLoader(loader) => {
             haptic_host::tell!("found a boot loader, serial number {}", on_one_line(&loader.serial));
-            for_boot_loader(&args, &file)?
+            image_for_boot_loader(&args, &file)?
         }
     };
-    haptic_host::tell!("flashing {}", in_words(&image));
-    let done = flash(&mut Bus::here(), &found, image, &mut |progress| show(progress));
+    haptic_host::tell!("flashing {}", describe(&image));
+    let done = flash(&mut Bus::here(), &target, image, &mut |progress| show(progress));
     let Done { said, restored, sectors, bytes } = done.map_err(Failure::impossible)?;
     let mut words = format!(
         "{} runs firmware {} (protocol {}): {bytes} bytes in {sectors} sectors, every one read back; settings kept\n",
@@ -88,27 +89,27 @@ pub fn run(args: Args) -> Result<(), Failure> {
     args.json.answer(document, &words)
 }
 
-fn read(file: &PathBuf) -> Result<Image, Failure> {
+fn read_image(file: &PathBuf) -> Result<Image, Failure> {
     let wrong = |error: &dyn std::fmt::Display| Failure::wrong(format!("{}: {error}", file.display()));
     let bytes = haptic_host::input::read(file).map_err(|error| wrong(&error))?;
     parse(&bytes).map_err(|error| wrong(&error))
 }
 
-/// The image for this kind of board: the file's, or the one in this tool. A file of another board is found out by the
-/// board that it is for.
+/// Returns the image for this kind of board: the file's, or the one in this tool. The caller checks that a file is for
+/// this board.
 fn image(file: &Option<Image>, board: &str) -> Result<Image, Failure> {
     if let Some(image) = file {
         return Ok(image.clone());
     }
-    let Some(found) = embedded().iter().find(|image| image.board == board) else {
+    let Some(embedded_image) = embedded().iter().find(|image| image.board == board) else {
         let reason = format!("this tool has no image for {}", on_one_line(board));
         return Err(Failure::wrong(reason).remedy(format!("it has those for {}", boards_with_images().join(", "))));
     };
     let broken = |why| Failure::impossible(format!("the image for {board} in this tool is broken: {why}"));
-    let image = found.image().map_err(broken)?;
+    let image = embedded_image.image().map_err(broken)?;
     match image.protocol {
         Some(protocol) if protocol != PROTOCOL => {
-            let reason = format!("the images in this tool speak protocol {protocol} and the tool {PROTOCOL}");
+            let reason = format!("the images in this tool use protocol {protocol} and the tool uses {PROTOCOL}");
             Err(Failure::impossible(reason).remedy("run `cargo xtask images` and build the tool again"))
         }
         _ => Ok(image),
@@ -119,7 +120,7 @@ fn boards_with_images() -> Vec<&'static str> {
     embedded().iter().map(|image| image.board).collect()
 }
 
-fn in_words(image: &Image) -> String {
+fn describe(image: &Image) -> String {
     let board = on_one_line(&image.board);
     match (&image.version, image.protocol) {
         (Some(version), Some(protocol)) => format!("{board} {version} (protocol {protocol}), {} bytes", image.size()),
@@ -127,7 +128,7 @@ fn in_words(image: &Image) -> String {
     }
 }
 
-/// The serial number that was asked for, of a port that was named as well.
+/// Returns the serial number of the requested port; `None` if no port was given.
 fn serial(port: &PortSpec) -> Result<Option<String>, Failure> {
     match port {
         PortSpec::Find => Ok(None),
@@ -140,8 +141,8 @@ fn serial(port: &PortSpec) -> Result<Option<String>, Failure> {
     }
 }
 
-/// Asks before a restart that turns off a running board's motors or loses its unsaved settings.
-fn ask_running(serial: &str, yes: bool) -> Result<(), Failure> {
+/// Asks before a restart that turns off a running board's motors or loses unsaved settings.
+fn confirm_restart(serial: &str, yes: bool) -> Result<(), Failure> {
     match haptic_flash::motors_and_unsaved(serial)? {
         None => confirm(yes, "the board restarts, and its motors go off if they are on"),
         Some((drives, unsaved)) => {
@@ -151,7 +152,7 @@ fn ask_running(serial: &str, yes: bool) -> Result<(), Failure> {
             }
             if !unsaved.is_empty() {
                 loses.push(format!(
-                    "what is not saved will be forgotten: {} (`haptic board save` keeps it)",
+                    "unsaved settings will be lost: {} (`haptic board save` keeps them)",
                     unsaved.join(", ")
                 ));
             }
@@ -160,8 +161,8 @@ fn ask_running(serial: &str, yes: bool) -> Result<(), Failure> {
     }
 }
 
-/// The image for a boot loader, which does not know what it is soldered to.
-fn for_boot_loader(args: &Args, file: &Option<Image>) -> Result<Image, Failure> {
+/// Returns the image for a boot loader, after asking for the board, because a boot loader does not know its board.
+fn image_for_boot_loader(args: &Args, file: &Option<Image>) -> Result<Image, Failure> {
     let board = match (&args.board, file) {
         (Some(board), Some(image)) if *board != image.board => {
             let reason = format!("the file is for {} and the board is {board}", on_one_line(&image.board));
@@ -169,25 +170,22 @@ fn for_boot_loader(args: &Args, file: &Option<Image>) -> Result<Image, Failure> 
         }
         (Some(board), _) => board.clone(),
         (None, Some(image)) => image.board.clone(),
-        (None, None) => ask_which()?,
+        (None, None) => ask_for_board()?,
     };
     let image = image(file, &board)?;
     let board = on_one_line(&image.board);
-    confirm(
-        args.yes,
-        &format!("a boot loader does not say on which board it is: the image drives the pins of {board}"),
-    )?;
+    confirm(args.yes, &format!("a boot loader does not identify its board: the image drives the pins of {board}"))?;
     Ok(image)
 }
 
-fn ask_which() -> Result<String, Failure> {
+fn ask_for_board() -> Result<String, Failure> {
     let known = boards_with_images();
-    let unknown = || Failure::wrong("a boot loader does not say on which board it is");
+    let unknown = || Failure::wrong("a boot loader does not identify its board");
     let first = known.first().copied().unwrap_or_default();
     if !std::io::stdin().is_terminal() {
-        return Err(unknown().remedy(format!("name the kind, as in haptic flash {first}")));
+        return Err(unknown().remedy(format!("give the kind, as in haptic flash {first}")));
     }
-    say(format_args!("a boot loader does not say on which board it is; which one ({})? ", known.join(", ")));
+    say(format_args!("a boot loader does not identify its board; which board is it ({})? ", known.join(", ")));
     let mut answer = String::new();
     let read = std::io::stdin().lock().read_line(&mut answer);
     match known.iter().find(|board| read.is_ok() && **board == answer.trim()) {
@@ -196,14 +194,14 @@ fn ask_which() -> Result<String, Failure> {
     }
 }
 
-fn by_probe(args: &Args, file: &Option<Image>) -> Result<(), Failure> {
+fn flash_by_probe(args: &Args, file: &Option<Image>) -> Result<(), Failure> {
     let board = match (&args.board, file) {
         (Some(board), _) => board.clone(),
         (None, Some(image)) => image.board.clone(),
         (None, None) => {
             let first = boards_with_images().first().copied().unwrap_or_default();
-            let reason = "a probe does not say at which board it is";
-            return Err(Failure::wrong(reason).remedy(format!("name the kind, as in haptic flash {first} --probe")));
+            let reason = "a probe does not identify its board";
+            return Err(Failure::wrong(reason).remedy(format!("give the kind, as in haptic flash {first} --probe")));
         }
     };
     let image = image(file, &board)?;
@@ -212,17 +210,17 @@ fn by_probe(args: &Args, file: &Option<Image>) -> Result<(), Failure> {
             .remedy("name the file for this board"));
     }
     confirm(args.yes, &format!("the board at the probe restarts as {board}, and its motors go off"))?;
-    haptic_host::tell!("flashing {}", in_words(&image));
+    haptic_host::tell!("flashing {}", describe(&image));
     probe::flash("probe-rs", &image).map_err(Failure::impossible)?;
     let words = format!("{board} is flashed through the probe and has restarted; settings kept\n");
     args.json.answer(json!({ "board": board, "bytes": image.size(), "by": "probe-rs" }), &words)
 }
 
-/// Says what is being done, on a line that is written over at a terminal.
+/// Shows the progress, on a line that is overwritten on a terminal.
 fn show(progress: Progress) {
     let terminal = std::io::stderr().is_terminal();
     match progress {
-        // They go back and forth between writing and reading; the percentage tells that.
+        // Writing and reading alternate; the percentage shows both.
         Progress::Begins(Step::Write | Step::ReadBack) if terminal => {}
         Progress::Begins(step) => haptic_host::tell!("{step}"),
         Progress::Done(step, done, of) if terminal => {
@@ -231,7 +229,7 @@ fn show(progress: Progress) {
         }
         Progress::Done(..) => {}
         Progress::PowerCycle => haptic_host::tell!(
-            "the board does not come back by itself: set its DIP switch back to RUN (or BOOT0 low), then switch its \
+            "the board does not restart by itself: set its DIP switch back to RUN (or BOOT0 low), then switch its \
              power off and on"
         ),
     }

@@ -16,12 +16,12 @@ use serde_json::json;
 
 /// Show or change the gains of a wall, also while it is touched
 ///
-/// Gains that are not named stay as they are. `haptic board save` keeps the gains over a power cycle.
+/// Gains without an option stay as they are. `haptic board save` keeps the gains over a power cycle.
 #[derive(clap::Args)]
 pub struct Args {
     #[command(flatten)]
     on: OnBoard,
-    /// Which wall, from 0, in the order of the scene file
+    /// Index of the wall, from 0, in the order of the scene file
     #[arg(long, value_name = "INDEX", default_value_t = 0)]
     wall: u8,
     /// Stiffness in N/m
@@ -49,9 +49,9 @@ fn gain(text: &str) -> Result<f32, String> {
     }
 }
 
-/// Doubts about a wall's gains, more than the loop or the motors can render, where the device is now, or at home before
+/// Returns warnings about gains that the loop or the motors cannot render, at the present pose, or at home before
 /// homing.
-fn doubts(board: &mut Board, scene: &Scene<f32>, index: usize) -> Result<Vec<Warning>, Failure> {
+fn gain_warnings(board: &mut Board, scene: &Scene<f32>, index: usize) -> Result<Vec<Warning>, Failure> {
     let (Some(device), status, details) = (board.device()?, board.status()?, board.details()?) else {
         return Ok(Vec::new());
     };
@@ -68,7 +68,7 @@ fn doubts(board: &mut Board, scene: &Scene<f32>, index: usize) -> Result<Vec<War
     Ok(beyond(&scene.walls[index], &contact, false).into_iter().map(Doubt::typed).collect())
 }
 
-/// Reads the gains, changes those that were named, and reports them all.
+/// Reads the gains, changes the requested ones, and reports all.
 pub fn run(args: Args) -> Result<(), Failure> {
     let mut board = args.on.open()?;
     let scene = board.scene()?.ok_or(BoardError::Refused(Refusal::NoScene))?;
@@ -83,9 +83,9 @@ pub fn run(args: Args) -> Result<(), Failure> {
         feed_forward: args.feed_forward.unwrap_or(wall.feed_forward),
         washout_hz: args.washout.unwrap_or(wall.washout_hz),
     };
-    let named =
+    let is_changed =
         args.stiffness.is_some() || args.damping.is_some() || args.feed_forward.is_some() || args.washout.is_some();
-    if named {
+    if is_changed {
         board.set_wall_gains(gains)?;
     }
     if let Some(cutoff) = args.cutoff {
@@ -95,8 +95,11 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let Some(wall) = scene.walls.get(usize::from(args.wall)) else {
         return Err(BoardError::Refused(Refusal::NoScene).into());
     };
-    let warnings =
-        if named || args.cutoff.is_some() { doubts(&mut board, &scene, usize::from(args.wall))? } else { Vec::new() };
+    let warnings = if is_changed || args.cutoff.is_some() {
+        gain_warnings(&mut board, &scene, usize::from(args.wall))?
+    } else {
+        Vec::new()
+    };
     warn(&warnings);
     let filter = match scene.estimator {
         Estimator::Butterworth => format!("Butterworth filter at {} Hz", short(scene.cutoff_hz)),
@@ -105,10 +108,10 @@ pub fn run(args: Args) -> Result<(), Failure> {
     };
     if wall.feed_forward != FeedForward::Off && scene.velocity_terms == VelocityTerms::Off {
         haptic_host::tell!(
-            "the feed-forward is without velocity terms, as this scene was loaded; `haptic scene FILE` decides anew"
+            "the feed-forward is without velocity terms, as this scene was loaded; `haptic scene FILE` decides again"
         );
     }
-    let said = format!(
+    let words = format!(
         "wall {}: stiffness {} N/m, damping {} N s/m, feed-forward {}; {filter}, control at {} Hz\n",
         args.wall,
         short(wall.stiffness),
@@ -121,5 +124,5 @@ pub fn run(args: Args) -> Result<(), Failure> {
         "washout_hz": wall.washout_hz, "estimator": scene.estimator, "cutoff_hz": scene.cutoff_hz,
         "rate_hz": scene.rate_hz, "warnings": warnings,
     });
-    args.on.answer(document, &said)
+    args.on.answer(document, &words)
 }

@@ -1,4 +1,4 @@
-//! The help page: its commands under headings, and lines to type.
+//! The help page: commands under headings, and examples.
 
 use super::{Command, DEVELOPERS, HEADINGS, list_of_fields};
 use clap::{CommandFactory, Parser};
@@ -7,27 +7,27 @@ use clap::{CommandFactory, Parser};
 /// whose inertia they know.
 ///
 /// Devices are described in TOML files (see devices/), walls in scene files (see devices/scenes/). Units are SI
-/// everywhere (metres, radians, newtons, kilograms) but in `haptic measure-range --pull MM`.
+/// (metres, radians, newtons, kilograms) except in `haptic measure-range --pull MM`.
 #[derive(Parser)]
 #[command(name = "haptic", version, max_term_width = 110)]
 pub struct Cli {
-    /// What to do.
+    /// Command to run.
     #[command(subcommand)]
     pub command: Command,
 }
 
-/// The command with its help page laid out.
+/// Returns the command with its help page.
 pub fn command() -> clap::Command {
     let command = Cli::command();
-    let shown = || HEADINGS.iter().filter(|(heading, _)| *heading != DEVELOPERS);
-    let width = shown().flat_map(|(_, names)| *names).map(|name| name.len()).max().unwrap_or(0) + 2;
+    let listed = || HEADINGS.iter().filter(|(heading, _)| *heading != DEVELOPERS);
+    let width = listed().flat_map(|(_, names)| *names).map(|name| name.len()).max().unwrap_or(0) + 2;
     let hidden: Vec<&str> =
         HEADINGS.iter().filter(|(heading, _)| *heading == DEVELOPERS).flat_map(|(_, names)| *names).copied().collect();
     let mut listing = String::new();
-    for (heading, names) in shown() {
+    for (heading, names) in listed() {
         listing.push_str(&format!("{heading}:\n"));
         for name in *names {
-            // Modules are written with underscores, commands with hyphens.
+            // Module names have underscores, command names hyphens.
             let name = name.replace('_', "-");
             let about = command.find_subcommand(&name).and_then(|found| found.get_about()).map(ToString::to_string);
             listing.push_str(&format!("  {name:width$}{}\n", about.unwrap_or_default()));
@@ -43,12 +43,12 @@ pub fn command() -> clap::Command {
     );
     command.help_template(template).mut_subcommands(|sub| {
         let hide = hidden.contains(&sub.get_name());
-        explained(sub, "").hide(hide)
+        add_examples(sub, "").hide(hide)
     })
 }
 
-/// A command with lines to type under its options, and the same of those under it; `above` are the words before it.
-fn explained(command: clap::Command, above: &str) -> clap::Command {
+/// Appends examples to the help of a command and of its subcommands; `above` holds the words before the command.
+fn add_examples(command: clap::Command, above: &str) -> clap::Command {
     let words = format!("{above}{}", command.get_name());
     let mut more = String::new();
     if ["stream", "record"].contains(&words.as_str()) {
@@ -59,25 +59,25 @@ fn explained(command: clap::Command, above: &str) -> clap::Command {
     if !examples.is_empty() {
         more.push_str(&format!("Examples:\n  {}", examples.join("\n  ")));
     }
-    // A number may be negative: it is then refused for what it is, not taken for an option.
+    // Accepts negative numbers as values, so that the error is about the value and not about an unknown option.
     let command = command.mut_args(|arg| {
         let valued = arg.get_action().takes_values() && !arg.is_positional();
         if valued && !arg.is_allow_hyphen_values_set() { arg.allow_negative_numbers(true) } else { arg }
     });
-    let command = command.mut_subcommands(|sub| explained(sub, &format!("{words} ")));
+    let command = command.mut_subcommands(|sub| add_examples(sub, &format!("{words} ")));
     if more.is_empty() { command } else { command.after_help(more) }
 }
 
-/// The first commands for a newcomer.
+/// First commands for a new user.
 const START: &str = "Start here, without hardware:
-  haptic demo                     what the feed-forward buys, in seconds
-  haptic view --port sim          a device, a wall and a hand to lead, in the browser
+  haptic demo                     the benefit of the feed-forward, in seconds
+  haptic view --port sim          a device, a wall and a hand that you move, in the browser
   haptic sim                      a simulated board; it prints the PORT for the commands \"With a board\"
   haptic info --port PORT
 ";
 
-/// Lines to type, for the help of a command, named by its words, and its page of the manual. Tests read
-/// every one, see that the files they name ship, and type those that need no board and little time.
+/// Returns examples for a command's help and manual page. Tests parse every example, check that the files in it are
+/// part of the project, and run the examples that need no board and little time.
 pub fn examples(words: &str) -> &'static [&'static str] {
     match words {
         "new" => &["haptic new five-bar -o mine.toml", "haptic new scene --device mine.toml -o wall.toml"],

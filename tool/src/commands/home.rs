@@ -1,4 +1,4 @@
-//! `haptic home`: declares the present pose to be the device file's home pose.
+//! `haptic home`: declares the present pose to be the home pose of the device file.
 
 use super::port::{OnBoard, numbers};
 use haptic_host::error::Failure;
@@ -6,15 +6,15 @@ use serde_json::json;
 
 /// Declare the present pose to be the device's home pose
 ///
-/// Incremental encoders know nothing at power-on. Hold the device still in the pose that [home] of its file names,
-/// then run this; it waits up to a second for the device to be at rest. The motors must be off.
+/// Incremental encoders have no position at power-on. Hold the device still in the pose in [home] of its file, then run
+/// this command; it waits up to a second for the device to be at rest. The motors must be off.
 #[derive(clap::Args)]
 pub struct Args {
     #[command(flatten)]
     on: OnBoard,
 }
 
-/// Homes, and reports where the board believes the device to be.
+/// Homes, and reports the pose.
 pub fn run(args: Args) -> Result<(), Failure> {
     let mut board = args.on.open()?;
     board.home_at_rest()?;
@@ -22,6 +22,6 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let axes = board.device()?.map_or(0, |device| device.axes());
     let status = board.status()?;
     let (q, tip) = (&status.q[..axes], &status.tip[..axes]);
-    let said = format!("homed: joints {}, tip {}\n", numbers(q, "rad"), numbers(tip, "m"));
-    args.on.answer(json!({ "homed": status.homed, "q": q, "tip": tip }), &said)
+    let words = format!("homed: joints {}, tip {}\n", numbers(q, "rad"), numbers(tip, "m"));
+    args.on.answer(json!({ "homed": status.homed, "q": q, "tip": tip }), &words)
 }

@@ -1,4 +1,4 @@
-//! `haptic info`: what a board is, what it has loaded, and how it is.
+//! `haptic info`: the board, its device and scene, and its state.
 
 use super::port::{OnBoard, fault_alone, numbers, scene_in_words, state_in_words, wall_in_words};
 use haptic_bridge::safety::fault::Fault;
@@ -6,14 +6,14 @@ use haptic_host::digits::print_json;
 use haptic_host::error::{Failure, on_one_line, print};
 use serde_json::json;
 
-/// Show what a board is, what it has loaded, and its state
+/// Show a board, its device and scene, and its state
 #[derive(clap::Args)]
 pub struct Args {
     #[command(flatten)]
     on: OnBoard,
 }
 
-/// Asks and reports.
+/// Reads the board and reports.
 pub fn run(args: Args) -> Result<(), Failure> {
     let mut board = args.on.open()?;
     let info = board.info().clone();
@@ -64,7 +64,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     line("tip force", format!("walls, springs and fields push with at most {tip_force} N"));
     line("bus", format!("{:.2} V", status.bus_voltage));
     if axes > 0 {
-        let unknown = if status.homed { "" } else { "  (not homed: counted from where the encoders began)" };
+        let unknown = if status.homed { "" } else { "  (not homed: relative to the pose at power-on)" };
         line("joints", numbers(&status.q[..axes], "rad") + unknown);
         line("tip", numbers(&status.tip[..axes], "m") + unknown);
     }

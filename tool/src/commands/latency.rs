@@ -1,4 +1,4 @@
-//! `haptic board latency`: how long the way to a board and back takes.
+//! `haptic board latency`: measures the round trip to a board.
 
 use super::interrupt;
 use super::port::OnBoard;
@@ -6,16 +6,16 @@ use haptic_host::digits::print_json;
 use haptic_host::error::{Failure, print};
 use haptic_host::latency::{Spread, measure};
 
-/// Measure how long the way to a board and back takes
+/// Measure the round trip to a board
 ///
-/// Asks the board for the state of its device again and again, as a program that renders forces does; the motors stay
-/// as they are. The round trip is on the computer's clock. The age is on the board's: from the state that a program is
-/// told until the force computed from it would begin to act.
+/// Requests the state of the device repeatedly, as a program that renders forces does; the motors stay as they are. The
+/// round trip is measured on the computer's clock. The age is measured on the board's clock: from the state that a
+/// program receives to the moment when the force computed from it would begin to act.
 #[derive(clap::Args)]
 pub struct Args {
     #[command(flatten)]
     on: OnBoard,
-    /// How many exchanges
+    /// Number of exchanges
     #[arg(long, value_name = "N", default_value_t = 2000, value_parser = clap::value_parser!(u32).range(2..=10_000_000))]
     exchanges: u32,
 }
@@ -32,13 +32,13 @@ pub fn run(args: Args) -> Result<(), Failure> {
         format!("{} exchanges, {:.0} a second, on {}\n", latency.round_trip.count, latency.per_second, board.port());
     for (name, spread) in [("round trip", &latency.round_trip), ("age of a force when it begins to act", &latency.age)]
     {
-        report.push_str(&in_words(name, spread));
+        report.push_str(&describe(name, spread));
     }
     print(&report)
 }
 
-/// A spread with its histogram.
-fn in_words(name: &str, spread: &Spread) -> String {
+/// Formats a spread with its histogram.
+fn describe(name: &str, spread: &Spread) -> String {
     let ms = |seconds: f64| format!("{:.3} ms", 1e3 * seconds);
     let mut text = format!(
         "\n{name}: median {}, 99 % within {}, 99.9 % within {}, longest {}\n",
@@ -49,7 +49,7 @@ fn in_words(name: &str, spread: &Spread) -> String {
     );
     let most = spread.histogram.iter().map(|bin| bin.count).max().unwrap_or(1).max(1);
     for bin in &spread.histogram {
-        // Whoever is there at all is seen.
+        // A bin that is not empty has at least one mark.
         let length = (40 * bin.count).div_ceil(most);
         text.push_str(&format!("  up to {:>9} {:>8}  {}\n", ms(bin.to), bin.count, "#".repeat(length)));
     }

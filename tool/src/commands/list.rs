@@ -33,7 +33,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         if !others.is_empty() {
             report.push_str(&format!("other serial ports: {}\n", others.join(", ")));
         }
-        report.push_str("without a board: `haptic demo`; `haptic sim`; `--port sim`, for a board that lives as long as one command\n");
+        report.push_str("without a board: `haptic demo`; `haptic sim`; `--port sim`, a simulated board that exists only during one command\n");
     }
     print(&report)
 }

@@ -1,4 +1,4 @@
-//! The subcommands. Each is one file here, with its `Args` and `run(Args) -> Result<(), Failure>`, and one line below.
+//! The subcommands. Each has one file here, with its `Args` and `run(Args) -> Result<(), Failure>`, and one line below.
 
 mod answer;
 pub mod arguments;
@@ -56,14 +56,14 @@ mod view;
 use haptic_host::error::Failure;
 pub use stream::list_of_fields;
 
-/// The heading of what stands on no help page: commands for those who change the board's control step, and
-/// what another command's page names.
+/// Heading of the commands that the help page omits: those for developers of the control step, and those that the page
+/// of another command names.
 pub const DEVELOPERS: &str = "";
 
 /// Declares the subcommands: under each heading of `haptic --help`, `(Variant, module)` in the order of that page.
 macro_rules! commands {
     ($($heading:tt { $(($Variant:ident, $module:ident))* })*) => {
-        /// What was asked for.
+        /// The command to run.
         #[derive(clap::Subcommand)]
         pub enum Command {
             $($($Variant($module::Args),)*)*
@@ -127,14 +127,14 @@ commands! {
 
 #[cfg(test)]
 mod tests {
-    /// The contents of a command's file.
+    /// The file of a command.
     mod greet {
         use haptic_host::error::Failure;
 
-        /// Greet somebody
+        /// Greet someone
         #[derive(clap::Args)]
         pub struct Args {
-            /// Whom
+            /// Their name
             name: String,
         }
 
@@ -165,7 +165,7 @@ mod tests {
         use clap::{CommandFactory, Parser};
         assert_eq!(list::HEADINGS, [("For people", &["greet"][..])]);
         let help = Toy::command().render_help().to_string();
-        assert!(help.contains("greet") && help.contains("Greet somebody"), "{help}");
+        assert!(help.contains("greet") && help.contains("Greet someone"), "{help}");
         let toy = Toy::parse_from(["haptic", "greet", "Colgate"]);
         assert_eq!(list::run(toy.command).unwrap_err().to_string(), "hello Colgate");
     }

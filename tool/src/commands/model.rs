@@ -1,4 +1,4 @@
-//! `haptic model`: the inertia a wall meets at one configuration, and the feed-forward that changes it.
+//! `haptic model`: the inertia that a wall meets at one pose, and the feed-forward that changes it.
 
 use super::answer::Json;
 use super::arguments::{self, DeviceAt, Holding, Numbers};
@@ -10,13 +10,13 @@ use haptic_predict::plausible::{Warned, warn};
 use haptic_stability::model::{Precision, Report, Rows, WallForce, evaluate_holding};
 use std::fmt::Write;
 
-/// Show what a wall meets at one pose: inertia, coupling, feed-forward torque
+/// Show the inertia that a wall meets at one pose, with coupling and feed-forward torque
 ///
 /// Prints the mass matrix, the effective inertia Weff that a wall meets without the feed-forward, the inertia Wrr that
-/// it meets with it, and the joint torques of both. Give --normal and --force once per wall, and --stiffness once with
-/// one number per wall: several walls share the feed-forward by their stiffness. --json then has "directions", the
-/// stiffest first: along (the unit vector e_j), stiffness along it over that of the stiffest wall, and share (s_R of
-/// the level that renders it and the stiffer ones; null where nothing is left to shape).
+/// it meets with the feed-forward, and the joint torques of both. Give --normal and --force once per wall, and
+/// --stiffness once with one number per wall: several walls share the feed-forward by their stiffness. --json then has
+/// "directions", the stiffest first: along (the unit vector e_j), stiffness along it relative to the stiffest wall, and
+/// share (s_R of the level that renders this direction and the stiffer ones; null if nothing is left to shape).
 #[derive(clap::Args)]
 pub struct Args {
     #[command(flatten)]
@@ -24,21 +24,21 @@ pub struct Args {
     /// Joint velocities in rad/s [default: 0]
     #[arg(long, value_name = "A,B,..", allow_hyphen_values = true)]
     qd: Option<Numbers>,
-    /// Normal of a wall, pointing out of the solid; any length
+    /// Normal of a wall, pointing out of the solid, of any length
     #[arg(long, value_name = "X,Y,..", allow_hyphen_values = true)]
     normal: Vec<Numbers>,
     /// Force of the wall along its normal, in N [default: 0]
     #[arg(long, value_name = "N", allow_hyphen_values = true)]
     force: Vec<Numbers>,
-    /// Stiffness of each wall, in N/m or any other unit [default: all alike]
+    /// Stiffness of each wall, in N/m or any other unit [default: all equal]
     #[arg(long, value_name = "A,B,..", allow_hyphen_values = true)]
     stiffness: Option<Numbers>,
-    /// Walls whose feed-forward is off beside others that have it, counted from 0 in the order of --normal
+    /// Walls whose feed-forward is off while others have it, counted from 0 in the order of --normal
     #[arg(long, value_name = "I,J,..")]
     no_feed_forward: Option<Numbers>,
     #[command(flatten)]
     holding: Holding,
-    /// Arithmetic: f64, or f32 with the mechanism and the sines that the board runs
+    /// Arithmetic: f64, or f32 with the mechanism and trigonometry of the board
     #[arg(long, value_name = "PRECISION", default_value = "f64", value_parser = arguments::precision())]
     precision: Precision,
     #[command(flatten)]
@@ -54,7 +54,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         Some(qd) => qd.exactly(spec.joints, "--qd", "joint velocities")?,
         None => vec![0.0; spec.joints],
     };
-    warnings.extend(arguments::pose_doubts(&q, &device));
+    warnings.extend(arguments::pose_warnings(&q, &device));
     warn(&warnings);
     let walls = walls(&args.normal, &args.force, args.stiffness.as_ref(), args.no_feed_forward.as_ref(), spec.task)?;
     let report = evaluate_holding(&device, &q, &qd, &walls, args.precision, args.holding.admissible)?;
@@ -63,28 +63,28 @@ pub fn run(args: Args) -> Result<(), Failure> {
         let normals = walls.iter().map(|wall| wall.normal.clone()).collect();
         let (precision, admissible) = (args.precision, args.holding.admissible.name());
         let precision = Precision::ALL.iter().find(|(_, other)| *other == precision).map_or("", |(name, _)| name);
-        let result = &Asked { q, qd, normals, forces, precision, admissible, report: &report };
+        let result = &Document { q, qd, normals, forces, precision, admissible, report: &report };
         return print_json(Warned { result, warnings: &warnings });
     }
     let board = if args.precision == Precision::F32 { ", f32 as on the board" } else { "" };
     let heading = format!("{} ({}){board}\n", device.name, spec.name);
     let mut text = heading + &readable(&report, &q, &qd, &walls);
     if let ([only], true) = (walls.as_slice(), spec.joints > spec.task) {
-        text.push_str(&held(&device, &q, only, args.holding.admissible)?);
+        text.push_str(&compare_holding(&device, &q, only, args.holding.admissible)?);
     }
     print(&text)
 }
 
-/// The document of `--json`: what was asked, so that the figures can be had again, and the answer.
+/// The document of `--json`: the inputs, so that the result can be computed again, and the result.
 #[derive(serde::Serialize)]
-struct Asked<'a> {
-    /// rad
+struct Document<'a> {
+    /// Joint angles, rad.
     q: Vec<f64>,
-    /// rad/s
+    /// Joint velocities, rad/s.
     qd: Vec<f64>,
     /// Unit normals of the walls, d entries each.
     normals: Vec<Vec<f64>>,
-    /// N
+    /// Forces of the walls, N.
     forces: Vec<f64>,
     precision: &'static str,
     admissible: &'static str,
@@ -92,10 +92,13 @@ struct Asked<'a> {
     report: &'a Report,
 }
 
-/// Wrr/Weff of a redundant device for every coordinate that it may hold: it belongs to the choice.
-fn held(device: &DeviceFile, q: &[f64], wall: &WallForce, chosen: Admissible) -> Result<String, Failure> {
-    let mut text =
-        format!("This device is redundant: Wrr is that with {} held. Wrr/Weff here, by what is held:", chosen.name());
+/// Describes Wrr/Weff of a redundant device for every coordinate that it may hold, because the gain depends on that
+/// choice.
+fn compare_holding(device: &DeviceFile, q: &[f64], wall: &WallForce, chosen: Admissible) -> Result<String, Failure> {
+    let mut text = format!(
+        "This device is redundant: Wrr is with {} held constant. Wrr/Weff here for each coordinate held:",
+        chosen.name()
+    );
     for (name, admissible) in Admissible::ALL {
         let still = vec![0.0; q.len()];
         let report = evaluate_holding(device, q, &still, std::slice::from_ref(wall), Precision::F64, admissible)?;
@@ -104,7 +107,7 @@ fn held(device: &DeviceFile, q: &[f64], wall: &WallForce, chosen: Admissible) ->
     Ok(text + ".\n")
 }
 
-/// Joins normals, made unit vectors, with forces and stiffness.
+/// Combines normals, made unit vectors, with forces and stiffness.
 fn walls(
     normals: &[Numbers],
     forces: &[Numbers],
@@ -154,14 +157,14 @@ fn readable(report: &Report, q: &[f64], qd: &[f64], walls: &[WallForce]) -> Stri
     line("mass matrix M", "kg m²", matrix(&report.mass));
     line("bias c + g", "N m", row(&report.bias));
     line("condition of J, of M", "", row(&[report.condition.jacobian, report.condition.mass]));
-    line("a hand feels at the tip", "kg", row(&report.perception.tip));
-    line("the most over the least of it", "", row(&[report.perception.ratio]));
+    line("mass felt at the tip", "kg", row(&report.perception.tip));
+    line("largest over smallest of these", "", row(&[report.perception.ratio]));
     for (index, wall) in walls.iter().enumerate() {
         line(&format!("wall {index}: normal"), "", row(&wall.normal));
         line(&format!("wall {index}: force"), "N", row(&[wall.force]));
     }
     if walls.is_empty() {
-        text.push_str("\nNo wall: give --normal (and --force) to see what one meets here.\n");
+        text.push_str("\nNo wall: give --normal (and --force) to see the inertia that it meets here.\n");
         return text;
     }
     for (index, direction) in report.directions.iter().enumerate() {
@@ -188,37 +191,38 @@ fn readable(report: &Report, q: &[f64], qd: &[f64], walls: &[WallForce]) -> Stri
     line("torque by (4), g in z", "N m", row(&report.torque));
     text.push('\n');
     text.push_str(&verdict(report));
-    if let Some(push) = sideways(report) {
+    if let Some(push) = sideways_push(report) {
         let _ = writeln!(
             text,
             "At rest equation (4) pushes a hand along the wall by {push:.3} N per newton (feed_forward = \"full\"); \
-             \"washout\" lets go of a resting hand."
+             \"washout\" does not push a resting hand."
         );
     }
     text
 }
 
-/// The force along one wall that the feed-forward adds to each newton across it while nothing moves, where it is felt.
-fn sideways(report: &Report) -> Option<f64> {
+/// Returns the force along a single wall that the feed-forward adds at rest for each newton across it; `None` if it is
+/// too small to feel.
+fn sideways_push(report: &Report) -> Option<f64> {
     let [coupled] = report.w_ra.as_slice() else { return None };
     let tip = coupled.iter().take(report.position.len() - 1);
     let push = tip.map(|entry| entry * entry).sum::<f64>().sqrt() / report.w_rr[0][0];
     (push >= 0.005).then_some(push)
 }
 
-/// The benefit of the feed-forward here, in a sentence. The stable area of an undamped device grows by (Wrr/Weff)².
+/// Describes the benefit of the feed-forward at this pose. The stable area of an undamped device grows by (Wrr/Weff)².
 fn verdict(report: &Report) -> String {
     let gain = report.gain();
     if !report.directions.is_empty() {
-        "Several walls share the feed-forward by their stiffness: level 1 shapes what acts along direction 1, and so on; \
-         the less, the nearer the next direction comes in stiffness. `haptic range` with the same --normal and --share \
-         tells what it buys.\n"
+        "Several walls share the feed-forward by their stiffness: level 1 shapes forces along direction 1, and so on. \
+         The effect is smaller if the next direction is nearly as stiff. `haptic range` with the same --normal and --share \
+         shows the benefit.\n"
             .into()
     } else if report.w_aa.is_empty() {
         "No direction is left free: nothing couples, and the feed-forward adds only the compensation of z.\n".into()
     } else if gain < 0.03 {
         format!(
-            "With the feed-forward this wall meets {:.1} % more inertia here: it buys next to nothing at this pose and \
+            "With the feed-forward this wall meets {:.1} % more inertia here: it has almost no benefit at this pose and \
              normal; leave it off.\n",
             100.0 * gain.max(0.0)
         )
@@ -233,9 +237,9 @@ fn verdict(report: &Report) -> String {
 }
 
 fn row(values: &[f64]) -> String {
-    // Beside the others, what rounding left of a zero is one.
-    let least = 1e-12 * values.iter().fold(0.0_f64, |largest, value| largest.max(value.abs()));
-    let clean = values.iter().map(|value| if value.abs() < least { 0.0 } else { *value });
+    // An entry that is tiny compared with the largest is the rounding error of a zero.
+    let smallest = 1e-12 * values.iter().fold(0.0_f64, |largest, value| largest.max(value.abs()));
+    let clean = values.iter().map(|value| if value.abs() < smallest { 0.0 } else { *value });
     clean.map(|value| format!("{:>13}", number(value))).collect::<String>()
 }
 
@@ -243,7 +247,7 @@ fn matrix(rows: &Rows) -> String {
     rows.iter().map(|values| row(values)).collect::<Vec<_>>().join("\n")
 }
 
-/// Six significant digits, in powers of ten where that is shorter.
+/// Formats six significant digits, in powers of ten if that is shorter.
 fn number(value: f64) -> String {
     let size = value.abs();
     if value == 0.0 {

@@ -1,4 +1,4 @@
-//! `haptic new`: a device or scene file to start from.
+//! `haptic new`: writes a device or scene file to start from.
 
 use super::force::Force;
 use clap::ValueEnum;
@@ -12,17 +12,17 @@ use std::path::PathBuf;
 
 /// Write a device or scene file with every key and a comment on each, to fill in
 ///
-/// The numbers of a device are examples that run on the simulated board. docs/devices.md says where your own come from.
-/// A scene has one wall, in front of the home pose of --device: well within what is predicted stable there and within
-/// the motors, and so soft that its force does not ripple by more than 0.1 N under a hand.
+/// The numbers of a device are examples that run on the simulated board. docs/devices.md explains how to find your own.
+/// A scene has one wall, in front of the home pose of --device: well within the range that is predicted stable there
+/// and within the motors, and so soft that its force ripples by at most 0.1 N under a hand.
 #[derive(clap::Args)]
 pub struct Args {
     /// Mechanism of the device, or `scene`
-    kind: What,
+    kind: FileKind,
     /// File to write [default: standard output]
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
-    /// Of a scene: the device file that it is for [default: what `haptic new five-bar` writes]
+    /// For a scene: its device file [default: the output of `haptic new five-bar`]
     #[arg(long, value_name = "FILE")]
     device: Option<PathBuf>,
     #[command(flatten)]
@@ -31,23 +31,23 @@ pub struct Args {
 
 /// The file to write: a device by its mechanism's name, or a scene.
 #[derive(Clone, Copy)]
-enum What {
+enum FileKind {
     Device(Kind),
     Scene,
 }
 
-/// Every mechanism, in the order of the catalogue, and a scene.
-const ALL: [What; Kind::ALL.len() + 1] = {
-    let mut all = [What::Scene; Kind::ALL.len() + 1];
+/// All mechanisms, in the order of the catalogue, and a scene.
+const ALL: [FileKind; Kind::ALL.len() + 1] = {
+    let mut all = [FileKind::Scene; Kind::ALL.len() + 1];
     let mut i = 0;
     while i < Kind::ALL.len() {
-        all[i] = What::Device(Kind::ALL[i]);
+        all[i] = FileKind::Device(Kind::ALL[i]);
         i += 1;
     }
     all
 };
 
-impl ValueEnum for What {
+impl ValueEnum for FileKind {
     fn value_variants<'a>() -> &'a [Self] {
         &ALL
     }
@@ -62,11 +62,11 @@ impl ValueEnum for What {
 /// Writes the file.
 pub fn run(args: Args) -> Result<(), Failure> {
     let (text, what) = match args.kind {
-        What::Device(_) if args.device.is_some() => {
+        FileKind::Device(_) if args.device.is_some() => {
             return Err(Failure::wrong("--device is for a scene").remedy("write: haptic new scene --device FILE"));
         }
-        What::Device(kind) => (named(kind, &args)?, format!("an example {} to fill in", kind.spec().name)),
-        What::Scene => {
+        FileKind::Device(kind) => (device_text(kind, &args)?, format!("an example {} to fill in", kind.spec().name)),
+        FileKind::Scene => {
             let file = match &args.device {
                 Some(path) => DeviceFile::load(path)?,
                 None => DeviceFile::parse(&device_file(Kind::FiveBar, "my-device"), "the example five-bar")?,
@@ -78,15 +78,15 @@ pub fn run(args: Args) -> Result<(), Failure> {
     output::write(&path, text.as_bytes(), args.force.overwrite())?;
     let path = path.display();
     let check = match (args.kind, &args.device) {
-        (What::Device(_), _) => format!("haptic check {path}"),
-        (What::Scene, Some(device)) => format!("haptic check {} {path}", device.display()),
-        (What::Scene, None) => format!("haptic check DEVICE {path}"),
+        (FileKind::Device(_), _) => format!("haptic check {path}"),
+        (FileKind::Scene, Some(device)) => format!("haptic check {} {path}", device.display()),
+        (FileKind::Scene, None) => format!("haptic check DEVICE {path}"),
     };
     print(&format!("{path}: {what}; then `{check}`\n"))
 }
 
-/// The device file, under the name of the file that it goes to.
-fn named(kind: Kind, args: &Args) -> Result<String, Failure> {
+/// Returns the text of a device file, with the device named after the file.
+fn device_text(kind: Kind, args: &Args) -> Result<String, Failure> {
     let stem = args.output.as_deref().and_then(|path| path.file_stem()).and_then(|stem| stem.to_str());
     let name = stem.unwrap_or("my-device");
     if name.trim().is_empty() || name.chars().any(char::is_control) {

@@ -1,4 +1,4 @@
-//! `haptic plot`: pictures of a recording, fit for a paper.
+//! `haptic plot`: draws pictures of a recording, suitable for a paper.
 
 use super::answer::Pictures;
 use super::port::counted;
@@ -8,7 +8,7 @@ use haptic_host::digits::print_json;
 use haptic_host::error::{Failure, print};
 use haptic_host::words::short;
 use haptic_predict::plausible::scene::at;
-use haptic_show::plot::signals::{Found, Request, View, draw, panels};
+use haptic_show::plot::signals::{Analysis, Request, View, draw, panels};
 use haptic_show::recorder::Recording;
 use haptic_stability::analysis::control_loop::TorquePath;
 use haptic_stability::analysis::prediction::Subject;
@@ -16,29 +16,28 @@ use std::path::PathBuf;
 
 /// Draw a recording: signals over time, force over penetration, spectrum, phase
 ///
-/// Prints what the recording says in numbers; --svg and --png draw it, with --width for a column of a paper. A row that
-/// was lost is a gap in every curve.
+/// Prints the results in numbers; --svg and --png draw the recording, with --width for a column of a paper. A lost row
+/// is a gap in every curve.
 #[derive(clap::Args)]
 pub struct Args {
-    /// A recording: .mcap or .csv
+    /// Recording: .mcap or .csv
     file: PathBuf,
-    /// What to draw, separated by commas: time, force, spectrum, phase [default: what the recording has the columns
-    /// for]
+    /// Views, separated by commas: time, force, spectrum, phase [default: all for which the recording has columns]
     #[arg(long, value_name = "VIEWS", value_parser = views)]
     show: Option<Views>,
     /// Columns to draw over time and as a spectrum, separated by commas [default: rendered_n]
     #[arg(long, value_name = "COLUMNS", value_delimiter = ',')]
     signals: Vec<String>,
-    /// From this time of the recording on, s
+    /// Start time in the recording, s
     #[arg(long, value_name = "SECONDS")]
     from: Option<f64>,
-    /// To this time, s
+    /// End time, s
     #[arg(long, value_name = "SECONDS")]
     to: Option<f64>,
-    /// The file of the device that was recorded: a hand feels its walls behind its transmissions, which no board knows
+    /// Device file of the recorded device: a hand feels its walls behind its transmissions, which boards do not know
     #[arg(long, value_name = "FILE")]
     device: Option<PathBuf>,
-    /// Print one JSON document: the numbers, and every point that is drawn
+    /// Print one JSON document: the numbers, and every drawn point
     #[arg(long)]
     json: bool,
     #[command(flatten)]
@@ -51,7 +50,7 @@ struct Views(Vec<View>);
 fn views(text: &str) -> Result<Views, String> {
     let view = |name: &str| {
         let known = View::ALL.iter().find(|(known, _)| *known == name.trim()).map(|(_, view)| *view);
-        known.ok_or_else(|| format!("write some of {}", View::ALL.map(|(name, _)| name).join(", ")))
+        known.ok_or_else(|| format!("write one or more of {}", View::ALL.map(|(name, _)| name).join(", ")))
     };
     text.split(',').map(view).collect::<Result<Vec<View>, String>>().map(Views)
 }
@@ -66,41 +65,41 @@ pub fn run(args: Args) -> Result<(), Failure> {
         from: args.from,
         to: args.to,
     };
-    let found = panels(&recording, &request)?;
+    let analysis = panels(&recording, &request)?;
     if args.pictures.asked() {
-        let told = |word: &str| recording.told(word).unwrap_or("unknown");
-        let title = format!("{}, {}", told("device"), told("date"));
+        let value = |word: &str| recording.told(word).unwrap_or("unknown");
+        let title = format!("{}, {}", value("device"), value("date"));
         let walls: Vec<String> = recording.about.iter().filter(|line| line.starts_with("wall ")).cloned().collect();
-        let mut subtitle = vec![format!("board {}; control rate {}", told("board"), told("control rate"))];
+        let mut subtitle = vec![format!("board {}; control rate {}", value("board"), value("control rate"))];
         subtitle.extend(walls.into_iter().take(3));
-        let picture = draw(&title, &subtitle, &found, args.pictures.paper());
+        let picture = draw(&title, &subtitle, &analysis, args.pictures.paper());
         args.pictures.save(&picture)?;
     }
     let device = args.device.as_ref().map(DeviceFile::load).transpose()?;
-    let felt = match (&device, found.stiffness) {
-        (Some(device), Some(stiffness)) => felt(&recording, device, stiffness)?,
+    let felt = match (&device, analysis.stiffness) {
+        (Some(device), Some(stiffness)) => felt_stiffness(&recording, device, stiffness)?,
         _ => None,
     };
     if args.json {
-        return print_json(&Document { found: &found, felt });
+        return print_json(&Document { found: &analysis, felt });
     }
-    print(&readable(&recording, &found, felt))
+    print(&readable(&recording, &analysis, felt))
 }
 
 /// The document of `--json`.
 #[derive(serde::Serialize)]
 struct Document<'a> {
     #[serde(flatten)]
-    found: &'a Found,
-    /// The stiffness that a hand at the tip felt, N/m; `None` where no transmission gives.
+    found: &'a Analysis,
+    /// Stiffness that a hand at the tip felt, N/m; `None` if no transmission is compliant.
     #[serde(skip_serializing_if = "Option::is_none")]
     felt: Option<f64>,
 }
 
-/// The stiffness (N/m) that a hand felt of one that the encoders saw, at the mean of the poses in contact.
-fn felt(recording: &Recording, file: &DeviceFile, stiffness: f64) -> Result<Option<f64>, Failure> {
+/// Returns the stiffness (N/m) that a hand felt for a stiffness at the encoders, at the mean pose in contact.
+fn felt_stiffness(recording: &Recording, file: &DeviceFile, stiffness: f64) -> Result<Option<f64>, Failure> {
     let lacks = |what: &str| {
-        Failure::wrong(format!("--device {}, and the recording has no {what}", file.path.display()))
+        Failure::wrong(format!("--device {} does not apply: the recording has no {what}", file.path.display()))
             .remedy("record one wall of that device with haptic record, or leave --device out")
     };
     recording.told("device").filter(|name| *name == file.name).ok_or_else(|| lacks(&file.name))?;
@@ -117,26 +116,26 @@ fn felt(recording: &Recording, file: &DeviceFile, stiffness: f64) -> Result<Opti
     Ok(at(&subject, &scene, 0, &q, &TorquePath::usual(scene.rate_hz)).and_then(|contact| contact.felt))
 }
 
-fn readable(recording: &Recording, found: &Found, felt: Option<f64>) -> String {
+fn readable(recording: &Recording, found: &Analysis, felt: Option<f64>) -> String {
     let mut text = format!("{} over {:.3} s", counted(found.rows, "row"), found.seconds);
     if found.missing > 0 {
         text.push_str(&format!(", {} missing between them", counted(found.missing, "row")));
     }
     if recording.torn {
-        text.push_str("; the file is cut short behind them");
+        text.push_str("; the file is cut short after them");
     }
     text.push('\n');
     for panel in &found.panels {
-        let of: Vec<&str> = panel.curves.iter().map(|curve| curve.name.as_str()).collect();
+        let curves: Vec<&str> = panel.curves.iter().map(|curve| curve.name.as_str()).collect();
         let note = if panel.note.is_empty() { String::new() } else { format!(": {}", panel.note) };
-        text.push_str(&format!("  {} over {}, of {}{note}\n", panel.y.name, panel.x.name, of.join(", ")));
+        text.push_str(&format!("  {} over {}, of {}{note}\n", panel.y.name, panel.x.name, curves.join(", ")));
     }
     match found.stiffness {
         Some(stiffness) => {
             let felt = felt.map_or(String::new(), |felt| format!(" (felt at the tip: {} N/m)", short(felt as f32)));
-            text.push_str(&format!("stiffness that was there: {} N/m{felt}\n", short(stiffness as f32)));
+            text.push_str(&format!("stiffness found: {} N/m{felt}\n", short(stiffness as f32)));
         }
-        None if found.contact_rows > 0 => text.push_str("stiffness that was there: none\n"),
+        None if found.contact_rows > 0 => text.push_str("stiffness found: none\n"),
         None => {}
     }
     found.said.iter().for_each(|line| text.extend([line, "\n"]));

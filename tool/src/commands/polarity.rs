@@ -1,4 +1,4 @@
-//! `haptic polarity`: lets the board move each joint a little, to see that motors and encoders agree.
+//! `haptic polarity`: lets the board move each joint a little, to check that motors and encoders agree.
 
 use super::port::{OnBoard, confirm};
 use haptic_host::error::Failure;
@@ -6,8 +6,8 @@ use serde_json::json;
 
 /// Check that every motor turns its joint the way its encoder counts (moves the device)
 ///
-/// Each joint in turn gets a small, slowly growing torque until it moves, and is then swung about where it stood, by
-/// some degrees. A real board arms only after this check has passed with its device, homed where it is.
+/// Each joint in turn gets a small, slowly growing torque until it moves, and is then swung by some degrees about its
+/// starting position. A real board arms only after this check has passed with its device at its home.
 #[derive(clap::Args)]
 pub struct Args {
     #[command(flatten)]

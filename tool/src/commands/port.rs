@@ -1,4 +1,4 @@
-//! `--port`, which every command that talks to a board takes, and how they talk about what they found.
+//! `--port`, an option of every command that uses a board, and the words that these commands share.
 
 use super::answer::Json;
 use haptic_bridge::control::{HostAction, Rules};
@@ -12,11 +12,11 @@ use serde::Serialize;
 use std::io::{BufRead, IsTerminal};
 use std::net::{SocketAddr, ToSocketAddrs};
 
-/// Which board.
+/// The board to use.
 #[derive(clap::Args)]
 pub struct Port {
     /// The board: a serial port or a board's serial number, tcp:HOST:PORT, sim, or sim:DEVICE.toml [default:
-    /// HAPTIC_PORT where that is set, else the only board connected]
+    /// HAPTIC_PORT if it is set, else the only connected board]
     #[arg(long, value_name = "PORT", env = "HAPTIC_PORT")]
     port: Option<PortSpec>,
 }
@@ -27,24 +27,22 @@ impl Port {
         Ok(haptic_sim::open(self.spec())?)
     }
 
-    /// The port that was asked for.
+    /// Returns the requested port.
     pub fn spec(&self) -> &PortSpec {
         self.port.as_ref().unwrap_or(&PortSpec::Find)
     }
 
-    /// Opens the board for a command that leaves something in it: not one that ends with the command.
+    /// Opens the board for a command that changes its state. Refuses a board that exists only during the command.
     pub fn open_to_stay(&self) -> Result<Board, Failure> {
         match &self.port {
-            Some(PortSpec::Sim(_)) => {
-                Err(Failure::wrong("a board on --port sim ends with this command, and nothing of it is left")
-                    .remedy("run `haptic sim` in another terminal and use the port that it prints"))
-            }
+            Some(PortSpec::Sim(_)) => Err(Failure::wrong("a board on --port sim exists only during this command")
+                .remedy("run `haptic sim` in another terminal and use the port that it prints")),
             _ => self.open(),
         }
     }
 }
 
-/// `--port` and `--json`: what a command takes that asks a board something and answers with it.
+/// `--port` and `--json`: options of a command that requests something from a board and prints the reply.
 #[derive(clap::Args)]
 pub struct OnBoard {
     #[command(flatten)]
@@ -59,43 +57,43 @@ impl OnBoard {
         self.port.open()
     }
 
-    /// Opens the board for a command that leaves something in it: see [`Port::open_to_stay`].
+    /// Opens the board for a command that changes its state: see [`Port::open_to_stay`].
     pub fn open_to_stay(&self) -> Result<Board, Failure> {
         self.port.open_to_stay()
     }
 
-    /// Which board was asked for.
+    /// Returns the requested port.
     pub fn spec(&self) -> &PortSpec {
         self.port.spec()
     }
 
-    /// A line that says what is left on a board that ends with this command; empty for every other board.
-    pub fn what_is_left(&self) -> &'static str {
+    /// Returns a warning if the board exists only during this command; empty for every other board.
+    pub fn warn_if_temporary(&self) -> &'static str {
         match self.spec() {
             PortSpec::Sim(_) => {
-                "a board on --port sim ends with this command, and nothing of it is left: run `haptic sim` in another \
-                 terminal and use the port that it prints\n"
+                "a board on --port sim exists only during this command: run `haptic sim` in another terminal and use the \
+                 port that it prints\n"
             }
             _ => "",
         }
     }
 
-    /// Prints the document where `--json` asks for it, else these words.
+    /// Prints the document with `--json`, otherwise these words.
     pub fn answer(&self, document: impl Serialize, words: &str) -> Result<(), Failure> {
         self.json.answer(document, words)
     }
 }
 
-/// The address at which to listen, as `option` says it: PORT on this computer, or HOST:PORT.
+/// Returns the address to listen on, from the value of `option`: PORT on this computer, or HOST:PORT.
 pub fn address(text: &str, option: &str) -> Result<SocketAddr, Failure> {
     let full = if text.contains(':') { text.to_string() } else { format!("127.0.0.1:{text}") };
-    let found = full.to_socket_addrs().ok().and_then(|mut addresses| addresses.next());
-    found.ok_or_else(|| {
+    let address = full.to_socket_addrs().ok().and_then(|mut addresses| addresses.next());
+    address.ok_or_else(|| {
         Failure::wrong(format!("{option} {text} is not PORT or HOST:PORT")).remedy(format!("try {option} 7710"))
     })
 }
 
-/// A state in words.
+/// Describes a state.
 pub fn state_in_words(state: State) -> &'static str {
     match state {
         State::Disarmed => "disarmed (motors off, the device moves freely)",
@@ -105,16 +103,18 @@ pub fn state_in_words(state: State) -> &'static str {
     }
 }
 
-/// The warning before motors that are on go off.
+/// Warning before motors that are on go off.
 pub const GOES_OFF: &str = "the motors are on and will go off: what has weight falls";
 
-/// Asks somebody at the terminal, unless `yes` agreed beforehand; `what` would happen.
+/// Asks for confirmation on the terminal, unless `yes` confirmed beforehand; `what` describes the effect.
 pub fn confirm(yes: bool, what: &str) -> Result<(), Failure> {
     if yes {
         return Ok(());
     }
     if !std::io::stdin().is_terminal() {
-        return Err(Failure::impossible(format!("{what}, and nobody can be asked")).remedy("repeat with --yes"));
+        return Err(
+            Failure::impossible(format!("{what}, and there is no terminal to ask on")).remedy("repeat with --yes")
+        );
     }
     haptic_host::error::say(format_args!("{what}; go on? [y/N] "));
     let mut answer = String::new();
@@ -125,7 +125,7 @@ pub fn confirm(yes: bool, what: &str) -> Result<(), Failure> {
     }
 }
 
-/// The contents of a scene, in words.
+/// Describes the contents of a scene.
 pub fn scene_in_words(scene: &Scene<f32>) -> String {
     let mut parts = vec![counted(scene.walls.len(), "wall")];
     if !scene.springs.is_empty() {
@@ -137,23 +137,23 @@ pub fn scene_in_words(scene: &Scene<f32>) -> String {
     parts.join(", ")
 }
 
-/// A fault in words, with its remedy on a line of its own.
+/// Describes a fault, with its remedy on a line of its own.
 pub fn fault_in_words(record: &FaultRecord, rate_hz: f32) -> String {
     format!("{}\n    {}", fault_alone(record, rate_hz), record.fault.remedy())
 }
 
-/// A fault in words, without its remedy.
+/// Describes a fault, without its remedy.
 pub fn fault_alone(record: &FaultRecord, rate_hz: f32) -> String {
     let axis = record.axis.map_or(String::new(), |axis| format!(", joint {axis}"));
     let seconds = f64::from(record.step) / f64::from(rate_hz.max(1.0));
     format!("{}{axis}, value {}, {seconds:.3} s after boot", record.fault, record.value)
 }
 
-/// Says on standard error which protection is weaker under the rules in force now than it was before.
+/// Warns on standard error about protection that is weaker under the present rules than before.
 pub fn warn_of_weaker(before: &Rules, now: &Rules) {
     if now.host_action != HostAction::Disarm && before.host_action == HostAction::Disarm {
         haptic_host::tell!(
-            "the host is no longer watched: if this tool is killed or its cable pulled, the motors stay on as they are"
+            "the board no longer watches its host: if this tool is killed or its cable pulled, the motors stay on"
         );
     }
     let (was, is) = (before.limits.tip_force, now.limits.tip_force);
@@ -166,17 +166,17 @@ pub fn warn_of_weaker(before: &Rules, now: &Rules) {
     }
     for (joint, (was, is)) in before.limits.torque.iter().zip(now.limits.torque).enumerate() {
         if is > *was {
-            haptic_host::tell!("joint {joint} may now get {} N m, before {}", short(is), short(*was));
+            haptic_host::tell!("the torque limit of joint {joint} is now {} N m, before {}", short(is), short(*was));
         }
     }
 }
 
-/// The failure with which a command ends if a fault turned its motors off.
+/// Returns the failure of a command whose motors a fault turned off.
 pub fn motors_off(record: &FaultRecord, rate_hz: f32) -> Failure {
     Failure::impossible(format!("the motors are off: {}", fault_alone(record, rate_hz))).remedy(record.fault.remedy())
 }
 
-/// Numbers in a row, for people; what rounds to zero has no sign.
+/// Formats numbers in a row; a number that rounds to zero has no sign.
 pub fn numbers(values: &[f32], unit: &str) -> String {
     let numbers: Vec<String> = values.iter().map(|value| format!("{:.4}", (1e4 * value).round() / 1e4 + 0.0)).collect();
     format!("({}) {unit}", numbers.join(", "))

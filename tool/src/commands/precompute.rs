@@ -1,4 +1,4 @@
-//! `haptic precompute`: makes a frozen mass matrix or a table of it, and says what error it leaves.
+//! `haptic precompute`: computes a frozen mass matrix or a table of mass matrices, and its torque error.
 
 use super::answer::Json;
 use super::arguments::Numbers;
@@ -15,26 +15,26 @@ use haptic_predict::bench::precompute::{Precomputed, frozen, most_points, range,
 use haptic_predict::bench::probe::{Probe, workspace};
 use std::path::PathBuf;
 
-/// Make a mass matrix that the board need not compute, and say what error it leaves
+/// Compute a mass matrix in advance for the board, and print its torque error
 ///
-/// A table covers the two joint angles that the mass matrix depends on; outside it the board uses the closed form. Its
-/// size is checked against the board's memory here. `haptic scene` chooses among these by itself; this command shows
-/// one of them.
+/// A table covers the two joint angles that the mass matrix depends on; outside the table the board uses the closed
+/// form. The size of the table is checked against the board's memory. `haptic scene` chooses among these by itself;
+/// this command shows one of them.
 #[derive(clap::Args)]
 pub struct Args {
     /// Device file (TOML)
     device: PathBuf,
-    /// What to make
+    /// Kind of mass matrix
     #[arg(long, value_enum, default_value = "bicubic")]
     kind: Kind,
-    /// Points of the table along each of its two angles [default: as many as the board holds]
+    /// Points of the table along each of its two angles [default: the maximum that the board holds]
     #[arg(long, value_name = "N")]
     points: Option<u8>,
-    /// Range of the two angles, lowest and highest of the first, then of the second, rad [default: the workspace]
+    /// Range of the two angles: lowest and highest of the first, then of the second, rad [default: the workspace]
     #[arg(long = "box", value_name = "A,B,C,D", allow_hyphen_values = true)]
     range: Option<Numbers>,
-    /// Write it to this file (JSON: its points, values and errors) for yourself or your own programs. No command reads
-    /// the file: `haptic scene` makes what it sends to a board itself
+    /// Write the result to this file (JSON: points, values and errors) for your own use. No command reads the file:
+    /// `haptic scene` computes itself what it sends to a board
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
     #[command(flatten)]
@@ -50,7 +50,7 @@ enum Kind {
     Frozen,
 }
 
-/// Makes, measures, prints and writes.
+/// Computes the mass matrix and its errors, prints them and writes the file.
 pub fn run(args: Args) -> Result<(), Failure> {
     args.force.check(&args.output)?;
     let device = DeviceFile::load(&args.device)?.device().map_err(Failure::wrong)?;
@@ -64,7 +64,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
                     .remedy("write LOW,HIGH,LOW,HIGH in rad"));
             }
             let range = [[values[0], values[2]], [values[1], values[3]]];
-            probes.retain(|probe| inside(&device, probe, range));
+            probes.retain(|probe| is_inside(&device, probe, range));
             if probes.is_empty() {
                 return Err(Failure::impossible("no pose in this box can be reached from home")
                     .remedy("haptic map shows where the device can go"));
@@ -75,7 +75,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     };
     let points = args.points.unwrap_or(most_points(&device));
     let entries = device.mechanism.mass_entries().len();
-    let made = match args.kind {
+    let precomputed = match args.kind {
         Kind::Frozen => frozen(&device, &probes),
         Kind::Bilinear | Kind::Bicubic => {
             let cubic = args.kind == Kind::Bicubic;
@@ -91,39 +91,39 @@ pub fn run(args: Args) -> Result<(), Failure> {
             })?
         }
     };
-    // At rest no law of motion matters.
+    // At rest the law of motion does not matter.
     let law = Law::of(&Scene::default(), &device)?;
-    let way = Way { model: &made, terms: Terms::FeedForward, trigonometry: Trigonometry::Tabulated, law };
+    let way = Way { model: &precomputed, terms: Terms::FeedForward, trigonometry: Trigonometry::Tabulated, law };
     let errors = errors(&device, &probes, &way).whole;
     let document = serde_json::json!({
-        "device": device.name, "kind": made.name(), "model": made.data, "values": made.values, "errors": errors,
+        "device": device.name, "kind": precomputed.name(), "model": precomputed.data, "values": precomputed.values, "errors": errors,
     });
     if let Some(path) = &args.output {
         output::write(path, format!("{document:#}\n").as_bytes(), args.force.overwrite())?;
     }
-    args.json.answer(document, &readable(&device, &made, &errors, probes.len()))
+    args.json.answer(document, &readable(&device, &precomputed, &errors, probes.len()))
 }
 
-fn inside(device: &Device<f64>, probe: &Probe, box_: [[f64; 2]; 2]) -> bool {
-    let at = range(device, std::slice::from_ref(probe));
+fn is_inside(device: &Device<f64>, probe: &Probe, box_: [[f64; 2]; 2]) -> bool {
+    let angles = range(device, std::slice::from_ref(probe));
     (0..2).all(|k| {
-        let middle = 0.5 * (at[0][k] + at[1][k]);
+        let middle = 0.5 * (angles[0][k] + angles[1][k]);
         (box_[0][k]..=box_[1][k]).contains(&middle)
     })
 }
 
 fn readable(
     device: &Device<f64>,
-    made: &Precomputed,
+    precomputed: &Precomputed,
     errors: &haptic_predict::bench::error::Errors,
     situations: usize,
 ) -> String {
-    let size = match &made.data {
+    let size = match &precomputed.data {
         MassModelData::Table(grid, _) => format!(
             "{} x {} points, {} bytes of the board's {}; from ({:.4}, {:.4}) rad in steps of ({:.4}, {:.4}) rad",
             grid.points[0],
             grid.points[1],
-            made.bytes(),
+            precomputed.bytes(),
             4 * TABLE_VALUES,
             grid.low[0],
             grid.low[1],
@@ -136,7 +136,7 @@ fn readable(
     let share = &errors.share;
     let error = if share.max < 1.0 {
         format!(
-            "at most {:.4} % of the torque there ({:.3} duty steps), 99 % below {:.4} %, RMS {:.4} %",
+            "at most {:.4} % of the torque ({:.3} duty steps), 99 % below {:.4} %, RMS {:.4} %",
             100.0 * share.max,
             errors.duty.max,
             100.0 * share.most,
@@ -144,17 +144,17 @@ fn readable(
         )
     } else {
         let elsewhere = match share.most < 1.0 {
-            true => format!("99 % of them stay below {:.4} %", 100.0 * share.most),
-            false => "and so in more than one of a hundred".into(),
+            true => format!("in 99 % of the situations below {:.4} %", 100.0 * share.most),
+            false => "and in more than 1 % of the situations".into(),
         };
         format!(
-            "larger than the torque itself in the worst, beside a singular pose; {elsewhere}\n  \
-             do not use it as it is: keep it to where you work with --box, give the joints limits, or let `haptic scene` choose"
+            "larger than the torque itself in the worst situation, near a singular pose; {elsewhere}\n  \
+             do not use it as it is: limit it to your work area with --box, give the joints limits, or let `haptic scene` choose"
         )
     };
     format!(
         "{}: {} mass matrix\n  {size}\n  torque error over {situations} situations at rest, whole motor force: {error}\n",
         device.name,
-        made.name(),
+        precomputed.name(),
     )
 }

@@ -1,4 +1,4 @@
-//! `haptic range`: which walls stay stable on a device, predicted, without and with the feed-forward.
+//! `haptic range`: predicts which walls stay stable on a device, without and with the feed-forward.
 
 mod ripple;
 mod words;
@@ -27,14 +27,14 @@ use haptic_stability::analysis::sampled::{AnalysisError, LinearEstimator, Loop};
 use haptic_stability::analysis::several::Member;
 use haptic_stability::analysis::why::{Why, why};
 use haptic_stability::sweep::Sweep;
-use ripple::{Steps, stepped};
-use words::{costly, in_words, readable, subtitle};
+use ripple::{EncoderRipple, simulate_ripple};
+use words::{costly_warnings, describe_why, readable, subtitle};
 
 /// Predict which stiffness and damping a wall can have before it oscillates
 ///
-/// Exact sampled-data analysis (zero-order hold, delay, velocity filter, joint damping) of walls at one pose,
-/// without and with the feed-forward. Friction makes the measured range larger. A hand (--hand) mostly does too, but
-/// behind cables it takes from it. `haptic measure-range` measures it.
+/// Exact sampled-data analysis (zero-order hold, delay, velocity filter, joint damping) of walls at one pose, without
+/// and with the feed-forward. Friction makes the measured range larger. A hand (--hand) usually does too, but behind
+/// cables it makes the range smaller. `haptic measure-range` measures the range.
 #[derive(ClapArgs)]
 pub struct Args {
     #[command(flatten)]
@@ -53,64 +53,64 @@ pub struct Args {
     /// Velocity estimator
     #[arg(long, value_name = "KIND", default_value = "butterworth", value_parser = arguments::linear_estimator())]
     estimator: Estimator,
-    /// Take the velocity from the difference over so many samples, before the estimator's filter
+    /// Take the velocity from the difference over this number of samples, before the estimator's filter
     #[arg(long, value_name = "SAMPLES", default_value_t = 1)]
     difference_over: usize,
     /// A hand on the tip: its mass (kg), damping (N s/m) and stiffness (N/m), the same in every direction
     #[arg(long, value_name = "M,B,K", allow_hyphen_values = true)]
     hand: Option<Numbers>,
-    /// The posture that a redundant device is held in, as a scene's [posture]: its stiffness (N m/rad) and damping
-    /// (N m s/rad)
+    /// Control of a redundant device's posture, as a scene's [posture]: its stiffness (N m/rad) and damping (N m s/rad)
     #[arg(long, value_name = "K,D", allow_hyphen_values = true)]
     posture: Option<Numbers>,
     /// Leave the joints' own viscous damping out
     #[arg(long)]
     undamped: bool,
-    /// Evaluate the boundary at exactly these dampings, in N s/m [default: 200 even ones]
+    /// Evaluate the boundary at these dampings only, in N s/m [default: 200 at equal intervals]
     #[arg(long, value_name = "A,B,..", allow_hyphen_values = true)]
     kd: Option<Numbers>,
     /// Also analyse the feed-forward behind a washout at this frequency, in Hz
     #[arg(long, value_name = "HZ")]
     washout: Option<f64>,
-    /// Let the feed-forward compensate the joints' own damping too
+    /// Let the feed-forward also compensate the joints' own damping
     #[arg(long)]
     damping_compensation: bool,
-    /// Gain of (4)'s feed-forward; it must stay below the pole of the inertia, which the board enforces
+    /// Gain of the feed-forward (4); it must stay below the pole of the inertia, which the board enforces
     #[arg(long, value_name = "ALPHA", default_value_t = 1.0)]
     feed_forward_gain: f64,
     #[command(flatten)]
     holding: Holding,
-    /// How the motors are driven: ideal (torque at once), voltage (resistance, inductance and back-EMF of the device
-    /// file's motors), current (a current loop of --current-bandwidth) [default: ideal]
+    /// Drive of the motors: ideal (torque at once), voltage (resistance, inductance and back-EMF of the device file's
+    /// motors), current (a current loop of --current-bandwidth) [default: ideal]
     #[arg(long, value_name = "KIND", conflicts_with = "board")]
     drive: Option<DriveKind>,
-    /// The drive and the delay of this board, instead of an ideal drive without delay
+    /// Use the drive and the delay of this board, instead of an ideal drive without delay
     #[arg(long, value_name = "BOARD", value_parser = arguments::board())]
     board: Option<BoardKind>,
     /// Bandwidth of the current loop in Hz, for --drive current; the default lags by half a carrier period at 20 kHz,
-    /// as the boards' loops do, which make a current within one
+    /// as the boards' loops do, which reach a current within one period
     #[arg(long, value_name = "HZ", default_value_t = CURRENT_LOOP_HZ)]
     current_bandwidth: f64,
-    /// Also analyse the wall as rendered over this board by a program on a computer, with so many exchanges a second
+    /// Also analyse the wall as a program on a computer renders it over this board, with this number of exchanges a
+    /// second
     #[arg(long, value_name = "HZ")]
     host_rate: Option<f64>,
-    /// Age of that program's forces when they begin to act, in seconds, as `haptic board latency` measures it
-    /// [default: from one request to the next]
+    /// Age of that program's forces when they begin to act, in seconds, as `haptic board latency` measures it [default:
+    /// the time between two requests]
     #[arg(long, value_name = "S", requires = "host_rate", allow_hyphen_values = true)]
     host_delay: Option<f64>,
-    /// Say what limits the boundary: how much sampling, delay, drive, filter, transmissions, hand and joint damping
-    /// each take from it, by comparison with the same loop without it; --svg and --png then draw that
+    /// Print the limiting effects: how much sampling, delay, drive, filter, transmissions, hand and joint damping each
+    /// reduce the boundary, by comparison with the same loop without the effect; --svg and --png then draw them
     #[arg(long)]
     why: bool,
-    /// Also simulate the ripple that encoder steps cause in a wall pressed with 3 N, and say from which stiffness on
-    /// its root mean square exceeds this bound, in N. Damping is that of --damping-ratio, or each of --kd; the hand is
-    /// that of --hand, or a light one (0.05 kg, 3 N s/m, 200 N/m)
+    /// Also simulate the ripple that encoder steps cause in a wall pressed with 3 N, and print the stiffness from which
+    /// on its root mean square exceeds this bound, in N. Damping is that of --damping-ratio, or each of --kd; the hand
+    /// is that of --hand, or a light one (0.05 kg, 3 N s/m, 200 N/m)
     #[arg(long, value_name = "N")]
     ripple: Option<f64>,
     /// Simulate the ripple of one wall of this stiffness (N/m) and damping (N s/m)
     #[arg(long, value_name = "KP,KD", allow_hyphen_values = true)]
     wall: Option<Numbers>,
-    /// Damping of the walls of --ripple, as a share of the critical damping of the inertia they meet
+    /// Damping of the walls of --ripple, as a share of the critical damping of the inertia that they meet
     #[arg(long, value_name = "RATIO", default_value_t = 0.7)]
     damping_ratio: f64,
     #[command(flatten)]
@@ -130,7 +130,7 @@ enum DriveKind {
 }
 
 impl Args {
-    /// Control samples.
+    /// Delay, control samples.
     fn delay(&self) -> f64 {
         match self.board {
             // Both boards sample at the middle of a carrier period and apply the duty at its end.
@@ -165,7 +165,7 @@ impl Args {
         }
     }
 
-    /// The device in the loop that was asked for.
+    /// Returns the device in the requested loop.
     fn prediction(&self, file: &DeviceFile) -> Result<Prediction, Failure> {
         let drive = match self.drive() {
             DriveKind::Ideal => Drive::Ideal,
@@ -176,8 +176,8 @@ impl Args {
             })?),
         };
         let path = TorquePath { delay_samples: self.delay(), drive };
-        let mut around = Loop::through(&path, self.rate, estimator(self)?);
-        around.damping_compensation = self.damping_compensation;
+        let mut control_loop = Loop::through(&path, self.rate, estimator(self)?);
+        control_loop.damping_compensation = self.damping_compensation;
         let subject = Subject::new(&file.description).map_err(Failure::wrong)?;
         let subject = if self.undamped { subject.undamped() } else { subject };
         Ok(Prediction {
@@ -185,19 +185,19 @@ impl Args {
             gain: self.feed_forward_gain,
             posture: posture(self.posture.as_ref(), file)?,
             hand: self.hand()?,
-            ..Prediction::new(subject, around)
+            ..Prediction::new(subject, control_loop)
         })
     }
 }
 
-/// The posture of --posture, for a redundant device.
+/// Returns the posture of --posture, for a redundant device.
 pub(super) fn posture(numbers: Option<&Numbers>, file: &DeviceFile) -> Result<Option<Posture>, Failure> {
     let Some(numbers) = numbers else { return Ok(None) };
     let remedy = "write stiffness (N m/rad) and damping (N m s/rad), such as 0.5,0.03";
     let spec = file.spec();
     match numbers.0[..] {
         _ if spec.joints == spec.task => {
-            let reason = format!("--posture, and a {} has one posture at each place of its tip", spec.name);
+            let reason = format!("--posture does not apply: a {} is not redundant", spec.name);
             Err(Failure::wrong(reason).remedy("leave it out"))
         }
         [stiffness, damping] if stiffness >= 0.0 && damping >= 0.0 => Ok(Some(Posture { stiffness, damping })),
@@ -216,7 +216,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let spec = file.spec();
     arguments::check_rate(args.rate)?;
     let q = args.at.pose(&file)?;
-    warnings.extend(arguments::pose_doubts(&q, &file));
+    warnings.extend(arguments::pose_warnings(&q, &file));
     let members = args.walls.members(spec.task)?;
     let normals: Vec<Vec<f64>> = members.iter().map(|member| member.normal.clone()).collect();
     if let Some(board) = args.board.filter(|board| board.axes() < spec.joints) {
@@ -228,31 +228,32 @@ pub fn run(args: Args) -> Result<(), Failure> {
         return Err(Failure::wrong(reason).remedy(remedy));
     }
     let prediction = args.prediction(&file)?;
-    let (analyse, passivity) = walls(&args, &file, &q, &members, &prediction)?;
-    let asked_kd = args.kd.as_ref().map(|kd| kd.0.as_slice());
-    let range = analyse(asked_kd, args.washout)?;
-    let doubts = costly(&range, args.washout, |corner| analyse(asked_kd, Some(corner)))?;
-    warnings.extend(doubts.into_iter().map(|text| Doubt { key: None, text }.typed()));
+    let (analyse, passivity) = analysis(&args, &file, &q, &members, &prediction)?;
+    let requested_kd = args.kd.as_ref().map(|kd| kd.0.as_slice());
+    let range = analyse(requested_kd, args.washout)?;
+    let costs = costly_warnings(&range, args.washout, |corner| analyse(requested_kd, Some(corner)))?;
+    warnings.extend(costs.into_iter().map(|text| Doubt { key: None, text }.typed()));
     warn(&warnings);
-    let asked = (&args.ripple, &args.kd, args.washout, args.damping_ratio, &args.hand);
+    let requested = (&args.ripple, &args.kd, args.washout, args.damping_ratio, &args.hand);
     let device = (file.description, args.undamped, args.feed_forward_gain, args.holding.admissible);
-    let question = format!("{device:?} {q:?} {normals:?} {:?} {:?} {asked:?}", prediction.around, prediction.posture);
+    let question =
+        format!("{device:?} {q:?} {normals:?} {:?} {:?} {requested:?}", prediction.around, prediction.posture);
     let sweep = args.continued.sweep("range", &question)?;
-    let why = if args.why { Some(explained(&prediction, &q, &normals, &sweep)?) } else { None };
-    let steps = stepped(&args, &file, &q, &normals, &prediction, &sweep)?;
-    let pictures = args.pictures.asked();
-    if let Some(why) = why.as_ref().filter(|_| pictures) {
+    let why = if args.why { Some(explain(&prediction, &q, &normals, &sweep)?) } else { None };
+    let ripple = simulate_ripple(&args, &file, &q, &normals, &prediction, &sweep)?;
+    let has_picture = args.pictures.asked();
+    if let Some(why) = why.as_ref().filter(|_| has_picture) {
         let under = subtitle(&args, &q, &normals, range.area_ratio);
-        let title = format!("{}: what each effect takes from the stiffest wall", file.name);
+        let title = format!("{}: reduction of the stiffest wall by each effect", file.name);
         let picture = haptic_show::plot::why::draw(&title, &under, why, args.pictures.paper());
         args.pictures.save(&picture)?;
-    } else if pictures {
-        // A picture always shows the whole boundary, whatever points were asked for.
-        let whole = if args.kd.is_some() { analyse(None, args.washout)? } else { range.clone() };
+    } else if has_picture {
+        // A picture always shows the complete boundary, even if single points were requested.
+        let complete = if args.kd.is_some() { analyse(None, args.washout)? } else { range.clone() };
         let picture = draw(&Contents {
             title: format!("{}: stable walls, predicted", file.name),
             subtitle: subtitle(&args, &q, &normals, range.area_ratio),
-            range: &whole,
+            range: &complete,
             passivity: passivity.as_ref(),
             washout_hz: args.washout,
             measured: String::new(),
@@ -264,14 +265,14 @@ pub fn run(args: Args) -> Result<(), Failure> {
         args.pictures.save(&picture)?;
     }
     if args.json.asked() {
-        let asked = Asked::of(&args, &prediction, &q, &members);
+        let request = Request::of(&args, &prediction, &q, &members);
         let passive = passivity.as_ref().map(Passive::of);
-        let result = Explained { asked, range: &range, passive, why: why.as_ref(), ripple: steps.as_ref() };
+        let result = Document { request, range: &range, passive, why: why.as_ref(), ripple: ripple.as_ref() };
         print_json(Warned { result: &result, warnings: &warnings })?;
     } else {
         print(&readable(&file.name, &args, &q, &normals, &range, passivity.as_ref(), &file.description))?;
-        why.map_or(Ok(()), |why| print(&in_words(&why)))?;
-        steps.map_or(Ok(()), |steps| print(&steps.in_words()))?;
+        why.map_or(Ok(()), |why| print(&describe_why(&why)))?;
+        ripple.map_or(Ok(()), |ripple| print(&ripple.describe()))?;
     }
     sweep.finish();
     Ok(())
@@ -279,28 +280,28 @@ pub fn run(args: Args) -> Result<(), Failure> {
 
 /// The document of `--json`.
 #[derive(serde::Serialize)]
-struct Explained<'a> {
+struct Document<'a> {
     #[serde(flatten)]
-    asked: Asked,
+    request: Request,
     #[serde(flatten)]
     range: &'a Range,
-    /// None where no bound is known: with several walls, and where [`Passivity::new`] says so.
+    /// `None` if no bound is known: with several walls, and where [`Passivity::new`] returns none.
     #[serde(skip_serializing_if = "Option::is_none")]
     passive: Option<Passive>,
     #[serde(skip_serializing_if = "Option::is_none")]
     why: Option<&'a Why>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    ripple: Option<&'a Steps>,
+    ripple: Option<&'a EncoderRipple>,
 }
 
 /// Bounds below which a wall without feed-forward is passive.
 #[derive(serde::Serialize)]
 struct Passive {
-    /// N/m, without damping.
+    /// Stiffness without damping, N/m.
     kp: f64,
-    /// N s/m.
+    /// Damping, N s/m.
     kd: f64,
-    /// N/m: with quantisation and friction; none without encoders.
+    /// Stiffness with quantisation and friction, N/m; `None` without encoders.
     #[serde(skip_serializing_if = "Option::is_none")]
     kp_quantised: Option<f64>,
 }
@@ -311,15 +312,15 @@ impl Passive {
     }
 }
 
-/// The request, so that the figures can be had again.
+/// The inputs, so that the result can be computed again.
 #[derive(serde::Serialize)]
-struct Asked {
-    /// rad
+struct Request {
+    /// Joint angles, rad.
     q: Vec<f64>,
     /// Unit normals, d entries each.
     normals: Vec<Vec<f64>>,
     rate_hz: f64,
-    /// None with an estimator that has none.
+    /// `None` for an estimator without a cutoff.
     cutoff_hz: Option<f64>,
     delay_samples: f64,
     drive: String,
@@ -327,7 +328,7 @@ struct Asked {
     options: String,
 }
 
-impl Asked {
+impl Request {
     fn of(args: &Args, prediction: &Prediction, q: &[f64], members: &[Member]) -> Self {
         let mut options = prediction.options(q, members);
         let mut more = |option: &str, value: Option<String>| {
@@ -342,29 +343,29 @@ impl Asked {
         if args.undamped {
             options += " --undamped";
         }
-        let around = &prediction.around;
+        let control_loop = &prediction.around;
         Self {
             q: q.to_vec(),
             normals: members.iter().map(|wall| wall.normal.clone()).collect(),
-            rate_hz: around.rate_hz,
-            cutoff_hz: around.estimator.cutoff_hz(),
-            delay_samples: around.delay_samples,
+            rate_hz: control_loop.rate_hz,
+            cutoff_hz: control_loop.estimator.cutoff_hz(),
+            delay_samples: control_loop.delay_samples,
             drive: format!("{:?}", args.drive()).to_lowercase(),
             options,
         }
     }
 }
 
-/// The cost of each effect. There may be only one wall.
-fn explained(prediction: &Prediction, q: &[f64], normals: &[Vec<f64>], sweep: &Sweep) -> Result<Why, Failure> {
+/// Computes the effect of each part of the loop on the boundary. Accepts one wall only.
+fn explain(prediction: &Prediction, q: &[f64], normals: &[Vec<f64>], sweep: &Sweep) -> Result<Why, Failure> {
     let [normal] = normals else {
         let reason = "--why with several --normal";
-        return Err(Failure::wrong(reason).remedy("ask why of one wall at a time"));
+        return Err(Failure::wrong(reason).remedy("give one --normal"));
     };
     why(&prediction.seen(q, normal)?, &prediction.around, sweep)
 }
 
-/// The estimator that was asked for.
+/// Returns the requested estimator.
 fn estimator(args: &Args) -> Result<LinearEstimator, Failure> {
     let over = args.difference_over;
     let alone = LinearEstimator::of(args.estimator, args.cutoff).ok_or_else(|| {
@@ -380,33 +381,33 @@ fn estimator(args: &Args) -> Result<LinearEstimator, Failure> {
     }
 }
 
-/// A predictor of the range at given dampings, washed out at a given corner, Hz.
+/// Function that predicts the range at given dampings and at a given washout corner, Hz.
 type Analysis<'a> = Box<dyn Fn(Option<&[f64]>, Option<f64>) -> Result<Range, AnalysisError> + 'a>;
 
-/// The analysis of one wall, with its passive limits, or of several.
-fn walls<'a>(
+/// Returns the analysis of one wall, with its passive limits, or of several walls.
+fn analysis<'a>(
     args: &'a Args,
     file: &DeviceFile,
     q: &[f64],
     members: &[Member],
     prediction: &'a Prediction,
 ) -> Result<(Analysis<'a>, Option<Passivity>), Failure> {
-    let (gain, around) = (args.feed_forward_gain, &prediction.around);
-    let found = prediction.walls(q, members)?;
-    let passivity = match &found {
+    let (gain, control_loop) = (args.feed_forward_gain, &prediction.around);
+    let model = prediction.walls(q, members)?;
+    let passivity = match &model {
         Walls::One(device) => {
-            let most = device.most_gain().unwrap_or(1.0);
-            if !(0.0..=most).contains(&gain) {
-                let reason = format!("--feed-forward-gain {gain} is not from 0 to {most:.3}");
+            let max = device.most_gain().unwrap_or(1.0);
+            if !(0.0..=max).contains(&gain) {
+                let reason = format!("--feed-forward-gain {gain} is not from 0 to {max:.3}");
                 return Err(
-                    Failure::wrong(reason).remedy("a board gives no more here: beyond lies the pole of the inertia")
+                    Failure::wrong(reason).remedy("a board allows no more here, because of the pole of the inertia")
                 );
             }
-            Passivity::new(device, &file.description, around)
+            Passivity::new(device, &file.description, control_loop)
         }
         Walls::Several(_) if args.host_rate.is_some() => {
             let reason = "--host-rate with several --normal";
-            return Err(Failure::wrong(reason).remedy("a wall that a computer renders is analysed one at a time"));
+            return Err(Failure::wrong(reason).remedy("give one --normal with --host-rate"));
         }
         Walls::Several(_) if gain != 1.0 => {
             let reason = format!("--feed-forward-gain {gain} with several --normal");
@@ -415,11 +416,11 @@ fn walls<'a>(
         Walls::Several(_) => None,
     };
     let analyse = move |kd: Option<&[f64]>, washout: Option<f64>| {
-        let host = match (args.host(), &found) {
-            (Some(host), Walls::One(device)) => Some(host.domain(device, around, kd)?),
+        let host = match (args.host(), &model) {
+            (Some(host), Walls::One(device)) => Some(host.domain(device, control_loop, kd)?),
             _ => None,
         };
-        Ok(Range { host, ..found.range(around, kd, washout)? })
+        Ok(Range { host, ..model.range(control_loop, kd, washout)? })
     };
     Ok((Box::new(analyse), passivity))
 }

@@ -1,4 +1,5 @@
-//! `--read` of `haptic device` and `haptic scene`: what a board has, as a file or held against one.
+//! `--read` of `haptic device` and `haptic scene`: writes a board's device or scene as a file, or compares it with a
+//! file.
 
 use super::force::Force;
 use super::port::{OnBoard, counted};
@@ -8,14 +9,14 @@ use haptic_host::read_back::Difference;
 use serde_json::json;
 use std::path::{Path, PathBuf};
 
-/// What is read, and where it goes.
+/// Options for reading from the board.
 #[derive(clap::Args)]
 pub struct Read {
-    /// Write what the board has as a file, to standard output; or with FILE list what differs there from the file, and
-    /// end with exit code 3 if anything does. Changes nothing
+    /// Write the board's contents as a file to standard output; or with FILE list the differences between that file and
+    /// the board, and end with exit code 3 if there are any. Changes nothing
     #[arg(long)]
     read: bool,
-    /// Write it to this file
+    /// Write to this file instead
     #[arg(short, long, value_name = "FILE", requires = "read")]
     output: Option<PathBuf>,
     #[command(flatten)]
@@ -23,15 +24,14 @@ pub struct Read {
 }
 
 impl Read {
-    /// Returns true if the board is to be read; refuses first what could not be written later.
+    /// Returns true if `--read` was given. Refuses an output file that could not be written later.
     pub fn asked(&self) -> Result<bool, Failure> {
         self.force.check(&self.output)?;
         Ok(self.read)
     }
 
-    /// Writes `text`, the board's `what` as a file, where it was asked for; `compared` is a file, with what differs in
-    /// the board.
-    pub fn answer(
+    /// Writes `text`, the board's `what` as a file, or reports how it differs from the file in `compared`.
+    pub fn report(
         &self,
         on: &OnBoard,
         what: &str,
@@ -48,18 +48,18 @@ impl Read {
         };
         let document = json!({ "file": file.display().to_string(), "differences": differences });
         if differences.is_empty() {
-            return on.answer(document, &format!("the board's {what} is that of {}\n", file.display()));
+            return on.answer(document, &format!("the board's {what} is the same as in {}\n", file.display()));
         }
         let lines: String = differences.iter().map(|difference| format!("{difference}\n")).collect();
         on.answer(document, &format!("{} -> the board\n{lines}", file.display()))?;
         let count = counted(differences.len(), "difference");
-        Err(Failure::different(format!("the board's {what} is not that of {}: {count}", file.display())))
+        Err(Failure::different(format!("the board's {what} is not the same as in {}: {count}", file.display())))
     }
 }
 
-/// The file to load, where nothing is to be read.
-pub fn needed(file: Option<&PathBuf>, what: &str) -> Result<PathBuf, Failure> {
+/// Returns the file to load; without `--read` the file is required.
+pub fn required_file(file: Option<&PathBuf>, what: &str) -> Result<PathBuf, Failure> {
     file.cloned().ok_or_else(|| {
-        Failure::wrong(format!("no {what} file is named")).remedy("name one, or read the board's with --read")
+        Failure::wrong(format!("no {what} file is given")).remedy("give one, or read the board's with --read")
     })
 }

@@ -1,4 +1,4 @@
-//! `haptic replay`: a recording's counts into the simulated board's control code, torques beside torques.
+//! `haptic replay`: plays a recording's counts into the simulated board's control code, and compares the torques.
 
 use super::answer::Json;
 use super::port::counted;
@@ -8,20 +8,20 @@ use haptic_show::recorder::Recording;
 use haptic_show::replay::{Difference, replay};
 use std::path::PathBuf;
 
-/// Play a recording's encoder counts into the simulated board: the same torques to the bit, or where they differ
+/// Play a recording's encoder counts into the simulated board and compare the torques, bit for bit
 ///
-/// Device, scene and rules are the recording's own. It has to hold every control step from before the motors were
-/// switched on, with q, torque, counts and state, as `haptic record --arm` writes it. A torque that differs means that
-/// something acted which is not in the recording: gains changed meanwhile, a force from the host, another firmware.
+/// Device, scene and rules are the recording's own. The recording must hold every control step from before the motors
+/// were switched on, with q, torque, counts and state, as `haptic record --arm` writes it. A difference means that
+/// something acted that is not in the recording: changed gains, a force from the host, another firmware.
 #[derive(clap::Args)]
 pub struct Args {
-    /// A recording: .mcap or .csv
+    /// Recording: .mcap or .csv
     file: PathBuf,
     #[command(flatten)]
     json: Json,
 }
 
-fn in_words(difference: &Difference) -> String {
+fn describe(difference: &Difference) -> String {
     let Difference { step, time_s, joint, recorded, replayed, steps_of_precision } = difference;
     let precision = counted(steps_of_precision, "step");
     format!(
@@ -29,29 +29,29 @@ fn in_words(difference: &Difference) -> String {
     )
 }
 
-/// Reads, plays, says. Exit code 1 where anything differs.
+/// Reads, plays and reports. Exit code 1 if the torques differ.
 pub fn run(args: Args) -> Result<(), Failure> {
     let recording = Recording::load(&args.file)?;
-    let found = replay(&recording)?;
+    let result = replay(&recording)?;
     if args.json.asked() {
-        print_json(&found)?;
+        print_json(&result)?;
     } else {
-        let mut text = format!("{} played, {} of them with the motors on\n", counted(found.rows, "row"), found.armed);
-        if let (Some(first), Some(largest)) = (&found.first, &found.largest) {
-            text.push_str(&format!("first difference: {}\n", in_words(first)));
-            text.push_str(&format!("largest difference: {}\n", in_words(largest)));
+        let mut text = format!("{} played, {} of them with the motors on\n", counted(result.rows, "row"), result.armed);
+        if let (Some(first), Some(largest)) = (&result.first, &result.largest) {
+            text.push_str(&format!("first difference: {}\n", describe(first)));
+            text.push_str(&format!("largest difference: {}\n", describe(largest)));
         }
-        if found.is_same() {
+        if result.is_same() {
             text.push_str("the same torques, to the bit\n");
         }
         print(&text)?;
     }
-    if found.differing > 0 {
-        let rows = format!("{} of {}", found.differing, counted(found.rows, "row"));
+    if result.differing > 0 {
+        let rows = format!("{} of {}", result.differing, counted(result.rows, "row"));
         return Err(Failure::impossible(format!("the torques differ in {rows}"))
             .remedy("something acted that is not in the recording, or it was made by another firmware"));
     }
-    match found.stopped {
+    match result.stopped {
         Some(why) => Err(Failure::impossible(why)),
         None => Ok(()),
     }

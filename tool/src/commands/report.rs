@@ -19,29 +19,30 @@ use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-/// Write one page with everything about a device: what it is, what it renders, how to make it better
+/// Write one page with everything about a device: its model, the walls that it renders, possible improvements
 ///
-/// What the file describes, the largest force, the model, the map, the range of stable walls and why it ends where it
-/// does, velocity estimators, the best place, direction and links, the best settings. The page is one HTML file that
-/// needs nothing else: to read offline, to print. Its numbers are what this tool's own commands print, and above each
-/// stands the line to type. With SCENE the wall is the scene's first. Takes a minute or two; Ctrl-C ends it, and with
-/// --continue the same command goes on from there.
+/// The page has the description of the file, the largest force, the model, the map, the range of stable walls and its
+/// limiting effects, velocity estimators, the best place, direction and links, and the best settings. It is one HTML
+/// file without other files, to read offline or to print. Its numbers are the output of this tool's own commands, and
+/// each output has its command line above it. With SCENE the wall is the first wall of the scene. Takes a minute or
+/// two; Ctrl-C ends it, and with --continue the same command continues from there.
 #[derive(clap::Args)]
 pub struct Args {
     /// Device file (TOML)
     device: PathBuf,
     /// Scene file (TOML)
     scene: Option<PathBuf>,
-    /// Where to write the page
+    /// File for the page
     #[arg(long, value_name = "FILE", default_value = "report.html")]
     out: PathBuf,
     /// Joint angles in rad, such as 2.4,0.7 [default: where the scene's wall is touched, or the device file's home]
     #[arg(long, value_name = "A,B,..", allow_hyphen_values = true)]
     q: Option<Numbers>,
-    /// Normal of the wall, any length [default: the scene's, or that in which the feed-forward buys most at the pose]
+    /// Normal of the wall, of any length [default: the scene's, or the direction with the largest benefit of the
+    /// feed-forward at the pose]
     #[arg(long, value_name = "X,Y,..", allow_hyphen_values = true)]
     normal: Option<Numbers>,
-    /// Leave these parts out: those that take longest are estimators and tune
+    /// Leave these parts out; estimators and tune take longest
     #[arg(long, value_name = "PART", value_delimiter = ',')]
     without: Vec<Part>,
     #[command(flatten)]
@@ -67,25 +68,25 @@ enum Part {
 #[derive(Clone, Debug)]
 struct Section {
     title: &'static str,
-    /// Its subject, in a sentence.
+    /// The subject of the section, in a sentence.
     about: &'static str,
-    /// The words of the command after `haptic`.
+    /// Arguments of the command.
     words: Vec<String>,
-    /// The name of its picture, if it draws one.
+    /// File name of the picture, if the command draws one.
     picture: Option<&'static str>,
 }
 
-/// The output of a command.
+/// Output of a command.
 #[derive(Clone, Debug, Default, Deserialize, Serialize)]
-struct Said {
+struct Output {
     text: String,
     notes: String,
     picture: Option<String>,
     done: bool,
 }
 
-/// The subject of the commands.
-struct Subject {
+/// Values for the command lines.
+struct Values {
     q: String,
     normal: String,
     rate: String,
@@ -93,7 +94,7 @@ struct Subject {
     washout: Option<String>,
     /// Options with which `haptic range DEVICE` predicts the wall in its scene.
     options: String,
-    /// Stiffness and damping of the scene's wall, as `--wall` takes them.
+    /// Stiffness and damping of the scene's wall, in the form of `--wall`.
     wall: Option<String>,
 }
 
@@ -101,31 +102,31 @@ struct Subject {
 pub fn run(args: Args) -> Result<(), Failure> {
     output::check(&args.out, args.force.overwrite())?;
     let file = DeviceFile::load(&args.device)?;
-    let subject = subject(&args, &file)?;
-    let sections = sections(&args, &subject);
+    let values = values(&args, &file)?;
+    let sections = sections(&args, &values);
     let scene = args.scene.as_ref().map(|path| SceneFile::load(path, file.spec().task)).transpose()?;
     let scene = scene.map(|file| file.scene);
     let lines: Vec<_> = sections.iter().map(Section::line).collect();
     let question = format!("{lines:?} {:?} {scene:?}", file.description);
     let sweep = args.continued.sweep("report", &question)?;
     let tool = std::env::current_exe().map_err(Failure::impossible)?;
-    let said = sweep.map("parts", &sections, |section| Ok(section.run(&tool)))?;
-    let page = page(&file.name, &args, &sections, &said);
+    let outputs = sweep.map("parts", &sections, |section| Ok(section.run(&tool)))?;
+    let page = page(&file.name, &args, &sections, &outputs);
     output::write(&args.out, page.as_bytes(), args.force.overwrite())?;
-    let missing = said.iter().filter(|said| !said.done).count();
-    let without = if missing > 0 { format!(", {missing} of them without an answer") } else { String::new() };
-    print(&format!("{}: {} parts{without}\n", args.out.display(), sections.len()))?;
+    let failed = outputs.iter().filter(|output| !output.done).count();
+    let failures = if failed > 0 { format!(", {failed} of them failed") } else { String::new() };
+    print(&format!("{}: {} parts{failures}\n", args.out.display(), sections.len()))?;
     sweep.finish();
     Ok(())
 }
 
-/// Six digits, without zeros that say nothing.
+/// Formats numbers with up to six decimals, without trailing zeros.
 fn list(values: &[f64]) -> String {
     let rounded = values.iter().map(|value| (value * 1e6).round() / 1e6 + 0.0);
     rounded.map(|value| value.to_string()).collect::<Vec<_>>().join(",")
 }
 
-fn subject(args: &Args, file: &DeviceFile) -> Result<Subject, Failure> {
+fn values(args: &Args, file: &DeviceFile) -> Result<Values, Failure> {
     let spec = file.spec();
     let scene = args.scene.as_ref().map(|path| SceneFile::load(path, spec.task)).transpose()?.map(|file| file.scene);
     let device = prediction::Subject::new(&file.description).map_err(Failure::wrong)?;
@@ -148,12 +149,12 @@ fn subject(args: &Args, file: &DeviceFile) -> Result<Subject, Failure> {
     let path = TorquePath::usual(rate);
     let in_scene = scene.as_ref().and_then(|scene| Prediction::in_scene(&device, scene, wall, &path));
     let prediction = in_scene.unwrap_or_else(|| {
-        // An estimator without a linear analysis stands beside the usual one.
+        // For an estimator without a linear analysis, the usual one is shown.
         Prediction::new(device.clone(), Loop::through(&path, rate, LinearEstimator::Butterworth(cutoff)))
     });
     let rounded = |values: &[f64]| values.iter().map(|value| (value * 1e6).round() / 1e6 + 0.0).collect::<Vec<_>>();
     let (q, normal) = (rounded(&q), rounded(&normal));
-    Ok(Subject {
+    Ok(Values {
         options: prediction.options(&q, &[Member::new(normal.clone(), 1.0)]),
         wall: wall.map(|wall| format!("{},{}", wall.stiffness, wall.damping)),
         q: list(&q),
@@ -166,10 +167,10 @@ fn subject(args: &Args, file: &DeviceFile) -> Result<Subject, Failure> {
     })
 }
 
-fn sections(args: &Args, subject: &Subject) -> Vec<Section> {
+fn sections(args: &Args, values: &Values) -> Vec<Section> {
     let device = args.device.display().to_string();
     let scene = args.scene.as_ref().map(|scene| scene.display().to_string());
-    let Subject { q, normal, rate, cutoff, washout, options, wall } = subject;
+    let Values { q, normal, rate, cutoff, washout, options, wall } = values;
     let (q, normal) = (format!("--q={q}"), format!("--normal={normal}"));
     let mut sections = Vec::new();
     let mut add = |title, about, picture, words: &[&str]| {
@@ -211,19 +212,19 @@ fn sections(args: &Args, subject: &Subject) -> Vec<Section> {
     );
     let hand = usual_hand();
     let hand = format!("{},{},{}", hand.mass, hand.damping, hand.stiffness);
-    let mut held = range.clone();
+    let mut in_hand = range.clone();
     // Compensated damping is not predicted in a hand.
-    let is_held = !options.contains("--damping-compensation");
-    if is_held {
-        held.extend(["--hand", &hand]);
+    let has_hand = !options.contains("--damping-compensation");
+    if has_hand {
+        in_hand.extend(["--hand", &hand]);
     }
-    held.extend(wall.iter().flat_map(|wall| ["--wall", wall.as_str()]));
-    if is_held || wall.is_some() {
+    in_hand.extend(wall.iter().flat_map(|wall| ["--wall", wall.as_str()]));
+    if has_hand || wall.is_some() {
         add(
             "The wall in a hand",
             "What a hand does to the range: behind cables it takes from it. With a scene also how its wall ripples.",
             None,
-            &held,
+            &in_hand,
         );
     }
     range.push("--why");
@@ -257,7 +258,7 @@ fn sections(args: &Args, subject: &Subject) -> Vec<Section> {
 }
 
 impl Section {
-    /// The line to type.
+    /// Returns the command line.
     fn line(&self) -> String {
         let quoted = |word: &String| match word.chars().all(|c| c.is_ascii_alphanumeric() || "-_./=,+:".contains(c)) {
             true => word.clone(),
@@ -270,8 +271,8 @@ impl Section {
         line
     }
 
-    /// Types it.
-    fn run(&self, tool: &Path) -> Said {
+    /// Runs the command line.
+    fn run(&self, tool: &Path) -> Output {
         let folder = tempfile::tempdir().ok();
         let picture = folder.as_ref().zip(self.picture).map(|(folder, name)| folder.path().join(name));
         let mut command = Command::new(tool);
@@ -280,23 +281,23 @@ impl Section {
             command.arg("--svg").arg(picture);
         }
         match command.output() {
-            Ok(output) => Said {
+            Ok(output) => Output {
                 text: String::from_utf8_lossy(&output.stdout).into_owned(),
                 notes: String::from_utf8_lossy(&output.stderr).into_owned(),
                 picture: picture.and_then(|path| std::fs::read_to_string(path).ok()),
                 done: output.status.success(),
             },
-            Err(error) => Said { notes: error.to_string(), ..Said::default() },
+            Err(error) => Output { notes: error.to_string(), ..Output::default() },
         }
     }
 }
 
-/// Text in HTML.
-fn escaped(text: &str) -> String {
+/// Escapes text for HTML.
+fn escape(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
-/// An SVG document as a part of a page that has others: names of its own, and no declaration of what it is.
+/// Converts an SVG document to a part of a page that has others: with unique ids and without a namespace declaration.
 fn inline(svg: &str, number: usize) -> String {
     svg.replace(" xmlns=\"http://www.w3.org/2000/svg\"", "")
         .replace("id=\"clip", &format!("id=\"p{number}clip"))
@@ -311,11 +312,11 @@ const STYLE: &str = "body{font-family:sans-serif;max-width:60rem;margin:2rem aut
     @media print{body{margin:0;max-width:none}pre{white-space:pre-wrap;font-size:.6rem}h2{break-after:avoid}\
     section{break-inside:auto}svg{break-inside:avoid}}";
 
-fn page(name: &str, args: &Args, sections: &[Section], said: &[Said]) -> String {
+fn page(name: &str, args: &Args, sections: &[Section], outputs: &[Output]) -> String {
     let mut page = String::new();
-    let name = escaped(name);
+    let name = escape(name);
     let scene = args.scene.as_ref().map_or(String::new(), |scene| format!(" with {}", scene.display()));
-    let about = escaped(&format!(
+    let about = escape(&format!(
         "{}{scene}, by haptic {}, {}",
         args.device.display(),
         env!("CARGO_PKG_VERSION"),
@@ -330,26 +331,26 @@ fn page(name: &str, args: &Args, sections: &[Section], said: &[Said]) -> String 
          device in the file: nothing here was measured on one.</p>\n<ol>\n"
     );
     for section in sections {
-        let _ = writeln!(page, "<li>{}</li>", escaped(section.title));
+        let _ = writeln!(page, "<li>{}</li>", escape(section.title));
     }
     page.push_str("</ol>\n");
-    for (number, (section, said)) in sections.iter().zip(said).enumerate() {
+    for (number, (section, output)) in sections.iter().zip(outputs).enumerate() {
         let _ = write!(
             page,
             "<section>\n<h2>{}. {}</h2>\n<p>{}</p>\n<code class=\"line\">{}</code>\n",
             number + 1,
-            escaped(section.title),
-            escaped(section.about),
-            escaped(&section.line())
+            escape(section.title),
+            escape(section.about),
+            escape(&section.line())
         );
-        if !said.notes.trim().is_empty() {
-            let _ = writeln!(page, "<p class=\"notes\">{}</p>", escaped(said.notes.trim()));
+        if !output.notes.trim().is_empty() {
+            let _ = writeln!(page, "<p class=\"notes\">{}</p>", escape(output.notes.trim()));
         }
-        if let Some(picture) = &said.picture {
+        if let Some(picture) = &output.picture {
             let _ = writeln!(page, "<figure>\n{}</figure>", inline(picture, number + 1));
         }
-        if !said.text.trim().is_empty() {
-            let _ = writeln!(page, "<pre>{}</pre>", escaped(said.text.trim_end()));
+        if !output.text.trim().is_empty() {
+            let _ = writeln!(page, "<pre>{}</pre>", escape(output.text.trim_end()));
         }
         page.push_str("</section>\n");
     }
@@ -370,7 +371,7 @@ mod tests {
     }
 
     #[test]
-    fn every_line_on_the_page_can_be_typed() {
+    fn every_command_line_on_the_page_parses() {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
         let mut lines = 0;
         for (device, scene) in [
@@ -385,9 +386,9 @@ mod tests {
             words.extend(scene.map(|scene| path(format!("devices/scenes/{device}/{scene}.toml"))));
             let args = CommandLine::parse_from(words).args;
             let file = DeviceFile::load(&args.device).unwrap();
-            let subject = subject(&args, &file).unwrap();
-            for section in sections(&args, &subject) {
-                // As a shell splits it: no path here needs quotes.
+            let values = values(&args, &file).unwrap();
+            for section in sections(&args, &values) {
+                // Splits as a shell does, because no path here needs quotes.
                 let line = section.line();
                 if let Err(error) = help::command().try_get_matches_from(line.split(' ')) {
                     panic!("{}: {error}", section.line());
@@ -399,7 +400,7 @@ mod tests {
     }
 
     #[test]
-    fn a_word_that_a_shell_would_take_apart_is_quoted() {
+    fn words_with_shell_characters_are_quoted() {
         let words = vec!["check".into(), "my device's.toml".into()];
         let section = Section { title: "", about: "", words, picture: None };
         assert_eq!(section.line(), r"haptic check 'my device'\''s.toml'");

@@ -5,10 +5,10 @@ use haptic_host::backup::unsaved;
 use haptic_host::error::Failure;
 use serde_json::json;
 
-/// Restart a board: the motors go off, and it begins with what was saved
+/// Restart a board: the motors go off, and it begins with the saved settings
 ///
-/// Device, scene and rules that were not saved are forgotten, and so is homing. Asks before motors that are on go off,
-/// and before anything unsaved is forgotten.
+/// The board forgets homing and any device, scene and rules that were not saved. Asks first if motors are on or unsaved
+/// settings would be lost.
 #[derive(clap::Args)]
 pub struct Args {
     #[command(flatten)]
@@ -18,7 +18,7 @@ pub struct Args {
     yes: bool,
 }
 
-/// Asks for the restart.
+/// Restarts the board, after asking if something would be lost.
 pub fn run(args: Args) -> Result<(), Failure> {
     let mut board = args.on.open()?;
     let mut loses = Vec::new();
@@ -27,15 +27,12 @@ pub fn run(args: Args) -> Result<(), Failure> {
     }
     let unsaved = unsaved(&mut board)?;
     if !unsaved.is_empty() {
-        loses.push(format!(
-            "what is not saved will be forgotten: {} (`haptic board save` keeps it)",
-            unsaved.join(", ")
-        ));
+        loses.push(format!("unsaved settings will be lost: {} (`haptic board save` keeps them)", unsaved.join(", ")));
     }
     if !loses.is_empty() {
         confirm(args.yes, &loses.join("; "))?;
     }
     board.restart()?;
-    let said = "the board restarts: it has what was saved, and is not homed\n";
-    args.on.answer(json!({ "restarts": true, "forgotten": unsaved }), said)
+    let words = "the board restarts: it has the saved settings, and is not homed\n";
+    args.on.answer(json!({ "restarts": true, "forgotten": unsaved }), words)
 }

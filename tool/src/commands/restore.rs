@@ -1,4 +1,4 @@
-//! `haptic board restore`: puts a backup back into a board.
+//! `haptic board restore`: restores a backup to a board.
 
 use super::port::{OnBoard, confirm, warn_of_weaker};
 use haptic_bridge::board::settings::Key;
@@ -8,13 +8,13 @@ use haptic_host::toml_file::Document;
 use serde_json::json;
 use std::path::PathBuf;
 
-/// Put a backup back into the board's flash
+/// Restore a backup to the board's flash
 ///
 /// The motors must be off. A polarity check is not restored: run `haptic polarity` again. A backup of another board is
-/// restored only once you have agreed, and without that board's name.
+/// restored only after you have agreed, and without that board's name.
 #[derive(clap::Args)]
 pub struct Args {
-    /// A file that `haptic board backup` wrote
+    /// File that `haptic board backup` wrote
     file: PathBuf,
     /// Do not ask before the settings of another board are restored
     #[arg(long)]
@@ -23,13 +23,13 @@ pub struct Args {
     on: OnBoard,
 }
 
-/// Understands the whole file, then writes the board.
+/// Parses the complete file, then writes the board.
 pub fn run(args: Args) -> Result<(), Failure> {
     let place = args.file.display();
     let document = Document::load(&args.file)?;
     let wrong = |error| Failure::wrong(format!("{place}: {error}"));
     let backup = Backup::parse(document.text()).map_err(wrong)?;
-    // Damage is found before a board is looked for.
+    // Damage is reported before a board is opened.
     backup.ready().map_err(wrong)?;
     let mut board = args.on.open()?;
     let mut ready = backup.ready().map_err(wrong)?;
@@ -38,8 +38,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
     if from_another {
         let [kind, serial] = [&backup.board, &backup.serial].map(|text| on_one_line(text));
         let what = format!(
-            "the backup is of another board ({kind}, serial number {serial}) and this is {}, serial number {}: device, \
-             limits and scene of that one come here",
+            "the backup is of another board ({kind}, serial number {serial}) and this is {}, serial number {}: its \
+             device, limits and scene replace those of this board",
             on_one_line(&info.board),
             on_one_line(&info.serial)
         );
@@ -55,11 +55,11 @@ pub fn run(args: Args) -> Result<(), Failure> {
         report += &match setting.how {
             Restored::AsItWas => format!("{}: restored\n", setting.key.name()),
             Restored::Translated => format!("{}: restored, in this firmware's version\n", setting.key.name()),
-            Restored::MadeAnew => format!("{}: left out, to be made anew: `haptic polarity`\n", setting.key.name()),
+            Restored::MadeAnew => format!("{}: left out; run `haptic polarity` again\n", setting.key.name()),
         };
     }
     if from_another {
-        report += "name: left as it is; `haptic board name` changes it\n";
+        report += "name: unchanged; `haptic board name` changes it\n";
     }
     let how = |setting: &Ready| json!({ "setting": setting.key.name(), "how": format!("{:?}", setting.how) });
     args.on.answer(json!({ "restored": ready.iter().map(how).collect::<Vec<_>>() }), &report)

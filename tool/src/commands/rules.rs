@@ -1,4 +1,4 @@
-//! `haptic rules`: shows or changes what the board enforces, whatever a tool asks for.
+//! `haptic rules`: shows or changes the rules that the board enforces for all tools.
 
 use super::arguments::one_of;
 use super::port::{OnBoard, counted, short, warn_of_weaker};
@@ -11,8 +11,8 @@ use serde_json::json;
 
 /// Show or change the limits and rules that the board enforces
 ///
-/// Rules that are not named stay as they are. They can be made stricter at any time, and looser only with the motors
-/// off, never beyond the board's own limits. `haptic board save` keeps them over a power cycle.
+/// Rules without an option stay as they are. Rules can become stricter at any time, but looser only with the motors off
+/// and never beyond the board's own limits. `haptic board save` keeps them over a power cycle.
 #[derive(clap::Args)]
 pub struct Args {
     #[command(flatten)]
@@ -23,7 +23,7 @@ pub struct Args {
     /// Motor currents in A, one per joint
     #[arg(long, value_name = "A,..", value_delimiter = ',', value_parser = limit, allow_hyphen_values = true)]
     current: Vec<f32>,
-    /// Motor currents that may flow for ever, in A, one per joint
+    /// Motor currents that may flow without a time limit, in A, one per joint
     #[arg(long, value_name = "A,..", value_delimiter = ',', value_parser = limit, allow_hyphen_values = true)]
     continuous_current: Vec<f32>,
     /// Joint speeds in rad/s, one per joint
@@ -41,24 +41,24 @@ pub struct Args {
     /// Highest supply voltage in V
     #[arg(long, value_name = "V", value_parser = limit)]
     bus_max: Option<f32>,
-    /// What the board does when the host has been silent
+    /// Action of the board when the host has been silent
     #[arg(long, value_name = "ACTION", value_parser = action())]
     host: Option<HostAction>,
-    #[arg(long, value_name = "S", value_parser = seconds, help = silence())]
+    #[arg(long, value_name = "S", value_parser = seconds, help = silence_help())]
     host_seconds: Option<f32>,
-    /// Pay back the energy that walls give out, by damping and less feed-forward (passivity controller)
+    /// Dissipate the energy that walls generate, by damping and less feed-forward (passivity controller)
     #[arg(long, value_name = "BOOL", action = clap::ArgAction::Set)]
     passivity: Option<bool>,
-    /// Counts between two index pulses of each encoder, one per joint; 0 where it has none
+    /// Counts between two index pulses of each encoder, one per joint; 0 without index pulses
     #[arg(long, value_name = "COUNTS,..", value_delimiter = ',', value_parser = clap::value_parser!(i32).range(0..), allow_hyphen_values = true)]
     index_period: Vec<i32>,
 }
 
-/// An action, by its name.
+/// Parses the name of an action.
 fn action() -> impl TypedValueParser<Value = HostAction> {
     let what = |action| match action {
         HostAction::Ignore => "Nothing",
-        HostAction::Hold => "The scene goes on, and the fault is listed",
+        HostAction::Hold => "The scene continues, and the fault is listed",
         HostAction::Disarm => "Motors off",
     };
     one_of(HostAction::ALL.map(|(name, action)| (name, what(action), action)))
@@ -72,19 +72,19 @@ fn limit(text: &str) -> Result<f32, String> {
     }
 }
 
-fn silence() -> String {
-    let (least, most) = Rules::HOST_SECONDS;
-    format!("How long the host may be silent, in s: {least} to {most}")
+fn silence_help() -> String {
+    let (min, max) = Rules::HOST_SECONDS;
+    format!("Longest silence of the host, in s: {min} to {max}")
 }
 
 fn seconds(text: &str) -> Result<f32, String> {
     limit(text).and_then(|value| {
-        let (least, most) = Rules::HOST_SECONDS;
-        if (least..=most).contains(&value) { Ok(value) } else { Err(format!("must be between {least} and {most}")) }
+        let (min, max) = Rules::HOST_SECONDS;
+        if (min..=max).contains(&value) { Ok(value) } else { Err(format!("must be between {min} and {max}")) }
     })
 }
 
-/// Reads the rules, changes those that were named, and reports them all.
+/// Reads the rules, changes the requested ones, and reports all.
 pub fn run(args: Args) -> Result<(), Failure> {
     let mut board = args.on.open()?;
     let before = board.rules()?;
@@ -93,15 +93,15 @@ pub fn run(args: Args) -> Result<(), Failure> {
         Some(device) => device.axes(),
         None => usize::from(board.details()?.axes).min(before.limits.torque.len()),
     };
-    let whose = device.as_ref().map_or("the board", |device| device.name.as_str()).to_string();
-    let whose = (whose.as_str(), joints);
+    let owner = device.as_ref().map_or("the board", |device| device.name.as_str()).to_string();
+    let owner = (owner.as_str(), joints);
     let mut rules = before;
     let limits = &mut rules.limits;
-    per_joint(whose, "torque", &args.torque, &mut limits.torque)?;
-    per_joint(whose, "current", &args.current, &mut limits.current)?;
-    per_joint(whose, "continuous-current", &args.continuous_current, &mut limits.continuous_current)?;
-    per_joint(whose, "speed", &args.speed, &mut limits.speed)?;
-    per_joint(whose, "index-period", &args.index_period, &mut rules.index_period)?;
+    set_per_joint(owner, "torque", &args.torque, &mut limits.torque)?;
+    set_per_joint(owner, "current", &args.current, &mut limits.current)?;
+    set_per_joint(owner, "continuous-current", &args.continuous_current, &mut limits.continuous_current)?;
+    set_per_joint(owner, "speed", &args.speed, &mut limits.speed)?;
+    set_per_joint(owner, "index-period", &args.index_period, &mut rules.index_period)?;
     limits.power = args.power.unwrap_or(limits.power);
     limits.tip_force = args.tip_force.unwrap_or(limits.tip_force);
     limits.bus_min = args.bus_min.unwrap_or(limits.bus_min);
@@ -115,31 +115,36 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let now = board.rules()?;
     warn_of_weaker(&before, &now);
     if !args.torque.is_empty() {
-        device.iter().for_each(|device| tell_of_weaker_motors(device, &now.limits));
+        device.iter().for_each(|device| warn_of_weaker_motors(device, &now.limits));
     }
-    args.on.answer(as_json(&now, joints), &in_words(&now, joints))
+    args.on.answer(as_json(&now, joints), &describe(&now, joints))
 }
 
-/// Says which torque limits have no effect, because the motor gives less.
-fn tell_of_weaker_motors(device: &Device<f32>, limits: &Limits) {
+/// Warns about torque limits above the motor's own limit, because they have no effect.
+fn warn_of_weaker_motors(device: &Device<f32>, limits: &Limits) {
     for (index, (joint, limit)) in device.joints.iter().zip(limits.torque).enumerate().take(device.axes()) {
         let Some(motor) = joint.motor else { continue };
-        let most = motor.torque_constant * motor.max_current.min(limits.current[index]);
-        if limit > most {
+        let max = motor.torque_constant * motor.max_current.min(limits.current[index]);
+        if limit > max {
             haptic_host::tell!(
-                "the motor of joint {index} gives {} N m at most, and that counts: its limit of {} N m is never reached",
-                short(most),
+                "the motor of joint {index} gives at most {} N m, so its limit of {} N m has no effect",
+                short(max),
                 short(limit)
             );
         }
     }
 }
 
-/// Puts what was given, nothing or one for every joint, in its place.
-fn per_joint<T: Copy>((whose, joints): (&str, usize), name: &str, given: &[T], place: &mut [T]) -> Result<(), Failure> {
+/// Sets `place` to the given values: none, or one for every joint.
+fn set_per_joint<T: Copy>(
+    (owner, joints): (&str, usize),
+    name: &str,
+    given: &[T],
+    place: &mut [T],
+) -> Result<(), Failure> {
     if !given.is_empty() && given.len() != joints {
         let numbers = counted(given.len(), "number");
-        let reason = format!("--{name} has {numbers}, and {whose} has {}", counted(joints, "joint"));
+        let reason = format!("--{name} has {numbers}, and {owner} has {}", counted(joints, "joint"));
         return Err(Failure::wrong(reason).remedy("give one number per joint, joint 0 first, separated by commas"));
     }
     for (place, given) in place.iter_mut().zip(given) {
@@ -148,8 +153,8 @@ fn per_joint<T: Copy>((whose, joints): (&str, usize), name: &str, given: &[T], p
     Ok(())
 }
 
-/// One value for every joint there is.
-fn listed<T: std::fmt::Display>(values: &[T], joints: usize) -> String {
+/// Lists the value of every joint.
+fn list<T: std::fmt::Display>(values: &[T], joints: usize) -> String {
     values.iter().take(joints).map(ToString::to_string).collect::<Vec<_>>().join(", ")
 }
 
@@ -163,22 +168,22 @@ fn as_json(rules: &Rules, joints: usize) -> serde_json::Value {
     })
 }
 
-fn in_words(rules: &Rules, joints: usize) -> String {
+fn describe(rules: &Rules, joints: usize) -> String {
     let Limits { torque, current, continuous_current, speed, power, bus_min, bus_max, tip_force } = &rules.limits;
     let host = match rules.host_action {
         HostAction::Ignore => "a silent host is ignored".into(),
         HostAction::Hold => {
-            format!("a host silent for {} s is listed as a fault, the scene goes on", rules.host_seconds)
+            format!("a host silent for {} s is listed as a fault, and the scene continues", rules.host_seconds)
         }
         HostAction::Disarm => format!("a host silent for {} s turns the motors off", rules.host_seconds),
     };
     let passivity = if rules.passivity { "on" } else { "off" };
     let index = match rules.index_period {
         [0, 0, 0] => "not watched".into(),
-        periods => format!("every {} counts, 0 where none is watched", listed(&periods, joints)),
+        periods => format!("every {} counts, 0 without index pulses", list(&periods, joints)),
     };
     let [torque, current, continuous_current, speed] =
-        [torque, current, continuous_current, speed].map(|values| listed(values, joints));
+        [torque, current, continuous_current, speed].map(|values| list(values, joints));
     format!(
         "torque              {torque} N m\n\
          current             {current} A\n\

@@ -1,14 +1,14 @@
-//! `haptic scene`: loads a scene file onto a board, computed the cheapest way that is good enough, or reads the board's
-//! back.
+//! `haptic scene`: loads a scene file onto a board, computed in the cheapest sufficiently accurate way, or reads back
+//! the board's scene.
 
 use super::port::{OnBoard, scene_in_words};
-use super::read_back::{Read, needed};
+use super::read_back::{Read, required_file};
 use haptic_bridge::render::scene::Scene;
 use haptic_bridge::safety::fault::State;
 use haptic_bridge::safety::refusal::Refusal;
 use haptic_host::error::Failure;
 use haptic_host::link::{Board, BoardError};
-use haptic_host::read_back::{self, differences, to_toml};
+use haptic_host::read_back::{differences as compare, scene as to_entries, to_toml};
 use haptic_host::scene_file::SceneFile;
 use haptic_host::toml_file::Document;
 use haptic_predict::bench::probe::HAND_SPEED;
@@ -20,13 +20,13 @@ use std::path::{Path, PathBuf};
 
 /// Load a scene (walls, springs, fields) onto a board, or read it back
 ///
-/// Chooses the cheapest way to compute it that is good enough, which `haptic check` shows: no mass matrix for a scene
-/// without feed-forward, no velocity terms where they do not count, a prepared mass matrix where that is cheaper and
-/// good enough. While the motors are armed a scene is taken as the file has it, and only if it has the same control
-/// rate and its walls are not touched.
+/// Chooses the cheapest sufficiently accurate computation, which `haptic check` shows: no mass matrix for a scene
+/// without feed-forward, no velocity terms if they are negligible, a precomputed mass matrix if that is cheaper and
+/// accurate enough. While the motors are armed a scene is loaded as it is in the file, and only if it has the same
+/// control rate and its walls are not touched.
 ///
-/// What --read writes gives a board the same scene to the bit. A feed-forward and velocity terms that this command left
-/// out of FILE as of no use are no difference to it.
+/// The output of --read gives a board the same scene to the bit. A comparison with FILE ignores a feed-forward and
+/// velocity terms that this command left out because they have no benefit.
 #[derive(clap::Args)]
 pub struct Args {
     /// Scene file (TOML)
@@ -38,12 +38,12 @@ pub struct Args {
     on: OnBoard,
 }
 
-/// Checks the file against the board's device, plans, loads.
+/// Checks the file against the board's device, plans and loads.
 pub fn run(args: Args) -> Result<(), Failure> {
     if args.read.asked()? {
-        return read(&args);
+        return read_back(&args);
     }
-    let path = needed(args.file.as_ref(), "scene")?;
+    let path = required_file(args.file.as_ref(), "scene")?;
     // Errors that do not depend on the device's dimension are reported without a board.
     let document = Document::load(&path)?;
     let text = document.text();
@@ -60,7 +60,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         board.set_scene(&written)?;
         return args.on.answer(
             json!({ "scene": written, "planned": false, "warnings": warnings }),
-            &(loaded(&name.to_string(), &board, &written) + args.on.what_is_left()),
+            &(loaded_message(&name.to_string(), &board, &written) + args.on.warn_if_temporary()),
         );
     }
     let speed = file.hand_speed.unwrap_or(HAND_SPEED);
@@ -70,47 +70,47 @@ pub fn run(args: Args) -> Result<(), Failure> {
         "scene": scene, "planned": true, "model": plan.mass.name(), "terms": plan.terms.name(),
         "instructions": plan.instructions, "warnings": warnings,
     });
-    args.on.answer(document, &(loaded(&name.to_string(), &board, &scene) + args.on.what_is_left()))
+    args.on.answer(document, &(loaded_message(&name.to_string(), &board, &scene) + args.on.warn_if_temporary()))
 }
 
-/// The board's scene as a file, or what differs there from a file.
-fn read(args: &Args) -> Result<(), Failure> {
+/// Writes the board's scene as a file, or reports how it differs from a file.
+fn read_back(args: &Args) -> Result<(), Failure> {
     let document = args.file.as_deref().map(Document::load).transpose()?;
     let mut board = args.on.open()?;
     let scene = board.scene()?.ok_or(BoardError::Refused(Refusal::NoScene))?;
     let about = "Read back from a board. It does not keep hand_speed.".to_string();
-    let entries = read_back::scene(&scene);
+    let entries = to_entries(&scene);
     let text = to_toml(&[about], &entries);
-    let same = SceneFile::parse(&text, "what was read", scene.task.into())
+    let same = SceneFile::parse(&text, "the scene that was read", scene.task.into())
         .is_ok_and(|file| file.scene::<f32>().is_ok_and(|read| read == scene));
     let text = same.then_some(text).ok_or_else(|| {
         Failure::impossible("no scene file gives a board exactly this scene")
-            .remedy("`haptic board backup` keeps it as it is")
+            .remedy("`haptic board backup` keeps it unchanged")
     });
     let compared = match &document {
         Some(document) => {
             let file = SceneFile::read(document, scene.task.into())?;
             let written = file.scene::<f32>().map_err(Failure::wrong)?;
-            let mut found = differences(&read_back::scene(&written), &entries);
-            let planned = |key: &str| key == "velocity_terms" || key.ends_with(" feed_forward");
-            if found.iter().any(|difference| planned(&difference.key)) {
+            let mut differences = compare(&to_entries(&written), &entries);
+            let is_planned = |key: &str| key == "velocity_terms" || key.ends_with(" feed_forward");
+            if differences.iter().any(|difference| is_planned(&difference.key)) {
                 let device = board.device()?.ok_or(BoardError::Refused(Refusal::NoDevice))?.cast::<f64>();
                 let speed = file.hand_speed.unwrap_or(HAND_SPEED);
-                // A scene that cannot be planned was not loaded by this command.
+                // If planning fails, this command did not load the scene.
                 if let Ok(plan) = plan(&device, &file.scene, Budget::Percent(DEFAULT_PERCENT), speed) {
-                    let from_plan = differences(&read_back::scene(&plan.scene.cast()), &entries);
-                    found.retain(|difference| {
-                        !planned(&difference.key) || from_plan.iter().any(|other| other.key == difference.key)
+                    let from_plan = compare(&to_entries(&plan.scene.cast()), &entries);
+                    differences.retain(|difference| {
+                        !is_planned(&difference.key) || from_plan.iter().any(|other| other.key == difference.key)
                     });
                 }
             }
-            Some((document.path() as &Path, found))
+            Some((document.path() as &Path, differences))
         }
         None => None,
     };
-    args.read.answer(&args.on, "scene", text, compared)
+    args.read.report(&args.on, "scene", text, compared)
 }
 
-fn loaded(file: &str, board: &Board, scene: &Scene<f32>) -> String {
+fn loaded_message(file: &str, board: &Board, scene: &Scene<f32>) -> String {
     format!("{file} is loaded on {}: {}, {} Hz control\n", board.port(), scene_in_words(scene), scene.rate_hz)
 }

@@ -1,4 +1,4 @@
-//! `haptic serve`: a board for programs that were made for other devices.
+//! `haptic serve`: offers a board to programs that were made for other devices.
 
 use super::interrupt;
 use super::port::Port;
@@ -9,41 +9,41 @@ use haptic_show::haply::{HaplyListener, Inverse3, USUAL_PORT};
 
 /// Let programs that were made for other devices use a board
 ///
-/// --haply speaks as Haply's inverse service does, until Ctrl-C: a WebSocket with JSON on this computer, and on this
-/// one alone. The first force of a program arms the board; the motors go off when it leaves, and its forces fade when
-/// it says nothing. A board that is unplugged is waited for.
+/// --haply provides the interface of Haply's inverse service until Ctrl-C: a WebSocket with JSON, only on this
+/// computer. The first force of a program arms the board; the motors go off when the program leaves, and its forces
+/// fade when it sends nothing. If the board is unplugged, the command waits for it.
 #[derive(clap::Args)]
 pub struct Args {
-    /// As Haply's inverse service: an Inverse3 and a grip that does not move
+    /// Act as Haply's inverse service: an Inverse3 and a grip that does not move
     #[arg(long, required = true)]
     haply: bool,
-    /// Port of this computer to listen at; 0 takes a free one
+    /// Port to listen on, on this computer; 0 takes a free one
     #[arg(long, value_name = "PORT", default_value_t = USUAL_PORT)]
     listen: u16,
-    /// What is towards the operator, to the right and up on the device [default: by the mechanism, docs/chai3d.md]
+    /// Axes of the device towards the operator, to the right and up [default: by the mechanism, docs/chai3d.md]
     #[arg(long, value_name = "AXES", allow_hyphen_values = true)]
     axes: Option<Axes>,
     #[command(flatten)]
     port: Port,
 }
 
-/// Serves.
+/// Serves until Ctrl-C.
 pub fn run(args: Args) -> Result<(), Failure> {
     let stop = interrupt::watch();
     let simulated = matches!(args.port.spec(), PortSpec::Sim(_));
     let open =
         || -> Result<Inverse3, Failure> { Ok(Inverse3::new(Session::of(args.port.open()?), args.axes, simulated)?) };
     let device = open()?;
-    let listening = HaplyListener::open(args.listen).map_err(|error| {
+    let listener = HaplyListener::open(args.listen).map_err(|error| {
         Failure::impossible(format!("cannot listen on port {}: {error}", args.listen))
-            .remedy("end what listens there, such as Haply's own service, or choose another --listen PORT")
+            .remedy("end the program that listens there, such as Haply's own service, or choose another --listen PORT")
     })?;
-    let url = listening.url().map_err(Failure::impossible)?;
-    let page = listening.url_for_pages().map_err(Failure::impossible)?;
+    let url = listener.url().map_err(Failure::impossible)?;
+    let page = listener.url_for_pages().map_err(Failure::impossible)?;
     print(&format!(
         "{} is an Inverse3 for programs, at {url}\na page in a browser here uses {page}\nCtrl-C ends it\n",
         device.id()
     ))?;
-    listening.serve(device, open, stop.flag());
+    listener.serve(device, open, stop.flag());
     Ok(())
 }

@@ -1,4 +1,4 @@
-//! `haptic sim`: runs a simulated board until interrupted, behind a port that any command can open.
+//! `haptic sim`: runs a simulated board until interrupted, on a port that any command can open.
 
 use super::interrupt;
 use super::port::address;
@@ -13,12 +13,12 @@ use std::path::PathBuf;
 
 /// Run a simulated board with a device on it, until Ctrl-C
 ///
-/// The board runs the firmware's own control code on a nonlinear simulation of the device and speaks the real protocol
-/// on a pseudo-terminal, or on TCP with --tcp. The device is loaded, and the board ready to take a scene. If the device
-/// has weight, it is carried for you until the motors are armed for the first time and their torque has ramped up.
+/// The board runs the firmware's own control code on a nonlinear simulation of the device and uses the real protocol on
+/// a pseudo-terminal, or on TCP with --tcp. The device is loaded, and the board is ready for a scene. If the device has
+/// weight, the simulation carries it until the motors are armed for the first time and their torque has ramped up.
 #[derive(clap::Args)]
 pub struct Args {
-    /// Device file (TOML) [default: the coupled five-bar that ships]
+    /// Device file (TOML) [default: the coupled five-bar of this tool]
     device: Option<PathBuf>,
     /// Scene file (TOML) to load as well
     #[arg(long, value_name = "FILE")]
@@ -26,24 +26,24 @@ pub struct Args {
     /// Listen on this TCP address instead of a pseudo-terminal: PORT or HOST:PORT
     #[arg(long, value_name = "ADDRESS")]
     tcp: Option<String>,
-    /// Let simulated time pass as fast as the computer can while a tool is connected
+    /// Let simulated time pass as fast as possible while a tool is connected
     #[arg(long)]
     fast: bool,
-    /// Ask of the user what a real board asks: verified motors, limits, homing, polarity check. The device is held for
-    /// you, at home when the board starts and again after a polarity check, until the motors are armed for the first
-    /// time and their torque has ramped up
+    /// Require the same steps as a real board: verified motors, limits, homing, polarity check. The simulation holds
+    /// the device, at home when the board starts and again after a polarity check, until the motors are armed for the
+    /// first time and their torque has ramped up
     #[arg(long)]
     strict: bool,
-    /// What the simulated hand does
+    /// Behaviour of the simulated hand
     #[arg(long, value_name = "KIND", default_value = "none")]
     hand: HandKind,
     /// Leave friction out of the simulated device
     #[arg(long)]
     frictionless: bool,
-    /// Let commanded torques act at once, without bridges, windings and a current loop
+    /// Apply commanded torques at once, without bridges, windings and a current loop
     #[arg(long)]
     ideal_drive: bool,
-    /// Motor axes of the board
+    /// Number of motor axes of the board
     #[arg(long, value_name = "COUNT", default_value_t = 3, value_parser = clap::value_parser!(u8).range(1..=3))]
     axes: u8,
 }
@@ -52,8 +52,8 @@ pub struct Args {
 enum HandKind {
     /// No hand
     None,
-    /// A hand that moves the tip around a small loop, over and over, while the motors are armed: on a wall of the scene
-    /// where it gets to one
+    /// A hand that moves the tip around a small loop repeatedly while the motors are armed, on a wall of the scene if
+    /// it can reach one
     Loop,
 }
 
@@ -66,7 +66,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let joints = file.spec().joints;
     if joints > usize::from(args.axes) {
         let reason =
-            format!("{} has {joints} joints and --axes {} gives the board {}", file.name, args.axes, args.axes);
+            format!("{} has {joints} joints, and --axes {} gives the board only {}", file.name, args.axes, args.axes);
         return Err(Failure::wrong(reason).remedy("leave out --axes, or name a device with fewer joints"));
     }
     let mut options = BoardOptions {
@@ -94,13 +94,13 @@ pub fn run(args: Args) -> Result<(), Failure> {
     if args.hand == HandKind::Loop {
         let tip = board.device().tip();
         let settings = HandSettings { tremor: 2e-4, ..HandSettings::default() };
-        let around = Around::find(&file, walls.as_ref(), tip);
-        if args.scene.is_some() && !around.on_a_wall {
-            haptic_host::tell!("the hand gets to none of the scene's walls from home: it moves where it is");
+        let path = Around::find(&file, walls.as_ref(), tip);
+        if args.scene.is_some() && !path.on_a_wall {
+            haptic_host::tell!("the hand cannot reach a wall of the scene from home: it moves in free space");
         }
-        board.set_rounds(settings, around);
+        board.set_rounds(settings, path);
     }
-    let door = match &args.tcp {
+    let listener = match &args.tcp {
         Some(text) => {
             let address = address(text, "--tcp")?;
             tcp(address, Patience::default()).map_err(|error| {
@@ -113,9 +113,9 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let stop = interrupt::watch();
     print(&format!(
         "a simulated board with {} is on {}\ntry: haptic info --port {}\nCtrl-C ends it\n",
-        file.name, door.port, door.port
+        file.name, listener.port, listener.port
     ))?;
-    serve(&mut board, &door, pace, stop.flag());
+    serve(&mut board, &listener, pace, stop.flag());
     haptic_host::tell!("simulated {:.3} s", board.time());
     Ok(())
 }

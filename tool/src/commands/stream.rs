@@ -1,5 +1,4 @@
-//! `haptic stream`: telemetry to the terminal, with every loss counted and shown; and how `haptic record` follows a
-//! board.
+//! `haptic stream`: shows telemetry on the terminal and counts every loss. `haptic record` uses the same code.
 
 use super::interrupt;
 use super::port::{Port, counted, fault_in_words, motors_off, short};
@@ -30,13 +29,13 @@ pub struct Args {
     /// Rows per second, at most the control rate
     #[arg(long, value_name = "HZ", default_value_t = 10.0, value_parser = positive)]
     rate: f64,
-    /// Switch the motors on once rows come, and off at the end; an error where a fault turned them off before
+    /// Switch the motors on when the first rows arrive, and off at the end; an error if a fault turned them off before
     #[arg(long)]
     arm: bool,
-    /// Stop after so many seconds of the board's time [default: until Ctrl-C]
+    /// Stop after this time on the board's clock [default: until Ctrl-C]
     #[arg(long, value_name = "SECONDS", value_parser = positive)]
     seconds: Option<f64>,
-    /// Print one JSON document at the end: the rows, and what was lost
+    /// Print one JSON document at the end: the rows, and the losses
     #[arg(long)]
     json: bool,
 }
@@ -49,7 +48,7 @@ pub(super) fn positive(text: &str) -> Result<f64, String> {
     }
 }
 
-/// The fields with units and meaning, for the help page.
+/// Lists the fields with units and meaning, for the help page.
 pub fn list_of_fields() -> String {
     let mut text = "Fields (docs/telemetry.md):\n".to_string();
     for field in Field::ALL {
@@ -58,15 +57,15 @@ pub fn list_of_fields() -> String {
     text
 }
 
-/// The destination of rows.
+/// Destination of rows.
 enum Sink {
     Terminal { since_header: usize },
-    Kept(Vec<Vec<Value>>),
+    Memory(Vec<Vec<Value>>),
     File(Box<RowWriter>),
 }
 
-/// The fields to follow, and the destination of their rows.
-pub(super) struct Wanted<'a> {
+/// Fields to follow, and the destination of their rows.
+pub(super) struct Options<'a> {
     pub file: Option<&'a Path>,
     pub overwrite: Overwrite,
     pub fields: Fields,
@@ -77,10 +76,10 @@ pub(super) struct Wanted<'a> {
     pub json: bool,
 }
 
-/// Streams until the time is over, Ctrl-C, or the board goes away.
+/// Streams until the time is over, Ctrl-C, or the board is lost.
 pub fn run(args: Args) -> Result<(), Failure> {
     let mut board = args.port.open()?;
-    let wanted = Wanted {
+    let options = Options {
         file: None,
         overwrite: Overwrite::Never,
         fields: args.fields,
@@ -89,42 +88,46 @@ pub fn run(args: Args) -> Result<(), Failure> {
         seconds: args.seconds,
         json: args.json,
     };
-    follow(&mut board, &wanted)
+    follow(&mut board, &options)
 }
 
-/// Follows the board's telemetry as it is wanted.
-pub(super) fn follow(board: &mut Board, wanted: &Wanted<'_>) -> Result<(), Failure> {
+/// Follows the board's telemetry as the options say.
+pub(super) fn follow(board: &mut Board, options: &Options<'_>) -> Result<(), Failure> {
     let rate_hz = f64::from(board.details()?.rate_hz);
     let axes = board.device()?.map_or(0, |device| device.axes());
-    let divider = (rate_hz / wanted.rate).round().clamp(1.0, f64::from(u32::MAX)) as u32;
-    let got = rate_hz / f64::from(divider);
-    if (got - wanted.rate).abs() > 1e-3 * wanted.rate {
-        haptic_host::tell!("{} rows a second: every {} at {rate_hz} Hz control", short(got as f32), nth_step(divider));
+    let divider = (rate_hz / options.rate).round().clamp(1.0, f64::from(u32::MAX)) as u32;
+    let rows_per_second = rate_hz / f64::from(divider);
+    if (rows_per_second - options.rate).abs() > 1e-3 * options.rate {
+        haptic_host::tell!(
+            "{} rows a second: every {} at {rate_hz} Hz control",
+            short(rows_per_second as f32),
+            nth_step(divider)
+        );
     }
-    let columns = columns(wanted.fields, axes);
-    let about = wanted.file.map(|_| About::read(board, divider)).transpose()?;
+    let columns = columns(options.fields, axes);
+    let about = options.file.map(|_| About::read(board, divider)).transpose()?;
     let stop = interrupt::watch();
     board.keep_alive();
-    board.start_stream(wanted.fields, divider)?;
-    if wanted.arm {
+    board.start_stream(options.fields, divider)?;
+    if options.arm {
         board.arm()?;
     }
-    // Only now: where the board refuses, no file is made, and none replaced.
-    let sink = match (wanted.file, about) {
-        (Some(path), Some(about)) => match RowWriter::create(path, &about, &columns, wanted.overwrite) {
+    // Creates the file last, so that a refusal of the board neither makes nor replaces a file.
+    let sink = match (options.file, about) {
+        (Some(path), Some(about)) => match RowWriter::create(path, &about, &columns, options.overwrite) {
             Ok(writer) => Sink::File(Box::new(writer)),
             Err(failure) => {
-                if wanted.arm {
+                if options.arm {
                     board.disarm()?;
                 }
                 board.stop_stream()?;
                 return Err(failure);
             }
         },
-        _ if wanted.json => Sink::Kept(Vec::new()),
+        _ if options.json => Sink::Memory(Vec::new()),
         _ => Sink::Terminal { since_header: usize::MAX },
     };
-    let mut follow = Follow {
+    let mut stream = Stream {
         rate_hz,
         divider,
         columns,
@@ -136,39 +139,39 @@ pub(super) fn follow(board: &mut Board, wanted: &Wanted<'_>) -> Result<(), Failu
         shown: Losses::default(),
         last_note: board.now(),
     };
-    let ended = loop {
+    let end = loop {
         if stop.is_set() {
-            break Ended::AsAsked;
+            break End::Requested;
         }
         match board.rows(Duration::from_millis(200)) {
-            Err(error) => break Ended::BoardLost(error),
+            Err(error) => break End::BoardLost(error),
             Ok(rows) => {
-                let mut happened = Ok(());
+                let mut result = Ok(());
                 for record in board.take_reported_faults() {
                     let words = fault_in_words(&record, rate_hz as f32);
                     haptic_host::tell!("fault: {words}");
-                    happened = happened.and(follow.event(&words));
+                    result = result.and(stream.record_event(&words));
                 }
-                let over = happened.and_then(|()| follow.take(&rows, wanted.seconds));
-                match over.and_then(|over| follow.note(board).map(|()| over)) {
+                let is_over = result.and_then(|()| stream.take(&rows, options.seconds));
+                match is_over.and_then(|is_over| stream.note(board).map(|()| is_over)) {
                     Ok(false) => {}
-                    Ok(true) => break Ended::AsAsked,
-                    Err(RecordError::ReaderGone) => break Ended::ReaderGone,
-                    Err(RecordError::Failed(failure)) => break Ended::NoRoom(failure),
+                    Ok(true) => break End::Requested,
+                    Err(RecordError::ReaderGone) => break End::ReaderGone,
+                    Err(RecordError::Failed(failure)) => break End::NoRoom(failure),
                 }
             }
         }
     };
-    // Motors first: what may go wrong with a file comes after that.
-    let disarmed = match ended {
-        Ended::BoardLost(_) => Ok(()),
-        _ if wanted.arm => disarm(board, rate_hz as f32),
+    // Turns the motors off first; errors of the file come later.
+    let disarmed = match end {
+        End::BoardLost(_) => Ok(()),
+        _ if options.arm => disarm(board, rate_hz as f32),
         _ => Ok(()),
     };
-    finish(ended, board, follow, wanted.json).and(disarmed)
+    finish(end, board, stream, options.json).and(disarmed)
 }
 
-/// Turns the motors off; an error where a fault did that before.
+/// Turns the motors off. Returns an error if a fault turned them off before.
 fn disarm(board: &mut Board, rate_hz: f32) -> Result<(), Failure> {
     board.disarm()?;
     match board.status()? {
@@ -177,16 +180,16 @@ fn disarm(board: &mut Board, rate_hz: f32) -> Result<(), Failure> {
     }
 }
 
-/// The way in which the stream came to its end.
-enum Ended {
-    AsAsked,
+/// Reason for the end of the stream.
+enum End {
+    Requested,
     ReaderGone,
     BoardLost(LinkError),
     NoRoom(Failure),
 }
 
-/// The stream as it goes by.
-struct Follow {
+/// State of the stream.
+struct Stream {
     rate_hz: f64,
     divider: u32,
     columns: Vec<Column>,
@@ -200,8 +203,8 @@ struct Follow {
     last_note: Duration,
 }
 
-impl Follow {
-    /// Passes rows on; true when the time is over.
+impl Stream {
+    /// Passes rows on. Returns true if the time is over.
     fn take(&mut self, rows: &[Row], seconds: Option<f64>) -> Result<bool, RecordError> {
         for row in rows {
             let first = *self.first_step.get_or_insert(row.step);
@@ -223,8 +226,8 @@ impl Follow {
         let values = self.columns.iter().zip(&row.values).map(|(column, value)| Value::of(column, *value));
         match &mut self.sink {
             Sink::File(writer) => writer.row(row.step, time, &row.values),
-            Sink::Kept(kept) => {
-                kept.push(
+            Sink::Memory(rows) => {
+                rows.push(
                     [Value::Number(f64::from(row.step)), Value::Number(time)].into_iter().chain(values).collect(),
                 );
                 Ok(())
@@ -242,7 +245,7 @@ impl Follow {
                 *since_header += 1;
                 text.push_str(&format!("{time:>10.3}"));
                 for (column, value) in self.columns.iter().zip(values) {
-                    text.push_str(&format!(" {:>13}", shown(column, value)));
+                    text.push_str(&format!(" {:>13}", format_value(column, value)));
                 }
                 text.push('\n');
                 std::io::stdout().lock().write_all(text.as_bytes()).map_err(|error| match error.kind() {
@@ -255,8 +258,8 @@ impl Follow {
         }
     }
 
-    /// Keeps what happened where rows are kept.
-    fn event(&mut self, words: &str) -> Result<(), RecordError> {
+    /// Records an event, if rows go to a file.
+    fn record_event(&mut self, words: &str) -> Result<(), RecordError> {
         let first = self.first_step.unwrap_or(self.last_step);
         let time = f64::from(self.last_step.wrapping_sub(first)) / self.rate_hz;
         match &mut self.sink {
@@ -265,7 +268,7 @@ impl Follow {
         }
     }
 
-    /// Twice a second: what is recorded is put on disk, and new losses are said.
+    /// Flushes the file and reports new losses, twice a second.
     fn note(&mut self, board: &Board) -> Result<(), RecordError> {
         let now = board.now();
         if now.saturating_sub(self.last_note) < Duration::from_millis(500) {
@@ -286,18 +289,18 @@ impl Follow {
         Ok(())
     }
 
-    /// The losses among the rows that were passed on.
+    /// Returns the losses among the rows that were passed on.
     fn losses(&self, board: &Board) -> Losses {
         Losses { received: self.rows, missing: self.missing, ..board.losses() }
     }
 }
 
-/// A value for the terminal: five digits, or all of them for what is counted.
-fn shown(column: &Column, value: Value) -> String {
+/// Formats a value for the terminal: five decimals, or all digits of counts.
+fn format_value(column: &Column, value: Value) -> String {
     match (column.field, value) {
         (Field::Counts | Field::State | Field::Saturated, value) | (_, value @ Value::Word(_)) => value.to_string(),
         (_, Value::Number(number)) => format!("{number:.5}"),
-        // Without a sign where nothing is left of the number.
+        // Removes the sign of a number that rounds to zero.
         (_, Value::Single(number)) => format!("{:.5}", (1e5 * number).round() / 1e5 + 0.0),
     }
 }
@@ -310,49 +313,51 @@ fn as_json(value: &Value) -> serde_json::Value {
     }
 }
 
-/// Stops the stream and says what came of it: one count, in the file, on the terminal and in JSON.
-fn finish(ended: Ended, board: &mut Board, mut follow: Follow, json: bool) -> Result<(), Failure> {
-    let stopped = match ended {
-        Ended::BoardLost(_) => Ok(()),
+/// Stops the stream and reports the result: the same count in the file, on the terminal and in JSON.
+fn finish(end: End, board: &mut Board, mut stream: Stream, json: bool) -> Result<(), Failure> {
+    let stopped = match end {
+        End::BoardLost(_) => Ok(()),
         _ => board.stop_stream(),
     };
-    if matches!(ended, Ended::ReaderGone) {
+    if matches!(end, End::ReaderGone) {
         return Ok(());
     }
-    let losses = follow.losses(board);
+    let losses = stream.losses(board);
     let mut written = Ok(());
-    let mut kept = losses.to_string();
+    let mut summary = losses.to_string();
     let mut file = None;
-    if let Sink::File(recorder) = &mut follow.sink {
-        if !matches!(ended, Ended::NoRoom(_)) {
-            let cut = if matches!(ended, Ended::BoardLost(_)) { "cut short: the board was lost; " } else { "" };
+    if let Sink::File(recorder) = &mut stream.sink {
+        if !matches!(end, End::NoRoom(_)) {
+            let cut = if matches!(end, End::BoardLost(_)) { "cut short: the board was lost; " } else { "" };
             written = recorder.end(&format!("{cut}{losses}"), &losses);
         }
-        // Whoever read has what he wanted, also where the last rows found him gone.
-        if matches!((&ended, &written), (Ended::AsAsked, Err(RecordError::ReaderGone))) {
+        // A reader that closed the pipe at the end has all that it wanted.
+        if matches!((&end, &written), (End::Requested, Err(RecordError::ReaderGone))) {
             return Ok(stopped?);
         }
-        let are = if recorder.rows() == 1 { "is" } else { "are" };
+        let verb = if recorder.rows() == 1 { "is" } else { "are" };
         let size = bytes_in_words(recorder.bytes());
-        let all = format!("{} {are} in {}, {size}", counted(recorder.rows(), "row"), recorder.place());
-        let said = losses.to_string();
-        let on_the_way = said.trim_start_matches(|c: char| c != ',');
-        kept = match losses.received.saturating_sub(recorder.rows()) {
-            0 => format!("{all}{on_the_way}"),
+        let all = format!("{} {verb} in {}, {size}", counted(recorder.rows(), "row"), recorder.place());
+        let text = losses.to_string();
+        let other_losses = text.trim_start_matches(|c: char| c != ',');
+        summary = match losses.received.saturating_sub(recorder.rows()) {
+            0 => format!("{all}{other_losses}"),
             unwritten if losses.missing == 0 => {
-                format!("{all}, {unwritten} that came could not be written and are lost")
+                format!("{all}, {unwritten} received rows could not be written and are lost")
             }
-            unwritten => format!("{all}, {unwritten} that came could not be written and are lost{on_the_way} before"),
+            unwritten => {
+                format!("{all}, {unwritten} received rows could not be written and are lost{other_losses} before")
+            }
         };
         file = Some((recorder.place(), recorder.rows(), recorder.bytes()));
         if std::io::stderr().is_terminal() {
             haptic_host::tell!("");
         }
     }
-    haptic_host::tell!("{kept}");
+    haptic_host::tell!("{summary}");
     if json {
         let names: Vec<&str> =
-            ["step", "time_s"].into_iter().chain(follow.columns.iter().map(|column| column.label.as_str())).collect();
+            ["step", "time_s"].into_iter().chain(stream.columns.iter().map(|column| column.label.as_str())).collect();
         let mut document = json!({
             "columns": names, "rows": losses.received, "missing": losses.missing,
             "dropped_by_board": losses.dropped_by_board, "batches_lost": losses.batches_lost,
@@ -363,15 +368,15 @@ fn finish(ended: Ended, board: &mut Board, mut follow: Follow, json: bool) -> Re
             document["rows"] = json!(rows);
             document["bytes"] = json!(bytes);
         }
-        if let Sink::Kept(rows) = &follow.sink {
+        if let Sink::Memory(rows) = &stream.sink {
             document["values"] = rows.iter().map(|row| row.iter().map(as_json).collect::<Vec<_>>()).collect();
         }
         print(&format!("{document}\n"))?;
     }
-    match (ended, written) {
-        (Ended::NoRoom(failure), _) | (_, Err(RecordError::Failed(failure))) => Err(failure),
-        (Ended::BoardLost(error), _) if file.is_none() => Err(error.into()),
-        (Ended::BoardLost(error), _) => Err(Failure::impossible(error).remedy(kept)),
+    match (end, written) {
+        (End::NoRoom(failure), _) | (_, Err(RecordError::Failed(failure))) => Err(failure),
+        (End::BoardLost(error), _) if file.is_none() => Err(error.into()),
+        (End::BoardLost(error), _) => Err(Failure::impossible(error).remedy(summary)),
         _ => Ok(stopped?),
     }
 }

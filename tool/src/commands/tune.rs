@@ -1,4 +1,4 @@
-//! `haptic tune`: the settings of the stiffest wall on a device, and what limits it.
+//! `haptic tune`: finds the settings of the stiffest wall on a device, and its limiting factor.
 
 use super::answer::Json;
 use super::arguments::{self, Numbers};
@@ -30,28 +30,28 @@ use std::path::{Path, PathBuf};
 /// Find the settings that render the stiffest wall on a device
 ///
 /// Searches control rate, velocity estimator, cutoff, damping, stiffness, washout and feed-forward for the stiffest
-/// wall that stays stable and ripples little under a hand that slides along it, on the device of the file and on others
-/// a little off it, that a tap leaves once at most, and that asks no more of the motors than they have; says what limits
-/// it. Stability is predicted,
-/// ripple is simulated with the steps of the encoders, and once more on a simulated board, under another hand. Takes
-/// some minutes; Ctrl-C ends it, and with --continue the same command goes on from there. With --scene the pose, the
-/// normal and the ripple are those of a wall in that file, which the result is compared with.
+/// wall that stays stable, ripples little under a hand that slides along it, loses contact at most once after a tap,
+/// and stays within the motors' limits, on the device of the file and on slightly different devices. Reports the
+/// limiting factor. Stability is predicted; ripple is simulated with the steps of the encoders, and once more on a
+/// simulated board under another hand. Takes some minutes; Ctrl-C ends it, and with --continue the same command
+/// continues from there. With --scene the pose, the normal and the ripple come from a wall in that file, and the result
+/// is compared with that wall.
 #[derive(clap::Args)]
 #[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
 pub struct Args {
     #[command(subcommand)]
-    instead: Option<Instead>,
+    subcommand: Option<Subcommand>,
     #[command(flatten)]
     search: Search,
 }
 
-/// What else belongs to tuning.
+/// Other commands of tuning.
 #[derive(clap::Subcommand)]
-enum Instead {
+enum Subcommand {
     Estimators(estimators::Args),
 }
 
-/// What is searched for.
+/// Options of the search.
 #[derive(clap::Args)]
 struct Search {
     /// Device file (TOML)
@@ -60,36 +60,36 @@ struct Search {
     /// Joint angles in rad, such as 2.4,0.7 [default: where the wall of --scene is touched, or the device file's home]
     #[arg(long, value_name = "A,B,..", allow_hyphen_values = true)]
     q: Option<Numbers>,
-    /// Normal of the wall, any length [default: that of the wall of --scene]
+    /// Normal of the wall, of any length [default: the normal of the wall of --scene]
     #[arg(long, value_name = "X,Y,..", required_unless_present = "scene", allow_hyphen_values = true)]
     normal: Option<Numbers>,
-    /// A scene file whose wall is to be made stiffer: it is held to the same margins, and compared
+    /// Scene file whose wall is to be made stiffer: the wall is tested with the same margins and compared
     #[arg(long, value_name = "FILE")]
     scene: Option<PathBuf>,
-    /// Which wall of --scene, from 0
+    /// Index of the wall in --scene, from 0
     #[arg(long, value_name = "INDEX", default_value_t = 0, requires = "scene")]
     wall: usize,
     /// Largest ripple in N: root mean square of the wall's force above 20 Hz, under a hand that presses with 1.5 to 4.5
-    /// N and slides along at 30 mm/s, and under the one that presses the simulated board [default: 0.1, or that of the
-    /// wall of --scene as it is written, and 0.002 at least]
+    /// N and slides along at 30 mm/s, and under the hand that presses the simulated board [default: 0.1, or the ripple
+    /// of the wall of --scene as it is written, and 0.002 at least]
     #[arg(long, value_name = "N")]
     ripple: Option<f64>,
-    /// Control rates to look at, in Hz
+    /// Control rates to try, in Hz
     #[arg(long, value_name = "A,B,..", default_value = "1000,5000,10000,20000")]
     rates: Numbers,
-    /// Feed-forwards to look at; full pushes a resting hand along the wall
+    /// Feed-forwards to try; full pushes a resting hand along the wall
     #[arg(long, value_name = "KIND", value_delimiter = ',', default_value = "off,washout", value_parser = arguments::feed_forward())]
     feed_forward: Vec<FeedForward>,
-    /// Encoder counts into the wall at which the motors may give all that they have
+    /// Penetration in encoder counts at which the motors may reach their limit
     #[arg(long, value_name = "N", default_value_t = 1.0)]
     counts: f64,
-    /// Speed in m/s at which the damping alone may take all that the motors have
+    /// Speed in m/s at which the damping alone may reach the motors' limit
     #[arg(long, value_name = "M/S", default_value_t = 0.1)]
     speed: f64,
-    /// What a redundant device holds [default: what the scene says, or orientation]
+    /// Coordinate that a redundant device holds [default: the scene's, or orientation]
     #[arg(long, value_name = "COORDINATE", value_parser = arguments::admissible())]
     admissible: Option<Admissible>,
-    /// Measure both on the simulated board as well, with everything switched on: some minutes
+    /// Also measure both walls on the simulated board with all effects: some minutes
     #[arg(long)]
     measure: bool,
     #[command(flatten)]
@@ -97,7 +97,8 @@ struct Search {
     /// Write a scene file with the wall
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
-    /// Load the scene onto this board: a serial port or a board's serial number, or tcp:HOST:PORT (never HAPTIC_PORT's)
+    /// Load the scene onto this board: a serial port or a board's serial number, or tcp:HOST:PORT (HAPTIC_PORT is not
+    /// used)
     #[arg(long, value_name = "PORT")]
     port: Option<PortSpec>,
     #[command(flatten)]
@@ -115,14 +116,14 @@ struct Document<'a> {
     ripple_limit_n: f64,
     board_ripple_limit_n: Option<f64>,
     margins: Margins,
-    /// Options with which `haptic range DEVICE` predicts the wall that was found.
+    /// Options with which `haptic range DEVICE` predicts the wall of the result.
     #[serde(skip_serializing_if = "Option::is_none")]
     options: Option<String>,
     #[serde(flatten)]
     answer: &'a Answer,
     #[serde(skip_serializing_if = "Option::is_none")]
     scene: Option<&'a Baseline>,
-    /// The stiffness that was found over the scene's at the same margins and no more ripple.
+    /// Stiffness of the result relative to the scene's wall, at the same margins and at most the same ripple.
     #[serde(skip_serializing_if = "Option::is_none")]
     times: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -131,7 +132,7 @@ struct Document<'a> {
     scene_measured: Option<&'a Measured>,
 }
 
-/// The place of the wall.
+/// Pose, normal and position of the wall.
 struct Place {
     q: Vec<f64>,
     normal: Vec<f64>,
@@ -142,26 +143,26 @@ struct Place {
 
 /// Searches, or compares estimators.
 pub fn run(args: Args) -> Result<(), Failure> {
-    match args.instead {
-        Some(Instead::Estimators(args)) => estimators::run(args),
-        None => searched(args.search),
+    match args.subcommand {
+        Some(Subcommand::Estimators(args)) => estimators::run(args),
+        None => search(args.search),
     }
 }
 
 /// Searches, prints, writes and loads.
-fn searched(args: Search) -> Result<(), Failure> {
+fn search(args: Search) -> Result<(), Failure> {
     let overwrite = args.force.overwrite();
     if let Some(out) = &args.out {
         output::check(out, overwrite)?;
     }
     if let Some(PortSpec::Sim(_)) = args.port {
-        return Err(Failure::wrong("a board on --port sim ends with this command, and nothing of it is left")
+        return Err(Failure::wrong("a board on --port sim exists only during this command")
             .remedy("run `haptic sim` in another terminal and use the port that it prints"));
     }
     let Some(device) = &args.device else { return Err(Failure::wrong("no device file")) };
     let file = DeviceFile::load(device)?;
     let place = place(&args, &file)?;
-    let mut board = args.port.as_ref().map(|port| opened(port, &file)).transpose()?;
+    let mut board = args.port.as_ref().map(|port| open_with_device(port, &file)).transpose()?;
     let mut question = Question {
         file: &file,
         q: place.q.clone(),
@@ -177,44 +178,43 @@ fn searched(args: Search) -> Result<(), Failure> {
         feed_forwards: args.feed_forward.clone(),
         known: None,
     };
-    let asked = format!("{question:?} {:?} {:?}", place.written, args.ripple);
-    let sweep = args.continued.sweep("tune", &asked)?.in_lines();
-    if let (None, Some(written)) = (args.ripple, &place.written) {
-        let (ripple_n, board_ripple_n) = ripple_like(&question, written, &sweep)?;
+    let inputs = format!("{question:?} {:?} {:?}", place.written, args.ripple);
+    let sweep = args.continued.sweep("tune", &inputs)?.in_lines();
+    if let (None, Some(settings)) = (args.ripple, &place.written) {
+        let (ripple_n, board_ripple_n) = ripple_like(&question, settings, &sweep)?;
         (question.ripple_n, question.board_ripple_n) = (ripple_n, Some(board_ripple_n));
     }
     let before =
-        place.written.map(|written| sweep.during("the wall of the scene", || baseline(&question, &written, &sweep)));
+        place.written.map(|settings| sweep.during("the wall of the scene", || baseline(&question, &settings, &sweep)));
     let before = before.transpose()?;
     question.known = before.map(|before| before.settings);
     let answer = tune(&question, &sweep)?;
-    let (mut here, mut there) = (None, None);
+    let (mut best_measured, mut scene_measured) = (None, None);
     if args.measure {
         let stages: Vec<Option<Settings>> = vec![before.map(|before| before.settings), Some(answer.best.settings)];
         let measure = |settings: &Option<Settings>| settings.map(|s| measured::measure(&question, &s, &sweep));
-        let mut found = sweep
+        let mut results = sweep
             .during("measured on the simulated board", || haptic_stability::cores::map(&stages, &|_, _| {}, measure));
-        here = found.pop().flatten().transpose()?;
-        there = found.pop().flatten().transpose()?;
+        best_measured = results.pop().flatten().transpose()?;
+        scene_measured = results.pop().flatten().transpose()?;
     }
     let times = before
         .filter(|before| before.settings.stiffness > 0.0)
         .map(|before| answer.best.settings.stiffness / before.settings.stiffness);
     let point = match &place.point {
         Some(point) => point.clone(),
-        // Beyond the tip, which a board does not find inside the wall when it is armed.
+        // Behind the tip, so that the tip is not inside the wall when the board is armed.
         None => tip(&file, &question.q)?.iter().zip(&question.normal).map(|(p, n)| p - 5e-3 * n).collect(),
     };
-    let about = about(&args, &file, &answer, question.ripple_n);
-    let text = to_toml(&answer.best.settings, question.admissible, &point, &question.normal, &about);
+    let comments = comments(&args, &file, &answer, question.ripple_n);
+    let text = to_toml(&answer.best.settings, question.admissible, &point, &question.normal, &comments);
     let tuned = SceneFile::parse(&text, "tuned.toml", file.spec().task)?;
     let options = Subject::new(&file.description)
         .ok()
         .and_then(|subject| at(&subject, &tuned.scene, 0, &question.q, &TorquePath::usual(tuned.scene.rate_hz)))
         .map(|contact| contact.options);
-    let scene: Scene<f32> = tuned
-        .scene()
-        .map_err(|error| Failure::impossible(format!("the scene that was found cannot be used: {error}")))?;
+    let scene: Scene<f32> =
+        tuned.scene().map_err(|error| Failure::impossible(format!("the resulting scene cannot be used: {error}")))?;
     if let Some(out) = &args.out {
         output::write(out, text.as_bytes(), overwrite)?;
     }
@@ -232,34 +232,36 @@ fn searched(args: Search) -> Result<(), Failure> {
         answer: &answer,
         scene: before.as_ref(),
         times,
-        measured: here.as_ref(),
-        scene_measured: there.as_ref(),
+        measured: best_measured.as_ref(),
+        scene_measured: scene_measured.as_ref(),
     };
     if args.json.asked() {
         print_json(&document)?;
         sweep.finish();
         return Ok(());
     }
-    let mut said = readable(&document);
+    let mut text = readable(&document);
     if let Some(out) = &args.out {
-        let _ = writeln!(said, "written to {}", out.display());
+        let _ = writeln!(text, "written to {}", out.display());
     }
     if let Some(board) = &board {
-        let _ = writeln!(said, "loaded on {}", board.port());
+        let _ = writeln!(text, "loaded on {}", board.port());
     }
-    print(&said)?;
+    print(&text)?;
     sweep.finish();
     Ok(())
 }
 
-/// The board, if it holds the device.
-fn opened(port: &PortSpec, file: &DeviceFile) -> Result<Board, Failure> {
+/// Opens the board. Returns an error unless it has this device loaded.
+fn open_with_device(port: &PortSpec, file: &DeviceFile) -> Result<Board, Failure> {
     let mut board = haptic_sim::open(port)?;
     let device = haptic_bridge::model::device::Device::new(&file.name, &file.description).map_err(Failure::wrong)?;
     match occasion::another(&mut board, &device)? {
         None => Ok(board),
-        Some(found) => Err(Failure::impossible(format!("the board holds {found}, the file is {}", file.name))
-            .remedy("load it with `haptic device` first")),
+        Some(loaded) => {
+            Err(Failure::impossible(format!("the board has {loaded} loaded, and the file is {}", file.name))
+                .remedy("load it with `haptic device` first"))
+        }
     }
 }
 
@@ -267,7 +269,7 @@ fn tip(file: &DeviceFile, q: &[f64]) -> Result<Vec<f64>, Failure> {
     Ok(haptic_stability::analysis::pose::TaskPose::at(&file.description, q)?.regular()?.position)
 }
 
-/// Pose and normal: as typed, of the scene's wall, or home.
+/// Returns pose, normal and position of the wall: as typed, from the scene's wall, or from home.
 fn place(args: &Search, file: &DeviceFile) -> Result<Place, Failure> {
     let spec = file.spec();
     let q = args.q.as_ref().map(|q| q.exactly(spec.joints, "--q", "joint angles")).transpose()?;
@@ -289,21 +291,21 @@ fn place(args: &Search, file: &DeviceFile) -> Result<Place, Failure> {
     let Some(wall) = scene.walls.get(args.wall) else {
         return Err(Failure::wrong(format!("{} has no wall {}", path.display(), args.wall)).remedy("count from 0"));
     };
-    let touched = touched(file, &scene, args.wall);
-    let found = |what: &str| {
+    let touched = touching_pose(file, &scene, args.wall);
+    let untouchable = |what: &str| {
         Failure::impossible(format!("wall {} of {} cannot be touched", args.wall, path.display()))
-            .remedy(format!("say {what}"))
+            .remedy(format!("give {what}"))
     };
     let q = match (q, &touched) {
         (Some(q), _) => q,
         (None, Some((q, _))) => q.clone(),
-        (None, None) => return Err(found("--q and --normal")),
+        (None, None) => return Err(untouchable("--q and --normal")),
     };
     let normal = match (normal, &wall.surface, touched) {
         (Some(normal), ..) => normal,
         (None, Surface::Plane(plane), _) => plane.normal[..spec.task].to_vec(),
         (None, _, Some((_, normal))) => normal,
-        (None, _, None) => return Err(found("--normal")),
+        (None, _, None) => return Err(untouchable("--normal")),
     };
     let point = match wall.surface {
         Surface::Plane(plane) if args.normal.is_none() => plane.point[..spec.task].to_vec(),
@@ -318,36 +320,33 @@ fn place(args: &Search, file: &DeviceFile) -> Result<Place, Failure> {
     })
 }
 
-/// The pose and the normal with which the device touches a wall of a scene, nearest to home.
-fn touched(file: &DeviceFile, scene: &Scene<f64>, wall: usize) -> Option<(Vec<f64>, Vec<f64>)> {
+/// Returns the pose nearest to home in which the device touches a wall of a scene, and the normal there.
+fn touching_pose(file: &DeviceFile, scene: &Scene<f64>, wall: usize) -> Option<(Vec<f64>, Vec<f64>)> {
     let (_, contacts) = doubts(&Subject::new(&file.description).ok()?, scene);
     contacts.into_iter().find(|contact| contact.wall == wall).map(|contact| (contact.q, contact.normal))
 }
 
-fn about(args: &Search, file: &DeviceFile, answer: &Answer, ripple: f64) -> Vec<String> {
+fn comments(args: &Search, file: &DeviceFile, answer: &Answer, ripple: f64) -> Vec<String> {
     let scene = args.scene.as_deref().map_or(String::new(), |scene: &Path| format!(", after {}", scene.display()));
     vec![
         format!("The stiffest wall that `haptic tune` found on {}{scene}.", file.name),
-        format!(
-            "Ripple {:.3} N of {ripple:.3} N that were allowed; limited by: {}.",
-            answer.best.ripple_n, answer.active
-        ),
+        format!("Ripple {:.3} N (allowed: {ripple:.3} N); limited by: {}.", answer.best.ripple_n, answer.active),
     ]
 }
 
-/// The stiffness that a hand feels where transmissions give, to stand behind that of the wall.
+/// Formats the stiffness that a hand feels if transmissions are compliant, to follow the stiffness of the wall.
 fn felt(felt: Option<f64>) -> String {
     felt.map_or(String::new(), |felt| format!(" (felt at the tip: {felt:.0} N/m)"))
 }
 
-/// The ripple in words, and that on the simulated board if it was measured.
+/// Formats the ripple, and the ripple on the simulated board if it was measured.
 fn ripples(found: &Found) -> String {
     let board = found.board_ripple_n.map_or(String::new(), |ripple| format!(", {ripple:.4} N on the simulated board"));
     format!("ripple {:.4} N{board}", found.ripple_n)
 }
 
-/// Settings in a line.
-fn in_words(settings: &Settings) -> String {
+/// Formats settings in one line.
+fn describe(settings: &Settings) -> String {
     let mut text = format!("{} Hz, {}", settings.rate_hz, settings.estimator);
     if settings.value != 0 {
         let _ = write!(text, " {}", settings.value);
@@ -380,16 +379,16 @@ fn readable(document: &Document<'_>) -> String {
         felt(best.felt),
         ripples(best)
     ));
-    line(format!("    {}", in_words(&best.settings)));
+    line(format!("    {}", describe(&best.settings)));
     if let Some(scene) = document.scene {
         let ripple = scene
             .ripple_n
-            .map_or("none keeps margins, ripple and rebounds".into(), |ripple| format!("ripple {ripple:.4} N"));
+            .map_or("no stiffness meets margins, ripple and rebounds".into(), |ripple| format!("ripple {ripple:.4} N"));
         let felt = felt(scene.felt);
         line(format!("  the scene's settings     {:>10} N/m{felt}   {ripple}", scene.settings.stiffness));
         line(format!(
-            "    {}; {} N/m as written, {} N/m within margins and motors whatever it ripples",
-            in_words(&scene.settings),
+            "    {}; {} N/m as written, {} N/m within margins and motors with any ripple",
+            describe(&scene.settings),
             scene.as_written,
             scene.within_margins
         ));
@@ -402,7 +401,7 @@ fn readable(document: &Document<'_>) -> String {
         ));
     }
     line(format!(
-        "\n  limited by: {}, which comes first when it is made stiffer; within a gain margin of {}, {:.1} us more delay, {:.0} % of mass, {:.0} % of each inertia, {:.0} % of friction, {:.0} % of counts, and in hands",
+        "\n  limited by: {}, the first limit of a stiffer wall; within a gain margin of {}, {:.1} us more delay, {:.0} % of mass, {:.0} % of each inertia, {:.0} % of friction, {:.0} % of counts, and in hands",
         answer.active,
         margins.gain,
         1e6 * margins.delay_s,
@@ -416,41 +415,49 @@ fn readable(document: &Document<'_>) -> String {
         let up_to = limit.stiffness.map_or("no bound".into(), |stiffness| format!("{stiffness:.0}"));
         line(format!("    {:<28}{up_to:>14}{}", limit.limit, felt(limit.felt)));
     }
-    line("  beside it".into());
-    for beside in &answer.beside {
-        let ripple = beside.ripple_n.map_or("flies off".into(), |ripple| format!("ripple {ripple:.4} N"));
-        let beyond = if beside.allowed { "" } else { ", beyond margins or motors" };
-        let rebounds = if beside.rebounds { ", rebounds" } else { "" };
-        line(format!("    {:>10} N/m with {} N s/m: {ripple}{beyond}{rebounds}", beside.stiffness, beside.damping));
+    line("  nearby".into());
+    for neighbour in &answer.beside {
+        let ripple = neighbour.ripple_n.map_or("the tip flies off".into(), |ripple| format!("ripple {ripple:.4} N"));
+        let beyond = if neighbour.allowed { "" } else { ", beyond margins or motors" };
+        let rebounds = if neighbour.rebounds { ", rebounds" } else { "" };
+        line(format!(
+            "    {:>10} N/m with {} N s/m: {ripple}{beyond}{rebounds}",
+            neighbour.stiffness, neighbour.damping
+        ));
     }
     for other in &answer.feed_forwards {
-        line(otherwise(other, best, answer.passed_over.as_ref()));
+        line(describe_other(other, best, answer.passed_over.as_ref()));
     }
     line("\n  the best of each estimator".into());
     for found in &answer.others {
-        let (felt, settings) = (felt(found.felt), in_words(&found.settings));
+        let (felt, settings) = (felt(found.felt), describe(&found.settings));
         line(format!("    {:>10} N/m{felt}  {}  {settings}", found.settings.stiffness, ripples(found)));
     }
     line(format!("  {} combinations, {} of them simulated", answer.looked_at.0, answer.looked_at.1));
-    let told = |name: &str, measured: &Measured| {
-        let ripple = measured.ripple_n.map_or("the hand is not held".into(), |ripple| format!("ripple {ripple:.4} N"));
-        let open = measured.open.as_ref().map_or(String::new(), |why| format!(" and no end was seen: {why}"));
+    let describe_measured = |name: &str, measured: &Measured| {
+        let ripple = measured
+            .ripple_n
+            .map_or("the wall does not hold the hand".into(), |ripple| format!("ripple {ripple:.4} N"));
+        let open = measured
+            .open
+            .as_ref()
+            .map_or(String::new(), |why| format!(" or more, because no limit was reached: {why}"));
         format!("  {name}: {ripple}; struck, it comes to rest up to {:.0} N/m{open}", measured.stiffness)
     };
     if let Some(found) = document.scene_measured {
-        line(told("on the simulated board, the scene's settings", found));
+        line(describe_measured("on the simulated board, the scene's settings", found));
     }
     if let Some(found) = document.measured {
-        line(told("on the simulated board, these", found));
+        line(describe_measured("on the simulated board, these", found));
     }
     if let (Some(before), Some(found)) = (document.scene_measured, document.measured) {
-        line(price(before, found));
+        line(rest_range(before, found));
     }
     text
 }
 
-/// The benefit and the cost of another feed-forward.
-fn otherwise(other: &Otherwise, best: &Found, passed_over: Option<&Found>) -> String {
+/// Describes the benefit and the cost of another feed-forward.
+fn describe_other(other: &Otherwise, best: &Found, passed_over: Option<&Found>) -> String {
     let mut text = format!("  feed-forward {}: ", other.feed_forward.name());
     match &other.best {
         Some(found) => {
@@ -463,21 +470,21 @@ fn otherwise(other: &Otherwise, best: &Found, passed_over: Option<&Found>) -> St
                 found.ripple_n
             );
             if passed_over == Some(found) {
-                text.push_str("; passed over, as it makes less than 3 % of difference");
+                text.push_str("; not chosen, because the difference is less than 3 %");
             }
         }
-        None => text.push_str("no wall with it comes near"),
+        None => text.push_str("no wall with it is nearly as stiff"),
     }
     let ripple = other.ripple_n.map_or("flies off".into(), |ripple| format!("ripples {ripple:.4} N"));
     let _ = write!(text, ". The wall above with it {ripple}, and up to {:.0} N/m keep the margins", other.allowed);
     text
 }
 
-/// The cost of a stiffer wall in the range in which a struck tip comes to rest.
-fn price(before: &Measured, found: &Measured) -> String {
+/// Describes the cost of a stiffer wall: the change in the stiffness up to which a struck tip comes to rest.
+fn rest_range(before: &Measured, found: &Measured) -> String {
     let at_least = |measured: &Measured| if measured.open.is_some() { "at least " } else { "" };
     format!(
-        "  price: at these dampings a struck tip came to rest up to {}{:.0} N/m, and now up to {}{:.0} N/m",
+        "  cost: at these dampings a struck tip came to rest up to {}{:.0} N/m, and now up to {}{:.0} N/m",
         at_least(before),
         before.stiffness,
         at_least(found),

@@ -1,4 +1,4 @@
-//! `haptic udev`: the rule by which Linux lets a user open boards and boot loaders.
+//! `haptic udev`: the udev rule that lets a user open boards and boot loaders on Linux.
 
 use super::force::Force;
 use haptic_flash::udev::{PLACE, rule};
@@ -12,13 +12,13 @@ use std::path::{Path, PathBuf};
 /// udevadm control --reload and plug the board in again.
 #[derive(clap::Args)]
 pub struct Args {
-    /// The file to write
+    /// File to write
     file: Option<PathBuf>,
     #[command(flatten)]
     force: Force,
 }
 
-/// Prints or writes it.
+/// Prints the rule or writes it to a file.
 pub fn run(args: Args) -> Result<(), Failure> {
     let Some(file) = args.file else { return print(&rule()) };
     output::write(&file, rule().as_bytes(), args.force.overwrite())?;

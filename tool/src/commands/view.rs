@@ -1,4 +1,4 @@
-//! `haptic view`: a page in the browser, for a board or for a simulated one with a hand to lead.
+//! `haptic view`: shows a board, real or simulated, on a page in the browser.
 
 use super::interrupt;
 use super::port::{Port, address};
@@ -18,45 +18,45 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::Duration;
 
-/// Between two looks for a board that is waited for: long enough for other tools to come in between.
-const AGAIN: Duration = Duration::from_millis(500);
+/// Interval between attempts to reopen a lost board: long enough for other tools to connect in between.
+const RETRY: Duration = Duration::from_millis(500);
 
-/// The default port of the page.
-const USUAL_PORT: u16 = 7720;
+/// Default TCP port of the page.
+const DEFAULT_PORT: u16 = 7720;
 
-/// Look at a device in the browser: walls to drag, gains to turn, signals, recording
+/// Watch a device in the browser: walls to drag, gains to change, signals, recording
 ///
-/// Serves one page until Ctrl-C; what it shows is inside this tool, nothing is loaded from elsewhere. Motors are on
-/// only while somebody holds a key (Space) on the page in command: letting go, closing the page or losing the network
+/// Serves one page until Ctrl-C; the whole page is inside this tool and loads nothing from elsewhere. Motors are on
+/// only while a key (Space) is held on the page in command: releasing the key, closing the page or losing the network
 /// turns them off.
 ///
-/// A board that is unplugged is waited for. Over ssh, forward the page's port: ssh -L 7720:localhost:7720 HOST.
+/// If the board is unplugged, the command waits for it. Over ssh, forward the page's port: ssh -L 7720:localhost:7720 HOST.
 ///
-/// With --port sim the mouse is a hand on a simulated device. Without DEVICE it is that of `haptic demo`, with less dry
-/// friction and finer encoders, before a wall that buzzes without the feed-forward and is quiet with it.
+/// With --port sim the mouse is a hand on a simulated device. Without DEVICE this is the device of `haptic demo`, with
+/// less dry friction and finer encoders, in front of a wall that buzzes without the feed-forward and is quiet with it.
 #[derive(clap::Args)]
 pub struct Args {
-    /// Device file (TOML), for its links [default: a board's tip is drawn without them]
+    /// Device file (TOML); its links are drawn [default: only the tip of the board's device is drawn]
     device: Option<PathBuf>,
     #[command(flatten)]
     port: Port,
-    /// On --port sim: scene file (TOML) [default: one wall in front of the tip]
+    /// With --port sim: scene file (TOML) [default: one wall in front of the tip]
     #[arg(long, value_name = "FILE")]
     scene: Option<PathBuf>,
-    /// Where to listen: PORT on this computer, or HOST:PORT for others, who then need the token in the printed address
-    /// [default: 7720, or a free port where that is taken]
+    /// Address to listen on: PORT for this computer only, or HOST:PORT for others, who then need the token in the
+    /// printed address [default: 7720, or a free port if that is taken]
     #[arg(long, value_name = "ADDRESS")]
     listen: Option<String>,
-    /// Where recordings go
+    /// Folder for recordings
     #[arg(long, value_name = "FOLDER", default_value = ".")]
     record_to: PathBuf,
-    /// Rows a second that are looked at, at most the control rate [default: as many as the link carries]
+    /// Rows a second to read, at most the control rate [default: as many as the link carries]
     #[arg(long, value_name = "HZ", value_parser = positive)]
     rate: Option<f64>,
 }
 
-/// The board to look at, and how often.
-pub(super) struct Shown {
+/// The board to show, and the options of the view.
+pub(super) struct View {
     port: Port,
     file: Option<DeviceFile>,
     /// The scene, and the name of its file.
@@ -65,7 +65,7 @@ pub(super) struct Shown {
     folder: PathBuf,
 }
 
-impl Shown {
+impl View {
     /// Reads the files.
     fn of(
         port: Port,
@@ -110,21 +110,21 @@ impl Shown {
         }
     }
 
-    /// Opens a lost board once it is back. The error is the reason, if it is back but cannot be shown yet; until then
-    /// it is free for other tools, which may load what it lacks.
-    fn open_again(&self, hub: &Hub) -> Result<Stage, Option<String>> {
-        let here = |why: &dyn Display| Some(format!("the board is there again, but {why}"));
+    /// Opens a lost board once it is back. The error is the reason if the board is back but cannot be shown yet. Until
+    /// then the board is free for other tools, which may load the device or scene that it lacks.
+    fn reopen(&self, hub: &Hub) -> Result<Stage, Option<String>> {
+        let back = |why: &dyn Display| Some(format!("the board is there again, but {why}"));
         let mut world = self.open().map_err(|_| None)?;
-        match world.lacks() {
-            Ok(None) => Stage::open(world, hub.clone(), self.rate, Some(self.folder.clone())).map_err(|why| here(&why)),
-            Ok(Some(refusal)) => Err(here(&refusal)),
+        match world.missing() {
+            Ok(None) => Stage::open(world, hub.clone(), self.rate, Some(self.folder.clone())).map_err(|why| back(&why)),
+            Ok(Some(refusal)) => Err(back(&refusal)),
             Err(_) => Err(None),
         }
     }
 
-    /// Plays until `stop`; a board that was unplugged is waited for, also where it comes back without its device or
-    /// scene. `opened` is called once, when there is something to see, and `lost` with the reason whenever a board is
-    /// waited for.
+    /// Shows the board until `stop`. Waits for a board that was unplugged, also if it returns without its device or
+    /// scene. `opened` is called once, when there is something to show, and `lost` with the reason whenever the wait
+    /// begins.
     pub(super) fn play(
         &self,
         hub: &Hub,
@@ -139,7 +139,7 @@ impl Shown {
             if matches!(self.port.spec(), PortSpec::Sim(_)) {
                 return Err(error.into());
             }
-            // The pages stay, and say so. The board's port is closed first.
+            // The pages stay open and show the loss. The board's port is closed first.
             drop(stage);
             let mut why = error.to_string();
             lost(&why);
@@ -147,14 +147,14 @@ impl Shown {
                 if stop.load(Ordering::SeqCst) {
                     return Err(error.into());
                 }
-                let told = serde_json::json!({"is": "lost", "why": why}).to_string();
-                hub.to_all(|outbox| outbox.tell(told.clone()));
-                thread::sleep(AGAIN);
-                match self.open_again(hub) {
-                    Ok(back) => break back,
-                    Err(Some(lacks)) if lacks != why => {
-                        lost(&lacks);
-                        why = lacks;
+                let notice = serde_json::json!({"is": "lost", "why": why}).to_string();
+                hub.to_all(|outbox| outbox.tell(notice.clone()));
+                thread::sleep(RETRY);
+                match self.reopen(hub) {
+                    Ok(stage) => break stage,
+                    Err(Some(reason)) if reason != why => {
+                        lost(&reason);
+                        why = reason;
                     }
                     Err(_) => {}
                 }
@@ -168,10 +168,10 @@ impl Shown {
 /// Serves the page.
 pub fn run(args: Args) -> Result<(), Failure> {
     let stop = interrupt::watch();
-    let shown = Shown::of(args.port, args.device.as_ref(), args.scene.as_ref(), args.rate, args.record_to)?;
+    let view = View::of(args.port, args.device.as_ref(), args.scene.as_ref(), args.rate, args.record_to)?;
     let hub = Hub::default();
     let opened = || {
-        let door = match &args.listen {
+        let listener = match &args.listen {
             Some(text) => {
                 let address = address(text, "--listen")?;
                 PageListener::open(address).map_err(|error| {
@@ -179,19 +179,19 @@ pub fn run(args: Args) -> Result<(), Failure> {
                         .remedy("choose another --listen PORT")
                 })?
             }
-            None => PageListener::open((Ipv4Addr::LOCALHOST, USUAL_PORT).into())
+            None => PageListener::open((Ipv4Addr::LOCALHOST, DEFAULT_PORT).into())
                 .or_else(|_| PageListener::open((Ipv4Addr::LOCALHOST, 0).into()))
                 .map_err(Failure::impossible)?,
         };
-        let url = door.url().map_err(Failure::impossible)?;
-        let whence = match door.reach().map_err(Failure::impossible)? {
+        let url = listener.url().map_err(Failure::impossible)?;
+        let scope = match listener.reach().map_err(Failure::impossible)? {
             Reach::Address => "",
             Reach::Others => ", here or on another computer of this network",
-            Reach::Unknown => " on this computer; on others put this computer's address in the place of the one here",
+            Reach::Unknown => " on this computer; on other computers replace its address by this computer's",
         };
-        print(&format!("open {url} in a browser{whence}\nCtrl-C ends it\n"))?;
-        door.serve(hub.clone());
+        print(&format!("open {url} in a browser{scope}\nCtrl-C ends it\n"))?;
+        listener.serve(hub.clone());
         Ok(())
     };
-    shown.play(&hub, stop.flag(), opened, |lost| haptic_host::tell!("{lost}; waiting for it"))
+    view.play(&hub, stop.flag(), opened, |lost| haptic_host::tell!("{lost}; waiting for it"))
 }

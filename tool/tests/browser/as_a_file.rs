@@ -117,7 +117,7 @@ fn as_a_file_gains_and_walls_are_dragged_and_devices_chosen() {
     }
     browser.until(&tab, "$('choice').value.includes('groove') && Math.abs(view.last.q[0] - 1.9) < 1e-2");
     browser.evaluate(&tab, "location.hash = 'device=nothing'");
-    browser.until(&tab, "$('why').textContent.includes('nothing is none of this page')");
+    browser.until(&tab, "$('why').textContent.includes('s device nothing: nothing was changed')");
     browser.evaluate(&tab, "notice(''); $('choice').selectedIndex = 0; $('choice').onchange()");
     browser.until(&tab, "view.hello?.smooth && view.last && view.frame && document.body.dataset.role === 'command'");
     // The demo is as it was in the beginning, and its hand comes to the mouse.

@@ -305,7 +305,7 @@ fn a_board_that_cannot_be_shown_says_why_and_the_simulation_goes_on() {
     let refused = |browser: &mut Browser, words: &str| {
         browser.evaluate(&tab, "notice(''); view.pictures = 0; $('open').click()");
         let said = format!(
-            "$('why').textContent.includes('{words}') && $('why').textContent.includes('The simulation goes on')"
+            "$('why').textContent.includes('{words}') && $('why').textContent.includes('The simulation continues')"
         );
         browser.until(&tab, &format!("{said} && view.hello?.simulated && view.pictures > 10"));
         assert_eq!(

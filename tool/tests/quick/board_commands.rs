@@ -166,7 +166,7 @@ fn a_restart_asks_before_it_turns_motors_off_or_forgets() {
 #[test]
 fn saving_says_what_there_was_to_save() {
     let sim = Sim::start(&["--fast"]);
-    sim.run(&["board", "save"]).success().stdout(contains("with this device from now on; it holds no scene"));
+    sim.run(&["board", "save"]).success().stdout(contains("with this device from now on; it has no scene"));
     sim.run(&["board", "dfu", "--yes"]).success();
     sim.run(&["board", "save"]).success().stdout(contains("with this device"));
     let bare = Sim::start(&["--fast"]);
@@ -220,7 +220,7 @@ fn rules_are_shown_lowered_and_never_raised_above_the_boards_own() {
     sim.run(&["rules"]).success().stdout(contains("a silent host is ignored"));
     sim.run(&["rules", "--torque", "4,0.1"])
         .success()
-        .stderr(contains("the motor of joint 0 gives 2 N m at most, and that counts").and(contains("joint 1").not()));
+        .stderr(contains("the motor of joint 0 gives at most 2 N m").and(contains("joint 1").not()));
     sim.run(&["rules", "--torque", "0.5,0.4", "--host", "disarm", "--passivity", "true"]).success().stdout(
         contains("torque              0.5, 0.4 N m")
             .and(contains("turns the motors off"))
@@ -370,7 +370,7 @@ fn torque_limits_leave_room_for_the_devices_weight_and_what_was_lower_before_is_
     std::fs::write(&long, in_mm).unwrap();
     let sim = Sim::start(&["--strict"]);
     let said = sim.run(&["device", long.to_str().unwrap()]).success();
-    said.stdout(contains("the board allows no more than 5: are lengths in the file in m").and(contains("rules").not()));
+    said.stdout(contains("the board allows at most 5: are lengths in the file in m").and(contains("rules").not()));
     assert_eq!(limits(&sim)[0], 5.0);
 }
 
@@ -423,7 +423,7 @@ fn what_weakens_a_protection_is_told_by_whichever_command_does_it() {
     let folder = tempfile::tempdir().unwrap();
     let kept = folder.path().join("kept.json").display().to_string();
     let sim = Sim::start(&["--fast"]);
-    let (host, force) = ("the host is no longer watched", "may now push at the tip with 30 N, before with 4");
+    let (host, force) = ("the board no longer watches its host", "may now push at the tip with 30 N, before with 4");
     let tighten = || sim.run(&["rules", "--host", "disarm", "--tip-force", "4"]).success().stderr("");
     tighten();
     sim.run(&["rules", "--host", "ignore", "--tip-force", "30"]).success().stderr(contains(host).and(contains(force)));
@@ -453,10 +453,12 @@ fn a_backup_of_another_board_is_restored_once_agreed_and_without_its_name() {
     let tightened = sim.run(&tight).success().stderr("").get_output().stdout.clone();
     sim.run(&restore).code(1).stderr(contains("OTHER").and(contains("SIM0001")).and(contains("--yes")));
     sim.run(&["rules"]).success().stdout(tightened);
-    sim.run(&[&restore[..], &["--yes"]].concat()).success().stderr(contains("joint 0 may now get"));
+    sim.run(&[&restore[..], &["--yes"]].concat()).success().stderr(contains("the torque limit of joint 0 is now"));
     sim.run(&["info"]).success().stdout(contains("right hand"));
     sim.run(&tight).success();
-    sim.run(&["rules", "--torque", "0.2,0.1"]).success().stderr(contains("joint 0 may now get 0.2 N m, before 0.1"));
+    sim.run(&["rules", "--torque", "0.2,0.1"])
+        .success()
+        .stderr(contains("the torque limit of joint 0 is now 0.2 N m, before 0.1"));
 }
 
 #[test]

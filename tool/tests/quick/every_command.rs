@@ -68,7 +68,7 @@ const BOARD: [Line; 25] = [
     ("board save", "saved: the board starts with this device and scene"),
     ("board backup board.json", "board.json: device, mass-model, name, rules, scene"),
     ("board restore board.json", "rules: restored"),
-    ("board restart", "the board restarts: it has what was saved"),
+    ("board restart", "the board restarts: it has the saved settings"),
     ("board dfu", "the board restarts into its boot loader"),
     ("plot contact.csv", "2000 rows over 0.100 s"),
     ("replay contact.csv", "2000 rows played, "),

@@ -111,7 +111,7 @@ fn the_picture_says_what_was_recorded() {
     plot(&files)
         .success()
         .stdout(contains("1900 rows over 1.999 s, 100 rows missing between them"))
-        .stdout(contains("stiffness that was there: 3000 N/m"));
+        .stdout(contains("stiffness found: 3000 N/m"));
     plot(&files).code(1).stderr(contains("--force"));
 
     let text = std::fs::read_to_string(&svg).unwrap();
@@ -315,7 +315,7 @@ fn the_stiffness_is_that_of_rows_that_no_limit_cut() {
 
     let (printed, found, drawn) = pressed(0.5);
     assert!(found["stiffness"].is_null() && found["panels"][1]["line"].is_null(), "{found}");
-    assert!(printed.contains("no stiffness, too few for a line: ") && printed.contains("there: none"), "{printed}");
+    assert!(printed.contains("no stiffness, too few for a line: ") && printed.contains("found: none"), "{printed}");
     assert!(!drawn.contains("stroke-dasharray=\"7 4\""));
 }
 

@@ -26,7 +26,7 @@ fn rows(bytes: &[u8]) -> Vec<(u64, Vec<f64>)> {
         assert_eq!((schema.encoding.as_str(), message.channel.message_encoding.as_str()), ("protobuf", "protobuf"));
         if message.channel.topic == "/rows" {
             assert_eq!(schema.name, "haptic.Row");
-            let row = protobuf::described(&schema.data, &schema.name).unwrap();
+            let row = protobuf::find_message(&schema.data, &schema.name).unwrap();
             found.push((message.log_time, protobuf::values(&row, &message.data)));
         }
     }

@@ -99,5 +99,5 @@ fn what_cannot_be_played_is_refused_in_words() {
     record(&[]);
     replay(&path).code(2).stderr(contains("the motors are on in the first row"));
     std::fs::write(&path, "step,time_s\n1,2\n").unwrap();
-    replay(&path).code(2).stderr(contains("does not hold the board's settings"));
+    replay(&path).code(2).stderr(contains("does not have the board's settings"));
 }

@@ -187,7 +187,7 @@ fn one_page_commands_and_the_others_watch() {
     view.say(first, json!({"do": "give"}));
     assert!(view.heard(second).picture["command"].is_null());
     view.say(first, json!({"do": "arm", "seen": 1}));
-    assert_eq!(view.heard(first).why(), "nobody is in command: take it first");
+    assert_eq!(view.heard(first).why(), "no page is in command: take it first");
     view.say(second, json!({"do": "take"}));
     assert_eq!(view.heard(first).picture["command"], view.pages[second].id);
 }
@@ -209,7 +209,7 @@ fn the_motors_are_on_only_while_the_key_is_down() {
     assert_eq!(view.state(), "Armed");
     view.play(0.18);
     assert_eq!(view.state(), "Disarmed");
-    assert!(view.heard(0).why().contains("was not heard"), "{}", view.heard(0).why());
+    assert!(view.heard(0).why().contains("no message from the page in command"), "{}", view.heard(0).why());
     view.pages[0].says = Some(FromPage::Hold { seen: 0 });
     view.play(0.5);
     assert_eq!(view.state(), "Disarmed");
@@ -290,7 +290,7 @@ fn a_key_that_is_not_seen_down_again_is_let_go() {
         view.step();
     }
     assert_eq!(view.state(), "Disarmed");
-    assert!(view.heard(0).why().contains("was not heard"), "{}", view.heard(0).why());
+    assert!(view.heard(0).why().contains("no message from the page in command"), "{}", view.heard(0).why());
 }
 
 /// The board itself turns the motors off where the stage no longer does: its thread is starved, or the process stopped.
@@ -337,7 +337,7 @@ fn a_page_that_falls_silent_lets_go_of_a_board_that_is_slow_too() {
         }
         assert_eq!(view.state(), state, "{:?}", view.heard(0).refused);
     }
-    assert!(view.heard(0).why().contains("was not heard"), "{}", view.heard(0).why());
+    assert!(view.heard(0).why().contains("no message from the page in command"), "{}", view.heard(0).why());
     assert!(simulated.lock().time() - began < 0.3, "a part of real time");
 }
 
@@ -598,10 +598,10 @@ fn what_is_known_of_the_motors_without_a_connection_is_told_beforehand() {
     let if_lost = |view: &Played| view.heard(0).picture["if_lost"].as_str().unwrap_or_default().to_string();
     assert!(if_lost(&Played::demo()).contains("simulated board is gone"));
     let (simulated, mut view) = Played::on_a_board();
-    assert_eq!(if_lost(&view), "the motors were off when this page last heard of them");
+    assert_eq!(if_lost(&view), "the motors were off in the last picture");
     view.arm(0);
     view.play(0.1);
-    assert!(if_lost(&view).contains("half a second after it last heard of the key"), "{}", if_lost(&view));
+    assert!(if_lost(&view).contains("half a second after the last message about the key"), "{}", if_lost(&view));
     view.pages[0].says = Some(FromPage::Here {});
     view.say(0, json!({"do": "release"}));
     view.play(0.1);
@@ -827,7 +827,7 @@ fn walls_are_moved_and_turned_while_the_motors_are_off() {
     assert!((value(&view, 3) - 0.6).abs() < 1e-6);
     for (message, words) in [
         (json!({"do": "wall", "wall": 7, "point": [0.0, 0.0]}), "no wall 7"),
-        (json!({"do": "wall", "wall": 0, "point": [0.0, 0.0], "normal": [0.0, 0.0]}), "points somewhere"),
+        (json!({"do": "wall", "wall": 0, "point": [0.0, 0.0], "normal": [0.0, 0.0]}), "must not be zero"),
         (json!({"do": "gains", "wall": 7, "stiffness": 1.0, "damping": 1.0, "feed_forward": "off"}), "no wall 7"),
     ] {
         view.say(0, message);

@@ -1,22 +1,22 @@
-//! Changes for the better and for the worse with the feed-forward, in the words that the report and the picture share.
+//! Improvements and drawbacks of the feed-forward, in the words that the report and the picture share.
 
 use super::crossing::Crossing;
 use std::cmp::Ordering;
 
-/// Changes smaller than this count as none: the printed digits do not show them.
+/// Smaller relative changes are ignored, because the printed digits do not show them.
 const SAME: f64 = 0.005;
 
-/// Changes for the hand.
+/// Changes that the hand feels.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Comparison {
-    /// Such as "83 % less vibration under the resting hand".
+    /// Improvements, such as "83 % less vibration under the resting hand".
     pub better: Vec<String>,
-    /// Such as "4 % deeper penetration".
+    /// Drawbacks, such as "4 % deeper penetration".
     pub worse: Vec<String>,
 }
 
 impl Comparison {
-    /// Of a crossing with the feed-forward, to one without it.
+    /// Compares a crossing with the feed-forward with a crossing without it.
     pub fn of(without: &Crossing, with: &Crossing) -> Self {
         let mut comparison = Self::default();
         let mut compare = |without: f64, with: f64, less: &str, more: &str| {
@@ -32,20 +32,20 @@ impl Comparison {
         compare(without.ripple, with.ripple, &format!("less {vibration}"), &format!("more {vibration}"));
         compare(without.penetration, with.penetration, "shallower penetration", "deeper penetration");
         compare(without.peak_force, with.peak_force, "lower peak force", "higher peak force");
-        // A few events more or less are no percentage.
-        let lets_go = format!("the wall lets go {} times instead of {}", with.bounces, without.bounces);
+        // Small counts are compared as numbers, not as percentages.
+        let losses = format!("the wall lets go {} times instead of {}", with.bounces, without.bounces);
         match with.bounces.cmp(&without.bounces) {
-            Ordering::Less => comparison.better.push(lets_go),
-            Ordering::Greater => comparison.worse.push(lets_go),
+            Ordering::Less => comparison.better.push(losses),
+            Ordering::Greater => comparison.worse.push(losses),
             Ordering::Equal => {}
         }
         comparison
     }
 
-    /// Both in one sentence each; nothing is said to be "nothing".
+    /// Returns one sentence for the improvements and one for the drawbacks; "nothing" if there are none.
     pub fn sentences(&self) -> [String; 2] {
-        let listed = |changes: &[String]| if changes.is_empty() { "nothing".into() } else { changes.join(", ") };
-        [format!("Better with it: {}.", listed(&self.better)), format!("Worse with it: {}.", listed(&self.worse))]
+        let list = |changes: &[String]| if changes.is_empty() { "nothing".into() } else { changes.join(", ") };
+        [format!("Better with it: {}.", list(&self.better)), format!("Worse with it: {}.", list(&self.worse))]
     }
 }
 
@@ -58,7 +58,7 @@ mod tests {
     }
 
     #[test]
-    fn what_got_worse_stands_beside_what_got_better() {
+    fn drawbacks_are_listed_with_improvements() {
         let comparison = Comparison::of(&crossing(1e-3, 10.0, 2.0), &crossing(1.2e-3, 10.01, 0.5));
         let [better, worse] = comparison.sentences();
         assert_eq!(better, "Better with it: 75 % less vibration under the resting hand.");

@@ -8,27 +8,27 @@ use haptic_host::link::{Board, Row, columns, fields};
 use haptic_sim::{BoardOptions, Hand, HandSettings, Intent, Options, SharedBoard, Waypoint, ready_board};
 use std::time::Duration;
 
-/// Height above the wall at which the hand begins, m.
+/// Height above the wall at which the hand starts, m.
 const ABOVE: f64 = 0.006;
-/// Depth below the wall's surface at which the hand aims, m: its arm's 250 N/m then press with about 5 N.
+/// Target depth of the hand below the wall's surface, m: its arm of 250 N/m then presses with about 5 N.
 const AIM: f64 = 0.02;
-/// Distance that it slides, m: short of where the device's distal links come in line.
+/// Distance of the slide, m: it ends before the device's distal links become collinear.
 pub const SLIDE: f64 = 0.02;
-/// When the hand begins to move (the torque's ramp after arming is over), s after arming.
+/// Time at which the hand starts to move (after the torque ramp), s after arming.
 const BEGIN: f64 = 0.6;
-/// When it has come to its aim.
+/// Time at which the hand reaches its target depth, s.
 const PRESSED: f64 = 0.85;
-/// When it begins to slide.
+/// Time at which the hand starts to slide, s.
 const SLIDING: f64 = 1.4;
-/// When it has slid.
+/// Time at which the slide ends, s.
 const SLID: f64 = 2.4;
-/// When it has been lifted again, which ends the crossing.
+/// Time at which the hand is lifted again, which ends the crossing, s.
 const LIFTED: f64 = 2.9;
 
-/// One moment of a crossing.
+/// One sample of a crossing.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Moment {
-    /// Since the hand began to move, s.
+    /// Time since the hand started to move, s.
     pub time: f64,
     /// Distance to the wall, m; negative inside.
     pub distance: f64,
@@ -36,14 +36,14 @@ pub struct Moment {
     pub force: f64,
     /// Largest |duty| of any axis.
     pub duty: f64,
-    /// Walls touched.
+    /// True if a wall is touched.
     pub touching: bool,
 }
 
 /// Result of a crossing.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Crossing {
-    /// Every control step.
+    /// One entry for each control step.
     pub moments: Vec<Moment>,
     /// Deepest penetration, m.
     pub penetration: f64,
@@ -51,20 +51,20 @@ pub struct Crossing {
     pub peak_force: f64,
     /// Deviation of the wall's force from its mean while the hand rests on the wall, N rms.
     pub ripple: f64,
-    /// Times the wall's force fell to zero between touching and lifting: the hand feels it let go.
+    /// Number of times that the wall's force falls to zero between touching and lifting: the hand loses contact.
     pub bounces: usize,
-    /// Rows of telemetry lost.
+    /// Lost rows of telemetry.
     pub lost: u64,
-    /// The fault that the board tripped, if any.
+    /// The fault that the board latched; `None` without one.
     pub fault: Option<String>,
 }
 
-/// Lets the hand cross the wall. `progress` is called with the share done.
+/// Lets the hand cross the wall. Calls `progress` with the finished share.
 pub fn run(demo: &Demo, feed_forward: FeedForward, progress: &mut dyn FnMut(f64)) -> Result<Crossing, DemoError> {
     let device = Options { start: Some(demo.pose), ..Options::default() };
     let shared = SharedBoard::new(ready_board(&demo.file, BoardOptions { device, ..BoardOptions::default() })?);
     let mut board = Board::over(shared.wire(), "sim")?;
-    // The board watches its host, and lets go of the device under the hand if it is not heard.
+    // The board watches its host, and turns the motors off if it receives nothing.
     board.keep_alive();
     let tip = shared.lock().device().tip();
     let surface = [tip[0] - ABOVE * demo.normal[0], tip[1] - ABOVE * demo.normal[1]];
@@ -76,8 +76,8 @@ pub fn run(demo: &Demo, feed_forward: FeedForward, progress: &mut dyn FnMut(f64)
         board.device_mut().set_hand(Hand::new(settings, Intent::Follow(path(demo, tip)), tip, now));
     }
     board.arm()?;
-    let chosen = fields("duty,distance,force,state").unwrap_or(haptic_bridge::board::telemetry::Fields::ALL);
-    board.start_stream(chosen, 1)?;
+    let selected = fields("duty,distance,force,state").unwrap_or(haptic_bridge::board::telemetry::Fields::ALL);
+    board.start_stream(selected, 1)?;
     let mut rows = Vec::new();
     let steps = (LIFTED * demo.rate_hz) as usize;
     while rows.len() < steps {
@@ -92,10 +92,10 @@ pub fn run(demo: &Demo, feed_forward: FeedForward, progress: &mut dyn FnMut(f64)
     }
     let lost = board.losses().missing;
     let axes = demo.file.spec().joints;
-    Ok(assess(moments(&rows, &columns(chosen, axes), demo.rate_hz), lost, fault))
+    Ok(assess(moments(&rows, &columns(selected, axes), demo.rate_hz), lost, fault))
 }
 
-/// Down, rest, along, rest, up.
+/// Returns the hand's path: down, rest, along, rest, up.
 fn path(demo: &Demo, tip: [f64; 3]) -> Vec<Waypoint> {
     let [nx, ny] = demo.normal;
     let at = |time: f64, up: f64, along: f64| Waypoint {
@@ -115,32 +115,33 @@ fn path(demo: &Demo, tip: [f64; 3]) -> Vec<Waypoint> {
 
 fn moments(rows: &[Row], columns: &[haptic_host::link::Column], rate_hz: f64) -> Vec<Moment> {
     let first = rows.first().map_or(0, |row| row.step);
-    let one = |row: &Row, wanted: Field, axis: usize| {
-        let place = columns.iter().position(|column| column.field == wanted && column.axis == axis);
-        place.and_then(|place| row.values.get(place)).copied().unwrap_or(0.0)
+    let value = |row: &Row, field: Field, axis: usize| {
+        let index = columns.iter().position(|column| column.field == field && column.axis == axis);
+        index.and_then(|index| row.values.get(index)).copied().unwrap_or(0.0)
     };
     rows.iter()
         .map(|row| Moment {
             time: f64::from(row.step.wrapping_sub(first)) / rate_hz - BEGIN,
-            distance: one(row, Field::Distance, 0),
-            force: one(row, Field::WallForce, 0),
-            duty: (0..3).map(|axis| one(row, Field::Duty, axis).abs()).fold(0.0, f64::max),
-            touching: one(row, Field::State, 1) > 0.0,
+            distance: value(row, Field::Distance, 0),
+            force: value(row, Field::WallForce, 0),
+            duty: (0..3).map(|axis| value(row, Field::Duty, axis).abs()).fold(0.0, f64::max),
+            touching: value(row, Field::State, 1) > 0.0,
         })
         .filter(|moment| moment.time >= 0.0)
         .collect()
 }
 
 fn assess(moments: Vec<Moment>, lost: u64, fault: Option<String>) -> Crossing {
-    let largest = |value: fn(&Moment) -> f64| moments.iter().map(value).fold(0.0, f64::max);
+    let largest = |pick: fn(&Moment) -> f64| moments.iter().map(pick).fold(0.0, f64::max);
     let resting: Vec<f64> = moments
         .iter()
         .filter(|moment| (PRESSED + 0.15 - BEGIN..SLID - BEGIN).contains(&moment.time))
         .map(|moment| moment.force)
         .collect();
-    let touched = moments.iter().position(|moment| moment.touching);
-    let held = moments.iter().take_while(|moment| moment.time < SLID + 0.2 - BEGIN).skip(touched.unwrap_or(usize::MAX));
-    let contact: Vec<bool> = held.map(|moment| moment.force > 0.0).collect();
+    let first_contact = moments.iter().position(|moment| moment.touching);
+    let pressed =
+        moments.iter().take_while(|moment| moment.time < SLID + 0.2 - BEGIN).skip(first_contact.unwrap_or(usize::MAX));
+    let contact: Vec<bool> = pressed.map(|moment| moment.force > 0.0).collect();
     Crossing {
         penetration: largest(|moment| -moment.distance),
         peak_force: largest(|moment| moment.force),
@@ -152,7 +153,8 @@ fn assess(moments: Vec<Moment>, lost: u64, fault: Option<String>) -> Crossing {
     }
 }
 
-/// Root mean square of what lies within 20 steps of change: slow changes of the push are not ripple.
+/// Computes the root mean square deviation from a moving mean over 21 steps (20 steps wide), because slow changes of
+/// the force are not ripple.
 fn ripple(force: &[f64]) -> f64 {
     const HALF: usize = 10;
     if force.len() <= 2 * HALF {

@@ -1,4 +1,4 @@
-//! The crossing as a picture: position, force and duty over time, without and with the feed-forward.
+//! The picture of the crossing: position, force and duty over time, without and with the feed-forward.
 
 use super::Demo;
 use super::comparison::Comparison;
@@ -16,12 +16,12 @@ const RIGHT: f64 = 24.0;
 const TOP: f64 = 176.0;
 const PANEL: f64 = 170.0;
 const GAP: f64 = 74.0;
-/// Between the two columns: room for the right one's scale.
+/// Distance between the two columns, with room for the right column's scale.
 const BETWEEN: f64 = 84.0;
 
-/// The time of which the last row shows every swing, s.
+/// Time interval that the last row shows enlarged, s.
 const CLOSE: std::ops::Range<f64> = 0.5..0.6;
-/// The device above the panels: middle of the drawing, and how many pixels a metre is.
+/// The device above the panels: its centre in the drawing, and pixels per metre.
 const DEVICE_AT: (f64, f64) = (862.0, 74.0);
 const DEVICE_SCALE: f64 = 500.0;
 
@@ -35,10 +35,10 @@ struct Row {
     high: f64,
 }
 
-/// Ground of the time that is shown closely.
+/// Background of the enlarged interval.
 const FAINT_GROUND: &str = "#e8e8e8";
 
-/// The device at its pose with the wall, and the way of the hand.
+/// Draws the device at its pose, with the wall and the path of the hand.
 fn device(canvas: &mut Canvas, demo: &Demo) {
     let Some(skeleton) = skeleton(&demo.file.description, demo.q()) else { return };
     let (low, high) = linkage::bounds(skeleton.bars.iter().flat_map(|bar| [bar.from, bar.to]));
@@ -46,7 +46,7 @@ fn device(canvas: &mut Canvas, demo: &Demo) {
     let pixel =
         |x: f64, y: f64| (DEVICE_AT.0 + DEVICE_SCALE * (x - middle.0), DEVICE_AT.1 - DEVICE_SCALE * (y - middle.1));
     let ([nx, ny], (x, y)) = (demo.normal, skeleton.tip);
-    // The solid side of the wall, and along it the slide.
+    // Coordinates along the wall (the slide) and into its solid side.
     let at = |along: f64, depth: f64| pixel(x - along * ny - depth * nx, y + along * nx - depth * ny);
     canvas.polygon(&[at(-0.09, 0.0), at(0.09, 0.0), at(0.09, 0.02), at(-0.09, 0.02)], FAINT, 0.3);
     canvas.line(at(-0.09, 0.0), at(0.09, 0.0), Stroke::solid(FAINT, 1.6));
@@ -96,13 +96,13 @@ pub fn draw(demo: &Demo, without: &Crossing, with: &Crossing) -> Picture {
     let height = TOP + 3.0 * PANEL + 2.0 * GAP + 62.0;
     let mut canvas = Canvas::new(WIDTH, height);
     canvas.text((LEFT, 34.0), 19.0, Anchor::Start, false, "A hand presses onto a wall and slides along it");
-    let about = format!(
+    let conditions = format!(
         "wall of {:.0} kN/m and {:.0} N s/m, control at {:.0} kHz, the same hand and tremor twice",
         demo.stiffness / 1000.0,
         demo.damping,
         demo.rate_hz / 1000.0
     );
-    canvas.text((LEFT, 58.0), 12.5, Anchor::Start, false, &about);
+    canvas.text((LEFT, 58.0), 12.5, Anchor::Start, false, &conditions);
     for (line, sentence) in Comparison::of(without, with).sentences().iter().enumerate() {
         canvas.text((LEFT, 80.0 + 19.0 * line as f64), 12.5, Anchor::Start, false, sentence);
     }

@@ -1,7 +1,7 @@
 //! The highest stable stiffness, found by raising it on the simulated board until the loop oscillates.
 //!
-//! Friction, hand and encoder steps are left out and the drive is ideal, which is what linear theory is about; with
-//! them the limit lies higher or lower, and comparing the two would compare apples with pears.
+//! Friction, hand and encoder steps are left out and the drive is ideal, as in the linear theory. With them the limit
+//! is higher or lower, and a comparison with the theory would be meaningless.
 
 use super::{Demo, DemoError};
 use haptic_bridge::render::scene::FeedForward;
@@ -16,14 +16,14 @@ use haptic_stability::analysis::range::domain;
 use haptic_stability::analysis::sampled::{LinearEstimator, Loop, Mode};
 use haptic_stability::analysis::several::Member;
 
-/// Measured and predicted, N/m.
+/// Measured and predicted limit, N/m.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limit {
     /// Stiffness at which the simulated board began to oscillate.
     pub measured: f64,
-    /// Stiffness at which theory says that it does.
+    /// Stiffness at which the theory predicts oscillation.
     pub predicted: f64,
-    /// The delay that the board reports and theory reckons with, control samples.
+    /// Delay that the board reports and the theory assumes, control samples.
     pub delay_samples: f64,
 }
 
@@ -51,7 +51,7 @@ pub fn limit(demo: &Demo, feed_forward: FeedForward) -> Result<Limit, DemoError>
     };
     let mut prepared = PreparedBoard::new(&mut board, &demo.file, setup, &|| false)?;
     let measured = prepared.boundary(feed_forward, demo.damping, 1.0, None)?.gain;
-    // Predicted for the delay that the board itself reports, while it runs at the demo's rate.
+    // The prediction uses the delay that the board reports while it runs at the demo's rate.
     let delay_samples = f64::from(prepared.board().details()?.delay_samples);
     prepared.finish()?;
     Ok(Limit { measured, predicted: predict(&demo, feed_forward, delay_samples)?, delay_samples })
@@ -59,10 +59,10 @@ pub fn limit(demo: &Demo, feed_forward: FeedForward) -> Result<Limit, DemoError>
 
 fn predict(demo: &Demo, feed_forward: FeedForward, delay_samples: f64) -> Result<f64, DemoError> {
     let path = TorquePath { delay_samples, drive: Drive::Ideal };
-    let around = Loop::through(&path, demo.rate_hz, LinearEstimator::Butterworth(demo.cutoff_hz));
+    let control_loop = Loop::through(&path, demo.rate_hz, LinearEstimator::Butterworth(demo.cutoff_hz));
     let subject = Subject::new(&demo.file.description).map_err(PoseError::from)?.undamped();
-    let device = Prediction::new(subject, around.clone()).seen(demo.q(), &demo.normal)?;
+    let device = Prediction::new(subject, control_loop.clone()).seen(demo.q(), &demo.normal)?;
     let mode = Mode::of(feed_forward, demo.washout_hz);
-    let boundary = domain(&device, &around, mode, Some(&[demo.damping]))?.boundary;
+    let boundary = domain(&device, &control_loop, mode, Some(&[demo.damping]))?.boundary;
     Ok(boundary.first().map_or(0.0, |point| point.kp))
 }

@@ -1,6 +1,6 @@
-//! A board as the device of Haply's that programs take it for: what its frames say, and what becomes of their wishes.
+//! A board as a Haply device: the contents of its frames, and the effect of programs' requests.
 
-use super::wish::{Basis, Wish};
+use super::request::{Basis, ProgramRequest};
 use haptic_bridge::board::protocol::{ForceAnswer, ForceDone, ForceRequest};
 use haptic_bridge::render::scene::Scene;
 use haptic_bridge::safety::fault::{CLEARING, Fault, FaultRecord, State};
@@ -11,46 +11,47 @@ use haptic_host::words::{fault_and_remedy, for_a_program};
 use serde_json::{Value, json};
 use std::time::{Duration, Instant};
 
-/// The handle that programs ask for: it does not turn, and its buttons are not pressed.
+/// Id of the handle that programs expect: it does not turn, and its buttons are not pressed.
 const GRIP: &str = "HB00";
-/// Number of an Inverse3 in the `device_type` of Haply's service.
+/// `device_type` of an Inverse3 in Haply's service.
 const INVERSE3: u32 = 4;
-/// Most simulated time that passes at once.
-const MOST_AT_ONCE: Duration = Duration::from_millis(100);
-/// Commands that a person would type, and what a program sends instead.
+/// Maximum simulated time that passes at once.
+const MAX_ADVANCE: Duration = Duration::from_millis(100);
+/// Commands for a person, and what a program sends instead.
 const CALLS: [(&str, &str); 1] = [(CLEARING, "`clear_fault`")];
 
-/// A board that programs take for a device of Haply's.
+/// A board that appears to programs as a Haply device.
 pub struct Inverse3 {
     session: Session,
     axes: Axes,
     id: String,
     simulated: bool,
-    looked: Instant,
+    polled: Instant,
     last: ForceAnswer,
-    /// True if `last` answers the latest request.
-    answered: bool,
-    /// The fault that is latched.
+    /// True if `last` is the reply to the latest request.
+    is_answered: bool,
+    /// The latched fault; `None` without one.
     fault: Option<FaultRecord>,
-    /// The board is homed and its motors' polarity is known, or it needs neither.
+    /// True if the board is homed and its motors' polarity is known, or if it needs neither.
     calibrated: bool,
     /// The board's reason not to turn the motors on for this program.
     refusal: Option<String>,
-    /// The step from which on a force arms, after a fault was cleared.
+    /// Step from which on a force arms, after a fault was cleared.
     arms_from: Option<u32>,
     armed: bool,
-    /// True if the next force arms: the first of a program. Motors that go off meanwhile were turned off on purpose.
+    /// True if the next force arms, which only the first force of a program does. Motors that go off later were turned
+    /// off on purpose.
     may_arm: bool,
-    /// The axes of the program that is connected.
+    /// Axes of the connected program.
     basis: Basis,
-    /// Number of programs that have used it.
+    /// Number of programs that have used the device.
     sessions: u32,
-    told: Vec<String>,
+    notices: Vec<String>,
 }
 
 impl Inverse3 {
-    /// Of a board that is open and has a device; a board without a scene gets free space. `axes` are CHAI3D's, as
-    /// [`Axes::of`] knows them.
+    /// Creates the device for an open board with a device; a board without a scene gets free space. `axes` are
+    /// CHAI3D's, as in [`Axes::of`].
     pub fn new(mut session: Session, axes: Option<Axes>, simulated: bool) -> Result<Self, BoardError> {
         let device = session.device()?.ok_or(Refusal::NoDevice)?;
         let task = device.mechanism.kind().spec().task;
@@ -66,9 +67,9 @@ impl Inverse3 {
             axes,
             id,
             simulated,
-            looked: Instant::now(),
+            polled: Instant::now(),
             last,
-            answered: true,
+            is_answered: true,
             calibrated: false,
             refusal: None,
             arms_from: None,
@@ -76,33 +77,34 @@ impl Inverse3 {
             may_arm: true,
             basis: Basis::default(),
             sessions: 0,
-            told: Vec::new(),
+            notices: Vec::new(),
         };
         device.read_calibration()?;
         Ok(device)
     }
 
-    /// The device's id in messages: the board's serial number.
+    /// Returns the device's id in messages: the board's serial number.
     pub fn id(&self) -> &str {
         &self.id
     }
 
-    /// Says something to whoever runs the server, once.
-    pub(super) fn tell(&mut self, words: String) {
-        if !self.told.contains(&words) {
+    /// Reports something to the operator of the server, once.
+    pub(super) fn notify(&mut self, words: String) {
+        if !self.notices.contains(&words) {
             haptic_host::tell!("{words}");
-            self.told.push(words);
+            self.notices.push(words);
         }
     }
 
-    /// Another program has it from now on.
+    /// Begins the session of another program.
     pub(super) fn begin(&mut self) {
         self.sessions += 1;
     }
 
-    /// Time since the board was last asked something. A simulated one in this process forgets no silent program.
+    /// Returns the time since the board was last polled; zero for a simulated board in this process, which does not
+    /// time out silent programs.
     pub(super) fn idle(&self) -> Duration {
-        if self.simulated { Duration::ZERO } else { self.looked.elapsed() }
+        if self.simulated { Duration::ZERO } else { self.polled.elapsed() }
     }
 
     fn read_calibration(&mut self) -> Result<(), LinkError> {
@@ -111,31 +113,32 @@ impl Inverse3 {
         Ok(())
     }
 
-    /// Motors off.
-    pub(super) fn let_go(&mut self) {
+    /// Turns the motors off and resets the state of the program.
+    pub(super) fn release(&mut self) {
         (self.armed, self.may_arm, self.basis, self.refusal) = (false, true, Basis::default(), None);
-        self.told.clear();
+        self.notices.clear();
         let _ = self.session.disarm();
     }
 
-    /// Does what a message asks for, and reads how the device is then. An answer that does not come is told, and the next
-    /// message goes on; the error is a board that is gone.
-    pub(super) fn obey(&mut self, wish: &Wish) -> Result<(), BoardError> {
-        for other in &wish.others {
-            self.tell(format!("`{other}` is left alone: a board takes forces at the tip, and a basis for them"));
+    /// Carries out a message and reads the device's state. A missing reply is reported, and the next message continues;
+    /// the error is a lost board.
+    pub(super) fn obey(&mut self, request: &ProgramRequest) -> Result<(), BoardError> {
+        for other in &request.others {
+            self.notify(format!("`{other}` is ignored: a board accepts forces at the tip, and a basis for them"));
         }
-        if wish.elsewhere {
-            self.tell(format!("what is not for `device_id` {} is left alone", self.id));
+        if request.for_other_device {
+            self.notify(format!("messages for a `device_id` other than {} are ignored", self.id));
         }
-        self.basis = wish.basis.unwrap_or(self.basis);
-        let done = self.exchange(wish);
-        self.heard(done)
+        self.basis = request.basis.unwrap_or(self.basis);
+        let result = self.exchange(request);
+        self.report_failure(result)
     }
 
-    /// Reads how the device is for somebody who does not use it: this is no sign of the program that does.
-    pub(super) fn glance(&mut self) -> Result<(), BoardError> {
-        let look = |device: &mut Self| {
-            device.let_pass()?;
+    /// Reads the device's state for a client that does not use it: this does not count as activity of the program that
+    /// does.
+    pub(super) fn poll(&mut self) -> Result<(), BoardError> {
+        let read = |device: &mut Self| {
+            device.advance()?;
             device.last = Board::force(&mut device.session, &ForceRequest::default())?;
             device.fault = match (device.last.state, device.fault) {
                 (State::Fault, None) => device.session.status()?.fault,
@@ -144,43 +147,43 @@ impl Inverse3 {
             };
             Ok(device.read_calibration()?)
         };
-        let done = look(self);
-        self.heard(done)
+        let result = read(self);
+        self.report_failure(result)
     }
 
-    fn heard(&mut self, done: Result<(), BoardError>) -> Result<(), BoardError> {
-        self.answered = done.is_ok();
-        match done {
+    fn report_failure(&mut self, result: Result<(), BoardError>) -> Result<(), BoardError> {
+        self.is_answered = result.is_ok();
+        match result {
             Err(BoardError::Link(lost @ (LinkError::Unanswered { .. } | LinkError::Silent { .. }))) => {
-                self.tell(lost.to_string());
+                self.notify(lost.to_string());
                 Ok(())
             }
             Err(BoardError::Refused(refusal)) => {
-                self.tell(format!("the board refuses: {refusal}"));
+                self.notify(format!("the board refuses: {refusal}"));
                 Ok(())
             }
-            done => done,
+            result => result,
         }
     }
 
-    /// Lets the time pass that has passed: a simulated board's does so only while somebody waits for it.
-    fn let_pass(&mut self) -> Result<(), LinkError> {
+    /// Lets simulated time catch up with real time: a simulated board runs only while a request waits.
+    fn advance(&mut self) -> Result<(), LinkError> {
         if self.simulated {
-            self.session.rows(self.looked.elapsed().min(MOST_AT_ONCE))?;
+            self.session.rows(self.polled.elapsed().min(MAX_ADVANCE))?;
         }
-        self.looked = Instant::now();
+        self.polled = Instant::now();
         Ok(())
     }
 
-    fn exchange(&mut self, wish: &Wish) -> Result<(), BoardError> {
-        self.let_pass()?;
-        if wish.clear_fault {
+    fn exchange(&mut self, request: &ProgramRequest) -> Result<(), BoardError> {
+        self.advance()?;
+        if request.clear_fault {
             self.clear()?;
         }
-        self.last = match wish.force {
+        self.last = match request.force {
             None => self.session.look()?,
             Some(force) => {
-                if !self.armed && self.may_arm && !wish.clear_fault {
+                if !self.armed && self.may_arm && !request.clear_fault {
                     self.arm()?;
                 }
                 let [right, away, up] = self.basis.to_haply(force);
@@ -189,49 +192,53 @@ impl Inverse3 {
             }
         };
         if let ForceDone::Bad(_) = self.last.done {
-            let [x, y, z] = wish.force.unwrap_or_default();
-            self.tell(format!("a force of ({x:e}, {y:e}, {z:e}) N is {}", self.last.done));
+            let [x, y, z] = request.force.unwrap_or_default();
+            self.notify(format!("a force of ({x:e}, {y:e}, {z:e}) N is {}", self.last.done));
         }
         let before = self.fault;
-        self.notice();
-        if wish.full || before != self.fault {
+        self.check_motors();
+        if request.full || before != self.fault {
             self.read_calibration()?;
         }
         Ok(())
     }
 
-    /// Tells why the motors went off while the program had them on.
-    fn notice(&mut self) {
+    /// Reports the reason if the motors went off while the program had them on.
+    fn check_motors(&mut self) {
         self.fault = self.session.fault();
         if self.armed && self.last.state != State::Armed {
             self.armed = false;
-            let why = self.fault.map_or_else(|| "another tool did it".into(), |fault| words(&fault));
-            let anew = self.fault.is_none_or(|fault| fault.fault == Fault::HostLost);
-            let on = if anew { "connects anew arms them" } else { "clears that arms them" };
-            self.tell(format!("the motors are off: {why}; a program that {on}"));
+            let why = self.fault.map_or_else(|| "another tool turned them off".into(), |fault| describe(&fault));
+            let reconnect = self.fault.is_none_or(|fault| fault.fault == Fault::HostLost);
+            let remedy = if reconnect {
+                "a program that connects again arms them"
+            } else {
+                "a program that clears the fault arms them"
+            };
+            self.notify(format!("the motors are off: {why}; {remedy}"));
         }
     }
 
-    /// Clears the latched fault. A force arms a second later at the earliest: a fault stays a fault for a person's hand, also
-    /// where a program clears it in every message.
+    /// Clears the latched fault. A force arms one second later at the earliest, so that a person notices the fault even
+    /// if a program clears it in every message.
     fn clear(&mut self) -> Result<(), BoardError> {
         self.last = self.session.look()?;
-        self.notice();
+        self.check_motors();
         let rate = self.session.scene()?.map_or(0.0, |scene| scene.rate_hz);
         self.session.clear()?;
         self.arms_from = Some(self.last.step.wrapping_add(rate as u32));
         (self.fault, self.refusal, self.may_arm) = (None, None, true);
-        self.tell("the fault is cleared: a force arms from a second on".into());
+        self.notify("the fault is cleared: a force arms after one second".into());
         Ok(())
     }
 
     fn arm(&mut self) -> Result<(), BoardError> {
-        // Half the counter's range is hours ahead.
+        // A difference of half the counter's range would be hours ahead.
         if self.arms_from.is_some_and(|from| (self.last.step.wrapping_sub(from) as i32) < 0) {
             return Ok(());
         }
         self.arms_from = None;
-        // A program that connects has lost whatever fell silent before it; a person has to look at any other fault.
+        // A program that connects loses a HostLost fault of an earlier program; any other fault needs a person.
         if self.fault.is_some_and(|fault| fault.fault == Fault::HostLost) {
             self.session.clear()?;
             self.fault = None;
@@ -240,7 +247,7 @@ impl Inverse3 {
             Ok(()) => (self.armed, self.may_arm, self.refusal) = (true, false, None),
             Err(BoardError::Refused(refusal)) => {
                 let refusal = for_a_program(&refusal.to_string(), &CALLS);
-                self.tell(format!("the motors stay off: {refusal}"));
+                self.notify(format!("the motors stay off: {refusal}"));
                 self.refusal = Some(refusal);
             }
             Err(error) => return Err(error),
@@ -248,7 +255,7 @@ impl Inverse3 {
         Ok(())
     }
 
-    /// A frame; `full` with what does not change.
+    /// Returns a frame; `full` adds the constant data.
     pub(super) fn frame(&self, full: bool) -> Value {
         let vector = |task: [f32; 3]| {
             let [toward, right, up] = self.axes.to_chai3d(task.map(f64::from));
@@ -259,7 +266,7 @@ impl Inverse3 {
         let degrees = |radians: [f32; 3]| each(radians.map(|angle| f64::from(angle).to_degrees()));
         let upright = json!({"w": 1.0, "x": 0.0, "y": 0.0, "z": 0.0});
         let zero = json!({"x": 0.0, "y": 0.0, "z": 0.0});
-        let here = json!({"position": zero, "rotation": upright, "scale": {"x": 1.0, "y": 1.0, "z": 1.0}});
+        let origin = json!({"position": zero, "rotation": upright, "scale": {"x": 1.0, "y": 1.0, "z": 1.0}});
         let armed = self.last.state == State::Armed;
         let mode = if armed { "force" } else { "idle" };
         let mut device = json!({
@@ -277,13 +284,13 @@ impl Inverse3 {
                 "mode": mode,
                 "control_domain": "cartesian",
                 "control_mode": mode,
-                "transform": here,
+                "transform": origin,
             },
             "status": {
                 "calibrated": self.calibrated,
                 "in_use": armed,
                 "power_supply": true,
-                "ready": self.answered && self.fault.is_none() && self.calibrated && self.refusal.is_none(),
+                "ready": self.is_answered && self.fault.is_none() && self.calibrated && self.refusal.is_none(),
                 "started": armed,
             },
         });
@@ -325,7 +332,7 @@ impl Inverse3 {
                 "preset": "defaults",
                 "coordinate_origin": "device_base",
                 "basis": basis,
-                "mount": here,
+                "mount": origin,
                 "filters": {"force_gate": {"gain": 0.0}, "damping": {"scalar": 0.0}},
                 "streaming_mode": "USB",
             });
@@ -344,6 +351,6 @@ impl Inverse3 {
     }
 }
 
-fn words(fault: &FaultRecord) -> String {
+fn describe(fault: &FaultRecord) -> String {
     for_a_program(&fault_and_remedy(fault), &CALLS)
 }

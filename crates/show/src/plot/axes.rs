@@ -6,10 +6,10 @@ use super::paper::{EDGE, wrapped};
 
 const TEXT: f64 = 12.0;
 
-/// One quantity along an axis.
+/// A quantity along an axis.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Axis {
-    /// Its name, such as "stiffness kp".
+    /// Name, such as "stiffness kp".
     pub name: String,
     /// SI unit, such as "N/m".
     pub unit: String,
@@ -43,16 +43,16 @@ pub enum Mark<'a> {
     Circle(&'a str),
     /// A filled area.
     Area(&'a str),
-    /// Nothing: the entry goes on with the words of the one before it.
+    /// No symbol: the text continues that of the previous entry.
     Continued,
 }
 
 impl Axis {
-    /// The factor that brings values to the prefixed unit, and that unit: 12000 N/m is 12 kN/m.
+    /// Returns the factor from values to the prefixed unit, and that unit: 12000 N/m is 12 kN/m.
     fn prefixed(&self) -> (f64, String) {
         let size = self.low.abs().max(self.high.abs());
         let prefixes = [(1e9, "G"), (1e6, "M"), (1e3, "k"), (1.0, ""), (1e-3, "m"), (1e-6, "µ")];
-        // Base units only take a prefix where it reads well: never "mkg" and no prefix on an empty unit.
+        // Base units get a prefix only if it reads well: never "mkg", and no prefix without a unit.
         if self.unit.is_empty() || self.unit == "kg" || self.unit == "dB" {
             return (1.0, self.unit.clone());
         }
@@ -67,7 +67,7 @@ impl Axis {
         if unit.is_empty() { self.name.clone() } else { format!("{} ({unit})", self.name) }
     }
 
-    /// Round values inside the axis, about `count` of them and at least four, with their texts.
+    /// Returns round values inside the axis, about `count` of them and at least four, with their texts.
     fn ticks(&self, count: f64) -> Vec<(f64, String)> {
         let factor = self.prefixed().0;
         let (low, high) = (self.low * factor, self.high * factor);
@@ -79,7 +79,7 @@ impl Axis {
         let power = 10f64.powf(raw.log10().floor());
         let first = |step: f64| (low / step - 1e-9).ceil() as i64;
         let last = |step: f64| (high / step + 1e-9).floor() as i64;
-        // The steps from coarse to fine; the first one is never finer than was asked for.
+        // Steps from coarse to fine; the first one is not finer than `count` requires.
         let steps = [10.0, 5.0, 2.0, 1.0, 0.5].map(|s| s * power);
         let coarse = steps.into_iter().rposition(|step| step >= raw).unwrap_or(0);
         let step = steps[coarse..].iter().copied().find(|step| last(*step) - first(*step) >= 3).unwrap_or(steps[4]);
@@ -94,18 +94,18 @@ impl Axis {
 }
 
 impl PlotArea {
-    /// The pixel of a value pair.
+    /// Returns the pixel of a value pair.
     pub fn pixel(&self, x: f64, y: f64) -> (f64, f64) {
         let share = |axis: &Axis, v: f64| (v - axis.low) / (axis.high - axis.low);
         (self.at.0 + share(&self.x, x) * self.size.0, self.at.1 + (1.0 - share(&self.y, y)) * self.size.1)
     }
 
-    /// Frame, ticks, labels and title.
+    /// Draws frame, ticks, labels and title.
     pub fn draw(&self, canvas: &mut Canvas, title: &str) {
         self.draw_along(canvas, title, &self.x.ticks(self.size.0 / 75.0), &self.x.label());
     }
 
-    /// The same whose x axis holds logarithms: each decade that is even has its power of ten, and the label its unit.
+    /// Does the same for an x axis of logarithms: each even decade is labelled with its power of ten.
     pub fn draw_decades(&self, canvas: &mut Canvas) {
         let superscript = |digit: char| match digit {
             '-' => '⁻',
@@ -146,20 +146,20 @@ impl PlotArea {
         canvas.text((left, top - 10.0), 13.5, Anchor::Start, false, title);
     }
 
-    /// Draws inside the frame only.
+    /// Calls `draw` with drawing clipped to the frame.
     pub fn clipped(&self, canvas: &mut Canvas, draw: impl FnOnce(&mut Canvas)) {
         canvas.begin_clip(self.at, self.size);
         draw(canvas);
         canvas.end_clip();
     }
 
-    /// A curve through value pairs.
+    /// Draws a curve through value pairs.
     pub fn curve(&self, canvas: &mut Canvas, points: &[(f64, f64)], stroke: Stroke<'_>) {
         let pixels: Vec<(f64, f64)> = points.iter().map(|&(x, y)| self.pixel(x, y)).collect();
         canvas.polyline(&pixels, stroke);
     }
 
-    /// The area between a curve and the horizontal axis.
+    /// Fills the area between a curve and the horizontal axis.
     pub fn area_under(&self, canvas: &mut Canvas, points: &[(f64, f64)], fill: &str, opacity: f64) {
         let (Some(first), Some(last)) = (points.first(), points.last()) else { return };
         let mut pixels = vec![self.pixel(first.0, 0.0)];
@@ -168,7 +168,7 @@ impl PlotArea {
         canvas.polygon(&pixels, fill, opacity);
     }
 
-    /// A dot at `y` with a bar from `low` to `high`.
+    /// Draws a dot at `y` with a bar from `low` to `high`.
     pub fn dot(&self, canvas: &mut Canvas, x: f64, y: f64, low: f64, high: f64, colour: &str) {
         let (px, top) = self.pixel(x, high);
         let (_, bottom) = self.pixel(x, low);
@@ -181,8 +181,8 @@ impl PlotArea {
         canvas.circle(self.pixel(x, y), 3.2, "white", Stroke::solid(colour, 1.6));
     }
 
-    /// A legend that hides nothing: in the first corner of the frame that is free of the lines and dots `drawn`
-    /// (values), else below the picture, which grows for it.
+    /// Draws a legend that hides nothing: in the first corner of the frame that is free of the lines and dots `drawn`
+    /// (values), otherwise below the picture, which grows.
     pub fn clear_legend(&self, canvas: &mut Canvas, drawn: &[Vec<(f64, f64)>], entries: &[(Mark<'_>, String)]) {
         const GAP: f64 = 10.0;
         let (width, height) = Self::legend_size(entries);
@@ -191,7 +191,7 @@ impl PlotArea {
         let fits = width + 2.0 * GAP < self.size.0 && height + 2.0 * GAP < self.size.1;
         let corners = [(right, top), (left + width, top), (right, bottom - height), (left + width, bottom - height)];
         let free = corners.into_iter().find(|&(right, top)| {
-            // A dot with its outline is as wide as this.
+            // Half the width of a dot with its outline.
             const AROUND: f64 = 5.0;
             let low = (right - width - AROUND, top - AROUND);
             let high = (right + AROUND, top + height + AROUND);
@@ -201,11 +201,11 @@ impl PlotArea {
         if let Some((right, top)) = free {
             return Self::legend(canvas, right, top, entries);
         }
-        let most = canvas.width() - 2.0 * EDGE - 48.0;
+        let max_width = canvas.width() - 2.0 * EDGE - 48.0;
         let folded: Vec<(Mark<'_>, String)> = entries
             .iter()
             .flat_map(|(mark, text)| {
-                let lines = wrapped(text, most, SMALL);
+                let lines = wrapped(text, max_width, SMALL);
                 lines.into_iter().enumerate().map(|(i, line)| (if i == 0 { *mark } else { Mark::Continued }, line))
             })
             .collect();
@@ -215,13 +215,13 @@ impl PlotArea {
         Self::legend(canvas, right, top, &folded);
     }
 
-    /// Width and height of a legend, pixels.
+    /// Returns width and height of a legend, pixels.
     pub fn legend_size(entries: &[(Mark<'_>, String)]) -> (f64, f64) {
         let longest = entries.iter().map(|(_, text)| text.chars().count()).max().unwrap_or(0) as f64;
         (48.0 + 6.5 * longest, 10.0 + 18.0 * entries.len() as f64)
     }
 
-    /// A legend whose right edge is `right` and whose first line is at `top` (pixels).
+    /// Draws a legend with its right edge at `right` and its first line at `top` (pixels).
     pub fn legend(canvas: &mut Canvas, right: f64, top: f64, entries: &[(Mark<'_>, String)]) {
         let (width, height) = Self::legend_size(entries);
         let left = right - width;
@@ -231,7 +231,7 @@ impl PlotArea {
         }
     }
 
-    /// A legend in one line that begins at `at` (pixels).
+    /// Draws a legend in one line that begins at `at` (pixels).
     pub fn legend_line(canvas: &mut Canvas, at: (f64, f64), entries: &[(Mark<'_>, String)]) {
         let mut left = at.0;
         for entry in entries {
@@ -240,7 +240,7 @@ impl PlotArea {
         }
     }
 
-    /// A symbol with its left end there (pixels), and its words.
+    /// Draws a symbol with its left end at this pixel, and its text.
     fn entry(canvas: &mut Canvas, (left, y): (f64, f64), (mark, text): &(Mark<'_>, String)) {
         match mark {
             Mark::Line(stroke) => canvas.line((left, y), (left + 26.0, y), *stroke),
@@ -260,11 +260,10 @@ impl PlotArea {
     }
 }
 
-/// Returns true if a line through these points (or the only one of them) has a part in the box between two corners.
+/// Returns true if the line through these points (or the single point) crosses the box between two corners.
 pub(super) fn passes(line: &[(f64, f64)], low: (f64, f64), high: (f64, f64)) -> bool {
-    let within = |from: (f64, f64), to: (f64, f64)| {
-        // The part of the line from 0 to 1 that lies between the left and the right edge, and of that between the
-        // others.
+    let crosses = |from: (f64, f64), to: (f64, f64)| {
+        // Parameters, from 0 to 1, between which the line is inside the left and right edges and inside the other two.
         let (mut enters, mut leaves) = (0.0_f64, 1.0_f64);
         for (from, to, low, high) in [(from.0, to.0, low.0, high.0), (from.1, to.1, low.1, high.1)] {
             if from == to {
@@ -280,8 +279,8 @@ pub(super) fn passes(line: &[(f64, f64)], low: (f64, f64), high: (f64, f64)) -> 
         enters <= leaves
     };
     match line {
-        [only] => within(*only, *only),
-        line => line.windows(2).any(|ends| within(ends[0], ends[1])),
+        [only] => crosses(*only, *only),
+        line => line.windows(2).any(|ends| crosses(ends[0], ends[1])),
     }
 }
 
@@ -298,7 +297,7 @@ mod tests {
         let texts = |axis: Axis| axis.ticks(6.0).into_iter().map(|t| t.1).collect::<Vec<_>>();
         assert_eq!(texts(axis(0.0, 0.103, "m")), ["0", "20", "40", "60", "80", "100"]);
         assert_eq!(texts(axis(-0.5, 0.5, "")), ["-0.4", "-0.2", "0.0", "0.2", "0.4"]);
-        // A low panel still has a scale: two ticks are none.
+        // A low panel still has a scale, because two ticks are not enough.
         let low = axis(0.0, 17.3, "N").ticks(3.2).into_iter().map(|t| t.1).collect::<Vec<_>>();
         assert_eq!(low, ["0", "5", "10", "15"]);
         assert_eq!(axis(0.0, 12_000.0, "N/m").label(), "x (kN/m)");

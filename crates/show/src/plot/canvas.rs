@@ -1,4 +1,4 @@
-//! An SVG document and the few shapes the pictures need. Coordinates in pixels, y down.
+//! An SVG document and the few shapes that the pictures need. Coordinates are pixels, y down.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -8,17 +8,17 @@ use super::colour::INK;
 
 /// Font family of every text; compiled in for PNG, with a fallback for SVG viewers.
 pub const FONT: &str = "DejaVu Sans";
-/// Size of the smallest text that is drawn, units.
+/// Size of the smallest text, units.
 pub const SMALL: f64 = 11.5;
 
 /// Alignment of a text relative to its point.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Anchor {
-    /// Starts there.
+    /// The text starts at the point.
     Start,
-    /// Centred on it.
+    /// The text is centred on the point.
     Middle,
-    /// Ends there.
+    /// The text ends at the point.
     End,
 }
 
@@ -27,14 +27,14 @@ pub enum Anchor {
 pub struct Stroke<'a> {
     /// Any SVG colour.
     pub colour: &'a str,
-    /// Pixels.
+    /// Width, pixels.
     pub width: f64,
     /// SVG dash pattern; empty for a solid line.
     pub dash: &'a str,
 }
 
 impl<'a> Stroke<'a> {
-    /// A solid line.
+    /// Returns the style of a solid line.
     pub fn solid(colour: &'a str, width: f64) -> Self {
         Self { colour, width, dash: "" }
     }
@@ -56,32 +56,32 @@ pub struct Canvas {
 }
 
 impl Canvas {
-    /// An empty white page.
+    /// Creates an empty white page.
     pub fn new(width: f64, height: f64) -> Self {
         Self { body: String::new(), width, height, printed: None, clips: 0 }
     }
 
-    /// Gives the page a width on paper, mm.
+    /// Sets the width on paper, mm.
     pub fn print_at(&mut self, mm: f64) {
         self.printed = Some(mm);
     }
 
-    /// Units from edge to edge.
+    /// Returns the width, units.
     pub fn width(&self) -> f64 {
         self.width
     }
 
-    /// Makes the page higher, and says where its end was.
+    /// Makes the page higher. Returns the previous height.
     pub fn lengthen(&mut self, by: f64) -> f64 {
         let end = self.height;
         self.height += by;
         end
     }
 
-    /// The finished picture; `title` and `description` are for readers who cannot see it.
+    /// Finishes the picture; `title` and `description` are for readers who cannot see it.
     pub fn finish(self, title: &str, description: &str) -> Picture {
         let (width, height) = (self.width, self.height);
-        let (title, description) = (escaped(title), escaped(description));
+        let (title, description) = (escape(title), escape(description));
         let size = match self.printed {
             None => [width, height].map(|side| side.to_string()),
             Some(mm) => [mm, mm * height / width].map(|side| format!("{side:.2}mm")),
@@ -102,7 +102,7 @@ impl Canvas {
         self.body.push('\n');
     }
 
-    /// A straight line.
+    /// Draws a straight line.
     pub fn line(&mut self, from: (f64, f64), to: (f64, f64), stroke: Stroke<'_>) {
         let style = stroke.attributes();
         self.push(format_args!(
@@ -111,28 +111,30 @@ impl Canvas {
         ));
     }
 
-    /// An open line through points.
+    /// Draws an open line through points.
     pub fn polyline(&mut self, points: &[(f64, f64)], stroke: Stroke<'_>) {
         let style = stroke.attributes();
-        let points = listed(points);
+        let points = point_list(points);
         self.push(format_args!(r#"<polyline points="{points}" fill="none" stroke-linejoin="round" {style}/>"#));
     }
 
-    /// A filled area without outline.
+    /// Draws a filled area without outline.
     pub fn polygon(&mut self, points: &[(f64, f64)], fill: &str, opacity: f64) {
-        let points = listed(points);
+        let points = point_list(points);
         self.push(format_args!(r#"<polygon points="{points}" fill="{fill}" fill-opacity="{opacity}"/>"#));
     }
 
-    /// Filled areas of one colour, all turning the same way, outlined in it so that no seam shows between neighbours.
-    /// Those that share an edge become one shape; places are to a tenth of a pixel.
+    /// Draws filled areas of one colour, all with the same sense of rotation, outlined in that colour so that no seam
+    /// shows between neighbours. Areas that share an edge become one shape; positions have a resolution of a tenth of a
+    /// pixel.
     pub fn tiles(&mut self, outlines: &[Vec<(f64, f64)>], fill: &str) {
         let mut path = String::new();
         let mut pen = (0, 0);
         for outline in merged(outlines) {
             let mut command = "m";
             for &(x, y) in &outline {
-                // Steps from point to point, the first one from where the last outline began. Writing cannot fail.
+                // Relative moves from point to point, the first one from the start of the last outline. Writing cannot
+                // fail.
                 let _ = write!(path, "{command}{} {}", x - pen.0, y - pen.1);
                 (pen, command) = ((x, y), " ");
             }
@@ -144,7 +146,7 @@ impl Canvas {
         ));
     }
 
-    /// A rectangle, filled and (with a width above zero) outlined.
+    /// Draws a rectangle, filled and (with a width above zero) outlined.
     pub fn rectangle(&mut self, at: (f64, f64), size: (f64, f64), fill: &str, stroke: Stroke<'_>) {
         let style = if stroke.width > 0.0 { stroke.attributes() } else { String::new() };
         self.push(format_args!(
@@ -153,29 +155,29 @@ impl Canvas {
         ));
     }
 
-    /// A circle.
+    /// Draws a circle.
     pub fn circle(&mut self, at: (f64, f64), radius: f64, fill: &str, stroke: Stroke<'_>) {
         let style = stroke.attributes();
         self.push(format_args!(r#"<circle cx="{:.2}" cy="{:.2}" r="{radius}" fill="{fill}" {style}/>"#, at.0, at.1));
     }
 
-    /// Small text centred on a point, turned by `degrees` clockwise; a line that it crosses makes room for it.
+    /// Draws small text centred on a point, turned clockwise by `degrees`, with a gap in lines that it crosses.
     pub fn slanted_text(&mut self, at: (f64, f64), degrees: f64, text: &str) {
-        let text = escaped(text);
+        let text = escape(text);
         self.push(format_args!(
             r#"<text transform="translate({:.2} {:.2}) rotate({degrees:.2})" font-size="{SMALL}" text-anchor="middle" stroke="white" stroke-width="3" paint-order="stroke">{text}</text>"#,
             at.0, at.1
         ));
     }
 
-    /// Text of `size` pixels in a colour.
+    /// Draws text of `size` pixels in a colour.
     pub fn coloured_text(&mut self, at: (f64, f64), size: f64, anchor: Anchor, colour: &str, text: &str) {
         self.push(format_args!(r#"<g fill="{colour}">"#));
         self.text(at, size, anchor, false, text);
         self.push(format_args!("</g>"));
     }
 
-    /// Text of `size` pixels; `turned` by -90° where it labels a vertical axis.
+    /// Draws text of `size` pixels; `turned` by -90° for the label of a vertical axis.
     pub fn text(&mut self, at: (f64, f64), size: f64, anchor: Anchor, turned: bool, text: &str) {
         let anchor = match anchor {
             Anchor::Start => "start",
@@ -183,7 +185,7 @@ impl Canvas {
             Anchor::End => "end",
         };
         let turn = if turned { format!(r#" transform="rotate(-90 {:.2} {:.2})""#, at.0, at.1) } else { String::new() };
-        let text = escaped(text);
+        let text = escape(text);
         self.push(format_args!(
             r#"<text x="{:.2}" y="{:.2}" font-size="{size}" text-anchor="{anchor}"{turn}>{text}</text>"#,
             at.0, at.1
@@ -206,11 +208,11 @@ impl Canvas {
     }
 }
 
-/// Outlines of what the tiles cover together, in tenths of a pixel: an edge that two tiles share runs once each way,
-/// and what is left of the others closes again.
+/// Returns the outlines of the union of tiles, in tenths of a pixel. An edge that two tiles share runs once in each
+/// direction and cancels out; the remaining edges form closed outlines.
 fn merged(outlines: &[Vec<(f64, f64)>]) -> Vec<Vec<(i64, i64)>> {
     let tenths = |&(x, y): &(f64, f64)| ((10.0 * x).round() as i64, (10.0 * y).round() as i64);
-    // From where to where, in order, so that a picture is the same every time.
+    // Edges from each start point, sorted, so that the picture is deterministic.
     let mut edges = BTreeMap::<(i64, i64), Vec<(i64, i64)>>::new();
     for outline in outlines {
         for (from, to) in outline.iter().zip(outline.iter().cycle().skip(1)) {
@@ -225,7 +227,7 @@ fn merged(outlines: &[Vec<(f64, f64)>]) -> Vec<Vec<(i64, i64)>> {
         }
     }
     edges.retain(|_, ends| !ends.is_empty());
-    let mut found = Vec::new();
+    let mut merged = Vec::new();
     while let Some((&start, _)) = edges.first_key_value() {
         let mut outline = Vec::new();
         let mut at = start;
@@ -237,17 +239,17 @@ fn merged(outlines: &[Vec<(f64, f64)>]) -> Vec<Vec<(i64, i64)>> {
             }
             at = next.unwrap_or(start);
         }
-        found.push(outline);
+        merged.push(outline);
     }
-    found
+    merged
 }
 
-fn listed(points: &[(f64, f64)]) -> String {
+fn point_list(points: &[(f64, f64)]) -> String {
     points.iter().map(|(x, y)| format!("{x:.2},{y:.2}")).collect::<Vec<_>>().join(" ")
 }
 
-/// Text as XML; control characters, which XML forbids, become spaces.
-fn escaped(text: &str) -> String {
+/// Escapes text for XML; control characters, which XML forbids, become spaces.
+fn escape(text: &str) -> String {
     let clean = text.chars().map(|c| if c.is_control() { ' ' } else { c });
     clean.fold(String::new(), |mut out, c| {
         match c {
@@ -264,7 +266,7 @@ fn escaped(text: &str) -> String {
 mod tests {
     use super::*;
 
-    /// Twice the area of outlines, with the sign of their turn.
+    /// Twice the area of outlines, with the sign of their sense of rotation.
     fn area(outlines: &[Vec<(i64, i64)>]) -> i64 {
         let twice = |o: &Vec<(i64, i64)>| {
             o.iter().zip(o.iter().cycle().skip(1)).map(|(a, b)| a.0 * b.1 - b.0 * a.1).sum::<i64>()
@@ -277,12 +279,12 @@ mod tests {
     }
 
     #[test]
-    fn tiles_that_share_edges_become_one_shape_with_its_holes() {
+    fn tiles_with_shared_edges_become_one_shape_with_holes() {
         let row = merged(&[square(0.0, 0.0), square(1.0, 0.0), square(5.0, 5.0)]);
         assert_eq!(row.iter().map(Vec::len).collect::<Vec<_>>(), [6, 4]);
         let ring: Vec<_> = (0..9).filter(|i| *i != 4).map(|i| square(f64::from(i % 3), f64::from(i / 3))).collect();
-        let around = merged(&ring);
-        assert_eq!(around.iter().map(Vec::len).sum::<usize>(), 12 + 4);
-        assert_eq!(area(&around), 2 * 8 * 100);
+        let merged_ring = merged(&ring);
+        assert_eq!(merged_ring.iter().map(Vec::len).sum::<usize>(), 12 + 4);
+        assert_eq!(area(&merged_ring), 2 * 8 * 100);
     }
 }

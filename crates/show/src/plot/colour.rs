@@ -1,4 +1,4 @@
-//! Colours: a palette that colour-blind readers can tell apart, and a perceptually even scale.
+//! Colours: a palette that colour-blind readers can distinguish, and a perceptually uniform scale.
 //!
 //! Palette: Okabe and Ito, "Color Universal Design" (2008). Scale: viridis (Smith and van der Walt, 2015), sampled.
 
@@ -8,19 +8,19 @@ pub const OFF: &str = "#0072B2";
 pub const FULL: &str = "#D55E00";
 /// With washed-out feed-forward.
 pub const WASHOUT: &str = "#009E73";
-/// Rendered by a computer.
+/// Walls rendered by a computer.
 pub const HOST: &str = "#CC79A7";
 /// Bounds that are not the boundary itself.
 pub const BOUND: &str = "#7A5195";
 /// Frames, ticks and text.
 pub const INK: &str = "#222222";
-/// Colour of what should stay in the background.
+/// Background elements.
 pub const FAINT: &str = "#9a9a9a";
 
-/// Above the end of the scale.
+/// Values above the end of the scale.
 pub const ABOVE: &str = "#f4a58a";
 
-/// Viridis at even steps.
+/// Viridis in equal steps.
 const SCALE: [(u8, u8, u8); 11] = [
     (68, 1, 84),
     (72, 36, 117),
@@ -35,7 +35,7 @@ const SCALE: [(u8, u8, u8); 11] = [
     (253, 231, 37),
 ];
 
-/// The colour of a share between 0 and 1; what is outside takes the nearest end.
+/// Returns the colour of a share between 0 and 1; values outside get the nearest end.
 pub fn scale(share: f64) -> String {
     let last = SCALE.len() - 1;
     let at = if share.is_nan() { 0.0 } else { share.clamp(0.0, 1.0) * last as f64 };

@@ -1,8 +1,8 @@
-//! The paper's Fig. 1 for any device and pose: the linkage with its motion along a normal, and how much the inertia
-//! couples in every direction, with the axes of the tip's inertia.
+//! The paper's Fig. 1 for any device and pose: the linkage with its motion along a normal, and the coupling of the
+//! inertia in every direction, with the axes of the tip's inertia.
 //!
-//! In the plane the directions make a curve, in space a surface. With as many joints as task directions the coupling
-//! vanishes along the axes and is largest between the first and the last of them.
+//! In the plane the coupling is drawn as a curve over directions, in space as a surface. With as many joints as task
+//! directions the coupling vanishes along the axes and is largest between the first and the last axis.
 
 use super::axes::{Axis, Mark, PlotArea};
 use super::canvas::{Anchor, Canvas, SMALL, Stroke};
@@ -18,22 +18,22 @@ use haptic_stability::analysis::pose::{PoseError, TaskPose, unit_normal};
 use haptic_stability::skeleton::{Point, Skeleton, skeleton};
 use nalgebra::{DVector, Vector3};
 
-/// Side of each drawing on a screen, of both with what is around them, and what a drawing's axis and legend take below
-/// it, pixels.
+/// Side of each drawing on a screen, width of both with the room around them, and height of a drawing's axis and legend
+/// below it, pixels.
 const SIDE: f64 = 380.0;
 const USUAL: f64 = 2.0 * SIDE + 190.0;
 const UNDER: f64 = 165.0;
 /// Distance by which the drawn motion moves the tip, as a share of the drawing.
 const MOTION: f64 = 0.1;
-/// Directions around a half turn, and around a whole one, of a surface.
-const AROUND: (usize, usize) = (24, 48);
-/// From where a surface is seen: turned about its vertical and then tilted, rad.
-const SEEN: (f64, f64) = (-0.6, 0.45);
+/// Directions around a half turn, and around a full turn, of a surface.
+const DIRECTIONS: (usize, usize) = (24, 48);
+/// Viewing direction of a surface: turned about its vertical and then tilted, rad.
+const VIEW: (f64, f64) = (-0.6, 0.45);
 
-/// The linkage where the motion takes it.
+/// Line style of the moved linkage.
 const GHOST: Stroke<'static> = Stroke { colour: FAINT, width: 1.2, dash: "4 3" };
 
-/// Draws a device at `q` (rad) with its motion along `normal`; `None` where its linkage does not close or the pose is
+/// Draws a device at `q` (rad) with its motion along `normal`; `None` if its linkage does not close or the pose is
 /// singular.
 pub fn draw(
     description: &Description,
@@ -51,11 +51,11 @@ pub fn draw(
     let device = Linearised::holding(description, q, normal, admissible)?;
     let title = format!("{name}: motion along n, and coupling over all directions");
     let list = |values: &[f64]| values.iter().map(|v| format!("{v:.3}")).collect::<Vec<_>>().join(", ");
-    let at = format!("q = ({}) rad, n = ({})", list(q), list(&n.as_slice()[..spec.task]));
+    let pose_line = format!("q = ({}) rad, n = ({})", list(q), list(&n.as_slice()[..spec.task]));
     let mut page = paper.page(USUAL, 75.0);
     page.begin = page.begin.min(30.0);
-    let heading = page.heading(&title, &[at]);
-    // Beside each other, or on a narrow page one below the other.
+    let heading = page.heading(&title, &[pose_line]);
+    // Next to each other, or on a narrow page one below the other.
     let side = match (page.is_narrow(), paper.is_printed()) {
         (true, _) => page.wide - page.left - 24.0,
         (_, true) => (page.wide - (USUAL - 2.0 * SIDE)) / 2.0,
@@ -101,14 +101,14 @@ pub fn draw(
     Ok(Some(canvas.finish(&title, "The linkage moved along the normal, and the coupling Wrr - Weff by direction.")))
 }
 
-/// Where a drawing goes: its left upper corner, and its side, pixels.
+/// Position of a drawing: its upper left corner, and its side, pixels.
 #[derive(Clone, Copy)]
 struct Place {
     at: Point,
     side: f64,
 }
 
-/// Tip of the linkage after a small joint motion, per unit of it.
+/// Returns the tip's displacement for a small joint motion, per unit of motion.
 fn direction(description: &Description, q: &[f64], here: &Skeleton, motion: &DVector<f64>) -> Option<Point> {
     let size = 1e-5 / motion.amax().max(1e-12);
     let moved: Vec<f64> = q.iter().zip(motion.iter()).map(|(q, m)| q + size * m).collect();
@@ -116,7 +116,7 @@ fn direction(description: &Description, q: &[f64], here: &Skeleton, motion: &DVe
     Some(((there.tip.0 - here.tip.0) / size, (there.tip.1 - here.tip.1) / size))
 }
 
-/// The device, and where a push along n moves it: with the feed-forward, and by itself.
+/// Draws the device, and the motions that a push along n causes: with the feed-forward, and without.
 fn motion(
     canvas: &mut Canvas,
     description: &Description,
@@ -132,7 +132,7 @@ fn motion(
     let axis =
         |name: &str, middle: f64| Axis { name: name.into(), unit: "m".into(), low: middle - half, high: middle + half };
     let frame = PlotArea { at, size: (side, side), x: axis("x", middle.0), y: axis("y", middle.1) };
-    // Joint motion per metre of the tip along n: held, and free, which is what Jᵀ pushes.
+    // Joint motion per metre of the tip along n: constrained, and free, which is the motion that Jᵀ causes.
     let held = device.unit_motion.clone();
     let free = device.mass.clone().cholesky().map(|mass| mass.solve(&device.row));
     let free = free.and_then(|push| Some(push * device.w_eff()?)).unwrap_or_else(|| held.clone());
@@ -162,7 +162,7 @@ fn motion(
     legend(canvas, Place { at, side }, &entries);
 }
 
-/// Below a drawing, with its right edge where that has it, or at the page's left edge where it is too wide.
+/// Draws a legend below a drawing, right-aligned with it, or at the page's left edge if it is too wide.
 fn legend(canvas: &mut Canvas, Place { at, side }: Place, entries: &[(Mark<'_>, String)]) {
     let width = PlotArea::legend_size(entries).0;
     PlotArea::legend(canvas, (at.0 + side).max(EDGE + width), at.1 + side + 52.0, entries);
@@ -177,10 +177,10 @@ fn arrow(canvas: &mut Canvas, from: Point, to: Point, colour: &str) {
     canvas.polygon(&[to, side(1.0), side(-1.0)], colour, 1.0);
 }
 
-/// Weff, Wrr and their difference around a turn.
+/// Draws Weff, Wrr and their difference around a full turn.
 fn curve(canvas: &mut Canvas, Place { at, side }: Place, pose: &TaskPose, point: &MapPoint, n: &DVector<f64>) {
     let joints = pose.jacobian.nrows();
-    let around: Vec<(f64, f64, f64)> = (0..=180)
+    let samples: Vec<(f64, f64, f64)> = (0..=180)
         .filter_map(|i| {
             let angle = std::f64::consts::TAU * f64::from(i) / 180.0;
             let mut direction = DVector::zeros(joints);
@@ -188,22 +188,22 @@ fn curve(canvas: &mut Canvas, Place { at, side }: Place, pose: &TaskPose, point:
             along(pose, &direction).map(|(w_eff, w_rr)| (angle, w_eff, w_rr))
         })
         .collect();
-    let largest = around.iter().map(|(_, _, w_rr)| *w_rr).fold(0.0, f64::max) * 1.12;
+    let largest = samples.iter().map(|(_, _, w_rr)| *w_rr).fold(0.0, f64::max) * 1.12;
     let axis = |name: &str| Axis { name: name.into(), unit: "kg".into(), low: -largest, high: largest };
     let frame = PlotArea { at, size: (side, side), x: axis("along x"), y: axis("along y") };
     let polar = |value: fn(&(f64, f64, f64)) -> f64| -> Vec<(f64, f64)> {
-        around.iter().map(|all| (value(all) * all.0.cos(), value(all) * all.0.sin())).collect()
+        samples.iter().map(|sample| (value(sample) * sample.0.cos(), value(sample) * sample.0.sin())).collect()
     };
     frame.clipped(canvas, |canvas| {
         let (pixel, length) = (|v: &[f64]| frame.pixel(v[0], v[1]), 0.98 * largest);
-        axes_of(canvas, &pixel, point, length);
-        names_of_axes(canvas, &pixel, point, length);
+        draw_axes(canvas, &pixel, point, length);
+        draw_axis_names(canvas, &pixel, point, length);
         let coupling = polar(|(_, w_eff, w_rr)| (w_rr - w_eff).max(0.0));
         let area: Vec<Point> = coupling.iter().map(|p| frame.pixel(p.0, p.1)).collect();
         canvas.polygon(&area, WASHOUT, 0.35);
         frame.curve(canvas, &coupling, Stroke::solid(WASHOUT, 1.6));
-        frame.curve(canvas, &polar(|all| all.1), Stroke::solid(OFF, 1.8));
-        frame.curve(canvas, &polar(|all| all.2), Stroke::solid(FULL, 1.8));
+        frame.curve(canvas, &polar(|sample| sample.1), Stroke::solid(OFF, 1.8));
+        frame.curve(canvas, &polar(|sample| sample.2), Stroke::solid(FULL, 1.8));
         arrow(canvas, frame.pixel(0.0, 0.0), frame.pixel(largest * n[0], largest * n[1]), BOUND);
     });
     frame.draw(canvas, "");
@@ -216,26 +216,26 @@ fn curve(canvas: &mut Canvas, Place { at, side }: Place, pose: &TaskPose, point:
     legend(canvas, Place { at, side }, &entries);
 }
 
-/// The axes of the tip's inertia, as lines through the middle.
-fn axes_of(canvas: &mut Canvas, pixel: &dyn Fn(&[f64]) -> Point, point: &MapPoint, length: f64) {
+/// Draws the axes of the tip's inertia, as lines through the middle.
+fn draw_axes(canvas: &mut Canvas, pixel: &dyn Fn(&[f64]) -> Point, point: &MapPoint, length: f64) {
     for axis in &point.eigenvectors {
         let ends = [-length, length].map(|reach| pixel(&axis.iter().map(|v| reach * v).collect::<Vec<_>>()));
         canvas.line(ends[0], ends[1], Stroke { colour: FAINT, width: 1.0, dash: "5 4" });
     }
 }
 
-/// Their names, beside their ends.
-fn names_of_axes(canvas: &mut Canvas, pixel: &dyn Fn(&[f64]) -> Point, point: &MapPoint, length: f64) {
+/// Draws the names of the axes, next to their ends.
+fn draw_axis_names(canvas: &mut Canvas, pixel: &dyn Fn(&[f64]) -> Point, point: &MapPoint, length: f64) {
     for (k, axis) in point.eigenvectors.iter().enumerate() {
         let end = pixel(&axis.iter().map(|v| length * v).collect::<Vec<_>>());
         canvas.coloured_text((end.0 + 3.0, end.1 - 3.0), 12.5, Anchor::Start, INK, &format!("e{}", k + 1));
     }
 }
 
-/// The coupling as a surface over all directions of space: its distance from the middle.
+/// Draws the coupling as a surface over all directions of space: its distance from the middle.
 fn surface(canvas: &mut Canvas, Place { at, side }: Place, pose: &TaskPose, point: &MapPoint, n: &DVector<f64>) {
     let joints = pose.jacobian.nrows();
-    let (halves, wholes) = AROUND;
+    let (halves, wholes) = DIRECTIONS;
     let reach = |i: usize, j: usize| -> (Vector3<f64>, f64) {
         let down = std::f64::consts::PI * i as f64 / halves as f64;
         let turn = std::f64::consts::TAU * j as f64 / wholes as f64;
@@ -246,41 +246,41 @@ fn surface(canvas: &mut Canvas, Place { at, side }: Place, pose: &TaskPose, poin
     };
     let grid: Vec<Vec<(Vector3<f64>, f64)>> =
         (0..=halves).map(|i| (0..=wholes).map(|j| reach(i, j)).collect()).collect();
-    let most = grid.iter().flatten().map(|(_, coupling)| *coupling).fold(1e-12, f64::max);
-    let ((turn_sine, turn_cosine), (tilt_sine, tilt_cosine)) = (SEEN.0.sin_cos(), SEEN.1.sin_cos());
+    let largest = grid.iter().flatten().map(|(_, coupling)| *coupling).fold(1e-12, f64::max);
+    let ((turn_sine, turn_cosine), (tilt_sine, tilt_cosine)) = (VIEW.0.sin_cos(), VIEW.1.sin_cos());
     // To the right, up, and towards the reader.
-    let seen = |v: &Vector3<f64>| {
+    let viewed = |v: &Vector3<f64>| {
         let (x, z) = (turn_cosine * v.x + turn_sine * v.z, turn_cosine * v.z - turn_sine * v.x);
         Vector3::new(x, tilt_cosine * v.y - tilt_sine * z, tilt_sine * v.y + tilt_cosine * z)
     };
     let middle = (at.0 + side / 2.0, at.1 + side / 2.0);
-    let pixels = 0.42 * side / most;
+    let pixels = 0.42 * side / largest;
     let pixel = |v: &Vector3<f64>| {
-        let v = seen(v);
+        let v = viewed(v);
         (middle.0 + pixels * v.x, middle.1 - pixels * v.y)
     };
     let end = |v: &[f64]| pixel(&Vector3::new(v[0], v[1], v[2]));
-    axes_of(canvas, &end, point, 1.12 * most);
+    draw_axes(canvas, &end, point, 1.12 * largest);
     let mut tiles = Vec::new();
     for i in 0..halves {
         for j in 0..wholes {
             let corners = [&grid[i][j], &grid[i + 1][j], &grid[i + 1][j + 1], &grid[i][j + 1]];
-            let depth: f64 = corners.iter().map(|(v, _)| seen(v).z).sum();
+            let depth: f64 = corners.iter().map(|(v, _)| viewed(v).z).sum();
             let coupling = corners.iter().map(|(_, coupling)| coupling).sum::<f64>() / 4.0;
-            tiles.push((depth, corners.map(|(v, _)| pixel(v)), coupling / most));
+            tiles.push((depth, corners.map(|(v, _)| pixel(v)), coupling / largest));
         }
     }
-    // Painted from the back.
+    // Paints from back to front.
     tiles.sort_by(|a, b| a.0.total_cmp(&b.0));
     for (_, corners, share) in &tiles {
         canvas.polygon(corners, &scale(*share), 0.92);
         canvas.polyline(&[corners[0], corners[1], corners[2]], Stroke::solid("white", 0.3));
     }
-    // The surface may hide where an axis ends, and not what it is called.
-    names_of_axes(canvas, &end, point, 1.12 * most);
+    // The surface may hide the end of an axis, but not its name.
+    draw_axis_names(canvas, &end, point, 1.12 * largest);
     let n = Vector3::new(n[0], n[1], n[2]);
-    arrow(canvas, pixel(&Vector3::zeros()), pixel(&(n * (1.1 * most))), BOUND);
-    let label = format!("coupling Wrr - Weff, up to {most:.4} kg; n in purple");
+    arrow(canvas, pixel(&Vector3::zeros()), pixel(&(n * (1.1 * largest))), BOUND);
+    let label = format!("coupling Wrr - Weff, up to {largest:.4} kg; n in purple");
     for (line, text) in wrapped(&label, side, SMALL).iter().enumerate() {
         let at = (middle.0, at.1 + side + 20.0 + 16.0 * line as f64);
         canvas.text(at, SMALL, Anchor::Middle, false, text);

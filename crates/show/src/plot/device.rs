@@ -1,5 +1,5 @@
-//! The drawing of a device: its linkage at home, where each joint's angle is zero and which way it grows, how far the
-//! tip reaches. What a mirrored assembly or swapped motors would look wrong in.
+//! The drawing of a device: its linkage at home, the zero angle and direction of each joint, the reach of the tip. A
+//! mirrored assembly or swapped motors would look wrong in it.
 
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::catalogue::Kind;
@@ -15,19 +15,19 @@ use haptic_stability::analysis::cut::{Cut, Fineness};
 use haptic_stability::analysis::pose::PoseError;
 use haptic_stability::skeleton::{Angle, Bar, Point, Skeleton, Turret, skeleton};
 
-/// Longest side of the plane, pixels: of a linkage by itself, and of a reach that no limits keep near it.
+/// Longest side of the plane, pixels: for a single linkage, and for a reach that no limits keep near it.
 const SIDE: f64 = 460.0;
 const WIDE: f64 = 760.0;
-/// Ground of the workspace.
+/// Colour of the workspace.
 const REACH: &str = "#e6edf5";
-/// Links.
+/// Colour of links.
 const LINK: &str = "#b9bec6";
 /// Half of a link's width, pixels.
 const HALF_LINK: f64 = 4.5;
 /// Largest radius of an angle's arc, pixels.
 const ARC: f64 = 46.0;
 
-/// Draws a device at joint angles `q` (rad); `None` where its linkage does not close. `lines` are written below it.
+/// Draws a device at joint angles `q` (rad); `None` if its linkage does not close. `lines` are written below it.
 pub fn draw(
     description: &Description,
     name: &str,
@@ -41,7 +41,7 @@ pub fn draw(
     let bars = skeleton.bars.iter().flat_map(|bar| [bar.from, bar.to]);
     let limited = description.joints[..spec.joints].iter().all(|joint| joint.limits.is_some());
     let (low, high) = bounds(bars.chain(reach.iter().flatten().copied()));
-    // Room for arcs and labels, which a linkage drawn by itself needs most.
+    // Room for arcs and labels; a linkage without its reach needs more.
     let (room, side) = match (reach.is_empty(), limited) {
         (true, _) => (0.22, SIDE),
         (false, true) => (0.08, SIDE),
@@ -67,7 +67,7 @@ pub fn draw(
     let mut notes: Vec<String> = notes(description).into_iter().chain(lines.iter().cloned()).collect();
     let in_full = |bar: &Bar| format!("{}, {} mm", bar.name, (bar.length * 1e5).round() / 100.0);
     let names: Vec<String> = match page.is_narrow() {
-        // Small links have no room for their lengths.
+        // Short links have no room for their lengths.
         true => skeleton.bars.iter().map(|bar| bar.name.to_string()).collect(),
         false => skeleton.bars.iter().map(in_full).collect(),
     };
@@ -105,7 +105,7 @@ pub fn draw(
     Ok(Some(canvas.finish(&title, "The linkage, its joints with their zero angles and directions, and its reach.")))
 }
 
-/// The area that the tip can reach, as outlines; empty for a paddle, whose reach is a line.
+/// Returns the area that the tip can reach, as outlines; empty for a paddle, whose reach is a line.
 fn reach(description: &Description) -> Result<Vec<Vec<Point>>, PoseError> {
     let spec = description.kind.spec();
     if spec.joints == 1 {
@@ -116,7 +116,7 @@ fn reach(description: &Description) -> Result<Vec<Vec<Point>>, PoseError> {
     Ok(cut.tiles(coarse).into_iter().map(|tile| tile.outline).collect())
 }
 
-/// Facts about a mechanism that its drawing cannot show by itself.
+/// Returns facts about a mechanism that its drawing cannot show.
 fn notes(description: &Description) -> Vec<String> {
     let side = if description.geometry[5] < 0.0 { "right" } else { "left" };
     let assembly =
@@ -149,14 +149,14 @@ fn notes(description: &Description) -> Vec<String> {
     }
 }
 
-/// A rectangle of the drawing: its left, top, right and bottom, pixels.
+/// A rectangle of the drawing: left, top, right and bottom, pixels.
 type Area = [f64; 4];
 
 fn overlap(a: &Area, b: &Area) -> bool {
     a[0] < b[2] && b[0] < a[2] && a[1] < b[3] && b[1] < a[3]
 }
 
-/// The links, with their names where nothing is `taken` yet.
+/// Draws the links, with their names outside the areas that are already `taken`.
 fn links(canvas: &mut Canvas, frame: &PlotArea, skeleton: &Skeleton, names: &[String], mut taken: Vec<Area>) {
     for bar in &skeleton.bars {
         let ends = [bar.from, bar.to].map(|p| frame.pixel(p.0, p.1));
@@ -172,7 +172,7 @@ fn links(canvas: &mut Canvas, frame: &PlotArea, skeleton: &Skeleton, names: &[St
         for end in [from, to] {
             canvas.circle(end, 3.4, "white", Stroke::solid(INK, 1.4));
         }
-        // Along the link, on the side that looks away from the rest.
+        // The name is along the link, on the side away from the other links.
         let (dx, dy) = (to.0 - from.0, to.1 - from.1);
         let (mut slope, length) = (dy.atan2(dx).to_degrees(), dx.hypot(dy).max(1e-9));
         if !(-90.0..=90.0).contains(&slope) {
@@ -181,14 +181,15 @@ fn links(canvas: &mut Canvas, frame: &PlotArea, skeleton: &Skeleton, names: &[St
         let middle = ((from.0 + to.0) / 2.0, (from.1 + to.1) / 2.0);
         let (nx, ny) = (dy / length, -dx / length);
         let outward = if (middle.0 - centre.0) * nx + (middle.1 - centre.1) * ny < 0.0 { -1.0 } else { 1.0 };
-        // Off the arcs at the base; a label longer than its link begins where the link does.
+        // Moves the label away from the arcs at the link's base; a label longer than its link begins at the link's
+        // begin.
         let past = (3.1 * text.chars().count() as f64 + 6.0 - length / 2.0).max(0.06 * length);
         let half = (3.1 * text.chars().count() as f64, 6.0);
         let (sin, cos) = slope.to_radians().sin_cos();
         let (wide, tall) = ((half.0 * cos).abs() + (half.1 * sin).abs(), (half.0 * sin).abs() + (half.1 * cos).abs());
         let place = |past: f64, side: f64| {
             let (nx, ny) = (side * nx, side * ny);
-            // The baseline lies below the letters.
+            // The baseline is below the letters.
             let away = if ny > 0.0 { 18.0 } else { 9.0 };
             let at = (middle.0 + past * dx / length + away * nx, middle.1 + past * dy / length + away * ny);
             let [left, top] = [frame.at.0 + 2.0, frame.at.1 + 2.0];
@@ -199,12 +200,12 @@ fn links(canvas: &mut Canvas, frame: &PlotArea, skeleton: &Skeleton, names: &[St
             )
         };
         let area = |at: (f64, f64)| [at.0 - wide, at.1 - tall, at.0 + wide, at.1 + tall];
-        // The first place that is free: outside, inside, towards the other end of the link; and of those without other
-        // labels one that no other link crosses, where there is one.
+        // Uses the first free place: outside, inside, towards the other end of the link. Prefers a place without other
+        // labels and links, then one without other labels.
         let places = [(past, outward), (past, -outward), (-past, outward), (-past, -outward)].map(|(p, s)| place(p, s));
-        let labelled = |at: (f64, f64)| taken.iter().any(|other| overlap(&area(at), other));
-        let crossed = |at: (f64, f64)| {
-            // Seen along the label: its letters stand on its baseline.
+        let has_label = |at: (f64, f64)| taken.iter().any(|other| overlap(&area(at), other));
+        let has_link = |at: (f64, f64)| {
+            // Coordinates along the label, whose letters are above its baseline.
             let along = |p: Point| {
                 let p = frame.pixel(p.0, p.1);
                 let (x, y) = (p.0 - at.0, p.1 - at.1);
@@ -214,8 +215,8 @@ fn links(canvas: &mut Canvas, frame: &PlotArea, skeleton: &Skeleton, names: &[St
             let mut lines = others.map(|other| [other.from, other.to].map(along));
             lines.any(|line| passes(&line, (-half.0, -9.0 - HALF_LINK), (half.0, 3.0 + HALF_LINK)))
         };
-        let free = places.iter().find(|at| !labelled(**at) && !crossed(**at));
-        let at = *free.or_else(|| places.iter().find(|at| !labelled(**at))).unwrap_or(&places[0]);
+        let free = places.iter().find(|at| !has_label(**at) && !has_link(**at));
+        let at = *free.or_else(|| places.iter().find(|at| !has_label(**at))).unwrap_or(&places[0]);
         taken.push(area(at));
         canvas.slanted_text(at, slope, text);
     }
@@ -224,7 +225,7 @@ fn links(canvas: &mut Canvas, frame: &PlotArea, skeleton: &Skeleton, names: &[St
         let (dx, dy) = (x - centre.0, y - centre.1);
         let away = 17.0 / dx.hypot(dy).max(1e-9);
         let outside = (x + away * dx, y + away * dy + 4.0);
-        // A pivot's stands below it, or where a label is there beside it.
+        // The letter of a pivot is below it, or next to it if a label is below.
         let places = if skeleton.base.contains(at) { [(x, y + 19.0), (x + 12.0, y - 7.0)] } else { [outside; 2] };
         let area = |(x, y): Point| [x - 5.0, y - 10.0, x + 5.0, y + 1.0];
         let free = places.iter().find(|at| !taken.iter().any(|other| overlap(&area(**at), other)));
@@ -232,7 +233,7 @@ fn links(canvas: &mut Canvas, frame: &PlotArea, skeleton: &Skeleton, names: &[St
     }
 }
 
-/// A joint's angle: its zero, its arc with an arrow, its limits.
+/// Draws a joint's angle: its zero, its arc with an arrow, its limits.
 fn arc(
     canvas: &mut Canvas,
     frame: &PlotArea,
@@ -243,11 +244,11 @@ fn arc(
     skeleton: &Skeleton,
 ) {
     let centre = frame.pixel(angle.at.0, angle.at.1);
-    let apart = match skeleton.base.as_slice() {
+    let separation = match skeleton.base.as_slice() {
         [a, b] if a != b => 0.46 * pixels * (a.0 - b.0).hypot(a.1 - b.1),
         _ => ARC,
     };
-    let radius = (0.42 * pixels * angle.arm).min(ARC).min(apart.max(24.0));
+    let radius = (0.42 * pixels * angle.arm).min(ARC).min(separation.max(24.0));
     let on = |radius: f64, direction: f64| (centre.0 + radius * direction.cos(), centre.1 - radius * direction.sin());
     canvas.line(centre, on(radius + 16.0, angle.zero), Stroke { colour, width: 1.2, dash: "4 3" });
     let drawn =
@@ -258,7 +259,7 @@ fn arc(
     };
     canvas.polyline(&along(0.0, drawn, radius), Stroke::solid(colour, 1.8));
     if drawn.abs() > 0.05 {
-        // The head lies on the arc's tangent at its end.
+        // The arrow's head is on the arc's tangent at its end.
         let end = on(radius, angle.zero + drawn);
         let head = (0.6 * radius * drawn.abs()).min(9.0);
         let back = drawn - drawn.signum() * head / radius;
@@ -277,7 +278,7 @@ fn arc(
     canvas.coloured_text(label.at, 12.0, label.anchor, colour, &label.text);
 }
 
-/// A text beside a joint.
+/// A text next to a joint.
 struct Label {
     text: String,
     at: (f64, f64),
@@ -285,7 +286,7 @@ struct Label {
 }
 
 impl Label {
-    /// The part of the drawing that it covers.
+    /// Returns the area that the text covers.
     fn area(&self) -> Area {
         let width = 6.1 * self.text.chars().count() as f64;
         let start = if self.anchor == Anchor::End { self.at.0 - width } else { self.at.0 };
@@ -296,7 +297,7 @@ impl Label {
 fn label(frame: &PlotArea, angle: &Angle, skeleton: &Skeleton) -> Label {
     let centre = frame.pixel(angle.at.0, angle.at.1);
     let text = format!("joint {}: {:.1}°", angle.joint, angle.angle.to_degrees());
-    // Below the pivot, where links of usual poses are not, or where they are above it; two base pivots keep apart.
+    // Below the pivot, where usual poses have no links, or else above it; the labels of two base pivots keep apart.
     let left = skeleton.base.first().is_some_and(|first| skeleton.base.len() > 1 && *first == angle.at);
     let right = skeleton.base.len() > 1 && !left;
     let (shift, anchor) = if left {
@@ -313,7 +314,7 @@ fn label(frame: &PlotArea, angle: &Angle, skeleton: &Skeleton) -> Label {
         label.at.0 -= (label.area()[2] - right).max(0.0);
         label
     };
-    let crossed = |label: &Label| {
+    let has_link = |label: &Label| {
         let [left, top, right, bottom] = label.area();
         let mut links = skeleton.bars.iter().map(|bar| [bar.from, bar.to].map(|end| frame.pixel(end.0, end.1)));
         links.any(|link| passes(&link, (left, top - HALF_LINK), (right, bottom + HALF_LINK)))
@@ -321,11 +322,11 @@ fn label(frame: &PlotArea, angle: &Angle, skeleton: &Skeleton) -> Label {
     let other = if anchor == Anchor::End { Anchor::Start } else { Anchor::End };
     let places =
         [at(shift, below, anchor), at(-shift, below, other), at(shift, -26.0, anchor), at(-shift, -26.0, other)];
-    let free = places.iter().position(|label| !crossed(label)).unwrap_or(0);
+    let free = places.iter().position(|label| !has_link(label)).unwrap_or(0);
     places.into_iter().nth(free).unwrap_or_else(|| at(shift, below, anchor))
 }
 
-/// The area of the label that names the turret's axis.
+/// Returns the area of the label that names the turret's axis.
 fn turret_label(frame: &PlotArea, kind: Kind) -> Option<Area> {
     const LONG: f64 = 100.0;
     let origin = frame.pixel(0.0, 0.0);
@@ -359,18 +360,18 @@ mod tests {
     use super::*;
     use haptic_host::device_file::DeviceFile;
 
-    /// The number behind `key` in a line of SVG.
+    /// Returns the number behind `key` in a line of SVG.
     fn number(line: &str, key: &str) -> f64 {
         let value = line.split_once(key).unwrap_or_else(|| panic!("{key} in {line}")).1;
         value.split(['"', ' ', ')']).next().unwrap().parse().unwrap()
     }
 
-    /// A link's name and a joint's angle lie on no link, where there is room for them.
+    /// The names of links and angles are not on links, if there is room.
     #[test]
     fn labels_lie_on_no_link() {
         let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../../devices");
         let files = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
-        let mut seen = 0;
+        let mut checked = 0;
         for path in files.filter(|path| path.is_file()) {
             let DeviceFile { name, description, .. } = DeviceFile::load(&path).unwrap();
             let home = description.home.unwrap();
@@ -398,7 +399,7 @@ mod tests {
                 } else {
                     continue;
                 };
-                seen += 1;
+                checked += 1;
                 let ((x, y), angle) = turn;
                 let (sin, cos) = angle.sin_cos();
                 for link in &links {
@@ -406,11 +407,14 @@ mod tests {
                         let (dx, dy) = (p.0 - x, p.1 - y);
                         (dx * cos + dy * sin, dy * cos - dx * sin)
                     });
-                    let apart = HALF_LINK - 0.1;
-                    assert!(!passes(&along, (low.0, low.1 - apart), (high.0, high.1 + apart)), "{name}: {line}");
+                    let clearance = HALF_LINK - 0.1;
+                    assert!(
+                        !passes(&along, (low.0, low.1 - clearance), (high.0, high.1 + clearance)),
+                        "{name}: {line}"
+                    );
                 }
             }
         }
-        assert!(seen > 40, "{seen}");
+        assert!(checked > 40, "{checked}");
     }
 }

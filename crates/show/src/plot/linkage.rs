@@ -1,11 +1,11 @@
-//! A device's links and joints in a frame.
+//! Draws a device's links and joints in a frame.
 
 use super::axes::PlotArea;
 use super::canvas::{Canvas, Stroke};
 use super::colour::INK;
 use haptic_stability::skeleton::{Point, Skeleton};
 
-/// Draws the linkage as thin bars that stay readable on any ground: base pivots square, tip round.
+/// Draws the linkage as thin bars that stay readable on any background: base pivots square, tip round.
 pub fn outline(canvas: &mut Canvas, frame: &PlotArea, skeleton: &Skeleton) {
     for (colour, width) in [("white", 4.6), (INK, 1.8)] {
         for bar in &skeleton.bars {
@@ -22,18 +22,18 @@ pub fn outline(canvas: &mut Canvas, frame: &PlotArea, skeleton: &Skeleton) {
     tip(canvas, frame.pixel(skeleton.tip.0, skeleton.tip.1));
 }
 
-/// The mark of a pivot that is fixed to the base, at a pixel.
+/// Draws the mark of a pivot that is fixed to the base, at a pixel.
 pub fn base_pivot(canvas: &mut Canvas, at: (f64, f64)) {
     canvas.rectangle((at.0 - 4.5, at.1 - 4.5), (9.0, 9.0), INK, Stroke::solid("white", 1.2));
 }
 
-/// The mark of the tip, at a pixel.
+/// Draws the mark of the tip, at a pixel.
 pub fn tip(canvas: &mut Canvas, at: (f64, f64)) {
     canvas.circle(at, 4.6, "white", Stroke::solid(INK, 1.8));
     canvas.circle(at, 1.6, INK, Stroke::solid(INK, 0.0));
 }
 
-/// A box around points with room to breathe.
+/// Returns a box around points, with a margin.
 pub fn bounds(points: impl Iterator<Item = Point>) -> (Point, Point) {
     let empty = ((f64::INFINITY, f64::INFINITY), (f64::NEG_INFINITY, f64::NEG_INFINITY));
     let (low, high) = points.fold(empty, |(l, h), p| ((l.0.min(p.0), l.1.min(p.1)), (h.0.max(p.0), h.1.max(p.1))));

@@ -1,10 +1,10 @@
 //! The picture of a map, after the paper's Fig. 1: coupling as colour over the plane of the linkage, with the ellipses
 //! of the operational-space inertia Λ, and the linkage itself at home.
 //!
-//! The colour is the coupling's share of the rendered inertia, (Wrr - Weff)/Wrr: it lies between 0 and 1 everywhere,
-//! where the coupling itself grows without bound towards singularities. The scale ends where 95 % of the area lie
-//! below, so that the rim next to the singularities does not take all colours for itself; what is above has a colour
-//! of its own. Ellipse axes are square roots of Λ's eigenvalues.
+//! The colour is the coupling's share of the rendered inertia, (Wrr - Weff)/Wrr: it is between 0 and 1 everywhere,
+//! while the coupling itself grows without bound towards singularities. The scale covers 95 % of the area, so that the
+//! rim near the singularities does not use up the colours; higher values have a separate colour. Ellipse axes are
+//! square roots of Λ's eigenvalues.
 
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::description::Description;
@@ -20,31 +20,31 @@ use haptic_stability::analysis::map::MapPoint;
 use haptic_stability::analysis::pose::PoseError;
 use haptic_stability::skeleton::{Point, Skeleton, Turret, skeleton};
 
-/// Share of the area that the colour scale covers at least.
+/// Minimum share of the area that the colour scale covers.
 const COVERED: f64 = 0.95;
-/// Colours of the scale: tiles of the same one are one shape, and half a step is below what an eye tells apart.
+/// Number of colours in the scale. Tiles of one colour are merged; half a colour step is not visible.
 const LEVELS: f64 = 50.0;
 /// Longest side of the plane, pixels.
 const SIDE: f64 = 500.0;
-/// Left of the plane, and right of it with the colour scale: with its name, and without.
+/// Room to the left of the plane, and to its right with the colour scale: with its name, and without.
 const LEFT: f64 = 86.0;
 const BESIDE: f64 = 130.0;
 const NARROW_BESIDE: f64 = 92.0;
-/// From the arrow of the normal to the edge of a narrow page: behind it stands its name.
+/// Distance of the normal's arrow from the edge of a narrow page, with room for its name.
 const ARROW: f64 = 40.0;
 const COLOURED: &str = "coupling (Wrr - Weff)/Wrr";
-/// Distance of ellipse centres, pixels, and the radius of one of typical size.
+/// Distance of ellipse centres, pixels, and the radius of an ellipse of typical size.
 const SPACING: f64 = 56.0;
 const RADIUS: f64 = 0.36 * SPACING;
 
-/// A map as it was drawn: the picture, and what is needed to read numbers off it again.
+/// A drawn map: the picture, and the data to read numbers off it again.
 #[derive(Clone, Debug)]
 pub struct Chart {
     /// The picture.
     pub picture: Picture,
-    /// The frame that gives places their pixels.
+    /// Frame that maps positions to pixels.
     pub frame: PlotArea,
-    /// The share at the top of the colour scale; what is above is [`ABOVE`].
+    /// Share at the top of the colour scale; higher shares have the colour [`ABOVE`].
     pub top: f64,
 }
 
@@ -62,7 +62,7 @@ pub fn draw(
     chart(description, name, normal, admissible, paper).map(|chart| chart.picture)
 }
 
-/// The colour of a share on a scale that ends at `top`.
+/// Returns the colour of a share on a scale that ends at `top`.
 pub fn colour(share: f64, top: f64) -> String {
     if share > top { ABOVE.into() } else { scale((share / top * LEVELS).round() / LEVELS) }
 }
@@ -84,7 +84,7 @@ pub fn chart(
     let tips = coarse.iter().flat_map(|tile| tile.outline.iter().copied());
     let (low, high) = linkage::bounds(tips.chain(home.iter().flat_map(corners)));
     let (across, up) = (high.0 - low.0, high.1 - low.1);
-    // On a screen the page is as wide as the plane; on paper the plane is as wide as the page lets it be.
+    // On a screen the page is as wide as the plane requires; on paper the plane is as wide as the page allows.
     let usual = SIDE / across.max(up);
     let page = paper.page((LEFT + across * usual + BESIDE).max(620.0), LEFT);
     let room = if page.is_narrow() { NARROW_BESIDE } else { BESIDE };
@@ -143,29 +143,29 @@ fn corners(skeleton: &Skeleton) -> impl Iterator<Item = Point> + '_ {
     skeleton.bars.iter().flat_map(|bar| [bar.from, bar.to])
 }
 
-/// Step between ticks and top of the colour scale, and the highest share there is.
+/// Returns the tick step and the top of the colour scale, and the highest share.
 fn scale_of(tiles: &[Tile]) -> (f64, f64, f64) {
     let mut shares: Vec<(f64, f64)> = tiles.iter().map(|tile| (tile.share, tile.area())).collect();
     shares.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let whole: f64 = shares.iter().map(|(_, area)| area).sum();
+    let total: f64 = shares.iter().map(|(_, area)| area).sum();
     let mut below = 0.0;
     let covering = shares.iter().find(|(_, area)| {
         below += area;
-        below >= COVERED * whole
+        below >= COVERED * total
     });
-    let wanted = covering.map_or(0.0, |(share, _)| *share).max(1e-3);
-    let step = round_step(wanted / 5.0);
-    let top = step * (wanted / step - 1e-9).ceil();
+    let covered = covering.map_or(0.0, |(share, _)| *share).max(1e-3);
+    let step = round_step(covered / 5.0);
+    let top = step * (covered / step - 1e-9).ceil();
     (step, top, shares.last().map_or(0.0, |(share, _)| *share))
 }
 
-/// The smallest of 1, 2, 5 times a power of ten that is at least `least`.
+/// Returns the smallest of 1, 2, 5 times a power of ten that is at least `least`.
 fn round_step(least: f64) -> f64 {
     let power = 10f64.powf(least.log10().floor());
     [1.0, 2.0, 5.0, 10.0].map(|s| s * power).into_iter().find(|s| *s >= least * (1.0 - 1e-9)).unwrap_or(least)
 }
 
-/// The tiles, those of one colour as one shape.
+/// Draws the tiles, all tiles of one colour as one shape.
 fn paint(canvas: &mut Canvas, frame: &PlotArea, tiles: &[Tile], top: f64) {
     let mut shapes = std::collections::BTreeMap::<String, Vec<Vec<Point>>>::new();
     for tile in tiles {
@@ -177,7 +177,7 @@ fn paint(canvas: &mut Canvas, frame: &PlotArea, tiles: &[Tile], top: f64) {
     }
 }
 
-/// Ellipses on an even lattice, all to one scale; returns the mass (kg) that has [`RADIUS`].
+/// Draws ellipses on a regular lattice, all to one scale. Returns the mass (kg) with [`RADIUS`].
 fn ellipses(canvas: &mut Canvas, frame: &PlotArea, cut: &Cut, pixels: f64) -> Result<Option<f64>, PoseError> {
     let spacing = SPACING / pixels;
     let off = |(x, y): Point| {
@@ -189,7 +189,7 @@ fn ellipses(canvas: &mut Canvas, frame: &PlotArea, cut: &Cut, pixels: f64) -> Re
     sizes.sort_by(f64::total_cmp);
     let Some(&typical) = sizes.get(sizes.len() / 2) else { return Ok(None) };
     let mut chosen = std::collections::BTreeMap::<(i64, i64), (f64, &MapPoint)>::new();
-    // Towards a singularity an ellipse is a needle that hides its neighbours.
+    // Near a singularity an ellipse is so long that it hides its neighbours.
     for point in points.iter().filter(|p| p.eigenvalues.last().is_some_and(|&l| l < 3.0 * typical)) {
         let (cell, off) = off(cut.seen(&point.position));
         let best = chosen.entry(cell).or_insert((off, point));
@@ -223,7 +223,7 @@ fn ellipses(canvas: &mut Canvas, frame: &PlotArea, cut: &Cut, pixels: f64) -> Re
     Ok(Some(typical))
 }
 
-/// The wall's normal as seen in the plane, right of the heading, with its middle at `x`.
+/// Draws the wall's normal in the plane, to the right of the heading, with its middle at `x`.
 fn arrow(canvas: &mut Canvas, x: f64, (nx, ny): Point) {
     let length = nx.hypot(ny);
     if length < 1e-9 {
@@ -241,7 +241,7 @@ fn arrow(canvas: &mut Canvas, x: f64, (nx, ny): Point) {
     canvas.text((middle.0 + 12.0 * uy.abs() + 6.0, middle.1 + 14.0 * ux.abs() + 2.0), 13.0, Anchor::Start, false, "n");
 }
 
-/// The scale right of the frame, with its `name` beside it where there is room.
+/// Draws the scale to the right of the frame, with its `name` next to it if there is room.
 fn colour_bar(canvas: &mut Canvas, frame: &PlotArea, step: f64, top: f64, highest: f64, name: bool) {
     let left = frame.at.0 + frame.size.0 + 22.0;
     let above = if highest > top { 26.0 } else { 0.0 };
@@ -273,7 +273,7 @@ fn colour_bar(canvas: &mut Canvas, frame: &PlotArea, step: f64, top: f64, highes
     }
 }
 
-/// Draws the key of the marks: an ellipse of a round mass, and the linkage.
+/// Draws the key: an ellipse of a round mass, and the linkage.
 fn key(canvas: &mut Canvas, page: &Page, y: f64, typical: Option<f64>, home: bool) {
     let (mut x, mut y) = (page.begin, y);
     if let Some(typical) = typical {

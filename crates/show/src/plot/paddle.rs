@@ -1,5 +1,5 @@
-//! The counterpart of a map for a device with one joint: nothing couples and the inertia is the same everywhere, so the
-//! picture shows the reach of the handle and what it weighs there.
+//! The counterpart of a map for a device with one joint: there is no coupling and the inertia is constant, so the
+//! picture shows the reach of the handle and the inertia felt there.
 
 use haptic_bridge::model::description::Description;
 
@@ -41,8 +41,8 @@ pub fn draw(description: &Description, name: &str, paper: Paper) -> Result<Pictu
         format!("task coordinate along the arc: {along}"),
     ];
 
-    let (least, most) = linkage::bounds(arc.iter().copied().chain([(0.0, 0.0)]));
-    let (across, up) = (most.0 - least.0, most.1 - least.1);
+    let (min, max) = linkage::bounds(arc.iter().copied().chain([(0.0, 0.0)]));
+    let (across, up) = (max.0 - min.0, max.1 - min.1);
     let usual = 380.0 / across.max(up);
     let page = paper.page((86.0 + across * usual + 30.0).max(560.0), 86.0);
     let pixels = if paper.is_printed() { usual.min((page.wide - page.left - 30.0) / across) } else { usual };
@@ -50,8 +50,8 @@ pub fn draw(description: &Description, name: &str, paper: Paper) -> Result<Pictu
     let frame = PlotArea {
         at: (page.left, 104.0 + heading.beyond(3)),
         size: (across * pixels, up * pixels),
-        x: Axis { name: "x".into(), unit: "m".into(), low: least.0, high: most.0 },
-        y: Axis { name: "y".into(), unit: "m".into(), low: least.1, high: most.1 },
+        x: Axis { name: "x".into(), unit: "m".into(), low: min.0, high: max.0 },
+        y: Axis { name: "y".into(), unit: "m".into(), low: min.1, high: max.1 },
     };
     let mut canvas = page.canvas(frame.at.1 + frame.size.1 + 60.0);
     heading.draw(&mut canvas);

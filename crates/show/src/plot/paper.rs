@@ -1,39 +1,39 @@
-//! The width of a picture, on a screen or on paper, and the text that has to fit it.
+//! The width of a picture, on a screen or on paper, and text that fits it.
 //!
-//! On paper a unit of a drawing is as large as makes its smallest letters 8 pt, which journals ask for; so a column of
-//! 85 mm has 346 units, a page of 170 mm 693. A picture is laid out for the units that there are: it is never shrunk.
+//! On paper the unit of a drawing is chosen so that the smallest letters have 8 pt, as journals require; a column of 85
+//! mm then has 346 units, a page of 170 mm 693. A picture is laid out for this number of units and never shrunk.
 
 use super::canvas::{Anchor, Canvas, SMALL};
 
-/// Millimetres of paper that a unit is, so that it has 8 pt.
+/// Millimetres of paper per unit that give the smallest text 8 pt.
 const UNIT_MM: f64 = 8.0 * 25.4 / 72.0 / SMALL;
-/// On a page narrower than this, text begins at its edge and numbers along an axis get less room.
+/// On a page narrower than this, text begins at the edge and numbers along an axis get less room.
 const NARROW: f64 = 500.0;
 const NARROW_LEFT: f64 = 78.0;
-/// Room at the edge of a page.
+/// Margin at the edge of a page.
 pub const EDGE: f64 = 10.0;
-/// Sizes of a title and of the lines under it, and what a line of each takes.
+/// Letter sizes of a title and of the lines under it, and the height of a line of each.
 const TITLE: (f64, f64) = (15.0, 19.0);
 const UNDER: (f64, f64) = (12.0, 18.0);
 
-/// The width that a picture was asked for, mm of paper; `None` for a screen.
+/// Requested width of a picture, mm of paper; `None` for a screen.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Paper(pub Option<f64>);
 
-/// A page of so many units.
+/// A page with a width in units.
 #[derive(Clone, Copy, Debug)]
 pub struct Page {
     paper: Paper,
-    /// Units from edge to edge.
+    /// Width, units.
     pub wide: f64,
-    /// Left end of frames, and of text.
+    /// Left edge of frames, units.
     pub left: f64,
-    /// See `left`.
+    /// Left edge of text, units.
     pub begin: f64,
 }
 
 impl Paper {
-    /// A page that is `usual` units wide on a screen, with frames and text at `left` where there is room.
+    /// Returns a page that is `usual` units wide on a screen, with frames and text at `left` if there is room.
     pub fn page(self, usual: f64, left: f64) -> Page {
         let wide = self.0.map_or(usual, |mm| mm / UNIT_MM);
         let (left, begin) = if wide < NARROW { (NARROW_LEFT, EDGE) } else { (left, left) };
@@ -47,12 +47,12 @@ impl Paper {
 }
 
 impl Page {
-    /// Returns true where frames get less room.
+    /// Returns true if frames get less room.
     pub fn is_narrow(&self) -> bool {
         self.wide < NARROW
     }
 
-    /// An empty canvas of its width.
+    /// Returns an empty canvas of the page's width.
     pub fn canvas(&self, height: f64) -> Canvas {
         let mut canvas = Canvas::new(self.wide, height);
         if let Some(mm) = self.paper.0 {
@@ -61,7 +61,7 @@ impl Page {
         canvas
     }
 
-    /// A title and the lines under it, in as many lines as they take.
+    /// Wraps a title and the lines under it.
     pub fn heading(&self, title: &str, under: &[String]) -> Heading {
         let room = self.wide - self.begin - EDGE;
         Heading {
@@ -71,7 +71,7 @@ impl Page {
         }
     }
 
-    /// Notes in small text below a frame, in as many lines as they take.
+    /// Wraps notes in small text below a frame.
     pub fn notes<'a>(&self, notes: impl IntoIterator<Item = &'a str>) -> Vec<String> {
         let room = self.wide - self.begin - EDGE;
         notes.into_iter().flat_map(|note| wrapped(note, room, SMALL)).collect()
@@ -86,13 +86,13 @@ pub struct Heading {
 }
 
 impl Heading {
-    /// Height that it takes beyond a title of one line with `usual` lines under it.
+    /// Returns the height beyond that of a title of one line with `usual` lines under it.
     pub fn beyond(&self, usual: usize) -> f64 {
         let more = |lines: &[String], usual: usize| lines.len().saturating_sub(usual) as f64;
         TITLE.1 * more(&self.titles, 1) + UNDER.1 * more(&self.under, usual)
     }
 
-    /// Draws it at the top of a page.
+    /// Draws the heading at the top of a page.
     pub fn draw(&self, canvas: &mut Canvas) {
         let mut y = 28.0;
         for title in &self.titles {
@@ -106,14 +106,15 @@ impl Heading {
     }
 }
 
-/// Words in lines that are no wider than `room` where letters have this size; a word by itself may be.
+/// Wraps words into lines not wider than `room` at this letter size; a single long word may be wider.
 pub fn wrapped(text: &str, room: f64, size: f64) -> Vec<String> {
-    // A letter of the font is 0.6 of its size wide, or a little less.
-    let most = (room / (0.6 * size)) as usize;
+    // A letter of the font is at most 0.6 of its size wide.
+    let max_letters = (room / (0.6 * size)) as usize;
     let mut lines = vec![String::new()];
     for word in text.split_whitespace() {
-        let last =
-            lines.last_mut().filter(|line| line.is_empty() || line.chars().count() + word.chars().count() < most);
+        let last = lines
+            .last_mut()
+            .filter(|line| line.is_empty() || line.chars().count() + word.chars().count() < max_letters);
         match last {
             Some(line) if line.is_empty() => line.push_str(word),
             Some(line) => line.extend([" ", word]),

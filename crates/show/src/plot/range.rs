@@ -1,5 +1,5 @@
 //! The picture of a stable domain: stiffness over damping, without and with the feed-forward, with the passivity bounds
-//! and, when there are any, measured dots.
+//! and with measured dots if there are any.
 
 use super::Picture;
 use super::axes::{Axis, Mark, PlotArea};
@@ -24,36 +24,36 @@ pub struct MeasuredPoint {
     pub low: f64,
     /// Highest repeat, N/m.
     pub high: f64,
-    /// Drawn so far to the right of its damping, pixels.
+    /// Offset of the drawn dot to the right of its damping, pixels.
     pub beside: f64,
 }
 
 /// Contents of the picture.
 #[derive(Clone, Debug)]
 pub struct Contents<'a> {
-    /// Heading, such as the device and the loop.
+    /// Title, such as the device.
     pub title: String,
-    /// Smaller lines under the heading: the pose, the loop.
+    /// Smaller lines under the title: the pose, the loop.
     pub subtitle: [String; 2],
     /// The predicted domain.
     pub range: &'a Range,
-    /// Bounds drawn beside it.
+    /// Passivity bounds to draw as well.
     pub passivity: Option<&'a Passivity>,
     /// Frequency of the feed-forward's washout, Hz.
     pub washout_hz: Option<f64>,
-    /// The meaning of the measured dots.
+    /// Meaning of the measured dots, for the legend.
     pub measured: String,
     /// Measured dots without feed-forward.
     pub measured_off: &'a [MeasuredPoint],
     /// Measured dots with feed-forward.
     pub measured_full: &'a [MeasuredPoint],
-    /// What a reader has to know to compare the dots with the curves.
+    /// A note that a reader needs to compare the dots with the curves.
     pub note: Option<String>,
-    /// Its width.
+    /// Width of the picture.
     pub paper: Paper,
 }
 
-/// Draws it.
+/// Draws the picture.
 pub fn draw(contents: &Contents<'_>) -> Picture {
     let range = contents.range;
     let domains = || [Some(&range.off), Some(&range.full), range.washout.as_ref()].into_iter().flatten();
@@ -122,7 +122,7 @@ pub fn draw(contents: &Contents<'_>) -> Picture {
             let name = format!("rendered by a computer at {:.0} Hz, {late} ms late", host.rate_hz);
             entries.push((Mark::Line(line(HOST, "")), name));
         }
-        for bound in bounds.iter().filter(|bound| bound.elsewhere.is_none()) {
+        for bound in bounds.iter().filter(|bound| bound.hidden.is_none()) {
             let stroke = Stroke { colour: BOUND, width: 1.6, dash: bound.dash };
             frame.curve(canvas, &bound.line, stroke);
             drawn.push(bound.line.clone());
@@ -153,18 +153,18 @@ struct Bound {
     name: &'static str,
     dash: &'static str,
     line: Vec<(f64, f64)>,
-    /// Where it lies, if it cannot be seen in the picture.
-    elsewhere: Option<String>,
+    /// Description of the bound if it cannot be seen in the picture; `None` if it is drawn.
+    hidden: Option<String>,
 }
 
-/// The bounds in a frame, and which of them a reader would look for in vain.
+/// Returns the bounds, with a description of each bound that cannot be seen in this frame.
 fn bounds(passivity: &Passivity, frame: &PlotArea) -> Vec<Bound> {
-    // Pixels: what is closer to an axis is taken for the axis.
+    // Smallest visible distance from an axis, pixels.
     const SEEN: f64 = 2.0;
-    /// Pieces of the curve of the first.
+    /// Pieces of the curve of the first bound.
     const PIECES: usize = 40;
-    let (most, end) = (passivity.sampled(0.0), passivity.most_damping());
-    let (right, top) = frame.pixel(end, most);
+    let (max_stiffness, end) = (passivity.sampled(0.0), passivity.most_damping());
+    let (right, top) = frame.pixel(end, max_stiffness);
     let bottom = frame.at.1 + frame.size.1;
     let small = right - frame.at.0 < SEEN || bottom - top < SEEN;
     let at = |i: usize| end * i as f64 / PIECES as f64;
@@ -172,26 +172,26 @@ fn bounds(passivity: &Passivity, frame: &PlotArea) -> Vec<Bound> {
         name: "Colgate and Schenkel, of this loop",
         dash: "5 3",
         line: (0..=PIECES).map(|i| (at(i), passivity.sampled(at(i)))).collect(),
-        elsewhere: small.then(|| format!("kp < {}, kd < {}", with_unit(most, "N/m"), with_unit(end, "N s/m"))),
+        hidden: small.then(|| format!("kp < {}, kd < {}", with_unit(max_stiffness, "N/m"), with_unit(end, "N s/m"))),
     }];
     if let Some(limit) = passivity.quantised() {
         let (_, y) = frame.pixel(0.0, limit);
-        let hidden = bottom - y < SEEN || y < frame.at.1;
+        let is_hidden = bottom - y < SEEN || y < frame.at.1;
         bounds.push(Bound {
             name: "kp ≤ 2 fc/Δ as well, at kd = 0",
             dash: "1.5 2.5",
             line: vec![(0.0, limit), (0.04 * frame.x.high, limit)],
-            elsewhere: hidden.then(|| format!("with encoder steps and friction kp ≤ {}", with_unit(limit, "N/m"))),
+            hidden: is_hidden.then(|| format!("with encoder steps and friction kp ≤ {}", with_unit(limit, "N/m"))),
         });
     }
     bounds
 }
 
-/// The meaning of the legend's symbols, with the values that they have here, and the bounds that cannot be seen.
+/// Explains the legend's symbols with their values, and lists the bounds that cannot be seen.
 fn symbols(passivity: &Passivity, bounds: &[Bound]) -> Vec<String> {
     let mut lines =
         vec!["Weff, Wrr: inertia that the wall meets; passive: stable in any hand, without feed-forward".into()];
-    let drawn = |index: usize| bounds.get(index).is_some_and(|bound| bound.elsewhere.is_none());
+    let drawn = |index: usize| bounds.get(index).is_some_and(|bound| bound.hidden.is_none());
     if drawn(0) {
         lines.push(format!(
             "b = {:.3} N s/m: smallest viscous damping along n; with delay, drive and filter passive for kd < {:.3} N s/m",
@@ -206,14 +206,14 @@ fn symbols(passivity: &Passivity, bounds: &[Bound]) -> Vec<String> {
             1e6 * quantum
         ));
     }
-    let hidden: Vec<&str> = bounds.iter().filter_map(|bound| bound.elsewhere.as_deref()).collect();
+    let hidden: Vec<&str> = bounds.iter().filter_map(|bound| bound.hidden.as_deref()).collect();
     if !hidden.is_empty() {
         lines.push(format!("passive, too small to draw here: {}", hidden.join("; ")));
     }
     lines
 }
 
-/// A mass with three to four significant digits.
+/// Formats a mass with three to four significant digits.
 fn mass(kg: f64) -> String {
     match kg {
         kg if kg < 0.01 => format!("{:.3} g", kg * 1e3),

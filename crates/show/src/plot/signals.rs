@@ -1,7 +1,7 @@
 //! Pictures of a recording: signals over time, force over penetration, spectrum, phase.
 //!
-//! The curves are worked out first, as points in SI units ([`panels`]), and then put on paper ([`draw`]). A row that
-//! was lost is a gap: no line leads over it.
+//! The curves are computed first, as points in SI units ([`panels`]), and then drawn ([`draw`]). A lost row is a gap:
+//! no line crosses it.
 
 mod contact;
 mod paper;
@@ -18,7 +18,7 @@ use haptic_stability::analysis::amplitudes::{RIPPLE_HZ, SpectralLine, Spectrum, 
 pub use paper::draw;
 use serde::Serialize;
 
-/// A view of a recording that can be drawn.
+/// A view of a recording.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum View {
@@ -33,7 +33,7 @@ pub enum View {
 }
 
 impl View {
-    /// Every view with its name.
+    /// All views with their names.
     pub const ALL: [(&'static str, Self); 4] =
         [("time", Self::Time), ("force", Self::Force), ("spectrum", Self::Spectrum), ("phase", Self::Phase)];
 }
@@ -41,20 +41,20 @@ impl View {
 /// A request for pictures of a recording.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Request {
-    /// Which views; none: those that the recording has the columns for.
+    /// Views; empty for all views that the recording has the columns for.
     pub views: Vec<View>,
-    /// Columns over time and as a spectrum; none: the rendered force.
+    /// Columns over time and as a spectrum; empty for the rendered force.
     pub signals: Vec<String>,
-    /// From and to when, s.
+    /// Start time, s; `None` for the first row.
     pub from: Option<f64>,
-    /// To when, s.
+    /// End time, s; `None` for the last row.
     pub to: Option<f64>,
 }
 
 /// A quantity along an axis.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Quantity {
-    /// Its name.
+    /// Name.
     pub name: String,
     /// SI unit.
     pub unit: String,
@@ -63,7 +63,7 @@ pub struct Quantity {
 /// A line of a panel, in pieces where rows are missing.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Curve {
-    /// Its name.
+    /// Name.
     pub name: String,
     /// Points in SI units.
     pub pieces: Vec<Vec<(f64, f64)>>,
@@ -72,56 +72,56 @@ pub struct Curve {
 /// One coordinate system.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Panel {
-    /// The view that it belongs to.
+    /// View of the panel.
     pub view: View,
-    /// Along the horizontal axis.
+    /// Horizontal axis.
     pub x: Quantity,
-    /// Along the vertical axis.
+    /// Vertical axis.
     pub y: Quantity,
-    /// Its lines.
+    /// Lines.
     pub curves: Vec<Curve>,
-    /// Ends of the straight line through its points, where there is one.
+    /// Ends of the straight line through the points; `None` without a line.
     pub line: Option<[(f64, f64); 2]>,
-    /// A note for the reader, above the frame.
+    /// Note for the reader, above the frame.
     pub note: String,
 }
 
-/// The findings of a recording in numbers, and its panels.
+/// Results of a recording in numbers, and its panels.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Found {
-    /// Rows that are drawn, the seconds that they cover, and rows that are missing between them.
+pub struct Analysis {
+    /// Drawn rows.
     pub rows: usize,
-    /// s
+    /// Time that the drawn rows cover, s.
     pub seconds: f64,
-    /// Rows.
+    /// Rows missing between the drawn rows.
     pub missing: u64,
     /// The strongest sine of the first signal from 10 Hz on.
     pub strongest: Option<SpectralLine>,
-    /// Root mean square of what that signal has from 20 Hz on, in its unit.
+    /// Root mean square of that signal from 20 Hz on, in its unit.
     pub ripple: Option<f64>,
-    /// Stiffness of the line through force over penetration, in contact and where no limit cut the force, N/m.
+    /// Stiffness of the line through force over penetration, from rows in contact whose force no limit cut, N/m.
     pub stiffness: Option<f64>,
-    /// Rows in contact with the motors on, after torque has ramped up.
+    /// Rows in contact with the motors on, after the torque ramp.
     pub contact_rows: usize,
-    /// Of these, rows in which a limit cut the force; none where the recording does not say.
+    /// Number of these rows in which a limit cut the force; `None` if it is not recorded.
     pub saturated_rows: Option<usize>,
-    /// Notes for the reader beside the panels.
+    /// Notes for the reader in addition to those of the panels.
     pub said: Vec<String>,
     /// The panels to draw.
     pub panels: Vec<Panel>,
-    /// Rows of which a phase portrait is drawn as one.
+    /// Number of rows that a phase portrait combines into one point.
     #[serde(skip)]
     together: usize,
 }
 
-/// The part of a recording that is drawn.
+/// The drawn part of a recording.
 struct Rows<'a> {
     recording: &'a Recording,
     rows: &'a [Vec<f64>],
     time: usize,
-    /// Rows a second.
+    /// Row rate, rows a second.
     rate_hz: f64,
-    /// Index of the first row of each stretch without a gap, and behind the last.
+    /// Index of the first row of each stretch without a gap, and the index after the last row.
     stretches: Vec<usize>,
     missing: u64,
 }
@@ -142,22 +142,23 @@ impl<'a> Rows<'a> {
             return Err(Failure::wrong(format!("{} to draw; the recording has {span}", counted(rows.len(), "row")))
                 .remedy("draw a longer time, or record more"));
         }
-        // A restarted board counts from 0 again; what lies between is not known.
-        let apart = |i: usize| rows[i + 1][step] - rows[i][step];
-        let every = (0..rows.len() - 1).map(apart).filter(|apart| *apart > 0.0).fold(f64::INFINITY, f64::min);
+        // A restarted board counts from 0 again; the number of missing rows is then not known.
+        let step_difference = |i: usize| rows[i + 1][step] - rows[i][step];
+        let every = (0..rows.len() - 1).map(step_difference).filter(|steps| *steps > 0.0).fold(f64::INFINITY, f64::min);
         let mut stretches = vec![0];
         let mut missing = 0;
         for i in 0..rows.len() - 1 {
-            if apart(i) != every {
+            if step_difference(i) != every {
                 stretches.push(i + 1);
-                missing += (apart(i) / every - 1.0).max(0.0) as u64;
+                missing += (step_difference(i) / every - 1.0).max(0.0) as u64;
             }
         }
         stretches.push(rows.len());
-        let between = (0..rows.len() - 1).find(|i| apart(*i) == every).map(|i| rows[i + 1][time] - rows[i][time]);
+        let between =
+            (0..rows.len() - 1).find(|i| step_difference(*i) == every).map(|i| rows[i + 1][time] - rows[i][time]);
         let rate_hz = recording.rate_hz().map(|rate| rate / every).or(between.map(f64::recip)).unwrap_or(f64::NAN);
         if !(rate_hz.is_finite() && rate_hz > 0.0) {
-            return Err(Failure::wrong("no two rows follow each other, so there is no time between them"));
+            return Err(Failure::wrong("no two rows are consecutive, so the row rate is not known"));
         }
         Ok(Self { recording, rows, time, rate_hz, stretches, missing })
     }
@@ -169,24 +170,24 @@ impl<'a> Rows<'a> {
         })
     }
 
-    fn has(&self, name: &str) -> bool {
+    fn has_column(&self, name: &str) -> bool {
         self.recording.column(name).is_some()
     }
 
-    /// Pieces without a gap of what `point` makes of a row.
+    /// Applies `point` to every row and returns the results in pieces without gaps.
     fn pieces(&self, point: impl Fn(usize, &[f64]) -> (f64, f64)) -> Vec<Vec<(f64, f64)>> {
         let piece = |ends: &[usize]| (ends[0]..ends[1]).map(|i| point(i, &self.rows[i])).collect();
         self.stretches.windows(2).map(piece).collect()
     }
 
-    /// Number of rows that are drawn as one because single rows show encoder steps. Together they last at least a
-    /// millisecond; at a kilohertz and below every row is drawn by itself.
+    /// Returns the number of rows to combine into one drawn point, because single rows show encoder steps. Together
+    /// they last at least a millisecond; at 1 kHz and below every row is drawn.
     fn together(&self) -> usize {
         (self.rate_hz / SMOOTHED_HZ).ceil().max(1.0) as usize
     }
 
-    /// A test for rows in which torque still ramps up after the motors were switched on: their force is less than the
-    /// wall asks for.
+    /// Returns a test for rows in which torque still ramps up after the motors were switched on: their force is less
+    /// than the wall's.
     fn ramping(&self) -> impl Fn(&[f64]) -> bool {
         let armed =
             |row: &[f64]| self.recording.column("state").map(|state| row[state] == State::Armed as usize as f64);
@@ -197,7 +198,7 @@ impl<'a> Rows<'a> {
         move |row: &[f64]| times.iter().any(|on| (0.0..f64::from(ARM_SECONDS)).contains(&(row[time] - on)))
     }
 
-    /// A test for rows whose force was cut by a limit; `None` if the recording does not say.
+    /// Returns a test for rows whose force was cut by a limit; `None` if it is not recorded.
     fn cut(&self) -> Option<impl Fn(&[f64]) -> bool> {
         let names = (0..MAX_JOINTS).map(|joint| format!("saturated{joint}"));
         let columns: Vec<usize> = names.filter_map(|name| self.recording.column(&name)).collect();
@@ -205,33 +206,33 @@ impl<'a> Rows<'a> {
     }
 }
 
-/// A phase portrait of faster rows is drawn of means: differences between single rows are encoder steps, whose speeds
-/// make an area of its line.
+/// Row rate above which a phase portrait shows means, Hz: differences between single rows are encoder steps, whose
+/// velocities would turn the line into an area.
 const SMOOTHED_HZ: f64 = 1000.0;
-/// Anything slower is a motion and no vibration, Hz.
+/// Lower frequencies are motion and not vibration, Hz.
 const SLOW_HZ: f64 = 10.0;
-/// A millionth of the strongest line is nothing.
+/// Smallest amplitude that is drawn, relative to the strongest line.
 const FLOOR: f64 = 1e-6;
 
-/// Unit and name of a column by its label; what this tool does not know has none.
+/// Returns unit and name of a column by its label; an unknown column has no unit.
 pub(crate) fn quantity(label: &str) -> Quantity {
     let known = columns(Fields::ALL, MAX_JOINTS);
     let unit = known.iter().find(|column| column.label == label).map_or("", |column| column.field.unit());
     let unit = if label == "time_s" { "s" } else { unit };
-    // "rendered_n" is the quantity rendered: its unit stands beside it.
+    // "rendered_n" is the quantity rendered: its unit is shown separately.
     let suffix = format!("_{}", unit.to_lowercase().replace([' ', '/'], "_"));
     let name = label.strip_suffix(&suffix).filter(|_| !unit.is_empty()).unwrap_or(label);
     Quantity { name: name.replace('_', " "), unit: unit.into() }
 }
 
-fn named(name: &str, unit: &str) -> Quantity {
+fn quantity_of(name: &str, unit: &str) -> Quantity {
     Quantity { name: name.into(), unit: unit.into() }
 }
 
-/// Works out what is drawn.
-pub fn panels(recording: &Recording, request: &Request) -> Result<Found, Failure> {
+/// Computes the panels.
+pub fn panels(recording: &Recording, request: &Request) -> Result<Analysis, Failure> {
     let rows = Rows::of(recording, request)?;
-    let force = ["rendered_n", "force_n"].into_iter().find(|name| rows.has(name));
+    let force = ["rendered_n", "force_n"].into_iter().find(|name| rows.has_column(name));
     let signals: Vec<String> = match (request.signals.is_empty(), force) {
         (false, _) => request.signals.clone(),
         (true, Some(force)) => vec![force.into()],
@@ -242,14 +243,14 @@ pub fn panels(recording: &Recording, request: &Request) -> Result<Found, Failure
     for signal in &signals {
         rows.column(signal)?;
     }
-    let drawn = |view: View| match (request.views.is_empty(), view) {
+    let is_drawn = |view: View| match (request.views.is_empty(), view) {
         (false, view) => request.views.contains(&view),
-        (true, View::Force) => force.is_some() && rows.has("distance_m"),
-        (true, View::Phase) => rows.has("distance_m"),
+        (true, View::Force) => force.is_some() && rows.has_column("distance_m"),
+        (true, View::Phase) => rows.has_column("distance_m"),
         (true, _) => !signals.is_empty(),
     };
     let span = rows.rows[rows.rows.len() - 1][rows.time] - rows.rows[0][rows.time];
-    let mut found = Found {
+    let mut analysis = Analysis {
         rows: rows.rows.len(),
         seconds: span,
         missing: rows.missing,
@@ -262,44 +263,45 @@ pub fn panels(recording: &Recording, request: &Request) -> Result<Found, Failure
         panels: Vec::new(),
         together: rows.together(),
     };
-    if drawn(View::Time) {
-        found.panels.extend(over_time(&rows, &signals)?);
+    if is_drawn(View::Time) {
+        analysis.panels.extend(over_time(&rows, &signals)?);
     }
-    if drawn(View::Force) {
+    if is_drawn(View::Force) {
         let force = force.ok_or_else(|| {
             Failure::wrong("the recording has neither rendered_n nor force_n")
                 .remedy("record the fields distance, rendered")
         })?;
-        let panel = contact::over_penetration(&rows, force, &mut found)?;
-        found.panels.push(panel);
+        let panel = contact::over_penetration(&rows, force, &mut analysis)?;
+        analysis.panels.push(panel);
     }
-    if drawn(View::Spectrum) {
-        let panel = amplitudes(&rows, &signals, &mut found)?;
-        found.panels.push(panel);
+    if is_drawn(View::Spectrum) {
+        let panel = amplitudes(&rows, &signals, &mut analysis)?;
+        analysis.panels.push(panel);
     }
-    if drawn(View::Phase) {
+    if is_drawn(View::Phase) {
         let panel = phase(&rows)?;
-        if request.views.is_empty() && !moves(&smoothed(&panel, rows.together())) && !found.panels.is_empty() {
-            let why = "the velocity is noise, from millisecond to millisecond as large as over all";
-            found.said.push(format!("velocity over distance is left out unless it is asked for: {why}"));
+        if request.views.is_empty() && !is_motion(&smooth_panel(&panel, rows.together())) && !analysis.panels.is_empty()
+        {
+            let why = "the velocity is noise, which changes as much within a millisecond as over the recording";
+            analysis.said.push(format!("velocity over distance is left out unless it is requested: {why}"));
         } else {
-            found.panels.push(panel);
+            analysis.panels.push(panel);
         }
     }
-    if found.panels.is_empty() {
-        return Err(Failure::wrong("the recording has nothing but steps and times").remedy("record more fields"));
+    if analysis.panels.is_empty() {
+        return Err(Failure::wrong("the recording has only steps and times").remedy("record more fields"));
     }
-    Ok(found)
+    Ok(analysis)
 }
 
-/// A panel for each unit.
+/// Creates a panel for each unit.
 fn over_time(rows: &Rows<'_>, signals: &[String]) -> Result<Vec<Panel>, Failure> {
     let mut panels: Vec<Panel> = Vec::new();
     for signal in signals {
         let column = rows.column(signal)?;
-        let of = quantity(signal);
+        let signal_quantity = quantity(signal);
         let curve = Curve { name: signal.clone(), pieces: rows.pieces(|_, row| (row[rows.time], row[column])) };
-        match panels.iter_mut().find(|panel| panel.y.unit == of.unit) {
+        match panels.iter_mut().find(|panel| panel.y.unit == signal_quantity.unit) {
             Some(panel) => {
                 panel.curves.push(curve);
                 panel.y.name =
@@ -307,8 +309,8 @@ fn over_time(rows: &Rows<'_>, signals: &[String]) -> Result<Vec<Panel>, Failure>
             }
             None => panels.push(Panel {
                 view: View::Time,
-                x: named("time", "s"),
-                y: of,
+                x: quantity_of("time", "s"),
+                y: signal_quantity,
                 curves: vec![curve],
                 line: None,
                 note: String::new(),
@@ -318,16 +320,16 @@ fn over_time(rows: &Rows<'_>, signals: &[String]) -> Result<Vec<Panel>, Failure>
     Ok(panels)
 }
 
-/// Highest frequency that a spectrum shows, Hz: beyond it a hand feels nothing.
-const MOST_HZ: f64 = 1000.0;
+/// Highest frequency in a spectrum, Hz: a hand feels nothing above it.
+const MAX_HZ: f64 = 1000.0;
 
-fn amplitudes(rows: &Rows<'_>, signals: &[String], found: &mut Found) -> Result<Panel, Failure> {
+fn amplitudes(rows: &Rows<'_>, signals: &[String], analysis: &mut Analysis) -> Result<Panel, Failure> {
     let half = 0.5 * rows.rate_hz;
-    let most = half.min(MOST_HZ);
+    let highest_hz = half.min(MAX_HZ);
     let mut panel = Panel {
         view: View::Spectrum,
-        x: named("frequency", "Hz"),
-        y: named("amplitude", "dB"),
+        x: quantity_of("frequency", "Hz"),
+        y: quantity_of("amplitude", "dB"),
         curves: Vec::new(),
         line: None,
         note: String::new(),
@@ -341,8 +343,8 @@ fn amplitudes(rows: &Rows<'_>, signals: &[String], found: &mut Found) -> Result<
         let values: Vec<f64> = rows.rows.iter().map(|row| row[column]).collect();
         let stretches: Vec<&[f64]> = rows.stretches.windows(2).map(|ends| &values[ends[0]..ends[1]]).collect();
         let spectrum = spectrum(&stretches, rows.rate_hz).ok_or_else(|| {
-            let most = stretches.iter().map(|stretch| stretch.len()).max().unwrap_or(0);
-            Failure::wrong(format!("{} without a gap are too few for a spectrum", counted(most, "row")))
+            let longest = stretches.iter().map(|stretch| stretch.len()).max().unwrap_or(0);
+            Failure::wrong(format!("{} without a gap are too few for a spectrum", counted(longest, "row")))
                 .remedy("record longer, or leave the spectrum out")
                 .choose(Choice::Shown)
         })?;
@@ -351,12 +353,12 @@ fn amplitudes(rows: &Rows<'_>, signals: &[String], found: &mut Found) -> Result<
         let fast = lines.iter().filter(|line| line.frequency >= SLOW_HZ);
         let top = fast.max_by(|a, b| a.amplitude.total_cmp(&b.amplitude));
         if panel.curves.is_empty() {
-            found.strongest = top.copied().filter(|top| top.amplitude > 0.0);
-            found.ripple = Some(spectrum.ripple());
+            analysis.strongest = top.copied().filter(|top| top.amplitude > 0.0);
+            analysis.ripple = Some(spectrum.ripple());
         }
-        let shown = lines.iter().filter(|line| line.frequency <= most);
+        let shown = lines.iter().filter(|line| line.frequency <= highest_hz);
         let highest = lines.iter().fold(0.0, |highest: f64, line| highest.max(line.amplitude));
-        // A signal that never moved lies at its unit's floor, and not thousands of decibels below it.
+        // A signal that never moved is drawn at the floor of its unit, not thousands of decibels below it.
         let highest = if highest > 0.0 { highest } else { 1.0 };
         let points = shown.map(|line| (line.frequency, 20.0 * line.amplitude.max(FLOOR * highest).log10())).collect();
         panel.curves.push(Curve { name: signal.clone(), pieces: vec![points] });
@@ -365,7 +367,7 @@ fn amplitudes(rows: &Rows<'_>, signals: &[String], found: &mut Found) -> Result<
         let left = counted(rows.rows.len() - used, "row");
         panel.note = format!("without {left} of shorter stretches between gaps");
     }
-    if let (Some(line), Some(ripple)) = (found.strongest, found.ripple) {
+    if let (Some(line), Some(ripple)) = (analysis.strongest, analysis.ripple) {
         let (size, ripple) = (with_unit(line.amplitude, &unit), with_unit(ripple, &unit));
         let says = format!(
             "strongest above {SLOW_HZ} Hz: {size} at {:.1} Hz; above {RIPPLE_HZ} Hz: {ripple} rms",
@@ -387,8 +389,8 @@ fn phase(rows: &Rows<'_>) -> Result<Panel, Failure> {
         Some(column) => row[column],
         None => {
             let (before, after) = ends(i);
-            let apart = (after - before).max(1) as f64 / rows.rate_hz;
-            (rows.rows[after][distance] - rows.rows[before][distance]) / apart
+            let duration = (after - before).max(1) as f64 / rows.rate_hz;
+            (rows.rows[after][distance] - rows.rows[before][distance]) / duration
         }
     };
     let note = match measured {
@@ -397,16 +399,16 @@ fn phase(rows: &Rows<'_>) -> Result<Panel, Failure> {
     };
     Ok(Panel {
         view: View::Phase,
-        x: named("distance to the wall", "m"),
-        y: named("velocity", "m/s"),
+        x: quantity_of("distance to the wall", "m"),
+        y: quantity_of("velocity", "m/s"),
         curves: vec![Curve { name: "velocity".into(), pieces: rows.pieces(|i, row| (row[distance], speed(i, row))) }],
         line: None,
         note,
     })
 }
 
-/// A panel of the means of every `together` points that follow each other; of the last ones, fewer.
-fn smoothed(panel: &Panel, together: usize) -> Panel {
+/// Replaces every `together` consecutive points by their mean; the last mean may have fewer.
+fn smooth_panel(panel: &Panel, together: usize) -> Panel {
     let mean = |points: &[(f64, f64)]| {
         let sum = points.iter().fold((0.0, 0.0), |sum, point| (sum.0 + point.0, sum.1 + point.1));
         (sum.0 / points.len() as f64, sum.1 / points.len() as f64)
@@ -420,9 +422,9 @@ fn smoothed(panel: &Panel, together: usize) -> Panel {
     smooth
 }
 
-/// Returns true if the values of a panel's first curve go somewhere, and do not only jump: the mean square from point
-/// to point (von Neumann 1941) is below their variance, of which noise has twice as much.
-fn moves(panel: &Panel) -> bool {
+/// Returns true if the values of a panel's first curve move and do not only jump: the mean square difference of
+/// consecutive points (von Neumann 1941) is below their variance; for noise it is twice the variance.
+fn is_motion(panel: &Panel) -> bool {
     let values = || panel.curves[0].pieces.iter().flatten().map(|point| point.1);
     let count = values().count().max(1) as f64;
     let mean = values().sum::<f64>() / count;

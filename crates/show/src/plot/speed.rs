@@ -1,4 +1,4 @@
-//! The cost on the chip of each way of computing the control step, over the error that it leaves.
+//! The picture of cost over error: instructions of each way to compute the control step, over its error.
 
 use super::Picture;
 use super::axes::{Axis, Mark, PlotArea};
@@ -8,7 +8,7 @@ use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::device::Device;
 use haptic_predict::bench::report::Variant;
 
-/// The colour of each mechanism.
+/// Returns the colour of a mechanism.
 fn colour_of(kind: Kind) -> &'static str {
     match kind {
         Kind::Paddle => "#7f7f7f",
@@ -19,11 +19,11 @@ fn colour_of(kind: Kind) -> &'static str {
     }
 }
 
-/// Instructions over what is wrong with the force at the tip, each mechanism's Pareto front as a line.
+/// Draws instructions over the error of the force at the tip, with each mechanism's Pareto front as a line.
 pub fn draw(every: &[(Device<f64>, Vec<Variant>)]) -> Picture {
-    // Beyond these lies libm alone, whose thousands of instructions would press the rest together.
-    const MOST: u32 = 1800;
-    let shown = |variant: &&Variant| variant.instructions.is_some_and(|count| count <= MOST);
+    // Only libm needs more, and its thousands of instructions would compress the rest of the picture.
+    const MAX: u32 = 1800;
+    let shown = |variant: &&Variant| variant.instructions.is_some_and(|count| count <= MAX);
     let (low, high) = (-6.0, 4.0);
     let decades = |variant: &Variant| variant.felt().max(1.0e-12).log10().clamp(low, high);
     let mut canvas = Canvas::new(760.0, 540.0);
@@ -31,7 +31,7 @@ pub fn draw(every: &[(Device<f64>, Vec<Variant>)]) -> Picture {
         at: (80.0, 110.0),
         size: (660.0, 370.0),
         x: Axis { name: "largest error of the force at the tip beside the fade".into(), unit: "N".into(), low, high },
-        y: Axis { name: "instructions".into(), unit: String::new(), low: 0.0, high: f64::from(MOST) },
+        y: Axis { name: "instructions".into(), unit: String::new(), low: 0.0, high: f64::from(MAX) },
     };
     let (mut entries, mut drawn) = (Vec::new(), Vec::new());
     frame.clipped(&mut canvas, |canvas| {
@@ -47,7 +47,7 @@ pub fn draw(every: &[(Device<f64>, Vec<Variant>)]) -> Picture {
             let stroke = Stroke { colour, width: 1.8, dash: "" };
             frame.curve(canvas, &front, stroke);
             drawn.push(front);
-            // A mechanism without a point in the frame has no place in its legend.
+            // A mechanism without a point in the frame gets no legend entry.
             if !all.is_empty() {
                 entries.push((Mark::Line(stroke), device.mechanism.kind().spec().name.to_string()));
             }
@@ -64,7 +64,7 @@ pub fn draw(every: &[(Device<f64>, Vec<Variant>)]) -> Picture {
     let title = "Speed against error: every variant of the control step, fronts as lines";
     canvas.text((frame.at.0, 28.0), 15.0, Anchor::Start, false, title);
     let counts = every.iter().flat_map(|(_, variants)| variants).filter_map(|variant| variant.instructions);
-    let beyond = counts.filter(|count| *count > MOST).min();
+    let beyond = counts.filter(|count| *count > MAX).min();
     let beyond = beyond.map_or(String::new(), |least| {
         format!(" What takes more instructions than fit here, {least} and up, is not drawn.")
     });

@@ -1,5 +1,5 @@
-//! The picture of what each effect takes: the largest stiffness without it beside that with everything, on a
-//! logarithmic scale, without and with the feed-forward.
+//! The picture of the limiting effects: the largest stiffness without each effect, compared with the complete loop, on
+//! a logarithmic scale, without and with the feed-forward.
 
 use super::Picture;
 use super::canvas::{Anchor, SMALL, Stroke};
@@ -8,33 +8,33 @@ use super::paper::{EDGE, Paper};
 use haptic_host::words::with_unit;
 use haptic_stability::analysis::why::{Both, Why};
 
-/// Width of a letter at most, of the bars on a screen, of the values behind them, and what one effect takes of the
-/// height, pixels.
+/// Maximum width of a letter, width of the bars on a screen, width of the values behind them, height of one effect,
+/// pixels.
 const LETTER: f64 = 6.8;
 const WIDTH: f64 = 420.0;
 const VALUE: f64 = 120.0;
 const ROW: f64 = 40.0;
 const TOP: f64 = 92.0;
-/// Bars shorter than this do not stand beside their names, but under them.
+/// Shorter bars are placed under their names instead of next to them, pixels.
 const SHORTEST: f64 = 200.0;
-/// Names of decades closer than this run into each other.
+/// Minimum distance between the names of decades, pixels.
 const APART: f64 = 78.0;
-/// The meaning of the bars, beside the names of their colours.
+/// Meaning of the bars, next to the names of their colours.
 const BARS: &str = "largest stable stiffness without the effect";
 
-/// Draws it under a heading and two smaller lines.
+/// Draws the picture under a heading and two smaller lines.
 pub fn draw(title: &str, subtitle: &[String; 2], why: &Why, paper: Paper) -> Picture {
     let rows: Vec<(String, Both)> = std::iter::once(("with everything".to_string(), why.limits))
         .chain(why.effects.iter().map(|without| (format!("{}: {}", without.effect, without.instead), without.limits)))
         .collect();
     let longest = rows.iter().map(|(name, _)| name.chars().count()).max().unwrap_or(0);
-    let named = 24.0 + LETTER * longest as f64;
-    let page = paper.page(named + WIDTH + VALUE, 16.0);
-    let beside = page.wide - named - VALUE > SHORTEST;
-    let (left, row_high) = if beside { (named, ROW) } else { (EDGE, ROW + 16.0) };
+    let name_width = 24.0 + LETTER * longest as f64;
+    let page = paper.page(name_width + WIDTH + VALUE, 16.0);
+    let in_line = page.wide - name_width - VALUE > SHORTEST;
+    let (left, row_high) = if in_line { (name_width, ROW) } else { (EDGE, ROW + 16.0) };
     let width = page.wide - left - VALUE;
     let mut under = subtitle.to_vec();
-    let below = beside && page.wide - left - 260.0 > LETTER * BARS.len() as f64;
+    let below = in_line && page.wide - left - 260.0 > LETTER * BARS.len() as f64;
     under.extend((!below).then(|| format!("bars: {BARS}")));
     let heading = page.heading(title, &under);
     let top_of_rows = TOP + heading.beyond(2);
@@ -53,14 +53,14 @@ pub fn draw(title: &str, subtitle: &[String; 2], why: &Why, paper: Paper) -> Pic
         let line = Stroke { colour: FAINT, width: 0.8, dash: "2 3" };
         canvas.line((at(kp), top_of_rows - 6.0), (at(kp), bottom), line);
         if index % every == 0 {
-            // The first one must not begin before the page does.
+            // The first name must not begin before the page.
             let anchor = if at(kp) < APART / 2.0 { Anchor::Start } else { Anchor::Middle };
             canvas.text((at(kp), bottom + 16.0), SMALL, anchor, false, &with_unit(kp, "N/m"));
         }
     }
     for (row, (name, both)) in rows.iter().enumerate() {
         let mut top = top_of_rows + row_high * row as f64;
-        if beside {
+        if in_line {
             canvas.text((left - 8.0, top + 21.0), 12.0, Anchor::End, false, name);
         } else {
             canvas.text((left, top + 14.0), 12.0, Anchor::Start, false, name);

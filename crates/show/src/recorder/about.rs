@@ -1,4 +1,4 @@
-//! The subject of a recording: read from the board once, written at the head of every file.
+//! The description of a recording: read from the board once, written at the head of every file.
 
 use haptic_bridge::control::Rules;
 use haptic_host::backup::SavedSetting;
@@ -12,7 +12,7 @@ use std::collections::BTreeMap;
 /// Date, versions, board, device, scene, gains and rules of a recording.
 #[derive(Clone, Debug, PartialEq)]
 pub struct About {
-    /// Its lines, as they stand at the head of a CSV file.
+    /// The lines at the head of a CSV file.
     text: String,
     /// Control rate, Hz.
     pub rate_hz: f64,
@@ -22,7 +22,7 @@ pub struct About {
 }
 
 impl About {
-    /// As the board is now.
+    /// Reads the description from the board.
     pub fn read(board: &mut Board, divider: u32) -> Result<Self, Failure> {
         let details = board.details()?;
         let info = board.info().clone();
@@ -49,35 +49,35 @@ impl About {
         for (index, wall) in scene.iter().flat_map(|scene| scene.walls.iter().enumerate()) {
             text.push_str(&format!("wall {index}: {}\n", wall_in_words(wall)));
         }
-        // For programs: the same and the rest, as the board holds them at the start.
+        // For programs: the same and the rest, as on the board at the start.
         text.push_str(&format!("scene {}\n", json(&scene)?));
         let joints = device.as_ref().map_or(details.axes.into(), |device| device.axes());
-        text.push_str(&format!("rules {}\n", json(&of_joints(&rules, joints)?)?));
-        // And once more to the bit, as a backup has them: `haptic replay` computes with these.
+        text.push_str(&format!("rules {}\n", json(&limit_to_joints(&rules, joints)?)?));
+        // Once more to the bit, as in a backup, because `haptic replay` computes with these values.
         let mut settings = BTreeMap::new();
-        settings.extend(device.and_then(|device| Some(("device", bytes_alone(SavedSetting::of(&device)?)))));
-        settings.extend(scene.and_then(|scene| Some(("scene", bytes_alone(SavedSetting::of(&scene)?)))));
-        settings.extend(SavedSetting::of(&rules).map(|rules| ("rules", bytes_alone(rules))));
+        settings.extend(device.and_then(|device| Some(("device", without_value(SavedSetting::of(&device)?)))));
+        settings.extend(scene.and_then(|scene| Some(("scene", without_value(SavedSetting::of(&scene)?)))));
+        settings.extend(SavedSetting::of(&rules).map(|rules| ("rules", without_value(rules))));
         text.push_str(&format!("settings {}\n", json(&settings)?));
         Ok(Self { text, rate_hz: details.rate_hz.into(), divider, delay_samples: details.delay_samples })
     }
 
-    /// Its lines.
+    /// Returns the lines.
     pub fn text(&self) -> &str {
         &self.text
     }
 
-    /// The same for programs: the lines together, and each by its first word.
+    /// Returns the description for programs: all lines together, and each line by its first word.
     pub fn map(&self) -> BTreeMap<String, String> {
         let lines = self.text.lines().skip(1).filter(|line| !line.starts_with("control rate"));
-        // Versions stand in one line: "tool 0.1.0, firmware 0.1.0, protocol 6".
+        // One line has all versions: "tool 0.1.0, firmware 0.1.0, protocol 6".
         let parts =
             lines.flat_map(|line| if line.starts_with("tool ") { line.split(", ").collect() } else { vec![line] });
         let lines = parts.filter_map(|line| match line.strip_prefix("wall ") {
-            Some(wall) => wall.split_once(": ").map(|(index, is)| (format!("wall {index}"), is.into())),
+            Some(wall) => wall.split_once(": ").map(|(index, text)| (format!("wall {index}"), text.into())),
             None => line.split_once(' ').map(|(word, rest)| (word.into(), rest.into())),
         });
-        let told = [
+        let entries = [
             ("about".to_string(), self.text.clone()),
             ("divider".into(), self.divider.to_string()),
             ("rate_hz".into(), self.rate_hz.to_string()),
@@ -88,17 +88,17 @@ impl About {
                     .into(),
             ),
         ];
-        lines.chain(told).collect()
+        lines.chain(entries).collect()
     }
 }
 
-/// Version and bytes; what they mean stands beside them already.
-fn bytes_alone(kept: SavedSetting) -> SavedSetting {
-    SavedSetting { value: None, ..kept }
+/// Keeps version and bytes only; other lines already have the values.
+fn without_value(setting: SavedSetting) -> SavedSetting {
+    SavedSetting { value: None, ..setting }
 }
 
-/// Rules with one number per joint, where a board has room for more joints than a device has.
-fn of_joints(rules: &Rules, joints: usize) -> Result<serde_json::Value, Failure> {
+/// Returns the rules with one number per joint, because a board has room for more joints than a device has.
+fn limit_to_joints(rules: &Rules, joints: usize) -> Result<serde_json::Value, Failure> {
     let mut rules = serde_json::to_value(rules).map_err(Failure::impossible)?;
     for list in rules["limits"].as_object_mut().into_iter().flatten().filter_map(|(_, limit)| limit.as_array_mut()) {
         list.truncate(joints);

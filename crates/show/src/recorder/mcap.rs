@@ -1,8 +1,8 @@
-//! MCAP: a recording that Foxglove, PlotJuggler and the format's own libraries open as it is.
+//! MCAP: a recording that Foxglove, PlotJuggler and the format's own libraries open directly.
 //!
-//! Rows are protocol buffers with their description beside them, on the channel `/rows`; what happened meanwhile is on
-//! `/events`. What the recording is of stands in a metadata record. Rows are gathered into chunks, and a chunk reaches
-//! the file whole: what a killed tool or a full disk leaves is read to the last of them.
+//! Rows are protocol buffers with their description, on the channel `/rows`; events are on `/events`. A metadata record
+//! describes the recording. Rows are gathered into chunks, and only complete chunks reach the file: after a killed tool
+//! or on a full disk, the file is readable up to its last chunk.
 
 use super::about::About;
 use super::protobuf::{Field as Packed, Type, describe};
@@ -22,15 +22,15 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{SystemTime, UNIX_EPOCH};
 
-/// The bytes that an MCAP file begins with.
+/// Bytes at the begin of an MCAP file.
 pub const MAGIC: &[u8] = b"\x89MCAP0\r\n";
-/// Bytes of messages that make a chunk; `flush` ends one earlier.
+/// Message bytes in a chunk; `flush` ends a chunk earlier.
 const CHUNK: usize = 512 * 1024;
-/// The metadata record at the head, and the one at the end.
+/// Names of the metadata records at the head and at the end.
 const HEAD: &str = "haptic-bridge";
 const END: &str = "haptic-bridge end";
 
-/// Bytes on their way from the format to the file.
+/// Encoded bytes that are not yet in the file.
 #[derive(Clone, Debug, Default)]
 struct Pending(Arc<Mutex<Vec<u8>>>);
 
@@ -56,9 +56,9 @@ pub struct McapRecorder {
     pending: Pending,
     file: File,
     path: PathBuf,
-    /// Bytes of the file in whole chunks, and whether it can be cut back to them.
-    whole: u64,
-    cut: bool,
+    /// Bytes of complete chunks in the file, and true if the file can be truncated to them.
+    complete: u64,
+    can_truncate: bool,
     row: MessageDescriptor,
     event: MessageDescriptor,
     channels: [u16; 2],
@@ -66,7 +66,7 @@ pub struct McapRecorder {
     began: u64,
     sequence: u32,
     gathered: usize,
-    /// Rows in the file, and in the chunk.
+    /// Rows in the file, and in the unfinished chunk.
     rows: u64,
     waiting: u64,
     ended: bool,
@@ -87,13 +87,13 @@ fn kind(column: &Column) -> Type {
     }
 }
 
-/// Writing into memory fails only where the format is used in a way that it forbids.
-fn misused(error: McapError) -> RecordError {
+/// Converts an error of the writer; writing into memory fails only after a wrong use of the format.
+fn to_error(error: McapError) -> RecordError {
     RecordError::Failed(Failure::impossible(error))
 }
 
 impl McapRecorder {
-    /// Creates the file and writes what the recording is of.
+    /// Creates the file and writes its description.
     pub fn create(path: &Path, about: &About, columns: &[Column], overwrite: Overwrite) -> Result<Self, Failure> {
         let fields: Vec<Packed> = [("step".to_string(), Type::Uint32), ("time_s".into(), Type::Double)]
             .into_iter()
@@ -120,14 +120,14 @@ impl McapRecorder {
             Ok((writer, channels))
         };
         let (writer, channels) = begin().map_err(Failure::impossible)?;
-        let (file, cut) = output::open(path, overwrite)?;
+        let (file, can_truncate) = output::open(path, overwrite)?;
         let mut recorder = Self {
             writer,
             pending,
             file,
             path: path.into(),
-            whole: 0,
-            cut,
+            complete: 0,
+            can_truncate,
             row,
             event,
             channels,
@@ -138,9 +138,9 @@ impl McapRecorder {
             waiting: 0,
             ended: false,
         };
-        recorder.put().map_err(|error| {
-            if let (true, Ok(file)) = (cut, std::fs::canonicalize(path)) {
-                // Without its head it is of no use to anybody.
+        recorder.write_pending().map_err(|error| {
+            if let (true, Ok(file)) = (can_truncate, std::fs::canonicalize(path)) {
+                // A file without its head is useless.
                 let _ = std::fs::remove_file(file);
             }
             output::refused(path, &error)
@@ -148,7 +148,7 @@ impl McapRecorder {
         Ok(recorder)
     }
 
-    fn say(&mut self, channel: usize, time: f64, message: &[u8]) -> Result<(), RecordError> {
+    fn write(&mut self, channel: usize, time: f64, message: &[u8]) -> Result<(), RecordError> {
         if self.began == 0 {
             let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
             self.began = u64::try_from(now.as_nanos()).unwrap_or(1).max(1);
@@ -161,31 +161,31 @@ impl McapRecorder {
             log_time,
             publish_time: log_time,
         };
-        self.writer.write_to_known_channel(&header, message).map_err(misused)?;
+        self.writer.write_to_known_channel(&header, message).map_err(to_error)?;
         self.gathered += message.len();
         Ok(())
     }
 
-    /// Adds a row: its step, its time since the first (s), and a number for each column.
+    /// Adds a row: its step, its time since the first row (s), and a number for each column.
     pub fn row(&mut self, step: u32, time: f64, row: &[f64]) -> Result<(), RecordError> {
         let message = protobuf::pack(&self.row, [f64::from(step), time].into_iter().chain(row.iter().copied()));
-        self.say(0, time, &message)?;
+        self.write(0, time, &message)?;
         self.waiting += 1;
         if self.gathered >= CHUNK { self.flush() } else { Ok(()) }
     }
 
-    /// Adds what happened at a time since the first row, s.
+    /// Adds an event at a time since the first row, s.
     pub fn event(&mut self, time: f64, words: &str) -> Result<(), RecordError> {
         let message = protobuf::pack_text(&self.event, words);
-        self.say(1, time, &message)
+        self.write(1, time, &message)
     }
 
-    /// Ends the chunk and writes it; where there is no room for it, the file keeps the chunks before it.
+    /// Ends the chunk and writes it; if the disk has no room for it, the file keeps the previous chunks.
     pub fn flush(&mut self) -> Result<(), RecordError> {
         self.gathered = 0;
-        self.writer.flush().map_err(misused)?;
+        self.writer.flush().map_err(to_error)?;
         let waiting = std::mem::take(&mut self.waiting);
-        match self.put() {
+        match self.write_pending() {
             Ok(()) => {
                 self.rows += waiting;
                 Ok(())
@@ -195,27 +195,27 @@ impl McapRecorder {
         }
     }
 
-    fn put(&mut self) -> io::Result<()> {
+    fn write_pending(&mut self) -> io::Result<()> {
         let bytes = self.pending.take();
         if let Err(error) = self.file.write_all(&bytes) {
-            if self.cut {
-                let _ = self.file.set_len(self.whole).and_then(|()| self.file.seek(SeekFrom::Start(self.whole)));
+            if self.can_truncate {
+                let _ = self.file.set_len(self.complete).and_then(|()| self.file.seek(SeekFrom::Start(self.complete)));
             }
-            // The part that was cut off is missing in all that would follow.
+            // Nothing can follow, because the truncated part would be missing.
             self.ended = true;
             return Err(error);
         }
-        self.whole += bytes.len() as u64;
+        self.complete += bytes.len() as u64;
         Ok(())
     }
 
-    /// Writes what came of it, and the index; nothing more is written then.
+    /// Writes the summary and the index, which end the file.
     pub fn end(&mut self, words: &str, losses: &Losses) -> Result<(), RecordError> {
         if self.ended {
             return Ok(());
         }
         self.flush()?;
-        let told = [
+        let entries = [
             ("about", words.to_string()),
             ("rows", self.rows.to_string()),
             ("missing", losses.missing.to_string()),
@@ -223,25 +223,25 @@ impl McapRecorder {
             ("batches_lost", losses.batches_lost.to_string()),
             ("frames_garbled", losses.garbled.to_string()),
         ];
-        let metadata = told.map(|(name, value)| (name.to_string(), value)).into();
-        self.writer.write_metadata(&Metadata { name: END.into(), metadata }).map_err(misused)?;
-        self.writer.finish().map_err(misused)?;
-        let put = self.put().map_err(|error| RecordError::Failed(output::refused(&self.path, &error)));
+        let metadata = entries.map(|(name, value)| (name.to_string(), value)).into();
+        self.writer.write_metadata(&Metadata { name: END.into(), metadata }).map_err(to_error)?;
+        self.writer.finish().map_err(to_error)?;
+        let result = self.write_pending().map_err(|error| RecordError::Failed(output::refused(&self.path, &error)));
         self.ended = true;
-        put
+        result
     }
 
-    /// Rows that are in the file.
+    /// Returns the number of rows in the file.
     pub fn rows(&self) -> u64 {
         self.rows
     }
 
-    /// Bytes that are in the file.
+    /// Returns the number of bytes in the file.
     pub fn bytes(&self) -> u64 {
-        self.whole
+        self.complete
     }
 
-    /// The path of the file.
+    /// Returns the path of the file.
     pub fn path(&self) -> &Path {
         &self.path
     }
@@ -251,13 +251,13 @@ impl Drop for McapRecorder {
     fn drop(&mut self) {
         if !self.ended {
             let _ = self.flush();
-            // The format would write its index into memory that is never read.
+            // Without this flush failing, the format writes its index into memory that is never read.
             let _ = self.writer.finish();
         }
     }
 }
 
-/// Reads a recording up to its last whole chunk.
+/// Parses a recording up to its last complete chunk.
 pub fn parse(bytes: &[u8]) -> Result<Recording, String> {
     let options = mcap::read::Options::IgnoreEndMagic | mcap::read::Options::ValidateChunkCrcs;
     let records = mcap::read::ChunkFlattener::new_with_options(bytes, options).map_err(|error| error.to_string())?;
@@ -266,7 +266,7 @@ pub fn parse(bytes: &[u8]) -> Result<Recording, String> {
     let mut rows: Option<(u16, MessageDescriptor)> = None;
     let mut events = None;
     for record in records {
-        // Whatever is behind the last whole record belongs to none.
+        // Data behind the last complete record is ignored.
         let Ok(record) = record else { break };
         match record {
             Record::Metadata(Metadata { name, metadata }) if name == HEAD || name == END => {
@@ -277,7 +277,7 @@ pub fn parse(bytes: &[u8]) -> Result<Recording, String> {
                 schemas.insert(header.id, (header.name, data.into_owned()));
             }
             Record::Channel(channel) => {
-                let message = schemas.get(&channel.schema_id).and_then(|(name, set)| protobuf::described(set, name));
+                let message = schemas.get(&channel.schema_id).and_then(|(name, set)| protobuf::find_message(set, name));
                 match (channel.topic.as_str(), message) {
                     ("/rows", Some(message)) => {
                         recording.columns = protobuf::names(&message);
@@ -302,6 +302,6 @@ pub fn parse(bytes: &[u8]) -> Result<Recording, String> {
     }
     match rows {
         Some(_) => Ok(recording),
-        None => Err("it has no channel /rows of protocol buffers: no recording of `haptic record`".into()),
+        None => Err("it has no channel /rows of protocol buffers, so it is not a recording of `haptic record`".into()),
     }
 }

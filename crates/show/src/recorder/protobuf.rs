@@ -1,5 +1,5 @@
-//! A recording's messages as protocol buffers: plain numbers and texts, beside the `FileDescriptorSet` that describes them,
-//! which is what an MCAP file carries as their schema.
+//! A recording's messages as protocol buffers (numbers and texts), with the `FileDescriptorSet` that describes them:
+//! the schema in an MCAP file.
 
 use prost_reflect::prost::Message as _;
 use prost_reflect::prost_types::field_descriptor_proto::Label;
@@ -10,14 +10,14 @@ use prost_reflect::{DescriptorPool, DynamicMessage, MessageDescriptor, Value};
 
 pub use prost_reflect::prost_types::field_descriptor_proto::Type;
 
-/// A field of a message: its name and kind. Fields are numbered from 1 in their order.
+/// Name and type of a message's field. Fields are numbered from 1 in their order.
 pub type Field = (String, Type);
 
-/// Describes a message `haptic.NAME`. Fields of the kind [`Type::Enum`] are `haptic.State`, with these words.
+/// Describes a message `haptic.NAME`. Fields of type [`Type::Enum`] are `haptic.State`, with these words.
 ///
 /// # Errors
 ///
-/// Names that are not an identifier of the format, or that come twice.
+/// Returns an error for names that are not identifiers of the format, and for duplicate names.
 pub fn describe(name: &str, fields: &[Field], states: &[&str]) -> Result<MessageDescriptor, String> {
     let field = |(index, (name, kind)): (usize, &Field)| FieldDescriptorProto {
         name: Some(name.clone()),
@@ -47,7 +47,7 @@ pub fn describe(name: &str, fields: &[Field], states: &[&str]) -> Result<Message
             ..DescriptorProto::default()
         }],
         enum_type: if states.is_empty() { Vec::new() } else { vec![state] },
-        // A field that is set is written, also with -0, which proto3 leaves out here.
+        // A field that is set is written, also with -0, which proto3 leaves out.
         syntax: Some("proto2".into()),
         ..FileDescriptorProto::default()
     };
@@ -57,17 +57,17 @@ pub fn describe(name: &str, fields: &[Field], states: &[&str]) -> Result<Message
     pool.get_message_by_name(&message).ok_or_else(|| format!("{message} is not described"))
 }
 
-/// The message of this full name that a schema describes.
-pub fn described(set: &[u8], message: &str) -> Option<MessageDescriptor> {
+/// Returns the message with this full name from a schema.
+pub fn find_message(set: &[u8], message: &str) -> Option<MessageDescriptor> {
     DescriptorPool::decode(set).ok()?.get_message_by_name(message)
 }
 
-/// The names of a message's fields, in the order of their numbers.
+/// Returns the names of a message's fields, in the order of their numbers.
 pub fn names(message: &MessageDescriptor) -> Vec<String> {
     message.fields().map(|field| field.name().to_owned()).collect()
 }
 
-/// A message with one number for each field, in the order of their numbers, as its kind has it.
+/// Encodes a message with one number for each field, in the order of their numbers, in the field's type.
 pub fn pack(message: &MessageDescriptor, numbers: impl IntoIterator<Item = f64>) -> Vec<u8> {
     let mut packed = DynamicMessage::new(message.clone());
     for (field, number) in message.fields().zip(numbers) {
@@ -85,18 +85,18 @@ pub fn pack(message: &MessageDescriptor, numbers: impl IntoIterator<Item = f64>)
     packed.encode_to_vec()
 }
 
-/// A message of one text.
+/// Encodes a message with one text.
 pub fn pack_text(message: &MessageDescriptor, text: &str) -> Vec<u8> {
     let mut packed = DynamicMessage::new(message.clone());
     message.fields().for_each(|field| packed.set_field(&field, Value::String(text.into())));
     packed.encode_to_vec()
 }
 
-/// A message's numbers in the order of its fields' numbers: 0 where one is left out; NaN in the place of
-/// what is no number, and throughout where the message is not whole.
+/// Decodes a message's numbers in the order of its fields' numbers: 0 for a missing field; NaN for a field that is not
+/// a number, and for all fields if the message is incomplete.
 pub fn values(message: &MessageDescriptor, bytes: &[u8]) -> Vec<f64> {
-    let whole = DynamicMessage::decode(message.clone(), bytes);
-    let number = |field| match whole.as_ref().ok().map(|whole| whole.get_field(&field).into_owned()) {
+    let decoded = DynamicMessage::decode(message.clone(), bytes);
+    let number = |field| match decoded.as_ref().ok().map(|message| message.get_field(&field).into_owned()) {
         Some(Value::F64(number)) => number,
         Some(Value::F32(number)) => number.into(),
         Some(Value::U32(number)) => number.into(),
@@ -106,10 +106,10 @@ pub fn values(message: &MessageDescriptor, bytes: &[u8]) -> Vec<f64> {
     message.fields().map(number).collect()
 }
 
-/// The first text of a message.
+/// Decodes the first text of a message.
 pub fn first_text(message: &MessageDescriptor, bytes: &[u8]) -> Option<String> {
-    let whole = DynamicMessage::decode(message.clone(), bytes).ok()?;
-    message.fields().find_map(|field| whole.get_field(&field).as_str().map(Into::into))
+    let decoded = DynamicMessage::decode(message.clone(), bytes).ok()?;
+    message.fields().find_map(|field| decoded.get_field(&field).as_str().map(Into::into))
 }
 
 #[cfg(test)]
@@ -121,23 +121,23 @@ mod tests {
     }
 
     #[test]
-    fn what_is_packed_is_unpacked_by_its_description() {
+    fn packed_messages_are_decoded_with_their_description() {
         let kinds = [("step", Type::Uint32), ("time_s", Type::Double), ("q0", Type::Float), ("n", Type::Sfixed32)];
         let written = describe("Row", &fields(&kinds), &[]).unwrap();
         let set = written.parent_pool().encode_to_vec();
-        let read = described(&set, "haptic.Row").unwrap();
+        let read = find_message(&set, "haptic.Row").unwrap();
         assert_eq!(names(&read), kinds.map(|(name, _)| name));
-        assert!(described(&set, "haptic.Column").is_none());
+        assert!(find_message(&set, "haptic.Column").is_none());
         for row in [[4e9, -0.1, f64::from(0.1_f32), -2_147_483_648.0], [0.0, -0.0, -0.0, 0.0]] {
             let bits = |row: &[f64]| row.iter().map(|number| number.to_bits()).collect::<Vec<_>>();
             assert_eq!(bits(&values(&read, &pack(&written, row))), bits(&row));
         }
-        assert_eq!(values(&read, &[])[1..], [0.0; 3], "what is not there is 0");
+        assert_eq!(values(&read, &[])[1..], [0.0; 3], "a missing field is 0");
     }
 
-    /// The bytes of docs.protobuf's own example: a message with field 1 set to 150 is 08 96 01.
+    /// The example of the protocol buffers documentation: a message with field 1 set to 150 is 08 96 01.
     #[test]
-    fn numbers_are_packed_as_the_format_says() {
+    fn numbers_are_packed_as_in_the_documentation() {
         let row = describe("Row", &fields(&[("a", Type::Uint32)]), &[]).unwrap();
         assert_eq!(pack(&row, [150.0]), [0x08, 0x96, 0x01]);
         let event = describe("Event", &fields(&[("text", Type::String)]), &[]).unwrap();

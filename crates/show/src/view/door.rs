@@ -1,11 +1,11 @@
-//! The door: HTTP and WebSocket on one port of this computer.
+//! The page's server: HTTP and WebSocket on one port of this computer.
 //!
-//! Who has not yet shown that he may come in has one of a few places for a short time, and gives it to whoever comes after
-//! him; who may has another. No page costs more than a bounded memory, or is listened to more often than it is its turn.
+//! An unauthenticated connection gets one of a few places for a short time and loses it to later connections; an
+//! authenticated one gets a place of another kind. A page uses bounded memory, and takes turns with the others.
 //!
-//! `GET /` is the page, `GET /live` the WebSocket behind it. Only this computer is let in unless the address says more,
-//! and then only who knows the token. A page of another site that runs in the same browser is kept out as well: the
-//! request must name this server by its address (or `localhost`), and come from a page of this server.
+//! `GET /` is the page, `GET /live` its WebSocket. Only this computer can connect unless the address allows others, who
+//! then need the token. Pages of other sites in the same browser are refused as well: the request must name this server
+//! by its address (or `localhost`), and come from a page of this server.
 
 use super::hub::{self, Hub, PageId};
 use super::message::FromPage;
@@ -22,7 +22,7 @@ use tungstenite::handshake::server::{Request, create_response, write_response};
 use tungstenite::protocol::{Role, WebSocketConfig};
 use tungstenite::{Message, WebSocket};
 
-/// The page: its style and its scripts stand where page.html names them.
+/// The page, with style and scripts inserted where page.html names them.
 static PAGE: LazyLock<String> = LazyLock::new(|| {
     let parts = [
         ("style.css", include_str!("page/style.css")),
@@ -36,41 +36,41 @@ static PAGE: LazyLock<String> = LazyLock::new(|| {
     let page = include_str!("page/page.html").to_owned();
     parts.iter().fold(page, |page, (name, text)| page.replacen(&format!("/* {name} */\n"), text, 1))
 });
-/// The page's rights: it may run what is in it and talk to its own server, and use nothing else of the network.
+/// The page's rights: it may run its own scripts and connect to its own server, and use nothing else of the network.
 const POLICY: &str = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:; \
                       connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
-/// Longest head of a request, bytes.
-const HEAD: usize = 8192;
-/// Longest time that a head may take to come: browsers open connections before they use them. Silent connections are
-/// closed first if places are short, so the long wait does no harm.
+/// Maximum length of a request's head, bytes.
+const MAX_HEAD: usize = 8192;
+/// Time limit for a head: browsers open connections before they use them. Silent connections are closed first if places
+/// are short, so the long limit does no harm.
 const HEAD_TIME: Duration = Duration::from_secs(10);
-/// Connections at once whose head has not been read, and of these from one address: a browser opens six.
+/// Maximum number of connections whose head has not been read, in total and from one address: a browser opens six.
 const HANDSHAKES: (usize, usize) = (32, 8);
-/// Longest message of a page, bytes.
-const MESSAGE: usize = 16 * 1024;
-/// Time for which a page's thread listens before it checks for messages to the page: 8 ms, half a picture.
+/// Maximum length of a page's message, bytes.
+const MAX_MESSAGE: usize = 16 * 1024;
+/// Time for which a page's thread reads before it sends messages: 8 ms, half a picture.
 const LISTEN: Duration = Duration::from_millis(8);
-/// Number of a page's messages that it hears in that time; a page that says more waits.
-const MESSAGES: usize = 32;
-/// Most bytes that wait on their way to a page: some pictures with sweeps and sound.
-const UNREAD: usize = 4 * 1024 * 1024;
-/// Longest time for which a page may leave what it was sent unread.
+/// Maximum number of a page's messages in that time; further messages wait.
+const MAX_MESSAGES: usize = 32;
+/// Maximum number of bytes on their way to a page: some pictures with sweeps and sound.
+const MAX_UNREAD: usize = 4 * 1024 * 1024;
+/// Longest time for which a page may leave data unread.
 const SEND: Duration = Duration::from_secs(2);
-/// Connections at once of those who may come in, pages and others.
-const CONNECTIONS: usize = 64;
+/// Maximum number of authenticated connections, of pages and others.
+const MAX_CONNECTIONS: usize = 64;
 
-/// For whom an address that is printed is of use.
+/// Clients that can use a printed address.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reach {
-    /// Whoever reaches the address that was asked for.
+    /// The clients that reach the requested address.
     Address,
-    /// All addresses were asked for; the one that is printed is known to others.
+    /// The server listens on all addresses, and the printed address is known to other computers.
     Others,
-    /// All addresses were asked for, and which of them others know is not known.
+    /// The server listens on all addresses, and the address for other computers is not known.
     Unknown,
 }
 
-/// A port that browsers open.
+/// A port for browsers.
 #[derive(Debug)]
 pub struct PageListener {
     listener: TcpListener,
@@ -78,25 +78,25 @@ pub struct PageListener {
 }
 
 impl PageListener {
-    /// Listens. Beyond this computer a token is asked for, which is drawn at random here.
+    /// Listens. Clients beyond this computer need a token, which is drawn at random here.
     pub fn open(address: SocketAddr) -> io::Result<Self> {
         let listener = TcpListener::bind(address)?;
         let token = if address.ip().is_loopback() { None } else { Some(token()?) };
         Ok(Self { listener, token })
     }
 
-    /// The address to open in a browser.
+    /// Returns the address to open in a browser.
     pub fn url(&self) -> io::Result<String> {
         let mut address = self.listener.local_addr()?;
         if address.ip().is_unspecified() {
-            // Every address of this computer, and none that a browser could open.
+            // An unspecified address means all addresses; a browser cannot open it.
             address.set_ip(outward(address.ip()).unwrap_or(local(address.ip())));
         }
         let token = self.token.as_ref().map_or(String::new(), |token| format!("?token={token}"));
         Ok(format!("http://{address}/{token}"))
     }
 
-    /// Who can use [`Self::url`].
+    /// Returns the clients that can use [`Self::url`].
     pub fn reach(&self) -> io::Result<Reach> {
         let ip = self.listener.local_addr()?.ip();
         Ok(match ip.is_unspecified() {
@@ -106,7 +106,7 @@ impl PageListener {
         })
     }
 
-    /// Lets pages in from now on, on threads of their own.
+    /// Serves pages from now on, on separate threads.
     pub fn serve(self, hub: Hub) {
         let token = Arc::new(self.token);
         let open = Arc::new(AtomicUsize::new(0));
@@ -117,22 +117,22 @@ impl PageListener {
                 let Some(place) = handshakes.enter(&stream) else { continue };
                 let (hub, token, open) = (hub.clone(), Arc::clone(&token), Arc::clone(&open));
                 thread::spawn(move || {
-                    // A connection that fails is the browser's business: it says so and comes again.
-                    let _ = greet(stream, place, &hub, token.as_deref(), &open);
+                    // A failed connection concerns only the browser, which reports it and retries.
+                    let _ = handle_connection(stream, place, &hub, token.as_deref(), &open);
                 });
             }
         });
     }
 }
 
-/// This computer's address as others know it: the one that it would send from. Nothing is sent.
+/// Returns this computer's address for others: the source address for sending. Nothing is sent.
 fn outward(all: IpAddr) -> Option<IpAddr> {
-    let somewhere: IpAddr = match all {
+    let target: IpAddr = match all {
         IpAddr::V4(_) => Ipv4Addr::new(192, 0, 2, 1).into(),
         IpAddr::V6(_) => Ipv6Addr::new(0x2001, 0xdb8, 0, 0, 0, 0, 0, 1).into(),
     };
     let socket = UdpSocket::bind((all, 0)).ok()?;
-    socket.connect((somewhere, 9)).ok()?;
+    socket.connect((target, 9)).ok()?;
     let from = socket.local_addr().ok()?.ip();
     (!from.is_unspecified() && !from.is_loopback()).then_some(from)
 }
@@ -141,34 +141,34 @@ fn local(all: IpAddr) -> IpAddr {
     if all.is_ipv4() { Ipv4Addr::LOCALHOST.into() } else { Ipv6Addr::LOCALHOST.into() }
 }
 
-/// 128 random bits, which cannot be guessed.
+/// Returns 128 random bits, which cannot be guessed.
 pub(crate) fn token() -> io::Result<String> {
     let mut bytes = [0_u8; 16];
     getrandom::fill(&mut bytes).map_err(io::Error::other)?;
     Ok(bytes.iter().map(|byte| format!("{byte:02x}")).collect())
 }
 
-/// Reads the head of a GET request; `None` for any other request, a head that is too long, and one that comes too late.
-/// A connection on which nothing was asked is closed: a browser would take an answer for that to its next request.
-pub(crate) fn head(stream: &mut TcpStream) -> Option<Request> {
+/// Reads the head of a GET request; `None` for any other request, and for a head that is too long or too late. A
+/// connection without a request is closed, because a browser would take a reply for the reply to its next request.
+pub(crate) fn read_request(stream: &mut TcpStream) -> Option<Request> {
     let mut bytes = Vec::new();
-    let request = read_head(stream, &mut bytes);
+    let request = try_read_request(stream, &mut bytes);
     if bytes.is_empty() {
         let _ = stream.shutdown(Shutdown::Both);
     }
     request
 }
 
-fn read_head(stream: &mut TcpStream, bytes: &mut Vec<u8>) -> Option<Request> {
+fn try_read_request(stream: &mut TcpStream, bytes: &mut Vec<u8>) -> Option<Request> {
     let began = Instant::now();
-    while bytes.len() < HEAD {
+    while bytes.len() < MAX_HEAD {
         let left = HEAD_TIME.checked_sub(began.elapsed()).filter(|left| !left.is_zero())?;
         stream.set_read_timeout(Some(left)).ok()?;
         let mut buffer = [0; 1024];
         let count = stream.read(&mut buffer).ok().filter(|count| *count > 0)?;
         bytes.extend(&buffer[..count]);
         match Request::try_parse(bytes) {
-            // A WebSocket's client sends nothing between its request and the answer; anything more is refused.
+            // A WebSocket client sends nothing between its request and the reply; further bytes are refused.
             Ok(Some(_)) if bytes.ends_with(b"\r\n\r\n") => {
                 return Request::try_parse(bytes).ok()?.map(|(_, read)| read);
             }
@@ -179,16 +179,16 @@ fn read_head(stream: &mut TcpStream, bytes: &mut Vec<u8>) -> Option<Request> {
     None
 }
 
-/// Why a request is not served: status and words.
-type Refused = (&'static str, &'static str);
+/// Reason for a refusal: status and words.
+type Refusal = (&'static str, &'static str);
 
-/// The token that a request shows.
-pub(crate) fn shown_token(request: &Request) -> Option<&str> {
+/// Returns the token in a request.
+pub(crate) fn request_token(request: &Request) -> Option<&str> {
     request.uri().query().unwrap_or_default().split('&').find_map(|part| part.strip_prefix("token="))
 }
 
-/// Checks that a request comes from a page of this server, and from somebody who may use it.
-fn admit(request: &Request, token: Option<&str>) -> Result<(), Refused> {
+/// Checks that a request comes from a page of this server, with the token if one is needed.
+fn check_access(request: &Request, token: Option<&str>) -> Result<(), Refusal> {
     let header = |name: &str| request.headers().get(name).and_then(|value| value.to_str().ok());
     let host = header("host").unwrap_or_default();
     let name = host.rsplit_once(':').map_or(host, |(name, _)| name).trim_start_matches('[').trim_end_matches(']');
@@ -198,13 +198,13 @@ fn admit(request: &Request, token: Option<&str>) -> Result<(), Refused> {
     if header("origin").is_some_and(|origin| origin != format!("http://{host}")) {
         return Err(("403 Forbidden", "this page belongs to another site"));
     }
-    if token.is_some_and(|token| shown_token(request) != Some(token)) {
+    if token.is_some_and(|token| request_token(request) != Some(token)) {
         return Err(("403 Forbidden", "the token is missing or wrong: open the address that `haptic view` printed"));
     }
     Ok(())
 }
 
-fn greet(
+fn handle_connection(
     mut stream: TcpStream,
     place: Place,
     hub: &Hub,
@@ -213,24 +213,24 @@ fn greet(
 ) -> tungstenite::Result<()> {
     stream.set_nodelay(true)?;
     stream.set_write_timeout(Some(SEND))?;
-    let Some(request) = head(&mut stream) else {
-        return answer(&mut stream, ("400 Bad Request", "not a request that this server understands"));
+    let Some(request) = read_request(&mut stream) else {
+        return respond(&mut stream, ("400 Bad Request", "not a request that this server understands"));
     };
-    if let Err(refused) = admit(&request, token) {
-        return answer(&mut stream, refused);
+    if let Err(refusal) = check_access(&request, token) {
+        return respond(&mut stream, refusal);
     }
     drop(place);
-    let ended = match (open.fetch_add(1, Ordering::SeqCst) < CONNECTIONS, request.uri().path()) {
-        (false, _) => answer(&mut stream, ("503 Service Unavailable", "too many connections are open")),
-        (true, "/") => page(&mut stream),
+    let result = match (open.fetch_add(1, Ordering::SeqCst) < MAX_CONNECTIONS, request.uri().path()) {
+        (false, _) => respond(&mut stream, ("503 Service Unavailable", "too many connections are open")),
+        (true, "/") => send_page(&mut stream),
         (true, "/live") => live(stream, &request, hub),
-        (true, _) => answer(&mut stream, ("404 Not Found", "nothing is here; the page is at /")),
+        (true, _) => respond(&mut stream, ("404 Not Found", "nothing is here; the page is at /")),
     };
     open.fetch_sub(1, Ordering::SeqCst);
-    ended
+    result
 }
 
-fn page(stream: &mut TcpStream) -> tungstenite::Result<()> {
+fn send_page(stream: &mut TcpStream) -> tungstenite::Result<()> {
     write!(
         stream,
         "HTTP/1.1 200 OK\r\nContent-Type: text/html; charset=utf-8\r\nContent-Length: {}\r\n\
@@ -242,7 +242,7 @@ fn page(stream: &mut TcpStream) -> tungstenite::Result<()> {
     Ok(())
 }
 
-fn answer(stream: &mut TcpStream, (status, words): Refused) -> tungstenite::Result<()> {
+fn respond(stream: &mut TcpStream, (status, words): Refusal) -> tungstenite::Result<()> {
     write!(
         stream,
         "HTTP/1.1 {status}\r\nContent-Type: text/plain; charset=utf-8\r\nContent-Length: {}\r\nConnection: close\r\n\r\n\
@@ -254,14 +254,14 @@ fn answer(stream: &mut TcpStream, (status, words): Refused) -> tungstenite::Resu
 
 fn live(mut stream: TcpStream, request: &Request, hub: &Hub) -> tungstenite::Result<()> {
     let Ok(response) = create_response(request) else {
-        return answer(&mut stream, ("400 Bad Request", "this address is a WebSocket; the page is at /"));
+        return respond(&mut stream, ("400 Bad Request", "this address is a WebSocket; the page is at /"));
     };
     let Some(id) = hub.come() else {
-        return answer(&mut stream, ("503 Service Unavailable", "too many pages are open"));
+        return respond(&mut stream, ("503 Service Unavailable", "too many pages are open"));
     };
-    let ended = converse(stream, &response, hub, id);
+    let result = converse(stream, &response, hub, id);
     hub.go(id);
-    ended
+    result
 }
 
 fn converse(
@@ -273,13 +273,13 @@ fn converse(
     write_response(&mut stream, response)?;
     stream.set_read_timeout(Some(LISTEN))?;
     let config = WebSocketConfig::default()
-        .max_message_size(Some(MESSAGE))
-        .max_frame_size(Some(MESSAGE))
-        .max_write_buffer_size(UNREAD);
+        .max_message_size(Some(MAX_MESSAGE))
+        .max_frame_size(Some(MAX_MESSAGE))
+        .max_write_buffer_size(MAX_UNREAD);
     let mut socket = WebSocket::from_raw_socket(stream, Role::Server, Some(config));
     loop {
         let began = Instant::now();
-        for heard in 1..=MESSAGES {
+        for count in 1..=MAX_MESSAGES {
             match socket.read() {
                 Ok(Message::Text(text)) => hub.said(id, FromPage::parse(&text)),
                 Ok(Message::Binary(_)) => hub.said(id, Err("not a message of this page: it is binary".into())),
@@ -289,8 +289,8 @@ fn converse(
                 Err(error) => return Err(error),
             }
             match LISTEN.checked_sub(began.elapsed()) {
-                // A page that has said so much says the rest when it is its turn again.
-                Some(left) if heard == MESSAGES => thread::sleep(left),
+                // After the maximum number of messages, the rest waits for the page's next turn.
+                Some(left) if count == MAX_MESSAGES => thread::sleep(left),
                 Some(_) => {}
                 None => break,
             }
@@ -314,43 +314,45 @@ mod tests {
     }
 
     #[test]
-    fn only_pages_of_this_server_by_its_address_are_let_in() {
-        let from = |host: &str, origin: &str| {
+    fn only_pages_of_this_server_are_admitted() {
+        let is_admitted = |host: &str, origin: &str| {
             let origin = if origin.is_empty() { String::new() } else { format!("Origin: {origin}\r\n") };
-            admit(&request(&format!("GET /live HTTP/1.1\r\nHost: {host}\r\n{origin}\r\n")), None).is_ok()
+            check_access(&request(&format!("GET /live HTTP/1.1\r\nHost: {host}\r\n{origin}\r\n")), None).is_ok()
         };
-        assert!(from("127.0.0.1:7720", "") && from("localhost:7720", "http://localhost:7720"));
-        assert!(from("[::1]:7720", "http://[::1]:7720"));
-        // A name that somebody else's server resolves to this computer, and a page of another site.
-        assert!(!from("evil.example:7720", "") && !from("", ""));
-        assert!(!from("127.0.0.1:7720", "http://evil.example") && !from("127.0.0.1:7720", "null"));
-        assert!(!from("127.0.0.1:7720", "http://127.0.0.1:7721"));
+        assert!(is_admitted("127.0.0.1:7720", "") && is_admitted("localhost:7720", "http://localhost:7720"));
+        assert!(is_admitted("[::1]:7720", "http://[::1]:7720"));
+        // A foreign name that resolves to this computer, and a page of another site.
+        assert!(!is_admitted("evil.example:7720", "") && !is_admitted("", ""));
+        assert!(!is_admitted("127.0.0.1:7720", "http://evil.example") && !is_admitted("127.0.0.1:7720", "null"));
+        assert!(!is_admitted("127.0.0.1:7720", "http://127.0.0.1:7721"));
     }
 
     #[test]
-    fn a_token_is_asked_for_where_there_is_one() {
-        let with = |query: &str| {
-            admit(&request(&format!("GET /{query} HTTP/1.1\r\nHost: 10.0.0.1\r\n\r\n")), Some("abc")).is_ok()
+    fn requests_need_the_token_if_there_is_one() {
+        let is_admitted = |query: &str| {
+            check_access(&request(&format!("GET /{query} HTTP/1.1\r\nHost: 10.0.0.1\r\n\r\n")), Some("abc")).is_ok()
         };
-        assert!(with("?token=abc") && with("?a=b&token=abc"));
-        assert!(!with("") && !with("?token=") && !with("?token=abcd") && !with("?nottoken=abc"));
+        assert!(is_admitted("?token=abc") && is_admitted("?a=b&token=abc"));
+        assert!(
+            !is_admitted("") && !is_admitted("?token=") && !is_admitted("?token=abcd") && !is_admitted("?nottoken=abc")
+        );
         assert_eq!(token().unwrap().len(), 32);
         assert_ne!(token().unwrap(), token().unwrap());
     }
 
     #[test]
-    fn the_page_names_no_other_place() {
+    fn the_page_loads_nothing_from_elsewhere() {
         assert!(!PAGE.contains(".js */") && !PAGE.contains(".css */"));
-        // The name of SVG's elements is no address.
+        // The XML namespace of SVG is not an address.
         let page = PAGE.replace("http://www.w3.org/2000/svg", "");
         assert!(!page.contains("https://") && !page.contains("http://www") && !page.contains("src="));
     }
 
     #[test]
-    fn lessons_name_files_that_ship() {
+    fn lessons_use_shipped_files() {
         let devices = concat!(env!("CARGO_MANIFEST_DIR"), "/../../devices/");
         let links = PAGE.split("\"device=").skip(1).filter_map(|rest| rest.split(['&', '"']).next());
-        // The demo needs none.
+        // The demo needs no file.
         let named: Vec<&str> = links.filter(|name| !["", "coupled-five-bar"].contains(name)).collect();
         assert!(named.len() >= 3, "{named:?}");
         for name in named {
@@ -362,17 +364,17 @@ mod tests {
     }
 
     #[test]
-    fn feed_forward_has_the_colours_that_it_has_in_every_picture() {
+    fn feed_forward_has_the_same_colours_as_in_pictures() {
         use crate::plot::colour::{FULL, OFF, WASHOUT};
-        // On a dark ground the same hues, lighter.
+        // On a dark background the same hues, lighter.
         for [off, full, washout] in [[OFF, FULL, WASHOUT], ["#56B4E9", "#FF9155", "#3ECDA3"]] {
             assert!(PAGE.contains(&format!("--off: {off}; --full: {full}; --washout: {washout};")), "{off}");
         }
     }
 
-    /// WCAG 2.2, level AA: 4.5 for words, 3 for lines and symbols.
+    /// WCAG 2.2, level AA: 4.5 for text, 3 for lines and symbols.
     #[test]
-    fn words_and_lines_stand_out_from_their_ground() {
+    fn text_and_lines_have_enough_contrast() {
         let luminance = |colour: &str| {
             let [r, g, b] = [1, 3, 5].map(|at| {
                 let share = f64::from(u8::from_str_radix(&colour[at..at + 2], 16).unwrap()) / 255.0;
@@ -384,20 +386,20 @@ mod tests {
         assert_eq!(blocks.len(), 2, "light and dark");
         for block in blocks {
             let of = |name: &str| luminance(block.split(&format!("--{name}: ")).nth(1).unwrap());
-            let stands_out = |name: &str, ground: &str, least: f64| {
+            let check = |name: &str, ground: &str, min: f64| {
                 let contrast = of(name) / of(ground);
                 let contrast = contrast.max(1.0 / contrast);
-                assert!(contrast >= least, "{name} on {ground}: {contrast:.2} in {block}");
+                assert!(contrast >= min, "{name} on {ground}: {contrast:.2} in {block}");
             };
             for words in ["ink", "dim", "bad", "accent"] {
-                stands_out(words, "card", 4.5);
-                stands_out(words, "soft", 4.5);
+                check(words, "card", 4.5);
+                check(words, "soft", 4.5);
             }
             for words in ["good", "hand", "force", "a", "b", "off-name", "full-name", "washout-name"] {
-                stands_out(words, "card", 4.5);
+                check(words, "card", 4.5);
             }
             for line in ["off", "full", "washout", "ellipse", "spring", "trail", "hatch", "link", "tip"] {
-                stands_out(line, "card", 3.0);
+                check(line, "card", 3.0);
             }
         }
     }

@@ -3,7 +3,7 @@
 use haptic_bridge::render::scene::FeedForward;
 use serde::{Deserialize, Serialize};
 
-/// A message from a page. Those without content are written with braces, so that unknown keys in them are refused.
+/// A message from a page. Messages without content have braces, so that unknown keys in them are refused.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(tag = "do", rename_all = "kebab-case", deny_unknown_fields)]
 pub enum FromPage {
@@ -11,65 +11,66 @@ pub enum FromPage {
     Here {},
     /// Take command, if no page has it.
     Take {},
-    /// Give it back.
+    /// Give up command.
     Give {},
     /// The dead man's key was pressed: motors on.
     Arm {
         /// As in [`FromPage::Hold`].
         seen: u32,
     },
-    /// It is still down; said several times a second. Where it is not known to be, nothing happens: only a press arms.
+    /// The key is still down; sent several times a second. It never turns the motors on, because only a press arms.
     Hold {
-        /// The control step of the newest picture that whatever sees the key had before it saw it down: by this the board
-        /// knows how long ago that was.
+        /// Control step of the newest picture that the page had received before it saw the key down. It tells the board
+        /// the age of the key press.
         seen: u32,
     },
-    /// It was let go: motors off.
+    /// The key was released: motors off.
     Release {},
-    /// Motors off. Any page may.
+    /// Motors off, from any page.
     Disarm {},
     /// Clear a fault.
     Clear {},
-    /// New gains of a wall.
+    /// Set the gains of a wall.
     Gains {
-        /// Which, from 0.
+        /// Index of the wall, from 0.
         wall: u8,
-        /// N/m
+        /// Stiffness, N/m.
         stiffness: f32,
-        /// N s/m
+        /// Damping, N s/m.
         damping: f32,
-        /// The kind of feed-forward of its force.
+        /// Feed-forward of the wall's force.
         feed_forward: FeedForward,
-        /// Also where they are predicted to be unstable.
+        /// True to set gains that are predicted to be unstable.
         #[serde(default)]
         beyond: bool,
     },
-    /// Move a wall: its point (a round wall's centre), m. A plane keeps its direction unless a new normal is given.
+    /// Move a wall: its point (the centre of a round wall), m. A plane keeps its direction unless a new normal is
+    /// given.
     Wall {
-        /// Which, from 0.
+        /// Index of the wall, from 0.
         wall: u8,
-        /// The new place, in the plane that is drawn.
+        /// New position, in the drawn plane, m.
         point: [f32; 2],
-        /// The plane's new normal, of any length.
+        /// New normal of the plane, of any length.
         #[serde(default)]
         normal: Option<[f32; 2]>,
     },
-    /// The place to which the hand goes, m; without one it lets go. On a simulated device.
+    /// Move the simulated hand to a position, m; without a position it lets go.
     Hand {
-        /// In the plane that is drawn.
+        /// Position in the drawn plane.
         at: Option<[f64; 2]>,
     },
-    /// Put a simulated device and its scene back to how they were in the beginning, with the motors off.
+    /// Reset a simulated device and its scene to the start, with the motors off.
     StartOver {
-        /// In another pose than the first, rad.
+        /// Pose to use instead of the first, rad.
         #[serde(default)]
         pose: Option<Vec<f64>>,
     },
-    /// Say what limits the stiffness of the nearest wall: with the next boundary.
+    /// Explain the limiting effects of the nearest wall, with the next boundary.
     Explain {},
     /// Settings of this page's oscilloscope.
     Scope(ScopeRequest),
-    /// Begin or end a recording, in the folder of the tool.
+    /// Start or stop a recording, in the folder of the tool.
     Record {
         /// On or off.
         on: bool,
@@ -85,34 +86,34 @@ pub enum FromPage {
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct ScopeRequest {
-    /// Columns of telemetry by their labels, up to four.
+    /// Labels of the telemetry columns, up to four.
     pub channels: Vec<String>,
-    /// The time that is shown, s.
+    /// Duration of the window, s.
     pub seconds: f64,
-    /// The trigger of a sweep; without one it rolls.
+    /// Trigger of a sweep; `None` for a rolling sweep.
     #[serde(default)]
     pub trigger: Option<Trigger>,
 }
 
-/// The condition that starts a sweep.
+/// Condition that starts a sweep.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct Trigger {
-    /// The column that is watched.
+    /// Label of the trigger's column.
     pub channel: String,
-    /// The level that it crosses, in the column's unit.
+    /// Level, in the column's unit.
     pub level: f64,
-    /// Upwards or downwards.
+    /// True for upward crossings.
     pub rising: bool,
-    /// Share of the window that is shown from before the crossing, 0 to 1.
+    /// Share of the window before the crossing, 0 to 1.
     pub before: f64,
-    /// Stop after one sweep.
+    /// True to stop after one sweep.
     #[serde(default)]
     pub once: bool,
 }
 
 impl FromPage {
-    /// Reads a message. The error says what is wrong with it.
+    /// Parses a message. The error describes the mistake.
     pub fn parse(text: &str) -> Result<Self, String> {
         serde_json::from_str(text).map_err(|error| format!("not a message of this page: {error}"))
     }
@@ -123,7 +124,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn messages_are_read_and_what_is_none_is_refused() {
+    fn messages_are_parsed_and_invalid_ones_are_refused() {
         assert_eq!(FromPage::parse(r#"{"do":"arm","seen":1}"#), Ok(FromPage::Arm { seen: 1 }));
         assert_eq!(FromPage::parse(r#"{"do":"hand","at":null}"#), Ok(FromPage::Hand { at: None }));
         assert_eq!(FromPage::parse(r#"{"do":"start-over"}"#), Ok(FromPage::StartOver { pose: None }));

@@ -1,6 +1,6 @@
-//! One moment as a page draws it: where everything is, and the numbers beside it.
+//! One moment as a page draws it: positions and numbers.
 //!
-//! A planar device is drawn as it is. Of a device in space the x-y plane is drawn, which is that of the linkage at
+//! A planar device is drawn as it is. A device in space is drawn in the xy plane, which is the plane of the linkage at
 //! joint 0 = 0.
 
 use super::scope::Ring;
@@ -17,7 +17,7 @@ use haptic_stability::skeleton::skeleton;
 use nalgebra::{DVector, Vector3};
 use serde::Serialize;
 
-/// Fields that are streamed for the page and recorded: all that `haptic replay` needs is among them.
+/// Fields that are streamed for the page and recorded; they include the fields that `haptic replay` needs.
 pub const FIELDS: Fields = Fields(
     Field::Angle.bit()
         | Field::Tip.bit()
@@ -32,24 +32,24 @@ pub const FIELDS: Fields = Fields(
         | Field::State.bit(),
 );
 
-/// Over how long ripple, saturation and power are taken, s.
+/// Time over which ripple, saturation and power are computed, s.
 const RECENT: f64 = 0.1;
-/// Over how long the frequency of a swing is taken, s: three periods of 10 Hz.
-const SWING: f64 = 0.3;
+/// Time over which the frequency of an oscillation is computed, s: three periods of 10 Hz.
+const OSCILLATION: f64 = 0.3;
 
-/// A point or a vector of the plane that is drawn.
+/// A point or a vector of the drawn plane.
 type Flat = [f64; 2];
 
-/// The ellipse of effective inertia: Λ's, whose half axes are what is met along them.
+/// The ellipse of effective inertia, from Λ: each half axis is the inertia that a push along it meets.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Ellipse {
     /// Largest and smallest effective inertia, kg.
     pub axes: Flat,
-    /// Direction of the largest, rad from +x.
+    /// Direction of the largest effective inertia, rad from +x.
     pub angle: f64,
 }
 
-/// The geometry of a moment.
+/// Geometry of a moment.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Geometry {
     /// Tip, m.
@@ -62,37 +62,37 @@ pub struct Geometry {
     pub ellipse: Option<Ellipse>,
     /// Force of the motors at the tip, N.
     pub force: Flat,
-    /// The anchor of each of the scene's springs: its point, or the nearest point of its line, m.
+    /// Anchor of each spring of the scene: its point, or the nearest point of its line, m.
     pub springs: Vec<Flat>,
 }
 
-/// The numbers of a moment.
+/// Numbers of a moment.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Numbers {
     /// Force rendered along the nearest wall's normal, N.
     pub force: f64,
-    /// Depth in it, m; negative outside.
+    /// Depth in the nearest wall, m; negative outside.
     pub depth: f64,
-    /// Force of the motors across that normal, N: what pushes a hand along the wall.
+    /// Motor force across that normal, N: it pushes a hand along the wall.
     pub sideways: f64,
     /// Deviation of the force from its mean over the last tenth of a second, N rms.
     pub ripple: f64,
-    /// The frequency at which the force swings about its mean, Hz; none where it does not.
+    /// Frequency at which the force oscillates about its mean, Hz; `None` without oscillation.
     pub frequency: Option<f64>,
-    /// Power that the nearest wall has given out over the last tenth of a second, beyond what its spring held, W. A
-    /// spring and a damper have none to give: it comes of being late.
+    /// Power that the nearest wall gave out over the last tenth of a second, in addition to the energy stored in its
+    /// spring, W. An ideal spring and damper give out none: the power comes from delay.
     pub power: f64,
-    /// Energy that the walls have taken up since contact began, J; negative: given out.
+    /// Energy that the walls have absorbed since contact began, J; negative if they gave out energy.
     pub energy: f64,
-    /// Share of the last tenth of a second in which a motor could not do what was asked.
+    /// Share of the last tenth of a second in which a motor was at its limit.
     pub saturated: f64,
-    /// Weff and Wrr along that normal, kg; none at a singular pose.
+    /// Weff and Wrr along that normal, kg; `None` at a singular pose.
     pub inertia: Option<Flat>,
-    /// The nearest wall, from 0.
+    /// Index of the nearest wall, from 0.
     pub wall: Option<usize>,
 }
 
-/// The wall that the tip is deepest in or nearest to, and its normal.
+/// Returns the wall that the tip is deepest in or nearest to, and its normal.
 pub fn nearest_wall(scene: &Scene<f64>, tip: &[f64]) -> Option<(usize, Vector3<f64>)> {
     let tip = Vector3::from(padded(tip));
     let contacts = scene.walls.iter().enumerate().map(|(index, wall)| (index, wall.surface.contact::<Libm, 3>(&tip)));
@@ -106,12 +106,12 @@ pub struct Newest<'a> {
 }
 
 impl<'a> Newest<'a> {
-    /// Of a ring with these columns.
+    /// Creates a view of a ring with these columns.
     pub fn of(ring: &'a Ring, columns: &'a [Column]) -> Self {
         Self { ring, columns }
     }
 
-    /// The number of one field's column; 0 before there is one.
+    /// Returns the number in a field's column; 0 before the first row.
     pub fn get(&self, field: Field, axis: usize) -> f64 {
         let column = self.columns.iter().position(|column| column.field == field && column.axis == axis);
         let value = column.and_then(|column| self.ring.at(self.ring.end().checked_sub(1)?, column));
@@ -127,12 +127,12 @@ impl<'a> Newest<'a> {
         column.into_iter().flat_map(move |column| self.ring.last(column, rows)).map(f64::from)
     }
 
-    /// Joint angles, rad.
+    /// Returns the joint angles, rad.
     pub fn q(&self, joints: usize) -> Vec<f64> {
         self.vector(Field::Angle, joints)
     }
 
-    /// Geometry and numbers of the newest row. `rows_hz`: rows a second.
+    /// Returns geometry and numbers of the newest row. `rows_hz`: row rate, Hz.
     pub fn moment(
         &self,
         device: &Device<f64>,
@@ -151,18 +151,18 @@ impl<'a> Newest<'a> {
             geometry.bars = drawn.bars.iter().map(|bar| [bar.from.into(), bar.to.into()]).collect();
             geometry.base = drawn.base.iter().map(|base| (*base).into()).collect();
         }
-        geometry.springs = scene.springs.iter().map(|spring| padded(&held_from(spring, &tip[..task]))).collect();
+        geometry.springs = scene.springs.iter().map(|spring| padded(&spring_anchor(spring, &tip[..task]))).collect();
         let recent = (RECENT * rows_hz).ceil() as u64;
         let wall = nearest_wall(scene, &tip[..task]);
         let stiffness = wall.map_or(0.0, |(index, _)| scene.walls[index].stiffness);
-        let swing: Vec<f64> = self.recent(Field::RenderedForce, 0, (SWING * rows_hz).ceil() as u64).collect();
+        let force: Vec<f64> = self.recent(Field::RenderedForce, 0, (OSCILLATION * rows_hz).ceil() as u64).collect();
         let mut numbers = Numbers {
             force: self.get(Field::RenderedForce, 0),
             depth: -self.get(Field::Distance, 0),
             energy: self.get(Field::Energy, 0),
             ripple: ripple(self.recent(Field::RenderedForce, 0, recent)),
-            frequency: frequency(&swing, rows_hz),
-            power: given_out(
+            frequency: frequency(&force, rows_hz),
+            power: energy_given_out(
                 self.recent(Field::RenderedForce, 0, recent).zip(self.recent(Field::Distance, 0, recent)),
                 stiffness,
             ) / RECENT,
@@ -180,40 +180,40 @@ impl<'a> Newest<'a> {
             let l = &pose.operational;
             geometry.ellipse = Some(ellipse(l[(0, 0)], l[(0, 1)], l[(1, 1)]));
         }
-        // Along the arc of a paddle.
+        // The force of a paddle acts along its arc.
         if let ([along], r @ 1e-9..) = (force.as_slice(), place[0].hypot(place[1])) {
             geometry.force = [-along * place[1] / r, along * place[0] / r];
         }
         if let Some((_, normal)) = wall {
             let n = DVector::from_fn(task, |i, _| normal[i]);
             numbers.sideways = (&force - &n * n.dot(&force)).norm();
-            let seen = Linearised::of(device, &q, n.as_slice(), scene.admissible).ok();
-            numbers.inertia = seen.and_then(|seen| Some([seen.w_eff()?, seen.w_rr()]));
+            let linearised = Linearised::of(device, &q, n.as_slice(), scene.admissible).ok();
+            numbers.inertia = linearised.and_then(|linearised| Some([linearised.w_eff()?, linearised.w_rr()]));
         }
         (geometry, numbers)
     }
 }
 
-/// The place that a spring pulls the tip to.
-fn held_from(spring: &Spring<f64>, tip: &[f64]) -> [f64; 3] {
+/// Returns the position that a spring pulls the tip to.
+fn spring_anchor(spring: &Spring<f64>, tip: &[f64]) -> [f64; 3] {
     let Spring { point, direction, .. } = spring;
     let along: f64 = tip.iter().enumerate().map(|(i, tip)| (tip - point[i]) * direction[i]).sum();
     core::array::from_fn(|i| point[i] + along * direction[i])
 }
 
-/// A paddle's task is an arc's length; its tip is drawn where its skeleton has it.
+/// Returns the drawn position of a paddle's tip: from its skeleton, because its task is the length of an arc.
 fn paddle_tip(links: Option<&Description>, q: &[f64], tip: &[f64]) -> Flat {
     let drawn = links.and_then(|links| skeleton(links, q));
     drawn.map_or([tip.first().copied().unwrap_or(0.0), 0.0], |drawn| drawn.tip.into())
 }
 
-/// The half axes of a symmetric 2 x 2 matrix, and the direction of the larger.
+/// Returns the half axes of a symmetric 2 x 2 matrix, and the direction of the larger.
 fn ellipse(xx: f64, xy: f64, yy: f64) -> Ellipse {
     let (mean, half) = (0.5 * (xx + yy), 0.5 * (xx - yy).hypot(2.0 * xy));
     Ellipse { axes: [mean + half, mean - half], angle: 0.5 * (2.0 * xy).atan2(xx - yy) }
 }
 
-/// Deviation from the mean, rms.
+/// Computes the deviation from the mean, rms.
 fn ripple(values: impl Iterator<Item = f64>) -> f64 {
     let values: Vec<f64> = values.collect();
     if values.is_empty() {
@@ -224,8 +224,8 @@ fn ripple(values: impl Iterator<Item = f64>) -> f64 {
     (values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / count).sqrt()
 }
 
-/// The frequency of what swings about its mean, by its upward crossings. A crossing counts once the other side was
-/// passed by half the rms, so that noise on a swing is not taken for swings.
+/// Computes the frequency of an oscillation about the mean from its upward crossings. A crossing counts only after the
+/// value was below the mean by half the rms, so that noise is not counted.
 fn frequency(values: &[f64], rows_hz: f64) -> Option<f64> {
     let mean = values.iter().sum::<f64>() / values.len() as f64;
     let margin = 0.5 * ripple(values.iter().copied());
@@ -240,9 +240,9 @@ fn frequency(values: &[f64], rows_hz: f64) -> Option<f64> {
     Some(periods as f64 * rows_hz / (crossings[periods] - crossings[0]) as f64)
 }
 
-/// Energy (J) that a wall gave out over some rows of its force and the distance to it, less what its spring had stored at
-/// their beginning and has no more at their end. A force is held until the next row.
-fn given_out(rows: impl Iterator<Item = (f64, f64)>, stiffness: f64) -> f64 {
+/// Computes the energy (J) that a wall gave out over some rows of its force and distance, minus the decrease of the
+/// energy stored in its spring. A force is held until the next row.
+fn energy_given_out(rows: impl Iterator<Item = (f64, f64)>, stiffness: f64) -> f64 {
     let stored = |distance: f64| 0.5 * stiffness * distance.min(0.0).powi(2);
     let (mut given, mut before) = (0.0, None);
     for (force, distance) in rows {
@@ -254,13 +254,13 @@ fn given_out(rows: impl Iterator<Item = (f64, f64)>, stiffness: f64) -> f64 {
     given
 }
 
-fn share(values: impl Iterator<Item = f64>, wanted: impl Fn(f64) -> bool) -> f64 {
-    let (mut count, mut found) = (0_u32, 0_u32);
+fn share(values: impl Iterator<Item = f64>, matches: impl Fn(f64) -> bool) -> f64 {
+    let (mut count, mut matching) = (0_u32, 0_u32);
     for value in values {
         count += 1;
-        found += u32::from(wanted(value));
+        matching += u32::from(matches(value));
     }
-    if count == 0 { 0.0 } else { f64::from(found) / f64::from(count) }
+    if count == 0 { 0.0 } else { f64::from(matching) / f64::from(count) }
 }
 
 #[cfg(test)]
@@ -272,7 +272,7 @@ mod tests {
     use haptic_host::link::columns;
 
     #[test]
-    fn the_ellipse_of_a_turned_matrix_is_turned() {
+    fn the_ellipse_of_a_rotated_matrix_is_rotated() {
         // R(0.3) diag(3, 1) R(0.3)ᵀ.
         let (s, c) = 0.3_f64.sin_cos();
         let found = ellipse(3.0 * c * c + s * s, 2.0 * s * c, 3.0 * s * s + c * c);
@@ -281,49 +281,49 @@ mod tests {
     }
 
     #[test]
-    fn a_spring_holds_from_its_point_or_from_the_nearest_of_its_line() {
+    fn a_spring_is_anchored_at_its_point_or_on_its_line() {
         let mut spring = Spring { point: [0.1, 0.2, 0.0], direction: [0.0; 3], stiffness: 1.0, damping: 0.0 };
-        assert_eq!(held_from(&spring, &[0.5, 0.9]), [0.1, 0.2, 0.0]);
+        assert_eq!(spring_anchor(&spring, &[0.5, 0.9]), [0.1, 0.2, 0.0]);
         spring.direction = [0.6, 0.8, 0.0];
         // Along the line by 0.6 · 0.4 + 0.8 · 0.7 = 0.8.
-        let [x, y, z] = held_from(&spring, &[0.5, 0.9]);
+        let [x, y, z] = spring_anchor(&spring, &[0.5, 0.9]);
         assert!((x - 0.58).abs() < 1e-12 && (y - 0.84).abs() < 1e-12 && z == 0.0, "{x}, {y}, {z}");
     }
 
     #[test]
-    fn the_ripple_of_a_sine_is_its_amplitude_over_the_root_of_two() {
+    fn the_ripple_of_a_sine_is_its_rms() {
         let sine = (0..1000).map(|i| 5.0 + 3.0 * (f64::from(i) * std::f64::consts::TAU / 100.0).sin());
         assert!((ripple(sine) - 3.0 / 2.0_f64.sqrt()).abs() < 1e-9);
         assert_eq!(ripple(std::iter::empty()), 0.0);
     }
 
     #[test]
-    fn the_frequency_of_a_swing_is_counted_and_noise_has_little_part_in_it() {
-        // 73 Hz at 1 kHz with every other row off by a fifth of the swing.
+    fn the_frequency_is_counted_in_spite_of_noise() {
+        // 73 Hz at 1 kHz, with every other row off by a fifth of the amplitude.
         let row = |i: u32| (f64::from(i) * 0.073 * std::f64::consts::TAU).sin() + [0.2, -0.2][i as usize % 2];
-        let swing: Vec<f64> = (0..300).map(row).collect();
-        assert!((frequency(&swing, 1000.0).unwrap() - 73.0).abs() < 0.5);
-        for still in [vec![], vec![2.0; 300], swing[..20].to_vec()] {
+        let oscillation: Vec<f64> = (0..300).map(row).collect();
+        assert!((frequency(&oscillation, 1000.0).unwrap() - 73.0).abs() < 0.5);
+        for still in [vec![], vec![2.0; 300], oscillation[..20].to_vec()] {
             assert_eq!(frequency(&still, 1000.0), None);
         }
     }
 
-    /// A spring gives back what it took, wherever it is let go; one that is a sample late gives kp x₀² sin(ω T) π more
-    /// in each period of x = x₀ sin ω t.
+    /// A spring returns the energy that it absorbed, wherever it is released; a spring that is one sample late gives
+    /// out kp x₀² sin(ω T) π more in each period of x = x₀ sin ω t.
     #[test]
-    fn only_a_late_spring_gives_out_power() {
+    fn only_a_late_spring_gives_out_energy() {
         let (kp, depth, w, rows) = (1000.0, 1e-3, 0.05_f64, 10_000_u32);
         let distance = |i: f64| -0.01 + depth * (w * i).sin();
         let spring = |late: f64| (0..rows).map(move |i| (-kp * distance(f64::from(i) - late), distance(f64::from(i))));
-        let a_period = kp * depth.powi(2) * std::f64::consts::PI;
+        let per_period = kp * depth.powi(2) * std::f64::consts::PI;
         let periods = w * f64::from(rows) / std::f64::consts::TAU;
-        // Force held for a row acts half a row late.
+        // A force held for a row acts half a row late.
         for late in [1.0, 3.0] {
-            let expected = periods * a_period * (w * (late + 0.5)).sin();
-            let found = given_out(spring(late), kp);
+            let expected = periods * per_period * (w * (late + 0.5)).sin();
+            let found = energy_given_out(spring(late), kp);
             assert!((found / expected - 1.0).abs() < 0.02, "{found} J, not {expected} J");
         }
-        assert!(given_out(spring(-0.5), kp).abs() < 1e-3 * a_period * periods);
+        assert!(energy_given_out(spring(-0.5), kp).abs() < 1e-3 * per_period * periods);
     }
 
     #[test]

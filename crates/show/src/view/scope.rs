@@ -1,34 +1,34 @@
-//! An oscilloscope on the telemetry: every row is kept for a while, a trigger looks at every row.
+//! An oscilloscope for telemetry: it keeps every row for a while, and its trigger checks every row.
 
 use super::message::{ScopeRequest, Trigger};
 use std::collections::VecDeque;
 
-/// Columns of a sweep on the screen at most; where there are more rows, each shows their smallest and largest value.
-pub const SCREEN: usize = 800;
+/// Maximum number of columns of a sweep; with more rows, each column has their smallest and largest value.
+pub const MAX_COLUMNS: usize = 800;
 /// Longest window, s.
 pub const LONGEST: f64 = 2.0;
-/// Most channels.
+/// Maximum number of channels.
 pub const CHANNELS: usize = 4;
 
-/// The rows of the last seconds. Rows that were lost are there as NaN, so that time stays even.
+/// The rows of the last seconds. Lost rows are NaN, so that time stays uniform.
 #[derive(Clone, Debug)]
 pub struct Ring {
     columns: usize,
     values: VecDeque<f32>,
-    room: usize,
+    capacity: usize,
     /// Number of the row after the newest.
     end: u64,
 }
 
 impl Ring {
-    /// Room for `rows` rows of `columns` numbers.
+    /// Creates a ring with room for `rows` rows of `columns` numbers.
     pub fn new(columns: usize, rows: usize) -> Self {
-        Self { columns, values: VecDeque::with_capacity(columns * rows), room: rows, end: 0 }
+        Self { columns, values: VecDeque::with_capacity(columns * rows), capacity: rows, end: 0 }
     }
 
-    /// Adds a row of as many numbers as there are columns.
+    /// Adds a row with one number per column.
     pub fn push(&mut self, row: impl IntoIterator<Item = f32>) {
-        if self.len() == self.room {
+        if self.len() == self.capacity {
             self.values.drain(..self.columns);
         }
         let before = self.values.len();
@@ -37,9 +37,9 @@ impl Ring {
         self.end += 1;
     }
 
-    /// Adds rows that were lost.
+    /// Adds lost rows.
     pub fn lose(&mut self, rows: u64) {
-        for _ in 0..rows.min(self.room as u64) {
+        for _ in 0..rows.min(self.capacity as u64) {
             self.push([]);
         }
     }
@@ -48,23 +48,23 @@ impl Ring {
         self.values.len().checked_div(self.columns).unwrap_or(0)
     }
 
-    /// Number of the oldest row that is kept.
+    /// Returns the number of the oldest row.
     pub fn begin(&self) -> u64 {
         self.end - self.len() as u64
     }
 
-    /// Number of the row after the newest.
+    /// Returns the number of the row after the newest.
     pub fn end(&self) -> u64 {
         self.end
     }
 
-    /// A number by its row and column.
+    /// Returns a number by its row and column.
     pub fn at(&self, row: u64, column: usize) -> Option<f32> {
         let index = usize::try_from(row.checked_sub(self.begin())?).ok()?;
         (column < self.columns).then(|| self.values.get(index * self.columns + column).copied()).flatten()
     }
 
-    /// The last `rows` numbers of a column that came, oldest first.
+    /// Returns the last `rows` numbers of a column that arrived, oldest first.
     pub fn last(&self, column: usize, rows: u64) -> impl Iterator<Item = f32> {
         (self.end.saturating_sub(rows).max(self.begin())..self.end)
             .filter_map(move |row| self.at(row, column))
@@ -72,59 +72,59 @@ impl Ring {
     }
 }
 
-/// The kind of a sweep.
+/// Kind of a sweep.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Phase {
     /// The newest rows, without a trigger.
     Rolling = 0,
-    /// Around a crossing of the trigger's level.
+    /// The rows around a crossing of the trigger's level.
     Triggered = 1,
-    /// The newest rows, because nothing has crossed the level for a while.
+    /// The newest rows, because the level was not crossed for a while.
     Waiting = 2,
-    /// The one sweep that was asked for.
+    /// The requested single sweep.
     Stopped = 3,
 }
 
-/// A picture of a window of rows.
+/// A window of rows for the screen.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sweep {
-    /// Its kind.
+    /// Kind.
     pub phase: Phase,
-    /// Smallest and largest value of each column on the screen, for each channel.
+    /// Smallest and largest value of each column, for each channel.
     pub channels: Vec<Vec<(f32, f32)>>,
 }
 
 #[derive(Clone, Debug)]
-struct Armed {
+struct ActiveTrigger {
     trigger: Trigger,
     column: usize,
     /// Rows of the window before the crossing.
     before: u64,
-    /// Number of the first row not looked at yet.
-    looked: u64,
-    /// A crossing whose window is not full yet.
-    caught: Option<u64>,
-    /// Number of the row where the last sweep ended.
-    swept: u64,
-    done: bool,
+    /// Number of the first row that was not checked yet.
+    next: u64,
+    /// Row of a crossing whose window is not complete yet.
+    crossing: Option<u64>,
+    /// End of the last sweep, as a row number.
+    sweep_end: u64,
+    is_done: bool,
 }
 
-/// One page's oscilloscope.
+/// The oscilloscope of one page.
 #[derive(Clone, Debug)]
 pub struct Scope {
     columns: Vec<usize>,
     rows: u64,
     seconds: f64,
-    armed: Option<Armed>,
+    trigger: Option<ActiveTrigger>,
 }
 
 impl Scope {
-    /// An oscilloscope on a stream with these labels and this many rows a second, starting at row `now`. Errors say
-    /// what is wrong with the request.
+    /// Creates an oscilloscope on a stream with these labels and this row rate, from row `now` on. The error describes
+    /// a mistake in the request.
     pub fn new(request: ScopeRequest, labels: &[String], rows_hz: f64, now: u64) -> Result<Self, String> {
         let column = |name: &String| {
-            let found = labels.iter().position(|label| label == name);
-            found.ok_or_else(|| format!("`{name}` is no signal of this stream"))
+            let index = labels.iter().position(|label| label == name);
+            index.ok_or_else(|| format!("`{name}` is not a signal of this stream"))
         };
         if request.channels.is_empty() || request.channels.len() > CHANNELS {
             return Err(format!("an oscilloscope has 1 to {CHANNELS} channels"));
@@ -134,54 +134,56 @@ impl Scope {
         }
         let columns = request.channels.iter().map(column).collect::<Result<Vec<usize>, String>>()?;
         let rows = ((request.seconds * rows_hz).round() as u64).max(2);
-        let armed = match request.trigger {
+        let active = match request.trigger {
             None => None,
-            Some(trigger) if trigger.level.is_finite() && (0.0..=1.0).contains(&trigger.before) => Some(Armed {
-                column: column(&trigger.channel)?,
-                before: ((rows - 1) as f64 * trigger.before).round() as u64,
-                trigger,
-                looked: now,
-                caught: None,
-                swept: now,
-                done: false,
-            }),
-            Some(_) => return Err("a trigger's level is a number, and the share before it lies from 0 to 1".into()),
+            Some(trigger) if trigger.level.is_finite() && (0.0..=1.0).contains(&trigger.before) => {
+                Some(ActiveTrigger {
+                    column: column(&trigger.channel)?,
+                    before: ((rows - 1) as f64 * trigger.before).round() as u64,
+                    trigger,
+                    next: now,
+                    crossing: None,
+                    sweep_end: now,
+                    is_done: false,
+                })
+            }
+            Some(_) => return Err("a trigger needs a finite level and a share before it from 0 to 1".into()),
         };
-        Ok(Self { columns, rows, seconds: request.seconds, armed })
+        Ok(Self { columns, rows, seconds: request.seconds, trigger: active })
     }
 
-    /// The newest sweep, if there is a new one.
+    /// Returns the newest sweep, if there is a new one.
     pub fn sweep(&mut self, ring: &Ring) -> Option<Sweep> {
-        let Some(armed) = &mut self.armed else { return Some(self.window(ring, ring.end(), Phase::Rolling)) };
-        if armed.done {
+        let Some(active) = &mut self.trigger else { return Some(self.window(ring, ring.end(), Phase::Rolling)) };
+        if active.is_done {
             return None;
         }
-        let after = self.rows - armed.before;
-        armed.looked = armed.looked.max(ring.begin() + 1);
-        while armed.caught.is_none() && armed.looked < ring.end() {
-            let row = armed.looked;
-            armed.looked += 1;
-            let (Some(before), Some(here)) = (ring.at(row - 1, armed.column), ring.at(row, armed.column)) else {
+        let after = self.rows - active.before;
+        active.next = active.next.max(ring.begin() + 1);
+        while active.crossing.is_none() && active.next < ring.end() {
+            let row = active.next;
+            active.next += 1;
+            let (Some(before), Some(value)) = (ring.at(row - 1, active.column), ring.at(row, active.column)) else {
                 continue;
             };
-            let level = armed.trigger.level as f32;
-            let crossed =
-                if armed.trigger.rising { before < level && here >= level } else { before > level && here <= level };
-            if crossed {
-                armed.caught = Some(row);
+            let level = active.trigger.level as f32;
+            let has_crossed =
+                if active.trigger.rising { before < level && value >= level } else { before > level && value <= level };
+            if has_crossed {
+                active.crossing = Some(row);
             }
         }
-        match armed.caught {
+        match active.crossing {
             Some(row) if row + after <= ring.end() => {
                 let end = row + after;
-                (armed.caught, armed.looked, armed.swept, armed.done) =
-                    (None, end.max(armed.looked), end, armed.trigger.once);
-                let phase = if armed.done { Phase::Stopped } else { Phase::Triggered };
+                (active.crossing, active.next, active.sweep_end, active.is_done) =
+                    (None, end.max(active.next), end, active.trigger.once);
+                let phase = if active.is_done { Phase::Stopped } else { Phase::Triggered };
                 Some(self.window(ring, end, phase))
             }
             Some(_) => None,
-            // No trigger for two windows: show the signal anyway, so that a level can be chosen by eye.
-            None if !armed.trigger.once && ring.end() > armed.swept + 2 * self.rows => {
+            // Without a crossing for two windows, the signal is shown anyway, so that a level can be chosen.
+            None if !active.trigger.once && ring.end() > active.sweep_end + 2 * self.rows => {
                 Some(self.window(ring, ring.end(), Phase::Waiting))
             }
             None => None,
@@ -189,13 +191,13 @@ impl Scope {
     }
 
     fn window(&self, ring: &Ring, end: u64, phase: Phase) -> Sweep {
-        let screen = self.rows.min(SCREEN as u64);
-        // Rows before the beginning are empty, not moved.
+        let columns = self.rows.min(MAX_COLUMNS as u64);
+        // Rows before the start are empty.
         let at = |row: u64, column| (row + end).checked_sub(self.rows).and_then(|row| ring.at(row, column));
         let channels = self.columns.iter().map(|column| {
-            (0..screen)
+            (0..columns)
                 .map(|i| {
-                    let rows = i * self.rows / screen..(i + 1) * self.rows / screen;
+                    let rows = i * self.rows / columns..(i + 1) * self.rows / columns;
                     let values = rows.filter_map(|row| at(row, *column));
                     values.fold((f32::NAN, f32::NAN), |(low, high), value| (low.min(value), high.max(value)))
                 })
@@ -204,11 +206,12 @@ impl Scope {
         Sweep { phase, channels: channels.collect() }
     }
 
-    /// A sweep as the page reads it, 32-bit floats, little-endian: 1, the phase, the window in seconds, the crossing's
-    /// place in it in seconds, channels, columns; then for each channel and column the smallest and the largest value.
+    /// Encodes a sweep for the page, as 32-bit floats, little-endian: 1, the phase, the window in seconds, the time of
+    /// the crossing in it in seconds, channels, columns; then for each channel and column the smallest and the largest
+    /// value.
     pub fn bytes(&self, sweep: &Sweep) -> Vec<u8> {
         let crossing =
-            self.armed.as_ref().map_or(0.0, |armed| self.seconds * armed.before as f64 / (self.rows - 1) as f64);
+            self.trigger.as_ref().map_or(0.0, |active| self.seconds * active.before as f64 / (self.rows - 1) as f64);
         let columns = sweep.channels.first().map_or(0, Vec::len);
         let head = [
             1.0,
@@ -239,7 +242,7 @@ mod tests {
         Some(Trigger { channel: "force_n".into(), level: 1.5, rising: true, before: 0.25, once })
     }
 
-    /// A force that is 0, and 2 from each hundredth row on for ten rows.
+    /// A force that is 0, and 2 in the first ten of every hundred rows.
     fn feed(ring: &mut Ring, rows: std::ops::Range<u64>) {
         for row in rows {
             ring.push([if row % 100 < 10 && row >= 100 { 2.0 } else { 0.0 }, row as f32]);
@@ -247,7 +250,7 @@ mod tests {
     }
 
     #[test]
-    fn every_row_is_looked_at_and_the_crossing_stands_where_it_was_asked_for() {
+    fn every_row_is_checked_and_the_crossing_is_at_its_share() {
         let mut ring = Ring::new(2, 1000);
         let mut scope = Scope::new(request(rising(false)), &labels(), 400.0, 0).unwrap();
         // 40 rows, of which round(39 · 0.25) = 10 come before the crossing.
@@ -265,7 +268,7 @@ mod tests {
     }
 
     #[test]
-    fn one_sweep_is_one_sweep() {
+    fn a_single_sweep_is_not_repeated() {
         let mut ring = Ring::new(2, 1000);
         let mut scope = Scope::new(request(rising(true)), &labels(), 400.0, 0).unwrap();
         feed(&mut ring, 0..150);
@@ -275,7 +278,7 @@ mod tests {
     }
 
     #[test]
-    fn a_trigger_that_nothing_crosses_shows_what_is_there() {
+    fn a_trigger_without_a_crossing_shows_the_newest_rows() {
         let mut ring = Ring::new(2, 1000);
         let mut scope = Scope::new(request(rising(false)), &labels(), 400.0, 0).unwrap();
         feed(&mut ring, 0..90);
@@ -284,19 +287,19 @@ mod tests {
     }
 
     #[test]
-    fn more_rows_than_columns_keep_their_extremes_and_lost_rows_are_a_gap() {
+    fn columns_keep_extremes_and_lost_rows_are_a_gap() {
         let mut ring = Ring::new(1, 5000);
         for row in 0..3999_u32 {
             ring.push([if row == 1234 { 9.0 } else { 0.0 }]);
         }
         ring.lose(1);
-        let asked = ScopeRequest { channels: vec!["force_n".into()], seconds: 2.0, trigger: None };
-        let mut scope = Scope::new(asked, &labels()[..1], 2000.0, 0).unwrap();
+        let request = ScopeRequest { channels: vec!["force_n".into()], seconds: 2.0, trigger: None };
+        let mut scope = Scope::new(request, &labels()[..1], 2000.0, 0).unwrap();
         let sweep = scope.sweep(&ring).unwrap();
         let channel = &sweep.channels[0];
         assert_eq!((channel.len(), channel.iter().filter(|(_, high)| *high == 9.0).count()), (800, 1));
         assert_eq!(channel[1234 / 5], (0.0, 9.0));
-        assert_eq!(ring.last(0, 3).count(), 2, "what was lost is no number");
+        assert_eq!(ring.last(0, 3).count(), 2, "a lost row is not a number");
         let bytes = scope.bytes(&sweep);
         assert_eq!(bytes.len(), 4 * (6 + 2 * 800));
         assert_eq!(bytes[..4], 1.0_f32.to_le_bytes());
@@ -314,9 +317,9 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_shown_is_refused_in_words() {
+    fn invalid_requests_are_refused_with_a_reason() {
         let refused = |request: ScopeRequest| Scope::new(request, &labels(), 1000.0, 0).unwrap_err();
-        assert!(refused(ScopeRequest { channels: vec!["x".into()], ..request(None) }).contains("`x` is no signal"));
+        assert!(refused(ScopeRequest { channels: vec!["x".into()], ..request(None) }).contains("`x` is not a signal"));
         assert!(refused(ScopeRequest { channels: vec![], ..request(None) }).contains("1 to 4 channels"));
         for seconds in [0.0, -1.0, 3.0, f64::NAN] {
             assert!(refused(ScopeRequest { seconds, ..request(None) }).contains("at most 2 s"));

@@ -1,23 +1,24 @@
-//! The stage: the one thread that owns the board. It hears the pages, lets time pass, and shows what there is to see.
+//! The stage: the thread that owns the board. It receives the pages' messages, lets time pass, and sends pictures.
 //!
-//! One page commands, the others watch. The motors are on only while the page in command holds its key down: a page that
-//! lets go, closes, or was not heard to see the key for [`SILENCE`] turns them off. Any page may turn them off. With its
-//! key a page says the newest control step that it had been shown when it saw the key, and this goes on to the board
-//! ([`Board::hold_key`]): whatever is slow or stands still on this way round, the board knows how old the press is.
-//! Simulated motors hurt no hand: they stay on until the key is let go or the page is gone, however slow the computer.
+//! One page commands, the others watch. The motors are on only while the page in command holds its key down: if the
+//! page releases the key, closes, or sends no hold message for [`KEY_TIMEOUT`], the motors go off. Any page may turn
+//! them off. With its key a page sends the newest control step that it had been shown when it saw the key, and this
+//! step goes on to the board ([`Board::hold_key`]): the board thus knows the age of the press, however slow the link
+//! is. Simulated motors are harmless: they stay on until the key is released or the page is gone, however slow the
+//! computer is.
 //!
-//! It reads no clock: whoever calls [`Stage::turn`] says what time it is. The tool does so in a loop ([`Stage::run`]),
-//! the page as a file whenever the browser lets it (clients/page/).
+//! The stage reads no clock: the caller of [`Stage::turn`] passes the time. The tool calls it in a loop
+//! ([`Stage::run`]), the page as a file whenever the browser allows (clients/page/).
 
+mod messages;
 mod recording;
-mod told;
 mod walls;
 
 use super::hub::{Event, Hub, PageId};
 use super::message::FromPage;
 use super::picture::{FIELDS, Newest, nearest_wall};
 use super::scope::{LONGEST, Ring, Scope};
-use super::stability::{Oracle, Plane};
+use super::stability::{Plane, Predictor};
 use super::world::{World, lead};
 use haptic_bridge::board::telemetry::Field;
 use haptic_bridge::control::Rules;
@@ -34,6 +35,7 @@ use haptic_stability::analysis::control_loop::TorquePath;
 use haptic_stability::analysis::oscillation::Oscillation;
 use haptic_stability::analysis::pose::TaskPose;
 use haptic_stability::analysis::prediction::Subject;
+use messages::{describe_fault, plane_message};
 use recording::ActiveRecording;
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
@@ -41,41 +43,40 @@ use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
-use told::{in_words, plane_message};
-use walls::fit;
+use walls::check_scene;
 
-/// Number of events that are heard in a turn; those that turn motors off come first among them ([`Hub::next`]).
+/// Maximum number of events in a turn; those that turn motors off come first ([`Hub::next`]).
 const EVENTS: usize = 64;
-/// Longest time since the page in command saw its key down, by the board's steps, and since it was heard, before the
-/// motors go off. It is less than a board allows ([`haptic_bridge::control::KEY_SECONDS`]), where it is a fault, by a
+/// Longest age of the key press, both by the board's steps and by the page's last message, before the motors go off. It
+/// is shorter than the board's own limit ([`haptic_bridge::control::KEY_SECONDS`]), whose end is a fault, by a
 /// heartbeat and a turn of this stage.
-pub const SILENCE: Duration = Duration::from_millis(400);
-/// Distance from a wall to which a simulated hand takes the tip out of it, m, and longest time that this may take.
-const OUTSIDE: f64 = 0.005;
-const WAY_OUT: Duration = Duration::from_secs(2);
-/// Longest time that it may be silent at all before others may take command.
+pub const KEY_TIMEOUT: Duration = Duration::from_millis(400);
+/// Distance from a wall to which the simulated hand moves the tip out of it, m, and time limit of this movement.
+const EXIT_DISTANCE: f64 = 0.005;
+const EXIT_TIMEOUT: Duration = Duration::from_secs(2);
+/// How long the page in command may be silent before another page may take command.
 const ABSENCE: Duration = Duration::from_secs(5);
-/// Between two pictures: 60 a second.
+/// Interval between pictures: 60 a second.
 const PICTURE: Duration = Duration::from_micros(16_600);
-/// Between two sweeps of an oscilloscope.
+/// Interval between sweeps of an oscilloscope.
 const SWEEP: Duration = Duration::from_millis(40);
-/// Between two looks at what changes slowly.
-const LOOK: Duration = Duration::from_millis(500);
-/// Most simulated time that is caught up after the computer was busy, and most that a turn counts as time of listening.
+/// Interval between polls of slowly changing state.
+const POLL: Duration = Duration::from_millis(500);
+/// Maximum simulated time to catch up after the computer was busy, and maximum time that a turn counts as listening.
 const CATCH_UP: Duration = Duration::from_millis(50);
-/// Simulated time that passes between two looks at what pages say.
+/// Simulated time between two polls of the pages' messages.
 const SLICE: Duration = Duration::from_millis(8);
-/// Turn of a joint after which the boundary is worked out again, rad.
-const TURNED: f64 = 0.02;
-/// Cycles a second of the boards' core.
+/// Rotation of a joint after which the boundary is predicted again, rad.
+const ROTATED: f64 = 0.02;
+/// Clock of the boards' core, Hz.
 const CORE_HZ: f64 = 168e6;
 
-/// The outcome of a turn.
+/// Outcome of a turn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Turn {
     /// Time has passed; there may be more to catch up.
     Played,
-    /// Simulated time was where it should be.
+    /// Simulated time is up to date.
     Ahead,
 }
 
@@ -83,23 +84,23 @@ pub enum Turn {
 pub struct Stage {
     world: World,
     hub: Hub,
-    /// Time since it was opened, and how much of it the stage has listened to pages: all but its own long waits, for
-    /// what was said meanwhile may not be here yet.
+    /// Time since the stage was opened, and the part of it in which the stage received messages: its own long waits are
+    /// not counted, because messages of that time may not have arrived yet.
     now: Duration,
     listened: Duration,
-    /// When pages last got a picture, a sweep, and what changes slowly.
-    shown: Duration,
-    swept: Duration,
-    looked: Duration,
+    /// Times of the last picture, sweep, and poll.
+    last_picture: Duration,
+    last_sweep: Duration,
+    last_poll: Duration,
     device: Device<f64>,
     scene: Scene<f64>,
-    /// The scene as it was when the stage was opened.
+    /// The scene when the stage was opened.
     first: Scene<f32>,
-    /// As they were last seen.
+    /// The rules at the last poll.
     rules: Rules,
     columns: Vec<Column>,
     rows_hz: f64,
-    /// The device with what gives in it, and the board's delay and drives.
+    /// The device with its transmissions, and the board's delay and drives.
     subject: Subject,
     path: TorquePath,
     ring: Ring,
@@ -110,27 +111,27 @@ pub struct Stage {
     scopes: BTreeMap<PageId, Scope>,
     listeners: Vec<PageId>,
     command: Option<(PageId, Duration)>,
-    /// Of the key that is down, the newest step that its page had been shown, and when the page was heard, by `listened`.
+    /// Newest step that the page had been shown when it saw its key down, and time of its last message, by `listened`.
     held: Option<u32>,
-    key_heard: Duration,
-    /// When the key was pressed, while a simulated hand takes the tip out of a wall: then the motors go on.
-    coming_out: Option<Duration>,
+    key_time: Duration,
+    /// Time of the key press, while a simulated hand moves the tip out of a wall; the motors go on afterwards.
+    exiting: Option<Duration>,
     goal: Option<[f64; 2]>,
     state: State,
     fault: Option<String>,
     load: Option<f64>,
-    oracle: Oracle,
+    predictor: Predictor,
     plane: Option<Plane>,
-    asked: Option<(usize, Vec<f64>)>,
-    /// The swing of the plane's wall where its gains are predicted to be unstable.
+    requested: Option<(usize, Vec<f64>)>,
+    /// Predicted oscillation of the plane's wall if its gains are unstable.
     buzz: Option<Oscillation>,
     pace: Pace,
-    /// The folder for recordings, if there is one, and the recording under way.
+    /// Folder for recordings, if there is one, and the active recording.
     folder: Option<PathBuf>,
     recording: Option<ActiveRecording>,
 }
 
-/// Simulated time against the wall clock.
+/// Simulated time relative to real time.
 struct Pace {
     began: Duration,
     board_began: Duration,
@@ -139,20 +140,20 @@ struct Pace {
 }
 
 impl Stage {
-    /// Sets the board up to be looked at: heartbeats, and a stream of every step, or of `rows_hz` rows a second.
-    /// Recordings go to `folder`; without one there are none.
+    /// Prepares the board for a view: heartbeats, and a stream of every step, or of `rows_hz` rows a second. Recordings
+    /// go to `folder`; without a folder they are disabled.
     pub fn open(mut world: World, hub: Hub, rows_hz: Option<f64>, folder: Option<PathBuf>) -> Result<Self, Failure> {
         let board = &mut world.board;
         let details = board.details()?;
         let device = board.device()?.ok_or(BoardError::Refused(Refusal::NoDevice))?;
         let scene = board.scene()?.ok_or(BoardError::Refused(Refusal::NoScene))?;
         let device = device.cast::<f64>();
-        let (first, scene) = (scene.clone(), fit(&scene, &device)?);
+        let (first, scene) = (scene.clone(), check_scene(&scene, &device)?);
         let rules = board.rules()?;
         let rate_hz = f64::from(details.rate_hz);
         let name = if world.simulated.is_some() { "simulated" } else { "" };
-        let most = rows_that_fit(name, FIELDS, device.axes(), rate_hz);
-        let divider = (rate_hz / rows_hz.unwrap_or(most).min(rate_hz)).ceil().max(1.0) as u32;
+        let max_rows_hz = rows_that_fit(name, FIELDS, device.axes(), rate_hz);
+        let divider = (rate_hz / rows_hz.unwrap_or(max_rows_hz).min(rate_hz)).ceil().max(1.0) as u32;
         let rows_hz = rate_hz / f64::from(divider);
         let columns = columns(FIELDS, device.axes());
         // No page holds a key yet.
@@ -165,9 +166,9 @@ impl Stage {
             hub,
             now,
             listened: now,
-            shown: now,
-            swept: now,
-            looked: now,
+            last_picture: now,
+            last_sweep: now,
+            last_poll: now,
             subject: Subject::on_board(device.clone(), world.file.as_ref()),
             path: torque_path(world.board.info(), &details),
             device,
@@ -184,23 +185,23 @@ impl Stage {
             listeners: Vec::new(),
             command: None,
             held: None,
-            key_heard: now,
-            coming_out: None,
+            key_time: now,
+            exiting: None,
             goal: None,
             state: State::Disarmed,
             fault: None,
             load: None,
-            oracle: Oracle::default(),
+            predictor: Predictor::default(),
             plane: None,
-            asked: None,
+            requested: None,
             buzz: None,
             pace: Pace { began: now, board_began: board_now, measured: (now, board_now), speed: 1.0 },
             folder,
             recording: None,
             world,
         };
-        stage.say_to_all(&stage.about());
-        stage.say_to_all(&stage.walls());
+        stage.send_to_all(&stage.hello());
+        stage.send_to_all(&stage.walls_message());
         Ok(stage)
     }
 
@@ -208,14 +209,15 @@ impl Stage {
         &mut self.world.board
     }
 
-    /// Plays until `stop` is set, or the board is lost or does not answer. Without an error the motors are off afterwards.
+    /// Runs until `stop` is set, or the board is lost or does not reply. Without an error the motors are off
+    /// afterwards.
     pub fn run(&mut self, stop: &AtomicBool) -> Result<(), LinkError> {
-        let played = self.play(stop);
-        let ended = self.end(played.is_err());
-        played.and(ended)
+        let result = self.play(stop);
+        let ended = self.end(result.is_err());
+        result.and(ended)
     }
 
-    /// Ends what is shown, with the motors off. A board that was `lost` turns them off itself.
+    /// Ends the view, with the motors off. A board that was `lost` turns them off itself.
     pub fn end(&mut self, lost: bool) -> Result<(), LinkError> {
         self.stop_recording(lost);
         self.disarm()?;
@@ -235,51 +237,51 @@ impl Stage {
         Ok(())
     }
 
-    /// Does what is due at `now`, the time since the stage was opened: hears the pages, lets a few milliseconds pass,
-    /// shows what there is to see.
+    /// Does the work that is due at `now`, the time since the stage was opened: receives messages, lets a few
+    /// milliseconds pass, sends pictures.
     pub fn turn(&mut self, now: Duration) -> Result<Turn, LinkError> {
         self.listened += now.saturating_sub(self.now).min(CATCH_UP);
         self.now = now;
         for _ in 0..EVENTS {
             let Some(event) = self.hub.next() else { break };
-            self.hear(event)?;
+            self.handle(event)?;
         }
-        self.watch_the_key()?;
-        let turn = match self.due() {
+        self.check_key()?;
+        let turn = match self.time_to_pass() {
             Some(wait) => {
-                self.let_time_pass(wait)?;
+                self.pass_time(wait)?;
                 Turn::Played
             }
             None => Turn::Ahead,
         };
-        if now.saturating_sub(self.shown) >= PICTURE {
-            self.shown = now;
-            self.show();
+        if now.saturating_sub(self.last_picture) >= PICTURE {
+            self.last_picture = now;
+            self.send_pictures();
         }
-        if now.saturating_sub(self.swept) >= SWEEP {
-            self.swept = now;
-            self.sweep();
+        if now.saturating_sub(self.last_sweep) >= SWEEP {
+            self.last_sweep = now;
+            self.send_sweeps();
         }
-        if now.saturating_sub(self.looked) >= LOOK {
-            self.looked = now;
-            self.look()?;
+        if now.saturating_sub(self.last_poll) >= POLL {
+            self.last_poll = now;
+            self.poll_board()?;
         }
         Ok(turn)
     }
 
-    /// For how long the board's rows are waited for; none: simulated time is where it should be.
-    fn due(&mut self) -> Option<Duration> {
+    /// Returns the time for which to wait for rows; `None` if simulated time is up to date.
+    fn time_to_pass(&mut self) -> Option<Duration> {
         if self.world.simulated.is_none() {
             return Some(Duration::from_millis(5));
         }
         let passed = self.world.board.now().saturating_sub(self.pace.board_began);
         let behind = self.now.saturating_sub(self.pace.began).saturating_sub(passed);
-        // Time that the computer was too slow for is not made up for: the picture would race.
+        // Time for which the computer was too slow is not made up, because the picture would race.
         self.pace.began += behind.saturating_sub(CATCH_UP);
         Some(behind.min(SLICE)).filter(|behind| !behind.is_zero())
     }
 
-    fn let_time_pass(&mut self, wait: Duration) -> Result<(), LinkError> {
+    fn pass_time(&mut self, wait: Duration) -> Result<(), LinkError> {
         for row in self.world.board.rows(wait)? {
             if let Some(last) = self.last_step {
                 let ahead = row.step.wrapping_sub(last) / self.divider;
@@ -301,21 +303,21 @@ impl Stage {
             self.trail.push([tip[0], tip.get(1).copied().unwrap_or(0.0)]);
         }
         for record in self.world.board.take_reported_faults() {
-            let words = in_words(&record, self.world.simulated.is_some());
-            self.note(&words);
+            let words = describe_fault(&record, self.world.simulated.is_some());
+            self.record_event(&words);
             self.fault = Some(words);
         }
         let code = Newest::of(&self.ring, &self.columns).get(Field::State, 0) as usize;
         let state = State::ALL.get(code).copied().unwrap_or_default();
         if state == State::Fault && (self.state != State::Fault || self.fault.is_none()) {
             let simulated = self.world.simulated.is_some();
-            self.fault = self.board().status()?.fault.map(|record| in_words(&record, simulated));
+            self.fault = self.board().status()?.fault.map(|record| describe_fault(&record, simulated));
             self.held = None;
         }
         if state != State::Fault && self.state == State::Fault {
             self.fault = None;
         }
-        // Rows on their way may be of the time before the last press of the key: the board says how it is.
+        // Rows in transit may be older than the last key press, so ask the board for its state.
         let went_off = self.state == State::Armed && state == State::Disarmed && self.held.is_some();
         self.state = state;
         if went_off && self.board().status()?.state == State::Disarmed {
@@ -325,55 +327,55 @@ impl Stage {
         Ok(())
     }
 
-    /// The dead man's key of real motors: silence counts as letting go. An emulated board's steps may pass at a part of
-    /// real time, so they alone do not tell.
-    fn watch_the_key(&mut self) -> Result<(), LinkError> {
+    /// Checks the dead man's key of real motors: silence counts as a release. The age by the board's steps is not
+    /// sufficient, because an emulated board may run slower than real time.
+    fn check_key(&mut self) -> Result<(), LinkError> {
         let age = |seen: u32| f64::from(self.world.board.step().wrapping_sub(seen)) / self.scene.rate_hz;
-        let silent = self.listened.saturating_sub(self.key_heard) > SILENCE;
-        let too_old = self.held.is_some_and(|seen| silent || age(seen) > SILENCE.as_secs_f64());
+        let silent = self.listened.saturating_sub(self.key_time) > KEY_TIMEOUT;
+        let too_old = self.held.is_some_and(|seen| silent || age(seen) > KEY_TIMEOUT.as_secs_f64());
         if too_old && self.world.simulated.is_none() {
             self.disarm()?;
-            self.refuse_all(Some("off"), "the page in command was not heard: motors off");
+            self.refuse_all(Some("off"), "no message from the page in command: motors off");
         }
         if self.command.is_some_and(|(_, heard)| self.now.saturating_sub(heard) > ABSENCE) {
-            self.leave()?;
+            self.give_up_command()?;
         }
         Ok(())
     }
 
     fn disarm(&mut self) -> Result<(), LinkError> {
-        (self.held, self.coming_out) = (None, None);
+        (self.held, self.exiting) = (None, None);
         match self.board().disarm() {
             Err(BoardError::Link(error)) => Err(error),
             Ok(()) | Err(BoardError::Refused(_)) => Ok(()),
         }
     }
 
-    /// The key is pressed: motors on. A simulated hand takes the tip out of a wall first.
+    /// Turns the motors on after a key press. A simulated hand first moves the tip out of a wall.
     fn press(&mut self, seen: u32) -> Result<(), BoardError> {
-        let began = self.coming_out.take().unwrap_or(self.now);
+        let began = self.exiting.take().unwrap_or(self.now);
         let armed = match &self.world.simulated {
             Some(_) => self.world.board.arm(),
             None => self.world.board.arm_held(seen),
         };
         if let (Err(BoardError::Refused(Refusal::InsideWall)), Some(simulated)) = (&armed, &self.world.simulated)
-            && self.now.saturating_sub(began) < WAY_OUT
+            && self.now.saturating_sub(began) < EXIT_TIMEOUT
             && let Some((_, normal)) = nearest_wall(&self.scene, &self.tip())
         {
             let tip: [f64; 2] = padded(&self.tip());
-            let way = OUTSIDE - Newest::of(&self.ring, &self.columns).get(Field::Distance, 0);
-            let goal = [tip[0] + way * normal[0], tip[1] + way * normal[1]];
+            let distance = EXIT_DISTANCE - Newest::of(&self.ring, &self.columns).get(Field::Distance, 0);
+            let goal = [tip[0] + distance * normal[0], tip[1] + distance * normal[1]];
             lead(simulated, Some(goal));
-            (self.goal, self.coming_out) = (Some(goal), Some(began));
+            (self.goal, self.exiting) = (Some(goal), Some(began));
             return Ok(());
         }
         armed?;
-        (self.held, self.key_heard) = (Some(seen), self.listened);
+        (self.held, self.key_time) = (Some(seen), self.listened);
         Ok(())
     }
 
-    /// Takes command from the page that has it.
-    fn leave(&mut self) -> Result<(), LinkError> {
+    /// Takes command away from the page that has it.
+    fn give_up_command(&mut self) -> Result<(), LinkError> {
         self.command = None;
         self.goal = None;
         if let Some(simulated) = &self.world.simulated {
@@ -382,25 +384,25 @@ impl Stage {
         self.disarm()
     }
 
-    fn hear(&mut self, event: Event) -> Result<(), LinkError> {
+    fn handle(&mut self, event: Event) -> Result<(), LinkError> {
         match event {
-            Event::Came(id) => {
-                self.say(id, &self.about());
-                self.say(id, &self.walls());
+            Event::Connected(id) => {
+                self.send(id, &self.hello());
+                self.send(id, &self.walls_message());
                 if let Some(plane) = &self.plane {
-                    self.say(id, &plane_message(plane));
+                    self.send(id, &plane_message(plane));
                 }
             }
-            Event::Gone(id) => {
+            Event::Disconnected(id) => {
                 self.scopes.remove(&id);
                 self.listeners.retain(|listener| *listener != id);
-                if self.commands(id) {
-                    self.leave()?;
+                if self.has_command(id) {
+                    self.give_up_command()?;
                 }
             }
-            Event::Said(id, Err(why)) => self.refuse(id, &why),
-            Event::LeftOut(id, count) => self.refuse(id, &format!("too much at once: {count} messages were left out")),
-            Event::Said(id, Ok(message)) => {
+            Event::Received(id, Err(why)) => self.refuse(id, &why),
+            Event::Dropped(id, count) => self.refuse(id, &format!("too many messages at once: {count} were dropped")),
+            Event::Received(id, Ok(message)) => {
                 if let Some((holder, heard)) = &mut self.command
                     && *holder == id
                 {
@@ -419,8 +421,8 @@ impl Stage {
         Ok(())
     }
 
-    /// Keeps in the recording what happened.
-    fn note(&mut self, words: &str) {
+    /// Writes an event to the recording, if there is one.
+    fn record_event(&mut self, words: &str) {
         if let Some(recording) = &mut self.recording
             && let Err(error) = recording.note(words)
         {
@@ -428,17 +430,17 @@ impl Stage {
         }
     }
 
-    fn commands(&self, id: PageId) -> bool {
+    fn has_command(&self, id: PageId) -> bool {
         self.command.is_some_and(|(holder, _)| holder == id)
     }
 
     fn act(&mut self, id: PageId, message: FromPage) -> Result<(), BoardError> {
-        // Every page may do these.
+        // Any page may send these.
         match &message {
             FromPage::Here {} => return Ok(()),
             FromPage::Disarm {} => return Ok(self.disarm()?),
             FromPage::Explain {} => {
-                self.oracle.explain();
+                self.predictor.explain();
                 return Ok(());
             }
             FromPage::Take {} if self.command.is_none() => {
@@ -464,23 +466,23 @@ impl Stage {
             }
             _ => {}
         }
-        if !self.commands(id) {
+        if !self.has_command(id) {
             if !matches!(message, FromPage::Release {} | FromPage::Hold { .. }) {
                 match self.command {
                     Some(_) => self.refuse_while("watching", id, "another page is in command; this one watches"),
-                    None => self.refuse_while("nobody", id, "nobody is in command: take it first"),
+                    None => self.refuse_while("nobody", id, "no page is in command: take it first"),
                 }
             }
             return Ok(());
         }
         match message {
-            FromPage::Give {} => self.leave()?,
+            FromPage::Give {} => self.give_up_command()?,
             FromPage::Release {} => self.disarm()?,
             FromPage::Arm { seen } if self.held.is_none() => self.press(seen)?,
-            FromPage::Hold { seen } if self.coming_out.is_some() => self.press(seen)?,
-            // Only a press arms: not a key that was down when something else turned the motors off.
+            FromPage::Hold { seen } if self.exiting.is_some() => self.press(seen)?,
+            // Only a press arms, not a key that was down when something else turned the motors off.
             FromPage::Arm { seen } | FromPage::Hold { seen } => {
-                self.key_heard = self.listened;
+                self.key_time = self.listened;
                 if self.held.is_some_and(|before| before != seen) {
                     self.held = Some(seen);
                     if self.world.simulated.is_none() {
@@ -500,8 +502,8 @@ impl Stage {
                     lead(simulated, at);
                     self.goal = at;
                 }
-                Some(_) => self.refuse(id, "a place is two finite numbers"),
-                None => self.refuse(id, "this device is not simulated: take it into your own hand"),
+                Some(_) => self.refuse(id, "a position is two finite numbers"),
+                None => self.refuse(id, "this device is not simulated: hold it in your own hand"),
             },
             FromPage::StartOver { pose } => match self.world.simulated.clone() {
                 Some(simulated) => self.start_over(id, &simulated, pose)?,
@@ -517,7 +519,7 @@ impl Stage {
         Ok(())
     }
 
-    /// Puts device, hand, walls and gains back to how they were in the beginning, or the device into another pose.
+    /// Resets device, hand, walls and gains to the start, or puts the device into another pose.
     fn start_over(&mut self, id: PageId, simulated: &SharedBoard, pose: Option<Vec<f64>>) -> Result<(), BoardError> {
         let start = match pose {
             None => simulated.lock().device().start(),
@@ -537,7 +539,7 @@ impl Stage {
         lead(simulated, None);
         self.goal = None;
         simulated.lock().device_mut().place(start);
-        // To the board's encoders this is a jump: a fault, of which nobody is to hear.
+        // The board's encoders see this as a jump: clear the fault before it is reported.
         self.world.board.rows(SLICE)?;
         match self.board().clear() {
             Err(BoardError::Link(error)) => return Err(error.into()),
@@ -547,12 +549,12 @@ impl Stage {
         self.world.board.take_reported_faults();
         let first = self.first.clone();
         self.board().set_scene(&first)?;
-        (self.last_step, self.asked, self.plane) = (None, None, None);
-        self.let_time_pass(SLICE)?;
+        (self.last_step, self.requested, self.plane) = (None, None, None);
+        self.pass_time(SLICE)?;
         self.trail.clear();
-        self.note("started over");
-        self.say_to_all(&self.about());
-        self.reread()
+        self.record_event("started over");
+        self.send_to_all(&self.hello());
+        self.reread_scene()
     }
 
     fn tip(&self) -> Vec<f64> {
@@ -560,7 +562,7 @@ impl Stage {
         (0..usize::from(self.scene.task)).map(|axis| newest.get(Field::Tip, axis)).collect()
     }
 
-    fn look(&mut self) -> Result<(), LinkError> {
+    fn poll_board(&mut self) -> Result<(), LinkError> {
         let details = self.board().details()?;
         self.rules = self.board().rules()?;
         let cycles = f64::from(details.longest_cycles);

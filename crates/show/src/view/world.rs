@@ -1,4 +1,4 @@
-//! The subject of a view: a board, its links to draw, and the hand on it if it is simulated.
+//! The subject of a view: a board, its links to draw, and the hand if the board is simulated.
 
 use crate::demo::Demo;
 use haptic_bridge::render::scene::{FeedForward, Scene};
@@ -9,38 +9,38 @@ use haptic_host::link::{Board, LinkError};
 use haptic_predict::wall_ahead::wall_ahead;
 use haptic_sim::{BoardOptions, Hand, HandSettings, Intent, Options, SharedBoard, ready_board};
 
-/// Distance at which the wall of [`World::demo`] stands in front of the tip, m.
+/// Distance of the wall of [`World::demo`] from the tip, m.
 const NEAR: f64 = 0.010;
-/// Share of the joints' dry friction that it has, and how much finer its encoders are.
-const LITTLE_FRICTION: f64 = 0.1;
-const FINER: f64 = 5.0;
-/// Tremor of the simulated hand, m: what sets a wall swinging that is about to.
+/// Dry friction of the demo's joints and number of encoder counts, relative to the device file.
+const FRICTION_FACTOR: f64 = 0.1;
+const ENCODER_FACTOR: f64 = 5.0;
+/// Tremor of the simulated hand, m: it excites the oscillation of an unstable wall.
 const TREMOR: f64 = 2e-4;
 
-/// A board and what is known of its surroundings.
+/// A board, its device and its simulation.
 pub struct World {
     /// The board.
     pub board: Board,
-    /// The same board from the inside, where it is simulated in this process.
+    /// Access to the same board if it is simulated in this process.
     pub simulated: Option<SharedBoard>,
-    /// The device, for its links.
+    /// Device file, for the links.
     pub file: Option<DeviceFile>,
-    /// The name of the scene's file, by which links know it.
+    /// Name of the scene's file, as in links to the page.
     pub scene_name: Option<String>,
-    /// The device's weight was left out.
+    /// True if the device's weight was left out.
     pub weightless: bool,
-    /// The device has less dry friction and finer encoders than its file says.
+    /// True if the device has less dry friction and finer encoders than its file.
     pub smooth: bool,
 }
 
 impl World {
-    /// A board that is there.
+    /// Creates the world of a connected board.
     pub fn of(board: Board, file: Option<DeviceFile>) -> Self {
         Self { board, simulated: None, file, scene_name: None, weightless: false, smooth: false }
     }
 
-    /// The device or the scene that a connected board still needs before it can be looked at.
-    pub fn lacks(&mut self) -> Result<Option<Refusal>, LinkError> {
+    /// Returns the device or scene that a connected board lacks for a view.
+    pub fn missing(&mut self) -> Result<Option<Refusal>, LinkError> {
         Ok(match (self.board.device()?, self.board.scene()?) {
             (None, _) => Some(Refusal::NoDevice),
             (_, None) => Some(Refusal::NoScene),
@@ -48,23 +48,22 @@ impl World {
         })
     }
 
-    /// The device of `haptic demo` in a pose and before a wall of its own: wherever the hand presses it, up to the
-    /// motors' limit, the wall buzzes without the feed-forward and is quiet with it, by prediction as well as when it
-    /// is tried.
+    /// Creates the device of `haptic demo` in another pose, with another wall: at any force up to the motors' limit the
+    /// wall buzzes without the feed-forward and is quiet with it, both in the prediction and in simulation.
     ///
-    /// Friction of the joints can hold a wall that is unstable, and lets one swing on that is stable but near its
-    /// boundary; encoder steps make a stiff wall tremble. Both would decide in the feed-forward's place, so this device
-    /// has little of them, and pages are told.
+    /// Joint friction can hold an unstable wall still, and can keep a stable wall near its boundary oscillating;
+    /// encoder steps make a stiff wall tremble. Both would hide the effect of the feed-forward, so this device has
+    /// little of them, and pages show that.
     pub fn demo() -> Result<Self, Failure> {
         let mut demo = Demo::shipped(1)?;
         let (sine, cosine) = 45.0_f64.to_radians().sin_cos();
-        // The wall passes 2 mm behind the tip's place at 2.2 and 1.2 rad, in and around which it was tried.
+        // The wall is 2 mm behind the tip's position at 2.2 and 1.2 rad; it was tried around that pose.
         (demo.pose, demo.normal) = ([2.109_673, 1.225_778, 0.0], [cosine, sine]);
         (demo.stiffness, demo.damping) = (8_700.0, 80.0);
         for joint in &mut demo.file.description.joints {
-            joint.coulomb *= LITTLE_FRICTION;
+            joint.coulomb *= FRICTION_FACTOR;
             if let Some(encoder) = &mut joint.encoder {
-                encoder.counts_per_turn *= FINER;
+                encoder.counts_per_turn *= ENCODER_FACTOR;
             }
         }
         let mut world = Self::start(demo.file.clone(), Some(demo.pose))?;
@@ -75,7 +74,7 @@ impl World {
         Ok(world)
     }
 
-    /// A simulated device in a scene, or before a wall that is stable and does not rattle.
+    /// Simulates a device in a scene, or in front of a stable wall that does not rattle.
     pub fn simulate(file: DeviceFile, scene: Option<Scene<f32>>) -> Result<Self, Failure> {
         let scene = match scene {
             Some(scene) => scene,
@@ -86,7 +85,8 @@ impl World {
         Ok(world)
     }
 
-    /// The device without its weight: with the motors off no hand would carry it, and with them on the board does.
+    /// Starts the device without its weight: with the motors off the simulated hand would not carry it, and with them
+    /// on the board does.
     fn start(mut file: DeviceFile, start: Option<[f64; 3]>) -> Result<Self, Failure> {
         let weightless = file.description.gravity.iter().any(|g| *g != 0.0);
         file.description.gravity = [0.0; 3];
@@ -100,12 +100,12 @@ impl World {
     }
 }
 
-/// The hand that a page leads.
+/// Returns the settings of the hand that a page moves.
 pub fn hand_settings() -> HandSettings {
     HandSettings { tremor: TREMOR, ..HandSettings::default() }
 }
 
-/// Leads the simulated hand to `goal` (m) in the plane that is drawn, or lets go of the tip.
+/// Moves the simulated hand to `goal` (m) in the drawn plane, or lets go of the tip.
 pub fn lead(board: &SharedBoard, goal: Option<[f64; 2]>) {
     let mut board = board.lock();
     let now = board.time();

@@ -1,4 +1,4 @@
-//! The effect of encoder steps on walls that are pressed: `haptic range --ripple` and `--wall`.
+//! The effect of encoder steps on pressed walls: `haptic range --ripple` and `--wall`.
 
 use super::Args;
 use crate::commands::arguments::Numbers;
@@ -15,21 +15,21 @@ use std::fmt::Write;
 
 /// The effect of encoder steps on pressed walls.
 #[derive(serde::Serialize)]
-pub struct Steps {
+pub struct EncoderRipple {
     /// Movement along the normal for one count of the coarsest joint, m.
     count_m: f64,
     push_n: f64,
-    /// Mass (kg), damping (N s/m), stiffness (N/m).
+    /// Mass (kg), damping (N s/m), stiffness (N/m) of the hand.
     hand: [f64; 3],
-    /// One entry for each way of damping.
+    /// One entry for each damping rule.
     #[serde(skip_serializing_if = "Vec::is_empty")]
-    lines: Vec<StepsAlong>,
+    lines: Vec<RippleAlong>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    wall: Option<StepsOfWall>,
+    wall: Option<RippleOfWall>,
 }
 
 #[derive(serde::Serialize)]
-struct StepsAlong {
+struct RippleAlong {
     bound_n: f64,
     #[serde(skip_serializing_if = "Option::is_none")]
     damping_ratio: Option<f64>,
@@ -42,41 +42,41 @@ struct StepsAlong {
 }
 
 #[derive(serde::Serialize)]
-struct StepsOfWall {
-    /// The largest force that one count alone makes, N.
+struct RippleOfWall {
+    /// Largest change of force by one count, N.
     step_n: f64,
     off: Ripple,
     full: Ripple,
     #[serde(skip_serializing_if = "Option::is_none")]
     washout: Option<Ripple>,
-    /// Predicted, of the loop whose range is printed: without the light hand.
-    swings: Swings,
+    /// Predicted for the loop whose range is printed: without the light hand.
+    swings: Oscillations,
 }
 
-/// What dies out most slowly in each mode, or builds up.
+/// Slowest decaying, or growing, oscillation in each mode.
 #[derive(serde::Serialize)]
-struct Swings {
+struct Oscillations {
     off: Option<Oscillation>,
     full: Option<Oscillation>,
     #[serde(skip_serializing_if = "Option::is_none")]
     washout: Option<Oscillation>,
 }
 
-/// The effect of encoder steps on the walls that were asked for.
-pub fn stepped(
+/// Simulates the effect of encoder steps on the requested walls.
+pub fn simulate_ripple(
     args: &Args,
     file: &DeviceFile,
     q: &[f64],
     normals: &[Vec<f64>],
     prediction: &Prediction,
     sweep: &Sweep,
-) -> Result<Option<Steps>, Failure> {
+) -> Result<Option<EncoderRipple>, Failure> {
     if args.ripple.is_none() && args.wall.is_none() {
         return Ok(None);
     }
     let [normal] = normals else {
         let reason = "--ripple or --wall with several --normal";
-        return Err(Failure::wrong(reason).remedy("ask for the ripple of one wall at a time"));
+        return Err(Failure::wrong(reason).remedy("give one --normal"));
     };
     let positive = |value: f64, what: &str| match value.is_finite() && value > 0.0 {
         true => Ok(value),
@@ -90,11 +90,11 @@ pub fn stepped(
     let hand = if args.hand.is_some() { args.hand()? } else { LIGHT_HAND };
     let (q, normal) = (q.to_vec(), normal.clone());
     let pressed = Pressed { device: &device, description, q, normal, around: &prediction.around, hand, push_n: PUSH_N };
-    let unseen = || {
+    let no_encoders = || {
         Failure::wrong(format!("{} has joints without [joint.encoder]", args.at.device.display()))
-            .remedy("ripple is what encoder steps make: add them")
+            .remedy("ripple comes from encoder steps: add the encoders")
     };
-    let count_m = pressed.count_m().ok_or_else(unseen)?;
+    let count_m = pressed.count_m().ok_or_else(no_encoders)?;
     let washout = args.washout.map(Mode::Washout);
     let mut lines = Vec::new();
     if let Some(bound) = args.ripple {
@@ -105,12 +105,12 @@ pub fn stepped(
             None => vec![DampingRule::Ratio(ratio)],
         };
         for line in dampings {
-            let along = |mode| pressed.along(mode, line, bound_n, sweep)?.ok_or_else(unseen);
+            let along = |mode| pressed.along(mode, line, bound_n, sweep)?.ok_or_else(no_encoders);
             let (damping_ratio, kd) = match line {
                 DampingRule::Ratio(ratio) => (Some(ratio), None),
                 DampingRule::Damping(kd) => (None, Some(kd)),
             };
-            lines.push(StepsAlong {
+            lines.push(RippleAlong {
                 bound_n,
                 damping_ratio,
                 kd,
@@ -128,26 +128,29 @@ pub fn stepped(
                 return Err(Failure::wrong("--wall needs a stiffness above zero and a damping that is not negative")
                     .remedy("write N/m and N s/m, such as 5000,150"));
             }
-            let of = |mode| pressed.ripple(mode, wall[0], wall[1]).ok_or_else(unseen);
+            let ripple = |mode| pressed.ripple(mode, wall[0], wall[1]).ok_or_else(no_encoders);
             let alone = [Member::new(pressed.normal.clone(), 1.0)];
-            let swing = |mode| prediction.buzz(&pressed.q, &alone, mode, wall[0], wall[1]);
-            let swings =
-                Swings { off: swing(Mode::Off)?, full: swing(Mode::Full)?, washout: washout.map_or(Ok(None), swing)? };
-            Some(StepsOfWall {
+            let oscillation = |mode| prediction.buzz(&pressed.q, &alone, mode, wall[0], wall[1]);
+            let swings = Oscillations {
+                off: oscillation(Mode::Off)?,
+                full: oscillation(Mode::Full)?,
+                washout: washout.map_or(Ok(None), oscillation)?,
+            };
+            Some(RippleOfWall {
                 swings,
-                step_n: pressed.step_n(wall[0], wall[1]).ok_or_else(unseen)?,
-                off: of(Mode::Off)?,
-                full: of(Mode::Full)?,
-                washout: washout.map(of).transpose()?,
+                step_n: pressed.step_n(wall[0], wall[1]).ok_or_else(no_encoders)?,
+                off: ripple(Mode::Off)?,
+                full: ripple(Mode::Full)?,
+                washout: washout.map(ripple).transpose()?,
             })
         }
     };
-    Ok(Some(Steps { count_m, push_n: PUSH_N, hand: [hand.mass, hand.damping, hand.stiffness], lines, wall }))
+    Ok(Some(EncoderRipple { count_m, push_n: PUSH_N, hand: [hand.mass, hand.damping, hand.stiffness], lines, wall }))
 }
 
-impl Steps {
-    /// As people read them.
-    pub fn in_words(&self) -> String {
+impl EncoderRipple {
+    /// Describes the results for people.
+    pub fn describe(&self) -> String {
         let mut text = String::new();
         let [mass, damping, stiffness] = self.hand;
         let _ = writeln!(
@@ -165,7 +168,7 @@ impl Steps {
             let mut row = |label: &str, along: &Along| {
                 let from = match along.kp_from {
                     Some(kp) => format!("from {kp:.1} N/m on"),
-                    None => "at no wall tried".into(),
+                    None => "at no wall that was tried".into(),
                 };
                 let _ = writeln!(
                     text,
@@ -180,7 +183,7 @@ impl Steps {
             }
         }
         if let Some(wall) = &self.wall {
-            let mut row = |label: &str, ripple: &Ripple, swing: &Option<Oscillation>| {
+            let mut row = |label: &str, ripple: &Ripple, oscillation: &Option<Oscillation>| {
                 let _ = match (ripple.rms_n, ripple.peak_n, ripple.motion_m) {
                     (Some(rms), Some(peak), Some(motion)) => writeln!(
                         text,
@@ -191,7 +194,7 @@ impl Steps {
                     ),
                     _ => writeln!(text, "  {label:<18} {} N/m, {} N s/m: the tip flies off", ripple.kp, ripple.kd),
                 };
-                if let Some(Oscillation { hz, growth_per_s }) = swing.filter(Oscillation::grows) {
+                if let Some(Oscillation { hz, growth_per_s }) = oscillation.filter(Oscillation::grows) {
                     let _ =
                         writeln!(text, "  {:18} predicted to buzz at {hz:.1} Hz, growing by {growth_per_s:.1}/s", "");
                 }

@@ -1,4 +1,4 @@
-//! The words of `haptic range`.
+//! The text output of `haptic range`.
 
 use super::{Args, estimator};
 use crate::commands::arguments::Numbers;
@@ -15,7 +15,7 @@ use haptic_stability::analysis::sampled::LinearEstimator;
 use haptic_stability::analysis::why::{Both, Limits, Why};
 use std::fmt::Write;
 
-/// Pose, walls and loop, for titles.
+/// Returns pose, walls and loop, for titles.
 pub fn subtitle(args: &Args, q: &[f64], normals: &[Vec<f64>], ratio: f64) -> [String; 2] {
     let joined = |values: &[f64]| values.iter().map(|v| format!("{v:.3}")).collect::<Vec<_>>().join(", ");
     [
@@ -36,38 +36,38 @@ pub fn subtitle(args: &Args, q: &[f64], normals: &[Vec<f64>], ratio: f64) -> [St
     ]
 }
 
-/// The estimator, unless it is the usual one, and its cutoff, if it has one.
+/// Returns the estimator, if it is not the usual one, and its cutoff, if it has one.
 fn filter(args: &Args) -> String {
     let kind = (args.estimator != Estimator::Butterworth).then(|| args.estimator.name().to_string());
     let cutoff = estimator(args).ok().and_then(LinearEstimator::cutoff_hz).map(|hz| format!("cutoff {hz} Hz"));
     kind.into_iter().chain(cutoff).collect::<Vec<_>>().join(", ")
 }
 
-/// The parts of this loop that not every loop has.
-fn besides(args: &Args, description: &Description) -> Vec<String> {
-    let mut besides = Vec::new();
+/// Describes the optional parts of the loop.
+fn optional_parts(args: &Args, description: &Description) -> Vec<String> {
+    let mut parts = Vec::new();
     if description.is_flexible() {
-        besides.push("with the transmissions and modes of the device file".to_string());
+        parts.push("with the transmissions and modes of the device file".to_string());
     }
-    if let Some(Numbers(held)) = &args.posture {
-        besides.push(format!("in a posture of {} N m/rad and {} N m s/rad", held[0], held[1]));
+    if let Some(Numbers(posture)) = &args.posture {
+        parts.push(format!("in a posture of {} N m/rad and {} N m s/rad", posture[0], posture[1]));
     }
     if let Some(Numbers(hand)) = &args.hand {
-        besides.push(format!("in a hand of {} kg, {} N s/m, {} N/m", hand[0], hand[1], hand[2]));
+        parts.push(format!("in a hand of {} kg, {} N s/m, {} N/m", hand[0], hand[1], hand[2]));
     }
     let joints = &description.joints[..description.kind.spec().joints];
     if joints.iter().any(|joint| joint.friction.is_some() || joint.cogging.is_some()) {
-        besides.push(
+        parts.push(
             "without dry friction and cogging, which are not linear (--ripple and `haptic sim` have them)".into(),
         );
     }
     if args.difference_over > 1 {
-        besides.push(format!("velocity from the difference over {} samples", args.difference_over));
+        parts.push(format!("velocity from the difference over {} samples", args.difference_over));
     }
-    besides
+    parts
 }
 
-/// The whole answer as a table.
+/// Formats the complete result as a table.
 pub fn readable(
     name: &str,
     args: &Args,
@@ -81,24 +81,25 @@ pub fn readable(
     let mut line = |content: String| {
         let _ = writeln!(text, "{content}");
     };
-    let [pose, around] = subtitle(args, q, normals, range.area_ratio);
+    let [pose, loop_line] = subtitle(args, q, normals, range.area_ratio);
     line(format!("{name}: {pose}"));
-    line(format!("  {around}"));
-    for more in besides(args, description) {
+    line(format!("  {loop_line}"));
+    for more in optional_parts(args, description) {
         line(format!("  {more}"));
     }
     line(format!("  effective inertia Weff, met without feed-forward  {:>12.6} kg", range.w_eff));
     line(format!("  rendered inertia Wrr, met with feed-forward       {:>12.6} kg", range.w_rr));
     if let Some((gain, met)) = range.feed_forward_gain.zip(range.inertia_met) {
         line(format!("  met with {gain} times the feed-forward{:>28.6} kg", met));
-        line(format!("  {}", price(range.w_eff, range.w_rr, gain)));
+        line(format!("  {}", cost_of_gain(range.w_eff, range.w_rr, gain)));
     }
     if let Some(at_tip) = range.transmissions {
         line(format!(
             "  stiffness of the transmissions at the tip along n {at_tip:>12.0} N/m: a hand feels a wall behind it"
         ));
     }
-    let sensed = |joint: &Joint| joint.transmission.is_some_and(|gives| gives.encoder_at == EncoderAt::Joint);
+    let sensed =
+        |joint: &Joint| joint.transmission.is_some_and(|transmission| transmission.encoder_at == EncoderAt::Joint);
     if range.transmissions.is_none() && description.joints.iter().any(sensed) {
         line("  a hand feels the wall as stiff as it is rendered: encoders sit behind the transmissions".into());
     }
@@ -120,13 +121,13 @@ pub fn readable(
         row(&format!("on a computer, {:.0} Hz", host.rate_hz), &host.domain);
     }
     if args.kd.is_some() {
-        line("  max kp: of the dampings asked for; without --kd that of the whole range".into());
+        line("  max kp: of the requested dampings; without --kd of the complete range".into());
     }
     line(
-        "  buzz: the frequency at which a stiffer wall begins to buzz; - where nothing is stable, or it creeps".into(),
+        "  buzz: the frequency at which a stiffer wall begins to buzz; - if nothing is stable, or if it creeps".into(),
     );
     line(String::new());
-    // A dozen rows are enough to read; --json gives the rest.
+    // A dozen rows are enough to read; --json has the rest.
     let step = if args.kd.is_some() { 1 } else { (range.off.boundary.len() / 12).max(1) };
     let domains = [
         ("off", Some(&range.off)),
@@ -138,8 +139,8 @@ pub fn readable(
     line(columns().fold(" ".into(), |row, (name, _)| {
         format!("{row} {:>12}{:>14}{:>7}", format!("kd {name}"), format!("kp_max {name}"), "Hz")
     }));
-    let nothing = args.kd.is_none() && columns().all(|(_, domain)| domain.kd_max == 0.0);
-    let rows = if nothing { 0 } else { range.off.boundary.len() };
+    let is_unstable = args.kd.is_none() && columns().all(|(_, domain)| domain.kd_max == 0.0);
+    let rows = if is_unstable { 0 } else { range.off.boundary.len() };
     for index in (0..rows).step_by(step) {
         line(
             columns()
@@ -180,21 +181,20 @@ pub fn readable(
     text
 }
 
-/// The cost of a gain, in a sentence.
-fn price(w_eff: f64, w_rr: f64, gain: f64) -> String {
+/// Describes the cost of a gain.
+fn cost_of_gain(w_eff: f64, w_rr: f64, gain: f64) -> String {
     let coupling = 1.0 - w_eff / w_rr;
     format!(
-        "its price: {gain} times (4)'s push along the wall at rest, and a coupling off by 1 % changes the inertia met by \
+        "its cost: {gain} times (4)'s push along the wall at rest, and a coupling off by 1 % changes the inertia met by \
          {:.2} % ({:.2} % at a gain of 1)",
         gain * coupling / (1.0 - gain * coupling),
         coupling / (1.0 - coupling)
     )
 }
 
-/// The benefit of rendering on the board, in a sentence.
+/// Describes the benefit of rendering on the board.
 fn on_a_computer(range: &Range, host: &HostWall) -> String {
-    let by =
-        format!("a computer that asks {:.0} times a second, its forces {} ms old", host.rate_hz, 1e3 * host.delay_s);
+    let by = format!("a computer with {:.0} exchanges a second and forces {} ms old", host.rate_hz, 1e3 * host.delay_s);
     if host.domain.top.kp == 0.0 {
         return format!("rendered by {by}: never stable");
     }
@@ -202,7 +202,7 @@ fn on_a_computer(range: &Range, host: &HostWall) -> String {
     format!("rendered by {by}: the board's own wall is up to {times:.1} times as stiff")
 }
 
-/// The benefit of the feed-forward, in a sentence.
+/// Describes the benefit of the feed-forward.
 fn verdict(range: &Range) -> String {
     let ratio = range.area_ratio;
     if range.off.area == 0.0 && range.full.area == 0.0 {
@@ -216,7 +216,7 @@ fn verdict(range: &Range) -> String {
             .into()
     } else if ratio < WORTHWHILE_RATIO {
         format!(
-            "The feed-forward buys nothing here: the stable area changes by {}. Leave it off at this pose and normal.",
+            "The feed-forward has no benefit here: the stable area changes by {}. Leave it off at this pose and normal.",
             percent(ratio - 1.0, 1, true)
         )
     } else {
@@ -224,8 +224,8 @@ fn verdict(range: &Range) -> String {
     }
 }
 
-/// Why, as a table.
-pub fn in_words(why: &Why) -> String {
+/// Formats the limiting effects as a table.
+pub fn describe_why(why: &Why) -> String {
     let mut text =
         format!("\n  {:<40}{:>16}{:>9}{:>16}{:>9}\n", "largest kp without", "off N/m", "takes", "full N/m", "takes");
     let number = |limits: Option<Limits>| limits.map_or("no limit".into(), |limits| format!("{:.2}", limits.kp_max));
@@ -239,26 +239,26 @@ pub fn in_words(why: &Why) -> String {
         let name = format!("{} ({})", without.effect, without.instead);
         row(&name, &without.limits, [share(without.takes.off), share(without.takes.full)]);
     }
-    text.push_str("  takes: of the largest stiffness without it; negative where it helps; they do not add up\n");
+    text.push_str("  takes: reduction of the largest stiffness without the effect; negative if the effect helps; the shares do not add up\n");
     text
 }
 
-/// The shares of the area and of the stiffest wall that are left, if one of them is less than [`COSTLY_RATIO`].
-fn costs(domain: &Domain, off: &Domain) -> Option<(f64, f64)> {
+/// Returns the remaining shares of the area and of the stiffest wall, if one of them is less than [`COSTLY_RATIO`].
+fn remaining_shares(domain: &Domain, off: &Domain) -> Option<(f64, f64)> {
     let stiffness = domain.top.kp / off.top.kp.max(f64::MIN_POSITIVE);
     let area = domain.area / off.area.max(f64::MIN_POSITIVE);
     (off.area > 0.0 && (area < COSTLY_RATIO || stiffness < COSTLY_RATIO)).then_some((area, stiffness))
 }
 
-/// Doubts about a feed-forward that costs more than it brings: in full, and washed out at a corner (Hz). `washed`
-/// predicts the range with another corner.
-pub fn costly<E>(
+/// Returns warnings about a feed-forward that costs more than it brings, in full and with a washout at a corner (Hz).
+/// `washed` predicts the range with another corner.
+pub fn costly_warnings<E>(
     range: &Range,
     corner: Option<f64>,
-    washed: impl Fn(f64) -> Result<Range, E>,
+    with_corner: impl Fn(f64) -> Result<Range, E>,
 ) -> Result<Vec<String>, E> {
-    let doubt = |domain: &Domain, what: &str, instead: &str| {
-        let (area, stiffness) = costs(domain, &range.off)?;
+    let warning = |domain: &Domain, what: &str, instead: &str| {
+        let (area, stiffness) = remaining_shares(domain, &range.off)?;
         if domain.area == 0.0 {
             return Some(format!("{what} leaves nothing stable here; {instead}"));
         }
@@ -267,16 +267,17 @@ pub fn costly<E>(
              wall {stiffness:.2} times as stiff; {instead}"
         ))
     };
-    let mut doubts: Vec<String> =
-        doubt(&range.full, "the feed-forward", "leave it off at this pose and normal").into_iter().collect();
-    let Some((washout, corner)) = range.washout.as_ref().zip(corner) else { return Ok(doubts) };
-    if costs(washout, &range.off).is_none() {
-        return Ok(doubts);
+    let mut warnings: Vec<String> =
+        warning(&range.full, "the feed-forward", "leave it off at this pose and normal").into_iter().collect();
+    let Some((washout, corner)) = range.washout.as_ref().zip(corner) else { return Ok(warnings) };
+    if remaining_shares(washout, &range.off).is_none() {
+        return Ok(warnings);
     }
-    let is_free = |hz| Ok(washed(hz)?.washout.is_some_and(|domain| costs(&domain, &range.off).is_none()));
+    let is_free =
+        |hz| Ok(with_corner(hz)?.washout.is_some_and(|domain| remaining_shares(&domain, &range.off).is_none()));
     let free = lower_corner(corner, is_free)?;
     let costless = free.map_or(String::new(), |hz| format!("a corner of {hz} Hz costs nothing (--washout), or "));
     let instead = format!("{costless}leave the feed-forward off");
-    doubts.extend(doubt(washout, "the washout", &instead));
-    Ok(doubts)
+    warnings.extend(warning(washout, "the washout", &instead));
+    Ok(warnings)
 }

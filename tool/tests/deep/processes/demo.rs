@@ -46,7 +46,7 @@ fn the_command_prints_its_table_and_draws_its_picture() {
     let svg = directory.path().join("demo.svg");
     let output = haptic(&["demo", "--svg"]).arg(&svg).assert().success().get_output().clone();
     let said = String::from_utf8(output.stdout).unwrap();
-    for line in ["penetration, mm", "peak force, N", "highest stable stiffness", "predicted", "coupling", "bought"] {
+    for line in ["penetration, mm", "peak force, N", "highest stable stiffness", "predicted", "coupling", "Benefit"] {
         assert!(said.contains(line), "{line} is missing in\n{said}");
     }
     assert!(said.contains(&format!("picture: {}", svg.display())));

@@ -119,7 +119,7 @@ fn a_disk_that_fills_up_ends_the_recording_with_whole_rows_and_says_how_many() {
     let recording = recording(&csv);
     assert!(!recording.torn && recording.rows.len() > 500);
     assert_eq!(number_before(&text, "rows are in"), recording.rows.len() as u64);
-    assert!(number_before(&text, "that came could not be written and are lost") > 0 && !text.contains("none lost"));
+    assert!(number_before(&text, "received rows could not be written and are lost") > 0 && !text.contains("none lost"));
     assert_eq!(gaps(&recording), 0);
     sim.run(&["info"]).success();
 }
@@ -183,7 +183,7 @@ fn an_interrupted_stream_ends_in_order_and_its_motors_go_off_where_the_rules_say
         let csv = path(&format!("{rule}-{how}.csv"));
         let mut stream = vec!["record", csv.to_str().unwrap(), "--rate", "1000"];
         if rule == "ignore" {
-            sim.run(&["arm"]).success().stdout(contains("nobody is watched"));
+            sim.run(&["arm"]).success().stdout(contains("does not watch its host"));
         } else {
             stream.push("--arm");
         }

@@ -254,7 +254,7 @@ fn what_no_board_does_is_refused() {
     for (more, says) in [
         (&["--rates", "45000"][..], "no board was seen to hold"),
         (&["--ripple", "0"], "must be positive"),
-        (&["--port", "sim"], "ends with this command"),
+        (&["--port", "sim"], "exists only during this command"),
     ] {
         let failed = tune(more).code(2).get_output().stderr.clone();
         let failed = String::from_utf8(failed).unwrap();

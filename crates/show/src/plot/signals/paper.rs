@@ -1,24 +1,24 @@
-//! The panels of a recording on paper, one below the other, as wide as a screen or a column of a paper takes.
+//! Draws the panels of a recording, one below the other, at the width of a screen or of a column of a paper.
 
-use super::{Found, Panel, Quantity, View, smoothed};
+use super::{Analysis, Panel, Quantity, View, smooth_panel};
 use crate::plot::Picture;
 use crate::plot::axes::{Axis, Mark, PlotArea};
 use crate::plot::canvas::{Anchor, Canvas, SMALL, Stroke};
 use crate::plot::colour::{BOUND, FULL, INK, OFF, WASHOUT};
 use crate::plot::paper::{EDGE, Paper, wrapped};
 
-/// Size of a panel's frame, and of what is around it, in units of the drawing (pixels on a screen).
+/// Size of a panel's frame, and of the room around it, in units of the drawing (pixels on a screen).
 const SIZE: (f64, f64) = (600.0, 190.0);
 const LEFT: f64 = 96.0;
 const RIGHT: f64 = 24.0;
 const HEAD: f64 = 86.0;
 const FOOT: f64 = 84.0;
-/// Points from which on a line that may cross itself is drawn thin.
+/// Number of points from which on a line that may cross itself is drawn thin.
 const MANY: usize = 1000;
 const COLOURS: [&str; 4] = [FULL, OFF, WASHOUT, BOUND];
 
-/// Puts them on paper, one below the other.
-pub fn draw(title: &str, subtitle: &[String], found: &Found, paper: Paper) -> Picture {
+/// Draws the panels, one below the other.
+pub fn draw(title: &str, subtitle: &[String], found: &Analysis, paper: Paper) -> Picture {
     let page = paper.page(LEFT + SIZE.0 + RIGHT, LEFT);
     let size = (page.wide - page.left - RIGHT, SIZE.1);
     let heading = page.heading(title, subtitle);
@@ -27,7 +27,7 @@ pub fn draw(title: &str, subtitle: &[String], found: &Found, paper: Paper) -> Pi
     for panel in &found.panels {
         match panel.view {
             View::Phase if found.together > 2 => {
-                draw_panel(&mut canvas, page.left, size, &smoothed(panel, found.together));
+                draw_panel(&mut canvas, page.left, size, &smooth_panel(panel, found.together));
             }
             _ => draw_panel(&mut canvas, page.left, size, panel),
         }
@@ -36,7 +36,7 @@ pub fn draw(title: &str, subtitle: &[String], found: &Found, paper: Paper) -> Pi
     canvas.finish(title, &format!("Of a recording: {}.", views.join("; ")))
 }
 
-/// Adds a panel below the others: its frame has its left edge at `left` and this size.
+/// Adds a panel below the others, with the left edge of its frame at `left` and this size.
 fn draw_panel(canvas: &mut Canvas, left: f64, size: (f64, f64), panel: &Panel) {
     let notes = wrapped(&panel.note, left + size.0 - EDGE, SMALL);
     let colours = COLOURS.into_iter().cycle();
@@ -49,19 +49,19 @@ fn draw_panel(canvas: &mut Canvas, left: f64, size: (f64, f64), panel: &Panel) {
     let longest = entries.iter().map(|(_, name)| name.chars().count()).max().unwrap_or(0) as f64;
     let in_a_row = ((size.0 / (53.0 + 6.5 * longest)) as usize).max(1);
     let legend: Vec<_> = if entries.len() > 1 { entries.chunks(in_a_row).collect() } else { Vec::new() };
-    // A line of notes and one of the legend have room between two frames.
+    // One line of notes and one line of the legend have room between two frames.
     let noted = 14.0 * (notes.len() - 1) as f64;
     let above = noted + 18.0 * legend.len().saturating_sub(1) as f64;
     let at = (left, canvas.lengthen(above + size.1 + FOOT) + above);
 
-    let points = || panel.curves.iter().flat_map(|curve| curve.pieces.iter().flatten()).filter(|p| finite(p));
+    let points = || panel.curves.iter().flat_map(|curve| curve.pieces.iter().flatten()).filter(|p| is_finite(p));
     let ends = |pick: fn(&(f64, f64)) -> f64| {
         let (low, high) =
             points().map(pick).fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(v), high.max(v)));
         if low > high { (0.0, 1.0) } else { (low, high) }
     };
     let axis = |quantity: &Quantity, (low, high): (f64, f64), room: f64| {
-        // A constant is a line in the middle of something.
+        // A constant gets an axis with the line in its middle.
         let span =
             if high - low > 1e-12 * high.abs().max(low.abs()) { high - low } else { 1e-3_f64.max(0.2 * high.abs()) };
         Axis {
@@ -78,9 +78,9 @@ fn draw_panel(canvas: &mut Canvas, left: f64, size: (f64, f64), panel: &Panel) {
             for piece in &curve.pieces {
                 let points = match panel.view {
                     View::Time | View::Spectrum => envelope(&frame, piece),
-                    View::Force | View::Phase => thinned(&frame, piece),
+                    View::Force | View::Phase => thin_out(&frame, piece),
                 };
-                // A line that crosses itself many times would be an area.
+                // A line that crosses itself many times would become an area.
                 let crossed = matches!(panel.view, View::Force | View::Phase) && points.len() > MANY;
                 frame.curve(canvas, &points, Stroke::solid(colour, if crossed { 0.4 } else { 1.1 }));
             }
@@ -101,24 +101,24 @@ fn draw_panel(canvas: &mut Canvas, left: f64, size: (f64, f64), panel: &Panel) {
         let y = at.1 - 6.0 - 14.0 * line as f64;
         canvas.text((at.0 + size.0, y), SMALL, Anchor::End, false, note);
     }
-    // Above the frame and its note: it hides no curve.
+    // The legend is above the frame and its note, so it hides no curve.
     for (row, entries) in legend.iter().rev().enumerate() {
         PlotArea::legend_line(canvas, (at.0, at.1 - 24.0 - noted - 18.0 * row as f64), entries);
     }
 }
 
-fn finite(point: &(f64, f64)) -> bool {
+fn is_finite(point: &(f64, f64)) -> bool {
     point.0.is_finite() && point.1.is_finite()
 }
 
-/// Thins points out of which more than one falls into half a pixel: it keeps the first, lowest, highest and last of
-/// each half pixel, so that no peak is lost.
+/// Thins out points if more than one is within half a pixel: keeps the first, lowest, highest and last of each half
+/// pixel, so that no peak is lost.
 fn envelope(frame: &PlotArea, piece: &[(f64, f64)]) -> Vec<(f64, f64)> {
     let mut kept: Vec<(f64, f64)> = Vec::new();
     let place = |point: &(f64, f64)| (2.0 * frame.pixel(point.0, point.1).0).floor();
     for column in piece.chunk_by(|a, b| place(a) == place(b)) {
         if column.len() <= 4 {
-            kept.extend(column.iter().filter(|p| finite(p)));
+            kept.extend(column.iter().filter(|p| is_finite(p)));
             continue;
         }
         let (mut low, mut high) = (0, 0);
@@ -133,16 +133,16 @@ fn envelope(frame: &PlotArea, piece: &[(f64, f64)]) -> Vec<(f64, f64)> {
         let mut picked = vec![0, low, high, column.len() - 1];
         picked.sort_unstable();
         picked.dedup();
-        kept.extend(picked.into_iter().map(|i| column[i]).filter(finite));
+        kept.extend(picked.into_iter().map(|i| column[i]).filter(is_finite));
     }
     kept
 }
 
-/// Without the points that lie on the one before them, within a quarter of a pixel.
-fn thinned(frame: &PlotArea, piece: &[(f64, f64)]) -> Vec<(f64, f64)> {
+/// Removes points that are within a quarter of a pixel of the previous one.
+fn thin_out(frame: &PlotArea, piece: &[(f64, f64)]) -> Vec<(f64, f64)> {
     let mut kept: Vec<(f64, f64)> = Vec::new();
     let mut last = (f64::INFINITY, f64::INFINITY);
-    for point in piece.iter().filter(|p| finite(p)) {
+    for point in piece.iter().filter(|p| is_finite(p)) {
         let pixel = frame.pixel(point.0, point.1);
         if (pixel.0 - last.0).hypot(pixel.1 - last.1) > 0.25 || last.0.is_infinite() {
             kept.push(*point);

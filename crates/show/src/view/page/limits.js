@@ -1,6 +1,6 @@
-// ---- what was tried -----------------------------------------------------------------------------------------------
-// A press of the wall leaves a mark at its gains: a disc where it was quiet, a cross where the force rippled as much as
-// the coach calls a buzz. The press may last: its last 0.2 s count, and a buzz may lift the tip off in between.
+// ---- tried gains --------------------------------------------------------------------------------------------------
+// A press of the wall leaves a mark at its gains: a disc if it was quiet, a cross if the force rippled more than the
+// coach's limit for a buzz. A long press is judged by its last 0.2 s, and the tip may lift off in between.
 const PRESSED = .3, LATELY = .2, LIFTED = .15;
 let tried = { marks: [] };
 const keyOf = (index, wall) => [index, wall.stiffness, wall.damping, wall.feed_forward].join();
@@ -11,7 +11,7 @@ function markGains(p) {
   if (tried.places[n.wall] !== at) { tried.places[n.wall] = at; tried.marks = tried.marks.filter(mark => mark.wall !== n.wall); }
   const key = keyOf(n.wall, wall);
   if (tried.press && (tried.press.key !== key || p.time - tried.press.last > LIFTED)) tried.press = null;
-  // Where the motors are at their limit, no wall is felt: it says nothing of the gains.
+  // At the motors' limit no wall is felt, so the press says nothing about the gains.
   if (n.saturated > LIMITED) tried.press = null;
   if (!(n.depth > 0) || n.saturated > LIMITED) return;
   const press = tried.press ||= { key, began: p.time, ripples: [] };
@@ -23,7 +23,7 @@ function markGains(p) {
   tried.marks = [...tried.marks.filter(old => old !== press.mark && (old.key !== key || !isHere(old, p.q))), mark].slice(-200);
   press.mark = mark;
 }
-// A mark is of the pose that it was left in: it counts beside a boundary that is predicted within 0.04 rad of it.
+// A mark belongs to the pose in which it was made: it counts near a boundary that is predicted within 0.04 rad of it.
 const isHere = (mark, q) => q.every((angle, i) => Math.abs(angle - mark.q[i]) < .04);
 function drawMarks(c, X, Y, plane, wall) {
   $("forget").hidden = !tried.marks.length;
@@ -41,30 +41,30 @@ function drawMarks(c, X, Y, plane, wall) {
 }
 $("forget").onclick = () => { tried.marks = []; requestDraw(); };
 
-// ---- what limits, and what is assumed -----------------------------------------------------------------------------
+// ---- limiting effects and assumptions -----------------------------------------------------------------------------
 let limits = { asked: 0 };
 function element(name, ...content) { const made = document.createElement(name); made.append(...content); return made; }
 function showLimits(plane, wall) {
   if ($("limits").hidden) return;
   const known = plane?.limits?.feed_forward === wall.feed_forward ? plane.limits : null, now = performance.now();
-  // Another pose or another kind of feed-forward: asked anew, but not while a hand goes on.
+  // Another pose or feed-forward needs a new request, but not during a movement.
   if (plane && !known && now - limits.asked > 1000) { limits.asked = now; say({ do: "explain" }); }
   const here = plane ? tried.marks.filter(mark => mark.wall === view.wall && mark.mode === wall.feed_forward && isHere(mark, plane.q) && Math.abs(mark.kd - wall.damping) <= .1 * wall.damping) : [];
   const state = JSON.stringify([plane?.q, known, view.last?.held, wall, here.map(mark => [mark.kp, mark.buzzes])]);
   if (limits.state === state) return;
   limits.state = state;
-  if (!plane) return $("limits").replaceChildren(element("p", "Nothing is predicted here: the tip is nearer to another wall, or the pose is singular, or the loop has no linear form."));
+  if (!plane) return $("limits").replaceChildren(element("p", "No prediction here: the tip is nearer to another wall, or the pose is singular, or the loop has no linear form."));
   const parts = [element("h3", `What limits “${NAMES[wall.feed_forward]}”`)];
-  if (!known) parts.push(element("p", window.playground && view.last?.held ? "It is worked out once the motors are off." : "…"));
+  if (!known) parts.push(element("p", window.playground && view.last?.held ? "Computed when the motors are off." : "…"));
   else {
     const all = known.stiffness, rows = known.without.map(({ effect, instead, stiffness }) => [`${effect}: ${instead}`, stiffness, all && stiffness !== null ? stiffness / all : Infinity]);
     parts.push(element("p", all === null ? "No stiffness is predicted to be unstable." : `Stiffest stable wall: ${unit(all, "N/m")}, at ${unit(known.damping, "N s/m")}. With one thing changed:`));
     parts.push(element("table", ...rows.sort((a, b) => b[2] - a[2]).map(([words, stiffness, times]) => element("tr", element("td", words), element("td", stiffness === null ? "no limit" : unit(stiffness, "N/m")), element("td", isFinite(times) ? digits(times) + " ×" : "")))));
-    parts.push(element("p", `Encoder: a count moves the tip ${unit(known.count, "m")}, and the force ${unit(known.count * wall.stiffness, "N")}.`));
+    parts.push(element("p", `Encoder: a count moves the tip by ${unit(known.count, "m")} and changes the force by ${unit(known.count * wall.stiffness, "N")}.`));
   }
   const [quiet, loud] = [false, true].map(buzzes => here.filter(mark => mark.buzzes === buzzes).map(mark => mark.kp));
   if (here.length) parts.push(element("p", `Tried at about this damping: ${[quiet.length && `quiet at ${unit(Math.max(...quiet), "N/m")}`, loud.length && `buzzed at ${unit(Math.min(...loud), "N/m")}`].filter(words => words).join(", ")}; predicted limit ${unit(below(plane[wall.feed_forward], wall.damping), "N/m")}.`));
-  parts.push(element("h3", "What is assumed"), element("ul", ...plane.assumes.map(words => element("li", words))));
+  parts.push(element("h3", "Assumptions"), element("ul", ...plane.assumes.map(words => element("li", words))));
   $("limits").replaceChildren(...parts);
 }
 function openLimits(open) { $("limits").hidden = !open; $("explain").setAttribute("aria-expanded", open); $("explain").classList.toggle("on", open); limits = { asked: 0 }; requestDraw(); }

@@ -2,11 +2,12 @@
 const $ = id => document.getElementById(id);
 const view = { pictures: 0, sweeps: 0, sounds: 0, you: 0, hello: null, walls: [], springs: [], field: 0, plane: null, last: null, wall: 0, down: false, trail: [], recent: [], box: null };
 window.view = view;
-// Beyond this ripple (N rms) a wall buzzes; with more than this share of the time at a limit it is the motors that are felt. In every picture each kind of feed-forward has its dashes beside its colour.
+// Ripple (N rms) above which a wall buzzes, and share of time at a limit above which the motors dominate the feel. Each
+// feed-forward has the same dashes and colour in every picture.
 const BUZZES = 0.5, LIMITED = 0.2, DASH = { off: [], full: [9, 4], washout: [2, 3.5] };
 
 // ---- the link -----------------------------------------------------------------------------------------------------
-// The tool, at the other end of a WebSocket; in a page that is a file by itself the library, in a worker (clients/page/).
+// The tool, at the other end of a WebSocket; in the page as a file, the library in a worker (clients/page/).
 const carrier = window.playground || (() => new WebSocket("ws://" + location.host + "/live" + location.search));
 let socket = null;
 function say(message) { if (socket && socket.readyState === 1) socket.send(JSON.stringify(message)); }
@@ -14,19 +15,19 @@ function connect() {
   socket = carrier();
   socket.binaryType = "arraybuffer";
   socket.onopen = () => { view.takes = true; askScope(); if (sound) say({ do: "sound", on: true }); };
-  socket.onmessage = event => typeof event.data === "string" ? heard(JSON.parse(event.data)) : numbers(new Float32Array(event.data));
+  socket.onmessage = event => typeof event.data === "string" ? receive(JSON.parse(event.data)) : numbers(new Float32Array(event.data));
   socket.onclose = () => { up(); lost("not connected" + (view.last ? ": " + view.last.if_lost : "")); setTimeout(connect, 1000); };
 }
 function lost(why) { $("state").textContent = "no connection"; $("state").className = "pill lost"; document.body.dataset.state = "Lost"; notice(why, { of: "lost" }); }
-function heard(message) {
+function receive(message) {
   switch (message.is) {
     case "you": view.you = message.you; break;
     case "hello": hello(message); break;
-    case "walls": view.walls = message.walls; view.springs = message.springs; view.field = message.field_damping; gainsShown(); if (view.of === "gains") notice(""); break;
+    case "walls": view.walls = message.walls; view.springs = message.springs; view.field = message.field_damping; showGains(); if (view.of === "gains") notice(""); break;
     case "recorded": notice(message.words, {}, true); break;
     case "plane": view.plane = message.plane; break;
     case "picture": picture(message); break;
-    case "refused": if (!(view.last && view.last.held)) up("quietly"); notice(message.why, message); gainsShown(message.of === "gains"); break;
+    case "refused": if (!(view.last && view.last.held)) up("quietly"); notice(message.why, message); showGains(message.of === "gains"); break;
     case "lost": lost(message.why); break;
   }
 }
@@ -34,20 +35,20 @@ function hello(message) {
   view.hello = message; view.trail = []; view.recent = []; view.box = view.closeAt = view.fault = null;
   $("device").textContent = message.device;
   document.title = message.device + ": haptic view";
-  $("board").textContent = (message.simulated ? "simulated" + (message.weightless ? ", its weight left out" : "") : message.board + " " + message.serial + " on " + message.port) +
+  $("board").textContent = (message.simulated ? "simulated" + (message.weightless ? ", without its weight" : "") : message.board + " " + message.serial + " on " + message.port) +
     ", " + unit(message.rate_hz, "Hz") + (message.rows_hz < message.rate_hz ? " (" + unit(message.rows_hz, "Hz") + " shown)" : "");
   const [grip, arm] = [message.hand.grip, message.hand.arm];
-  $("spring").textContent = $("spring").title = message.simulated ? `You lead a hand of ${message.hand.mass} kg: arm ${arm[0]} N/m, ${arm[1]} N s/m; grip ${grip[0]} N/m, ${grip[1]} N s/m.${message.smooth ? " The device has a tenth of its dry friction and encoders five times as fine." : ""}` : "";
-  $("hint").textContent = message.simulated ? coarse ? "lead the tip by a finger" : "lead the tip by mouse or arrow keys" : "";
+  $("spring").textContent = $("spring").title = message.simulated ? `You move a hand of ${message.hand.mass} kg: arm ${arm[0]} N/m, ${arm[1]} N s/m; grip ${grip[0]} N/m, ${grip[1]} N s/m.${message.smooth ? " The device has a tenth of its dry friction and encoders five times as fine." : ""}` : "";
+  $("hint").textContent = message.simulated ? coarse ? "move the tip with a finger" : "move the tip with the mouse or arrow keys" : "";
   if (!coarse) $("key").querySelector("small").textContent = message.simulated ? "Space; a click keeps them on until the next" : "Space, or press here; letting go turns them off";
   $("let-go").hidden = $("start-over").hidden = !message.simulated;
   $("record").hidden = !message.records;
-  signalsOf(message.columns); startedOver();
+  setSignals(message.columns); resetComparison();
   askScope();
   if (view.of !== "link" && !$("notice").classList.contains("good")) notice("");
 }
-// A notice goes with its cause: one about gains when there are other gains, one about the connection when there is one
-// again, one about a link with the next link, and these once a picture shows that the cause is over.
+// A notice disappears with its cause: one about gains after other gains are set, one about the connection after it is
+// back, one about a link with the next link, and the following ones when a picture shows that the cause is over.
 const OVER = {
   inside: p => !(p.numbers.depth > 0), watching: p => p.command === null || p.command === view.you, nobody: p => p.command !== null,
   off: p => p.state === "Armed", fault: p => !p.fault,
@@ -61,12 +62,12 @@ function notice(why, { of, again } = {}, good) {
 }
 $("anyway").onclick = () => { const again = view.again; notice(""); say(again); };
 $("dismiss").onclick = () => notice("");
-// A notice of something that was done goes by itself.
+// A notice about a completed action disappears by itself.
 function done(why, seconds = 4) { notice(why, {}, true); setTimeout(() => { if ($("why").textContent === why) notice(""); }, 1000 * seconds); }
 
 // ---- the dead man's key -------------------------------------------------------------------------------------------
-// With the key goes the step of the newest picture that came before it was seen: half a second after that step the board
-// turns the motors off, however slow the way to here and back is.
+// With the key the page sends the step of the newest picture that it had when it saw the key: half a second after that
+// step the board turns the motors off, however slow the link is.
 let beat = 0, lastBeat = 0;
 const seen = () => view.last ? view.last.step : 0;
 function hold() { const now = performance.now(); if (view.down && now - lastBeat > 60) { lastBeat = now; say({ do: "hold", seen: seen() }); } }
@@ -83,12 +84,12 @@ function up(quietly) {
   if (!quietly || (view.last && view.last.held)) say({ do: "release" });
   $("key").classList.remove("down");
 }
-// Space is the key whatever has the focus, but where it may be part of what is typed; Enter ends that.
+// Space is the key with any focus, except where it may be typed text; Enter ends typing.
 const typing = target => target.matches?.("input[type=number], input[type=text], textarea");
 addEventListener("keydown", event => { if (event.key === "Enter" && typing(event.target)) event.target.blur(); });
 addEventListener("keydown", event => { if (event.code === "Space" && !typing(event.target)) { event.preventDefault(); if (!event.repeat) press(); } });
 addEventListener("keyup", event => { if (event.code === "Space") { if (!typing(event.target)) event.preventDefault(); up(); } });
-// On a simulated device a click of the mouse holds the key until the next: the tip is led by the same mouse.
+// On a simulated device a mouse click holds the key until the next click, because the same mouse moves the tip.
 const latches = event => event.pointerType === "mouse" && view.hello?.simulated;
 $("key").onpointerdown = event => { if (latches(event)) return view.down ? up() : press(); $("key").setPointerCapture(event.pointerId); press(); };
 $("key").onpointerup = $("key").onpointercancel = $("key").onlostpointercapture = event => { if (!latches(event)) up(); };
@@ -96,7 +97,7 @@ $("key").oncontextmenu = event => event.preventDefault();
 addEventListener("blur", () => up());
 addEventListener("pagehide", () => up());
 document.addEventListener("visibilitychange", () => { if (document.hidden) up(); });
-// While one finger holds the key, a second one makes no click of its own.
+// While one finger holds the key, the browser makes no click for a second finger.
 let second = null;
 const buttonOf = element => element?.closest?.("button:not(#key)");
 addEventListener("pointerdown", event => { if (event.pointerType === "touch" && !event.isPrimary) second = buttonOf(event.target); }, true);
@@ -130,7 +131,7 @@ function unit(value, name) {
 }
 const inKilograms = value => value < 1 ? digits(value * 1e3) + " g" : digits(value) + " kg";
 function picture(p) {
-  // Where pictures leave no time for the clock, they are the clock. This one may have come after the key was let go.
+  // If pictures leave no time for timers, they replace them. This picture may have arrived after the key was released.
   hold();
   view.last = p; view.pictures++;
   view.trail.push(...p.trail);
@@ -140,23 +141,23 @@ function picture(p) {
   $("state").textContent = { Disarmed: "motors off", Armed: "motors on", CheckingPolarity: "checking polarity", Fault: "fault" }[p.state];
   $("state").className = "pill" + (p.state === "Armed" ? " armed" : p.state === "Fault" ? " fault" : "");
   const mine = p.command === view.you;
-  // A page takes command when it comes, unless another has it.
+  // A new page takes command, unless another page has it.
   if (view.takes && p.command === null) say({ do: "take" });
   view.takes = false;
   if (view.wanted && mine && view.hello) follow();
-  // A press that met a refusal on its way may have armed after the key was taken for up.
+  // A press may have been sent before a refusal arrived, and armed after the page released its key.
   if (mine && p.held && !view.down) say({ do: "release" });
-  // Something else turned the motors off: the key has to be pressed anew.
+  // Something else turned the motors off: the key must be pressed again.
   if (view.down && view.wasHeld && !p.held) up("quietly");
   view.wasHeld = view.down && p.held;
   document.body.dataset.role = mine ? "command" : "watch";
-  // Who is alone has nobody to give command to.
+  // A single page cannot give command to another.
   const alone = mine && p.pages < 2;
-  $("role").textContent = alone ? "" : (mine ? "you command" : p.command ? "another page commands" : "nobody commands") + (p.pages > 1 ? `, ${p.pages} pages` : "");
+  $("role").textContent = alone ? "" : (mine ? "you command" : p.command ? "another page commands" : "no page commands") + (p.pages > 1 ? `, ${p.pages} pages` : "");
   $("take").textContent = mine ? "Give back" : "Take command"; $("take").hidden = alone;
   $("take").disabled = !mine && p.command !== null;
   $("key").disabled = !mine || p.state === "Fault";
-  // While there is a fault, what helps stays in sight.
+  // During a fault the remedy stays visible.
   const faulty = p.state === "Fault";
   $("clear").hidden = !faulty; $("dismiss").hidden = faulty; $("anew").hidden = !(faulty || view.of === "inside") || !view.hello?.simulated;
   $("record").disabled = !mine; $("record").classList.toggle("on", !!p.recording); $("record").setAttribute("aria-pressed", !!p.recording);
@@ -164,7 +165,7 @@ function picture(p) {
   if (p.fault && (p.fault !== view.fault || !$("notice").classList.contains("shown"))) notice("Fault: " + p.fault, { of: "fault" });
   view.fault = p.fault;
   if (OVER[view.of]?.(p)) notice("");
-  coach(p); compared(p); markGains(p);
+  coach(p); compareRipple(p); markGains(p);
   const n = p.numbers, inside = n.depth > 0;
   const shown = [
     ["Force", unit(n.force, "N")], ["Depth", inside ? unit(n.depth, "m") : "outside"], ["Sideways push", unit(n.sideways, "N")],
@@ -172,12 +173,12 @@ function picture(p) {
     ["Cut by a limit", digits(100 * n.saturated, 2) + " %", n.saturated > 0],
     ["Inertia off / full", n.inertia ? inKilograms(n.inertia[0]) + " / " + inKilograms(n.inertia[1]) : "–"],
     ["Rows lost", String(p.lost), p.lost > 0],
-    p.speed === null ? ["Interrupt's load", p.load === null ? "–" : digits(100 * p.load, 2) + " %", p.load > 0.9] : ["Simulation's speed", digits(100 * p.speed, 3) + " %", p.speed < 0.9],
+    p.speed === null ? ["Interrupt load", p.load === null ? "–" : digits(100 * p.load, 2) + " %", p.load > 0.9] : ["Simulation speed", digits(100 * p.speed, 3) + " %", p.speed < 0.9],
   ];
   const list = $("numbers");
   if (list.children.length !== shown.length) list.replaceChildren(...shown.map(() => { const d = document.createElement("div"); d.append(document.createElement("dt"), document.createElement("dd")); return d; }));
   shown.forEach(([name, value, hot], i) => { const [dt, dd] = list.children[i].children; dt.textContent = name; dd.textContent = value; dd.className = hot ? "hot" : ""; });
-  // Thirty pictures a second leave a slow computer time to say that the key is down.
+  // Thirty pictures a second leave a slow computer time to report that the key is down.
   if (view.pictures % 2) requestDraw();
 }
 

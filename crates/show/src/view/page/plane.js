@@ -1,7 +1,7 @@
 // ---- stiffness and damping ----------------------------------------------------------------------------------------
 const MODES = ["off", "full", "washout"], NAMES = { off: "off", full: "full", washout: "washed out" };
-// While a gain is typed it stands as it is typed, until it is refused.
-function gainsShown(anew) {
+// While a gain is being typed, the input keeps its text until the gain is refused.
+function showGains(anew) {
   const count = view.walls.length;
   if ($("wall").options.length !== count) $("wall").replaceChildren(...view.walls.map((_, i) => new Option("wall " + i, i)));
   $("wall").hidden = count < 2;
@@ -14,18 +14,19 @@ function gainsShown(anew) {
 function sendGains(change, throttled) {
   const { stiffness, damping, feed_forward } = { ...view.walls[view.wall], ...change };
   const message = { do: "gains", wall: view.wall, stiffness, damping, feed_forward, beyond: $("beyond").checked };
-  throttled ? sometimes(message) : say(message);
+  throttled ? sayThrottled(message) : say(message);
 }
 for (const mode of MODES) $("ff-" + mode).onclick = () => sendGains({ feed_forward: mode });
 for (const id of ["stiffness", "damping"]) $(id).onchange = () => { const value = $(id).valueAsNumber; if (value >= 0) sendGains({ [id]: value }); };
-$("wall").onchange = () => { view.wall = +$("wall").value; gainsShown(); };
+$("wall").onchange = () => { view.wall = +$("wall").value; showGains(); };
 $("scale").onchange = () => requestDraw();
 
 // ---- the axes -----------------------------------------------------------------------------------------------------
-// 1, 2 or 5 times a power of ten, the next at or above the value.
+// Returns the next number at or above the value that is 1, 2 or 5 times a power of ten.
 function roundUp(value, steps = [1, 2, 5, 10]) { const power = 10 ** Math.floor(Math.log10(value) + 1e-9); return steps.map(n => n * power).find(n => n >= value * (1 - 1e-9)); }
 const nice = most => roundUp(most / 6.5), tick = value => String(+value.toPrecision(4));
-// From `start` to `end`, in pixels. A logarithmic axis begins above zero, which lies far before its beginning.
+// Creates an axis from `start` to `end`, in pixels. A logarithmic axis begins above zero, and zero lies far before its
+// beginning.
 function axisOf([low, high], start, end, log, most) {
   const part = log ? v => Math.max(-9, Math.log(v / low) / Math.log(high / low)) : v => v / high, ticks = [];
   if (!log) for (let i = 0, step = roundUp(high / most); i * step <= high; i++) ticks.push(i * step);
@@ -36,14 +37,14 @@ function axisOf([low, high], start, end, log, most) {
   return { to: v => start + part(v) * (end - start), ticks,
     from: px => { const at = Math.max(0, (px - start) / (end - start)); return log ? low * (high / low) ** at : at * high; } };
 }
-// The ends of an axis: of all that there is, or of what is near the dot. They jump from one round number to the next,
-// so that the picture keeps still while the dot is moved.
+// Returns the ends of an axis: of all curves, or of the range near the dot. They are round numbers, so that the picture
+// keeps still while the dot is moved.
 function ends(gain, top, scale) {
   const all = Math.max(top, gain * 1.3) || 1;
   if (scale === "near") return [0, Math.min(all, roundUp(1.3 * (gain || all / 100), [1, 1.5, 2, 3, 4, 5, 6, 8, 10]))];
   return [scale === "log" ? roundUp(Math.max(Math.min(gain || all / 100, all / 10) / 5, all / 1e5)) : 0, all];
 }
-// A dot that sits in the corner of even axes is seen on logarithmic ones.
+// Logarithmic axes show a dot that would be in the corner of linear ones.
 let scaledFor = null;
 function chooseScale(wall, kdTop, kpTop) {
   if (scaledFor === view.hello) return;
@@ -56,7 +57,8 @@ function below(boundary, kd) {
 }
 
 // ---- the picture --------------------------------------------------------------------------------------------------
-// Puts words where they cover least: `places` are where they may begin, the best first; `points` are of the curves.
+// Places words where they cover least: `places` are the possible positions, the best first; `points` are those of the
+// curves.
 function place(c, size, words, places, taken, points, [left, top, right, foot]) {
   const high = 1.3 * size, wide = Math.max(...words.map(line => c.measureText(line).width)) + 4, tall = high * words.length;
   let best = null;
@@ -74,7 +76,7 @@ function place(c, size, words, places, taken, points, [left, top, right, foot]) 
 }
 let spoken = null;
 function drawPlane() {
-  const [c, w, h, size] = fresh($("plane")), wall = view.walls[view.wall];
+  const [c, w, h, size] = prepareCanvas($("plane")), wall = view.walls[view.wall];
   view.predictedBuzz = null;
   if (!wall) { c.fillStyle = palette.dim; c.fillText("no wall in this scene", 12, 24); return; }
   const plane = view.plane && view.plane.wall === view.wall ? view.plane : null;
@@ -82,7 +84,7 @@ function drawPlane() {
   if (plane) chooseScale(wall, ...tops);
   const scale = $("scale").value, log = scale === "log";
   let [kdEnds, kpEnds] = [ends(wall.damping, tops[0], scale), ends(wall.stiffness, tops[1], scale)];
-  // The picture does not shrink or grow under a finger.
+  // The picture keeps its scale during a drag.
   if (turning) [kdEnds, kpEnds] = turning.ends; else view.ends = [kdEnds, kpEnds];
   const left = 4.2 * size, right = w - 10, top = 8, foot = h - 2.7 * size, kilo = kpEnds[1] > 2000;
   const ax = axisOf(kdEnds, left, right, log, (right - left) / (4.6 * size)), ay = axisOf(kpEnds, foot, top, log, (foot - top) / (2.2 * size));
@@ -96,19 +98,19 @@ function drawPlane() {
   c.fillText("damping, N s/m", right, foot + 2.4 * size);
   c.save(); c.translate(size, top + 4); c.rotate(-Math.PI / 2); c.fillText(`stiffness, ${kilo ? "kN/m" : "N/m"}`, 0, 0); c.restore();
   c.textAlign = "left";
-  // The curves, and of each the points that are in sight.
+  // The curves, and the visible points of each.
   const points = {}, room = [left, top, right, foot];
   c.save(); c.beginPath(); c.rect(left, top, right - left, foot - top); c.clip();
   if (plane) for (const mode of MODES) {
     const mine = wall.feed_forward === mode, [first, second] = plane[mode], curve = [...plane[mode]];
-    // By logarithm its first piece, which is straight, is bent.
+    // On logarithmic axes the first piece, which is straight, is curved.
     if (second) for (let share = .5; share > 1e-3; share /= 2) curve.splice(1, 0, { kd: second.kd * share, kp: first.kp + (second.kp - first.kp) * share });
     const path = curve.map(p => [ax.to(p.kd), Math.min(ay.to(p.kp), foot + 9)]);
     c.strokeStyle = c.fillStyle = palette[mode]; c.lineWidth = mine ? 3 : 1.6; c.setLineDash(DASH[mode].map(long => long * c.lineWidth / 1.5));
     c.beginPath(); path.forEach(([x, y], i) => i ? c.lineTo(x, y) : c.moveTo(x, y)); c.stroke(); c.setLineDash([]);
     if (mine) { c.lineTo(path.at(-1)?.[0], foot); c.lineTo(path[0]?.[0], foot); c.closePath(); c.globalAlpha = .13; c.fill(); c.globalAlpha = 1; }
     points[mode] = path.filter(([x, y]) => x >= left && x <= right && y >= top && y < foot - 1);
-  } else { c.fillStyle = palette.dim; c.fillText("the boundary is worked out where the tip is nearest to this wall", left + 8, top + 1.4 * size); }
+  } else { c.fillStyle = palette.dim; c.fillText("the boundary is computed when the tip is nearest to this wall", left + 8, top + 1.4 * size); }
   points.marks = drawMarks(c, X, Y, plane, wall);
   c.restore();
   const limit = plane ? below(plane[wall.feed_forward], wall.damping) : null, stable = limit === null || wall.stiffness <= limit;
@@ -119,10 +121,10 @@ function drawPlane() {
   c.fillStyle = stable ? palette.ink : palette.bad; c.strokeStyle = palette.card; c.lineWidth = 3;
   c.beginPath(); c.arc(x, y, 9, 0, 2 * Math.PI); c.fill(); c.stroke();
   const taken = [[x - 11, y - 11, 22, 22]], sides = [[1, 1], [1, -1], [-1, 1], [-1, -1]].map(([sx, sy]) => [x + 13 * sx, y + 5 * sy, sx, sy]);
-  // The mark of these very gains lies under the dot.
+  // The mark of the present gains is under the dot.
   const here = tried.marks.find(mark => mark.key === keyOf(view.wall, wall) && plane && isHere(mark, plane.q));
   place(c, size, [gains, told, here && "tried: " + (here.buzzes ? "it buzzes" : stable ? "quiet" : "quiet (friction, a hand)")].filter(line => line), sides, taken, Object.values(points).flat(), room);
-  // Where curves are the same, as those of a paddle, their names stand together.
+  // If curves coincide, as for a paddle, they share one label.
   const same = (a, b) => plane[a].every((p, i) => Math.abs(p.kp - plane[b][i]?.kp) <= .003 * tops[1] && Math.abs(p.kd - plane[b][i].kd) <= .003 * tops[0]);
   for (const mode of MODES) if (points[mode]?.length) {
     const alike = MODES.filter(other => points[other] && same(mode, other)), mine = alike.includes(wall.feed_forward);
@@ -132,43 +134,43 @@ function drawPlane() {
     c.fillStyle = palette[mode + "-name"]; c.font = `${mine ? 700 : 400} ${size}px system-ui, sans-serif`;
     place(c, size, [alike.map(name => NAMES[name]).join(", ")], near.flatMap(i => { const [x, y] = own[i]; return [[x, y, 0, -1], [x + 4, y, 1, -1], [x - 4, y, -1, 1], [x, y, 0, 1]]; }), taken, Object.values(points).flat(), room);
   }
-  // Said anew with other gains, not whenever the hand moves and the limit with it.
+  // Announced again after a change of gains, not whenever the hand and thus the limit moves.
   const state = `${gains}, feed-forward ${NAMES[wall.feed_forward]}${told && ": " + told}${here ? here.buzzes ? ", tried: it buzzes" : ", tried: quiet" : ""}`;
   if (spoken !== state) { spoken = state; $("dot").textContent = state + (limit === null ? "" : `; limit ${unit(limit, "N/m")} at this damping`); }
   showLimits(plane, wall);
 }
 
 // ---- the dot ------------------------------------------------------------------------------------------------------
-// While it is held: the scale that it was taken hold of at, and where the finger is beside it.
+// During a drag of the dot: the axes at its start, and the pointer's offset from the dot.
 let turning = null;
 const reach = event => event.pointerType === "touch" ? 36 : 20;
 function turn(event, last) {
   const r = $("plane").getBoundingClientRect();
   const [damping, stiffness] = view.planeFrame.from(event.clientX - r.left - turning.x, event.clientY - r.top - turning.y);
-  // A refusal stands while the finger goes on; what counts is where it lets go.
+  // A refusal stays during the drag; only the gains at its end count.
   if (last) notice("");
   if (!view.again || last === undefined) sendGains({ damping, stiffness }, !last);
 }
-function besideDot(event) {
+function offsetFromDot(event) {
   const r = $("plane").getBoundingClientRect(), wall = view.walls[view.wall];
   return { x: event.clientX - r.left - view.planeFrame.X(wall.damping), y: event.clientY - r.top - view.planeFrame.Y(wall.stiffness) };
 }
-// Gains do not jump to where somebody clicks: only who takes hold of the dot moves it.
+// Gains do not jump to a click: only dragging the dot moves it.
 $("plane").onpointerdown = event => {
   if (!view.planeFrame || !view.walls[view.wall]) return;
-  const { x, y } = besideDot(event);
+  const { x, y } = offsetFromDot(event);
   if (Math.hypot(x, y) > reach(event)) return;
   $("plane").setPointerCapture(event.pointerId); turning = { ends: view.ends, x, y }; notice("");
 };
 $("plane").onpointermove = event => {
   if (turning) return turn(event, false);
   if (!view.planeFrame || !view.walls[view.wall]) return;
-  const { x, y } = besideDot(event);
+  const { x, y } = offsetFromDot(event);
   $("plane").style.cursor = Math.hypot(x, y) > reach(event) ? "" : "grab";
 };
 $("plane").onpointerup = event => { if (turning) turn(event, true); turning = null; };
 $("plane").onpointercancel = () => { turning = null; };
-// Two percent a press, ten with Shift; from zero a thousandth of what is in sight.
+// Two percent a press, ten with Shift; from zero a thousandth of the visible range.
 $("plane").onkeydown = event => {
   const [gain, end, up] = { ArrowUp: ["stiffness", 1, true], ArrowDown: ["stiffness", 1], ArrowRight: ["damping", 0, true], ArrowLeft: ["damping", 0] }[event.key] || [];
   const wall = view.walls[view.wall], step = event.shiftKey ? 1.1 : 1.02;

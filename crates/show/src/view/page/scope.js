@@ -1,6 +1,6 @@
 // ---- scope --------------------------------------------------------------------------------------------------------
-// Signals of telemetry by the first word of their label: their name here, the unit of their axis, and what a number is
-// multiplied by to be in it.
+// Telemetry signals by the first word of their label: displayed name, unit of the axis, and factor from SI to that
+// unit.
 const SIGNALS = {
   rendered: ["wall force", "N", 1], force: ["wall force asked for", "N", 1], distance: ["distance to the wall", "mm", 1e3], velocity: ["speed along the normal", "mm/s", 1e3],
   energy: ["energy taken up", "mJ", 1e3], tip_x: ["tip x", "mm", 1e3], tip_y: ["tip y", "mm", 1e3], tip_z: ["tip z", "mm", 1e3], tip: ["tip", "mm", 1e3],
@@ -12,8 +12,8 @@ function signal(label) {
 }
 $("window").replaceChildren(...[.005, .01, .02, .05, .1, .2, .5, 1, 2].map(s => new Option(s < 1 ? s * 1000 + " ms" : s + " s", s)));
 $("window").selectedIndex = 5;
-// Signals that a device has, and again what was chosen before.
-function signalsOf(columns) {
+// Lists the signals that a device has, and restores the previous choice.
+function setSignals(columns) {
   for (const [id, chosen] of [["channel-a", "rendered_n"], ["channel-b", ""]]) {
     const kept = $(id).value || chosen;
     $(id).replaceChildren(...(id === "channel-b" ? [new Option("none", "")] : []), ...columns.map(label => new Option(signal(label).name, label)));
@@ -36,14 +36,15 @@ function phase(number) { const words = ["rolling", "triggered", "waiting for the
 for (const id of ["channel-a", "channel-b", "window", "trigger", "edge", "level", "before"]) $(id).onchange = askScope;
 function numbers(values) {
   if (values[0] === 2) { view.sounds++; play(values[1], values.subarray(2)); return; }
-  // A rolling sweep that was under way when a trigger was asked for is not what is waited for.
+  // A rolling sweep may still arrive after a trigger was requested: ignore it.
   if (values[1] === 0 && $("trigger").value) return;
   phase(values[1]);
-  // What holds goes on showing the last crossing while it waits for another.
+  // In hold mode the last crossing stays while the scope waits for the next.
   if (values[1] === 2 && $("trigger").value === "hold") return;
   view.sweep = values; view.sweeps++; drawScope();
 }
-// The range of each signal's axis grows with what comes and stays, so that a quiet wall looks quiet beside one that buzzed.
+// The range of each signal's axis grows with the data and does not shrink, so that a quiet wall looks quiet after one
+// that buzzed.
 let axes = {};
 function fit() { axes = {}; view.ghost = null; drawScope(); }
 $("fit").onclick = fit;
@@ -55,13 +56,13 @@ function axis(label, low, high) {
   [low, high] = [low < (kept?.low ?? Infinity) ? low - more : low, high > (kept?.high ?? -Infinity) ? high + more : high];
   return axes[label] = { step: nice(1.3 * (high - low)), low, high };
 }
-// Smallest and largest number of a signal in a column of a sweep, in its axis's unit.
+// Returns the smallest and largest number of a signal in each column of a sweep, in its axis's unit.
 function pairs(sweep, channel) {
   const columns = sweep[5], at = 6 + 2 * columns * channel, factor = signal(view.channels[channel]).factor;
   return Array.from({ length: columns }, (_, i) => [factor * sweep[at + 2 * i], factor * sweep[at + 2 * i + 1]]);
 }
 function drawScope() {
-  const [c, w, h, size] = fresh($("scope")), s = view.sweep; if (!s || !view.channels) return;
+  const [c, w, h, size] = prepareCanvas($("scope")), s = view.sweep; if (!s || !view.channels) return;
   const [, kind, seconds, crossing, channels] = s, two = channels > 1;
   const left = 3.6 * size, right = w - (two ? 3.8 * size : 8), top = 1.5 * size, foot = h - 1.6 * size, X = t => left + t / seconds * (right - left);
   c.lineWidth = 1; c.textAlign = "center";
@@ -107,16 +108,16 @@ function drawScope() {
 }
 
 // ---- before and after ---------------------------------------------------------------------------------------------
-// The ripple of the wall as it is pressed, beside that of the feed-forward before.
+// The ripple of the pressed wall, compared with that of the previous feed-forward.
 let now = null, before = null;
-function compared(p) {
+function compareRipple(p) {
   const wall = view.walls[view.wall], n = p.numbers, pressed = p.state === "Armed" && n.depth > 0 && n.wall === view.wall;
   if (wall && now?.mode !== wall.feed_forward) {
     if (now?.ripple !== null && now) { before = now; if (view.sweep && view.pressed) view.ghost = { mode: now.mode, values: pairs(view.sweep, 0) }; }
     now = { mode: wall.feed_forward, ripple: null, since: p.time };
   }
   if (!wall || !pressed) { if (now) now.since = p.time; }
-  // The first tenths of a second are still of the mode before, or of the touch.
+  // The first tenths of a second still belong to the previous mode, or to the touch.
   else if (p.time - now.since > 0.3) { now.ripple = n.ripple; now.frequency = n.frequency; }
   view.pressed = pressed; view.buzz = pressed && n.ripple > BUZZES ? n.frequency : null;
   const words = part => `${NAMES[part.mode]} ${part.ripple === null ? "–" : digits(part.ripple, 2) + " N"}`;
@@ -127,17 +128,18 @@ function compared(p) {
   const limited = pressed && n.saturated > LIMITED;
   $("predicted").textContent = limited ? "motors at their limit: press more gently" : view.buzz && view.predictedBuzz ? `predicted ${digits(view.predictedBuzz, 2)} Hz` : "";
   const [free, kept] = (n.inertia || []).map(inKilograms), coupled = n.inertia && n.inertia[1] > 1.005 * n.inertia[0];
-  const effect = !wall || !n.inertia ? "" : !coupled ? `nothing swerves here: with and without feed-forward the wall meets ${free}` : {
-    off: `off: the wall meets ${free}, for the tip may swerve sideways`,
+  const effect = !wall || !n.inertia ? "" : !coupled ? `the tip does not swerve here: with and without feed-forward the wall meets ${free}` : {
+    off: `off: the wall meets ${free}, because the tip may swerve sideways`,
     full: `full: torques that stop the swerve, so the wall meets ${kept}; a resting hand is pushed sideways`,
     washout: `washed out: torques that stop the swerve, so the wall meets ${kept}; they fade for a resting hand`,
   }[wall.feed_forward];
   if ($("effect").textContent !== effect) $("effect").textContent = effect;
 }
-function startedOver() { now = before = null; fit(); }
+function resetComparison() { now = before = null; fit(); }
 
 // ---- sound --------------------------------------------------------------------------------------------------------
-// A tone that swings with the torque: a buzz of 73 Hz is heard at 220 Hz more and less, where small speakers play.
+// A tone whose loudness follows the torque: a buzz of 73 Hz is audible as 220 Hz plus and minus 73 Hz, which small
+// speakers can play.
 const TONE = 220;
 let sound = null, until = 0;
 $("sound").onclick = () => {
@@ -156,7 +158,7 @@ function play(rate, samples) {
   for (let i = 0; i < data.length; i++) data[i] = samples[Math.floor(i / repeat)];
   const source = new AudioBufferSourceNode(sound.context, { buffer });
   source.connect(sound.into);
-  // Where the last piece has ended, a tenth of a second is kept in hand again.
+  // After the last piece has ended, build up a tenth of a second of reserve again.
   if (until < sound.context.currentTime) until = sound.context.currentTime + .1;
   if (until < sound.context.currentTime + .5) { source.start(until); until += buffer.duration; }
 }

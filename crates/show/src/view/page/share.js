@@ -1,14 +1,14 @@
 // ---- links --------------------------------------------------------------------------------------------------------
-// What a link sets stands behind its #: device and scene by the names of their files, pose (rad), and for each wall
-// stiffness, damping, feed-forward, point, normal. Lessons: a name, a link, and what to do.
+// A link's settings are behind its #: device and scene by the names of their files, pose (rad), and for each wall
+// stiffness, damping, feed-forward, point, normal. Lessons: a name, a link, and a task.
 const LESSONS = [
   ["1 Why does a wall buzz?", "device=hapkit-paddle/slow", "Press into the wall: quiet. Drag the dot beyond the curve, as to 14 kN/m at 60 N s/m, confirm, come out, and strike."],
-  ["2 What does the tip weigh?", "device=coupled-five-bar&pose=2.6,1.75&wall=8700,80,washout,-0.11766,0.184342,0.940376,-0.340136", "Lead the tip about: the dashed ellipse is the mass that a push meets, by direction."],
+  ["2 What does the tip weigh?", "device=coupled-five-bar&pose=2.6,1.75&wall=8700,80,washout,-0.11766,0.184342,0.940376,-0.340136", "Move the tip around: the dashed ellipse is the mass that a push meets, by direction."],
   ["3 Why does coupling cost stiffness?", "device=coupled-five-bar&wall=8700,80,full", "Press a centimetre deep with Full, Washed out and Off: which one pushes you sideways, which one buzzes?"],
   ["4 Why does friction hide it?", "device=hapkit-paddle/slow&wall=10000,60,off", "This wall is beyond the curve and quiet: friction and the hand hold it. Raise it, or strike it, until it buzzes."],
   ["5 What limits a real wall?", "device=hapkit-paddle/wall&wall=20000,60,off", "Set the scope to 20 ms and move slowly in the wall: each count of the encoder is a step of force."],
 ];
-// A link's settings; what is wrong with it is thrown in words.
+// Parses a link's settings; a mistake is thrown as text.
 function read(hash) {
   const wanted = { walls: [] };
   const numbers = (words, key, counts) => {
@@ -30,15 +30,15 @@ function read(hash) {
   }
   return wanted.device || wanted.scale || wanted.pose || wanted.walls.length ? wanted : null;
 }
-function want() { try { view.wanted = read(location.hash); } catch (why) { view.wanted = null; return why; } return null; }
-// Does what a link wants, once there is a device; a link moves no real one.
+function readLink() { try { view.wanted = read(location.hash); } catch (why) { view.wanted = null; return why; } return null; }
+// Applies a link's settings, once there is a device; a link moves no real device.
 function follow() {
   const { device, pose, walls, scale, task } = view.wanted;
   view.wanted = null; view.scale = scale;
   const not = why => notice(`Nothing was changed: ${why}`, { of: "link" });
-  if (!view.hello.simulated) return not("a link sets up simulated devices only");
+  if (!view.hello.simulated) return not("links set up simulated devices only");
   if (device && ![shown(), view.hello.device].includes(device)) {
-    // Only a lesson's link is known to name files that ship; without a scene it is the demo.
+    // Only a lesson's link is known to name shipped files; without a scene it is the demo.
     const [name, scene] = device.split("/"), files = scene ? ` devices/${name}.toml --scene devices/scenes/${name}/${scene}.toml` : "";
     return not(`the link is for ${device}, and this page shows ${shown()}. ${task ? `Show it with: haptic view${files} --port sim` : "Open it where haptic view shows that device and scene."}`);
   }
@@ -51,7 +51,7 @@ function follow() {
   if (task) done(task, 30);
 }
 const short = value => +value.toPrecision(6);
-// Device and scene, as a link names them.
+// Returns device and scene as in a link.
 const shown = () => view.hello.device + (view.hello.scene ? "/" + view.hello.scene : "");
 function link() {
   const turned = wall => wall.outline?.is === "line" && view.hello.task > 1;
@@ -61,15 +61,15 @@ function link() {
 $("copy").onclick = async () => {
   history.replaceState(null, "", link());
   try { await navigator.clipboard.writeText(location.href); done("Copied: a link to this device, pose, walls and gains."); }
-  catch { done("The link stands in the address bar."); }
+  catch { done("The link is in the address bar."); }
 };
-function wantAnew() { const wrong = want(); if (wrong || view.of === "link") notice(wrong, { of: "link" }); return !wrong; }
-addEventListener("hashchange", () => { if (wantAnew()) window.playground?.follow(); });
+function rereadLink() { const wrong = readLink(); if (wrong || view.of === "link") notice(wrong, { of: "link" }); return !wrong; }
+addEventListener("hashchange", () => { if (rereadLink()) window.playground?.follow(); });
 
-const escaped = words => words.replace(/[&<>]/g, mark => `&#${mark.charCodeAt(0)};`);
+const escapeXml = words => words.replace(/[&<>]/g, mark => `&#${mark.charCodeAt(0)};`);
 
 // ---- pictures to keep ---------------------------------------------------------------------------------------------
-// What is drawn on a canvas, as SVG: of a canvas's commands those that this page uses.
+// Records what is drawn on a canvas as SVG; it supports the canvas commands that this page uses.
 class Drawing {
   constructor(width, height, size) {
     Object.assign(this, { width, height, out: [], defs: [], kept: [], d: "", at: [1, 0, 0, 1, 0, 0], dash: [], clipped: "" });
@@ -87,7 +87,7 @@ class Drawing {
   lineTo(x, y) { this.d += `${this.d ? "L" : "M"}${short(x)} ${short(y)}`; }
   closePath() { this.d += "Z"; }
   rect(x, y, w, h) { this.d += `M${short(x)} ${short(y)}h${short(w)}v${short(h)}h${short(-w)}Z`; }
-  // Whole ones.
+  // Full ellipses only.
   ellipse(x, y, a, b, angle) { const [c, s] = [a * Math.cos(angle), a * Math.sin(angle)], turn = `A${short(a)} ${short(b)} ${short(angle * 180 / Math.PI)} 1 0 `; this.d += `M${short(x + c)} ${short(y + s)}${turn}${short(x - c)} ${short(y - s)}${turn}${short(x + c)} ${short(y + s)}`; }
   arc(x, y, r) { this.ellipse(x, y, r, r, 0); }
   put(element, inside) {
@@ -104,12 +104,13 @@ class Drawing {
   words(words, x, y, paint) {
     const [, weight, pixels] = /^(\d+ )?([\d.]+)px/.exec(this.font), size = +pixels, anchor = { left: "start", center: "middle", right: "end" }[this.textAlign];
     const low = this.textBaseline === "middle" ? .35 * size : 0;
-    this.put(`text x="${short(x)}" y="${short(y + low)}" font-size="${short(size)}"${weight ? ` font-weight="${weight.trim()}"` : ""} text-anchor="${anchor}" ${paint}`, escaped(words));
+    this.put(`text x="${short(x)}" y="${short(y + low)}" font-size="${short(size)}"${weight ? ` font-weight="${weight.trim()}"` : ""} text-anchor="${anchor}" ${paint}`, escapeXml(words));
   }
   fillText(words, x, y) { this.words(words, x, y, `fill="${this.colour(this.fillStyle)}"`); }
   strokeText(words, x, y) { this.words(words, x, y, `fill="none" stroke="${this.strokeStyle}" stroke-width="${this.lineWidth}"`); }
 }
-// One of the three pictures at the width of a column (85 mm) or a page (170 mm) of a paper, in letters of 8 points, on white.
+// Returns one of the three pictures at the width of a column (85 mm) or a page (170 mm) of a paper, in letters of 8
+// points, on white.
 function svgOf(what, millimetres) {
   const size = 8 * 96 / 72, width = millimetres * 96 / 25.4, height = width * { stage: .8, plane: .7, scope: .55 }[what], context = new Drawing(width, height, size);
   const dark = document.documentElement.classList.contains("dark");
@@ -121,7 +122,7 @@ function svgOf(what, millimetres) {
   readPalette(); drawStage(); drawPlane(); drawScope();
   const wall = view.walls[view.wall], about = view.hello.device + (wall ? `, ${unit(wall.stiffness, "N/m")}, ${unit(wall.damping, "N s/m")}, feed-forward ${NAMES[wall.feed_forward]}` : "");
   return `<svg xmlns="http://www.w3.org/2000/svg" width="${millimetres}mm" height="${short(height * 25.4 / 96)}mm" viewBox="0 0 ${short(width)} ${short(height)}" font-family="Helvetica, Arial, sans-serif">\n` +
-    `<title>${escaped(about)}</title>\n<defs>${hatch}${context.defs.join("")}</defs>\n<rect width="100%" height="100%" fill="#fff"/>\n${context.out.join("\n")}\n</svg>\n`;
+    `<title>${escapeXml(about)}</title>\n<defs>${hatch}${context.defs.join("")}</defs>\n<rect width="100%" height="100%" fill="#fff"/>\n${context.out.join("\n")}\n</svg>\n`;
 }
 $("save").onchange = () => {
   const [what, millimetres] = $("save").value.split(" "), anchor = document.createElement("a");
@@ -135,4 +136,4 @@ $("save").onchange = () => {
 
 theme(prefersDark.matches);
 connect();
-wantAnew();
+rereadLink();

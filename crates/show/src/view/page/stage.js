@@ -1,8 +1,8 @@
 // ---- the coach ----------------------------------------------------------------------------------------------------
-// Three steps for who sees a simulation for the first time: each is ticked off once it has happened, in the words of
-// what was used last. The last is said of the demo alone, whose wall is known to buzz.
+// Three steps for first-time users of a simulation: each is ticked off once it has happened, in the words of the input
+// device used last. The last step is shown for the demo only, whose wall is known to buzz.
 let used = coarse ? "touch" : "mouse", steps = 0, buzzed = false, coached = false;
-try { coached = localStorage.getItem("coached") === "yes"; } catch { /* A browser that keeps nothing shows it anew. */ }
+try { coached = localStorage.getItem("coached") === "yes"; } catch { /* A browser without storage shows the steps again. */ }
 const COACH = {
   mouse: ["hold Space or click the green button: motors on", "pull the tip into the WALL", "click Off and confirm: it buzzes; Washed out: it is gone"],
   touch: ["hold the green button: motors on", "pull the tip into the WALL", "tap Off and confirm: it buzzes; Washed out: it is gone"],
@@ -40,12 +40,12 @@ const prefersDark = matchMedia("(prefers-color-scheme: dark)");
 prefersDark.onchange = event => theme(event.matches);
 let asked = false;
 function requestDraw() { if (!asked) { asked = true; requestAnimationFrame(() => { asked = false; drawStage(); drawPlane(); }); } }
-// Also where the window stays as it is: a stretched picture has stretched letters, and a single sweep is drawn only once.
+// Also if the window keeps its size: a stretched picture has stretched letters, and a single sweep is drawn only once.
 const resized = new ResizeObserver(() => { requestDraw(); drawScope(); });
 for (const id of ["stage", "plane", "scope"]) resized.observe($(id));
-// A canvas to draw on anew, its width, height and size of letters in its own pixels; a picture to be saved in its place.
+// Returns a cleared canvas, its width, height and letter size in its own pixels; or the picture that is being saved.
 let paper = null;
-function fresh(canvas) {
+function prepareCanvas(canvas) {
   if (paper) return [paper.context, paper.width, paper.height, paper.size];
   const ratio = devicePixelRatio || 1, w = canvas.clientWidth, h = canvas.clientHeight;
   if (canvas.width !== Math.round(w * ratio) || canvas.height !== Math.round(h * ratio)) { canvas.width = Math.round(w * ratio); canvas.height = Math.round(h * ratio); }
@@ -57,17 +57,17 @@ function fresh(canvas) {
 }
 
 // ---- the device ---------------------------------------------------------------------------------------------------
-// A paddle's task is the length of its tip's arc: places on it are drawn at their angle.
+// A paddle's task is the length of its tip's arc, so positions on it are drawn at their angle.
 const armOf = g => g.bars.length ? Math.hypot(g.bars[0][1][0] - g.bars[0][0][0], g.bars[0][1][1] - g.bars[0][0][1]) : 0.1;
-const placed = at => { if (view.hello.task > 1) return at; const l = armOf(view.last.geometry); return [l * Math.cos(at[0] / l), l * Math.sin(at[0] / l)]; };
-const unplaced = at => { if (view.hello.task > 1) return at; const l = armOf(view.last.geometry); return [l * Math.atan2(at[1], at[0]), 0]; };
+const fromTask = at => { if (view.hello.task > 1) return at; const l = armOf(view.last.geometry); return [l * Math.cos(at[0] / l), l * Math.sin(at[0] / l)]; };
+const toTask = at => { if (view.hello.task > 1) return at; const l = armOf(view.last.geometry); return [l * Math.atan2(at[1], at[0]), 0]; };
 function frame(w, h) {
-  // Under a mouse that leads, the picture keeps still: the place it points at would move away from it.
+  // During a drag the picture keeps still, because the position under the pointer would move away from it.
   if (grabbed && view.frame.w === w && view.frame.h === h) return view.frame;
   const g = view.last.geometry;
-  // A wall's point that is not far off is part of the picture.
-  const near = view.walls.map(wall => placed([wall.values[0], wall.values[1]])).filter(at => Math.hypot(at[0] - g.tip[0], at[1] - g.tip[1]) < 0.12);
-  const held = g.springs.map(placed).filter(at => Math.hypot(at[0] - g.tip[0], at[1] - g.tip[1]) < 0.12);
+  // A wall's point that is near belongs to the picture.
+  const near = view.walls.map(wall => fromTask([wall.values[0], wall.values[1]])).filter(at => Math.hypot(at[0] - g.tip[0], at[1] - g.tip[1]) < 0.12);
+  const held = g.springs.map(fromTask).filter(at => Math.hypot(at[0] - g.tip[0], at[1] - g.tip[1]) < 0.12);
   const points = [g.tip, ...g.base, ...g.bars.flat(), ...near, ...held];
   const box = view.box || [Infinity, Infinity, -Infinity, -Infinity];
   for (const [x, y] of points) { box[0] = Math.min(box[0], x); box[1] = Math.min(box[1], y); box[2] = Math.max(box[2], x); box[3] = Math.max(box[3], y); }
@@ -93,15 +93,15 @@ function spring(c, x0, y0, x1, y1) {
   for (let i = 1; i < 2 * turns; i++) { const s = i / (2 * turns) * length, side = (i % 2 ? 5 : -5); c.lineTo(x0 + ux * s - uy * side, y0 + uy * s + ux * side); }
   c.lineTo(x1, y1); c.stroke();
 }
-// Where a wall is taken hold of: a plane beside its point, where no tip is in the way.
+// Handle of a wall: for a plane it is next to its point, where the tip is not in the way.
 function wallHandle(wall) {
   const v = wall.values, line = wall.outline?.is === "line" ? wall.outline : null, aside = 90 / view.frame.scale;
-  if (view.hello.task === 1) return placed([v[0], 0]);
+  if (view.hello.task === 1) return fromTask([v[0], 0]);
   return line ? [line.at[0] + aside * line.normal[1], line.at[1] - aside * line.normal[0]] : [v[0], v[1]];
 }
-// What fills the solid side of walls.
+// Fill pattern of the solid side of walls.
 let hatch = {};
-function hatched(c) {
+function hatchPattern(c) {
   if (hatch.of !== palette.hatch) {
     const tile = document.createElement("canvas"), t = tile.getContext("2d");
     tile.width = 9; tile.height = 15; t.strokeStyle = palette.hatch; t.lineWidth = 1.5; t.beginPath();
@@ -116,19 +116,19 @@ function drawWall(c, f, w, h, size, wall, index) {
   if (o?.is === "line") {
     const long = 2 * (w + h);
     c.translate(f.toX(o.at[0]), f.toY(o.at[1])); c.rotate(Math.atan2(o.normal[0], o.normal[1]));
-    c.globalAlpha = .5; c.fillRect(-long, 0, 2 * long, long); c.fillStyle = hatched(c); c.fillRect(-long, 0, 2 * long, long); c.globalAlpha = 1;
+    c.globalAlpha = .5; c.fillRect(-long, 0, 2 * long, long); c.fillStyle = hatchPattern(c); c.fillRect(-long, 0, 2 * long, long); c.globalAlpha = 1;
     c.beginPath(); c.moveTo(-long, 0); c.lineTo(long, 0); c.stroke();
   } else if (o?.is === "circle") {
     c.beginPath(); c.arc(f.toX(o.at[0]), f.toY(o.at[1]), o.radius * f.scale, 0, 2 * Math.PI); c.stroke();
     if (o.inside) c.rect(-w, -h, 3 * w, 3 * h);
-    c.globalAlpha = .5; c.fill("evenodd"); c.fillStyle = hatched(c); c.fill("evenodd"); c.globalAlpha = 1;
+    c.globalAlpha = .5; c.fill("evenodd"); c.fillStyle = hatchPattern(c); c.fill("evenodd"); c.globalAlpha = 1;
   } else {
     c.fillStyle = palette.ink; c.fillText(wall.shape + ": not drawn in this plane", f.toX(v[0]) + 12, f.toY(v[1]) + 4);
   }
   c.restore();
   if (o) {
-    // Its name, on the solid side: beside a plane's point, away from where it is taken hold of and from the legend; of a
-    // hole above it.
+    // The wall's name, on the solid side: for a plane next to its point, away from its handle and from the legend; for
+    // a hole above it.
     const line = o.is === "line", [nx, ny] = line ? o.normal : [0, 0], up = o.inside ? o.radius * f.scale + 16 : 0;
     const spots = (line ? [100, -170, -45, 45] : [0]).map(aside => [f.toX(o.at[0]) - nx * 30 - ny * aside, f.toY(o.at[1]) + ny * 30 - nx * aside - up]);
     const [X, Y] = spots.find(([x, y]) => x > 40 && x < w - 40 && y > 20 && y < h - 40 && (x > 16 * size || y > 7 * size)) || spots[0];
@@ -143,12 +143,12 @@ function drawWall(c, f, w, h, size, wall, index) {
     c.fillStyle = c.strokeStyle = palette.hatch; arrow(c, f.toX(x), f.toY(y) , o.normal[0] * 38, -o.normal[1] * 38);
   }
 }
-// A spring pulls the tip to its point, or to the nearest one of its line.
+// A spring pulls the tip to its point, or to the nearest point of its line.
 function drawSprings(c, f, w, h, g) {
   c.strokeStyle = c.fillStyle = palette.spring;
   g.springs.forEach((held, index) => {
     const s = view.springs[index]; if (!s) return;
-    const at = placed(held), [x, y] = [f.toX(at[0]), f.toY(at[1])], [dx, dy] = s.direction, long = 2 * (w + h);
+    const at = fromTask(held), [x, y] = [f.toX(at[0]), f.toY(at[1])], [dx, dy] = s.direction, long = 2 * (w + h);
     if (view.hello.task > 1 && Math.hypot(dx, dy) > 0) {
       c.lineWidth = 2; c.setLineDash([8, 5]); c.beginPath(); c.moveTo(x - long * dx, y + long * dy); c.lineTo(x + long * dx, y - long * dy); c.stroke(); c.setLineDash([]);
     }
@@ -158,12 +158,12 @@ function drawSprings(c, f, w, h, g) {
 }
 function drawStage() {
   if (!view.last || !view.hello) return;
-  const [c, w, h, size] = fresh($("stage")), g = view.last.geometry, f = frame(w, h);
+  const [c, w, h, size] = prepareCanvas($("stage")), g = view.last.geometry, f = frame(w, h);
   view.walls.forEach((wall, index) => drawWall(c, f, w, h, size, wall, index));
   drawGlow(c, f, g);
   drawSprings(c, f, w, h, g);
   c.strokeStyle = palette.trail; c.lineWidth = 1.5; c.globalAlpha = .55; c.beginPath();
-  view.trail.map(placed).forEach(([x, y], i) => i ? c.lineTo(f.toX(x), f.toY(y)) : c.moveTo(f.toX(x), f.toY(y))); c.stroke(); c.globalAlpha = 1;
+  view.trail.map(fromTask).forEach(([x, y], i) => i ? c.lineTo(f.toX(x), f.toY(y)) : c.moveTo(f.toX(x), f.toY(y))); c.stroke(); c.globalAlpha = 1;
   if (g.ellipse && view.hello.flat) {
     // A kilogram is drawn as 12 cm.
     const grow = 0.12 * (view.close ? .1 : 1) * f.scale;
@@ -177,7 +177,7 @@ function drawStage() {
   const [x, y] = [f.toX(g.tip[0]), f.toY(g.tip[1])];
   const hand = view.last.hand;
   if (hand) {
-    const [goal, at] = [placed(hand.goal), placed(hand.at)];
+    const [goal, at] = [fromTask(hand.goal), fromTask(hand.at)];
     c.strokeStyle = palette.hand; c.fillStyle = palette.hand; c.lineWidth = 2;
     spring(c, f.toX(goal[0]), f.toY(goal[1]), f.toX(at[0]), f.toY(at[1]));
     c.beginPath(); c.arc(f.toX(goal[0]), f.toY(goal[1]), 6, 0, 2 * Math.PI); c.fill();
@@ -188,7 +188,7 @@ function drawStage() {
   // A newton is drawn as 12 pixels.
   arrow(c, x, y, g.force[0] * 12, -g.force[1] * 12);
   drawLens(c, w, h, size);
-  // Scale, and what is what.
+  // Scale and legend.
   const bar = view.close ? 0.005 : 0.05, length = bar * f.scale;
   c.strokeStyle = c.fillStyle = palette.dim; c.lineWidth = 2; c.beginPath(); c.moveTo(12, h - 12); c.lineTo(12 + length, h - 12); c.stroke();
   c.fillText(bar * 1000 + " mm", 12, h - 18);
@@ -202,7 +202,7 @@ function drawStage() {
     c.fillStyle = palette.ink; c.fillText(words, 8 + c.measureText("● ").width, top); top += high;
   }
 }
-// Where a wall gives out more power (W) than this, it glows at the tip; at a hundred times as much fully.
+// Power (W) above which a wall glows at the tip; the glow is full at a hundred times as much.
 const GLOWS = 2e-3;
 function drawGlow(c, f, g) {
   const power = view.last.state === "Armed" ? view.last.numbers.power : 0;
@@ -211,10 +211,11 @@ function drawGlow(c, f, g) {
   light.addColorStop(0, palette.force); light.addColorStop(1, "transparent");
   c.save(); c.globalAlpha = Math.min(1, .25 + .375 * Math.log10(power / GLOWS)); c.fillStyle = light; c.beginPath(); c.arc(x, y, 70, 0, 2 * Math.PI); c.fill(); c.restore();
 }
-// The tip's last moments about their middle, magnified: a buzz of a tenth of a millimetre is no pixel on the stage.
+// The tip's last moments about their mean, magnified: a buzz of a tenth of a millimetre is less than a pixel on the
+// stage.
 const LENS = 1e-3;
 function drawLens(c, w, h, size) {
-  const path = view.recent.flat().map(placed); if (path.length < 2) return;
+  const path = view.recent.flat().map(fromTask); if (path.length < 2) return;
   const r = Math.min(5.5 * size, h / 5, w / 8), [x0, y0] = [w - r - 8, h - r - 8 - 1.6 * size], middle = [0, 1].map(i => path.reduce((sum, at) => sum + at[i], 0) / path.length), scale = 2 * r / LENS;
   c.save(); c.fillStyle = palette.card; c.strokeStyle = palette.line; c.lineWidth = 1.5; c.beginPath(); c.arc(x0, y0, r, 0, 2 * Math.PI); c.fill(); c.stroke();
   c.save(); c.clip(); c.strokeStyle = view.buzz ? palette.force : palette.trail; c.lineWidth = 1.5; c.beginPath();
@@ -223,7 +224,7 @@ function drawLens(c, w, h, size) {
   c.strokeStyle = palette.card; c.fillStyle = palette.ink; c.textAlign = "right"; c.lineWidth = 3; c.strokeText(words, w - 8, h - 8); c.fillText(words, w - 8, h - 8); c.restore();
 }
 let lastSent = 0, grabbed = null;
-function sometimes(message) { const now = performance.now(); if (now - lastSent > 15) { lastSent = now; say(message); } }
+function sayThrottled(message) { const now = performance.now(); if (now - lastSent > 15) { lastSent = now; say(message); } }
 const placeOf = event => { const r = $("stage").getBoundingClientRect(); return [event.clientX - r.left, event.clientY - r.top]; };
 $("stage").onpointerdown = event => {
   if (!view.frame) return;
@@ -231,23 +232,23 @@ $("stage").onpointerdown = event => {
   const near = (x, y) => Math.hypot(f.toX(x) - px, f.toY(y) - py) < 13;
   $("stage").setPointerCapture(event.pointerId);
   grabbed = { hand: true };
-  // The tip goes before what lies under it.
+  // The tip takes precedence over walls under it.
   const { tip } = view.last.geometry;
   if (!(view.hello.simulated && near(...tip))) view.walls.forEach((wall, index) => {
     const [x, y] = wallHandle(wall), v = wall.values, [nx, ny] = wall.outline?.normal || [];
     if (near(x, y)) grabbed = { wall: index, point: [v[0], v[1]], aside: view.hello.task > 1 ? [x - v[0], y - v[1]] : [0, 0] };
     else if (nx !== undefined && view.hello.task > 1 && Math.hypot(f.toX(x) + nx * 38 - px, f.toY(y) - ny * 38 - py) < 13) grabbed = { wall: index, point: [v[0], v[1]], from: [x, y] };
   });
-  if (grabbed.wall !== undefined) { view.wall = grabbed.wall; gainsShown(); } else if (!view.hello.simulated) grabbed = null;
+  if (grabbed.wall !== undefined) { view.wall = grabbed.wall; showGains(); } else if (!view.hello.simulated) grabbed = null;
   moved(event);
 };
 function moved(event, last) {
   if (!grabbed) return;
   const at = view.frame.from(...placeOf(event));
-  if (grabbed.hand) { const message = { do: "hand", at: unplaced(at) }; last ? say(message) : sometimes(message); return; }
-  const message = { do: "wall", wall: grabbed.wall, point: grabbed.from ? grabbed.point : unplaced([at[0] - grabbed.aside[0], at[1] - grabbed.aside[1]]) };
+  if (grabbed.hand) { const message = { do: "hand", at: toTask(at) }; last ? say(message) : sayThrottled(message); return; }
+  const message = { do: "wall", wall: grabbed.wall, point: grabbed.from ? grabbed.point : toTask([at[0] - grabbed.aside[0], at[1] - grabbed.aside[1]]) };
   if (grabbed.from) message.normal = [at[0] - grabbed.from[0], at[1] - grabbed.from[1]];
-  last ? say(message) : sometimes(message);
+  last ? say(message) : sayThrottled(message);
 }
 $("stage").onpointermove = event => moved(event);
 $("stage").onpointerup = event => { moved(event, true); grabbed = null; };
@@ -257,10 +258,10 @@ $("stage").onkeydown = event => {
   const step = { ArrowUp: [0, 2e-3], ArrowDown: [0, -2e-3], ArrowRight: [2e-3, 0], ArrowLeft: [-2e-3, 0] }[event.key];
   if (!step || !view.last || !view.hello?.simulated) return;
   event.preventDefault();
-  const at = view.last.hand ? placed(view.last.hand.goal) : view.last.geometry.tip;
-  say({ do: "hand", at: unplaced([at[0] + step[0], at[1] + step[1]]) });
+  const at = view.last.hand ? fromTask(view.last.hand.goal) : view.last.geometry.tip;
+  say({ do: "hand", at: toTask([at[0] + step[0], at[1] + step[1]]) });
 };
-$("start-over").onclick = $("anew").onclick = () => { up(); notice(""); $("beyond").checked = false; say({ do: "start-over" }); startedOver(); coached = buzzed = false; steps = 0; if (view.close) $("close").onclick(); };
+$("start-over").onclick = $("anew").onclick = () => { up(); notice(""); $("beyond").checked = false; say({ do: "start-over" }); resetComparison(); coached = buzzed = false; steps = 0; if (view.close) $("close").onclick(); };
 $("let-go").onclick = () => say({ do: "hand", at: null });
 $("close").onclick = () => { view.close = !view.close; view.closeAt = null; $("close").classList.toggle("on", view.close); $("close").setAttribute("aria-pressed", view.close); requestDraw(); };
 

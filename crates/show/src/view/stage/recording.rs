@@ -1,4 +1,4 @@
-//! The recording that a page starts and ends.
+//! The recording that a page starts and stops.
 
 use super::Stage;
 use crate::recorder::about::About;
@@ -9,19 +9,19 @@ use haptic_host::output::{self, Overwrite};
 use serde::Serialize;
 use serde_json::json;
 
-/// A recording under way.
+/// An active recording.
 pub(super) struct ActiveRecording {
     writer: RowWriter,
     rate_hz: f64,
-    /// Steps of its first and its newest row.
+    /// Steps of the first and the newest row.
     steps: Option<(u32, u32)>,
     rows: u64,
-    /// Losses from before it began.
+    /// The board's losses at the start of the recording.
     before: Losses,
 }
 
 impl ActiveRecording {
-    /// Time of its newest row, s.
+    /// Returns the time of the newest row, s.
     fn time(&self) -> f64 {
         self.steps.map_or(0.0, |(first, newest)| f64::from(newest.wrapping_sub(first)) / self.rate_hz)
     }
@@ -33,23 +33,23 @@ impl ActiveRecording {
         self.writer.row(row.step, self.time(), &row.values)
     }
 
-    /// Writes what happened beside its newest row.
+    /// Writes an event at the time of the newest row.
     pub(super) fn note(&mut self, words: &str) -> Result<(), RecordError> {
         self.writer.event(self.time(), words)
     }
 
-    /// Brings to the file what waits for it.
+    /// Writes the gathered rows to the file.
     pub(super) fn flush(&mut self) -> Result<(), RecordError> {
         self.writer.flush()
     }
 
-    /// As a page sees it.
-    pub(super) fn told(&self) -> Recorded {
-        Recorded { file: self.writer.place(), rows: self.rows, bytes: self.writer.bytes() }
+    /// Returns the recording's state for pages.
+    pub(super) fn status(&self) -> RecordingStatus {
+        RecordingStatus { file: self.writer.place(), rows: self.rows, bytes: self.writer.bytes() }
     }
 
-    /// Ends it; in words what came of it.
-    pub(super) fn end(mut self, now: Losses, cut: bool) -> Result<String, RecordError> {
+    /// Ends the recording. Returns a summary.
+    pub(super) fn end(mut self, now: Losses, is_cut: bool) -> Result<String, RecordError> {
         let losses = Losses {
             received: self.rows,
             missing: now.missing.saturating_sub(self.before.missing),
@@ -57,15 +57,15 @@ impl ActiveRecording {
             batches_lost: now.batches_lost.saturating_sub(self.before.batches_lost),
             garbled: now.garbled.saturating_sub(self.before.garbled),
         };
-        let cut = if cut { "cut short: the board was lost; " } else { "" };
+        let cut = if is_cut { "cut short: the board was lost; " } else { "" };
         self.writer.end(&format!("{cut}{losses}"), &losses)?;
         Ok(format!("recorded {}: {losses}", self.writer.place()))
     }
 }
 
-/// The recording under way, as a page sees it.
+/// State of the active recording for pages.
 #[derive(Serialize)]
-pub(super) struct Recorded {
+pub(super) struct RecordingStatus {
     file: String,
     rows: u64,
     bytes: u64,
@@ -74,11 +74,11 @@ pub(super) struct Recorded {
 impl Stage {
     pub(super) fn start_recording(&mut self, id: PageId) -> Result<(), BoardError> {
         if self.recording.is_some() {
-            self.refuse(id, "a recording is under way");
+            self.refuse(id, "a recording is already active");
             return Ok(());
         }
         let Some(folder) = &self.folder else {
-            self.refuse(id, "nothing can be recorded here");
+            self.refuse(id, "recording is not available here");
             return Ok(());
         };
         let name = format!("haptic-{}.mcap", output::date().replace(':', ""));
@@ -98,16 +98,16 @@ impl Stage {
         Ok(())
     }
 
-    pub(super) fn stop_recording(&mut self, cut: bool) {
+    pub(super) fn stop_recording(&mut self, is_cut: bool) {
         let losses = self.board().losses();
-        match self.recording.take().map(|recording| recording.end(losses, cut)) {
-            Some(Ok(words)) => self.say_to_all(&json!({"is": "recorded", "words": words})),
+        match self.recording.take().map(|recording| recording.end(losses, is_cut)) {
+            Some(Ok(words)) => self.send_to_all(&json!({"is": "recorded", "words": words})),
             Some(Err(error)) => self.recording_failed(error),
             None => {}
         }
     }
 
-    /// Ends a recording that failed; what is in its file stays there.
+    /// Ends a recording that failed; its file keeps the rows in it.
     pub(super) fn recording_failed(&mut self, error: RecordError) {
         self.recording = None;
         if let RecordError::Failed(failure) = error {

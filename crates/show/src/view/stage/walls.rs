@@ -1,4 +1,4 @@
-//! Walls as pages change them: gains, places; and the scene as the board has it afterwards.
+//! Changes of walls by pages (gains, positions), and the board's scene afterwards.
 
 use super::Stage;
 use crate::view::hub::PageId;
@@ -16,16 +16,16 @@ use haptic_host::words::{wall_in_words, with_unit};
 use haptic_predict::plausible::scene::most_gains;
 use serde_json::json;
 
-/// The scene that a board tells of, unless no board could render it: numbers that are none are not drawn.
-pub(super) fn fit(scene: &Scene<f32>, device: &Device<f64>) -> Result<Scene<f64>, Failure> {
+/// Checks the scene that a board reports and returns it in f64; NaN and other invalid scenes cannot be drawn.
+pub(super) fn check_scene(scene: &Scene<f32>, device: &Device<f64>) -> Result<Scene<f64>, Failure> {
     match scene.check(device.mechanism.kind().spec().task) {
         Ok(()) => Ok(scene.cast()),
         Err(why) => Err(Failure::impossible(format!("the scene of the board cannot be shown: {why}"))),
     }
 }
 
-/// Gains of a link are rounded to six digits: so much more is no other gain.
-const SAME: f64 = 1.000_01;
+/// Tolerance of a gain, because links round gains to six digits.
+const TOLERANCE: f64 = 1.000_01;
 
 impl Stage {
     pub(super) fn change_gains(
@@ -37,45 +37,45 @@ impl Stage {
         feed_forward: FeedForward,
         beyond: bool,
     ) -> Result<(), BoardError> {
-        let Some(now) = self.scene.walls.get(usize::from(wall)) else {
+        let Some(present) = self.scene.walls.get(usize::from(wall)) else {
             self.refuse(id, &format!("there is no wall {wall}"));
             return Ok(());
         };
-        let asked = format!("{} with {}", with_unit(stiffness.into(), "N/m"), with_unit(damping.into(), "N s/m"));
+        let requested = format!("{} with {}", with_unit(stiffness.into(), "N/m"), with_unit(damping.into(), "N s/m"));
         let q = Newest::of(&self.ring, &self.columns).q(self.device.axes());
-        if let Some(most) = most_gains(&self.device, &now.surface, &q, &self.rules.limits)
-            && (f64::from(stiffness) > most.stiffness.max(SAME * now.stiffness)
-                || f64::from(damping) > most.damping.max(SAME * now.damping))
+        if let Some(max) = most_gains(&self.device, &present.surface, &q, &self.rules.limits)
+            && (f64::from(stiffness) > max.stiffness.max(TOLERANCE * present.stiffness)
+                || f64::from(damping) > max.damping.max(TOLERANCE * present.damping))
         {
             let why = format!(
-                "wall {wall} cannot have {asked}: beyond {} one encoder count, and beyond {} a creeping hand, asks for all of the \
+                "wall {wall} cannot have {requested}: above {} one encoder count, and above {} a slow hand, requires the full \
                  {} that motors and rules allow here",
-                with_unit(most.stiffness, "N/m"),
-                with_unit(most.damping, "N s/m"),
-                with_unit(most.force, "N")
+                with_unit(max.stiffness, "N/m"),
+                with_unit(max.damping, "N s/m"),
+                with_unit(max.force, "N")
             );
-            self.say(id, &json!({"is": "refused", "of": "gains", "why": why}));
+            self.send(id, &json!({"is": "refused", "of": "gains", "why": why}));
             return Ok(());
         }
         if let Some(plane) = self.plane.as_ref().filter(|plane| plane.wall == usize::from(wall) && !beyond) {
-            let most = plane.stiffness_to(feed_forward, f64::from(damping));
-            let most_now = plane.stiffness_to(now.feed_forward, now.damping);
-            // Who is outside already is not asked again, but for a feed-forward that lets even less be stable.
-            let less_stable = feed_forward != now.feed_forward && most < most_now;
-            if f64::from(stiffness) > most && (now.stiffness <= most_now || less_stable) {
+            let max = plane.stiffness_to(feed_forward, f64::from(damping));
+            let max_now = plane.stiffness_to(present.feed_forward, present.damping);
+            // If the gains are already outside, only a feed-forward with a smaller range needs a confirmation.
+            let less_stable = feed_forward != present.feed_forward && max < max_now;
+            if f64::from(stiffness) > max && (present.stiffness <= max_now || less_stable) {
                 let why = format!(
-                    "{asked} and feed-forward {} is predicted to be unstable here: stable up to {}",
+                    "{requested} and feed-forward {} is predicted to be unstable here: stable up to {}",
                     feed_forward.name(),
-                    with_unit(most, "N/m")
+                    with_unit(max, "N/m")
                 );
                 let again = FromPage::Gains { wall, stiffness, damping, feed_forward, beyond: true };
-                self.say(id, &json!({"is": "refused", "of": "gains", "why": why, "again": again}));
+                self.send(id, &json!({"is": "refused", "of": "gains", "why": why, "again": again}));
                 return Ok(());
             }
         }
-        let washout_hz = now.washout_hz as f32;
+        let washout_hz = present.washout_hz as f32;
         self.board().set_wall_gains(Gains { wall, stiffness, damping, feed_forward, washout_hz })?;
-        self.reread()
+        self.reread_scene()
     }
 
     pub(super) fn move_wall(
@@ -98,30 +98,30 @@ impl Stage {
         wall.surface = Surface::from_values(shape.name, &values).unwrap_or(wall.surface);
         if let (Surface::Plane(plane), Some(normal)) = (&mut wall.surface, normal.filter(|_| task > 1)) {
             let Some(unit) = unit(&normal.map(f64::from)) else {
-                self.refuse(id, "a normal points somewhere");
+                self.refuse(id, "a normal must not be zero");
                 return Ok(());
             };
             plane.normal = padded(&unit).map(|entry| entry as f32);
         }
         self.board().set_scene(&scene)?;
-        self.asked = None;
-        self.reread()
+        self.requested = None;
+        self.reread_scene()
     }
 
-    /// Reads what the board has now, and tells.
-    pub(super) fn reread(&mut self) -> Result<(), BoardError> {
+    /// Reads the scene that the board has now, and reports it.
+    pub(super) fn reread_scene(&mut self) -> Result<(), BoardError> {
         if let Some(scene) = self.board().scene()? {
-            match fit(&scene, &self.device) {
+            match check_scene(&scene, &self.device) {
                 Ok(scene) => self.scene = scene,
                 Err(why) => self.refuse_all(None, &why.to_string()),
             }
         }
         self.buzz = self.predicted_buzz();
-        self.say_to_all(&self.walls());
+        self.send_to_all(&self.walls_message());
         let walls = self.scene.walls.iter().enumerate();
         let words: Vec<String> =
             walls.map(|(index, wall)| format!("wall {index}: {}", wall_in_words(&wall.cast()))).collect();
-        self.note(&words.join("; "));
+        self.record_event(&words.join("; "));
         Ok(())
     }
 }

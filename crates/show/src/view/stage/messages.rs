@@ -1,11 +1,11 @@
-//! Messages to pages: pictures, sweeps, the device, the walls, and what was refused.
+//! Messages to pages: pictures, sweeps, the device, the walls, and refusals.
 
-use super::recording::{ActiveRecording, Recorded};
-use super::{Stage, TURNED};
+use super::recording::{ActiveRecording, RecordingStatus};
+use super::{ROTATED, Stage};
 use crate::outline::{on_an_arc, outline};
 use crate::view::hub::PageId;
 use crate::view::picture::{Geometry, Newest, Numbers, nearest_wall};
-use crate::view::stability::{Plane, Question, buzz};
+use crate::view::stability::{Plane, PredictionRequest, buzz};
 use crate::view::world::hand_settings;
 use haptic_bridge::control::HostAction;
 use haptic_bridge::render::scene::Surface;
@@ -16,7 +16,7 @@ use nalgebra::Vector3;
 use serde::Serialize;
 use serde_json::{Value, json};
 
-/// One picture, as JSON.
+/// A picture for pages, as JSON.
 #[derive(Serialize)]
 struct Picture<'a> {
     is: &'static str,
@@ -28,7 +28,7 @@ struct Picture<'a> {
     geometry: &'a Geometry,
     numbers: &'a Numbers,
     trail: &'a [[f64; 2]],
-    hand: Option<HandSeen>,
+    hand: Option<HandState>,
     command: Option<PageId>,
     held: bool,
     fault: Option<&'a str>,
@@ -38,20 +38,20 @@ struct Picture<'a> {
     speed: Option<f64>,
     pages: usize,
     buzz: Option<Oscillation>,
-    recording: Option<Recorded>,
+    recording: Option<RecordingStatus>,
     if_lost: &'static str,
 }
 
 #[derive(Serialize)]
-struct HandSeen {
+struct HandState {
     at: [f64; 2],
     goal: [f64; 2],
     force: [f64; 2],
 }
 
 impl Stage {
-    /// The moment to every page.
-    pub(super) fn show(&mut self) {
+    /// Sends the present state to every page.
+    pub(super) fn send_pictures(&mut self) {
         let newest = Newest::of(&self.ring, &self.columns);
         let links = self.world.file.as_ref().map(|file| &file.description);
         let (geometry, numbers) = newest.moment(&self.device, links, &self.scene, self.rows_hz);
@@ -59,7 +59,7 @@ impl Stage {
             let board = board.lock();
             let [x, y, _] = board.device().hand().position()?;
             let [fx, fy, _] = board.device().hand_force();
-            Some(HandSeen { at: [x, y], goal: self.goal.unwrap_or([x, y]), force: [fx, fy] })
+            Some(HandState { at: [x, y], goal: self.goal.unwrap_or([x, y]), force: [fx, fy] })
         });
         let every = self.trail.len().div_ceil(32).max(1);
         let trail: Vec<[f64; 2]> = self.trail.drain(..).step_by(every).collect();
@@ -84,10 +84,10 @@ impl Stage {
             speed: self.world.simulated.is_some().then_some(self.pace.speed),
             pages: self.hub.count(),
             buzz: self.buzz.filter(|_| numbers.wall == self.plane.as_ref().map(|plane| plane.wall)),
-            recording: self.recording.as_ref().map(ActiveRecording::told),
+            recording: self.recording.as_ref().map(ActiveRecording::status),
             if_lost: self.if_lost(),
         };
-        // NaN and infinities become null: a page leaves them out.
+        // NaN and infinities become null, which a page ignores.
         if let Ok(text) = serde_json::to_string(&picture) {
             self.hub.to_all(|outbox| outbox.picture = Some(text.clone()));
         }
@@ -96,32 +96,32 @@ impl Stage {
             self.hub.to(*listener, |outbox| outbox.hear(self.rows_hz as f32, &sound));
         }
         let Some((wall, normal)) = nearest_wall(&self.scene, &self.tip()) else { return };
-        let moved = self.asked.as_ref().is_none_or(|(asked, at)| {
-            *asked != wall || at.iter().zip(&q).any(|(before, now)| (before - now).abs() > TURNED)
+        let has_moved = self.requested.as_ref().is_none_or(|(requested, at)| {
+            *requested != wall || at.iter().zip(&q).any(|(before, now)| (before - now).abs() > ROTATED)
         });
-        // What limits a wall is worked out once for a pose and a kind of feed-forward, however often pages ask.
-        let explain = self.oracle.is_to_explain(self.state.drives());
+        // The limiting effects are computed once for a pose and a feed-forward, however often pages request them.
+        let explain = self.predictor.should_explain(self.state.drives());
         let explained = self.plane.as_ref().and_then(|plane| plane.limits.as_ref()).map(|limits| limits.feed_forward);
-        let unexplained = explain
+        let is_unexplained = explain
             && self.plane.as_ref().is_some_and(|plane| plane.wall == wall)
             && self.scene.walls.get(wall).map(|wall| wall.feed_forward) != explained;
-        if (moved || unexplained) && self.ring.end() > 0 && !self.oracle.is_busy() {
-            self.oracle.ask(Question { explain, ..self.question(wall, q.clone(), &normal) });
-            self.asked = Some((wall, q));
+        if (has_moved || is_unexplained) && self.ring.end() > 0 && !self.predictor.is_busy() {
+            self.predictor.request(PredictionRequest { explain, ..self.prediction_request(wall, q.clone(), &normal) });
+            self.requested = Some((wall, q));
         }
-        if let Some(answer) = self.oracle.answered() {
-            self.plane = answer;
+        if let Some(result) = self.predictor.take_result() {
+            self.plane = result;
             self.buzz = self.predicted_buzz();
             let message = self.plane.as_ref().map_or(json!({"is": "plane", "plane": null}), plane_message);
-            self.say_to_all(&message);
+            self.send_to_all(&message);
         }
     }
 
-    fn question(&self, wall: usize, q: Vec<f64>, normal: &Vector3<f64>) -> Question {
+    fn prediction_request(&self, wall: usize, q: Vec<f64>, normal: &Vector3<f64>) -> PredictionRequest {
         let hand = hand_settings();
-        // At the frequency of a buzz a hand hardly moves: its grip holds the tip.
+        // At the frequency of a buzz a hand hardly moves, so its grip holds the tip.
         let grip = Hand { mass: 0.0, damping: hand.grip_damping, stiffness: hand.grip_stiffness };
-        Question {
+        PredictionRequest {
             subject: self.subject.clone(),
             scene: self.scene.clone(),
             wall,
@@ -133,33 +133,35 @@ impl Stage {
         }
     }
 
-    /// The swing of the nearest wall where its gains are predicted to be unstable: worked out with every boundary and
-    /// with every change of the scene, not for every picture.
+    /// Returns the predicted oscillation of the nearest wall if its gains are unstable. Computed with every boundary
+    /// and every change of the scene, not for every picture.
     pub(super) fn predicted_buzz(&self) -> Option<Oscillation> {
         let (index, normal) = nearest_wall(&self.scene, &self.tip())?;
-        let (asked, q) = self.asked.as_ref()?;
+        let (requested, q) = self.requested.as_ref()?;
         let (plane, wall) = (self.plane.as_ref()?, self.scene.walls.get(index)?);
-        let outside = wall.stiffness > plane.stiffness_to(wall.feed_forward, wall.damping);
-        let found = [*asked, plane.wall].iter().all(|of| *of == index) && outside;
-        let swing = found.then(|| buzz(&self.question(index, q.clone(), &normal)))??;
-        (swing.growth_per_s > 0.0).then_some(swing)
+        let is_unstable = wall.stiffness > plane.stiffness_to(wall.feed_forward, wall.damping);
+        let is_valid = [*requested, plane.wall].iter().all(|wall| *wall == index) && is_unstable;
+        let oscillation = is_valid.then(|| buzz(&self.prediction_request(index, q.clone(), &normal)))??;
+        (oscillation.growth_per_s > 0.0).then_some(oscillation)
     }
 
-    /// The state of the motors, in words, once nothing is heard of this stage any more.
+    /// Describes the state of the motors if the connection to this stage is lost.
     fn if_lost(&self) -> &'static str {
         match (self.world.simulated.is_some(), self.state.drives(), self.rules.host_action) {
-            (true, ..) => "its simulated board is gone with it, or let its motors go with the key",
-            _ if self.held.is_some() => "the board turns its motors off half a second after it last heard of the key",
+            (true, ..) => "the simulated board is gone too, or turned its motors off with the key",
+            _ if self.held.is_some() => {
+                "the board turns its motors off half a second after the last message about the key"
+            }
             (_, true, HostAction::Disarm) => {
-                "another tool turned the motors on; the board turns them off where it hears of no tool"
+                "another tool turned the motors on; the board turns them off if no tool reports to it"
             }
             (_, true, _) => "the motors MAY BE ON: another tool turned them on, and the board does not watch its host",
-            (_, false, _) => "the motors were off when this page last heard of them",
+            (_, false, _) => "the motors were off in the last picture",
         }
     }
 
-    /// The newest sweep to every page that has a scope.
-    pub(super) fn sweep(&mut self) {
+    /// Sends the newest sweep to every page that has a scope.
+    pub(super) fn send_sweeps(&mut self) {
         for (id, scope) in &mut self.scopes {
             if let Some(sweep) = scope.sweep(&self.ring) {
                 let bytes = scope.bytes(&sweep);
@@ -168,8 +170,8 @@ impl Stage {
         }
     }
 
-    /// The facts that a page has to know once.
-    pub(super) fn about(&self) -> Value {
+    /// Returns the facts that do not change.
+    pub(super) fn hello(&self) -> Value {
         let info = self.world.board.info();
         let hand = hand_settings();
         json!({
@@ -196,17 +198,17 @@ impl Stage {
         })
     }
 
-    pub(super) fn walls(&self) -> Value {
+    pub(super) fn walls_message(&self) -> Value {
         let paddle = self.scene.task == 1;
         let length = self.world.file.as_ref().map(|file| file.description.geometry[0]);
-        let drawn = |surface: &Surface<f64>| match paddle {
+        let wall_outline = |surface: &Surface<f64>| match paddle {
             true => length.and_then(|length| on_an_arc(surface, length)),
             false => outline(surface),
         };
         let walls = self.scene.walls.iter().map(|wall| {
             json!({
                 "shape": wall.surface.spec().name, "values": wall.surface.values(),
-                "outline": drawn(&wall.surface), "stiffness": wall.stiffness,
+                "outline": wall_outline(&wall.surface), "stiffness": wall.stiffness,
                 "damping": wall.damping, "feed_forward": wall.feed_forward, "washout_hz": wall.washout_hz,
             })
         });
@@ -222,26 +224,26 @@ impl Stage {
         })
     }
 
-    pub(super) fn say(&self, id: PageId, message: &Value) {
+    pub(super) fn send(&self, id: PageId, message: &Value) {
         self.hub.to(id, |outbox| outbox.tell(message.to_string()));
     }
 
-    pub(super) fn say_to_all(&self, message: &Value) {
+    pub(super) fn send_to_all(&self, message: &Value) {
         let text = message.to_string();
         self.hub.to_all(|outbox| outbox.tell(text.clone()));
     }
 
     pub(super) fn refuse(&self, id: PageId, why: &str) {
-        self.say(id, &json!({"is": "refused", "why": why}));
+        self.send(id, &json!({"is": "refused", "why": why}));
     }
 
-    /// A refusal that stands as long as its cause, by the page's name for it (page/link.js).
+    /// Sends a refusal that is shown while its cause persists, with the page's name for the cause (page/link.js).
     pub(super) fn refuse_while(&self, cause: &str, id: PageId, why: &str) {
-        self.say(id, &json!({"is": "refused", "of": cause, "why": why}));
+        self.send(id, &json!({"is": "refused", "of": cause, "why": why}));
     }
 
     pub(super) fn refuse_all(&self, cause: Option<&str>, why: &str) {
-        self.say_to_all(&json!({"is": "refused", "of": cause, "why": why}));
+        self.send_to_all(&json!({"is": "refused", "of": cause, "why": why}));
     }
 }
 
@@ -249,11 +251,11 @@ pub(super) fn plane_message(plane: &Plane) -> Value {
     json!({"is": "plane", "plane": plane})
 }
 
-/// A fault and what helps: of a device that is simulated in this process no cable is to be checked.
-pub(super) fn in_words(record: &FaultRecord, simulated: bool) -> String {
+/// Describes a fault and its remedy; for a device that is simulated in this process, without advice about hardware.
+pub(super) fn describe_fault(record: &FaultRecord, simulated: bool) -> String {
     let joint = record.axis.map_or(String::new(), |axis| format!(" (joint {axis})"));
     let remedy = match simulated {
-        true => "nothing of a simulated device is broken: start over, or clear the fault and go on from here",
+        true => "a simulated device cannot break: start over, or clear the fault and continue",
         false => record.fault.remedy(),
     };
     format!("{}{joint}: {remedy}", record.fault)

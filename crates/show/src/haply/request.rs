@@ -1,45 +1,45 @@
-//! A program's request in the JSON of Haply's service: forces in both of its spellings, `values` (3.1) and `vector`
-//! (3.5), and the axes that it wants them in.
+//! A program's message in the JSON of Haply's service: forces in both spellings, `values` (3.1) and `vector` (3.5), and
+//! the requested axes.
 
 use serde_json::Value;
 use std::fmt;
 use std::str::FromStr;
 
-/// The request in one message of a program.
+/// The requests in one message of a program.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Wish {
+pub struct ProgramRequest {
     /// Force, N, in the program's axes; `None` if the message has no force or marks it as not to be executed.
     pub force: Option<[f64; 3]>,
-    /// It asks for the full state once.
+    /// True if the program requests the full state once.
     pub full: bool,
-    /// The axes in which it speaks and is spoken to from now on.
+    /// Axes of the program's vectors, in both directions, from now on.
     pub basis: Option<Basis>,
-    /// It asks that a latched fault be cleared: no command of Haply's.
+    /// True if the program requests that a latched fault be cleared. Haply has no such command.
     pub clear_fault: bool,
-    /// Commands and settings that a board has nothing for.
+    /// Commands and settings that a board does not support.
     pub others: Vec<String>,
-    /// Part of it is for a device that is not this one.
-    pub elsewhere: bool,
+    /// True if a part of the message is for another device.
+    pub for_other_device: bool,
 }
 
-impl Wish {
-    /// Reads a message, of a text frame or a binary one, for the device with this id.
+impl ProgramRequest {
+    /// Parses a message, from a text or a binary frame, for the device with this id.
     pub fn parse(message: &[u8], id: &str) -> Result<Self, String> {
         let message: Value = serde_json::from_slice(message).map_err(|error| format!("not JSON: {error}"))?;
-        let mut wish = Self::default();
+        let mut request = Self::default();
         for (name, value) in entries(&message["session"]) {
             match name.as_str() {
-                "force_render_full_state" => wish.full = !value.is_null(),
-                "configure" => wish.configure(value)?,
-                other => wish.others.push(format!("session.{other}")),
+                "force_render_full_state" => request.full = !value.is_null(),
+                "configure" => request.configure(value)?,
+                other => request.others.push(format!("session.{other}")),
             }
         }
         for device in message["inverse3"].as_array().into_iter().flatten() {
             if device["device_id"] != id {
-                wish.elsewhere = true;
+                request.for_other_device = true;
                 continue;
             }
-            wish.configure(&device["configure"])?;
+            request.configure(&device["configure"])?;
             for (name, command) in entries(&device["commands"]) {
                 match name.as_str() {
                     "set_cursor_force" => {
@@ -48,22 +48,22 @@ impl Wish {
                         let (Some(x), Some(y), Some(z)) = (entry("x"), entry("y"), entry("z")) else {
                             return Err("set_cursor_force without the numbers x, y and z in vector or values".into());
                         };
-                        wish.force = (command["execute"] != false).then_some([x, y, z]);
+                        request.force = (command["execute"] != false).then_some([x, y, z]);
                     }
                     "probe_position" => {}
-                    "clear_fault" => wish.clear_fault = true,
-                    other => wish.others.push(other.into()),
+                    "clear_fault" => request.clear_fault = true,
+                    other => request.others.push(other.into()),
                 }
             }
         }
-        Ok(wish)
+        Ok(request)
     }
 
     fn configure(&mut self, settings: &Value) -> Result<(), String> {
         for (name, value) in entries(settings) {
             match name.as_str() {
                 "basis" => self.basis = Some(value["permutation"].as_str().unwrap_or_default().parse()?),
-                // The program's name.
+                // The name of the program.
                 "profile" => {}
                 other => self.others.push(format!("configure.{other}")),
             }
@@ -76,7 +76,7 @@ fn entries(value: &Value) -> impl Iterator<Item = (&String, &Value)> {
     value.as_object().into_iter().flatten()
 }
 
-/// Which of Haply's axes a program's x, y and z are, and which way.
+/// The mapping from Haply's axes to a program's x, y and z: axis and sign of each.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Basis([(usize, f64); 3]);
 
@@ -89,12 +89,12 @@ impl Default for Basis {
 }
 
 impl Basis {
-    /// A vector in Haply's axes in the program's.
+    /// Converts a vector from Haply's axes to the program's.
     pub fn to_program(self, haply: [f64; 3]) -> [f64; 3] {
         self.0.map(|(axis, sign)| 0.0 + sign * haply[axis])
     }
 
-    /// And back.
+    /// Converts a vector from the program's axes to Haply's.
     pub fn to_haply(self, program: [f64; 3]) -> [f64; 3] {
         let mut haply = [0.0; 3];
         for ((axis, sign), value) in self.0.into_iter().zip(program) {
@@ -107,10 +107,10 @@ impl Basis {
 impl FromStr for Basis {
     type Err = String;
 
-    /// Such as `X-ZY`.
+    /// Parses a text such as `X-ZY`.
     fn from_str(text: &str) -> Result<Self, String> {
         let wrong = || {
-            format!("`{text}` is no basis: write X, Y and Z in the program's order, with - before one that is reversed")
+            format!("`{text}` is not a basis: write X, Y and Z in the program's order, with - before a reversed axis")
         };
         let (mut axes, mut sign) = (Vec::new(), 1.0);
         for letter in text.chars() {
@@ -140,33 +140,33 @@ impl fmt::Display for Basis {
 mod tests {
     use super::*;
 
-    fn parse(text: &str) -> Result<Wish, String> {
-        Wish::parse(text.as_bytes(), "A")
+    fn parse(text: &str) -> Result<ProgramRequest, String> {
+        ProgramRequest::parse(text.as_bytes(), "A")
     }
 
     #[test]
-    fn forces_are_read_in_both_spellings_and_only_for_this_device() {
-        let wish = |commands: &str| {
+    fn forces_are_read_in_both_spellings_for_this_device_only() {
+        let request = |commands: &str| {
             parse(&format!("{{\"session\":{{}},\"inverse3\":[{{\"device_id\":\"A\",\"commands\":{commands}}}]}}"))
         };
         let force = Some([1.0, -2.0, 0.5]);
         let vector = "{\"x\":1.0,\"y\":-2,\"z\":0.5}";
-        assert_eq!(wish(&format!("{{\"set_cursor_force\":{{\"values\":{vector}}}}}")).unwrap().force, force);
+        assert_eq!(request(&format!("{{\"set_cursor_force\":{{\"values\":{vector}}}}}")).unwrap().force, force);
         let new = format!("{{\"set_cursor_force\":{{\"vector\":{vector},\"execute\":true}}}}");
-        assert_eq!(wish(&new).unwrap().force, force);
-        assert_eq!(parse(&new.replace("set", "get")), Ok(Wish::default()));
-        assert_eq!(wish(&new.replace("true", "false")).unwrap(), Wish::default());
-        assert_eq!(wish("{\"probe_position\":{}}").unwrap(), Wish::default());
-        assert_eq!(wish("{\"set_cursor_position\":{}}").unwrap().others, ["set_cursor_position"]);
-        assert!(wish("{\"set_cursor_force\":{\"values\":{\"x\":1}}}").is_err());
+        assert_eq!(request(&new).unwrap().force, force);
+        assert_eq!(parse(&new.replace("set", "get")), Ok(ProgramRequest::default()));
+        assert_eq!(request(&new.replace("true", "false")).unwrap(), ProgramRequest::default());
+        assert_eq!(request("{\"probe_position\":{}}").unwrap(), ProgramRequest::default());
+        assert_eq!(request("{\"set_cursor_position\":{}}").unwrap().others, ["set_cursor_position"]);
+        assert!(request("{\"set_cursor_force\":{\"values\":{\"x\":1}}}").is_err());
         assert!(parse("{").is_err());
         let other = format!("{{\"inverse3\":[{{\"device_id\":\"B\",\"commands\":{new}}}]}}");
-        assert_eq!(parse(&other), Ok(Wish { elsewhere: true, ..Wish::default() }));
+        assert_eq!(parse(&other), Ok(ProgramRequest { for_other_device: true, ..ProgramRequest::default() }));
         assert!(parse("{\"session\":{\"force_render_full_state\":{}}}").unwrap().full);
     }
 
     #[test]
-    fn a_basis_is_set_for_session_or_device_and_every_other_setting_is_named() {
+    fn the_basis_is_read_and_other_settings_are_listed() {
         let session =
             parse("{\"session\":{\"configure\":{\"basis\":{\"permutation\":\"XZY\"},\"profile\":{}}}}").unwrap();
         assert_eq!((session.basis.unwrap().to_string(), session.others.len()), ("XZY".into(), 0));
@@ -177,8 +177,8 @@ mod tests {
         let basis = device.basis.unwrap();
         assert_eq!(basis.to_program([1.0, 2.0, 3.0]), [2.0, 3.0, -1.0]);
         assert_eq!(basis.to_haply([2.0, 3.0, -1.0]), [1.0, 2.0, 3.0]);
-        for none in ["", "XY", "XYX", "XYZZ", "XYZ-", "xyz", "X Y Z"] {
-            assert!(none.parse::<Basis>().is_err(), "{none}");
+        for wrong in ["", "XY", "XYX", "XYZZ", "XYZ-", "xyz", "X Y Z"] {
+            assert!(wrong.parse::<Basis>().is_err(), "{wrong}");
         }
     }
 }
