@@ -15,7 +15,7 @@ pub fn push(port: &str) -> Result<([f32; 3], [f32; 3]), Box<dyn std::error::Erro
     session.set_device(&device.device()?)?;
     session.set_scene(&Scene { task: 2, ..Scene::default() })?;
     session.arm()?;
-    let began = session.look()?;
+    let began = session.read_state()?;
     let home = began.tip;
     let floor = HostContact {
         point: [home[0], home[1] - 0.005, 0.0],

@@ -68,22 +68,22 @@ pub struct ControlLoop<P, S = Axis> {
     host_expected: u32,
     /// Joint torque that needs no clamp, N m; then the force limit at the tip, N, and its square.
     fitting: [f32; MAX_JOINTS],
-    most_force: f32,
-    most_force_squared: f32,
+    max_tip_force: f32,
+    max_tip_force_squared: f32,
     /// Tip force per joint torque, a fraction of a millisecond old.
     leverage: Leverage,
     flow: budgets::Flow,
     now: Now,
     joints: [Joint<S>; MAX_JOINTS],
     /// Torque limit of each joint, N m.
-    most_torque: Torques,
+    max_joint_torque: Torques,
     hardware: Hardware,
     period: f32,
     /// Step from which `period` has applied: the first step or, if that is long ago, a step that no pending request
     /// refers to.
     rate_since: u32,
     /// Step at which the host last sent a sign of life.
-    host_heard: u32,
+    host_seen_at: u32,
     /// Latest press of the dead man's key that keeps the motors on, if any.
     key: Option<Press>,
     rules: Rules,
@@ -142,14 +142,14 @@ where
             fade: fade::Fade::default(),
             cut: fade::CommandedTorques::default(),
             cut_at: 0,
-            most_torque: Torques::default(),
+            max_joint_torque: Torques::default(),
             fitting: [0.0; MAX_JOINTS],
-            most_force: 0.0,
-            most_force_squared: 0.0,
+            max_tip_force: 0.0,
+            max_tip_force_squared: 0.0,
             leverage: Leverage::default(),
             flow: budgets::Flow::default(),
             supplied: 0.0,
-            host_heard: 0,
+            host_seen_at: 0,
             host_expected: 0,
             key: None,
             first_index: [None; MAX_JOINTS],
@@ -271,7 +271,7 @@ where
         }
         self.off();
         self.state = State::Fault;
-        self.see_what_is_usual();
+        self.update_fast_path();
     }
 
     fn off(&mut self) {
@@ -317,7 +317,7 @@ where
     fn step(&mut self, seen: &Samples) {
         self.begin_step();
         if self.program.is_some() {
-            self.step_otherwise(seen);
+            self.slow_step(seen);
         } else {
             self.note(seen);
         }
@@ -326,7 +326,7 @@ where
     /// Runs the rest of a control step that is not on the fast path.
     #[cold]
     #[inline(never)]
-    fn step_otherwise(&mut self, seen: &Samples) {
+    fn slow_step(&mut self, seen: &Samples) {
         let before = self.now.counts;
         self.note(seen);
         // Most steps off the fast path have no fault: torque ramps up, or a limit cuts it.
@@ -352,7 +352,7 @@ where
             }
             State::Disarmed | State::Fault => self.command_zero(),
         }
-        self.see_what_is_usual();
+        self.update_fast_path();
     }
 
     fn command_zero(&mut self) {
@@ -361,7 +361,7 @@ where
     }
 
     /// Updates the flags that select the fast path.
-    fn see_what_is_usual(&mut self) {
+    fn update_fast_path(&mut self) {
         let limited = self.joints.iter().take(self.count()).all(Joint::is_limited);
         self.usual = if self.state.drives() && limited { self.count } else { 0 };
         let faded_in = self.fade.ramp >= 1.0 && self.fade.share >= 1.0;
@@ -382,7 +382,7 @@ where
 
     /// Commands the requested torques, which are within the limits.
     #[inline(always)]
-    fn command_all<const J: usize>(&mut self) {
+    fn command_unlimited<const J: usize>(&mut self) {
         let (motors, found) = (&mut self.now.motors, &self.now.found);
         motors.rendered_force = found.at.walls.wall_force;
         for (i, joint) in self.joints.iter_mut().enumerate().take(J) {
@@ -395,7 +395,7 @@ where
     fn command_test(&mut self, torque: &Torques) {
         let joints = self.count();
         for (i, joint) in self.joints.iter_mut().enumerate().take(joints) {
-            let torque = limited(torque[i], self.most_torque[i]);
+            let torque = limited(torque[i], self.max_joint_torque[i]);
             joint.stage.command(torque);
             self.now.motors.torque[i] = limited(torque, joint.stage.max_torque());
         }
@@ -404,7 +404,7 @@ where
 
     /// Commands the torques of a fully faded-in scene on J joints, cut to the limits.
     #[inline(always)]
-    fn command_what_fits<const J: usize>(&mut self) {
+    fn command_limited<const J: usize>(&mut self) {
         let asked = self.now.found.asked;
         self.command_of::<J>(&asked, &asked.total);
         self.update_steady();
@@ -422,7 +422,7 @@ where
     /// Same as [`ControlLoop::command`], for J joints.
     #[inline(always)]
     fn command_of<const J: usize>(&mut self, asked: &TorqueDemand<f32>, wanted: &[f32; MAX_JOINTS]) {
-        let granted = asked.within::<J>(&self.most_torque, self.most_force, &self.leverage);
+        let granted = asked.within::<J>(&self.max_joint_torque, self.max_tip_force, &self.leverage);
         let rendered = Torques(asked.rendered.map(|r| granted.share * r));
         self.cut = fade::CommandedTorques { gravity: granted.gravity, rendered, share: granted.share };
         self.cut_at = self.now.step;

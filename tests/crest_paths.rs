@@ -104,7 +104,7 @@ fn the_fast_current_loop_equals_the_general_one() {
             });
             let (mut fast, mut general, late) = (axis, axis, random.one_chance_in(10.0));
             let duty = general.drive(&supply, sample, speed, late);
-            match fast.drive_easily(&supply, sample, speed, late) {
+            match fast.drive_in_range(&supply, sample, speed, late) {
                 Some(other) => {
                     easy[usize::from(late)] += 1;
                     assert_eq!((as_text(&other), as_text(&fast)), (as_text(&duty), as_text(&general)), "from {axis:?}");

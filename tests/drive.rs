@@ -1,6 +1,6 @@
 //! The drive makes the current for the commanded torque, with duties within the bridge's range.
 
-use haptic_bridge::drive::brushed::{Axis, UNKNOWN_WINDING};
+use haptic_bridge::drive::brushed::{Axis, UNKNOWN_INDUCTANCE_SHARE};
 use haptic_bridge::drive::stage::{Bridge, Duty, MAX_DUTY, Stage, Supply};
 use haptic_bridge::model::motor::Motor;
 
@@ -234,7 +234,7 @@ fn overshoot(winding: f64, bandwidth: f64) -> f64 {
 #[test]
 fn a_winding_of_unknown_inductance_overshoots_as_documented() {
     let file = Motor { inductance: 0.0, ..motor() };
-    let bandwidth = f64::from(UNKNOWN_WINDING * bridge(true).bandwidth_hz) * core::f64::consts::TAU;
+    let bandwidth = f64::from(UNKNOWN_INDUCTANCE_SHARE * bridge(true).bandwidth_hz) * core::f64::consts::TAU;
     for (inductance, documented) in [(0.45e-3, 0.07), (1.2e-3, 0.14), (1.5e-3, 0.16)] {
         let mut axis = Axis::new(&file, &bridge(true), 10.0);
         axis.command(0.1);

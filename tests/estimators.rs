@@ -8,8 +8,8 @@ use haptic_bridge::model::mechanism::AnyMechanism;
 use haptic_bridge::render::controller::Controller;
 use haptic_bridge::render::scene::{FeedForward, Scene, SceneError};
 use haptic_bridge::render::velocity::{
-    Chosen, Coefficients, CutoffMeans, Difference, Estimator, EstimatorSpec, JointEstimator, JointVelocity, Predicted,
-    Seen,
+    Chosen, Coefficients, CutoffMeaning, Difference, Estimator, EstimatorSpec, JointEstimator, JointVelocity,
+    Predicted, Seen,
 };
 
 const RATE: f64 = 20_000.0;
@@ -39,7 +39,7 @@ struct Toy<T>(T);
 
 impl<T: Real> JointEstimator<T> for Toy<T> {
     const SPEC: EstimatorSpec =
-        EstimatorSpec { name: "toy", cutoff: CutoffMeans::LowPassBehind, key: None, predicts: false };
+        EstimatorSpec { name: "toy", cutoff: CutoffMeaning::LowPassAfter, key: None, predicts: false };
     type Design = T;
     fn design(_: &Chosen, _: T) -> T {
         T::from_f64(0.5)
@@ -127,8 +127,8 @@ fn the_lag_at_constant_acceleration_is_as_reported() {
         if spec.predicts {
             continue;
         }
-        for filtered in [false, spec.cutoff == CutoffMeans::LowPassBehind] {
-            let kind = kind.choosing(Chosen { filtered, ..chosen });
+        for filtered in [false, spec.cutoff == CutoffMeaning::LowPassAfter] {
+            let kind = kind.with_options(Chosen { filtered, ..chosen });
             let coefficients = Coefficients::<f64>::new(kind, RATE, 500.0).unwrap();
             let mut joint = JointVelocity::default();
             let x = |n: f64| 0.5 * growth * n * n;
@@ -179,7 +179,7 @@ fn every_estimator_finds_the_speed_in_single_precision() {
 fn no_input_makes_an_estimator_panic() {
     for (_, kind) in Estimator::ALL {
         for value in [0, 1, 32, 33, u32::MAX] {
-            let kind = kind.choosing(Chosen { value, filtered: value == 32 });
+            let kind = kind.with_options(Chosen { value, filtered: value == 32 });
             let coefficients = Coefficients::<f32>::new(kind, 1000.0, 100.0).unwrap();
             let mut joint = JointVelocity::default();
             for moved in [0.0, 1.0, -4.3e9, f32::NAN, f32::INFINITY, 1.0, 2.0] {
@@ -257,7 +257,7 @@ fn a_value_outside_the_range_is_refused() {
         for (value, is_valid) in
             [(key.range.0 - 1, false), (key.range.0, true), (key.range.1, true), (key.range.1 + 1, false)]
         {
-            let checked = wall(kind.choosing(choose(value))).check(2);
+            let checked = wall(kind.with_options(choose(value))).check(2);
             assert_eq!(checked, if is_valid { Ok(()) } else { Err(SceneError::Estimator) }, "{name} {value}");
         }
     }

@@ -1,14 +1,14 @@
 //! Frames on the wire are the same as those of the `cobs` crate, for any content and any split into pieces.
 
 use crate::common::cases;
-use haptic_bridge::board::framing::{Decoder, encode, most_on_wire};
+use haptic_bridge::board::framing::{Decoder, encode, max_wire_length};
 use haptic_bridge::board::protocol::MAX_FRAME;
 use proptest::collection::vec;
 use proptest::prelude::*;
 
 /// Encodes a frame, in a buffer of the minimum length and in a longer one with other bytes, which must not matter.
 fn on_wire(frame: &[u8]) -> Vec<u8> {
-    let shortest = most_on_wire(frame.len());
+    let shortest = max_wire_length(frame.len());
     let [short, long] = [vec![0xAA; shortest], vec![0; shortest + 9]].map(|mut wire| {
         wire[1..][..frame.len()].copy_from_slice(frame);
         let length = encode(&mut wire, frame.len()).expect("the buffer is long enough");

@@ -5,7 +5,7 @@ use crate::rig::statics::{force_at_tip, torques};
 use crate::rig::{self, RATE, Rig, five_bar, hardware, rules, scene, wall};
 use haptic_bridge::board::protocol::{BadForce, ForceAnswer, ForceDone, ForceRequest, HostContact};
 use haptic_bridge::control::host_force::{
-    MOST_DAMPING, MOST_DISTANCE, MOST_HELD_FORCE, MOST_LEASE, MOST_STIFFNESS, MOST_TORQUE,
+    MAX_CONTACT_DAMPING, MAX_CONTACT_DISTANCE, MAX_CONTACT_STIFFNESS, MAX_HELD_FORCE, MAX_HELD_TORQUE, MAX_LEASE,
 };
 use haptic_bridge::control::joints::Torques;
 use haptic_bridge::control::{Command, HostAction, Rules};
@@ -31,7 +31,7 @@ fn torque(sequence: u32, torque: f32) -> ForceRequest {
 }
 
 fn force(sequence: u32, x: f32, y: f32) -> ForceRequest {
-    ForceRequest { force: [x, y, 0.0], hold: MOST_LEASE, ..request(sequence) }
+    ForceRequest { force: [x, y, 0.0], hold: MAX_LEASE, ..request(sequence) }
 }
 
 /// Requests the state of the device without a force.
@@ -187,7 +187,7 @@ fn invalid_numbers_are_refused_and_leave_the_present_force() {
     let mut bad: Vec<(BadForce, ForceRequest)> = Vec::new();
     let invalid = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX];
     let above = |most: f32| invalid.into_iter().chain([most * 1.000_01, -most * 1.000_01]);
-    for value in above(MOST_HELD_FORCE) {
+    for value in above(MAX_HELD_FORCE) {
         bad.push((BadForce::Force, force(2, value, 0.0)));
         bad.push((BadForce::Force, force(2, 0.0, value)));
     }
@@ -195,23 +195,23 @@ fn invalid_numbers_are_refused_and_leave_the_present_force() {
     bad.push((BadForce::Force, ForceRequest { force: [0.0, 0.0, 1.0], ..request(2) }));
     bad.push((BadForce::Torque, ForceRequest { torque: [0.0, 0.0, 0.1], ..request(2) }));
     bad.push((BadForce::Normal, with(HostContact { normal: [0.0, 0.0, 1.0], ..contact })));
-    for value in above(MOST_TORQUE) {
+    for value in above(MAX_HELD_TORQUE) {
         bad.push((BadForce::Torque, torque(2, value)));
     }
-    for value in above(MOST_LEASE).chain([-0.01]) {
+    for value in above(MAX_LEASE).chain([-0.01]) {
         bad.push((BadForce::Lease, ForceRequest { hold: value, ..request(2) }));
         bad.push((BadForce::Lease, ForceRequest { fade: value, ..request(2) }));
     }
-    for value in above(MOST_DISTANCE) {
+    for value in above(MAX_CONTACT_DISTANCE) {
         bad.push((BadForce::Point, with(HostContact { point: [0.0, value, 0.0], ..contact })));
     }
     for value in above(1.1).chain([0.0]) {
         bad.push((BadForce::Normal, with(HostContact { normal: [value, 0.0, 0.0], ..contact })));
     }
-    for value in above(MOST_STIFFNESS).chain([-1.0]) {
+    for value in above(MAX_CONTACT_STIFFNESS).chain([-1.0]) {
         bad.push((BadForce::Gains, with(HostContact { stiffness: value, ..contact })));
     }
-    for value in above(MOST_DAMPING).chain([-1.0]) {
+    for value in above(MAX_CONTACT_DAMPING).chain([-1.0]) {
         bad.push((BadForce::Gains, with(HostContact { damping: value, ..contact })));
     }
     for (reason, request) in bad {
@@ -230,13 +230,13 @@ fn the_largest_accepted_numbers_are_harmless() {
     let mut rig = armed_rig();
     let answer = rig.control_loop.force(&ForceRequest {
         contact: Some(HostContact {
-            point: [MOST_DISTANCE, 0.0, 0.0],
+            point: [MAX_CONTACT_DISTANCE, 0.0, 0.0],
             normal: [1.0, 0.0, 0.0],
-            stiffness: MOST_STIFFNESS,
-            damping: MOST_DAMPING,
+            stiffness: MAX_CONTACT_STIFFNESS,
+            damping: MAX_CONTACT_DAMPING,
         }),
-        torque: [MOST_TORQUE, -MOST_TORQUE, 0.0],
-        ..force(1, MOST_HELD_FORCE, -MOST_HELD_FORCE)
+        torque: [MAX_HELD_TORQUE, -MAX_HELD_TORQUE, 0.0],
+        ..force(1, MAX_HELD_FORCE, -MAX_HELD_FORCE)
     });
     assert_eq!(answer.done, ForceDone::Taken);
     for _ in 0..100 {
@@ -359,7 +359,7 @@ fn a_contact_pushes_along_its_normal_and_never_pulls() {
     let at = |depth: f32| core::array::from_fn(|i| tip[i] + normal[i] * depth);
     for (sequence, depth, expected) in [(1, 1.0e-3, 1.5), (2, -1.0e-3, 0.0)] {
         let contact = HostContact { point: at(depth), normal, stiffness: 1_500.0, damping: 3.0 };
-        let request = ForceRequest { contact: Some(contact), hold: MOST_LEASE, ..request(sequence) };
+        let request = ForceRequest { contact: Some(contact), hold: MAX_LEASE, ..request(sequence) };
         assert_eq!(rig.control_loop.force(&request).done, ForceDone::Taken);
         rig.run(0.05);
         let answer = poll(&mut rig);

@@ -31,7 +31,7 @@ fn a_rate_error_of_a_fifth_is_found_within_80_steps() {
     for rate in RATES {
         // The tolerance over 80 steps is 12: 10 %, and four steps at the ends.
         let checks = (80 * 1_000_000 / u64::from(rate)).div_ceil(CHECK_US);
-        for (share, expected) in [(1.2, Verdict::TooOften), (0.8, Verdict::TooSeldom)] {
+        for (share, expected) in [(1.2, Verdict::TooFast), (0.8, Verdict::TooSlow)] {
             let found = verdict(rate, share, false, |_| 0);
             assert!(
                 found.is_some_and(|(verdict, check)| verdict == expected && check <= checks),
@@ -72,9 +72,9 @@ fn an_irregular_loop_is_found() {
 #[test]
 fn a_loop_that_recovers_its_pace_is_fed_again() {
     let mut pace = Pace::new(1_000);
-    assert_eq!(pace.look(60, CHECK_US, 1_000, false), Verdict::TooOften);
+    assert_eq!(pace.look(60, CHECK_US, 1_000, false), Verdict::TooFast);
     let found = [20; 4].map(|steps| pace.look(steps, CHECK_US, 1_000, false));
-    assert_eq!(found, [Verdict::TooOften, Verdict::TooOften, Verdict::TooOften, Verdict::Kept]);
+    assert_eq!(found, [Verdict::TooFast, Verdict::TooFast, Verdict::TooFast, Verdict::Kept]);
 }
 
 #[test]
@@ -87,7 +87,7 @@ fn a_change_of_rate_is_not_a_wrong_pace() {
         assert_eq!(pace.look(4, CHECK_US, 200, false), Verdict::Kept);
     }
     assert_eq!(pace.look(100, CHECK_US, 20_000, false), Verdict::Kept);
-    assert_eq!(pace.look(800, CHECK_US, 20_000, false), Verdict::TooOften);
+    assert_eq!(pace.look(800, CHECK_US, 20_000, false), Verdict::TooFast);
 }
 
 #[test]

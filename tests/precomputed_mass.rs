@@ -5,7 +5,7 @@ use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::mechanism::{AnyMechanism, FiveBar, Mechanism};
 use haptic_bridge::model::precomputed::{
-    Grid, Interpolation, MassModel, MassModelData, Receiving, TABLE_VALUES, checksum, tabulate,
+    Grid, Interpolation, MassModel, MassModelData, TABLE_VALUES, TableReceiver, checksum, tabulate,
 };
 use haptic_bridge::with_mechanism;
 use nalgebra::SVector;
@@ -166,7 +166,7 @@ fn a_frozen_matrix_must_be_a_mass_matrix() {
 fn a_table_needs_all_chunks_in_order_and_unchanged() {
     let values: Vec<f32> = (0..150).map(|n| n as f32 * 0.1).collect();
     let crc = checksum(&values);
-    let mut receiving = Receiving::default();
+    let mut receiving = TableReceiver::default();
     for (index, chunk) in values.chunks(64).enumerate() {
         assert!(!receiving.is_complete(150, crc));
         assert!(receiving.take(64 * index, chunk));
@@ -175,15 +175,15 @@ fn a_table_needs_all_chunks_in_order_and_unchanged() {
     assert_eq!(receiving.values(), values);
     assert!(!receiving.is_complete(149, crc));
 
-    let mut gap = Receiving::default();
+    let mut gap = TableReceiver::default();
     assert!(gap.take(0, &values[..64]));
     assert!(!gap.take(128, &values[128..]));
-    let mut changed = Receiving::default();
+    let mut changed = TableReceiver::default();
     assert!(changed.take(0, &values[..149]));
     assert!(changed.take(149, &[15.0]));
     assert!(!changed.is_complete(150, crc));
-    assert!(!Receiving::default().take(0, &[f32::NAN]));
-    assert!(!Receiving::default().take(0, &vec![0.0; TABLE_VALUES + 1]));
+    assert!(!TableReceiver::default().take(0, &[f32::NAN]));
+    assert!(!TableReceiver::default().take(0, &vec![0.0; TABLE_VALUES + 1]));
     // A new transfer discards the old one.
     assert!(receiving.take(0, &values[..64]));
     assert!(!receiving.is_complete(150, crc));

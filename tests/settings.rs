@@ -228,7 +228,7 @@ fn scenes_of_earlier_versions_decode_without_a_posture() {
 fn every_estimator_keeps_its_options() {
     for (_, estimator) in Estimator::ALL {
         let chosen = estimator.chosen().map(|chosen| Chosen { value: chosen.value + 1, filtered: true });
-        let estimator = chosen.map_or(*estimator, |chosen| estimator.choosing(chosen));
+        let estimator = chosen.map_or(*estimator, |chosen| estimator.with_options(chosen));
         assert_round_trip(&Scene { estimator, ..full_scene() });
     }
 }

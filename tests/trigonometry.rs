@@ -46,14 +46,14 @@ fn the_table_with_its_series_has_errors_below_1e_7() {
 #[test]
 fn an_angle_without_parts_of_a_turn_is_in_radians() {
     for angle in [-6.0_f32, -1.0, 0.0, 0.3, 2.0, 6.0] {
-        assert_eq!(Tabulated::sin_cos_of(Angle::of_radians(angle)), Minimax::sin_cos(angle));
-        let binary = BinaryAngle::of_radians(f64::from(angle));
+        assert_eq!(Tabulated::sin_cos_of(Angle::from_radians(angle)), Minimax::sin_cos(angle));
+        let binary = BinaryAngle::from_radians(f64::from(angle));
         let (sine, cosine) = Tabulated::sin_cos_of(Angle { radians: 7.0, binary: Some(binary) });
         assert!((sine - angle.sin()).abs() < 2.0e-7 && (cosine - angle.cos()).abs() < 2.0e-7, "{angle}");
     }
     let known = |parts: u32| Angle { radians: 0.0_f32, binary: Some(BinaryAngle(parts)) };
     assert_eq!((known(5) - known(7)).binary, Some(BinaryAngle(u32::MAX - 1)), "the difference wraps");
-    assert_eq!((known(5) - Angle::of_radians(1.0)).binary, None);
+    assert_eq!((known(5) - Angle::from_radians(1.0)).binary, None);
 }
 
 /// Computes the error of the analysis' sine and cosine: absolute, and relative.

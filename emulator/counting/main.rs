@@ -21,7 +21,7 @@ use haptic_bridge::model::precomputed::{Grid, Interpolation, MassModel, TABLE_VA
 use haptic_bridge::render::controller::Controller;
 use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Sphere, Spring, Surface, VelocityTerms, Wall};
 use haptic_bridge::render::step_result::StepResult;
-use haptic_bridge::render::velocity::{Chosen, Estimator, LONGEST_WINDOW};
+use haptic_bridge::render::velocity::{Chosen, Estimator, MAX_WINDOW};
 use haptic_bridge::with_mechanism;
 use heapless::{String, Vec};
 use nalgebra::SVector;
@@ -97,7 +97,7 @@ const RANGE: f32 = 0.6;
 /// Steps before the counted step: the joints start a few counts away, so velocities are not zero. The longest run-up
 /// also fills an estimator's window.
 const RUN_UP: i32 = 3;
-const LONG_RUN_UP: i32 = LONGEST_WINDOW as i32 + RUN_UP;
+const LONG_RUN_UP: i32 = MAX_WINDOW as i32 + RUN_UP;
 
 #[cortex_m_rt::entry]
 fn main() -> ! {
@@ -176,7 +176,7 @@ fn variants<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
                 None => chosen,
             };
             let mut scene = scene::<M, N>(&tip, Walls::One, FeedForward::Full, VelocityTerms::Off);
-            scene.estimator = usual.chosen().map_or(*usual, |chosen| usual.choosing(longest(chosen)));
+            scene.estimator = usual.chosen().map_or(*usual, |chosen| usual.with_options(longest(chosen)));
             let name = ["exact/feed-forward, ", estimator];
             count::<M, K, N>(mechanism, device, &scene, &MassModel::Exact, &home, &name, LONG_RUN_UP);
         }

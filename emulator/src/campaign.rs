@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_host::output::csv_line;
-use haptic_sim::Broken;
+use haptic_sim::BoardFaults;
 use rigless::device::Level;
 
 use crate::boards::BoardKind;
@@ -93,13 +93,13 @@ pub const CASES: &[Case] = &[
     },
     Case {
         name: "the bus sensor shows 12 V of 24 V",
-        cause: |board| board.broken.bus_shown = Some(12.0),
+        cause: |board| board.broken.bus_reading = Some(12.0),
         detected: false,
     },
     Case {
         name: "58 V on the bus, whose sensor shows 24 V",
         cause: |board| {
-            board.broken.bus_shown = Some(24.0);
+            board.broken.bus_reading = Some(24.0);
             if let Some(device) = board.plant.device() {
                 device.set_bus_voltage(58.0);
             }
@@ -115,7 +115,7 @@ fn scale_shunts(board: &mut Hardware, count: usize, gain: f64) {
 
 /// Adds a current to the first `count` shunts of the first motor, A.
 fn add_to_shunts(board: &mut Hardware, count: usize, current: f64) {
-    board.broken.sensor_extra[..count].fill(current);
+    board.broken.sensor_offset[..count].fill(current);
 }
 
 fn freeze(board: &mut Hardware) {
@@ -180,7 +180,7 @@ impl Campaign {
         rig.tool.disarm().expect("the board disarms");
         rig.with(move |stopped| {
             let board = stopped.hardware();
-            board.broken = Broken::default();
+            board.broken = BoardFaults::default();
             board.encoders_unplugged = [false; 3];
             let device = board.plant.device().expect("a simulated device");
             device.set_bus_voltage(24.0);

@@ -8,7 +8,7 @@
 
 use std::num::{NonZeroU32, NonZeroU64};
 
-use haptic_sim::{Broken, MotorInput};
+use haptic_sim::{BoardFaults, MotorInput};
 use rigless::device::Level;
 use rigless::machine::{Board, Target, armv7m};
 use rigless::mcu::{Mcu, Operate};
@@ -72,7 +72,7 @@ pub struct Hardware {
     /// True if the chip's pin at the bus divider has no wire from the next start on.
     pub bus_cut: bool,
     /// Other injected errors.
-    pub broken: Broken,
+    pub broken: BoardFaults,
     /// Largest current, speed and travel since the last reset of this field.
     pub peaks: Peaks,
     encoders: [EncoderDrive; 3],
@@ -111,7 +111,7 @@ impl Hardware {
             encoders_unplugged: [false; 3],
             edges_lost: [0; 3],
             bus_cut: false,
-            broken: Broken::default(),
+            broken: BoardFaults::default(),
             peaks: Peaks::default(),
             encoders: [EncoderDrive::default(); 3],
             samples: 0,
@@ -263,7 +263,7 @@ impl Hardware {
             }
         }
         let (channel, divider) = wiring.bus;
-        self.show_volts(wiring, channel, self.broken.bus_shown.unwrap_or(self.plant.bus_voltage()) / divider);
+        self.show_volts(wiring, channel, self.broken.bus_reading.unwrap_or(self.plant.bus_voltage()) / divider);
     }
 
     fn show_volts(&mut self, wiring: &Wiring, channel: u8, volts: f64) {

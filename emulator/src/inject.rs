@@ -185,7 +185,7 @@ pub fn injection(fault: Fault) -> Injection {
             "a current sensor shows 8 A more",
             rig_in_contact,
             |rig| {
-                rig.with(|stopped| stopped.hardware().broken.sensor_extra[..2].fill(8.0));
+                rig.with(|stopped| stopped.hardware().broken.sensor_offset[..2].fill(8.0));
             },
             5,
         ),
@@ -398,7 +398,7 @@ pub fn injection(fault: Fault) -> Injection {
                 rig
             },
             |rig| {
-                rig.with(|stopped| stopped.hardware().broken.sensor_extra[..2].fill(0.5));
+                rig.with(|stopped| stopped.hardware().broken.sensor_offset[..2].fill(0.5));
             },
             5,
         ),

@@ -17,7 +17,7 @@ use embassy_sync::blocking_mutex::CriticalSectionMutex;
 use embassy_sync::waitqueue::WakerRegistration;
 use embassy_time::{Duration, with_timeout};
 use embassy_usb::class::cdc_acm::{CdcAcmClass, Receiver, Sender};
-use haptic_bridge::board::framing::{self, Decoder, most_on_wire};
+use haptic_bridge::board::framing::{self, Decoder, max_wire_length};
 use haptic_bridge::board::protocol::MAX_FRAME;
 use heapless::{Deque, Vec};
 use static_cell::ConstStaticCell;
@@ -87,12 +87,12 @@ impl Incoming {
 
 /// An outgoing frame: a delimiter that ends a partial frame at the host, then the frame and its delimiter.
 struct Frame {
-    bytes: [u8; 1 + most_on_wire(MAX_FRAME)],
+    bytes: [u8; 1 + max_wire_length(MAX_FRAME)],
     length: usize,
 }
 
 impl Frame {
-    const EMPTY: Self = Self { bytes: [0; 1 + most_on_wire(MAX_FRAME)], length: 0 };
+    const EMPTY: Self = Self { bytes: [0; 1 + max_wire_length(MAX_FRAME)], length: 0 };
 }
 
 /// Maximum number of frames that wait to leave.

@@ -95,8 +95,8 @@ pub async fn supervise(mut watchdog: Watchdog) -> ! {
         match (steps != before, verdict, silent) {
             (true, Verdict::Kept, None) => watchdog.feed(),
             (false, ..) => defmt::error!("the control step stands still"),
-            (true, Verdict::TooOften, _) => defmt::error!("the control step runs too often"),
-            (true, Verdict::TooSeldom, _) => defmt::error!("the control step runs too seldom"),
+            (true, Verdict::TooFast, _) => defmt::error!("the control step runs too often"),
+            (true, Verdict::TooSlow, _) => defmt::error!("the control step runs too seldom"),
             (true, Verdict::Kept, Some(task)) => defmt::error!("task {} is silent", task),
         }
     }

@@ -16,7 +16,7 @@ pub fn device_file(data: &[u8]) {
     match DeviceFile::parse(text, "fuzz.toml") {
         Ok(file) => {
             drop(Device::<f32>::new(&file.name, &file.description).expect("an accepted file makes a device"));
-            let _ = file.lacks_for_a_board();
+            let _ = file.missing_for_board();
         }
         Err(error) => assert!(!error.to_string().is_empty()),
     }

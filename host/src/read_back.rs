@@ -13,7 +13,7 @@ use haptic_bridge::model::device::{self, Device};
 use haptic_bridge::model::mechanism::AnyMechanism;
 use haptic_bridge::render::scene::shape::Meaning;
 use haptic_bridge::render::scene::{Scene, Wall};
-use haptic_bridge::render::velocity::CutoffMeans;
+use haptic_bridge::render::velocity::CutoffMeaning;
 use serde::Serialize;
 use std::fmt;
 
@@ -176,7 +176,7 @@ pub fn scene(scene: &Scene<f32>) -> Vec<Entry> {
         top.number(key.name, chosen.value.into(), key.unit);
     }
     // In a file, the cutoff of such an estimator adds a low-pass.
-    let unfiltered = spec.is_some_and(|spec| spec.cutoff == CutoffMeans::LowPassBehind)
+    let unfiltered = spec.is_some_and(|spec| spec.cutoff == CutoffMeaning::LowPassAfter)
         && chosen.is_some_and(|chosen| !chosen.filtered);
     if !unfiltered {
         top.number("cutoff_hz", scene.cutoff_hz.into(), "Hz");

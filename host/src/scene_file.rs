@@ -29,7 +29,7 @@ use haptic_bridge::render::scene::{
     Admissible, DEFAULT_RATE_HZ, FeedForward, MAX_FEED_FORWARD_GAIN, MAX_RATE_HZ, MAX_SPRINGS, MAX_WALLS, MIN_RATE_HZ,
     Posture, Scene, SceneError, Spring, Surface, VelocityTerms, Wall,
 };
-use haptic_bridge::render::velocity::{Chosen, CutoffMeans, Estimator};
+use haptic_bridge::render::velocity::{Chosen, CutoffMeaning, Estimator};
 use haptic_bridge::with_mechanism;
 use nalgebra::SVector;
 use std::path::{Path, PathBuf};
@@ -178,8 +178,8 @@ fn chosen(top: &Table<'_>, estimator: Estimator) -> Result<Estimator, FileError>
         }
         value = found as u32;
     }
-    let filtered = spec.cutoff == CutoffMeans::LowPassBehind && top.has("cutoff_hz");
-    Ok(estimator.choosing(Chosen { value, filtered }))
+    let filtered = spec.cutoff == CutoffMeaning::LowPassAfter && top.has("cutoff_hz");
+    Ok(estimator.with_options(Chosen { value, filtered }))
 }
 
 /// Reads α, by default 1. Its limit for several walls is checked with the scene.

@@ -11,7 +11,7 @@ use core::cell::Cell;
 const BLOCK: usize = 254;
 
 /// Returns the maximum length on the wire of a frame with `length` bytes, its delimiter included.
-pub const fn most_on_wire(length: usize) -> usize {
+pub const fn max_wire_length(length: usize) -> usize {
     length + length / BLOCK + 2
 }
 
@@ -23,10 +23,10 @@ fn zeros(word: u32) -> u32 {
 }
 
 /// Encodes in place a frame of `length` bytes that starts at the second byte of `wire`, and ends it with a delimiter.
-/// Returns the number of bytes on the wire, or `None` if `wire` is shorter than [`most_on_wire`].
+/// Returns the number of bytes on the wire, or `None` if `wire` is shorter than [`max_wire_length`].
 #[inline(never)]
 pub fn encode(wire: &mut [u8], length: usize) -> Option<usize> {
-    wire.get(..most_on_wire(length))?;
+    wire.get(..max_wire_length(length))?;
     let (mut begin, mut end) = (0, length + 1);
     loop {
         let code = begin + link(wire.get_mut(begin..end)?);

@@ -15,7 +15,7 @@ use crate::control::program::{Hardware, Program};
 use crate::control::{Command, HostAction, Rules};
 use crate::math::Math;
 use crate::model::device::Device;
-use crate::model::precomputed::{MassModelData, Receiving, TableChunk};
+use crate::model::precomputed::{MassModelData, TableChunk, TableReceiver};
 use crate::render::scene::{DEFAULT_RATE_HZ, FeedForward, Scene, SceneError};
 use crate::render::velocity::{Coefficients, Washout};
 use crate::safety::fault::FaultRecord;
@@ -29,7 +29,7 @@ pub struct Service {
     hardware: Hardware,
     max_limits: Limits,
     configuration: Configuration,
-    receiving: Receiving,
+    receiving: TableReceiver,
     name: Name,
     /// Device whose polarity check succeeded since the board started. Checks recorded in flash do not count, because
     /// wires may change while a board has no power. The entire device is kept, because a name can be constructed that
@@ -60,7 +60,7 @@ impl Service {
                 mass: MassModelData::Exact,
                 rules: Rules { limits: Limits { tip_force, ..max_limits }, host_action, ..Rules::default() },
             },
-            receiving: Receiving::default(),
+            receiving: TableReceiver::default(),
             name: Name::new(),
             polarity: None,
             damage: Vec::new(),
@@ -179,7 +179,7 @@ impl Service {
     /// Drops a partly received table of the previous device. If this device's polarity was found correct before, tells
     /// the control loop. A device that contains a NaN equals no device, so it counts as unchecked.
     fn finish_device_change(&mut self, machine: &mut impl Machine) -> Result<(), Refusal> {
-        self.receiving = Receiving::default();
+        self.receiving = TableReceiver::default();
         match &self.polarity {
             Some(_) if self.polarity == self.configuration.device => machine.execute(Command::PolarityKnown).0,
             _ => Ok(()),
@@ -219,7 +219,7 @@ impl Service {
         self.install(machine, &mut next, true, None)
     }
 
-    /// Receives a piece of a table, in order from offset 0; see [`Receiving::take`]. A table that is in use is first
+    /// Receives a piece of a table, in order from offset 0; see [`TableReceiver::take`]. A table that is in use is first
     /// replaced by the closed form, because the new values overwrite the table's.
     pub fn receive_table(&mut self, machine: &mut impl Machine, chunk: &TableChunk) -> Result<(), Refusal> {
         must_be_off(machine)?;
@@ -417,12 +417,12 @@ impl Service {
         if self.last_fault.is_some_and(|last| (last.fault, last.step) == (fault.fault, fault.step)) {
             return None;
         }
-        self.note_fault(fault);
+        self.record_fault(fault);
         Some(fault)
     }
 
     /// Adds a fault to the history. Also used for a fault from before a reset.
-    pub fn note_fault(&mut self, fault: FaultRecord) {
+    pub fn record_fault(&mut self, fault: FaultRecord) {
         self.last_fault = Some(fault);
         if self.faults.is_full() {
             self.faults.remove(0);

@@ -176,7 +176,7 @@ where
         if margin_bits(self.leverage.force_squared(&self.flow.torque), most * most) >= 0 {
             return Ok(());
         }
-        let worth = |i: usize, torque: &f32| self.leverage.most_of(i) * torque.abs();
+        let worth = |i: usize, torque: &f32| self.leverage.force_bound(i) * torque.abs();
         let worst = self.joints.iter().zip(self.flow.torque.iter()).enumerate().take(self.count());
         let worst = worst.max_by(|(i, (_, one)), (j, (_, other))| worth(*i, one).total_cmp(&worth(*j, other)));
         let Some((i, (joint, torque))) = worst else { return Ok(()) };
@@ -225,7 +225,7 @@ where
     /// Holds forces at the tip by this leverage from now on.
     #[inline(never)]
     fn weigh_by(&mut self, leverage: &Leverage) {
-        let change = leverage.changed_from(&self.leverage).min(1.0);
+        let change = leverage.relative_change_from(&self.leverage).min(1.0);
         if change > 0.0 {
             self.flow.change = change.max(CHANGE_KEPT * self.flow.change);
         }
@@ -237,10 +237,11 @@ where
     /// changed as it did recently.
     pub(super) fn allow(&mut self) {
         let joints = self.joints.iter().enumerate().take(self.count());
-        let error = joints
-            .fold(0.0, |sum, (i, joint)| sum + self.leverage.most_of(i) * joint.stage.torque_of(SENSOR_ERROR).abs());
+        let error = joints.fold(0.0, |sum, (i, joint)| {
+            sum + self.leverage.force_bound(i) * joint.stage.torque_of(SENSOR_ERROR).abs()
+        });
         let limit = self.rules.limits.tip_force;
-        self.set_most_force(limit / (1.0 + (self.flow.change - CHANGE_FREE).max(0.0)));
+        self.set_max_tip_force(limit / (1.0 + (self.flow.change - CHANGE_FREE).max(0.0)));
         let most = FLOW_MARGIN * limit + error.min(HIDDEN_SHARE * limit);
         let (flow, most) = (&mut self.flow, most * most);
         flow.until_weighed = flow.every;
@@ -268,7 +269,7 @@ where
         });
         let Some((i, joint, strain)) = strained else { return };
         // A current as it should be and a voltage that only motion explains: the encoder is what stands still.
-        let (fault, value) = if joint.stage.flows_as_expected() && joint.stands_still() {
+        let (fault, value) = if joint.stage.has_expected_current() && joint.stands_still() {
             (Fault::EncoderLoss, joint.stage.turning(strain))
         } else {
             (Fault::MotorModel, strain)
@@ -302,7 +303,7 @@ where
             }
             // Voltage across the motor less R i is its back-EMF: when that says several rad/s, counts must move.
             if sensed {
-                let turning = joint.stage.speed_of(motors.duty[i], seen.bus_voltage, current);
+                let turning = joint.stage.least_speed(motors.duty[i], seen.bus_voltage, current);
                 sums.lost = if turning.abs() > sums.suspicious { sums.lost + elapsed } else { 0.0 };
                 if sums.lost > LOSS_SECONDS {
                     found = Some((Fault::EncoderLoss, turning));

@@ -224,13 +224,13 @@ where
         let gain = (core::f32::consts::TAU * SPEED_HZ * period)
             .min((COUNT_SHARE * speed).max(core::f32::consts::TAU * SLOWEST_HZ * period));
         // The torque that a count would push with, were its back-EMF fed forward for a whole carrier period.
-        let kick = joint.stage.torque_of(joint.stage.driven_by(size / period)).abs();
+        let kick = joint.stage.torque_of(joint.stage.back_emf_current(size / period)).abs();
         joint.bounds = Bounds {
             // Five times the speed limit is no motion any more, and more than noise of a count no noise.
             jump: ((5.0 * speed) as i32).max(4),
             gain,
             // The current loop takes out the part of it that a slower filter leaves.
-            steady_gain: gain.min(KICK_SHARE * self.most_torque[i] / kick),
+            steady_gain: gain.min(KICK_SHARE * self.max_joint_torque[i] / kick),
             speed,
             radians: scale * program.carrier_hz,
             // The loop may overshoot a little; half again as much as the limit is not the loop.
@@ -266,7 +266,7 @@ where
             let unusual = if watched < 0 { Unusual::Step } else { Unusual::Torques };
             return self.go_on::<J, L>(unusual, seen, samples, into, legs);
         }
-        self.command_all::<J>();
+        self.command_unlimited::<J>();
         let supply = Supply::of(seen.bus_voltage);
         if seen.late {
             return self.drive_unusually::<J, L>(&supply, true, samples, into, legs);
@@ -286,8 +286,8 @@ where
         legs: &mut [L; MAX_JOINTS],
     ) -> bool {
         match unusual {
-            Unusual::Torques if self.in_force && self.not_finite::<J>() >= 0 => self.command_what_fits::<J>(),
-            Unusual::Torques | Unusual::Step => self.step_otherwise(seen),
+            Unusual::Torques if self.in_force && self.not_finite::<J>() >= 0 => self.command_limited::<J>(),
+            Unusual::Torques | Unusual::Step => self.slow_step(seen),
             Unusual::Crest => {
                 self.find_at_crest(seen);
                 self.pass(seen);
@@ -328,7 +328,7 @@ where
         #[allow(clippy::needless_range_loop, reason = "one number for four arrays")]
         for i in 0..J {
             let joint = &mut self.joints[i];
-            let Some(drive) = joint.stage.drive_easily(supply, samples[i], joint.steady_speed(), late) else {
+            let Some(drive) = joint.stage.drive_in_range(supply, samples[i], joint.steady_speed(), late) else {
                 return self.drive_rest(i, supply, late, samples, into, legs);
             };
             self.now.motors.duty[i] = S::duty(drive);
@@ -475,7 +475,7 @@ where
 #[inline(always)]
 pub(super) fn drive_one<S: Stage>(joint: &mut Joint<S>, supply: &Supply, sample: S::Sample, late: bool) -> S::Drive {
     let speed = joint.steady_speed();
-    let easily = joint.stage.drive_easily(supply, sample, speed, late);
+    let easily = joint.stage.drive_in_range(supply, sample, speed, late);
     easily.unwrap_or_else(|| joint.stage.drive(supply, sample, speed, late))
 }
 

@@ -143,7 +143,7 @@ where
         self.fade.begun = true;
         self.fade.ramp = (self.fade.ramp + self.period * (1.0 / ARM_SECONDS)).min(1.0);
         // The force limit at the tip applies separately to the present demand and to the fading part below.
-        let share = share_within(asked.force_squared, self.most_force);
+        let share = share_within(asked.force_squared, self.max_tip_force);
         self.fade.share = self.fade.ramp * share;
         if !self.fade.from_something {
             return self.fade_in_from_zero(asked, share);
@@ -204,7 +204,7 @@ where
         // Leverage from half a millisecond ago would let 4 % too much through, because the fading torques are not
         // computed again from the pose.
         let leverage = program.mechanism.leverage::<K>(&self.now.found.at.q);
-        let share = share_within(leverage.force_squared(&rendered), self.most_force);
+        let share = share_within(leverage.force_squared(&rendered), self.max_tip_force);
         for part in fade.scene.iter_mut().chain(fade.host.torque.iter_mut()).chain(fade.aside.iter_mut()) {
             *part *= share;
         }

@@ -23,17 +23,17 @@ use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
 /// Longest hold and longest fade of a request, s.
-pub const MOST_LEASE: f32 = 0.2;
+pub const MAX_LEASE: f32 = 0.2;
 /// Largest force that a request may contain, N. Forces beyond the motors' limits are cut.
-pub const MOST_HELD_FORCE: f32 = 1.0e3;
+pub const MAX_HELD_FORCE: f32 = 1.0e3;
 /// Largest joint torque that a request may contain, N m.
-pub const MOST_TORQUE: f32 = 1.0e2;
+pub const MAX_HELD_TORQUE: f32 = 1.0e2;
 /// Largest distance of a contact's point from the origin, m.
-pub const MOST_DISTANCE: f32 = 10.0;
+pub const MAX_CONTACT_DISTANCE: f32 = 10.0;
 /// Largest stiffness of a contact, N/m.
-pub const MOST_STIFFNESS: f32 = 1.0e5;
+pub const MAX_CONTACT_STIFFNESS: f32 = 1.0e5;
 /// Largest damping of a contact, N s/m.
-pub const MOST_DAMPING: f32 = 1.0e3;
+pub const MAX_CONTACT_DAMPING: f32 = 1.0e3;
 /// Largest deviation of the squared length of a contact's normal from 1.
 const UNIT: f32 = 1.0e-3;
 /// Shortest and longest time in which a contact moves from one plane to the next, s. A contact that appears or
@@ -48,9 +48,9 @@ pub struct ForceRequest {
     pub sequence: u32,
     /// [`ForceAnswer::step`] of the state that the request was computed from; `None` if it depends on no state.
     pub seen: Option<u32>,
-    /// Time for which it acts in full, s; at most [`MOST_LEASE`].
+    /// Time for which it acts in full, s; at most [`MAX_LEASE`].
     pub hold: f32,
-    /// Time for which it then fades to zero, s; at most [`MOST_LEASE`].
+    /// Time for which it then fades to zero, s; at most [`MAX_LEASE`].
     pub fade: f32,
     /// Force at the tip, N.
     pub force: [f32; 3],
@@ -94,19 +94,19 @@ pub enum ForceDone {
 /// The value of a request that cannot be used.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub enum BadForce {
-    /// `hold` or `fade` is not a number from 0 to [`MOST_LEASE`].
+    /// `hold` or `fade` is not a number from 0 to [`MAX_LEASE`].
     Lease,
     /// `seen` is a step in the future.
     Seen,
-    /// The force is not finite, above [`MOST_HELD_FORCE`], or in a direction that the device does not have.
+    /// The force is not finite, above [`MAX_HELD_FORCE`], or in a direction that the device does not have.
     Force,
-    /// A torque is not finite, above [`MOST_TORQUE`], or of a joint that the device does not have.
+    /// A torque is not finite, above [`MAX_HELD_TORQUE`], or of a joint that the device does not have.
     Torque,
-    /// The contact's point is not finite, or further away than [`MOST_DISTANCE`].
+    /// The contact's point is not finite, or further away than [`MAX_CONTACT_DISTANCE`].
     Point,
     /// The contact's normal is not a unit vector of the task frame.
     Normal,
-    /// The contact's stiffness or damping is not a number from 0 to its maximum, [`MOST_STIFFNESS`] or [`MOST_DAMPING`].
+    /// The contact's stiffness or damping is not a number from 0 to its maximum, [`MAX_CONTACT_STIFFNESS`] or [`MAX_CONTACT_DAMPING`].
     Gains,
 }
 
@@ -118,25 +118,25 @@ impl core::fmt::Display for ForceDone {
             Self::NotArmed => f.write_str("not taken: the motors are off; arm them first"),
             Self::NotNewer => f.write_str("not taken: a request with this sequence number or a later one acts"),
             Self::TooOld => f.write_str("not taken: it came later than its hold and fade allow"),
-            Self::Bad(BadForce::Lease) => write!(f, "not taken: hold and fade must be from 0 to {MOST_LEASE} s"),
+            Self::Bad(BadForce::Lease) => write!(f, "not taken: hold and fade must be from 0 to {MAX_LEASE} s"),
             Self::Bad(BadForce::Seen) => f.write_str("not taken: it was computed from a step in the future"),
             Self::Bad(BadForce::Force) => write!(
                 f,
-                "not taken: each entry of the force must be at most {MOST_HELD_FORCE} N, and 0 where the device has no direction"
+                "not taken: each entry of the force must be at most {MAX_HELD_FORCE} N, and 0 where the device has no direction"
             ),
             Self::Bad(BadForce::Torque) => write!(
                 f,
-                "not taken: each torque must be at most {MOST_TORQUE} N m, and 0 where the device has no joint"
+                "not taken: each torque must be at most {MAX_HELD_TORQUE} N m, and 0 where the device has no joint"
             ),
             Self::Bad(BadForce::Point) => {
-                write!(f, "not taken: the contact's point must be within {MOST_DISTANCE} m of the origin")
+                write!(f, "not taken: the contact's point must be within {MAX_CONTACT_DISTANCE} m of the origin")
             }
             Self::Bad(BadForce::Normal) => f.write_str(
                 "not taken: the contact's normal must have length 1, and 0 where the device has no direction",
             ),
             Self::Bad(BadForce::Gains) => write!(
                 f,
-                "not taken: the contact's stiffness must be from 0 to {MOST_STIFFNESS} N/m, its damping to {MOST_DAMPING} N s/m"
+                "not taken: the contact's stiffness must be from 0 to {MAX_CONTACT_STIFFNESS} N/m, its damping to {MAX_CONTACT_DAMPING} N s/m"
             ),
         }
     }
@@ -178,26 +178,26 @@ impl ForceRequest {
     pub fn wrong(&self, task: usize, joints: usize) -> Option<BadForce> {
         let within = |value: &f32, most: f32| value.abs() <= most;
         let only = |values: &[f32; 3], count: usize| values.iter().skip(count).all(|value| *value == 0.0);
-        let leased = |value: &f32| (0.0..=MOST_LEASE).contains(value);
+        let leased = |value: &f32| (0.0..=MAX_LEASE).contains(value);
         if !leased(&self.hold) || !leased(&self.fade) {
             return Some(BadForce::Lease);
         }
-        if !self.force.iter().all(|value| within(value, MOST_HELD_FORCE)) || !only(&self.force, task) {
+        if !self.force.iter().all(|value| within(value, MAX_HELD_FORCE)) || !only(&self.force, task) {
             return Some(BadForce::Force);
         }
-        if !self.torque.iter().all(|value| within(value, MOST_TORQUE)) || !only(&self.torque, joints) {
+        if !self.torque.iter().all(|value| within(value, MAX_HELD_TORQUE)) || !only(&self.torque, joints) {
             return Some(BadForce::Torque);
         }
         let contact = self.contact.as_ref()?;
-        if !contact.point.iter().all(|value| within(value, MOST_DISTANCE)) {
+        if !contact.point.iter().all(|value| within(value, MAX_CONTACT_DISTANCE)) {
             return Some(BadForce::Point);
         }
         let length = contact.normal.iter().fold(0.0, |sum, value| sum + value * value);
         if !within(&(length - 1.0), UNIT) || !only(&contact.normal, task) {
             return Some(BadForce::Normal);
         }
-        let gains =
-            (0.0..=MOST_STIFFNESS).contains(&contact.stiffness) && (0.0..=MOST_DAMPING).contains(&contact.damping);
+        let gains = (0.0..=MAX_CONTACT_STIFFNESS).contains(&contact.stiffness)
+            && (0.0..=MAX_CONTACT_DAMPING).contains(&contact.damping);
         if gains { None } else { Some(BadForce::Gains) }
     }
 
@@ -395,7 +395,7 @@ where
         if request.hold == 0.0 && request.fade == 0.0 {
             // A request that names a state comes from a live host. One without a state may come from any tool.
             if request.seen.is_some() {
-                self.hear_host();
+                self.record_host();
             }
             return ForceDone::Looked;
         }
@@ -412,7 +412,7 @@ where
             return ForceDone::TooOld;
         }
         self.host.take(request, age);
-        self.hear_host();
+        self.record_host();
         ForceDone::Taken
     }
 

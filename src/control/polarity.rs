@@ -142,7 +142,7 @@ where
         self.find_stray()?;
         self.polarity = PolarityCheck::default();
         self.polarity_known = false;
-        self.watch_anew();
+        self.restart_checks();
         self.state = State::CheckingPolarity;
         Ok(())
     }
@@ -243,7 +243,7 @@ where
     fn within_tip_force(&self, i: usize, wanted: f32) -> Torques {
         let most = self.polarity.allowed * self.joints[i].stage.max_torque();
         let mut torque = Torques::default();
-        torque[i] = limited(wanted, most.min(self.most_torque[i]));
+        torque[i] = limited(wanted, most.min(self.max_joint_torque[i]));
         torque[i] *= share_within(self.leverage.force_squared(&torque), self.rules.limits.tip_force);
         torque
     }

@@ -102,10 +102,10 @@ macro_rules! define {
                 match self { $(Self::$Variant(controller) => controller.set_zero(head(zero)),)* }
             }
 
-            /// See [`Controller::inside_a_wall`].
-            pub fn inside_a_wall(&self, counts: &Counts) -> bool {
+            /// See [`Controller::is_inside_wall`].
+            pub fn is_inside_wall(&self, counts: &Counts) -> bool {
                 match self {
-                    $(Self::$Variant(controller) => controller.inside_a_wall(&head(counts)),)*
+                    $(Self::$Variant(controller) => controller.is_inside_wall(&head(counts)),)*
                 }
             }
 

@@ -146,7 +146,7 @@ where
     /// true.
     pub fn obey(&mut self, command: &Command<P>) -> Result<(), Refusal> {
         let result = self.carry_out(command);
-        self.see_what_is_usual();
+        self.update_fast_path();
         result
     }
 
@@ -179,16 +179,16 @@ where
                     self.state = State::Disarmed;
                 }
                 // Resets only the host's silence. Other sums of the armed time stay, or clearing would lift a limit.
-                self.hear_host();
+                self.record_host();
                 Ok(())
             }
             Command::Beat(beat) => {
                 match beat {
                     Beat::Here => {}
-                    Beat::Held(press) => self.hear_key(*press),
+                    Beat::Held(press) => self.record_key(*press),
                     Beat::Released => self.disarm(),
                 }
-                self.hear_host();
+                self.record_host();
                 Ok(())
             }
             Command::Fault(record) => {
@@ -220,7 +220,7 @@ where
             return Err(Refusal::Armed);
         }
         program.controller.set_zero(&old.controller.zero());
-        if program.controller.inside_a_wall(&self.now.counts) {
+        if program.controller.is_inside_wall(&self.now.counts) {
             return Err(Refusal::InsideWall);
         }
         if let Some(refusal) = program.arming_refused {
@@ -266,7 +266,7 @@ where
         if !(same_device && same_rate) {
             self.set_bounds();
         }
-        self.see_what_is_usual();
+        self.update_fast_path();
         old
     }
 
@@ -275,7 +275,7 @@ where
             return Err(Refusal::Armed);
         }
         self.rules = *rules;
-        self.hear_host();
+        self.record_host();
         if let Some(program) = self.program.as_mut() {
             program.controller.set_passivity(rules.passivity, self.shows_energy);
         }
@@ -344,7 +344,7 @@ where
         if self.hardware.real && !self.polarity_known {
             return Err(Refusal::PolarityUnchecked);
         }
-        if program.controller.inside_a_wall(&self.now.counts) {
+        if program.controller.is_inside_wall(&self.now.counts) {
             return Err(Refusal::InsideWall);
         }
         if key.is_some_and(|key| !self.is_fresh(key)) {
@@ -365,14 +365,14 @@ where
         self.find_stray()?;
         self.fade.start_from_nothing();
         self.key = key;
-        self.watch_anew();
+        self.restart_checks();
         self.state = State::Armed;
         Ok(())
     }
 
     /// Resets everything that is summed up while the motors are on.
-    pub(super) fn watch_anew(&mut self) {
-        self.hear_host();
+    pub(super) fn restart_checks(&mut self) {
+        self.record_host();
         self.joints.iter_mut().for_each(|joint| joint.sums.reset());
         self.crests.reset();
         self.flow.reset();

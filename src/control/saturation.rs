@@ -50,12 +50,12 @@ where
     #[inline(always)]
     pub(super) fn fits<const J: usize>(&self) -> i32 {
         let TorqueDemand { total, gravity, rendered, force_squared } = &self.now.found.asked;
-        let mut least = margin_bits(*force_squared, self.most_force_squared);
+        let mut least = margin_bits(*force_squared, self.max_tip_force_squared);
         let mut pushing = *total;
         if self.weighs {
             pushing.iter_mut().zip(gravity).take(J).for_each(|(total, gravity)| *total -= gravity);
         }
-        least |= margin_bits(squared(&self.leverage.force::<J>(&pushing)), self.most_force_squared);
+        least |= margin_bits(squared(&self.leverage.force::<J>(&pushing)), self.max_tip_force_squared);
         if self.weighs {
             for (i, fitting) in self.fitting.iter().enumerate().take(J) {
                 // If weight and force fit together with any signs, each of them fits, and so does their sum.

@@ -46,17 +46,17 @@ where
         self.expect_host();
         let tip_force = self.rules.limits.tip_force;
         // The same limit again gives what flows no more time.
-        if tip_force * tip_force < self.most_force_squared || !self.state.drives() {
+        if tip_force * tip_force < self.max_tip_force_squared || !self.state.drives() {
             self.flow.settle(self.period);
         }
-        self.set_most_force(tip_force);
+        self.set_max_tip_force(tip_force);
         self.set_crest_bounds();
         self.unsettled = MAX_JOINTS as u8;
     }
 
     /// Sets the largest force at the tip from now on, N.
-    pub(super) fn set_most_force(&mut self, force: f32) {
-        (self.most_force, self.most_force_squared) = (force, force * force);
+    pub(super) fn set_max_tip_force(&mut self, force: f32) {
+        (self.max_tip_force, self.max_tip_force_squared) = (force, force * force);
     }
 
     /// Puts the new rules in force for the next joint that is not yet held to them; whether there are more such. While the
@@ -75,8 +75,8 @@ where
             heat.limit(joint.stage.max_current(), steady);
             let largest = joint.stage.max_torque();
             joint.sums.set_limits(largest, limits.speed[i]);
-            self.most_torque[i] = limits.torque[i].min(largest).max(0.0);
-            self.fitting[i] = fitting(self.most_torque[i]);
+            self.max_joint_torque[i] = limits.torque[i].min(largest).max(0.0);
+            self.fitting[i] = fitting(self.max_joint_torque[i]);
         }
         self.set_crest_bounds_of(i);
         joint > 0
@@ -88,18 +88,18 @@ where
     }
 
     /// The host was heard.
-    pub(super) fn hear_host(&mut self) {
-        self.host_heard = self.now.step;
+    pub(super) fn record_host(&mut self) {
+        self.host_seen_at = self.now.step;
         self.expect_host();
     }
 
     /// For how long no heartbeat has come, s, counted from the start, a change of rules or arming.
     pub fn host_silent(&self) -> f32 {
-        self.now.step.wrapping_sub(self.host_heard) as f32 * self.period
+        self.now.step.wrapping_sub(self.host_seen_at) as f32 * self.period
     }
 
     /// A dead man's key was told of: it counts by when it was seen, not by when that was heard.
-    pub(super) fn hear_key(&mut self, press: Press) {
+    pub(super) fn record_key(&mut self, press: Press) {
         let steps = |key: Press| self.now.step.wrapping_sub(key.seen);
         let newer = match self.key {
             // One key has one holder.

@@ -129,7 +129,7 @@ pub struct Controller<T: Real, M, K, const N: usize> {
     posture: Option<Posture<T>>,
     guidance: Guidance<T>,
     mass: MassModel<T, N>,
-    /// Placed beyond the reach of these loads, because it needs an address of its own and would displace other fields.
+    /// WallPlace beyond the reach of these loads, because it needs an address of its own and would displace other fields.
     passivity: Passivity<T, N>,
     math: PhantomData<K>,
 }

@@ -16,9 +16,9 @@ pub enum Verdict {
     /// The rate is right, as far as known yet.
     Kept,
     /// The loop runs too often.
-    TooOften,
+    TooFast,
     /// The loop runs too rarely.
-    TooSeldom,
+    TooSlow,
 }
 
 /// Compares the number of steps with the elapsed time, check by check.
@@ -67,9 +67,9 @@ fn expected(elapsed: u64, rate: u64, percent: u64) -> u64 {
 
 fn verdict(taken: u64, elapsed: u64, (slower, faster): (u64, u64), excused: bool) -> Verdict {
     if taken > expected(elapsed, faster, MAX_RATE_PERCENT).saturating_add(END_STEPS) {
-        Verdict::TooOften
+        Verdict::TooFast
     } else if !excused && taken.saturating_add(END_STEPS) < expected(elapsed, slower, MIN_RATE_PERCENT) {
-        Verdict::TooSeldom
+        Verdict::TooSlow
     } else {
         Verdict::Kept
     }

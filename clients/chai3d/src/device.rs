@@ -2,7 +2,7 @@
 
 use haptic_host::frame::Axes;
 use haptic_host::haptic_bridge::board::protocol::{DeviceData, ForceAnswer};
-use haptic_host::haptic_bridge::control::host_force::MOST_HELD_FORCE;
+use haptic_host::haptic_bridge::control::host_force::MAX_HELD_FORCE;
 use haptic_host::haptic_bridge::model::device::Device as BoardDevice;
 use haptic_host::haptic_bridge::render::scene::Scene;
 use haptic_host::haptic_bridge::safety::fault::{Fault, State};
@@ -159,7 +159,7 @@ impl HdDevice {
     /// Sends a force (N), waits for the next tick and reads the state. An invalid force is replaced by zero, and the
     /// call fails. While the board is gone, tries to reopen it from time to time.
     pub fn force(&mut self, force: [f64; 3]) -> bool {
-        let usable = force.iter().all(|newtons| newtons.abs() <= f64::from(MOST_HELD_FORCE));
+        let usable = force.iter().all(|newtons| newtons.abs() <= f64::from(MAX_HELD_FORCE));
         if !usable && !self.is_absurd_reported {
             haptic_host::tell!("haptic-bridge: a force of {force:?} N is invalid: the motors get 0 N");
             self.is_absurd_reported = true;

@@ -373,7 +373,7 @@ impl PyDevice {
             Prediction { admissible, gain: feed_forward_gain, posture, hand, ..Prediction::new(subject, around) };
         let compute = |pose: usize| -> Result<Range, Failure> {
             let device = prediction.seen(&poses.rows[pose], &normals[pose])?;
-            let most = device.most_gain().unwrap_or(1.0);
+            let most = device.largest_gain().unwrap_or(1.0);
             if !(0.0..=most).contains(&feed_forward_gain) {
                 return Err(Failure::wrong(format!(
                     "a feed-forward gain of {feed_forward_gain} is not from 0 to {most:.3}"

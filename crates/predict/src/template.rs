@@ -331,7 +331,7 @@ mod tests {
             assert!(unspecified.text.contains("transmission = \"rigid\""), "{}", unspecified.text);
             let rigid = text.replace("# transmission = \"rigid\"", "transmission = \"rigid\"");
             assert_eq!(file_warnings(&DeviceFile::parse(&rigid, "mine.toml").unwrap()), []);
-            let lacks = file.lacks_for_a_board();
+            let lacks = file.missing_for_board();
             assert!(lacks.iter().all(|lack| lack.contains("verified")), "{lacks:?}");
             assert_eq!(lacks.len(), kind.spec().joints);
         }

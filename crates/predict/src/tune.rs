@@ -29,7 +29,7 @@ use crate::bench::wall::Rendered;
 use criteria::SearchContext;
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::render::scene::{FeedForward, Scene};
-use haptic_bridge::render::velocity::{CutoffMeans, Estimator};
+use haptic_bridge::render::velocity::{CutoffMeaning, Estimator};
 use haptic_host::device_file::DeviceFile;
 use haptic_host::error::{Choice, Failure};
 use haptic_stability::analysis::control_loop::TorquePath;
@@ -146,7 +146,7 @@ impl Settings {
     pub fn has_cutoff(&self) -> bool {
         let filtered = self.kind.chosen().is_some_and(|chosen| chosen.filtered);
         match self.kind.spec() {
-            Some(spec) => filtered || spec.cutoff == CutoffMeans::Bandwidth,
+            Some(spec) => filtered || spec.cutoff == CutoffMeaning::Bandwidth,
             None => self.kind != Estimator::BackwardDifference,
         }
     }

@@ -7,7 +7,7 @@ use haptic_host::device_file::DeviceFile;
 use haptic_host::error::Failure;
 use haptic_host::scene_file::{DEFAULT_CUTOFF_HZ, DEFAULT_WASHOUT_HZ};
 use haptic_host::vectors::padded;
-use haptic_sim::Around;
+use haptic_sim::HandLoop;
 use haptic_stability::analysis::control_loop::TorquePath;
 use haptic_stability::analysis::pose::TaskPose;
 use haptic_stability::analysis::prediction::{Prediction, Subject};
@@ -53,7 +53,7 @@ pub fn first_wall(file: &DeviceFile) -> Result<FirstWall, Failure> {
 fn is_touched(file: &DeviceFile, scene: &Scene<f32>) -> bool {
     let home = file.description.home.unwrap_or_default();
     let pose = TaskPose::at(&file.description, &home[..file.spec().joints]);
-    pose.is_ok_and(|pose| Around::find(file, Some(&scene.cast()), padded(&pose.position)).on_a_wall)
+    pose.is_ok_and(|pose| HandLoop::find(file, Some(&scene.cast()), padded(&pose.position)).on_a_wall)
 }
 
 /// `side`: 1 for a wall below the tip, -1 for one above it.

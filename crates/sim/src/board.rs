@@ -18,7 +18,7 @@ use haptic_bridge::control::frame::Samples;
 use haptic_bridge::control::joints::{Counts, Currents};
 use haptic_bridge::control::program::Hardware;
 use haptic_bridge::control::{ARM_SECONDS, ControlLoop, HostAction, Rules, Status};
-use haptic_bridge::drive::brushed::UNKNOWN_WINDING;
+use haptic_bridge::drive::brushed::UNKNOWN_INDUCTANCE_SHARE;
 use haptic_bridge::drive::stage::Bridge;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device;
@@ -163,7 +163,7 @@ impl SimulatedBoard {
                 carrier_hz: bridge.carrier_hz as f32,
                 dead_time: bridge.dead_time as f32,
                 // The drive is slower if it knows no inductance; a simulated winding then really has none.
-                bandwidth_hz: if wound { 1_500.0 } else { 1_500.0 / UNKNOWN_WINDING },
+                bandwidth_hz: if wound { 1_500.0 } else { 1_500.0 / UNKNOWN_INDUCTANCE_SHARE },
                 // An ideal drive has no voltage or winding to compare with a model.
                 current_sensed: options.drive == DriveModel::Electric,
             },
@@ -510,7 +510,7 @@ impl SimulatedBoard {
     }
 
     /// Reports a fault from before a reset, as the chip does after a watchdog bite or a panic.
-    pub fn note_fault(&mut self, record: FaultRecord) {
-        self.service.note_fault(record);
+    pub fn record_fault(&mut self, record: FaultRecord) {
+        self.service.record_fault(record);
     }
 }

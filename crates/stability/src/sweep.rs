@@ -139,13 +139,13 @@ impl Sweep {
     /// Shows work that is not divided into items.
     pub fn during<R>(&self, stage: &str, work: impl FnOnce() -> R) -> R {
         match self.display {
-            Display::InPlace => haptic_host::error::say_over(format_args!("{stage}"), false),
+            Display::InPlace => haptic_host::error::overwrite_line(format_args!("{stage}"), false),
             Display::Lines => haptic_host::error::say(format_args!("{stage}\n")),
             Display::Never => {}
         }
         let done = work();
         if self.display == Display::InPlace {
-            haptic_host::error::say_over(format_args!(""), true);
+            haptic_host::error::overwrite_line(format_args!(""), true);
         }
         done
     }
@@ -162,7 +162,7 @@ impl Sweep {
     fn show(&self, stage: &str, done: usize, of: usize) {
         match self.display {
             Display::InPlace if of > 1 => {
-                haptic_host::error::say_over(format_args!("{stage}: {done} of {of}"), done == of);
+                haptic_host::error::overwrite_line(format_args!("{stage}: {done} of {of}"), done == of);
             }
             // With many items a line for each quarter.
             Display::Lines if done == of || of >= LONG_STAGE && done * 4 / of > (done - 1) * 4 / of => {
@@ -280,7 +280,7 @@ fn write(file: &Path, kept: &Checkpoint) -> Result<(), Failure> {
 
 /// Reads the checkpoint of an earlier run.
 fn read_checkpoint(file: &Path) -> Result<Option<Checkpoint>, Failure> {
-    match haptic_host::input::read_own(file) {
+    match haptic_host::input::read_any_size(file) {
         Err(error) if error.kind() == ErrorKind::NotFound => Ok(None),
         Err(error) => Err(Failure::impossible(format!("{} cannot be read: {error}", file.display()))),
         Ok(bytes) => serde_json::from_slice(&bytes).map(Some).map_err(|error| damaged_file(file, &error)),

@@ -11,7 +11,7 @@ use haptic_emulator::rig::Rig;
 use haptic_emulator::run::{MICROSECOND, MILLISECOND, SECOND};
 use haptic_emulator::usb::Event;
 use haptic_host::link::Board;
-use haptic_sim::{MotorInput, SpoiltWire};
+use haptic_sim::{MotorInput, NoisyWire};
 
 use crate::session::WALL;
 
@@ -221,5 +221,5 @@ fn damaged_frames_do_not_turn_motors_off_for_a_minute() {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |options| options.substep = 25e-6);
     rig.arm_before("rate_hz = 1000\ncutoff_hz = 100\n", &[WallAt::facing([0.0, -1.0, 0.0])]);
     rig.tool.disarm().expect("it disarms");
-    SpoiltWire::follow(rig.shared.wire(), 60_000);
+    NoisyWire::follow(rig.shared.wire(), 60_000);
 }

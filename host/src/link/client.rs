@@ -3,7 +3,7 @@
 use super::error::LinkError;
 use super::framing::{Deframer, Packet};
 use super::wire::Wire;
-use haptic_bridge::board::framing::{encode, most_on_wire};
+use haptic_bridge::board::framing::{encode, max_wire_length};
 use haptic_bridge::board::protocol::{Beat, Disarm, Heartbeat, MAX_FRAME};
 use postcard_rpc::header::{VarHeader, VarKey, VarSeq};
 use postcard_rpc::standard_icd::{ERROR_KEY, WireError};
@@ -66,7 +66,7 @@ fn decode_all<M: DeserializeOwned>(body: &[u8], path: &'static str) -> Result<M,
 }
 
 /// Length of the longest encoded frame, bytes.
-const MAX_ENCODED: usize = most_on_wire(MAX_FRAME);
+const MAX_ENCODED: usize = max_wire_length(MAX_FRAME);
 
 /// Maximum number of pending requests: beyond it, the oldest is given up.
 const MAX_PENDING: usize = 8;

@@ -1,6 +1,6 @@
 //! Frames: postcard-rpc's header and a postcard body, COBS-encoded, ended by a zero.
 
-use haptic_bridge::board::framing::most_on_wire;
+use haptic_bridge::board::framing::max_wire_length;
 pub use haptic_bridge::board::protocol::MAX_FRAME;
 use postcard_rpc::header::VarHeader;
 
@@ -58,7 +58,7 @@ impl Deframer {
                 Some((0, content)) => (content, true),
                 _ => (piece, false),
             };
-            if self.partial.len() + content.len() >= most_on_wire(MAX_FRAME) {
+            if self.partial.len() + content.len() >= max_wire_length(MAX_FRAME) {
                 self.overlong = true;
                 self.partial.clear();
             } else if !self.overlong {

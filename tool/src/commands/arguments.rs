@@ -10,7 +10,7 @@ use haptic_host::toml_file::Document;
 use haptic_host::vectors::unit;
 use haptic_host::words::counted;
 use haptic_predict::boards::BoardKind;
-use haptic_predict::plausible::{self, Doubt, Warning};
+use haptic_predict::plausible::{self, FileWarning, Warning};
 use haptic_stability::analysis::estimator::LinearEstimator;
 use haptic_stability::analysis::several::Member;
 use haptic_stability::model::Precision;
@@ -192,7 +192,7 @@ pub fn pose(q: Option<&Numbers>, file: &DeviceFile) -> Result<Vec<f64>, Failure>
 pub fn device(path: &Path, for_a_loop: bool) -> Result<(DeviceFile, Vec<Warning>), Failure> {
     let document = Document::load(path)?;
     let file = DeviceFile::read(&document)?;
-    let mut warnings = plausible::device::doubts(&file);
+    let mut warnings = plausible::device::file_warnings(&file);
     warnings.retain(|warning| for_a_loop || warning.key.is_none_or(|key| key.name != "transmission"));
     let warnings = warnings.into_iter().map(|warning| warning.about(&document)).collect();
     Ok((file, warnings))
@@ -202,9 +202,9 @@ pub fn device(path: &Path, for_a_loop: bool) -> Result<(DeviceFile, Vec<Warning>
 pub fn pose_warnings(q: &[f64], file: &DeviceFile) -> Vec<Warning> {
     let mut warnings = plausible::angles(q, "--q", file.description.kind);
     if warnings.is_empty() {
-        warnings = plausible::beyond_limits(q, &file.description);
+        warnings = plausible::pose_limit_warnings(q, &file.description);
     }
-    warnings.into_iter().map(Doubt::typed).collect()
+    warnings.into_iter().map(FileWarning::typed).collect()
 }
 
 /// Refuses a control rate that no board has.

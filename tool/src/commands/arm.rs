@@ -84,7 +84,7 @@ fn hold(board: &mut Board, json: Json, stop: Interrupt) -> Result<(), Failure> {
     print("hold Space: motors on; let go: motors off; q ends\n")?;
     board.keep_alive();
     let ended = in_raw_terminal(|| follow_key(board, stop)).map_err(Failure::impossible);
-    haptic_host::error::say_over(format_args!(""), true);
+    haptic_host::error::overwrite_line(format_args!(""), true);
     let off = board.disarm();
     ended??;
     off?;
@@ -94,7 +94,7 @@ fn hold(board: &mut Board, json: Json, stop: Interrupt) -> Result<(), Failure> {
 fn follow_key(board: &mut Board, stop: Interrupt) -> Result<(), Failure> {
     let rate = board.details()?.rate_hz;
     let (mut key, mut on, mut polled) = (HeldKey::default(), false, Instant::now());
-    let show = |words: &str| haptic_host::error::say_over(format_args!("{words:40}"), false);
+    let show = |words: &str| haptic_host::error::overwrite_line(format_args!("{words:40}"), false);
     while !stop.is_set() {
         board.rows(KEY_INTERVAL)?;
         let Some(message) = key.listen(board.step()).map_err(Failure::impossible)? else { return Ok(()) };

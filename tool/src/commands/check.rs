@@ -85,7 +85,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let document = Document::load(&args.device)?;
     let file = DeviceFile::read(&document)?;
     let spec = file.spec();
-    let mut warnings: Vec<Warning> = device::doubts(&file).into_iter().map(|doubt| doubt.about(&document)).collect();
+    let mut warnings: Vec<Warning> =
+        device::file_warnings(&file).into_iter().map(|doubt| doubt.about(&document)).collect();
     let mut scenes = Vec::new();
     for path in &args.scenes {
         let (scene, scene_warnings) = scene_report(path, &file)?;
@@ -104,7 +105,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         joints: spec.joints,
         task: spec.task,
         summary,
-        lacks: file.lacks_for_a_board(),
+        lacks: file.missing_for_board(),
         scenes,
         warnings,
     };
@@ -116,9 +117,9 @@ fn scene_report(path: &Path, device: &DeviceFile) -> Result<(SceneReport, Vec<Wa
     let file = SceneFile::read(&document, device.spec().task)?;
     file.scene::<f32>().map_err(|error| Failure::wrong(format!("{}: {error}", path.display())))?;
     let subject = Subject::new(&device.description).map_err(Failure::wrong)?;
-    let (mut warnings, mut contacts) = scene::doubts(&subject, &file.scene);
+    let (mut warnings, mut contacts) = scene::file_warnings(&subject, &file.scene);
     for contact in &mut contacts {
-        warnings.extend(scene::rippling(&device.description, &file.scene, contact));
+        warnings.extend(scene::simulate_ripple(&device.description, &file.scene, contact));
     }
     let speed = file.hand_speed.unwrap_or(HAND_SPEED);
     let planned = device

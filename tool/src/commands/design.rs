@@ -6,7 +6,7 @@ use super::continued::Continue;
 use haptic_bridge::render::scene::DEFAULT_RATE_HZ;
 use haptic_host::error::Failure;
 use haptic_host::words::percent;
-use haptic_predict::design::place::{Directions, Placed, Places, directions, places};
+use haptic_predict::design::place::{Directions, Places, WallPlace, directions, places};
 use haptic_predict::design::posture::{Posture, Postures, postures};
 use haptic_predict::design::sensitivity::{Buys, CHANGE, Effect, Sensitivity, buys_most, sensitivities};
 use haptic_predict::design::{Stiffest, singular};
@@ -74,7 +74,7 @@ struct Document {
     options: String,
     /// Stable area at the pose with the feed-forward, relative to that without.
     area_ratio: f64,
-    here: Placed,
+    here: WallPlace,
     directions: Directions,
     places: Places,
     sensitivities: Vec<Sensitivity>,
@@ -122,7 +122,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let pose = TaskPose::at(description, &q)?.regular()?.holding(args.holding.admissible);
     let unit = haptic_stability::analysis::pose::unit_normal(&normal, spec.task, spec.joints)?;
     let (w_eff, w_rr) = haptic_stability::analysis::map::along(&pose, &unit).ok_or_else(singular)?;
-    let mut here = Placed {
+    let mut here = WallPlace {
         q: q.clone(),
         position: pose.position.clone(),
         normal: normal.clone(),
@@ -189,7 +189,7 @@ fn readable(document: &Document, has_normal: bool, args: &Args) -> String {
     if is_compliant {
         line("  felt: at the tip, behind the transmissions".into());
     }
-    let wall = |name: &str, at: &Placed| {
+    let wall = |name: &str, at: &WallPlace| {
         let stiffest = |pick: fn(&Stiffest) -> BoundaryPoint| {
             let point = at.walls.as_ref().map(pick);
             let felt = point.and_then(|point| point.felt).map_or(String::new(), |felt| format!("{felt:>11.0}"));
@@ -206,7 +206,7 @@ fn readable(document: &Document, has_normal: bool, args: &Args) -> String {
         )
     };
     let felt = if is_compliant { format!("{:>11}", "felt N/m") } else { String::new() };
-    let placed = |name: &str, at: &Placed| {
+    let placed = |name: &str, at: &WallPlace| {
         format!("{}  q ({}), tip ({}) m, sine {:.2}", wall(name, at), list(&at.q), list(&at.position), at.clearance)
     };
     line(format!(

@@ -11,7 +11,7 @@ use haptic_host::link::{Board, BoardError};
 use haptic_host::read_back::{differences as compare, running};
 use haptic_host::toml_file::Document;
 use haptic_predict::equivalent::device_file;
-use haptic_predict::plausible::{device::doubts, warn};
+use haptic_predict::plausible::{device::file_warnings, warn};
 use haptic_predict::tip::Tip;
 use serde_json::json;
 use std::path::{Path, PathBuf};
@@ -57,7 +57,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let file = DeviceFile::read(&document)?;
     let device = Device::new(&file.name, &file.description)
         .map_err(|error| Failure::wrong(format!("{}: {error}", path.display())))?;
-    let warnings: Vec<_> = doubts(&file).into_iter().map(|warning| warning.about(&document)).collect();
+    let warnings: Vec<_> = file_warnings(&file).into_iter().map(|warning| warning.about(&document)).collect();
     warn(&warnings);
     let mut board = args.on.open()?;
     let details = board.details()?;
@@ -74,7 +74,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         report.push_str(&limit_force(&mut board, &file, args.tip_force)?);
     }
     if details.real {
-        for lack in file.lacks_for_a_board() {
+        for lack in file.missing_for_board() {
             report.push_str(&format!("  before the board arms: {lack}\n"));
         }
         let mut motors = file.description.joints.iter().take(joints).filter_map(|joint| joint.motor);
@@ -87,7 +87,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     if temporary.is_empty() && board.scene()?.is_none() {
         report.push_str("next: `haptic scene FILE`, then `haptic home`\n");
     }
-    let lacks = if details.real { file.lacks_for_a_board() } else { Vec::new() };
+    let lacks = if details.real { file.missing_for_board() } else { Vec::new() };
     let document = json!({ "device": file.name, "port": board.port(), "lacks": lacks, "warnings": warnings });
     args.on.answer(document, &report)
 }

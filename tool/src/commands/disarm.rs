@@ -3,7 +3,7 @@
 use super::answer::Json;
 use super::port::{OnBoard, fault_in_words};
 use haptic_host::error::Failure;
-use haptic_host::link::{Board, BoardError, LinkError, PortSpec, Stopped, disarm_past};
+use haptic_host::link::{Board, BoardError, LinkError, PortSpec, Stopped, disarm_held_board};
 use serde_json::json;
 
 /// Switch the motors off; the device then moves freely (and falls, if it has weight)
@@ -22,12 +22,12 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let port = args.on.spec();
     let mut board = match Board::stop(port) {
         Ok(Stopped::Open(board)) => board,
-        Ok(Stopped::Unlike(version)) => {
+        Ok(Stopped::OtherProtocol(version)) => {
             let words = format!("disarmed: the motors are off; the board uses protocol version {version}\n");
             return args.on.answer(json!({ "state": "Disarmed" }), &words);
         }
         // A tool that was about to end may have closed the port by now; an open board allows a complete report.
-        Ok(Stopped::Past) => match haptic_sim::open(port) {
+        Ok(Stopped::Held) => match haptic_sim::open(port) {
             Ok(board) => Box::new(board),
             Err(_) => return report_past(args.on.json),
         },
@@ -48,7 +48,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
 
 /// Disarms the board although another tool holds it.
 fn disarm_held(port: &PortSpec, json: Json, held: LinkError) -> Result<(), Failure> {
-    match disarm_past(port) {
+    match disarm_held_board(port) {
         Ok(()) => report_past(json),
         Err(BoardError::Link(LinkError::PortBusy(_))) => Err(Failure::from(held).remedy(
             "to disarm at once end that tool (Ctrl-C), pull the USB cable of a board whose rules watch the host, or use the \

@@ -3,8 +3,10 @@
 use super::answer::Json;
 use super::port::{GOES_OFF, Port, confirm};
 use haptic_bridge::board::protocol::PROTOCOL;
-use haptic_flash::{Bus, Done, Found, Image, Progress, Step, WITHOUT_IMAGES, embedded, flash, look, parse, probe};
-use haptic_host::error::{Choice, Failure, on_one_line, say, say_over};
+use haptic_flash::{
+    Bus, FlashSummary, FlashTarget, Image, Phase, Progress, WITHOUT_IMAGES, embedded, find_board, flash, parse, probe,
+};
+use haptic_host::error::{Choice, Failure, on_one_line, overwrite_line, say};
 use haptic_host::link::{PortSpec, boards};
 use serde_json::json;
 use std::io::{BufRead, IsTerminal};
@@ -48,9 +50,9 @@ pub fn run(args: Args) -> Result<(), Failure> {
     if args.probe {
         return flash_by_probe(&args, &file);
     }
-    let target = look(&mut Bus::here(), serial.as_deref()).map_err(Failure::impossible)?;
+    let target = find_board(&mut Bus::here(), serial.as_deref()).map_err(Failure::impossible)?;
     let image = match &target {
-        Found::Running(board) => {
+        FlashTarget::Running(board) => {
             haptic_host::tell!(
                 "found {}, serial number {}, with firmware {} (protocol {})",
                 on_one_line(&board.board),
@@ -65,25 +67,25 @@ pub fn run(args: Args) -> Result<(), Failure> {
             }
             image
         }
-        Found::BootLoader(loader) => {
+        FlashTarget::BootLoader(loader) => {
             haptic_host::tell!("found a boot loader, serial number {}", on_one_line(&loader.serial));
             image_for_boot_loader(&args, &file)?
         }
     };
     haptic_host::tell!("flashing {}", describe(&image));
     let done = flash(&mut Bus::here(), &target, image, &mut |progress| show(progress));
-    let Done { said, restored, sectors, bytes } = done.map_err(Failure::impossible)?;
+    let FlashSummary { identity, restored, sectors, bytes } = done.map_err(Failure::impossible)?;
     let mut words = format!(
         "{} runs firmware {} (protocol {}): {bytes} bytes in {sectors} sectors, every one read back; settings kept\n",
-        on_one_line(&said.board),
-        on_one_line(&said.firmware),
-        said.protocol
+        on_one_line(&identity.board),
+        on_one_line(&identity.firmware),
+        identity.protocol
     );
     if !restored.is_empty() {
         words += &format!("put back for this firmware: {}\n", restored.join(", "));
     }
     let document = json!({
-        "board": said.board, "serial": said.serial, "firmware": said.firmware, "protocol": said.protocol,
+        "board": identity.board, "serial": identity.serial, "firmware": identity.firmware, "protocol": identity.protocol,
         "bytes": bytes, "sectors": sectors, "restored": restored,
     });
     args.json.answer(document, &words)
@@ -221,11 +223,11 @@ fn show(progress: Progress) {
     let terminal = std::io::stderr().is_terminal();
     match progress {
         // Writing and reading alternate; the percentage shows both.
-        Progress::Begins(Step::Write | Step::ReadBack) if terminal => {}
+        Progress::Begins(Phase::Write | Phase::ReadBack) if terminal => {}
         Progress::Begins(step) => haptic_host::tell!("{step}"),
         Progress::Done(step, done, of) if terminal => {
             let line = format!("{step}: {} %   ", 100 * done / of.max(1));
-            say_over(format_args!("{line}"), done == of);
+            overwrite_line(format_args!("{line}"), done == of);
         }
         Progress::Done(..) => {}
         Progress::PowerCycle => haptic_host::tell!(

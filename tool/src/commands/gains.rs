@@ -10,7 +10,7 @@ use haptic_host::error::Failure;
 use haptic_host::link::{Board, BoardError};
 use haptic_predict::boards::torque_path;
 use haptic_predict::plausible::scene::{at, beyond};
-use haptic_predict::plausible::{Doubt, Warning, warn};
+use haptic_predict::plausible::{FileWarning, Warning, warn};
 use haptic_stability::analysis::prediction::Subject;
 use serde_json::json;
 
@@ -65,7 +65,7 @@ fn gain_warnings(board: &mut Board, scene: &Scene<f32>, index: usize) -> Result<
     let Some(contact) = at(&subject, &scene, index, &q[..axes], &path) else {
         return Ok(Vec::new());
     };
-    Ok(beyond(&scene.walls[index], &contact, false).into_iter().map(Doubt::typed).collect())
+    Ok(beyond(&scene.walls[index], &contact, false).into_iter().map(FileWarning::typed).collect())
 }
 
 /// Reads the gains, changes the requested ones, and reports all.

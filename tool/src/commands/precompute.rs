@@ -10,7 +10,7 @@ use haptic_bridge::render::scene::Scene;
 use haptic_host::device_file::DeviceFile;
 use haptic_host::error::Failure;
 use haptic_host::output;
-use haptic_predict::bench::error::{Law, Terms, Trigonometry, Way, errors};
+use haptic_predict::bench::error::{Law, Terms, TorqueVariant, Trigonometry, errors};
 use haptic_predict::bench::precompute::{Precomputed, frozen, most_points, range, table};
 use haptic_predict::bench::probe::{Probe, workspace};
 use std::path::PathBuf;
@@ -93,7 +93,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
     };
     // At rest the law of motion does not matter.
     let law = Law::of(&Scene::default(), &device)?;
-    let way = Way { model: &precomputed, terms: Terms::FeedForward, trigonometry: Trigonometry::Tabulated, law };
+    let way =
+        TorqueVariant { model: &precomputed, terms: Terms::FeedForward, trigonometry: Trigonometry::Tabulated, law };
     let errors = errors(&device, &probes, &way).whole;
     let document = serde_json::json!({
         "device": device.name, "kind": precomputed.name(), "model": precomputed.data, "values": precomputed.values, "errors": errors,

@@ -13,7 +13,7 @@ use haptic_host::device_file::DeviceFile;
 use haptic_host::digits::print_json;
 use haptic_host::error::{Failure, print};
 use haptic_predict::boards::BoardKind;
-use haptic_predict::plausible::{Doubt, Warned, warn};
+use haptic_predict::plausible::{FileWarning, Warned, warn};
 use haptic_show::plot::range::{Contents, draw};
 use haptic_stability::analysis::control_loop::{CURRENT_LOOP_HZ, TorquePath, usual_delay};
 use haptic_stability::analysis::flexible::{Hand, Posture};
@@ -232,7 +232,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let requested_kd = args.kd.as_ref().map(|kd| kd.0.as_slice());
     let range = analyse(requested_kd, args.washout)?;
     let costs = costly_warnings(&range, args.washout, |corner| analyse(requested_kd, Some(corner)))?;
-    warnings.extend(costs.into_iter().map(|text| Doubt { key: None, text }.typed()));
+    warnings.extend(costs.into_iter().map(|text| FileWarning { key: None, text }.typed()));
     warn(&warnings);
     let requested = (&args.ripple, &args.kd, args.washout, args.damping_ratio, &args.hand);
     let device = (file.description, args.undamped, args.feed_forward_gain, args.holding.admissible);
@@ -308,7 +308,7 @@ struct Passive {
 
 impl Passive {
     fn of(passivity: &Passivity) -> Self {
-        Self { kp: passivity.sampled(0.0), kd: passivity.most_damping(), kp_quantised: passivity.quantised() }
+        Self { kp: passivity.sampled(0.0), kd: passivity.largest_damping(), kp_quantised: passivity.quantised() }
     }
 }
 
@@ -396,7 +396,7 @@ fn analysis<'a>(
     let model = prediction.walls(q, members)?;
     let passivity = match &model {
         Walls::One(device) => {
-            let max = device.most_gain().unwrap_or(1.0);
+            let max = device.largest_gain().unwrap_or(1.0);
             if !(0.0..=max).contains(&gain) {
                 let reason = format!("--feed-forward-gain {gain} is not from 0 to {max:.3}");
                 return Err(

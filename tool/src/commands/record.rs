@@ -5,7 +5,7 @@ use super::port::Port;
 use super::stream::{Options, follow, positive};
 use haptic_bridge::board::telemetry::{Field, Fields};
 use haptic_host::error::Failure;
-use haptic_host::link::{fields, rows_that_fit};
+use haptic_host::link::{fields, max_rows_per_second};
 use std::path::PathBuf;
 
 /// Default fields: those for a person, and those that `haptic replay` needs.
@@ -59,7 +59,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         None => {
             let rate_hz = f64::from(board.details()?.rate_hz);
             let axes = board.device()?.map_or(0, |device| device.axes());
-            rows_that_fit(board.info().board.as_str(), fields, axes, rate_hz)
+            max_rows_per_second(board.info().board.as_str(), fields, axes, rate_hz)
         }
     };
     let options = Options {

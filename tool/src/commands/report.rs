@@ -9,7 +9,7 @@ use haptic_host::error::{Failure, print};
 use haptic_host::output;
 use haptic_host::scene_file::{DEFAULT_CUTOFF_HZ, SceneFile};
 use haptic_predict::design::place::directions;
-use haptic_predict::plausible::scene::{doubts, usual_hand};
+use haptic_predict::plausible::scene::{file_warnings, usual_hand};
 use haptic_stability::analysis::control_loop::{Loop, TorquePath};
 use haptic_stability::analysis::prediction::{self, Prediction};
 use haptic_stability::analysis::sampled::LinearEstimator;
@@ -131,7 +131,7 @@ fn values(args: &Args, file: &DeviceFile) -> Result<Values, Failure> {
     let scene = args.scene.as_ref().map(|path| SceneFile::load(path, spec.task)).transpose()?.map(|file| file.scene);
     let device = prediction::Subject::new(&file.description).map_err(Failure::wrong)?;
     let touched = scene.as_ref().and_then(|scene| {
-        let (_, contacts) = doubts(&device, scene);
+        let (_, contacts) = file_warnings(&device, scene);
         contacts.into_iter().find(|contact| contact.wall == 0)
     });
     let q = match (&args.q, &touched) {

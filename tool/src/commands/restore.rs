@@ -53,9 +53,9 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let mut report = String::new();
     for setting in &ready {
         report += &match setting.how {
-            Restored::AsItWas => format!("{}: restored\n", setting.key.name()),
+            Restored::Unchanged => format!("{}: restored\n", setting.key.name()),
             Restored::Translated => format!("{}: restored, in this firmware's version\n", setting.key.name()),
-            Restored::MadeAnew => format!("{}: left out; run `haptic polarity` again\n", setting.key.name()),
+            Restored::NotRestored => format!("{}: left out; run `haptic polarity` again\n", setting.key.name()),
         };
     }
     if from_another {

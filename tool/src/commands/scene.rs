@@ -13,7 +13,7 @@ use haptic_host::scene_file::SceneFile;
 use haptic_host::toml_file::Document;
 use haptic_predict::bench::probe::HAND_SPEED;
 use haptic_predict::plan::{Budget, DEFAULT_PERCENT, plan};
-use haptic_predict::plausible::{scene::doubts, warn};
+use haptic_predict::plausible::{scene::file_warnings, warn};
 use haptic_stability::analysis::prediction::Subject;
 use serde_json::json;
 use std::path::{Path, PathBuf};
@@ -53,8 +53,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let written = file.scene::<f32>().map_err(|error| Failure::wrong(format!("{}: {error}", path.display())))?;
     let name = path.display();
     let device = device.cast::<f64>();
-    let (doubts, _) = doubts(&Subject::on_board(device.clone(), None), &file.scene);
-    let warnings: Vec<_> = doubts.into_iter().map(|doubt| doubt.about(&document)).collect();
+    let (file_warnings, _) = file_warnings(&Subject::on_board(device.clone(), None), &file.scene);
+    let warnings: Vec<_> = file_warnings.into_iter().map(|doubt| doubt.about(&document)).collect();
     warn(&warnings);
     if board.status()?.state == State::Armed {
         board.set_scene(&written)?;

@@ -8,7 +8,7 @@ use haptic_host::error::{Failure, print};
 use haptic_host::scene_file::SceneFile;
 use haptic_sim::door::{Patience, tcp};
 use haptic_sim::server::{Pace, serve};
-use haptic_sim::{Around, BoardOptions, DriveModel, HandSettings, SHIPPED_DEVICE, Support, ready_board};
+use haptic_sim::{BoardOptions, DriveModel, HandLoop, HandSettings, SHIPPED_DEVICE, Support, ready_board};
 use std::path::PathBuf;
 
 /// Run a simulated board with a device on it, until Ctrl-C
@@ -94,11 +94,11 @@ pub fn run(args: Args) -> Result<(), Failure> {
     if args.hand == HandKind::Loop {
         let tip = board.device().tip();
         let settings = HandSettings { tremor: 2e-4, ..HandSettings::default() };
-        let path = Around::find(&file, walls.as_ref(), tip);
+        let path = HandLoop::find(&file, walls.as_ref(), tip);
         if args.scene.is_some() && !path.on_a_wall {
             haptic_host::tell!("the hand cannot reach a wall of the scene from home: it moves in free space");
         }
-        board.set_rounds(settings, path);
+        board.set_hand_loop(settings, path);
     }
     let listener = match &args.tcp {
         Some(text) => {

@@ -280,7 +280,7 @@ impl Stream {
             writer.flush()?;
             if std::io::stderr().is_terminal() {
                 let size = bytes_in_words(writer.bytes());
-                haptic_host::error::say_over(format_args!("{losses}, {size}   "), false);
+                haptic_host::error::overwrite_line(format_args!("{losses}, {size}   "), false);
             }
         } else if losses.missing > self.shown.missing || losses.garbled > self.shown.garbled {
             haptic_host::tell!("{losses}");

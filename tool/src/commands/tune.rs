@@ -15,11 +15,11 @@ use haptic_host::output;
 use haptic_host::scene_file::SceneFile;
 use haptic_host::words::digits;
 use haptic_predict::measure::occasion;
-use haptic_predict::plausible::scene::{at, doubts};
+use haptic_predict::plausible::scene::{at, file_warnings};
 use haptic_predict::tune::measured::{self, Measured};
 use haptic_predict::tune::{
-    Answer, Baseline, Found, Margins, Otherwise, Question, RATES_HZ, Settings, USUAL_RIPPLE_N, baseline, ripple_like,
-    to_toml, tune,
+    Alternative, Baseline, Margins, Question, RATES_HZ, Settings, TuneResult, TunedWall, USUAL_RIPPLE_N, baseline,
+    ripple_like, to_toml, tune,
 };
 use haptic_stability::analysis::control_loop::TorquePath;
 use haptic_stability::analysis::prediction::Subject;
@@ -120,7 +120,7 @@ struct Document<'a> {
     #[serde(skip_serializing_if = "Option::is_none")]
     options: Option<String>,
     #[serde(flatten)]
-    answer: &'a Answer,
+    answer: &'a TuneResult,
     #[serde(skip_serializing_if = "Option::is_none")]
     scene: Option<&'a Baseline>,
     /// Stiffness of the result relative to the scene's wall, at the same margins and at most the same ripple.
@@ -322,11 +322,11 @@ fn place(args: &Search, file: &DeviceFile) -> Result<Place, Failure> {
 
 /// Returns the pose nearest to home in which the device touches a wall of a scene, and the normal there.
 fn touching_pose(file: &DeviceFile, scene: &Scene<f64>, wall: usize) -> Option<(Vec<f64>, Vec<f64>)> {
-    let (_, contacts) = doubts(&Subject::new(&file.description).ok()?, scene);
+    let (_, contacts) = file_warnings(&Subject::new(&file.description).ok()?, scene);
     contacts.into_iter().find(|contact| contact.wall == wall).map(|contact| (contact.q, contact.normal))
 }
 
-fn comments(args: &Search, file: &DeviceFile, answer: &Answer, ripple: f64) -> Vec<String> {
+fn comments(args: &Search, file: &DeviceFile, answer: &TuneResult, ripple: f64) -> Vec<String> {
     let scene = args.scene.as_deref().map_or(String::new(), |scene: &Path| format!(", after {}", scene.display()));
     vec![
         format!("The stiffest wall that `haptic tune` found on {}{scene}.", file.name),
@@ -340,7 +340,7 @@ fn felt(felt: Option<f64>) -> String {
 }
 
 /// Formats the ripple, and the ripple on the simulated board if it was measured.
-fn ripples(found: &Found) -> String {
+fn ripples(found: &TunedWall) -> String {
     let board = found.board_ripple_n.map_or(String::new(), |ripple| format!(", {ripple:.4} N on the simulated board"));
     format!("ripple {:.4} N{board}", found.ripple_n)
 }
@@ -366,7 +366,7 @@ fn describe(settings: &Settings) -> String {
 
 fn readable(document: &Document<'_>) -> String {
     let Document { answer, margins, .. } = document;
-    let best: &Found = &answer.best;
+    let best: &TunedWall = &answer.best;
     let mut text = String::new();
     let mut line = |content: String| {
         let _ = writeln!(text, "{content}");
@@ -457,7 +457,7 @@ fn readable(document: &Document<'_>) -> String {
 }
 
 /// Describes the benefit and the cost of another feed-forward.
-fn describe_other(other: &Otherwise, best: &Found, passed_over: Option<&Found>) -> String {
+fn describe_other(other: &Alternative, best: &TunedWall, passed_over: Option<&TunedWall>) -> String {
     let mut text = format!("  feed-forward {}: ", other.feed_forward.name());
     match &other.best {
         Some(found) => {

@@ -8,13 +8,15 @@ use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};
 use haptic_bridge::safety::fault::{FaultRecord, State};
 use haptic_host::device_file::DeviceFile;
 use haptic_host::link::Board;
-use haptic_sim::{BoardOptions, Broken, Hand, HandSettings, Intent, SharedBoard, SimulatedBoard, Support, Waypoint};
+use haptic_sim::{
+    BoardFaults, BoardOptions, Hand, HandSettings, Intent, SharedBoard, SimulatedBoard, Support, Waypoint,
+};
 use std::f64::consts::TAU;
 
 /// When something begins to be wrong.
 pub enum When {
     /// From power-on: what device and wires are, where the board was told another device.
-    Always(fn(&mut Description, &mut Broken)),
+    Always(fn(&mut Description, &mut BoardFaults)),
     /// While a hand presses against a wall.
     InContact(fn(&mut SimulatedBoard, &Description)),
 }
@@ -25,7 +27,7 @@ pub struct Lie {
     pub when: When,
 }
 
-const fn always(what: &'static str, lie: fn(&mut Description, &mut Broken)) -> Lie {
+const fn always(what: &'static str, lie: fn(&mut Description, &mut BoardFaults)) -> Lie {
     Lie { what, when: When::Always(lie) }
 }
 
@@ -56,32 +58,32 @@ pub const LIES: [Lie; 37] = [
     always("current sensors show 150 %", |_, broken| broken.sensor_gain = [1.5; 4]),
     always("first current sensor backward", |_, broken| broken.sensor_gain[0] = -1.0),
     always("first current sensor shows nothing", |_, broken| broken.sensor_gain[0] = 0.0),
-    always("first current sensor 0.3 A off its zero", |_, broken| broken.sensor_extra[0] = 0.3),
-    in_contact("first current sensor 8 A too high", |board, _| board.broken_mut().sensor_extra[0] = 8.0),
-    in_contact("first current sensor 0.5 A too low", |board, _| board.broken_mut().sensor_extra[0] = -0.5),
-    in_contact("current sensors begin to show half", |board, _| board.broken_mut().sensor_gain = [0.5; 4]),
+    always("first current sensor 0.3 A off its zero", |_, broken| broken.sensor_offset[0] = 0.3),
+    in_contact("first current sensor 8 A too high", |board, _| board.faults_mut().sensor_offset[0] = 8.0),
+    in_contact("first current sensor 0.5 A too low", |board, _| board.faults_mut().sensor_offset[0] = -0.5),
+    in_contact("current sensors begin to show half", |board, _| board.faults_mut().sensor_gain = [0.5; 4]),
     in_contact("first current sensor freezes", |board, _| {
-        board.broken_mut().sensor_frozen[0] = Some(board.device().currents()[0]);
+        board.faults_mut().sensor_frozen[0] = Some(board.device().currents()[0]);
     }),
-    in_contact("first winding opens", |board, _| board.broken_mut().open[0] = true),
-    in_contact("first bridge stuck at 40 %", |board, _| board.broken_mut().stuck_on[0] = Some(0.4)),
+    in_contact("first winding opens", |board, _| board.faults_mut().open[0] = true),
+    in_contact("first bridge stuck at 40 %", |board, _| board.faults_mut().stuck_on[0] = Some(0.4)),
     in_contact("first encoder dead", |board, _| share(board, 0.0)),
     in_contact("first encoder begins to count backward", |board, _| share(board, -1.0)),
     in_contact("first encoder loses one count in ten", |board, _| share(board, 0.9)),
     in_contact("first encoder drifts by 1.9 rad/s", |board, device| {
         let rate = 1.9 * counts_per_radian(device) / board.carrier_hz();
-        board.broken_mut().drift[0] = Some((board.looks(), rate));
+        board.faults_mut().drift[0] = Some((board.readings(), rate));
     }),
-    in_contact("first encoder shakes by 8 counts", |board, _| board.broken_mut().shake[0] = 8),
+    in_contact("first encoder shakes by 8 counts", |board, _| board.faults_mut().shake[0] = 8),
     in_contact("first encoder leaps by 0.4 rad", |board, device| {
-        board.broken_mut().count_extra[0] = (0.4 * counts_per_radian(device)) as i32;
+        board.faults_mut().count_offset[0] = (0.4 * counts_per_radian(device)) as i32;
     }),
     in_contact("first two encoders change places", |board, _| {
         let [first, second, _] = board.device().counts();
-        board.broken_mut().swapped_at = Some([first, second]);
+        board.faults_mut().swapped_at = Some([first, second]);
     }),
-    in_contact("bus shows half", |board, _| board.broken_mut().bus_shown = Some(12.0)),
-    in_contact("bus shows twice", |board, _| board.broken_mut().bus_shown = Some(48.0)),
+    in_contact("bus shows half", |board, _| board.faults_mut().bus_reading = Some(12.0)),
+    in_contact("bus shows twice", |board, _| board.faults_mut().bus_reading = Some(48.0)),
 ];
 
 fn motors(wired: &mut Description) -> impl Iterator<Item = &mut Motor<f64>> {
@@ -118,7 +120,7 @@ pub fn counts(wired: &mut Description, factor: f64) {
 }
 
 fn share(board: &mut SimulatedBoard, share: f64) {
-    board.broken_mut().share[0] = Some((board.device().counts()[0], share));
+    board.faults_mut().share[0] = Some((board.device().counts()[0], share));
 }
 
 fn counts_per_radian(device: &Description) -> f64 {

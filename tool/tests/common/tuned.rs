@@ -4,9 +4,9 @@ use super::shipped;
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::description::{EncoderAt, Transmission};
 use haptic_bridge::render::scene::FeedForward;
-use haptic_bridge::render::velocity::{Chosen, CutoffMeans, Estimator};
+use haptic_bridge::render::velocity::{Chosen, CutoffMeaning, Estimator};
 use haptic_host::device_file::DeviceFile;
-use haptic_predict::tune::{Found, Margins, Question, Settings, estimators, keeps, tune};
+use haptic_predict::tune::{Margins, Question, Settings, TunedWall, estimators, keeps, tune};
 use haptic_sim::Random;
 use haptic_stability::sweep::Sweep;
 use std::f64::consts::TAU;
@@ -61,7 +61,7 @@ pub fn question(file: &DeviceFile, rate_hz: f64) -> Question<'_> {
 
 /// Tunes, and tries walls that are so many times as stiff with other estimators, cutoffs and dampings: none of them keeps
 /// what the answer keeps. Returns the answer, and how many were tried.
-pub fn none_is_stiffer(question: &Question<'_>, dampings: &[f64], stiffer: &[f64]) -> (Found, usize) {
+pub fn none_is_stiffer(question: &Question<'_>, dampings: &[f64], stiffer: &[f64]) -> (TunedWall, usize) {
     let found = tune(question, &Sweep::quiet()).unwrap();
     let best = found.best.settings;
     assert_eq!(keeps(question, &best).unwrap(), Some(found.best), "the answer does not keep what it says");
@@ -74,9 +74,9 @@ pub fn none_is_stiffer(question: &Question<'_>, dampings: &[f64], stiffer: &[f64
         let cutoffs = [15.0, 35.0, 70.0, 140.0, 300.0, 700.0, 1500.0];
         let below = cutoffs.iter().filter(|hz| **hz <= 0.4 * best.rate_hz);
         match kind.spec() {
-            Some(spec) if spec.cutoff == CutoffMeans::LowPassBehind => [6, 12, 24]
+            Some(spec) if spec.cutoff == CutoffMeaning::LowPassAfter => [6, 12, 24]
                 .iter()
-                .for_each(|value| add(kind.choosing(Chosen { value: *value, filtered: false }), best.cutoff_hz)),
+                .for_each(|value| add(kind.with_options(Chosen { value: *value, filtered: false }), best.cutoff_hz)),
             None if kind == Estimator::BackwardDifference => add(kind, best.cutoff_hz),
             _ => below.for_each(|hz| add(kind, *hz)),
         }

@@ -56,7 +56,7 @@ fn what_was_kept_comes_back_byte_for_byte_on_an_empty_board() {
     let text = Backup::read(&mut source).unwrap().to_text();
     let mut target = empty("SIM0001");
     let ready = Backup::parse(&text).unwrap().ready().unwrap();
-    assert!(ready.iter().all(|setting| setting.how == Restored::AsItWas));
+    assert!(ready.iter().all(|setting| setting.how == Restored::Unchanged));
     restore(&mut target, &ready).unwrap();
     assert_eq!(entries(&mut target), kept);
     assert_eq!(target.scene().unwrap(), source.scene().unwrap());
@@ -123,7 +123,7 @@ fn a_polarity_check_is_never_restored() {
     let kept = haptic_host::backup::SavedSetting { version: 1, value: None, bytes };
     backup.settings.insert("polarity".into(), kept);
     let ready = backup.ready().unwrap().into_iter().find(|setting| setting.key == Key::Polarity).unwrap();
-    assert_eq!(ready.how, Restored::MadeAnew);
+    assert_eq!(ready.how, Restored::NotRestored);
 }
 
 #[test]

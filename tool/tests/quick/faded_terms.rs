@@ -9,7 +9,7 @@ use haptic_bridge::render::controller::Controller;
 use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, VelocityTerms, Wall};
 use haptic_host::device_file::DeviceFile;
 use haptic_host::scene_file::SceneFile;
-use haptic_predict::bench::error::{Law, Terms, Trigonometry, Way, errors, parts};
+use haptic_predict::bench::error::{Law, Terms, TorqueVariant, Trigonometry, errors, parts};
 use haptic_predict::bench::precompute::Precomputed;
 use haptic_predict::bench::probe::Probe;
 use haptic_predict::plan::{Budget, plan};
@@ -159,7 +159,7 @@ fn what_fades_is_an_error() {
         for rate in RATES {
             let law = law(&device, VelocityTerms::Rendered, rate);
             let model = &Precomputed::default();
-            let way = Way { model, terms: Terms::FeedForwardZ, trigonometry: Trigonometry::Tabulated, law };
+            let way = TorqueVariant { model, terms: Terms::FeedForwardZ, trigonometry: Trigonometry::Tabulated, law };
             let found = errors(&device, &probes, &way);
             assert!((found.whole.force.max / left - 1.0).abs() < 1e-3, "{name} {rate:?}: {found:?}, left {left} N");
             assert!(found.given.force.max < 1e-3, "no choice brings it back: {name} {rate:?}: {found:?}");
@@ -227,7 +227,8 @@ fn the_papers_law_is_held_against_itself() {
         // Without what single counts cost.
         let law = Law { one_count: [0.0; 3], ..law(&device, terms, RATES[1]) };
         let found = |terms| {
-            let way = Way { model: &Precomputed::default(), terms, trigonometry: Trigonometry::Tabulated, law };
+            let way =
+                TorqueVariant { model: &Precomputed::default(), terms, trigonometry: Trigonometry::Tabulated, law };
             errors(&device, &probes, &way).whole.force.max
         };
         let left = links.at_the_tip(&q, &added).norm();

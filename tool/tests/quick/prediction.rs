@@ -293,7 +293,7 @@ fn a_passive_wall_is_stable() {
                 let Some(passivity) = Passivity::new(&seen, &device.description, &prediction.around) else {
                     panic!("{}: encoders sit on the motors", device.name)
                 };
-                let most = passivity.most_damping();
+                let most = passivity.largest_damping();
                 for share in [0.0, 0.3, 0.7] {
                     let passive = passivity.sampled(share * most);
                     let (stable, _) = stiffness_at(&seen, &prediction.around, Mode::Off, share * most).unwrap();

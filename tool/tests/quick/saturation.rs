@@ -6,7 +6,7 @@ use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::safety::fault::State;
 use haptic_bridge::safety::limits::Limits;
 use haptic_host::device_file::DeviceFile;
-use haptic_sim::{Felt, Held, Press, WIDE};
+use haptic_sim::{Press, PressForces, PressedBoard, WIDE_LIMITS};
 
 /// A wall through the pose `q` of a shipped device, and its limits: of the joints' torques in N m, of the tip's force
 /// in N.
@@ -26,7 +26,7 @@ struct Case {
 
 impl Case {
     /// What is felt ever deeper in the wall.
-    fn felt(&self, depths: impl Iterator<Item = f64>) -> Vec<Felt> {
+    fn felt(&self, depths: impl Iterator<Item = f64>) -> Vec<PressForces> {
         let path = format!("{}/../../devices/{}.toml", env!("CARGO_MANIFEST_DIR"), self.device);
         let mut device = DeviceFile::load(path).expect("a shipped device").description;
         for motor in device.joints.iter_mut().filter_map(|joint| joint.motor.as_mut()) {
@@ -38,12 +38,12 @@ impl Case {
             normal: self.normal,
             stiffness: self.stiffness,
             feed_forward: self.feed_forward,
-            limits: Limits { torque: [self.torque; MAX_JOINTS], tip_force: self.tip_force, ..WIDE },
+            limits: Limits { torque: [self.torque; MAX_JOINTS], tip_force: self.tip_force, ..WIDE_LIMITS },
         };
-        let mut held = Held::new(&press).expect("nothing is in the way");
+        let mut held = PressedBoard::new(&press).expect("nothing is in the way");
         depths
             .map(|depth| {
-                let felt = held.felt(depth, self.steps);
+                let felt = held.forces_at(depth, self.steps);
                 assert_eq!(felt.state, State::Armed, "{felt:?}");
                 felt
             })

@@ -10,7 +10,7 @@ use haptic_host::device_file::DeviceFile;
 use haptic_host::latency::measure;
 use haptic_host::link::{Board, FADE, FORCE_PATIENCE, HOLD, LinkError, PATIENCE, Session, fields};
 use haptic_sim::{
-    BoardOptions, Hand, HandSettings, Intent, SHIPPED_DEVICE, SharedBoard, SpoiltWire, Waypoint, ready_board,
+    BoardOptions, Hand, HandSettings, Intent, NoisyWire, SHIPPED_DEVICE, SharedBoard, Waypoint, ready_board,
 };
 use predicates::str::contains;
 use std::sync::Arc;
@@ -39,19 +39,19 @@ fn a_lost_frame_costs_a_force_its_patience_and_the_next_one_nothing() {
         session.wait_for_forces(patience);
         loses.store(u32::MAX, Ordering::Relaxed);
         let began = session.now();
-        let error = session.look().unwrap_err();
+        let error = session.read_state().unwrap_err();
         assert!(matches!(error, LinkError::Unanswered { waited } if waited == patience), "{error}");
         let waited = session.now() - began;
         assert!(waited >= patience && waited < patience + Duration::from_millis(2), "{waited:?} of {patience:?}");
         loses.store(0, Ordering::Relaxed);
-        assert_eq!(session.look().unwrap().done, ForceDone::Looked);
+        assert_eq!(session.read_state().unwrap().done, ForceDone::Looked);
     }
 }
 
 #[test]
 fn spoilt_frames_turn_no_motor_off_and_lose_no_row_uncounted() {
     let (shared, _session) = session();
-    SpoiltWire::follow(shared.wire(), 40_000);
+    NoisyWire::follow(shared.wire(), 40_000);
 }
 
 #[test]
@@ -59,12 +59,12 @@ fn without_a_word_on_its_time_a_request_outlasts_a_stall_and_not_a_board_that_is
     let (mut session, loses) = lossy();
     loses.store(u32::MAX, Ordering::Relaxed);
     let began = session.now();
-    assert!(matches!(session.look(), Err(LinkError::Unanswered { waited }) if waited == PATIENCE));
+    assert!(matches!(session.read_state(), Err(LinkError::Unanswered { waited }) if waited == PATIENCE));
     assert!(session.now() - began < PATIENCE + FORCE_PATIENCE);
     loses.store(0, Ordering::Relaxed);
     // A board that comes to itself after 0.2 s.
     loses.store(2, Ordering::Relaxed);
-    assert_eq!(session.look().unwrap().done, ForceDone::Looked);
+    assert_eq!(session.read_state().unwrap().done, ForceDone::Looked);
 }
 
 #[test]
@@ -74,15 +74,15 @@ fn a_polarity_check_a_program_that_only_looks_and_a_named_fault_on_a_board_that_
     session.arm().unwrap();
     for _ in 0..8 {
         shared.lock().run(0.4);
-        session.look().unwrap();
+        session.read_state().unwrap();
     }
-    assert_eq!((session.look().unwrap().state, session.fault()), (State::Armed, None));
+    assert_eq!((session.read_state().unwrap().state, session.fault()), (State::Armed, None));
     shared.lock().run(0.6);
-    assert_eq!(session.look().unwrap().state, State::Fault);
+    assert_eq!(session.read_state().unwrap().state, State::Fault);
     assert_eq!(session.fault().unwrap().fault, Fault::HostLost);
     session.clear().unwrap();
     session.arm().unwrap();
-    assert_eq!((session.look().unwrap().state, session.fault()), (State::Armed, None));
+    assert_eq!((session.read_state().unwrap().state, session.fault()), (State::Armed, None));
 }
 
 #[test]
@@ -179,16 +179,16 @@ fn a_key_is_held_by_the_board_that_armed_with_it_alone_and_a_late_press_arms_not
 fn a_force_accelerates_the_tip_its_own_way_and_ends_with_its_lease() {
     for (x, y) in [(0.5, 0.0), (0.0, 0.5), (-0.4, -0.3)] {
         let (shared, mut session) = armed();
-        let from = session.look().unwrap().tip;
+        let from = session.read_state().unwrap().tip;
         session.force([x, y, 0.0]).unwrap();
         shared.lock().run(f64::from(HOLD) / 2.0);
-        let now = session.look().unwrap();
+        let now = session.read_state().unwrap();
         assert_eq!((now.done, now.share, now.force), (ForceDone::Looked, 1.0, [x, y, 0.0]));
         let along = (now.tip[0] - from[0]) * x + (now.tip[1] - from[1]) * y;
         assert!(along > 0.0, "{now:?}, from {from:?}");
         let held = f64::from(HOLD + FADE) * 1.1;
         shared.lock().run(held);
-        let after = session.look().unwrap();
+        let after = session.read_state().unwrap();
         assert_eq!((after.age, after.torque), (None, [0.0; 3]));
     }
 }
@@ -196,7 +196,7 @@ fn a_force_accelerates_the_tip_its_own_way_and_ends_with_its_lease() {
 #[test]
 fn an_age_counts_from_the_state_that_was_told() {
     let (shared, mut session) = armed();
-    session.look().unwrap();
+    session.read_state().unwrap();
     shared.lock().run(0.01);
     let answer = session.force([0.1, 0.0, 0.0]).unwrap();
     // And the two control periods that a request takes on its way.
@@ -207,7 +207,7 @@ fn an_age_counts_from_the_state_that_was_told() {
 #[test]
 fn a_contact_sent_once_a_millisecond_holds_a_push_as_a_wall_does() {
     let (shared, mut session) = armed();
-    let tip = session.look().unwrap().tip;
+    let tip = session.read_state().unwrap().tip;
     let floor =
         HostContact { point: [tip[0], tip[1] - 0.005, 0.0], normal: [0.0, 1.0, 0.0], stiffness: 1000.0, damping: 5.0 };
     let push =

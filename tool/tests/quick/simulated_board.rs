@@ -11,7 +11,7 @@ use haptic_bridge::safety::refusal::Refusal;
 use haptic_host::device_file::DeviceFile;
 use haptic_host::link::{Board, BoardError, fields};
 use haptic_sim::{
-    Around, BoardOptions, DriveModel, Hand, HandSettings, Intent, Options, SHIPPED_DEVICE, SharedBoard, Waypoint,
+    BoardOptions, DriveModel, Hand, HandLoop, HandSettings, Intent, Options, SHIPPED_DEVICE, SharedBoard, Waypoint,
     ready_board,
 };
 use nalgebra::Vector2;
@@ -426,9 +426,9 @@ fn a_hand_that_goes_around_keeps_out_of_the_walls_until_the_motors_are_armed() {
     board.set_scene(&scene).unwrap();
     let tip = shared.lock().device().tip();
     let walls = Scene { task: 2, walls: scene.walls.iter().map(Wall::cast).collect(), ..Scene::default() };
-    let around = Around::find(&device_file(), Some(&walls), tip);
+    let around = HandLoop::find(&device_file(), Some(&walls), tip);
     assert!(around.on_a_wall);
-    shared.lock().set_rounds(HandSettings { tremor: 2e-4, ..HandSettings::default() }, around);
+    shared.lock().set_hand_loop(HandSettings { tremor: 2e-4, ..HandSettings::default() }, around);
     for _ in 0..3 {
         // The loop takes four seconds, and is in the wall for half of them.
         for _ in 0..10 {

@@ -7,7 +7,7 @@ use haptic_bridge::control::{HostAction, Rules};
 use haptic_bridge::render::scene::{FeedForward, Scene};
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_host::device_file::DeviceFile;
-use haptic_host::link::{Board, Deframer, LinkError, PortSpec, Wire, disarm_past, encode, fields};
+use haptic_host::link::{Board, Deframer, LinkError, PortSpec, Wire, disarm_held_board, encode, fields};
 use haptic_host::scene_file::SceneFile;
 use haptic_predict::measure::{Law, MeasureError, MeasurementSetup, PreparedBoard};
 use haptic_sim::door::{Patience, ToolListener, tcp};
@@ -140,7 +140,7 @@ fn a_request_to_disarm_gets_past_the_tool_that_holds_the_board() {
     for served in Served::everywhere(NOT_AT_ALL) {
         // It does not read meanwhile, as one that was stopped.
         let mut first = served.armed();
-        disarm_past(&served.port).unwrap();
+        disarm_held_board(&served.port).unwrap();
         assert_eq!(first.status().unwrap().state, State::Disarmed);
         // And nothing but that request does.
         first.arm().unwrap();
@@ -159,7 +159,7 @@ fn connections_that_say_nothing_neither_disturb_the_tool_that_holds_the_board_no
     served.refuses_a_second_tool();
     let _more = silent();
     assert_eq!(first.status().unwrap().state, State::Armed);
-    disarm_past(&served.port).unwrap();
+    disarm_held_board(&served.port).unwrap();
     assert_eq!(first.status().unwrap().state, State::Disarmed);
 }
 
@@ -175,7 +175,7 @@ fn strangers_that_begin_to_speak_and_fall_silent_keep_out_no_request_to_disarm()
         stranger
     });
     let _crowd: Vec<_> = strangers.collect();
-    disarm_past(&served.port).unwrap();
+    disarm_held_board(&served.port).unwrap();
     assert_eq!(first.status().unwrap().state, State::Disarmed);
 }
 

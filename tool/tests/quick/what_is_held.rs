@@ -111,7 +111,7 @@ fn a_gain_of_two_makes_the_demos_wall_stiffer_and_beyond_its_limit_none_is_analy
         assert!((range.full.boundary[0].kp / stiffness - 1.0).abs() < 2e-3, "{gain}: {:?}", range.full.boundary);
         assert_eq!(range.off.boundary[0].kp.round(), 17_877.0);
     }
-    let most = device.most_gain().unwrap();
+    let most = device.largest_gain().unwrap();
     assert!((2.0 * most - 1.0 - 4.9).abs() < 0.05, "half way to the pole at {}", 2.0 * most - 1.0);
     device.gain = 5.0;
     assert_eq!(device.inertia_met(), None);

@@ -14,7 +14,7 @@ use haptic_bridge::model::inertia::frame_rate;
 use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::model::precomputed::MassModel;
 use haptic_bridge::model::solve::solve_symmetric;
-use haptic_bridge::render::controller::{beyond, known_share};
+use haptic_bridge::render::controller::{beyond, velocity_term_share};
 use haptic_bridge::render::scene::{Scene, VelocityTerms};
 use haptic_bridge::render::velocity::Coefficients;
 use haptic_bridge::with_mechanism;
@@ -94,7 +94,7 @@ impl Law {
     /// Returns the share of the velocity terms that acts in a situation.
     fn share<M: Mechanism<f64, N>, const N: usize>(self, mechanism: &M, probe: &Probe) -> f64 {
         let pose = mechanism.pose::<Libm>(&SVector::from_fn(|i, _| probe.q[i]));
-        known_share(&mechanism.regularity(&pose), &self.velocities::<f64, N>(probe), self.lag)
+        velocity_term_share(&mechanism.regularity(&pose), &self.velocities::<f64, N>(probe), self.lag)
     }
 }
 
@@ -183,7 +183,7 @@ pub fn torque<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
     let vector = |values: &[f64; MAX_JOINTS]| SVector::<T, N>::from_fn(|i, _| T::from_f64(values[i]));
     let (q, n, force) = (vector(&probe.q), vector(&probe.normal), T::from_f64(probe.force));
     // The board represents encoder angles as parts of a turn.
-    let angles = std::array::from_fn(|i| Angle { radians: q[i], binary: Some(BinaryAngle::of_radians(probe.q[i])) });
+    let angles = std::array::from_fn(|i| Angle { radians: q[i], binary: Some(BinaryAngle::from_radians(probe.q[i])) });
     let pose = mechanism.pose_at::<K>(&angles);
     let torque = if terms == Terms::None {
         mechanism.transpose(&pose, &(n * force))
@@ -196,7 +196,7 @@ pub fn torque<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
             (M::SPEC.task..N).for_each(|i| tip[i] = T::zero());
             let turning = -frame_rate(&n, &vector(&probe.normal_rate), &tip);
             b = mechanism.velocity_torque(&pose, &qd) + mechanism.shaping(&pose, &turning).me;
-            b *= known_share(&mechanism.regularity(&pose), &qd, T::from_f64(law.lag));
+            b *= velocity_term_share(&mechanism.regularity(&pose), &qd, T::from_f64(law.lag));
         }
         // The paper leaves the rendered part of b to the wall; the rendered law leaves nothing.
         let met = if law.terms == VelocityTerms::Paper { b } else { SVector::zeros() };

@@ -8,7 +8,7 @@ use crate::contact::deviation_from_line;
 use crate::ripple::{self, PUSH_N};
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::render::scene::FeedForward;
-use haptic_bridge::render::velocity::{Chosen, Coefficients, CutoffMeans, Estimator};
+use haptic_bridge::render::velocity::{Chosen, Coefficients, CutoffMeaning, Estimator};
 use haptic_host::device_file::DeviceFile;
 use haptic_host::error::{Choice, Failure};
 use haptic_stability::analysis::control_loop::TorquePath;
@@ -109,8 +109,8 @@ fn candidates(comparison: &Comparison<'_>) -> Vec<Rendered> {
         let mut values = vec![usual.value];
         values.extend(spec.key.filter(|key| key.unit == "samples").map(|key| key.range.1));
         for value in values {
-            let kind = kind.choosing(Chosen { value, filtered: false });
-            let own = spec.cutoff == CutoffMeans::Bandwidth;
+            let kind = kind.with_options(Chosen { value, filtered: false });
+            let own = spec.cutoff == CutoffMeaning::Bandwidth;
             let shares: &[f64] = if own { &[1.0, 0.25, 0.0625, 0.03125] } else { &[1.0] };
             shares.iter().for_each(|share| add(kind, *share));
         }
@@ -198,7 +198,7 @@ impl<'a> Trials<'a> {
         let (ripple_n, holds) = self.ripple(wall)?;
         let spec = wall.kind.spec();
         let plain = matches!(wall.kind, Estimator::BackwardDifference);
-        let has_cutoff = spec.map_or(!plain, |spec| spec.cutoff == CutoffMeans::Bandwidth);
+        let has_cutoff = spec.map_or(!plain, |spec| spec.cutoff == CutoffMeaning::Bandwidth);
         let coefficients = Coefficients::<f64>::new(wall.kind, self.rate_hz, wall.cutoff_hz).map_err(Failure::wrong)?;
         Ok(Row {
             estimator: wall.kind.name().into(),

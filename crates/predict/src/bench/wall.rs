@@ -314,7 +314,7 @@ impl<'a, M: Mechanism<f32, N>, const N: usize> BoardLaw<'a, M, N> {
 
 impl<M: Mechanism<f32, N>, const N: usize> Law for BoardLaw<'_, M, N> {
     fn evaluate(&mut self, measured: &[f64; MAX_JOINTS]) -> LawOutput {
-        let step = self.controller.step_after(&self.before, &self.counts(measured));
+        let step = self.controller.step_with_torque(&self.before, &self.counts(measured));
         self.before = core::array::from_fn(|i| if i < N { step.torque[i] } else { 0.0 });
         LawOutput { force: f64::from(step.wall_force), torque: self.before.map(f64::from) }
     }

@@ -10,7 +10,7 @@ use haptic_bridge::model::description::{Description, Joint, Link};
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::with_mechanism;
-use haptic_host::device_file::{DeviceFile, carries_its_body};
+use haptic_host::device_file::{DeviceFile, includes_body_inertia};
 use haptic_host::words::{digits, listed, with_unit};
 use haptic_sim::PowerStage;
 use haptic_stability::analysis::pose::TaskPose;
@@ -59,7 +59,7 @@ pub fn file_warnings(file: &DeviceFile) -> Vec<FileWarning> {
     }
     for (index, joint) in description.joints.iter().enumerate().take(spec.joints) {
         warnings.extend(joint_warnings(joint, index, description.kind));
-        warnings.extend(motor_warnings(joint, index, spec.joints, carries_its_body(&spec, index)));
+        warnings.extend(motor_warnings(joint, index, spec.joints, includes_body_inertia(&spec, index)));
         warnings.extend(current_shortfall(file, index));
     }
     warnings.extend(missing_transmission(description));
@@ -227,7 +227,7 @@ fn current_shortfall(file: &DeviceFile, index: usize) -> Option<FileWarning> {
     let motor = file.description.joints[index].motor?;
     let (volts, supply) = (motor.resistance * motor.max_current, PowerStage::default().bus_voltage);
     let given = with_unit(motor.max_current, "A");
-    let text = if let Some((supply, written)) = file.supply.zip(file.beyond_supply[index]) {
+    let text = if let Some((supply, written)) = file.supply.zip(file.max_current_in_file[index]) {
         format!(
             "the supply of {supply} V drives {given} through the motor of joint {index} at rest ({MAX_DUTY} of it over its \
              resistance), not its max_current of {}: predictions use {given}",

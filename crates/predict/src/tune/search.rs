@@ -11,7 +11,7 @@ use super::criteria::{Curve, SearchContext};
 use super::limits::MORE;
 use super::{STIFFNESS_RATIO, Settings, TunedWall, choose, stiffest, three_digits};
 use haptic_bridge::render::scene::FeedForward;
-use haptic_bridge::render::velocity::{Chosen, CutoffMeans, Estimator};
+use haptic_bridge::render::velocity::{Chosen, CutoffMeaning, Estimator};
 use haptic_host::error::Failure;
 use std::collections::BTreeSet;
 
@@ -184,12 +184,12 @@ impl SearchContext<'_> {
                 match kind.spec() {
                     None if kind == Estimator::BackwardDifference => add(kind, usual_cutoff),
                     None => CUTOFFS_HZ.iter().filter(below).for_each(|hz| add(kind, *hz)),
-                    Some(spec) if spec.cutoff == CutoffMeans::Bandwidth => {
+                    Some(spec) if spec.cutoff == CutoffMeaning::Bandwidth => {
                         BANDWIDTHS_HZ.iter().filter(below).for_each(|hz| add(kind, *hz));
                     }
-                    Some(_) => WINDOWS
-                        .iter()
-                        .for_each(|value| add(kind.choosing(Chosen { value: *value, filtered: false }), usual_cutoff)),
+                    Some(_) => WINDOWS.iter().for_each(|value| {
+                        add(kind.with_options(Chosen { value: *value, filtered: false }), usual_cutoff)
+                    }),
                 }
             }
         }
@@ -315,7 +315,7 @@ fn neighbours(settings: &Settings) -> Vec<Settings> {
     let nearby = nearby.filter(|value| (key.range.0..=key.range.1).contains(value));
     nearby
         .map(|value| {
-            let kind = settings.kind.choosing(Chosen { value, filtered: false });
+            let kind = settings.kind.with_options(Chosen { value, filtered: false });
             Settings { kind, value, ..*settings }
         })
         .collect()

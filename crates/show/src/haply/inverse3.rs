@@ -7,7 +7,7 @@ use haptic_bridge::safety::fault::{CLEARING, Fault, FaultRecord, State};
 use haptic_bridge::safety::refusal::Refusal;
 use haptic_host::frame::Axes;
 use haptic_host::link::{Board, BoardError, LinkError, Session};
-use haptic_host::words::{fault_and_remedy, for_a_program};
+use haptic_host::words::{commands_to_calls, fault_and_remedy};
 use serde_json::{Value, json};
 use std::time::{Duration, Instant};
 
@@ -60,7 +60,7 @@ impl Inverse3 {
         }
         let axes = axes.unwrap_or_else(|| Axes::of(device.mechanism.kind(), device.weight));
         let id = session.info().serial.to_string();
-        let last = session.look()?;
+        let last = session.read_state()?;
         let mut device = Self {
             fault: session.fault(),
             session,
@@ -181,7 +181,7 @@ impl Inverse3 {
             self.clear()?;
         }
         self.last = match request.force {
-            None => self.session.look()?,
+            None => self.session.read_state()?,
             Some(force) => {
                 if !self.armed && self.may_arm && !request.clear_fault {
                     self.arm()?;
@@ -222,7 +222,7 @@ impl Inverse3 {
     /// Clears the latched fault. A force arms one second later at the earliest, so that a person notices the fault even
     /// if a program clears it in every message.
     fn clear(&mut self) -> Result<(), BoardError> {
-        self.last = self.session.look()?;
+        self.last = self.session.read_state()?;
         self.check_motors();
         let rate = self.session.scene()?.map_or(0.0, |scene| scene.rate_hz);
         self.session.clear()?;
@@ -246,7 +246,7 @@ impl Inverse3 {
         match self.session.arm() {
             Ok(()) => (self.armed, self.may_arm, self.refusal) = (true, false, None),
             Err(BoardError::Refused(refusal)) => {
-                let refusal = for_a_program(&refusal.to_string(), &CALLS);
+                let refusal = commands_to_calls(&refusal.to_string(), &CALLS);
                 self.notify(format!("the motors stay off: {refusal}"));
                 self.refusal = Some(refusal);
             }
@@ -297,7 +297,7 @@ impl Inverse3 {
         if let Some(FaultRecord { fault, axis, value, .. }) = self.fault {
             device["fault"] = json!({
                 "code": fault.code(), "name": fault.name(), "what": fault.what(), "joint": axis, "value": value,
-                "remedy": for_a_program(fault.remedy(), &CALLS),
+                "remedy": commands_to_calls(fault.remedy(), &CALLS),
             });
         }
         if let Some(refusal) = &self.refusal {
@@ -352,5 +352,5 @@ impl Inverse3 {
 }
 
 fn describe(fault: &FaultRecord) -> String {
-    for_a_program(&fault_and_remedy(fault), &CALLS)
+    commands_to_calls(&fault_and_remedy(fault), &CALLS)
 }

@@ -163,7 +163,7 @@ fn bounds(passivity: &Passivity, frame: &PlotArea) -> Vec<Bound> {
     const SEEN: f64 = 2.0;
     /// Pieces of the curve of the first bound.
     const PIECES: usize = 40;
-    let (max_stiffness, end) = (passivity.sampled(0.0), passivity.most_damping());
+    let (max_stiffness, end) = (passivity.sampled(0.0), passivity.largest_damping());
     let (right, top) = frame.pixel(end, max_stiffness);
     let bottom = frame.at.1 + frame.size.1;
     let small = right - frame.at.0 < SEEN || bottom - top < SEEN;
@@ -196,7 +196,7 @@ fn symbols(passivity: &Passivity, bounds: &[Bound]) -> Vec<String> {
         lines.push(format!(
             "b = {:.3} N s/m: smallest viscous damping along n; with delay, drive and filter passive for kd < {:.3} N s/m",
             passivity.damping,
-            passivity.most_damping()
+            passivity.largest_damping()
         ));
     }
     if let Some(quantum) = passivity.quantum.filter(|_| drawn(1)) {

@@ -27,7 +27,7 @@ use haptic_bridge::render::scene::Scene;
 use haptic_bridge::safety::fault::State;
 use haptic_bridge::safety::refusal::Refusal;
 use haptic_host::error::Failure;
-use haptic_host::link::{Board, BoardError, Column, LinkError, columns, rows_that_fit};
+use haptic_host::link::{Board, BoardError, Column, LinkError, columns, max_rows_per_second};
 use haptic_host::vectors::padded;
 use haptic_predict::boards::torque_path;
 use haptic_sim::SharedBoard;
@@ -152,7 +152,7 @@ impl Stage {
         let rules = board.rules()?;
         let rate_hz = f64::from(details.rate_hz);
         let name = if world.simulated.is_some() { "simulated" } else { "" };
-        let max_rows_hz = rows_that_fit(name, FIELDS, device.axes(), rate_hz);
+        let max_rows_hz = max_rows_per_second(name, FIELDS, device.axes(), rate_hz);
         let divider = (rate_hz / rows_hz.unwrap_or(max_rows_hz).min(rate_hz)).ceil().max(1.0) as u32;
         let rows_hz = rate_hz / f64::from(divider);
         let columns = columns(FIELDS, device.axes());

@@ -90,7 +90,7 @@ impl World {
     fn start(mut file: DeviceFile, start: Option<[f64; 3]>) -> Result<Self, Failure> {
         let weightless = file.description.gravity.iter().any(|g| *g != 0.0);
         file.description.gravity = [0.0; 3];
-        let device = Options { start, stops_short: true, ..Options::default() };
+        let device = Options { start, soft_stop: true, ..Options::default() };
         let options = BoardOptions { device, ..BoardOptions::default() };
         let board = ready_board(&file, options)
             .map_err(|error| LinkError::CannotSimulate(format!("{}: {error}", file.path.display())))?;

@@ -13,7 +13,7 @@ use nalgebra::{DMatrix, DVector, SVector};
 use haptic_bridge::math::FineTable;
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::description::Description;
-use haptic_bridge::model::inertia::NO_STIFFNESS;
+use haptic_bridge::model::inertia::MIN_STIFFNESS_SHARE;
 use haptic_bridge::model::mechanism::{Mechanism, Shaping};
 use haptic_bridge::model::principal::{Principal, Pull};
 use haptic_bridge::with_mechanism;
@@ -212,7 +212,7 @@ fn linearised<const N: usize, M: Mechanism<f64, N>>(
     }
     let principal = Principal::new::<FineTable>(&pulls, M::SPEC.task);
     let most = pulls.iter().map(|pull| pull.stiffness).fold(0.0, f64::max);
-    let seen: Vec<usize> = (0..N).filter(|i| principal.along(*i) > NO_STIFFNESS * principal.along(0)).collect();
+    let seen: Vec<usize> = (0..N).filter(|i| principal.along(*i) > MIN_STIFFNESS_SHARE * principal.along(0)).collect();
     let null = m.shaping(&pose, &SVector::from_fn(|i, _| f64::from(u8::from(i == N - 1))));
     let shapings: [Shaping<f64, N>; N] = core::array::from_fn(|i| {
         let along = m.shaping(&pose, &principal.direction(i));

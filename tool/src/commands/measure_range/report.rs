@@ -10,7 +10,7 @@ use haptic_predict::measure::MeasurementSetup;
 use haptic_predict::measure::campaign::Plan;
 use haptic_predict::measure::excitation::{Excitation, millimetres};
 use haptic_predict::measure::progress::{Point, Progress, bounds, median};
-use haptic_predict::plausible::{Doubt, Warning, warn};
+use haptic_predict::plausible::{FileWarning, Warning, warn};
 use haptic_show::plot::range::{Contents, MeasuredPoint, draw};
 use haptic_stability::analysis::control_loop::Mode;
 use haptic_stability::analysis::plant::Drive;
@@ -151,7 +151,7 @@ impl Report<'_> {
              or friction that holds a joint; let go of it and measure again with --anew",
             listed(&rows)
         );
-        Ok(if rows.is_empty() { Vec::new() } else { vec![Doubt { key: None, text }.typed()] })
+        Ok(if rows.is_empty() { Vec::new() } else { vec![FileWarning { key: None, text }.typed()] })
     }
 
     fn washout(&self) -> Option<f64> {

@@ -166,7 +166,7 @@ pub fn readable(
         line(format!(
             "  passive without feed-forward (Colgate and Schenkel 1997): kp < {:.2} N/m at kd = 0, kd < {:.4} N s/m",
             passivity.sampled(0.0),
-            passivity.most_damping()
+            passivity.largest_damping()
         ));
         if let Some(limit) = passivity.quantised() {
             line(format!(

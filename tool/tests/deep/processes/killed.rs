@@ -10,7 +10,7 @@ use haptic_predict::measure::before::Before;
 use haptic_predict::measure::progress::Progress;
 use haptic_predict::measure::rules_for;
 use haptic_show::recorder::Recording;
-use haptic_sim::SpoiltWire;
+use haptic_sim::NoisyWire;
 use predicates::prelude::*;
 use predicates::str::contains;
 use std::io::{BufRead, BufReader, Read};
@@ -344,5 +344,5 @@ fn a_measurement_that_was_killed_between_its_rules_and_its_scene_gives_way_to_th
 #[test]
 fn spoilt_frames_on_a_pseudo_terminal_turn_no_motor_off_for_a_minute() {
     let sim = Sim::on_pseudo_terminal(&["--fast", "--scene", &file("scenes/coupled-five-bar/wall.toml")]);
-    SpoiltWire::follow(Box::new(SerialWire::open(&sim.port).unwrap()), 60 * 20_000);
+    NoisyWire::follow(Box::new(SerialWire::open(&sim.port).unwrap()), 60 * 20_000);
 }

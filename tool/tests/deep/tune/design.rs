@@ -151,7 +151,7 @@ fn a_coarse_grid_finds_what_a_fine_one_does() {
             let stiffer = others.into_iter().find(|other| other.w_rr > 1.01 * found.stiffest.w_eff);
             assert_eq!(stiffer, None, "{name}: stiffer with the feed-forward than the stiffest");
         }
-        let ratio = |placed: &haptic_predict::design::place::Placed| placed.w_rr / placed.w_eff;
+        let ratio = |placed: &haptic_predict::design::place::WallPlace| placed.w_rr / placed.w_eff;
         for (what, one, other) in [
             ("stiffest", coarse.stiffest.w_eff, fine.stiffest.w_eff),
             ("every direction", coarse.every_direction.w_eff, fine.every_direction.w_eff),

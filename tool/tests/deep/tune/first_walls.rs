@@ -9,7 +9,7 @@ use haptic_host::device_file::DeviceFile;
 use haptic_host::link::{Board, fields};
 use haptic_host::scene_file::SceneFile;
 use haptic_predict::template::scene_file;
-use haptic_sim::{Around, BoardOptions, HandSettings, SharedBoard, Support, ready_board};
+use haptic_sim::{BoardOptions, HandLoop, HandSettings, SharedBoard, Support, ready_board};
 use std::time::Duration;
 
 /// Time that the hand needs to get to the wall, and for which it is watched on and off it, s.
@@ -24,11 +24,11 @@ fn ripple(file: &DeviceFile, scene: Scene<f32>) -> (f64, f64) {
     let weightless = file.description.gravity == [0.0; 3];
     let support = if weightless { Support::None } else { Support::Carried };
     let mut board = ready_board(file, BoardOptions { support, ..BoardOptions::default() }).unwrap();
-    let around = Around::find(file, Some(&scene.cast()), board.device().tip());
+    let around = HandLoop::find(file, Some(&scene.cast()), board.device().tip());
     assert!(around.on_a_wall, "{}: the hand does not touch the wall", file.name);
     let rate_hz = f64::from(scene.rate_hz);
     board.load(&file.name, &file.description, Some(scene)).unwrap();
-    board.set_rounds(HandSettings { tremor: 2e-4, ..HandSettings::default() }, around);
+    board.set_hand_loop(HandSettings { tremor: 2e-4, ..HandSettings::default() }, around);
     let mut board = Board::over(SharedBoard::new(board).wire(), "sim").unwrap();
     board.keep_alive();
     board.arm().unwrap();

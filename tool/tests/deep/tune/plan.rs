@@ -5,7 +5,7 @@ use haptic_bridge::model::device::Device;
 use haptic_bridge::render::scene::{FeedForward, Scene, VelocityTerms};
 use haptic_host::scene_file::SceneFile;
 use haptic_predict::bench::counts::instructions;
-use haptic_predict::bench::error::{Law, Terms, Trigonometry, Way, errors};
+use haptic_predict::bench::error::{Law, Terms, TorqueVariant, Trigonometry, errors};
 use haptic_predict::bench::probe::HAND_SPEED;
 use haptic_predict::plan::{Budget, Plan, cost, plan, touched};
 use std::collections::BTreeSet;
@@ -116,7 +116,7 @@ fn the_error_holds_at_poses_the_planner_did_not_look_at() {
         let elsewhere = touched(&device, &file.scene, other, speed).unwrap();
         assert!(elsewhere.len() > 50, "{name}: {} situations", elsewhere.len());
         let law = Law::of(&file.scene, &device).unwrap();
-        let way = Way { model: &plan.mass, terms: plan.terms, trigonometry: Trigonometry::Tabulated, law };
+        let way = TorqueVariant { model: &plan.mass, terms: plan.terms, trigonometry: Trigonometry::Tabulated, law };
         let errors = errors(&device, &elsewhere, &way).given;
         assert!(100.0 * errors.share.max <= budget, "{name}: {errors:?}");
     }

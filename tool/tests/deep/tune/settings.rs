@@ -125,7 +125,7 @@ fn no_wall_of_a_plain_scan_is_much_stiffer() {
         (usual("butterworth"), 500.0),
         (usual("first-order"), 200.0),
         (usual("predicted"), 30.0),
-        (usual("difference").choosing(over(8)), 500.0),
+        (usual("difference").with_options(over(8)), 500.0),
     ] {
         for damping in [0.5, 1.0, 2.0, 4.0, 8.0, 16.0] {
             let settings =
@@ -210,7 +210,7 @@ fn margins_cost_stiffness_where_stability_limits_it() {
 fn the_scene_that_is_written_is_the_one_that_was_found() {
     let kind = Estimator::ALL.iter().find(|(name, _)| *name == "difference").unwrap().1;
     for (kind, cutoff_hz) in
-        [(kind.choosing(Chosen { value: 8, filtered: false }), 500.0), (Estimator::FirstOrder, 225.0)]
+        [(kind.with_options(Chosen { value: 8, filtered: false }), 500.0), (Estimator::FirstOrder, 225.0)]
     {
         let settings = Settings {
             rate_hz: 5_000.0,

@@ -8,7 +8,7 @@ use haptic_host::device_file::DeviceFile;
 use haptic_show::plot::axes::{Axis, Mark, PlotArea};
 use haptic_show::plot::canvas::{Anchor, Canvas, Stroke};
 use haptic_show::plot::colour::{FAINT, FULL, OFF};
-use haptic_sim::{Felt, Held, Press, WIDE};
+use haptic_sim::{Press, PressForces, PressedBoard, WIDE_LIMITS};
 use std::path::Path;
 
 /// Pose of the demo, rad.
@@ -28,8 +28,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let file = DeviceFile::load(format!("{root}/devices/coupled-five-bar.toml"))?;
     let cut: Forces =
         pressed(&file, LIMIT as f32)?.1.iter().map(|felt| (felt.depth, [felt.along, felt.across])).collect();
-    let (held, asked) = pressed(&file, WIDE.torque[0])?;
-    let each = |felt: &Felt| held.force(&felt.q, &felt.torque.map(|torque| torque.clamp(-LIMIT, LIMIT)));
+    let (held, asked) = pressed(&file, WIDE_LIMITS.torque[0])?;
+    let each = |felt: &PressForces| held.force(&felt.q, &felt.torque.map(|torque| torque.clamp(-LIMIT, LIMIT)));
     let jointly: Forces = asked.iter().map(|felt| (felt.depth, each(felt).into())).collect();
     println!("depth mm, one factor: along N, sideways N; joint by joint: along N, sideways N");
     for (one, each) in cut.iter().zip(&jointly).skip(50).step_by(50) {
@@ -72,19 +72,19 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
 }
 
 /// Holds the demo's device at growing depths in its wall, with motors limited to `limit` (N m).
-fn pressed(file: &DeviceFile, limit: f32) -> Result<(Held, Vec<Felt>), Box<dyn std::error::Error>> {
+fn pressed(file: &DeviceFile, limit: f32) -> Result<(PressedBoard, Vec<PressForces>), Box<dyn std::error::Error>> {
     let mut device = file.description;
     for motor in device.joints.iter_mut().filter_map(|joint| joint.motor.as_mut()) {
         motor.max_current = 1.0e4;
     }
-    let mut held = Held::new(&Press {
+    let mut held = PressedBoard::new(&Press {
         device: &device,
         q: POSE,
         normal: [NORMAL.cos(), NORMAL.sin(), 0.0],
         stiffness: STIFFNESS,
         feed_forward: FeedForward::Off,
-        limits: Limits { torque: [limit; MAX_JOINTS], ..WIDE },
+        limits: Limits { torque: [limit; MAX_JOINTS], ..WIDE_LIMITS },
     })?;
-    let felt = (0..=200).map(|i| held.felt(1.0e-5 * f64::from(i), 100)).collect();
+    let felt = (0..=200).map(|i| held.forces_at(1.0e-5 * f64::from(i), 100)).collect();
     Ok((held, felt))
 }

@@ -13,7 +13,7 @@ use haptic_host::link::BoardError;
 use haptic_host::scene_file::place_of;
 use haptic_host::vectors::{padded, unit};
 use haptic_host::words::{wall_in_words, with_unit};
-use haptic_predict::plausible::scene::most_gains;
+use haptic_predict::plausible::scene::largest_gains;
 use serde_json::json;
 
 /// Checks the scene that a board reports and returns it in f64; NaN and other invalid scenes cannot be drawn.
@@ -43,7 +43,7 @@ impl Stage {
         };
         let requested = format!("{} with {}", with_unit(stiffness.into(), "N/m"), with_unit(damping.into(), "N s/m"));
         let q = Newest::of(&self.ring, &self.columns).q(self.device.axes());
-        if let Some(max) = most_gains(&self.device, &present.surface, &q, &self.rules.limits)
+        if let Some(max) = largest_gains(&self.device, &present.surface, &q, &self.rules.limits)
             && (f64::from(stiffness) > max.stiffness.max(TOLERANCE * present.stiffness)
                 || f64::from(damping) > max.damping.max(TOLERANCE * present.damping))
         {
