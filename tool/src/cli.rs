@@ -117,14 +117,14 @@ fn correct_tips(mut error: clap::Error, typed: &str) -> clap::Error {
 /// Replaces clap's message by an example if a number cannot be parsed.
 fn explain_number(error: clap::Error) -> clap::Error {
     let source = error.source();
-    let wanted = match source.and_then(|source| source.downcast_ref::<ParseIntError>()).map(ParseIntError::kind) {
+    let advice = match source.and_then(|source| source.downcast_ref::<ParseIntError>()).map(ParseIntError::kind) {
         Some(IntErrorKind::InvalidDigit | IntErrorKind::Empty) => "write a whole number, such as 12",
         _ if source.is_some_and(|source| source.is::<ParseFloatError>()) => "write a number, such as 0.5 or 2e3",
         _ => return error,
     };
     let context = |kind| error.get(kind).map(ToString::to_string).unwrap_or_default();
     let (value, option) = (context(ContextKind::InvalidValue), context(ContextKind::InvalidArg));
-    let message = format!("invalid value '{value}' for '{option}': {wanted}");
+    let message = format!("invalid value '{value}' for '{option}': {advice}");
     clap::Error::raw(error.kind(), message).with_cmd(&command())
 }
 

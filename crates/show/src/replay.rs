@@ -107,7 +107,7 @@ impl Columns {
 
 /// Replays a recording.
 pub fn replay(recording: &Recording) -> Result<Replayed, Failure> {
-    let settings = recording.told("settings").ok_or_else(|| {
+    let settings = recording.header_value("settings").ok_or_else(|| {
         Failure::wrong("the recording does not have the board's settings").remedy("record with haptic record")
     })?;
     let settings: BTreeMap<String, SavedSetting> = serde_json::from_str(settings).map_err(Failure::wrong)?;

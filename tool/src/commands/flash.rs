@@ -71,7 +71,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         }
     };
     haptic_host::tell!("flashing {}", describe(&image));
-    let done = flash(&mut Bus::here(), &target, image, &mut |progress| show(progress));
+    let done = flash(&mut Bus::here(), &target, image, &mut |progress| show_progress(progress));
     let Done { said, restored, sectors, bytes } = done.map_err(Failure::impossible)?;
     let mut words = format!(
         "{} runs firmware {} (protocol {}): {bytes} bytes in {sectors} sectors, every one read back; settings kept\n",
@@ -217,7 +217,7 @@ fn flash_by_probe(args: &Args, file: &Option<Image>) -> Result<(), Failure> {
 }
 
 /// Shows the progress, on a line that is overwritten on a terminal.
-fn show(progress: Progress) {
+fn show_progress(progress: Progress) {
     let terminal = std::io::stderr().is_terminal();
     match progress {
         // Writing and reading alternate; the percentage shows both.

@@ -38,8 +38,8 @@ pub struct Args {
 pub fn run(args: Args) -> Result<(), Failure> {
     // A board on --port sim cannot be used, because its time does not wait for a key.
     let mut board = args.port.open_to_stay()?;
-    let wanted = Jog { joint: args.joint.into(), by: args.by, speed: args.speed, share: args.share };
-    let plan = Plan::new(&mut board, wanted)?;
+    let request = Jog { joint: args.joint.into(), by: args.by, speed: args.speed, share: args.share };
+    let plan = Plan::new(&mut board, request)?;
     if !std::io::stdin().is_terminal() {
         return Err(Failure::wrong("a jog needs a terminal, for the Space key"));
     }

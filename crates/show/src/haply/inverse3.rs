@@ -210,12 +210,8 @@ impl Inverse3 {
             self.armed = false;
             let why = self.fault.map_or_else(|| "another tool turned them off".into(), |fault| describe(&fault));
             let reconnect = self.fault.is_none_or(|fault| fault.fault == Fault::HostLost);
-            let remedy = if reconnect {
-                "a program that connects again arms them"
-            } else {
-                "a program that clears the fault arms them"
-            };
-            self.notify(format!("the motors are off: {why}; {remedy}"));
+            let action = if reconnect { "connects again" } else { "clears the fault" };
+            self.notify(format!("the motors are off: {why}; a program that {action} arms them"));
         }
     }
 

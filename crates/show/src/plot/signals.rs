@@ -183,7 +183,7 @@ impl<'a> Rows<'a> {
     /// Returns the number of rows to combine into one drawn point, because single rows show encoder steps. Together
     /// they last at least a millisecond; at 1 kHz and below every row is drawn.
     fn together(&self) -> usize {
-        (self.rate_hz / SMOOTHED_HZ).ceil().max(1.0) as usize
+        (self.rate_hz / MAX_PHASE_HZ).ceil().max(1.0) as usize
     }
 
     /// Returns a test for rows in which torque still ramps up after the motors were switched on: their force is less
@@ -208,7 +208,7 @@ impl<'a> Rows<'a> {
 
 /// Row rate above which a phase portrait shows means, Hz: differences between single rows are encoder steps, whose
 /// velocities would turn the line into an area.
-const SMOOTHED_HZ: f64 = 1000.0;
+const MAX_PHASE_HZ: f64 = 1000.0;
 /// Lower frequencies are motion and not vibration, Hz.
 const SLOW_HZ: f64 = 10.0;
 /// Smallest amplitude that is drawn, relative to the strongest line.

@@ -43,19 +43,19 @@ const POLICY: &str = "default-src 'none'; script-src 'unsafe-inline'; style-src 
 const MAX_HEAD: usize = 8192;
 /// Time limit for a head: browsers open connections before they use them. Silent connections are closed first if places
 /// are short, so the long limit does no harm.
-const HEAD_TIME: Duration = Duration::from_secs(10);
+const HEAD_TIMEOUT: Duration = Duration::from_secs(10);
 /// Maximum number of connections whose head has not been read, in total and from one address: a browser opens six.
-const HANDSHAKES: (usize, usize) = (32, 8);
+const MAX_HANDSHAKES: (usize, usize) = (32, 8);
 /// Maximum length of a page's message, bytes.
 const MAX_MESSAGE: usize = 16 * 1024;
 /// Time for which a page's thread reads before it sends messages: 8 ms, half a picture.
-const LISTEN: Duration = Duration::from_millis(8);
+const READ_TIME: Duration = Duration::from_millis(8);
 /// Maximum number of a page's messages in that time; further messages wait.
 const MAX_MESSAGES: usize = 32;
 /// Maximum number of bytes on their way to a page: some pictures with sweeps and sound.
 const MAX_UNREAD: usize = 4 * 1024 * 1024;
 /// Longest time for which a page may leave data unread.
-const SEND: Duration = Duration::from_secs(2);
+const SEND_TIMEOUT: Duration = Duration::from_secs(2);
 /// Maximum number of authenticated connections, of pages and others.
 const MAX_CONNECTIONS: usize = 64;
 
@@ -110,7 +110,7 @@ impl PageListener {
     pub fn serve(self, hub: Hub) {
         let token = Arc::new(self.token);
         let open = Arc::new(AtomicUsize::new(0));
-        let handshakes = Places::new(HANDSHAKES.0, HANDSHAKES.1);
+        let handshakes = Places::new(MAX_HANDSHAKES.0, MAX_HANDSHAKES.1);
         thread::spawn(move || {
             for stream in self.listener.incoming() {
                 let Ok(stream) = stream else { continue };
@@ -162,7 +162,7 @@ pub(crate) fn read_request(stream: &mut TcpStream) -> Option<Request> {
 fn try_read_request(stream: &mut TcpStream, bytes: &mut Vec<u8>) -> Option<Request> {
     let began = Instant::now();
     while bytes.len() < MAX_HEAD {
-        let left = HEAD_TIME.checked_sub(began.elapsed()).filter(|left| !left.is_zero())?;
+        let left = HEAD_TIMEOUT.checked_sub(began.elapsed()).filter(|left| !left.is_zero())?;
         stream.set_read_timeout(Some(left)).ok()?;
         let mut buffer = [0; 1024];
         let count = stream.read(&mut buffer).ok().filter(|count| *count > 0)?;
@@ -212,7 +212,7 @@ fn handle_connection(
     open: &AtomicUsize,
 ) -> tungstenite::Result<()> {
     stream.set_nodelay(true)?;
-    stream.set_write_timeout(Some(SEND))?;
+    stream.set_write_timeout(Some(SEND_TIMEOUT))?;
     let Some(request) = read_request(&mut stream) else {
         return respond(&mut stream, ("400 Bad Request", "not a request that this server understands"));
     };
@@ -271,7 +271,7 @@ fn converse(
     id: PageId,
 ) -> tungstenite::Result<()> {
     write_response(&mut stream, response)?;
-    stream.set_read_timeout(Some(LISTEN))?;
+    stream.set_read_timeout(Some(READ_TIME))?;
     let config = WebSocketConfig::default()
         .max_message_size(Some(MAX_MESSAGE))
         .max_frame_size(Some(MAX_MESSAGE))
@@ -288,7 +288,7 @@ fn converse(
                 Err(tungstenite::Error::Io(error)) if nothing_yet(&error) => break,
                 Err(error) => return Err(error),
             }
-            match LISTEN.checked_sub(began.elapsed()) {
+            match READ_TIME.checked_sub(began.elapsed()) {
                 // After the maximum number of messages, the rest waits for the page's next turn.
                 Some(left) if count == MAX_MESSAGES => thread::sleep(left),
                 Some(_) => {}

@@ -83,7 +83,7 @@ const MIN_POINTS: usize = 20;
 /// Largest standard error of a slope, as a share of the slope.
 const MAX_SLOPE_ERROR: f64 = 0.2;
 /// Relative depth differences below this are rounding errors: single precision has seven digits.
-const ROUNDINGS: f64 = 1e-5;
+const MIN_DEPTH_RANGE: f64 = 1e-5;
 
 fn fit_line(points: &[(f64, f64)]) -> Result<Fit, NoLine> {
     if points.len() < MIN_POINTS {
@@ -99,7 +99,7 @@ fn fit_line(points: &[(f64, f64)]) -> Result<Fit, NoLine> {
     let error = (rest / ((count - 2.0) * spread)).sqrt();
     let (low, high) = points.iter().fold((x, x), |(low, high), p| (low.min(p.0), high.max(p.0)));
     // Depths that differ only by rounding also have a line. The comparison also rejects NaN, the result without motion.
-    if !(slope > 0.0 && error < MAX_SLOPE_ERROR * slope && high - low > ROUNDINGS * high.abs()) {
+    if !(slope > 0.0 && error < MAX_SLOPE_ERROR * slope && high - low > MIN_DEPTH_RANGE * high.abs()) {
         return Err(NoLine::Scattered);
     }
     Ok(Fit { slope, ends: [low, high].map(|at| (at, y + slope * (at - x))) })
