@@ -82,7 +82,7 @@ impl HaplyListener {
     /// description. A lost board is reported, and `open` is called repeatedly until the board is back.
     pub fn serve<E: Display>(&self, device: Inverse3, open: impl Fn() -> Result<Inverse3, E>, stop: &AtomicBool) {
         let shared = Arc::new(Shared {
-            served: Mutex::new(Served { device: Some(device), user: None }),
+            served: Mutex::new(DeviceSlot { device: Some(device), user: None }),
             is_over: AtomicBool::new(false),
             token: self.token.clone(),
             silence: self.silence,
@@ -112,7 +112,7 @@ impl HaplyListener {
 }
 
 /// The device and the program that uses it.
-struct Served {
+struct DeviceSlot {
     /// `None` while its board is lost.
     device: Option<Inverse3>,
     user: Option<User>,
@@ -127,14 +127,14 @@ struct User {
 
 /// State that the connections share.
 struct Shared {
-    served: Mutex<Served>,
+    served: Mutex<DeviceSlot>,
     is_over: AtomicBool,
     token: String,
     silence: Duration,
 }
 
 impl Shared {
-    fn served(&self) -> MutexGuard<'_, Served> {
+    fn served(&self) -> MutexGuard<'_, DeviceSlot> {
         self.served.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -147,7 +147,7 @@ impl Shared {
     /// a program must arm only the board that it has connected to.
     fn maintain<E: Display>(&self, open: impl Fn() -> Result<Inverse3, E>, failed: &mut Option<(Instant, String)>) {
         let mut served = self.served();
-        if served.device.as_ref().is_some_and(|device| device.idle() >= POLL_INTERVAL) {
+        if served.device.as_ref().is_some_and(|device| device.idle_time() >= POLL_INTERVAL) {
             served.work(Inverse3::poll);
         }
         let is_soon = failed.as_ref().is_some_and(|(when, _)| when.elapsed() < POLL_INTERVAL);
@@ -178,7 +178,7 @@ impl Shared {
     }
 }
 
-impl Served {
+impl DeviceSlot {
     /// Returns the device after `work`; `None` if its board is lost, which ends its user's connection.
     fn work(&mut self, work: impl FnOnce(&mut Inverse3) -> Result<(), BoardError>) -> Option<&Inverse3> {
         if let Err(lost) = work(self.device.as_mut()?) {
@@ -199,11 +199,11 @@ impl<'s> DeviceUse<'s> {
         let began = Instant::now();
         loop {
             let mut served = shared.served();
-            let Served { device, user } = &mut *served;
+            let DeviceSlot { device, user } = &mut *served;
             match (device, &mut *user) {
                 (None, _) => return Err(BOARD_LOST),
                 (Some(device), None) => {
-                    device.begin();
+                    device.begin_session();
                     *user = Some(User { last_message: Instant::now(), ejection: None });
                     return Ok(Self(shared));
                 }
@@ -304,7 +304,7 @@ fn converse(stream: TcpStream, device_use: &DeviceUse<'_>) -> tungstenite::Resul
     let mut next = Some(ProgramRequest { full: true, ..ProgramRequest::default() });
     loop {
         if let Some(request) = next.take()
-            && let Some(frame) = device_use.0.frame(request.full, |device| device.obey(&request))
+            && let Some(frame) = device_use.0.frame(request.full, |device| device.execute(&request))
         {
             socket.send(Message::text(frame.to_string()))?;
         }
@@ -341,7 +341,7 @@ mod tests {
         let session = Session::of(haptic_sim::open(&PortSpec::Sim(None)).unwrap());
         let device = Inverse3::new(session, None, true).unwrap();
         let shared = Shared {
-            served: Mutex::new(Served { device: Some(device), user: None }),
+            served: Mutex::new(DeviceSlot { device: Some(device), user: None }),
             is_over: AtomicBool::new(false),
             token: "abc".into(),
             silence: MAX_SILENCE,

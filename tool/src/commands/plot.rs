@@ -23,7 +23,7 @@ pub struct Args {
     /// Recording: .mcap or .csv
     file: PathBuf,
     /// Views, separated by commas: time, force, spectrum, phase [default: all for which the recording has columns]
-    #[arg(long, value_name = "VIEWS", value_parser = views)]
+    #[arg(long, value_name = "VIEWS", value_parser = parse_views)]
     show: Option<Views>,
     /// Columns to draw over time and as a spectrum, separated by commas [default: rendered_n]
     #[arg(long, value_name = "COLUMNS", value_delimiter = ',')]
@@ -47,7 +47,7 @@ pub struct Args {
 #[derive(Clone, Debug)]
 struct Views(Vec<View>);
 
-fn views(text: &str) -> Result<Views, String> {
+fn parse_views(text: &str) -> Result<Views, String> {
     let view = |name: &str| {
         let known = View::ALL.iter().find(|(known, _)| *known == name.trim()).map(|(_, view)| *view);
         known.ok_or_else(|| format!("write one or more of {}", View::ALL.map(|(name, _)| name).join(", ")))

@@ -79,7 +79,7 @@ pub fn chart(
     let spec = description.kind.spec();
     let home = description.home.and_then(|home| skeleton(description, &home[..spec.joints]));
     let coarse = cut.tiles(Fineness { side: f64::INFINITY, least: f64::INFINITY, step: f64::INFINITY, top: 1.0 });
-    let (step, top, highest) = scale_of(&coarse);
+    let (step, top, highest) = colour_scale(&coarse);
 
     let tips = coarse.iter().flat_map(|tile| tile.outline.iter().copied());
     let (low, high) = linkage::bounds(tips.chain(home.iter().flat_map(corners)));
@@ -144,7 +144,7 @@ fn corners(skeleton: &Skeleton) -> impl Iterator<Item = Point> + '_ {
 }
 
 /// Returns the tick step and the top of the colour scale, and the highest share.
-fn scale_of(tiles: &[Tile]) -> (f64, f64, f64) {
+fn colour_scale(tiles: &[Tile]) -> (f64, f64, f64) {
     let mut shares: Vec<(f64, f64)> = tiles.iter().map(|tile| (tile.share, tile.area())).collect();
     shares.sort_by(|a, b| a.0.total_cmp(&b.0));
     let total: f64 = shares.iter().map(|(_, area)| area).sum();

@@ -188,7 +188,7 @@ impl<'a> Rows<'a> {
 
     /// Returns a test for rows in which torque still ramps up after the motors were switched on: their force is less
     /// than the wall's.
-    fn ramping(&self) -> impl Fn(&[f64]) -> bool {
+    fn ramp_test(&self) -> impl Fn(&[f64]) -> bool {
         let armed =
             |row: &[f64]| self.recording.column("state").map(|state| row[state] == State::Armed as usize as f64);
         let pairs = self.recording.rows.windows(2);
@@ -199,7 +199,7 @@ impl<'a> Rows<'a> {
     }
 
     /// Returns a test for rows whose force was cut by a limit; `None` if it is not recorded.
-    fn cut(&self) -> Option<impl Fn(&[f64]) -> bool> {
+    fn limit_test(&self) -> Option<impl Fn(&[f64]) -> bool> {
         let names = (0..MAX_JOINTS).map(|joint| format!("saturated{joint}"));
         let columns: Vec<usize> = names.filter_map(|name| self.recording.column(&name)).collect();
         (!columns.is_empty()).then_some(move |row: &[f64]| columns.iter().any(|column| row[*column] != 0.0))

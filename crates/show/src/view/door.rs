@@ -90,7 +90,7 @@ impl PageListener {
         let mut address = self.listener.local_addr()?;
         if address.ip().is_unspecified() {
             // An unspecified address means all addresses; a browser cannot open it.
-            address.set_ip(outward(address.ip()).unwrap_or(local(address.ip())));
+            address.set_ip(outward_address(address.ip()).unwrap_or(loopback_address(address.ip())));
         }
         let token = self.token.as_ref().map_or(String::new(), |token| format!("?token={token}"));
         Ok(format!("http://{address}/{token}"))
@@ -101,7 +101,7 @@ impl PageListener {
         let ip = self.listener.local_addr()?.ip();
         Ok(match ip.is_unspecified() {
             false => Reach::Address,
-            true if outward(ip).is_some() => Reach::Others,
+            true if outward_address(ip).is_some() => Reach::Others,
             true => Reach::Unknown,
         })
     }
@@ -126,7 +126,7 @@ impl PageListener {
 }
 
 /// Returns this computer's address for others: the source address for sending. Nothing is sent.
-fn outward(all: IpAddr) -> Option<IpAddr> {
+fn outward_address(all: IpAddr) -> Option<IpAddr> {
     let target: IpAddr = match all {
         IpAddr::V4(_) => Ipv4Addr::new(192, 0, 2, 1).into(),
         IpAddr::V6(_) => Ipv6Addr::new(0x2001, 0xdb8, 0, 0, 0, 0, 0, 1).into(),
@@ -137,7 +137,7 @@ fn outward(all: IpAddr) -> Option<IpAddr> {
     (!from.is_unspecified() && !from.is_loopback()).then_some(from)
 }
 
-fn local(all: IpAddr) -> IpAddr {
+fn loopback_address(all: IpAddr) -> IpAddr {
     if all.is_ipv4() { Ipv4Addr::LOCALHOST.into() } else { Ipv6Addr::LOCALHOST.into() }
 }
 
@@ -223,7 +223,7 @@ fn handle_connection(
     let result = match (open.fetch_add(1, Ordering::SeqCst) < MAX_CONNECTIONS, request.uri().path()) {
         (false, _) => respond(&mut stream, ("503 Service Unavailable", "too many connections are open")),
         (true, "/") => send_page(&mut stream),
-        (true, "/live") => live(stream, &request, hub),
+        (true, "/live") => serve_live(stream, &request, hub),
         (true, _) => respond(&mut stream, ("404 Not Found", "nothing is here; the page is at /")),
     };
     open.fetch_sub(1, Ordering::SeqCst);
@@ -252,7 +252,7 @@ fn respond(stream: &mut TcpStream, (status, words): Refusal) -> tungstenite::Res
     Ok(())
 }
 
-fn live(mut stream: TcpStream, request: &Request, hub: &Hub) -> tungstenite::Result<()> {
+fn serve_live(mut stream: TcpStream, request: &Request, hub: &Hub) -> tungstenite::Result<()> {
     let Ok(response) = create_response(request) else {
         return respond(&mut stream, ("400 Bad Request", "this address is a WebSocket; the page is at /"));
     };

@@ -408,7 +408,7 @@ impl Stage {
                 {
                     *last = self.now;
                 }
-                match self.act(id, message) {
+                match self.execute(id, message) {
                     Err(BoardError::Link(error)) => return Err(error),
                     Err(BoardError::Refused(Refusal::InsideWall)) => {
                         self.refuse_while("inside", id, &Refusal::InsideWall.to_string());
@@ -434,7 +434,7 @@ impl Stage {
         self.command.is_some_and(|(holder, _)| holder == id)
     }
 
-    fn act(&mut self, id: PageId, message: FromPage) -> Result<(), BoardError> {
+    fn execute(&mut self, id: PageId, message: FromPage) -> Result<(), BoardError> {
         // Any page may send these.
         match &message {
             FromPage::Here {} => return Ok(()),

@@ -28,10 +28,10 @@ pub(super) fn over_penetration(rows: &Rows<'_>, force: &str, analysis: &mut Anal
     // With the motors off there is no wall, at any depth.
     let state = rows.recording.column("state");
     let on = |row: &&Vec<f64>| state.is_none_or(|state| row[state] == State::Armed as usize as f64);
-    let ramping = rows.ramping();
+    let ramping = rows.ramp_test();
     let pressed = rows.rows.iter().filter(|row| row[distance] < 0.0).filter(on);
     let (early, touched): (Vec<&Vec<f64>>, Vec<&Vec<f64>>) = pressed.partition(|row| ramping(row));
-    let cut = rows.cut();
+    let cut = rows.limit_test();
     let uncut = |row: &&&Vec<f64>| cut.as_ref().is_none_or(|cut| !cut(row.as_slice()));
     let points: Vec<(f64, f64)> = touched.iter().filter(uncut).map(|row| (-row[distance], row[column])).collect();
     analysis.contact_rows = touched.len();
