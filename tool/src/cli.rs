@@ -20,13 +20,13 @@ pub fn parse() -> Command {
 /// Parses a command line that begins with the program's name. Errors are clap's; help and version are errors too.
 pub fn parse_words(words: Vec<OsString>) -> Result<Command, clap::Error> {
     let words = move_port_after_command(words);
-    if let Some(error) = renamed(&words) {
+    if let Some(error) = renamed_error(&words) {
         return Err(error);
     }
     let typed = words.get(1).map(|word| word.to_string_lossy().into_owned()).unwrap_or_default();
     let helpful = |error| explain_number(correct_tips(error, &typed));
     let matches = command().try_get_matches_from(words).map_err(helpful)?;
-    if let Some(error) = input_overwritten(&matches) {
+    if let Some(error) = overwrite_error(&matches) {
         return Err(error);
     }
     Ok(Cli::from_arg_matches(&matches)?.command)
@@ -34,9 +34,9 @@ pub fn parse_words(words: Vec<OsString>) -> Result<Command, clap::Error> {
 
 /// Returns an error if `--force` is given and two values name the same file: the command would overwrite its own input,
 /// or one of its outputs with another.
-fn input_overwritten(matches: &ArgMatches) -> Option<clap::Error> {
+fn overwrite_error(matches: &ArgMatches) -> Option<clap::Error> {
     if let Some((_, matches)) = matches.subcommand() {
-        return input_overwritten(matches);
+        return overwrite_error(matches);
     }
     if !matches.try_get_one::<bool>("force").ok()?.is_some_and(|force| *force) {
         return None;
@@ -72,7 +72,7 @@ const RENAMED: &[(&str, &str)] = &[
 ];
 
 /// Returns an error with the present spelling of a command or option that was renamed.
-fn renamed(words: &[OsString]) -> Option<clap::Error> {
+fn renamed_error(words: &[OsString]) -> Option<clap::Error> {
     let mut words = words.iter().skip(1).filter_map(|word| word.to_str());
     let typed = words.next()?;
     let typed = if typed == "help" { words.next()? } else { typed };
@@ -117,14 +117,14 @@ fn correct_tips(mut error: clap::Error, typed: &str) -> clap::Error {
 /// Replaces clap's message by an example if a number cannot be parsed.
 fn explain_number(error: clap::Error) -> clap::Error {
     let source = error.source();
-    let wanted = match source.and_then(|source| source.downcast_ref::<ParseIntError>()).map(ParseIntError::kind) {
+    let advice = match source.and_then(|source| source.downcast_ref::<ParseIntError>()).map(ParseIntError::kind) {
         Some(IntErrorKind::InvalidDigit | IntErrorKind::Empty) => "write a whole number, such as 12",
         _ if source.is_some_and(|source| source.is::<ParseFloatError>()) => "write a number, such as 0.5 or 2e3",
         _ => return error,
     };
     let context = |kind| error.get(kind).map(ToString::to_string).unwrap_or_default();
     let (value, option) = (context(ContextKind::InvalidValue), context(ContextKind::InvalidArg));
-    let message = format!("invalid value '{value}' for '{option}': {wanted}");
+    let message = format!("invalid value '{value}' for '{option}': {advice}");
     clap::Error::raw(error.kind(), message).with_cmd(&command())
 }
 

@@ -31,20 +31,20 @@ use tungstenite::{Message, WebSocket};
 pub const USUAL_PORT: u16 = 10_001;
 
 /// Maximum length of a program's message, bytes.
-const MESSAGE: usize = 256 * 1024;
+const MAX_MESSAGE: usize = 256 * 1024;
 /// Maximum number of connections whose handshake is not complete.
-const HANDSHAKES: usize = 32;
+const MAX_HANDSHAKES: usize = 32;
 /// Time for which a connection is read before the server checks if it should stop.
-const LISTEN: Duration = Duration::from_millis(20);
+const READ_TIME: Duration = Duration::from_millis(20);
 /// Longest time for which a reply may remain unread, and for which a program waits for a silent one to leave.
-const SEND: Duration = Duration::from_secs(2);
+const SEND_TIMEOUT: Duration = Duration::from_secs(2);
 /// Interval without an exchange after which the board is polled, because a silent connection to a simulated board gives
 /// way to another tool; also the interval between attempts to open a lost board, so that other tools can connect.
-const TEND: Duration = Duration::from_millis(500);
+const POLL_INTERVAL: Duration = Duration::from_millis(500);
 /// Time without a message after which a program gives way to another one.
-const SILENCE: Duration = Duration::from_secs(3);
+const MAX_SILENCE: Duration = Duration::from_secs(3);
 /// Reply while the board is lost.
-const GONE: &str = "the board is gone; it is opened again once it is back";
+const BOARD_LOST: &str = "the board is gone; it is opened again once it is back";
 
 /// A port on which programs reach a board.
 pub struct HaplyListener {
@@ -59,7 +59,7 @@ impl HaplyListener {
     pub fn open(port: u16) -> io::Result<Self> {
         let listener = TcpListener::bind(SocketAddr::from(([127, 0, 0, 1], port)))?;
         listener.set_nonblocking(true)?;
-        Ok(Self { listener, token: crate::view::door::token()?, silence: SILENCE })
+        Ok(Self { listener, token: crate::view::door::token()?, silence: MAX_SILENCE })
     }
 
     /// Changes the time without a message after which a program gives way to another one.
@@ -82,12 +82,12 @@ impl HaplyListener {
     /// description. A lost board is reported, and `open` is called repeatedly until the board is back.
     pub fn serve<E: Display>(&self, device: Inverse3, open: impl Fn() -> Result<Inverse3, E>, stop: &AtomicBool) {
         let shared = Arc::new(Shared {
-            served: Mutex::new(Served { device: Some(device), user: None }),
-            over: AtomicBool::new(false),
+            served: Mutex::new(DeviceSlot { device: Some(device), user: None }),
+            is_over: AtomicBool::new(false),
             token: self.token.clone(),
             silence: self.silence,
         });
-        let handshakes = Places::new(HANDSHAKES, HANDSHAKES);
+        let handshakes = Places::new(MAX_HANDSHAKES, MAX_HANDSHAKES);
         let (mut threads, mut failed) = (Vec::new(), None);
         while !stop.load(Ordering::Relaxed) {
             match self.listener.accept() {
@@ -99,12 +99,12 @@ impl HaplyListener {
                         let _ = handle_connection(stream, place, &shared);
                     }));
                 }
-                Err(_) => thread::sleep(LISTEN / 4),
+                Err(_) => thread::sleep(READ_TIME / 4),
             }
             threads.retain(|thread| !thread.is_finished());
-            shared.tend(&open, &mut failed);
+            shared.maintain(&open, &mut failed);
         }
-        shared.over.store(true, Ordering::Relaxed);
+        shared.is_over.store(true, Ordering::Relaxed);
         for thread in threads {
             let _ = thread.join();
         }
@@ -112,7 +112,7 @@ impl HaplyListener {
 }
 
 /// The device and the program that uses it.
-struct Served {
+struct DeviceSlot {
     /// `None` while its board is lost.
     device: Option<Inverse3>,
     user: Option<User>,
@@ -127,14 +127,14 @@ struct User {
 
 /// State that the connections share.
 struct Shared {
-    served: Mutex<Served>,
-    over: AtomicBool,
+    served: Mutex<DeviceSlot>,
+    is_over: AtomicBool,
     token: String,
     silence: Duration,
 }
 
 impl Shared {
-    fn served(&self) -> MutexGuard<'_, Served> {
+    fn served(&self) -> MutexGuard<'_, DeviceSlot> {
         self.served.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -145,12 +145,12 @@ impl Shared {
 
     /// Polls the board if no program has done so for a while, and reopens a lost board after its user has left, because
     /// a program must arm only the board that it has connected to.
-    fn tend<E: Display>(&self, open: impl Fn() -> Result<Inverse3, E>, failed: &mut Option<(Instant, String)>) {
+    fn maintain<E: Display>(&self, open: impl Fn() -> Result<Inverse3, E>, failed: &mut Option<(Instant, String)>) {
         let mut served = self.served();
-        if served.device.as_ref().is_some_and(|device| device.idle() >= TEND) {
+        if served.device.as_ref().is_some_and(|device| device.idle_time() >= POLL_INTERVAL) {
             served.work(Inverse3::poll);
         }
-        let is_soon = failed.as_ref().is_some_and(|(when, _)| when.elapsed() < TEND);
+        let is_soon = failed.as_ref().is_some_and(|(when, _)| when.elapsed() < POLL_INTERVAL);
         if served.device.is_some() || served.user.is_some() || is_soon {
             return;
         }
@@ -173,18 +173,18 @@ impl Shared {
 
     /// Returns the reason why the program that uses the device must leave; `None` if it may stay.
     fn ejection(&self) -> Option<&'static str> {
-        let shutdown = self.over.load(Ordering::Relaxed).then_some("the server ends");
+        let shutdown = self.is_over.load(Ordering::Relaxed).then_some("the server ends");
         shutdown.or_else(|| self.served().user.as_ref()?.ejection)
     }
 }
 
-impl Served {
+impl DeviceSlot {
     /// Returns the device after `work`; `None` if its board is lost, which ends its user's connection.
     fn work(&mut self, work: impl FnOnce(&mut Inverse3) -> Result<(), BoardError>) -> Option<&Inverse3> {
         if let Err(lost) = work(self.device.as_mut()?) {
             haptic_host::tell!("{lost}; waiting for it");
             self.device = None;
-            self.user.iter_mut().for_each(|user| user.ejection = Some(GONE));
+            self.user.iter_mut().for_each(|user| user.ejection = Some(BOARD_LOST));
         }
         self.device.as_ref()
     }
@@ -199,21 +199,21 @@ impl<'s> DeviceUse<'s> {
         let began = Instant::now();
         loop {
             let mut served = shared.served();
-            let Served { device, user } = &mut *served;
+            let DeviceSlot { device, user } = &mut *served;
             match (device, &mut *user) {
-                (None, _) => return Err(GONE),
+                (None, _) => return Err(BOARD_LOST),
                 (Some(device), None) => {
-                    device.begin();
+                    device.begin_session();
                     *user = Some(User { last_message: Instant::now(), ejection: None });
                     return Ok(Self(shared));
                 }
-                (_, Some(user)) if user.last_message.elapsed() >= shared.silence && began.elapsed() < SEND => {
+                (_, Some(user)) if user.last_message.elapsed() >= shared.silence && began.elapsed() < SEND_TIMEOUT => {
                     user.ejection = Some("another program requests the device, and this one was silent");
                 }
                 _ => return Err("another program uses the device"),
             }
             drop(served);
-            thread::sleep(LISTEN / 4);
+            thread::sleep(READ_TIME / 4);
         }
     }
 
@@ -233,7 +233,7 @@ impl Drop for DeviceUse<'_> {
 fn handle_connection(mut stream: TcpStream, place: Place, shared: &Shared) -> tungstenite::Result<()> {
     stream.set_nonblocking(false)?;
     stream.set_nodelay(true)?;
-    stream.set_write_timeout(Some(SEND))?;
+    stream.set_write_timeout(Some(SEND_TIMEOUT))?;
     let Some(request) = crate::view::door::read_request(&mut stream) else {
         return respond(
             &mut stream,
@@ -259,7 +259,7 @@ fn handle_connection(mut stream: TcpStream, place: Place, shared: &Shared) -> tu
     match request.uri().path() {
         "/devices" => {
             let Some(frame) = shared.frame(true, Inverse3::poll) else {
-                let gone = json!({"ok": false, "error": GONE});
+                let gone = json!({"ok": false, "error": BOARD_LOST});
                 return respond(&mut stream, "503 Service Unavailable", &gone);
             };
             respond(&mut stream, "200 OK", &frame)
@@ -298,13 +298,13 @@ fn respond(stream: &mut TcpStream, status: &str, document: &Value) -> tungstenit
 }
 
 fn converse(stream: TcpStream, device_use: &DeviceUse<'_>) -> tungstenite::Result<()> {
-    stream.set_read_timeout(Some(LISTEN))?;
-    let config = WebSocketConfig::default().max_message_size(Some(MESSAGE)).max_frame_size(Some(MESSAGE));
+    stream.set_read_timeout(Some(READ_TIME))?;
+    let config = WebSocketConfig::default().max_message_size(Some(MAX_MESSAGE)).max_frame_size(Some(MAX_MESSAGE));
     let mut socket = WebSocket::from_raw_socket(stream, Role::Server, Some(config));
     let mut next = Some(ProgramRequest { full: true, ..ProgramRequest::default() });
     loop {
         if let Some(request) = next.take()
-            && let Some(frame) = device_use.0.frame(request.full, |device| device.obey(&request))
+            && let Some(frame) = device_use.0.frame(request.full, |device| device.execute(&request))
         {
             socket.send(Message::text(frame.to_string()))?;
         }
@@ -341,10 +341,10 @@ mod tests {
         let session = Session::of(haptic_sim::open(&PortSpec::Sim(None)).unwrap());
         let device = Inverse3::new(session, None, true).unwrap();
         let shared = Shared {
-            served: Mutex::new(Served { device: Some(device), user: None }),
-            over: AtomicBool::new(false),
+            served: Mutex::new(DeviceSlot { device: Some(device), user: None }),
+            is_over: AtomicBool::new(false),
             token: "abc".into(),
-            silence: SILENCE,
+            silence: MAX_SILENCE,
         };
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let mut program = TcpStream::connect(listener.local_addr().unwrap()).unwrap();

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 /// Sine of the largest angle from the plane (or its normal) at which a direction still counts as in the plane (or
 /// normal to it).
-const SQUARE_SINE: f64 = 1e-3;
+const ALIGNED_SINE: f64 = 1e-3;
 
 /// The intersection of a wall's surface with the drawing plane.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -36,12 +36,12 @@ pub fn outline(surface: &Surface<f64>) -> Option<Outline> {
     match surface {
         Surface::Plane(plane) => {
             let normal = flat(plane.normal);
-            (normal[0].hypot(normal[1]) > SQUARE_SINE).then(|| Outline::Line { at: flat(plane.point), normal })
+            (normal[0].hypot(normal[1]) > ALIGNED_SINE).then(|| Outline::Line { at: flat(plane.point), normal })
         }
         Surface::Sphere(ball) => {
             Some(Outline::Circle { at: flat(ball.center), radius: ball.radius, inside: ball.inside })
         }
-        Surface::Cylinder(rod) => (rod.axis[0].hypot(rod.axis[1]) < SQUARE_SINE).then(|| Outline::Circle {
+        Surface::Cylinder(rod) => (rod.axis[0].hypot(rod.axis[1]) < ALIGNED_SINE).then(|| Outline::Circle {
             at: flat(rod.point),
             radius: rod.radius,
             inside: rod.inside,

@@ -21,7 +21,7 @@ use std::io::{self, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 /// Bytes gathered before they are written; `flush` writes them earlier.
-const BLOCK: usize = 64 * 1024;
+const BLOCK_BYTES: usize = 64 * 1024;
 
 /// Names of the states in a recording, by their numbers.
 pub const STATES: [&str; 4] = ["Disarmed", "Armed", "CheckingPolarity", "Fault"];
@@ -152,7 +152,7 @@ impl Recorder {
         }
         self.block.push('\n');
         self.gathered += 1;
-        if self.block.len() >= BLOCK { self.flush() } else { Ok(()) }
+        if self.block.len() >= BLOCK_BYTES { self.flush() } else { Ok(()) }
     }
 
     /// Writes the gathered rows. If not all of them fit, keeps the complete lines that fit.
@@ -354,13 +354,13 @@ impl Recording {
     }
 
     /// Returns the text that follows this word at the beginning of a comment line.
-    pub fn told(&self, word: &str) -> Option<&str> {
+    pub fn header_value(&self, word: &str) -> Option<&str> {
         self.about.iter().find_map(|line| line.strip_prefix(word)?.strip_prefix(' '))
     }
 
     /// Returns the control rate of the board, Hz.
     pub fn rate_hz(&self) -> Option<f64> {
-        self.told("control rate")?.split(' ').next()?.parse().ok()
+        self.header_value("control rate")?.split(' ').next()?.parse().ok()
     }
 
     /// Returns the index of a column.

@@ -42,7 +42,7 @@ pub struct Difference {
 
 /// Result of a replay.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
-pub struct Replayed {
+pub struct ReplayResult {
     /// Rows that were played.
     pub rows: u64,
     /// Played rows with the motors on.
@@ -57,7 +57,7 @@ pub struct Replayed {
     pub stopped: Option<String>,
 }
 
-impl Replayed {
+impl ReplayResult {
     /// Returns true if every row was played and every torque is the same to the bit.
     pub fn is_same(&self) -> bool {
         self.differing == 0 && self.stopped.is_none()
@@ -106,8 +106,8 @@ impl Columns {
 }
 
 /// Replays a recording.
-pub fn replay(recording: &Recording) -> Result<Replayed, Failure> {
-    let settings = recording.told("settings").ok_or_else(|| {
+pub fn replay(recording: &Recording) -> Result<ReplayResult, Failure> {
+    let settings = recording.header_value("settings").ok_or_else(|| {
         Failure::wrong("the recording does not have the board's settings").remedy("record with haptic record")
     })?;
     let settings: BTreeMap<String, SavedSetting> = serde_json::from_str(settings).map_err(Failure::wrong)?;
@@ -150,7 +150,7 @@ pub fn replay(recording: &Recording) -> Result<Replayed, Failure> {
             first[columns.counts[i]] as i64 - counted_angle.round() as i64
         })
         .collect();
-    let mut replayed = Replayed::default();
+    let mut replayed = ReplayResult::default();
     let mut expected = first[columns.step];
     for row in rows {
         let (step, time_s) = (row[columns.step], row[columns.time]);

@@ -38,7 +38,7 @@ pub struct Pictures {
     #[arg(long, value_name = "FILE")]
     png: Option<PathBuf>,
     /// Width of the picture on paper in mm, 60 to 400; its text then has 8 pt and more [default: none, for a screen]
-    #[arg(long, value_name = "MM", value_parser = width)]
+    #[arg(long, value_name = "MM", value_parser = parse_width)]
     width: Option<f64>,
     #[command(flatten)]
     force: Force,
@@ -47,7 +47,7 @@ pub struct Pictures {
 /// Limits of the width: narrower pictures have no room for the numbers along an axis, wider ones fit no page.
 const WIDTHS_MM: (f64, f64) = (60.0, 400.0);
 
-fn width(text: &str) -> Result<f64, String> {
+fn parse_width(text: &str) -> Result<f64, String> {
     let (min, max) = WIDTHS_MM;
     let width = text.parse().ok().filter(|mm| (min..=max).contains(mm));
     width.ok_or_else(|| format!("write {min} to {max} mm; a column of a paper has 85, its page 170"))

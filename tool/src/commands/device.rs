@@ -33,13 +33,13 @@ pub struct Args {
     read: Read,
     /// Largest force of walls, springs and fields at the tip, N [default: the board's, at most 5 with real motors].
     /// Also lowers the board's torque limits, so that no torque makes more in the home pose
-    #[arg(long, value_name = "N", value_parser = newtons, conflicts_with = "read")]
+    #[arg(long, value_name = "N", value_parser = parse_newtons, conflicts_with = "read")]
     tip_force: Option<f32>,
     #[command(flatten)]
     on: OnBoard,
 }
 
-fn newtons(text: &str) -> Result<f32, String> {
+fn parse_newtons(text: &str) -> Result<f32, String> {
     match text.parse::<f32>() {
         Ok(value) if value.is_finite() && value > 0.0 => Ok(value),
         Ok(_) => Err("must be finite and greater than zero".into()),

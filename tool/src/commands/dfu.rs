@@ -1,6 +1,6 @@
 //! `haptic board dfu`: restarts a board into its boot loader, to be flashed over USB.
 
-use super::port::{GOES_OFF, OnBoard, confirm};
+use super::port::{MOTORS_GO_OFF, OnBoard, confirm};
 use haptic_host::error::Failure;
 use serde_json::json;
 
@@ -21,7 +21,7 @@ pub struct Args {
 pub fn run(args: Args) -> Result<(), Failure> {
     let mut board = args.on.open()?;
     if board.status()?.state.drives() {
-        confirm(args.yes, GOES_OFF)?;
+        confirm(args.yes, MOTORS_GO_OFF)?;
     }
     board.enter_dfu()?;
     let words = "the board restarts into its boot loader: flash it with `haptic flash`, or switch it off and on\n";

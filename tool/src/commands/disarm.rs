@@ -29,7 +29,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         // A tool that was about to end may have closed the port by now; an open board allows a complete report.
         Ok(Stopped::Held) => match haptic_sim::open(port) {
             Ok(board) => Box::new(board),
-            Err(_) => return report_past(args.on.json),
+            Err(_) => return report_disarmed(args.on.json),
         },
         Err(BoardError::Link(held @ (LinkError::HeldByAnother(_) | LinkError::PortBusy(_) | LinkError::Lost(_)))) => {
             return disarm_held(port, args.on.json, held);
@@ -49,7 +49,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
 /// Disarms the board although another tool holds it.
 fn disarm_held(port: &PortSpec, json: Json, held: LinkError) -> Result<(), Failure> {
     match disarm_held_board(port) {
-        Ok(()) => report_past(json),
+        Ok(()) => report_disarmed(json),
         Err(BoardError::Link(LinkError::PortBusy(_))) => Err(Failure::from(held).remedy(
             "to disarm at once end that tool (Ctrl-C), pull the USB cable of a board whose rules watch the host, or use the \
              emergency stop",
@@ -58,7 +58,7 @@ fn disarm_held(port: &PortSpec, json: Json, held: LinkError) -> Result<(), Failu
     }
 }
 
-fn report_past(json: Json) -> Result<(), Failure> {
+fn report_disarmed(json: Json) -> Result<(), Failure> {
     let words = "disarmed, although another tool holds the board: the motors are off\n";
     json.answer(json!({ "state": "Disarmed" }), words)
 }

@@ -1,7 +1,7 @@
 //! `haptic flash`: writes firmware to a board, over USB or through a debug probe.
 
 use super::answer::Json;
-use super::port::{GOES_OFF, Port, confirm};
+use super::port::{MOTORS_GO_OFF, Port, confirm};
 use haptic_bridge::board::protocol::PROTOCOL;
 use haptic_flash::{
     Bus, FlashSummary, FlashTarget, Image, Phase, Progress, WITHOUT_IMAGES, embedded, find_board, flash, parse, probe,
@@ -10,7 +10,7 @@ use haptic_host::error::{Choice, Failure, on_one_line, overwrite_line, say};
 use haptic_host::link::{PortSpec, boards};
 use serde_json::json;
 use std::io::{BufRead, IsTerminal};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Put the firmware of this tool on a board, over USB
 ///
@@ -40,7 +40,7 @@ pub struct Args {
 /// Finds the board, then its image, then flashes.
 pub fn run(args: Args) -> Result<(), Failure> {
     let serial = serial(args.port.spec())?;
-    let file = args.file.as_ref().map(read_image).transpose()?;
+    let file = args.file.as_deref().map(read_image).transpose()?;
     if file.is_none() && embedded().is_empty() {
         return Err(Failure::impossible(WITHOUT_IMAGES).choose(Choice::Image));
     }
@@ -73,7 +73,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         }
     };
     haptic_host::tell!("flashing {}", describe(&image));
-    let done = flash(&mut Bus::here(), &target, image, &mut |progress| show(progress));
+    let done = flash(&mut Bus::here(), &target, image, &mut |progress| show_progress(progress));
     let FlashSummary { identity, restored, sectors, bytes } = done.map_err(Failure::impossible)?;
     let mut words = format!(
         "{} runs firmware {} (protocol {}): {bytes} bytes in {sectors} sectors, every one read back; settings kept\n",
@@ -91,7 +91,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     args.json.answer(document, &words)
 }
 
-fn read_image(file: &PathBuf) -> Result<Image, Failure> {
+fn read_image(file: &Path) -> Result<Image, Failure> {
     let wrong = |error: &dyn std::fmt::Display| Failure::wrong(format!("{}: {error}", file.display()));
     let bytes = haptic_host::input::read(file).map_err(|error| wrong(&error))?;
     parse(&bytes).map_err(|error| wrong(&error))
@@ -150,7 +150,7 @@ fn confirm_restart(serial: &str, yes: bool) -> Result<(), Failure> {
         Some((drives, unsaved)) => {
             let mut loses = Vec::new();
             if drives {
-                loses.push(GOES_OFF.to_string());
+                loses.push(MOTORS_GO_OFF.to_string());
             }
             if !unsaved.is_empty() {
                 loses.push(format!(
@@ -219,7 +219,7 @@ fn flash_by_probe(args: &Args, file: &Option<Image>) -> Result<(), Failure> {
 }
 
 /// Shows the progress, on a line that is overwritten on a terminal.
-fn show(progress: Progress) {
+fn show_progress(progress: Progress) {
     let terminal = std::io::stderr().is_terminal();
     match progress {
         // Writing and reading alternate; the percentage shows both.

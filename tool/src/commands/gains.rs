@@ -25,23 +25,23 @@ pub struct Args {
     #[arg(long, value_name = "INDEX", default_value_t = 0)]
     wall: u8,
     /// Stiffness in N/m
-    #[arg(long, value_name = "N/M", value_parser = gain, allow_hyphen_values = true)]
+    #[arg(long, value_name = "N/M", value_parser = parse_gain, allow_hyphen_values = true)]
     stiffness: Option<f32>,
     /// Damping in N s/m
-    #[arg(long, value_name = "N S/M", value_parser = gain, allow_hyphen_values = true)]
+    #[arg(long, value_name = "N S/M", value_parser = parse_gain, allow_hyphen_values = true)]
     damping: Option<f32>,
     /// Feed-forward of the wall's force
     #[arg(long, value_name = "KIND", value_parser = arguments::feed_forward())]
     feed_forward: Option<FeedForward>,
     /// Corner of the washout in Hz
-    #[arg(long, value_name = "HZ", value_parser = gain, allow_hyphen_values = true)]
+    #[arg(long, value_name = "HZ", value_parser = parse_gain, allow_hyphen_values = true)]
     washout: Option<f32>,
     /// Cutoff of the velocity filters of all walls in Hz
-    #[arg(long, value_name = "HZ", value_parser = gain, allow_hyphen_values = true)]
+    #[arg(long, value_name = "HZ", value_parser = parse_gain, allow_hyphen_values = true)]
     cutoff: Option<f32>,
 }
 
-fn gain(text: &str) -> Result<f32, String> {
+fn parse_gain(text: &str) -> Result<f32, String> {
     match text.parse::<f32>() {
         Ok(value) if value.is_finite() && value >= 0.0 => Ok(value),
         Ok(_) => Err("must be finite and not negative".into()),

@@ -23,7 +23,7 @@ pub struct Args {
     /// Recording: .mcap or .csv
     file: PathBuf,
     /// Views, separated by commas: time, force, spectrum, phase [default: all for which the recording has columns]
-    #[arg(long, value_name = "VIEWS", value_parser = views)]
+    #[arg(long, value_name = "VIEWS", value_parser = parse_views)]
     show: Option<Views>,
     /// Columns to draw over time and as a spectrum, separated by commas [default: rendered_n]
     #[arg(long, value_name = "COLUMNS", value_delimiter = ',')]
@@ -47,7 +47,7 @@ pub struct Args {
 #[derive(Clone, Debug)]
 struct Views(Vec<View>);
 
-fn views(text: &str) -> Result<Views, String> {
+fn parse_views(text: &str) -> Result<Views, String> {
     let view = |name: &str| {
         let known = View::ALL.iter().find(|(known, _)| *known == name.trim()).map(|(_, view)| *view);
         known.ok_or_else(|| format!("write one or more of {}", View::ALL.map(|(name, _)| name).join(", ")))
@@ -67,7 +67,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     };
     let analysis = panels(&recording, &request)?;
     if args.pictures.asked() {
-        let value = |word: &str| recording.told(word).unwrap_or("unknown");
+        let value = |word: &str| recording.header_value(word).unwrap_or("unknown");
         let title = format!("{}, {}", value("device"), value("date"));
         let walls: Vec<String> = recording.about.iter().filter(|line| line.starts_with("wall ")).cloned().collect();
         let mut subtitle = vec![format!("board {}; control rate {}", value("board"), value("control rate"))];
@@ -102,8 +102,8 @@ fn felt_stiffness(recording: &Recording, file: &DeviceFile, stiffness: f64) -> R
         Failure::wrong(format!("--device {} does not apply: the recording has no {what}", file.path.display()))
             .remedy("record one wall of that device with haptic record, or leave --device out")
     };
-    recording.told("device").filter(|name| *name == file.name).ok_or_else(|| lacks(&file.name))?;
-    let scene: Option<Scene<f64>> = recording.told("scene").and_then(|scene| serde_json::from_str(scene).ok());
+    recording.header_value("device").filter(|name| *name == file.name).ok_or_else(|| lacks(&file.name))?;
+    let scene: Option<Scene<f64>> = recording.header_value("scene").and_then(|scene| serde_json::from_str(scene).ok());
     let mut scene = scene.filter(|scene| scene.walls.len() == 1).ok_or_else(|| lacks("scene of one wall"))?;
     scene.walls[0].stiffness = stiffness;
     let column = |name: &str| recording.column(name).ok_or_else(|| lacks(name));

@@ -104,7 +104,7 @@ pub fn state_in_words(state: State) -> &'static str {
 }
 
 /// Warning before motors that are on go off.
-pub const GOES_OFF: &str = "the motors are on and will go off: what has weight falls";
+pub const MOTORS_GO_OFF: &str = "the motors are on and will go off: a device with weight falls";
 
 /// Asks for confirmation on the terminal, unless `yes` confirmed beforehand; `what` describes the effect.
 pub fn confirm(yes: bool, what: &str) -> Result<(), Failure> {

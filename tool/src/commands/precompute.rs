@@ -56,7 +56,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let device = DeviceFile::load(&args.device)?.device().map_err(Failure::wrong)?;
     let per_joint = [41, 25, 11][device.mechanism.kind().spec().joints.clamp(1, 3) - 1];
     let mut probes = workspace(&device, per_joint, 0.0)?;
-    let wanted = match args.range {
+    let box_range = match args.range {
         Some(numbers) => {
             let values = numbers.exactly(4, "--box", "lowest and highest of both angles, rad")?;
             if !(values[0] < values[1] && values[2] < values[3]) {
@@ -80,7 +80,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         Kind::Bilinear | Kind::Bicubic => {
             let cubic = args.kind == Kind::Bicubic;
             let interpolation = if cubic { Interpolation::Bicubic } else { Interpolation::Bilinear };
-            table(&device, interpolation, [points; 2], wanted).ok_or_else(|| {
+            table(&device, interpolation, [points; 2], box_range).ok_or_else(|| {
                 let values = usize::from(points).pow(2) * entries;
                 Failure::impossible(format!(
                     "a table of {points} x {points} points takes {values} numbers; the board holds {TABLE_VALUES}, and a \
@@ -154,7 +154,7 @@ fn readable(
         )
     };
     format!(
-        "{}: {} mass matrix\n  {size}\n  torque error over {situations} situations at rest, whole motor force: {error}\n",
+        "{}: {} mass matrix\n  {size}\n  torque error over {situations} situations at rest, total motor force: {error}\n",
         device.name,
         precomputed.name(),
     )

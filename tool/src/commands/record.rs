@@ -2,7 +2,7 @@
 
 use super::force::Force;
 use super::port::Port;
-use super::stream::{Options, follow, positive};
+use super::stream::{Options, follow, parse_positive};
 use haptic_bridge::board::telemetry::{Field, Fields};
 use haptic_host::error::Failure;
 use haptic_host::link::{fields, max_rows_per_second};
@@ -31,13 +31,13 @@ pub struct Args {
     #[arg(long, value_name = "NAMES", value_parser = fields)]
     fields: Option<Fields>,
     /// Rows per second, at most the control rate [default: as many as the link carries]
-    #[arg(long, value_name = "HZ", value_parser = positive)]
+    #[arg(long, value_name = "HZ", value_parser = parse_positive)]
     rate: Option<f64>,
     /// Switch the motors on when the first rows arrive, and off at the end; an error if a fault turned them off before
     #[arg(long)]
     arm: bool,
     /// Stop after this time on the board's clock [default: until Ctrl-C]
-    #[arg(long, value_name = "SECONDS", value_parser = positive)]
+    #[arg(long, value_name = "SECONDS", value_parser = parse_positive)]
     seconds: Option<f64>,
     /// Print one JSON document at the end: the file, and the losses
     #[arg(long)]

@@ -1,6 +1,6 @@
 //! `haptic board restart`: restarts a board.
 
-use super::port::{GOES_OFF, OnBoard, confirm};
+use super::port::{MOTORS_GO_OFF, OnBoard, confirm};
 use haptic_host::backup::unsaved;
 use haptic_host::error::Failure;
 use serde_json::json;
@@ -23,7 +23,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let mut board = args.on.open()?;
     let mut loses = Vec::new();
     if board.status()?.state.drives() {
-        loses.push(GOES_OFF.to_string());
+        loses.push(MOTORS_GO_OFF.to_string());
     }
     let unsaved = unsaved(&mut board)?;
     if !unsaved.is_empty() {

@@ -18,33 +18,33 @@ pub struct Args {
     #[command(flatten)]
     on: OnBoard,
     /// Joint torques in N m, one per joint
-    #[arg(long, value_name = "N M,..", value_delimiter = ',', value_parser = limit, allow_hyphen_values = true)]
+    #[arg(long, value_name = "N M,..", value_delimiter = ',', value_parser = parse_limit, allow_hyphen_values = true)]
     torque: Vec<f32>,
     /// Motor currents in A, one per joint
-    #[arg(long, value_name = "A,..", value_delimiter = ',', value_parser = limit, allow_hyphen_values = true)]
+    #[arg(long, value_name = "A,..", value_delimiter = ',', value_parser = parse_limit, allow_hyphen_values = true)]
     current: Vec<f32>,
     /// Motor currents that may flow without a time limit, in A, one per joint
-    #[arg(long, value_name = "A,..", value_delimiter = ',', value_parser = limit, allow_hyphen_values = true)]
+    #[arg(long, value_name = "A,..", value_delimiter = ',', value_parser = parse_limit, allow_hyphen_values = true)]
     continuous_current: Vec<f32>,
     /// Joint speeds in rad/s, one per joint
-    #[arg(long, value_name = "RAD/S,..", value_delimiter = ',', value_parser = limit, allow_hyphen_values = true)]
+    #[arg(long, value_name = "RAD/S,..", value_delimiter = ',', value_parser = parse_limit, allow_hyphen_values = true)]
     speed: Vec<f32>,
     /// Mean power into the hand in W
-    #[arg(long, value_name = "W", value_parser = limit)]
+    #[arg(long, value_name = "W", value_parser = parse_limit)]
     power: Option<f32>,
     /// Force of walls, springs and fields together at the tip in N
-    #[arg(long, value_name = "N", value_parser = limit)]
+    #[arg(long, value_name = "N", value_parser = parse_limit)]
     tip_force: Option<f32>,
     /// Lowest supply voltage in V
-    #[arg(long, value_name = "V", value_parser = limit)]
+    #[arg(long, value_name = "V", value_parser = parse_limit)]
     bus_min: Option<f32>,
     /// Highest supply voltage in V
-    #[arg(long, value_name = "V", value_parser = limit)]
+    #[arg(long, value_name = "V", value_parser = parse_limit)]
     bus_max: Option<f32>,
     /// Action of the board when the host has been silent
-    #[arg(long, value_name = "ACTION", value_parser = action())]
+    #[arg(long, value_name = "ACTION", value_parser = action_parser())]
     host: Option<HostAction>,
-    #[arg(long, value_name = "S", value_parser = seconds, help = silence_help())]
+    #[arg(long, value_name = "S", value_parser = parse_seconds, help = silence_help())]
     host_seconds: Option<f32>,
     /// Dissipate the energy that walls generate, by damping and less feed-forward (passivity controller)
     #[arg(long, value_name = "BOOL", action = clap::ArgAction::Set)]
@@ -55,7 +55,7 @@ pub struct Args {
 }
 
 /// Parses the name of an action.
-fn action() -> impl TypedValueParser<Value = HostAction> {
+fn action_parser() -> impl TypedValueParser<Value = HostAction> {
     let what = |action| match action {
         HostAction::Ignore => "Nothing",
         HostAction::Hold => "The scene continues, and the fault is listed",
@@ -64,7 +64,7 @@ fn action() -> impl TypedValueParser<Value = HostAction> {
     one_of(HostAction::ALL.map(|(name, action)| (name, what(action), action)))
 }
 
-fn limit(text: &str) -> Result<f32, String> {
+fn parse_limit(text: &str) -> Result<f32, String> {
     match text.trim().parse::<f32>() {
         Ok(value) if value.is_finite() && value > 0.0 => Ok(value),
         Ok(_) => Err("must be finite and greater than zero".into()),
@@ -77,8 +77,8 @@ fn silence_help() -> String {
     format!("Longest silence of the host, in s: {min} to {max}")
 }
 
-fn seconds(text: &str) -> Result<f32, String> {
-    limit(text).and_then(|value| {
+fn parse_seconds(text: &str) -> Result<f32, String> {
+    parse_limit(text).and_then(|value| {
         let (min, max) = Rules::HOST_SECONDS;
         if (min..=max).contains(&value) { Ok(value) } else { Err(format!("must be between {min} and {max}")) }
     })

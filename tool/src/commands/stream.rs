@@ -27,20 +27,20 @@ pub struct Args {
     #[arg(long, value_name = "NAMES", default_value = "usual", value_parser = fields)]
     fields: Fields,
     /// Rows per second, at most the control rate
-    #[arg(long, value_name = "HZ", default_value_t = 10.0, value_parser = positive)]
+    #[arg(long, value_name = "HZ", default_value_t = 10.0, value_parser = parse_positive)]
     rate: f64,
     /// Switch the motors on when the first rows arrive, and off at the end; an error if a fault turned them off before
     #[arg(long)]
     arm: bool,
     /// Stop after this time on the board's clock [default: until Ctrl-C]
-    #[arg(long, value_name = "SECONDS", value_parser = positive)]
+    #[arg(long, value_name = "SECONDS", value_parser = parse_positive)]
     seconds: Option<f64>,
     /// Print one JSON document at the end: the rows, and the losses
     #[arg(long)]
     json: bool,
 }
 
-pub(super) fn positive(text: &str) -> Result<f64, String> {
+pub(super) fn parse_positive(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(value) if value.is_finite() && value > 0.0 => Ok(value),
         Ok(_) => Err("must be greater than zero".into()),

@@ -2,7 +2,7 @@
 
 use super::interrupt;
 use super::port::{Port, address};
-use super::stream::positive;
+use super::stream::parse_positive;
 use haptic_bridge::render::scene::Scene;
 use haptic_host::device_file::DeviceFile;
 use haptic_host::error::{Failure, print};
@@ -51,7 +51,7 @@ pub struct Args {
     #[arg(long, value_name = "FOLDER", default_value = ".")]
     record_to: PathBuf,
     /// Rows a second to read, at most the control rate [default: as many as the link carries]
-    #[arg(long, value_name = "HZ", value_parser = positive)]
+    #[arg(long, value_name = "HZ", value_parser = parse_positive)]
     rate: Option<f64>,
 }
 

@@ -120,7 +120,7 @@ fn a_recording_whose_tool_is_killed_is_readable_to_its_last_full_chunk() {
             assert!(recording.torn);
             assert_eq!(recording.rows, found.into_iter().map(|(_, row)| row).collect::<Vec<_>>());
             assert!(recording.rows.len() > 1_000 || least < 1_000_000, "{}", recording.rows.len());
-            assert!(recording.told("device").is_some());
+            assert!(recording.header_value("device").is_some());
         }
         // The board has noticed, and takes the next tool.
         sim.until(|state| state == "Disarmed");

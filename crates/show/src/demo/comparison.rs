@@ -4,7 +4,7 @@ use super::crossing::Crossing;
 use std::cmp::Ordering;
 
 /// Smaller relative changes are ignored, because the printed digits do not show them.
-const SAME: f64 = 0.005;
+const MIN_CHANGE: f64 = 0.005;
 
 /// Changes that the hand feels.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -22,9 +22,9 @@ impl Comparison {
         let mut compare = |without: f64, with: f64, less: &str, more: &str| {
             let change = with / without - 1.0;
             let percent = 100.0 * change.abs();
-            if change < -SAME {
+            if change < -MIN_CHANGE {
                 comparison.better.push(format!("{percent:.0} % {less}"));
-            } else if change > SAME {
+            } else if change > MIN_CHANGE {
                 comparison.worse.push(format!("{percent:.0} % {more}"));
             }
         };

@@ -9,21 +9,21 @@ use haptic_sim::{BoardOptions, Hand, HandSettings, Intent, Options, SharedBoard,
 use std::time::Duration;
 
 /// Height above the wall at which the hand starts, m.
-const ABOVE: f64 = 0.006;
+const START_HEIGHT: f64 = 0.006;
 /// Target depth of the hand below the wall's surface, m: its arm of 250 N/m then presses with about 5 N.
-const AIM: f64 = 0.02;
+const TARGET_DEPTH: f64 = 0.02;
 /// Distance of the slide, m: it ends before the device's distal links become collinear.
 pub const SLIDE: f64 = 0.02;
 /// Time at which the hand starts to move (after the torque ramp), s after arming.
-const BEGIN: f64 = 0.6;
+const START_TIME: f64 = 0.6;
 /// Time at which the hand reaches its target depth, s.
-const PRESSED: f64 = 0.85;
+const DEPTH_TIME: f64 = 0.85;
 /// Time at which the hand starts to slide, s.
-const SLIDING: f64 = 1.4;
+const SLIDE_START: f64 = 1.4;
 /// Time at which the slide ends, s.
-const SLID: f64 = 2.4;
+const SLIDE_END: f64 = 2.4;
 /// Time at which the hand is lifted again, which ends the crossing, s.
-const LIFTED: f64 = 2.9;
+const END_TIME: f64 = 2.9;
 
 /// One sample of a crossing.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -67,7 +67,7 @@ pub fn run(demo: &Demo, feed_forward: FeedForward, progress: &mut dyn FnMut(f64)
     // The board watches its host, and turns the motors off if it receives nothing.
     board.keep_alive();
     let tip = shared.lock().device().tip();
-    let surface = [tip[0] - ABOVE * demo.normal[0], tip[1] - ABOVE * demo.normal[1]];
+    let surface = [tip[0] - START_HEIGHT * demo.normal[0], tip[1] - START_HEIGHT * demo.normal[1]];
     board.set_scene(&demo.scene(surface, feed_forward))?;
     {
         let mut board = shared.lock();
@@ -79,7 +79,7 @@ pub fn run(demo: &Demo, feed_forward: FeedForward, progress: &mut dyn FnMut(f64)
     let selected = fields("duty,distance,force,state").unwrap_or(haptic_bridge::board::telemetry::Fields::ALL);
     board.start_stream(selected, 1)?;
     let mut rows = Vec::new();
-    let steps = (LIFTED * demo.rate_hz) as usize;
+    let steps = (END_TIME * demo.rate_hz) as usize;
     while rows.len() < steps {
         rows.extend(board.rows(Duration::from_millis(50))?);
         progress((rows.len() as f64 / steps as f64).min(1.0));
@@ -102,14 +102,14 @@ fn path(demo: &Demo, tip: [f64; 3]) -> Vec<Waypoint> {
         time,
         value: [tip[0] + up * nx - along * ny, tip[1] + up * ny + along * nx, 0.0],
     };
-    let down = -ABOVE - AIM;
+    let down = -START_HEIGHT - TARGET_DEPTH;
     vec![
-        at(BEGIN, 0.0, 0.0),
-        at(PRESSED, down, 0.0),
-        at(SLIDING, down, 0.0),
-        at(SLID, down, SLIDE),
-        at(SLID + 0.2, down, SLIDE),
-        at(LIFTED, 0.0, SLIDE),
+        at(START_TIME, 0.0, 0.0),
+        at(DEPTH_TIME, down, 0.0),
+        at(SLIDE_START, down, 0.0),
+        at(SLIDE_END, down, SLIDE),
+        at(SLIDE_END + 0.2, down, SLIDE),
+        at(END_TIME, 0.0, SLIDE),
     ]
 }
 
@@ -121,7 +121,7 @@ fn moments(rows: &[Row], columns: &[haptic_host::link::Column], rate_hz: f64) ->
     };
     rows.iter()
         .map(|row| Moment {
-            time: f64::from(row.step.wrapping_sub(first)) / rate_hz - BEGIN,
+            time: f64::from(row.step.wrapping_sub(first)) / rate_hz - START_TIME,
             distance: value(row, Field::Distance, 0),
             force: value(row, Field::WallForce, 0),
             duty: (0..3).map(|axis| value(row, Field::Duty, axis).abs()).fold(0.0, f64::max),
@@ -135,12 +135,14 @@ fn assess(moments: Vec<Moment>, lost: u64, fault: Option<String>) -> Crossing {
     let largest = |pick: fn(&Moment) -> f64| moments.iter().map(pick).fold(0.0, f64::max);
     let resting: Vec<f64> = moments
         .iter()
-        .filter(|moment| (PRESSED + 0.15 - BEGIN..SLID - BEGIN).contains(&moment.time))
+        .filter(|moment| (DEPTH_TIME + 0.15 - START_TIME..SLIDE_END - START_TIME).contains(&moment.time))
         .map(|moment| moment.force)
         .collect();
     let first_contact = moments.iter().position(|moment| moment.touching);
-    let pressed =
-        moments.iter().take_while(|moment| moment.time < SLID + 0.2 - BEGIN).skip(first_contact.unwrap_or(usize::MAX));
+    let pressed = moments
+        .iter()
+        .take_while(|moment| moment.time < SLIDE_END + 0.2 - START_TIME)
+        .skip(first_contact.unwrap_or(usize::MAX));
     let contact: Vec<bool> = pressed.map(|moment| moment.force > 0.0).collect();
     Crossing {
         penetration: largest(|moment| -moment.distance),

@@ -17,10 +17,10 @@ const TOP: f64 = 176.0;
 const PANEL: f64 = 170.0;
 const GAP: f64 = 74.0;
 /// Distance between the two columns, with room for the right column's scale.
-const BETWEEN: f64 = 84.0;
+const COLUMN_GAP: f64 = 84.0;
 
 /// Time interval that the last row shows enlarged, s.
-const CLOSE: std::ops::Range<f64> = 0.5..0.6;
+const ENLARGED: std::ops::Range<f64> = 0.5..0.6;
 /// The device above the panels: its centre in the drawing, and pixels per metre.
 const DEVICE_AT: (f64, f64) = (862.0, 74.0);
 const DEVICE_SCALE: f64 = 500.0;
@@ -90,7 +90,7 @@ pub fn draw(demo: &Demo, without: &Crossing, with: &Crossing) -> Picture {
             unit: "N",
             value: |moment| moment.force,
             low: 0.0,
-            high: 1.08 * top(|moment| if CLOSE.contains(&moment.time) { moment.force } else { 0.0 }),
+            high: 1.08 * top(|moment| if ENLARGED.contains(&moment.time) { moment.force } else { 0.0 }),
         },
     ];
     let height = TOP + 3.0 * PANEL + 2.0 * GAP + 62.0;
@@ -107,7 +107,7 @@ pub fn draw(demo: &Demo, without: &Crossing, with: &Crossing) -> Picture {
         canvas.text((LEFT, 80.0 + 19.0 * line as f64), 12.5, Anchor::Start, false, sentence);
     }
     let end = both().map(|moment| moment.time).fold(0.1, f64::max);
-    let width = (WIDTH - LEFT - RIGHT - BETWEEN) / 2.0;
+    let width = (WIDTH - LEFT - RIGHT - COLUMN_GAP) / 2.0;
     let columns = [
         (without, OFF, "without feed-forward".to_string()),
         (with, WASHOUT, format!("with feed-forward (washout {} Hz)", demo.washout_hz)),
@@ -117,12 +117,12 @@ pub fn draw(demo: &Demo, without: &Crossing, with: &Crossing) -> Picture {
         let top = TOP + index as f64 * (PANEL + GAP);
         for (column, (crossing, colour, name)) in columns.iter().enumerate() {
             let axis = |name: &str, unit: &str, low, high| Axis { name: name.into(), unit: unit.into(), low, high };
-            let left = LEFT + column as f64 * (width + BETWEEN);
+            let left = LEFT + column as f64 * (width + COLUMN_GAP);
             let frame = PlotArea {
                 at: (left, top),
                 size: (width, PANEL),
                 x: if index + 1 == rows.len() {
-                    axis("time", "s", CLOSE.start, CLOSE.end)
+                    axis("time", "s", ENLARGED.start, ENLARGED.end)
                 } else {
                     axis("time", "s", 0.0, end)
                 },
@@ -138,7 +138,7 @@ pub fn draw(demo: &Demo, without: &Crossing, with: &Crossing) -> Picture {
                 canvas.polygon(&corners, FAINT, 0.22);
             }
             if index + 2 == rows.len() {
-                let corners = [CLOSE.start, CLOSE.end].map(|time| frame.pixel(time, row.high));
+                let corners = [ENLARGED.start, ENLARGED.end].map(|time| frame.pixel(time, row.high));
                 canvas.rectangle(
                     corners[0],
                     (corners[1].0 - corners[0].0, PANEL),

@@ -97,13 +97,13 @@ impl Inverse3 {
     }
 
     /// Begins the session of another program.
-    pub(super) fn begin(&mut self) {
+    pub(super) fn begin_session(&mut self) {
         self.sessions += 1;
     }
 
     /// Returns the time since the board was last polled; zero for a simulated board in this process, which does not
     /// time out silent programs.
-    pub(super) fn idle(&self) -> Duration {
+    pub(super) fn idle_time(&self) -> Duration {
         if self.simulated { Duration::ZERO } else { self.polled.elapsed() }
     }
 
@@ -122,7 +122,7 @@ impl Inverse3 {
 
     /// Carries out a message and reads the device's state. A missing reply is reported, and the next message continues;
     /// the error is a lost board.
-    pub(super) fn obey(&mut self, request: &ProgramRequest) -> Result<(), BoardError> {
+    pub(super) fn execute(&mut self, request: &ProgramRequest) -> Result<(), BoardError> {
         for other in &request.others {
             self.notify(format!("`{other}` is ignored: a board accepts forces at the tip, and a basis for them"));
         }
@@ -210,12 +210,8 @@ impl Inverse3 {
             self.armed = false;
             let why = self.fault.map_or_else(|| "another tool turned them off".into(), |fault| describe(&fault));
             let reconnect = self.fault.is_none_or(|fault| fault.fault == Fault::HostLost);
-            let remedy = if reconnect {
-                "a program that connects again arms them"
-            } else {
-                "a program that clears the fault arms them"
-            };
-            self.notify(format!("the motors are off: {why}; {remedy}"));
+            let action = if reconnect { "connects again" } else { "clears the fault" };
+            self.notify(format!("the motors are off: {why}; a program that {action} arms them"));
         }
     }
 

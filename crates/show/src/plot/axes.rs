@@ -2,7 +2,7 @@
 
 use super::canvas::{Anchor, Canvas, SMALL, Stroke};
 use super::colour::{FAINT, INK};
-use super::paper::{EDGE, wrapped};
+use super::paper::{EDGE, wrap};
 
 const TEXT: f64 = 12.0;
 
@@ -49,7 +49,7 @@ pub enum Mark<'a> {
 
 impl Axis {
     /// Returns the factor from values to the prefixed unit, and that unit: 12000 N/m is 12 kN/m.
-    fn prefixed(&self) -> (f64, String) {
+    fn with_prefix(&self) -> (f64, String) {
         let size = self.low.abs().max(self.high.abs());
         let prefixes = [(1e9, "G"), (1e6, "M"), (1e3, "k"), (1.0, ""), (1e-3, "m"), (1e-6, "µ")];
         // Base units get a prefix only if it reads well: never "mkg", and no prefix without a unit.
@@ -63,13 +63,13 @@ impl Axis {
     }
 
     fn label(&self) -> String {
-        let unit = self.prefixed().1;
+        let unit = self.with_prefix().1;
         if unit.is_empty() { self.name.clone() } else { format!("{} ({unit})", self.name) }
     }
 
     /// Returns round values inside the axis, about `count` of them and at least four, with their texts.
     fn ticks(&self, count: f64) -> Vec<(f64, String)> {
-        let factor = self.prefixed().0;
+        let factor = self.with_prefix().0;
         let (low, high) = (self.low * factor, self.high * factor);
         let span = high - low;
         if !(span.is_finite() && span > 0.0) {
@@ -192,11 +192,11 @@ impl PlotArea {
         let corners = [(right, top), (left + width, top), (right, bottom - height), (left + width, bottom - height)];
         let free = corners.into_iter().find(|&(right, top)| {
             // Half the width of a dot with its outline.
-            const AROUND: f64 = 5.0;
-            let low = (right - width - AROUND, top - AROUND);
-            let high = (right + AROUND, top + height + AROUND);
+            const MARGIN: f64 = 5.0;
+            let low = (right - width - MARGIN, top - MARGIN);
+            let high = (right + MARGIN, top + height + MARGIN);
             let pixels = |line: &Vec<(f64, f64)>| line.iter().map(|&(x, y)| self.pixel(x, y)).collect::<Vec<_>>();
-            fits && !drawn.iter().map(pixels).any(|line| passes(&line, low, high))
+            fits && !drawn.iter().map(pixels).any(|line| crosses_box(&line, low, high))
         });
         if let Some((right, top)) = free {
             return Self::legend(canvas, right, top, entries);
@@ -205,7 +205,7 @@ impl PlotArea {
         let folded: Vec<(Mark<'_>, String)> = entries
             .iter()
             .flat_map(|(mark, text)| {
-                let lines = wrapped(text, max_width, SMALL);
+                let lines = wrap(text, max_width, SMALL);
                 lines.into_iter().enumerate().map(|(i, line)| (if i == 0 { *mark } else { Mark::Continued }, line))
             })
             .collect();
@@ -261,7 +261,7 @@ impl PlotArea {
 }
 
 /// Returns true if the line through these points (or the single point) crosses the box between two corners.
-pub(super) fn passes(line: &[(f64, f64)], low: (f64, f64), high: (f64, f64)) -> bool {
+pub(super) fn crosses_box(line: &[(f64, f64)], low: (f64, f64), high: (f64, f64)) -> bool {
     let crosses = |from: (f64, f64), to: (f64, f64)| {
         // Parameters, from 0 to 1, between which the line is inside the left and right edges and inside the other two.
         let (mut enters, mut leaves) = (0.0_f64, 1.0_f64);

@@ -130,7 +130,7 @@ impl Canvas {
     pub fn tiles(&mut self, outlines: &[Vec<(f64, f64)>], fill: &str) {
         let mut path = String::new();
         let mut pen = (0, 0);
-        for outline in merged(outlines) {
+        for outline in merge_outlines(outlines) {
             let mut command = "m";
             for &(x, y) in &outline {
                 // Relative moves from point to point, the first one from the start of the last outline. Writing cannot
@@ -210,7 +210,7 @@ impl Canvas {
 
 /// Returns the outlines of the union of tiles, in tenths of a pixel. An edge that two tiles share runs once in each
 /// direction and cancels out; the remaining edges form closed outlines.
-fn merged(outlines: &[Vec<(f64, f64)>]) -> Vec<Vec<(i64, i64)>> {
+fn merge_outlines(outlines: &[Vec<(f64, f64)>]) -> Vec<Vec<(i64, i64)>> {
     let tenths = |&(x, y): &(f64, f64)| ((10.0 * x).round() as i64, (10.0 * y).round() as i64);
     // Edges from each start point, sorted, so that the picture is deterministic.
     let mut edges = BTreeMap::<(i64, i64), Vec<(i64, i64)>>::new();
@@ -227,7 +227,7 @@ fn merged(outlines: &[Vec<(f64, f64)>]) -> Vec<Vec<(i64, i64)>> {
         }
     }
     edges.retain(|_, ends| !ends.is_empty());
-    let mut merged = Vec::new();
+    let mut result = Vec::new();
     while let Some((&start, _)) = edges.first_key_value() {
         let mut outline = Vec::new();
         let mut at = start;
@@ -239,9 +239,9 @@ fn merged(outlines: &[Vec<(f64, f64)>]) -> Vec<Vec<(i64, i64)>> {
             }
             at = next.unwrap_or(start);
         }
-        merged.push(outline);
+        result.push(outline);
     }
-    merged
+    result
 }
 
 fn point_list(points: &[(f64, f64)]) -> String {
@@ -280,10 +280,10 @@ mod tests {
 
     #[test]
     fn tiles_with_shared_edges_become_one_shape_with_holes() {
-        let row = merged(&[square(0.0, 0.0), square(1.0, 0.0), square(5.0, 5.0)]);
+        let row = merge_outlines(&[square(0.0, 0.0), square(1.0, 0.0), square(5.0, 5.0)]);
         assert_eq!(row.iter().map(Vec::len).collect::<Vec<_>>(), [6, 4]);
         let ring: Vec<_> = (0..9).filter(|i| *i != 4).map(|i| square(f64::from(i % 3), f64::from(i / 3))).collect();
-        let merged_ring = merged(&ring);
+        let merged_ring = merge_outlines(&ring);
         assert_eq!(merged_ring.iter().map(Vec::len).sum::<usize>(), 12 + 4);
         assert_eq!(area(&merged_ring), 2 * 8 * 100);
     }

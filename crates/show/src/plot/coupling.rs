@@ -7,7 +7,7 @@
 use super::axes::{Axis, Mark, PlotArea};
 use super::canvas::{Anchor, Canvas, SMALL, Stroke};
 use super::colour::{BOUND, FAINT, FULL, INK, OFF, WASHOUT, scale};
-use super::paper::{EDGE, Paper, wrapped};
+use super::paper::{EDGE, Paper, wrap};
 use super::{Picture, linkage};
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::description::Description;
@@ -281,7 +281,7 @@ fn surface(canvas: &mut Canvas, Place { at, side }: Place, pose: &TaskPose, poin
     let n = Vector3::new(n[0], n[1], n[2]);
     arrow(canvas, pixel(&Vector3::zeros()), pixel(&(n * (1.1 * largest))), BOUND);
     let label = format!("coupling Wrr - Weff, up to {largest:.4} kg; n in purple");
-    for (line, text) in wrapped(&label, side, SMALL).iter().enumerate() {
+    for (line, text) in wrap(&label, side, SMALL).iter().enumerate() {
         let at = (middle.0, at.1 + side + 20.0 + 16.0 * line as f64);
         canvas.text(at, SMALL, Anchor::Middle, false, text);
     }

@@ -5,7 +5,7 @@ use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::description::Description;
 
-use super::axes::{Axis, PlotArea, passes};
+use super::axes::{Axis, PlotArea, crosses_box};
 use super::canvas::{Anchor, Canvas, SMALL, Stroke};
 use super::colour::{FAINT, FULL, INK, OFF, WASHOUT};
 use super::linkage::bounds;
@@ -16,8 +16,8 @@ use haptic_stability::analysis::pose::PoseError;
 use haptic_stability::skeleton::{Angle, Bar, Point, Skeleton, Turret, skeleton};
 
 /// Longest side of the plane, pixels: for a single linkage, and for a reach that no limits keep near it.
-const SIDE: f64 = 460.0;
-const WIDE: f64 = 760.0;
+const LINKAGE_SIDE: f64 = 460.0;
+const REACH_SIDE: f64 = 760.0;
 /// Colour of the workspace.
 const REACH: &str = "#e6edf5";
 /// Colour of links.
@@ -43,9 +43,9 @@ pub fn draw(
     let (low, high) = bounds(bars.chain(reach.iter().flatten().copied()));
     // Room for arcs and labels; a linkage without its reach needs more.
     let (room, side) = match (reach.is_empty(), limited) {
-        (true, _) => (0.22, SIDE),
-        (false, true) => (0.08, SIDE),
-        (false, false) => (0.02, WIDE),
+        (true, _) => (0.22, LINKAGE_SIDE),
+        (false, true) => (0.08, LINKAGE_SIDE),
+        (false, false) => (0.02, REACH_SIDE),
     };
     let room = room * (high.0 - low.0).max(high.1 - low.1);
     let (low, high) = ((low.0 - room, low.1 - room), (high.0 + room, high.1 + room));
@@ -213,7 +213,7 @@ fn links(canvas: &mut Canvas, frame: &PlotArea, skeleton: &Skeleton, names: &[St
             };
             let others = skeleton.bars.iter().filter(|other| *other != bar);
             let mut lines = others.map(|other| [other.from, other.to].map(along));
-            lines.any(|line| passes(&line, (-half.0, -9.0 - HALF_LINK), (half.0, 3.0 + HALF_LINK)))
+            lines.any(|line| crosses_box(&line, (-half.0, -9.0 - HALF_LINK), (half.0, 3.0 + HALF_LINK)))
         };
         let free = places.iter().find(|at| !has_label(**at) && !has_link(**at));
         let at = *free.or_else(|| places.iter().find(|at| !has_label(**at))).unwrap_or(&places[0]);
@@ -317,7 +317,7 @@ fn label(frame: &PlotArea, angle: &Angle, skeleton: &Skeleton) -> Label {
     let has_link = |label: &Label| {
         let [left, top, right, bottom] = label.area();
         let mut links = skeleton.bars.iter().map(|bar| [bar.from, bar.to].map(|end| frame.pixel(end.0, end.1)));
-        links.any(|link| passes(&link, (left, top - HALF_LINK), (right, bottom + HALF_LINK)))
+        links.any(|link| crosses_box(&link, (left, top - HALF_LINK), (right, bottom + HALF_LINK)))
     };
     let other = if anchor == Anchor::End { Anchor::Start } else { Anchor::End };
     let places =
@@ -409,7 +409,7 @@ mod tests {
                     });
                     let clearance = HALF_LINK - 0.1;
                     assert!(
-                        !passes(&along, (low.0, low.1 - clearance), (high.0, high.1 + clearance)),
+                        !crosses_box(&along, (low.0, low.1 - clearance), (high.0, high.1 + clearance)),
                         "{name}: {line}"
                     );
                 }

@@ -21,18 +21,18 @@ use haptic_stability::analysis::pose::PoseError;
 use haptic_stability::skeleton::{Point, Skeleton, Turret, skeleton};
 
 /// Minimum share of the area that the colour scale covers.
-const COVERED: f64 = 0.95;
+const COVERED_SHARE: f64 = 0.95;
 /// Number of colours in the scale. Tiles of one colour are merged; half a colour step is not visible.
-const LEVELS: f64 = 50.0;
+const COLOURS: f64 = 50.0;
 /// Longest side of the plane, pixels.
-const SIDE: f64 = 500.0;
+const PLANE_SIDE: f64 = 500.0;
 /// Room to the left of the plane, and to its right with the colour scale: with its name, and without.
 const LEFT: f64 = 86.0;
-const BESIDE: f64 = 130.0;
-const NARROW_BESIDE: f64 = 92.0;
+const RIGHT: f64 = 130.0;
+const NARROW_RIGHT: f64 = 92.0;
 /// Distance of the normal's arrow from the edge of a narrow page, with room for its name.
 const ARROW: f64 = 40.0;
-const COLOURED: &str = "coupling (Wrr - Weff)/Wrr";
+const COLOUR_NAME: &str = "coupling (Wrr - Weff)/Wrr";
 /// Distance of ellipse centres, pixels, and the radius of an ellipse of typical size.
 const SPACING: f64 = 56.0;
 const RADIUS: f64 = 0.36 * SPACING;
@@ -64,7 +64,7 @@ pub fn draw(
 
 /// Returns the colour of a share on a scale that ends at `top`.
 pub fn colour(share: f64, top: f64) -> String {
-    if share > top { ABOVE.into() } else { scale((share / top * LEVELS).round() / LEVELS) }
+    if share > top { ABOVE.into() } else { scale((share / top * COLOURS).round() / COLOURS) }
 }
 
 /// Draws the map of a device with at least two joints.
@@ -79,15 +79,15 @@ pub fn chart(
     let spec = description.kind.spec();
     let home = description.home.and_then(|home| skeleton(description, &home[..spec.joints]));
     let coarse = cut.tiles(Fineness { side: f64::INFINITY, least: f64::INFINITY, step: f64::INFINITY, top: 1.0 });
-    let (step, top, highest) = scale_of(&coarse);
+    let (step, top, highest) = colour_scale(&coarse);
 
     let tips = coarse.iter().flat_map(|tile| tile.outline.iter().copied());
     let (low, high) = linkage::bounds(tips.chain(home.iter().flat_map(corners)));
     let (across, up) = (high.0 - low.0, high.1 - low.1);
     // On a screen the page is as wide as the plane requires; on paper the plane is as wide as the page allows.
-    let usual = SIDE / across.max(up);
-    let page = paper.page((LEFT + across * usual + BESIDE).max(620.0), LEFT);
-    let room = if page.is_narrow() { NARROW_BESIDE } else { BESIDE };
+    let usual = PLANE_SIDE / across.max(up);
+    let page = paper.page((LEFT + across * usual + RIGHT).max(620.0), LEFT);
+    let room = if page.is_narrow() { NARROW_RIGHT } else { RIGHT };
     let pixels = if paper.is_printed() { usual.min((page.wide - page.left - room) / across) } else { usual };
     let title = format!("{name}: coupling of a wall's normal with free motion");
     let n = unit(normal).unwrap_or_default().iter().map(|v| format!("{v:.3}")).collect::<Vec<_>>().join(", ");
@@ -95,7 +95,7 @@ pub fn chart(
         if description.joints[..spec.joints].iter().all(|j| j.limits.is_none()) { "no joint limits" } else { "" };
     let notes: Vec<&str> = [cut.caption.as_str(), limits].into_iter().filter(|note| !note.is_empty()).collect();
     let mut under = vec![format!("normal n = ({n})"), notes.join("; ")];
-    under.extend(page.is_narrow().then(|| format!("colour: {COLOURED}")));
+    under.extend(page.is_narrow().then(|| format!("colour: {COLOUR_NAME}")));
     let heading = page.heading(&title, &under);
     let mut frame = PlotArea {
         at: (page.left, 92.0 + heading.beyond(2)),
@@ -108,17 +108,17 @@ pub fn chart(
         frame.y.name = "y in the linkage's plane".into();
     }
     let bottom = frame.at.1 + frame.size.1;
-    let beside = if Turret::of(description.kind).is_some() { " (joint 0's axis is one)" } else { "" };
+    let axis_note = if Turret::of(description.kind).is_some() { " (such as joint 0's axis)" } else { "" };
     let coloured = [
-        format!("coloured: where the tip gets from home, clear of singular poses{beside}"),
-        "in home's arm pose: others with the tip in the same place are not drawn".into(),
+        format!("coloured: positions that the tip reaches from home, clear of singular poses{axis_note}"),
+        "in home's arm pose: other arm poses with the same tip position are not drawn".into(),
     ];
     let coloured = page.notes(coloured.iter().map(String::as_str));
     let key_high = if page.is_narrow() { 36.0 } else { 0.0 };
     let mut canvas = page.canvas(bottom + key_high + 106.0 + 16.0 * coloured.len() as f64);
     heading.draw(&mut canvas);
 
-    let fine = cut.tiles(Fineness { side: 12.0 / pixels, least: 3.0 / pixels, step: 2.0 * top / LEVELS, top });
+    let fine = cut.tiles(Fineness { side: 12.0 / pixels, least: 3.0 / pixels, step: 2.0 * top / COLOURS, top });
     frame.clipped(&mut canvas, |canvas| paint(canvas, &frame, &fine, top));
     let typical = ellipses(&mut canvas, &frame, &cut, pixels)?;
     if let Some(home) = &home {
@@ -144,14 +144,14 @@ fn corners(skeleton: &Skeleton) -> impl Iterator<Item = Point> + '_ {
 }
 
 /// Returns the tick step and the top of the colour scale, and the highest share.
-fn scale_of(tiles: &[Tile]) -> (f64, f64, f64) {
+fn colour_scale(tiles: &[Tile]) -> (f64, f64, f64) {
     let mut shares: Vec<(f64, f64)> = tiles.iter().map(|tile| (tile.share, tile.area())).collect();
     shares.sort_by(|a, b| a.0.total_cmp(&b.0));
     let total: f64 = shares.iter().map(|(_, area)| area).sum();
     let mut below = 0.0;
     let covering = shares.iter().find(|(_, area)| {
         below += area;
-        below >= COVERED * total
+        below >= COVERED_SHARE * total
     });
     let covered = covering.map_or(0.0, |(share, _)| *share).max(1e-3);
     let step = round_step(covered / 5.0);
@@ -269,7 +269,7 @@ fn colour_bar(canvas: &mut Canvas, frame: &PlotArea, step: f64, top: f64, highes
     }
     let middle = frame.at.1 + frame.size.1 / 2.0;
     if name {
-        canvas.text((left + 88.0, middle), 12.5, Anchor::Middle, true, COLOURED);
+        canvas.text((left + 88.0, middle), 12.5, Anchor::Middle, true, COLOUR_NAME);
     }
 }
 

@@ -66,15 +66,15 @@ impl Page {
         let room = self.wide - self.begin - EDGE;
         Heading {
             begin: self.begin,
-            titles: wrapped(title, room, TITLE.0),
-            under: under.iter().flat_map(|line| wrapped(line, room, UNDER.0)).collect(),
+            titles: wrap(title, room, TITLE.0),
+            under: under.iter().flat_map(|line| wrap(line, room, UNDER.0)).collect(),
         }
     }
 
     /// Wraps notes in small text below a frame.
     pub fn notes<'a>(&self, notes: impl IntoIterator<Item = &'a str>) -> Vec<String> {
         let room = self.wide - self.begin - EDGE;
-        notes.into_iter().flat_map(|note| wrapped(note, room, SMALL)).collect()
+        notes.into_iter().flat_map(|note| wrap(note, room, SMALL)).collect()
     }
 }
 
@@ -107,7 +107,7 @@ impl Heading {
 }
 
 /// Wraps words into lines not wider than `room` at this letter size; a single long word may be wider.
-pub fn wrapped(text: &str, room: f64, size: f64) -> Vec<String> {
+pub fn wrap(text: &str, room: f64, size: f64) -> Vec<String> {
     // A letter of the font is at most 0.6 of its size wide.
     let max_letters = (room / (0.6 * size)) as usize;
     let mut lines = vec![String::new()];

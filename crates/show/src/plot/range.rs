@@ -160,13 +160,13 @@ struct Bound {
 /// Returns the bounds, with a description of each bound that cannot be seen in this frame.
 fn bounds(passivity: &Passivity, frame: &PlotArea) -> Vec<Bound> {
     // Smallest visible distance from an axis, pixels.
-    const SEEN: f64 = 2.0;
+    const MIN_VISIBLE: f64 = 2.0;
     /// Pieces of the curve of the first bound.
     const PIECES: usize = 40;
     let (max_stiffness, end) = (passivity.sampled(0.0), passivity.largest_damping());
     let (right, top) = frame.pixel(end, max_stiffness);
     let bottom = frame.at.1 + frame.size.1;
-    let small = right - frame.at.0 < SEEN || bottom - top < SEEN;
+    let small = right - frame.at.0 < MIN_VISIBLE || bottom - top < MIN_VISIBLE;
     let at = |i: usize| end * i as f64 / PIECES as f64;
     let mut bounds = vec![Bound {
         name: "Colgate and Schenkel, of this loop",
@@ -176,7 +176,7 @@ fn bounds(passivity: &Passivity, frame: &PlotArea) -> Vec<Bound> {
     }];
     if let Some(limit) = passivity.quantised() {
         let (_, y) = frame.pixel(0.0, limit);
-        let is_hidden = bottom - y < SEEN || y < frame.at.1;
+        let is_hidden = bottom - y < MIN_VISIBLE || y < frame.at.1;
         bounds.push(Bound {
             name: "kp ≤ 2 fc/Δ as well, at kd = 0",
             dash: "1.5 2.5",

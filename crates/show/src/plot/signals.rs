@@ -183,12 +183,12 @@ impl<'a> Rows<'a> {
     /// Returns the number of rows to combine into one drawn point, because single rows show encoder steps. Together
     /// they last at least a millisecond; at 1 kHz and below every row is drawn.
     fn together(&self) -> usize {
-        (self.rate_hz / SMOOTHED_HZ).ceil().max(1.0) as usize
+        (self.rate_hz / MAX_PHASE_HZ).ceil().max(1.0) as usize
     }
 
     /// Returns a test for rows in which torque still ramps up after the motors were switched on: their force is less
     /// than the wall's.
-    fn ramping(&self) -> impl Fn(&[f64]) -> bool {
+    fn ramp_test(&self) -> impl Fn(&[f64]) -> bool {
         let armed =
             |row: &[f64]| self.recording.column("state").map(|state| row[state] == State::Armed as usize as f64);
         let pairs = self.recording.rows.windows(2);
@@ -199,7 +199,7 @@ impl<'a> Rows<'a> {
     }
 
     /// Returns a test for rows whose force was cut by a limit; `None` if it is not recorded.
-    fn cut(&self) -> Option<impl Fn(&[f64]) -> bool> {
+    fn limit_test(&self) -> Option<impl Fn(&[f64]) -> bool> {
         let names = (0..MAX_JOINTS).map(|joint| format!("saturated{joint}"));
         let columns: Vec<usize> = names.filter_map(|name| self.recording.column(&name)).collect();
         (!columns.is_empty()).then_some(move |row: &[f64]| columns.iter().any(|column| row[*column] != 0.0))
@@ -208,7 +208,7 @@ impl<'a> Rows<'a> {
 
 /// Row rate above which a phase portrait shows means, Hz: differences between single rows are encoder steps, whose
 /// velocities would turn the line into an area.
-const SMOOTHED_HZ: f64 = 1000.0;
+const MAX_PHASE_HZ: f64 = 1000.0;
 /// Lower frequencies are motion and not vibration, Hz.
 const SLOW_HZ: f64 = 10.0;
 /// Smallest amplitude that is drawn, relative to the strongest line.

@@ -16,11 +16,11 @@ const VALUE: f64 = 120.0;
 const ROW: f64 = 40.0;
 const TOP: f64 = 92.0;
 /// Shorter bars are placed under their names instead of next to them, pixels.
-const SHORTEST: f64 = 200.0;
+const MIN_BAR_WIDTH: f64 = 200.0;
 /// Minimum distance between the names of decades, pixels.
-const APART: f64 = 78.0;
+const DECADE_GAP: f64 = 78.0;
 /// Meaning of the bars, next to the names of their colours.
-const BARS: &str = "largest stable stiffness without the effect";
+const BAR_MEANING: &str = "largest stable stiffness without the effect";
 
 /// Draws the picture under a heading and two smaller lines.
 pub fn draw(title: &str, subtitle: &[String; 2], why: &Why, paper: Paper) -> Picture {
@@ -30,12 +30,12 @@ pub fn draw(title: &str, subtitle: &[String; 2], why: &Why, paper: Paper) -> Pic
     let longest = rows.iter().map(|(name, _)| name.chars().count()).max().unwrap_or(0);
     let name_width = 24.0 + LETTER * longest as f64;
     let page = paper.page(name_width + WIDTH + VALUE, 16.0);
-    let in_line = page.wide - name_width - VALUE > SHORTEST;
+    let in_line = page.wide - name_width - VALUE > MIN_BAR_WIDTH;
     let (left, row_high) = if in_line { (name_width, ROW) } else { (EDGE, ROW + 16.0) };
     let width = page.wide - left - VALUE;
     let mut under = subtitle.to_vec();
-    let below = in_line && page.wide - left - 260.0 > LETTER * BARS.len() as f64;
-    under.extend((!below).then(|| format!("bars: {BARS}")));
+    let below = in_line && page.wide - left - 260.0 > LETTER * BAR_MEANING.len() as f64;
+    under.extend((!below).then(|| format!("bars: {BAR_MEANING}")));
     let heading = page.heading(title, &under);
     let top_of_rows = TOP + heading.beyond(2);
     let values = || rows.iter().flat_map(|(_, both)| [both.off, both.full]).flatten().map(|limits| limits.kp_max);
@@ -47,14 +47,14 @@ pub fn draw(title: &str, subtitle: &[String; 2], why: &Why, paper: Paper) -> Pic
 
     let mut canvas = page.canvas(bottom + 56.0);
     heading.draw(&mut canvas);
-    let every = (APART * (high - low) / width).ceil().max(1.0) as usize;
+    let every = (DECADE_GAP * (high - low) / width).ceil().max(1.0) as usize;
     for (index, decade) in (low as i32..=high as i32).enumerate() {
         let kp = 10f64.powi(decade);
         let line = Stroke { colour: FAINT, width: 0.8, dash: "2 3" };
         canvas.line((at(kp), top_of_rows - 6.0), (at(kp), bottom), line);
         if index % every == 0 {
             // The first name must not begin before the page.
-            let anchor = if at(kp) < APART / 2.0 { Anchor::Start } else { Anchor::Middle };
+            let anchor = if at(kp) < DECADE_GAP / 2.0 { Anchor::Start } else { Anchor::Middle };
             canvas.text((at(kp), bottom + 16.0), SMALL, anchor, false, &with_unit(kp, "N/m"));
         }
     }
@@ -86,7 +86,7 @@ pub fn draw(title: &str, subtitle: &[String; 2], why: &Why, paper: Paper) -> Pic
     canvas.coloured_text((left, bottom + 40.0), 12.0, Anchor::Start, OFF, "no feed-forward");
     canvas.coloured_text((left + 130.0, bottom + 40.0), 12.0, Anchor::Start, FULL, "feed-forward (4)");
     if below {
-        canvas.text((left + 260.0, bottom + 40.0), 12.0, Anchor::Start, false, BARS);
+        canvas.text((left + 260.0, bottom + 40.0), 12.0, Anchor::Start, false, BAR_MEANING);
     }
     canvas.finish(title, "Largest stable stiffness with everything, and without each effect in turn.")
 }

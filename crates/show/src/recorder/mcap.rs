@@ -25,10 +25,10 @@ use std::time::{SystemTime, UNIX_EPOCH};
 /// Bytes at the begin of an MCAP file.
 pub const MAGIC: &[u8] = b"\x89MCAP0\r\n";
 /// Message bytes in a chunk; `flush` ends a chunk earlier.
-const CHUNK: usize = 512 * 1024;
+const CHUNK_BYTES: usize = 512 * 1024;
 /// Names of the metadata records at the head and at the end.
-const HEAD: &str = "haptic-bridge";
-const END: &str = "haptic-bridge end";
+const HEAD_RECORD: &str = "haptic-bridge";
+const END_RECORD: &str = "haptic-bridge end";
 
 /// Encoded bytes that are not yet in the file.
 #[derive(Clone, Debug, Default)]
@@ -63,13 +63,13 @@ pub struct McapRecorder {
     event: MessageDescriptor,
     channels: [u16; 2],
     /// This computer's clock at the first row, ns since 1970.
-    began: u64,
+    start_ns: u64,
     sequence: u32,
-    gathered: usize,
+    gathered_bytes: usize,
     /// Rows in the file, and in the unfinished chunk.
     rows: u64,
-    waiting: u64,
-    ended: bool,
+    pending_rows: u64,
+    is_ended: bool,
 }
 
 impl std::fmt::Debug for McapRecorder {
@@ -109,7 +109,7 @@ impl McapRecorder {
                 .chunk_size(None)
                 .disable_seeking(true)
                 .create(NoSeek::new(pending.clone()))?;
-            writer.write_metadata(&Metadata { name: HEAD.into(), metadata: about.map() })?;
+            writer.write_metadata(&Metadata { name: HEAD_RECORD.into(), metadata: about.map() })?;
             let mut channel = |topic, message: &MessageDescriptor| -> Result<u16, McapError> {
                 let set = message.parent_pool().encode_to_vec();
                 let schema = writer.add_schema(message.full_name(), "protobuf", &set)?;
@@ -131,12 +131,12 @@ impl McapRecorder {
             row,
             event,
             channels,
-            began: 0,
+            start_ns: 0,
             sequence: 0,
-            gathered: 0,
+            gathered_bytes: 0,
             rows: 0,
-            waiting: 0,
-            ended: false,
+            pending_rows: 0,
+            is_ended: false,
         };
         recorder.write_pending().map_err(|error| {
             if let (true, Ok(file)) = (can_truncate, std::fs::canonicalize(path)) {
@@ -149,11 +149,11 @@ impl McapRecorder {
     }
 
     fn write(&mut self, channel: usize, time: f64, message: &[u8]) -> Result<(), RecordError> {
-        if self.began == 0 {
+        if self.start_ns == 0 {
             let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-            self.began = u64::try_from(now.as_nanos()).unwrap_or(1).max(1);
+            self.start_ns = u64::try_from(now.as_nanos()).unwrap_or(1).max(1);
         }
-        let log_time = self.began + (1e9 * time.max(0.0)).round() as u64;
+        let log_time = self.start_ns + (1e9 * time.max(0.0)).round() as u64;
         self.sequence = self.sequence.wrapping_add(1);
         let header = MessageHeader {
             channel_id: self.channels[channel],
@@ -162,7 +162,7 @@ impl McapRecorder {
             publish_time: log_time,
         };
         self.writer.write_to_known_channel(&header, message).map_err(to_error)?;
-        self.gathered += message.len();
+        self.gathered_bytes += message.len();
         Ok(())
     }
 
@@ -170,8 +170,8 @@ impl McapRecorder {
     pub fn row(&mut self, step: u32, time: f64, row: &[f64]) -> Result<(), RecordError> {
         let message = protobuf::pack(&self.row, [f64::from(step), time].into_iter().chain(row.iter().copied()));
         self.write(0, time, &message)?;
-        self.waiting += 1;
-        if self.gathered >= CHUNK { self.flush() } else { Ok(()) }
+        self.pending_rows += 1;
+        if self.gathered_bytes >= CHUNK_BYTES { self.flush() } else { Ok(()) }
     }
 
     /// Adds an event at a time since the first row, s.
@@ -182,12 +182,12 @@ impl McapRecorder {
 
     /// Ends the chunk and writes it; if the disk has no room for it, the file keeps the previous chunks.
     pub fn flush(&mut self) -> Result<(), RecordError> {
-        self.gathered = 0;
+        self.gathered_bytes = 0;
         self.writer.flush().map_err(to_error)?;
-        let waiting = std::mem::take(&mut self.waiting);
+        let pending_rows = std::mem::take(&mut self.pending_rows);
         match self.write_pending() {
             Ok(()) => {
-                self.rows += waiting;
+                self.rows += pending_rows;
                 Ok(())
             }
             Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Err(RecordError::ReaderGone),
@@ -202,7 +202,7 @@ impl McapRecorder {
                 let _ = self.file.set_len(self.complete).and_then(|()| self.file.seek(SeekFrom::Start(self.complete)));
             }
             // Nothing can follow, because the truncated part would be missing.
-            self.ended = true;
+            self.is_ended = true;
             return Err(error);
         }
         self.complete += bytes.len() as u64;
@@ -211,7 +211,7 @@ impl McapRecorder {
 
     /// Writes the summary and the index, which end the file.
     pub fn end(&mut self, words: &str, losses: &Losses) -> Result<(), RecordError> {
-        if self.ended {
+        if self.is_ended {
             return Ok(());
         }
         self.flush()?;
@@ -224,10 +224,10 @@ impl McapRecorder {
             ("frames_garbled", losses.garbled.to_string()),
         ];
         let metadata = entries.map(|(name, value)| (name.to_string(), value)).into();
-        self.writer.write_metadata(&Metadata { name: END.into(), metadata }).map_err(to_error)?;
+        self.writer.write_metadata(&Metadata { name: END_RECORD.into(), metadata }).map_err(to_error)?;
         self.writer.finish().map_err(to_error)?;
         let result = self.write_pending().map_err(|error| RecordError::Failed(output::refused(&self.path, &error)));
-        self.ended = true;
+        self.is_ended = true;
         result
     }
 
@@ -249,9 +249,9 @@ impl McapRecorder {
 
 impl Drop for McapRecorder {
     fn drop(&mut self) {
-        if !self.ended {
+        if !self.is_ended {
             let _ = self.flush();
-            // Without this flush failing, the format writes its index into memory that is never read.
+            // Ends the writer; its index goes to memory that is never read.
             let _ = self.writer.finish();
         }
     }
@@ -269,7 +269,7 @@ pub fn parse(bytes: &[u8]) -> Result<Recording, String> {
         // Data behind the last complete record is ignored.
         let Ok(record) = record else { break };
         match record {
-            Record::Metadata(Metadata { name, metadata }) if name == HEAD || name == END => {
+            Record::Metadata(Metadata { name, metadata }) if name == HEAD_RECORD || name == END_RECORD => {
                 let about = metadata.get("about").map(String::as_str).unwrap_or_default();
                 recording.about.extend(about.lines().map(Into::into));
             }

@@ -43,19 +43,19 @@ const POLICY: &str = "default-src 'none'; script-src 'unsafe-inline'; style-src 
 const MAX_HEAD: usize = 8192;
 /// Time limit for a head: browsers open connections before they use them. Silent connections are closed first if places
 /// are short, so the long limit does no harm.
-const HEAD_TIME: Duration = Duration::from_secs(10);
+const HEAD_TIMEOUT: Duration = Duration::from_secs(10);
 /// Maximum number of connections whose head has not been read, in total and from one address: a browser opens six.
-const HANDSHAKES: (usize, usize) = (32, 8);
+const MAX_HANDSHAKES: (usize, usize) = (32, 8);
 /// Maximum length of a page's message, bytes.
 const MAX_MESSAGE: usize = 16 * 1024;
 /// Time for which a page's thread reads before it sends messages: 8 ms, half a picture.
-const LISTEN: Duration = Duration::from_millis(8);
+const READ_TIME: Duration = Duration::from_millis(8);
 /// Maximum number of a page's messages in that time; further messages wait.
 const MAX_MESSAGES: usize = 32;
 /// Maximum number of bytes on their way to a page: some pictures with sweeps and sound.
 const MAX_UNREAD: usize = 4 * 1024 * 1024;
 /// Longest time for which a page may leave data unread.
-const SEND: Duration = Duration::from_secs(2);
+const SEND_TIMEOUT: Duration = Duration::from_secs(2);
 /// Maximum number of authenticated connections, of pages and others.
 const MAX_CONNECTIONS: usize = 64;
 
@@ -90,7 +90,7 @@ impl PageListener {
         let mut address = self.listener.local_addr()?;
         if address.ip().is_unspecified() {
             // An unspecified address means all addresses; a browser cannot open it.
-            address.set_ip(outward(address.ip()).unwrap_or(local(address.ip())));
+            address.set_ip(outward_address(address.ip()).unwrap_or(loopback_address(address.ip())));
         }
         let token = self.token.as_ref().map_or(String::new(), |token| format!("?token={token}"));
         Ok(format!("http://{address}/{token}"))
@@ -101,7 +101,7 @@ impl PageListener {
         let ip = self.listener.local_addr()?.ip();
         Ok(match ip.is_unspecified() {
             false => Reach::Address,
-            true if outward(ip).is_some() => Reach::Others,
+            true if outward_address(ip).is_some() => Reach::Others,
             true => Reach::Unknown,
         })
     }
@@ -110,7 +110,7 @@ impl PageListener {
     pub fn serve(self, hub: Hub) {
         let token = Arc::new(self.token);
         let open = Arc::new(AtomicUsize::new(0));
-        let handshakes = Places::new(HANDSHAKES.0, HANDSHAKES.1);
+        let handshakes = Places::new(MAX_HANDSHAKES.0, MAX_HANDSHAKES.1);
         thread::spawn(move || {
             for stream in self.listener.incoming() {
                 let Ok(stream) = stream else { continue };
@@ -126,7 +126,7 @@ impl PageListener {
 }
 
 /// Returns this computer's address for others: the source address for sending. Nothing is sent.
-fn outward(all: IpAddr) -> Option<IpAddr> {
+fn outward_address(all: IpAddr) -> Option<IpAddr> {
     let target: IpAddr = match all {
         IpAddr::V4(_) => Ipv4Addr::new(192, 0, 2, 1).into(),
         IpAddr::V6(_) => Ipv6Addr::new(0x2001, 0xdb8, 0, 0, 0, 0, 0, 1).into(),
@@ -137,7 +137,7 @@ fn outward(all: IpAddr) -> Option<IpAddr> {
     (!from.is_unspecified() && !from.is_loopback()).then_some(from)
 }
 
-fn local(all: IpAddr) -> IpAddr {
+fn loopback_address(all: IpAddr) -> IpAddr {
     if all.is_ipv4() { Ipv4Addr::LOCALHOST.into() } else { Ipv6Addr::LOCALHOST.into() }
 }
 
@@ -162,7 +162,7 @@ pub(crate) fn read_request(stream: &mut TcpStream) -> Option<Request> {
 fn try_read_request(stream: &mut TcpStream, bytes: &mut Vec<u8>) -> Option<Request> {
     let began = Instant::now();
     while bytes.len() < MAX_HEAD {
-        let left = HEAD_TIME.checked_sub(began.elapsed()).filter(|left| !left.is_zero())?;
+        let left = HEAD_TIMEOUT.checked_sub(began.elapsed()).filter(|left| !left.is_zero())?;
         stream.set_read_timeout(Some(left)).ok()?;
         let mut buffer = [0; 1024];
         let count = stream.read(&mut buffer).ok().filter(|count| *count > 0)?;
@@ -212,7 +212,7 @@ fn handle_connection(
     open: &AtomicUsize,
 ) -> tungstenite::Result<()> {
     stream.set_nodelay(true)?;
-    stream.set_write_timeout(Some(SEND))?;
+    stream.set_write_timeout(Some(SEND_TIMEOUT))?;
     let Some(request) = read_request(&mut stream) else {
         return respond(&mut stream, ("400 Bad Request", "not a request that this server understands"));
     };
@@ -223,7 +223,7 @@ fn handle_connection(
     let result = match (open.fetch_add(1, Ordering::SeqCst) < MAX_CONNECTIONS, request.uri().path()) {
         (false, _) => respond(&mut stream, ("503 Service Unavailable", "too many connections are open")),
         (true, "/") => send_page(&mut stream),
-        (true, "/live") => live(stream, &request, hub),
+        (true, "/live") => serve_live(stream, &request, hub),
         (true, _) => respond(&mut stream, ("404 Not Found", "nothing is here; the page is at /")),
     };
     open.fetch_sub(1, Ordering::SeqCst);
@@ -252,7 +252,7 @@ fn respond(stream: &mut TcpStream, (status, words): Refusal) -> tungstenite::Res
     Ok(())
 }
 
-fn live(mut stream: TcpStream, request: &Request, hub: &Hub) -> tungstenite::Result<()> {
+fn serve_live(mut stream: TcpStream, request: &Request, hub: &Hub) -> tungstenite::Result<()> {
     let Ok(response) = create_response(request) else {
         return respond(&mut stream, ("400 Bad Request", "this address is a WebSocket; the page is at /"));
     };
@@ -271,7 +271,7 @@ fn converse(
     id: PageId,
 ) -> tungstenite::Result<()> {
     write_response(&mut stream, response)?;
-    stream.set_read_timeout(Some(LISTEN))?;
+    stream.set_read_timeout(Some(READ_TIME))?;
     let config = WebSocketConfig::default()
         .max_message_size(Some(MAX_MESSAGE))
         .max_frame_size(Some(MAX_MESSAGE))
@@ -288,7 +288,7 @@ fn converse(
                 Err(tungstenite::Error::Io(error)) if nothing_yet(&error) => break,
                 Err(error) => return Err(error),
             }
-            match LISTEN.checked_sub(began.elapsed()) {
+            match READ_TIME.checked_sub(began.elapsed()) {
                 // After the maximum number of messages, the rest waits for the page's next turn.
                 Some(left) if count == MAX_MESSAGES => thread::sleep(left),
                 Some(_) => {}

@@ -8,7 +8,7 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// Maximum number of pages at once.
-pub const MOST_PAGES: usize = 16;
+pub const MAX_PAGES: usize = 16;
 /// Maximum number of a page's messages that wait for the stage.
 const MAX_INCOMING: usize = 64;
 /// Maximum number of documents queued for one page, pictures not counted.
@@ -153,7 +153,7 @@ impl Hub {
     /// Adds a page; `None` if there are too many.
     pub fn come(&self) -> Option<PageId> {
         let mut pages = self.pages();
-        if pages.open.len() >= MOST_PAGES {
+        if pages.open.len() >= MAX_PAGES {
             return None;
         }
         pages.newest += 1;
@@ -276,8 +276,8 @@ mod tests {
     #[test]
     fn pages_connect_up_to_the_maximum() {
         let hub = Hub::default();
-        let pages: Vec<_> = (0..=MOST_PAGES).map(|_| hub.come()).collect();
-        assert!(pages[..MOST_PAGES].iter().all(Option::is_some) && pages[MOST_PAGES].is_none());
+        let pages: Vec<_> = (0..=MAX_PAGES).map(|_| hub.come()).collect();
+        assert!(pages[..MAX_PAGES].iter().all(Option::is_some) && pages[MAX_PAGES].is_none());
     }
 
     #[test]

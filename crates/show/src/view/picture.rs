@@ -33,9 +33,9 @@ pub const FIELDS: Fields = Fields(
 );
 
 /// Time over which ripple, saturation and power are computed, s.
-const RECENT: f64 = 0.1;
+const RECENT_TIME: f64 = 0.1;
 /// Time over which the frequency of an oscillation is computed, s: three periods of 10 Hz.
-const OSCILLATION: f64 = 0.3;
+const OSCILLATION_TIME: f64 = 0.3;
 
 /// A point or a vector of the drawn plane.
 type Flat = [f64; 2];
@@ -152,10 +152,11 @@ impl<'a> Newest<'a> {
             geometry.base = drawn.base.iter().map(|base| (*base).into()).collect();
         }
         geometry.springs = scene.springs.iter().map(|spring| padded(&spring_anchor(spring, &tip[..task]))).collect();
-        let recent = (RECENT * rows_hz).ceil() as u64;
+        let recent = (RECENT_TIME * rows_hz).ceil() as u64;
         let wall = nearest_wall(scene, &tip[..task]);
         let stiffness = wall.map_or(0.0, |(index, _)| scene.walls[index].stiffness);
-        let force: Vec<f64> = self.recent(Field::RenderedForce, 0, (OSCILLATION * rows_hz).ceil() as u64).collect();
+        let force: Vec<f64> =
+            self.recent(Field::RenderedForce, 0, (OSCILLATION_TIME * rows_hz).ceil() as u64).collect();
         let mut numbers = Numbers {
             force: self.get(Field::RenderedForce, 0),
             depth: -self.get(Field::Distance, 0),
@@ -165,7 +166,7 @@ impl<'a> Newest<'a> {
             power: energy_given_out(
                 self.recent(Field::RenderedForce, 0, recent).zip(self.recent(Field::Distance, 0, recent)),
                 stiffness,
-            ) / RECENT,
+            ) / RECENT_TIME,
             saturated: (0..joints)
                 .map(|axis| share(self.recent(Field::Saturated, axis, recent), |value| value > 0.0))
                 .fold(0.0, f64::max),

@@ -112,12 +112,12 @@ impl Plane {
 }
 
 impl PredictionRequest {
-    /// Returns the prediction, and the device linearised along the wall's normal.
+    /// Returns the prediction, and the device model along the wall's normal.
     fn prediction(&self) -> Option<(Prediction, Linearised)> {
         let wall = self.scene.walls.get(self.wall)?;
         let prediction = Prediction::in_scene(&self.subject, &self.scene, Some(wall), &self.path)?;
-        let linearised = prediction.seen(&self.q, &self.normal).ok()?;
-        Some((prediction, linearised))
+        let model = prediction.seen(&self.q, &self.normal).ok()?;
+        Some((prediction, model))
     }
 
     fn mode(&self) -> Option<Mode> {
@@ -130,10 +130,10 @@ impl PredictionRequest {
 pub fn predict(request: &PredictionRequest) -> Option<Plane> {
     let PredictionRequest { scene, wall: index, q, normal, .. } = request;
     let wall = scene.walls.get(*index)?;
-    let (prediction, linearised) = request.prediction()?;
+    let (prediction, model) = request.prediction()?;
     let range = prediction.range(q, &[Member::new(normal.clone(), 1.0)], None, Some(wall.washout_hz)).ok()?;
     let washout = range.washout.map_or_else(Vec::new, |domain| domain.boundary);
-    let limits = if request.explain { explain(request, &prediction, &linearised) } else { None };
+    let limits = if request.explain { explain(request, &prediction, &model) } else { None };
     Some(Plane {
         wall: *index,
         q: q.clone(),
@@ -142,7 +142,7 @@ pub fn predict(request: &PredictionRequest) -> Option<Plane> {
         off: range.off.boundary,
         full: range.full.boundary,
         washout,
-        assumes: assumptions(request, &prediction, &linearised),
+        assumes: assumptions(request, &prediction, &model),
         limits,
     })
 }
@@ -155,9 +155,9 @@ pub fn buzz(request: &PredictionRequest) -> Option<Oscillation> {
     prediction.buzz(&request.q, &members, request.mode()?, wall.stiffness, wall.damping).ok()?
 }
 
-fn explain(request: &PredictionRequest, prediction: &Prediction, linearised: &Linearised) -> Option<Explained> {
-    let (mode, control_loop) = (request.mode()?, &prediction.around);
-    let (all, without) = limits_without(linearised, control_loop, mode).ok()?;
+fn explain(request: &PredictionRequest, prediction: &Prediction, model: &Linearised) -> Option<Explained> {
+    let (mode, control) = (request.mode()?, &prediction.around);
+    let (all, without) = limits_without(model, control, mode).ok()?;
     let mut without: Vec<Without> = without
         .into_iter()
         .map(|(effect, instead, limits)| Without {
@@ -174,9 +174,7 @@ fn explain(request: &PredictionRequest, prediction: &Prediction, linearised: &Li
                 with_unit(hand.stiffness, "N/m"),
                 with_unit(hand.damping, "N s/m")
             ),
-            stiffness: domain(&linearised.clone().held(hand), control_loop, mode, None)
-                .ok()
-                .map(|domain| domain.top.kp),
+            stiffness: domain(&model.clone().held(hand), control, mode, None).ok().map(|domain| domain.top.kp),
         });
     }
     let device = &request.subject.device;
@@ -191,26 +189,24 @@ fn explain(request: &PredictionRequest, prediction: &Prediction, linearised: &Li
 }
 
 /// Describes the assumptions of the prediction, and the effects that it leaves out.
-fn assumptions(request: &PredictionRequest, prediction: &Prediction, linearised: &Linearised) -> Vec<String> {
-    let (control_loop, subject, scene) = (&prediction.around, &prediction.subject, &request.scene);
+fn assumptions(request: &PredictionRequest, prediction: &Prediction, model: &Linearised) -> Vec<String> {
+    let (control, subject, scene) = (&prediction.around, &prediction.subject, &request.scene);
     let joints = |which: Vec<usize>| {
         let names: Vec<String> = which.iter().map(usize::to_string).collect();
         format!("joint{} {}", if names.len() == 1 { "" } else { "s" }, listed(&names))
     };
-    let (estimator, samples) = control_loop.estimator.name_and_window();
+    let (estimator, samples) = control.estimator.name_and_window();
     let over = if samples > 1 { format!(" over {}", counted(samples, "sample")) } else { String::new() };
-    let filter = control_loop
-        .estimator
-        .cutoff_hz()
-        .map_or(", no filter".into(), |hz| format!(", cut-off {}", with_unit(hz, "Hz")));
+    let filter =
+        control.estimator.cutoff_hz().map_or(", no filter".into(), |hz| format!(", cut-off {}", with_unit(hz, "Hz")));
     let mut sentences = vec![
         format!(
             "Control at {}; torque follows the encoders by {} samples.",
-            with_unit(control_loop.rate_hz, "Hz"),
-            digits(control_loop.delay_samples)
+            with_unit(control.rate_hz, "Hz"),
+            digits(control.delay_samples)
         ),
         format!("Velocity: {estimator}{over}{filter}."),
-        match &control_loop.drive {
+        match &control.drive {
             Drive::Ideal => "Drive: torque at once.".into(),
             Drive::Current { bandwidth_hz } => {
                 format!("Drive: a current loop that lags as {} does.", with_unit(*bandwidth_hz, "Hz"))
@@ -218,7 +214,7 @@ fn assumptions(request: &PredictionRequest, prediction: &Prediction, linearised:
             Drive::Voltage(_) => "Drive: by voltage, with the motors' resistance, inductance and back-EMF.".into(),
         },
     ];
-    let compliant: Vec<usize> = linearised
+    let compliant: Vec<usize> = model
         .flexible
         .transmissions
         .iter()
@@ -226,7 +222,7 @@ fn assumptions(request: &PredictionRequest, prediction: &Prediction, linearised:
         .filter(|(_, transmission)| transmission.is_some())
         .map(|(at, _)| at)
         .collect();
-    let at_tip = linearised
+    let at_tip = model
         .compliance(Mode::Off)
         .map(|compliance| 1.0 / compliance)
         .map(|at_tip| format!(", which leaves {} at the tip along this wall", with_unit(at_tip, "N/m")));
@@ -240,21 +236,21 @@ fn assumptions(request: &PredictionRequest, prediction: &Prediction, linearised:
             at_tip.unwrap_or_default()
         ),
     });
-    let mut bending: Vec<usize> = linearised.flexible.modes.iter().map(|(joint, _)| *joint).collect();
+    let mut bending: Vec<usize> = model.flexible.modes.iter().map(|(joint, _)| *joint).collect();
     bending.dedup();
     if !bending.is_empty() {
         sentences.push(format!("Links: structural modes at {}, as in the device file.", joints(bending)));
     }
-    sentences.push(match linearised.viscous.iter().any(|viscous| *viscous > 0.0) {
+    sentences.push(match model.viscous.iter().any(|viscous| *viscous > 0.0) {
         true => "Friction: viscous, as in the device file.".into(),
         false => "Friction: none; the device file gives no viscous damping.".into(),
     });
-    if let Some((posture, _)) = &linearised.flexible.posture {
+    if let Some((posture, _)) = &model.flexible.posture {
         let stiffness = with_unit(posture.stiffness, "N m/rad");
         sentences.push(format!("Posture: the last link is held by {stiffness}, as in the scene."));
     }
-    if linearised.gain != 1.0 {
-        sentences.push(format!("Feed-forward: {} of equation (4)'s, as in the scene.", digits(linearised.gain)));
+    if model.gain != 1.0 {
+        sentences.push(format!("Feed-forward: {} of equation (4)'s, as in the scene.", digits(model.gain)));
     }
     sentences.push(match prediction.hand.is_there() {
         true => "Hand: as given.".into(),

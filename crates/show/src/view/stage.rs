@@ -46,7 +46,7 @@ use std::time::{Duration, Instant};
 use walls::check_scene;
 
 /// Maximum number of events in a turn; those that turn motors off come first ([`Hub::next`]).
-const EVENTS: usize = 64;
+const MAX_EVENTS: usize = 64;
 /// Longest age of the key press, both by the board's steps and by the page's last message, before the motors go off. It
 /// is shorter than the board's own limit ([`haptic_bridge::control::KEY_SECONDS`]), whose end is a fault, by a
 /// heartbeat and a turn of this stage.
@@ -55,19 +55,19 @@ pub const KEY_TIMEOUT: Duration = Duration::from_millis(400);
 const EXIT_DISTANCE: f64 = 0.005;
 const EXIT_TIMEOUT: Duration = Duration::from_secs(2);
 /// How long the page in command may be silent before another page may take command.
-const ABSENCE: Duration = Duration::from_secs(5);
+const COMMAND_TIMEOUT: Duration = Duration::from_secs(5);
 /// Interval between pictures: 60 a second.
-const PICTURE: Duration = Duration::from_micros(16_600);
+const PICTURE_INTERVAL: Duration = Duration::from_micros(16_600);
 /// Interval between sweeps of an oscilloscope.
-const SWEEP: Duration = Duration::from_millis(40);
+const SWEEP_INTERVAL: Duration = Duration::from_millis(40);
 /// Interval between polls of slowly changing state.
-const POLL: Duration = Duration::from_millis(500);
+const POLL_INTERVAL: Duration = Duration::from_millis(500);
 /// Maximum simulated time to catch up after the computer was busy, and maximum time that a turn counts as listening.
-const CATCH_UP: Duration = Duration::from_millis(50);
+const MAX_CATCH_UP: Duration = Duration::from_millis(50);
 /// Simulated time between two polls of the pages' messages.
 const SLICE: Duration = Duration::from_millis(8);
 /// Rotation of a joint after which the boundary is predicted again, rad.
-const ROTATED: f64 = 0.02;
+const MAX_ROTATION: f64 = 0.02;
 /// Clock of the boards' core, Hz.
 const CORE_HZ: f64 = 168e6;
 
@@ -240,9 +240,9 @@ impl Stage {
     /// Does the work that is due at `now`, the time since the stage was opened: receives messages, lets a few
     /// milliseconds pass, sends pictures.
     pub fn turn(&mut self, now: Duration) -> Result<Turn, LinkError> {
-        self.listened += now.saturating_sub(self.now).min(CATCH_UP);
+        self.listened += now.saturating_sub(self.now).min(MAX_CATCH_UP);
         self.now = now;
-        for _ in 0..EVENTS {
+        for _ in 0..MAX_EVENTS {
             let Some(event) = self.hub.next() else { break };
             self.handle(event)?;
         }
@@ -254,15 +254,15 @@ impl Stage {
             }
             None => Turn::Ahead,
         };
-        if now.saturating_sub(self.last_picture) >= PICTURE {
+        if now.saturating_sub(self.last_picture) >= PICTURE_INTERVAL {
             self.last_picture = now;
             self.send_pictures();
         }
-        if now.saturating_sub(self.last_sweep) >= SWEEP {
+        if now.saturating_sub(self.last_sweep) >= SWEEP_INTERVAL {
             self.last_sweep = now;
             self.send_sweeps();
         }
-        if now.saturating_sub(self.last_poll) >= POLL {
+        if now.saturating_sub(self.last_poll) >= POLL_INTERVAL {
             self.last_poll = now;
             self.poll_board()?;
         }
@@ -277,7 +277,7 @@ impl Stage {
         let passed = self.world.board.now().saturating_sub(self.pace.board_began);
         let behind = self.now.saturating_sub(self.pace.began).saturating_sub(passed);
         // Time for which the computer was too slow is not made up, because the picture would race.
-        self.pace.began += behind.saturating_sub(CATCH_UP);
+        self.pace.began += behind.saturating_sub(MAX_CATCH_UP);
         Some(behind.min(SLICE)).filter(|behind| !behind.is_zero())
     }
 
@@ -318,9 +318,9 @@ impl Stage {
             self.fault = None;
         }
         // Rows in transit may be older than the last key press, so ask the board for its state.
-        let went_off = self.state == State::Armed && state == State::Disarmed && self.held.is_some();
+        let has_gone_off = self.state == State::Armed && state == State::Disarmed && self.held.is_some();
         self.state = state;
-        if went_off && self.board().status()?.state == State::Disarmed {
+        if has_gone_off && self.board().status()?.state == State::Disarmed {
             self.held = None;
             self.refuse_all(Some("off"), "another tool turned the motors off");
         }
@@ -331,13 +331,13 @@ impl Stage {
     /// sufficient, because an emulated board may run slower than real time.
     fn check_key(&mut self) -> Result<(), LinkError> {
         let age = |seen: u32| f64::from(self.world.board.step().wrapping_sub(seen)) / self.scene.rate_hz;
-        let silent = self.listened.saturating_sub(self.key_time) > KEY_TIMEOUT;
-        let too_old = self.held.is_some_and(|seen| silent || age(seen) > KEY_TIMEOUT.as_secs_f64());
-        if too_old && self.world.simulated.is_none() {
+        let is_silent = self.listened.saturating_sub(self.key_time) > KEY_TIMEOUT;
+        let is_too_old = self.held.is_some_and(|seen| is_silent || age(seen) > KEY_TIMEOUT.as_secs_f64());
+        if is_too_old && self.world.simulated.is_none() {
             self.disarm()?;
             self.refuse_all(Some("off"), "no message from the page in command: motors off");
         }
-        if self.command.is_some_and(|(_, heard)| self.now.saturating_sub(heard) > ABSENCE) {
+        if self.command.is_some_and(|(_, last)| self.now.saturating_sub(last) > COMMAND_TIMEOUT) {
             self.give_up_command()?;
         }
         Ok(())
@@ -403,12 +403,12 @@ impl Stage {
             Event::Received(id, Err(why)) => self.refuse(id, &why),
             Event::Dropped(id, count) => self.refuse(id, &format!("too many messages at once: {count} were dropped")),
             Event::Received(id, Ok(message)) => {
-                if let Some((holder, heard)) = &mut self.command
+                if let Some((holder, last)) = &mut self.command
                     && *holder == id
                 {
-                    *heard = self.now;
+                    *last = self.now;
                 }
-                match self.act(id, message) {
+                match self.execute(id, message) {
                     Err(BoardError::Link(error)) => return Err(error),
                     Err(BoardError::Refused(Refusal::InsideWall)) => {
                         self.refuse_while("inside", id, &Refusal::InsideWall.to_string());
@@ -434,7 +434,7 @@ impl Stage {
         self.command.is_some_and(|(holder, _)| holder == id)
     }
 
-    fn act(&mut self, id: PageId, message: FromPage) -> Result<(), BoardError> {
+    fn execute(&mut self, id: PageId, message: FromPage) -> Result<(), BoardError> {
         // Any page may send these.
         match &message {
             FromPage::Here {} => return Ok(()),

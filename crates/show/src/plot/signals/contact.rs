@@ -28,10 +28,10 @@ pub(super) fn over_penetration(rows: &Rows<'_>, force: &str, analysis: &mut Anal
     // With the motors off there is no wall, at any depth.
     let state = rows.recording.column("state");
     let on = |row: &&Vec<f64>| state.is_none_or(|state| row[state] == State::Armed as usize as f64);
-    let ramping = rows.ramping();
+    let ramping = rows.ramp_test();
     let pressed = rows.rows.iter().filter(|row| row[distance] < 0.0).filter(on);
     let (early, touched): (Vec<&Vec<f64>>, Vec<&Vec<f64>>) = pressed.partition(|row| ramping(row));
-    let cut = rows.cut();
+    let cut = rows.limit_test();
     let uncut = |row: &&&Vec<f64>| cut.as_ref().is_none_or(|cut| !cut(row.as_slice()));
     let points: Vec<(f64, f64)> = touched.iter().filter(uncut).map(|row| (-row[distance], row[column])).collect();
     analysis.contact_rows = touched.len();
@@ -83,7 +83,7 @@ const MIN_POINTS: usize = 20;
 /// Largest standard error of a slope, as a share of the slope.
 const MAX_SLOPE_ERROR: f64 = 0.2;
 /// Relative depth differences below this are rounding errors: single precision has seven digits.
-const ROUNDINGS: f64 = 1e-5;
+const MIN_DEPTH_RANGE: f64 = 1e-5;
 
 fn fit_line(points: &[(f64, f64)]) -> Result<Fit, NoLine> {
     if points.len() < MIN_POINTS {
@@ -99,7 +99,7 @@ fn fit_line(points: &[(f64, f64)]) -> Result<Fit, NoLine> {
     let error = (rest / ((count - 2.0) * spread)).sqrt();
     let (low, high) = points.iter().fold((x, x), |(low, high), p| (low.min(p.0), high.max(p.0)));
     // Depths that differ only by rounding also have a line. The comparison also rejects NaN, the result without motion.
-    if !(slope > 0.0 && error < MAX_SLOPE_ERROR * slope && high - low > ROUNDINGS * high.abs()) {
+    if !(slope > 0.0 && error < MAX_SLOPE_ERROR * slope && high - low > MIN_DEPTH_RANGE * high.abs()) {
         return Err(NoLine::Scattered);
     }
     Ok(Fit { slope, ends: [low, high].map(|at| (at, y + slope * (at - x))) })

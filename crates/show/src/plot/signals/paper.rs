@@ -5,7 +5,7 @@ use crate::plot::Picture;
 use crate::plot::axes::{Axis, Mark, PlotArea};
 use crate::plot::canvas::{Anchor, Canvas, SMALL, Stroke};
 use crate::plot::colour::{BOUND, FULL, INK, OFF, WASHOUT};
-use crate::plot::paper::{EDGE, Paper, wrapped};
+use crate::plot::paper::{EDGE, Paper, wrap};
 
 /// Size of a panel's frame, and of the room around it, in units of the drawing (pixels on a screen).
 const SIZE: (f64, f64) = (600.0, 190.0);
@@ -14,7 +14,7 @@ const RIGHT: f64 = 24.0;
 const HEAD: f64 = 86.0;
 const FOOT: f64 = 84.0;
 /// Number of points from which on a line that may cross itself is drawn thin.
-const MANY: usize = 1000;
+const MANY_POINTS: usize = 1000;
 const COLOURS: [&str; 4] = [FULL, OFF, WASHOUT, BOUND];
 
 /// Draws the panels, one below the other.
@@ -33,12 +33,12 @@ pub fn draw(title: &str, subtitle: &[String], found: &Analysis, paper: Paper) ->
         }
     }
     let views: Vec<&str> = found.panels.iter().map(|panel| panel.y.name.as_str()).collect();
-    canvas.finish(title, &format!("Of a recording: {}.", views.join("; ")))
+    canvas.finish(title, &format!("A recording: {}.", views.join("; ")))
 }
 
 /// Adds a panel below the others, with the left edge of its frame at `left` and this size.
 fn draw_panel(canvas: &mut Canvas, left: f64, size: (f64, f64), panel: &Panel) {
-    let notes = wrapped(&panel.note, left + size.0 - EDGE, SMALL);
+    let notes = wrap(&panel.note, left + size.0 - EDGE, SMALL);
     let colours = COLOURS.into_iter().cycle();
     let entries: Vec<(Mark<'_>, String)> = panel
         .curves
@@ -81,7 +81,7 @@ fn draw_panel(canvas: &mut Canvas, left: f64, size: (f64, f64), panel: &Panel) {
                     View::Force | View::Phase => thin_out(&frame, piece),
                 };
                 // A line that crosses itself many times would become an area.
-                let crossed = matches!(panel.view, View::Force | View::Phase) && points.len() > MANY;
+                let crossed = matches!(panel.view, View::Force | View::Phase) && points.len() > MANY_POINTS;
                 frame.curve(canvas, &points, Stroke::solid(colour, if crossed { 0.4 } else { 1.1 }));
             }
         }

@@ -42,13 +42,13 @@ function drawMarks(c, X, Y, plane, wall) {
 $("forget").onclick = () => { tried.marks = []; requestDraw(); };
 
 // ---- limiting effects and assumptions -----------------------------------------------------------------------------
-let limits = { asked: 0 };
+let limits = { requested: 0 };
 function element(name, ...content) { const made = document.createElement(name); made.append(...content); return made; }
 function showLimits(plane, wall) {
   if ($("limits").hidden) return;
   const known = plane?.limits?.feed_forward === wall.feed_forward ? plane.limits : null, now = performance.now();
   // Another pose or feed-forward needs a new request, but not during a movement.
-  if (plane && !known && now - limits.asked > 1000) { limits.asked = now; say({ do: "explain" }); }
+  if (plane && !known && now - limits.requested > 1000) { limits.requested = now; say({ do: "explain" }); }
   const here = plane ? tried.marks.filter(mark => mark.wall === view.wall && mark.mode === wall.feed_forward && isHere(mark, plane.q) && Math.abs(mark.kd - wall.damping) <= .1 * wall.damping) : [];
   const state = JSON.stringify([plane?.q, known, view.last?.held, wall, here.map(mark => [mark.kp, mark.buzzes])]);
   if (limits.state === state) return;
@@ -67,7 +67,7 @@ function showLimits(plane, wall) {
   parts.push(element("h3", "Assumptions"), element("ul", ...plane.assumes.map(words => element("li", words))));
   $("limits").replaceChildren(...parts);
 }
-function openLimits(open) { $("limits").hidden = !open; $("explain").setAttribute("aria-expanded", open); $("explain").classList.toggle("on", open); limits = { asked: 0 }; requestDraw(); }
+function openLimits(open) { $("limits").hidden = !open; $("explain").setAttribute("aria-expanded", open); $("explain").classList.toggle("on", open); limits = { requested: 0 }; requestDraw(); }
 $("explain").onclick = () => openLimits($("limits").hidden);
 $("limits").onkeydown = event => { if (event.key === "Escape") { openLimits(false); $("explain").focus(); } };
 

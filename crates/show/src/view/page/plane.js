@@ -1,13 +1,13 @@
 // ---- stiffness and damping ----------------------------------------------------------------------------------------
 const MODES = ["off", "full", "washout"], NAMES = { off: "off", full: "full", washout: "washed out" };
 // While a gain is being typed, the input keeps its text until the gain is refused.
-function showGains(anew) {
+function showGains(force) {
   const count = view.walls.length;
   if ($("wall").options.length !== count) $("wall").replaceChildren(...view.walls.map((_, i) => new Option("wall " + i, i)));
   $("wall").hidden = count < 2;
   view.wall = Math.min(view.wall, Math.max(0, count - 1)); $("wall").value = view.wall;
   const wall = view.walls[view.wall]; if (!wall) return;
-  for (const id of ["stiffness", "damping"]) if (anew || document.activeElement !== $(id)) $(id).value = +wall[id].toPrecision(4);
+  for (const id of ["stiffness", "damping"]) if (force || document.activeElement !== $(id)) $(id).value = +wall[id].toPrecision(4);
   for (const mode of MODES) { const on = wall.feed_forward === mode; $("ff-" + mode).classList.toggle("on", on); $("ff-" + mode).setAttribute("aria-pressed", on); }
   requestDraw();
 }
@@ -117,13 +117,13 @@ function drawPlane() {
   document.body.dataset.stable = stable;
   if (!stable && view.last?.numbers.wall === view.wall) view.predictedBuzz = view.last.buzz?.hz ?? null;
   const [x, y] = [X(wall.damping), Y(wall.stiffness)], gains = `${unit(wall.stiffness, "N/m")}, ${unit(wall.damping, "N s/m")}`;
-  const told = stable ? limit === null ? "" : "predicted stable" : "predicted " + (view.predictedBuzz ? `buzz at ${digits(view.predictedBuzz, 2)} Hz` : "to be unstable");
+  const verdict = stable ? limit === null ? "" : "predicted stable" : "predicted " + (view.predictedBuzz ? `buzz at ${digits(view.predictedBuzz, 2)} Hz` : "to be unstable");
   c.fillStyle = stable ? palette.ink : palette.bad; c.strokeStyle = palette.card; c.lineWidth = 3;
   c.beginPath(); c.arc(x, y, 9, 0, 2 * Math.PI); c.fill(); c.stroke();
   const taken = [[x - 11, y - 11, 22, 22]], sides = [[1, 1], [1, -1], [-1, 1], [-1, -1]].map(([sx, sy]) => [x + 13 * sx, y + 5 * sy, sx, sy]);
   // The mark of the present gains is under the dot.
   const here = tried.marks.find(mark => mark.key === keyOf(view.wall, wall) && plane && isHere(mark, plane.q));
-  place(c, size, [gains, told, here && "tried: " + (here.buzzes ? "it buzzes" : stable ? "quiet" : "quiet (friction, a hand)")].filter(line => line), sides, taken, Object.values(points).flat(), room);
+  place(c, size, [gains, verdict, here && "tried: " + (here.buzzes ? "it buzzes" : stable ? "quiet" : "quiet (friction, a hand)")].filter(line => line), sides, taken, Object.values(points).flat(), room);
   // If curves coincide, as for a paddle, they share one label.
   const same = (a, b) => plane[a].every((p, i) => Math.abs(p.kp - plane[b][i]?.kp) <= .003 * tops[1] && Math.abs(p.kd - plane[b][i].kd) <= .003 * tops[0]);
   for (const mode of MODES) if (points[mode]?.length) {
@@ -135,7 +135,7 @@ function drawPlane() {
     place(c, size, [alike.map(name => NAMES[name]).join(", ")], near.flatMap(i => { const [x, y] = own[i]; return [[x, y, 0, -1], [x + 4, y, 1, -1], [x - 4, y, -1, 1], [x, y, 0, 1]]; }), taken, Object.values(points).flat(), room);
   }
   // Announced again after a change of gains, not whenever the hand and thus the limit moves.
-  const state = `${gains}, feed-forward ${NAMES[wall.feed_forward]}${told && ": " + told}${here ? here.buzzes ? ", tried: it buzzes" : ", tried: quiet" : ""}`;
+  const state = `${gains}, feed-forward ${NAMES[wall.feed_forward]}${verdict && ": " + verdict}${here ? here.buzzes ? ", tried: it buzzes" : ", tried: quiet" : ""}`;
   if (spoken !== state) { spoken = state; $("dot").textContent = state + (limit === null ? "" : `; limit ${unit(limit, "N/m")} at this damping`); }
   showLimits(plane, wall);
 }

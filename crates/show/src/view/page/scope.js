@@ -2,7 +2,7 @@
 // Telemetry signals by the first word of their label: displayed name, unit of the axis, and factor from SI to that
 // unit.
 const SIGNALS = {
-  rendered: ["wall force", "N", 1], force: ["wall force asked for", "N", 1], distance: ["distance to the wall", "mm", 1e3], velocity: ["speed along the normal", "mm/s", 1e3],
+  rendered: ["wall force", "N", 1], force: ["requested wall force", "N", 1], distance: ["distance to the wall", "mm", 1e3], velocity: ["speed along the normal", "mm/s", 1e3],
   energy: ["energy taken up", "mJ", 1e3], tip_x: ["tip x", "mm", 1e3], tip_y: ["tip y", "mm", 1e3], tip_z: ["tip z", "mm", 1e3], tip: ["tip", "mm", 1e3],
   q: ["angle", "°", 180 / Math.PI], torque: ["torque", "mN m", 1e3], saturated: ["limited", "", 1], counts: ["encoder", "counts", 1], state: ["state", "", 1], contacts: ["walls touched", "", 1],
 };

@@ -23,7 +23,7 @@ function read(hash) {
     else if (key === "scale") { if (![...$("scale").options].some(option => option.value === value)) throw "the link's scale is not one of the plane's"; wanted.scale = value; }
     else if (key === "pose") wanted.pose = numbers(words, key, [1, 2, 3]);
     else if (key === "wall") {
-      const mode = words.splice(2, 1)[0], [stiffness, damping, x, y, ...normal] = numbers(words, "wall (beside its feed-forward)", [2, 4, 6]);
+      const mode = words.splice(2, 1)[0], [stiffness, damping, x, y, ...normal] = numbers(words, "wall (without its feed-forward)", [2, 4, 6]);
       if (!MODES.includes(mode)) throw `the link's feed-forward is not one of ${MODES.join(", ")}`;
       wanted.walls.push({ gains: { stiffness, damping, feed_forward: mode }, point: y === undefined ? null : [x, y], normal });
     } else throw `the link has an unknown part, ${key}`;
