@@ -435,8 +435,8 @@ where
             joint.stage.command(granted.torque[i]);
             motors.torque[i] = limited(granted.torque[i], joint.stage.max_torque());
             // True if the torque is as requested, except for the rounding of its conversion to a current; false for NaN.
-            let kept = (wanted[i] - motors.torque[i]).abs() <= 1.0e-5 * wanted[i].abs();
-            motors.limited |= u8::from(!kept) << i;
+            let is_kept = (wanted[i] - motors.torque[i]).abs() <= 1.0e-5 * wanted[i].abs();
+            motors.limited |= u8::from(!is_kept) << i;
         }
         self.now.motors.rendered_force = self.limited_wall_force::<J>();
     }

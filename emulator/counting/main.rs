@@ -218,7 +218,7 @@ fn step_at<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
         core::array::from_fn(|i| ((home[i] as f32 + offset[i]) / device.joints[i].radians_per_count) as i32);
     let controller = black_box(controller);
     controller.forget();
-    let mut found = StepResult::default();
+    let mut result = StepResult::default();
     for step in 0..=run_up {
         for (i, count) in counts.iter_mut().enumerate() {
             *count += 1 + i as i32;
@@ -228,7 +228,7 @@ fn step_at<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
         if counted {
             bench_begin();
         }
-        control::<M, K, N>(controller, counts, black_box(&mut found));
+        control::<M, K, N>(controller, counts, black_box(&mut result));
         if counted {
             bench_end();
         }

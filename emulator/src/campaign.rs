@@ -251,20 +251,20 @@ fn disabled(stopped: &mut crate::run::StoppedBoard<'_>) -> bool {
 pub fn row(case: &Case, rate: u32, outcomes: &[Outcome]) -> String {
     let names: BTreeSet<&str> = outcomes.iter().map(|outcome| outcome.fault.map_or("nobody", Fault::name)).collect();
     let names: Vec<&str> = names.into_iter().collect();
-    let most = |number: fn(&Outcome) -> f64| outcomes.iter().map(number).fold(0.0, f64::max);
+    let worst = |number: fn(&Outcome) -> f64| outcomes.iter().map(number).fold(0.0, f64::max);
     let unseen = outcomes.iter().any(|outcome| outcome.fault.is_none());
     let after = match unseen {
         true => "not in 300 ms".to_owned(),
-        false => format!("{:.2}", most(|outcome| outcome.after as f64 * 1e-6)),
+        false => format!("{:.2}", worst(|outcome| outcome.after as f64 * 1e-6)),
     };
     csv_line([
         case.name,
         &rate.to_string(),
         &names.join(", "),
         &after,
-        &format!("{:.2}", most(|outcome| outcome.peaks.current)),
-        &format!("{:.1}", most(|outcome| outcome.peaks.speed)),
-        &format!("{:.2}", most(|outcome| outcome.peaks.travel * 1e3)),
+        &format!("{:.2}", worst(|outcome| outcome.peaks.current)),
+        &format!("{:.1}", worst(|outcome| outcome.peaks.speed)),
+        &format!("{:.2}", worst(|outcome| outcome.peaks.travel * 1e3)),
     ])
 }
 

@@ -279,8 +279,8 @@ pub fn estimate(code: &Code, path: &[u32], flash: Flash) -> u64 {
         }
         let overlaps = u64::from(before.load && cost.load);
         let waits = u64::from(before.writes.is_some() && cost.reads.contains(&before.writes));
-        let taken = path.get(nth + 1).is_some_and(|&next| next != at + cost.length);
-        state.now += cost.cycles - overlaps + waits + if taken { REFILL } else { 0 };
+        let is_taken = path.get(nth + 1).is_some_and(|&next| next != at + cost.length);
+        state.now += cost.cycles - overlaps + waits + if is_taken { REFILL } else { 0 };
         before = cost;
     }
     state.now

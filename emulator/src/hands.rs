@@ -16,17 +16,17 @@ pub fn firm() -> HandSettings {
 
 /// Lets a firm hand hold the tip, as a person does while homing a device that would fall.
 pub fn hold(device: &mut SimulatedDevice) {
-    let here = vec![Waypoint { time: 0.0, value: device.tip() }];
-    device.set_hand(Hand::new(firm(), Intent::Follow(here), device.tip(), device.time()));
+    let path = vec![Waypoint { time: 0.0, value: device.tip() }];
+    device.set_hand(Hand::new(firm(), Intent::Follow(path), device.tip(), device.time()));
 }
 
 /// Hangs a device for the polarity check: carried without inertia, and held lightly by a rubber band, because a free
 /// device drifts if a sensor has a zero offset.
 pub fn hang(device: &mut SimulatedDevice) {
     let band = HandSettings { grip_stiffness: 5.0, grip_damping: 0.5, ..firm() };
-    let here = vec![Waypoint { time: 0.0, value: device.tip() }];
+    let path = vec![Waypoint { time: 0.0, value: device.tip() }];
     device.set_support(Support::Carried);
-    device.set_hand(Hand::new(band, Intent::Follow(here), device.tip(), device.time()));
+    device.set_hand(Hand::new(band, Intent::Follow(path), device.tip(), device.time()));
 }
 
 /// Lets a firm hand move the tip to and fro by `reach` (m) for `seconds`.

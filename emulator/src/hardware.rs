@@ -179,8 +179,8 @@ impl Hardware {
             for (axis, wires) in wiring.encoders.iter().enumerate() {
                 self.show_phase(at, axis, wires);
             }
-            let held = Level::from(self.plant.bus_voltage() / wiring.bus.1 > wiring.middle());
-            self.drive_pin(wiring.bus_pin(), (!self.bus_cut).then_some(held), at);
+            let bus_level = Level::from(self.plant.bus_voltage() / wiring.bus.1 > wiring.middle());
+            self.drive_pin(wiring.bus_pin(), (!self.bus_cut).then_some(bus_level), at);
             wiring.held.iter().for_each(|&pin| self.set_pin(pin, Level::High, at));
         }
         if at.0 >= self.next_step {
@@ -255,10 +255,10 @@ impl Hardware {
             let gain = if wiring.drivers.is_empty() { Some(1.0) } else { self.driver(axis).gain() };
             for &(channel, volts_per_ampere) in motor.sensors {
                 let current = self.broken.current(&currents, axis, nth);
-                let seen = gain.map_or(0.0, |gain| {
+                let volts = gain.map_or(0.0, |gain| {
                     wiring.middle() + wiring.sensor_offsets[nth] + gain * volts_per_ampere * current
                 });
-                self.show_volts(wiring, channel, seen);
+                self.show_volts(wiring, channel, volts);
                 nth += 1;
             }
         }

@@ -153,8 +153,8 @@ impl Firmware {
         // If the compiler split a static, the number of the part follows the name.
         let plain =
             |name: &str| name.trim_end_matches(|letter: char| letter.is_ascii_digit()).ends_with(&format!("{ending}."));
-        let mut found = self.symbols.iter().filter(|(name, _)| name.ends_with(ending) || plain(name));
-        found.next().map(|(_, symbol)| *symbol).filter(|_| found.next().is_none())
+        let mut matches = self.symbols.iter().filter(|(name, _)| name.ends_with(ending) || plain(name));
+        matches.next().map(|(_, symbol)| *symbol).filter(|_| matches.next().is_none())
     }
 
     /// Returns the code of the function `symbol`, or `None` if the image has no code there.

@@ -329,11 +329,11 @@ pub fn injection(fault: Fault) -> Injection {
             rig_in_contact,
             |rig| {
                 rules(rig, |rules| rules.host_seconds = 0.1);
-                let seen = rig.tool.status().expect("the board replies").step;
-                rig.tool.hold_key(seen).expect("a beat is never refused");
+                let known_step = rig.tool.status().expect("the board replies").step;
+                rig.tool.hold_key(known_step).expect("a beat is never refused");
                 rig.run(60 * MILLISECOND);
                 // The host is alive, but reports the same state of the key.
-                rig.tool.hold_key(seen).expect("a beat is never refused");
+                rig.tool.hold_key(known_step).expect("a beat is never refused");
             },
             500,
         ),

@@ -224,6 +224,6 @@ pub fn highest_rate(case: &Case) -> Option<u32> {
 /// second, which is long enough to fill all queues.
 #[must_use]
 pub fn rows_without_loss(case: &Case) -> Option<u32> {
-    let whole = |divider| attempt(case, case.rate_hz, divider, 1_000).is_some_and(|load| load.losses.missing == 0);
-    DIVIDERS.into_iter().find(|divider| whole(*divider)).map(|divider| case.rate_hz / divider)
+    let clean = |divider| attempt(case, case.rate_hz, divider, 1_000).is_some_and(|load| load.losses.missing == 0);
+    DIVIDERS.into_iter().find(|divider| clean(*divider)).map(|divider| case.rate_hz / divider)
 }

@@ -109,9 +109,9 @@ impl Peaks {
     pub fn take(&mut self, plant: &mut dyn Plant) {
         let currents = plant.currents();
         let Some(device) = plant.device() else { return };
-        let most = |values: [f64; 3]| values.iter().fold(0.0, |most: f64, value| most.max(value.abs()));
-        self.current = self.current.max(most(currents));
-        self.speed = self.speed.max(most(device.qd()));
+        let largest = |values: [f64; 3]| values.iter().fold(0.0, |max: f64, value| max.max(value.abs()));
+        self.current = self.current.max(largest(currents));
+        self.speed = self.speed.max(largest(device.qd()));
         let tip = device.tip();
         let from = *self.from.get_or_insert(tip);
         let way = tip.iter().zip(from).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();

@@ -268,7 +268,7 @@ pub fn measure_on<T>(
 /// If the theory rejects the loop.
 #[must_use]
 pub fn predicted(test_device: &TestDevice, rate: Rate, delay_samples: f64, kd: Option<&[f64]>) -> Range {
-    let around = Loop {
+    let control_loop = Loop {
         rate_hz: rate.rate_hz,
         delay_samples,
         estimator: LinearEstimator::Butterworth(rate.cutoff_hz),
@@ -282,7 +282,7 @@ pub fn predicted(test_device: &TestDevice, rate: Rate, delay_samples: f64, kd: O
     )
     .expect("a regular pose");
     let washout = test_device.is_compliant().then_some(WASHOUT_HZ);
-    predict(&linear, &around, kd, washout).expect("the loop can be analysed")
+    predict(&linear, &control_loop, kd, washout).expect("the loop can be analysed")
 }
 
 /// Number of dampings of a complete measurement, and pulls at each damping.
@@ -375,13 +375,13 @@ pub fn with_cables(
                     guess = None;
                 }
             }
-            let found = prepared.boundary(mode, kd, 1.0, guess)?.gain;
+            let stiffness = prepared.boundary(mode, kd, 1.0, guess)?.gain;
             // Held walls make the step longer, so its duties may be late.
             let delay = f64::from(prepared.board().details()?.delay_samples);
             let expected = predicted(&test_device, rate, delay, Some(&[kd])).of(mode).boundary[0].kp;
             let (name, board) = device;
             let Rate { rate_hz, cutoff_hz } = rate;
-            let apart = 100.0 * (found / expected - 1.0);
+            let difference = 100.0 * (stiffness / expected - 1.0);
             report(&csv_line([
                 name,
                 board.name(),
@@ -391,9 +391,9 @@ pub fn with_cables(
                 &format!("{delay:.3}"),
                 &kd.to_string(),
                 mode.name(),
-                &format!("{found:.0}"),
+                &format!("{stiffness:.0}"),
                 &format!("{expected:.0}"),
-                &format!("{apart:+.1}"),
+                &format!("{difference:+.1}"),
             ]));
         }
         Ok(())
@@ -434,8 +434,8 @@ pub fn section(rate: Rate, progress: &Progress, delay: f64) -> (String, String, 
         let top = range.of(mode).boundary.iter().map(|point| point.kp).fold(0.0, f64::max);
         for (point, theory) in points.iter().zip(&at.of(mode).boundary) {
             let (low, high) = point.bounds();
-            let apart = 100.0 * (point.median() - theory.kp) / top;
-            furthest = furthest.max(apart.abs());
+            let difference = 100.0 * (point.median() - theory.kp) / top;
+            furthest = furthest.max(difference.abs());
             rows += &csv_line([
                 &rate_hz.to_string(),
                 &cutoff_hz.to_string(),
@@ -445,7 +445,7 @@ pub fn section(rate: Rate, progress: &Progress, delay: f64) -> (String, String, 
                 &format!("{low:.1}"),
                 &format!("{high:.1}"),
                 &format!("{:.1}", theory.kp),
-                &format!("{apart:+.1}"),
+                &format!("{difference:+.1}"),
             ]);
         }
     }

@@ -122,9 +122,9 @@ impl StoppedBoard<'_> {
     /// If the range does not contain the text.
     pub fn flip_in_flash(&mut self, place: Range<u64>, text: &[u8]) {
         let bytes: Vec<u8> = self.flash(place.clone()).into_iter().flat_map(u32::to_le_bytes).collect();
-        let found = bytes.windows(text.len()).rposition(|window| window == text).expect("the text is in flash");
-        let word = place.start + found as u64 / 4 * 4;
-        let flipped = self.word(word).expect("there is flash") ^ 1 << (8 * (found % 4));
+        let offset = bytes.windows(text.len()).rposition(|window| window == text).expect("the text is in flash");
+        let word = place.start + offset as u64 / 4 * 4;
+        let flipped = self.word(word).expect("there is flash") ^ 1 << (8 * (offset % 4));
         let at = VirtualNanos(self.at);
         self.hardware().chip.corrupt_flash(at, word, flipped);
     }
@@ -194,8 +194,9 @@ impl StoppedBoard<'_> {
                 format!("no model at={at:#x} {}.{} writes={}", gap.instance, gap.register, gap.writes)
             });
         let unrouted = self.session.unrouted().iter().map(|(who, line)| format!("unrouted {who} {line}"));
-        let told = self.session.told().map(|told| format!("told {}.{}: {}", told.instance, told.register, told.reason));
-        unmapped.chain(refused).chain(files).chain(unrouted).chain(told).collect()
+        let notes =
+            self.session.told().map(|note| format!("told {}.{}: {}", note.instance, note.register, note.reason));
+        unmapped.chain(refused).chain(files).chain(unrouted).chain(notes).collect()
     }
 }
 
@@ -273,12 +274,12 @@ impl VirtualBoard {
     ///
     /// If the emulator stopped; the message contains the reason.
     pub fn with<T: Send + 'static>(&mut self, job: impl FnOnce(&mut StoppedBoard<'_>) -> T + Send + 'static) -> T {
-        let (result, taken) = channel();
+        let (result, outcome) = channel();
         self.order(Command::With(Box::new(move |stopped| {
             // The receiver below outlives the job.
             let _ = result.send(job(stopped));
         })));
-        taken.recv().expect("the job was done")
+        outcome.recv().expect("the job was done")
     }
 
     /// Runs until `done` returns true, checked every `step` nanoseconds, for at most `span`. Returns true if it did.
@@ -292,8 +293,8 @@ impl VirtualBoard {
         while self.at < last {
             self.run(step.min(last - self.at));
             let mut check = done.clone();
-            let (is_done, kept) = self.with(move |stopped| (check(stopped), check));
-            done = kept;
+            let (is_done, returned) = self.with(move |stopped| (check(stopped), check));
+            done = returned;
             if is_done {
                 return true;
             }

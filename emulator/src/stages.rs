@@ -353,8 +353,8 @@ mod tests {
         assert!(text.len() > 500_000, "only {} bytes of sources", text.len());
         for part in STAGES.iter().flat_map(|(_, parts)| *parts) {
             let name = part.rsplit("::").next().unwrap_or_default();
-            let there = ["(", "<"].iter().any(|next| text.contains(&format!("fn {name}{next}")));
-            assert!(there, "{part}: no function has this name");
+            let exists = ["(", "<"].iter().any(|next| text.contains(&format!("fn {name}{next}")));
+            assert!(exists, "{part}: no function has this name");
         }
     }
 

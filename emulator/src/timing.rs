@@ -317,10 +317,10 @@ pub fn rates() -> String {
     ]);
     for (case, rate, rows) in [(&CASES[0], "50000", "20000"), (&CASES[2], "35000", ""), (&CASES[4], "35000", "")] {
         let cell = |found: Option<u32>| found.map_or("none".to_owned(), |found| found.to_string());
-        let (highest, whole) = (cell(highest_rate(case)), cell(rows_without_loss(case)));
+        let (highest, lossless) = (cell(highest_rate(case)), cell(rows_without_loss(case)));
         let (scenes, plane) = (cell(highest_for(case, sustains_scenes)), cell(highest_for(case, sustains_plane)));
         let cuts = cell(highest_for(case, sustains_cuts));
-        text += &csv_line([&case.name(), &highest, rate, &scenes, &plane, &cuts, &whole, rows]);
+        text += &csv_line([&case.name(), &highest, rate, &scenes, &plane, &cuts, &lossless, rows]);
     }
     text
 }

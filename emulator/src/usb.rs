@@ -346,15 +346,15 @@ impl Host {
     }
 
     fn follow_cable(&mut self, core: &mut Core, now: VirtualNanos) {
-        let there = self.plugged && core.connected();
+        let is_present = self.plugged && core.connected();
         match self.bus {
-            Bus::Detached if there => {
+            Bus::Detached if is_present => {
                 self.log.push((now, Event::Connected));
                 self.resets = 0;
                 self.bus = Bus::Debounce(now.0 + DEBOUNCE);
             }
             Bus::Detached => {}
-            _ if !there => {
+            _ if !is_present => {
                 // A device that does not sense the bus voltage sees only an idle bus.
                 self.disconnect(now);
                 core.suspend();

@@ -135,9 +135,9 @@ impl Decoder {
             let Some((&byte, after)) = rest.split_first() else { break };
             rest = after;
             let data = if byte == 0 {
-                let whole = left == 0 && !self.overlong && (zero || length > 0);
+                let is_complete = left == 0 && !self.overlong && (zero || length > 0);
                 self.forget();
-                if whole {
+                if is_complete {
                     self.completed = length;
                     return (bytes.len() - rest.len(), true);
                 }

@@ -313,8 +313,8 @@ impl Service {
         // All checks that can refuse come before the first change.
         let coefficients = match request.estimator {
             Some((estimator, cutoff_hz)) => {
-                let found = Coefficients::of_device::<Mc::Math>((estimator, rate, cutoff_hz), device);
-                Some(found.map_err(|_| Refusal::Scene(SceneError::Cutoff))?)
+                let designed = Coefficients::of_device::<Mc::Math>((estimator, rate, cutoff_hz), device);
+                Some(designed.map_err(|_| Refusal::Scene(SceneError::Cutoff))?)
             }
             None => None,
         };

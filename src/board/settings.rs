@@ -165,11 +165,11 @@ pub fn decode<S: Setting>(entry: &[u8]) -> Result<S, Damage> {
             let missing = S::SHORTER.iter().find(|(earlier, ..)| earlier == version);
             let (_, at, missing) = missing.ok_or(Damage::UnknownVersion(*version))?;
             let (before, after) = value.split_at((*at).min(value.len()));
-            let mut whole = Entry::new();
+            let mut complete = Entry::new();
             for part in [before, missing, after] {
-                whole.extend_from_slice(part).map_err(|_| Damage::TooLong)?;
+                complete.extend_from_slice(part).map_err(|_| Damage::TooLong)?;
             }
-            value_of(&whole)
+            value_of(&complete)
         }
         [_, _, value @ ..] => value_of(value),
         _ => Err(Damage::Corrupt),

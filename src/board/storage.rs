@@ -265,11 +265,11 @@ impl<'b, F: NorFlash> Storage<'b, F> {
         if self.absent & bit(key) != 0 {
             return Ok(None);
         }
-        let found = block_on(self.map.fetch_item(self.buffer, &key))?;
-        if found.is_none() {
+        let entry = block_on(self.map.fetch_item(self.buffer, &key))?;
+        if entry.is_none() {
             self.absent |= bit(key);
         }
-        Ok(found)
+        Ok(entry)
     }
 
     fn store(&mut self, key: u8, item: &StampedEntry<'_>) -> Result<(), StorageError> {
@@ -279,8 +279,8 @@ impl<'b, F: NorFlash> Storage<'b, F> {
 
     /// Returns the generations in the catalogue or the decision.
     fn generations(&mut self, key: u8) -> Result<[Generation; SETTINGS], StorageError> {
-        let found = self.fetch(key)?;
-        Ok(found.and_then(|StampedEntry(_, known)| known.try_into().ok()).unwrap_or_default())
+        let entry = self.fetch(key)?;
+        Ok(entry.and_then(|StampedEntry(_, known)| known.try_into().ok()).unwrap_or_default())
     }
 
     /// Returns the entry of a setting; `None` if it was never stored. If a decided entry has not been moved yet,
@@ -303,11 +303,11 @@ impl<'b, F: NorFlash> Storage<'b, F> {
 
     fn current(&mut self, key: u8) -> Result<Option<&[u8]>, StorageError> {
         let known = self.generations(CATALOGUE)?[place(key)];
-        let found = self.fetch(key)?;
-        if is_older(found.as_ref().map_or(0, |found| found.0), known) {
+        let entry = self.fetch(key)?;
+        if is_older(entry.as_ref().map_or(0, |entry| entry.0), known) {
             return Err(StorageError::Damaged);
         }
-        Ok(found.map(|found| found.1))
+        Ok(entry.map(|entry| entry.1))
     }
 
     /// Stores an entry unless it is stored already, and reads it back. Stalls the program while the flash works; the

@@ -169,11 +169,11 @@ where
     /// Returns the torques that carry the weight now, N m. A scene without gravity compensation does not compute them.
     fn weight(&self, asked: &TorqueDemand<f32>) -> [f32; MAX_JOINTS] {
         let share = self.carried_share();
-        let whole = match &self.program {
+        let full_weight = match &self.program {
             Some(program) if !self.weighs && share > 0.0 => program.mechanism.gravity::<K>(&self.now.found.at.q),
             _ => asked.gravity,
         };
-        whole.map(|torque| share * torque)
+        full_weight.map(|torque| share * torque)
     }
 
     /// [`ControlLoop::fade_in`] from zero, with a `share` of the demand beyond gravity.
@@ -209,9 +209,9 @@ where
             *part *= share;
         }
         let aside = leverage.force_squared(&fade.aside);
-        let most = *fade.aside_squared.get_or_insert(aside);
-        if aside > most {
-            let share = K::sqrt(most / aside);
+        let max_squared = *fade.aside_squared.get_or_insert(aside);
+        if aside > max_squared {
+            let share = K::sqrt(max_squared / aside);
             fade.aside = Torques(fade.aside.map(|torque| share * torque));
         }
     }

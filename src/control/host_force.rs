@@ -255,16 +255,16 @@ impl Blend {
     /// Starts a move to the host's contact, or fades the plane out in place.
     fn go(&mut self, contact: Option<&HostContact>) {
         let now = self.now();
-        let gone = |plane: PushedPlane<f32>| PushedPlane { stiffness: 0.0, damping: 0.0, ..plane };
-        let absent = |plane: &PushedPlane<f32>| plane.stiffness == 0.0 && plane.damping == 0.0;
-        let to = contact.map_or(gone(self.to), HostContact::plane);
+        let faded_out = |plane: PushedPlane<f32>| PushedPlane { stiffness: 0.0, damping: 0.0, ..plane };
+        let is_absent = |plane: &PushedPlane<f32>| plane.stiffness == 0.0 && plane.damping == 0.0;
+        let to = contact.map_or(faded_out(self.to), HostContact::plane);
         if to == self.to {
             return;
         }
-        let (least, most) = BLEND_SECONDS;
-        let moves = !absent(&now) && !absent(&to);
-        self.duration = if moves { self.elapsed.clamp(least, most) } else { least };
-        self.from = if absent(&now) { gone(to) } else { now };
+        let (shortest, longest) = BLEND_SECONDS;
+        let moves = !is_absent(&now) && !is_absent(&to);
+        self.duration = if moves { self.elapsed.clamp(shortest, longest) } else { shortest };
+        self.from = if is_absent(&now) { faded_out(to) } else { now };
         self.to = to;
         self.elapsed = 0.0;
     }

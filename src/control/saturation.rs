@@ -50,24 +50,24 @@ where
     #[inline(always)]
     pub(super) fn fits<const J: usize>(&self) -> i32 {
         let TorqueDemand { total, gravity, rendered, force_squared } = &self.now.found.asked;
-        let mut least = margin_bits(*force_squared, self.max_tip_force_squared);
+        let mut margin = margin_bits(*force_squared, self.max_tip_force_squared);
         let mut pushing = *total;
         if self.weighs {
             pushing.iter_mut().zip(gravity).take(J).for_each(|(total, gravity)| *total -= gravity);
         }
-        least |= margin_bits(squared(&self.leverage.force::<J>(&pushing)), self.max_tip_force_squared);
+        margin |= margin_bits(squared(&self.leverage.force::<J>(&pushing)), self.max_tip_force_squared);
         if self.weighs {
             for (i, fitting) in self.fitting.iter().enumerate().take(J) {
                 // If weight and force fit together with any signs, each of them fits, and so does their sum.
                 let both = gravity[i].abs() + rendered[i].abs();
-                least |= margin_bits(total[i], *fitting) | margin_bits(both, *fitting);
+                margin |= margin_bits(total[i], *fitting) | margin_bits(both, *fitting);
             }
         } else {
             for (i, fitting) in self.fitting.iter().enumerate().take(J) {
-                least |= margin_bits(total[i], *fitting) | margin_bits(rendered[i], *fitting);
+                margin |= margin_bits(total[i], *fitting) | margin_bits(rendered[i], *fitting);
             }
         }
-        least
+        margin
     }
 }
 
@@ -82,14 +82,14 @@ impl TorqueDemand<f32> {
         leverage: &Leverage,
     ) -> GrantedTorques {
         let pushing = core::array::from_fn(|i| self.total[i] - self.gravity[i]);
-        let mut least = margin_bits(self.force_squared, tip_force * tip_force);
-        least |= margin_bits(squared(&leverage.force::<J>(&pushing)), tip_force * tip_force);
+        let mut margin = margin_bits(self.force_squared, tip_force * tip_force);
+        margin |= margin_bits(squared(&leverage.force::<J>(&pushing)), tip_force * tip_force);
         for (i, limit) in limit.iter().enumerate().take(J) {
             let both = self.gravity[i] + self.rendered[i];
-            least |=
+            margin |=
                 margin_bits(self.gravity[i], *limit) | margin_bits(both, *limit) | margin_bits(self.total[i], *limit);
         }
-        if least >= 0 {
+        if margin >= 0 {
             GrantedTorques { torque: Torques(self.total), gravity: Torques(self.gravity), share: 1.0 }
         } else {
             self.cut::<J>(limit, tip_force, leverage)
@@ -196,8 +196,8 @@ fn room_aside<const N: usize>(force: &[f32; N], aside: &[f32; N], most: f32, sha
     }
     // The positive root of a s² + 2 b s = room, computed without a difference of nearly equal numbers.
     let root = sqrt(b * b + a * room);
-    let found = if b > 0.0 { room / (b + root) } else { (root - b) / a };
-    if found > 0.0 && found < share { found } else { 0.0 }
+    let root_share = if b > 0.0 { room / (b + root) } else { (root - b) / a };
+    if root_share > 0.0 && root_share < share { root_share } else { 0.0 }
 }
 
 #[cfg(test)]

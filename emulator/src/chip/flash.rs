@@ -92,12 +92,12 @@ impl Hook<Flash> for Array {
         let control = registers.get(Register::Cr);
         if control & PG != 0 && control & LOCK == 0 {
             let (address, width, value) = store;
-            let kept = match self.operate() {
+            let kept_bits = match self.operate() {
                 2 => 0,
                 1 => u64::MAX << (4 * width.bytes()),
                 _ => u64::MAX,
             };
-            self.stores.push_back((address, width, value | kept));
+            self.stores.push_back((address, width, value | kept_bits));
             context.read_from(address, width, READ);
         }
         true

@@ -42,16 +42,16 @@ pub fn provoke(fault: Fault) -> Option<Outcome> {
     let before = rig.steps();
     let began = rig.now();
     cause(&mut rig);
-    let mut seen = None;
+    let mut off_at = None;
     while rig.now() < began + within_ms * MILLISECOND {
         if rig.with(bridges_off) {
-            seen = Some((rig.now(), rig.steps()));
+            off_at = Some((rig.now(), rig.steps()));
             break;
         }
         rig.run(25 * MICROSECOND);
     }
     let (at, steps) =
-        seen.unwrap_or_else(|| panic!("{name}: bridges are still on after {within_ms} ms: {:?}", rig.tool.status()));
+        off_at.unwrap_or_else(|| panic!("{name}: bridges are still on after {within_ms} ms: {:?}", rig.tool.status()));
     rig.run(20 * MILLISECOND);
     // A chip that restarted must be enumerated again.
     let ready_again = rig.shared.board().run_until(2 * SECOND, MILLISECOND, |stopped| stopped.usb().ready());
@@ -69,8 +69,8 @@ pub fn provoke(fault: Fault) -> Option<Outcome> {
         assert_eq!(details.damage.as_slice(), [(Key::Name, Damage::Corrupt)]);
         assert_eq!((details.name.as_str(), details.device.is_some()), ("", true), "{details:?}");
         let backup = Backup::read(&mut rig.tool).expect("the board replies");
-        let kept = |key: Key| backup.settings.contains_key(key.name());
-        assert!(kept(Key::Device) && !kept(Key::Name), "{:?}", backup.settings.keys());
+        let is_kept = |key: Key| backup.settings.contains_key(key.name());
+        assert!(is_kept(Key::Device) && !is_kept(Key::Name), "{:?}", backup.settings.keys());
         assert!(backup.ready().is_ok(), "the remaining settings can be restored");
     }
     let listed = rig.tool.faults().expect("the board replies");

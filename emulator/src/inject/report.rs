@@ -20,7 +20,7 @@ pub fn describe(fault: Fault) -> String {
 pub fn row(fault: Fault, outcome: Option<&Outcome>) -> String {
     let slow = matches!(injection(fault), Injection::Chip { within_ms, .. } if within_ms > 5);
     let description = describe(fault);
-    let (cause, seen) = match outcome {
+    let (cause, detection) = match outcome {
         None => ("", "".to_owned()),
         Some(outcome) => {
             let cause = if slow {
@@ -30,15 +30,15 @@ pub fn row(fault: Fault, outcome: Option<&Outcome>) -> String {
             } else {
                 "more than 3"
             };
-            let seen = match outcome.from_seen {
+            let detection = match outcome.from_seen {
                 None => "before the restart".to_owned(),
                 Some(0 | 1) => "at most 1".to_owned(),
                 Some(periods) => periods.to_string(),
             };
-            (cause, seen)
+            (cause, detection)
         }
     };
-    csv_line([&fault.code().to_string(), fault.name(), &description, cause, &seen])
+    csv_line([&fault.code().to_string(), fault.name(), &description, cause, &detection])
 }
 
 /// Returns the table of all faults.

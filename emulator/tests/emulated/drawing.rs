@@ -19,8 +19,8 @@ fn the_drawing_agrees_with_the_wiring() {
     if std::env::var_os("UPDATE_DOCS").is_some() {
         std::fs::write(&path, drawn).expect("the drawing can be written");
     }
-    let kept = std::fs::read_to_string(&path).expect("the drawing exists");
-    assert_eq!(kept, drawn, "run UPDATE_DOCS=1 cargo test -p haptic-emulator --test emulated drawing::");
+    let recorded = std::fs::read_to_string(&path).expect("the drawing exists");
+    assert_eq!(recorded, drawn, "run UPDATE_DOCS=1 cargo test -p haptic-emulator --test emulated drawing::");
 }
 
 /// A pin on a page that differs from the tests would be wired without being tested.

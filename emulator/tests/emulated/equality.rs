@@ -123,7 +123,7 @@ fn torques_on_the_chip_equal_the_librarys_bit_for_bit() {
                 continue;
             }
             let frame = control_loop.frame();
-            let here = |field| -> [f32; 3] {
+            let library_values = |field| -> [f32; 3] {
                 match field {
                     Field::Angle => frame.at.q,
                     Field::Speed => frame.at.qd,
@@ -139,8 +139,8 @@ fn torques_on_the_chip_equal_the_librarys_bit_for_bit() {
                 // normal numbers and is not compared.
                 let settled = |value: f32| if value.abs() < f32::MIN_POSITIVE { 0 } else { value.to_bits() };
                 let chip = three(of(row, field)).map(|value| settled(value as f32));
-                let pc = here(field).map(settled);
-                assert_eq!(chip, pc, "{name}: {field:?} at step {} ({:?} here)", row.step, here(field));
+                let pc = library_values(field).map(settled);
+                assert_eq!(chip, pc, "{name}: {field:?} at step {} ({:?} here)", row.step, library_values(field));
             }
             compared += 1;
             touched += usize::from(frame.at.walls.wall_force > 0.0);

@@ -24,15 +24,15 @@ fn fast_force_requests_are_all_accepted_without_missed_periods() {
         (20, Some(PLANE), 2, 4290.0),
         (4, None, 2, 4830.0),
     ] {
-        let found = run(&mut rig, (Fields::USUAL, divider), case.rate_hz, 60, contact, ahead);
+        let result = run(&mut rig, (Fields::USUAL, divider), case.rate_hz, 60, contact, ahead);
         println!(
-            "{}, every {divider}th row, contact {}, {ahead} on their way: {found:?}",
+            "{}, every {divider}th row, contact {}, {ahead} on their way: {result:?}",
             case.name(),
             contact.is_some()
         );
-        assert!(found.per_second > least, "{found:?}");
-        assert_eq!((found.rejected, found.overruns, found.losses.missing), (0, 0, 0), "{found:?}");
-        assert!(found.armed && found.steps.abs_diff(found.periods) <= 1, "{found:?}");
+        assert!(result.per_second > least, "{result:?}");
+        assert_eq!((result.rejected, result.overruns, result.losses.missing), (0, 0, 0), "{result:?}");
+        assert!(result.armed && result.steps.abs_diff(result.periods) <= 1, "{result:?}");
     }
 }
 

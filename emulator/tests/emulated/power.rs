@@ -71,9 +71,9 @@ fn test_cuts(step: usize, mut rig: Rig) -> u64 {
         save(&mut rig, 600);
         assert_eq!(remaining(&rig), Some(0), "the power was not cut in operation {operation} of {operations}");
         rig = rig.restarted();
-        let found = scene(&mut rig);
-        assert!(found == old || found == new, "after a cut in operation {operation} of {operations}: {found:?}");
-        found_new += u32::from(found == new);
+        let after = scene(&mut rig);
+        assert!(after == old || after == new, "after a cut in operation {operation} of {operations}: {after:?}");
+        found_new += u32::from(after == new);
         if operation % 5 == 1 {
             assert!(save(&mut rig, 700), "the save after a cut in operation {operation} of {operations}");
         }

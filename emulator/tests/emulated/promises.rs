@@ -214,7 +214,7 @@ fn no_code_can_change_how_gates_are_driven() {
         let registers = registers.chain(PORTS.iter().map(|port| (port, &PIN_DRIVE_REGISTERS[..])));
         let registers: Vec<(&'static str, u32, u32)> =
             registers.flat_map(|((name, base), all)| all.iter().map(move |at| (*name, *base, *at))).collect();
-        let seen = |rig: &Rig| {
+        let read_registers = |rig: &Rig| {
             let registers = registers.clone();
             rig.with(move |stopped| {
                 let read =
@@ -222,7 +222,7 @@ fn no_code_can_change_how_gates_are_driven() {
                 registers.into_iter().map(read).collect::<Vec<_>>()
             })
         };
-        let before = seen(&rig);
+        let before = read_registers(&rig);
         let power = rig.kind.power;
         let changed: Vec<(u32, u32)> = registers
             .iter()
@@ -244,7 +244,7 @@ fn no_code_can_change_how_gates_are_driven() {
             .collect();
         run_instead(&rig, "10supervisor9supervise4POOL", move |task| stores(&changed, task));
         rig.run(50 * MILLISECOND);
-        assert_eq!(seen(&rig), before, "{}", kind.name());
+        assert_eq!(read_registers(&rig), before, "{}", kind.name());
     }
 }
 
@@ -391,7 +391,7 @@ fn torque_rises_over_half_a_second_after_arming() {
     assert!(full > 1e-3, "{full} N m");
     // One row per millisecond.
     for (after, share) in [(5, 0.01), (50, 0.1), (250, 0.5), (450, 0.9), (550, 1.0)] {
-        let found = torques[armed + after] / full;
-        assert!((found - share).abs() < 0.02, "{found} of the torque after {after} ms");
+        let risen = torques[armed + after] / full;
+        assert!((risen - share).abs() < 0.02, "{risen} of the torque after {after} ms");
     }
 }

@@ -38,6 +38,6 @@ fn a_toy_board_is_one_file_and_renders_a_wall() {
     assert_eq!(rig.tool.status().expect("the board replies").fault, None);
     // The motor's force at the tip equals the hand's, except for dry friction: 4 mN m at 70 mm.
     let motor = rig.file.as_ref().and_then(|file| file.description.joints[0].motor).expect("a motor");
-    let held = rig.with_simulated(|device| device.currents()[0]) * motor.torque_constant / 0.07;
-    assert!((held.abs() - pressed).abs() < 0.06, "the motor holds {held} N");
+    let force = rig.with_simulated(|device| device.currents()[0]) * motor.torque_constant / 0.07;
+    assert!((force.abs() - pressed).abs() < 0.06, "the motor holds {force} N");
 }

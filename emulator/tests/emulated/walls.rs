@@ -130,11 +130,11 @@ fn check_depths(kind: BoardKind, name: &str, walls: &[WallAt], newtons: f64, sha
     let [chip, pc] = depths_when_pushed(kind, name, walls, newtons);
     for wall in 0..walls.len() {
         let deepest = pc.iter().map(|sample| sample[wall]).fold(0.0, f64::max);
-        let apart = chip.iter().zip(&pc).map(|(chip, pc)| (chip[wall] - pc[wall]).abs()).fold(0.0, f64::max);
-        println!("{name}, wall {wall}: {deepest:.6} m deep on the PC, the chip at most {apart:.6} m apart");
+        let difference = chip.iter().zip(&pc).map(|(chip, pc)| (chip[wall] - pc[wall]).abs()).fold(0.0, f64::max);
+        println!("{name}, wall {wall}: {deepest:.6} m deep on the PC, the chip at most {difference:.6} m apart");
         // The hand's final force over the stiffness.
         assert!(deepest > 0.5 * newtons / walls[wall].stiffness, "{name}: {deepest} m is no contact");
-        assert!(apart < share * deepest, "{name}, wall {wall}: {apart} m apart, {deepest} m deep");
+        assert!(difference < share * deepest, "{name}, wall {wall}: {difference} m apart, {deepest} m deep");
     }
 }
 
@@ -205,8 +205,8 @@ fn the_chips_feed_forward_equals_the_analysis() {
             let device = Linearised::at(&file.description, q, &normal[..task]).expect("a regular pose");
             let shaped = device.shaped_torque();
             let expected = if feed_forward == FeedForward::Full { &shaped } else { &device.row };
-            let apart = (shaped.clone() - &device.row).amax();
-            assert!(apart > 0.05 * device.row.amax(), "{name}: the feed-forward has no effect here");
+            let difference = (shaped.clone() - &device.row).amax();
+            assert!(difference > 0.05 * device.row.amax(), "{name}: the feed-forward has no effect here");
             for joint in 0..joints {
                 let error = (torque[joint] / force - expected[joint]).abs();
                 println!(
@@ -215,7 +215,7 @@ fn the_chips_feed_forward_equals_the_analysis() {
                     expected[joint]
                 );
                 assert!(
-                    force > 0.2 && error < 0.02 * apart,
+                    force > 0.2 && error < 0.02 * difference,
                     "{name}, {feed_forward:?}, joint {joint}: {row:?}, {expected:?}"
                 );
             }

@@ -89,8 +89,8 @@ fn the_bus_voltage_is_exact_within_a_converter_step() {
                 stopped.hardware().plant = Box::new(Dummy { bus_voltage: volts, ..Dummy::default() });
             });
             rig.run(2 * MILLISECOND);
-            let seen = f64::from(rig.tool.status().expect("it replies").bus_voltage);
-            assert!((seen - volts).abs() <= 1.5 * step, "{}: {seen} V for {volts} V", kind.name());
+            let shown = f64::from(rig.tool.status().expect("it replies").bus_voltage);
+            assert!((shown - volts).abs() <= 1.5 * step, "{}: {shown} V for {volts} V", kind.name());
         }
     }
 }

@@ -99,9 +99,9 @@ impl Service {
                     scene.check(task(device)).map_err(Refusal::Scene)?;
                 }
                 // A prepared matrix is valid only for its device and walls.
-                let kept = if same_device && scene.is_none() { before.mass.clone() } else { MassModelData::Exact };
+                let kept_mass = if same_device && scene.is_none() { before.mass.clone() } else { MassModelData::Exact };
                 let scene = scene.or_else(|| before.scene.clone().filter(|scene| fits(scene, device)));
-                (scene, mass.unwrap_or(kept))
+                (scene, mass.unwrap_or(kept_mass))
             }
             None if scene.is_some() => return Err(Refusal::NoDevice),
             None => (None, before.mass.clone()),

@@ -160,7 +160,7 @@ fn homed(file: &DeviceFile, lie: &Lie) -> (SharedBoard, Board, Description) {
     let mut wired = told;
     let mut options = BoardOptions { strict: true, support: Support::Held, ..BoardOptions::default() };
     if let When::Always(lie) = lie.when {
-        lie(&mut wired, &mut options.broken);
+        lie(&mut wired, &mut options.faults);
     }
     let mut simulated = SimulatedBoard::new(&wired, options).unwrap();
     simulated.load(&file.name, &told, None).unwrap();

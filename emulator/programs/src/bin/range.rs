@@ -94,10 +94,10 @@ fn measure_both(rate: Rate) -> Result<(Progress, f64), String> {
     let mut all = Progress::new("the emulated chip");
     let mut delay = 0.0;
     for part in parts {
-        let (progress, seen) = part?;
+        let (progress, board_delay) = part?;
         all.ends.extend(progress.ends);
         all.points.extend(progress.points);
-        delay = seen;
+        delay = board_delay;
     }
     Ok((all, delay))
 }
