@@ -64,7 +64,7 @@ fn a_scene_has_the_same_prepared_values_after_another_scene() {
     let mut differ = Vec::new();
     for first in RATES {
         for then in RATES {
-            let y = Scene { gravity_compensation: true, ..at(then, scene(2, &[wall(-0.3, 900.0)])) };
+            let y = Scene { gravity_compensation: true, ..at_rate(then, scene(2, &[wall(-0.3, 900.0)])) };
             let (kept, own) =
                 (load_scenes(Some(&at_rate(first, scene(2, &[]))), &y, |_| ()), load_scenes(None, &y, |_| ()));
             if prepared_values(&kept) != prepared_values(&own) {
