@@ -80,7 +80,7 @@ fn armed_with_key(action: HostAction) -> (Rig, Press) {
 }
 
 #[test]
-fn without_new_messages_of_the_key_motors_go_off_under_any_rules() {
+fn motors_go_off_without_new_messages_of_the_key() {
     type Sender = fn(&Rig, Press) -> Option<Beat>;
     // A queue or thread that no longer reads the key repeats the last message or sends an earlier one.
     let same: Sender = |_, last| Some(Beat::Held(last));
