@@ -10,7 +10,7 @@ use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
 use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::safety::fault::State;
 use haptic_bridge::safety::limits::Limits;
-use haptic_sim::{Held, Press, WIDE};
+use haptic_sim::{PressedBoard, Press, WIDE_LIMITS};
 use nalgebra::SVector;
 
 const POSES: usize = 12;
@@ -55,9 +55,9 @@ fn row<M: Mechanism<f64, N>, const N: usize>(m: M, name: &'static str, device: &
         let lever = m.transpose(&pose, &n).amax();
         let torque = (m.gravity(&pose).amax() + 5.0 * lever) as f32;
         for (index, feed_forward) in [FeedForward::Off, FeedForward::Full].into_iter().enumerate() {
-            let limits = Limits { torque: [torque; MAX_JOINTS], ..WIDE };
+            let limits = Limits { torque: [torque; MAX_JOINTS], ..WIDE_LIMITS };
             let press = Press { device, q: three(&q), normal: three(&n), stiffness: STIFFNESS, feed_forward, limits };
-            let mut held = Held::new(&press).expect("nothing is in the way");
+            let mut held = PressedBoard::new(&press).expect("nothing is in the way");
             for step in 1..=20 {
                 let depth = 1.0e-4 * f64::from(step);
                 let inside = held.pose(depth);
@@ -65,7 +65,7 @@ fn row<M: Mechanism<f64, N>, const N: usize>(m: M, name: &'static str, device: &
                 if m.regularity(&pose).serial < 0.8 * sines[0] {
                     break;
                 }
-                let felt = held.felt(depth, 100);
+                let felt = held.forces_at(depth, 100);
                 assert_eq!(felt.state, State::Armed, "{felt:?}");
                 let asked = felt.asked;
                 let gravity = m.gravity(&pose);
