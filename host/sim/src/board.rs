@@ -82,7 +82,7 @@ impl Default for BoardOptions {
     }
 }
 
-/// Speed of the joint that has the longest way while a device is carried back that a polarity check has moved, rad/s:
+/// Speed of the joint that has the longest way while a moved device is carried back to where it is held, rad/s:
 /// so fast that the board does not take it for one at rest.
 const BACK_SPEED: f64 = 1.0;
 
@@ -339,8 +339,10 @@ impl SimulatedBoard {
             self.device.set_support(wanted);
         }
         let off = !state.drives();
-        if (now, wanted) == (Support::Carried, Support::Held) && off {
-            // The check has moved it, and homing again would take that for home.
+        let moved = now == Support::Carried || (now == Support::None && !self.options.strict);
+        if moved && wanted == Support::Held && off {
+            // The check has moved it, and homing again would take that for home; a board that knows its joints without
+            // homing is used in the pose where it is held.
             self.carried_back = Some((self.device.q(), time));
         }
         self.carried_back = self.carried_back.filter(|_| off);

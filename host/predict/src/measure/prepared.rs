@@ -31,10 +31,10 @@ const HARDER: usize = 16;
 /// Distance by which friction may hold the tip off its place, m: the hold is firmer where it holds it farther off.
 const OFF_ITS_PLACE: f64 = 5e-4;
 
-/// Share of the rate, rad/s for each Hz, at which the tip is held; and the most where friction asks for it. Both are far
-/// below the 0.3 at which the stiffest wall of the paper's setting swings.
+/// Share of the rate, rad/s for each Hz, at which the tip is held; and the most where friction asks for it: half of the
+/// 0.4 at which the stiffest wall of the paper's setting swings.
 const SOFT: f64 = 0.05;
-const FIRM: f64 = 0.1;
+const FIRM: f64 = 0.2;
 
 /// Angle by which a joint may differ from where the measurement began, beside what a tip [`APART`] off its place
 /// explains, rad: friction holds joints off their places. Another pose with the same tip is farther away, unless that
@@ -46,6 +46,8 @@ const EDGE: f64 = 2e-5;
 const ASIDE: f64 = 0.03;
 /// Number of times that a trial is repeated which the device left its pose in.
 const AGAIN: usize = 2;
+/// Time in which the user of a simulated device carries it back, s.
+const CARRIED: f64 = 3.0;
 
 /// The most that the tip can be held aside, in [`APART`].
 const HOLDS: f64 = 0.9;
@@ -269,6 +271,12 @@ impl<'a> PreparedBoard<'a> {
         let (mut trips, mut left) = (0, 0);
         loop {
             match self.swing_from_rest(feed_forward, pull, kp > gentle) {
+                // An oscillation before may have left it in another pose, which may be one that cannot be pulled.
+                Err(error) if error.is_local() && left < AGAIN && self.check_pose().is_err() => {
+                    left += 1;
+                    self.bring_back()?;
+                    continue;
+                }
                 // The device was still ringing from the oscillation before, and that tripped the guard. It has stopped
                 // by now.
                 Err(MeasureError::Fault(fault)) if violent(fault) && trips < 3 => {
@@ -289,6 +297,7 @@ impl<'a> PreparedBoard<'a> {
             match (verdict, there) {
                 (Ok(_), Err(MeasureError::Away { .. })) | (Err(MeasureError::Away { .. }), _) if left < AGAIN => {
                     left += 1;
+                    self.bring_back()?;
                 }
                 (Ok(_), Err(error)) => return Err(error),
                 // The guard was quicker than the telemetry: an oscillation that violent is one.
@@ -320,6 +329,20 @@ impl<'a> PreparedBoard<'a> {
         Err(self.stuck(pull))
     }
 
+    /// Brings the device back to its pose: by the hold or, where that only brings back the tip, by the user of a
+    /// simulated device. The user of a real one is asked to.
+    fn bring_back(&mut self) -> Result<(), MeasureError> {
+        if self.rest(0.0).and_then(|_| self.check_pose()).is_ok() {
+            return Ok(());
+        }
+        if self.board.details()?.real {
+            return Err(MeasureError::Moved);
+        }
+        self.board.disarm()?;
+        self.arm()?;
+        self.settle()
+    }
+
     fn stuck(&self, pull: f64) -> MeasureError {
         let (pull, friction) = (pull.abs(), self.excitation.friction);
         MeasureError::Stuck { pull, force: pull * self.holding().0, friction }
@@ -332,13 +355,27 @@ impl<'a> PreparedBoard<'a> {
             return Err(MeasureError::Disarmed);
         }
         self.board.clear()?;
+        self.arm()?;
+        self.wait(0.4)
+    }
+
+    /// Arms once a simulated device is back in its pose.
+    fn arm(&mut self) -> Result<(), MeasureError> {
+        if !self.board.details()?.real {
+            self.pass(CARRIED)?;
+        }
         self.board.arm()?;
-        // Rows from before the fault was cleared still tell of it.
-        let until = self.board.now() + Duration::from_secs_f64(0.3);
+        // Rows from before still tell of a fault, or of motors that are off.
+        self.pass(0.3)
+    }
+
+    /// Lets time pass (s), whatever the board's state.
+    fn pass(&mut self, seconds: f64) -> Result<(), MeasureError> {
+        let until = self.board.now() + Duration::from_secs_f64(seconds);
         while self.board.now() < until {
             self.board.rows(Duration::from_millis(20))?;
         }
-        self.wait(0.4)
+        Ok(())
     }
 
     /// Motors off, and everything as it was before.

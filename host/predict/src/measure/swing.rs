@@ -56,7 +56,7 @@ const RUNAWAY_GROWTH: f64 = 4.0;
 /// Farthest distance from the wall that is still a trial, in pulls, and of long pulls beyond two of them, m: what has
 /// left that far builds up, and is caught in its pose.
 const FARTHEST_PULLS: f64 = 12.0;
-const FARTHEST: f64 = 0.015;
+const FARTHEST: f64 = 0.005;
 /// Share of the largest swing below which a motion has died out.
 const DIED_OUT_SHARE: f64 = 0.02;
 /// Periods of the cutoff without a turning point after which a motion is over: at least, and at most where a slower
