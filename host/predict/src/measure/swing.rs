@@ -105,6 +105,14 @@ impl Swing {
         }
     }
 
+    /// Returns true if the latest swings are as large as any since the motion settled.
+    #[must_use]
+    pub fn is_larger_than_before(&self) -> bool {
+        let swings = &self.place.swings;
+        let settled = &swings[SETTLING.min(swings.len())..];
+        settled.len() > LOOK / 4 && largest(&settled[settled.len() - LOOK / 4..]) >= largest(settled)
+    }
+
     /// Takes the next position (m); says the verdict once there is one.
     pub fn take(&mut self, place: f64) -> Option<Verdict> {
         if self.told[0].is_none() {
