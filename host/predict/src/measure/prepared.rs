@@ -536,7 +536,7 @@ impl<'a> PreparedBoard<'a> {
                 }
                 if at.aside > ASIDE {
                     let lost = self.check_pose(APART).err().unwrap_or(MeasureError::Restless);
-                    return if swing.is_larger_than_before() { Ok(Verdict::Grows) } else { Err(lost) };
+                    return if swing.goes_on() { Ok(Verdict::Grows) } else { Err(lost) };
                 }
             }
         }

@@ -105,12 +105,12 @@ impl Swing {
         }
     }
 
-    /// Returns true if the latest swings are as large as any since the motion settled.
+    /// Returns true if the latest swings are about as large as any since the motion settled.
     #[must_use]
-    pub fn is_larger_than_before(&self) -> bool {
-        let swings = &self.place.swings;
-        let settled = &swings[SETTLING.min(swings.len())..];
-        settled.len() > LOOK / 4 && largest(&settled[settled.len() - LOOK / 4..]) >= largest(settled)
+    pub fn goes_on(&self) -> bool {
+        let settled = self.place.swings.get(SETTLING..).unwrap_or_default();
+        let (_, latest) = settled.split_at(settled.len().saturating_sub(LOOK / 4));
+        settled.len() > LOOK / 2 && largest(latest) > 0.9 * largest(settled)
     }
 
     /// Takes the next position (m); says the verdict once there is one.
