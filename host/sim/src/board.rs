@@ -328,8 +328,10 @@ impl SimulatedBoard {
         let time = self.device.time();
         self.armed = (state == State::Armed).then(|| self.armed.unwrap_or(time));
         let ramped = self.armed.is_some_and(|armed| time >= armed + f64::from(ARM_SECONDS));
+        // The user of a device that need not be homed also brings it back.
+        let stays = self.options.support == Support::Held && !self.options.strict;
         let wanted = match (now, state) {
-            (Support::None, _) => Support::None,
+            (Support::None, _) if !stays => Support::None,
             (_, State::Armed) if ramped => Support::None,
             (_, State::Armed) => Support::Held,
             (_, State::CheckingPolarity) => Support::Carried,
@@ -339,10 +341,8 @@ impl SimulatedBoard {
             self.device.set_support(wanted);
         }
         let off = !state.drives();
-        let moved = now == Support::Carried || (now == Support::None && !self.options.strict);
-        if moved && wanted == Support::Held && off {
-            // The check has moved it, and homing again would take that for home; a board that knows its joints without
-            // homing is used in the pose where it is held.
+        if (now == Support::Carried || stays && now == Support::None) && wanted == Support::Held && off {
+            // The check has moved it, and homing again would take that for home.
             self.carried_back = Some((self.device.q(), time));
         }
         self.carried_back = self.carried_back.filter(|_| off);

@@ -42,6 +42,8 @@ const FIRM: f64 = 0.2;
 const SAME_POSE: f64 = 0.03;
 /// Singular values of a Jacobian below this are none, m.
 const SINGULAR: f64 = 1e-9;
+/// Times as far as a Jacobian says a joint may turn until the tip is [`ASIDE`].
+const BENT: f64 = 1.5;
 /// A tip that has moved so far is on its way, m.
 const EDGE: f64 = 2e-5;
 /// A tip that slides this far along the walls has left its pose, m: a long pull's slides by up to four times the pull
@@ -196,7 +198,7 @@ impl<'a> PreparedBoard<'a> {
         let off = DVector::from_fn(self.tip.len(), |i, _| (f64::from(now.tip[i]) - self.tip[i]).abs().min(apart));
         for (joint, (began, turned)) in self.q.iter().zip(&(&self.turns * off)).enumerate() {
             let by = f64::from(now.q[joint]) - began;
-            if by.abs() > SAME_POSE + turned {
+            if by.abs() > SAME_POSE + BENT * turned {
                 return Err(MeasureError::Away { joint, by });
             }
         }

@@ -108,9 +108,9 @@ impl Swing {
     /// Returns true if the latest swings are about as large as any since the motion settled.
     #[must_use]
     pub fn goes_on(&self) -> bool {
-        let settled = self.place.swings.get(SETTLING..).unwrap_or_default();
+        let settled: Vec<f64> = self.place.spans.iter().skip(SETTLING).map(|(low, high)| high - low).collect();
         let (_, latest) = settled.split_at(settled.len().saturating_sub(LOOK / 4));
-        settled.len() > LOOK / 2 && largest(latest) > 0.9 * largest(settled)
+        settled.len() > LOOK / 4 && largest(latest) > 0.9 * largest(&settled)
     }
 
     /// Takes the next position (m); says the verdict once there is one.
