@@ -105,12 +105,12 @@ impl Swing {
         }
     }
 
-    /// Returns true if the latest swings are about as large as any since the motion settled.
+    /// Returns true if the motion has not lost half of its size since it settled.
     #[must_use]
     pub fn goes_on(&self) -> bool {
         let settled: Vec<f64> = self.place.spans.iter().skip(SETTLING).map(|(low, high)| high - low).collect();
         let (_, latest) = settled.split_at(settled.len().saturating_sub(LOOK / 4));
-        settled.len() > LOOK / 4 && largest(latest) > 0.9 * largest(&settled)
+        settled.len() > LOOK / 4 && largest(latest) > 0.5 * largest(&settled)
     }
 
     /// Takes the next position (m); says the verdict once there is one.
