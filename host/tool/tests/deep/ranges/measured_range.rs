@@ -27,6 +27,7 @@ const NORMAL: [f64; 2] = [0.6, 0.8];
 fn file() -> DeviceFile {
     let mut file = DeviceFile::parse(SHIPPED_DEVICE, "coupled-five-bar.toml").unwrap();
     for joint in &mut file.description.joints[..2] {
+        joint.coulomb = 0.0;
         joint.encoder.as_mut().unwrap().counts_per_turn = f64::from(1 << 23);
     }
     file
