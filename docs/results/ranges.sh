@@ -2,7 +2,7 @@
 # figures` writes and runs them: each takes a quarter of a minute to minutes.
 
 # the cases
-haptic measure-range devices/coupled-five-bar.toml --port sim --q 2.6,1.75 --normal 0.94702228,-0.32116787 --rate 200 --cutoff 20 --pull 0.1 --frictionless --ideal-drive --counts 8388608 --torque-limit 2 --svg docs/results/range-200hz.svg --force --progress range-200hz.json
+haptic measure-range devices/coupled-five-bar.toml --port sim --q 2.6,1.75 --normal 0.94702228,-0.32116787 --rate 200 --cutoff 20 --repeats 2 --pull 0.1,-0.1 --frictionless --ideal-drive --counts 8388608 --torque-limit 2 --svg docs/results/range-200hz.svg --force --progress range-200hz.json
 haptic measure-range devices/coupled-five-bar.toml --port sim --q 2.6,1.75 --normal 0.94702228,-0.32116787 --rate 1000 --cutoff 20 --pull 0.1 --frictionless --ideal-drive --counts 8388608 --torque-limit 2 --svg docs/results/range-1khz.svg --force --progress range-1khz.json
 haptic measure-range devices/coupled-five-bar.toml --port sim --q 2.6,1.75 --normal 0.94702228,-0.32116787 --rate 10000 --cutoff 200 --pull 0.3 --frictionless --ideal-drive --counts 8388608 --torque-limit 2 --svg docs/results/range-10khz.svg --force --progress range-10khz.json
 haptic measure-range devices/coupled-five-bar.toml --port sim --q 2.6,1.75 --normal 0.94702228,-0.32116787 --rate 20000 --cutoff 500 --pull 0.3 --frictionless --ideal-drive --counts 8388608 --torque-limit 2 --svg docs/results/range-20khz.svg --force --progress range-20khz.json

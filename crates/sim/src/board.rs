@@ -81,7 +81,7 @@ impl Default for BoardOptions {
     }
 }
 
-/// Speed of the joint with the longest way while a device is returned after a polarity check, rad/s: so fast that the
+/// Speed of the joint with the longest way while a moved device is returned to where it is held, rad/s: so fast that the
 /// board does not consider the device at rest.
 const BACK_SPEED: f64 = 1.0;
 
@@ -326,8 +326,10 @@ impl SimulatedBoard {
         let time = self.device.time();
         self.armed_at = (state == State::Armed).then(|| self.armed_at.unwrap_or(time));
         let ramped = self.armed_at.is_some_and(|armed_at| time >= armed_at + f64::from(ARM_SECONDS));
+        // The user of a device that need not be homed also brings it back.
+        let stays = self.options.support == Support::Held && !self.options.strict;
         let required = match (now, state) {
-            (Support::None, _) => Support::None,
+            (Support::None, _) if !stays => Support::None,
             (_, State::Armed) if ramped => Support::None,
             (_, State::Armed) => Support::Held,
             (_, State::CheckingPolarity) => Support::Carried,
@@ -337,8 +339,8 @@ impl SimulatedBoard {
             self.device.set_support(required);
         }
         let off = !state.drives();
-        if (now, required) == (Support::Carried, Support::Held) && off {
-            // The check has moved the device, and homing would take its present pose for home.
+        if (now == Support::Carried || stays && now == Support::None) && required == Support::Held && off {
+            // The device has moved, and homing would take its present pose for home.
             self.return_from = Some((self.device.q(), time));
         }
         self.return_from = self.return_from.filter(|_| off);

@@ -394,7 +394,7 @@ fn failure(error: MeasureError, args: &Args, redundant: bool, board: &mut Board)
             let again = format!("put it back in its pose, hold it there until the motors carry it, and {again}");
             Failure::impossible(error).remedy(match args.posture {
                 None if redundant => format!("hold the pose of this redundant device, as with --posture 0.5,0.03, or {again}"),
-                _ => again,
+                _ => format!("{again}; with friction a shorter pull (--pull 2,-2) leaves it there"),
             })
         }
         MeasureError::Stuck { .. } | MeasureError::Unbounded | MeasureError::Saturates { .. } | MeasureError::Open { .. } => {

@@ -8,7 +8,7 @@ use haptic_bridge::control::{HostAction, Rules};
 use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::safety::fault::{Fault, State};
-use nalgebra::DVector;
+use nalgebra::{DMatrix, DVector};
 
 use super::before::Before;
 use super::excitation::Excitation;
@@ -31,21 +31,28 @@ const HARDER: usize = 16;
 /// Distance by which friction may hold the tip off its place, m: the hold is firmer where it holds it farther off.
 const OFF_ITS_PLACE: f64 = 5e-4;
 
-/// Share of the rate, rad/s for each Hz, at which the tip is held; and the most where friction asks for it. Both are far
-/// below the 0.3 at which the stiffest wall of the paper's setting swings.
+/// Share of the rate, rad/s for each Hz, at which the tip is held; and the most where friction asks for it: half of the
+/// 0.4 at which the stiffest wall of the paper's setting swings.
 const SOFT: f64 = 0.05;
-const FIRM: f64 = 0.1;
+const FIRM: f64 = 0.2;
 
-/// Angle by which a joint may differ from where the measurement began, beside what a tip [`APART`] off its place
-/// explains, rad: friction holds joints off their places. Another pose with the same tip is farther away, unless that
-/// pose is nearly singular.
+/// Angle by which a joint may differ from where the measurement began, beside what the tip's place explains, rad:
+/// friction holds joints off their places. Another pose with the same tip is farther away, unless that pose is nearly
+/// singular.
 const SAME_POSE: f64 = 0.03;
+/// Singular values of a Jacobian below this are none, m.
+const SINGULAR: f64 = 1e-9;
+/// Times as far as a Jacobian says a joint may turn until the tip is [`ASIDE`].
+const BENT: f64 = 1.5;
 /// A tip that has moved so far is on its way, m.
 const EDGE: f64 = 2e-5;
-/// A tip that slides this far along the walls has left its pose, m.
+/// A tip that slides this far along the walls has left its pose, m: a long pull's slides by up to four times the pull
+/// where friction brakes the joints unevenly.
 const ASIDE: f64 = 0.03;
 /// Number of times that a trial is repeated which the device left its pose in.
 const AGAIN: usize = 2;
+/// Time in which the user of a simulated device carries it back, s.
+const CARRIED: f64 = 3.0;
 
 /// The most that the tip can be held aside, in [`APART`].
 const HOLDS: f64 = 0.9;
@@ -77,8 +84,8 @@ pub struct PreparedBoard<'a> {
     /// Natural frequency of the hold, rad/s, and how often it was lowered.
     hold_frequency: f64,
     softened: usize,
-    /// The angle by which each joint turns for each metre of a pull, rad/m.
-    turns: Vec<f64>,
+    /// The angle by which each joint turns for each metre of the tip along each axis, N x d, rad/m.
+    turns: DMatrix<f64>,
     excitation: Excitation,
     divider: u32,
     /// Columns of a row that hold the tip, and the one that holds the state.
@@ -152,7 +159,7 @@ impl<'a> PreparedBoard<'a> {
             heaviest,
             hold_frequency,
             softened: 0,
-            turns: device.unit_motion.iter().map(|turn| turn.abs()).collect(),
+            turns: device.flexible.tip.pseudo_inverse(SINGULAR).map_err(|why| MeasureError::Scene(why.into()))?.abs(),
             excitation,
             divider: (setup.rate_hz / 10_000.0).ceil().max(1.0) as u32,
             setup,
@@ -179,17 +186,19 @@ impl<'a> PreparedBoard<'a> {
                     self.hold(0.0)?;
                     self.arm_again()?;
                 }
-                other => return other.and_then(|_| self.check_pose()),
+                other => return other.and_then(|_| self.check_pose(APART)),
             }
         }
     }
 
-    /// Refuses a device whose joints are not where the measurement began.
-    fn check_pose(&mut self) -> Result<(), MeasureError> {
-        let now = self.board.status()?.q;
-        for (joint, (began, turns)) in self.q.iter().zip(&self.turns).enumerate() {
-            let by = f64::from(now[joint]) - began;
-            if by.abs() > SAME_POSE + turns * APART {
+    /// Refuses a device whose joints are not where the measurement began, nor where a tip turns them that is at most
+    /// `apart` (m) off its place along each axis.
+    fn check_pose(&mut self, apart: f64) -> Result<(), MeasureError> {
+        let now = self.board.status()?;
+        let off = DVector::from_fn(self.tip.len(), |i, _| (f64::from(now.tip[i]) - self.tip[i]).abs().min(apart));
+        for (joint, (began, turned)) in self.q.iter().zip(&(&self.turns * off)).enumerate() {
+            let by = f64::from(now.q[joint]) - began;
+            if by.abs() > SAME_POSE + BENT * turned {
                 return Err(MeasureError::Away { joint, by });
             }
         }
@@ -269,6 +278,12 @@ impl<'a> PreparedBoard<'a> {
         let (mut trips, mut left) = (0, 0);
         loop {
             match self.swing_from_rest(feed_forward, pull, kp > gentle) {
+                // An oscillation before may have left it in another pose, which may be one that cannot be pulled.
+                Err(error) if error.is_local() && left < AGAIN && self.check_pose(APART).is_err() => {
+                    left += 1;
+                    self.bring_back()?;
+                    continue;
+                }
                 // The device was still ringing from the oscillation before, and that tripped the guard. It has stopped
                 // by now.
                 Err(MeasureError::Fault(fault)) if violent(fault) && trips < 3 => {
@@ -281,7 +296,7 @@ impl<'a> PreparedBoard<'a> {
             let verdict = self.watch(feed_forward, kp, kd, pull);
             // A motion that grew has left the pose by growing; any other was that of the pose, or of none.
             let there = match &verdict {
-                Ok(Verdict::Decays | Verdict::Vibrates(_)) => self.check_pose(),
+                Ok(Verdict::Decays | Verdict::Vibrates(_)) => self.check_pose(ASIDE),
                 _ => Ok(()),
             };
             // Back off at once, whatever came out.
@@ -289,6 +304,7 @@ impl<'a> PreparedBoard<'a> {
             match (verdict, there) {
                 (Ok(_), Err(MeasureError::Away { .. })) | (Err(MeasureError::Away { .. }), _) if left < AGAIN => {
                     left += 1;
+                    self.bring_back()?;
                 }
                 (Ok(_), Err(error)) => return Err(error),
                 // The guard was quicker than the telemetry: an oscillation that violent is one.
@@ -312,12 +328,26 @@ impl<'a> PreparedBoard<'a> {
             let rested = self.rest(aim.clamp(-HOLDS * APART, HOLDS * APART))?;
             let along = rested * pull.signum();
             if along >= enough && along <= PULLED.1 * pull.abs() + 2.0 * self.excitation.quantum {
-                self.check_pose()?;
+                self.check_pose(APART)?;
                 return self.swing_back(feed_forward, pull, rested, stiffer);
             }
             aim += pull - rested;
         }
         Err(self.stuck(pull))
+    }
+
+    /// Brings the device back to its pose: by the hold or, where that only brings back the tip, by the user of a
+    /// simulated device. The user of a real one is asked to.
+    fn bring_back(&mut self) -> Result<(), MeasureError> {
+        if self.rest(0.0).and_then(|_| self.check_pose(APART)).is_ok() {
+            return Ok(());
+        }
+        if self.board.details()?.real {
+            return Err(MeasureError::Moved);
+        }
+        self.board.disarm()?;
+        self.arm()?;
+        self.settle()
     }
 
     fn stuck(&self, pull: f64) -> MeasureError {
@@ -332,13 +362,27 @@ impl<'a> PreparedBoard<'a> {
             return Err(MeasureError::Disarmed);
         }
         self.board.clear()?;
+        self.arm()?;
+        self.wait(0.4)
+    }
+
+    /// Arms once a simulated device is back in its pose.
+    fn arm(&mut self) -> Result<(), MeasureError> {
+        if !self.board.details()?.real {
+            self.pass(CARRIED)?;
+        }
         self.board.arm()?;
-        // Rows from before the fault was cleared still tell of it.
-        let until = self.board.now() + Duration::from_secs_f64(0.3);
+        // Rows from before still tell of a fault, or of motors that are off.
+        self.pass(0.3)
+    }
+
+    /// Lets time pass (s), whatever the board's state.
+    fn pass(&mut self, seconds: f64) -> Result<(), MeasureError> {
+        let until = self.board.now() + Duration::from_secs_f64(seconds);
         while self.board.now() < until {
             self.board.rows(Duration::from_millis(20))?;
         }
-        self.wait(0.4)
+        Ok(())
     }
 
     /// Motors off, and everything as it was before.
@@ -473,7 +517,8 @@ impl<'a> PreparedBoard<'a> {
                 return Ok(());
             }
         }
-        Err(self.stuck(pull))
+        // A quick swing is over before its rows arrive: so little friction does not hold a tip.
+        if self.excitation.friction < 0.05 * kp * rested.abs() { Ok(()) } else { Err(self.stuck(pull)) }
     }
 
     /// Hands the moving tip to the tested gains and follows it until the verdict.
@@ -489,11 +534,12 @@ impl<'a> PreparedBoard<'a> {
                 if at.step.wrapping_sub(first) > u32::MAX / 2 {
                     continue;
                 }
-                if at.aside > ASIDE {
-                    return Err(self.check_pose().err().unwrap_or(MeasureError::Restless));
-                }
                 if let Some(verdict) = swing.take(at.place) {
                     return Ok(verdict);
+                }
+                if at.aside > ASIDE {
+                    let lost = self.check_pose(APART).err().unwrap_or(MeasureError::Restless);
+                    return if swing.goes_on() { Ok(Verdict::Grows) } else { Err(lost) };
                 }
             }
         }
@@ -577,5 +623,5 @@ fn span(values: impl Iterator<Item = f64>) -> (f64, f64) {
 
 /// Faults that an oscillation trips and that pass with it.
 fn violent(fault: Fault) -> bool {
-    matches!(fault, Fault::SpeedLimit | Fault::OverCurrent | Fault::PowerLimit)
+    matches!(fault, Fault::SpeedLimit | Fault::OverCurrent | Fault::PowerLimit | Fault::ForceLimit)
 }

@@ -56,7 +56,7 @@ const RUNAWAY_GROWTH: f64 = 4.0;
 /// Farthest distance from the wall that is still a trial, in pulls, and of long pulls beyond two of them, m: what has
 /// left that far builds up, and is caught in its pose.
 const FARTHEST_PULLS: f64 = 12.0;
-const FARTHEST: f64 = 0.015;
+const FARTHEST: f64 = 0.005;
 /// Share of the largest swing below which a motion has died out.
 const DIED_OUT_SHARE: f64 = 0.02;
 /// Periods of the cutoff without a turning point after which a motion is over: at least, and at most where a slower
@@ -103,6 +103,14 @@ impl Swing {
             before: [None; 2],
             told: [None; 2],
         }
+    }
+
+    /// Returns true if the motion has not lost half of its size since it settled.
+    #[must_use]
+    pub fn goes_on(&self) -> bool {
+        let settled: Vec<f64> = self.place.spans.iter().skip(SETTLING).map(|(low, high)| high - low).collect();
+        let (_, latest) = settled.split_at(settled.len().saturating_sub(LOOK / 4));
+        settled.len() > LOOK / 4 && largest(latest) > 0.5 * largest(&settled)
     }
 
     /// Takes the next position (m); says the verdict once there is one.

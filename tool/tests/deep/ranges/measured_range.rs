@@ -27,6 +27,7 @@ const NORMAL: [f64; 2] = [0.6, 0.8];
 fn file() -> DeviceFile {
     let mut file = DeviceFile::parse(SHIPPED_DEVICE, "coupled-five-bar.toml").unwrap();
     for joint in &mut file.description.joints[..2] {
+        joint.coulomb = 0.0;
         joint.encoder.as_mut().unwrap().counts_per_turn = f64::from(1 << 23);
     }
     file
@@ -230,6 +231,32 @@ fn a_tip_that_friction_holds_is_no_stable_wall() {
 }
 
 #[test]
+fn boundaries_with_friction_are_found_at_the_papers_setting() {
+    let phantom = ("phantom-premium-1.5", &[0.6, 0.8, 0.0][..], World::default());
+    let five_bar = ("coupled-five-bar", &[0.947, -0.321][..], World { q: Some(POSE), ..World::default() });
+    for ((name, normal, world), mode, kd, strength) in [
+        (phantom.clone(), FeedForward::Full, 1.15, 1.0),
+        (phantom, FeedForward::Full, 5.76, -1.0),
+        (five_bar, FeedForward::Off, 10.55, -1.0),
+    ] {
+        let law = Law { farther: true, ..Law::default() };
+        let (file, setup, prediction) = at_the_papers_setting(name, &world, normal, law);
+        let pose = world.q.or(file.description.home).unwrap();
+        let joints = file.spec().joints;
+        let predicted = prediction.range(&pose[..joints], &setup.walls, Some(&[kd]), None).unwrap();
+        let mut board = Board::over(world.board(&file, 200.0).unwrap().wire(), "sim").unwrap();
+        let mut prepared = PreparedBoard::new(&mut board, &file, setup, &|| false).unwrap();
+        let found = prepared.boundary(mode, kd, strength, None).map(|found| found.gain);
+        let theory = predicted.of(mode).boundary[0].kp;
+        // Friction damps.
+        assert!(
+            found.as_ref().is_ok_and(|found| *found > theory && *found < theory + 200.0),
+            "{name}: {found:?}, {theory}"
+        );
+    }
+}
+
+#[test]
 fn a_redundant_arm_is_measured_in_the_posture_that_holds_it() {
     let world = World {
         q: Some([0.5, 0.8, 0.7]),
@@ -239,7 +266,9 @@ fn a_redundant_arm_is_measured_in_the_posture_that_holds_it() {
         ..World::default()
     };
     let law = Law { posture: Some(Posture { stiffness: 0.05, damping: 0.003 }), ..Law::default() };
-    let (file, setup, prediction) = at_the_papers_setting("serial-3r", &world, &[0.6, 0.8], law);
+    let (mut file, setup, prediction) = at_the_papers_setting("serial-3r", &world, &[0.6, 0.8], law);
+    // The theory does not know that its weight is carried one period late: 6 % here.
+    file.description.gravity = [0.0; 3];
     let kd = 0.5;
     let predicted = prediction.range(&world.q.unwrap(), &setup.walls, Some(&[kd]), None).unwrap();
     let mut board = Board::over(world.board(&file, 200.0).unwrap().wire(), "sim").unwrap();
@@ -247,6 +276,6 @@ fn a_redundant_arm_is_measured_in_the_posture_that_holds_it() {
     for mode in [FeedForward::Off, FeedForward::Full] {
         let theory = predicted.of(mode).boundary[0].kp;
         let found = prepared.boundary(mode, kd, 1.0, None).unwrap().gain;
-        assert!((found / theory - 1.0).abs() < 0.1, "{mode:?}: {found} is not {theory}");
+        assert!((found / theory - 1.0).abs() < 0.01, "{mode:?}: {found} is not {theory}");
     }
 }
