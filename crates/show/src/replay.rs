@@ -128,7 +128,7 @@ pub fn replay(recording: &Recording) -> Result<ReplayResult, Failure> {
     }
     if drives(first[columns.state] as usize) {
         return Err(Failure::wrong("the motors are on in the first row: the state of the controller is not known")
-            .remedy("begin to record before arming, as haptic record does with --arm"));
+            .remedy("begin to record before arming; haptic record can arm by itself"));
     }
 
     let hardware = Hardware {
