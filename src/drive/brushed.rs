@@ -109,8 +109,10 @@ pub struct Axis {
     swing: f32,
     /// The largest recent current, A: the integrator's part for a hot winding outlasts it.
     recent: f32,
-    /// Largest voltage by which a sound motor may differ from its model at rest without current, V.
+    /// Largest voltage by which a sound motor may differ from its model at rest without current, V; and from which on it
+    /// is looked at.
     doubt: f32,
+    looked_at: f32,
     /// That without any current, V, and what each ampere allowed adds where the inductance is not known, Ω.
     least_doubt: f32,
     lag_resistance: f32,
@@ -226,6 +228,7 @@ impl Stage for Axis {
         // From wherever the limit lets a current be to wherever it lets it go.
         self.easy = EASILY * ((self.most - self.max_current) * self.timing[0].part).max(0.0);
         self.doubt = self.least_doubt + self.lag_resistance * self.max_current;
+        self.looked_at = self.doubt;
     }
 
     fn max_current(&self) -> f32 {
@@ -313,7 +316,8 @@ impl Stage for Axis {
         let turning = [rate * angle[1], -rate * angle[0]];
         let left = [voltage[0] - self.back_emf * turning[0], voltage[1] - self.back_emf * turning[1]];
         let squared = current[0] * current[0] + current[1] * current[1];
-        (squared > 0.0).then(|| ((left[0] * current[0] + left[1] * current[1]) / squared, self.resistance))
+        let file = self.doubt_resistance / RESISTANCE_DOUBT;
+        (squared > 0.0).then(|| ((left[0] * current[0] + left[1] * current[1]) / squared, file))
     }
 
     #[inline(always)]
@@ -324,9 +328,25 @@ impl Stage for Axis {
     /// The loop's integrator is what such a motor would not need; where the bus leaves it no room, a current that
     /// stays behind says as much.
     #[inline(always)]
-    fn strain(&self) -> (f32, f32) {
+    fn strain(&self) -> (f32, f32, f32) {
         let strain = self.integrator + self.resistance * self.missing;
-        (strain, self.doubt + self.doubt_resistance * self.recent + self.emf_doubt)
+        let most = self.doubt + self.doubt_resistance * self.recent + self.emf_doubt;
+        (strain, self.looked_at + self.emf_doubt, most)
+    }
+
+    fn doubt_from(&mut self, torque: f32) {
+        self.looked_at = self.doubt.min((torque * self.amps_per_torque * self.resistance).abs());
+    }
+
+    fn told_by_volts(&self) -> f32 {
+        let strain = self.integrator + self.resistance * self.missing;
+        let beyond = strain - limited(strain, self.emf_doubt);
+        self.reached + if self.resistance > 0.0 { beyond / self.resistance } else { 0.0 }
+    }
+
+    /// More than the file's may be brushes. What they take is no winding's, and too much of it would hide a current.
+    fn know_resistance(&mut self, ohms: f32) {
+        self.resistance = self.resistance.min(ohms);
     }
 
     fn turning(&self, volts: f32) -> f32 {
@@ -350,8 +370,12 @@ impl Stage for Axis {
     }
 
     fn inherit(&mut self, other: &Self) {
-        let Self { integrator, reached, expected, error, missing, recent, target, .. } = *other;
+        let Self { integrator, reached, expected, error, missing, recent, target, resistance, .. } = *other;
         *self = Self { integrator, reached, expected, error, missing, recent, target, ..*self };
+        // What was measured of this motor stays known.
+        if self.doubt_resistance == other.doubt_resistance {
+            self.resistance = resistance;
+        }
     }
 
     /// The voltage less the resistance's part is back-EMF, less the doubt: a winding half as resistive again (hot, or a

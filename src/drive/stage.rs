@@ -156,11 +156,23 @@ pub trait Stage: Copy + Debug + Default {
     /// Goes on where the stage that this one replaces stands: loading a scene does not stop the current that flows.
     fn inherit(&mut self, other: &Self);
 
-    /// Volts by which the motor at this current and speed differs from the one in the device file, and what it may differ
-    /// by. A stage without a model of its motor doubts nothing.
-    fn strain(&self) -> (f32, f32) {
-        (0.0, f32::INFINITY)
+    /// Volts by which the motor at this current and speed differs from the one in the device file, from where on it is
+    /// looked at ([`Stage::doubt_from`]), and the most that it may differ by. A stage without a model of its motor doubts
+    /// nothing.
+    fn strain(&self) -> (f32, f32, f32) {
+        (0.0, f32::INFINITY, f32::INFINITY)
     }
+
+    /// A motor whose volts tell a torque (N m) that its current does not is looked at from now on.
+    fn doubt_from(&mut self, _torque: f32) {}
+
+    /// The current (A) that the motor's volts tell, whatever its sensor shows.
+    fn told_by_volts(&self) -> f32 {
+        0.0
+    }
+
+    /// The winding was measured to have so many ohms.
+    fn know_resistance(&mut self, _ohms: f32) {}
 
     /// Returns true if the measured current is about what a sound motor would have.
     fn flows_as_expected(&self) -> bool {

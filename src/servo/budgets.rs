@@ -8,6 +8,7 @@ use crate::drive::stage::Stage;
 use crate::math::{Math, limited, sqrt};
 use crate::model::device::{Leverage, squared};
 use crate::safety::fault::{Fault, State};
+use crate::safety::limits::VOLTS_MARGIN;
 use crate::safety::refusal::Refusal;
 use crate::servo::frame::{Outputs, Samples};
 use crate::servo::joints::{Counts, Torques};
@@ -72,11 +73,12 @@ const CHANGE_KEPT: f32 = 0.75;
 /// The measured currents as forces at the tip.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Flow {
-    /// Means of the torques that the measured currents make beyond the device's weight, N m, and the gain of a sample.
+    /// Means of the torques that the sensors show while no bridge drives, N m, and the gain of a sample.
     torque: Torques,
     gain: f32,
-    /// The square of what they may push with, N².
-    most_squared: f32,
+    /// Mean of the force (N) that the measured currents make beyond the device's weight, and the most that it may be.
+    force: f32,
+    most: f32,
     /// Share by which leverage changed at once recently: with a count of a coarse encoder, where links are nearly in line, by
     /// a tenth, and the joint was half of that nearer all along.
     change: f32,
@@ -189,18 +191,22 @@ where
     fn doubt<const J: usize>(&mut self, seen: &Samples, supplied: Option<f32>) {
         let mut least = 0;
         let held = self.held();
-        let motors = self.joints.iter_mut().zip(seen.currents.iter()).zip(self.flow.torque.iter_mut().zip(held.iter()));
-        for ((joint, current), (mean, held)) in motors.take(J) {
+        let mut acting = Torques::default();
+        let motors = self.joints.iter_mut().zip(seen.currents.iter()).zip(acting.iter_mut().zip(held.iter()));
+        for ((joint, current), (acting, held)) in motors.take(J) {
             joint.sums.squares += current * current;
-            *mean += self.flow.gain * (joint.stage.torque_of(*current) - held - *mean);
+            *acting = joint.stage.torque_of(*current) - held;
             if let Some(bus_voltage) = supplied {
-                let (strain, doubt) = joint.settle(bus_voltage);
+                let (strain, doubt, _) = joint.settle(bus_voltage);
                 least |= margin_bits(strain, doubt);
             }
         }
-        least |= margin_bits(squared(&self.leverage.force::<J>(&self.flow.torque)), self.flow.most_squared);
+        // The mean of its size: what alternates within a millisecond is felt, too.
+        let force = sqrt(squared(&self.leverage.force::<J>(&acting)));
+        self.flow.force += self.flow.gain * (force - self.flow.force);
+        least |= margin_bits(self.flow.force, self.flow.most);
         if least < 0 {
-            self.find_strained();
+            self.find_strained(&held);
         }
     }
 
@@ -236,37 +242,47 @@ where
     /// Works out what may flow at this leverage, and what may be asked for: what is still within the limit once leverage has
     /// changed as it did recently.
     pub(super) fn allow(&mut self) {
-        let joints = self.joints.iter().enumerate().take(self.count());
-        let error = joints
-            .fold(0.0, |sum, (i, joint)| sum + self.leverage.most_of(i) * joint.stage.torque_of(SENSOR_ERROR).abs());
-        let limit = self.rules.limits.tip_force;
+        let (count, limit) = (self.count(), self.rules.limits.tip_force);
+        let (mut error, free) = (0.0, (VOLTS_MARGIN - FLOW_MARGIN) * limit / count.max(1) as f32);
+        for (i, joint) in self.joints.iter_mut().enumerate().take(count) {
+            let worth = self.leverage.most_of(i);
+            error += worth * joint.stage.torque_of(SENSOR_ERROR).abs();
+            // Less than this of each motor adds up to no more than the currents that its volts tell may push with.
+            joint.stage.doubt_from(free / worth);
+        }
         self.set_most_force(limit / (1.0 + (self.flow.change - CHANGE_FREE).max(0.0)));
         let most = FLOW_MARGIN * limit + error.min(HIDDEN_SHARE * limit);
-        let (flow, most) = (&mut self.flow, most * most);
+        let flow = &mut self.flow;
         flow.until_weighed = flow.every;
         if flow.settling > 0.0 {
             flow.settling -= (flow.every + 1) as f32 * self.crests.period;
-            flow.most_squared = flow.most_squared.max(most);
+            flow.most = flow.most.max(most);
         } else {
-            flow.most_squared = most;
+            flow.most = most;
         }
     }
 
-    /// A motor is not as its device file says: finds out which, and turns the motors off.
+    /// Something may not be as the device file says: finds out which motor is not, if any, and turns the motors off.
     #[cold]
     #[inline(never)]
-    fn find_strained(&mut self) {
+    fn find_strained(&mut self, held: &Torques) {
         let joints = self.count();
-        let flowing = self.leverage.force_squared(&self.flow.torque);
-        if margin_bits(flowing, self.flow.most_squared) < 0 {
-            self.trip(Fault::ForceLimit, None, sqrt(flowing));
+        let flowing = self.flow.force;
+        if margin_bits(flowing, self.flow.most) < 0 {
+            self.trip(Fault::ForceLimit, None, flowing);
             return;
         }
-        let strained = self.joints.iter().enumerate().take(joints).find_map(|(i, joint)| {
-            let (strain, doubt) = joint.stage.strain();
-            (margin_bits(strain, doubt) < 0).then_some((i, joint, strain))
+        let told = Torques::from_fn(|i| self.joints[i].stage.torque_of(self.joints[i].stage.told_by_volts()) - held[i]);
+        let most = VOLTS_MARGIN / FLOW_MARGIN * self.flow.most;
+        let hard = margin_bits(self.leverage.force_squared(&told), most * most) < 0;
+        let strained = self.joints.iter().enumerate().take(joints).filter_map(|(i, joint)| {
+            let (strain, doubt, most) = joint.stage.strain();
+            let bound = if hard { doubt } else { most };
+            (margin_bits(strain, bound) < 0).then_some((i, joint, strain))
         });
-        let Some((i, joint, strain)) = strained else { return };
+        let Some((i, joint, strain)) = strained.max_by(|one, other| one.2.abs().total_cmp(&other.2.abs())) else {
+            return;
+        };
         // A current as it should be and a voltage that only motion explains: the encoder is what stands still.
         let (fault, value) = if joint.stage.flows_as_expected() && joint.stands_still() {
             (Fault::EncoderLoss, joint.stage.turning(strain))

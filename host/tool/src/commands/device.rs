@@ -3,7 +3,7 @@
 use super::port::{OnBoard, warn_of_weaker};
 use super::read_back::{Read, needed};
 use haptic_bridge::model::device::Device;
-use haptic_bridge::safety::limits::{GENTLE_FORCE, Limit};
+use haptic_bridge::safety::limits::{GENTLE_FORCE, Limit, VOLTS_MARGIN};
 use haptic_bridge::safety::refusal::Refusal;
 use haptic_host::device_file::DeviceFile;
 use haptic_host::error::Failure;
@@ -78,10 +78,6 @@ pub fn run(args: Args) -> Result<(), Failure> {
         for lack in file.lacks_for_a_board() {
             report.push_str(&format!("  before the board arms: {lack}\n"));
         }
-        let mut motors = file.description.joints.iter().take(joints).filter_map(|joint| joint.motor);
-        if motors.any(|motor| motor.inductance == 0.0) {
-            report.push_str("  worth measuring: `inductance`; without it the current loop of a motor is slow\n");
-        }
     }
     let ends = args.on.what_is_left();
     report.push_str(ends);
@@ -147,8 +143,11 @@ fn soften(board: &mut Board, file: &DeviceFile, newtons: Option<f32>) -> Result<
         board.set_rules(&rules)?;
         warn_of_weaker(&before, &rules);
     }
-    let tip =
-        format!("  tip force: walls, springs and fields push with at most {newtons} N; `--tip-force` says how much\n");
+    let lying = VOLTS_MARGIN * newtons;
+    let tip = format!(
+        "  tip force: walls, springs and fields push with at most {newtons} N, with a current sensor that lies {lying} N at rest; \
+         `--tip-force` says how much\n"
+    );
     let joints = file.spec().joints;
     let three = |torques: &[f32]| {
         let each: Vec<String> = torques.iter().take(joints).map(|torque| format!("{torque:.3}")).collect();
