@@ -64,6 +64,8 @@ const SECOND_SHARE: f32 = 0.6;
 const SECOND_TORQUE: f32 = 0.25;
 /// Share of what inertia takes by the file that a swing's torque may exceed what moved the joint by.
 const SWING_EXCESS: f32 = 1.2;
+/// Ratio of the second swing's torque to the torque that moved the joint.
+const FRICTION_EXCESS: f32 = 2.5;
 /// Motion that is seen, rad, and at least so many counts.
 const SEEN_ANGLE: f32 = 1.5e-3;
 const SEEN_COUNTS: f32 = 1.5;
@@ -118,6 +120,10 @@ struct Swing {
     /// Stiffness that draws the joint back to where it stood, N m/rad, and damping that brakes it, N m s/rad.
     stiffness: f32,
     damping: f32,
+    /// Work that the torque told has done on the joint, J, and where that was last, rad: a motor that turns the wrong way
+    /// does less than none.
+    work: f32,
+    was: f32,
     /// Time in this turn, s, and whole turns with the same torque.
     seconds: f32,
     turns: f32,
@@ -223,6 +229,9 @@ where
         let beyond = |j: &usize| margin_bits(moved[*j], farthest(*j).max(STRAY_COUNTS * counts[*j].abs())) < 0;
         if let Some(j) = (0..self.count()).find(beyond) {
             match self.polarity.swing {
+                Some(swing) if j == i && swing.work < 0.0 => {
+                    self.trip(Fault::PolarityWrong, Some(j as u8), moved[j] / swing.angle);
+                }
                 Some(swing) => self.trip(Fault::TorqueMismatch, Some(j as u8), moved[j] / swing.angle),
                 None => self.trip(Fault::PolarityUnrest, Some(j as u8), moved[j]),
             }
@@ -315,7 +324,8 @@ where
         let unstated = (UNSEEN_FORCE / worth).min(friction + 2.0 * inert);
         let most = (inert + FRICTION_DOUBT * friction).max(unstated);
         let torque = (LEAST_FORCE / worth).min(0.25 * inert);
-        self.polarity.swing = Some(Swing { torque, most, rate, angle, ..Swing::default() });
+        let (stiffness, damping) = spring(inertia, rate);
+        self.polarity.swing = Some(Swing { torque, most, rate, angle, stiffness, damping, ..Swing::default() });
     }
 
     /// The second swing of joint `i`, after the first one was about as the file says; `None` if it would not be harder.
@@ -326,10 +336,9 @@ where
             .min(SECOND_TORQUE * self.joints[i].stage.max_torque());
         let rate = self.swing_rate(i, most, inertia * angle, angle);
         let inert = (inertia * angle * rate * rate).min(most);
-        let most = FIRST_DOUBT.1 * inert + first.moved_by.unwrap_or(0.0);
-        // A quarter as fast as it is swung, and hardly ringing.
-        let back = 0.25 * rate;
-        let (stiffness, damping) = (inertia * back * back, 1.4 * inertia * back);
+        // Friction does not hold it at either end.
+        let most = inert.max(FRICTION_EXCESS * first.moved_by.unwrap_or(0.0));
+        let (stiffness, damping) = spring(inertia, rate);
         let torque = 0.25 * first.torque.min(inert);
         let moved_by = Some(torque);
         let swing = Swing { last: true, torque, most, rate, moved_by, angle, stiffness, damping, ..Swing::default() };
@@ -394,7 +403,10 @@ where
         for ((low, high), moved) in swing.ends.iter_mut().zip(moved) {
             (*low, *high) = (low.min(*moved), high.max(*moved));
         }
-        let far = |j: usize| swing.ends[j].1 - swing.ends[j].0 >= 2.0 * swing.angle;
+        let most = |j: usize| if swing.last && j == i { 4.0 } else { 2.0 } * swing.angle;
+        let far = |j: usize| swing.ends[j].1 - swing.ends[j].0 >= most(j);
+        swing.work += self.polarity.told[i] * (moved[i] - swing.was);
+        swing.was = moved[i];
         if !swing.full {
             swing.torque = (swing.torque * (1.0 + self.polarity.pace / (SWINGS_GROWING * turn))).min(swing.most);
             swing.full = swing.torque >= swing.most || (0..self.count()).any(far);
@@ -475,6 +487,13 @@ where
 /// By how much a joint with this count (rad) is swung to either side, rad.
 fn swing_angle(radians_per_count: f32) -> f32 {
     SWING_ANGLE.max(SWING_COUNTS * radians_per_count.abs())
+}
+
+/// Stiffness (N m/rad) and damping (N m s/rad) that draw a joint of so much inertia (kg m²) back to where it stood, 0.4
+/// times as fast as it is swung (rad/s), and hardly ringing.
+fn spring(inertia: f32, rate: f32) -> (f32, f32) {
+    let back = 0.4 * rate;
+    (inertia * back * back, 1.4 * inertia * back)
 }
 
 /// The scalar product of two phasors.
