@@ -324,7 +324,7 @@ where
         let unstated = (UNSEEN_FORCE / worth).min(friction + 2.0 * inert);
         let most = (inert + FRICTION_DOUBT * friction).max(unstated);
         let torque = (LEAST_FORCE / worth).min(0.25 * inert);
-        let (stiffness, damping) = spring(inertia, rate);
+        let (stiffness, damping) = spring(inertia, 0.4 * rate);
         self.polarity.swing = Some(Swing { torque, most, rate, angle, stiffness, damping, ..Swing::default() });
     }
 
@@ -338,7 +338,7 @@ where
         let inert = (inertia * angle * rate * rate).min(most);
         // Friction does not hold it at either end.
         let most = inert.max(FRICTION_EXCESS * first.moved_by.unwrap_or(0.0));
-        let (stiffness, damping) = spring(inertia, rate);
+        let (stiffness, damping) = spring(inertia, 0.25 * rate);
         let torque = 0.25 * first.torque.min(inert);
         let moved_by = Some(torque);
         let swing = Swing { last: true, torque, most, rate, moved_by, angle, stiffness, damping, ..Swing::default() };
@@ -440,7 +440,10 @@ where
         let found = dot(acted[i], acted[i]) / dot(acted[i], driven);
         let share = |row: &Phasor| dot(*row, driven) / dot(driven, driven).max(f32::MIN_POSITIVE);
         let mut others = acted.iter().map(share).enumerate().take(self.count()).filter(|(row, _)| *row != i);
-        let astray = others.find(|(_, aside)| margin_bits(*aside, CROSS_DOUBT) < 0);
+        // What friction in the other joint takes is no motor's.
+        let size = sqrt(dot(driven, driven)) * self.polarity.pace * swing.rate / (core::f32::consts::PI * SWINGS);
+        let held = |row: usize| 1.5 * program.coulomb[row].abs() / size.max(f32::MIN_POSITIVE);
+        let astray = others.find(|(row, aside)| margin_bits(*aside, CROSS_DOUBT + held(*row)) < 0);
         let (bridge, stage) = (&self.hardware.bridge, &self.joints[i].stage);
         let measured = (bridge.current_sensed && self.hardware.bus_sensed)
             .then(|| stage.resistance_of(swing.voltage, swing.current, swing.angles[i], swing.rate))
@@ -489,10 +492,9 @@ fn swing_angle(radians_per_count: f32) -> f32 {
     SWING_ANGLE.max(SWING_COUNTS * radians_per_count.abs())
 }
 
-/// Stiffness (N m/rad) and damping (N m s/rad) that draw a joint of so much inertia (kg m²) back to where it stood, 0.4
-/// times as fast as it is swung (rad/s), and hardly ringing.
-fn spring(inertia: f32, rate: f32) -> (f32, f32) {
-    let back = 0.4 * rate;
+/// Stiffness (N m/rad) and damping (N m s/rad) that draw a joint of so much inertia (kg m²) back to where it stood, so
+/// fast (rad/s) and hardly ringing.
+fn spring(inertia: f32, back: f32) -> (f32, f32) {
     (inertia * back * back, 1.4 * inertia * back)
 }
 
