@@ -1,6 +1,7 @@
 //! The hazards for a person at the tip: the largest force and the energy of motion that limits leave a device.
 
 use crate::plausible::device::weight;
+use haptic_bridge::drive::brushed::hidden_by_speed;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::motor::Motor;
@@ -68,6 +69,11 @@ pub const BOARD_SPEED: f64 = 100.0;
 /// The most that each motor itself can give, N m at the joint; 0 without one.
 pub fn motor_torques(description: &Description) -> Vec<f64> {
     torques_of(description, |motor| motor.max_current)
+}
+
+/// The torque that a sensor which lies may hide for each rad/s of its joint, beside what it hides at rest, N m s/rad.
+pub fn torques_hidden_by_speed(description: &Description) -> Vec<f64> {
+    torques_of(description, hidden_by_speed)
 }
 
 /// The torque that a current (A) in each motor makes, N m at the joint; 0 without a motor.
