@@ -80,7 +80,7 @@ const STRAY_COUNTS: f32 = 8.0;
 /// Largest error of each joint's home, rad, with which the check still keeps to its forces at the tip; and the least share
 /// of what the believed pose allows that this leaves, because near a stretched pose it would be nothing.
 const HOME_DOUBT: f32 = 0.15;
-const DOUBTED_SHARE: f32 = 0.6;
+const DOUBTED_SHARE: f32 = 0.4;
 /// Angular frequencies of a swing, rad/s: above those of a device that hangs from a thread, and a third of that of a soft
 /// cable.
 const SWING_RATES: (f32, f32) = (8.0, 50.0);
