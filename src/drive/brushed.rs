@@ -120,6 +120,11 @@ pub struct Axis {
     doubt_resistance: f32,
 }
 
+/// The current (A) that a joint's speed of 1 rad/s may hide: the motor's volts are its back-EMF as well.
+pub fn hidden_by_speed(motor: &Motor<f64>) -> f64 {
+    f64::from(EMF_DOUBT) * motor.back_emf / motor.resistance
+}
+
 impl Axis {
     /// Sets when a duty acts, where `kept` is what is left of a free current after half a carrier period. With constant
     /// voltage a current nears its end as kept^(2t): within half a period it makes (1 - kept)/(1 - kept²) of what it makes
@@ -335,7 +340,10 @@ impl Stage for Axis {
     }
 
     fn doubt_from(&mut self, torque: f32) {
-        self.looked_at = self.doubt.min((torque * self.amps_per_torque * self.resistance).abs());
+        // Without a sensor nothing is known of a current.
+        if self.doubt < f32::INFINITY {
+            self.looked_at = self.doubt.min((torque * self.amps_per_torque * self.resistance).abs());
+        }
     }
 
     fn told_by_volts(&self) -> f32 {

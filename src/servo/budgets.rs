@@ -50,6 +50,8 @@ impl Sums {
 
 /// Averaging time of the force that is held to the limit, s: a few carrier periods far above it trip.
 const FLOW_SECONDS: f32 = 5.0e-4;
+/// How many times slower the force that the volts tell is averaged: where the currents tell as much, that is the fault.
+const TOLD_SLOWER: f32 = 4.0;
 /// By how much measured currents may push more than what may be asked for: the current loop's overshoot.
 const FLOW_MARGIN: f32 = 1.05;
 /// Largest share of the limit that the sensors' error may hide: near a singular pose a torque too small to be measured is
@@ -79,6 +81,10 @@ pub(super) struct Flow {
     /// Mean of the force (N) that the measured currents make beyond the device's weight, and the most that it may be.
     force: f32,
     most: f32,
+    /// Mean of the force (N) that the motors' volts tell while one of them is looked at, and for how many valleys since
+    /// leverage was recomputed.
+    told: f32,
+    looked: u32,
     /// Share by which leverage changed at once recently: with a count of a coarse encoder, where links are nearly in line, by
     /// a tenth, and the joint was half of that nearer all along.
     change: f32,
@@ -254,6 +260,9 @@ where
         let most = FLOW_MARGIN * limit + error.min(HIDDEN_SHARE * limit);
         let flow = &mut self.flow;
         flow.until_weighed = flow.every;
+        if core::mem::take(&mut flow.looked) == 0 {
+            flow.told = 0.0;
+        }
         if flow.settling > 0.0 {
             flow.settling -= (flow.every + 1) as f32 * self.crests.period;
             flow.most = flow.most.max(most);
@@ -273,8 +282,11 @@ where
             return;
         }
         let told = Torques::from_fn(|i| self.joints[i].stage.torque_of(self.joints[i].stage.told_by_volts()) - held[i]);
-        let most = VOLTS_MARGIN / FLOW_MARGIN * self.flow.most;
-        let hard = margin_bits(self.leverage.force_squared(&told), most * most) < 0;
+        let force = sqrt(self.leverage.force_squared(&told));
+        let flow = &mut self.flow;
+        flow.told += flow.gain / TOLD_SLOWER * (force - flow.told);
+        flow.looked += 1;
+        let hard = margin_bits(flow.told, VOLTS_MARGIN / (FLOW_MARGIN + HIDDEN_SHARE) * flow.most) < 0;
         let strained = self.joints.iter().enumerate().take(joints).filter_map(|(i, joint)| {
             let (strain, doubt, most) = joint.stage.strain();
             let bound = if hard { doubt } else { most };

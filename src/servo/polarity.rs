@@ -80,7 +80,7 @@ const STRAY_COUNTS: f32 = 8.0;
 /// Largest error of each joint's home, rad, with which the check still keeps to its forces at the tip; and the least share
 /// of what the believed pose allows that this leaves, because near a stretched pose it would be nothing.
 const HOME_DOUBT: f32 = 0.15;
-const DOUBTED_SHARE: f32 = 0.6;
+const DOUBTED_SHARE: f32 = 0.4;
 /// Angular frequencies of a swing, rad/s: above those of a device that hangs from a thread, and a third of that of a soft
 /// cable.
 const SWING_RATES: (f32, f32) = (8.0, 50.0);
@@ -104,8 +104,9 @@ type Phasor = [f32; 2];
 /// A joint that is swung.
 #[derive(Clone, Copy, Debug, Default)]
 struct Swing {
-    /// True for the one that decides.
+    /// True for one that follows a first; and for one that only shows the winding.
     last: bool,
+    winding: bool,
     /// Torque now, and the most that it grows to, N m; and angular frequency, rad/s.
     torque: f32,
     most: f32,
@@ -141,8 +142,8 @@ pub(super) struct PolarityCheck {
     swing: Option<Swing>,
     /// For how long the joint was waited for to come to rest, s.
     waited: f32,
-    /// The angle at which it rests, rad, and for how long it has, s.
-    rests_at: f32,
+    /// The least and the largest angle that it was at while it rested, rad, and for how long it has, s.
+    rests_at: (f32, f32),
     rested: f32,
     /// The angles of all joints where they stood, rad.
     from: Option<[f32; MAX_JOINTS]>,
@@ -250,7 +251,7 @@ where
                 self.polarity.inertia = self.program.as_ref().map(|program| program.mechanism.inertia::<K>(&q));
             }
             (None, None) if self.polarity.waited >= POLARITY_PATIENCE => {
-                self.trip(Fault::PolarityUnrest, Some(i as u8), q[i] - self.polarity.rests_at);
+                self.trip(Fault::PolarityUnrest, Some(i as u8), q[i] - self.polarity.rests_at.0);
             }
             (None, None) => {}
         }
@@ -318,40 +319,42 @@ where
         let Some(program) = self.program.as_ref() else { return };
         let (worth, friction) = (self.polarity.worth, program.coulomb[i].abs());
         let angle = swing_angle(program.radians_per_count[i]);
-        let rate = self.swing_rate(i, FIRST_FORCE / worth, inertia * angle, angle);
+        let rate = self.swing_rate(i, FIRST_FORCE / worth, inertia * angle, angle, SWING_RATES.1);
         let inert = inertia * angle * rate * rate;
         // An unseen joint of such inertia swings by a few angles at most.
         let unstated = (UNSEEN_FORCE / worth).min(friction + 2.0 * inert);
         let most = (inert + FRICTION_DOUBT * friction).max(unstated);
         let torque = (LEAST_FORCE / worth).min(0.25 * inert);
-        let (stiffness, damping) = spring(inertia, rate);
+        let (stiffness, damping) = spring(inertia, 0.4 * rate);
         self.polarity.swing = Some(Swing { torque, most, rate, angle, stiffness, damping, ..Swing::default() });
     }
 
-    /// The second swing of joint `i`, after the first one was about as the file says; `None` if it would not be harder.
-    fn second_swing(&self, i: usize, first: &Swing) -> Option<Swing> {
+    /// The swing of joint `i` after one that was about as the file says; `None` if it would not be harder. One that only
+    /// shows the winding is faster than what cables allow the others, because that takes more current.
+    fn next_swing(&self, i: usize, before: &Swing, winding: bool) -> Option<Swing> {
         let inertia = self.polarity.inertia.map_or(0.0, |inertia| inertia[i][i]);
-        let angle = first.angle;
+        let angle = before.angle;
         let most = (SECOND_SHARE * self.rules.limits.tip_force / self.polarity.worth)
             .min(SECOND_TORQUE * self.joints[i].stage.max_torque());
-        let rate = self.swing_rate(i, most, inertia * angle, angle);
+        let fastest = if winding { FASTEST_SWING } else { SWING_RATES.1 };
+        let rate = self.swing_rate(i, most, inertia * angle, angle, fastest);
         let inert = (inertia * angle * rate * rate).min(most);
         // Friction does not hold it at either end.
-        let most = inert.max(FRICTION_EXCESS * first.moved_by.unwrap_or(0.0));
-        let (stiffness, damping) = spring(inertia, rate);
-        let torque = 0.25 * first.torque.min(inert);
-        let moved_by = Some(torque);
-        let swing = Swing { last: true, torque, most, rate, moved_by, angle, stiffness, damping, ..Swing::default() };
-        (most > 1.2 * first.torque).then_some(swing)
+        let held = FRICTION_EXCESS * before.moved_by.unwrap_or(0.0);
+        let most = if winding { inert } else { inert.max(held) };
+        let (stiffness, damping) = spring(inertia, 0.25 * rate);
+        let torque = 0.25 * before.torque.min(inert);
+        let known = Swing { last: true, winding, moved_by: Some(torque), angle, ..Swing::default() };
+        (most > 1.2 * before.torque).then_some(Swing { torque, most, rate, stiffness, damping, ..known })
     }
 
     /// The angular frequency (rad/s) at which a torque (N m), or the friction if that is more, swings joint `i` by an angle
-    /// (rad), of so much inertia times that angle.
-    fn swing_rate(&self, i: usize, torque: f32, inertia_angle: f32, angle: f32) -> f32 {
+    /// (rad), of so much inertia times that angle, no faster than `most` unless friction asks for it.
+    fn swing_rate(&self, i: usize, torque: f32, inertia_angle: f32, angle: f32, most: f32) -> f32 {
         let Some(program) = self.program.as_ref() else { return SWING_RATES.0 };
         let of = |torque: f32| sqrt(torque / inertia_angle.max(f32::MIN_POSITIVE));
         // Where friction takes more than inertia, it would hide that.
-        let wanted = of(torque).min(SWING_RATES.1).max(of(1.5 * program.coulomb[i].abs()).min(FASTEST_SWING));
+        let wanted = of(torque).min(most).max(of(1.5 * program.coulomb[i].abs()).min(FASTEST_SWING));
         let between_counts = SWING_COUNTS * program.radians_per_count[i].abs();
         let fastest = (SWING_SPEED * self.rules.limits.speed[i] / angle)
             .min(self.joints[i].stage.turning(HIDDEN_VOLTS).abs() / between_counts)
@@ -440,7 +443,10 @@ where
         let found = dot(acted[i], acted[i]) / dot(acted[i], driven);
         let share = |row: &Phasor| dot(*row, driven) / dot(driven, driven).max(f32::MIN_POSITIVE);
         let mut others = acted.iter().map(share).enumerate().take(self.count()).filter(|(row, _)| *row != i);
-        let astray = others.find(|(_, aside)| margin_bits(*aside, CROSS_DOUBT) < 0);
+        // What friction in the other joint takes is no motor's.
+        let size = sqrt(dot(driven, driven)) * self.polarity.pace * swing.rate / (core::f32::consts::PI * SWINGS);
+        let held = |row: usize| 1.5 * program.coulomb[row].abs() / size.max(f32::MIN_POSITIVE);
+        let astray = others.find(|(row, aside)| margin_bits(*aside, CROSS_DOUBT + held(*row)) < 0);
         let (bridge, stage) = (&self.hardware.bridge, &self.joints[i].stage);
         let measured = (bridge.current_sensed && self.hardware.bus_sensed)
             .then(|| stage.resistance_of(swing.voltage, swing.current, swing.angles[i], swing.rate))
@@ -450,22 +456,29 @@ where
         let amperes = sqrt(dot(swing.current, swing.current)) * self.polarity.pace * swing.rate
             / (core::f32::consts::PI * SWINGS);
         let doubt = 4.0 / core::f32::consts::PI * dead / amperes;
-        let second = if swing.last { None } else { self.second_swing(i, swing) };
+        let strange =
+            measured.filter(|(found, expected)| margin_bits(found - expected, RESISTANCE_DOUBT * expected + doubt) < 0);
+        let clear = measured.filter(|(_, expected)| doubt < CLEAR_DOUBT * expected);
+        let second = if swing.last { None } else { self.next_swing(i, swing, false) };
+        let unclear = measured.is_some() && clear.is_none() && !swing.winding;
+        let third = if unclear && second.is_none() { self.next_swing(i, swing, true) } else { None };
         let torque_doubt = if second.is_some() { FIRST_DOUBT } else { TORQUE_DOUBT };
-        if found < -FIRST_DOUBT.0 {
+        if !swing.winding && found < -FIRST_DOUBT.0 {
             self.trip(Fault::PolarityWrong, Some(i as u8), found);
-        } else if !(torque_doubt.0..=torque_doubt.1).contains(&found) {
+        } else if !swing.winding && !(torque_doubt.0..=torque_doubt.1).contains(&found) {
             self.trip(Fault::TorqueMismatch, Some(i as u8), found);
         } else if second.is_some() {
             self.polarity.swing = second;
-        } else if let Some((row, aside)) = astray {
-            self.trip(Fault::TorqueMismatch, Some(row as u8), aside);
-        } else if let Some((found, expected)) = measured
-            && margin_bits(found - expected, RESISTANCE_DOUBT * expected + doubt) < 0
+        } else if !swing.winding
+            && let Some((row, aside)) = astray
         {
+            self.trip(Fault::TorqueMismatch, Some(row as u8), aside);
+        } else if let Some((found, _)) = strange {
             self.trip(Fault::ResistanceMismatch, Some(i as u8), found);
+        } else if third.is_some() {
+            self.polarity.swing = third;
         } else {
-            if let Some((found, expected)) = measured.filter(|(_, expected)| doubt < CLEAR_DOUBT * expected) {
+            if let Some((found, expected)) = clear {
                 self.joints[i].stage.know_resistance(found.max((1.0 - RESISTANCE_DOUBT) * expected));
             }
             self.pass_on(i);
@@ -477,9 +490,12 @@ where
         let (polarity, q) = (&mut self.polarity, self.now.found.at.q[i]);
         polarity.waited += polarity.pace;
         polarity.rested += polarity.pace;
-        if (q - polarity.rests_at).abs() > REST_MOTION {
-            (polarity.rests_at, polarity.rested) = (q, 0.0);
-        }
+        // Both ends: a joint that comes back while a hand leads it away is no nearer to rest.
+        let (low, high) = (polarity.rests_at.0.min(q), polarity.rests_at.1.max(q));
+        (polarity.rests_at, polarity.rested) = match high - low <= REST_MOTION {
+            true => ((low, high), polarity.rested),
+            false => ((q, q), 0.0),
+        };
         polarity.rested >= REST_SECONDS
     }
 }
@@ -489,10 +505,9 @@ fn swing_angle(radians_per_count: f32) -> f32 {
     SWING_ANGLE.max(SWING_COUNTS * radians_per_count.abs())
 }
 
-/// Stiffness (N m/rad) and damping (N m s/rad) that draw a joint of so much inertia (kg m²) back to where it stood, 0.4
-/// times as fast as it is swung (rad/s), and hardly ringing.
-fn spring(inertia: f32, rate: f32) -> (f32, f32) {
-    let back = 0.4 * rate;
+/// Stiffness (N m/rad) and damping (N m s/rad) that draw a joint of so much inertia (kg m²) back to where it stood, so
+/// fast (rad/s) and hardly ringing.
+fn spring(inertia: f32, back: f32) -> (f32, f32) {
     (inertia * back * back, 1.4 * inertia * back)
 }
 

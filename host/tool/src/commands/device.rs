@@ -12,7 +12,7 @@ use haptic_host::read_back::{differences, running};
 use haptic_host::toml_file::Document;
 use haptic_predict::equivalent::device_file;
 use haptic_predict::plausible::{device::doubts, warn};
-use haptic_predict::tip::Tip;
+use haptic_predict::tip::{Tip, torques_hidden_by_speed};
 use serde_json::json;
 use std::path::{Path, PathBuf};
 
@@ -144,9 +144,15 @@ fn soften(board: &mut Board, file: &DeviceFile, newtons: Option<f32>) -> Result<
         warn_of_weaker(&before, &rules);
     }
     let lying = VOLTS_MARGIN * newtons;
+    let faster = match Tip::at_home(&file.description) {
+        Some(Ok(tip)) => {
+            format!(" and {:.1} N more for each rad/s", tip.force(&torques_hidden_by_speed(&file.description)))
+        }
+        _ => String::new(),
+    };
     let tip = format!(
-        "  tip force: walls, springs and fields push with at most {newtons} N, with a current sensor that lies {lying} N at rest; \
-         `--tip-force` says how much\n"
+        "  tip force: walls, springs and fields push with at most {newtons} N, a current sensor that lies hides at most \
+         {lying} N at rest{faster}; `--tip-force` says how much\n"
     );
     let joints = file.spec().joints;
     let three = |torques: &[f32]| {

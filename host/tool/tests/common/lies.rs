@@ -195,7 +195,9 @@ fn checked(
     board: &mut Board,
     mut to_see: impl FnMut(&SimulatedBoard),
 ) -> Result<(), FaultRecord> {
-    board.check_polarity().unwrap();
+    if let Err(error) = board.check_polarity() {
+        return Err(shared.lock().status().fault.unwrap_or_else(|| panic!("{error}")));
+    }
     let mut board = shared.lock();
     let most = board.time() + 60.0;
     while board.status().state == State::CheckingPolarity {
