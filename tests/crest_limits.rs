@@ -189,3 +189,18 @@ fn a_count_of_a_coarse_encoder_neither_trips_the_force_limit_nor_lets_more_flow(
     }
     assert!(most > 4.8 && most < 5.05, "{most} N");
 }
+
+#[test]
+fn currents_that_alternate_push_as_hard_as_those_that_do_not() {
+    let mut scene = quiet();
+    (scene.rate_hz, scene.cutoff_hz) = (20_000.0, 200.0);
+    let gentle = Rules { limits: Limits { tip_force: 0.1, ..limits() }, ..rules() };
+    let mut rig = Rig::with(&paddle(), &scene, hardware(), gentle);
+    rig.arm();
+    // 0.2 N to and fro, a sample in 50 µs, for 5 ms.
+    for nth in 0..100 {
+        rig.shown_current = Some(if nth / 2 % 2 == 0 { 0.2 } else { -0.2 });
+        rig.step();
+    }
+    assert_eq!(rig.fault(), Some(Fault::ForceLimit));
+}

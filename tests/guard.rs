@@ -172,13 +172,7 @@ fn origin(fault: Fault) -> Origin {
             rig.run(0.001);
             rig
         }),
-        Fault::PolarityWrong => Step(|| {
-            let mut rig = Rig::ready(&quiet());
-            rig.execute(Command::CheckPolarity).unwrap();
-            rig.run(0.3);
-            rig.turn(0, -0.025, 1.0);
-            rig
-        }),
+        Fault::PolarityWrong => Step(|| swung(-1.0, 2.0)),
         Fault::PolarityNoMotion => Step(|| {
             let mut rig = Rig::ready(&quiet());
             rig.execute(Command::CheckPolarity).unwrap();
@@ -233,7 +227,6 @@ fn off(fault: Fault) -> &'static str {
         | Fault::GateDriver
         | Fault::NotFinite
         | Fault::Singularity
-        | Fault::PolarityWrong
         | Fault::SensorStale
         | Fault::CurrentSensor => "the same period",
         Fault::EncoderStall => "after 5 s of it",
@@ -251,9 +244,11 @@ fn off(fault: Fault) -> &'static str {
         Fault::Panic => "by the handler",
         Fault::BreakInput => "by hardware",
         Fault::PowerLimit => "by a mean over 0.1 s",
-        Fault::PolarityNoMotion => "after 2 s of it",
+        Fault::PolarityNoMotion => "when its torque has grown and alternated in vain: some seconds",
         Fault::PolarityUnrest => "never on: a joint is waited for without torque",
-        Fault::TorqueMismatch | Fault::ResistanceMismatch => "when the joint was swung: some seconds",
+        Fault::PolarityWrong | Fault::TorqueMismatch | Fault::ResistanceMismatch => {
+            "when the joint was swung: some seconds"
+        }
         Fault::MotorModel => "as the loop's integrator grows: some 0.2 ms",
         Fault::DriverReset => "at the next look, within 20 ms (0.2 s while a host that stops reading is waited for)",
         Fault::ClockFailure => "by the non-maskable interrupt",

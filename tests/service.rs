@@ -453,9 +453,12 @@ fn polarity_check(board: &mut Board, way: f64) {
     board.ask::<CheckPolarity>(&()).unwrap().unwrap();
     let from = board.samples.counts[0];
     let (mut q, mut qd, rate) = (0.0, 0.0, f64::from(rig::RATE));
-    for _ in 0..(20.0 * rate) as u32 {
+    for step in 0..(20.0 * rate) as u32 {
         if !board.state().drives() {
             break;
+        }
+        if step % 200 == 0 {
+            board.ask::<Heartbeat>(&Beat::Here).unwrap();
         }
         let torque = board.machine.control_loop.frame().motors.torque[0];
         qd += (way * f64::from(torque) - 2.0e-3 * qd) / 1.0e-4 / rate;

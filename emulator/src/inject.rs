@@ -344,7 +344,7 @@ pub fn injection(fault: Fault) -> Injection {
                 rig.tool.check_polarity().expect("the check starts");
                 rig.run(MILLISECOND);
             },
-            3_000,
+            10_000,
         ),
         Fault::PolarityNoMotion => chip(
             "a device that is held fast",
@@ -354,7 +354,7 @@ pub fn injection(fault: Fault) -> Injection {
                 rig.tool.check_polarity().expect("the check starts");
                 rig.run(MILLISECOND);
             },
-            3_000,
+            10_000,
         ),
         Fault::TorqueMismatch => chip(
             "current sensors that show two thirds, in the check of polarity",

@@ -223,7 +223,7 @@ impl Rig {
     /// If the board refuses, or the check fails.
     pub fn check_polarity(&mut self) {
         self.tool.check_polarity().expect("the polarity check starts");
-        for _ in 0..100 {
+        for _ in 0..300 {
             self.run(100 * MILLISECOND);
             let status = self.tool.status().expect("the board replies");
             if status.state != State::CheckingPolarity {

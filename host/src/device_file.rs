@@ -80,6 +80,9 @@ impl DeviceFile {
                 Some(motor) if !motor.verified => {
                     missing.push(format!("check the motor data of {place}, then write verified = true"));
                 }
+                Some(motor) if motor.inductance == 0.0 => {
+                    missing.push(format!("measure the inductance of the motor of {place}"));
+                }
                 Some(_) => {}
             }
         }

@@ -11,6 +11,7 @@ use crate::drive::stage::Stage;
 use crate::math::{Math, limited, sqrt};
 use crate::model::device::{Leverage, squared};
 use crate::safety::fault::{Fault, State};
+use crate::safety::limits::VOLTS_MARGIN;
 use crate::safety::refusal::Refusal;
 use core::ops::DerefMut;
 
@@ -49,6 +50,8 @@ impl Sums {
 
 /// Averaging time of the force that is held to the limit, s: a few carrier periods far above it trip.
 const FLOW_SECONDS: f32 = 5.0e-4;
+/// How many times slower the force that the volts tell is averaged: where the currents tell as much, that is the fault.
+const TOLD_SLOWER: f32 = 4.0;
 /// By how much measured currents may push more than what may be asked for: the current loop's overshoot.
 const FLOW_MARGIN: f32 = 1.05;
 /// Largest share of the limit that the sensors' error may hide: near a singular pose a torque too small to be measured is
@@ -72,11 +75,16 @@ const CHANGE_KEPT: f32 = 0.75;
 /// The measured currents as forces at the tip.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Flow {
-    /// Means of the torques that the measured currents make beyond the device's weight, N m, and the gain of a sample.
+    /// Means of the torques that the sensors show while no bridge drives, N m, and the gain of a sample.
     torque: Torques,
     gain: f32,
-    /// The square of what they may push with, N².
-    most_squared: f32,
+    /// Mean of the force (N) that the measured currents make beyond the device's weight, and the most that it may be.
+    force: f32,
+    most: f32,
+    /// Mean of the force (N) that the motors' volts tell while one of them is looked at, and for how many valleys since
+    /// leverage was recomputed.
+    told: f32,
+    looked: u32,
     /// Share by which leverage changed at once recently: with a count of a coarse encoder, where links are nearly in line, by
     /// a tenth, and the joint was half of that nearer all along.
     change: f32,
@@ -189,18 +197,22 @@ where
     fn doubt<const J: usize>(&mut self, seen: &Samples, supplied: Option<f32>) {
         let mut least = 0;
         let held = self.held();
-        let motors = self.joints.iter_mut().zip(seen.currents.iter()).zip(self.flow.torque.iter_mut().zip(held.iter()));
-        for ((joint, current), (mean, held)) in motors.take(J) {
+        let mut acting = Torques::default();
+        let motors = self.joints.iter_mut().zip(seen.currents.iter()).zip(acting.iter_mut().zip(held.iter()));
+        for ((joint, current), (acting, held)) in motors.take(J) {
             joint.sums.squares += current * current;
-            *mean += self.flow.gain * (joint.stage.torque_of(*current) - held - *mean);
+            *acting = joint.stage.torque_of(*current) - held;
             if let Some(bus_voltage) = supplied {
-                let (strain, doubt) = joint.settle(bus_voltage);
+                let (strain, doubt, _) = joint.settle(bus_voltage);
                 least |= margin_bits(strain, doubt);
             }
         }
-        least |= margin_bits(squared(&self.leverage.force::<J>(&self.flow.torque)), self.flow.most_squared);
+        // The mean of its size: what alternates within a millisecond is felt, too.
+        let force = sqrt(squared(&self.leverage.force::<J>(&acting)));
+        self.flow.force += self.flow.gain * (force - self.flow.force);
+        least |= margin_bits(self.flow.force, self.flow.most);
         if least < 0 {
-            self.find_strained();
+            self.find_strained(&held);
         }
     }
 
@@ -236,38 +248,54 @@ where
     /// Works out what may flow at this leverage, and what may be asked for: what is still within the limit once leverage has
     /// changed as it did recently.
     pub(super) fn allow(&mut self) {
-        let joints = self.joints.iter().enumerate().take(self.count());
-        let error = joints.fold(0.0, |sum, (i, joint)| {
-            sum + self.leverage.force_bound(i) * joint.stage.torque_of(SENSOR_ERROR).abs()
-        });
-        let limit = self.rules.limits.tip_force;
+        let (count, limit) = (self.count(), self.rules.limits.tip_force);
+        let (mut error, free) = (0.0, (VOLTS_MARGIN - FLOW_MARGIN) * limit / count.max(1) as f32);
+        for (i, joint) in self.joints.iter_mut().enumerate().take(count) {
+            let leverage = self.leverage.force_bound(i);
+            error += leverage * joint.stage.torque_of(SENSOR_ERROR).abs();
+            // Smaller torques of all motors add up to no more than the bound on the force that the voltages show.
+            joint.stage.inspect_above(free / leverage);
+        }
         self.set_max_tip_force(limit / (1.0 + (self.flow.change - CHANGE_FREE).max(0.0)));
         let most = FLOW_MARGIN * limit + error.min(HIDDEN_SHARE * limit);
-        let (flow, most) = (&mut self.flow, most * most);
+        let flow = &mut self.flow;
         flow.until_weighed = flow.every;
+        if core::mem::take(&mut flow.looked) == 0 {
+            flow.told = 0.0;
+        }
         if flow.settling > 0.0 {
             flow.settling -= (flow.every + 1) as f32 * self.crests.period;
-            flow.most_squared = flow.most_squared.max(most);
+            flow.most = flow.most.max(most);
         } else {
-            flow.most_squared = most;
+            flow.most = most;
         }
     }
 
-    /// A motor is not as its device file says: finds out which, and turns the motors off.
+    /// Something may not be as the device file says: finds out which motor is not, if any, and turns the motors off.
     #[cold]
     #[inline(never)]
-    fn find_strained(&mut self) {
+    fn find_strained(&mut self, held: &Torques) {
         let joints = self.count();
-        let flowing = self.leverage.force_squared(&self.flow.torque);
-        if margin_bits(flowing, self.flow.most_squared) < 0 {
-            self.trip(Fault::ForceLimit, None, sqrt(flowing));
+        let flowing = self.flow.force;
+        if margin_bits(flowing, self.flow.most) < 0 {
+            self.trip(Fault::ForceLimit, None, flowing);
             return;
         }
-        let strained = self.joints.iter().enumerate().take(joints).find_map(|(i, joint)| {
-            let (strain, doubt) = joint.stage.strain();
-            (margin_bits(strain, doubt) < 0).then_some((i, joint, strain))
+        let told =
+            Torques::from_fn(|i| self.joints[i].stage.torque_of(self.joints[i].stage.current_from_voltage()) - held[i]);
+        let force = sqrt(self.leverage.force_squared(&told));
+        let flow = &mut self.flow;
+        flow.told += flow.gain / TOLD_SLOWER * (force - flow.told);
+        flow.looked += 1;
+        let hard = margin_bits(flow.told, VOLTS_MARGIN / (FLOW_MARGIN + HIDDEN_SHARE) * flow.most) < 0;
+        let strained = self.joints.iter().enumerate().take(joints).filter_map(|(i, joint)| {
+            let (strain, doubt, most) = joint.stage.strain();
+            let bound = if hard { doubt } else { most };
+            (margin_bits(strain, bound) < 0).then_some((i, joint, strain))
         });
-        let Some((i, joint, strain)) = strained else { return };
+        let Some((i, joint, strain)) = strained.max_by(|one, other| one.2.abs().total_cmp(&other.2.abs())) else {
+            return;
+        };
         // A current as it should be and a voltage that only motion explains: the encoder is what stands still.
         let (fault, value) = if joint.stage.has_expected_current() && joint.stands_still() {
             (Fault::EncoderLoss, joint.stage.turning(strain))

@@ -128,7 +128,7 @@ impl<S: Stage> Joint<S> {
 
     /// Updates its motor's model from the last drive and this bus voltage (V), and returns [`Stage::strain`].
     #[inline(always)]
-    pub(super) fn settle(&mut self, bus_voltage: f32) -> (f32, f32) {
+    pub(super) fn settle(&mut self, bus_voltage: f32) -> (f32, f32, f32) {
         let (speed, raw) = (self.speed(), self.raw * self.bounds.radians);
         self.stage.settle(bus_voltage, self.steady_speed(), speed, raw);
         self.stage.strain()

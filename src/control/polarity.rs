@@ -1,13 +1,17 @@
-//! The polarity check: before a real device may be armed, a small torque must move each joint the right way, and then swing
-//! it as its device file says.
+//! The polarity check: before a real device may be armed, each motor must swing its joint as the device file says.
 //!
-//! A joint that moved the right way is swung about the place where it stood, by a torque that alternates a few times a
-//! second (docs/safety.md, "What the polarity check measures"). Of angles, currents and voltages only what alternates with
-//! it is summed up, so that drifts, zeros of sensors and constant loads drop out. The part of the motion that is in phase
-//! with the torque is what inertia makes of it: friction moves in the other. So M q̈, with the file's M and the encoders' q,
-//! is the torque that really acted; over the one that the measured current and the file's torque constant make, it is 1
-//! where torque constant, gear ratio, current sensor, counts per turn and inertia belong together. What voltage takes the
-//! current is the winding's resistance, whatever the sensor's scale is.
+//! The check believes only what it has measured. A torque that alternates a few times a second grows from a twentieth of a
+//! newton at the tip until something moves, and on until the joint swings by a degree. So what moves is never pushed
+//! harder than its own inertia and friction need, whatever the file says; a joint that cannot be seen swings about its
+//! place instead of running away. If the torque that acted is roughly the file's, a second swing measures it well
+//! (docs/safety.md, "What is measured before a board arms").
+//!
+//! Of angles, currents and voltages only what alternates with the torque is summed up, so that drifts, zeros of sensors
+//! and constant loads drop out. The part of the motion that is in phase with the torque is what inertia makes of it:
+//! friction moves in the other. So M q̈, with the file's M and the encoders' q, is the torque that really acted; over the
+//! one that the measured current and the file's torque constant make, it is 1 where torque constant, gear ratio, current
+//! sensor, counts per turn and inertia belong together. The voltage that the current takes shows the winding's
+//! resistance, whatever the sensor's scale is.
 
 use super::ControlLoop;
 use crate::control::joints::Torques;
@@ -21,15 +25,6 @@ use crate::safety::fault::{Fault, State};
 use crate::safety::refusal::Refusal;
 use core::ops::DerefMut;
 
-/// Largest share of a motor's torque that the polarity check applies.
-pub const POLARITY_SHARE: f32 = 0.25;
-/// Joint motion that decides the polarity check, rad: backward it is wrong; forward a quarter of it is enough to swing the
-/// joint, and at least so many counts, because a joint that is still being pushed gathers speed.
-pub const POLARITY_MOTION: f32 = 0.02;
-const FORWARD_MOTION: f32 = 0.25 * POLARITY_MOTION;
-const FORWARD_COUNTS: f32 = 1.5;
-/// Time the polarity check takes to reach its torque, s; it gives up after twice this.
-pub const POLARITY_SECONDS: f32 = 1.0;
 /// Longest time that the check waits for a joint to come to rest before its turn, s. What the joint before has thrown
 /// about, or a hand moves, says nothing of this one's motor; a device almost without friction glides for seconds.
 pub const POLARITY_PATIENCE: f32 = 5.0;
@@ -40,41 +35,68 @@ const CHECK_PERIOD: f32 = 1.0e-4;
 
 /// A joint is at rest for it that stays within so much (rad) for so long (s). A speed would not do: between two counts of
 /// a coarse encoder, and where a joint turns back, it is nothing.
-const REST_MOTION: f32 = 0.1 * POLARITY_MOTION;
+const REST_MOTION: f32 = 2.0e-3;
 const REST_SECONDS: f32 = 0.2;
 
-/// By what factor the torque that acted may differ from the one of the file, either way: what a sound device of an honest
-/// file is measured to within.
-pub const TORQUE_DOUBT: f32 = 1.2;
+/// Least and largest torque that acted over the one of the file: what a sound device of an honest file is measured to
+/// within. Friction that sticks makes it less, and a device that is weaker than its file pushes less than it may.
+const TORQUE_DOUBT: (f32, f32) = (1.0 / 1.4, 1.2);
+/// The same of the first swing, for a second, harder one to follow.
+const FIRST_DOUBT: (f32, f32) = (0.5, 1.6);
 /// Share of the torque that moves one joint by which another one's may seem to be driven, too.
 pub const CROSS_DOUBT: f32 = 0.5;
 /// Share of the file's resistance by which the winding's may differ: copper gains 40 % per 100 K.
 pub const RESISTANCE_DOUBT: f32 = 0.35;
+/// Share of the file's resistance that the dead time may hide where the measured one is believed from then on.
+const CLEAR_DOUBT: f32 = 0.1;
 /// Share of the voltage that the dead time takes by which that may be off once it has been made up for.
 const DEAD_TIME_DOUBT: f32 = 0.5;
 
-/// Largest share of a motor's torque that swings a joint.
-const SWING_SHARE: f32 = 0.5;
-/// Ratio of a swing's torque to the torque that moved the joint: so large that friction does not hold it at either end.
-const SWING_EXCESS: f32 = 2.5;
+/// Forces at the tip by the file, N: that of the first torque, half a newton if every constant is ten times wrong; that
+/// which inertia takes in the first swing; and that up to which an unmoved joint is pushed whose friction the file omits.
+const LEAST_FORCE: f32 = 0.05;
+const FIRST_FORCE: f32 = 0.2;
+const UNSEEN_FORCE: f32 = 0.8;
+/// By how much the file's Coulomb friction may be exceeded at rest.
+const FRICTION_DOUBT: f32 = 3.0;
+/// Largest shares of the tip's limit and of the motor's torque that inertia takes in the second swing.
+const SECOND_SHARE: f32 = 0.6;
+const SECOND_TORQUE: f32 = 0.25;
+/// Share of what inertia takes by the file that a swing's torque may exceed what moved the joint by.
+const SWING_EXCESS: f32 = 1.2;
+/// Ratio of the second swing's torque to the torque that moved the joint.
+const FRICTION_EXCESS: f32 = 2.5;
+/// Motion that is seen, rad, and at least so many counts.
+const SEEN_ANGLE: f32 = 1.5e-3;
+const SEEN_COUNTS: f32 = 1.5;
 /// By how much a joint is swung to either side, rad, and at least how many counts.
 const SWING_ANGLE: f32 = 0.02;
 const SWING_COUNTS: f32 = 4.0;
-/// By how many times that it may be found away from where it stood: hapkit-paddle glides into its swing and gets to 1.6.
-const SWING_TRAVEL: f32 = 4.0;
-/// Largest error of each joint's home, rad, with which the check still keeps to the limit of the force at the tip; and
-/// the least share of what the believed pose allows that this leaves, because near a stretched pose it would be
-/// nothing.
+/// Farthest that any joint may be found from where it stood, rad, and at least how many counts.
+const STRAY_ANGLE: f32 = 0.1;
+/// The same of the other joints in the second swing.
+const SWUNG_ANGLE: f32 = 0.14;
+const STRAY_COUNTS: f32 = 8.0;
+/// Largest error of each joint's home, rad, with which the check still keeps to its forces at the tip; and the least share
+/// of what the believed pose allows that this leaves, because near a stretched pose it would be nothing.
 const HOME_DOUBT: f32 = 0.15;
-const DOUBTED_SHARE: f32 = 0.3;
-/// Angular frequencies of a swing, rad/s: above those of a device that is carried by a spring, and below those of cables.
-const SWING_RATES: (f32, f32) = (20.0, 200.0);
+const DOUBTED_SHARE: f32 = 0.4;
+/// Angular frequencies of a swing, rad/s: above those of a device that hangs from a thread, and a third of that of a soft
+/// cable.
+const SWING_RATES: (f32, f32) = (8.0, 50.0);
+/// The same where friction takes more than inertia.
+const FASTEST_SWING: f32 = 200.0;
+/// Back-EMF that a motor may make within the first counts of its joint, V: less than what makes an encoder suspicious.
+const HIDDEN_VOLTS: f32 = 0.8;
 /// Largest share of the speed limit that a swing reaches, and at least how many control steps one takes.
 const SWING_SPEED: f32 = 0.5;
 const SWING_STEPS: f32 = 16.0;
-/// Swings before what they do is summed up, and while it is.
-const SWINGS_BEFORE: f32 = 1.0;
-const SWINGS: f32 = 5.0;
+/// Swings in which the torque grows by a factor of e; those before what they do is summed up, and while it is.
+const SWINGS_GROWING: f32 = 1.5;
+const SWINGS_BEFORE: f32 = 2.0;
+const SWINGS: f32 = 3.0;
+/// Those in which the torque fades, so that the joint does not glide on.
+const SWINGS_FADING: f32 = 2.0;
 
 /// A quantity that alternates with the torque of a swing: its part in phase, and its part a quarter of a swing later.
 type Phasor = [f32; 2];
@@ -82,18 +104,30 @@ type Phasor = [f32; 2];
 /// A joint that is swung.
 #[derive(Clone, Copy, Debug, Default)]
 struct Swing {
-    /// Torque, N m, and angular frequency, rad/s.
+    /// True for one that follows a first; and for one that only shows the winding.
+    last: bool,
+    winding: bool,
+    /// Torque now, and the most that it grows to, N m; and angular frequency, rad/s.
     torque: f32,
+    most: f32,
     rate: f32,
-    /// Largest distance from where it stood at which it may be found, rad.
-    reach: f32,
+    /// The torque at which motion was first seen, N m.
+    moved_by: Option<f32>,
+    /// Angle to either side at which the torque grows no more, rad; and the ends of the joints' motion in this turn, rad.
+    angle: f32,
+    ends: [(f32, f32); MAX_JOINTS],
+    /// True if the torque grows no more.
+    full: bool,
     /// Stiffness that draws the joint back to where it stood, N m/rad, and damping that brakes it, N m s/rad.
     stiffness: f32,
     damping: f32,
-    /// Since when, s.
+    /// Work that the torque told has done on the joint, J, and where that was last, rad: a motor that turns the wrong way
+    /// does less than none.
+    work: f32,
+    was: f32,
+    /// Time in this turn, s, and whole turns with the same torque.
     seconds: f32,
-    /// The angles about which it swings, rad: all joints.
-    about: [f32; MAX_JOINTS],
+    turns: f32,
     /// The sums so far: angles (rad), the torque of the current (N m), the current (A) and the voltage (V).
     angles: [Phasor; MAX_JOINTS],
     driven: Phasor,
@@ -105,19 +139,17 @@ struct Swing {
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct PolarityCheck {
     pub(super) axis: usize,
-    /// Its second part, once the joint has moved the right way.
     swing: Option<Swing>,
-    seconds: f32,
     /// For how long the joint was waited for to come to rest, s.
     waited: f32,
-    /// The angle at which it rests, rad, and for how long it has, s.
-    rests_at: f32,
+    /// The least and the largest angle that it was at while it rested, rad, and for how long it has, s.
+    rests_at: (f32, f32),
     rested: f32,
-    /// The joint's angle at its first step, rad.
-    from: Option<f32>,
-    /// Number of the poses about it that were looked at, and the share of the largest torque that they allow.
+    /// The angles of all joints where they stood, rad.
+    from: Option<[f32; MAX_JOINTS]>,
+    /// Number of the poses about it that were looked at, and the most that they make of 1 N m at the tip, N.
     looked: u32,
-    allowed: f32,
+    worth: f32,
     /// The mass matrix where it swings, kg m², once that is known.
     inertia: Option<[[f32; MAX_JOINTS]; MAX_JOINTS]>,
     /// Time between two steps of the check, s, control steps until the next, and what the motors are told until then.
@@ -189,62 +221,65 @@ where
     fn check_step(&mut self) -> Torques {
         let none = Torques::default();
         let i = self.polarity.axis.min(MAX_JOINTS - 1);
-        if self.polarity.swing.is_some() {
-            return self.swing(i);
-        }
-        if self.polarity.from.is_none() && !(self.at_rest(i) && self.has_looked_around(i)) {
-            if self.polarity.waited >= POLARITY_PATIENCE {
-                self.trip(Fault::PolarityUnrest, Some(i as u8), self.now.found.at.q[i] - self.polarity.rests_at);
+        let q = self.now.found.at.q;
+        let from = *self.polarity.from.get_or_insert(q);
+        let moved: [f32; MAX_JOINTS] = core::array::from_fn(|j| q[j] - from[j]);
+        let Some(counts) = self.program.as_ref().map(|program| program.radians_per_count) else { return none };
+        let swung = self.polarity.swing.is_some_and(|swing| swing.last);
+        let farthest = |j: usize| if swung && j != i { SWUNG_ANGLE } else { STRAY_ANGLE };
+        let beyond = |j: &usize| margin_bits(moved[*j], farthest(*j).max(STRAY_COUNTS * counts[*j].abs())) < 0;
+        if let Some(j) = (0..self.count()).find(beyond) {
+            match self.polarity.swing {
+                Some(swing) if j == i && swing.work < 0.0 => {
+                    self.trip(Fault::PolarityWrong, Some(j as u8), moved[j] / swing.angle);
+                }
+                Some(swing) => self.trip(Fault::TorqueMismatch, Some(j as u8), moved[j] / swing.angle),
+                None => self.trip(Fault::PolarityUnrest, Some(j as u8), moved[j]),
             }
             return none;
         }
-        let most = self.joints[i].stage.max_torque();
-        let moved = self.now.found.at.q[i] - *self.polarity.from.get_or_insert(self.now.found.at.q[i]);
-        let count = self.program.as_ref().map_or(0.0, |program| program.radians_per_count[i].abs());
-        if moved > FORWARD_MOTION.max(FORWARD_COUNTS * count) || self.polarity.inertia.is_some() {
-            // A step of its own for each of both, because steps at high rates have little time.
-            match self.polarity.inertia {
-                Some(inertia) => self.begin_swing(i, &inertia),
-                None => self.find_inertia(i),
+        // Steps at high rates have little time: each of these takes one of its own.
+        match (self.polarity.swing, self.polarity.inertia) {
+            (Some(swing), _) => return self.swing(i, swing, &moved, &counts),
+            (None, Some(inertia)) => self.begin_first(i, inertia[i][i]),
+            (None, None) if self.at_rest(i) => {
+                if self.polarity.looked < 1 << self.count {
+                    self.look_around(i);
+                    return none;
+                }
+                self.polarity.from = Some(q);
+                self.polarity.inertia = self.program.as_ref().map(|program| program.mechanism.inertia::<K>(&q));
             }
-            return none;
+            (None, None) if self.polarity.waited >= POLARITY_PATIENCE => {
+                self.trip(Fault::PolarityUnrest, Some(i as u8), q[i] - self.polarity.rests_at.0);
+            }
+            (None, None) => {}
         }
-        if moved < -POLARITY_MOTION {
-            self.trip(Fault::PolarityWrong, Some(i as u8), moved);
-            return none;
-        }
-        self.polarity.seconds += self.polarity.pace;
-        if self.polarity.seconds > 2.0 * POLARITY_SECONDS {
-            self.trip(Fault::PolarityNoMotion, Some(i as u8), moved);
-            return none;
-        }
-        let share = POLARITY_SHARE * (self.polarity.seconds * (1.0 / POLARITY_SECONDS)).min(1.0);
-        self.within_tip_force(i, share * most)
+        none
     }
 
-    /// Looks at one of the poses at which the device may stand in truth, for what they allow joint `i` to push with; whether
-    /// it has looked at all. Between those corners leverage is less: it grows towards singular poses.
-    fn has_looked_around(&mut self, i: usize) -> bool {
-        let Some(program) = self.program.as_ref() else { return false };
-        let (corner, tip_force) = (self.polarity.looked, self.rules.limits.tip_force);
-        let mut largest = Torques::default();
-        largest[i] = self.joints[i].stage.max_torque();
+    /// Looks at the next of the poses at which the device may stand in truth, for what a torque of joint `i` is worth at the
+    /// tip there. Between those corners leverage is less: it grows towards singular poses.
+    fn look_around(&mut self, i: usize) {
+        let Some(program) = self.program.as_ref() else { return };
+        let corner = self.polarity.looked;
+        let mut unit = Torques::default();
+        unit[i] = 1.0;
         let off = |j: usize| if corner >> j & 1 == 0 { HOME_DOUBT } else { -HOME_DOUBT };
         let leverage = program.mechanism.leverage::<K>(&core::array::from_fn(|j| self.now.found.at.q[j] + off(j)));
-        let there = share_within(leverage.force_squared(&largest), tip_force);
-        let here = share_within(self.leverage.force_squared(&largest), tip_force);
-        let before = if corner == 0 { 1.0 } else { self.polarity.allowed };
-        self.polarity.allowed = before.min(there).max(DOUBTED_SHARE * here);
+        let [there, here] = [&leverage, &self.leverage].map(|leverage| sqrt(leverage.force_squared(&unit)));
+        // `min` also drops NaN, of a pose that there is not.
+        self.polarity.worth = self.polarity.worth.max(there.max(here).min(here / DOUBTED_SHARE));
         self.polarity.looked = corner + 1;
-        self.polarity.looked >= 1 << self.count
     }
 
     /// A torque (N m) of joint `i` alone, as far as the limit of the force at the tip allows it here and around.
     fn within_tip_force(&self, i: usize, wanted: f32) -> Torques {
-        let most = self.polarity.allowed * self.joints[i].stage.max_torque();
+        let tip_force = self.rules.limits.tip_force;
+        let most = (tip_force / self.polarity.worth).min(self.joints[i].stage.max_torque());
         let mut torque = Torques::default();
         torque[i] = limited(wanted, most.min(self.max_joint_torque[i]));
-        torque[i] *= share_within(self.leverage.force_squared(&torque), self.rules.limits.tip_force);
+        torque[i] *= share_within(self.leverage.force_squared(&torque), tip_force);
         torque
     }
 
@@ -279,79 +314,113 @@ where
         });
     }
 
-    /// The angles of the joints about which joint `i` swings, rad.
-    fn swung_about(&self, i: usize) -> [f32; MAX_JOINTS] {
-        let mut about = self.now.found.at.q;
-        about[i] = self.polarity.from.unwrap_or(about[i]);
-        about
-    }
-
-    /// Works out the mass matrix there.
-    fn find_inertia(&mut self, i: usize) {
-        let about = self.swung_about(i);
-        self.polarity.inertia = self.program.as_ref().map(|program| program.mechanism.inertia::<K>(&about));
-    }
-
-    /// Joint `i` moved the right way: chooses how to swing it.
-    fn begin_swing(&mut self, i: usize, inertia: &[[f32; MAX_JOINTS]; MAX_JOINTS]) {
+    /// Chooses the first swing of joint `i`, whose inertia by the file is `inertia` (kg m²).
+    fn begin_first(&mut self, i: usize, inertia: f32) {
         let Some(program) = self.program.as_ref() else { return };
-        let inertia = inertia[i][i].max(f32::MIN_POSITIVE);
+        let (worth, friction) = (self.polarity.worth, program.coulomb[i].abs());
         let angle = swing_angle(program.radians_per_count[i]);
-        let largest = self.joints[i].stage.max_torque();
-        let moved_it = POLARITY_SHARE * (self.polarity.seconds * (1.0 / POLARITY_SECONDS)).min(1.0) * largest;
-        let excess = SWING_EXCESS * moved_it;
-        // The faster, the more current: that shows the winding, and friction less.
-        let wanted = self.within_tip_force(i, excess.max(POLARITY_SHARE * largest).min(SWING_SHARE * largest))[i];
-        let fastest = SWING_RATES
-            .1
-            .min(SWING_SPEED * self.rules.limits.speed[i] / angle)
-            .min(core::f32::consts::TAU / (SWING_STEPS * self.polarity.pace));
-        let rate = sqrt(wanted / (inertia * angle)).min(fastest).max(SWING_RATES.0);
-        let torque = wanted.min(excess.max(inertia * angle * rate * rate));
-        let about = self.swung_about(i);
-        // A quarter as fast as it is swung, and hardly ringing.
-        let back = 0.25 * rate;
-        let (stiffness, damping) = (inertia * back * back, 1.4 * inertia * back);
-        let reach = SWING_TRAVEL * angle;
-        self.polarity.swing = Some(Swing { torque, rate, reach, stiffness, damping, about, ..Swing::default() });
+        let rate = self.swing_rate(i, FIRST_FORCE / worth, inertia * angle, angle, SWING_RATES.1);
+        let inert = inertia * angle * rate * rate;
+        // An unseen joint of such inertia swings by a few angles at most.
+        let unstated = (UNSEEN_FORCE / worth).min(friction + 2.0 * inert);
+        let most = (inert + FRICTION_DOUBT * friction).max(unstated);
+        let torque = (LEAST_FORCE / worth).min(0.25 * inert);
+        let (stiffness, damping) = spring(inertia, 0.4 * rate);
+        self.polarity.swing = Some(Swing { torque, most, rate, angle, stiffness, damping, ..Swing::default() });
     }
 
-    /// One step of the second part: the torque that swings joint `i`, with what the last step's was worth summed up.
-    fn swing(&mut self, i: usize) -> Torques {
-        let Some(mut swing) = self.polarity.swing else { return Torques::default() };
-        let strayed = self.now.found.at.q[i] - swing.about[i];
-        if margin_bits(strayed, swing.reach) < 0 {
-            self.trip(Fault::TorqueMismatch, Some(i as u8), SWING_TRAVEL * strayed / swing.reach);
-            return Torques::default();
-        }
+    /// The swing of joint `i` after one that was about as the file says; `None` if it would not be harder. One that only
+    /// shows the winding is faster than what cables allow the others, because that takes more current.
+    fn next_swing(&self, i: usize, before: &Swing, winding: bool) -> Option<Swing> {
+        let inertia = self.polarity.inertia.map_or(0.0, |inertia| inertia[i][i]);
+        let angle = before.angle;
+        let most = (SECOND_SHARE * self.rules.limits.tip_force / self.polarity.worth)
+            .min(SECOND_TORQUE * self.joints[i].stage.max_torque());
+        let fastest = if winding { FASTEST_SWING } else { SWING_RATES.1 };
+        let rate = self.swing_rate(i, most, inertia * angle, angle, fastest);
+        let inert = (inertia * angle * rate * rate).min(most);
+        // Friction does not hold it at either end.
+        let held = FRICTION_EXCESS * before.moved_by.unwrap_or(0.0);
+        let most = if winding { inert } else { inert.max(held) };
+        let (stiffness, damping) = spring(inertia, 0.25 * rate);
+        let torque = 0.25 * before.torque.min(inert);
+        let known = Swing { last: true, winding, moved_by: Some(torque), angle, ..Swing::default() };
+        (most > 1.2 * before.torque).then_some(Swing { torque, most, rate, stiffness, damping, ..known })
+    }
+
+    /// The angular frequency (rad/s) at which a torque (N m), or the friction if that is more, swings joint `i` by an angle
+    /// (rad), of so much inertia times that angle, no faster than `most` unless friction asks for it.
+    fn swing_rate(&self, i: usize, torque: f32, inertia_angle: f32, angle: f32, most: f32) -> f32 {
+        let Some(program) = self.program.as_ref() else { return SWING_RATES.0 };
+        let of = |torque: f32| sqrt(torque / inertia_angle.max(f32::MIN_POSITIVE));
+        // Where friction takes more than inertia, it would hide that.
+        let wanted = of(torque).min(most).max(of(1.5 * program.coulomb[i].abs()).min(FASTEST_SWING));
+        let between_counts = SWING_COUNTS * program.radians_per_count[i].abs();
+        let fastest = (SWING_SPEED * self.rules.limits.speed[i] / angle)
+            .min(self.joints[i].stage.turning(HIDDEN_VOLTS).abs() / between_counts)
+            .min(core::f32::consts::TAU / (SWING_STEPS * self.polarity.pace));
+        wanted.min(fastest).max(SWING_RATES.0)
+    }
+
+    /// One step of a swing: the torque that swings joint `i`, with what the last step's was worth summed up. `moved`: how
+    /// far all joints are from where they stood, rad.
+    fn swing(&mut self, i: usize, mut swing: Swing, moved: &[f32; MAX_JOINTS], counts: &[f32; MAX_JOINTS]) -> Torques {
         let turn = core::f32::consts::TAU / swing.rate;
-        let summed = (swing.seconds - SWINGS_BEFORE * turn) / (SWINGS * turn);
-        if summed >= 1.0 {
+        if swing.seconds >= turn {
+            // Where a turn begins, a joint that swings stands still.
+            swing.seconds -= turn;
+            swing.turns += if swing.full { 1.0 } else { 0.0 };
+            swing.ends = moved.map(|moved| (moved, moved));
+        }
+        if swing.turns >= SWINGS_BEFORE + SWINGS + SWINGS_FADING {
             self.check_swings(i, &swing);
             return Torques::default();
         }
-        let (sine, cosine) = K::sin_cos(swing.rate * (swing.seconds % turn));
-        if summed > 0.0 {
+        let summed = (swing.turns + swing.seconds / turn - SWINGS_BEFORE) / SWINGS;
+        let (sine, cosine) = K::sin_cos(swing.rate * swing.seconds);
+        if summed > 0.0 && summed < 1.0 {
             // Weighed so that what changes slowly drops out.
             let weight = 1.0 - K::sin_cos(core::f32::consts::TAU * summed).1;
-            let (now, stage) = (&self.now, &self.joints[i].stage);
+            let stage = &self.joints[i].stage;
             let (current, voltage) = (self.polarity.current, self.polarity.voltage);
             let add = |sum: &mut Phasor, value: f32| {
                 sum[0] += weight * cosine * value;
                 sum[1] += weight * sine * value;
             };
-            for ((sum, q), about) in swing.angles.iter_mut().zip(now.found.at.q).zip(swing.about) {
-                add(sum, q - about);
+            for (sum, moved) in swing.angles.iter_mut().zip(moved) {
+                add(sum, *moved);
             }
             add(&mut swing.driven, stage.torque_of(current));
             add(&mut swing.current, current);
             add(&mut swing.voltage, voltage);
         }
         swing.seconds += self.polarity.pace;
+        if swing.moved_by.is_none() && moved[i].abs() > SEEN_ANGLE.max(SEEN_COUNTS * counts[i].abs()) {
+            // From here on nothing needs more than what moved it, and what inertia takes by the file.
+            swing.moved_by = Some(swing.torque);
+            let inertia = self.polarity.inertia.map_or(0.0, |inertia| inertia[i][i]);
+            let inert = inertia * swing.angle * swing.rate * swing.rate;
+            swing.most = swing.torque + SWING_EXCESS * inert;
+            (swing.full, swing.turns) = (false, 0.0);
+        }
+        for ((low, high), moved) in swing.ends.iter_mut().zip(moved) {
+            (*low, *high) = (low.min(*moved), high.max(*moved));
+        }
+        let most = |j: usize| if swing.last && j == i { 4.0 } else { 2.0 } * swing.angle;
+        let far = |j: usize| swing.ends[j].1 - swing.ends[j].0 >= most(j);
+        swing.work += self.polarity.told[i] * (moved[i] - swing.was);
+        swing.was = moved[i];
+        if !swing.full {
+            swing.torque = (swing.torque * (1.0 + self.polarity.pace / (SWINGS_GROWING * turn))).min(swing.most);
+            swing.full = swing.torque >= swing.most || (0..self.count()).any(far);
+        } else if swing.moved_by.is_none() && swing.turns > 1.0 {
+            self.trip(Fault::PolarityNoMotion, Some(i as u8), moved[i]);
+            return Torques::default();
+        }
         self.polarity.swing = Some(swing);
-        let back = -swing.stiffness * strayed - swing.damping * self.joints[i].speed();
-        let most = SWING_SHARE * self.joints[i].stage.max_torque();
-        self.within_tip_force(i, limited(swing.torque * cosine + back, most))
+        let back = -swing.stiffness * moved[i] - swing.damping * self.joints[i].speed();
+        let fading = (1.0 - (summed - 1.0) * (SWINGS / SWINGS_FADING)).clamp(0.0, 1.0);
+        self.within_tip_force(i, limited(fading * swing.torque * cosine + back, swing.most))
     }
 
     /// The swings of joint `i` are over: whether they were what the device file says.
@@ -371,10 +440,13 @@ where
         let [along, across] = swing.driven;
         let driven = [along * cosine + across * sine, across * cosine - along * sine];
         // Of the torque that it made the part in phase with it: friction is in phase with the speed.
-        let found = dot(acted[i], acted[i]) / dot(acted[i], driven).max(f32::MIN_POSITIVE);
+        let found = dot(acted[i], acted[i]) / dot(acted[i], driven);
         let share = |row: &Phasor| dot(*row, driven) / dot(driven, driven).max(f32::MIN_POSITIVE);
         let mut others = acted.iter().map(share).enumerate().take(self.count()).filter(|(row, _)| *row != i);
-        let astray = others.find(|(_, aside)| margin_bits(*aside, CROSS_DOUBT) < 0);
+        // What friction in the other joint takes is no motor's.
+        let size = sqrt(dot(driven, driven)) * self.polarity.pace * swing.rate / (core::f32::consts::PI * SWINGS);
+        let held = |row: usize| 1.5 * program.coulomb[row].abs() / size.max(f32::MIN_POSITIVE);
+        let astray = others.find(|(row, aside)| margin_bits(*aside, CROSS_DOUBT + held(*row)) < 0);
         let (bridge, stage) = (&self.hardware.bridge, &self.joints[i].stage);
         let measured = (bridge.current_sensed && self.hardware.bus_sensed)
             .then(|| stage.resistance_of(swing.voltage, swing.current, swing.angles[i], swing.rate))
@@ -384,15 +456,31 @@ where
         let amperes = sqrt(dot(swing.current, swing.current)) * self.polarity.pace * swing.rate
             / (core::f32::consts::PI * SWINGS);
         let doubt = 4.0 / core::f32::consts::PI * dead / amperes;
-        if !(1.0 / TORQUE_DOUBT..=TORQUE_DOUBT).contains(&found) {
+        let strange =
+            measured.filter(|(found, expected)| margin_bits(found - expected, RESISTANCE_DOUBT * expected + doubt) < 0);
+        let clear = measured.filter(|(_, expected)| doubt < CLEAR_DOUBT * expected);
+        let second = if swing.last { None } else { self.next_swing(i, swing, false) };
+        let unclear = measured.is_some() && clear.is_none() && !swing.winding;
+        let third = if unclear && second.is_none() { self.next_swing(i, swing, true) } else { None };
+        let torque_doubt = if second.is_some() { FIRST_DOUBT } else { TORQUE_DOUBT };
+        if !swing.winding && found < -FIRST_DOUBT.0 {
+            self.trip(Fault::PolarityWrong, Some(i as u8), found);
+        } else if !swing.winding && !(torque_doubt.0..=torque_doubt.1).contains(&found) {
             self.trip(Fault::TorqueMismatch, Some(i as u8), found);
-        } else if let Some((row, aside)) = astray {
-            self.trip(Fault::TorqueMismatch, Some(row as u8), aside);
-        } else if let Some((found, expected)) = measured
-            && margin_bits(found - expected, RESISTANCE_DOUBT * expected + doubt) < 0
+        } else if second.is_some() {
+            self.polarity.swing = second;
+        } else if !swing.winding
+            && let Some((row, aside)) = astray
         {
+            self.trip(Fault::TorqueMismatch, Some(row as u8), aside);
+        } else if let Some((found, _)) = strange {
             self.trip(Fault::ResistanceMismatch, Some(i as u8), found);
+        } else if third.is_some() {
+            self.polarity.swing = third;
         } else {
+            if let Some((found, expected)) = clear {
+                self.joints[i].stage.set_measured_resistance(found.max((1.0 - RESISTANCE_DOUBT) * expected));
+            }
             self.pass_on(i);
         }
     }
@@ -402,9 +490,12 @@ where
         let (polarity, q) = (&mut self.polarity, self.now.found.at.q[i]);
         polarity.waited += polarity.pace;
         polarity.rested += polarity.pace;
-        if (q - polarity.rests_at).abs() > REST_MOTION {
-            (polarity.rests_at, polarity.rested) = (q, 0.0);
-        }
+        // Both ends: a joint that comes back while a hand leads it away is no nearer to rest.
+        let (low, high) = (polarity.rests_at.0.min(q), polarity.rests_at.1.max(q));
+        (polarity.rests_at, polarity.rested) = match high - low <= REST_MOTION {
+            true => ((low, high), polarity.rested),
+            false => ((q, q), 0.0),
+        };
         polarity.rested >= REST_SECONDS
     }
 }
@@ -412,6 +503,12 @@ where
 /// By how much a joint with this count (rad) is swung to either side, rad.
 fn swing_angle(radians_per_count: f32) -> f32 {
     SWING_ANGLE.max(SWING_COUNTS * radians_per_count.abs())
+}
+
+/// Stiffness (N m/rad) and damping (N m s/rad) that draw a joint of so much inertia (kg m²) back to where it stood, so
+/// fast (rad/s) and hardly ringing.
+fn spring(inertia: f32, back: f32) -> (f32, f32) {
+    (inertia * back * back, 1.4 * inertia * back)
 }
 
 /// The scalar product of two phasors.

@@ -157,6 +157,8 @@ pub struct Program<K, S = Axis> {
     pub(crate) limits: [Option<(f32, f32)>; MAX_JOINTS],
     pub(crate) home: Option<[f32; MAX_JOINTS]>,
     pub(crate) radians_per_count: [f32; MAX_JOINTS],
+    /// Coulomb friction, N m.
+    pub(crate) coulomb: [f32; MAX_JOINTS],
     /// Angles at count zero, rad.
     pub(crate) offsets: [f32; MAX_JOINTS],
     /// True if the device is that of the previous program: homing and the polarity check stay valid.
@@ -197,7 +199,8 @@ impl<K: Math<f32>, S: Stage> Program<K, S> {
             match &joint.motor {
                 None => arming_refused = arming_refused.or(Some(Refusal::NoMotor(index))),
                 Some(motor) => {
-                    if hardware.real && !motor.verified {
+                    // Without an inductance neither the current loop nor what watches it is good for a hand.
+                    if hardware.real && !(motor.verified && motor.inductance > 0.0) {
                         arming_refused = arming_refused.or(Some(Refusal::MotorNotVerified(index)));
                     }
                     axes[i] = S::new(motor, &bridge, limits.current[i]);
@@ -216,6 +219,7 @@ impl<K: Math<f32>, S: Stage> Program<K, S> {
             limits: core::array::from_fn(|i| device.joints[i].limits),
             home: device.home,
             radians_per_count: core::array::from_fn(|i| device.joints[i].radians_per_count),
+            coulomb: core::array::from_fn(|i| device.joints[i].coulomb),
             offsets: core::array::from_fn(|i| device.joints[i].offset),
             same_device,
             arming_refused,

@@ -110,11 +110,18 @@ pub struct Axis {
     recent_current: f32,
     /// Largest voltage by which a sound motor may differ from its model at rest without current, V.
     tolerance: f32,
+    /// Difference from the model above which the motor is inspected, V.
+    inspection_voltage: f32,
     /// Part of `tolerance` without any current, V, and its part per allowed ampere if the inductance is unknown, Ω.
     base_tolerance: f32,
     lag_resistance: f32,
     /// Additional tolerance per ampere of the largest recent current, because the winding may be hot, Ω.
     tolerance_resistance: f32,
+}
+
+/// The current (A) that a joint's speed of 1 rad/s may hide: the motor's volts are its back-EMF as well.
+pub fn hidden_by_speed(motor: &Motor<f64>) -> f64 {
+    f64::from(EMF_TOLERANCE) * motor.back_emf / motor.resistance
 }
 
 impl Axis {
@@ -225,6 +232,7 @@ impl Stage for Axis {
         // The change from any current within the limit to the largest current with overshoot.
         self.safe_rise = ROUNDED_SHARE * ((self.bound - self.max_current) * self.timing[0].part).max(0.0);
         self.tolerance = self.base_tolerance + self.lag_resistance * self.max_current;
+        self.inspection_voltage = self.tolerance;
     }
 
     fn max_current(&self) -> f32 {
@@ -313,7 +321,8 @@ impl Stage for Axis {
         let turning = [rate * angle[1], -rate * angle[0]];
         let left = [voltage[0] - self.back_emf * turning[0], voltage[1] - self.back_emf * turning[1]];
         let squared = current[0] * current[0] + current[1] * current[1];
-        (squared > 0.0).then(|| ((left[0] * current[0] + left[1] * current[1]) / squared, self.resistance))
+        let file = self.tolerance_resistance / RESISTANCE_TOLERANCE;
+        (squared > 0.0).then(|| ((left[0] * current[0] + left[1] * current[1]) / squared, file))
     }
 
     #[inline(always)]
@@ -324,9 +333,29 @@ impl Stage for Axis {
     /// A sound motor leaves the integrator near zero. If the bus limits the voltage, a current that stays below the
     /// expected current shows the same error.
     #[inline(always)]
-    fn strain(&self) -> (f32, f32) {
+    fn strain(&self) -> (f32, f32, f32) {
         let strain = self.integrator + self.resistance * self.mean_error;
-        (strain, self.tolerance + self.tolerance_resistance * self.recent_current + self.emf_tolerance)
+        let most = self.tolerance + self.tolerance_resistance * self.recent_current + self.emf_tolerance;
+        (strain, self.inspection_voltage + self.emf_tolerance, most)
+    }
+
+    fn inspect_above(&mut self, torque: f32) {
+        // Without a sensor the current is unknown.
+        if self.tolerance < f32::INFINITY {
+            self.inspection_voltage = self.tolerance.min((torque * self.amps_per_torque * self.resistance).abs());
+        }
+    }
+
+    fn current_from_voltage(&self) -> f32 {
+        let strain = self.integrator + self.resistance * self.mean_error;
+        let beyond = strain - limited(strain, self.emf_tolerance);
+        self.at_valley + if self.resistance > 0.0 { beyond / self.resistance } else { 0.0 }
+    }
+
+    /// Takes the smaller of the file's and the measured resistance. A larger measured resistance may be the brushes', and
+    /// taking too much for the winding's would hide a current.
+    fn set_measured_resistance(&mut self, ohms: f32) {
+        self.resistance = self.resistance.min(ohms);
     }
 
     fn turning(&self, volts: f32) -> f32 {
@@ -350,8 +379,13 @@ impl Stage for Axis {
     }
 
     fn inherit(&mut self, other: &Self) {
-        let Self { integrator, at_valley, expected, error, mean_error, recent_current, target, .. } = *other;
+        let Self { integrator, at_valley, expected, error, mean_error, recent_current, target, resistance, .. } =
+            *other;
         *self = Self { integrator, at_valley, expected, error, mean_error, recent_current, target, ..*self };
+        // The measured resistance of the same motor stays valid.
+        if self.tolerance_resistance == other.tolerance_resistance {
+            self.resistance = resistance;
+        }
     }
 
     /// Subtracts the resistance's voltage, and then the possible error: half of that voltage again (a hot winding or a

@@ -154,11 +154,23 @@ pub trait Stage: Copy + Debug + Default {
     /// Takes over the state of the stage that this stage replaces: loading a scene does not interrupt the current.
     fn inherit(&mut self, other: &Self);
 
-    /// Returns the voltage by which the motor differs from the model of the device file at this current and speed, and
-    /// the tolerance, V. A stage without a motor model has an infinite tolerance.
-    fn strain(&self) -> (f32, f32) {
-        (0.0, f32::INFINITY)
+    /// Returns the voltage by which the motor differs from the model of the device file at this current and speed, the
+    /// difference above which the motor is inspected ([`Stage::inspect_above`]), and the tolerance, V. A stage without a
+    /// motor model has an infinite tolerance.
+    fn strain(&self) -> (f32, f32, f32) {
+        (0.0, f32::INFINITY, f32::INFINITY)
     }
+
+    /// Inspects the motor if its voltage shows this torque (N m) more than its current does.
+    fn inspect_above(&mut self, _torque: f32) {}
+
+    /// Returns the current that the motor's voltage shows, whatever its sensor reads, A.
+    fn current_from_voltage(&self) -> f32 {
+        0.0
+    }
+
+    /// Takes over the measured resistance of the winding, Ω.
+    fn set_measured_resistance(&mut self, _ohms: f32) {}
 
     /// Returns true if the measured current is about that of a sound motor.
     fn has_expected_current(&self) -> bool {

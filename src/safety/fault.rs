@@ -136,9 +136,9 @@ faults! {
     /// Motor and encoder disagree about which way is positive; value: rad moved.
     PolarityWrong = 24, "a motor turned its joint the wrong way",
         "swap the motor's two wires, or set `inverted` of that joint's encoder in the device file";
-    /// No motion under the largest torque of the polarity check.
+    /// No motion under more torque than the joint's inertia and friction need by the file.
     PolarityNoMotion = 25, "a joint did not move under the test torque",
-        "free the joint, check motor wires and encoder, and that the limit of the force at the tip is more than friction takes; then check again";
+        "free the joint, check motor wires and encoder; give friction that takes more than half a newton at the tip as `coulomb` in the device file, and see that the tip's limit is more; then check again";
     /// The control interrupt's inputs went stale (ADC or SPI stopped); value: periods.
     SensorStale = 26, "a measurement of the board stopped arriving", "power-cycle the board; report it if it returns";
     /// Two sensors of one motor's current disagree; value: A.

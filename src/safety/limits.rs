@@ -33,6 +33,10 @@ pub const GENTLE_FORCE: f32 = 5.0;
 /// Tip force, N, above which the limit of a board with real motors cannot be raised: each board names it.
 pub const MOST_TIP_FORCE: f32 = 100.0;
 
+/// By what factor the currents that the motors' volts tell may push harder than the tip force: a sensor that lies hides no
+/// more.
+pub const VOLTS_MARGIN: f32 = 1.5;
+
 /// The tip force that a backup meant whose limits name none.
 fn gentle() -> f32 {
     GENTLE_FORCE

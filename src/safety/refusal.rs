@@ -88,7 +88,7 @@ impl core::fmt::Display for Refusal {
             Self::NoMotor(joint) => write!(f, "joint {joint} has no [joint.motor] or encoder in the device file"),
             Self::MotorNotVerified(joint) => write!(
                 f,
-                "the motor of joint {joint} is not verified: check its numbers, then set `verified = true` in the device file"
+                "the motor of joint {joint} is not verified: check its numbers, `inductance` among them, then set `verified = true` in the device file"
             ),
             Self::PolarityUnchecked => {
                 f.write_str("motor polarity has not been checked with this device and this home: run `haptic polarity`")

@@ -191,7 +191,7 @@ pub fn device_file(kind: Kind, name: &str) -> String {
         line("inverted", "false".into(), note("true when the counts fall as the angle grows; default false"));
         line("\n[joint.motor]\ntorque_constant", "0.2".into(), note("N m/A at the joint: motor's x ratio"));
         line("resistance", "2.0".into(), note("ohm, between the terminals"));
-        line("inductance", "0.001".into(), note("H; default 0: unknown, and the current loop is slow"));
+        line("inductance", "0.001".into(), note("H; default 0: unknown, and no real board arms"));
         line("back_emf", "0.2".into(), note("V s/rad at the joint; default torque_constant, the same in SI"));
         line("max_current", "3.0".into(), note("A, continuous limit of motor and supply"));
         line(

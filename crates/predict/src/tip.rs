@@ -2,8 +2,10 @@
 
 use crate::boards::torque_at_rest;
 use crate::plausible::device::weight;
+use haptic_bridge::drive::brushed::hidden_by_speed;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device;
+use haptic_bridge::model::motor::Motor;
 use haptic_stability::analysis::pose::{PoseError, TaskPose};
 use nalgebra::DVector;
 
@@ -69,6 +71,12 @@ pub const BOARD_SPEED: f64 = 100.0;
 pub fn motor_torques(description: &Description) -> Vec<f64> {
     let joints = description.kind.spec().joints;
     description.joints.iter().map(|joint| joint.motor.map_or(0.0, |motor| torque_at_rest(&motor, joints))).collect()
+}
+
+/// The torque that a wrong current sensor may hide for each rad/s of its joint, in addition to that at rest, N m s/rad.
+pub fn torques_hidden_by_speed(description: &Description) -> Vec<f64> {
+    let torque = |motor: Motor<f64>| (motor.torque_constant * hidden_by_speed(&motor)).abs();
+    description.joints.iter().map(|joint| joint.motor.map_or(0.0, torque)).collect()
 }
 
 #[cfg(test)]

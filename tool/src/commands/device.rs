@@ -3,7 +3,7 @@
 use super::port::{OnBoard, warn_of_weaker};
 use super::read_back::{Read, required_file};
 use haptic_bridge::model::device::Device;
-use haptic_bridge::safety::limits::{GENTLE_FORCE, Limit};
+use haptic_bridge::safety::limits::{GENTLE_FORCE, Limit, VOLTS_MARGIN};
 use haptic_bridge::safety::refusal::Refusal;
 use haptic_host::device_file::DeviceFile;
 use haptic_host::error::Failure;
@@ -12,7 +12,7 @@ use haptic_host::read_back::{differences as compare, running};
 use haptic_host::toml_file::Document;
 use haptic_predict::equivalent::device_file;
 use haptic_predict::plausible::{device::file_warnings, warn};
-use haptic_predict::tip::Tip;
+use haptic_predict::tip::{Tip, torques_hidden_by_speed};
 use serde_json::json;
 use std::path::{Path, PathBuf};
 
@@ -76,10 +76,6 @@ pub fn run(args: Args) -> Result<(), Failure> {
     if details.real {
         for lack in file.missing_for_board() {
             report.push_str(&format!("  before the board arms: {lack}\n"));
-        }
-        let mut motors = file.description.joints.iter().take(joints).filter_map(|joint| joint.motor);
-        if motors.any(|motor| motor.inductance == 0.0) {
-            report.push_str("  worth measuring: `inductance`; without it the current loop of a motor is slow\n");
         }
     }
     let temporary = args.on.warn_if_temporary();
@@ -146,8 +142,17 @@ fn limit_force(board: &mut Board, file: &DeviceFile, newtons: Option<f32>) -> Re
         board.set_rules(&rules)?;
         warn_of_weaker(&before, &rules);
     }
-    let tip =
-        format!("  tip force: walls, springs and fields push with at most {newtons} N; `--tip-force` changes it\n");
+    let hidden = VOLTS_MARGIN * newtons;
+    let faster = match Tip::at_home(&file.description) {
+        Some(Ok(tip)) => {
+            format!(" and {:.2} N more for each rad/s", tip.force(&torques_hidden_by_speed(&file.description)))
+        }
+        _ => String::new(),
+    };
+    let tip = format!(
+        "  tip force: walls, springs and fields push with at most {newtons} N; a wrong current sensor hides at most \
+         {hidden} N at rest{faster}; `--tip-force` changes it\n"
+    );
     let joints = file.spec().joints;
     let list = |torques: &[f32]| {
         let each: Vec<String> = torques.iter().take(joints).map(|torque| format!("{torque:.3}")).collect();

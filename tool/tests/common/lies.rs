@@ -2,14 +2,14 @@
 
 use super::forces::Push;
 use haptic_bridge::control::{HostAction, Rules};
-use haptic_bridge::model::description::Description;
+use haptic_bridge::model::description::{Description, Joint};
 use haptic_bridge::model::motor::Motor;
 use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};
 use haptic_bridge::safety::fault::{FaultRecord, State};
 use haptic_host::device_file::DeviceFile;
 use haptic_host::link::Board;
 use haptic_sim::{
-    BoardFaults, BoardOptions, Hand, HandSettings, Intent, SharedBoard, SimulatedBoard, Support, Waypoint,
+    BoardFaults, BoardOptions, Hand, HandSettings, Intent, Options, SharedBoard, SimulatedBoard, Support, Waypoint,
 };
 use std::f64::consts::TAU;
 
@@ -91,7 +91,12 @@ fn motors(wired: &mut Description) -> impl Iterator<Item = &mut Motor<f64>> {
 }
 
 fn constants(wired: &mut Description, factor: f64) {
-    for motor in motors(wired) {
+    windings_of(&mut wired.joints, factor);
+}
+
+/// Multiplies what the motors of these joints make of an ampere and of a turn.
+pub fn windings_of(joints: &mut [Joint], factor: f64) {
+    for motor in joints.iter_mut().filter_map(|joint| joint.motor.as_mut()) {
         motor.torque_constant *= factor;
         motor.back_emf *= factor;
     }
@@ -151,19 +156,31 @@ pub struct Harm {
 
 /// A real board in all but silicon that was told `file`, whose device and wires are as they are, homed.
 fn homed(file: &DeviceFile, lie: &Lie) -> (SharedBoard, Board, Description) {
-    let mut told = file.description;
+    homed_as(&file.name, &file.description, Options::default(), |wired, broken| {
+        if let When::Always(lie) = lie.when {
+            lie(wired, broken);
+        }
+    })
+}
+
+/// The same of any description and any lie.
+fn homed_as(
+    name: &str,
+    description: &Description,
+    device: Options,
+    lie: impl FnOnce(&mut Description, &mut BoardFaults),
+) -> (SharedBoard, Board, Description) {
+    let mut told = *description;
     let home = told.home.unwrap();
     for (joint, home) in told.joints.iter_mut().zip(home) {
         joint.motor.iter_mut().for_each(|motor| motor.verified = true);
         joint.limits = Some((home - 1.5, home + 1.5));
     }
     let mut wired = told;
-    let mut options = BoardOptions { strict: true, support: Support::Held, ..BoardOptions::default() };
-    if let When::Always(lie) = lie.when {
-        lie(&mut wired, &mut options.faults);
-    }
+    let mut options = BoardOptions { device, strict: true, support: Support::Held, ..BoardOptions::default() };
+    lie(&mut wired, &mut options.faults);
     let mut simulated = SimulatedBoard::new(&wired, options).unwrap();
-    simulated.load(&file.name, &told, None).unwrap();
+    simulated.load(name, &told, None).unwrap();
     let shared = SharedBoard::new(simulated);
     let mut board = Board::over(shared.wire(), "sim").unwrap();
     let rules = board.rules().unwrap();
@@ -178,7 +195,9 @@ fn checked(
     board: &mut Board,
     mut to_see: impl FnMut(&SimulatedBoard),
 ) -> Result<(), FaultRecord> {
-    board.check_polarity().unwrap();
+    if let Err(error) = board.check_polarity() {
+        return Err(shared.lock().status().fault.unwrap_or_else(|| panic!("{error}")));
+    }
     let mut board = shared.lock();
     let most = board.time() + 60.0;
     while board.status().state == State::CheckingPolarity {
@@ -211,7 +230,19 @@ pub struct Moved {
 
 /// How the polarity check ends, and what it does until then.
 pub fn moved(file: &DeviceFile, lie: &Lie) -> (Result<(), FaultRecord>, Moved) {
-    let (shared, mut board, wired) = homed(file, lie);
+    watched(homed(file, lie))
+}
+
+/// The same of any description and any lie, simulated coarsely: two integration steps a carrier period.
+pub fn moved_by(
+    name: &str,
+    description: &Description,
+    lie: impl FnOnce(&mut Description, &mut BoardFaults),
+) -> (Result<(), FaultRecord>, Moved) {
+    watched(homed_as(name, description, Options { substep: 25e-6, ..Options::default() }, lie))
+}
+
+fn watched((shared, mut board, wired): (SharedBoard, Board, Description)) -> (Result<(), FaultRecord>, Moved) {
     let mut push = Push::of(&wired, &shared.lock());
     let start = shared.lock().device().q();
     let mut moved = Moved::default();

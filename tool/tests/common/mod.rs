@@ -4,6 +4,7 @@
 #[cfg(unix)]
 pub mod documents;
 pub mod domains;
+pub mod drawn;
 pub mod forces;
 pub mod lies;
 pub mod page;

@@ -1,5 +1,6 @@
 //! What a board believes of files, wires and sensors that are wrong: docs/results/lies.csv.
 
+use crate::common::drawn::{Checked, check_sound, check_wrong};
 use crate::common::forces::too_hard;
 use crate::common::lies::{LIES, Lie, Outcome, When, outcome};
 use crate::common::{root, shipped};
@@ -40,6 +41,32 @@ fn the_table_of_lies_is_what_comes_of_them() {
         let kept = std::fs::read_to_string(&path).expect("docs/results/lies.csv is there");
         assert_eq!(kept, made, "run UPDATE_DOCS=1 cargo xtask test --deep lies");
     }
+}
+
+/// The share of checks that may go beyond a bound: docs/safety.md lists these.
+fn seldom(checked: &[Checked], percent: usize, beyond: impl Fn(&Checked) -> bool) {
+    let beyond: Vec<_> = checked.iter().filter(|checked| beyond(checked)).map(ToString::to_string).collect();
+    println!("{} of {}:\n{}", beyond.len(), checked.len(), beyond.join("\n"));
+    assert!(100 * beyond.len() <= percent * checked.len());
+}
+
+/// HAPTIC_CHECKS of them, 500 by default.
+fn checks(most: u64) -> u64 {
+    std::env::var("HAPTIC_CHECKS").ok().and_then(|text| text.parse().ok()).unwrap_or(most)
+}
+
+#[test]
+fn no_check_of_a_device_that_is_not_its_files_pushes_harder_than_a_finger() {
+    let checked: Vec<_> = (0..checks(500)).map(check_wrong).collect();
+    let most = |of: fn(&Checked) -> f64| checked.iter().map(of).fold(0.0, f64::max);
+    println!("most: {:.2} N, {:.3} rad", most(|it| it.moved.push), most(|it| it.moved.travel));
+    seldom(&checked, 1, |checked| checked.moved.push > 5.0 || checked.moved.travel > 0.15);
+}
+
+#[test]
+fn a_sound_device_passes_its_check() {
+    let checked: Vec<_> = (10_000..10_000 + checks(300)).map(check_sound).collect();
+    seldom(&checked, 3, |checked| checked.ended.is_err());
 }
 
 /// Scenes and motions that nobody has drawn before: HAPTIC_SEQUENCES of them for each device.

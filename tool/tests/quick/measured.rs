@@ -1,6 +1,7 @@
 //! What a device file says is measured before a board arms: files, wires and sensors that lie.
 
-use crate::common::lies::{LIES, Lie, When, counts, moved, refused};
+use crate::common::drawn::check_wrong;
+use crate::common::lies::{LIES, Lie, Outcome, When, counts, moved, outcome, refused};
 use crate::common::{all_shipped, shipped};
 use haptic_bridge::model::description::Description;
 use haptic_bridge::safety::fault::Fault;
@@ -91,4 +92,31 @@ fn a_home_that_is_wrong_makes_no_check_push_harder_than_the_limit_by_a_tenth() {
 fn stand(wired: &mut Description, off: [f64; 2]) {
     let home = wired.home.iter_mut().flatten();
     home.zip(off).for_each(|(home, off)| *home += off);
+}
+
+/// The deep part `lies` draws more of them.
+#[test]
+fn a_few_drawn_checks_push_no_harder_than_a_finger() {
+    for seed in 0..12 {
+        let checked = check_wrong(seed);
+        assert!(checked.moved.push < 5.0 && checked.moved.travel < 0.15 && checked.ended.is_err(), "{checked}");
+    }
+}
+
+/// 1 V is 11 N of this motor.
+#[test]
+fn a_sensor_that_begins_to_lie_pushes_no_harder_than_its_bound_however_strong_the_motor() {
+    let mut file = shipped("hapkit-paddle");
+    let motor = file.description.joints[0].motor.as_mut().unwrap();
+    (motor.torque_constant, motor.back_emf, motor.resistance, motor.max_current) = (1.9, 1.9, 2.33, 2.0);
+    for what in
+        ["first current sensor freezes", "current sensors begin to show half", "first current sensor 0.5 A too low"]
+    {
+        let lie = LIES.iter().find(|lie| lie.what == what).unwrap();
+        let harm = match outcome(&file, lie) {
+            Outcome::Refused(record) => panic!("{what}: {record:?}"),
+            Outcome::Seen(_, _, harm) | Outcome::Missed(harm) => harm,
+        };
+        assert!(harm.push < 1.7 * f64::from(GENTLE_FORCE), "{what}: {harm:?}");
+    }
 }

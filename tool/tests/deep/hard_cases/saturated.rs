@@ -10,7 +10,7 @@ use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
 use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::safety::fault::State;
 use haptic_bridge::safety::limits::Limits;
-use haptic_sim::{PressedBoard, Press, WIDE_LIMITS};
+use haptic_sim::{Press, PressedBoard, WIDE_LIMITS};
 use nalgebra::SVector;
 
 const POSES: usize = 12;

@@ -1,0 +1,189 @@
+//! Devices that are drawn: sound ones like those that ship, and ones whose file, wires or sensors are wrong.
+
+use super::lies::{Moved, moved_by, windings_of};
+use super::{all_shipped, shipped};
+use haptic_bridge::math::Libm;
+use haptic_bridge::model::description::{Cogging, Description, Stribeck, StructuralMode, Transmission};
+use haptic_bridge::model::mechanism::AnyMechanism;
+use haptic_bridge::safety::fault::FaultRecord;
+use haptic_sim::{BoardFaults, Random};
+use std::f64::consts::TAU;
+
+fn one<T: Copy>(draw: &mut Random, of: &[T]) -> T {
+    of[(draw.uniform() * of.len() as f64) as usize]
+}
+
+/// Between two numbers, each power of ten as likely as the next.
+fn spread(draw: &mut Random, low: f64, high: f64) -> f64 {
+    (draw.between(low.ln(), high.ln())).exp()
+}
+
+/// A device like one that ships, of another size, with other motors, encoders, friction, gears, cables and modes.
+pub fn sound(draw: &mut Random) -> (String, Description) {
+    let files = all_shipped();
+    let file = &files[(draw.uniform() * files.len() as f64) as usize];
+    let (mut device, joints) = (file.description, file.spec().joints);
+    let (size, weight) = (draw.between(0.7, 1.5), spread(draw, 0.5, 2.0));
+    // The sign of an assembly is no length.
+    device.geometry.iter_mut().filter(|length| length.abs() < 1.0).for_each(|length| *length *= size);
+    for link in &mut device.links {
+        link.com *= size;
+        link.mass *= weight;
+        for inertia in [&mut link.inertia, &mut link.inertia_axial, &mut link.inertia_transverse] {
+            *inertia *= weight * size * size;
+        }
+    }
+    device.handle_mass *= weight;
+    let (geared, cabled) = (draw.uniform() < 0.4, draw.uniform() < 0.4);
+    let (sticky, cogs, swings) = (draw.uniform() < 0.3, draw.uniform() < 0.2, draw.uniform() < 0.2);
+    for joint in device.joints.iter_mut().take(joints) {
+        joint.transmission = None;
+        // Up to 2 N m/A.
+        let most = 2.0 / joint.motor.map_or(2.0, |motor| motor.torque_constant);
+        let gear = if geared { draw.between(2.0, 8.0).min(most) } else { 1.0 };
+        joint.inertia *= spread(draw, 1.0, gear * gear);
+        joint.coulomb *= spread(draw, 0.4, 2.5) * gear.sqrt();
+        joint.viscous *= spread(draw, 0.4, 2.5) * gear;
+        joint.encoder.as_mut().unwrap().counts_per_turn = spread(draw, 500.0, 1.0e5).round();
+        let motor = joint.motor.as_mut().unwrap();
+        motor.torque_constant *= gear;
+        motor.back_emf *= gear;
+        motor.resistance *= spread(draw, 0.5, 4.0);
+        motor.inductance = motor.resistance * spread(draw, 0.2e-3, 1.0e-3);
+        motor.max_current *= draw.between(0.5, 1.0);
+        joint.friction = sticky.then(|| Stribeck {
+            rest: joint.coulomb * draw.between(1.0, 1.8),
+            stribeck_speed: spread(draw, 0.02, 0.2),
+        });
+        joint.cogging = cogs.then(|| Cogging {
+            amplitude: joint.coulomb * draw.between(0.1, 0.6),
+            per_turn: gear.round() * one(draw, &[14.0, 24.0, 48.0]),
+        });
+    }
+    let home = device.home.unwrap().map(|angle| angle as f32);
+    let inertia = AnyMechanism::<f32>::new(&device).unwrap().inertia::<Libm>(&home);
+    for (i, joint) in device.joints.iter_mut().enumerate().take(joints) {
+        let about = f64::from(inertia[i][i]);
+        if cabled {
+            let motor_inertia = joint.inertia * draw.between(0.4, 0.9);
+            let link = about - motor_inertia;
+            let rate = TAU * spread(draw, 25.0, 500.0);
+            joint.transmission = Some(Transmission {
+                stiffness: link * rate * rate,
+                damping: 2.0 * draw.between(0.02, 0.1) * link * rate,
+                motor_inertia,
+                encoder_at: Default::default(),
+            });
+        }
+        if swings {
+            joint.modes[0] = Some(StructuralMode {
+                frequency: spread(draw, 30.0, 300.0),
+                damping: draw.between(0.01, 0.1),
+                inertia: about * draw.between(0.02, 0.2),
+            });
+        }
+    }
+    (file.name.clone(), device)
+}
+
+/// What is wrong with a drawn device.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Wrong {
+    Nothing,
+    /// True torque constant and back-EMF over the file's, of the first joint or of all.
+    Constant(f64),
+    Constants(f64),
+    /// A gear that the file forgets, its inertia included.
+    Gear(f64),
+    /// What the first current sensor shows, or all, of a current.
+    Sensor(f64),
+    Sensors(f64),
+    /// A first current sensor off its zero, A.
+    Zero(f64),
+    EncoderDead,
+    EncodersSwapped,
+    MotorsSwapped,
+}
+
+impl Wrong {
+    pub fn drawn(draw: &mut Random) -> Self {
+        let factor = spread(draw, 1.25, 12.0);
+        match (draw.uniform() * 10.0) as u32 {
+            0 | 1 => Self::Constant(factor),
+            2 => Self::Constants(factor),
+            3 => Self::Gear(draw.between(2.0, 7.8)),
+            4 => Self::Sensor(1.0 / draw.between(1.25, 4.0)),
+            5 => Self::Sensors(1.0 / draw.between(1.25, 4.0)),
+            6 => Self::Zero(draw.between(-0.8, 0.8)),
+            7 => Self::EncoderDead,
+            8 => Self::EncodersSwapped,
+            _ => Self::MotorsSwapped,
+        }
+    }
+
+    fn make(self, wired: &mut Description, broken: &mut BoardFaults) {
+        match self {
+            Self::Nothing => {}
+            Self::Constant(factor) => windings_of(&mut wired.joints[..1], factor),
+            Self::Constants(factor) => windings_of(&mut wired.joints, factor),
+            Self::Gear(gear) => {
+                windings_of(&mut wired.joints, gear);
+                for joint in &mut wired.joints {
+                    joint.inertia *= gear * gear;
+                    joint.transmission.iter_mut().for_each(|it| it.motor_inertia *= gear * gear);
+                }
+            }
+            Self::Sensor(gain) => broken.sensor_gain[0] = gain,
+            Self::Sensors(gain) => broken.sensor_gain = [gain; 4],
+            Self::Zero(amperes) => broken.sensor_offset[0] = amperes,
+            Self::EncoderDead => broken.share[0] = Some((0, 0.0)),
+            Self::EncodersSwapped => broken.swapped_at = Some([0; 2]),
+            Self::MotorsSwapped => broken.motors.swap(0, 1),
+        }
+    }
+}
+
+/// One check of a drawn device.
+#[derive(Debug)]
+pub struct Checked {
+    pub seed: u64,
+    pub device: String,
+    pub wrong: Wrong,
+    pub ended: Result<(), FaultRecord>,
+    pub moved: Moved,
+}
+
+impl std::fmt::Display for Checked {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { seed, device, wrong, ended, moved } = self;
+        let ended = ended.map_err(|record| (record.fault, record.axis, record.value));
+        write!(f, "{seed} {device} {wrong:?}: {:.2} N, {:.3} rad, {ended:?}", moved.push, moved.travel)
+    }
+}
+
+/// A sound device that is held at home until its check begins.
+pub fn check_sound(seed: u64) -> Checked {
+    let mut draw = Random::new(seed);
+    let (device, description) = sound(&mut draw);
+    check(seed, device, &description, Wrong::Nothing)
+}
+
+/// A device that is not its file's: one that ships, or a drawn one.
+pub fn check_wrong(seed: u64) -> Checked {
+    let mut draw = Random::new(seed);
+    let wrong = Wrong::drawn(&mut draw);
+    let (mut device, mut description) = sound(&mut draw);
+    if draw.uniform() < 0.5 {
+        description = shipped(&device).description;
+    }
+    // A paddle has one motor to swap.
+    if matches!(wrong, Wrong::EncodersSwapped | Wrong::MotorsSwapped) && description.kind.spec().joints < 2 {
+        (device, description) = ("pantograph-mk2".into(), shipped("pantograph-mk2").description);
+    }
+    check(seed, device, &description, wrong)
+}
+
+fn check(seed: u64, device: String, description: &Description, wrong: Wrong) -> Checked {
+    let (ended, moved) = moved_by(&device, description, |wired, broken| wrong.make(wired, broken));
+    Checked { seed, device, wrong, ended, moved }
+}
