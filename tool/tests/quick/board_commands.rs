@@ -45,7 +45,7 @@ fn a_session_from_a_bare_board_to_a_recording() {
     let text = std::fs::read_to_string(csv).unwrap();
     assert!(text.contains(",Armed,0\n"), "states are words");
     let again = ["record", csv, "--seconds", "0.1", "--rate", "1000"];
-    sim.run(&again).code(1).stderr(contains("run.csv exists").and(contains("--force")));
+    sim.run(&again).code(1).stderr(contains("run.csv already exists").and(contains("--force")));
     assert_eq!(std::fs::read_to_string(csv).unwrap(), text, "a recording is not overwritten");
     sim.run(&[&again[..], &["--force"]].concat()).success().stderr(contains("100 rows are in"));
     let piped = sim.run(&["record", "-", "--seconds", "0.1", "--rate", "100"]).success();
@@ -159,7 +159,7 @@ fn a_restart_asks_before_it_turns_motors_off_or_forgets() {
     // What is saved is kept, so there is nothing to ask; neither is there after a change that was taken back.
     sim.run(&["board", "restart"]).success();
     sim.run(&["gains", "--stiffness", "321"]).success();
-    sim.run(&["board", "restart"]).code(1).stderr(contains("forgotten: scene"));
+    sim.run(&["board", "restart"]).code(1).stderr(contains("will be lost: scene"));
     sim.run(&["board", "name", "--json"]).success().stdout(contains("\"name\":\"\""));
 }
 
@@ -269,7 +269,7 @@ fn a_file_that_is_none_is_refused_by_name_with_what_to_do() {
     let kept = directory.path().join("kept.json");
     let backup = ["board", "backup", kept.to_str().unwrap()];
     sim.run(&backup).success();
-    sim.run(&backup).code(1).stderr(contains("kept.json exists"));
+    sim.run(&backup).code(1).stderr(contains("kept.json already exists"));
     sim.run(&[&backup[..], &["--force"]].concat()).success();
     // As root this once replaced the device node.
     sim.run(&["board", "backup", "/dev/full"]).code(1).stderr(contains("/dev/full cannot be written"));

@@ -152,7 +152,7 @@ fn what_cannot_be_is_refused_before_anything_starts() {
     haptic(&["range", &device, "--normal", "0,1", "--rate", "1000", "--cutoff", "20", "--svg", wrong])
         .assert()
         .code(2)
-        .stderr(contains("ending").and(contains("--png")));
+        .stderr(contains("extension").and(contains("--png")));
     let progress = folder.path().join("missing").join("p.json");
     let progress = progress.to_str().unwrap();
     haptic(&["measure-range", &device, "--port", "sim", "--normal", "0,1", "--progress", progress])

@@ -154,7 +154,7 @@ fn rows_that_are_shown_of_a_file_stand_in_it() {
 #[test]
 fn the_readme_says_what_haptic_is_before_it_types_it() {
     let text = fs::read_to_string(root().join("README.md")).unwrap();
-    let (said, typed) = (text.find("cargo install --path host"), text.find("\nhaptic "));
+    let (said, typed) = (text.find("cargo install --path tool"), text.find("\nhaptic "));
     assert!(said.is_some() && said < typed, "{said:?}, {typed:?}");
 }
 

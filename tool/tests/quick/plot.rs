@@ -307,7 +307,7 @@ fn the_stiffness_is_that_of_rows_that_no_limit_cut() {
     assert!((395..=400).contains(&rows) && cut > 300 && rows - cut > 20, "{rows}, {cut}");
     assert!((found["stiffness"].as_f64().unwrap() - 60e3).abs() < 1.0, "{}", found["stiffness"]);
     assert!(printed.contains(&format!("{} rows in contact, without {cut} that a limit cut", rows - cut)), "{printed}");
-    assert!(printed.contains("stiffness that was there: 60000 N/m"), "{printed}");
+    assert!(printed.contains("stiffness found: 60000 N/m"), "{printed}");
     // The line is drawn where it is spoken of, from the first row to the last of which it is.
     let ends: [[f64; 2]; 2] = serde_json::from_value(found["panels"][1]["line"].clone()).unwrap();
     assert!(ends.iter().all(|[x, y]| (y - 60e3 * x).abs() < 1e-6) && ends[1][1] < 5.0 && ends[1][1] > 4.5, "{ends:?}");

@@ -99,7 +99,7 @@ fn a_board_is_read_into_files_and_held_against_them() {
     sim.run(&["device"]).code(2);
     sim.run(&["device", &device]).success();
     sim.run(&["scene", &wall]).success();
-    sim.run(&["device", "--read", &device]).success().stdout(contains("the board's device is that of"));
+    sim.run(&["device", "--read", &device]).success().stdout(contains("the board's device is the same as in"));
     sim.run(&["scene", "--read", &wall]).success();
     let folder = tempfile::tempdir().unwrap();
     let [device, scene] = ["d.toml", "s.toml"].map(|name| folder.path().join(name).display().to_string());

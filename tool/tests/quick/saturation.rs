@@ -27,7 +27,7 @@ struct Case {
 impl Case {
     /// What is felt ever deeper in the wall.
     fn felt(&self, depths: impl Iterator<Item = f64>) -> Vec<PressForces> {
-        let path = format!("{}/../../devices/{}.toml", env!("CARGO_MANIFEST_DIR"), self.device);
+        let path = format!("{}/../devices/{}.toml", env!("CARGO_MANIFEST_DIR"), self.device);
         let mut device = DeviceFile::load(path).expect("a shipped device").description;
         for motor in device.joints.iter_mut().filter_map(|joint| joint.motor.as_mut()) {
             motor.max_current *= self.strength;

@@ -171,7 +171,7 @@ fn a_key_is_held_by_the_board_that_armed_with_it_alone_and_a_late_press_arms_not
     let seen = session.step();
     shared.lock().run(0.6);
     let refused = session.arm_held(seen).unwrap_err();
-    assert!(refused.to_string().contains("press it anew"), "{refused}");
+    assert!(refused.to_string().contains("press it again"), "{refused}");
     assert!(!shared.lock().status().state.drives());
 }
 

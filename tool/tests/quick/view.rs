@@ -353,7 +353,7 @@ fn a_page_that_is_late_by_half_a_second_does_not_arm() {
         assert_eq!((view.state(), view.heard(0).refused.len() - before), (armed, usize::from(armed != "Armed")));
         view.say(0, json!({"do": "release"}));
     }
-    assert!(view.heard(0).why().contains("press it anew"), "{}", view.heard(0).why());
+    assert!(view.heard(0).why().contains("press it again"), "{}", view.heard(0).why());
 }
 
 #[test]
@@ -501,7 +501,7 @@ fn gains_are_refused_by_name_and_have_an_upper_limit() {
         world.board.set_rules(&rules).unwrap();
         let mut view = Played::in_command(world, None);
         view.say(0, gains(1e9, 80.0));
-        let limit = view.heard(0).why().split("beyond ").nth(1).and_then(|rest| rest.split(" MN/m").next());
+        let limit = view.heard(0).why().split("above ").nth(1).and_then(|rest| rest.split(" MN/m").next());
         limit.unwrap_or_else(|| panic!("{}", view.heard(0).why())).parse::<f64>().unwrap()
     });
     assert!((all / half - 2.0).abs() < 0.02, "{all}, {half}");
@@ -868,7 +868,7 @@ fn a_page_records_what_it_sees_and_it_plays_once_more() {
     view.play(0.1);
     assert!(view.heard(0).picture["recording"]["rows"].as_u64().unwrap() > 50);
     view.say(0, json!({"do": "record", "on": true}));
-    assert!(view.heard(0).why().contains("under way"), "{}", view.heard(0).why());
+    assert!(view.heard(0).why().contains("already active"), "{}", view.heard(0).why());
     view.arm(0);
     view.play(0.5);
     view.say(0, json!({"do": "record", "on": false}));

@@ -128,7 +128,7 @@ fn the_commands_take_both_and_refuse_what_a_board_would_not_give() {
     };
     let said = range(&["--feed-forward-gain", "2"]).success().get_output().stdout.clone();
     let said = String::from_utf8(said).unwrap();
-    assert!(said.contains("met with 2 times the feed-forward") && said.contains("its price: 2 times"), "{said}");
+    assert!(said.contains("met with 2 times the feed-forward") && said.contains("its cost: 2 times"), "{said}");
     let refused = range(&["--feed-forward-gain", "4"]).code(2).get_output().stderr.clone();
     assert!(String::from_utf8(refused).unwrap().contains("not from 0 to 2.9"));
 

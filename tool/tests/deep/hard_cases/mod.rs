@@ -39,7 +39,7 @@ const MECHANISMS: [(&str, &str); 4] = [
 
 /// A device that ships.
 fn shipped(name: &str) -> Description {
-    let path = format!("{}/../../devices/{name}.toml", env!("CARGO_MANIFEST_DIR"));
+    let path = format!("{}/../devices/{name}.toml", env!("CARGO_MANIFEST_DIR"));
     DeviceFile::load(path).unwrap_or_else(|error| panic!("{error}")).description
 }
 

@@ -14,7 +14,7 @@ use nalgebra::SVector;
 const RATE: f64 = 1_000.0;
 
 fn device(name: &str) -> DeviceFile {
-    DeviceFile::load(format!("{}/../../devices/{name}.toml", env!("CARGO_MANIFEST_DIR"))).expect("a shipped device")
+    DeviceFile::load(format!("{}/../devices/{name}.toml", env!("CARGO_MANIFEST_DIR"))).expect("a shipped device")
 }
 
 /// A unit vector at this angle, rad.
