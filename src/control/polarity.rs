@@ -228,7 +228,7 @@ where
         let swung = self.polarity.swing.is_some_and(|swing| swing.last);
         let farthest = |j: usize| if swung && j != i { SWUNG_ANGLE } else { STRAY_ANGLE };
         let beyond = |j: &usize| margin_bits(moved[*j], farthest(*j).max(STRAY_COUNTS * counts[*j].abs())) < 0;
-        if let Some(j) = (0..self.count()).find(beyond) {
+        if let Some(j) = (0..self.count().min(MAX_JOINTS)).find(beyond) {
             match self.polarity.swing {
                 Some(swing) if j == i && swing.work < 0.0 => {
                     self.trip(Fault::PolarityWrong, Some(j as u8), moved[j] / swing.angle);
@@ -261,6 +261,7 @@ where
     /// Looks at the next of the poses at which the device may stand in truth, for what a torque of joint `i` is worth at the
     /// tip there. Between those corners leverage is less: it grows towards singular poses.
     fn look_around(&mut self, i: usize) {
+        let i = i.min(MAX_JOINTS - 1);
         let Some(program) = self.program.as_ref() else { return };
         let corner = self.polarity.looked;
         let mut unit = Torques::default();
@@ -275,6 +276,7 @@ where
 
     /// A torque (N m) of joint `i` alone, as far as the limit of the force at the tip allows it here and around.
     fn within_tip_force(&self, i: usize, wanted: f32) -> Torques {
+        let i = i.min(MAX_JOINTS - 1);
         let tip_force = self.rules.limits.tip_force;
         let most = (tip_force / self.polarity.worth).min(self.joints[i].stage.max_torque());
         let mut torque = Torques::default();
@@ -285,6 +287,7 @@ where
 
     /// Goes on with the next joint after joint `i`, or ends the check well.
     fn pass_on(&mut self, i: usize) {
+        let i = i.min(MAX_JOINTS - 1);
         if i + 1 >= self.count() {
             self.off();
             self.state = State::Disarmed;
@@ -316,6 +319,7 @@ where
 
     /// Chooses the first swing of joint `i`, whose inertia by the file is `inertia` (kg m²).
     fn begin_first(&mut self, i: usize, inertia: f32) {
+        let i = i.min(MAX_JOINTS - 1);
         let Some(program) = self.program.as_ref() else { return };
         let (worth, friction) = (self.polarity.worth, program.coulomb[i].abs());
         let angle = swing_angle(program.radians_per_count[i]);
@@ -332,6 +336,7 @@ where
     /// The swing of joint `i` after one that was about as the file says; `None` if it would not be harder. One that only
     /// shows the winding is faster than what cables allow the others, because that takes more current.
     fn next_swing(&self, i: usize, before: &Swing, winding: bool) -> Option<Swing> {
+        let i = i.min(MAX_JOINTS - 1);
         let inertia = self.polarity.inertia.map_or(0.0, |inertia| inertia[i][i]);
         let angle = before.angle;
         let most = (SECOND_SHARE * self.rules.limits.tip_force / self.polarity.worth)
@@ -351,6 +356,7 @@ where
     /// The angular frequency (rad/s) at which a torque (N m), or the friction if that is more, swings joint `i` by an angle
     /// (rad), of so much inertia times that angle, no faster than `most` unless friction asks for it.
     fn swing_rate(&self, i: usize, torque: f32, inertia_angle: f32, angle: f32, most: f32) -> f32 {
+        let i = i.min(MAX_JOINTS - 1);
         let Some(program) = self.program.as_ref() else { return SWING_RATES.0 };
         let of = |torque: f32| sqrt(torque / inertia_angle.max(f32::MIN_POSITIVE));
         // Where friction takes more than inertia, it would hide that.
@@ -365,6 +371,7 @@ where
     /// One step of a swing: the torque that swings joint `i`, with what the last step's was worth summed up. `moved`: how
     /// far all joints are from where they stood, rad.
     fn swing(&mut self, i: usize, mut swing: Swing, moved: &[f32; MAX_JOINTS], counts: &[f32; MAX_JOINTS]) -> Torques {
+        let i = i.min(MAX_JOINTS - 1);
         let turn = core::f32::consts::TAU / swing.rate;
         if swing.seconds >= turn {
             // Where a turn begins, a joint that swings stands still.
@@ -412,7 +419,7 @@ where
         swing.was = moved[i];
         if !swing.full {
             swing.torque = (swing.torque * (1.0 + self.polarity.pace / (SWINGS_GROWING * turn))).min(swing.most);
-            swing.full = swing.torque >= swing.most || (0..self.count()).any(far);
+            swing.full = swing.torque >= swing.most || (0..self.count().min(MAX_JOINTS)).any(far);
         } else if swing.moved_by.is_none() && swing.turns > 1.0 {
             self.trip(Fault::PolarityNoMotion, Some(i as u8), moved[i]);
             return Torques::default();
@@ -425,6 +432,7 @@ where
 
     /// The swings of joint `i` are over: whether they were what the device file says.
     fn check_swings(&mut self, i: usize, swing: &Swing) {
+        let i = i.min(MAX_JOINTS - 1);
         let Some(program) = self.program.as_ref() else { return };
         let inertia = self.polarity.inertia.unwrap_or_default();
         let rate = -swing.rate * swing.rate;
@@ -487,6 +495,7 @@ where
 
     /// Returns true if joint `i` has come to rest.
     fn at_rest(&mut self, i: usize) -> bool {
+        let i = i.min(MAX_JOINTS - 1);
         let (polarity, q) = (&mut self.polarity, self.now.found.at.q[i]);
         polarity.waited += polarity.pace;
         polarity.rested += polarity.pace;
