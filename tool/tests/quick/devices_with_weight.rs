@@ -39,7 +39,7 @@ fn ready_to_arm(file: DeviceFile) -> (SharedBoard, Board) {
     let (shared, mut board) = strict(file);
     board.home().unwrap();
     board.check_polarity().unwrap();
-    shared.lock().run(10.0);
+    shared.lock().run(30.0);
     assert!(board.status().unwrap().polarity, "{name}: {:?}", board.status());
     assert_eq!(shared.lock().device().q(), home, "{name} is put back");
     (shared, board)
@@ -130,7 +130,7 @@ fn a_device_with_weight_is_held_until_it_is_armed_and_passes_the_polarity_check(
         assert_eq!(shared.lock().device().q(), home, "{name} is held");
         board.home().unwrap();
         board.check_polarity().unwrap();
-        shared.lock().run(7.0);
+        shared.lock().run(30.0);
         let status = board.status().unwrap();
         assert!(status.polarity, "{name}: {status:?}");
         let still = shared.lock().device().q();

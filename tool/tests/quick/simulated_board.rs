@@ -174,7 +174,7 @@ fn what_cannot_be_armed_is_refused_with_the_reason() {
     board.home().unwrap();
     assert_eq!(refusal(board.arm()), Refusal::PolarityUnchecked);
     board.check_polarity().unwrap();
-    listening(&shared, &mut board, 5.0);
+    listening(&shared, &mut board, 20.0);
     assert!(board.status().unwrap().polarity, "{:?}", board.status());
 
     // The polarity check moved the device; a wall is now put around its tip.
@@ -209,7 +209,7 @@ fn a_swapped_motor_is_found_before_it_is_armed() {
     let mut board = Board::over(shared.wire(), "sim").unwrap();
     board.home().unwrap();
     board.check_polarity().unwrap();
-    listening(&shared, &mut board, 5.0);
+    listening(&shared, &mut board, 20.0);
     let fault = board.status().unwrap().fault.unwrap();
     assert_eq!((fault.fault, fault.axis), (Fault::PolarityWrong, Some(1)));
     assert_eq!(board.faults().unwrap().len(), 1);
