@@ -379,10 +379,14 @@ pub fn beyond(wall: &Wall<f64>, contact: &Contact, in_file: bool) -> Vec<FileWar
     } else if contact.buzz.is_some() {
         let text = format!(
             "the stiffness of wall {index}, {}, is predicted stable{rigid} only where nothing holds the tip: {} (`haptic \
-             range DEVICE {}`)",
+             range DEVICE {}{}`)",
             with_unit(wall.stiffness, "N/m"),
             instability_text(wall, contact),
-            contact.options
+            contact.options,
+            contact.in_hand.map_or(String::new(), |held| {
+                let [mass, damping, stiffness] = held.hand;
+                format!(" --hand {mass},{damping},{stiffness}")
+            })
         );
         warnings.push(warning("stiffness", text));
     }
