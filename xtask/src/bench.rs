@@ -11,8 +11,8 @@ use serde_json::{Value, json};
 
 use crate::paths::{root, target_directory};
 use crate::report;
-use crate::toolchain::{TARGET, Use, cargo, haptic_emulator, run};
-use crate::tools;
+use crate::toolchain::{TARGET, cargo, chip_cargo, haptic_emulator, run};
+use crate::tools::{self, Tool};
 
 const BINARY: &str = "haptic-counting";
 /// Largest allowed ratio of a variant's instructions to the stored count.
@@ -25,7 +25,8 @@ fn counts_file() -> PathBuf {
 
 /// Builds the counting image and returns its path.
 fn image() -> Result<PathBuf> {
-    let mut command = tools::provide(&[Use::Build])?.cargo(Use::Build);
+    tools::check(&[Tool::Chip])?;
+    let mut command = chip_cargo();
     command.current_dir(root().join("firmware")).arg("--target-dir").arg(target_directory());
     run(command.args(["--locked", "--package", BINARY, "--profile", "firmware"]))?;
     Ok(target_directory().join(TARGET).join("firmware").join(BINARY))
