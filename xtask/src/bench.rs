@@ -38,16 +38,13 @@ fn count() -> Result<Vec<(String, u64)>> {
     let output =
         haptic_emulator("count").arg(image).stderr(Stdio::inherit()).output().context("cannot run the counter")?;
     ensure!(output.status.success(), "the counter failed ({})", output.status);
-    let counted: Value = serde_json::from_slice(&output.stdout).context("the counter's output is not JSON")?;
-    let variants = counted["variants"].as_array().context("the counter lists no variants")?;
-    variants
-        .iter()
-        .filter(|variant| variant["name"] != "empty")
-        .map(|variant| {
-            let name = variant["name"].as_str().context("a variant without a name")?;
-            Ok((name.to_string(), variant["instructions"].as_u64().context("a variant without a count")?))
-        })
-        .collect()
+    let text = String::from_utf8(output.stdout).context("the counter's output is not text")?;
+    let variant = |line: &str| {
+        let (instructions, name) = line.split_once(' ')?;
+        Some((name.to_string(), instructions.parse().ok()?))
+    };
+    let counted: Option<Vec<_>> = text.lines().map(variant).collect();
+    counted.filter(|counted| !counted.is_empty()).context("the counter printed no counts")
 }
 
 /// Counts everything, stores the counts, and writes the report.
