@@ -17,7 +17,6 @@ use rigless::time::VirtualNanos;
 use crate::hardware::Hardware;
 use crate::image::{self, Firmware};
 use crate::rtt::Rtt;
-use crate::shares::Tally;
 use crate::trace::{Code, Run, Tracer};
 use crate::usb;
 
@@ -66,7 +65,6 @@ pub struct StoppedBoard<'a> {
     /// Instructions executed since power-on.
     pub instructions: u64,
     tracer: &'a mut Option<Tracer>,
-    tally: &'a mut Option<Tally>,
     rtt: &'a mut Rtt,
 }
 
@@ -153,18 +151,6 @@ impl StoppedBoard<'_> {
         self.tracer.take().map(Tracer::finish).unwrap_or_default()
     }
 
-    /// Starts to count every instruction outside the control interrupt, which starts at `entry`. As slow as a trace.
-    pub fn tally(&mut self, code: &Code, entry: u64) {
-        code.addresses().for_each(|address| self.session.watch(Watch::Instruction(address)));
-        *self.tally = Some(Tally::new(code.clone(), entry as u32));
-    }
-
-    /// Ends the count of [`StoppedBoard::tally`] and returns it.
-    pub fn take_tally(&mut self, code: &Code) -> Option<Tally> {
-        code.addresses().for_each(|address| self.session.unwatch(Watch::Instruction(address)));
-        self.tally.take()
-    }
-
     /// Takes the raw log that the firmware wrote since the last call (RTT up-channel 0), as a debug probe would.
     pub fn take_log(&mut self) -> Vec<u8> {
         self.rtt.drain(self.memory);
@@ -235,7 +221,7 @@ impl VirtualBoard {
         let rtt = Rtt::new(firmware.find("_SEGGER_RTT").map(|symbol| symbol.address));
         let (commands, requests) = channel();
         let (replies_out, replies) = channel();
-        let runner = Runner { requests, replies_out, until: 0, waiting: false, tracer: None, tally: None, rtt };
+        let runner = Runner { requests, replies_out, until: 0, waiting: false, tracer: None, rtt };
         let thread = std::thread::spawn(move || {
             emulator::run(session, &Start::new(&[image]), runner).map(|_| ()).map_err(|error| error.to_string())
         });
@@ -337,7 +323,6 @@ struct Runner {
     until: u64,
     waiting: bool,
     tracer: Option<Tracer>,
-    tally: Option<Tally>,
     rtt: Rtt,
 }
 
@@ -351,9 +336,9 @@ impl Runner {
         loop {
             match self.requests.recv().ok()? {
                 Command::With(job) => {
-                    let Self { tracer, tally, rtt, .. } = self;
+                    let Self { tracer, rtt, .. } = self;
                     let (at, instructions) = (stop.at.0, stop.instruction_count);
-                    job(&mut StoppedBoard { session, memory, at, instructions, tracer, tally, rtt });
+                    job(&mut StoppedBoard { session, memory, at, instructions, tracer, rtt });
                     self.replies_out.send(Reply::Done).ok()?;
                 }
                 Command::RunUntil(until) => {
@@ -375,7 +360,6 @@ impl Driver<Hardware> for Runner {
     fn on_settled(&mut self, _: &mut Session<Hardware>, _: &mut dyn emulator::Host, settled: Settled) {
         if let Settled::Hit(hit) = settled {
             self.tracer.iter_mut().for_each(|tracer| tracer.feed(&hit));
-            self.tally.iter_mut().for_each(|tally| tally.feed(&hit));
         }
     }
 
