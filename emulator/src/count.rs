@@ -34,12 +34,11 @@ use crate::image::{Firmware, Symbol};
 ///
 /// If the image has no markers or does not finish.
 pub fn count(firmware: &Firmware, seconds: u64) -> Result<Vec<(String, u64)>, String> {
-    let symbol = |name| firmware.symbol(name).map_err(|error| error.to_string());
     let driver = Counter {
-        begin: symbol("bench_begin")?.address,
-        end: symbol("bench_end")?.address,
-        done: symbol("bench_done")?.address,
-        name: symbol("BENCH_NAME")?,
+        begin: firmware.symbol("bench_begin")?.address,
+        end: firmware.symbol("bench_end")?.address,
+        done: firmware.symbol("bench_done")?.address,
+        name: firmware.symbol("BENCH_NAME")?,
         until: VirtualNanos(seconds * 1_000_000_000),
         armed: false,
         open: None,

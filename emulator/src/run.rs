@@ -15,7 +15,7 @@ use rigless::soc::Width;
 use rigless::time::VirtualNanos;
 
 use crate::hardware::Hardware;
-use crate::image::{self, Firmware};
+use crate::image::Firmware;
 use crate::rtt::Rtt;
 use crate::trace::{Code, Run, Tracer};
 use crate::usb;
@@ -29,32 +29,6 @@ pub const SECOND: u64 = 1_000_000_000;
 
 /// Interrupt of the chip's supply monitor.
 const SUPPLY_MONITOR: InterruptLine = InterruptLine::new(1).expect("a line of the part");
-
-/// Reason why a board could not be started.
-#[derive(Debug)]
-pub enum Error {
-    /// The image does not exist or is not an image.
-    Image(image::Error),
-    /// The emulator rejected the image, or stopped.
-    Emulator(String),
-}
-
-impl fmt::Display for Error {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Image(error) => write!(out, "{error}"),
-            Self::Emulator(error) => write!(out, "the emulator stopped: {error}"),
-        }
-    }
-}
-
-impl std::error::Error for Error {}
-
-impl From<image::Error> for Error {
-    fn from(error: image::Error) -> Self {
-        Self::Image(error)
-    }
-}
 
 /// The board at a stop: everything on it can be inspected and changed.
 pub struct StoppedBoard<'a> {
@@ -214,8 +188,8 @@ impl VirtualBoard {
     /// # Errors
     ///
     /// If the emulator rejects the image.
-    pub fn start(firmware: &Firmware, hardware: Hardware) -> Result<Self, Error> {
-        let emulator = |error: &dyn fmt::Display| Error::Emulator(error.to_string());
+    pub fn start(firmware: &Firmware, hardware: Hardware) -> Result<Self, String> {
+        let emulator = |error: &dyn fmt::Display| format!("the emulator stopped: {error}");
         let session = Session::new(Box::new(hardware), 0, VirtualNanos(1)).map_err(|error| emulator(&error))?;
         let image = firmware.image().map_err(|error| emulator(&error))?;
         let rtt = Rtt::new(firmware.find("_SEGGER_RTT").map(|symbol| symbol.address));

@@ -17,8 +17,7 @@ fn main() -> ExitCode {
         eprintln!("usage: count IMAGE.elf");
         return ExitCode::from(2);
     };
-    let firmware = Firmware::read(&path).map_err(|error| error.to_string());
-    match firmware.and_then(|firmware| count(&firmware, SECONDS)) {
+    match Firmware::read(&path).and_then(|firmware| count(&firmware, SECONDS)) {
         Ok(variants) => {
             variants.iter().for_each(|(name, instructions)| println!("{instructions} {name}"));
             ExitCode::SUCCESS
