@@ -40,44 +40,9 @@ const REFILL: u64 = 2;
 /// ARM application note 298).
 pub const EXCEPTION: u64 = 12 + 12 + 17 + 17;
 
-/// Purpose of an instruction.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kind {
-    /// Arithmetic of the FPU.
-    Arithmetic,
-    /// Loads and stores.
-    Memory,
-    /// Jumps, calls and returns.
-    Branch,
-    /// Integer instructions, moves, comparisons.
-    Rest,
-}
-
-impl Kind {
-    /// All kinds with their names in a table.
-    pub const ALL: [(Self, &'static str); 4] = [
-        (Self::Arithmetic, "arithmetic of the FPU"),
-        (Self::Memory, "loads and stores"),
-        (Self::Branch, "branches"),
-        (Self::Rest, "integers, moves, comparisons"),
-    ];
-}
-
-/// Counts the instructions of a path, in the order of [`Kind::ALL`].
-#[must_use]
-pub fn kinds(code: &Code, path: &[u32]) -> [u64; Kind::ALL.len()] {
-    let mut counts = [0; Kind::ALL.len()];
-    for &at in path {
-        let kind = cost(code, at).kind;
-        counts[Kind::ALL.iter().position(|(one, _)| *one == kind).unwrap_or(0)] += 1;
-    }
-    counts
-}
-
 /// Cost of a single instruction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Cost {
-    kind: Kind,
     /// Bytes of the instruction.
     length: u32,
     cycles: u64,
@@ -92,19 +57,11 @@ struct Cost {
 
 impl Cost {
     fn of(length: u32, cycles: u64) -> Self {
-        Self { kind: Kind::Rest, length, cycles, load: false, constant: None, writes: None, reads: [None; 2] }
-    }
-
-    fn memory(length: u32, cycles: u64) -> Self {
-        Self { kind: Kind::Memory, ..Self::of(length, cycles) }
+        Self { length, cycles, load: false, constant: None, writes: None, reads: [None; 2] }
     }
 
     fn load(length: u32, constant: Option<u32>) -> Self {
-        Self { load: true, constant, ..Self::memory(length, 2) }
-    }
-
-    fn branch(length: u32) -> Self {
-        Self { kind: Kind::Branch, ..Self::of(length, 1) }
+        Self { load: true, constant, ..Self::of(length, 2) }
     }
 }
 
@@ -122,16 +79,11 @@ fn cost(code: &Code, at: u32) -> Cost {
     }
     match first {
         0x4800..0x5000 => Cost::load(2, constant(at, first & 0xFF)),
-        0x4700..0x4800 | 0xD000..0xE800 => Cost::branch(2),
-        0x5000..0x5600 => Cost::memory(2, 1),
         0x5600..0x6000 => Cost::load(2, None),
         0x6000..0xA000 if first & 0x0800 != 0 => Cost::load(2, None),
-        0x6000..0xA000 => Cost::memory(2, 1),
-        // CBZ, CBNZ
-        _ if first & 0xF500 == 0xB100 => Cost::branch(2),
         // PUSH, POP, STM, LDM
-        0xB400..0xB600 | 0xBC00..0xBE00 => Cost::memory(2, 1 + u64::from((first & 0x1FF).count_ones())),
-        0xC000..0xD000 => Cost::memory(2, 1 + u64::from((first & 0xFF).count_ones())),
+        0xB400..0xB600 | 0xBC00..0xBE00 => Cost::of(2, 1 + u64::from((first & 0x1FF).count_ones())),
+        0xC000..0xD000 => Cost::of(2, 1 + u64::from((first & 0xFF).count_ones())),
         _ => Cost::of(2, 1),
     }
 }
@@ -140,28 +92,22 @@ fn wide(first: u16, second: u16, at: u32) -> Cost {
     let loads = first & 0x10 != 0;
     match first {
         // LDM, STM; TBB; LDRD, STRD and the exclusive variants.
-        _ if first & 0xFE40 == 0xE800 => Cost::memory(4, 1 + u64::from(second.count_ones())),
-        0xE8D0..=0xE8DF if second & 0xFFE0 == 0xF000 => Cost { cycles: 2, ..Cost::branch(4) },
-        _ if first & 0xFE40 == 0xE840 => Cost::memory(4, 3),
+        _ if first & 0xFE40 == 0xE800 => Cost::of(4, 1 + u64::from(second.count_ones())),
+        0xE8D0..=0xE8DF if second & 0xFFE0 == 0xF000 => Cost::of(4, 2),
+        _ if first & 0xFE40 == 0xE840 => Cost::of(4, 3),
         // VLDR, VSTR; VMOV of two; VLDM, VSTM.
         _ if first & 0xFF20 == 0xED00 => match (loads, first & 0xF) {
             (true, 0xF) => Cost::load(4, constant(at, second & 0xFF)),
             (true, _) => Cost::load(4, None),
-            (false, _) => Cost::memory(4, 2),
+            (false, _) => Cost::of(4, 2),
         },
         _ if first & 0xFFE0 == 0xEC40 => Cost::of(4, 2),
-        _ if first & 0xFE00 == 0xEC00 => Cost::memory(4, 1 + u64::from(second & 0xFF)),
+        _ if first & 0xFE00 == 0xEC00 => Cost::of(4, 1 + u64::from(second & 0xFF)),
         _ if first & 0xFF00 == 0xEE00 && second & 0x10 == 0 => arithmetic(first, second),
-        // LDR and STR; LDR of a constant.
+        // LDR; LDR of a constant.
         _ if first & 0xFE00 == 0xF800 && loads => {
             let relative = first & 0xF == 0xF && first & 0x80 != 0;
             Cost::load(4, relative.then(|| (at & !3).wrapping_add(4 + u32::from(second & 0xFFF))))
-        }
-        _ if first & 0xFE00 == 0xF800 => Cost::memory(4, 1),
-        // B and BL; the encodings without a condition are barriers and special registers.
-        _ if first & 0xF800 == 0xF000 && second & 0x8000 != 0 => {
-            let other = second & 0x5000 == 0 && first & 0x0380 == 0x0380;
-            if other { Cost::of(4, 1) } else { Cost::branch(4) }
         }
         // SDIV and UDIV: the longest time.
         _ if first & 0xFFD0 == 0xFB90 => Cost::of(4, 12),
@@ -181,10 +127,7 @@ fn arithmetic(first: u16, second: u16) -> Cost {
         0xEEB0 if first & 0xF == 1 && second & 0xC0 == 0xC0 => 14,
         _ => 1,
     };
-    // VMOV and VCMP
-    let other = unary && (first & 0xF == 0 && second & 0xC0 != 0xC0 || matches!(first & 0xF, 4 | 5));
     Cost {
-        kind: if other { Kind::Rest } else { Kind::Arithmetic },
         writes: register(second >> 12, first >> 6),
         reads: [if unary { None } else { register(first, second >> 7) }, register(second, second >> 5)],
         ..Cost::of(4, cycles)
@@ -340,51 +283,5 @@ mod tests {
         assert_eq!(alone(&[0xEEB0, 0x0AC0]), 1, "vabs.f32 s0, s0");
         assert_eq!(alone(&[0xEEA0, 0x0A20]), 3, "vfma.f32 s0, s0, s1");
         assert_eq!(alone(&[0xFBB0, 0xF0F1]), 12, "udiv r0, r0, r1");
-    }
-
-    #[test]
-    fn instructions_are_classified() {
-        let kind = |halves: &[u16]| cost(&Code::at(0x1000, halves), 0x1000).kind;
-        for (halves, expected) in [
-            (&[0xEE30, 0x0A20][..], Kind::Arithmetic),
-            (&[0xEEB0, 0x0AC0], Kind::Arithmetic),
-            (&[0xEEB0, 0x0A40], Kind::Rest),
-            (&[0xEEB4, 0x0A60], Kind::Rest),
-            (&[0xED80, 0x0A00], Kind::Memory),
-            (&[0x6008], Kind::Memory),
-            (&[0xF8C1, 0x0010], Kind::Memory),
-            (&[0xB5F0], Kind::Memory),
-            (&[0xD001], Kind::Branch),
-            (&[0xB108], Kind::Branch),
-            (&[0x4770], Kind::Branch),
-            (&[0xF000, 0xF802], Kind::Branch),
-            (&[0xF43F, 0xAE9E], Kind::Branch),
-            (&[0xF3BF, 0x8F5F], Kind::Rest),
-            (&[0xF240, 0x0000], Kind::Rest),
-            (&[0x1808], Kind::Rest),
-        ] {
-            assert_eq!(kind(halves), expected, "{halves:x?}");
-        }
-    }
-
-    #[test]
-    fn a_result_needed_at_once_costs_a_cycle() {
-        // vadd s0, s1, s2; vadd s3, s0, s2; vadd s4, s1, s2
-        let code = [0xEE30, 0x0A81, 0xEE70, 0x1A01, 0xEE30, 0x2A81];
-        assert_eq!(straight(&code, &[0x1000, 0x1004, 0x1008], Flash::AtOnce), 4);
-        // ldr r0, [r1] twice
-        assert_eq!(straight(&[0x6808, 0x6808], &[0x1000, 0x1002], Flash::AtOnce), 3);
-    }
-
-    #[test]
-    fn a_constant_in_the_code_costs_one_fetch() {
-        // ldr r0, [pc, #0x3C] twice: the word at 0x1040.
-        let code = [0x480F, 0x480F];
-        let path = [0x1000, 0x1002];
-        assert_eq!(straight(&code, &path, Flash::AtOnce), 3);
-        // One line of code, and the line of the constant twice.
-        assert_eq!(straight(&code, &path, Flash::Bare), 3 + 5 + 2 * 5);
-        // The constant's line once, after the running prefetch.
-        assert_eq!(straight(&code, &path, Flash::Accelerated), 3 + 5 + 6 + 5);
     }
 }

@@ -13,10 +13,8 @@ use haptic_bridge::board::telemetry::Fields;
 use haptic_bridge::safety::fault::State;
 use haptic_host::link::{Board, Losses};
 
-use crate::image::CONTROL_INTERRUPT;
-use crate::rig::{Rig, firmware};
+use crate::rig::Rig;
 use crate::run::{MICROSECOND, MILLISECOND};
-use crate::trace::Code;
 
 /// Longest time from the last byte of a reply to the next request, ns.
 pub const POLL_INTERVAL: u64 = 5 * MICROSECOND;
@@ -80,24 +78,6 @@ pub fn run(
         losses,
         armed: status.state == State::Armed && status.fault.is_none(),
     }
-}
-
-/// Counts the instructions of an exchange by their purpose, with at most `ahead` requests without a reply and no
-/// telemetry.
-///
-/// # Panics
-///
-/// If the link breaks, or the image has no control interrupt or no debug information.
-pub fn shares(rig: &mut Rig, milliseconds: u64, ahead: usize) -> Vec<(&'static str, f64)> {
-    start(rig, (Fields::USUAL, 0));
-    let image = firmware(rig.kind);
-    let entry = image.symbol(CONTROL_INTERRUPT).unwrap_or_else(|error| panic!("{error}")).address;
-    let code = Code::of(image).expect("an image with code");
-    let watched = code.clone();
-    rig.with(move |stopped| stopped.tally(&watched, entry));
-    let (times, _) = push(rig, milliseconds, None, ahead);
-    let tally = rig.with(move |stopped| stopped.take_tally(&code)).expect("a tally was begun");
-    tally.shares(image).into_iter().map(|(name, count)| (name, count as f64 / times.len() as f64)).collect()
 }
 
 /// Connects a computer that polls often, and starts its stream.

@@ -1,7 +1,6 @@
 //! An ELF file for the chip: contents for the emulator's memory, and addresses of symbols.
 
 use std::collections::BTreeMap;
-use std::fmt;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -35,44 +34,17 @@ pub struct Symbol {
     pub size: u64,
 }
 
-/// Reason why an ELF file could not be used.
-#[derive(Debug)]
-pub enum Error {
-    /// The file could not be read. Build the image first: `cargo xtask fw`.
-    Read(PathBuf, std::io::Error),
-    /// The file is not a readable ELF file.
-    Elf(PathBuf, object::Error),
-    /// The image could not be built; the build's messages are above.
-    Build(String),
-    /// The image lacks a required symbol.
-    Missing(PathBuf, String),
-}
-
-impl fmt::Display for Error {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Read(path, error) => {
-                write!(out, "{}: {error} (build it with `cargo xtask fw`)", path.display())
-            }
-            Self::Elf(path, error) => write!(out, "{}: {error}", path.display()),
-            Self::Build(why) => write!(out, "the firmware could not be built: {why}"),
-            Self::Missing(path, name) => write!(out, "{} has no symbol {name}", path.display()),
-        }
-    }
-}
-
-impl std::error::Error for Error {}
-
 impl Firmware {
     /// Reads the ELF file at `path`.
     ///
     /// # Errors
     ///
     /// If the file does not exist or is not ELF.
-    pub fn read(path: impl AsRef<Path>) -> Result<Self, Error> {
+    pub fn read(path: impl AsRef<Path>) -> Result<Self, String> {
         let path = path.as_ref().to_owned();
-        let bytes = std::fs::read(&path).map_err(|error| Error::Read(path.clone(), error))?;
-        let elf = object::File::parse(&*bytes).map_err(|error| Error::Elf(path.clone(), error))?;
+        let bytes = std::fs::read(&path)
+            .map_err(|error| format!("{}: {error} (build it with `cargo xtask fw`)", path.display()))?;
+        let elf = object::File::parse(&*bytes).map_err(|error| format!("{}: {error}", path.display()))?;
         let symbols = elf
             .symbols()
             .filter_map(|symbol| {
@@ -94,7 +66,7 @@ impl Firmware {
     /// # Errors
     ///
     /// If the image cannot be built or read.
-    pub fn of(name: &str) -> Result<Self, Error> {
+    pub fn of(name: &str) -> Result<Self, String> {
         if let Some(directory) = std::env::var_os("HAPTIC_FIRMWARE_DIR") {
             return Self::read(Path::new(&directory).join(format!("haptic-firmware-{name}.elf")));
         }
@@ -104,12 +76,12 @@ impl Firmware {
             .current_dir(root)
             .stderr(Stdio::inherit())
             .output()
-            .map_err(|error| Error::Build(error.to_string()))?;
+            .map_err(|error| format!("the firmware cannot be built: {error}"))?;
         let printed = String::from_utf8_lossy(&built.stdout);
         let path = printed.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix(": "));
         match path {
             Some(path) if built.status.success() => Self::read(path),
-            _ => Err(Error::Build(format!("`cargo xtask fw {name}` failed"))),
+            _ => Err(format!("the firmware cannot be built: `cargo xtask fw {name}` failed")),
         }
     }
 
@@ -135,9 +107,9 @@ impl Firmware {
     ///
     /// # Errors
     ///
-    /// [`Error::Missing`] if the image does not have it.
-    pub fn symbol(&self, name: &str) -> Result<Symbol, Error> {
-        self.find(name).ok_or_else(|| Error::Missing(self.path.clone(), name.to_owned()))
+    /// If the image does not have it.
+    pub fn symbol(&self, name: &str) -> Result<Symbol, String> {
+        self.find(name).ok_or_else(|| format!("{} has no symbol {name}", self.path.display()))
     }
 
     /// Returns the symbol `name`, if the image has it.

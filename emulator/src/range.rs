@@ -3,13 +3,9 @@
 //! delay that the board reports.
 //!
 //! The rigid device is the shipped coupled-five-bar without friction and with fine encoders, at the pose and normal
-//! with the worst coupling, without a hand. Other shipped devices are measured at their homes with a cable at every
-//! joint. Motors, current sensors and the board's current loops are simulated.
-
-use std::f64::consts::TAU;
+//! with the worst coupling, without a hand. Motors, current sensors and the board's current loops are simulated.
 
 use haptic_bridge::model::admissible::Admissible;
-use haptic_bridge::model::description::{EncoderAt, Transmission};
 use haptic_bridge::model::motor::Motor;
 use haptic_bridge::render::scene::FeedForward;
 use haptic_host::device_file::DeviceFile;
@@ -49,61 +45,17 @@ const MOTOR: Motor<f64> = Motor {
 };
 /// Torque at 12 A, N m.
 const TORQUE_LIMIT: f64 = 0.4;
-/// Torque at 10 A, N m, a current that the board permits indefinitely. Held too quickly, a tip on cables buzzes until
-/// it is held more softly. With more torque its motors would first use up their thermal budget, which is not measured
-/// here.
-const LASTING_TORQUE: f64 = 0.33;
-/// Largest current of motors on the odrive-v3, A. Its shunts have steps of 10 mA and zeros that are equally wrong. With
-/// motors of 2 or 3 A, these errors push a device without friction away.
-const SHUNT_CURRENT: f64 = 10.0;
 /// Half bridges of this board have no dead time, which acts like friction on a small swing.
-const BOARD: BoardKind = BoardKind::HBridgeF405;
-
-/// Frequency of each joint's cable against its motor, Hz, and damping as a share of critical: docs/results/complete.md.
-const CABLE: (f64, f64) = (400.0, 0.05);
-/// Share of a turret's inertia on the motor's side; the turret's body is on the link's side.
-const TURRET_MOTOR: f64 = 0.3;
-/// Encoder counts per turn of the spatial devices with cables: their longer arms make a count scaled_motor, and their slower
-/// swings need fewer edges per second. The emulated encoders make one edge every 250 ns.
-const SPATIAL_COUNTS_PER_TURN: f64 = (1 << 22) as f64;
-/// Damping at which walls with cables are measured, as a share of the largest damping of the range.
-const CABLE_SHARE: f64 = 0.35;
-/// Cutoff of the washout, Hz.
-const WASHOUT_HZ: f64 = 2.0;
+pub const BOARD: BoardKind = BoardKind::HBridgeF405;
 
 /// A device to be measured, and its wall.
 #[derive(Clone, Debug)]
 pub struct TestDevice {
-    /// The board.
-    pub board: BoardKind,
     /// The device.
     pub file: DeviceFile,
     /// The wall's unit normal.
     pub normal: Vec<f64>,
-    /// Largest torque that the measurement commands, N m.
-    torque_limit: f64,
 }
-
-impl TestDevice {
-    /// Returns the pose at which the wall is touched, rad.
-    fn pose(&self) -> [f64; 3] {
-        self.file.description.home.expect("a device with a home")
-    }
-
-    /// Returns true if the joints have compliant cables.
-    fn is_compliant(&self) -> bool {
-        self.file.description.joints.iter().any(|joint| joint.transmission.is_some())
-    }
-}
-
-/// Shipped devices that are measured with cables, and their boards.
-pub const CABLED: [(&str, BoardKind); 5] = [
-    ("coupled-five-bar", BOARD),
-    ("capstan-pantograph", BOARD),
-    ("capstan-pantograph", BoardKind::OdriveV3),
-    ("phantom-premium-1.5", BOARD),
-    ("woodenhaptics", BOARD),
-];
 
 /// Control rate and cutoff of the velocity filter.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -116,12 +68,6 @@ pub struct Rate {
 
 /// Measured rates: the tests' rate, then a rate at which the drive's lag is an eighth of a sample.
 pub const RATES: [Rate; 2] = [Rate { rate_hz: 1000.0, cutoff_hz: 20.0 }, Rate { rate_hz: 5000.0, cutoff_hz: 100.0 }];
-/// Rates at which walls with cables are measured.
-pub const CABLE_RATES: [Rate; 3] = [
-    Rate { rate_hz: 1000.0, cutoff_hz: 100.0 },
-    Rate { rate_hz: 5000.0, cutoff_hz: 200.0 },
-    Rate { rate_hz: 20_000.0, cutoff_hz: 500.0 },
-];
 /// Bandwidth of a current loop that lags like the board's, which reaches its current within a carrier period, Hz: the
 /// default of `haptic range --drive current`.
 const CURRENT_BANDWIDTH: f64 = 6400.0;
@@ -147,60 +93,7 @@ pub fn rigid() -> TestDevice {
     let any = unit_normal(&[1.0, 0.0], 2, 2).expect("a unit vector");
     let point = map::at_holding(&file.description, &POSE[..2], &any, Admissible::default());
     let normal = point.expect("a sound device").expect("a regular pose").worst_ratio.normal;
-    TestDevice { board: BOARD, file, normal, torque_limit: TORQUE_LIMIT }
-}
-
-/// Returns a motor with the same torque at the same voltage, at [`SHUNT_CURRENT`].
-fn scaled_motor(motor: &Motor<f64>) -> Motor<f64> {
-    let share = motor.max_current / SHUNT_CURRENT;
-    Motor {
-        torque_constant: share * motor.torque_constant,
-        back_emf: share * motor.back_emf,
-        resistance: share * motor.resistance,
-        inductance: share * motor.inductance,
-        max_current: SHUNT_CURRENT,
-        ..*motor
-    }
-}
-
-/// Returns a device of [`CABLED`] with a cable at every joint and without dry friction, as in docs/results/complete.md.
-/// Without `back_emf` its motors have almost none.
-///
-/// # Panics
-///
-/// If the shipped file is missing.
-#[must_use]
-pub fn cabled((name, board): (&str, BoardKind), back_emf: bool) -> TestDevice {
-    let mut test_device = if name == "coupled-five-bar" {
-        TestDevice { torque_limit: LASTING_TORQUE, ..rigid() }
-    } else {
-        let mut file = device_file(name);
-        let normal = [0.6, 0.8, 0.0][..file.spec().task].to_vec();
-        // The motors are equal on both boards.
-        let planar = normal.len() == 2;
-        for joint in &mut file.description.joints {
-            joint.coulomb = 0.0;
-            if let Some(motor) = joint.motor.as_mut().filter(|_| planar) {
-                *motor = scaled_motor(motor);
-            }
-            if let Some(encoder) = &mut joint.encoder {
-                encoder.counts_per_turn = if planar { COUNTS_PER_TURN } else { SPATIAL_COUNTS_PER_TURN };
-            }
-        }
-        TestDevice { board, file, normal, torque_limit: 1.0 }
-    };
-    let (hz, damped) = CABLE;
-    let joints = test_device.file.spec().joints;
-    for (index, joint) in test_device.file.description.joints[..joints].iter_mut().enumerate() {
-        let motor_inertia = if joints == 3 && index == 0 { TURRET_MOTOR * joint.inertia } else { joint.inertia };
-        let stiffness = motor_inertia * (TAU * hz).powi(2);
-        let damping = 2.0 * damped * (stiffness * motor_inertia).sqrt();
-        joint.transmission = Some(Transmission { stiffness, damping, motor_inertia, encoder_at: EncoderAt::Motor });
-        if let Some(motor) = joint.motor.as_mut().filter(|_| !back_emf) {
-            motor.back_emf = 1e-6;
-        }
-    }
-    test_device
+    TestDevice { file, normal }
 }
 
 /// Returns the board with the device, homed at the pose, with checked polarity and a hand that holds the device at the
@@ -211,15 +104,14 @@ pub fn cabled((name, board): (&str, BoardKind), back_emf: bool) -> TestDevice {
 /// If the board refuses a request.
 #[must_use]
 pub fn rig(test_device: &TestDevice) -> Rig {
-    let mut rig = Rig::with_file(test_device.board, test_device.file.clone(), |options| {
-        options.substep = if test_device.is_compliant() { 5e-6 } else { 25e-6 };
+    let mut rig = Rig::with_file(BOARD, test_device.file.clone(), |options| {
+        options.substep = 25e-6;
         options.start = test_device.file.description.home;
     });
     rig.prepare("");
     // Return to the pose before the polarity check.
-    let pose = test_device.pose();
-    rig.with_simulated(move |device| {
-        device.place(pose);
+    rig.with_simulated(|device| {
+        device.place(POSE);
         hold(device);
     });
     rig.run(300 * MILLISECOND);
@@ -245,8 +137,8 @@ pub fn measure_on<T>(
         walls: vec![Member::new(test_device.normal.clone(), 1.0)],
         rate_hz: rate.rate_hz,
         cutoff_hz: rate.cutoff_hz,
-        washout_hz: WASHOUT_HZ,
-        torque_limit: test_device.torque_limit,
+        washout_hz: 2.0,
+        torque_limit: TORQUE_LIMIT,
         largest_pull: 1e-3,
         law: Law::default(),
     };
@@ -275,14 +167,9 @@ pub fn predicted(test_device: &TestDevice, rate: Rate, delay_samples: f64, kd: O
         drive: Drive::Current { bandwidth_hz: CURRENT_BANDWIDTH },
         damping_compensation: false,
     };
-    let linear = Linearised::at(
-        &test_device.file.description,
-        &test_device.pose()[..test_device.file.spec().joints],
-        &test_device.normal,
-    )
-    .expect("a regular pose");
-    let washout = test_device.is_compliant().then_some(WASHOUT_HZ);
-    predict(&linear, &control_loop, kd, washout).expect("the loop can be analysed")
+    let linear =
+        Linearised::at(&test_device.file.description, &POSE[..2], &test_device.normal).expect("a regular pose");
+    predict(&linear, &control_loop, kd, None).expect("the loop can be analysed")
 }
 
 /// Number of dampings of a complete measurement, and pulls at each damping.
@@ -325,79 +212,6 @@ pub fn measure_range(
         })
     })?;
     Ok((progress, delay))
-}
-
-/// Shares of the predicted stiffness at which a wall must be stable before the boundary is searched near the
-/// prediction.
-const BELOW: [f64; 2] = [0.4, 0.7];
-
-/// Head of docs/results/complete-chip.csv, with the rows of [`with_cables`].
-pub const CABLE_HEAD: [&str; 11] = [
-    "device",
-    "board",
-    "rate (Hz)",
-    "cutoff (Hz)",
-    "drive",
-    "delay (samples)",
-    "kd (N s/m)",
-    "feed-forward",
-    "measured (N/m)",
-    "predicted (N/m)",
-    "off by (%)",
-];
-
-/// Measures the largest stable stiffness of walls for a device of [`CABLED`] at `rate`, at one damping and with each
-/// feed-forward. Calls `report` with each row of the table.
-///
-/// # Errors
-///
-/// The error that ends a measurement early.
-pub fn with_cables(
-    device: (&str, BoardKind),
-    rate: Rate,
-    back_emf: bool,
-    mut report: impl FnMut(&str),
-) -> Result<(), MeasureError> {
-    let test_device = cabled(device, back_emf);
-    let mut rig = rig(&test_device);
-    let delay = delay_samples(&mut rig, rate);
-    let range = predicted(&test_device, rate, delay, None);
-    // Three digits, as in the tables.
-    let kd = format!("{:.2e}", CABLE_SHARE * range.off.kd_max.min(range.full.kd_max));
-    let kd: f64 = kd.parse().expect("a number");
-    measure_on(&mut rig, &test_device, rate, |prepared| {
-        for mode in [FeedForward::Off, FeedForward::Full, FeedForward::Washout] {
-            let expected = predicted(&test_device, rate, delay, Some(&[kd])).of(mode).boundary[0].kp;
-            // A search that starts far below takes three times as long.
-            let mut guess = Some(expected);
-            for share in BELOW {
-                if prepared.oscillates(mode, share * expected, kd, 1.0)? {
-                    guess = None;
-                }
-            }
-            let stiffness = prepared.boundary(mode, kd, 1.0, guess)?.gain;
-            // Held walls make the step longer, so its duties may be late.
-            let delay = f64::from(prepared.board().details()?.delay_samples);
-            let expected = predicted(&test_device, rate, delay, Some(&[kd])).of(mode).boundary[0].kp;
-            let (name, board) = device;
-            let Rate { rate_hz, cutoff_hz } = rate;
-            let difference = 100.0 * (stiffness / expected - 1.0);
-            report(&csv_line([
-                name,
-                board.name(),
-                &rate_hz.to_string(),
-                &cutoff_hz.to_string(),
-                if back_emf { "" } else { "no back-EMF" },
-                &format!("{delay:.3}"),
-                &kd.to_string(),
-                mode.name(),
-                &format!("{stiffness:.0}"),
-                &format!("{expected:.0}"),
-                &format!("{difference:+.1}"),
-            ]));
-        }
-        Ok(())
-    })
 }
 
 /// Returns ∫ kp dkd of medians at the centres of equal cells, N² s/m².

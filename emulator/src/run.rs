@@ -15,9 +15,8 @@ use rigless::soc::Width;
 use rigless::time::VirtualNanos;
 
 use crate::hardware::Hardware;
-use crate::image::{self, Firmware};
+use crate::image::Firmware;
 use crate::rtt::Rtt;
-use crate::shares::Tally;
 use crate::trace::{Code, Run, Tracer};
 use crate::usb;
 
@@ -31,32 +30,6 @@ pub const SECOND: u64 = 1_000_000_000;
 /// Interrupt of the chip's supply monitor.
 const SUPPLY_MONITOR: InterruptLine = InterruptLine::new(1).expect("a line of the part");
 
-/// Reason why a board could not be started.
-#[derive(Debug)]
-pub enum Error {
-    /// The image does not exist or is not an image.
-    Image(image::Error),
-    /// The emulator rejected the image, or stopped.
-    Emulator(String),
-}
-
-impl fmt::Display for Error {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Image(error) => write!(out, "{error}"),
-            Self::Emulator(error) => write!(out, "the emulator stopped: {error}"),
-        }
-    }
-}
-
-impl std::error::Error for Error {}
-
-impl From<image::Error> for Error {
-    fn from(error: image::Error) -> Self {
-        Self::Image(error)
-    }
-}
-
 /// The board at a stop: everything on it can be inspected and changed.
 pub struct StoppedBoard<'a> {
     session: &'a mut Session<Hardware>,
@@ -66,7 +39,6 @@ pub struct StoppedBoard<'a> {
     /// Instructions executed since power-on.
     pub instructions: u64,
     tracer: &'a mut Option<Tracer>,
-    tally: &'a mut Option<Tally>,
     rtt: &'a mut Rtt,
 }
 
@@ -153,18 +125,6 @@ impl StoppedBoard<'_> {
         self.tracer.take().map(Tracer::finish).unwrap_or_default()
     }
 
-    /// Starts to count every instruction outside the control interrupt, which starts at `entry`. As slow as a trace.
-    pub fn tally(&mut self, code: &Code, entry: u64) {
-        code.addresses().for_each(|address| self.session.watch(Watch::Instruction(address)));
-        *self.tally = Some(Tally::new(code.clone(), entry as u32));
-    }
-
-    /// Ends the count of [`StoppedBoard::tally`] and returns it.
-    pub fn take_tally(&mut self, code: &Code) -> Option<Tally> {
-        code.addresses().for_each(|address| self.session.unwatch(Watch::Instruction(address)));
-        self.tally.take()
-    }
-
     /// Takes the raw log that the firmware wrote since the last call (RTT up-channel 0), as a debug probe would.
     pub fn take_log(&mut self) -> Vec<u8> {
         self.rtt.drain(self.memory);
@@ -228,14 +188,14 @@ impl VirtualBoard {
     /// # Errors
     ///
     /// If the emulator rejects the image.
-    pub fn start(firmware: &Firmware, hardware: Hardware) -> Result<Self, Error> {
-        let emulator = |error: &dyn fmt::Display| Error::Emulator(error.to_string());
+    pub fn start(firmware: &Firmware, hardware: Hardware) -> Result<Self, String> {
+        let emulator = |error: &dyn fmt::Display| format!("the emulator stopped: {error}");
         let session = Session::new(Box::new(hardware), 0, VirtualNanos(1)).map_err(|error| emulator(&error))?;
         let image = firmware.image().map_err(|error| emulator(&error))?;
         let rtt = Rtt::new(firmware.find("_SEGGER_RTT").map(|symbol| symbol.address));
         let (commands, requests) = channel();
         let (replies_out, replies) = channel();
-        let runner = Runner { requests, replies_out, until: 0, waiting: false, tracer: None, tally: None, rtt };
+        let runner = Runner { requests, replies_out, until: 0, waiting: false, tracer: None, rtt };
         let thread = std::thread::spawn(move || {
             emulator::run(session, &Start::new(&[image]), runner).map(|_| ()).map_err(|error| error.to_string())
         });
@@ -337,7 +297,6 @@ struct Runner {
     until: u64,
     waiting: bool,
     tracer: Option<Tracer>,
-    tally: Option<Tally>,
     rtt: Rtt,
 }
 
@@ -351,9 +310,9 @@ impl Runner {
         loop {
             match self.requests.recv().ok()? {
                 Command::With(job) => {
-                    let Self { tracer, tally, rtt, .. } = self;
+                    let Self { tracer, rtt, .. } = self;
                     let (at, instructions) = (stop.at.0, stop.instruction_count);
-                    job(&mut StoppedBoard { session, memory, at, instructions, tracer, tally, rtt });
+                    job(&mut StoppedBoard { session, memory, at, instructions, tracer, rtt });
                     self.replies_out.send(Reply::Done).ok()?;
                 }
                 Command::RunUntil(until) => {
@@ -375,7 +334,6 @@ impl Driver<Hardware> for Runner {
     fn on_settled(&mut self, _: &mut Session<Hardware>, _: &mut dyn emulator::Host, settled: Settled) {
         if let Settled::Hit(hit) = settled {
             self.tracer.iter_mut().for_each(|tracer| tracer.feed(&hit));
-            self.tally.iter_mut().for_each(|tally| tally.feed(&hit));
         }
     }
 

@@ -1,10 +1,10 @@
-//! Duration of the control interrupt, entry to exit, in instructions of the unmodified image: by stage, mean, worst,
-//! jitter.
+//! Duration of the control interrupt, entry to exit, in instructions of the unmodified image: mean, worst, jitter, and
+//! share of each source file.
 //!
 //! `cargo xtask timing` measures every [`Case`] and writes the tables of docs/results/timing.md; a test measures some
 //! of them again and compares.
 
-use std::collections::BTreeSet;
+use std::collections::BTreeMap;
 
 use haptic_bridge::board::telemetry::Fields;
 use haptic_host::output::csv_line;
@@ -12,14 +12,14 @@ use haptic_host::output::csv_line;
 use crate::boards::BoardKind;
 use crate::cases::{CASES, Case, SCENES, SceneKind};
 use crate::contact::{WallAt, scene};
-use crate::cycles::{Flash, Kind, estimate, kinds};
+use crate::cycles::{Flash, estimate};
 use crate::image::CONTROL_INTERRUPT;
 use crate::load::{
     highest_for, highest_rate, rows_without_loss, set_free_scene, sustains_cuts, sustains_plane, sustains_scenes,
 };
 use crate::rig::{Rig, device_file, firmware};
 use crate::run::MILLISECOND;
-use crate::stages::{AT_VALLEYS, ENCODERS, REQUEST, STAGES, Stages, WAITING};
+use crate::sources::Sources;
 use crate::trace::{Code, Run};
 
 /// Value of the state in a row of telemetry while armed.
@@ -42,15 +42,10 @@ pub struct Timing {
     pub valley_mean: f64,
     /// Instructions of the longest valley, with or without a request.
     pub valley: u64,
-    /// Mean instructions of each of [`STAGES`] over the steps, or, for a stage at valleys, over the valleys without a
-    /// request.
-    pub stages: Vec<f64>,
+    /// Mean instructions of a step in each source file.
+    pub files: BTreeMap<String, f64>,
     /// Estimated cycles of the longest step, for each of [`Flash::ALL`].
     pub cycles: [u64; Flash::ALL.len()],
-    /// Instructions of the longest step, for each of [`Kind::ALL`].
-    pub kinds: [u64; Kind::ALL.len()],
-    /// Functions of the step without a stage.
-    pub unnamed: BTreeSet<String>,
 }
 
 impl Case {
@@ -73,57 +68,41 @@ impl Case {
         assert!(!rows.is_empty() && rows.iter().all(in_contact), "{} is not in contact: {status:?}", self.name());
         let image = firmware(self.board);
         let code = Code::of(image).expect("an image with code");
-        Timing::of(&runs, &code, &mut Stages::of(image).expect("debug information"))
+        Timing::of(&runs, &code, &mut Sources::of(image).expect("debug information"))
     }
 }
 
 impl Timing {
-    fn of(runs: &[Run], code: &Code, stages: &mut Stages<'_>) -> Self {
-        let place = |stage: &str| STAGES.iter().position(|(name, _)| *name == stage).unwrap_or(0);
-        let (encoders, waiting, request) = (place(ENCODERS), place(WAITING), place(REQUEST));
-        let (mut sums, mut valleys) = (vec![0; STAGES.len()], vec![0; STAGES.len()]);
-        let mut works: Vec<Vec<u32>> = Vec::new();
-        let (mut valley, mut quiet, mut unnamed) = (0, 0, BTreeSet::new());
+    fn of(runs: &[Run], code: &Code, sources: &mut Sources<'_>) -> Self {
+        let (mut works, mut files) = (Vec::new(), BTreeMap::new());
+        let (mut valley, mut quiet, mut quiet_sum) = (0, 0_u32, 0);
         for run in runs {
-            let each = stages.of_each(run);
-            if !each.contains(&encoders) {
-                valley = valley.max(run.path.len() as u64);
-                if !each.contains(&request) {
-                    quiet += 1;
-                    for stage in each {
-                        valleys[stage] += 1;
-                    }
-                }
+            let length = run.path.len() as u64;
+            if sources.is_crest(run) {
+                works.push(sources.work(run));
                 continue;
             }
-            unnamed.append(&mut stages.unnamed(run));
-            let work = run.path.iter().zip(&each).filter(|(_, stage)| **stage != waiting);
-            works.push(work.map(|(&at, _)| at).collect());
-            for stage in each {
-                sums[stage] += 1;
+            valley = valley.max(length);
+            if !sources.has_request(run) {
+                quiet += 1;
+                quiet_sum += length;
             }
         }
-        let periods = works.len();
-        let mean = |sum: u64| sum as f64 / periods.max(1) as f64;
+        let share = 1.0 / works.len().max(1) as f64;
+        for &at in works.iter().flatten() {
+            *files.entry(sources.file(at).to_owned()).or_default() += share;
+        }
         let lengths = || works.iter().map(|work| work.len() as u64);
         let longest = works.iter().max_by_key(|work| work.len()).map_or(&[][..], Vec::as_slice);
         Self {
-            periods,
-            mean: mean(lengths().sum()),
+            periods: works.len(),
+            mean: lengths().sum::<u64>() as f64 * share,
             longest: longest.len() as u64,
             shortest: lengths().min().unwrap_or(0),
-            valley_mean: valleys.iter().sum::<u64>() as f64 / f64::from(quiet.max(1)),
+            valley_mean: quiet_sum as f64 / f64::from(quiet.max(1)),
             valley,
-            stages: STAGES
-                .iter()
-                .zip(sums.into_iter().zip(valleys))
-                .map(|((stage, _), (sum, of_valleys))| {
-                    if stage.starts_with(AT_VALLEYS) { of_valleys as f64 / f64::from(quiet.max(1)) } else { mean(sum) }
-                })
-                .collect(),
+            files,
             cycles: Flash::ALL.map(|flash| estimate(code, longest, flash)),
-            kinds: kinds(code, longest),
-            unnamed,
         }
     }
 }
@@ -204,20 +183,13 @@ pub fn steps() -> String {
 const LONGEST: &str = "longest";
 const VALLEY: &str = "longest at a valley, a request";
 
-/// Returns the table of stages from the timings of [`CASES`], one column per case: timing.csv.
+/// Returns the table of the timings of [`CASES`], one column per case: timing.csv.
 #[must_use]
 pub fn table(timings: &[Timing]) -> String {
     let mut text = csv_line(std::iter::once("instructions".to_owned()).chain(CASES.iter().map(Case::name)));
     let mut row = |name: &str, cells: Vec<String>| {
         text += &csv_line(std::iter::once(name.to_owned()).chain(cells));
     };
-    let stages = |at_valleys: bool, row: &mut dyn FnMut(&str, Vec<String>)| {
-        let wanted = |stage: &str| stage != REQUEST && stage.starts_with(AT_VALLEYS) == at_valleys;
-        for (nth, (stage, _)) in STAGES.iter().enumerate().filter(|(_, (stage, _))| wanted(stage)) {
-            row(stage, timings.iter().map(|timing| format!("{:.0}", timing.stages[nth])).collect());
-        }
-    };
-    stages(false, &mut row);
     let each = |value: fn(&Timing) -> u64| timings.iter().map(|timing| value(timing).to_string()).collect();
     row("mean", timings.iter().map(|timing| format!("{:.0}", timing.mean)).collect());
     row("shortest", each(|timing| timing.shortest));
@@ -225,16 +197,12 @@ pub fn table(timings: &[Timing]) -> String {
     row("jitter", each(|timing| timing.longest - timing.shortest));
     let target = |(case, timing): (&Case, &Timing)| case.verdict(timing);
     row("aimed at, mean", CASES.iter().zip(timings).map(target).collect());
-    stages(true, &mut row);
     row("valley: mean, no request", timings.iter().map(|timing| format!("{:.0}", timing.valley_mean)).collect());
     row(
         "crest and valley, mean",
         timings.iter().map(|timing| format!("{:.0}", timing.mean + timing.valley_mean)).collect(),
     );
     row(VALLEY, each(|timing| timing.valley));
-    for (nth, (_, name)) in Kind::ALL.iter().enumerate() {
-        row(&format!("of the longest: {name}"), timings.iter().map(|timing| timing.kinds[nth].to_string()).collect());
-    }
     let names = ["the core alone", "with the flash as the firmware sets it", "with a flash that nothing accelerates"];
     for (nth, name) in names.into_iter().enumerate() {
         row(
@@ -286,11 +254,10 @@ pub fn replacements() -> String {
             set_free_scene(rig, case.rate_hz, 0);
             rig.run(5 * MILLISECOND);
         });
-        let mut stages = Stages::of(firmware(case.board)).expect("debug information");
-        let encoders = STAGES.iter().position(|(name, _)| *name == ENCODERS).unwrap_or(0);
+        let mut sources = Sources::of(firmware(case.board)).expect("debug information");
         let (mut steps, mut valleys) = (Vec::new(), Vec::new());
         for run in &runs {
-            let kind = if stages.of_each(run).contains(&encoders) { &mut steps } else { &mut valleys };
+            let kind = if sources.is_crest(run) { &mut steps } else { &mut valleys };
             kind.push(run.path.len());
         }
         steps.sort_unstable();

@@ -87,22 +87,9 @@ impl Code {
     }
 }
 
-/// Effect of going from one instruction to the next.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Move {
-    /// Continued or jumped.
-    Within,
-    /// Entered a function.
-    Called,
-    /// Returned from a function.
-    Returned,
-    /// Returned from the first function: left the handler.
-    Left,
-}
-
 /// Follows calls and returns along a path of instructions.
 #[derive(Clone, Debug)]
-pub struct Walker {
+struct Walker {
     code: Code,
     last: u32,
     returns: Vec<u32>,
@@ -110,29 +97,23 @@ pub struct Walker {
 
 impl Walker {
     /// Returns a walker that stands at `entry` and has executed nothing.
-    #[must_use]
-    pub fn new(code: Code, entry: u32) -> Self {
+    fn new(code: Code, entry: u32) -> Self {
         Self { code, last: entry, returns: Vec::new() }
     }
 
-    /// Advances to the instruction at `next`.
-    pub fn step(&mut self, next: u32) -> Move {
+    /// Advances to the instruction at `next`. Returns true if that leaves the first function: the handler's end.
+    fn leaves(&mut self, next: u32) -> bool {
         let (kind, length) = self.code.decode(self.last);
         let following = self.last + length;
         self.last = next;
         match kind {
-            _ if next == following => Move::Within,
-            Kind::Call => {
-                self.returns.push(following);
-                Move::Called
-            }
-            Kind::Return if self.returns.last() == Some(&next) => {
-                self.returns.pop();
-                Move::Returned
-            }
-            Kind::Return if self.returns.is_empty() => Move::Left,
-            _ => Move::Within,
+            _ if next == following => {}
+            Kind::Call => self.returns.push(following),
+            Kind::Return if self.returns.last() == Some(&next) => drop(self.returns.pop()),
+            Kind::Return => return self.returns.is_empty(),
+            Kind::Other => {}
         }
+        false
     }
 }
 
@@ -160,7 +141,7 @@ impl Tracer {
         }
         let at = hit.address as u32;
         if let Some((run, walker)) = &mut self.open {
-            if walker.step(at) != Move::Left {
+            if !walker.leaves(at) {
                 run.path.push(at);
                 return;
             }
@@ -192,14 +173,13 @@ mod tests {
         // 1000: bl 1008; 1004: b.w 100A (a shared ending); 1008: bx lr; 100A: pop {pc}
         let code = code(&[0xF000, 0xF802, 0xF000, 0xB801, 0x4770, 0xBD00]);
         let mut walker = Walker::new(code, 0x1000);
-        let moves: Vec<Move> = [0x1008, 0x1004, 0x100A, 0x2000].into_iter().map(|at| walker.step(at)).collect();
-        assert_eq!(moves, [Move::Called, Move::Returned, Move::Within, Move::Left]);
+        assert_eq!([0x1008, 0x1004, 0x100A, 0x2000].map(|at| walker.leaves(at)), [false, false, false, true]);
     }
 
     #[test]
     fn a_return_skipped_by_its_condition_is_not_a_return() {
         // 1000: bx lr, skipped in an IT block; 1002: nop
         let code = code(&[0x4770, 0xBF00]);
-        assert_eq!(Walker::new(code, 0x1000).step(0x1002), Move::Within);
+        assert!(!Walker::new(code, 0x1000).leaves(0x1002));
     }
 }

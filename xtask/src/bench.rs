@@ -11,8 +11,8 @@ use serde_json::{Value, json};
 
 use crate::paths::{root, target_directory};
 use crate::report;
-use crate::toolchain::{TARGET, Use, cargo, haptic_emulator, run};
-use crate::tools;
+use crate::toolchain::{TARGET, cargo, chip_cargo, haptic_emulator, run};
+use crate::tools::{self, Tool};
 
 const BINARY: &str = "haptic-counting";
 /// Largest allowed ratio of a variant's instructions to the stored count.
@@ -25,7 +25,8 @@ fn counts_file() -> PathBuf {
 
 /// Builds the counting image and returns its path.
 fn image() -> Result<PathBuf> {
-    let mut command = tools::provide(&[Use::Build])?.cargo(Use::Build);
+    tools::check(&[Tool::Chip])?;
+    let mut command = chip_cargo();
     command.current_dir(root().join("firmware")).arg("--target-dir").arg(target_directory());
     run(command.args(["--locked", "--package", BINARY, "--profile", "firmware"]))?;
     Ok(target_directory().join(TARGET).join("firmware").join(BINARY))
@@ -37,16 +38,13 @@ fn count() -> Result<Vec<(String, u64)>> {
     let output =
         haptic_emulator("count").arg(image).stderr(Stdio::inherit()).output().context("cannot run the counter")?;
     ensure!(output.status.success(), "the counter failed ({})", output.status);
-    let counted: Value = serde_json::from_slice(&output.stdout).context("the counter's output is not JSON")?;
-    let variants = counted["variants"].as_array().context("the counter lists no variants")?;
-    variants
-        .iter()
-        .filter(|variant| variant["name"] != "empty")
-        .map(|variant| {
-            let name = variant["name"].as_str().context("a variant without a name")?;
-            Ok((name.to_string(), variant["instructions"].as_u64().context("a variant without a count")?))
-        })
-        .collect()
+    let text = String::from_utf8(output.stdout).context("the counter's output is not text")?;
+    let variant = |line: &str| {
+        let (instructions, name) = line.split_once(' ')?;
+        Some((name.to_string(), instructions.parse().ok()?))
+    };
+    let counted: Option<Vec<_>> = text.lines().map(variant).collect();
+    counted.filter(|counted| !counted.is_empty()).context("the counter printed no counts")
 }
 
 /// Counts everything, stores the counts, and writes the report.

@@ -17,8 +17,9 @@ use anyhow::{Context as _, Result, ensure};
 pub use check::check;
 
 use crate::paths::{root, target_directory};
-use crate::toolchain::{Use, cargo, host, run, rust_flags};
-use crate::{images, playground, tools};
+use crate::toolchain::{cargo, host, run, rust_flags};
+use crate::tools::{self, Tool};
+use crate::{images, playground};
 
 /// Time stamp of every file in archive and wheel: 1980-01-01, the earliest that a wheel can store.
 const FILE_TIME: u64 = 315_532_800;
@@ -33,7 +34,7 @@ pub struct ReleaseFiles {
 
 /// Builds everything whose source has changed and writes the release files into an empty target/dist.
 pub fn make() -> Result<ReleaseFiles> {
-    tools::provide(&[Use::Build, Use::Playground, Use::Python])?;
+    tools::check(&[Tool::Chip, Tool::Browsers, Tool::Python])?;
     let version = version()?;
     images::build_all()?;
     let page = playground::build()?;

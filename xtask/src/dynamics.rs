@@ -8,7 +8,6 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use anyhow::{Context as _, Result, ensure};
-use serde_json::Value;
 
 use crate::paths::{root, target_directory};
 use crate::toolchain::{cargo, run};
@@ -22,12 +21,12 @@ type Times = BTreeMap<(String, String), f64>;
 /// Prints a table in Markdown: nanoseconds for one state, and the ratio of Pinocchio's time. `pinocchio` is the folder
 /// of its headers and library.
 pub fn compare(pinocchio: &Path) -> Result<()> {
-    let (ours, theirs) = (benchmark()?, build_pinocchio(pinocchio)?);
+    let theirs = build_pinocchio(pinocchio)?;
     let states = target_directory().join("dynamics-states.txt");
-    run(Command::new(&ours).current_dir(root()).arg("--states").stdout(File::create(&states)?))?;
+    run(benchmark().arg("--states").stdout(File::create(&states)?))?;
     let (mut our_times, mut their_times) = (Times::new(), Times::new());
     for _ in 0..ROUNDS {
-        add_times(Command::new(&ours).current_dir(root()), &mut our_times)?;
+        add_times(&mut benchmark(), &mut our_times)?;
         add_times(Command::new(&theirs).stdin(File::open(&states)?), &mut their_times)?;
     }
     println!("| mechanism | row | ns | Pinocchio: ns | times |\n|---|---|--:|--:|--:|");
@@ -40,18 +39,12 @@ pub fn compare(pinocchio: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Builds the benchmark as `cargo bench` does and returns its path.
-fn benchmark() -> Result<PathBuf> {
-    let build =
-        ["bench", "--locked", "--package", "haptic", "--bench", "dynamics", "--no-run", "--message-format", "json"];
-    let output = cargo().current_dir(root()).args(build).stderr(Stdio::inherit()).output()?;
-    ensure!(output.status.success(), "the benchmark does not compile");
-    let messages = String::from_utf8(output.stdout)?;
-    let executable = messages.lines().filter_map(|line| serde_json::from_str::<Value>(line).ok()).find_map(|message| {
-        let is_benchmark = message["target"]["name"] == "dynamics";
-        is_benchmark.then(|| message["executable"].as_str().map(PathBuf::from)).flatten()
-    });
-    executable.context("cargo reports no executable of the benchmark `dynamics`")
+/// Returns a call of this repository's benchmark.
+fn benchmark() -> Command {
+    let mut command = cargo();
+    command.current_dir(root());
+    command.args(["bench", "--quiet", "--locked", "--package", "haptic", "--bench", "dynamics", "--"]);
+    command
 }
 
 /// Builds Pinocchio's program with the instructions of this processor; the benchmark is built without them.

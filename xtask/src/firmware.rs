@@ -8,8 +8,8 @@ use anyhow::{Context as _, Result, bail};
 use crate::dfu;
 use crate::image::{FLASH_LIMIT, Image, RAM_LIMIT, seal};
 use crate::paths::{root, target_directory};
-use crate::toolchain::{TARGET, Toolchain, Use, run};
-use crate::tools;
+use crate::toolchain::{TARGET, cargo_for, chip_cargo, run};
+use crate::tools::{self, Tool};
 
 /// All boards by the names of their Cargo features.
 pub const BOARDS: [&str; 3] = ["odrive-v3", "h-bridge-f405", "h-bridge-f407-disc1"];
@@ -20,8 +20,8 @@ pub const TOY: &str = "toy-board";
 const BINARY: &str = "haptic-firmware";
 const CHIP: &str = "STM32F405RGTx";
 
-fn cargo(toolchain: Toolchain, purpose: Use, board: &str) -> Command {
-    let mut command = toolchain.cargo(purpose);
+/// Adds the arguments of a board's image to a cargo call.
+fn for_board(mut command: Command, board: &str) -> Command {
     command.current_dir(root().join("firmware")).arg("--target-dir").arg(target_directory());
     command.args(["--locked", "--package", BINARY, "--profile", "firmware", "--features", board]);
     command
@@ -34,8 +34,8 @@ pub fn directory() -> PathBuf {
 
 /// Builds one image, stores it under its board's name with its checksum, and returns its path.
 pub fn build(board: &str) -> Result<PathBuf> {
-    let toolchain = tools::provide(&[Use::Build])?;
-    run(&mut cargo(toolchain, Use::Build, board))?;
+    tools::check(&[Tool::Chip])?;
+    run(&mut for_board(chip_cargo(), board))?;
     let directory = directory();
     let image = directory.join(format!("{BINARY}-{board}.elf"));
     std::fs::copy(directory.join(BINARY), &image).with_context(|| format!("cannot write {}", image.display()))?;
@@ -75,10 +75,10 @@ pub fn size() -> Result<()> {
 
 /// Lints the code for the chip: the library, the firmware, the image that counts instructions.
 pub fn clippy() -> Result<()> {
-    let toolchain = tools::provide(&[Use::Clippy])?;
+    tools::check(&[Tool::Chip])?;
     for board in BOARDS.into_iter().chain([TOY]) {
         let packages = ["--package", "haptic-bridge", "--package", "haptic-counting"];
-        run(cargo(toolchain, Use::Clippy, board).args(packages).args(["--", "-D", "warnings"]))?;
+        run(for_board(cargo_for("clippy", TARGET), board).args(packages).args(["--", "-D", "warnings"]))?;
     }
     Ok(())
 }

@@ -12,8 +12,8 @@ use clap::builder::PossibleValuesParser;
 
 use crate::paths::{root, target_directory};
 use crate::report;
-use crate::toolchain::{Use, cargo, host, run as run_command};
-use crate::tools;
+use crate::toolchain::{cargo, host, run as run_command};
+use crate::tools::{self, Tool};
 
 /// Names of the targets in fuzz/src/main.rs.
 const TARGETS: [&str; 8] =
@@ -69,7 +69,7 @@ struct Outcome {
 
 /// Builds the targets and runs them, one per processor at a time. A crash is an error, and its input is stored.
 pub fn run(options: &Options) -> Result<()> {
-    tools::provide(&[Use::Fuzz])?;
+    tools::check(&[Tool::Cpp])?;
     let date_and_commit = report::date_and_commit();
     let out = target_directory().join("fuzz");
     let program = build(&out)?;

@@ -14,7 +14,7 @@ pub const CRATES: [&str; 6] =
 
 /// Dependencies that only the tool needs.
 const TOOL: &[&str] =
-    &["clap", "clap_complete", "clap_mangen", "ctrlc", "dejavu", "indicatif", "ratatui", "resvg", "tungstenite"];
+    &["clap", "clap_complete", "clap_mangen", "crossterm", "ctrlc", "dejavu", "indicatif", "resvg", "tungstenite"];
 /// Dependencies of recordings, drawings and the page.
 const SHOWING: &[&str] = &["haptic-show", "mcap", "prost-reflect"];
 /// Crate that computes the stable walls.

@@ -1,7 +1,6 @@
 //! Development tasks that need more than one cargo call. `cargo xtask help` lists them.
 
 mod bench;
-mod build_times;
 #[path = "../../src/checksum.rs"]
 mod checksum;
 mod dfu;
@@ -96,7 +95,7 @@ enum Command {
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         rest: Vec<String>,
     },
-    /// Count the control interrupt's instructions, stage by stage, into the tables of docs/results/timing.md
+    /// Count the control interrupt's instructions into the tables of docs/results/timing.md (ten minutes)
     Timing,
     /// Fuzz everything that reads input, guided by coverage
     Fuzz(fuzz::Options),
@@ -112,28 +111,15 @@ enum Command {
     Playground,
     /// Check the formatting of every source in the repository
     Fmt,
-    /// Build the tool from nothing and print the time that each format, view and interface adds (some minutes)
-    BuildTimes,
-    /// Simulate hours of contact with telemetry: no losses, no drift, no growth
+    /// Simulate hours of contact with telemetry on the simulated board: no losses, no drift, no growth
     Soak(soak::Options),
     /// Measure ranges of stable walls on simulated boards and draw them, into docs/results (some minutes)
     Figures {
         /// Cases to run and print [default: all, and write the files]
         cases: Vec<String>,
     },
-    /// Measure the range of stable walls on the emulated board, into docs/results/range-chip.csv (half an hour)
-    Range {
-        /// Instead measure it with cables at the joints, into docs/results/complete-chip.csv (half an hour)
-        #[arg(value_parser = PossibleValuesParser::new(["cables"]))]
-        part: Option<String>,
-        /// With cables: only this device, printed and not written
-        device: Option<String>,
-        /// With cables: only at this control rate, Hz
-        rate: Option<String>,
-        /// With cables: motors without back-EMF
-        #[arg(value_parser = PossibleValuesParser::new(["no-emf"]))]
-        motors: Option<String>,
-    },
+    /// Measure the range of stable walls on the emulated board, into docs/results/range-chip.csv (ten minutes)
+    Range,
     /// Cause every fault on the emulated board, into docs/results/faults.csv and broken.csv (an hour)
     Faults {
         /// Only these faults, by code or name, and only print the results; `list`: print how each fault is caused, or
@@ -193,14 +179,10 @@ fn run(command: Command) -> Result<()> {
         Command::Sanitize { rest } => undefined::sanitize(&rest),
         Command::Miri => undefined::miri(),
         Command::Playground => playground::build().map(drop),
-        Command::BuildTimes => build_times::print(),
         Command::Fmt => format::check(),
         Command::Soak(options) => soak::run(&options),
         Command::Figures { cases } => report::figures(&cases),
-        Command::Range { part, device, rate, motors } => {
-            let arguments: Vec<String> = [part, device, rate, motors].into_iter().flatten().collect();
-            tests::measure("range", &arguments)
-        }
+        Command::Range => tests::measure("range", &[]),
         Command::Faults { faults } => tests::measure("faults", &faults),
         Command::Board { rest } => tests::run_board(&rest),
     }

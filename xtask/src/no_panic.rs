@@ -7,8 +7,8 @@ use anyhow::{Context as _, Result, ensure};
 
 use crate::paths::{root, target_directory};
 use crate::thumb::Image;
-use crate::toolchain::{TARGET, Toolchain, Use, run};
-use crate::tools;
+use crate::toolchain::{TARGET, chip_cargo, run};
+use crate::tools::{self, Tool};
 
 /// Maximum stack of the control step, bytes: a nineteenth of the reservation in memory.x.
 const STACK_LIMIT: u32 = 2800;
@@ -16,8 +16,8 @@ const STACK_LIMIT: u32 = 2800;
 /// Name of the function that does not exist; it appears in the linker's message.
 const MISSING: &str = "the_control_step_can_panic";
 
-fn cargo(toolchain: Toolchain, feature: &str) -> Command {
-    let mut command = toolchain.cargo(Use::Build);
+fn cargo(feature: &str) -> Command {
+    let mut command = chip_cargo();
     command.current_dir(root().join("firmware")).arg("--target-dir").arg(target_directory());
     command.args(["--locked", "--bin", "no-panic", "--profile", "firmware", "--features", feature]);
     // The same optimisation as for the library.
@@ -27,8 +27,8 @@ fn cargo(toolchain: Toolchain, feature: &str) -> Command {
 
 /// Links the step alone and checks the image.
 pub fn prove() -> Result<()> {
-    let toolchain = tools::provide(&[Use::Build])?;
-    run(&mut cargo(toolchain, "no-panic")).context("the control step can panic, see the linker's message above")?;
+    tools::check(&[Tool::Chip])?;
+    run(&mut cargo("no-panic")).context("the control step can panic, see the linker's message above")?;
     let image = Image::read(&target_directory().join(TARGET).join("firmware/no-panic"))?;
     let reach = image.reach(&[
         "control_step",
@@ -47,7 +47,7 @@ pub fn prove() -> Result<()> {
     println!("no indirect calls");
 
     // The proof must be able to fail: with one unbounded index the same image must not link.
-    let broken = cargo(toolchain, "broken").output().context("cannot run cargo")?;
+    let broken = cargo("broken").output().context("cannot run cargo")?;
     let message = String::from_utf8_lossy(&broken.stderr);
     ensure!(!broken.status.success() && message.contains(MISSING), "the proof does not find a step that can panic");
     println!("a step with one unbounded index does not link, as it should");

@@ -6,8 +6,8 @@ use std::path::PathBuf;
 use anyhow::{Context as _, Result, ensure};
 
 use crate::paths::{root, target_directory};
-use crate::toolchain::{BROWSERS, Use, run};
-use crate::tools;
+use crate::toolchain::{BROWSERS, cargo_for, run};
+use crate::tools::{self, Tool};
 
 /// Content security policy of the file: it may run its own contents, including worker and library, and may not use the
 /// network.
@@ -19,8 +19,8 @@ const PAGE: &str = "crates/show/src/view/page";
 
 /// Builds the file and returns its path.
 pub fn build() -> Result<PathBuf> {
-    let toolchain = tools::provide(&[Use::Playground])?;
-    let mut command = toolchain.cargo_for_browsers("rustc");
+    tools::check(&[Tool::Browsers])?;
+    let mut command = cargo_for("rustc", BROWSERS);
     command.current_dir(root()).arg("--target-dir").arg(target_directory());
     run(command.args(["--locked", "--package", "haptic-page", "--profile", "playground"]))?;
     let library = target_directory().join(BROWSERS).join("playground/haptic_page.wasm");

@@ -8,8 +8,8 @@ use anyhow::{Context as _, Result};
 use serde::Deserialize;
 
 use crate::paths::{root, target_directory};
-use crate::toolchain::{Use, cargo, run};
-use crate::tools;
+use crate::toolchain::{cargo, run};
+use crate::tools::{self, Tool};
 
 /// The parts of clients/python/pyproject.toml that this program uses.
 #[derive(Deserialize)]
@@ -41,7 +41,7 @@ struct Optional {
 
 /// Runs the tests of clients/python/; further arguments go to pytest.
 pub fn test(arguments: &[String]) -> Result<()> {
-    tools::provide(&[Use::Python])?;
+    tools::check(&[Tool::Python])?;
     let package = root().join("clients/python");
     // One cargo call, so that the library is built once.
     run(cargo().current_dir(root()).args(["build", "--locked", "--package", "haptic", "--package", "haptic-python"]))?;

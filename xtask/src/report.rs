@@ -2,7 +2,6 @@
 
 use std::fs;
 use std::process::Command;
-use std::time::{SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context as _, Result};
 
@@ -45,32 +44,11 @@ pub fn record(name: &str, command: &str) -> Result<()> {
 
 /// Returns the date and the commit, as in "2026-01-31, commit 0123abc".
 pub fn date_and_commit() -> String {
-    let seconds = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());
-    let (year, month, day) = calendar_date(seconds / 86_400);
-    let commit = Command::new("git").current_dir(root()).args(["describe", "--always", "--dirty=, changed"]).output();
-    let commit = commit.ok().filter(|output| output.status.success());
-    let commit =
-        commit.map_or_else(|| "unknown".into(), |output| String::from_utf8_lossy(&output.stdout).trim().to_string());
-    format!("{year}-{month:02}-{day:02}, commit {commit}")
-}
-
-/// Converts days since 1970-01-01 to year, month and day (Hinnant, "chrono-compatible low-level date algorithms").
-fn calendar_date(day: u64) -> (u64, u64, u64) {
-    let shifted = day + 719_468;
-    let (era, day_of_era) = (shifted / 146_097, shifted % 146_097);
-    let year_of_era = (day_of_era - day_of_era / 1460 + day_of_era / 36_524 - day_of_era / 146_096) / 365;
-    let day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
-    let from_march = (5 * day_of_year + 2) / 153;
-    let month = if from_march < 10 { from_march + 3 } else { from_march - 9 };
-    (400 * era + year_of_era + u64::from(month <= 2), month, day_of_year - (153 * from_march + 2) / 5 + 1)
-}
-
-#[cfg(test)]
-mod tests {
-    #[test]
-    fn days_are_converted_to_calendar_dates() {
-        assert_eq!(super::calendar_date(0), (1970, 1, 1));
-        assert_eq!(super::calendar_date(19_782), (2024, 2, 29));
-        assert_eq!(super::calendar_date(20_513), (2026, 3, 1));
-    }
+    let line = |command: &mut Command| {
+        let output = command.current_dir(root()).output().ok().filter(|output| output.status.success());
+        output.map_or_else(|| "unknown".into(), |output| String::from_utf8_lossy(&output.stdout).trim().to_string())
+    };
+    let date = line(Command::new("date").args(["-u", "+%Y-%m-%d"]));
+    let commit = line(Command::new("git").args(["describe", "--always", "--dirty=, changed"]));
+    format!("{date}, commit {commit}")
 }

@@ -1,27 +1,20 @@
-//! Long soak tests with dated reports: tool/tests/deep/soak.rs on the simulated board, or the release image on the
-//! emulated chip (emulator/src/soak.rs).
+//! Long soak tests with dated reports: tool/tests/deep/soak.rs on the simulated board.
 
 use std::fs;
 
 use anyhow::{Context as _, Result};
 
 use crate::paths::{root, target_directory};
+use crate::report;
 use crate::toolchain::{cargo, run as run_command};
-use crate::{report, tests};
 
-/// Default number of simulated hours: on the simulated board, and on the emulated chip.
-const HOURS: (f64, f64) = (24.0, 1.0);
-
-/// Duration and board.
+/// Duration of a soak.
 #[derive(clap::Args)]
 pub struct Options {
-    /// Use the emulated chip, with a second one that receives random bytes
-    #[arg(long)]
-    chip: bool,
-    /// Simulated hours, 0.05 to 1000 [default: 24, with --chip 1]
-    #[arg(long, value_name = "N", value_parser = hours)]
-    hours: Option<f64>,
-    /// Write docs/results/soak.md, or soak-chip.md
+    /// Simulated hours, 0.05 to 1000
+    #[arg(long, value_name = "N", default_value_t = 24.0, value_parser = hours)]
+    hours: f64,
+    /// Write docs/results/soak.md
     #[arg(long)]
     record: bool,
 }
@@ -34,28 +27,21 @@ fn hours(text: &str) -> Result<f64, String> {
 
 /// Runs a soak.
 pub fn run(options: &Options) -> Result<()> {
-    let Options { chip, record, .. } = *options;
-    let hours = options.hours.unwrap_or(if chip { HOURS.1 } else { HOURS.0 });
+    let hours = options.hours;
     let date_and_commit = report::date_and_commit();
     let figures = target_directory().join("soak.md");
-    if chip {
-        tests::measure("soak", &[hours.to_string(), figures.to_string_lossy().into_owned()])?;
-    } else {
-        run_command(
-            cargo()
-                .current_dir(root())
-                .args(["test", "--locked", "--release", "--package", "haptic", "--test", "deep", "--", "soak::"])
-                .env("HAPTIC_SOAK_SECONDS", format!("{:.0}", hours * 3600.0))
-                .env("HAPTIC_SOAK_REPORT", &figures),
-        )?;
-    }
+    run_command(
+        cargo()
+            .current_dir(root())
+            .args(["test", "--locked", "--release", "--package", "haptic", "--test", "deep", "--", "soak::"])
+            .env("HAPTIC_SOAK_SECONDS", format!("{:.0}", hours * 3600.0))
+            .env("HAPTIC_SOAK_REPORT", &figures),
+    )?;
     let text = fs::read_to_string(&figures).with_context(|| format!("cannot read {}", figures.display()))?;
     println!("{text}");
-    if record {
-        let (name, what, option) =
-            if chip { ("soak-chip.md", "Soak on the emulated chip", " --chip") } else { ("soak.md", "Soak", "") };
-        let heading = format!("# {what}\n\n{date_and_commit}. `cargo xtask soak{option} --hours {hours} --record`\n\n");
-        report::write(name, &(heading + &text))?;
+    if options.record {
+        let heading = format!("# Soak\n\n{date_and_commit}. `cargo xtask soak --hours {hours} --record`\n\n");
+        report::write("soak.md", &(heading + &text))?;
     }
     Ok(())
 }

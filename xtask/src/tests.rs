@@ -7,8 +7,9 @@ use std::time::Instant;
 
 use anyhow::{Result, anyhow, ensure};
 
-use crate::toolchain::{Use, cargo, haptic_emulator, run};
-use crate::{bench, dist, firmware, fuzz, library, no_panic, paths, playground, python, report, tools};
+use crate::toolchain::{cargo, haptic_emulator, run};
+use crate::tools::{self, Tool};
+use crate::{bench, dist, firmware, fuzz, library, no_panic, paths, playground, python, report};
 
 /// Arguments of cargo for the tests of the tool, flashing, C and CHAI3D.
 const TOOL: [&str; 10] =
@@ -63,7 +64,7 @@ pub const PARTS: [Part; 16] = [
 pub fn gate(arguments: &[String]) -> Result<()> {
     ensure!(arguments.is_empty(), "`cargo xtask test` takes no arguments but --deep: {}", arguments.join(" "));
     // Checked before the first compile, because a missing tool of a late stage would be found minutes later.
-    tools::provide(&tools::TEST)?;
+    tools::check(&[Tool::Chip])?;
     let began = Instant::now();
     // The images occupy one compiler thread for minutes, so they are built in parallel with the other tests.
     std::thread::scope(|scope| {
@@ -93,7 +94,7 @@ pub fn deep(part: Option<&str>, arguments: &[String]) -> Result<()> {
             None => Ok(()),
         };
     }
-    tools::provide(&tools::DEEP)?;
+    tools::check(&Tool::ALL)?;
     let began = Instant::now();
     let mut failed = Vec::new();
     for part in &PARTS {
@@ -142,7 +143,7 @@ fn properties(arguments: &[String]) -> Result<()> {
 }
 
 fn browser(arguments: &[String]) -> Result<()> {
-    tools::provide(&[Use::Page, Use::Build])?;
+    tools::check(&[Tool::Chromium, Tool::Chip])?;
     let page = playground::build()?;
     run(cargo().current_dir(paths::root()).args(["test", "--locked", "--package", "haptic-page"]))?;
     // A test of the page connects to the real image on the emulated chip.

@@ -1,11 +1,5 @@
-//! Chooses the toolchain that compiles code for the chip and for browsers.
-//!
-//! 1. The rustup target `thumbv7em-none-eabihf` or `wasm32-unknown-unknown`, if the running toolchain has it.
-//! 2. Otherwise Debian's packages: a compiler in /usr/bin with the source of the core library, which is built too
-//!    (`-Zbuild-std`), and the linker to which /usr/bin/rust-lld points. For browsers the complete standard library is
-//!    built, and cargo fetches its dependencies from crates.io.
-//!
-//! The module `tools` checks that they are installed.
+//! Calls of cargo and of the compiler for the chip and for browsers: the toolchain that runs this program, with rustup's
+//! targets.
 
 use std::env;
 use std::fs;
@@ -22,82 +16,19 @@ pub const TARGET: &str = "thumbv7em-none-eabihf";
 /// The target triple of browsers.
 pub const BROWSERS: &str = "wasm32-unknown-unknown";
 
-/// Debian's compiler.
-pub const DEBIAN_RUSTC: &str = "/usr/bin/rustc";
-/// Debian's cargo.
-pub const DEBIAN_CARGO: &str = "/usr/bin/cargo";
-/// Debian's source of the core library.
-pub const DEBIAN_CORE: &str = "/usr/lib/rustlib/src/rust/library/core/Cargo.toml";
-/// Debian's linker.
-pub const DEBIAN_LINKER: &str = "/usr/bin/rust-lld";
-/// Debian's clippy.
-pub const DEBIAN_CLIPPY: &str = "/usr/bin/cargo-clippy";
-
-/// Purpose of a stage.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub enum Use {
-    /// Builds for the chip.
-    Build,
-    /// Lints for the chip.
-    Clippy,
-    /// Builds libFuzzer, which needs C++.
-    Fuzz,
-    /// Tests the page of `haptic view` in a browser.
-    Page,
-    /// Builds the page as a file, for browsers.
-    Playground,
-    /// Tests the Python package.
-    Python,
+/// Returns a cargo call that compiles for the chip.
+pub fn chip_cargo() -> Command {
+    let mut command = cargo_for("rustc", TARGET);
+    wrapper::wrap_compiler(&mut command);
+    command
 }
 
-/// Toolchain on this computer that compiles for the chip or for browsers.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub enum Toolchain {
-    /// The toolchain that runs this program, which has the target.
-    Rustup,
-    /// Debian's compiler, which also builds the target's libraries.
-    Debian,
-}
-
-impl Toolchain {
-    /// Returns a cargo call for the chip: `cargo SUBCOMMAND …` with the target and, if needed, a build of the core
-    /// library.
-    pub fn cargo(self, purpose: Use) -> Command {
-        let subcommand = if purpose == Use::Clippy { "clippy" } else { "rustc" };
-        let mut command = self.cargo_with(subcommand, "-Zbuild-std=core,alloc", TARGET);
-        if purpose != Use::Clippy {
-            wrapper::wrap_compiler(&mut command);
-        }
-        command
-    }
-
-    /// Returns a cargo call for browsers.
-    pub fn cargo_for_browsers(self, subcommand: &str) -> Command {
-        self.cargo_with(subcommand, "-Zbuild-std=std,panic_abort", BROWSERS)
-    }
-
-    fn cargo_with(self, subcommand: &str, libraries: &str, target: &str) -> Command {
-        let mut command = match self {
-            Self::Rustup => {
-                let mut command = cargo();
-                command.arg(subcommand);
-                command
-            }
-            Self::Debian => {
-                let mut command = Command::new(if subcommand == "clippy" { DEBIAN_CLIPPY } else { DEBIAN_CARGO });
-                command.arg(subcommand).arg(libraries);
-                command.env("CARGO", DEBIAN_CARGO).env("RUSTC", DEBIAN_RUSTC).env("RUSTC_BOOTSTRAP", "1");
-                command.env("PATH", format!("/usr/bin:{}", env::var("PATH").unwrap_or_default()));
-                for name in ["RUSTUP_TOOLCHAIN", "RUSTC_WRAPPER", "RUSTC_WORKSPACE_WRAPPER", "RUSTDOC"] {
-                    command.env_remove(name);
-                }
-                command
-            }
-        };
-        command.args(["--target", target]);
-        command.env("CARGO_ENCODED_RUSTFLAGS", rust_flags().join("\x1f"));
-        command
-    }
+/// Returns a cargo call for a target.
+pub fn cargo_for(subcommand: &str, target: &str) -> Command {
+    let mut command = cargo();
+    command.args([subcommand, "--target", target]);
+    command.env("CARGO_ENCODED_RUSTFLAGS", rust_flags().join("\x1f"));
+    command
 }
 
 /// Returns the caller's flags, and flags that remove the computer-dependent part of source paths: an image or a tool
@@ -115,10 +46,9 @@ pub fn rust_flags() -> Vec<String> {
     for index in indices.into_iter().flatten().flatten() {
         flags.push(format!("--remap-path-prefix={}=", index.path().join("").display()));
     }
-    flags.push("--remap-path-prefix=/usr/lib/rustlib/src/rust/library/=".into());
     // The library relative to firmware/, as cargo names the firmware's own files.
     flags.push(format!("--remap-path-prefix={}=..", root().display()));
-    // The emulator's tests find functions and statics by these names; the default differs between compilers.
+    // The emulator's tests find functions and statics by these names.
     flags.push("-Csymbol-mangling-version=v0".into());
     // Build scripts write code below the target directory.
     flags.push(format!("--remap-path-prefix={}=target", target_directory().display()));

@@ -5,7 +5,7 @@ use haptic_bridge::board::telemetry::Fields;
 use haptic_bridge::safety::fault::Fault;
 use haptic_emulator::cases::CASES;
 use haptic_emulator::contact::{WallAt, scene};
-use haptic_emulator::range::rigid;
+use haptic_emulator::range::{BOARD, rigid};
 use haptic_emulator::rig::Rig;
 use haptic_emulator::run::{MILLISECOND, SECOND};
 use haptic_sim::Support;
@@ -18,7 +18,7 @@ fn no_current_flows_when_the_bridges_begin_to_drive() {
     // Windings of 0.1 mH, in which currents rise quickly.
     let test_device = rigid();
     for rate in [200, 1000, 7000, 20_000] {
-        let mut rig = Rig::with_file(test_device.board, test_device.file.clone(), |options| {
+        let mut rig = Rig::with_file(BOARD, test_device.file.clone(), |options| {
             options.start = test_device.file.description.home;
         });
         rig.load(&format!("rate_hz = {rate}\n"));

@@ -4,7 +4,6 @@
 
 mod arming;
 mod boot;
-mod drawing;
 mod equality;
 mod faults;
 mod force;

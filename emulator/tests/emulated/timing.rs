@@ -2,7 +2,6 @@
 
 use haptic_emulator::cases::CASES;
 use haptic_emulator::results;
-use haptic_emulator::stages::STAGES;
 use haptic_emulator::timing::recorded;
 
 /// Largest permitted growth over the record. After a larger growth, examine the cause and run `cargo xtask timing`.
@@ -15,11 +14,6 @@ fn stays_within_record(nth: usize) {
     let timing = case.measure();
     println!("{}: {timing:?}", case.name());
     assert!(timing.periods > 200, "{timing:?}");
-    assert!(timing.unnamed.is_empty(), "functions without a stage in emulator/src/stages.rs: {:#?}", timing.unnamed);
-    // In contact, with the full feed-forward, a step uses every stage.
-    for ((stage, _), mean) in STAGES.iter().zip(&timing.stages).filter(|((stage, _), _)| stage.starts_with("step: ")) {
-        assert!(*mean > 0.0, "{stage} has no instructions: {timing:?}");
-    }
     let allowed = |recorded: u64| (recorded as f64 * GROWTH) as u64;
     assert!(timing.longest <= allowed(longest), "{}: {longest} recorded, {timing:?}", case.name());
     assert!(timing.valley <= allowed(valley), "{}: {valley} recorded, {timing:?}", case.name());

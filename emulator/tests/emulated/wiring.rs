@@ -1,10 +1,12 @@
 //! The pins of every encoder, motor and sensor of every board, tested one at a time.
 
+use std::fs::read_to_string;
+use std::path::Path;
 use std::time::Duration;
 
 use haptic_bridge::board::telemetry::{Field, Fields};
 use haptic_bridge::safety::fault::Fault;
-use haptic_emulator::boards::{BoardKind, Wiring};
+use haptic_emulator::boards::{BoardKind, Pin, Wiring};
 use haptic_emulator::plant::Dummy;
 use haptic_emulator::rig::Rig;
 use haptic_emulator::run::MILLISECOND;
@@ -91,6 +93,30 @@ fn the_bus_voltage_is_exact_within_a_converter_step() {
             rig.run(2 * MILLISECOND);
             let shown = f64::from(rig.tool.status().expect("it replies").bus_voltage);
             assert!((shown - volts).abs() <= 1.5 * step, "{}: {shown} V for {volts} V", kind.name());
+        }
+    }
+}
+
+/// A pin on a page that differs from the tests would be wired without being tested.
+#[test]
+fn each_wiring_page_and_drawing_contains_every_pin() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs");
+    let drawing = read_to_string(folder.join("drawings/h-bridge-f407-disc1.svg")).expect("a drawing");
+    for kind in BoardKind::ALL {
+        let wiring = Wiring::of(kind);
+        let page = read_to_string(folder.join(format!("wiring-{}.md", wiring.name))).expect("a page");
+        let table = page.lines().filter(|line| line.starts_with('|'));
+        let words: Vec<&str> = table.flat_map(|line| line.split(|c: char| !c.is_alphanumeric())).collect();
+        let encoders = wiring.encoders.iter().flat_map(|wires| [wires.pins[0], wires.pins[1], wires.index]);
+        let motors = wiring.motors.iter().flat_map(|motor| {
+            let sensors = motor.sensors.iter().map(|(channel, _)| Pin::of_channel(*channel));
+            motor.gates.into_iter().chain(sensors)
+        });
+        for Pin(port, number) in encoders.chain(motors).chain([wiring.enable, wiring.fault, wiring.bus_pin()]) {
+            let pin = format!("P{port}{number}");
+            assert!(words.contains(&pin.as_str()), "{}: {pin}", wiring.name);
+            let drawn = kind != BoardKind::HBridgeF407Disc1 || drawing.contains(&format!(">{pin}<"));
+            assert!(drawn, "docs/drawings/{}.svg: {pin}", wiring.name);
         }
     }
 }

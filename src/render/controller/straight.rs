@@ -10,7 +10,7 @@
 //! large for the FPU's loads, and all would become slower.
 //!
 //! To add one: a file next to wall.rs with its function, a line in [`StepVariant`] and in [`StepVariant::of`], its arm
-//! in [`Controller::render`], its scenes in tests/straight_steps.rs, and its functions in emulator/src/stages.rs.
+//! in [`Controller::render`], and its scenes in tests/straight_steps.rs.
 
 use super::regularity::{FULL_REGULARITY, PARALLEL_REGULARITY};
 use super::{Controller, task_part};

@@ -11,9 +11,8 @@ use tungstenite::{Message, WebSocket};
 pub const PATIENCE: Duration = Duration::from_secs(300);
 
 const NAMES: [&str; 3] = ["chromium", "chromium-browser", "google-chrome"];
-const MISSING: &str = "no Chromium on this computer: apt-get install -y --no-install-recommends chromium (on Debian, as root; \
-                       `cargo xtask test --deep browser` does the same as root)";
-
+const MISSING: &str =
+    "no Chromium on this computer: apt-get install -y --no-install-recommends chromium (on Debian, as root)";
 /// A browser with a profile of its own.
 pub struct Browser {
     child: Child,

@@ -5,53 +5,11 @@ use std::fs;
 use std::path::Path;
 
 use anyhow::{Context as _, Result, ensure};
-use serde::Deserialize;
+use serde_json::Value;
 
 use super::{output, write};
 use crate::paths::root;
 use crate::toolchain::{BROWSERS, TARGET, cargo, host};
-
-/// Output of `cargo metadata`.
-#[derive(Deserialize)]
-struct Metadata {
-    packages: Vec<Package>,
-    resolve: Resolve,
-}
-
-#[derive(Deserialize)]
-struct Package {
-    id: String,
-    name: String,
-    version: String,
-    license: Option<String>,
-    repository: Option<String>,
-    manifest_path: String,
-    /// Registry of the package; `None` for packages of this repository.
-    source: Option<String>,
-}
-
-#[derive(Deserialize)]
-struct Resolve {
-    nodes: Vec<Node>,
-}
-
-#[derive(Deserialize)]
-struct Node {
-    id: String,
-    deps: Vec<Dependency>,
-}
-
-#[derive(Deserialize)]
-struct Dependency {
-    pkg: String,
-    dep_kinds: Vec<Kind>,
-}
-
-/// Kind of a dependency: null if it is linked, otherwise `dev` or `build`.
-#[derive(Deserialize)]
-struct Kind {
-    kind: Option<String>,
-}
 
 /// Writes the licenses of this project and of all dependencies into a folder.
 pub fn write_into(folder: &Path) -> Result<()> {
@@ -98,27 +56,34 @@ struct Crate {
 fn linked_crates(manifest: &str, packages: &[&str], target: &str) -> Result<BTreeSet<Crate>> {
     let mut command = cargo();
     command.args(["metadata", "--locked", "--format-version", "1", "--filter-platform", target, "--manifest-path"]);
-    let metadata: Metadata =
+    let metadata: Value =
         serde_json::from_str(&output(command.arg(root().join(manifest)))?).context("cargo metadata")?;
-    let nodes: BTreeMap<&str, &Node> = metadata.resolve.nodes.iter().map(|node| (node.id.as_str(), node)).collect();
-    let ours = |found: &&Package| found.source.is_none() && packages.contains(&found.name.as_str());
-    let mut open: Vec<&str> = metadata.packages.iter().filter(ours).map(|found| found.id.as_str()).collect();
+    let text = |value: &Value| value.as_str().unwrap_or_default().to_owned();
+    let all = |value: &'_ Value| value.as_array().cloned().unwrap_or_default();
+    let (all_packages, nodes) = (all(&metadata["packages"]), all(&metadata["resolve"]["nodes"]));
+    // Packages of this repository have no source.
+    let ours = all_packages.iter().filter(|package| package["source"].is_null());
+    let ours = ours.filter(|package| packages.iter().any(|name| package["name"] == *name));
+    let mut open: Vec<String> = ours.map(|package| text(&package["id"])).collect();
     ensure!(open.len() == packages.len(), "{manifest} does not have all of {}", packages.join(", "));
     let mut seen = BTreeSet::new();
     while let Some(id) = open.pop() {
+        let needs = nodes.iter().filter(|node| node["id"] == id.as_str()).flat_map(|node| all(&node["deps"]));
+        // The kind is null if the dependency is linked, otherwise `dev` or `build`.
+        let linked = needs.filter(|need| all(&need["dep_kinds"]).iter().any(|kind| kind["kind"].is_null()));
+        let linked: Vec<String> = linked.map(|need| text(&need["pkg"])).collect();
         if seen.insert(id) {
-            let needs = nodes.get(id).into_iter().flat_map(|node| &node.deps);
-            let needs = needs.filter(|need| need.dep_kinds.iter().any(|kind| kind.kind.is_none()));
-            open.extend(needs.map(|need| need.pkg.as_str()));
+            open.extend(linked);
         }
     }
-    let others = metadata.packages.iter().filter(|found| found.source.is_some() && seen.contains(found.id.as_str()));
+    let others = all_packages.iter().filter(|package| !package["source"].is_null());
     others
-        .map(|found| {
-            let name = format!("{} {}", found.name, found.version);
-            let license = found.license.clone().with_context(|| format!("{name} names no license"))?;
-            let repository = found.repository.clone().unwrap_or_default();
-            Ok(Crate { name, license, repository, texts: texts(Path::new(&found.manifest_path))? })
+        .filter(|package| seen.contains(&text(&package["id"])))
+        .map(|package| {
+            let name = format!("{} {}", text(&package["name"]), text(&package["version"]));
+            let license = package["license"].as_str().with_context(|| format!("{name} names no license"))?.to_owned();
+            let texts = texts(Path::new(&text(&package["manifest_path"])))?;
+            Ok(Crate { name, license, repository: text(&package["repository"]), texts })
         })
         .collect()
 }
