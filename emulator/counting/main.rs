@@ -12,7 +12,7 @@ mod devices;
 use core::hint::black_box;
 use core::panic::PanicInfo;
 use core::ptr::{addr_of_mut, write_volatile};
-use haptic_bridge::math::{Libm, Math, Micromath, Minimax, Tabulated};
+use haptic_bridge::math::{Math, Minimax, Tabulated};
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device;
@@ -127,8 +127,6 @@ fn count_with_every_math(device: &Device<f32>, description: &Description) {
     with_mechanism!(&device.mechanism, mechanism => {
         variants::<_, Tabulated, _>(mechanism, device, description);
         variants::<_, Minimax, _>(mechanism, device, description);
-        variants::<_, Micromath, _>(mechanism, device, description);
-        variants::<_, Libm, _>(mechanism, device, description);
     });
 }
 

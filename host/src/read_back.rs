@@ -1,15 +1,13 @@
-//! Writes a board's device and scene as files (docs/files.md), and lists the differences between two of them.
+//! Writes a board's scene as a file and its device as text (docs/files.md), and lists the differences between two of
+//! them.
 //!
-//! A board that reads such a file gets the same numbers to the bit. A board stores less than a device file: the links
-//! of a mechanism are lumped into the coefficients of its equations of motion. A [`Description`] for [`device()`] must
-//! therefore be computed first; [`joints`] and [`home`] return the parts that the board stores.
+//! A board that reads such a scene file gets the same numbers to the bit. A device has no such file, because its links
+//! are lumped into the coefficients of the equations of motion; the text lists these.
 
 use crate::digits::shorten;
 use crate::error::on_one_line;
 use core::f64::consts::TAU;
-use haptic_bridge::model::catalogue::MAX_JOINTS;
-use haptic_bridge::model::description::{self, Description, Encoder};
-use haptic_bridge::model::device::{self, Device};
+use haptic_bridge::model::device::{Device, Joint};
 use haptic_bridge::model::mechanism::AnyMechanism;
 use haptic_bridge::render::scene::shape::Meaning;
 use haptic_bridge::render::scene::{Scene, Wall};
@@ -61,14 +59,15 @@ impl Entry {
     fn place(&self) -> String {
         match self.table {
             "" => self.key.clone(),
-            "[geometry]" | "[handle]" | "[home]" | "[posture]" | LUMPED => format!("{} {}", self.table, self.key),
+            LUMPED => format!("lumped {}", self.key),
+            "[home]" | "[posture]" => format!("{} {}", self.table, self.key),
             table => format!("{table} {} {}", self.index, self.key),
         }
     }
 }
 
-/// Table name of the coefficients of a device's equations of motion, which no file contains.
-const LUMPED: &str = "lumped";
+/// Table of the coefficients of a device's equations of motion, which no device file contains.
+const LUMPED: &str = "[lumped]";
 
 /// A key whose values differ in two files.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -234,7 +233,7 @@ fn put_wall(into: &mut Writer, wall: &Wall<f32>, task: usize) {
 }
 
 /// Returns the interval of numbers that round to this single-precision number.
-pub fn rounds_to(number: f32) -> (f64, f64) {
+fn rounds_to(number: f32) -> (f64, f64) {
     let middle = |other: f32| 0.5 * (f64::from(number) + f64::from(other));
     (middle(number.next_down()), middle(number.next_up()))
 }
@@ -269,198 +268,71 @@ fn direction(rounded: &[f32; 3], task: usize) -> Vec<f64> {
     at_share(low)
 }
 
-/// Returns the joints as a board stores them; their inertia is part of the mechanism's and 0 here.
-pub fn joints(device: &Device<f32>) -> [description::Joint; MAX_JOINTS] {
-    let home = home(device);
-    core::array::from_fn(|index| joint(&device.joints[index], home.map(|at| at[index])))
-}
-
-/// Returns the pose that homing declares, rad.
-pub fn home(device: &Device<f32>) -> Option<[f64; MAX_JOINTS]> {
-    let home = device.home?;
-    let mut angles = home.map(|angle| shorten(angle.into()));
-    for (angle, joint) in angles.iter_mut().zip(&device.joints) {
-        let Some((_, scale)) = encoder(joint) else { continue };
-        if offset_on_board(joint.offset.into(), *angle, scale) == joint.offset {
-            continue;
-        }
-        // Home is a whole number of counts from the offset. Choose an angle where both round to the board's values.
-        let counts = ((*angle - f64::from(joint.offset)) / scale).round();
-        let (of_home, of_offset) = (rounds_to(*angle as f32), rounds_to(joint.offset));
-        let low = of_home.0.max(of_offset.0 + counts * scale);
-        let high = of_home.1.min(of_offset.1 + counts * scale);
-        *angle = 0.5 * (low + high);
-    }
-    Some(angles)
-}
-
-/// Returns counts per turn and the angle of one count, rad, of a joint with an encoder.
-fn encoder(joint: &device::Joint<f32>) -> Option<(f64, f64)> {
-    let size = f64::from(joint.radians_per_count.abs());
-    if size == 0.0 {
-        return None;
-    }
-    let counts = f64::from(joint.counts_per_turn);
-    let turns = (counts * size / TAU).round();
-    let per_turn = if turns > 0.0 { counts / turns } else { TAU / size };
-    Some((per_turn, f64::from(joint.radians_per_count).signum() * TAU / per_turn))
-}
-
-/// Returns the offset that a board gets from a file's offset and home angle.
-fn offset_on_board(offset: f64, home: f64, radians_per_count: f64) -> f32 {
-    let counts = (home - offset) / radians_per_count;
-    let whole = (counts + if counts < 0.0 { -0.5 } else { 0.5 }).trunc();
-    (home - whole * radians_per_count) as f32
-}
-
-/// Converts a joint; `home` is its home angle in the file.
-fn joint(joint: &device::Joint<f32>, home: Option<f64>) -> description::Joint {
-    let short = |value: f32| shorten(value.into());
-    let encoder = encoder(joint).map(|(counts_per_turn, scale)| {
-        let offset = match home {
-            Some(home) if offset_on_board(0.0, home, scale) == joint.offset => 0.0,
-            Some(home) if offset_on_board(short(joint.offset), home, scale) != joint.offset => {
-                home - ((home - f64::from(joint.offset)) / scale).round() * scale
-            }
-            _ => short(joint.offset),
-        };
-        Encoder { counts_per_turn, offset, inverted: joint.radians_per_count < 0.0 }
-    });
-    description::Joint {
-        viscous: short(joint.viscous),
-        coulomb: short(joint.coulomb),
-        limits: joint.limits.map(|(low, high)| (short(low), short(high))),
-        encoder,
-        motor: joint.motor.map(|motor| {
-            let mut wide = motor.cast::<f64>();
-            for value in [
-                &mut wide.torque_constant,
-                &mut wide.resistance,
-                &mut wide.inductance,
-                &mut wide.back_emf,
-                &mut wide.max_current,
-            ] {
-                *value = shorten(*value);
-            }
-            wide
-        }),
-        ..description::Joint::default()
-    }
-}
-
-/// Returns the entries of a device's file, without those that a board does not store: transmissions, friction at rest,
-/// cogging, modes.
-pub fn device(name: &str, description: &Description) -> Vec<Entry> {
-    let spec = description.kind.spec();
-    let mut entries = Vec::new();
-    let mut top = table(&mut entries, "", 0);
-    top.word("name", name);
-    top.word("mechanism", spec.name);
-    top.numbers("gravity", &description.gravity[..spec.task], "m/s²");
-    geometry(&mut entries, description);
-    for (index, link) in description.links.iter().enumerate().take(spec.links.len()) {
-        let mut into = table(&mut entries, "[[link]]", index);
-        into.number("mass", link.mass, "kg");
-        into.number("com", link.com, "m");
-        into.number("inertia", link.inertia, "kg m²");
-        into.number("inertia_axial", link.inertia_axial, "kg m²");
-        into.number("inertia_transverse", link.inertia_transverse, "kg m²");
-    }
-    for (index, joint) in description.joints.iter().enumerate().take(spec.joints) {
-        put_joint(&mut entries, index, joint, true);
-    }
-    table(&mut entries, "[handle]", 0).number("mass", description.handle_mass, "kg");
-    if let Some(home) = description.home {
-        table(&mut entries, "[home]", 0).numbers("q", &home[..spec.joints], "rad");
-    }
-    entries
-}
-
-/// Adds the entries of `[geometry]`.
-fn geometry(entries: &mut Vec<Entry>, description: &Description) {
-    let mut into = table(entries, "[geometry]", 0);
-    let mut rest = &description.geometry[..];
-    for (key, count) in description.kind.spec().geometry {
-        let Some((values, after)) = rest.split_at_checked(*count) else { return };
-        rest = after;
-        let unit = if *key == "assembly" { "" } else { "m" };
-        match values {
-            [value] => into.number(key, *value, unit),
-            values => into.numbers(key, values, unit),
-        }
-    }
-}
-
-fn put_joint(entries: &mut Vec<Entry>, index: usize, joint: &description::Joint, inertia: bool) {
+fn put_joint(entries: &mut Vec<Entry>, index: usize, joint: &Joint<f32>) {
     let mut into = table(entries, "[[joint]]", index);
-    if inertia {
-        into.number("inertia", joint.inertia, "kg m²");
-    }
-    into.number("viscous", joint.viscous, "N m s/rad");
-    into.number("coulomb", joint.coulomb, "N m");
+    into.number("viscous", joint.viscous.into(), "N m s/rad");
+    into.number("coulomb", joint.coulomb.into(), "N m");
     if let Some((low, high)) = joint.limits {
-        into.numbers("limits", &[low, high], "rad");
+        into.numbers("limits", &wide(&[low, high]), "rad");
     }
-    if let Some(encoder) = joint.encoder {
+    let size = f64::from(joint.radians_per_count.abs());
+    if size > 0.0 {
+        let counts = f64::from(joint.counts_per_turn);
+        let turns = (counts * size / TAU).round();
         let mut into = table(entries, "[joint.encoder]", index);
-        into.number("counts_per_turn", encoder.counts_per_turn, "");
-        into.number("offset", encoder.offset, "rad");
-        into.flag("inverted", encoder.inverted);
+        into.number("counts_per_turn", if turns > 0.0 { counts / turns } else { TAU / size }, "");
+        into.number("offset", joint.offset.into(), "rad");
+        into.flag("inverted", joint.radians_per_count < 0.0);
     }
     if let Some(motor) = joint.motor {
         let mut into = table(entries, "[joint.motor]", index);
-        into.number("torque_constant", motor.torque_constant, "N m/A");
-        into.number("resistance", motor.resistance, "ohm");
-        into.number("inductance", motor.inductance, "H");
-        into.number("back_emf", motor.back_emf, "V s/rad");
-        into.number("max_current", motor.max_current, "A");
+        into.number("torque_constant", motor.torque_constant.into(), "N m/A");
+        into.number("resistance", motor.resistance.into(), "ohm");
+        into.number("inductance", motor.inductance.into(), "H");
+        into.number("back_emf", motor.back_emf.into(), "V s/rad");
+        into.number("max_current", motor.max_current.into(), "A");
         into.flag("verified", motor.verified);
     }
 }
 
-/// Returns all that a board stores of a device, for comparisons: for its mechanism, the coefficients of the equations
-/// of motion ([`coefficients`]).
+/// Returns the entries of all that a board stores of a device: for its mechanism, the coefficients of the equations of
+/// motion by their names in src/model/mechanism.
 pub fn running(device: &Device<f32>) -> Vec<Entry> {
     let spec = device.mechanism.kind().spec();
     let mut entries = Vec::new();
     let mut top = table(&mut entries, "", 0);
     top.word("name", &device.name);
     top.word("mechanism", spec.name);
-    for (key, value) in coefficients(&device.mechanism) {
-        let unit = unit(&key);
-        table(&mut entries, LUMPED, 0).number(&key, value, unit);
+    put_coefficients(&mut table(&mut entries, LUMPED, 0), &device.mechanism);
+    for (index, joint) in device.joints.iter().enumerate().take(spec.joints) {
+        put_joint(&mut entries, index, joint);
     }
-    for (index, joint) in joints(device).iter().enumerate().take(spec.joints) {
-        put_joint(&mut entries, index, joint, false);
-    }
-    if let Some(home) = home(device) {
-        table(&mut entries, "[home]", 0).numbers("q", &home[..spec.joints], "rad");
+    if let Some(home) = device.home {
+        table(&mut entries, "[home]", 0).numbers("q", &wide(&home[..spec.joints]), "rad");
     }
     entries
 }
 
-/// Returns the coefficients of a mechanism by their names in src/model/mechanism, such as `arm_inertia 0`.
-pub fn coefficients<T: haptic_bridge::math::Real + Serialize>(mechanism: &AnyMechanism<T>) -> Vec<(String, f64)> {
-    fn collect(name: &str, value: &serde_json::Value, into: &mut Vec<(String, f64)>) {
-        let under = |key: &str| if name.is_empty() { key.to_string() } else { format!("{name} {key}") };
+fn put_coefficients(into: &mut Writer, mechanism: &AnyMechanism<f32>) {
+    fn collect(name: &str, value: &serde_json::Value, into: &mut Writer) {
+        let under = |key: &str| if name.is_empty() { key.to_string() } else { format!("{name}.{key}") };
         match value {
             serde_json::Value::Object(map) => map.iter().for_each(|(key, value)| collect(&under(key), value, into)),
-            serde_json::Value::Array(values) => {
-                values.iter().enumerate().for_each(|(at, value)| collect(&under(&at.to_string()), value, into));
-            }
-            value => into.push((name.to_string(), value.as_f64().unwrap_or(f64::NAN))),
+            serde_json::Value::Array(values) => match values.iter().map(serde_json::Value::as_f64).collect() {
+                Some::<Vec<f64>>(numbers) => into.numbers(name, &numbers, unit(name)),
+                None => values.iter().enumerate().for_each(|(at, value)| collect(&under(&at.to_string()), value, into)),
+            },
+            value => into.number(name, value.as_f64().unwrap_or(f64::NAN), unit(name)),
         }
     }
-    let mut coefficients = Vec::new();
     let whole = serde_json::to_value(mechanism).unwrap_or_default();
     // The outermost key is the name of the mechanism.
-    whole.as_object().into_iter().flatten().for_each(|(_, fields)| collect("", fields, &mut coefficients));
-    coefficients
+    whole.as_object().into_iter().flatten().for_each(|(_, fields)| collect("", fields, into));
 }
 
 /// Returns the unit of a coefficient; empty if the name is unknown.
 fn unit(coefficient: &str) -> &'static str {
-    let name = coefficient.trim_start_matches("plane ").split(' ').next().unwrap_or_default();
+    let name = coefficient.trim_start_matches("plane.").split('.').next().unwrap_or_default();
     match name {
         "length" | "lengths" | "base" | "proximal" | "axis_floor" => "m",
         "inverse_length" | "inverse_lengths" | "reach_scale" => "1/m",

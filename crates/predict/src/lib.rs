@@ -28,14 +28,12 @@
 //! | find the settings of the stiffest wall | [`mod@tune`] |
 //! | find the best place, direction, posture and links for a wall | [`mod@design`] |
 //! | write a device's first files | [`template`], [`wall_ahead`] |
-//! | write the file of a device that a board runs | [`equivalent`] |
 #![forbid(unsafe_code)]
 
 pub mod bench;
 pub mod boards;
 mod contact;
 pub mod design;
-pub mod equivalent;
 pub mod measure;
 pub mod plan;
 pub mod plausible;

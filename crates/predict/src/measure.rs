@@ -1,23 +1,23 @@
-//! Measuring the stable range on a board: raise the stiffness until the loop oscillates, back off, bisect, repeat.
+//! Measures the stable range on a board: raises the stiffness until the loop oscillates, backs off, bisects, repeats.
 //!
-//! Everything goes through the protocol, so the board may be simulated, emulated or real, and the theory is not asked:
-//! what counts is whether the telemetry of the wall's motion dies out, builds up or goes on ([`swing`]).
+//! The measurement uses the board's protocol only, so the board may be simulated, emulated or real, and it does not use
+//! the theory. The telemetry decides: the motion of the tip dies out, builds up or continues ([`swing`]).
 //!
-//! One bilateral wall, or a set of them in given parts of one stiffness and damping, is tested at the place where the
-//! tip is held. Holding is done by walls too, because gains change at once and a new scene fades in over half a second:
-//! one wall along the direction of the pull and one across it for every other direction (`measure/walls.rs`). A trial
-//! pulls the tip aside by a small distance, lets it swing back, and hands it over to the tested gains. The holding
-//! walls are soft springs chosen from the inertia at the pose, the filter's cutoff and the friction, and made softer
-//! until the tip rests: a cable that gives may leave less damping than a rigid device stands, whatever its file says.
+//! The tested walls are one bilateral wall, or several with given shares of one stiffness and damping, at the position
+//! where the tip is held. Walls also hold the tip, because gains change at once and a new scene fades in over half a
+//! second: one wall along the direction of the pull and one across it for every other direction (`measure/walls.rs`). A
+//! trial pulls the tip aside by a small distance, lets it swing back, and hands it over to the tested gains. The holding
+//! walls are soft springs, chosen from the inertia at the pose, the filter's cutoff and the friction. They are made
+//! softer until the tip rests, because a device with compliant cables may tolerate less damping than a rigid one.
 //!
-//! A tip has several poses: the joints are compared with those of the beginning before and after every trial, and a
-//! trial in another pose is no measurement. A redundant device needs a [`Law::posture`] besides.
+//! A tip position has several poses. Before and after every trial the joints are compared with the first pose, and a
+//! trial in another pose does not count. A redundant device also needs a [`Law::posture`].
 //!
-//! One wall is pulled along its normal. A set is pulled, and watched, half way between the stiffest motion that it
-//! allows without the feed-forward and the one with it: a direction that shows either.
+//! One wall is pulled along its normal. Several walls are pulled, and observed, half way between the stiffest motion
+//! without the feed-forward and the stiffest motion with it, because this direction shows both.
 //!
-//! A pull must be longer than what encoder steps explain ([`excitation`]); where the motors cannot even make the force
-//! of the smallest such pull, nothing can be told, and nothing is reported.
+//! A pull must be longer than the motion that encoder steps explain ([`excitation`]). If the motors cannot make the
+//! force of the shortest such pull, no result is reported.
 
 pub mod before;
 pub mod campaign;
@@ -44,36 +44,34 @@ use haptic_stability::analysis::flexible::Posture;
 use haptic_stability::analysis::pose::PoseError;
 use haptic_stability::analysis::several::Member;
 
-/// Why a measurement, or the part of it at one damping, ended early. A measurement that returns one of these has turned
-/// the motors off, if the board still answers; else it does so itself.
+/// Reason why a measurement, or its part at one damping, ended early. The motors are then off: the measurement has
+/// turned them off, or the board does so if it no longer replies.
 #[derive(Debug, Error)]
 pub enum MeasureError {
-    /// The board could not be reached or refused.
+    /// The board could not be reached, or it refused a request.
     #[error(transparent)]
     Board(#[from] BoardError),
-    /// The link broke.
+    /// The connection was lost.
     #[error(transparent)]
     Link(#[from] LinkError),
-    /// The user stopped it.
+    /// The user stopped the measurement.
     #[error("interrupted")]
     Interrupted,
     /// The board tripped a fault.
     #[error("the board tripped a fault: {0}")]
     Fault(Fault),
-    /// Somebody else has turned the motors off.
-    #[error("the motors were turned off meanwhile, not by this measurement")]
+    /// Another program has turned the motors off.
+    #[error("the motors were turned off during the measurement by another program")]
     Disarmed,
-    /// The device stands elsewhere than when the measurement began.
-    #[error("the device does not stand where this measurement began")]
+    /// The device is in another pose than at the beginning.
+    #[error("the device is not in the pose in which this measurement began")]
     Moved,
-    /// The joints are not where they were, though the tip may be.
-    #[error(
-        "joint {joint} stands {by:.3} rad from where the measurement began: what would be measured there is another pose"
-    )]
+    /// A joint has moved since the beginning; the tip may be at its position nevertheless.
+    #[error("joint {joint} is {by:.3} rad from its angle at the beginning of the measurement: this is another pose")]
     Away {
         /// Index of the joint.
         joint: usize,
-        /// How far, rad.
+        /// Distance from the first angle, rad.
         by: f64,
     },
     /// The tip could not be held still.
@@ -87,51 +85,51 @@ pub enum MeasureError {
     Stuck {
         /// Length of the pull, m.
         pull: f64,
-        /// Force of the hold on a tip that is pulled so far, N.
+        /// Force of the hold at this pull, N.
         force: f64,
         /// Coulomb friction at the tip, N.
         friction: f64,
     },
-    /// The pose is no good.
+    /// The device cannot be analysed in this pose.
     #[error(transparent)]
     Pose(#[from] PoseError),
-    /// The scene is impossible.
+    /// The measurement's scene cannot be made.
     #[error("{0}")]
     Scene(String),
-    /// The progress cannot be kept.
+    /// The progress cannot be saved.
     #[error(transparent)]
     Progress(#[from] progress::ProgressError),
-    /// No bound was found.
-    #[error("nothing oscillates: friction or a hand damps it")]
+    /// No gain oscillates.
+    #[error("no wall oscillates: friction or a hand damps the motion")]
     Unbounded,
-    /// The search for a boundary could not go on.
+    /// The search for a boundary ended early.
     #[error("stable up to {stable:.0}, then: {why}")]
     Open {
-        /// The largest gain that was seen to be stable, N/m or N s/m.
+        /// The largest gain that was stable, N/m or N s/m.
         stable: f64,
-        /// Why.
+        /// Reason.
         why: Box<MeasureError>,
     },
-    /// The motors are too weak, or the encoders too coarse, to tell.
+    /// The motors are too weak, or the encoders too coarse, to measure.
     #[error(
-        "the motors saturate before the encoders can tell: at {stiffness:.0} N/m, {of}, the smallest pull, {} mm, takes \
-         {:.3} N of the {force:.3} N that there are",
+        "the motors saturate before the encoders can tell: at {stiffness:.0} N/m, {of}, the shortest pull, {} mm, takes \
+         {:.3} N, and the motors make {force:.3} N",
         crate::measure::excitation::millimetres(*.pull), .stiffness * .pull
     )]
     Saturates {
-        /// Stiffness of the wall, or damping times the swing's frequency where that is more, N/m.
+        /// Stiffness of the wall, or damping times the frequency of the swing if that is larger, N/m.
         stiffness: f64,
         /// Names the wall or hold that has this stiffness.
         of: &'static str,
         /// Shortest pull that counts, m.
         pull: f64,
-        /// The most that the motors can give at the tip, N.
+        /// Largest force of the motors at the tip, N.
         force: f64,
     },
 }
 
 impl MeasureError {
-    /// Returns true if the error concerns one damping only: the measurement goes on with the next.
+    /// Returns true if the error concerns one damping only, so that the measurement continues with the next.
     #[must_use]
     pub fn is_local(&self) -> bool {
         matches!(
@@ -141,7 +139,7 @@ impl MeasureError {
     }
 }
 
-/// The quantity to measure, and the limits within which it is measured.
+/// The walls and the control loop to measure, and the limits of the measurement.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MeasurementSetup {
     /// The walls that act together.
@@ -150,31 +148,31 @@ pub struct MeasurementSetup {
     pub rate_hz: f64,
     /// Cutoff of the velocity filter, Hz.
     pub cutoff_hz: f64,
-    /// Corner of the washout where that is measured, Hz.
+    /// Corner of the washout, Hz.
     pub washout_hz: f64,
-    /// The rest of the law that is measured.
+    /// Other properties of the measured control loop.
     pub law: Law,
-    /// Largest joint torque the measurement may ask for, N m.
+    /// Largest joint torque of the measurement, N m.
     pub torque_limit: f64,
-    /// Farthest the tip is pulled aside, m.
+    /// Longest pull, m.
     pub largest_pull: f64,
 }
 
-/// The parts of a scene that decide the range besides rate, cutoff and washout, as scene files say them, with their
-/// defaults.
+/// The properties of a scene that determine the range in addition to rate, cutoff and washout, with the defaults of
+/// scene files.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Law {
     /// Velocity estimator.
     pub estimator: Estimator,
-    /// True if the joints' own damping is compensated.
+    /// True if the damping of the joints is compensated.
     pub damping_compensation: bool,
     /// The coordinate that a redundant device holds.
     pub admissible: Admissible,
-    /// The device is held no faster than this, Hz: coarse encoders and weak motors hold only softly.
+    /// Highest frequency of the hold, Hz: coarse encoders and weak motors hold only softly.
     pub hold_hz: f64,
-    /// Holds the last link of a redundant device where it stands.
+    /// Posture that holds the last link of a redundant device.
     pub posture: Option<Posture>,
-    /// The tip may be pulled farther than the largest pull, up to [`walls::LONGEST_PULL`], where friction asks for it.
+    /// True if friction may lengthen the pull beyond the longest one, up to [`walls::LONGEST_PULL`].
     pub farther: bool,
 }
 
@@ -192,8 +190,8 @@ impl Default for Law {
 }
 
 impl MeasurementSetup {
-    /// Frequency with which the device is held and its motion judged, Hz: the low-pass's cutoff. The cutoff of an
-    /// estimator that watches joints is not how fast the loop is, and theirs may be fast.
+    /// Returns the frequency of the hold and of the judged motion, Hz: the cutoff of the low-pass. For an estimator that
+    /// uses joints, the cutoff does not tell how fast the loop is, so a high frequency is returned.
     #[must_use]
     pub fn tempo_hz(&self) -> f64 {
         let own = if self.law.estimator.spec().is_some() { (0.1 * self.rate_hz).min(500.0) } else { self.cutoff_hz };

@@ -126,7 +126,7 @@ pub struct SimulatedBoard {
     device: SimulatedDevice,
     hardware: Hardware,
     countdown: u32,
-    /// Returns the number of encoder readings: one each carrier period.
+    /// Number of encoder readings, one each carrier period.
     readings: u64,
     /// Counts at the last crest.
     last_counts: Counts,
@@ -451,7 +451,7 @@ impl SimulatedBoard {
         &mut self.options.faults
     }
 
-    /// Number of encoder readings.
+    /// Returns the number of encoder readings.
     pub fn readings(&self) -> u64 {
         self.readings
     }

@@ -32,7 +32,7 @@ pub struct Args {
 /// Explanation of the columns and of the parts of a variant's name.
 const LEGEND: &str = "
 variant: mechanism/trigonometry/mass matrix/terms
-  trigonometry: table (and two terms of a series, as in the firmware), minimax (polynomials), micromath, libm
+  trigonometry: table (and two terms of a series, as in the firmware), minimax (polynomials)
   mass matrix: exact (closed form), frozen (one for the workspace), bilinear and bicubic (tables)
   terms: none (Jᵀ f alone), feed-forward, feed-forward+z (with the forces of motion)
 errors, N at the tip at the worst of the poses and speeds that the motors can reach, each alone:

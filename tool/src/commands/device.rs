@@ -8,9 +8,8 @@ use haptic_bridge::safety::refusal::Refusal;
 use haptic_host::device_file::DeviceFile;
 use haptic_host::error::Failure;
 use haptic_host::link::{Board, BoardError};
-use haptic_host::read_back::{differences as compare, running};
+use haptic_host::read_back::{differences as compare, running, to_toml};
 use haptic_host::toml_file::Document;
-use haptic_predict::equivalent::device_file;
 use haptic_predict::plausible::{device::file_warnings, warn};
 use haptic_predict::tip::{Tip, torques_hidden_by_speed};
 use serde_json::json;
@@ -21,9 +20,8 @@ use std::path::{Path, PathBuf};
 /// The board forgets homing and the polarity check, because they belong to the previous device. `haptic board save`
 /// keeps the device over a power cycle.
 ///
-/// The output of --read gives a board the same device to the bit. A board keeps the coefficients of the equations of
-/// motion and not the links that they came from, so the links in the output are one choice of many, near those of FILE
-/// if it is given.
+/// A board keeps the coefficients of the equations of motion and not the links that they came from, so --read lists
+/// coefficients, and no board loads its output. `haptic board backup` keeps a device.
 #[derive(clap::Args)]
 pub struct Args {
     /// Device file (TOML)
@@ -88,18 +86,20 @@ pub fn run(args: Args) -> Result<(), Failure> {
     args.on.answer(document, &report)
 }
 
-/// Writes the board's device as a file, or reports how it differs from a file.
+/// Writes what the board keeps of its device, or reports how it differs from a file.
 fn read_back(args: &Args) -> Result<(), Failure> {
     let file = args.file.as_deref().map(DeviceFile::load).transpose()?;
     let device = args.on.open()?.device()?.ok_or(BoardError::Refused(Refusal::NoDevice))?;
-    let text = device_file(&device, file.as_ref().map(|file| &file.description)).ok_or_else(|| {
-        Failure::impossible("no device file gives a board exactly this device")
-            .remedy("`haptic board backup` keeps it unchanged")
-    });
+    let about = [
+        "Read back from a board, which keeps the coefficients of the equations of motion ([lumped]) and not the links",
+        "that they came from. No device file: `haptic board backup` keeps the device.",
+    ];
+    let entries = running(&device);
+    let text = to_toml(&about.map(String::from), &entries);
     let compared = match &file {
         Some(file) => {
             let written = file.device::<f32>().map_err(Failure::wrong)?;
-            let differences = compare(&running(&written), &running(&device));
+            let differences = compare(&running(&written), &entries);
             if differences.is_empty() && written != device {
                 let path = file.path.display();
                 return Err(Failure::different(format!(
@@ -111,7 +111,7 @@ fn read_back(args: &Args) -> Result<(), Failure> {
         }
         None => None,
     };
-    args.read.report(&args.on, "device", text, compared)
+    args.read.report(&args.on, "device", Ok(text), compared)
 }
 
 /// Returns the highest torque limit (N m) that the board allows, found by requesting a limit that every board refuses.

@@ -97,7 +97,7 @@ pub fn examples(words: &str) -> &'static [&'static str] {
         }
         "sim" => &["haptic sim", "haptic sim devices/haply-2diy.toml --tcp 7710 --hand loop"],
         "info" => &["haptic info --port sim", "haptic info --port /dev/ttyACM0 --json"],
-        "device" => &["haptic device devices/haply-2diy.toml", "haptic device --read -o found.toml"],
+        "device" => &["haptic device devices/haply-2diy.toml", "haptic device --read devices/haply-2diy.toml"],
         "scene" => &[
             "haptic scene devices/scenes/haply-2diy/wall-soft.toml",
             "haptic scene --read devices/scenes/haply-2diy/wall-soft.toml",

@@ -1,4 +1,4 @@
-//! `haptic measure-range`: the stable range as a board has it, by raising the stiffness until the loop oscillates.
+//! `haptic measure-range`: measures the stable range on a board by raising the stiffness until the loop oscillates.
 
 mod meter;
 mod report;
@@ -30,14 +30,14 @@ use std::path::PathBuf;
 
 /// Measure on a board which walls stay stable; moves the motors
 ///
-/// Several --normal measure walls that act together, in the totals of stiffness and damping, as `haptic range` predicts
-/// them. For every damping the stiffness is raised until the telemetry shows a motion that builds up, or that goes on
-/// as a vibration larger than encoder steps explain; it is taken back at once, and the boundary bisected. The lowest,
-/// the median and the highest repeat of each pull are reported; friction lets a wall stand a short pull that a long
-/// one sets vibrating. The theory is not consulted, only printed beside it, with the
-/// `haptic range` line that gives it. Take the hand off the device. Ctrl-C at any moment turns the motors off; the same
-/// command then goes on where it stopped. What the board held before (scene, rate, rules) is put back, also by the next
-/// run with the same --progress after one that was killed. --svg draws the measured dots over the predicted range.
+/// With several --normal, the walls act together, and stiffness and damping are their totals, as in `haptic range`. For
+/// every damping the stiffness is raised until the telemetry shows a motion that builds up, or that continues as a
+/// vibration larger than encoder steps explain. The stiffness is then lowered at once, and the boundary bisected. The
+/// lowest, the median and the highest repeat of each pull are reported, because with friction a wall may tolerate a short
+/// pull and vibrate after a long one. The theory is not used, only printed for comparison, with its `haptic range`
+/// command. Take your hand off the device. Ctrl-C turns the motors off at any time; the same command then continues where
+/// it stopped. The board's scene, rate and rules are restored, if the command is killed by the next run with the same
+/// --progress. --svg draws the measured dots over the predicted range.
 ///
 /// On --port sim the device of the file is simulated in this process, as fast as the computer can.
 #[derive(clap::Args)]
@@ -57,7 +57,7 @@ pub struct Args {
     /// Measure at exactly these dampings, in N s/m [default: --points even ones up to where the range ends]
     #[arg(long, value_name = "A,B,..", allow_hyphen_values = true)]
     kd: Option<Numbers>,
-    /// How many dampings
+    /// Number of dampings
     #[arg(long, value_name = "N", default_value_t = 12, value_parser = clap::value_parser!(u16).range(1..=200))]
     points: u16,
     /// Repeats of each pull at each damping
@@ -69,27 +69,27 @@ pub struct Args {
     /// Corner of the washout in Hz, for --feed-forward washout
     #[arg(long, value_name = "HZ", default_value_t = 2.0)]
     washout: f64,
-    /// Largest joint torque the measurement may ask for, in N m
+    /// Largest joint torque of the measurement, in N m
     #[arg(long, value_name = "NM", default_value_t = 1.0)]
     torque_limit: f64,
-    /// Farthest the tip is pulled aside to set it swinging, to one side or (negative) the other, 5 at most: in
-    /// millimetres, the one option that is not in SI units [default: 0.5,-0.5, or as much more as friction asks for]
+    /// Longest pull that sets the tip swinging, to one side or (negative) the other, at most 5: in millimetres, the only
+    /// option that is not in SI units [default: 0.5,-0.5, or longer if friction requires it]
     #[arg(long, value_name = "MM,..", allow_hyphen_values = true)]
     pull: Option<Numbers>,
-    /// The posture in which a redundant device is held, as a scene's [posture]: stiffness (N m/rad) and damping
-    /// (N m s/rad), such as 0.5,0.03
+    /// Stiffness (N m/rad) and damping (N m s/rad) that hold the posture of a redundant device, as [posture] of a scene
+    /// does, such as 0.5,0.03
     #[arg(long, value_name = "K,D", allow_hyphen_values = true)]
     posture: Option<Numbers>,
-    /// On --port sim: joint angles in rad where it is measured [default: the device file's home]
+    /// On --port sim: joint angles of the measurement in rad [default: the device file's home]
     #[arg(long, value_name = "A,B,..", allow_hyphen_values = true)]
     q: Option<Numbers>,
-    /// On --port sim: leave all friction out
+    /// On --port sim: leave out all friction
     #[arg(long, conflicts_with = "friction")]
     frictionless: bool,
-    /// On --port sim: which friction of the device file acts
+    /// On --port sim: friction of the device file that acts
     #[arg(long, value_name = "KIND")]
     friction: Option<FrictionKind>,
-    /// On --port sim: let commanded torques act at once, without bridges, windings and current loops
+    /// On --port sim: commanded torques act at once, without bridges, windings and current loops
     #[arg(long)]
     ideal_drive: bool,
     /// On --port sim: counts per turn of every encoder [default: the device file's]
@@ -98,13 +98,13 @@ pub struct Args {
     /// On --port sim: a relaxed grip holds the tip (0.12 kg behind 1200 N/m)
     #[arg(long)]
     grip: bool,
-    /// Load the device file onto a simulated board that holds another device, and put that one back afterwards
+    /// Load the device file onto a simulated board with another device, and restore that device afterwards
     #[arg(long)]
     load: bool,
-    /// Keep what was measured in this file, and go on from it
+    /// Save the results in this file, and continue from it
     #[arg(long, value_name = "FILE", default_value = "measured-range.json")]
     progress: PathBuf,
-    /// Measure from the beginning, whatever is in that file, and replace it
+    /// Measure from the beginning and replace that file
     #[arg(long)]
     anew: bool,
     /// Do not ask before a real motor moves
@@ -116,7 +116,7 @@ pub struct Args {
     pictures: Pictures,
 }
 
-/// Which friction is simulated.
+/// Friction that is simulated.
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum FrictionKind {
     All,
@@ -125,7 +125,7 @@ enum FrictionKind {
     None,
 }
 
-/// Which feed-forwards are measured, one after the other.
+/// Returns the parser of the feed-forwards, which are measured one after the other.
 fn kinds() -> impl TypedValueParser<Value = &'static [FeedForward]> {
     let one = |alone: &'static [FeedForward; 1]| (alone[0].name(), arguments::what(alone[0]), &alone[..]);
     let all = &[FeedForward::Off, FeedForward::Full, FeedForward::Washout];
@@ -154,7 +154,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         return Err(Failure::wrong(
             "--q, --friction, --frictionless, --ideal-drive, --counts and --grip change a simulation",
         )
-        .remedy("use them with --port sim; a board is measured where and as it is"));
+        .remedy("use them with --port sim; a board is measured in its present state"));
     }
     let setup = MeasurementSetup {
         walls,
@@ -170,7 +170,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         largest_pull,
     };
     let what = occasion::what(&file.name, &setup, &plan.pulls, &world);
-    // Before anything moves: the results need a file that can be written.
+    // Check that the results can be written before anything moves.
     output::check(&args.progress, Overwrite::Replace)?;
     let mut progress = match args.anew {
         true => {
@@ -225,14 +225,14 @@ pub fn run(args: Args) -> Result<(), Failure> {
     };
     let measured = occasion.measure(setup.clone(), &plan, &stop, begun, |done| meter.done(done));
     meter.finish();
-    // A device that was loaded for this goes, too.
+    // Also removes a device that was loaded for this measurement.
     occasion.put_back().map_err(progress_failure)?;
     let report =
         theory.map(|theory| Report { name: &file.name, args: &args, plan: &plan, progress: &progress, theory });
     match (measured, report) {
         (Ok(()), Some(report)) if report.measured() => report.out(),
         (measured, report) => {
-            // First the points that were measured, and then the reason why there are no more.
+            // Report the measured points, then the reason why there are no more.
             if let Some(report) = report.filter(Report::any) {
                 report.out()?;
             }
@@ -247,11 +247,11 @@ pub fn run(args: Args) -> Result<(), Failure> {
     }
 }
 
-/// The remedy if the encoders are too coarse or friction hides everything.
+/// Remedy if the encoders are too coarse or friction is too large.
 const REMEDY: &str = "use finer encoders (--counts on --port sim), a lower --rate and --cutoff, a larger --pull or \
                       --torque-limit, another pose or normal";
 
-/// The runs, and the largest pull, m.
+/// Returns the plan and the longest pull, m.
 fn plan(args: &Args, joints: usize) -> Result<(Plan, f64), Failure> {
     if !(args.torque_limit > 0.0 && args.torque_limit.is_finite()) {
         return Err(Failure::wrong(format!("--torque-limit is {} N m, and must be positive", args.torque_limit)));
@@ -263,10 +263,10 @@ fn plan(args: &Args, joints: usize) -> Result<(Plan, f64), Failure> {
         return Err(Failure::wrong(format!("--pull is {pull} mm, and must not be 0 or more than {longest}")));
     }
     let largest = pulls.iter().fold(0.0_f64, |largest, pull| largest.max(pull.abs()));
-    // One joint couples with nothing.
+    // One joint has no coupling.
     let modes = if joints == 1 && args.feed_forward.len() > 1 { &[FeedForward::Off][..] } else { args.feed_forward };
     if modes.len() < args.feed_forward.len() {
-        haptic_host::tell!("one joint couples with no other: the feed-forward changes nothing, and is not measured");
+        haptic_host::tell!("with one joint the feed-forward has no effect, so it is not measured");
     }
     let kd = match args.kd.clone() {
         Some(Numbers(kd)) if kd.iter().any(|kd| *kd < 0.0) => {
@@ -279,11 +279,11 @@ fn plan(args: &Args, joints: usize) -> Result<(Plan, f64), Failure> {
     Ok((Plan { modes: modes.to_vec(), kd, points, repeats, pulls }, largest * 1e-3))
 }
 
-/// The walls that are measured together, each with its part.
+/// Returns the walls that are measured together, with their shares.
 fn walls(args: &Args, task: usize) -> Result<Vec<Member>, Failure> {
     let (count, most) = (args.walls.count(), most_tested(task));
     if count > most {
-        let reason = format!("{count} walls at once, but a board holds the tip with walls, too");
+        let reason = format!("{count} walls are too many, because further walls hold the tip");
         return Err(Failure::wrong(reason).remedy(format!("measure at most {most} on this device")));
     }
     args.walls.members(task)
@@ -311,7 +311,7 @@ fn world(args: &Args, file: &DeviceFile, walls: &[Member]) -> Result<World, Fail
     Ok(World { q, friction, ideal_drive: args.ideal_drive, counts: args.counts, grip: args.grip })
 }
 
-/// Refuses a board that holds something else.
+/// Returns an error if the board has another device.
 fn holds(found: &str, file: &DeviceFile) -> Result<(), Failure> {
     if found == file.name {
         return Ok(());
@@ -320,7 +320,7 @@ fn holds(found: &str, file: &DeviceFile) -> Result<(), Failure> {
         .remedy("name the file of the device that is on the board"))
 }
 
-/// Sees that the board holds the device, and that the user wants its motors to move.
+/// Checks that the board has the device, and that the user agrees that the motors move.
 fn ready(board: &mut Board, file: &DeviceFile, args: &Args, setup: &MeasurementSetup) -> Result<(), Failure> {
     let details = board.details()?;
     let device = Device::new(&file.name, &file.description).map_err(Failure::wrong)?;
@@ -361,7 +361,7 @@ fn progress_failure(error: ProgressError) -> Failure {
     }
 }
 
-/// How the motors are, as the board says.
+/// Describes the state of the motors that the board reports.
 fn motors(board: &mut Board) -> &'static str {
     match board.status() {
         Ok(status) if !status.state.drives() => "motors are off",
@@ -369,10 +369,10 @@ fn motors(board: &mut Board) -> &'static str {
     }
 }
 
-/// Why a measurement ended, and what to do.
+/// Converts the error that ended a measurement, with its remedy.
 fn failure(error: MeasureError, args: &Args, redundant: bool, board: &mut Board) -> Failure {
     let again = match args.progress.exists() {
-        true => format!("run the same command again to go on where it stopped ({})", args.progress.display()),
+        true => format!("run the same command again to continue where it stopped ({})", args.progress.display()),
         false => "nothing was measured yet; run the same command again".into(),
     };
     match error {
@@ -386,7 +386,7 @@ fn failure(error: MeasureError, args: &Args, redundant: bool, board: &mut Board)
             Failure::impossible(error).remedy(format!("see `haptic faults`, put the device back and {again}"))
         }
         MeasureError::Moved => {
-            Failure::impossible(error).remedy("put it back there, or choose another file with --progress")
+            Failure::impossible(error).remedy("bring it back to that pose, or choose another file with --progress")
         }
         MeasureError::Restless => Failure::impossible(error)
             .remedy("measure away from stops and singularities, at a lower --rate and --cutoff, and check the inertia in the device file"),
@@ -410,7 +410,7 @@ mod tests {
     use haptic_sim::{BoardOptions, SharedBoard, ready_board};
 
     #[test]
-    fn that_motors_are_off_is_said_of_a_board_that_says_so() {
+    fn motors_count_as_off_only_if_the_board_reports_it() {
         let file = DeviceFile::parse(haptic_sim::SHIPPED_DEVICE, "coupled-five-bar.toml").unwrap();
         let simulated = SharedBoard::new(ready_board(&file, BoardOptions::default()).unwrap());
         let mut board = Board::over(simulated.wire(), "sim").unwrap();

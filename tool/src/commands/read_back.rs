@@ -1,5 +1,4 @@
-//! `--read` of `haptic device` and `haptic scene`: writes a board's device or scene as a file, or compares it with a
-//! file.
+//! `--read` of `haptic device` and `haptic scene`: writes a board's device or scene as text, or compares it with a file.
 
 use super::force::Force;
 use super::port::{OnBoard, counted};
@@ -12,8 +11,8 @@ use std::path::{Path, PathBuf};
 /// Options for reading from the board.
 #[derive(clap::Args)]
 pub struct Read {
-    /// Write the board's contents as a file to standard output; or with FILE list the differences between that file and
-    /// the board, and end with exit code 3 if there are any. Changes nothing
+    /// Write the board's contents to standard output; or with FILE list the differences between that file and the
+    /// board, and end with exit code 3 if there are any. Changes nothing
     #[arg(long)]
     read: bool,
     /// Write to this file instead
@@ -30,7 +29,7 @@ impl Read {
         Ok(self.read)
     }
 
-    /// Writes `text`, the board's `what` as a file, or reports how it differs from the file in `compared`.
+    /// Writes `text`, the board's `what`, or reports how it differs from the file in `compared`.
     pub fn report(
         &self,
         on: &OnBoard,

@@ -1,6 +1,7 @@
 //! What tests of both runs need: the files that ship, and the tool as a person types it.
 #![allow(dead_code, unused_imports, reason = "every run uses its own part")]
 
+pub mod bodies;
 #[cfg(unix)]
 pub mod documents;
 pub mod domains;

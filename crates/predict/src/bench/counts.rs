@@ -39,7 +39,7 @@ mod tests {
     #[test]
     fn every_variant_of_every_mechanism_is_counted() {
         for mechanism in haptic_bridge::model::catalogue::Kind::ALL {
-            for trigonometry in ["table", "minimax", "micromath", "libm"] {
+            for trigonometry in ["table", "minimax"] {
                 for model in ["exact", "bilinear", "bicubic", "frozen"] {
                     for terms in ["none", "feed-forward", "feed-forward+z", "washout", "washout+z"] {
                         let name = mechanism.spec().name;

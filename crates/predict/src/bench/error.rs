@@ -105,10 +105,6 @@ pub enum Trigonometry {
     Tabulated,
     /// Minimax polynomials.
     Minimax,
-    /// The crate micromath.
-    Micromath,
-    /// The crate libm.
-    Libm,
 }
 
 /// A variant of the torque computation.
@@ -216,14 +212,6 @@ macro_rules! with_trigonometry {
             }
             Trigonometry::Minimax => {
                 type $K = haptic_bridge::math::Minimax;
-                $run
-            }
-            Trigonometry::Micromath => {
-                type $K = haptic_bridge::math::Micromath;
-                $run
-            }
-            Trigonometry::Libm => {
-                type $K = haptic_bridge::math::Libm;
                 $run
             }
         }

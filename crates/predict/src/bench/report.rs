@@ -96,14 +96,8 @@ pub fn variants(device: &Device<f64>, timed: bool) -> Result<Vec<Variant>, Failu
     let mut models = vec![Precomputed::default(), frozen(device, &probes)];
     models.extend(table(device, Interpolation::Bilinear, [points; 2], range));
     models.extend(table(device, Interpolation::Bicubic, [points; 2], range));
-    let back_ends = [
-        (Trigonometry::Tabulated, "table"),
-        (Trigonometry::Minimax, "minimax"),
-        (Trigonometry::Micromath, "micromath"),
-        (Trigonometry::Libm, "libm"),
-    ];
     let mut results = Vec::new();
-    for (trigonometry, name) in back_ends {
+    for (trigonometry, name) in [(Trigonometry::Tabulated, "table"), (Trigonometry::Minimax, "minimax")] {
         for model in &models {
             for terms in Terms::ALL {
                 if terms == Terms::None && model.name() != "exact" {

@@ -1,4 +1,4 @@
-//! The settings that a board held before a measurement, and a check that it holds them again afterwards.
+//! The settings that a board had before a measurement, and a check that it has them again afterwards.
 
 use haptic_bridge::board::protocol::{DeviceData, SceneData};
 use haptic_bridge::control::Rules;
@@ -17,25 +17,25 @@ pub struct Before {
     rules: Rules,
 }
 
-/// The part of [`Before`] that a file keeps while a measurement runs: a tool that is killed puts nothing back itself.
+/// The part of [`Before`] that a file keeps during a measurement, because a tool that is killed restores nothing.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RestorePoint {
     /// Serial number of the board.
     pub serial: String,
     scene: Option<backup::SavedSetting>,
     rules: backup::SavedSetting,
-    /// The rules that the measurement sets: a board that still has them was not changed by a user since.
+    /// The rules that the measurement sets. If the board still has them, no user has changed them since.
     #[serde(default)]
     measuring: Option<backup::SavedSetting>,
 }
 
 impl Before {
-    /// Reads the settings that the board holds now.
+    /// Reads the present settings of the board.
     pub fn of(board: &mut Board) -> Result<Self, LinkError> {
         Ok(Self { device: board.device()?, scene: board.scene()?, rules: board.rules()? })
     }
 
-    /// The device that was loaded.
+    /// Returns the device that was loaded.
     #[must_use]
     pub fn device(&self) -> Option<&DeviceData> {
         self.device.as_ref()
@@ -47,7 +47,7 @@ impl Before {
         self.scene.as_ref().is_some_and(is_measurement)
     }
 
-    /// As a file keeps it: the scene and the rules of this board, and the rules that the measurement is about to set.
+    /// Returns the part for a file: scene and rules of this board, and the rules that the measurement will set.
     #[must_use]
     pub fn keep(&self, serial: &str, measuring: &Rules) -> Option<RestorePoint> {
         let scene = match &self.scene {
@@ -58,17 +58,17 @@ impl Before {
         Some(RestorePoint { serial: serial.into(), scene, rules, measuring })
     }
 
-    /// The settings that were kept before a measurement that was cut short. Its rules take the place of those that the
-    /// measurement set; others stay: somebody has lowered them meanwhile. Also says whether the rules are as they were.
+    /// Returns the settings before an interrupted measurement. Its rules replace those that the measurement set; other
+    /// rules stay, because a user has set them since. Also returns true if the rules are those of before.
     pub fn from_kept(&self, kept: &RestorePoint) -> Result<(Self, bool), BackupError> {
         let scene = kept.scene.as_ref().map(backup::SavedSetting::read::<Scene<f32>>).transpose()?;
         let then = kept.rules.read::<Rules>()?;
-        let measuring = kept.measuring.as_ref().map(backup::SavedSetting::read::<Rules>).transpose()?;
-        let rules = if measuring == Some(self.rules) { then } else { self.rules };
+        let rules = self.without_its_rules(kept)?.map_or(self.rules, |before| before.rules);
         Ok((Self { scene, rules, ..self.clone() }, rules == then))
     }
 
-    /// The same with the rules from before a measurement that was cut short, if the board still has those that it set.
+    /// Returns the same with the rules of before an interrupted measurement, if the board still has the rules that it
+    /// set.
     pub fn without_its_rules(&self, kept: &RestorePoint) -> Result<Option<Self>, BackupError> {
         let then = kept.rules.read::<Rules>()?;
         let measuring = kept.measuring.as_ref().map(backup::SavedSetting::read::<Rules>).transpose()?;
@@ -76,20 +76,19 @@ impl Before {
         Ok(left.then(|| Self { rules: then, ..self.clone() }))
     }
 
-    /// The rules that were in force.
+    /// Returns the rules.
     #[must_use]
     pub fn rules(&self) -> &Rules {
         &self.rules
     }
 
-    /// Turns the motors off and puts back whatever has changed: rules, device, scene. A board that had no scene gets an
-    /// empty one, because no request takes a scene away. Every part is tried whatever became of the others; the first
-    /// error is returned.
+    /// Turns the motors off and restores rules, device and scene if they have changed. A board that had no scene gets an
+    /// empty one, because no request removes a scene. Tries every part even after an error, and returns the first error.
     pub fn put_back(&self, board: &mut Board) -> Result<(), BoardError> {
         let off = board.disarm();
         let rules = board.set_rules(&self.rules);
         let device = match &self.device {
-            // Loading a device makes a real board forget its homing.
+            // A real board forgets homing when a device is loaded, so load only a different one.
             Some(device) if board.device()?.as_ref() != Some(device) => board.set_device(device),
             _ => Ok(()),
         };
@@ -103,7 +102,7 @@ impl Before {
         off.and(rules).and(device).and(scene)
     }
 
-    /// The names of what differs from before; empty if nothing does.
+    /// Returns the names of the settings that differ from before.
     pub fn missing(&self, board: &mut Board) -> Result<Vec<&'static str>, LinkError> {
         let now = Self::of(board)?;
         let empty = now.scene.as_ref().is_none_or(|scene| scene.walls.is_empty());
@@ -124,7 +123,7 @@ mod tests {
     }
 
     #[test]
-    fn the_rules_of_a_measurement_give_way_to_those_before_it_and_anybody_else_s_stay() {
+    fn rules_of_an_interrupted_measurement_are_replaced_and_others_stay() {
         let (before, measuring) = (with_torque(5.0), with_torque(1.0));
         let kept = before.keep("1", &measuring.rules).unwrap();
         assert_eq!(measuring.from_kept(&kept).unwrap(), (before.clone(), true));
@@ -134,7 +133,7 @@ mod tests {
         let lowered = with_torque(0.5);
         assert_eq!(lowered.without_its_rules(&kept).unwrap(), None);
         assert_eq!(lowered.from_kept(&kept).unwrap(), (lowered, false));
-        // A file of an earlier version does not say what the measurement set.
+        // A file of an earlier version lacks the rules that the measurement set.
         let kept = RestorePoint { measuring: None, ..kept };
         assert_eq!(measuring.from_kept(&kept).unwrap(), (measuring, false));
     }

@@ -1,4 +1,4 @@
-//! A whole measurement: every feed-forward, every damping, every repeat, what is already there left out.
+//! A campaign: measures every feed-forward, damping and repeat that is not measured yet.
 
 use haptic_bridge::render::scene::FeedForward;
 
@@ -6,38 +6,38 @@ use super::progress::{Open, Point, Progress, median, same_damping};
 use super::swing::Verdict;
 use super::{MeasureError, PreparedBoard};
 
-/// The runs of a measurement.
+/// The repeats of a measurement.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Plan {
-    /// With which feed-forward.
+    /// Kinds of feed-forward.
     pub modes: Vec<FeedForward>,
-    /// At these dampings, N s/m; measured from where the range ends when `None`.
+    /// Dampings, N s/m; `None` to measure where the range ends and spread them over it.
     pub kd: Option<Vec<f64>>,
     /// Number of dampings if they are not given.
     pub points: usize,
-    /// Repeats of each pull at each.
+    /// Repeats of each pull at each damping.
     pub repeats: usize,
-    /// The pulls, in turn: strength and sign of each beside the largest.
+    /// The pulls, relative to the longest one, with sign; repeats take them in turn.
     pub pulls: Vec<f64>,
 }
 
-/// To either side: with friction the two need not agree.
+/// Pulls to both sides, which give different results with friction.
 pub const BOTH_SIDES: [f64; 2] = [1.0, -1.0];
 
 impl Plan {
-    /// Repeats at each damping, all pulls together.
+    /// Returns the number of repeats at each damping, over all pulls.
     #[must_use]
     pub fn searches(&self) -> usize {
         self.repeats * self.pulls.len()
     }
 
-    /// Repeats in all.
+    /// Returns the total number of repeats.
     pub fn total(&self) -> usize {
         self.modes.len() * self.kd.as_ref().map_or(self.points, Vec::len) * self.searches()
     }
 
-    /// The repeats of a point by pull: those of one pull alone are repeats of one experiment. Without pulls that were
-    /// not made.
+    /// Returns the repeats of a point by pull, because only repeats of one pull repeat the same experiment. Leaves out
+    /// pulls without repeats.
     #[must_use]
     pub fn by_pull(&self, point: &Point) -> Vec<(f64, Vec<f64>)> {
         let of = |nth: usize| point.repeats.iter().copied().skip(nth).step_by(self.pulls.len()).collect::<Vec<_>>();
@@ -45,13 +45,13 @@ impl Plan {
         all.filter(|(_, repeats)| !repeats.is_empty()).collect()
     }
 
-    /// The stiffness that was stable whichever pull was made, N/m: the lowest of the pulls' medians.
+    /// Returns the stiffness that was stable at every pull, N/m: the lowest median of the pulls.
     #[must_use]
     pub fn at_every_pull(&self, point: &Point) -> f64 {
         self.by_pull(point).iter().map(|(_, repeats)| median(repeats)).reduce(f64::min).unwrap_or(0.0)
     }
 
-    /// Those of `points` that are of it: where dampings are named, those.
+    /// Returns the `points` of this plan: those of its modes and, if it names dampings, of these.
     #[must_use]
     pub fn asked<'a>(&self, points: impl IntoIterator<Item = &'a Point>) -> Vec<&'a Point> {
         let named = |kd: f64| self.kd.as_ref().is_none_or(|kds| kds.iter().any(|other| same_damping(kd, *other)));
@@ -60,7 +60,7 @@ impl Plan {
 }
 
 impl Progress {
-    /// Repeats of `plan` that are there already.
+    /// Returns the number of repeats of `plan` that are measured already.
     #[must_use]
     pub fn measured(&self, plan: &Plan) -> usize {
         plan.asked(&self.points)
@@ -70,8 +70,9 @@ impl Progress {
     }
 }
 
-/// Measures what `progress` lacks. `saved` is called after every repeat, with how many of the plan are done. A damping
-/// at which nothing can be told is noted with the reason, its other repeats are left out, and the next one follows.
+/// Measures the repeats that `progress` lacks. Calls `saved` after every repeat, with the number of repeats of the plan
+/// that are done. If a damping cannot be measured, notes the reason, leaves its other repeats out and continues with the
+/// next one.
 pub fn run(
     prepared: &mut PreparedBoard<'_>,
     plan: &Plan,
@@ -91,7 +92,7 @@ pub fn run(
                         end
                     }
                 };
-                // Inside the range, none of them on its ends.
+                // Inside the range, not at its ends.
                 (0..plan.points).map(|i| end * (i as f64 + 0.5) / plan.points as f64).collect()
             }
         };
@@ -125,8 +126,7 @@ pub fn run(
     Ok(())
 }
 
-/// The damping at which the range of a mode ends; where that cannot be told, the largest up to which it is known to
-/// reach.
+/// Measures the damping at which the range of a mode ends, or else the largest stable damping.
 fn damping_end(
     prepared: &mut PreparedBoard<'_>,
     mode: FeedForward,

@@ -1,5 +1,5 @@
-//! The distance by which the tip is pulled aside before a trial: no less than encoder steps could explain, no more than
-//! the motors can hold, and far enough that friction is small beside it.
+//! The distance by which the tip is pulled aside before a trial: longer than the motion that encoder steps explain,
+//! within the force of the motors, and long enough that friction is small in comparison.
 
 use haptic_bridge::control::Rules;
 use nalgebra::DVector;
@@ -9,31 +9,31 @@ use super::swing::ENCODER_STEPS;
 use haptic_host::device_file::DeviceFile;
 use haptic_stability::analysis::plant::Linearised;
 
-/// Share of the motors' force that a pull asks of the tested wall. A swing may then grow by half a dozen before the
-/// motors bound it.
+/// Share of the motors' force that the tested wall needs at a pull. A swing may then grow to six times its size before
+/// the motors saturate.
 const GENTLE: f64 = 0.15;
-/// The same where friction asks for more.
+/// The same share if friction requires more force.
 const HARD: f64 = 0.6;
-/// Smallest ratio of a pull's force to that of friction. Coulomb friction damps a swing of amplitude A and frequency w
-/// like 4 F / (pi A w): at forty times F that is a thirtieth of what the spring takes.
+/// Smallest ratio of a pull's force to friction. Coulomb friction F damps a swing of amplitude A and frequency w like
+/// 4 F / (pi A w): at forty times F this is a thirtieth of the spring's force.
 const OVER_FRICTION: f64 = 40.0;
 
 /// The bounds of a pull.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Excitation {
-    /// Smallest step of the tip along the normal that the encoders show, m.
+    /// Motion of the tip along the pull by one count of every encoder, m.
     pub quantum: f64,
-    /// Largest stiffness times pull at which no motor saturates, N: for one wall its force.
+    /// Largest stiffness times pull without saturation, N; for one wall this is its force.
     pub force: f64,
-    /// Coulomb friction as it meets the tip along the normal, N.
+    /// Coulomb friction at the tip along the pull, N.
     pub friction: f64,
     /// Longest pull, m.
     pub largest: f64,
 }
 
 impl Excitation {
-    /// At the pose of `device`, seen along the pull, within `rules` and the motors' own currents. `torques`: of the
-    /// joints per metre of pull and N/m of stiffness, without and with the feed-forward, m.
+    /// Computes the bounds at the pose of `device` along the pull, within `rules` and the motors' currents. `torques` are
+    /// the joint torques per metre of pull and N/m of stiffness, without and with the feed-forward, m.
     #[must_use]
     pub fn new(
         file: &DeviceFile,
@@ -62,13 +62,13 @@ impl Excitation {
         Self { quantum, force, friction, largest }
     }
 
-    /// The shortest pull of which encoder steps are no explanation, m.
+    /// Returns the shortest pull that encoder steps cannot explain, m.
     #[must_use]
     pub fn smallest(&self) -> f64 {
         ENCODER_STEPS * self.quantum
     }
 
-    /// Returns the length of a pull (m) against `stiffness` (N/m), which is that `of` something.
+    /// Returns the length of a pull (m) against `stiffness` (N/m); `of` names the wall or hold that has it.
     pub fn pull(&self, stiffness: f64, of: &'static str) -> Result<f64, MeasureError> {
         let smallest = self.smallest();
         if smallest * stiffness > self.force {
@@ -79,7 +79,7 @@ impl Excitation {
     }
 }
 
-/// A length in mm, with as many digits as it takes.
+/// Formats a length in mm with at least two digits.
 #[must_use]
 pub fn millimetres(metres: f64) -> String {
     let mm = metres * 1e3;
@@ -94,16 +94,16 @@ mod tests {
     const COARSE: Excitation = Excitation { quantum: 30e-6, force: 1.6, friction: 0.0, largest: 5e-4 };
 
     #[test]
-    fn a_pull_is_as_long_as_the_motors_hold_and_never_what_encoder_steps_explain() {
+    fn pulls_fit_the_motors_and_exceed_encoder_steps() {
         assert_eq!(COARSE.pull(100.0, "a wall").unwrap(), 5e-4);
         assert!((COARSE.pull(1200.0, "a wall").unwrap() - 0.15 * 1.6 / 1200.0).abs() < 1e-15);
         assert_eq!(COARSE.pull(5_000.0, "a wall").unwrap(), 6.0 * 30e-6);
-        // 6 x 30 um x 10 kN/m are 1.8 N.
+        // 6 x 30 um x 10 kN/m is 1.8 N.
         assert!(matches!(COARSE.pull(10_000.0, "a wall"), Err(MeasureError::Saturates { .. })));
     }
 
     #[test]
-    fn friction_asks_for_more() {
+    fn friction_lengthens_pulls() {
         let dry = Excitation { friction: 0.01, ..COARSE };
         assert!((dry.pull(1200.0, "a wall").unwrap() - 0.4 / 1200.0).abs() < 1e-15);
         let dryer = Excitation { friction: 1.0, ..COARSE };

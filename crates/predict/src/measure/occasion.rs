@@ -1,5 +1,5 @@
-//! A measurement from what a board held before it to what it holds afterwards, kept in a file on the way: what
-//! `haptic measure-range` and the package for Python do with a board.
+//! A complete measurement of a board, with its progress in a file and the board's settings restored afterwards; used by
+//! `haptic measure-range` and the Python package.
 
 use std::path::Path;
 
@@ -15,29 +15,29 @@ use haptic_host::device_file::DeviceFile;
 use haptic_host::link::{Board, BoardError, LinkError};
 use haptic_stability::analysis::sampled::{LinearEstimator, Loop};
 
-/// Poses closer than this are the same, rad.
+/// Largest difference of a joint angle in the same pose, rad.
 const SAME_POSE: f64 = 0.02;
 
-/// A board that is measured.
+/// One measurement of a board: the board, its device file, the results so far and the file that keeps them.
 pub struct Occasion<'a> {
     /// The board, with the device loaded.
     pub board: &'a mut Board,
-    /// Its device.
+    /// The device.
     pub file: &'a DeviceFile,
-    /// The settings that the board is to hold afterwards.
+    /// The settings to restore afterwards.
     pub before: Before,
-    /// The results so far, which grow as the measurement goes on.
+    /// The results so far.
     pub progress: &'a mut Progress,
     /// The file that keeps them.
     pub path: Option<&'a Path>,
-    /// True if the board's earlier settings are kept there as well: should this be killed, the next measurement still
-    /// knows.
+    /// True if the file also keeps the settings to restore, so that the next measurement can restore them if this one is
+    /// killed.
     pub remembers: bool,
 }
 
 impl Occasion<'_> {
-    /// Measures what `progress` lacks of `plan`. `stop` is asked often whether to end; `begun` hears of the prepared
-    /// board before anything is measured, `done` how many repeats are.
+    /// Measures the repeats of `plan` that `progress` lacks. Ends if `stop`, which is polled often, returns true. Calls
+    /// `begun` with the prepared board before the first repeat, and `done` with the number of measured repeats.
     pub fn measure(
         &mut self,
         setup: MeasurementSetup,
@@ -52,7 +52,7 @@ impl Occasion<'_> {
             save(self.progress, self.path)?;
         }
         let mut prepared = PreparedBoard::new(self.board, self.file, setup, stop)?;
-        // To a millionth of a radian, as it is printed: theory and printed pose then agree in every digit.
+        // Rounded as it is printed, so that the theory uses exactly the printed pose.
         let q: Vec<f64> = prepared.pose().iter().map(|angle| (angle * 1e6).round() / 1e6).collect();
         if self.progress.q.is_empty() {
             self.progress.q.clone_from(&q);
@@ -68,18 +68,18 @@ impl Occasion<'_> {
         prepared.finish()
     }
 
-    /// Puts back what the board held, and says on standard error what could not be.
+    /// Restores the board's settings, and reports on standard error which could not be restored.
     pub fn put_back(self) -> Result<(), ProgressError> {
         let back = self.before.put_back(self.board);
         let missing = self.before.missing(self.board).unwrap_or_else(|_| vec!["device", "scene", "rules"]);
         if back.is_err() || !missing.is_empty() {
-            haptic_host::tell!("not put back on the board: {}; load it again", missing.join(", "));
+            haptic_host::tell!("not restored on the board: {}; load again what is missing", missing.join(", "));
             return Ok(());
         }
         match (self.progress.before.take(), self.path) {
             (None, _) | (_, None) => Ok(()),
             (Some(_), Some(path)) if !self.progress.is_empty() => self.progress.save(path),
-            // Nothing was measured: the file goes.
+            // Remove a file without results.
             (Some(_), Some(path)) => std::fs::remove_file(path)
                 .map_err(|error| ProgressError::Unwritten(haptic_host::output::refused(path, &error))),
         }
@@ -90,14 +90,14 @@ fn save(progress: &Progress, path: Option<&Path>) -> Result<(), ProgressError> {
     path.map_or(Ok(()), |path| progress.save(path))
 }
 
-/// The settings to put back on the board afterwards: those that it holds now or, if a measurement was killed on it,
-/// those that it held before that one. Where both are possible, standard error says which was taken.
+/// Returns the settings to restore after a measurement: the present ones or, if an earlier measurement was killed, those
+/// before it. If an earlier measurement left traces, standard error reports which settings were taken.
 pub fn before(board: &mut Board, progress: &Progress) -> Result<Before, BoardError> {
     let now = Before::of(board)?;
     let serial = board.info().serial.clone();
     let kept = progress.before.as_ref().filter(|kept| kept.serial == serial.as_str());
     if !now.is_left_over() {
-        // Cut short before it had set its scene, it has left its rules.
+        // A measurement that ended before it set its scene has left only its rules.
         let Some(Ok(Some(before))) = kept.map(|kept| now.without_its_rules(kept)) else { return Ok(now) };
         haptic_host::tell!(
             "the rules on the board were left by a measurement that was cut short: those before it are put back"
@@ -109,7 +109,7 @@ pub fn before(board: &mut Board, progress: &Progress) -> Result<Before, BoardErr
     let Some(Ok((before, as_before))) = kept.map(|kept| now.from_kept(kept)) else {
         haptic_host::tell!(
             "the scene on the board was left by a measurement that was cut short: load yours again with `haptic scene`, \
-             and look at `haptic rules`"
+             and check `haptic rules`"
         );
         return Ok(now);
     };
@@ -117,9 +117,7 @@ pub fn before(board: &mut Board, progress: &Progress) -> Result<Before, BoardErr
         "the scene on the board was left by a measurement that was cut short: the one before it is put back"
     );
     if !as_before {
-        haptic_host::tell!(
-            "the rules are neither that measurement's nor those before it, and stay: look at `haptic rules`"
-        );
+        haptic_host::tell!("the rules were changed since that measurement, so they stay: check `haptic rules`");
     } else if before.rules() != now.rules() {
         board.disarm()?;
         board.set_rules(before.rules())?;
@@ -127,7 +125,7 @@ pub fn before(board: &mut Board, progress: &Progress) -> Result<Before, BoardErr
     Ok(before)
 }
 
-/// Which device the board holds where it is not `device`.
+/// Returns the name of the loaded device if it is not `device`.
 pub fn another(board: &mut Board, device: &Device<f32>) -> Result<Option<String>, LinkError> {
     let held = board.device()?;
     Ok((held.as_ref() != Some(device)).then(|| match held {
@@ -137,17 +135,17 @@ pub fn another(board: &mut Board, device: &Device<f32>) -> Result<Option<String>
     }))
 }
 
-/// The loop of a board that is measured with `setup`, as the theory knows it: its own delay, and its own drive.
+/// Returns the control loop of the board with `setup` for the theory, with the delay and the drive of the board.
 #[must_use]
 pub fn around(setup: &MeasurementSetup, info: &Info, details: &Details) -> Loop {
     Loop::through(&torque_path(info, details), setup.rate_hz, LinearEstimator::Butterworth(setup.cutoff_hz))
 }
 
-/// Describes the measurement in words: a file of progress goes on only with the same.
+/// Describes the measurement in words. A progress file is continued only by a measurement with the same words.
 #[must_use]
 pub fn what(name: &str, setup: &MeasurementSetup, pulls: &[f64], world: &World) -> String {
     let listed = |values: &[f64]| {
-        // Without the noise of making it a unit.
+        // Removes the rounding error of the unit vector.
         let rounded = values.iter().map(|value| ((value * 1e9).round() / 1e9 + 0.0).to_string());
         format!("({})", rounded.collect::<Vec<_>>().join(", "))
     };
@@ -160,7 +158,7 @@ pub fn what(name: &str, setup: &MeasurementSetup, pulls: &[f64], world: &World) 
         })
         .collect();
     let along = each.join(" and ");
-    // Without the noise of a multiplication.
+    // Removes the rounding error of the multiplication.
     let mm = |pull: &f64| ((setup.largest_pull * pull * 1e9).round() / 1e6).to_string();
     let mut pull_mm = match pulls == BOTH_SIDES {
         true => mm(&1.0),

@@ -1,4 +1,4 @@
-//! A board made ready to measure: how the tip is held, pulled aside, handed over to the tested wall and followed.
+//! A board prepared for a measurement: holds the tip, pulls it aside, hands it over to the tested walls and follows it.
 
 use std::f64::consts::{PI, TAU};
 use std::time::Duration;
@@ -21,49 +21,48 @@ use haptic_stability::analysis::plant::Linearised;
 use haptic_stability::analysis::pose::PoseError;
 use haptic_stability::analysis::several::WallSet;
 
-/// Time for which the board goes on without this tool, s: a measurement must not outlive the user who watches it.
+/// Time after which the board turns the motors off without this tool, s.
 const HOST_SECONDS: f32 = 1.0;
 
-/// Least and largest share of a pull at which the tip may rest, and how often it is pulled harder or less until it does.
+/// Smallest and largest share of a pull at which the tip may rest, and maximum number of corrections of the pull.
 const PULLED: (f64, f64) = (0.9, 1.15);
-const HARDER: usize = 16;
+const CORRECTIONS: usize = 16;
 
-/// Distance by which friction may hold the tip off its place, m: the hold is firmer where it holds it farther off.
-const OFF_ITS_PLACE: f64 = 5e-4;
+/// Distance by which friction may hold the tip away from its position, m. If it is longer, the hold is made firmer.
+const FRICTION_OFFSET: f64 = 5e-4;
 
-/// Share of the rate, rad/s for each Hz, at which the tip is held; and the most where friction asks for it: half of the
-/// 0.4 at which the stiffest wall of the paper's setting swings.
+/// Frequency of the hold as a share of the rate, rad/s for each Hz; and its maximum with friction: half of the 0.4 at
+/// which the stiffest wall of the paper's setting swings.
 const SOFT: f64 = 0.05;
 const FIRM: f64 = 0.2;
 
-/// Angle by which a joint may differ from where the measurement began, beside what the tip's place explains, rad:
-/// friction holds joints off their places. Another pose with the same tip is farther away, unless that pose is nearly
-/// singular.
+/// Angle by which a joint may differ from its first angle in addition to the angle that the tip explains, rad, because
+/// friction holds joints. Another pose with the same tip is farther away, unless that pose is nearly singular.
 const SAME_POSE: f64 = 0.03;
-/// Singular values of a Jacobian below this are none, m.
+/// Singular values of a Jacobian below this count as zero, m.
 const SINGULAR: f64 = 1e-9;
-/// Times as far as a Jacobian says a joint may turn until the tip is [`ASIDE`].
+/// Factor on the joint angle of the Jacobian up to a tip that is [`ASIDE`].
 const BENT: f64 = 1.5;
-/// A tip that has moved so far is on its way, m.
+/// Motion after which the tip swings, m.
 const EDGE: f64 = 2e-5;
-/// A tip that slides this far along the walls has left its pose, m: a long pull's slides by up to four times the pull
-/// where friction brakes the joints unevenly.
+/// Motion along the walls after which the tip has left its pose, m: in a long pull it slides by up to four times the
+/// pull if friction brakes the joints unevenly.
 const ASIDE: f64 = 0.03;
-/// Number of times that a trial is repeated which the device left its pose in.
+/// Number of repeats of a trial in which the device left its pose.
 const AGAIN: usize = 2;
-/// Time in which the user of a simulated device carries it back, s.
-const CARRIED: f64 = 3.0;
+/// Time in which the user of a simulated device brings it back, s.
+const CARRY_SECONDS: f64 = 3.0;
 
-/// The most that the tip can be held aside, in [`APART`].
-const HOLDS: f64 = 0.9;
+/// Largest distance of the held tip, as a share of [`APART`].
+const MAX_ASIDE: f64 = 0.9;
 
-/// Factor by which the tip is held more softly where it does not come to rest, and the number of times that this is
-/// tried: down to a 32nd of the hold's frequency.
+/// Factor on the frequency of the hold if the tip does not come to rest, and maximum number of reductions: down to a
+/// 32nd.
 const SOFTER: f64 = 0.5;
 const SOFTEST: usize = 5;
 
-/// A board made ready to measure. While it measures, a tool that is killed or unplugged takes the motors with it; when
-/// dropped it disarms the board and puts back what was loaded before.
+/// A board prepared for a measurement. If the tool is killed or unplugged, the board turns the motors off. Dropping it
+/// disarms the board and restores the settings from before.
 pub struct PreparedBoard<'a> {
     board: &'a mut Board,
     setup: MeasurementSetup,
@@ -73,29 +72,29 @@ pub struct PreparedBoard<'a> {
     /// Unit direction of the pulls, d entries: the normal of one wall.
     direction: DVector<f64>,
     layout: Layout,
-    /// Each tested wall's part of the whole, and whether it has the feed-forward.
+    /// Share of each tested wall in the gains, and true if it has the feed-forward.
     shares: Vec<(f64, bool)>,
-    /// Force along the pull for each newton of the whole stiffness times the pull: 1 for one wall.
+    /// Force along the pull per newton of total stiffness times pull; 1 for one wall.
     along: f64,
-    /// Inertia that the hold meets along each of them, kg.
+    /// Effective inertia along the pull, then along each direction across it, kg.
     inertia: Vec<f64>,
-    /// The largest inertia that the tested walls meet, kg.
+    /// Largest inertia that the tested walls meet, kg.
     heaviest: f64,
-    /// Natural frequency of the hold, rad/s, and how often it was lowered.
+    /// Natural frequency of the hold, rad/s, and number of reductions.
     hold_frequency: f64,
     softened: usize,
-    /// The angle by which each joint turns for each metre of the tip along each axis, N x d, rad/m.
+    /// Joint angle per motion of the tip along each axis, N x d, rad/m.
     turns: DMatrix<f64>,
     excitation: Excitation,
     divider: u32,
-    /// Columns of a row that hold the tip, and the one that holds the state.
+    /// Columns of the tip in a row, and column of the state.
     tip_columns: Vec<usize>,
     state_column: usize,
     before: Before,
 }
 
 impl<'a> PreparedBoard<'a> {
-    /// Loads the scene at the present tip, limits the torque, arms and waits until the tip rests.
+    /// Loads the scene at the present position of the tip, limits the torque, arms and waits until the tip rests.
     pub fn new(
         board: &'a mut Board,
         file: &DeviceFile,
@@ -112,7 +111,7 @@ impl<'a> PreparedBoard<'a> {
         let total: f64 = setup.walls.iter().map(|wall| wall.share).sum();
         let shares = setup.walls.iter().map(|wall| (wall.share / total, wall.feed_forward)).collect();
 
-        // The hold: natural frequency well below filter and rate.
+        // The natural frequency of the hold is well below the filter and the rate.
         let at_most = |share: f64| (share * setup.rate_hz).min(0.3 * TAU * setup.tempo_hz());
         let mut hold_frequency = at_most(SOFT);
         let mut inertia = Vec::new();
@@ -127,16 +126,16 @@ impl<'a> PreparedBoard<'a> {
         let device = Linearised::at(&file.description, &q, direction.as_slice())?;
         let torques = [false, true].map(|feed_forward| set.torque(&direction, feed_forward));
         let mut excitation = Excitation::new(file, &device, &torques, &rules, setup.largest_pull);
-        let off_its_place = excitation.friction / gains_of(inertia[0], hold_frequency).0;
-        if off_its_place > OFF_ITS_PLACE {
-            let firmer = hold_frequency * (off_its_place / OFF_ITS_PLACE).sqrt();
+        let offset = excitation.friction / gains_of(inertia[0], hold_frequency).0;
+        if offset > FRICTION_OFFSET {
+            let firmer = hold_frequency * (offset / FRICTION_OFFSET).sqrt();
             hold_frequency = firmer.min(at_most(FIRM)).max(hold_frequency);
         }
         if setup.law.farther {
-            excitation.largest = excitation.largest.max(off_its_place).min(LONGEST_PULL);
+            excitation.largest = excitation.largest.max(offset).min(LONGEST_PULL);
         }
-        // Not even the soft hold could be told from a loose tip: nothing is touched then.
-        excitation.pull(gains_of(inertia[0], hold_frequency).0, "the hold that rate, cutoff and inertia ask for")?;
+        // Change nothing on the board if even the motion of the soft hold cannot be measured.
+        excitation.pull(gains_of(inertia[0], hold_frequency).0, "the hold for this rate, cutoff and inertia")?;
 
         let request = fields("tip,state").map_err(MeasureError::Scene)?;
         let columns = columns(request, spec.joints);
@@ -145,7 +144,7 @@ impl<'a> PreparedBoard<'a> {
         let state_column = column(Field::State, 0).unwrap_or_default();
 
         let (layout, wanted) = scene(&setup, &q, &tip, &direction, &across)?;
-        // From here on the board is put back as it was whenever this is dropped.
+        // From here on, dropping `prepared` restores the board.
         let mut prepared = Self {
             board,
             interrupted,
@@ -177,7 +176,7 @@ impl<'a> PreparedBoard<'a> {
         Ok(prepared)
     }
 
-    /// Waits until the armed tip rests where it stands.
+    /// Waits until the tip of the armed device rests.
     fn settle(&mut self) -> Result<(), MeasureError> {
         loop {
             // Torque ramps up over half a second after arming.
@@ -191,8 +190,8 @@ impl<'a> PreparedBoard<'a> {
         }
     }
 
-    /// Refuses a device whose joints are not where the measurement began, nor where a tip turns them that is at most
-    /// `apart` (m) off its place along each axis.
+    /// Returns an error if a joint is not at its first angle, apart from the angle that a motion of the tip by at most
+    /// `apart` (m) along each axis explains.
     fn check_pose(&mut self, apart: f64) -> Result<(), MeasureError> {
         let now = self.board.status()?;
         let off = DVector::from_fn(self.tip.len(), |i, _| (f64::from(now.tip[i]) - self.tip[i]).abs().min(apart));
@@ -205,7 +204,7 @@ impl<'a> PreparedBoard<'a> {
         Ok(())
     }
 
-    /// Holds more softly from here on; false where that was tried often enough.
+    /// Lowers the frequency of the hold. Returns false if it is the lowest.
     fn soften(&mut self) -> bool {
         if self.softened == SOFTEST {
             return false;
@@ -215,38 +214,38 @@ impl<'a> PreparedBoard<'a> {
         true
     }
 
-    /// Stiffness and damping that hold the tip along the pull, N/m and N s/m.
+    /// Returns stiffness and damping of the hold along the pull, N/m and N s/m.
     fn holding(&self) -> (f64, f64) {
         gains_of(self.inertia[0], self.hold_frequency)
     }
 
-    /// The board, for what does not disturb the measurement.
+    /// Returns the board, for requests that do not disturb the measurement.
     pub fn board(&mut self) -> &mut Board {
         self.board
     }
 
-    /// Joint angles where the measurement takes place, rad.
+    /// Returns the joint angles of the measurement, rad.
     pub fn pose(&self) -> &[f64] {
         &self.q
     }
 
-    /// The bounds of the pulls here.
+    /// Returns the bounds of the pulls.
     pub fn excitation(&self) -> &Excitation {
         &self.excitation
     }
 
-    /// The stiffness at which a search begins: the soft hold's own, N/m.
+    /// Returns the stiffness at which a search begins, that of the soft hold, N/m.
     pub fn gentle_stiffness(&self) -> f64 {
         self.holding().0
     }
 
-    /// The damping at which a search begins, N s/m.
+    /// Returns the damping at which a search begins, N s/m.
     pub fn gentle_damping(&self) -> f64 {
         self.holding().1
     }
 
-    /// Returns true if walls of this stiffness and damping in all oscillate. `strength` scales and signs the excitation
-    /// (1 or a little less).
+    /// Returns true if walls with this total stiffness and damping oscillate. `strength` scales the pull (1 or a little
+    /// less) and gives its sign.
     pub fn oscillates(
         &mut self,
         feed_forward: FeedForward,
@@ -257,8 +256,8 @@ impl<'a> PreparedBoard<'a> {
         Ok(self.judge(feed_forward, kp, kd, strength)? != Verdict::Decays)
     }
 
-    /// Judges the tip's motion against walls of this stiffness (N/m) and damping (N s/m) in all. `strength` scales and
-    /// signs the excitation (1 or a little less).
+    /// Judges the motion of the tip in walls with this total stiffness (N/m) and damping (N s/m). `strength` scales the
+    /// pull (1 or a little less) and gives its sign.
     pub fn judge(
         &mut self,
         feed_forward: FeedForward,
@@ -269,23 +268,22 @@ impl<'a> PreparedBoard<'a> {
         let (damped, gentle) = (kd * self.hold_frequency, self.gentle_stiffness());
         let hardest = kp.max(damped).max(gentle);
         let of = match hardest {
-            hardest if hardest == kp => "a wall that is tried",
-            hardest if hardest == damped => "what a wall's damping makes of its swing",
-            _ => "the hold that rate, cutoff and inertia ask for",
+            hardest if hardest == kp => "a tested wall",
+            hardest if hardest == damped => "the damping of a wall at the frequency of its swing",
+            _ => "the hold for this rate, cutoff and inertia",
         };
         let pull = self.excitation.pull(hardest, of)?;
         let pull = strength.signum() * (strength.abs() * pull).max(self.excitation.smallest()).min(LONGEST_PULL);
         let (mut trips, mut left) = (0, 0);
         loop {
             match self.swing_from_rest(feed_forward, pull, kp > gentle) {
-                // An oscillation before may have left it in another pose, which may be one that cannot be pulled.
+                // An earlier oscillation may have left the device in a pose in which it cannot be pulled.
                 Err(error) if error.is_local() && left < AGAIN && self.check_pose(APART).is_err() => {
                     left += 1;
                     self.bring_back()?;
                     continue;
                 }
-                // The device was still ringing from the oscillation before, and that tripped the guard. It has stopped
-                // by now.
+                // The device was still ringing from an earlier oscillation, which tripped a limit. It has stopped now.
                 Err(MeasureError::Fault(fault)) if violent(fault) && trips < 3 => {
                     trips += 1;
                     self.arm_again()?;
@@ -294,12 +292,12 @@ impl<'a> PreparedBoard<'a> {
                 other => other?,
             }
             let verdict = self.watch(feed_forward, kp, kd, pull);
-            // A motion that grew has left the pose by growing; any other was that of the pose, or of none.
+            // Only a growing motion may leave the pose.
             let there = match &verdict {
                 Ok(Verdict::Decays | Verdict::Vibrates(_)) => self.check_pose(ASIDE),
                 _ => Ok(()),
             };
-            // Back off at once, whatever came out.
+            // Back off at once, with any result.
             self.hold(0.0)?;
             match (verdict, there) {
                 (Ok(_), Err(MeasureError::Away { .. })) | (Err(MeasureError::Away { .. }), _) if left < AGAIN => {
@@ -307,7 +305,7 @@ impl<'a> PreparedBoard<'a> {
                     self.bring_back()?;
                 }
                 (Ok(_), Err(error)) => return Err(error),
-                // The guard was quicker than the telemetry: an oscillation that violent is one.
+                // The limit tripped before the telemetry showed the oscillation.
                 (Err(MeasureError::Fault(fault)), _) if violent(fault) => {
                     self.arm_again()?;
                     return Ok(Verdict::Grows);
@@ -318,14 +316,14 @@ impl<'a> PreparedBoard<'a> {
         }
     }
 
-    /// Pulls the tip aside by `pull` and lets it swing back. Where friction keeps it from coming along, it is pulled
-    /// harder: a pull that went half as far would find another boundary.
+    /// Pulls the tip aside by `pull` and lets it swing back. Pulls harder if friction holds the tip, because a shorter
+    /// pull has another boundary.
     fn swing_from_rest(&mut self, feed_forward: FeedForward, pull: f64, stiffer: bool) -> Result<(), MeasureError> {
         let friction = self.excitation.friction / self.holding().0;
         let mut aim = pull + friction * pull.signum();
         let enough = (PULLED.0 * pull.abs()).min(pull.abs() - 2.0 * self.excitation.quantum);
-        for _ in 0..HARDER {
-            let rested = self.rest(aim.clamp(-HOLDS * APART, HOLDS * APART))?;
+        for _ in 0..CORRECTIONS {
+            let rested = self.rest(aim.clamp(-MAX_ASIDE * APART, MAX_ASIDE * APART))?;
             let along = rested * pull.signum();
             if along >= enough && along <= PULLED.1 * pull.abs() + 2.0 * self.excitation.quantum {
                 self.check_pose(APART)?;
@@ -336,8 +334,8 @@ impl<'a> PreparedBoard<'a> {
         Err(self.stuck(pull))
     }
 
-    /// Brings the device back to its pose: by the hold or, where that only brings back the tip, by the user of a
-    /// simulated device. The user of a real one is asked to.
+    /// Brings the device back to its pose by the hold. If that brings back only the tip, the user of a simulated device
+    /// does it, and the user of a real device gets an error.
     fn bring_back(&mut self) -> Result<(), MeasureError> {
         if self.rest(0.0).and_then(|_| self.check_pose(APART)).is_ok() {
             return Ok(());
@@ -355,8 +353,8 @@ impl<'a> PreparedBoard<'a> {
         MeasureError::Stuck { pull, force: pull * self.holding().0, friction }
     }
 
-    /// Clears the fault that a violent oscillation tripped, and arms with the soft hold; unless somebody else has
-    /// cleared it.
+    /// Clears the fault of a violent oscillation and arms with the soft hold. Returns an error if another program has
+    /// cleared the fault.
     fn arm_again(&mut self) -> Result<(), MeasureError> {
         if self.board.status()?.state != State::Fault {
             return Err(MeasureError::Disarmed);
@@ -366,17 +364,17 @@ impl<'a> PreparedBoard<'a> {
         self.wait(0.4)
     }
 
-    /// Arms once a simulated device is back in its pose.
+    /// Arms after the user of a simulated device has brought it back.
     fn arm(&mut self) -> Result<(), MeasureError> {
         if !self.board.details()?.real {
-            self.pass(CARRIED)?;
+            self.pass(CARRY_SECONDS)?;
         }
         self.board.arm()?;
-        // Rows from before still tell of a fault, or of motors that are off.
+        // Earlier rows still have the state of a fault or of motors that are off.
         self.pass(0.3)
     }
 
-    /// Lets time pass (s), whatever the board's state.
+    /// Waits (s) in any state of the board.
     fn pass(&mut self, seconds: f64) -> Result<(), MeasureError> {
         let until = self.board.now() + Duration::from_secs_f64(seconds);
         while self.board.now() < until {
@@ -385,7 +383,7 @@ impl<'a> PreparedBoard<'a> {
         Ok(())
     }
 
-    /// Motors off, and everything as it was before.
+    /// Turns the motors off and restores the board.
     pub fn finish(self) -> Result<(), MeasureError> {
         self.board.stop_stream()?;
         self.board.disarm()?;
@@ -403,7 +401,7 @@ impl<'a> PreparedBoard<'a> {
         Ok(self.board.set_wall_gains(gains)?)
     }
 
-    /// Gives the tested walls their parts of these gains.
+    /// Sets the gains of the tested walls to their shares of these gains.
     fn test(&mut self, kp: f64, kd: f64, feed_forward: FeedForward) -> Result<(), MeasureError> {
         for (wall, (share, with)) in self.shares.clone().into_iter().enumerate() {
             let feed_forward = if with { feed_forward } else { FeedForward::Off };
@@ -412,17 +410,16 @@ impl<'a> PreparedBoard<'a> {
         Ok(())
     }
 
-    /// Holds the tip `pull` metres along the pull's direction from where it was: the wall there and the one beside it
-    /// share the stiffness.
+    /// Holds the tip `pull` metres along the pull from its position: the wall there and a wall aside share the stiffness.
     fn hold(&mut self, pull: f64) -> Result<(), MeasureError> {
         let (kp, kd) = self.holding();
-        let share = (pull / APART).clamp(-HOLDS, HOLDS);
+        let share = (pull / APART).clamp(-MAX_ASIDE, MAX_ASIDE);
         let Layout { hold, aside, across } = self.layout;
         self.gains(hold, kp * (1.0 - share.abs()), kd, FeedForward::Off)?;
         if hold > 0 {
             self.test(0.0, 0.0, FeedForward::Off)?;
         }
-        // The wall beside lies at +APART or -APART; only one is used, by the sign of the pull.
+        // Of the walls at +APART and -APART only one is used, by the sign of the pull.
         let [used, unused] = if pull >= 0.0 { aside } else { [aside[1], aside[0]] };
         self.gains(unused, 0.0, 0.0, FeedForward::Off)?;
         self.gains(used, kp * share.abs(), 0.0, FeedForward::Off)?;
@@ -433,7 +430,7 @@ impl<'a> PreparedBoard<'a> {
         Ok(())
     }
 
-    /// Lets go of everything but the tested walls.
+    /// Sets the gains of the holding walls to 0.
     fn release(&mut self) -> Result<(), MeasureError> {
         let Layout { hold, aside, across } = self.layout;
         for wall in aside {
@@ -448,8 +445,8 @@ impl<'a> PreparedBoard<'a> {
         Ok(())
     }
 
-    /// Waits until the tip rests near `pull`, held as softly as that takes; returns where it rests. How much damping a
-    /// device's transmissions let a hold have need not be known beforehand.
+    /// Waits until the tip rests near `pull`, and makes the hold softer until it does. Returns its position along the
+    /// pull, m.
     fn rest(&mut self, pull: f64) -> Result<f64, MeasureError> {
         loop {
             match self.held_still(pull) {
@@ -459,16 +456,16 @@ impl<'a> PreparedBoard<'a> {
         }
     }
 
-    /// Holds the tip near `pull` until it rests, along its direction and across it; returns where it rests.
+    /// Holds the tip near `pull` until it rests along the pull and across it. Returns its position along the pull, m.
     fn held_still(&mut self, pull: f64) -> Result<f64, MeasureError> {
         self.hold(pull)?;
         let period = TAU / self.hold_frequency;
-        // A tip that only encoder steps keep moving is as much at rest as it will ever be.
+        // Encoder steps may keep the tip moving, which counts as rest.
         let steps = self.excitation.smallest();
         let tolerance = steps.max(0.1 * pull.abs()).max(self.setup.largest_pull * 1e-3);
         let mut quiet = Vec::new();
         let started = self.board.now();
-        // Friction may hold the tip off its place: then it rests, but elsewhere.
+        // Friction may hold the tip away from its position; then it rests nevertheless.
         while (self.board.now() - started).as_secs_f64() < (60.0 * period).max(0.5) {
             for at in self.places(period / 4.0)? {
                 quiet.push(at);
@@ -478,7 +475,7 @@ impl<'a> PreparedBoard<'a> {
                 let recent = &quiet[quiet.len() - window..];
                 let (low, high) = span(recent.iter().map(|at| at.place));
                 let (near, far) = span(recent.iter().map(|at| at.aside));
-                // A tip that slides across would go on sliding when the trial lets go of it.
+                // A tip that slides across would continue to slide in the trial.
                 if high - low <= tolerance && far - near <= tolerance {
                     return Ok((high + low) / 2.0);
                 }
@@ -487,11 +484,11 @@ impl<'a> PreparedBoard<'a> {
         Err(MeasureError::Restless)
     }
 
-    /// Pulls back towards the tested walls, as softly as they were held, and returns when the tip is on its way. A tip
-    /// that friction stops before is not swinging, and what it does then says nothing of a wall.
+    /// Pulls the tip back by the tested walls, as softly as the hold, and returns as soon as it moves. If friction stops
+    /// it before, it does not swing, and its motion cannot be judged.
     ///
-    /// With the feed-forward that is tested: without it the pull would set the admissible directions moving, and with
-    /// it nothing would stop them again.
+    /// The tested feed-forward acts already, because without it the pull would move the admissible directions, and the
+    /// feed-forward would not stop them.
     fn swing_back(
         &mut self,
         feed_forward: FeedForward,
@@ -504,24 +501,24 @@ impl<'a> PreparedBoard<'a> {
         self.test(kp / self.along, 0.0, feed_forward)?;
         let started = self.board.now();
         let quarter = 0.5 * PI / self.hold_frequency;
-        // Friction takes much of what the soft pull gives: a stiffer wall pulls by itself from where the tip was held.
+        // Friction takes much of the force of the soft pull, so a stiffer wall pulls by itself from almost the beginning.
         let aim = if stiffer && self.excitation.friction > 0.0 {
             rested - EDGE.min(0.1 * pull.abs()).copysign(pull)
         } else {
             0.5 * rested
         };
-        // Without friction it is half way after two thirds of a quarter.
+        // Without friction the tip is half way after two thirds of a quarter period.
         while (self.board.now() - started).as_secs_f64() < 2.0 * quarter {
             let latest = self.places(quarter / 8.0)?;
             if latest.iter().any(|at| (at.place - aim) * pull.signum() < 0.0) {
                 return Ok(());
             }
         }
-        // A quick swing is over before its rows arrive: so little friction does not hold a tip.
+        // A fast swing may end before its rows arrive, and little friction does not hold the tip.
         if self.excitation.friction < 0.05 * kp * rested.abs() { Ok(()) } else { Err(self.stuck(pull)) }
     }
 
-    /// Hands the moving tip to the tested gains and follows it until the verdict.
+    /// Hands the moving tip over to the tested gains and follows it until the verdict.
     fn watch(&mut self, feed_forward: FeedForward, kp: f64, kd: f64, pull: f64) -> Result<Verdict, MeasureError> {
         self.test(kp, kd, feed_forward)?;
         let row_seconds = f64::from(self.divider) / self.setup.rate_hz;
@@ -530,7 +527,7 @@ impl<'a> PreparedBoard<'a> {
         let first = self.board.status()?.step;
         loop {
             for at in self.places(0.02)? {
-                // Rows from before the hand-over were still on their way.
+                // Rows from before the hand-over may arrive late.
                 if at.step.wrapping_sub(first) > u32::MAX / 2 {
                     continue;
                 }
@@ -539,7 +536,7 @@ impl<'a> PreparedBoard<'a> {
                 }
                 if at.aside > ASIDE {
                     let lost = self.check_pose(APART).err().unwrap_or(MeasureError::Restless);
-                    return if swing.goes_on() { Ok(Verdict::Grows) } else { Err(lost) };
+                    return if swing.continues() { Ok(Verdict::Grows) } else { Err(lost) };
                 }
             }
         }
@@ -557,7 +554,7 @@ impl<'a> PreparedBoard<'a> {
         Ok(())
     }
 
-    /// The positions of the tip, as far as rows have come, waiting at most `seconds` for the first.
+    /// Returns the positions of the tip from the rows that have arrived, after waiting at most `seconds` for the first.
     fn places(&mut self, seconds: f64) -> Result<Vec<Place>, MeasureError> {
         if (self.interrupted)() {
             return Err(MeasureError::Interrupted);
@@ -570,7 +567,7 @@ impl<'a> PreparedBoard<'a> {
                 return Err(MeasureError::Disarmed);
             }
             if state == f64::from(State::Fault as u8) {
-                // The record names it; without one the numbers themselves were no good.
+                // Without a fault record the numbers of the row were not finite.
                 let fault = self.board.status()?.fault.map_or(Fault::NotFinite, |record| record.fault);
                 return Err(MeasureError::Fault(fault));
             }
@@ -582,8 +579,8 @@ impl<'a> PreparedBoard<'a> {
     }
 }
 
-/// The rules that a measurement sets on a board with these: motors off soon after its tool is gone, and at most
-/// `torque_limit` N m.
+/// Returns the rules of a measurement on a board with the rules `before`: the motors go off soon after the tool is lost,
+/// and torques are at most `torque_limit` (N m).
 #[must_use]
 pub fn rules_for(before: &Rules, torque_limit: f64) -> Rules {
     let mut rules = *before;
@@ -598,30 +595,30 @@ pub fn rules_for(before: &Rules, torque_limit: f64) -> Rules {
 
 impl Drop for PreparedBoard<'_> {
     fn drop(&mut self) {
-        // The board may be gone; the rules set for the measurement then take the motors off.
+        // If the board is lost, the rules of the measurement turn the motors off.
         let _ = self.board.stop_stream();
         let _ = self.before.put_back(self.board);
     }
 }
 
-/// The position of the tip at a step: along the pull and how far beside it, m.
+/// Position of the tip at a step, along the pull, and its distance across it, m.
 struct Place {
     step: u32,
     place: f64,
     aside: f64,
 }
 
-/// Stiffness and damping that hold an inertia (kg) at a natural frequency (rad/s) with 0.7 of critical damping.
+/// Returns stiffness and damping for an inertia (kg) at a natural frequency (rad/s) with 0.7 of critical damping.
 fn gains_of(inertia: f64, frequency: f64) -> (f64, f64) {
     (inertia * frequency.powi(2), 1.4 * inertia * frequency)
 }
 
-/// Smallest and largest.
+/// Returns the smallest and the largest value.
 fn span(values: impl Iterator<Item = f64>) -> (f64, f64) {
     values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| (low.min(value), high.max(value)))
 }
 
-/// Faults that an oscillation trips and that pass with it.
+/// Returns true for a fault that an oscillation trips and that ends with it.
 fn violent(fault: Fault) -> bool {
     matches!(fault, Fault::SpeedLimit | Fault::OverCurrent | Fault::PowerLimit | Fault::ForceLimit)
 }

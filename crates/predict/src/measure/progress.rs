@@ -1,4 +1,4 @@
-//! The results so far, kept in a file after every repeat so that an interrupted measurement goes on where it stopped.
+//! The results so far, saved after every repeat so that an interrupted measurement continues where it stopped.
 
 use super::before::RestorePoint;
 use haptic_bridge::render::scene::FeedForward;
@@ -12,16 +12,16 @@ use thiserror::Error;
 /// All repeats at one damping.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Point {
-    /// With which feed-forward.
+    /// Kind of feed-forward.
     pub mode: FeedForward,
     /// Damping, N s/m.
     pub kd: f64,
-    /// Largest stable stiffness of each repeat, N/m; the pulls of the measurement in turn.
+    /// Largest stable stiffness of each repeat, N/m; the repeats take the pulls in turn.
     pub repeats: Vec<f64>,
-    /// The largest vibration seen just beyond, m from peak to peak; none where the motion built up instead.
+    /// Largest vibration just beyond the boundary, m from peak to peak; `None` if the motion built up instead.
     #[serde(default)]
     pub vibration_m: Option<f64>,
-    /// Why there are not more repeats, where nothing more could be told.
+    /// Reason why there are no more repeats, if the search ended early.
     #[serde(default)]
     pub open: Option<Open>,
 }
@@ -29,25 +29,25 @@ pub struct Point {
 /// A search that found no boundary.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Open {
-    /// The stiffest wall that was seen to be stable, N/m.
+    /// Largest stiffness that was stable, N/m.
     pub stable_up_to: f64,
-    /// The error that kept the search from going on.
+    /// The error that ended the search.
     pub reason: String,
 }
 
 impl Point {
-    /// Median of the repeats, whatever the pull; zero without any.
+    /// Returns the median of the repeats of all pulls; 0 without repeats.
     pub fn median(&self) -> f64 {
         median(&self.repeats)
     }
 
-    /// Lowest and highest repeat, whatever the pull.
+    /// Returns the lowest and the highest repeat of all pulls.
     pub fn bounds(&self) -> (f64, f64) {
         bounds(&self.repeats)
     }
 }
 
-/// Median; zero without any.
+/// Returns the median; 0 without repeats.
 #[must_use]
 pub fn median(repeats: &[f64]) -> f64 {
     let mut sorted = repeats.to_vec();
@@ -59,7 +59,7 @@ pub fn median(repeats: &[f64]) -> f64 {
     }
 }
 
-/// Lowest and highest.
+/// Returns the lowest and the highest repeat.
 #[must_use]
 pub fn bounds(repeats: &[f64]) -> (f64, f64) {
     let low = repeats.iter().copied().fold(f64::INFINITY, f64::min);
@@ -70,55 +70,55 @@ pub fn bounds(repeats: &[f64]) -> (f64, f64) {
 /// A measurement, finished or not.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Progress {
-    /// The measurement's subject: device, pose, loop. A file of something else is not continued.
+    /// Description of the measurement: device, pose, loop. Another measurement does not continue the file.
     pub what: String,
-    /// Dampings at which the range ends, N s/m, where they were measured.
+    /// Dampings at which the range ends, N s/m, for the modes whose end was measured.
     #[serde(default)]
     pub ends: Vec<(FeedForward, f64)>,
-    /// Modes whose range ends somewhere beyond, and why that was not found.
+    /// Modes whose range ends at a larger damping that was not found, and the reason.
     #[serde(default)]
     pub open_ends: Vec<(FeedForward, String)>,
-    /// Joint angles where it is measured, rad.
+    /// Joint angles of the measurement, rad.
     #[serde(default)]
     pub q: Vec<f64>,
     /// The points with their repeats so far.
     pub points: Vec<Point>,
-    /// When the last of it was measured (RFC 3339, UTC).
+    /// Time of the last result (RFC 3339, UTC).
     #[serde(default)]
     pub date: Option<String>,
-    /// The settings that the board held before; `None` once they are back on the board.
+    /// Settings of the board to restore; `None` once they are restored.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub before: Option<RestorePoint>,
 }
 
-/// Why a file cannot be used.
+/// Reason why a progress file cannot be used.
 #[derive(Debug, Error)]
 pub enum ProgressError {
     /// Not readable.
-    #[error("{path} is no file of progress: {reason}")]
+    #[error("{path} is not a progress file: {reason}")]
     File {
-        /// Which.
+        /// Path of the file.
         path: String,
-        /// The system's or the parser's message.
+        /// Message of the system or of the parser.
         reason: String,
     },
     /// Not writable.
     #[error(transparent)]
     Unwritten(Failure),
-    /// It belongs to something else.
+    /// The file belongs to another measurement.
     #[error("{path} holds another measurement{} ({found})", date.as_ref().map_or(String::new(), |date| format!(", of {date}")))]
     Another {
-        /// Which.
+        /// Path of the file.
         path: String,
-        /// When its last part was measured.
+        /// Time of its last result.
         date: Option<String>,
-        /// The subject of the measurement in the file.
+        /// Description of the measurement in the file.
         found: String,
     },
 }
 
 impl Progress {
-    /// Nothing measured yet.
+    /// Returns a progress without results.
     pub fn new(what: &str) -> Self {
         Self {
             what: what.into(),
@@ -136,12 +136,12 @@ impl Progress {
         self.ends.is_empty() && self.points.iter().all(|point| point.repeats.is_empty() && point.open.is_none())
     }
 
-    /// Starts over, but remembers what is still to be put back on the board.
+    /// Removes the results, but keeps the settings to restore on the board.
     pub fn anew(self, what: &str) -> Self {
         Self { before: self.before, ..Self::new(what) }
     }
 
-    /// Reads the file at `path` when it exists, whatever it measures.
+    /// Reads the file at `path`, of any measurement; `None` if it does not exist.
     pub fn read(path: &Path) -> Result<Option<Self>, ProgressError> {
         let file = |reason: String| ProgressError::File { path: path.display().to_string(), reason };
         match haptic_host::input::read_to_string(path) {
@@ -151,7 +151,7 @@ impl Progress {
         }
     }
 
-    /// Reads the file at `path` if it exists, else begins with no results.
+    /// Reads the file at `path`, or begins without results if it does not exist.
     pub fn open(path: &Path, what: &str) -> Result<Self, ProgressError> {
         match Self::read(path)? {
             None => Ok(Self::new(what)),
@@ -163,28 +163,28 @@ impl Progress {
         }
     }
 
-    /// Notes that something was measured now.
+    /// Sets the time of the last result to now.
     pub fn now(&mut self) {
         self.date = Some(output::date());
     }
 
-    /// Writes the file, whole or not at all.
+    /// Writes the file, either completely or not at all.
     pub fn save(&self, path: &Path) -> Result<(), ProgressError> {
         let text = serde_json::to_string_pretty(self).map_err(|e| ProgressError::Unwritten(Failure::impossible(e)))?;
         output::write(path, text.as_bytes(), Overwrite::Replace).map_err(ProgressError::Unwritten)
     }
 
-    /// The damping at which the range of a mode ends, if that was measured.
+    /// Returns the damping at which the range of a mode ends, if it was measured.
     pub fn end(&self, mode: FeedForward) -> Option<f64> {
         self.ends.iter().find(|(measured, _)| *measured == mode).map(|(_, end)| *end)
     }
 
-    /// The measured points of a mode, by damping.
+    /// Returns the points of a mode that have a boundary, by damping.
     pub fn of(&self, mode: FeedForward) -> Vec<&Point> {
         self.all(mode).into_iter().filter(|point| !point.repeats.is_empty()).collect()
     }
 
-    /// The points of a mode, also those where no boundary was found, by damping.
+    /// Returns the points of a mode, also those without a boundary, by damping.
     pub fn all(&self, mode: FeedForward) -> Vec<&Point> {
         let mut found: Vec<&Point> =
             self.points.iter().filter(|p| p.mode == mode && !(p.repeats.is_empty() && p.open.is_none())).collect();
@@ -192,7 +192,7 @@ impl Progress {
         found
     }
 
-    /// The point of a mode at a damping, added when it is new.
+    /// Returns the point of a mode at a damping; adds a new point if there is none.
     pub fn point(&mut self, mode: FeedForward, kd: f64) -> &mut Point {
         let found = self.points.iter().position(|p| p.mode == mode && same_damping(p.kd, kd));
         let index = found.unwrap_or_else(|| {
@@ -203,7 +203,7 @@ impl Progress {
     }
 }
 
-/// Returns true if two dampings (N s/m) are equal but for rounding in a file.
+/// Returns true if two dampings (N s/m) are equal up to the rounding in a file.
 pub(super) fn same_damping(one: f64, other: f64) -> bool {
     (one - other).abs() <= 1e-9 * other.abs()
 }
@@ -213,7 +213,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_measurement_goes_on_where_it_stopped_and_no_other() {
+    fn only_the_same_measurement_continues_a_file() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("progress.json");
         let mut progress = Progress::open(&path, "one").unwrap();

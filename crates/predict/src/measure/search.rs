@@ -1,15 +1,15 @@
-//! The search for the boundary: raise by a factor until it oscillates, then bisect between the two last.
+//! The search for the boundary: raises the gain by a factor until the loop oscillates, then bisects.
 
 use haptic_bridge::render::scene::FeedForward;
 
 use super::swing::Verdict;
 use super::{MeasureError, PreparedBoard};
 
-/// Ratio of the bracket at which the search ends.
+/// Ratio of the unstable to the stable gain at which the search ends.
 pub const RESOLUTION: f64 = 1.005;
 /// Factor by which gains are raised.
 const RAISE: f64 = 1.3;
-/// Times the gain is raised at most.
+/// Maximum number of raises.
 const RAISES: usize = 60;
 
 /// The end of the stable walls.
@@ -17,14 +17,14 @@ const RAISES: usize = 60;
 pub struct Boundary {
     /// The largest gain that is stable, N/m or N s/m.
     pub gain: f64,
-    /// The tip's motion just beyond: it builds up, or goes on vibrating.
+    /// Motion of the tip just beyond: it builds up, or continues as a vibration.
     pub beyond: Verdict,
 }
 
-/// Finds where `judge` turns from [`Verdict::Decays`] to another, from `start` upward; zero when it has already at a
-/// thousandth of it. What cannot be judged, though stable so far, is [`MeasureError::Open`].
+/// Finds the gain up to which `judge` returns [`Verdict::Decays`], from `start` upward; 0 if a thousandth of `start`
+/// already oscillates. Returns [`MeasureError::Open`] if a gain cannot be judged.
 ///
-/// `guess` from an earlier repeat narrows the bracket; it is only a place to begin.
+/// `guess`, the result of an earlier repeat, only shortens the search.
 fn climb(
     start: f64,
     guess: Option<f64>,
@@ -83,7 +83,7 @@ impl PreparedBoard<'_> {
         climb(start, guess.filter(|g| *g > 0.0), |kp| self.judge(feed_forward, kp, kd, strength))
     }
 
-    /// Measures the damping (N s/m) at which even a soft wall oscillates: where the range ends.
+    /// Measures the damping (N s/m) at which the range ends, because even a soft wall oscillates.
     pub fn damping_end(&mut self, feed_forward: FeedForward) -> Result<Boundary, MeasureError> {
         let (kp, start) = (0.02 * self.gentle_stiffness(), self.gentle_damping());
         climb(start, None, |kd| self.judge(feed_forward, kp, kd, 1.0))
@@ -94,7 +94,7 @@ impl PreparedBoard<'_> {
 mod tests {
     use super::*;
 
-    /// A loop that vibrates from `edge` on.
+    /// Returns a loop that vibrates above `edge`.
     fn vibrating(edge: f64) -> impl Fn(f64) -> Result<Verdict, MeasureError> {
         move |gain| Ok(if gain > edge { Verdict::Vibrates(1e-4) } else { Verdict::Decays })
     }
@@ -112,7 +112,7 @@ mod tests {
     }
 
     #[test]
-    fn where_nothing_can_be_told_it_says_up_to_where_it_was_stable() {
+    fn a_search_that_ends_early_reports_the_largest_stable_gain() {
         let unbounded = climb(1.0, None, |_| Ok(Verdict::Decays)).unwrap_err();
         assert!(matches!(&unbounded, MeasureError::Open { stable, why } if *stable > 1e6 && why.is_local()));
         let saturates = climb(1.0, None, |gain| match gain {

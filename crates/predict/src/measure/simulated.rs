@@ -1,5 +1,5 @@
-//! A simulated board to measure on, whose world is as simple as the question asks: the device as its file describes it,
-//! or without friction, with finer encoders, with torque that acts at once, at any pose.
+//! A simulated board for measurements: the device as its file describes it, or without friction, with finer encoders,
+//! with torques that act at once, in any pose.
 
 use haptic_host::device_file::DeviceFile;
 use haptic_sim::{
@@ -7,42 +7,42 @@ use haptic_sim::{
     ready_board,
 };
 
-/// Which friction of the device file acts.
+/// Part of the device file's friction that acts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Friction {
-    /// All of it.
+    /// All friction.
     #[default]
     All,
     /// The viscous part.
     Viscous,
     /// The Coulomb part.
     Coulomb,
-    /// None.
+    /// No friction.
     None,
 }
 
 /// The simulated world.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct World {
-    /// The device's pose, rad; its home when `None`.
+    /// Pose of the device, rad; `None` for its home.
     pub q: Option<[f64; 3]>,
-    /// Which friction acts.
+    /// Friction that acts.
     pub friction: Friction,
-    /// Commanded torques act at once, without bridges, windings and current loops.
+    /// True if commanded torques act at once, without bridges, windings and current loops.
     pub ideal_drive: bool,
-    /// Counts per turn of every encoder; the device file's when `None`.
+    /// Counts per turn of every encoder; `None` for those of the device file.
     pub counts: Option<f64>,
-    /// A relaxed grip at rest holds the tip ([`HandSettings::default`]).
+    /// True if a relaxed grip at rest holds the tip ([`HandSettings::default`]).
     pub grip: bool,
 }
 
-/// Simulation steps in a control period. The torque is held for a whole period, so slow loops need no finer ones.
+/// Simulation steps in a control period. The torque is constant during a period, so slow loops need no finer steps.
 const STEPS: f64 = 100.0;
 /// Shortest and longest simulation step, s. The longest is half a carrier period at 20 kHz.
 const STEP_RANGE_S: (f64, f64) = (2e-6, 2.5e-5);
 
 impl World {
-    /// Takes out of the description what this world leaves out, so that predictions made from it are of the same world.
+    /// Changes the description to this world, so that predictions from it apply to the same world.
     pub fn apply(&self, file: &mut DeviceFile) {
         for joint in &mut file.description.joints {
             if matches!(self.friction, Friction::Coulomb | Friction::None) {
@@ -58,7 +58,7 @@ impl World {
         }
     }
 
-    /// A board with the device of `file`, to which [`World::apply`] was done, that will run at `rate_hz`.
+    /// Returns a board that will run at `rate_hz` with the device of `file`, which [`World::apply`] has changed.
     pub fn board(&self, file: &DeviceFile, rate_hz: f64) -> Result<SharedBoard, DeviceError> {
         let device = Options {
             start: self.q,
@@ -66,7 +66,7 @@ impl World {
             ..Options::default()
         };
         let drive = if self.ideal_drive { DriveModel::Ideal } else { DriveModel::Electric };
-        // Its user holds it until the motors carry it: what has weight would fall into another pose.
+        // A user holds the device until the motors carry it, because a device with weight would fall into another pose.
         let options = BoardOptions { device, drive, support: Support::Held, ..BoardOptions::default() };
         let mut board = ready_board(file, options)?;
         if self.grip {

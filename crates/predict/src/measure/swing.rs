@@ -1,95 +1,92 @@
-//! The verdict on a motion: it dies out, it builds up, or it goes on as a vibration of constant size. Judged from
-//! sampled positions alone.
+//! The verdict on a motion from its sampled positions: it dies out, builds up, or continues as a vibration of constant
+//! size.
 //!
 //! The position is high-passed below the velocity filter's cutoff, because a slow return to the wall would hide a small
-//! fast oscillation; an oscillation of a rigid device's loop lies below that cutoff and seldom far below it. The swing
-//! between two turning points then grows or shrinks by a constant factor for every half cycle of the dominant mode, and
-//! the slope of a straight line through its logarithm, against that slope's own uncertainty, tells which.
+//! fast oscillation. An oscillation of a rigid device is below that cutoff and seldom far below it. The swing between
+//! two turning points grows or shrinks by a constant factor per half cycle of the dominant mode. The slope of a straight
+//! line through its logarithm, relative to the uncertainty of the slope, is the verdict.
 //!
-//! **Several modes.** A device with a transmission that gives has modes on both sides of the cutoff, and a washout one
-//! far below it. Two modes of like size make a tiny swing now and then, where the slow one turns and the fast one holds
-//! against it: so a motion has died out when half a look of swings is small, not one. Their beat hides the trend of
-//! single swings; the largest of every few, over at least three turns of the slowest, then shows it. If one of them
-//! decays faster than the other, the trend bends as if the motion were settling at a constant size: such a motion is
-//! followed until it settles or dies out. And a small fast mode that builds up hides behind a large slow one that dies
-//! out: so the motion's acceleration, in which it is larger by the square of their frequencies' ratio, is judged beside
-//! it.
+//! **Several modes.** A device with compliant transmissions has modes on both sides of the cutoff, and a washout has one
+//! far below it. Two modes of similar size occasionally make a tiny swing, so a motion has died out only when several
+//! swings in a row are small. Their beat hides the trend of single swings; the largest of a few swings, over at least
+//! three periods of the slowest mode, shows it. If one mode decays faster than the other, the trend bends as if the
+//! motion approached a constant size, so such a motion is followed until it is constant or dies out. A large slow mode
+//! that dies out can hide a small fast one that builds up. The acceleration is therefore judged too, because it shows the
+//! fast mode larger by the square of the ratio of their frequencies.
 //!
-//! **What encoder steps explain.** A quantiser in a stable loop can sustain a vibration. Its describing function, the
-//! share of a sine's first harmonic that it passes on, is at most 1.0365 for a sine that spans six steps and falls from
-//! there (1.023 at eight): a vibration of more than [`ENCODER_STEPS`] steps from peak to peak can last only where 3.6 %
-//! more gain would make the loop unstable without any steps. So what is larger counts as not stable, at the price of a
-//! boundary that is found at most 3.6 % low; what is smaller is what any loop with these encoders does at rest.
+//! **Encoder steps.** A quantiser in a stable loop can sustain a vibration. Its describing function, the gain of a
+//! sine's first harmonic, is at most 1.0365 for a sine of six steps and falls from there (1.023 at eight). A vibration of
+//! more than [`ENCODER_STEPS`] steps from peak to peak therefore continues only if 3.6 % more gain would make the loop
+//! unstable without steps. Larger vibrations count as not stable, so a boundary may be found up to 3.6 % too low; smaller
+//! ones count as rest.
 
 use std::f64::consts::TAU;
 
-/// Peak-to-peak size of the largest vibration that encoder steps explain, in steps.
+/// Largest vibration that encoder steps explain, steps from peak to peak.
 pub const ENCODER_STEPS: f64 = 6.0;
 
 /// Corner of the high-pass as a share of the velocity filter's cutoff.
 const HIGH_PASS_SHARE: f64 = 0.125;
-/// Turning points left out at the start, while faster modes die out.
+/// Turning points that are ignored at the start, while faster modes die out.
 const SETTLING: usize = 8;
-/// Turning points of one look at the trend.
-const LOOK: usize = 22;
-/// Looks after which what neither grows nor shrinks is a vibration: of the place, and of the bend, whose swings are
-/// quicker.
-const LOOKS: (usize, usize) = (4, 16);
-/// Swings of which the largest counts where two modes beat: more than the shares of a beat between two modes that lie
-/// this far apart, which is farther than a wall's own mode and a cable's.
+/// Number of swings of one check of the trend.
+const CHECK: usize = 22;
+/// Number of checks after which a motion that neither grows nor shrinks is a vibration: for the position, and for the
+/// acceleration, whose swings are faster.
+const CHECKS: (usize, usize) = (4, 16);
+/// Minimum number of swings in a stretch: longer than the beat of two modes.
 const BEAT: usize = 6;
-/// Turns of the slowest mode that a look lasts at least which tells that a motion dies out, and that a stretch does.
-const TURNS: f64 = 3.0;
-/// The latest swings are judged in at least so many stretches.
+/// Minimum duration of a stretch, and of a check that finds a motion dying out, in periods of the slowest mode.
+const PERIODS: f64 = 3.0;
+/// Minimum number of stretches for a verdict.
 const STRETCHES: usize = 8;
-/// A motion whose trend bends is followed this many times as long as it takes to call a straight one a vibration.
+/// Factor on the number of checks before a motion whose trend bends is a vibration.
 const PATIENCE: usize = 16;
-/// A swing of less than this share of those before it is a faster mode's ripple on them.
+/// Share of the earlier swings below which a swing is the ripple of a faster mode.
 const RIPPLE_SHARE: f64 = 0.4;
-/// Standard errors by which a slope must differ from zero to be one. Many, as encoder steps disturb neighbouring swings
-/// alike, which the standard error does not know.
+/// Number of standard errors by which a slope must differ from zero. It is large because encoder steps disturb
+/// neighbouring swings alike, which the standard error does not include.
 const SIGNIFICANT: f64 = 4.0;
-/// Slope, in parts per swing, below which a motion goes on: 0.4 % over one look.
+/// Slope per swing below which the size of a motion is constant: 0.4 % over one check.
 const FLAT_SLOPE: f64 = 2e-4;
-/// Growth over the first swings, and over the pull, at which the verdict does not wait for the trend.
+/// Growth relative to the first swings and the pull at which the verdict does not wait for the trend.
 const RUNAWAY_GROWTH: f64 = 4.0;
-/// Farthest distance from the wall that is still a trial, in pulls, and of long pulls beyond two of them, m: what has
-/// left that far builds up, and is caught in its pose.
+/// Distance from the wall at which a motion counts as building up, in pulls; for long pulls two pulls plus a distance,
+/// m.
 const FARTHEST_PULLS: f64 = 12.0;
 const FARTHEST: f64 = 0.005;
 /// Share of the largest swing below which a motion has died out.
 const DIED_OUT_SHARE: f64 = 0.02;
-/// Periods of the cutoff without a turning point after which a motion is over: at least, and at most where a slower
-/// mode is expected.
+/// Periods of the cutoff without a turning point after which a motion has ended: minimum, and maximum if a slower mode
+/// is expected.
 const SILENT_PERIODS: (f64, f64) = (10.0, 200.0);
 
 /// The course of a motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Verdict {
-    /// It dies out, or what is left of it is no more than encoder steps explain.
+    /// It dies out, at least down to the size that encoder steps explain.
     Decays,
     /// It builds up: the loop oscillates.
     Grows,
-    /// It goes on at this size (m, from peak to peak), more than encoder steps explain: not stable either.
+    /// It continues at this size (m from peak to peak), larger than encoder steps explain: not stable either.
     Vibrates(f64),
 }
 
-/// A motion being followed.
+/// A motion that is followed.
 #[derive(Clone, Debug)]
 pub struct Swing {
-    place: Trace,
-    /// The change of the change of place from row to row, m.
-    bend: Trace,
-    /// The last two places.
-    before: [Option<f64>; 2],
-    /// The verdicts reached so far on place and bend.
-    told: [Option<Verdict>; 2],
+    position: Trace,
+    /// Second difference of the position, m.
+    acceleration: Trace,
+    /// The last two positions.
+    previous: [Option<f64>; 2],
+    /// The verdicts on position and acceleration so far.
+    verdicts: [Option<Verdict>; 2],
 }
 
 impl Swing {
-    /// Follows positions every `row_seconds`, in steps of `quantum` (m), of a loop whose velocity filter cuts off at
-    /// `cutoff_hz` and whose slowest mode is expected to take about `period` (s), if it swings at all, pulled aside by
-    /// `pull` (m) at first.
+    /// Follows positions every `row_seconds`, in steps of `quantum` (m), after a pull of `pull` (m). The velocity filter
+    /// of the loop has the cutoff `cutoff_hz`; its slowest mode has about this `period` (s) if it `oscillates`.
     pub fn new(row_seconds: f64, cutoff_hz: f64, (period, oscillates): (f64, bool), quantum: f64, pull: f64) -> Self {
         let rows_a_period = 1.0 / (row_seconds * cutoff_hz);
         let slowest = period / row_seconds;
@@ -97,69 +94,70 @@ impl Swing {
         // A motion that is damped beyond critical does not swing.
         let slowest = if oscillates { slowest } else { 0.0 };
         Self {
-            place: Trace::new(rows_a_period, (slowest, silent), quantum, pull, LOOKS.0),
-            // Errors of up to half a step in three places, one of them twice; of no size to be expected.
-            bend: Trace::new(rows_a_period, (slowest, silent), 4.0 * quantum, f64::INFINITY, LOOKS.1),
-            before: [None; 2],
-            told: [None; 2],
+            position: Trace::new(rows_a_period, (slowest, silent), quantum, pull, CHECKS.0),
+            // The errors of three positions, one of them twice, add up. The initial size is unknown.
+            acceleration: Trace::new(rows_a_period, (slowest, silent), 4.0 * quantum, f64::INFINITY, CHECKS.1),
+            previous: [None; 2],
+            verdicts: [None; 2],
         }
     }
 
-    /// Returns true if the motion has not lost half of its size since it settled.
+    /// Returns true if the motion has kept half of its size since the first swings.
     #[must_use]
-    pub fn goes_on(&self) -> bool {
-        let settled: Vec<f64> = self.place.spans.iter().skip(SETTLING).map(|(low, high)| high - low).collect();
-        let (_, latest) = settled.split_at(settled.len().saturating_sub(LOOK / 4));
-        settled.len() > LOOK / 4 && largest(latest) > 0.5 * largest(&settled)
+    pub fn continues(&self) -> bool {
+        let settled: Vec<f64> = self.position.spans.iter().skip(SETTLING).map(|(low, high)| high - low).collect();
+        let (_, latest) = settled.split_at(settled.len().saturating_sub(CHECK / 4));
+        settled.len() > CHECK / 4 && largest(latest) > 0.5 * largest(&settled)
     }
 
-    /// Takes the next position (m); says the verdict once there is one.
-    pub fn take(&mut self, place: f64) -> Option<Verdict> {
-        if self.told[0].is_none() {
-            self.told[0] = self.place.take(place);
+    /// Takes the next position (m). Returns the verdict as soon as there is one.
+    pub fn take(&mut self, position: f64) -> Option<Verdict> {
+        if self.verdicts[0].is_none() {
+            self.verdicts[0] = self.position.take(position);
         }
-        // A mode that dies out in the bend may have hidden one that builds up: the bend is followed for as long as the
-        // place.
-        if let [Some(first), Some(second)] = self.before {
-            self.told[1] = self.bend.take(place - 2.0 * second + first).or(self.told[1]);
+        // A mode that dies out in the acceleration may have hidden one that builds up, so follow the acceleration as long
+        // as the position.
+        if let [Some(first), Some(second)] = self.previous {
+            self.verdicts[1] = self.acceleration.take(position - 2.0 * second + first).or(self.verdicts[1]);
         }
-        self.before = [self.before[1], Some(place)];
-        match self.told {
+        self.previous = [self.previous[1], Some(position)];
+        match self.verdicts {
             [Some(Verdict::Grows), _] | [_, Some(Verdict::Grows)] => Some(Verdict::Grows),
-            // A vibration is judged by its size, which the place has.
+            // The size of a vibration is that of the position.
             [Some(verdict), Some(_)] => Some(verdict),
             _ => None,
         }
     }
 }
 
-/// A signal whose swings are followed.
+/// The swings of a signal.
 #[derive(Clone, Debug)]
 struct Trace {
-    /// Share of the way that the slow part takes in a row.
+    /// Gain of the high-pass's low-pass per row.
     share: f64,
     slow: Option<[f64; 2]>,
-    /// Swings smaller than this are encoder steps, and so is what is smaller than this from peak to peak for good, m.
+    /// Size below which a swing is encoder steps, m.
     noise: f64,
+    /// Size below which encoder steps explain a lasting motion, m from peak to peak.
     explained: f64,
     /// Initial size of the motion, m.
     pull: f64,
-    /// Looks after which a motion that goes on is a vibration.
-    looks: usize,
-    /// Rows that a turn of the slowest mode is expected to take.
+    /// Number of checks after which a motion that continues is a vibration.
+    checks: usize,
+    /// Expected period of the slowest mode, rows; 0 if it does not oscillate.
     slowest: f64,
-    /// Rows without a turning point after which a motion is judged.
+    /// Number of rows without a turning point after which the motion has ended.
     silent: f64,
-    /// The extreme since the last turning point, and whether the motion rises.
+    /// The extreme since the last turning point, and true if the motion rises.
     extreme: Option<(f64, bool)>,
     turned: Option<f64>,
     swings: Vec<f64>,
     /// The row in which each swing ended.
     ends: Vec<usize>,
-    /// Lowest and highest position since the last turning point, and the span of each swing, m.
-    reach: (f64, f64),
+    /// Lowest and highest position since the last turning point, and of each swing, m.
+    span: (f64, f64),
     spans: Vec<(f64, f64)>,
-    /// The same without the slow part.
+    /// The same of the high-passed position.
     extent: (f64, f64),
     extents: Vec<(f64, f64)>,
     rows: usize,
@@ -167,9 +165,9 @@ struct Trace {
 }
 
 impl Trace {
-    fn new(rows_a_period: f64, (slowest, silent): (f64, f64), quantum: f64, pull: f64, looks: usize) -> Self {
+    fn new(rows_a_period: f64, (slowest, silent): (f64, f64), quantum: f64, pull: f64, checks: usize) -> Self {
         Self {
-            looks,
+            checks,
             slowest,
             share: 1.0 - (-TAU * HIGH_PASS_SHARE / rows_a_period).exp(),
             slow: None,
@@ -181,38 +179,39 @@ impl Trace {
             turned: None,
             swings: Vec::new(),
             ends: Vec::new(),
-            reach: NOWHERE,
+            span: EMPTY,
             spans: Vec::new(),
-            extent: NOWHERE,
+            extent: EMPTY,
             extents: Vec::new(),
             rows: 0,
             since_turn: 0,
         }
     }
 
-    fn take(&mut self, place: f64) -> Option<Verdict> {
+    fn take(&mut self, position: f64) -> Option<Verdict> {
         self.rows += 1;
         self.since_turn += 1;
-        if place.abs() > (FARTHEST_PULLS * self.pull).min(2.0 * self.pull + FARTHEST) {
+        if position.abs() > (FARTHEST_PULLS * self.pull).min(2.0 * self.pull + FARTHEST) {
             return Some(Verdict::Grows);
         }
-        let [first, second] = self.slow.get_or_insert([place, 0.0]);
-        *first += self.share * (place - *first);
-        let fast = place - *first;
+        let [first, second] = self.slow.get_or_insert([position, 0.0]);
+        *first += self.share * (position - *first);
+        let fast = position - *first;
         *second += self.share * (fast - *second);
         let fast = fast - *second;
-        self.reach = (self.reach.0.min(place), self.reach.1.max(place));
+        self.span = (self.span.0.min(position), self.span.1.max(position));
         self.extent = (self.extent.0.min(fast), self.extent.1.max(fast));
         if self.turns(fast)
             && let Some(verdict) = self.at_turn()
         {
             return Some(verdict);
         }
-        // Much longer than the turning points so far were apart.
-        (self.since_turn as f64 > self.silent.max(6.0 * self.apart())).then_some(Verdict::Decays)
+        // Much longer than the average time between turning points.
+        (self.since_turn as f64 > self.silent.max(6.0 * self.rows_per_turn())).then_some(Verdict::Decays)
     }
 
-    /// Notes a turning point when the motion has come back from its extreme by more than noise.
+    /// Notes a turning point if the motion has returned from its extreme by more than noise. Returns true if there are
+    /// enough swings for a verdict.
     fn turns(&mut self, fast: f64) -> bool {
         let Some((extreme, rising)) = self.extreme else {
             self.extreme = Some((fast, true));
@@ -228,102 +227,103 @@ impl Trace {
         if let Some(before) = self.turned.replace(extreme) {
             self.swings.push((extreme - before).abs());
             self.ends.push(self.rows);
-            self.spans.push(std::mem::replace(&mut self.reach, NOWHERE));
-            self.extents.push(std::mem::replace(&mut self.extent, NOWHERE));
+            self.spans.push(std::mem::replace(&mut self.span, EMPTY));
+            self.extents.push(std::mem::replace(&mut self.extent, EMPTY));
         }
         self.extreme = Some((fast, !rising));
         self.since_turn = 0;
         self.swings.len() > 3
     }
 
-    /// A reversal smaller than this is a faster mode's ripple on the swing, m. It falls while nothing turns: after a
-    /// large mode has died out a small one is seen.
+    /// Returns the size below which a reversal is the ripple of a faster mode, m. It falls while there is no turning
+    /// point, so that a small mode is found after a large one has died out.
     fn ripple(&self) -> f64 {
         let recent = largest(&self.swings[self.swings.len().saturating_sub(4)..]);
-        RIPPLE_SHARE * recent * (-(self.since_turn as f64) / (2.0 * self.apart())).exp2()
+        RIPPLE_SHARE * recent * (-(self.since_turn as f64) / (2.0 * self.rows_per_turn())).exp2()
     }
 
-    /// Average distance of the turning points so far, rows.
-    fn apart(&self) -> f64 {
+    /// Returns the average number of rows between turning points.
+    fn rows_per_turn(&self) -> f64 {
         (self.rows - self.since_turn) as f64 / (self.swings.len() + 1) as f64
     }
 
     fn at_turn(&self) -> Option<Verdict> {
         let count = self.swings.len();
         let latest = self.swings[count - 1];
-        // The first swings may be a fast mode's ripple alone, on a slow one that has yet to turn.
+        // The first swings may be only the ripple of a fast mode, on a slow one without a turning point so far.
         if latest > RUNAWAY_GROWTH * largest(&self.swings[1..4]).max(self.explained).max(self.pull) {
             return Some(Verdict::Grows);
         }
         let small = |swings: &[f64]| largest(swings) < DIED_OUT_SHARE * largest(&self.swings) && trend(swings).0 <= 0.0;
-        if count > LOOK / 2 && small(&self.swings[count - LOOK / 2..]) {
+        if count > CHECK / 2 && small(&self.swings[count - CHECK / 2..]) {
             return Some(Verdict::Decays);
         }
-        // A look at the trend, and another whenever half of what it saw is new.
-        let seen = count.checked_sub(SETTLING + LOOK)?;
-        if !seen.is_multiple_of(LOOK / 2) {
+        // Check the trend whenever half of its swings are new.
+        let seen = count.checked_sub(SETTLING + CHECK)?;
+        if !seen.is_multiple_of(CHECK / 2) {
             return None;
         }
-        // Swings that a ripple no longer cuts in pieces are larger, and the motion is not.
-        let (earlier, later) = self.extents[SETTLING..].split_at(seen + LOOK / 2);
-        let larger = across(later) > across(earlier);
-        let lasted = (self.ends[count - 1] - self.ends[count - 1 - LOOK]) as f64;
-        // A slower mode may build up under what dies out within a turn of it.
-        let told = self
-            .told_by(&self.swings[count - LOOK..], larger)
-            .filter(|told| *told != Verdict::Decays || lasted > TURNS * self.slowest);
-        let looks = seen / (LOOK / 2);
-        if told.is_some() || looks < self.looks {
-            return told;
+        // Compare extents, because swings also become larger when a ripple no longer divides them.
+        let (earlier, later) = self.extents[SETTLING..].split_at(seen + CHECK / 2);
+        let larger = size_of(later) > size_of(earlier);
+        let lasted = (self.ends[count - 1] - self.ends[count - 1 - CHECK]) as f64;
+        // Within a few periods of a slower mode, a motion that dies out may hide that mode building up.
+        let verdict = self
+            .verdict_of_trend(&self.swings[count - CHECK..], larger)
+            .filter(|verdict| *verdict != Verdict::Decays || lasted > PERIODS * self.slowest);
+        let checks = seen / (CHECK / 2);
+        if verdict.is_some() || checks < self.checks {
+            return verdict;
         }
         let stretches = self.stretches();
         let latest = &stretches[stretches.len() / 2..];
         let enough = latest.len() >= STRETCHES;
-        let patient = looks < PATIENCE * self.looks;
+        let patient = checks < PATIENCE * self.checks;
         if !enough && patient {
             return None;
         }
         let larger = largest(&latest[latest.len() / 2..]) >= largest(&stretches);
-        // A trend that has bent, or the rise of a beat, is no size at which a motion stays.
-        self.told_by(latest, larger).or_else(|| (!patient || !is_sure(trend(latest))).then(|| self.lasting()))
+        // A trend that still bends, or the rise of a beat, is no constant size.
+        self.verdict_of_trend(latest, larger)
+            .or_else(|| (!patient || !is_sure(trend(latest))).then(|| self.verdict_of_size()))
     }
 
-    /// The reach of the motion over every [`BEAT`] swings, or over as many more as [`TURNS`] of the slowest mode take,
-    /// m.
+    /// Returns the size of the motion in each stretch of [`BEAT`] swings, or more if [`PERIODS`] of the slowest mode last
+    /// longer, m.
     fn stretches(&self) -> Vec<f64> {
         let (mut stretches, mut first) = (Vec::new(), SETTLING);
         for at in SETTLING..self.swings.len() {
             let rows = self.ends[at] - self.ends[first - 1];
-            if at + 1 - first >= BEAT && rows as f64 >= TURNS * self.slowest {
-                stretches.push(across(&self.extents[first..=at]));
+            if at + 1 - first >= BEAT && rows as f64 >= PERIODS * self.slowest {
+                stretches.push(size_of(&self.extents[first..=at]));
                 first = at + 1;
             }
         }
         stretches
     }
 
-    /// The verdict that the trend of swings allows, if any: growth only where the motion is `larger` than ever, because
-    /// what grows without being so is the beat of two modes that lie close together.
-    fn told_by(&self, swings: &[f64], larger: bool) -> Option<Verdict> {
+    /// Returns the verdict of the trend, if it is clear. Growth counts only if the motion is `larger` than ever, because
+    /// the beat of two close modes also grows for a while.
+    fn verdict_of_trend(&self, swings: &[f64], larger: bool) -> Option<Verdict> {
         let (slope, error) = trend(swings);
         let sure = is_sure((slope, error));
         let (earlier, later) = swings.split_at(swings.len() / 2);
         if sure && slope > 0.0 && larger && self.size() > self.explained {
             return Some(Verdict::Grows);
         }
-        // A motion that shrinks ever more slowly is about to stay.
+        // A motion that shrinks more and more slowly may continue at a constant size.
         (sure && slope < 0.0 && trend(later).0 < 0.5 * trend(earlier).0).then_some(Verdict::Decays)
     }
 
-    /// The verdict on a motion whose size neither grows nor shrinks.
-    fn lasting(&self) -> Verdict {
+    /// Returns the verdict on a motion of constant size.
+    fn verdict_of_size(&self) -> Verdict {
         let size = self.size();
         if size > self.explained { Verdict::Vibrates(size) } else { Verdict::Decays }
     }
 
-    /// The size of the latest swings from peak to peak, m: the median of pairs, which one stray swing does not move.
+    /// Returns the size of the latest swings from peak to peak, m: the median of pairs, which ignores a stray swing.
     fn size(&self) -> f64 {
-        let recent = &self.spans[self.spans.len().saturating_sub(LOOK / 2)..];
+        let recent = &self.spans[self.spans.len().saturating_sub(CHECK / 2)..];
         let mut sizes: Vec<f64> =
             recent.windows(2).map(|two| two[0].1.max(two[1].1) - two[0].0.min(two[1].0)).collect();
         sizes.sort_by(f64::total_cmp);
@@ -331,11 +331,12 @@ impl Trace {
     }
 }
 
-const NOWHERE: (f64, f64) = (f64::INFINITY, f64::NEG_INFINITY);
+/// A span without values.
+const EMPTY: (f64, f64) = (f64::INFINITY, f64::NEG_INFINITY);
 
-/// From the lowest to the highest of some spans; negative infinity for no spans.
-fn across(spans: &[(f64, f64)]) -> f64 {
-    let (low, high) = spans.iter().fold(NOWHERE, |(low, high), span| (low.min(span.0), high.max(span.1)));
+/// Returns the distance from the lowest to the highest value of all spans; negative infinity without spans.
+fn size_of(spans: &[(f64, f64)]) -> f64 {
+    let (low, high) = spans.iter().fold(EMPTY, |(low, high), span| (low.min(span.0), high.max(span.1)));
     high - low
 }
 
@@ -348,7 +349,7 @@ fn is_sure((slope, error): (f64, f64)) -> bool {
     slope.abs() > FLAT_SLOPE.max(SIGNIFICANT * error)
 }
 
-/// Slope of ln(swing) over the swings, and its standard error.
+/// Returns the slope of ln(swing) over the number of the swing, and its standard error.
 fn trend(swings: &[f64]) -> (f64, f64) {
     let logs: Vec<f64> = swings.iter().filter(|s| **s > 0.0).map(|s| s.ln()).collect();
     let n = logs.len() as f64;
@@ -387,15 +388,15 @@ mod tests {
         panic!("no verdict");
     }
 
-    /// Modes of given share, growth (1/s) and frequency (Hz), as a tip that was pulled aside by 1 mm shows them.
+    /// Returns the sum of modes (share, growth in 1/s, frequency in Hz) after a pull of 1 mm.
     fn modes(all: &[(f64, f64, f64)]) -> impl Fn(f64) -> f64 {
         let all = all.to_vec();
         move |t| all.iter().map(|(share, grows, hz)| 1e-3 * share * (grows * t).exp() * (TAU * hz * t).cos()).sum()
     }
 
     #[test]
-    fn two_modes_that_meet_in_one_small_swing_have_not_died_out() {
-        // A wall on a cable of 120 Hz at 1 kHz has modes like these a seventh, a third and twice beyond its boundary.
+    fn one_small_swing_of_two_modes_is_no_decay() {
+        // Modes of a wall on a cable of 120 Hz at 1 kHz: a seventh, a third and twice beyond its boundary.
         for [(slow, slow_hz), (fast, fast_hz)] in
             [[(2.0, 46.0), (3.8, 164.2)], [(5.3, 48.5), (8.2, 165.0)], [(18.0, 58.0), (32.0, 170.0)]]
         {
@@ -421,7 +422,7 @@ mod tests {
     }
 
     #[test]
-    fn a_fast_mode_that_builds_up_shows_beside_a_slow_one_that_dies_out() {
+    fn a_growing_fast_mode_is_found_beside_a_decaying_slow_one() {
         for (slow, fast) in [(-0.5, 1.0), (-4.0, 1.0), (-2.0, 5.0)] {
             let found = judged_every(DT, 100.0, 1.0 / 44.0, 1e-7, modes(&[(0.95, slow, 44.0), (0.05, fast, 163.0)]));
             assert_ne!(found, Verdict::Decays, "{slow} {fast}");
@@ -431,9 +432,9 @@ mod tests {
     }
 
     #[test]
-    fn a_slow_swing_and_a_fast_one_on_it_that_both_die_out_are_no_vibration() {
-        // The WoodenHaptics with cables of 400 Hz at 20 kHz, a tenth below its limit: 57 Hz of the wall and 472 Hz of
-        // the cables, which die out at their own paces.
+    fn a_slow_and_a_fast_decaying_mode_are_no_vibration() {
+        // The WoodenHaptics with cables of 400 Hz at 20 kHz, a tenth below its limit: the wall at 57 Hz and the cables at
+        // 472 Hz decay at different rates.
         let at = |quantum: f64, share: f64, phase: f64, slow: f64, fast: f64| {
             let motion = move |t: f64| {
                 let ripple = share * (fast * t).exp() * (TAU * (472.0 * t + phase)).cos();
@@ -457,14 +458,14 @@ mod tests {
     }
 
     #[test]
-    fn a_fast_ripple_at_first_is_not_a_slow_mode_s_growth() {
+    fn an_initial_fast_ripple_is_no_growth_of_a_slow_mode() {
         // A wall of 2 kN/m on the shipped Phantom with cables of 400 Hz, sampled at 5 kHz: stable up to 8.4 kN/m.
         let mut swing = Swing::new(2e-4, 200.0, (0.03, true), 3e-7, 1.4e-4);
-        let place = |t: f64| {
+        let position = |t: f64| {
             let slow = 7e-5 * (-25.0 * t).exp() * (TAU * 32.5 * t).cos();
             slow + 5e-6 * (-70.0 * t).exp() * (TAU * 433.0 * t).cos()
         };
-        let verdict = (0..10_000).find_map(|k| swing.take(place(2e-4 * f64::from(k))));
+        let verdict = (0..10_000).find_map(|k| swing.take(position(2e-4 * f64::from(k))));
         assert_eq!(verdict, Some(Verdict::Decays));
     }
 
@@ -483,20 +484,20 @@ mod tests {
     }
 
     #[test]
-    fn a_mode_far_below_the_cutoff_is_followed_for_as_long_as_it_takes() {
-        // The effect of a washout of 2 Hz below a cutoff of 100 Hz.
+    fn a_mode_far_below_the_cutoff_is_judged() {
+        // Such a mode comes from a washout of 2 Hz with a cutoff of 100 Hz.
         for (grows, verdict) in [(-2.0, Verdict::Decays), (-0.5, Verdict::Decays), (0.3, Verdict::Grows)] {
             assert_eq!(judged_below(100.0, 1e-7, modes(&[(1.0, grows, 6.0)])), verdict, "{grows}");
         }
     }
 
-    /// A swing that grows, with a slow return to the wall besides.
+    /// Returns a swing that grows, with a slow return to the wall.
     fn growing(per_second: f64, drift: f64) -> impl Fn(f64) -> f64 {
         move |t| 1e-3 * (per_second * t).exp() * (70.0 * t).sin() + drift * (-2.0 * t).exp()
     }
 
     #[test]
-    fn slow_growth_is_told_from_slow_decay() {
+    fn slow_growth_differs_from_slow_decay() {
         for drift in [0.0, 2e-3] {
             assert_eq!(judged(0.0, growing(0.1, drift)), Verdict::Grows);
             assert_eq!(judged(0.0, growing(-0.1, drift)), Verdict::Decays);
@@ -513,8 +514,8 @@ mod tests {
     }
 
     #[test]
-    fn a_swing_that_stays_is_a_vibration_wherever_it_began() {
-        // At its size from the start, coming down from three times that, and up from nine tenths of it.
+    fn a_swing_of_constant_size_is_a_vibration() {
+        // From the start, after three times its size, and after nine tenths of it.
         for begin in [0.0, 2.0, -0.1] {
             let verdict = judged(2e-5, |t| 3e-4 * (1.0 + begin * (-6.0 * t).exp()) * (70.0 * t).sin());
             let Verdict::Vibrates(size) = verdict else { panic!("{begin}: {verdict:?}") };
@@ -523,7 +524,7 @@ mod tests {
     }
 
     #[test]
-    fn a_swing_as_small_as_encoder_steps_explain_is_none() {
+    fn a_swing_that_encoder_steps_explain_is_no_vibration() {
         let chatter = |steps: f64| move |t: f64| (1e-3 * (-6.0 * t).exp() + 0.5 * steps * 1e-4) * (70.0 * t).sin();
         assert_eq!(judged(1e-4, chatter(4.0)), Verdict::Decays);
         for steps in [8.0, 9.0, 10.0, 12.0] {
@@ -532,8 +533,8 @@ mod tests {
         }
     }
 
-    /// The describing function of a quantiser, by its definition: the first harmonic of a quantised sine.
-    fn passed_on(amplitude: f64) -> f64 {
+    /// Returns the describing function of a quantiser by its definition: the first harmonic of a quantised sine.
+    fn describing_function(amplitude: f64) -> f64 {
         let parts = 20_000;
         let sum: f64 = (0..parts)
             .map(|i| TAU * (f64::from(i) + 0.5) / f64::from(parts))
@@ -543,9 +544,10 @@ mod tests {
     }
 
     #[test]
-    fn what_encoder_steps_explain_is_derived() {
-        // Sines of which a quantiser shows more than ENCODER_STEPS steps span more than one step less.
-        let largest = |from: f64| (0..4000).map(|i| passed_on(0.5 * from + f64::from(i) * 1e-3)).fold(0.0, f64::max);
+    fn encoder_steps_follow_from_the_describing_function() {
+        // A quantised sine of n steps spans more than n - 1 steps before quantisation.
+        let largest =
+            |from: f64| (0..4000).map(|i| describing_function(0.5 * from + f64::from(i) * 1e-3)).fold(0.0, f64::max);
         assert!((largest(ENCODER_STEPS - 1.0) - 1.0365).abs() < 1e-3);
         assert!((largest(ENCODER_STEPS + 1.0) - 1.023).abs() < 1e-3);
     }

@@ -1,5 +1,6 @@
-//! The walls of a measurement's scene: those that are tested, two that pull the tip aside, and one for every direction
-//! across the pull. One tested wall also holds the tip between trials; several leave that to one more.
+//! The walls of a measurement's scene: the tested walls, two walls that pull the tip aside, and one wall for every
+//! direction across the pull. A single tested wall also holds the tip between trials; several tested walls leave that to
+//! one more wall.
 
 use haptic_bridge::render::scene::{FeedForward, MAX_WALLS, Plane, Posture, Scene, Surface, VelocityTerms, Wall};
 use nalgebra::DVector;
@@ -8,19 +9,19 @@ use super::{MeasureError, MeasurementSetup};
 use haptic_host::vectors::padded;
 use haptic_stability::analysis::pose::unit_normal;
 
-/// Distance between the wall that holds the tip and the one that pulls it aside, m: more than any pull.
+/// Distance between the wall that holds the tip and each wall that pulls it aside, m; longer than any pull.
 pub const APART: f64 = 0.01;
 /// Longest pull, m.
 pub const LONGEST_PULL: f64 = 0.5 * APART;
 
-/// The indices in the scene of the walls that hold the tip. The tested ones come first; one alone is held by its own.
+/// Indices in the scene of the walls that hold the tip. The tested walls come first; a single one also holds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Layout {
-    /// The wall at the tip's place, across the direction of the pulls.
+    /// The wall at the position of the tip, normal to the pulls.
     pub hold: u8,
-    /// At +[`APART`] and -[`APART`] from there.
+    /// The walls at +[`APART`] and -[`APART`] from there.
     pub aside: [u8; 2],
-    /// The first of those along every other direction.
+    /// The first wall for the directions across the pull.
     pub across: u8,
 }
 
@@ -31,14 +32,14 @@ impl Layout {
     }
 }
 
-/// Largest number of walls that can be tested together on a device of `task` dimensions: a scene's, less those that
-/// hold the tip.
+/// Returns the maximum number of walls that can be tested together on a device of `task` dimensions: the maximum of a
+/// scene minus the walls that hold the tip.
 #[must_use]
 pub fn most_tested(task: usize) -> usize {
     MAX_WALLS - 2 - task
 }
 
-/// Unit vectors across a normal.
+/// Returns unit vectors perpendicular to a normal and to each other.
 pub fn complement(normal: &DVector<f64>) -> Vec<DVector<f64>> {
     match normal.len() {
         2 => vec![DVector::from_vec(vec![-normal[1], normal[0]])],
@@ -55,8 +56,8 @@ pub fn complement(normal: &DVector<f64>) -> Vec<DVector<f64>> {
     }
 }
 
-/// Returns true if a scene is one that a measurement made: flat walls held from both sides, two of them [`APART`] to
-/// either side of the first.
+/// Returns true if a measurement made this scene: bilateral planes, two of them at +[`APART`] and -[`APART`] from the
+/// first.
 #[must_use]
 pub fn is_measurement(scene: &Scene<f32>) -> bool {
     let plane = |wall: &Wall<f32>| match wall.surface {
@@ -77,8 +78,8 @@ pub fn is_measurement(scene: &Scene<f32>) -> bool {
             .any(|pair| pair[0].normal == pair[1].normal && apart(&pair[0], APART) && apart(&pair[1], -APART))
 }
 
-/// The scene of a measurement at `q` (rad), its walls without gains yet. `direction` is that of the pulls, `across` all
-/// others.
+/// Returns the scene of a measurement at `q` (rad), with all gains 0, for pulls along `direction`; `across` are the other
+/// directions.
 pub fn scene(
     setup: &MeasurementSetup,
     q: &[f64],
@@ -136,7 +137,7 @@ mod tests {
     use haptic_stability::analysis::several::Member;
 
     #[test]
-    fn its_own_scenes_are_told_from_all_others() {
+    fn scenes_of_measurements_are_recognised() {
         for normals in [vec![vec![0.6, 0.8]], vec![vec![1.0, 0.0], vec![0.3, -0.9]], vec![vec![0.1, 0.2, 0.9]]] {
             let walls: Vec<_> = normals.into_iter().map(|normal| Member::new(normal, 1.0)).collect();
             let tip = DVector::from_fn(walls[0].normal.len(), |i, _| 0.07 - 0.1 * i as f64);

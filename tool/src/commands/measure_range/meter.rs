@@ -1,32 +1,32 @@
-//! Progress and remaining time of a measurement: a bar on a terminal, a line every few seconds elsewhere.
+//! Progress and remaining time of a measurement: a bar on a terminal, otherwise a line every few seconds.
 
 use indicatif::{ProgressBar, ProgressStyle};
 use std::cell::{Cell, RefCell};
 use std::io::IsTerminal;
 use std::time::{Duration, Instant};
 
-/// Time between two lines where there is no terminal.
+/// Time between two lines without a terminal.
 const EVERY: Duration = Duration::from_secs(5);
 
-/// The state of a measurement, told on standard error.
+/// Reports the progress of a measurement on standard error.
 pub struct Meter {
     total: usize,
     /// Repeats at each damping.
     repeats: usize,
-    /// Repeats from an earlier run that have not come by yet.
+    /// Repeats of an earlier run that are still to be counted as done.
     earlier: Cell<usize>,
     done: Cell<usize>,
     began: Instant,
     last_done: Cell<Instant>,
     last_line: Cell<Instant>,
-    /// Searches without and with a guess from an earlier repeat: how many, and their time together in s. The first of a
-    /// damping takes about twice as long.
+    /// Number and total time (s) of the searches without and with a guess from an earlier repeat. The first search of a
+    /// damping has no guess and takes about twice as long.
     took: RefCell<[(f64, f64); 2]>,
     bar: Option<ProgressBar>,
 }
 
 impl Meter {
-    /// Of `total` repeats, `repeats` at each damping, `earlier` of which are there already.
+    /// Starts a meter of `total` repeats, `repeats` at each damping, of which an earlier run has measured `earlier`.
     pub fn new(total: usize, repeats: usize, earlier: usize) -> Self {
         let bar = std::io::stderr().is_terminal().then(|| ProgressBar::new(total as u64));
         if let (Some(bar), Ok(style)) = (&bar, ProgressStyle::with_template("{bar:32} {pos} of {len} repeats{msg}")) {
@@ -47,7 +47,7 @@ impl Meter {
         }
     }
 
-    /// So many repeats of the plan are done.
+    /// Sets the number of repeats that are done.
     pub fn done(&self, done: usize) {
         let now = Instant::now();
         let seconds = (now - self.last_done.replace(now)).as_secs_f64();
@@ -67,7 +67,7 @@ impl Meter {
         self.tick();
     }
 
-    /// Called often; says something when it is time to.
+    /// Prints a line if it is due. Call this often.
     pub fn tick(&self) {
         if self.bar.is_some() || self.last_line.get().elapsed() < EVERY {
             return;
@@ -79,7 +79,7 @@ impl Meter {
         haptic_host::tell!("{done} of {total} repeats after {}{left}", in_words(self.began.elapsed().as_secs_f64()));
     }
 
-    /// Seconds that are left `since` seconds after the latest repeat, once the first search is over.
+    /// Returns the remaining time (s) `since` seconds after the last repeat; `None` before the first repeat.
     fn left(&self, since: f64) -> Option<f64> {
         let [first, later] = *self.took.borrow();
         let mean = |(count, seconds): (f64, f64)| (count > 0.0).then(|| seconds / count);
@@ -88,12 +88,12 @@ impl Meter {
         let done = self.done.get();
         let firsts = (done..self.total).filter(|repeat| repeat.is_multiple_of(self.repeats)).count();
         let whole = firsts as f64 * first_mean + (self.total - done - firsts) as f64 * later_mean;
-        // The search that is under way has begun; it lasts no longer than others until it does.
+        // Subtract the time of the present search, up to that of a usual one.
         let under_way = if done.is_multiple_of(self.repeats) { first_mean } else { later_mean };
         Some(whole - since.min(under_way).min(whole))
     }
 
-    /// Takes the bar away.
+    /// Removes the bar.
     pub fn finish(&self) {
         if let Some(bar) = &self.bar {
             bar.finish_and_clear();
@@ -101,7 +101,7 @@ impl Meter {
     }
 }
 
-/// A time in seconds or minutes.
+/// Formats a time in seconds, minutes or hours.
 fn in_words(seconds: f64) -> String {
     match seconds {
         seconds if seconds < 99.5 => format!("{seconds:.0} s"),
@@ -115,12 +115,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_estimate_counts_first_and_later_searches_apart() {
+    fn first_and_later_searches_are_estimated_separately() {
         let meter = Meter::new(6, 3, 0);
         assert_eq!(meter.left(0.0), None);
         *meter.took.borrow_mut() = [(1.0, 10.0), (0.0, 0.0)];
         meter.done.set(1);
-        // Two later ones at half the time, then 10 + 5 + 5.
+        // Two later searches at half the time, then 10 + 5 + 5.
         assert_eq!([0.0, 4.0, 40.0].map(|since| meter.left(since)), [Some(30.0), Some(26.0), Some(25.0)]);
         *meter.took.borrow_mut() = [(1.0, 10.0), (2.0, 6.0)];
         meter.done.set(3);

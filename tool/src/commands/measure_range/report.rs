@@ -1,4 +1,4 @@
-//! The report of a measurement: its points beside the theory of the same loop, as a table, a document or a picture.
+//! The report of a measurement: its points and the theory of the same loop, as a table, JSON or a picture.
 
 use super::{Args, FrictionKind};
 use crate::commands::port::counted;
@@ -28,18 +28,18 @@ pub struct Theory {
     walls: Vec<Member>,
     around: Loop,
     excitation: Excitation,
-    /// The command that predicts the same, but for its dampings.
+    /// The command that predicts the same, without its dampings.
     line: String,
     q: Vec<f64>,
 }
 
-/// Numbers as an option takes them.
+/// Formats numbers as a value of an option.
 fn list(values: &[f64]) -> String {
     values.iter().map(f64::to_string).collect::<Vec<_>>().join(",")
 }
 
 impl Theory {
-    /// Of what is measured with this setup at `q` behind this loop.
+    /// Computes the theory of a measurement with this setup at `q` in the loop `around`.
     pub fn new(
         args: &Args,
         file: &DeviceFile,
@@ -64,10 +64,10 @@ impl Theory {
         Ok(Self { device, walls, around: prediction.around, excitation, line, q: q.to_vec() })
     }
 
-    /// The stiffness that a hand at the tip feels of a wall's stiffness (N/m), if transmissions give.
+    /// Returns the felt stiffness of a wall at the tip (N/m) if transmissions are compliant.
     fn felt(&self, mode: FeedForward, kp: f64) -> Option<f64> {
         let Walls::One(device) = &self.device else { return None };
-        // At rest a washout's corner plays no part.
+        // The corner of a washout has no effect at rest.
         device.felt(Mode::of(mode, 0.0), kp)
     }
 
@@ -76,20 +76,20 @@ impl Theory {
     }
 }
 
-/// A whole range of one mode.
+/// The complete range of one mode.
 #[derive(serde::Serialize)]
 struct Area {
     mode: FeedForward,
-    /// ∫ kp dkd of what was stable at every pull, and of the theory, N² s/m².
+    /// ∫ kp dkd of the stiffness that was stable at every pull, and of the theory, N² s/m².
     measured: f64,
     theory: f64,
-    /// Largest distance of that stiffness from the theory, as a share of the theory's highest.
+    /// Largest difference of that stiffness from the theory, as a share of the theory's maximum.
     furthest: f64,
-    /// The widest bar of a pull over its median.
+    /// Largest spread of the repeats of a pull, as a share of their median.
     spread: f64,
 }
 
-/// From the lowest to the highest of the repeats of one pull, over their median.
+/// Returns the spread of the repeats of one pull as a share of their median.
 fn spread(repeats: &[f64]) -> f64 {
     let ((low, high), median) = (bounds(repeats), median(repeats));
     if median > 0.0 { (high - low) / median } else { 0.0 }
@@ -98,11 +98,11 @@ fn spread(repeats: &[f64]) -> f64 {
 /// Distance of the dots of two pulls in the picture, pixels.
 const APART: f64 = 7.0;
 
-/// Less than this part of theory's stiffness has another cause than what theory leaves out: that takes at most a fifth
-/// on the simulated board (docs/results/complete.md).
+/// Share of the theory's stiffness below which the boundary has another cause than the effects that the theory omits,
+/// which reduce it by at most a fifth on the simulated board (docs/results/complete.md).
 const FAR_BELOW: f64 = 0.5;
 
-/// Everything that is told.
+/// The contents of the report.
 pub struct Report<'a> {
     pub name: &'a str,
     pub args: &'a Args,
@@ -112,7 +112,7 @@ pub struct Report<'a> {
 }
 
 impl Report<'_> {
-    /// Returns true if there is anything to tell.
+    /// Returns true if there is any point to report.
     pub fn any(&self) -> bool {
         self.plan.modes.iter().any(|mode| !self.points(*mode).is_empty())
     }
@@ -122,12 +122,12 @@ impl Report<'_> {
         self.plan.modes.iter().any(|mode| self.points(*mode).iter().any(|point| !point.repeats.is_empty()))
     }
 
-    /// The measured points that were asked for: a file of progress may hold other dampings as well.
+    /// Returns the points of the plan; a progress file may contain other dampings too.
     fn points(&self, mode: FeedForward) -> Vec<&Point> {
         self.plan.asked(self.progress.all(mode))
     }
 
-    /// Writes the pictures and prints the table or the document.
+    /// Writes the pictures and prints the table or JSON.
     pub fn out(&self) -> Result<(), Failure> {
         let args = self.args;
         let warnings = self.far_below()?;
@@ -138,7 +138,7 @@ impl Report<'_> {
         args.json.answer(self.document(&warnings)?, &self.table()?)
     }
 
-    /// A doubt about boundaries that are far below those of theory.
+    /// Returns a warning if boundaries are far below the theory.
     fn far_below(&self) -> Result<Vec<Warning>, Failure> {
         let mut rows = Vec::new();
         for &mode in &self.plan.modes {
@@ -158,7 +158,7 @@ impl Report<'_> {
         self.plan.modes.contains(&FeedForward::Washout).then_some(self.args.washout)
     }
 
-    /// The points of a mode with the theory's at the same dampings.
+    /// Returns the points of a mode with the theory at the same dampings.
     fn beside(&self, mode: FeedForward) -> Result<Vec<(&Point, BoundaryPoint)>, Failure> {
         let points = self.points(mode);
         let kd: Vec<f64> = points.iter().map(|point| printed(point.kd)).collect();
@@ -166,7 +166,7 @@ impl Report<'_> {
         Ok(points.into_iter().zip(range.of(mode).boundary.iter().copied()).collect())
     }
 
-    /// The command that predicts the theory's figures.
+    /// Returns the command that prints the theory.
     fn line(&self) -> String {
         let points = self.plan.modes.iter().flat_map(|mode| self.points(*mode));
         let mut kd: Vec<f64> = points.map(|point| printed(point.kd)).collect();
@@ -175,7 +175,7 @@ impl Report<'_> {
         format!("{} --kd {}", self.theory.line, list(&kd))
     }
 
-    /// The most that a pull of this strength may be, mm.
+    /// Returns the longest pull of this strength, mm.
     fn pull_mm(&self, strength: f64) -> f64 {
         (self.theory.excitation.largest * strength * 1e6).round() / 1e3
     }
@@ -187,8 +187,7 @@ impl Report<'_> {
         }
     }
 
-    /// The pose, the normals and the loop of the measurement, in two lines.
-    /// Pose, walls and loop, numbers by `joined`.
+    /// Describes pose, walls and loop in two lines, with numbers formatted by `joined`.
     fn setting(&self, joined: fn(&[f64]) -> String) -> [String; 2] {
         let (args, around) = (self.args, &self.theory.around);
         let normals: Vec<String> = args.walls.normals().map(|normal| format!("({})", joined(&normal.0))).collect();
@@ -213,7 +212,7 @@ impl Report<'_> {
         let mut text =
             format!("{}: largest stable stiffness, measured ({} repeats of each pull)\n", self.name, self.plan.repeats);
         if let Some(date) = &self.progress.date {
-            let _ = writeln!(text, "  the last of it on {date}");
+            let _ = writeln!(text, "  last result on {date}");
         }
         let _ = writeln!(text, "  {place}\n  {around}\n");
         let _ = writeln!(
@@ -226,7 +225,7 @@ impl Report<'_> {
             for (point, theory) in self.beside(mode)? {
                 let label = format!("{mode:?}").to_lowercase();
                 let beyond = match (&point.open, point.vibration_m) {
-                    (Some(_), _) if point.repeats.is_empty() => "not told".into(),
+                    (Some(_), _) if point.repeats.is_empty() => "not measured".into(),
                     (_, Some(size)) => format!("vibrates by {} mm", millimetres(size)),
                     (_, None) => "grows".into(),
                 };
@@ -266,12 +265,12 @@ impl Report<'_> {
             );
         }
         for (mode, why) in &self.progress.open_ends {
-            let _ = writeln!(text, "{mode:?}: the damping where the range ends was not found: {why}");
+            let _ = writeln!(text, "{mode:?}: the damping at which the range ends was not found: {why}");
         }
         for area in self.areas()? {
             let _ = writeln!(
                 text,
-                "{:?}: area {:.0} N²s/m², theory {:.0}; furthest from theory by {:.2} % of its highest stiffness",
+                "{:?}: area {:.0} N²s/m², theory {:.0}; largest difference {:.2} % of the theory's highest stiffness",
                 area.mode,
                 area.measured,
                 area.theory,
@@ -281,35 +280,35 @@ impl Report<'_> {
         let Excitation { quantum, friction, .. } = self.theory.excitation;
         let _ = writeln!(
             text,
-            "An encoder step is {} mm here. What goes on by more than 6 steps from peak to peak counts as vibrating.",
+            "An encoder step is {} mm here. A motion that continues by more than 6 steps from peak to peak is a vibration.",
             millimetres(quantum)
         );
         if friction > 0.0 {
             let _ = writeln!(
                 text,
-                "Coulomb friction of {friction:.3} N at the tip stops small swings: the boundary found is that of the pulls \
-                 made, as a rule higher than theory's, and may not repeat."
+                "Coulomb friction of {friction:.3} N at the tip stops small swings: the boundary depends on the pulls, is \
+                 usually above the theory, and may not repeat."
             );
         }
         let _ = writeln!(
             text,
-            "The theory knows no Coulomb friction, hand, encoder steps or saturation. It is that of:\n  {}",
+            "The theory has no Coulomb friction, hand, encoder steps or saturation. Its command is:\n  {}",
             self.line()
         );
         Ok(text)
     }
 
-    /// Encoders that could tell up to `stiffness` (N/m), where these cannot.
+    /// Describes the encoders that could measure up to `stiffness` (N/m), if the present ones cannot.
     fn finer(&self, stiffness: f64) -> String {
         let Excitation { force, .. } = self.theory.excitation;
         let factor = 2.0 * self.theory.excitation.smallest() * stiffness / force;
         if factor <= 1.0 {
             return String::new();
         }
-        format!("; encoders with {:.0} times the counts could tell", factor.ceil())
+        format!("; encoders with {:.0} times the counts could measure it", factor.ceil())
     }
 
-    /// The areas under the boundaries, where whole ranges were measured.
+    /// Returns the areas under the boundaries, for ranges that were measured completely.
     fn areas(&self) -> Result<Vec<Area>, Failure> {
         let mut areas = Vec::new();
         if self.plan.kd.is_some() {
@@ -325,7 +324,7 @@ impl Report<'_> {
             let domain = range.of(mode);
             let top = domain.boundary.iter().map(|point| point.kp).fold(0.0, f64::max);
             let apart = points.iter().map(|(point, theory)| (self.plan.at_every_pull(point) - theory.kp).abs() / top);
-            // The dampings lie at the middles of even cells.
+            // The dampings are the middles of equal cells.
             let cell = end / self.plan.points as f64;
             areas.push(Area {
                 mode,
@@ -357,7 +356,7 @@ impl Report<'_> {
                         json!({ "pull_mm": self.pull_mm(pull), "low": low, "median": median(&repeats), "high": high })
                     })
                     .collect();
-                let mut told = json!({
+                let mut entry = json!({
                     "mode": mode,
                     "kd": point.kd,
                     "kp": found.map(|found| found.0),
@@ -370,9 +369,9 @@ impl Report<'_> {
                     "theory_kp": theory.kp,
                 });
                 if let Some(felt) = found.and_then(|found| self.theory.felt(mode, found.0)) {
-                    told["felt"] = felt.into();
+                    entry["felt"] = felt.into();
                 }
-                points.push(told);
+                points.push(entry);
             }
         }
         let walls: Vec<_> = self
@@ -399,7 +398,7 @@ impl Report<'_> {
 
     fn picture(&self) -> Result<haptic_show::plot::Picture, Failure> {
         let range = self.theory.predict(None, self.washout())?;
-        // Side by side, so that bars do not hide each other.
+        // Dots stand side by side, so that bars do not hide each other.
         let beside = |nth: usize| (nth as f64 - (self.plan.pulls.len() as f64 - 1.0) / 2.0) * APART;
         let dots = |mode| -> Vec<MeasuredPoint> {
             let of = |point: &Point| {
@@ -428,7 +427,7 @@ impl Report<'_> {
         }))
     }
 
-    /// The reason why the dots lie above the curves, if something that damps the wall is in the measurement alone.
+    /// Describes the damping that only the measurement has, which puts the dots above the curves.
     fn left_out(&self) -> Option<String> {
         let known = matches!(self.args.friction, Some(FrictionKind::Viscous | FrictionKind::None));
         let dry = !self.args.frictionless && !known;

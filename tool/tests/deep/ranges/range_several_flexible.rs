@@ -1,23 +1,19 @@
-//! `haptic range` of several walls on a device that is not rigid, in a hand: one wall given twice is the wall, stiff
-//! transmissions are none, and sets of walls end where loops end that are built here, from M and J, with the motors and
-//! the hand as bodies of their own.
+//! `haptic range` of several walls on a device that is not rigid, in a hand: one wall given twice is the wall, infinite
+//! stiffness is rigid, and sets of walls end where loops of bodies do, with the motors and the hand as separate bodies.
 
+use crate::common::bodies::{Bodies, CUTOFF, RATE};
 use crate::common::shipped;
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::description::{EncoderAt, Transmission};
-use haptic_bridge::model::mechanism::AnyMechanism;
 use haptic_host::device_file::DeviceFile;
 use haptic_stability::analysis::control_loop::Mode;
 use haptic_stability::analysis::flexible::Hand;
 use haptic_stability::analysis::plant::{Drive, Linearised};
-use haptic_stability::analysis::pose::TaskPose;
 use haptic_stability::analysis::range::{domain, domain_of_several};
 use haptic_stability::analysis::sampled::{LinearEstimator, Loop};
 use haptic_stability::analysis::several::{Member, WallSet};
 use nalgebra::{DMatrix, DVector};
 
-const RATE: f64 = 1_000.0;
-const CUTOFF: f64 = 100.0;
 const HAND: Hand = Hand { mass: 0.1, damping: 4.0, stiffness: 250.0 };
 
 fn around() -> Loop {
@@ -116,99 +112,6 @@ fn cables_that_hardly_give_are_none() {
     }
 }
 
-/// The loop of bodies on springs and dampers: links, then motors where there are cables. Largest |z| at these totals.
-struct Bodies {
-    mass: DMatrix<f64>,
-    damping: DMatrix<f64>,
-    stiffness: DMatrix<f64>,
-    /// Displacement of the tip that the encoders show, d rows over the bodies, and what joint torques drive.
-    seen: DMatrix<f64>,
-    driven: DMatrix<f64>,
-    /// Joint torques per newton of each direction of the task, for 1 N/m in total per metre of the tip.
-    torques: DMatrix<f64>,
-}
-
-impl Bodies {
-    fn new(file: &DeviceFile, q: &[f64], hand: Hand, torques: DMatrix<f64>) -> Self {
-        let mechanism = AnyMechanism::new(&file.description).unwrap();
-        let pose = TaskPose::of(&mechanism, q).unwrap();
-        let (n, tip) = (q.len(), pose.jacobian.rows(0, pose.task).into_owned());
-        let joints = &file.description.joints[..n];
-        let cables = joints.iter().any(|joint| joint.transmission.is_some());
-        let all = if cables { 2 * n } else { n };
-        let square = tip.tr_mul(&tip);
-        let mut bodies = Self {
-            mass: DMatrix::zeros(all, all),
-            damping: DMatrix::zeros(all, all),
-            stiffness: DMatrix::zeros(all, all),
-            seen: DMatrix::zeros(tip.nrows(), all),
-            driven: DMatrix::zeros(all, n),
-            torques,
-        };
-        let links = &pose.mass + &square * hand.mass;
-        bodies.mass.view_mut((0, 0), (n, n)).copy_from(&links);
-        bodies.damping.view_mut((0, 0), (n, n)).copy_from(&(&square * hand.damping));
-        bodies.stiffness.view_mut((0, 0), (n, n)).copy_from(&(&square * hand.stiffness));
-        for (j, joint) in joints.iter().enumerate() {
-            let motor = if cables { n + j } else { j };
-            if let Some(cable) = joint.transmission {
-                bodies.mass[(j, j)] -= cable.motor_inertia;
-                bodies.mass[(motor, motor)] = cable.motor_inertia;
-                for (a, b, sign) in [(j, j, 1.0), (motor, motor, 1.0), (j, motor, -1.0), (motor, j, -1.0)] {
-                    bodies.damping[(a, b)] += sign * cable.damping;
-                    bodies.stiffness[(a, b)] += sign * cable.stiffness;
-                }
-            }
-            bodies.damping[(motor, motor)] += joint.viscous;
-            bodies.driven[(motor, j)] = 1.0;
-            bodies.seen.set_column(motor, &tip.column(j));
-        }
-        bodies
-    }
-
-    fn radius(&self, kp: f64, kd: f64) -> f64 {
-        let t = 1.0 / RATE;
-        let (d, n) = self.seen.shape();
-        let joints = self.driven.ncols();
-        let inverse = self.mass.clone().try_inverse().unwrap();
-        let mut a = DMatrix::zeros(2 * n + joints, 2 * n + joints);
-        a.view_mut((0, n), (n, n)).fill_with_identity();
-        a.view_mut((n, 0), (n, n)).copy_from(&(-&inverse * &self.stiffness * (t * t)));
-        a.view_mut((n, n), (n, n)).copy_from(&(-&inverse * &self.damping * t));
-        a.view_mut((n, 2 * n), (n, joints)).copy_from(&(&inverse * &self.driven * (t * t)));
-        let step = a.exp();
-        let w = (std::f64::consts::PI * CUTOFF * t).tan();
-        let scale = 1.0 / (1.0 + std::f64::consts::SQRT_2 * w + w * w);
-        let b = w * w * scale;
-        let (a1, a2) = (2.0 * (w * w - 1.0) * scale, (1.0 - std::f64::consts::SQRT_2 * w + w * w) * scale);
-        // Bodies and the last torque, then of each direction the last place and two states of the filter.
-        let plant = 2 * n + joints;
-        let size = plant + 3 * d;
-        let mut matrix = DMatrix::zeros(size, size);
-        for column in 0..size {
-            let s = DVector::from_fn(size, |i, _| f64::from(u8::from(i == column)));
-            let x = &self.seen * s.rows(0, n);
-            let (mut next, mut pull) = (DVector::zeros(size), DVector::zeros(d));
-            for i in 0..d {
-                let at = plant + 3 * i;
-                let moved = x[i] - s[at];
-                let y = b * moved + s[at + 1];
-                next[at] = x[i];
-                next[at + 1] = 2.0 * b * moved - a1 * y + s[at + 2];
-                next[at + 2] = b * moved - a2 * y;
-                pull[i] = -(kp * x[i] + kd / t * y);
-            }
-            let moved = &step * s.rows(0, plant);
-            next.rows_mut(0, 2 * n).copy_from(&moved.rows(0, 2 * n));
-            next.rows_mut(2 * n, joints).copy_from(&(&self.torques * pull));
-            matrix.set_column(column, &next);
-        }
-        // What no wall sees and no spring holds stays where it is, z = 1.
-        let far = |z: &&nalgebra::Complex<f64>| (**z - 1.0).norm() > 1.0e-5;
-        matrix.complex_eigenvalues().iter().filter(far).map(|z| z.norm()).fold(0.0, f64::max)
-    }
-}
-
 #[test]
 fn sets_of_walls_with_cables_and_hands_end_where_loops_of_bodies_do() {
     for (name, q, walls, kd) in SETS {
@@ -222,9 +125,7 @@ fn sets_of_walls_with_cables_and_hands_end_where_loops_of_bodies_do() {
                 let torques: Vec<_> = (0..task).map(|axis| set.torque(&unit(axis), feed_forward)).collect();
                 let bodies = Bodies::new(&file, q, hand, DMatrix::from_columns(&torques));
                 let kp = boundary(&set.clone().held(hand), mode, &[kd])[0];
-                assert!(kp > 0.0, "{name} {mode:?}: nothing is stable at {kd} N s/m");
-                let (below, above) = (bodies.radius(kp * 0.999, kd), bodies.radius(kp * 1.001, kd));
-                assert!(below < 1.0 && above > 1.0, "{name} {hz:?} {hand:?} {mode:?}: {below}, {above} about {kp} N/m");
+                bodies.assert_limit(kp, kd, &format!("{name} {hz:?} {hand:?} {mode:?}"));
             }
         }
     }
