@@ -1,17 +1,11 @@
-//! What is read back from a board: the same device and scene to the bit, and what differs from a file.
+//! Device and scene are read back from a board to the bit; differences from a file are listed.
 #![cfg(unix)]
 
+use crate::common::prelude::*;
 use crate::common::sim::Sim;
-use crate::common::{all_shipped, file, files};
-use haptic_bridge::model::device::Device;
-use haptic_bridge::render::scene::{Scene, Surface};
-use haptic_host::device_file::DeviceFile;
+use crate::common::{Folder, SCENES, all_shipped, files, shipped};
 use haptic_host::read_back::{differences, running, scene, to_toml};
-use haptic_host::scene_file::SceneFile;
 use haptic_predict::equivalent::device_file;
-use haptic_sim::Random;
-use predicates::prelude::*;
-use predicates::str::contains;
 
 fn read(text: &str) -> Device<f32> {
     DeviceFile::parse(text, "read back").unwrap().device().unwrap()
@@ -23,7 +17,7 @@ fn every_shipped_device_is_read_back_to_the_bit() {
         let device = file.device::<f32>().unwrap();
         let alone = device_file(&device, None).unwrap_or_else(|| panic!("{}", file.name));
         assert_eq!(read(&alone), device, "{}", file.name);
-        // Near its own file nothing but what the board does not keep is another.
+        // With its own file as a hint, everything that the board keeps is the same.
         let near = device_file(&device, Some(&file.description)).unwrap();
         let found = DeviceFile::parse(&near, "near").unwrap().description;
         assert_eq!((found.links, found.geometry), (file.description.links, file.description.geometry), "{}", file.name);
@@ -77,9 +71,9 @@ fn every_shipped_scene_is_read_back_to_the_bit() {
 }
 
 #[test]
-fn what_differs_is_told_by_key_with_units() {
+fn differences_are_listed_by_key_with_units() {
     let [a, b] = [0.012, 0.013].map(|mass| {
-        let mut file = DeviceFile::parse(haptic_sim::SHIPPED_DEVICE, "a").unwrap();
+        let mut file = shipped("coupled-five-bar");
         file.description.handle_mass = mass;
         file.description.joints[1].viscous = mass;
         running(&file.device().unwrap())
@@ -92,42 +86,42 @@ fn what_differs_is_told_by_key_with_units() {
 }
 
 #[test]
-fn a_board_is_read_into_files_and_held_against_them() {
-    let sim = Sim::start(&["--fast"]);
-    let (device, wall) = (file("coupled-five-bar.toml"), file("scenes/coupled-five-bar/wall.toml"));
-    sim.run(&["scene", "--read"]).code(1).stderr(contains("no scene"));
-    sim.run(&["device"]).code(2);
-    sim.run(&["device", &device]).success();
-    sim.run(&["scene", &wall]).success();
-    sim.run(&["device", "--read", &device]).success().stdout(contains("the board's device is the same as in"));
-    sim.run(&["scene", "--read", &wall]).success();
-    let folder = tempfile::tempdir().unwrap();
-    let [device, scene] = ["d.toml", "s.toml"].map(|name| folder.path().join(name).display().to_string());
-    for (what, path) in [("device", &device), ("scene", &scene)] {
-        sim.run(&[what, "--read", "-o", path]).success();
-        sim.run(&[what, "--read", "-o", path]).code(1).stderr(contains("--force"));
-        sim.run(&[what, path]).success();
-        sim.run(&[what, "--read", path]).success();
+fn a_board_is_read_into_files_and_compared_with_them() {
+    let (sim, folder) = (Sim::start(&["--fast"]), Folder::new());
+    let (device, wall) = ("devices/coupled-five-bar.toml", format!("{SCENES}/wall.toml"));
+    let (d, s) = (folder.path("d.toml"), folder.path("s.toml"));
+    sim.type_lines(&format!(
+        "1: scene --read => no scene
+        2: device
+        device {device}
+        scene {wall}
+        device --read {device} => the board's device is the same as in
+        scene --read {wall}"
+    ));
+    for (what, path) in [("device", &d), ("scene", &s)] {
+        sim.type_lines(&format!(
+            "{what} --read -o {path}
+            1: {what} --read -o {path} => --force
+            {what} {path}
+            {what} --read {path}"
+        ));
     }
-    sim.run(&["gains", "--stiffness", "321"]).success();
-    let told = contains("[[wall]] 0 stiffness: ").and(contains(" -> 321.0 N/m\n"));
-    sim.run(&["scene", "--read", &scene]).code(3).stdout(told).stderr(contains("1 difference"));
-    let json = sim.run(&["scene", "--read", &scene, "--json"]).code(3);
-    let json: serde_json::Value = serde_json::from_slice(&json.get_output().stdout).unwrap();
-    assert_eq!(
-        (json["differences"][0]["to"].as_f64(), &json["differences"][1]),
-        (Some(321.0), &serde_json::Value::Null)
-    );
+    sim.type_lines(&format!(
+        "gains --stiffness 321
+        3: scene --read {s} => [[wall]] 0 stiffness:  |  -> 321.0 N/m | 1 difference
+        3: scene --read {s} --json => \"to\":321.0"
+    ));
 }
 
 #[test]
-fn a_report_examines_the_board_with_its_motors_off_and_tells_nothing_private() {
+fn a_report_checks_the_board_and_contains_nothing_private() {
     let sim = Sim::start(&["--fast"]);
-    sim.run(&["device", &file("coupled-five-bar.toml")]).success();
-    sim.run(&["scene", &file("scenes/coupled-five-bar/wall.toml")]).success();
-    sim.run(&["board", "name", "ada-lovelaces-desk"]).success();
-    let told = sim.run(&["board", "report"]).success();
-    let page = String::from_utf8_lossy(&told.get_output().stdout).into_owned();
+    sim.type_lines(&format!(
+        "device devices/coupled-five-bar.toml
+        scene {SCENES}/wall.toml
+        board name ada-lovelaces-desk"
+    ));
+    let page = sim.output(&["board", "report"]);
     for part in ["encoder 0", "encoder 1", "current 0", "current 1", "bus", "flash", "timing", "link", "fault"] {
         assert!(page.contains(&format!("| {part} | OK |")), "{part}\n{page}");
     }
@@ -135,6 +129,5 @@ fn a_report_examines_the_board_with_its_motors_off_and_tells_nothing_private() {
     for private in ["SIM0001", "ada-lovelace", "coupled-five-bar", "tcp:", "127.0.0.1", "/home", ".toml"] {
         assert!(!page.contains(private), "{private}\n{page}");
     }
-    sim.run(&["arm"]).success();
-    sim.run(&["board", "report"]).code(1).stderr(contains("disarm"));
+    sim.type_lines("arm\n1: board report => disarm");
 }

@@ -1,37 +1,22 @@
-//! `haptic range` of several walls on a device that is not rigid, in a hand: one wall given twice is the wall, stiff
-//! transmissions are none, and sets of walls end where loops end that are built here, from M and J, with the motors and
-//! the hand as bodies of their own.
+//! `haptic range` of several walls on a device with cables or in a hand: one wall given twice equals the wall, stiff
+//! cables equal rigid ones, and the boundary agrees with a loop built from M and J with motors and hand as bodies.
 
-use crate::common::shipped;
-use haptic_bridge::model::admissible::Admissible;
-use haptic_bridge::model::description::{EncoderAt, Transmission};
-use haptic_bridge::model::mechanism::AnyMechanism;
-use haptic_host::device_file::DeviceFile;
-use haptic_stability::analysis::control_loop::Mode;
+use crate::common::oracle::{Bodies, CUTOFF, RATE};
+use crate::common::prelude::*;
+use crate::common::{ideal_loop, shipped};
 use haptic_stability::analysis::flexible::Hand;
-use haptic_stability::analysis::plant::{Drive, Linearised};
 use haptic_stability::analysis::pose::TaskPose;
-use haptic_stability::analysis::range::{domain, domain_of_several};
-use haptic_stability::analysis::sampled::{LinearEstimator, Loop};
-use haptic_stability::analysis::several::{Member, WallSet};
-use nalgebra::{DMatrix, DVector};
+use haptic_stability::analysis::range::domain_of_several;
+use haptic_stability::analysis::several::WallSet;
 
-const RATE: f64 = 1_000.0;
-const CUTOFF: f64 = 100.0;
 const HAND: Hand = Hand { mass: 0.1, damping: 4.0, stiffness: 250.0 };
 
 fn around() -> Loop {
-    Loop {
-        rate_hz: RATE,
-        delay_samples: 1.0,
-        estimator: LinearEstimator::Butterworth(CUTOFF),
-        drive: Drive::Ideal,
-        damping_compensation: false,
-    }
+    ideal_loop(RATE, 1.0, LinearEstimator::Butterworth(CUTOFF))
 }
 
-/// A shipped device; with cables of so many Hz against each joint's motor, of which a third joint's and more have all
-/// of the inertia and a turret three tenths.
+/// A shipped device. With `hz`, every joint has a cable of that frequency against its motor. The motor side has all of
+/// the joint's inertia, or 0.3 of it on the first joint of a spatial device.
 fn device(name: &str, hz: Option<f64>) -> DeviceFile {
     let mut file = shipped(name);
     let spec = file.spec();
@@ -48,9 +33,9 @@ fn device(name: &str, hz: Option<f64>) -> DeviceFile {
 }
 
 /// Device, pose, normals with their parts, damping.
-type Set = (&'static str, &'static [f64], &'static [(&'static [f64], f64)], f64);
+type WallSetCase = (&'static str, &'static [f64], &'static [(&'static [f64], f64)], f64);
 
-const SETS: [Set; 3] = [
+const WALL_SETS: [WallSetCase; 3] = [
     ("coupled-five-bar", &[2.6, 1.75], &[(&[0.97, 0.24], 3.0), (&[0.24, -0.97], 1.0)], 10.0),
     ("coupled-five-bar", &[2.6, 1.75], &[(&[0.2419219, 0.9702957], 1.0), (&[0.3255682, 0.9455186], 1.0)], 10.0),
     (
@@ -72,7 +57,7 @@ fn boundary(set: &WallSet, mode: Mode, kd: &[f64]) -> Vec<f64> {
 }
 
 #[test]
-fn one_wall_given_twice_is_the_wall_with_its_cables_and_in_its_hand() {
+fn one_wall_given_twice_equals_it_with_cables_and_hand() {
     for (name, q, normal) in [
         ("coupled-five-bar", &[2.6, 1.75][..], vec![0.26, 0.97]),
         ("woodenhaptics", &[0.0, 1.3, -0.2], vec![0.6, 0.8, 0.1]),
@@ -97,14 +82,14 @@ fn one_wall_given_twice_is_the_wall_with_its_cables_and_in_its_hand() {
 }
 
 #[test]
-fn cables_that_hardly_give_are_none() {
-    for (name, q, walls, kd) in SETS {
+fn stiff_cables_equal_rigid_ones() {
+    for (name, q, walls, kd) in WALL_SETS {
         let of = |hz| {
             let set = WallSet::at(&device(name, hz).description, q, &members(walls), Admissible::default()).unwrap();
             [Mode::Off, Mode::Full].map(|mode| boundary(&set, mode, &[kd])[0])
         };
         let rigid = of(None);
-        // What a cable changes falls with the square of its frequency.
+        // The effect of a cable falls with the square of its frequency.
         for (hz, within) in [(2e4, 1e-2), (2e5, 1e-4), (1e9, 1e-9)] {
             for (found, rigid) in of(Some(hz)).into_iter().zip(rigid) {
                 assert!(
@@ -116,102 +101,47 @@ fn cables_that_hardly_give_are_none() {
     }
 }
 
-/// The loop of bodies on springs and dampers: links, then motors where there are cables. Largest |z| at these totals.
-struct Bodies {
-    mass: DMatrix<f64>,
-    damping: DMatrix<f64>,
-    stiffness: DMatrix<f64>,
-    /// Displacement of the tip that the encoders show, d rows over the bodies, and what joint torques drive.
-    seen: DMatrix<f64>,
-    driven: DMatrix<f64>,
-    /// Joint torques per newton of each direction of the task, for 1 N/m in total per metre of the tip.
-    torques: DMatrix<f64>,
-}
-
-impl Bodies {
-    fn new(file: &DeviceFile, q: &[f64], hand: Hand, torques: DMatrix<f64>) -> Self {
-        let mechanism = AnyMechanism::new(&file.description).unwrap();
-        let pose = TaskPose::of(&mechanism, q).unwrap();
-        let (n, tip) = (q.len(), pose.jacobian.rows(0, pose.task).into_owned());
-        let joints = &file.description.joints[..n];
-        let cables = joints.iter().any(|joint| joint.transmission.is_some());
-        let all = if cables { 2 * n } else { n };
-        let square = tip.tr_mul(&tip);
-        let mut bodies = Self {
-            mass: DMatrix::zeros(all, all),
-            damping: DMatrix::zeros(all, all),
-            stiffness: DMatrix::zeros(all, all),
-            seen: DMatrix::zeros(tip.nrows(), all),
-            driven: DMatrix::zeros(all, n),
-            torques,
-        };
-        let links = &pose.mass + &square * hand.mass;
-        bodies.mass.view_mut((0, 0), (n, n)).copy_from(&links);
-        bodies.damping.view_mut((0, 0), (n, n)).copy_from(&(&square * hand.damping));
-        bodies.stiffness.view_mut((0, 0), (n, n)).copy_from(&(&square * hand.stiffness));
-        for (j, joint) in joints.iter().enumerate() {
-            let motor = if cables { n + j } else { j };
-            if let Some(cable) = joint.transmission {
-                bodies.mass[(j, j)] -= cable.motor_inertia;
-                bodies.mass[(motor, motor)] = cable.motor_inertia;
-                for (a, b, sign) in [(j, j, 1.0), (motor, motor, 1.0), (j, motor, -1.0), (motor, j, -1.0)] {
-                    bodies.damping[(a, b)] += sign * cable.damping;
-                    bodies.stiffness[(a, b)] += sign * cable.stiffness;
-                }
+/// The bodies of a device with cables or in a hand.
+fn bodies(file: &DeviceFile, q: &[f64], hand: Hand, torques: DMatrix<f64>) -> Bodies {
+    let mechanism = AnyMechanism::new(&file.description).unwrap();
+    let pose = TaskPose::of(&mechanism, q).unwrap();
+    let (n, tip) = (q.len(), pose.jacobian.rows(0, pose.task).into_owned());
+    let joints = &file.description.joints[..n];
+    let cables = joints.iter().any(|joint| joint.transmission.is_some());
+    let all = if cables { 2 * n } else { n };
+    let square = tip.tr_mul(&tip);
+    let mut bodies = Bodies {
+        mass: DMatrix::zeros(all, all),
+        damping: DMatrix::zeros(all, all),
+        stiffness: DMatrix::zeros(all, all),
+        seen: DMatrix::zeros(tip.nrows(), all),
+        driven: DMatrix::zeros(all, n),
+        torques,
+    };
+    let links = &pose.mass + &square * hand.mass;
+    bodies.mass.view_mut((0, 0), (n, n)).copy_from(&links);
+    bodies.damping.view_mut((0, 0), (n, n)).copy_from(&(&square * hand.damping));
+    bodies.stiffness.view_mut((0, 0), (n, n)).copy_from(&(&square * hand.stiffness));
+    for (j, joint) in joints.iter().enumerate() {
+        let motor = if cables { n + j } else { j };
+        if let Some(cable) = joint.transmission {
+            bodies.mass[(j, j)] -= cable.motor_inertia;
+            bodies.mass[(motor, motor)] = cable.motor_inertia;
+            for (a, b, sign) in [(j, j, 1.0), (motor, motor, 1.0), (j, motor, -1.0), (motor, j, -1.0)] {
+                bodies.damping[(a, b)] += sign * cable.damping;
+                bodies.stiffness[(a, b)] += sign * cable.stiffness;
             }
-            bodies.damping[(motor, motor)] += joint.viscous;
-            bodies.driven[(motor, j)] = 1.0;
-            bodies.seen.set_column(motor, &tip.column(j));
         }
-        bodies
+        bodies.damping[(motor, motor)] += joint.viscous;
+        bodies.driven[(motor, j)] = 1.0;
+        bodies.seen.set_column(motor, &tip.column(j));
     }
-
-    fn radius(&self, kp: f64, kd: f64) -> f64 {
-        let t = 1.0 / RATE;
-        let (d, n) = self.seen.shape();
-        let joints = self.driven.ncols();
-        let inverse = self.mass.clone().try_inverse().unwrap();
-        let mut a = DMatrix::zeros(2 * n + joints, 2 * n + joints);
-        a.view_mut((0, n), (n, n)).fill_with_identity();
-        a.view_mut((n, 0), (n, n)).copy_from(&(-&inverse * &self.stiffness * (t * t)));
-        a.view_mut((n, n), (n, n)).copy_from(&(-&inverse * &self.damping * t));
-        a.view_mut((n, 2 * n), (n, joints)).copy_from(&(&inverse * &self.driven * (t * t)));
-        let step = a.exp();
-        let w = (std::f64::consts::PI * CUTOFF * t).tan();
-        let scale = 1.0 / (1.0 + std::f64::consts::SQRT_2 * w + w * w);
-        let b = w * w * scale;
-        let (a1, a2) = (2.0 * (w * w - 1.0) * scale, (1.0 - std::f64::consts::SQRT_2 * w + w * w) * scale);
-        // Bodies and the last torque, then of each direction the last place and two states of the filter.
-        let plant = 2 * n + joints;
-        let size = plant + 3 * d;
-        let mut matrix = DMatrix::zeros(size, size);
-        for column in 0..size {
-            let s = DVector::from_fn(size, |i, _| f64::from(u8::from(i == column)));
-            let x = &self.seen * s.rows(0, n);
-            let (mut next, mut pull) = (DVector::zeros(size), DVector::zeros(d));
-            for i in 0..d {
-                let at = plant + 3 * i;
-                let moved = x[i] - s[at];
-                let y = b * moved + s[at + 1];
-                next[at] = x[i];
-                next[at + 1] = 2.0 * b * moved - a1 * y + s[at + 2];
-                next[at + 2] = b * moved - a2 * y;
-                pull[i] = -(kp * x[i] + kd / t * y);
-            }
-            let moved = &step * s.rows(0, plant);
-            next.rows_mut(0, 2 * n).copy_from(&moved.rows(0, 2 * n));
-            next.rows_mut(2 * n, joints).copy_from(&(&self.torques * pull));
-            matrix.set_column(column, &next);
-        }
-        // What no wall sees and no spring holds stays where it is, z = 1.
-        let far = |z: &&nalgebra::Complex<f64>| (**z - 1.0).norm() > 1.0e-5;
-        matrix.complex_eigenvalues().iter().filter(far).map(|z| z.norm()).fold(0.0, f64::max)
-    }
+    bodies
 }
 
 #[test]
-fn sets_of_walls_with_cables_and_hands_end_where_loops_of_bodies_do() {
-    for (name, q, walls, kd) in SETS {
+fn wall_sets_with_cables_and_hands_agree_with_loops_of_bodies() {
+    for (name, q, walls, kd) in WALL_SETS {
         for (hz, hand) in [(None, HAND), (Some(150.0), Hand::default()), (Some(150.0), HAND)] {
             let file = device(name, hz);
             let set = WallSet::at(&file.description, q, &members(walls), Admissible::default()).unwrap();
@@ -220,7 +150,7 @@ fn sets_of_walls_with_cables_and_hands_end_where_loops_of_bodies_do() {
                 // The law of several walls is held elsewhere (tests/several_walls); here it is a matrix.
                 let unit = |axis: usize| DVector::from_fn(task, |i, _| f64::from(u8::from(i == axis)));
                 let torques: Vec<_> = (0..task).map(|axis| set.torque(&unit(axis), feed_forward)).collect();
-                let bodies = Bodies::new(&file, q, hand, DMatrix::from_columns(&torques));
+                let bodies = bodies(&file, q, hand, DMatrix::from_columns(&torques));
                 let kp = boundary(&set.clone().held(hand), mode, &[kd])[0];
                 assert!(kp > 0.0, "{name} {mode:?}: nothing is stable at {kd} N s/m");
                 let (below, above) = (bodies.radius(kp * 0.999, kd), bodies.radius(kp * 1.001, kd));
