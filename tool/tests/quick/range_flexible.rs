@@ -5,7 +5,6 @@ use crate::common::prelude::*;
 use crate::common::{ideal_loop, read, rigid};
 use haptic_bridge::model::description::StructuralMode;
 use haptic_stability::analysis::flexible::{Flexible, Hand};
-use haptic_stability::analysis::sampled::AnalysisError;
 
 fn numbers(value: &Value) -> Vec<f64> {
     value.as_array().unwrap().iter().map(|number| number.as_f64().unwrap()).collect()
@@ -99,25 +98,17 @@ fn a_joint_that_the_loop_neither_sees_nor_moves_is_ignored() {
 }
 
 #[test]
-fn a_fast_mode_lowers_the_boundary_and_a_heavy_hand_raises_it() {
+fn a_fast_mode_lowers_the_boundary() {
     let stiff = stiff_device();
     let around = around(1000.0, 50.0);
     let area = |device: &Linearised| domain(device, &around, Mode::Off, Some(&[])).unwrap().area;
     let mut soft = stiff.clone();
     soft.flexible.transmissions = vec![behind(3.0, 5e-4, EncoderAt::Joint); 2];
     assert!(area(&soft) < 0.5 * area(&stiff), "{} {}", area(&soft), area(&stiff));
-    // A hand that is a pure mass adds to the device's inertia.
-    let mut held = stiff.clone().undamped();
-    held.flexible.tip = DMatrix::from_row_slice(1, 2, &[0.1, 0.06]);
-    held.flexible.normal = DVector::from_vec(vec![1.0]);
-    let alone = (area(&held), held.w_eff().unwrap());
-    held.flexible.hand = Hand { mass: 0.1, ..Hand::default() };
-    let heavier = ((alone.1 + 0.1) / alone.1).powi(2);
-    assert!((area(&held) / alone.0 / heavier - 1.0).abs() < 1e-6, "{} {heavier}", area(&held) / alone.0);
 }
 
 #[test]
-fn differences_over_up_to_64_samples_are_analysed() {
+fn a_difference_over_several_samples_is_their_mean() {
     let device = stiff_device();
     let mean = |samples| {
         let around = Loop { estimator: LinearEstimator::BackwardDifference.over(samples), ..around(1000.0, 50.0) };
@@ -127,8 +118,6 @@ fn differences_over_up_to_64_samples_are_analysed() {
     let plain = domain(&device, &plain, Mode::Off, Some(&[])).unwrap().area;
     assert!((mean(1).unwrap() / plain - 1.0).abs() < 1e-12);
     assert!(mean(4).unwrap() < 0.6 * plain);
-    assert_eq!(mean(0), Err(AnalysisError::Difference(0)));
-    assert_eq!(mean(65), Err(AnalysisError::Difference(65)));
 }
 
 #[test]

@@ -5,8 +5,8 @@ mod page;
 use crate::common::prelude::*;
 use crate::common::{board, document, plane_wall, read, shipped};
 use page::{
-    Belief, DEMO, FINE, GainRetained, LAWS, SLIDES, Slid, beliefs, demo, kept_around_home, perturbed, ratio, sentences,
-    slid, slide, stiffest, stiffest_moving, tables,
+    Belief, DEMO, FINE, GainRetained, LAWS, SLIDES, Slid, beliefs, kept_around_home, perturbed, sentences, slid, slide,
+    stiffest_moving, tables,
 };
 
 #[test]
@@ -149,25 +149,6 @@ fn wrong_models_cost_more_elsewhere_and_a_wrong_home_most() {
         for (found, known) in found.iter().zip(known) {
             assert!((found / known - 1.0).abs() < 1e-4, "{name}: {found} is not {known}");
         }
-    }
-}
-
-#[test]
-fn a_gain_above_the_papers_makes_a_stiffer_wall() {
-    let mut device = demo();
-    let (off, full) = stiffest(&device);
-    device.gain = 2.0;
-    let (_, twice) = stiffest(&device);
-    // Independent eigenvalues: 17 876.763, 22 994.941, and 29.9 kN/m with a gain of 2.
-    assert!((off / 17_876.763 - 1.0).abs() < 1e-6 && (full / 22_994.941 - 1.0).abs() < 1e-6, "{off}, {full}");
-    assert!((twice / 29_900.0 - 1.0).abs() < 2e-3, "{twice}");
-}
-
-#[test]
-fn the_redundant_arms_gain_depends_on_the_admissible_set() {
-    let ratios = Admissible::ALL.map(|(_, admissible)| ratio(admissible));
-    for (found, known) in ratios.into_iter().zip([3.99, 1.29, 1.26, 2.38, 1.22]) {
-        assert!((found - known).abs() < 0.006, "{found}, not {known}");
     }
 }
 

@@ -9,7 +9,6 @@ use haptic_predict::measure::{Boundary, Law, MeasureError, MeasurementSetup, Pre
 use haptic_stability::analysis::control_loop::CURRENT_LOOP_HZ;
 use haptic_stability::analysis::flexible::Posture;
 use haptic_stability::analysis::prediction::{Prediction, Subject};
-use std::cell::Cell;
 
 const POSE: [f64; 3] = [2.6, 1.75, 0.0];
 const NORMAL: [f64; 2] = [0.6, 0.8];
@@ -61,24 +60,6 @@ fn the_measured_boundary_is_the_predicted_one() {
     }
     prepared.finish().unwrap();
     assert_eq!(board.status().unwrap().state, State::Disarmed);
-}
-
-#[test]
-fn an_interrupted_measurement_leaves_the_motors_off() {
-    let file = file();
-    let shared = board(&file);
-    let mut board = Board::over(shared.wire(), "sim").unwrap();
-    let looks = Cell::new(0);
-    let interrupted = || {
-        looks.set(looks.get() + 1);
-        looks.get() > 60
-    };
-    let stopped = PreparedBoard::new(&mut board, &file, setup(20_000.0, 500.0), &interrupted)
-        .and_then(|mut prepared| prepared.boundary(FeedForward::Off, 100.0, 1.0, None));
-    assert!(matches!(stopped, Err(MeasureError::Interrupted)));
-    assert_eq!(board.status().unwrap().state, State::Disarmed);
-    shared.lock().run(0.01);
-    assert_eq!(shared.lock().device().torque(), [0.0; 3]);
 }
 
 /// The shipped Phantom at home, without friction, at 5 kHz, 200 Hz and kd 20, with encoders `finer` than the file's.
