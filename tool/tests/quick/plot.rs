@@ -1,7 +1,7 @@
 //! `haptic plot` draws the recorded values: a recording of known functions is drawn, and the picture is read back by its
 //! own ticks and labels, without the drawing code.
 
-use crate::common::{Folder, file, haptic, json, type_lines};
+use crate::common::{Folder, file, haptic, json, output, type_lines};
 use haptic_show::plot::axes::{Axis, Mark, PlotArea};
 use haptic_show::plot::canvas::Canvas;
 use predicates::str::contains;
@@ -208,37 +208,25 @@ fn a_legend_covers_no_curve() {
 /// At 20 kHz a velocity that jumps between rows is a line in the picture, not an area; --json has all rows.
 #[test]
 fn the_phase_portrait_of_fast_rows_is_drawn_from_means() {
-    let folder = tempfile::tempdir().unwrap();
-    let (csv, svg) = (folder.path().join("a.csv"), folder.path().join("a.svg"));
-    let mut text = "# haptic-bridge recording\n# date 2026-01-01\n# device a-device\n\
-                    # control rate 20000 Hz, every step\nstep,time_s,distance_m,velocity_m_s\n"
-        .to_string();
-    for row in 0..10_000 {
-        let jump = if row % 2 == 0 { 0.1 } else { -0.1 };
-        text.push_str(&format!("{row},{},{},{}\n", row as f64 / 20e3, 1e-6 * row as f64, 0.02 + jump));
-    }
-    std::fs::write(&csv, text).unwrap();
-    let plot = |more: &[&str]| haptic(&["plot", "--show", "phase"]).arg(&csv).args(more).assert().success();
-    plot(&["--svg", svg.to_str().unwrap()]);
+    let (folder, csv) = recorded(20e3, "distance_m,velocity_m_s", 10_000, |t| {
+        let row = (t * 20e3).round();
+        format!("{},{}", 1e-6 * row, if row % 2.0 == 0.0 { 0.12 } else { -0.08 })
+    });
+    let svg = folder.path("a.svg");
+    type_lines(&format!("plot --show phase {csv} --svg {svg}"), &[]);
     let text = std::fs::read_to_string(&svg).unwrap();
     assert!(text.contains("means over 20 rows"), "{text}");
     let line = &read(&text)[0].lines[0];
     assert!((400..=500).contains(&line.len()), "{}", line.len());
     assert!(line.iter().all(|(_, v)| (v - 0.02).abs() < 6e-3), "{line:?}");
-    let json: serde_json::Value = serde_json::from_slice(&plot(&["--json"]).get_output().stdout).unwrap();
+    let json = json(&["plot", "--show", "phase", &csv]);
     assert_eq!(json["panels"][0]["curves"][0]["pieces"][0].as_array().unwrap().len(), 10_000);
 }
 
 #[test]
 fn a_constant_signal_has_a_spectrum_at_the_floor() {
-    let folder = tempfile::tempdir().unwrap();
-    let csv = folder.path().join("a.csv");
-    let mut text = "# haptic-bridge recording\n# date 2026-01-01\n# device a-device\n\
-                    # control rate 1000 Hz, every step\nstep,time_s,distance_m\n"
-        .to_string();
-    (0..3000).for_each(|row| text.push_str(&format!("{row},{},0\n", f64::from(row) / 1e3)));
-    std::fs::write(&csv, text).unwrap();
-    let json = json(&["plot", csv.to_str().unwrap(), "--signals", "distance_m", "--show", "spectrum"]);
+    let (_folder, csv) = recorded(RATE, "distance_m", 3000, |_| "0".into());
+    let json = json(&["plot", &csv, "--signals", "distance_m", "--show", "spectrum"]);
     let points = json["panels"][0]["curves"][0]["pieces"][0].as_array().unwrap();
     assert!(points.len() > 100 && points.iter().all(|point| (point[1].as_f64().unwrap() + 120.0).abs() < 1e-9));
 }
@@ -267,44 +255,39 @@ fn undrawable_recordings_are_refused() {
     }
 }
 
-/// A recording at 1000 Hz of these columns.
-fn write_rows(path: &Path, columns: &str, rows: usize, row: impl Fn(f64) -> String) {
-    let mut text = format!("# haptic-bridge recording\n# control rate 1000 Hz, every step\nstep,time_s,{columns}\n");
-    (0..rows).for_each(|i| text += &format!("{i},{},{}\n", i as f64 / RATE, row(i as f64 / RATE)));
-    std::fs::write(path, text).unwrap();
+/// Writes a recording of these columns. Returns its folder and path.
+fn recorded(rate_hz: f64, columns: &str, rows: usize, row: impl Fn(f64) -> String) -> (Folder, String) {
+    let folder = Folder::new();
+    let head = format!("# haptic-bridge recording\n# control rate {rate_hz} Hz, every step\nstep,time_s,{columns}\n");
+    let rows = (0..rows).map(|i| format!("{i},{},{}\n", i as f64 / rate_hz, row(i as f64 / rate_hz)));
+    let csv = folder.write("a.csv", head + &rows.collect::<String>());
+    (folder, csv)
 }
 
 #[test]
 fn a_vibration_at_the_end_is_in_the_spectrum() {
-    let folder = tempfile::tempdir().unwrap();
-    let csv = folder.path().join("a.csv");
-    write_rows(&csv, "rendered_n", 1000, |t| (if t < 0.77 { 0.0 } else { (TAU * 50.0 * t).sin() }).to_string());
-    let strongest = json(&["plot", csv.to_str().unwrap()])["strongest"].clone();
+    let late = |t: f64| if t < 0.77 { 0.0 } else { (TAU * 50.0 * t).sin() };
+    let (_folder, csv) = recorded(RATE, "rendered_n", 1000, |t| late(t).to_string());
+    let strongest = json(&["plot", &csv])["strongest"].clone();
     let (hz, amplitude) = (strongest["frequency"].as_f64().unwrap(), strongest["amplitude"].as_f64().unwrap());
     assert!((hz - 50.0).abs() < 2.0 && (0.2..1.0).contains(&amplitude), "{strongest}");
-    let said = haptic(&["plot", csv.to_str().unwrap()]).assert().success();
-    assert!(
-        String::from_utf8_lossy(&said.get_output().stdout).contains("above 20 Hz: "),
-        "the whole buzz beside a line"
-    );
+    type_lines(&format!("plot {csv} => above 20 Hz: "), &[]);
 }
 
 /// A wall of 60 kN/m, pressed 0.5 mm deep by a device with a force limit.
 #[test]
 fn the_stiffness_is_fitted_to_unlimited_rows() {
-    let folder = tempfile::tempdir().unwrap();
-    let (csv, svg) = (folder.path().join("a.csv"), folder.path().join("a.svg"));
     let pressed = |most: f64| {
-        write_rows(&csv, "distance_m,rendered_n,saturated0,saturated1,state", 1000, |t| {
+        let (folder, csv) = recorded(RATE, "distance_m,rendered_n,saturated0,saturated1,state", 1000, |t| {
             let depth = 0.5e-3 * (TAU * t).sin();
             let asked = (60e3 * depth).max(0.0);
             // At last the motors went off in the wall.
             let (force, state) = if t < 0.4 { (asked.min(most), "Armed") } else { (0.0, "Disarmed") };
             format!("{},{force},0,{},{state}", -depth, u8::from(asked > most && t < 0.4))
         });
-        let printed = haptic(&["plot", "--svg", svg.to_str().unwrap(), "--force"]).arg(&csv).assert().success();
-        let printed = String::from_utf8(printed.get_output().stdout.clone()).unwrap();
-        (printed, json(&["plot", csv.to_str().unwrap()]), std::fs::read_to_string(&svg).unwrap())
+        let svg = folder.path("a.svg");
+        let printed = output(&["plot", "--svg", &svg, &csv]);
+        (printed, json(&["plot", &csv]), std::fs::read_to_string(&svg).unwrap())
     };
     let (printed, found, drawn) = pressed(5.0);
     let (rows, cut) = (found["contact_rows"].as_u64().unwrap(), found["saturated_rows"].as_u64().unwrap());
@@ -326,31 +309,27 @@ fn the_stiffness_is_fitted_to_unlimited_rows() {
 /// A recording that begins with arming in the wall: torque ramps up for half a second.
 #[test]
 fn the_stiffness_ignores_the_ramp_after_arming() {
-    let folder = tempfile::tempdir().unwrap();
-    let csv = folder.path().join("a.csv");
-    write_rows(&csv, "distance_m,rendered_n,state", 2000, |t| {
+    let (_folder, csv) = recorded(RATE, "distance_m,rendered_n,state", 2000, |t| {
         let depth = 1e-3 * (1.0 + 0.5 * (TAU * t).sin());
         let ramp = ((t - 0.1) / 0.5).clamp(0.0, 1.0);
         format!("{},{},{}", -depth, 1500.0 * depth * ramp, if t < 0.1 { "Disarmed" } else { "Armed" })
     });
-    let found = json(&["plot", csv.to_str().unwrap()]);
+    let found = json(&["plot", &csv]);
     let stiffness = found["stiffness"].as_f64().unwrap();
     assert!((stiffness - 1500.0).abs() < 1.0, "{stiffness}");
     assert_eq!(found["contact_rows"], 1400);
     // With --from the arming is not among the drawn rows.
-    let later = json(&["plot", csv.to_str().unwrap(), "--from", "0.3"]);
+    let later = json(&["plot", &csv, "--from", "0.3"]);
     assert_eq!(later["contact_rows"], 1400);
 }
 
 #[test]
 fn a_force_that_does_not_follow_the_depth_has_no_stiffness() {
-    let folder = tempfile::tempdir().unwrap();
-    let csv = folder.path().join("a.csv");
-    write_rows(&csv, "distance_m,rendered_n", 1000, |t| {
+    let (_folder, csv) = recorded(RATE, "distance_m,rendered_n", 1000, |t| {
         let depth = 1e-3 + 1e-5 * (TAU * 3.0 * t).sin();
         format!("{},{}", -depth, 2.0 + (TAU * 71.0 * t).sin())
     });
-    let found = json(&["plot", csv.to_str().unwrap()]);
+    let found = json(&["plot", &csv]);
     assert!(found["stiffness"].is_null(), "{}", found["stiffness"]);
     assert!(found["panels"][1]["note"].as_str().unwrap().contains("the force does not follow the depth"), "{found}");
 }
@@ -358,11 +337,10 @@ fn a_force_that_does_not_follow_the_depth_has_no_stiffness() {
 /// Encoder steps make a phase portrait unreadable, so it is drawn only for a real motion or on request.
 #[test]
 fn the_phase_portrait_of_noise_is_drawn_only_on_request() {
-    let folder = tempfile::tempdir().unwrap();
-    let csv = folder.path().join("a.csv");
     let views = |speed: fn(f64) -> f64, more: &[&str]| {
-        write_rows(&csv, "distance_m,velocity_m_s,rendered_n", 1000, |t| format!("{t},{},0", speed(t)));
-        let found = json(&[&["plot", csv.to_str().unwrap()], more].concat());
+        let columns = "distance_m,velocity_m_s,rendered_n";
+        let (_folder, csv) = recorded(RATE, columns, 1000, |t| format!("{t},{},0", speed(t)));
+        let found = json(&[&["plot", &csv], more].concat());
         let panels = found["panels"].as_array().unwrap().iter();
         let drawn = panels.filter(|panel| panel["view"] == "phase").count();
         (drawn, found["said"].to_string().contains("velocity over distance is left out"))

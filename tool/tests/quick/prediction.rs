@@ -27,8 +27,7 @@ fn typed(device: &str, options: &str, feed_forward: &str) -> Value {
 
 #[test]
 fn the_line_of_check_predicts_the_same() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("scene.toml");
+    let folder = Folder::new();
     let mut lines = 0;
     for name in DEVICES {
         let device = file(&format!("{name}.toml"));
@@ -48,8 +47,7 @@ fn the_line_of_check_predicts_the_same() {
             ("washout", "admissible = \"consistent\"\nestimator = \"predicted\"\nrate_hz = 20000\ncutoff_hz = 250\n"),
         ] {
             let scene = format!("{law}{wall}feed_forward = \"{feed_forward}\"\n{compensation}{posture}");
-            std::fs::write(&path, &scene).unwrap();
-            let checked = json(&["check", &device, path.to_str().unwrap()]);
+            let checked = json(&["check", &device, &folder.write("scene.toml", &scene)]);
             let contact = &checked["scenes"][0]["contacts"][0];
             let options = contact["options"].as_str().unwrap_or_else(|| panic!("{name}\n{scene}\n{checked}"));
             let found = typed(&device, options, feed_forward);
@@ -71,7 +69,7 @@ fn the_line_of_check_predicts_the_same() {
 
 #[test]
 fn the_lines_of_range_and_measure_range_predict_the_same() {
-    let folder = tempfile::tempdir().unwrap();
+    let folder = Folder::new();
     for name in ["cable-five-bar", "haply-2diy"] {
         let device = file(&format!("{name}.toml"));
         let asked = ["--normal=0.6,0.8", "--hand", "0.1,2,300", "--washout", "2", "--kd", "3,1", "--rate", "5000"];
@@ -90,16 +88,15 @@ fn the_lines_of_range_and_measure_range_predict_the_same() {
         }
 
         // A point that was measured already: its theory is printed, and no motor moves.
-        let progress = folder.path().join(format!("{name}.json"));
         let point = r#"{"mode": "off", "kd": 2.0, "repeats": [3000.0], "vibration_m": null, "open": null}"#;
         let what = "along (0.6, 0.8) at 1000 Hz, cutoff 100 Hz, washout 2 Hz, pull 0.5 mm, 1 N m, friction: none";
         let known = format!(
             "{{\"what\": \"{name} {what}\", \"ends\": [], \"open_ends\": [], \"q\": [], \"points\": [{point}], \"date\": null}}"
         );
-        std::fs::write(&progress, known).unwrap();
+        let progress = folder.write("progress.json", known);
         let world = ["--port", "sim", "--friction", "none", "--rate", "1000", "--cutoff", "100"];
         let once = ["--repeats", "1", "--kd", "2", "--feed-forward", "off", "--yes"];
-        let kept = ["--normal=0.6,0.8", "--progress", progress.to_str().unwrap()];
+        let kept = ["--normal=0.6,0.8", "--progress", &progress];
         let measured = json(&[&["measure-range", &device], &world[..], &once, &kept].concat());
         let point = &measured["points"][0];
         let line = measured["theory"].as_str().unwrap();
@@ -107,13 +104,11 @@ fn the_lines_of_range_and_measure_range_predict_the_same() {
         let theory = typed(&device, options, "off")["boundary"][0]["kp"].as_f64().unwrap();
         assert!(close(theory, point["theory_kp"].as_f64().unwrap()), "{name} {line}: {theory} {point}");
         match point.get("felt") {
-            Some(felt) => assert!(
-                name == "cable-five-bar"
-                    && close(felt.as_f64().unwrap(), {
-                        let cables = range["transmissions"].as_f64().unwrap();
-                        1.0 / (1.0 / 3000.0 + 1.0 / cables)
-                    })
-            ),
+            Some(felt) => {
+                let cables = range["transmissions"].as_f64().unwrap();
+                let in_series = 1.0 / (1.0 / 3000.0 + 1.0 / cables);
+                assert!(name == "cable-five-bar" && close(felt.as_f64().unwrap(), in_series), "{felt}");
+            }
             None => assert_eq!(name, "haply-2diy"),
         }
     }
@@ -184,17 +179,16 @@ fn a_hand_at_rest_feels_a_wall_in_series_with_its_cables() {
 
 #[test]
 fn check_predicts_walls_in_the_hand_that_it_names() {
-    let folder = tempfile::tempdir().unwrap();
+    let folder = Folder::new();
     let device = file("cable-five-bar.toml");
-    let path = folder.path().join("scene.toml");
-    let shipped = std::fs::read_to_string(file("scenes/cable-five-bar/wall.toml")).unwrap();
+    let shipped = read("devices/scenes/cable-five-bar/wall.toml");
     let written = |stiffness: f64| {
         let lines = shipped.lines().map(|line| match line.starts_with("stiffness =") {
             true => format!("stiffness = {stiffness:?}"),
             false => line.to_string(),
         });
-        std::fs::write(&path, lines.collect::<Vec<_>>().join("\n")).unwrap();
-        let checked = json(&["check", &device, path.to_str().unwrap()]);
+        let scene = folder.write("scene.toml", lines.collect::<Vec<_>>().join("\n"));
+        let checked = json(&["check", &device, &scene]);
         (checked["scenes"][0]["contacts"][0].clone(), checked["warnings"].to_string())
     };
     let (contact, _) = written(1000.0);

@@ -88,7 +88,8 @@ fn sets_of_walls_end_where_independent_loops_do() {
 
 #[test]
 fn impossible_sets_of_walls_are_refused() {
-    let progress = Folder::new().path("progress.json");
+    let folder = Folder::new();
+    let progress = folder.path("progress.json");
     let two = "devices/coupled-five-bar.toml --normal=1,0 --normal=0,1";
     let measured = format!("{two} --port sim --progress {progress}");
     type_lines(

@@ -153,6 +153,14 @@ impl Played {
     }
 }
 
+/// A request for gains of the first wall; `beyond` confirms unstable ones.
+fn gains(stiffness: f64, damping: f64, feed_forward: &str, beyond: bool) -> Value {
+    json!({
+        "do": "gains", "wall": 0, "stiffness": stiffness, "damping": damping, "feed_forward": feed_forward,
+        "beyond": beyond
+    })
+}
+
 #[test]
 fn one_page_commands_and_the_others_watch() {
     let mut view = Played::demo();
@@ -439,17 +447,15 @@ fn motors_turned_off_by_another_tool_are_reported() {
 fn gains_beyond_the_boundary_need_confirmation() {
     let mut view = Played::demo();
     view.boundary();
-    let gains = |stiffness: f64, feed_forward: &str| json!({"do": "gains", "wall": 0, "stiffness": stiffness, "damping": 80.0, "feed_forward": feed_forward});
+    let gains = |stiffness: f64| gains(stiffness, 80.0, "off", false);
     // Gains outside the boundary, as after the tip slid to a less stable place; without the feed-forward even farther.
-    let mut stiffer = gains(40e3, "washout");
-    stiffer["beyond"] = json!(true);
     for (asked, refused) in [(8_700.0, 1), (39_000.0, 2)] {
-        view.say(0, gains(asked, "off"));
+        view.say(0, gains(asked));
         assert_eq!(view.heard(0).refused.len(), refused);
         assert!(view.heard(0).why().contains("predicted to be unstable"), "{}", view.heard(0).why());
         assert_eq!(view.heard(0).walls[0]["feed_forward"], "washout", "nothing was changed");
         if refused == 1 {
-            view.say(0, stiffer.clone());
+            view.say(0, self::gains(40e3, 80.0, "washout", true));
             assert_eq!(view.heard(0).walls[0]["stiffness"], 40_000.0);
         }
     }
@@ -458,11 +464,11 @@ fn gains_beyond_the_boundary_need_confirmation() {
     assert_eq!(view.heard(0).walls[0]["feed_forward"], "off");
     // From outside, softer gains need no confirmation.
     for softer in [7_500.0, 5_000.0] {
-        view.say(0, gains(softer, "off"));
+        view.say(0, gains(softer));
         assert_eq!(view.heard(0).walls[0]["stiffness"], softer);
     }
     assert_eq!(view.heard(0).refused.len(), 2);
-    view.say(0, gains(-1.0, "off"));
+    view.say(0, gains(-1.0));
     assert_eq!(view.heard(0).refused.len(), 3);
 }
 
@@ -472,15 +478,12 @@ fn gains_are_refused_by_name_and_have_an_upper_limit() {
     let mut view = Played::demo();
     view.boundary();
     let before = view.heard(0).walls[0].clone();
-    let gains = |stiffness: f64, damping: f64| json!({"do": "gains", "wall": 0, "stiffness": stiffness, "damping": damping, "feed_forward": "off", "beyond": false});
-    view.say(0, gains(8_700.0, 80.0));
+    view.say(0, gains(8_700.0, 80.0, "off", false));
     let refused = view.heard(0).refused.last().unwrap().clone();
     assert_eq!((&refused["of"], &refused["again"]["stiffness"]), (&json!("gains"), &json!(8700.0)));
     assert!(view.heard(0).why().starts_with("8.70 kN/m with 80.0 N s/m and feed-forward off"), "{refused}");
     for (stiffness, damping) in [(1e9, 80.0), (8_700.0, 1e9)] {
-        let mut meant = gains(stiffness, damping);
-        meant["beyond"] = json!(true);
-        view.say(0, meant);
+        view.say(0, gains(stiffness, damping, "off", true));
         let refused = view.heard(0).refused.last().unwrap();
         assert!(refused["again"].is_null() && refused["of"] == "gains", "{refused}");
         assert!(view.heard(0).why().contains("that motors and rules allow here"), "{}", view.heard(0).why());
@@ -493,7 +496,7 @@ fn gains_are_refused_by_name_and_have_an_upper_limit() {
         rules.limits.tip_force = tip_force;
         world.board.set_rules(&rules).unwrap();
         let mut view = Played::in_command(world, None);
-        view.say(0, gains(1e9, 80.0));
+        view.say(0, gains(1e9, 80.0, "off", false));
         let limit = view.heard(0).why().split("above ").nth(1).and_then(|rest| rest.split(" MN/m").next());
         limit.unwrap_or_else(|| panic!("{}", view.heard(0).why())).parse::<f64>().unwrap()
     });
@@ -551,7 +554,7 @@ fn a_page_may_ask_for_the_limiting_effects() {
     let second = view.come();
     assert_eq!(view.boundary().limits, None, "not requested");
     for (kind, name) in [(FeedForward::Washout, "washout"), (FeedForward::Off, "off")] {
-        view.say(0, json!({"do": "gains", "wall": 0, "stiffness": 3000, "damping": 80, "feed_forward": name}));
+        view.say(0, gains(3000.0, 80.0, name, false));
         // A watching page may ask too.
         view.say(second, json!({"do": "explain"}));
         let limits = loop {
@@ -575,9 +578,7 @@ fn gains_beyond_the_boundary_show_their_buzz_frequency() {
     let mut view = Played::demo();
     view.boundary();
     assert!(view.heard(0).picture["buzz"].is_null(), "the wall is stable");
-    let gains =
-        json!({"do": "gains", "wall": 0, "stiffness": 8700, "damping": 80, "feed_forward": "off", "beyond": true});
-    view.say(0, gains);
+    view.say(0, gains(8700.0, 80.0, "off", true));
     view.play(0.1);
     let buzz = &view.heard(0).picture["buzz"];
     let (hz, growth) = (buzz["hz"].as_f64().unwrap(), buzz["growth_per_s"].as_f64().unwrap());
@@ -637,7 +638,7 @@ fn a_scene_with_a_nan_is_refused_and_not_sent() {
     let corrupt = Arc::new(AtomicBool::new(false));
     let open = || Board::over(Box::new(CorruptingWire(simulated.wire(), Arc::clone(&corrupt))), "a board").unwrap();
     let mut view = Played::in_command(World::of(open(), None), None);
-    let gains = |damping: f64| json!({"do": "gains", "wall": 0, "stiffness": MARKED, "damping": damping, "feed_forward": "off", "beyond": true});
+    let gains = |damping: f64| gains(f64::from(MARKED), damping, "off", true);
     view.say(0, gains(80.0));
     let before = view.heard(0).walls.clone();
     assert_eq!(before[0]["stiffness"], f64::from(MARKED));
@@ -723,10 +724,7 @@ fn a_simulation_starts_over_and_arms_again() {
         let (place, wall) = (view.beside(-0.03, 0.01), view.beside(0.005, 0.0));
         view.say(0, json!({"do": "hand", "at": place}));
         view.play(0.8);
-        view.say(
-            0,
-            json!({"do": "gains", "wall": 0, "stiffness": 3000, "damping": 20, "feed_forward": "full", "beyond": true}),
-        );
+        view.say(0, gains(3000.0, 20.0, "full", true));
         if broken {
             let far = board.lock().device().start().map(|angle| angle + 0.5);
             board.lock().device_mut().place(far);

@@ -1,6 +1,6 @@
 //! `haptic demo` prints the results of its runs, which are the same on every machine.
 
-use crate::common::{haptic, json};
+use crate::common::{Folder, json, output, type_lines};
 use haptic_bridge::render::scene::FeedForward;
 use haptic_show::demo::{Demo, crossing, stiffness};
 
@@ -42,22 +42,19 @@ fn the_feed_forward_reduces_vibration_for_every_tremor() {
 
 #[test]
 fn the_command_prints_its_table_and_draws_its_picture() {
-    let directory = tempfile::tempdir().unwrap();
-    let svg = directory.path().join("demo.svg");
-    let output = haptic(&["demo", "--svg"]).arg(&svg).assert().success().get_output().clone();
-    let said = String::from_utf8(output.stdout).unwrap();
+    let folder = Folder::new();
+    let svg = folder.path("demo.svg");
+    let said = output(&["demo", "--svg", &svg]);
     for line in ["penetration, mm", "peak force, N", "highest stable stiffness", "predicted", "coupling", "Benefit"] {
         assert!(said.contains(line), "{line} is missing in\n{said}");
     }
-    assert!(said.contains(&format!("picture: {}", svg.display())));
+    assert!(said.contains(&format!("picture: {svg}")));
     let picture = std::fs::read_to_string(&svg).unwrap();
     assert!(picture.starts_with("<svg") && picture.trim_end().ends_with("</svg>"));
     assert_eq!(picture.matches("<polyline").count(), 6, "three panels of two runs");
 
-    let again = |more: &[&str]| haptic(&["demo", "--svg"]).arg(&svg).args(more).assert();
-    again(&[]).code(1);
-    let json = again(&["--force", "--json"]).success().get_output().stdout.clone();
-    let json: serde_json::Value = serde_json::from_slice(&json).unwrap();
+    type_lines(&format!("1: demo --svg {svg}"), &[]);
+    let json = json(&["demo", "--svg", &svg, "--force"]);
     for (side, column) in [("without", 0), ("with", 1)] {
         let value = |pointer: &str| json[side].pointer(pointer).unwrap().as_f64().unwrap();
         // The table's own numbers, to its digits.
@@ -93,10 +90,7 @@ fn numbers(said: &str, row: &str) -> Vec<f64> {
 
 #[test]
 fn the_printed_lines_give_the_printed_numbers() {
-    let directory = tempfile::tempdir().unwrap();
-    let svg = directory.path().join("demo.svg");
-    let output = haptic(&["demo", "--svg"]).arg(&svg).output().unwrap();
-    let said = String::from_utf8(output.stdout).unwrap();
+    let said = output(&["demo", "--svg", &Folder::new().path("demo.svg")]);
     let run = |subcommand: &str| {
         let line = said.lines().find_map(|line| line.strip_prefix(&format!("    haptic {subcommand} "))).unwrap();
         json(&[subcommand].into_iter().chain(line.split_whitespace()).collect::<Vec<_>>())

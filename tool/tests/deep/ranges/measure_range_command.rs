@@ -1,7 +1,7 @@
 //! `haptic measure-range` on the shipped simulated board with its friction, encoders and drive.
 
 use crate::common::sim::Sim;
-use crate::common::{file, haptic, read};
+use crate::common::{Folder, file, haptic, read};
 use predicates::prelude::*;
 use predicates::str::contains;
 use serde_json::Value;
@@ -11,15 +11,15 @@ const DEVICE: &str = "devices/coupled-five-bar.toml";
 /// A rate at which the tip comes to rest before every trial in spite of friction and encoder steps.
 const SLOW: [&str; 4] = ["--rate", "1000", "--cutoff", "20"];
 
-fn measure(progress: &std::path::Path, rate: &[&str], more: &[&str]) -> assert_cmd::assert::Assert {
+fn measure(progress: &str, rate: &[&str], more: &[&str]) -> assert_cmd::assert::Assert {
     let fixed = ["measure-range", DEVICE, "--port", "sim", "--normal", "0.6,0.8", "--kd", "15", "--json"];
     haptic(&fixed).args(rate).args(more).arg("--progress").arg(progress).assert()
 }
 
 #[test]
 fn a_measurement_is_reported_kept_and_continued() {
-    let folder = tempfile::tempdir().unwrap();
-    let progress = folder.path().join("progress.json");
+    let folder = Folder::new();
+    let progress = folder.path("progress.json");
     let first = measure(&progress, &SLOW, &["--feed-forward", "off", "--repeats", "1", "--pull", "2"]).success();
     let document: Value = serde_json::from_slice(&first.get_output().stdout).unwrap();
     let point = &document["points"][0];
@@ -65,16 +65,16 @@ fn a_measurement_is_reported_kept_and_continued() {
 
 #[test]
 fn impossible_measurements_are_refused_at_once() {
-    let folder = tempfile::tempdir().unwrap();
-    let progress = folder.path().join("progress.json");
+    let folder = Folder::new();
+    let progress = folder.path("progress.json");
     let one = |option: &str, other: &str| contains(format!("{option} is ")).and(contains(other.to_string()).not());
     measure(&progress, &SLOW, &["--torque-limit", "0"]).code(2).stderr(one("--torque-limit", "--pull"));
     measure(&progress, &SLOW, &["--pull", "20"]).code(2).stderr(one("--pull", "--torque-limit"));
-    let nowhere = folder.path().join("missing").join("p.json");
+    let nowhere = folder.path("missing/p.json");
     measure(&nowhere, &SLOW, &[]).code(1).stderr(contains("there is no such folder; make the folder first"));
     let elsewhere = ["measure-range", DEVICE, "--port", "/dev/no-such-port", "--normal", "0.6,0.8", "--progress"];
     haptic(&elsewhere).arg(&nowhere).assert().code(1).stderr(contains("no such folder"));
-    assert!(!progress.exists());
+    assert!(!std::path::Path::new(&progress).exists());
 }
 
 /// The arguments of a document's command line, with an absolute path of the device file.
@@ -208,10 +208,10 @@ fn options_of_simulations_are_refused_elsewhere() {
 #[test]
 fn boundaries_far_below_theory_cause_a_warning() {
     let sim = Sim::start(&["--fast", "--hand", "loop", &file("coupled-five-bar.toml")]);
-    let folder = tempfile::tempdir().unwrap();
-    let progress = folder.path().join("progress.json");
+    let folder = Folder::new();
+    let progress = folder.path("progress.json");
     let fixed = ["measure-range", DEVICE, "--normal=0,1", "--kd=15", "--repeats=1", "--feed-forward=off", "--pull=2"];
-    let said = sim.run(&[&fixed[..], &["--json", "--progress", progress.to_str().unwrap()]].concat()).success();
+    let said = sim.run(&[&fixed[..], &["--json", "--progress", &progress]].concat()).success();
     let document: Value = serde_json::from_slice(&said.get_output().stdout).unwrap();
     let point = &document["points"][0];
     assert!(point["kp"].as_f64().unwrap() < 0.5 * point["theory_kp"].as_f64().unwrap(), "{point}");
@@ -228,14 +228,14 @@ fn a_board_with_another_device_needs_load_and_is_restored() {
         (["device", "walls", "rate_hz", "state"].map(|key| info[key].clone()), sim.output(&["rules"]))
     };
     let before = held();
-    let folder = tempfile::tempdir().unwrap();
-    let progress = folder.path().join("progress.json");
+    let folder = Folder::new();
+    let progress = folder.path("progress.json");
     let fixed = ["measure-range", DEVICE, "--normal=0,1", "--kd=15", "--repeats=1", "--feed-forward=off", "--pull=2"];
-    let arguments = [&fixed[..], &["--progress", progress.to_str().unwrap()]].concat();
+    let arguments = [&fixed[..], &["--progress", &progress]].concat();
     sim.run(&arguments)
         .code(1)
         .stderr(contains("the board holds haply-2diy, the file is coupled-five-bar").and(contains("--load")));
-    assert!(!progress.exists());
+    assert!(!std::path::Path::new(&progress).exists());
     assert_eq!(held(), before);
     // Fast simulated time does not overtake the tool.
     sim.run(&[&arguments[..], &["--load"]].concat()).success().stdout(contains("off"));
