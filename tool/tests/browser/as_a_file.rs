@@ -1,11 +1,12 @@
-//! The same page as a file: no tool, no server. Tests that `cargo xtask test --deep browser` runs once it has made the file.
+//! The page as a file, without tool and server; `cargo xtask test --deep browser` makes the file first.
 
+use super::common::root;
 use super::devtools::{Browser, Tab};
-use super::{LAPTOP, by_the_wall, drag_the_wall, lead_into_the_wall, on_plane};
+use super::{LAPTOP, by_the_wall, drag_the_wall, on_plane};
 
 pub fn path() -> String {
     std::env::var("HAPTIC_PLAYGROUND")
-        .unwrap_or_else(|_| concat!(env!("CARGO_MANIFEST_DIR"), "/../target/playground/haptic-page.html").into())
+        .unwrap_or_else(|_| root().join("target/playground/haptic-page.html").display().to_string())
 }
 
 fn opened() -> (Browser, Tab) {
@@ -20,7 +21,7 @@ fn opened() -> (Browser, Tab) {
 }
 
 #[test]
-fn as_a_file_it_is_alive_and_asks_nobody_for_anything() {
+fn as_a_file_it_is_alive_and_requests_nothing() {
     let (mut browser, tab) = opened();
     let count = |browser: &mut Browser, what: &str| browser.evaluate(&tab, what).as_u64().unwrap();
     let (pictures, sweeps) = (count(&mut browser, "view.pictures"), count(&mut browser, "view.sweeps"));
@@ -28,57 +29,20 @@ fn as_a_file_it_is_alive_and_asks_nobody_for_anything() {
     browser.evaluate(&tab, "$('sound').click()");
     browser.until(&tab, "view.sounds > 5");
     assert_eq!(browser.evaluate(&tab, "view.hello.rows_hz === view.hello.rate_hz"), true, "every step is a row");
-    // What takes a tool is not there.
+    // Controls that need the tool are hidden.
     assert_eq!(browser.evaluate(&tab, "$('record').offsetParent"), serde_json::Value::Null);
     let own = format!("file://{}", path());
     let asked: Vec<String> =
         browser.requested().into_iter().filter(|url| *url != own && url != "about:blank").collect();
     assert!(asked.iter().all(|url| url.starts_with("data:") || url.starts_with("blob:null/")), "{asked:?}");
     assert_eq!(browser.complaints(), [""; 0]);
-    // Nor could it: the page itself forbids it.
+    // The page's own policy forbids requests.
     browser.evaluate(
         &tab,
         "view.forbidden = []; addEventListener('securitypolicyviolation', e => view.forbidden.push(e.effectiveDirective)); \
          fetch('http://127.0.0.1:9/').catch(() => 0); new Image().src = 'http://127.0.0.1:9/';",
     );
     browser.until(&tab, "view.forbidden.includes('connect-src') && view.forbidden.includes('img-src')");
-    println!("the simulation ran at {} of its time", browser.evaluate(&tab, "view.last.speed"));
-}
-
-#[test]
-fn as_a_file_its_wall_buzzes_without_the_feed_forward_and_is_quiet_with_it() {
-    let (mut browser, tab) = opened();
-    let armed = "document.body.dataset.state === 'Armed'";
-    browser.hold_until(&tab, armed);
-    lead_into_the_wall(&mut browser, &tab);
-    browser.hold_until(&tab, "view.last.numbers.force > 2 && view.last.numbers.depth > 0");
-    // A click without the feed-forward is asked about first.
-    browser.evaluate(&tab, "$('ff-off').click()");
-    browser.until(&tab, "!$('anyway').hidden");
-    browser.evaluate(&tab, "$('anyway').click()");
-    browser.until(&tab, "view.walls[0].feed_forward === 'off' && document.body.dataset.stable === 'false'");
-    // Each time anew from outside: where friction holds a quiet wall quiet, only the way in decides.
-    let mut ripple = |mode: &str| {
-        browser.evaluate(&tab, "view.from = view.last.time; (v => say({do: 'hand', at: [v[0] + .01 * v[3], v[1] + .01 * v[4]]}))(view.walls[0].values)");
-        browser.hold_until(&tab, "view.last.time > view.from + 0.8");
-        browser.evaluate(&tab, "$('beyond').checked = true; view.from = view.last.time; view.most = 0");
-        browser.evaluate(&tab, &format!("$('ff-{mode}').click(); say({{do: 'hand', at: view.goal}})"));
-        let pressed = format!(
-            "view.walls[0].feed_forward === '{mode}' && view.last.time > view.from + 1.5 && view.last.numbers.force > 2 && \
-             view.last.numbers.depth > 0"
-        );
-        browser.hold_until(&tab, &pressed);
-        browser.evaluate(&tab, "view.last.numbers.ripple").as_f64().unwrap()
-    };
-    let (off, washout) = (ripple("off"), ripple("washout"));
-    assert!(off > 0.4 && off > 4.0 * washout, "off {off} N, washed out {washout} N");
-    println!("ripple: without the feed-forward {off} N, with it {washout} N");
-    browser.space(&tab, "keyUp");
-    browser.until(&tab, "document.body.dataset.state === 'Disarmed'");
-    if let Ok(folder) = std::env::var("HAPTIC_PICTURES") {
-        std::fs::write(format!("{folder}/playground.png"), browser.picture(&tab, false)).unwrap();
-    }
-    assert_eq!(browser.complaints(), [""; 0]);
 }
 
 #[test]
@@ -120,7 +84,7 @@ fn as_a_file_gains_and_walls_are_dragged_and_devices_chosen() {
     browser.until(&tab, "$('why').textContent.includes('s device nothing: nothing was changed')");
     browser.evaluate(&tab, "notice(''); $('choice').selectedIndex = 0; $('choice').onchange()");
     browser.until(&tab, "view.hello?.smooth && view.last && view.frame && document.body.dataset.role === 'command'");
-    // The demo is as it was in the beginning, and its hand comes to the mouse.
+    // The demo is reset, and its hand follows the mouse.
     assert_eq!(browser.evaluate(&tab, "view.walls[0].feed_forward"), "washout");
     let place = by_the_wall(&mut browser, &tab, 0.03);
     browser.mouse(&tab, "mousePressed", place);

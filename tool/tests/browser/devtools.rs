@@ -7,7 +7,7 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 use tungstenite::{Message, WebSocket};
 
-/// How long anything may take that is bound to happen: what hangs takes longer.
+/// Time that only a hang exceeds.
 pub const PATIENCE: Duration = Duration::from_secs(300);
 
 const NAMES: [&str; 3] = ["chromium", "chromium-browser", "google-chrome"];
@@ -21,7 +21,7 @@ pub struct Browser {
     count: u64,
     /// Where it listens: host and port.
     pub address: String,
-    /// What it reported, with the page's session.
+    /// Events, each with the session of its page.
     pub events: Vec<(String, Value)>,
 }
 
@@ -63,7 +63,7 @@ impl Browser {
                 break url.to_string();
             }
         };
-        // It goes on writing there.
+        // Reads on, so that the browser never blocks.
         std::thread::spawn(move || lines.for_each(drop));
         let address = url.trim_start_matches("ws://").split('/').next().unwrap().to_string();
         let socket = connect(&address, &url, Duration::from_millis(20));
@@ -93,7 +93,7 @@ impl Browser {
         self.call(None, "Target.closeTarget", json!({"targetId": tab.target}));
     }
 
-    /// Asks a page for something.
+    /// Calls a method on a page.
     pub fn ask(&mut self, tab: &Tab, method: &str, parameters: Value) -> Value {
         self.call(Some(&tab.session), method, parameters)
     }
@@ -136,7 +136,7 @@ impl Browser {
         }
     }
 
-    /// What an expression is worth on a page.
+    /// Evaluates an expression on a page.
     pub fn evaluate(&mut self, tab: &Tab, expression: &str) -> Value {
         let answer = self.ask(tab, "Runtime.evaluate", json!({"expression": expression, "returnByValue": true}));
         assert!(answer["exceptionDetails"].is_null(), "{expression}: {answer}");
@@ -162,9 +162,8 @@ impl Browser {
         }
     }
 
-    /// Holds Space until an expression is true. A page that is not heard for five seconds does not command any more;
-    /// should this computer have been so slow, command is taken again, Space pressed anew, which takes the hand out of a
-    /// wall, and the hand led back to `view.goal`, where the test wants it.
+    /// Holds Space until an expression is true. If the page lost command because this computer was slow, takes command
+    /// again, presses Space, which moves the hand out of a wall, and leads the hand back to `view.goal`.
     pub fn hold_until(&mut self, tab: &Tab, expression: &str) {
         const ARMED: &str = "document.body.dataset.state === 'Armed'";
         let began = Instant::now();
@@ -218,7 +217,7 @@ impl Browser {
         base64(answer["data"].as_str().unwrap())
     }
 
-    /// The addresses that pages have asked for.
+    /// Addresses that pages have requested.
     pub fn requested(&self) -> Vec<String> {
         let urls = self.events.iter().filter_map(|(_, event)| match event["method"].as_str()? {
             "Network.requestWillBeSent" => event["params"]["request"]["url"].as_str(),
@@ -228,7 +227,7 @@ impl Browser {
         urls.map(Into::into).collect()
     }
 
-    /// What went wrong on pages: exceptions, and lines of the console that are errors.
+    /// Exceptions, and errors of the console.
     pub fn complaints(&self) -> Vec<String> {
         let wrong = self.events.iter().filter(|(_, event)| match event["method"].as_str() {
             Some("Runtime.exceptionThrown") => true,

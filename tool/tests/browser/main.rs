@@ -9,7 +9,7 @@ mod devtools;
 mod serial;
 
 use common::page::View;
-use common::sim::Sim;
+use common::{Folder, file};
 use devtools::{Browser, Tab};
 use serde_json::{Value, json};
 
@@ -57,13 +57,13 @@ fn drag_the_wall(browser: &mut Browser, tab: &Tab) {
     browser.until(tab, &format!("view.walls[0].values[1] < {before} - 0.01"));
 }
 
-/// A place in front of the wall by so many metres.
+/// Place at this distance in front of the wall, m.
 fn by_the_wall(browser: &mut Browser, tab: &Tab, before: f64) -> (f64, f64) {
     let along = |i: u8| format!("(view.walls[0].values[{i}] + {before} * view.walls[0].values[{}])", i + 3);
     on(browser, tab, "stage", &format!("view.frame.toX({})", along(0)), &format!("view.frame.toY({})", along(1)))
 }
 
-/// Leads the hand by the mouse to 2 cm behind the wall's surface, and notes the place in `view.goal`.
+/// Leads the hand by the mouse to 2 cm behind the wall's surface and stores the place in `view.goal`.
 fn lead_into_the_wall(browser: &mut Browser, tab: &Tab) {
     let tip = on(
         browser,
@@ -76,13 +76,12 @@ fn lead_into_the_wall(browser: &mut Browser, tab: &Tab) {
     let goal = by_the_wall(browser, tab, -0.02);
     browser.drag(tab, tip, goal);
     browser.evaluate(tab, "(v => view.goal = [v[0] - 0.02 * v[3], v[1] - 0.02 * v[4]])(view.walls[0].values)");
-    // All of the way: the hand is there with the mouse's first step.
     let there = "view.last.hand && Math.hypot(view.last.hand.goal[0] - view.goal[0], view.last.hand.goal[1] - view.goal[1]) < 2e-3";
     browser.hold_until(tab, there);
 }
 
 #[test]
-fn the_page_loads_is_alive_and_asks_nobody_else() {
+fn the_page_is_alive_and_requests_nothing_elsewhere() {
     let (view, mut browser, tab) = opened();
     let count = |browser: &mut Browser, what: &str| browser.evaluate(&tab, what).as_u64().unwrap();
     let (pictures, sweeps) = (count(&mut browser, "view.pictures"), count(&mut browser, "view.sweeps"));
@@ -90,7 +89,7 @@ fn the_page_loads_is_alive_and_asks_nobody_else() {
     browser.evaluate(&tab, "$('sound').click()");
     browser.until(&tab, "view.sounds > 5");
     assert_eq!(browser.evaluate(&tab, "document.title"), "coupled-five-bar: haptic view");
-    // Everything is drawn: no canvas is of one colour.
+    // Everything is drawn: every canvas has many colours.
     for canvas in ["stage", "plane", "scope"] {
         let colours = browser.evaluate(
             &tab,
@@ -108,14 +107,14 @@ fn the_page_loads_is_alive_and_asks_nobody_else() {
 }
 
 #[test]
-fn a_key_that_is_held_arms_and_letting_go_disarms() {
+fn holding_the_key_arms_and_releasing_it_disarms() {
     let (_view, mut browser, tab) = opened();
     let armed = "document.body.dataset.state === 'Armed'";
     let off = "document.body.dataset.state === 'Disarmed'";
     browser.hold_until(&tab, armed);
     browser.space(&tab, "keyUp");
     browser.until(&tab, off);
-    // Whatever has the focus, and it stays as it is; but not where a number is typed.
+    // The key works whichever control has the focus and leaves it unchanged, except in a number field.
     for control in ["ff-off", "beyond", "channel-a", "before", "trigger"] {
         browser.evaluate(
             &tab,
@@ -134,7 +133,7 @@ fn a_key_that_is_held_arms_and_letting_go_disarms() {
     browser.until(&tab, "view.pictures > then + 10");
     assert_eq!(browser.evaluate(&tab, "view.down || view.last.state === 'Armed'"), false);
     browser.evaluate(&tab, "document.activeElement.blur()");
-    // The button, by the mouse, which is free for the tip then; of a real board it holds no longer than it is pressed.
+    // A click on the button holds the key on a simulated board; on a real board only while the mouse is pressed.
     let key = on(&mut browser, &tab, "key", "60", "30");
     for held in [true, false] {
         for what in ["mousePressed", "mouseReleased"] {
@@ -149,14 +148,14 @@ fn a_key_that_is_held_arms_and_letting_go_disarms() {
     }
     browser.evaluate(&tab, "view.hello.simulated = true");
     browser.until(&tab, off);
-    // Focus that goes elsewhere is a hand that may be elsewhere.
+    // Losing the focus releases the key.
     browser.hold_until(&tab, armed);
     browser.evaluate(&tab, "window.dispatchEvent(new Event('blur'))");
     browser.until(&tab, off);
     assert_eq!(browser.complaints(), [""; 0]);
 }
 
-/// On a phone one finger holds the key while another taps: a tap that makes no click of its own.
+/// On a phone one finger holds the key while another taps; the browser sends no click for such a tap.
 #[test]
 fn a_second_finger_taps_while_the_first_holds_the_key() {
     let (_view, mut browser, tab) = opened();
@@ -172,7 +171,7 @@ fn a_second_finger_taps_while_the_first_holds_the_key() {
     let off = on(&mut browser, &tab, "ff-off", "20", "15");
     touch(&mut browser, "touchStart", &[key, off]);
     assert_eq!(browser.evaluate(&tab, "view.down && $('anyway').hidden"), true, "nothing is tapped yet");
-    // Here fingers can be lifted only together.
+    // The protocol lifts all fingers together.
     touch(&mut browser, "touchEnd", &[]);
     browser.until(&tab, "!view.down && !$('anyway').hidden");
     browser.until(&tab, "document.body.dataset.state === 'Disarmed'");
@@ -180,13 +179,13 @@ fn a_second_finger_taps_while_the_first_holds_the_key() {
 }
 
 #[test]
-fn a_page_that_is_closed_disarms_and_the_other_one_may_command_then() {
+fn closing_the_page_disarms_and_frees_the_command() {
     let (view, mut browser, first) = opened();
     let second = browser.open(&view.url, PHONE, 2.0);
     browser.until(&second, "window.view && view.pictures > 3");
     assert_eq!(browser.evaluate(&second, "document.body.dataset.role"), "watch");
     assert_eq!(browser.evaluate(&second, "$('key').disabled && $('take').disabled"), true);
-    // That is no alarm; a click that changes something is refused as long as another page commands.
+    // Watching is no alarm; changes are refused while another page is in command.
     let notice = "$('notice').classList.contains('shown')";
     assert_eq!(browser.evaluate(&second, notice), false);
     browser.evaluate(&second, "$('ff-off').click()");
@@ -203,7 +202,7 @@ fn a_page_that_is_closed_disarms_and_the_other_one_may_command_then() {
 }
 
 #[test]
-fn the_dot_is_dragged_and_stops_at_the_boundary_until_one_goes_on() {
+fn the_dragged_dot_stops_at_the_boundary_until_confirmed() {
     let (_view, mut browser, tab) = opened();
     let (from, to) = (on_plane(&mut browser, &tab, 80.0, 8700.0), on_plane(&mut browser, &tab, 40.0, 10e3));
     browser.drag(&tab, from, to);
@@ -230,7 +229,7 @@ fn the_dot_is_dragged_and_stops_at_the_boundary_until_one_goes_on() {
     assert_eq!(browser.evaluate(&tab, in_sight), true, "what one needs then is not covered");
     assert_eq!(browser.evaluate(&tab, "view.walls[0].stiffness < 21e3"), true, "it stays on the stable side");
     browser.until(&tab, "view.again?.stiffness > 22e3");
-    // The button names what it sets, and the bar goes with what it was about.
+    // The button names the gains that it sets.
     assert_eq!(browser.evaluate(&tab, "/^Set 2[23]\\.\\d kN\\/m, .* anyway$/.test($('anyway').textContent)"), true);
     browser.evaluate(&tab, "$('anyway').click()");
     browser.until(&tab, "view.walls[0].stiffness > 21e3 && document.body.dataset.stable === 'false'");
@@ -245,16 +244,15 @@ fn the_dot_is_dragged_and_stops_at_the_boundary_until_one_goes_on() {
     browser.until(&tab, "view.walls[0].stiffness === 3000 && !$('notice').classList.contains('shown')");
 }
 
-/// Of every word that is drawn on the plane its text and box, in pixels.
+/// Text and box of every word on the plane, in pixels.
 const WORDS: &str = "(() => { const k = CanvasRenderingContext2D.prototype, fill = k.fillText, found = []; \
     k.fillText = function (words, x, y) { const m = this.measureText(words), t = this.getTransform(); if (t.b === 0 && this.textAlign === 'left') \
     found.push([words, x - m.actualBoundingBoxLeft, y - m.actualBoundingBoxAscent, x + m.actualBoundingBoxRight, y + m.actualBoundingBoxDescent]); \
     return fill.call(this, words, x, y); }; drawPlane(); k.fillText = fill; return found; })()";
 
-/// Wherever the gains lie in the plane: the dot is clear of the edges, no word covers another or the dot.
+/// For all gains the dot is clear of the edges, and no word covers another word or the dot.
 #[test]
 fn the_plane_is_read_at_a_glance_on_shipped_devices() {
-    let root = concat!(env!("CARGO_MANIFEST_DIR"), "/../devices/");
     let mut browser = Browser::start();
     for (name, scene, scale) in [
         ("coupled-five-bar", "", "even"),
@@ -265,7 +263,7 @@ fn the_plane_is_read_at_a_glance_on_shipped_devices() {
         ("woodenhaptics", "room", "log"),
         ("capstan-pantograph", "wall", "even"),
     ] {
-        let (device, scene) = (format!("{root}{name}.toml"), format!("{root}scenes/{name}/{scene}.toml"));
+        let (device, scene) = (file(&format!("{name}.toml")), file(&format!("scenes/{name}/{scene}.toml")));
         let demo = ["--port", "sim"];
         let own = [&device, "--port", "sim", "--scene", &scene];
         let view = View::start(if name == "coupled-five-bar" { &demo } else { &own });
@@ -305,9 +303,9 @@ fn the_plane_is_read_at_a_glance_on_shipped_devices() {
     }
 }
 
-/// What was tried stands beside what was predicted, until it is of something else; what limits is told when asked for.
+/// Tried gains are marked until wall or simulation change; the limiting effects are shown on request.
 #[test]
-fn presses_leave_marks_and_what_limits_is_a_click_away() {
+fn presses_leave_marks_and_limits_are_explained() {
     let (_view, mut browser, tab) = opened();
     browser.evaluate(
         &tab,
@@ -334,7 +332,7 @@ fn presses_leave_marks_and_what_limits_is_a_click_away() {
     let spoken = browser.evaluate(&tab, "$('dot').textContent").as_str().unwrap().to_string();
     let stable = "8.70 kN/m, 80.0 N s/m, feed-forward washed out: predicted stable, tried: quiet; limit ";
     assert!(spoken.starts_with(stable), "{spoken}");
-    // A wall that was moved is another one.
+    // Moving the wall removes the marks.
     drag_the_wall(&mut browser, &tab);
     assert_eq!(marks(&mut browser, "press(.02, .1)"), "");
     assert_eq!(marks(&mut browser, "press(.4, .1)"), "false");
@@ -363,18 +361,18 @@ fn a_click_beside_the_dot_changes_no_gains() {
 }
 
 #[test]
-fn the_wall_is_pressed_by_the_mouse_and_its_feed_forward_changed_under_it() {
+fn the_feed_forward_changes_while_the_mouse_presses_the_wall() {
     let (_view, mut browser, tab) = opened();
     browser.hold_until(&tab, "document.body.dataset.state === 'Armed'");
     lead_into_the_wall(&mut browser, &tab);
     browser.hold_until(&tab, "view.last.numbers.force > 2 && view.last.numbers.depth > 0");
-    // A ripple is known of a wall that was pressed for a while.
+    // The ripple is known after some time of contact.
     browser.hold_until(&tab, "now?.ripple > 0");
     browser.evaluate(&tab, "$('ff-off').click()");
     browser.until(&tab, "!$('anyway').hidden");
     browser.evaluate(&tab, "$('anyway').click()");
     browser.until(&tab, "view.walls[0].feed_forward === 'off'");
-    // The wall as it was stands beside the wall as it is, on the same axis, with the frequency; the stage says it too.
+    // The curve before the click is shown with the new one, on the same axis, with the frequency.
     browser.hold_until(&tab, "view.ghost?.mode === 'washout' && view.buzz > 55 && view.buzz < 95");
     browser.hold_until(
         &tab,
@@ -386,7 +384,7 @@ fn the_wall_is_pressed_by_the_mouse_and_its_feed_forward_changed_under_it() {
     browser.hold_until(&tab, "$('ripple-before').textContent.startsWith('off ') && $('ripple-now').className === ''");
     let kept = "(r => axes.rendered_n.low <= r.low && axes.rendered_n.high >= r.high)(JSON.parse(window.range))";
     assert_eq!(browser.evaluate(&tab, kept), true, "a quiet wall looks quiet");
-    // Pictures for a paper: in millimetres, on white, in letters of eight points.
+    // Pictures for a paper: in millimetres, on white, letters of eight points.
     browser.evaluate(&tab, "view.hello.device = 'a & <b>'");
     for (what, millimetres) in [("stage", 85), ("plane", 85), ("scope", 170)] {
         let checked = format!(
@@ -409,9 +407,9 @@ fn the_wall_is_pressed_by_the_mouse_and_its_feed_forward_changed_under_it() {
     assert_eq!(browser.complaints(), [""; 0]);
 }
 
-/// A link sets device, pose, walls and gains; what is wrong with one is said, and nothing is changed.
+/// A link sets device, pose, walls and gains. A wrong link causes a notice and changes nothing.
 #[test]
-fn a_link_shows_to_others_what_one_sees() {
+fn a_link_restores_device_pose_walls_and_gains() {
     let (view, mut browser, tab) = opened();
     browser.evaluate(&tab, "sendGains({ stiffness: 12345, damping: 60, feed_forward: 'full' })");
     browser.evaluate(&tab, "say({ do: 'start-over', pose: [2.2, 1.3] })");
@@ -450,7 +448,7 @@ fn a_link_shows_to_others_what_one_sees() {
         );
     }
     assert_eq!(browser.evaluate(&other, "view.last.state"), "Disarmed", "no link arms");
-    // What is wrong with a link stands until there is another one.
+    // The notice stays until there is another link.
     browser.evaluate(&other, "location.hash = 'pose=a'; location.reload()");
     browser.until(&other, "window.view?.pictures > 10 && view.hello && $('why').textContent.includes('pose')");
     browser.evaluate(&other, "location.hash = 'pose=2.2,1.3'");
@@ -458,9 +456,9 @@ fn a_link_shows_to_others_what_one_sees() {
     assert_eq!(browser.complaints(), [""; 0]);
 }
 
-/// Three steps, ticked off by what happens; then they are gone for good, and *Start over* puts everything back.
+/// The coach has three steps and then disappears for good; *Start over* resets everything.
 #[test]
-fn the_coach_leads_to_the_buzz_and_start_over_puts_everything_back() {
+fn the_coach_leads_to_the_buzz_and_start_over_resets() {
     let (view, mut browser, tab) = opened();
     let walls = browser.evaluate(&tab, "JSON.stringify(view.walls)");
     let next =
@@ -472,7 +470,7 @@ fn the_coach_leads_to_the_buzz_and_start_over_puts_everything_back() {
     lead_into_the_wall(&mut browser, &tab);
     browser.hold_until(&tab, &next(3));
     browser.until(&tab, "$('coach').textContent.includes('click Off')");
-    // On a slow computer the key may count as let go in between, and a click as one of a page that only watches.
+    // On a slow computer the page may lose key and command in between; then the click is repeated.
     browser.evaluate(&tab, "$('beyond').checked = true");
     browser.hold_until(&tab, "buzzed || view.walls[0].feed_forward !== 'off' && $('ff-off').click()");
     browser.hold_until(&tab, "steps === 3 || view.walls[0].feed_forward === 'off' && $('ff-washout').click()");
@@ -490,12 +488,12 @@ fn the_coach_leads_to_the_buzz_and_start_over_puts_everything_back() {
     );
     browser.until(&tab, &back);
     browser.until(&tab, "Math.abs(view.last.numbers.depth + 0.010) < 1e-4");
-    // What helps after a fault stands beside its notice, which stays.
+    // The notice of a fault stays and shows its remedies.
     let faulty = "(() => { picture({...view.last, state: 'Fault', fault: 'x'}); const r = ['anew', 'clear', 'dismiss'].map(id => \
                   $('notice').contains($(id)) && $(id).offsetParent !== null); return r.join(); })()";
     assert_eq!(browser.evaluate(&tab, faulty), "true,true,false");
     browser.until(&tab, "!$('notice').classList.contains('shown')");
-    // The hand is led by keys too.
+    // Keys lead the hand too.
     browser.evaluate(
         &tab,
         "window.x = view.last.geometry.tip[0]; $('stage').onkeydown({key: 'ArrowRight', preventDefault() {}})",
@@ -508,7 +506,7 @@ fn the_coach_leads_to_the_buzz_and_start_over_puts_everything_back() {
 }
 
 #[test]
-fn a_single_sweep_says_that_it_waits_and_its_letters_keep_their_shape() {
+fn a_single_sweep_waits_for_its_trigger() {
     let (_view, mut browser, tab) = opened();
     browser.until(&tab, "view.sweep && $('phase').textContent === 'rolling'");
     browser.evaluate(&tab, "window.rolled = view.sweep");
@@ -517,7 +515,7 @@ fn a_single_sweep_says_that_it_waits_and_its_letters_keep_their_shape() {
         "$('channel-a').value = 'distance_m'; $('edge').value = 'down'; $('level').value = '0'; \
          $('trigger').value = 'once'; $('trigger').onchange()",
     );
-    // One that was under way comes in late.
+    // An older sweep arrives late.
     browser.evaluate(&tab, "numbers(window.rolled)");
     assert_eq!(browser.evaluate(&tab, "$('phase').textContent"), "waiting for the trigger");
     lead_into_the_wall(&mut browser, &tab);
@@ -528,7 +526,7 @@ fn a_single_sweep_says_that_it_waits_and_its_letters_keep_their_shape() {
     assert_eq!(browser.complaints(), [""; 0]);
 }
 
-/// How many pixels of a canvas are of a colour of the palette, in a square around a place of the drawn plane (m).
+/// Counts the pixels of a palette colour in a square around a place of the drawn plane (m).
 fn coloured(browser: &mut Browser, tab: &Tab, place: &str, colour: &str, half: u32) -> u64 {
     let count = format!(
         "(() => {{ const c = $('stage'), r = devicePixelRatio, p = {place}, k = c.getContext('2d'); k.save(); \
@@ -542,17 +540,15 @@ fn coloured(browser: &mut Browser, tab: &Tab, place: &str, colour: &str, half: u
     browser.evaluate(tab, &count).as_u64().unwrap()
 }
 
-/// No picture lies: a spring that pulls the tip is seen, from where it holds to the tip, and its line.
+/// A spring is drawn from its anchor to the tip, together with its line.
 #[test]
-fn springs_of_the_scene_are_drawn_where_they_hold() {
-    let folder = tempfile::tempdir().unwrap();
-    let scene = folder.path().join("springs.toml");
+fn springs_of_the_scene_are_drawn() {
+    let folder = Folder::new();
     // The line y = 0.15 above the tip, and a point to its right.
     let springs = "[[spring]]\npoint = [0.0, 0.15]\ndirection = [1.0, 0.0]\nstiffness = 250.0\ndamping = 1.0\n\n\
                    [[spring]]\npoint = [0.06, 0.10]\nstiffness = 100.0\ndamping = 1.0\n";
-    std::fs::write(&scene, springs).unwrap();
-    let device = concat!(env!("CARGO_MANIFEST_DIR"), "/../devices/haply-2diy.toml");
-    let view = View::start(&[device, "--port", "sim", "--scene", scene.to_str().unwrap()]);
+    let scene = folder.write("springs.toml", springs);
+    let view = View::start(&[&file("haply-2diy.toml"), "--port", "sim", "--scene", &scene]);
     let mut browser = Browser::start();
     let tab = browser.open(&view.url, LAPTOP, 1.0);
     browser.until(&tab, "window.view && view.pictures > 10");
@@ -574,7 +570,7 @@ fn springs_of_the_scene_are_drawn_where_they_hold() {
     }
 }
 
-/// At every size nothing sticks out and the key is in sight; pictures for a person to look at.
+/// At every size the page fits and the key is visible.
 #[test]
 fn the_page_fits_a_phone_a_laptop_and_a_projector() {
     let (_view, mut browser, tab) = opened();
@@ -607,86 +603,4 @@ fn the_page_fits_a_phone_a_laptop_and_a_projector() {
             std::fs::write(format!("{folder}/view-{name}.png"), png).unwrap();
         }
     }
-}
-
-/// Seconds of processor time that a process has had.
-fn processor_seconds(process: u32) -> f64 {
-    let stat = std::fs::read_to_string(format!("/proc/{process}/stat")).unwrap();
-    let fields: Vec<&str> = stat.rsplit(')').next().unwrap().split_whitespace().collect();
-    // User and system time, in ticks of 10 ms on every Linux that this runs on.
-    0.01 * (fields[11].parse::<f64>().unwrap() + fields[12].parse::<f64>().unwrap())
-}
-
-fn middle(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values[values.len() / 2]
-}
-
-#[test]
-#[ignore = "a measurement, no test: docs/view.md names its command line"]
-fn how_fast_the_page_is() {
-    let root = concat!(env!("CARGO_MANIFEST_DIR"), "/../devices/");
-    let (device, scene) = (format!("{root}coupled-five-bar.toml"), format!("{root}scenes/coupled-five-bar/wall.toml"));
-    // Watching alone: the board is another process, and every one of its 20,000 steps a second is a row.
-    let sim = Sim::start(&[&device, "--scene", &scene]);
-    let view = View::start(&[&device, "--port", &sim.port, "--rate", "20000"]);
-    let mut browser = Browser::start();
-    let watch = |browser: &mut Browser, view: &View, what: &str| {
-        let tab = browser.open(&view.url, LAPTOP, 1.0);
-        browser.until(&tab, "window.view && view.pictures > 30 && view.hello.rows_hz === 20000");
-        browser.front(&tab);
-        browser.evaluate(
-            &tab,
-            "view.m = { frames: 0, inside: true, base: Infinity, contacts: [], prev: 0, due: null, lost: view.last.lost }; \
-             { const drawn = drawStage, seen = picture; \
-               drawStage = () => { drawn(); view.m.frames++; const due = view.m.due; view.m.due = null; \
-                 if (due) requestAnimationFrame(() => { const t = performance.now() - view.m.base; view.m.contacts.push([t - due[0], t - due[1]]); }); }; \
-               picture = p => { const m = view.m, now = performance.now(), inside = p.numbers.depth > 0; m.base = Math.min(m.base, now - 1e3 * p.time); \
-                 if (inside && !m.inside) m.due = [1e3 * m.prev, 1e3 * p.time]; m.inside = inside; m.prev = p.time; seen(p); }; }",
-        );
-        let (began, used) = (std::time::Instant::now(), processor_seconds(view.process()));
-        let pictures = browser.evaluate(&tab, "view.pictures").as_f64().unwrap();
-        if what.contains("in its own process") {
-            for _ in 0..20 {
-                for place in ["[v[0] - 0.01 * v[3], v[1] - 0.01 * v[4]]", "[v[0] + 0.01 * v[3], v[1] + 0.01 * v[4]]"] {
-                    browser.evaluate(&tab, &format!("(v => say({{do: 'hand', at: {place}}}))(view.walls[0].values)"));
-                    std::thread::sleep(std::time::Duration::from_millis(700));
-                }
-            }
-        } else {
-            std::thread::sleep(std::time::Duration::from_secs(20));
-        }
-        let seconds = began.elapsed().as_secs_f64();
-        let share = 100.0 * (processor_seconds(view.process()) - used) / seconds;
-        let found = browser.evaluate(
-            &tab,
-            "({ m: view.m, pictures: view.pictures, lost: view.last.lost - view.m.lost, speed: view.last.speed })",
-        );
-        let of = |value: &Value| value.as_f64().unwrap();
-        println!(
-            "{what}: {:.0} pictures and {:.0} frames a second, {} rows lost, {share:.0} % of one core",
-            (of(&found["pictures"]) - pictures) / seconds,
-            of(&found["m"]["frames"]) / seconds,
-            found["lost"]
-        );
-        if let Some(speed) = found["speed"].as_f64() {
-            println!("  the simulation ran at {:.0} % of its time", 100.0 * speed);
-        }
-        let contacts: Vec<(f64, f64)> =
-            found["m"]["contacts"].as_array().unwrap().iter().map(|pair| (of(&pair[0]), of(&pair[1]))).collect();
-        if !contacts.is_empty() {
-            let (most, least) = contacts.iter().copied().unzip::<f64, f64, Vec<_>, Vec<_>>();
-            println!(
-                "  contact to pixel: {:.0} to {:.0} ms in the middle of {} contacts (between the last picture without and the first with it)",
-                middle(least),
-                middle(most),
-                contacts.len()
-            );
-        }
-        browser.close(&tab);
-    };
-    watch(&mut browser, &view, "watching a board");
-    drop((view, sim));
-    let view = View::start(&[&device, "--port", "sim", "--scene", &scene]);
-    watch(&mut browser, &view, "simulating the board in its own process as well");
 }

@@ -1,11 +1,10 @@
-//! The page as a file with a board at a serial port of the browser. The port is the test's: it stands in the place of
-//! `navigator.serial`, and its bytes go to a simulated or an emulated board over the browser's debugging protocol,
-//! since the page has no network.
+//! The page as a file with a board at a serial port of the browser. A fake of `navigator.serial` sends its bytes to a
+//! simulated or an emulated board over the browser's debugging protocol, because the page has no network.
 
 use super::LAPTOP;
 use super::as_a_file::path;
-use super::common::file;
 use super::common::sim::{Sim, until};
+use super::common::{file, root};
 use super::devtools::{Browser, PATIENCE, Tab, base64, connect};
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_host::link::{Board, TcpWire};
@@ -17,7 +16,7 @@ use std::thread::{JoinHandle, spawn};
 use std::time::{Duration, Instant};
 use tungstenite::Message;
 
-/// A port as Chromium has it. `arrive` brings bytes, `toBoard` takes them, `pull` unplugs.
+/// A port like Chromium's. `arrive` delivers bytes, `toBoard` sends them, `pull` unplugs.
 const PORT: &str = r#"
     window.test = { asked: [], refuses: null };
     let incoming = null;
@@ -47,11 +46,11 @@ const PORT: &str = r#"
 
 const ARMED: &str = "document.body.dataset.state === 'Armed'";
 
-/// The cable between the page's port and a board behind TCP; what ends it gives the board's end back.
+/// The cable between the page's port and a board behind TCP. Its thread returns the board's end.
 struct Cable(JoinHandle<TcpStream>);
 
 impl Cable {
-    /// From the next page that this tab opens.
+    /// Connects the next page that this tab opens.
     fn plug(browser: &mut Browser, tab: &Tab, board: &str) -> Self {
         let url = format!("ws://{}/devtools/page/{}", browser.address, tab.target);
         let mut page = connect(&browser.address, &url, Duration::from_millis(2));
@@ -65,7 +64,7 @@ impl Cable {
         for (method, parameters) in [("Runtime.enable", json!({})), ("Runtime.addBinding", json!({"name": "toBoard"}))]
         {
             page.send(ask(method, parameters)).unwrap();
-            // In force before the page is there.
+            // In force before the page loads.
             until(method, || matches!(page.read(), Ok(Message::Text(text)) if text.contains(r#""id":1"#)));
         }
         Self(spawn(move || {
@@ -118,7 +117,7 @@ fn to_base64(bytes: &[u8]) -> String {
     bytes.chunks(3).flat_map(four).collect()
 }
 
-/// The page with a port that a board is plugged into; it shows the simulation.
+/// The page with a board plugged into its port; it shows the simulation at first.
 fn page(board: &str) -> (Browser, Tab, Cable) {
     let mut browser = Browser::start();
     let tab = browser.open("about:blank", LAPTOP, 1.0);
@@ -141,7 +140,7 @@ fn open(browser: &mut Browser, tab: &Tab) {
     assert_eq!(browser.evaluate(tab, "$('open').textContent"), "Close the board");
 }
 
-/// Holds Space until the motors are on. Where this computer was so slow that page or board let go, it is pressed anew.
+/// Holds Space until the motors are on. If a slow computer made page or board let go, Space is pressed again.
 fn hold(browser: &mut Browser, tab: &Tab) {
     let began = Instant::now();
     while browser.evaluate(tab, ARMED) != true {
@@ -161,11 +160,10 @@ fn hold(browser: &mut Browser, tab: &Tab) {
     }
 }
 
-/// Everything that the page does with a board that is ready, until the browser is killed with the motors on.
+/// Uses a board that is ready in every way, then kills the browser with the motors on.
 fn used_until_the_browser_dies(board: &str, device: &str, name: &str) {
     let (mut browser, tab, cable) = page(board);
     open(&mut browser, &tab);
-    // It is named, and said to be one.
     assert_eq!(browser.evaluate(&tab, "$('device').textContent"), device);
     let on = browser.evaluate(&tab, "$('board').textContent").as_str().unwrap().to_string();
     assert!(on.starts_with(name) && on.contains("on USB"), "{on}");
@@ -177,7 +175,7 @@ fn used_until_the_browser_dies(board: &str, device: &str, name: &str) {
     // Gains, as the board has them.
     browser.evaluate(&tab, "$('stiffness').value = '123'; $('stiffness').onchange()");
     browser.until(&tab, "view.walls[0].stiffness === 123");
-    // The key: held and let go; hidden; stuck, when the board lets go by itself.
+    // The key is released, then hidden, then stuck, and each time the motors go off.
     hold(&mut browser, &tab);
     browser.space(&tab, "keyUp");
     browser.until(&tab, "document.body.dataset.state === 'Disarmed'");
@@ -189,7 +187,7 @@ fn used_until_the_browser_dies(board: &str, device: &str, name: &str) {
     );
     browser.until(&tab, "document.body.dataset.state === 'Disarmed' && !view.down");
     hold(&mut browser, &tab);
-    // By the page's clock, as its silence counts: an emulated board's steps pass more slowly on a busy computer.
+    // By the page's clock, because an emulated board is slow on a busy computer.
     browser.evaluate(&tab, "(() => { const until = performance.now() + 1500; while (performance.now() < until); })()");
     browser.until(&tab, &format!("!({ARMED}) && !view.last.held"));
     browser.evaluate(&tab, "window.then = view.pictures");
@@ -201,11 +199,10 @@ fn used_until_the_browser_dies(board: &str, device: &str, name: &str) {
     }
     hold(&mut browser, &tab);
     assert_eq!(browser.complaints(), [""; 0]);
-    // No word of the page reaches the board any more.
     drop(browser);
     let mut board = cable.board();
     until("the motors off", || board.status().unwrap().state != State::Armed);
-    // A page that this computer had kept waiting may have let go before it died.
+    // A page that had to wait may have let go before it died.
     let fault = board.status().unwrap().fault.map(|record| record.fault);
     assert!(fault.is_none_or(|fault| fault == Fault::KeyReleased), "{fault:?}");
     assert_eq!(board.scene().unwrap().unwrap().walls[0].stiffness, 123.0);
@@ -216,7 +213,7 @@ fn simulated() -> Sim {
 }
 
 #[test]
-fn a_simulated_board_is_opened_used_and_lets_go_when_the_browser_dies() {
+fn a_simulated_board_lets_go_when_the_browser_dies() {
     let sim = simulated();
     used_until_the_browser_dies(&sim.port, "haply-2diy", "simulated SIM");
 }
@@ -232,9 +229,9 @@ impl Drop for Emulated {
 }
 
 #[test]
-fn the_image_on_the_emulated_chip_is_opened_used_and_lets_go_when_the_browser_dies() {
-    let program = std::env::var("HAPTIC_VIRTUAL_BOARD")
-        .unwrap_or_else(|_| concat!(env!("CARGO_MANIFEST_DIR"), "/../target/debug/board").into());
+fn the_emulated_board_lets_go_when_the_browser_dies() {
+    let default = root().join("target/debug/board").display().to_string();
+    let program = std::env::var("HAPTIC_VIRTUAL_BOARD").unwrap_or(default);
     let board = Command::new(&program).stdout(Stdio::piped()).spawn();
     let mut board =
         board.unwrap_or_else(|error| panic!("{program}: {error}; `cargo xtask test --deep browser` makes it"));
@@ -243,7 +240,7 @@ fn the_image_on_the_emulated_chip_is_opened_used_and_lets_go_when_the_browser_di
     let port = lines.find_map(|line| line.strip_prefix("port: ").map(String::from)).unwrap();
     let device = lines
         .find_map(|line| Some(line.split_whitespace().nth(2)?.to_string()).filter(|_| line.contains("haptic device")));
-    // It goes on writing there.
+    // Reads on, so that the board never blocks.
     spawn(move || lines.for_each(drop));
     let tool = |arguments: &[&str]| drop(super::common::haptic(arguments).args(["--port", &port]).assert().success());
     tool(&["device", &device.unwrap()]);
@@ -254,7 +251,7 @@ fn the_image_on_the_emulated_chip_is_opened_used_and_lets_go_when_the_browser_di
 }
 
 #[test]
-fn a_board_that_is_pulled_is_missed_in_words_opened_again_and_closed_with_its_motors_off() {
+fn an_unplugged_board_is_reported_and_opened_again() {
     let sim = simulated();
     let (mut browser, tab, cable) = page(&sim.port);
     open(&mut browser, &tab);
@@ -265,13 +262,13 @@ fn a_board_that_is_pulled_is_missed_in_words_opened_again_and_closed_with_its_mo
     assert!(why.contains("The device has been lost") && why.contains("motors"), "{why}");
     browser.space(&tab, "keyUp");
     assert_eq!(browser.evaluate(&tab, "$('open').textContent"), "Open a board");
-    // Nothing takes its place unasked.
+    // The simulation does not return unasked.
     browser.evaluate(&tab, "window.then = view.pictures");
     std::thread::sleep(Duration::from_millis(1500));
     assert_eq!(browser.evaluate(&tab, "view.pictures === then && document.body.dataset.state === 'Lost'"), true);
     open(&mut browser, &tab);
     let mut board = closed(browser, &tab, cable);
-    // It lets go by itself where this computer keeps the page waiting for half a second: then once more.
+    // If the page had to wait for half a second, the board lets go by itself; then try again.
     let began = Instant::now();
     while board.status().unwrap().fault.is_some_and(|record| record.fault == Fault::KeyReleased) {
         assert!(began.elapsed() < PATIENCE, "closing does not turn the motors off");
@@ -299,7 +296,7 @@ fn closed(mut browser: Browser, tab: &Tab, cable: Cable) -> Board {
 }
 
 #[test]
-fn a_board_that_cannot_be_shown_says_why_and_the_simulation_goes_on() {
+fn a_refused_board_is_explained_and_the_simulation_goes_on() {
     let sim = Sim::start(&[&file("haply-2diy.toml")]);
     let (mut browser, tab, _cable) = page(&sim.port);
     let refused = |browser: &mut Browser, words: &str| {
@@ -319,14 +316,14 @@ fn a_board_that_cannot_be_shown_says_why_and_the_simulation_goes_on() {
     browser.evaluate(&tab, "test.refuses = null");
     refused(&mut browser, "haptic scene");
     browser.until(&tab, "!open_port()");
-    // Whoever closes the browser's list changes nothing.
+    // Closing the browser's list of ports changes nothing.
     browser.evaluate(
         &tab,
         "navigator.serial.requestPort = () => Promise.reject(new DOMException('', 'NotFoundError')); \
          notice(''); $('open').click(); view.pictures = 0",
     );
     browser.until(&tab, "view.pictures > 10 && view.hello.simulated && !$('notice').classList.contains('shown')");
-    // Browsers that have no serial ports, or cannot let the library wait.
+    // Browsers without serial ports or without suspending calls.
     for missing in ["navigator.serial", "WebAssembly.Suspending"] {
         let (of, name) = missing.split_once('.').unwrap();
         browser.evaluate(

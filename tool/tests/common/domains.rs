@@ -1,7 +1,6 @@
 //! The stable domains of single walls that were computed independently (tests/golden/range.json).
 
 use haptic_host::device_file::DeviceFile;
-use haptic_stability::analysis::plant::Drive;
 use haptic_stability::analysis::sampled::{LinearEstimator, Loop, Mode};
 use serde_json::Value;
 
@@ -17,7 +16,7 @@ pub struct Case {
     pub expected: [(Mode, Known); 2],
 }
 
-/// What is known of a domain: kp (N/m) at each kd (N s/m), the area under it, where it ends.
+/// A known domain: kp (N/m) at each kd (N s/m), the area below kp, the largest kd.
 pub struct Known {
     pub kd: Vec<f64>,
     pub kp: Vec<f64>,
@@ -25,10 +24,9 @@ pub struct Known {
     pub kd_max: f64,
 }
 
-/// All twenty.
+/// Returns all twenty cases.
 pub fn all() -> Vec<Case> {
-    let path = super::root().join("tests/golden/range.json");
-    let golden: Value = serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap();
+    let golden: Value = serde_json::from_str(&super::read("tests/golden/range.json")).unwrap();
     let cases: Vec<Case> = golden["cases"].as_array().unwrap().iter().map(case).collect();
     assert_eq!(cases.len(), 20);
     cases
@@ -49,22 +47,20 @@ fn case(case: &Value) -> Case {
         id,
         q: numbers(&case["q"]),
         normal: numbers(&case["normal"]),
-        around: Loop {
-            rate_hz: number(&case["rate"]),
-            delay_samples: number(&case["delay"]),
-            estimator: LinearEstimator::Butterworth(number(&case["cutoff"])),
-            drive: Drive::Ideal,
-            damping_compensation: false,
-        },
+        around: super::ideal_loop(
+            number(&case["rate"]),
+            number(&case["delay"]),
+            LinearEstimator::Butterworth(number(&case["cutoff"])),
+        ),
         expected: [(Mode::Off, known("off")), (Mode::Full, known("full"))],
     }
 }
 
-/// Device, pose, normals, parts, walls without the feed-forward and damping of a set of walls.
-pub type Set = (&'static str, &'static str, &'static [&'static str], &'static str, Option<&'static str>, f64);
+/// A set of walls: device, pose, normals, shares, walls without the feed-forward, damping.
+pub type WallSetCase = (&'static str, &'static str, &'static [&'static str], &'static str, Option<&'static str>, f64);
 
 /// Facets 2, 5 and 10 degrees apart, corners in the plane and in space.
-pub const SETS: [Set; 8] = [
+pub const WALL_SETS: [WallSetCase; 8] = [
     ("coupled-five-bar", "2.6,1.75", &["0.2419219,0.9702957", "0.2756374,0.9612617"], "1,1", None, 15.0),
     ("coupled-five-bar", "2.6,1.75", &["0.2419219,0.9702957", "0.3255682,0.9455186"], "1,1", None, 15.0),
     ("coupled-five-bar", "2.6,1.75", &["0.9702957,-0.2419219", "0.9135455,-0.4067366"], "2,1", None, 15.0),

@@ -1,6 +1,7 @@
-//! Devices that are drawn: sound ones like those that ship, and ones whose file, wires or sensors are wrong.
+//! Random devices: sound ones similar to the shipped ones, and ones with wrong file, wires or sensors.
 
-use super::lies::{Moved, moved_by, windings_of};
+use super::forces::one;
+use super::injected::{Moved, moved_by, windings_of};
 use super::{all_shipped, shipped};
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::description::{Cogging, Description, Stribeck, StructuralMode, Transmission};
@@ -9,22 +10,18 @@ use haptic_bridge::safety::fault::FaultRecord;
 use haptic_sim::{BoardFaults, Random};
 use std::f64::consts::TAU;
 
-fn one<T: Copy>(draw: &mut Random, of: &[T]) -> T {
-    of[(draw.uniform() * of.len() as f64) as usize]
-}
-
-/// Between two numbers, each power of ten as likely as the next.
+/// A random number between two limits, uniform in its logarithm.
 fn spread(draw: &mut Random, low: f64, high: f64) -> f64 {
     (draw.between(low.ln(), high.ln())).exp()
 }
 
-/// A device like one that ships, of another size, with other motors, encoders, friction, gears, cables and modes.
+/// A shipped device with random size, motors, encoders, friction, gears, cables and modes.
 pub fn sound(draw: &mut Random) -> (String, Description) {
     let files = all_shipped();
     let file = &files[(draw.uniform() * files.len() as f64) as usize];
     let (mut device, joints) = (file.description, file.spec().joints);
     let (size, weight) = (draw.between(0.7, 1.5), spread(draw, 0.5, 2.0));
-    // The sign of an assembly is no length.
+    // The last entry is the sign of the assembly, no length.
     device.geometry.iter_mut().filter(|length| length.abs() < 1.0).for_each(|length| *length *= size);
     for link in &mut device.links {
         link.com *= size;
@@ -86,7 +83,7 @@ pub fn sound(draw: &mut Random) -> (String, Description) {
     (file.name.clone(), device)
 }
 
-/// What is wrong with a drawn device.
+/// Error of a random device.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Wrong {
     Nothing,
@@ -95,7 +92,7 @@ pub enum Wrong {
     Constants(f64),
     /// A gear that the file forgets, its inertia included.
     Gear(f64),
-    /// What the first current sensor shows, or all, of a current.
+    /// Share of the current that the first current sensor, or all, shows.
     Sensor(f64),
     Sensors(f64),
     /// A first current sensor off its zero, A.
@@ -143,7 +140,7 @@ impl Wrong {
     }
 }
 
-/// One check of a drawn device.
+/// One polarity check of a random device.
 #[derive(Debug)]
 pub struct Checked {
     pub seed: u64,
@@ -168,7 +165,7 @@ pub fn check_sound(seed: u64) -> Checked {
     check(seed, device, &description, Wrong::Nothing)
 }
 
-/// A device that is not its file's: one that ships, or a drawn one.
+/// A device that differs from its file: a shipped one, or a random one.
 pub fn check_wrong(seed: u64) -> Checked {
     let mut draw = Random::new(seed);
     let wrong = Wrong::drawn(&mut draw);

@@ -1,40 +1,32 @@
-//! What really pushes at the tip, in scenes and motions that are drawn.
+//! Force of the motors at the tip, in random scenes and motions.
 
-use haptic_bridge::control::{HostAction, Rules};
-use haptic_bridge::math::Libm;
-use haptic_bridge::model::description::Description;
-use haptic_bridge::model::mechanism::AnyMechanism;
-use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};
-use haptic_bridge::safety::fault::State;
+use super::prelude::*;
+use super::{board, plane_wall};
 use haptic_bridge::safety::limits::GENTLE_FORCE;
-use haptic_host::device_file::DeviceFile;
-use haptic_host::link::Board;
-use haptic_sim::{
-    BoardOptions, Hand, HandSettings, Intent, Random, SharedBoard, SimulatedBoard, Support, Waypoint, ready_board,
-};
+use haptic_sim::{Hand, SimulatedBoard};
 use std::collections::VecDeque;
 use std::ops::Range;
 
-fn one<T: Copy>(draw: &mut Random, of: &[T]) -> T {
+/// One of these values at random.
+pub fn one<T: Copy>(draw: &mut Random, of: &[T]) -> T {
     of[(draw.uniform() * of.len() as f64) as usize]
 }
 
-/// What pushes harder than 1.1 times the limit, with every shipped device and each of these seeds.
+/// Describes the runs, of every shipped device with each seed, that push harder than 1.1 times the limit.
 pub fn too_hard(seeds: Range<u64>) -> Vec<String> {
     let devices = super::all_shipped();
     let drawn = seeds.flat_map(|seed| devices.iter().map(move |file| largest(file, seed)));
     drawn.filter(|(most, _)| *most > 1.1 * f64::from(GENTLE_FORCE)).map(|(_, what)| what).collect()
 }
 
-/// The largest mean over 2 ms of the force (N) that the motors of a device push with at the tip beyond its weight, in a
-/// scene and a motion drawn by `seed`, and what was drawn.
+/// Runs a random scene and motion. Returns the largest push of the motors at the tip (mean over 2 ms, without the
+/// device's weight, N) and a description of the run.
 fn largest(file: &DeviceFile, seed: u64) -> (f64, String) {
     let mut draw = Random::new(seed);
     let weighs = file.description.gravity != [0.0; 3];
     let options =
         BoardOptions { support: if weighs { Support::Held } else { Support::None }, ..BoardOptions::default() };
-    let shared = SharedBoard::new(ready_board(file, options).unwrap());
-    let mut board = Board::over(shared.wire(), "sim").unwrap();
+    let (shared, mut board) = board(file, options);
     let mut rules: Rules = board.rules().unwrap();
     rules.limits.tip_force = GENTLE_FORCE;
     rules.host_action = HostAction::Ignore;
@@ -58,21 +50,9 @@ fn largest(file: &DeviceFile, seed: u64) -> (f64, String) {
         let size = normal.iter().map(|along| along * along).sum::<f64>().sqrt().max(1e-3);
         normal.iter_mut().for_each(|along| *along /= size);
         let gap = draw.between(1e-3, 6e-3);
-        scene
-            .walls
-            .push(Wall {
-                surface: Surface::Plane(Plane {
-                    point: core::array::from_fn(|axis| (tip[axis] - gap * normal[axis]) as f32),
-                    normal: normal.map(|along| along as f32),
-                }),
-                stiffness: stiffness as f32,
-                damping: damping as f32,
-                feed_forward,
-                washout_hz: 2.0,
-                damping_compensation: false,
-                bilateral: false,
-            })
-            .unwrap();
+        let point = core::array::from_fn(|axis| (tip[axis] - gap * normal[axis]) as f32);
+        let plane = plane_wall(point, normal.map(|along| along as f32), stiffness as f32, damping as f32);
+        scene.walls.push(Wall { feed_forward, ..plane }).unwrap();
     }
     let what = format!(
         "{} seed {seed}: {rate} Hz, {walls} walls, {stiffness:.0} N/m, {damping:.1} N s/m, {feed_forward:?}",
@@ -80,7 +60,7 @@ fn largest(file: &DeviceFile, seed: u64) -> (f64, String) {
     );
     board.set_scene(&scene).unwrap_or_else(|error| panic!("{what}: {error}"));
     board.arm().unwrap_or_else(|error| panic!("{what}: {error}"));
-    // Somebody moves the tip about, from slow to as fast as an arm is, and more or less into the first wall.
+    // A hand moves the tip about, slowly or as fast as an arm can, and more or less into the first wall.
     let reach = draw.between(0.002, 0.03);
     let pace = draw.between(0.02, 0.3);
     let press = draw.between(0.0, 0.01);
@@ -114,8 +94,8 @@ fn largest(file: &DeviceFile, seed: u64) -> (f64, String) {
     (most, format!("{what}: {most:.2} N, {:?} {:?}", state.state, state.fault.map(|record| record.fault)))
 }
 
-/// What the motors push with at the tip of a simulated device beyond what carries its weight: a mean over 2 ms. The
-/// currents, the angles and the torque constants are those of the device itself and not what the board sees of them.
+/// Push of the motors at the tip of a simulated device, without the part that carries its weight: a mean over 2 ms.
+/// Currents, angles and torque constants are the true ones, not those that the board sees.
 pub struct Push {
     truth: Description,
     mechanism: AnyMechanism<f32>,
@@ -125,18 +105,18 @@ pub struct Push {
 }
 
 impl Push {
-    /// Of a board whose device is in truth this one.
+    /// `truth` is the true device of the board.
     pub fn of(truth: &Description, board: &SimulatedBoard) -> Self {
         let mechanism = AnyMechanism::new(truth).unwrap();
         let length = (2e-3 * board.carrier_hz()) as usize;
         Self { truth: *truth, mechanism, window: VecDeque::new(), sum: 0.0, length }
     }
 
-    /// Takes what is, once each carrier period: the mean, N, once there are 2 ms of it.
+    /// Call once each carrier period. Returns the mean, N, from 2 ms on.
     pub fn take(&mut self, board: &SimulatedBoard) -> Option<f64> {
         let device = board.device();
         let (q, currents, weight) = (device.q(), device.currents(), device.plant().gravity());
-        // What falls when the motors have been turned off is the device, and nothing pushes.
+        // With the motors off the device falls and nothing pushes.
         let carried = self.truth.gravity != [0.0; 3] && board.status().state == State::Armed;
         let torque = core::array::from_fn(|i| {
             let constant = self.truth.joints[i].motor.map_or(0.0, |motor| motor.torque_constant);

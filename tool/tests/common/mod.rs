@@ -1,4 +1,4 @@
-//! What tests of both runs need: the files that ship, and the tool as a person types it.
+//! Helpers of all tests of the tool: shipped files, typed command lines, plain scenes and loops.
 #![allow(dead_code, unused_imports, reason = "every run uses its own part")]
 
 pub mod bodies;
@@ -7,7 +7,7 @@ pub mod documents;
 pub mod domains;
 pub mod drawn;
 pub mod forces;
-pub mod lies;
+pub mod injected;
 pub mod page;
 pub mod sim;
 pub mod socket;
@@ -15,16 +15,67 @@ pub mod strict;
 pub mod tuned;
 
 use assert_cmd::Command;
-use haptic_host::device_file::DeviceFile;
-use serde_json::Value;
+use haptic_bridge::math::Real;
+use haptic_host::output::csv_line;
+use haptic_sim::ready_board;
+use haptic_stability::analysis::flexible::Flexible;
+use prelude::*;
 use std::path::{Path, PathBuf};
+
+/// Types that many tests use.
+pub mod prelude {
+    pub use haptic_bridge::control::{HostAction, Rules};
+    pub use haptic_bridge::math::Libm;
+    pub use haptic_bridge::model::admissible::Admissible;
+    pub use haptic_bridge::model::description::{Description, EncoderAt, Transmission};
+    pub use haptic_bridge::model::device::Device;
+    pub use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
+    pub use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, VelocityTerms, Wall};
+    pub use haptic_bridge::safety::fault::{Fault, State};
+    pub use haptic_host::device_file::DeviceFile;
+    pub use haptic_host::link::{Board, fields};
+    pub use haptic_host::scene_file::SceneFile;
+    pub use haptic_sim::{
+        BoardOptions, DriveModel, HandSettings, Intent, Options, Random, SharedBoard, Support, Waypoint,
+    };
+    pub use haptic_stability::analysis::plant::{Drive, Linearised};
+    pub use haptic_stability::analysis::range::domain;
+    pub use haptic_stability::analysis::sampled::{LinearEstimator, Loop, Mode};
+    pub use haptic_stability::analysis::several::Member;
+    pub use haptic_stability::sweep::Sweep;
+    pub use nalgebra::{DMatrix, DVector};
+    pub use serde_json::Value;
+}
+
+/// Folder of the shipped scenes of the demo's device, for a command line.
+pub const SCENES: &str = "devices/scenes/coupled-five-bar";
 
 /// The repository.
 pub fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..").canonicalize().unwrap()
 }
 
-/// A file that ships, by its path in devices/.
+/// Reads a text file by its path in the repository.
+pub fn read(path: &str) -> String {
+    std::fs::read_to_string(root().join(path)).unwrap_or_else(|error| panic!("{path}: {error}"))
+}
+
+/// Returns the text of a document that tests compute. Writes `computed` first if `UPDATE_DOCS` is set.
+pub fn document(path: &str, computed: &str) -> String {
+    if std::env::var_os("UPDATE_DOCS").is_some() {
+        std::fs::write(root().join(path), computed).unwrap_or_else(|error| panic!("{path}: {error}"));
+    }
+    read(path)
+}
+
+/// Formats a CSV document from rows whose cells are separated by ` | `; the first row is the header.
+pub fn csv(rows: impl IntoIterator<Item = String>) -> String {
+    let rows: Vec<Vec<String>> = rows.into_iter().map(|row| row.split(" | ").map(String::from).collect()).collect();
+    assert!(rows.iter().all(|row| row.len() == rows[0].len()), "{rows:?}");
+    rows.iter().map(csv_line).collect()
+}
+
+/// A shipped file, by its path in devices/.
 pub fn file(name: &str) -> String {
     root().join("devices").join(name).display().to_string()
 }
@@ -37,30 +88,141 @@ pub fn files(folder: &str) -> Vec<PathBuf> {
     files
 }
 
-/// A device that ships.
+/// A shipped device.
 pub fn shipped(name: &str) -> DeviceFile {
     DeviceFile::load(file(&format!("{name}.toml"))).unwrap()
 }
 
-/// Every device that ships.
+/// All shipped devices.
 pub fn all_shipped() -> Vec<DeviceFile> {
     files("").into_iter().map(|path| DeviceFile::load(path).unwrap()).collect()
 }
 
-/// The tool, with these arguments, in the repository.
+/// A temporary folder; its paths are strings, for a command line.
+pub struct Folder(tempfile::TempDir);
+
+impl Folder {
+    pub fn new() -> Self {
+        Self(tempfile::tempdir().unwrap())
+    }
+
+    pub fn path(&self, name: &str) -> String {
+        self.0.path().join(name).display().to_string()
+    }
+
+    /// Writes a file and returns its path.
+    pub fn write(&self, name: &str, contents: impl AsRef<[u8]>) -> String {
+        std::fs::write(self.0.path().join(name), contents).unwrap();
+        self.path(name)
+    }
+
+    /// Writes a copy of a shipped device file with these replacements and returns its path.
+    pub fn changed(&self, device: &str, changes: &[(&str, &str)]) -> String {
+        let text = changes.iter().fold(read(&format!("devices/{device}.toml")), |text, (from, to)| {
+            assert!(text.contains(from), "{device}: {from}");
+            text.replace(from, to)
+        });
+        self.write(&format!("{device}.toml"), text)
+    }
+}
+
+/// The tool with these arguments, run in the repository.
 pub fn haptic(arguments: &[&str]) -> Command {
     let mut command = Command::cargo_bin("haptic").unwrap();
     command.current_dir(root()).args(arguments).env_remove("HAPTIC_PORT");
     command
 }
 
-/// The document that it prints.
-pub fn json(arguments: &[&str]) -> Value {
-    serde_json::from_slice(&haptic(arguments).arg("--json").assert().success().get_output().stdout).unwrap()
+/// Runs the tool. Returns its exit code, standard output and standard error.
+pub fn run(arguments: &[&str]) -> (i32, String, String) {
+    let done = haptic(arguments).output().unwrap();
+    let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
+    (done.status.code().unwrap(), text(done.stdout), text(done.stderr))
 }
 
-/// Sends a signal to a process, by the name that a shell's own `kill` gives it: the program `kill` is not everywhere.
+/// Standard output of a command that succeeds.
+pub fn output(arguments: &[&str]) -> String {
+    let (code, out, err) = run(arguments);
+    assert_eq!(code, 0, "{arguments:?}: {err}");
+    out
+}
+
+/// Standard error of a command that ends with this exit code.
+pub fn refusal(code: i32, arguments: &[&str]) -> String {
+    let (ended, out, err) = run(arguments);
+    assert_eq!((ended, out.as_str()), (code, ""), "{arguments:?}: {err}");
+    err
+}
+
+/// The document that a command prints with `--json`.
+pub fn json(arguments: &[&str]) -> Value {
+    serde_json::from_str(&output(&[arguments, &["--json"]].concat())).unwrap()
+}
+
+/// Types every line of a table as `haptic LINE`. A line reads `CODE: COMMAND => TEXT | !TEXT`: the exit code (0 if left
+/// out), then texts that the output must contain or, after `!`, must not contain. The texts of a refusal (exit codes 1
+/// and 2) have to be on standard error. `␣` stands for a space within a word.
+pub fn type_lines(table: &str, more: &[&str]) {
+    for line in table.lines().map(str::trim).filter(|line| !line.is_empty()) {
+        let (command, texts) = line.split_once(" => ").unwrap_or((line, ""));
+        let coded = command.split_once(": ").filter(|_| command.starts_with(|c: char| c.is_ascii_digit()));
+        let (code, command) = coded.unwrap_or(("0", command));
+        let words: Vec<String> = command.split_whitespace().map(|word| word.replace('␣', " ")).collect();
+        let words: Vec<&str> = words.iter().map(String::as_str).chain(more.iter().copied()).collect();
+        let (ended, out, err) = run(&words);
+        assert_eq!(ended.to_string(), code, "{line}\n{out}{err}");
+        let said = if matches!(ended, 1 | 2) { err } else { out + &err };
+        for text in texts.split(" | ").filter(|text| !text.is_empty()) {
+            let is_right = text.strip_prefix('!').map_or_else(|| said.contains(text), |text| !said.contains(text));
+            assert!(is_right, "{line}\n{text}\n{said}");
+        }
+    }
+}
+
+/// Sends a signal to a process by its name, such as `INT`. The shell's own `kill` is everywhere; the program is not.
 pub fn signal(child: &std::process::Child, name: &str) {
     let line = format!("kill -{name} {}", child.id());
     assert!(std::process::Command::new("sh").args(["-c", &line]).status().unwrap().success());
+}
+
+/// A simulated board in this process with this device, and a tool on it.
+pub fn board(file: &DeviceFile, options: BoardOptions) -> (SharedBoard, Board) {
+    let shared = SharedBoard::new(ready_board(file, options).unwrap());
+    let board = Board::over(shared.wire(), "sim").unwrap();
+    (shared, board)
+}
+
+/// A plane wall without feed-forward.
+pub fn plane_wall<T: Real>(point: [T; 3], normal: [T; 3], stiffness: T, damping: T) -> Wall<T> {
+    Wall {
+        surface: Surface::Plane(Plane { point, normal }),
+        stiffness,
+        damping,
+        feed_forward: FeedForward::Off,
+        washout_hz: T::from_f64(2.0),
+        damping_compensation: false,
+        bilateral: false,
+    }
+}
+
+/// A control loop with ideal motors.
+pub fn ideal_loop(rate_hz: f64, delay_samples: f64, estimator: LinearEstimator) -> Loop {
+    Loop { rate_hz, delay_samples, estimator, drive: Drive::Ideal, damping_compensation: false }
+}
+
+/// A rigid device: mass matrix, joint damping, Jr and E at one pose.
+pub fn rigid(mass: &[f64], viscous: &[f64], row: &[f64], unit_motion: &[f64]) -> Linearised {
+    Linearised {
+        gain: 1.0,
+        flexible: Flexible::default(),
+        mass: DMatrix::from_row_slice(row.len(), row.len(), mass),
+        viscous: DVector::from_column_slice(viscous),
+        row: DVector::from_column_slice(row),
+        unit_motion: DVector::from_column_slice(unit_motion),
+    }
+}
+
+/// A free mass, kg, that moves along the wall's normal.
+pub fn point_mass(mass: f64) -> Linearised {
+    rigid(&[mass], &[0.0], &[1.0], &[1.0])
 }

@@ -1,4 +1,4 @@
-//! `haptic view` in a process of its own, and what a page hears.
+//! `haptic view` in a process of its own, and the messages that a page receives.
 #![allow(dead_code, reason = "every run uses its own part")]
 
 use assert_cmd::cargo::CommandCargoExt;
@@ -9,12 +9,12 @@ use std::process::{Child, Command, Stdio};
 /// The tool, serving its page.
 pub struct View {
     child: Child,
-    /// What it says to open.
+    /// Address that it prints.
     pub url: String,
 }
 
 impl View {
-    /// On this computer, at a port that is free.
+    /// Starts on this computer at a free port.
     pub fn start(arguments: &[&str]) -> Self {
         let mut command = Command::cargo_bin("haptic").unwrap();
         command.args(["view", "--listen", "127.0.0.1:0"]).args(arguments).stdout(Stdio::piped());
@@ -43,7 +43,7 @@ impl Drop for View {
     }
 }
 
-/// The newest of each kind of message that a page has heard.
+/// Newest message of each kind that a page has received.
 #[derive(Default)]
 pub struct Heard {
     pub you: u64,
@@ -87,7 +87,7 @@ impl Heard {
         }
     }
 
-    /// The newest refusal's words.
+    /// Text of the newest refusal.
     pub fn why(&self) -> &str {
         self.refused.last().map_or("", |refused| refused["why"].as_str().unwrap())
     }

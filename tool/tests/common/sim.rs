@@ -1,19 +1,19 @@
 //! `haptic sim` in a process of its own.
 
-pub use super::{file, haptic};
+pub use super::haptic;
 use assert_cmd::cargo::CommandCargoExt;
 use std::io::{BufRead, BufReader};
 use std::process::{Child, Stdio};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-/// What only a hang reaches.
+/// Time that only a hang reaches.
 pub const HANG: Duration = Duration::from_secs(600);
 
-/// Waits until something is so, however slow the machine.
-pub fn until(what: &str, mut so: impl FnMut() -> bool) {
+/// Waits until a condition holds, however slow the machine.
+pub fn until(what: &str, mut is_reached: impl FnMut() -> bool) {
     let began = Instant::now();
-    while !so() {
+    while !is_reached() {
         assert!(began.elapsed() < HANG, "{what}: not after {HANG:?}");
         sleep(Duration::from_millis(10));
     }
@@ -48,19 +48,30 @@ impl Sim {
         Self { child, port }
     }
 
+    /// Types a table of command lines on this board ([`super::type_lines`]).
+    pub fn type_lines(&self, table: &str) {
+        super::type_lines(table, &["--port", &self.port]);
+    }
+
+    /// Standard output of a command that succeeds on this board.
+    pub fn output(&self, arguments: &[&str]) -> String {
+        super::output(&[arguments, &["--port", &self.port]].concat())
+    }
+
+    /// The document that a command prints with `--json`.
+    pub fn json(&self, arguments: &[&str]) -> serde_json::Value {
+        super::json(&[arguments, &["--port", &self.port]].concat())
+    }
+
     /// Runs the tool on this board.
     pub fn run(&self, arguments: &[&str]) -> assert_cmd::assert::Assert {
         let mut command = haptic(arguments);
         command.args(["--port", &self.port]).assert()
     }
 
-    /// Waits until the board's state is like this, however slow the machine.
-    pub fn until(&self, so: impl Fn(&str) -> bool) {
-        until("the board's state", || {
-            let info = self.run(&["info", "--json"]).success().get_output().stdout.clone();
-            let info: serde_json::Value = serde_json::from_slice(&info).unwrap();
-            so(info["state"].as_str().unwrap())
-        });
+    /// Waits until the board has a state, however slow the machine.
+    pub fn until(&self, is_reached: impl Fn(&str) -> bool) {
+        until("the board's state", || is_reached(self.json(&["info"])["state"].as_str().unwrap()));
     }
 
     /// Starts the tool on this board in the background.

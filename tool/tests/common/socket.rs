@@ -5,9 +5,9 @@ use std::net::{Shutdown, TcpListener, TcpStream};
 use std::sync::{Arc, Mutex};
 use std::thread::spawn;
 
-/// An address behind which a simulated board is put, taken away, and another one put in its place.
+/// An address at which simulated boards are plugged in and unplugged.
 pub struct Socket {
-    /// As `--port` says it.
+    /// In the format of `--port`.
     pub address: String,
     board: Arc<Mutex<Option<Sim>>>,
 }
@@ -45,7 +45,7 @@ impl Drop for Socket {
     }
 }
 
-/// Carries bytes until one end is gone; then both are.
+/// Copies bytes until one end closes, then closes both.
 fn carry(mut from: TcpStream, mut to: TcpStream) {
     let _ = to.set_nodelay(true);
     spawn(move || {

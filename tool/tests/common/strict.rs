@@ -1,23 +1,23 @@
-//! A simulated board in this process that asks its user for what a real one asks, and a wire that loses some.
+//! A strict simulated board in this process, and a wire that loses messages.
 
+use super::{board, shipped};
 use haptic_bridge::render::scene::Scene;
-use haptic_host::device_file::DeviceFile;
 use haptic_host::link::{Board, Session, Wire};
-use haptic_sim::{BoardOptions, SHIPPED_DEVICE, SharedBoard, Support, ready_board};
+use haptic_sim::{BoardOptions, SharedBoard, Support};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Duration;
 
-/// A board at 1 kHz with a five-bar in free space that somebody vouches for, homed, its polarity checked: it arms.
+/// A board at 1 kHz with a verified five-bar in free space, homed, with its polarity checked: it can be armed.
 pub fn strict() -> (SharedBoard, Session) {
-    let mut file = DeviceFile::parse(SHIPPED_DEVICE, "coupled-five-bar.toml").unwrap();
+    let mut file = shipped("coupled-five-bar");
     for joint in &mut file.description.joints[..2] {
         joint.motor.as_mut().unwrap().verified = true;
         joint.limits = Some((-4.0, 4.0));
     }
     let options = BoardOptions { strict: true, support: Support::Held, ..BoardOptions::default() };
-    let shared = SharedBoard::new(ready_board(&file, options).unwrap());
-    let mut session = Session::of(Board::over(shared.wire(), "sim").unwrap());
+    let (shared, board) = board(&file, options);
+    let mut session = Session::of(board);
     session.set_scene(&Scene { task: 2, rate_hz: 1_000.0, cutoff_hz: 50.0, ..Scene::default() }).unwrap();
     session.home().unwrap();
     session.check_polarity().unwrap();
@@ -26,14 +26,14 @@ pub fn strict() -> (SharedBoard, Session) {
     (shared, session)
 }
 
-/// A wire that loses so many of the next messages.
+/// A wire that loses a number of the next messages.
 pub struct Lossy {
     wire: Box<dyn Wire>,
     loses: Arc<AtomicU32>,
 }
 
 impl Lossy {
-    /// A session over one, and how many it loses yet.
+    /// Returns a session over such a wire, and the number of messages still to be lost.
     pub fn session(board: &SharedBoard) -> (Session, Arc<AtomicU32>) {
         let loses = Arc::new(AtomicU32::new(0));
         let wire = Self { wire: board.wire(), loses: loses.clone() };

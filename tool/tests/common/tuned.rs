@@ -1,17 +1,12 @@
-//! Devices that nobody chose, and a plain grid of walls that is held against what `haptic tune` finds on them.
+//! Random devices, and a plain grid of walls to compare with the results of `haptic tune`.
 
+use super::prelude::*;
 use super::shipped;
-use haptic_bridge::model::admissible::Admissible;
-use haptic_bridge::model::description::{EncoderAt, Transmission};
-use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::render::velocity::{Chosen, CutoffMeaning, Estimator};
-use haptic_host::device_file::DeviceFile;
 use haptic_predict::tune::{Margins, Question, Settings, TunedWall, estimators, keeps, tune};
-use haptic_sim::Random;
-use haptic_stability::sweep::Sweep;
 use std::f64::consts::TAU;
 
-/// The device of a number, those of odd ones with cables: one that ships, with other inertias, friction, counts.
+/// A shipped device with random inertias, friction and counts; devices of odd numbers have cables.
 pub fn drawn(number: u64) -> DeviceFile {
     let mut random = Random::new(36 + number);
     let kinds = ["hapkit-paddle", "coupled-five-bar", "haply-2diy", "capstan-pantograph", "phantom-premium-1.5"];
@@ -39,7 +34,7 @@ pub fn drawn(number: u64) -> DeviceFile {
     file
 }
 
-/// The stiffest wall at home, at one rate, in a direction of no particular kind.
+/// Asks for the stiffest wall at home, at one rate, in an arbitrary direction.
 pub fn question(file: &DeviceFile, rate_hz: f64) -> Question<'_> {
     let spec = file.spec();
     Question {
@@ -59,12 +54,12 @@ pub fn question(file: &DeviceFile, rate_hz: f64) -> Question<'_> {
     }
 }
 
-/// Tunes, and tries walls that are so many times as stiff with other estimators, cutoffs and dampings: none of them keeps
-/// what the answer keeps. Returns the answer, and how many were tried.
+/// Tunes, then checks that no wall `stiffer` times as stiff, with any other estimator, cutoff or damping, meets the limits
+/// that the result meets. Returns the result and the number of walls.
 pub fn none_is_stiffer(question: &Question<'_>, dampings: &[f64], stiffer: &[f64]) -> (TunedWall, usize) {
     let found = tune(question, &Sweep::quiet()).unwrap();
     let best = found.best.settings;
-    assert_eq!(keeps(question, &best).unwrap(), Some(found.best), "the answer does not keep what it says");
+    assert_eq!(keeps(question, &best).unwrap(), Some(found.best), "the result does not meet its own limits");
     let mut candidates: Vec<Settings> = Vec::new();
     let mut add = |kind: Estimator, cutoff_hz: f64| {
         let value = kind.chosen().map_or(0, |chosen| chosen.value);

@@ -1,21 +1,21 @@
-//! What a board believes of files, wires and sensors that are wrong: docs/results/lies.csv.
+//! Reactions of a board to wrong files, wires and sensors: docs/results/lies.csv.
 
 use crate::common::drawn::{Checked, check_sound, check_wrong};
 use crate::common::forces::too_hard;
-use crate::common::lies::{LIES, Lie, Outcome, When, outcome};
-use crate::common::{root, shipped};
+use crate::common::injected::{INJECTED_ERRORS, InjectedError, Outcome, When, outcome};
+use crate::common::{document, shipped};
 use haptic_host::device_file::DeviceFile;
 use haptic_host::output::csv_line;
 
 const DEVICES: [&str; 4] = ["coupled-five-bar", "hapkit-paddle", "pantograph-mk2", "woodenhaptics"];
 
-/// What the table says of a lie about a device.
-fn cell(file: &DeviceFile, lie: &Lie) -> String {
+/// The table cell for one injected error on one device.
+fn cell(file: &DeviceFile, error: &InjectedError) -> String {
     // A paddle has one joint.
-    if lie.what.contains("first two") && file.spec().joints < 2 {
+    if error.what.contains("first two") && file.spec().joints < 2 {
         return String::new();
     }
-    match outcome(file, lie) {
+    match outcome(file, error) {
         Outcome::Refused(record) => format!("check: {}", record.fault.name()),
         Outcome::Seen(record, after, harm) if harm.push > 0.0 => {
             format!("{:.2} ms: {}; {:.1} N, {:.1} rad/s", after * 1e3, record.fault.name(), harm.push, harm.speed)
@@ -25,38 +25,33 @@ fn cell(file: &DeviceFile, lie: &Lie) -> String {
     }
 }
 
-/// `UPDATE_DOCS=1 cargo xtask test --deep lies` writes it anew.
+/// `UPDATE_DOCS=1 cargo xtask test --deep lies` updates it.
 #[test]
-fn the_table_of_lies_is_what_comes_of_them() {
+fn the_table_holds_the_outcome_of_every_injected_error() {
     let row = |what: &str, cells: [String; DEVICES.len()]| csv_line(std::iter::once(what.into()).chain(cells));
     let mut made = row("what is wrong", DEVICES.map(String::from));
-    let nothing = Lie { what: "nothing", when: When::Always(|_, _| ()) };
-    for lie in std::iter::once(&nothing).chain(&LIES) {
-        made += &row(lie.what, DEVICES.map(|name| cell(&shipped(name), lie)));
+    let nothing = InjectedError { what: "nothing", when: When::Always(|_, _| ()) };
+    for error in std::iter::once(&nothing).chain(&INJECTED_ERRORS) {
+        made += &row(error.what, DEVICES.map(|name| cell(&shipped(name), error)));
     }
-    let path = root().join("docs/results/lies.csv");
-    if std::env::var_os("UPDATE_DOCS").is_some() {
-        std::fs::write(&path, made).expect("docs/results/lies.csv can be written");
-    } else {
-        let kept = std::fs::read_to_string(&path).expect("docs/results/lies.csv is there");
-        assert_eq!(kept, made, "run UPDATE_DOCS=1 cargo xtask test --deep lies");
-    }
+    let kept = document("docs/results/lies.csv", &made);
+    assert_eq!(kept, made, "run UPDATE_DOCS=1 cargo xtask test --deep lies");
 }
 
-/// The share of checks that may go beyond a bound: docs/safety.md lists these.
+/// Checks that at most this share exceeds a bound, in %; docs/safety.md lists the shares.
 fn seldom(checked: &[Checked], percent: usize, beyond: impl Fn(&Checked) -> bool) {
     let beyond: Vec<_> = checked.iter().filter(|checked| beyond(checked)).map(ToString::to_string).collect();
     println!("{} of {}:\n{}", beyond.len(), checked.len(), beyond.join("\n"));
     assert!(100 * beyond.len() <= percent * checked.len());
 }
 
-/// HAPTIC_CHECKS of them, 500 by default.
+/// Number of checks: HAPTIC_CHECKS, or `most`.
 fn checks(most: u64) -> u64 {
     std::env::var("HAPTIC_CHECKS").ok().and_then(|text| text.parse().ok()).unwrap_or(most)
 }
 
 #[test]
-fn no_check_of_a_device_that_is_not_its_files_pushes_harder_than_a_finger() {
+fn a_check_with_a_wrong_file_pushes_no_harder_than_a_finger() {
     let checked: Vec<_> = (0..checks(500)).map(check_wrong).collect();
     let most = |of: fn(&Checked) -> f64| checked.iter().map(of).fold(0.0, f64::max);
     println!("most: {:.2} N, {:.3} rad", most(|it| it.moved.push), most(|it| it.moved.travel));
@@ -69,7 +64,7 @@ fn a_sound_device_passes_its_check() {
     seldom(&checked, 3, |checked| checked.ended.is_err());
 }
 
-/// Scenes and motions that nobody has drawn before: HAPTIC_SEQUENCES of them for each device.
+/// New random scenes and motions, HAPTIC_SEQUENCES of them for each device.
 #[test]
 fn no_shipped_device_pushes_harder_than_its_limit_allows() {
     let count = std::env::var("HAPTIC_SEQUENCES").ok().and_then(|text| text.parse().ok()).unwrap_or(20);

@@ -1,5 +1,4 @@
-//! What takes minutes, processes that are killed, and documents made again: `cargo xtask test --deep PART` runs the
-//! module of that name.
+//! Slow tests, killed processes, and computed documents: `cargo xtask test --deep PART` runs the module of that name.
 
 #[path = "../common/mod.rs"]
 mod common;
@@ -32,7 +31,6 @@ mod ranges {
     mod range_several_flexible;
     mod sets_of_walls;
     mod several_walls;
-    mod sweep_costs;
     mod undamped_constants;
 }
 

@@ -1,15 +1,13 @@
-//! Hours of contact with telemetry on the simulated board, through the tool's own link: no control period is missed, no
-//! row is lost or comes twice, the wall of the last cycle pushes like that of the first, and nothing grows.
+//! Hours of contact with telemetry on the simulated board, through the tool's own link: no control step is missed, no row
+//! is lost or repeated, the wall pushes in the last cycle as in the first, and memory does not grow.
 //!
 //! Ten simulated minutes in `cargo test`; `cargo xtask soak` runs a day of them. Alone in its file, because it looks at
 //! the memory of its process.
 
-use haptic_bridge::control::{HostAction, Rules};
-use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};
-use haptic_bridge::safety::fault::State;
-use haptic_host::device_file::DeviceFile;
-use haptic_host::link::{Board, Losses, Row, columns, fields};
-use haptic_sim::{BoardOptions, Hand, HandSettings, Intent, SHIPPED_DEVICE, SharedBoard, Waypoint, ready_board};
+use crate::common::prelude::*;
+use crate::common::{board, plane_wall, shipped};
+use haptic_host::link::{Losses, Row, columns};
+use haptic_sim::Hand;
 use std::fmt::Write as _;
 use std::time::Duration;
 
@@ -19,33 +17,23 @@ const RATE: u32 = 1_000;
 const CYCLE: u32 = 2;
 /// Simulated time in `cargo test`, s.
 const SHORT: u64 = 600;
-/// Cycles until friction and filters have settled, and how many then say what is usual.
+/// Number of cycles until friction and filters have settled, and of the reference cycles after them.
 const SETTLED: usize = 5;
 const USUAL: usize = 20;
-/// How far a later cycle may leave what was usual, as a share of it: a hundredth of what a hand can feel (a tenth).
+/// Largest deviation of a later cycle from the reference, as a share: a hundredth of what a hand can feel (a tenth).
 const DRIFT: f64 = 1e-3;
-/// Memory that the process may take more at the end than after the first minute, bytes.
+/// Largest growth of memory from the first minute to the end, bytes.
 const GROWTH: u64 = 1 << 20;
 
 /// A board with a wall 5 mm below the tip, and a hand that follows a path 15 mm down and up again, over and over.
 fn board_and_tool(seconds: u64) -> (SharedBoard, Board) {
-    let file = DeviceFile::parse(SHIPPED_DEVICE, "coupled-five-bar.toml").unwrap();
     let mut options = BoardOptions::default();
     // Half a carrier period: the coarsest that still has the current loop's own time step.
     options.device.substep = 25e-6;
-    let shared = SharedBoard::new(ready_board(&file, options).unwrap());
-    let mut board = Board::over(shared.wire(), "sim").unwrap();
+    let (shared, mut board) = board(&shipped("coupled-five-bar"), options);
     let tip = shared.lock().device().tip();
     let point = [tip[0] as f32, (tip[1] - 0.005) as f32, 0.0];
-    let wall = Wall {
-        surface: Surface::Plane(Plane { point, normal: [0.0, 1.0, 0.0] }),
-        stiffness: 800.0,
-        damping: 4.0,
-        feed_forward: FeedForward::Washout,
-        washout_hz: 2.0,
-        damping_compensation: false,
-        bilateral: false,
-    };
+    let wall = Wall { feed_forward: FeedForward::Washout, ..plane_wall(point, [0.0, 1.0, 0.0], 800.0, 4.0) };
     let mut scene = Scene { task: 2, rate_hz: RATE as f32, cutoff_hz: 100.0, ..Scene::default() };
     scene.walls.push(wall).unwrap();
     board.set_scene(&scene).unwrap();
@@ -62,7 +50,7 @@ fn board_and_tool(seconds: u64) -> (SharedBoard, Board) {
     (shared, board)
 }
 
-/// What one cycle felt like: largest force (N), impulse (N s), and the torque of each motor added up (N m s).
+/// One cycle: largest force (N), impulse (N s), and the integral of each motor's torque (N m s).
 #[derive(Clone, Copy, Debug, Default)]
 struct Cycle {
     peak: f64,
@@ -99,7 +87,7 @@ impl Span {
     }
 }
 
-/// Where in a row the columns are that matter here.
+/// Positions of the evaluated columns in a row.
 struct Places {
     force: usize,
     torque: [usize; 2],
@@ -134,7 +122,7 @@ fn resident() -> Option<u64> {
 }
 
 #[test]
-fn hours_of_contact_lose_nothing_drift_nowhere_and_do_not_grow() {
+fn hours_of_contact_lose_nothing_and_do_not_drift_or_grow() {
     let seconds: u64 = std::env::var("HAPTIC_SOAK_SECONDS").map_or(SHORT, |text| text.parse().unwrap());
     let (shared, mut board) = board_and_tool(seconds);
     let places = Places::new();
@@ -142,7 +130,7 @@ fn hours_of_contact_lose_nothing_drift_nowhere_and_do_not_grow() {
     board.start_stream(fields("all").unwrap(), 1).unwrap();
     let began = shared.lock().time();
     let (mut first, mut next, mut rows) = (None, None, 0_u64);
-    // Written to once, so that this record is in the memory that counts as being there from the beginning.
+    // Written once, so that its memory counts as used from the beginning.
     let unused = Cycle { peak: f64::NAN, ..Cycle::default() };
     let mut cycles = vec![unused; (seconds / u64::from(CYCLE)) as usize + 2];
     cycles.clear();
@@ -167,7 +155,7 @@ fn hours_of_contact_lose_nothing_drift_nowhere_and_do_not_grow() {
     board.stop_stream().unwrap();
     rows += board.rows(Duration::ZERO).unwrap().len() as u64;
 
-    // No control period was missed: as many steps as milliseconds, and as many rows as steps.
+    // No control step was missed: as many steps as milliseconds, and as many rows as steps.
     let losses = board.losses();
     assert_eq!(losses, Losses { received: rows, ..Losses::default() });
     let steps = u64::from(board.status().unwrap().step.wrapping_sub(first.unwrap()));
@@ -176,7 +164,7 @@ fn hours_of_contact_lose_nothing_drift_nowhere_and_do_not_grow() {
     assert!(rows.abs_diff(steps) <= 5, "{rows} rows of {steps} steps");
     assert!(board.faults().unwrap().is_empty());
 
-    // No cycle is unlike the first ones. The last one is not complete.
+    // Every cycle is like the first ones. The last one is incomplete.
     cycles.pop();
     let usual = Span::of(&cycles[SETTLED..SETTLED + USUAL]);
     assert!(usual.0[0].0 > 1.0, "the wall is touched in every cycle: {} N", usual.0[0].0);

@@ -1,7 +1,7 @@
 //! Requests in any order, with rates, filters and rules changed while the motors are on: the fuzzer's own targets
-//! (fuzz/src/requests.rs), here with scripts from a generator, so that every run of the tests has them. What must hold
-//! after every control period stands in tests/rig/board.rs: bridges and duties off unless armed, torques within the
-//! limits, limits and rules never loosened while the motors are on.
+//! (fuzz/src/requests.rs) with random scripts, for every run of the tests. tests/rig/board.rs has the conditions after
+//! every control period: bridges and duties off unless armed, torques within the limits, limits and rules never loosened
+//! while the motors are on.
 
 #[path = "../../../tests/rig/board.rs"]
 mod board;
@@ -11,18 +11,15 @@ mod requests;
 mod shipped;
 
 use haptic_bridge::board::protocol::{Arm, Clear, Force, Home, SetDevice, SetGains, SetRules, SetScene};
+use haptic_sim::Random;
 use postcard_rpc::Endpoint;
 use requests::TEMPLATES;
 
-/// Numbers that look random (Marsaglia's xorshift).
-struct Numbers(u32);
+struct Numbers(Random);
 
 impl Numbers {
     fn byte(&mut self) -> u8 {
-        self.0 ^= self.0 << 13;
-        self.0 ^= self.0 >> 17;
-        self.0 ^= self.0 << 5;
-        (self.0 >> 24) as u8
+        (256.0 * self.0.uniform()) as u8
     }
 
     fn below(&mut self, end: usize) -> usize {
@@ -30,8 +27,7 @@ impl Numbers {
     }
 }
 
-/// A script that comes back to an armed board again and again, and does anything in between; every eighth request has
-/// bytes changed.
+/// A script that arms the board again and again with random requests in between; every eighth request has changed bytes.
 fn script(numbers: &mut Numbers) -> Vec<u8> {
     let place = |key: postcard_rpc::Key| {
         TEMPLATES.iter().position(|(known, _)| *known == key).expect("every endpoint has a template") as u8
@@ -44,7 +40,7 @@ fn script(numbers: &mut Numbers) -> Vec<u8> {
     let mut script = vec![which, place(SetScene::REQ_KEY), numbers.byte() & 0xC0 | own, 0];
     for round in 0..40 {
         if round % 4 == 0 {
-            // Faults cleared, the device at rest, and its encoders still: a board that may be armed.
+            // Faults cleared, device and encoders at rest: the board can be armed.
             for operation in [clear, home, arm] {
                 script.extend([operation, 0, 0]);
             }
@@ -67,13 +63,13 @@ fn script(numbers: &mut Numbers) -> Vec<u8> {
             }
             continue;
         }
-        // What could loosen a protection, and what would then exceed it, most often.
+        // Most often requests that could loosen a protection, or exceed it then.
         let pointed = [SetRules::REQ_KEY, Force::REQ_KEY, SetGains::REQ_KEY, SetScene::REQ_KEY];
         let operation = match numbers.below(3) {
             0 => numbers.below(TEMPLATES.len()) as u8,
             _ => place(pointed[numbers.below(4)]),
         };
-        // Another device has other joints: what follows would be of no account.
+        // After another device, with other joints, the rest of the script would have no effect.
         if operation == place(SetDevice::REQ_KEY) && numbers.below(4) != 0 {
             continue;
         }
@@ -91,8 +87,8 @@ fn script(numbers: &mut Numbers) -> Vec<u8> {
 }
 
 #[test]
-fn no_sequence_of_requests_turns_bridges_on_unasked_or_exceeds_a_limit() {
-    let mut numbers = Numbers(0x1234_5678);
+fn no_request_sequence_enables_bridges_or_exceeds_limits() {
+    let mut numbers = Numbers(Random::new(0x1234_5678));
     let mut driven = 0;
     for _ in 0..600 {
         driven += requests::requests(&script(&mut numbers));
@@ -101,8 +97,8 @@ fn no_sequence_of_requests_turns_bridges_on_unasked_or_exceeds_a_limit() {
 }
 
 #[test]
-fn bytes_that_are_no_requests_change_nothing_either() {
-    let mut numbers = Numbers(0x8765_4321);
+fn random_bytes_change_nothing() {
+    let mut numbers = Numbers(Random::new(0x8765_4321));
     for _ in 0..200 {
         let length = 16 * numbers.below(64);
         requests::bytes(&(0..length).map(|_| numbers.byte()).collect::<Vec<_>>());

@@ -1,19 +1,13 @@
-//! A backup brings back what a board kept, byte for byte, also from another version of the firmware, and never half.
+//! A backup restores the saved settings of a board byte for byte, also from another firmware version, and all or none.
 
+use crate::common::prelude::*;
+use crate::common::{board, plane_wall, shipped};
 use haptic_bridge::board::settings::{Entry, Key};
-use haptic_bridge::control::Rules;
 use haptic_bridge::model::precomputed::MassModelData;
-use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};
 use haptic_bridge::safety::limits::Limits;
 use haptic_host::backup::{Backup, BackupError, Restored, restore};
-use haptic_host::device_file::DeviceFile;
-use haptic_host::link::Board;
-use haptic_sim::{BoardOptions, SHIPPED_DEVICE, SharedBoard, SimulatedBoard, ready_board};
+use haptic_sim::SimulatedBoard;
 use std::collections::BTreeMap;
-
-fn file() -> DeviceFile {
-    DeviceFile::parse(SHIPPED_DEVICE, "coupled-five-bar.toml").unwrap()
-}
 
 fn entries(board: &mut Board) -> BTreeMap<&'static str, Entry> {
     Key::ALL.into_iter().filter_map(|key| Some((key.name(), board.read_entry(key).unwrap()?))).collect()
@@ -21,17 +15,9 @@ fn entries(board: &mut Board) -> BTreeMap<&'static str, Entry> {
 
 /// A board with something saved under every key that a tool can set.
 fn full() -> Board {
-    let mut board =
-        Board::over(SharedBoard::new(ready_board(&file(), BoardOptions::default()).unwrap()).wire(), "sim").unwrap();
-    let wall = Wall {
-        surface: Surface::Plane(Plane { point: [0.0, -0.2, 0.0], normal: [0.0, 1.0, 0.0] }),
-        stiffness: 1234.5,
-        damping: 0.1,
-        feed_forward: FeedForward::Washout,
-        washout_hz: 2.0,
-        damping_compensation: false,
-        bilateral: false,
-    };
+    let (_, mut board) = board(&shipped("coupled-five-bar"), BoardOptions::default());
+    let plane = plane_wall([0.0, -0.2, 0.0], [0.0, 1.0, 0.0], 1234.5, 0.1);
+    let wall = Wall { feed_forward: FeedForward::Washout, ..plane };
     let mut scene = Scene { task: 2, ..Scene::default() };
     scene.walls.push(wall).unwrap();
     board.set_scene(&scene).unwrap();
@@ -44,12 +30,12 @@ fn full() -> Board {
 
 fn empty(serial: &str) -> Board {
     let options = BoardOptions { serial: serial.into(), ..BoardOptions::default() };
-    let board = SimulatedBoard::new(&file().description, options).unwrap();
+    let board = SimulatedBoard::new(&shipped("coupled-five-bar").description, options).unwrap();
     Board::over(SharedBoard::new(board).wire(), "sim").unwrap()
 }
 
 #[test]
-fn what_was_kept_comes_back_byte_for_byte_on_an_empty_board() {
+fn saved_settings_are_restored_byte_for_byte() {
     let mut source = full();
     let kept = entries(&mut source);
     assert!(kept.len() >= 5, "{:?}", kept.keys());
@@ -64,7 +50,7 @@ fn what_was_kept_comes_back_byte_for_byte_on_an_empty_board() {
 }
 
 #[test]
-fn a_backup_of_another_version_is_translated_by_its_values() {
+fn a_backup_of_another_version_is_translated() {
     let mut source = full();
     let kept = entries(&mut source);
     let mut backup = Backup::read(&mut source).unwrap();
@@ -110,7 +96,7 @@ fn a_value_that_was_edited_is_not_silently_ignored() {
     let refused = Backup::parse(&edited).unwrap().ready().unwrap_err();
     assert_eq!(refused, BackupError::Disagree("rules"));
     assert!(refused.to_string().contains("haptic rules"));
-    // Written otherwise, but the same number.
+    // The same number in another notation.
     assert!(Backup::parse(&text.replace("3.3,", "3.30,")).unwrap().ready().is_ok());
     assert!(Backup::parse(&text.replace("3.3,", "3.299999952316284,")).unwrap().ready().is_ok());
 }
@@ -127,7 +113,7 @@ fn a_polarity_check_is_never_restored() {
 }
 
 #[test]
-fn a_backup_without_a_mass_model_does_not_leave_the_old_one_behind() {
+fn a_backup_without_a_mass_model_resets_it() {
     let mut backup = Backup::read(&mut full()).unwrap();
     backup.settings.remove("mass-model");
     let mut target = full();
@@ -137,7 +123,7 @@ fn a_backup_without_a_mass_model_does_not_leave_the_old_one_behind() {
 }
 
 #[test]
-fn what_is_no_backup_is_refused() {
+fn files_that_are_no_backups_are_refused() {
     for text in ["", "{}", "[]", "{\"haptic-backup\": \"one\"}", "{\"haptic-backup\": 1}"] {
         assert!(matches!(Backup::parse(text), Err(BackupError::NotABackup(_))), "{text}");
     }

@@ -1,7 +1,7 @@
-//! The commands that talk to a board, as a person types them, against a simulated board in another process.
+//! Commands that talk to a board, as a person types them, on a simulated board in another process.
 
-use crate::common::sim::{Sim, until};
-use crate::common::{file, haptic};
+use crate::common::sim::Sim;
+use crate::common::{Folder, SCENES, file, haptic, json, read, type_lines};
 use haptic_host::link::Board;
 use haptic_show::recorder::Recording;
 use predicates::prelude::*;
@@ -9,473 +9,391 @@ use predicates::str::contains;
 use serde_json::Value;
 use std::path::Path;
 
-#[test]
-fn a_session_from_a_bare_board_to_a_recording() {
-    let sim = Sim::start(&["--fast"]);
-    sim.run(&["device", &file("coupled-five-bar.toml")]).success().stdout(contains("coupled-five-bar is loaded"));
-    sim.run(&["arm"]).code(1).stderr(contains("no scene is loaded"));
-    sim.run(&["scene", &file("scenes/coupled-five-bar/wall.toml")]).success().stdout(contains("1 wall,"));
-    sim.run(&["gains", "--stiffness", "300", "--damping", "2"]).success().stdout(contains("stiffness 300 N/m"));
-    sim.run(&["gains", "--wall", "4"]).code(2).stderr(contains("there is no wall 4"));
-    sim.run(&["arm"]).success();
-    sim.run(&["board", "save"]).code(1).stderr(contains("haptic disarm").and(contains("writing flash").not()));
+const DEVICE: &str = "devices/coupled-five-bar.toml";
 
-    let directory = tempfile::tempdir().unwrap();
-    let csv = directory.path().join("run.csv");
-    let csv = csv.to_str().unwrap();
-    sim.run(&["record", csv, "--rate", "5000", "--seconds", "0.5", "--fields", "q,force,state"])
-        .success()
-        .stderr(contains("2500 rows are in").and(contains("none lost")));
-    let recording = Recording::parse(&std::fs::read_to_string(csv).unwrap()).unwrap();
+#[test]
+fn a_bare_board_is_set_up_and_recorded() {
+    let (sim, folder) = (Sim::start(&["--fast"]), Folder::new());
+    let csv = folder.path("run.csv");
+    sim.type_lines(&format!(
+        "device {DEVICE} => coupled-five-bar is loaded
+        1: arm => no scene is loaded
+        scene {SCENES}/wall.toml => 1 wall,
+        gains --stiffness 300 --damping 2 => stiffness 300 N/m
+        2: gains --wall 4 => there is no wall 4
+        arm
+        1: board save => haptic disarm | !writing flash
+        record {csv} --rate 5000 --seconds 0.5 --fields q,force,state => 2500 rows are in | none lost"
+    ));
+    let recording = Recording::load(Path::new(&csv)).unwrap();
     assert_eq!(recording.columns, ["step", "time_s", "q0_rad", "q1_rad", "force_n", "state", "contacts"]);
-    assert_eq!(recording.rows.len(), 2500);
-    assert_eq!(recording.about.last().unwrap(), "2500 rows, none lost");
-    let about = recording.about.join("\n");
-    for said in [
-        "date 20",
-        "protocol ",
-        "board simulated SIM0001",
-        "device coupled-five-bar",
-        "wall 0: plane, 300 N/m, 2 N s/m",
-        "scene {",
-        "rules {",
-    ] {
-        assert!(about.contains(said), "{said} in {about}");
-    }
-    let text = std::fs::read_to_string(csv).unwrap();
-    assert!(text.contains(",Armed,0\n"), "states are words");
-    let again = ["record", csv, "--seconds", "0.1", "--rate", "1000"];
-    sim.run(&again).code(1).stderr(contains("run.csv already exists").and(contains("--force")));
-    assert_eq!(std::fs::read_to_string(csv).unwrap(), text, "a recording is not overwritten");
-    sim.run(&[&again[..], &["--force"]].concat()).success().stderr(contains("100 rows are in"));
-    let piped = sim.run(&["record", "-", "--seconds", "0.1", "--rate", "100"]).success();
-    let piped = Recording::parse(&String::from_utf8_lossy(&piped.get_output().stdout)).unwrap();
-    assert_eq!((piped.rows.len(), piped.about.last().unwrap().as_str()), (10, "10 rows, none lost"));
-    assert!(!std::path::Path::new("-").exists());
-    let shown = sim.run(&["stream", "--seconds", "0.5"]).success();
-    let (lines, said) = (&shown.get_output().stdout, String::from_utf8_lossy(&shown.get_output().stderr));
-    assert_eq!(lines.iter().filter(|byte| **byte == b'\n').count(), 1 + 5, "a head and five rows");
-    assert!(said.contains("5 rows, none lost"), "{said}");
-    let json = sim.run(&["stream", "--seconds", "0.5", "--json"]).success();
-    let json: serde_json::Value = serde_json::from_slice(&json.get_output().stdout).unwrap();
-    assert_eq!((json["values"].as_array().unwrap().len(), &json["rows"]), (5, &serde_json::json!(5)));
-    sim.run(&["stream", "--rate", "1e9", "--seconds", "0.01"]).success().stderr(contains("20000 rows a second"));
+    assert_eq!((recording.rows.len(), recording.about.last().unwrap().as_str()), (2500, "2500 rows, none lost"));
+    assert!(recording.about.contains(&"wall 0: plane, 300 N/m, 2 N s/m".into()), "{:?}", recording.about);
     assert!(recording.rows.windows(2).all(|pair| pair[1][0] - pair[0][0] == 4.0), "every fourth step");
-
-    sim.run(&["disarm"]).success();
-    sim.run(&["board", "save"]).success().stderr(contains("the board pauses"));
-    let info = sim.run(&["info", "--json"]).success();
-    let info: serde_json::Value = serde_json::from_slice(&info.get_output().stdout).unwrap();
-    assert_eq!(info["device"], "coupled-five-bar");
-    assert_eq!(info["walls"], 1);
+    let text = std::fs::read_to_string(&csv).unwrap();
+    assert!(text.contains(",Armed,0\n"), "states are words");
+    let again = format!("record {csv} --seconds 0.1 --rate 1000");
+    sim.type_lines(&format!("1: {again} => run.csv already exists | --force"));
+    assert_eq!(std::fs::read_to_string(&csv).unwrap(), text, "a recording is not overwritten");
+    sim.type_lines(&format!("{again} --force => 100 rows are in"));
+    let piped = Recording::parse(&sim.output(&["record", "-", "--seconds", "0.1", "--rate", "100"])).unwrap();
+    assert_eq!((piped.rows.len(), piped.about.last().unwrap().as_str()), (10, "10 rows, none lost"));
+    assert!(!Path::new("-").exists());
+    assert_eq!(sim.output(&["stream", "--seconds", "0.5"]).lines().count(), 1 + 5, "a header and five rows");
+    let streamed = sim.json(&["stream", "--seconds", "0.5"]);
+    assert_eq!((streamed["values"].as_array().unwrap().len(), &streamed["rows"]), (5, &5.into()));
+    sim.type_lines(
+        "stream --seconds 0.5 => 5 rows, none lost
+        stream --rate 1e9 --seconds 0.01 => 20000 rows a second
+        disarm
+        board save => the board pauses
+        faults => no faults",
+    );
+    let info = sim.json(&["info"]);
+    assert_eq!((&info["device"], &info["walls"]), (&"coupled-five-bar".into(), &1.into()));
     assert_eq!(info["state"], "Disarmed");
-    sim.run(&["faults"]).success().stdout(contains("no faults"));
+}
+
+/// The shipped device's home is (2.3, ...) rad; the nearest number of single precision has sixteen digits.
+#[test]
+fn numbers_of_the_board_have_their_significant_digits() {
+    Sim::start(&["--fast"]).type_lines(&format!(
+        r#"info --json => "q":[2.3,
+        scene {SCENES}/wall.toml --json => "point":[-0.108,0.181,0.0]
+        rules --torque 0.08,1.1 --json => "torque":[0.08,1.1]"#
+    ));
 }
 
 #[test]
-fn numbers_of_the_board_have_the_digits_that_they_mean() {
-    let sim = Sim::start(&["--fast"]);
-    // The shipped device's home is (2.3, ...) rad, and single precision's nearest number has sixteen digits.
-    sim.run(&["info", "--json"]).success().stdout(contains("\"q\":[2.3,"));
-    let scene = sim.run(&["scene", &file("scenes/coupled-five-bar/wall.toml"), "--json"]).success();
-    scene.stdout(contains("\"point\":[-0.108,0.181,0.0]"));
-    sim.run(&["rules", "--torque", "0.08,1.1", "--json"]).success().stdout(contains("\"torque\":[0.08,1.1]"));
+fn boards_refuse_what_they_are_not_ready_for() {
+    Sim::start(&["--fast", "--strict"]).type_lines(&format!(
+        "scene {SCENES}/wall.toml
+        1: arm => verified
+        1: polarity => --yes"
+    ));
+    Sim::start(&["--fast", "--axes", "2"]).type_lines(
+        "2: device devices/phantom-premium-1.5.toml => phantom-premium-1.5.toml: | 3 joints and the board 2 axes",
+    );
+    let inside = "[[wall]]\npoint = [0.0, 5.0]\nnormal = [0.0, 1.0]\nstiffness = 100.0\ndamping = 1.0\n";
+    let folder = Folder::new();
+    Sim::start(&["--fast"]).type_lines(&format!(
+        "2: scene devices/scenes/fictive-five-bar-turret/ball.toml => ball.toml:
+        info => none; load one with `haptic scene FILE`
+        scene {}
+        1: arm => the tip is inside a wall: move it out by hand
+        info => disarmed",
+        folder.write("inside.toml", inside)
+    ));
 }
 
 #[test]
-fn a_strict_board_asks_for_everything_a_real_one_does() {
-    let sim = Sim::start(&["--fast", "--strict"]);
-    sim.run(&["scene", &file("scenes/coupled-five-bar/wall.toml")]).success();
-    sim.run(&["arm"]).code(1).stderr(contains("verified"));
-    sim.run(&["polarity"]).code(1).stderr(contains("--yes"));
-}
-
-#[test]
-fn a_device_with_more_joints_than_axes_is_refused_with_file_and_line() {
-    let sim = Sim::start(&["--fast", "--axes", "2"]);
-    let refused = sim.run(&["device", &file("phantom-premium-1.5.toml")]).code(2);
-    let text = String::from_utf8_lossy(&refused.get_output().stderr).into_owned();
-    assert!(text.contains("phantom-premium-1.5.toml:") && text.contains("3 joints and the board 2 axes"), "{text}");
-}
-
-#[test]
-fn a_scene_of_the_wrong_dimension_is_refused_before_it_is_sent() {
-    let sim = Sim::start(&["--fast"]);
-    sim.run(&["scene", &file("scenes/fictive-five-bar-turret/ball.toml")]).code(2).stderr(contains("ball.toml:"));
-    sim.run(&["info"]).success().stdout(contains("none; load one with `haptic scene FILE`"));
-}
-
-#[test]
-fn a_board_that_dies_while_streaming_leaves_a_whole_recording() {
-    let mut sim = Sim::start(&[]);
-    let directory = tempfile::tempdir().unwrap();
-    let csv = directory.path().join("cut.csv");
-    let mut stream = sim.spawn(&["record", csv.to_str().unwrap(), "--rate", "20000"]);
-    // Pull the plug once there is something on disk.
-    until("rows on disk", || std::fs::metadata(&csv).is_ok_and(|about| about.len() >= 100_000));
-    sim.child.kill().unwrap();
-    assert_eq!(stream.wait().unwrap().code(), Some(1));
-    let mut said = String::new();
-    std::io::Read::read_to_string(&mut stream.stderr.take().unwrap(), &mut said).unwrap();
-    assert!(said.contains("unplugged or the connection was lost") && said.contains("rows are in"), "{said}");
-    let recording = Recording::parse(&std::fs::read_to_string(&csv).unwrap()).unwrap();
-    assert!(!recording.torn && recording.rows.len() > 100);
-    let last = recording.about.last().unwrap();
-    assert!(last.starts_with("cut short: the board was lost") && last.contains(" rows"), "{last}");
-}
-
-#[test]
-fn a_stream_that_the_board_refuses_makes_no_file_and_replaces_none() {
-    let sim = Sim::start(&["--fast"]);
-    let directory = tempfile::tempdir().unwrap();
-    let csv = directory.path().join("run.csv");
-    let arguments = ["record", csv.to_str().unwrap(), "--arm"];
-    sim.run(&arguments).code(1).stderr(contains("no scene is loaded"));
-    assert!(!csv.exists());
-    std::fs::write(&csv, "an earlier one").unwrap();
-    sim.run(&[&arguments[..], &["--force"]].concat()).code(1);
+fn a_refused_recording_makes_no_file_and_replaces_none() {
+    let (sim, folder) = (Sim::start(&["--fast"]), Folder::new());
+    let csv = folder.path("run.csv");
+    sim.type_lines(&format!("1: record {csv} --arm => no scene is loaded"));
+    assert!(!Path::new(&csv).exists());
+    folder.write("run.csv", "an earlier one");
+    sim.type_lines(&format!("1: record {csv} --arm --force"));
     assert_eq!(std::fs::read_to_string(&csv).unwrap(), "an earlier one");
 }
 
 #[test]
-fn a_limit_of_the_tip_force_is_obeyed_on_a_simulated_board_too() {
-    let sim = Sim::start(&["--fast"]);
-    let device = file("haply-2diy.toml");
-    sim.run(&["device", &device]).success().stdout(contains("tip force").not());
-    sim.run(&["device", &device, "--tip-force", "2"]).success().stdout(contains("push with at most 2 N"));
-    sim.run(&["info"]).success().stdout(contains("push with at most 2 N"));
+fn the_limit_of_the_tip_force_is_loaded_and_shown() {
+    Sim::start(&["--fast"]).type_lines(
+        "device devices/haply-2diy.toml => !tip force
+        device devices/haply-2diy.toml --tip-force 2 => push with at most 2 N
+        info => push with at most 2 N",
+    );
 }
 
+/// Saved settings survive, so the restart does not ask.
 #[test]
 fn a_restart_asks_before_it_turns_motors_off_or_forgets() {
-    let sim = Sim::start(&["--fast"]);
-    sim.run(&["scene", &file("scenes/coupled-five-bar/wall.toml")]).success();
-    sim.run(&["board", "restart"]).code(1).stderr(contains("device, scene").and(contains("--yes")));
-    sim.run(&["board", "save", "--json"]).success().stdout(contains("\"device\",\"scene\""));
-    sim.run(&["arm"]).success();
-    sim.run(&["board", "restart"]).code(1).stderr(contains("motors are on").and(contains("forgotten").not()));
-    sim.run(&["info", "--json"]).success().stdout(contains("\"Armed\""));
-    sim.run(&["board", "restart", "--yes", "--json"]).success().stdout(contains("\"forgotten\":[]"));
-    // What is saved is kept, so there is nothing to ask; neither is there after a change that was taken back.
-    sim.run(&["board", "restart"]).success();
-    sim.run(&["gains", "--stiffness", "321"]).success();
-    sim.run(&["board", "restart"]).code(1).stderr(contains("will be lost: scene"));
-    sim.run(&["board", "name", "--json"]).success().stdout(contains("\"name\":\"\""));
+    Sim::start(&["--fast"]).type_lines(&format!(
+        r#"scene {SCENES}/wall.toml
+        1: board restart => device, scene | --yes
+        board save --json => "device","scene"
+        arm
+        1: board restart => motors are on | !forgotten
+        info --json => "Armed"
+        board restart --yes --json => "forgotten":[]
+        board restart
+        gains --stiffness 321
+        1: board restart => will be lost: scene
+        board name --json => "name":"""#
+    ));
 }
 
 #[test]
-fn saving_says_what_there_was_to_save() {
-    let sim = Sim::start(&["--fast"]);
-    sim.run(&["board", "save"]).success().stdout(contains("with this device from now on; it has no scene"));
-    sim.run(&["board", "dfu", "--yes"]).success();
-    sim.run(&["board", "save"]).success().stdout(contains("with this device"));
-    let bare = Sim::start(&["--fast"]);
-    bare.run(&["board", "restart", "--yes"]).success();
-    bare.run(&["board", "save"]).success().stdout(contains("no device or scene"));
+fn saving_lists_the_settings_that_are_saved() {
+    Sim::start(&["--fast"]).type_lines(
+        "board save => with this device from now on; it has no scene
+        board dfu --yes
+        board save => with this device",
+    );
+    Sim::start(&["--fast"]).type_lines(
+        "board restart --yes
+        board save => no device or scene",
+    );
 }
 
+/// Such a board ends with the command, so nothing can be saved or armed.
 #[test]
 fn a_simulated_board_needs_no_other_process() {
-    haptic(&["--port", "sim", "info"]).assert().success().stdout(contains("coupled-five-bar"));
-    haptic(&["info", "--port", &format!("sim:{}", file("hapkit-paddle.toml"))])
-        .assert()
-        .success()
-        .stdout(contains("hapkit-paddle"));
-    haptic(&["info", "--port", "sim:no-such.toml"]).assert().code(2).stderr(contains("no-such.toml"));
-    // It ends with the command: there is nothing to say "saved" or "armed" of.
-    for lasting in [&["board", "save"][..], &["arm"], &["board", "backup", "folder"]] {
-        haptic(lasting).args(["--port", "sim"]).assert().code(2).stderr(contains("haptic sim"));
-    }
-}
-
-#[test]
-fn the_port_may_stand_in_the_environment() {
-    let sim = Sim::start(&["--fast", &file("hapkit-paddle.toml")]);
-    let info = || haptic(&["info"]);
-    info().env("HAPTIC_PORT", &sim.port).assert().success().stdout(contains("hapkit-paddle"));
-    // What is written goes first.
-    info()
-        .args(["--port", "sim"])
-        .env("HAPTIC_PORT", &sim.port)
-        .assert()
-        .success()
-        .stdout(contains("coupled-five-bar"));
-    info().env("HAPTIC_PORT", "tcp:nowhere").assert().code(2).stderr(contains("tcp:HOST:PORT"));
-}
-
-#[test]
-fn wrong_ports_and_gains_are_refused_by_the_command_line() {
-    haptic(&["info", "--port", "tcp:nowhere"]).assert().code(2).stderr(contains("tcp:HOST:PORT"));
-    for bad in ["-1", "nan", "inf", "soft"] {
-        haptic(&["gains", "--port", "sim", "--stiffness", bad]).assert().code(2);
-    }
-    haptic(&["stream", "--port", "sim", "--fields", "forse"]).assert().code(2).stderr(contains("`forse` is no field"));
-    haptic(&["info", "--port", "/dev/no-such-port"]).assert().code(1).stderr(contains("/dev/no-such-port"));
-    haptic(&["board", "list", "--json"]).assert().success();
-}
-
-#[test]
-fn rules_are_shown_lowered_and_never_raised_above_the_boards_own() {
-    let sim = Sim::start(&["--fast"]);
-    sim.run(&["rules"]).success().stdout(contains("a silent host is ignored"));
-    sim.run(&["rules", "--torque", "4,0.1"])
-        .success()
-        .stderr(contains("the motor of joint 0 gives at most 2 N m").and(contains("joint 1").not()));
-    sim.run(&["rules", "--torque", "0.5,0.4", "--host", "disarm", "--passivity", "true"]).success().stdout(
-        contains("torque              0.5, 0.4 N m")
-            .and(contains("turns the motors off"))
-            .and(contains("passivity control   on")),
+    type_lines(
+        "--port sim info => coupled-five-bar
+        info --port sim:devices/hapkit-paddle.toml => hapkit-paddle
+        2: info --port sim:no-such.toml => no-such.toml
+        2: board save --port sim => haptic sim
+        2: arm --port sim => haptic sim
+        2: board backup folder --port sim => haptic sim",
+        &[],
     );
-    sim.run(&["rules", "--power", "1e9"])
-        .code(1)
-        .stderr(contains("the power into the hand cannot be 1000000000 W").and(contains("at most 20 W")));
-    for (given, said) in [("1,1,1,1", "4 numbers"), ("0.05", "1 number, and coupled-five-bar has 2 joints")] {
-        sim.run(&["rules", "--torque", given]).code(2).stderr(contains(said));
-    }
-    sim.run(&["rules", "--speed", "1,1e9"]).code(1).stderr(contains("the speed of joint 1 cannot be 1000000000 rad/s"));
-    sim.run(&["rules", "--bus-min", "20", "--bus-max", "12"]).code(1).stderr(contains("supply voltage cannot be 12 V"));
-    sim.run(&["rules", "--power", "nan"]).code(2);
-    sim.run(&["rules", "--host-seconds", "61"]).code(2).stderr(contains("between 0.01 and 60"));
-    sim.run(&["rules"]).success().stdout(contains("0.5, 0.4 N m").and(contains("index pulses        not watched")));
-    sim.run(&["rules", "--index-period", "4096,0"]).success().stdout(contains("every 4096, 0 counts"));
-    sim.run(&["rules", "--index-period=-1"]).code(2).stderr(contains("-1"));
+}
+
+/// The command line takes precedence.
+#[test]
+fn the_environment_may_name_the_port() {
+    let sim = Sim::start(&["--fast", &file("hapkit-paddle.toml")]);
+    let info = |port: &str, more: &[&str]| haptic(&["info"]).args(more).env("HAPTIC_PORT", port).assert();
+    info(&sim.port, &[]).success().stdout(contains("hapkit-paddle"));
+    info(&sim.port, &["--port", "sim"]).success().stdout(contains("coupled-five-bar"));
+    info("tcp:nowhere", &[]).code(2).stderr(contains("tcp:HOST:PORT"));
 }
 
 #[test]
-fn a_file_that_is_none_is_refused_by_name_with_what_to_do() {
-    let directory = tempfile::tempdir().unwrap();
-    let folder = directory.path().to_str().unwrap();
-    let binary = directory.path().join("binary");
-    std::fs::write(&binary, b"\xFF\xFE").unwrap();
-    let folder_csv = format!("{folder}/folder.csv");
-    std::fs::create_dir(&folder_csv).unwrap();
-    let (binary, absent) = (binary.to_str().unwrap(), directory.path().join("absent"));
-    let sim = Sim::start(&["--fast"]);
-    for command in [&["device"][..], &["scene"], &["board", "restore"]] {
-        for (path, reason, remedy) in [
-            (folder, "Is a directory", "check the path"),
-            (binary, "not UTF-8 text", "save the file as UTF-8"),
-            (absent.to_str().unwrap(), "No such file", "check the path"),
-        ] {
-            sim.run(&[command, &[path]].concat())
-                .code(2)
-                .stderr(contains(path).and(contains(reason)).and(contains(remedy)).and(contains("error:").count(1)));
-        }
+fn wrong_ports_gains_and_fields_are_refused() {
+    type_lines(
+        "2: info --port tcp:nowhere => tcp:HOST:PORT
+        1: info --port /dev/no-such-port => /dev/no-such-port
+        1: info --port SIM0001 => serial number
+        2: gains --port sim --stiffness -1
+        2: gains --port sim --stiffness nan
+        2: gains --port sim --stiffness inf
+        2: gains --port sim --stiffness soft
+        2: stream --port sim --fields forse => `forse` is no field
+        2: stream --port sim --seconds -5 => greater than zero
+        2: rules --port sim --torque -1,2 => greater than zero
+        2: sim --axes 1 => 2 joints
+        board list --json",
+        &[],
+    );
+}
+
+#[test]
+fn rules_are_never_raised_above_the_boards_own() {
+    Sim::start(&["--fast"]).type_lines(
+        "rules => a silent host is ignored
+        rules --torque 4,0.1 => the motor of joint 0 gives at most 2 N m | !joint 1
+        rules --torque 0.5,0.4 --host disarm --passivity true => torque              0.5, 0.4 N m | \
+            turns the motors off | passivity control   on
+        1: rules --power 1e9 => the power into the hand cannot be 1000000000 W | at most 20 W
+        2: rules --torque 1,1,1,1 => 4 numbers
+        2: rules --torque 0.05 => 1 number, and coupled-five-bar has 2 joints
+        1: rules --speed 1,1e9 => the speed of joint 1 cannot be 1000000000 rad/s
+        1: rules --bus-min 20 --bus-max 12 => supply voltage cannot be 12 V
+        2: rules --power nan
+        2: rules --host-seconds 61 => between 0.01 and 60
+        rules => 0.5, 0.4 N m | index pulses        not watched
+        rules --index-period 4096,0 => every 4096, 0 counts
+        2: rules --index-period=-1 => -1",
+    );
+}
+
+/// As root, a backup once replaced the device node /dev/full.
+#[test]
+fn unreadable_and_unwritable_files_are_refused_by_name() {
+    let (sim, folder) = (Sim::start(&["--fast"]), Folder::new());
+    let (here, binary, absent) = (folder.path("."), folder.write("binary", b"\xFF\xFE"), folder.path("absent"));
+    let (csv, kept) = (folder.path("folder.csv"), folder.path("kept.json"));
+    std::fs::create_dir(&csv).unwrap();
+    for command in ["device", "scene", "board restore"] {
+        sim.type_lines(&format!(
+            "2: {command} {here} => {here} | Is a directory | check the path
+            2: {command} {binary} => {binary} | not UTF-8 text | save the file as UTF-8
+            2: {command} {absent} => {absent} | No such file | check the path"
+        ));
     }
-    sim.run(&["board", "save"]).success();
-    for refused in [["board", "backup", folder].as_slice(), &["record", &folder_csv]] {
-        sim.run(refused).code(1).stderr(contains(folder).and(contains("is a directory")));
-    }
-    let kept = directory.path().join("kept.json");
-    let backup = ["board", "backup", kept.to_str().unwrap()];
-    sim.run(&backup).success();
-    sim.run(&backup).code(1).stderr(contains("kept.json already exists"));
-    sim.run(&[&backup[..], &["--force"]].concat()).success();
-    // As root this once replaced the device node.
-    sim.run(&["board", "backup", "/dev/full"]).code(1).stderr(contains("/dev/full cannot be written"));
+    sim.type_lines(&format!(
+        "board save
+        1: board backup {here} => {here} | is a directory
+        1: record {csv} => {csv} | is a directory
+        board backup {kept}
+        1: board backup {kept} => kept.json already exists
+        board backup {kept} --force
+        1: board backup /dev/full => /dev/full cannot be written
+        info => none; load one with `haptic scene FILE`"
+    ));
     assert!(!std::fs::metadata("/dev/full").unwrap().is_file());
-    sim.run(&["info"]).success().stdout(contains("none; load one with `haptic scene FILE`"));
 }
 
 #[test]
-fn a_tip_inside_a_wall_is_not_armed() {
-    let sim = Sim::start(&["--fast"]);
-    let directory = tempfile::tempdir().unwrap();
-    let scene = directory.path().join("inside.toml");
-    std::fs::write(&scene, "[[wall]]\npoint = [0.0, 5.0]\nnormal = [0.0, 1.0]\nstiffness = 100.0\ndamping = 1.0\n")
-        .unwrap();
-    sim.run(&["scene", scene.to_str().unwrap()]).success();
-    sim.run(&["arm"]).code(1).stderr(contains("the tip is inside a wall: move it out by hand"));
-    sim.run(&["info"]).success().stdout(contains("disarmed"));
-}
-
-#[test]
-fn a_name_lasts_over_a_restart_once_it_is_saved() {
+fn a_name_survives_a_restart_once_it_is_saved() {
     let sim = Sim::start(&["--fast", "--scene", &file("scenes/coupled-five-bar/wall.toml")]);
-    let said = |words: &[&str]| String::from_utf8(sim.run(words).success().get_output().stdout.clone()).unwrap();
-    let device = || serde_json::from_str::<Value>(&said(&["info", "--json"])).unwrap()["device"].clone();
-    assert_eq!(said(&["board", "name"]), "this board has no name\n");
-    sim.run(&["board", "name", &"x".repeat(33)]).code(2).stderr(contains("33 bytes").and(contains("at most 32")));
+    let name = || (sim.output(&["board", "name"]), sim.json(&["info"])["device"].clone());
+    let (five_bar, none) = (Value::from("coupled-five-bar"), "this board has no name\n");
+    sim.type_lines(&format!("2: board name {} => 33 bytes | at most 32", "x".repeat(33)));
     sim.run(&["board", "name", "two\nlines"]).code(2).stderr(contains("one line"));
-    assert_eq!(said(&["board", "name"]), "this board has no name\n");
-
-    said(&["board", "name", "left hand"]);
-    assert_eq!(said(&["board", "name"]), "left hand\n");
-    assert_eq!(device(), "coupled-five-bar");
-    // Nothing was saved, so nothing is left of it.
-    said(&["board", "restart", "--yes"]);
-    assert_eq!((said(&["board", "name"]).as_str(), device()), ("this board has no name\n", Value::Null));
-
-    said(&["device", &file("coupled-five-bar.toml")]);
-    said(&["board", "name", "left hand"]);
-    said(&["board", "save"]);
-    said(&["board", "name", "right hand"]);
-    said(&["board", "restart", "--yes"]);
-    assert_eq!((said(&["board", "name"]).as_str(), device()), ("left hand\n", "coupled-five-bar".into()));
-    // Motors that were on are off.
-    sim.run(&["scene", &file("scenes/coupled-five-bar/wall.toml")]).success();
-    sim.run(&["rules", "--host", "ignore"]).success();
-    said(&["arm"]);
-    said(&["board", "restart", "--yes"]);
-    sim.run(&["info", "--json"]).success().stdout(contains("\"Disarmed\""));
-    // A name that another program gave it begins no line of its own, on the screen or in a recording.
+    assert_eq!(name(), (none.into(), five_bar.clone()));
+    sim.type_lines("board name left␣hand");
+    assert_eq!(name(), ("left hand\n".into(), five_bar.clone()));
+    sim.type_lines("board restart --yes");
+    assert_eq!(name(), (none.into(), Value::Null), "nothing was saved");
+    sim.type_lines(&format!(
+        "device {DEVICE}
+        board name left␣hand
+        board save
+        board name right␣hand
+        board restart --yes"
+    ));
+    assert_eq!(name(), ("left hand\n".into(), five_bar));
+    sim.type_lines(&format!(
+        r#"scene {SCENES}/wall.toml
+        rules --host ignore
+        arm
+        board restart --yes
+        info --json => "Disarmed""#
+    ));
+    // Line breaks in a name that another program set are escaped, on the screen and in a recording.
     let name = "hand\nstate       armed";
     Board::open(&sim.port.parse().unwrap()).unwrap().set_name(&name.try_into().unwrap()).unwrap();
     for words in [&["info"][..], &["board", "name"], &["record", "-", "--seconds", "0.01"]] {
-        let text = said(words);
+        let text = sim.output(words);
         let lines = text.lines().filter(|line| line.trim_start_matches("# ").starts_with("state "));
         assert!(text.contains(r"hand\u000astate") && lines.count() == usize::from(words == ["info"]), "{text}");
     }
 }
 
 #[test]
-fn torque_limits_leave_room_for_the_devices_weight_and_what_was_lower_before_is_told() {
-    let folder = tempfile::tempdir().unwrap();
-    let heavy = folder.path().join("heavy.toml").display().to_string();
-    let light = std::fs::read_to_string(file("coupled-five-bar.toml")).unwrap();
-    std::fs::write(&heavy, light.replace("gravity = [0.0, 0.0]", "gravity = [0.0, -9.81]")).unwrap();
-    let limits = |sim: &Sim| -> Vec<f64> {
-        let rules = sim.run(&["rules", "--json"]).success().get_output().stdout.clone();
-        let rules: serde_json::Value = serde_json::from_slice(&rules).unwrap();
-        serde_json::from_value(rules["torque"].clone()).unwrap()
-    };
+fn torque_limits_leave_room_for_the_devices_weight() {
+    let folder = Folder::new();
+    let heavy = folder.changed("coupled-five-bar", &[("gravity = [0.0, 0.0]", "gravity = [0.0, -9.81]")]);
+    let limits = |sim: &Sim| serde_json::from_value::<Vec<f64>>(sim.json(&["rules"])["torque"].clone()).unwrap();
     let loaded = |device: &str| {
         let sim = Sim::start(&["--strict"]);
         sim.run(&["device", device]).success();
         limits(&sim)
     };
     let (without, with) = (loaded(&file("coupled-five-bar.toml")), loaded(&heavy));
-    let model = haptic(&["model", &heavy, "--json"]).assert().success().get_output().stdout.clone();
-    let model: serde_json::Value = serde_json::from_slice(&model).unwrap();
+    let model = json(&["model", &heavy]);
     for joint in 0..2 {
         let weight = model["bias"][joint].as_f64().unwrap().abs();
         assert!(weight > 0.01, "{model}");
         assert!((with[joint] - without[joint] - weight).abs() < 1e-4, "{with:?} {without:?} {weight}");
     }
     let sim = Sim::start(&["--strict"]);
-    sim.run(&["device", &file("capstan-pantograph.toml")]).success();
-    let lower = sim.run(&["device", &file("coupled-five-bar.toml")]).success();
-    lower.stdout(contains("some were lower before").and(contains("`haptic rules --torque` raises them")));
-    assert!(limits(&sim)[0] < 0.5 * without[0], "what somebody may have meant stays");
-
-    // Lengths in millimetres take torques that no limit of the board can be raised to, and nobody is told to.
-    let long = folder.path().join("long.toml");
-    let lengths = [
+    sim.type_lines(&format!(
+        "device devices/capstan-pantograph.toml
+        device {DEVICE} => some were lower before | `haptic rules --torque` raises them"
+    ));
+    assert!(limits(&sim)[0] < 0.5 * without[0], "limits of the user are kept");
+    // Lengths in millimetres need torques beyond every limit of the board, so no advice to raise the limits is given.
+    let in_mm = [
         ("base = 0.02\n", "base = 20.0\n"),
         ("proximal = [0.1, 0.1]", "proximal = [100.0, 100.0]"),
         ("distal = [0.13, 0.13]", "distal = [130.0, 130.0]"),
     ];
-    let in_mm = lengths.iter().fold(light.clone(), |text, (m, mm)| text.replace(m, mm));
-    assert!(lengths.iter().all(|(_, mm)| in_mm.contains(mm)), "{in_mm}");
-    std::fs::write(&long, in_mm).unwrap();
     let sim = Sim::start(&["--strict"]);
-    let said = sim.run(&["device", long.to_str().unwrap()]).success();
+    let said = sim.run(&["device", &folder.changed("coupled-five-bar", &in_mm)]).success();
     said.stdout(contains("the board allows at most 5: are lengths in the file in m").and(contains("rules").not()));
     assert_eq!(limits(&sim)[0], 5.0);
 }
 
-/// A board whose scene pulls joint 0 past its limit as soon as it is armed, and whose friction leaves it there.
-fn past_a_limit(folder: &Path) -> Sim {
-    let device = folder.join("narrow.toml");
-    let text = std::fs::read_to_string(file("coupled-five-bar.toml")).unwrap();
-    let narrow = text.replacen("inertia = 0.0008\n", "inertia = 0.0008\nlimits = [2.25, 2.35]\n", 1);
-    assert!(narrow != text);
-    std::fs::write(&device, narrow).unwrap();
-    let scene = folder.join("pull.toml");
-    std::fs::write(&scene, "[[spring]]\npoint = [0.3, 0.3]\nstiffness = 30.0\ndamping = 0.0\n").unwrap();
-    Sim::start(&["--fast", device.to_str().unwrap(), "--scene", scene.to_str().unwrap()])
+/// A board whose scene pulls joint 0 past its limit as soon as it is armed; friction keeps the joint there.
+fn past_a_limit(folder: &Folder) -> Sim {
+    let limited = ("inertia = 0.0008\n", "inertia = 0.0008\nlimits = [2.25, 2.35]\n");
+    let device = folder.changed("coupled-five-bar", &[limited]);
+    let scene = folder.write("pull.toml", "[[spring]]\npoint = [0.3, 0.3]\nstiffness = 30.0\ndamping = 0.0\n");
+    Sim::start(&["--fast", &device, "--scene", &scene])
 }
 
+/// The remedy has a line of its own.
 #[test]
-fn clearing_tells_which_joint_is_outside_its_limits() {
-    let folder = tempfile::tempdir().unwrap();
-    let sim = past_a_limit(folder.path());
-    sim.run(&["faults", "--clear", "--json"]).success().stdout(contains("\"outside_limits\":[]"));
-    sim.run(&["arm"]).success();
+fn clearing_names_the_joint_outside_its_limits() {
+    let folder = Folder::new();
+    let sim = past_a_limit(&folder);
+    sim.type_lines(
+        r#"faults --clear --json => "outside_limits":[]
+        arm"#,
+    );
     sim.until(|state| state == "Fault");
-    // The remedy is a line of its own, and not a code for a line's end.
-    let said = sim.run(&["info"]).success().get_output().stdout.clone();
-    let said = String::from_utf8(said).unwrap();
-    assert!(said.contains("JointLimit") && said.contains("move the device back") && !said.contains("u000a"), "{said}");
-    sim.run(&["faults", "--clear"])
-        .success()
-        .stdout(contains("cleared JointLimit").and(contains("joint 0 is outside its limits, at 2.")));
-    sim.run(&["faults", "--clear", "--json"]).success().stdout(contains("\"outside_limits\":[0]"));
-    sim.run(&["arm"]).code(1).stderr(contains("joint 0 is outside its limits"));
+    sim.type_lines(
+        r#"info => JointLimit | move the device back | !u000a
+        faults --clear => cleared JointLimit | joint 0 is outside its limits, at 2.
+        faults --clear --json => "outside_limits":[0]
+        1: arm => joint 0 is outside its limits"#,
+    );
 }
 
 #[test]
-fn a_stream_whose_motors_a_fault_turned_off_ends_with_that_fault() {
-    let folder = tempfile::tempdir().unwrap();
-    let sim = past_a_limit(folder.path());
+fn a_stream_whose_motors_a_fault_stops_reports_the_fault() {
+    let folder = Folder::new();
+    let sim = past_a_limit(&folder);
     let ended = sim.run(&["stream", "--arm", "--seconds", "2", "--json"]).code(1);
-    let output = ended.get_output();
-    let said = String::from_utf8_lossy(&output.stderr);
-    assert!(said.contains("error: the motors are off: JointLimit (7)"), "{said}");
-    let rows: Value = serde_json::from_slice(&output.stdout).unwrap();
-    assert_eq!(rows["values"].as_array().unwrap().len(), 20, "the rows are all there");
-    // One that only looks has done what it was asked.
-    sim.run(&["stream", "--seconds", "0.5"]).success();
+    let ended = ended.stderr(contains("error: the motors are off: JointLimit (7)"));
+    let rows: Value = serde_json::from_slice(&ended.get_output().stdout).unwrap();
+    assert_eq!(rows["values"].as_array().unwrap().len(), 20, "the rows are complete");
+    // A stream that does not arm succeeds.
+    sim.type_lines("stream --seconds 0.5");
 }
 
 #[test]
-fn what_weakens_a_protection_is_told_by_whichever_command_does_it() {
-    let folder = tempfile::tempdir().unwrap();
-    let kept = folder.path().join("kept.json").display().to_string();
-    let sim = Sim::start(&["--fast"]);
+fn every_command_that_weakens_a_protection_warns() {
+    let (sim, folder) = (Sim::start(&["--fast"]), Folder::new());
+    let kept = folder.path("kept.json");
     let (host, force) = ("the board no longer watches its host", "may now push at the tip with 30 N, before with 4");
     let tighten = || sim.run(&["rules", "--host", "disarm", "--tip-force", "4"]).success().stderr("");
     tighten();
-    sim.run(&["rules", "--host", "ignore", "--tip-force", "30"]).success().stderr(contains(host).and(contains(force)));
-    sim.run(&["board", "save"]).success();
-    sim.run(&["board", "backup", &kept]).success();
+    sim.type_lines(&format!(
+        "rules --host ignore --tip-force 30 => {host} | {force}
+        board save
+        board backup {kept}"
+    ));
     tighten();
-    sim.run(&["board", "restore", &kept]).success().stderr(contains(host).and(contains(force)));
-    sim.run(&["board", "restore", &kept]).success().stderr(contains(host).or(contains("may now push")).not());
+    sim.type_lines(&format!(
+        "board restore {kept} => {host} | {force}
+        board restore {kept} => !{host} | !may now push"
+    ));
     tighten();
-    let device = file("coupled-five-bar.toml");
-    sim.run(&["device", &device, "--tip-force", "30"]).success().stderr(contains(host).not().and(contains(force)));
+    sim.type_lines(&format!("device {DEVICE} --tip-force 30 => !{host} | {force}"));
 }
 
 #[test]
-fn a_backup_of_another_board_is_restored_once_agreed_and_without_its_name() {
-    let folder = tempfile::tempdir().unwrap();
-    let kept = folder.path().join("kept.json");
-    let restore = ["board", "restore", kept.to_str().unwrap()];
-    let sim = Sim::start(&["--fast"]);
-    sim.run(&["board", "name", "left hand"]).success();
-    sim.run(&["board", "save"]).success();
-    sim.run(&["board", "backup", kept.to_str().unwrap()]).success();
-    let text = std::fs::read_to_string(&kept).unwrap();
-    std::fs::write(&kept, text.replace("\"SIM0001\"", "\"OTHER\"")).unwrap();
-    sim.run(&["board", "name", "right hand"]).success();
-    let tight = ["rules", "--torque", "0.1,0.1"];
-    let tightened = sim.run(&tight).success().stderr("").get_output().stdout.clone();
-    sim.run(&restore).code(1).stderr(contains("OTHER").and(contains("SIM0001")).and(contains("--yes")));
+fn a_backup_of_another_board_is_restored_without_its_name() {
+    let (sim, folder) = (Sim::start(&["--fast"]), Folder::new());
+    let kept = folder.path("kept.json");
+    sim.type_lines(&format!(
+        "board name left␣hand
+        board save
+        board backup {kept}
+        board name right␣hand"
+    ));
+    folder.write("kept.json", std::fs::read_to_string(&kept).unwrap().replace("\"SIM0001\"", "\"OTHER\""));
+    let tighten = || sim.run(&["rules", "--torque", "0.1,0.1"]).success().stderr("").get_output().stdout.clone();
+    let tightened = tighten();
+    sim.type_lines(&format!("1: board restore {kept} => OTHER | SIM0001 | --yes"));
     sim.run(&["rules"]).success().stdout(tightened);
-    sim.run(&[&restore[..], &["--yes"]].concat()).success().stderr(contains("the torque limit of joint 0 is now"));
-    sim.run(&["info"]).success().stdout(contains("right hand"));
-    sim.run(&tight).success();
-    sim.run(&["rules", "--torque", "0.2,0.1"])
-        .success()
-        .stderr(contains("the torque limit of joint 0 is now 0.2 N m, before 0.1"));
+    sim.type_lines(&format!(
+        "board restore {kept} --yes => the torque limit of joint 0 is now
+        info => right hand"
+    ));
+    tighten();
+    sim.type_lines("rules --torque 0.2,0.1 => the torque limit of joint 0 is now 0.2 N m, before 0.1");
 }
 
 #[test]
-fn the_limit_of_the_tip_force_goes_as_high_as_the_safety_page_says() {
-    let page = std::fs::read_to_string(file("../docs/safety.md")).unwrap();
-    assert!(page.contains("at most 100 N; 1000 N on a simulated board without `--strict`"));
+fn the_tip_force_limit_has_the_documented_maximum() {
+    assert!(read("docs/safety.md").contains("at most 100 N; 1000 N on a simulated board without `--strict`"));
     for (options, most) in [(&["--fast", "--strict"][..], "100"), (&["--fast"], "1000")] {
-        let sim = Sim::start(options);
-        sim.run(&["rules", "--tip-force", most]).success().stdout(contains(format!("force at the tip    {most} N")));
-        for command in [&["rules"][..], &["device", &file("coupled-five-bar.toml")]] {
-            let refused = sim.run(&[command, &["--tip-force", "1001"]].concat()).code(1);
-            refused.stderr(contains(format!("1001 N: this board takes more than 0 and at most {most} N")));
-        }
+        Sim::start(options).type_lines(&format!(
+            "rules --tip-force {most} => force at the tip    {most} N
+            1: rules --tip-force 1001 => 1001 N: this board takes more than 0 and at most {most} N
+            1: device {DEVICE} --tip-force 1001 => 1001 N: this board takes more than 0 and at most {most} N"
+        ));
     }
 }
 
-/// A board whose firmware is of another protocol version: it understands what never changes.
+/// A board with another protocol version. It understands the requests that never change.
 struct Stranger {
     port: String,
     stopped: std::sync::mpsc::Receiver<()>,
@@ -495,24 +413,24 @@ impl Stranger {
             for mut tool in listener.incoming().map(Result::unwrap) {
                 let (mut deframer, mut buffer) = (Deframer::default(), [0; 4096]);
                 while let Ok(count @ 1..) = tool.read(&mut buffer) {
-                    let mut answers = Vec::new();
+                    let mut replies = Vec::new();
                     deframer.feed(&buffer[..count], |frame| {
-                        let answer = |key, body: &[u8]| {
+                        let reply = |key, body: &[u8]| {
                             encode(&VarHeader { key: VarKey::Key8(key), seq_no: frame.header.seq_no }, body)
                         };
                         let (firmware, board) = ("9.9".chars().collect(), "odrive-v3".chars().collect());
                         let info = Info { protocol, firmware, board, serial: "A1".chars().collect() };
                         if frame.header.key == VarKey::Key8(GetInfo::REQ_KEY) {
-                            answers.extend(answer(GetInfo::RESP_KEY, &postcard::to_stdvec(&info).unwrap()));
+                            replies.extend(reply(GetInfo::RESP_KEY, &postcard::to_stdvec(&info).unwrap()));
                         } else if frame.header.key == VarKey::Key8(Disarm::REQ_KEY) {
                             stop.send(()).unwrap();
-                            // The reasons for a refusal are others there, so the answer has another key.
+                            // Its refusal type is another, so its reply has another key.
                             let done: Outcome = Ok(());
                             let another = postcard_rpc::Key::for_path::<u64>("haptic/disarm");
-                            answers.extend(answer(another, &postcard::to_stdvec(&done).unwrap()));
+                            replies.extend(reply(another, &postcard::to_stdvec(&done).unwrap()));
                         }
                     });
-                    tool.write_all(&answers).unwrap();
+                    tool.write_all(&replies).unwrap();
                 }
             }
         });
@@ -521,7 +439,7 @@ impl Stranger {
 }
 
 #[test]
-fn a_board_of_another_version_is_disarmed_and_nothing_else() {
+fn a_board_of_another_version_accepts_only_disarm() {
     use haptic_bridge::board::protocol::PROTOCOL;
     for protocol in [PROTOCOL - 1, PROTOCOL + 1] {
         let board = Stranger::plugged(protocol);

@@ -1,16 +1,10 @@
-//! A device with weight on a simulated board that asks for what a real one asks: somebody holds it until the motors
-//! carry it, and then they do.
+//! Devices with weight on a strict simulated board: the user holds the device until the motors carry it.
 
-use crate::common::{files, shipped};
-use haptic_bridge::control::{ARM_SECONDS, HostAction, Rules};
+use crate::common::prelude::*;
+use crate::common::{board, files, shipped};
+use haptic_bridge::control::ARM_SECONDS;
 use haptic_bridge::model::catalogue::Kind;
-use haptic_bridge::render::scene::Scene;
-use haptic_bridge::safety::fault::State;
-use haptic_host::device_file::DeviceFile;
-use haptic_host::link::Board;
-use haptic_host::scene_file::SceneFile;
 use haptic_predict::template;
-use haptic_sim::{BoardOptions, SharedBoard, Support, ready_board};
 use std::time::Duration;
 
 /// The scenes that ship for a device.
@@ -18,7 +12,7 @@ fn scenes(name: &str, task: usize) -> Vec<SceneFile> {
     files(&format!("scenes/{name}")).into_iter().map(|path| SceneFile::load(&path, task).unwrap()).collect()
 }
 
-/// A strict board with this device, which somebody holds, and whatever its file lacks for a board.
+/// A strict board with this device, which the user holds; missing entries of its file are added.
 fn strict(mut file: DeviceFile) -> (SharedBoard, Board) {
     let home = file.description.home.unwrap();
     for (joint, home) in file.description.joints.iter_mut().zip(home) {
@@ -26,8 +20,7 @@ fn strict(mut file: DeviceFile) -> (SharedBoard, Board) {
         joint.limits.get_or_insert((home - 1.0, home + 1.0));
     }
     let options = BoardOptions { strict: true, support: Support::Held, ..BoardOptions::default() };
-    let shared = SharedBoard::new(ready_board(&file, options).unwrap());
-    let mut board = Board::over(shared.wire(), "sim").unwrap();
+    let (shared, mut board) = board(&file, options);
     let rules = board.rules().unwrap();
     board.set_rules(&Rules { host_action: HostAction::Ignore, ..rules }).unwrap();
     (shared, board)
@@ -46,7 +39,7 @@ fn ready_to_arm(file: DeviceFile) -> (SharedBoard, Board) {
 }
 
 #[test]
-fn homing_straight_after_a_polarity_check_waits_until_the_device_is_back_at_home() {
+fn homing_after_a_polarity_check_waits_for_the_device() {
     let file = DeviceFile::parse(&template::device_file(Kind::FiveBar, "mine"), "mine.toml").unwrap();
     let home = file.description.home.unwrap();
     let (shared, mut board) = strict(file);
@@ -60,7 +53,7 @@ fn homing_straight_after_a_polarity_check_waits_until_the_device_is_back_at_home
     assert!((f64::from(q[0]) - home[0]).abs() < 1e-3 && (f64::from(q[1]) - home[1]).abs() < 1e-3, "{q:?}");
 }
 
-/// Arms, and looks where the device is at the ramp's end and long after it.
+/// Arms, and checks that the device stays in place during the ramp and long after it.
 fn stays_while_armed(shared: &SharedBoard, board: &mut Board, what: &str) {
     let before = shared.lock().device().q();
     board.arm().unwrap_or_else(|error| panic!("{what}: {error}"));
@@ -76,7 +69,7 @@ fn stays_while_armed(shared: &SharedBoard, board: &mut Board, what: &str) {
 }
 
 #[test]
-fn every_scene_that_ships_for_a_device_with_weight_runs_on_a_strict_board() {
+fn scenes_of_devices_with_weight_run_on_a_strict_board() {
     for name in ["phantom-premium-1.5", "serial-3r", "woodenhaptics", "fictive-five-bar-turret"] {
         let file = shipped(name);
         for scene in scenes(name, file.spec().task) {
@@ -89,13 +82,13 @@ fn every_scene_that_ships_for_a_device_with_weight_runs_on_a_strict_board() {
 }
 
 #[test]
-fn every_template_is_homed_checked_and_armed_on_a_strict_board_and_does_not_fall() {
+fn every_template_runs_on_a_strict_board_without_falling() {
     // The check refuses the arm's template: its light links swing along (docs/safety.md, *What the check refuses*).
     for kind in Kind::ALL.iter().filter(|kind| **kind != Kind::Serial3r) {
         let file = DeviceFile::parse(&template::device_file(*kind, "mine"), "mine.toml").unwrap();
         let task = file.spec().task as u8;
         let (shared, mut board) = ready_to_arm(file);
-        // Whoever homes again finds home where it was.
+        // Homing again finds the same home.
         board.home().unwrap();
         board.set_scene(&Scene { task, ..Scene::default() }).unwrap();
         stays_while_armed(&shared, &mut board, kind.spec().name);
@@ -103,25 +96,17 @@ fn every_template_is_homed_checked_and_armed_on_a_strict_board_and_does_not_fall
 }
 
 #[test]
-fn the_weight_of_a_device_is_carried_on_any_simulated_board_until_the_motors_carry_it() {
+fn every_simulated_board_carries_the_device_until_armed() {
     let file = shipped("woodenhaptics");
-    let [room] = &scenes("woodenhaptics", 3)
-        .into_iter()
-        .filter(|scene| scene.path.ends_with("room.toml"))
-        .collect::<Vec<_>>()[..]
-    else {
-        panic!("no room")
-    };
-    let options = BoardOptions { support: Support::Carried, ..BoardOptions::default() };
-    let shared = SharedBoard::new(ready_board(&file, options).unwrap());
-    let mut board = Board::over(shared.wire(), "sim").unwrap();
+    let room = SceneFile::load(crate::common::file("scenes/woodenhaptics/room.toml"), 3).unwrap();
+    let (shared, mut board) = board(&file, BoardOptions { support: Support::Carried, ..BoardOptions::default() });
     board.set_scene(&room.scene::<f32>().unwrap()).unwrap();
     shared.lock().run(2.0);
     stays_while_armed(&shared, &mut board, "woodenhaptics in a room");
 }
 
 #[test]
-fn a_device_with_weight_is_held_until_it_is_armed_and_passes_the_polarity_check() {
+fn a_device_with_weight_is_held_until_it_is_armed() {
     for name in ["phantom-premium-1.5", "serial-3r", "woodenhaptics", "fictive-five-bar-turret"] {
         let file = shipped(name);
         let (home, task) = (file.description.home.unwrap(), file.spec().task as u8);
@@ -143,12 +128,12 @@ fn a_device_with_weight_is_held_until_it_is_armed_and_passes_the_polarity_check(
         shared.lock().run(0.2);
         let fallen =
             shared.lock().device().q().iter().zip(still).map(|(q, still)| (q - still).abs()).fold(0.0, f64::max);
-        assert!(fallen > 1e-3, "{name}: from now on nobody holds it, {fallen} rad");
-        // Nothing stops it either: a turret folds through itself, and jams.
+        assert!(fallen > 1e-3, "{name}: it falls, {fallen} rad");
+        // It falls freely: a turret folds through itself and jams.
         shared.lock().run(1.0);
         let q = shared.lock().device().q();
         assert!(q.iter().all(|q| q.is_finite()), "{name}: {q:?}");
-        // Until the board begins anew, and has to be homed again.
+        // After a restart it is held again and has to be homed.
         board.restart().unwrap();
         shared.lock().run(1.0);
         assert_eq!(shared.lock().device().q(), home, "{name} is held");

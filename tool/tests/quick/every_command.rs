@@ -1,15 +1,15 @@
-//! Every command once, with the cheapest arguments that make sense: its exit code is 0, and its first line says what it
-//! should. A command that `haptic help` lists and nobody runs here fails.
+//! Every command once with cheap arguments: it succeeds, and its output begins as expected. Fails for a command of
+//! `haptic help` that is not run here.
 #![cfg(unix)]
 
 use crate::common::sim::Sim;
-use crate::common::{haptic, root, signal};
+use crate::common::{haptic, output, root, signal};
 use std::collections::BTreeSet;
 use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-/// What is typed, and how the first line begins that it prints.
+/// Command line, and beginning of its output.
 type Line = (&'static str, &'static str);
 
 const ANALYSIS: [Line; 17] = [
@@ -44,7 +44,7 @@ const ANALYSIS: [Line; 17] = [
     ("completions bash", "_haptic() {"),
 ];
 
-/// On a board in a process of its own, or in the command's.
+/// On a board in a process of its own, or within the command.
 const BOARD: [Line; 25] = [
     ("info --port sim", "board       simulated, serial number SIM0001, on sim"),
     ("board latency --port sim --exchanges 2", "2 exchanges, 10000 a second, on sim"),
@@ -76,14 +76,14 @@ const BOARD: [Line; 25] = [
     ("stream --seconds 0.1", "    time_s "),
 ];
 
-/// They end with Ctrl-C, after what they say first.
+/// Commands that run until Ctrl-C, and beginning of their output.
 const SERVING: [Line; 3] = [
     ("sim --tcp 0", "a simulated board with coupled-five-bar is on tcp:127.0.0.1:"),
     ("view --port sim --listen 127.0.0.1:0", "open http://127.0.0.1:"),
     ("serve --haply --port sim --listen 0", "SIM0001 is an Inverse3 for programs, at ws://localhost:"),
 ];
 
-/// A folder with the devices that ship.
+/// A folder with the shipped devices.
 fn folder() -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     std::os::unix::fs::symlink(root().join("devices"), folder.path().join("devices")).unwrap();
@@ -112,19 +112,16 @@ fn every_command_with_a_board() {
     each(&BOARD, folder().path(), &Sim::start(&["--fast"]).port);
 }
 
-/// Commands that can be called and are on no help page.
+/// Commands that no help page lists.
 const DEVELOPERS: [&str; 3] = ["bench", "precompute", "udev"];
 
-/// Commands whose examples are typed as they are: the others need a board, a recording, or more than a second.
+/// Commands whose examples are run; the others need a board, a recording, or more than a second.
 const TYPED: [&str; 5] = ["new", "check", "model", "precompute", "range"];
 
 #[test]
 fn the_examples_of_every_help_page_name_files_that_ship() {
     let folder = folder();
-    let help = |name: &[&str]| {
-        let page = haptic(&[&["help"], name].concat()).assert().success().get_output().stdout.clone();
-        String::from_utf8(page).unwrap()
-    };
+    let help = |name: &[&str]| output(&[&["help"], name].concat());
     let page = help(&[]);
     let (listing, _) = page.split_once("Start here").unwrap();
     let mut typed = BTreeSet::new();
@@ -157,9 +154,9 @@ fn every_command_that_serves() {
     }
 }
 
-/// What it does with a board, crates/flash/tests tries against a scripted boot loader.
+/// crates/flash/tests runs it with a scripted boot loader.
 #[test]
-fn flash_without_what_it_needs() {
+fn flash_without_a_board_or_an_image_is_refused() {
     let folder = folder();
     std::fs::write(folder.path().join("no.dfu"), "DfuSe").unwrap();
     let refused = |line: &str, code: i32, says: &str| {
@@ -179,11 +176,9 @@ fn flash_without_what_it_needs() {
     }
 }
 
-/// The commands of the help page, and those that it leaves out.
 #[test]
-fn no_command_is_left_out() {
-    let page = haptic(&["help"]).assert().success().get_output().stdout.clone();
-    let page = String::from_utf8(page).unwrap();
+fn every_listed_command_is_run() {
+    let page = output(&["help"]);
     let (listing, _) = page.split_once("Start here").unwrap();
     let listed = listing.lines().filter_map(|line| line.strip_prefix("  ")?.split_whitespace().next());
     let listed = listed.chain(DEVELOPERS);

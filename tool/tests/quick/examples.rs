@@ -1,4 +1,4 @@
-//! The example programs do what they say.
+//! The example programs work.
 
 #[path = "../../../examples/follow_telemetry.rs"]
 mod follow_telemetry;
@@ -10,7 +10,7 @@ mod press_a_wall;
 mod push_from_the_host;
 
 #[test]
-fn each_runs_to_its_end() {
+fn every_example_runs_to_its_end() {
     press_a_wall::main().expect("a wall that can be pressed");
     follow_telemetry::follow("sim").expect("telemetry of a simulated board");
     predict_range::main().expect("a range");
@@ -21,9 +21,8 @@ fn each_runs_to_its_end() {
 }
 
 #[test]
-fn there_is_none_that_is_not_run() {
-    let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../examples");
-    let mut names: Vec<String> = std::fs::read_dir(folder)
+fn every_example_is_run_above() {
+    let mut names: Vec<String> = std::fs::read_dir(crate::common::root().join("examples"))
         .expect("the folder of examples")
         .map(|entry| entry.expect("a readable entry").file_name().to_string_lossy().into_owned())
         .collect();

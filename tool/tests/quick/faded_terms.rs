@@ -1,14 +1,8 @@
-//! What the board leaves out where its velocity terms fade is told as an error.
+//! Velocity terms that the board fades out count as an error.
 
-use crate::common::{file, shipped};
-use haptic_bridge::math::Libm;
-use haptic_bridge::model::description::Description;
-use haptic_bridge::model::device::Device;
-use haptic_bridge::model::mechanism::AnyMechanism;
+use crate::common::prelude::*;
+use crate::common::{file, plane_wall, shipped};
 use haptic_bridge::render::controller::Controller;
-use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, VelocityTerms, Wall};
-use haptic_host::device_file::DeviceFile;
-use haptic_host::scene_file::SceneFile;
 use haptic_predict::bench::error::{Law, Terms, TorqueVariant, Trigonometry, errors, parts};
 use haptic_predict::bench::precompute::Precomputed;
 use haptic_predict::bench::probe::Probe;
@@ -24,11 +18,11 @@ struct Situation {
     device: &'static str,
     q: [f64; 2],
     normal: f64,
-    /// The forces of motion at the tip, N, of a slide at 0.5 m/s, as an outside plant has them.
+    /// Forces of motion at the tip of a slide at 0.5 m/s, from an independent plant, N.
     known: f64,
 }
 
-/// An encoder whose steps do not show.
+/// Counts per turn without visible steps.
 const FINE: f64 = 16_777_216.0;
 
 fn fine(file: &DeviceFile) -> Description {
@@ -43,12 +37,12 @@ fn unit(degrees: f64) -> Vector2<f64> {
     Vector2::new(degrees.to_radians().cos(), degrees.to_radians().sin())
 }
 
-/// A five-bar from its links' places alone: what moves where, by the circles' meeting point and differences.
+/// A five-bar from the places of its links alone: intersection of circles, and differences.
 struct Links {
     base: f64,
     proximal: f64,
     distal: f64,
-    /// Mass, its share of the way along the link, inertia about it: of a proximal and a distal link.
+    /// Proximal and distal link: mass, position of its centre as a share of the length, inertia about the centre.
     arm: [f64; 3],
     rod: [f64; 3],
     rotor: [f64; 2],
@@ -101,7 +95,7 @@ impl Links {
             (3, 4, self.rod, self.distal),
         ] {
             let centre = self.slope(q, |points| points[from] + (points[to] - points[from]) * along);
-            // A link's direction turns across itself, so its change is its angle's.
+            // A link's direction changes across itself, so the change equals its angle's.
             let turned = self.slope(q, |points| (points[to] - points[from]) / length);
             mass += centre.transpose() * centre * weight + turned.transpose() * turned * inertia;
         }
@@ -146,7 +140,7 @@ fn law(device: &Device<f64>, terms: VelocityTerms, (rate_hz, cutoff_hz): (f64, f
 }
 
 #[test]
-fn what_fades_is_an_error() {
+fn faded_velocity_terms_count_as_an_error() {
     for Situation { device: name, q, normal, known } in SITUATIONS {
         let (file, device) = (shipped(name), shipped(name).device().unwrap());
         let links = Links::of(&file);
@@ -177,13 +171,8 @@ fn at_the_end(name: &str, q: [f64; 2], normal: f64, terms: VelocityTerms) -> Vec
     let (n, along) = (unit(normal), unit(normal + 90.0));
     let end = links.tip(&Vector2::from(q));
     let mut scene = Scene { task: 2, rate_hz: 1_000.0, cutoff_hz: 100.0, velocity_terms: terms, ..Scene::default() };
-    let surface =
-        Surface::Plane(Plane { point: [end.x + 0.001 * n.x, end.y + 0.001 * n.y, 0.0], normal: [n.x, n.y, 0.0] });
-    let (feed_forward, washout_hz) = (FeedForward::Full, 2.0);
-    let (damping_compensation, bilateral) = (false, true);
-    let wall =
-        Wall { surface, stiffness: 1_000.0, damping: 0.0, feed_forward, washout_hz, damping_compensation, bilateral };
-    scene.walls.push(wall).unwrap();
+    let plane = plane_wall([end.x + 0.001 * n.x, end.y + 0.001 * n.y, 0.0], [n.x, n.y, 0.0], 1_000.0, 0.0);
+    scene.walls.push(Wall { feed_forward: FeedForward::Full, bilateral: true, ..plane }).unwrap();
     let mut controller = Controller::<f64, _, Libm, 2>::new(mechanism, &device, &scene).unwrap();
     // Backwards from the end, each millisecond from the next.
     let mut angles = vec![Vector2::from(q)];
@@ -200,7 +189,7 @@ fn at_the_end(name: &str, q: [f64; 2], normal: f64, terms: VelocityTerms) -> Vec
 }
 
 #[test]
-fn the_board_adds_nothing_where_its_estimates_lag_too_far_behind() {
+fn the_board_adds_no_terms_where_its_estimates_lag_too_far() {
     for Situation { device, q, normal, .. } in SITUATIONS {
         let torque = |terms| at_the_end(device, q, normal, terms);
         let off = torque(VelocityTerms::Off);
@@ -208,13 +197,13 @@ fn the_board_adds_nothing_where_its_estimates_lag_too_far_behind() {
         assert_eq!(torque(VelocityTerms::Rendered), off, "{device}");
         assert_eq!(torque(VelocityTerms::Paper), off, "{device}");
     }
-    // It does where they do not.
+    // Elsewhere it adds them.
     let torque = |terms| at_the_end("coupled-five-bar", [2.6, 1.75], 75.0, terms);
     assert!((torque(VelocityTerms::Rendered) - torque(VelocityTerms::Off)).norm() > 0.01);
 }
 
 #[test]
-fn the_papers_law_is_held_against_itself() {
+fn the_papers_law_is_compared_with_itself() {
     let file = shipped("coupled-five-bar");
     let (links, device) = (Links::of(&file), file.device().unwrap());
     let (q, normal) = ([2.6, 1.75], 75.0);
@@ -224,7 +213,7 @@ fn the_papers_law_is_held_against_itself() {
     let e = links.jacobian(&q).try_inverse().unwrap() * unit(normal);
     let me = links.mass(&q) * e;
     for (terms, added) in [(VelocityTerms::Rendered, b), (VelocityTerms::Paper, b - me * (e.dot(&b) / e.dot(&me)))] {
-        // Without what single counts cost.
+        // Without the error of single counts.
         let law = Law { one_count: [0.0; 3], ..law(&device, terms, RATES[1]) };
         let found = |terms| {
             let way =
@@ -238,7 +227,7 @@ fn the_papers_law_is_held_against_itself() {
 }
 
 #[test]
-fn a_plan_says_what_stays_of_the_forces_of_motion() {
+fn a_plan_names_the_remaining_forces_of_motion() {
     let device = shipped("coupled-five-bar").device().unwrap();
     let mut scene = SceneFile::load(file("scenes/coupled-five-bar/wall.toml"), 2).unwrap().scene;
     (scene.rate_hz, scene.cutoff_hz) = RATES[0];

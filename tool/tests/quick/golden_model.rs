@@ -1,5 +1,5 @@
-//! `haptic model` says what the library computes: its report of the golden cases, in both precisions. And the library's
-//! tests, which know nothing of the tool, read device files as the tool does.
+//! `haptic model` reports the golden cases as the library computes them, in both precisions. The library's tests, which
+//! do not use the tool, read device files as the tool does.
 
 use haptic_host::device_file::DeviceFile;
 use haptic_stability::model::{Precision, WallForce, evaluate};
@@ -46,10 +46,8 @@ fn the_report_holds_every_quantity_under_its_name() {
 
 #[test]
 fn the_librarys_tests_read_device_files_as_the_tool_does() {
-    let devices = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../devices");
-    let files = std::fs::read_dir(devices).expect("the folder of devices").map(|entry| entry.expect("an entry").path());
-    let files = files.filter(|path| path.extension().is_some_and(|end| end == "toml"));
-    let shipped = files.map(|path| std::fs::read_to_string(path).expect("a readable file"));
+    let shipped =
+        crate::common::files("").into_iter().map(|path| std::fs::read_to_string(path).expect("a readable file"));
     let golden = cases().into_iter().map(|case| text(&case["device"]).to_string());
     for file in shipped.chain(golden) {
         let tool = DeviceFile::parse(&file, "device").expect("a sound device");

@@ -1,9 +1,9 @@
-//! `haptic serve --haply` as programs made for Haply's service see it: frames with the keys that its official client
-//! needs, in lock-step, forces in both spellings.
+//! `haptic serve --haply` as programs for Haply's service see it: frames with the keys of its official client, in lock
+//! step, forces in both spellings.
 
-use crate::common::haptic;
 use crate::common::sim::{Sim, until};
 use crate::common::strict::{Lossy, strict};
+use crate::common::type_lines;
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_host::link::Session;
 use haptic_show::haply::{HaplyListener, Inverse3};
@@ -41,7 +41,7 @@ impl Server {
         Ok(Program::connect(&self.address)?.0)
     }
 
-    /// The next program, let in once the one before has left.
+    /// Waits until the program before has left.
     fn next(&self) -> Program {
         let mut next = None;
         until("the next program", || {
@@ -56,7 +56,7 @@ impl Server {
     }
 }
 
-/// What a plain request is answered with: status line and document.
+/// Sends a plain request. Returns status line and document.
 fn get(address: &str, path: &str, origin: &str) -> (String, Value) {
     let mut stream = TcpStream::connect(address).unwrap();
     write!(stream, "GET {path} HTTP/1.1\r\nHost: {address}\r\n{origin}\r\n").unwrap();
@@ -73,12 +73,11 @@ impl Drop for Server {
     }
 }
 
-/// A server in this process, whose board asks for what a real one asks and is ready to arm. Its time passes only while
-/// it is asked for something.
+/// A server in this process with a strict board that is ready to arm. The board's time passes only during requests.
 struct Served {
     address: String,
     board: SharedBoard,
-    /// How many of the next messages to the board are lost.
+    /// Number of the next messages to the board that are lost.
     loses: Arc<AtomicU32>,
     stop: Arc<AtomicBool>,
     server: Option<JoinHandle<()>>,
@@ -89,7 +88,7 @@ impl Served {
         Self::of(HaplyListener::open(0).unwrap(), |_| {})
     }
 
-    /// By this listener, after `prepare`.
+    /// Starts with this listener after `prepare`.
     fn of(listener: HaplyListener, prepare: impl FnOnce(&mut Session)) -> Self {
         let (board, mut session) = strict();
         prepare(&mut session);
@@ -103,7 +102,7 @@ impl Served {
         Self { address, board, loses, stop, server: Some(server) }
     }
 
-    /// A program that is let in once the one before has left, its device's id and its first frame.
+    /// Waits until the program before has left. Returns the program, its device's id and its first frame.
     fn connect(&self) -> (Program, Value, Value) {
         let mut come = None;
         until("a program", || {
@@ -126,7 +125,7 @@ impl Drop for Served {
 struct Program(WebSocket<MaybeTlsStream<TcpStream>>);
 
 impl Program {
-    /// It, and the frame that it is told first.
+    /// Returns the program and its first frame.
     fn connect(address: &str) -> Result<(Self, Value), tungstenite::Error> {
         let (socket, _) = tungstenite::connect(format!("ws://{address}/"))?;
         let mut program = Self(socket);
@@ -156,49 +155,24 @@ fn number(frame: &Value, pointer: &str) -> f64 {
     frame.pointer(pointer).and_then(Value::as_f64).unwrap_or_else(|| panic!("{pointer} in {frame}"))
 }
 
-/// What the structures of the official client (crate `haply` 1.3.1, src/device_model/devices.rs) cannot do without, and
-/// what else the service's documentation has in its first frame (3.5, WebSocket Protocol).
-const NEEDED: [&str; 33] = [
-    "device_id",
-    "state/cursor_position/x",
-    "state/cursor_velocity/z",
-    "state/angular_position/a0",
-    "state/angular_velocity/a2",
-    "state/body_orientation/w",
-    "state/mode",
-    "state/transform/rotation/w",
-    "status/calibrated",
-    "status/in_use",
-    "status/power_supply",
-    "status/ready",
-    "status/started",
-    "config/type",
-    "config/device_info/id",
-    "config/device_info/major_version",
-    "config/device_info/minor_version",
-    "config/device_info/device_type",
-    "config/device_info/uuid",
-    "config/port",
-    "config/extended_device_id",
-    "config/extended_firmware_version",
-    "config/gravity_compensation/scaling_factor",
-    "config/handedness",
-    "config/torque_scaling/enabled",
-    "config/basis/permutation",
-    "config/home_return/enabled",
-    "config/preset",
-    "config/mount/rotation/w",
-    "config/filters/damping/scalar",
-    "state/current_cursor_position/x",
-    "state/current_angular_torques/a0",
-    "state/current_angular_position/a2",
-];
+/// Keys that the structures of the official client (crate `haply` 1.3.1, src/device_model/devices.rs) need, and the other
+/// keys of the first frame in the service's documentation (3.5, WebSocket Protocol).
+const NEEDED: &str = "
+    device_id state/cursor_position/x state/cursor_velocity/z state/angular_position/a0
+    state/angular_velocity/a2 state/body_orientation/w state/mode state/transform/rotation/w status/calibrated
+    status/in_use status/power_supply status/ready status/started config/type config/device_info/id
+    config/device_info/major_version config/device_info/minor_version config/device_info/device_type
+    config/device_info/uuid config/port config/extended_device_id config/extended_firmware_version
+    config/gravity_compensation/scaling_factor config/handedness config/torque_scaling/enabled
+    config/basis/permutation config/home_return/enabled config/preset config/mount/rotation/w
+    config/filters/damping/scalar state/current_cursor_position/x state/current_angular_torques/a0
+    state/current_angular_position/a2";
 
 #[test]
-fn a_program_gets_everything_first_and_then_a_frame_for_each_message() {
+fn a_program_gets_all_keys_first_and_then_one_frame_each() {
     let server = Server::start("sim");
     let (mut program, first) = Program::connect(&server.address).unwrap();
-    for key in NEEDED {
+    for key in NEEDED.split_whitespace() {
         assert!(first.pointer(&format!("/inverse3/0/{key}")).is_some(), "{key} in {first}");
     }
     for key in
@@ -216,7 +190,7 @@ fn a_program_gets_everything_first_and_then_a_frame_for_each_message() {
     for (spelling, push, along) in
         [("values", [0.6, 0.0, 0.0], "x"), ("vector", [0.0, 0.6, 0.0], "y"), ("vector", [0.0, -0.6, 5.0], "y")]
     {
-        // Out of the ramp and the friction, and stopped before the arm is stretched.
+        // Push until the tip moves, beyond torque ramp and friction, and stop before the arm is stretched.
         let place = format!("/inverse3/0/state/cursor_position/{along}");
         let begin = number(&program.ask(&json!({})), &place);
         let sign = push[0] + push[1];
@@ -242,14 +216,14 @@ fn a_program_gets_everything_first_and_then_a_frame_for_each_message() {
     }
     let full = program.ask(&json!({"session": {"force_render_full_state": {}}}));
     assert_eq!(full["inverse3"][0]["config"]["device_info"]["id"], *id);
-    // Nonsense is answered as if it asked for nothing, and the connection stays.
+    // Nonsense acts like an empty request, and the connection stays.
     for nonsense in [json!(3), json!({"inverse3": [{"device_id": id, "commands": {"set_cursor_force": {}}}]})] {
         assert_eq!(program.ask(&nonsense)["inverse3"][0]["device_id"], *id);
     }
 }
 
 #[test]
-fn a_message_in_a_binary_frame_is_one() {
+fn a_binary_frame_is_a_message() {
     let server = Served::start();
     let (mut program, id, first) = server.connect();
     assert_eq!(first["inverse3"][0]["config"]["device_info"]["device_type"], 4);
@@ -260,7 +234,7 @@ fn a_message_in_a_binary_frame_is_one() {
 }
 
 #[test]
-fn an_answer_that_does_not_come_is_an_error_of_that_message_and_of_nothing_else() {
+fn a_lost_reply_affects_only_its_message() {
     let server = Served::start();
     let (mut program, id, _) = server.connect();
     let push = force(&id, "vector", [0.0; 3]);
@@ -272,7 +246,7 @@ fn an_answer_that_does_not_come_is_an_error_of_that_message_and_of_nothing_else(
 }
 
 #[test]
-fn a_fault_is_named_to_the_program_that_has_the_board_and_cleared_by_it() {
+fn the_program_in_control_sees_and_clears_faults() {
     let server = Served::start();
     let (mut program, id, _) = server.connect();
     let push = force(&id, "vector", [0.0; 3]);
@@ -280,7 +254,7 @@ fn a_fault_is_named_to_the_program_that_has_the_board_and_cleared_by_it() {
     let probe = json!({"inverse3": [{"device_id": id, "commands": {"probe_position": {}}}]});
     let started = |frame: &Value| frame["inverse3"][0]["status"]["started"] == true;
     assert!(started(&program.ask(&push)));
-    // The program says nothing for too long.
+    // The program is silent for too long.
     let fall_silent = || server.board.lock().run(0.6);
     fall_silent();
     let frame = program.ask(&push);
@@ -290,7 +264,7 @@ fn a_fault_is_named_to_the_program_that_has_the_board_and_cleared_by_it() {
     assert!(!started(&program.ask(&push)), "armed again behind the back of a fault");
     let cleared = program.ask(&clear);
     assert!(cleared["inverse3"][0]["fault"].is_null() && cleared["inverse3"][0]["status"]["ready"] == true);
-    // Not with the message that clears, and not at once: a program cannot run through a fault.
+    // Forces in the clearing message or right after it do not arm: a program cannot run through a fault.
     let both = json!({"inverse3": [{"device_id": id, "commands": {"clear_fault": {}, "set_cursor_force": {"vector": {"x": 0.0, "y": 0.0, "z": 0.0}}}}]});
     for _ in 0..3 {
         assert!(!started(&program.ask(&both)) && !started(&program.ask(&push)));
@@ -299,21 +273,21 @@ fn a_fault_is_named_to_the_program_that_has_the_board_and_cleared_by_it() {
     a_second();
     program.ask(&probe);
     assert!(started(&program.ask(&push)));
-    // A program that knows nothing of faults connects anew, and both are told which one it was.
+    // A program that does not clear faults may connect again; the first frame names the fault.
     fall_silent();
     program.ask(&push);
     drop(program);
     let (mut anew, _, first) = server.connect();
     assert_eq!((&first["inverse3"][0]["fault"]["code"], &first["session_id"]), (&json!(16), &json!(2)));
     assert!(started(&anew.ask(&push)));
-    // Nor does one that falls silent and leaves without another word keep the next one out.
+    // A program that falls silent and leaves does not keep the next one out.
     fall_silent();
     drop(anew);
     let (mut anew, _, first) = server.connect();
     assert_eq!(first["inverse3"][0]["fault"]["name"], "HostLost");
     assert!(started(&anew.ask(&push)));
     drop(anew);
-    // What came while nobody used the device is not its program's to clear unasked.
+    // A fault without a program is not cleared unasked.
     server.board.lock().inject(Fault::GateDriver, None, 0.0);
     server.board.lock().run(0.01);
     let (mut last, _, first) = server.connect();
@@ -323,7 +297,7 @@ fn a_fault_is_named_to_the_program_that_has_the_board_and_cleared_by_it() {
     a_second();
     last.ask(&probe);
     assert!(started(&last.ask(&push)));
-    // Nor is a fault of the board's that came while one did, to the next that connects.
+    // A board fault during a program is not cleared unasked for the next program.
     server.board.lock().inject(Fault::GateDriver, None, 0.0);
     server.board.lock().run(0.01);
     last.ask(&push);
@@ -332,7 +306,7 @@ fn a_fault_is_named_to_the_program_that_has_the_board_and_cleared_by_it() {
 }
 
 #[test]
-fn a_program_that_only_reads_is_there_and_whoever_asks_beside_it_is_not() {
+fn a_reading_program_counts_as_host_and_plain_requests_do_not() {
     let server = Served::start();
     let (mut program, id, _) = server.connect();
     program.ask(&force(&id, "vector", [0.0; 3]));
@@ -349,7 +323,7 @@ fn a_program_that_only_reads_is_there_and_whoever_asks_beside_it_is_not() {
 }
 
 #[test]
-fn a_device_that_is_not_homed_is_neither_calibrated_nor_ready_and_says_why_it_does_not_arm() {
+fn a_device_that_is_not_homed_is_not_ready_and_says_why() {
     let status =
         |frame: &Value| ["calibrated", "ready", "started"].map(|key| frame["inverse3"][0]["status"][key] == true);
     let homed = Served::start();
@@ -369,7 +343,7 @@ fn a_device_that_is_not_homed_is_neither_calibrated_nor_ready_and_says_why_it_do
 }
 
 #[test]
-fn a_program_that_says_nothing_gives_way_to_the_next_and_not_before() {
+fn a_silent_program_gives_way_to_the_next() {
     let within = |silence| Served::of(HaplyListener::open(0).unwrap().give_way_after(silence), |_| {});
     let server = within(Duration::MAX);
     let _program = server.connect();
@@ -384,14 +358,14 @@ fn a_program_that_says_nothing_gives_way_to_the_next_and_not_before() {
 }
 
 #[test]
-fn the_board_hears_from_the_server_while_no_program_is_connected() {
+fn the_server_sends_heartbeats_without_a_program() {
     let server = Served::start();
     server.loses.store(2, Ordering::Relaxed);
     until("two messages", || server.loses.load(Ordering::Relaxed) == 0);
 }
 
 #[test]
-fn a_board_that_comes_back_is_served_again_to_programs_that_connect_again() {
+fn a_returning_board_is_served_again() {
     let board = Sim::start(&[]);
     let port = board.port.rsplit(':').next().unwrap().to_owned();
     let server = Server::start(&board.port);
@@ -400,7 +374,7 @@ fn a_board_that_comes_back_is_served_again_to_programs_that_connect_again() {
     let push = force(&id, "vector", [0.0; 3]);
     program.ask(&push);
     drop(board);
-    // It does not say anything, and is told.
+    // The program learns of the loss without a request.
     assert!(matches!(program.0.read(), Ok(Message::Close(_))));
     assert!(server.get("/devices", "").0.contains("503") && server.connect().is_err());
     let _back = Sim::start(&["--tcp", &port]);
@@ -408,13 +382,13 @@ fn a_board_that_comes_back_is_served_again_to_programs_that_connect_again() {
 }
 
 #[test]
-fn devices_are_told_as_they_are_and_not_as_they_were() {
+fn device_states_are_current() {
     let server = Served::start();
     let (mut program, id, _) = server.connect();
     let acts = |address: &str| number(&get(address, "/devices", "").1, "/inverse3/0/state/current_cursor_force/x");
     program.ask(&force(&id, "vector", [0.3, 0.0, 0.0]));
     server.board.lock().run(0.45);
-    // A force that is computed from what was told half a second ago is too late.
+    // A force that was computed from a state half a second old would be too late.
     program.ask(&json!({}));
     let pushed = program.ask(&force(&id, "vector", [0.3, 0.0, 0.0]));
     let before = number(&pushed, "/inverse3/0/state/cursor_position/x");
@@ -427,7 +401,7 @@ fn devices_are_told_as_they_are_and_not_as_they_were() {
 }
 
 #[test]
-fn a_program_speaks_in_the_axes_that_it_configures() {
+fn a_program_uses_its_configured_axes() {
     let server = Served::start();
     let (mut program, id, first) = server.connect();
     let place = |frame: &Value, axis: &str| number(frame, &format!("/inverse3/0/state/cursor_position/{axis}"));
@@ -441,7 +415,7 @@ fn a_program_speaks_in_the_axes_that_it_configures() {
     // 0.6 N along the program's y are along Haply's x.
     let push = force(&id, "vector", [0.0, 0.6, 0.0]);
     program.ask(&push);
-    // Until nobody holds it any more.
+    // Until the first force has ended.
     for _ in 0..2 {
         server.board.lock().run(0.3);
         program.ask(&json!({}));
@@ -457,14 +431,14 @@ fn a_program_speaks_in_the_axes_that_it_configures() {
 }
 
 #[test]
-fn one_program_at_a_time_of_this_computer_and_the_motors_go_off_with_it() {
+fn only_one_local_program_is_served_and_its_end_disarms() {
     let board = Sim::start(&[]);
     let server = Server::start(&board.port);
     let (status, devices) = server.get("/devices", "");
     let id = devices["inverse3"][0]["device_id"].clone();
     assert!(status.contains("200") && !devices["inverse3"][0]["config"].is_null(), "{status}");
     assert!(server.get("/version", "").0.contains("200") && server.get("/else", "").0.contains("404"));
-    // Pages in a browser, of another site or of whatever else listens on this computer.
+    // Pages in a browser, from another site or another server on this computer.
     for page in ["http://evil.example", "null", "http://localhost:3000", "http://127.0.0.1:3000"] {
         assert!(server.get("/devices", &format!("Origin: {page}\r\n")).0.contains("403"), "{page}");
     }
@@ -473,10 +447,10 @@ fn one_program_at_a_time_of_this_computer_and_the_motors_go_off_with_it() {
     program.ask(&force(&id, "vector", [0.0; 3]));
     assert_eq!(started(), true);
     drop(program);
-    // The server's own end: the next program finds the motors off.
+    // The next program finds the motors off.
     let mut again = server.next();
     assert_eq!(again.ask(&json!({}))["inverse3"][0]["status"]["started"], false);
-    // Who disarms the board meanwhile is not overruled by the program's next force.
+    // A force does not arm a board again that another tool has disarmed.
     let forces = |program: &mut Program| {
         (0..50).map(|_| program.ask(&force(&id, "vector", [0.0; 3]))["inverse3"][0]["status"]["started"] == true).last()
     };
@@ -489,11 +463,15 @@ fn one_program_at_a_time_of_this_computer_and_the_motors_go_off_with_it() {
 }
 
 #[test]
-fn what_cannot_be_served_says_so() {
-    haptic(&["serve", "--port", "sim"]).assert().code(2);
-    haptic(&["serve", "--haply", "--port", "sim", "--axes", "x,x,0"]).assert().code(2);
+fn impossible_servers_are_refused() {
     let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
-    let port = taken.local_addr().unwrap().port().to_string();
-    let said = haptic(&["serve", "--haply", "--port", "sim", "--listen", &port]).assert().code(1);
-    assert!(String::from_utf8_lossy(&said.get_output().stderr).contains("cannot listen on port"));
+    let port = taken.local_addr().unwrap().port();
+    type_lines(
+        &format!(
+            "2: serve --port sim
+            2: serve --haply --port sim --axes x,x,0
+            1: serve --haply --port sim --listen {port} => cannot listen on port"
+        ),
+        &[],
+    );
 }

@@ -1,22 +1,22 @@
-//! What a device file says is measured before a board arms: files, wires and sensors that lie.
+//! A board measures its device before it arms, and so finds wrong files, wires and sensors.
 
 use crate::common::drawn::check_wrong;
-use crate::common::lies::{LIES, Lie, Outcome, When, counts, moved, outcome, refused};
+use crate::common::injected::{INJECTED_ERRORS, InjectedError, Outcome, When, counts, moved, outcome, refused};
 use crate::common::{all_shipped, shipped};
 use haptic_bridge::model::description::Description;
 use haptic_bridge::safety::fault::Fault;
 use haptic_bridge::safety::limits::GENTLE_FORCE;
 
 #[test]
-fn every_shipped_device_passes_as_its_file_says() {
+fn every_shipped_device_passes_its_check() {
     for file in all_shipped() {
-        let nothing = Lie { what: "nothing", when: When::Always(|_, _| ()) };
+        let nothing = InjectedError { what: "nothing", when: When::Always(|_, _| ()) };
         assert_eq!(refused(&file, &nothing), Ok(()), "{}", file.name);
     }
 }
 
-/// The faults that say that something is not as the file has it.
-const SAYING: [Fault; 7] = [
+/// Faults that report a device that differs from its file.
+const MISMATCH: [Fault; 7] = [
     Fault::TorqueMismatch,
     Fault::ResistanceMismatch,
     Fault::PolarityWrong,
@@ -40,19 +40,19 @@ fn a_board_does_not_arm_with_a_device_that_is_not_its_files() {
         "first current sensor shows two thirds",
         "current sensors show 150 %",
     ];
-    let lies: Vec<_> = LIES.iter().filter(|lie| must.contains(&lie.what)).collect();
-    assert_eq!(lies.len(), must.len());
+    let errors: Vec<_> = INJECTED_ERRORS.iter().filter(|error| must.contains(&error.what)).collect();
+    assert_eq!(errors.len(), must.len());
     let mut missed = Vec::new();
     for name in ["coupled-five-bar", "hapkit-paddle", "pantograph-mk2", "woodenhaptics"] {
         let file = shipped(name);
-        for lie in &lies {
+        for error in &errors {
             // A paddle has one motor.
-            if lie.what.contains("first two") && file.spec().joints < 2 {
+            if error.what.contains("first two") && file.spec().joints < 2 {
                 continue;
             }
-            let ended = refused(&file, lie);
-            if !ended.is_err_and(|record| SAYING.contains(&record.fault)) {
-                missed.push(format!("{name}: {}: {ended:?}", lie.what));
+            let ended = refused(&file, error);
+            if !ended.is_err_and(|record| MISMATCH.contains(&record.fault)) {
+                missed.push(format!("{name}: {}: {ended:?}", error.what));
             }
         }
     }
@@ -60,12 +60,13 @@ fn a_board_does_not_arm_with_a_device_that_is_not_its_files() {
 }
 
 #[test]
-fn a_check_with_ten_times_too_many_counts_in_the_file_stops_near_where_it_began() {
-    let lie = Lie { what: "a tenth of the file's counts", when: When::Always(|wired, _| counts(wired, 0.1)) };
+fn a_check_with_ten_times_the_counts_stops_near_its_start() {
+    let error =
+        InjectedError { what: "a tenth of the file's counts", when: When::Always(|wired, _| counts(wired, 0.1)) };
     let mut wrong = Vec::new();
     for name in ["hapkit-paddle", "pantograph-mk2", "woodenhaptics"] {
-        let (ended, moved) = moved(&shipped(name), &lie);
-        if !ended.is_err_and(|record| SAYING.contains(&record.fault)) || moved.travel > 0.2 {
+        let (ended, moved) = moved(&shipped(name), &error);
+        if !ended.is_err_and(|record| MISMATCH.contains(&record.fault)) || moved.travel > 0.2 {
             wrong.push(format!("{name}: {ended:?}, {moved:?}"));
         }
     }
@@ -73,10 +74,11 @@ fn a_check_with_ten_times_too_many_counts_in_the_file_stops_near_where_it_began(
 }
 
 #[test]
-fn with_a_home_off_by_0_2_rad_checks_push_at_most_1_4_times_the_limit() {
+fn checks_0_2_rad_off_home_push_at_most_1_4_times_the_limit() {
     let file = shipped("capstan-pantograph");
-    let homed_off =
-        |lie| moved(&file, &Lie { what: "the device stands elsewhere than at home", when: When::Always(lie) });
+    let homed_off = |error| {
+        moved(&file, &InjectedError { what: "the device stands elsewhere than at home", when: When::Always(error) })
+    };
     let pushed = [
         homed_off(|wired, _| stand(wired, [0.2, 0.0])),
         homed_off(|wired, _| stand(wired, [0.0, -0.2])),
@@ -84,20 +86,20 @@ fn with_a_home_off_by_0_2_rad_checks_push_at_most_1_4_times_the_limit() {
         homed_off(|wired, _| stand(wired, [-0.2, 0.0])),
     ];
     for (ended, moved) in pushed {
-        // At 0.2 rad the linkage stretches and stands at its stop, where a torque makes the largest force.
+        // 0.2 rad off, the linkage stretches to its stop, where a torque makes the largest force.
         assert!(moved.push > 1.0 && moved.push < 1.4 * f64::from(GENTLE_FORCE), "{ended:?}, {moved:?}");
     }
 }
 
-/// Puts a device so far (rad) from home.
+/// Displaces a device from home, rad.
 fn stand(wired: &mut Description, off: [f64; 2]) {
     let home = wired.home.iter_mut().flatten();
     home.zip(off).for_each(|(home, off)| *home += off);
 }
 
-/// The deep part `lies` draws more of them.
+/// The deep part `lies` runs more of them.
 #[test]
-fn a_few_drawn_checks_push_no_harder_than_a_finger() {
+fn a_few_random_checks_push_no_harder_than_a_finger() {
     for seed in 0..12 {
         let checked = check_wrong(seed);
         assert!(checked.moved.push < 5.0 && checked.moved.travel < 0.15 && checked.ended.is_err(), "{checked}");
@@ -106,15 +108,15 @@ fn a_few_drawn_checks_push_no_harder_than_a_finger() {
 
 /// 1 V is 11 N of this motor.
 #[test]
-fn a_sensor_that_begins_to_lie_pushes_no_harder_than_its_bound_however_strong_the_motor() {
+fn a_failing_sensor_pushes_no_harder_than_its_bound() {
     let mut file = shipped("hapkit-paddle");
     let motor = file.description.joints[0].motor.as_mut().unwrap();
     (motor.torque_constant, motor.back_emf, motor.resistance, motor.max_current) = (1.9, 1.9, 2.33, 2.0);
     for what in
         ["first current sensor freezes", "current sensors begin to show half", "first current sensor 0.5 A too low"]
     {
-        let lie = LIES.iter().find(|lie| lie.what == what).unwrap();
-        let harm = match outcome(&file, lie) {
+        let error = INJECTED_ERRORS.iter().find(|error| error.what == what).unwrap();
+        let harm = match outcome(&file, error) {
             Outcome::Refused(record) => panic!("{what}: {record:?}"),
             Outcome::Seen(_, _, harm) | Outcome::Missed(harm) => harm,
         };

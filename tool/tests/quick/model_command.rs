@@ -1,33 +1,29 @@
-//! `haptic model` as another program meets it: one JSON document, exit codes, and singular poses told apart.
+//! `haptic model` as other programs see it: one JSON document, exit codes, and the kinds of singular poses.
 
-use crate::common::{file, haptic};
+use crate::common::{self, output, run, type_lines};
 use nalgebra::{DMatrix, DVector};
 use serde_json::Value;
-use std::process::Output;
 
-fn model(name: &str, args: &[&str]) -> Output {
-    haptic(&["model", &file(&format!("{name}.toml"))]).args(args).output().expect("it runs")
+fn line<'a>(device: &'a str, args: &[&'a str]) -> Vec<&'a str> {
+    [&["model", device], args].concat()
 }
 
+/// The document of a command that prints nothing on standard error.
 fn json(name: &str, args: &[&str]) -> Value {
-    let output = model(name, &[args, &["--json"]].concat());
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    assert!(output.stderr.is_empty());
-    serde_json::from_slice(&output.stdout).expect("one JSON document and nothing else")
+    let (code, out, err) = run(&line(&format!("devices/{name}.toml"), &[args, &["--json"]].concat()));
+    assert_eq!((code, err.as_str()), (0, ""));
+    serde_json::from_str(&out).expect("one JSON document and nothing else")
 }
 
-/// The one line on standard error of a command that ends with `code`.
-fn refusal(code: i32, name: &str, args: &[&str]) -> String {
-    let output = model(name, args);
-    let said = String::from_utf8(output.stderr).expect("text");
-    assert_eq!(output.status.code(), Some(code), "{args:?}: {said}");
-    assert!(output.stdout.is_empty(), "nothing on standard output");
-    said
-}
-
-fn one_line(said: String) -> String {
+/// The line on standard error of a command that ends with 1.
+fn failure(name: &str, args: &[&str]) -> String {
+    let said = common::refusal(1, &line(&format!("devices/{name}.toml"), args));
     assert_eq!(said.trim_end().lines().count(), 1, "one line: {said}");
     said
+}
+
+fn numbers(value: &Value) -> Vec<f64> {
+    value.as_array().expect("a list").iter().map(|entry| entry.as_f64().expect("a number")).collect()
 }
 
 fn angles(q: &[f64]) -> String {
@@ -39,34 +35,9 @@ fn angles(q: &[f64]) -> String {
 fn the_document_has_the_documented_keys_and_shapes() {
     let one = json("woodenhaptics", &["--q=0.2,1.0,-0.5", "--normal=0.7,0.7,0", "--force", "2"]);
     let keys: Vec<&str> = one.as_object().expect("an object").keys().map(String::as_str).collect();
-    let mut documented = [
-        "position",
-        "jacobian",
-        "mass",
-        "bias",
-        "w_rr",
-        "w_ra",
-        "w_aa",
-        "z_r",
-        "z_a",
-        "w_eff",
-        "coupling",
-        "f_a",
-        "torque",
-        "torque_without_feed_forward",
-        "condition",
-        "perception",
-        "q",
-        "qd",
-        "normals",
-        "forces",
-        "precision",
-        "admissible",
-    ];
-    documented.sort_unstable();
-    let mut sorted = keys.clone();
-    sorted.sort_unstable();
-    assert_eq!(sorted, documented);
+    let documented = "admissible bias condition coupling f_a forces jacobian mass normals perception position precision q \
+                      qd torque torque_without_feed_forward w_aa w_eff w_ra w_rr z_a z_r";
+    assert_eq!(keys.join(" "), documented);
     let shape = |value: &Value| {
         let rows = value.as_array().expect("a list");
         (rows.len(), rows.first().and_then(Value::as_array).map_or(0, Vec::len))
@@ -101,13 +72,13 @@ fn the_document_has_the_documented_keys_and_shapes() {
     assert_eq!(arm["position"].as_array().map(Vec::len), Some(2));
 }
 
-/// Two numbers that differ by no more than rounding.
+/// Returns true if two numbers differ only by rounding.
 fn near(value: &Value, expected: f64) -> bool {
     value.as_f64().is_some_and(|value| (value - expected).abs() < 1e-12)
 }
 
 #[test]
-fn several_walls_have_the_directions_and_shares_of_their_levels() {
+fn several_walls_have_directions_and_shares() {
     let [n, m] = ["--normal=0.6,0.8", "--normal=-0.8,0.6"];
     let corner = json("coupled-five-bar", &[n, m, "--stiffness=3,1"]);
     let [first, second] = corner["directions"].as_array().unwrap().as_slice() else { panic!("{corner}") };
@@ -135,18 +106,15 @@ fn a_normal_of_any_length_is_the_same_wall() {
     let short = json("haply-2diy", &["--normal=3e-30,4e-30", "--force=2"]);
     let long = json("haply-2diy", &["--normal=0.6,0.8", "--force=2"]);
     for key in ["torque", "torque_without_feed_forward"] {
-        let (short, long) = (short[key].as_array().expect("a list"), long[key].as_array().expect("a list"));
+        let (short, long) = (numbers(&short[key]), numbers(&long[key]));
         assert_eq!((short.len(), long.len()), (2, 2), "{key} of two joints");
-        for (a, b) in short.iter().zip(long) {
-            let (a, b) = (a.as_f64().expect("a number"), b.as_f64().expect("a number"));
-            assert!(a != 0.0, "{key}: the force is 2 N");
-            assert!((a - b).abs() < 1.0e-12, "{key}: {a} {b}");
-        }
+        let same = short.iter().zip(&long).all(|(a, b)| *a != 0.0 && (a - b).abs() < 1.0e-12);
+        assert!(same, "{key} of 2 N: {short:?} {long:?}");
     }
 }
 
 #[test]
-fn without_a_pose_the_home_pose_is_meant() {
+fn the_default_pose_is_home() {
     let home = json("coupled-five-bar", &[]);
     let said = json("coupled-five-bar", &["--q=2.3,0.84159265358979"]);
     assert_eq!(home, said);
@@ -159,14 +127,11 @@ fn whole_turns_change_nothing_on_the_board_either() {
     let wall = ["--normal=0.7,0.7", "--force=2", "--precision=f32"];
     let near = json("coupled-five-bar", &[&wall[..], &[&angles(&[2.6, 1.75])]].concat());
     let far = [2.6 + 1000.0 * turn, 1.75 - 1000.0 * turn];
-    let output = model("coupled-five-bar", &[&wall[..], &[&angles(&far), "--json"]].concat());
-    // That the angles are many turns is doubted, on standard error.
-    let far: Value = serde_json::from_slice(&output.stdout).expect("one JSON document");
-    assert_eq!((near["torque"].as_array().map(Vec::len), far["torque"].as_array().map(Vec::len)), (Some(2), Some(2)));
-    for (a, b) in near["torque"].as_array().into_iter().flatten().zip(far["torque"].as_array().into_iter().flatten()) {
-        let (a, b) = (a.as_f64().expect("a number"), b.as_f64().expect("a number"));
-        assert!((a - b).abs() < 2.0e-6, "{a} {b}");
-    }
+    // Angles of many turns cause a warning on standard error.
+    let far = common::json(&line("devices/coupled-five-bar.toml", &[&wall[..], &[&angles(&far)]].concat()));
+    let (near, far) = (numbers(&near["torque"]), numbers(&far["torque"]));
+    let same = near.iter().zip(&far).all(|(a, b)| (a - b).abs() < 2.0e-6);
+    assert!(near.len() == 2 && far.len() == 2 && same, "{near:?} {far:?}");
 }
 
 #[test]
@@ -177,20 +142,20 @@ fn a_stretched_arm_is_a_serial_singularity_of_its_joint() {
     let reach = tip.0.hypot(tip.1);
     let elbow = ((proximal.powi(2) + reach.powi(2) - distal.powi(2)) / (2.0 * proximal * reach)).acos();
     let q1 = tip.1.atan2(tip.0) - elbow;
-    let said = one_line(refusal(1, "haply-2diy", &[&angles(&[1.2, q1]), "--normal=0,1", "--force=1"]));
+    let said = failure("haply-2diy", &[&angles(&[1.2, q1]), "--normal=0,1", "--force=1"]);
     assert!(said.contains("serial singularity: joint 0 turns without moving the tip"), "{said}");
-    // Near it, the numbers are there again.
+    // Near the singularity the model is evaluated.
     let near = json("haply-2diy", &[&angles(&[1.2 + 1.0e-3, q1]), "--normal=0,1", "--force=1"]);
     assert!(near["condition"]["jacobian"].as_f64().is_some_and(|condition| condition > 100.0));
 }
 
 #[test]
-fn distal_links_in_line_are_a_parallel_singularity() {
+fn aligned_distal_links_are_a_parallel_singularity() {
     // pantograph-mk2: elbows exactly two distal lengths apart.
     let q1 = ((0.15_f64 - 0.025) / 0.126).acos();
-    let said = one_line(refusal(1, "pantograph-mk2", &[&angles(&[core::f64::consts::PI - q1, q1]), "--normal=0,1"]));
+    let said = failure("pantograph-mk2", &[&angles(&[core::f64::consts::PI - q1, q1]), "--normal=0,1"]);
     assert!(said.contains("parallel singularity"), "{said}");
-    let apart = one_line(refusal(1, "pantograph-mk2", &[&angles(&[core::f64::consts::PI, 0.0]), "--normal=0,1"]));
+    let apart = failure("pantograph-mk2", &[&angles(&[core::f64::consts::PI, 0.0]), "--normal=0,1"]);
     assert!(apart.contains("do not meet"), "{apart}");
 }
 
@@ -203,41 +168,36 @@ fn other_mechanisms_name_their_singularities() {
         ("serial-3r", "--q=0.3,0,0.5", "serial singularity"),
     ] {
         let normal = if name == "serial-3r" { "--normal=0,1" } else { "--normal=0,1,0" };
-        let said = one_line(refusal(1, name, &[q, normal]));
+        let said = failure(name, &[q, normal]);
         assert!(said.contains(word), "{said}");
     }
 }
 
 #[test]
-fn wrong_arguments_end_with_2_and_say_what_is_wrong() {
-    for (args, word) in [
-        (&["--q=1"][..], "--q has 1 number, but this device takes 2"),
-        (&["--q=1,2,3"], "--q has 3 numbers"),
-        (&["--qd=1"], "--qd has 1 number,"),
-        (&["--normal=0,0"], "--normal is zero"),
-        (&["--normal=0,0,1"], "--normal has 3 numbers"),
-        (&["--normal=0,1", "--force=1", "--force=2"], "in pairs"),
-        (&["--force=1"], "in pairs"),
-        (&["--q=a,b"], "`a` is not a number"),
-        (&["--q=nan,1"], "not a finite number"),
-        (&["--q="], "not a number"),
-        (&["--normal=0,1", "--force=inf"], "not a finite number"),
-        (&["--precision=f16"], "f16"),
-        (&["--colour"], "--colour"),
-    ] {
-        let said = refusal(2, "haply-2diy", args);
-        assert!(said.contains(word), "{args:?}: {said}");
-    }
+fn wrong_arguments_are_refused() {
+    let line = "2: model devices/haply-2diy.toml";
+    let table = [
+        ("--q=1", "--q has 1 number, but this device takes 2"),
+        ("--q=1,2,3", "--q has 3 numbers"),
+        ("--qd=1", "--qd has 1 number,"),
+        ("--normal=0,0", "--normal is zero"),
+        ("--normal=0,0,1", "--normal has 3 numbers"),
+        ("--normal=0,1 --force=1 --force=2", "in pairs"),
+        ("--force=1", "in pairs"),
+        ("--q=a,b", "`a` is not a number"),
+        ("--q=nan,1", "not a finite number"),
+        ("--q=", "not a number"),
+        ("--normal=0,1 --force=inf", "not a finite number"),
+        ("--precision=f16", "f16"),
+        ("--colour", "--colour"),
+    ];
+    table.iter().for_each(|(options, words)| type_lines(&format!("{line} {options} => {words}"), &[]));
 }
 
 #[test]
-fn the_text_says_what_the_feed_forward_buys_and_costs() {
-    let text = |name: &str, normal: &str| {
-        let output = model(name, &[normal, "--force=1"]);
-        assert!(output.status.success());
-        String::from_utf8(output.stdout).expect("text")
-    };
-    // The home pose of a light five-bar couples next to nothing; a WoodenHaptics at its own does.
+fn the_text_names_gain_and_cost_of_the_feed_forward() {
+    let text = |name: &str, normal: &str| output(&line(&format!("devices/{name}.toml"), &[normal, "--force=1"]));
+    // The home pose of a light five-bar has almost no coupling; that of a WoodenHaptics has much.
     let light = text("pantograph-mk2", "--normal=0,1");
     assert!(light.contains("has almost no benefit"), "{light}");
     let heavy = text("woodenhaptics", "--normal=0.5,1,0");
@@ -252,20 +212,20 @@ fn matrix(value: &Value) -> DMatrix<f64> {
     DMatrix::from_fn(rows.len(), columns, |i, j| rows[i][j].as_f64().expect("a number"))
 }
 
-/// The force (N, by directions across the normal) with which a hand has to push per m/s² along a wall that keeps the tip
-/// from moving across it with these torques (N m) per newton: its eigenvalues, kg.
+/// Inertias that a hand feels along a wall, kg: eigenvalues of the force per acceleration across the normal, while the
+/// wall's torques (N m per newton) keep the tip on its surface.
 fn felt(document: &Value, torque: &DVector<f64>, normal: &[f64]) -> Vec<f64> {
     let (jacobian, mass) = (matrix(&document["jacobian"]), matrix(&document["mass"]));
     let solve = |torque: &DVector<f64>| &jacobian * mass.clone().lu().solve(torque).expect("a mass matrix");
     let n = DVector::from_column_slice(normal);
-    // What moves the tip across the normal is an eigenvector of 1 - n nᵀ.
+    // Directions across the normal are eigenvectors of 1 - n nᵀ.
     let flat = (DMatrix::identity(n.len(), n.len()) - &n * n.transpose()).symmetric_eigen();
     let across: Vec<DVector<f64>> =
         (0..n.len()).filter(|i| flat.eigenvalues[*i] > 0.5).map(|i| flat.eigenvectors.column(i).into_owned()).collect();
     let pressed = solve(torque);
     let moved = across.iter().map(|t| {
         let free = solve(&(jacobian.transpose() * t));
-        // The wall's force is as large as keeps the tip on its surface.
+        // The wall's force keeps the tip on its surface.
         &free - &pressed * (n.dot(&free) / n.dot(&pressed))
     });
     let moved: Vec<DVector<f64>> = moved.collect();
@@ -284,12 +244,9 @@ fn a_hand_feels_less_along_a_wall_with_the_feed_forward() {
     ] {
         let list: Vec<String> = normal.iter().map(f64::to_string).collect();
         let along = format!("--normal={}", list.join(","));
-        // Weight is no part of it.
+        // Without the weight.
         let [none, one] = ["--force=0", "--force=1"].map(|force| json(name, &[pose, &along, force]));
         let perception = &one["perception"];
-        let numbers = |value: &Value| -> Vec<f64> {
-            value.as_array().expect("a list").iter().map(|entry| entry.as_f64().expect("a number")).collect()
-        };
         let mut sums = Vec::new();
         for (mode, torques) in [("off", "torque_without_feed_forward"), ("full", "torque")] {
             let torque = DVector::from_vec(numbers(&one[torques])) - DVector::from_vec(numbers(&none[torques]));
@@ -302,7 +259,7 @@ fn a_hand_feels_less_along_a_wall_with_the_feed_forward() {
             sums.push(found.iter().sum::<f64>());
         }
         assert!(sums[1] < 0.999 * sums[0], "{name}: {sums:?}");
-        // In the air, any way: between the least and the most.
+        // In the air, by direction.
         let (tip, ratio) = (numbers(&perception["tip"]), perception["ratio"].as_f64().expect("a number"));
         assert_eq!(tip.len(), normal.len());
         assert!((ratio - tip.last().unwrap() / tip[0]).abs() < 1e-12 && ratio > 1.0, "{name}: {tip:?}");
@@ -312,7 +269,7 @@ fn a_hand_feels_less_along_a_wall_with_the_feed_forward() {
 }
 
 #[test]
-fn overflow_is_an_error_and_not_null() {
-    let said = one_line(refusal(1, "haply-2diy", &["--qd=1e200,1e200", "--normal=0,1", "--json"]));
+fn overflow_is_an_error() {
+    let said = failure("haply-2diy", &["--qd=1e200,1e200", "--normal=0,1", "--json"]);
     assert!(said.contains("overflow"), "{said}");
 }

@@ -1,17 +1,17 @@
-//! `haptic plot`: what is drawn is what was recorded. A recording of known functions is drawn, and the picture is read
-//! back by its own ticks and labels, without the code that drew it.
+//! `haptic plot` draws the recorded values: a recording of known functions is drawn, and the picture is read back by its
+//! own ticks and labels, without the drawing code.
 
-use crate::common::{file, haptic, json};
+use crate::common::{Folder, file, haptic, json, output, type_lines};
 use haptic_show::plot::axes::{Axis, Mark, PlotArea};
 use haptic_show::plot::canvas::Canvas;
 use predicates::str::contains;
 use std::f64::consts::TAU;
 use std::path::Path;
 
-/// Rows a second, and how many.
+/// Rows per second, and number of rows.
 const RATE: f64 = 1000.0;
 const ROWS: usize = 2000;
-/// Lost on the way.
+/// Lost rows.
 const GAP: std::ops::Range<usize> = 600..700;
 
 fn depth(t: f64) -> f64 {
@@ -39,7 +39,7 @@ fn recording(path: &Path) {
     std::fs::write(path, text).unwrap();
 }
 
-/// A coordinate system read from an SVG: what each axis is called, and its lines in SI units.
+/// A coordinate system read from an SVG: labels of the axes, and lines in SI units.
 #[derive(Debug, Default)]
 struct SvgPanel {
     labels: Vec<String>,
@@ -102,7 +102,7 @@ fn read(svg: &str) -> Vec<SvgPanel> {
 }
 
 #[test]
-fn the_picture_says_what_was_recorded() {
+fn the_picture_shows_the_recorded_values() {
     let folder = tempfile::tempdir().unwrap();
     let (csv, svg, png) = (folder.path().join("a.csv"), folder.path().join("a.svg"), folder.path().join("a.png"));
     recording(&csv);
@@ -130,7 +130,7 @@ fn the_picture_says_what_was_recorded() {
     ];
     assert_eq!(names, expected);
 
-    // Over time: every point lies on the function, and no line leads over what was lost.
+    // Over time: every point lies on the function, and no line crosses the lost rows.
     let time = &panels[0];
     assert_eq!(time.lines.len(), 2, "{}", time.lines.len());
     assert!(time.lines[0].len() > 300);
@@ -157,7 +157,7 @@ fn the_picture_says_what_was_recorded() {
     let height: f64 = attribute(text.lines().next().unwrap(), "height").unwrap();
     assert_eq!((size(16), size(20)), (1440, (2.0 * height) as u32), "two pixels per unit");
 
-    // A sine shows its amplitude at its frequency, and its mean not at all.
+    // The spectrum of a sine has its amplitude at its frequency, and no mean.
     plot(&["--signals", "torque0_n_m", "--show", "spectrum", "--force", "--svg", files[1]])
         .success()
         .stdout(contains("at 125.0 Hz"));
@@ -178,7 +178,7 @@ fn the_picture_says_what_was_recorded() {
 }
 
 #[test]
-fn a_legend_lies_where_nothing_is_drawn() {
+fn a_legend_covers_no_curve() {
     let axis = |high: f64| Axis { name: "x".into(), unit: "m".into(), low: 0.0, high };
     let frame = PlotArea { at: (100.0, 50.0), size: (600.0, 300.0), x: axis(600.0), y: axis(300.0) };
     // The top of the box that is drawn, and the height of the page.
@@ -195,112 +195,99 @@ fn a_legend_lies_where_nothing_is_drawn() {
     let width = 48.0 + 6.5 * 5.0;
     let right = 690.0 - width;
     assert_eq!(legend(&[]), (right, 60.0, 400.0));
-    // A line far from its ends, a dot, and one that passes by.
+    // A line in one corner, a dot in the other, and a line across.
     let falling = vec![(400.0, 300.0), (600.0, 270.0)];
     assert_eq!(legend(std::slice::from_ref(&falling)), (110.0, 60.0, 400.0));
     assert_eq!(legend(&[falling.clone(), vec![(50.0, 280.0)]]), (right, 312.0, 400.0));
     assert_eq!(legend(&[vec![(0.0, 240.0), (600.0, 240.0)]]), (right, 60.0, 400.0));
-    // Nowhere: below the page.
+    // Without room inside, the legend is below the page.
     let cross = [vec![(0.0, 0.0), (600.0, 300.0)], vec![(0.0, 300.0), (600.0, 0.0)]];
     assert_eq!(legend(&cross), (100.0, 400.0, 400.0 + 28.0 + 20.0));
 }
 
-/// At 20 kHz a velocity that jumps from row to row is a line in the picture and no area, and untouched in --json.
+/// At 20 kHz a velocity that jumps between rows is a line in the picture, not an area; --json has all rows.
 #[test]
-fn the_phase_of_fast_rows_is_drawn_of_means() {
-    let folder = tempfile::tempdir().unwrap();
-    let (csv, svg) = (folder.path().join("a.csv"), folder.path().join("a.svg"));
-    let mut text = "# haptic-bridge recording\n# date 2026-01-01\n# device a-device\n\
-                    # control rate 20000 Hz, every step\nstep,time_s,distance_m,velocity_m_s\n"
-        .to_string();
-    for row in 0..10_000 {
-        let jump = if row % 2 == 0 { 0.1 } else { -0.1 };
-        text.push_str(&format!("{row},{},{},{}\n", row as f64 / 20e3, 1e-6 * row as f64, 0.02 + jump));
-    }
-    std::fs::write(&csv, text).unwrap();
-    let plot = |more: &[&str]| haptic(&["plot", "--show", "phase"]).arg(&csv).args(more).assert().success();
-    plot(&["--svg", svg.to_str().unwrap()]);
+fn the_phase_portrait_of_fast_rows_is_drawn_from_means() {
+    let (folder, csv) = recorded(20e3, "distance_m,velocity_m_s", 10_000, |t| {
+        let row = (t * 20e3).round();
+        format!("{},{}", 1e-6 * row, if row % 2.0 == 0.0 { 0.12 } else { -0.08 })
+    });
+    let svg = folder.path("a.svg");
+    type_lines(&format!("plot --show phase {csv} --svg {svg}"), &[]);
     let text = std::fs::read_to_string(&svg).unwrap();
     assert!(text.contains("means over 20 rows"), "{text}");
     let line = &read(&text)[0].lines[0];
     assert!((400..=500).contains(&line.len()), "{}", line.len());
     assert!(line.iter().all(|(_, v)| (v - 0.02).abs() < 6e-3), "{line:?}");
-    let json: serde_json::Value = serde_json::from_slice(&plot(&["--json"]).get_output().stdout).unwrap();
+    let json = json(&["plot", "--show", "phase", &csv]);
     assert_eq!(json["panels"][0]["curves"][0]["pieces"][0].as_array().unwrap().len(), 10_000);
 }
 
 #[test]
-fn what_never_moved_has_a_spectrum_at_the_floor() {
-    let folder = tempfile::tempdir().unwrap();
-    let csv = folder.path().join("a.csv");
-    let mut text = "# haptic-bridge recording\n# date 2026-01-01\n# device a-device\n\
-                    # control rate 1000 Hz, every step\nstep,time_s,distance_m\n"
-        .to_string();
-    (0..3000).for_each(|row| text.push_str(&format!("{row},{},0\n", f64::from(row) / 1e3)));
-    std::fs::write(&csv, text).unwrap();
-    let json = json(&["plot", csv.to_str().unwrap(), "--signals", "distance_m", "--show", "spectrum"]);
+fn a_constant_signal_has_a_spectrum_at_the_floor() {
+    let (_folder, csv) = recorded(RATE, "distance_m", 3000, |_| "0".into());
+    let json = json(&["plot", &csv, "--signals", "distance_m", "--show", "spectrum"]);
     let points = json["panels"][0]["curves"][0]["pieces"][0].as_array().unwrap();
     assert!(points.len() > 100 && points.iter().all(|point| (point[1].as_f64().unwrap() + 120.0).abs() < 1e-9));
 }
 
 #[test]
-fn what_cannot_be_drawn_is_refused_in_words() {
-    let folder = tempfile::tempdir().unwrap();
-    let csv = folder.path().join("a.csv");
-    recording(&csv);
-    let refused = |more: &[&str], said: &str| {
-        haptic(&["plot"]).arg(&csv).args(more).assert().code(2).stderr(contains(said));
-    };
-    refused(&["--signals", "nothing_n"], "no column nothing_n; it has step, time_s, torque0_n_m");
-    refused(&["--from", "5"], "0 rows to draw; the recording has rows from 0 to 1.999 s");
-    refused(&["--show", "colour"], "time, force, spectrum, phase");
-    refused(&["--svg", "-"], "/dev/stdout for the standard output");
-    std::fs::write(&csv, "not, a recording\n1,2\n").unwrap();
-    refused(&[], "no column step");
-    std::fs::write(&csv, b"\x89MCAP0\r\nrubbish").unwrap();
-    refused(&[], "no channel /rows");
-    std::fs::write(&csv, [0xff, 0xfe, 0x00]).unwrap();
-    refused(&[], "neither MCAP nor text");
+fn undrawable_recordings_are_refused() {
+    let folder = Folder::new();
+    let csv = folder.path("a.csv");
+    recording(Path::new(&csv));
+    type_lines(
+        &format!(
+            "2: plot {csv} --signals nothing_n => no column nothing_n; it has step, time_s, torque0_n_m
+            2: plot {csv} --from 5 => 0 rows to draw; the recording has rows from 0 to 1.999 s
+            2: plot {csv} --show colour => time, force, spectrum, phase
+            2: plot {csv} --svg - => /dev/stdout for the standard output"
+        ),
+        &[],
+    );
+    for (contents, words) in [
+        (&b"not, a recording\n1,2\n"[..], "no column step"),
+        (b"\x89MCAP0\r\nrubbish", "no channel /rows"),
+        (&[0xff, 0xfe, 0x00], "neither MCAP nor text"),
+    ] {
+        folder.write("a.csv", contents);
+        type_lines(&format!("2: plot {csv} => {words}"), &[]);
+    }
 }
 
-/// A recording at 1000 Hz of these columns.
-fn write_rows(path: &Path, columns: &str, rows: usize, row: impl Fn(f64) -> String) {
-    let mut text = format!("# haptic-bridge recording\n# control rate 1000 Hz, every step\nstep,time_s,{columns}\n");
-    (0..rows).for_each(|i| text += &format!("{i},{},{}\n", i as f64 / RATE, row(i as f64 / RATE)));
-    std::fs::write(path, text).unwrap();
+/// Writes a recording of these columns. Returns its folder and path.
+fn recorded(rate_hz: f64, columns: &str, rows: usize, row: impl Fn(f64) -> String) -> (Folder, String) {
+    let folder = Folder::new();
+    let head = format!("# haptic-bridge recording\n# control rate {rate_hz} Hz, every step\nstep,time_s,{columns}\n");
+    let rows = (0..rows).map(|i| format!("{i},{},{}\n", i as f64 / rate_hz, row(i as f64 / rate_hz)));
+    let csv = folder.write("a.csv", head + &rows.collect::<String>());
+    (folder, csv)
 }
 
 #[test]
-fn a_vibration_at_the_end_of_a_recording_is_in_its_spectrum() {
-    let folder = tempfile::tempdir().unwrap();
-    let csv = folder.path().join("a.csv");
-    write_rows(&csv, "rendered_n", 1000, |t| (if t < 0.77 { 0.0 } else { (TAU * 50.0 * t).sin() }).to_string());
-    let strongest = json(&["plot", csv.to_str().unwrap()])["strongest"].clone();
+fn a_vibration_at_the_end_is_in_the_spectrum() {
+    let late = |t: f64| if t < 0.77 { 0.0 } else { (TAU * 50.0 * t).sin() };
+    let (_folder, csv) = recorded(RATE, "rendered_n", 1000, |t| late(t).to_string());
+    let strongest = json(&["plot", &csv])["strongest"].clone();
     let (hz, amplitude) = (strongest["frequency"].as_f64().unwrap(), strongest["amplitude"].as_f64().unwrap());
     assert!((hz - 50.0).abs() < 2.0 && (0.2..1.0).contains(&amplitude), "{strongest}");
-    let said = haptic(&["plot", csv.to_str().unwrap()]).assert().success();
-    assert!(
-        String::from_utf8_lossy(&said.get_output().stdout).contains("above 20 Hz: "),
-        "the whole buzz beside a line"
-    );
+    type_lines(&format!("plot {csv} => above 20 Hz: "), &[]);
 }
 
-/// A wall of 60 kN/m, pressed 0.5 mm deep by a device whose limit is at `most` newtons.
+/// A wall of 60 kN/m, pressed 0.5 mm deep by a device with a force limit.
 #[test]
-fn the_stiffness_is_that_of_rows_that_no_limit_cut() {
-    let folder = tempfile::tempdir().unwrap();
-    let (csv, svg) = (folder.path().join("a.csv"), folder.path().join("a.svg"));
+fn the_stiffness_is_fitted_to_unlimited_rows() {
     let pressed = |most: f64| {
-        write_rows(&csv, "distance_m,rendered_n,saturated0,saturated1,state", 1000, |t| {
+        let (folder, csv) = recorded(RATE, "distance_m,rendered_n,saturated0,saturated1,state", 1000, |t| {
             let depth = 0.5e-3 * (TAU * t).sin();
             let asked = (60e3 * depth).max(0.0);
-            // The motors went off at last, in the wall.
+            // At last the motors went off in the wall.
             let (force, state) = if t < 0.4 { (asked.min(most), "Armed") } else { (0.0, "Disarmed") };
             format!("{},{force},0,{},{state}", -depth, u8::from(asked > most && t < 0.4))
         });
-        let printed = haptic(&["plot", "--svg", svg.to_str().unwrap(), "--force"]).arg(&csv).assert().success();
-        let printed = String::from_utf8(printed.get_output().stdout.clone()).unwrap();
-        (printed, json(&["plot", csv.to_str().unwrap()]), std::fs::read_to_string(&svg).unwrap())
+        let svg = folder.path("a.svg");
+        let printed = output(&["plot", "--svg", &svg, &csv]);
+        (printed, json(&["plot", &csv]), std::fs::read_to_string(&svg).unwrap())
     };
     let (printed, found, drawn) = pressed(5.0);
     let (rows, cut) = (found["contact_rows"].as_u64().unwrap(), found["saturated_rows"].as_u64().unwrap());
@@ -308,7 +295,7 @@ fn the_stiffness_is_that_of_rows_that_no_limit_cut() {
     assert!((found["stiffness"].as_f64().unwrap() - 60e3).abs() < 1.0, "{}", found["stiffness"]);
     assert!(printed.contains(&format!("{} rows in contact, without {cut} that a limit cut", rows - cut)), "{printed}");
     assert!(printed.contains("stiffness found: 60000 N/m"), "{printed}");
-    // The line is drawn where it is spoken of, from the first row to the last of which it is.
+    // The line is drawn from the first to the last of its rows.
     let ends: [[f64; 2]; 2] = serde_json::from_value(found["panels"][1]["line"].clone()).unwrap();
     assert!(ends.iter().all(|[x, y]| (y - 60e3 * x).abs() < 1e-6) && ends[1][1] < 5.0 && ends[1][1] > 4.5, "{ends:?}");
     assert_eq!(drawn.matches("stroke-dasharray=\"7 4\"").count(), 1);
@@ -319,46 +306,41 @@ fn the_stiffness_is_that_of_rows_that_no_limit_cut() {
     assert!(!drawn.contains("stroke-dasharray=\"7 4\""));
 }
 
-/// A recording that begins with the arming: torque ramps up for half a second, in the wall.
+/// A recording that begins with arming in the wall: torque ramps up for half a second.
 #[test]
-fn the_ramp_after_arming_is_no_part_of_the_stiffness() {
-    let folder = tempfile::tempdir().unwrap();
-    let csv = folder.path().join("a.csv");
-    write_rows(&csv, "distance_m,rendered_n,state", 2000, |t| {
+fn the_stiffness_ignores_the_ramp_after_arming() {
+    let (_folder, csv) = recorded(RATE, "distance_m,rendered_n,state", 2000, |t| {
         let depth = 1e-3 * (1.0 + 0.5 * (TAU * t).sin());
         let ramp = ((t - 0.1) / 0.5).clamp(0.0, 1.0);
         format!("{},{},{}", -depth, 1500.0 * depth * ramp, if t < 0.1 { "Disarmed" } else { "Armed" })
     });
-    let found = json(&["plot", csv.to_str().unwrap()]);
+    let found = json(&["plot", &csv]);
     let stiffness = found["stiffness"].as_f64().unwrap();
     assert!((stiffness - 1500.0).abs() < 1.0, "{stiffness}");
     assert_eq!(found["contact_rows"], 1400);
-    // From a later time on, the arming is not among the rows that are drawn.
-    let later = json(&["plot", csv.to_str().unwrap(), "--from", "0.3"]);
+    // With --from the arming is not among the drawn rows.
+    let later = json(&["plot", &csv, "--from", "0.3"]);
     assert_eq!(later["contact_rows"], 1400);
 }
 
 #[test]
 fn a_force_that_does_not_follow_the_depth_has_no_stiffness() {
-    let folder = tempfile::tempdir().unwrap();
-    let csv = folder.path().join("a.csv");
-    write_rows(&csv, "distance_m,rendered_n", 1000, |t| {
+    let (_folder, csv) = recorded(RATE, "distance_m,rendered_n", 1000, |t| {
         let depth = 1e-3 + 1e-5 * (TAU * 3.0 * t).sin();
         format!("{},{}", -depth, 2.0 + (TAU * 71.0 * t).sin())
     });
-    let found = json(&["plot", csv.to_str().unwrap()]);
+    let found = json(&["plot", &csv]);
     assert!(found["stiffness"].is_null(), "{}", found["stiffness"]);
     assert!(found["panels"][1]["note"].as_str().unwrap().contains("the force does not follow the depth"), "{found}");
 }
 
-/// Encoder steps make a brush of a phase portrait: it is drawn only where the velocity goes somewhere, or is asked for.
+/// Encoder steps make a phase portrait unreadable, so it is drawn only for a real motion or on request.
 #[test]
-fn a_velocity_that_is_noise_is_not_drawn_unasked() {
-    let folder = tempfile::tempdir().unwrap();
-    let csv = folder.path().join("a.csv");
+fn the_phase_portrait_of_noise_is_drawn_only_on_request() {
     let views = |speed: fn(f64) -> f64, more: &[&str]| {
-        write_rows(&csv, "distance_m,velocity_m_s,rendered_n", 1000, |t| format!("{t},{},0", speed(t)));
-        let found = json(&[&["plot", csv.to_str().unwrap()], more].concat());
+        let columns = "distance_m,velocity_m_s,rendered_n";
+        let (_folder, csv) = recorded(RATE, columns, 1000, |t| format!("{t},{},0", speed(t)));
+        let found = json(&[&["plot", &csv], more].concat());
         let panels = found["panels"].as_array().unwrap().iter();
         let drawn = panels.filter(|panel| panel["view"] == "phase").count();
         (drawn, found["said"].to_string().contains("velocity over distance is left out"))
@@ -369,7 +351,7 @@ fn a_velocity_that_is_noise_is_not_drawn_unasked() {
     assert_eq!(views(noise, &["--show", "phase"]), (1, false));
 }
 
-/// What sticks out of a picture for a paper of so many millimetres, or is smaller than 8 pt.
+/// Returns the texts that leave a picture of this width or are smaller than 8 pt.
 fn amiss(svg: &str, width_mm: f64) -> Vec<String> {
     let head = svg.lines().next().unwrap();
     assert!(head.contains(&format!(" width=\"{width_mm:.2}mm\"")), "{head}");
@@ -396,9 +378,9 @@ fn amiss(svg: &str, width_mm: f64) -> Vec<String> {
     texts.iter().filter(bad).map(ToString::to_string).collect()
 }
 
-/// The column of a journal is 85 mm wide, its page 170 mm, and 8 pt is the smallest text that many of them print.
+/// The column of a journal is 85 mm wide, its page 170 mm, and the smallest text often 8 pt.
 #[test]
-fn pictures_for_a_paper_have_its_width_and_letters_of_eight_points_inside_it() {
+fn pictures_for_a_paper_have_its_width_and_letter_size() {
     let folder = tempfile::tempdir().unwrap();
     let (csv, svg, png) = (folder.path().join("a.csv"), folder.path().join("a.svg"), folder.path().join("a.png"));
     recording(&csv);

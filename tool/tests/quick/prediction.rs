@@ -1,26 +1,16 @@
-//! One prediction, whoever asks: every line that a command prints "to predict the same" predicts the same, and nothing
-//! is called passive or stable that is not.
+//! All commands agree on one prediction: every line that a command prints "to predict the same" does, and walls that are
+//! called passive are stable.
 
-use crate::common::{self, all_shipped, file, json, shipped};
-use haptic_bridge::model::admissible::Admissible;
+use crate::common::prelude::*;
+use crate::common::{self, Folder, all_shipped, file, json, output, read, run, shipped, type_lines};
 use haptic_bridge::model::motor::Motor;
-use haptic_bridge::render::scene::FeedForward;
-use haptic_host::device_file::DeviceFile;
-use haptic_host::link::Board;
-use haptic_host::scene_file::SceneFile;
 use haptic_predict::boards::torque_at_rest;
 use haptic_predict::design::sensitivity::sensitivities;
 use haptic_show::demo::{Demo, crossing};
-use haptic_sim::{BoardOptions, SharedBoard, ready_board};
-use haptic_stability::analysis::control_loop::{Loop, Mode, TorquePath};
+use haptic_stability::analysis::control_loop::TorquePath;
 use haptic_stability::analysis::passivity::Passivity;
-use haptic_stability::analysis::plant::{Drive, Linearised};
 use haptic_stability::analysis::prediction::{Prediction, Subject};
 use haptic_stability::analysis::range::stiffness_at;
-use haptic_stability::analysis::sampled::LinearEstimator;
-use haptic_stability::analysis::several::Member;
-use nalgebra::{DMatrix, DVector};
-use serde_json::Value;
 
 /// With cables, rigid, and redundant.
 const DEVICES: [&str; 3] = ["cable-five-bar", "haply-2diy", "serial-3r"];
@@ -29,16 +19,15 @@ fn close(found: f64, expected: f64) -> bool {
     (found - expected).abs() <= 1e-6 * expected.abs()
 }
 
-/// A wall's stiffness as `haptic range DEVICE` predicts it with these options.
+/// Prediction of `haptic range DEVICE` with these options for one feed-forward.
 fn typed(device: &str, options: &str, feed_forward: &str) -> Value {
     let words: Vec<&str> = options.split(' ').collect();
     json(&[&["range", device], &words[..]].concat())[feed_forward].clone()
 }
 
 #[test]
-fn what_check_names_to_predict_the_same_does() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("scene.toml");
+fn the_line_of_check_predicts_the_same() {
+    let folder = Folder::new();
     let mut lines = 0;
     for name in DEVICES {
         let device = file(&format!("{name}.toml"));
@@ -58,8 +47,7 @@ fn what_check_names_to_predict_the_same_does() {
             ("washout", "admissible = \"consistent\"\nestimator = \"predicted\"\nrate_hz = 20000\ncutoff_hz = 250\n"),
         ] {
             let scene = format!("{law}{wall}feed_forward = \"{feed_forward}\"\n{compensation}{posture}");
-            std::fs::write(&path, &scene).unwrap();
-            let checked = json(&["check", &device, path.to_str().unwrap()]);
+            let checked = json(&["check", &device, &folder.write("scene.toml", &scene)]);
             let contact = &checked["scenes"][0]["contacts"][0];
             let options = contact["options"].as_str().unwrap_or_else(|| panic!("{name}\n{scene}\n{checked}"));
             let found = typed(&device, options, feed_forward);
@@ -68,7 +56,7 @@ fn what_check_names_to_predict_the_same_does() {
             assert!(close(found["kd_max"].as_f64().unwrap(), contact["damping_to"].as_f64().unwrap()), "{options}");
             assert_eq!(found["boundary"][0].get("felt").is_some(), name == "cable-five-bar");
             assert_eq!(found["boundary"][0].get("felt"), contact.get("felt_to"), "{options}");
-            // The line can be typed with what asks for the wall's ripple as well.
+            // The line also works with options for the wall's ripple.
             if feed_forward == "full" {
                 let rippled = typed(&device, &format!("{options} --wall 500,2.5"), "ripple");
                 assert!(rippled["wall"]["full"]["rms_n"].as_f64().unwrap() < 1.0, "{options}: {rippled}");
@@ -80,8 +68,8 @@ fn what_check_names_to_predict_the_same_does() {
 }
 
 #[test]
-fn what_range_and_measure_range_name_to_predict_the_same_does() {
-    let folder = tempfile::tempdir().unwrap();
+fn the_lines_of_range_and_measure_range_predict_the_same() {
+    let folder = Folder::new();
     for name in ["cable-five-bar", "haply-2diy"] {
         let device = file(&format!("{name}.toml"));
         let asked = ["--normal=0.6,0.8", "--hand", "0.1,2,300", "--washout", "2", "--kd", "3,1", "--rate", "5000"];
@@ -100,16 +88,15 @@ fn what_range_and_measure_range_name_to_predict_the_same_does() {
         }
 
         // A point that was measured already: its theory is printed, and no motor moves.
-        let progress = folder.path().join(format!("{name}.json"));
         let point = r#"{"mode": "off", "kd": 2.0, "repeats": [3000.0], "vibration_m": null, "open": null}"#;
         let what = "along (0.6, 0.8) at 1000 Hz, cutoff 100 Hz, washout 2 Hz, pull 0.5 mm, 1 N m, friction: none";
         let known = format!(
             "{{\"what\": \"{name} {what}\", \"ends\": [], \"open_ends\": [], \"q\": [], \"points\": [{point}], \"date\": null}}"
         );
-        std::fs::write(&progress, known).unwrap();
+        let progress = folder.write("progress.json", known);
         let world = ["--port", "sim", "--friction", "none", "--rate", "1000", "--cutoff", "100"];
         let once = ["--repeats", "1", "--kd", "2", "--feed-forward", "off", "--yes"];
-        let kept = ["--normal=0.6,0.8", "--progress", progress.to_str().unwrap()];
+        let kept = ["--normal=0.6,0.8", "--progress", &progress];
         let measured = json(&[&["measure-range", &device], &world[..], &once, &kept].concat());
         let point = &measured["points"][0];
         let line = measured["theory"].as_str().unwrap();
@@ -117,20 +104,18 @@ fn what_range_and_measure_range_name_to_predict_the_same_does() {
         let theory = typed(&device, options, "off")["boundary"][0]["kp"].as_f64().unwrap();
         assert!(close(theory, point["theory_kp"].as_f64().unwrap()), "{name} {line}: {theory} {point}");
         match point.get("felt") {
-            Some(felt) => assert!(
-                name == "cable-five-bar"
-                    && close(felt.as_f64().unwrap(), {
-                        let cables = range["transmissions"].as_f64().unwrap();
-                        1.0 / (1.0 / 3000.0 + 1.0 / cables)
-                    })
-            ),
+            Some(felt) => {
+                let cables = range["transmissions"].as_f64().unwrap();
+                let in_series = 1.0 / (1.0 / 3000.0 + 1.0 / cables);
+                assert!(name == "cable-five-bar" && close(felt.as_f64().unwrap(), in_series), "{felt}");
+            }
             None => assert_eq!(name, "haply-2diy"),
         }
     }
 }
 
 #[test]
-fn design_predicts_what_range_does_with_cables_too() {
+fn design_and_range_agree_with_cables_too() {
     let device = file("cable-five-bar.toml");
     let q = ["--q=2.6,1.75", "--normal=0.94,-0.34", "--points", "40"];
     let found = json(&[&["design", &device], &q[..]].concat());
@@ -147,9 +132,9 @@ fn design_predicts_what_range_does_with_cables_too() {
     }
 }
 
-/// A tenth more ratio is 21 % more of the motor's own inertia, and of nothing else.
+/// A ratio larger by a tenth adds 21 % to the motor's own inertia only.
 #[test]
-fn a_ratio_reflects_the_motor_and_not_the_body_on_its_joint() {
+fn a_ratio_reflects_only_the_motor() {
     let mut description = shipped("cable-five-bar").description;
     let motor = 5e-5;
     for joint in &mut description.joints[..2] {
@@ -164,17 +149,16 @@ fn a_ratio_reflects_the_motor_and_not_the_body_on_its_joint() {
     assert!((gear.w_rr / expected - 1.0).abs() < 1e-9, "{gear:?} {expected}");
 }
 
-/// The angles at rest as a system of equations: the wall's torques wind up the cables, and a hand holds the tip a little
-/// way into the wall.
+/// A system of equations for the angles at rest: the wall's torques wind up the cables, and a hand holds the tip in the
+/// wall.
 #[test]
-fn a_hand_at_rest_feels_what_torques_leave_of_a_wall() {
-    let text = std::fs::read_to_string(file("cable-five-bar.toml")).unwrap();
+fn a_hand_at_rest_feels_a_wall_in_series_with_its_cables() {
+    let text = read("devices/cable-five-bar.toml");
     let text = text.replacen("stiffness = 1280.0", "stiffness = 120.0", 1).replacen("mass = 0.06", "mass = 0.2", 1);
-    let folder = tempfile::tempdir().unwrap();
-    let device = folder.path().join("device.toml");
-    std::fs::write(&device, &text).unwrap();
+    let folder = Folder::new();
+    let device = folder.write("device.toml", &text);
     let asked = ["--q=2.6,1.75", "--normal=0.94,-0.34", "--kd", "3", "--washout", "2"];
-    let range = json(&[&["range", device.to_str().unwrap()], &asked[..]].concat());
+    let range = json(&[&["range", &device], &asked[..]].concat());
     let seen = Linearised::at(&DeviceFile::load(&device).unwrap().description, &[2.6, 1.75], &[0.94, -0.34]).unwrap();
     let cables = DMatrix::from_diagonal(&DVector::from_vec(vec![120.0, 1280.0]));
     let shaped = &seen.mass * &seen.unit_motion / seen.w_rr();
@@ -194,18 +178,17 @@ fn a_hand_at_rest_feels_what_torques_leave_of_a_wall() {
 }
 
 #[test]
-fn check_predicts_walls_in_the_hand_of_which_it_speaks() {
-    let folder = tempfile::tempdir().unwrap();
+fn check_predicts_walls_in_the_hand_that_it_names() {
+    let folder = Folder::new();
     let device = file("cable-five-bar.toml");
-    let path = folder.path().join("scene.toml");
-    let shipped = std::fs::read_to_string(file("scenes/cable-five-bar/wall.toml")).unwrap();
+    let shipped = read("devices/scenes/cable-five-bar/wall.toml");
     let written = |stiffness: f64| {
         let lines = shipped.lines().map(|line| match line.starts_with("stiffness =") {
             true => format!("stiffness = {stiffness:?}"),
             false => line.to_string(),
         });
-        std::fs::write(&path, lines.collect::<Vec<_>>().join("\n")).unwrap();
-        let checked = json(&["check", &device, path.to_str().unwrap()]);
+        let scene = folder.write("scene.toml", lines.collect::<Vec<_>>().join("\n"));
+        let checked = json(&["check", &device, &scene]);
         (checked["scenes"][0]["contacts"][0].clone(), checked["warnings"].to_string())
     };
     let (contact, _) = written(1000.0);
@@ -215,7 +198,7 @@ fn check_predicts_walls_in_the_hand_of_which_it_speaks() {
     let mode = if options.contains("--washout") { "washout" } else { "off" };
     let range = typed(&device, &format!("{options} --hand 0.12,6,1200"), mode);
     assert!(close(range["boundary"][0]["kp"].as_f64().unwrap(), held), "{range} {held}");
-    // Cables: the hand takes from the range, and a wall between the two limits buzzes in it alone.
+    // With cables the hand reduces the range; a wall between the two limits buzzes only in the hand.
     assert!(held < 0.95 * alone, "{held} {alone}");
     let (contact, warnings) = written((0.5 * (alone + held)).round());
     let wall = format!("{},{}", contact["stiffness"], options.rsplit(' ').next().unwrap());
@@ -231,18 +214,13 @@ fn check_predicts_walls_in_the_hand_of_which_it_speaks() {
 }
 
 #[test]
-fn a_supply_bounds_what_motors_are_said_to_give() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("device.toml");
-    let text = std::fs::read_to_string(file("haply-2diy.toml")).unwrap();
-    let device = path.to_str().unwrap().to_string();
+fn the_supply_bounds_the_motors_force() {
+    let folder = Folder::new();
     let checked = |supply: &str| {
-        let motor = "resistance = 15.0";
-        let text = text.replace("resistance = 2.0", motor).replacen("[geometry]", &format!("{supply}[geometry]"), 1);
-        assert!(text.contains(motor));
-        std::fs::write(&path, text).unwrap();
-        let scene = file("scenes/haply-2diy/wall-soft.toml");
-        let checked = json(&["check", &device, &scene]);
+        let supply = format!("{supply}[geometry]");
+        let changes = [("resistance = 2.0", "resistance = 15.0"), ("[geometry]", &supply)];
+        let path = folder.changed("haply-2diy", &changes);
+        let checked = json(&["check", &path, "devices/scenes/haply-2diy/wall-soft.toml"]);
         let force = checked["scenes"][0]["contacts"][0]["force"].as_f64().unwrap();
         let most = DeviceFile::load(&path).unwrap().description.joints[0].motor.unwrap().max_current;
         (force, checked["summary"]["force_at_home"]["low"].as_f64().unwrap(), most, checked["warnings"].to_string())
@@ -256,13 +234,13 @@ fn a_supply_bounds_what_motors_are_said_to_give() {
     for (bound, free) in [(bound.0, free.0), (bound.1, free.1), (bound.2, free.2)] {
         assert!(close(bound, share * free), "{bound} {free} {share}");
     }
+    let device = folder.path("haply-2diy.toml");
     let info = json(&["info", "--port", &format!("sim:{device}")]);
     assert!((info["bus_voltage"].as_f64().unwrap() - 12.0).abs() < 1e-3, "{info}");
-    // A high supply is none that trips.
+    // A high supply causes no warning.
     assert!(!checked("supply = 56.0\n").3.contains("supply"));
     let device = DeviceFile::load(&device).unwrap();
-    let simulated = SharedBoard::new(ready_board(&device, BoardOptions::default()).unwrap());
-    let mut board = Board::over(simulated.wire(), "sim").unwrap();
+    let (_, mut board) = common::board(&device, BoardOptions::default());
     let scene = SceneFile::load(file("scenes/haply-2diy/wall-soft.toml"), 2).unwrap().scene().unwrap();
     board.set_scene(&scene).unwrap();
     board.arm().unwrap();
@@ -301,7 +279,7 @@ fn a_passive_wall_is_stable() {
                     assert!(passive <= stable, "{case}: passive to {passive}, stable to {stable}");
                     bounds += usize::from(passive > 0.0);
                 }
-                // What makes it passive is what the textbook says, less what aliases take.
+                // The passive limit is the textbook's, less the effect of aliases.
                 let late = (0.5 + path.delay_samples) / rate
                     + match path.drive {
                         Drive::Current { bandwidth_hz } => 1.0 / (std::f64::consts::TAU * bandwidth_hz),
@@ -316,32 +294,27 @@ fn a_passive_wall_is_stable() {
 }
 
 #[test]
-fn no_passive_bound_is_named_where_the_encoder_sits_behind_a_cable() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("joint.toml");
-    let text = std::fs::read_to_string(file("cable-five-bar.toml")).unwrap();
-    std::fs::write(&path, text.replace("damping = 0.0372", "damping = 0.0372\nencoder_at = \"joint\"")).unwrap();
-    let said = |device: &str| {
-        let said = common::haptic(&["range", device, "--normal=0.6,0.8", "--rate", "5000"]).output().unwrap();
-        String::from_utf8(said.stdout).unwrap()
-    };
-    assert!(said(&file("cable-five-bar.toml")).contains("passive without feed-forward"));
-    let behind = said(path.to_str().unwrap());
-    assert!(!behind.contains("passive"), "{behind}");
-    // What the wall measures behind its cables it renders there: nothing is in series.
-    assert!(!behind.contains("felt"), "{behind}");
+fn no_passive_bound_is_named_for_encoders_behind_cables() {
+    let folder = Folder::new();
+    let at_joint = ("damping = 0.0372", "damping = 0.0372\nencoder_at = \"joint\"");
+    // The wall is measured and rendered behind the cables, so nothing is in series.
+    type_lines(
+        &format!(
+            "range devices/cable-five-bar.toml --normal=0.6,0.8 --rate 5000 => passive without feed-forward
+            range {} --normal=0.6,0.8 --rate 5000 => !passive | !felt",
+            folder.changed("cable-five-bar", &[at_joint])
+        ),
+        &[],
+    );
 }
 
 #[test]
-fn where_nothing_is_stable_area_and_ratio_are_zero_and_islands_are_found() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("joint.toml");
-    let text = std::fs::read_to_string(file("cable-five-bar.toml")).unwrap();
+fn without_a_stable_range_area_is_zero_and_islands_are_found() {
+    let folder = Folder::new();
     let soft = "stiffness = 40.0\ndamping = 0.0\nencoder_at = \"joint\"";
-    let text = text.replace("stiffness = 1280.0\ndamping = 0.0372", soft).replace("viscous = 0.001", "viscous = 0.0");
-    std::fs::write(&path, text).unwrap();
-    let path = path.to_str().unwrap();
-    let asked = ["range", path, "--normal=0.6,0.8", "--rate", "20000", "--cutoff", "500"];
+    let soft = [("stiffness = 1280.0\ndamping = 0.0372", soft), ("viscous = 0.001", "viscous = 0.0")];
+    let path = folder.changed("cable-five-bar", &soft);
+    let asked = ["range", &path, "--normal=0.6,0.8", "--rate", "20000", "--cutoff", "500"];
     let range = json(&asked);
     for number in [&range["off"]["area"], &range["off"]["kd_max"], &range["full"]["area"], &range["area_ratio"]] {
         assert_eq!(number, 0.0, "{number}");
@@ -350,11 +323,11 @@ fn where_nothing_is_stable_area_and_ratio_are_zero_and_islands_are_found() {
     let island = islands.iter().find(|island| island["kd"].as_f64().unwrap() > 0.1);
     let island = island.unwrap_or_else(|| panic!("{islands:?}"));
     assert!(island["kp_low"].as_f64().unwrap() > 1000.0, "{island}");
-    let said = String::from_utf8(common::haptic(&asked).output().unwrap().stdout).unwrap();
+    let said = output(&asked);
     assert!(said.contains("Nothing is stable here") && !said.contains("times as large"), "{said}");
 }
 
-/// Computed apart, by eigenvalues of the arm's own equations: at home along wall-held.toml's normal at 5 kHz, 200 Hz and 5
+/// From independent eigenvalues of the arm's equations: at home along wall-held.toml's normal at 5 kHz, 200 Hz and 5
 /// N s/m, half a carrier period late, N/m.
 const WITHOUT_POSTURE: [f64; 2] = [29_835.0, 32_234.0];
 const IN_POSTURE: [f64; 2] = [49_640.0, 32_208.0];
@@ -371,17 +344,16 @@ fn a_posture_is_part_of_the_loop() {
         |found: [f64; 2], known: [f64; 2]| found.iter().zip(known).all(|(found, known)| (found - known).abs() < 1.0);
     let (free, held) = (of(&[]), of(&["--posture", "0.5,0.03"]));
     assert!(within(free, WITHOUT_POSTURE) && within(held, IN_POSTURE), "{free:?} {held:?}");
-    // No spring and no damper hold nothing.
+    // A posture without spring and damper changes nothing.
     let nothing = of(&["--posture", "0,0"]);
     assert!(nothing.iter().zip(free).all(|(nothing, free)| close(*nothing, free)), "{nothing:?} {free:?}");
-    let refused = ["range", &file("haply-2diy.toml"), "--normal=0,1", "--posture", "0.5,0.03"];
-    common::haptic(&refused).assert().code(2);
+    type_lines("2: range devices/haply-2diy.toml --normal=0,1 --posture 0.5,0.03", &[]);
 }
 
-/// Friction, encoder steps, a hand, and a wall that only pushes: what the linear prediction leaves out moves the buzz by
-/// 13 % at most: down far above the boundary, where the tip leaves the wall for much of a turn, and up close to it.
+/// The linear prediction leaves out friction, encoder steps, hand and unilateral contact. They move the buzz by at most
+/// 13 %: down far above the boundary, where the tip leaves the wall for much of a period, and up close to it.
 #[test]
-fn the_wall_of_the_demo_buzzes_at_the_predicted_frequency() {
+fn the_demos_wall_buzzes_at_the_predicted_frequency() {
     for (stiffness, damping) in [(22_000.0, 40.0), (12_000.0, 80.0), (30_000.0, 40.0)] {
         let demo = Demo { stiffness, damping, ..Demo::shipped(1).unwrap() };
         let run = crossing::run(&demo, FeedForward::Off, &mut |_| {}).unwrap();
@@ -401,27 +373,21 @@ fn the_wall_of_the_demo_buzzes_at_the_predicted_frequency() {
 }
 
 #[test]
-fn degrees_and_poses_that_are_never_taken_are_doubted_by_whoever_reads_them() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("device.toml");
-    let text = std::fs::read_to_string(file("haply-2diy.toml")).unwrap();
-    let with = |limits: &str| {
-        let limited = text.replace("transmission = \"rigid\"", &format!("transmission = \"rigid\"\nlimits = {limits}"));
-        std::fs::write(&path, limited).unwrap();
-        path.to_str().unwrap().to_string()
-    };
+fn all_commands_warn_of_degrees_and_poses_outside_limits() {
+    let folder = Folder::new();
+    let rigid = "transmission = \"rigid\"";
+    let with = |limits: &str| folder.changed("haply-2diy", &[(rigid, &format!("{rigid}\nlimits = {limits}"))]);
     let degrees = with("[-180.0, 180.0]");
     for command in ["model", "range", "map", "design"] {
         let points = ["--points", "100"];
         let more = if ["map", "design"].contains(&command) { &points[..] } else { &[] };
-        let said = common::haptic(&[&[command, &degrees, "--normal=0,1", "--json"], more].concat()).output().unwrap();
-        assert!(said.status.success(), "{command}");
-        let document: Value = serde_json::from_slice(&said.stdout).unwrap();
+        let (code, out, err) = run(&[&[command, &degrees, "--normal=0,1", "--json"], more].concat());
+        assert_eq!(code, 0, "{command}: {err}");
+        let document: Value = serde_json::from_str(&out).unwrap();
         let text = document["warnings"][0]["text"].as_str().unwrap_or_else(|| panic!("{command}"));
-        assert!(text.contains("angles are in radians"), "{command}: {text}");
-        assert!(String::from_utf8(said.stderr).unwrap().contains(text), "{command}");
+        assert!(text.contains("angles are in radians") && err.contains(text), "{command}: {text}");
     }
-    // Two turns are as good as no limits.
+    // Limits of two turns do not bind.
     let mapped = |device: &str| json(&["map", device, "--normal=0,1"])["points"].clone();
     assert_eq!(mapped(&degrees), mapped(&file("haply-2diy.toml")));
     let narrow = with("[0.5, 2.5]");

@@ -1,26 +1,17 @@
-//! What is known about sampled walls beside this project, and docs/published.md: each number is found again.
+//! Published numbers about sampled walls, which docs/published.md lists, are reproduced.
 
-use haptic_stability::analysis::flexible::{Flexible, Hand};
-use haptic_stability::analysis::plant::{Drive, Linearised};
-use haptic_stability::analysis::range::domain;
-use haptic_stability::analysis::sampled::{LinearEstimator, Loop, Mode};
-use nalgebra::{DMatrix, DVector};
+use crate::common::prelude::*;
+use crate::common::{ideal_loop, point_mass, read};
+use haptic_stability::analysis::flexible::Hand;
 
 const RATE: f64 = 1000.0;
 
 fn mass() -> Linearised {
-    Linearised {
-        gain: 1.0,
-        flexible: Flexible::default(),
-        mass: DMatrix::from_element(1, 1, 1.0),
-        viscous: DVector::zeros(1),
-        row: DVector::from_element(1, 1.0),
-        unit_motion: DVector::from_element(1, 1.0),
-    }
+    point_mass(1.0)
 }
 
 fn around(estimator: LinearEstimator, delay_samples: f64) -> Loop {
-    Loop { rate_hz: RATE, delay_samples, estimator, drive: Drive::Ideal, damping_compensation: false }
+    ideal_loop(RATE, delay_samples, estimator)
 }
 
 /// kp_max T²/m at dampings kd T/m.
@@ -40,7 +31,7 @@ const TABLE: [(f64, f64, f64, f64); 4] = [
 
 #[test]
 fn a_mass_behind_whole_samples_of_delay_has_the_known_domain() {
-    let page = include_str!("../../../docs/published.md");
+    let page = read("docs/published.md");
     for (delay, (peak, place, limit, area)) in TABLE.into_iter().enumerate() {
         let around = around(LinearEstimator::BackwardDifference, delay as f64);
         let dampings: Vec<f64> = (0..=1000).map(|i| limit * f64::from(i) / 1000.0).collect();
@@ -97,7 +88,7 @@ fn a_physical_damper_widens_the_range_at_both_rates() {
 }
 
 #[test]
-fn a_hand_that_only_weighs_scales_the_range_by_the_square_of_the_mass() {
+fn a_pure_mass_in_the_hand_scales_the_range_by_its_square() {
     let mut held = mass();
     held.flexible.tip = DMatrix::from_element(1, 1, 1.0);
     held.flexible.normal = DVector::from_element(1, 1.0);

@@ -1,49 +1,30 @@
-//! What the prediction must say whatever the device: laws of the sampled loop, and constants found independently.
+//! Laws of the sampled loop that hold for every device, and constants from independent computations.
 
-use haptic_stability::analysis::flexible::Flexible;
+use crate::common::{ideal_loop, point_mass, rigid};
 use haptic_stability::analysis::plant::{Drive, Linearised, MotorElectrics};
 use haptic_stability::analysis::range::{domain, oscillation};
 use haptic_stability::analysis::sampled::{AnalysisError, LinearEstimator, Loop, Mode};
 use nalgebra::{DMatrix, DVector};
 
-/// Two undamped joints whose coupling makes Wrr/Weff this ratio.
+/// Two undamped joints whose coupling gives this ratio Wrr/Weff.
 fn coupled(ratio: f64) -> Linearised {
     // M = [[1, a], [a, 1]] with rows Jr = (1, 0): Weff = 1 - a², E = (1, 0): Wrr = 1.
     let a = (1.0 - 1.0 / ratio).sqrt();
-    Linearised {
-        gain: 1.0,
-        flexible: Flexible::default(),
-        mass: DMatrix::from_row_slice(2, 2, &[1.0, a, a, 1.0]) * 0.3,
-        viscous: DVector::zeros(2),
-        row: DVector::from_vec(vec![1.0, 0.0]),
-        unit_motion: DVector::from_vec(vec![1.0, 0.0]),
-    }
+    rigid(&[0.3, 0.3 * a, 0.3 * a, 0.3], &[0.0; 2], &[1.0, 0.0], &[1.0, 0.0])
 }
 
-/// Three joints with unequal everything.
+/// Three joints with unequal values of everything.
 fn three_joints() -> Linearised {
     let jacobian = nalgebra::Matrix3::new(0.2, 0.05, -0.03, 0.01, 0.17, 0.06, -0.04, 0.02, 0.11);
     let inverse = jacobian.try_inverse().unwrap();
     let n = nalgebra::Vector3::new(0.48, 0.6, 0.64);
     let (row, unit) = (jacobian.transpose() * n, inverse * n);
-    Linearised {
-        gain: 1.0,
-        flexible: Flexible::default(),
-        mass: DMatrix::from_row_slice(3, 3, &[3.0e-3, 4e-4, -2e-4, 4e-4, 1.1e-3, 5e-4, -2e-4, 5e-4, 9e-4]),
-        viscous: DVector::from_vec(vec![2e-3, 1e-3, 5e-4]),
-        row: DVector::from_column_slice(row.as_slice()),
-        unit_motion: DVector::from_column_slice(unit.as_slice()),
-    }
+    let mass = [3.0e-3, 4e-4, -2e-4, 4e-4, 1.1e-3, 5e-4, -2e-4, 5e-4, 9e-4];
+    rigid(&mass, &[2e-3, 1e-3, 5e-4], row.as_slice(), unit.as_slice())
 }
 
 fn around(rate_hz: f64, cutoff_hz: f64) -> Loop {
-    Loop {
-        rate_hz,
-        delay_samples: 0.0,
-        estimator: LinearEstimator::Butterworth(cutoff_hz),
-        drive: Drive::Ideal,
-        damping_compensation: false,
-    }
+    ideal_loop(rate_hz, 0.0, LinearEstimator::Butterworth(cutoff_hz))
 }
 
 fn area(device: &Linearised, around: &Loop, mode: Mode) -> f64 {
@@ -51,7 +32,7 @@ fn area(device: &Linearised, around: &Loop, mode: Mode) -> f64 {
 }
 
 #[test]
-fn without_damping_the_area_grows_by_the_square_of_the_inertia_ratio() {
+fn undamped_area_grows_by_the_square_of_the_inertia_ratio() {
     for (rate, cutoff, ratio) in
         [(200.0, 20.0, 1.205), (1000.0, 20.0, 3.0), (50_000.0, 20.0, 1.449), (20_000.0, 500.0, 10.0)]
     {
@@ -83,8 +64,8 @@ fn on_a_slow_board_a_fast_washout_is_worse_than_none() {
     assert!(washed(10.0) < off);
 }
 
-/// The boundary of any loop is where a simulation of it, step by step, stops decaying, and there it swings and grows as
-/// predicted: no matrix exponential, no eigenvalues.
+/// At the boundary a simulation step by step, without matrix exponential and eigenvalues, stops decaying. Its frequency
+/// and growth are those predicted.
 #[test]
 fn the_boundary_is_where_a_simulation_starts_to_grow() {
     let device = three_joints();
@@ -104,9 +85,8 @@ fn the_boundary_is_where_a_simulation_starts_to_grow() {
     }
 }
 
-/// Runs the loop at 1 kHz, 100 Hz cutoff and half a sample of delay with 200 exact-midpoint steps per half sample, and
-/// returns how fast the largest |x| grows from one fifth of the time to the last (1/s), and at what frequency it swings
-/// there (Hz).
+/// Runs the loop at 1 kHz, 100 Hz cutoff and half a sample of delay with 200 exact-midpoint steps per half sample.
+/// Returns the growth of the largest |x| from the fourth fifth of the time to the last, 1/s, and the frequency there, Hz.
 fn simulated_swing(device: &Linearised, mode: Mode, kp: f64, kd: f64) -> (f64, f64) {
     let rate = 1000.0;
     let step = 0.5 / rate / 200.0;
@@ -170,7 +150,7 @@ fn simulated_swing(device: &Linearised, mode: Mode, kp: f64, kd: f64) -> (f64, f
 }
 
 #[test]
-fn an_undamped_joint_beside_damped_ones_changes_nothing_abruptly() {
+fn the_area_is_continuous_as_one_joints_damping_vanishes() {
     let mut device = three_joints();
     device.viscous[1] = 1e-9;
     let nearly = area(&device, &around(20_000.0, 100.0), Mode::Off);
@@ -180,7 +160,7 @@ fn an_undamped_joint_beside_damped_ones_changes_nothing_abruptly() {
 }
 
 #[test]
-fn a_voltage_drive_without_inductance_is_an_ideal_one_with_the_back_emf_as_damping() {
+fn a_voltage_drive_without_inductance_adds_back_emf_damping() {
     let device = three_joints();
     let motor = MotorElectrics { torque_constant: 0.3, back_emf: 0.28, resistance: 2.0, inductance: 0.0 };
     let mut damped = device.clone();
@@ -209,17 +189,9 @@ fn a_fast_current_loop_is_nearly_ideal_and_a_slow_one_costs() {
 }
 
 #[test]
-fn a_creeping_feed_forward_has_no_stable_domain_until_its_damping_is_compensated() {
-    // Uneven joint damping: what the feed-forward does to joint 1 drags the rendered direction the wrong way, Jr B⁻¹ M
-    // E < 0.
-    let device = Linearised {
-        gain: 1.0,
-        flexible: Flexible::default(),
-        mass: DMatrix::from_diagonal(&DVector::from_vec(vec![1e-3, 2e-4])),
-        viscous: DVector::from_vec(vec![2e-3, 5e-5]),
-        row: DVector::from_vec(vec![0.1, 0.05]),
-        unit_motion: DVector::from_vec(vec![15.0, -10.0]),
-    };
+fn damping_compensation_stabilises_a_creeping_feed_forward() {
+    // Uneven joint damping: the feed-forward's torque on joint 1 moves the tip the wrong way, Jr B⁻¹ M E < 0.
+    let device = rigid(&[1e-3, 0.0, 0.0, 2e-4], &[2e-3, 5e-5], &[0.1, 0.05], &[15.0, -10.0]);
     let creep: f64 = (0..2).map(|j| device.row[j] * device.shaped_torque()[j] / device.viscous[j]).sum();
     assert!(creep < 0.0);
     let loop_ = around(2000.0, 100.0);
@@ -233,21 +205,13 @@ fn a_creeping_feed_forward_has_no_stable_domain_until_its_damping_is_compensated
 
 #[test]
 fn fifty_kilohertz_behind_twenty_hertz_scales_like_the_mass() {
-    let one = |m: f64| Linearised {
-        gain: 1.0,
-        flexible: Flexible::default(),
-        mass: DMatrix::from_element(1, 1, m),
-        viscous: DVector::zeros(1),
-        row: DVector::from_element(1, 1.0),
-        unit_motion: DVector::from_element(1, 1.0),
-    };
     let loop_ = around(50_000.0, 20.0);
-    let ratio = area(&one(7.0), &loop_, Mode::Off) / area(&one(0.007), &loop_, Mode::Off);
+    let ratio = area(&point_mass(7.0), &loop_, Mode::Off) / area(&point_mass(0.007), &loop_, Mode::Off);
     assert!((ratio / 1e6 - 1.0).abs() < 1e-6, "{ratio}");
 }
 
 #[test]
-fn what_cannot_be_sampled_is_refused() {
+fn impossible_loops_are_refused() {
     let device = three_joints();
     let refused = |loop_: Loop, mode| domain(&device, &loop_, mode, None).unwrap_err();
     assert_eq!(refused(around(200.0, 100.0), Mode::Off), AnalysisError::Cutoff { cutoff: 100.0, rate: 200.0 });

@@ -2,7 +2,7 @@
 //! where loops built from M, J and the torques of `haptic model` end.
 
 use crate::common::bodies::Bodies;
-use crate::common::domains::{self, Case, Known, SETS};
+use crate::common::domains::{self, Case, Known, WALL_SETS};
 use crate::common::{file, haptic, json};
 use haptic_bridge::model::admissible::Admissible;
 use haptic_host::device_file::DeviceFile;
@@ -37,7 +37,7 @@ fn one_wall_given_twice_is_the_wall_of_the_independent_domains() {
 
 #[test]
 fn sets_of_walls_end_where_independent_loops_do() {
-    for (name, q, normals, shares, without, kd) in SETS {
+    for (name, q, normals, shares, without, kd) in WALL_SETS {
         let path = file(&format!("{name}.toml"));
         let share: Vec<f64> = shares.split(',').map(|part| part.parse().unwrap()).collect();
         let total: f64 = share.iter().sum();

@@ -1,4 +1,4 @@
-//! `haptic record`: what it writes is opened by the format's own library, whole or cut short by whatever cuts it short.
+//! `haptic record`: the format's own library opens its files, complete or cut short.
 
 use crate::common::file;
 use crate::common::sim::{Sim, until};
@@ -7,16 +7,16 @@ use mcap::MessageStream;
 use mcap::read::Options;
 use predicates::prelude::*;
 use predicates::str::contains;
+use std::io::Read;
 use std::path::Path;
 use std::process::Command;
 
-/// A board with a wall and a hand that goes around on it while the motors are on.
+/// A board with a wall, and a hand that presses it again and again while the motors are on.
 fn pressed() -> Sim {
     Sim::start(&["--fast", "--hand", "loop", "--scene", &file("scenes/coupled-five-bar/wall.toml")])
 }
 
-/// The rows as the format's own library reads them, to the last record that is whole: log times, and numbers by the
-/// schema.
+/// Reads rows up to the last complete record with the format's own library: log times, and numbers by the schema.
 fn rows(bytes: &[u8]) -> Vec<(u64, Vec<f64>)> {
     let messages =
         MessageStream::new_with_options(bytes, Options::IgnoreEndMagic | Options::ValidateChunkCrcs).unwrap();
@@ -39,7 +39,7 @@ fn gaps(steps: impl Iterator<Item = f64>) -> u64 {
 }
 
 #[test]
-fn both_formats_hold_every_step_and_what_the_recording_is_of() {
+fn both_formats_hold_every_step_and_a_description() {
     let folder = tempfile::tempdir().unwrap();
     for name in ["run.csv", "run.mcap"] {
         let sim = pressed();
@@ -70,15 +70,14 @@ fn both_formats_hold_every_step_and_what_the_recording_is_of() {
         }
         assert_eq!(recording.about.last().unwrap(), "10000 rows, none lost");
         sim.run(&recorded).code(1).stderr(contains("exists").and(contains("--force")));
-        let json = sim.run(&[&recorded[..], &["--force", "--json", "--rate", "100"]].concat()).success();
-        let json: serde_json::Value = serde_json::from_slice(&json.get_output().stdout).unwrap();
+        let json = sim.json(&[&recorded[..], &["--force", "--rate", "100"]].concat());
         assert_eq!((&json["rows"], json["missing"].as_u64()), (&serde_json::json!(50), Some(0)));
         assert_eq!(json["bytes"].as_u64(), Some(std::fs::metadata(path).unwrap().len()));
     }
     let sim = pressed();
     let path = folder.path().join("run.txt");
     sim.run(&["record", path.to_str().unwrap()]).code(2).stderr(contains(".mcap"));
-    // What another program finds without knowing this tool: channels, counts, times, metadata.
+    // Another program finds channels, counts, times and metadata.
     let bytes = std::fs::read(folder.path().join("run.mcap")).unwrap();
     let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
     let statistics = summary.stats.unwrap();
@@ -100,7 +99,7 @@ fn both_formats_hold_every_step_and_what_the_recording_is_of() {
 
 #[test]
 #[cfg(unix)]
-fn a_recording_whose_tool_is_killed_is_readable_to_its_last_full_chunk() {
+fn a_killed_recording_is_readable_to_its_last_full_chunk() {
     let sim = pressed();
     let folder = tempfile::tempdir().unwrap();
     for (round, least) in [10_000, 2_000_000].into_iter().enumerate() {
@@ -110,7 +109,7 @@ fn a_recording_whose_tool_is_killed_is_readable_to_its_last_full_chunk() {
         tool.kill().unwrap();
         tool.wait().unwrap();
         let bytes = std::fs::read(&path).unwrap();
-        // The very end may be torn; and wherever else a file is cut, what is before it is read.
+        // Wherever a file is cut, the rows before the cut are read.
         for end in [bytes.len(), bytes.len() - 7, bytes.len() * 2 / 3] {
             let found = rows(&bytes[..end]);
             assert_eq!(gaps(found.iter().map(|(_, row)| row[0])), 0);
@@ -129,41 +128,48 @@ fn a_recording_whose_tool_is_killed_is_readable_to_its_last_full_chunk() {
 
 #[test]
 #[cfg(unix)]
-fn a_disk_that_fills_up_ends_the_recording_with_whole_chunks_and_says_how_many_rows() {
+fn a_full_disk_ends_the_recording_with_a_counted_loss() {
     let sim = pressed();
     let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("full.mcap");
-    // A limit on the size of files is a disk that is full, once its signal is ignored. Blocks of 512 bytes: 3 MB.
-    let line = "trap '' XFSZ; ulimit -f 6000; exec \"$0\" \"$@\"";
     let program = assert_cmd::cargo::cargo_bin("haptic");
-    let output = Command::new("sh")
-        .args(["-c", line, program.to_str().unwrap(), "record", path.to_str().unwrap(), "--port", &sim.port])
-        .output()
-        .unwrap();
-    let text = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert_eq!(output.status.code(), Some(1), "{text}");
-    assert!(
-        text.contains("full.mcap cannot be written") && text.contains("could not be written and are lost"),
-        "{text}"
-    );
-    let found = rows(&std::fs::read(&path).unwrap());
-    assert!(found.len() > 1_000 && text.contains(&format!("{} rows are in", found.len())), "{}: {text}", found.len());
-    assert_eq!(gaps(found.iter().map(|(_, row)| row[0])), 0);
-    let recording = Recording::load(&path).unwrap();
-    assert!(recording.torn && recording.rows.len() == found.len());
+    for (name, blocks) in [("full.csv", 600), ("full.mcap", 6000)] {
+        let path = folder.path().join(name);
+        // A limit on the size of files, in blocks of 512 bytes, acts like a full disk if its signal is ignored.
+        let line = format!("trap '' XFSZ; ulimit -f {blocks}; exec \"$0\" record \"$@\" --rate 20000");
+        let output = Command::new("sh")
+            .args(["-c", &line, program.to_str().unwrap(), path.to_str().unwrap(), "--port", &sim.port])
+            .output()
+            .unwrap();
+        let text = String::from_utf8_lossy(&output.stderr).into_owned();
+        let recording = Recording::load(&path).unwrap();
+        assert_eq!((output.status.code(), recording.torn), (Some(1), name == "full.mcap"), "{text}");
+        let count = recording.rows.len();
+        for words in
+            [&format!("{name} cannot be written"), "could not be written and are lost", &format!("{count} rows are in")]
+        {
+            assert!(text.contains(words), "{words}: {text}");
+        }
+        assert!(count > 500 && !text.contains("none lost"), "{count}: {text}");
+        assert_eq!(gaps(recording.rows.iter().map(|row| row[0])), 0);
+    }
 }
 
 #[test]
-fn a_board_that_dies_leaves_a_whole_recording_that_says_so() {
-    let mut sim = Sim::start(&[]);
+fn a_board_that_dies_leaves_a_complete_recording() {
     let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("cut.mcap");
-    let mut tool = sim.spawn(&["record", path.to_str().unwrap(), "--fields", "q,state"]);
-    until("bytes on disk", || std::fs::metadata(&path).is_ok_and(|about| about.len() >= 100_000));
-    sim.child.kill().unwrap();
-    assert_eq!(tool.wait().unwrap().code(), Some(1));
-    let recording = Recording::load(&path).unwrap();
-    assert!(!recording.torn && recording.rows.len() > 100);
-    let last = recording.about.last().unwrap();
-    assert!(last.starts_with("cut short: the board was lost") && last.contains(" rows"), "{last}");
+    for name in ["cut.csv", "cut.mcap"] {
+        let mut sim = Sim::start(&[]);
+        let path = folder.path().join(name);
+        let mut tool = sim.spawn(&["record", path.to_str().unwrap(), "--fields", "q,state"]);
+        until("bytes on disk", || std::fs::metadata(&path).is_ok_and(|about| about.len() >= 100_000));
+        sim.child.kill().unwrap();
+        let mut said = String::new();
+        tool.stderr.take().unwrap().read_to_string(&mut said).unwrap();
+        assert_eq!(tool.wait().unwrap().code(), Some(1));
+        assert!(said.contains("unplugged or the connection was lost") && said.contains("rows are in"), "{said}");
+        let recording = Recording::load(&path).unwrap();
+        assert!(!recording.torn && recording.rows.len() > 100);
+        let last = recording.about.last().unwrap();
+        assert!(last.starts_with("cut short: the board was lost") && last.contains(" rows"), "{last}");
+    }
 }

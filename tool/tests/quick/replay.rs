@@ -1,8 +1,8 @@
-//! `haptic replay`: the control code does from a recording's counts what it did, to the bit, and says where it does
-//! not.
+//! `haptic replay`: the control code computes the same torques from a recording's counts, to the bit, and names the
+//! first difference.
 
 use crate::common::sim::Sim;
-use crate::common::{file, haptic};
+use crate::common::{Folder, file, haptic, type_lines};
 use haptic_show::recorder::Recording;
 use predicates::prelude::*;
 use predicates::str::contains;
@@ -20,7 +20,7 @@ fn replay(path: &Path) -> assert_cmd::assert::Assert {
 }
 
 #[test]
-fn every_device_gives_the_same_torques_to_the_bit_from_the_same_counts() {
+fn every_device_replays_the_same_torques_to_the_bit() {
     let folder = tempfile::tempdir().unwrap();
     for (device, wall, name) in [
         ("coupled-five-bar.toml", "scenes/coupled-five-bar/wall.toml", "a.mcap"),
@@ -37,7 +37,7 @@ fn every_device_gives_the_same_torques_to_the_bit_from_the_same_counts() {
 }
 
 #[test]
-fn what_differs_is_named_with_its_step_and_its_size() {
+fn the_first_difference_is_named_with_its_step_and_size() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.csv");
     let more = ["--arm", "--seconds", "1", "--fields", "q,torque,counts,state"];
@@ -73,10 +73,10 @@ fn what_differs_is_named_with_its_step_and_its_size() {
         .code(1)
         .stdout(contains(&text_of_step).and(contains("joint 0")).and(contains("(1 step of single precision)")))
         .stderr(contains("the torques differ in 1 of "));
-    // A count that was not there is felt from its step on.
+    // A wrong count changes the torques from its step on.
     changed(row, counts, &|count| (count.parse::<i64>().unwrap() + 40).to_string());
     replay(&path).code(1).stdout(contains(&text_of_step)).stderr(contains("the torques differ in "));
-    // Rows that are missing end it.
+    // Missing rows end the replay.
     let lines: Vec<&str> =
         text.lines().enumerate().filter(|(i, _)| *i != head + 1 + row).map(|(_, line)| line).collect();
     std::fs::write(&path, lines.join("\n") + "\n").unwrap();
@@ -84,20 +84,18 @@ fn what_differs_is_named_with_its_step_and_its_size() {
 }
 
 #[test]
-fn what_cannot_be_played_is_refused_in_words() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("a.mcap");
+fn unplayable_recordings_are_refused() {
+    let folder = Folder::new();
+    let path = folder.path("a.mcap");
     let sim = Sim::start(&["--fast", "--scene", &file("scenes/coupled-five-bar/wall.toml")]);
-    let record = |more: &[&str]| {
-        sim.run(&[&["record", path.to_str().unwrap(), "--force", "--seconds", "0.1"], more].concat()).success();
+    let record = |options: &str, words: &str| {
+        sim.type_lines(&format!("record {path} --force --seconds 0.1 {options}"));
+        type_lines(&format!("2: replay {path} => {words}"), &[]);
     };
-    record(&["--rate", "1000"]);
-    replay(&path).code(2).stderr(contains("one control step in 20"));
-    record(&["--fields", "usual"]);
-    replay(&path).code(2).stderr(contains("no column counts0"));
-    sim.run(&["arm"]).success();
-    record(&[]);
-    replay(&path).code(2).stderr(contains("the motors are on in the first row"));
-    std::fs::write(&path, "step,time_s\n1,2\n").unwrap();
-    replay(&path).code(2).stderr(contains("does not have the board's settings"));
+    record("--rate 1000", "one control step in 20");
+    record("--fields usual", "no column counts0");
+    sim.type_lines("arm");
+    record("", "the motors are on in the first row");
+    folder.write("a.mcap", "step,time_s\n1,2\n");
+    type_lines(&format!("2: replay {path} => does not have the board's settings"), &[]);
 }

@@ -1,19 +1,12 @@
-//! The page of `haptic report` needs nothing else, and is what its own lines print.
+//! The page of `haptic report` is complete, and shows the output of its own lines.
 
-use crate::common;
-
-/// What it prints.
-fn haptic(arguments: &[&str]) -> String {
-    let output = common::haptic(arguments).output().unwrap();
-    assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
-    String::from_utf8(output.stdout).unwrap()
-}
+use crate::common::{Folder, output, type_lines};
 
 fn plain(text: &str) -> String {
     text.replace("&lt;", "<").replace("&gt;", ">").replace("&quot;", "\"").replace("&amp;", "&")
 }
 
-/// The names of all elements, each closed where it should be.
+/// Returns the names of all elements; checks that each is closed.
 fn elements(page: &str) -> Vec<String> {
     let (mut open, mut all): (Vec<String>, Vec<String>) = (Vec::new(), Vec::new());
     for tag in page.split('<').skip(1) {
@@ -36,12 +29,11 @@ fn elements(page: &str) -> Vec<String> {
 }
 
 #[test]
-fn the_page_needs_nothing_else_and_every_line_on_it_prints_what_stands_there() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("page.html");
-    let page = path.to_str().unwrap();
+fn the_page_is_complete_and_shows_the_output_of_its_lines() {
+    let folder = Folder::new();
+    let path = folder.path("page.html");
     let (device, scene) = ("devices/haply-2diy.toml", "devices/scenes/haply-2diy/wall-stiff.toml");
-    haptic(&["report", device, scene, "--without", "estimators,tune", "--out", page]);
+    output(&["report", device, scene, "--without", "estimators,tune", "--out", &path]);
     let page = std::fs::read_to_string(path).unwrap();
     let elements = elements(&page);
     for name in ["script", "link", "img", "iframe", "object", "a"] {
@@ -51,7 +43,7 @@ fn the_page_needs_nothing_else_and_every_line_on_it_prints_what_stands_there() {
         assert!(!page.contains(word), "{word}");
     }
     assert_eq!(elements.iter().filter(|name| *name == "svg").count(), 5, "check, map, range, why and design draw");
-    // Parts of pictures that others refer to have one name each.
+    // Identifiers are unique.
     let mut names: Vec<&str> = page.split("id=\"").skip(1).map(|rest| rest.split('"').next().unwrap()).collect();
     let many = names.len();
     names.sort_unstable();
@@ -69,17 +61,15 @@ fn the_page_needs_nothing_else_and_every_line_on_it_prints_what_stands_there() {
             Some(at) => &words[..at],
             None => &words[..],
         };
-        let said = haptic(words);
+        let said = output(words);
         assert!(said.len() > 100 && section.contains(said.trim_end()), "{line}\n{said}");
     }
 }
 
 #[test]
-fn a_page_that_is_there_is_kept() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("page.html");
-    std::fs::write(&path, "mine").unwrap();
-    let report = ["report", "devices/hapkit-paddle.toml", "--out", path.to_str().unwrap()];
-    common::haptic(&report).assert().code(1);
+fn an_existing_page_is_not_overwritten() {
+    let folder = Folder::new();
+    let path = folder.write("page.html", "mine");
+    type_lines(&format!("1: report devices/hapkit-paddle.toml --out {path}"), &[]);
     assert_eq!(std::fs::read_to_string(path).unwrap(), "mine");
 }

@@ -1,24 +1,21 @@
-//! What encoder steps make of a pressed wall: against what was computed apart from this project's code, against the
-//! board's own control step, and by its limits.
+//! Ripple of a pressed wall from encoder steps: against an independent program, against the board's own control step,
+//! and at its limits.
 
-use crate::common::{self, shipped};
+use crate::common::prelude::*;
+use crate::common::{self, ideal_loop, shipped, type_lines};
 use haptic_bridge::render::velocity::{Chosen, Estimator as Kind};
 use haptic_predict::bench::estimators::{Comparison, ripple_of};
 use haptic_predict::ripple::{LIGHT_HAND, PUSH_N, Pressed};
 use haptic_stability::analysis::line::DampingRule;
-use haptic_stability::analysis::plant::{Drive, Linearised};
-use haptic_stability::analysis::sampled::{LinearEstimator, Loop, Mode};
-use haptic_stability::sweep::Sweep;
-use serde_json::Value;
 
 const Q: [f64; 2] = [2.6, 1.75];
 const NORMAL: [f64; 2] = [0.25881904510252074, 0.9659258262890683];
 
 fn around(rate_hz: f64, estimator: LinearEstimator, delay_samples: f64) -> Loop {
-    Loop { rate_hz, delay_samples, estimator, drive: Drive::Ideal, damping_compensation: false }
+    ideal_loop(rate_hz, delay_samples, estimator)
 }
 
-/// Runs `work` on the shipped device with so many counts per turn.
+/// Runs `work` on the shipped device with this number of counts per turn.
 fn pressed<T>(around: &Loop, counts: Option<f64>, work: impl FnOnce(&Pressed<'_>) -> T) -> T {
     let mut file = shipped("coupled-five-bar");
     for encoder in file.description.joints.iter_mut().flat_map(|joint| &mut joint.encoder) {
@@ -47,19 +44,19 @@ const APART: [(f64, f64, f64, f64, f64, f64); 4] = [
 ];
 
 #[test]
-fn the_ripple_is_that_of_a_program_of_its_own() {
+fn the_ripple_agrees_with_an_independent_program() {
     for (rate, cutoff, kp, kd, off, full) in APART {
         let around = around(rate, LinearEstimator::Butterworth(cutoff), 0.0);
         for (mode, known) in [(Mode::Off, off), (Mode::Full, full)] {
             let found = pressed(&around, None, |pressed| pressed.ripple(mode, kp, kd).unwrap().rms_n.unwrap());
-            // The motion is chaotic: how it begins decides which of its ways it goes in a third of a second.
+            // The motion is chaotic: it depends on how it begins.
             assert!((0.93..1.07).contains(&(found / known)), "{rate} Hz, {kp} N/m, {mode:?}: {found} is not {known}");
         }
     }
 }
 
 #[test]
-fn a_fast_loop_buzzes_far_below_its_linear_limit_with_coarse_encoders_only() {
+fn coarse_encoders_make_a_fast_loop_buzz_below_its_limit() {
     let around = around(20_000.0, LinearEstimator::Butterworth(500.0), 0.0);
     let rms =
         |counts| pressed(&around, counts, |pressed| pressed.ripple(Mode::Off, 5_000.0, 150.0).unwrap().rms_n.unwrap());
@@ -68,19 +65,19 @@ fn a_fast_loop_buzzes_far_below_its_linear_limit_with_coarse_encoders_only() {
     });
     assert!(limit > 50.0 * 5_000.0, "{limit}");
     assert!(rms(None) > 2.0);
-    // A position step of the loop's own arithmetic is all that is left.
+    // Only the position step of the loop's own arithmetic is left.
     assert!(rms(Some(2.0_f64.powi(30))) < 1e-3, "{}", rms(Some(2.0_f64.powi(30))));
     assert!(rms(Some(2.0_f64.powi(17))) < 0.5 * rms(None));
 }
 
 #[test]
-fn the_boards_own_step_ripples_alike() {
+fn the_boards_own_step_has_a_similar_ripple() {
     let mut file = shipped("coupled-five-bar");
-    // There the hand presses with the same force all the time, and dry friction may hold the tip between two counts.
+    // In the comparison the hand presses with a constant force, and dry friction may hold the tip between two counts.
     file.description.joints.iter_mut().for_each(|joint| joint.coulomb = 0.0);
     for (rate_hz, cutoff_hz, wall) in [(1_000.0, 100.0, (15_000.0, 40.0)), (20_000.0, 500.0, (50_000.0, 150.0))] {
         let comparison = Comparison { file: &file, q: &Q, normal: &NORMAL, rate_hz, cutoff_hz, wall };
-        // Half a carrier period late, as there.
+        // Half a carrier period late, as in the comparison.
         let delay = 0.5 * rate_hz / 20_000.0;
         for (kind, linear) in [
             (Kind::Butterworth, LinearEstimator::Butterworth(cutoff_hz)),
@@ -104,7 +101,7 @@ fn json(arguments: &[&str]) -> Value {
 }
 
 #[test]
-fn the_stiffness_from_which_it_exceeds_a_bound_is_where_it_does() {
+fn the_ripple_keeps_its_bound_up_to_the_named_stiffness() {
     let document = json(&["--rate", "1000", "--cutoff", "100", "--ripple", "0.1", "--wall", "15000,40"]);
     let ripple = &document["ripple"];
     assert!((ripple["count_m"].as_f64().unwrap() - 3.25e-5).abs() < 1e-7);
@@ -129,15 +126,14 @@ fn the_stiffness_from_which_it_exceeds_a_bound_is_where_it_does() {
 }
 
 #[test]
-fn what_cannot_be_simulated_is_refused() {
-    for (arguments, said) in [
-        (&["--ripple", "0"][..], "--ripple 0 is not more than zero"),
-        (&["--wall", "0,1"][..], "--wall needs a stiffness above zero"),
-        (&["--ripple", "1", "--normal", "1,0"][..], "--ripple or --wall with several --normal"),
-    ] {
-        let pose = ["range", "devices/coupled-five-bar.toml", "--q=2.6,1.75", "--normal=0.2588,0.9659"];
-        let done = common::haptic(&pose).args(arguments).assert().code(2);
-        let told = String::from_utf8(done.get_output().stderr.clone()).unwrap();
-        assert!(told.contains(said), "{told}");
-    }
+fn impossible_bounds_and_walls_are_refused() {
+    let line = "2: range devices/coupled-five-bar.toml --q=2.6,1.75 --normal=0.2588,0.9659";
+    type_lines(
+        &format!(
+            "{line} --ripple 0 => --ripple 0 is not more than zero
+            {line} --wall 0,1 => --wall needs a stiffness above zero
+            {line} --ripple 1 --normal 1,0 => --ripple or --wall with several --normal"
+        ),
+        &[],
+    );
 }

@@ -1,11 +1,11 @@
-//! Motors that cannot make all that a wall asks for: the force keeps its direction and never falls as depth grows,
-//! gravity stays compensated, and nothing jumps where a limit is reached.
+//! Walls that need more than the motors can make: the force keeps its direction and never falls with depth, gravity stays
+//! compensated, and nothing jumps at a limit.
 
+use crate::common::shipped;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::safety::fault::State;
 use haptic_bridge::safety::limits::Limits;
-use haptic_host::device_file::DeviceFile;
 use haptic_sim::{Press, PressForces, PressedBoard, WIDE_LIMITS};
 
 /// A wall through the pose `q` of a shipped device, and its limits: of the joints' torques in N m, of the tip's force
@@ -18,17 +18,16 @@ struct Case {
     feed_forward: FeedForward,
     torque: f32,
     tip_force: f32,
-    /// How many times as strong the motors are as the file says.
+    /// Factor on the motors' largest current.
     strength: f64,
     /// Control steps at each depth: a washout lets go in seconds.
     steps: u32,
 }
 
 impl Case {
-    /// What is felt ever deeper in the wall.
+    /// Forces at increasing depths in the wall.
     fn felt(&self, depths: impl Iterator<Item = f64>) -> Vec<PressForces> {
-        let path = format!("{}/../devices/{}.toml", env!("CARGO_MANIFEST_DIR"), self.device);
-        let mut device = DeviceFile::load(path).expect("a shipped device").description;
+        let mut device = shipped(self.device).description;
         for motor in device.joints.iter_mut().filter_map(|joint| joint.motor.as_mut()) {
             motor.max_current *= self.strength;
         }
@@ -73,8 +72,8 @@ fn depths() -> impl Iterator<Item = f64> {
 }
 
 #[test]
-fn the_demo_holds_what_its_motors_can_along_the_normal_and_nothing_sideways() {
-    // Motors' own limit (3 A at 0.667 N m/A) and a torque limit of 2 N m say the same.
+fn the_demo_pushes_with_all_it_can_and_only_along_the_normal() {
+    // The motors' own limit (3 A at 0.667 N m/A) equals a torque limit of 2 N m.
     for case in [demo(FeedForward::Off), Case { torque: 100.0, ..demo(FeedForward::Off) }] {
         for point in case.felt([1.0e-3, 1.5e-3, 2.0e-3].into_iter()) {
             // The way in is straight in joint angles: 0.3 % off at 2 mm.
@@ -95,7 +94,7 @@ fn the_force_along_the_normal_never_falls_and_nothing_jumps() {
         let mut cut = 0;
         for pair in points.windows(2) {
             let (a, b) = (pair[0], pair[1]);
-            // What 2 N m make at the tip changes with the pose by 0.2 N per mm: 2 mN in a hundredth.
+            // The tip force of 2 N m changes with the pose by 0.2 N per mm: 2 mN per step of 0.01 mm.
             assert!(b.along >= a.along - 5.0e-3, "{feed_forward:?}: {a:?} {b:?}");
             assert!((b.along - a.along).abs() < 0.21, "0.2 N more are asked for: {a:?} {b:?}");
             assert!((b.across - a.across).abs() < 0.25, "{feed_forward:?}: {a:?} {b:?}");
@@ -106,7 +105,7 @@ fn the_force_along_the_normal_never_falls_and_nothing_jumps() {
         let last = points[points.len() - 1];
         match feed_forward {
             FeedForward::Off => assert!(last.across < 1.0e-3, "{last:?}"),
-            // The feed-forward's own sideways force belongs to what is rendered: it grows with it and no further.
+            // The feed-forward's sideways force grows in proportion to the rendered force.
             _ => {
                 let before = points.iter().rev().find(|p| p.share() > 0.9999).expect("small forces are not cut");
                 let per_newton = before.across / before.along;
@@ -117,25 +116,17 @@ fn the_force_along_the_normal_never_falls_and_nothing_jumps() {
 }
 
 #[test]
-fn a_hand_that_rests_on_a_wall_beyond_the_motors_feels_no_sideways_force_with_the_washout() {
+fn behind_the_washout_a_resting_hand_feels_no_sideways_force() {
     let points = Case { steps: 3_000, ..demo(FeedForward::Washout) }.felt([2.0e-3].into_iter());
     assert!(points[0].across < 1.0e-3 && (points[0].along - 19.4).abs() < 0.4, "{points:?}");
 }
 
 #[test]
-fn gravity_stays_compensated_however_deep_the_wall_is_pressed() {
+fn gravity_stays_compensated_at_every_depth() {
     for device in ["phantom-premium-1.5", "woodenhaptics"] {
-        let case = Case {
-            device,
-            q: [0.3, 0.9, -0.3],
-            normal: [0.6, 0.0, 0.8],
-            stiffness: 5_000.0,
-            feed_forward: FeedForward::Off,
-            torque: 0.6,
-            tip_force: 1.0e9,
-            strength: 1.0,
-            steps: 50,
-        };
+        let (q, normal) = ([0.3, 0.9, -0.3], [0.6, 0.0, 0.8]);
+        let weak = Case { stiffness: 5_000.0, torque: 0.6, steps: 50, ..demo(FeedForward::Off) };
+        let case = Case { device, q, normal, ..weak };
         let points = case.felt((0..=40).map(|i| 1.0e-4 * f64::from(i)));
         let last = points[points.len() - 1];
         assert!(last.share() < 0.9, "{device} is at its limit: {last:?}");
@@ -148,7 +139,7 @@ fn gravity_stays_compensated_however_deep_the_wall_is_pressed() {
 }
 
 #[test]
-fn walls_push_with_the_tips_limit_and_no_more_in_every_pose() {
+fn walls_push_with_the_tip_force_limit_in_every_pose() {
     let pressed = |device, q, normal, feed_forward| {
         // A limit of 5 N is what acts.
         let strong = Case { torque: 1.0e3, strength: 100.0, ..demo(feed_forward) };

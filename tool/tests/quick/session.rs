@@ -1,39 +1,32 @@
-//! A program that holds a board: what it reads, what its forces do, and that the motors go off with it.
+//! A session of a program: replies, forces, and that the motors go off when it ends.
 
-use crate::common::sim;
 use crate::common::strict::{Lossy, strict};
-
+use crate::common::{board, json, shipped, type_lines};
 use haptic_bridge::board::protocol::{ForceDone, ForceRequest, HostContact};
 use haptic_bridge::render::scene::Scene;
 use haptic_bridge::safety::fault::{Fault, State};
-use haptic_host::device_file::DeviceFile;
 use haptic_host::latency::measure;
 use haptic_host::link::{Board, FADE, FORCE_PATIENCE, HOLD, LinkError, PATIENCE, Session, fields};
-use haptic_sim::{
-    BoardOptions, Hand, HandSettings, Intent, NoisyWire, SHIPPED_DEVICE, SharedBoard, Waypoint, ready_board,
-};
-use predicates::str::contains;
+use haptic_sim::{BoardOptions, Hand, HandSettings, Intent, NoisyWire, SharedBoard, Waypoint};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Duration;
 
 /// A simulated board with a five-bar in free space, and a session on it.
 fn session() -> (SharedBoard, Session) {
-    let file = DeviceFile::parse(SHIPPED_DEVICE, "coupled-five-bar.toml").unwrap();
-    let shared = SharedBoard::new(ready_board(&file, BoardOptions::default()).unwrap());
-    let mut session = Session::of(Board::over(shared.wire(), "sim").unwrap());
+    let (shared, board) = board(&shipped("coupled-five-bar"), BoardOptions::default());
+    let mut session = Session::of(board);
     session.set_scene(&Scene { task: 2, ..Scene::default() }).unwrap();
     (shared, session)
 }
 
-/// A session over a wire that loses so many of the next messages.
+/// A session over a wire that loses a number of the next messages.
 fn lossy() -> (Session, Arc<AtomicU32>) {
-    let file = DeviceFile::parse(SHIPPED_DEVICE, "coupled-five-bar.toml").unwrap();
-    Lossy::session(&SharedBoard::new(ready_board(&file, BoardOptions::default()).unwrap()))
+    Lossy::session(&board(&shipped("coupled-five-bar"), BoardOptions::default()).0)
 }
 
 #[test]
-fn a_lost_frame_costs_a_force_its_patience_and_the_next_one_nothing() {
+fn a_lost_frame_costs_one_force_its_patience() {
     let (mut session, loses) = lossy();
     for patience in [FORCE_PATIENCE, Duration::from_millis(5)] {
         session.wait_for_forces(patience);
@@ -49,27 +42,26 @@ fn a_lost_frame_costs_a_force_its_patience_and_the_next_one_nothing() {
 }
 
 #[test]
-fn spoilt_frames_turn_no_motor_off_and_lose_no_row_uncounted() {
+fn spoilt_frames_stop_no_motor_and_lose_no_row_uncounted() {
     let (shared, _session) = session();
     NoisyWire::follow(shared.wire(), 40_000);
 }
 
 #[test]
-fn without_a_word_on_its_time_a_request_outlasts_a_stall_and_not_a_board_that_is_silent() {
+fn a_request_outlasts_a_stall_but_not_a_silent_board() {
     let (mut session, loses) = lossy();
     loses.store(u32::MAX, Ordering::Relaxed);
     let began = session.now();
     assert!(matches!(session.read_state(), Err(LinkError::Unanswered { waited }) if waited == PATIENCE));
     assert!(session.now() - began < PATIENCE + FORCE_PATIENCE);
     loses.store(0, Ordering::Relaxed);
-    // A board that comes to itself after 0.2 s.
+    // A board that replies after 0.2 s.
     loses.store(2, Ordering::Relaxed);
     assert_eq!(session.read_state().unwrap().done, ForceDone::Looked);
 }
 
 #[test]
-fn a_polarity_check_a_program_that_only_looks_and_a_named_fault_on_a_board_that_watches_its_host() {
-    // Its polarity was checked with the watch on.
+fn reading_the_state_keeps_a_watching_board_armed() {
     let (shared, mut session) = strict();
     session.arm().unwrap();
     for _ in 0..8 {
@@ -86,7 +78,7 @@ fn a_polarity_check_a_program_that_only_looks_and_a_named_fault_on_a_board_that_
 }
 
 #[test]
-fn forces_that_do_not_wait_for_each_other_are_answered_in_their_order() {
+fn overlapping_forces_are_answered_in_order() {
     let (_shared, mut session) = armed();
     let request = |sequence| ForceRequest { sequence, hold: 0.02, force: [0.1, 0.0, 0.0], ..ForceRequest::default() };
     let mut under_way = std::collections::VecDeque::new();
@@ -98,14 +90,14 @@ fn forces_that_do_not_wait_for_each_other_are_answered_in_their_order() {
             assert_eq!((answer.sequence, answer.done), (sequence, ForceDone::Taken));
         }
     }
-    // So they are where they are asked for the other way round, and those that nobody waits for are in nobody's way.
+    // Replies can be read in any order, and unread replies do not disturb.
     let sent: Vec<_> = (51..=70).map(|sequence| session.send_force(&request(sequence)).unwrap()).collect();
     assert_eq!(session.force_answer(sent[19]).unwrap().sequence, 70);
     assert_eq!(session.force_answer(sent[18]).unwrap().sequence, 69);
 }
 
 #[test]
-fn telemetry_that_is_read_while_forces_are_under_way_takes_none_of_their_answers() {
+fn telemetry_takes_no_replies_of_forces_under_way() {
     let (_shared, mut session) = armed();
     session.start_stream(fields("tip").unwrap(), 4).unwrap();
     for sequence in 1..=20 {
@@ -118,7 +110,7 @@ fn telemetry_that_is_read_while_forces_are_under_way_takes_none_of_their_answers
 }
 
 #[test]
-fn one_lost_among_forces_that_overtake_each_other_costs_no_wait() {
+fn a_lost_force_among_overlapping_ones_costs_no_wait() {
     let (mut session, loses) = lossy();
     let request = |sequence| ForceRequest { sequence, ..ForceRequest::default() };
     loses.store(u32::MAX, Ordering::Relaxed);
@@ -131,7 +123,7 @@ fn one_lost_among_forces_that_overtake_each_other_costs_no_wait() {
     assert!(session.now() - began < Duration::from_millis(2), "{:?}", session.now() - began);
 }
 
-/// Lets the ramp after arming pass.
+/// An armed session after the torque ramp.
 fn armed() -> (SharedBoard, Session) {
     let (shared, mut session) = session();
     session.arm().unwrap();
@@ -149,7 +141,7 @@ fn a_session_that_is_dropped_leaves_the_motors_off() {
 }
 
 #[test]
-fn a_key_is_held_by_the_board_that_armed_with_it_alone_and_a_late_press_arms_nothing() {
+fn only_the_arming_tool_holds_the_key_and_a_late_press_fails() {
     let (shared, mut session) = session();
     session.set_scene(&Scene { task: 2, rate_hz: 1_000.0, cutoff_hz: 50.0, ..Scene::default() }).unwrap();
     let mut other = Board::over(shared.wire(), "sim").unwrap();
@@ -176,7 +168,7 @@ fn a_key_is_held_by_the_board_that_armed_with_it_alone_and_a_late_press_arms_not
 }
 
 #[test]
-fn a_force_accelerates_the_tip_its_own_way_and_ends_with_its_lease() {
+fn a_force_accelerates_the_tip_and_ends_with_its_lease() {
     for (x, y) in [(0.5, 0.0), (0.0, 0.5), (-0.4, -0.3)] {
         let (shared, mut session) = armed();
         let from = session.read_state().unwrap().tip;
@@ -194,18 +186,18 @@ fn a_force_accelerates_the_tip_its_own_way_and_ends_with_its_lease() {
 }
 
 #[test]
-fn an_age_counts_from_the_state_that_was_told() {
+fn an_age_counts_from_the_state_that_was_sent() {
     let (shared, mut session) = armed();
     session.read_state().unwrap();
     shared.lock().run(0.01);
     let answer = session.force([0.1, 0.0, 0.0]).unwrap();
-    // And the two control periods that a request takes on its way.
+    // Plus the two control periods that a request takes on its way.
     let age = f64::from(answer.age.unwrap());
     assert!((age - 0.0101).abs() < 1.0e-4, "{age}");
 }
 
 #[test]
-fn a_contact_sent_once_a_millisecond_holds_a_push_as_a_wall_does() {
+fn a_contact_sent_every_millisecond_acts_like_a_wall() {
     let (shared, mut session) = armed();
     let tip = session.read_state().unwrap().tip;
     let floor =
@@ -227,22 +219,11 @@ fn a_contact_sent_once_a_millisecond_holds_a_push_as_a_wall_does() {
     let depth = floor.point[1] - answer.tip[1];
     assert!((depth - 0.004).abs() < 0.000_3, "{depth} m");
     assert!((answer.force[1] - 4.0).abs() < 0.3, "{answer:?}");
-    assert_eq!(session.board_state(), State::Armed);
-}
-
-/// What a session knows of the board without asking for force.
-trait BoardState {
-    fn board_state(&mut self) -> State;
-}
-
-impl BoardState for Session {
-    fn board_state(&mut self) -> State {
-        self.status().unwrap().state
-    }
+    assert_eq!(session.status().unwrap().state, State::Armed);
 }
 
 #[test]
-fn on_a_simulated_board_every_exchange_takes_two_control_periods() {
+fn an_exchange_with_a_simulated_board_takes_two_steps() {
     let (_, mut session) = session();
     let latency = measure(&mut session, 100, || false).unwrap();
     // 20 kHz; the board answers after two periods, and its clock counts them.
@@ -255,22 +236,18 @@ fn on_a_simulated_board_every_exchange_takes_two_control_periods() {
     assert_eq!((latency.round_trip.count, latency.age.count), (100, 99));
     assert!((latency.per_second - 1.0e4).abs() < 1.0, "{}", latency.per_second);
     assert_eq!(measure(&mut session, 100, || true).unwrap().round_trip.count, 2, "stopped as soon as it may");
-    session.start_stream(haptic_host::link::fields("q").unwrap(), 1).unwrap();
-    assert_eq!(measure(&mut session, 10, || false).unwrap().round_trip.count, 10, "also beside telemetry");
+    session.start_stream(fields("q").unwrap(), 1).unwrap();
+    assert_eq!(measure(&mut session, 10, || false).unwrap().round_trip.count, 10, "also during telemetry");
     assert!(!session.rows(Duration::from_millis(10)).unwrap().is_empty());
 }
 
 #[test]
 fn the_command_prints_histograms_or_json() {
-    let told = sim::haptic(&["board", "latency", "--port", "sim", "--exchanges", "50"]).assert();
-    told.success()
-        .stdout(contains("50 exchanges, 10000 a second, on sim"))
-        .stdout(contains("round trip: median 0.100 ms"));
-    let json = sim::haptic(&["board", "latency", "--port", "sim", "--exchanges", "50", "--json"]).assert().success();
-    let json: serde_json::Value = serde_json::from_slice(&json.get_output().stdout).unwrap();
+    type_lines(
+        "board latency --port sim --exchanges 50 => 50 exchanges, 10000 a second, on sim | round trip: median 0.100 ms
+        2: board latency --port sim --exchanges 1 => --exchanges",
+        &[],
+    );
+    let json = json(&["board", "latency", "--port", "sim", "--exchanges", "50"]);
     assert_eq!((&json["round_trip"]["count"], &json["age"]["count"]), (&50.into(), &49.into()));
-    sim::haptic(&["board", "latency", "--port", "sim", "--exchanges", "1"])
-        .assert()
-        .code(2)
-        .stderr(contains("--exchanges"));
 }

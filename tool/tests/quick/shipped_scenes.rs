@@ -1,14 +1,10 @@
-//! Every scene that ships is sound for its device, can be felt there, and leaves the device's home pose free.
+//! Every shipped scene is sound for its device, within reach, and away from the home pose.
 //!
 //! Scenes live in devices/scenes/DEVICE/.
 
 use crate::common::files;
-use haptic_bridge::math::Libm;
-use haptic_bridge::model::mechanism::Mechanism;
-use haptic_bridge::render::scene::Scene;
+use crate::common::prelude::*;
 use haptic_bridge::with_mechanism;
-use haptic_host::device_file::DeviceFile;
-use haptic_host::scene_file::SceneFile;
 use nalgebra::SVector;
 
 /// Every shipped device with its scenes.

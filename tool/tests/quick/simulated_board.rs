@@ -1,48 +1,29 @@
-//! The simulated board over its real protocol, in lock step: what a tool is told and what the device then does.
+//! The simulated board over its real protocol, in lock step: replies and motion of the device.
 
-use haptic_bridge::control::{HostAction, Rules};
-use haptic_bridge::math::Libm;
-use haptic_bridge::model::device::Device;
-use haptic_bridge::model::mechanism::{AnyMechanism, FiveBar, Mechanism};
+use crate::common::prelude::*;
+use crate::common::{board, plane_wall, shipped};
+use haptic_bridge::model::mechanism::FiveBar;
 use haptic_bridge::render::controller::Gains;
-use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};
-use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::safety::refusal::Refusal;
-use haptic_host::device_file::DeviceFile;
-use haptic_host::link::{Board, BoardError, fields};
-use haptic_sim::{
-    BoardOptions, DriveModel, Hand, HandLoop, HandSettings, Intent, Options, SHIPPED_DEVICE, SharedBoard, Waypoint,
-    ready_board,
-};
+use haptic_host::link::BoardError;
+use haptic_sim::{Hand, HandLoop, SimulatedBoard};
 use nalgebra::Vector2;
 use std::time::Duration;
 
 fn device_file() -> DeviceFile {
-    DeviceFile::parse(SHIPPED_DEVICE, "coupled-five-bar.toml").unwrap()
+    shipped("coupled-five-bar")
 }
 
 fn connect(options: BoardOptions) -> (SharedBoard, Board) {
-    let shared = SharedBoard::new(ready_board(&device_file(), options).unwrap());
-    let board = Board::over(shared.wire(), "sim").unwrap();
-    (shared, board)
+    board(&device_file(), options)
 }
 
 /// A wall whose surface is `gap` metres below the tip, facing up (+y).
 fn wall_below(shared: &SharedBoard, gap: f64, feed_forward: FeedForward) -> Scene<f32> {
     let tip = shared.lock().device().tip();
     let point = [tip[0] as f32, (tip[1] - gap) as f32, 0.0];
-    let mut scene = Scene { task: 2, ..Scene::default() };
-    let wall = Wall {
-        surface: Surface::Plane(Plane { point, normal: [0.0, 1.0, 0.0] }),
-        stiffness: 1000.0,
-        damping: 5.0,
-        feed_forward,
-        washout_hz: 2.0,
-        damping_compensation: false,
-        bilateral: false,
-    };
-    scene.walls.push(wall).unwrap();
-    scene
+    let wall = Wall { feed_forward, ..plane_wall(point, [0.0, 1.0, 0.0], 1000.0, 5.0) };
+    Scene { task: 2, walls: [wall].into_iter().collect(), ..Scene::default() }
 }
 
 fn push_down(shared: &SharedBoard, newtons: f64) {
@@ -63,7 +44,7 @@ fn refusal(result: Result<(), BoardError>) -> Refusal {
 }
 
 #[test]
-fn a_board_says_what_it_is() {
+fn a_board_describes_itself() {
     let (_, mut board) = connect(BoardOptions::default());
     assert_eq!(board.info().board.as_str(), "simulated");
     let details = board.details().unwrap();
@@ -73,7 +54,7 @@ fn a_board_says_what_it_is() {
 }
 
 #[test]
-fn a_wall_holds_a_push_with_the_penetration_its_stiffness_predicts() {
+fn a_push_penetrates_a_wall_as_its_stiffness_predicts() {
     let (shared, mut board) = connect(BoardOptions::default());
     board.set_scene(&wall_below(&shared, 0.005, FeedForward::Off)).unwrap();
     board.arm().unwrap();
@@ -95,7 +76,7 @@ fn a_wall_holds_a_push_with_the_penetration_its_stiffness_predicts() {
 }
 
 #[test]
-fn a_disarmed_wall_is_not_there() {
+fn a_disarmed_wall_has_no_force() {
     let (shared, mut board) = connect(BoardOptions::default());
     board.set_scene(&wall_below(&shared, 0.005, FeedForward::Off)).unwrap();
     push_down(&shared, 4.0);
@@ -135,7 +116,7 @@ fn requests_in_the_middle_of_a_stream_lose_no_rows() {
 }
 
 #[test]
-fn a_host_that_does_not_read_loses_rows_and_is_told_how_many() {
+fn a_host_that_does_not_read_loses_a_counted_number_of_rows() {
     let (shared, mut board) = connect(BoardOptions { send_buffer: 4_000, ..BoardOptions::default() });
     board.start_stream(fields("q,tip").unwrap(), 1).unwrap();
     shared.lock().run(1.0);
@@ -152,9 +133,9 @@ fn a_host_that_does_not_read_loses_rows_and_is_told_how_many() {
 }
 
 #[test]
-fn what_cannot_be_armed_is_refused_with_the_reason() {
+fn arming_is_refused_with_the_reason() {
     let options = BoardOptions { strict: true, ..BoardOptions::default() };
-    let shared = SharedBoard::new(haptic_sim::SimulatedBoard::new(&device_file().description, options).unwrap());
+    let shared = SharedBoard::new(SimulatedBoard::new(&device_file().description, options).unwrap());
     let mut board = Board::over(shared.wire(), "sim").unwrap();
     assert_eq!(refusal(board.arm()), Refusal::NoDevice);
     assert_eq!(refusal(board.home()), Refusal::NoDevice);
@@ -183,7 +164,7 @@ fn what_cannot_be_armed_is_refused_with_the_reason() {
     assert_eq!(refusal(board.arm()), Refusal::InsideWall);
 }
 
-/// Lets so many seconds pass, and says now and then that the host is there.
+/// Lets these seconds pass with a heartbeat every 0.1 s.
 fn listening(shared: &SharedBoard, board: &mut Board, seconds: f64) {
     board.keep_alive();
     for _ in 0..(10.0 * seconds) as u32 {
@@ -203,7 +184,7 @@ fn a_swapped_motor_is_found_before_it_is_armed() {
         joint.limits = Some((-4.0, 4.0));
     }
     let options = BoardOptions { strict: true, ..BoardOptions::default() };
-    let mut simulated = haptic_sim::SimulatedBoard::new(&wired, options).unwrap();
+    let mut simulated = SimulatedBoard::new(&wired, options).unwrap();
     simulated.load(&file.name, &file.description, None).unwrap();
     let shared = SharedBoard::new(simulated);
     let mut board = Board::over(shared.wire(), "sim").unwrap();
@@ -237,7 +218,7 @@ fn gains_change_while_the_wall_is_touched_and_bad_ones_do_not() {
 }
 
 #[test]
-fn a_silent_host_disarms_when_the_rules_say_so_and_a_waiting_one_keeps_the_board_alive() {
+fn a_silent_host_disarms_and_a_waiting_one_does_not() {
     let (shared, mut board) = connect(BoardOptions::default());
     board.set_scene(&wall_below(&shared, 0.05, FeedForward::Off)).unwrap();
     let rules = Rules { host_action: HostAction::Disarm, host_seconds: 0.3, ..board.rules().unwrap() };
@@ -315,10 +296,10 @@ fn unstable_contact(passivity: bool) -> (f64, f64, f64) {
 }
 
 #[test]
-fn the_energy_that_a_wall_gives_out_is_seen_in_telemetry_and_damped_where_the_rules_ask_for_it() {
+fn energy_from_a_wall_is_reported_and_damped_by_the_rules() {
     let (given_out, undamped, free) = unstable_contact(false);
     assert!(given_out < -1e-3, "the wall gave out {given_out} J");
-    assert_eq!(undamped, 0.0, "nobody asked");
+    assert_eq!(undamped, 0.0, "not requested");
     let (given_out, damping, damped) = unstable_contact(true);
     assert!(given_out < -1e-3, "the wall gave out {given_out} J");
     assert!(damping > 1.0, "{damping} N s/m");
@@ -328,8 +309,7 @@ fn the_energy_that_a_wall_gives_out_is_seen_in_telemetry_and_damped_where_the_ru
     assert!((0.75..0.95).contains(&left), "{damped} m/s with damping, {free} m/s without");
 }
 
-/// What a five-bar renders of a force (N) straight up within `most` (N m) of each joint: its share, and the tip's force
-/// of joint torques.
+/// A five-bar that renders a force straight up with at most `most` N m in each joint.
 struct Straight {
     mechanism: FiveBar<f64>,
     most: f64,
@@ -352,7 +332,7 @@ impl Straight {
 }
 
 #[test]
-fn a_wall_that_its_motors_cannot_hold_pushes_a_sliding_hand_straight_and_as_much_as_they_can() {
+fn a_wall_beyond_the_motors_pushes_straight_with_all_they_have() {
     const MOST: f64 = 0.3;
     let device = Options::frictionless();
     let (shared, mut board) = connect(BoardOptions { device, drive: DriveModel::Ideal, ..BoardOptions::default() });
@@ -393,7 +373,7 @@ fn a_wall_that_its_motors_cannot_hold_pushes_a_sliding_hand_straight_and_as_much
         let asked = straight.asked(&q, force);
         let share = straight.share(&asked);
         let most = straight.share(&(asked * 1.0e6)) * 1.0e6 * force;
-        // By one factor, computed here: as much as the motors hold, and nothing aside.
+        // The rendered force is scaled by one factor, computed here, and has no part across.
         let felt = straight.at_the_tip(&q, &Vector2::new(torque0, torque1));
         assert!((felt[1] - share * force).abs() < 0.01, "{row:?}: {felt} is not {share} of {force}");
         assert!(felt[0].abs() < 0.01, "{row:?}: {felt} pulls aside");
@@ -403,7 +383,7 @@ fn a_wall_that_its_motors_cannot_hold_pushes_a_sliding_hand_straight_and_as_much
             assert_eq!([flag0, flag1], [flag; 2], "{row:?}: {share}");
             flagged.push(flag);
         }
-        // Deeper never means less, but for what the motors can do at another pose.
+        // The force never falls with depth, except as far as the motors can make less at the new pose.
         if let Some((depth, before, could)) = last.filter(|(depth, ..)| -distance > *depth) {
             assert!(felt[1] > before + (most - could).min(0.0) - 0.01, "{row:?}: {before} at {depth}");
         }
@@ -420,7 +400,7 @@ fn a_wall_that_its_motors_cannot_hold_pushes_a_sliding_hand_straight_and_as_much
 }
 
 #[test]
-fn a_hand_that_goes_around_keeps_out_of_the_walls_until_the_motors_are_armed() {
+fn a_hand_loop_keeps_out_of_walls_until_the_board_is_armed() {
     let (shared, mut board) = connect(BoardOptions::default());
     let scene = wall_below(&shared, 0.01, FeedForward::Off);
     board.set_scene(&scene).unwrap();

@@ -1,4 +1,4 @@
-//! The simulated device against closed forms: what a simulation gets wrong shows as energy that comes from nowhere.
+//! The simulated device against closed forms; errors of a simulation appear as energy from nowhere.
 
 use crate::common::shipped;
 use haptic_bridge::model::catalogue::Kind;
@@ -84,8 +84,8 @@ fn soft_paddle(stiffness: f64, damping: f64, encoder_at: EncoderAt) -> Descripti
 }
 
 #[test]
-fn a_soft_transmission_swings_at_its_own_frequency_and_keeps_its_energy() {
-    // Blocked by nobody: ω = √(k (1/Jm + 1/Jl)), 1095 rad/s; the common motion stays a parabola.
+fn a_soft_transmission_has_its_frequency_and_keeps_energy() {
+    // Free at both ends: ω = √(k (1/Jm + 1/Jl)), 1095 rad/s; the common motion stays a parabola.
     let mut device = device(&soft_paddle(252.0, 0.0, EncoderAt::Motor));
     let omega = (252.0 * (1.0 / 3e-4 + 1.0 / 7e-4_f64)).sqrt();
     device.step(&[MotorInput::Torque(2e-3), MotorInput::Floating, MotorInput::Floating], 0.05);
@@ -94,7 +94,7 @@ fn a_soft_transmission_swings_at_its_own_frequency_and_keeps_its_energy() {
     let twist = 2e-3 / 3e-4 * (1.0 - (omega * 0.05).cos()) / (omega * omega);
     assert!((device.plant().measured()[0] - (common + 0.7 * twist)).abs() < 1e-4 * twist.abs() + 1e-9);
     assert!((device.q()[0] - (common - 0.3 * twist)).abs() < 1e-4 * twist.abs() + 1e-9);
-    // The last of the torque's current is gone with the first step.
+    // The rest of the torque's current decays within the first step.
     coast(&mut device, 1e-5);
     let before = device.plant().energy();
     coast(&mut device, 0.5);
@@ -102,7 +102,7 @@ fn a_soft_transmission_swings_at_its_own_frequency_and_keeps_its_energy() {
 }
 
 #[test]
-fn a_very_stiff_transmission_is_rigid_and_an_encoder_sees_the_side_that_it_is_on() {
+fn encoders_see_their_side_and_stiff_transmissions_are_rigid() {
     for (stiffness, apart) in [(1e12, 1e-9), (10.0, 1.0)] {
         let angles = [EncoderAt::Motor, EncoderAt::Joint].map(|side| {
             let mut device = device(&soft_paddle(stiffness, 0.0, side));
@@ -118,7 +118,7 @@ fn a_very_stiff_transmission_is_rigid_and_an_encoder_sees_the_side_that_it_is_on
 }
 
 #[test]
-fn dry_friction_behind_a_transmission_holds_the_motor_and_lets_the_link_swing() {
+fn dry_friction_holds_the_motor_and_lets_the_link_swing() {
     let mut described = soft_paddle(252.0, 0.0, EncoderAt::Motor);
     described.joints[0].coulomb = 1.0;
     let mut device = device(&described);
@@ -159,7 +159,7 @@ fn a_motor_without_inductance_brakes_like_its_closed_form() {
 }
 
 #[test]
-fn coulomb_friction_stops_a_joint_in_finite_time_and_then_holds_it() {
+fn coulomb_friction_stops_a_joint_and_then_holds_it() {
     let mut device = device(&paddle(0.0, 0.01));
     device.push([0.1, 0.0, 0.0]);
     // 1 rad/s against 0.01 N m on 1e-3 kg m²: at rest after 0.1 s and 0.05 rad.
@@ -197,7 +197,7 @@ fn a_joint_stops_just_beyond_its_limits() {
 
 /// Beyond its reach a closed loop meets a parallel singularity, where its inertia has no bound.
 #[test]
-fn a_linkage_that_is_pulled_beyond_its_reach_stays_bounded_and_gains_no_energy() {
+fn a_linkage_pulled_beyond_its_reach_gains_no_energy() {
     for name in ["fictive-five-bar-turret", "pantograph-mk2", "haply-2diy"] {
         let description = Description { gravity: [0.0; 3], ..shipped(name).description };
         for to in [[0.0, 0.3, 0.0], [0.0, -0.3, 0.2]] {
@@ -212,7 +212,7 @@ fn a_linkage_that_is_pulled_beyond_its_reach_stays_bounded_and_gains_no_energy()
                 coast(&mut device, 1e-3);
                 let turned = (0..3).map(|i| (device.q()[i] - start[i]).abs()).fold(0.0, f64::max);
                 assert!(turned < 2.0 * std::f64::consts::TAU, "{name} to {to:?}: {:?} rad", device.q());
-                // Integration errs by up to 4e-4 beside the singularity.
+                // The integration error near the singularity is up to 4e-4.
                 let energy = device.plant().energy();
                 assert!(energy <= 1.001 * before, "{name} to {to:?}: {before} J, then {energy} J");
             }
@@ -266,7 +266,7 @@ fn swinging_paddle(frequency: f64, damping: f64) -> Description {
 }
 
 #[test]
-fn a_mode_is_a_link_behind_a_transmission_seen_from_the_other_side() {
+fn a_mode_equals_a_link_behind_a_transmission() {
     // The 3e-4 kg m² that swing are the link of a soft paddle whose motor has the other 7e-4.
     let mode = StructuralMode { frequency: 80.0, damping: 0.02, inertia: 3e-4 };
     let mut soft = paddle(0.0, 0.0);
@@ -289,13 +289,13 @@ fn a_mode_is_a_link_behind_a_transmission_seen_from_the_other_side() {
 }
 
 #[test]
-fn a_mode_keeps_its_energy_beside_a_transmission_and_a_stiff_one_is_rigid() {
+fn modes_keep_their_energy_and_stiff_ones_are_rigid() {
     let mut both = soft_paddle(40.0, 0.0, EncoderAt::Motor);
     both.joints[0].modes[0] = Some(StructuralMode { frequency: 150.0, damping: 0.0, inertia: 1e-4 });
     both.joints[0].modes[1] = Some(StructuralMode { frequency: 400.0, damping: 0.0, inertia: 1e-4 });
     let mut soft = device(&both);
     soft.step(&[MotorInput::Torque(0.05); 3], 3e-3);
-    // What current is left falls in a step.
+    // The rest of the current decays within a step.
     coast(&mut soft, 1e-3);
     let before = soft.plant().energy();
     coast(&mut soft, 0.2);
@@ -320,7 +320,7 @@ fn stribeck_friction_holds_more_than_it_brakes() {
     assert!(before > 2.0, "{before}");
     held.step(&[MotorInput::Torque(0.0201); 3], 0.1);
     assert!((held.qd()[0] - before - 0.1 * 10.1).abs() < 1e-6, "{}", held.qd()[0] - before);
-    // Without friction there is none of it.
+    // The option removes all friction.
     let mut free = SimulatedDevice::new(&description, &Options::frictionless()).unwrap();
     free.step(&[MotorInput::Torque(0.001); 3], 0.1);
     assert!(free.q()[0] > 0.0);
@@ -332,18 +332,18 @@ fn cogging_holds_a_motor_in_its_wells_without_a_loss() {
     description.joints[0].cogging = Some(Cogging { amplitude: 0.005, per_turn: 24.0 });
     let mut cogging = device(&description);
     let well = std::f64::consts::TAU / 24.0;
-    // It starts on a crest; from just beside it, it falls into the well and comes up on the other side.
+    // From just off a maximum it falls into the well and rises on the other side.
     cogging.place([0.1 * well, 0.0, 0.0]);
     let before = cogging.plant().energy();
     let mut far: f64 = 0.0;
     for _ in 0..500 {
         coast(&mut cogging, 1e-3);
         far = far.max(cogging.q()[0]);
-        // The midpoint rule swings about the energy, and does not drift.
+        // The midpoint rule oscillates about the energy without drift.
         assert!((cogging.plant().energy() / before - 1.0).abs() < 1e-6, "{} {before}", cogging.plant().energy());
     }
     assert!((far - 0.9 * well).abs() < 1e-3 * well, "{far} {well}");
-    // The smallest torque that it does not hold is its amplitude.
+    // It holds torques up to its amplitude.
     for (torque, leaves) in [(0.0049, false), (0.0056, true)] {
         let mut damped = description;
         damped.joints[0].viscous = 0.02;

@@ -1,11 +1,8 @@
-//! Single encoder counts are no motion: the velocity terms, which grow with the square of it, do not act on them.
+//! Velocity terms, which grow with the square of the speed, do not act on single encoder counts.
 
-use crate::common::{all_shipped, shipped};
-use haptic_bridge::math::Libm;
-use haptic_bridge::model::device::Device;
-use haptic_bridge::model::mechanism::Mechanism;
+use crate::common::prelude::*;
+use crate::common::{all_shipped, plane_wall, shipped};
 use haptic_bridge::render::controller::Controller;
-use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, VelocityTerms, Wall};
 use haptic_bridge::render::velocity::Estimator;
 use haptic_bridge::with_mechanism;
 use nalgebra::SVector;
@@ -19,16 +16,8 @@ fn scene(tip: &[f64], task: usize, estimator: Estimator, velocity_terms: Velocit
     let at = |i: usize, value: f64| if i < task { value } else { 0.0 };
     let normal = std::array::from_fn(|i| at(i, 1.0 / length));
     let point = std::array::from_fn(|i| if i < task { tip[i] + 0.002 * normal[i] } else { 0.0 });
-    let wall = Wall {
-        surface: Surface::Plane(Plane { point, normal }),
-        stiffness: 100.0,
-        damping: 0.0,
-        feed_forward: FeedForward::Full,
-        washout_hz: 2.0,
-        damping_compensation: false,
-        bilateral: true,
-    };
-    scene.walls.push(wall).unwrap();
+    let plane = plane_wall(point, normal, 100.0, 0.0);
+    scene.walls.push(Wall { feed_forward: FeedForward::Full, bilateral: true, ..plane }).unwrap();
     scene
 }
 
@@ -98,15 +87,15 @@ fn of_turning(counts_per_turn: f64, speed: f64) -> SVector<f64, 2> {
     sum
 }
 
-/// Of a motion of twelve counts' worth 1/12² is missing of each velocity, twice that of a product of two.
+/// A motion of twelve times the uncertainty loses 1/12² of each velocity, and twice that of a product.
 #[test]
 fn velocity_terms_act_on_a_motion() {
-    // A 2nd-order Butterworth's answer to a step of its input's integral: ω e^(-π/4) sin(π/4) √2 at its largest.
-    let doubt = TAU / 20_000.0 * TAU * 500.0 * (-std::f64::consts::FRAC_PI_4).exp();
-    let [coarse, fine] = [20_000.0, 16_777_216.0].map(|counts| of_turning(counts, 12.0 * doubt));
+    // Largest response of a 2nd-order Butterworth to a step of its input's integral: ω e^(-π/4) sin(π/4) √2.
+    let uncertainty = TAU / 20_000.0 * TAU * 500.0 * (-std::f64::consts::FRAC_PI_4).exp();
+    let [coarse, fine] = [20_000.0, 16_777_216.0].map(|counts| of_turning(counts, 12.0 * uncertainty));
     assert!(fine.amax() > 0.01, "{fine}");
     assert!((coarse - fine).amax() < 0.03 * fine.amax(), "{coarse} for {fine}");
-    // At rest but for a count now and then next to nothing is left.
-    let slow = of_turning(20_000.0, 0.1 * doubt);
+    // With a rare count almost nothing is left.
+    let slow = of_turning(20_000.0, 0.1 * uncertainty);
     assert!(slow.amax() < 1e-4 * fine.amax(), "{slow}");
 }

@@ -1,19 +1,14 @@
-//! Tools that come second, go, are killed, flood or say nothing: the board is one tool's, the next one finds it as it
-//! was, and a request to disarm gets through. Where there is a real port, tools are waited for not at all or for an hour.
+//! Tools that come second, leave, are killed, flood or stay silent: one tool holds the board, the next finds it
+//! unchanged, and a request to disarm always gets through. Patience is zero or an hour, so no test depends on time.
 
-use crate::common::{file, shipped};
+use crate::common::prelude::*;
+use crate::common::{board, file, shipped};
 use haptic_bridge::board::protocol::{Disarm, GetDetails, GetInfo, Info, PROTOCOL};
-use haptic_bridge::control::{HostAction, Rules};
-use haptic_bridge::render::scene::{FeedForward, Scene};
-use haptic_bridge::safety::fault::{Fault, State};
-use haptic_host::device_file::DeviceFile;
-use haptic_host::link::{Board, Deframer, LinkError, PortSpec, Wire, disarm_held_board, encode, fields};
-use haptic_host::scene_file::SceneFile;
+use haptic_host::link::{Deframer, LinkError, PortSpec, Wire, disarm_held_board, encode};
 use haptic_predict::measure::{Law, MeasureError, MeasurementSetup, PreparedBoard};
 use haptic_sim::door::{Patience, ToolListener, tcp};
 use haptic_sim::server::{Pace, serve};
-use haptic_sim::{BoardOptions, SharedBoard, SimulatedBoard, ready_board};
-use haptic_stability::analysis::several::Member;
+use haptic_sim::{SimulatedBoard, ready_board};
 use postcard_rpc::Endpoint;
 use postcard_rpc::header::{VarHeader, VarKey, VarSeq};
 use std::cell::Cell;
@@ -25,7 +20,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{JoinHandle, spawn};
 use std::time::Duration;
 
-const NOT_AT_ALL: Duration = Duration::ZERO;
+const NO_PATIENCE: Duration = Duration::ZERO;
 const AN_HOUR: Duration = Duration::from_secs(3600);
 
 fn device() -> DeviceFile {
@@ -51,12 +46,12 @@ impl Served {
         Self { port, stop, server: Some(server) }
     }
 
-    /// Over TCP, where the next tool waits for so long for one that goes, and a silent one gives way after so long.
+    /// Over TCP. The next tool waits `handover` for a leaving one; a tool gives way after `silence`.
     fn on_tcp(handover: Duration, silence: Duration) -> Self {
         Self::behind(tcp("127.0.0.1:0".parse().unwrap(), Patience { silence, handover }).unwrap())
     }
 
-    /// Over everything that there is.
+    /// Over every kind of port.
     fn everywhere(handover: Duration) -> Vec<Self> {
         let mut ports = vec![Self::on_tcp(handover, AN_HOUR)];
         #[cfg(unix)]
@@ -76,7 +71,7 @@ impl Served {
         board
     }
 
-    /// A connection that is no tool yet.
+    /// A connection that has sent nothing yet.
     fn connect(&self) -> TcpStream {
         let PortSpec::Tcp(address) = &self.port else { panic!("{:?} is no TCP port", self.port) };
         TcpStream::connect(address).unwrap()
@@ -101,7 +96,7 @@ impl Drop for Served {
     }
 }
 
-/// Streams until `count` rows more have come.
+/// Streams until `count` more rows have arrived.
 fn rows(board: &mut Board, count: u64) {
     let enough = board.losses().received + count;
     while board.losses().received < enough {
@@ -110,7 +105,7 @@ fn rows(board: &mut Board, count: u64) {
 }
 
 #[test]
-fn a_board_behind_a_port_answers_and_streams_without_loss_and_so_it_does_for_the_next_tool() {
+fn two_tools_in_a_row_stream_without_loss() {
     for served in Served::everywhere(AN_HOUR) {
         for _ in 0..2 {
             let mut board = served.open();
@@ -124,8 +119,8 @@ fn a_board_behind_a_port_answers_and_streams_without_loss_and_so_it_does_for_the
 }
 
 #[test]
-fn the_second_of_two_tools_is_told_that_the_board_is_taken_and_the_first_does_not_notice() {
-    for served in Served::everywhere(NOT_AT_ALL) {
+fn a_second_tool_is_refused_without_disturbing_the_first() {
+    for served in Served::everywhere(NO_PATIENCE) {
         let mut first = served.open();
         first.start_stream(fields("usual").unwrap(), 10).unwrap();
         rows(&mut first, 500);
@@ -136,13 +131,13 @@ fn the_second_of_two_tools_is_told_that_the_board_is_taken_and_the_first_does_no
 }
 
 #[test]
-fn a_request_to_disarm_gets_past_the_tool_that_holds_the_board() {
-    for served in Served::everywhere(NOT_AT_ALL) {
-        // It does not read meanwhile, as one that was stopped.
+fn a_request_to_disarm_passes_the_tool_that_holds_the_board() {
+    for served in Served::everywhere(NO_PATIENCE) {
+        // The first tool does not read meanwhile, as if it were stopped.
         let mut first = served.armed();
         disarm_held_board(&served.port).unwrap();
         assert_eq!(first.status().unwrap().state, State::Disarmed);
-        // And nothing but that request does.
+        // No other request does.
         first.arm().unwrap();
         served.refuses_a_second_tool();
         assert_eq!(first.status().unwrap().state, State::Armed);
@@ -150,11 +145,11 @@ fn a_request_to_disarm_gets_past_the_tool_that_holds_the_board() {
 }
 
 #[test]
-fn connections_that_say_nothing_neither_disturb_the_tool_that_holds_the_board_nor_keep_out_a_request_to_disarm() {
-    let served = Served::on_tcp(NOT_AT_ALL, AN_HOUR);
+fn silent_connections_do_not_keep_out_a_request_to_disarm() {
+    let served = Served::on_tcp(NO_PATIENCE, AN_HOUR);
     let mut first = served.armed();
     let silent = || (0..100).map(|_| served.connect()).collect::<Vec<_>>();
-    // As `haptic disarm` does: it asks first, and is told that the board is held.
+    // Like `haptic disarm`, which first finds that the board is held.
     let _crowd = silent();
     served.refuses_a_second_tool();
     let _more = silent();
@@ -163,14 +158,13 @@ fn connections_that_say_nothing_neither_disturb_the_tool_that_holds_the_board_no
     assert_eq!(first.status().unwrap().state, State::Disarmed);
 }
 
-/// A byte each, and then nothing: none of them is a request, and none keeps one out.
 #[test]
-fn strangers_that_begin_to_speak_and_fall_silent_keep_out_no_request_to_disarm() {
+fn partial_requests_do_not_keep_out_a_request_to_disarm() {
     let served = Served::on_tcp(AN_HOUR, AN_HOUR);
     let mut first = served.armed();
     let strangers = (0..100).map(|_| {
         let mut stranger = served.connect();
-        // One that was turned away has closed its end.
+        // A refused connection is closed.
         let _ = stranger.write_all(&[1]);
         stranger
     });
@@ -180,11 +174,11 @@ fn strangers_that_begin_to_speak_and_fall_silent_keep_out_no_request_to_disarm()
 }
 
 #[test]
-fn a_tool_that_speaks_takes_the_place_of_connections_that_say_nothing() {
-    let served = Served::on_tcp(AN_HOUR, NOT_AT_ALL);
+fn a_tool_replaces_silent_connections() {
+    let served = Served::on_tcp(AN_HOUR, NO_PATIENCE);
     let _silent: Vec<_> = (0..100).map(|_| served.connect()).collect();
     let mut board = served.open();
-    // None of them takes it back.
+    // The silent ones do not take the board back.
     for _ in 0..100 {
         board.status().unwrap();
     }
@@ -195,7 +189,7 @@ fn request<E: Endpoint>(sequence: u16) -> Vec<u8> {
 }
 
 #[test]
-fn a_tool_that_floods_and_does_not_read_costs_a_bounded_memory_and_the_next_one_is_served() {
+fn a_flooding_tool_costs_bounded_memory_and_is_replaced() {
     let mut board = simulated();
     (0..50_000).for_each(|sequence| board.receive(&request::<GetDetails>(sequence)));
     let (mut waiting, mut buffer) = (0, [0; 4096]);
@@ -228,7 +222,7 @@ fn a_hundred_replugs_armed_or_not_leave_a_board_that_arms_again() {
     for round in 0..100 {
         let mut board = served.open();
         board.keep_alive();
-        // After a tool that left without disarming they are still on.
+        // The motors are still on after a tool that left without disarming.
         board.disarm().unwrap();
         board.arm().unwrap();
         board.start_stream(fields("usual").unwrap(), 10).unwrap();
@@ -248,7 +242,7 @@ fn a_board_that_goes_away_while_streaming_is_a_clear_error() {
     let cable = TcpListener::bind("127.0.0.1:0").unwrap();
     let port = PortSpec::Tcp(cable.local_addr().unwrap().to_string());
     let mut to_board = served.connect();
-    // It is pulled after 2000 bytes from the board.
+    // The cable is pulled after 2000 bytes from the board.
     let pulled = spawn(move || {
         let (mut tool, _) = cable.accept().unwrap();
         let (mut from_board, mut from_tool) = (to_board.try_clone().unwrap(), tool.try_clone().unwrap());
@@ -269,8 +263,8 @@ fn a_board_that_goes_away_while_streaming_is_a_clear_error() {
 }
 
 #[test]
-fn ports_with_nobody_behind_them_are_said_with_their_names() {
-    // This end of a connection keeps its port, and nobody listens at it.
+fn ports_without_a_board_are_named() {
+    // The port of an outgoing connection is taken, but not listening.
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let taken = TcpStream::connect(listener.local_addr().unwrap()).unwrap();
     let address = taken.local_addr().unwrap().to_string();
@@ -281,7 +275,7 @@ fn ports_with_nobody_behind_them_are_said_with_their_names() {
     assert!(error.to_string().contains("/dev/no-such-port"));
 }
 
-/// What is no board, or one of another protocol version, which answers whatever it is asked with its `Info`.
+/// No board, or a board of another protocol version, which sends its `Info` as reply to every request.
 struct Stranger {
     protocol: Option<u16>,
     out: Vec<u8>,
@@ -302,13 +296,8 @@ impl Wire for Stranger {
         for request in requests {
             assert_eq!(request.header.key, VarKey::Key8(GetInfo::REQ_KEY), "nothing else is asked of it");
             let Some(protocol) = self.protocol else { continue };
-            let [firmware, board, serial] = ["9.9", "odrive-v3", "A1"];
-            let info = Info {
-                protocol,
-                firmware: firmware.chars().collect(),
-                board: board.chars().collect(),
-                serial: serial.chars().collect(),
-            };
+            let (firmware, board) = ("9.9".chars().collect(), "odrive-v3".chars().collect());
+            let info = Info { protocol, firmware, board, serial: "A1".chars().collect() };
             let header = VarHeader { key: VarKey::Key8(GetInfo::RESP_KEY), seq_no: request.header.seq_no };
             self.out.extend(encode(&header, &postcard::to_stdvec(&info).unwrap()));
         }
@@ -328,7 +317,7 @@ impl Wire for Stranger {
 }
 
 #[test]
-fn what_is_no_board_of_this_version_is_named_and_left_alone() {
+fn unknown_boards_are_named_and_sent_nothing_else() {
     let error = Stranger::met(None);
     assert!(matches!(error, LinkError::Silent { .. }), "{error}");
     for (protocol, remedy) in [(PROTOCOL + 1, "update this tool"), (PROTOCOL - 1, "flash it: haptic flash")] {
@@ -340,17 +329,15 @@ fn what_is_no_board_of_this_version_is_named_and_left_alone() {
 
 /// A board in this process, in virtual time.
 fn in_process() -> (SharedBoard, Board) {
-    let shared = SharedBoard::new(simulated());
-    let board = Board::over(shared.wire(), "sim").unwrap();
-    (shared, board)
+    board(&device(), BoardOptions::default())
 }
 
 #[test]
-fn what_is_left_of_another_tools_stream_is_no_row_of_this_one() {
+fn rows_of_a_killed_tools_stream_are_discarded() {
     let (shared, mut killed) = in_process();
     killed.start_stream(fields("counts").unwrap(), 1).unwrap();
     shared.lock().run(0.2);
-    // It read nothing of it and says no good-bye; the next one finds the port as it was left.
+    // The killed tool has read nothing; the next one finds the port as it was left.
     drop(killed);
     let mut next = Board::over(shared.wire(), "sim").unwrap();
     next.start_stream(fields("q,tip").unwrap(), 20).unwrap();
@@ -376,14 +363,14 @@ fn setup() -> MeasurementSetup {
     }
 }
 
-/// One trial of a measurement that is asked again and again whether it shall stop.
+/// One trial of a measurement that calls `stop` again and again.
 fn measure(board: &mut Board, stop: &dyn Fn() -> bool) -> Result<(), MeasureError> {
     let mut prepared = PreparedBoard::new(board, &device(), setup(), stop)?;
     prepared.oscillates(FeedForward::Off, 100.0, 1.0, 1.0).map(drop)
 }
 
 #[test]
-fn a_measurement_that_ends_anywhere_has_its_motors_off_and_the_rules_as_they_were() {
+fn a_stopped_measurement_turns_off_and_restores_the_rules() {
     let (shared, mut board) = in_process();
     let scene = SceneFile::load(Path::new(&file("scenes/coupled-five-bar/wall.toml")), 2).unwrap().scene().unwrap();
     board.set_scene(&scene).unwrap();
@@ -402,7 +389,7 @@ fn a_measurement_that_ends_anywhere_has_its_motors_off_and_the_rules_as_they_wer
 }
 
 #[test]
-fn a_measurement_ends_when_somebody_else_turns_the_motors_off_or_clears_its_fault() {
+fn a_measurement_ends_when_another_tool_disarms() {
     for most in [40, 60] {
         let (shared, mut board) = in_process();
         let asked = Cell::new(0);
@@ -420,10 +407,10 @@ fn a_measurement_ends_when_somebody_else_turns_the_motors_off_or_clears_its_faul
 }
 
 #[test]
-fn a_measurement_whose_tool_dies_takes_its_motors_with_it() {
+fn the_motors_go_off_if_the_measuring_tool_dies() {
     let (shared, mut board) = in_process();
     let prepared = PreparedBoard::new(&mut board, &device(), setup(), &|| false).unwrap();
-    // What a killed process does: nothing more, not even dropping.
+    // A killed process does not drop anything.
     std::mem::forget(prepared);
     assert_eq!(shared.lock().status().state, State::Armed);
     shared.lock().run(1.1);

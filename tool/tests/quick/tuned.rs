@@ -1,18 +1,14 @@
-//! `haptic tune` and `haptic tune estimators`: on devices that nobody chose (ten of them:
-//! host/tests/deep/tune/settings.rs), on joints that give, and when they are to end.
+//! `haptic tune` and `haptic tune estimators` on random devices (ten more in deep/tune/settings.rs), on compliant joints,
+//! and with Ctrl-C.
 
+use crate::common::prelude::*;
 use crate::common::tuned::{drawn, none_is_stiffer, question};
-use crate::common::{haptic, json, root, shipped};
-use haptic_bridge::model::admissible::Admissible;
-use haptic_bridge::model::description::EncoderAt;
-use haptic_bridge::render::scene::FeedForward;
+use crate::common::{Folder, json, read, run, shipped, type_lines};
 use haptic_bridge::render::velocity::Estimator;
-use haptic_host::device_file::DeviceFile;
 use haptic_host::error::Failure;
 use haptic_predict::bench::estimators::{Comparison, compare, telling_wall};
 use haptic_predict::bench::wall::{Rendered, WallSimulation};
 use haptic_predict::tune::{MOST_REBOUNDS, Margins, Question, Settings, keeps, ripple, tune};
-use haptic_stability::sweep::Sweep;
 use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -20,9 +16,9 @@ fn usual(name: &str) -> Estimator {
     Estimator::ALL.iter().find(|(other, _)| *other == name).unwrap().1
 }
 
-/// coupled-five-bar with cables, and the encoders on this side of them.
+/// coupled-five-bar with cables and its encoders on this side of them.
 fn with_cables(encoder_at: &str) -> String {
-    let text = std::fs::read_to_string(root().join("devices/coupled-five-bar.toml")).unwrap();
+    let text = read("devices/coupled-five-bar.toml");
     let cable = format!("[joint.transmission]\nstiffness = 250.0\ndamping = 0.01\nencoder_at = \"{encoder_at}\"\n");
     text.replace("transmission = \"rigid\"\n", "").replace("[joint.encoder]", &format!("{cable}\n[joint.encoder]"))
 }
@@ -43,7 +39,7 @@ fn wall(kind: Estimator, cutoff_hz: f64, (stiffness, damping): (f64, f64)) -> Se
 }
 
 #[test]
-fn a_wall_behind_cables_is_seen_where_its_encoders_are() {
+fn a_wall_behind_cables_depends_on_the_encoders_side() {
     let of = |side: &str| {
         let file = DeviceFile::parse(&with_cables(side), side).unwrap();
         ripple(&question(&file, 5_000.0), &wall(usual("butterworth"), 200.0, (5_000.0, 20.0))).unwrap().ripple_n
@@ -55,27 +51,23 @@ fn a_wall_behind_cables_is_seen_where_its_encoders_are() {
 
 #[test]
 fn estimators_are_compared_on_a_wall_that_range_finds_stable() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("cables.toml");
-    std::fs::write(&path, with_cables("motor")).unwrap();
+    let folder = Folder::new();
+    let path = folder.write("cables.toml", with_cables("motor"));
     let file = DeviceFile::load(&path).unwrap();
     assert!(file.description.joints[0].transmission.is_some_and(|cable| cable.encoder_at == EncoderAt::Motor));
     let (stiffness, damping) = telling_wall(&file, &[2.6, 1.75], &[0.6, 0.8], 5_000.0, 200.0).unwrap();
     let words = ["--q", "2.6,1.75", "--normal", "0.6,0.8", "--rate", "5000", "--cutoff", "200", "--board", "odrive-v3"];
     let kd = damping.to_string();
-    let said = json(&[&["range", path.to_str().unwrap(), "--kd", &kd], &words[..]].concat());
+    let said = json(&[&["range", &path, "--kd", &kd], &words[..]].concat());
     let most = said["off"]["boundary"][0]["kp"].as_f64().unwrap();
     assert!((4.0 * stiffness / most - 1.0).abs() < 1e-9, "{stiffness} of {most} N/m");
     assert!((2.0 * damping / said["off"]["kd_max"].as_f64().unwrap() - 1.0).abs() < 1e-9, "{damping} N s/m");
 
     let soft = "stiffness = 40.0\ndamping = 0.0";
     let text = with_cables("joint").replace("stiffness = 250.0\ndamping = 0.01", soft);
-    std::fs::write(&path, text.replace("viscous = 0.001", "viscous = 0.0")).unwrap();
-    let words =
-        ["tune", "estimators", path.to_str().unwrap(), "--normal", "0.6,0.8", "--rate", "5000", "--cutoff", "200"];
-    let failed = haptic(&words).assert().code(1).get_output().stderr.clone();
-    let failed = String::from_utf8(failed).unwrap();
-    assert!(failed.contains("no wall here is predicted stable") && failed.contains("(--wall)"), "{failed}");
+    folder.write("cables.toml", text.replace("viscous = 0.001", "viscous = 0.0"));
+    let line = format!("tune estimators {path} --normal 0.6,0.8 --rate 5000 --cutoff 200");
+    type_lines(&format!("1: {line} => no wall here is predicted stable | (--wall)"), &[]);
 }
 
 fn small(number: u64, estimator: &str, dampings: &[f64]) {
@@ -83,7 +75,7 @@ fn small(number: u64, estimator: &str, dampings: &[f64]) {
     let question = Question { estimators: vec![usual(estimator)], ..question(&file, 5_000.0) };
     let (found, tried) = none_is_stiffer(&question, dampings, &[1.06]);
     assert!(tried >= 5, "{tried}");
-    // On devices that are off their file as far as the margins say it ripples no more, whoever writes them down.
+    // On devices that differ from their file by the margins, the ripple is no larger.
     for (share, loose) in [(0.9, 0.97), (1.1, 1.03)] {
         let mut other = file.clone();
         for joint in &mut other.description.joints {
@@ -107,16 +99,16 @@ fn small(number: u64, estimator: &str, dampings: &[f64]) {
 }
 
 #[test]
-fn no_wall_on_a_rigid_device_is_stiffer_than_the_one_that_is_found() {
+fn no_wall_on_a_rigid_device_is_stiffer_than_the_result() {
     small(0, "first-order", &[0.6, 1.0, 1.7]);
 }
 
 #[test]
-fn no_wall_on_a_device_with_a_cable_is_stiffer_than_the_one_that_is_found() {
+fn no_wall_on_a_cable_device_is_stiffer_than_the_result() {
     small(5, "backward-difference", &[0.5, 0.7, 1.0, 1.4, 2.0]);
 }
 
-/// A mass that a hand pushes against a spring and a damper which cannot pull: how often it leaves them again.
+/// Counts how often a mass, pushed by a hand, leaves a spring and damper that cannot pull.
 fn rebounds(mass: f64, stiffness: f64, damping: f64) -> usize {
     let (mut x, mut v, mut inside, mut left) = (0.0, -0.2, false, 0);
     let h = 1e-6;
@@ -131,14 +123,13 @@ fn rebounds(mass: f64, stiffness: f64, damping: f64) -> usize {
 }
 
 #[test]
-fn a_tap_leaves_a_wall_as_often_as_a_mass_leaves_a_spring_and_more_than_once_is_too_often() {
+fn a_tap_rebounds_like_a_mass_on_a_spring_at_most_once() {
     let mut file = shipped("hapkit-paddle");
     for joint in &mut file.description.joints {
         (joint.viscous, joint.coulomb) = (0.0, 0.0);
         joint.encoder.iter_mut().for_each(|encoder| encoder.counts_per_turn = 1e7);
     }
     let mass = 0.0008 / (0.07 * 0.07) + 0.05;
-    // Motors that limit nothing.
     let question = Question { speed: 0.01, ..question(&file, 20_000.0) };
     let simulation = WallSimulation::new(&file.description, &file.description, &[0.0], &[1.0], 20_000.0).unwrap();
     let mut seen = BTreeSet::new();
@@ -149,7 +140,7 @@ fn a_tap_leaves_a_wall_as_often_as_a_mass_leaves_a_spring_and_more_than_once_is_
                 Settings { rate_hz: 20_000.0, ..wall(usual("backward-difference"), 500.0, (stiffness, damping)) };
             let (found, known) =
                 (simulation.rebounds(&rendered(&wall)).unwrap().unwrap(), rebounds(mass, stiffness, damping));
-            // Half a carrier period of delay takes from a small damping.
+            // Half a carrier period of delay reduces a small damping.
             let near = found.abs_diff(known) <= usize::from(known > 2);
             assert!(near, "{stiffness} N/m at {ratio} of critical damping: {found}, not {known}");
             assert_eq!(
@@ -176,8 +167,7 @@ fn rendered(wall: &Settings) -> Rendered {
     }
 }
 
-/// Between two looks at whether it is to end lies one press, or one loop's curve: so it ends in the middle of the first
-/// candidates.
+/// The stop flag is checked after every press or curve, so a search ends among its first candidates.
 #[test]
 fn long_searches_end_at_the_next_press_after_ctrl_c() {
     let file = drawn(0);
@@ -196,10 +186,9 @@ fn long_searches_end_at_the_next_press_after_ctrl_c() {
 }
 
 #[test]
-fn every_stage_is_told_where_nobody_watches_a_terminal() {
+fn every_stage_is_reported_without_a_terminal() {
     let words = ["tune", "devices/hapkit-paddle.toml", "--normal", "1", "--rates", "1000", "--feed-forward", "off"];
-    let done = haptic(&[&words[..], &["--json"]].concat()).assert().success();
-    let told = String::from_utf8(done.get_output().stderr.clone()).unwrap();
+    let (_, _, told) = run(&[&words[..], &["--json"]].concat());
     for stage in ["walls, feed-forward off: ", "ripple, feed-forward off, round 1: ", "stiffer, round 1: "] {
         assert!(told.lines().any(|line| line.starts_with(stage)), "{stage}\n{told}");
     }

@@ -1,13 +1,10 @@
-//! What `haptic view` says and hears, without a browser: who commands, the dead man's key, gains, walls, the
-//! oscilloscope, and whom it lets in.
+//! `haptic view` without a browser: command, the dead man's key, gains, walls, the oscilloscope, and access.
 
 use crate::common::page::Heard;
+use crate::common::prelude::*;
 use crate::common::{file, shipped};
 use haptic_bridge::board::protocol::{Arm, Disarm};
-use haptic_bridge::render::scene::{FeedForward, Scene, Surface};
-use haptic_bridge::safety::fault::{Fault, State};
-use haptic_host::link::{Board, Wire, encode};
-use haptic_host::scene_file::SceneFile;
+use haptic_host::link::{Wire, encode};
 use haptic_predict::wall_ahead::wall_ahead;
 use haptic_show::recorder::Recording;
 use haptic_show::view::hub::{Hub, Message as Sent, PageId};
@@ -15,18 +12,14 @@ use haptic_show::view::message::FromPage;
 use haptic_show::view::stability::Plane;
 use haptic_show::view::world::lead;
 use haptic_show::view::{PageListener, Stage, Turn, World};
-use haptic_sim::SharedBoard;
 use haptic_stability::analysis::control_loop::TorquePath;
 use haptic_stability::analysis::flexible::Posture;
-use haptic_stability::analysis::plant::Drive;
 use haptic_stability::analysis::pose::Stance;
 use haptic_stability::analysis::prediction::{Prediction, Subject};
 use haptic_stability::analysis::range::BoundaryPoint;
-use haptic_stability::analysis::sampled::{LinearEstimator, Loop};
-use haptic_stability::analysis::several::Member;
 use postcard_rpc::Endpoint as _;
 use postcard_rpc::header::{VarHeader, VarKey, VarSeq};
-use serde_json::{Value, json};
+use serde_json::json;
 use std::io::{ErrorKind, Read, Write};
 use std::net::{Shutdown, TcpStream};
 use std::path::Path;
@@ -35,7 +28,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 use tungstenite::{Message, WebSocket};
 
-/// A stage and its pages in this process: what time it is the test says, however busy the computer is.
+/// A stage and its pages in this process, on a clock of the test, however busy the computer is.
 struct Played {
     stage: Stage,
     hub: Hub,
@@ -47,7 +40,7 @@ struct Played {
 struct Page {
     id: PageId,
     heard: Heard,
-    /// What it says all the time: that its key is down, that it is there, or nothing.
+    /// Message that it repeats: its key is down, or it is there, or none.
     says: Option<FromPage>,
 }
 
@@ -59,7 +52,7 @@ impl Played {
         Self { stage, hub, simulated, now: Duration::ZERO, pages: Vec::new() }
     }
 
-    /// With a page in command.
+    /// The demo with a page in command.
     fn demo() -> Self {
         Self::in_command(World::demo().unwrap(), None)
     }
@@ -72,14 +65,14 @@ impl Played {
         view
     }
 
-    /// With a page in command of a board that is not simulated here, and what is behind that board.
+    /// A page in command of a board that does not count as simulated, and the simulated board behind it.
     fn on_a_board() -> (SharedBoard, Self) {
         let simulated = World::demo().unwrap().simulated.unwrap();
         let board = Board::over(simulated.wire(), "a board").unwrap();
         (simulated, Self::in_command(World::of(board, None), None))
     }
 
-    /// A page comes; its number.
+    /// Connects a page and returns its number.
     fn come(&mut self) -> usize {
         let (id, heard) = (self.hub.come().unwrap(), Heard::default());
         self.pages.push(Page { id, heard, says: Some(FromPage::Here {}) });
@@ -87,18 +80,18 @@ impl Played {
         self.pages.len() - 1
     }
 
-    /// It says this, which is heard at once.
+    /// Sends a message, which is handled at once.
     fn say(&mut self, page: usize, message: Value) {
         self.hub.said(self.pages[page].id, FromPage::parse(&message.to_string()));
         self.play(0.02);
     }
 
-    /// It presses the key and keeps it down.
+    /// Presses the key and keeps it down.
     fn arm(&mut self, page: usize) {
         let seen = self.heard(page).step();
         self.pages[page].says = Some(FromPage::Hold { seen });
         self.say(page, json!({"do": "arm", "seen": seen}));
-        // Rows come several at once: the first that says so is in the next picture or the one after it.
+        // Rows arrive in batches, so the new state is in the next picture or the one after it.
         for _ in 0..2 {
             if self.state() != "Armed" {
                 self.play(0.02);
@@ -107,7 +100,7 @@ impl Played {
         assert_eq!(self.state(), "Armed", "{:?}", self.pages[page].heard.refused);
     }
 
-    /// What it has heard.
+    /// Messages that a page has received.
     fn heard(&self, page: usize) -> &Heard {
         &self.pages[page].heard
     }
@@ -144,7 +137,7 @@ impl Played {
         }
     }
 
-    /// The newest boundary, which is worked out beside the stage.
+    /// The newest boundary, which is computed in another thread.
     fn boundary(&mut self) -> Plane {
         while self.heard(0).plane.is_null() {
             self.play(0.02);
@@ -152,12 +145,20 @@ impl Played {
         serde_json::from_value(self.heard(0).plane.clone()).unwrap()
     }
 
-    /// The tip, and a place that lies so far (m) from it along the first wall's normal and across it.
+    /// Place at these distances from the tip along the first wall's normal and across it, m.
     fn beside(&self, along: f64, across: f64) -> Value {
         let (tip, wall) = (&self.heard(0).picture["geometry"]["tip"], &self.heard(0).walls[0]["values"]);
         let [x, y, nx, ny] = [&tip[0], &tip[1], &wall[3], &wall[4]].map(|value| value.as_f64().unwrap());
         json!([x + along * nx - across * ny, y + along * ny + across * nx])
     }
+}
+
+/// A request for gains of the first wall; `beyond` confirms unstable ones.
+fn gains(stiffness: f64, damping: f64, feed_forward: &str, beyond: bool) -> Value {
+    json!({
+        "do": "gains", "wall": 0, "stiffness": stiffness, "damping": damping, "feed_forward": feed_forward,
+        "beyond": beyond
+    })
 }
 
 #[test]
@@ -202,7 +203,7 @@ fn the_motors_are_on_only_while_the_key_is_down() {
     view.say(0, json!({"do": "release"}));
     assert_eq!(view.state(), "Disarmed");
 
-    // Nearly half a second of silence is letting go, and a key that is still down then does not arm.
+    // Almost half a second of silence releases the key, and a key that is still down then does not arm.
     view.arm(0);
     view.pages[0].says = None;
     view.play(0.3);
@@ -213,7 +214,7 @@ fn the_motors_are_on_only_while_the_key_is_down() {
     view.pages[0].says = Some(FromPage::Hold { seen: 0 });
     view.play(0.5);
     assert_eq!(view.state(), "Disarmed");
-    // And after five seconds others may command.
+    // After five seconds other pages may take command.
     view.pages[0].says = None;
     view.play(4.9);
     assert!(!view.heard(0).picture["command"].is_null());
@@ -221,9 +222,9 @@ fn the_motors_are_on_only_while_the_key_is_down() {
     assert!(view.heard(0).picture["command"].is_null());
 }
 
-/// No hand is hurt by simulated motors, and a student's computer may have other work.
+/// Simulated motors hurt no hand, and the computer may be busy.
 #[test]
-fn simulated_motors_stay_on_until_the_key_is_let_go_or_the_page_is_gone() {
+fn simulated_motors_stay_on_while_the_page_is_there() {
     let mut view = Played::demo();
     let seen = view.heard(0).step();
     view.play(2.0);
@@ -235,7 +236,7 @@ fn simulated_motors_stay_on_until_the_key_is_let_go_or_the_page_is_gone() {
     assert_eq!((view.state(), &view.heard(0).picture["command"]), ("Disarmed", &Value::Null));
 }
 
-/// Whoever lets the key go in a wall, or leads the tip there first, gets on by the key alone; of a real board by hand.
+/// If the tip is in a wall, the key alone moves a simulated hand out; on a real board the user has to.
 #[test]
 fn the_key_takes_a_simulated_hand_out_of_a_wall() {
     let mut view = Played::demo();
@@ -265,7 +266,7 @@ fn the_key_takes_a_simulated_hand_out_of_a_wall() {
         assert!(depth(&view) <= 0.0, "{} m", depth(&view));
     }
     release(&mut view);
-    // A wall that has no outside in reach.
+    // A wall with no outside within reach.
     let wall = |view: &Played| json!({"do": "wall", "wall": 0, "point": view.beside(0.5, 0.0)});
     view.say(0, wall(&view));
     press(&mut view, 1.9);
@@ -278,9 +279,9 @@ fn the_key_takes_a_simulated_hand_out_of_a_wall() {
     assert_eq!(view.heard(0).refused.last().unwrap()["of"], "inside", "{}", view.heard(0).why());
 }
 
-/// What still says that the key is down and no longer sees it: a script that hangs in its sending, a queue.
+/// A hung script or a queue may still report the key as down with an old step number.
 #[test]
-fn a_key_that_is_not_seen_down_again_is_let_go() {
+fn a_key_reported_with_old_steps_is_released() {
     let (_, mut view) = Played::on_a_board();
     view.arm(0);
     view.pages[0].says = None;
@@ -293,10 +294,10 @@ fn a_key_that_is_not_seen_down_again_is_let_go() {
     assert!(view.heard(0).why().contains("no message from the page in command"), "{}", view.heard(0).why());
 }
 
-/// The board itself turns the motors off where the stage no longer does: its thread is starved, or the process stopped.
-/// This board ignores a silent host.
+/// The board itself turns the motors off if the stage's thread is starved or its process stopped. This board ignores a
+/// silent host.
 #[test]
-fn a_board_lets_go_of_a_key_that_the_stage_no_longer_tells_of() {
+fn a_board_releases_a_key_that_the_stage_stops_reporting() {
     let (simulated, mut view) = Played::on_a_board();
     view.arm(0);
     view.play(1.0);
@@ -306,17 +307,17 @@ fn a_board_lets_go_of_a_key_that_the_stage_no_longer_tells_of() {
     simulated.lock().run(0.11);
     let status = simulated.lock().status();
     assert_eq!((status.state, status.fault.map(|record| record.fault)), (State::Fault, Some(Fault::KeyReleased)));
-    // And only a new press arms again, once it is cleared.
+    // Only a new press arms again, after the fault is cleared.
     view.play(0.1);
     view.say(0, json!({"do": "clear"}));
     view.play(0.5);
     assert_eq!(view.state(), "Disarmed");
 }
 
-/// An emulated board runs at a part of real time, so that half a second of its steps is long. Where the stage itself
-/// stood still, what its page said meanwhile is heard first.
+/// An emulated board is slower than real time, so half a second of its steps takes long. After a stall of the stage the
+/// messages of its pages are handled first.
 #[test]
-fn a_page_that_falls_silent_lets_go_of_a_board_that_is_slow_too() {
+fn a_silent_page_releases_a_slow_board_too() {
     let (simulated, mut view) = Played::on_a_board();
     view.arm(0);
     for heard_at_once in [true, false] {
@@ -341,9 +342,9 @@ fn a_page_that_falls_silent_lets_go_of_a_board_that_is_slow_too() {
     assert!(simulated.lock().time() - began < 0.3, "a part of real time");
 }
 
-/// Behind a network that is slow both ways a page sees, and says, what has long passed; and so does one that hung.
+/// A slow network or a hung page shows and sends outdated states.
 #[test]
-fn a_page_that_is_late_by_half_a_second_does_not_arm() {
+fn a_page_with_half_a_second_of_delay_does_not_arm() {
     let (_, mut view) = Played::on_a_board();
     for (late, armed) in [(0.2, "Armed"), (0.5, "Disarmed"), (2.0, "Disarmed")] {
         let seen = view.heard(0).step();
@@ -357,7 +358,7 @@ fn a_page_that_is_late_by_half_a_second_does_not_arm() {
 }
 
 #[test]
-fn a_press_that_is_said_twice_is_one_and_its_key_is_held_on() {
+fn a_repeated_press_counts_once_and_holds_on() {
     let (_, mut view) = Played::on_a_board();
     view.arm(0);
     view.say(0, json!({"do": "arm", "seen": view.heard(0).step()}));
@@ -368,9 +369,9 @@ fn a_press_that_is_said_twice_is_one_and_its_key_is_held_on() {
     assert_eq!(view.state(), "Disarmed");
 }
 
-/// However much pages that only watch say, the key is heard when it is let go, and little of the rest.
+/// However much watching pages send, a release is handled at once, and little of the rest.
 #[test]
-fn pages_that_flood_delay_nobody_who_lets_go_and_cost_little() {
+fn flooding_pages_do_not_delay_a_release() {
     let world = World::demo().unwrap();
     let simulated = world.simulated.clone().unwrap();
     let mut view = Played::in_command(world, None);
@@ -414,7 +415,7 @@ fn any_page_turns_the_motors_off() {
 }
 
 #[test]
-fn a_page_that_is_gone_has_let_go() {
+fn a_page_that_leaves_releases_the_key() {
     let mut view = Played::demo();
     let second = view.come();
     view.say(0, json!({"do": "hand", "at": view.beside(0.0, 0.0)}));
@@ -428,9 +429,9 @@ fn a_page_that_is_gone_has_let_go() {
     assert!(seen["command"].is_null() && seen["hand"].is_null() && seen["pages"] == 1, "{seen}");
 }
 
-/// Whoever holds the key learns why the motors went off under it; and a device in somebody's own hand gets no other.
+/// The page shows why the motors went off. A real board has no simulated hand.
 #[test]
-fn motors_that_another_tool_turned_off_are_told() {
+fn motors_turned_off_by_another_tool_are_reported() {
     let (simulated, mut view) = Played::on_a_board();
     view.say(0, json!({"do": "hand", "at": [0.0, 0.1]}));
     assert!(view.heard(0).why().contains("not simulated"), "{}", view.heard(0).why());
@@ -443,51 +444,46 @@ fn motors_that_another_tool_turned_off_are_told() {
 }
 
 #[test]
-fn gains_beyond_the_boundary_are_asked_about_first() {
+fn gains_beyond_the_boundary_need_confirmation() {
     let mut view = Played::demo();
     view.boundary();
-    let gains = |stiffness: f64, feed_forward: &str| json!({"do": "gains", "wall": 0, "stiffness": stiffness, "damping": 80.0, "feed_forward": feed_forward});
-    // Outside already, as when the tip slides to where less is stable: without the feed-forward even less would be.
-    let mut stiffer = gains(40e3, "washout");
-    stiffer["beyond"] = json!(true);
+    let gains = |stiffness: f64| gains(stiffness, 80.0, "off", false);
+    // Gains outside the boundary, as after the tip slid to a less stable place; without the feed-forward even farther.
     for (asked, refused) in [(8_700.0, 1), (39_000.0, 2)] {
-        view.say(0, gains(asked, "off"));
+        view.say(0, gains(asked));
         assert_eq!(view.heard(0).refused.len(), refused);
         assert!(view.heard(0).why().contains("predicted to be unstable"), "{}", view.heard(0).why());
         assert_eq!(view.heard(0).walls[0]["feed_forward"], "washout", "nothing was changed");
         if refused == 1 {
-            view.say(0, stiffer.clone());
+            view.say(0, self::gains(40e3, 80.0, "washout", true));
             assert_eq!(view.heard(0).walls[0]["stiffness"], 40_000.0);
         }
     }
     let again = view.heard(0).refused[1]["again"].clone();
     view.say(0, again);
     assert_eq!(view.heard(0).walls[0]["feed_forward"], "off");
-    // Who is outside already is not asked again, and the way back is free.
+    // From outside, softer gains need no confirmation.
     for softer in [7_500.0, 5_000.0] {
-        view.say(0, gains(softer, "off"));
+        view.say(0, gains(softer));
         assert_eq!(view.heard(0).walls[0]["stiffness"], softer);
     }
     assert_eq!(view.heard(0).refused.len(), 2);
-    view.say(0, gains(-1.0, "off"));
+    view.say(0, gains(-1.0));
     assert_eq!(view.heard(0).refused.len(), 3);
 }
 
-/// What is refused names what was asked for; and what no board can render is refused for good.
+/// A refusal names the requested gains; gains that no board can render cannot be confirmed.
 #[test]
 fn gains_are_refused_by_name_and_have_an_upper_limit() {
     let mut view = Played::demo();
     view.boundary();
     let before = view.heard(0).walls[0].clone();
-    let gains = |stiffness: f64, damping: f64| json!({"do": "gains", "wall": 0, "stiffness": stiffness, "damping": damping, "feed_forward": "off", "beyond": false});
-    view.say(0, gains(8_700.0, 80.0));
+    view.say(0, gains(8_700.0, 80.0, "off", false));
     let refused = view.heard(0).refused.last().unwrap().clone();
     assert_eq!((&refused["of"], &refused["again"]["stiffness"]), (&json!("gains"), &json!(8700.0)));
     assert!(view.heard(0).why().starts_with("8.70 kN/m with 80.0 N s/m and feed-forward off"), "{refused}");
     for (stiffness, damping) in [(1e9, 80.0), (8_700.0, 1e9)] {
-        let mut meant = gains(stiffness, damping);
-        meant["beyond"] = json!(true);
-        view.say(0, meant);
+        view.say(0, gains(stiffness, damping, "off", true));
         let refused = view.heard(0).refused.last().unwrap();
         assert!(refused["again"].is_null() && refused["of"] == "gains", "{refused}");
         assert!(view.heard(0).why().contains("that motors and rules allow here"), "{}", view.heard(0).why());
@@ -500,17 +496,16 @@ fn gains_are_refused_by_name_and_have_an_upper_limit() {
         rules.limits.tip_force = tip_force;
         world.board.set_rules(&rules).unwrap();
         let mut view = Played::in_command(world, None);
-        view.say(0, gains(1e9, 80.0));
+        view.say(0, gains(1e9, 80.0, "off", false));
         let limit = view.heard(0).why().split("above ").nth(1).and_then(|rest| rest.split(" MN/m").next());
         limit.unwrap_or_else(|| panic!("{}", view.heard(0).why())).parse::<f64>().unwrap()
     });
     assert!((all / half - 2.0).abs() < 0.02, "{all}, {half}");
 }
 
-/// The page's boundary is of the device and the loop that are there: what gives in the device file, the posture of the
-/// scene, the board's drive; and it says so.
+/// The boundary includes the device file's compliance, the scene's posture and the board's drive, and says so.
 #[test]
-fn the_boundary_is_of_file_scene_and_drive() {
+fn the_boundary_includes_compliance_posture_and_drive() {
     let cases = [
         ("cable-five-bar", "wall", "Transmissions: joints 0 and 1 give as in the device file"),
         ("serial-3r", "wall-held", "Posture: the last link is held by"),
@@ -554,13 +549,13 @@ fn the_boundary_is_of_file_scene_and_drive() {
 }
 
 #[test]
-fn what_limits_a_wall_is_told_when_a_page_asks() {
+fn a_page_may_ask_for_the_limiting_effects() {
     let mut view = Played::demo();
     let second = view.come();
-    assert_eq!(view.boundary().limits, None, "nobody asked");
+    assert_eq!(view.boundary().limits, None, "not requested");
     for (kind, name) in [(FeedForward::Washout, "washout"), (FeedForward::Off, "off")] {
-        view.say(0, json!({"do": "gains", "wall": 0, "stiffness": 3000, "damping": 80, "feed_forward": name}));
-        // A page that only watches may ask as well.
+        view.say(0, gains(3000.0, 80.0, name, false));
+        // A watching page may ask too.
         view.say(second, json!({"do": "explain"}));
         let limits = loop {
             match view.boundary().limits {
@@ -571,7 +566,7 @@ fn what_limits_a_wall_is_told_when_a_page_asks() {
         let top = view.boundary().boundary(kind).iter().map(|point| point.kp).fold(0.0, f64::max);
         assert!((limits.stiffness.unwrap() / top - 1.0).abs() < 3e-3, "{limits:?} {top}");
         let names: Vec<&str> = limits.without.iter().map(|without| without.effect.as_str()).collect();
-        // It is rigid and has no posture; a hand leads it.
+        // The device is rigid and has no posture; a hand leads it.
         assert_eq!(names, ["sampling", "delay", "drive", "filter", "joint damping", "empty hand"]);
         assert!(limits.without.iter().all(|without| without.stiffness.is_some_and(|kp| kp > 0.9 * top)), "{limits:?}");
         assert!((1e-6..1e-4).contains(&limits.count), "{limits:?}");
@@ -579,22 +574,20 @@ fn what_limits_a_wall_is_told_when_a_page_asks() {
 }
 
 #[test]
-fn gains_beyond_the_boundary_come_with_the_frequency_of_their_buzz() {
+fn gains_beyond_the_boundary_show_their_buzz_frequency() {
     let mut view = Played::demo();
     view.boundary();
     assert!(view.heard(0).picture["buzz"].is_null(), "the wall is stable");
-    let gains =
-        json!({"do": "gains", "wall": 0, "stiffness": 8700, "damping": 80, "feed_forward": "off", "beyond": true});
-    view.say(0, gains);
+    view.say(0, gains(8700.0, 80.0, "off", true));
     view.play(0.1);
     let buzz = &view.heard(0).picture["buzz"];
     let (hz, growth) = (buzz["hz"].as_f64().unwrap(), buzz["growth_per_s"].as_f64().unwrap());
     assert!((hz - 71.0).abs() < 3.0 && growth > 0.0, "{buzz}");
 }
 
-/// A page that hears nothing any more says what is known of the motors, and no more.
+/// A page that loses its connection shows the last known state of the motors.
 #[test]
-fn what_is_known_of_the_motors_without_a_connection_is_told_beforehand() {
+fn the_notice_for_a_lost_connection_is_sent_in_advance() {
     let if_lost = |view: &Played| view.heard(0).picture["if_lost"].as_str().unwrap_or_default().to_string();
     assert!(if_lost(&Played::demo()).contains("simulated board is gone"));
     let (simulated, mut view) = Played::on_a_board();
@@ -614,18 +607,18 @@ fn what_is_known_of_the_motors_without_a_connection_is_told_beforehand() {
     assert!(if_lost(&view).contains("MAY BE ON"), "{}", if_lost(&view));
 }
 
-/// A wire that makes none of the number [`LYING`] on its way, while the flag is set.
-struct Lying(Box<dyn Wire>, Arc<AtomicBool>);
+/// A wire that replaces the number [`MARKED`] by a NaN while the flag is set.
+struct CorruptingWire(Box<dyn Wire>, Arc<AtomicBool>);
 
-const LYING: f32 = 8_765.432;
+const MARKED: f32 = 8_765.432;
 
-impl Wire for Lying {
+impl Wire for CorruptingWire {
     fn send(&mut self, bytes: &[u8]) -> std::io::Result<()> {
         self.0.send(bytes)
     }
     fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> std::io::Result<usize> {
         let count = self.0.receive(buffer, timeout)?;
-        let number = LYING.to_le_bytes();
+        let number = MARKED.to_le_bytes();
         if self.1.load(Ordering::Relaxed)
             && let Some(at) = buffer[..count].windows(4).position(|four| four == number)
         {
@@ -638,18 +631,18 @@ impl Wire for Lying {
     }
 }
 
-/// A page could not draw it: JSON has no such numbers.
+/// JSON has no NaN, so a page could not draw the scene.
 #[test]
-fn a_scene_with_numbers_that_are_none_is_refused_in_words_and_not_drawn() {
+fn a_scene_with_a_nan_is_refused_and_not_sent() {
     let simulated = World::demo().unwrap().simulated.unwrap();
-    let lies = Arc::new(AtomicBool::new(false));
-    let open = || Board::over(Box::new(Lying(simulated.wire(), Arc::clone(&lies))), "a board").unwrap();
+    let corrupt = Arc::new(AtomicBool::new(false));
+    let open = || Board::over(Box::new(CorruptingWire(simulated.wire(), Arc::clone(&corrupt))), "a board").unwrap();
     let mut view = Played::in_command(World::of(open(), None), None);
-    let gains = |damping: f64| json!({"do": "gains", "wall": 0, "stiffness": LYING, "damping": damping, "feed_forward": "off", "beyond": true});
+    let gains = |damping: f64| gains(f64::from(MARKED), damping, "off", true);
     view.say(0, gains(80.0));
     let before = view.heard(0).walls.clone();
-    assert_eq!(before[0]["stiffness"], f64::from(LYING));
-    lies.store(true, Ordering::Relaxed);
+    assert_eq!(before[0]["stiffness"], f64::from(MARKED));
+    corrupt.store(true, Ordering::Relaxed);
     view.say(0, gains(81.0));
     assert_eq!(view.heard(0).walls, before);
     assert!(view.heard(0).why().contains("wall 0: stiffness and damping must be finite"), "{}", view.heard(0).why());
@@ -658,9 +651,9 @@ fn a_scene_with_numbers_that_are_none_is_refused_in_words_and_not_drawn() {
     assert!(failure.contains("wall 0: stiffness and damping must be finite"), "{failure}");
 }
 
-/// The wall of a paddle is a line across the arc of its tip, with a solid side, like that of any device.
+/// The wall of a paddle is a line across the arc of its tip, with a solid side.
 #[test]
-fn the_wall_of_a_paddle_is_told_where_it_is_drawn() {
+fn the_wall_of_a_paddle_is_placed_on_its_arc() {
     let view = Played::in_command(World::simulate(shipped("hapkit-paddle"), None).unwrap(), None);
     let wall = &view.heard(0).walls[0];
     let [at, normal] = ["at", "normal"].map(|key| [0, 1].map(|axis| wall["outline"][key][axis].as_f64().unwrap()));
@@ -671,13 +664,13 @@ fn the_wall_of_a_paddle_is_told_where_it_is_drawn() {
     assert!((normal[0] * at[0] + normal[1] * at[1]).abs() < 1e-6 && normal[1] > 0.9, "out of the solid, along the arc");
 }
 
-/// A page reddens a ripple above this, N.
+/// Ripple above which the page turns red, N.
 const RED: f64 = 0.5;
 
-/// However wildly a page leads the hand, the linkage stays on its side of every singularity; also where the motors go off
-/// under a tip that is drawn far away, or the hand lets go of one that a wall throws out.
+/// However far a page leads the hand, the linkage stays on its side of every singularity, also if the motors go off under
+/// a displaced tip, or the hand releases a tip that a wall throws out.
 #[test]
-fn a_hand_that_is_led_anywhere_does_not_fold_the_linkage() {
+fn leading_the_hand_never_folds_the_linkage() {
     let planar = ["cable-five-bar", "capstan-pantograph", "haply-2diy", "pantograph-mk2", "serial-3r"];
     let scenes = planar.map(|name| Some((name, wall_ahead(&shipped(name)).unwrap())));
     for scene in scenes.into_iter().chain([None]) {
@@ -717,11 +710,9 @@ fn a_hand_that_is_led_anywhere_does_not_fold_the_linkage() {
     }
 }
 
-/// What the page is for: a hand presses the wall, one click takes the feed-forward away and the wall buzzes, another
-/// brings it back and the wall is quiet; however deep the hand presses, and also to the side of where it began.
-/// The device, wherever it was led, its walls, gains and hand; from a fault too, whose remedy is the simulation's own.
+/// Starting over resets pose, walls, gains and hand, also after a fault, whose remedy it is in a simulation.
 #[test]
-fn a_simulation_starts_over_as_it_began_and_arms_again() {
+fn a_simulation_starts_over_and_arms_again() {
     let world = World::demo().unwrap();
     let board = world.simulated.clone().unwrap();
     let mut view = Played::in_command(world, None);
@@ -733,10 +724,7 @@ fn a_simulation_starts_over_as_it_began_and_arms_again() {
         let (place, wall) = (view.beside(-0.03, 0.01), view.beside(0.005, 0.0));
         view.say(0, json!({"do": "hand", "at": place}));
         view.play(0.8);
-        view.say(
-            0,
-            json!({"do": "gains", "wall": 0, "stiffness": 3000, "damping": 20, "feed_forward": "full", "beyond": true}),
-        );
+        view.say(0, gains(3000.0, 20.0, "full", true));
         if broken {
             let far = board.lock().device().start().map(|angle| angle + 0.5);
             board.lock().device_mut().place(far);
@@ -770,8 +758,10 @@ fn a_simulation_starts_over_as_it_began_and_arms_again() {
     assert!(view.heard(0).why().contains("not simulated"), "{}", view.heard(0).why());
 }
 
+/// A hand presses the wall. One click turns the feed-forward off and the wall buzzes, another turns it on and the wall is
+/// quiet, at every depth and also aside of the start.
 #[test]
-fn one_click_makes_the_wall_buzz_and_another_quiets_it_while_it_is_pressed() {
+fn the_feed_forward_button_makes_a_pressed_wall_buzz_or_quiet() {
     let mut view = Played::demo();
     view.arm(0);
     view.play(0.8);
@@ -781,7 +771,7 @@ fn one_click_makes_the_wall_buzz_and_another_quiets_it_while_it_is_pressed() {
     let pressed = [(16, 0), (22, 0), (28, 0), (34, 0), (42, 0), (54, 0), (28, 6), (28, -6)];
     let pressed =
         pressed.map(|(depth, aside)| (view.beside(-1e-3 * f64::from(depth), 1e-3 * f64::from(aside)), depth, aside));
-    // Clicks a kind of feed-forward, and means it.
+    // Clicks a kind of feed-forward and confirms.
     let click = |view: &mut Played, kind: FeedForward| {
         view.say(0, json!({"do": "gains", "wall": 0, "stiffness": stiffness, "damping": damping, "feed_forward": kind, "beyond": true}));
     };
@@ -791,7 +781,7 @@ fn one_click_makes_the_wall_buzz_and_another_quiets_it_while_it_is_pressed() {
         view.say(0, json!({"do": "hand", "at": out}));
         view.play(0.8);
         view.say(0, json!({"do": "hand", "at": place}));
-        // The share of the pictures of the second half that are red.
+        // Share of red pictures in the second half.
         let shares = [FeedForward::Washout, FeedForward::Off, FeedForward::Washout].map(|kind| {
             click(&mut view, kind);
             view.play(0.8);
@@ -836,7 +826,7 @@ fn walls_are_moved_and_turned_while_the_motors_are_off() {
 }
 
 #[test]
-fn the_oscilloscope_catches_the_touch_with_what_came_before() {
+fn the_oscilloscope_triggers_on_the_touch() {
     let mut view = Played::demo();
     let trigger = json!({"channel": "force_n", "level": 0.5, "rising": true, "before": 0.5, "once": true});
     view.say(0, json!({"do": "scope", "channels": ["force_n", "distance_m"], "seconds": 0.1, "trigger": trigger}));
@@ -846,7 +836,7 @@ fn the_oscilloscope_catches_the_touch_with_what_came_before() {
     view.say(0, json!({"do": "hand", "at": view.beside(-0.02, 0.0)}));
     view.play(1.0);
     let (head, values) = view.heard(0).sweep.split_at(6);
-    // 0.1 s at 1 kHz: every row; the crossing stands in the middle.
+    // 0.1 s at 1 kHz: every row, with the crossing in the middle.
     assert_eq!([head[1], head[4], head[5]], [3.0, 2.0, 100.0]);
     let force = |row: usize| values[2 * row];
     let crossing = (head[3] / head[2] * 99.0).round() as usize;
@@ -861,7 +851,7 @@ fn the_oscilloscope_catches_the_touch_with_what_came_before() {
 }
 
 #[test]
-fn a_page_records_what_it_sees_and_it_plays_once_more() {
+fn a_recording_of_a_page_can_be_replayed() {
     let folder = tempfile::tempdir().unwrap();
     let mut view = Played::in_command(World::demo().unwrap(), Some(folder.path()));
     view.say(0, json!({"do": "record", "on": true}));
@@ -882,7 +872,7 @@ fn a_page_records_what_it_sees_and_it_plays_once_more() {
 }
 
 #[test]
-fn the_page_is_told_of_springs_and_of_where_they_hold() {
+fn springs_and_their_anchors_are_sent_to_the_page() {
     let path = file("scenes/haply-2diy/groove.toml");
     let scene = SceneFile::load(Path::new(&path), 2).unwrap().scene().unwrap();
     let view = Played::in_command(World::simulate(shipped("haply-2diy"), Some(scene)).unwrap(), None);
@@ -895,7 +885,7 @@ fn the_page_is_told_of_springs_and_of_where_they_hold() {
 }
 
 #[test]
-fn every_shipped_device_can_be_looked_at() {
+fn every_kind_of_device_can_be_viewed() {
     for name in ["hapkit-paddle", "haply-2diy", "phantom-premium-1.5", "serial-3r", "fictive-five-bar-turret"] {
         let mut view = Played::in_command(World::simulate(shipped(name), None).unwrap(), None);
         view.boundary();
@@ -905,7 +895,7 @@ fn every_shipped_device_can_be_looked_at() {
     }
 }
 
-/// Lets pages in to a hub; what the tool says to open.
+/// Serves pages of a hub; returns the address that the tool prints.
 fn listen(address: &str, hub: &Hub) -> String {
     let door = PageListener::open(address.parse().unwrap()).unwrap();
     let url = door.url().unwrap();
@@ -913,7 +903,7 @@ fn listen(address: &str, hub: &Hub) -> String {
     url
 }
 
-/// Address and port, and what follows them: a token.
+/// Splits an address into host and query.
 fn parts(url: &str) -> (&str, &str) {
     url.trim_start_matches("http://").split_once('/').unwrap()
 }
@@ -935,7 +925,7 @@ fn connect(url: &str) -> WebSocket<TcpStream> {
 }
 
 #[test]
-fn the_page_is_served_to_whom_it_is_for() {
+fn the_page_is_served_only_to_this_computer() {
     let url = listen("127.0.0.1:0", &Hub::default());
     let (host, _) = parts(&url);
     let get = |path: &str, more: &str| ask(host, &format!("GET {path} HTTP/1.1\r\nHost: {host}\r\n{more}\r\n"));
@@ -948,7 +938,7 @@ fn the_page_is_served_to_whom_it_is_for() {
     assert!(ask(host, "GET / HTTP/1.1\r\nHost: evil.example\r\n\r\n").starts_with("HTTP/1.1 403 "));
     assert!(ask(host, &format!("POST / HTTP/1.1\r\nHost: {host}\r\n\r\n")).starts_with("HTTP/1.1 400 "));
     assert!(ask(host, "\0\x01\x02 what\r\n\r\n").starts_with("HTTP/1.1 400 "));
-    // A browser keeps a spare connection: what is said on it would be taken for the answer to its next request.
+    // A browser keeps a spare connection and takes bytes on it for the reply to its next request.
     let (mut spare, mut said) = (TcpStream::connect(host).unwrap(), String::new());
     spare.shutdown(Shutdown::Write).unwrap();
     spare.read_to_string(&mut said).unwrap();
@@ -971,12 +961,11 @@ fn other_computers_need_the_token() {
     }
 }
 
-/// Who does not know the token takes no place of those who do.
+/// Connections without the token do not use up places.
 #[test]
 fn strangers_keep_no_page_out() {
     let url = listen("0.0.0.0:0", &Hub::default());
     let (host, query) = parts(&url);
-    // A letter each, and then nothing.
     let stranger = |_| {
         let mut stream = TcpStream::connect(host).unwrap();
         let _ = stream.write_all(b"G");
@@ -987,7 +976,7 @@ fn strangers_keep_no_page_out() {
     assert!(page.starts_with("HTTP/1.1 200 "), "{page:?}");
 }
 
-/// Reads one message, if there is one; false when the connection has ended.
+/// Reads one message if there is one. Returns false if the connection has ended.
 fn read(socket: &mut WebSocket<TcpStream>, heard: &mut Heard) -> bool {
     match socket.read() {
         Ok(Message::Text(text)) => heard.text(&text),
@@ -1002,7 +991,7 @@ fn read(socket: &mut WebSocket<TcpStream>, heard: &mut Heard) -> bool {
 }
 
 #[test]
-fn what_is_no_message_is_refused_and_nothing_ends() {
+fn malformed_messages_are_refused() {
     let mut view = Played::of(World::demo().unwrap(), None);
     let url = listen("127.0.0.1:0", &view.hub);
     let (mut socket, mut heard) = (connect(&url), Heard::default());
@@ -1016,7 +1005,7 @@ fn what_is_no_message_is_refused_and_nothing_ends() {
         assert!(heard.why().starts_with("not a message of this page"), "{}", heard.why());
     }
     assert!(heard.why().contains("binary"), "{}", heard.why());
-    // One that is far too long ends its own connection, and no other.
+    // A message that is far too long ends only its own connection.
     let mut other = connect(&url);
     let _ = other.send(Message::text("x".repeat(100_000)));
     while read(&mut other, &mut Heard::default()) {

@@ -1,13 +1,10 @@
-//! A redundant device meets its wall by what it holds, and every command says the same of it; a gain of the
-//! feed-forward does what it costs.
+//! The inertia that a redundant device shows its wall depends on the admissible set, and all commands agree on it; the
+//! gain of the feed-forward.
 
-use crate::common::{file, haptic, shipped};
-use haptic_bridge::model::admissible::Admissible;
-use haptic_host::device_file::DeviceFile;
+use crate::common::prelude::*;
+use crate::common::{ideal_loop, shipped, type_lines};
 use haptic_stability::analysis::map::map_holding;
-use haptic_stability::analysis::plant::{Drive, Linearised};
 use haptic_stability::analysis::range::predict;
-use haptic_stability::analysis::sampled::{LinearEstimator, Loop};
 use haptic_stability::model::{Precision, WallForce, evaluate_holding};
 
 const NORMAL: [f64; 2] = [0.6, 0.8];
@@ -17,21 +14,15 @@ fn arm() -> DeviceFile {
 }
 
 fn around(rate_hz: f64, cutoff_hz: f64) -> Loop {
-    Loop {
-        rate_hz,
-        delay_samples: 0.025,
-        estimator: LinearEstimator::Butterworth(cutoff_hz),
-        drive: Drive::Ideal,
-        damping_compensation: false,
-    }
+    ideal_loop(rate_hz, 0.025, LinearEstimator::Butterworth(cutoff_hz))
 }
 
 #[test]
-fn the_rendered_inertia_belongs_to_what_is_held_and_the_effective_one_does_not() {
+fn only_the_rendered_inertia_depends_on_the_admissible_set() {
     let arm = arm();
     let wall = [WallForce { normal: NORMAL.to_vec(), force: 2.0, stiffness: 1.0, feed_forward: true }];
     let mut effective = Vec::new();
-    // Found by independent computation.
+    // By independent computation.
     for (admissible, ratio) in [
         (Admissible::Orientation, 3.99),
         (Admissible::Joint0, 1.29),
@@ -65,7 +56,7 @@ fn the_rendered_inertia_belongs_to_what_is_held_and_the_effective_one_does_not()
 }
 
 #[test]
-fn the_map_follows_what_is_held() {
+fn the_map_depends_on_the_admissible_set() {
     let arm = arm();
     let maps = Admissible::ALL.map(|(name, admissible)| {
         let points = map_holding(&arm.description, &NORMAL, 400, admissible).unwrap();
@@ -79,7 +70,7 @@ fn the_map_follows_what_is_held() {
         }
         points
     });
-    // Where holding a joint is singular, its map has no point.
+    // The map has no point at poses where holding the joint is singular.
     for points in &maps[1..] {
         let pairs: Vec<_> = points.iter().filter_map(|a| maps[0].iter().find(|b| a.q == b.q).map(|b| (a, b))).collect();
         assert!(10 * pairs.len() > 8 * maps[0].len(), "{} poses in common", pairs.len());
@@ -89,7 +80,7 @@ fn the_map_follows_what_is_held() {
 }
 
 #[test]
-fn the_stable_area_grows_with_the_square_of_what_is_met() {
+fn the_stable_area_grows_with_the_square_of_the_inertia() {
     let arm = arm();
     for (admissible, area) in [(Admissible::Orientation, 15.9), (Admissible::Consistent, 1.49)] {
         let device = Linearised::holding(&arm.description, &[0.5, 0.8, 0.7], &NORMAL, admissible).unwrap().undamped();
@@ -99,11 +90,11 @@ fn the_stable_area_grows_with_the_square_of_what_is_met() {
 }
 
 #[test]
-fn a_gain_of_two_makes_the_demos_wall_stiffer_and_beyond_its_limit_none_is_analysed() {
+fn a_gain_of_two_makes_the_demos_wall_stiffer() {
     let five_bar = shipped("coupled-five-bar");
     let normal = [75.0_f64.to_radians().cos(), 75.0_f64.to_radians().sin()];
     let mut device = Linearised::at(&five_bar.description, &[2.6, 1.75], &normal).unwrap().undamped();
-    // Found by independent computation: 22 994.941 N/m at 1, 29.9 kN/m and 0.357 kg at 2, the pole at 4.9.
+    // By independent computation: 22 994.941 N/m at 1, 29.9 kN/m and 0.357 kg at 2, the pole at 4.9.
     for (gain, kilograms, stiffness) in [(1.0, 0.265, 22_994.941), (2.0, 0.357, 29_900.0)] {
         device.gain = gain;
         let range = predict(&device, &around(1000.0, 100.0), Some(&[40.0]), None).unwrap();
@@ -119,25 +110,15 @@ fn a_gain_of_two_makes_the_demos_wall_stiffer_and_beyond_its_limit_none_is_analy
 }
 
 #[test]
-fn the_commands_take_both_and_refuse_what_a_board_would_not_give() {
-    let (five_bar, arm) = (file("coupled-five-bar.toml"), file("serial-3r.toml"));
-    let loop_ = ["--rate", "1000", "--cutoff", "100", "--kd", "40"];
-    let range = |more: &[&str]| {
-        let all = [&["range", &five_bar, "--q", "2.6,1.75", "--normal", "0.2588,0.9659"], &loop_[..], more].concat();
-        haptic(&all).assert()
-    };
-    let said = range(&["--feed-forward-gain", "2"]).success().get_output().stdout.clone();
-    let said = String::from_utf8(said).unwrap();
-    assert!(said.contains("met with 2 times the feed-forward") && said.contains("its cost: 2 times"), "{said}");
-    let refused = range(&["--feed-forward-gain", "4"]).code(2).get_output().stderr.clone();
-    assert!(String::from_utf8(refused).unwrap().contains("not from 0 to 2.9"));
-
-    let model = |more: &[&str]| {
-        let all = [&["model", &arm, "--q", "0.5,0.8,0.7", "--normal", "0.6,0.8"], more].concat();
-        String::from_utf8(haptic(&all).assert().success().get_output().stdout.clone()).unwrap()
-    };
-    let said = model(&[]);
-    assert!(said.contains("with orientation held") && said.contains("orientation 3.99 joint-0 1.29"), "{said}");
-    assert!(model(&["--admissible", "consistent"]).contains("with consistent held"));
-    haptic(&["map", &arm, "--normal", "0.6,0.8", "--points", "200", "--admissible", "elbow"]).assert().code(2);
+fn commands_take_a_gain_and_an_admissible_set() {
+    type_lines(
+        "range devices/coupled-five-bar.toml --q 2.6,1.75 --normal 0.2588,0.9659 --rate 1000 --cutoff 100 --kd 40 \
+            --feed-forward-gain 2 => met with 2 times the feed-forward | its cost: 2 times
+        2: range devices/coupled-five-bar.toml --normal 0.2588,0.9659 --q 2.6,1.75 --feed-forward-gain 4 => not from 0 to 2.9
+        model devices/serial-3r.toml --q 0.5,0.8,0.7 --normal 0.6,0.8 => with orientation held | \
+            orientation 3.99 joint-0 1.29
+        model devices/serial-3r.toml --q 0.5,0.8,0.7 --normal 0.6,0.8 --admissible consistent => with consistent held
+        2: map devices/serial-3r.toml --normal 0.6,0.8 --points 200 --admissible elbow",
+        &[],
+    );
 }

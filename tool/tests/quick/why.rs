@@ -1,49 +1,34 @@
-//! What each effect takes from a boundary is the difference to the same loop without it.
+//! The share that an effect takes from a boundary is the difference to the same loop without the effect.
 
-use haptic_bridge::model::description::{EncoderAt, Transmission};
+use crate::common::prelude::*;
+use crate::common::{ideal_loop, rigid};
 use haptic_show::plot::paper::Paper;
 use haptic_show::plot::why::draw;
 use haptic_stability::analysis::flexible::{Flexible, Hand};
-use haptic_stability::analysis::plant::{Drive, Linearised};
-use haptic_stability::analysis::range::domain;
-use haptic_stability::analysis::sampled::{LinearEstimator, Loop, Mode};
 use haptic_stability::analysis::why::{Limits, why};
 use haptic_stability::cores;
-use haptic_stability::sweep::Sweep;
-use nalgebra::{DMatrix, DVector};
 use std::hint::black_box;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 fn soft_and_held() -> Linearised {
     let give = Transmission { stiffness: 3.0, damping: 5e-4, motor_inertia: 2e-5, encoder_at: EncoderAt::Motor };
-    Linearised {
-        gain: 1.0,
-        flexible: Flexible {
-            transmissions: vec![Some(give), None],
-            hand: Hand { mass: 0.1, damping: 3.0, stiffness: 200.0 },
-            tip: DMatrix::from_row_slice(1, 2, &[0.1, 0.06]),
-            normal: DVector::from_vec(vec![1.0]),
-            ..Flexible::default()
-        },
-        mass: DMatrix::from_row_slice(2, 2, &[3.0e-4, 4.0e-5, 4.0e-5, 1.1e-4]),
-        viscous: DVector::from_vec(vec![1e-3, 4e-4]),
-        row: DVector::from_vec(vec![0.1, 0.06]),
-        unit_motion: DVector::from_vec(vec![7.0, 5.0]),
-    }
+    let flexible = Flexible {
+        transmissions: vec![Some(give), None],
+        hand: Hand { mass: 0.1, damping: 3.0, stiffness: 200.0 },
+        tip: DMatrix::from_row_slice(1, 2, &[0.1, 0.06]),
+        normal: DVector::from_vec(vec![1.0]),
+        ..Flexible::default()
+    };
+    Linearised { flexible, ..rigid(&[3.0e-4, 4.0e-5, 4.0e-5, 1.1e-4], &[1e-3, 4e-4], &[0.1, 0.06], &[7.0, 5.0]) }
 }
 
 fn around(bandwidth_hz: f64) -> Loop {
-    Loop {
-        rate_hz: 1000.0,
-        delay_samples: 0.5,
-        estimator: LinearEstimator::Butterworth(50.0).over(2),
-        drive: Drive::Current { bandwidth_hz },
-        damping_compensation: false,
-    }
+    let ideal = ideal_loop(1000.0, 0.5, LinearEstimator::Butterworth(50.0).over(2));
+    Loop { drive: Drive::Current { bandwidth_hz }, ..ideal }
 }
 
 #[test]
-fn every_effect_is_the_loop_without_it() {
+fn every_effect_is_compared_with_the_loop_without_it() {
     let device = soft_and_held();
     let around = around(500.0);
     let found = why(&device, &around, &Sweep::quiet()).unwrap();
@@ -61,12 +46,12 @@ fn every_effect_is_the_loop_without_it() {
     };
     let with = alone(&device, &around);
     same(found.limits.off, with);
-    let mut rigid = device.clone();
-    rigid.flexible.transmissions = vec![None, None];
-    let rigid = alone(&rigid, &around);
-    same(found.effects[5].limits.off, rigid);
-    assert_eq!(found.effects[5].takes.off, Some(1.0 - with.0 / rigid.0));
-    assert_eq!(found.effects[5].takes_area.off, Some(1.0 - with.1 / rigid.1));
+    let mut stiff = device.clone();
+    stiff.flexible.transmissions = vec![None, None];
+    let stiff = alone(&stiff, &around);
+    same(found.effects[5].limits.off, stiff);
+    assert_eq!(found.effects[5].takes.off, Some(1.0 - with.0 / stiff.0));
+    assert_eq!(found.effects[5].takes_area.off, Some(1.0 - with.1 / stiff.1));
     let faster = Loop {
         rate_hz: 10_000.0,
         delay_samples: 5.0,
@@ -81,20 +66,14 @@ fn every_effect_is_the_loop_without_it() {
 fn a_rigid_ideal_loop_has_only_sampling_and_a_filter() {
     let mut device = soft_and_held().undamped();
     device.flexible = Flexible::default();
-    let around = Loop {
-        rate_hz: 1000.0,
-        delay_samples: 0.0,
-        estimator: LinearEstimator::Butterworth(50.0),
-        drive: Drive::Ideal,
-        damping_compensation: false,
-    };
+    let around = ideal_loop(1000.0, 0.0, LinearEstimator::Butterworth(50.0));
     let found = why(&device, &around, &Sweep::quiet()).unwrap();
     assert_eq!(found.effects.iter().map(|without| without.effect).collect::<Vec<_>>(), ["sampling", "filter"]);
     assert!(found.effects.iter().all(|without| without.takes.off.unwrap() > 0.0));
 }
 
 #[test]
-fn results_come_in_the_order_of_the_things_whoever_is_first() {
+fn results_of_all_cores_come_in_order() {
     let things: Vec<u64> = (0..50).collect();
     let told = AtomicUsize::new(0);
     let progress = |_: usize, of: usize| {
@@ -113,7 +92,7 @@ fn results_come_in_the_order_of_the_things_whoever_is_first() {
 }
 
 #[test]
-fn every_word_of_the_picture_lies_in_it() {
+fn every_word_lies_within_the_picture() {
     let around = around(6400.0);
     let found = why(&soft_and_held(), &around, &Sweep::quiet()).unwrap();
     let picture = draw("a device", &["pose".into(), "loop".into()], &found, Paper::default());

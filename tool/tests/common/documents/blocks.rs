@@ -1,23 +1,23 @@
-//! The fenced blocks of a document, and what their info string says about running them.
+//! The fenced blocks of a document, and the info strings that say how to run them.
 
 pub use super::super::root;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// How a block is tried.
+/// How to run a block.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Kind {
     /// `sh`: typed as it is.
     Quick,
-    /// `sh board`: typed with a board connected, here a simulated one that asks what a real one asks.
+    /// `sh board`: typed with a board, here a strict simulated one.
     Board,
-    /// `sh slow: REASON`: typed as it is, in the longer run.
+    /// `sh slow: REASON`: typed as it is, in the deep tests.
     Slow,
     /// `sh no-run: REASON`, and the same for another language.
     NoRun,
-    /// `toml device`: a file that `haptic check` finds sound.
+    /// `toml device`: a file that passes `haptic check`.
     File,
-    /// `toml scene`: the same of a scene, on a planar device.
+    /// `toml scene`: a scene of a planar device that passes `haptic check`.
     Scene,
     /// `text`: nothing to run.
     Text,
@@ -75,8 +75,8 @@ pub fn documents() -> Vec<PathBuf> {
     paths
 }
 
-/// Its blocks. What is wrong with the document is the error: a block without a word on running it, or a command outside
-/// of any block.
+/// Returns the blocks of a document. Fails for a block without information on running it, and for a command outside of a
+/// block.
 pub fn blocks(path: &Path) -> Result<Vec<Block>, String> {
     let name = path.strip_prefix(root()).unwrap_or(path).display().to_string();
     parse(&name, &fs::read_to_string(path).unwrap())
@@ -116,7 +116,7 @@ fn parse(name: &str, text: &str) -> Result<Vec<Block>, String> {
 }
 
 #[test]
-fn a_block_says_how_it_is_run_or_why_not() {
+fn every_block_needs_information_on_running_it() {
     let kinds = |text: &str| parse("x.md", text).map(|blocks| blocks.into_iter().map(|b| b.kind).collect::<Vec<_>>());
     assert_eq!(kinds("```sh\nhaptic demo\n```\ntext\n```sh board\n```\n"), Ok(vec![Kind::Quick, Kind::Board]));
     assert_eq!(kinds("```sh no-run: needs a board on USB\n```\n"), Ok(vec![Kind::NoRun]));

@@ -1,11 +1,10 @@
-//! What README.md and docs/ tell a reader to type works as it is written. Their fenced blocks say in the info string
-//! how each is run, or why it cannot be:
+//! Commands in README.md and docs/ work as written. The info string of a fenced block says how to run it:
 //!
-//! - `sh`: typed as it is. `sh board`: with a board connected; here it is a simulated one that asks for everything that
-//!   a real one asks for (`haptic sim --strict`), at HAPTIC_PORT, and `my-device.toml` and `my-scene.toml` are there.
+//! - `sh`: typed as it is. `sh board`: with a board, here a strict simulated one at HAPTIC_PORT (`haptic sim --strict`);
+//!   `my-device.toml` and `my-scene.toml` exist.
 //! - `sh slow: REASON`: typed by `cargo xtask test --deep documents`, when the images are built.
 //! - `sh no-run: REASON`, `python no-run: REASON` and so on.
-//! - `toml device`, `toml scene`: a file that `haptic check` finds sound, a scene on the coupled five-bar.
+//! - `toml device`, `toml scene`: a file that passes `haptic check`, a scene on the coupled five-bar.
 //! - `text`: nothing to run.
 
 pub mod blocks;
@@ -14,7 +13,7 @@ pub mod tables;
 
 use blocks::{Block, Kind, blocks, documents};
 
-/// Runs what `chosen` picks of all documents' blocks, and fails with everything that did not work.
+/// Runs the `chosen` blocks of all documents. Fails with a list of all errors.
 pub fn all(chosen: fn(&Kind) -> bool, mut run: impl FnMut(&Block) -> Result<(), String>) -> usize {
     let (mut wrong, mut count) = (Vec::new(), 0);
     for path in documents() {

@@ -1,11 +1,10 @@
-//! A person at a terminal, typing what a block says line by line.
+//! A person at a terminal who types a block line by line.
 //!
-//! Every line goes to a shell as it is written, in a directory of its own with a copy of devices/. `haptic`, and
-//! `cargo run … --package haptic --`, are the tool of this very build; other calls of cargo run in the repository. What
-//! serves until Ctrl-C (`haptic sim`, `cargo xtask board`) stays while the rest of its block is typed, as in another
-//! terminal; another line that says Ctrl-C in its comment gets one once it listens to it; one that says that it asks is
-//! answered with `y`; what a comment quotes after the word prints is in the output. The TCP port 7710 of the documents
-//! becomes one that is free here.
+//! Every line goes to a shell as written, in a directory of its own with a copy of devices/. `haptic` and
+//! `cargo run … --package haptic --` are the tool of this build; other cargo commands run in the repository. Servers
+//! (`haptic sim`, `cargo xtask board`) run while the rest of the block is typed, as in another terminal. Comments
+//! matter: a line with "Ctrl-C" is interrupted once it handles interrupts, a line with "asks" is answered with `y`, and
+//! quotes after "prints" must be in the output. The documents' TCP port 7710 is replaced by a free port.
 
 use super::blocks::{Block, Kind, root};
 use serialport::{SerialPort, TTYPort};
@@ -18,10 +17,10 @@ use std::thread::{sleep, spawn};
 use std::time::{Duration, Instant};
 
 const TOOL: &str = env!("CARGO_BIN_EXE_haptic");
-/// How the documents call the tool in a checkout.
+/// The documents' way to call the tool in a checkout.
 const IN_A_CHECKOUT: &str = "cargo run --release --package haptic --";
 
-/// Types one block; what went wrong is the error.
+/// Types one block.
 pub fn run(block: &Block, patience: Duration) -> Result<(), String> {
     let mut session = Session::new(block.kind == Kind::Board, patience);
     for command in block.commands() {
@@ -30,7 +29,7 @@ pub fn run(block: &Block, patience: Duration) -> Result<(), String> {
     session.end().map_err(|error| format!("{}: {error}", block.place))
 }
 
-/// Asks `haptic check` about a block that is a file.
+/// Runs `haptic check` on a block that is a file.
 pub fn check(block: &Block) -> Result<(), String> {
     let place = tempfile::tempdir().unwrap();
     let file = place.path().join("file.toml");
@@ -52,7 +51,7 @@ struct Session {
     place: tempfile::TempDir,
     environment: Vec<(String, String)>,
     servers: Vec<(String, Child)>,
-    /// In the place of 7710, once something serves.
+    /// Replaces 7710, once a server runs.
     port: String,
     patience: Duration,
 }
@@ -74,7 +73,7 @@ impl Session {
         session
     }
 
-    /// A person's own files: a shipped device that somebody vouches for, and a scene for it.
+    /// Writes the user's files: a verified shipped device and a scene for it.
     fn own_files(&self) {
         let shipped = fs::read_to_string(self.place.path().join("devices/coupled-five-bar.toml")).unwrap();
         let own = shipped.replace("\n[joint.motor]\n", "\n[joint.motor]\nverified = true\n");
@@ -112,7 +111,6 @@ impl Session {
             while !hears_interrupts(&mut child) && begun.elapsed() < self.patience {
                 sleep(Duration::from_millis(10));
             }
-            // So that it is seen at work.
             sleep(Duration::from_secs(1));
             interrupt(&child);
         }
@@ -130,9 +128,9 @@ impl Session {
 
     fn shell(&self, command: &str) -> Command {
         let mut shell = Command::new("sh");
-        // A shell's background jobs ignore Ctrl-C and hand that down to these tests; a reader's terminal does not.
+        // Background jobs of a shell ignore Ctrl-C, and so do tests that run in one; a terminal's commands do not.
         let heard = if cfg!(target_os = "linux") { "env --default-signal=INT" } else { "" };
-        // In place of the shell, so that what ends is the command itself.
+        // `exec` replaces the shell, so that the command itself ends.
         shell
             .args(["-c", &format!("exec {heard} {command}")])
             .envs(self.environment.iter().cloned())
@@ -142,7 +140,7 @@ impl Session {
         shell
     }
 
-    /// Starts what serves until Ctrl-C, and waits until it says where.
+    /// Starts a server and waits until it prints its port.
     fn serve(&mut self, command: &str) -> Result<(), String> {
         let mut child = self.shell(&command.replace("7710", "0")).stdout(Stdio::piped()).spawn().unwrap();
         let mut output = BufReader::new(child.stdout.take().unwrap());
@@ -161,7 +159,7 @@ impl Session {
         Ok(())
     }
 
-    /// Ctrl-C to everything that serves. A simulated board ends well; the emulated one has nothing to put in order.
+    /// Interrupts all servers. A simulated board has to end with success; an emulated one need not.
     fn end(mut self) -> Result<(), String> {
         for (command, mut child) in std::mem::take(&mut self.servers) {
             interrupt(&child);
@@ -183,7 +181,7 @@ impl Drop for Session {
     }
 }
 
-/// To a command and whatever it started, as a terminal does.
+/// Sends a signal to a command and its children, as a terminal does.
 fn signal(child: &Child, name: &str) {
     let _ = Command::new("sh").args(["-c", &format!("kill -{name} -{}", child.id())]).status();
 }
@@ -192,7 +190,7 @@ fn interrupt(child: &Child) {
     signal(child, "INT");
 }
 
-/// Whether a command ends in order when it is interrupted, or has ended; where the system does not tell, as if it did.
+/// Returns true if a command handles interrupts or has ended, or if the system does not tell.
 fn hears_interrupts(child: &mut Child) -> bool {
     let Ok(status) = fs::read_to_string(format!("/proc/{}/status", child.id())) else { return true };
     let caught = status.lines().find_map(|line| line.strip_prefix("SigCgt:"));
@@ -214,7 +212,7 @@ fn wait(child: &mut Child, patience: Duration) -> Result<Option<i32>, String> {
     Err(format!("did not end within {} s", patience.as_secs()))
 }
 
-/// Reads to the end beside everything else, so that nothing waits for a reader.
+/// Reads to the end in a thread of its own, so that no writer blocks.
 fn listen(mut output: impl Read + Send + 'static) -> std::thread::JoinHandle<String> {
     spawn(move || {
         let mut bytes = Vec::new();
@@ -236,7 +234,7 @@ fn copy(from: &Path, to: &Path) {
 }
 
 #[test]
-fn a_line_that_fails_is_found_out() {
+fn a_failing_line_is_detected() {
     let block = |line: &str| Block { place: "x.md:1".into(), kind: Kind::Quick, lines: vec![line.into()] };
     let run = |line: &str| run(&block(line), Duration::from_secs(600));
     assert_eq!(run("haptic model devices/coupled-five-bar.toml --q 2.6,1.75   # a remark"), Ok(()));

@@ -1,20 +1,20 @@
-//! Tables: those that a document shows, and the CSV files that it links to.
+//! Tables in documents, and linked CSV files.
 
 use super::blocks::root;
 use std::fs;
 use std::path::Path;
 
-/// The rows of a table, its head first.
+/// The rows of a table, header first.
 pub type Table = Vec<Vec<String>>;
 
-/// A CSV file, its path from the root.
+/// Reads a CSV file by its path in the repository.
 pub fn csv(path: impl AsRef<Path>) -> Table {
     let path = root().join(path);
     let text = fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
     text.lines().map(cells).collect()
 }
 
-/// The cells of a line; what is quoted may hold commas, and quotes twice.
+/// Splits a line into cells. Quoted cells may contain commas and doubled quotes.
 fn cells(line: &str) -> Vec<String> {
     let (mut cells, mut quoted) = (vec![String::new()], false);
     let mut characters = line.chars().peekable();
@@ -44,13 +44,13 @@ pub fn shown(text: &str) -> Vec<Table> {
     tables
 }
 
-/// Where a document's links lead: the target of each `[text](target)`.
+/// The local targets of a document's links, `[text](target)`.
 pub fn links(text: &str) -> impl Iterator<Item = &str> {
     text.split("](").skip(1).filter_map(|rest| rest.split(')').next()).filter(|link| !link.starts_with("http"))
 }
 
 #[test]
-fn quotes_hold_commas_and_tables_end_where_no_row_follows() {
+fn cells_may_be_quoted_and_tables_end_at_other_lines() {
     assert_eq!(cells("a,\"b, \"\"c\"\"\",,d"), ["a", "b, \"c\"", "", "d"]);
     let tables = shown("| a | **b** |\n|---|--:|\n| 1 |  |\n<!-- -->\n| c |\n");
     assert_eq!(tables, [vec![vec!["a", "b"], vec!["1", ""]], vec![vec!["c"]]]);

@@ -1,5 +1,5 @@
-//! The sampled loop linearised about a motion: pose and speed held as they are at one instant, every law's torque
-//! differentiated by joint angles and by the joints' *estimated* velocities.
+//! The sampled loop linearised about a motion: pose and speed are frozen at one instant, and each law's torque is
+//! differentiated by joint angles and by the *estimated* joint velocities.
 
 use super::unit;
 use haptic_bridge::math::Libm;
@@ -7,7 +7,7 @@ use haptic_bridge::model::mechanism::{FiveBar, Mechanism};
 use haptic_bridge::render::scene::VelocityTerms;
 use nalgebra::{DMatrix, DVector, Matrix2, Vector2};
 
-/// A law at a pose with its wall's normal; `None` is Jᵀ f.
+/// A rendering law at a pose with the wall's normal; `None` is Jᵀ f.
 pub struct Moving {
     pub mechanism: FiveBar<f64>,
     pub q: [f64; 2],
@@ -104,14 +104,14 @@ impl Moving {
         next
     }
 
-    /// Whether an oscillation faster than 8 Hz grows: slower ones are the motion itself turning with the linkage.
+    /// Returns true if an oscillation faster than 8 Hz grows. Slower ones are the motion turning with the linkage.
     fn grows(&self, speed: f64, kp: f64, kd: f64, rate: f64, cutoff: f64) -> bool {
         let fast = 8.0 * std::f64::consts::TAU / rate;
         let modes = self.matrix(speed, kp, kd, rate, cutoff).complex_eigenvalues();
         modes.iter().any(|z| z.arg().abs() > fast && z.norm() > 1.0)
     }
 
-    /// The stiffness (N/m) at which one begins to, from `low` on, which must be stable, up to `high`, which must not.
+    /// Returns the stiffness at which an oscillation begins to grow, N/m. `low` must be stable and `high` must not.
     pub fn stiffest(&self, speed: f64, kd: f64, (low, high): (f64, f64), rate: f64, cutoff: f64) -> f64 {
         assert!(!self.grows(speed, low, kd, rate, cutoff) && self.grows(speed, high, kd, rate, cutoff));
         let (mut low, mut high) = (low, high);

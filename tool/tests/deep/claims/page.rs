@@ -1,26 +1,19 @@
-//! The tables in docs/claims/: what the paper claims, in numbers found by running the board's own control step.
+//! The tables in docs/claims/: the paper's claims in numbers, from runs of the board's own control step.
 //!
 //! The loop here is the library's `Controller` in f32 with the firmware's trigonometry, on the simulator's nonlinear
 //! linkage without friction; torques act at once.
 
+use crate::common::prelude::*;
+use crate::common::{csv, ideal_loop, plane_wall, shipped};
 use haptic_bridge::control::compiled::BoardMath;
-use haptic_bridge::math::Libm;
-use haptic_bridge::model::admissible::Admissible;
-use haptic_bridge::model::description::Description;
-use haptic_bridge::model::device::Device;
-use haptic_bridge::model::mechanism::{AnyMechanism, FiveBar, Mechanism};
+use haptic_bridge::model::mechanism::FiveBar;
 use haptic_bridge::render::controller::{Controller, FULL_REGULARITY, PARALLEL_REGULARITY};
-use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, VelocityTerms, Wall};
-use haptic_host::device_file::DeviceFile;
-use haptic_sim::{Load, Plant, Random};
-use haptic_stability::analysis::plant::{Drive, Linearised};
+use haptic_sim::{Load, Plant};
 use haptic_stability::analysis::pose::TaskPose;
 use haptic_stability::analysis::range::predict;
-use haptic_stability::analysis::sampled::{LinearEstimator, Loop};
 use haptic_stability::model::{Precision, WallForce, evaluate};
 use haptic_stability::perception::{AlongWall, Perception};
 use nalgebra::Vector2;
-use std::fmt::Write;
 
 #[path = "moving.rs"]
 mod moving;
@@ -30,20 +23,15 @@ const CUTOFF_HZ: f64 = 100.0;
 /// The wall of the runs, N/m and N s/m: well below what is stable with or without the feed-forward.
 const STIFFNESS: f64 = 10_000.0;
 const DAMPING: f64 = 40.0;
-/// An encoder whose steps do not show.
+/// Counts per turn without visible steps.
 pub const FINE: f64 = 16_777_216.0;
 /// Home of the demo's device.
 const HOME: [f64; 2] = [2.3, 0.841_592_653_589_79];
 /// The demo's pose and wall.
 pub const DEMO: ([f64; 2], f64) = ([2.6, 1.75], 75.0);
 
-fn demo_file() -> DeviceFile {
-    DeviceFile::parse(include_str!("../../../../devices/coupled-five-bar.toml"), "coupled-five-bar.toml")
-        .expect("a shipped device")
-}
-
 pub fn five_bar() -> Description {
-    demo_file().description
+    shipped("coupled-five-bar").description
 }
 
 fn unit(degrees: f64) -> Vector2<f64> {
@@ -77,7 +65,7 @@ impl Run {
         }
     }
 
-    /// The farthest that the tip leaves the wall's surface within `seconds`, m.
+    /// Returns the largest distance of the tip from the wall's surface within `seconds`, m.
     pub fn farthest(&self, seconds: f64) -> f64 {
         let description = five_bar();
         let mut plant =
@@ -93,16 +81,8 @@ impl Run {
             ..Scene::default()
         };
         let place = |v: &Vector2<f64>| [v.x as f32, v.y as f32, 0.0];
-        let wall = Wall {
-            surface: Surface::Plane(Plane { point: place(&start), normal: place(&n) }),
-            stiffness: STIFFNESS as f32,
-            damping: DAMPING as f32,
-            feed_forward: self.feed_forward,
-            washout_hz: 2.0,
-            damping_compensation: false,
-            bilateral: true,
-        };
-        scene.walls.push(wall).expect("room for a wall");
+        let plane = plane_wall(place(&start), place(&n), STIFFNESS as f32, DAMPING as f32);
+        scene.walls.push(Wall { feed_forward: self.feed_forward, bilateral: true, ..plane }).expect("room for a wall");
         let mut known = description;
         for joint in &mut known.joints[..2] {
             joint.encoder.as_mut().expect("a shipped device has encoders").counts_per_turn = self.counts_per_turn;
@@ -115,7 +95,7 @@ impl Run {
         let counts = |q: [f64; 3]| [(q[0] * per_rad).round() as i32, (q[1] * per_rad).round() as i32];
 
         plant.push([self.speed * t.x, self.speed * t.y, 0.0]);
-        // The estimators have watched the tip come along the wall.
+        // The estimators have seen the tip move along the wall before.
         for k in -60..0 {
             let before = start + t * (self.speed * f64::from(k) / RATE_HZ);
             controller.step(&counts(joints_at(&description, self.q, &before)));
@@ -152,21 +132,22 @@ fn joints_at(description: &Description, q: [f64; 2], place: &Vector2<f64>) -> [f
     [q[0], q[1], 0.0]
 }
 
+pub const LAWS: [VelocityTerms; 3] = [VelocityTerms::Off, VelocityTerms::Paper, VelocityTerms::Rendered];
 /// Poses and motions along a wall: q, normal in degrees, speed in m/s.
 pub const SLIDES: [([f64; 2], f64, f64); 3] =
     [([2.3, 0.841_592_653_589_79], 90.0, 0.5), ([2.3, 0.841_592_653_589_79], 37.0, 0.5), ([2.6, 1.75], 75.0, -0.5)];
 
-/// The farthest a sliding tip leaves a wall, m.
+/// Returns the largest distance of a sliding tip from its wall, m.
 pub fn slide((q, normal, speed): ([f64; 2], f64, f64), terms: VelocityTerms, counts_per_turn: f64) -> f64 {
     Run { speed, velocity_terms: terms, counts_per_turn, ..Run::at((q, normal)) }.farthest(0.04)
 }
 
-/// How far (µm) sliding tips leave their walls, over [`SLID`] slides from poses within 0.6 rad of home, normals and
-/// directions at random, away from singular poses.
+/// Largest distances of sliding tips from their walls, µm, over [`SLID`] slides from random poses within 0.6 rad of home,
+/// away from singular poses, with random normals and directions.
 pub struct Slid {
     /// Medians of "off", "paper" and "rendered".
     pub medians: [f64; 3],
-    /// In how many "rendered" is worse than "off".
+    /// Number of slides in which "rendered" is worse than "off".
     pub worse: usize,
 }
 
@@ -175,7 +156,6 @@ const SLID: usize = 120;
 
 pub fn slid(counts_per_turn: f64) -> Slid {
     let description = five_bar();
-    // The first of the slides that stay clear of singular poses, of a sequence that is the same everywhere.
     let mut random = Random::new(15);
     let mut between = |low, high| random.between(low, high);
     let mut found: [Vec<f64>; 3] = Default::default();
@@ -196,8 +176,7 @@ pub fn slid(counts_per_turn: f64) -> Slid {
         if ![-0.06, -0.03, 0.02, 0.04].into_iter().all(clear_at) {
             continue;
         }
-        for (found, terms) in found.iter_mut().zip([VelocityTerms::Off, VelocityTerms::Paper, VelocityTerms::Rendered])
-        {
+        for (found, terms) in found.iter_mut().zip(LAWS) {
             found.push(1e6 * slide((q, normal, speed), terms, counts_per_turn));
         }
     }
@@ -209,7 +188,7 @@ pub fn slid(counts_per_turn: f64) -> Slid {
     Slid { medians: found.map(median), worse }
 }
 
-/// Whether the feed-forward acts in full at a pose of the demo's device.
+/// Returns true if the feed-forward acts in full at a pose of the demo's device.
 fn clear(q: [f64; 2]) -> bool {
     let AnyMechanism::FiveBar(mechanism) = AnyMechanism::<f64>::new(&five_bar()).expect("a shipped device") else {
         panic!("a five-bar")
@@ -231,13 +210,7 @@ fn along(description: &Description, (q, normal): ([f64; 2], f64)) -> Linearised 
 
 /// kp_max at 40 N s/m, without and with the feed-forward of a gain.
 pub fn stiffest(device: &Linearised) -> (f64, f64) {
-    let around = Loop {
-        rate_hz: RATE_HZ,
-        delay_samples: 0.025,
-        estimator: LinearEstimator::Butterworth(CUTOFF_HZ),
-        drive: Drive::Ideal,
-        damping_compensation: false,
-    };
+    let around = ideal_loop(RATE_HZ, 0.025, LinearEstimator::Butterworth(CUTOFF_HZ));
     let range = predict(device, &around, Some(&[DAMPING]), None).expect("an analysable pose");
     (range.off.boundary[0].kp, range.full.boundary[0].kp)
 }
@@ -251,21 +224,21 @@ pub fn stiffest_moving(speed: f64, law: Option<VelocityTerms>) -> f64 {
     moving.stiffest(speed, DAMPING, (8_000.0, 60_000.0), RATE_HZ, CUTOFF_HZ)
 }
 
-/// The farthest that 2 N along the wall for 30 ms move it within 60 ms, without and with the feed-forward, m. Some 20 ms
+/// Returns the largest distance from the wall within 60 ms, m, after a push of 2 N along the wall for 30 ms. Some 20 ms
 /// later the tip is at the end of its reach.
 pub fn perturbed(feed_forward: FeedForward) -> f64 {
     Run { push: (2.0, 0.03), feed_forward, ..Run::at(DEMO) }.farthest(0.06)
 }
 
-/// What a board believes of the demo's device.
+/// A board's model of the demo's device.
 pub struct Belief {
     pub description: Description,
-    /// What it takes the joint angles to be less what they are, rad.
+    /// Assumed minus true joint angles, rad.
     pub homed_off: [f64; 2],
 }
 
 impl Belief {
-    /// With rotor inertias and a handle's mass so many times as large as they are.
+    /// Rotor inertias and handle mass multiplied by these factors.
     pub fn scaled(rotors: [f64; 2], handle: f64) -> Self {
         let mut description = five_bar();
         description.joints.iter_mut().zip(rotors).for_each(|(joint, factor)| joint.inertia *= factor);
@@ -273,7 +246,7 @@ impl Belief {
         Self { description, homed_off: [0.0; 2] }
     }
 
-    /// The share of the gained inertia that is left: the real device in the loop that measures and pushes by this.
+    /// Returns the share of the gained inertia that is left with the real device in this board's loop.
     pub fn kept(&self, (q, normal): ([f64; 2], f64)) -> f64 {
         let wrong = along(&self.description, (self.angles(q), normal));
         let real = along(&five_bar(), (q, normal));
@@ -287,7 +260,7 @@ impl Belief {
     }
 }
 
-/// What may be wrong of the demo's device, each on all sides.
+/// Possible errors in the model of the demo's device, with all combinations of signs.
 pub fn beliefs() -> Vec<(String, Vec<Belief>)> {
     let half = [0.5, 1.5];
     let both = || half.into_iter().flat_map(move |first| half.map(|second| [first, second]));
@@ -308,10 +281,10 @@ pub fn beliefs() -> Vec<(String, Vec<Belief>)> {
     all
 }
 
-/// What is kept with wrong beliefs, at poses around home where the feed-forward acts in full and is worth having.
+/// Share of the gain kept with wrong models, at poses around home where the feed-forward acts in full and pays.
 pub struct GainRetained {
     pub cases: usize,
-    /// Of them, those that keep less than seven eighths.
+    /// Number of cases that keep less than seven eighths.
     pub below: usize,
     pub least: f64,
     pub most: f64,
@@ -342,7 +315,7 @@ pub fn kept_around_home(beliefs: &[Belief]) -> GainRetained {
     kept
 }
 
-/// Degrees between a push on the free tip along the demo's normal and where it goes.
+/// Angle between a push on the free tip along the demo's normal and its motion, degrees.
 pub fn free_deflection() -> f64 {
     let device = demo();
     let t = unit(DEMO.1 + 90.0);
@@ -351,116 +324,104 @@ pub fn free_deflection() -> f64 {
     (along.row.dot(&answer)).atan2(device.row.dot(&answer)).to_degrees()
 }
 
-/// What a hand feels at the demo's wall.
+/// Inertia that a hand feels at the demo's wall.
 fn felt() -> Perception {
     let normal = unit(DEMO.1).as_slice().to_vec();
     let wall = WallForce { normal, force: 0.0, stiffness: 1.0, feed_forward: true };
-    evaluate(&demo_file(), &DEMO.0, &[0.0; 2], &[wall], Precision::F64).expect("a regular pose").perception
+    evaluate(&shipped("coupled-five-bar"), &DEMO.0, &[0.0; 2], &[wall], Precision::F64)
+        .expect("a regular pose")
+        .perception
 }
 
-/// Wrr/Weff of the serial-3r at (0.5, 0.8, 0.7) against (0.6, 0.8), by what is held.
+/// Wrr/Weff of the serial-3r at (0.5, 0.8, 0.7) against (0.6, 0.8) for an admissible set.
 pub fn ratio(admissible: Admissible) -> f64 {
-    let file =
-        DeviceFile::parse(include_str!("../../../../devices/serial-3r.toml"), "serial-3r.toml").expect("shipped");
-    let seen = Linearised::holding(&file.description, &[0.5, 0.8, 0.7], &[0.6, 0.8], admissible).expect("regular");
+    let seen = Linearised::holding(&shipped("serial-3r").description, &[0.5, 0.8, 0.7], &[0.6, 0.8], admissible)
+        .expect("regular");
     seen.w_rr() / seen.w_eff().expect("regular")
 }
 
-/// The tables of [`tables`], in their order.
-const FILES: [&str; 7] = ["gain", "push", "wrong-rotor", "wrong-around-home", "sliding", "many-slides", "redundant"];
-
-/// The same tables as CSV files, each with its name in docs/claims/.
-pub fn files(tables: &str) -> Vec<(&'static str, String)> {
-    let mut found: Vec<String> = Vec::new();
-    let mut open = false;
-    for line in tables.lines() {
-        let Some(row) = line.strip_prefix("| ").and_then(|line| line.strip_suffix(" |")) else {
-            // The line of dashes under a head is part of the table.
-            open = open && line.starts_with('|');
-            continue;
-        };
-        if !open {
-            found.push(String::new());
-        }
-        open = true;
-        let quoted = |cell: &str| if cell.contains(',') { format!("\"{cell}\"") } else { cell.into() };
-        let cells: Vec<String> = row.split(" | ").map(quoted).collect();
-        let _ = writeln!(found.last_mut().expect("a table is open"), "{}", cells.join(","));
-    }
-    assert_eq!(found.len(), FILES.len(), "a table has no file");
-    FILES.into_iter().zip(found).collect()
-}
-
-/// All tables, and under them what docs/claims.md says in words.
-pub fn tables() -> String {
-    let mut text = String::new();
-    let mut line = |content: String| {
-        let _ = writeln!(text, "{content}");
-    };
-    line("### Gain of the feed-forward\n".into());
-    line("| gain | inertia met, kg | kp_max, kN/m | 1 % of coupling changes it by, % |\n|---|---|---|---|".into());
+/// The CSV files in docs/claims/, each with its name.
+pub fn tables() -> [(&'static str, String); 7] {
+    let table = |head: &str, rows: Vec<String>| csv([head.to_string()].into_iter().chain(rows));
+    let encoders = [("ideal", FINE), ("20 000 counts", 20_000.0)];
     let mut device = demo();
-    for gain in [0.0, 0.5, 1.0, 1.5, 2.0, 2.5] {
+    let gains = [0.0, 0.5, 1.0, 1.5, 2.0, 2.5].map(|gain| {
         device.gain = gain;
         let coupling = 1.0 - device.w_eff().unwrap_or(0.0) / device.w_rr();
         let sensitivity = gain * coupling / (1.0 - gain * coupling);
         let met = device.inertia_met().unwrap_or(f64::NAN);
-        line(format!("| {gain} | {met:.3} | {:.1} | {sensitivity:.2} |", stiffest(&device).1 / 1e3));
-    }
-    line("\n### A push along the wall\n".into());
-    line("| feed-forward | farthest in or out of the wall within 60 ms, µm |\n|---|---|".into());
+        format!("{gain} | {met:.3} | {:.1} | {sensitivity:.2}", stiffest(&device).1 / 1e3)
+    });
     let [off, full] = [FeedForward::Off, FeedForward::Full].map(perturbed);
-    line(format!("| off | {:.0} |\n| full | {:.0} |\n| ratio | {:.2} |", 1e6 * off, 1e6 * full, full / off));
-    line("\n### A wrong model\n".into());
-    line("| the model's rotor inertia | rotor 0: gain kept, % | rotor 1: gain kept, % |\n|---|---|---|".into());
-    for percent in [-50, -25, -10, 10, 25, 50] {
+    let push = [("off", 1e6 * off, 0), ("full", 1e6 * full, 0), ("ratio", full / off, 2)];
+    let rotors = [-50, -25, -10, 10, 25, 50].map(|percent| {
         let by = 1.0 + f64::from(percent) / 100.0;
         let [first, second] = [[by, 1.0], [1.0, by]].map(|rotors| 100.0 * Belief::scaled(rotors, 1.0).kept(DEMO));
-        line(format!("| {percent:+} % | {first:.1} | {second:.1} |"));
-    }
-    line("\n| wrong around home | cases | keep less than 87.5 %, % of them | least and most kept, % |\n|---|---|---|---|".into());
-    for (name, beliefs) in beliefs() {
+        format!("{percent:+} % | {first:.1} | {second:.1}")
+    });
+    let around_home = beliefs().into_iter().map(|(name, beliefs)| {
         let GainRetained { cases, below, least, most } = kept_around_home(&beliefs);
         let share = 100.0 * below as f64 / cases as f64;
-        line(format!("| {name} | {cases} | {share:.1} | {:.1} to {:.1} |", 100.0 * least, 100.0 * most));
-    }
-    line("\n### A sliding tip\n".into());
-    line("| q, normal, speed | encoder | off, µm | paper, µm | rendered, µm |\n|---|---|---|---|---|".into());
-    for case in SLIDES {
-        for (name, counts) in [("ideal", FINE), ("20 000 counts", 20_000.0)] {
-            let far = |terms| 1e6 * slide(case, terms, counts);
-            line(format!(
-                "| ({:.2}, {:.2}), {}°, {} m/s | {name} | {:.1} | {:.1} | {:.1} |",
-                case.0[0],
-                case.0[1],
-                case.1,
-                case.2,
-                far(VelocityTerms::Off),
-                far(VelocityTerms::Paper),
-                far(VelocityTerms::Rendered)
-            ));
-        }
-    }
-    line(format!(
-        "\n| {SLID} slides, medians | off, µm | paper, µm | rendered, µm | rendered worse than off |\n|---|---|---|---|---|"
-    ));
-    for (name, counts) in [("ideal", FINE), ("20 000 counts", 20_000.0)] {
+        format!("{name} | {cases} | {share:.1} | {:.1} to {:.1}", 100.0 * least, 100.0 * most)
+    });
+    let slides = SLIDES.into_iter().flat_map(|case| {
+        let (q, normal, speed) = case;
+        encoders.map(|(name, counts)| {
+            let [off, paper, rendered] = LAWS.map(|terms| 1e6 * slide(case, terms, counts));
+            let case = format!("({:.2}, {:.2}), {normal}°, {speed} m/s", q[0], q[1]);
+            format!("{case} | {name} | {off:.1} | {paper:.1} | {rendered:.1}")
+        })
+    });
+    let medians = encoders.map(|(name, counts)| {
         let Slid { medians: [off, paper, rendered], worse } = slid(counts);
-        line(format!("| {name} | {off:.0} | {paper:.0} | {rendered:.2} | {worse} |"));
-    }
-    line("\n### A redundant arm\n".into());
-    line("| held | Wrr/Weff | area gained |\n|---|---|---|".into());
-    for (name, admissible) in Admissible::ALL {
+        format!("{name} | {off:.0} | {paper:.0} | {rendered:.2} | {worse}")
+    });
+    let redundant = Admissible::ALL.map(|(name, admissible)| {
         let ratio = ratio(admissible);
-        line(format!("| {name} | {ratio:.2} | x {:.2} |", ratio * ratio));
-    }
-    line("\n### A free tip\n".into());
-    line(format!("A push along the normal moves the free tip {:.1}° off it.", free_deflection().abs()));
+        format!("{name} | {ratio:.2} | x {:.2}", ratio * ratio)
+    });
+    [
+        ("gain", table("gain | inertia met, kg | kp_max, kN/m | 1 % of coupling changes it by, %", gains.into())),
+        (
+            "push",
+            table(
+                "feed-forward | farthest in or out of the wall within 60 ms, µm",
+                push.map(|(name, far, digits)| format!("{name} | {far:.digits$}")).into(),
+            ),
+        ),
+        (
+            "wrong-rotor",
+            table("the model's rotor inertia | rotor 0: gain kept, % | rotor 1: gain kept, %", rotors.into()),
+        ),
+        (
+            "wrong-around-home",
+            table(
+                "wrong around home | cases | keep less than 87.5 %, % of them | least and most kept, %",
+                around_home.collect(),
+            ),
+        ),
+        ("sliding", table("q, normal, speed | encoder | off, µm | paper, µm | rendered, µm", slides.collect())),
+        (
+            "many-slides",
+            table(
+                &format!("{SLID} slides, medians | off, µm | paper, µm | rendered, µm | rendered worse than off"),
+                medians.into(),
+            ),
+        ),
+        ("redundant", table("held | Wrr/Weff | area gained", redundant.into())),
+    ]
+}
+
+/// Sentences of docs/claims.md.
+pub fn sentences() -> [String; 2] {
     let Perception { tip, ratio, along_wall } = felt();
     let AlongWall { off, full } = along_wall.expect("a wall");
-    line(format!(
-        "\nA hand feels {:.3} to {:.3} kg in the air, by direction ({ratio:.1} times), and along the wall {:.3} kg off, {:.3} full.",
-        tip[0], tip[1], off[0], full[0]
-    ));
-    text
+    [
+        format!("A push along the normal moves the free tip {:.1}° off it.", free_deflection().abs()),
+        format!(
+            "A hand feels {:.3} to {:.3} kg in the air, by direction ({ratio:.1} times), and along the wall {:.3} kg \
+             off, {:.3} full.",
+            tip[0], tip[1], off[0], full[0]
+        ),
+    ]
 }

@@ -1,15 +1,23 @@
-//! The pictures in docs/drawings/, the demo's and the maps in docs/results/ are what the tool draws now.
+//! The tool draws the same pictures as in docs/drawings/ and docs/results/.
 
-use crate::common::{file, files, haptic, root, shipped};
+use crate::common::{Folder, files, read, root, shipped, type_lines};
 use haptic_bridge::model::admissible::Admissible;
 use haptic_show::plot::coupling::draw;
 use haptic_show::plot::paper::Paper;
 use haptic_stability::analysis::pose::TaskPose;
 use haptic_stability::skeleton::{Turret, skeleton};
 
+/// Runs a command that draws a document, with the picture in a folder of its own, and compares the pictures.
+fn compare(line: &str, published: &str) {
+    let folder = Folder::new();
+    let drawn = folder.path("drawn");
+    type_lines(&line.replace(published, &drawn), &[]);
+    let kept = std::fs::read(root().join(published)).unwrap();
+    assert!(std::fs::read(drawn).unwrap() == kept, "`haptic {line} --force` updates {published}");
+}
+
 #[test]
-fn the_drawings_of_the_documents_are_those_of_the_tool() {
-    let folder = tempfile::tempdir().unwrap();
+fn the_pictures_of_the_documents_are_drawn_by_their_commands() {
     for (drawing, device) in [
         ("paddle", "hapkit-paddle"),
         ("five-bar", "pantograph-mk2"),
@@ -18,63 +26,40 @@ fn the_drawings_of_the_documents_are_those_of_the_tool() {
         ("serial-3r", "serial-3r"),
         ("capstan-pantograph", "capstan-pantograph"),
     ] {
-        let drawn = folder.path().join(drawing);
-        let device = file(&format!("{device}.toml"));
-        haptic(&["check", &device, "--svg"]).arg(&drawn).assert().success();
-        let kept = std::fs::read_to_string(root().join("docs/drawings").join(format!("{drawing}.svg"))).unwrap();
-        assert!(
-            std::fs::read_to_string(drawn).unwrap() == kept,
-            "{drawing}.svg: docs/devices.md says how to draw it anew"
-        );
+        let drawing = format!("docs/drawings/{drawing}.svg");
+        compare(&format!("check devices/{device}.toml --svg {drawing}"), &drawing);
     }
-    // The eighth is a board's, which emulator/tests/emulated/drawing.rs holds.
+    // The other two are the coupling below and a board's, which emulator/tests/emulated/drawing.rs checks.
     assert_eq!(std::fs::read_dir(root().join("docs/drawings")).unwrap().count(), 8);
+    let ranges = read("docs/results/ranges.sh");
+    let maps = ranges.lines().filter(|line| line.starts_with("haptic map ") && line.contains(" docs/results/"));
+    let maps: Vec<&str> = maps.collect();
+    assert_eq!(maps.len(), 2);
+    let demo = "haptic demo --svg docs/results/demo.svg";
+    assert!(read("docs/results.md").contains(demo));
+    let host = "haptic range devices/coupled-five-bar.toml --q 2.6,1.75 --normal 0.94,-0.34 --rate 20000 --cutoff 500 \
+                --delay 0.5 --host-rate 1000 --host-delay 0.001 --svg docs/results/host-wall.svg";
+    assert!(read("docs/host-force.md").replace("\\\n  ", "").contains(&host.replace("docs/results/", "")));
+    for line in maps.into_iter().chain([demo, host]) {
+        let line = line.strip_prefix("haptic ").unwrap().replace(" --force", "");
+        let picture = line.split(' ').find(|word| word.starts_with("docs/results/")).unwrap();
+        compare(&line, picture);
+    }
 }
 
+/// The search of the command takes minutes and does not affect the picture.
 #[test]
-fn the_papers_first_figure_is_what_the_tool_draws() {
-    let told = std::fs::read_to_string(root().join("docs/design.md")).unwrap();
+fn the_coupling_picture_is_drawn_by_its_command() {
     let line =
         "haptic design devices/coupled-five-bar.toml --q 2.6,1.75 --normal 0.94,-0.34 --points 300 --svg coupling.svg";
-    assert!(told.contains(line) && told.contains("(drawings/coupling.svg)"));
-    // The search of that line has no part in the picture.
+    let page = read("docs/design.md");
+    assert!(page.contains(line) && page.contains("(drawings/coupling.svg)"));
     let device = shipped("coupled-five-bar");
     let size = 0.94_f64.hypot(-0.34);
     let normal = [0.94 / size, -0.34 / size];
     let drawn = draw(&device.description, &device.name, &[2.6, 1.75], &normal, Admissible::default(), Paper::default());
     let drawn = drawn.unwrap().unwrap();
-    let kept = std::fs::read_to_string(root().join("docs/drawings/coupling.svg")).unwrap();
-    assert!(drawn.svg() == kept, "`{line}` draws docs/drawings/coupling.svg anew");
-}
-
-#[test]
-fn the_pictures_of_the_results_are_what_their_commands_draw() {
-    let folder = tempfile::tempdir().unwrap();
-    let text = std::fs::read_to_string(root().join("docs/results.md")).unwrap();
-    let ranges = std::fs::read_to_string(root().join("docs/results/ranges.sh")).unwrap();
-    let mut lines: Vec<&str> =
-        ranges.lines().filter(|line| line.starts_with("haptic map ") && line.contains(" docs/results/")).collect();
-    assert_eq!(lines.len(), 2);
-    let demo = "haptic demo --svg docs/results/demo.svg";
-    assert!(text.contains(demo));
-    lines.push(demo);
-    let host = "haptic range devices/coupled-five-bar.toml --q 2.6,1.75 --normal 0.94,-0.34 --rate 20000 --cutoff 500 \
-                --delay 0.5 --host-rate 1000 --host-delay 0.001 --svg docs/results/host-wall.svg";
-    let told = std::fs::read_to_string(root().join("docs/host-force.md")).unwrap().replace("\\\n  ", "");
-    assert!(told.contains(&host.replace("docs/results/", "")));
-    lines.push(host);
-    for line in lines {
-        let mut words: Vec<String> = line.split_whitespace().skip(1).map(String::from).collect();
-        let picture = words.iter_mut().find(|word| word.starts_with("docs/results/")).unwrap();
-        let drawn = folder.path().join("drawn");
-        let published = std::mem::replace(picture, drawn.display().to_string());
-        if !line.contains("--force") {
-            words.push("--force".into());
-        }
-        haptic(&words.iter().map(String::as_str).collect::<Vec<_>>()).assert().success();
-        let kept = std::fs::read(root().join(&published)).unwrap();
-        assert!(std::fs::read(drawn).unwrap() == kept, "`{line}` draws {published} anew");
-    }
+    assert!(drawn.svg() == read("docs/drawings/coupling.svg"), "`{line}` updates docs/drawings/coupling.svg");
 }
 
 /// The numbers after `key`.
@@ -85,18 +70,18 @@ fn numbers(text: &str, key: &str) -> Vec<f64> {
 }
 
 #[test]
-fn the_drawing_of_a_device_holds_all_of_its_reach() {
-    let folder = tempfile::tempdir().unwrap();
+fn the_drawing_of_a_device_contains_its_whole_reach() {
+    let folder = Folder::new();
+    let drawn = folder.path("drawn.svg");
     let mut grounds = 0;
     for entry in files("") {
-        let drawn = folder.path().join("drawn.svg");
-        haptic(&["check", "--force"]).arg(&entry).arg("--svg").arg(&drawn).assert().success();
+        type_lines(&format!("check {} --force --svg {drawn}", entry.display()), &[]);
         let svg = std::fs::read_to_string(&drawn).unwrap();
         let Some(ground) = svg.lines().find(|line| line.starts_with("<path transform")) else { continue };
         grounds += 1;
         let clip = svg.lines().find(|line| line.starts_with("<clipPath")).unwrap();
         let [x, y, width, height] = [" x=\"", " y=\"", " width=\"", " height=\""].map(|key| numbers(clip, key)[0]);
-        // Steps of tenths of a pixel, every outline from where the one before began.
+        // Steps of tenths of a pixel; every outline starts from the beginning of the one before.
         let path = ground.split_once(" d=\"").unwrap().1.split('"').next().unwrap();
         let mut began = [0.0, 0.0];
         for outline in path.split('z').filter(|outline| !outline.is_empty()) {
@@ -116,7 +101,7 @@ fn the_drawing_of_a_device_holds_all_of_its_reach() {
 }
 
 #[test]
-fn every_drawn_tip_is_where_the_model_has_it() {
+fn every_drawn_tip_is_at_the_models_position() {
     for name in ["pantograph-mk2", "fictive-five-bar-turret", "phantom-premium-1.5", "serial-3r", "coupled-five-bar"] {
         let description = shipped(name).description;
         let mut seen = 0;

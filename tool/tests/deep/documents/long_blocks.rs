@@ -1,4 +1,4 @@
-//! The blocks of README.md and docs/ that take long to type.
+//! The slow commands in README.md and docs/ work as written.
 #![cfg(unix)]
 
 use crate::common::documents::blocks::Kind;
@@ -6,6 +6,6 @@ use crate::common::documents::{all, session};
 use std::time::Duration;
 
 #[test]
-fn what_takes_longer_works_as_well() {
+fn slow_commands_of_the_documents_work() {
     assert!(all(|kind| *kind == Kind::Slow, |block| session::run(block, Duration::from_secs(3600))) >= 1);
 }

@@ -1,11 +1,9 @@
-//! What a map shows is what `haptic model` computes: pixels against numbers, for every shipped device, with and without
-//! joint limits.
+//! A map shows the numbers of `haptic model`: pixels are compared for every shipped device, with and without joint
+//! limits.
 
-use crate::common::all_shipped;
-use haptic_bridge::model::admissible::Admissible;
+use crate::common::prelude::*;
+use crate::common::{all_shipped, shipped};
 use haptic_bridge::model::catalogue::Kind;
-use haptic_bridge::model::description::Description;
-use haptic_host::device_file::DeviceFile;
 use haptic_show::plot::Picture;
 use haptic_show::plot::colour::ABOVE;
 use haptic_show::plot::map::{Chart, chart, colour};
@@ -16,21 +14,11 @@ use resvg::tiny_skia::Pixmap;
 
 /// Pixels of the PNG per unit of the drawing.
 const SCALE: f64 = 2.0;
-/// How far the shown share may be from the computed one, as a share of the scale: one level of rounding to a colour
-/// and two of difference within a tile, then as much again for what changes within the pixels searched.
+/// Largest difference between shown and computed share, relative to the scale: one colour level of rounding, two within a
+/// tile, and as much again for changes within the searched pixels.
 const TOLERANCE: f64 = 0.06;
-/// Pixels around the pose's own in which its colour must be found: half the width of an ellipse's or a link's line.
+/// Distance in pixels within which the pose's colour must be found: half the width of an ellipse's or a link's line.
 const AROUND: i32 = 6;
-
-/// A generator of numbers in [0, 1): reproducible, and good enough to scatter poses.
-struct Scatter(u64);
-
-impl Scatter {
-    fn next(&mut self) -> f64 {
-        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        (self.0 >> 11) as f64 / (1_u64 << 53) as f64
-    }
-}
 
 fn at(image: &Pixmap, x: i32, y: i32) -> Option<[u8; 3]> {
     let pixel = image.pixel(u32::try_from(x).ok()?, u32::try_from(y).ok()?)?.demultiply();
@@ -45,7 +33,7 @@ fn distance(a: [u8; 3], b: [u8; 3]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (f64::from(*a) - f64::from(b)).powi(2)).sum::<f64>().sqrt()
 }
 
-/// Whether a colour that stands for `share`, give or take the tolerance, is at this place of the picture.
+/// Returns true if a colour for `share`, within the tolerance, is at this place of the picture.
 fn shows(chart: &Chart, image: &Pixmap, place: &[f64], share: f64) -> bool {
     let (x, y) = chart.frame.pixel(place[0], place[1]);
     let (x, y) = ((SCALE * x) as i32, (SCALE * y) as i32);
@@ -60,10 +48,10 @@ fn shows(chart: &Chart, image: &Pixmap, place: &[f64], share: f64) -> bool {
     })
 }
 
-/// Bytes of a picture that a page can hold; an outline for every tile took twice as many.
+/// Largest size of a picture for a page, bytes; an outline for every tile took twice as much.
 const SMALL: usize = 800_000;
 
-/// The description with joint limits that cut its workspace around home, unlike on either side.
+/// The description with unequal joint limits around home that cut its workspace.
 fn limited(mut description: Description) -> Description {
     let home = description.home.unwrap();
     for (i, joint) in description.joints.iter_mut().enumerate().take(description.kind.spec().joints) {
@@ -74,13 +62,13 @@ fn limited(mut description: Description) -> Description {
 }
 
 /// A random pose of the drawn plane, within the limits.
-fn pose(description: &Description, scatter: &mut Scatter) -> Vec<f64> {
+fn pose(description: &Description, random: &mut Random) -> Vec<f64> {
     let home = description.home.unwrap();
     let joints = description.kind.spec().joints;
     let mut q: Vec<f64> = (0..joints)
         .map(|i| {
             let (low, high) = description.joints[i].limits.unwrap_or((home[i] - 1.2, home[i] + 1.2));
-            low + (high - low) * scatter.next()
+            low + (high - low) * random.uniform()
         })
         .collect();
     match description.kind {
@@ -95,7 +83,7 @@ fn allowed(description: &Description, q: &[f64]) -> bool {
     q.iter().zip(&description.joints).all(|(q, j)| j.limits.is_none_or(|(low, high)| (low..=high).contains(q)))
 }
 
-/// Shipped devices with a picture, and what a redundant one may hold.
+/// Shipped devices with a picture, redundant ones with several admissible sets.
 fn pictured() -> Vec<(DeviceFile, Admissible)> {
     let devices = all_shipped().into_iter().filter(|file| file.spec().joints > 1);
     devices
@@ -108,7 +96,7 @@ fn pictured() -> Vec<(DeviceFile, Admissible)> {
 }
 
 #[test]
-fn every_picture_shows_what_the_model_computes_and_nothing_elsewhere() {
+fn every_picture_shows_the_numbers_of_the_model() {
     for (file, held) in pictured() {
         for (which, description) in [("as shipped", file.description), ("with limits", limited(file.description))] {
             let file = DeviceFile { description, name: format!("{} {which}", file.name), ..file.clone() };
@@ -124,13 +112,13 @@ fn every_picture_shows_what_the_model_computes_and_nothing_elsewhere() {
     }
 }
 
-/// At random poses that are reached from home.
+/// Compares colours at random poses that are reached from home.
 fn colours_are_numbers(file: &DeviceFile, normal: &[f64], held: Admissible, chart: &Chart, image: &Pixmap) {
-    let mut scatter = Scatter(7);
+    let mut random = Random::new(7);
     let (mut compared, mut wrong) = (0, Vec::new());
     let home = evaluate_share(file, &file.description.home.unwrap()[..file.spec().joints], normal, held).unwrap();
     for _ in 0..800 {
-        let q = pose(&file.description, &mut scatter);
+        let q = pose(&file.description, &mut random);
         if compared == 50 || !allowed(&file.description, &q) {
             continue;
         }
@@ -147,16 +135,16 @@ fn colours_are_numbers(file: &DeviceFile, normal: &[f64], held: Admissible, char
     assert!(wrong.is_empty(), "{}: {} of {compared} wrong: {:?}", file.name, wrong.len(), wrong.first());
 }
 
-/// Where no pose of the JSON is.
+/// Checks that places without a pose in the JSON are empty.
 fn nothing_outside(file: &DeviceFile, normal: &[f64], chart: &Chart, image: &Pixmap) {
     let points = map(&file.description, normal, 20_000).unwrap();
     let places: Vec<(f64, f64)> = points.iter().map(|p| chart.frame.pixel(p.position[0], p.position[1])).collect();
-    let mut scatter = Scatter(11);
+    let mut random = Random::new(11);
     let (mut outside, mut coloured) = (0, Vec::new());
     for _ in 0..400 {
-        let x = chart.frame.at.0 + chart.frame.size.0 * scatter.next();
-        let y = chart.frame.at.1 + chart.frame.size.1 * scatter.next();
-        // Grid poses are at most a dozen units apart; what is farther than that from all of them is outside.
+        let x = chart.frame.at.0 + chart.frame.size.0 * random.uniform();
+        let y = chart.frame.at.1 + chart.frame.size.1 * random.uniform();
+        // Grid poses are at most a dozen units apart, so places farther from all of them are outside.
         if places.iter().any(|p| (p.0 - x).hypot(p.1 - y) < 20.0) {
             continue;
         }
@@ -172,7 +160,7 @@ fn nothing_outside(file: &DeviceFile, normal: &[f64], chart: &Chart, image: &Pix
     assert!(coloured.is_empty(), "{}: {} of {outside} at {coloured:?}", file.name, coloured.len());
 }
 
-/// It ends on a round number, and what is above it is said.
+/// Checks that the scale ends on a round number and marks values above.
 fn scale_is_round(name: &str, chart: &Chart) {
     let svg = chart.picture.svg();
     let percent = (100.0 * chart.top * 1e6).round() / 1e6;
@@ -183,19 +171,19 @@ fn scale_is_round(name: &str, chart: &Chart) {
     assert!(svg.len() < SMALL, "{name}: {} bytes", svg.len());
 }
 
-struct Found {
+struct ModelPoint {
     place: Vec<f64>,
     share: f64,
     side: bool,
     regular: f64,
 }
 
-/// What `haptic model` says at a pose.
-fn evaluate_share(file: &DeviceFile, q: &[f64], normal: &[f64], held: Admissible) -> Option<Found> {
+/// Evaluates the model at a pose.
+fn evaluate_share(file: &DeviceFile, q: &[f64], normal: &[f64], held: Admissible) -> Option<ModelPoint> {
     let walls = [WallForce { normal: normal.to_vec(), force: 0.0, stiffness: 1.0, feed_forward: true }];
     let report = evaluate_holding(file, q, &vec![0.0; q.len()], &walls, Precision::F64, held).ok()?;
     let pose = haptic_stability::analysis::pose::TaskPose::at(&file.description, q).ok()?;
-    Some(Found {
+    Some(ModelPoint {
         share: report.coupling[0][0] / report.w_rr[0][0],
         place: report.position,
         side: pose.jacobian.determinant() > 0.0,
@@ -203,7 +191,7 @@ fn evaluate_share(file: &DeviceFile, q: &[f64], normal: &[f64], held: Admissible
     })
 }
 
-/// Whether the straight way from home in joint angles stays regular, so that the pose is reached for certain.
+/// Returns true if the straight path from home in joint angles stays regular, so that the pose is reachable.
 fn straight_from_home(file: &DeviceFile, q: &[f64], normal: &[f64], side: bool) -> bool {
     let mut home = file.description.home.unwrap()[..q.len()].to_vec();
     if matches!(file.description.kind, Kind::FiveBarTurret | Kind::Parallelogram) {
@@ -223,13 +211,12 @@ fn map_of(file: &DeviceFile, normal: &[f64]) -> Picture {
 
 #[test]
 fn a_paddle_shows_its_arc_and_its_inertia() {
-    let paddle = all_shipped().into_iter().find(|file| file.name == "hapkit-paddle").unwrap();
-    let picture = map_of(&paddle, &[1.0]);
+    let picture = map_of(&shipped("hapkit-paddle"), &[1.0]);
     // 0.0008 kg m² at 70 mm.
     assert!(picture.svg().contains("163.3 g"), "{}", picture.svg());
 }
 
-/// Asserts that no line of text that begins at the left ends beyond the picture, and that there are so many.
+/// Checks that at least `least` left-aligned lines of text end within the picture.
 fn nothing_is_cut_off(svg: &str, least: usize) {
     let attribute = |text: &str, name: &str| -> f64 {
         text.split_once(&format!(" {name}=\"")).unwrap().1.split('"').next().unwrap().parse().unwrap()
@@ -256,8 +243,8 @@ fn no_caption_of_a_map_is_cut_off() {
 }
 
 #[test]
-fn no_caption_of_a_paddle_is_cut_off_with_limits_or_without() {
-    let mut paddle = all_shipped().into_iter().find(|file| file.name == "hapkit-paddle").unwrap();
+fn no_caption_of_a_paddle_is_cut_off() {
+    let mut paddle = shipped("hapkit-paddle");
     for limits in [None, Some((-1.04, 1.04))] {
         paddle.description.joints[0].limits = limits;
         let picture = map_of(&paddle, &[1.0]);

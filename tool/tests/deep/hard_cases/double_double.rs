@@ -1,4 +1,4 @@
-//! Numbers of 106 bits: the reference where double precision itself is in doubt.
+//! Numbers of 106 bits: the reference where double precision may be too coarse.
 //!
 //! A double-double is the unevaluated sum of two doubles (Dekker 1971; the algorithms of Hida, Li and Bailey 2000). The
 //! library is generic over its scalar, so the very same equations run in it; sine and cosine are Taylor series after a

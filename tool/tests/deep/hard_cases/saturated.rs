@@ -3,12 +3,8 @@
 
 use super::rows::singular::Random;
 use super::shipped;
-use haptic_bridge::math::Libm;
+use crate::common::prelude::*;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
-use haptic_bridge::model::description::Description;
-use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
-use haptic_bridge::render::scene::FeedForward;
-use haptic_bridge::safety::fault::State;
 use haptic_bridge::safety::limits::Limits;
 use haptic_sim::{Press, PressedBoard, WIDE_LIMITS};
 use nalgebra::SVector;
@@ -69,7 +65,7 @@ fn row<M: Mechanism<f64, N>, const N: usize>(m: M, name: &'static str, device: &
                 assert_eq!(felt.state, State::Armed, "{felt:?}");
                 let asked = felt.asked;
                 let gravity = m.gravity(&pose);
-                // By hand: the largest share of Jᵀ n f that every joint has room for beside the weight.
+                // Computed here: the largest share of Jᵀ n f that fits every joint together with the weight.
                 let rendered = m.transpose(&pose, &n) * asked;
                 let room = |i: usize, most: f64| (most - gravity[i] * rendered[i].signum()) / rendered[i].abs();
                 let fits = |most: f64| asked * (0..N).map(|i| room(i, most)).fold(1.0, f64::min);

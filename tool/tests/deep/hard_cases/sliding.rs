@@ -8,11 +8,8 @@ use super::rows::routes::inverse;
 use super::rows::singular::{Random, cast};
 use super::rows::steps::{RATE, controller, encoded, scene, three};
 use super::shipped;
+use crate::common::prelude::*;
 use haptic_bridge::control::compiled::BoardMath;
-use haptic_bridge::math::Libm;
-use haptic_bridge::model::description::Description;
-use haptic_bridge::model::mechanism::Mechanism;
-use haptic_bridge::render::scene::{FeedForward, VelocityTerms};
 use nalgebra::{SMatrix, SVector};
 
 /// Counts per turn: what ships on many devices, and as fine as the other tables.
@@ -29,7 +26,7 @@ const STEPS: u32 = 1_000;
 pub struct Row {
     pub device: &'static str,
     pub terms: VelocityTerms,
-    /// What the terms are: largest torque with them less without, as a share of the largest torque. So are the errors.
+    /// Largest torque of the terms, as a share of the largest torque; the errors are shares too.
     pub size: f64,
     /// f32 against f64 fed the same counts.
     pub rounding: f64,

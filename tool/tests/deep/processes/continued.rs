@@ -1,9 +1,8 @@
-//! Whatever works for long can be interrupted at any place, goes on from its file, and comes to the same answer to the
-//! bit.
+//! Long computations can be interrupted anywhere, continue from their file, and give the same result to the bit.
 
+use crate::common::prelude::*;
 use crate::common::sim::until;
-use crate::common::{file, haptic, shipped, signal};
-use haptic_bridge::model::admissible::Admissible;
+use crate::common::{file, haptic, ideal_loop, shipped, signal};
 use haptic_host::error::Failure;
 use haptic_predict::bench::estimators::{Comparison, compare};
 use haptic_predict::design::place::places;
@@ -12,17 +11,14 @@ use haptic_predict::tune::{Margins, Question, estimators, tune};
 use haptic_stability::analysis::flexible::Hand;
 use haptic_stability::analysis::line::DampingRule;
 use haptic_stability::analysis::map::map_swept;
-use haptic_stability::analysis::plant::{Drive, Linearised};
-use haptic_stability::analysis::sampled::{LinearEstimator, Loop, Mode};
 use haptic_stability::analysis::why::why;
-use haptic_stability::sweep::Sweep;
 use std::fmt::Debug;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// Asks at once, and interrupted again and again: `at_least` so often that it tells something.
-fn comes_to_the_same<R: Debug>(at_least: usize, step: usize, ask: impl Fn(&Sweep) -> Result<R, Failure>) {
-    // What `Debug` prints of a number tells it from all others.
+/// Compares an uninterrupted computation with one that is interrupted at least `at_least` times.
+fn check_interrupted<R: Debug>(at_least: usize, step: usize, ask: impl Fn(&Sweep) -> Result<R, Failure>) {
+    // `Debug` prints numbers exactly.
     let whole = format!("{:?}", ask(&Sweep::quiet()).unwrap());
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("kept.json");
@@ -44,7 +40,7 @@ fn comes_to_the_same<R: Debug>(at_least: usize, step: usize, ask: impl Fn(&Sweep
 #[test]
 fn a_map() {
     let arm = shipped("serial-3r");
-    comes_to_the_same(3, 20, |sweep| map_swept(&arm.description, &[0.6, 0.8], 20_000, Admissible::default(), sweep));
+    check_interrupted(3, 20, |sweep| map_swept(&arm.description, &[0.6, 0.8], 20_000, Admissible::default(), sweep));
 }
 
 #[test]
@@ -52,13 +48,13 @@ fn a_comparison_of_estimators() {
     let file = shipped("hapkit-paddle");
     let comparison =
         Comparison { file: &file, q: &[0.1], normal: &[1.0], rate_hz: 1_000.0, cutoff_hz: 50.0, wall: (100.0, 1.0) };
-    comes_to_the_same(2, 900, |sweep| compare(&comparison, sweep));
+    check_interrupted(2, 900, |sweep| compare(&comparison, sweep));
 }
 
 #[test]
 fn a_search_for_the_best_places() {
     let file = shipped("haply-2diy");
-    comes_to_the_same(2, 6, |sweep| {
+    check_interrupted(2, 6, |sweep| {
         places(&file.description, Some(&[0.6, 0.8]), 0.0, 0.4, 300, Admissible::default(), sweep)
     });
 }
@@ -81,7 +77,7 @@ fn a_search_for_the_best_settings() {
         feed_forwards: vec![haptic_bridge::render::scene::FeedForward::Off],
         known: None,
     };
-    comes_to_the_same(1, 1_000, |sweep| tune(&question, sweep));
+    check_interrupted(1, 1_000, |sweep| tune(&question, sweep));
 }
 
 #[test]
@@ -90,18 +86,13 @@ fn a_range_with_its_ripple_and_its_reasons() {
     let (q, normal) = (vec![2.6, 1.75], vec![0.6, 0.8]);
     let hand = Hand { mass: 0.1, damping: 3.0, stiffness: 200.0 };
     let device = Linearised::at(&file.description, &q, &normal).unwrap().held(hand);
-    let around = Loop {
-        rate_hz: 1_000.0,
-        delay_samples: 0.5,
-        estimator: LinearEstimator::Butterworth(100.0),
-        drive: Drive::Current { bandwidth_hz: 500.0 },
-        damping_compensation: false,
-    };
-    comes_to_the_same(2, 12, |sweep| why(&device, &around, sweep));
+    let ideal = ideal_loop(1_000.0, 0.5, LinearEstimator::Butterworth(100.0));
+    let around = Loop { drive: Drive::Current { bandwidth_hz: 500.0 }, ..ideal };
+    check_interrupted(2, 12, |sweep| why(&device, &around, sweep));
     let description = file.description;
     let pressed =
         Pressed { device: &device, description, q, normal, around: &around, hand: LIGHT_HAND, push_n: PUSH_N };
-    comes_to_the_same(2, 12, |sweep| pressed.along(Mode::Full, DampingRule::Ratio(0.7), 0.1, sweep));
+    check_interrupted(2, 12, |sweep| pressed.along(Mode::Full, DampingRule::Ratio(0.7), 0.1, sweep));
 }
 
 #[cfg(unix)]

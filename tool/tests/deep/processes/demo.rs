@@ -1,6 +1,6 @@
-//! `haptic demo` says what its own runs show, and they are the same on every machine.
+//! `haptic demo` prints the results of its runs, which are the same on every machine.
 
-use crate::common::{haptic, json};
+use crate::common::{Folder, json, output, type_lines};
 use haptic_bridge::render::scene::FeedForward;
 use haptic_show::demo::{Demo, crossing, stiffness};
 
@@ -21,18 +21,18 @@ fn the_feed_forward_buys_stiffness_as_predicted() {
 }
 
 #[test]
-fn the_hand_feels_less_vibration_with_the_feed_forward_whatever_the_tremor() {
+fn the_feed_forward_reduces_vibration_for_every_tremor() {
     for seed in [1, 2, 3] {
         let demo = Demo::shipped(seed).unwrap();
         let run = |mode| crossing::run(&demo, mode, &mut |_| {}).unwrap();
         let (without, with) = (run(FeedForward::Off), run(FeedForward::Washout));
-        // The wall is stable with the feed-forward and not without: the hand feels that, not a nuance.
+        // The wall is stable only with the feed-forward, so the difference is large.
         assert!(with.ripple < 0.5 * without.ripple, "seed {seed}: {} {}", with.ripple, without.ripple);
         for crossing in [&without, &with] {
             assert_eq!((crossing.lost, &crossing.fault), (0, &None));
             // About 5 N on 22 kN/m, three times over at the landing.
             assert!((1e-4..1e-3).contains(&crossing.penetration), "{}", crossing.penetration);
-            // What is counted is what the picture shows: its force drops to zero so often, and once more at lift-off.
+            // The picture's force drops to zero at every counted bounce, and once more at lift-off.
             let drops = crossing.moments.windows(2).filter(|pair| pair[0].force > 0.0 && pair[1].force == 0.0).count();
             assert!(drops > crossing.bounces, "{drops}, {}", crossing.bounces);
         }
@@ -42,22 +42,19 @@ fn the_hand_feels_less_vibration_with_the_feed_forward_whatever_the_tremor() {
 
 #[test]
 fn the_command_prints_its_table_and_draws_its_picture() {
-    let directory = tempfile::tempdir().unwrap();
-    let svg = directory.path().join("demo.svg");
-    let output = haptic(&["demo", "--svg"]).arg(&svg).assert().success().get_output().clone();
-    let said = String::from_utf8(output.stdout).unwrap();
+    let folder = Folder::new();
+    let svg = folder.path("demo.svg");
+    let said = output(&["demo", "--svg", &svg]);
     for line in ["penetration, mm", "peak force, N", "highest stable stiffness", "predicted", "coupling", "Benefit"] {
         assert!(said.contains(line), "{line} is missing in\n{said}");
     }
-    assert!(said.contains(&format!("picture: {}", svg.display())));
+    assert!(said.contains(&format!("picture: {svg}")));
     let picture = std::fs::read_to_string(&svg).unwrap();
     assert!(picture.starts_with("<svg") && picture.trim_end().ends_with("</svg>"));
     assert_eq!(picture.matches("<polyline").count(), 6, "three panels of two runs");
 
-    let again = |more: &[&str]| haptic(&["demo", "--svg"]).arg(&svg).args(more).assert();
-    again(&[]).code(1);
-    let json = again(&["--force", "--json"]).success().get_output().stdout.clone();
-    let json: serde_json::Value = serde_json::from_slice(&json).unwrap();
+    type_lines(&format!("1: demo --svg {svg}"), &[]);
+    let json = json(&["demo", "--svg", &svg, "--force"]);
     for (side, column) in [("without", 0), ("with", 1)] {
         let value = |pointer: &str| json[side].pointer(pointer).unwrap().as_f64().unwrap();
         // The table's own numbers, to its digits.
@@ -74,7 +71,7 @@ fn the_command_prints_its_table_and_draws_its_picture() {
     for letter in 'a'..='f' {
         assert!(picture.contains(&format!(">({letter}) ")), "panel {letter}");
     }
-    // What got worse stands beside what got better, in both.
+    // Benefit and cost are in both.
     for sentence in ["Better with it: ", "Worse with it: "] {
         let line = said.lines().find(|line| line.starts_with(sentence)).unwrap_or_else(|| panic!("{sentence}\n{said}"));
         assert!(picture.contains(line), "{line}");
@@ -85,18 +82,15 @@ fn the_command_prints_its_table_and_draws_its_picture() {
     }
 }
 
-/// The numbers of the table's row that begins so.
+/// The numbers in the table's row with this beginning.
 fn numbers(said: &str, row: &str) -> Vec<f64> {
     let line = said.lines().find_map(|line| line.trim_start().strip_prefix(row)).unwrap();
     line.split_whitespace().filter_map(|word| word.parse().ok()).collect()
 }
 
 #[test]
-fn the_lines_that_it_prints_give_its_numbers() {
-    let directory = tempfile::tempdir().unwrap();
-    let svg = directory.path().join("demo.svg");
-    let output = haptic(&["demo", "--svg"]).arg(&svg).output().unwrap();
-    let said = String::from_utf8(output.stdout).unwrap();
+fn the_printed_lines_give_the_printed_numbers() {
+    let said = output(&["demo", "--svg", &Folder::new().path("demo.svg")]);
     let run = |subcommand: &str| {
         let line = said.lines().find_map(|line| line.strip_prefix(&format!("    haptic {subcommand} "))).unwrap();
         json(&[subcommand].into_iter().chain(line.split_whitespace()).collect::<Vec<_>>())

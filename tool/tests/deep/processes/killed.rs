@@ -1,5 +1,5 @@
-//! What is cut short: tools that are killed, stopped or interrupted, disks that are full. What was recorded is whole,
-//! what was lost is counted, and motors that a tool turned on do not stay on without it.
+//! Tools that are killed, stopped or interrupted, and full disks. Recordings are complete, lost rows are counted, and
+//! motors do not stay on without the tool that turned them on.
 #![cfg(unix)]
 
 use crate::common::sim::{Sim, until};
@@ -20,19 +20,19 @@ use std::thread::sleep;
 use std::time::Duration;
 use tempfile::tempdir;
 
-/// Waits until a file holds so many bytes.
-fn grown(path: &Path, bytes: u64) {
+/// Waits until a file has a size, bytes.
+fn wait_for_size(path: &Path, bytes: u64) {
     until(&path.display().to_string(), || std::fs::metadata(path).is_ok_and(|about| about.len() >= bytes));
 }
 
-/// Waits for the end of a tool: its exit code, and what it said on standard error.
-fn ended(mut child: Child) -> (Option<i32>, String) {
+/// Waits for the end of a tool. Returns its exit code and standard error.
+fn wait(mut child: Child) -> (Option<i32>, String) {
     let mut text = String::new();
     child.stderr.take().unwrap().read_to_string(&mut text).unwrap();
     (child.wait().unwrap().code(), text)
 }
 
-fn killed(mut child: Child) {
+fn kill(mut child: Child) {
     child.kill().unwrap();
     child.wait().unwrap();
 }
@@ -41,7 +41,7 @@ fn recording(path: &Path) -> Recording {
     Recording::parse(&std::fs::read_to_string(path).unwrap()).unwrap()
 }
 
-/// Rows that are missing between the first and the last of a recording of every step.
+/// Number of rows missing in a recording of every step.
 fn gaps(recording: &Recording) -> u64 {
     recording.rows.windows(2).map(|pair| (pair[1][0] - pair[0][0]) as u64 - 1).sum()
 }
@@ -52,37 +52,32 @@ fn number_before(text: &str, word: &str) -> u64 {
     before.rsplit(|c: char| !c.is_ascii_digit()).next().unwrap().parse().unwrap_or_else(|_| panic!("{word} in {text}"))
 }
 
-/// What a command prints.
-fn printed(sim: &Sim, arguments: &[&str]) -> String {
-    String::from_utf8(sim.run(arguments).success().get_output().stdout.clone()).unwrap()
-}
-
 /// Waits until the board has noticed that its last tool is gone.
-fn free(sim: &Sim) {
+fn wait_until_free(sim: &Sim) {
     until("a free board", || haptic(&["info", "--port", &sim.port]).output().unwrap().status.success());
 }
 
-/// A scene to arm, and whether and for how many seconds the board minds a silent host.
-fn rules(sim: &Sim, host: &str, seconds: &str) {
+/// Loads a scene, and rules for a silent host.
+fn set_host_rules(sim: &Sim, host: &str, seconds: &str) {
     sim.run(&["scene", &file("scenes/coupled-five-bar/wall.toml")]).success();
     sim.run(&["rules", "--host", host, "--host-seconds", seconds]).success();
 }
 
 #[test]
-fn a_recording_whose_tool_is_killed_is_whole_and_the_next_one_has_none_of_its_rows() {
+fn a_killed_recording_is_complete_and_leaves_no_rows_behind() {
     let folder = tempdir().unwrap();
     for sim in [Sim::start(&["--fast"]), Sim::on_pseudo_terminal(&["--fast"])] {
         for bytes in [10_000, 300_000, 700_000] {
             let csv = folder.path().join("killed.csv");
             let to = csv.to_str().unwrap();
             let tool = sim.spawn(&["record", to, "--rate", "20000", "--fields", "counts"]);
-            grown(&csv, bytes);
-            killed(tool);
+            wait_for_size(&csv, bytes);
+            kill(tool);
             let before = recording(&csv);
             assert!(before.rows.len() > 50, "{}", before.rows.len());
             assert_eq!(gaps(&before), 0);
             std::fs::remove_file(&csv).unwrap();
-            free(&sim);
+            wait_until_free(&sim);
             let said = sim.run(&["record", to, "--seconds", "0.2", "--rate", "200", "--fields", "q,tip"]);
             let said = String::from_utf8_lossy(&said.success().get_output().stderr).into_owned();
             assert!(said.contains("none lost"), "{said}");
@@ -98,8 +93,8 @@ fn a_recording_whose_tool_is_killed_is_whole_and_the_next_one_has_none_of_its_ro
     }
 }
 
-/// Runs the tool where files hold no more than so many blocks of 512 bytes: a disk that is full, once the limit's
-/// signal is ignored. What it says; it fails.
+/// Runs the tool with files of at most `blocks` of 512 bytes, which acts like a full disk if the signal is ignored. It
+/// has to fail; returns its message.
 fn limited(blocks: u64, arguments: &[&str]) -> String {
     let line = format!("trap '' XFSZ; ulimit -f {blocks}; exec \"$0\" \"$@\"");
     let output = Command::new("sh").args(["-c", &line]).arg(cargo_bin("haptic")).args(arguments).output().unwrap();
@@ -110,32 +105,17 @@ fn limited(blocks: u64, arguments: &[&str]) -> String {
 }
 
 #[test]
-fn a_disk_that_fills_up_ends_the_recording_with_whole_rows_and_says_how_many() {
-    let sim = Sim::start(&["--fast"]);
-    let folder = tempdir().unwrap();
-    let csv = folder.path().join("full.csv");
-    let text = limited(600, &["record", csv.to_str().unwrap(), "--port", &sim.port, "--rate", "20000"]);
-    assert!(text.contains("full.csv cannot be written"), "{text}");
-    let recording = recording(&csv);
-    assert!(!recording.torn && recording.rows.len() > 500);
-    assert_eq!(number_before(&text, "rows are in"), recording.rows.len() as u64);
-    assert!(number_before(&text, "received rows could not be written and are lost") > 0 && !text.contains("none lost"));
-    assert_eq!(gaps(&recording), 0);
-    sim.run(&["info"]).success();
-}
-
-#[test]
-fn where_not_even_the_beginning_fits_no_file_is_left() {
+fn no_file_is_left_on_a_disk_without_space() {
     let sim = Sim::start(&["--fast"]);
     let (folder, roomy) = (tempdir().unwrap(), tempdir().unwrap());
     let nothing_is_left = |text: String| {
         assert!(text.contains("free space"), "{text}");
-        assert!(!text.contains(".partial"), "a name that nobody knows: {text}");
+        assert!(!text.contains(".partial"), "an unknown name: {text}");
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
     };
     let csv = folder.path().join("a.csv");
     nothing_is_left(limited(0, &["record", csv.to_str().unwrap(), "--port", &sim.port]));
-    // The tables of a report fit, and its picture, which is larger, does not.
+    // The tables of a report fit, its larger picture does not.
     let (one, two) = (file("hapkit-paddle.toml"), file("haply-2diy.toml"));
     haptic(&["bench", &one, &two, "--report", roomy.path().to_str().unwrap()]).assert().success();
     let blocks = |name: &str| std::fs::metadata(roomy.path().join(name)).unwrap().len().div_ceil(512);
@@ -145,23 +125,23 @@ fn where_not_even_the_beginning_fits_no_file_is_left() {
 }
 
 #[test]
-fn rows_that_a_stopped_tool_did_not_take_are_counted_exactly() {
+fn rows_that_a_stopped_tool_missed_are_counted_exactly() {
     let sim = Sim::on_pseudo_terminal(&[]);
     let folder = tempdir().unwrap();
     let csv = folder.path().join("gaps.csv");
     let tool = sim.spawn(&["record", csv.to_str().unwrap(), "--rate", "20000", "--fields", "all"]);
-    grown(&csv, 100_000);
-    // However much the buffers hold, at some time it was stopped for longer.
+    wait_for_size(&csv, 100_000);
+    // Stopped again until a stop outlasts the buffers.
     until("a gap", || {
         signal(&tool, "STOP");
         sleep(Duration::from_secs(1));
         let before = std::fs::metadata(&csv).unwrap().len();
         signal(&tool, "CONT");
-        grown(&csv, before + 1_000_000);
+        wait_for_size(&csv, before + 1_000_000);
         gaps(&recording(&csv)) > 0
     });
     signal(&tool, "INT");
-    let (code, text) = ended(tool);
+    let (code, text) = wait(tool);
     assert_eq!(code, Some(0), "{text}");
     let recording = recording(&csv);
     assert_eq!(number_before(&text, "lost ("), gaps(&recording), "{text}");
@@ -171,7 +151,7 @@ fn rows_that_a_stopped_tool_did_not_take_are_counted_exactly() {
 }
 
 #[test]
-fn an_interrupted_stream_ends_in_order_and_its_motors_go_off_where_the_rules_say_so() {
+fn an_interrupted_stream_ends_in_order_and_obeys_the_rules() {
     let sim = Sim::start(&[]);
     let folder = tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);
@@ -179,7 +159,7 @@ fn an_interrupted_stream_ends_in_order_and_its_motors_go_off_where_the_rules_say
         [("ignore", "0.5", "INT", "Armed"), ("disarm", "60", "INT", "Disarmed"), ("disarm", "0.5", "KILL", "Fault")]
     {
         sim.run(&["disarm"]).success();
-        rules(&sim, rule, seconds);
+        set_host_rules(&sim, rule, seconds);
         let csv = path(&format!("{rule}-{how}.csv"));
         let mut stream = vec!["record", csv.to_str().unwrap(), "--rate", "1000"];
         if rule == "ignore" {
@@ -188,18 +168,18 @@ fn an_interrupted_stream_ends_in_order_and_its_motors_go_off_where_the_rules_say
             stream.push("--arm");
         }
         let tool = sim.spawn(&stream);
-        grown(&csv, 5_000);
+        wait_for_size(&csv, 5_000);
         signal(&tool, how);
-        let (code, text) = ended(tool);
+        let (code, text) = wait(tool);
         if how == "INT" {
             assert_eq!(code, Some(0), "{text}");
             assert!(!recording(&csv).torn && text.contains("rows are in"), "{text}");
         }
         if rule == "ignore" {
-            // Also after a second of the board's time.
+            // Still armed after a second of the board's time.
             sim.run(&["record", path("later.csv").to_str().unwrap(), "--seconds", "1"]).success();
         }
-        free(&sim);
+        wait_until_free(&sim);
         sim.until(|now| now == state);
     }
     sim.run(&["faults"]).success().stdout(contains("host"));
@@ -209,7 +189,7 @@ fn an_interrupted_stream_ends_in_order_and_its_motors_go_off_where_the_rules_say
 fn arming_a_board_that_watches_its_host_lasts_until_ctrl_c() {
     let sim = Sim::start(&[]);
     for (how, seconds, state) in [("INT", "60", "Disarmed"), ("KILL", "0.3", "Fault")] {
-        rules(&sim, "disarm", seconds);
+        set_host_rules(&sim, "disarm", seconds);
         let mut tool = Command::new(cargo_bin("haptic"));
         let tool = tool.args(["arm", "--port", &sim.port]).stdout(Stdio::piped()).stderr(Stdio::piped());
         let mut tool = tool.spawn().unwrap();
@@ -219,36 +199,36 @@ fn arming_a_board_that_watches_its_host_lasts_until_ctrl_c() {
         sim.run(&["info"]).code(1).stderr(contains("another tool"));
         assert_eq!(tool.try_wait().unwrap(), None, "it stays for as long as the motors are on");
         signal(&tool, how);
-        let (code, text) = ended(tool);
+        let (code, text) = wait(tool);
         assert!(how == "KILL" || code == Some(0), "{text}");
-        free(&sim);
+        wait_until_free(&sim);
         sim.until(|now| now == state);
         sim.run(&["faults", "--clear"]).success();
     }
 }
 
 #[test]
-fn a_fault_while_armed_is_told_with_its_remedy_once() {
+fn a_fault_while_armed_is_reported_with_its_remedy_once() {
     let sim = Sim::start(&["--hand", "loop"]);
-    rules(&sim, "disarm", "60");
+    set_host_rules(&sim, "disarm", "60");
     sim.run(&["rules", "--speed", "0.05,0.05"]).success();
     let ended = sim.run(&["arm"]).code(1);
     let text = String::from_utf8_lossy(&ended.get_output().stderr).into_owned();
     assert!(text.contains("SpeedLimit"), "{text}");
-    let faults: serde_json::Value = serde_json::from_str(&printed(&sim, &["faults", "--json"])).unwrap();
+    let faults = sim.json(&["faults"]);
     let remedy = faults["faults"][0]["remedy"].as_str().unwrap();
     assert_eq!(text.matches(remedy).count(), 1, "{text}");
 }
 
-/// The line of a measurement at these dampings.
+/// Command line of a measurement at these dampings.
 fn measurement<'a>(device: &'a str, kd: &'a str, progress: &'a Path) -> Vec<&'a str> {
     let to = progress.to_str().unwrap();
     let fixed = ["--normal=0.6,0.8", "--repeats=1", "--pull=2", "--feed-forward=off"];
     [&["measure-range", device, kd, "--progress", to][..], &fixed].concat()
 }
 
-/// Begins a measurement, and waits until it has a result; begun anew where a busy computer silenced the tool for so long
-/// that the board turned the motors off.
+/// Begins a measurement and waits for its first result. Begins again if the board turned the motors off because a busy
+/// computer silenced the tool.
 fn in_the_middle(sim: &Sim, line: &[&str], progress: &Path) -> Child {
     let measured = || Progress::read(progress).is_ok_and(|found| found.is_some_and(|found| !found.is_empty()));
     loop {
@@ -258,65 +238,65 @@ fn in_the_middle(sim: &Sim, line: &[&str], progress: &Path) -> Child {
         if measured() && tool.try_wait().unwrap().is_none() {
             return tool;
         }
-        let said = ended(tool).1;
-        free(sim);
-        assert!(printed(sim, &["faults"]).contains("latched  HostLost"), "{said}");
+        let said = wait(tool).1;
+        wait_until_free(sim);
+        assert!(sim.output(&["faults"]).contains("latched  HostLost"), "{said}");
         sim.run(&["faults", "--clear"]).success();
     }
 }
 
 #[test]
-fn an_interrupted_measurement_says_that_motors_are_off_and_they_are() {
+fn an_interrupted_measurement_turns_the_motors_off() {
     let sim = Sim::start(&["--fast"]);
-    let before = printed(&sim, &["rules"]);
+    let before = sim.output(&["rules"]);
     let folder = tempdir().unwrap();
     let (device, progress) = (file("coupled-five-bar.toml"), folder.path().join("progress.json"));
     let tool = in_the_middle(&sim, &measurement(&device, "--kd=5,10,15,20,25", &progress), &progress);
     signal(&tool, "INT");
-    let (code, text) = ended(tool);
+    let (code, text) = wait(tool);
     assert_eq!(code, Some(1), "{text}");
     assert!(text.contains("motors are off") && text.contains("to go on where it stopped"), "{text}");
     sim.run(&["info", "--json"]).success().stdout(contains("\"Disarmed\""));
-    assert_eq!(printed(&sim, &["rules"]), before, "and the rules are as they were");
+    assert_eq!(sim.output(&["rules"]), before, "and the rules are as they were");
 }
 
 #[test]
-fn after_a_measurement_that_was_killed_the_next_one_puts_the_scene_back_or_says_that_it_is_gone() {
+fn the_measurement_after_a_killed_one_restores_the_scene() {
     let sim = Sim::start(&["--fast", "--scene", &file("scenes/coupled-five-bar/tracing.toml")]);
     let held = || {
-        let info: serde_json::Value = serde_json::from_str(&printed(&sim, &["info", "--json"])).unwrap();
-        (["walls", "rate_hz", "device"].map(|key| info[key].clone()), printed(&sim, &["rules"]))
+        let info = sim.json(&["info"]);
+        (["walls", "rate_hz", "device"].map(|key| info[key].clone()), sim.output(&["rules"]))
     };
     let before = held();
     let folder = tempdir().unwrap();
     let (one, other) = (folder.path().join("one.json"), folder.path().join("other.json"));
     let device = file("coupled-five-bar.toml");
     let first = measurement(&device, "--kd=5,15,25", &one);
-    killed(in_the_middle(&sim, &first, &one));
-    free(&sim);
+    kill(in_the_middle(&sim, &first, &one));
+    wait_until_free(&sim);
     sim.until(|state| state != "Armed");
     let now = held();
     assert_ne!(now.0, before.0, "it was in the middle of it");
     assert_ne!(now.1, before.1, "its rules are in force");
     sim.run(&["faults", "--clear"]).success();
-    // Another file knows nothing of what was there, however its measurement ends.
-    let (_, said) = ended(sim.spawn(&measurement(&device, "--kd=15", &other)));
+    // A measurement with another file cannot restore the scene.
+    let (_, said) = wait(sim.spawn(&measurement(&device, "--kd=15", &other)));
     assert!(said.contains("left by a measurement") && said.contains("load yours again"), "{said}");
-    free(&sim);
+    wait_until_free(&sim);
     assert_ne!(held().0, before.0);
-    // The same line goes on, if the device still stands where it stood, and puts it back.
-    let (_, said) = ended(sim.spawn(&first));
+    // The same line continues, if the device has not moved, and restores the scene.
+    let (_, said) = wait(sim.spawn(&first));
     assert!(said.contains("the one before it is put back") && !said.contains("the rules are neither"), "{said}");
     assert!(said.contains("of 3 repeats are in"), "{said}");
-    free(&sim);
+    wait_until_free(&sim);
     assert_eq!(held(), before);
     assert!(!std::fs::read_to_string(&one).unwrap().contains("before"));
 }
 
 #[test]
-fn a_measurement_that_was_killed_between_its_rules_and_its_scene_gives_way_to_the_rules_before_it() {
+fn the_measurement_after_a_killed_one_restores_the_rules() {
     let sim = Sim::start(&["--fast", "--scene", &file("scenes/coupled-five-bar/wall.toml")]);
-    let before = printed(&sim, &["rules"]);
+    let before = sim.output(&["rules"]);
     let folder = tempdir().unwrap();
     let note = folder.path().join("note.json");
     {
@@ -328,21 +308,21 @@ fn a_measurement_that_was_killed_between_its_rules_and_its_scene_gives_way_to_th
         progress.save(&note).unwrap();
         board.set_rules(&measuring).unwrap();
     }
-    assert_ne!(printed(&sim, &["rules"]), before);
-    // Whatever becomes of the next one; this board holds another device.
+    assert_ne!(sim.output(&["rules"]), before);
+    // The next measurement fails, because this board holds another device.
     let (device, note) = (file("haply-2diy.toml"), note.display().to_string());
     let next = ["measure-range", &device, "--normal=0.6,0.8", "--anew", "--progress", &note];
     sim.run(&next).code(1).stderr(contains("the rules on the board were left by a measurement that was cut short"));
-    assert_eq!(printed(&sim, &["rules"]), before);
+    assert_eq!(sim.output(&["rules"]), before);
     sim.run(&next).code(1).stderr(contains("were left").not());
-    // Rules that somebody has chosen since stay.
+    // Rules that were set since then stay.
     sim.run(&["rules", "--torque", "0.5,0.5"]).success();
     sim.run(&next).code(1).stderr(contains("were left").not());
     sim.run(&["rules"]).success().stdout(contains("0.5, 0.5 N m"));
 }
 
 #[test]
-fn spoilt_frames_on_a_pseudo_terminal_turn_no_motor_off_for_a_minute() {
+fn spoilt_frames_on_a_pseudo_terminal_stop_no_motor() {
     let sim = Sim::on_pseudo_terminal(&["--fast", "--scene", &file("scenes/coupled-five-bar/wall.toml")]);
     NoisyWire::follow(Box::new(SerialWire::open(&sim.port).unwrap()), 60 * 20_000);
 }

@@ -1,24 +1,23 @@
-//! The simulated board with everything that is linear switched on (cables that give, joint damping, windings, current
-//! loops, carrier, the board's own step) meets the complete prediction within a tenth.
+//! The simulated board with all linear effects (cables, joint damping, windings, current loops, carrier, the board's own
+//! step) agrees with the complete prediction within a tenth.
 //!
 //! `UPDATE_DOCS=1 cargo test -p haptic --test deep complete -- --ignored --nocapture` measures complete.csv and
-//! complete-friction.csv in docs/results/ anew; without UPDATE_DOCS it only prints them.
+//! complete-friction.csv in docs/results/ again; without UPDATE_DOCS it only prints them.
 
-use crate::common::{file, haptic, root};
-use haptic_host::output::csv_line;
+use crate::common::{csv, document, haptic, read};
 use serde_json::Value;
 
 /// Frequency of each joint's cable against its motor, Hz, and its share of critical damping.
 type Cable = (f64, f64);
 const CABLE: Cable = (400.0, 0.05);
-/// So soft that two modes of like size leave the stable range at the same stiffness.
+/// So soft that two modes leave the stable range at similar stiffness.
 const SOFT: Cable = (120.0, 0.03);
-/// A turret's own body is on the link's side: the motor has this share of its inertia.
+/// Share of a turret's inertia on the motor side; its body is on the link side.
 const TURRET_MOTOR: f64 = 0.3;
 
 /// The shipped device with a cable at every joint.
 fn with_cables(device: &str, turret: bool, (hz, damped): Cable) -> String {
-    let text = std::fs::read_to_string(file(&format!("{device}.toml"))).unwrap();
+    let text = read(&format!("devices/{device}.toml"));
     let mut joint = 0;
     let mut soft = String::new();
     for line in text.lines() {
@@ -39,18 +38,18 @@ fn with_cables(device: &str, turret: bool, (hz, damped): Cable) -> String {
     soft
 }
 
-/// Mode, measured and predicted stiffness, and what a hand feels of the measured one behind the cables (N/m; none where
-/// it could not be measured).
+/// Mode, measured stiffness (`None` if it could not be measured), predicted stiffness, and felt stiffness behind the
+/// cables, N/m.
 type Row = (String, Option<f64>, f64, Option<f64>);
 
-/// The drive of the board, and encoders fine enough that their steps decide nothing up to 5 kHz.
+/// The board's drive, and encoders whose steps do not matter up to 5 kHz.
 const REAL: &[&str] = &["--counts", "4194304"];
-/// Torque at once, and encoders as much finer as they have to be for cables at 20 kHz.
+/// Ideal drive, and encoders fine enough for cables at 20 kHz.
 const IDEAL: &[&str] = &["--ideal-drive", "--counts", "67108864"];
-/// The same without back-EMF, which the board gives back from a speed that its filter makes late.
+/// Like [`REAL`] without back-EMF, which the board compensates with a delayed speed.
 const NO_EMF: &[&str] = &["--counts", "4194304", "--no-emf"];
-/// What the drive misses of the first-order lag that stands for it, %: without the feed-forward on this device at 20
-/// kHz (docs/results/complete.csv). With [`NO_EMF`] and [`IDEAL`] it is as near as all others.
+/// Larger deviation of the drive from its first-order model, %: without the feed-forward on this device at 20 kHz
+/// (docs/results/complete.csv), but not with [`NO_EMF`] or [`IDEAL`].
 const MISSED: (&str, u32, f64) = ("capstan-pantograph", 20_000, 16.0);
 
 fn measured(
@@ -63,7 +62,7 @@ fn measured(
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("soft.toml");
     let mut text = with_cables(device, normal.matches(',').count() == 2, cable);
-    // A word of this test, no option of the tool.
+    // An option of this test, not of the tool.
     let without_emf = world.contains(&"--no-emf");
     if without_emf {
         text = text.replace("torque_constant = ", "back_emf = 1e-6\ntorque_constant = ");
@@ -105,13 +104,12 @@ fn a_pantograph_with_cables_is_as_stiff_as_predicted() {
     }
 }
 
-/// Largest stable stiffness of the pantograph with soft cables at kd 5.41 N s/m, N/m: eigenvalues of a loop that was
-/// written apart from this code, from the five-bar's geometry on, at 400 stiffnesses up to 20 kN/m. Nothing above is
-/// stable again.
+/// Largest stable stiffness of the pantograph with soft cables at kd 5.41 N s/m, N/m: eigenvalues of an independently
+/// written loop, from the five-bar's geometry on, at 400 stiffnesses up to 20 kN/m. Nothing above is stable again.
 const APART: [(&str, f64); 3] = [("off", 5715.25), ("full", 10022.44), ("washout", 271.97)];
 
 #[test]
-fn a_pantograph_with_soft_cables_is_as_stiff_as_predicted_here_and_apart() {
+fn a_pantograph_with_soft_cables_agrees_with_two_predictions() {
     let (kd, rows) = measured("capstan-pantograph", "0.6,0.8", (1_000, 100), SOFT, REAL).unwrap();
     assert_eq!((kd, rows.len()), (5.41, 3));
     for ((mode, found, predicted, _), (known, apart)) in rows.into_iter().zip(APART) {
@@ -122,45 +120,29 @@ fn a_pantograph_with_soft_cables_is_as_stiff_as_predicted_here_and_apart() {
     }
 }
 
-/// A table in docs/results/, printed line by line.
-struct Table(String);
+/// A table in docs/results/, printed row by row.
+struct Table(Vec<String>);
 
 impl Table {
-    fn new<const N: usize>(head: [&str; N]) -> Self {
-        let mut table = Self(String::new());
-        table.push(head);
-        table
+    fn push(&mut self, row: String) {
+        println!("{row}");
+        self.0.push(row);
     }
 
-    fn push<C: AsRef<str>, const N: usize>(&mut self, cells: [C; N]) {
-        let line = csv_line(cells);
-        print!("{line}");
-        self.0 += &line;
-    }
-
-    fn keep(&self, name: &str) {
-        if std::env::var_os("UPDATE_DOCS").is_some() {
-            std::fs::write(root().join("docs/results").join(name), &self.0).unwrap();
-        }
+    fn update(self, name: &str) {
+        document(&format!("docs/results/{name}"), &csv(self.0));
     }
 }
 
 #[test]
 #[ignore = "minutes: it measures docs/results/complete.csv"]
 fn three_devices_at_three_rates() {
-    let mut table = Table::new([
-        "device",
-        "cable (Hz)",
-        "rate (Hz)",
-        "cutoff (Hz)",
-        "drive",
-        "kd (N s/m)",
-        "feed-forward",
-        "measured (N/m)",
-        "felt (N/m)",
-        "predicted (N/m)",
-        "off by (%)",
-    ]);
+    let mut table = Table(Vec::new());
+    table.push(
+        "device | cable (Hz) | rate (Hz) | cutoff (Hz) | drive | kd (N s/m) | feed-forward | measured (N/m) | felt (N/m) | \
+         predicted (N/m) | off by (%)"
+            .into(),
+    );
     let devices =
         [("capstan-pantograph", "0.6,0.8"), ("phantom-premium-1.5", "0.6,0.8,0"), ("woodenhaptics", "0.6,0.8,0")];
     let mut cases = vec![(devices[0], (1_000, 100), SOFT, REAL)];
@@ -181,31 +163,24 @@ fn three_devices_at_three_rates() {
         for (mode, found, predicted, felt) in rows {
             let number = |value: Option<f64>| value.map_or(String::new(), |value| format!("{value:.0}"));
             let off = found.map(|found| 100.0 * (found / predicted - 1.0));
-            let cells = [
-                device.to_string(),
-                cable.0.to_string(),
-                loop_.0.to_string(),
-                loop_.1.to_string(),
-                drive.into(),
-                kd.to_string(),
-                mode,
-                number(found),
-                number(felt),
-                format!("{predicted:.0}"),
-                off.map_or(String::new(), |off| format!("{off:+.1}")),
-            ];
+            let ((hz, _), (rate, cutoff)) = (cable, loop_);
+            let (found, felt) = (number(found), number(felt));
+            let off_by = off.map_or(String::new(), |off| format!("{off:+.1}"));
+            let row = format!(
+                "{device} | {hz} | {rate} | {cutoff} | {drive} | {kd} | {mode} | {found} | {felt} | {predicted:.0} | {off_by}"
+            );
             if off.is_none_or(|off| off.abs() >= most) {
-                far.push(cells.clone());
+                far.push(row.clone());
             }
-            table.push(cells);
+            table.push(row);
         }
     }
-    table.keep("complete.csv");
+    table.update("complete.csv");
     assert!(far.is_empty(), "{far:#?}");
 }
 
-/// What is left out above: a mode of 900 Hz with a tenth of each joint's inertia, friction half as much again at rest,
-/// and cogging of a tenth of the friction.
+/// Adds a mode of 900 Hz with a tenth of each joint's inertia, static friction larger by a half, and cogging of a tenth of
+/// the friction.
 fn with_everything(soft: &str) -> String {
     let value = |block: &str, key: &str| {
         let line =
@@ -227,15 +202,12 @@ fn with_everything(soft: &str) -> String {
 #[test]
 #[ignore = "minutes: it measures docs/results/complete-friction.csv"]
 fn three_devices_with_everything_on() {
-    let mut table = Table::new([
-        "device",
-        "kd (N s/m)",
-        "feed-forward",
-        "predicted (N/m)",
-        "measured without dry friction (N/m)",
-        "with it (N/m)",
-        "and gripped (N/m)",
-    ]);
+    let mut table = Table(Vec::new());
+    table.push(
+        "device | kd (N s/m) | feed-forward | predicted (N/m) | measured without dry friction (N/m) | with it (N/m) | \
+         and gripped (N/m)"
+            .into(),
+    );
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("all.toml");
     for (device, normal) in
@@ -256,20 +228,10 @@ fn three_devices_with_everything_on() {
         let columns = [&["--friction", "viscous"][..], &["--friction", "all"], &["--friction", "all", "--grip"]];
         let found = columns.map(|world| {
             let progress = folder.path().join("progress.json");
-            let measure = [
-                "measure-range",
-                path,
-                "--port",
-                "sim",
-                "--kd",
-                &kd,
-                "--repeats",
-                "3",
-                "--feed-forward",
-                "all",
-                "--anew",
-            ];
-            let kept = ["--yes", "--counts", "4194304", "--pull", "2", "--progress", progress.to_str().unwrap()];
+            let measure =
+                ["measure-range", path, "--port", "sim", "--kd", &kd, "--repeats", "3", "--feed-forward", "all"];
+            let kept =
+                ["--anew", "--yes", "--counts", "4194304", "--pull", "2", "--progress", progress.to_str().unwrap()];
             run(&[&measure[..], &kept, world].concat())
         });
         let [alone, dry, held] = found.each_ref().map(|document| document["points"].as_array().unwrap());
@@ -277,9 +239,9 @@ fn three_devices_with_everything_on() {
             let kp = |point: &Value| point["kp"].as_f64().map_or(String::new(), |kp| format!("{kp:.0}"));
             let predicted = alone["theory_kp"].as_f64().unwrap();
             let mode = alone["mode"].as_str().unwrap();
-            let predicted = format!("{predicted:.0}");
-            table.push([device, &kd, mode, &predicted, &kp(alone), &kp(dry), &kp(held)]);
+            let [alone, dry, held] = [alone, dry, held].map(kp);
+            table.push(format!("{device} | {kd} | {mode} | {predicted:.0} | {alone} | {dry} | {held}"));
         }
     }
-    table.keep("complete-friction.csv");
+    table.update("complete-friction.csv");
 }

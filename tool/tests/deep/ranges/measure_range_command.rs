@@ -1,25 +1,25 @@
-//! `haptic measure-range` on the simulated board that ships: friction, encoders and drive as they are.
+//! `haptic measure-range` on the shipped simulated board with its friction, encoders and drive.
 
 use crate::common::sim::Sim;
-use crate::common::{file, haptic, root};
+use crate::common::{Folder, file, haptic, read};
 use predicates::prelude::*;
 use predicates::str::contains;
 use serde_json::Value;
 
-const DEVICE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../devices/coupled-five-bar.toml");
+const DEVICE: &str = "devices/coupled-five-bar.toml";
 
-/// A rate at which friction and encoder steps let the tip come to rest before every trial.
+/// A rate at which the tip comes to rest before every trial in spite of friction and encoder steps.
 const SLOW: [&str; 4] = ["--rate", "1000", "--cutoff", "20"];
 
-fn measure(progress: &std::path::Path, rate: &[&str], more: &[&str]) -> assert_cmd::assert::Assert {
+fn measure(progress: &str, rate: &[&str], more: &[&str]) -> assert_cmd::assert::Assert {
     let fixed = ["measure-range", DEVICE, "--port", "sim", "--normal", "0.6,0.8", "--kd", "15", "--json"];
     haptic(&fixed).args(rate).args(more).arg("--progress").arg(progress).assert()
 }
 
 #[test]
 fn a_measurement_is_reported_kept_and_continued() {
-    let folder = tempfile::tempdir().unwrap();
-    let progress = folder.path().join("progress.json");
+    let folder = Folder::new();
+    let progress = folder.path("progress.json");
     let first = measure(&progress, &SLOW, &["--feed-forward", "off", "--repeats", "1", "--pull", "2"]).success();
     let document: Value = serde_json::from_slice(&first.get_output().stdout).unwrap();
     let point = &document["points"][0];
@@ -40,7 +40,7 @@ fn a_measurement_is_reported_kept_and_continued() {
     let again: Value = serde_json::from_slice(&third.get_output().stdout).unwrap();
     assert_eq!((&again["date"], &again["points"]), (&document["date"], &document["points"]));
 
-    // Another damping is measured beside it, and alone told.
+    // Another damping is measured in addition and reported alone.
     let other = ["--kd", "16", "--feed-forward", "off", "--repeats", "1", "--pull", "2"];
     let fixed = ["measure-range", DEVICE, "--port", "sim", "--normal", "0.6,0.8", "--json"];
     let fourth = haptic(&fixed).args(SLOW).args(other).arg("--progress").arg(&progress).assert().success();
@@ -49,13 +49,13 @@ fn a_measurement_is_reported_kept_and_continued() {
     assert_eq!((told, other["theory"].as_str().unwrap().contains("--kd 15")), (vec![16.0], false));
     let date = other["date"].as_str().unwrap().to_string();
 
-    // What was measured at one rate is not mixed with another.
+    // Results at one rate are not mixed with another rate.
     measure(&progress, &["--rate", "10000", "--cutoff", "200"], &["--feed-forward", "off", "--pull", "2"])
         .code(2)
         .stderr(contains("holds another measurement").and(contains("--anew")).and(contains(&*date)))
         .stderr(contains("coupled-five-bar along (0.6, 0.8) at 1000 Hz"));
 
-    // Unless it is to take its place.
+    // With --anew they are replaced.
     let anew =
         measure(&progress, &SLOW, &["--feed-forward", "off", "--repeats", "1", "--pull", "1", "--anew"]).success();
     let anew = anew.stderr(contains("already").not());
@@ -64,21 +64,20 @@ fn a_measurement_is_reported_kept_and_continued() {
 }
 
 #[test]
-fn what_makes_no_sense_is_refused_before_anything_moves() {
-    let folder = tempfile::tempdir().unwrap();
-    let progress = folder.path().join("progress.json");
+fn impossible_measurements_are_refused_at_once() {
+    let folder = Folder::new();
+    let progress = folder.path("progress.json");
     let one = |option: &str, other: &str| contains(format!("{option} is ")).and(contains(other.to_string()).not());
     measure(&progress, &SLOW, &["--torque-limit", "0"]).code(2).stderr(one("--torque-limit", "--pull"));
     measure(&progress, &SLOW, &["--pull", "20"]).code(2).stderr(one("--pull", "--torque-limit"));
-    let nowhere = folder.path().join("missing").join("p.json");
-    // Its first words: before "repeats" or a port.
+    let nowhere = folder.path("missing/p.json");
     measure(&nowhere, &SLOW, &[]).code(1).stderr(contains("there is no such folder; make the folder first"));
     let elsewhere = ["measure-range", DEVICE, "--port", "/dev/no-such-port", "--normal", "0.6,0.8", "--progress"];
     haptic(&elsewhere).arg(&nowhere).assert().code(1).stderr(contains("no such folder"));
-    assert!(!progress.exists());
+    assert!(!std::path::Path::new(&progress).exists());
 }
 
-/// The arguments of a command line as a document has it, its device file found from anywhere.
+/// The arguments of a document's command line, with an absolute path of the device file.
 fn arguments(line: &str) -> Vec<String> {
     let mut words = line.split('#').next().unwrap().split_whitespace();
     assert_eq!(words.next(), Some("haptic"), "{line}");
@@ -95,16 +94,16 @@ fn document(assert: assert_cmd::assert::Assert) -> Value {
     serde_json::from_slice(&assert.success().get_output().stdout).unwrap()
 }
 
-/// The measurements that a document tells its readers to type.
+/// The measurements in a document.
 fn lines(document: &str) -> Vec<String> {
-    let text = std::fs::read_to_string(root().join(document)).unwrap();
+    let text = read(document);
     let words =
         text.lines().map(|line| line.trim().trim_matches('`')).filter(|line| line.starts_with("haptic measure-range "));
     words.map(str::to_string).collect()
 }
 
 #[test]
-fn what_the_readme_says_ends_with_boundaries_near_those_of_theory() {
+fn the_readmes_line_gives_its_numbers_near_theory() {
     let lines = lines("README.md");
     let [line] = lines.as_slice() else { panic!("{lines:?}") };
     let document = document(typed(line, &["--json"]));
@@ -112,11 +111,11 @@ fn what_the_readme_says_ends_with_boundaries_near_those_of_theory() {
     assert_eq!(points.len(), 4);
     for point in points {
         assert_eq!((point["repeats"].as_array().unwrap().len(), point["pulls"].as_array().unwrap().len()), (6, 2));
-        // Friction makes the range larger; 56 kN/m, as once, is no boundary.
+        // Friction enlarges the range.
         let share = point["kp"].as_f64().unwrap() / point["theory_kp"].as_f64().unwrap();
         assert!((0.97..2.5).contains(&share), "{point}");
     }
-    let readme = std::fs::read_to_string(root().join("README.md")).unwrap().replace('\n', " ");
+    let readme = read("README.md").replace('\n', " ");
     let kilonewtons = |i: usize| points[i]["kp"].as_f64().unwrap() / 1e3;
     let gained = |i: usize| kilonewtons(i + 2) / kilonewtons(i);
     let times = format!("{:.2} and {:.2} times", gained(0), gained(1));
@@ -129,8 +128,8 @@ fn what_the_readme_says_ends_with_boundaries_near_those_of_theory() {
         kilonewtons(1)
     );
     assert!(readme.contains(&said), "README.md does not say {said}");
-    // docs/results.md has the same line and what it gives.
-    let results = std::fs::read_to_string(root().join("docs/results.md")).unwrap();
+    // docs/results.md has the same line and its results.
+    let results = read("docs/results.md");
     let row = results.lines().find(|row| row.contains(&format!("`{line}`"))).expect("a row with this line");
     let told = |key: &str| {
         let two = |mode: &str| {
@@ -152,13 +151,13 @@ fn what_the_readme_says_ends_with_boundaries_near_those_of_theory() {
 }
 
 #[test]
-fn its_defaults_end_well_and_say_what_friction_does() {
+fn the_defaults_succeed_and_explain_friction() {
     let line = format!("haptic measure-range {DEVICE} --port sim --normal 0,1 --points 2 --repeats 1");
     typed(&line, &[]).success().stdout(contains("Coulomb friction").and(contains("haptic range")));
 }
 
 #[test]
-fn the_line_printed_beside_the_numbers_gives_the_theory_that_is_printed() {
+fn the_printed_line_gives_the_printed_theory() {
     let line = format!(
         "haptic measure-range {DEVICE} --port sim --q 2.6,1.75 --normal 0.94,-0.34 --kd 15,4.123456789 --repeats 1 \
          --pull 0.1 --feed-forward all --frictionless --counts 8388608"
@@ -175,7 +174,7 @@ fn the_line_printed_beside_the_numbers_gives_the_theory_that_is_printed() {
         assert!((point["kp"].as_f64().unwrap() / point["theory_kp"].as_f64().unwrap() - 1.0).abs() < 0.025, "{point}");
     }
     assert!(measured["drive"].as_str().unwrap().contains("current"), "{measured}");
-    // What a person reads has all of them, too.
+    // The text has all of them, too.
     let read = typed(theory, &[]).success();
     let text = String::from_utf8_lossy(&read.get_output().stdout).into_owned();
     for point in points {
@@ -185,7 +184,7 @@ fn the_line_printed_beside_the_numbers_gives_the_theory_that_is_printed() {
 }
 
 #[test]
-fn where_the_encoders_are_too_coarse_it_says_so_and_how_far_it_is_stable() {
+fn coarse_encoders_are_reported_with_the_stable_part() {
     let line = format!(
         "haptic measure-range {} --port sim --normal 0.6,0.8,0 --rate 5000 --cutoff 200 --kd 20 --frictionless --repeats 1",
         file("phantom-premium-1.5.toml")
@@ -194,25 +193,25 @@ fn where_the_encoders_are_too_coarse_it_says_so_and_how_far_it_is_stable() {
         .code(1)
         .stdout(contains("> ").and(contains("times the counts")))
         .stderr(contains("saturate").and(contains("--counts")));
-    // Nothing has moved where not even the soft hold could be told.
+    // Nothing moves if not even the soft hold can be measured.
     let line = format!("haptic measure-range {DEVICE} --port sim --normal 0,1 --rate 20000 --cutoff 500");
     typed(&line, &[]).code(1).stdout("").stderr(contains("saturate"));
 }
 
 #[test]
-fn what_only_a_simulation_can_have_is_refused_elsewhere() {
+fn options_of_simulations_are_refused_elsewhere() {
     typed(&format!("haptic measure-range {DEVICE} --port tcp:127.0.0.1:1 --normal 0,1 --frictionless"), &[])
         .code(2)
         .stderr(contains("--port sim"));
 }
 
 #[test]
-fn boundaries_far_below_those_of_theory_are_doubted() {
-    let sim = Sim::start(&["--fast", "--hand", "loop", DEVICE]);
-    let folder = tempfile::tempdir().unwrap();
-    let progress = folder.path().join("progress.json");
+fn boundaries_far_below_theory_cause_a_warning() {
+    let sim = Sim::start(&["--fast", "--hand", "loop", &file("coupled-five-bar.toml")]);
+    let folder = Folder::new();
+    let progress = folder.path("progress.json");
     let fixed = ["measure-range", DEVICE, "--normal=0,1", "--kd=15", "--repeats=1", "--feed-forward=off", "--pull=2"];
-    let said = sim.run(&[&fixed[..], &["--json", "--progress", progress.to_str().unwrap()]].concat()).success();
+    let said = sim.run(&[&fixed[..], &["--json", "--progress", &progress]].concat()).success();
     let document: Value = serde_json::from_slice(&said.get_output().stdout).unwrap();
     let point = &document["points"][0];
     assert!(point["kp"].as_f64().unwrap() < 0.5 * point["theory_kp"].as_f64().unwrap(), "{point}");
@@ -221,27 +220,24 @@ fn boundaries_far_below_those_of_theory_are_doubted() {
 }
 
 #[test]
-fn a_board_that_holds_another_device_is_refused_unless_asked_and_has_its_own_again_afterwards() {
-    let sim = Sim::start(&["--fast", "--frictionless", DEVICE]);
-    sim.run(&["device", &file("haply-2diy.toml")]).success();
-    sim.run(&["scene", &file("scenes/haply-2diy/wall-stiff.toml")]).success();
+fn a_board_with_another_device_needs_load_and_is_restored() {
+    let sim = Sim::start(&["--fast", "--frictionless", &file("coupled-five-bar.toml")]);
+    sim.type_lines("device devices/haply-2diy.toml\nscene devices/scenes/haply-2diy/wall-stiff.toml");
     let held = || {
-        let info = sim.run(&["info", "--json"]).success().get_output().stdout.clone();
-        let rules = sim.run(&["rules"]).success().get_output().stdout.clone();
-        let info: Value = serde_json::from_slice(&info).unwrap();
-        (["device", "walls", "rate_hz", "state"].map(|key| info[key].clone()), rules)
+        let info = sim.json(&["info"]);
+        (["device", "walls", "rate_hz", "state"].map(|key| info[key].clone()), sim.output(&["rules"]))
     };
     let before = held();
-    let folder = tempfile::tempdir().unwrap();
-    let progress = folder.path().join("progress.json");
+    let folder = Folder::new();
+    let progress = folder.path("progress.json");
     let fixed = ["measure-range", DEVICE, "--normal=0,1", "--kd=15", "--repeats=1", "--feed-forward=off", "--pull=2"];
-    let arguments = [&fixed[..], &["--progress", progress.to_str().unwrap()]].concat();
+    let arguments = [&fixed[..], &["--progress", &progress]].concat();
     sim.run(&arguments)
         .code(1)
         .stderr(contains("the board holds haply-2diy, the file is coupled-five-bar").and(contains("--load")));
-    assert!(!progress.exists());
+    assert!(!std::path::Path::new(&progress).exists());
     assert_eq!(held(), before);
-    // Simulated time runs as fast as it can, and does not run away from the tool.
+    // Fast simulated time does not overtake the tool.
     sim.run(&[&arguments[..], &["--load"]].concat()).success().stdout(contains("off"));
     assert_eq!(held(), before);
 }

@@ -1,31 +1,20 @@
-//! The stable range measured on the simulated board, through the protocol, agrees with the one predicted.
+//! The stable range measured on the simulated board, through the protocol, agrees with the prediction.
 //!
-//! Friction and hand are off, the drive is ideal and the encoders are fine: what is left is what the linear theory is
-//! about.
+//! Friction and hand are off, the drive is ideal and the encoders are fine, as linear theory assumes.
 
-use crate::common::shipped;
-use haptic_bridge::model::description::{EncoderAt, Transmission};
-use haptic_bridge::render::scene::FeedForward;
-use haptic_bridge::safety::fault::State;
-use haptic_host::device_file::DeviceFile;
-use haptic_host::link::Board;
+use crate::common::prelude::*;
+use crate::common::{self, ideal_loop, shipped};
 use haptic_predict::measure::simulated::{Friction, World};
 use haptic_predict::measure::{Boundary, Law, MeasureError, MeasurementSetup, PreparedBoard};
-use haptic_sim::{BoardOptions, DriveModel, Options, SHIPPED_DEVICE, SharedBoard, ready_board};
 use haptic_stability::analysis::control_loop::CURRENT_LOOP_HZ;
 use haptic_stability::analysis::flexible::Posture;
-use haptic_stability::analysis::plant::{Drive, Linearised};
 use haptic_stability::analysis::prediction::{Prediction, Subject};
-use haptic_stability::analysis::range::domain;
-use haptic_stability::analysis::sampled::{LinearEstimator, Loop, Mode};
-use haptic_stability::analysis::several::Member;
-use std::cell::Cell;
 
 const POSE: [f64; 3] = [2.6, 1.75, 0.0];
 const NORMAL: [f64; 2] = [0.6, 0.8];
 
 fn file() -> DeviceFile {
-    let mut file = DeviceFile::parse(SHIPPED_DEVICE, "coupled-five-bar.toml").unwrap();
+    let mut file = shipped("coupled-five-bar");
     for joint in &mut file.description.joints[..2] {
         joint.coulomb = 0.0;
         joint.encoder.as_mut().unwrap().counts_per_turn = f64::from(1 << 23);
@@ -36,7 +25,7 @@ fn file() -> DeviceFile {
 fn board(file: &DeviceFile) -> SharedBoard {
     let device = Options { friction: false, start: Some(POSE), ..Options::default() };
     let options = BoardOptions { device, drive: DriveModel::Ideal, ..BoardOptions::default() };
-    SharedBoard::new(ready_board(file, options).unwrap())
+    common::board(file, options).0
 }
 
 fn setup(rate_hz: f64, cutoff_hz: f64) -> MeasurementSetup {
@@ -56,13 +45,7 @@ fn the_measured_boundary_is_the_predicted_one() {
     let (rate_hz, cutoff) = (20_000.0, 500.0);
     let file = file();
     let device = Linearised::at(&file.description, &POSE[..2], &NORMAL).unwrap().undamped();
-    let around = Loop {
-        rate_hz,
-        delay_samples: 0.5,
-        estimator: LinearEstimator::Butterworth(cutoff),
-        drive: Drive::Ideal,
-        damping_compensation: false,
-    };
+    let around = ideal_loop(rate_hz, 0.5, LinearEstimator::Butterworth(cutoff));
     let shared = board(&file);
     let mut board = Board::over(shared.wire(), "sim").unwrap();
     let mut prepared = PreparedBoard::new(&mut board, &file, setup(rate_hz, cutoff), &|| false).unwrap();
@@ -79,27 +62,8 @@ fn the_measured_boundary_is_the_predicted_one() {
     assert_eq!(board.status().unwrap().state, State::Disarmed);
 }
 
-#[test]
-fn an_interrupted_measurement_leaves_the_motors_off() {
-    let file = file();
-    let shared = board(&file);
-    let mut board = Board::over(shared.wire(), "sim").unwrap();
-    let looks = Cell::new(0);
-    let interrupted = || {
-        looks.set(looks.get() + 1);
-        looks.get() > 60
-    };
-    let stopped = PreparedBoard::new(&mut board, &file, setup(20_000.0, 500.0), &interrupted)
-        .and_then(|mut prepared| prepared.boundary(FeedForward::Off, 100.0, 1.0, None));
-    assert!(matches!(stopped, Err(MeasureError::Interrupted)));
-    assert_eq!(board.status().unwrap().state, State::Disarmed);
-    shared.lock().run(0.01);
-    assert_eq!(shared.lock().device().torque(), [0.0; 3]);
-}
-
-/// The Phantom that ships at home, without friction, at 5 kHz, 200 Hz and kd 20, its encoders `finer` than the file's.
-/// Theory and an independent simulation say that walls are stable up to 27.6 kN/m without the feed-forward and 32.0
-/// with.
+/// The shipped Phantom at home, without friction, at 5 kHz, 200 Hz and kd 20, with encoders `finer` than the file's.
+/// Theory and an independent simulation find walls stable up to 27.6 kN/m without the feed-forward and 32.0 with.
 fn phantom(feed_forward: FeedForward, finer: f64) -> Result<Boundary, MeasureError> {
     let mut file = shipped("phantom-premium-1.5");
     let world = World { friction: Friction::None, ideal_drive: true, ..World::default() };
@@ -117,7 +81,7 @@ fn phantom(feed_forward: FeedForward, finer: f64) -> Result<Boundary, MeasureErr
 const PHANTOM: [(FeedForward, f64); 2] = [(FeedForward::Off, 27_618.72), (FeedForward::Full, 32_029.50)];
 
 #[test]
-fn encoders_too_coarse_for_the_motors_are_said_to_be_and_nothing_is_made_up() {
+fn coarse_encoders_are_reported_instead_of_a_boundary() {
     for (feed_forward, theory) in PHANTOM {
         let found = phantom(feed_forward, 1.0);
         let Err(MeasureError::Open { stable, why }) = found else { panic!("{feed_forward:?}: {found:?}") };
@@ -126,10 +90,10 @@ fn encoders_too_coarse_for_the_motors_are_said_to_be_and_nothing_is_made_up() {
     }
 }
 
-/// Four times finer, six steps at the boundary are still three quarters of what the motors have: swings that build up
-/// soon go on as a vibration within the torque limit. What encoder steps explain may take 3.6 % off, see `swing`.
+/// Four times finer, six encoder steps at the boundary are still three quarters of the torque, so a growing swing soon
+/// becomes a vibration within the torque limit. Encoder steps explain up to 3.6 %, see `swing`.
 #[test]
-fn a_vibration_that_the_motors_bound_is_not_taken_for_one_that_decays() {
+fn a_vibration_within_the_torque_limit_counts_as_unstable() {
     for (feed_forward, theory) in PHANTOM {
         let found = phantom(feed_forward, 4.0).unwrap();
         assert!((found.gain / theory - 1.0).abs() < 0.05, "{feed_forward:?}: {found:?}, theory {theory}");
@@ -137,18 +101,17 @@ fn a_vibration_that_the_motors_bound_is_not_taken_for_one_that_decays() {
 }
 
 #[test]
-fn with_fine_encoders_the_boundary_is_the_one_that_two_others_found() {
+fn with_fine_encoders_the_boundary_agrees_with_two_others() {
     for (feed_forward, theory) in PHANTOM {
         let found = phantom(feed_forward, 64.0).unwrap();
         assert!((found.gain / theory - 1.0).abs() < 0.02, "{feed_forward:?}: {found:?}, theory {theory}");
     }
 }
 
-/// The Phantom that ships with a cable of 400 Hz at every joint, at home, at 5 kHz, 200 Hz and kd 3.26: walls are
-/// stable up to 8406 N/m, by eigenvalues that were computed apart from this code. A hold as quick as a rigid device
-/// stands is not.
+/// The shipped Phantom with a cable of 400 Hz at every joint, at home, at 5 kHz, 200 Hz and kd 3.26: walls are stable up
+/// to 8406 N/m by independent eigenvalues. A hold with the stiffness of a rigid device would be unstable.
 #[test]
-fn a_device_is_held_as_softly_as_its_cables_ask() {
+fn a_device_is_held_softly_enough_for_its_cables() {
     let mut file = shipped("phantom-premium-1.5");
     let world = World { friction: Friction::Viscous, counts: Some(4_194_304.0), ..World::default() };
     world.apply(&mut file);
@@ -166,8 +129,8 @@ fn a_device_is_held_as_softly_as_its_cables_ask() {
     assert!(!stands(1.1 * 8406.0));
 }
 
-/// A shipped device in a world, its walls along `normal` at the paper's 200 Hz and 20 Hz, and what the theory of that
-/// loop says of them.
+/// A shipped device in a world with walls along `normal` at the paper's 200 Hz and 20 Hz, and the prediction of that
+/// loop.
 fn at_the_papers_setting(
     name: &str,
     world: &World,
@@ -181,14 +144,14 @@ fn at_the_papers_setting(
     let drive = if world.ideal_drive { Drive::Ideal } else { Drive::Current { bandwidth_hz: CURRENT_LOOP_HZ } };
     let delay_samples = 0.5 * 200.0 / 20_000.0;
     let estimator = LinearEstimator::Butterworth(20.0);
-    let around = Loop { rate_hz: 200.0, delay_samples, estimator, drive, damping_compensation: false };
+    let around = Loop { drive, ..ideal_loop(200.0, delay_samples, estimator) };
     let prediction =
         Prediction { posture: law.posture, ..Prediction::new(Subject::new(&file.description).unwrap(), around) };
     (file, setup, prediction)
 }
 
 #[test]
-fn a_device_with_weight_is_measured_in_its_pose_and_not_in_another_with_the_same_tip() {
+fn a_device_with_weight_is_measured_only_in_its_pose() {
     let world = World { friction: Friction::None, ideal_drive: true, counts: Some(8_388_608.0), ..World::default() };
     let normal = [0.6, 0.8, 0.0];
     let (file, setup, prediction) = at_the_papers_setting("phantom-premium-1.5", &world, &normal, Law::default());
@@ -203,17 +166,16 @@ fn a_device_with_weight_is_measured_in_its_pose_and_not_in_another_with_the_same
     }
     drop(prepared);
 
-    // Nobody holds this one until its motors carry it: it falls, and what catches its tip does so in another pose.
+    // Without a holding hand the device falls, and its tip is caught in another pose.
     let device = Options { friction: false, ..Options::default() };
     let options = BoardOptions { device, drive: DriveModel::Ideal, ..BoardOptions::default() };
-    let falls = SharedBoard::new(ready_board(&file, options).unwrap());
-    let mut board = Board::over(falls.wire(), "sim").unwrap();
+    let (_, mut board) = common::board(&file, options);
     let fallen = PreparedBoard::new(&mut board, &file, setup, &|| false).map(drop);
     assert!(matches!(fallen, Err(MeasureError::Away { joint: 1 | 2, .. })), "{fallen:?}");
 }
 
 #[test]
-fn a_tip_that_friction_holds_is_no_stable_wall() {
+fn a_tip_held_by_friction_is_no_stable_wall() {
     let world = World { q: Some(POSE), ..World::default() };
     let law = Law { farther: true, ..Law::default() };
     let normal = [0.947, -0.321];
@@ -221,7 +183,6 @@ fn a_tip_that_friction_holds_is_no_stable_wall() {
     let theory = prediction.range(&POSE[..2], &setup.walls, None, None).unwrap().off.kd_max;
     let mut board = Board::over(world.board(&file, 200.0).unwrap().wire(), "sim").unwrap();
     let mut prepared = PreparedBoard::new(&mut board, &file, setup, &|| false).unwrap();
-    // 13 to 200 times the theory's, once.
     let found = match prepared.damping_end(FeedForward::Off) {
         Ok(found) => found.gain,
         Err(MeasureError::Open { stable, .. }) => stable,
@@ -267,7 +228,7 @@ fn a_redundant_arm_is_measured_in_the_posture_that_holds_it() {
     };
     let law = Law { posture: Some(Posture { stiffness: 0.05, damping: 0.003 }), ..Law::default() };
     let (mut file, setup, prediction) = at_the_papers_setting("serial-3r", &world, &[0.6, 0.8], law);
-    // The theory does not know that its weight is carried one period late: 6 % here.
+    // Theory ignores that the weight is carried one period late, which is 6 % here.
     file.description.gravity = [0.0; 3];
     let kd = 0.5;
     let predicted = prediction.range(&world.q.unwrap(), &setup.walls, Some(&[kd]), None).unwrap();

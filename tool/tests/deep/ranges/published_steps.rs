@@ -1,17 +1,13 @@
-//! What others measured and rigid theory with perfect sensors misses: how little a higher rate brings, and what it
-//! costs (docs/published.md). Orders and trends are held, not the factors: nobody has published the devices' friction
-//! and cables.
+//! A higher rate brings less than rigid theory with perfect sensors predicts, as others measured (docs/published.md).
+//! Orders and trends are checked, not factors, because the devices' friction and cables are not published.
 
-use crate::common::shipped;
+use crate::common::prelude::*;
+use crate::common::{ideal_loop, shipped};
 use haptic_predict::ripple::{LIGHT_HAND, PUSH_N, Pressed};
 use haptic_stability::analysis::flexible::Hand;
 use haptic_stability::analysis::line::DampingRule;
-use haptic_stability::analysis::plant::{Drive, Linearised};
-use haptic_stability::analysis::range::domain;
-use haptic_stability::analysis::sampled::{LinearEstimator, Loop, Mode};
-use haptic_stability::sweep::Sweep;
 
-/// What a finger feels of a steady force of some newtons, N rms.
+/// Smallest ripple that a finger feels in a steady force of some newtons, N rms.
 const BOUND: f64 = 0.1;
 
 fn pressed<T>(
@@ -24,19 +20,19 @@ fn pressed<T>(
     let description = shipped(device).description;
     let q = description.home.unwrap()[..description.kind.spec().joints].to_vec();
     let device = Linearised::at(&description, &q, normal).unwrap().held(hand.unwrap_or_default());
-    let around = Loop { rate_hz, delay_samples: 0.0, estimator, drive: Drive::Ideal, damping_compensation: false };
+    let around = ideal_loop(rate_hz, 0.0, estimator);
     let (normal, hand) = (normal.to_vec(), hand.unwrap_or(LIGHT_HAND));
     work(&Pressed { device: &device, description, q, normal, around: &around, hand, push_n: PUSH_N })
 }
 
-/// The largest of dampings 10 % apart from `least` up to which a wall's ripple stays within the bound, N s/m.
+/// Largest damping, in steps of 10 % from `least`, up to which a wall's ripple stays within the bound, N s/m.
 fn clean_damping(pressed: &Pressed<'_>, kp: f64, least: f64) -> f64 {
     let dampings = (0..100).map(|i| least * 1.1_f64.powi(i));
     let clean = |kd: &f64| pressed.ripple(Mode::Off, kp, *kd).unwrap().within(BOUND);
     dampings.take_while(clean).last().unwrap_or(0.0)
 }
 
-/// The stiffest spring without damping that a relaxed hand finds quiet, N/m, and the stiffest that is stable.
+/// Stiffness of the stiffest spring without damping that a relaxed hand finds quiet, and of the stiffest stable one, N/m.
 fn clean_spring(rate_hz: f64) -> (f64, f64) {
     let hand = Hand { mass: 0.12, damping: 6.0, stiffness: 250.0 };
     pressed(
@@ -52,7 +48,7 @@ fn clean_spring(rate_hz: f64) -> (f64, f64) {
 }
 
 #[test]
-fn twenty_times_the_rate_gives_far_less_than_twenty_times_the_stiffness() {
+fn stiffness_grows_far_less_than_the_rate() {
     let [slow, usual] = [250.0, 1_000.0].map(|rate| (rate, clean_spring(rate)));
     for ((from, slow), rate, least, most) in
         [(slow, 1_000.0, 2.0, 4.5), (slow, 40_000.0, 2.5, 6.0), (usual, 20_000.0, 1.0, 1.1)]

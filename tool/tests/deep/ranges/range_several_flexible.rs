@@ -46,7 +46,7 @@ fn device(name: &str, hz: Option<f64>) -> DeviceFile {
 /// Device, pose, normals with their parts, damping.
 type Set = (&'static str, &'static [f64], &'static [(&'static [f64], f64)], f64);
 
-const SETS: [Set; 3] = [
+const WALL_SETS: [Set; 3] = [
     ("coupled-five-bar", &[2.6, 1.75], &[(&[0.97, 0.24], 3.0), (&[0.24, -0.97], 1.0)], 10.0),
     ("coupled-five-bar", &[2.6, 1.75], &[(&[0.2419219, 0.9702957], 1.0), (&[0.3255682, 0.9455186], 1.0)], 10.0),
     (
@@ -94,7 +94,7 @@ fn one_wall_given_twice_is_the_wall_with_its_cables_and_in_its_hand() {
 
 #[test]
 fn cables_that_hardly_give_are_none() {
-    for (name, q, walls, kd) in SETS {
+    for (name, q, walls, kd) in WALL_SETS {
         let of = |hz| {
             let set = WallSet::at(&device(name, hz).description, q, &members(walls), Admissible::default()).unwrap();
             [Mode::Off, Mode::Full].map(|mode| boundary(&set, mode, &[kd])[0])
@@ -114,7 +114,7 @@ fn cables_that_hardly_give_are_none() {
 
 #[test]
 fn sets_of_walls_with_cables_and_hands_end_where_loops_of_bodies_do() {
-    for (name, q, walls, kd) in SETS {
+    for (name, q, walls, kd) in WALL_SETS {
         for (hz, hand) in [(None, HAND), (Some(150.0), Hand::default()), (Some(150.0), HAND)] {
             let file = device(name, hz);
             let set = WallSet::at(&file.description, q, &members(walls), Admissible::default()).unwrap();

@@ -1,21 +1,18 @@
-//! Sets of walls on a simulated device in contact: the board's step in its own precision around the nonlinear linkage
-//! of the simulation, with limited motors.
+//! Contact with sets of walls: the board's step in its own precision on the simulation's nonlinear linkage, with limited
+//! motors.
 
+use crate::common::{plane_wall, shipped};
 use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::model::description::Encoder;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::{AnyMechanism, FiveBar, Mechanism, Parallelogram};
 use haptic_bridge::render::controller::Controller;
-use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Spring, Surface, VelocityTerms, Wall};
+use haptic_bridge::render::scene::{FeedForward, Scene, Spring, VelocityTerms, Wall};
 use haptic_host::device_file::DeviceFile;
 use haptic_sim::{Hand, HandSettings, Intent, MotorInput, Options, SimulatedDevice, Waypoint};
 use nalgebra::SVector;
 
 const RATE: f64 = 1_000.0;
-
-fn device(name: &str) -> DeviceFile {
-    DeviceFile::load(format!("{}/../devices/{name}.toml", env!("CARGO_MANIFEST_DIR"))).expect("a shipped device")
-}
 
 /// A unit vector at this angle, rad.
 fn at(angle: f64) -> Vec<f64> {
@@ -34,8 +31,7 @@ fn around(middle: f64, facets: &[(f64, f64)]) -> Vec<Facet> {
     facets.iter().map(|(degrees, share)| (at(middle + degrees.to_radians()), *share)).collect()
 }
 
-/// What walls through the tip's place do after a blow of 2 cm/s, or pressed on: the torque that still swings in the
-/// last tenth of a second, N m.
+/// A run with walls through the tip, after a blow of 2 cm/s or under a press.
 struct Run<'a> {
     file: &'a DeviceFile,
     q: [f64; 3],
@@ -43,18 +39,18 @@ struct Run<'a> {
     damping: f64,
     feed_forward: FeedForward,
     bilateral: bool,
-    /// A hand that aims this far from the start, m; its arm is a spring of 250 N/m.
+    /// Target of a hand relative to the start, m; its arm is a spring of 250 N/m.
     push: Option<[f64; 3]>,
     hand: HandSettings,
     velocity_terms: VelocityTerms,
-    /// Velocity terms that do not fade: b as it is estimated, on top of the torques without.
+    /// True to add b as estimated, without fading.
     unfaded: bool,
-    /// A spring that pulls to the tip's first place, this far aside (m): its line (zero: a point) and its stiffness,
-    /// N/m.
+    /// A spring: its anchor relative to the tip's start, m, its line (zero for a point), and its stiffness, N/m.
     spring: Option<([f64; 3], [f64; 3], f64)>,
 }
 
 impl Run<'_> {
+    /// Returns the peak-to-peak torque in the last tenth of a second, N m.
     fn swing(&self, walls: &[Facet]) -> f64 {
         match AnyMechanism::<f32>::new(&self.file.description).expect("a sound device") {
             AnyMechanism::FiveBar(m) => self.with::<FiveBar<f32>, 2>(m, walls),
@@ -77,16 +73,12 @@ impl Run<'_> {
         let total: f64 = walls.iter().map(|wall| wall.1).sum();
         let walls = walls.iter().map(|(normal, share)| {
             let n: [f64; 3] = core::array::from_fn(|i| normal.get(i).copied().unwrap_or(0.0));
-            Wall {
-                surface: Surface::Plane(Plane { point: tip.map(|x| x as f32), normal: n.map(|x| x as f32) }),
-                stiffness: (self.stiffness * share / total) as f32,
-                damping: (self.damping * share / total) as f32,
-                feed_forward: self.feed_forward,
-                washout_hz: 2.0,
-                // Nothing is compensated, but velocities are estimated.
-                damping_compensation: self.unfaded,
-                bilateral: self.bilateral,
-            }
+            let gain = |total_gain: f64| (total_gain * share / total) as f32;
+            let plane =
+                plane_wall(tip.map(|x| x as f32), n.map(|x| x as f32), gain(self.stiffness), gain(self.damping));
+            // Without joint damping the compensation only turns the velocity estimates on.
+            let (feed_forward, bilateral) = (self.feed_forward, self.bilateral);
+            Wall { feed_forward, bilateral, damping_compensation: self.unfaded, ..plane }
         });
         let springs = self.spring.iter().map(|(aside, line, stiffness)| Spring {
             point: core::array::from_fn(|i| (tip[i] + aside[i]) as f32),
@@ -135,7 +127,7 @@ impl Run<'_> {
     }
 }
 
-/// The demo's pose and normal: 17.9 kN/m without, 23.0 with the feed-forward at 40 N s/m.
+/// The demo's pose: stable up to 17.9 kN/m without and 23.0 kN/m with the feed-forward at 40 N s/m.
 fn demo(file: &DeviceFile, feed_forward: FeedForward) -> Run<'_> {
     Run {
         file,
@@ -152,13 +144,13 @@ fn demo(file: &DeviceFile, feed_forward: FeedForward) -> Run<'_> {
     }
 }
 
-/// Torque that still swings, N m: a few encoder steps through 20 kN/m. An unstable wall fills the 2 N m of the motors.
+/// Limits of the remaining swing, N m: a few encoder steps times 20 kN/m; an unstable wall uses all 2 N m of the motors.
 const QUIET: f64 = 0.05;
 const LOUD: f64 = 1.0;
 
 #[test]
 fn a_wall_cut_into_facets_is_as_quiet_as_in_one_piece() {
-    let file = device("coupled-five-bar");
+    let file = shipped("coupled-five-bar");
     let middle = 75_f64.to_radians();
     for feed_forward in [FeedForward::Full, FeedForward::Washout] {
         for facets in [
@@ -177,11 +169,10 @@ fn a_wall_cut_into_facets_is_as_quiet_as_in_one_piece() {
     assert!(swing > LOUD, "without the feed-forward this wall is too stiff: {swing} N m");
 }
 
-/// A light hand, so that it is the feed-forward that keeps the wall quiet: without it the same press swings, and two
-/// facets whose force went straight through Jᵀ, as the span of their normals once had it, would be without it.
+/// The hand is light, so only the feed-forward keeps the wall quiet: without it the same press swings.
 #[test]
-fn one_sided_facets_are_quiet_under_a_hand_that_presses_them() {
-    let file = device("coupled-five-bar");
+fn pressed_unilateral_facets_are_quiet() {
+    let file = shipped("coupled-five-bar");
     let middle = 75_f64.to_radians();
     let push = Some([-0.02 * middle.cos(), -0.02 * middle.sin(), 0.0]);
     let hand = HandSettings { mass: 0.01, grip_stiffness: 400.0, grip_damping: 0.5, ..HandSettings::default() };
@@ -199,13 +190,13 @@ fn one_sided_facets_are_quiet_under_a_hand_that_presses_them() {
     }
 }
 
-/// b grows as 1/sin³ towards a stretched arm, and what the estimates tell of it comes late: kept in full, it pushes a
-/// tip that a hand presses along the wall on into the singularity, and the press never ends.
+/// Near a stretched arm b grows as 1/sin³ and its estimate is late. Without fading, b pushes a pressed tip further into
+/// the singularity, and the tip never settles.
 #[test]
-fn a_press_towards_a_stretched_arm_swings_where_velocity_terms_do_not_fade_and_is_quiet_where_they_do() {
-    let file = device("coupled-five-bar");
+fn fading_velocity_terms_keep_a_press_at_a_stretched_arm_quiet() {
+    let file = shipped("coupled-five-bar");
     let middle = 77_f64.to_radians();
-    // Further than where it depends on the last digit whether the press ends.
+    // Beyond the depths where the result depends on the last digit.
     for aim in [0.023, 0.024, 0.025] {
         let push = Some([-aim * middle.cos(), -aim * middle.sin(), 0.0]);
         let swing = |velocity_terms, unfaded| {
@@ -221,11 +212,11 @@ fn a_press_towards_a_stretched_arm_swings_where_velocity_terms_do_not_fade_and_i
     }
 }
 
-/// A press slides along the wall, for the push along the normal also moves the tip along it: at 75° by 18 mm, to where
-/// an elbow is 6° from stretched and b grows as 1/sin³. What the estimates tell of it then is too late.
+/// A press along the normal also slides the tip along the wall: at 75° by 18 mm, to an elbow 6° from stretched, where b
+/// grows as 1/sin³ and its estimate is too late.
 #[test]
-fn a_press_that_is_quiet_without_velocity_terms_is_quiet_with_them() {
-    let file = device("coupled-five-bar");
+fn velocity_terms_keep_quiet_presses_quiet() {
+    let file = shipped("coupled-five-bar");
     let (mut pressed, mut quiet) = (0, 0);
     for stiffness in [2_000.0, 10_000.0, 15_000.0, 20_000.0] {
         for degrees in (0..12).map(|k| 15.0 + 30.0 * f64::from(k)) {
@@ -254,9 +245,9 @@ fn a_press_that_is_quiet_without_velocity_terms_is_quiet_with_them() {
 }
 
 #[test]
-fn corners_that_are_stable_without_the_feed_forward_are_quiet_with_it() {
-    let file = device("coupled-five-bar");
-    // A right-angled corner of 2 x 8 kN/m, an acute one, and a stiff wall beside one of a hundredth.
+fn the_feed_forward_keeps_stable_corners_quiet() {
+    let file = shipped("coupled-five-bar");
+    // A right-angled corner of 2 x 8 kN/m, an acute one, and a stiff wall with one of a hundredth.
     for (angles, stiffness) in [
         (vec![(75.0, 1.0), (-15.0, 1.0)], 12_000.0),
         (vec![(75.0, 1.0), (15.0, 1.0)], 12_000.0),
@@ -273,12 +264,11 @@ fn corners_that_are_stable_without_the_feed_forward_are_quiet_with_it() {
     }
 }
 
-/// The push that the feed-forward makes of a firm press on one wall goes onto another, which is touched lightly: as
-/// that one comes to count, the push falls. Where it falls within a tenth of a millimetre, these swing with 0.2 N m and
-/// more.
+/// The feed-forward of a firm press on one wall pushes onto another wall, which is touched lightly. As the other wall
+/// takes effect, the push falls. If it fell within a tenth of a millimetre, these would swing with 0.2 N m or more.
 #[test]
-fn a_light_touch_beside_a_firm_press_is_quiet() {
-    let file = device("coupled-five-bar");
+fn a_light_touch_during_a_firm_press_is_quiet() {
+    let file = shipped("coupled-five-bar");
     for (first, between, k1, k2) in [
         (165.0, 90.0, 8_000.0, 8_000.0),
         (75.0, -90.0, 8_000.0, 8_000.0),
@@ -300,11 +290,11 @@ fn a_light_touch_beside_a_firm_press_is_quiet() {
     }
 }
 
-/// A spring along a direction between the wall's normal and what the linkage makes of it: straight through Jᵀ beside
-/// the shaped wall it runs away at any gain.
+/// A spring between the wall's normal and the direction that the linkage makes of it: without shaping, together with the
+/// shaped wall, it would be unstable at any gain.
 #[test]
-fn a_spring_beside_a_wall_is_quiet_where_it_is_without_the_feed_forward() {
-    let file = device("coupled-five-bar");
+fn the_feed_forward_keeps_a_spring_with_a_wall_quiet() {
+    let file = shipped("coupled-five-bar");
     let normal = at(75_f64.to_radians());
     for degrees in (0..12).map(|k| 15.0 * f64::from(k)) {
         let line = at(f64::to_radians(degrees + 90.0));
@@ -319,10 +309,10 @@ fn a_spring_beside_a_wall_is_quiet_where_it_is_without_the_feed_forward() {
     }
 }
 
-/// What is shaped of a spring's force comes as the wall is touched: not so soon that a light touch swings.
+/// The shaped part of a spring's force rises with contact, slowly enough that a light touch does not swing.
 #[test]
-fn a_light_touch_of_a_wall_beside_a_stretched_spring_is_quiet() {
-    let file = device("coupled-five-bar");
+fn a_light_touch_with_a_stretched_spring_is_quiet() {
+    let file = shipped("coupled-five-bar");
     for degrees in (0..12).map(|k| 15.0 + 30.0 * f64::from(k)) {
         let n = at(f64::to_radians(degrees));
         let along = |far: f64| [far * n[0], far * n[1], 0.0];
@@ -344,8 +334,8 @@ fn a_light_touch_of_a_wall_beside_a_stretched_spring_is_quiet() {
 }
 
 #[test]
-fn edges_and_vertices_in_space_are_quiet_where_they_are_without() {
-    let file = device("phantom-premium-1.5");
+fn the_feed_forward_keeps_edges_and_vertices_quiet() {
+    let file = shipped("phantom-premium-1.5");
     let q = [0.3, 0.9, -0.3];
     for (walls, stiffness) in [
         (vec![(vec![0.6, 0.8, 0.0], 1.0), (vec![0.0, 0.6, 0.8], 1.0)], 2_000.0),

@@ -1,14 +1,13 @@
-//! `haptic measure-range` finds sets of walls to end where `haptic range` says; loops of quick/range_several.rs say the
-//! same.
+//! `haptic measure-range` agrees with `haptic range` on sets of walls.
 
-use crate::common::domains::SETS;
+use crate::common::domains::WALL_SETS;
 use crate::common::{file, json};
 
 #[test]
-fn sets_of_walls_are_measured_to_end_where_they_are_predicted_to() {
+fn measured_sets_of_walls_agree_with_the_prediction() {
     let folder = tempfile::tempdir().unwrap();
     // Without friction nothing stops the redundant arm's own motion, so its tip never rests.
-    let measured = SETS.into_iter().filter(|set| set.0 != "serial-3r");
+    let measured = WALL_SETS.into_iter().filter(|set| set.0 != "serial-3r");
     for (index, (name, q, normals, shares, without, kd)) in measured.enumerate() {
         let progress = folder.path().join(format!("{index}.json"));
         let n: Vec<String> = normals.iter().map(|normal| format!("--normal={normal}")).collect();
@@ -22,7 +21,7 @@ fn sets_of_walls_are_measured_to_end_where_they_are_predicted_to() {
         let found = json(&all);
         assert_eq!(found["walls"].as_array().unwrap().len(), normals.len());
 
-        // The line printed beside it is `haptic range` of the same set, behind the board's own delay.
+        // The printed line is `haptic range` of the same set with the board's delay.
         let line = found["theory"].as_str().unwrap();
         let predicted = json(&line.split(' ').skip(1).collect::<Vec<_>>());
         let points = found["points"].as_array().unwrap();

@@ -1,14 +1,10 @@
-//! The simulated board against numbers that are known from elsewhere: undamped, a loop's boundary depends only on
-//! kp T²/m and kd T/m, and docs/model.md section 3 gives its largest values at delay 0.
+//! The simulated board against independent numbers: the boundary of an undamped loop depends only on kp T²/m and kd T/m,
+//! and docs/model.md section 3 has its largest values at delay 0.
 //!
-//! The board is raised until it oscillates, through the protocol; friction, hand and encoder steps are off.
+//! Gains are raised through the protocol until the board oscillates; friction, hand and encoder steps are off.
 
-use haptic_bridge::render::scene::FeedForward;
-use haptic_host::device_file::DeviceFile;
-use haptic_host::link::Board;
+use crate::common::prelude::*;
 use haptic_predict::measure::{Law, MeasurementSetup, PreparedBoard};
-use haptic_sim::{BoardOptions, DriveModel, Options, SharedBoard, ready_board};
-use haptic_stability::analysis::several::Member;
 
 /// 0.16 kg at 0.1 m, without friction, behind an encoder whose steps do not show.
 const PADDLE: &str = r#"
@@ -38,8 +34,7 @@ fn measure(rate_hz: f64, cutoff_hz: f64, share: f64) -> (f64, f64) {
     // One integration step per sample is exact for a constant inertia under a constant torque.
     let device = Options { friction: false, substep: 1.0 / rate_hz, ..Options::default() };
     let options = BoardOptions { device, drive: DriveModel::Ideal, delay: 0.0, ..BoardOptions::default() };
-    let shared = SharedBoard::new(ready_board(&file, options).unwrap());
-    let mut board = Board::over(shared.wire(), "sim").unwrap();
+    let (_, mut board) = crate::common::board(&file, options);
     let setup = MeasurementSetup {
         walls: vec![Member::new(vec![1.0], 1.0)],
         rate_hz,
@@ -56,8 +51,8 @@ fn measure(rate_hz: f64, cutoff_hz: f64, share: f64) -> (f64, f64) {
     (summit / MASS / rate_hz.powi(2), end / MASS / rate_hz)
 }
 
-/// The search ends in a bracket of half a percent and says its middle, a quarter off at most; a growth too slow to be
-/// told within a trial takes the rest. The constants themselves have four digits.
+/// Tolerance: the search ends in a bracket of half a percent and returns its middle; the rest is for growth too slow to
+/// be detected within a trial. The constants have four digits.
 const APART: f64 = 0.004;
 
 fn agree(measured: (f64, f64), known: (f64, f64)) {

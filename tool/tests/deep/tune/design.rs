@@ -1,19 +1,14 @@
 //! `haptic design` against formulas and brute force.
 
+use crate::common::prelude::*;
 use crate::common::shipped;
-use haptic_bridge::model::admissible::Admissible;
 use haptic_predict::design::place::places;
 use haptic_predict::design::posture::postures;
 use haptic_predict::design::sensitivity::{CHANGE, buys_most, sensitivities};
 use haptic_predict::design::{clearance, within_limits};
-use haptic_sim::Random;
 use haptic_stability::analysis::control_loop::TorquePath;
 use haptic_stability::analysis::map::along;
-use haptic_stability::analysis::plant::Linearised;
 use haptic_stability::analysis::pose::{TaskPose, unit_normal};
-use haptic_stability::analysis::range::domain;
-use haptic_stability::analysis::sampled::{LinearEstimator, Loop, Mode};
-use haptic_stability::sweep::Sweep;
 
 const PHI: Admissible = Admissible::Orientation;
 
@@ -23,7 +18,7 @@ fn around() -> Loop {
 }
 
 #[test]
-fn the_stiffest_wall_is_in_proportion_to_the_inertia_that_it_meets() {
+fn the_stiffest_wall_is_proportional_to_its_inertia() {
     let around = around();
     let mut kilogram = Linearised::at(&shipped("hapkit-paddle").description, &[0.0], &[1.0]).unwrap().undamped();
     kilogram.flexible = Default::default();
@@ -43,7 +38,7 @@ fn the_stiffest_wall_is_in_proportion_to_the_inertia_that_it_meets() {
 
 /// Wrr = Eᵀ M E grows by δ Eⱼ² with δ more on joint j; Weff = 1/(Jr M⁻¹ Jrᵀ) by Sherman and Morrison's formula.
 #[test]
-fn a_rotor_is_worth_what_its_formula_says() {
+fn the_sensitivity_to_a_rotor_follows_its_formula() {
     for (name, q, n) in [
         ("coupled-five-bar", vec![2.6, 1.75], vec![0.94, -0.34]),
         ("phantom-premium-1.5", vec![0.3, 0.9, -0.3], vec![0.6, 0.5, 0.62]),
@@ -62,7 +57,7 @@ fn a_rotor_is_worth_what_its_formula_says() {
             let rotor = found.iter().find(|one| one.part == format!("rotor of joint {j}")).unwrap().more.unwrap();
             assert!((rotor.w_eff / w_eff - 1.0).abs() < 1e-9, "{name}, joint {j}: {rotor:?}, {w_eff}");
             assert!((rotor.w_rr / w_rr - 1.0).abs() < 1e-9, "{name}, joint {j}: {rotor:?}, {w_rr}");
-            // A gear reflects its rotor by its square, gives its torque and shows counts in proportion.
+            // A gear reflects its rotor by the square of the ratio, and scales torque and counts in proportion.
             let gear = found.iter().find(|one| one.part == format!("gear ratio of joint {j}")).unwrap().more.unwrap();
             let squared = 1.0 + 2.1 * (w_rr - 1.0);
             assert!((gear.w_rr / squared - 1.0).abs() < 1e-9, "{name}, joint {j}: {gear:?}");
@@ -80,7 +75,7 @@ fn a_longer_link_leaves_the_tip_where_it_is() {
     let (q, n) = ([2.3, 0.84159265358979], [0.6, 0.8]);
     let found = sensitivities(&description, &q, &n, PHI, &around()).unwrap();
     let base = found.iter().find(|one| one.part == "length base").unwrap().more.unwrap();
-    // The same by hand: the tip's place of before, with inverse kinematics of this test's own.
+    // The tip's former place by this test's own inverse kinematics.
     let mut wider = description;
     wider.geometry[0] *= 1.0 + CHANGE;
     let before = TaskPose::at(&description, &q).unwrap();
@@ -111,7 +106,7 @@ fn no_pose_of_a_blind_search_is_better_than_the_best() {
         let device = file.device::<f64>().unwrap();
         let n = unit_normal(&normal, 2, file.spec().joints).unwrap();
         let along_n = found.along.clone().unwrap();
-        // On the side of the singularities on which the device works.
+        // On the working side of the singularities.
         let side = |q: &[f64]| TaskPose::at(&file.description, q).unwrap().jacobian.determinant() > 0.0;
         let home = file.description.home.unwrap();
         let home = side(&home[..file.spec().joints]);
@@ -172,7 +167,7 @@ fn a_wall_as_wide_as_its_patch_is_placed_by_its_worst_point() {
     assert!(wide.off.w_eff < 0.99 * point.off.w_eff && wide.full.w_rr < point.full.w_rr, "{point:?} {wide:?}");
 }
 
-/// Postures by this test's own inverse kinematics: for every orientation the wrist, and the elbow on the arm's side.
+/// Postures by this test's own inverse kinematics: the wrist for every orientation, the elbow on the arm's side.
 #[test]
 fn the_best_posture_is_that_of_a_scan_over_all_orientations() {
     let file = shipped("serial-3r");
@@ -208,7 +203,7 @@ fn the_best_posture_is_that_of_a_scan_over_all_orientations() {
     ] {
         assert!((one / other - 1.0).abs() < 0.02, "{one} kg, and the scan has {other} kg");
     }
-    // Another's sweep at this tip, in coarser steps: 0.0487 to 0.1139 kg, and 0.117 to 0.506 kg up to a sine of its
+    // An independent sweep at this tip in coarser steps: 0.0487 to 0.1139 kg, and 0.117 to 0.506 kg up to a sine of its
     // own.
     assert!((heavy / 0.1139 - 1.0).abs() < 0.01 && (light / 0.0487 - 1.0).abs() < 0.04, "{heavy} {light}");
     assert!((loose / 0.117 - 1.0).abs() < 0.01 && (held / 0.506 - 1.0).abs() < 0.06, "{held} {loose}");

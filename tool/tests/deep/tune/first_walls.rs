@@ -1,25 +1,22 @@
-//! The wall that `haptic new scene` writes does not rattle: on the simulated board, under a hand, on every device that
-//! ships and on twenty that nobody chose.
+//! The wall of `haptic new scene` does not rattle on the simulated board under a hand, on every shipped device and twenty
+//! random ones.
 
+use crate::common::prelude::*;
 use crate::common::tuned::drawn;
 use crate::common::{files, shipped};
 use haptic_bridge::board::telemetry::Field;
-use haptic_bridge::render::scene::Scene;
-use haptic_host::device_file::DeviceFile;
-use haptic_host::link::{Board, fields};
-use haptic_host::scene_file::SceneFile;
 use haptic_predict::template::scene_file;
-use haptic_sim::{BoardOptions, HandLoop, HandSettings, SharedBoard, Support, ready_board};
+use haptic_sim::{HandLoop, ready_board};
 use std::time::Duration;
 
-/// Time that the hand needs to get to the wall, and for which it is watched on and off it, s.
+/// Time until the hand reaches the wall, and time of the measurement, s.
 const SETTLE: f64 = 1.0;
 const WATCH: f64 = 4.0;
-/// What a hand does to a force is slower than this, s: the ripple is what differs from the mean over so long.
+/// Window of the mean from which the ripple is the difference, s; a hand's own force changes more slowly.
 const SLOW: f64 = 0.05;
 
-/// The share of the time in contact, and the root mean square of the wall's force about its mean over [`SLOW`] while it
-/// lasts, N. Within so long of a touch the force itself begins or ends, which is no ripple.
+/// Returns the share of time in contact and the ripple: root mean square of the wall's force about its mean over
+/// [`SLOW`], N. Windows in which a touch begins or ends are left out.
 fn ripple(file: &DeviceFile, scene: Scene<f32>) -> (f64, f64) {
     let weightless = file.description.gravity == [0.0; 3];
     let support = if weightless { Support::None } else { Support::Carried };

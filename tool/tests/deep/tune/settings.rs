@@ -1,35 +1,20 @@
-//! `haptic tune` against what can be derived, and against a plain scan of all settings.
+//! `haptic tune` against derived results and against a plain scan of all settings.
 
-use crate::common::{haptic, json, root, shipped, tuned};
-use haptic_bridge::model::admissible::Admissible;
-use haptic_bridge::model::description::Description;
-use haptic_bridge::render::scene::FeedForward;
+use crate::common::prelude::*;
+use crate::common::{Folder, ideal_loop, json, point_mass, root, shipped, tuned, type_lines};
 use haptic_bridge::render::velocity::{Chosen, Estimator};
-use haptic_host::device_file::DeviceFile;
-use haptic_host::scene_file::SceneFile;
 use haptic_predict::tune::{Margins, Question, Settings, estimators, keeps, to_toml, tune, vertex};
 use haptic_stability::analysis::control_loop::CURRENT_LOOP_HZ;
-use haptic_stability::analysis::flexible::Flexible;
-use haptic_stability::analysis::plant::{Drive, Linearised};
-use haptic_stability::analysis::range::{domain, stiffnesses};
-use haptic_stability::analysis::sampled::{LinearEstimator, Loop, Mode};
-use haptic_stability::sweep::Sweep;
-use nalgebra::{DMatrix, DVector};
+use haptic_stability::analysis::range::stiffnesses;
 
 fn around(rate_hz: f64) -> Loop {
-    Loop {
-        rate_hz,
-        delay_samples: 0.5,
-        estimator: LinearEstimator::Butterworth(0.025 * rate_hz),
-        drive: Drive::Ideal,
-        damping_compensation: false,
-    }
+    ideal_loop(rate_hz, 0.5, LinearEstimator::Butterworth(0.025 * rate_hz))
 }
 
-/// With torque t f on an undamped device, t what a controller with another mass matrix makes of (4), the tip's
-/// acceleration along n is Jr M⁻¹ t f: the loop is that of a mass 1/(Jr M⁻¹ t).
+/// A controller with another mass matrix renders the torque t f by (4). On an undamped device the tip then accelerates
+/// along n by Jr M⁻¹ t f, so the loop is that of a mass 1/(Jr M⁻¹ t).
 #[test]
-fn a_controller_that_is_wrong_about_the_inertia_meets_the_mass_that_its_torque_makes() {
+fn a_wrong_mass_matrix_changes_the_inertia_that_is_met() {
     let file = shipped("coupled-five-bar");
     let (q, n) = ([2.6, 1.75], [0.94, -0.34]);
     let believed = Linearised::at(&file.description, &q, &n).unwrap().undamped();
@@ -41,17 +26,9 @@ fn a_controller_that_is_wrong_about_the_inertia_meets_the_mass_that_its_torque_m
         (met / device.w_rr() - 1.0).abs() > 0.003 && (met / believed.w_rr() - 1.0).abs() > 0.01,
         "it tells nothing"
     );
-    let kilogram = Linearised {
-        gain: 1.0,
-        flexible: Flexible::default(),
-        mass: DMatrix::identity(1, 1),
-        viscous: DVector::zeros(1),
-        row: DVector::from_element(1, 1.0),
-        unit_motion: DVector::from_element(1, 1.0),
-    };
     let around = around(5_000.0);
     for damping in [20.0, 80.0, 200.0] {
-        let of_one = domain(&kilogram, &around, Mode::Off, Some(&[damping])).unwrap().boundary[0].kp;
+        let of_one = domain(&point_mass(1.0), &around, Mode::Off, Some(&[damping])).unwrap().boundary[0].kp;
         let found = stiffnesses(&device, &believed, &around, Mode::Full, &[met * damping]).unwrap()[0];
         assert!((found / (met * of_one) - 1.0).abs() < 1e-6, "{damping}: {found}, {}", met * of_one);
     }
@@ -107,7 +84,7 @@ fn question(file: &DeviceFile, margins: Margins) -> Question<'_> {
     }
 }
 
-/// Without margins the stability of a wall is that of `haptic range`, asked here for every wall by itself.
+/// Without margins the stability of a wall is that of `haptic range`, computed here for every wall alone.
 #[test]
 fn no_wall_of_a_plain_scan_is_much_stiffer() {
     let file = shipped("haply-2diy");
@@ -148,10 +125,10 @@ fn no_wall_of_a_plain_scan_is_much_stiffer() {
     assert!(tried > 10, "{tried}");
 }
 
-/// Rigid ones and ones with cables: no wall with other estimators, cutoffs and dampings is stiffer by more than a
-/// twentieth and keeps the same.
+/// Rigid devices and devices with cables: no wall with another estimator, cutoff or damping is stiffer by more than a
+/// twentieth and meets the same limits.
 #[test]
-fn no_wall_of_a_grid_is_much_stiffer_on_ten_devices_that_nobody_chose() {
+fn no_wall_of_a_grid_is_much_stiffer_on_ten_random_devices() {
     for number in 0..10 {
         let file = tuned::drawn(number);
         let dampings = [0.2, 0.35, 0.6, 0.8, 1.0, 1.25, 1.7, 2.8, 5.0];
@@ -160,8 +137,8 @@ fn no_wall_of_a_grid_is_much_stiffer_on_ten_devices_that_nobody_chose() {
     }
 }
 
-/// What encoder steps alone make of the force of a tip that moves evenly through them, kp √(Σ step²/12), is a rule of
-/// thumb; what binds is what the hands feel, and no wall is missed that the rule lets through.
+/// The ripple of a tip that moves evenly through encoder steps, kp √(Σ step²/12), is only a rule of thumb; the limit is
+/// the ripple that the hands feel, and no wall allowed by the rule is missed.
 #[test]
 fn the_answer_is_the_stiffest_of_all_and_names_what_ends_it() {
     let file = shipped("haply-2diy");
@@ -174,8 +151,7 @@ fn the_answer_is_the_stiffest_of_all_and_names_what_ends_it() {
     let steps: f64 = (0..2).map(|i| (device.row[i] * std::f64::consts::TAU / 10_752.0).powi(2) / 12.0).sum();
     let limit = |name: &str| found.limits.iter().find(|limit| limit.limit == name).unwrap().stiffness;
     assert!((limit("rule of thumb, encoder steps").unwrap() * steps.sqrt() / 0.1 - 1.0).abs() < 1e-9);
-    // The limit that is named is the one that ends it: at the stiffness that was found, within the step of the last
-    // search.
+    // The named limit binds at the resulting stiffness, within the last step of the search.
     let active = limit(found.active).unwrap() / found.best.settings.stiffness;
     assert!((1.0..1.15).contains(&active), "{} at {active} times", found.active);
     for limit in &found.limits {
@@ -185,9 +161,9 @@ fn the_answer_is_the_stiffest_of_all_and_names_what_ends_it() {
     }
 }
 
-/// Half a millimetre a count: the scene's settings are as good as any, and no answer is worse than they are.
+/// Half a millimetre per count: the scene's settings are already the best.
 #[test]
-fn settings_that_are_there_are_never_beaten_by_worse_ones() {
+fn the_result_is_never_worse_than_the_scenes_settings() {
     let (device, scene) = ("devices/capstan-pantograph.toml", "devices/scenes/capstan-pantograph/wall.toml");
     let said = json(&["tune", device, "--scene", scene, "--rates", "20000"]);
     assert!(said["times"].as_f64().unwrap() >= 1.0, "{said}");
@@ -197,7 +173,7 @@ fn settings_that_are_there_are_never_beaten_by_worse_ones() {
 fn margins_cost_stiffness_where_stability_limits_it() {
     let file = shipped("haply-2diy");
     let most = |margins: Margins| {
-        // So much ripple that it limits nothing.
+        // A ripple limit that never binds.
         let question =
             Question { ripple_n: 50.0, board_ripple_n: None, counts: 1e-6, speed: 1e-6, ..question(&file, margins) };
         tune(&question, &Sweep::quiet()).unwrap()
@@ -207,7 +183,7 @@ fn margins_cost_stiffness_where_stability_limits_it() {
 }
 
 #[test]
-fn the_scene_that_is_written_is_the_one_that_was_found() {
+fn the_written_scene_has_the_settings_that_were_found() {
     let kind = Estimator::ALL.iter().find(|(name, _)| *name == "difference").unwrap().1;
     for (kind, cutoff_hz) in
         [(kind.with_options(Chosen { value: 8, filtered: false }), 500.0), (Estimator::FirstOrder, 225.0)]
@@ -232,16 +208,16 @@ fn the_scene_that_is_written_is_the_one_that_was_found() {
 }
 
 #[test]
-fn a_shipped_wall_becomes_more_than_twice_as_stiff_at_the_same_ripple() {
-    let folder = tempfile::tempdir().unwrap();
-    let out = folder.path().join("tuned.toml");
+fn a_shipped_wall_becomes_twice_as_stiff_at_the_same_ripple() {
+    let folder = Folder::new();
+    let out = folder.path("tuned.toml");
     let (device, scene) = ("devices/haply-2diy.toml", "devices/scenes/haply-2diy/wall-stiff.toml");
-    let words = ["tune", device, "--scene", scene, "--rates", "5000", "--out", out.to_str().unwrap()];
+    let words = ["tune", device, "--scene", scene, "--rates", "5000", "--out", &out];
     let said = json(&words);
     assert!(said["times"].as_f64().unwrap() > 2.0, "{said}");
     assert!(said["best"]["ripple_n"].as_f64() <= said["ripple_limit_n"].as_f64(), "{said}");
     // Loaded and drawn like any other scene, it has its place still.
-    haptic(&["check", device, out.to_str().unwrap()]).assert().success();
+    type_lines(&format!("check {device} {out}"), &[]);
     let tuned = SceneFile::load(&out, 2).unwrap().scene;
     let plane = |scene: &haptic_bridge::render::scene::Scene<f64>| scene.walls[0].surface;
     assert_eq!(plane(&tuned), plane(&SceneFile::load(root().join(scene), 2).unwrap().scene));
@@ -249,15 +225,14 @@ fn a_shipped_wall_becomes_more_than_twice_as_stiff_at_the_same_ripple() {
 }
 
 #[test]
-fn what_no_board_does_is_refused() {
-    let tune = |more: &[&str]| haptic(&[&["tune", "devices/haply-2diy.toml", "--normal=0,1"], more].concat()).assert();
-    for (more, says) in [
-        (&["--rates", "45000"][..], "no board was seen to hold"),
-        (&["--ripple", "0"], "must be positive"),
-        (&["--port", "sim"], "exists only during this command"),
-    ] {
-        let failed = tune(more).code(2).get_output().stderr.clone();
-        let failed = String::from_utf8(failed).unwrap();
-        assert!(failed.contains(says), "{more:?}: {failed}");
-    }
+fn settings_that_no_board_supports_are_refused() {
+    let line = "2: tune devices/haply-2diy.toml --normal=0,1";
+    type_lines(
+        &format!(
+            "{line} --rates 45000 => no board was seen to hold
+            {line} --ripple 0 => must be positive
+            {line} --port sim => exists only during this command"
+        ),
+        &[],
+    );
 }

@@ -1,12 +1,12 @@
-//! docs/results/tuned.csv: what `haptic tune` makes of a wall of each device that ships.
+//! docs/results/tuned.csv: results of `haptic tune` for a wall of each shipped device.
 //!
-//! `UPDATE_DOCS=1 cargo test --release --locked -p haptic --test deep tuned_devices -- --ignored` writes it anew.
+//! `UPDATE_DOCS=1 cargo test --release --locked -p haptic --test deep tuned_devices -- --ignored` updates it.
 
-use crate::common::{json, root};
+use crate::common::{document, json};
 use serde_json::Value;
 use std::fmt::Write;
 
-/// Devices with a scene of one wall or more, of which the first is tuned.
+/// Devices with a scene, whose first wall is tuned.
 const SCENES: [(&str, &str); 9] = [
     ("coupled-five-bar", "wall"),
     ("fictive-five-bar-turret", "ball"),
@@ -25,7 +25,6 @@ ripple before (N),ripple after (N),on the board before (N),on the board after (N
 struck at rest up to after (N/m)
 ";
 
-/// What `--json` prints.
 fn tuned(device: &str, scene: &str) -> Value {
     let device_file = format!("devices/{device}.toml");
     let scene_file = format!("devices/scenes/{device}/{scene}.toml");
@@ -62,7 +61,7 @@ fn row(device: &str, scene: &str, said: &Value) -> String {
 
 #[test]
 #[ignore = "minutes: it measures nine devices on simulated boards, and makes docs/results/tuned.csv"]
-fn the_table_is_what_the_command_finds() {
+fn the_table_holds_the_results_of_the_command() {
     let mut table = String::from(HEAD);
     for (device, scene) in SCENES {
         let said = tuned(device, scene);
@@ -73,14 +72,6 @@ fn the_table_is_what_the_command_finds() {
         let _ = writeln!(table, "{}", row(device, scene, &said));
         println!("{}", table.lines().last().unwrap());
     }
-    let path = root().join("docs/results/tuned.csv");
-    if std::env::var_os("UPDATE_DOCS").is_some() {
-        std::fs::write(path, table).unwrap();
-    } else {
-        assert_eq!(
-            std::fs::read_to_string(path).unwrap(),
-            table,
-            "run UPDATE_DOCS=1 cargo test --release -p haptic --test deep tuned_devices -- --ignored"
-        );
-    }
+    let remedy = "run UPDATE_DOCS=1 cargo test --release -p haptic --test deep tuned_devices -- --ignored";
+    assert_eq!(document("docs/results/tuned.csv", &table), table, "{remedy}");
 }

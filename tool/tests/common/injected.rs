@@ -1,42 +1,38 @@
-//! Device files that are wrong, wires and sensors that lie: what a board makes of them, and what a hand may feel of it.
+//! Injected errors: wrong device files, wires and sensors; reaction of the board and harm to a hand.
 
 use super::forces::Push;
-use haptic_bridge::control::{HostAction, Rules};
-use haptic_bridge::model::description::{Description, Joint};
+use super::plane_wall;
+use super::prelude::*;
+use haptic_bridge::model::description::Joint;
 use haptic_bridge::model::motor::Motor;
-use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};
-use haptic_bridge::safety::fault::{FaultRecord, State};
-use haptic_host::device_file::DeviceFile;
-use haptic_host::link::Board;
-use haptic_sim::{
-    BoardFaults, BoardOptions, Hand, HandSettings, Intent, Options, SharedBoard, SimulatedBoard, Support, Waypoint,
-};
+use haptic_bridge::safety::fault::FaultRecord;
+use haptic_sim::{BoardFaults, Hand, SimulatedBoard};
 use std::f64::consts::TAU;
 
-/// When something begins to be wrong.
+/// Time at which an error begins.
 pub enum When {
-    /// From power-on: what device and wires are, where the board was told another device.
+    /// From power-on: true device and wires, which differ from the device that the board was given.
     Always(fn(&mut Description, &mut BoardFaults)),
     /// While a hand presses against a wall.
     InContact(fn(&mut SimulatedBoard, &Description)),
 }
 
-/// What is wrong.
-pub struct Lie {
+/// An injected error.
+pub struct InjectedError {
     pub what: &'static str,
     pub when: When,
 }
 
-const fn always(what: &'static str, lie: fn(&mut Description, &mut BoardFaults)) -> Lie {
-    Lie { what, when: When::Always(lie) }
+const fn always(what: &'static str, error: fn(&mut Description, &mut BoardFaults)) -> InjectedError {
+    InjectedError { what, when: When::Always(error) }
 }
 
-const fn in_contact(what: &'static str, lie: fn(&mut SimulatedBoard, &Description)) -> Lie {
-    Lie { what, when: When::InContact(lie) }
+const fn in_contact(what: &'static str, error: fn(&mut SimulatedBoard, &Description)) -> InjectedError {
+    InjectedError { what, when: When::InContact(error) }
 }
 
-/// Everything that is tried.
-pub const LIES: [Lie; 37] = [
+/// All injected errors.
+pub const INJECTED_ERRORS: [InjectedError; 37] = [
     always("torque constant twice the file's", |wired, _| constants(wired, 2.0)),
     always("torque constant half the file's", |wired, _| constants(wired, 0.5)),
     always("torque constant 1.15 of the file's", |wired, _| constants(wired, 1.15)),
@@ -94,7 +90,7 @@ fn constants(wired: &mut Description, factor: f64) {
     windings_of(&mut wired.joints, factor);
 }
 
-/// Multiplies what the motors of these joints make of an ampere and of a turn.
+/// Multiplies torque constant and back-EMF of the motors of these joints.
 pub fn windings_of(joints: &mut [Joint], factor: f64) {
     for motor in joints.iter_mut().filter_map(|joint| joint.motor.as_mut()) {
         motor.torque_constant *= factor;
@@ -132,18 +128,18 @@ fn counts_per_radian(device: &Description) -> f64 {
     device.joints[0].encoder.map_or(0.0, |encoder| encoder.counts_per_turn) / TAU
 }
 
-/// What came of a lie.
+/// Outcome of an injected error.
 #[derive(Clone, Copy, Debug)]
 pub enum Outcome {
     /// The polarity check ended with this fault.
     Refused(FaultRecord),
-    /// The motors went off with this fault, so many seconds after it began or, where it was always so, after arming.
+    /// The motors went off with this fault; seconds from the start of the error or, if it was always there, from arming.
     Seen(FaultRecord, f64, Harm),
-    /// It was not seen.
+    /// The board did not notice.
     Missed(Harm),
 }
 
-/// What a hand met.
+/// Largest effects on a hand.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Harm {
     /// The largest mean over 2 ms of the motors' push at the tip, N.
@@ -154,21 +150,21 @@ pub struct Harm {
     pub speed: f64,
 }
 
-/// A real board in all but silicon that was told `file`, whose device and wires are as they are, homed.
-fn homed(file: &DeviceFile, lie: &Lie) -> (SharedBoard, Board, Description) {
+/// A strict board, homed, that was given `file` although its device and wires have the injected error.
+fn homed(file: &DeviceFile, error: &InjectedError) -> (SharedBoard, Board, Description) {
     homed_as(&file.name, &file.description, Options::default(), |wired, broken| {
-        if let When::Always(lie) = lie.when {
-            lie(wired, broken);
+        if let When::Always(error) = error.when {
+            error(wired, broken);
         }
     })
 }
 
-/// The same of any description and any lie.
+/// Like [`homed`], for any description and error.
 fn homed_as(
     name: &str,
     description: &Description,
     device: Options,
-    lie: impl FnOnce(&mut Description, &mut BoardFaults),
+    error: impl FnOnce(&mut Description, &mut BoardFaults),
 ) -> (SharedBoard, Board, Description) {
     let mut told = *description;
     let home = told.home.unwrap();
@@ -178,7 +174,7 @@ fn homed_as(
     }
     let mut wired = told;
     let mut options = BoardOptions { device, strict: true, support: Support::Held, ..BoardOptions::default() };
-    lie(&mut wired, &mut options.faults);
+    error(&mut wired, &mut options.faults);
     let mut simulated = SimulatedBoard::new(&wired, options).unwrap();
     simulated.load(name, &told, None).unwrap();
     let shared = SharedBoard::new(simulated);
@@ -189,7 +185,7 @@ fn homed_as(
     (shared, board, wired)
 }
 
-/// How the polarity check ends, and after every carrier period what there was `to_see`.
+/// Runs the polarity check; calls `to_see` after every carrier period.
 fn checked(
     shared: &SharedBoard,
     board: &mut Board,
@@ -213,33 +209,33 @@ fn checked(
     }
 }
 
-/// Whether the polarity check finds something wrong.
-pub fn refused(file: &DeviceFile, lie: &Lie) -> Result<(), FaultRecord> {
-    let (shared, mut board, _) = homed(file, lie);
+/// Returns the fault of the polarity check.
+pub fn refused(file: &DeviceFile, error: &InjectedError) -> Result<(), FaultRecord> {
+    let (shared, mut board, _) = homed(file, error);
     checked(&shared, &mut board, |_| ())
 }
 
-/// What a polarity check does until it ends.
+/// Largest effects of a polarity check.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Moved {
     /// The largest mean over 2 ms of the motors' push at the tip, N.
     pub push: f64,
-    /// How far it takes a joint from where that stood, rad.
+    /// Largest rotation of a joint from its start, rad.
     pub travel: f64,
 }
 
-/// How the polarity check ends, and what it does until then.
-pub fn moved(file: &DeviceFile, lie: &Lie) -> (Result<(), FaultRecord>, Moved) {
-    watched(homed(file, lie))
+/// Runs the polarity check and measures its effects.
+pub fn moved(file: &DeviceFile, error: &InjectedError) -> (Result<(), FaultRecord>, Moved) {
+    watched(homed(file, error))
 }
 
-/// The same of any description and any lie, simulated coarsely: two integration steps a carrier period.
+/// Like [`moved`], for any description and error, with only two integration steps per carrier period.
 pub fn moved_by(
     name: &str,
     description: &Description,
-    lie: impl FnOnce(&mut Description, &mut BoardFaults),
+    error: impl FnOnce(&mut Description, &mut BoardFaults),
 ) -> (Result<(), FaultRecord>, Moved) {
-    watched(homed_as(name, description, Options { substep: 25e-6, ..Options::default() }, lie))
+    watched(homed_as(name, description, Options { substep: 25e-6, ..Options::default() }, error))
 }
 
 fn watched((shared, mut board, wired): (SharedBoard, Board, Description)) -> (Result<(), FaultRecord>, Moved) {
@@ -254,9 +250,9 @@ fn watched((shared, mut board, wired): (SharedBoard, Board, Description)) -> (Re
     (ended, moved)
 }
 
-/// What comes of a lie where a hand presses against a wall of 1000 N/m at 1 kHz with 4 N and goes to and fro along it.
-pub fn outcome(file: &DeviceFile, lie: &Lie) -> Outcome {
-    let (shared, mut board, wired) = homed(file, lie);
+/// Runs an injected error while a hand presses a wall of 1000 N/m at 1 kHz with 4 N and moves to and fro along it.
+pub fn outcome(file: &DeviceFile, error: &InjectedError) -> Outcome {
+    let (shared, mut board, wired) = homed(file, error);
     if let Err(record) = checked(&shared, &mut board, |_| ()) {
         return Outcome::Refused(record);
     }
@@ -275,21 +271,9 @@ pub fn outcome(file: &DeviceFile, lie: &Lie) -> Outcome {
         gravity_compensation: wired.gravity != [0.0; 3],
         ..Scene::default()
     };
-    scene
-        .walls
-        .push(Wall {
-            surface: Surface::Plane(Plane {
-                point: at(-2e-3, 0.0).map(|along: f64| along as f32),
-                normal: normal.map(|along| along as f32),
-            }),
-            stiffness: 1_000.0,
-            damping: 1.0,
-            feed_forward: FeedForward::Washout,
-            washout_hz: 2.0,
-            damping_compensation: false,
-            bilateral: false,
-        })
-        .unwrap();
+    let single = |values: [f64; 3]| values.map(|along| along as f32);
+    let plane = plane_wall(single(at(-2e-3, 0.0)), single(normal), 1_000.0, 1.0);
+    scene.walls.push(Wall { feed_forward: FeedForward::Washout, ..plane }).unwrap();
     board.set_scene(&scene).unwrap();
     board.arm().unwrap();
     let mut board = shared.lock();
@@ -300,10 +284,10 @@ pub fn outcome(file: &DeviceFile, lie: &Lie) -> Outcome {
         value: at(-0.022, if nth % 2 == 0 { 8e-3 } else { -8e-3 }),
     }));
     board.device_mut().set_hand(Hand::new(HandSettings::default(), Intent::Follow(path), tip, now));
-    if let When::InContact(lie) = lie.when {
+    if let When::InContact(error) = error.when {
         board.run(1.25);
         assert_eq!(board.status().state, State::Armed, "{}: {:?}", file.name, board.status());
-        lie(&mut board, &wired);
+        error(&mut board, &wired);
     }
     let began = board.time();
     let (mut push, mut harm) = (Push::of(&wired, &board), Harm::default());
