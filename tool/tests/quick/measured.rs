@@ -73,7 +73,7 @@ fn a_check_with_ten_times_too_many_counts_in_the_file_stops_near_where_it_began(
 }
 
 #[test]
-fn with_a_home_off_by_0_2_rad_checks_push_at_most_1_4_times_the_limit() {
+fn with_a_home_off_by_0_2_rad_checks_push_at_most_1_2_limits() {
     let file = shipped("capstan-pantograph");
     let homed_off =
         |lie| moved(&file, &Lie { what: "the device stands elsewhere than at home", when: When::Always(lie) });
@@ -85,7 +85,7 @@ fn with_a_home_off_by_0_2_rad_checks_push_at_most_1_4_times_the_limit() {
     ];
     for (ended, moved) in pushed {
         // At 0.2 rad the linkage stretches and stands at its stop, where a torque makes the largest force.
-        assert!(moved.push > 1.0 && moved.push < 1.4 * f64::from(GENTLE_FORCE), "{ended:?}, {moved:?}");
+        assert!(moved.push > 1.0 && moved.push < 1.2 * f64::from(GENTLE_FORCE), "{ended:?}, {moved:?}");
     }
 }
 
