@@ -1,5 +1,5 @@
-//! Limits act at every crest of the carrier, at every control rate, whatever the step is asked for and whatever filters
-//! the scene has.
+//! Limits act at every crest of the carrier, at every control rate, for any commanded torques and any filters of the
+//! scene.
 
 use crate::rig::{self, RATE, RATES, Rig, five_bar, hardware, limits, paddle, quiet, rules, scene, wall};
 use haptic_bridge::control::frame::Samples;
@@ -15,7 +15,7 @@ use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::safety::limits::Limits;
 
 #[test]
-fn limits_hold_whatever_the_step_is_asked_for() {
+fn limits_hold_for_any_commanded_torque() {
     let mut rig = Rig::ready(&scene(1, &[wall(-0.005, 1.0e9)]));
     rig.arm();
     let bound = limits().torque[0] * 1.000_01;
@@ -26,7 +26,7 @@ fn limits_hold_whatever_the_step_is_asked_for() {
     }
 }
 
-/// An armed paddle at a control rate.
+/// Creates an armed paddle at a control rate.
 fn armed_at(rate: f32) -> Rig {
     let mut scene = quiet();
     (scene.rate_hz, scene.cutoff_hz) = (rate, 0.2 * rate);
@@ -35,8 +35,8 @@ fn armed_at(rate: f32) -> Rig {
     rig
 }
 
-/// Turns joint 0 at `speed` (rad/s), one carrier period after another, until the bridges float or `most` periods are
-/// over; the periods that took.
+/// Turns joint 0 at `speed` (rad/s) until the bridges float, for at most `most` carrier periods. Returns the number of
+/// periods until they float.
 fn crests_until_off(rig: &mut Rig, speed: f64, most: u32, shown: [f32; 3]) -> Option<u32> {
     let start = rig.samples.counts[0];
     (1..=most).find(|nth| {
@@ -61,12 +61,12 @@ fn a_current_above_its_limit_is_seen_at_the_next_crest_at_every_rate() {
 #[test]
 fn speed_and_joint_limits_act_within_a_control_period_at_every_rate() {
     for rate in RATES {
-        // Twice the 20 rad/s allowed: a first-order filter of 200 Hz is there after ln 2 of its 0.8 ms, 11 periods.
+        // 40 rad/s is twice the limit: a first-order filter of 200 Hz takes ln 2 of its 0.8 ms, 11 periods.
         let mut rig = armed_at(rate);
         let seen = crests_until_off(&mut rig, 40.0, 100, [0.0; 3]);
         assert!(seen.is_some_and(|seen| (10..=14).contains(&seen)), "{rate} Hz: {seen:?}");
         assert_eq!(rig.fault(), Some(Fault::SpeedLimit));
-        // 19 rad/s are allowed; the limit of 1 rad is 1053 periods away.
+        // 19 rad/s is within the limit; the joint limit of 1 rad is 1053 periods away.
         let mut rig = armed_at(rate);
         let seen = crests_until_off(&mut rig, 19.0, 2_000, [0.0; 3]);
         assert!(seen.is_some_and(|seen| (1_052..=1_056).contains(&seen)), "{rate} Hz: {seen:?}");
@@ -75,7 +75,7 @@ fn speed_and_joint_limits_act_within_a_control_period_at_every_rate() {
 }
 
 #[test]
-fn no_scene_filter_slows_or_blinds_the_speed_limit() {
+fn no_scene_filter_delays_or_disables_the_speed_limit() {
     for (kind, cutoff) in
         [(Estimator::Butterworth, 1.0e-6), (Estimator::FirstOrder, 1.0), (Estimator::Butterworth, 900.0)]
     {
@@ -90,8 +90,9 @@ fn no_scene_filter_slows_or_blinds_the_speed_limit() {
 }
 
 #[test]
-fn a_coarse_encoder_is_given_a_few_counts_before_it_is_called_fast() {
-    // 400 counts a turn: one count in a carrier period is 314 rad/s. At 15 rad/s of 20 allowed one comes every 1 ms.
+fn a_coarse_encoder_moves_a_few_counts_before_a_speed_limit() {
+    // 400 counts a turn: one count in a carrier period is 314 rad/s. At 15 rad/s, below the limit of 20, a count takes
+    // 1 ms.
     let mut coarse = paddle();
     coarse.joints[0].encoder.as_mut().unwrap().counts_per_turn = 400.0;
     let run = |speed: f64| {
@@ -111,7 +112,7 @@ fn a_coarse_encoder_is_given_a_few_counts_before_it_is_called_fast() {
 }
 
 #[test]
-fn a_joint_limit_holds_however_far_away_the_other_one_is() {
+fn a_joint_limit_holds_at_any_distance_of_the_other_limit() {
     for low in [-1.0, -5.0e4, -1.0e6, -1.0e30, f64::NEG_INFINITY] {
         let mut device = paddle();
         device.joints[0].limits = Some((low, 0.1));
@@ -123,7 +124,7 @@ fn a_joint_limit_holds_however_far_away_the_other_one_is() {
 }
 
 #[test]
-fn clearing_over_and_over_does_not_lift_a_limit() {
+fn repeated_clearing_does_not_lift_a_limit() {
     let mut rig = Rig::ready(&scene(1, &[wall(0.09, 100_000.0)]));
     rig.turn(0, 0.95, 5.0);
     rig.settle();
@@ -140,8 +141,8 @@ fn clearing_over_and_over_does_not_lift_a_limit() {
 }
 
 #[test]
-fn power_is_what_the_motors_give_not_what_the_scene_asks_for() {
-    // The wall asks for a thousand times the torque limit; at 3 rad/s the motor gives 0.9 W of the 2 W allowed.
+fn the_power_limit_counts_the_motors_power_not_the_scenes() {
+    // The wall requests a thousand times the torque limit; at 3 rad/s the motor's power is 0.9 W of the 2 W allowed.
     let mut rig = Rig::ready(&scene(1, &[wall(0.09, 100_000.0)]));
     rig.turn(0, 0.95, 5.0);
     rig.settle();
@@ -151,10 +152,10 @@ fn power_is_what_the_motors_give_not_what_the_scene_asks_for() {
     assert_eq!((rig.state(), rig.fault()), (State::Armed, None));
 }
 
-/// Cranks on capstans with 706 counts per turn, towards their stretched pose, where each count makes the same torques worth
-/// up to an eighth more. The tip presses a wall beside it beyond the limit meanwhile.
+/// Cranks on capstans with 706 counts per turn move towards their stretched pose, where each count raises the tip force
+/// of the same torques by up to an eighth, while the tip presses into a wall beyond the limit.
 #[test]
-fn a_count_of_a_coarse_encoder_neither_trips_the_force_limit_nor_lets_more_flow() {
+fn a_coarse_count_neither_trips_nor_exceeds_the_force_limit() {
     const PER_TURN: f64 = 705.882;
     let mut coarse = five_bar();
     coarse.geometry = [0.025, 0.063, 0.063, 0.075, 0.075, 1.0];
@@ -176,7 +177,7 @@ fn a_count_of_a_coarse_encoder_neither_trips_the_force_limit_nor_lets_more_flow(
     let mut most = 0.0_f32;
     for moved in 1..=12 {
         let (before, now) = (rig.samples.counts, Counts([home[0] + moved + 1, home[1] - moved, 0]));
-        // The edge where the counts change, up to which what was commanded flows.
+        // The pose where the counts change; until there the commanded torques flow.
         let edge = core::array::from_fn(|i| {
             let counts = 0.5 * f64::from(before[i] + now[i] - 2 * home[i]);
             (stands_at[i] + counts / PER_TURN * core::f64::consts::TAU) as f32
@@ -191,13 +192,13 @@ fn a_count_of_a_coarse_encoder_neither_trips_the_force_limit_nor_lets_more_flow(
 }
 
 #[test]
-fn currents_that_alternate_push_as_hard_as_those_that_do_not() {
+fn the_force_limit_counts_alternating_currents_in_full() {
     let mut scene = quiet();
     (scene.rate_hz, scene.cutoff_hz) = (20_000.0, 200.0);
     let gentle = Rules { limits: Limits { tip_force: 0.1, ..limits() }, ..rules() };
     let mut rig = Rig::with(&paddle(), &scene, hardware(), gentle);
     rig.arm();
-    // 0.2 N to and fro, a sample in 50 µs, for 5 ms.
+    // A force of 0.2 N that alternates, with a sample every 50 µs, for 5 ms.
     for nth in 0..100 {
         rig.shown_current = Some(if nth / 2 % 2 == 0 { 0.2 } else { -0.2 });
         rig.step();

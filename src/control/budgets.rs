@@ -1,6 +1,6 @@
-//! The checks at the carrier's valley, right after the drives of the crest before it: the force at the tip that the
-//! measured currents make; each motor against its device file; and, of one joint at a time in turn, harm that builds up
-//! over many carrier periods (heat, stalls, lost encoders) and takes milliseconds at least.
+//! The checks at the carrier's valley, right after the drives of the crest before it: the tip force of the measured
+//! currents; each motor against its device file; and, one joint in turn, harm that builds up over many carrier periods
+//! (heat, stalls, lost encoders) and takes milliseconds at least.
 
 use super::ControlLoop;
 use crate::control::frame::{Outputs, Samples};
@@ -15,28 +15,28 @@ use crate::safety::limits::VOLTS_MARGIN;
 use crate::safety::refusal::Refusal;
 use core::ops::DerefMut;
 
-/// Longest time that torque near its limit is believed without any encoder motion, s.
+/// Longest time of torque near its limit without encoder motion, s.
 pub const STALL_SECONDS: f32 = 5.0;
-/// Longest time that an encoder may stand still while the back-EMF says the joint turns, s.
+/// Longest time that an encoder may stand still while the back-EMF shows a turning joint, s.
 pub const LOSS_SECONDS: f32 = 0.05;
 
 /// The sums kept for one joint.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Sums {
-    /// Its encoder's count at its last turn.
+    /// Encoder count at the joint's last turn.
     count: i32,
-    /// Squares of its motor's current since then, A².
+    /// Sum of the squared motor current since then, A².
     squares: f32,
-    /// Time without a count in spite of torque, s, and torque that moves a joint unless it is blocked, N m.
+    /// Time without a count in spite of torque, s, and the torque that moves any joint that is not blocked, N m.
     still: f32,
     stall: f32,
-    /// Time without a count in spite of back-EMF, s, and a speed that cannot go without any, rad/s.
+    /// Time without a count in spite of back-EMF, s, and the lowest speed at which counts must change, rad/s.
     lost: f32,
     suspicious: f32,
 }
 
 impl Sums {
-    /// Forgets what was summed up while the motors were on the last time; what heated them stays.
+    /// Clears the times of the last time that the motors were on; the heat stays.
     pub(super) fn reset(&mut self) {
         (self.still, self.lost) = (0.0, 0.0);
     }
@@ -48,26 +48,27 @@ impl Sums {
     }
 }
 
-/// Averaging time of the force that is held to the limit, s: a few carrier periods far above it trip.
+/// Averaging time of the force that is compared with the limit, s: a few carrier periods far above the limit trip.
 const FLOW_SECONDS: f32 = 5.0e-4;
-/// How many times slower the force that the volts tell is averaged: where the currents tell as much, that is the fault.
-const TOLD_SLOWER: f32 = 4.0;
-/// By how much measured currents may push more than what may be asked for: the current loop's overshoot.
+/// Ratio by which the force that the voltages show is averaged for longer: where the currents show it too, ForceLimit
+/// is first.
+const SHOWN_SLOWER: f32 = 4.0;
+/// Ratio by which measured currents may exceed the largest commanded force: the current loop's overshoot.
 const FLOW_MARGIN: f32 = 1.05;
-/// Largest share of the limit that the sensors' error may hide: near a singular pose a torque too small to be measured is
-/// a large force.
+/// Largest share of the limit that the sensors' error may hide: near a singular pose a torque too small to be measured
+/// is a large force.
 const HIDDEN_SHARE: f32 = 0.05;
 /// Known error of a current sensor's mean over that time, A: its zero and its noise.
 const SENSOR_ERROR: f32 = 0.05;
-/// Share of the limit that what the sensors show of bridges that are off may be worth.
+/// Share of the limit that the sensors' readings may be worth while the bridges are off.
 const STRAY_SHARE: f32 = 0.5;
-/// Time that currents and that mean take to follow a limit that was lowered, s.
+/// Time in which currents and their mean force follow a lowered limit, s.
 const SETTLING_SECONDS: f32 = 5.0e-3;
 /// Rate at which the forces at the tip for joint torques are recomputed, Hz: a tip at 1 m/s moves by half a millimetre
 /// meanwhile.
 const LEVERAGE_HZ: f32 = 2.0e3;
 
-/// By what share leverage may change at once before less is asked for: what the limit of what flows leaves to it.
+/// Share by which leverage may change at once before the commanded force is reduced: the margin of the flow's limit.
 const CHANGE_FREE: f32 = 0.02;
 /// Share of the largest recent change that is kept at the next recomputation.
 const CHANGE_KEPT: f32 = 0.75;
@@ -78,39 +79,38 @@ pub(super) struct Flow {
     /// Means of the torques that the sensors show while no bridge drives, N m, and the gain of a sample.
     torque: Torques,
     gain: f32,
-    /// Mean of the force (N) that the measured currents make beyond the device's weight, and the most that it may be.
+    /// Mean force (N) of the measured currents beyond the device's weight, and its limit.
     force: f32,
     most: f32,
-    /// Mean of the force (N) that the motors' volts tell while one of them is looked at, and for how many valleys since
-    /// leverage was recomputed.
-    told: f32,
-    looked: u32,
-    /// Share by which leverage changed at once recently: with a count of a coarse encoder, where links are nearly in line, by
-    /// a tenth, and the joint was half of that nearer all along.
+    /// Mean force (N) that the motors' voltages show while one of them is inspected, and the number of such valleys
+    /// since leverage was recomputed.
+    shown: f32,
+    inspected: u32,
+    /// Share by which leverage recently changed at once. Where links are nearly in line, a count of a coarse encoder
+    /// changes it by a tenth, and the joint was up to half a count nearer before.
     change: f32,
     /// Valleys until leverage is recomputed, and the number between two recomputations.
     until_weighed: u32,
     every: u32,
-    /// The leverage that the last valley worked out and the next one puts in force: a control interrupt has no time for both
-    /// at once.
+    /// Leverage that the last valley computed and the next one applies: a control interrupt has no time for both.
     next: Option<Leverage>,
-    /// For how long what was allowed before a limit was lowered may still flow, s.
+    /// Time for which the force allowed before a limit was lowered may still flow, s.
     settling: f32,
 }
 
 impl Flow {
-    /// Forgets what flowed while the motors were on the last time.
+    /// Clears the state of the last time that the motors were on.
     pub(super) fn reset(&mut self) {
         *self = Self { gain: self.gain, every: self.every, ..Self::default() };
     }
 
-    /// The limit was lowered: it acts on what is asked for at the next step, after `period` (s) at most, and the
-    /// currents and their means follow.
+    /// Allows for a lowered limit, which acts on the commands of the next step, after at most `period` (s); the
+    /// currents and their mean force follow.
     pub(super) fn settle(&mut self, period: f32) {
         self.settling = period + SETTLING_SECONDS;
     }
 
-    /// Takes the carrier's period, s.
+    /// Sets the carrier period, s.
     pub(super) fn set_period(&mut self, period: f32) {
         self.gain = (period / FLOW_SECONDS).min(1.0);
         self.every = (1.0 / (period * LEVERAGE_HZ)) as u32;
@@ -123,7 +123,7 @@ where
     K: Math<f32>,
     S: Stage,
 {
-    /// Sums up what the crest before showed (`seen`), and says whether the bridges may go on driving. Call at every
+    /// Sums up the samples of the crest before (`seen`), and returns the outputs that may go on driving. Call at every
     /// valley, after [`ControlLoop::duties`].
     pub fn check_slow_faults(&mut self, seen: &Samples) -> Outputs {
         let seen = &self.known(seen);
@@ -133,8 +133,8 @@ where
         self.outputs()
     }
 
-    /// [`ControlLoop::check_slow_faults`], where the drives since the last valley were `supplied` with so many volts, if there were any, and
-    /// all that is seen is `sensed` or not.
+    /// [`ControlLoop::check_slow_faults`] with the bus voltage (V) that `supplied` the drives since the last valley,
+    /// `None` without drives. `sensed`: currents and bus voltage are measured.
     #[inline(always)]
     pub(super) fn check_slow_faults_of(&mut self, seen: &Samples, supplied: Option<f32>, sensed: bool) {
         let active = self.state.drives();
@@ -152,7 +152,7 @@ where
                 },
             }
         } else {
-            self.drift(seen, sensed);
+            self.average_readings(seen, sensed);
         }
         let joints = self.count();
         let i = if self.turn < joints { self.turn } else { 0 };
@@ -165,16 +165,16 @@ where
         }
     }
 
-    /// Averages the sensors' readings while no bridge drives.
-    fn drift(&mut self, seen: &Samples, sensed: bool) {
+    /// Averages the sensors' readings while the bridges are off.
+    fn average_readings(&mut self, seen: &Samples, sensed: bool) {
         for ((joint, current), mean) in self.joints.iter().zip(seen.currents.iter()).zip(self.flow.torque.iter_mut()) {
             let shown = if sensed { joint.stage.torque_of(*current) } else { 0.0 };
             *mean += self.flow.gain * (shown - *mean);
         }
     }
 
-    /// Checks the readings while no bridge drives. Such a current flows through a broken bridge, or is the sensors'
-    /// error, which no limit on measured currents can hold: as a force at the tip it must be less than half of the
+    /// Checks the readings while the bridges are off. Such a current flows through a broken bridge, or is an error of
+    /// the sensors, which no limit of measured currents bounds: its force at the tip must be less than half of the
     /// limit.
     pub(super) fn find_stray(&mut self) -> Result<(), Refusal> {
         if let Some(leverage) = self.leverage_at(&{ self.now.counts }) {
@@ -192,7 +192,7 @@ where
         Err(Refusal::Faulted(Fault::StrayCurrent))
     }
 
-    /// Holds what the drives of J joints have left to what a sound motor leaves.
+    /// Checks the currents and voltages of J joints against their motors' models, and the tip force against its limit.
     #[inline(always)]
     fn doubt<const J: usize>(&mut self, seen: &Samples, supplied: Option<f32>) {
         let mut least = 0;
@@ -207,7 +207,7 @@ where
                 least |= margin_bits(strain, doubt);
             }
         }
-        // The mean of its size: what alternates within a millisecond is felt, too.
+        // The mean of the magnitude, because a force that alternates within a millisecond acts on a hand, too.
         let force = sqrt(squared(&self.leverage.force::<J>(&acting)));
         self.flow.force += self.flow.gain * (force - self.flow.force);
         least |= margin_bits(self.flow.force, self.flow.most);
@@ -216,25 +216,25 @@ where
         }
     }
 
-    /// The part of the commanded torques that holds the device against gravity, N m.
+    /// Returns the part of the commanded torques that holds the device against gravity, N m.
     #[inline(always)]
     fn held(&self) -> Torques {
         match self.state {
-            // The torque that carries the weight may fade in a scene that carries no weight.
+            // The torque that carried the weight may still fade in a scene without gravity compensation.
             State::Armed if self.was_cut() => self.cut.gravity,
             State::Armed if self.weighs => Torques(self.now.found.asked.gravity),
             _ => Torques::default(),
         }
     }
 
-    /// What torques are worth at the tip where these counts are.
+    /// Returns the leverage at these counts.
     #[inline(never)]
     fn leverage_at(&self, counts: &Counts) -> Option<Leverage> {
         let program = self.program.as_ref()?;
         Some(program.mechanism.leverage::<K>(&core::array::from_fn(|i| self.angle(i, counts[i]))))
     }
 
-    /// Holds forces at the tip by this leverage from now on.
+    /// Applies this leverage to the limits of the tip force.
     #[inline(never)]
     fn weigh_by(&mut self, leverage: &Leverage) {
         let change = leverage.relative_change_from(&self.leverage).min(1.0);
@@ -245,23 +245,23 @@ where
         self.allow();
     }
 
-    /// Works out what may flow at this leverage, and what may be asked for: what is still within the limit once leverage has
-    /// changed as it did recently.
+    /// Computes the largest force that may flow at this leverage and the largest commanded force, which stays within
+    /// the limit if leverage changes as it did recently.
     pub(super) fn allow(&mut self) {
         let (count, limit) = (self.count(), self.rules.limits.tip_force);
         let (mut error, free) = (0.0, (VOLTS_MARGIN - FLOW_MARGIN) * limit / count.max(1) as f32);
         for (i, joint) in self.joints.iter_mut().enumerate().take(count) {
             let leverage = self.leverage.force_bound(i);
             error += leverage * joint.stage.torque_of(SENSOR_ERROR).abs();
-            // Smaller torques of all motors add up to no more than the bound on the force that the voltages show.
+            // Smaller torques of all motors add up to at most the bound of the force that the voltages show.
             joint.stage.inspect_above(free / leverage);
         }
         self.set_max_tip_force(limit / (1.0 + (self.flow.change - CHANGE_FREE).max(0.0)));
         let most = FLOW_MARGIN * limit + error.min(HIDDEN_SHARE * limit);
         let flow = &mut self.flow;
         flow.until_weighed = flow.every;
-        if core::mem::take(&mut flow.looked) == 0 {
-            flow.told = 0.0;
+        if core::mem::take(&mut flow.inspected) == 0 {
+            flow.shown = 0.0;
         }
         if flow.settling > 0.0 {
             flow.settling -= (flow.every + 1) as f32 * self.crests.period;
@@ -271,7 +271,7 @@ where
         }
     }
 
-    /// Something may not be as the device file says: finds out which motor is not, if any, and turns the motors off.
+    /// Finds the motor that differs from the device file, if any, and turns the motors off.
     #[cold]
     #[inline(never)]
     fn find_strained(&mut self, held: &Torques) {
@@ -281,13 +281,13 @@ where
             self.trip(Fault::ForceLimit, None, flowing);
             return;
         }
-        let told =
+        let shown =
             Torques::from_fn(|i| self.joints[i].stage.torque_of(self.joints[i].stage.current_from_voltage()) - held[i]);
-        let force = sqrt(self.leverage.force_squared(&told));
+        let force = sqrt(self.leverage.force_squared(&shown));
         let flow = &mut self.flow;
-        flow.told += flow.gain / TOLD_SLOWER * (force - flow.told);
-        flow.looked += 1;
-        let hard = margin_bits(flow.told, VOLTS_MARGIN / (FLOW_MARGIN + HIDDEN_SHARE) * flow.most) < 0;
+        flow.shown += flow.gain / SHOWN_SLOWER * (force - flow.shown);
+        flow.inspected += 1;
+        let hard = margin_bits(flow.shown, VOLTS_MARGIN / (FLOW_MARGIN + HIDDEN_SHARE) * flow.most) < 0;
         let strained = self.joints.iter().enumerate().take(joints).filter_map(|(i, joint)| {
             let (strain, doubt, most) = joint.stage.strain();
             let bound = if hard { doubt } else { most };
@@ -296,7 +296,7 @@ where
         let Some((i, joint, strain)) = strained.max_by(|one, other| one.2.abs().total_cmp(&other.2.abs())) else {
             return;
         };
-        // A current as it should be and a voltage that only motion explains: the encoder is what stands still.
+        // If the current is as expected and only motion explains the voltage, the encoder is dead.
         let (fault, value) = if joint.stage.has_expected_current() && joint.stands_still() {
             (Fault::EncoderLoss, joint.stage.turning(strain))
         } else {
@@ -305,7 +305,8 @@ where
         self.trip(fault, Some(i as u8), value);
     }
 
-    /// Sums up for joint `i`, whose turn it is; what of it is spent, and its number.
+    /// Sums up the heat and times of joint `i`, whose turn it is. Returns the fault if a budget is spent, with its
+    /// value.
     #[inline(always)]
     fn spent(&mut self, i: usize, seen: &Samples, sensed: bool, active: bool) -> Option<(Fault, f32)> {
         let period = self.crests.period;
@@ -313,12 +314,12 @@ where
         let (joint, motor) = (self.joints.get_mut(i)?, self.heat.get_mut(i)?);
         let (motors, sums) = (&self.now.motors, &mut joint.sums);
         let (count, current) = (seen.counts[i], seen.currents[i]);
-        let mut found = None;
+        let mut spent = None;
         let moved = core::mem::replace(&mut sums.count, count) != count;
         let heat = limited(core::mem::take(&mut sums.squares) * period, f32::MAX);
-        // The motor model goes on while the motors are off: that is when they cool.
+        // The heat is updated while the motors are off, too, because then they cool.
         if motor.warm(heat, elapsed) {
-            found = Some((Fault::ThermalBudget, current));
+            spent = Some((Fault::ThermalBudget, current));
         }
         if moved {
             sums.reset();
@@ -326,18 +327,18 @@ where
             if motors.torque[i].abs() > sums.stall {
                 sums.still += elapsed;
                 if sums.still > STALL_SECONDS {
-                    found = Some((Fault::EncoderStall, sums.still));
+                    spent = Some((Fault::EncoderStall, sums.still));
                 }
             }
-            // Voltage across the motor less R i is its back-EMF: when that says several rad/s, counts must move.
+            // The motor's voltage less R i is its back-EMF: if that shows several rad/s, counts must change.
             if sensed {
                 let turning = joint.stage.least_speed(motors.duty[i], seen.bus_voltage, current);
                 sums.lost = if turning.abs() > sums.suspicious { sums.lost + elapsed } else { 0.0 };
                 if sums.lost > LOSS_SECONDS {
-                    found = Some((Fault::EncoderLoss, turning));
+                    spent = Some((Fault::EncoderLoss, turning));
                 }
             }
         }
-        found
+        spent
     }
 }

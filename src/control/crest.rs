@@ -1,9 +1,8 @@
-//! A crest of the carrier: what it can show and must turn the motors off, whatever the control rate; and, on the board,
-//! all that a crest takes in one pass (`ControlLoop::crest_of`).
+//! The checks at a crest of the carrier, which turn the motors off at any control rate; and, on the board, the whole
+//! work of a crest in one pass (`ControlLoop::crest_of`).
 //!
-//! Speed and power are made here from encoder counts, by a filter that no scene, gain or rate has a say in. What a sample
-//! is held to are a few comparisons of bit patterns whose signs are gathered; what is wrong is found out only when
-//! something is.
+//! Speed and power come from encoder counts through a filter that no scene, gain or rate changes. A sample is checked
+//! by a few comparisons of bit patterns whose signs are combined; the fault is identified only if one of them fails.
 
 use super::ControlLoop;
 use super::budgets::Sums;
@@ -17,11 +16,11 @@ use crate::safety::fault::Fault;
 use crate::safety::limits::POWER_SECONDS;
 use core::ops::DerefMut;
 
-/// Cutoff of the first-order filter behind speed and power limits, Hz: twice the speed limit is seen after 0.6 ms.
+/// Cutoff of the first-order filter for speed and power limits, Hz: twice the speed limit is seen after 0.6 ms.
 pub const SPEED_HZ: f32 = 200.0;
-/// No limit makes that filter slower than this, Hz.
+/// Lowest cutoff of that filter, Hz.
 const SLOWEST_HZ: f32 = 5.0;
-/// Largest share of the speed limit that a single count may look like: a coarse encoder is filtered for longer, until
+/// Largest share of the speed limit that a single count may appear as: a coarse encoder is filtered for longer, until
 /// the joint has moved by a few counts.
 const COUNT_SHARE: f32 = 0.25;
 
@@ -32,11 +31,10 @@ const KICK_SHARE: f32 = 1.0 / 32.0;
 /// and amperes (zeros, noise).
 const IMBALANCE_SHARE: f32 = 0.15;
 const IMBALANCE_FLOOR: f32 = 0.5;
-/// Speed below which an encoder stands still, counts in a carrier period: one count in 1000 periods.
+/// Speed below which an encoder counts as still, counts in a carrier period: one count in 1000 periods.
 const STANDSTILL: f32 = 1.0e-3;
 
-/// One joint and its motor in the order in which a crest needs them: contiguous, so that one address reaches every
-/// field.
+/// A joint and its motor in the order in which a crest needs them: contiguous, so that one address reaches every field.
 #[derive(Clone, Copy, Debug, Default)]
 #[repr(C)]
 pub(super) struct Joint<S> {
@@ -57,28 +55,28 @@ pub(super) struct Joint<S> {
 #[derive(Clone, Copy, Debug, Default)]
 #[repr(C)]
 struct Bounds {
-    /// Most counts that it can move in a carrier period.
+    /// Largest motion in a carrier period, counts.
     jump: i32,
     /// Gain of the speed filter.
     gain: f32,
     /// Gain of the filter for back-EMF.
     steady_gain: f32,
-    /// Counts in a carrier period.
+    /// Speed limit, counts in a carrier period.
     speed: f32,
     /// Speed of a count in a carrier period, rad/s, with its sign.
     radians: f32,
-    /// First and last count of its range, where it has one.
+    /// First and last count of the range, if it is `limited`.
     first: i32,
     last: i32,
     limited: bool,
-    /// Measured current that is not the loop's overshoot any more, A.
+    /// Measured current above any overshoot of the current loop, A.
     current: f32,
     /// Largest difference of two current sensors, A.
     imbalance: f32,
 }
 
 impl Bounds {
-    /// Negative outside the joint's range.
+    /// Returns a negative number outside the joint's range.
     #[inline(always)]
     fn range_margin(&self, count: i32) -> i32 {
         count.wrapping_sub(self.first) | self.last.wrapping_sub(count)
@@ -86,7 +84,7 @@ impl Bounds {
 }
 
 impl<S: Stage> Joint<S> {
-    /// Takes the count of a crest. Negative if it jumped.
+    /// Takes the count of a crest. Returns a negative number if it jumped.
     #[inline(always)]
     fn turn(&mut self, count: i32) -> i32 {
         let moved = count.wrapping_sub(self.count);
@@ -96,7 +94,7 @@ impl<S: Stage> Joint<S> {
         margin_counts(moved, self.bounds.jump)
     }
 
-    /// Negative if speed or current is beyond its bound.
+    /// Returns a negative number if speed or current is beyond its bound.
     #[inline(always)]
     fn margin(&self, current: f32, imbalance: f32) -> i32 {
         margin_bits(self.speed, self.bounds.speed)
@@ -104,29 +102,29 @@ impl<S: Stage> Joint<S> {
             | margin_bits(imbalance, self.bounds.imbalance)
     }
 
-    /// Negative where a count is outside its range, if it has one.
+    /// Returns a negative number if the joint has a range and the count is outside.
     fn range_margin(&self, count: i32) -> i32 {
         if self.bounds.limited { self.bounds.range_margin(count) } else { 0 }
     }
 
-    /// Returns true if it has a range.
+    /// Returns true if the joint has a range.
     pub(super) fn is_limited(&self) -> bool {
         self.bounds.limited
     }
 
-    /// Its speed, rad/s.
+    /// Returns the speed, rad/s.
     #[inline(always)]
     pub(super) fn speed(&self) -> f32 {
         self.speed * self.bounds.radians
     }
 
-    /// Speed for the back-EMF's feed-forward, rad/s.
+    /// Returns the speed for the back-EMF's feed-forward, rad/s.
     #[inline(always)]
     pub(super) fn steady_speed(&self) -> f32 {
         self.steady * self.bounds.radians
     }
 
-    /// Updates its motor's model from the last drive and this bus voltage (V), and returns [`Stage::strain`].
+    /// Updates the motor's model from the last drive and this bus voltage (V), and returns [`Stage::strain`].
     #[inline(always)]
     pub(super) fn settle(&mut self, bus_voltage: f32) -> (f32, f32, f32) {
         let (speed, raw) = (self.speed(), self.raw * self.bounds.radians);
@@ -134,7 +132,7 @@ impl<S: Stage> Joint<S> {
         self.stage.strain()
     }
 
-    /// Returns true if its encoder stands still.
+    /// Returns true if the encoder stands still.
     pub(super) fn stands_still(&self) -> bool {
         self.speed.abs() < STANDSTILL
     }
@@ -145,9 +143,9 @@ impl<S: Stage> Joint<S> {
 enum Unusual {
     /// The samples of the crest are beyond a bound.
     Crest,
-    /// Its step, which has begun, found something that must be looked at.
+    /// The step has begun and found something that must be checked.
     Step,
-    /// Neither: the scene is not in force, or the limits cut its torques, now or in the step before.
+    /// The scene is not in force, or the limits cut its torques, now or in the step before.
     Torques,
 }
 
@@ -158,16 +156,16 @@ pub(super) struct Crests {
     primed: bool,
     /// Bus voltage, V.
     bus: (f32, f32),
-    /// Mean power into the hand, W, and the most that it may be.
+    /// Mean power into the hand and its limit, W.
     power: f32,
     most_power: f32,
     power_gain: f32,
-    /// s
+    /// Carrier period, s.
     pub(super) period: f32,
 }
 
 impl Crests {
-    /// Forgets what was summed up while the motors were on the last time; what heated them stays.
+    /// Clears the mean of the last time that the motors were on.
     pub(super) fn reset(&mut self) {
         self.power = 0.0;
     }
@@ -186,7 +184,7 @@ where
     K: Math<f32>,
     S: Stage,
 {
-    /// Makes ready what all joints together are held to: after anything it depends on has changed.
+    /// Sets the bounds of all joints together, after anything that they depend on has changed.
     pub(super) fn set_crest_bounds(&mut self) {
         let Some(program) = self.program.as_ref() else { return };
         let limits = &self.rules.limits;
@@ -202,7 +200,7 @@ where
         };
     }
 
-    /// Makes the joints' ranges ready: after device or homing has changed.
+    /// Sets the joints' ranges after device or homing has changed.
     pub(super) fn set_ranges(&mut self) {
         let Some(program) = self.program.as_ref() else { return };
         let zero = program.controller.zero();
@@ -213,7 +211,7 @@ where
         }
     }
 
-    /// Makes ready what joint `i` is held to beside its range.
+    /// Sets the bounds of joint `i` other than its range.
     pub(super) fn set_crest_bounds_of(&mut self, i: usize) {
         let (Some(program), Some(joint)) = (self.program.as_ref(), self.joints.get_mut(i)) else { return };
         let period = self.crests.period;
@@ -223,29 +221,29 @@ where
         let max_current = joint.stage.max_current();
         let gain = (core::f32::consts::TAU * SPEED_HZ * period)
             .min((COUNT_SHARE * speed).max(core::f32::consts::TAU * SLOWEST_HZ * period));
-        // The torque that a count would push with, were its back-EMF fed forward for a whole carrier period.
+        // Torque of one count if its back-EMF were fed forward for a complete carrier period.
         let kick = joint.stage.torque_of(joint.stage.back_emf_current(size / period)).abs();
         joint.bounds = Bounds {
-            // Five times the speed limit is no motion any more, and more than noise of a count no noise.
+            // A motion is slower than five times the speed limit, and noise is less than four counts.
             jump: ((5.0 * speed) as i32).max(4),
             gain,
-            // The current loop takes out the part of it that a slower filter leaves.
+            // The current loop removes the back-EMF that a slower filter leaves.
             steady_gain: gain.min(KICK_SHARE * self.max_joint_torque[i] / kick),
             speed,
             radians: scale * program.carrier_hz,
-            // The loop may overshoot a little; half again as much as the limit is not the loop.
+            // The loop overshoots by less than half of the limit.
             current: 1.5 * max_current + 1.0,
             imbalance: IMBALANCE_SHARE * max_current + IMBALANCE_FLOOR,
             ..joint.bounds
         };
     }
 
-    /// A crest in one pass, of a device with J joints on a board that senses currents and bus voltage, where a control step
-    /// is due, in time or late: all that it shows is held to its bounds; what [`ControlLoop::render`] found becomes what
-    /// the motors are asked for; and what their legs do next is put `into` `legs`. False where the motors are off now.
+    /// Runs a crest in one pass, for a device with J joints on a board that senses currents and bus voltage, where a
+    /// control step is due, in time or late: checks the samples, commands the torques that [`ControlLoop::render`]
+    /// computed, and writes the next drives `into` `legs`. Returns false if the motors are off now.
     ///
-    /// For where [`ControlLoop::usual`] says so. It is [`ControlLoop::crest_generally`], number for number, and where something turns out
-    /// to be unusual after all, that takes over from there.
+    /// Call it if [`ControlLoop::usual`] allows it. It computes the same numbers as [`ControlLoop::crest_generally`],
+    /// which takes over if something turns out to be unusual.
     #[inline(always)]
     pub(super) fn crest_of<const J: usize, L>(
         &mut self,
@@ -274,7 +272,7 @@ where
         self.drive_all::<J, L>(&supply, false, samples, into, legs)
     }
 
-    /// The rest of a crest in which something is unusual.
+    /// Finishes a crest in which something is unusual.
     #[cold]
     #[inline(never)]
     fn go_on<const J: usize, L>(
@@ -302,7 +300,7 @@ where
         self.drive(seen.bus_voltage, samples, seen.late, into, legs)
     }
 
-    /// [`ControlLoop::drive_all`] where the step was not usual, or its duties are late.
+    /// [`ControlLoop::drive_all`] after an unusual step or for late duties.
     #[inline(never)]
     fn drive_unusually<const J: usize, L>(
         &mut self,
@@ -337,7 +335,7 @@ where
         true
     }
 
-    /// The same from joint `from` on, of which at least that one takes more.
+    /// Drives the legs from joint `from` on; at least that joint needs the slower path.
     #[cold]
     #[inline(never)]
     fn drive_rest<L>(
@@ -358,7 +356,7 @@ where
         true
     }
 
-    /// Returns true if all that the crest of J joints shows is within its bounds.
+    /// Returns true if all samples of J joints at the crest are within their bounds.
     #[inline(always)]
     fn look_of<const J: usize>(&mut self, seen: &Samples) -> bool {
         let mut least = margin_bits_between(seen.bus_voltage, self.crests.bus);
@@ -374,7 +372,7 @@ where
         least >= 0 && allowed
     }
 
-    /// A crest in any state, whether a control step is `due` or not, and the duties in time or late.
+    /// Runs a crest in any state, with or without a `due` control step, and with duties in time or late.
     #[cold]
     #[inline(never)]
     pub(super) fn crest_generally<L>(
@@ -394,7 +392,7 @@ where
         self.drive(seen.bus_voltage, samples, seen.late, into, legs)
     }
 
-    /// Holds what a crest shows to its bounds. While the motors are off encoders alone are watched, and only for jumps.
+    /// Checks the samples of a crest. While the motors are off, only encoders are checked, and only for jumps.
     pub(super) fn look(&mut self, seen: &Samples) {
         if !core::mem::replace(&mut self.crests.primed, true) {
             self.pass(seen);
@@ -415,14 +413,14 @@ where
         self.pass(seen);
     }
 
-    /// The counts of this crest become those of the crest before.
+    /// Keeps the counts of this crest for the next one.
     fn pass(&mut self, seen: &Samples) {
         for (joint, count) in self.joints.iter_mut().zip(seen.counts.iter()) {
             joint.count = *count;
         }
     }
 
-    /// Something is not well: finds out what comes first, and turns the motors off.
+    /// Finds the first fault of a crest, and turns the motors off.
     #[cold]
     #[inline(never)]
     fn find_at_crest(&mut self, seen: &Samples) {
@@ -436,7 +434,7 @@ where
         let (crests, bus) = (&self.crests, seen.bus_voltage);
         let joints = || self.joints.iter().enumerate().take(self.count());
         for (i, _) in joints() {
-            // No number first: it makes every comparison below meaningless.
+            // NaN comes first because it makes every comparison below meaningless.
             note(active && !seen.currents[i].is_finite(), Fault::NotFinite, Some(i), seen.currents[i]);
         }
         note(active && !bus.is_finite(), Fault::NotFinite, None, bus);
@@ -463,7 +461,7 @@ where
         }
     }
 
-    /// Angle (rad) of a joint at a count.
+    /// Returns the angle (rad) of a joint at a count.
     pub(super) fn angle(&self, joint: usize, count: i32) -> f32 {
         let Some(program) = self.program.as_ref() else { return 0.0 };
         let relative = count.wrapping_sub(program.controller.zero()[joint]);
@@ -471,7 +469,7 @@ where
     }
 }
 
-/// The drive of one motor's legs, from a supply that is usable.
+/// Returns the drive of one motor's legs from a usable supply.
 #[inline(always)]
 pub(super) fn drive_one<S: Stage>(joint: &mut Joint<S>, supply: &Supply, sample: S::Sample, late: bool) -> S::Drive {
     let speed = joint.steady_speed();
@@ -479,19 +477,19 @@ pub(super) fn drive_one<S: Stage>(joint: &mut Joint<S>, supply: &Supply, sample:
     easily.unwrap_or_else(|| joint.stage.drive(supply, sample, speed, late))
 }
 
-/// A joint's range as counts, rounded outward by less than one; `None` without limits.
+/// Returns a joint's range as counts, rounded outward by less than one; `None` without limits.
 fn range(limits: Option<(f32, f32)>, radians_per_count: f32, offset: f32, zero: i32) -> Option<(i32, i32)> {
     let (low, high) = limits?;
     let ends = [low, high].map(|angle| (angle - offset) / radians_per_count);
     let (first, last) = (ends[0].min(ends[1]), ends[0].max(ends[1]));
-    // An end further away than that is brought in to there. Differences of counts wrap, and beyond half of the counter's
-    // range they would call a joint far outside its limits inside them.
+    // Ends are clamped because differences of counts wrap: beyond half of the counter's range, a joint far outside its
+    // limits would appear to be inside them.
     let most = i32::MAX as f32 * 0.25;
     let within = |end: f32| end.clamp(-most, most);
     Some((zero.wrapping_add(below(within(first))), zero.wrapping_add(-below(-within(last)))))
 }
 
-/// The largest whole number that is not above `value`.
+/// Returns the largest integer that is not above `value`.
 fn below(value: f32) -> i32 {
     let whole = value as i32;
     if (whole as f32) > value { whole - 1 } else { whole }

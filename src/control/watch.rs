@@ -1,5 +1,5 @@
-//! Checks that must turn the motors off and only a control step can make: numbers that are not finite, poses, marks,
-//! silence. [`super::crest`] holds limits once a carrier period; [`super::budgets`] checks harm that builds up.
+//! Checks that turn the motors off and need a control step: numbers that are not finite, poses, index pulses, a silent
+//! host. [`super::crest`] checks limits in every carrier period; [`super::budgets`] checks harm that builds up.
 
 use super::{ControlLoop, HostAction, Press};
 use crate::control::joints::Counts;
@@ -11,21 +11,21 @@ use crate::model::catalogue::MAX_JOINTS;
 use crate::safety::fault::{Fault, FaultRecord};
 use core::ops::DerefMut;
 
-/// Regularity of a closed loop below which its tip force is no longer defined well enough to act.
+/// Regularity of a closed loop below which its tip force is too poorly defined to act.
 pub const TRIPPING_SINE: f32 = 2.0e-3;
-/// Width of an index pulse, counts; the first one counts only if it was passed no faster than this in a step.
+/// Width of an index pulse, counts. The first pulse is used only if the joint moved by at most this in the step.
 pub const INDEX_WIDTH: u32 = 4;
 
-/// Largest age of the last sight of a dead man's key that holds the motors on, s, whatever the rules say of a silent
-/// host; `host_seconds` if that is shorter. Of this a page takes up to 0.17 s without network delays: a step is told
-/// every 50 ms and shown every 17 ms, and the key is told of every 80 ms and at every picture.
+/// Largest age of the last press of a dead man's key that keeps the motors on, s, whatever the rules say of a silent
+/// host; `host_seconds` if that is shorter. A page takes up to 0.17 s of this without network delays: it receives a
+/// step every 50 ms, shows it every 17 ms, and reports the key every 80 ms and at every picture.
 pub const KEY_SECONDS: f32 = 0.5;
-/// Share of a real motor's maximum current that may flow for ever where its rules name no continuous current: a quarter of
+/// Share of a real motor's maximum current that may flow forever if its rules give no continuous current: a quarter of
 /// the heat.
 pub const STEADY_SHARE: f32 = 0.5;
 
-/// Most steps until the silence of a host is looked at again: the counter of steps wraps at four times as many.
-const LOOK_AGAIN: u32 = 1 << 30;
+/// Most steps until the silence of a host is checked again: the step counter wraps at four times as many.
+const CHECK_AGAIN: u32 = 1 << 30;
 
 impl<P, K, S> ControlLoop<P, S>
 where
@@ -33,19 +33,19 @@ where
     K: Math<f32>,
     S: Stage,
 {
-    /// Makes ready what steps and carrier periods are held to: after device, homing or rate have changed.
+    /// Sets the bounds of steps and carrier periods after device, homing or rate have changed.
     pub(super) fn set_bounds(&mut self) {
         self.set_ranges();
         self.begin_bounds();
         self.finish_bounds();
     }
 
-    /// The same after rules have changed: what does not belong to a joint at once, and the joints one by one, each by a
+    /// Sets the bounds after rules have changed: at once for the whole device, and joint by joint, each with a
     /// [`ControlLoop::settle_next`].
     pub(super) fn begin_bounds(&mut self) {
         self.expect_host();
         let tip_force = self.rules.limits.tip_force;
-        // The same limit again gives what flows no more time.
+        // Setting the same limit again does not extend the time that present currents have.
         if tip_force * tip_force < self.max_tip_force_squared || !self.state.drives() {
             self.flow.settle(self.period);
         }
@@ -54,14 +54,14 @@ where
         self.unsettled = MAX_JOINTS as u8;
     }
 
-    /// Sets the largest force at the tip from now on, N.
+    /// Sets the largest force at the tip, N.
     pub(super) fn set_max_tip_force(&mut self, force: f32) {
         (self.max_tip_force, self.max_tip_force_squared) = (force, force * force);
     }
 
-    /// Puts the new rules in force for the next joint that is not yet held to them; whether there are more such. While the
-    /// motors are on a control interrupt has no time for all at once; each joint is held to the old rules or to the new
-    /// ones, and then the new ones are no looser.
+    /// Applies the new rules to the next joint, and returns true if joints with the old rules remain. While the motors
+    /// are on, a control interrupt has no time for all joints; each one obeys the old or the new rules, which are no
+    /// looser.
     #[inline(never)]
     pub fn settle_next(&mut self) -> bool {
         let Some(joint) = self.unsettled.checked_sub(1) else { return false };
@@ -70,7 +70,7 @@ where
         if let (Some(joint), Some(heat)) = (self.joints.get_mut(i), self.heat.get_mut(i)) {
             joint.stage.limit(limits.current[i]);
             let (steady, motor) = (limits.continuous_current[i], joint.stage.motor_current());
-            // Rules that allow more than the motor's maximum do not tell its continuous current.
+            // Rules that allow more than the motor's maximum do not give its continuous current.
             let steady = if self.hardware.real && steady > motor { STEADY_SHARE * motor } else { steady };
             heat.limit(joint.stage.max_current(), steady);
             let largest = joint.stage.max_torque();
@@ -82,27 +82,27 @@ where
         joint > 0
     }
 
-    /// Puts the new rules in force for all joints.
+    /// Applies the new rules to all joints.
     pub(super) fn finish_bounds(&mut self) {
         while self.settle_next() {}
     }
 
-    /// The host was heard.
+    /// Records that the host was heard.
     pub(super) fn record_host(&mut self) {
         self.host_seen_at = self.now.step;
         self.expect_host();
     }
 
-    /// For how long no heartbeat has come, s, counted from the start, a change of rules or arming.
+    /// Returns the time since the last heartbeat, the start, a change of rules or arming, s.
     pub fn host_silent(&self) -> f32 {
         self.now.step.wrapping_sub(self.host_seen_at) as f32 * self.period
     }
 
-    /// A dead man's key was told of: it counts by when it was seen, not by when that was heard.
+    /// Records a press of the dead man's key, which counts from when it was seen and not from when it was received.
     pub(super) fn record_key(&mut self, press: Press) {
         let steps = |key: Press| self.now.step.wrapping_sub(key.seen);
         let newer = match self.key {
-            // One key has one holder.
+            // A key has one holder.
             Some(key) => key.holder == press.holder && steps(press) < steps(key),
             None => self.state.drives(),
         };
@@ -111,7 +111,7 @@ where
         }
     }
 
-    /// Time since the key was last seen down, and the longest that it may be, s; `None` without a key.
+    /// Returns the time since the key was last seen down and the longest allowed time, s; `None` without a key.
     pub fn key_age(&self) -> Option<(f32, f32)> {
         self.key.map(|key| self.age(key))
     }
@@ -121,35 +121,34 @@ where
         (steps as f32 * self.period, self.rules.host_seconds.min(KEY_SECONDS))
     }
 
-    /// Returns true if a key was seen down as short a while ago as one that holds the motors on must be.
+    /// Returns true if a key was seen down recently enough to keep the motors on.
     pub(super) fn is_fresh(&self, key: Press) -> bool {
         let (age, allowed) = self.age(key);
-        // Steps before a change of rate took another time, so the key's age is unknown.
+        // Steps before a change of rate had another length, so the key's age is unknown.
         let known = self.now.step.wrapping_sub(key.seen) <= self.now.step.wrapping_sub(self.rate_since);
         known && age <= allowed
     }
 
-    /// Sets the step after which the host, or the key that it tells of, has been silent for too long, or is looked at
-    /// again.
+    /// Sets the step after which the host or its key has been silent for too long, or is checked again.
     fn expect_host(&mut self) {
         let key = match self.key_age() {
             Some((age, allowed)) => ((allowed - age) / self.period) as u32,
-            None => LOOK_AGAIN,
+            None => CHECK_AGAIN,
         };
         let steps = match self.rules.host_action {
-            HostAction::Ignore => LOOK_AGAIN,
-            // It is listed.
-            HostAction::Hold if self.fault.is_some() => LOOK_AGAIN,
+            HostAction::Ignore => CHECK_AGAIN,
+            // The fault is listed already.
+            HostAction::Hold if self.fault.is_some() => CHECK_AGAIN,
             HostAction::Hold | HostAction::Disarm => {
-                (((self.rules.host_seconds - self.host_silent()) / self.period) as u32).min(LOOK_AGAIN)
+                (((self.rules.host_seconds - self.host_silent()) / self.period) as u32).min(CHECK_AGAIN)
             }
         };
         self.host_expected = self.now.step.wrapping_add(steps.min(key));
         self.forget_old_rates();
     }
 
-    /// Lets the step since which the rate is the same follow, half of all steps behind, before the count of steps reaches
-    /// it again: nothing that a host has seen is older. There is a look at the host four times in that count.
+    /// Moves `rate_since` along, half of the step counter's range behind, so that the counter never reaches it again:
+    /// nothing that a host has seen is older. The host is checked four times in that range.
     fn forget_old_rates(&mut self) {
         const HALF: u32 = 1 << 31;
         if self.now.step.wrapping_sub(self.rate_since) > HALF {
@@ -157,8 +156,8 @@ where
         }
     }
 
-    /// Negative if the step of J joints must be looked at: NaN, a singular pose, a host that is silent for too long.
-    /// Torques that are NaN do not fit either ([`ControlLoop::fits`]).
+    /// Returns a negative number if the step of J joints must be checked: NaN, a singular pose, a host that is silent
+    /// for too long. [`ControlLoop::fits`] finds torques that are NaN.
     #[inline(always)]
     pub(super) fn watch<const J: usize>(&self) -> i32 {
         let found = &self.now.found;
@@ -166,11 +165,11 @@ where
         for qd in found.at.qd.iter().take(J) {
             sum += qd;
         }
-        // One check for all: a sum of finite numbers this small can only be infinite or NaN if one of them is.
+        // A single check: the sum of finite numbers this small is infinite or NaN only if one of them is.
         margin_bits(sum, f32::MAX) | beyond(found.parallel) | self.host_expected.wrapping_sub(self.now.step) as i32
     }
 
-    /// [`ControlLoop::watch`] of all joints, and of the torques as well.
+    /// [`ControlLoop::watch`] of all joints and their torques.
     pub(super) fn watch_all(&self) -> i32 {
         match self.count() {
             2 => self.watch::<2>() | self.not_finite::<2>(),
@@ -179,14 +178,14 @@ where
         }
     }
 
-    /// Negative if a torque asked of the J joints is NaN or infinite.
+    /// Returns a negative number if a requested torque of the J joints is NaN or infinite.
     #[inline(always)]
     pub(super) fn not_finite<const J: usize>(&self) -> i32 {
         self.now.found.asked.total.iter().take(J).fold(0, |least, torque| least | margin_bits(*torque, f32::MAX))
     }
 
-    /// Something is to be looked at: finds out what comes first, and turns the motors off where they must not go on.
-    /// `before`: counts of the step before.
+    /// Finds the first fault of an unusual step, and turns the motors off if they must not go on. `before`: counts of
+    /// the step before.
     #[cold]
     #[inline(never)]
     pub(super) fn find(&mut self, before: &Counts) {
@@ -198,7 +197,7 @@ where
                 first = Some((fault, axis.map(|i| i as u8), value));
             }
         };
-        // No number first: it makes every comparison below meaningless.
+        // NaN comes first because it makes every comparison below meaningless.
         let found = &self.now.found;
         let mut sum = found.at.walls.wall_force + found.at.walls.normal_velocity;
         for (qd, torque) in found.at.qd.iter().zip(&found.asked.total).take(joints) {
@@ -228,7 +227,7 @@ where
             let silent = seconds > self.rules.host_seconds;
             match self.rules.host_action {
                 HostAction::Disarm => note(silent, Fault::HostLost, None, seconds),
-                // Listed once is enough.
+                // One entry is enough.
                 HostAction::Hold if silent && self.fault.is_none() => {
                     self.fault =
                         Some(FaultRecord { fault: Fault::HostLost, axis: None, value: seconds, step: self.now.step });
@@ -246,25 +245,26 @@ where
     }
 }
 
-/// A torque so much below its limit, N m, that no rounding on its way to a current passes it.
+/// Returns a torque so far below its limit, N m, that no rounding on its way to a current exceeds the limit.
 fn fitting(most: f32) -> f32 {
     if most.is_normal() { most * (1.0 - 8.0 * f32::EPSILON) } else { 0.0 }
 }
 
-/// Negative where a closed loop is stretched so far that its tip force is not defined, and where that is not known.
+/// Returns a negative number if a closed loop is stretched so far that its tip force is undefined, or if that is
+/// unknown.
 #[inline(always)]
 fn beyond(parallel: f32) -> i32 {
     margin_bits_between(parallel, (TRIPPING_SINE, f32::MAX))
 }
 
-/// Counts between an index pulse at `count` and the nearest place where it should be: whole turns of `period` from the
-/// `first`.
+/// Returns the counts between an index pulse at `count` and its nearest expected place, whole turns of `period` from
+/// the `first` pulse.
 fn index_error(count: i32, first: i32, period: i32) -> u32 {
     let off = count.wrapping_sub(first).checked_rem(period).unwrap_or(0).unsigned_abs();
     off.min(period.unsigned_abs().saturating_sub(off))
 }
 
-/// The allowed error: each of the two pulses may be late, the first by its width, this one by the joint's motion.
+/// Returns the allowed error, counts: the first pulse may be late by its width, this one also by the joint's motion.
 fn index_doubt(moved: u32) -> u32 {
     moved.saturating_add(2 * INDEX_WIDTH)
 }

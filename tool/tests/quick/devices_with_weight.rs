@@ -83,8 +83,7 @@ fn scenes_of_devices_with_weight_run_on_a_strict_board() {
 
 #[test]
 fn every_template_runs_on_a_strict_board_without_falling() {
-    // The check refuses the arm's template: its light links swing along (docs/safety.md, *What the check refuses*).
-    for kind in Kind::ALL.iter().filter(|kind| **kind != Kind::Serial3r) {
+    for kind in Kind::ALL {
         let file = DeviceFile::parse(&template::device_file(*kind, "mine"), "mine.toml").unwrap();
         let task = file.spec().task as u8;
         let (shared, mut board) = ready_to_arm(file);

@@ -74,7 +74,7 @@ fn a_check_with_ten_times_the_counts_stops_near_its_start() {
 }
 
 #[test]
-fn checks_0_2_rad_off_home_push_at_most_1_4_times_the_limit() {
+fn checks_0_2_rad_off_home_push_at_most_1_2_times_the_limit() {
     let file = shipped("capstan-pantograph");
     let homed_off = |error| {
         moved(&file, &InjectedError { what: "the device stands elsewhere than at home", when: When::Always(error) })
@@ -87,7 +87,7 @@ fn checks_0_2_rad_off_home_push_at_most_1_4_times_the_limit() {
     ];
     for (ended, moved) in pushed {
         // 0.2 rad off, the linkage stretches to its stop, where a torque makes the largest force.
-        assert!(moved.push > 1.0 && moved.push < 1.4 * f64::from(GENTLE_FORCE), "{ended:?}, {moved:?}");
+        assert!(moved.push > 1.0 && moved.push < 1.2 * f64::from(GENTLE_FORCE), "{ended:?}, {moved:?}");
     }
 }
 
