@@ -68,6 +68,8 @@ const SECOND_TORQUE: f32 = 0.25;
 const SWING_EXCESS: f32 = 1.2;
 /// Ratio of the second swing's torque to the torque that moved the joint.
 const FRICTION_EXCESS: f32 = 2.5;
+/// Smallest effective inertia, as a share of the joint's own inertia.
+const LEAST_EFFECTIVE: f32 = 1.0e-3;
 /// Smallest motion that is seen, rad and counts.
 const SEEN_ANGLE: f32 = 1.5e-3;
 const SEEN_COUNTS: f32 = 1.5;
@@ -588,8 +590,11 @@ fn effective_inertia(i: usize, mut inertia: [[f32; MAX_JOINTS]; MAX_JOINTS], joi
         let (k, l) = ((j + 1) % MAX_JOINTS, (j + 2) % MAX_JOINTS);
         one[k] * other[l] - one[l] * other[k]
     });
-    let determinant: f32 = column.iter().zip(&inertia[i % MAX_JOINTS]).map(|(part, inertia)| part * inertia).sum();
-    determinant / column.iter().fold(f32::MIN_POSITIVE, |most, part| most.max(part.abs()))
+    let row = inertia[i % MAX_JOINTS];
+    let determinant: f32 = column.iter().zip(&row).map(|(part, inertia)| part * inertia).sum();
+    let effective = determinant / column.iter().fold(f32::MIN_POSITIVE, |most, part| most.max(part.abs()));
+    // `max` also drops NaN, and a determinant that is all rounding.
+    effective.max(LEAST_EFFECTIVE * row[i % MAX_JOINTS])
 }
 
 /// Returns the scalar product of two phasors.
